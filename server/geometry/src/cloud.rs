@@ -1,0 +1,200 @@
+//! Point clouds and planar laser scans: positions plus optional channels.
+
+use crate::{GeometryError, Pose};
+use nalgebra::Point3;
+
+/// `N` points with optional channels of the same length, in one frame.
+///
+/// Positions are metres. A position with a non-finite coordinate is 'no return'; producers that can
+/// drop such points should ([`PointCloud::retain_finite`]).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PointCloud {
+    /// N x 3, metres.
+    pub positions: Vec<Point3<f32>>,
+    /// N x 3 RGB8.
+    pub colors: Option<Vec<[u8; 3]>>,
+    /// N, sensor units as they came (KITTI 0..1).
+    pub intensities: Option<Vec<f32>>,
+    /// N x 3, unit length; all zero where undefined.
+    pub normals: Option<Vec<nalgebra::Vector3<f32>>>,
+    /// N, seconds after the message's stamp (may be negative), for deskewing.
+    pub time_offsets_s: Option<Vec<f32>>,
+}
+
+impl PointCloud {
+    /// A cloud of positions only.
+    pub fn from_positions(positions: Vec<Point3<f32>>) -> Self {
+        Self { positions, ..Self::default() }
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there is no point.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Checks that every channel has one entry a point.
+    ///
+    /// # Errors
+    /// `ShapeMismatch` naming the channel.
+    pub fn validate(&self) -> Result<(), GeometryError> {
+        let expected = self.positions.len();
+        let check = |field, actual: Option<usize>| match actual {
+            Some(actual) if actual != expected => Err(GeometryError::ShapeMismatch { field, expected, actual }),
+            _ => Ok(()),
+        };
+        check("colors", self.colors.as_ref().map(Vec::len))?;
+        check("intensities", self.intensities.as_ref().map(Vec::len))?;
+        check("normals", self.normals.as_ref().map(Vec::len))?;
+        check("time_offsets_s", self.time_offsets_s.as_ref().map(Vec::len))
+    }
+
+    /// The points at `indices`, with all channels, in that order. Copies.
+    ///
+    /// Panics if an index is out of range: indices come from our own algorithms.
+    pub fn select(&self, indices: &[usize]) -> Self {
+        Self {
+            positions: indices.iter().map(|&i| self.positions[i]).collect(),
+            colors: self.colors.as_ref().map(|c| indices.iter().map(|&i| c[i]).collect()),
+            intensities: self.intensities.as_ref().map(|c| indices.iter().map(|&i| c[i]).collect()),
+            normals: self.normals.as_ref().map(|c| indices.iter().map(|&i| c[i]).collect()),
+            time_offsets_s: self.time_offsets_s.as_ref().map(|c| indices.iter().map(|&i| c[i]).collect()),
+        }
+    }
+
+    /// Drops points with a non-finite coordinate, keeping order and channels.
+    pub fn retain_finite(&self) -> Self {
+        let keep: Vec<usize> = (0..self.len()).filter(|&i| is_finite(&self.positions[i])).collect();
+        if keep.len() == self.len() { self.clone() } else { self.select(&keep) }
+    }
+
+    /// The cloud with coordinates in frame a, from coordinates in b. Normals turn along.
+    pub fn transformed(&self, t_a_b: &Pose) -> Self {
+        let r = t_a_b.rotation.to_rotation_matrix();
+        let t = t_a_b.translation.vector;
+        Self {
+            positions: self
+                .positions
+                .iter()
+                .map(|p| Point3::from((r * p.coords.cast::<f64>() + t).cast::<f32>()))
+                .collect(),
+            normals: self.normals.as_ref().map(|ns| ns.iter().map(|n| (r * n.cast::<f64>()).cast::<f32>()).collect()),
+            ..self.clone_channels()
+        }
+    }
+
+    fn clone_channels(&self) -> Self {
+        Self {
+            positions: Vec::new(),
+            colors: self.colors.clone(),
+            intensities: self.intensities.clone(),
+            normals: None,
+            time_offsets_s: self.time_offsets_s.clone(),
+        }
+    }
+}
+
+/// Whether all three coordinates are finite.
+pub fn is_finite(p: &Point3<f32>) -> bool {
+    p.x.is_finite() && p.y.is_finite() && p.z.is_finite()
+}
+
+/// One sweep of a planar lidar; beam i points along `angle_min_rad + i * angle_increment_rad` in the
+/// sensor's xy plane, counter-clockwise from x.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LaserScan {
+    /// Angle of beam 0, radians.
+    pub angle_min_rad: f64,
+    /// Angle between beams, radians; negative for a clockwise sensor.
+    pub angle_increment_rad: f64,
+    /// Ranges below this are no measurement, metres.
+    pub range_min_m: f64,
+    /// Ranges at or beyond this are 'no return within range', metres.
+    pub range_max_m: f64,
+    /// Seconds between beams; 0 if the whole scan was taken at once.
+    pub time_increment_s: f64,
+    /// B ranges, metres (REP-117): +inf no return, NaN or -inf invalid.
+    pub ranges_m: Vec<f32>,
+    /// B intensities, or none.
+    pub intensities: Option<Vec<f32>>,
+}
+
+/// What one beam of a scan says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Beam {
+    /// Something was hit at this range (m).
+    Hit(f32),
+    /// Nothing within this range (m): free, with no end.
+    Free(f32),
+    /// No measurement: says nothing.
+    Invalid,
+}
+
+impl LaserScan {
+    /// What beam `i` says (REP-117).
+    pub fn beam(&self, i: usize) -> Beam {
+        let r = self.ranges_m[i];
+        if r.is_nan() || r == f32::NEG_INFINITY || f64::from(r) < self.range_min_m {
+            Beam::Invalid
+        } else if f64::from(r) >= self.range_max_m {
+            Beam::Free(self.range_max_m as f32)
+        } else {
+            Beam::Hit(r)
+        }
+    }
+
+    /// Angle of beam `i`, radians in the sensor frame.
+    pub fn angle(&self, i: usize) -> f64 {
+        self.angle_min_rad + i as f64 * self.angle_increment_rad
+    }
+
+    /// The hits as points in the sensor frame (z = 0), in beam order.
+    pub fn hits(&self) -> Vec<Point3<f32>> {
+        (0..self.ranges_m.len())
+            .filter_map(|i| match self.beam(i) {
+                Beam::Hit(r) => {
+                    let (sin, cos) = self.angle(i).sin_cos();
+                    Some(Point3::new((f64::from(r) * cos) as f32, (f64::from(r) * sin) as f32, 0.0))
+                }
+                _ => None,
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn channels_of_another_length_are_named() {
+        let mut cloud = PointCloud::from_positions(vec![Point3::origin(); 3]);
+        cloud.intensities = Some(vec![0.0; 2]);
+        assert_eq!(
+            cloud.validate(),
+            Err(GeometryError::ShapeMismatch { field: "intensities", expected: 3, actual: 2 })
+        );
+    }
+
+    #[test]
+    fn beams_follow_rep_117() {
+        let scan = LaserScan {
+            angle_min_rad: 0.0,
+            angle_increment_rad: 0.1,
+            range_min_m: 0.1,
+            range_max_m: 10.0,
+            time_increment_s: 0.0,
+            ranges_m: vec![1.0, f32::INFINITY, f32::NAN, f32::NEG_INFINITY, 0.05, 10.0],
+            intensities: None,
+        };
+        let beams: Vec<Beam> = (0..6).map(|i| scan.beam(i)).collect();
+        assert_eq!(
+            beams,
+            [Beam::Hit(1.0), Beam::Free(10.0), Beam::Invalid, Beam::Invalid, Beam::Invalid, Beam::Free(10.0)]
+        );
+    }
+}

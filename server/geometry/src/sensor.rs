@@ -1,0 +1,164 @@
+//! Sensors as a session declares them, and the messages that they send.
+
+use crate::{
+    CameraIntrinsics, Covariance6, DepthImage, GeometryError, LaserScan, PointCloud, Pose, RgbImage, Timestamp,
+};
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Name of a sensor, unique in its session.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct SensorId(pub String);
+
+impl From<&str> for SensorId {
+    fn from(name: &str) -> Self {
+        Self(name.to_owned())
+    }
+}
+
+impl std::fmt::Display for SensorId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// What a sensor measures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SensorKind {
+    /// Depth images.
+    Depth,
+    /// Depth images with colour registered to them.
+    Rgbd,
+    /// Colour images.
+    Camera,
+    /// 3D point clouds, spinning or not.
+    Lidar3d,
+    /// Planar scans.
+    Lidar2d,
+    /// Inertial measurements.
+    Imu,
+    /// Wheel (or other) odometry.
+    Odometry,
+}
+
+/// A sensor of a session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SensorSpec {
+    /// Name.
+    pub id: SensorId,
+    /// What it measures.
+    pub kind: SensorKind,
+    /// Extrinsics: sensor (optical frame for cameras) to base.
+    pub t_base_sensor: Pose,
+    /// Intrinsics, for depth, rgbd and camera.
+    pub intrinsics: Option<CameraIntrinsics>,
+    /// Seconds to add to this sensor's stamps to get the session's clock.
+    pub time_offset_s: f64,
+}
+
+impl SensorSpec {
+    /// The optical frame's rotation in a forward-looking body frame: z forward becomes x forward (REP-103).
+    pub fn optical_rotation() -> UnitQuaternion<f64> {
+        UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(0.5, -0.5, 0.5, -0.5))
+    }
+
+    /// Checks that what the kind needs is there and sound.
+    ///
+    /// # Errors
+    /// `OutOfRange` for intrinsics or offsets that are not usable, `ShapeMismatch` if they are missing.
+    pub fn validate(&self) -> Result<(), GeometryError> {
+        match (self.kind, &self.intrinsics) {
+            (SensorKind::Depth | SensorKind::Rgbd | SensorKind::Camera, None) => {
+                return Err(GeometryError::ShapeMismatch { field: "intrinsics", expected: 1, actual: 0 });
+            }
+            (_, Some(intrinsics)) => intrinsics.validate()?,
+            _ => {}
+        }
+        if !self.time_offset_s.is_finite() {
+            return Err(GeometryError::OutOfRange {
+                field: "time_offset_s",
+                value: self.time_offset_s,
+                requirement: "finite",
+            });
+        }
+        Ok(())
+    }
+}
+
+/// One inertial sample in the sensor frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImuSample {
+    /// Angular velocity, rad/s.
+    pub angular_velocity: Vector3<f64>,
+    /// Specific force, m/s^2 (at rest it points up with 9.81).
+    pub linear_acceleration: Vector3<f64>,
+}
+
+/// One odometry sample: the pose of base in the odometry's own drifting frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OdometrySample {
+    /// Base to odom.
+    pub t_odom_base: Pose,
+    /// Covariance of the step since the sample before, in base, if the source knows it.
+    pub covariance: Option<Covariance6>,
+}
+
+/// What a sensor sent.
+#[derive(Debug, Clone, PartialEq)]
+pub enum SensorData {
+    /// Depth alone.
+    Depth(DepthImage),
+    /// Depth and the colour image registered to it (same size).
+    Rgbd(DepthImage, RgbImage),
+    /// Colour alone.
+    Camera(RgbImage),
+    /// A cloud in the sensor frame.
+    Cloud(PointCloud),
+    /// A planar scan in the sensor frame.
+    Scan(LaserScan),
+    /// Inertial sample.
+    Imu(ImuSample),
+    /// Odometry sample.
+    Odometry(OdometrySample),
+}
+
+impl SensorData {
+    /// The kind of sensor that sends this.
+    pub fn kind(&self) -> SensorKind {
+        match self {
+            Self::Depth(_) => SensorKind::Depth,
+            Self::Rgbd(..) => SensorKind::Rgbd,
+            Self::Camera(_) => SensorKind::Camera,
+            Self::Cloud(_) => SensorKind::Lidar3d,
+            Self::Scan(_) => SensorKind::Lidar2d,
+            Self::Imu(_) => SensorKind::Imu,
+            Self::Odometry(_) => SensorKind::Odometry,
+        }
+    }
+}
+
+/// One timestamped message of a sensor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorFrame {
+    /// Which sensor.
+    pub sensor: SensorId,
+    /// When, by the sensor's clock.
+    pub stamp: Timestamp,
+    /// What.
+    pub data: SensorData,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_optical_axis_looks_forward_in_the_body() {
+        let r = SensorSpec::optical_rotation();
+        assert!((r * Vector3::z() - Vector3::x()).norm() < 1e-12);
+        assert!((r * Vector3::x() + Vector3::y()).norm() < 1e-12);
+        assert!((r * Vector3::y() + Vector3::z()).norm() < 1e-12);
+    }
+}

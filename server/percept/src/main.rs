@@ -1,0 +1,2 @@
+//! The percept binary.
+fn main() {}
