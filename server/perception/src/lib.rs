@@ -1,1 +1,14 @@
-//! percept-perception.
+//! One message in, facts out; no memory.
+//!
+//! Comes in: a cloud, a depth image, two clouds to align. Goes out: neighbours, points, planes, clusters,
+//! detections, poses. Nothing here remembers the message before, reads a clock or touches a file.
+//! Results depend on the input and the seed, not on the number of threads.
+//!
+//! Start with [`search`] (who is near whom), then [`depth`] (images to points), [`cloud`] (points to
+//! structure), [`registration`] (where two clouds meet) and [`detection`] (structure to objects).
+
+pub mod cloud;
+pub mod depth;
+pub mod detection;
+pub mod registration;
+pub mod search;

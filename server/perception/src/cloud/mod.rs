@@ -1,0 +1,1 @@
+//! Clouds in, structure out: fewer points, normals, planes, clusters, boxes.

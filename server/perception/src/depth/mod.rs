@@ -1,0 +1,1 @@
+//! Depth images in, points and normals out, in the optical frame.

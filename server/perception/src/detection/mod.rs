@@ -1,0 +1,1 @@
+//! A cloud in, objects out: propose, fit a box, classify.

@@ -1,0 +1,1 @@
+//! Two clouds in, the pose that aligns them out.
