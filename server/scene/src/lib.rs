@@ -1,1 +1,44 @@
-//! percept-scene.
+//! Detections in, understanding out: objects with an identity, their relations, the scene graph.
+//!
+//! Comes in: what was detected in the map frame, with a stamp, and a way to ask whether a place was seen
+//! through. Goes out: tracked objects and what changed ([`Tracker::update`]), and a graph of them and the robot
+//! ([`SceneGraph::build`]). Nothing is detected here, and no map is kept. Start with [`tracker`].
+//!
+//! All boxes are upright in the map frame (z up). The same detections give the same objects, in whatever order
+//! a frame lists them.
+
+pub mod assignment;
+mod association;
+mod belief;
+pub mod object;
+pub mod overlap;
+pub mod relations;
+pub mod scene_graph;
+mod track;
+pub mod tracker;
+
+pub use belief::ClassBelief;
+pub use object::{Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, Visibility};
+pub use relations::{NodeId, Relation, RelationFrame, RelationKind, RelationParams};
+pub use scene_graph::{Node, SceneGraph};
+pub use tracker::{Tracker, TrackerParams};
+
+/// Why a request to this crate cannot be served.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SceneError {
+    /// A parameter is out of its bounds.
+    #[error("{field}: {value} is not {requirement}")]
+    InvalidParam {
+        /// Parameter name.
+        field: &'static str,
+        /// The value as given.
+        value: f64,
+        /// What it has to be.
+        requirement: &'static str,
+    },
+}
+
+/// Holds if `value` is a number within `[low, high]`.
+fn within(field: &'static str, value: f64, low: f64, high: f64, requirement: &'static str) -> Result<(), SceneError> {
+    if value >= low && value <= high { Ok(()) } else { Err(SceneError::InvalidParam { field, value, requirement }) }
+}

@@ -1,0 +1,130 @@
+//! What is observed, what is tracked, and what may change about it.
+
+use nalgebra::Vector3;
+use percept_geometry::{ObjectClass, OrientedBox3, Timestamp};
+use serde::{Deserialize, Serialize};
+
+/// Identity of an object in its session, counted from 0 in the order of confirmation; never used again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct ObjectId(pub u64);
+
+impl std::fmt::Display for ObjectId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.0)
+    }
+}
+
+/// One detection, the tracker's input.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// What it looks like.
+    pub class: ObjectClass,
+    /// Probability of that class, 0..1.
+    pub confidence: f64,
+    /// Where it is: upright box in the map frame, metres.
+    pub bbox: OrientedBox3,
+    /// Points that the box was fitted to: the more, the more the box is trusted.
+    pub num_points: usize,
+}
+
+impl Observation {
+    /// Whether all numbers are finite, all edges positive and the confidence is in 0..1. The tracker passes over
+    /// observations that are not usable.
+    pub fn is_usable(&self) -> bool {
+        let t = &self.bbox.t_frame_box;
+        let finite = t.translation.vector.iter().chain(t.rotation.coords.iter()).all(|v| v.is_finite());
+        let positive = self.bbox.size.iter().all(|&s| s.is_finite() && s > 0.0);
+        finite && positive && (0.0..=1.0).contains(&self.confidence)
+    }
+}
+
+/// What the sensors of this update say about a box in the map frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Visibility {
+    /// Beams went through it and ended behind: it is empty.
+    SeenThrough,
+    /// Beams ended in it: something is there.
+    Occupied,
+    /// Hidden, out of view or out of range: nothing can be said.
+    Unseen,
+}
+
+/// What an object does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObjectState {
+    /// Where it was.
+    Static,
+    /// On its way.
+    Moving,
+    /// Not there any more: its place was seen through.
+    Gone,
+}
+
+/// A tracked thing in the map frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Object {
+    /// Identity.
+    pub id: ObjectId,
+    /// Likeliest class over all observations.
+    pub class: ObjectClass,
+    /// Probability of that class, 0..1.
+    pub confidence: f64,
+    /// Probabilities in the order of [`ObjectClass::ALL`], sum 1.
+    pub class_probabilities: [f64; ObjectClass::ALL.len()],
+    /// Upright box in the map frame, metres; where it was last seen if gone.
+    pub bbox: OrientedBox3,
+    /// What it does.
+    pub state: ObjectState,
+    /// Velocity in the map frame, m/s; zero unless moving.
+    pub velocity_mps: Vector3<f64>,
+    /// Stamp of the first observation.
+    pub first_seen: Timestamp,
+    /// Stamp of the newest observation.
+    pub last_seen: Timestamp,
+    /// Observations so far.
+    pub observation_count: u64,
+    /// Points of the best observation that the box rests on.
+    pub num_points: usize,
+}
+
+/// What happened to an object in an update.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ObjectChangeKind {
+    /// Confirmed: it is now listed.
+    Appeared,
+    /// Its box changed by more than the reporting distance.
+    Updated,
+    /// Its likeliest class changed.
+    Reclassified {
+        /// Before.
+        from: ObjectClass,
+        /// Now.
+        to: ObjectClass,
+    },
+    /// It set off.
+    StartedMoving,
+    /// It came to rest.
+    Stopped,
+    /// Its place was seen through: it is not there any more.
+    Gone,
+    /// It was gone and is back in its place.
+    Reappeared,
+    /// It is the same thing as another object, and is no longer listed.
+    Merged {
+        /// The object that stays.
+        into: ObjectId,
+    },
+    /// It was gone, and was dropped to keep the list within its limit.
+    Forgotten,
+}
+
+/// A change of an object.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ObjectChange {
+    /// Which object.
+    pub id: ObjectId,
+    /// What happened.
+    pub kind: ObjectChangeKind,
+}

@@ -1,0 +1,230 @@
+//! One thing followed through time: its box, class, motion and how often it was missed.
+
+use crate::{ClassBelief, Object, ObjectChangeKind, ObjectId, ObjectState, Observation, TrackerParams, overlap};
+use nalgebra::Vector3;
+use percept_geometry::{OrientedBox3, Timestamp};
+
+/// Share of the box's support that stays from one observation to the next: a map that was corrected may give
+/// fewer points than before, and is to be believed after some twenty looks.
+const SUPPORT_DECAY: f64 = 0.95;
+/// A box moved by more than this (m) since it was last reported is reported again.
+const REPORT_DISTANCE_M: f64 = 0.05;
+/// Observations in a row away from the anchor that make a movement: one alone may be a bad box.
+const OBSERVATIONS_AWAY: u32 = 2;
+
+#[derive(Debug, Clone)]
+pub(crate) struct Track {
+    /// None until confirmed.
+    pub(crate) id: Option<ObjectId>,
+    pub(crate) bbox: OrientedBox3,
+    pub(crate) belief: ClassBelief,
+    pub(crate) state: ObjectState,
+    pub(crate) first_seen: Timestamp,
+    pub(crate) last_seen: Timestamp,
+    pub(crate) observation_count: u64,
+    /// Updates in a row that saw through its place.
+    pub(crate) seen_through: u32,
+    /// Updates in a row in which its place was occupied, but detected as a part of a larger object.
+    pub(crate) swallowed: u32,
+    velocity: Vector3<f64>,
+    /// Where it stood when it was last known to move (or was first seen).
+    anchor: OrientedBox3,
+    anchor_stamp: Timestamp,
+    away: u32,
+    /// Its box before an observation away from it, until that proves to be a movement or a bad box.
+    before: Option<OrientedBox3>,
+    support: f64,
+    num_points: usize,
+    reported: OrientedBox3,
+}
+
+impl Track {
+    pub(crate) fn new(observation: &Observation, stamp: Timestamp, params: &TrackerParams) -> Self {
+        let bbox = overlap::upright(&observation.bbox);
+        let mut belief = ClassBelief::uniform();
+        belief.observe(observation.class, observation.confidence, params.class_memory);
+        Self {
+            id: None,
+            bbox,
+            belief,
+            state: ObjectState::Static,
+            first_seen: stamp,
+            last_seen: stamp,
+            observation_count: 1,
+            seen_through: 0,
+            swallowed: 0,
+            velocity: Vector3::zeros(),
+            anchor: bbox,
+            anchor_stamp: stamp,
+            away: 0,
+            before: None,
+            support: observation.num_points.max(1) as f64,
+            num_points: observation.num_points,
+            reported: bbox,
+        }
+    }
+
+    pub(crate) fn restored(object: &Object) -> Self {
+        Self {
+            id: Some(object.id),
+            bbox: object.bbox,
+            belief: ClassBelief::from_probabilities(&object.class_probabilities),
+            state: object.state,
+            first_seen: object.first_seen,
+            last_seen: object.last_seen,
+            observation_count: object.observation_count,
+            seen_through: 0,
+            swallowed: 0,
+            velocity: object.velocity_mps,
+            anchor: object.bbox,
+            anchor_stamp: object.last_seen,
+            away: 0,
+            before: None,
+            support: object.num_points.max(1) as f64,
+            num_points: object.num_points,
+            reported: object.bbox,
+        }
+    }
+
+    pub(crate) fn to_object(&self) -> Option<Object> {
+        let (class, confidence) = self.belief.best();
+        Some(Object {
+            id: self.id?,
+            class,
+            confidence,
+            class_probabilities: self.belief.probabilities(),
+            bbox: self.bbox,
+            state: self.state,
+            velocity_mps: if self.state == ObjectState::Moving { self.velocity } else { Vector3::zeros() },
+            first_seen: self.first_seen,
+            last_seen: self.last_seen,
+            observation_count: self.observation_count,
+            num_points: self.num_points,
+        })
+    }
+
+    /// Where it should be at `stamp`: a moving thing goes on for at most `coast_s`.
+    pub(crate) fn predicted(&self, stamp: Timestamp, coast_s: f64) -> OrientedBox3 {
+        let mut out = self.bbox;
+        if self.state == ObjectState::Moving {
+            let elapsed = stamp.seconds_since(self.last_seen).clamp(0.0, coast_s);
+            out.t_frame_box.translation.vector += self.velocity * elapsed;
+        }
+        out
+    }
+
+    /// Takes an observation in; what changed about a confirmed track is pushed to `changes`.
+    pub(crate) fn observe(
+        &mut self,
+        observation: &Observation,
+        stamp: Timestamp,
+        params: &TrackerParams,
+        changes: &mut Vec<ObjectChangeKind>,
+    ) {
+        let seen = overlap::upright(&observation.bbox);
+        let class_before = self.belief.best().0;
+        self.belief.observe(observation.class, observation.confidence, params.class_memory);
+        let class_now = self.belief.best().0;
+        if class_now != class_before {
+            changes.push(ObjectChangeKind::Reclassified { from: class_before, to: class_now });
+        }
+        if self.state == ObjectState::Gone {
+            self.state = ObjectState::Static;
+            self.anchor = seen;
+            changes.push(ObjectChangeKind::Reappeared);
+        }
+        self.follow_motion(&seen, stamp, params, changes);
+        self.fuse(&seen, observation.num_points);
+        self.last_seen = self.last_seen.max(stamp);
+        self.observation_count += 1;
+        (self.seen_through, self.swallowed) = (0, 0);
+        if self.differs_from_report() {
+            self.reported = self.bbox;
+            changes.push(ObjectChangeKind::Updated);
+        }
+    }
+
+    /// Decides whether it moves. A box that grows as more of the thing is seen shifts its centre too, but keeps
+    /// covering the anchor: only a box that leaves its anchor has moved.
+    fn follow_motion(
+        &mut self,
+        seen: &OrientedBox3,
+        stamp: Timestamp,
+        params: &TrackerParams,
+        changes: &mut Vec<ObjectChangeKind>,
+    ) {
+        let elapsed = stamp.seconds_since(self.last_seen);
+        if elapsed > 0.0 {
+            let measured = (seen.center() - self.bbox.center()) / elapsed;
+            self.velocity = 0.5 * (self.velocity + measured);
+        }
+        let away = (seen.center() - self.anchor.center()).norm() > params.moving_distance_m
+            && overlap::share_of_smaller(seen, &self.anchor) < 0.5;
+        self.away = if away { self.away + 1 } else { 0 };
+        match (away, self.before) {
+            (true, None) => self.before = Some(self.bbox),
+            (true, Some(_)) => {}
+            (false, _) => self.bbox = self.before.take().unwrap_or(self.bbox),
+        }
+        if away && (self.state == ObjectState::Moving || self.away >= OBSERVATIONS_AWAY) {
+            (self.anchor, self.anchor_stamp, self.away, self.before) = (*seen, stamp, 0, None);
+            if self.state != ObjectState::Moving {
+                self.state = ObjectState::Moving;
+                changes.push(ObjectChangeKind::StartedMoving);
+            }
+        } else if self.state == ObjectState::Moving && stamp.seconds_since(self.anchor_stamp) > params.settle_s {
+            self.state = ObjectState::Static;
+            self.velocity = Vector3::zeros();
+            self.anchor = *seen;
+            changes.push(ObjectChangeKind::Stopped);
+        }
+    }
+
+    /// Mixes the box in by its share of the points: one that rests on many more replaces, one on few adds little.
+    fn fuse(&mut self, seen: &OrientedBox3, num_points: usize) {
+        let points = num_points.max(1) as f64;
+        let moving = self.state == ObjectState::Moving || self.away > 0;
+        let gain = points / (points + self.support);
+        // A moving thing is where it was seen last; its size still comes from all looks.
+        self.bbox = overlap::blend(&self.bbox, seen, gain);
+        if moving {
+            self.bbox.t_frame_box.translation = seen.t_frame_box.translation;
+        }
+        self.support = (SUPPORT_DECAY * self.support).max(points);
+        if points >= self.support {
+            self.num_points = num_points;
+        }
+        let grown = self.bbox.volume() > 1.1 * self.anchor.volume();
+        if !moving && grown && overlap::share_of(&self.anchor, &self.bbox) > 0.9 {
+            self.anchor = self.bbox;
+        }
+    }
+
+    fn differs_from_report(&self) -> bool {
+        (self.bbox.center() - self.reported.center()).norm() > REPORT_DISTANCE_M
+            || (self.bbox.size - self.reported.size).amax() > REPORT_DISTANCE_M
+    }
+
+    /// Takes in another track that turned out to be the same thing.
+    pub(crate) fn absorb(&mut self, other: &Self) {
+        if other.last_seen > self.last_seen || (other.last_seen == self.last_seen && other.support > self.support) {
+            (self.bbox, self.support, self.num_points) = (other.bbox, other.support, other.num_points);
+            (self.anchor, self.anchor_stamp) = (other.anchor, other.anchor_stamp);
+            (self.state, self.velocity) = (other.state, other.velocity);
+        }
+        self.belief = self.belief.pooled(&other.belief);
+        self.first_seen = self.first_seen.min(other.first_seen);
+        self.last_seen = self.last_seen.max(other.last_seen);
+        self.observation_count += other.observation_count;
+        (self.seen_through, self.swallowed, self.away, self.before) = (0, 0, 0, None);
+    }
+
+    /// Moves it with the map.
+    pub(crate) fn transform(&mut self, t_new_old: &percept_geometry::Pose) {
+        for b in [&mut self.bbox, &mut self.anchor, &mut self.reported] {
+            *b = overlap::upright(&b.transformed(t_new_old));
+        }
+        self.before = self.before.map(|b| overlap::upright(&b.transformed(t_new_old)));
+        self.velocity = t_new_old.rotation * self.velocity;
+    }
+}

@@ -1,0 +1,311 @@
+//! Identity through time: which thing is which, what moved, what is gone.
+
+use crate::association::associate;
+use crate::track::Track;
+use crate::{Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, SceneError, Visibility};
+use crate::{overlap, within};
+use percept_geometry::{OrientedBox3, Pose, Timestamp, se3};
+use serde::{Deserialize, Serialize};
+use std::cmp::Ordering;
+
+/// How objects are followed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackerParams {
+    /// Overlap (intersection over union, 0..1) from which a detection may belong to an object of any class.
+    pub min_iou: f64,
+    /// Distance of centres up to which boxes that do not overlap may be one object, metres, positive.
+    pub association_distance_m: f64,
+    /// Largest ratio of sizes of boxes that do not overlap and are one object; at least 1.
+    pub max_size_ratio: f64,
+    /// Observations after which a thing is listed; at least 1. More suppress chance detections, and delay.
+    pub confirm_observations: u64,
+    /// A thing not yet listed is dropped when not seen for this long, seconds.
+    pub tentative_timeout_s: f64,
+    /// Updates in a row that see through an object's place before it is gone; at least 1.
+    pub gone_observations: u32,
+    /// Distance from its place at which an object that also left its old box is moving, metres, positive.
+    pub moving_distance_m: f64,
+    /// A moving object that stays within that distance for this long has stopped, seconds.
+    pub settle_s: f64,
+    /// A moving object out of sight is expected to go on for this long, seconds.
+    pub coast_s: f64,
+    /// Overlap from which two resting objects, not both detected in this update, are one and the same; 0..1.
+    pub merge_iou: f64,
+    /// Updates in a row in which an object is only seen as a part of a larger one before it becomes that; at least 1.
+    pub swallow_observations: u32,
+    /// Number of observations that count together for the class; at least 1. More is slower and surer.
+    pub class_memory: f64,
+    /// Limit of things followed. At the limit the gone are forgotten first; then nothing new is taken up.
+    pub max_objects: usize,
+}
+
+impl Default for TrackerParams {
+    fn default() -> Self {
+        Self {
+            min_iou: 0.1,
+            association_distance_m: 0.5,
+            max_size_ratio: 2.5,
+            confirm_observations: 2,
+            tentative_timeout_s: 5.0,
+            gone_observations: 3,
+            moving_distance_m: 0.3,
+            settle_s: 2.0,
+            coast_s: 1.0,
+            merge_iou: 0.4,
+            swallow_observations: 5,
+            class_memory: 3.0,
+            max_objects: 10_000,
+        }
+    }
+}
+
+impl TrackerParams {
+    /// Checks the bounds.
+    ///
+    /// # Errors
+    /// `InvalidParam` naming field, value and what it has to be.
+    pub fn validate(&self) -> Result<(), SceneError> {
+        let (tiny, huge) = (1e-6, 1e6);
+        let (share, positive) = ("above 0 and at most 1", "positive and at most 1e6");
+        let (counted, waited) = ("at least 1", "from 0 to 1e6");
+        within("min_iou", self.min_iou, tiny, 1.0, share)?;
+        within("association_distance_m", self.association_distance_m, tiny, huge, positive)?;
+        within("max_size_ratio", self.max_size_ratio, 1.0, huge, counted)?;
+        within("confirm_observations", self.confirm_observations as f64, 1.0, huge, counted)?;
+        within("tentative_timeout_s", self.tentative_timeout_s, 0.0, huge, waited)?;
+        within("gone_observations", f64::from(self.gone_observations), 1.0, huge, counted)?;
+        within("moving_distance_m", self.moving_distance_m, tiny, huge, positive)?;
+        within("settle_s", self.settle_s, 0.0, huge, waited)?;
+        within("coast_s", self.coast_s, 0.0, huge, waited)?;
+        within("merge_iou", self.merge_iou, tiny, 1.0, share)?;
+        within("swallow_observations", f64::from(self.swallow_observations), 1.0, huge, counted)?;
+        within("class_memory", self.class_memory, 1.0, huge, counted)?;
+        within("max_objects", self.max_objects as f64, 1.0, huge, counted)
+    }
+}
+
+/// Follows objects from update to update.
+#[derive(Debug, Clone)]
+pub struct Tracker {
+    params: TrackerParams,
+    /// In the order of birth.
+    tracks: Vec<Track>,
+    next_id: u64,
+}
+
+impl Tracker {
+    /// A tracker that knows no object.
+    ///
+    /// # Errors
+    /// `InvalidParam` from the parameters.
+    pub fn new(params: TrackerParams) -> Result<Self, SceneError> {
+        params.validate()?;
+        Ok(Self { params, tracks: Vec::new(), next_id: 0 })
+    }
+
+    /// A tracker that goes on from saved objects. `next_id` is what [`Tracker::next_id`] said when they were saved.
+    ///
+    /// # Errors
+    /// `InvalidParam` from the parameters.
+    pub fn restore(params: TrackerParams, objects: &[Object], next_id: u64) -> Result<Self, SceneError> {
+        params.validate()?;
+        let mut tracks: Vec<Track> = objects.iter().map(Track::restored).collect();
+        tracks.sort_by_key(|t| t.id);
+        let beyond = objects.iter().map(|o| o.id.0.saturating_add(1)).max().unwrap_or(0);
+        Ok(Self { params, tracks, next_id: next_id.max(beyond) })
+    }
+
+    /// The number that the next object will get.
+    pub fn next_id(&self) -> u64 {
+        self.next_id
+    }
+
+    /// The confirmed objects, those that are gone included, ascending by id. Copies.
+    pub fn objects(&self) -> Vec<Object> {
+        let mut out: Vec<Object> = self.tracks.iter().filter_map(Track::to_object).collect();
+        out.sort_by_key(|o| o.id);
+        out
+    }
+
+    /// Takes in what was detected at `stamp` and tells what changed, ascending by object.
+    ///
+    /// `observations` is everything detected in this update, boxes in the map frame; unusable ones (see
+    /// [`Observation::is_usable`]) are passed over. `visibility` says what the sensors of this update tell about
+    /// the place of an object that was expected and not detected.
+    pub fn update(
+        &mut self,
+        stamp: Timestamp,
+        observations: &[Observation],
+        visibility: &dyn Fn(&OrientedBox3) -> Visibility,
+    ) -> Vec<ObjectChange> {
+        let mut observations: Vec<Observation> = observations.iter().filter(|o| o.is_usable()).copied().collect();
+        observations.sort_by(canonical_order);
+        let assigned = associate(&self.tracks, &observations, stamp, &self.params);
+        let mut changes = Vec::new();
+        self.observe(stamp, &observations, &assigned, &mut changes);
+        let seen: Vec<bool> = assigned.iter().map(Option::is_some).collect();
+        let removed = self.judge_missed(stamp, &seen, visibility, &mut changes);
+        self.remove(&removed);
+        let free = |o: &usize| !assigned.contains(&Some(*o));
+        let born: Vec<Observation> = (0..observations.len()).filter(free).map(|o| observations[o]).collect();
+        self.give_birth(stamp, &born, &mut changes);
+        changes.sort_by_key(|c| c.id);
+        changes
+    }
+
+    /// Moves objects with the map after a correction: `t_new_old` says for each by which transform of map
+    /// coordinates. Boxes stay upright.
+    pub fn correct(&mut self, t_new_old: &dyn Fn(&OrientedBox3, Timestamp) -> Pose) {
+        for track in &mut self.tracks {
+            let t = t_new_old(&track.bbox, track.last_seen);
+            track.transform(&t);
+        }
+    }
+
+    fn observe(
+        &mut self,
+        stamp: Timestamp,
+        observations: &[Observation],
+        assigned: &[Option<usize>],
+        changes: &mut Vec<ObjectChange>,
+    ) {
+        let mut kinds = Vec::new();
+        for (track, observation) in self.tracks.iter_mut().zip(assigned) {
+            let Some(o) = *observation else { continue };
+            kinds.clear();
+            track.observe(&observations[o], stamp, &self.params, &mut kinds);
+            if let Some(id) = track.id {
+                changes.extend(kinds.iter().map(|&kind| ObjectChange { id, kind }));
+            } else if track.observation_count >= self.params.confirm_observations {
+                track.id = Some(confirm(&mut self.next_id, changes));
+            }
+        }
+    }
+
+    /// What was not detected is hidden, gone, or a part of something else. Returns the tracks to remove, ascending.
+    fn judge_missed(
+        &mut self,
+        stamp: Timestamp,
+        seen: &[bool],
+        visibility: &dyn Fn(&OrientedBox3) -> Visibility,
+        changes: &mut Vec<ObjectChange>,
+    ) -> Vec<usize> {
+        let mut removed = Vec::new();
+        for i in (0..self.tracks.len()).filter(|&i| !seen[i]) {
+            if self.tracks[i].state == ObjectState::Gone {
+                continue;
+            }
+            if let Some(whole) = self.duplicate_of(i, seen, &removed) {
+                removed.push(self.merge(i, whole, changes));
+                continue;
+            }
+            let looked = visibility(&self.tracks[i].predicted(stamp, self.params.coast_s));
+            let whole = if looked == Visibility::Occupied { self.whole_of(i, seen, &removed) } else { None };
+            let track = &mut self.tracks[i];
+            match looked {
+                Visibility::SeenThrough => track.seen_through += 1,
+                Visibility::Occupied => track.seen_through = 0,
+                Visibility::Unseen => {}
+            }
+            track.swallowed = if whole.is_some() { track.swallowed + 1 } else { track.swallowed };
+            if let Some(whole) = whole.filter(|_| track.swallowed >= self.params.swallow_observations) {
+                removed.push(self.merge(i, whole, changes));
+                continue;
+            }
+            let Some(id) = track.id else {
+                let late = stamp.seconds_since(track.last_seen) > self.params.tentative_timeout_s;
+                if late || looked == Visibility::SeenThrough {
+                    removed.push(i);
+                }
+                continue;
+            };
+            if track.seen_through >= self.params.gone_observations {
+                track.state = ObjectState::Gone;
+                changes.push(ObjectChange { id, kind: ObjectChangeKind::Gone });
+            }
+        }
+        removed.sort_unstable();
+        removed
+    }
+
+    /// A track seen in this update that track `i`, missed and resting, is a double of.
+    fn duplicate_of(&self, i: usize, seen: &[bool], removed: &[usize]) -> Option<usize> {
+        let missed = &self.tracks[i];
+        let resting = |t: &Track| t.state == ObjectState::Static;
+        let overlaps = |j: &usize| overlap::iou(&missed.bbox, &self.tracks[*j].bbox) >= self.params.merge_iou;
+        if !resting(missed) {
+            return None;
+        }
+        let candidates = (0..self.tracks.len()).filter(|&j| seen[j] && !removed.contains(&j));
+        candidates.filter(|&j| resting(&self.tracks[j])).find(overlaps)
+    }
+
+    /// A track seen in this update whose box holds that of track `i`.
+    fn whole_of(&self, i: usize, seen: &[bool], removed: &[usize]) -> Option<usize> {
+        let part = &self.tracks[i].bbox;
+        let holds = |b: &OrientedBox3| b.volume() > part.volume() && overlap::share_of(part, b) >= 0.8;
+        (0..self.tracks.len()).find(|&j| seen[j] && !removed.contains(&j) && holds(&self.tracks[j].bbox))
+    }
+
+    /// Makes one track of two; the older confirmed one's identity stays. Returns the index that is free now.
+    fn merge(&mut self, missed: usize, seen: usize, changes: &mut Vec<ObjectChange>) -> usize {
+        let age = |i: usize| (self.tracks[i].id.is_none(), self.tracks[i].id, i);
+        let (keep, lose) = if age(missed) < age(seen) { (missed, seen) } else { (seen, missed) };
+        let lost = self.tracks[lose].clone();
+        self.tracks[keep].absorb(&lost);
+        if let (Some(id), Some(into)) = (lost.id, self.tracks[keep].id) {
+            changes.push(ObjectChange { id, kind: ObjectChangeKind::Merged { into } });
+        }
+        lose
+    }
+
+    fn remove(&mut self, ascending: &[usize]) {
+        let mut index = 0;
+        self.tracks.retain(|_| {
+            index += 1;
+            ascending.binary_search(&(index - 1)).is_err()
+        });
+    }
+
+    fn give_birth(&mut self, stamp: Timestamp, born: &[Observation], changes: &mut Vec<ObjectChange>) {
+        let over = (self.tracks.len() + born.len()).saturating_sub(self.params.max_objects);
+        let mut gone: Vec<(Timestamp, Option<ObjectId>, usize)> = (0..self.tracks.len())
+            .filter(|&i| self.tracks[i].state == ObjectState::Gone)
+            .map(|i| (self.tracks[i].last_seen, self.tracks[i].id, i))
+            .collect();
+        gone.sort_unstable();
+        gone.truncate(over);
+        changes
+            .extend(gone.iter().filter_map(|g| g.1).map(|id| ObjectChange { id, kind: ObjectChangeKind::Forgotten }));
+        let mut removed: Vec<usize> = gone.iter().map(|g| g.2).collect();
+        removed.sort_unstable();
+        self.remove(&removed);
+        let room = self.params.max_objects.saturating_sub(self.tracks.len());
+        for observation in born.iter().take(room) {
+            let mut track = Track::new(observation, stamp, &self.params);
+            if self.params.confirm_observations <= 1 {
+                track.id = Some(confirm(&mut self.next_id, changes));
+            }
+            self.tracks.push(track);
+        }
+    }
+}
+
+fn confirm(next_id: &mut u64, changes: &mut Vec<ObjectChange>) -> ObjectId {
+    let id = ObjectId(*next_id);
+    *next_id += 1;
+    changes.push(ObjectChange { id, kind: ObjectChangeKind::Appeared });
+    id
+}
+
+/// An order that depends on what was seen only, so that the order of detection does not matter.
+fn canonical_order(a: &Observation, b: &Observation) -> Ordering {
+    let key = |o: &Observation| {
+        let (c, s) = (o.bbox.center(), o.bbox.size);
+        [c.x, c.y, c.z, s.x, s.y, s.z, se3::yaw(&o.bbox.t_frame_box), o.confidence, o.num_points as f64]
+    };
+    let (ka, kb) = (key(a), key(b));
+    let numbers = ka.iter().zip(&kb).map(|(x, y)| x.total_cmp(y)).find(|o| o.is_ne());
+    numbers.unwrap_or(Ordering::Equal).then(a.class.cmp(&b.class))
+}

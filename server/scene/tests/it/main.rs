@@ -1,0 +1,6 @@
+//! Behaviour of the tracker and of the scene graph.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+mod graph;
+mod tracking;
