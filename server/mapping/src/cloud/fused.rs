@@ -1,0 +1,211 @@
+//! The fused cloud, in blocks that snapshots share.
+
+use super::range_image::RangeImage;
+use super::update::{BLOCK, BlockKey, VoxelMean, corner};
+use super::{CloudParams, CloudUpdate};
+use crate::MappingError;
+use crate::error::check_pose;
+use nalgebra::Point3;
+use percept_geometry::{Aabb3, KeyframeScan, PointCloud, Pose};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Voxels of a block, ascending by slot; never empty in the map.
+type Block = Vec<VoxelMean>;
+
+/// Colour given to voxels without one in a cloud that has colours.
+const NO_COLOR: [u8; 3] = [128; 3];
+
+/// One mean point and colour a voxel, in the map frame, unbounded.
+///
+/// A voxel's weight is the number of keyframes that saw it (at most `max_weight`), less `carve_weight` for each
+/// that saw through it; at zero it vanishes, so that who walked by leaves no lasting smear. Cloning costs one
+/// reference; a clone never sees later changes. Order of points: by block, then by voxel, always the same.
+#[derive(Debug, Clone)]
+pub struct FusedCloud {
+    params: CloudParams,
+    blocks: Arc<BTreeMap<BlockKey, Arc<Block>>>,
+    num_points: usize,
+}
+
+impl FusedCloud {
+    /// An empty cloud.
+    ///
+    /// # Errors
+    /// `InvalidParam`.
+    pub fn new(params: CloudParams) -> Result<Self, MappingError> {
+        params.validate()?;
+        Ok(Self { params, blocks: Arc::default(), num_points: 0 })
+    }
+
+    /// Parameters.
+    pub fn params(&self) -> &CloudParams {
+        &self.params
+    }
+
+    /// Adds what a keyframe saw from `t_map_base`.
+    ///
+    /// # Errors
+    /// `PoseNotFinite`; `Scan` if the colours are not one a point.
+    pub fn integrate(&mut self, t_map_base: &Pose, scan: &KeyframeScan) -> Result<(), MappingError> {
+        check_pose(t_map_base)?;
+        check_pose(&scan.t_base_sensor)?;
+        scan.hits.validate()?;
+        self.apply(&CloudUpdate::new(&self.params, t_map_base, scan));
+        Ok(())
+    }
+
+    /// Adds an update made with this cloud's parameters: carves first, then folds in.
+    pub fn apply(&mut self, update: &CloudUpdate) {
+        self.carve(&update.ranges);
+        let blocks = Arc::make_mut(&mut self.blocks);
+        for (key, seen) in &update.blocks {
+            let known: &[VoxelMean] = blocks.get(key).map_or(&[], |b| b);
+            let merged = merge(known, seen, self.params.max_weight);
+            self.num_points += merged.len() - known.len();
+            blocks.insert(*key, Arc::new(merged));
+        }
+    }
+
+    fn carve(&mut self, ranges: &RangeImage) {
+        let reach = ranges.max_range().min(self.params.range_max_m);
+        let edge = f64::from(BLOCK) * self.params.voxel_size_m;
+        let near = |key: &BlockKey| {
+            let center = corner(*key, 0, self.params.voxel_size_m) + nalgebra::Vector3::repeat(0.5 * edge);
+            (center - ranges.sensor()).norm() <= reach + edge
+        };
+        let touched: Vec<(BlockKey, Arc<Block>)> =
+            self.blocks.iter().filter(|(key, _)| near(key)).map(|(key, block)| (*key, block.clone())).collect();
+        let changed: Vec<(BlockKey, usize, Block)> = touched
+            .par_iter()
+            .filter_map(|(key, block)| Some((*key, block.len(), self.carved(*key, block, ranges)?)))
+            .collect();
+        if changed.is_empty() {
+            return;
+        }
+        let blocks = Arc::make_mut(&mut self.blocks);
+        for (key, before, block) in changed {
+            self.num_points -= before - block.len();
+            if block.is_empty() {
+                blocks.remove(&key);
+            } else {
+                blocks.insert(key, Arc::new(block));
+            }
+        }
+    }
+
+    /// The block without what `ranges` saw through; none if nothing changes.
+    fn carved(&self, key: BlockKey, block: &Block, ranges: &RangeImage) -> Option<Block> {
+        let seen_through = |v: &VoxelMean| ranges.sees_through(&self.position(key, v), &self.params);
+        let first = block.iter().position(seen_through)?;
+        let mut out = block[..first].to_vec();
+        for v in &block[first..] {
+            let loss = if seen_through(v) { self.params.carve_weight } else { 0.0 };
+            if v.weight > loss {
+                out.push(VoxelMean { weight: v.weight - loss, ..*v });
+            }
+        }
+        Some(out)
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.num_points
+    }
+
+    /// Whether there is no point.
+    pub fn is_empty(&self) -> bool {
+        self.num_points == 0
+    }
+
+    /// The box around all points; empty if there is none. Visits every point.
+    pub fn bounds(&self) -> Aabb3 {
+        let mut out = Aabb3::empty();
+        for (key, v) in self.voxels(|_| true) {
+            out.grow(&self.position(key, v));
+        }
+        out
+    }
+
+    /// All points, with colours if any has one (grey where it has none). Copies.
+    pub fn to_cloud(&self) -> PointCloud {
+        self.collect(self.voxels(|_| true))
+    }
+
+    /// The points within `radius_m` of `center`, as [`FusedCloud::to_cloud`] gives them.
+    pub fn points_within(&self, center: &Point3<f64>, radius_m: f64) -> PointCloud {
+        let edge = f64::from(BLOCK) * self.params.voxel_size_m;
+        let near = |key: &BlockKey| {
+            let low = corner(*key, 0, self.params.voxel_size_m);
+            let nearest = low.sup(&center.inf(&(low + nalgebra::Vector3::repeat(edge))));
+            // A mean rounded to f32 may stick out of its voxel a little.
+            (nearest - center).norm() <= radius_m + 1e-3 * edge
+        };
+        let inside = |(key, v): &(BlockKey, &VoxelMean)| (self.position(*key, v) - center).norm() <= radius_m;
+        self.collect(self.voxels(near).filter(inside))
+    }
+
+    fn voxels(&self, wanted: impl Fn(&BlockKey) -> bool) -> impl Iterator<Item = (BlockKey, &VoxelMean)> {
+        let blocks = self.blocks.iter().filter(move |(key, _)| wanted(key));
+        blocks.flat_map(|(key, block)| block.iter().map(|v| (*key, v)))
+    }
+
+    fn collect<'a>(&self, voxels: impl Iterator<Item = (BlockKey, &'a VoxelMean)>) -> PointCloud {
+        let (mut positions, mut colors, mut any) = (Vec::new(), Vec::new(), false);
+        for (key, v) in voxels {
+            positions.push(self.position(key, v).cast::<f32>());
+            colors.push(if v.colored { v.color.map(|c| c.round() as u8) } else { NO_COLOR });
+            any |= v.colored;
+        }
+        PointCloud { colors: any.then_some(colors), ..PointCloud::from_positions(positions) }
+    }
+
+    fn position(&self, key: BlockKey, v: &VoxelMean) -> Point3<f64> {
+        corner(key, v.slot, self.params.voxel_size_m) + nalgebra::Vector3::from(v.offset).cast::<f64>()
+    }
+}
+
+/// Equal in every voxel.
+impl PartialEq for FusedCloud {
+    fn eq(&self, other: &Self) -> bool {
+        self.params == other.params && self.blocks == other.blocks
+    }
+}
+
+/// Two blocks ascending by slot become one; where both have a voxel, its mean is weighted by keyframes.
+fn merge(known: &[VoxelMean], seen: &[VoxelMean], max_weight: f32) -> Block {
+    let mut out = Vec::with_capacity(known.len() + seen.len());
+    let (mut a, mut b) = (known.iter().peekable(), seen.iter().peekable());
+    while let (Some(x), Some(y)) = (a.peek(), b.peek()) {
+        match x.slot.cmp(&y.slot) {
+            std::cmp::Ordering::Less => out.extend(a.next()),
+            std::cmp::Ordering::Greater => out.extend(b.next()),
+            std::cmp::Ordering::Equal => {
+                out.push(fold(x, y, max_weight));
+                a.next();
+                b.next();
+            }
+        }
+    }
+    out.extend(a);
+    out.extend(b);
+    out
+}
+
+fn fold(known: &VoxelMean, seen: &VoxelMean, max_weight: f32) -> VoxelMean {
+    let share = seen.weight / (known.weight + seen.weight);
+    let mix = |a: [f32; 3], b: [f32; 3]| std::array::from_fn(|i| a[i] + (b[i] - a[i]) * share);
+    let color = match (known.colored, seen.colored) {
+        (true, true) => mix(known.color, seen.color),
+        (true, false) => known.color,
+        _ => seen.color,
+    };
+    VoxelMean {
+        slot: known.slot,
+        colored: known.colored || seen.colored,
+        weight: (known.weight + seen.weight).min(max_weight),
+        offset: mix(known.offset, seen.offset),
+        color,
+    }
+}

@@ -1,0 +1,108 @@
+//! One keyframe as means by voxel, and as what it saw through.
+
+use super::CloudParams;
+use super::range_image::RangeImage;
+use nalgebra::{Point3, Vector3};
+use percept_geometry::{KeyframeScan, Pose, Voxel};
+
+/// Edge of a block, voxels.
+pub(super) const BLOCK: i32 = 8;
+
+/// Which block, by its indices along x, y, z.
+pub(super) type BlockKey = (i32, i32, i32);
+
+/// The mean point of a voxel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct VoxelMean {
+    /// Place in the block: `(z * BLOCK + y) * BLOCK + x`.
+    pub(super) slot: u16,
+    /// Whether `color` means anything.
+    pub(super) colored: bool,
+    /// Keyframes that saw it, less those that saw through it.
+    pub(super) weight: f32,
+    /// Mean position from the voxel's smallest corner, metres: small, so that f32 is exact far from the origin.
+    pub(super) offset: [f32; 3],
+    /// Mean colour, 0..=255.
+    pub(super) color: [f32; 3],
+}
+
+/// What one keyframe says about the cloud. Depends on the pose and the scan alone, so that many keyframes can be
+/// worked on at once.
+#[derive(Debug, Clone)]
+pub struct CloudUpdate {
+    /// Ascending by block; in a block ascending by slot.
+    pub(super) blocks: Vec<(BlockKey, Vec<VoxelMean>)>,
+    pub(super) ranges: RangeImage,
+}
+
+impl CloudUpdate {
+    /// The returns of a scan taken at `t_map_base`, by voxel. Returns out of range, not finite, or beyond the range
+    /// of the indices are left out; the far ones still show that what lies before them is gone.
+    pub fn new(params: &CloudParams, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
+        let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
+        let in_map: Vec<Point3<f64>> = scan.hits.positions.iter().map(|p| t_map_base * p.cast::<f64>()).collect();
+        let mut keys: Vec<(BlockKey, u16, u32)> = Vec::with_capacity(in_map.len());
+        for (i, p) in in_map.iter().enumerate() {
+            let range = (p - sensor).norm();
+            if !(range >= params.range_min_m && range <= params.range_max_m) {
+                continue;
+            }
+            if let Some(voxel) = Voxel::containing(p, params.voxel_size_m) {
+                let (block, slot) = locate(voxel);
+                keys.push((block, slot, i as u32));
+            }
+        }
+        keys.sort_unstable();
+        let mut blocks: Vec<(BlockKey, Vec<VoxelMean>)> = Vec::new();
+        for group in keys.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+            let (block, slot, _) = group[0];
+            let mean = mean_of(params, scan, &in_map, block, slot, group.iter().map(|k| k.2 as usize));
+            match blocks.last_mut() {
+                Some((last, voxels)) if *last == block => voxels.push(mean),
+                _ => blocks.push((block, vec![mean])),
+            }
+        }
+        let carves = params.carve_weight > 0.0;
+        let misses = scan.misses.iter().map(|p| t_map_base * p.cast::<f64>());
+        let ends = in_map.iter().copied().chain(misses).take(if carves { usize::MAX } else { 0 });
+        Self { blocks, ranges: RangeImage::new(sensor, ends) }
+    }
+}
+
+fn mean_of(
+    params: &CloudParams,
+    scan: &KeyframeScan,
+    in_map: &[Point3<f64>],
+    block: BlockKey,
+    slot: u16,
+    indices: impl ExactSizeIterator<Item = usize>,
+) -> VoxelMean {
+    let corner = corner(block, slot, params.voxel_size_m);
+    let n = indices.len() as f64;
+    let (mut offset, mut color) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
+    for i in indices {
+        offset += in_map[i] - corner;
+        if let Some(colors) = &scan.hits.colors {
+            color += Vector3::from(colors[i]).cast::<f64>();
+        }
+    }
+    VoxelMean {
+        slot,
+        colored: scan.hits.colors.is_some(),
+        weight: 1.0,
+        offset: (offset / n).cast::<f32>().into(),
+        color: (color / n).cast::<f32>().into(),
+    }
+}
+
+fn locate(v: Voxel) -> (BlockKey, u16) {
+    let slot = (v.z.rem_euclid(BLOCK) * BLOCK + v.y.rem_euclid(BLOCK)) * BLOCK + v.x.rem_euclid(BLOCK);
+    ((v.x.div_euclid(BLOCK), v.y.div_euclid(BLOCK), v.z.div_euclid(BLOCK)), slot as u16)
+}
+
+/// Smallest corner of a voxel, metres.
+pub(super) fn corner(block: BlockKey, slot: u16, size: f64) -> Point3<f64> {
+    let slot = i32::from(slot);
+    let axis = |block: i32, index: i32| (f64::from(block) * f64::from(BLOCK) + f64::from(index)) * size;
+    Point3::new(axis(block.0, slot % BLOCK), axis(block.1, slot / BLOCK % BLOCK), axis(block.2, slot / (BLOCK * BLOCK)))
+}

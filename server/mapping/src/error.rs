@@ -1,0 +1,76 @@
+//! Why a map could not do what was asked.
+
+use percept_geometry::{GeometryError, KeyframeId, Pose};
+
+/// Facts about a refused request; the map is as it was before.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum MappingError {
+    /// A parameter is out of its bounds.
+    #[error("{field}: {value} is refused, {remedy}")]
+    InvalidParam {
+        /// Field name.
+        field: &'static str,
+        /// The value as given.
+        value: f64,
+        /// What to set instead.
+        remedy: &'static str,
+    },
+    /// A pose has a NaN or infinite number.
+    #[error("t_map_base is not finite")]
+    PoseNotFinite,
+    /// A keyframe of this number is in the map already.
+    #[error("keyframe {} is in the map already", .id.0)]
+    DuplicateKeyframe {
+        /// The number.
+        id: KeyframeId,
+    },
+    /// A scan's channels do not fit its points.
+    #[error(transparent)]
+    Scan(#[from] GeometryError),
+    /// A dense grid of this size was asked for.
+    #[error("region of {cells} cells is larger than the limit of {limit}")]
+    RegionTooLarge {
+        /// Cells asked for.
+        cells: u64,
+        /// Cells allowed.
+        limit: u64,
+    },
+    /// A region whose minimum exceeds its maximum.
+    #[error("region is empty: its minimum exceeds its maximum")]
+    RegionEmpty,
+    /// A dense grid's cells do not fit its width and height.
+    #[error("grid of {width} x {height} has {cells} cells")]
+    GridShape {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Cells given.
+        cells: usize,
+    },
+    /// A cell's value is neither -1 (unknown) nor in 0..=100.
+    #[error("cell {index} has value {value}, expected -1 or 0 to 100")]
+    CellValue {
+        /// Row-major index.
+        index: usize,
+        /// The value as given.
+        value: i8,
+    },
+}
+
+/// Refuses a parameter that is not within `min..=max` (both finite), naming it.
+pub(crate) fn check(
+    field: &'static str,
+    value: f64,
+    min: f64,
+    max: f64,
+    remedy: &'static str,
+) -> Result<(), MappingError> {
+    if value >= min && value <= max { Ok(()) } else { Err(MappingError::InvalidParam { field, value, remedy }) }
+}
+
+/// Refuses a pose with a number that is not finite.
+pub(crate) fn check_pose(pose: &Pose) -> Result<(), MappingError> {
+    let finite = pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|v| v.is_finite());
+    if finite { Ok(()) } else { Err(MappingError::PoseNotFinite) }
+}

@@ -1,0 +1,215 @@
+//! One keyframe as marks on cells: which it saw free, which it hit, each once.
+
+use super::OccupancyParams;
+use nalgebra::{Point2, Point3};
+use percept_geometry::grid::walk;
+use percept_geometry::{Cell, GridGeometry, KeyframeScan, Pose};
+use std::f64::consts::{PI, TAU};
+
+/// A beam that goes deeper than this below the band's bottom looks down a drop (stairs, a pit), metres.
+const DROP_M: f64 = 0.2;
+
+/// What one keyframe says about the cells around its sensor: a square window of marks.
+///
+/// Depends on the pose and the scan alone, so that many keyframes can be worked on at once.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScanUpdate {
+    pub(super) min: Cell,
+    pub(super) width: usize,
+    /// Row-major `width x width`.
+    pub(super) marks: Vec<Mark>,
+}
+
+/// What a keyframe says about a cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Mark {
+    /// Not seen.
+    Unseen,
+    /// A beam passed, none ended here.
+    Free,
+    /// A beam ended here.
+    Hit,
+}
+
+impl ScanUpdate {
+    /// The marks of a scan taken at `t_map_base`.
+    ///
+    /// **Planar scans**: each return within `range_max_m` marks its own end and frees the cells before it; misses
+    /// and returns beyond only free. **Others**: heights are taken along the map's z, from base. Returns in the
+    /// band mark their ends. In each azimuth column seen from the sensor, the cells up to the nearest of them are
+    /// free, or without one, up to the farthest floor return, far return or end of a miss (each only as far as its
+    /// beam stays in the band). Points that are not finite, or beyond the range of the indices, say nothing.
+    pub fn new(params: &OccupancyParams, geometry: &GridGeometry, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
+        let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
+        let half = (params.range_max_m / geometry.resolution_m).ceil() as i32 + 1;
+        let min = geometry.cell(&sensor.xy()).and_then(|c| {
+            c.x.checked_add(half).and(c.y.checked_add(half))?;
+            Some(Cell::new(c.x.checked_sub(half)?, c.y.checked_sub(half)?))
+        });
+        let Some(min) = min else { return Self { min: Cell::new(0, 0), width: 0, marks: Vec::new() } };
+        let width = 2 * half as usize + 1;
+        let mut update = Self { min, width, marks: vec![Mark::Unseen; width * width] };
+        let frame = Frame { params, geometry, sensor, base_z: t_map_base.translation.vector.z };
+        let in_map = |p: &Point3<f32>| t_map_base * p.cast::<f64>();
+        if scan.planar {
+            frame.mark_beams(&mut update, &scan.hits.positions, &scan.misses, in_map);
+        } else {
+            frame.mark_columns(&mut update, &scan.hits.positions, &scan.misses, in_map);
+        }
+        update
+    }
+
+    fn mark(&mut self, cell: Cell, mark: Mark) {
+        let (x, y) = (i64::from(cell.x) - i64::from(self.min.x), i64::from(cell.y) - i64::from(self.min.y));
+        let side = self.width as i64;
+        if x < 0 || y < 0 || x >= side || y >= side {
+            return;
+        }
+        let slot = &mut self.marks[y as usize * self.width + x as usize];
+        if *slot != Mark::Hit {
+            *slot = mark;
+        }
+    }
+}
+
+/// Where the beams start, and how to read their ends.
+struct Frame<'a> {
+    params: &'a OccupancyParams,
+    geometry: &'a GridGeometry,
+    sensor: Point3<f64>,
+    base_z: f64,
+}
+
+/// What is known of an azimuth column: ends relative to the sensor (m) and their horizontal ranges.
+#[derive(Clone, Copy)]
+struct Column {
+    nearest_obstacle: f64,
+    obstacle: Point2<f64>,
+    farthest_free: f64,
+    free: Point2<f64>,
+}
+
+impl Frame<'_> {
+    fn mark_beams(
+        &self,
+        update: &mut ScanUpdate,
+        hits: &[Point3<f32>],
+        misses: &[Point3<f32>],
+        in_map: impl Fn(&Point3<f32>) -> Point3<f64>,
+    ) {
+        for p in hits {
+            let end = in_map(p).xy();
+            let range = (end - self.sensor.xy()).norm();
+            if range > self.params.range_max_m {
+                self.free_towards(update, &end, range);
+            } else if range >= self.params.range_min_m {
+                self.hit_at(update, &end);
+                self.free_before(update, &end);
+            }
+        }
+        for p in misses {
+            let end = in_map(p).xy();
+            self.free_towards(update, &end, (end - self.sensor.xy()).norm());
+        }
+    }
+
+    fn mark_columns(
+        &self,
+        update: &mut ScanUpdate,
+        hits: &[Point3<f32>],
+        misses: &[Point3<f32>],
+        in_map: impl Fn(&Point3<f32>) -> Point3<f64>,
+    ) {
+        // As many columns as cells on the circle of the largest range, so that no cell is skipped.
+        let count = (TAU * self.params.range_max_m / self.geometry.resolution_m).ceil().max(360.0) as usize;
+        let none = Column {
+            nearest_obstacle: f64::INFINITY,
+            obstacle: Point2::origin(),
+            farthest_free: 0.0,
+            free: Point2::origin(),
+        };
+        let mut columns = vec![none; count];
+        for p in hits {
+            self.read_return(update, &mut columns, &in_map(p));
+        }
+        for p in misses {
+            self.read_free(&mut columns, &in_map(p));
+        }
+        for column in &columns {
+            if column.nearest_obstacle.is_finite() {
+                self.free_before(update, &column.obstacle);
+            } else if column.farthest_free > 0.0 {
+                self.free_towards(update, &column.free, column.farthest_free);
+            }
+        }
+    }
+
+    fn read_return(&self, update: &mut ScanUpdate, columns: &mut [Column], p: &Point3<f64>) {
+        let range = (p.xy() - self.sensor.xy()).norm();
+        let height = p.z - self.base_z;
+        let usable = range >= self.params.range_min_m && range.is_finite() && height.is_finite();
+        if !usable || height > self.params.band_max_m && range <= self.params.range_max_m {
+            return;
+        }
+        if height < self.params.band_min_m || range > self.params.range_max_m {
+            return self.read_free(columns, p);
+        }
+        self.hit_at(update, &p.xy());
+        let column = self.column(columns, p);
+        if range < column.nearest_obstacle {
+            (column.nearest_obstacle, column.obstacle) = (range, p.xy());
+        }
+    }
+
+    /// A beam that met nothing in the band on its way to `end`: free as far as it is over the floor and below the
+    /// band's top.
+    fn read_free(&self, columns: &mut [Column], end: &Point3<f64>) {
+        let (h0, h1) = (self.sensor.z - self.base_z, end.z - self.base_z);
+        let (bottom, top) = (self.params.band_min_m - DROP_M, self.params.band_max_m);
+        let share = match h1 {
+            h if h > top => ((top - h0).max(0.0) / (h1 - h0)).max(0.0),
+            h if h < bottom => ((h0 - bottom).max(0.0) / (h0 - h1)).max(0.0),
+            _ => 1.0,
+        };
+        let end = self.sensor.xy() + (end.xy() - self.sensor.xy()) * share;
+        let range = (end - self.sensor.xy()).norm();
+        if !(range.is_finite() && range > 0.0) {
+            return;
+        }
+        let column = self.column(columns, &Point3::new(end.x, end.y, 0.0));
+        if range > column.farthest_free {
+            (column.farthest_free, column.free) = (range, end);
+        }
+    }
+
+    fn column<'c>(&self, columns: &'c mut [Column], p: &Point3<f64>) -> &'c mut Column {
+        let azimuth = (p.y - self.sensor.y).atan2(p.x - self.sensor.x);
+        let last = columns.len() - 1;
+        &mut columns[(((azimuth + PI) / TAU * (last + 1) as f64) as usize).min(last)]
+    }
+
+    fn hit_at(&self, update: &mut ScanUpdate, end: &Point2<f64>) {
+        if let Some(cell) = self.geometry.cell(end) {
+            update.mark(cell, Mark::Hit);
+        }
+    }
+
+    /// Frees the cells from the sensor to `end`, without that of `end` itself.
+    fn free_before(&self, update: &mut ScanUpdate, end: &Point2<f64>) {
+        let last = self.geometry.cell(end);
+        walk(self.geometry, &self.sensor.xy(), end, |cell| {
+            if Some(cell) != last {
+                update.mark(cell, Mark::Free);
+            }
+        });
+    }
+
+    /// Frees the cells towards `end`, at most as far as the largest range.
+    fn free_towards(&self, update: &mut ScanUpdate, end: &Point2<f64>, range: f64) {
+        if range.is_finite() {
+            let share = (self.params.range_max_m / range).min(1.0);
+            let end = self.sensor.xy() + (end - self.sensor.xy()) * if range > 0.0 { share } else { 0.0 };
+            walk(self.geometry, &self.sensor.xy(), &end, |cell| update.mark(cell, Mark::Free));
+        }
+    }
+}
