@@ -21,7 +21,7 @@ proptest! {
         let params = CloudParams { range_min_m: 0.0, ..no_carving() };
         let mut cloud = FusedCloud::new(params).unwrap();
         cloud.integrate(&pose, &scan).unwrap();
-        let mut expected: BTreeMap<Voxel, Vec<(Point3<f64>, [u8; 3])>> = BTreeMap::new();
+        let mut expected: BTreeMap<Voxel, Vec<_>> = BTreeMap::new();
         for (p, c) in &points {
             let q = pose * Point3::from(*p).cast::<f64>();
             expected.entry(Voxel::containing(&q, 0.05).unwrap()).or_default().push((q, *c));

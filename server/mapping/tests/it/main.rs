@@ -1,5 +1,8 @@
 //! The map layers against closed forms and brute force.
 
+// Helpers of tests may fail as tests do.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
 mod cloud;
 mod map;
 mod occupancy;
