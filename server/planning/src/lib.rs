@@ -1,1 +1,52 @@
-//! percept-planning.
+//! A map and two poses in; a path, or the reason for none, out.
+//!
+//! Comes in: an [`OccupancyGrid`](percept_mapping::OccupancyGrid) (or a [`DenseGrid`](percept_mapping::DenseGrid) cut
+//! from one), start and goal in its frame. Goes out: [`PlanOutcome`]: waypoints with their cost and clearance, or a
+//! [`NoPathReason`]. The robot is a disc; nothing here follows the path. Start with [`plan()`].
+
+pub mod astar;
+pub mod costmap;
+mod distance;
+mod params;
+mod plan;
+pub mod smooth;
+
+pub use astar::{GridPath, shortest_path};
+pub use costmap::Costmap;
+pub use distance::clearance_in_cells;
+pub use params::PlanParams;
+pub use plan::{NoPathReason, Path, PlanOutcome, Waypoint, plan, plan_dense};
+
+/// Why planning could not be tried: the facts.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PlanError {
+    /// A parameter is out of its bounds.
+    #[error("{field}: {value} is refused, {remedy}")]
+    InvalidParam {
+        /// Field name.
+        field: &'static str,
+        /// The value as given.
+        value: f64,
+        /// What to set instead.
+        remedy: &'static str,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("{field}: {value} is not finite")]
+    NotFinite {
+        /// `start` or `goal`.
+        field: &'static str,
+        /// The coordinate as given.
+        value: f64,
+    },
+    /// The map has more cells than may be searched.
+    #[error("map of {cells} cells is larger than the limit of {limit}")]
+    GridTooLarge {
+        /// Cells of the map.
+        cells: u64,
+        /// Cells allowed.
+        limit: u64,
+    },
+    /// The map is not a sound grid.
+    #[error(transparent)]
+    Map(percept_mapping::MappingError),
+}
