@@ -428,7 +428,9 @@ mod tests {
     #[test]
     fn a_large_tree_built_in_parallel_equals_brute_force() {
         let points: Vec<Point3<f32>> = (0..40_000u32)
-            .map(|i| Point3::from([i, i ^ 0x5bd1, i.rotate_left(7)].map(|s| (s.wrapping_mul(2_654_435_761) >> 8) as f32)))
+            .map(|i| {
+                Point3::from([i, i ^ 0x5bd1, i.rotate_left(7)].map(|s| (s.wrapping_mul(2_654_435_761) >> 8) as f32))
+            })
             .collect();
         let tree = KdTree::build(&points);
         for q in points.iter().step_by(4001) {
