@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+mod properties;
+
 use percept_evaluation::{Alignment, Delta, Trajectory, TrajectoryParams, score_trajectory};
 use percept_geometry::{Stamped, Timestamp, se3};
 use std::path::PathBuf;
