@@ -19,7 +19,7 @@ pub mod tracker;
 
 pub use belief::ClassBelief;
 pub use object::{Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, Visibility};
-pub use relations::{NodeId, Relation, RelationFrame, RelationKind, RelationParams};
+pub use relations::{NodeId, Placed, Relation, RelationFrame, RelationKind, RelationParams, Viewer, relate};
 pub use scene_graph::{Node, SceneGraph};
 pub use tracker::{Tracker, TrackerParams};
 

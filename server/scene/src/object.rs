@@ -29,13 +29,14 @@ pub struct Observation {
 }
 
 impl Observation {
-    /// Whether all numbers are finite, all edges positive and the confidence is in 0..1. The tracker passes over
-    /// observations that are not usable.
+    /// Whether it can be tracked: centre within 1000 km of the origin, edges from a micrometre to 10 km, confidence in
+    /// 0..1, nothing NaN. The tracker passes over observations that are not usable.
     pub fn is_usable(&self) -> bool {
         let t = &self.bbox.t_frame_box;
-        let finite = t.translation.vector.iter().chain(t.rotation.coords.iter()).all(|v| v.is_finite());
-        let positive = self.bbox.size.iter().all(|&s| s.is_finite() && s > 0.0);
-        finite && positive && (0.0..=1.0).contains(&self.confidence)
+        let placed = t.translation.vector.iter().all(|v| v.abs() <= 1e6);
+        let turned = t.rotation.coords.iter().all(|v| v.is_finite());
+        let sized = self.bbox.size.iter().all(|s| (1e-6..=1e4).contains(s));
+        placed && turned && sized && (0.0..=1.0).contains(&self.confidence)
     }
 }
 

@@ -124,8 +124,8 @@ pub struct Viewer {
     pub stamp: Timestamp,
 }
 
-/// Something that has a place.
-pub(crate) type Placed = (NodeId, OrientedBox3);
+/// Something that has a place: upright box in the map frame, metres.
+pub type Placed = (NodeId, OrientedBox3);
 
 /// The relations of `a` to `b` and of `b` to `a`, upright boxes in the map frame, that are strong enough.
 ///
@@ -140,7 +140,7 @@ pub(crate) type Placed = (NodeId, OrientedBox3);
 ///
 /// Things inside, on or above each other have no left and right. The robot is near things, and things are left of it,
 /// ahead of it and so on; every other relation of direction is listed with its converse.
-pub(crate) fn relate(a: &Placed, b: &Placed, viewer: &Viewer, params: &RelationParams, out: &mut Vec<Relation>) {
+pub fn relate(a: &Placed, b: &Placed, viewer: &Viewer, params: &RelationParams, out: &mut Vec<Relation>) {
     let distance_m = overlap::gap(&a.1, &b.1);
     let near = 1.0 - distance_m / params.max_distance_m;
     if near < 0.0 {

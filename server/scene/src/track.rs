@@ -130,7 +130,8 @@ impl Track {
         }
         if self.state == ObjectState::Gone {
             self.state = ObjectState::Static;
-            self.anchor = seen;
+            (self.bbox, self.anchor, self.velocity) = (seen, seen, Vector3::zeros());
+            (self.away, self.before) = (0, None);
             changes.push(ObjectChangeKind::Reappeared);
         }
         self.follow_motion(&seen, stamp, params, changes);

@@ -24,6 +24,8 @@ pub struct TrackerParams {
     pub tentative_timeout_s: f64,
     /// Updates in a row that see through an object's place before it is gone; at least 1.
     pub gone_observations: u32,
+    /// Time since an object was last detected before it can be gone, seconds: detectors miss a frame or two.
+    pub gone_after_s: f64,
     /// Distance from its place at which an object that also left its old box is moving, metres, positive.
     pub moving_distance_m: f64,
     /// A moving object that stays within that distance for this long has stopped, seconds.
@@ -49,6 +51,7 @@ impl Default for TrackerParams {
             confirm_observations: 2,
             tentative_timeout_s: 5.0,
             gone_observations: 3,
+            gone_after_s: 1.0,
             moving_distance_m: 0.3,
             settle_s: 2.0,
             coast_s: 1.0,
@@ -75,6 +78,7 @@ impl TrackerParams {
         within("confirm_observations", self.confirm_observations as f64, 1.0, huge, counted)?;
         within("tentative_timeout_s", self.tentative_timeout_s, 0.0, huge, waited)?;
         within("gone_observations", f64::from(self.gone_observations), 1.0, huge, counted)?;
+        within("gone_after_s", self.gone_after_s, 0.0, huge, waited)?;
         within("moving_distance_m", self.moving_distance_m, tiny, huge, positive)?;
         within("settle_s", self.settle_s, 0.0, huge, waited)?;
         within("coast_s", self.coast_s, 0.0, huge, waited)?;
@@ -220,7 +224,8 @@ impl Tracker {
                 }
                 continue;
             };
-            if track.seen_through >= self.params.gone_observations {
+            let missed_s = stamp.seconds_since(track.last_seen);
+            if track.seen_through >= self.params.gone_observations && missed_s >= self.params.gone_after_s {
                 track.state = ObjectState::Gone;
                 changes.push(ObjectChange { id, kind: ObjectChangeKind::Gone });
             }

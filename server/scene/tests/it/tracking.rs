@@ -157,18 +157,21 @@ fn what_is_seen_through_is_gone_and_may_come_back() {
         t.update(at(i), &[chair(1.0, 0.0)], &hidden);
     }
     let through = |_: &OrientedBox3| Visibility::SeenThrough;
-    assert!(t.update(at(3), &[], &through).is_empty());
-    // A surface in its place in between: the count starts again.
-    assert!(t.update(at(4), &[], &|_: &OrientedBox3| Visibility::Occupied).is_empty());
-    for i in 5..7 {
+    for i in 3..8 {
+        // Three times seen through, but within the second in which the detector may have missed it.
         assert!(t.update(at(i), &[], &through).is_empty());
     }
-    assert_eq!(t.update(at(7), &[], &through)[0].kind, ObjectChangeKind::Gone);
+    // A surface in its place in between: the count starts again.
+    assert!(t.update(at(20), &[], &|_: &OrientedBox3| Visibility::Occupied).is_empty());
+    for i in 21..23 {
+        assert!(t.update(at(i), &[], &through).is_empty());
+    }
+    assert_eq!(t.update(at(23), &[], &through)[0].kind, ObjectChangeKind::Gone);
     assert_eq!((object(&t, 0).state, object(&t, 0).last_seen), (ObjectState::Gone, at(2)));
-    assert!(t.update(at(8), &[], &through).is_empty());
-    let back = t.update(at(9), &[chair(1.0, 0.1)], &hidden);
+    assert!(t.update(at(24), &[], &through).is_empty());
+    let back = t.update(at(25), &[chair(1.0, 0.1)], &hidden);
     assert_eq!((back[0].id, back[0].kind), (ObjectId(0), ObjectChangeKind::Reappeared));
-    assert_eq!(object(&t, 0).state, ObjectState::Static);
+    assert_eq!((object(&t, 0).state, object(&t, 0).bbox.center().y), (ObjectState::Static, 0.1));
 }
 
 #[test]
@@ -177,7 +180,7 @@ fn a_chair_carried_away_is_gone_there_and_new_elsewhere() {
     for i in 0..3 {
         t.update(at(i), &[chair(1.0, 0.0)], &hidden);
     }
-    for i in 3..8 {
+    for i in 3..14 {
         t.update(at(i), &[chair(4.0, 0.0)], &|_: &OrientedBox3| Visibility::SeenThrough);
     }
     assert_eq!(object(&t, 0).state, ObjectState::Gone);
@@ -273,8 +276,8 @@ fn at_the_limit_the_gone_make_room() {
     let mut t = Tracker::new(params).unwrap();
     t.update(at(0), &[chair(0.0, 0.0), chair(2.0, 0.0), chair(4.0, 0.0)], &hidden);
     assert_eq!(t.objects().len(), 2);
-    t.update(at(1), &[chair(2.0, 0.0)], &|_: &OrientedBox3| Visibility::SeenThrough);
-    let changes = t.update(at(2), &[chair(2.0, 0.0), chair(6.0, 0.0)], &hidden);
+    t.update(at(10), &[chair(2.0, 0.0)], &|_: &OrientedBox3| Visibility::SeenThrough);
+    let changes = t.update(at(11), &[chair(2.0, 0.0), chair(6.0, 0.0)], &hidden);
     assert_eq!(
         changes.iter().map(|c| (c.id.0, c.kind)).collect::<Vec<_>>(),
         [(0, ObjectChangeKind::Forgotten), (2, ObjectChangeKind::Appeared)]
@@ -284,10 +287,12 @@ fn at_the_limit_the_gone_make_room() {
 #[test]
 fn unusable_observations_and_parameters_do_no_harm() {
     let mut t = tracker();
-    let mut bad = [chair(0.0, 0.0); 4];
+    let mut bad = [chair(0.0, 0.0); 6];
     bad[0].bbox.size.x = f64::NAN;
     bad[1].bbox.size.y = 0.0;
     bad[2].confidence = 1.5;
+    bad[4].bbox.size.x = 1e200;
+    bad[5].bbox.t_frame_box.translation.vector.x = -1e300;
     bad[3].bbox.t_frame_box.translation.vector.z = f64::INFINITY;
     for i in 0..3 {
         assert!(t.update(at(i), &bad, &hidden).is_empty());
