@@ -1,0 +1,146 @@
+//! Normals from the scatter of neighbours.
+
+use super::{Scatter, at_least, positive, symmetric_eigen3};
+use crate::search::{KdTree, Neighbor};
+use nalgebra::{Point3, Vector3};
+use percept_geometry::{GeometryError, cloud::is_finite};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+const CHUNK: usize = 512;
+
+/// Which neighbours make a normal.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NormalParams {
+    /// Neighbours lie within this distance, metres; about three times the spacing of points.
+    pub radius_m: f64,
+    /// Of them the nearest so many are used, the point itself among them; at least 3.
+    pub max_neighbors: usize,
+    /// With fewer the normal is undefined; at least 3.
+    pub min_neighbors: usize,
+}
+
+impl Default for NormalParams {
+    fn default() -> Self {
+        Self { radius_m: 0.1, max_neighbors: 30, min_neighbors: 5 }
+    }
+}
+
+impl NormalParams {
+    /// Checks the bounds.
+    ///
+    /// # Errors
+    /// `OutOfRange` naming the field.
+    pub fn validate(&self) -> Result<(), GeometryError> {
+        positive("radius_m", self.radius_m)?;
+        at_least("min_neighbors", self.min_neighbors, 3, "at least 3")?;
+        at_least("max_neighbors", self.max_neighbors, self.min_neighbors, "at least min_neighbors")
+    }
+}
+
+/// `N x 3` unit normals: of each point's neighbourhood the direction of least scatter, turned towards
+/// `viewpoint` if given. Zero where undefined: too few neighbours, all on a line, or the point not finite.
+///
+/// Source: Hoppe et al., "Surface reconstruction from unorganized points", 1992, section 3.2.
+///
+/// # Errors
+/// `OutOfRange` naming the parameter.
+pub fn estimate_normals(
+    points: &[Point3<f32>],
+    params: &NormalParams,
+    viewpoint: Option<&Point3<f64>>,
+) -> Result<Vec<Vector3<f32>>, GeometryError> {
+    params.validate()?;
+    let tree = KdTree::build(points);
+    let mut normals = vec![Vector3::zeros(); points.len()];
+    let estimate = |found: &mut Vec<Neighbor>, (normals, queries): (&mut [Vector3<f32>], &[Point3<f32>])| {
+        for (normal, p) in normals.iter_mut().zip(queries).filter(|(_, p)| is_finite(p)) {
+            tree.hybrid_into(p, params.radius_m as f32, params.max_neighbors, found);
+            if found.len() >= params.min_neighbors {
+                *normal = least_scatter(points, p, found, viewpoint).unwrap_or_default();
+            }
+        }
+    };
+    normals.par_chunks_mut(CHUNK).zip(points.par_chunks(CHUNK)).for_each_init(Vec::new, estimate);
+    Ok(normals)
+}
+
+fn least_scatter(
+    points: &[Point3<f32>],
+    p: &Point3<f32>,
+    found: &[Neighbor],
+    viewpoint: Option<&Point3<f64>>,
+) -> Option<Vector3<f32>> {
+    let mut scatter = Scatter::new(p.cast());
+    found.iter().for_each(|n| scatter.add(&points[n.index].cast()));
+    let eigen = symmetric_eigen3(&scatter.covariance());
+    // On a line the second value is rounding: any direction across would do, so none does.
+    if eigen.values[1] <= 1e-10 * eigen.values[2] {
+        return None;
+    }
+    let normal = eigen.vectors[0];
+    let away = viewpoint.is_some_and(|v| normal.dot(&(v - p.cast::<f64>())) < 0.0);
+    Some(if away { -normal } else { normal }.cast())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sphere(center: Vector3<f32>, n: usize) -> Vec<Point3<f32>> {
+        // Fibonacci lattice on the unit sphere.
+        (0..n)
+            .map(|i| {
+                let z = 1.0 - (2 * i + 1) as f32 / n as f32;
+                let (s, c) = (i as f32 * 2.399_963).sin_cos();
+                let r = (1.0 - z * z).sqrt();
+                Point3::from(center + Vector3::new(r * c, r * s, z))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn normals_of_a_sphere_point_outward_or_to_the_viewpoint_in_it() {
+        let points = sphere(Vector3::new(3.0, 0.0, 0.0), 5000);
+        let params = NormalParams { radius_m: 0.2, ..NormalParams::default() };
+        let normals = estimate_normals(&points, &params, Some(&Point3::new(3.0, 0.0, 0.0))).unwrap();
+        for (p, n) in points.iter().zip(&normals) {
+            let inward = Vector3::new(3.0, 0.0, 0.0) - p.coords;
+            assert!(n.dot(&inward) > 0.999, "{p} {n}");
+        }
+    }
+
+    #[test]
+    fn neighbourhoods_without_a_plane_have_no_normal() {
+        let params = NormalParams { radius_m: 1.0, max_neighbors: 30, min_neighbors: 3 };
+        let zero = |points: &[Point3<f32>]| {
+            estimate_normals(points, &params, None).unwrap().iter().all(|n| *n == Vector3::zeros())
+        };
+        assert!(zero(&[]));
+        assert!(zero(&[Point3::origin(); 1]));
+        assert!(zero(&[Point3::new(1e7, 0.0, 0.0); 10]));
+        assert!(zero(&(0..10).map(|i| Point3::new(i as f32 * 0.1, i as f32 * 0.2, 5.0)).collect::<Vec<_>>()));
+        assert!(zero(&[Point3::from([f32::NAN; 3]); 10]));
+    }
+
+    #[test]
+    fn points_far_from_the_origin_have_normals_too() {
+        let far: Vec<Point3<f32>> =
+            (0..400).map(|i| Point3::new(1e6 + (i % 20) as f32 * 0.25, (i / 20) as f32 * 0.25, 2.0)).collect();
+        let params = NormalParams { radius_m: 1.0, ..NormalParams::default() };
+        let normals = estimate_normals(&far, &params, Some(&Point3::new(1e6, 0.0, 10.0))).unwrap();
+        assert!(normals.iter().all(|n| (n - Vector3::z()).norm() < 1e-5));
+    }
+
+    #[test]
+    fn parameters_out_of_bounds_are_named() {
+        for (params, name) in [
+            (NormalParams { radius_m: 0.0, ..Default::default() }, "radius_m"),
+            (NormalParams { min_neighbors: 2, ..Default::default() }, "min_neighbors"),
+            (NormalParams { max_neighbors: 4, ..Default::default() }, "max_neighbors"),
+        ] {
+            assert!(estimate_normals(&[], &params, None).unwrap_err().to_string().starts_with(name));
+        }
+    }
+}
