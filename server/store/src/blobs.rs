@@ -1,0 +1,253 @@
+//! Large immutable bytes, named by their SHA-256, as objects of their own.
+
+use std::collections::HashSet;
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use bytes::Bytes;
+use futures::stream::{BoxStream, StreamExt, TryStreamExt};
+use object_store::path::Path;
+use object_store::{Error, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload};
+use sha2::{Digest, Sha256};
+use tokio::sync::RwLock;
+
+use crate::directory;
+use crate::error::{StoreError, shortened};
+
+/// A blob stored again is made young again if it is older than this.
+const REFRESH_AGE: Duration = Duration::from_secs(60);
+
+/// Bytes from which hashing leaves the async threads alone (about 0.1 ms of work).
+const HASH_INLINE_BYTES: usize = 128 << 10;
+
+/// Identity of a blob: the SHA-256 of its bytes, written as 64 lower-case hexadecimal digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BlobId([u8; 32]);
+
+impl BlobId {
+    /// The identity that these bytes have.
+    #[must_use]
+    pub fn of(bytes: &[u8]) -> Self {
+        Self(Sha256::digest(bytes).into())
+    }
+
+    /// From the hash itself.
+    #[must_use]
+    pub fn from_bytes(hash: [u8; 32]) -> Self {
+        Self(hash)
+    }
+
+    /// The hash itself.
+    #[must_use]
+    pub fn as_bytes(&self) -> &[u8; 32] {
+        &self.0
+    }
+
+    fn shard(&self) -> String {
+        format!("{:02x}", self.0[0])
+    }
+
+    fn path(&self) -> Path {
+        Path::from(format!("blobs/{}/{self}", self.shard()))
+    }
+}
+
+impl fmt::Display for BlobId {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(formatter, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for BlobId {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "BlobId({self})")
+    }
+}
+
+impl FromStr for BlobId {
+    type Err = StoreError;
+
+    fn from_str(text: &str) -> Result<Self, StoreError> {
+        let invalid = || StoreError::InvalidBlobId { text: shortened(text) };
+        let is_digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
+        if text.len() != 64 || !text.bytes().all(is_digit) {
+            return Err(invalid());
+        }
+        let mut hash = [0; 32];
+        for (byte, digits) in hash.iter_mut().zip(text.as_bytes().chunks(2)) {
+            let digits = std::str::from_utf8(digits).map_err(|_| invalid())?;
+            *byte = u8::from_str_radix(digits, 16).map_err(|_| invalid())?;
+        }
+        Ok(Self(hash))
+    }
+}
+
+/// What a collection of garbage did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct GarbageReport {
+    /// Blobs that were looked at.
+    pub num_seen: u64,
+    /// Blobs that are named by a record.
+    pub num_live: u64,
+    /// Blobs that nobody names but that are too young to go.
+    pub num_young: u64,
+    /// Blobs that were deleted.
+    pub num_deleted: u64,
+    /// Their bytes.
+    pub deleted_bytes: u64,
+}
+
+/// The blobs of one store.
+#[derive(Debug)]
+pub(crate) struct Blobs {
+    objects: Arc<dyn ObjectStore>,
+    /// The directory, where entries found existing have to be synced by us.
+    synced_root: Option<PathBuf>,
+    max_bytes: usize,
+    /// Storing reads, deleting writes: a blob is not deleted while it is stored again.
+    gate: RwLock<()>,
+}
+
+impl Blobs {
+    pub(crate) fn new(objects: Arc<dyn ObjectStore>, synced_root: Option<PathBuf>, max_bytes: usize) -> Self {
+        Self { objects, synced_root, max_bytes, gate: RwLock::new(()) }
+    }
+
+    pub(crate) async fn put(&self, bytes: Bytes) -> Result<BlobId, StoreError> {
+        if bytes.len() > self.max_bytes {
+            return Err(StoreError::BlobTooLarge { num_bytes: bytes.len(), limit: self.max_bytes });
+        }
+        let id = hash(&bytes).await?;
+        let _not_deleting = self.gate.read().await;
+        match self.write(id, bytes.clone(), PutMode::Create).await {
+            Ok(()) => Ok(id),
+            Err(Error::AlreadyExists { .. }) => self.put_again(id, bytes).await.map(|()| id),
+            Err(error) => Err(StoreError::from_object("write a blob", error)),
+        }
+    }
+
+    /// The blob was there. A fresh one of the right size only has to be made durable; an older one is
+    /// replaced by the same bytes, which makes it young and mends it if it was damaged.
+    async fn put_again(&self, id: BlobId, bytes: Bytes) -> Result<(), StoreError> {
+        let io = |error| StoreError::from_object("write a blob", error);
+        let is_fresh = match self.objects.head(&id.path()).await {
+            Ok(meta) => meta.size == bytes.len() as u64 && age(&meta) < REFRESH_AGE,
+            Err(Error::NotFound { .. }) => false,
+            Err(error) => return Err(io(error)),
+        };
+        if !is_fresh {
+            return self.write(id, bytes, PutMode::Overwrite).await.map_err(io);
+        }
+        // Whoever created it synced its bytes before linking it, but perhaps not yet the link.
+        let Some(root) = &self.synced_root else { return Ok(()) };
+        let shard = directory::shard(root, &id.shard());
+        blocking(move || directory::sync(&shard))
+            .await?
+            .map_err(|error| StoreError::from_io("sync a blob's directory", error))
+    }
+
+    async fn write(&self, id: BlobId, bytes: Bytes, mode: PutMode) -> Result<(), Error> {
+        self.objects.put_opts(&id.path(), PutPayload::from(bytes), PutOptions::from(mode)).await.map(|_| ())
+    }
+
+    pub(crate) async fn get(&self, id: BlobId) -> Result<Bytes, StoreError> {
+        let explain = |error| match error {
+            Error::NotFound { .. } => StoreError::BlobMissing { id },
+            error => StoreError::from_object("read a blob", error),
+        };
+        let bytes = self.objects.get(&id.path()).await.map_err(explain)?.bytes().await.map_err(explain)?;
+        if hash(&bytes).await? == id { Ok(bytes) } else { Err(StoreError::BlobCorrupt { id }) }
+    }
+
+    pub(crate) async fn exists(&self, id: BlobId) -> Result<bool, StoreError> {
+        match self.objects.head(&id.path()).await {
+            Ok(_) => Ok(true),
+            Err(Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(StoreError::from_object("look for a blob", error)),
+        }
+    }
+
+    /// All blobs with what the object store knows of them; foreign names are passed over.
+    pub(crate) fn list(&self) -> BoxStream<'static, Result<(BlobId, ObjectMeta), StoreError>> {
+        self.objects
+            .list(Some(&Path::from("blobs")))
+            .map_err(|error| StoreError::from_object("list blobs", error))
+            .try_filter_map(|meta| async move {
+                let id = meta.location.filename().and_then(|name| name.parse::<BlobId>().ok());
+                Ok(id.map(|id| (id, meta)))
+            })
+            .boxed()
+    }
+
+    pub(crate) async fn sweep(&self, live: &HashSet<BlobId>, grace: Duration) -> Result<GarbageReport, StoreError> {
+        let mut report = GarbageReport::default();
+        let mut blobs = self.list();
+        while let Some((id, meta)) = blobs.try_next().await? {
+            report.num_seen += 1;
+            if live.contains(&id) {
+                report.num_live += 1;
+            } else if age(&meta) < grace || !self.delete_if_older(id, grace).await? {
+                report.num_young += 1;
+            } else {
+                report.num_deleted += 1;
+                report.deleted_bytes += meta.size;
+            }
+        }
+        Ok(report)
+    }
+
+    /// Looks again at the age once nobody is storing: the listing may be old.
+    async fn delete_if_older(&self, id: BlobId, grace: Duration) -> Result<bool, StoreError> {
+        let io = |error| StoreError::from_object("delete a blob", error);
+        let _nobody_storing = self.gate.write().await;
+        match self.objects.head(&id.path()).await {
+            Ok(meta) if age(&meta) < grace => return Ok(false),
+            Ok(_) => {}
+            Err(Error::NotFound { .. }) => return Ok(true),
+            Err(error) => return Err(io(error)),
+        }
+        match self.objects.delete(&id.path()).await {
+            Ok(()) | Err(Error::NotFound { .. }) => Ok(true),
+            Err(error) => Err(io(error)),
+        }
+    }
+}
+
+/// Time since the object was written; a time in the future counts as now.
+fn age(meta: &ObjectMeta) -> Duration {
+    SystemTime::now().duration_since(SystemTime::from(meta.last_modified)).unwrap_or_default()
+}
+
+async fn hash(bytes: &Bytes) -> Result<BlobId, StoreError> {
+    if bytes.len() <= HASH_INLINE_BYTES {
+        return Ok(BlobId::of(bytes));
+    }
+    let bytes = bytes.clone();
+    blocking(move || BlobId::of(&bytes)).await
+}
+
+/// Runs work that would hold up the async threads.
+pub(crate) async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, StoreError> {
+    tokio::task::spawn_blocking(work)
+        .await
+        .map_err(|error| StoreError::Io { operation: "run a blocking task", source: Arc::new(error) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_id_is_the_sha_256_in_lower_case() {
+        // FIPS 180-2, appendix B.1.
+        let text = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(BlobId::of(b"abc").to_string(), text);
+        assert_eq!(text.parse::<BlobId>().unwrap(), BlobId::of(b"abc"));
+        for bad in ["", "ba78", &text.to_uppercase(), &text.replace('b', "g"), &format!("{text}0")] {
+            assert!(bad.parse::<BlobId>().is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! A local directory made ready: created, locked, cleared of what a crash left half-written.
+
+use std::fs::{File, TryLockError};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use crate::error::StoreError;
+
+const LOCK: &str = "LOCK";
+
+/// Holds the directory's lock until it is dropped (or the process dies).
+#[derive(Debug)]
+pub(crate) struct DirectoryLock {
+    _file: File,
+}
+
+/// Makes the directory and what lies directly in it, and syncs the entries: `blobs/00` to `blobs/ff`
+/// exist from then on, so that no writer ever depends on another one's unsynced directory.
+pub(crate) fn prepare(root: &Path, fsync: bool) -> Result<(), StoreError> {
+    let io = |error| StoreError::from_io("prepare the data directory", error);
+    let existed = root.exists();
+    let blobs = root.join("blobs");
+    std::fs::create_dir_all(&blobs).map_err(io)?;
+    for first in 0..=255u8 {
+        let shard = blobs.join(format!("{first:02x}"));
+        if !shard.exists() {
+            std::fs::create_dir(shard).map_err(io)?;
+        }
+    }
+    if fsync {
+        sync(&blobs).and_then(|()| sync(root)).map_err(io)?;
+        if let (false, Some(parent)) = (existed, root.canonicalize().map_err(io)?.parent()) {
+            sync(parent).map_err(io)?;
+        }
+    }
+    Ok(())
+}
+
+/// Takes the lock, waiting for at most `wait`.
+pub(crate) async fn lock(root: &Path, wait: Duration) -> Result<DirectoryLock, StoreError> {
+    let io = |error| StoreError::from_io("lock the data directory", error);
+    let file = File::options().create(true).truncate(false).write(true).open(root.join(LOCK)).map_err(io)?;
+    let deadline = Instant::now() + wait;
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(DirectoryLock { _file: file }),
+            Err(TryLockError::WouldBlock) if Instant::now() < deadline => {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+            Err(TryLockError::WouldBlock) => return Err(StoreError::DirectoryInUse { path: root.to_path_buf() }),
+            Err(TryLockError::Error(error)) => return Err(io(error)),
+        }
+    }
+}
+
+/// Removes staged files (`name#1`) that a killed writer never published. Only under the lock.
+pub(crate) fn remove_staged(directory: &Path) -> std::io::Result<u64> {
+    let mut removed = 0;
+    for entry in std::fs::read_dir(directory)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            removed += remove_staged(&entry.path())?;
+        } else if is_staged(&entry.file_name().to_string_lossy()) {
+            std::fs::remove_file(entry.path())?;
+            removed += 1;
+        }
+    }
+    Ok(removed)
+}
+
+/// Makes a directory's entries durable.
+pub(crate) fn sync(directory: &Path) -> std::io::Result<()> {
+    // Only Unix can open a directory for this; elsewhere the file system orders it by itself.
+    if cfg!(unix) { File::open(directory)?.sync_all() } else { Ok(()) }
+}
+
+/// Where a blob's shard lies on disk.
+pub(crate) fn shard(root: &Path, shard: &str) -> PathBuf {
+    root.join("blobs").join(shard)
+}
+
+fn is_staged(name: &str) -> bool {
+    name.rsplit_once('#')
+        .is_some_and(|(_, digits)| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_staged_files_are_removed() {
+        let directory = tempfile::tempdir().unwrap();
+        prepare(directory.path(), false).unwrap();
+        let shard = shard(directory.path(), "ab");
+        for name in ["abcd", "abcd#1", "abcd#12", "abcd#", "abcd#x"] {
+            std::fs::write(shard.join(name), name).unwrap();
+        }
+        assert_eq!(remove_staged(directory.path()).unwrap(), 2);
+        assert!(["abcd", "abcd#", "abcd#x"].iter().all(|name| shard.join(name).exists()));
+    }
+}

@@ -1,0 +1,306 @@
+//! The store over SlateDB and content-addressed objects.
+
+use std::collections::HashSet;
+use std::fmt;
+use std::ops::Bound;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures::future::BoxFuture;
+use futures::stream::{BoxStream, StreamExt, TryStreamExt, try_unfold};
+use object_store::ObjectStore;
+use object_store::local::LocalFileSystem;
+use slatedb::config::{
+    CompactorOptions, DurabilityLevel, GarbageCollectorDirectoryOptions, GarbageCollectorOptions, ReadOptions,
+    ScanOptions, Settings,
+};
+use slatedb::{Db, DbIterator, IterationOrder};
+use tokio::sync::{mpsc, oneshot};
+
+use crate::blobs::{BlobId, Blobs, GarbageReport, blocking};
+use crate::committer::{Committer, Request};
+use crate::config::{Location, StoreConfig};
+use crate::directory::{self, DirectoryLock};
+use crate::error::StoreError;
+use crate::format;
+use crate::keys::{Key, Prefix, RESERVED};
+use crate::observed::ObservedStore;
+use crate::store::{Record, Store};
+
+/// Folder of SlateDB's own objects.
+const RECORDS: &str = "records";
+
+/// Bytes that a scan asks for at once.
+const SCAN_READ_AHEAD_BYTES: usize = 256 << 10;
+
+/// Memory for records on their way to the disk; beyond it writers wait.
+const MAX_UNFLUSHED_BYTES: usize = 256 << 20;
+
+/// Records in SlateDB, blobs as objects beside it; see [`Store`].
+///
+/// Needs a tokio runtime. Dropping it without [`Store::close`] closes it in the background; the directory
+/// is free once that is done.
+pub struct SlateStore {
+    db: Db,
+    queue: mpsc::Sender<Request>,
+    blobs: Blobs,
+    epoch: u64,
+    max_record_bytes: usize,
+    max_batch_bytes: usize,
+}
+
+impl fmt::Debug for SlateStore {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.debug_struct("SlateStore").field("epoch", &self.epoch).finish_non_exhaustive()
+    }
+}
+
+impl SlateStore {
+    /// Opens the data, made new if there are none, and takes the next epoch: a writer that had them open
+    /// gets [`StoreError::Fenced`] from its next durable write.
+    ///
+    /// # Errors
+    /// [`StoreError::DirectoryInUse`], [`StoreError::FormatTooNew`], [`StoreError::FormatUnreadable`],
+    /// [`StoreError::Corrupt`], [`StoreError::Full`], [`StoreError::Io`]; [`StoreError::Fenced`] if
+    /// `expected_epoch` is not the newest any more.
+    pub async fn open(config: StoreConfig) -> Result<Self, StoreError> {
+        let Opened { objects, lock, synced_root, is_local } = reach(&config).await?;
+        format::check_or_create(objects.as_ref()).await?;
+        let blobs = Blobs::new(objects.clone(), synced_root, config.max_blob_bytes);
+        let (observed, failures) = ObservedStore::new(objects);
+        let mut builder = Db::builder(RECORDS, Arc::new(observed)).with_settings(settings(&config, is_local));
+        if let Some(expected) = config.expected_epoch {
+            builder = builder.with_expected_epoch(expected);
+        }
+        let db = builder.build().await.map_err(|error| StoreError::from_slate("open the records", 0, error))?;
+        let epoch = db.manifest().writer_epoch();
+        let (queue, requests) = mpsc::channel(config.queue_length.max(1));
+        let timeout = config.commit_timeout;
+        let committer = Committer { db: db.clone(), epoch, failures, timeout, stalled: None, lock };
+        tokio::spawn(committer.run(requests));
+        let StoreConfig { max_record_bytes, max_batch_bytes, .. } = config;
+        Ok(Self { db, queue, blobs, epoch, max_record_bytes, max_batch_bytes })
+    }
+
+    /// A new store in memory, for tests; [`StoreConfig::in_memory`] if it is to be opened again.
+    ///
+    /// # Errors
+    /// None that are expected.
+    pub async fn in_memory() -> Result<Self, StoreError> {
+        Self::open(StoreConfig::in_memory()).await
+    }
+
+    fn check_sizes(&self, puts: &[Record], deletes: &[Key]) -> Result<usize, StoreError> {
+        let limit = self.max_record_bytes;
+        if let Some((key, value)) = puts.iter().find(|(_, value)| value.len() > limit) {
+            return Err(StoreError::RecordTooLarge { key: key.to_string(), num_bytes: value.len(), limit });
+        }
+        let num_put: usize = puts.iter().map(|(key, value)| key.as_str().len() + value.len()).sum();
+        let num_bytes = num_put + deletes.iter().map(|key| key.as_str().len()).sum::<usize>();
+        let limit = self.max_batch_bytes;
+        if num_bytes > limit { Err(StoreError::BatchTooLarge { num_bytes, limit }) } else { Ok(num_bytes) }
+    }
+
+    async fn commit(&self, puts: Vec<Record>, deletes: Vec<Key>) -> Result<(), StoreError> {
+        let num_bytes = self.check_sizes(&puts, &deletes)?;
+        let (done, outcome) = oneshot::channel();
+        let request = Request::Commit { puts, deletes, num_bytes, done };
+        self.queue.send(request).await.map_err(|_| StoreError::Closed)?;
+        outcome.await.map_err(|_| StoreError::Closed)?
+    }
+
+    async fn iterate(
+        &self,
+        prefix: &Prefix,
+        after: Option<&Key>,
+        order: IterationOrder,
+    ) -> Result<DbIterator, StoreError> {
+        let options = ScanOptions {
+            durability_filter: DurabilityLevel::Remote,
+            read_ahead_bytes: SCAN_READ_AHEAD_BYTES,
+            order,
+            ..ScanOptions::default()
+        };
+        self.db
+            .scan_with_options(range(prefix, after), &options)
+            .await
+            .map_err(|error| StoreError::from_slate("scan", self.epoch, error))
+    }
+
+    /// The next record that is not the store's own.
+    async fn next(&self, records: &mut DbIterator) -> Result<Option<Record>, StoreError> {
+        loop {
+            let next = records.next().await.map_err(|error| StoreError::from_slate("scan", self.epoch, error))?;
+            let Some(record) = next else { return Ok(None) };
+            let key = std::str::from_utf8(&record.key)
+                .map_err(|error| StoreError::Corrupt { operation: "read a key", source: Arc::new(error) })?;
+            if key.split('/').next() != Some(RESERVED) {
+                return Ok(Some((Key::trusted(key), record.value)));
+            }
+        }
+    }
+}
+
+impl Store for SlateStore {
+    fn put_batch(&self, puts: Vec<Record>, deletes: Vec<Key>) -> BoxFuture<'_, Result<(), StoreError>> {
+        Box::pin(self.commit(puts, deletes))
+    }
+
+    fn get(&self, key: &Key) -> BoxFuture<'_, Result<Option<Bytes>, StoreError>> {
+        let key = key.clone();
+        Box::pin(async move {
+            let options = ReadOptions { durability_filter: DurabilityLevel::Remote, ..ReadOptions::default() };
+            let value = self.db.get_with_options(key.as_str(), &options).await;
+            value.map_err(|error| StoreError::from_slate("get", self.epoch, error))
+        })
+    }
+
+    fn scan(&self, prefix: &Prefix, after: Option<&Key>) -> BoxStream<'_, Result<Record, StoreError>> {
+        let (prefix, after) = (prefix.clone(), after.cloned());
+        try_unfold(None, move |records: Option<DbIterator>| {
+            let (prefix, after) = (prefix.clone(), after.clone());
+            async move {
+                let mut records = match records {
+                    Some(records) => records,
+                    None => self.iterate(&prefix, after.as_ref(), IterationOrder::Ascending).await?,
+                };
+                Ok(self.next(&mut records).await?.map(|record| (record, Some(records))))
+            }
+        })
+        .boxed()
+    }
+
+    fn last(&self, prefix: &Prefix) -> BoxFuture<'_, Result<Option<Record>, StoreError>> {
+        let prefix = prefix.clone();
+        Box::pin(async move {
+            let mut records = self.iterate(&prefix, None, IterationOrder::Descending).await?;
+            self.next(&mut records).await
+        })
+    }
+
+    fn put_blob(&self, bytes: Bytes) -> BoxFuture<'_, Result<BlobId, StoreError>> {
+        Box::pin(self.blobs.put(bytes))
+    }
+
+    fn get_blob(&self, id: BlobId) -> BoxFuture<'_, Result<Bytes, StoreError>> {
+        Box::pin(self.blobs.get(id))
+    }
+
+    fn blob_exists(&self, id: BlobId) -> BoxFuture<'_, Result<bool, StoreError>> {
+        Box::pin(self.blobs.exists(id))
+    }
+
+    fn blobs(&self) -> BoxStream<'_, Result<(BlobId, u64), StoreError>> {
+        self.blobs.list().map_ok(|(id, meta)| (id, meta.size)).boxed()
+    }
+
+    fn collect_garbage<'a>(
+        &'a self,
+        live: &'a HashSet<BlobId>,
+        grace: Duration,
+    ) -> BoxFuture<'a, Result<GarbageReport, StoreError>> {
+        Box::pin(async move {
+            self.confirm_ownership().await?;
+            self.blobs.sweep(live, grace).await
+        })
+    }
+
+    fn confirm_ownership(&self) -> BoxFuture<'_, Result<(), StoreError>> {
+        let owner = Key::trusted(&format!("{RESERVED}/owner"));
+        self.put(owner, Bytes::from(self.epoch.to_string()))
+    }
+
+    fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    fn close(&self) -> BoxFuture<'_, Result<(), StoreError>> {
+        Box::pin(async move {
+            let (done, outcome) = oneshot::channel();
+            if self.queue.send(Request::Close { done }).await.is_err() {
+                return Ok(());
+            }
+            // A second `close` in the queue finds its channel dropped: the first one did it.
+            outcome.await.unwrap_or(Ok(()))
+        })
+    }
+}
+
+/// What opening has in hand before the records.
+struct Opened {
+    objects: Arc<dyn ObjectStore>,
+    lock: Option<DirectoryLock>,
+    synced_root: Option<PathBuf>,
+    is_local: bool,
+}
+
+async fn reach(config: &StoreConfig) -> Result<Opened, StoreError> {
+    let root = match &config.location {
+        Location::Objects(objects) => {
+            let objects = objects.clone();
+            return Ok(Opened { objects, lock: None, synced_root: None, is_local: false });
+        }
+        Location::Directory(root) => root.clone(),
+    };
+    let (prepared, fsync) = (root.clone(), config.fsync);
+    blocking(move || directory::prepare(&prepared, fsync)).await??;
+    let lock = if config.lock_directory { Some(directory::lock(&root, config.lock_wait).await?) } else { None };
+    if lock.is_some() {
+        let swept = root.clone();
+        let removed = blocking(move || directory::remove_staged(&swept)).await?;
+        let removed = removed.map_err(|error| StoreError::from_io("clear staged files", error))?;
+        if removed > 0 {
+            tracing::info!(removed, "removed files that a killed writer left half-written");
+        }
+    }
+    let files = LocalFileSystem::new_with_prefix(&root)
+        .map_err(|error| StoreError::from_object("open the data directory", error))?
+        .with_fsync(config.fsync);
+    Ok(Opened { objects: Arc::new(files), lock, synced_root: config.fsync.then_some(root), is_local: true })
+}
+
+fn settings(config: &StoreConfig, is_local: bool) -> Settings {
+    let soon = |min_age_s| {
+        Some(GarbageCollectorDirectoryOptions {
+            interval: Some(Duration::from_secs(60)),
+            min_age: Duration::from_secs(min_age_s),
+            dry_run: false,
+        })
+    };
+    let garbage = GarbageCollectorOptions {
+        // Every commit is a file there: do not let them pile up.
+        wal_options: soon(60),
+        manifest_options: soon(300),
+        compactions_options: soon(300),
+        // Local directories cannot overwrite conditionally; there the lock keeps stale writers away.
+        boundary_files_enabled: !is_local,
+        ..GarbageCollectorOptions::default()
+    };
+    let compactor = CompactorOptions { poll_interval: Duration::from_secs(2), ..CompactorOptions::default() };
+    Settings {
+        flush_interval: Some(config.flush_interval),
+        l0_sst_size_bytes: config.memtable_bytes,
+        max_unflushed_bytes: MAX_UNFLUSHED_BYTES.max(config.memtable_bytes * 4),
+        compactor_options: Some(compactor),
+        garbage_collector_options: Some(garbage),
+        ..Settings::default()
+    }
+}
+
+/// Keys below the prefix, after the given one.
+fn range(prefix: &Prefix, after: Option<&Key>) -> (Bound<Vec<u8>>, Bound<Vec<u8>>) {
+    let text = prefix.as_str();
+    let start = match after {
+        Some(key) if key.as_str() >= text => Bound::Excluded(key.as_str().as_bytes().to_vec()),
+        _ if text.is_empty() => Bound::Unbounded,
+        _ => Bound::Included(text.as_bytes().to_vec()),
+    };
+    // A prefix ends in `/`, and `0` is the byte after it.
+    let end = match text.strip_suffix('/') {
+        Some(stem) => Bound::Excluded(format!("{stem}0").into_bytes()),
+        None => Bound::Unbounded,
+    };
+    (start, end)
+}

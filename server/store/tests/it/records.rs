@@ -1,0 +1,128 @@
+use std::sync::Arc;
+
+use bytes::Bytes;
+use futures::TryStreamExt;
+use percept_store::{Key, Prefix, SessionKeys, SlateStore, Store, StoreConfig, StoreError};
+
+use crate::{key, open, value};
+
+fn texts(records: &[(Key, Bytes)]) -> Vec<&str> {
+    records.iter().map(|(key, _)| key.as_str()).collect()
+}
+
+#[tokio::test]
+async fn a_batch_deletes_first_and_the_last_value_stands() {
+    let store = SlateStore::in_memory().await.unwrap();
+    store.put_batch(vec![(key("a"), value("1")), (key("b"), value("1"))], vec![]).await.unwrap();
+    let puts = vec![(key("a"), value("2")), (key("c"), value("1")), (key("c"), value("2"))];
+    store.put_batch(puts, vec![key("a"), key("b"), key("never-there")]).await.unwrap();
+    assert_eq!(store.get(&key("a")).await.unwrap(), Some(value("2")));
+    assert_eq!(store.get(&key("b")).await.unwrap(), None);
+    assert_eq!(store.get(&key("c")).await.unwrap(), Some(value("2")));
+    store.put_batch(vec![], vec![]).await.unwrap();
+    store.put(key("empty"), Bytes::new()).await.unwrap();
+    assert_eq!(store.get(&key("empty")).await.unwrap(), Some(Bytes::new()));
+}
+
+#[tokio::test]
+async fn a_scan_is_ordered_ends_at_the_prefix_and_pages() {
+    let store = SlateStore::in_memory().await.unwrap();
+    let (a, ab) = (SessionKeys::new("a").unwrap(), SessionKeys::new("ab").unwrap());
+    let numbers = [300u64, 2, 1, 1 << 40, 255, 256];
+    let mut puts: Vec<_> = numbers.iter().map(|&number| (a.keyframe(number), value(&number.to_string()))).collect();
+    puts.extend([(ab.keyframe(3), value("ab")), (a.meta(), value("meta")), (key("sessions"), value("x"))]);
+    store.put_batch(puts, vec![]).await.unwrap();
+    store.confirm_ownership().await.unwrap();
+
+    let keyframes = store.scan_all(&a.keyframes()).await.unwrap();
+    let found: Vec<u64> = keyframes.iter().map(|(key, _)| key.number().unwrap()).collect();
+    assert_eq!(found, [1, 2, 255, 256, 300, 1 << 40]);
+    let rest: Vec<_> = store.scan(&a.keyframes(), Some(&a.keyframe(256))).try_collect().await.unwrap();
+    assert_eq!(rest, keyframes[4..]);
+    assert_eq!(store.last(&a.keyframes()).await.unwrap().unwrap().0, a.keyframe(1 << 40));
+    assert_eq!(store.last(&a.trajectories()).await.unwrap(), None);
+
+    // The store's own records are nobody else's.
+    let all = store.scan_all(&Prefix::everything()).await.unwrap();
+    assert_eq!(all.len(), 9);
+    assert!(texts(&all).is_sorted());
+    assert_eq!(store.scan_all(&SessionKeys::of_all_sessions()).await.unwrap().len(), 8);
+    assert_eq!(store.last(&Prefix::everything()).await.unwrap().unwrap().0, ab.keyframe(3));
+}
+
+#[tokio::test]
+async fn limits_are_refused_one_byte_above_and_nothing_is_written() {
+    let mut config = StoreConfig::in_memory();
+    (config.max_record_bytes, config.max_batch_bytes, config.max_blob_bytes) = (100, 202, 10);
+    let store = SlateStore::open(config).await.unwrap();
+    let sized = |size: usize| Bytes::from(vec![7; size]);
+    store.put_batch(vec![(key("a"), sized(100)), (key("b"), sized(100))], vec![]).await.unwrap();
+    let error = store.put(key("c"), sized(101)).await.unwrap_err();
+    assert!(matches!(error, StoreError::RecordTooLarge { num_bytes: 101, limit: 100, .. }));
+    let error = store.put_batch(vec![(key("c"), sized(100)), (key("d"), sized(100))], vec![key("e")]).await;
+    assert!(matches!(error, Err(StoreError::BatchTooLarge { num_bytes: 203, limit: 202 })));
+    assert_eq!(store.get(&key("c")).await.unwrap(), None);
+    store.put_blob(sized(10)).await.unwrap();
+    let error = store.put_blob(sized(11)).await.unwrap_err();
+    assert!(matches!(error, StoreError::BlobTooLarge { num_bytes: 11, limit: 10 }));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn many_callers_at_once_all_get_through() {
+    let directory = tempfile::tempdir().unwrap();
+    let store = Arc::new(open(directory.path()).await);
+    let writers: Vec<_> = (0..32u64)
+        .map(|writer| {
+            let store = store.clone();
+            tokio::spawn(async move {
+                let keys = SessionKeys::new(&format!("w{writer}")).unwrap();
+                for number in 0..20 {
+                    store.put(keys.log(number), value("x")).await.unwrap();
+                    assert!(store.get(&keys.log(number)).await.unwrap().is_some());
+                }
+            })
+        })
+        .collect();
+    for writer in writers {
+        writer.await.unwrap();
+    }
+    assert_eq!(store.scan_all(&Prefix::everything()).await.unwrap().len(), 640);
+    store.close().await.unwrap();
+}
+
+#[test]
+fn what_was_acknowledged_survives_a_drop_without_close() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = || tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+    let runtime = run();
+    runtime.block_on(async {
+        let store = open(directory.path()).await;
+        store.put(key("a/1"), value("one")).await.unwrap();
+        store.put_blob(value("blob")).await.unwrap();
+        std::mem::forget(store);
+    });
+    // Every task is dropped where it stands.
+    runtime.shutdown_background();
+    run().block_on(async {
+        let store = open(directory.path()).await;
+        assert_eq!(store.get(&key("a/1")).await.unwrap(), Some(value("one")));
+        let id = percept_store::BlobId::of(b"blob");
+        assert_eq!(store.get_blob(id).await.unwrap(), value("blob"));
+        // Dropped on a living runtime, it closes by itself and lets go of the directory.
+        drop(store);
+        assert_eq!(open(directory.path()).await.get(&key("a/1")).await.unwrap(), Some(value("one")));
+    });
+}
+
+#[tokio::test]
+async fn a_closed_store_says_so() {
+    let config = StoreConfig::in_memory();
+    let store = SlateStore::open(config.clone()).await.unwrap();
+    store.put(key("a"), value("1")).await.unwrap();
+    store.close().await.unwrap();
+    store.close().await.unwrap();
+    assert!(matches!(store.put(key("b"), value("2")).await, Err(StoreError::Closed)));
+    assert!(matches!(store.get(&key("a")).await, Err(StoreError::Closed)));
+    let again = SlateStore::open(config).await.unwrap();
+    assert_eq!(again.get(&key("a")).await.unwrap(), Some(value("1")));
+}
