@@ -1,0 +1,233 @@
+//! A simulated session: the robot drives, its sensors send.
+
+use crate::sensors::{Imu, Scene, Wheels, capture, scan, sweep};
+use crate::{RobotParams, RobotPath, SensorSuite, SimError, TrueObject, World, WorldParams, check};
+use percept_geometry::{
+    GeometryError, Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Stamped, Timestamp,
+};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// A whole simulated session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimParams {
+    /// The world.
+    pub world: WorldParams,
+    /// How the robot drives.
+    pub robot: RobotParams,
+    /// What it carries.
+    pub sensors: SensorSuite,
+    /// Seed of all sensor noise.
+    pub seed: u64,
+    /// Laps through all rooms, 1 to 1000, unless `duration_s` is given.
+    pub laps: usize,
+    /// Seconds to simulate, 0 to 1,000,000; none for whole laps.
+    pub duration_s: Option<f64>,
+    /// Stamp of the start.
+    pub start_stamp: Timestamp,
+}
+
+impl Default for SimParams {
+    fn default() -> Self {
+        Self {
+            world: WorldParams::default(),
+            robot: RobotParams::default(),
+            sensors: SensorSuite::default(),
+            seed: 1,
+            laps: 1,
+            duration_s: None,
+            start_stamp: Timestamp::from_nanos(1_700_000_000_000_000_000),
+        }
+    }
+}
+
+impl SimParams {
+    /// Checks every part.
+    ///
+    /// # Errors
+    /// `OutOfRange` naming the field.
+    pub fn validate(&self) -> Result<(), SimError> {
+        self.world.validate()?;
+        self.robot.validate()?;
+        self.sensors.validate()?;
+        check("laps", self.laps as f64, 1.0, 1000.0, "between 1 and 1000")?;
+        check("duration_s", self.duration_s.unwrap_or(0.0), 0.0, 1e6, "between 0 and 1,000,000")
+    }
+}
+
+/// One message and where the robot truly was at its stamp.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SimFrame {
+    /// The message.
+    pub frame: SensorFrame,
+    /// Base to world at the stamp.
+    pub t_world_base: Pose,
+}
+
+/// A world, a drive through it and sensors: cheap to clone, the same at every call.
+#[derive(Debug, Clone)]
+pub struct Simulation {
+    params: SimParams,
+    world: Arc<World>,
+    path: Arc<RobotPath>,
+}
+
+impl Simulation {
+    /// Generates the world and plans the drive.
+    ///
+    /// # Errors
+    /// `OutOfRange` naming a parameter.
+    pub fn new(params: SimParams) -> Result<Self, SimError> {
+        params.validate()?;
+        let world = World::generate(&params.world)?;
+        let path = RobotPath::new(&world, &params.robot)?;
+        Ok(Self { params, world: Arc::new(world), path: Arc::new(path) })
+    }
+
+    /// What was asked for.
+    pub fn params(&self) -> &SimParams {
+        &self.params
+    }
+
+    /// The world.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// The drive.
+    pub fn path(&self) -> &RobotPath {
+        &self.path
+    }
+
+    /// The sensors as a session declares them.
+    pub fn sensors(&self) -> Vec<SensorSpec> {
+        self.params.sensors.specs()
+    }
+
+    /// Base to world at the start: a map that begins there is the world moved by the inverse.
+    pub fn t_world_start(&self) -> Pose {
+        self.path.pose_at(0.0)
+    }
+
+    /// How long the session lasts, seconds.
+    pub fn duration_s(&self) -> f64 {
+        self.params.duration_s.unwrap_or(self.params.laps as f64 * self.path.lap_duration_s())
+    }
+
+    /// Seconds after the start at `stamp`.
+    pub fn seconds_at(&self, stamp: Timestamp) -> f64 {
+        stamp.seconds_since(self.params.start_stamp)
+    }
+
+    /// Base to world at `stamp`, exact.
+    pub fn pose_at(&self, stamp: Timestamp) -> Pose {
+        self.path.pose_at(self.seconds_at(stamp))
+    }
+
+    /// Every object at `stamp`, world frame.
+    pub fn objects_at(&self, stamp: Timestamp) -> Vec<TrueObject> {
+        self.world.objects_at(self.seconds_at(stamp))
+    }
+
+    /// The true trajectory, base to world, at `rate_hz` samples a second from start to end.
+    pub fn truth(&self, rate_hz: f64) -> Vec<Stamped<Pose>> {
+        let count = if rate_hz > 0.0 { (self.duration_s() * rate_hz).floor() as u64 + 1 } else { 0 };
+        (0..count)
+            .map(|i| {
+                let stamp = self.params.start_stamp.plus_seconds(i as f64 / rate_hz);
+                Stamped { stamp, value: self.pose_at(stamp) }
+            })
+            .collect()
+    }
+
+    /// All messages in stamp order, made as they are asked for.
+    pub fn frames(&self) -> Frames {
+        let specs = self.sensors();
+        let sources = specs
+            .into_iter()
+            .map(|spec| Source {
+                rate_hz: self.params.sensors.rate_hz(spec.kind),
+                id: spec.id,
+                kind: spec.kind,
+                next: 0,
+            })
+            .collect();
+        let seed = self.params.seed;
+        Frames {
+            simulation: self.clone(),
+            sources,
+            wheels: self.params.sensors.odometry.clone().map(|p| Wheels::new(p, seed)),
+            imu: self.params.sensors.imu.clone().map(|p| Imu::new(p, seed)),
+        }
+    }
+}
+
+/// A sensor and the number of its next message.
+#[derive(Debug, Clone)]
+struct Source {
+    id: SensorId,
+    kind: SensorKind,
+    rate_hz: f64,
+    next: u64,
+}
+
+impl Source {
+    fn next_s(&self) -> f64 {
+        self.next as f64 / self.rate_hz
+    }
+}
+
+/// The messages of a simulation, in stamp order; at equal stamps in the order of the sensors.
+#[derive(Debug, Clone)]
+pub struct Frames {
+    simulation: Simulation,
+    sources: Vec<Source>,
+    wheels: Option<Wheels>,
+    imu: Option<Imu>,
+}
+
+impl Frames {
+    /// How many messages there are in all, those taken already included.
+    pub fn total(&self) -> u64 {
+        let duration = self.simulation.duration_s();
+        self.sources.iter().map(|s| (duration * s.rate_hz).ceil() as u64).sum()
+    }
+
+    fn measure(&mut self, kind: SensorKind, frame: u64, t_s: f64) -> Option<Result<SensorData, GeometryError>> {
+        let Self { simulation, wheels, imu, .. } = self;
+        let sensors = &simulation.params.sensors;
+        let scene = Scene { world: &simulation.world, path: &simulation.path, seed: simulation.params.seed };
+        match kind {
+            SensorKind::Depth | SensorKind::Rgbd => {
+                sensors.depth_camera.as_ref().map(|p| capture(p, &scene, frame, t_s))
+            }
+            SensorKind::Lidar3d => sensors.lidar3d.as_ref().map(|p| Ok(sweep(p, &scene, frame, t_s))),
+            SensorKind::Lidar2d => sensors.lidar2d.as_ref().map(|p| Ok(scan(p, &scene, frame, t_s))),
+            SensorKind::Odometry => wheels.as_mut().map(|w| Ok(w.sample(&scene, frame, t_s))),
+            SensorKind::Imu => imu.as_ref().map(|i| Ok(i.sample(&scene, frame, t_s))),
+            SensorKind::Camera => None,
+        }
+    }
+}
+
+impl Iterator for Frames {
+    type Item = SimFrame;
+
+    fn next(&mut self) -> Option<SimFrame> {
+        // `min_by` keeps the first of equals: the order of the sensors.
+        let source = self.sources.iter_mut().min_by(|a, b| a.next_s().total_cmp(&b.next_s()))?;
+        let t_s = source.next_s();
+        if t_s >= self.simulation.duration_s() {
+            return None;
+        }
+        let (sensor, kind, frame) = (source.id.clone(), source.kind, source.next);
+        source.next += 1;
+        let stamp = self.simulation.params.start_stamp.plus_seconds(t_s);
+        // Truth is that of the stamp as sent, to the nanosecond.
+        let t_s = self.simulation.seconds_at(stamp);
+        // Sizes were checked with the parameters, so that a shape can not fail to fit here.
+        let data = self.measure(kind, frame, t_s)?.ok()?;
+        Some(SimFrame { frame: SensorFrame { sensor, stamp, data }, t_world_base: self.simulation.path.pose_at(t_s) })
+    }
+}
