@@ -104,12 +104,19 @@ fn shifted(room: &percept_geometry::KeyframeScan, i: i32) -> percept_geometry::K
 #[test]
 fn nothing_that_stands_is_carved_by_looking_again_from_elsewhere() {
     // A low sensor grazes the floor: its beams end far behind the floor that they nearly touch.
+    // Dense rings as a depth camera's, and sparse ones as a lidar's of 16 rings.
+    for ring_step in [0.01, 0.035] {
+        check_that_nothing_is_lost(ring_step);
+    }
+}
+
+fn check_that_nothing_is_lost(ring_step: f64) {
     let views = |t: &Pose, half: f64| {
         let (cx, cy) = (t.translation.x, t.translation.y);
         let mut hits = Vec::new();
-        for row in -40..=20 {
+        for row in -(0.4 / ring_step) as i32..=(0.2 / ring_step) as i32 {
             for column in 0..360 {
-                let (e, a) = (f64::from(row) * 0.01 + 0.003, f64::from(column) * 0.01745);
+                let (e, a) = (f64::from(row) * ring_step + 0.003, f64::from(column) * 0.01745);
                 let d = [e.cos() * a.cos(), e.cos() * a.sin(), e.sin()];
                 let wall = |c: f64, d: f64| if d > 0.0 { (half - c) / d } else { (-half - c) / d.min(-1e-12) };
                 let mut r = wall(cx, d[0]).min(wall(cy, d[1]));
@@ -131,7 +138,7 @@ fn nothing_that_stands_is_carved_by_looking_again_from_elsewhere() {
         keeping.integrate(&t, &scan).unwrap();
     }
     let lost = keeping.len() - carving.len();
-    assert!(lost * 200 <= keeping.len(), "{lost} of {} lost", keeping.len());
+    assert!(lost * 2000 <= keeping.len(), "{ring_step}: {lost} of {} lost", keeping.len());
 }
 
 #[test]

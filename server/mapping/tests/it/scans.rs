@@ -12,6 +12,7 @@ pub(crate) fn planar(hits: &[[f32; 2]], misses: &[[f32; 2]]) -> KeyframeScan {
         t_base_sensor: Pose::identity(),
         hits: PointCloud::from_positions(lift(hits)),
         misses: lift(misses),
+        base_height_m: 0.0,
         planar: true,
     }
 }
