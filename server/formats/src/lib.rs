@@ -1,1 +1,26 @@
-//! percept-formats.
+//! Outside files and messages: bytes in, geometry types out, and back.
+//!
+//! Comes in: the bytes of point clouds, images, grids, trajectories and logs, or the path of a recording.
+//! Goes out: checked geometry types, or a [`FormatError`] that names the place and the value.
+//! Sizes are compared with [`Limits`] and with the bytes that are there before memory is taken; no input panics.
+//! No perception happens here, and only [`dataset`] and [`read_file`] touch the file system.
+//! Start with [`dataset::open`], then the codec of the format in question.
+
+pub mod carmen;
+pub mod dataset;
+mod error;
+pub mod images;
+pub mod kitti;
+mod limits;
+pub mod nav2;
+pub mod pcd;
+pub mod pgm;
+pub mod ply;
+mod text;
+pub mod trajectory;
+
+pub use dataset::{Dataset, DatasetKind};
+pub use error::{FormatError, Place};
+pub use images::{decode_color, decode_depth_png};
+pub use limits::{Limits, read_file};
+pub use nav2::GridMap;

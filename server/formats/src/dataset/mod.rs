@@ -1,0 +1,193 @@
+//! Recordings for replay: a path in, sensor frames in time order and the truth that is known out.
+//!
+//! Start with [`open`]. What is recognised:
+//! - 7-Scenes: `frame-XXXXXX.depth.png`, `.color.(png|jpg)`, `.pose.txt`, perhaps `camera-intrinsics.txt`;
+//! - TUM RGB-D: `depth.txt`, `rgb.txt`, `groundtruth.txt`;
+//! - KITTI: a folder `velodyne` of `.bin` or `.pcd`, perhaps `times*.txt`, `poses*.txt`, `calib*.txt`;
+//! - CARMEN: a `.clf` or `.log`, or a folder with one, perhaps with a corrected log and a `.relations` beside it;
+//! - PCD and PLY: a file, or a folder of them.
+//!
+//! The base of a recording looks along x: a camera's base is its optical frame turned by
+//! [`SensorSpec::optical_rotation`], a lidar's is the lidar itself.
+
+mod carmen;
+mod clouds;
+mod files;
+mod frames;
+mod kitti;
+mod rgbd;
+mod seven_scenes;
+mod stamps;
+mod tum;
+
+pub use frames::Frames;
+
+use crate::carmen::Relation;
+use crate::{FormatError, Limits};
+use files::Folder;
+use frames::Load;
+use percept_geometry::{Pose, SensorSpec, Stamped, Timestamp};
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+use std::path::Path;
+use std::sync::Arc;
+
+/// What kind of recording it is; serialised as in the report of a replay.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum DatasetKind {
+    /// 7-Scenes RGB-D.
+    #[serde(rename = "7scenes")]
+    SevenScenes,
+    /// TUM RGB-D.
+    #[serde(rename = "tum")]
+    Tum,
+    /// KITTI velodyne.
+    #[serde(rename = "kitti")]
+    Kitti,
+    /// CARMEN log of a planar laser.
+    #[serde(rename = "carmen")]
+    Carmen,
+    /// PCD or PLY clouds.
+    #[serde(rename = "clouds")]
+    Clouds,
+}
+
+impl DatasetKind {
+    /// The name as it is serialised.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::SevenScenes => "7scenes",
+            Self::Tum => "tum",
+            Self::Kitti => "kitti",
+            Self::Carmen => "carmen",
+            Self::Clouds => "clouds",
+        }
+    }
+}
+
+impl std::fmt::Display for DatasetKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// How to open a recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct OpenOptions {
+    /// Leave colour out: frames are `Depth`, and colour is neither read nor decoded.
+    pub depth_only: bool,
+    /// Largest sizes of single files.
+    pub limits: Limits,
+}
+
+/// A recording, its frames still on disk.
+#[derive(Debug, Clone)]
+pub struct Dataset {
+    /// The file's or folder's name.
+    pub name: String,
+    /// What kind it is.
+    pub kind: DatasetKind,
+    /// The sensors, the primary one first.
+    pub sensors: Vec<SensorSpec>,
+    /// t_world_base at stamps of the recording, if it is known, in order. The world is the file's own.
+    pub reference: Option<Vec<Stamped<Pose>>>,
+    /// Where the reference comes from: a file's name.
+    pub reference_source: Option<String>,
+    /// Relative poses that were checked by hand (CARMEN), at stamps of the frames.
+    pub relations: Option<Vec<Relation>>,
+    /// Stamps of the primary sensor's frames, strictly increasing.
+    stamps: Arc<[Timestamp]>,
+    /// t_odom_base beside the primary sensor, in order.
+    odometry: Arc<[Stamped<Pose>]>,
+    source: Arc<dyn Load>,
+}
+
+impl Dataset {
+    /// Frames of the primary sensor.
+    pub fn len(&self) -> usize {
+        self.stamps.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.stamps.is_empty()
+    }
+
+    /// Odometry samples beside the primary sensor.
+    pub fn num_odometry_samples(&self) -> usize {
+        self.odometry.len()
+    }
+
+    /// Stamps of the primary sensor's frames, strictly increasing.
+    pub fn stamps(&self) -> &[Timestamp] {
+        &self.stamps
+    }
+
+    /// Seconds from the first to the last frame of the primary sensor.
+    pub fn duration_s(&self) -> f64 {
+        match (self.stamps.first(), self.stamps.last()) {
+            (Some(first), Some(last)) => last.seconds_since(*first),
+            _ => 0.0,
+        }
+    }
+
+    /// The frames in order of their stamps, each read and decoded when it is asked for.
+    ///
+    /// `range` counts frames of the primary sensor and is cut to those that are there; odometry comes along
+    /// from after the frame before the range to the range's last frame. Odometry precedes a frame of the same
+    /// stamp. A frame that cannot be read is an `Err`, and the next call goes on after it.
+    pub fn frames(&self, range: Option<Range<usize>>) -> Frames {
+        Frames::new(self.source.clone(), self.stamps.clone(), self.odometry.clone(), range)
+    }
+}
+
+/// Opens a recording with default options; see [`open_with`].
+///
+/// # Errors
+/// As [`open_with`].
+pub fn open(path: &Path) -> Result<Dataset, FormatError> {
+    open_with(path, &OpenOptions::default())
+}
+
+/// Opens a recording: recognises it and reads what is small (stamps, truth, calibration; of CARMEN all).
+///
+/// A folder that is none itself, but holds folders, stands for the first of them that is one.
+///
+/// # Errors
+/// `Unrecognised`; `Io`; errors of the small files, naming them.
+pub fn open_with(path: &Path, options: &OpenOptions) -> Result<Dataset, FormatError> {
+    let metadata = std::fs::metadata(path).map_err(|e| FormatError::io(path, &e))?;
+    let found = if metadata.is_dir() { open_folder(path, options)? } else { open_file(path, options)? };
+    found.ok_or_else(|| FormatError::Unrecognised { path: path.to_owned() })
+}
+
+fn open_file(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
+    match files::extension(path).as_str() {
+        "pcd" | "ply" | "bin" => clouds::open_file(path, options).map(Some),
+        _ if carmen::is_log(path)? => carmen::open(path, None, options).map(Some),
+        _ => Ok(None),
+    }
+}
+
+fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
+    let folder = Folder::list(path)?;
+    if let Some(dataset) = open_listed(&folder, options)? {
+        return Ok(Some(dataset));
+    }
+    for child in folder.folders() {
+        if let Some(dataset) = open_listed(&Folder::list(child)?, options)? {
+            return Ok(Some(dataset));
+        }
+    }
+    Ok(None)
+}
+
+fn open_listed(folder: &Folder, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
+    let readers = [seven_scenes::open, tum::open, kitti::open, carmen::open_folder, clouds::open_folder];
+    for reader in readers {
+        if let Some(dataset) = reader(folder, options)? {
+            return Ok(Some(dataset));
+        }
+    }
+    Ok(None)
+}

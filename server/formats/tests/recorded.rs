@@ -1,0 +1,296 @@
+//! Recorded data, read and compared with what is known of it; skipped where it is absent.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use percept_formats::dataset::{OpenOptions, open, open_with};
+use percept_formats::{Dataset, DatasetKind, Limits, nav2, pcd, ply, read_file, trajectory};
+use percept_geometry::cloud::is_finite;
+use percept_geometry::{SensorData, SensorFrame, SensorKind, se3};
+use std::path::{Path, PathBuf};
+
+/// A folder of the recorded data, if it is there.
+fn recorded(name: &str) -> Option<PathBuf> {
+    let by_default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let path = std::env::var_os("PERCEPT_DATA").map_or_else(by_default, PathBuf::from).join(name);
+    if !path.exists() {
+        eprintln!("skipped: {} is absent", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+fn frames(dataset: &Dataset) -> Vec<SensorFrame> {
+    dataset.frames(None).collect::<Result<_, _>>().unwrap()
+}
+
+fn assert_increasing(dataset: &Dataset) {
+    assert!(dataset.stamps().windows(2).all(|w| w[0] < w[1]));
+}
+
+#[test]
+fn seven_scenes() {
+    let Some(path) = recorded("rgbd-7scenes-a") else { return };
+    let dataset = open(&path).unwrap();
+    assert_eq!((dataset.kind, dataset.len(), dataset.name.as_str()), (DatasetKind::SevenScenes, 200, "rgbd-7scenes-a"));
+    assert_increasing(&dataset);
+    assert!((dataset.duration_s() - 398.0 / 30.0).abs() < 1e-8);
+    let intrinsics = dataset.sensors[0].intrinsics.unwrap();
+    assert_eq!((intrinsics.width, intrinsics.fx, intrinsics.cy), (640, 585.0, 240.0));
+    let reference = dataset.reference.as_ref().unwrap();
+    assert_eq!(reference.len(), 200);
+    let path_m: f64 =
+        reference.windows(2).map(|w| (w[1].value.translation.vector - w[0].value.translation.vector).norm()).sum();
+    assert!((path_m - 2.89).abs() < 0.02, "{path_m}");
+    let chosen: Vec<SensorFrame> = dataset.frames(Some(10..13)).collect::<Result<_, _>>().unwrap();
+    assert_eq!(chosen.len(), 3);
+    assert_eq!(chosen[0].stamp, dataset.stamps()[10]);
+    let SensorData::Rgbd(depth, color) = &chosen[0].data else { panic!("rgbd expected") };
+    assert_eq!((depth.width(), color.width(), depth.height()), (640, 640, 480));
+    let valid: Vec<f32> = depth.data().iter().copied().filter(|&d| d > 0.0).collect();
+    assert!((0.75..0.94).contains(&(valid.len() as f64 / depth.data().len() as f64)));
+    assert!(valid.iter().all(|d| (0.8..3.61).contains(d)));
+    let options = OpenOptions { depth_only: true, ..OpenOptions::default() };
+    let depth_only = open_with(&path, &options).unwrap();
+    assert_eq!(depth_only.sensors[0].kind, SensorKind::Depth);
+    assert!(matches!(depth_only.frames(Some(0..1)).next().unwrap().unwrap().data, SensorData::Depth(_)));
+}
+
+/// The base looks along x: the reference warps frame 0 into frame 20 only in the right convention.
+#[test]
+fn seven_scenes_poses_fit_the_depth() {
+    let Some(path) = recorded("rgbd-7scenes-a") else { return };
+    let dataset = open(&path).unwrap();
+    let intrinsics = dataset.sensors[0].intrinsics.unwrap();
+    let depth = |i: usize| match dataset.frames(Some(i..i + 1)).next().unwrap().unwrap().data {
+        SensorData::Rgbd(depth, _) => depth,
+        other => panic!("{:?}", other.kind()),
+    };
+    let t_world_camera = |i: usize| dataset.reference.as_ref().unwrap()[i].value * dataset.sensors[0].t_base_sensor;
+    let t_20_0 = t_world_camera(20).inverse() * t_world_camera(0);
+    let (from, to) = (depth(0), depth(20));
+    let mut differences = vec![];
+    for v in (0..480).step_by(8) {
+        for u in (0..640).step_by(8).filter(|&u| from.at(u, v) > 0.0) {
+            let p = t_20_0 * (intrinsics.ray(u as f64, v as f64) * f64::from(from.at(u, v)));
+            let Some(q) = intrinsics.project(&p) else { continue };
+            if (0.0..639.0).contains(&q.x) && (0.0..479.0).contains(&q.y) {
+                let there = f64::from(to.at(q.x.round() as usize, q.y.round() as usize));
+                if there > 0.0 {
+                    differences.push((there - p.z).abs());
+                }
+            }
+        }
+    }
+    differences.sort_by(f64::total_cmp);
+    let median = differences[differences.len() / 2];
+    assert!(differences.len() > 1000 && median < 0.01, "{} {median}", differences.len());
+}
+
+#[test]
+fn kitti_pcd_with_poses_in_the_lidar_frame() {
+    let Some(path) = recorded("lidar-kitti-tracking-0000") else { return };
+    let dataset = open(&path).unwrap();
+    assert_eq!((dataset.kind, dataset.len()), (DatasetKind::Kitti, 24));
+    assert!((dataset.duration_s() - 2.3).abs() < 1e-9);
+    for frame in dataset.frames(None) {
+        let SensorData::Cloud(cloud) = frame.unwrap().data else { panic!("cloud expected") };
+        assert!((122_000..125_000).contains(&cloud.len()) && cloud.intensities.is_some());
+    }
+    let reference = dataset.reference.unwrap();
+    let end = reference[23].value.translation.vector;
+    assert!((end.norm() - 7.43).abs() < 0.1 && end.x > 7.0, "{end}");
+}
+
+#[test]
+fn kitti_bin_with_gaps_and_poses_of_the_camera() {
+    let Some(path) = recorded("lidar-kitti-odometry-00") else { return };
+    let dataset = open(&path).unwrap();
+    let clouds: Vec<usize> = frames(&dataset)
+        .into_iter()
+        .map(|f| match f.data {
+            SensorData::Cloud(cloud) => cloud.len(),
+            _ => 0,
+        })
+        .collect();
+    assert_eq!(&clouds[..3], [124_668, 124_605, 124_478]);
+    let reference = dataset.reference.as_ref().unwrap();
+    assert_eq!(reference.len(), 5);
+    let t_94_95 = reference[3].value.inverse() * reference[4].value;
+    assert!((t_94_95.translation.vector.norm() - 0.475).abs() < 0.002, "{t_94_95}");
+    assert!(t_94_95.translation.vector.x > 0.47);
+    assert!((dataset.stamps()[1].as_secs_f64() - 0.1037359).abs() < 1e-12);
+    assert!((9.0..10.5).contains(&dataset.stamps()[4].as_secs_f64()));
+}
+
+#[test]
+fn carmen_intel() {
+    let Some(path) = recorded("lidar2d-intel") else { return };
+    let dataset = open(&path).unwrap();
+    assert_eq!((dataset.kind, dataset.len()), (DatasetKind::Carmen, 13_631));
+    assert_eq!(dataset.num_odometry_samples(), 13_631 + 26_915);
+    assert_increasing(&dataset);
+    assert!((dataset.duration_s() - 2691.0).abs() < 20.0, "{}", dataset.duration_s());
+    let (mut path_m, mut last, mut stamp) = (0.0, None, None);
+    for frame in dataset.frames(None) {
+        let frame = frame.unwrap();
+        assert!(stamp.is_none_or(|s| s <= frame.stamp));
+        stamp = Some(frame.stamp);
+        match frame.data {
+            SensorData::Odometry(sample) => {
+                let p = sample.t_odom_base.translation.vector;
+                path_m += last.map_or(0.0, |q: nalgebra::Vector3<f64>| (p - q).norm());
+                last = Some(p);
+            }
+            SensorData::Scan(scan) => {
+                assert_eq!(scan.ranges_m.len(), 180);
+                assert!((scan.range_max_m - 81.83).abs() < 0.001, "{}", scan.range_max_m);
+            }
+            other => panic!("{:?}", other.kind()),
+        }
+    }
+    assert!((path_m - 509.1).abs() < 1.0, "{path_m}");
+    let relations = dataset.relations.as_ref().unwrap();
+    assert_eq!(relations.len(), 2984);
+    // The scan-matched poses agree with the checked relations where both are known: mean 0.12 m.
+    let reference = dataset.reference.as_ref().unwrap();
+    assert!(reference.len() > 850, "{}", reference.len());
+    let at = |stamp| reference.binary_search_by_key(&stamp, |p| p.stamp).ok().map(|i| reference[i].value);
+    let errors: Vec<f64> = relations
+        .iter()
+        .filter_map(|r| {
+            let t_1_2 = at(r.stamp_1)?.inverse() * at(r.stamp_2)?;
+            Some(se3::log(&(r.t_1_2.inverse() * t_1_2)).fixed_rows::<3>(0).norm())
+        })
+        .collect();
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    assert!(errors.len() > 50 && mean < 0.15, "{} {mean}", errors.len());
+}
+
+#[test]
+fn carmen_csail_and_corrected_logs() {
+    if let Some(path) = recorded("lidar2d-csail") {
+        let dataset = open(&path).unwrap();
+        assert_eq!((dataset.len(), dataset.num_odometry_samples()), (1988, 1988));
+        assert_increasing(&dataset);
+        assert!((dataset.duration_s() - 424.0).abs() < 1.0, "{}", dataset.duration_s());
+        let SensorData::Scan(scan) = dataset.frames(Some(0..1)).nth(1).unwrap().unwrap().data else { panic!() };
+        assert_eq!(scan.ranges_m.len(), 361);
+        assert!((scan.angle(360) - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        assert!(dataset.reference.as_ref().unwrap().len() > 350, "{:?}", dataset.reference.map(|r| r.len()));
+    }
+    let Some(path) = recorded("lidar2d-corrected") else { return };
+    for (file, len, beams) in [("freiburg-101-corrected.log", 292, 360), ("orebro-corrected.log", 237, 181)] {
+        let dataset = open(&path.join(file)).unwrap();
+        assert_eq!((dataset.len(), dataset.num_odometry_samples(), dataset.sensors.len()), (len, 0, 1));
+        assert_increasing(&dataset);
+        assert_eq!(dataset.reference.as_ref().unwrap().len(), len);
+        let mut num_free = 0;
+        for frame in dataset.frames(None) {
+            let SensorData::Scan(scan) = frame.unwrap().data else { panic!() };
+            assert_eq!(scan.ranges_m.len(), beams);
+            num_free += scan.ranges_m.iter().filter(|r| r.is_infinite()).count();
+            assert!(scan.ranges_m.iter().all(|&r| r.is_infinite() || r < 81.0));
+        }
+        assert!(num_free > 400, "{file} {num_free}");
+    }
+}
+
+#[test]
+fn labelled_clouds() {
+    let Some(path) = recorded("cloud-osd-labelled") else { return };
+    for file in ["learn0.pcd", "learn40.pcd"] {
+        let pcd = pcd::decode(&read_file(&path.join(file), &Limits::default()).unwrap(), &Limits::default()).unwrap();
+        assert_eq!((pcd.width, pcd.height, pcd.cloud.len()), (640, 480, 307_200));
+        let labels = pcd.labels.unwrap();
+        let valid = pcd.cloud.positions.iter().filter(|p| is_finite(p)).count();
+        assert!((172_000..=209_500).contains(&valid), "{file} {valid}");
+        for (p, &label) in pcd.cloud.positions.iter().zip(&labels) {
+            assert_eq!(is_finite(p), label != 0);
+        }
+        let mut objects: Vec<u32> = labels.iter().filter(|&&l| l >= 20).map(|l| l / 10).collect();
+        objects.sort_unstable();
+        objects.dedup();
+        assert_eq!(objects.len(), if file == "learn40.pcd" { 3 } else { 2 });
+        assert!(pcd.cloud.colors.unwrap().iter().any(|c| c[0] != c[2]));
+    }
+    let dataset = open(&path).unwrap();
+    assert_eq!((dataset.kind, dataset.len()), (DatasetKind::Clouds, 6));
+}
+
+#[test]
+fn clouds_of_every_version_and_encoding() {
+    let Some(path) = recorded("cloud-pcl") else { return };
+    for (file, points) in [("bun0.pcd", 397), ("bun4.pcd", 361), ("cturtle.pcd", 167_198), ("milk.pcd", 12_575)] {
+        let bytes = read_file(&path.join(file), &Limits::default()).unwrap();
+        let pcd = pcd::decode(&bytes, &Limits::default()).unwrap();
+        assert_eq!(pcd.cloud.len(), points, "{file}");
+        assert_eq!(pcd.cloud.normals.is_some(), file == "bun0.pcd");
+        assert_eq!(pcd.cloud.intensities.is_some(), file == "cturtle.pcd");
+        assert_eq!(pcd.cloud.colors.is_some(), file == "milk.pcd");
+        for end in [0, 1, 100, bytes.len() / 2] {
+            assert!(pcd::decode(&bytes[..end], &Limits::default()).is_err(), "{file} cut at {end}");
+        }
+    }
+    let dataset = open(&path).unwrap();
+    assert_eq!(dataset.len(), 17);
+    for frame in dataset.frames(None) {
+        let SensorData::Cloud(cloud) = frame.unwrap().data else { panic!() };
+        assert!(cloud.len() > 300 && cloud.positions.iter().all(is_finite));
+        cloud.validate().unwrap();
+    }
+}
+
+#[test]
+fn ply_of_a_lidar() {
+    let Some(path) = recorded("registration-small-gicp") else { return };
+    for (file, points) in [("source.ply", 69_792), ("target.ply", 69_088)] {
+        let cloud = ply::decode(&read_file(&path.join(file), &Limits::default()).unwrap(), &Limits::default()).unwrap();
+        assert_eq!(cloud.len(), points);
+        assert!(cloud.intensities.is_some() && cloud.positions.iter().all(is_finite));
+    }
+    assert_eq!(open(&path).unwrap().len(), 2);
+}
+
+#[test]
+fn maps_of_nav2() {
+    let Some(path) = recorded("planning-ros-maps") else { return };
+    for file in ["depot.yaml", "depot_keepout.yaml", "tb3_sandbox.yaml"] {
+        let map = nav2::read(&path.join(file), &Limits::default()).unwrap();
+        assert_eq!(map.cells.len(), map.width * map.height);
+        for value in [0, 100] {
+            assert!(map.cells.iter().filter(|&&c| c == value).count() > 100, "{file} {value}");
+        }
+        assert_eq!(map.geometry.resolution_m, 0.05);
+    }
+}
+
+#[test]
+fn trajectories() {
+    let Some(path) = recorded("trajectory-evo") else { return };
+    let read = |file: &str| trajectory::parse_tum(&read_file(&path.join(file), &Limits::default()).unwrap()).unwrap();
+    for file in ["V102.txt", "fr2_desk_ORB.txt", "fr2_desk_groundtruth.txt", "freiburg1_xyz-groundtruth.txt"] {
+        assert!(read(file).len() > 100, "{file}");
+    }
+    assert_eq!(read("V102.txt")[0].stamp.0, 1_403_715_529_112_143_517);
+    let Some(path) = recorded("rgbd-open3d-redwood/trajectory.log") else { return };
+    assert_eq!(trajectory::parse_redwood(&read_file(&path, &Limits::default()).unwrap()).unwrap().len(), 5);
+}
+
+/// Prints what decoding costs: `cargo test --release -p percept-formats --test recorded -- --ignored --nocapture`.
+#[test]
+#[ignore = "prints times"]
+fn times() {
+    for (name, range) in [("rgbd-7scenes-a", 0..50), ("lidar-kitti-tracking-0000", 0..24), ("cloud-pcl", 2..7)] {
+        let Some(path) = recorded(name) else { continue };
+        for depth_only in [false, true] {
+            let dataset = open_with(&path, &OpenOptions { depth_only, ..OpenOptions::default() }).unwrap();
+            let start = std::time::Instant::now();
+            assert_eq!(dataset.frames(Some(range.clone())).filter(|f| f.is_ok()).count(), range.len());
+            let each_ms = start.elapsed().as_secs_f64() * 1e3 / range.len() as f64;
+            println!("{name}: {each_ms:.2} ms a frame, depth_only {depth_only}");
+        }
+    }
+    let Some(path) = recorded("lidar2d-intel") else { return };
+    let start = std::time::Instant::now();
+    let dataset = open(&path).unwrap();
+    println!("lidar2d-intel: opened in {:?}, reference {}", start.elapsed(), dataset.reference.unwrap().len());
+}
