@@ -1,6 +1,6 @@
 //! Why a map could not do what was asked.
 
-use percept_geometry::{GeometryError, KeyframeId, Pose};
+use percept_geometry::{GeometryError, KeyframeId, KeyframeScan, Pose};
 
 /// Facts about a refused request; the map is as it was before.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -15,8 +15,8 @@ pub enum MappingError {
         /// What to set instead.
         remedy: &'static str,
     },
-    /// A pose has a NaN or infinite number.
-    #[error("t_map_base is not finite")]
+    /// A pose (of base in the map, or of the sensor in base) has a NaN or infinite number.
+    #[error("pose is not finite")]
     PoseNotFinite,
     /// A keyframe of this number is in the map already.
     #[error("keyframe {} is in the map already", .id.0)]
@@ -24,7 +24,7 @@ pub enum MappingError {
         /// The number.
         id: KeyframeId,
     },
-    /// A scan's channels do not fit its points.
+    /// A scan's channels do not fit its points, or its height is not finite.
     #[error(transparent)]
     Scan(#[from] GeometryError),
     /// A dense grid of this size was asked for.
@@ -73,4 +73,14 @@ pub(crate) fn check(
 pub(crate) fn check_pose(pose: &Pose) -> Result<(), MappingError> {
     let finite = pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|v| v.is_finite());
     if finite { Ok(()) } else { Err(MappingError::PoseNotFinite) }
+}
+
+/// Refuses a keyframe that no layer can take.
+pub(crate) fn check_keyframe(t_map_base: &Pose, scan: &KeyframeScan) -> Result<(), MappingError> {
+    check_pose(t_map_base)?;
+    check_pose(&scan.t_base_sensor)?;
+    scan.hits.validate()?;
+    let value = scan.base_height_m;
+    let bad = GeometryError::OutOfRange { field: "base_height_m", value, requirement: "finite" };
+    if value.is_finite() { Ok(()) } else { Err(bad.into()) }
 }

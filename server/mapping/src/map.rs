@@ -1,6 +1,6 @@
 //! The map of one session: keyframes where they are believed to be, and the layers built from them.
 
-use crate::error::check_pose;
+use crate::error::{check_keyframe, check_pose};
 use crate::occupancy::ScanUpdate;
 use crate::{CloudParams, FusedCloud, MappingError, OccupancyGrid, OccupancyParams, cloud::CloudUpdate};
 use percept_geometry::{Correction, KeyframeId, KeyframeScan, Pose};
@@ -106,9 +106,7 @@ impl Map {
     /// # Errors
     /// `DuplicateKeyframe`, `PoseNotFinite`, `Scan`; the map is unchanged then.
     pub fn insert(&mut self, id: KeyframeId, t_map_base: Pose, scan: Arc<KeyframeScan>) -> Result<(), MappingError> {
-        check_pose(&t_map_base)?;
-        check_pose(&scan.t_base_sensor)?;
-        scan.hits.validate()?;
+        check_keyframe(&t_map_base, &scan)?;
         if self.keyframes.contains_key(&id) {
             return Err(MappingError::DuplicateKeyframe { id });
         }

@@ -4,7 +4,7 @@ use super::range_image::RangeImage;
 use super::update::{BLOCK, BlockKey, VoxelMean, corner};
 use super::{CloudParams, CloudUpdate};
 use crate::MappingError;
-use crate::error::check_pose;
+use crate::error::check_keyframe;
 use nalgebra::Point3;
 use percept_geometry::{Aabb3, KeyframeScan, PointCloud, Pose};
 use rayon::prelude::*;
@@ -47,11 +47,9 @@ impl FusedCloud {
     /// Adds what a keyframe saw from `t_map_base`.
     ///
     /// # Errors
-    /// `PoseNotFinite`; `Scan` if the colours are not one a point.
+    /// `PoseNotFinite`; `Scan` if the colours are not one a point or the height is not finite.
     pub fn integrate(&mut self, t_map_base: &Pose, scan: &KeyframeScan) -> Result<(), MappingError> {
-        check_pose(t_map_base)?;
-        check_pose(&scan.t_base_sensor)?;
-        scan.hits.validate()?;
+        check_keyframe(t_map_base, scan)?;
         self.apply(&CloudUpdate::new(&self.params, t_map_base, scan));
         Ok(())
     }

@@ -3,7 +3,7 @@
 use super::update::Mark;
 use super::{DenseGrid, OccupancyParams, ScanUpdate};
 use crate::MappingError;
-use crate::error::check_pose;
+use crate::error::check_keyframe;
 use nalgebra::Point2;
 use percept_geometry::{Cell, GridGeometry, KeyframeScan, Pose};
 use std::collections::BTreeMap;
@@ -73,10 +73,9 @@ impl OccupancyGrid {
     /// Adds what a keyframe saw from `t_map_base`: see [`ScanUpdate::new`].
     ///
     /// # Errors
-    /// `PoseNotFinite`.
+    /// `PoseNotFinite`; `Scan` if the channels do not fit the points or the height is not finite.
     pub fn integrate(&mut self, t_map_base: &Pose, scan: &KeyframeScan) -> Result<(), MappingError> {
-        check_pose(t_map_base)?;
-        check_pose(&scan.t_base_sensor)?;
+        check_keyframe(t_map_base, scan)?;
         let update = ScanUpdate::new(&self.params, &self.geometry, t_map_base, scan);
         self.apply(&update);
         Ok(())

@@ -24,9 +24,9 @@ pub struct OccupancyParams {
     pub range_min_m: f64,
     /// Returns beyond this only free the cells up to it, metres; at most 1000 cells.
     pub range_max_m: f64,
-    /// Returns lower than this above base are floor: they free, and mark nothing, metres. Not for planar scans.
+    /// Returns lower than this above the floor are floor: they free, and mark nothing, metres. Not for planar scans.
     pub band_min_m: f64,
-    /// Returns higher than this above base pass over the robot: they say nothing, metres. Not for planar scans.
+    /// Returns higher than this above the floor pass over the robot: they say nothing, metres. Not for planar scans.
     pub band_max_m: f64,
 }
 

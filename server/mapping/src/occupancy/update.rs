@@ -35,7 +35,7 @@ impl ScanUpdate {
     /// The marks of a scan taken at `t_map_base`.
     ///
     /// **Planar scans**: each return within `range_max_m` marks its own end and frees the cells before it; misses
-    /// and returns beyond only free. **Others**: heights are taken along the map's z, from base. Returns in the
+    /// and returns beyond only free. **Others**: heights are taken along the map's z, from the floor under base. Returns in the
     /// band mark their ends. In each azimuth column seen from the sensor, the cells up to the nearest of them are
     /// free, or without one, up to the farthest floor return, far return or end of a miss (each only as far as its
     /// beam stays in the band). Points that are not finite, or beyond the range of the indices, say nothing.
@@ -49,7 +49,7 @@ impl ScanUpdate {
         let Some(min) = min else { return Self { min: Cell::new(0, 0), width: 0, marks: Vec::new() } };
         let width = 2 * half as usize + 1;
         let mut update = Self { min, width, marks: vec![Mark::Unseen; width * width] };
-        let frame = Frame { params, geometry, sensor, base_z: t_map_base.translation.vector.z };
+        let frame = Frame { params, geometry, sensor, floor_z: t_map_base.translation.vector.z - scan.base_height_m };
         let in_map = |p: &Point3<f32>| t_map_base * p.cast::<f64>();
         if scan.planar {
             frame.mark_beams(&mut update, &scan.hits.positions, &scan.misses, in_map);
@@ -77,7 +77,7 @@ struct Frame<'a> {
     params: &'a OccupancyParams,
     geometry: &'a GridGeometry,
     sensor: Point3<f64>,
-    base_z: f64,
+    floor_z: f64,
 }
 
 /// What is known of an azimuth column: ends relative to the sensor (m) and their horizontal ranges.
@@ -146,7 +146,7 @@ impl Frame<'_> {
 
     fn read_return(&self, update: &mut ScanUpdate, columns: &mut [Column], p: &Point3<f64>) {
         let range = (p.xy() - self.sensor.xy()).norm();
-        let height = p.z - self.base_z;
+        let height = p.z - self.floor_z;
         let usable = range >= self.params.range_min_m && range.is_finite() && height.is_finite();
         if !usable || height > self.params.band_max_m && range <= self.params.range_max_m {
             return;
@@ -164,7 +164,7 @@ impl Frame<'_> {
     /// A beam that met nothing in the band on its way to `end`: free as far as it is over the floor and below the
     /// band's top.
     fn read_free(&self, columns: &mut [Column], end: &Point3<f64>) {
-        let (h0, h1) = (self.sensor.z - self.base_z, end.z - self.base_z);
+        let (h0, h1) = (self.sensor.z - self.floor_z, end.z - self.floor_z);
         let (bottom, top) = (self.params.band_min_m - DROP_M, self.params.band_max_m);
         let share = match h1 {
             h if h > top => ((top - h0).max(0.0) / (h1 - h0)).max(0.0),

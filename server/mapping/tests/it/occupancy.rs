@@ -1,7 +1,7 @@
 use crate::scans::{planar, room, spatial};
 use nalgebra::{Point2, Point3};
 use percept_geometry::grid::walk;
-use percept_geometry::{Cell, GridGeometry, Pose, se3};
+use percept_geometry::{Cell, GridGeometry, KeyframeScan, Pose, se3};
 use percept_mapping::{DenseGrid, MappingError, OccupancyGrid, OccupancyParams};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -129,6 +129,19 @@ fn the_band_follows_gravity_when_the_robot_tilts() {
     let dense = grid.dense(1_000_000).unwrap();
     assert!(dense.cells.iter().all(|v| *v < 50), "the floor is no obstacle");
     assert!(grid.log_odds(Cell::new(40, 0)).unwrap() < 0.0);
+}
+
+#[test]
+fn the_band_is_measured_from_the_floor_where_base_is_a_camera_held_above_it() {
+    let in_base = |above_floor: f32, x| Point3::new(x, 0.05, above_floor - 1.4);
+    let hits = vec![in_base(0.02, 2.05), in_base(0.3, 4.05), in_base(2.2, 3.05)];
+    let scan = KeyframeScan { base_height_m: 1.4, ..spatial(0.0, hits) };
+    let mut grid = grid();
+    grid.integrate(&se3::from_xy_yaw(0.0, 0.0, 0.0), &scan).unwrap();
+    assert!(grid.log_odds(Cell::new(40, 0)).unwrap() > 0.0, "0.3 m above the floor");
+    assert!((0..40).all(|x| grid.log_odds(Cell::new(x, 0)).unwrap() < 0.0), "floor and what hangs above");
+    let unknown_height = KeyframeScan { base_height_m: f64::NAN, ..scan };
+    assert!(matches!(grid.integrate(&Pose::identity(), &unknown_height), Err(MappingError::Scan(_))));
 }
 
 #[test]
