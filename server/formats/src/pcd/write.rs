@@ -4,7 +4,7 @@ use crate::FormatError;
 use percept_geometry::PointCloud;
 use std::io::Write;
 
-/// Bytes of a binary PCD file; see [`write`].
+/// Bytes of a binary PCD file; see [`write()`].
 ///
 /// # Errors
 /// `Geometry` if a channel has another length than the positions.

@@ -5,7 +5,7 @@ use crate::FormatError;
 use percept_geometry::PointCloud;
 use std::io::Write;
 
-/// Bytes of a PLY file; see [`write`].
+/// Bytes of a PLY file; see [`write()`].
 ///
 /// # Errors
 /// `Geometry` if a channel has another length than the positions.
