@@ -18,6 +18,8 @@ pub struct KeyframeScan {
     pub sensor: SensorId,
     /// Where the beams start: the sensor in base.
     pub t_base_sensor: Pose,
+    /// Height of base's origin above the floor, along gravity, metres: 0 for a base on the floor.
+    pub base_height_m: f64,
     /// Ends of the beams that returned, in base, metres; colours where the sensor has them.
     pub hits: PointCloud,
     /// Points in base up to which beams without a return saw free space (at most the map's beam range).

@@ -84,7 +84,7 @@ impl Aabb3 {
 }
 
 /// A box with a pose: `t_frame_box` maps box coordinates (origin at the centre, axes along the edges).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct OrientedBox3 {
     /// Box to its surrounding frame.
     pub t_frame_box: Pose,

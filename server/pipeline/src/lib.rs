@@ -1,1 +1,21 @@
-//! percept-pipeline.
+//! Everything for one robot: sensor frames in, an immutable [`Snapshot`] out.
+//!
+//! One writer, no clock, no files, no sockets: time comes with the frames, parallelism from the rayon pool
+//! that the caller runs it in. Start with [`Pipeline::process`].
+
+mod chunks;
+mod frame_error;
+mod level;
+mod odometry_prior;
+mod params;
+mod pipeline;
+mod sensors;
+mod snapshot;
+mod visibility;
+
+pub use chunks::Chunks;
+pub use frame_error::FrameError;
+pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
+pub use pipeline::{FrameReport, NewKeyframe, Pipeline, Restored, RestoredKeyframe};
+pub use sensors::check_frame;
+pub use snapshot::{KeyframeInfo, PoseEstimate, Snapshot, TrajectoryEntry};

@@ -64,7 +64,7 @@ pub enum ObjectState {
 }
 
 /// A tracked thing in the map frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Object {
     /// Identity.
     pub id: ObjectId,

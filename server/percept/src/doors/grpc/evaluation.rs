@@ -1,0 +1,28 @@
+//! `EvaluationService`.
+
+use super::{Answer, Api, check_size, status};
+use percept_wire::{convert::evaluation, v1};
+use tonic::{Request, Response};
+
+#[tonic::async_trait]
+impl v1::evaluation_service_server::EvaluationService for Api {
+    async fn evaluate_trajectory(
+        &self,
+        r: Request<v1::EvaluateTrajectoryRequest>,
+    ) -> Answer<v1::EvaluateTrajectoryResponse> {
+        check_size(r.get_ref(), self)?;
+        let comparison = evaluation::comparison(r.get_ref()).map_err(status::grpc)?;
+        let score = self.service.evaluate_trajectory(comparison).await.map_err(status::grpc)?;
+        Ok(Response::new(v1::EvaluateTrajectoryResponse { metrics: Some(evaluation::score_to(&score)) }))
+    }
+
+    async fn evaluate_detections(
+        &self,
+        r: Request<v1::EvaluateDetectionsRequest>,
+    ) -> Answer<v1::EvaluateDetectionsResponse> {
+        check_size(r.get_ref(), self)?;
+        let (truth, found) = evaluation::boxes(r.get_ref()).map_err(status::grpc)?;
+        let score = self.service.evaluate_detections(truth, found, r.get_ref().min_iou).await.map_err(status::grpc)?;
+        Ok(Response::new(v1::EvaluateDetectionsResponse { metrics: Some(evaluation::detection_to(&score)) }))
+    }
+}

@@ -1,0 +1,86 @@
+//! The tree of all parameters of a session.
+
+use percept_mapping::MapParams;
+use percept_perception::detection::DetectionParams;
+use percept_planning::PlanParams;
+use percept_scene::{RelationParams, TrackerParams};
+use percept_slam::OdometryParams;
+use serde::{Deserialize, Serialize};
+
+/// A parameter outside its bounds: what each crate's `validate` said, with the path to the field.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{section}: {message}")]
+pub struct ParamsError {
+    /// Section of the tree, e.g. `map`.
+    pub section: &'static str,
+    /// Field, value, remedy.
+    pub message: String,
+}
+
+/// How poses are found.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SlamParams {
+    /// Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd, depth).
+    pub pose_sensor: String,
+    /// Registration of frames, and when one becomes a keyframe.
+    pub odometry: OdometryParams,
+}
+
+/// What is looked for, and where.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DetectionSettings {
+    /// Whether objects are looked for at all.
+    pub enabled: bool,
+    /// The map around the robot is searched up to this distance, metres, 1 to 50.
+    pub range_m: f64,
+    /// How objects are proposed, boxed and classified.
+    pub detector: DetectionParams,
+}
+
+impl Default for DetectionSettings {
+    fn default() -> Self {
+        Self { enabled: true, range_m: 6.0, detector: DetectionParams::default() }
+    }
+}
+
+/// Every parameter of a session.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PipelineParams {
+    /// Poses.
+    pub slam: SlamParams,
+    /// Map layers.
+    pub map: MapParams,
+    /// Objects.
+    pub detection: DetectionSettings,
+    /// Identity of objects through time.
+    pub tracker: TrackerParams,
+    /// Relations of the scene graph.
+    pub relations: RelationParams,
+    /// Paths.
+    pub planning: PlanParams,
+}
+
+impl PipelineParams {
+    /// Checks every parameter against its bounds.
+    ///
+    /// # Errors
+    /// The first that is out of bounds.
+    pub fn validate(&self) -> Result<(), ParamsError> {
+        fn named<E: std::fmt::Display>(section: &'static str) -> impl Fn(E) -> ParamsError {
+            move |e| ParamsError { section, message: e.to_string() }
+        }
+        self.slam.odometry.validate().map_err(named("slam.odometry"))?;
+        self.map.validate().map_err(named("map"))?;
+        self.detection.detector.validate().map_err(named("detection.detector"))?;
+        if !(1.0..=50.0).contains(&self.detection.range_m) {
+            let message = format!("range_m is {}; set it between 1 and 50", self.detection.range_m);
+            return Err(ParamsError { section: "detection", message });
+        }
+        self.tracker.validate().map_err(named("tracker"))?;
+        self.relations.validate().map_err(named("relations"))?;
+        self.planning.validate().map_err(named("planning"))
+    }
+}

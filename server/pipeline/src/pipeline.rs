@@ -1,0 +1,418 @@
+//! One robot's state and the path of a frame through it.
+
+use crate::level::level;
+use crate::odometry_prior::OdometryBuffer;
+use crate::sensors::{Sensors, scan_of};
+use crate::visibility::RangeImage;
+use crate::{Chunks, FrameError, KeyframeInfo, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
+use percept_geometry::{
+    Correction, KeyframeId, KeyframeScan, Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp,
+    se3,
+};
+use percept_mapping::Map;
+use percept_perception::detection::Detector;
+use percept_scene::{Object, ObjectChange, Observation, Tracker};
+use percept_slam::{KeyframePolicy, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState, keyframe};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// What a frame did.
+#[derive(Debug, Clone)]
+pub struct FrameReport {
+    /// Pose after it; none for sensors that do not move the pose.
+    pub pose: Option<PoseEstimate>,
+    /// Set if the frame was added to the trajectory.
+    pub trajectory: Option<TrajectoryEntry>,
+    /// Set if it became a keyframe.
+    pub keyframe: Option<NewKeyframe>,
+    /// What it changed about objects.
+    pub changes: Vec<ObjectChange>,
+}
+
+/// A keyframe as it is stored.
+#[derive(Debug, Clone)]
+pub struct NewKeyframe {
+    /// Number, stamp, sensor, pose in the map.
+    pub info: KeyframeInfo,
+    /// Base to odom at the keyframe.
+    pub t_odom_base: Pose,
+    /// What it saw.
+    pub scan: Arc<KeyframeScan>,
+}
+
+/// A keyframe as it was stored.
+#[derive(Debug, Clone)]
+pub struct RestoredKeyframe {
+    /// Base to map, corrected.
+    pub t_map_base: Pose,
+    /// Base to odom at the keyframe.
+    pub t_odom_base: Pose,
+    /// What it saw.
+    pub scan: Arc<KeyframeScan>,
+}
+
+/// A session as it was stored.
+#[derive(Debug, Clone, Default)]
+pub struct Restored {
+    /// Keyframes from number 0 on.
+    pub keyframes: Vec<RestoredKeyframe>,
+    /// Registered frames, oldest first.
+    pub trajectory: Vec<TrajectoryEntry>,
+    /// Objects, those gone included.
+    pub objects: Vec<Object>,
+    /// Number that the next object gets.
+    pub next_object_id: u64,
+    /// Newest accepted stamp of each sensor, its own clock.
+    pub last_stamps: BTreeMap<SensorId, Timestamp>,
+}
+
+/// One robot's SLAM, maps, objects. A single writer; readers use [`Pipeline::snapshot`].
+pub struct Pipeline {
+    params: Arc<PipelineParams>,
+    sensors: Sensors,
+    wheel: OdometryBuffer,
+    odometry: Option<Odometry>,
+    keyframe_policies: BTreeMap<SensorId, KeyframePolicy>,
+    map: Map,
+    detector: Detector,
+    tracker: Tracker,
+    /// Odom to map: found level at the first keyframe, moved by corrections.
+    t_map_odom: Pose,
+    pose: Option<PoseEstimate>,
+    last_registered: Option<Timestamp>,
+    trajectory: Chunks<TrajectoryEntry>,
+    keyframes: Arc<Vec<KeyframeInfo>>,
+    objects: Arc<Vec<Object>>,
+    /// Height of base above the floor, found with the level.
+    base_height_m: f64,
+    /// Odom pose of the newest keyframe: corrections are seen relative to it.
+    newest_keyframe_t_odom_base: Pose,
+}
+
+impl Pipeline {
+    /// An empty session.
+    ///
+    /// # Errors
+    /// A parameter out of bounds.
+    pub fn new(params: PipelineParams) -> Result<Self, ParamsError> {
+        params.validate()?;
+        Ok(Self {
+            sensors: Sensors::default(),
+            wheel: OdometryBuffer::default(),
+            odometry: None,
+            keyframe_policies: BTreeMap::new(),
+            map: Map::new(params.map).map_err(|e| failed("map", e))?,
+            detector: Detector::new(params.detection.detector.clone()).map_err(|e| failed("detection.detector", e))?,
+            tracker: Tracker::new(params.tracker.clone()).map_err(|e| failed("tracker", e))?,
+            base_height_m: 0.0,
+            params: Arc::new(params),
+            t_map_odom: Pose::identity(),
+            pose: None,
+            last_registered: None,
+            trajectory: Chunks::default(),
+            keyframes: Arc::default(),
+            objects: Arc::default(),
+            newest_keyframe_t_odom_base: Pose::identity(),
+        })
+    }
+
+    /// Adds a sensor, or replaces its declaration.
+    pub fn declare_sensor(&mut self, spec: SensorSpec) {
+        self.sensors.declare(spec);
+    }
+
+    /// Brings back what was stored; sensors must be declared before.
+    pub fn restore(&mut self, restored: Restored) {
+        for (id, stamp) in &restored.last_stamps {
+            self.sensors.set_last_stamp(id, *stamp);
+        }
+        let mut infos = Vec::with_capacity(restored.keyframes.len());
+        for (i, k) in restored.keyframes.iter().enumerate() {
+            let id = KeyframeId(i as u64);
+            self.insert(id, k.t_map_base, &k.scan);
+            infos.push(KeyframeInfo {
+                id,
+                stamp: k.scan.stamp,
+                sensor: k.scan.sensor.clone(),
+                t_map_base: k.t_map_base,
+                num_points: k.scan.hits.len(),
+            });
+            self.policy(&k.scan.sensor).resume(&k.t_odom_base);
+            self.base_height_m = k.scan.base_height_m;
+        }
+        self.keyframes = Arc::new(infos);
+        restored.trajectory.iter().for_each(|e| self.trajectory.push(*e));
+        if let Ok(tracker) = Tracker::restore(self.params.tracker.clone(), &restored.objects, restored.next_object_id) {
+            self.tracker = tracker;
+        }
+        self.objects = Arc::new(self.tracker.objects());
+        self.restore_odometry(&restored);
+    }
+
+    /// Takes up odometry where the trajectory ends, with the last keyframes as the local model.
+    fn restore_odometry(&mut self, restored: &Restored) {
+        let (Some(newest), Some(entry)) = (restored.keyframes.last(), restored.trajectory.last()) else { return };
+        self.newest_keyframe_t_odom_base = newest.t_odom_base;
+        self.t_map_odom = newest.t_map_base * newest.t_odom_base.inverse();
+        let Some(anchor) = restored.keyframes.get(entry.anchor.0 as usize) else { return };
+        // The trajectory hangs on keyframes of the sensor that moves the pose.
+        let sensor = anchor.scan.sensor.clone();
+        let t_odom_base = anchor.t_odom_base * entry.t_anchor_base;
+        let of_sensor = restored.keyframes.iter().filter(|k| k.scan.sensor == sensor);
+        let mut recent: Vec<_> = of_sensor.rev().take(20).map(|k| (k.t_odom_base, Arc::clone(&k.scan))).collect();
+        recent.reverse();
+        let Some(spec) = self.sensors.spec(&sensor).cloned() else { return };
+        let Some(kind) = odometry_kind(spec.kind) else { return };
+        let mut odometry = Odometry::new(kind, self.params.slam.odometry.clone());
+        odometry.seed(&t_odom_base, &recent, entry.stamp);
+        self.odometry = Some(odometry);
+        self.last_registered = Some(entry.stamp);
+        self.sensors.set_pose_sensor(sensor);
+        self.pose = Some(PoseEstimate {
+            stamp: entry.stamp,
+            state: TrackingState::Initialising,
+            t_map_base: anchor.t_map_base * entry.t_anchor_base,
+            t_odom_base,
+            covariance: percept_geometry::Covariance6::identity() * 1e-2,
+            inlier_ratio: 0.0,
+            rmse_m: 0.0,
+            degenerate_axes: [false; 6],
+            map_version: self.map.layers().version,
+        });
+    }
+
+    /// Takes one frame in. Parallel work runs on the current rayon pool.
+    ///
+    /// # Errors
+    /// Bad input, by variant; nothing was changed.
+    pub fn process(&mut self, frame: &SensorFrame) -> Result<FrameReport, FrameError> {
+        let (spec, stamp) = self.sensors.admit(frame)?;
+        let nothing = FrameReport { pose: None, trajectory: None, keyframe: None, changes: vec![] };
+        if let SensorData::Odometry(sample) = &frame.data {
+            self.wheel.push(stamp, sample);
+            return Ok(nothing);
+        }
+        let Some(scan) = scan_of(&spec, &frame.data) else { return Ok(nothing) };
+        if self.sensors.is_pose_sensor(&frame.sensor, &self.params.slam.pose_sensor, stamp) {
+            Ok(self.register(&spec, stamp, &scan))
+        } else {
+            Ok(self.map_only(&spec, stamp, &scan).unwrap_or(nothing))
+        }
+    }
+
+    /// A frame that moves the pose.
+    fn register(&mut self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan) -> FrameReport {
+        let prior = self.last_registered.and_then(|last| self.wheel.between(last, stamp));
+        let kind = match scan {
+            Scan::Depth(_) => OdometryKind::Rgbd,
+            Scan::Cloud(_) => OdometryKind::Lidar3d,
+            Scan::Planar(_) => OdometryKind::Lidar2d,
+        };
+        let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.slam.odometry.clone()));
+        let estimate = odometry.register(stamp, scan, prior.as_ref());
+        self.last_registered = Some(stamp);
+        // A restart after a loss is a guess of where the robot is: it does not enter the map.
+        let first = self.trajectory.is_empty() && estimate.state == TrackingState::Initialising;
+        let tracked = first || estimate.state.is_tracking();
+        let t_odom_base = estimate.t_odom_base;
+        let keyframe = (tracked && self.policy(&spec.id).consider(&t_odom_base))
+            .then(|| self.add_keyframe(spec, stamp, scan, t_odom_base));
+        let changes = keyframe.as_ref().map(|k| self.observe(k)).unwrap_or_default();
+        let pose = self.pose_of(stamp, &estimate);
+        self.pose = Some(pose.clone());
+        let trajectory = self.extend_trajectory(stamp, tracked, &pose.t_map_base, keyframe.as_ref());
+        FrameReport { pose: Some(pose), trajectory, keyframe, changes }
+    }
+
+    fn pose_of(&self, stamp: Timestamp, estimate: &OdometryEstimate) -> PoseEstimate {
+        PoseEstimate {
+            stamp,
+            state: estimate.state,
+            t_map_base: self.t_map_odom * estimate.t_odom_base,
+            t_odom_base: estimate.t_odom_base,
+            covariance: estimate.covariance,
+            inlier_ratio: estimate.inlier_ratio,
+            rmse_m: estimate.rmse_m,
+            degenerate_axes: estimate.degenerate_axes,
+            map_version: self.map.layers().version,
+        }
+    }
+
+    /// A frame of another sensor: seen from where the pose sensor says the robot is, it adds to the map.
+    fn map_only(&mut self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan) -> Option<FrameReport> {
+        let pose = self.pose.as_ref().filter(|p| !p.state.is_lost())?;
+        // Too long after the last pose the robot may be anywhere.
+        let ahead = stamp.seconds_since(pose.stamp);
+        if ahead.abs() > 0.5 {
+            return None;
+        }
+        let odometry = self.odometry.as_ref()?;
+        let t_odom_base = odometry.t_odom_base() * se3::exp(&(odometry.velocity() * ahead));
+        if !self.policy(&spec.id).consider(&t_odom_base) {
+            return None;
+        }
+        let keyframe = self.add_keyframe(spec, stamp, scan, t_odom_base);
+        let changes = self.observe(&keyframe);
+        Some(FrameReport { pose: None, trajectory: None, keyframe: Some(keyframe), changes })
+    }
+
+    /// Adds a keyframe to the map layers. Poses and scans are our own: a refusal is a fault of ours.
+    fn insert(&mut self, id: KeyframeId, t_map_base: Pose, scan: &Arc<KeyframeScan>) {
+        if let Err(error) = self.map.insert(id, t_map_base, Arc::clone(scan)) {
+            debug_assert!(false, "{error}");
+        }
+    }
+
+    fn policy(&mut self, sensor: &SensorId) -> &mut KeyframePolicy {
+        let params = &self.params.slam.odometry.keyframe;
+        self.keyframe_policies.entry(sensor.clone()).or_insert_with(|| KeyframePolicy::new(params.clone()))
+    }
+
+    fn add_keyframe(&mut self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan, t_odom_base: Pose) -> NewKeyframe {
+        let velocity = self.odometry.as_ref().map(Odometry::velocity).unwrap_or_default();
+        let params = &self.params.slam.odometry.keyframe;
+        let mut scan = keyframe::keyframe_scan(params, stamp, &spec.id, scan, &velocity);
+        if self.keyframes.is_empty() {
+            let level = level(&scan);
+            self.t_map_odom = level.t_map_base * t_odom_base.inverse();
+            self.base_height_m = level.base_height_m;
+        }
+        scan.base_height_m = self.base_height_m;
+        let scan = Arc::new(scan);
+        let id = KeyframeId(self.keyframes.len() as u64);
+        let t_map_base = self.t_map_odom * t_odom_base;
+        self.insert(id, t_map_base, &scan);
+        self.newest_keyframe_t_odom_base = t_odom_base;
+        let num_points = scan.hits.len();
+        let info = KeyframeInfo { id, stamp, sensor: spec.id.clone(), t_map_base, num_points };
+        Arc::make_mut(&mut self.keyframes).push(info.clone());
+        NewKeyframe { info, t_odom_base, scan }
+    }
+
+    /// Looks for objects in the map around a new keyframe.
+    fn observe(&mut self, keyframe: &NewKeyframe) -> Vec<ObjectChange> {
+        if !self.params.detection.enabled || keyframe.scan.planar {
+            return vec![];
+        }
+        let layers = self.map.layers();
+        let center = nalgebra::Point3::from(keyframe.info.t_map_base.translation.vector);
+        let cloud = layers.cloud.points_within(&center, self.params.detection.range_m);
+        let sensor = keyframe.info.t_map_base * keyframe.scan.t_base_sensor;
+        let found = self.detector.detect(&cloud, Some(nalgebra::Point3::from(sensor.translation.vector)));
+        let observations: Vec<Observation> = found
+            .iter()
+            .map(|d| Observation {
+                class: d.class,
+                confidence: d.confidence,
+                bbox: d.bbox,
+                num_points: d.num_points,
+            })
+            .collect();
+        let range_image = RangeImage::new(&keyframe.info.t_map_base, &keyframe.scan);
+        let stamp = keyframe.info.stamp;
+        let changes = self.tracker.update(stamp, &observations, &|b| range_image.visibility(b));
+        self.objects = Arc::new(self.tracker.objects());
+        changes
+    }
+
+    fn extend_trajectory(
+        &mut self,
+        stamp: Timestamp,
+        tracked: bool,
+        t_map_base: &Pose,
+        keyframe: Option<&NewKeyframe>,
+    ) -> Option<TrajectoryEntry> {
+        let anchor = match keyframe {
+            Some(k) => k.info.clone(),
+            None => self.newest_anchor()?.clone(),
+        };
+        let entry = TrajectoryEntry {
+            stamp,
+            tracked,
+            anchor: anchor.id,
+            t_anchor_base: anchor.t_map_base.inverse() * t_map_base,
+            is_keyframe: keyframe.is_some(),
+        };
+        self.trajectory.push(entry);
+        Some(entry)
+    }
+
+    /// The newest keyframe of the sensor that moves the pose.
+    fn newest_anchor(&self) -> Option<&KeyframeInfo> {
+        let last = self.trajectory.last()?;
+        self.keyframes.get(usize::try_from(last.anchor.0).ok()?)
+    }
+
+    /// Moves keyframes, and all that hangs on them: trajectory, map layers, objects, and where the robot is now.
+    /// Corrections for keyframes that do not exist are ignored.
+    pub fn apply(&mut self, correction: &Correction) {
+        let mut moved: BTreeMap<KeyframeId, Pose> = BTreeMap::new();
+        for (id, t_map_base) in &correction.t_map_base {
+            let Some(info) = Arc::make_mut(&mut self.keyframes).get_mut(id.0 as usize) else { continue };
+            moved.insert(*id, t_map_base * info.t_map_base.inverse());
+            info.t_map_base = *t_map_base;
+        }
+        if moved.is_empty() {
+            return;
+        }
+        if let Err(error) = self.map.apply(correction) {
+            // Poses were checked when they came in; a map that refuses them keeps its old state.
+            debug_assert!(false, "{error}");
+        }
+        if let Some(newest) = self.keyframes.last() {
+            self.t_map_odom = newest.t_map_base * self.newest_keyframe_t_odom_base.inverse();
+        }
+        self.move_objects(&moved);
+        let version = self.map.layers().version;
+        if let Some(pose) = &mut self.pose {
+            pose.t_map_base = self.t_map_odom * pose.t_odom_base;
+            pose.map_version = version;
+        }
+    }
+
+    /// Objects follow the keyframe nearest in time to when they were last seen.
+    fn move_objects(&mut self, moved: &BTreeMap<KeyframeId, Pose>) {
+        let keyframes = Arc::clone(&self.keyframes);
+        let nearest = |stamp: Timestamp| {
+            let after = keyframes.partition_point(|k| k.stamp < stamp);
+            let around = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|i| keyframes.get(i));
+            around.min_by_key(|k| k.stamp.nanos().abs_diff(stamp.nanos())).map(|k| k.id)
+        };
+        let t_new_old = |last_seen| nearest(last_seen).and_then(|id| moved.get(&id).copied());
+        self.tracker.correct(&|_, last_seen| t_new_old(last_seen).unwrap_or_else(Pose::identity));
+        self.objects = Arc::new(self.tracker.objects());
+    }
+
+    /// The state as it is now; cheap, and unaffected by what comes later.
+    pub fn snapshot(&self) -> Snapshot {
+        Snapshot {
+            map_version: self.map.layers().version,
+            pose: self.pose.clone(),
+            trajectory: self.trajectory.clone(),
+            keyframes: Arc::clone(&self.keyframes),
+            layers: self.map.layers(),
+            objects: Arc::clone(&self.objects),
+            next_object_id: self.tracker.next_id(),
+            params: Arc::clone(&self.params),
+        }
+    }
+
+    /// The declaration of a sensor.
+    pub fn sensor(&self, id: &SensorId) -> Option<&SensorSpec> {
+        self.sensors.spec(id)
+    }
+}
+
+fn failed(section: &'static str, e: impl std::fmt::Display) -> ParamsError {
+    ParamsError { section, message: e.to_string() }
+}
+
+/// The method for a kind of sensor; none for kinds that cannot carry the pose.
+fn odometry_kind(kind: SensorKind) -> Option<OdometryKind> {
+    match kind {
+        SensorKind::Depth | SensorKind::Rgbd => Some(OdometryKind::Rgbd),
+        SensorKind::Lidar3d => Some(OdometryKind::Lidar3d),
+        SensorKind::Lidar2d => Some(OdometryKind::Lidar2d),
+        SensorKind::Camera | SensorKind::Imu | SensorKind::Odometry => None,
+    }
+}

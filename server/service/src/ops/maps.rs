@@ -1,0 +1,264 @@
+//! Read maps: grids, clouds, files.
+
+use super::pictures;
+use crate::{Error, Result, Service};
+use nalgebra::{Point2, Point3};
+use percept_formats::{GridMap, nav2, pcd, ply, tum};
+use percept_geometry::{Cell, GridGeometry, PointCloud, Stamped, Timestamp};
+use percept_mapping::OccupancyGrid;
+use percept_pipeline::Snapshot;
+
+/// A part of the occupancy grid, dense.
+#[derive(Debug, Clone)]
+pub struct GridAnswer {
+    /// Version of the map.
+    pub map_version: u64,
+    /// Stamp of the newest frame in it.
+    pub stamp: Timestamp,
+    /// Where it lies, and what is in it: -1 unknown, 0 to 100.
+    pub grid: GridMap,
+}
+
+/// A part of the fused cloud.
+#[derive(Debug, Clone)]
+pub struct CloudAnswer {
+    /// Version of the map.
+    pub map_version: u64,
+    /// Stamp of the newest frame in it.
+    pub stamp: Timestamp,
+    /// Map frame.
+    pub cloud: PointCloud,
+}
+
+/// Sizes of a map.
+#[derive(Debug, Clone)]
+pub struct MapSummary {
+    /// Version of the map.
+    pub map_version: u64,
+    /// Stamp of the newest frame in it.
+    pub stamp: Timestamp,
+    /// Whole grid: geometry, columns, rows; none while nothing was mapped.
+    pub occupancy: Option<(GridGeometry, usize, usize)>,
+    /// Points of the fused cloud.
+    pub num_points: usize,
+    /// Edge of its voxels, metres.
+    pub voxel_size_m: f64,
+    /// Keyframes in it.
+    pub num_keyframes: usize,
+}
+
+/// Files that a map can be read as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MapFormat {
+    /// Occupancy as a picture.
+    OccupancyPng,
+    /// nav2's image.
+    Nav2Pgm,
+    /// nav2's description of it.
+    Nav2Yaml,
+    /// Cloud, binary little-endian PLY.
+    CloudPly,
+    /// Cloud, binary PCD.
+    CloudPcd,
+    /// Trajectory, TUM text.
+    TrajectoryTum,
+    /// Occupancy with trajectory and objects.
+    OverviewPng,
+    /// Top view of the cloud.
+    CloudTopPng,
+}
+
+/// A file.
+#[derive(Debug, Clone)]
+pub struct MapFile {
+    /// Version of the map.
+    pub map_version: u64,
+    /// Stamp of the newest frame in it.
+    pub stamp: Timestamp,
+    /// Suggested name.
+    pub file_name: String,
+    /// IANA media type.
+    pub media_type: &'static str,
+    /// The content.
+    pub bytes: Vec<u8>,
+}
+
+fn stamp_of(snapshot: &Snapshot) -> Timestamp {
+    snapshot.pose.as_ref().map(|p| p.stamp).unwrap_or_default()
+}
+
+/// Lower-left and upper-right cell of all that was mapped, or of the part of it that lies in a region.
+fn cells_of(grid: &OccupancyGrid, region: Option<(Point2<f64>, Point2<f64>)>) -> Result<Option<(Cell, Cell)>> {
+    let Some(bounds) = grid.bounds() else { return Ok(None) };
+    let Some((min, max)) = region else { return Ok(Some(bounds)) };
+    if !(min.x < max.x && min.y < max.y) {
+        let message = format!("region from ({}, {}) to ({}, {}) is empty; min must be below max", min.x, min.y, max.x, max.y);
+        return Err(Error::invalid("REGION_EMPTY", "region", message));
+    }
+    let far = || Error::invalid("REGION_TOO_FAR", "region", "region lies beyond what cells can number; bring it nearer");
+    let geometry = grid.geometry();
+    let (a, b) = (geometry.cell(&min).ok_or_else(far)?, geometry.cell(&max).ok_or_else(far)?);
+    Ok(Some((a, b)))
+}
+
+/// How many of the map's cells make one of the answer's.
+fn shrink_factor(own_m: f64, asked_m: Option<f64>, limits: &crate::Limits, region: Option<(Point2<f64>, Point2<f64>)>) -> Result<i32> {
+    let Some(asked) = asked_m else { return Ok(1) };
+    if !(asked.is_finite() && asked > 0.0) {
+        return Err(Error::invalid("OUT_OF_RANGE", "resolution_m", format!("resolution_m is {asked}; it must be positive")));
+    }
+    if let Some((min, max)) = region {
+        let cells = ((max.x - min.x) / asked).ceil() * ((max.y - min.y) / asked).ceil();
+        if cells > limits.max_grid_cells as f64 {
+            return Err(too_large(cells, limits));
+        }
+    }
+    let factor = asked / own_m;
+    let rounded = factor.round();
+    if rounded < 1.0 || rounded > 1e4 || (factor - rounded).abs() > 1e-6 * factor {
+        let message = format!("resolution_m is {asked}; the map's own is {own_m}, ask for that or a multiple of it");
+        return Err(Error::invalid("RESOLUTION_NOT_A_MULTIPLE", "resolution_m", message));
+    }
+    Ok(rounded as i32)
+}
+
+fn too_large(cells: f64, limits: &crate::Limits) -> Error {
+    let limit = limits.max_grid_cells;
+    Error::exhausted("GRID_TOO_LARGE", "region", format!("the answer would have {cells:.3e} cells, the limit is {limit}; ask for a smaller region or a coarser resolution"))
+}
+
+/// The cells of a part of the map, dense; empty if nothing was mapped.
+///
+/// # Errors
+/// `GRID_TOO_LARGE`, `REGION_EMPTY`, `RESOLUTION_NOT_A_MULTIPLE`.
+pub fn dense(
+    grid: &OccupancyGrid,
+    region: Option<(Point2<f64>, Point2<f64>)>,
+    resolution_m: Option<f64>,
+    limits: &crate::Limits,
+) -> Result<GridMap> {
+    let own = grid.geometry();
+    let factor = shrink_factor(own.resolution_m, resolution_m, limits, region)?;
+    let resolution = own.resolution_m * f64::from(factor);
+    let Some((a, b)) = cells_of(grid, region)? else {
+        return Ok(GridMap { geometry: GridGeometry::new(resolution, own.origin), width: 0, height: 0, cells: vec![] });
+    };
+    let (ax, ay) = (a.x.div_euclid(factor), a.y.div_euclid(factor));
+    let width = i64::from(b.x.div_euclid(factor)) - i64::from(ax) + 1;
+    let height = i64::from(b.y.div_euclid(factor)) - i64::from(ay) + 1;
+    let cells = width as f64 * height as f64;
+    if cells > limits.max_grid_cells as f64 {
+        return Err(too_large(cells, limits));
+    }
+    let (width, height) = (width as usize, height as usize);
+    let mut out = vec![-1i8; width * height];
+    let (lo, hi) = (Cell::new(ax * factor, ay * factor), b);
+    grid.for_each_known(lo, hi, |cell, percent| {
+        let (x, y) = (cell.x.div_euclid(factor) - ax, cell.y.div_euclid(factor) - ay);
+        let slot = &mut out[y as usize * width + x as usize];
+        *slot = (*slot).max(percent);
+    });
+    let geometry = GridGeometry::new(resolution, own.corner(lo));
+    Ok(GridMap { geometry, width, height, cells: out })
+}
+
+impl Service {
+    /// Sizes and version of a session's map.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn map_summary(&self, session: &str) -> Result<MapSummary> {
+        let s = self.snapshot(session).await?;
+        let grid = &s.layers.occupancy;
+        let occupancy = grid.bounds().map(|(a, b)| {
+            let geometry = GridGeometry::new(grid.geometry().resolution_m, grid.geometry().corner(a));
+            (geometry, (b.x - a.x + 1) as usize, (b.y - a.y + 1) as usize)
+        });
+        Ok(MapSummary {
+            map_version: s.map_version,
+            stamp: stamp_of(&s),
+            occupancy,
+            num_points: s.layers.cloud.len(),
+            voxel_size_m: s.params.map.cloud.voxel_size_m,
+            num_keyframes: s.keyframes.len(),
+        })
+    }
+
+    /// A part of the occupancy grid.
+    ///
+    /// # Errors
+    /// As [`dense`]; `SESSION_NOT_FOUND`.
+    pub async fn occupancy_grid(
+        &self,
+        session: &str,
+        region: Option<(Point2<f64>, Point2<f64>)>,
+        resolution_m: Option<f64>,
+    ) -> Result<GridAnswer> {
+        let s = self.snapshot(session).await?;
+        // A copy of memory, of milliseconds: it does not queue behind heavy requests.
+        let grid = dense(&s.layers.occupancy, region, resolution_m, &self.limits)?;
+        Ok(GridAnswer { map_version: s.map_version, stamp: stamp_of(&s), grid })
+    }
+
+    /// The fused cloud, or the part of it around a point (m, map frame; radius m).
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn cloud(&self, session: &str, around: Option<(Point3<f64>, f64)>) -> Result<CloudAnswer> {
+        let s = self.snapshot(session).await?;
+        let (map_version, stamp) = (s.map_version, stamp_of(&s));
+        let extract = move || match around {
+            Some((center, radius)) => s.layers.cloud.points_within(&center, radius),
+            None => s.layers.cloud.to_cloud(),
+        };
+        Ok(CloudAnswer { map_version, stamp, cloud: self.compute.request(extract).await? })
+    }
+
+    /// The map as a file.
+    ///
+    /// # Errors
+    /// `MAP_EMPTY` if nothing was mapped, `GRID_TOO_LARGE`, `SESSION_NOT_FOUND`.
+    pub async fn export_map(&self, session: &str, format: MapFormat) -> Result<MapFile> {
+        let s = self.snapshot(session).await?;
+        let (name, limits) = (session.to_owned(), self.limits.clone());
+        self.compute.request(move || export(&s, &name, format, &limits)).await?
+    }
+}
+
+/// A snapshot as a file.
+///
+/// # Errors
+/// `MAP_EMPTY`, `GRID_TOO_LARGE`.
+pub fn export(s: &Snapshot, name: &str, format: MapFormat, limits: &crate::Limits) -> Result<MapFile> {
+    use MapFormat as F;
+    let grid = || {
+        let grid = dense(&s.layers.occupancy, None, None, limits)?;
+        if grid.cells.is_empty() { Err(map_empty()) } else { Ok(grid) }
+    };
+    let cloud = || {
+        let cloud = s.layers.cloud.to_cloud();
+        if cloud.is_empty() { Err(map_empty()) } else { Ok(cloud) }
+    };
+    let (suffix, media_type, bytes) = match format {
+        F::OccupancyPng => ("png", "image/png", pictures::occupancy(&grid()?)?),
+        F::Nav2Pgm => ("pgm", "image/x-portable-graymap", nav2::write_pgm(&grid()?)),
+        F::Nav2Yaml => {
+            let yaml = nav2::write_yaml(&grid()?, &format!("{name}.pgm"));
+            ("yaml", "application/yaml", yaml.into_bytes())
+        }
+        F::CloudPly => ("ply", "application/octet-stream", ply::write_binary(&cloud()?)),
+        F::CloudPcd => ("pcd", "application/octet-stream", pcd::write_binary(&cloud()?)),
+        F::TrajectoryTum => {
+            let poses: Vec<_> = s.trajectory().map(|(value, e)| Stamped { stamp: e.stamp, value }).collect();
+            ("tum", "text/plain", tum::write(&poses).into_bytes())
+        }
+        F::OverviewPng => ("overview.png", "image/png", pictures::overview(&grid()?, s, None)?),
+        F::CloudTopPng => ("cloud.png", "image/png", pictures::cloud_top(&cloud()?)?),
+    };
+    let file_name = format!("{name}.{suffix}");
+    Ok(MapFile { map_version: s.map_version, stamp: stamp_of(s), file_name, media_type, bytes })
+}
+
+fn map_empty() -> Error {
+    Error::new(crate::ErrorCode::FailedPrecondition, "MAP_EMPTY", "the map is empty; send frames first")
+}

@@ -1,0 +1,18 @@
+//! The operations, one file a noun. A door decodes, calls one of these, encodes.
+
+pub mod evaluation;
+pub mod maps;
+pub mod navigation;
+pub mod pictures;
+pub mod scene;
+pub mod sensors;
+pub mod sessions;
+pub mod toolbox;
+
+use crate::Error;
+use percept_pipeline::ParamsError;
+
+/// A parameter out of bounds.
+pub(crate) fn params_error(e: &ParamsError) -> Error {
+    Error::invalid("PARAMETER_OUT_OF_RANGE", format!("params.{}", e.section), e.message.clone())
+}

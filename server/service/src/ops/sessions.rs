@@ -1,0 +1,184 @@
+//! Create, find, list, delete sessions.
+
+use crate::session::meta::{SensorDeclaration, SessionMeta, SessionMode};
+use crate::{Error, Result, Service, Session, check_id};
+use percept_pipeline::{KeyframeInfo, PipelineParams};
+use std::sync::Arc;
+
+/// What a session is created with.
+#[derive(Debug, Clone)]
+pub struct NewSession {
+    /// Identifier; none: one is chosen.
+    pub id: Option<String>,
+    /// For people.
+    pub display_name: String,
+    /// What it does with frames.
+    pub mode: SessionMode,
+    /// Sensors known already.
+    pub sensors: Vec<SensorDeclaration>,
+    /// Every parameter.
+    pub params: PipelineParams,
+    /// Makes the call idempotent; empty: not.
+    pub request_id: String,
+}
+
+/// A part of a list.
+#[derive(Debug, Clone)]
+pub struct Page<T> {
+    /// The elements.
+    pub items: Vec<T>,
+    /// Where the next page starts; empty on the last.
+    pub next_page_token: String,
+}
+
+/// Elements of a page: 100 unless asked otherwise, 1000 at most.
+pub(crate) fn page_size(asked: u32) -> usize {
+    if asked == 0 { 100 } else { asked.min(1000) as usize }
+}
+
+/// Cuts a page out of a list ordered by number; the token is the number of the last element of the page before.
+pub(crate) fn page_by_number<T: Clone>(
+    items: &[T],
+    number: impl Fn(&T) -> u64,
+    size: u32,
+    token: &str,
+) -> Result<Page<T>> {
+    let after: Option<u64> = if token.is_empty() {
+        None
+    } else {
+        let bad = || Error::invalid("PAGE_TOKEN_INVALID", "page_token", "page_token is not one of ours; start without it");
+        Some(token.parse().map_err(|_| bad())?)
+    };
+    let start = after.map_or(0, |n| items.partition_point(|i| number(i) <= n));
+    let end = (start + page_size(size)).min(items.len());
+    let items_of_page = items[start..end].to_vec();
+    let next_page_token = match items_of_page.last() {
+        Some(last) if end < items.len() => number(last).to_string(),
+        _ => String::new(),
+    };
+    Ok(Page { items: items_of_page, next_page_token })
+}
+
+impl Service {
+    /// The parameters that a session gets where it sets none.
+    pub fn default_params(&self) -> &PipelineParams {
+        self.registry.defaults()
+    }
+
+    /// Creates a session, durably.
+    ///
+    /// # Errors
+    /// Bad ids or parameters, `SESSION_EXISTS`, limits.
+    pub async fn create_session(&self, new: NewSession) -> Result<Arc<Session>> {
+        let id = match new.id {
+            Some(id) => id,
+            None => fresh_id(),
+        };
+        check_id("session_id", &id)?;
+        if new.sensors.len() > self.limits.max_sensors_per_session {
+            let message = format!("{} sensors, the limit is {}", new.sensors.len(), self.limits.max_sensors_per_session);
+            return Err(Error::exhausted("TOO_MANY_SENSORS", "sensors", message));
+        }
+        let mut sensors = new.sensors;
+        sensors.sort_by(|a, b| a.spec.id.cmp(&b.spec.id));
+        if let Some(pair) = sensors.windows(2).find(|p| p[0].spec.id == p[1].spec.id) {
+            let message = format!("sensor_id {:?} is declared twice; names are unique in a session", pair[0].spec.id.0);
+            return Err(Error::invalid("SENSOR_DECLARED_TWICE", "sensors", message));
+        }
+        new.params.validate().map_err(|e| super::params_error(&e))?;
+        let meta = SessionMeta {
+            id,
+            display_name: new.display_name,
+            mode: new.mode,
+            create_time_ns: now_ns(),
+            request_id: new.request_id,
+            params: new.params,
+            sensors,
+        };
+        self.registry.create(meta).await
+    }
+
+    /// A session, woken if it slept.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn session(&self, id: &str) -> Result<Arc<Session>> {
+        check_id("session_id", id)?;
+        self.registry.get(id).await
+    }
+
+    /// Sessions by id.
+    ///
+    /// # Errors
+    /// Faults of the storage.
+    pub async fn list_sessions(&self, size: u32, token: &str) -> Result<Page<Arc<Session>>> {
+        let size = page_size(size);
+        let ids = self.registry.ids(token, size + 1).await;
+        let mut items = Vec::new();
+        for id in ids.iter().take(size) {
+            items.push(self.registry.get(id).await?);
+        }
+        let next_page_token = if ids.len() > size { ids[size - 1].clone() } else { String::new() };
+        Ok(Page { items, next_page_token })
+    }
+
+    /// Keyframes by number.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `PAGE_TOKEN_INVALID`.
+    pub async fn list_keyframes(&self, session: &str, page_size: u32, page_token: &str) -> Result<Page<KeyframeInfo>> {
+        let snapshot = self.snapshot(session).await?;
+        page_by_number(&snapshot.keyframes, |k| k.id.0, page_size, page_token)
+    }
+
+    /// Deletes a session with all that is stored for it.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, faults of the storage.
+    pub async fn delete_session(&self, id: &str) -> Result<()> {
+        check_id("session_id", id)?;
+        self.registry.delete(id).await
+    }
+
+    /// Removes stored scans that belong to no session any more.
+    ///
+    /// # Errors
+    /// Faults of the storage.
+    pub async fn collect_garbage(&self) -> Result<()> {
+        self.registry.collect_garbage().await
+    }
+}
+
+/// Nanoseconds since the Unix epoch by the server's clock.
+pub(crate) fn now_ns() -> i64 {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
+}
+
+/// An id that no other session of this server has: the time, and a counter for calls within a tick.
+fn fresh_id() -> String {
+    use std::sync::atomic::{AtomicU32, Ordering};
+    static COUNTER: AtomicU32 = AtomicU32::new(0);
+    format!("s-{:x}-{:x}", now_ns(), COUNTER.fetch_add(1, Ordering::Relaxed))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pages_join_to_the_whole_list() {
+        let all: Vec<u64> = (0..250).map(|i| i * 3).collect();
+        let (mut joined, mut token) = (vec![], String::new());
+        loop {
+            let page = page_by_number(&all, |n| *n, 100, &token).unwrap();
+            joined.extend(page.items);
+            if page.next_page_token.is_empty() {
+                break;
+            }
+            token = page.next_page_token;
+        }
+        assert_eq!(joined, all);
+        assert_eq!(page_by_number(&all, |n| *n, 0, "x").unwrap_err().reason, "PAGE_TOKEN_INVALID");
+    }
+}

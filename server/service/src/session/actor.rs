@@ -1,0 +1,431 @@
+//! The actor: takes frames from a bounded queue, one at a time, and publishes what they did.
+
+use super::events::{EventKind, EventLog};
+use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
+use super::persist::{Job, Persister};
+use super::sensor_book::{SensorBook, SensorStatus};
+use crate::{ComputePool, Error, ErrorCode, Limits, Result};
+use percept_geometry::{Correction, KeyframeId, SensorFrame, SensorId, SensorSpec, Timestamp};
+use percept_pipeline::{FrameError, FrameReport, Pipeline, PoseEstimate, Snapshot};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Instant;
+use tokio::sync::{Notify, mpsc, oneshot, watch};
+
+/// Running number of an accepted frame in its session; durable once [`Session::durable`] has reached it.
+pub type Ticket = u64;
+
+/// What an accepted frame did.
+#[derive(Debug, Clone)]
+pub struct Processed {
+    /// Pose after it; none for sensors that do not move the pose.
+    pub pose: Option<PoseEstimate>,
+    /// Set if it became a keyframe.
+    pub keyframe: Option<KeyframeId>,
+    /// Time in queue and pipeline, seconds.
+    pub latency_s: f64,
+    /// Its number.
+    pub ticket: Ticket,
+}
+
+/// The answer to a submitted frame, when it comes.
+pub type Pending = oneshot::Receiver<Result<Processed>>;
+
+pub(crate) enum Command {
+    Frame { frame: Box<SensorFrame>, received: Instant, reply: oneshot::Sender<Result<Processed>> },
+    Declare(Box<SensorSpec>),
+    Correct { correction: Correction, reply: oneshot::Sender<Snapshot> },
+    Stop { stopped: oneshot::Sender<()> },
+}
+
+/// A handle on a running session; queries through it never wait for ingest.
+pub struct Session {
+    meta: RwLock<SessionMeta>,
+    snapshot: RwLock<Arc<Snapshot>>,
+    events: EventLog,
+    book: Mutex<SensorBook>,
+    queue: mpsc::Sender<Command>,
+    durable: watch::Receiver<Ticket>,
+    fault: watch::Receiver<Option<Error>>,
+    inboxes: Mutex<BTreeMap<SensorId, Arc<Inbox>>>,
+    queue_length: usize,
+}
+
+/// Frames of one sensor that waits under `DropOldest`.
+struct Inbox {
+    frames: Mutex<VecDeque<SensorFrame>>,
+    filled: Notify,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Session {
+    /// Starts the actor over a pipeline, which may have been restored.
+    pub(crate) fn start(
+        meta: SessionMeta,
+        mut pipeline: Pipeline,
+        last_stamps: &BTreeMap<SensorId, Timestamp>,
+        persister: Persister,
+        compute: ComputePool,
+        limits: &Limits,
+    ) -> Arc<Self> {
+        let mut book = SensorBook::default();
+        for declaration in &meta.sensors {
+            pipeline.declare_sensor(declaration.spec.clone());
+            book.declare(declaration.clone(), last_stamps.get(&declaration.spec.id).copied());
+        }
+        let (queue, commands) = mpsc::channel(limits.queue_length.max(1));
+        let session = Arc::new(Self {
+            meta: RwLock::new(meta),
+            snapshot: RwLock::new(Arc::new(pipeline.snapshot())),
+            events: EventLog::new(limits.event_history),
+            book: Mutex::new(book),
+            queue,
+            durable: persister.durable(),
+            fault: persister.fault(),
+            inboxes: Mutex::default(),
+            queue_length: limits.queue_length.max(1),
+        });
+        let actor = Actor { session: Arc::clone(&session), pipeline: Some(pipeline), persister, compute };
+        tokio::spawn(actor.run(commands));
+        session
+    }
+
+    /// What the session was created with, and its sensors.
+    pub fn meta(&self) -> SessionMeta {
+        self.meta.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The newest snapshot.
+    pub fn snapshot(&self) -> Arc<Snapshot> {
+        Arc::clone(&self.snapshot.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Events, for watchers.
+    pub fn events(&self) -> &EventLog {
+        &self.events
+    }
+
+    /// Health of every sensor, by name.
+    pub fn sensors(&self) -> Vec<SensorStatus> {
+        lock(&self.book).all().cloned().collect()
+    }
+
+    /// Frames waiting.
+    pub fn queue_len(&self) -> usize {
+        self.queue.max_capacity() - self.queue.capacity()
+    }
+
+    /// The newest ticket whose effects survive a crash, as it grows.
+    pub fn durable(&self) -> watch::Receiver<Ticket> {
+        self.durable.clone()
+    }
+
+    /// Notes a sender's running number.
+    pub fn numbered(&self, sensor: &SensorId, sequence: u64) {
+        lock(&self.book).numbered(sensor, sequence);
+    }
+
+    /// Counts a frame that a door refused before it got here.
+    pub fn rejected(&self, sensor: &SensorId) {
+        lock(&self.book).rejected(sensor);
+    }
+
+    /// Waits for room in the queue, then hands the frame over. The answer comes through what is returned.
+    ///
+    /// # Errors
+    /// `SENSOR_NOT_FOUND`, `STORAGE_FAULT`, `SESSION_STOPPED`; in `IngestOnly` what is wrong with the frame.
+    pub async fn submit(&self, frame: SensorFrame) -> Result<Pending> {
+        if let Some(fault) = self.fault.borrow().clone() {
+            return Err(fault);
+        }
+        self.check_sensor(&frame.sensor)?;
+        let (reply, pending) = oneshot::channel();
+        if self.meta.read().unwrap_or_else(PoisonError::into_inner).mode == SessionMode::IngestOnly {
+            let _ = reply.send(self.count_only(&frame));
+            return Ok(pending);
+        }
+        let command = Command::Frame { frame: Box::new(frame), received: Instant::now(), reply };
+        self.queue.send(command).await.map_err(|_| stopped())?;
+        Ok(pending)
+    }
+
+    /// Submits and waits for the answer.
+    ///
+    /// # Errors
+    /// As [`Session::submit`], and what the pipeline refused.
+    pub async fn process(&self, frame: SensorFrame) -> Result<Processed> {
+        self.submit(frame).await?.await.map_err(|_| stopped())?
+    }
+
+    /// Waits until a frame's effects survive a crash.
+    ///
+    /// # Errors
+    /// The storage's fault if there is one.
+    pub async fn wait_durable(&self, ticket: Ticket) -> Result<()> {
+        let (mut durable, mut fault) = (self.durable.clone(), self.fault.clone());
+        tokio::select! {
+            reached = durable.wait_for(|d| *d >= ticket) => reached.map(|_| ()).map_err(|_| stopped()),
+            failed = fault.wait_for(Option::is_some) => Err(failed.ok().and_then(|f| f.clone()).unwrap_or_else(stopped)),
+        }
+    }
+
+    /// Takes a frame from a door that cannot wait: by the sensor's policy it waits all the same, or the
+    /// oldest waiting frame is dropped and counted.
+    ///
+    /// # Errors
+    /// As [`Session::submit`] for blocking sensors; `SENSOR_NOT_FOUND`.
+    pub async fn offer(self: &Arc<Self>, frame: SensorFrame) -> Result<()> {
+        let policy = self.check_sensor(&frame.sensor)?;
+        if policy == OverloadPolicy::Block {
+            let _answer = self.submit(frame).await?;
+            return Ok(());
+        }
+        let inbox = self.inbox(&frame.sensor);
+        let dropped = {
+            let mut frames = lock(&inbox.frames);
+            let dropped = (frames.len() >= self.queue_length).then(|| frames.pop_front()).flatten();
+            frames.push_back(frame);
+            dropped
+        };
+        if let Some(frame) = dropped {
+            lock(&self.book).dropped(&frame.sensor);
+        }
+        inbox.filled.notify_one();
+        Ok(())
+    }
+
+    fn inbox(self: &Arc<Self>, sensor: &SensorId) -> Arc<Inbox> {
+        let mut inboxes = lock(&self.inboxes);
+        let inbox = inboxes.entry(sensor.clone()).or_insert_with(|| {
+            let inbox = Arc::new(Inbox { frames: Mutex::default(), filled: Notify::new() });
+            tokio::spawn(forward(Arc::downgrade(self), Arc::clone(&inbox)));
+            inbox
+        });
+        Arc::clone(inbox)
+    }
+
+    fn check_sensor(&self, id: &SensorId) -> Result<OverloadPolicy> {
+        lock(&self.book).get(id).map(|s| s.declaration.overload).ok_or_else(|| sensor_not_found(id))
+    }
+
+    fn count_only(&self, frame: &SensorFrame) -> Result<Processed> {
+        let mut book = lock(&self.book);
+        let Some(status) = book.get(&frame.sensor) else { return Err(sensor_not_found(&frame.sensor)) };
+        let checked = percept_pipeline::check_frame(&status.declaration.spec, status.last_stamp, frame);
+        match checked {
+            Ok(()) => {
+                book.accepted(&frame.sensor, frame.stamp);
+                Ok(Processed { pose: None, keyframe: None, latency_s: 0.0, ticket: 0 })
+            }
+            Err(e) => {
+                book.rejected(&frame.sensor);
+                Err(frame_error(&e))
+            }
+        }
+    }
+
+    /// Declares a sensor in the running session; the caller has stored it.
+    pub(crate) async fn declare(&self, declaration: SensorDeclaration) -> Result<()> {
+        let spec = declaration.spec.clone();
+        lock(&self.book).declare(declaration.clone(), None);
+        {
+            let mut meta = self.meta.write().unwrap_or_else(PoisonError::into_inner);
+            meta.sensors.retain(|s| s.spec.id != spec.id);
+            meta.sensors.push(declaration);
+            meta.sensors.sort_by(|a, b| a.spec.id.cmp(&b.spec.id));
+        }
+        self.queue.send(Command::Declare(Box::new(spec))).await.map_err(|_| stopped())
+    }
+
+    pub(crate) fn num_sensors(&self) -> usize {
+        lock(&self.book).len()
+    }
+
+    /// Moves keyframes; readers see the map before or after, never between.
+    ///
+    /// # Errors
+    /// `SESSION_STOPPED`.
+    pub async fn correct(&self, correction: Correction) -> Result<Snapshot> {
+        let (reply, done) = oneshot::channel();
+        self.queue.send(Command::Correct { correction, reply }).await.map_err(|_| stopped())?;
+        done.await.map_err(|_| stopped())
+    }
+
+    /// Finishes what was accepted, stores it, ends the watches.
+    pub(crate) async fn stop(&self) {
+        let (stopped, done) = oneshot::channel();
+        if self.queue.send(Command::Stop { stopped }).await.is_ok() {
+            let _ = done.await;
+        }
+    }
+}
+
+/// Moves frames from an inbox to the queue for as long as the session lives.
+async fn forward(session: std::sync::Weak<Session>, inbox: Arc<Inbox>) {
+    loop {
+        inbox.filled.notified().await;
+        loop {
+            let Some(frame) = lock(&inbox.frames).pop_front() else { break };
+            let Some(session) = session.upgrade() else { return };
+            if session.submit(frame).await.is_err_and(|e| e.reason == "SESSION_STOPPED") {
+                return;
+            }
+        }
+    }
+}
+
+fn stopped() -> Error {
+    Error::new(ErrorCode::Unavailable, "SESSION_STOPPED", "the session is stopping; try again in a moment")
+}
+
+fn sensor_not_found(id: &SensorId) -> Error {
+    Error::not_found("SENSOR_NOT_FOUND", "sensor_id", format!("sensor_id {id:?} is not declared in this session; declare it first", id = id.0))
+}
+
+/// The one table from the pipeline's facts to the caller's words.
+pub(crate) fn frame_error(e: &FrameError) -> Error {
+    match e {
+        FrameError::UnknownSensor { sensor } => sensor_not_found(sensor),
+        FrameError::KindMismatch { sensor, declared, sent } => Error::invalid(
+            "SENSOR_KIND_MISMATCH",
+            "data",
+            format!("sensor {sensor} is declared as {declared:?} but sent {sent:?}; declare it anew or send what was declared"),
+        ),
+        FrameError::StampNotIncreasing { stamp, last, .. } => Error::invalid(
+            "STAMP_NOT_INCREASING",
+            "stamp_ns",
+            format!("stamp_ns is {}, not after the sensor's last, {}; send frames in order, each once", stamp.nanos(), last.nanos()),
+        ),
+        FrameError::IntrinsicsMismatch { width, height, expected_width, expected_height, .. } => Error::invalid(
+            "INTRINSICS_MISMATCH",
+            "width_px",
+            format!(
+                "image is {width}x{height} but the sensor's intrinsics are for {expected_width}x{expected_height}; declare intrinsics for the images you send"
+            ),
+        ),
+        FrameError::CloudEmpty { num_points } => Error::invalid(
+            "CLOUD_EMPTY",
+            "cloud",
+            format!("cloud has {num_points} points and none is finite; send at least one return"),
+        ),
+        FrameError::CloudDegenerate { num_points } => Error::invalid(
+            "CLOUD_DEGENERATE",
+            "cloud",
+            format!("all {num_points} finite points of the cloud are equal; check the driver"),
+        ),
+    }
+}
+
+struct Actor {
+    session: Arc<Session>,
+    /// Away while a frame is being processed on the pool.
+    pipeline: Option<Pipeline>,
+    persister: Persister,
+    compute: ComputePool,
+}
+
+impl Actor {
+    async fn run(mut self, mut commands: mpsc::Receiver<Command>) {
+        while let Some(command) = commands.recv().await {
+            match command {
+                Command::Frame { frame, received, reply } => {
+                    let answer = self.frame(*frame, received).await;
+                    let fatal = answer.as_ref().is_err_and(|e| e.code == ErrorCode::Internal);
+                    let _ = reply.send(answer);
+                    if fatal && self.pipeline.is_none() {
+                        break;
+                    }
+                }
+                Command::Declare(spec) => {
+                    if let Some(pipeline) = &mut self.pipeline {
+                        pipeline.declare_sensor(*spec);
+                    }
+                }
+                Command::Correct { correction, reply } => {
+                    if let Some(snapshot) = self.correct(correction).await {
+                        let _ = reply.send(snapshot);
+                    }
+                }
+                Command::Stop { stopped } => {
+                    commands.close();
+                    while let Some(command) = commands.recv().await {
+                        if let Command::Frame { frame, received, reply } = command {
+                            let _ = reply.send(self.frame(*frame, received).await);
+                        }
+                    }
+                    self.persister.finish().await;
+                    self.session.events.close();
+                    let _ = stopped.send(());
+                    return;
+                }
+            }
+        }
+        self.persister.finish().await;
+        self.session.events.close();
+    }
+
+    async fn frame(&mut self, frame: SensorFrame, received: Instant) -> Result<Processed> {
+        let (sensor, stamp) = (frame.sensor.clone(), frame.stamp);
+        let mut pipeline = self.pipeline.take().ok_or_else(stopped)?;
+        let (pipeline, outcome) = self
+            .compute
+            .run(move || {
+                let outcome = pipeline.process(&frame).map(|report| (report, pipeline.snapshot()));
+                (pipeline, outcome)
+            })
+            .await?;
+        self.pipeline = Some(pipeline);
+        let (report, snapshot) = match outcome {
+            Ok(done) => done,
+            Err(e) => {
+                lock(&self.session.book).rejected(&sensor);
+                return Err(frame_error(&e));
+            }
+        };
+        lock(&self.session.book).accepted(&sensor, stamp);
+        let objects = (!report.changes.is_empty()).then(|| (Arc::clone(&snapshot.objects), snapshot.next_object_id));
+        self.publish(&report, snapshot);
+        let keyframe = report.keyframe.as_ref().map(|k| k.info.id);
+        let job = Job { sensor, stamp, entry: report.trajectory, keyframe: report.keyframe, objects, corrected: vec![] };
+        let ticket = self.persister.submit(job).await;
+        Ok(Processed { pose: report.pose, keyframe, latency_s: received.elapsed().as_secs_f64(), ticket })
+    }
+
+    fn publish(&self, report: &FrameReport, snapshot: Snapshot) {
+        let before = self.session.snapshot().map_version;
+        let version = snapshot.map_version;
+        let stamp = snapshot.pose.as_ref().map(|p| p.stamp).unwrap_or_default();
+        *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
+        let pose = report.pose.iter().map(|p| EventKind::Pose(Box::new(p.clone())));
+        let keyframe = report.keyframe.iter().map(|k| EventKind::Keyframe(k.info.clone()));
+        let changes = report.changes.iter().map(|c| EventKind::Object(Box::new(c.clone())));
+        let map = (version != before).then_some(EventKind::MapVersion(version));
+        self.session.events.publish(stamp, pose.chain(keyframe).chain(changes).chain(map));
+    }
+
+    async fn correct(&mut self, correction: Correction) -> Option<Snapshot> {
+        let mut pipeline = self.pipeline.take()?;
+        let moved = correction.t_map_base.clone();
+        let work = self.compute.run(move || {
+            pipeline.apply(&correction);
+            let snapshot = pipeline.snapshot();
+            (pipeline, snapshot)
+        });
+        let (pipeline, snapshot) = work.await.ok()?;
+        self.pipeline = Some(pipeline);
+        let job = Job {
+            sensor: SensorId(String::new()),
+            stamp: Timestamp::default(),
+            entry: None,
+            keyframe: None,
+            objects: Some((Arc::clone(&snapshot.objects), snapshot.next_object_id)),
+            corrected: moved,
+        };
+        self.publish(&FrameReport { pose: None, trajectory: None, keyframe: None, changes: vec![] }, snapshot.clone());
+        self.persister.submit(job).await;
+        Some(snapshot)
+    }
+}

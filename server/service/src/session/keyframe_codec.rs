@@ -1,0 +1,139 @@
+//! A keyframe's scan as bytes, for the store.
+//!
+//! Layout, little-endian: magic `PKS1`; stamp i64; sensor name (u16 length, UTF-8); t_base_sensor as 7 f64
+//! (x, y, z, qx, qy, qz, qw); base height f64; flags u8 (1 planar, 2 colours); number of hits u32; hits 3 f32
+//! each; colours 3 u8 each if flagged; number of misses u32; misses 3 f32 each.
+
+use nalgebra::Point3;
+use percept_geometry::{KeyframeScan, PointCloud, SensorId, Timestamp, se3};
+
+const MAGIC: &[u8; 4] = b"PKS1";
+
+/// The bytes are not a keyframe's scan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("keyframe record is damaged: {0}")]
+pub(crate) struct CodecError(&'static str);
+
+pub(crate) fn encode(scan: &KeyframeScan) -> Vec<u8> {
+    let (hits, misses) = (&scan.hits.positions, &scan.misses);
+    let mut out = Vec::with_capacity(128 + hits.len() * 15 + misses.len() * 12);
+    out.extend_from_slice(MAGIC);
+    out.extend_from_slice(&scan.stamp.nanos().to_le_bytes());
+    let name = scan.sensor.0.as_bytes();
+    out.extend_from_slice(&(name.len() as u16).to_le_bytes());
+    out.extend_from_slice(name);
+    let t = scan.t_base_sensor.translation.vector;
+    let numbers = [t.x, t.y, t.z].into_iter().chain(se3::quaternion_xyzw(&scan.t_base_sensor)).chain([scan.base_height_m]);
+    numbers.for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
+    out.push(u8::from(scan.planar) | u8::from(scan.hits.colors.is_some()) << 1);
+    put_points(&mut out, hits);
+    if let Some(colors) = &scan.hits.colors {
+        out.extend_from_slice(colors.as_flattened());
+    }
+    put_points(&mut out, misses);
+    out
+}
+
+fn put_points(out: &mut Vec<u8>, points: &[Point3<f32>]) {
+    out.extend_from_slice(&(points.len() as u32).to_le_bytes());
+    for p in points {
+        for v in [p.x, p.y, p.z] {
+            out.extend_from_slice(&v.to_le_bytes());
+        }
+    }
+}
+
+struct Reader<'a>(&'a [u8]);
+
+impl<'a> Reader<'a> {
+    fn take(&mut self, n: usize) -> Result<&'a [u8], CodecError> {
+        let (head, rest) = self.0.split_at_checked(n).ok_or(CodecError("it ends too early"))?;
+        self.0 = rest;
+        Ok(head)
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], CodecError> {
+        self.take(N)?.try_into().map_err(|_| CodecError("it ends too early"))
+    }
+
+    fn points(&mut self) -> Result<Vec<Point3<f32>>, CodecError> {
+        let n = u32::from_le_bytes(self.array()?) as usize;
+        let bytes = self.take(n.checked_mul(12).ok_or(CodecError("too many points"))?)?;
+        let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+        Ok(bytes.chunks_exact(12).map(|b| Point3::new(value(b), value(&b[4..]), value(&b[8..]))).collect())
+    }
+}
+
+pub(crate) fn decode(bytes: &[u8]) -> Result<KeyframeScan, CodecError> {
+    let mut r = Reader(bytes);
+    if &r.array::<4>()? != MAGIC {
+        return Err(CodecError("it has another magic number"));
+    }
+    let stamp = Timestamp(i64::from_le_bytes(r.array()?));
+    let name_len = usize::from(u16::from_le_bytes(r.array()?));
+    let name = std::str::from_utf8(r.take(name_len)?).map_err(|_| CodecError("its sensor name is not text"))?;
+    let mut numbers = [0.0; 8];
+    for n in &mut numbers {
+        *n = f64::from_le_bytes(r.array()?);
+    }
+    let [x, y, z, qx, qy, qz, qw, base_height_m] = numbers;
+    let t_base_sensor = se3::pose_from_parts("t_base_sensor", [x, y, z], [qx, qy, qz, qw])
+        .map_err(|_| CodecError("its sensor pose is no pose"))?;
+    let [flags] = r.array()?;
+    let positions = r.points()?;
+    let colors = if flags & 2 != 0 {
+        Some(r.take(positions.len() * 3)?.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect())
+    } else {
+        None
+    };
+    let misses = r.points()?;
+    if !r.0.is_empty() {
+        return Err(CodecError("bytes are left over"));
+    }
+    let hits = PointCloud { positions, colors, ..PointCloud::default() };
+    Ok(KeyframeScan {
+        stamp,
+        sensor: SensorId(name.to_owned()),
+        t_base_sensor,
+        base_height_m,
+        hits,
+        misses,
+        planar: flags & 1 != 0,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scan() -> KeyframeScan {
+        KeyframeScan {
+            stamp: Timestamp(-5),
+            sensor: "front".into(),
+            t_base_sensor: se3::from_xy_yaw(0.1, 0.2, 0.3),
+            base_height_m: 0.25,
+            hits: PointCloud {
+                positions: vec![Point3::new(1.0, 2.0, 3.0), Point3::new(f32::NAN, 0.0, -1.0)],
+                colors: Some(vec![[1, 2, 3], [4, 5, 6]]),
+                ..PointCloud::default()
+            },
+            misses: vec![Point3::new(9.0, 8.0, 7.0)],
+            planar: true,
+        }
+    }
+
+    #[test]
+    fn a_scan_survives_the_round_trip_bit_for_bit() {
+        let bytes = encode(&scan());
+        assert_eq!(encode(&decode(&bytes).unwrap()), bytes);
+    }
+
+    #[test]
+    fn a_record_cut_at_any_length_is_refused() {
+        let bytes = encode(&scan());
+        for n in 0..bytes.len() {
+            assert!(decode(&bytes[..n]).is_err(), "{n}");
+        }
+        assert!(decode(&[bytes.as_slice(), &[0]].concat()).is_err());
+    }
+}

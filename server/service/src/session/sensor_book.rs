@@ -1,0 +1,120 @@
+//! What the session sees of each sensor's stream.
+
+use super::meta::SensorDeclaration;
+use percept_geometry::{SensorId, Timestamp};
+use std::collections::{BTreeMap, VecDeque};
+
+/// Stamps kept to tell the rate.
+const RATE_WINDOW: usize = 50;
+
+/// Health of one sensor's stream.
+#[derive(Debug, Clone)]
+pub struct SensorStatus {
+    /// The sensor.
+    pub declaration: SensorDeclaration,
+    /// Frames accepted.
+    pub accepted: u64,
+    /// Frames refused as bad input.
+    pub rejected: u64,
+    /// Frames dropped under overload.
+    pub dropped: u64,
+    /// Missing numbers in the sender's sequence.
+    pub gaps: u64,
+    /// Mean rate over the last frames, hertz.
+    pub rate_hz: Option<f64>,
+    /// Newest accepted stamp, the sensor's clock.
+    pub last_stamp: Option<Timestamp>,
+}
+
+impl SensorStatus {
+    /// The verdict in words, for an operator.
+    pub fn verdict(&self) -> String {
+        if self.accepted == 0 && self.rejected == 0 {
+            return "no frame yet".to_owned();
+        }
+        let mut troubles = Vec::new();
+        let mut note = |count: u64, what: &str| {
+            if count > 0 {
+                troubles.push(format!("{count} {what}"));
+            }
+        };
+        note(self.rejected, "frames refused as bad input");
+        note(self.dropped, "frames dropped because they came faster than they are processed");
+        note(self.gaps, "frames missing in the sender's numbering");
+        if troubles.is_empty() { "good".to_owned() } else { troubles.join("; ") }
+    }
+}
+
+#[derive(Debug, Clone)]
+struct Entry {
+    status: SensorStatus,
+    stamps: VecDeque<Timestamp>,
+    last_sequence: u64,
+}
+
+/// All sensors of a session.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct SensorBook {
+    entries: BTreeMap<SensorId, Entry>,
+}
+
+impl SensorBook {
+    pub(crate) fn declare(&mut self, declaration: SensorDeclaration, last_stamp: Option<Timestamp>) {
+        let id = declaration.spec.id.clone();
+        let status = SensorStatus {
+            declaration,
+            accepted: 0,
+            rejected: 0,
+            dropped: 0,
+            gaps: 0,
+            rate_hz: None,
+            last_stamp,
+        };
+        self.entries.insert(id, Entry { status, stamps: VecDeque::new(), last_sequence: 0 });
+    }
+
+    pub(crate) fn get(&self, id: &SensorId) -> Option<&SensorStatus> {
+        self.entries.get(id).map(|e| &e.status)
+    }
+
+    pub(crate) fn all(&self) -> impl Iterator<Item = &SensorStatus> {
+        self.entries.values().map(|e| &e.status)
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    pub(crate) fn accepted(&mut self, id: &SensorId, stamp: Timestamp) {
+        let Some(entry) = self.entries.get_mut(id) else { return };
+        entry.status.accepted += 1;
+        entry.status.last_stamp = Some(stamp);
+        entry.stamps.push_back(stamp);
+        if entry.stamps.len() > RATE_WINDOW {
+            entry.stamps.pop_front();
+        }
+        let span = entry.stamps.front().map_or(0.0, |first| stamp.seconds_since(*first));
+        entry.status.rate_hz = (span > 0.0).then(|| (entry.stamps.len() - 1) as f64 / span);
+    }
+
+    pub(crate) fn rejected(&mut self, id: &SensorId) {
+        if let Some(entry) = self.entries.get_mut(id) {
+            entry.status.rejected += 1;
+        }
+    }
+
+    pub(crate) fn dropped(&mut self, id: &SensorId) {
+        if let Some(entry) = self.entries.get_mut(id) {
+            entry.status.dropped += 1;
+        }
+    }
+
+    /// Counts the numbers that a numbered sender left out; a smaller number means that it started anew.
+    pub(crate) fn numbered(&mut self, id: &SensorId, sequence: u64) {
+        let Some(entry) = self.entries.get_mut(id).filter(|_| sequence > 0) else { return };
+        if entry.last_sequence > 0 && sequence > entry.last_sequence {
+            entry.status.gaps += sequence - entry.last_sequence - 1;
+        }
+        entry.last_sequence = sequence;
+    }
+}

@@ -1,0 +1,177 @@
+//! Grids, clouds, files of maps, cut into chunks.
+
+use super::{geometry, required};
+use crate::v1;
+use bytes::Bytes;
+use nalgebra::{Point2, Point3};
+use percept_geometry::{GridGeometry, Timestamp};
+use percept_service::{CloudAnswer, Error, GridAnswer, MapFile, MapFormat, MapSummary, Result};
+
+/// Payload of a chunk, bytes: well under gRPC's default limit of 4 MiB.
+const CHUNK_BYTES: usize = 1 << 20;
+
+/// The session whose live map a request is about.
+///
+/// # Errors
+/// `FIELD_MISSING`.
+pub fn session_id(source: Option<&v1::MapSource>) -> Result<&str> {
+    let source = required("source", source)?;
+    match required("source.session_id", source.source.as_ref())? {
+        v1::map_source::Source::SessionId(id) => Ok(id),
+    }
+}
+
+/// A region: its lower-left and upper-right corner.
+///
+/// # Errors
+/// Missing or non-finite corners.
+pub fn region(r: Option<&v1::Region2>) -> Result<Option<(Point2<f64>, Point2<f64>)>> {
+    let Some(r) = r else { return Ok(None) };
+    let min = geometry::point2("region.min", &required("region.min", r.min)?)?;
+    let max = geometry::point2("region.max", &required("region.max", r.max)?)?;
+    Ok(Some((min, max)))
+}
+
+/// The ball that a cloud is asked for.
+///
+/// # Errors
+/// A center without a positive radius.
+pub fn around(r: &v1::GetCloudRequest) -> Result<Option<(Point3<f64>, f64)>> {
+    let Some(center) = &r.center else { return Ok(None) };
+    let radius = required("radius_m", r.radius_m)?;
+    if !(radius.is_finite() && radius > 0.0) {
+        return Err(Error::invalid("OUT_OF_RANGE", "radius_m", format!("radius_m is {radius}; it must be positive")));
+    }
+    Ok(Some((geometry::vector("center", center)?.into(), radius)))
+}
+
+/// A file format.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`.
+pub fn format(value: i32) -> Result<MapFormat> {
+    use v1::MapFormat as F;
+    Ok(match F::try_from(value) {
+        Ok(F::OccupancyPng) => MapFormat::OccupancyPng,
+        Ok(F::Nav2Pgm) => MapFormat::Nav2Pgm,
+        Ok(F::Nav2Yaml) => MapFormat::Nav2Yaml,
+        Ok(F::CloudPly) => MapFormat::CloudPly,
+        Ok(F::CloudPcd) => MapFormat::CloudPcd,
+        Ok(F::TrajectoryTum) => MapFormat::TrajectoryTum,
+        Ok(F::OverviewPng) => MapFormat::OverviewPng,
+        Ok(F::CloudTopPng) => MapFormat::CloudTopPng,
+        _ => return Err(super::unknown_enum("format", value)),
+    })
+}
+
+/// Which state of the map, as a message.
+pub fn stamp_to(map_version: u64, stamp: Timestamp) -> v1::MapStamp {
+    v1::MapStamp { map_version, stamp_ns: stamp.nanos(), frame_id: "map".to_owned() }
+}
+
+fn grid_geometry_to(g: &GridGeometry, width: usize, height: usize) -> v1::GridGeometry {
+    v1::GridGeometry {
+        resolution_m: g.resolution_m,
+        origin: Some(v1::Vector2 { x: g.origin.x, y: g.origin.y }),
+        width: width as u32,
+        height: height as u32,
+    }
+}
+
+/// Sizes of a map as a message.
+pub fn summary_to(s: &MapSummary) -> v1::GetMapSummaryResponse {
+    v1::GetMapSummaryResponse {
+        stamp: Some(stamp_to(s.map_version, s.stamp)),
+        occupancy: s.occupancy.as_ref().map(|(g, w, h)| grid_geometry_to(g, *w, *h)),
+        num_points: s.num_points as u64,
+        voxel_size_m: s.voxel_size_m,
+        num_keyframes: s.num_keyframes as u64,
+    }
+}
+
+/// A grid in one message.
+pub fn grid_to(answer: &GridAnswer) -> v1::OccupancyGridChunk {
+    let g = &answer.grid;
+    v1::OccupancyGridChunk {
+        stamp: Some(stamp_to(answer.map_version, answer.stamp)),
+        geometry: Some(grid_geometry_to(&g.geometry, g.width, g.height)),
+        offset: 0,
+        cells: g.cells.iter().map(|&c| c as u8).collect::<Vec<u8>>().into(),
+    }
+}
+
+/// A grid in chunks; at least one, which holds the head.
+pub fn grid_chunks(answer: &GridAnswer) -> Vec<v1::OccupancyGridChunk> {
+    let whole = grid_to(answer);
+    let mut chunks = Vec::new();
+    let mut offset = 0;
+    loop {
+        let end = (offset + CHUNK_BYTES).min(whole.cells.len());
+        let head = offset == 0;
+        chunks.push(v1::OccupancyGridChunk {
+            stamp: whole.stamp.clone().filter(|_| head),
+            geometry: whole.geometry.filter(|_| head),
+            offset: offset as u64,
+            cells: whole.cells.slice(offset..end),
+        });
+        offset = end;
+        if offset == whole.cells.len() {
+            return chunks;
+        }
+    }
+}
+
+/// A cloud in chunks; at least one, which holds the head.
+pub fn cloud_chunks(answer: &CloudAnswer) -> Vec<v1::CloudChunk> {
+    // 15 bytes a point with colour.
+    const POINTS: usize = CHUNK_BYTES / 15;
+    let n = answer.cloud.len();
+    let starts = (0..n.max(1)).step_by(POINTS);
+    starts
+        .map(|start| {
+            let indices: Vec<usize> = (start..(start + POINTS).min(n)).collect();
+            v1::CloudChunk {
+                stamp: (start == 0).then(|| stamp_to(answer.map_version, answer.stamp)),
+                total_points: (start == 0).then_some(n as u64),
+                cloud: Some(geometry::cloud_to(&answer.cloud.select(&indices))),
+            }
+        })
+        .collect()
+}
+
+/// A file in chunks; at least one, which holds the head. `sha256` is of the whole, lower-case hex.
+pub fn file_chunks(file: MapFile, sha256: String) -> Vec<v1::FileChunk> {
+    let header = v1::FileHeader {
+        stamp: Some(stamp_to(file.map_version, file.stamp)),
+        file_name: file.file_name,
+        media_type: file.media_type.to_owned(),
+        size_bytes: file.bytes.len() as u64,
+        sha256,
+    };
+    let bytes = Bytes::from(file.bytes);
+    let starts = (0..bytes.len().max(1)).step_by(CHUNK_BYTES);
+    starts
+        .map(|start| v1::FileChunk {
+            header: (start == 0).then(|| header.clone()),
+            offset: start as u64,
+            data: bytes.slice(start..(start + CHUNK_BYTES).min(bytes.len())),
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chunks_of_a_grid_join_to_the_whole() {
+        for (width, height) in [(0, 0), (3, 2), (1500, 1500)] {
+            let cells: Vec<i8> = (0..width * height).map(|i| (i % 102) as i8 - 1).collect();
+            let grid = percept_formats::GridMap { geometry: GridGeometry::new(0.1, Point2::origin()), width, height, cells: cells.clone() };
+            let chunks = grid_chunks(&GridAnswer { map_version: 1, stamp: Timestamp(2), grid });
+            let joined: Vec<i8> = chunks.iter().flat_map(|c| c.cells.iter().map(|&b| b as i8)).collect();
+            assert_eq!(joined, cells);
+            assert!(chunks[0].geometry.is_some() && chunks[1..].iter().all(|c| c.geometry.is_none()));
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! Protos to domain types, checked, and back. One file a noun.
+
+pub mod evaluation;
+pub mod geometry;
+pub mod maps;
+pub mod navigation;
+pub mod scene;
+pub mod sensors;
+pub mod sessions;
+pub mod toolbox;
+
+use percept_service::{Error, Result};
+
+/// The value of a field that must be there.
+///
+/// # Errors
+/// `FIELD_MISSING` naming the field.
+pub fn required<T>(field: &str, value: Option<T>) -> Result<T> {
+    value.ok_or_else(|| Error::invalid("FIELD_MISSING", field, format!("{field} is missing; set it")))
+}
+
+/// An enum value that this version does not know, or that was left unspecified.
+pub fn unknown_enum(field: &str, value: i32) -> Error {
+    Error::invalid("ENUM_UNKNOWN", field, format!("{field} is {value}, which is unspecified or unknown; choose one of the contract's values"))
+}
+
+/// The formats' limits under the service's.
+pub fn format_limits(limits: &percept_service::Limits) -> percept_formats::Limits {
+    percept_formats::Limits {
+        max_points: limits.max_cloud_points,
+        max_pixels: limits.max_image_pixels,
+        max_bytes: limits.max_message_bytes,
+    }
+}
+
+/// A file that did not decode.
+pub fn format_error(e: percept_formats::FormatError) -> Error {
+    Error::invalid("FILE_INVALID", "data", format!("data does not decode: {e}"))
+}

@@ -1,0 +1,133 @@
+//! Sessions, poses, trajectories, acknowledgements, events.
+
+use super::{geometry, scene, sensors};
+use crate::{params, v1};
+use percept_geometry::Pose;
+use percept_pipeline::{KeyframeInfo, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
+use percept_service::{Error, Event, EventKind, NewSession, Processed, Result, Session, SessionMode};
+use percept_slam::TrackingState;
+
+/// What a session is created with.
+///
+/// # Errors
+/// Naming the field.
+pub fn new_session(r: &v1::CreateSessionRequest, defaults: &PipelineParams) -> Result<NewSession> {
+    use v1::SessionMode as M;
+    let mode = match M::try_from(r.mode) {
+        Ok(M::Unspecified | M::Mapping) => SessionMode::Mapping,
+        Ok(M::IngestOnly) => SessionMode::IngestOnly,
+        Err(_) => return Err(super::unknown_enum("mode", r.mode)),
+    };
+    let declare = |(i, s): (usize, &v1::SensorSpec)| sensors::declaration(s).map_err(|e| e.within(&format!("sensors[{i}]")));
+    Ok(NewSession {
+        id: r.session_id.clone(),
+        display_name: r.display_name.clone(),
+        mode,
+        sensors: r.sensors.iter().enumerate().map(declare).collect::<Result<_>>()?,
+        params: params::pipeline(r.params.as_ref(), defaults)?,
+        request_id: r.request_id.clone(),
+    })
+}
+
+/// A session as a message.
+///
+/// # Errors
+/// `INTERNAL` if the parameters do not fit the contract.
+pub fn session_to(s: &Session) -> Result<v1::Session> {
+    let (meta, snapshot) = (s.meta(), s.snapshot());
+    let mode = match meta.mode {
+        SessionMode::Mapping => v1::SessionMode::Mapping,
+        SessionMode::IngestOnly => v1::SessionMode::IngestOnly,
+    };
+    Ok(v1::Session {
+        session_id: meta.id,
+        display_name: meta.display_name,
+        mode: mode.into(),
+        create_time_ns: meta.create_time_ns,
+        params: Some(params::pipeline_to(&meta.params)?),
+        sensors: s.sensors().iter().map(sensors::status_to).collect(),
+        pose: snapshot.pose.as_ref().map(pose_to),
+        num_keyframes: snapshot.keyframes.len() as u64,
+        num_objects: snapshot.objects.iter().filter(|o| o.state != percept_scene::ObjectState::Gone).count() as u64,
+        map_version: snapshot.map_version,
+        queue_length: s.queue_len() as u32,
+    })
+}
+
+/// A pose as a message.
+pub fn pose_to(p: &PoseEstimate) -> v1::PoseEstimate {
+    let (state, lost_reason) = match &p.state {
+        TrackingState::Initialising => (v1::TrackingState::Initialising, String::new()),
+        TrackingState::Tracking => (v1::TrackingState::Tracking, String::new()),
+        TrackingState::Lost { reason } => (v1::TrackingState::Lost, reason.to_string()),
+    };
+    v1::PoseEstimate {
+        stamp_ns: p.stamp.nanos(),
+        state: state.into(),
+        t_map_base: Some(geometry::pose_to(&p.t_map_base)),
+        covariance: Some(geometry::covariance_to(&p.covariance)),
+        t_odom_base: Some(geometry::pose_to(&p.t_odom_base)),
+        lost_reason,
+        inlier_ratio: p.inlier_ratio,
+        rmse_m: p.rmse_m,
+        degenerate_axes: p.degenerate_axes.to_vec(),
+        map_version: p.map_version,
+    }
+}
+
+/// A keyframe as a message.
+pub fn keyframe_to(k: &KeyframeInfo) -> v1::Keyframe {
+    v1::Keyframe {
+        keyframe_id: k.id.0,
+        stamp_ns: k.stamp.nanos(),
+        sensor_id: k.sensor.0.clone(),
+        t_map_base: Some(geometry::pose_to(&k.t_map_base)),
+        num_points: k.num_points as u32,
+    }
+}
+
+/// A pose of the trajectory as a message.
+pub fn trajectory_pose_to(t_map_base: &Pose, entry: &TrajectoryEntry) -> v1::TrajectoryPose {
+    let state = if entry.tracked { v1::TrackingState::Tracking } else { v1::TrackingState::Lost };
+    v1::TrajectoryPose {
+        stamp_ns: entry.stamp.nanos(),
+        t_map_base: Some(geometry::pose_to(t_map_base)),
+        state: state.into(),
+        keyframe_id: entry.is_keyframe.then_some(entry.anchor.0),
+    }
+}
+
+/// What a frame did, as a message.
+pub fn result_to(p: &Processed) -> v1::FrameResult {
+    v1::FrameResult {
+        pose: p.pose.as_ref().map(pose_to),
+        keyframe_id: p.keyframe.map(|k| k.0),
+        latency_s: p.latency_s,
+    }
+}
+
+/// An error as a message.
+pub fn error_to(e: &Error) -> v1::ErrorInfo {
+    v1::ErrorInfo {
+        reason: e.reason.to_owned(),
+        message: e.message.clone(),
+        field: e.field.clone(),
+        code: e.code.name().to_owned(),
+    }
+}
+
+/// An event as a message; objects are given as they are in `snapshot`.
+pub fn event_to(event: &Event, snapshot: &Snapshot) -> v1::SessionEvent {
+    use v1::session_event::Event as E;
+    let kind = match &event.kind {
+        EventKind::Pose(p) => E::Pose(pose_to(p)),
+        EventKind::Keyframe(k) => E::KeyframeAdded(keyframe_to(k)),
+        EventKind::Object(c) => {
+            let object = snapshot.objects.iter().find(|o| o.id == c.id);
+            E::ObjectChanged(scene::change_to(c, object))
+        }
+        EventKind::MapVersion(v) => E::MapVersion(*v),
+        EventKind::Resync(missed) => E::Resync(v1::Resync { missed: *missed }),
+    };
+    v1::SessionEvent { token: event.token, stamp_ns: event.stamp.nanos(), event: Some(kind) }
+}
