@@ -137,10 +137,16 @@ impl Shape {
     pub(crate) fn normal(&self, p: &Point3<f64>) -> Vector3<f64> {
         match *self {
             Self::Box { min, max } => {
-                let (below, above) = (min - p, p - max);
-                let axis = below.sup(&above).imax();
-                let mut n = Vector3::zeros();
-                n[axis] = if above[axis] > below[axis] { 1.0 } else { -1.0 };
+                // The face that the point is nearest to, or farthest outside of.
+                let (mut best, mut n) = (f64::NEG_INFINITY, Vector3::zeros());
+                for axis in 0..3 {
+                    let (below, above) = (min[axis] - p[axis], p[axis] - max[axis]);
+                    if below.max(above) > best {
+                        best = below.max(above);
+                        n = Vector3::zeros();
+                        n[axis] = if above > below { 1.0 } else { -1.0 };
+                    }
+                }
                 n
             }
             Self::Cylinder { x, y, radius, z_min, z_max } => {

@@ -45,7 +45,7 @@ impl Material {
         };
         // Opposite faces and parallel walls get patterns of their own.
         // The offset keeps faces at round figures away from the rounding's border.
-        let plane = (p[axis] * 2.0 + 0.2371).round() as i32;
+        let plane = floor_index(p[axis] * 2.0 + 0.7371);
         let seed = self.seed ^ hash(plane, axis as i32 + if normal[axis] > 0.0 { 3 } else { 0 }, 77);
         match self.pattern {
             Pattern::Floor => floor(self.color, u, v, self.seed),
@@ -53,7 +53,7 @@ impl Material {
             Pattern::Ceiling => ceiling(self.color, u, v, self.seed),
             Pattern::Speckle => scale(self.color, 0.7 + 0.45 * noise(u, v, 0.035, seed)),
             Pattern::Stripes => {
-                let band = hash_unit((p.z / 0.07).floor() as i32, 0, self.seed);
+                let band = hash_unit(floor_index(p.z * (1.0 / 0.07)), 0, self.seed);
                 scale(self.color, 0.55 + 0.5 * band + 0.1 * noise(u, v, 0.04, seed))
             }
         }
@@ -64,10 +64,16 @@ fn scale(color: [f32; 3], by: f32) -> [f32; 3] {
     color.map(|c| (c * by).min(1.0))
 }
 
+/// Floor without a call to the library, which costs most where every pixel needs several.
+fn floor_index(x: f64) -> i32 {
+    let truncated = x as i32;
+    truncated - i32::from(f64::from(truncated) > x)
+}
+
 fn cell(x: f64, size: f64) -> (i32, f64) {
     let scaled = x / size;
-    let floor = scaled.floor();
-    (floor as i32, scaled - floor)
+    let index = floor_index(scaled);
+    (index, scaled - f64::from(index))
 }
 
 /// Value noise, 0..1, smooth between the corners of cells of `size` metres.

@@ -248,7 +248,8 @@ fn measure(params: &DepthCameraParams, row: &Row<'_>, u: usize, rng: &mut impl R
     let gauss: f64 = StandardNormal.sample(rng);
     z += sigma * gauss;
     if params.quantum_m > 0.0 {
-        z = (z / params.quantum_m).round() * params.quantum_m;
+        // Depths are positive, so that truncation after adding a half rounds.
+        z = ((z / params.quantum_m + 0.5) as i64) as f64 * params.quantum_m;
     }
     if z >= params.range_min_m && z <= params.range_max_m { z as f32 } else { 0.0 }
 }

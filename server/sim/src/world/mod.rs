@@ -46,7 +46,7 @@ impl Default for WorldParams {
             room_min_m: 4.4,
             room_max_m: 6.0,
             furniture_per_m2: 0.35,
-            lane_clearance_m: 0.38,
+            lane_clearance_m: 0.5,
             person: true,
         }
     }
