@@ -147,8 +147,7 @@ impl Committer {
         let fenced = self.db.status().close_reason == Some(CloseReason::Fenced);
         // The log has everything; sorted tables can wait for the next opening.
         let flush_type = self.stalled.is_none().then_some(FlushType::Wal);
-        let mut options = CloseOptions::default();
-        options.flush_type = flush_type;
+        let options = CloseOptions { flush_type };
         let closed = tokio::time::timeout(self.timeout, self.db.close_with_options(options)).await;
         match closed {
             _ if fenced => Err(StoreError::Fenced { epoch: self.epoch }),
