@@ -25,6 +25,7 @@ pub use features::ShapeFeatures;
 pub use hull::{Rectangle, convex_hull, minimum_area_rectangle};
 pub use normals::{NormalParams, estimate_normals};
 pub use outliers::{RadiusOutlierParams, StatisticalOutlierParams, radius_outliers, statistical_outliers};
+pub(crate) use plane::segment_among;
 pub use plane::{PlaneParams, PlaneSegment, segment_plane};
 pub use planes::{PlaneKind, PlanesParams, TypedPlane, segment_planes};
 pub use scatter::Scatter;

@@ -1,1 +1,21 @@
 //! A cloud in, objects out: propose, fit a box, classify.
+//!
+//! Comes in: a cloud in a frame with z up and the floor near z = 0, best the fused cloud around the robot, one
+//! frame's cloud as well. Goes out: [`Detection`]s, each a class with its probability and an upright box.
+//! What holds the room together (floor, ceiling, walls) is recognised and left out; nothing is remembered
+//! from one call to the next. Start with [`Detector::detect`].
+
+mod classify;
+mod descriptor;
+mod detector;
+mod params;
+mod propose;
+mod structure;
+mod walls;
+
+pub use classify::{Candidate, Classifier, GaussianClassifier, Posterior};
+pub use descriptor::Descriptor;
+pub use detector::{Detection, Detector};
+pub use params::DetectionParams;
+pub use structure::{Structure, find_structure};
+pub use walls::Wall;

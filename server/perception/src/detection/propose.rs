@@ -1,0 +1,123 @@
+//! Clusters that may be objects, mended where one object came apart.
+
+use super::{DetectionParams, Structure};
+use crate::cloud::{DbscanParams, dbscan, upright_box_trimmed};
+use nalgebra::Point3;
+use percept_geometry::shapes::convex_intersection_area;
+use percept_geometry::{GeometryError, OrientedBox3};
+
+/// A part whose footprint lies by this share within another's belongs to it.
+const SHARED: f64 = 0.5;
+/// Parts of one object are at most this far apart in height, metres: a seat and its back, a top and its legs.
+const MAX_GAP_M: f64 = 0.5;
+
+/// A cluster and its box, which stands on the floor if the object does.
+#[derive(Debug, Clone)]
+pub(super) struct Proposal {
+    pub(super) points: Vec<Point3<f32>>,
+    pub(super) bbox: OrientedBox3,
+}
+
+/// Objects among thinned points: without floor, walls and what is above, joined by nearness, parts that
+/// stand over each other put together.
+pub(super) fn propose(
+    points: &[Point3<f32>],
+    structure: &Structure,
+    params: &DetectionParams,
+) -> Result<Vec<Proposal>, GeometryError> {
+    let free: Vec<Point3<f32>> = points
+        .iter()
+        .filter(|p| {
+            let p = p.cast();
+            let height = structure.height(&p);
+            height > params.floor_margin_m
+                && height <= params.max_height_m
+                && !structure.in_wall(&p, params.wall_distance_m)
+        })
+        .copied()
+        .collect();
+    // By density, so that a spray of noise between two objects does not join them; small parts may still belong
+    // to something and are judged after mending.
+    let clusters = dbscan(&free, &DbscanParams { eps_m: params.cluster_eps_m, min_points: params.min_density })?;
+    let mut parts: Vec<Proposal> = clusters
+        .indices()
+        .iter()
+        .filter_map(|members| boxed(members.iter().map(|&i| free[i]).collect(), params.box_trim))
+        .collect();
+    mend(&mut parts, params);
+    parts.retain_mut(|part| is_object(part, structure, params));
+    for part in &mut parts {
+        stand(part, structure);
+    }
+    Ok(parts)
+}
+
+fn boxed(points: Vec<Point3<f32>>, trim: f64) -> Option<Proposal> {
+    let bbox = upright_box_trimmed(&points, trim)?;
+    Some(Proposal { points, bbox })
+}
+
+/// Puts parts over each other together, the larger ones first, until nothing changes.
+fn mend(parts: &mut Vec<Proposal>, params: &DetectionParams) {
+    parts.sort_by_key(|p| std::cmp::Reverse(p.points.len()));
+    let mut i = 0;
+    while i < parts.len() {
+        match (i + 1..parts.len()).find(|&j| belong_together(&parts[i].bbox, &parts[j].bbox, params)) {
+            Some(j) => {
+                let part = parts.remove(j);
+                parts[i].points.extend(part.points);
+                if let Some(bbox) = upright_box_trimmed(&parts[i].points, params.box_trim) {
+                    parts[i].bbox = bbox;
+                }
+            }
+            None => i += 1,
+        }
+    }
+}
+
+fn belong_together(a: &OrientedBox3, b: &OrientedBox3, params: &DetectionParams) -> bool {
+    let grown = |b: &OrientedBox3| {
+        let mut b = *b;
+        b.size.x += params.voxel_size_m;
+        b.size.y += params.voxel_size_m;
+        b
+    };
+    let (a, b) = (grown(a), grown(b));
+    let area = |b: &OrientedBox3| b.size.x * b.size.y;
+    let shared = convex_intersection_area(&a.footprint(), &b.footprint());
+    let gap = (a.center().z - b.center().z).abs() - 0.5 * (a.size.z + b.size.z);
+    shared >= SHARED * area(&a).min(area(&b)) && gap <= MAX_GAP_M && a.size.x.max(b.size.x) <= params.max_size_m
+}
+
+fn is_object(part: &Proposal, structure: &Structure, params: &DetectionParams) -> bool {
+    let (long, short) = (part.bbox.size.x.max(part.bbox.size.y), part.bbox.size.x.min(part.bbox.size.y));
+    let bottom_center = part.bbox.center();
+    let top = structure.height(&bottom_center) + 0.5 * part.bbox.size.z;
+    let sides = 2.0 * (long + short) * part.bbox.size.z / params.voxel_size_m.powi(2);
+    if part.points.len() < params.min_points
+        || (part.points.len() as f64) < params.min_coverage * sides
+        || long < params.min_size_m
+        || long > params.max_size_m
+        || top < params.min_height_m
+    {
+        return false;
+    }
+    // A thin sheet along a wall is what the wall's plane did not take.
+    let thin = 3.0 * params.voxel_size_m;
+    short > thin || structure.wall_distance(&bottom_center) > thin
+}
+
+/// Lets the box reach down to the floor: what is seen of an object ends where something hides it, or at the
+/// floor's margin. Only what hangs on a wall hangs.
+fn stand(part: &mut Proposal, structure: &Structure) {
+    let center = part.bbox.center();
+    let bottom = structure.height(&center) - 0.5 * part.bbox.size.z;
+    let at_wall = structure.wall_distance(&center) < 0.5 * part.bbox.size.x.min(part.bbox.size.y) + 0.15;
+    if bottom <= 0.0 || (at_wall && bottom > 0.6) {
+        return;
+    }
+    let yaw = part.bbox.t_frame_box.rotation.euler_angles().2;
+    let mut size = part.bbox.size;
+    size.z += bottom;
+    part.bbox = OrientedBox3::upright(Point3::new(center.x, center.y, center.z - 0.5 * bottom), size, yaw);
+}
