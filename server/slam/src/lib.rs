@@ -1,1 +1,42 @@
-//! percept-slam.
+//! Frames in, poses out: odometry for depth cameras, 3D lidars and planar lidars, and keyframes.
+//!
+//! Comes in: a [`Scan`] with its stamp, and what wheels say if there are any. Goes out: the pose of base
+//! in the drifting frame `odom` with its covariance, and the [`TrackingState`]. Lost is a state, not a
+//! wrong pose. No loop closure, no map layers, no I/O, no clock live here.
+//!
+//! Start with [`odometry::Odometry::register`]; each sensor's method is a folder of [`odometry`].
+
+pub mod keyframe;
+pub mod odometry;
+pub mod scan;
+pub mod tracking;
+
+pub use keyframe::{KeyframeParams, KeyframePolicy};
+pub use odometry::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams};
+pub use scan::{CloudScan, DepthScan, PlanarScan, Scan};
+pub use tracking::{LostReason, TrackingState};
+
+/// A parameter that cannot be used: the facts, for the caller to put into words.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{field}: {value} is not {requirement}; {remedy}")]
+pub struct ParamError {
+    /// Field with its path inside the crate's parameters, e.g. `rgbd.max_depth_m`.
+    pub field: &'static str,
+    /// The value as given.
+    pub value: f64,
+    /// What it has to be.
+    pub requirement: &'static str,
+    /// What to do instead.
+    pub remedy: &'static str,
+}
+
+/// Checks `min <= value <= max`, finite.
+pub(crate) fn check_range(
+    field: &'static str,
+    value: f64,
+    (min, max): (f64, f64),
+    requirement: &'static str,
+    remedy: &'static str,
+) -> Result<(), ParamError> {
+    if value >= min && value <= max { Ok(()) } else { Err(ParamError { field, value, requirement, remedy }) }
+}

@@ -1,0 +1,213 @@
+//! When a frame becomes a keyframe, and what of it is kept.
+
+use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
+use crate::{ParamError, check_range};
+use nalgebra::Point3;
+use percept_geometry::cloud::Beam;
+use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp, Voxel, cloud};
+use rustc_hash::FxHashSet;
+use serde::{Deserialize, Serialize};
+
+/// When a frame becomes a keyframe, and how much of it is kept.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct KeyframeParams {
+    /// A keyframe at least every so many metres, 0.01 to 100. Smaller: denser maps, more memory.
+    pub distance_m: f64,
+    /// A keyframe at least every so many radians of turning, 0.01 to pi.
+    pub angle_rad: f64,
+    /// Keep every n-th row and column of a depth image, 1 to 64.
+    pub depth_stride_px: usize,
+    /// Depth beyond this is not kept, metres, 0.1 to 100: noise grows with the square of the depth.
+    pub max_depth_m: f64,
+    /// Keep one lidar point per voxel of this edge, metres, 0.01 to 10.
+    pub voxel_size_m: f64,
+    /// A beam without a return frees space up to here, metres, 0.1 to 1000.
+    pub free_range_m: f64,
+}
+
+impl Default for KeyframeParams {
+    fn default() -> Self {
+        Self {
+            distance_m: 0.5,
+            angle_rad: 0.35,
+            depth_stride_px: 4,
+            max_depth_m: 10.0,
+            voxel_size_m: 0.1,
+            free_range_m: 10.0,
+        }
+    }
+}
+
+impl KeyframeParams {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// [`ParamError`] with field, value and remedy.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        let pi = std::f64::consts::PI;
+        check_range("keyframe.distance_m", self.distance_m, (0.01, 100.0), "within 0.01 to 100", "use 0.5")?;
+        check_range("keyframe.angle_rad", self.angle_rad, (0.01, pi), "within 0.01 to pi", "use 0.35")?;
+        let stride = self.depth_stride_px as f64;
+        check_range("keyframe.depth_stride_px", stride, (1.0, 64.0), "within 1 to 64", "use 4")?;
+        check_range("keyframe.max_depth_m", self.max_depth_m, (0.1, 100.0), "within 0.1 to 100", "use 10")?;
+        check_range("keyframe.voxel_size_m", self.voxel_size_m, (0.01, 10.0), "within 0.01 to 10", "use 0.1")?;
+        check_range("keyframe.free_range_m", self.free_range_m, (0.1, 1000.0), "within 0.1 to 1000", "use 10")
+    }
+}
+
+/// Decides which frames become keyframes: those that moved or turned far enough from the last one.
+#[derive(Debug, Clone)]
+pub struct KeyframePolicy {
+    params: KeyframeParams,
+    t_odom_last: Option<Pose>,
+}
+
+impl KeyframePolicy {
+    /// No keyframe yet: the first pose considered becomes one.
+    pub fn new(params: KeyframeParams) -> Self {
+        Self { params, t_odom_last: None }
+    }
+
+    /// Goes on from a keyframe made before a restart.
+    pub fn resume(&mut self, t_odom_base_last: &Pose) {
+        self.t_odom_last = Some(*t_odom_base_last);
+    }
+
+    /// Whether the frame at this pose becomes a keyframe; if so it is the one to move away from next.
+    pub fn consider(&mut self, t_odom_base: &Pose) -> bool {
+        let far = self.t_odom_last.is_none_or(|last| {
+            let t_last_now = last.inverse() * t_odom_base;
+            t_last_now.translation.vector.norm() >= self.params.distance_m
+                || t_last_now.rotation.angle() >= self.params.angle_rad
+        });
+        if far {
+            self.t_odom_last = Some(*t_odom_base);
+        }
+        far
+    }
+}
+
+/// What a keyframe keeps of its scan: ends of beams in base, thinned, and free beams of a planar scan.
+///
+/// `velocity` is base's (m/s, rad/s) for undoing the motion during a lidar's sweep.
+pub fn keyframe_scan(
+    params: &KeyframeParams,
+    stamp: Timestamp,
+    sensor: &SensorId,
+    scan: &Scan,
+    velocity: &nalgebra::Vector6<f64>,
+) -> KeyframeScan {
+    let (hits, misses) = match scan {
+        Scan::Depth(s) => (depth_hits(params, s), vec![]),
+        Scan::Cloud(s) => (cloud_hits(params, s, velocity), vec![]),
+        Scan::Planar(s) => planar_ends(params, s),
+    };
+    KeyframeScan {
+        stamp,
+        sensor: sensor.clone(),
+        t_base_sensor: *scan.t_base_sensor(),
+        hits,
+        misses,
+        base_height_m: 0.0,
+        planar: matches!(scan, Scan::Planar(_)),
+    }
+}
+
+fn depth_hits(params: &KeyframeParams, s: &DepthScan) -> PointCloud {
+    let (width, height) = (s.depth.width(), s.depth.height());
+    let color = s.color.as_ref().filter(|c| c.width() == width && c.height() == height);
+    let stride = params.depth_stride_px.max(1);
+    let mut hits = PointCloud::default();
+    let mut colors = vec![];
+    for v in (stride / 2..height).step_by(stride) {
+        for u in (stride / 2..width).step_by(stride) {
+            let z = f64::from(s.depth.at(u, v));
+            if z > 0.0 && z <= params.max_depth_m {
+                let p = s.intrinsics.ray(u as f64, v as f64).coords * z;
+                hits.positions.push((s.t_base_sensor * Point3::from(p)).cast());
+                colors.extend(color.map(|c| c.at(u, v)));
+            }
+        }
+    }
+    hits.colors = color.map(|_| colors);
+    hits
+}
+
+fn cloud_hits(params: &KeyframeParams, s: &CloudScan, velocity: &nalgebra::Vector6<f64>) -> PointCloud {
+    let in_base = crate::odometry::deskew::to_base(&s.cloud, &s.t_base_sensor, velocity);
+    let mut taken = FxHashSet::default();
+    let keep: Vec<usize> = (0..in_base.len())
+        .filter(|&i| cloud::is_finite(&in_base[i]) && cloud::is_finite(&s.cloud.positions[i]))
+        .filter(|&i| {
+            Voxel::containing(&in_base[i].cast(), params.voxel_size_m).is_some_and(|v| taken.insert(v))
+        })
+        .collect();
+    let mut hits = PointCloud {
+        positions: in_base,
+        colors: s.cloud.colors.clone(),
+        intensities: s.cloud.intensities.clone(),
+        ..PointCloud::default()
+    };
+    if hits.validate().is_err() {
+        (hits.colors, hits.intensities) = (None, None);
+    }
+    hits.select(&keep)
+}
+
+fn planar_ends(params: &KeyframeParams, s: &PlanarScan) -> (PointCloud, Vec<Point3<f32>>) {
+    let (mut hits, mut misses) = (vec![], vec![]);
+    for i in 0..s.scan.ranges_m.len() {
+        let (sin, cos) = s.scan.angle(i).sin_cos();
+        let end = |r: f64| (s.t_base_sensor * Point3::new(r * cos, r * sin, 0.0)).cast();
+        match s.scan.beam(i) {
+            Beam::Hit(r) => hits.push(end(f64::from(r))),
+            Beam::Free(r) => misses.push(end(f64::from(r).min(params.free_range_m))),
+            Beam::Invalid => {}
+        }
+    }
+    (PointCloud::from_positions(hits), misses)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use percept_geometry::{LaserScan, se3};
+    use std::sync::Arc;
+
+    #[test]
+    fn a_keyframe_comes_with_distance_or_turning() {
+        let mut policy = KeyframePolicy::new(KeyframeParams::default());
+        let at = |x, yaw| se3::from_xy_yaw(x, 0.0, yaw);
+        let decisions: Vec<bool> = [at(0.0, 0.0), at(0.4, 0.0), at(0.6, 0.0), at(0.6, 0.3), at(0.6, 0.4), at(0.7, 0.4)]
+            .iter()
+            .map(|t| policy.consider(t))
+            .collect();
+        assert_eq!(decisions, [true, false, true, false, true, false]);
+    }
+
+    #[test]
+    fn beams_without_return_free_space_only_up_to_the_maps_range() {
+        let scan = LaserScan {
+            angle_min_rad: 0.0,
+            angle_increment_rad: 0.5,
+            range_min_m: 0.0,
+            range_max_m: 80.0,
+            time_increment_s: 0.0,
+            ranges_m: vec![2.0, f32::INFINITY, f32::NAN],
+            intensities: None,
+        };
+        let scan = Scan::Planar(PlanarScan { scan: Arc::new(scan), t_base_sensor: se3::from_xy_yaw(1.0, 0.0, 0.0) });
+        let kept = keyframe_scan(
+            &KeyframeParams::default(),
+            Timestamp(0),
+            &"laser".into(),
+            &scan,
+            &nalgebra::Vector6::zeros(),
+        );
+        assert_eq!(kept.hits.positions, [Point3::new(3.0, 0.0, 0.0)]);
+        assert_eq!(kept.misses.len(), 1);
+        assert!(((kept.misses[0] - Point3::new(1.0, 0.0, 0.0)).norm() - 10.0).abs() < 1e-5);
+        assert!(kept.planar);
+    }
+}

@@ -1,0 +1,168 @@
+//! The local map on grids: a likelihood field to search in and line elements to refine on.
+
+use super::sweep::Hit;
+use nalgebra::{Isometry2, Point2, Vector2};
+use percept_geometry::{Cell, GridGeometry};
+
+/// Fine cells along the edge of a coarse one.
+pub(crate) const BLOCK: i32 = 4;
+/// Reach of a hit's likelihood, fine cells.
+const REACH: i32 = 3;
+/// Standard deviation of a hit, fine cells.
+const SIGMA: f64 = 1.4;
+/// Fine cells along the edge of a line element's cell.
+const ELEMENT: i32 = 2;
+
+/// Mean position and normal of the hits in a cell.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Element {
+    p: Vector2<f32>,
+    n: Vector2<f32>,
+    num: f32,
+}
+
+/// Square grids around `center`.
+#[derive(Debug)]
+pub(crate) struct Field {
+    geometry: GridGeometry,
+    center: Point2<f64>,
+    width: i32,
+    fine: Vec<u8>,
+    coarse: Vec<u8>,
+    elements: Vec<Element>,
+    kernel: Vec<u8>,
+}
+
+impl Field {
+    /// Empty, covering `half` metres to each side of `center`.
+    pub(crate) fn new(resolution: f64, half: f64, center: Point2<f64>) -> Self {
+        let width = (2.0 * half / resolution).ceil() as i32 / BLOCK * BLOCK + BLOCK;
+        let origin = center - Vector2::repeat(0.5 * f64::from(width) * resolution);
+        let side = 2 * REACH + 1;
+        let kernel = (0..side * side)
+            .map(|i| {
+                let (x, y) = (f64::from(i % side - REACH), f64::from(i / side - REACH));
+                (255.0 * (-(x * x + y * y) / (2.0 * SIGMA * SIGMA)).exp()) as u8
+            })
+            .collect();
+        let cells = |block: i32| (width / block * (width / block)) as usize;
+        Self {
+            geometry: GridGeometry::new(resolution, origin),
+            center,
+            width,
+            fine: vec![0; cells(1)],
+            coarse: vec![0; cells(BLOCK)],
+            elements: vec![Element::default(); cells(ELEMENT)],
+            kernel,
+        }
+    }
+
+    pub(crate) fn center(&self) -> Point2<f64> {
+        self.center
+    }
+
+    pub(crate) fn resolution(&self) -> f64 {
+        self.geometry.resolution_m
+    }
+
+    /// Empties the grids and moves them to `center`.
+    pub(crate) fn reset(&mut self, center: Point2<f64>) {
+        self.center = center;
+        let half = 0.5 * f64::from(self.width) * self.resolution();
+        self.geometry.origin = center - Vector2::repeat(half);
+        self.fine.fill(0);
+        self.coarse.fill(0);
+        self.elements.fill(Element::default());
+    }
+
+    /// Adds the hits of a scan taken at `t`.
+    pub(crate) fn add(&mut self, hits: &[Hit], t: &Isometry2<f64>) {
+        for hit in hits {
+            let p = t * hit.p;
+            let Some(c) = self.geometry.cell(&p) else { continue };
+            if c.x < REACH + BLOCK || c.y < REACH + BLOCK || c.x + REACH >= self.width || c.y + REACH >= self.width {
+                continue;
+            }
+            self.smear(c);
+            let index = c.y / ELEMENT * (self.width / ELEMENT) + c.x / ELEMENT;
+            let e = &mut self.elements[index as usize];
+            e.num += 1.0;
+            let relative = (p - self.center).cast::<f32>();
+            e.p += (relative - e.p) / e.num;
+            e.n += (t.rotation * hit.n).cast::<f32>();
+        }
+    }
+
+    fn smear(&mut self, c: Cell) {
+        let side = 2 * REACH + 1;
+        let blocks = self.width / BLOCK;
+        for dy in -REACH..=REACH {
+            for dx in -REACH..=REACH {
+                let value = self.kernel[((dy + REACH) * side + dx + REACH) as usize];
+                let (x, y) = (c.x + dx, c.y + dy);
+                let cell = &mut self.fine[(y * self.width + x) as usize];
+                if value <= *cell {
+                    continue;
+                }
+                *cell = value;
+                // A coarse cell bounds all fine cells that its points reach within one block's shift.
+                let (bx, by) = (x / BLOCK, y / BLOCK);
+                for k in [by * blocks + bx, by * blocks + bx - 1, (by - 1) * blocks + bx, (by - 1) * blocks + bx - 1] {
+                    let bound = &mut self.coarse[k as usize];
+                    *bound = value.max(*bound);
+                }
+            }
+        }
+    }
+
+    /// Fine cell of a point; may lie outside.
+    #[inline]
+    pub(crate) fn cell(&self, p: &Point2<f64>) -> (i32, i32) {
+        let q = (p - self.geometry.origin) / self.geometry.resolution_m;
+        (q.x.floor() as i32, q.y.floor() as i32)
+    }
+
+    /// Likelihood, 0..255; 0 outside.
+    #[inline]
+    pub(crate) fn fine(&self, x: i32, y: i32) -> u32 {
+        if x < 0 || y < 0 || x >= self.width || y >= self.width {
+            return 0;
+        }
+        u32::from(self.fine[(y * self.width + x) as usize])
+    }
+
+    /// Upper bound of the likelihoods at `x..x + BLOCK`, `y..y + BLOCK`; 0 outside.
+    #[inline]
+    pub(crate) fn bound(&self, x: i32, y: i32) -> u32 {
+        if x < 0 || y < 0 || x >= self.width || y >= self.width {
+            return 0;
+        }
+        u32::from(self.coarse[(y / BLOCK * (self.width / BLOCK) + x / BLOCK) as usize])
+    }
+
+    /// The nearest line element around `p` whose surface faces like `n` (or anywhere if that is zero):
+    /// its point and unit normal (zero if it has none).
+    pub(crate) fn element(&self, p: &Point2<f64>, n: &Vector2<f64>) -> Option<(Point2<f64>, Vector2<f64>)> {
+        let (x, y) = self.cell(p);
+        let (x, y, cells) = (x.div_euclid(ELEMENT), y.div_euclid(ELEMENT), self.width / ELEMENT);
+        let mut best: Option<(f64, &Element)> = None;
+        for cy in (y - 1).max(0)..=(y + 1).min(cells - 1) {
+            for cx in (x - 1).max(0)..=(x + 1).min(cells - 1) {
+                let e = &self.elements[(cy * cells + cx) as usize];
+                if e.num == 0.0 || e.n.cast::<f64>().dot(n) < 0.0 {
+                    continue;
+                }
+                let d = (self.center + e.p.cast::<f64>() - p).norm_squared();
+                if best.is_none_or(|b| d < b.0) {
+                    best = Some((d, e));
+                }
+            }
+        }
+        best.map(|(_, e)| {
+            let n = e.n.cast::<f64>();
+            // Hits of surfaces that face apart, or without normals, make no line.
+            let line = n.norm() > 0.6 * f64::from(e.num);
+            (self.center + e.p.cast::<f64>(), if line { n.normalize() } else { Vector2::zeros() })
+        })
+    }
+}

@@ -1,0 +1,204 @@
+//! Planar lidars: each scan is searched for, then refined, in a local map of recent keyframe scans.
+//!
+//! Scan to hits with normals ([`sweep`]), map on grids ([`field`]), search ([`search`]), point-to-line
+//! refinement ([`refine`]). The robot moves in the plane: z, roll and pitch of odom stay zero.
+
+mod field;
+mod refine;
+mod search;
+mod sweep;
+
+use crate::odometry::{LocalModel, Match, Prediction};
+use crate::scan::Scan;
+use crate::tracking::LostReason;
+use crate::{ParamError, check_range};
+use field::Field;
+use nalgebra::{Isometry2, Matrix3, Point2, Vector2, Vector6};
+use percept_geometry::{KeyframeScan, Pose, se3};
+use search::{Window, search};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::sync::Arc;
+use sweep::Hit;
+
+/// Parameters of planar lidar odometry.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Lidar2dParams {
+    /// Farther hits are not used, metres, 1 to 200.
+    pub max_range_m: f64,
+    /// Cell of the search grid, metres, 0.01 to 0.5.
+    pub resolution_m: f64,
+    /// A scan joins the local map after so many metres, 0.01 to 10.
+    pub insert_distance_m: f64,
+    /// Or after so many radians, 0.01 to pi.
+    pub insert_angle_rad: f64,
+    /// The local map holds the scans of so much motion, metres (a radian counts half a metre), 1 to 1000.
+    pub window_m: f64,
+    /// Widest search to each side, metres, 0.05 to 5.
+    pub max_search_m: f64,
+    /// Widest search to each side, radians, 0.02 to pi.
+    pub max_search_rad: f64,
+    /// Least share of the hits that must lie on the local map, 0.01 to 1.
+    pub min_inlier_ratio: f64,
+}
+
+impl Default for Lidar2dParams {
+    fn default() -> Self {
+        Self {
+            max_range_m: 25.0,
+            resolution_m: 0.05,
+            insert_distance_m: 0.3,
+            insert_angle_rad: 0.3,
+            window_m: 40.0,
+            max_search_m: 0.6,
+            max_search_rad: 0.5,
+            min_inlier_ratio: 0.3,
+        }
+    }
+}
+
+impl Lidar2dParams {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// [`ParamError`] with field, value and remedy.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        let pi = std::f64::consts::PI;
+        check_range("lidar2d.max_range_m", self.max_range_m, (1.0, 200.0), "within 1 to 200", "use 25")?;
+        check_range("lidar2d.resolution_m", self.resolution_m, (0.01, 0.5), "within 0.01 to 0.5", "use 0.05")?;
+        // The grids take (2.8 range / resolution)^2 bytes and more.
+        let cells = self.max_range_m / self.resolution_m;
+        check_range("lidar2d.resolution_m", 1.0 / cells, (2.5e-4, 1.0), "max_range_m / 4000 or more", "use 0.05")?;
+        let (d, a) = (self.insert_distance_m, self.insert_angle_rad);
+        check_range("lidar2d.insert_distance_m", d, (0.01, 10.0), "within 0.01 to 10", "use 0.3")?;
+        check_range("lidar2d.insert_angle_rad", a, (0.01, pi), "within 0.01 to pi", "use 0.3")?;
+        check_range("lidar2d.window_m", self.window_m, (1.0, 1000.0), "within 1 to 1000", "use 40")?;
+        check_range("lidar2d.max_search_m", self.max_search_m, (0.05, 5.0), "within 0.05 to 5", "use 0.6")?;
+        check_range("lidar2d.max_search_rad", self.max_search_rad, (0.02, pi), "within 0.02 to pi", "use 0.5")?;
+        let ratio = self.min_inlier_ratio;
+        check_range("lidar2d.min_inlier_ratio", ratio, (0.01, 1.0), "within 0.01 to 1", "use 0.3")
+    }
+}
+
+/// A scan of the local map.
+struct Kept {
+    hits: Vec<Hit>,
+    t_odom_base: Isometry2<f64>,
+    travelled: f64,
+}
+
+/// Hits beyond so many are thinned for the search; the refinement uses all.
+const SEARCH_POINTS: usize = 180;
+
+/// The local map of a planar lidar and its current scan.
+pub(crate) struct Lidar2d {
+    params: Lidar2dParams,
+    kept: VecDeque<Kept>,
+    field: Field,
+    /// Hits of the current scan in base.
+    hits: Vec<Hit>,
+    travelled: f64,
+    last: Option<Isometry2<f64>>,
+}
+
+impl Lidar2d {
+    pub(crate) fn new(params: Lidar2dParams) -> Self {
+        let field = Field::new(params.resolution_m, 1.4 * params.max_range_m, Point2::origin());
+        Self { params, kept: VecDeque::new(), field, hits: vec![], travelled: 0.0, last: None }
+    }
+
+    fn keep(&mut self, hits: Vec<Hit>, t_odom_base: Isometry2<f64>) {
+        self.field.add(&hits, &t_odom_base);
+        self.kept.push_back(Kept { hits, t_odom_base, travelled: self.travelled });
+    }
+
+    /// Redraws the grids when a good part of the scans is old or the robot nears their border.
+    fn redraw(&mut self, here: Point2<f64>) {
+        let oldest = self.kept.front().map_or(self.travelled, |k| k.travelled);
+        let old = self.travelled - oldest > 1.1 * self.params.window_m;
+        if !old && (here - self.field.center()).norm() < 0.3 * self.params.max_range_m {
+            return;
+        }
+        while self.kept.front().is_some_and(|k| self.travelled - k.travelled > self.params.window_m) {
+            self.kept.pop_front();
+        }
+        self.field.reset(here);
+        for k in &self.kept {
+            self.field.add(&k.hits, &k.t_odom_base);
+        }
+    }
+
+    fn travel(&mut self, t: &Isometry2<f64>) {
+        if let Some(last) = &self.last {
+            let d = last.inverse() * t;
+            self.travelled += d.translation.vector.norm() + 0.5 * d.rotation.angle().abs();
+        }
+        self.last = Some(*t);
+    }
+}
+
+/// x, y and yaw of a pose.
+fn planar(t: &Pose) -> Isometry2<f64> {
+    Isometry2::new(Vector2::new(t.translation.x, t.translation.y), se3::yaw(t))
+}
+
+impl LocalModel for Lidar2d {
+    fn prepare(&mut self, scan: &Scan, velocity: &Vector6<f64>) -> Result<(), LostReason> {
+        let Scan::Planar(scan) = scan else { return Err(LostReason::UnsuitableScan) };
+        self.hits = sweep::hits(scan, self.params.max_range_m, velocity);
+        if self.hits.len() < 20 { Err(LostReason::TooFewPoints) } else { Ok(()) }
+    }
+
+    fn is_empty(&self) -> bool {
+        self.kept.is_empty()
+    }
+
+    fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason> {
+        let center = planar(&prediction.t_odom_base);
+        let c = &prediction.covariance;
+        let variances = [c[(0, 0)].max(c[(1, 1)]), c[(5, 5)]].map(|v| v.max(1e-6));
+        let window = Window {
+            translation: (3.0 * variances[0].sqrt()).clamp(self.params.resolution_m, self.params.max_search_m),
+            rotation: (3.0 * variances[1].sqrt()).clamp(0.02, self.params.max_search_rad),
+        };
+        // The same in x and y, so that no rotation to odom is needed.
+        let prior = Matrix3::from_diagonal(&[1.0 / variances[0], 1.0 / variances[0], 1.0 / variances[1]].into());
+        let points = sweep::thin(&self.hits, 0.5 * self.params.resolution_m, SEARCH_POINTS);
+        let (start, _) = search(&self.field, &points, &center, &prior, &window);
+        refine::refine(&self.field, &self.hits, &start, prediction, self.params.min_inlier_ratio)
+    }
+
+    fn integrate(&mut self, t_odom_base: &Pose) {
+        let t = planar(t_odom_base);
+        self.travel(&t);
+        let far = self.kept.back().is_none_or(|k| {
+            let d = k.t_odom_base.inverse() * t;
+            d.translation.vector.norm() >= self.params.insert_distance_m
+                || d.rotation.angle().abs() >= self.params.insert_angle_rad
+        });
+        self.redraw(Point2::from(t.translation.vector));
+        if far {
+            let hits = self.hits.clone();
+            self.keep(hits, t);
+        }
+    }
+
+    fn clear(&mut self) {
+        self.kept.clear();
+        let center = self.last.map_or_else(Point2::origin, |t| Point2::from(t.translation.vector));
+        self.field.reset(center);
+    }
+
+    fn seed(&mut self, t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)]) {
+        let here = planar(t_odom_base_last);
+        self.field.reset(Point2::from(here.translation.vector));
+        for (t_odom_base, scan) in recent.iter().filter(|(_, k)| k.planar) {
+            let t = planar(t_odom_base);
+            self.travel(&t);
+            let hits = sweep::from_points(&scan.hits.positions, &scan.t_base_sensor);
+            self.keep(hits, t);
+        }
+        self.travel(&here);
+    }
+}

@@ -1,0 +1,123 @@
+//! A planar scan made ready: points in base's plane with the normals of the surfaces they lie on.
+
+use crate::scan::PlanarScan;
+use nalgebra::{Point2, Point3, Vector2, Vector6};
+use percept_geometry::cloud::Beam;
+use percept_geometry::{Pose, se3};
+
+/// A hit in base's plane; the normal is zero where neighbours make no line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Hit {
+    pub(crate) p: Point2<f64>,
+    pub(crate) n: Vector2<f64>,
+}
+
+/// Neighbours to each side that a normal is fitted to.
+const SIDE: usize = 3;
+
+/// Hits within `max_range`, in beam order, with the sweep's motion undone.
+pub(crate) fn hits(scan: &PlanarScan, max_range: f64, velocity: &Vector6<f64>) -> Vec<Hit> {
+    let s = &scan.scan;
+    let moving = s.time_increment_s != 0.0 && velocity.norm() > 0.0;
+    let mut points: Vec<Point2<f64>> = vec![];
+    for i in 0..s.ranges_m.len() {
+        let Beam::Hit(r) = s.beam(i) else { continue };
+        let r = f64::from(r);
+        if r > max_range {
+            continue;
+        }
+        let (sin, cos) = s.angle(i).sin_cos();
+        let mut p = scan.t_base_sensor * Point3::new(r * cos, r * sin, 0.0);
+        if moving {
+            p = se3::exp(&(velocity * (i as f64 * s.time_increment_s))) * p;
+        }
+        points.push(p.xy());
+    }
+    with_normals(points, &scan.t_base_sensor, s.angle_increment_rad.abs())
+}
+
+/// Hits of a keyframe again: points in base, in beam order.
+pub(crate) fn from_points(points: &[Point3<f32>], t_base_sensor: &Pose) -> Vec<Hit> {
+    let points: Vec<Point2<f64>> = points.iter().map(|p| p.cast::<f64>().xy()).collect();
+    // The beams' spacing is not kept; a degree is the widest usual one.
+    with_normals(points, t_base_sensor, 1f64.to_radians())
+}
+
+fn with_normals(points: Vec<Point2<f64>>, t_base_sensor: &Pose, spacing: f64) -> Vec<Hit> {
+    let origin = Point2::new(t_base_sensor.translation.x, t_base_sensor.translation.y);
+    (0..points.len()).map(|i| Hit { p: points[i], n: normal(&points, i, &origin, spacing) }).collect()
+}
+
+/// Normal of the line through a point and its neighbours on the same surface, towards the sensor.
+fn normal(points: &[Point2<f64>], i: usize, origin: &Point2<f64>, spacing: f64) -> Vector2<f64> {
+    let p = points[i];
+    // Beams on a wall seen at 75 degrees lie four times their spacing apart.
+    let gap = 0.1 + 4.0 * spacing * (p - origin).norm();
+    let same = |a: usize, b: usize| (points[a] - points[b]).norm() < gap;
+    let (mut first, mut last) = (i, i);
+    while first > 0 && i - first < SIDE && same(first - 1, first) {
+        first -= 1;
+    }
+    while last + 1 < points.len() && last - i < SIDE && same(last, last + 1) {
+        last += 1;
+    }
+    let num = (last - first + 1) as f64;
+    if num < 4.0 {
+        return Vector2::zeros();
+    }
+    let mean = points[first..=last].iter().map(|q| q.coords).sum::<Vector2<f64>>() / num;
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for q in &points[first..=last] {
+        let d = q.coords - mean;
+        xx += d.x * d.x;
+        xy += d.x * d.y;
+        yy += d.y * d.y;
+    }
+    let (half, root) = (0.5 * (xx + yy), (0.25 * (xx - yy).powi(2) + xy * xy).sqrt());
+    if half - root > 0.05 * (half + root) {
+        return Vector2::zeros();
+    }
+    let along = 0.5 * (2.0 * xy).atan2(xx - yy);
+    let n = Vector2::new(-along.sin(), along.cos());
+    if n.dot(&(origin - p)) < 0.0 { -n } else { n }
+}
+
+/// Every hit that is at least `spacing` from the last one kept, then at most `count` of them, evenly.
+pub(crate) fn thin(hits: &[Hit], spacing: f64, count: usize) -> Vec<Point2<f64>> {
+    let mut kept: Vec<Point2<f64>> = vec![];
+    for h in hits {
+        if kept.last().is_none_or(|last| (h.p - last).norm() >= spacing) {
+            kept.push(h.p);
+        }
+    }
+    let step = kept.len().div_ceil(count.max(1)).max(1);
+    kept.into_iter().step_by(step).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use percept_geometry::LaserScan;
+    use std::sync::Arc;
+
+    #[test]
+    fn a_wall_ahead_has_its_normal_towards_the_sensor() {
+        let ranges_m = (0..61).map(|i| (2.0 / (f64::from(i - 30) * 0.02).cos()) as f32).collect();
+        let scan = LaserScan {
+            angle_min_rad: -0.6,
+            angle_increment_rad: 0.02,
+            range_min_m: 0.0,
+            range_max_m: 10.0,
+            time_increment_s: 0.0,
+            ranges_m,
+            intensities: None,
+        };
+        let scan = PlanarScan { scan: Arc::new(scan), t_base_sensor: Pose::identity() };
+        let hits = hits(&scan, 10.0, &Vector6::zeros());
+        assert_eq!(hits.len(), 61);
+        for h in &hits {
+            assert!((h.p.x - 2.0).abs() < 1e-6 && (h.n + Vector2::x()).norm() < 1e-3);
+        }
+        assert!(thin(&hits, 0.0, 20).len() <= 20 && thin(&hits, 0.5, 100).len() <= 7);
+    }
+}

@@ -1,0 +1,269 @@
+//! Voxels with a Gaussian each, and a set for thinning clouds.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+/// Key of a voxel: 21 bits an axis.
+pub(crate) type Key = u64;
+
+/// Key of the voxel that holds `p`; coordinates wrap after 2^21 voxels, far beyond a lidar's range.
+#[inline]
+pub(crate) fn key(p: &Point3<f64>, inverse_size: f64) -> Key {
+    let i = |x: f64| (x * inverse_size).floor() as i64 as u64 & 0x1f_ffff;
+    i(p.x) << 42 | i(p.y) << 21 | i(p.z)
+}
+
+/// The neighbour of a voxel.
+#[inline]
+fn neighbour(key: Key, axis: u32, up: bool) -> Key {
+    let shift = 21 * axis;
+    let mask = 0x1f_ffff << shift;
+    let one = 1u64 << shift;
+    let moved = if up { (key & mask).wrapping_add(one) } else { (key & mask).wrapping_sub(one) };
+    (key & !mask) | (moved & mask)
+}
+
+/// Indices of the first point in each voxel, in input order. Non-finite points are left out.
+///
+/// Open addressing in a table that is kept between calls: a hash a point is most of what thinning costs.
+#[derive(Debug, Default)]
+pub(crate) struct Thinner {
+    table: Vec<u64>,
+}
+
+impl Thinner {
+    pub(crate) fn first_per_voxel(&mut self, points: &[Point3<f32>], indices: &[u32], size: f64) -> Vec<u32> {
+        let capacity = (indices.len() * 2).next_power_of_two().max(1024);
+        self.table.clear();
+        self.table.resize(capacity, u64::MAX);
+        let (mask, inverse) = (capacity - 1, 1.0 / size);
+        let mut out = Vec::with_capacity(indices.len() / 2);
+        for &i in indices {
+            let k = key(&points[i as usize].cast(), inverse);
+            let mut slot = (k.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 20) as usize & mask;
+            while self.table[slot] != u64::MAX && self.table[slot] != k {
+                slot = (slot + 1) & mask;
+            }
+            if self.table[slot] == u64::MAX {
+                self.table[slot] = k;
+                out.push(i);
+            }
+        }
+        out
+    }
+}
+
+/// What a voxel's points look like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Shape {
+    /// Too few points, or a line: says nothing reliable.
+    Unknown,
+    /// A plane with unit normal and thickness variance (m^2).
+    Plane(Vector3<f64>, f64),
+    /// No plane: information matrix of a point's offset from the mean, 1/m^2.
+    Scatter(Matrix3<f64>),
+}
+
+/// Points of a voxel as a Gaussian.
+#[derive(Debug, Clone)]
+pub(crate) struct Gaussian {
+    pub(crate) key: Key,
+    num: f64,
+    pub(crate) mean: Point3<f64>,
+    /// Sum of outer products of offsets from the mean.
+    scatter: Matrix3<f64>,
+    pub(crate) shape: Shape,
+    dirty: bool,
+}
+
+/// Fewest points that make a shape.
+const MIN_POINTS: f64 = 5.0;
+/// More count as so many, so that old points fade.
+const MAX_POINTS: f64 = 200.0;
+
+impl Gaussian {
+    fn new(key: Key, p: &Point3<f64>) -> Self {
+        Self { key, num: 1.0, mean: *p, scatter: Matrix3::zeros(), shape: Shape::Unknown, dirty: true }
+    }
+
+    /// Source: Welford, "Note on a method for calculating corrected sums of squares and products", 1962.
+    fn add(&mut self, p: &Point3<f64>) {
+        if self.num >= MAX_POINTS {
+            let keep = (MAX_POINTS - 1.0) / self.num;
+            self.num *= keep;
+            self.scatter *= keep;
+        }
+        self.num += 1.0;
+        let before = p - self.mean;
+        self.mean += before / self.num;
+        self.scatter += before * (p - self.mean).transpose();
+        self.dirty = true;
+    }
+
+    fn describe(&mut self, size: f64) {
+        self.dirty = false;
+        self.shape = Shape::Unknown;
+        if self.num < MIN_POINTS {
+            return;
+        }
+        let c = self.scatter / (self.num - 1.0);
+        let c = (c + c.transpose()) * 0.5;
+        let (values, normal) = smallest(&c);
+        // A line (one ring of the lidar) fixes no plane.
+        if values[1] < 0.04 * values[2] || values[2] < 1e-4 * size * size {
+            return;
+        }
+        let floor = (0.02 * size).powi(2);
+        self.shape = if values[0] < 0.08 * values[1] {
+            Shape::Plane(normal, values[0].max(0.0) + floor)
+        } else {
+            let soft = c + Matrix3::identity() * (0.1 * size).powi(2);
+            soft.try_inverse().map_or(Shape::Unknown, Shape::Scatter)
+        };
+    }
+}
+
+/// Eigenvalues, ascending, and the unit eigenvector of the smallest.
+///
+/// Source: Smith, "Eigenvalues of a symmetric 3x3 matrix", 1961 (trigonometric form); the vector is the
+/// largest cross product of two rows of `A - lambda I`.
+fn smallest(a: &Matrix3<f64>) -> ([f64; 3], Vector3<f64>) {
+    let q = a.trace() / 3.0;
+    let off = a[(0, 1)].powi(2) + a[(0, 2)].powi(2) + a[(1, 2)].powi(2);
+    let d = Vector3::new(a[(0, 0)] - q, a[(1, 1)] - q, a[(2, 2)] - q);
+    let p = ((d.norm_squared() + 2.0 * off) / 6.0).sqrt();
+    if p <= 0.0 {
+        return ([q; 3], Vector3::z());
+    }
+    let r = ((a - Matrix3::identity() * q) / p).determinant() / 2.0;
+    let phi = r.clamp(-1.0, 1.0).acos() / 3.0;
+    let high = q + 2.0 * p * phi.cos();
+    let low = q + 2.0 * p * (phi + std::f64::consts::TAU / 3.0).cos();
+    let m = a - Matrix3::identity() * low;
+    let rows: [Vector3<f64>; 3] = std::array::from_fn(|i| m.row(i).transpose());
+    let best = [rows[0].cross(&rows[1]), rows[0].cross(&rows[2]), rows[1].cross(&rows[2])]
+        .into_iter()
+        .fold(Vector3::zeros(), |a, b| if b.norm_squared() > a.norm_squared() { b } else { a });
+    let normal = best.try_normalize(1e-300).unwrap_or_else(Vector3::z);
+    ([low, 3.0 * q - high - low, high], normal)
+}
+
+/// A map of Gaussians in odom.
+#[derive(Debug, Default)]
+pub(crate) struct GaussianMap {
+    size: f64,
+    inverse: f64,
+    index: FxHashMap<Key, u32>,
+    voxels: Vec<Gaussian>,
+}
+
+impl GaussianMap {
+    pub(crate) fn new(size: f64) -> Self {
+        Self { size, inverse: 1.0 / size, ..Self::default() }
+    }
+
+    pub(crate) fn size(&self) -> f64 {
+        self.size
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.voxels.is_empty()
+    }
+
+    /// Adds points of odom and brings the shapes up to date.
+    pub(crate) fn insert(&mut self, points: impl Iterator<Item = Point3<f64>>) {
+        for p in points {
+            let k = key(&p, self.inverse);
+            match self.index.entry(k) {
+                std::collections::hash_map::Entry::Occupied(i) => self.voxels[*i.get() as usize].add(&p),
+                std::collections::hash_map::Entry::Vacant(slot) => {
+                    slot.insert(self.voxels.len() as u32);
+                    self.voxels.push(Gaussian::new(k, &p));
+                }
+            }
+        }
+        let size = self.size;
+        self.voxels.par_iter_mut().with_min_len(1024).filter(|v| v.dirty).for_each(|v| v.describe(size));
+    }
+
+    /// Forgets voxels farther than `radius` from `center`.
+    pub(crate) fn remove_far_from(&mut self, center: &Point3<f64>, radius: f64) {
+        self.voxels.retain(|v| (v.mean - center).norm_squared() <= radius * radius);
+        self.index.clear();
+        self.index.extend(self.voxels.iter().enumerate().map(|(i, v)| (v.key, i as u32)));
+    }
+
+    /// The described voxel at `p`, else the described face neighbour with the nearest mean.
+    #[inline]
+    pub(crate) fn at(&self, p: &Point3<f64>) -> Option<&Gaussian> {
+        let k = key(p, self.inverse);
+        let described = |k: Key| {
+            let v = &self.voxels[*self.index.get(&k)? as usize];
+            (v.shape != Shape::Unknown).then_some(v)
+        };
+        if let Some(v) = described(k) {
+            return Some(v);
+        }
+        let mut best: Option<(f64, &Gaussian)> = None;
+        for side in 0..6 {
+            if let Some(v) = described(neighbour(k, side / 2, side % 2 == 1)) {
+                let d = (v.mean - p).norm_squared();
+                if best.is_none_or(|b| d < b.0) {
+                    best = Some((d, v));
+                }
+            }
+        }
+        best.filter(|b| b.0 < self.size * self.size).map(|b| b.1)
+    }
+
+    /// Share of points that lie in voxels with a plane.
+    pub(crate) fn planar_share(&self) -> f64 {
+        let (mut planar, mut all) = (0.0, 0.0);
+        for v in &self.voxels {
+            all += v.num;
+            if matches!(v.shape, Shape::Plane(..)) {
+                planar += v.num;
+            }
+        }
+        if all > 0.0 { planar / all } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_fast_eigenvector_agrees_with_the_plain_one() {
+        for seed in 0..200 {
+            let m = Matrix3::from_fn(|i, j| ((seed * 31 + i * 7 + j * 3 + i * j * seed) as f64 * 0.7).sin());
+            let a = m * m.transpose() + Matrix3::from_diagonal(&Vector3::new(0.01, 0.1, 0.5));
+            let plain = a.symmetric_eigen();
+            let i = plain.eigenvalues.imin();
+            let (values, normal) = smallest(&a);
+            assert!((values[0] - plain.eigenvalues[i]).abs() < 1e-9);
+            assert!(normal.dot(&plain.eigenvectors.column(i)).abs() > 1.0 - 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_patch_is_a_plane_and_a_ring_is_not() {
+        let mut map = GaussianMap::new(1.0);
+        let grid = |i: usize| Point3::new(0.1 * (i % 9) as f64 + 0.05, 0.1 * (i / 9) as f64 + 0.05, 0.5);
+        map.insert((0..81).map(grid));
+        let Shape::Plane(n, variance) = map.at(&Point3::new(0.5, 0.5, 0.4)).unwrap().shape else { panic!() };
+        assert!(n.z.abs() > 1.0 - 1e-9 && (variance - 4e-4).abs() < 1e-9);
+        let mut line = GaussianMap::new(1.0);
+        line.insert((0..9).map(grid));
+        assert!(line.at(&Point3::new(0.5, 0.05, 0.5)).is_none());
+    }
+
+    #[test]
+    fn neighbours_wrap_without_touching_other_axes() {
+        let k = key(&Point3::new(-0.5, 0.5, -0.5), 1.0);
+        assert_eq!(neighbour(neighbour(k, 2, true), 2, false), k);
+        assert_eq!(neighbour(k, 2, true), key(&Point3::new(0.5, 0.5, -0.5), 1.0));
+        assert_eq!(neighbour(k, 0, false), key(&Point3::new(-0.5, 0.5, -1.5), 1.0));
+    }
+}

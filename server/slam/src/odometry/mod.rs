@@ -1,0 +1,429 @@
+//! Odometry: scans of one sensor in, the pose of base in the drifting frame `odom` out.
+//!
+//! Every kind registers frame to local model, never frame to frame. What they share is here: the
+//! prediction (wheels, else constant velocity), being lost and starting again, and the covariance.
+//! Start with [`Odometry::register`]; the methods are [`rgbd`], [`lidar3d`] and [`lidar2d`].
+
+pub(crate) mod deskew;
+pub mod lidar2d;
+pub mod lidar3d;
+pub mod rgbd;
+mod uncertainty;
+
+use crate::keyframe::{KeyframeParams, keyframe_scan};
+use crate::scan::Scan;
+use crate::tracking::{LostReason, TrackingState};
+use crate::{ParamError, check_range};
+use nalgebra::Vector6;
+use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use uncertainty::Uncertainty;
+
+/// Time constant of the velocity that predictions use, seconds.
+const VELOCITY_SMOOTHING_S: f64 = 0.04;
+
+/// Which method registers the scans.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OdometryKind {
+    /// Depth images, with or without colour.
+    Rgbd,
+    /// 3D point clouds.
+    Lidar3d,
+    /// Planar scans: the robot moves in the plane z = 0 of odom.
+    Lidar2d,
+}
+
+/// Parameters of all methods and of what they share.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OdometryParams {
+    /// Prediction, loss and restart.
+    pub tracking: TrackingParams,
+    /// Depth cameras.
+    pub rgbd: rgbd::RgbdParams,
+    /// 3D lidars.
+    pub lidar3d: lidar3d::Lidar3dParams,
+    /// Planar lidars.
+    pub lidar2d: lidar2d::Lidar2dParams,
+    /// When frames become keyframes and what is kept of them.
+    pub keyframe: KeyframeParams,
+}
+
+impl OdometryParams {
+    /// Checks every field of every part.
+    ///
+    /// # Errors
+    /// [`ParamError`] with field, value and remedy.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        self.tracking.validate()?;
+        self.rgbd.validate()?;
+        self.lidar3d.validate()?;
+        self.lidar2d.validate()?;
+        self.keyframe.validate()
+    }
+}
+
+/// Prediction, loss and restart.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackingParams {
+    /// After so many lost frames in a row the local model starts anew at the predicted pose, 1 to 10000.
+    pub restart_after_frames: usize,
+    /// A gap between frames longer than this ends the constant-velocity prediction, seconds, 0.05 to 60.
+    pub max_gap_s: f64,
+    /// Faster than this is no motion of the robot, m/s, 0.1 to 200; none takes 40 for 3D lidars, which
+    /// ride on cars too, and 4 for the others.
+    pub max_speed_mps: Option<f64>,
+    /// Turning faster than this is no motion of the robot, rad/s, 0.1 to 50; none takes 3 for planar
+    /// lidars and 8 for the others, which may be carried by hand.
+    pub max_turn_rate_radps: Option<f64>,
+    /// Acceleration that a prediction of constant velocity has to allow for, m/s^2, 0.1 to 100; none takes
+    /// 1.5 for planar lidars and 4 for the others.
+    pub acceleration_mps2: Option<f64>,
+    /// Angular acceleration that it has to allow for, rad/s^2, 0.1 to 100; none takes 4 for planar lidars
+    /// and 8 for the others.
+    pub turn_acceleration_radps2: Option<f64>,
+}
+
+impl Default for TrackingParams {
+    fn default() -> Self {
+        Self {
+            restart_after_frames: 30,
+            max_gap_s: 1.0,
+            max_speed_mps: None,
+            max_turn_rate_radps: None,
+            acceleration_mps2: None,
+            turn_acceleration_radps2: None,
+        }
+    }
+}
+
+impl TrackingParams {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// [`ParamError`] with field, value and remedy.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        let frames = self.restart_after_frames as f64;
+        check_range("tracking.restart_after_frames", frames, (1.0, 1e4), "within 1 to 10000", "use 30")?;
+        check_range("tracking.max_gap_s", self.max_gap_s, (0.05, 60.0), "within 0.05 to 60", "use 1")?;
+        let speed = self.max_speed_mps.unwrap_or(40.0);
+        check_range("tracking.max_speed_mps", speed, (0.1, 200.0), "within 0.1 to 200", "leave it out")?;
+        let turn = self.max_turn_rate_radps.unwrap_or(8.0);
+        check_range("tracking.max_turn_rate_radps", turn, (0.1, 50.0), "within 0.1 to 50", "leave it out")?;
+        let (a, turn) = (self.acceleration_mps2.unwrap_or(4.0), self.turn_acceleration_radps2.unwrap_or(8.0));
+        check_range("tracking.acceleration_mps2", a, (0.1, 100.0), "within 0.1 to 100", "leave it out")?;
+        check_range("tracking.turn_acceleration_radps2", turn, (0.1, 100.0), "within 0.1 to 100", "leave it out")
+    }
+}
+
+/// What the robot can do, from the parameters or by kind: m/s, rad/s, m/s^2, rad/s^2.
+#[derive(Debug, Clone, Copy)]
+struct MotionLimits {
+    speed: f64,
+    turn_rate: f64,
+    acceleration: f64,
+    turn_acceleration: f64,
+}
+
+impl MotionLimits {
+    fn of(kind: OdometryKind, params: &TrackingParams) -> Self {
+        let (speed, turn_rate, acceleration, turn_acceleration) = match kind {
+            OdometryKind::Rgbd => (4.0, 8.0, 4.0, 8.0),
+            OdometryKind::Lidar3d => (40.0, 8.0, 4.0, 8.0),
+            OdometryKind::Lidar2d => (4.0, 3.0, 1.5, 4.0),
+        };
+        Self {
+            speed: params.max_speed_mps.unwrap_or(speed),
+            turn_rate: params.max_turn_rate_radps.unwrap_or(turn_rate),
+            acceleration: params.acceleration_mps2.unwrap_or(acceleration),
+            turn_acceleration: params.turn_acceleration_radps2.unwrap_or(turn_acceleration),
+        }
+    }
+}
+
+/// What another source (wheels, an IMU) says about the motion since the frame before.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionPrior {
+    /// Base now, seen from base at the frame before.
+    pub t_prev_now: Pose,
+    /// Of that motion, right perturbation in base now.
+    pub covariance: Covariance6,
+}
+
+/// Where base is, how sure that is, and how the frame fitted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OdometryEstimate {
+    /// When the frame was taken.
+    pub stamp: Timestamp,
+    /// Base to odom; odom is base at the first frame unless the odometry was seeded.
+    pub t_odom_base: Pose,
+    /// 6x6, order x, y, z, rotation x, y, z, right perturbation in base: since the start, drift included.
+    pub covariance: Covariance6,
+    /// Whether the pose was measured.
+    pub state: TrackingState,
+    /// Share of the frame's points that fit the local model, 0 to 1; 0 unless tracking.
+    pub inlier_ratio: f64,
+    /// Weighted root mean square of the distances from the local model's surfaces, metres.
+    pub rmse_m: f64,
+    /// Iterations of the solver, all levels together.
+    pub iterations: usize,
+    /// Axes of base (x, y, z, rotation x, y, z) that the scene left open and the prediction filled in.
+    pub degenerate_axes: [bool; 6],
+}
+
+/// Where base is expected before the scan is looked at.
+#[derive(Debug, Clone)]
+pub(crate) struct Prediction {
+    pub(crate) t_odom_base: Pose,
+    /// Right perturbation in base.
+    pub(crate) covariance: Covariance6,
+}
+
+/// A frame placed in the local model.
+#[derive(Debug, Clone)]
+pub(crate) struct Match {
+    pub(crate) t_odom_base: Pose,
+    /// Of this measurement against the model, right perturbation in base.
+    pub(crate) covariance: Covariance6,
+    pub(crate) inlier_ratio: f64,
+    pub(crate) rmse_m: f64,
+    pub(crate) iterations: usize,
+    pub(crate) degenerate_axes: [bool; 6],
+}
+
+/// What a method brings: a local model that frames are placed in and then added to.
+pub(crate) trait LocalModel: Send {
+    /// Makes `scan` the current frame. `velocity` is base's (m/s, rad/s), for undoing sweeps.
+    fn prepare(&mut self, scan: &Scan, velocity: &Vector6<f64>) -> Result<(), LostReason>;
+    /// Whether there is nothing to register against.
+    fn is_empty(&self) -> bool;
+    /// Places the current frame.
+    fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason>;
+    /// Adds the current frame at its pose.
+    fn integrate(&mut self, t_odom_base: &Pose);
+    /// Forgets the model.
+    fn clear(&mut self);
+    /// Starts the model from keyframes with their `t_odom_base`, oldest first.
+    fn seed(&mut self, t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)]);
+}
+
+/// Odometry of one sensor: deterministic, no clock, no I/O; parallel on rayon's current pool.
+pub struct Odometry {
+    params: OdometryParams,
+    model: Box<dyn LocalModel>,
+    t_odom_base: Pose,
+    last_stamp: Option<Timestamp>,
+    velocity: Option<Vector6<f64>>,
+    limits: MotionLimits,
+    uncertainty: Uncertainty,
+    num_lost: usize,
+}
+
+impl std::fmt::Debug for Odometry {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Odometry")
+            .field("t_odom_base", &self.t_odom_base)
+            .field("last_stamp", &self.last_stamp)
+            .field("num_lost", &self.num_lost)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Odometry {
+    /// An odometry without a local model, at the origin of odom. Validate `params` first.
+    pub fn new(kind: OdometryKind, params: OdometryParams) -> Self {
+        let model: Box<dyn LocalModel> = match kind {
+            OdometryKind::Rgbd => Box::new(rgbd::Rgbd::new(params.rgbd.clone())),
+            OdometryKind::Lidar3d => Box::new(lidar3d::Lidar3d::new(params.lidar3d.clone())),
+            OdometryKind::Lidar2d => Box::new(lidar2d::Lidar2d::new(params.lidar2d.clone())),
+        };
+        let limits = MotionLimits::of(kind, &params.tracking);
+        Self {
+            params,
+            model,
+            t_odom_base: Pose::identity(),
+            last_stamp: None,
+            velocity: None,
+            limits,
+            uncertainty: Uncertainty::default(),
+            num_lost: 0,
+        }
+    }
+
+    /// Places a scan, adds it to the local model and says where base was when it was taken.
+    ///
+    /// A frame that cannot be placed gives `Lost` with the prediction as pose; the next frames are tried
+    /// against the same model until `restart_after_frames` of them are lost.
+    pub fn register(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) -> OdometryEstimate {
+        let dt = self.last_stamp.map_or(0.0, |last| stamp.seconds_since(last).max(0.0));
+        let prediction = self.predict(dt, prior);
+        self.last_stamp = Some(stamp);
+        // The sweep is undone with what is known of this step's motion.
+        let sweep_velocity = match prior {
+            Some(p) if dt > 0.0 && dt <= self.params.tracking.max_gap_s => se3::log(&p.t_prev_now) / dt,
+            _ => self.velocity(),
+        };
+        if let Err(reason) = self.model.prepare(scan, &sweep_velocity) {
+            return self.lost(stamp, dt, &prediction, reason);
+        }
+        if self.model.is_empty() {
+            return self.start(stamp, &prediction);
+        }
+        match self.place(dt, &prediction) {
+            Ok(found) => self.tracked(stamp, dt, found),
+            Err(_) if self.num_lost + 1 >= self.params.tracking.restart_after_frames => {
+                self.model.clear();
+                self.start(stamp, &prediction)
+            }
+            Err(reason) => self.lost(stamp, dt, &prediction, reason),
+        }
+    }
+
+    /// Base's velocity in base, m/s and rad/s, from the last two placed frames; zero when not known.
+    pub fn velocity(&self) -> Vector6<f64> {
+        self.velocity.unwrap_or_else(Vector6::zeros)
+    }
+
+    /// The newest pose, base to odom.
+    pub fn t_odom_base(&self) -> &Pose {
+        &self.t_odom_base
+    }
+
+    /// What a keyframe keeps of a scan: ends of beams in base, thinned; see [`KeyframeScan`].
+    pub fn keyframe_scan(&self, stamp: Timestamp, sensor: &SensorId, scan: &Scan) -> KeyframeScan {
+        keyframe_scan(&self.params.keyframe, stamp, sensor, scan, &self.velocity())
+    }
+
+    /// Goes on after a restart: `recent` keyframes with their `t_odom_base`, oldest first, become the
+    /// local model, and the next frame is expected near `t_odom_base_last`, base's pose at `stamp`.
+    pub fn seed(&mut self, t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)], stamp: Timestamp) {
+        self.model.clear();
+        self.model.seed(t_odom_base_last, recent);
+        self.t_odom_base = *t_odom_base_last;
+        self.last_stamp = Some(stamp);
+        self.velocity = None;
+        self.num_lost = 0;
+    }
+
+    /// The motion prior if there is one, else constant velocity while frames are near in time.
+    fn predict(&self, dt: f64, prior: Option<&MotionPrior>) -> Prediction {
+        if let Some(prior) = prior {
+            let t_odom_base = self.t_odom_base * prior.t_prev_now;
+            // A prior surer than 1 mm and 1 mrad is not believed.
+            let floor = diagonal(1e-3, 1e-3);
+            return Prediction { t_odom_base, covariance: prior.covariance + floor };
+        }
+        let t = &self.params.tracking;
+        let velocity = self.velocity.filter(|_| dt <= t.max_gap_s);
+        let moving = velocity.unwrap_or_else(Vector6::zeros) * dt;
+        // Without a velocity, or lost, the robot may have done anything that robots usually do.
+        let unsure = if self.num_lost > 0 || velocity.is_none() { dt } else { 0.0 };
+        let sigma_t = 0.01 + 0.5 * self.limits.acceleration * dt.min(t.max_gap_s).powi(2) + 0.25 * self.limits.speed * unsure;
+        let sigma_r = 0.01 + 0.5 * self.limits.turn_acceleration * dt.min(t.max_gap_s).powi(2) + 0.5 * unsure;
+        Prediction {
+            t_odom_base: self.t_odom_base * se3::exp(&moving),
+            covariance: diagonal(sigma_t, sigma_r.min(1.0)),
+        }
+    }
+
+    /// Tries the prediction, then the last pose; the first that holds is taken.
+    fn place(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+        let first = match self.model.register(prediction) {
+            Ok(found) => self.plausible(dt, found),
+            Err(reason) => Err(reason),
+        };
+        let Err(reason) = first else { return first };
+        let still = Prediction { t_odom_base: self.t_odom_base, ..prediction.clone() };
+        let t_still_predicted = still.t_odom_base.inverse() * prediction.t_odom_base;
+        if se3::log(&t_still_predicted).norm() > 1e-3
+            && let Ok(found) = self.model.register(&still)
+            && let Ok(found) = self.plausible(dt, found)
+        {
+            return Ok(found);
+        }
+        Err(if dt > self.params.tracking.max_gap_s { LostReason::TimeGap } else { reason })
+    }
+
+    fn plausible(&self, dt: f64, found: Match) -> Result<Match, LostReason> {
+        let t_last_now = self.t_odom_base.inverse() * found.t_odom_base;
+        // The constants allow for stamps that jitter.
+        let too_far = t_last_now.translation.vector.norm() > self.limits.speed * dt.max(0.05) + 0.1;
+        let too_much = t_last_now.rotation.angle() > self.limits.turn_rate * dt.max(0.05) + 0.1;
+        if too_far || too_much { Err(LostReason::MotionTooLarge) } else { Ok(found) }
+    }
+
+    fn tracked(&mut self, stamp: Timestamp, dt: f64, found: Match) -> OdometryEstimate {
+        let t_last_now = self.t_odom_base.inverse() * found.t_odom_base;
+        let covariance = self.uncertainty.measured(&t_last_now, &found.covariance);
+        let recovered = self.num_lost > 0;
+        self.num_lost = 0;
+        // After a loss the step says nothing about the velocity; a repeated stamp neither.
+        let usable = !recovered && dt > 1e-4 && dt <= self.params.tracking.max_gap_s;
+        self.velocity = usable.then(|| {
+            let now = se3::log(&t_last_now) / dt;
+            // Stamps jitter: a step counts the less, the shorter it is.
+            self.velocity.map_or(now, |before| before + (now - before) * (dt / (dt + VELOCITY_SMOOTHING_S)))
+        });
+        self.t_odom_base = found.t_odom_base;
+        self.model.integrate(&found.t_odom_base);
+        OdometryEstimate {
+            stamp,
+            t_odom_base: self.t_odom_base,
+            covariance,
+            state: TrackingState::Tracking,
+            inlier_ratio: found.inlier_ratio,
+            rmse_m: found.rmse_m,
+            iterations: found.iterations,
+            degenerate_axes: found.degenerate_axes,
+        }
+    }
+
+    /// Starts the local model with the current frame, at the prediction.
+    fn start(&mut self, stamp: Timestamp, prediction: &Prediction) -> OdometryEstimate {
+        let first = self.num_lost == 0;
+        if !first {
+            self.advance(prediction);
+        }
+        self.uncertainty.restarted();
+        self.num_lost = 0;
+        self.model.integrate(&self.t_odom_base);
+        self.unmeasured(stamp, TrackingState::Initialising)
+    }
+
+    fn lost(&mut self, stamp: Timestamp, dt: f64, prediction: &Prediction, reason: LostReason) -> OdometryEstimate {
+        self.num_lost += 1;
+        self.advance(prediction);
+        // A guess of constant velocity is worth less with every second.
+        let gap = dt > self.params.tracking.max_gap_s;
+        self.velocity = self.velocity.filter(|_| !gap).map(|v| v * (-3.0 * dt).exp());
+        self.unmeasured(stamp, TrackingState::Lost { reason })
+    }
+
+    fn advance(&mut self, prediction: &Prediction) {
+        let t_last_now = self.t_odom_base.inverse() * prediction.t_odom_base;
+        self.uncertainty.predicted(&t_last_now, &prediction.covariance);
+        self.t_odom_base = prediction.t_odom_base;
+    }
+
+    fn unmeasured(&self, stamp: Timestamp, state: TrackingState) -> OdometryEstimate {
+        OdometryEstimate {
+            stamp,
+            t_odom_base: self.t_odom_base,
+            covariance: self.uncertainty.covariance(),
+            state,
+            inlier_ratio: 0.0,
+            rmse_m: 0.0,
+            iterations: 0,
+            degenerate_axes: [false; 6],
+        }
+    }
+}
+
+/// Independent axes with these standard deviations (m, rad).
+pub(crate) fn diagonal(sigma_t: f64, sigma_r: f64) -> Covariance6 {
+    let (t, r) = (sigma_t * sigma_t, sigma_r * sigma_r);
+    Covariance6::from_diagonal(&Vector6::new(t, t, t, r, r, r))
+}

@@ -1,0 +1,178 @@
+//! A frame against a rendered view: projective point-to-plane, coarse to fine.
+//!
+//! Source: Newcombe et al., "KinectFusion: real-time dense surface mapping and tracking", 2011, section
+//! 3.5. We weight by the depth's noise, use Tukey's kernel, and leave degenerate directions to the
+//! prediction (Zhang, Kaess, Singh 2016).
+
+use super::frame::{Frame, Rigid32, Vertex};
+use super::noise::sigma;
+use super::surfels::{View, pixel};
+use crate::odometry::Match;
+use crate::tracking::LostReason;
+use nalgebra::{Matrix6, Vector6};
+use percept_geometry::{CameraIntrinsics, Covariance6, Pose, se3};
+use percept_perception::registration::{Degeneracy, NormalEquations, accumulate};
+
+/// Pixels a task: fixed, so that the number of threads changes nothing.
+const CHUNK: usize = 4096;
+/// Neighbouring pixels err alike (smoothing, calibration): so many count as one measurement.
+const PIXELS_PER_MEASUREMENT: f64 = 100.0;
+/// Least mean squared sensitivity of a direction; noise of normals alone gives about 0.003.
+const DEGENERATE: f64 = 0.006;
+
+/// One level: every `stride`-th row and column, correspondences up to `gate` metres.
+struct Level {
+    stride: usize,
+    gate: f32,
+    iterations: usize,
+}
+
+const LEVELS: [Level; 3] = [
+    Level { stride: 4, gate: 0.20, iterations: 12 },
+    Level { stride: 2, gate: 0.08, iterations: 8 },
+    Level { stride: 1, gate: 0.05, iterations: 6 },
+];
+
+/// What a frame must show to be placed.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Requirements {
+    pub(crate) min_overlap: f64,
+    pub(crate) min_inlier_ratio: f64,
+    pub(crate) max_correction: (f64, f64),
+}
+
+pub(crate) struct Problem<'a> {
+    pub(crate) frame: &'a Frame,
+    pub(crate) view: &'a View,
+    pub(crate) camera: &'a CameraIntrinsics,
+    /// Prediction of the camera's pose in odom, at which the view was rendered, and its covariance in
+    /// the camera frame.
+    pub(crate) covariance: Covariance6,
+    pub(crate) requirements: Requirements,
+}
+
+/// Places the frame: `t_odom_base` of the result is the camera's pose in odom, covariance in the camera.
+pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
+    let Some(prior) = problem.covariance.try_inverse() else { return Err(LostReason::Degenerate) };
+    let mut t_view_camera = Pose::identity();
+    let mut scale = 3.0;
+    let mut iterations = 0;
+    let mut last = None;
+    for level in &LEVELS {
+        for _ in 0..level.iterations {
+            let e = equations(problem, level, &t_view_camera, scale);
+            let found = e.num_residuals;
+            let needed = problem.requirements.min_overlap * sampled(problem.frame, level.stride);
+            if (found as f64) < needed.max(100.0) {
+                return Err(LostReason::TooFewCorrespondences);
+            }
+            let degeneracy = Degeneracy::of(&e, &problem.frame.centroid, problem.frame.spread, DEGENERATE);
+            let pull = se3::log(&t_view_camera);
+            let (step, information) = solve(&e, &degeneracy, &prior, &pull, level.stride).ok_or(LostReason::Degenerate)?;
+            t_view_camera *= se3::exp(&step);
+            iterations += 1;
+            // Tukey's cut-off follows the residuals, between what the noise model says and five times that.
+            scale = (e.rmse() * 1.3).clamp(1.0, 3.0);
+            last = Some((e, degeneracy, information));
+            let small = 2e-4 * level.stride as f64;
+            if step.fixed_rows::<3>(0).norm() < small && step.fixed_rows::<3>(3).norm() < small {
+                break;
+            }
+        }
+    }
+    let Some((e, degeneracy, information)) = last else { return Err(LostReason::TooFewPoints) };
+    if std::env::var_os("EIG").is_some() { eprintln!("eig {:?} n {}", degeneracy.eigenvalues.as_slice(), degeneracy.num_directions); }
+    judge(problem, &t_view_camera, &e, &degeneracy, &information, iterations)
+}
+
+/// Adds up the level's residuals, in units of their noise.
+fn equations(problem: &Problem<'_>, level: &Level, t_view_camera: &Pose, scale: f64) -> NormalEquations {
+    let t = Rigid32::from(t_view_camera);
+    let (width, height) = (problem.frame.width / level.stride, problem.frame.height / level.stride);
+    let cut = (4.685 * scale) as f32;
+    accumulate(width * height, CHUNK, |i, e| {
+        let (u, v) = (i % width * level.stride, i / width * level.stride);
+        let vertex = &problem.frame.vertices[v * problem.frame.width + u];
+        if vertex.p.z > 0.0 {
+            add(problem, &t, vertex, level.gate, cut, e);
+        }
+    })
+}
+
+#[inline]
+fn add(problem: &Problem<'_>, t: &Rigid32, v: &Vertex, gate: f32, cut: f32, e: &mut NormalEquations) {
+    let moved = t.apply(&v.p);
+    let Some(index) = pixel(problem.camera, &moved) else { return };
+    let model = &problem.view.vertices[index];
+    if model.p.z <= 0.0 {
+        return;
+    }
+    let d = moved - model.p;
+    let noise = sigma(v.p.z);
+    let gate = gate + 2.0 * noise;
+    if d.norm_squared() > gate * gate || (t.r * v.n).dot(&model.n) < 0.7 {
+        return;
+    }
+    let residual = model.n.dot(&d) / noise;
+    let x = residual / cut;
+    let kernel = if x.abs() < 1.0 { (1.0 - x * x) * (1.0 - x * x) } else { 0.0 };
+    // n . R (v + w x p): see registration::factors::point_to_plane, here in single precision.
+    let n = t.r.tr_mul(&model.n) / noise;
+    let m = v.p.cross(&n);
+    let j = [n.x, n.y, n.z, m.x, m.y, m.z].map(f64::from);
+    e.add(&j, f64::from(residual), f64::from(kernel));
+}
+
+fn sampled(frame: &Frame, stride: usize) -> f64 {
+    frame.num_valid as f64 / (stride * stride) as f64
+}
+
+/// The step and the information of measurement and prediction together.
+fn solve(
+    e: &NormalEquations,
+    degeneracy: &Degeneracy,
+    prior: &Matrix6<f64>,
+    pull: &Vector6<f64>,
+    stride: usize,
+) -> Option<(Vector6<f64>, Matrix6<f64>)> {
+    let share = (stride * stride) as f64 / PIXELS_PER_MEASUREMENT;
+    let variance = (e.cost / e.weight.max(1.0)).max(0.25);
+    let h = degeneracy.keep_good(&e.hessian()) * (share / variance);
+    let g = degeneracy.keep_good_gradient(&e.gradient()) * (share / variance);
+    let information = h + prior;
+    let step = -information.cholesky()?.solve(&(g + prior * pull));
+    step.iter().all(|x| x.is_finite()).then_some((step, information))
+}
+
+fn judge(
+    problem: &Problem<'_>,
+    t_view_camera: &Pose,
+    e: &NormalEquations,
+    degeneracy: &Degeneracy,
+    information: &Matrix6<f64>,
+    iterations: usize,
+) -> Result<Match, LostReason> {
+    let r = &problem.requirements;
+    // Of the points that met the model, the share that Tukey's kernel kept, about three quarters for a fit.
+    let inlier_ratio = e.weight / e.num_residuals.max(1) as f64;
+    if inlier_ratio < r.min_inlier_ratio {
+        return Err(LostReason::ResidualTooLarge);
+    }
+    if degeneracy.num_directions >= 5 {
+        return Err(LostReason::Degenerate);
+    }
+    let moved = (t_view_camera.translation.vector.norm(), t_view_camera.rotation.angle());
+    if moved.0 > r.max_correction.0 || moved.1 > r.max_correction.1 {
+        return Err(LostReason::MotionTooLarge);
+    }
+    let covariance = information.try_inverse().ok_or(LostReason::Degenerate)?;
+    let noise = f64::from(sigma(problem.frame.mean_range as f32));
+    Ok(Match {
+        t_odom_base: problem.view.t_odom_view * t_view_camera,
+        covariance,
+        inlier_ratio: e.num_residuals as f64 / problem.frame.num_valid.max(1) as f64,
+        rmse_m: e.rmse() * noise,
+        iterations,
+        degenerate_axes: degeneracy.axes,
+    })
+}

@@ -1,0 +1,226 @@
+//! Depth cameras: each frame is placed in a model of surfels, then fused into it.
+//!
+//! Image to vertices ([`frame`]), model to view ([`surfels`]), frame to view ([`align`]).
+
+mod align;
+mod frame;
+mod noise;
+mod surfels;
+
+use crate::odometry::{LocalModel, Match, Prediction};
+use crate::scan::Scan;
+use crate::tracking::LostReason;
+use crate::{ParamError, check_range};
+use align::{Problem, Requirements, align};
+use frame::{Frame, Preparer, Vertex};
+use nalgebra::{Point3, Vector6};
+use percept_geometry::{KeyframeScan, Pose, se3};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use surfels::{FusionLimits, Surfels, View};
+
+/// Parameters of depth odometry.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RgbdParams {
+    /// Nearer depth is not used, metres, 0 to 10.
+    pub min_depth_m: f64,
+    /// Farther depth is not used, metres, 0.5 to 100; its noise grows with the square.
+    pub max_depth_m: f64,
+    /// The image is shrunk by an integer to at most so many columns, 40 to 1280. More: finer and slower.
+    pub max_width_px: usize,
+    /// Fewest usable pixels of the shrunk image, as a share, 0.001 to 1.
+    pub min_valid_ratio: f64,
+    /// Least share of the usable pixels that must meet the model, 0.01 to 1.
+    pub min_overlap_ratio: f64,
+    /// Least mean weight of those that meet it, 0.05 to 1.
+    pub min_inlier_ratio: f64,
+    /// Largest correction of a prediction, metres, 0.01 to 10.
+    pub max_correction_m: f64,
+    /// Largest correction of a prediction, radians, 0.01 to 3.
+    pub max_correction_rad: f64,
+    /// A surface counts at most so many measurements at 1 m, 1 to 10000. More: less noise, slower change.
+    pub max_weight: f64,
+    /// Surfaces not seen over so much motion are forgotten, metres (a radian of turning counts half a
+    /// metre), 0.5 to 1000.
+    pub window_m: f64,
+    /// Most surfels in the model, 1e4 to 5e6.
+    pub max_surfels: usize,
+}
+
+impl Default for RgbdParams {
+    fn default() -> Self {
+        Self {
+            min_depth_m: 0.2,
+            max_depth_m: 6.0,
+            max_width_px: 320,
+            min_valid_ratio: 0.02,
+            min_overlap_ratio: 0.15,
+            min_inlier_ratio: 0.4,
+            max_correction_m: 0.5,
+            max_correction_rad: 0.5,
+            max_weight: 50.0,
+            window_m: 10.0,
+            max_surfels: 500_000,
+        }
+    }
+}
+
+impl RgbdParams {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// [`ParamError`] with field, value and remedy.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        let (max, width) = (self.max_depth_m, self.max_width_px as f64);
+        check_range("rgbd.min_depth_m", self.min_depth_m, (0.0, 10.0), "within 0 to 10", "use 0.2")?;
+        check_range("rgbd.max_depth_m", max, (0.5, 100.0), "within 0.5 to 100", "use 6")?;
+        check_range("rgbd.max_depth_m", max, (self.min_depth_m, 100.0), "above min_depth_m", "use 6")?;
+        check_range("rgbd.max_width_px", width, (40.0, 1280.0), "within 40 to 1280", "use 320")?;
+        let ratios = [
+            ("rgbd.min_valid_ratio", self.min_valid_ratio, "use 0.02"),
+            ("rgbd.min_overlap_ratio", self.min_overlap_ratio, "use 0.15"),
+            ("rgbd.min_inlier_ratio", self.min_inlier_ratio, "use 0.4"),
+        ];
+        for (field, value, remedy) in ratios {
+            check_range(field, value, (0.001, 1.0), "within 0.001 to 1", remedy)?;
+        }
+        let (m, rad) = (self.max_correction_m, self.max_correction_rad);
+        check_range("rgbd.max_correction_m", m, (0.01, 10.0), "within 0.01 to 10", "use 0.5")?;
+        check_range("rgbd.max_correction_rad", rad, (0.01, 3.0), "within 0.01 to 3", "use 0.5")?;
+        check_range("rgbd.max_weight", self.max_weight, (1.0, 1e4), "within 1 to 10000", "use 50")?;
+        check_range("rgbd.window_m", self.window_m, (0.5, 1000.0), "within 0.5 to 1000", "use 10")?;
+        let surfels = self.max_surfels as f64;
+        check_range("rgbd.max_surfels", surfels, (1e4, 5e6), "within 1e4 to 5e6", "use 500000")
+    }
+}
+
+/// A keyframe to start from, waiting for the first frame to tell the camera.
+type Pending = (Pose, Arc<KeyframeScan>);
+
+/// The local model of a depth camera and its current frame.
+pub(crate) struct Rgbd {
+    params: RgbdParams,
+    preparer: Preparer,
+    frame: Frame,
+    surfels: Surfels,
+    view: View,
+    /// Whether `view` was rendered for the frame that is to be fused.
+    viewed: bool,
+    t_base_camera: Pose,
+    pending: Vec<Pending>,
+}
+
+impl Rgbd {
+    pub(crate) fn new(params: RgbdParams) -> Self {
+        Self {
+            params,
+            preparer: Preparer::default(),
+            frame: Frame::default(),
+            surfels: Surfels::default(),
+            view: View::default(),
+            viewed: false,
+            t_base_camera: Pose::identity(),
+            pending: vec![],
+        }
+    }
+
+    /// Turns keyframes that wait into surfels, now that the camera is known.
+    fn plant(&mut self) {
+        let Some(camera) = self.preparer.pinhole else { return };
+        for (t_odom_base, scan) in std::mem::take(&mut self.pending) {
+            let t_sensor_base = scan.t_base_sensor.inverse();
+            let coarse = camera.shrunk(2, true);
+            let vertices = self::seed::vertices(&coarse, &scan, &t_sensor_base);
+            self.surfels.insert(&vertices, &(t_odom_base * scan.t_base_sensor));
+        }
+    }
+
+    fn limits(&self) -> FusionLimits {
+        FusionLimits {
+            max_weight: self.params.max_weight as f32,
+            window: self.params.window_m as f32,
+            max_surfels: self.params.max_surfels,
+        }
+    }
+}
+
+impl LocalModel for Rgbd {
+    fn prepare(&mut self, scan: &Scan, _velocity: &Vector6<f64>) -> Result<(), LostReason> {
+        let Scan::Depth(scan) = scan else { return Err(LostReason::UnsuitableScan) };
+        self.viewed = false;
+        self.t_base_camera = scan.t_base_sensor;
+        let depth = (self.params.min_depth_m as f32, self.params.max_depth_m as f32);
+        self.preparer.prepare(scan, self.params.max_width_px, depth, &mut self.frame);
+        self.plant();
+        let needed = self.params.min_valid_ratio * self.frame.vertices.len() as f64;
+        if (self.frame.num_valid as f64) < needed.max(200.0) { Err(LostReason::TooFewPoints) } else { Ok(()) }
+    }
+
+    fn is_empty(&self) -> bool {
+        self.surfels.is_empty()
+    }
+
+    fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason> {
+        let Some(camera) = self.preparer.pinhole else { return Err(LostReason::TooFewPoints) };
+        self.surfels.render(&camera, &(prediction.t_odom_base * self.t_base_camera), &mut self.view);
+        self.viewed = true;
+        // The prediction's covariance in the camera: exp(xi_base) t_base_camera = t_base_camera exp(xi_camera).
+        let ad = se3::adjoint(&self.t_base_camera.inverse());
+        let found = align(&Problem {
+            frame: &self.frame,
+            view: &self.view,
+            camera: &camera,
+            covariance: ad * prediction.covariance * ad.transpose(),
+            requirements: Requirements {
+                min_overlap: self.params.min_overlap_ratio,
+                min_inlier_ratio: self.params.min_inlier_ratio,
+                max_correction: (self.params.max_correction_m, self.params.max_correction_rad),
+            },
+        })?;
+        let back = se3::adjoint(&self.t_base_camera);
+        Ok(Match {
+            t_odom_base: found.t_odom_base * self.t_base_camera.inverse(),
+            covariance: back * found.covariance * back.transpose(),
+            ..found
+        })
+    }
+
+    fn integrate(&mut self, t_odom_base: &Pose) {
+        let limits = self.limits();
+        let view = self.preparer.pinhole.as_ref().filter(|_| self.viewed).map(|camera| (&self.view, camera));
+        self.surfels.fuse(&self.frame, &(t_odom_base * self.t_base_camera), view, &limits);
+    }
+
+    fn clear(&mut self) {
+        self.surfels.clear();
+        self.pending.clear();
+        self.viewed = false;
+    }
+
+    fn seed(&mut self, _t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)]) {
+        self.pending = recent.iter().filter(|(_, k)| !k.planar).cloned().collect();
+    }
+}
+
+mod seed {
+    //! Vertices from the thinned points of a keyframe: an image again, then plane fits.
+
+    use super::{KeyframeScan, Point3, Pose, Vertex};
+    use super::frame::fit_grid;
+    use percept_geometry::CameraIntrinsics;
+
+    pub(super) fn vertices(camera: &CameraIntrinsics, scan: &KeyframeScan, t_sensor_base: &Pose) -> Vec<Vertex> {
+        let mut inverse_depth = vec![0f32; camera.width * camera.height];
+        for p in &scan.hits.positions {
+            let p: Point3<f64> = t_sensor_base * p.cast::<f64>();
+            let Some(uv) = camera.project(&p) else { continue };
+            let (u, v) = ((uv.x + 0.5).floor(), (uv.y + 0.5).floor());
+            if u >= 0.0 && v >= 0.0 && (u as usize) < camera.width && (v as usize) < camera.height {
+                let cell = &mut inverse_depth[v as usize * camera.width + u as usize];
+                *cell = cell.max((1.0 / p.z) as f32);
+            }
+        }
+        fit_grid(camera, &inverse_depth)
+    }
+}

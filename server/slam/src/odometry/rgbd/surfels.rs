@@ -1,0 +1,258 @@
+//! The local model: surfels, rendered at a predicted view and fused with each placed frame.
+//!
+//! Source: Keller et al., "Real-time 3D reconstruction in dynamic scenes using point-based fusion", 2013.
+//! We depart from it in rendering: surfels of one surface that fall on one pixel are averaged by weight,
+//! since taking the nearest would pull the surface towards the camera by its noise.
+
+use super::frame::{Frame, Rigid32, Vertex};
+use super::noise::sigma;
+use nalgebra::Vector3;
+use percept_geometry::{CameraIntrinsics, Pose};
+use rayon::prelude::*;
+
+const NONE: u32 = u32::MAX;
+/// Surfels a task: fixed, so that the number of threads changes nothing.
+const CHUNK: usize = 8192;
+
+/// A small disc of surface in odom.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Surfel {
+    pub(crate) p: Vector3<f32>,
+    pub(crate) n: Vector3<f32>,
+    pub(crate) gray: f32,
+    /// Sum of the measurements' weights, capped.
+    pub(crate) weight: f32,
+    /// Motion travelled when last measured, metres.
+    pub(crate) last_seen: f32,
+}
+
+/// The model as a camera at `t_odom_view` sees it.
+#[derive(Debug, Default)]
+pub(crate) struct View {
+    pub(crate) t_odom_view: Pose,
+    /// In the view's frame.
+    pub(crate) vertices: Vec<Vertex>,
+    /// Heaviest surfel of the pixel.
+    index: Vec<u32>,
+    nearest: Vec<f32>,
+    weight: Vec<f32>,
+    projected: Vec<(u32, f32)>,
+}
+
+/// How surfels are fused and forgotten; see [`super::RgbdParams`].
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FusionLimits {
+    pub(crate) max_weight: f32,
+    pub(crate) window: f32,
+    pub(crate) max_surfels: usize,
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct Surfels {
+    surfels: Vec<Surfel>,
+    /// Motion travelled, metres: translation plus half a metre a radian.
+    travelled: f32,
+    last_pose: Option<Pose>,
+}
+
+impl Surfels {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.surfels.is_empty()
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.surfels.len()
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.surfels.clear();
+        self.last_pose = None;
+    }
+
+    /// Renders into `view` with a pinhole at `t_odom_view`.
+    pub(crate) fn render(&self, camera: &CameraIntrinsics, t_odom_view: &Pose, view: &mut View) {
+        let num_pixels = camera.width * camera.height;
+        view.t_odom_view = *t_odom_view;
+        view.vertices.clear();
+        view.vertices.resize(num_pixels, Vertex::default());
+        view.index.clear();
+        view.index.resize(num_pixels, NONE);
+        view.nearest.clear();
+        view.nearest.resize(num_pixels, f32::INFINITY);
+        view.weight.clear();
+        view.weight.resize(num_pixels, 0.0);
+        let t_view_odom = Rigid32::from(&t_odom_view.inverse());
+        self.project(camera, &t_view_odom, &mut view.projected);
+        for &(pixel, z) in &view.projected {
+            if pixel != NONE {
+                let nearest = &mut view.nearest[pixel as usize];
+                *nearest = nearest.min(z);
+            }
+        }
+        let mut heaviest = vec![0f32; num_pixels];
+        for (i, &(pixel, z)) in view.projected.iter().enumerate() {
+            if pixel == NONE || z > view.nearest[pixel as usize] + 0.01 + 4.0 * sigma(z) {
+                continue;
+            }
+            let (pixel, s) = (pixel as usize, &self.surfels[i]);
+            let sum = &mut view.vertices[pixel];
+            sum.p += t_view_odom.apply(&s.p) * s.weight;
+            sum.n += t_view_odom.r * s.n * s.weight;
+            sum.gray += s.gray * s.weight;
+            view.weight[pixel] += s.weight;
+            if s.weight > heaviest[pixel] {
+                heaviest[pixel] = s.weight;
+                view.index[pixel] = i as u32;
+            }
+        }
+        for (v, &w) in view.vertices.iter_mut().zip(&view.weight) {
+            if w > 0.0 {
+                v.p /= w;
+                v.gray /= w;
+                let norm = v.n.norm();
+                // Surfaces that face apart met in this pixel: an edge, of no use as a plane.
+                *v = if norm > 0.7 * w { Vertex { n: v.n / norm, ..*v } } else { Vertex::default() };
+            }
+        }
+    }
+
+    /// Pixel and depth of every surfel that faces the view and lies in it.
+    fn project(&self, camera: &CameraIntrinsics, t_view_odom: &Rigid32, out: &mut Vec<(u32, f32)>) {
+        let (fx, fy) = (camera.fx as f32, camera.fy as f32);
+        let (cx, cy) = (camera.cx as f32 + 0.5, camera.cy as f32 + 0.5);
+        let (width, height) = (camera.width as f32, camera.height as f32);
+        out.clear();
+        out.resize(self.surfels.len(), (NONE, 0.0));
+        out.par_chunks_mut(CHUNK).zip(self.surfels.par_chunks(CHUNK)).for_each(|(out, surfels)| {
+            for (o, s) in out.iter_mut().zip(surfels) {
+                let p = t_view_odom.apply(&s.p);
+                if p.z < 0.1 || (t_view_odom.r * s.n).dot(&p) >= 0.0 {
+                    continue;
+                }
+                let (u, v) = (fx * p.x / p.z + cx, fy * p.y / p.z + cy);
+                if u >= 0.0 && v >= 0.0 && u < width && v < height {
+                    *o = (v as u32 * camera.width as u32 + u as u32, p.z);
+                }
+            }
+        });
+    }
+
+    /// Adds a frame taken at `t_odom_camera`, with the view rendered before it was placed.
+    pub(crate) fn fuse(
+        &mut self,
+        frame: &Frame,
+        t_odom_camera: &Pose,
+        view: Option<(&View, &CameraIntrinsics)>,
+        limits: &FusionLimits,
+    ) {
+        self.travel(t_odom_camera);
+        let to_odom = Rigid32::from(t_odom_camera);
+        match view {
+            None => {
+                let new = frame.vertices.iter().filter(|v| v.p.z > 0.0);
+                let seen = self.travelled;
+                self.surfels.extend(new.map(|v| surfel(v, &to_odom, seen)));
+            }
+            Some((view, camera)) => {
+                let to_view = Rigid32::from(&(view.t_odom_view.inverse() * t_odom_camera));
+                for v in frame.vertices.iter().filter(|v| v.p.z > 0.0) {
+                    self.fuse_vertex(v, &to_odom, &to_view, view, camera, limits);
+                }
+            }
+        }
+        self.forget(limits);
+    }
+
+    fn fuse_vertex(
+        &mut self,
+        v: &Vertex,
+        to_odom: &Rigid32,
+        to_view: &Rigid32,
+        view: &View,
+        camera: &CameraIntrinsics,
+        limits: &FusionLimits,
+    ) {
+        let q = to_view.apply(&v.p);
+        let index = match pixel(camera, &q) {
+            Some(pixel) => view.index[pixel],
+            None => NONE,
+        };
+        let measured = surfel(v, to_odom, self.travelled);
+        if index == NONE {
+            self.surfels.push(measured);
+            return;
+        }
+        let s = &mut self.surfels[index as usize];
+        let gate = 0.015 + 4.0 * sigma(v.p.z);
+        // Along the line of sight: positive if the model lies in front of what the frame sees.
+        let sight = (to_odom.r * v.p).normalize();
+        let behind = sight.dot(&(measured.p - s.p));
+        if behind.abs() < gate && s.n.dot(&measured.n) > 0.5 {
+            let share = measured.weight / (s.weight + measured.weight);
+            // Along the normal only, so that surfels do not drift over the surface.
+            s.p += s.n * (share * s.n.dot(&(measured.p - s.p)));
+            s.n = (s.n + (measured.n - s.n) * share).normalize();
+            s.gray += share * (measured.gray - s.gray);
+            s.weight = (s.weight + measured.weight).min(limits.max_weight);
+            s.last_seen = measured.last_seen;
+        } else if behind > 3.0 * gate {
+            // Seen through: it has moved away.
+            s.weight -= 3.0 * measured.weight;
+        } else if behind < -gate {
+            self.surfels.push(measured);
+        }
+    }
+
+    /// Adds surfels as they are, for a start from keyframes.
+    pub(crate) fn insert(&mut self, vertices: &[Vertex], t_odom_camera: &Pose) {
+        self.travel(t_odom_camera);
+        let to_odom = Rigid32::from(t_odom_camera);
+        let seen = self.travelled;
+        self.surfels.extend(vertices.iter().filter(|v| v.p.z > 0.0).map(|v| surfel(v, &to_odom, seen)));
+    }
+
+    fn travel(&mut self, t_odom_camera: &Pose) {
+        if let Some(last) = self.last_pose {
+            let t_last_now = last.inverse() * t_odom_camera;
+            self.travelled += (t_last_now.translation.vector.norm() + 0.5 * t_last_now.rotation.angle()) as f32;
+        }
+        self.last_pose = Some(*t_odom_camera);
+    }
+
+    /// Drops what was seen through, not seen for long, or seen once in passing.
+    fn forget(&mut self, limits: &FusionLimits) {
+        let now = self.travelled;
+        let full = self.surfels.len() > limits.max_surfels;
+        let window = if full { self.window_for(limits.max_surfels * 4 / 5) } else { limits.window };
+        self.surfels.retain(|s| {
+            let age = now - s.last_seen;
+            s.weight > 0.0 && age <= window && (age < 0.5 || s.weight > 2.0 * surfel_weight(1.0))
+        });
+    }
+
+    /// The window that leaves about `count` surfels.
+    fn window_for(&self, count: usize) -> f32 {
+        let mut ages: Vec<f32> = self.surfels.iter().map(|s| self.travelled - s.last_seen).collect();
+        let k = count.min(ages.len() - 1);
+        *ages.select_nth_unstable_by(k, f32::total_cmp).1
+    }
+}
+
+/// The pixel that a point of the view falls on.
+#[inline]
+pub(crate) fn pixel(camera: &CameraIntrinsics, p: &Vector3<f32>) -> Option<usize> {
+    let u = camera.fx as f32 * p.x / p.z + camera.cx as f32 + 0.5;
+    let v = camera.fy as f32 * p.y / p.z + camera.cy as f32 + 0.5;
+    let inside = p.z > 0.1 && u >= 0.0 && v >= 0.0 && u < camera.width as f32 && v < camera.height as f32;
+    inside.then(|| v as usize * camera.width + u as usize)
+}
+
+/// Weight of one measurement at depth `z`: 1 at one metre, by the inverse variance.
+fn surfel_weight(z: f32) -> f32 {
+    let s = sigma(1.0) / sigma(z);
+    (s * s).min(4.0)
+}
+
+fn surfel(v: &Vertex, to_odom: &Rigid32, last_seen: f32) -> Surfel {
+    Surfel { p: to_odom.apply(&v.p), n: to_odom.r * v.n, gray: v.gray, weight: surfel_weight(v.p.z), last_seen }
+}
