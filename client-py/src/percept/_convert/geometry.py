@@ -1,0 +1,151 @@
+"""Poses, boxes, clouds, cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .._arrays import Array, vector
+from ..types.geometry import CameraIntrinsics, DistortionModel, OrientedBox, Plane, PointCloud, Pose
+from ..v1 import geometry_pb2 as g
+from ..v1 import sensor_pb2
+from . import words
+
+
+def vector3_to(field: str, value: object) -> g.Vector3:
+    """Three numbers as a message."""
+    x, y, z = vector(field, value, 3).tolist()
+    return g.Vector3(x=x, y=y, z=z)
+
+
+def vector3(message: g.Vector3) -> npt.NDArray[np.float64]:
+    """(3,)."""
+    return np.array([message.x, message.y, message.z])
+
+
+def vector2_to(field: str, value: object) -> g.Vector2:
+    """Two numbers as a message."""
+    x, y = vector(field, value, 2).tolist()
+    return g.Vector2(x=x, y=y)
+
+
+def vector2(message: g.Vector2) -> npt.NDArray[np.float64]:
+    """(2,)."""
+    return np.array([message.x, message.y])
+
+
+def pose_to(pose: Pose | Array) -> g.Pose:
+    """A pose, or its (4, 4) matrix, as a message."""
+    pose = pose if isinstance(pose, Pose) else Pose.from_matrix(pose)
+    x, y, z, w = pose.rotation.tolist()
+    translation = vector3_to("translation", pose.translation)
+    return g.Pose(translation=translation, rotation=g.Quaternion(x=x, y=y, z=z, w=w))
+
+
+def pose(message: g.Pose) -> Pose:
+    """Absent parts are zero and no rotation."""
+    q = message.rotation
+    rotation = np.array([q.x, q.y, q.z, q.w]) if message.HasField("rotation") else np.array([0.0, 0, 0, 1])
+    return Pose(vector3(message.translation), rotation)
+
+
+def covariance(message: g.Covariance6) -> npt.NDArray[np.float64]:
+    """(6, 6); NaN where the server gave none."""
+    values = np.array(message.values, dtype=np.float64)
+    return values.reshape(6, 6) if values.size == 36 else np.full((6, 6), np.nan)
+
+
+def box_to(box: OrientedBox) -> g.OrientedBox:
+    """A box as a message."""
+    return g.OrientedBox(t_frame_box=pose_to(box.t_frame_box), size_m=vector3_to("size_m", box.size_m))
+
+
+def box(message: g.OrientedBox) -> OrientedBox:
+    """A box."""
+    return OrientedBox(t_frame_box=pose(message.t_frame_box), size_m=vector3(message.size_m))
+
+
+def plane(message: g.Plane) -> Plane:
+    """A plane."""
+    return Plane(normal=vector3(message.normal), offset_m=message.offset_m)
+
+
+def intrinsics_to(camera: CameraIntrinsics) -> sensor_pb2.CameraIntrinsics:
+    """A camera as a message."""
+    model = str(camera.distortion_model)
+    enum = sensor_pb2.DistortionModel
+    return sensor_pb2.CameraIntrinsics(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        fx_px=camera.fx_px,
+        fy_px=camera.fy_px,
+        cx_px=camera.cx_px,
+        cy_px=camera.cy_px,
+        distortion_model=words.number("distortion_model", enum, "unspecified" if model == "none" else model),
+        distortion=camera.distortion,
+    )
+
+
+def intrinsics(message: sensor_pb2.CameraIntrinsics) -> CameraIntrinsics:
+    """A camera."""
+    if message.distortion_model == sensor_pb2.DISTORTION_MODEL_UNSPECIFIED:
+        model = DistortionModel.NONE
+    else:
+        name = sensor_pb2.DistortionModel.Name(message.distortion_model)
+        model = DistortionModel(name.removeprefix("DISTORTION_MODEL_").lower())
+    return CameraIntrinsics(
+        width_px=message.width_px,
+        height_px=message.height_px,
+        fx_px=message.fx_px,
+        fy_px=message.fy_px,
+        cx_px=message.cx_px,
+        cy_px=message.cy_px,
+        distortion_model=model,
+        distortion=tuple(message.distortion),
+    )
+
+
+def cloud_to(cloud: PointCloud | Array) -> g.PointCloud:
+    """A cloud, or its (N, 3) float32 points, as a message."""
+    cloud = cloud if isinstance(cloud, PointCloud) else PointCloud(cloud)
+
+    def data(channel: Array | None) -> bytes | None:
+        return None if channel is None else channel.tobytes()
+
+    return g.PointCloud(
+        num_points=cloud.num_points,
+        positions=cloud.points.tobytes(),
+        colors=data(cloud.colors),
+        intensities=data(cloud.intensities),
+        normals=data(cloud.normals),
+        time_offsets_s=data(cloud.time_offsets_s),
+    )
+
+
+def cloud(message: g.PointCloud) -> PointCloud:
+    """A cloud; its arrays are views of what came in, and cannot be written."""
+    return joined_cloud([message])
+
+
+_CHANNELS: tuple[tuple[str, str, type, int], ...] = (
+    ("points", "positions", np.float32, 3),
+    ("colors", "colors", np.uint8, 3),
+    ("intensities", "intensities", np.float32, 1),
+    ("normals", "normals", np.float32, 3),
+    ("time_offsets_s", "time_offsets_s", np.float32, 1),
+)
+
+
+def joined_cloud(messages: Sequence[g.PointCloud]) -> PointCloud:
+    """One cloud of its parts; channels that the first part lacks are absent."""
+    channels: dict[str, Any] = {}
+    filled = [m for m in messages if m.num_points] or list(messages[:1])
+    for name, field, dtype, width in _CHANNELS:
+        if name == "points" or (filled and filled[0].HasField(field)):  # type: ignore[arg-type]
+            data = b"".join(getattr(m, field) for m in filled)
+            flat = np.frombuffer(data, np.dtype(dtype).newbyteorder("<"))
+            channels[name] = flat.reshape(-1, width) if width > 1 else flat
+    return PointCloud(channels.pop("points"), **channels)

@@ -1,0 +1,141 @@
+"""Grids, clouds and files of their chunks."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+
+from .. import _rpc
+from .._call import Call, ChunkedCall
+from ..errors import Internal, InvalidArgument
+from ..types.maps import (
+    GridGeometry,
+    MapCloud,
+    MapFile,
+    MapFormat,
+    MapStamp,
+    MapSummary,
+    OccupancyGrid,
+    Region,
+)
+from ..v1 import map_pb2
+from ..v1 import maps_service_pb2 as service
+from . import geometry, words
+
+
+def source(session_id: str) -> map_pb2.MapSource:
+    """The live map of a session."""
+    return map_pb2.MapSource(session_id=session_id)
+
+
+def stamp(message: map_pb2.MapStamp) -> MapStamp:
+    """From which state of the map."""
+    return MapStamp(map_version=message.map_version, stamp_ns=message.stamp_ns, frame_id=message.frame_id)
+
+
+def grid_geometry(message: map_pb2.GridGeometry) -> GridGeometry:
+    """Where a grid lies."""
+    return GridGeometry(
+        resolution_m=message.resolution_m,
+        origin=geometry.vector2(message.origin),
+        width=message.width,
+        height=message.height,
+    )
+
+
+def summary(message: service.GetMapSummaryResponse) -> MapSummary:
+    """Sizes of a map."""
+    mapped = message.HasField("occupancy")
+    return MapSummary(
+        stamp=stamp(message.stamp),
+        occupancy=grid_geometry(message.occupancy) if mapped else None,
+        num_points=message.num_points,
+        voxel_size_m=message.voxel_size_m,
+        num_keyframes=message.num_keyframes,
+    )
+
+
+def _incomplete(what: str) -> Internal:
+    return Internal(f"the {what} came incomplete; ask again", reason="ANSWER_INCOMPLETE")
+
+
+def occupancy(chunks: Sequence[map_pb2.OccupancyGridChunk]) -> OccupancyGrid:
+    """A grid of its chunks."""
+    if not chunks or not chunks[0].HasField("geometry"):
+        raise _incomplete("grid")
+    where = chunks[0].geometry
+    cells = np.frombuffer(b"".join(c.cells for c in chunks), np.int8)
+    if cells.size != where.width * where.height:
+        raise _incomplete("grid")
+    return OccupancyGrid(
+        cells=cells.reshape(where.height, where.width),
+        resolution_m=where.resolution_m,
+        origin=geometry.vector2(where.origin),
+        stamp=stamp(chunks[0].stamp),
+    )
+
+
+def cloud(chunks: Sequence[map_pb2.CloudChunk]) -> MapCloud:
+    """A cloud of its chunks."""
+    joined = geometry.joined_cloud([c.cloud for c in chunks])
+    if not chunks or joined.num_points != chunks[0].total_points:
+        raise _incomplete("cloud")
+    return MapCloud(cloud=joined, stamp=stamp(chunks[0].stamp))
+
+
+def file(chunks: Sequence[map_pb2.FileChunk]) -> MapFile:
+    """A file of its chunks, checksum compared."""
+    if not chunks or not chunks[0].HasField("header"):
+        raise _incomplete("file")
+    header, data = chunks[0].header, b"".join(c.data for c in chunks)
+    if len(data) != header.size_bytes or hashlib.sha256(data).hexdigest() != header.sha256:
+        message = f"file {header.file_name} differs from its checksum; ask again"
+        raise Internal(message, reason="CHECKSUM_MISMATCH")
+    return MapFile(
+        data=data,
+        file_name=header.file_name,
+        media_type=header.media_type,
+        sha256=header.sha256,
+        stamp=stamp(header.stamp),
+        path=None,
+    )
+
+
+def get_summary(
+    session_id: str,
+) -> Call[service.GetMapSummaryRequest, service.GetMapSummaryResponse, MapSummary]:
+    return Call(_rpc.GET_MAP_SUMMARY, service.GetMapSummaryRequest(source=source(session_id)), summary)
+
+
+def get_occupancy(
+    session_id: str, region: Region | None, resolution_m: float | None
+) -> ChunkedCall[service.GetOccupancyGridRequest, service.GetOccupancyGridResponse, OccupancyGrid]:
+    request = service.GetOccupancyGridRequest(source=source(session_id), resolution_m=resolution_m)
+    if region is not None:
+        low = geometry.vector2_to("region.min", (region.min_x_m, region.min_y_m))
+        high = geometry.vector2_to("region.max", (region.max_x_m, region.max_y_m))
+        request.region.CopyFrom(map_pb2.Region2(min=low, max=high))
+    return ChunkedCall(_rpc.GET_OCCUPANCY_GRID, request, lambda a: occupancy([x.chunk for x in a]))
+
+
+def get_cloud(
+    session_id: str, center: Sequence[float] | None, radius_m: float | None
+) -> ChunkedCall[service.GetCloudRequest, service.GetCloudResponse, MapCloud]:
+    if (center is None) != (radius_m is None):
+        message = "center and radius_m belong together; give both or neither"
+        raise InvalidArgument(message, reason="FIELD_MISSING", field="radius_m")
+    request = service.GetCloudRequest(source=source(session_id), radius_m=radius_m)
+    if center is not None:
+        request.center.CopyFrom(geometry.vector3_to("center", center))
+    return ChunkedCall(_rpc.GET_CLOUD, request, lambda a: cloud([x.chunk for x in a]))
+
+
+def export(
+    session_id: str, file_format: MapFormat | str
+) -> ChunkedCall[service.ExportMapRequest, service.ExportMapResponse, MapFile]:
+    request = service.ExportMapRequest(
+        source=source(session_id), format=words.number("format", map_pb2.MapFormat, file_format)
+    )
+    return ChunkedCall(_rpc.EXPORT_MAP, request, lambda a: file([x.chunk for x in a]))

@@ -1,0 +1,50 @@
+"""Pose estimates, and what became of frames."""
+
+from __future__ import annotations
+
+from ..types.sensors import FrameAck, Rejection
+from ..types.sessions import FrameResult, PoseEstimate, TrackingState
+from ..v1 import error_pb2, session_pb2
+from . import geometry, words
+
+
+def pose_estimate(message: session_pb2.PoseEstimate) -> PoseEstimate:
+    """A pose estimate."""
+    return PoseEstimate(
+        stamp_ns=message.stamp_ns,
+        state=words.word(TrackingState, session_pb2.TrackingState, message.state),
+        t_map_base=geometry.pose(message.t_map_base),
+        covariance=geometry.covariance(message.covariance),
+        t_odom_base=geometry.pose(message.t_odom_base),
+        lost_reason=message.lost_reason,
+        inlier_ratio=message.inlier_ratio,
+        rmse_m=message.rmse_m,
+        degenerate_axes=tuple(message.degenerate_axes),
+        map_version=message.map_version,
+    )
+
+
+def result(message: session_pb2.FrameResult) -> FrameResult:
+    """What an accepted frame did."""
+    return FrameResult(
+        pose=pose_estimate(message.pose) if message.HasField("pose") else None,
+        keyframe_id=message.keyframe_id if message.HasField("keyframe_id") else None,
+        latency_s=message.latency_s,
+    )
+
+
+def rejection(message: error_pb2.ErrorInfo) -> Rejection:
+    """Why a frame was refused."""
+    return Rejection(reason=message.reason, message=message.message, field=message.field, code=message.code)
+
+
+def ack(message: session_pb2.FrameAck) -> FrameAck:
+    """What became of a frame."""
+    return FrameAck(
+        sensor_id=message.sensor_id,
+        sequence=message.sequence,
+        stamp_ns=message.stamp_ns,
+        result=result(message.result) if message.HasField("result") else None,
+        rejection=rejection(message.rejection) if message.HasField("rejection") else None,
+        durable_count=message.durable_count,
+    )

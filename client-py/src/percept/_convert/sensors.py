@@ -1,0 +1,194 @@
+"""Sensor declarations and frames."""
+
+from __future__ import annotations
+
+import time
+
+from .. import _rpc
+from .._arrays import Array
+from .._call import Call
+from ..errors import InvalidArgument
+from ..types.frames import (
+    CameraFrame,
+    CloudFrame,
+    DepthFrame,
+    EncodedImage,
+    ImuFrame,
+    OdometryFrame,
+    RgbdFrame,
+    ScanFrame,
+    SensorFrame,
+)
+from ..types.sensors import (
+    ClockOffset,
+    OverloadPolicy,
+    SensorKind,
+    SensorSpec,
+    SensorStatus,
+)
+from ..types.sessions import FrameResult
+from ..v1 import geometry_pb2, sensor_pb2, sensors_service_pb2
+from . import geometry, poses, words
+
+_PNG = b"\x89PNG"
+_JPEG = b"\xff\xd8"
+
+
+def spec_to(spec: SensorSpec) -> sensor_pb2.SensorSpec:
+    """A declaration as a message."""
+    return sensor_pb2.SensorSpec(
+        sensor_id=spec.sensor_id,
+        kind=words.number("kind", sensor_pb2.SensorKind, spec.kind),
+        t_base_sensor=geometry.pose_to(spec.t_base_sensor),
+        intrinsics=None if spec.intrinsics is None else geometry.intrinsics_to(spec.intrinsics),
+        time_offset_s=spec.time_offset_s,
+        overload_policy=words.number("overload_policy", sensor_pb2.OverloadPolicy, spec.overload_policy),
+    )
+
+
+def spec(message: sensor_pb2.SensorSpec) -> SensorSpec:
+    """A declaration."""
+    has_intrinsics = message.HasField("intrinsics")
+    return SensorSpec(
+        message.sensor_id,
+        kind=words.word(SensorKind, sensor_pb2.SensorKind, message.kind),
+        t_base_sensor=geometry.pose(message.t_base_sensor),
+        intrinsics=geometry.intrinsics(message.intrinsics) if has_intrinsics else None,
+        time_offset_s=message.time_offset_s,
+        overload_policy=words.word(OverloadPolicy, sensor_pb2.OverloadPolicy, message.overload_policy),
+    )
+
+
+def status(message: sensor_pb2.SensorStatus) -> SensorStatus:
+    """What the server sees of a stream."""
+    return SensorStatus(
+        spec=spec(message.spec),
+        accepted=message.accepted,
+        rejected=message.rejected,
+        dropped=message.dropped,
+        gaps=message.gaps,
+        rate_hz=message.rate_hz if message.HasField("rate_hz") else None,
+        last_stamp_ns=message.last_stamp_ns if message.HasField("last_stamp_ns") else None,
+        verdict=message.verdict,
+    )
+
+
+def depth_to(image: Array | EncodedImage, metres_per_unit: float | None) -> sensor_pb2.DepthImage:
+    """A depth image: uint16, float32, or a PNG."""
+    if isinstance(image, EncodedImage):
+        encoding, data = sensor_pb2.DEPTH_ENCODING_PNG16, image.data
+        height, width = image.height_px, image.width_px
+    else:
+        (height, width), data = image.shape, image.tobytes()
+        units = image.dtype.kind == "u"
+        encoding = sensor_pb2.DEPTH_ENCODING_U16 if units else sensor_pb2.DEPTH_ENCODING_F32
+    return sensor_pb2.DepthImage(
+        width_px=width, height_px=height, encoding=encoding, metres_per_unit=metres_per_unit, data=data
+    )
+
+
+def color_to(image: Array | EncodedImage) -> sensor_pb2.ColorImage:
+    """A colour image: RGB8, JPEG or PNG, told by its first bytes."""
+    if not isinstance(image, EncodedImage):
+        height, width, _ = image.shape
+        data, encoding = image.tobytes(), sensor_pb2.COLOR_ENCODING_RGB8
+        return sensor_pb2.ColorImage(width_px=width, height_px=height, encoding=encoding, data=data)
+    if image.data.startswith(_PNG):
+        encoding = sensor_pb2.COLOR_ENCODING_PNG
+    elif image.data.startswith(_JPEG):
+        encoding = sensor_pb2.COLOR_ENCODING_JPEG
+    else:
+        message = "color is neither a PNG nor a JPEG by its first bytes; encode it as one of them"
+        raise InvalidArgument(message, reason="FILE_INVALID", field="color")
+    return sensor_pb2.ColorImage(
+        width_px=image.width_px, height_px=image.height_px, encoding=encoding, data=image.data
+    )
+
+
+def frame_to(session_id: str, frame: SensorFrame, sequence: int = 0) -> sensor_pb2.SensorMessage:
+    """A frame as a message; `sequence` 0 is not numbered."""
+    out = sensor_pb2.SensorMessage(
+        session_id=session_id, sensor_id=frame.sensor_id, stamp_ns=frame.stamp_ns, sequence=sequence
+    )
+    match frame:
+        case DepthFrame():
+            out.depth.CopyFrom(depth_to(frame.depth, frame.metres_per_unit))
+        case RgbdFrame():
+            out.rgbd.depth.CopyFrom(depth_to(frame.depth, frame.metres_per_unit))
+            out.rgbd.color.CopyFrom(color_to(frame.color))
+        case CameraFrame():
+            out.color.CopyFrom(color_to(frame.color))
+        case CloudFrame():
+            out.cloud.CopyFrom(geometry.cloud_to(frame.cloud))
+        case ScanFrame():
+            out.scan.CopyFrom(_scan_to(frame))
+        case ImuFrame():
+            out.imu.CopyFrom(_imu_to(frame))
+        case OdometryFrame():
+            out.odometry.CopyFrom(_odometry_to(frame))
+    return out
+
+
+def _scan_to(scan: ScanFrame) -> sensor_pb2.LaserScan:
+    return sensor_pb2.LaserScan(
+        angle_min_rad=scan.angle_min_rad,
+        angle_increment_rad=scan.angle_increment_rad,
+        range_min_m=scan.range_min_m,
+        range_max_m=scan.range_max_m,
+        time_increment_s=scan.time_increment_s,
+        ranges_m=scan.ranges_m.tobytes(),
+        intensities=None if scan.intensities is None else scan.intensities.tobytes(),
+    )
+
+
+def _imu_to(imu: ImuFrame) -> sensor_pb2.ImuSample:
+    return sensor_pb2.ImuSample(
+        angular_velocity_radps=geometry.vector3_to("angular_velocity_radps", imu.angular_velocity_radps),
+        linear_acceleration_mps2=geometry.vector3_to(
+            "linear_acceleration_mps2", imu.linear_acceleration_mps2
+        ),
+    )
+
+
+def _odometry_to(odometry: OdometryFrame) -> sensor_pb2.OdometrySample:
+    out = sensor_pb2.OdometrySample(t_odom_base=geometry.pose_to(odometry.t_odom_base))
+    if odometry.covariance is not None:
+        out.covariance.CopyFrom(geometry_pb2.Covariance6(values=odometry.covariance.ravel().tolist()))
+    return out
+
+
+def declare(
+    session_id: str, sensor: SensorSpec
+) -> Call[sensors_service_pb2.DeclareSensorRequest, sensors_service_pb2.DeclareSensorResponse, SensorStatus]:
+    request = sensors_service_pb2.DeclareSensorRequest(session_id=session_id, spec=spec_to(sensor))
+    return Call(_rpc.DECLARE_SENSOR, request, lambda a: status(a.sensor))
+
+
+def list_sensors(
+    session_id: str,
+) -> Call[
+    sensors_service_pb2.ListSensorsRequest, sensors_service_pb2.ListSensorsResponse, list[SensorStatus]
+]:
+    request = sensors_service_pb2.ListSensorsRequest(session_id=session_id)
+    return Call(_rpc.LIST_SENSORS, request, lambda a: [status(s) for s in a.sensors])
+
+
+def send(
+    session_id: str, frame: SensorFrame
+) -> Call[sensors_service_pb2.SendFrameRequest, sensors_service_pb2.SendFrameResponse, FrameResult]:
+    request = sensors_service_pb2.SendFrameRequest(message=frame_to(session_id, frame))
+    return Call(_rpc.SEND_FRAME, request, lambda a: poses.result(a.result))
+
+
+def sync_time() -> Call[
+    sensors_service_pb2.SyncTimeRequest, sensors_service_pb2.SyncTimeResponse, ClockOffset
+]:
+    def offset(answer: sensors_service_pb2.SyncTimeResponse) -> ClockOffset:
+        received = time.time_ns()
+        middle = (answer.client_send_ns + received) // 2
+        return ClockOffset(
+            offset_ns=answer.server_ns - middle, round_trip_ns=received - answer.client_send_ns
+        )
+
+    request = sensors_service_pb2.SyncTimeRequest(client_send_ns=time.time_ns())
+    return Call(_rpc.SYNC_TIME, request, offset)

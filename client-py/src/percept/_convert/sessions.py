@@ -1,0 +1,158 @@
+"""Sessions, poses, trajectories, events."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from .. import _rpc
+from .._call import Call, ChunkedCall, PagedCall
+from ..types.sensors import SensorSpec
+from ..types.sessions import (
+    Event,
+    Keyframe,
+    MapChanged,
+    PoseEstimate,
+    Resync,
+    SessionEvent,
+    SessionInfo,
+    SessionMode,
+    TrackingState,
+    Trajectory,
+)
+from ..v1 import params_pb2, session_pb2
+from ..v1 import sessions_service_pb2 as service
+from . import geometry, poses, scene, sensors, words
+
+
+def session_info(message: session_pb2.Session) -> SessionInfo:
+    """A session."""
+    return SessionInfo(
+        session_id=message.session_id,
+        display_name=message.display_name,
+        mode=words.word(SessionMode, session_pb2.SessionMode, message.mode),
+        create_time_ns=message.create_time_ns,
+        params=words.tree_of(message.params),
+        sensors=tuple(sensors.status(s) for s in message.sensors),
+        pose=poses.pose_estimate(message.pose) if message.HasField("pose") else None,
+        num_keyframes=message.num_keyframes,
+        num_objects=message.num_objects,
+        map_version=message.map_version,
+        queue_length=message.queue_length,
+    )
+
+
+def keyframe(message: session_pb2.Keyframe) -> Keyframe:
+    """A keyframe."""
+    return Keyframe(
+        keyframe_id=message.keyframe_id,
+        stamp_ns=message.stamp_ns,
+        sensor_id=message.sensor_id,
+        t_map_base=geometry.pose(message.t_map_base),
+        num_points=message.num_points,
+    )
+
+
+def trajectory(chunks: Sequence[service.GetTrajectoryResponse]) -> Trajectory:
+    """A trajectory of its chunks."""
+    entries = [p for chunk in chunks for p in chunk.poses]
+    states = {n: words.word(TrackingState, session_pb2.TrackingState, n) for n in {p.state for p in entries}}
+    each = [geometry.pose(p.t_map_base) for p in entries]
+    return Trajectory(
+        stamps_ns=np.array([p.stamp_ns for p in entries], dtype=np.int64),
+        positions=np.array([p.translation for p in each]).reshape(-1, 3),
+        rotations=np.array([p.rotation for p in each]).reshape(-1, 4),
+        states=tuple(states[p.state] for p in entries),
+        keyframe_ids=tuple(p.keyframe_id if p.HasField("keyframe_id") else None for p in entries),
+        map_version=chunks[-1].map_version if chunks else 0,
+    )
+
+
+def event(message: session_pb2.SessionEvent) -> SessionEvent:
+    """An event."""
+    return SessionEvent(token=message.token, stamp_ns=message.stamp_ns, event=_event(message))
+
+
+def _event(message: session_pb2.SessionEvent) -> Event | None:
+    match message.WhichOneof("event"):
+        case "pose":
+            return poses.pose_estimate(message.pose)
+        case "keyframe_added":
+            return keyframe(message.keyframe_added)
+        case "object_changed":
+            return scene.object_change(message.object_changed)
+        case "map_version":
+            return MapChanged(map_version=message.map_version)
+        case "resync":
+            return Resync(missed=message.resync.missed)
+        case _:
+            return None
+
+
+def create(
+    session_id: str | None,
+    display_name: str,
+    mode: SessionMode | str,
+    specs: Sequence[SensorSpec],
+    params: Mapping[str, object] | None,
+    request_id: str | None,
+) -> Call[service.CreateSessionRequest, service.CreateSessionResponse, SessionInfo]:
+    request = service.CreateSessionRequest(
+        session_id=session_id,
+        display_name=display_name,
+        mode=words.number("mode", session_pb2.SessionMode, mode),
+        sensors=[sensors.spec_to(s) for s in specs],
+        params=words.message_of("params", params_pb2.PipelineParams, params),
+        # Of our own making if need be, so that the call can be repeated when the answer got lost.
+        request_id=uuid.uuid4().hex if request_id is None else request_id,
+    )
+    return Call(_rpc.CREATE_SESSION, request, lambda a: session_info(a.session))
+
+
+def get(
+    session_id: str,
+) -> Call[service.GetSessionRequest, service.GetSessionResponse, SessionInfo]:
+    request = service.GetSessionRequest(session_id=session_id)
+    return Call(_rpc.GET_SESSION, request, lambda a: session_info(a.session))
+
+
+def list_sessions(
+    page_size: int,
+) -> PagedCall[service.ListSessionsRequest, service.ListSessionsResponse, SessionInfo]:
+    request = service.ListSessionsRequest(page_size=page_size)
+    return PagedCall(_rpc.LIST_SESSIONS, request, lambda a: [session_info(s) for s in a.sessions])
+
+
+def delete(
+    session_id: str,
+) -> Call[service.DeleteSessionRequest, service.DeleteSessionResponse, None]:
+    return Call(_rpc.DELETE_SESSION, service.DeleteSessionRequest(session_id=session_id), lambda _: None)
+
+
+def pose(
+    session_id: str,
+) -> Call[service.GetPoseRequest, service.GetPoseResponse, PoseEstimate | None]:
+    request = service.GetPoseRequest(session_id=session_id)
+    return Call(_rpc.GET_POSE, request, lambda a: poses.pose_estimate(a.pose) if a.HasField("pose") else None)
+
+
+def get_trajectory(
+    session_id: str,
+) -> ChunkedCall[service.GetTrajectoryRequest, service.GetTrajectoryResponse, Trajectory]:
+    return ChunkedCall(_rpc.GET_TRAJECTORY, service.GetTrajectoryRequest(session_id=session_id), trajectory)
+
+
+def keyframes(
+    session_id: str, page_size: int
+) -> PagedCall[service.ListKeyframesRequest, service.ListKeyframesResponse, Keyframe]:
+    request = service.ListKeyframesRequest(session_id=session_id, page_size=page_size)
+    return PagedCall(_rpc.LIST_KEYFRAMES, request, lambda a: [keyframe(k) for k in a.keyframes])
+
+
+def default_params() -> Call[
+    service.GetDefaultParamsRequest, service.GetDefaultParamsResponse, dict[str, object]
+]:
+    request = service.GetDefaultParamsRequest()
+    return Call(_rpc.GET_DEFAULT_PARAMS, request, lambda a: words.tree_of(a.params))

@@ -1,0 +1,105 @@
+"""Every call of the contract, with its messages and whether it may be repeated without harm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from google.protobuf.message import Message
+
+from .v1 import evaluation_service_pb2 as evaluation
+from .v1 import maps_service_pb2 as maps
+from .v1 import navigation_service_pb2 as navigation
+from .v1 import scene_service_pb2 as scene
+from .v1 import sensors_service_pb2 as sensors
+from .v1 import sessions_service_pb2 as sessions
+from .v1 import toolbox_service_pb2 as toolbox
+
+Q = TypeVar("Q", bound=Message)
+A = TypeVar("A", bound=Message)
+
+
+@dataclass(frozen=True)
+class Rpc(Generic[Q, A]):
+    """A remote procedure: its name and the types of its messages."""
+
+    service: str
+    method: str
+    request: type[Q]
+    answer: type[A]
+    #: Whether doing it twice is as good as once, so that it is tried again when the server is away.
+    repeatable: bool = True
+
+    @property
+    def path(self) -> str:
+        """As HTTP/2 carries it."""
+        return f"/percept.v1.{self.service}/{self.method}"
+
+
+_S = "SessionsService"
+# Creation carries a request id, so that it can be repeated.
+CREATE_SESSION = Rpc(_S, "CreateSession", sessions.CreateSessionRequest, sessions.CreateSessionResponse)
+GET_SESSION = Rpc(_S, "GetSession", sessions.GetSessionRequest, sessions.GetSessionResponse)
+LIST_SESSIONS = Rpc(_S, "ListSessions", sessions.ListSessionsRequest, sessions.ListSessionsResponse)
+DELETE_SESSION = Rpc(
+    _S, "DeleteSession", sessions.DeleteSessionRequest, sessions.DeleteSessionResponse, repeatable=False
+)
+GET_POSE = Rpc(_S, "GetPose", sessions.GetPoseRequest, sessions.GetPoseResponse)
+GET_TRAJECTORY = Rpc(_S, "GetTrajectory", sessions.GetTrajectoryRequest, sessions.GetTrajectoryResponse)
+LIST_KEYFRAMES = Rpc(_S, "ListKeyframes", sessions.ListKeyframesRequest, sessions.ListKeyframesResponse)
+WATCH_SESSION = Rpc(_S, "WatchSession", sessions.WatchSessionRequest, sessions.WatchSessionResponse)
+GET_DEFAULT_PARAMS = Rpc(
+    _S, "GetDefaultParams", sessions.GetDefaultParamsRequest, sessions.GetDefaultParamsResponse
+)
+
+_N = "SensorsService"
+DECLARE_SENSOR = Rpc(_N, "DeclareSensor", sensors.DeclareSensorRequest, sensors.DeclareSensorResponse)
+LIST_SENSORS = Rpc(_N, "ListSensors", sensors.ListSensorsRequest, sensors.ListSensorsResponse)
+STREAM_FRAMES = Rpc(
+    _N, "StreamFrames", sensors.StreamFramesRequest, sensors.StreamFramesResponse, repeatable=False
+)
+SEND_FRAME = Rpc(_N, "SendFrame", sensors.SendFrameRequest, sensors.SendFrameResponse, repeatable=False)
+SYNC_TIME = Rpc(_N, "SyncTime", sensors.SyncTimeRequest, sensors.SyncTimeResponse)
+
+_M = "MapsService"
+GET_MAP_SUMMARY = Rpc(_M, "GetMapSummary", maps.GetMapSummaryRequest, maps.GetMapSummaryResponse)
+GET_OCCUPANCY_GRID = Rpc(_M, "GetOccupancyGrid", maps.GetOccupancyGridRequest, maps.GetOccupancyGridResponse)
+GET_CLOUD = Rpc(_M, "GetCloud", maps.GetCloudRequest, maps.GetCloudResponse)
+EXPORT_MAP = Rpc(_M, "ExportMap", maps.ExportMapRequest, maps.ExportMapResponse)
+
+_C = "SceneService"
+LIST_OBJECTS = Rpc(_C, "ListObjects", scene.ListObjectsRequest, scene.ListObjectsResponse)
+GET_OBJECT = Rpc(_C, "GetObject", scene.GetObjectRequest, scene.GetObjectResponse)
+GET_SCENE_GRAPH = Rpc(_C, "GetSceneGraph", scene.GetSceneGraphRequest, scene.GetSceneGraphResponse)
+
+_V = "NavigationService"
+PLAN_PATH = Rpc(_V, "PlanPath", navigation.PlanPathRequest, navigation.PlanPathResponse)
+NAVIGATE = Rpc(_V, "Navigate", navigation.NavigateRequest, navigation.NavigateResponse, repeatable=False)
+
+_T = "ToolboxService"
+REMOVE_STATISTICAL_OUTLIERS = Rpc(
+    _T,
+    "RemoveStatisticalOutliers",
+    toolbox.RemoveStatisticalOutliersRequest,
+    toolbox.RemoveStatisticalOutliersResponse,
+)
+DOWNSAMPLE_VOXELS = Rpc(
+    _T, "DownsampleVoxels", toolbox.DownsampleVoxelsRequest, toolbox.DownsampleVoxelsResponse
+)
+ESTIMATE_NORMALS = Rpc(_T, "EstimateNormals", toolbox.EstimateNormalsRequest, toolbox.EstimateNormalsResponse)
+SEGMENT_PLANES = Rpc(_T, "SegmentPlanes", toolbox.SegmentPlanesRequest, toolbox.SegmentPlanesResponse)
+CLUSTER_POINTS = Rpc(_T, "ClusterPoints", toolbox.ClusterPointsRequest, toolbox.ClusterPointsResponse)
+COMPUTE_SHAPE_FEATURES = Rpc(
+    _T, "ComputeShapeFeatures", toolbox.ComputeShapeFeaturesRequest, toolbox.ComputeShapeFeaturesResponse
+)
+DETECT_OBJECTS = Rpc(_T, "DetectObjects", toolbox.DetectObjectsRequest, toolbox.DetectObjectsResponse)
+REGISTER_CLOUDS = Rpc(_T, "RegisterClouds", toolbox.RegisterCloudsRequest, toolbox.RegisterCloudsResponse)
+UNPROJECT_DEPTH = Rpc(_T, "UnprojectDepth", toolbox.UnprojectDepthRequest, toolbox.UnprojectDepthResponse)
+
+_E = "EvaluationService"
+EVALUATE_TRAJECTORY = Rpc(
+    _E, "EvaluateTrajectory", evaluation.EvaluateTrajectoryRequest, evaluation.EvaluateTrajectoryResponse
+)
+EVALUATE_DETECTIONS = Rpc(
+    _E, "EvaluateDetections", evaluation.EvaluateDetectionsRequest, evaluation.EvaluateDetectionsResponse
+)

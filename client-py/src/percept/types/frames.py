@@ -1,0 +1,148 @@
+"""What sensors send: one timestamped message each. Stamps are nanoseconds since the Unix epoch of the
+sensor's clock, each greater than the one before of its sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from .._arrays import Array, checked, same_length, vector
+from ..errors import InvalidArgument
+from ._value import Value
+from .geometry import Floats, PointCloud, Pose
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class EncodedImage(Value):
+    """A compressed image as its file's bytes: PNG (16-bit grey for depth) or, for colour, JPEG."""
+
+    data: bytes
+    width_px: int
+    height_px: int
+
+
+def _depth(image: Array | EncodedImage, metres_per_unit: float | None) -> Array | EncodedImage:
+    units = isinstance(image, EncodedImage)
+    if not isinstance(image, EncodedImage):
+        image = checked("depth", image, ("H", "W"), np.uint16, np.float32)
+        units = image.dtype.kind == "u"
+    if units and metres_per_unit is None:
+        message = "metres_per_unit is missing; depth in integer units needs it, e.g. 0.001 for millimetres"
+        raise InvalidArgument(message, reason="FIELD_MISSING", field="metres_per_unit")
+    return image
+
+
+def _color(image: Array | EncodedImage) -> Array | EncodedImage:
+    return image if isinstance(image, EncodedImage) else checked("color", image, ("H", "W", 3), np.uint8)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DepthFrame(Value):
+    """A depth image: (H, W) uint16 with metres_per_unit (0 and 65535: no return), or float32 metres."""
+
+    sensor_id: str
+    stamp_ns: int = field(kw_only=True)
+    depth: Array | EncodedImage = field(kw_only=True)
+    metres_per_unit: float | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "depth", _depth(self.depth, self.metres_per_unit))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RgbdFrame(Value):
+    """Depth, as in DepthFrame, with the colour image of the same size: (H, W, 3) uint8 RGB, or encoded."""
+
+    sensor_id: str
+    stamp_ns: int = field(kw_only=True)
+    depth: Array | EncodedImage = field(kw_only=True)
+    color: Array | EncodedImage = field(kw_only=True)
+    metres_per_unit: float | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "depth", _depth(self.depth, self.metres_per_unit))
+        object.__setattr__(self, "color", _color(self.color))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraFrame(Value):
+    """A colour image: (H, W, 3) uint8 RGB, or encoded."""
+
+    sensor_id: str
+    stamp_ns: int = field(kw_only=True)
+    color: Array | EncodedImage = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "color", _color(self.color))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CloudFrame(Value):
+    """A cloud in the sensor frame."""
+
+    sensor_id: str
+    stamp_ns: int = field(kw_only=True)
+    cloud: PointCloud = field(kw_only=True)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ScanFrame(Value):
+    """A sweep of a planar lidar; beam i points along angle_min_rad + i * angle_increment_rad."""
+
+    sensor_id: str
+    stamp_ns: int = field(kw_only=True)
+    #: Metres, (B,) float32; +inf no return, NaN or -inf invalid (REP-117).
+    ranges_m: Array = field(kw_only=True)
+    angle_min_rad: float = field(kw_only=True)
+    angle_increment_rad: float = field(kw_only=True)
+    range_min_m: float = field(kw_only=True)
+    range_max_m: float = field(kw_only=True)
+    time_increment_s: float = field(default=0.0, kw_only=True)
+    #: (B,) float32.
+    intensities: Array | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ranges_m", checked("ranges_m", self.ranges_m, ("B",), np.float32))
+        if self.intensities is not None:
+            array = checked("intensities", self.intensities, ("B",), np.float32)
+            same_length("intensities", array, len(self.ranges_m))
+            object.__setattr__(self, "intensities", array)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ImuFrame(Value):
+    """One inertial sample in the sensor frame."""
+
+    sensor_id: str
+    stamp_ns: int = field(kw_only=True)
+    #: rad/s, (3,).
+    angular_velocity_radps: Floats = field(kw_only=True)
+    #: Specific force, m/s^2, (3,): at rest it points up with 9.81.
+    linear_acceleration_mps2: Floats = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        for name in ("angular_velocity_radps", "linear_acceleration_mps2"):
+            object.__setattr__(self, name, vector(name, getattr(self, name), 3))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OdometryFrame(Value):
+    """One odometry sample."""
+
+    sensor_id: str
+    stamp_ns: int = field(kw_only=True)
+    t_odom_base: Pose = field(kw_only=True)
+    #: Of the step since the sample before, in base, (6, 6): x, y, z, rotation x, y, z.
+    covariance: Array | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.covariance is not None:
+            array = checked("covariance", self.covariance, (6, 6), np.float64)
+            object.__setattr__(self, "covariance", array)
+
+
+SensorFrame: TypeAlias = (
+    DepthFrame | RgbdFrame | CameraFrame | CloudFrame | ScanFrame | ImuFrame | OdometryFrame
+)

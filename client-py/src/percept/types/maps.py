@@ -1,0 +1,111 @@
+"""Maps: grids, clouds, files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ._value import Name, Value
+from .geometry import Floats, PointCloud
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapStamp(Value):
+    """From which state of the map an answer was read."""
+
+    map_version: int
+    #: Newest frame in it.
+    stamp_ns: int
+    #: Frame of all coordinates in the answer.
+    frame_id: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Region(Value):
+    """An axis-aligned part of the map's xy plane, metres."""
+
+    min_x_m: float
+    min_y_m: float
+    max_x_m: float
+    max_y_m: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GridGeometry(Value):
+    """Where a grid lies: row-major, x -> column, y -> row, row 0 has the smallest y."""
+
+    resolution_m: float
+    #: Lower-left corner of cell (0, 0), metres, map frame, (2,).
+    origin: Floats
+    #: Columns.
+    width: int
+    #: Rows.
+    height: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class OccupancyGrid(Value):
+    """Occupancy: -1 unknown, 0 to 100 percent."""
+
+    #: (height, width) int8.
+    cells: npt.NDArray[np.int8]
+    resolution_m: float
+    #: Lower-left corner of cell (0, 0), metres, map frame, (2,).
+    origin: Floats
+    stamp: MapStamp
+
+    def cell_at(self, x_m: float, y_m: float) -> int | None:
+        """Occupancy at a point of the map; None outside the grid."""
+        column, row = np.floor((np.array([x_m, y_m]) - self.origin) / self.resolution_m).astype(int)
+        height, width = self.cells.shape
+        return int(self.cells[row, column]) if 0 <= row < height and 0 <= column < width else None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapCloud(Value):
+    """The fused cloud, map frame."""
+
+    cloud: PointCloud
+    stamp: MapStamp
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapSummary(Value):
+    """Sizes of a map."""
+
+    stamp: MapStamp
+    #: None while nothing was mapped.
+    occupancy: GridGeometry | None
+    num_points: int
+    voxel_size_m: float
+    num_keyframes: int
+
+
+class MapFormat(Name):
+    """Files that a map can be read as."""
+
+    OCCUPANCY_PNG = "occupancy_png"
+    NAV2_PGM = "nav2_pgm"
+    NAV2_YAML = "nav2_yaml"
+    CLOUD_PLY = "cloud_ply"
+    CLOUD_PCD = "cloud_pcd"
+    TRAJECTORY_TUM = "trajectory_tum"
+    OVERVIEW_PNG = "overview_png"
+    CLOUD_TOP_PNG = "cloud_top_png"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapFile(Value):
+    """The map as a file; its checksum was compared."""
+
+    data: bytes
+    file_name: str
+    media_type: str
+    #: Lower-case hex.
+    sha256: str = field(repr=False)
+    stamp: MapStamp
+    #: Where it was written, if asked for.
+    path: Path | None

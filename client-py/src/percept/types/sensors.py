@@ -1,0 +1,115 @@
+"""Sensors: their declarations and what the server sees of their streams."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ._value import Name, Value
+from .geometry import CameraIntrinsics, Pose
+from .sessions import FrameResult
+
+
+class SensorKind(Name):
+    """What a sensor measures."""
+
+    UNSPECIFIED = "unspecified"
+    DEPTH = "depth"
+    RGBD = "rgbd"
+    CAMERA = "camera"
+    LIDAR3D = "lidar3d"
+    LIDAR2D = "lidar2d"
+    IMU = "imu"
+    ODOMETRY = "odometry"
+
+
+class OverloadPolicy(Name):
+    """What to do when frames come faster than they are processed; gRPC streams always block."""
+
+    UNSPECIFIED = "unspecified"
+    BLOCK = "block"
+    DROP_OLDEST = "drop_oldest"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorSpec(Value):
+    """A sensor of a session."""
+
+    #: Unique in its session: 1 to 64 characters of a-z A-Z 0-9 _ -.
+    sensor_id: str
+    kind: SensorKind | str = field(kw_only=True)
+    #: Sensor (optical frame for cameras) to base.
+    t_base_sensor: Pose = field(default_factory=Pose, kw_only=True)
+    #: Required for depth, rgbd and camera.
+    intrinsics: CameraIntrinsics | None = field(default=None, kw_only=True)
+    #: Seconds to add to this sensor's stamps to get the session's clock.
+    time_offset_s: float = field(default=0.0, kw_only=True)
+    #: Left unspecified, zenoh drops the oldest.
+    overload_policy: OverloadPolicy | str = field(default=OverloadPolicy.UNSPECIFIED, kw_only=True)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SensorStatus(Value):
+    """What the server sees of a sensor's stream."""
+
+    spec: SensorSpec
+    accepted: int
+    rejected: int
+    dropped: int
+    gaps: int
+    #: Mean rate over the last frames, hertz; None before two.
+    rate_hz: float | None
+    #: Newest accepted frame; None before the first.
+    last_stamp_ns: int | None
+    #: In words, for an operator.
+    verdict: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Rejection(Value):
+    """Why a frame was refused; the session is unharmed."""
+
+    reason: str
+    message: str
+    field: str
+    code: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FrameAck(Value):
+    """What became of one frame of a stream: `result`, or `rejection`."""
+
+    sensor_id: str
+    sequence: int
+    stamp_ns: int
+    result: FrameResult | None
+    rejection: Rejection | None
+    #: So many of the stream's first frames survive a crash.
+    durable_count: int
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the frame was taken."""
+        return self.rejection is None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StreamSummary(Value):
+    """What became of a stream."""
+
+    sent: int
+    accepted: int
+    rejected: int
+    #: So many of the first frames survive a crash.
+    durable: int
+    #: The first rejections, 100 at most.
+    rejections: tuple[FrameAck, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ClockOffset(Value):
+    """Server's clock against this machine's (Cristian 1989)."""
+
+    #: Add it to this machine's nanoseconds to get the server's.
+    offset_ns: int
+    #: The offset is right within half of it.
+    round_trip_ns: int

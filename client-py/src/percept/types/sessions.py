@@ -1,0 +1,162 @@
+"""Sessions: poses, trajectories, keyframes, events."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ._value import Name, Value
+from .geometry import Floats, Pose, rotation_matrices
+from .scene import ObjectChange
+
+if TYPE_CHECKING:
+    from .sensors import SensorStatus
+
+
+class SessionMode(Name):
+    """What a session does with its frames."""
+
+    UNSPECIFIED = "unspecified"
+    MAPPING = "mapping"
+    INGEST_ONLY = "ingest_only"
+
+
+class TrackingState(Name):
+    """Whether a pose can be trusted."""
+
+    UNSPECIFIED = "unspecified"
+    INITIALISING = "initialising"
+    TRACKING = "tracking"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PoseEstimate(Value):
+    """Where the robot is, how sure we are, or that we are lost."""
+
+    stamp_ns: int
+    state: TrackingState
+    t_map_base: Pose
+    #: Of a right perturbation in base, (6, 6): x, y, z, rotation x, y, z.
+    covariance: Floats
+    #: Continuous, never corrected.
+    t_odom_base: Pose
+    #: Empty unless lost.
+    lost_reason: str
+    #: Share of the frame's points that fit the local model, 0 to 1.
+    inlier_ratio: float
+    rmse_m: float
+    #: Axes of base (x, y, z, rotation x, y, z) that the surroundings do not fix.
+    degenerate_axes: tuple[bool, ...]
+    map_version: int
+
+    @property
+    def lost(self) -> bool:
+        """Whether the pose is a mere prediction."""
+        return self.state == TrackingState.LOST
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FrameResult(Value):
+    """What an accepted frame did."""
+
+    #: None for sensors that do not move the pose, and in ingest_only.
+    pose: PoseEstimate | None
+    keyframe_id: int | None
+    latency_s: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SessionInfo(Value):
+    """A session as it was when asked."""
+
+    session_id: str
+    display_name: str
+    mode: SessionMode
+    create_time_ns: int
+    #: Every parameter in force, nested.
+    params: Mapping[str, object] = field(repr=False)
+    sensors: tuple[SensorStatus, ...]
+    #: None before the first frame.
+    pose: PoseEstimate | None
+    num_keyframes: int
+    num_objects: int
+    map_version: int
+    queue_length: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Trajectory(Value):
+    """The registered frames in order of time, with all corrections so far."""
+
+    #: (N,) int64.
+    stamps_ns: npt.NDArray[np.int64]
+    #: Base in map, metres, (N, 3) float64.
+    positions: Floats
+    #: x, y, z, w, (N, 4) float64.
+    rotations: Floats
+    states: tuple[TrackingState, ...]
+    #: Number of the keyframe that a frame became.
+    keyframe_ids: tuple[int | None, ...]
+    map_version: int
+
+    @property
+    def t_map_base(self) -> Floats:
+        """(N, 4, 4) float64."""
+        out = np.tile(np.eye(4), (len(self), 1, 1))
+        out[:, :3, :3] = rotation_matrices(self.rotations)
+        out[:, :3, 3] = self.positions
+        return out
+
+    @property
+    def length_m(self) -> float:
+        """Length of the path."""
+        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Keyframe(Value):
+    """A frame kept by SLAM."""
+
+    keyframe_id: int
+    stamp_ns: int
+    sensor_id: str
+    t_map_base: Pose
+    num_points: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapChanged(Value):
+    """The map has a new version."""
+
+    map_version: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Resync(Value):
+    """Events were lost: read the state anew."""
+
+    #: How many, 0 if unknown.
+    missed: int
+
+
+Event: TypeAlias = PoseEstimate | Keyframe | ObjectChange | MapChanged | Resync
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SessionEvent(Value):
+    """Something that happened in a session."""
+
+    #: Give it to watch() to go on after this event.
+    token: int
+    #: Stamp of the frame that caused it.
+    stamp_ns: int
+    #: None for kinds that this client does not know.
+    event: Event | None

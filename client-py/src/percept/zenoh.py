@@ -1,0 +1,222 @@
+"""zenoh: publish sensors, read results. Needs the extra: pip install 'percept[zenoh]'.
+
+Scouting is off: the server's endpoint is named. Keys, as the server has them:
+
+    percept/<session>/<sensor>/frame     in: one SensorMessage a sample
+    percept/<session>/pose, events       out: PoseEstimate, SessionEvent
+    percept/<session>/map/occupancy, map/cloud, scene/graph, scene/objects, sensors     queries
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+import zenoh
+from google.protobuf.message import Message
+
+from ._convert import maps, poses, scene, sensors, sessions
+from ._sender import FrameSender
+from .errors import DeadlineExceeded, Unavailable, error_of
+from .types.frames import SensorFrame
+from .types.maps import MapCloud, OccupancyGrid
+from .types.scene import Object, SceneGraph
+from .types.sensors import SensorStatus
+from .types.sessions import PoseEstimate, SessionEvent
+from .v1 import error_pb2, map_pb2, scene_pb2, scene_service_pb2, sensors_service_pb2, session_pb2
+
+T = TypeVar("T")
+M = TypeVar("M", bound=Message)
+
+#: Results waiting for a slow reader; then the oldest go.
+MAX_UNREAD = 256
+
+
+def _open(endpoint: str, timeout_s: float) -> Any:  # noqa: ANN401
+    config = zenoh.Config()
+    settings: dict[str, object] = {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": [],
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": int(timeout_s * 1000),
+        "connect/exit_on_failure": True,
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as cause:
+        message = f"no zenoh peer answers at {endpoint}; is the server running with --zenoh?"
+        raise Unavailable(message, reason="ENDPOINT_UNREACHABLE", field="endpoint") from cause
+
+
+class _Peer:
+    def __init__(self, endpoint: str, *, session_id: str, timeout_s: float = 10.0) -> None:
+        self.session_id = session_id
+        self._timeout_s = timeout_s
+        self._zenoh = _open(endpoint, timeout_s)
+
+    def _key(self, rest: str) -> str:
+        return f"percept/{self.session_id}/{rest}"
+
+    def close(self) -> None:
+        """Leaves the network; what was sent before arrives."""
+        self._zenoh.close()
+
+
+class SensorPublisher(_Peer, FrameSender[None]):
+    """Publishes frames, reliably and in order; a slow server makes `send_*` wait.
+
+    zenoh does not answer: what the server refused, it counts. See MapReader.sensors(). Frames are numbered,
+    so that it counts the missing ones, too.
+    """
+
+    def __init__(self, endpoint: str, *, session_id: str, timeout_s: float = 10.0) -> None:
+        super().__init__(endpoint, session_id=session_id, timeout_s=timeout_s)
+        self._publishers: dict[str, Any] = {}
+        self._sequences: Counter[str] = Counter()
+
+    def send(self, frame: SensorFrame) -> None:
+        """Publishes a frame; the first of a sensor waits until the server listens."""
+        publisher = self._publishers.get(frame.sensor_id) or self._declare(frame.sensor_id)
+        message = sensors.frame_to(self.session_id, frame, self._sequences[frame.sensor_id] + 1)
+        self._sequences[frame.sensor_id] += 1
+        publisher.put(message.SerializeToString())
+
+    def publish_raw(self, sensor_id: str, payload: bytes) -> None:
+        """Publishes bytes as they are, for drivers that encode SensorMessage themselves."""
+        (self._publishers.get(sensor_id) or self._declare(sensor_id)).put(payload)
+
+    def _declare(self, sensor_id: str) -> Any:  # noqa: ANN401
+        key = self._key(f"{sensor_id}/frame")
+        publisher = self._zenoh.declare_publisher(
+            key, congestion_control=zenoh.CongestionControl.BLOCK, reliability=zenoh.Reliability.RELIABLE
+        )
+        deadline = time.monotonic() + self._timeout_s
+        # Samples that nobody listens to are dropped where they are published.
+        while not publisher.matching_status.matching:
+            if time.monotonic() > deadline:
+                publisher.undeclare()
+                raise Unavailable(
+                    f"nobody listens to {key}; is it percept's endpoint?", reason="NO_SUBSCRIBER"
+                )
+            time.sleep(0.005)
+        self._publishers[sensor_id] = publisher
+        return publisher
+
+    def __enter__(self) -> SensorPublisher:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Subscription(Generic[T]):
+    """Results as they are published; an iterator and a context manager. A slow reader misses the oldest."""
+
+    def __init__(self, session: Any, key: str, read: Callable[[bytes], T]) -> None:  # noqa: ANN401
+        self._results: queue.Queue[T] = queue.Queue(MAX_UNREAD)
+        self._read = read
+        self._subscriber = session.declare_subscriber(key, self._take)
+
+    def _take(self, sample: Any) -> None:  # noqa: ANN401
+        result = self._read(sample.payload.to_bytes())
+        while True:
+            try:
+                return self._results.put_nowait(result)
+            except queue.Full:
+                try:
+                    self._results.get_nowait()
+                except queue.Empty:
+                    continue
+
+    def receive(self, *, timeout_s: float | None = None) -> T:
+        """The next result; waits for ever unless told how long."""
+        try:
+            return self._results.get(timeout=timeout_s)
+        except queue.Empty:
+            raise DeadlineExceeded(f"nothing was published for {timeout_s:g} s") from None
+
+    def __iter__(self) -> Iterator[T]:
+        while True:
+            yield self.receive()
+
+    def close(self) -> None:
+        """Ends the subscription."""
+        self._subscriber.undeclare()
+
+    def __enter__(self) -> Subscription[T]:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class MapReader(_Peer):
+    """Reads a session's results over zenoh."""
+
+    def occupancy(self) -> OccupancyGrid:
+        """The whole occupancy grid."""
+        return maps.occupancy([self._ask("map/occupancy", map_pb2.OccupancyGridChunk)])
+
+    def cloud(self) -> MapCloud:
+        """The whole fused cloud."""
+        return maps.cloud([self._ask("map/cloud", map_pb2.CloudChunk)])
+
+    def graph(self) -> SceneGraph:
+        """Robot, objects and their relations."""
+        return scene.graph(self._ask("scene/graph", scene_pb2.SceneGraph))
+
+    def objects(self) -> list[Object]:
+        """Objects by id."""
+        answer = self._ask("scene/objects", scene_service_pb2.ListObjectsResponse)
+        return [scene.tracked(o) for o in answer.objects]
+
+    def sensors(self) -> list[SensorStatus]:
+        """What the server sees of the sensors' streams: frames accepted, refused, dropped, missing."""
+        answer = self._ask("sensors", sensors_service_pb2.ListSensorsResponse)
+        return [sensors.status(s) for s in answer.sensors]
+
+    def poses(self) -> Subscription[PoseEstimate]:
+        """Poses from now on, one after every registered frame."""
+
+        def read(data: bytes) -> PoseEstimate:
+            return poses.pose_estimate(session_pb2.PoseEstimate.FromString(data))
+
+        return Subscription(self._zenoh, self._key("pose"), read)
+
+    def events(self) -> Subscription[SessionEvent]:
+        """Events from now on."""
+
+        def read(data: bytes) -> SessionEvent:
+            return sessions.event(session_pb2.SessionEvent.FromString(data))
+
+        return Subscription(self._zenoh, self._key("events"), read)
+
+    def _ask(self, rest: str, kind: type[M]) -> M:
+        key = self._key(rest)
+        for reply in self._zenoh.get(key, timeout=self._timeout_s):
+            if reply.ok is not None:
+                return kind.FromString(reply.ok.payload.to_bytes())
+            error = error_pb2.ErrorInfo.FromString(reply.err.payload.to_bytes())
+            raise error_of(error.code, error.message, reason=error.reason, field=error.field)
+        raise Unavailable(f"nobody answers {key}; is it percept's endpoint?", reason="NO_REPLY")
+
+    def __enter__(self) -> MapReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,87 @@
+"""The zenoh side against a peer in this process."""
+
+import json
+import queue
+import socket
+
+import numpy as np
+import pytest
+
+zenoh = pytest.importorskip("zenoh")
+
+import percept.zenoh as pz  # noqa: E402
+from percept import NotFound, Unavailable  # noqa: E402
+from percept.v1 import error_pb2, map_pb2, sensor_pb2, session_pb2  # noqa: E402
+
+
+@pytest.fixture
+def peer():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{s.getsockname()[1]}"
+    config = zenoh.Config()
+    settings = {"mode": "peer", "listen/endpoints": [endpoint], "scouting/multicast/enabled": False}
+    for key, value in (settings | {"scouting/gossip/enabled": False}).items():
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config) as session:
+        yield session, endpoint
+
+
+def test_frames_arrive_in_order_and_numbered(peer):
+    server, endpoint = peer
+    arrived = queue.Queue()
+    server.declare_subscriber(
+        "percept/*/*/frame", lambda s: arrived.put((str(s.key_expr), s.payload.to_bytes()))
+    )
+    with pz.SensorPublisher(endpoint, session_id="s") as publisher:
+        for i in range(20):
+            publisher.send_depth("d", stamp_ns=i, depth=np.full((4, 5), i, np.float32))
+        got = [arrived.get(timeout=5) for _ in range(20)]
+    assert {key for key, _ in got} == {"percept/s/d/frame"}
+    messages = [sensor_pb2.SensorMessage.FromString(data) for _, data in got]
+    assert [(m.session_id, m.sequence, m.stamp_ns) for m in messages] == [("s", i + 1, i) for i in range(20)]
+
+
+def test_nobody_there_is_said(peer):
+    _, endpoint = peer
+    with pytest.raises(Unavailable):
+        pz.SensorPublisher("tcp/127.0.0.1:1", session_id="s", timeout_s=0.5)
+    with pz.SensorPublisher(endpoint, session_id="s", timeout_s=0.3) as publisher:
+        with pytest.raises(Unavailable) as error:
+            publisher.send_depth("d", stamp_ns=1, depth=np.ones((1, 1), np.float32))
+        assert error.value.reason == "NO_SUBSCRIBER"
+
+
+def test_queries_are_answered_or_raise_what_the_server_says(peer):
+    server, endpoint = peer
+    where = map_pb2.GridGeometry(resolution_m=0.1, width=2, height=2)
+    grid = map_pb2.OccupancyGridChunk(geometry=where, cells=b"\xff\x00\x32\x64")
+    error = error_pb2.ErrorInfo(
+        reason="SESSION_NOT_FOUND", code="NOT_FOUND", field="session_id", message="no"
+    )
+
+    def answer(query):
+        if str(query.key_expr) == "percept/s/map/occupancy":
+            query.reply(query.key_expr, grid.SerializeToString())
+        else:
+            query.reply_err(error.SerializeToString())
+
+    server.declare_queryable("percept/**", answer)
+    with pz.MapReader(endpoint, session_id="s") as reader:
+        assert reader.occupancy().cells.tolist() == [[-1, 0], [50, 100]]
+        with pytest.raises(NotFound) as caught:
+            reader.graph()
+        assert (caught.value.reason, caught.value.field) == ("SESSION_NOT_FOUND", "session_id")
+
+
+def test_poses_are_received_as_they_are_published(peer):
+    server, endpoint = peer
+    with pz.MapReader(endpoint, session_id="s") as reader, reader.poses() as poses:
+        publisher = server.declare_publisher("percept/s/pose")
+        while not publisher.matching_status.matching:
+            pass
+        for i in range(3):
+            publisher.put(session_pb2.PoseEstimate(stamp_ns=i, state=2).SerializeToString())
+        received = [poses.receive(timeout_s=5) for _ in range(3)]
+    assert [p.stamp_ns for p in received] == [0, 1, 2]
+    assert received[0].state == "tracking"
