@@ -1,8 +1,8 @@
 //! What the built-in classifier looks at.
 
 use super::Structure;
-use crate::cloud::convex_hull;
-use nalgebra::{Point2, Point3};
+use crate::cloud::{NormalParams, estimate_normals};
+use nalgebra::{Point3, Vector2};
 use percept_geometry::OrientedBox3;
 use rustc_hash::FxHashSet;
 
@@ -20,12 +20,13 @@ pub struct Descriptor {
     pub width_m: f64,
     /// Part of the points within 0.1 m of the top, 0..1: high for tables.
     pub top_share: f64,
-    /// Cells taken between a fifth and a half of the height, over those that a closed side all around would
+    /// Cells taken between 0.1 and 0.4 of the height (under seats), over those that a closed side all around would
     /// take: low on legs, about 1 for closed things, more for filled ones.
     pub low_fill: f64,
     /// The same between 0.6 and 0.95 of the height.
     pub high_fill: f64,
-    /// Area of the footprint's convex hull over that of its rectangle: 1 for a rectangle, 0.785 for a circle.
+    /// How much the sides face four directions a right angle apart: near 1 for what is made of boards, near 0
+    /// for what is round.
     pub squareness: f64,
 }
 
@@ -53,17 +54,23 @@ impl Descriptor {
             length_m: length,
             width_m: width,
             top_share: share(&|h| h >= height - 0.1),
-            low_fill: fill(0.2, 0.5),
+            low_fill: fill(0.1, 0.4),
             high_fill: fill(0.6, 0.95),
-            squareness: squareness(points, length * width),
+            squareness: squareness(points),
         }
     }
 }
 
-fn squareness(points: &[Point3<f32>], rectangle: f64) -> f64 {
-    let flat: Vec<Point2<f64>> = points.iter().map(|p| p.xy().cast()).collect();
-    let hull = convex_hull(&flat);
-    let Some(first) = hull.first() else { return 0.0 };
-    let doubled: f64 = hull.windows(2).map(|w| (w[0] - first).perp(&(w[1] - first))).sum();
-    if rectangle > 0.0 { (0.5 * doubled / rectangle).clamp(0.0, 1.0) } else { 0.0 }
+/// Length of the mean of exp(4 i angle) over horizontal normals: directions a right angle apart count as one.
+fn squareness(points: &[Point3<f32>]) -> f64 {
+    let params = NormalParams { radius_m: 3.0 * CELL_M, max_neighbors: 30, min_neighbors: 6 };
+    let Ok(normals) = estimate_normals(points, &params, None) else { return 0.5 };
+    let (mut sum, mut count) = (Vector2::zeros(), 0.0);
+    for n in normals.iter().filter(|n| n.xy().norm() > 0.8) {
+        let angle = 4.0 * f64::from(n.y).atan2(f64::from(n.x));
+        sum += Vector2::new(angle.cos(), angle.sin());
+        count += 1.0;
+    }
+    // Too few to tell: between round and square.
+    if count < 10.0 { 0.5 } else { sum.norm() / count }
 }

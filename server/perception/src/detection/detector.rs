@@ -3,7 +3,7 @@
 use super::classify::most_probable;
 use super::propose::propose;
 use super::{Candidate, Classifier, Descriptor, DetectionParams, GaussianClassifier, find_structure};
-use crate::cloud::{CloudError, RadiusOutlierParams, ShapeFeatures, radius_outliers, voxel_downsample};
+use crate::cloud::{CloudError, ShapeFeatures, voxel_downsample};
 use nalgebra::Point3;
 use percept_geometry::{ObjectClass, OrientedBox3, PointCloud};
 use std::sync::Arc;
@@ -66,9 +66,7 @@ impl Detector {
         cloud.validate()?;
         let params = &self.params;
         let thinned = voxel_downsample(&PointCloud::from_positions(cloud.positions.clone()), params.voxel_size_m)?;
-        let lone = RadiusOutlierParams { radius_m: 2.5 * params.voxel_size_m, min_neighbors: params.min_neighbors };
-        let kept = radius_outliers(&thinned.positions, &lone)?;
-        let points: Vec<Point3<f32>> = kept.iter().map(|&i| thinned.positions[i]).collect();
+        let points = thinned.positions;
         let structure = find_structure(&points, params)?;
         let proposals = propose(&points, &structure, params)?;
         Ok(proposals
@@ -90,5 +88,133 @@ impl Detector {
                 })
             })
             .collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+    use proptest::prelude::*;
+
+    /// Points on the faces of an upright box but its bottom, `step` apart.
+    fn faces(b: &OrientedBox3, step: f64, out: &mut Vec<Point3<f32>>) {
+        let n = b.size.map(|s| (s / step).ceil() as i32);
+        for (i, j, k) in (0..=n.x).flat_map(|i| (0..=n.y).flat_map(move |j| (0..=n.z).map(move |k| (i, j, k)))) {
+            if i == 0 || i == n.x || j == 0 || j == n.y || k == n.z {
+                let at = |i: i32, n: i32| f64::from(i) / f64::from(n.max(1)) - 0.5;
+                let p = Vector3::new(at(i, n.x), at(j, n.y), at(k, n.z)).component_mul(&b.size);
+                out.push((b.t_frame_box * Point3::from(p)).cast());
+            }
+        }
+    }
+
+    /// Floor and walls of a room of 5 x 4 m, 2.5 m high, with its middle at the origin.
+    fn room() -> Vec<Point3<f32>> {
+        let mut out = Vec::new();
+        let slab = |center: [f64; 3], size: [f64; 3]| OrientedBox3::upright(center.into(), size.into(), 0.0);
+        faces(&slab([0.0, 0.0, -0.005], [5.0, 4.0, 0.01]), 0.04, &mut out);
+        for side in [-1.0, 1.0] {
+            faces(&slab([side * 2.5, 0.0, 1.25], [0.01, 4.0, 2.5]), 0.04, &mut out);
+            faces(&slab([0.0, side * 2.0, 1.25], [5.0, 0.01, 2.5]), 0.04, &mut out);
+        }
+        out
+    }
+
+    fn detect(points: Vec<Point3<f32>>) -> Vec<Detection> {
+        let detector = Detector::new(DetectionParams::default()).unwrap();
+        detector.detect(&PointCloud::from_positions(points)).unwrap()
+    }
+
+    #[test]
+    fn an_empty_room_has_no_objects() {
+        assert_eq!(detect(room()), []);
+    }
+
+    #[test]
+    fn boxes_in_a_room_are_found_where_they_stand() {
+        let truth = [
+            OrientedBox3::upright(Point3::new(1.0, 0.5, 0.25), Vector3::new(0.5, 0.4, 0.5), 0.4),
+            OrientedBox3::upright(Point3::new(-1.0, -0.8, 0.2), Vector3::new(0.6, 0.45, 0.4), -0.2),
+        ];
+        let mut points = room();
+        truth.iter().for_each(|b| faces(b, 0.03, &mut points));
+        let found = detect(points);
+        assert_eq!(found.len(), 2);
+        for b in &truth {
+            let best = found.iter().max_by(|x, y| x.bbox.iou_upright(b).total_cmp(&y.bbox.iou_upright(b))).unwrap();
+            assert!(best.bbox.iou_upright(b) > 0.7, "{:?}", best.bbox);
+            assert_eq!(best.class, ObjectClass::Box);
+        }
+    }
+
+    #[test]
+    fn a_cabinet_at_a_wall_is_not_taken_for_wall() {
+        let cabinet = OrientedBox3::upright(Point3::new(0.5, 1.8, 0.9), Vector3::new(0.9, 0.36, 1.8), 0.0);
+        let mut points = room();
+        faces(&cabinet, 0.03, &mut points);
+        let found = detect(points);
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].class, ObjectClass::Shelf);
+        assert!(found[0].bbox.iou_upright(&cabinet) > 0.7, "{:?}", found[0].bbox);
+    }
+
+    #[test]
+    fn a_table_top_without_visible_legs_stands_on_the_floor() {
+        let top = OrientedBox3::upright(Point3::new(0.0, 0.0, 0.72), Vector3::new(1.2, 0.8, 0.03), 0.0);
+        let mut points = room();
+        faces(&top, 0.03, &mut points);
+        let detector = Detector::new(DetectionParams { min_coverage: 0.0, ..DetectionParams::default() }).unwrap();
+        let found = detector.detect(&PointCloud::from_positions(points)).unwrap();
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].class, ObjectClass::Table);
+        let bottom = found[0].bbox.center().z - 0.5 * found[0].bbox.size.z;
+        assert!(bottom.abs() < 0.03, "{bottom}");
+    }
+
+    #[test]
+    fn the_floor_may_lie_off_zero_and_tilt_a_little() {
+        let truth = OrientedBox3::upright(Point3::new(1.0, 0.5, 0.25), Vector3::new(0.5, 0.4, 0.5), 0.4);
+        let mut points = room();
+        faces(&truth, 0.03, &mut points);
+        let t = percept_geometry::se3::exp(&nalgebra::Vector6::new(3.0, 1.0, 0.06, 0.02, -0.02, 0.5));
+        let found = detect(PointCloud::from_positions(points).transformed(&t).positions);
+        assert_eq!(found.len(), 1);
+        assert!(found[0].bbox.iou_upright(&truth.transformed(&t)) > 0.6);
+    }
+
+    #[test]
+    fn degenerate_clouds_have_no_objects() {
+        assert_eq!(detect(vec![]), []);
+        assert_eq!(detect(vec![Point3::origin()]), []);
+        assert_eq!(detect(vec![Point3::new(1.0, 2.0, 0.5); 1000]), []);
+        assert_eq!(detect(vec![Point3::from([f32::NAN; 3]); 10]), []);
+        assert_eq!(detect(vec![Point3::new(1e7, -1e7, 1.0); 100]), []);
+        assert_eq!(detect((0..1000).map(|i| Point3::new(i as f32 * 0.01, 0.0, 0.5)).collect()), []);
+    }
+
+    #[test]
+    fn coordinates_beyond_the_voxels_and_bad_parameters_are_named() {
+        let detector = Detector::new(DetectionParams::default()).unwrap();
+        let far = PointCloud::from_positions(vec![Point3::new(1e30, 0.0, 0.0)]);
+        assert!(matches!(detector.detect(&far), Err(CloudError::VoxelTooSmall { .. })));
+        let error = Detector::new(DetectionParams { cluster_eps_m: 0.01, ..Default::default() }).unwrap_err();
+        assert!(error.to_string().starts_with("cluster_eps_m"), "{error}");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+        #[test]
+        fn any_cloud_gives_boxes_of_allowed_size_twice_the_same(
+            points in prop::collection::vec(prop::array::uniform3(-2.0..2.0f32), 0..3000),
+        ) {
+            let points: Vec<Point3<f32>> = points.into_iter().map(Point3::from).collect();
+            let found = detect(points.clone());
+            for d in &found {
+                prop_assert!(d.bbox.size.iter().all(|s| s.is_finite() && *s >= 0.0));
+                prop_assert!((0.0..=1.0).contains(&d.confidence));
+            }
+            prop_assert_eq!(found, detect(points));
+        }
     }
 }

@@ -10,8 +10,6 @@ use serde::{Deserialize, Serialize};
 pub struct DetectionParams {
     /// Edge of the voxels that the cloud is thinned to, metres, 0.005 to 0.5. All else scales with what is seen.
     pub voxel_size_m: f64,
-    /// Voxels with fewer others within two and a half voxels are noise.
-    pub min_neighbors: usize,
     /// Points at most this far apart belong to one object, metres; at least twice the voxel size.
     pub cluster_eps_m: f64,
     /// Voxels within that distance, itself among them, that make a voxel part of a solid surface rather than of a
@@ -50,11 +48,10 @@ impl Default for DetectionParams {
     fn default() -> Self {
         Self {
             voxel_size_m: 0.05,
-            min_neighbors: 3,
-            cluster_eps_m: 0.12,
-            min_density: 7,
-            min_coverage: 0.15,
-            min_points: 15,
+            cluster_eps_m: 0.11,
+            min_density: 10,
+            min_coverage: 0.25,
+            min_points: 30,
             floor_search_m: 0.3,
             floor_margin_m: 0.06,
             max_height_m: 2.15,
@@ -64,7 +61,7 @@ impl Default for DetectionParams {
             wall_distance_m: 0.05,
             wall_min_length_m: 1.5,
             wall_top_m: 2.1,
-            box_trim: 0.005,
+            box_trim: 0.03,
             seed: 0,
         }
     }

@@ -2,7 +2,7 @@
 
 use super::{DetectionParams, Structure};
 use crate::cloud::{DbscanParams, dbscan, upright_box_trimmed};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use percept_geometry::shapes::convex_intersection_area;
 use percept_geometry::{GeometryError, OrientedBox3};
 
@@ -10,6 +10,11 @@ use percept_geometry::{GeometryError, OrientedBox3};
 const SHARED: f64 = 0.5;
 /// Parts of one object are at most this far apart in height, metres: a seat and its back, a top and its legs.
 const MAX_GAP_M: f64 = 0.5;
+
+/// A back this near to a wall was taken for the wall, metres.
+const MAX_LEAN_M: f64 = 0.09;
+/// Parallel within 12 degrees.
+const PARALLEL_COS: f64 = 0.978;
 
 /// A cluster and its box, which stands on the floor if the object does.
 #[derive(Debug, Clone)]
@@ -48,6 +53,7 @@ pub(super) fn propose(
     parts.retain_mut(|part| is_object(part, structure, params));
     for part in &mut parts {
         stand(part, structure);
+        lean(part, structure);
     }
     Ok(parts)
 }
@@ -91,8 +97,8 @@ fn belong_together(a: &OrientedBox3, b: &OrientedBox3, params: &DetectionParams)
 
 fn is_object(part: &Proposal, structure: &Structure, params: &DetectionParams) -> bool {
     let (long, short) = (part.bbox.size.x.max(part.bbox.size.y), part.bbox.size.x.min(part.bbox.size.y));
-    let bottom_center = part.bbox.center();
-    let top = structure.height(&bottom_center) + 0.5 * part.bbox.size.z;
+    let center = part.bbox.center();
+    let top = structure.height(&center) + 0.5 * part.bbox.size.z;
     let sides = 2.0 * (long + short) * part.bbox.size.z / params.voxel_size_m.powi(2);
     if part.points.len() < params.min_points
         || (part.points.len() as f64) < params.min_coverage * sides
@@ -102,9 +108,11 @@ fn is_object(part: &Proposal, structure: &Structure, params: &DetectionParams) -
     {
         return false;
     }
-    // A thin sheet along a wall is what the wall's plane did not take.
-    let thin = 3.0 * params.voxel_size_m;
-    short > thin || structure.wall_distance(&bottom_center) > thin
+    // A thin sheet along a wall is what the wall's plane did not take, a high one by itself a piece of wall.
+    let v = params.voxel_size_m;
+    let beside_wall = short <= 3.0 * v && structure.wall_distance(&center) <= 3.0 * v;
+    let piece_of_wall = short <= 1.5 * v && part.bbox.size.z > 1.2;
+    !beside_wall && !piece_of_wall
 }
 
 /// Lets the box reach down to the floor: what is seen of an object ends where something hides it, or at the
@@ -120,4 +128,28 @@ fn stand(part: &mut Proposal, structure: &Structure) {
     let mut size = part.bbox.size;
     size.z += bottom;
     part.bbox = OrientedBox3::upright(Point3::new(center.x, center.y, center.z - 0.5 * bottom), size, yaw);
+}
+
+/// Lets a box whose back is parallel and close to a wall reach the wall: the back itself went with the wall.
+fn lean(part: &mut Proposal, structure: &Structure) {
+    let b = &part.bbox;
+    let center = b.center();
+    for axis in 0..2 {
+        let across = (b.t_frame_box.rotation * Vector3::ith(axis, 1.0)).xy();
+        for wall in
+            structure.walls.iter().filter(|w| w.is_beside(&center) && w.normal.dot(&across).abs() > PARALLEL_COS)
+        {
+            let distance = wall.distance(&center);
+            let gap = distance.abs() - 0.5 * b.size[axis];
+            if gap > 0.0 && gap <= MAX_LEAN_M {
+                let towards = wall.normal * -distance.signum();
+                let shift = towards * (0.5 * gap);
+                let mut bbox = *b;
+                bbox.size[axis] += gap;
+                bbox.t_frame_box.translation.vector += Vector3::new(shift.x, shift.y, 0.0);
+                part.bbox = bbox;
+                return;
+            }
+        }
+    }
 }

@@ -2,9 +2,9 @@
 
 use super::DetectionParams;
 use super::walls::{Wall, find_walls};
-use crate::cloud::{NormalParams, PlaneParams, estimate_normals, segment_among};
+use crate::cloud::{CloudError, NormalParams, PlaneParams, estimate_normals, segment_among, voxel_downsample};
 use nalgebra::{Point3, Vector3};
-use percept_geometry::{GeometryError, Plane};
+use percept_geometry::{Plane, PointCloud};
 
 /// A floor tilts at most this much against z: what the pose may be off, not what ramps have. 8 degrees.
 const MAX_TILT_COS: f64 = 0.99;
@@ -53,15 +53,19 @@ impl Structure {
 /// Two parallel faces at most this far apart are the two sides of one wall, metres.
 const MAX_THICKNESS_M: f64 = 0.35;
 
-/// Finds floor and walls among thinned points (finite, z up).
+/// Finds floor and walls among thinned points (finite, z up). Walls are large: they are looked for with a
+/// quarter of the points.
 ///
 /// # Errors
-/// `OutOfRange` naming a parameter.
-pub fn find_structure(points: &[Point3<f32>], params: &DetectionParams) -> Result<Structure, GeometryError> {
+/// `Input` naming a parameter.
+pub fn find_structure(points: &[Point3<f32>], params: &DetectionParams) -> Result<Structure, CloudError> {
     let floor = find_floor(points, params);
-    let normals = NormalParams { radius_m: 3.0 * params.voxel_size_m, max_neighbors: 30, min_neighbors: 6 };
-    let normals = estimate_normals(points, &normals, None)?;
-    Ok(Structure { walls: find_walls(points, &normals, &floor, params), floor })
+    let standing = points.iter().filter(|p| floor.distance(&p.cast()) > params.floor_margin_m);
+    let spacing = 2.0 * params.voxel_size_m;
+    let coarse = voxel_downsample(&PointCloud::from_positions(standing.copied().collect()), spacing)?.positions;
+    let normals = NormalParams { radius_m: 2.5 * spacing, max_neighbors: 20, min_neighbors: 6 };
+    let normals = estimate_normals(&coarse, &normals, None)?;
+    Ok(Structure { walls: find_walls(&coarse, &normals, &floor, spacing, params), floor })
 }
 
 /// The best nearly level plane near z = 0; without one, the level of the lowest points seen there; z = 0 if

@@ -67,11 +67,12 @@ struct Upright {
 
 /// Finds walls one after another, the one with most points first: the normal of a point and the point give a
 /// plane, so that few seeds find even small walls (after Schnabel et al., "Efficient RANSAC for point-cloud
-/// shape detection", 2007). Seeds are picked evenly, not by chance.
+/// shape detection", 2007). Seeds are picked evenly, not by chance. Points are `spacing` metres apart.
 pub(super) fn find_walls(
     points: &[Point3<f32>],
     normals: &[Vector3<f32>],
     floor: &Plane,
+    spacing: f64,
     params: &DetectionParams,
 ) -> Vec<Wall> {
     let mut left: Vec<Upright> = points
@@ -94,7 +95,7 @@ pub(super) fn find_walls(
         let Some((normal, offset)) = best_plane(&left, params.wall_distance_m) else { break };
         let on = |u: &Upright| (normal.dot(&u.p) + offset).abs() <= params.wall_distance_m;
         let inliers: Vec<Upright> = left.iter().filter(|u| on(u)).copied().collect();
-        if (inliers.len() as f64) < least_points(params) || walls.len() >= MAX_WALLS {
+        if (inliers.len() as f64) < least_points(spacing) || walls.len() >= MAX_WALLS {
             break;
         }
         let runs = runs(&inliers, &normal, params);
@@ -106,9 +107,9 @@ pub(super) fn find_walls(
     walls
 }
 
-/// Voxels of the smallest piece of wall that counts: 0.4 m by the least span, half of it seen.
-fn least_points(params: &DetectionParams) -> f64 {
-    (0.5 * 0.4 * MIN_SPAN_M / params.voxel_size_m.powi(2)).max(10.0)
+/// Points of the smallest piece of wall that counts: 0.4 m by the least span, half of it seen.
+fn least_points(spacing: f64) -> f64 {
+    (0.5 * 0.4 * MIN_SPAN_M / spacing.powi(2)).max(10.0)
 }
 
 /// The vertical plane with most points of its direction, refined.

@@ -1,0 +1,5 @@
+//! Perception against the simulator's truth.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod detection;
