@@ -148,7 +148,8 @@ class FrameStream(FrameSender[None]):
 
 
 class Watch:
-    """Events of a session, as an iterator; a context manager. Goes on by itself when the server comes back.
+    """Events of a session, as an iterator; a context manager. Ends when the server stops in good order; goes
+    on by itself when the link breaks, as a crash does, and the server comes back.
 
     `token` belongs to the newest event: watch(resume_token=token) goes on after it.
     """

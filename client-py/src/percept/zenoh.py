@@ -4,7 +4,7 @@ Scouting is off: the server's endpoint is named. Keys, as the server has them:
 
     percept/<session>/<sensor>/frame     in: one SensorMessage a sample
     percept/<session>/pose, events       out: PoseEstimate, SessionEvent
-    percept/<session>/map/occupancy, map/cloud, scene/graph, scene/objects, sensors     queries
+    percept/<session>/map/occupancy, map/cloud, scene/graph, scene/objects, sensors, pose     queries
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from google.protobuf.message import Message
 
 from ._convert import maps, poses, scene, sensors, sessions
 from ._sender import FrameSender
-from .errors import DeadlineExceeded, Unavailable, error_of
+from .errors import DeadlineExceeded, FailedPrecondition, Unavailable, error_of
 from .types.frames import SensorFrame
 from .types.maps import MapCloud, OccupancyGrid
 from .types.scene import Object, SceneGraph
@@ -165,6 +165,13 @@ class Subscription(Generic[T]):
 
 class MapReader(_Peer):
     """Reads a session's results over zenoh."""
+
+    def pose(self) -> PoseEstimate | None:
+        """Newest pose, None before the first frame. Lost is an answer."""
+        try:
+            return poses.pose_estimate(self._ask("pose", session_pb2.PoseEstimate))
+        except FailedPrecondition:
+            return None
 
     def occupancy(self) -> OccupancyGrid:
         """The whole occupancy grid."""

@@ -1,0 +1,82 @@
+"""What zenoh alone has: publishing, gaps, refused frames that only counters tell."""
+
+from __future__ import annotations
+
+import pytest
+from percept import Keyframe, NotFound, PoseEstimate
+from percept.zenoh import MapReader, SensorPublisher
+
+from support import world
+from support.server import eventually
+
+
+@pytest.fixture
+def session(client):
+    return client.sessions.create(sensors=[world.LASER])
+
+
+def test_poses_and_events_are_published_after_every_frame(server, session):
+    poses = world.drive(6)
+    with (
+        MapReader(server.zenoh, session_id=session.session_id) as reader,
+        SensorPublisher(server.zenoh, session_id=session.session_id) as publisher,
+        reader.poses() as published,
+        reader.events() as events,
+    ):
+        for i, pose in enumerate(poses):
+            publisher.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
+        received = []
+        while not received or received[-1].stamp_ns < world.stamp(5):
+            received.append(published.receive(timeout_s=10))
+        assert isinstance(received[-1], PoseEstimate)
+        truth = world.truth_in_map(poses)[-1]
+        assert world.position_error_m(received[-1].t_map_base, truth) < 0.03
+        kinds = set()
+        while PoseEstimate not in kinds:
+            kinds.add(type(events.receive(timeout_s=10).event))
+        assert kinds <= {PoseEstimate, Keyframe, *kinds}
+
+
+def test_missing_numbers_are_counted(server, session):
+    scans = [world.scan(pose) for pose in world.drive(3)]
+    with SensorPublisher(server.zenoh, session_id=session.session_id) as publisher:
+        publisher.send_scan("laser", stamp_ns=world.stamp(0), **scans[0])
+        publisher._sequences["laser"] += 5
+        publisher.send_scan("laser", stamp_ns=world.stamp(1), **scans[1])
+        assert eventually(lambda: session.sensors.list()[0].accepted == 2)
+    status = session.sensors.list()[0]
+    assert status.gaps == 5
+    assert "5" in status.verdict
+
+
+def test_noise_is_counted_as_refused_and_harms_nobody(server, session):
+    with (
+        SensorPublisher(server.zenoh, session_id=session.session_id) as publisher,
+        MapReader(server.zenoh, session_id=session.session_id) as reader,
+    ):
+        publisher.publish_raw("laser", b"\xff" * 100)
+        publisher.publish_raw("nobody", b"\xff" * 100)
+        assert eventually(lambda: reader.sensors()[0].rejected == 1)
+        publisher.send_scan("laser", stamp_ns=world.stamp(0), **world.scan(world.drive(1)[0]))
+        assert eventually(lambda: reader.sensors()[0].accepted == 1)
+        assert reader.graph().nodes
+        assert reader.objects() == list(session.scene.objects())
+        assert eventually(lambda: reader.occupancy().cells.size > 0)
+        assert reader.cloud().stamp.frame_id == "map"
+
+
+def test_questions_about_nothing_are_errors(server, name):
+    with MapReader(server.zenoh, session_id=name) as reader, pytest.raises(NotFound) as error:
+        reader.occupancy()
+    assert error.value.reason == "SESSION_NOT_FOUND"
+
+
+def test_a_slow_server_holds_a_blocking_sensor_instead_of_losing_frames(server, client):
+    session = client.sessions.create(sensors=[world.CAMERA])
+    images = [world.depth_image(pose) for pose in world.drive(12)]
+    with SensorPublisher(server.zenoh, session_id=session.session_id) as publisher:
+        for i, depth in enumerate(images):
+            publisher.send_depth("camera", stamp_ns=world.stamp(i), depth=depth, metres_per_unit=0.001)
+        assert eventually(lambda: session.sensors.list()[0].accepted == 12, seconds=60)
+    status = session.sensors.list()[0]
+    assert (status.dropped, status.gaps, status.rejected) == (0, 0, 0)

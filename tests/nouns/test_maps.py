@@ -1,0 +1,210 @@
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+from percept import FailedPrecondition, InvalidArgument, MapFormat, NotFound, Region, ResourceExhausted
+
+from support import world
+
+
+def test_a_map_of_nothing_is_empty_and_has_no_files(client):
+    session = client.sessions.create(sensors=[world.LASER])
+    summary = session.map.summary()
+    assert (summary.occupancy, summary.num_points, summary.num_keyframes) == (None, 0, 0)
+    assert session.map.occupancy().cells.size == 0
+    assert session.map.cloud().cloud.num_points == 0
+    with pytest.raises(FailedPrecondition) as error:
+        session.map.export("occupancy_png")
+    assert error.value.reason == "MAP_EMPTY"
+
+
+def test_the_summary_is_that_of_the_content(lidar_session):
+    summary = lidar_session.map.summary()
+    grid, cloud = lidar_session.map.occupancy(), lidar_session.map.cloud()
+    assert (summary.occupancy.height, summary.occupancy.width) == grid.cells.shape
+    assert summary.occupancy.resolution_m == grid.resolution_m
+    assert np.array_equal(summary.occupancy.origin, grid.origin)
+    assert summary.num_points == cloud.cloud.num_points > 1000
+    assert summary.stamp == grid.stamp == cloud.stamp
+    assert summary.stamp.stamp_ns == world.stamp(11)
+    assert summary.stamp.frame_id == "map"
+
+
+def test_the_grid_has_the_room_in_it(laser_session):
+    grid = laser_session.map.occupancy()
+    assert grid.cells.dtype == np.int8
+    assert set(np.unique(grid.cells)) <= set(range(-1, 101))
+
+    def occupied_near(x, y):
+        around = [(x + dx, y + dy) for dx in (-0.1, 0, 0.1) for dy in (-0.1, 0, 0.1)]
+        values = [grid.cell_at(*world.to_map(*p)) for p in around]
+        return max(-1 if v is None else v for v in values)
+
+    for x, y in [(3.0, 0.0), (-3.0, 0.0), (0.0, 2.0), (-1.0, -2.0), (1.2, 1.0), (2.0, -1.0), (0.6, -1.4)]:
+        assert occupied_near(x, y) > 50, (x, y)
+    for x, y in [(0.0, 0.0), (-1.5, 0.5), (1.0, 0.0), (-2.0, 1.0), (2.2, 0.0)]:
+        assert 0 <= grid.cell_at(*world.to_map(x, y)) < 50, (x, y)
+    # Inside of furniture, and outside of the room, nothing is known.
+    assert grid.cell_at(*world.to_map(1.6, 1.0)) in (-1, None)
+    assert grid.cell_at(*world.to_map(3.5, 0.0)) in (-1, None)
+
+
+def test_a_region_is_cut_out_of_the_whole(laser_session):
+    whole = laser_session.map.occupancy()
+    part = laser_session.map.occupancy(region=Region(-1.0, -1.0, 1.0, 1.0))
+    offset = np.round((part.origin - whole.origin) / whole.resolution_m).astype(int)
+    height, width = part.cells.shape
+    assert 2.0 / part.resolution_m <= width <= 2.0 / part.resolution_m + 1.5
+    rows, columns = np.arange(height) + offset[1], np.arange(width) + offset[0]
+    assert np.array_equal(part.cells, whole.cells[np.ix_(rows, columns)])
+
+
+def test_a_coarser_cell_is_as_occupied_as_the_most_occupied_in_it(laser_session):
+    fine = laser_session.map.occupancy()
+    coarse = laser_session.map.occupancy(resolution_m=4 * fine.resolution_m)
+    assert coarse.resolution_m == pytest.approx(4 * fine.resolution_m)
+    rows, columns = np.nonzero(fine.cells >= 0)
+    x = fine.origin[0] + (columns + 0.5) * fine.resolution_m
+    y = fine.origin[1] + (rows + 0.5) * fine.resolution_m
+    expected = np.full(coarse.cells.shape, -1, np.int8)
+    where = (
+        np.floor((y - coarse.origin[1]) / coarse.resolution_m).astype(int),
+        np.floor((x - coarse.origin[0]) / coarse.resolution_m).astype(int),
+    )
+    np.maximum.at(expected, where, fine.cells[rows, columns])
+    assert np.array_equal(coarse.cells, expected)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "reason", "field"),
+    [
+        (
+            {"region": Region(-5, -5, 5, 5), "resolution_m": 1e-6},
+            ResourceExhausted,
+            "GRID_TOO_LARGE",
+            "region",
+        ),
+        ({"resolution_m": 1e-6}, InvalidArgument, "RESOLUTION_NOT_A_MULTIPLE", "resolution_m"),
+        ({"resolution_m": 0.0}, InvalidArgument, "OUT_OF_RANGE", "resolution_m"),
+        ({"resolution_m": float("nan")}, InvalidArgument, "OUT_OF_RANGE", "resolution_m"),
+        ({"region": Region(1, 0, 0, 1)}, InvalidArgument, "REGION_EMPTY", "region"),
+        ({"region": Region(0, 0, 1e12, 1)}, InvalidArgument, "REGION_TOO_FAR", "region"),
+    ],
+)
+def test_grids_that_cannot_be_are_refused(laser_session, arguments, kind, reason, field):
+    with pytest.raises(kind) as error:
+        laser_session.map.occupancy(**arguments)
+    assert (error.value.reason, error.value.field) == (reason, field)
+
+
+def test_the_cloud_lies_on_the_surfaces_of_the_room(lidar_session):
+    points = lidar_session.map.cloud().cloud.points.astype(float)
+    points[:, :2] += world.drive(1)[0].translation[:2]
+    to_room = np.abs(np.stack([points - world.ROOM[0], points - world.ROOM[1]])).min((0, 2))
+
+    def to_box(low, high):
+        outside = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
+        inside = np.minimum(points - low, high - points).min(1)
+        return np.where(outside > 0, outside, inside)
+
+    distance = np.min([to_room, *(to_box(*box) for box in world.FURNITURE)], axis=0)
+    # Voxel centroids across edges lie inside; nearly all lie on a surface.
+    assert np.quantile(distance, 0.95) < 0.05
+
+
+def test_a_part_of_the_cloud_is_around_its_centre(lidar_session):
+    centre = (1.0, 0.5, 0.5)
+    part = lidar_session.map.cloud(center=centre, radius_m=1.0).cloud.points
+    whole = lidar_session.map.cloud().cloud.points
+    near = np.linalg.norm(whole - np.array(centre, np.float32), axis=1) < 1.0
+    assert abs(len(part) - near.sum()) <= 2
+    assert len(part) > 0
+    assert np.linalg.norm(part - np.array(centre), axis=1).max() <= 1.0 + 1e-5
+    with pytest.raises(InvalidArgument):
+        lidar_session.map.cloud(center=centre)
+
+
+STARTS = {
+    "occupancy_png": b"\x89PNG",
+    "nav2_pgm": b"P5",
+    "nav2_yaml": b"image:",
+    "cloud_ply": b"ply\nformat binary_little_endian",
+    "cloud_pcd": b"# .PCD",
+    "trajectory_tum": b"",
+    "overview_png": b"\x89PNG",
+    "cloud_top_png": b"\x89PNG",
+}
+
+
+@pytest.mark.parametrize("file_format", list(MapFormat))
+def test_maps_are_exported_as_files_with_a_checksum(lidar_session, tmp_path, file_format):
+    file = lidar_session.map.export(file_format, path=tmp_path)
+    assert file.data.startswith(STARTS[file_format])
+    assert file.path == tmp_path / file.file_name
+    assert file.path.read_bytes() == file.data
+    assert hashlib.sha256(file.data).hexdigest() == file.sha256
+    assert file.stamp.stamp_ns == world.stamp(11)
+    assert [p.name for p in tmp_path.iterdir()] == [file.file_name], "no part is left behind"
+
+
+def test_a_ply_holds_the_cloud(lidar_session):
+    data = lidar_session.map.export("cloud_ply").data
+    header, _, body = data.partition(b"end_header\n")
+    count = int(next(x for x in header.split(b"\n") if x.startswith(b"element vertex")).split()[-1])
+    assert count == lidar_session.map.summary().num_points
+    assert len(body) % count == 0
+
+
+def test_a_pgm_and_its_yaml_say_what_the_grid_says(laser_session):
+    grid = laser_session.map.occupancy()
+    height, width = grid.cells.shape
+    pgm = laser_session.map.export("nav2_pgm").data
+    lines = [x for x in pgm[:200].split(b"\n") if not x.startswith(b"#")]
+    assert b" ".join(lines[:3]).split()[:4] == [b"P5", str(width).encode(), str(height).encode(), b"255"]
+    pixels = np.frombuffer(pgm[-width * height :], np.uint8).reshape(height, width)[::-1]
+    assert (pixels[grid.cells == 100] < 100).all()
+    assert (pixels[grid.cells == 0] > 250).all()
+    yaml = dict(
+        x.split(": ", 1)
+        for x in laser_session.map.export("nav2_yaml").data.decode().splitlines()
+        if ": " in x
+    )
+    assert float(yaml["resolution"]) == pytest.approx(grid.resolution_m)
+    origin = [float(v) for v in yaml["origin"].strip("[]").split(",")]
+    assert np.allclose(origin[:2], grid.origin, atol=1e-5)
+
+
+def test_a_tum_file_is_the_trajectory(laser_session):
+    rows = laser_session.map.export("trajectory_tum").data.decode().splitlines()
+    values = np.array([r.split() for r in rows if not r.startswith("#")], float)
+    trajectory = laser_session.trajectory()
+    assert np.allclose(values[:, 0], trajectory.stamps_ns / 1e9, atol=1e-6)
+    assert np.allclose(values[:, 1:4], trajectory.positions, atol=1e-6)
+
+
+def test_unknown_formats_and_sessions_are_refused(client, laser_session):
+    with pytest.raises(InvalidArgument) as error:
+        laser_session.map.export("obj")
+    assert error.value.field == "format"
+    with pytest.raises(NotFound):
+        client.session("nobody").map.summary()
+
+
+def test_coloured_frames_make_a_coloured_map(client):
+    """The left half of every image is red, the right half blue."""
+    import dataclasses
+
+    spec = dataclasses.replace(world.CAMERA, kind="rgbd")
+    session = client.sessions.create(sensors=[spec])
+    color = np.zeros((240, 320, 3), np.uint8)
+    color[:, :160, 0] = 200
+    color[:, 160:, 2] = 200
+    depth = world.depth_image(world.drive(1)[0])
+    session.send_rgbd("camera", stamp_ns=1, depth=depth, color=color, metres_per_unit=0.001)
+    cloud = session.map.cloud().cloud
+    assert cloud.colors is not None
+    left, right = cloud.points[:, 1] > 0.2, cloud.points[:, 1] < -0.2
+    assert cloud.colors[left].mean(0) == pytest.approx([200, 0, 0], abs=15)
+    assert cloud.colors[right].mean(0) == pytest.approx([0, 0, 200], abs=15)

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from percept import InvalidArgument, NotFound
+
+from support import world
+
+
+@pytest.fixture(scope="module")
+def objects(lidar_session):
+    found = list(lidar_session.scene.objects())
+    assert found, "no object in a furnished room"
+    return found
+
+
+def test_furniture_is_found_where_it_stands(objects):
+    centres = [(low + high) / 2 for low, high in world.FURNITURE]
+    start = world.drive(1)[0].translation
+    found = np.array([o.box.center + start for o in objects])
+    near = [np.linalg.norm(found[:, :2] - c[:2], axis=1).min() for c in centres]
+    # Only the sides that the robot saw make the box.
+    assert sum(d < 0.4 for d in near) >= 3, near
+
+
+def test_objects_say_what_they_are(objects):
+    for o in objects:
+        assert 0 <= o.confidence <= 1
+        assert (o.box.size_m > 0).all()
+        assert o.first_seen_ns <= o.last_seen_ns
+        assert o.num_observations >= 1
+        assert o.state in ("static", "moving")
+        # Upright: the box's z axis is the map's.
+        assert o.box.t_frame_box.matrix[2, 2] == pytest.approx(1, abs=1e-6)
+    ids = [o.object_id for o in objects]
+    assert ids == sorted(set(ids))
+
+
+def test_pages_and_classes_are_parts_of_the_whole(lidar_session, objects):
+    assert list(lidar_session.scene.objects(page_size=1)) == objects
+    by_class = [
+        o
+        for c in ("unknown", "table", "chair", "shelf", "box", "cylinder", "person")
+        for o in lidar_session.scene.objects(object_class=c)
+    ]
+    assert sorted(by_class, key=lambda o: o.object_id) == objects
+    assert lidar_session.scene.object(objects[0].object_id) == objects[0]
+
+
+def test_what_does_not_exist_is_not_found(lidar_session):
+    with pytest.raises(NotFound) as error:
+        lidar_session.scene.object(10**9)
+    assert (error.value.reason, error.value.field) == ("OBJECT_NOT_FOUND", "object_id")
+    with pytest.raises(InvalidArgument):
+        list(lidar_session.scene.objects(object_class="sofa"))
+
+
+def test_the_graph_has_the_robot_and_every_object(lidar_session, objects):
+    graph = lidar_session.scene.graph()
+    nodes = {n.node_id: n for n in graph.nodes}
+    assert len(nodes) == len(graph.nodes)
+    robots = [n for n in graph.nodes if n.kind == "robot"]
+    assert len(robots) == 1
+    assert np.allclose(robots[0].t_map_node.matrix, lidar_session.pose().t_map_base.matrix, atol=1e-9)
+    assert [n.object for n in graph.nodes if n.kind == "object"] == objects
+    assert (graph.frame_id, graph.stamp_ns) == ("map", world.stamp(11))
+
+
+def test_relations_join_nodes_with_a_strength_in_a_frame(lidar_session):
+    graph = lidar_session.scene.graph()
+    ids = {n.node_id for n in graph.nodes}
+    assert graph.relations
+    viewer = {"left_of", "right_of", "in_front_of", "behind"}
+    for r in graph.relations:
+        assert {r.subject_id, r.object_id} <= ids
+        assert r.subject_id != r.object_id
+        assert 0 < r.strength <= 1
+        assert r.frame == ("viewer" if r.kind in viewer else "gravity")
+
+
+def test_an_empty_session_has_a_graph_without_objects(client):
+    session = client.sessions.create(sensors=[world.LIDAR])
+    assert list(session.scene.objects()) == []
+    assert [n for n in session.scene.graph().nodes if n.kind == "object"] == []

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+from percept import (
+    CameraIntrinsics,
+    EncodedImage,
+    FailedPrecondition,
+    InvalidArgument,
+    NotFound,
+    OdometryFrame,
+    Pose,
+    SensorSpec,
+)
+
+from support import world
+
+
+def test_a_sensor_is_declared_and_listed_as_it_was_declared(client):
+    session = client.sessions.create()
+    status = session.sensors.declare(world.CAMERA)
+    assert status.spec == world.CAMERA
+    assert (status.accepted, status.rate_hz, status.last_stamp_ns) == (0, None, None)
+    assert status.verdict
+    session.sensors.declare("odom", kind="odometry")
+    assert [s.spec.sensor_id for s in session.sensors.list()] == ["camera", "odom"]
+
+
+def test_a_declaration_may_change_until_it_has_sent(client):
+    session = client.sessions.create(sensors=[world.LASER])
+    moved = dataclasses.replace(world.LASER, t_base_sensor=Pose.from_yaw(0.1, 0, 0))
+    assert session.sensors.declare(moved).spec == moved
+    session.send_scan("laser", stamp_ns=1, **world.scan(world.drive(1)[0]))
+    assert session.sensors.declare(moved).spec == moved, "the same again is no change"
+    with pytest.raises(FailedPrecondition) as error:
+        session.sensors.declare(world.LASER)
+    assert error.value.reason == "SENSOR_IN_USE"
+
+
+@pytest.mark.parametrize(
+    ("spec", "reason", "field"),
+    [
+        (SensorSpec("no spaces", kind="imu"), "ID_INVALID", "spec.sensor_id"),
+        (SensorSpec("a", kind="unspecified"), "ENUM_UNKNOWN", "spec.kind"),
+        (SensorSpec("a", kind="depth"), "FIELD_MISSING", "spec.intrinsics"),
+        (
+            SensorSpec("a", kind="imu", t_base_sensor=Pose(np.zeros(3), np.array([0, 0, 0, 2.0]))),
+            "QUATERNION_NOT_UNIT",
+            "spec.t_base_sensor",
+        ),
+        (SensorSpec("a", kind="imu", time_offset_s=float("nan")), "OUT_OF_RANGE", "spec.time_offset_s"),
+        (
+            SensorSpec("a", kind="depth", intrinsics=dataclasses.replace(world.INTRINSICS, fx_px=0.0)),
+            "OUT_OF_RANGE",
+            None,
+        ),
+        (
+            SensorSpec(
+                "a",
+                kind="depth",
+                intrinsics=dataclasses.replace(
+                    world.INTRINSICS, distortion_model="plumb_bob", distortion=(0.1,)
+                ),
+            ),
+            "SIZE_MISMATCH",
+            "spec.intrinsics.distortion",
+        ),
+    ],
+)
+def test_declarations_that_cannot_be_are_refused(client, spec, reason, field):
+    session = client.sessions.create()
+    with pytest.raises(InvalidArgument) as error:
+        session.sensors.declare(spec)
+    assert error.value.reason == reason
+    if field:
+        assert error.value.field == field
+    assert session.sensors.list() == []
+
+
+def test_health_tells_rate_gaps_and_refusals(client):
+    session = client.sessions.create(sensors=[world.LASER])
+    for i, pose in enumerate(world.drive(6)):
+        session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
+    with pytest.raises(InvalidArgument):
+        session.send_scan("laser", stamp_ns=world.stamp(2), **world.scan(pose))
+    (status,) = session.sensors.list()
+    assert (status.accepted, status.rejected, status.dropped) == (6, 1, 0)
+    assert status.rate_hz == pytest.approx(1e9 / world.FRAME_NS, rel=1e-3)
+    assert status.last_stamp_ns == world.stamp(5)
+
+
+def test_every_kind_of_frame_is_taken(client):
+    small = CameraIntrinsics(width_px=16, height_px=12, fx_px=15, fy_px=15, cx_px=7.5, cy_px=5.5)
+    kinds = ("depth", "rgbd", "camera", "lidar3d", "lidar2d", "imu", "odometry")
+    specs = [
+        SensorSpec(k, kind=k, intrinsics=small if k in ("depth", "rgbd", "camera") else None) for k in kinds
+    ]
+    # Tried on a link: what each kind does to a map is another test's matter.
+    session = client.sessions.create(mode="ingest_only", sensors=specs)
+    pose = world.drive(1)[0]
+    depth, color = np.full((12, 16), 2000, np.uint16), np.zeros((12, 16, 3), np.uint8)
+    n = 100
+    points = np.random.default_rng(1).normal(size=(n, 3)).astype(np.float32)
+    session.send_depth("depth", stamp_ns=1, depth=depth, metres_per_unit=0.001)
+    session.send_depth("depth", stamp_ns=2, depth=depth.astype(np.float32) / 1000)
+    session.send_rgbd("rgbd", stamp_ns=1, depth=depth, color=color, metres_per_unit=0.001)
+    session.send_color("camera", stamp_ns=1, color=color)
+    session.send_cloud(
+        "lidar3d",
+        stamp_ns=1,
+        points=points,
+        colors=np.zeros((n, 3), np.uint8),
+        intensities=np.zeros(n, np.float32),
+        time_offsets_s=np.linspace(-0.1, 0, n, dtype=np.float32),
+    )
+    session.send_scan("lidar2d", stamp_ns=1, **world.scan(pose))
+    gravity = (0.0, 0.0, 9.81)
+    session.send_imu("imu", stamp_ns=1, angular_velocity_radps=(0, 0, 0), linear_acceleration_mps2=gravity)
+    session.send_odometry("odometry", stamp_ns=1, t_odom_base=Pose(), covariance=np.eye(6) * 1e-4)
+    accepted = {s.spec.sensor_id: s.accepted for s in session.sensors.list()}
+    assert accepted == dict.fromkeys(kinds, 1) | {"depth": 2}
+
+
+def test_an_encoded_image_that_lies_is_refused(client):
+    small = CameraIntrinsics(width_px=16, height_px=12, fx_px=15, fy_px=15, cx_px=7.5, cy_px=5.5)
+    session = client.sessions.create(sensors=[SensorSpec("c", kind="camera", intrinsics=small)])
+    broken = EncodedImage(data=b"\xff\xd8\xff\xe0 and no more", width_px=16, height_px=12)
+    with pytest.raises(InvalidArgument) as error:
+        session.send_color("c", stamp_ns=1, color=broken)
+    assert error.value.reason == "FILE_INVALID"
+
+
+def test_odometry_is_a_prior_where_scans_say_nothing(client):
+    """A robot that only has wheels and a laser stands right between two scans 30 cm apart."""
+    session = client.sessions.create(sensors=[world.LASER, SensorSpec("odom", kind="odometry")])
+    start = world.drive(1)[0]
+    end = Pose.from_yaw(start.translation[0] + 0.3, 0.05, 0.1)
+    for i, pose in enumerate((start, end)):
+        t_odom_base = Pose.from_matrix(np.linalg.inv(start.matrix) @ pose.matrix)
+        session.send(OdometryFrame("odom", stamp_ns=world.stamp(10 * i), t_odom_base=t_odom_base))
+        session.send_scan("laser", stamp_ns=world.stamp(10 * i), **world.scan(pose))
+    truth = world.truth_in_map([start, end])[-1]
+    assert world.position_error_m(session.pose().t_map_base, truth) < 0.03
+
+
+def test_unknown_sensors_are_refused_in_streams_and_alone(client):
+    session = client.sessions.create(sensors=[world.LASER])
+    scan = world.scan(world.drive(1)[0])
+    with pytest.raises(NotFound) as error:
+        session.send_scan("nobody", stamp_ns=1, **scan)
+    assert error.value.reason == "SENSOR_NOT_FOUND"
+    with session.stream() as stream:
+        stream.send_scan("nobody", stamp_ns=1, **scan)
+        stream.send_scan("laser", stamp_ns=1, **scan)
+        acks = list(stream.acks())
+    assert [a.rejection and a.rejection.reason for a in acks] == ["SENSOR_NOT_FOUND", None]
+
+
+def test_the_clocks_of_one_machine_agree(client):
+    offset = client.sync_time()
+    assert offset.round_trip_ns > 0
+    assert abs(offset.offset_ns) <= offset.round_trip_ns
+    assert abs(time.time_ns() + offset.offset_ns - time.time_ns()) < 10**9

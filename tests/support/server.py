@@ -1,0 +1,104 @@
+"""A real server process on free ports and a folder of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import select
+import signal
+import socket
+import subprocess
+import time
+
+REPO = pathlib.Path(__file__).resolve().parents[2]
+START_S = 30.0
+STOP_S = 30.0
+
+
+def binary() -> pathlib.Path:
+    """PERCEPT_BIN, or the release build."""
+    named = os.environ.get("PERCEPT_BIN")
+    return pathlib.Path(named) if named else REPO / "target" / "release" / "percept"
+
+
+def recorded(name: str) -> pathlib.Path | None:
+    """A folder of recorded data, if it is there."""
+    root = pathlib.Path(os.environ.get("PERCEPT_DATA", REPO.parent / "shared" / "data"))
+    return root / name if (root / name).is_dir() else None
+
+
+def free_port() -> int:
+    """A port that was free a moment ago; for zenoh, which takes none by itself."""
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+class Server:
+    """`percept serve`; may be killed and started again on the same data."""
+
+    def __init__(self, data_dir: pathlib.Path, *arguments: str) -> None:
+        self.data_dir = data_dir
+        self.log = data_dir.with_name(f"{data_dir.name}.log")
+        self._arguments = arguments
+        self.start()
+
+    def start(self) -> None:
+        """Starts and waits until the doors are open."""
+        command = [
+            *(binary(), "serve", "--data-dir", self.data_dir),
+            *("--grpc", "127.0.0.1:0", "--rest", "127.0.0.1:0"),
+            *("--zenoh", f"tcp/127.0.0.1:{free_port()}"),
+            *self._arguments,
+        ]
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+        assert self.process.stdout is not None
+        ready, _, _ = select.select([self.process.stdout], [], [], START_S)
+        line = self.process.stdout.readline() if ready else ""
+        if not line:
+            self.kill()
+            raise AssertionError(f"the server did not start; its log:\n{self.tail()}")
+        doors = json.loads(line)
+        self.grpc, self.rest, self.zenoh = doors["grpc"], doors["rest"], doors["zenoh"]
+
+    @property
+    def rest_url(self) -> str:
+        """Root of the REST door."""
+        return f"http://{self.rest}"
+
+    def kill(self) -> None:
+        """SIGKILL: no goodbye."""
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self) -> int:
+        """SIGTERM; returns the exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+        try:
+            return self.process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            raise AssertionError(f"the server did not stop; its log:\n{self.tail()}") from None
+
+    def peak_rss_mb(self) -> float:
+        """Largest resident memory so far."""
+        status = pathlib.Path(f"/proc/{self.process.pid}/status").read_text()
+        line = next(x for x in status.splitlines() if x.startswith("VmHWM"))
+        return int(line.split()[1]) / 1024
+
+    def tail(self) -> str:
+        """End of the log."""
+        return self.log.read_text(errors="replace")[-4000:]
+
+
+def eventually(check, *, seconds: float = 10.0):
+    """The first truthy value of `check`, asked again until time is up: for what travels through zenoh."""
+    deadline = time.monotonic() + seconds
+    while True:
+        value = check()
+        if value or time.monotonic() > deadline:
+            return value
+        time.sleep(0.01)

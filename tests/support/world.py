@@ -1,0 +1,126 @@
+"""A furnished room whose depth images and scans are known in closed form.
+
+The room is a box, furniture are boxes on its floor. World coordinates: metres, z up, floor at 0. Maps
+begin where the robot begins, so that `truth_in_map` turns world poses into what a map should say.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from percept import CameraIntrinsics, Pose, SensorSpec
+
+ROOM = (np.array([-3.0, -2.0, 0.0]), np.array([3.0, 2.0, 2.5]))
+FURNITURE = [
+    (np.array([1.2, 0.6, 0.0]), np.array([2.0, 1.4, 0.75])),
+    (np.array([2.0, -1.6, 0.0]), np.array([2.5, -0.7, 1.6])),
+    (np.array([-2.4, -1.5, 0.0]), np.array([-1.6, -1.0, 0.5])),
+    (np.array([0.6, -1.7, 0.0]), np.array([1.0, -1.2, 1.0])),
+]
+CAMERA_HEIGHT_M = 1.2
+LASER_HEIGHT_M = 0.3
+#: Optical to body: z forward becomes x forward (REP-103).
+OPTICAL = np.array([-0.5, 0.5, -0.5, 0.5])
+FRAME_NS = 66_666_667
+
+INTRINSICS = CameraIntrinsics(width_px=320, height_px=240, fx_px=290.0, fy_px=290.0, cx_px=159.5, cy_px=119.5)
+CAMERA = SensorSpec(
+    "camera",
+    kind="depth",
+    t_base_sensor=Pose(np.array([0.0, 0.0, CAMERA_HEIGHT_M]), OPTICAL),
+    intrinsics=INTRINSICS,
+    overload_policy="block",
+)
+LASER = SensorSpec(
+    "laser",
+    kind="lidar2d",
+    t_base_sensor=Pose(np.array([0.0, 0.0, LASER_HEIGHT_M])),
+    overload_policy="block",
+)
+LIDAR = SensorSpec(
+    "lidar",
+    kind="lidar3d",
+    t_base_sensor=Pose(np.array([0.0, 0.0, CAMERA_HEIGHT_M])),
+    overload_policy="block",
+)
+
+
+def cast(origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Distances along (..., 3) directions, in units of their lengths, from inside the room to what is hit."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_low, to_high = ((bound - origin) / directions for bound in ROOM)
+        hit = np.fmax(to_low, to_high).min(-1)
+        for low, high in FURNITURE:
+            a, b = (low - origin) / directions, (high - origin) / directions
+            near, far = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
+            hit = np.where((near < far) & (near > 0) & (near < hit), near, hit)
+    return hit
+
+
+def depth_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS) -> np.ndarray:
+    """(H, W) uint16 millimetres along the optical axis."""
+    t_world_camera = t_world_base.matrix @ CAMERA.t_base_sensor.matrix
+    u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
+    rays = np.stack(
+        [(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones(u.shape)], axis=-1
+    )
+    z = cast(t_world_camera[:3, 3], rays @ t_world_camera[:3, :3].T)
+    return np.round(z * 1000).astype(np.uint16)
+
+
+def scan(t_world_base: Pose, beams: int = 360) -> dict[str, object]:
+    """What `send_scan` takes, all around from -pi."""
+    t_world_laser = t_world_base.matrix @ LASER.t_base_sensor.matrix
+    angles = -np.pi + np.arange(beams) * 2 * np.pi / beams
+    rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(beams)], axis=-1)
+    ranges = cast(t_world_laser[:3, 3], rays @ t_world_laser[:3, :3].T)
+    return {
+        "ranges_m": ranges.astype(np.float32),
+        "angle_min_rad": -np.pi,
+        "angle_increment_rad": 2 * np.pi / beams,
+        "range_min_m": 0.05,
+        "range_max_m": 20.0,
+    }
+
+
+def cloud(t_world_base: Pose, rings: int = 24, columns: int = 720) -> np.ndarray:
+    """(N, 3) float32 of a spinning lidar, sensor frame."""
+    t_world_lidar = t_world_base.matrix @ LIDAR.t_base_sensor.matrix
+    azimuth, elevation = np.meshgrid(
+        np.linspace(-np.pi, np.pi, columns, endpoint=False), np.linspace(-0.6, 0.35, rings)
+    )
+    flat = np.cos(elevation)
+    rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    hit = cast(t_world_lidar[:3, 3], rays @ t_world_lidar[:3, :3].T)
+    return (rays * hit[..., None]).reshape(-1, 3).astype(np.float32)
+
+
+def drive(steps: int) -> list[Pose]:
+    """World poses of a robot on a gentle arc from the middle of the room: 2 cm and 1 degree a step."""
+    poses, x, y, yaw = [], -0.8, 0.0, 0.0
+    for _ in range(steps):
+        poses.append(Pose.from_yaw(x, y, yaw))
+        x, y = x + 0.02 * np.cos(yaw), y + 0.02 * np.sin(yaw)
+        yaw += np.radians(1.0)
+    return poses
+
+
+def truth_in_map(poses: list[Pose]) -> list[np.ndarray]:
+    """t_map_base of world poses: the map begins at the first."""
+    start = np.linalg.inv(poses[0].matrix)
+    return [start @ pose.matrix for pose in poses]
+
+
+def to_map(x_m: float, y_m: float) -> tuple[float, float]:
+    """A point of the world as the map of `drive` has it."""
+    first = drive(1)[0].translation
+    return x_m - float(first[0]), y_m - float(first[1])
+
+
+def stamp(index: int) -> int:
+    """Nanoseconds of a frame."""
+    return 1_000_000_000 + index * FRAME_NS
+
+
+def position_error_m(estimate: Pose, truth: np.ndarray) -> float:
+    """Distance between two positions."""
+    return float(np.linalg.norm(estimate.translation - truth[:3, 3]))
