@@ -51,10 +51,10 @@ def test_headings_look_at_the_next_waypoint(laser_session):
 @pytest.mark.parametrize(
     ("goal", "start", "reasons"),
     [
-        ((3.0, 0.0), None, {"goal_occupied"}),
+        ((2.95, 0.0), None, {"goal_occupied"}),
         ((50.0, 0.0), None, {"goal_outside_map"}),
         ((1.6, 1.0), None, {"goal_unknown", "goal_occupied"}),
-        ((1.0, 0.0), (3.0, 0.0), {"start_occupied"}),
+        ((1.0, 0.0), (2.95, 0.0), {"start_occupied"}),
         ((1.0, 0.0), (-50.0, 0.0), {"start_outside_map"}),
     ],
 )

@@ -34,7 +34,7 @@ def camera_of(folder):
 def replay(folder, out, *arguments):
     command = [binary(), "replay", folder, "--frames", f"0:{FRAMES}", "--out", out, "--json", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
-    return json.loads(done.stdout.strip().splitlines()[-1]), (out / "trajectory.tum").read_bytes()
+    return json.loads(done.stdout), (out / "trajectory.tum").read_bytes()
 
 
 def frames(folder):

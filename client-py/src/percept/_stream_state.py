@@ -37,9 +37,11 @@ class StreamState:
 
     def message(self, frame: SensorFrame) -> service.StreamFramesRequest:
         """A frame as a message, numbered for its sensor from 1."""
-        message = sensors.frame_to(self.session_id, frame, self._sequences[frame.sensor_id] + 1)
-        self._sequences[frame.sensor_id] += 1
-        return service.StreamFramesRequest(message=message)
+        request = service.StreamFramesRequest()
+        sequence = self._sequences[frame.sensor_id] + 1
+        sensors.fill_frame(request.message, self.session_id, frame, sequence)
+        self._sequences[frame.sensor_id] = sequence
+        return request
 
     def answer(self, answer: service.StreamFramesResponse) -> None:
         """Takes an acknowledgement; one without an outcome only tells what became durable."""

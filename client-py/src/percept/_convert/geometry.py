@@ -110,19 +110,18 @@ def intrinsics(message: sensor_pb2.CameraIntrinsics) -> CameraIntrinsics:
 
 def cloud_to(cloud: PointCloud | Array) -> g.PointCloud:
     """A cloud, or its (N, 3) float32 points, as a message."""
-    cloud = cloud if isinstance(cloud, PointCloud) else PointCloud(cloud)
+    out = g.PointCloud()
+    fill_cloud(out, cloud if isinstance(cloud, PointCloud) else PointCloud(cloud))
+    return out
 
-    def data(channel: Array | None) -> bytes | None:
-        return None if channel is None else channel.tobytes()
 
-    return g.PointCloud(
-        num_points=cloud.num_points,
-        positions=cloud.points.tobytes(),
-        colors=data(cloud.colors),
-        intensities=data(cloud.intensities),
-        normals=data(cloud.normals),
-        time_offsets_s=data(cloud.time_offsets_s),
-    )
+def fill_cloud(out: g.PointCloud, cloud: PointCloud) -> None:
+    """Writes a cloud; channels that it has not stay absent."""
+    out.num_points = cloud.num_points
+    for name, field, _, _ in _CHANNELS:
+        channel: Array | None = getattr(cloud, name)
+        if channel is not None:
+            setattr(out, field, channel.tobytes())
 
 
 def cloud(message: g.PointCloud) -> PointCloud:

@@ -63,8 +63,8 @@ def navigate(
     session_id: str, frame: SensorFrame, goal: Sequence[float], params: Mapping[str, object] | None
 ) -> Call[service.NavigateRequest, service.NavigateResponse, Navigation]:
     request = service.NavigateRequest(
-        message=sensors.frame_to(session_id, frame),
         goal=geometry.vector2_to("goal", goal),
         params=words.message_of("params", params_pb2.PlanningParams, params),
     )
+    sensors.fill_frame(request.message, session_id, frame)
     return Call(_rpc.NAVIGATE, request, _navigation)

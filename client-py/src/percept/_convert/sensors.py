@@ -73,60 +73,66 @@ def status(message: sensor_pb2.SensorStatus) -> SensorStatus:
     )
 
 
-def depth_to(image: Array | EncodedImage, metres_per_unit: float | None) -> sensor_pb2.DepthImage:
+def fill_depth(
+    out: sensor_pb2.DepthImage, image: Array | EncodedImage, metres_per_unit: float | None
+) -> None:
     """A depth image: uint16, float32, or a PNG."""
     if isinstance(image, EncodedImage):
-        encoding, data = sensor_pb2.DEPTH_ENCODING_PNG16, image.data
-        height, width = image.height_px, image.width_px
+        out.encoding, out.data = sensor_pb2.DEPTH_ENCODING_PNG16, image.data
+        out.height_px, out.width_px = image.height_px, image.width_px
     else:
-        (height, width), data = image.shape, image.tobytes()
         units = image.dtype.kind == "u"
-        encoding = sensor_pb2.DEPTH_ENCODING_U16 if units else sensor_pb2.DEPTH_ENCODING_F32
-    return sensor_pb2.DepthImage(
-        width_px=width, height_px=height, encoding=encoding, metres_per_unit=metres_per_unit, data=data
-    )
+        out.encoding = sensor_pb2.DEPTH_ENCODING_U16 if units else sensor_pb2.DEPTH_ENCODING_F32
+        out.data = image.tobytes()
+        out.height_px, out.width_px = image.shape
+    if metres_per_unit is not None:
+        out.metres_per_unit = metres_per_unit
 
 
-def color_to(image: Array | EncodedImage) -> sensor_pb2.ColorImage:
+def fill_color(out: sensor_pb2.ColorImage, image: Array | EncodedImage) -> None:
     """A colour image: RGB8, JPEG or PNG, told by its first bytes."""
     if not isinstance(image, EncodedImage):
-        height, width, _ = image.shape
-        data, encoding = image.tobytes(), sensor_pb2.COLOR_ENCODING_RGB8
-        return sensor_pb2.ColorImage(width_px=width, height_px=height, encoding=encoding, data=data)
+        out.encoding, out.data = sensor_pb2.COLOR_ENCODING_RGB8, image.tobytes()
+        out.height_px, out.width_px, _ = image.shape
+        return
     if image.data.startswith(_PNG):
-        encoding = sensor_pb2.COLOR_ENCODING_PNG
+        out.encoding = sensor_pb2.COLOR_ENCODING_PNG
     elif image.data.startswith(_JPEG):
-        encoding = sensor_pb2.COLOR_ENCODING_JPEG
+        out.encoding = sensor_pb2.COLOR_ENCODING_JPEG
     else:
         message = "color is neither a PNG nor a JPEG by its first bytes; encode it as one of them"
         raise InvalidArgument(message, reason="FILE_INVALID", field="color")
-    return sensor_pb2.ColorImage(
-        width_px=image.width_px, height_px=image.height_px, encoding=encoding, data=image.data
-    )
+    out.data, out.height_px, out.width_px = image.data, image.height_px, image.width_px
 
 
 def frame_to(session_id: str, frame: SensorFrame, sequence: int = 0) -> sensor_pb2.SensorMessage:
     """A frame as a message; `sequence` 0 is not numbered."""
-    out = sensor_pb2.SensorMessage(
-        session_id=session_id, sensor_id=frame.sensor_id, stamp_ns=frame.stamp_ns, sequence=sequence
-    )
+    out = sensor_pb2.SensorMessage()
+    fill_frame(out, session_id, frame, sequence)
+    return out
+
+
+def fill_frame(out: sensor_pb2.SensorMessage, session_id: str, frame: SensorFrame, sequence: int = 0) -> None:
+    """Writes a frame where it will be sent from: an image put into one message after another is copied
+    each time."""
+    out.session_id, out.sensor_id = session_id, frame.sensor_id
+    out.stamp_ns, out.sequence = frame.stamp_ns, sequence
     match frame:
         case DepthFrame():
-            out.depth.CopyFrom(depth_to(frame.depth, frame.metres_per_unit))
+            fill_depth(out.depth, frame.depth, frame.metres_per_unit)
         case RgbdFrame():
-            out.rgbd.depth.CopyFrom(depth_to(frame.depth, frame.metres_per_unit))
-            out.rgbd.color.CopyFrom(color_to(frame.color))
+            fill_depth(out.rgbd.depth, frame.depth, frame.metres_per_unit)
+            fill_color(out.rgbd.color, frame.color)
         case CameraFrame():
-            out.color.CopyFrom(color_to(frame.color))
+            fill_color(out.color, frame.color)
         case CloudFrame():
-            out.cloud.CopyFrom(geometry.cloud_to(frame.cloud))
+            geometry.fill_cloud(out.cloud, frame.cloud)
         case ScanFrame():
             out.scan.CopyFrom(_scan_to(frame))
         case ImuFrame():
             out.imu.CopyFrom(_imu_to(frame))
         case OdometryFrame():
             out.odometry.CopyFrom(_odometry_to(frame))
-    return out
 
 
 def _scan_to(scan: ScanFrame) -> sensor_pb2.LaserScan:
@@ -176,7 +182,8 @@ def list_sensors(
 def send(
     session_id: str, frame: SensorFrame
 ) -> Call[sensors_service_pb2.SendFrameRequest, sensors_service_pb2.SendFrameResponse, FrameResult]:
-    request = sensors_service_pb2.SendFrameRequest(message=frame_to(session_id, frame))
+    request = sensors_service_pb2.SendFrameRequest()
+    fill_frame(request.message, session_id, frame)
     return Call(_rpc.SEND_FRAME, request, lambda a: poses.result(a.result))
 
 

@@ -164,13 +164,12 @@ def unproject_depth(
     # The frames check the images.
     checked = frames.DepthFrame("", stamp_ns=0, depth=depth, metres_per_unit=metres_per_unit)
     request = service.UnprojectDepthRequest(
-        depth=sensors.depth_to(checked.depth, metres_per_unit),
-        color=None
-        if color is None
-        else sensors.color_to(frames.CameraFrame("", stamp_ns=0, color=color).color),
         intrinsics=geometry.intrinsics_to(intrinsics),
         stride=stride,
         min_depth_m=min_depth_m,
         max_depth_m=max_depth_m,
     )
+    sensors.fill_depth(request.depth, checked.depth, metres_per_unit)
+    if color is not None:
+        sensors.fill_color(request.color, frames.CameraFrame("", stamp_ns=0, color=color).color)
     return Call(_rpc.UNPROJECT_DEPTH, request, lambda a: geometry.cloud(a.cloud))

@@ -18,30 +18,1205 @@ DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
 class PipelineParams(_message.Message):
+    """Parameters of a session, named and bounded as in the configuration file; what is not set keeps its default.
+
+    Every parameter of a session.
+    """
+
     DESCRIPTOR: _descriptor.Descriptor
+
+    SLAM_FIELD_NUMBER: _builtins.int
+    MAP_FIELD_NUMBER: _builtins.int
+    DETECTION_FIELD_NUMBER: _builtins.int
+    TRACKER_FIELD_NUMBER: _builtins.int
+    RELATIONS_FIELD_NUMBER: _builtins.int
+    PLANNING_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def slam(self) -> Global___SlamParams:
+        """Poses."""
+
+    @_builtins.property
+    def map(self) -> Global___MapParams:
+        """Map layers."""
+
+    @_builtins.property
+    def detection(self) -> Global___DetectionSettings:
+        """Objects."""
+
+    @_builtins.property
+    def tracker(self) -> Global___TrackerParams:
+        """Identity of objects through time."""
+
+    @_builtins.property
+    def relations(self) -> Global___RelationParams:
+        """Relations of the scene graph."""
+
+    @_builtins.property
+    def planning(self) -> Global___PlanningParams:
+        """Paths."""
 
     def __init__(
         self,
+        *,
+        slam: Global___SlamParams | None = ...,
+        map: Global___MapParams | None = ...,
+        detection: Global___DetectionSettings | None = ...,
+        tracker: Global___TrackerParams | None = ...,
+        relations: Global___RelationParams | None = ...,
+        planning: Global___PlanningParams | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["detection", b"detection", "map", b"map", "planning", b"planning", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["detection", b"detection", "map", b"map", "planning", b"planning", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___PipelineParams: _TypeAlias = PipelineParams  # noqa: Y015
 
 @_typing.final
-class PlanningParams(_message.Message):
+class SlamParams(_message.Message):
+    """How poses are found."""
+
     DESCRIPTOR: _descriptor.Descriptor
+
+    POSE_SENSOR_FIELD_NUMBER: _builtins.int
+    ODOMETRY_FIELD_NUMBER: _builtins.int
+    pose_sensor: _builtins.str
+    """Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd, depth)."""
+    @_builtins.property
+    def odometry(self) -> Global___OdometryParams:
+        """Registration of frames, and when one becomes a keyframe."""
 
     def __init__(
         self,
+        *,
+        pose_sensor: _builtins.str | None = ...,
+        odometry: Global___OdometryParams | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "odometry", b"odometry", "pose_sensor", b"pose_sensor"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "odometry", b"odometry", "pose_sensor", b"pose_sensor"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__pose_sensor: _TypeAlias = _typing.Literal["pose_sensor"]  # noqa: Y015
+    _WhichOneofArgType__pose_sensor: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__pose_sensor) -> _WhichOneofReturnType__pose_sensor | None: ...
+
+Global___SlamParams: _TypeAlias = SlamParams  # noqa: Y015
+
+@_typing.final
+class OdometryParams(_message.Message):
+    """Parameters of all methods and of what they share."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TRACKING_FIELD_NUMBER: _builtins.int
+    RGBD_FIELD_NUMBER: _builtins.int
+    LIDAR3D_FIELD_NUMBER: _builtins.int
+    LIDAR2D_FIELD_NUMBER: _builtins.int
+    KEYFRAME_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def tracking(self) -> Global___TrackingParams:
+        """Prediction, loss and restart."""
+
+    @_builtins.property
+    def rgbd(self) -> Global___RgbdParams:
+        """Depth cameras."""
+
+    @_builtins.property
+    def lidar3d(self) -> Global___Lidar3dParams:
+        """3D lidars."""
+
+    @_builtins.property
+    def lidar2d(self) -> Global___Lidar2dParams:
+        """Planar lidars."""
+
+    @_builtins.property
+    def keyframe(self) -> Global___KeyframeParams:
+        """When frames become keyframes and what is kept of them."""
+
+    def __init__(
+        self,
+        *,
+        tracking: Global___TrackingParams | None = ...,
+        rgbd: Global___RgbdParams | None = ...,
+        lidar3d: Global___Lidar3dParams | None = ...,
+        lidar2d: Global___Lidar2dParams | None = ...,
+        keyframe: Global___KeyframeParams | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["keyframe", b"keyframe", "lidar2d", b"lidar2d", "lidar3d", b"lidar3d", "rgbd", b"rgbd", "tracking", b"tracking"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["keyframe", b"keyframe", "lidar2d", b"lidar2d", "lidar3d", b"lidar3d", "rgbd", b"rgbd", "tracking", b"tracking"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___OdometryParams: _TypeAlias = OdometryParams  # noqa: Y015
+
+@_typing.final
+class TrackingParams(_message.Message):
+    """Prediction, loss and restart."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    RESTART_AFTER_FRAMES_FIELD_NUMBER: _builtins.int
+    MAX_GAP_S_FIELD_NUMBER: _builtins.int
+    MAX_SPEED_MPS_FIELD_NUMBER: _builtins.int
+    MAX_TURN_RATE_RADPS_FIELD_NUMBER: _builtins.int
+    ACCELERATION_MPS2_FIELD_NUMBER: _builtins.int
+    TURN_ACCELERATION_RADPS2_FIELD_NUMBER: _builtins.int
+    restart_after_frames: _builtins.int
+    """After so many lost frames in a row the local model starts anew at the predicted pose, 1 to 10000."""
+    max_gap_s: _builtins.float
+    """A gap between frames longer than this ends the constant-velocity prediction, seconds, 0.05 to 60."""
+    max_speed_mps: _builtins.float
+    """Faster than this is no motion of the robot, m/s, 0.1 to 200; none takes 40 for 3D lidars, which ride on
+    cars too, and 4 for the others.
+    """
+    max_turn_rate_radps: _builtins.float
+    """Turning faster than this is no motion of the robot, rad/s, 0.1 to 50; none takes 3 for planar lidars and 8
+    for the others, which may be carried by hand.
+    """
+    acceleration_mps2: _builtins.float
+    """Acceleration that a prediction of constant velocity has to allow for, m/s^2, 0.1 to 100; none takes 1.5 for
+    planar lidars and 4 for the others.
+    """
+    turn_acceleration_radps2: _builtins.float
+    """Angular acceleration that it has to allow for, rad/s^2, 0.1 to 100; none takes 4 for planar lidars and 8
+    for the others.
+    """
+    def __init__(
+        self,
+        *,
+        restart_after_frames: _builtins.int | None = ...,
+        max_gap_s: _builtins.float | None = ...,
+        max_speed_mps: _builtins.float | None = ...,
+        max_turn_rate_radps: _builtins.float | None = ...,
+        acceleration_mps2: _builtins.float | None = ...,
+        turn_acceleration_radps2: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_acceleration_mps2", b"_acceleration_mps2", "_max_gap_s", b"_max_gap_s", "_max_speed_mps", b"_max_speed_mps", "_max_turn_rate_radps", b"_max_turn_rate_radps", "_restart_after_frames", b"_restart_after_frames", "_turn_acceleration_radps2", b"_turn_acceleration_radps2", "acceleration_mps2", b"acceleration_mps2", "max_gap_s", b"max_gap_s", "max_speed_mps", b"max_speed_mps", "max_turn_rate_radps", b"max_turn_rate_radps", "restart_after_frames", b"restart_after_frames", "turn_acceleration_radps2", b"turn_acceleration_radps2"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_acceleration_mps2", b"_acceleration_mps2", "_max_gap_s", b"_max_gap_s", "_max_speed_mps", b"_max_speed_mps", "_max_turn_rate_radps", b"_max_turn_rate_radps", "_restart_after_frames", b"_restart_after_frames", "_turn_acceleration_radps2", b"_turn_acceleration_radps2", "acceleration_mps2", b"acceleration_mps2", "max_gap_s", b"max_gap_s", "max_speed_mps", b"max_speed_mps", "max_turn_rate_radps", b"max_turn_rate_radps", "restart_after_frames", b"restart_after_frames", "turn_acceleration_radps2", b"turn_acceleration_radps2"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__acceleration_mps2: _TypeAlias = _typing.Literal["acceleration_mps2"]  # noqa: Y015
+    _WhichOneofArgType__acceleration_mps2: _TypeAlias = _typing.Literal["_acceleration_mps2", b"_acceleration_mps2"]  # noqa: Y015
+    _WhichOneofReturnType__max_gap_s: _TypeAlias = _typing.Literal["max_gap_s"]  # noqa: Y015
+    _WhichOneofArgType__max_gap_s: _TypeAlias = _typing.Literal["_max_gap_s", b"_max_gap_s"]  # noqa: Y015
+    _WhichOneofReturnType__max_speed_mps: _TypeAlias = _typing.Literal["max_speed_mps"]  # noqa: Y015
+    _WhichOneofArgType__max_speed_mps: _TypeAlias = _typing.Literal["_max_speed_mps", b"_max_speed_mps"]  # noqa: Y015
+    _WhichOneofReturnType__max_turn_rate_radps: _TypeAlias = _typing.Literal["max_turn_rate_radps"]  # noqa: Y015
+    _WhichOneofArgType__max_turn_rate_radps: _TypeAlias = _typing.Literal["_max_turn_rate_radps", b"_max_turn_rate_radps"]  # noqa: Y015
+    _WhichOneofReturnType__restart_after_frames: _TypeAlias = _typing.Literal["restart_after_frames"]  # noqa: Y015
+    _WhichOneofArgType__restart_after_frames: _TypeAlias = _typing.Literal["_restart_after_frames", b"_restart_after_frames"]  # noqa: Y015
+    _WhichOneofReturnType__turn_acceleration_radps2: _TypeAlias = _typing.Literal["turn_acceleration_radps2"]  # noqa: Y015
+    _WhichOneofArgType__turn_acceleration_radps2: _TypeAlias = _typing.Literal["_turn_acceleration_radps2", b"_turn_acceleration_radps2"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__acceleration_mps2) -> _WhichOneofReturnType__acceleration_mps2 | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_gap_s) -> _WhichOneofReturnType__max_gap_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_speed_mps) -> _WhichOneofReturnType__max_speed_mps | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_turn_rate_radps) -> _WhichOneofReturnType__max_turn_rate_radps | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__restart_after_frames) -> _WhichOneofReturnType__restart_after_frames | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__turn_acceleration_radps2) -> _WhichOneofReturnType__turn_acceleration_radps2 | None: ...
+
+Global___TrackingParams: _TypeAlias = TrackingParams  # noqa: Y015
+
+@_typing.final
+class RgbdParams(_message.Message):
+    """Parameters of depth odometry."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MIN_DEPTH_M_FIELD_NUMBER: _builtins.int
+    MAX_DEPTH_M_FIELD_NUMBER: _builtins.int
+    MAX_WIDTH_PX_FIELD_NUMBER: _builtins.int
+    MIN_VALID_RATIO_FIELD_NUMBER: _builtins.int
+    MIN_OVERLAP_RATIO_FIELD_NUMBER: _builtins.int
+    MIN_INLIER_RATIO_FIELD_NUMBER: _builtins.int
+    MAX_CORRECTION_M_FIELD_NUMBER: _builtins.int
+    MAX_CORRECTION_RAD_FIELD_NUMBER: _builtins.int
+    MAX_WEIGHT_FIELD_NUMBER: _builtins.int
+    WINDOW_M_FIELD_NUMBER: _builtins.int
+    MAX_SURFELS_FIELD_NUMBER: _builtins.int
+    min_depth_m: _builtins.float
+    """Nearer depth is not used, metres, 0 to 10."""
+    max_depth_m: _builtins.float
+    """Farther depth is not used, metres, 0.5 to 100; its noise grows with the square."""
+    max_width_px: _builtins.int
+    """The image is shrunk by an integer to at most so many columns, 40 to 1280. More: finer and slower."""
+    min_valid_ratio: _builtins.float
+    """Fewest usable pixels of the shrunk image, as a share, 0.001 to 1."""
+    min_overlap_ratio: _builtins.float
+    """Least share of the usable pixels that must meet the model, 0.01 to 1."""
+    min_inlier_ratio: _builtins.float
+    """Least mean weight of those that meet it, 0.05 to 1."""
+    max_correction_m: _builtins.float
+    """Largest correction of a prediction, metres, 0.01 to 10."""
+    max_correction_rad: _builtins.float
+    """Largest correction of a prediction, radians, 0.01 to 3."""
+    max_weight: _builtins.float
+    """A surface counts at most so many measurements at 1 m, 1 to 10000. More: less noise, slower change."""
+    window_m: _builtins.float
+    """Surfaces not seen over so much motion are forgotten, metres (a radian of turning counts half a metre), 0.5
+    to 1000.
+    """
+    max_surfels: _builtins.int
+    """Most surfels in the model, 1e4 to 5e6."""
+    def __init__(
+        self,
+        *,
+        min_depth_m: _builtins.float | None = ...,
+        max_depth_m: _builtins.float | None = ...,
+        max_width_px: _builtins.int | None = ...,
+        min_valid_ratio: _builtins.float | None = ...,
+        min_overlap_ratio: _builtins.float | None = ...,
+        min_inlier_ratio: _builtins.float | None = ...,
+        max_correction_m: _builtins.float | None = ...,
+        max_correction_rad: _builtins.float | None = ...,
+        max_weight: _builtins.float | None = ...,
+        window_m: _builtins.float | None = ...,
+        max_surfels: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_correction_m", b"_max_correction_m", "_max_correction_rad", b"_max_correction_rad", "_max_depth_m", b"_max_depth_m", "_max_surfels", b"_max_surfels", "_max_weight", b"_max_weight", "_max_width_px", b"_max_width_px", "_min_depth_m", b"_min_depth_m", "_min_inlier_ratio", b"_min_inlier_ratio", "_min_overlap_ratio", b"_min_overlap_ratio", "_min_valid_ratio", b"_min_valid_ratio", "_window_m", b"_window_m", "max_correction_m", b"max_correction_m", "max_correction_rad", b"max_correction_rad", "max_depth_m", b"max_depth_m", "max_surfels", b"max_surfels", "max_weight", b"max_weight", "max_width_px", b"max_width_px", "min_depth_m", b"min_depth_m", "min_inlier_ratio", b"min_inlier_ratio", "min_overlap_ratio", b"min_overlap_ratio", "min_valid_ratio", b"min_valid_ratio", "window_m", b"window_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_correction_m", b"_max_correction_m", "_max_correction_rad", b"_max_correction_rad", "_max_depth_m", b"_max_depth_m", "_max_surfels", b"_max_surfels", "_max_weight", b"_max_weight", "_max_width_px", b"_max_width_px", "_min_depth_m", b"_min_depth_m", "_min_inlier_ratio", b"_min_inlier_ratio", "_min_overlap_ratio", b"_min_overlap_ratio", "_min_valid_ratio", b"_min_valid_ratio", "_window_m", b"_window_m", "max_correction_m", b"max_correction_m", "max_correction_rad", b"max_correction_rad", "max_depth_m", b"max_depth_m", "max_surfels", b"max_surfels", "max_weight", b"max_weight", "max_width_px", b"max_width_px", "min_depth_m", b"min_depth_m", "min_inlier_ratio", b"min_inlier_ratio", "min_overlap_ratio", b"min_overlap_ratio", "min_valid_ratio", b"min_valid_ratio", "window_m", b"window_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__max_correction_m: _TypeAlias = _typing.Literal["max_correction_m"]  # noqa: Y015
+    _WhichOneofArgType__max_correction_m: _TypeAlias = _typing.Literal["_max_correction_m", b"_max_correction_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_correction_rad: _TypeAlias = _typing.Literal["max_correction_rad"]  # noqa: Y015
+    _WhichOneofArgType__max_correction_rad: _TypeAlias = _typing.Literal["_max_correction_rad", b"_max_correction_rad"]  # noqa: Y015
+    _WhichOneofReturnType__max_depth_m: _TypeAlias = _typing.Literal["max_depth_m"]  # noqa: Y015
+    _WhichOneofArgType__max_depth_m: _TypeAlias = _typing.Literal["_max_depth_m", b"_max_depth_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_surfels: _TypeAlias = _typing.Literal["max_surfels"]  # noqa: Y015
+    _WhichOneofArgType__max_surfels: _TypeAlias = _typing.Literal["_max_surfels", b"_max_surfels"]  # noqa: Y015
+    _WhichOneofReturnType__max_weight: _TypeAlias = _typing.Literal["max_weight"]  # noqa: Y015
+    _WhichOneofArgType__max_weight: _TypeAlias = _typing.Literal["_max_weight", b"_max_weight"]  # noqa: Y015
+    _WhichOneofReturnType__max_width_px: _TypeAlias = _typing.Literal["max_width_px"]  # noqa: Y015
+    _WhichOneofArgType__max_width_px: _TypeAlias = _typing.Literal["_max_width_px", b"_max_width_px"]  # noqa: Y015
+    _WhichOneofReturnType__min_depth_m: _TypeAlias = _typing.Literal["min_depth_m"]  # noqa: Y015
+    _WhichOneofArgType__min_depth_m: _TypeAlias = _typing.Literal["_min_depth_m", b"_min_depth_m"]  # noqa: Y015
+    _WhichOneofReturnType__min_inlier_ratio: _TypeAlias = _typing.Literal["min_inlier_ratio"]  # noqa: Y015
+    _WhichOneofArgType__min_inlier_ratio: _TypeAlias = _typing.Literal["_min_inlier_ratio", b"_min_inlier_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__min_overlap_ratio: _TypeAlias = _typing.Literal["min_overlap_ratio"]  # noqa: Y015
+    _WhichOneofArgType__min_overlap_ratio: _TypeAlias = _typing.Literal["_min_overlap_ratio", b"_min_overlap_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__min_valid_ratio: _TypeAlias = _typing.Literal["min_valid_ratio"]  # noqa: Y015
+    _WhichOneofArgType__min_valid_ratio: _TypeAlias = _typing.Literal["_min_valid_ratio", b"_min_valid_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__window_m: _TypeAlias = _typing.Literal["window_m"]  # noqa: Y015
+    _WhichOneofArgType__window_m: _TypeAlias = _typing.Literal["_window_m", b"_window_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_correction_m) -> _WhichOneofReturnType__max_correction_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_correction_rad) -> _WhichOneofReturnType__max_correction_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_depth_m) -> _WhichOneofReturnType__max_depth_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_surfels) -> _WhichOneofReturnType__max_surfels | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_weight) -> _WhichOneofReturnType__max_weight | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_width_px) -> _WhichOneofReturnType__max_width_px | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_depth_m) -> _WhichOneofReturnType__min_depth_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_inlier_ratio) -> _WhichOneofReturnType__min_inlier_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_overlap_ratio) -> _WhichOneofReturnType__min_overlap_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_valid_ratio) -> _WhichOneofReturnType__min_valid_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__window_m) -> _WhichOneofReturnType__window_m | None: ...
+
+Global___RgbdParams: _TypeAlias = RgbdParams  # noqa: Y015
+
+@_typing.final
+class Lidar3dParams(_message.Message):
+    """Parameters of 3D lidar odometry."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MIN_RANGE_M_FIELD_NUMBER: _builtins.int
+    MAX_RANGE_M_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    MAX_ITERATIONS_FIELD_NUMBER: _builtins.int
+    MIN_OVERLAP_RATIO_FIELD_NUMBER: _builtins.int
+    MIN_INLIER_RATIO_FIELD_NUMBER: _builtins.int
+    DESKEW_FIELD_NUMBER: _builtins.int
+    min_range_m: _builtins.float
+    """Nearer points are the robot itself, metres from the sensor, 0 to 10."""
+    max_range_m: _builtins.float
+    """Farther points are not used, metres, 1 to 1000."""
+    voxel_size_m: _builtins.float
+    """Edge of the local map's voxels, metres, 0.05 to 5; none learns it from the first sweep."""
+    max_iterations: _builtins.int
+    """Most iterations on the fine map, 1 to 200."""
+    min_overlap_ratio: _builtins.float
+    """Least share of the points that must meet the map, 0.01 to 1."""
+    min_inlier_ratio: _builtins.float
+    """Of those, least share near its surfaces, 0.01 to 1."""
+    deskew: _builtins.bool
+    """Whether to undo the motion during a sweep where points carry times."""
+    def __init__(
+        self,
+        *,
+        min_range_m: _builtins.float | None = ...,
+        max_range_m: _builtins.float | None = ...,
+        voxel_size_m: _builtins.float | None = ...,
+        max_iterations: _builtins.int | None = ...,
+        min_overlap_ratio: _builtins.float | None = ...,
+        min_inlier_ratio: _builtins.float | None = ...,
+        deskew: _builtins.bool | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_deskew", b"_deskew", "_max_iterations", b"_max_iterations", "_max_range_m", b"_max_range_m", "_min_inlier_ratio", b"_min_inlier_ratio", "_min_overlap_ratio", b"_min_overlap_ratio", "_min_range_m", b"_min_range_m", "_voxel_size_m", b"_voxel_size_m", "deskew", b"deskew", "max_iterations", b"max_iterations", "max_range_m", b"max_range_m", "min_inlier_ratio", b"min_inlier_ratio", "min_overlap_ratio", b"min_overlap_ratio", "min_range_m", b"min_range_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_deskew", b"_deskew", "_max_iterations", b"_max_iterations", "_max_range_m", b"_max_range_m", "_min_inlier_ratio", b"_min_inlier_ratio", "_min_overlap_ratio", b"_min_overlap_ratio", "_min_range_m", b"_min_range_m", "_voxel_size_m", b"_voxel_size_m", "deskew", b"deskew", "max_iterations", b"max_iterations", "max_range_m", b"max_range_m", "min_inlier_ratio", b"min_inlier_ratio", "min_overlap_ratio", b"min_overlap_ratio", "min_range_m", b"min_range_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__deskew: _TypeAlias = _typing.Literal["deskew"]  # noqa: Y015
+    _WhichOneofArgType__deskew: _TypeAlias = _typing.Literal["_deskew", b"_deskew"]  # noqa: Y015
+    _WhichOneofReturnType__max_iterations: _TypeAlias = _typing.Literal["max_iterations"]  # noqa: Y015
+    _WhichOneofArgType__max_iterations: _TypeAlias = _typing.Literal["_max_iterations", b"_max_iterations"]  # noqa: Y015
+    _WhichOneofReturnType__max_range_m: _TypeAlias = _typing.Literal["max_range_m"]  # noqa: Y015
+    _WhichOneofArgType__max_range_m: _TypeAlias = _typing.Literal["_max_range_m", b"_max_range_m"]  # noqa: Y015
+    _WhichOneofReturnType__min_inlier_ratio: _TypeAlias = _typing.Literal["min_inlier_ratio"]  # noqa: Y015
+    _WhichOneofArgType__min_inlier_ratio: _TypeAlias = _typing.Literal["_min_inlier_ratio", b"_min_inlier_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__min_overlap_ratio: _TypeAlias = _typing.Literal["min_overlap_ratio"]  # noqa: Y015
+    _WhichOneofArgType__min_overlap_ratio: _TypeAlias = _typing.Literal["_min_overlap_ratio", b"_min_overlap_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__min_range_m: _TypeAlias = _typing.Literal["min_range_m"]  # noqa: Y015
+    _WhichOneofArgType__min_range_m: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__deskew) -> _WhichOneofReturnType__deskew | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_iterations) -> _WhichOneofReturnType__max_iterations | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_range_m) -> _WhichOneofReturnType__max_range_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_inlier_ratio) -> _WhichOneofReturnType__min_inlier_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_overlap_ratio) -> _WhichOneofReturnType__min_overlap_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_range_m) -> _WhichOneofReturnType__min_range_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
+
+Global___Lidar3dParams: _TypeAlias = Lidar3dParams  # noqa: Y015
+
+@_typing.final
+class Lidar2dParams(_message.Message):
+    """Parameters of planar lidar odometry."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MAX_RANGE_M_FIELD_NUMBER: _builtins.int
+    RESOLUTION_M_FIELD_NUMBER: _builtins.int
+    INSERT_DISTANCE_M_FIELD_NUMBER: _builtins.int
+    INSERT_ANGLE_RAD_FIELD_NUMBER: _builtins.int
+    WINDOW_M_FIELD_NUMBER: _builtins.int
+    MAX_SEARCH_M_FIELD_NUMBER: _builtins.int
+    MAX_SEARCH_RAD_FIELD_NUMBER: _builtins.int
+    MIN_INLIER_RATIO_FIELD_NUMBER: _builtins.int
+    max_range_m: _builtins.float
+    """Farther hits are not used, metres, 1 to 200."""
+    resolution_m: _builtins.float
+    """Cell of the search grid, metres, 0.01 to 0.5."""
+    insert_distance_m: _builtins.float
+    """A scan joins the local map after so many metres, 0.01 to 10."""
+    insert_angle_rad: _builtins.float
+    """Or after so many radians, 0.01 to pi."""
+    window_m: _builtins.float
+    """The local map holds the scans of so much motion, metres (a radian counts half a metre), 1 to 1000."""
+    max_search_m: _builtins.float
+    """Widest search to each side, metres, 0.05 to 5."""
+    max_search_rad: _builtins.float
+    """Widest search to each side, radians, 0.02 to pi."""
+    min_inlier_ratio: _builtins.float
+    """Least share of the hits that must lie on the local map, 0.01 to 1."""
+    def __init__(
+        self,
+        *,
+        max_range_m: _builtins.float | None = ...,
+        resolution_m: _builtins.float | None = ...,
+        insert_distance_m: _builtins.float | None = ...,
+        insert_angle_rad: _builtins.float | None = ...,
+        window_m: _builtins.float | None = ...,
+        max_search_m: _builtins.float | None = ...,
+        max_search_rad: _builtins.float | None = ...,
+        min_inlier_ratio: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_insert_angle_rad", b"_insert_angle_rad", "_insert_distance_m", b"_insert_distance_m", "_max_range_m", b"_max_range_m", "_max_search_m", b"_max_search_m", "_max_search_rad", b"_max_search_rad", "_min_inlier_ratio", b"_min_inlier_ratio", "_resolution_m", b"_resolution_m", "_window_m", b"_window_m", "insert_angle_rad", b"insert_angle_rad", "insert_distance_m", b"insert_distance_m", "max_range_m", b"max_range_m", "max_search_m", b"max_search_m", "max_search_rad", b"max_search_rad", "min_inlier_ratio", b"min_inlier_ratio", "resolution_m", b"resolution_m", "window_m", b"window_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_insert_angle_rad", b"_insert_angle_rad", "_insert_distance_m", b"_insert_distance_m", "_max_range_m", b"_max_range_m", "_max_search_m", b"_max_search_m", "_max_search_rad", b"_max_search_rad", "_min_inlier_ratio", b"_min_inlier_ratio", "_resolution_m", b"_resolution_m", "_window_m", b"_window_m", "insert_angle_rad", b"insert_angle_rad", "insert_distance_m", b"insert_distance_m", "max_range_m", b"max_range_m", "max_search_m", b"max_search_m", "max_search_rad", b"max_search_rad", "min_inlier_ratio", b"min_inlier_ratio", "resolution_m", b"resolution_m", "window_m", b"window_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__insert_angle_rad: _TypeAlias = _typing.Literal["insert_angle_rad"]  # noqa: Y015
+    _WhichOneofArgType__insert_angle_rad: _TypeAlias = _typing.Literal["_insert_angle_rad", b"_insert_angle_rad"]  # noqa: Y015
+    _WhichOneofReturnType__insert_distance_m: _TypeAlias = _typing.Literal["insert_distance_m"]  # noqa: Y015
+    _WhichOneofArgType__insert_distance_m: _TypeAlias = _typing.Literal["_insert_distance_m", b"_insert_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_range_m: _TypeAlias = _typing.Literal["max_range_m"]  # noqa: Y015
+    _WhichOneofArgType__max_range_m: _TypeAlias = _typing.Literal["_max_range_m", b"_max_range_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_search_m: _TypeAlias = _typing.Literal["max_search_m"]  # noqa: Y015
+    _WhichOneofArgType__max_search_m: _TypeAlias = _typing.Literal["_max_search_m", b"_max_search_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_search_rad: _TypeAlias = _typing.Literal["max_search_rad"]  # noqa: Y015
+    _WhichOneofArgType__max_search_rad: _TypeAlias = _typing.Literal["_max_search_rad", b"_max_search_rad"]  # noqa: Y015
+    _WhichOneofReturnType__min_inlier_ratio: _TypeAlias = _typing.Literal["min_inlier_ratio"]  # noqa: Y015
+    _WhichOneofArgType__min_inlier_ratio: _TypeAlias = _typing.Literal["_min_inlier_ratio", b"_min_inlier_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__resolution_m: _TypeAlias = _typing.Literal["resolution_m"]  # noqa: Y015
+    _WhichOneofArgType__resolution_m: _TypeAlias = _typing.Literal["_resolution_m", b"_resolution_m"]  # noqa: Y015
+    _WhichOneofReturnType__window_m: _TypeAlias = _typing.Literal["window_m"]  # noqa: Y015
+    _WhichOneofArgType__window_m: _TypeAlias = _typing.Literal["_window_m", b"_window_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__insert_angle_rad) -> _WhichOneofReturnType__insert_angle_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__insert_distance_m) -> _WhichOneofReturnType__insert_distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_range_m) -> _WhichOneofReturnType__max_range_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_search_m) -> _WhichOneofReturnType__max_search_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_search_rad) -> _WhichOneofReturnType__max_search_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_inlier_ratio) -> _WhichOneofReturnType__min_inlier_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__resolution_m) -> _WhichOneofReturnType__resolution_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__window_m) -> _WhichOneofReturnType__window_m | None: ...
+
+Global___Lidar2dParams: _TypeAlias = Lidar2dParams  # noqa: Y015
+
+@_typing.final
+class KeyframeParams(_message.Message):
+    """When a frame becomes a keyframe, and how much of it is kept."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DISTANCE_M_FIELD_NUMBER: _builtins.int
+    ANGLE_RAD_FIELD_NUMBER: _builtins.int
+    DEPTH_STRIDE_PX_FIELD_NUMBER: _builtins.int
+    MAX_DEPTH_M_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    FREE_RANGE_M_FIELD_NUMBER: _builtins.int
+    distance_m: _builtins.float
+    """A keyframe at least every so many metres, 0.01 to 100. Smaller: denser maps, more memory."""
+    angle_rad: _builtins.float
+    """A keyframe at least every so many radians of turning, 0.01 to pi."""
+    depth_stride_px: _builtins.int
+    """Keep every n-th row and column of a depth image, 1 to 64."""
+    max_depth_m: _builtins.float
+    """Depth beyond this is not kept, metres, 0.1 to 100: noise grows with the square of the depth."""
+    voxel_size_m: _builtins.float
+    """Keep one lidar point per voxel of this edge, metres, 0.01 to 10."""
+    free_range_m: _builtins.float
+    """A beam without a return frees space up to here, metres, 0.1 to 1000."""
+    def __init__(
+        self,
+        *,
+        distance_m: _builtins.float | None = ...,
+        angle_rad: _builtins.float | None = ...,
+        depth_stride_px: _builtins.int | None = ...,
+        max_depth_m: _builtins.float | None = ...,
+        voxel_size_m: _builtins.float | None = ...,
+        free_range_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad", "_depth_stride_px", b"_depth_stride_px", "_distance_m", b"_distance_m", "_free_range_m", b"_free_range_m", "_max_depth_m", b"_max_depth_m", "_voxel_size_m", b"_voxel_size_m", "angle_rad", b"angle_rad", "depth_stride_px", b"depth_stride_px", "distance_m", b"distance_m", "free_range_m", b"free_range_m", "max_depth_m", b"max_depth_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad", "_depth_stride_px", b"_depth_stride_px", "_distance_m", b"_distance_m", "_free_range_m", b"_free_range_m", "_max_depth_m", b"_max_depth_m", "_voxel_size_m", b"_voxel_size_m", "angle_rad", b"angle_rad", "depth_stride_px", b"depth_stride_px", "distance_m", b"distance_m", "free_range_m", b"free_range_m", "max_depth_m", b"max_depth_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__angle_rad: _TypeAlias = _typing.Literal["angle_rad"]  # noqa: Y015
+    _WhichOneofArgType__angle_rad: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad"]  # noqa: Y015
+    _WhichOneofReturnType__depth_stride_px: _TypeAlias = _typing.Literal["depth_stride_px"]  # noqa: Y015
+    _WhichOneofArgType__depth_stride_px: _TypeAlias = _typing.Literal["_depth_stride_px", b"_depth_stride_px"]  # noqa: Y015
+    _WhichOneofReturnType__distance_m: _TypeAlias = _typing.Literal["distance_m"]  # noqa: Y015
+    _WhichOneofArgType__distance_m: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__free_range_m: _TypeAlias = _typing.Literal["free_range_m"]  # noqa: Y015
+    _WhichOneofArgType__free_range_m: _TypeAlias = _typing.Literal["_free_range_m", b"_free_range_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_depth_m: _TypeAlias = _typing.Literal["max_depth_m"]  # noqa: Y015
+    _WhichOneofArgType__max_depth_m: _TypeAlias = _typing.Literal["_max_depth_m", b"_max_depth_m"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__angle_rad) -> _WhichOneofReturnType__angle_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__depth_stride_px) -> _WhichOneofReturnType__depth_stride_px | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__distance_m) -> _WhichOneofReturnType__distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__free_range_m) -> _WhichOneofReturnType__free_range_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_depth_m) -> _WhichOneofReturnType__max_depth_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
+
+Global___KeyframeParams: _TypeAlias = KeyframeParams  # noqa: Y015
+
+@_typing.final
+class MapParams(_message.Message):
+    """Parameters of every layer."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    OCCUPANCY_FIELD_NUMBER: _builtins.int
+    CLOUD_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def occupancy(self) -> Global___OccupancyParams:
+        """The 2D grid."""
+
+    @_builtins.property
+    def cloud(self) -> Global___CloudParams:
+        """The fused cloud."""
+
+    def __init__(
+        self,
+        *,
+        occupancy: Global___OccupancyParams | None = ...,
+        cloud: Global___CloudParams | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "occupancy", b"occupancy"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "occupancy", b"occupancy"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___MapParams: _TypeAlias = MapParams  # noqa: Y015
+
+@_typing.final
+class OccupancyParams(_message.Message):
+    """Parameters of OccupancyGrid(crate::OccupancyGrid)."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    RESOLUTION_M_FIELD_NUMBER: _builtins.int
+    HIT_LOG_ODDS_FIELD_NUMBER: _builtins.int
+    FREE_LOG_ODDS_FIELD_NUMBER: _builtins.int
+    MIN_LOG_ODDS_FIELD_NUMBER: _builtins.int
+    MAX_LOG_ODDS_FIELD_NUMBER: _builtins.int
+    RANGE_MIN_M_FIELD_NUMBER: _builtins.int
+    RANGE_MAX_M_FIELD_NUMBER: _builtins.int
+    BAND_MIN_M_FIELD_NUMBER: _builtins.int
+    BAND_MAX_M_FIELD_NUMBER: _builtins.int
+    resolution_m: _builtins.float
+    """Edge of a cell, metres; 0.001 to 10."""
+    hit_log_odds: _builtins.float
+    """Log-odds added to a cell in which a beam ended; above 0, at most 20."""
+    free_log_odds: _builtins.float
+    """Log-odds added to a cell that a beam passed; below 0, at least -20."""
+    min_log_odds: _builtins.float
+    """Smallest log-odds a cell keeps, so that it can become occupied again; -20 to below 0. Default: probability
+    0.12 (Hornung et al., "OctoMap", 2013).
+    """
+    max_log_odds: _builtins.float
+    """Largest log-odds a cell keeps, so that it can become free again; above 0, at most 20. Default: probability
+    0.97 (OctoMap).
+    """
+    range_min_m: _builtins.float
+    """Returns nearer than this to the sensor, horizontally, say nothing, metres."""
+    range_max_m: _builtins.float
+    """Returns beyond this only free the cells up to it, metres; at most 1000 cells."""
+    band_min_m: _builtins.float
+    """Returns lower than this above the floor are floor: they free, and mark nothing, metres. Not for planar
+    scans.
+    """
+    band_max_m: _builtins.float
+    """Returns higher than this above the floor pass over the robot: they say nothing, metres. Not for planar
+    scans.
+    """
+    def __init__(
+        self,
+        *,
+        resolution_m: _builtins.float | None = ...,
+        hit_log_odds: _builtins.float | None = ...,
+        free_log_odds: _builtins.float | None = ...,
+        min_log_odds: _builtins.float | None = ...,
+        max_log_odds: _builtins.float | None = ...,
+        range_min_m: _builtins.float | None = ...,
+        range_max_m: _builtins.float | None = ...,
+        band_min_m: _builtins.float | None = ...,
+        band_max_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_band_max_m", b"_band_max_m", "_band_min_m", b"_band_min_m", "_free_log_odds", b"_free_log_odds", "_hit_log_odds", b"_hit_log_odds", "_max_log_odds", b"_max_log_odds", "_min_log_odds", b"_min_log_odds", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_resolution_m", b"_resolution_m", "band_max_m", b"band_max_m", "band_min_m", b"band_min_m", "free_log_odds", b"free_log_odds", "hit_log_odds", b"hit_log_odds", "max_log_odds", b"max_log_odds", "min_log_odds", b"min_log_odds", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "resolution_m", b"resolution_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_band_max_m", b"_band_max_m", "_band_min_m", b"_band_min_m", "_free_log_odds", b"_free_log_odds", "_hit_log_odds", b"_hit_log_odds", "_max_log_odds", b"_max_log_odds", "_min_log_odds", b"_min_log_odds", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_resolution_m", b"_resolution_m", "band_max_m", b"band_max_m", "band_min_m", b"band_min_m", "free_log_odds", b"free_log_odds", "hit_log_odds", b"hit_log_odds", "max_log_odds", b"max_log_odds", "min_log_odds", b"min_log_odds", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "resolution_m", b"resolution_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__band_max_m: _TypeAlias = _typing.Literal["band_max_m"]  # noqa: Y015
+    _WhichOneofArgType__band_max_m: _TypeAlias = _typing.Literal["_band_max_m", b"_band_max_m"]  # noqa: Y015
+    _WhichOneofReturnType__band_min_m: _TypeAlias = _typing.Literal["band_min_m"]  # noqa: Y015
+    _WhichOneofArgType__band_min_m: _TypeAlias = _typing.Literal["_band_min_m", b"_band_min_m"]  # noqa: Y015
+    _WhichOneofReturnType__free_log_odds: _TypeAlias = _typing.Literal["free_log_odds"]  # noqa: Y015
+    _WhichOneofArgType__free_log_odds: _TypeAlias = _typing.Literal["_free_log_odds", b"_free_log_odds"]  # noqa: Y015
+    _WhichOneofReturnType__hit_log_odds: _TypeAlias = _typing.Literal["hit_log_odds"]  # noqa: Y015
+    _WhichOneofArgType__hit_log_odds: _TypeAlias = _typing.Literal["_hit_log_odds", b"_hit_log_odds"]  # noqa: Y015
+    _WhichOneofReturnType__max_log_odds: _TypeAlias = _typing.Literal["max_log_odds"]  # noqa: Y015
+    _WhichOneofArgType__max_log_odds: _TypeAlias = _typing.Literal["_max_log_odds", b"_max_log_odds"]  # noqa: Y015
+    _WhichOneofReturnType__min_log_odds: _TypeAlias = _typing.Literal["min_log_odds"]  # noqa: Y015
+    _WhichOneofArgType__min_log_odds: _TypeAlias = _typing.Literal["_min_log_odds", b"_min_log_odds"]  # noqa: Y015
+    _WhichOneofReturnType__range_max_m: _TypeAlias = _typing.Literal["range_max_m"]  # noqa: Y015
+    _WhichOneofArgType__range_max_m: _TypeAlias = _typing.Literal["_range_max_m", b"_range_max_m"]  # noqa: Y015
+    _WhichOneofReturnType__range_min_m: _TypeAlias = _typing.Literal["range_min_m"]  # noqa: Y015
+    _WhichOneofArgType__range_min_m: _TypeAlias = _typing.Literal["_range_min_m", b"_range_min_m"]  # noqa: Y015
+    _WhichOneofReturnType__resolution_m: _TypeAlias = _typing.Literal["resolution_m"]  # noqa: Y015
+    _WhichOneofArgType__resolution_m: _TypeAlias = _typing.Literal["_resolution_m", b"_resolution_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__band_max_m) -> _WhichOneofReturnType__band_max_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__band_min_m) -> _WhichOneofReturnType__band_min_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__free_log_odds) -> _WhichOneofReturnType__free_log_odds | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__hit_log_odds) -> _WhichOneofReturnType__hit_log_odds | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_log_odds) -> _WhichOneofReturnType__max_log_odds | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_log_odds) -> _WhichOneofReturnType__min_log_odds | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_max_m) -> _WhichOneofReturnType__range_max_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_min_m) -> _WhichOneofReturnType__range_min_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__resolution_m) -> _WhichOneofReturnType__resolution_m | None: ...
+
+Global___OccupancyParams: _TypeAlias = OccupancyParams  # noqa: Y015
+
+@_typing.final
+class CloudParams(_message.Message):
+    """Parameters of FusedCloud(crate::FusedCloud)."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    RANGE_MIN_M_FIELD_NUMBER: _builtins.int
+    RANGE_MAX_M_FIELD_NUMBER: _builtins.int
+    MAX_WEIGHT_FIELD_NUMBER: _builtins.int
+    CARVE_WEIGHT_FIELD_NUMBER: _builtins.int
+    CARVE_MARGIN_M_FIELD_NUMBER: _builtins.int
+    CARVE_MARGIN_RATIO_FIELD_NUMBER: _builtins.int
+    voxel_size_m: _builtins.float
+    """Edge of a voxel, metres; 0.001 to 10."""
+    range_min_m: _builtins.float
+    """Returns nearer than this to the sensor are left out, metres."""
+    range_max_m: _builtins.float
+    """Returns beyond this are left out, metres; at most 100000 voxels."""
+    max_weight: _builtins.float
+    """Keyframes that a voxel remembers: the weight at which its mean becomes a moving one; 1 to 10000."""
+    carve_weight: _builtins.float
+    """Weight that a voxel loses when a keyframe sees through it; 0 keeps everything for ever."""
+    carve_margin_m: _builtins.float
+    """A beam sees through a voxel if it ends at least this far behind it, beside two voxels, metres."""
+    carve_margin_ratio: _builtins.float
+    """The same, added for each metre of distance from the sensor: grazing beams end far behind the floor that
+    they nearly touch.
+    """
+    def __init__(
+        self,
+        *,
+        voxel_size_m: _builtins.float | None = ...,
+        range_min_m: _builtins.float | None = ...,
+        range_max_m: _builtins.float | None = ...,
+        max_weight: _builtins.float | None = ...,
+        carve_weight: _builtins.float | None = ...,
+        carve_margin_m: _builtins.float | None = ...,
+        carve_margin_ratio: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_carve_margin_m", b"_carve_margin_m", "_carve_margin_ratio", b"_carve_margin_ratio", "_carve_weight", b"_carve_weight", "_max_weight", b"_max_weight", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_voxel_size_m", b"_voxel_size_m", "carve_margin_m", b"carve_margin_m", "carve_margin_ratio", b"carve_margin_ratio", "carve_weight", b"carve_weight", "max_weight", b"max_weight", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_carve_margin_m", b"_carve_margin_m", "_carve_margin_ratio", b"_carve_margin_ratio", "_carve_weight", b"_carve_weight", "_max_weight", b"_max_weight", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_voxel_size_m", b"_voxel_size_m", "carve_margin_m", b"carve_margin_m", "carve_margin_ratio", b"carve_margin_ratio", "carve_weight", b"carve_weight", "max_weight", b"max_weight", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__carve_margin_m: _TypeAlias = _typing.Literal["carve_margin_m"]  # noqa: Y015
+    _WhichOneofArgType__carve_margin_m: _TypeAlias = _typing.Literal["_carve_margin_m", b"_carve_margin_m"]  # noqa: Y015
+    _WhichOneofReturnType__carve_margin_ratio: _TypeAlias = _typing.Literal["carve_margin_ratio"]  # noqa: Y015
+    _WhichOneofArgType__carve_margin_ratio: _TypeAlias = _typing.Literal["_carve_margin_ratio", b"_carve_margin_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__carve_weight: _TypeAlias = _typing.Literal["carve_weight"]  # noqa: Y015
+    _WhichOneofArgType__carve_weight: _TypeAlias = _typing.Literal["_carve_weight", b"_carve_weight"]  # noqa: Y015
+    _WhichOneofReturnType__max_weight: _TypeAlias = _typing.Literal["max_weight"]  # noqa: Y015
+    _WhichOneofArgType__max_weight: _TypeAlias = _typing.Literal["_max_weight", b"_max_weight"]  # noqa: Y015
+    _WhichOneofReturnType__range_max_m: _TypeAlias = _typing.Literal["range_max_m"]  # noqa: Y015
+    _WhichOneofArgType__range_max_m: _TypeAlias = _typing.Literal["_range_max_m", b"_range_max_m"]  # noqa: Y015
+    _WhichOneofReturnType__range_min_m: _TypeAlias = _typing.Literal["range_min_m"]  # noqa: Y015
+    _WhichOneofArgType__range_min_m: _TypeAlias = _typing.Literal["_range_min_m", b"_range_min_m"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__carve_margin_m) -> _WhichOneofReturnType__carve_margin_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__carve_margin_ratio) -> _WhichOneofReturnType__carve_margin_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__carve_weight) -> _WhichOneofReturnType__carve_weight | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_weight) -> _WhichOneofReturnType__max_weight | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_max_m) -> _WhichOneofReturnType__range_max_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_min_m) -> _WhichOneofReturnType__range_min_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
+
+Global___CloudParams: _TypeAlias = CloudParams  # noqa: Y015
+
+@_typing.final
+class DetectionSettings(_message.Message):
+    """What is looked for, and where."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ENABLED_FIELD_NUMBER: _builtins.int
+    RANGE_M_FIELD_NUMBER: _builtins.int
+    DETECTOR_FIELD_NUMBER: _builtins.int
+    enabled: _builtins.bool
+    """Whether objects are looked for at all."""
+    range_m: _builtins.float
+    """The map around the robot is searched up to this distance, metres, 1 to 50."""
+    @_builtins.property
+    def detector(self) -> Global___DetectionParams:
+        """How objects are proposed, boxed and classified."""
+
+    def __init__(
+        self,
+        *,
+        enabled: _builtins.bool | None = ...,
+        range_m: _builtins.float | None = ...,
+        detector: Global___DetectionParams | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "range_m", b"range_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "range_m", b"range_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__enabled: _TypeAlias = _typing.Literal["enabled"]  # noqa: Y015
+    _WhichOneofArgType__enabled: _TypeAlias = _typing.Literal["_enabled", b"_enabled"]  # noqa: Y015
+    _WhichOneofReturnType__range_m: _TypeAlias = _typing.Literal["range_m"]  # noqa: Y015
+    _WhichOneofArgType__range_m: _TypeAlias = _typing.Literal["_range_m", b"_range_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__enabled) -> _WhichOneofReturnType__enabled | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_m) -> _WhichOneofReturnType__range_m | None: ...
+
+Global___DetectionSettings: _TypeAlias = DetectionSettings  # noqa: Y015
+
+@_typing.final
+class DetectionParams(_message.Message):
+    """Parameters of the detector. Lengths fit indoor scenes with furniture."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    CLUSTER_EPS_M_FIELD_NUMBER: _builtins.int
+    MIN_DENSITY_FIELD_NUMBER: _builtins.int
+    MIN_COVERAGE_FIELD_NUMBER: _builtins.int
+    MIN_POINTS_FIELD_NUMBER: _builtins.int
+    FLOOR_SEARCH_M_FIELD_NUMBER: _builtins.int
+    FLOOR_MARGIN_M_FIELD_NUMBER: _builtins.int
+    MAX_HEIGHT_M_FIELD_NUMBER: _builtins.int
+    MIN_HEIGHT_M_FIELD_NUMBER: _builtins.int
+    MIN_SIZE_M_FIELD_NUMBER: _builtins.int
+    MAX_SIZE_M_FIELD_NUMBER: _builtins.int
+    WALL_DISTANCE_M_FIELD_NUMBER: _builtins.int
+    WALL_MIN_LENGTH_M_FIELD_NUMBER: _builtins.int
+    WALL_TOP_M_FIELD_NUMBER: _builtins.int
+    BOX_TRIM_FIELD_NUMBER: _builtins.int
+    SEED_FIELD_NUMBER: _builtins.int
+    voxel_size_m: _builtins.float
+    """Edge of the voxels that the cloud is thinned to, metres, 0.005 to 0.5. All else scales with what is seen."""
+    cluster_eps_m: _builtins.float
+    """Points at most this far apart belong to one object, metres; at least twice the voxel size."""
+    min_density: _builtins.int
+    """Voxels within that distance, itself among them, that make a voxel part of a solid surface rather than of a
+    spray of noise that might join two objects.
+    """
+    min_coverage: _builtins.float
+    """An object takes at least this share of the voxels that the sides of its box would take, 0 to 1: half a box
+    is 0.5, four legs are 0.2, what is left of someone who walked by is less.
+    """
+    min_points: _builtins.int
+    """Objects have at least so many voxels."""
+    floor_search_m: _builtins.float
+    """The floor is looked for this far below and above z = 0, metres."""
+    floor_margin_m: _builtins.float
+    """What lies lower than this above the floor belongs to it, metres."""
+    max_height_m: _builtins.float
+    """Points higher than this above the floor belong to no object, metres."""
+    min_height_m: _builtins.float
+    """An object's top is at least this high above the floor, metres."""
+    min_size_m: _builtins.float
+    """An object's footprint is at least this long, metres."""
+    max_size_m: _builtins.float
+    """An object's footprint is at most this long, metres."""
+    wall_distance_m: _builtins.float
+    """What lies this near to a wall's plane belongs to the wall, metres; two to three deviations of the noise."""
+    wall_min_length_m: _builtins.float
+    """A vertical surface this long is a wall however high it is seen, metres: longer than a wide shelf."""
+    wall_top_m: _builtins.float
+    """A vertical surface seen higher than this above the floor is a wall, metres: higher than a shelf."""
+    box_trim: _builtins.float
+    """Part of an object's points left out on each side of each axis when its box is fitted, 0 to 0.2."""
+    seed: _builtins.int
+    """Seed of the search for the floor."""
+    def __init__(
+        self,
+        *,
+        voxel_size_m: _builtins.float | None = ...,
+        cluster_eps_m: _builtins.float | None = ...,
+        min_density: _builtins.int | None = ...,
+        min_coverage: _builtins.float | None = ...,
+        min_points: _builtins.int | None = ...,
+        floor_search_m: _builtins.float | None = ...,
+        floor_margin_m: _builtins.float | None = ...,
+        max_height_m: _builtins.float | None = ...,
+        min_height_m: _builtins.float | None = ...,
+        min_size_m: _builtins.float | None = ...,
+        max_size_m: _builtins.float | None = ...,
+        wall_distance_m: _builtins.float | None = ...,
+        wall_min_length_m: _builtins.float | None = ...,
+        wall_top_m: _builtins.float | None = ...,
+        box_trim: _builtins.float | None = ...,
+        seed: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_box_trim", b"_box_trim", "_cluster_eps_m", b"_cluster_eps_m", "_floor_margin_m", b"_floor_margin_m", "_floor_search_m", b"_floor_search_m", "_max_height_m", b"_max_height_m", "_max_size_m", b"_max_size_m", "_min_coverage", b"_min_coverage", "_min_density", b"_min_density", "_min_height_m", b"_min_height_m", "_min_points", b"_min_points", "_min_size_m", b"_min_size_m", "_seed", b"_seed", "_voxel_size_m", b"_voxel_size_m", "_wall_distance_m", b"_wall_distance_m", "_wall_min_length_m", b"_wall_min_length_m", "_wall_top_m", b"_wall_top_m", "box_trim", b"box_trim", "cluster_eps_m", b"cluster_eps_m", "floor_margin_m", b"floor_margin_m", "floor_search_m", b"floor_search_m", "max_height_m", b"max_height_m", "max_size_m", b"max_size_m", "min_coverage", b"min_coverage", "min_density", b"min_density", "min_height_m", b"min_height_m", "min_points", b"min_points", "min_size_m", b"min_size_m", "seed", b"seed", "voxel_size_m", b"voxel_size_m", "wall_distance_m", b"wall_distance_m", "wall_min_length_m", b"wall_min_length_m", "wall_top_m", b"wall_top_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_box_trim", b"_box_trim", "_cluster_eps_m", b"_cluster_eps_m", "_floor_margin_m", b"_floor_margin_m", "_floor_search_m", b"_floor_search_m", "_max_height_m", b"_max_height_m", "_max_size_m", b"_max_size_m", "_min_coverage", b"_min_coverage", "_min_density", b"_min_density", "_min_height_m", b"_min_height_m", "_min_points", b"_min_points", "_min_size_m", b"_min_size_m", "_seed", b"_seed", "_voxel_size_m", b"_voxel_size_m", "_wall_distance_m", b"_wall_distance_m", "_wall_min_length_m", b"_wall_min_length_m", "_wall_top_m", b"_wall_top_m", "box_trim", b"box_trim", "cluster_eps_m", b"cluster_eps_m", "floor_margin_m", b"floor_margin_m", "floor_search_m", b"floor_search_m", "max_height_m", b"max_height_m", "max_size_m", b"max_size_m", "min_coverage", b"min_coverage", "min_density", b"min_density", "min_height_m", b"min_height_m", "min_points", b"min_points", "min_size_m", b"min_size_m", "seed", b"seed", "voxel_size_m", b"voxel_size_m", "wall_distance_m", b"wall_distance_m", "wall_min_length_m", b"wall_min_length_m", "wall_top_m", b"wall_top_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__box_trim: _TypeAlias = _typing.Literal["box_trim"]  # noqa: Y015
+    _WhichOneofArgType__box_trim: _TypeAlias = _typing.Literal["_box_trim", b"_box_trim"]  # noqa: Y015
+    _WhichOneofReturnType__cluster_eps_m: _TypeAlias = _typing.Literal["cluster_eps_m"]  # noqa: Y015
+    _WhichOneofArgType__cluster_eps_m: _TypeAlias = _typing.Literal["_cluster_eps_m", b"_cluster_eps_m"]  # noqa: Y015
+    _WhichOneofReturnType__floor_margin_m: _TypeAlias = _typing.Literal["floor_margin_m"]  # noqa: Y015
+    _WhichOneofArgType__floor_margin_m: _TypeAlias = _typing.Literal["_floor_margin_m", b"_floor_margin_m"]  # noqa: Y015
+    _WhichOneofReturnType__floor_search_m: _TypeAlias = _typing.Literal["floor_search_m"]  # noqa: Y015
+    _WhichOneofArgType__floor_search_m: _TypeAlias = _typing.Literal["_floor_search_m", b"_floor_search_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_height_m: _TypeAlias = _typing.Literal["max_height_m"]  # noqa: Y015
+    _WhichOneofArgType__max_height_m: _TypeAlias = _typing.Literal["_max_height_m", b"_max_height_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_size_m: _TypeAlias = _typing.Literal["max_size_m"]  # noqa: Y015
+    _WhichOneofArgType__max_size_m: _TypeAlias = _typing.Literal["_max_size_m", b"_max_size_m"]  # noqa: Y015
+    _WhichOneofReturnType__min_coverage: _TypeAlias = _typing.Literal["min_coverage"]  # noqa: Y015
+    _WhichOneofArgType__min_coverage: _TypeAlias = _typing.Literal["_min_coverage", b"_min_coverage"]  # noqa: Y015
+    _WhichOneofReturnType__min_density: _TypeAlias = _typing.Literal["min_density"]  # noqa: Y015
+    _WhichOneofArgType__min_density: _TypeAlias = _typing.Literal["_min_density", b"_min_density"]  # noqa: Y015
+    _WhichOneofReturnType__min_height_m: _TypeAlias = _typing.Literal["min_height_m"]  # noqa: Y015
+    _WhichOneofArgType__min_height_m: _TypeAlias = _typing.Literal["_min_height_m", b"_min_height_m"]  # noqa: Y015
+    _WhichOneofReturnType__min_points: _TypeAlias = _typing.Literal["min_points"]  # noqa: Y015
+    _WhichOneofArgType__min_points: _TypeAlias = _typing.Literal["_min_points", b"_min_points"]  # noqa: Y015
+    _WhichOneofReturnType__min_size_m: _TypeAlias = _typing.Literal["min_size_m"]  # noqa: Y015
+    _WhichOneofArgType__min_size_m: _TypeAlias = _typing.Literal["_min_size_m", b"_min_size_m"]  # noqa: Y015
+    _WhichOneofReturnType__seed: _TypeAlias = _typing.Literal["seed"]  # noqa: Y015
+    _WhichOneofArgType__seed: _TypeAlias = _typing.Literal["_seed", b"_seed"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    _WhichOneofReturnType__wall_distance_m: _TypeAlias = _typing.Literal["wall_distance_m"]  # noqa: Y015
+    _WhichOneofArgType__wall_distance_m: _TypeAlias = _typing.Literal["_wall_distance_m", b"_wall_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__wall_min_length_m: _TypeAlias = _typing.Literal["wall_min_length_m"]  # noqa: Y015
+    _WhichOneofArgType__wall_min_length_m: _TypeAlias = _typing.Literal["_wall_min_length_m", b"_wall_min_length_m"]  # noqa: Y015
+    _WhichOneofReturnType__wall_top_m: _TypeAlias = _typing.Literal["wall_top_m"]  # noqa: Y015
+    _WhichOneofArgType__wall_top_m: _TypeAlias = _typing.Literal["_wall_top_m", b"_wall_top_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__box_trim) -> _WhichOneofReturnType__box_trim | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cluster_eps_m) -> _WhichOneofReturnType__cluster_eps_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__floor_margin_m) -> _WhichOneofReturnType__floor_margin_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__floor_search_m) -> _WhichOneofReturnType__floor_search_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_height_m) -> _WhichOneofReturnType__max_height_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_size_m) -> _WhichOneofReturnType__max_size_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_coverage) -> _WhichOneofReturnType__min_coverage | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_density) -> _WhichOneofReturnType__min_density | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_height_m) -> _WhichOneofReturnType__min_height_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_points) -> _WhichOneofReturnType__min_points | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_size_m) -> _WhichOneofReturnType__min_size_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__seed) -> _WhichOneofReturnType__seed | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__wall_distance_m) -> _WhichOneofReturnType__wall_distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__wall_min_length_m) -> _WhichOneofReturnType__wall_min_length_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__wall_top_m) -> _WhichOneofReturnType__wall_top_m | None: ...
+
+Global___DetectionParams: _TypeAlias = DetectionParams  # noqa: Y015
+
+@_typing.final
+class TrackerParams(_message.Message):
+    """How objects are followed."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MIN_IOU_FIELD_NUMBER: _builtins.int
+    ASSOCIATION_DISTANCE_M_FIELD_NUMBER: _builtins.int
+    MAX_SIZE_RATIO_FIELD_NUMBER: _builtins.int
+    CONFIRM_OBSERVATIONS_FIELD_NUMBER: _builtins.int
+    TENTATIVE_TIMEOUT_S_FIELD_NUMBER: _builtins.int
+    GONE_OBSERVATIONS_FIELD_NUMBER: _builtins.int
+    GONE_AFTER_S_FIELD_NUMBER: _builtins.int
+    MOVING_DISTANCE_M_FIELD_NUMBER: _builtins.int
+    SETTLE_S_FIELD_NUMBER: _builtins.int
+    COAST_S_FIELD_NUMBER: _builtins.int
+    MERGE_IOU_FIELD_NUMBER: _builtins.int
+    SWALLOW_OBSERVATIONS_FIELD_NUMBER: _builtins.int
+    CLASS_MEMORY_FIELD_NUMBER: _builtins.int
+    MAX_OBJECTS_FIELD_NUMBER: _builtins.int
+    min_iou: _builtins.float
+    """Overlap (intersection over union, 0..1) from which a detection may belong to an object of any class."""
+    association_distance_m: _builtins.float
+    """Distance of centres up to which boxes that do not overlap may be one object, metres, positive."""
+    max_size_ratio: _builtins.float
+    """Largest ratio of sizes of boxes that do not overlap and are one object; at least 1."""
+    confirm_observations: _builtins.int
+    """Observations after which a thing is listed; at least 1. More suppress chance detections, and delay."""
+    tentative_timeout_s: _builtins.float
+    """A thing not yet listed is dropped when not seen for this long, seconds."""
+    gone_observations: _builtins.int
+    """Updates in a row that see through an object's place before it is gone; at least 1."""
+    gone_after_s: _builtins.float
+    """Time since an object was last detected before it can be gone, seconds: detectors miss a frame or two."""
+    moving_distance_m: _builtins.float
+    """Distance from its place at which an object that also left its old box is moving, metres, positive."""
+    settle_s: _builtins.float
+    """A moving object that stays within that distance for this long has stopped, seconds."""
+    coast_s: _builtins.float
+    """A moving object out of sight is expected to go on for this long, seconds."""
+    merge_iou: _builtins.float
+    """Overlap from which two resting objects, not both detected in this update, are one and the same; 0..1."""
+    swallow_observations: _builtins.int
+    """Updates in a row in which an object is only seen as a part of a larger one before it becomes that; at least
+    1.
+    """
+    class_memory: _builtins.float
+    """Number of observations that count together for the class; at least 1. More is slower and surer."""
+    max_objects: _builtins.int
+    """Limit of things followed. At the limit the gone are forgotten first; then nothing new is taken up."""
+    def __init__(
+        self,
+        *,
+        min_iou: _builtins.float | None = ...,
+        association_distance_m: _builtins.float | None = ...,
+        max_size_ratio: _builtins.float | None = ...,
+        confirm_observations: _builtins.int | None = ...,
+        tentative_timeout_s: _builtins.float | None = ...,
+        gone_observations: _builtins.int | None = ...,
+        gone_after_s: _builtins.float | None = ...,
+        moving_distance_m: _builtins.float | None = ...,
+        settle_s: _builtins.float | None = ...,
+        coast_s: _builtins.float | None = ...,
+        merge_iou: _builtins.float | None = ...,
+        swallow_observations: _builtins.int | None = ...,
+        class_memory: _builtins.float | None = ...,
+        max_objects: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_association_distance_m", b"_association_distance_m", "_class_memory", b"_class_memory", "_coast_s", b"_coast_s", "_confirm_observations", b"_confirm_observations", "_gone_after_s", b"_gone_after_s", "_gone_observations", b"_gone_observations", "_max_objects", b"_max_objects", "_max_size_ratio", b"_max_size_ratio", "_merge_iou", b"_merge_iou", "_min_iou", b"_min_iou", "_moving_distance_m", b"_moving_distance_m", "_settle_s", b"_settle_s", "_swallow_observations", b"_swallow_observations", "_tentative_timeout_s", b"_tentative_timeout_s", "association_distance_m", b"association_distance_m", "class_memory", b"class_memory", "coast_s", b"coast_s", "confirm_observations", b"confirm_observations", "gone_after_s", b"gone_after_s", "gone_observations", b"gone_observations", "max_objects", b"max_objects", "max_size_ratio", b"max_size_ratio", "merge_iou", b"merge_iou", "min_iou", b"min_iou", "moving_distance_m", b"moving_distance_m", "settle_s", b"settle_s", "swallow_observations", b"swallow_observations", "tentative_timeout_s", b"tentative_timeout_s"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_association_distance_m", b"_association_distance_m", "_class_memory", b"_class_memory", "_coast_s", b"_coast_s", "_confirm_observations", b"_confirm_observations", "_gone_after_s", b"_gone_after_s", "_gone_observations", b"_gone_observations", "_max_objects", b"_max_objects", "_max_size_ratio", b"_max_size_ratio", "_merge_iou", b"_merge_iou", "_min_iou", b"_min_iou", "_moving_distance_m", b"_moving_distance_m", "_settle_s", b"_settle_s", "_swallow_observations", b"_swallow_observations", "_tentative_timeout_s", b"_tentative_timeout_s", "association_distance_m", b"association_distance_m", "class_memory", b"class_memory", "coast_s", b"coast_s", "confirm_observations", b"confirm_observations", "gone_after_s", b"gone_after_s", "gone_observations", b"gone_observations", "max_objects", b"max_objects", "max_size_ratio", b"max_size_ratio", "merge_iou", b"merge_iou", "min_iou", b"min_iou", "moving_distance_m", b"moving_distance_m", "settle_s", b"settle_s", "swallow_observations", b"swallow_observations", "tentative_timeout_s", b"tentative_timeout_s"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__association_distance_m: _TypeAlias = _typing.Literal["association_distance_m"]  # noqa: Y015
+    _WhichOneofArgType__association_distance_m: _TypeAlias = _typing.Literal["_association_distance_m", b"_association_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__class_memory: _TypeAlias = _typing.Literal["class_memory"]  # noqa: Y015
+    _WhichOneofArgType__class_memory: _TypeAlias = _typing.Literal["_class_memory", b"_class_memory"]  # noqa: Y015
+    _WhichOneofReturnType__coast_s: _TypeAlias = _typing.Literal["coast_s"]  # noqa: Y015
+    _WhichOneofArgType__coast_s: _TypeAlias = _typing.Literal["_coast_s", b"_coast_s"]  # noqa: Y015
+    _WhichOneofReturnType__confirm_observations: _TypeAlias = _typing.Literal["confirm_observations"]  # noqa: Y015
+    _WhichOneofArgType__confirm_observations: _TypeAlias = _typing.Literal["_confirm_observations", b"_confirm_observations"]  # noqa: Y015
+    _WhichOneofReturnType__gone_after_s: _TypeAlias = _typing.Literal["gone_after_s"]  # noqa: Y015
+    _WhichOneofArgType__gone_after_s: _TypeAlias = _typing.Literal["_gone_after_s", b"_gone_after_s"]  # noqa: Y015
+    _WhichOneofReturnType__gone_observations: _TypeAlias = _typing.Literal["gone_observations"]  # noqa: Y015
+    _WhichOneofArgType__gone_observations: _TypeAlias = _typing.Literal["_gone_observations", b"_gone_observations"]  # noqa: Y015
+    _WhichOneofReturnType__max_objects: _TypeAlias = _typing.Literal["max_objects"]  # noqa: Y015
+    _WhichOneofArgType__max_objects: _TypeAlias = _typing.Literal["_max_objects", b"_max_objects"]  # noqa: Y015
+    _WhichOneofReturnType__max_size_ratio: _TypeAlias = _typing.Literal["max_size_ratio"]  # noqa: Y015
+    _WhichOneofArgType__max_size_ratio: _TypeAlias = _typing.Literal["_max_size_ratio", b"_max_size_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__merge_iou: _TypeAlias = _typing.Literal["merge_iou"]  # noqa: Y015
+    _WhichOneofArgType__merge_iou: _TypeAlias = _typing.Literal["_merge_iou", b"_merge_iou"]  # noqa: Y015
+    _WhichOneofReturnType__min_iou: _TypeAlias = _typing.Literal["min_iou"]  # noqa: Y015
+    _WhichOneofArgType__min_iou: _TypeAlias = _typing.Literal["_min_iou", b"_min_iou"]  # noqa: Y015
+    _WhichOneofReturnType__moving_distance_m: _TypeAlias = _typing.Literal["moving_distance_m"]  # noqa: Y015
+    _WhichOneofArgType__moving_distance_m: _TypeAlias = _typing.Literal["_moving_distance_m", b"_moving_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__settle_s: _TypeAlias = _typing.Literal["settle_s"]  # noqa: Y015
+    _WhichOneofArgType__settle_s: _TypeAlias = _typing.Literal["_settle_s", b"_settle_s"]  # noqa: Y015
+    _WhichOneofReturnType__swallow_observations: _TypeAlias = _typing.Literal["swallow_observations"]  # noqa: Y015
+    _WhichOneofArgType__swallow_observations: _TypeAlias = _typing.Literal["_swallow_observations", b"_swallow_observations"]  # noqa: Y015
+    _WhichOneofReturnType__tentative_timeout_s: _TypeAlias = _typing.Literal["tentative_timeout_s"]  # noqa: Y015
+    _WhichOneofArgType__tentative_timeout_s: _TypeAlias = _typing.Literal["_tentative_timeout_s", b"_tentative_timeout_s"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__association_distance_m) -> _WhichOneofReturnType__association_distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__class_memory) -> _WhichOneofReturnType__class_memory | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__coast_s) -> _WhichOneofReturnType__coast_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__confirm_observations) -> _WhichOneofReturnType__confirm_observations | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__gone_after_s) -> _WhichOneofReturnType__gone_after_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__gone_observations) -> _WhichOneofReturnType__gone_observations | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_objects) -> _WhichOneofReturnType__max_objects | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_size_ratio) -> _WhichOneofReturnType__max_size_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__merge_iou) -> _WhichOneofReturnType__merge_iou | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_iou) -> _WhichOneofReturnType__min_iou | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__moving_distance_m) -> _WhichOneofReturnType__moving_distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__settle_s) -> _WhichOneofReturnType__settle_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__swallow_observations) -> _WhichOneofReturnType__swallow_observations | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__tentative_timeout_s) -> _WhichOneofReturnType__tentative_timeout_s | None: ...
+
+Global___TrackerParams: _TypeAlias = TrackerParams  # noqa: Y015
+
+@_typing.final
+class RelationParams(_message.Message):
+    """Which relations are listed."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MAX_DISTANCE_M_FIELD_NUMBER: _builtins.int
+    MIN_STRENGTH_FIELD_NUMBER: _builtins.int
+    CONTACT_M_FIELD_NUMBER: _builtins.int
+    max_distance_m: _builtins.float
+    """Things with a larger gap between them are not related, metres, positive."""
+    min_strength: _builtins.float
+    """Weaker relations are not listed; 0..1."""
+    contact_m: _builtins.float
+    """Gap or overlap in height at which one thing still rests on another, metres, positive."""
+    def __init__(
+        self,
+        *,
+        max_distance_m: _builtins.float | None = ...,
+        min_strength: _builtins.float | None = ...,
+        contact_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_contact_m", b"_contact_m", "_max_distance_m", b"_max_distance_m", "_min_strength", b"_min_strength", "contact_m", b"contact_m", "max_distance_m", b"max_distance_m", "min_strength", b"min_strength"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_contact_m", b"_contact_m", "_max_distance_m", b"_max_distance_m", "_min_strength", b"_min_strength", "contact_m", b"contact_m", "max_distance_m", b"max_distance_m", "min_strength", b"min_strength"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__contact_m: _TypeAlias = _typing.Literal["contact_m"]  # noqa: Y015
+    _WhichOneofArgType__contact_m: _TypeAlias = _typing.Literal["_contact_m", b"_contact_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_distance_m: _TypeAlias = _typing.Literal["max_distance_m"]  # noqa: Y015
+    _WhichOneofArgType__max_distance_m: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__min_strength: _TypeAlias = _typing.Literal["min_strength"]  # noqa: Y015
+    _WhichOneofArgType__min_strength: _TypeAlias = _typing.Literal["_min_strength", b"_min_strength"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__contact_m) -> _WhichOneofReturnType__contact_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_distance_m) -> _WhichOneofReturnType__max_distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_strength) -> _WhichOneofReturnType__min_strength | None: ...
+
+Global___RelationParams: _TypeAlias = RelationParams  # noqa: Y015
+
+@_typing.final
+class PlanningParams(_message.Message):
+    """Parameters of plan(crate::plan())."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ROBOT_RADIUS_M_FIELD_NUMBER: _builtins.int
+    INFLATION_RADIUS_M_FIELD_NUMBER: _builtins.int
+    OCCUPIED_PROBABILITY_FIELD_NUMBER: _builtins.int
+    ALLOW_UNKNOWN_FIELD_NUMBER: _builtins.int
+    CLEARANCE_WEIGHT_FIELD_NUMBER: _builtins.int
+    COST_SCALING_FIELD_NUMBER: _builtins.int
+    START_TOLERANCE_M_FIELD_NUMBER: _builtins.int
+    MAX_EXPANSIONS_FIELD_NUMBER: _builtins.int
+    MAX_CELLS_FIELD_NUMBER: _builtins.int
+    SMOOTH_FIELD_NUMBER: _builtins.int
+    WAYPOINT_SPACING_M_FIELD_NUMBER: _builtins.int
+    robot_radius_m: _builtins.float
+    """The robot is a disc of this radius: no part of it touches an obstacle, metres; 0 to 100."""
+    inflation_radius_m: _builtins.float
+    """Up to this distance from obstacles a way costs extra, metres; robot_radius_m to 100."""
+    occupied_probability: _builtins.float
+    """Cells at or above this probability are obstacles; above 0, at most 1."""
+    allow_unknown: _builtins.bool
+    """Whether unknown cells are free; if not they are obstacles, and so is all that lies outside the map."""
+    clearance_weight: _builtins.float
+    """Extra cost of a metre that just clears the obstacles, in metres of free way; 0 to 1000."""
+    cost_scaling: _builtins.float
+    """How fast the extra cost falls with clearance: exp(-cost_scaling * distance), 1/m; 0 to 1000. As nav2's
+    inflation layer.
+    """
+    start_tolerance_m: _builtins.float
+    """Around the start, unknown cells are free (the robot stands there, where its sensors do not look), and a
+    start nearer to obstacles than robot_radius_m may be left without going any nearer, metres; 0 to 10.
+    """
+    max_expansions: _builtins.int
+    """Cells that the search may expand before it gives up; at least 1."""
+    max_cells: _builtins.int
+    """Cells that the map may have; at least 1."""
+    smooth: _builtins.bool
+    """Whether the cells' path is shortened and smoothed."""
+    waypoint_spacing_m: _builtins.float
+    """Distance between waypoints of a smoothed path, metres; 0.001 to 100."""
+    def __init__(
+        self,
+        *,
+        robot_radius_m: _builtins.float | None = ...,
+        inflation_radius_m: _builtins.float | None = ...,
+        occupied_probability: _builtins.float | None = ...,
+        allow_unknown: _builtins.bool | None = ...,
+        clearance_weight: _builtins.float | None = ...,
+        cost_scaling: _builtins.float | None = ...,
+        start_tolerance_m: _builtins.float | None = ...,
+        max_expansions: _builtins.int | None = ...,
+        max_cells: _builtins.int | None = ...,
+        smooth: _builtins.bool | None = ...,
+        waypoint_spacing_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_allow_unknown", b"_allow_unknown", "_clearance_weight", b"_clearance_weight", "_cost_scaling", b"_cost_scaling", "_inflation_radius_m", b"_inflation_radius_m", "_max_cells", b"_max_cells", "_max_expansions", b"_max_expansions", "_occupied_probability", b"_occupied_probability", "_robot_radius_m", b"_robot_radius_m", "_smooth", b"_smooth", "_start_tolerance_m", b"_start_tolerance_m", "_waypoint_spacing_m", b"_waypoint_spacing_m", "allow_unknown", b"allow_unknown", "clearance_weight", b"clearance_weight", "cost_scaling", b"cost_scaling", "inflation_radius_m", b"inflation_radius_m", "max_cells", b"max_cells", "max_expansions", b"max_expansions", "occupied_probability", b"occupied_probability", "robot_radius_m", b"robot_radius_m", "smooth", b"smooth", "start_tolerance_m", b"start_tolerance_m", "waypoint_spacing_m", b"waypoint_spacing_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_allow_unknown", b"_allow_unknown", "_clearance_weight", b"_clearance_weight", "_cost_scaling", b"_cost_scaling", "_inflation_radius_m", b"_inflation_radius_m", "_max_cells", b"_max_cells", "_max_expansions", b"_max_expansions", "_occupied_probability", b"_occupied_probability", "_robot_radius_m", b"_robot_radius_m", "_smooth", b"_smooth", "_start_tolerance_m", b"_start_tolerance_m", "_waypoint_spacing_m", b"_waypoint_spacing_m", "allow_unknown", b"allow_unknown", "clearance_weight", b"clearance_weight", "cost_scaling", b"cost_scaling", "inflation_radius_m", b"inflation_radius_m", "max_cells", b"max_cells", "max_expansions", b"max_expansions", "occupied_probability", b"occupied_probability", "robot_radius_m", b"robot_radius_m", "smooth", b"smooth", "start_tolerance_m", b"start_tolerance_m", "waypoint_spacing_m", b"waypoint_spacing_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__allow_unknown: _TypeAlias = _typing.Literal["allow_unknown"]  # noqa: Y015
+    _WhichOneofArgType__allow_unknown: _TypeAlias = _typing.Literal["_allow_unknown", b"_allow_unknown"]  # noqa: Y015
+    _WhichOneofReturnType__clearance_weight: _TypeAlias = _typing.Literal["clearance_weight"]  # noqa: Y015
+    _WhichOneofArgType__clearance_weight: _TypeAlias = _typing.Literal["_clearance_weight", b"_clearance_weight"]  # noqa: Y015
+    _WhichOneofReturnType__cost_scaling: _TypeAlias = _typing.Literal["cost_scaling"]  # noqa: Y015
+    _WhichOneofArgType__cost_scaling: _TypeAlias = _typing.Literal["_cost_scaling", b"_cost_scaling"]  # noqa: Y015
+    _WhichOneofReturnType__inflation_radius_m: _TypeAlias = _typing.Literal["inflation_radius_m"]  # noqa: Y015
+    _WhichOneofArgType__inflation_radius_m: _TypeAlias = _typing.Literal["_inflation_radius_m", b"_inflation_radius_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_cells: _TypeAlias = _typing.Literal["max_cells"]  # noqa: Y015
+    _WhichOneofArgType__max_cells: _TypeAlias = _typing.Literal["_max_cells", b"_max_cells"]  # noqa: Y015
+    _WhichOneofReturnType__max_expansions: _TypeAlias = _typing.Literal["max_expansions"]  # noqa: Y015
+    _WhichOneofArgType__max_expansions: _TypeAlias = _typing.Literal["_max_expansions", b"_max_expansions"]  # noqa: Y015
+    _WhichOneofReturnType__occupied_probability: _TypeAlias = _typing.Literal["occupied_probability"]  # noqa: Y015
+    _WhichOneofArgType__occupied_probability: _TypeAlias = _typing.Literal["_occupied_probability", b"_occupied_probability"]  # noqa: Y015
+    _WhichOneofReturnType__robot_radius_m: _TypeAlias = _typing.Literal["robot_radius_m"]  # noqa: Y015
+    _WhichOneofArgType__robot_radius_m: _TypeAlias = _typing.Literal["_robot_radius_m", b"_robot_radius_m"]  # noqa: Y015
+    _WhichOneofReturnType__smooth: _TypeAlias = _typing.Literal["smooth"]  # noqa: Y015
+    _WhichOneofArgType__smooth: _TypeAlias = _typing.Literal["_smooth", b"_smooth"]  # noqa: Y015
+    _WhichOneofReturnType__start_tolerance_m: _TypeAlias = _typing.Literal["start_tolerance_m"]  # noqa: Y015
+    _WhichOneofArgType__start_tolerance_m: _TypeAlias = _typing.Literal["_start_tolerance_m", b"_start_tolerance_m"]  # noqa: Y015
+    _WhichOneofReturnType__waypoint_spacing_m: _TypeAlias = _typing.Literal["waypoint_spacing_m"]  # noqa: Y015
+    _WhichOneofArgType__waypoint_spacing_m: _TypeAlias = _typing.Literal["_waypoint_spacing_m", b"_waypoint_spacing_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__allow_unknown) -> _WhichOneofReturnType__allow_unknown | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__clearance_weight) -> _WhichOneofReturnType__clearance_weight | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cost_scaling) -> _WhichOneofReturnType__cost_scaling | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__inflation_radius_m) -> _WhichOneofReturnType__inflation_radius_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_cells) -> _WhichOneofReturnType__max_cells | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_expansions) -> _WhichOneofReturnType__max_expansions | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__occupied_probability) -> _WhichOneofReturnType__occupied_probability | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__robot_radius_m) -> _WhichOneofReturnType__robot_radius_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__smooth) -> _WhichOneofReturnType__smooth | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__start_tolerance_m) -> _WhichOneofReturnType__start_tolerance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__waypoint_spacing_m) -> _WhichOneofReturnType__waypoint_spacing_m | None: ...
 
 Global___PlanningParams: _TypeAlias = PlanningParams  # noqa: Y015
