@@ -1,0 +1,104 @@
+//! Settings from the environment.
+
+use super::origin::Origins;
+use super::{Config, ConfigError};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+
+/// Read by the program, its tests and its gate for other purposes.
+const OTHER: [&str; 4] = ["PERCEPT_BIN", "PERCEPT_CI_CACHE", "PERCEPT_CONFIG", "PERCEPT_DATA"];
+
+/// Kubernetes and Docker describe a service called `percept` by variables that begin so; no section is called so.
+const LINKS: [&str; 2] = ["PERCEPT_PORT", "PERCEPT_SERVICE_"];
+
+/// Lays every `PERCEPT_<PATH OF THE FIELD>` of `variables` over `config`.
+///
+/// # Errors
+/// `UnknownVariable`, `Variable`.
+pub(super) fn lay_over(
+    config: &mut Config,
+    variables: impl Iterator<Item = (OsString, OsString)>,
+    origins: &mut Origins,
+) -> Result<(), ConfigError> {
+    let known = names();
+    // Sorted, so that of several mistakes always the same is told.
+    let ours: BTreeMap<String, OsString> = variables
+        .filter_map(|(name, value)| name.into_string().ok().map(|name| (name, value)))
+        .filter(|(name, _)| name.starts_with("PERCEPT_"))
+        .filter(|(name, _)| !OTHER.contains(&name.as_str()) && !LINKS.iter().any(|link| name.starts_with(link)))
+        .collect();
+    for (name, value) in ours {
+        let Some(field) = known.get(&name) else {
+            let nearest = nearest(&name, known.keys());
+            return Err(ConfigError::UnknownVariable { name, nearest });
+        };
+        let value = value.to_string_lossy().into_owned();
+        let refused = |expected: String| ConfigError::Variable { name: name.clone(), value: value.clone(), expected };
+        *config = with(config, field, &value).map_err(refused)?;
+        origins.variable(field, &name);
+    }
+    Ok(())
+}
+
+/// The variable of each field.
+pub(super) fn names() -> BTreeMap<String, String> {
+    let variable = |field: String| (format!("PERCEPT_{}", field.replace('.', "_").to_uppercase()), field);
+    fields(&tree(&Config::default())).into_iter().map(|(field, _)| variable(field)).collect()
+}
+
+/// Paths of all fields with their values; null where a field has no value unless it is set.
+pub(super) fn fields(tree: &Value) -> Vec<(String, Value)> {
+    let Value::Object(map) = tree else { return Vec::new() };
+    let below = |(name, value): (&String, &Value)| match value {
+        Value::Object(_) => fields(value).into_iter().map(|(path, leaf)| (format!("{name}.{path}"), leaf)).collect(),
+        leaf => vec![(name.clone(), leaf.clone())],
+    };
+    map.iter().flat_map(below).collect()
+}
+
+/// A configuration as a tree. Keys are strings and values plain, so that nothing is refused.
+pub(super) fn tree(config: &Config) -> Value {
+    serde_json::to_value(config).unwrap_or(Value::Null)
+}
+
+fn with(config: &Config, field: &str, text: &str) -> Result<Config, String> {
+    let mut tree = tree(config);
+    let pointer = format!("/{}", field.replace('.', "/"));
+    let slot = tree.pointer_mut(&pointer).ok_or("is no field")?;
+    *slot = value_like(slot, text)?;
+    serde_json::from_value(tree).map_err(|e| format!("does not fit: {e}"))
+}
+
+/// `text` as a value of the kind that the default has.
+fn value_like(default: &Value, text: &str) -> Result<Value, String> {
+    let number = || text.parse::<f64>().ok().filter(|v| v.is_finite()).map(Value::from);
+    match default {
+        Value::String(_) => Ok(Value::from(text)),
+        Value::Bool(_) => text.parse::<bool>().map(Value::from).map_err(|_| "write true or false".to_owned()),
+        Value::Number(n) if n.is_f64() => number().ok_or_else(|| "write a number".to_owned()),
+        Value::Number(_) => text.parse::<u64>().map(Value::from).map_err(|_| "write a whole number from 0".to_owned()),
+        Value::Null => number().ok_or_else(|| "write a number, or unset it".to_owned()),
+        _ => serde_json::from_str(text).map_err(|_| "write it as JSON, such as [1, 2]".to_owned()),
+    }
+}
+
+fn nearest<'a>(name: &str, known: impl Iterator<Item = &'a String>) -> Option<String> {
+    let (distance, best) = known.map(|k| (edits(name, k), k)).min()?;
+    (distance <= name.len() / 4).then(|| best.clone())
+}
+
+/// Levenshtein's distance in bytes.
+fn edits(a: &str, b: &str) -> usize {
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.bytes().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, y) in b.bytes().enumerate() {
+            let replaced = diagonal + usize::from(x != y);
+            diagonal = row[j + 1];
+            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
