@@ -139,9 +139,7 @@ fn cloud_hits(params: &KeyframeParams, s: &CloudScan, velocity: &nalgebra::Vecto
     let mut taken = FxHashSet::default();
     let keep: Vec<usize> = (0..in_base.len())
         .filter(|&i| cloud::is_finite(&in_base[i]) && cloud::is_finite(&s.cloud.positions[i]))
-        .filter(|&i| {
-            Voxel::containing(&in_base[i].cast(), params.voxel_size_m).is_some_and(|v| taken.insert(v))
-        })
+        .filter(|&i| Voxel::containing(&in_base[i].cast(), params.voxel_size_m).is_some_and(|v| taken.insert(v)))
         .collect();
     let mut hits = PointCloud {
         positions: in_base,

@@ -46,6 +46,15 @@ pub enum Scan {
 }
 
 impl Scan {
+    /// Whether its points were taken one after the other, at known times.
+    pub fn is_sweep(&self) -> bool {
+        match self {
+            Self::Depth(_) => false,
+            Self::Cloud(s) => s.cloud.time_offsets_s.is_some(),
+            Self::Planar(s) => s.scan.time_increment_s != 0.0,
+        }
+    }
+
     /// Sensor to base.
     pub fn t_base_sensor(&self) -> &Pose {
         match self {

@@ -1,14 +1,15 @@
 //! Which directions of a pose the residuals do not fix, and the covariance that follows.
 //!
 //! Source: Zhang, Kaess, Singh, "On degeneracy of optimization-based state estimation problems", 2016:
-//! the eigenvalues of the information tell which directions to leave to the prediction. We scale
+//! the eigenvalues of the information tell which directions to leave to the prediction. We leave them
+//! gradually, scale
 //! turn about the points' centroid, so that a narrow view does not mix turning with shifting, scale
 //! rotations by the points' spread, so that the eigenvalues compare, and divide by the trace of the
 //! translations' block, so that the threshold depends neither on the number of points nor on the
 //! weights' unit.
 
 use super::NormalEquations;
-use nalgebra::{Matrix6, SymmetricEigen, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
 
 /// Eigenvalues and directions of normalised information, and which of them carry too little.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,6 +22,8 @@ pub struct Degeneracy {
     /// Number of degenerate directions.
     pub num_directions: usize,
     good: Matrix6<f64>,
+    /// Projector on the degenerate directions, in scaled coordinates at the centroid.
+    bad: Matrix6<f64>,
 }
 
 impl Degeneracy {
@@ -37,6 +40,7 @@ impl Degeneracy {
                 axes: [true; 6],
                 num_directions: 6,
                 good: Matrix6::zeros(),
+                bad: Matrix6::identity(),
             };
         }
         let eigen = SymmetricEigen::new(h);
@@ -47,38 +51,45 @@ impl Degeneracy {
             axes: [false; 6],
             num_directions: 0,
             good: Matrix6::zeros(),
+            bad: Matrix6::zeros(),
         };
-        let mut share = [0.0; 6];
         for k in order {
             let v = eigen.eigenvectors.column(k).into_owned();
-            if eigen.eigenvalues[k] < threshold {
+            // Below the threshold the information fades with the square, rather than ending at it: a pose
+            // must not jump when a direction passes by.
+            let share = (eigen.eigenvalues[k] / threshold.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            out.good += v * v.transpose() * share;
+            if share < 1.0 {
                 out.num_directions += 1;
-                for i in 0..6 {
-                    share[i] += v[i] * v[i];
-                }
-            } else {
-                out.good += v * v.transpose();
+                out.bad += v * v.transpose();
             }
         }
-        out.axes = share.map(|x| x > 0.5);
+        out.axes = out.axes_in(&Matrix3::identity());
         // Back from scaled to metric coordinates: P' H P keeps the information of good directions only.
         out.good = s * out.good * scaling(spread_m.max(1e-6)) * shift(&-centroid);
         out
     }
 
-    /// Information `h` without what it claims about degenerate directions.
+    /// The axes that lie more than half in degenerate directions, in a frame turned by `r_frame_source`.
+    pub fn axes_in(&self, r_frame_source: &Matrix3<f64>) -> [bool; 6] {
+        let block = |k: usize| {
+            let b = self.bad.fixed_view::<3, 3>(k, k);
+            (r_frame_source * b * r_frame_source.transpose()).diagonal()
+        };
+        let (t, r) = (block(0), block(3));
+        [t.x, t.y, t.z, r.x, r.y, r.z].map(|share| share > 0.5)
+    }
+
+    /// Information `h` with what it claims about degenerate directions faded out.
     pub fn keep_good(&self, h: &Matrix6<f64>) -> Matrix6<f64> {
         if self.num_directions == 0 { *h } else { self.good.transpose() * h * self.good }
     }
 
-    /// The part of a gradient that belongs to directions that are not degenerate.
+    /// The gradient that belongs to [`Degeneracy::keep_good`].
     pub fn keep_good_gradient(&self, gradient: &Vector6<f64>) -> Vector6<f64> {
-        if self.num_directions == 0 { *gradient } else { self.good.transpose() * gradient }
-    }
-
-    /// The part of a step (m, rad) in directions that are not degenerate.
-    pub fn keep_good_step(&self, step: &Vector6<f64>) -> Vector6<f64> {
-        if self.num_directions == 0 { *step } else { self.good * step }
+        // The information is faded from both sides, so the gradient is faded twice.
+        let fade = self.good.transpose();
+        if self.num_directions == 0 { *gradient } else { fade * (fade * gradient) }
     }
 }
 
@@ -98,7 +109,6 @@ fn shift(centroid: &Vector3<f64>) -> Matrix6<f64> {
 mod tests {
     use super::*;
     use crate::registration::factors::point_to_plane;
-    use nalgebra::Matrix3;
 
     /// Residuals of a grid of points on planes with these normals, two metres away along each.
     fn planes(normals: &[Vector3<f64>]) -> NormalEquations {
@@ -122,10 +132,14 @@ mod tests {
         let d = Degeneracy::of(&planes(&[Vector3::x()]), &(Vector3::x() * 2.0), 1.7, 0.01);
         assert_eq!(d.axes, [false, true, true, true, false, false]);
         assert_eq!(d.num_directions, 3);
+        // The same, seen from a frame whose y looks at the wall.
+        let turned = Matrix3::new(0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
+        assert_eq!(d.axes_in(&turned), [true, false, true, false, true, false]);
         // Turning about the wall's middle is seen, and turning about the sensor is that and a shift.
-        let about_middle = Vector6::new(0.0, -0.2, 0.0, 0.0, 0.0, 0.1);
-        assert!((d.keep_good_step(&about_middle) - about_middle).norm() < 1e-9);
-        assert!(d.keep_good_step(&Vector6::new(0.0, 1.0, 1.0, 0.1, 0.0, 0.0)).norm() < 1e-9);
+        let h = Matrix6::identity();
+        let along = |v: Vector6<f64>| v.dot(&(d.keep_good(&h) * v));
+        assert!(along(Vector6::new(0.0, -0.2, 0.0, 0.0, 0.0, 0.1)) > 1e-3);
+        assert!(along(Vector6::new(0.0, 1.0, 1.0, 0.1, 0.0, 0.0)) < 1e-9);
     }
 
     #[test]
@@ -136,7 +150,12 @@ mod tests {
 
     #[test]
     fn a_corner_of_three_planes_fixes_everything() {
-        let d = Degeneracy::of(&planes(&[Vector3::x(), Vector3::y(), Vector3::z()]), &Vector3::from_element(0.7), 2.0, 0.01);
+        let d = Degeneracy::of(
+            &planes(&[Vector3::x(), Vector3::y(), Vector3::z()]),
+            &Vector3::from_element(0.7),
+            2.0,
+            0.01,
+        );
         assert_eq!((d.axes, d.num_directions), ([false; 6], 0));
         assert_eq!(Degeneracy::of(&NormalEquations::default(), &Vector3::zeros(), 1.0, 0.01).num_directions, 6);
     }

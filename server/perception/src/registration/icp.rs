@@ -82,9 +82,8 @@ impl IcpParams {
     /// # Errors
     /// `BadParam` with field, value and remedy.
     pub fn validate(&self) -> Result<(), RegistrationError> {
-        let bad = |field, value, requirement, remedy| {
-            Err(RegistrationError::BadParam { field, value, requirement, remedy })
-        };
+        let bad =
+            |field, value, requirement, remedy| Err(RegistrationError::BadParam { field, value, requirement, remedy });
         let positive = [
             ("max_distance_m", self.max_distance_m),
             ("translation_tolerance_m", self.translation_tolerance_m),
@@ -171,7 +170,8 @@ fn align(
     params.validate()?;
     let source: Vec<Point3<f32>> = source.iter().filter(|p| cloud::is_finite(p)).copied().collect();
     let usable = |i: &usize| {
-        cloud::is_finite(&target[*i]) && normals.is_none_or(|n| n[*i].iter().all(|x| x.is_finite()) && n[*i].norm() > 0.5)
+        cloud::is_finite(&target[*i])
+            && normals.is_none_or(|n| n[*i].iter().all(|x| x.is_finite()) && n[*i].norm() > 0.5)
     };
     let kept: Vec<usize> = (0..target.len()).filter(usable).collect();
     for (field, num_points) in [("source", source.len()), ("target", kept.len())] {

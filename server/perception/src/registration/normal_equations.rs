@@ -94,11 +94,7 @@ impl NormalEquations {
 ///
 /// Items are summed in chunks of `chunk` and the chunks in order, on rayon's current pool, so that the
 /// result is the same to the last bit whatever the number of threads.
-pub fn accumulate(
-    num_items: usize,
-    chunk: usize,
-    add: impl Fn(usize, &mut NormalEquations) + Sync,
-) -> NormalEquations {
+pub fn accumulate(num_items: usize, chunk: usize, add: impl Fn(usize, &mut NormalEquations) + Sync) -> NormalEquations {
     let one = |c: usize| {
         let mut equations = NormalEquations::default();
         for i in c * chunk..((c + 1) * chunk).min(num_items) {

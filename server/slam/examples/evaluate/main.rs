@@ -33,17 +33,24 @@ fn main() -> Result<(), Failure> {
 struct Run {
     odometry: Odometry,
     milliseconds: Vec<f64>,
+    cpu_ticks: u64,
     estimates: Vec<OdometryEstimate>,
 }
 
 impl Run {
     fn new(kind: OdometryKind) -> Self {
-        Self { odometry: Odometry::new(kind, OdometryParams::default()), milliseconds: vec![], estimates: vec![] }
+        Self {
+            odometry: Odometry::new(kind, OdometryParams::default()),
+            milliseconds: vec![],
+            cpu_ticks: 0,
+            estimates: vec![],
+        }
     }
 
     fn step(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) {
-        let start = Instant::now();
+        let (start, ticks) = (Instant::now(), cpu_ticks());
         let e = self.odometry.register(stamp, scan, prior);
+        self.cpu_ticks += cpu_ticks() - ticks;
         self.milliseconds.push(start.elapsed().as_secs_f64() * 1e3);
         if std::env::var_os("VERBOSE").is_some() {
             let s = |i| e.covariance[(i, i)].max(0.0f64).sqrt();
@@ -70,14 +77,23 @@ impl Run {
         let tracked = self.estimates.iter().filter(|e| !e.state.is_lost()).count();
         let sum: f64 = ms.iter().sum();
         println!(
-            "tracked {tracked}/{}  ms p50 {:.2} p99 {:.2} mean {:.2} ({:.0}/s)",
+            "tracked {tracked}/{}  ms p50 {:.2} p99 {:.2} mean {:.2} ({:.0}/s), cpu {:.1}",
             ms.len(),
             at(0.5),
             at(0.99),
             sum / ms.len() as f64,
-            1e3 * ms.len() as f64 / sum
+            1e3 * ms.len() as f64 / sum,
+            10.0 * self.cpu_ticks as f64 / ms.len() as f64
         );
     }
+}
+
+/// Hundredths of a second that this process has computed, all threads (Linux; else 0).
+fn cpu_ticks() -> u64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    stat.rsplit(')')
+        .next()
+        .map_or(0, |s| s.split_whitespace().skip(11).take(2).filter_map(|w| w.parse::<u64>().ok()).sum())
 }
 
 fn rgbd(dir: &Path, stride: usize) -> Result<(), Failure> {

@@ -1,6 +1,6 @@
 //! Trajectory errors, relations, and a picture of a planar map.
 
-use crate::read::Failure;
+use super::read::Failure;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3, Vector6};
 use percept_geometry::{Covariance6, Pose, se3};
 use percept_slam::MotionPrior;
@@ -24,18 +24,29 @@ fn align(truth: &[Pose], estimate: &[Pose]) -> Pose {
     Pose::from_parts((mt - rotation * me).into(), rotation)
 }
 
-pub(crate) fn report(truth: &[Pose], estimate: &[Pose]) {
+/// Distances of aligned positions, metres.
+fn position_errors(truth: &[Pose], estimate: &[Pose]) -> Vec<f64> {
     let t = align(truth, estimate);
-    let errors: Vec<f64> =
-        truth.iter().zip(estimate).map(|(a, b)| (a.translation.vector - (t * b).translation.vector).norm()).collect();
-    let rmse = |e: &[f64]| (e.iter().map(|x| x * x).sum::<f64>() / e.len().max(1) as f64).sqrt();
+    truth.iter().zip(estimate).map(|(a, b)| (a.translation.vector - (t * b).translation.vector).norm()).collect()
+}
+
+fn rmse(e: &[f64]) -> f64 {
+    (e.iter().map(|x| x * x).sum::<f64>() / e.len().max(1) as f64).sqrt()
+}
+
+/// Root mean square absolute trajectory error after SE(3) alignment, metres.
+pub(crate) fn ate_rmse(truth: &[Pose], estimate: &[Pose]) -> f64 {
+    rmse(&position_errors(truth, estimate))
+}
+
+pub(crate) fn report(truth: &[Pose], estimate: &[Pose]) {
+    let errors = position_errors(truth, estimate);
     let steps: Vec<Pose> = (1..truth.len())
         .map(|i| (truth[i - 1].inverse() * truth[i]).inverse() * (estimate[i - 1].inverse() * estimate[i]))
         .collect();
     let rpe_t: Vec<f64> = steps.iter().map(|d| d.translation.vector.norm()).collect();
     let rpe_r: Vec<f64> = steps.iter().map(|d| d.rotation.angle().to_degrees()).collect();
-    let path: f64 =
-        truth.windows(2).map(|w| (w[1].translation.vector - w[0].translation.vector).norm()).sum();
+    let path: f64 = truth.windows(2).map(|w| (w[1].translation.vector - w[0].translation.vector).norm()).sum();
     println!(
         "ATE rmse {:.4} m max {:.4} m  RPE {:.4} m {:.3} deg  path {path:.2} m",
         rmse(&errors),
@@ -49,34 +60,47 @@ pub(crate) fn report(truth: &[Pose], estimate: &[Pose]) {
 pub(crate) fn wheel_prior(t_prev_now: &Pose) -> MotionPrior {
     let (d, a) = (t_prev_now.translation.vector.norm(), t_prev_now.rotation.angle());
     let (st, sr) = (0.02 + 0.1 * d, 0.01 + 0.1 * a + 0.05 * d);
-    let covariance =
-        Covariance6::from_diagonal(&Vector6::new(st * st, st * st, 1e-6, 1e-6, 1e-6, sr * sr));
+    let covariance = Covariance6::from_diagonal(&Vector6::new(st * st, st * st, 1e-6, 1e-6, 1e-6, sr * sr));
     MotionPrior { t_prev_now: *t_prev_now, covariance }
 }
 
-/// Mean and median errors over relations `t1 t2 dx dy dz roll pitch yaw`.
-pub(crate) fn relations(rows: &[f64], stamps: &[f64], poses: &[Pose]) -> String {
-    let at = |t: f64| {
-        let i = stamps.partition_point(|&s| s < t - 1e-3).min(stamps.len() - 1);
-        poses[i]
+/// How far one relation is off.
+pub(crate) struct RelationError {
+    pub(crate) metres: f64,
+    pub(crate) degrees: f64,
+    /// Whether its ends lie more than a minute apart.
+    pub(crate) is_loop: bool,
+}
+
+/// Errors over relations `t1 t2 dx dy dz roll pitch yaw` between poses at `stamps` (s).
+pub(crate) fn relation_errors(rows: &[f64], stamps: &[f64], poses: &[Pose]) -> Vec<RelationError> {
+    let at = |t: f64| poses[stamps.partition_point(|&s| s < t - 1e-3).min(stamps.len() - 1)];
+    let one = |r: &[f64]| {
+        let d = se3::from_xy_yaw(r[2], r[3], r[7]).inverse() * (at(r[0]).inverse() * at(r[1]));
+        let (metres, degrees) = (d.translation.vector.norm(), d.rotation.angle().to_degrees());
+        RelationError { metres, degrees, is_loop: (r[1] - r[0]).abs() > 60.0 }
     };
-    let (mut all, mut loops, mut angles) = (vec![], vec![], vec![]);
-    for r in rows.chunks_exact(8) {
-        let expected = se3::from_xy_yaw(r[2], r[3], r[7]);
-        let d = expected.inverse() * (at(r[0]).inverse() * at(r[1]));
-        all.push(d.translation.vector.norm());
-        angles.push(d.rotation.angle().to_degrees());
-        if (r[1] - r[0]).abs() > 60.0 {
-            loops.push(d.translation.vector.norm());
-        }
-    }
+    rows.chunks_exact(8).map(one).collect()
+}
+
+/// The same in words.
+pub(crate) fn relations(rows: &[f64], stamps: &[f64], poses: &[Pose]) -> String {
+    let errors = relation_errors(rows, stamps, poses);
     let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
-    let (m, l, a) = (mean(&all), mean(&loops), mean(&angles));
-    let n = loops.len();
+    let mut all: Vec<f64> = errors.iter().map(|e| e.metres).collect();
+    let loops: Vec<f64> = errors.iter().filter(|e| e.is_loop).map(|e| e.metres).collect();
+    let degrees: Vec<f64> = errors.iter().map(|e| e.degrees).collect();
     all.sort_by(f64::total_cmp);
-    let median = all.get(all.len() / 2).copied().unwrap_or(0.0);
-    let p90 = all.get(all.len() * 9 / 10).copied().unwrap_or(0.0);
-    format!("relations mean {m:.3} m, median {median:.3}, p90 {p90:.3}, {n} loops mean {l:.3} m, {a:.2} deg")
+    let at = |q: usize| all.get(all.len() * q / 100).copied().unwrap_or(0.0);
+    format!(
+        "relations mean {:.3} m, median {:.3}, p90 {:.3}, {} loops mean {:.3} m, {:.2} deg",
+        mean(&all),
+        at(50),
+        at(90),
+        loops.len(),
+        mean(&loops),
+        mean(&degrees)
+    )
 }
 
 /// Hits of all scans, dark on white, 0.1 m a pixel.

@@ -48,10 +48,8 @@ mod tests {
         let velocity = Vector6::new(2.0, 0.5, 0.0, 0.0, 0.0, 1.0);
         let fixed = Point3::new(5.0, 3.0, 1.0);
         let offsets = [0.0f32, 0.05, 0.1, -0.03];
-        let positions = offsets
-            .iter()
-            .map(|&t| (se3::exp(&(velocity * f64::from(t))).inverse() * fixed).cast::<f32>())
-            .collect();
+        let positions =
+            offsets.iter().map(|&t| (se3::exp(&(velocity * f64::from(t))).inverse() * fixed).cast::<f32>()).collect();
         let cloud = PointCloud { positions, time_offsets_s: Some(offsets.to_vec()), ..PointCloud::default() };
         for p in to_base(&cloud, &Pose::identity(), &velocity) {
             // Half a step of the instants at 2 m/s and 1 rad/s over 6 m.

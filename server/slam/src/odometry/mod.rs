@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use uncertainty::Uncertainty;
 
-/// Time constant of the velocity that predictions use, seconds.
-const VELOCITY_SMOOTHING_S: f64 = 0.04;
+/// A frame whose inlier ratio falls below this share of the usual one is tried from the last pose too.
+const DOUBTFUL: f64 = 0.9;
 
 /// Which method registers the scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -119,27 +119,30 @@ impl TrackingParams {
     }
 }
 
-/// What the robot can do, from the parameters or by kind: m/s, rad/s, m/s^2, rad/s^2.
+/// What the robot can do, from the parameters or by kind: m/s, rad/s, m/s^2, rad/s^2; and the time
+/// constant (s) of the velocity that predictions use, longer where logs are known for jittering stamps.
 #[derive(Debug, Clone, Copy)]
 struct MotionLimits {
     speed: f64,
     turn_rate: f64,
     acceleration: f64,
     turn_acceleration: f64,
+    smoothing: f64,
 }
 
 impl MotionLimits {
     fn of(kind: OdometryKind, params: &TrackingParams) -> Self {
-        let (speed, turn_rate, acceleration, turn_acceleration) = match kind {
-            OdometryKind::Rgbd => (4.0, 8.0, 4.0, 8.0),
-            OdometryKind::Lidar3d => (40.0, 8.0, 4.0, 8.0),
-            OdometryKind::Lidar2d => (4.0, 3.0, 1.5, 4.0),
+        let (speed, turn_rate, acceleration, turn_acceleration, smoothing) = match kind {
+            OdometryKind::Rgbd => (4.0, 8.0, 4.0, 8.0, 0.03),
+            OdometryKind::Lidar3d => (40.0, 8.0, 4.0, 8.0, 0.04),
+            OdometryKind::Lidar2d => (4.0, 3.0, 1.5, 4.0, 0.2),
         };
         Self {
             speed: params.max_speed_mps.unwrap_or(speed),
             turn_rate: params.max_turn_rate_radps.unwrap_or(turn_rate),
             acceleration: params.acceleration_mps2.unwrap_or(acceleration),
             turn_acceleration: params.turn_acceleration_radps2.unwrap_or(turn_acceleration),
+            smoothing,
         }
     }
 }
@@ -219,6 +222,8 @@ pub struct Odometry {
     velocity: Option<Vector6<f64>>,
     limits: MotionLimits,
     uncertainty: Uncertainty,
+    /// Running mean of the inlier ratio.
+    usual_inlier_ratio: f64,
     num_lost: usize,
 }
 
@@ -249,6 +254,7 @@ impl Odometry {
             velocity: None,
             limits,
             uncertainty: Uncertainty::default(),
+            usual_inlier_ratio: 0.0,
             num_lost: 0,
         }
     }
@@ -272,7 +278,7 @@ impl Odometry {
         if self.model.is_empty() {
             return self.start(stamp, &prediction);
         }
-        match self.place(dt, &prediction) {
+        match self.place(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found)) {
             Ok(found) => self.tracked(stamp, dt, found),
             Err(_) if self.num_lost + 1 >= self.params.tracking.restart_after_frames => {
                 self.model.clear();
@@ -321,7 +327,8 @@ impl Odometry {
         let moving = velocity.unwrap_or_else(Vector6::zeros) * dt;
         // Without a velocity, or lost, the robot may have done anything that robots usually do.
         let unsure = if self.num_lost > 0 || velocity.is_none() { dt } else { 0.0 };
-        let sigma_t = 0.01 + 0.5 * self.limits.acceleration * dt.min(t.max_gap_s).powi(2) + 0.25 * self.limits.speed * unsure;
+        let sigma_t =
+            0.01 + 0.5 * self.limits.acceleration * dt.min(t.max_gap_s).powi(2) + 0.25 * self.limits.speed * unsure;
         let sigma_r = 0.01 + 0.5 * self.limits.turn_acceleration * dt.min(t.max_gap_s).powi(2) + 0.5 * unsure;
         Prediction {
             t_odom_base: self.t_odom_base * se3::exp(&moving),
@@ -329,22 +336,51 @@ impl Odometry {
         }
     }
 
-    /// Tries the prediction, then the last pose; the first that holds is taken.
+    /// Tries the prediction and, if that fails or fits worse than usual, the last pose; the better is taken.
     fn place(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
-        let first = match self.model.register(prediction) {
-            Ok(found) => self.plausible(dt, found),
-            Err(reason) => Err(reason),
-        };
-        let Err(reason) = first else { return first };
-        let still = Prediction { t_odom_base: self.t_odom_base, ..prediction.clone() };
-        let t_still_predicted = still.t_odom_base.inverse() * prediction.t_odom_base;
-        if se3::log(&t_still_predicted).norm() > 1e-3
-            && let Ok(found) = self.model.register(&still)
-            && let Ok(found) = self.plausible(dt, found)
-        {
-            return Ok(found);
+        let predicted = self.try_from(dt, prediction);
+        let sound = |m: &Match| m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio;
+        let t_still_predicted = self.t_odom_base.inverse() * prediction.t_odom_base;
+        if predicted.as_ref().is_ok_and(sound) || se3::log(&t_still_predicted).norm() < 1e-3 {
+            return predicted.map_err(|reason| self.with_gap(dt, reason));
         }
-        Err(if dt > self.params.tracking.max_gap_s { LostReason::TimeGap } else { reason })
+        let still = self.try_from(dt, &Prediction { t_odom_base: self.t_odom_base, ..prediction.clone() });
+        match (predicted, still) {
+            (Ok(a), Ok(b)) if b.inlier_ratio <= 1.02 * a.inlier_ratio => {
+                // The model's view of the winner is what its frame is fused with.
+                self.try_from(dt, prediction).or(Ok(a))
+            }
+            (_, Ok(b)) => Ok(b),
+            (Ok(_), Err(_)) => self.try_from(dt, prediction),
+            (Err(reason), Err(_)) => Err(self.with_gap(dt, reason)),
+        }
+    }
+
+    /// Undoes the sweep's motion again where it was other than assumed, and places the scan once more.
+    fn sharpen(&mut self, dt: f64, scan: &Scan, assumed: &Vector6<f64>, found: Match) -> Match {
+        if !scan.is_sweep() || dt < 1e-3 || dt > self.params.tracking.max_gap_s {
+            return found;
+        }
+        let velocity = se3::log(&(self.t_odom_base.inverse() * found.t_odom_base)) / dt;
+        // Over a sweep of 0.1 s: 1 cm, or 5 mrad.
+        let off = velocity - assumed;
+        if off.fixed_rows::<3>(0).norm() < 0.1 && off.fixed_rows::<3>(3).norm() < 0.05 {
+            return found;
+        }
+        if self.model.prepare(scan, &velocity).is_err() {
+            return found;
+        }
+        let again = Prediction { t_odom_base: found.t_odom_base, covariance: diagonal(0.05, 0.02) };
+        self.try_from(dt, &again).unwrap_or(found)
+    }
+
+    fn try_from(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+        let found = self.model.register(prediction)?;
+        self.plausible(dt, found)
+    }
+
+    fn with_gap(&self, dt: f64, reason: LostReason) -> LostReason {
+        if dt > self.params.tracking.max_gap_s { LostReason::TimeGap } else { reason }
     }
 
     fn plausible(&self, dt: f64, found: Match) -> Result<Match, LostReason> {
@@ -360,12 +396,13 @@ impl Odometry {
         let covariance = self.uncertainty.measured(&t_last_now, &found.covariance);
         let recovered = self.num_lost > 0;
         self.num_lost = 0;
+        self.usual_inlier_ratio += 0.1 * (found.inlier_ratio - self.usual_inlier_ratio);
         // After a loss the step says nothing about the velocity; a repeated stamp neither.
         let usable = !recovered && dt > 1e-4 && dt <= self.params.tracking.max_gap_s;
         self.velocity = usable.then(|| {
             let now = se3::log(&t_last_now) / dt;
             // Stamps jitter: a step counts the less, the shorter it is.
-            self.velocity.map_or(now, |before| before + (now - before) * (dt / (dt + VELOCITY_SMOOTHING_S)))
+            self.velocity.map_or(now, |before| before + (now - before) * (dt / (dt + self.limits.smoothing)))
         });
         self.t_odom_base = found.t_odom_base;
         self.model.integrate(&found.t_odom_base);

@@ -102,8 +102,13 @@ fn equations(field: &Field, hits: &[Hit], t: &Isometry2<f64>, scale: f64) -> Nor
         let n = t.rotation * hit.n;
         let Some((target, normal)) = field.element(&moved, &n) else { continue };
         let mut add = |normal: &Vector2<f64>, share: f64| {
-            let (residual, j) =
-                point_to_plane::residual(&r, &flat(&hit.p.coords), &flat(&moved.coords), &flat(&target.coords), &flat(normal));
+            let (residual, j) = point_to_plane::residual(
+                &r,
+                &flat(&hit.p.coords),
+                &flat(&moved.coords),
+                &flat(&target.coords),
+                &flat(normal),
+            );
             e.add(&j, residual, share * weight * kernel.weight(residual));
         };
         if normal == Vector2::zeros() {

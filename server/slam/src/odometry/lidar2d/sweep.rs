@@ -12,8 +12,10 @@ pub(crate) struct Hit {
     pub(crate) n: Vector2<f64>,
 }
 
-/// Neighbours to each side that a normal is fitted to.
-const SIDE: usize = 3;
+/// A normal is fitted to neighbours up to so far to each side, metres: the noise of ranges is a centimetre.
+const SIDE_M: f64 = 0.15;
+/// But to at least and at most so many of them to each side.
+const SIDE: (usize, usize) = (3, 24);
 
 /// Hits within `max_range`, in beam order, with the sweep's motion undone.
 pub(crate) fn hits(scan: &PlanarScan, max_range: f64, velocity: &Vector6<f64>) -> Vec<Hit> {
@@ -54,11 +56,15 @@ fn normal(points: &[Point2<f64>], i: usize, origin: &Point2<f64>, spacing: f64) 
     // Beams on a wall seen at 75 degrees lie four times their spacing apart.
     let gap = 0.1 + 4.0 * spacing * (p - origin).norm();
     let same = |a: usize, b: usize| (points[a] - points[b]).norm() < gap;
+    let wanted = |j: usize| {
+        let count = i.abs_diff(j);
+        count <= SIDE.0 || (count <= SIDE.1 && (points[j] - p).norm() < SIDE_M)
+    };
     let (mut first, mut last) = (i, i);
-    while first > 0 && i - first < SIDE && same(first - 1, first) {
+    while first > 0 && wanted(first - 1) && same(first - 1, first) {
         first -= 1;
     }
-    while last + 1 < points.len() && last - i < SIDE && same(last, last + 1) {
+    while last + 1 < points.len() && wanted(last + 1) && same(last, last + 1) {
         last += 1;
     }
     let num = (last - first + 1) as f64;

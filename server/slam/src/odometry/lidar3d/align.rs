@@ -72,13 +72,7 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
     judge(problem, &t, &e, &degeneracy, &information, iterations)
 }
 
-fn equations(
-    problem: &Problem<'_>,
-    map: &GaussianMap,
-    stride: usize,
-    t: &Pose,
-    scale: f64,
-) -> NormalEquations {
+fn equations(problem: &Problem<'_>, map: &GaussianMap, stride: usize, t: &Pose, scale: f64) -> NormalEquations {
     let r = *t.rotation.to_rotation_matrix().matrix();
     let kernel = RobustKernel::GemanMcClure(3.0 * scale);
     accumulate(problem.points.len() / stride, CHUNK, |i, e| {

@@ -9,7 +9,7 @@ use super::noise::sigma;
 use super::surfels::{View, pixel};
 use crate::odometry::Match;
 use crate::tracking::LostReason;
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::{Matrix3, Matrix6, Vector6};
 use percept_geometry::{CameraIntrinsics, Covariance6, Pose, se3};
 use percept_perception::registration::{Degeneracy, NormalEquations, accumulate};
 
@@ -48,6 +48,8 @@ pub(crate) struct Problem<'a> {
     /// Prediction of the camera's pose in odom, at which the view was rendered, and its covariance in
     /// the camera frame.
     pub(crate) covariance: Covariance6,
+    /// Turns the camera's axes into base's, for the report.
+    pub(crate) r_base_camera: Matrix3<f64>,
     pub(crate) requirements: Requirements,
 }
 
@@ -68,7 +70,8 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
             }
             let degeneracy = Degeneracy::of(&e, &problem.frame.centroid, problem.frame.spread, DEGENERATE);
             let pull = se3::log(&t_view_camera);
-            let (step, information) = solve(&e, &degeneracy, &prior, &pull, level.stride).ok_or(LostReason::Degenerate)?;
+            let (step, information) =
+                solve(&e, &degeneracy, &prior, &pull, level.stride).ok_or(LostReason::Degenerate)?;
             t_view_camera *= se3::exp(&step);
             iterations += 1;
             // Tukey's cut-off follows the residuals, between what the noise model says and five times that.
@@ -81,7 +84,6 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
         }
     }
     let Some((e, degeneracy, information)) = last else { return Err(LostReason::TooFewPoints) };
-    if std::env::var_os("EIG").is_some() { eprintln!("eig {:?} n {}", degeneracy.eigenvalues.as_slice(), degeneracy.num_directions); }
     judge(problem, &t_view_camera, &e, &degeneracy, &information, iterations)
 }
 
@@ -173,6 +175,6 @@ fn judge(
         inlier_ratio: e.num_residuals as f64 / problem.frame.num_valid.max(1) as f64,
         rmse_m: e.rmse() * noise,
         iterations,
-        degenerate_axes: degeneracy.axes,
+        degenerate_axes: degeneracy.axes_in(&problem.r_base_camera),
     })
 }

@@ -6,7 +6,7 @@
 
 use crate::scan::DepthScan;
 use nalgebra::{Matrix3, Vector3};
-use percept_geometry::{CameraIntrinsics, RgbImage};
+use percept_geometry::CameraIntrinsics;
 use rayon::prelude::*;
 
 /// Half width of the plane fit's window, pixels.
@@ -21,8 +21,6 @@ const ROWS: usize = 8;
 pub(crate) struct Vertex {
     pub(crate) p: Vector3<f32>,
     pub(crate) n: Vector3<f32>,
-    /// Luma 0..1, or 0 without colour.
-    pub(crate) gray: f32,
 }
 
 /// Vertices of a frame, row-major.
@@ -37,7 +35,6 @@ pub(crate) struct Frame {
     /// Mean of the valid vertices, and root mean square distance from it, metres.
     pub(crate) centroid: Vector3<f64>,
     pub(crate) spread: f64,
-    pub(crate) has_gray: bool,
 }
 
 impl Frame {
@@ -89,12 +86,6 @@ impl Preparer {
                 }
             }
         });
-        frame.has_gray = false;
-        if let Some(color) = scan.color.as_ref().filter(|c| c.width() == scan.depth.width()) {
-            if color.height() == scan.depth.height() {
-                add_gray(color, self.factor, frame);
-            }
-        }
         frame.measure();
     }
 
@@ -133,9 +124,8 @@ impl Preparer {
                 let nearest = block().filter(|&z| z >= min && z <= max).fold(f32::INFINITY, f32::min);
                 if nearest.is_finite() {
                     let far = nearest + 0.01 + 0.015 * nearest * nearest;
-                    let (n, sum) = block()
-                        .filter(|&z| z >= min && z <= far)
-                        .fold((0f32, 0f32), |(n, sum), z| (n + 1.0, sum + z));
+                    let (n, sum) =
+                        block().filter(|&z| z >= min && z <= far).fold((0f32, 0f32), |(n, sum), z| (n + 1.0, sum + z));
                     *out = n / sum;
                 }
             }
@@ -207,7 +197,7 @@ fn fit(rays: &[[f32; 2]], inverse_depth: &[f32], width: usize, height: usize, i:
     if 1.0 < 0.17 * norm * p.norm() {
         return None;
     }
-    Some(Vertex { p, n: -plane / norm, gray: 0.0 })
+    Some(Vertex { p, n: -plane / norm })
 }
 
 /// Vertices of an image of inverse depth taken by an undistorted `camera`.
@@ -218,28 +208,7 @@ pub(crate) fn fit_grid(camera: &CameraIntrinsics, inverse_depth: &[f32]) -> Vec<
             [ray.x as f32, ray.y as f32]
         })
         .collect();
-    (0..rays.len())
-        .map(|i| fit(&rays, inverse_depth, camera.width, camera.height, i).unwrap_or_default())
-        .collect()
-}
-
-fn add_gray(color: &RgbImage, f: usize, frame: &mut Frame) {
-    frame.has_gray = true;
-    let (width, stride, data) = (frame.width, color.width(), color.data());
-    let scale = 1.0 / (255.0 * (f * f) as f32);
-    frame.vertices.par_chunks_mut(width * ROWS).enumerate().for_each(|(c, rows)| {
-        for (k, out) in rows.iter_mut().enumerate() {
-            let (u, v) = (k % width * f, (c * ROWS + k / width) * f);
-            let mut sum = 0.0;
-            for y in v..v + f {
-                for x in u..u + f {
-                    let i = (y * stride + x) * 3;
-                    sum += 0.299 * f32::from(data[i]) + 0.587 * f32::from(data[i + 1]) + 0.114 * f32::from(data[i + 2]);
-                }
-            }
-            out.gray = sum * scale;
-        }
-    });
+    (0..rays.len()).map(|i| fit(&rays, inverse_depth, camera.width, camera.height, i).unwrap_or_default()).collect()
 }
 
 /// A rigid transform in single precision, for per-pixel work near the camera.

@@ -172,6 +172,7 @@ impl LocalModel for Rgbd {
             view: &self.view,
             camera: &camera,
             covariance: ad * prediction.covariance * ad.transpose(),
+            r_base_camera: *self.t_base_camera.rotation.to_rotation_matrix().matrix(),
             requirements: Requirements {
                 min_overlap: self.params.min_overlap_ratio,
                 min_inlier_ratio: self.params.min_inlier_ratio,
@@ -206,8 +207,8 @@ impl LocalModel for Rgbd {
 mod seed {
     //! Vertices from the thinned points of a keyframe: an image again, then plane fits.
 
-    use super::{KeyframeScan, Point3, Pose, Vertex};
     use super::frame::fit_grid;
+    use super::{KeyframeScan, Point3, Pose, Vertex};
     use percept_geometry::CameraIntrinsics;
 
     pub(super) fn vertices(camera: &CameraIntrinsics, scan: &KeyframeScan, t_sensor_base: &Pose) -> Vec<Vertex> {

@@ -19,7 +19,6 @@ const CHUNK: usize = 8192;
 pub(crate) struct Surfel {
     pub(crate) p: Vector3<f32>,
     pub(crate) n: Vector3<f32>,
-    pub(crate) gray: f32,
     /// Sum of the measurements' weights, capped.
     pub(crate) weight: f32,
     /// Motion travelled when last measured, metres.
@@ -60,10 +59,6 @@ impl Surfels {
         self.surfels.is_empty()
     }
 
-    pub(crate) fn len(&self) -> usize {
-        self.surfels.len()
-    }
-
     pub(crate) fn clear(&mut self) {
         self.surfels.clear();
         self.last_pose = None;
@@ -98,7 +93,6 @@ impl Surfels {
             let sum = &mut view.vertices[pixel];
             sum.p += t_view_odom.apply(&s.p) * s.weight;
             sum.n += t_view_odom.r * s.n * s.weight;
-            sum.gray += s.gray * s.weight;
             view.weight[pixel] += s.weight;
             if s.weight > heaviest[pixel] {
                 heaviest[pixel] = s.weight;
@@ -108,10 +102,9 @@ impl Surfels {
         for (v, &w) in view.vertices.iter_mut().zip(&view.weight) {
             if w > 0.0 {
                 v.p /= w;
-                v.gray /= w;
                 let norm = v.n.norm();
                 // Surfaces that face apart met in this pixel: an edge, of no use as a plane.
-                *v = if norm > 0.7 * w { Vertex { n: v.n / norm, ..*v } } else { Vertex::default() };
+                *v = if norm > 0.7 * w { Vertex { n: v.n / norm, p: v.p } } else { Vertex::default() };
             }
         }
     }
@@ -192,7 +185,6 @@ impl Surfels {
             // Along the normal only, so that surfels do not drift over the surface.
             s.p += s.n * (share * s.n.dot(&(measured.p - s.p)));
             s.n = (s.n + (measured.n - s.n) * share).normalize();
-            s.gray += share * (measured.gray - s.gray);
             s.weight = (s.weight + measured.weight).min(limits.max_weight);
             s.last_seen = measured.last_seen;
         } else if behind > 3.0 * gate {
@@ -254,5 +246,5 @@ fn surfel_weight(z: f32) -> f32 {
 }
 
 fn surfel(v: &Vertex, to_odom: &Rigid32, last_seen: f32) -> Surfel {
-    Surfel { p: to_odom.apply(&v.p), n: to_odom.r * v.n, gray: v.gray, weight: surfel_weight(v.p.z), last_seen }
+    Surfel { p: to_odom.apply(&v.p), n: to_odom.r * v.n, weight: surfel_weight(v.p.z), last_seen }
 }

@@ -1,0 +1,40 @@
+use crate::room::{Noise, Room, drive};
+use percept_geometry::{Covariance6, Pose, Timestamp, se3};
+use percept_slam::{MotionPrior, Odometry, OdometryKind, OdometryParams};
+
+#[test]
+fn a_drive_through_the_room_is_followed_to_a_centimetre_without_wheels() {
+    let (room, mut noise) = (Room::furnished(), Noise(4));
+    let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+    for i in 0..100 {
+        let scan = room.scan(&drive(i, 100), &mut noise);
+        let e = odometry.register(Timestamp::from_secs_f64(i as f64 * 0.1), &scan, None);
+        let off = se3::log(&((drive(0, 100).inverse() * drive(i, 100)).inverse() * e.t_odom_base));
+        assert!(off.fixed_rows::<3>(0).norm() < 0.015 && off[5].abs() < 0.005, "frame {i}: {off}");
+        assert_eq!(e.state.is_tracking(), i > 0);
+        assert_eq!((e.t_odom_base.translation.z, off[3], off[4]), (0.0, 0.0, 0.0));
+    }
+}
+
+#[test]
+fn in_a_corridor_the_wheels_say_how_far() {
+    let (room, mut noise) = (Room::corridor(), Noise(5));
+    let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+    let step = se3::from_xy_yaw(0.1, 0.0, 0.0);
+    let covariance = Covariance6::identity() * 1e-4;
+    let mut t_world_base = Pose::identity();
+    let mut last = None;
+    for i in 0..40 {
+        let scan = room.scan(&t_world_base, &mut noise);
+        let prior = MotionPrior { t_prev_now: step * se3::from_xy_yaw(0.0, 0.0, 0.004), covariance };
+        last = Some(odometry.register(Timestamp::from_secs_f64(i as f64 * 0.1), &scan, (i > 0).then_some(&prior)));
+        t_world_base *= step;
+    }
+    let e = last.unwrap();
+    assert!(e.state.is_tracking());
+    assert_eq!(e.degenerate_axes, [true, false, false, false, false, false]);
+    // The walls fix heading and side; 3.9 m along them come from the wheels.
+    assert!((e.t_odom_base.translation.x - 3.9).abs() < 0.1, "{}", e.t_odom_base);
+    assert!(e.t_odom_base.translation.y.abs() < 0.02 && se3::yaw(&e.t_odom_base).abs() < 0.005);
+    assert!(e.covariance[(0, 0)] > 4.0 * e.covariance[(1, 1)]);
+}

@@ -1,0 +1,99 @@
+//! Recorded data, skipped when absent; bounds are those that a user is promised.
+
+#[path = "../../examples/evaluate/measure.rs"]
+#[allow(dead_code)]
+mod measure;
+#[path = "../../examples/evaluate/read.rs"]
+#[allow(dead_code)]
+mod read;
+
+use percept_geometry::{CameraIntrinsics, Pose, Timestamp};
+use percept_slam::{CloudScan, DepthScan, Odometry, OdometryKind, OdometryParams, PlanarScan, Scan};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// The folder of a set: `$PERCEPT_DATA`, else `shared/data` beside the repository.
+fn data(set: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("PERCEPT_DATA").map(PathBuf::from).or_else(|| {
+        let crate_dir = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+        crate_dir.ancestors().map(|a| a.join("shared/data")).find(|p| p.is_dir())
+    })?;
+    Some(root.join(set)).filter(|p| p.exists())
+}
+
+#[test]
+fn seven_scenes_is_tracked_to_six_centimetres() {
+    let Some(dir) = data("rgbd-7scenes-a") else { return };
+    let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+    let intrinsics = CameraIntrinsics::pinhole(640, 480, 585.0, 585.0, 320.0, 240.0);
+    let (mut truth, mut estimate) = (vec![], vec![]);
+    for i in (0..400).step_by(2) {
+        let name = dir.join(format!("frame-{i:06}"));
+        let file = |end: &str| PathBuf::from(format!("{}{end}", name.display()));
+        let depth = Arc::new(read::depth_png(&file(".depth.png"), 0.001).unwrap());
+        let scan = Scan::Depth(DepthScan { depth, color: None, intrinsics, t_base_sensor: Pose::identity() });
+        let e = odometry.register(Timestamp::from_secs_f64(f64::from(i) / 30.0), &scan, None);
+        assert!(!e.state.is_lost(), "frame {i}: {:?}", e.state);
+        truth.push(read::pose_3x4(&read::numbers(&file(".pose.txt")).unwrap()).unwrap());
+        estimate.push(e.t_odom_base);
+    }
+    let rmse = measure::ate_rmse(&truth, &estimate);
+    assert!(rmse < 0.05, "{rmse}");
+}
+
+#[test]
+fn a_drive_of_seven_metres_ends_within_six_centimetres() {
+    let Some(dir) = data("lidar-kitti-tracking-0000") else { return };
+    let truth = read::poses_3x4(&dir.join("poses_reference_gicp.txt")).unwrap();
+    let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());
+    let mut last = Pose::identity();
+    for i in 0..truth.len() {
+        let cloud = Arc::new(read::pcd_xyzi(&dir.join(format!("velodyne/{i:010}.pcd"))).unwrap());
+        let scan = Scan::Cloud(CloudScan { cloud, t_base_sensor: Pose::identity() });
+        let e = odometry.register(Timestamp::from_secs_f64(i as f64 * 0.1), &scan, None);
+        assert!(!e.state.is_lost());
+        last = e.t_odom_base;
+    }
+    let off = truth.last().unwrap().inverse() * last;
+    assert!(off.translation.vector.norm() < 0.06 && off.rotation.angle() < 0.005, "{off}");
+}
+
+#[test]
+fn two_scans_half_a_metre_apart_agree_with_the_truth() {
+    let Some(dir) = data("lidar-kitti-odometry-00") else { return };
+    let poses = read::poses_3x4(&dir.join("poses_00.txt")).unwrap();
+    let tr = read::pose_3x4(&read::numbers(&dir.join("calib_Tr.txt")).unwrap()).unwrap();
+    let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());
+    let mut last = Pose::identity();
+    for i in [94, 95] {
+        let bytes = std::fs::read(dir.join(format!("velodyne/{i:06}.bin"))).unwrap();
+        let cloud = Arc::new(read::kitti_bin(&bytes));
+        let scan = Scan::Cloud(CloudScan { cloud, t_base_sensor: Pose::identity() });
+        last = odometry.register(Timestamp::from_secs_f64(0.1 * f64::from(i)), &scan, None).t_odom_base;
+    }
+    let truth = (tr.inverse() * poses[94] * tr).inverse() * (tr.inverse() * poses[95] * tr);
+    let off = truth.inverse() * last;
+    assert!(off.translation.vector.norm() < 0.02 && off.rotation.angle().to_degrees() < 0.06, "{off}");
+}
+
+#[test]
+fn the_intel_lab_comes_out_far_better_than_its_wheels() {
+    let Some(dir) = data("lidar2d-intel") else { return };
+    let log = read::carmen(&dir.join("intel.clf"), 80.0).unwrap();
+    let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+    let mut estimate = vec![];
+    let mut last: Option<Pose> = None;
+    for row in &log {
+        let scan = Scan::Planar(PlanarScan { scan: Arc::new(row.scan.clone()), t_base_sensor: Pose::identity() });
+        let prior = last.map(|last| measure::wheel_prior(&(last.inverse() * row.t_odom_base)));
+        let e = odometry.register(row.stamp, &scan, prior.as_ref());
+        assert!(!e.state.is_lost());
+        estimate.push(e.t_odom_base);
+        last = Some(row.t_odom_base);
+    }
+    let stamps: Vec<f64> = log.iter().map(|r| r.stamp.as_secs_f64()).collect();
+    let rows = read::numbers(&dir.join("intel.relations")).unwrap();
+    let errors = measure::relation_errors(&rows, &stamps, &estimate);
+    let mean = errors.iter().map(|e| e.metres).sum::<f64>() / errors.len() as f64;
+    assert!(mean < 0.5, "{mean}");
+}
