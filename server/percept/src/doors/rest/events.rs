@@ -1,0 +1,76 @@
+//! Live events of a session as server-sent events (HTML Living Standard, section 9.2).
+
+use super::super::grpc::Api;
+use super::super::status;
+use super::refused::Refused;
+use axum::http::HeaderMap;
+use axum::response::sse::{Event, KeepAlive, Sse};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use futures::StreamExt;
+use percept_service::Error;
+use percept_wire::{json, v1};
+use prost::Message;
+use std::convert::Infallible;
+use std::time::Duration;
+use tonic::Status;
+use v1::sessions_service_server::SessionsService;
+
+/// A comment is sent when nothing happened for this long, so that proxies keep the connection.
+const KEEP_ALIVE: Duration = Duration::from_secs(15);
+/// What a browser sends when it comes back: the id of the last event that it saw.
+const LAST_EVENT_ID: &str = "last-event-id";
+
+/// `WatchSession`; every event's id is its token.
+///
+/// # Errors
+/// `HEADER_INVALID`, and those of the rpc.
+pub(super) async fn watch(api: &Api, request: Bytes, headers: &HeaderMap) -> Result<Response, Refused> {
+    let mut request = v1::WatchSessionRequest::decode(request).map_err(Error::internal)?;
+    // It is newer than the query, which a browser repeats as it was.
+    if let Some(token) = last_event(headers)? {
+        request.resume_token = Some(token);
+    }
+    let stream = api.watch_session(tonic::Request::new(request)).await?.into_inner();
+    let events = stream.map(|message| Ok::<_, Infallible>(told(message)));
+    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response())
+}
+
+fn last_event(headers: &HeaderMap) -> Result<Option<u64>, Error> {
+    let Some(value) = headers.get(LAST_EVENT_ID) else { return Ok(None) };
+    let token = value.to_str().ok().and_then(|v| v.trim().parse().ok());
+    let invalid = || {
+        let message = format!("{LAST_EVENT_ID} is {value:?}; it must be the id of an event of this session");
+        Error::invalid("HEADER_INVALID", LAST_EVENT_ID, message)
+    };
+    token.map(Some).ok_or_else(invalid)
+}
+
+fn told(message: Result<v1::WatchSessionResponse, Status>) -> Event {
+    match message {
+        Ok(message) => {
+            let event = message.event.unwrap_or_default();
+            let data = json::to_json("SessionEvent", &event).map(|v| v.to_string()).unwrap_or_default();
+            Event::default().id(event.token.to_string()).data(data)
+        }
+        Err(broken) => {
+            let problem =
+                v1::ErrorInfo::decode(status::from_grpc(&broken).to_error_info().as_slice()).unwrap_or_default();
+            let data = json::to_json("ErrorInfo", &problem).map(|v| v.to_string()).unwrap_or_default();
+            Event::default().event("problem").data(data)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_event_is_read_from_the_header() {
+        let headers = |v: &'static str| HeaderMap::from_iter([(LAST_EVENT_ID.parse().unwrap(), v.parse().unwrap())]);
+        assert_eq!(last_event(&HeaderMap::new()).unwrap(), None);
+        assert_eq!(last_event(&headers("12")).unwrap(), Some(12));
+        assert_eq!(last_event(&headers("x")).unwrap_err().reason, "HEADER_INVALID");
+    }
+}

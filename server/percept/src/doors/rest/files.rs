@@ -1,0 +1,216 @@
+//! Maps as files: entity tags, ranges, digests.
+
+use super::super::grpc::Api;
+use super::range::{self, Asked};
+use super::refused::Refused;
+use super::routes;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use percept_service::Error;
+use percept_wire::v1::{self, MapFormat};
+use prost::Message;
+use sha2::{Digest, Sha256};
+use v1::maps_service_server::MapsService;
+
+/// Names of files and the formats that they are.
+pub(super) const FILES: [(&str, MapFormat); 8] = [
+    ("occupancy.png", MapFormat::OccupancyPng),
+    ("map.pgm", MapFormat::Nav2Pgm),
+    ("map.yaml", MapFormat::Nav2Yaml),
+    ("cloud.ply", MapFormat::CloudPly),
+    ("cloud.pcd", MapFormat::CloudPcd),
+    ("trajectory.tum", MapFormat::TrajectoryTum),
+    ("overview.png", MapFormat::OverviewPng),
+    ("cloud.png", MapFormat::CloudTopPng),
+];
+
+const MAP_VERSION: HeaderName = HeaderName::from_static("percept-map-version");
+const CONTENT_DIGEST: HeaderName = HeaderName::from_static("content-digest");
+const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
+
+struct File {
+    name: String,
+    media_type: HeaderValue,
+    map_version: u64,
+    bytes: Bytes,
+    sha256: [u8; 32],
+}
+
+/// `ExportMap` of the session in `request`, in the format that `name` stands for.
+///
+/// # Errors
+/// `FILE_NOT_FOUND`, `RANGE_NOT_SATISFIABLE` (416), and those of the rpc.
+pub(super) async fn export(api: &Api, request: Bytes, name: &str, headers: &HeaderMap) -> Result<Response, Refused> {
+    let mut request = v1::ExportMapRequest::decode(request).map_err(Error::internal)?;
+    let Some((_, format)) = FILES.iter().find(|(n, _)| *n == name) else {
+        let known: Vec<&str> = FILES.iter().map(|f| f.0).collect();
+        let shown: String = name.chars().take(80).collect();
+        let message = format!("name is {shown:?}; there are {}", known.join(", "));
+        return Err(Error::not_found("FILE_NOT_FOUND", "name", message).into());
+    };
+    request.format = (*format).into();
+    let parts = routes::collect(api.export_map(tonic::Request::new(request)).await?.into_inner()).await?;
+    answer(&joined(name, *format, parts)?, headers)
+}
+
+fn joined(name: &str, format: MapFormat, parts: Vec<v1::ExportMapResponse>) -> Result<File, Error> {
+    let mut chunks: Vec<v1::FileChunk> = parts.into_iter().filter_map(|p| p.chunk).collect();
+    let head = chunks.iter_mut().find_map(|c| c.header.take()).unwrap_or_default();
+    let data: Vec<&[u8]> = chunks.iter().map(|c| &c.data[..]).collect();
+    let mut bytes = data.concat();
+    if format == MapFormat::Nav2Yaml {
+        bytes = with_our_image(&bytes);
+    }
+    let sha256 = Sha256::digest(&bytes).into();
+    let media_type = head.media_type.parse().map_err(Error::internal)?;
+    let map_version = head.stamp.map(|s| s.map_version).unwrap_or_default();
+    Ok(File { name: name.to_owned(), media_type, map_version, bytes: bytes.into(), sha256 })
+}
+
+/// The description names the image by the name that it has here.
+fn with_our_image(yaml: &[u8]) -> Vec<u8> {
+    let text = String::from_utf8_lossy(yaml);
+    let line = |line: &str| if line.starts_with("image:") { "image: map.pgm\n".to_owned() } else { line.to_owned() };
+    text.split_inclusive('\n').map(line).collect::<String>().into_bytes()
+}
+
+fn answer(file: &File, headers: &HeaderMap) -> Result<Response, Refused> {
+    let text = |name: HeaderName| headers.get(name).and_then(|v| v.to_str().ok());
+    let tag = format!("\"{}\"", file.sha256.iter().map(|b| format!("{b:02x}")).collect::<String>());
+    let mut response = if text(header::IF_NONE_MATCH).is_some_and(|list| range::holds(list, &tag)) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        // A part of another version is of no use to who holds the rest of this one.
+        let same = text(header::IF_RANGE).is_none_or(|t| t == tag);
+        let size = file.bytes.len();
+        match range::asked(text(header::RANGE).filter(|_| same), size) {
+            Asked::Whole => content(file, StatusCode::OK, file.bytes.clone(), &file.sha256),
+            Asked::Part(part) => {
+                let bytes = file.bytes.slice(part.clone());
+                let digest = Sha256::digest(&bytes).into();
+                let mut response = content(file, StatusCode::PARTIAL_CONTENT, bytes, &digest);
+                let place = format!("bytes {}-{}/{size}", part.start, part.end - 1);
+                put(&mut response, header::CONTENT_RANGE, &place);
+                response
+            }
+            Asked::Unsatisfiable => {
+                let message = format!("the file has {size} bytes; ask for a range within them");
+                let refused = Refused::http(StatusCode::RANGE_NOT_SATISFIABLE, "RANGE_NOT_SATISFIABLE", message);
+                return Err(refused.with(header::CONTENT_RANGE, &format!("bytes */{size}")));
+            }
+        }
+    };
+    put(&mut response, header::ETAG, &tag);
+    put(&mut response, header::CACHE_CONTROL, "no-cache");
+    put(&mut response, MAP_VERSION, &file.map_version.to_string());
+    Ok(response)
+}
+
+fn content(file: &File, status: StatusCode, bytes: Bytes, digest: &[u8; 32]) -> Response {
+    let mut response = (status, bytes).into_response();
+    response.headers_mut().insert(header::CONTENT_TYPE, file.media_type.clone());
+    let manner = if file.name.ends_with(".png") { "inline" } else { "attachment" };
+    put(&mut response, header::CONTENT_DISPOSITION, &format!("{manner}; filename=\"{}\"", file.name));
+    put(&mut response, header::ACCEPT_RANGES, "bytes");
+    put(&mut response, CONTENT_DIGEST, &format!("sha-256=:{}:", base64(digest)));
+    put(&mut response, REPR_DIGEST, &format!("sha-256=:{}:", base64(&file.sha256)));
+    response
+}
+
+fn put(response: &mut Response, name: HeaderName, value: &str) {
+    if let Ok(value) = value.parse() {
+        response.headers_mut().insert(name, value);
+    }
+}
+
+/// RFC 4648, section 4.
+fn base64(bytes: &[u8]) -> String {
+    const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let group = |three: &[u8]| {
+        let bits = three.iter().enumerate().fold(0u32, |bits, (i, &b)| bits | u32::from(b) << (16 - 8 * i));
+        let sign = move |i: usize| ALPHABET[(bits >> (18 - 6 * i)) as usize & 63] as char;
+        let used = three.len() + 1;
+        (0..4).map(move |i| if i < used { sign(i) } else { '=' })
+    };
+    bytes.chunks(3).flat_map(group).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file() -> File {
+        let header = v1::FileHeader {
+            media_type: "text/plain".to_owned(),
+            stamp: Some(v1::MapStamp { map_version: 7, ..Default::default() }),
+            ..Default::default()
+        };
+        let chunk = |header, offset, data: &'static [u8]| v1::ExportMapResponse {
+            chunk: Some(v1::FileChunk { header, offset, data: Bytes::from_static(data) }),
+        };
+        let parts = vec![chunk(Some(header), 0, b"ab"), chunk(None, 2, b"c")];
+        joined("trajectory.tum", MapFormat::TrajectoryTum, parts).unwrap()
+    }
+
+    /// SHA-256 of "abc": FIPS 180-4, example B.1.
+    const ABC: &str = "\"ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad\"";
+
+    fn asked(name: HeaderName, value: &str) -> HeaderMap {
+        HeaderMap::from_iter([(name, value.parse().unwrap())])
+    }
+
+    #[test]
+    fn the_tag_is_the_digest_and_a_known_file_is_not_sent_again() {
+        let response = answer(&file(), &HeaderMap::new()).unwrap();
+        let headers = response.headers();
+        assert_eq!((response.status(), &headers[header::ETAG]), (StatusCode::OK, &HeaderValue::from_static(ABC)));
+        assert_eq!(headers["percept-map-version"], "7");
+        assert_eq!(headers["content-digest"], "sha-256=:ungWv48Bz+pBQUDeXa4iI7ADYaOWF3qctBD/YfIAFa0=:");
+        assert_eq!(headers[header::CONTENT_DISPOSITION], "attachment; filename=\"trajectory.tum\"");
+        let again = answer(&file(), &asked(header::IF_NONE_MATCH, ABC)).unwrap();
+        assert_eq!(
+            (again.status(), &again.headers()[header::ETAG]),
+            (StatusCode::NOT_MODIFIED, &headers[header::ETAG])
+        );
+    }
+
+    #[test]
+    fn parts_are_sent_and_absent_ones_refused() {
+        let part = answer(&file(), &asked(header::RANGE, "bytes=1-")).unwrap();
+        assert_eq!(part.status(), StatusCode::PARTIAL_CONTENT);
+        assert_eq!(part.headers()[header::CONTENT_RANGE], "bytes 1-2/3");
+        assert_ne!(part.headers()["content-digest"], part.headers()["repr-digest"]);
+        let beyond = answer(&file(), &asked(header::RANGE, "bytes=3-")).unwrap_err().into_response();
+        assert_eq!(
+            (beyond.status(), &beyond.headers()[header::CONTENT_RANGE]),
+            (StatusCode::RANGE_NOT_SATISFIABLE, &HeaderValue::from_static("bytes */3"))
+        );
+        let mut other = asked(header::RANGE, "bytes=1-");
+        other.insert(header::IF_RANGE, HeaderValue::from_static("\"old\""));
+        assert_eq!(answer(&file(), &other).unwrap().status(), StatusCode::OK);
+    }
+
+    #[test]
+    fn every_format_has_one_name() {
+        for number in 1..=8 {
+            let named = FILES.iter().filter(|(_, f)| i32::from(*f) == number).count();
+            assert_eq!(named, 1, "{number}");
+        }
+        assert!(MapFormat::try_from(9).is_err());
+    }
+
+    #[test]
+    fn the_description_names_the_image_beside_it() {
+        let yaml = with_our_image(b"image: robot.pgm\nmode: trinary\nresolution: 0.05\n");
+        assert_eq!(yaml, b"image: map.pgm\nmode: trinary\nresolution: 0.05\n");
+    }
+
+    #[test]
+    fn base64_is_as_the_standard_has_it() {
+        // RFC 4648, section 10.
+        for (plain, coded) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
+            assert_eq!(base64(plain.as_bytes()), coded);
+        }
+    }
+}

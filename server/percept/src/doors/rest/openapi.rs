@@ -1,0 +1,343 @@
+//! The OpenAPI 3.1 document, made of the table of routes and the contract's descriptors.
+
+use super::comments::Comments;
+use super::fields;
+use super::files::FILES;
+use super::pages::PAGES;
+use super::routes::{Bound, Kind as Answer, Verb};
+use percept_wire::json;
+use prost_reflect::{EnumDescriptor, FieldDescriptor, Kind, MessageDescriptor};
+use serde_json::{Map, Value, json};
+
+const ABOUT: &str = "Spatial perception as a service. Every message is one of `percept.v1` in its canonical JSON form, \
+with the proto's own field names: 64-bit integers are strings, bytes are base64, enums are names, absent optional fields \
+are left out, and numbers that are not finite are the strings \"NaN\", \"Infinity\" and \"-Infinity\". Bodies and \
+answers may also be `application/x-protobuf`. A stream of sensor messages needs gRPC or zenoh.";
+
+/// The document of these routes.
+pub(super) fn document(routes: &[Bound]) -> Value {
+    let comments = Comments::of_contract();
+    let mut paths = Map::new();
+    for bound in routes {
+        let operations = paths.entry(bound.route.path).or_insert_with(|| json!({}));
+        operations[bound.route.verb.name()] = operation(bound, &comments);
+    }
+    for page in PAGES {
+        let answer = json!({"description": page.about, "content": {page.media_type: {"schema": {"type": "string"}}}});
+        let mut responses = json!({"200": answer});
+        if page.path == "/readyz" || page.path == "/healthz" {
+            responses["503"] = json!({"description": "The server is stopping."});
+        }
+        paths.insert(
+            page.path.to_owned(),
+            json!({"get": {
+                "tags": ["Server"], "summary": page.about, "operationId": page.id, "responses": responses,
+            }}),
+        );
+    }
+    json!({
+        "openapi": "3.1.0",
+        "info": {
+            "title": "percept", "version": env!("CARGO_PKG_VERSION"), "description": ABOUT,
+            "license": {"name": "Apache-2.0", "identifier": "Apache-2.0"},
+        },
+        "tags": tags(&comments),
+        "paths": paths,
+        "components": {
+            "schemas": schemas(&comments),
+            "responses": {"Problem": {
+                "description": "Why the request was not served.",
+                "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
+            }},
+        },
+    })
+}
+
+fn tag(service: &str) -> &str {
+    service.strip_suffix("Service").unwrap_or(service)
+}
+
+fn tags(comments: &Comments) -> Value {
+    let of_services = json::pool()
+        .services()
+        .map(|s| json!({"name": tag(s.name()), "description": comments.at(s.parent_file().name(), s.path())}));
+    let server = json!({"name": "Server", "description": "The server itself, and pages for people."});
+    of_services.chain([server]).collect()
+}
+
+fn operation(bound: &Bound, comments: &Comments) -> Value {
+    let (route, rpc) = (bound.route, &bound.rpc);
+    let service = rpc.parent_service();
+    let words = comments.at(service.parent_file().name(), rpc.path());
+    let summary = words.split_inclusive(['.', ';']).next().unwrap_or_default().trim_end_matches([';', '.']);
+    let mut out = json!({
+        "tags": [tag(service.name())],
+        "operationId": rpc.name(),
+        "summary": summary,
+        "description": format!("{words} (`percept.v1.{}`)", route.rpc.replace('/', ".")),
+        "parameters": parameters(bound, comments),
+        "responses": {"200": answer(bound), "default": {"$ref": "#/components/responses/Problem"}},
+    });
+    if route.verb == Verb::Post {
+        let filled: Vec<&str> = route.fill.iter().map(|f| f.1).collect();
+        let note = if filled.is_empty() { String::new() } else { format!("The path fills {}.", filled.join(", ")) };
+        out["requestBody"] = json!({
+            "required": true,
+            "description": note,
+            "content": {
+                "application/json": {"schema": reference(rpc.input().name())},
+                "application/x-protobuf": {"schema": {"type": "string", "format": "binary"}},
+            },
+        });
+    }
+    if matches!(route.kind, Answer::File) {
+        out["responses"]["206"] = json!({"description": "The part that Range asked for."});
+        out["responses"]["304"] = json!({"description": "If-None-Match holds the file's ETag."});
+        out["responses"]["416"] = json!({"$ref": "#/components/responses/Problem"});
+    }
+    out
+}
+
+fn answer(bound: &Bound) -> Value {
+    let binary = json!({"schema": {"type": "string", "format": "binary"}});
+    let json = json!({"schema": reference(bound.rpc.output().name())});
+    match bound.route.kind {
+        Answer::Message(_) if bound.rpc.is_server_streaming() => json!({
+            "description": "All messages of the stream, joined into one.",
+            "content": {"application/json": json, "application/x-protobuf": binary},
+        }),
+        Answer::Message(_) => json!({
+            "description": "The answer.",
+            "content": {"application/json": json, "application/x-protobuf": binary},
+        }),
+        Answer::SceneGraph(_) => json!({
+            "description": "The graph as JSON, or in Graphviz's DOT language.",
+            "content": {
+                "application/json": json, "application/x-protobuf": binary,
+                "text/vnd.graphviz": {"schema": {"type": "string"}},
+            },
+        }),
+        Answer::Events => json!({
+            "description": "Server-sent events: each one's data is a SessionEvent, its id the event's token. \
+                Last-Event-ID goes on after that event. An event of type problem (ErrorInfo) ends the stream.",
+            "content": {"text/event-stream": {"schema": reference("SessionEvent")}},
+        }),
+        Answer::File => json!({
+            "description": "The file, with ETag, Content-Digest and Repr-Digest (SHA-256) and percept-map-version.",
+            "headers": {
+                "ETag": {"schema": {"type": "string"}},
+                "percept-map-version": {"schema": {"type": "string"}},
+            },
+            "content": {"*/*": binary},
+        }),
+    }
+}
+
+fn parameters(bound: &Bound, comments: &Comments) -> Vec<Value> {
+    let leaves = fields::leaves(&bound.rpc.input());
+    let find = |path: &str| leaves.iter().find(|(p, _)| p == path).map(|(_, field)| field);
+    let parameter = |place: &str, name: &str, field: Option<&FieldDescriptor>| {
+        let words = field.map_or("", |f| comments.at(f.parent_message().parent_file().name(), f.path()));
+        let schema = field.map_or_else(|| json!({"type": "string"}), word);
+        json!({"name": name, "in": place, "required": place == "path", "description": words, "schema": schema})
+    };
+    let mut out: Vec<Value> =
+        bound.route.fill.iter().map(|(name, field)| parameter("path", name, find(field))).collect();
+    if matches!(bound.route.kind, Answer::File) {
+        let names: Vec<&str> = FILES.iter().map(|f| f.0).collect();
+        let schema = json!({"type": "string", "enum": names});
+        out.push(
+            json!({"name": "name", "in": "path", "required": true, "description": "Which file.", "schema": schema}),
+        );
+    }
+    for name in bound.route.query_fields(&bound.rpc) {
+        out.push(match find(&name) {
+            Some(field) => parameter("query", &name, Some(field)),
+            None => json!({
+                "name": name, "in": "query", "required": false, "description": "Form of the answer; Accept can say it too.",
+                "schema": {"type": "string", "enum": ["json", "dot"]},
+            }),
+        });
+    }
+    if matches!(bound.route.kind, Answer::Events) {
+        let words = "Token of the last event seen; goes before resume_token.";
+        out.push(json!({"name": "Last-Event-ID", "in": "header", "required": false, "description": words, "schema": {"type": "string"}}));
+    }
+    out
+}
+
+/// A scalar as it stands in a path or a query.
+fn word(field: &FieldDescriptor) -> Value {
+    match field.kind() {
+        Kind::Enum(kind) => {
+            let short = fields::short_names(&kind);
+            let names: Vec<String> = kind.values().map(|v| v.name().to_owned()).chain(short).collect();
+            json!({"type": "string", "enum": names})
+        }
+        kind => scalar(&kind),
+    }
+}
+
+fn reference(name: &str) -> Value {
+    json!({"$ref": format!("#/components/schemas/{name}")})
+}
+
+fn schemas(comments: &Comments) -> Value {
+    let ours = |package: &str| package == "percept.v1";
+    let messages = json::pool().all_messages().filter(|m| ours(m.package_name()));
+    let enums = json::pool().all_enums().filter(|e| ours(e.package_name()));
+    let mut all: Map<String, Value> = messages.map(|m| (m.name().to_owned(), message(&m, comments))).collect();
+    all.extend(enums.map(|e| (e.name().to_owned(), enumeration(&e, comments))));
+    all.insert("Problem".to_owned(), problem());
+    Value::Object(all)
+}
+
+fn problem() -> Value {
+    let text = |words: &str| json!({"type": "string", "description": words});
+    json!({
+        "type": "object",
+        "description": "RFC 9457; the same facts as ErrorInfo.",
+        "required": ["type", "title", "status", "detail", "reason", "field", "code"],
+        "properties": {
+            "type": text("urn:percept:error:<reason>."),
+            "title": text("Words of the HTTP status."),
+            "status": {"type": "integer", "description": "HTTP status."},
+            "detail": text("One sentence: field, value, remedy."),
+            "reason": text("Stable, upper-case, e.g. SESSION_NOT_FOUND."),
+            "field": text("Path of the offending field; empty if none."),
+            "code": text("Name of the gRPC code."),
+        },
+    })
+}
+
+fn message(message: &MessageDescriptor, comments: &Comments) -> Value {
+    let properties: Map<String, Value> =
+        message.fields().map(|f| (f.name().to_owned(), property(&f, comments))).collect();
+    let mut words = comments.at(message.parent_file().name(), message.path()).to_owned();
+    for oneof in message.oneofs().filter(|o| !o.is_synthetic()) {
+        let fields: Vec<String> = oneof.fields().map(|f| f.name().to_owned()).collect();
+        words.push_str(&format!(" At most one of {} ({}).", fields.join(", "), oneof.name()));
+    }
+    json!({"type": "object", "description": words.trim(), "properties": properties})
+}
+
+fn property(field: &FieldDescriptor, comments: &Comments) -> Value {
+    let mut schema = match field.kind() {
+        Kind::Message(inner) => reference(inner.name()),
+        Kind::Enum(inner) => reference(inner.name()),
+        kind => scalar(&kind),
+    };
+    if field.is_list() {
+        schema = json!({"type": "array", "items": schema});
+    }
+    let words = comments.at(field.parent_message().parent_file().name(), field.path());
+    if !words.is_empty() {
+        schema["description"] = json!(words);
+    }
+    if let Some(oneof) = field.containing_oneof().filter(|o| !o.is_synthetic()) {
+        schema["x-oneof"] = json!(oneof.name());
+    }
+    schema
+}
+
+fn scalar(kind: &Kind) -> Value {
+    match kind {
+        Kind::Bool => json!({"type": "boolean"}),
+        Kind::Double => json!({"type": "number", "format": "double"}),
+        Kind::Float => json!({"type": "number", "format": "float"}),
+        Kind::Int32 | Kind::Sint32 | Kind::Sfixed32 => json!({"type": "integer", "format": "int32"}),
+        Kind::Uint32 | Kind::Fixed32 => json!({"type": "integer", "format": "uint32", "minimum": 0}),
+        Kind::Int64 | Kind::Sint64 | Kind::Sfixed64 => {
+            json!({"type": "string", "format": "int64", "pattern": "^-?[0-9]+$"})
+        }
+        Kind::Uint64 | Kind::Fixed64 => json!({"type": "string", "format": "uint64", "pattern": "^[0-9]+$"}),
+        Kind::Bytes => json!({"type": "string", "format": "byte", "contentEncoding": "base64"}),
+        Kind::String | Kind::Enum(_) | Kind::Message(_) => json!({"type": "string"}),
+    }
+}
+
+fn enumeration(kind: &EnumDescriptor, comments: &Comments) -> Value {
+    let file = kind.parent_file();
+    let mut words = comments.at(file.name(), kind.path()).to_owned();
+    for value in kind.values() {
+        let about = comments.at(file.name(), value.path());
+        if !about.is_empty() {
+            words.push_str(&format!(" {}: {about}", value.name()));
+        }
+    }
+    let names: Vec<String> = kind.values().map(|v| v.name().to_owned()).collect();
+    json!({"type": "string", "description": words.trim(), "enum": names})
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    fn whole() -> Value {
+        document(&Bound::all().unwrap())
+    }
+
+    fn references(value: &Value, out: &mut BTreeSet<String>) {
+        match value {
+            Value::Object(members) => {
+                out.extend(members.get("$ref").and_then(Value::as_str).map(str::to_owned));
+                members.values().for_each(|v| references(v, out));
+            }
+            Value::Array(items) => items.iter().for_each(|v| references(v, out)),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn every_reference_leads_somewhere() {
+        let document = whole();
+        let mut all = BTreeSet::new();
+        references(&document, &mut all);
+        assert!(all.len() > 50);
+        for reference in all {
+            assert!(document.pointer(reference.trim_start_matches('#')).is_some(), "{reference}");
+        }
+    }
+
+    #[test]
+    fn every_parameter_of_a_path_is_declared() {
+        let document = whole();
+        for (path, operations) in document["paths"].as_object().unwrap() {
+            let wanted: BTreeSet<&str> = path.split('{').skip(1).filter_map(|p| p.split('}').next()).collect();
+            for operation in operations.as_object().unwrap().values() {
+                let declared = operation["parameters"].as_array().cloned().unwrap_or_default();
+                let declared: BTreeSet<&str> = declared
+                    .iter()
+                    .filter(|p| p["in"] == "path")
+                    .map(|p| p["name"].as_str().unwrap().to_owned().leak() as &str)
+                    .collect();
+                assert_eq!(declared, wanted, "{path}");
+            }
+        }
+    }
+
+    #[test]
+    fn operations_have_ids_of_their_own_and_say_what_they_do() {
+        let document = whole();
+        let mut ids = BTreeSet::new();
+        for (path, operations) in document["paths"].as_object().unwrap() {
+            for (verb, operation) in operations.as_object().unwrap() {
+                assert!(ids.insert(operation["operationId"].as_str().unwrap().to_owned()), "{verb} {path}");
+                assert!(!operation["summary"].as_str().unwrap().is_empty(), "{verb} {path}");
+            }
+        }
+    }
+
+    #[test]
+    fn kinds_are_as_json_has_them() {
+        let document = whole();
+        let field = |path: &str| document.pointer(&format!("/components/schemas/{path}")).unwrap().clone();
+        assert_eq!(field("SensorMessage/properties/stamp_ns/type"), "string");
+        assert_eq!(field("DepthImage/properties/data/format"), "byte");
+        assert_eq!(field("SensorMessage/properties/depth/x-oneof"), "data");
+        assert_eq!(field("Relation/properties/kind/$ref"), "#/components/schemas/RelationKind");
+        assert_eq!(field("RelationKind/enum/1"), "RELATION_KIND_ON");
+        assert!(field("Vector2/properties/x/description").as_str().unwrap().contains("Metres"));
+    }
+}

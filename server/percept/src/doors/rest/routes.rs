@@ -1,0 +1,352 @@
+//! The table of routes: which request is which rpc. The router and the OpenAPI document are made from it.
+
+use super::super::grpc::Api;
+use super::fields;
+use super::refused::Refused;
+use axum::http::request::Parts;
+use axum::http::{Uri, header};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use futures::future::BoxFuture;
+use futures::{Stream, StreamExt};
+use percept_service::Error;
+use percept_wire::{json, v1};
+use prost::Message;
+use prost_reflect::MethodDescriptor;
+use std::pin::pin;
+use tonic::Status;
+use v1::evaluation_service_server::EvaluationService;
+use v1::maps_service_server::MapsService;
+use v1::navigation_service_server::NavigationService;
+use v1::scene_service_server::SceneService;
+use v1::sensors_service_server::SensorsService;
+use v1::sessions_service_server::SessionsService;
+use v1::toolbox_service_server::ToolboxService;
+
+/// An rpc from encoded request to encoded response.
+pub(super) type Call = fn(Api, Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>>;
+
+/// HTTP methods in use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Verb {
+    Get,
+    Post,
+    Delete,
+}
+
+impl Verb {
+    /// As OpenAPI spells it.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Get => "get",
+            Self::Post => "post",
+            Self::Delete => "delete",
+        }
+    }
+}
+
+/// How a route answers.
+#[derive(Clone, Copy)]
+pub(super) enum Kind {
+    /// The response message; of a stream, its messages joined into one.
+    Message(Call),
+    /// The same, or Graphviz.
+    SceneGraph(Call),
+    /// Server-sent events.
+    Events,
+    /// A file.
+    File,
+}
+
+/// A route. A `POST` carries the request message as its body, the others say it in the query.
+pub(super) struct Route {
+    pub(super) verb: Verb,
+    pub(super) path: &'static str,
+    /// `Service/Method` in `percept.v1`.
+    pub(super) rpc: &'static str,
+    /// Path parameters and the dotted field of the request that each one fills.
+    pub(super) fill: &'static [(&'static str, &'static str)],
+    pub(super) kind: Kind,
+}
+
+/// A route with its rpc of the contract.
+pub(super) struct Bound {
+    pub(super) route: &'static Route,
+    pub(super) rpc: MethodDescriptor,
+}
+
+impl Bound {
+    /// All routes.
+    ///
+    /// # Errors
+    /// `INTERNAL` if the table names an rpc that the contract does not have.
+    pub(super) fn all() -> Result<Vec<Self>, Error> {
+        let find = |name: &str| {
+            let (service, method) = name.split_once('/')?;
+            let service = json::pool().get_service_by_name(&format!("percept.v1.{service}"))?;
+            service.methods().find(|m| m.name() == method)
+        };
+        let bind = |route: &'static Route| {
+            let rpc =
+                find(route.rpc).ok_or_else(|| Error::internal(format!("no rpc {} in the contract", route.rpc)))?;
+            Ok(Self { route, rpc })
+        };
+        ROUTES.iter().map(bind).collect()
+    }
+}
+
+impl Route {
+    /// Names that may stand in the query: the request's scalars that the path does not fill.
+    pub(super) fn query_fields(&self, rpc: &MethodDescriptor) -> Vec<String> {
+        let mut names = match self.kind {
+            _ if self.verb == Verb::Post => vec![],
+            // Its format is the file's name.
+            Kind::File => vec![],
+            _ => fields::leaves(&rpc.input()).into_iter().map(|(path, _)| path).collect(),
+        };
+        names.retain(|name| !self.fill.iter().any(|(_, field)| field == name));
+        if matches!(self.kind, Kind::SceneGraph(_)) {
+            names.push("format".to_owned());
+        }
+        names
+    }
+}
+
+fn decode<M: Message + Default>(request: Bytes) -> Result<M, Refused> {
+    Ok(M::decode(request).map_err(Error::internal)?)
+}
+
+/// A unary rpc.
+macro_rules! unary {
+    ($kind:ident $rpc:ident) => {{
+        fn call(api: Api, request: Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>> {
+            Box::pin(async move {
+                let answer = api.$rpc(tonic::Request::new(decode(request)?)).await?;
+                Ok(answer.into_inner().encode_to_vec())
+            })
+        }
+        Kind::$kind(call)
+    }};
+}
+
+/// A streaming rpc whose messages are joined by the function.
+macro_rules! joined {
+    ($rpc:ident, $join:expr) => {{
+        fn call(api: Api, request: Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>> {
+            Box::pin(async move {
+                let answer = api.$rpc(tonic::Request::new(decode(request)?)).await?;
+                Ok($join(collect(answer.into_inner()).await?).encode_to_vec())
+            })
+        }
+        Kind::Message(call)
+    }};
+}
+
+/// All messages of a stream.
+pub(super) async fn collect<T>(stream: impl Stream<Item = Result<T, Status>>) -> Result<Vec<T>, Refused> {
+    let mut stream = pin!(stream);
+    let mut all = vec![];
+    while let Some(message) = stream.next().await {
+        all.push(message?);
+    }
+    Ok(all)
+}
+
+fn join_trajectory(parts: Vec<v1::GetTrajectoryResponse>) -> v1::GetTrajectoryResponse {
+    let map_version = parts.first().map(|p| p.map_version).unwrap_or_default();
+    v1::GetTrajectoryResponse { map_version, poses: parts.into_iter().flat_map(|p| p.poses).collect() }
+}
+
+fn join_grid(parts: Vec<v1::GetOccupancyGridResponse>) -> v1::GetOccupancyGridResponse {
+    let mut chunks = parts.into_iter().filter_map(|p| p.chunk);
+    let Some(mut whole) = chunks.next() else { return v1::GetOccupancyGridResponse::default() };
+    let mut cells = whole.cells.to_vec();
+    chunks.for_each(|c| cells.extend_from_slice(&c.cells));
+    whole.cells = cells.into();
+    v1::GetOccupancyGridResponse { chunk: Some(whole) }
+}
+
+fn join_cloud(parts: Vec<v1::GetCloudResponse>) -> v1::GetCloudResponse {
+    let (mut head, mut clouds) = (None, vec![]);
+    for mut chunk in parts.into_iter().filter_map(|p| p.chunk) {
+        clouds.extend(chunk.cloud.take());
+        head.get_or_insert(chunk);
+    }
+    let channel = |of: fn(&v1::PointCloud) -> Option<&Bytes>| -> Option<Bytes> {
+        let parts: Vec<&[u8]> = clouds.iter().map(|c| of(c).map(|b| &b[..])).collect::<Option<_>>()?;
+        Some(parts.concat().into())
+    };
+    let cloud = v1::PointCloud {
+        num_points: clouds.iter().map(|c| c.num_points).sum(),
+        positions: channel(|c| Some(&c.positions)).unwrap_or_default(),
+        colors: channel(|c| c.colors.as_ref()),
+        intensities: channel(|c| c.intensities.as_ref()),
+        normals: channel(|c| c.normals.as_ref()),
+        time_offsets_s: channel(|c| c.time_offsets_s.as_ref()),
+    };
+    v1::GetCloudResponse { chunk: head.map(|head| v1::CloudChunk { cloud: Some(cloud), ..head }) }
+}
+
+/// Whether the scene graph is asked for in Graphviz's language.
+pub(super) fn wants_dot(parts: &Parts) -> Result<bool, Refused> {
+    let form = fields::form(&parts.uri as &Uri)?;
+    let accepted = parts.headers.get(header::ACCEPT).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    match form.as_deref() {
+        Some("dot") => Ok(true),
+        Some("json") => Ok(false),
+        None => Ok(accepted.contains("text/vnd.graphviz")),
+        Some(other) => {
+            let shown: String = other.chars().take(80).collect();
+            let message = format!("format is {shown:?}; it must be json or dot");
+            Err(Error::invalid("QUERY_INVALID", "format", message).into())
+        }
+    }
+}
+
+/// The scene graph in Graphviz's language.
+pub(super) async fn scene_as_dot(api: &Api, request: Bytes) -> Result<Response, Refused> {
+    let request: v1::GetSceneGraphRequest = decode(request)?;
+    let graph = api.service.scene_graph(&request.session_id).await?;
+    Ok(([(header::CONTENT_TYPE, "text/vnd.graphviz; charset=utf-8")], graph.to_dot()).into_response())
+}
+
+const SESSION: &[(&str, &str)] = &[("session_id", "session_id")];
+const SOURCE: &[(&str, &str)] = &[("session_id", "source.session_id")];
+const MESSAGE: &[(&str, &str)] = &[("session_id", "message.session_id")];
+const OBJECT: &[(&str, &str)] = &[("session_id", "session_id"), ("object_id", "object_id")];
+
+const fn get(
+    path: &'static str,
+    rpc: &'static str,
+    fill: &'static [(&'static str, &'static str)],
+    kind: Kind,
+) -> Route {
+    Route { verb: Verb::Get, path, rpc, fill, kind }
+}
+
+const fn post(
+    path: &'static str,
+    rpc: &'static str,
+    fill: &'static [(&'static str, &'static str)],
+    kind: Kind,
+) -> Route {
+    Route { verb: Verb::Post, path, rpc, fill, kind }
+}
+
+const fn delete(
+    path: &'static str,
+    rpc: &'static str,
+    fill: &'static [(&'static str, &'static str)],
+    kind: Kind,
+) -> Route {
+    Route { verb: Verb::Delete, path, rpc, fill, kind }
+}
+
+/// Every route that is an rpc. `StreamFrames` alone has none: a stream in needs gRPC, or zenoh.
+#[rustfmt::skip]
+pub(super) static ROUTES: &[Route] = &[
+    post("/v1/sessions", "SessionsService/CreateSession", &[], unary!(Message create_session)),
+    get("/v1/sessions", "SessionsService/ListSessions", &[], unary!(Message list_sessions)),
+    get("/v1/sessions/{session_id}", "SessionsService/GetSession", SESSION, unary!(Message get_session)),
+    delete("/v1/sessions/{session_id}", "SessionsService/DeleteSession", SESSION, unary!(Message delete_session)),
+    get("/v1/sessions/{session_id}/pose", "SessionsService/GetPose", SESSION, unary!(Message get_pose)),
+    get("/v1/sessions/{session_id}/trajectory", "SessionsService/GetTrajectory", SESSION, joined!(get_trajectory, join_trajectory)),
+    get("/v1/sessions/{session_id}/keyframes", "SessionsService/ListKeyframes", SESSION, unary!(Message list_keyframes)),
+    get("/v1/sessions/{session_id}/events", "SessionsService/WatchSession", SESSION, Kind::Events),
+    get("/v1/default-params", "SessionsService/GetDefaultParams", &[], unary!(Message get_default_params)),
+
+    post("/v1/sessions/{session_id}/sensors", "SensorsService/DeclareSensor", SESSION, unary!(Message declare_sensor)),
+    get("/v1/sessions/{session_id}/sensors", "SensorsService/ListSensors", SESSION, unary!(Message list_sensors)),
+    post("/v1/sessions/{session_id}/frames", "SensorsService/SendFrame", MESSAGE, unary!(Message send_frame)),
+    get("/v1/time-sync", "SensorsService/SyncTime", &[], unary!(Message sync_time)),
+
+    get("/v1/sessions/{session_id}/map", "MapsService/GetMapSummary", SOURCE, unary!(Message get_map_summary)),
+    get("/v1/sessions/{session_id}/map/occupancy", "MapsService/GetOccupancyGrid", SOURCE, joined!(get_occupancy_grid, join_grid)),
+    get("/v1/sessions/{session_id}/map/cloud", "MapsService/GetCloud", SOURCE, joined!(get_cloud, join_cloud)),
+    get("/v1/sessions/{session_id}/map/files/{name}", "MapsService/ExportMap", SOURCE, Kind::File),
+
+    get("/v1/sessions/{session_id}/objects", "SceneService/ListObjects", SESSION, unary!(Message list_objects)),
+    get("/v1/sessions/{session_id}/objects/{object_id}", "SceneService/GetObject", OBJECT, unary!(Message get_object)),
+    get("/v1/sessions/{session_id}/scene-graph", "SceneService/GetSceneGraph", SESSION, unary!(SceneGraph get_scene_graph)),
+
+    post("/v1/sessions/{session_id}/plan", "NavigationService/PlanPath", SOURCE, unary!(Message plan_path)),
+    post("/v1/sessions/{session_id}/navigate", "NavigationService/Navigate", MESSAGE, unary!(Message navigate)),
+
+    post("/v1/toolbox/remove-statistical-outliers", "ToolboxService/RemoveStatisticalOutliers", &[], unary!(Message remove_statistical_outliers)),
+    post("/v1/toolbox/downsample-voxels", "ToolboxService/DownsampleVoxels", &[], unary!(Message downsample_voxels)),
+    post("/v1/toolbox/estimate-normals", "ToolboxService/EstimateNormals", &[], unary!(Message estimate_normals)),
+    post("/v1/toolbox/segment-planes", "ToolboxService/SegmentPlanes", &[], unary!(Message segment_planes)),
+    post("/v1/toolbox/cluster-points", "ToolboxService/ClusterPoints", &[], unary!(Message cluster_points)),
+    post("/v1/toolbox/compute-shape-features", "ToolboxService/ComputeShapeFeatures", &[], unary!(Message compute_shape_features)),
+    post("/v1/toolbox/detect-objects", "ToolboxService/DetectObjects", &[], unary!(Message detect_objects)),
+    post("/v1/toolbox/register-clouds", "ToolboxService/RegisterClouds", &[], unary!(Message register_clouds)),
+    post("/v1/toolbox/unproject-depth", "ToolboxService/UnprojectDepth", &[], unary!(Message unproject_depth)),
+
+    post("/v1/evaluation/trajectory", "EvaluationService/EvaluateTrajectory", &[], unary!(Message evaluate_trajectory)),
+    post("/v1/evaluation/detections", "EvaluationService/EvaluateDetections", &[], unary!(Message evaluate_detections)),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn no_route_stands_twice() {
+        let routes: BTreeSet<_> = ROUTES.iter().map(|r| (r.verb, r.path)).collect();
+        let rpcs: BTreeSet<_> = ROUTES.iter().map(|r| r.rpc).collect();
+        assert_eq!((routes.len(), rpcs.len()), (ROUTES.len(), ROUTES.len()));
+    }
+
+    #[test]
+    fn every_rpc_but_the_stream_in_is_reachable() {
+        let routed: BTreeSet<String> = ROUTES.iter().map(|r| r.rpc.to_owned()).collect();
+        let rpcs = json::pool().services().flat_map(|s| {
+            s.methods()
+                .map(move |m| (m.is_client_streaming(), format!("{}/{}", m.parent_service().name(), m.name())))
+                .collect::<Vec<_>>()
+        });
+        let wanted: BTreeSet<String> = rpcs.filter(|(stream_in, _)| !stream_in).map(|(_, name)| name).collect();
+        assert!(wanted.len() > 25);
+        assert_eq!(routed, wanted);
+    }
+
+    #[test]
+    fn every_path_parameter_fills_a_field_that_exists() {
+        for bound in Bound::all().unwrap() {
+            let leaves: BTreeSet<String> =
+                fields::leaves(&bound.rpc.input()).into_iter().map(|(path, _)| path).collect();
+            for (name, field) in bound.route.fill {
+                assert!(bound.route.path.contains(&format!("{{{name}}}")), "{}", bound.route.path);
+                assert!(leaves.contains(*field), "{}: {field}", bound.route.path);
+            }
+        }
+    }
+
+    #[test]
+    fn chunks_join_in_order_and_keep_their_head() {
+        let chunk = |offset, cells: &'static [u8], stamp: Option<v1::MapStamp>| v1::GetOccupancyGridResponse {
+            chunk: Some(v1::OccupancyGridChunk { stamp, geometry: None, offset, cells: Bytes::from_static(cells) }),
+        };
+        let stamp = v1::MapStamp { map_version: 3, ..Default::default() };
+        let whole = join_grid(vec![chunk(0, b"ab", Some(stamp.clone())), chunk(2, b"c", None)]).chunk.unwrap();
+        assert_eq!((&whole.cells[..], whole.stamp), (&b"abc"[..], Some(stamp)));
+        let cloud = |n: u32, colors: Option<&'static [u8]>| v1::GetCloudResponse {
+            chunk: Some(v1::CloudChunk {
+                total_points: (n == 1).then_some(3),
+                cloud: Some(v1::PointCloud {
+                    num_points: n,
+                    positions: vec![n as u8; 12 * n as usize].into(),
+                    colors: colors.map(Bytes::from_static),
+                    ..Default::default()
+                }),
+                ..Default::default()
+            }),
+        };
+        let whole = join_cloud(vec![cloud(1, Some(b"rgb")), cloud(2, Some(b"rgbrgb"))]).chunk.unwrap();
+        let points = whole.cloud.unwrap();
+        assert_eq!((whole.total_points, points.num_points, points.positions.len()), (Some(3), 3, 36));
+        assert_eq!(points.colors.unwrap().len(), 9);
+        assert_eq!(points.normals, None);
+    }
+}
