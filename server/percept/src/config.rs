@@ -80,7 +80,7 @@ pub(crate) struct Compute {
     /// Threads that compute, 0 to 1024; 0: one for each core.
     pub threads: usize,
     /// How far those threads stand back behind the ones that answer, 0 to 19, as `nice` has it.
-    pub nice: u8,
+    pub nice: i32,
 }
 
 impl Default for Compute {
@@ -90,31 +90,20 @@ impl Default for Compute {
 }
 
 /// What is logged, to standard error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Log {
-    /// Least importance that is logged: error, warn, info, debug or trace. The variable `RUST_LOG` overrides it, by
-    /// module if wanted.
-    pub level: LogLevel,
+    /// Least importance that is logged: off, error, warn, info, debug or trace; or by module, such as
+    /// info,percept=debug. The variable `RUST_LOG` overrides it.
+    pub level: String,
     /// How a line looks: text for people, json for machines.
     pub format: LogFormat,
 }
 
-/// Importance of a line in the log.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(crate) enum LogLevel {
-    /// What failed.
-    Error,
-    /// And what should not be so.
-    Warn,
-    /// And what an operator wants to know.
-    #[default]
-    Info,
-    /// And each request.
-    Debug,
-    /// And everything.
-    Trace,
+impl Default for Log {
+    fn default() -> Self {
+        Self { level: "info".to_owned(), format: LogFormat::default() }
+    }
 }
 
 /// How a line of the log looks.
@@ -164,10 +153,14 @@ impl Config {
         if self.compute.threads > 1024 {
             return Err(out_of_bounds("compute.threads", self.compute.threads, "set it to 0 (one a core) up to 1024"));
         }
-        if self.compute.nice > 19 {
+        if !(0..=19).contains(&self.compute.nice) {
             return Err(out_of_bounds("compute.nice", self.compute.nice, "set it between 0 and 19"));
         }
         check_limits(&self.limits)?;
+        if let Err(problem) = crate::telemetry::filter(&self.log.level) {
+            let remedy = format!("{problem}; write off, error, warn, info, debug or trace");
+            return Err(quoted("log.level", &self.log.level, &remedy));
+        }
         self.params.validate().map_err(|e| ConfigError::params(e.section, e.message))
     }
 }

@@ -106,7 +106,9 @@ fn complaints_name_place_field_value_and_remedy() {
     said("[compute]\nthreads = \"two\"\n", &[], "percept.toml:2: invalid type: string \"two\"");
     said("[compute]\nthreads = -2\n", &[], "percept.toml:2: ");
     said("[listen]\n\ngrpc = 1 2\n", &[], "percept.toml:3: ");
-    said("[log]\nlevel = \"loud\"\n", &[], "percept.toml:2: unknown variant `loud`, expected one of `error`, `warn`");
+    said("[log]\nlevel = \"loud\"\n", &[], "percept.toml:2: log.level is \"loud\"; ");
+    said("[log]\nlevel = \"percept=loud\"\n", &[], "percept.toml:2: log.level is \"percept=loud\"; ");
+    said("[log]\nformat = \"xml\"\n", &[], "percept.toml:2: unknown variant `xml`, expected `text` or `json`");
     said("[limits]\nmax_sessions = 0\n", &[], "percept.toml:2: limits.max_sessions is 0; set it between 1 and");
     said(
         "",
@@ -114,8 +116,12 @@ fn complaints_name_place_field_value_and_remedy() {
         "environment PERCEPT_LIMITS_MAX_SESSIONS: limits.max_sessions is 0",
     );
     said("", &[("PERCEPT_LIMITS_MAX_SESSIONS", "ten")], "PERCEPT_LIMITS_MAX_SESSIONS is \"ten\"; write a whole number");
-    said("", &[("PERCEPT_LOG_LEVEL", "loud")], "PERCEPT_LOG_LEVEL is \"loud\"; does not fit: unknown variant");
-    said("", &[("PERCEPT_COMPUTE_NICE", "300")], "PERCEPT_COMPUTE_NICE is \"300\"; does not fit");
+    said("", &[("PERCEPT_LOG_FORMAT", "xml")], "PERCEPT_LOG_FORMAT is \"xml\"; does not fit: unknown variant");
+    said(
+        "",
+        &[("PERCEPT_COMPUTE_NICE", "300")],
+        "environment PERCEPT_COMPUTE_NICE: compute.nice is 300; set it between 0 and 19",
+    );
     said(
         "",
         &[("PERCEPT_LISTEN_GRCP", "x")],
