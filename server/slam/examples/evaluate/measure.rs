@@ -49,7 +49,7 @@ pub(crate) fn report(truth: &[Pose], estimate: &[Pose]) {
     let path: f64 = truth.windows(2).map(|w| (w[1].translation.vector - w[0].translation.vector).norm()).sum();
     println!(
         "ATE rmse {:.4} m max {:.4} m  RPE {:.4} m {:.3} deg  path {path:.2} m",
-        rmse(&errors),
+        ate_rmse(truth, estimate),
         errors.iter().fold(0f64, |a, &b| a.max(b)),
         rmse(&rpe_t),
         rmse(&rpe_r)

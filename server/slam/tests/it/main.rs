@@ -1,5 +1,7 @@
 //! Odometry against closed-form rooms and recorded data.
 
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests, not only the tests themselves.
+
 mod lidar2d;
 mod lidar3d;
 mod recorded;

@@ -74,8 +74,9 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
                 solve(&e, &degeneracy, &prior, &pull, level.stride).ok_or(LostReason::Degenerate)?;
             t_view_camera *= se3::exp(&step);
             iterations += 1;
-            // Tukey's cut-off follows the residuals, between what the noise model says and five times that.
-            scale = (e.rmse() * 1.3).clamp(1.0, 3.0);
+            // Tukey's cut-off follows the residuals, from what the noise model says to three times that;
+            // twice their root mean square, since the kernel has cut their tails already.
+            scale = (e.rmse() * 2.0).clamp(1.0, 3.0);
             last = Some((e, degeneracy, information));
             let small = 2e-4 * level.stride as f64;
             if step.fixed_rows::<3>(0).norm() < small && step.fixed_rows::<3>(3).norm() < small {
