@@ -23,7 +23,7 @@ pub(super) async fn read(body: Body, headers: &HeaderMap, limits: &Limits) -> Re
     let limit = limit_of(limits);
     let too_large = |size: u64| -> Refused {
         let message =
-            format!("the body has {size} bytes or more, the limit is {limit}; send less at a time, or downsample");
+            format!("the body has at least {size} bytes, the limit is {limit}; send less at a time, or downsample");
         Error::exhausted("MESSAGE_TOO_LARGE", "", message).into()
     };
     let declared = headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
