@@ -1,0 +1,12 @@
+//! Depth and colour images.
+#![no_main]
+use percept_formats::{Limits, images};
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    // Small enough that a lying header is refused before memory is taken.
+    let limits = Limits { max_pixels: 1 << 20, ..Limits::default() };
+    let _ = images::png_size(bytes);
+    let _ = images::decode_gray16(bytes, &limits);
+    let _ = images::decode_depth_png(bytes, 1e-3, &limits);
+    let _ = images::decode_color(bytes, &limits);
+});
