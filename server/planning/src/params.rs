@@ -38,7 +38,7 @@ impl Default for PlanParams {
         Self {
             robot_radius_m: 0.22,
             inflation_radius_m: 0.5,
-            occupied_probability: 0.7,
+            occupied_probability: 0.6,
             allow_unknown: false,
             clearance_weight: 3.0,
             cost_scaling: 5.0,

@@ -3,7 +3,7 @@
 use super::pictures;
 use crate::{Error, Result, Service};
 use nalgebra::{Point2, Point3};
-use percept_formats::{GridMap, nav2, pcd, ply, tum};
+use percept_formats::{FormatError, GridMap, nav2, pcd, ply, trajectory};
 use percept_geometry::{Cell, GridGeometry, PointCloud, Stamped, Timestamp};
 use percept_mapping::OccupancyGrid;
 use percept_pipeline::Snapshot;
@@ -151,13 +151,14 @@ pub fn dense(
         return Err(too_large(cells, limits));
     }
     let (width, height) = (width as usize, height as usize);
-    let mut out = vec![-1i8; width * height];
     let (lo, hi) = (Cell::new(ax * factor, ay * factor), b);
-    grid.for_each_known(lo, hi, |cell, percent| {
-        let (x, y) = (cell.x.div_euclid(factor) - ax, cell.y.div_euclid(factor) - ay);
-        let slot = &mut out[y as usize * width + x as usize];
+    let part = grid.region(lo, hi, usize::MAX).map_err(Error::internal)?;
+    let mut out = vec![-1i8; width * height];
+    for (i, &percent) in part.cells.iter().enumerate() {
+        let (x, y) = ((i % part.width) / factor as usize, (i / part.width) / factor as usize);
+        let slot = &mut out[y * width + x];
         *slot = (*slot).max(percent);
-    });
+    }
     let geometry = GridGeometry::new(resolution, own.corner(lo));
     Ok(GridMap { geometry, width, height, cells: out })
 }
@@ -241,22 +242,38 @@ pub fn export(s: &Snapshot, name: &str, format: MapFormat, limits: &crate::Limit
     };
     let (suffix, media_type, bytes) = match format {
         F::OccupancyPng => ("png", "image/png", pictures::occupancy(&grid()?)?),
-        F::Nav2Pgm => ("pgm", "image/x-portable-graymap", nav2::write_pgm(&grid()?)),
-        F::Nav2Yaml => {
-            let yaml = nav2::write_yaml(&grid()?, &format!("{name}.pgm"));
-            ("yaml", "application/yaml", yaml.into_bytes())
+        F::Nav2Pgm => {
+            let grid = grid()?;
+            ("pgm", "image/x-portable-graymap", written(|out| nav2::write_pgm(out, &grid))?)
         }
-        F::CloudPly => ("ply", "application/octet-stream", ply::write_binary(&cloud()?)),
-        F::CloudPcd => ("pcd", "application/octet-stream", pcd::write_binary(&cloud()?)),
+        F::Nav2Yaml => {
+            let geometry = grid()?.geometry;
+            ("yaml", "application/yaml", written(|out| nav2::write_yaml(out, &geometry, &format!("{name}.pgm")))?)
+        }
+        F::CloudPly => {
+            let cloud = cloud()?;
+            ("ply", "application/octet-stream", written(|out| ply::write(out, &cloud, ply::Encoding::BinaryLittleEndian))?)
+        }
+        F::CloudPcd => {
+            let cloud = cloud()?;
+            ("pcd", "application/octet-stream", written(|out| pcd::write(out, &cloud))?)
+        }
         F::TrajectoryTum => {
             let poses: Vec<_> = s.trajectory().map(|(value, e)| Stamped { stamp: e.stamp, value }).collect();
-            ("tum", "text/plain", tum::write(&poses).into_bytes())
+            ("tum", "text/plain", written(|out| trajectory::write_tum(out, &poses))?)
         }
-        F::OverviewPng => ("overview.png", "image/png", pictures::overview(&grid()?, s, None)?),
+        F::OverviewPng => ("overview.png", "image/png", pictures::overview(&grid()?, &pictures::Overlay::of(s))?),
         F::CloudTopPng => ("cloud.png", "image/png", pictures::cloud_top(&cloud()?)?),
     };
     let file_name = format!("{name}.{suffix}");
     Ok(MapFile { map_version: s.map_version, stamp: stamp_of(s), file_name, media_type, bytes })
+}
+
+/// What a writer of a format writes; memory does not refuse.
+fn written(write: impl FnOnce(&mut Vec<u8>) -> std::result::Result<(), FormatError>) -> Result<Vec<u8>> {
+    let mut out = Vec::new();
+    write(&mut out).map_err(Error::internal)?;
+    Ok(out)
 }
 
 fn map_empty() -> Error {

@@ -4,9 +4,9 @@ pub mod evaluation;
 pub mod maps;
 pub mod navigation;
 pub mod pictures;
-pub mod scene;
-pub mod sensors;
-pub mod sessions;
+mod scene;
+mod sensors;
+pub(crate) mod sessions;
 pub mod toolbox;
 
 use crate::Error;

@@ -2,8 +2,8 @@
 
 use crate::{Error, Result};
 use nalgebra::Point2;
-use percept_formats::{GridMap, image};
-use percept_geometry::{ObjectClass, PointCloud, RgbImage};
+use percept_formats::{GridMap, images};
+use percept_geometry::{ObjectClass, OrientedBox3, PointCloud, Pose, RgbImage};
 use percept_pipeline::Snapshot;
 use percept_scene::ObjectState;
 
@@ -56,7 +56,7 @@ impl Canvas {
 
     fn into_png(self) -> Result<Vec<u8>> {
         let image = RgbImage::new(self.width, self.height, self.pixels).map_err(Error::internal)?;
-        image::encode_png(&image).map_err(Error::internal)
+        images::encode_rgb_png(&image).map_err(Error::internal)
     }
 }
 
@@ -111,12 +111,34 @@ pub fn occupancy(grid: &GridMap) -> Result<Vec<u8>> {
     draw_grid(grid, 1).into_png()
 }
 
-/// The grid with trajectory (blue), robot (green), objects (coloured by class) and, if given, a path (magenta;
-/// metres, map frame).
+/// What is drawn over a grid; map frame, metres.
+#[derive(Debug, Clone, Default)]
+pub struct Overlay {
+    /// Where the robot was; the last pose is where it is.
+    pub trajectory: Vec<Pose>,
+    /// Boxes with their classes.
+    pub objects: Vec<(ObjectClass, OrientedBox3)>,
+    /// A planned path.
+    pub path: Vec<Point2<f64>>,
+}
+
+impl Overlay {
+    /// What a snapshot knows.
+    pub fn of(snapshot: &Snapshot) -> Self {
+        let there = snapshot.objects.iter().filter(|o| o.state != ObjectState::Gone);
+        Self {
+            trajectory: snapshot.trajectory().map(|(t, _)| t).collect(),
+            objects: there.map(|o| (o.class, o.bbox)).collect(),
+            path: vec![],
+        }
+    }
+}
+
+/// The grid with trajectory (blue), robot (green), objects (coloured by class) and path (magenta).
 ///
 /// # Errors
 /// `PICTURE_TOO_LARGE`.
-pub fn overview(grid: &GridMap, snapshot: &Snapshot, path: Option<&[Point2<f64>]>) -> Result<Vec<u8>> {
+pub fn overview(grid: &GridMap, overlay: &Overlay) -> Result<Vec<u8>> {
     check_size(grid.width, grid.height)?;
     let scale = (WANTED_EDGE / grid.width.max(grid.height).max(1)).clamp(1, 8);
     let mut canvas = draw_grid(grid, scale);
@@ -124,23 +146,20 @@ pub fn overview(grid: &GridMap, snapshot: &Snapshot, path: Option<&[Point2<f64>]
     let height = canvas.height as f64;
     let origin = grid.geometry.origin;
     let pixel = move |p: Point2<f64>| Point2::new((p.x - origin.x) * per_metre, height - (p.y - origin.y) * per_metre);
-    let track: Vec<_> = snapshot.trajectory().map(|(t, _)| pixel(t.translation.vector.xy().into())).collect();
-    track.windows(2).for_each(|p| canvas.line(p[0], p[1], 2, TRAJECTORY));
-    for object in snapshot.objects.iter().filter(|o| o.state != ObjectState::Gone) {
-        let corners = object.bbox.footprint().map(pixel);
-        (0..4).for_each(|i| canvas.line(corners[i], corners[(i + 1) % 4], 3, class_color(object.class)));
+    let position = |t: &Pose| pixel(t.translation.vector.xy().into());
+    overlay.trajectory.windows(2).for_each(|p| canvas.line(position(&p[0]), position(&p[1]), 2, TRAJECTORY));
+    for (class, bbox) in &overlay.objects {
+        let corners = bbox.footprint().map(pixel);
+        (0..4).for_each(|i| canvas.line(corners[i], corners[(i + 1) % 4], 3, class_color(*class)));
     }
-    if let Some(path) = path {
-        path.windows(2).for_each(|p| canvas.line(pixel(p[0]), pixel(p[1]), 3, PATH));
-        if let Some(goal) = path.last() {
-            canvas.disc(pixel(*goal), 6, PATH);
-        }
+    overlay.path.windows(2).for_each(|p| canvas.line(pixel(p[0]), pixel(p[1]), 3, PATH));
+    if let Some(goal) = overlay.path.last() {
+        canvas.disc(pixel(*goal), 6, PATH);
     }
-    if let Some(pose) = &snapshot.pose {
-        let at = pixel(pose.t_map_base.translation.vector.xy().into());
-        canvas.disc(at, 6, ROBOT);
-        let ahead = pose.t_map_base * nalgebra::Point3::new(0.5, 0.0, 0.0);
-        canvas.line(at, pixel(ahead.xy()), 3, ROBOT);
+    if let Some(robot) = overlay.trajectory.last() {
+        canvas.disc(position(robot), 6, ROBOT);
+        let ahead = robot * nalgebra::Point3::new(0.5, 0.0, 0.0);
+        canvas.line(position(robot), pixel(ahead.xy()), 3, ROBOT);
     }
     canvas.into_png()
 }

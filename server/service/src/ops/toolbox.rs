@@ -129,12 +129,12 @@ impl Service {
     /// Objects in a cloud whose z is up and whose floor is near z = 0.
     ///
     /// # Errors
-    /// `INTERNAL` only.
+    /// Clouds whose channels do not fit.
     pub async fn detect_objects(&self, cloud: PointCloud) -> Result<Vec<Detection>> {
         let params = self.default_params().detection.detector.clone();
         let work = move || {
             let detector = Detector::new(params).map_err(Error::internal)?;
-            Ok(detector.detect(&cloud, None))
+            detector.detect(&cloud).map_err(cloud_error)
         };
         self.compute.request(work).await?
     }
@@ -154,19 +154,21 @@ impl Service {
         let work = move || match method {
             RegistrationMethod::PointToPoint => {
                 align_point_to_point(&source.positions, &target.positions, &initial, &params)
+                    .map_err(|e| registration_error(&e))
             }
             RegistrationMethod::PointToPlane => {
                 let normals = match target.normals {
                     Some(normals) => normals,
                     None => {
                         let params = NormalParams { radius_m: params.max_distance_m, ..NormalParams::default() };
-                        estimate_normals(&target.positions, &params, None).map_err(RegistrationError::from)?
+                        estimate_normals(&target.positions, &params, None)?
                     }
                 };
                 align_point_to_plane(&source.positions, &target.positions, &normals, &initial, &params)
+                    .map_err(|e| registration_error(&e))
             }
         };
-        self.compute.request(work).await?.map_err(|e| registration_error(&e))
+        self.compute.request(work).await?
     }
 
     /// A depth image as a cloud in the optical frame.

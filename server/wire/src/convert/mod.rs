@@ -27,9 +27,10 @@ pub fn unknown_enum(field: &str, value: i32) -> Error {
 /// The formats' limits under the service's.
 pub fn format_limits(limits: &percept_service::Limits) -> percept_formats::Limits {
     percept_formats::Limits {
-        max_points: limits.max_cloud_points,
-        max_pixels: limits.max_image_pixels,
-        max_bytes: limits.max_message_bytes,
+        max_points: limits.max_cloud_points as u64,
+        max_pixels: limits.max_image_pixels as u64,
+        // A decoded image may be larger than the file it came in.
+        max_bytes: limits.max_image_pixels as u64 * 8,
     }
 }
 

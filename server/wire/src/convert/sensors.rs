@@ -3,7 +3,7 @@
 use super::{geometry, required};
 use crate::v1;
 use bytes::Bytes;
-use percept_formats::image as images;
+use percept_formats::images;
 use percept_geometry::sensor::{ImuSample, OdometrySample};
 use percept_geometry::{
     CameraIntrinsics, DepthImage, Distortion, LaserScan, RgbImage, SensorData, SensorFrame, SensorId, SensorKind,

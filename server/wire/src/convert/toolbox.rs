@@ -172,8 +172,8 @@ pub fn detections_to(found: &[Detection]) -> v1::DetectObjectsResponse {
 pub fn registration_to(r: &IcpResult) -> v1::RegisterCloudsResponse {
     v1::RegisterCloudsResponse {
         t_target_source: Some(geometry::pose_to(&r.t_target_source)),
-        fitness: r.fitness,
-        rmse_m: r.rmse_m,
+        fitness: r.inlier_ratio,
+        rmse_m: r.inlier_rmse_m,
         covariance: Some(geometry::covariance_to(&r.covariance)),
         iterations: r.iterations as u32,
         converged: r.converged,

@@ -10,7 +10,7 @@ impl v1::evaluation_service_server::EvaluationService for Api {
         &self,
         r: Request<v1::EvaluateTrajectoryRequest>,
     ) -> Answer<v1::EvaluateTrajectoryResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let comparison = evaluation::comparison(r.get_ref()).map_err(status::grpc)?;
         let score = self.service.evaluate_trajectory(comparison).await.map_err(status::grpc)?;
         Ok(Response::new(v1::EvaluateTrajectoryResponse { metrics: Some(evaluation::score_to(&score)) }))
@@ -20,7 +20,7 @@ impl v1::evaluation_service_server::EvaluationService for Api {
         &self,
         r: Request<v1::EvaluateDetectionsRequest>,
     ) -> Answer<v1::EvaluateDetectionsResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let (truth, found) = evaluation::boxes(r.get_ref()).map_err(status::grpc)?;
         let score = self.service.evaluate_detections(truth, found, r.get_ref().min_iou).await.map_err(status::grpc)?;
         Ok(Response::new(v1::EvaluateDetectionsResponse { metrics: Some(evaluation::detection_to(&score)) }))

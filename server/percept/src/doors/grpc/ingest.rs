@@ -52,7 +52,7 @@ async fn read(api: Api, mut requests: Streaming<v1::StreamFramesRequest>, sent: 
     loop {
         let request = tokio::select! {
             request = requests.message() => request,
-            _ = stopping.wait_for(|s| *s) => {
+            () = stopped(&mut stopping) => {
                 let words = "the server is stopping; reconnect and send what was not acknowledged as durable";
                 let _ = acks.send(Err(status::grpc(Error::new(percept_service::ErrorCode::Unavailable, "STOPPING", words)))).await;
                 return;
@@ -66,10 +66,6 @@ async fn read(api: Api, mut requests: Streaming<v1::StreamFramesRequest>, sent: 
                 return;
             }
         };
-        if let Err(too_large) = check_size(&request, &api) {
-            let _ = acks.send(Err(too_large)).await;
-            return;
-        }
         if sent.send(submit(&api, request.message.unwrap_or_default()).await).await.is_err() {
             return;
         }
@@ -79,6 +75,7 @@ async fn read(api: Api, mut requests: Streaming<v1::StreamFramesRequest>, sent: 
 async fn submit(api: &Api, message: v1::SensorMessage) -> Sent {
     let (sensor_id, sequence, stamp_ns) = (message.sensor_id.clone(), message.sequence, message.stamp_ns);
     let submitted = async {
+        check_size(&message, api)?;
         let incoming = decode(api, &message).await?;
         drop(message);
         let session = api.service.session(&incoming.session).await?;
@@ -158,4 +155,8 @@ async fn acknowledge(mut under_way: mpsc::Receiver<Sent>, acks: Acks) {
     let durable_count = durability.finish().await;
     let last = v1::FrameAck { durable_count, ..v1::FrameAck::default() };
     let _ = acks.send(Ok(v1::StreamFramesResponse { ack: Some(last) })).await;
+}
+
+async fn stopped(stopping: &mut watch::Receiver<bool>) {
+    let _ = stopping.wait_for(|s| *s).await;
 }

@@ -38,13 +38,13 @@ fn streamed<C: Send + 'static, T: 'static>(chunks: Vec<C>, wrap: impl Fn(C) -> T
 }
 
 /// Refuses a message over the limit with our own words; the transport's own limit lies above.
-fn check_size(message: &impl prost::Message, api: &Api) -> Result<(), Status> {
+fn check_size(message: &impl prost::Message, api: &Api) -> Result<(), Error> {
     let (size, limit) = (message.encoded_len(), api.service.limits().max_message_bytes);
     if size <= limit {
         return Ok(());
     }
     let words = format!("message has {size} bytes, the limit is {limit}; send less at a time, or downsample");
-    Err(status::grpc(Error::exhausted("MESSAGE_TOO_LARGE", "", words)))
+    Err(Error::exhausted("MESSAGE_TOO_LARGE", "", words))
 }
 
 /// Serves until `stopping` turns true, then finishes what is under way.

@@ -16,7 +16,7 @@ impl v1::navigation_service_server::NavigationService for Api {
     }
 
     async fn navigate(&self, r: Request<v1::NavigateRequest>) -> Answer<v1::NavigateResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let r = r.get_ref();
         let message = convert::required("message", r.message.as_ref()).map_err(status::grpc)?;
         let incoming = ingest::decode(self, message).await.map_err(|e| status::grpc(e.within("message")))?;

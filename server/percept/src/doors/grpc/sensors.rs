@@ -30,7 +30,7 @@ impl v1::sensors_service_server::SensorsService for Api {
     }
 
     async fn send_frame(&self, r: Request<v1::SendFrameRequest>) -> Answer<v1::SendFrameResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let message = convert::required("message", r.get_ref().message.as_ref()).map_err(status::grpc)?;
         let incoming = ingest::decode(self, message).await.map_err(status::grpc)?;
         let (_, processed) = self.service.send_frame(incoming).await.map_err(status::grpc)?;

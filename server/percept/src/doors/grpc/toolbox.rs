@@ -11,7 +11,7 @@ impl v1::toolbox_service_server::ToolboxService for Api {
         &self,
         r: Request<v1::RemoveStatisticalOutliersRequest>,
     ) -> Answer<v1::RemoveStatisticalOutliersResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let cloud = toolbox::cloud("cloud", r.get_ref().cloud.as_ref(), self.service.limits()).map_err(status::grpc)?;
         let params = toolbox::outlier_params(r.get_ref());
         let (cloud, kept) = self.service.remove_statistical_outliers(cloud, params).await.map_err(status::grpc)?;
@@ -24,7 +24,7 @@ impl v1::toolbox_service_server::ToolboxService for Api {
         &self,
         r: Request<v1::DownsampleVoxelsRequest>,
     ) -> Answer<v1::DownsampleVoxelsResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let cloud = toolbox::cloud("cloud", r.get_ref().cloud.as_ref(), self.service.limits()).map_err(status::grpc)?;
         let size = r.get_ref().voxel_size_m.unwrap_or(0.05);
         let cloud = self.service.downsample_voxels(cloud, size).await.map_err(status::grpc)?;
@@ -32,7 +32,7 @@ impl v1::toolbox_service_server::ToolboxService for Api {
     }
 
     async fn estimate_normals(&self, r: Request<v1::EstimateNormalsRequest>) -> Answer<v1::EstimateNormalsResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let cloud = toolbox::cloud("cloud", r.get_ref().cloud.as_ref(), self.service.limits()).map_err(status::grpc)?;
         let (params, viewpoint) = toolbox::normal_params(r.get_ref()).map_err(status::grpc)?;
         let cloud = self.service.estimate_normals(cloud, params, viewpoint).await.map_err(status::grpc)?;
@@ -40,7 +40,7 @@ impl v1::toolbox_service_server::ToolboxService for Api {
     }
 
     async fn segment_planes(&self, r: Request<v1::SegmentPlanesRequest>) -> Answer<v1::SegmentPlanesResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let cloud = toolbox::cloud("cloud", r.get_ref().cloud.as_ref(), self.service.limits()).map_err(status::grpc)?;
         let params = toolbox::planes_params(r.get_ref());
         let planes = self.service.segment_planes(cloud, params).await.map_err(status::grpc)?;
@@ -48,7 +48,7 @@ impl v1::toolbox_service_server::ToolboxService for Api {
     }
 
     async fn cluster_points(&self, r: Request<v1::ClusterPointsRequest>) -> Answer<v1::ClusterPointsResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let cloud = toolbox::cloud("cloud", r.get_ref().cloud.as_ref(), self.service.limits()).map_err(status::grpc)?;
         let method = toolbox::clustering(r.get_ref()).map_err(status::grpc)?;
         let clusters = self.service.cluster_points(cloud, method).await.map_err(status::grpc)?;
@@ -59,7 +59,7 @@ impl v1::toolbox_service_server::ToolboxService for Api {
         &self,
         r: Request<v1::ComputeShapeFeaturesRequest>,
     ) -> Answer<v1::ComputeShapeFeaturesResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let cloud = toolbox::cloud("cloud", r.get_ref().cloud.as_ref(), self.service.limits()).map_err(status::grpc)?;
         let (features, upright_box) = self.service.shape_features(cloud).await.map_err(status::grpc)?;
         let features = Some(toolbox::features_to(&features));
@@ -68,14 +68,14 @@ impl v1::toolbox_service_server::ToolboxService for Api {
     }
 
     async fn detect_objects(&self, r: Request<v1::DetectObjectsRequest>) -> Answer<v1::DetectObjectsResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let cloud = toolbox::cloud("cloud", r.get_ref().cloud.as_ref(), self.service.limits()).map_err(status::grpc)?;
         let found = self.service.detect_objects(cloud).await.map_err(status::grpc)?;
         Ok(Response::new(toolbox::detections_to(&found)))
     }
 
     async fn register_clouds(&self, r: Request<v1::RegisterCloudsRequest>) -> Answer<v1::RegisterCloudsResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let limits = self.service.limits();
         let source = toolbox::cloud("source", r.get_ref().source.as_ref(), limits).map_err(status::grpc)?;
         let target = toolbox::cloud("target", r.get_ref().target.as_ref(), limits).map_err(status::grpc)?;
@@ -86,7 +86,7 @@ impl v1::toolbox_service_server::ToolboxService for Api {
     }
 
     async fn unproject_depth(&self, r: Request<v1::UnprojectDepthRequest>) -> Answer<v1::UnprojectDepthResponse> {
-        check_size(r.get_ref(), self)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
         let unprojection = toolbox::unprojection(r.get_ref(), self.service.limits()).map_err(status::grpc)?;
         let (depth, color, intrinsics, params) = unprojection;
         let cloud = self.service.unproject_depth(depth, color, intrinsics, params).await.map_err(status::grpc)?;

@@ -1,0 +1,126 @@
+//! The tools as clients of a running server: create a session, stream frames, read results.
+
+use super::Failure;
+use percept_geometry::{Pose, SensorFrame, SensorSpec, Stamped, Timestamp};
+use percept_service::{OverloadPolicy, SensorDeclaration};
+use percept_wire::convert::{geometry, sensors};
+use percept_wire::v1;
+use percept_wire::v1::sensors_service_client::SensorsServiceClient;
+use percept_wire::v1::sessions_service_client::SessionsServiceClient;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::{Channel, Endpoint};
+
+/// Messages under way to the server.
+const WINDOW: usize = 8;
+
+/// Connects to `http://HOST:PORT`; the scheme may be left out.
+pub(crate) async fn connect(server: &str) -> Result<Channel, Failure> {
+    let address = if server.contains("://") { server.to_owned() } else { format!("http://{server}") };
+    let endpoint = Endpoint::from_shared(address)?
+        .initial_stream_window_size(16 << 20)
+        .initial_connection_window_size(32 << 20)
+        .tcp_nodelay(true);
+    endpoint.connect().await.map_err(|e| format!("cannot reach {server}: {e}; is `percept serve` running there?").into())
+}
+
+/// A session on a server.
+pub(crate) struct RemoteSession {
+    pub(crate) channel: Channel,
+    pub(crate) id: String,
+}
+
+/// What became of streamed frames.
+#[derive(Debug, Default)]
+pub(crate) struct StreamOutcome {
+    pub(crate) acknowledged: u64,
+    pub(crate) rejections: Vec<v1::ErrorInfo>,
+    pub(crate) durable: u64,
+}
+
+impl RemoteSession {
+    /// Creates a session with these sensors; `id` empty: the server chooses one.
+    pub(crate) async fn create(channel: Channel, id: &str, name: &str, specs: &[SensorSpec]) -> Result<Self, Failure> {
+        let declare = |spec: &SensorSpec| {
+            sensors::declaration_to(&SensorDeclaration { spec: spec.clone(), overload: OverloadPolicy::Block })
+        };
+        let request = v1::CreateSessionRequest {
+            session_id: (!id.is_empty()).then(|| id.to_owned()),
+            display_name: name.to_owned(),
+            mode: v1::SessionMode::Mapping.into(),
+            sensors: specs.iter().map(declare).collect(),
+            ..v1::CreateSessionRequest::default()
+        };
+        let created = SessionsServiceClient::new(channel.clone()).create_session(request).await?.into_inner();
+        let id = created.session.ok_or("the server answered without a session")?.session_id;
+        Ok(Self { channel, id })
+    }
+
+    /// Streams frames in, acknowledged one by one; `frames` ends the stream by ending.
+    pub(crate) async fn stream(
+        &self,
+        mut frames: mpsc::Receiver<SensorFrame>,
+        mut on_ack: impl FnMut(&v1::FrameAck),
+    ) -> Result<StreamOutcome, Failure> {
+        let (out, requests) = mpsc::channel(WINDOW);
+        let session = self.id.clone();
+        let send = async move {
+            let mut sequence = 0;
+            while let Some(frame) = frames.recv().await {
+                sequence += 1;
+                let message = Some(sensors::frame_to(&session, sequence, &frame));
+                if out.send(v1::StreamFramesRequest { message }).await.is_err() {
+                    return;
+                }
+            }
+        };
+        let mut client = SensorsServiceClient::new(self.channel.clone());
+        let receive = async {
+            let mut acks = client.stream_frames(ReceiverStream::new(requests)).await?.into_inner();
+            let mut outcome = StreamOutcome::default();
+            while let Some(answer) = acks.message().await? {
+                let Some(ack) = answer.ack else { continue };
+                outcome.durable = ack.durable_count;
+                if let Some(v1::frame_ack::Outcome::Rejection(e)) = &ack.outcome {
+                    outcome.rejections.push(e.clone());
+                }
+                if ack.outcome.is_some() {
+                    outcome.acknowledged += 1;
+                    on_ack(&ack);
+                }
+            }
+            Ok::<_, Failure>(outcome)
+        };
+        let ((), outcome) = tokio::join!(send, receive);
+        outcome
+    }
+
+    /// The trajectory, and which of its poses were tracked.
+    pub(crate) async fn trajectory(&self) -> Result<Vec<(Stamped<Pose>, bool)>, Failure> {
+        let request = v1::GetTrajectoryRequest { session_id: self.id.clone() };
+        let mut client = SessionsServiceClient::new(self.channel.clone());
+        let mut parts = client.get_trajectory(request).await?.into_inner();
+        let mut out = Vec::new();
+        while let Some(part) = parts.message().await? {
+            for p in part.poses {
+                let value = geometry::pose("t_map_base", p.t_map_base.as_ref())?;
+                let tracked = p.state() == v1::TrackingState::Tracking;
+                out.push((Stamped { stamp: Timestamp(p.stamp_ns), value }, tracked));
+            }
+        }
+        Ok(out)
+    }
+
+    /// A file of the session's map.
+    pub(crate) async fn export(&self, format: v1::MapFormat) -> Result<Vec<u8>, Failure> {
+        let source = v1::map_source::Source::SessionId(self.id.clone());
+        let request = v1::ExportMapRequest { source: Some(v1::MapSource { source: Some(source) }), format: format.into() };
+        let mut client = v1::maps_service_client::MapsServiceClient::new(self.channel.clone());
+        let mut parts = client.export_map(request).await?.into_inner();
+        let mut out = Vec::new();
+        while let Some(part) = parts.message().await? {
+            out.extend_from_slice(&part.chunk.unwrap_or_default().data);
+        }
+        Ok(out)
+    }
+}

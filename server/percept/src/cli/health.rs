@@ -1,0 +1,27 @@
+//! `percept health`: ask a running server whether it serves.
+
+use super::Failure;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::{HealthCheckRequest, health_client::HealthClient};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct HealthArgs {
+    /// gRPC address of the server.
+    #[arg(long, default_value = "http://127.0.0.1:50051")]
+    server: String,
+}
+
+pub(crate) fn run(args: &HealthArgs) -> Result<(), Failure> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let mut client = HealthClient::new(super::client::connect(&args.server).await?);
+        let answer = client.check(HealthCheckRequest { service: String::new() }).await?;
+        match answer.into_inner().status() {
+            ServingStatus::Serving => {
+                println!("serving");
+                Ok(())
+            }
+            other => Err(format!("the server at {} is {}", args.server, other.as_str_name()).into()),
+        }
+    })
+}

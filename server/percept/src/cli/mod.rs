@@ -1,0 +1,102 @@
+//! The command line: one file a command.
+
+mod client;
+mod demo;
+mod eval;
+mod eval_sim;
+mod health;
+mod input;
+mod local;
+mod replay;
+mod report;
+mod serve;
+mod sim;
+
+use clap::{Parser, Subcommand};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// What a command ends with when it fails: a sentence for the person at the terminal.
+pub(crate) type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+/// The perception service that a robot fleet calls instead of building its own.
+#[derive(Debug, Parser)]
+#[command(name = "percept", version, about)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the server: gRPC, REST and zenoh.
+    Serve(serve::ServeArgs),
+    /// Show what percept does, with no data and no network: a simulated robot maps rooms, finds objects, plans.
+    Demo(demo::DemoArgs),
+    /// Drive a simulated robot and stream its sensors into a server.
+    Sim(sim::SimArgs),
+    /// Run a recorded data set through percept, in this process or into a server.
+    Replay(replay::ReplayArgs),
+    /// Measure against ground truth.
+    #[command(subcommand)]
+    Eval(eval::EvalCommand),
+    /// Print the configuration file with every default explained.
+    Config(ConfigArgs),
+    /// Ask a running server whether it serves; the exit code says so.
+    Health(health::HealthArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct ConfigArgs {
+    /// Check this file (and the environment) instead, and print what is in force.
+    #[arg(long)]
+    check: Option<PathBuf>,
+}
+
+/// Runs the command line of this process.
+pub(crate) fn run() -> ExitCode {
+    let cli = Cli::parse();
+    let outcome = match cli.command {
+        Command::Serve(args) => serve::run(args),
+        Command::Demo(args) => demo::run(args),
+        Command::Sim(args) => sim::run(args),
+        Command::Replay(args) => replay::run(args),
+        Command::Eval(command) => eval::run(command),
+        Command::Config(args) => config(&args),
+        Command::Health(args) => health::run(&args),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            eprintln!("percept: {e}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn config(args: &ConfigArgs) -> Result<(), Failure> {
+    match &args.check {
+        None => print!("{}", crate::config::TEMPLATE),
+        Some(file) => print!("{}", toml::to_string_pretty(&crate::config::Config::load(Some(file))?)?),
+    }
+    Ok(())
+}
+
+/// A rayon pool of `threads` (0: all cores) whose threads give way to the doors.
+pub(crate) fn compute_pool(threads: usize, nice: i32) -> Result<rayon::ThreadPool, Failure> {
+    let lower = move |_| {
+        // On Linux the priority is the thread's own; where it cannot be lowered, nothing is lost.
+        let _ = rustix::process::nice(nice);
+    };
+    Ok(rayon::ThreadPoolBuilder::new().num_threads(threads).start_handler(lower).build()?)
+}
+
+/// A progress bar over `total` frames on standard error; hidden when that is no terminal.
+pub(crate) fn progress(total: u64, what: &'static str) -> indicatif::ProgressBar {
+    let style = indicatif::ProgressStyle::with_template("{msg:12} {wide_bar} {pos}/{len} {per_sec} {eta}");
+    let bar = indicatif::ProgressBar::new(total).with_message(what);
+    match style {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}

@@ -1,0 +1,223 @@
+//! `percept replay`: a recorded data set through percept, in this process or into a server.
+
+use super::client::{RemoteSession, connect};
+use super::report::{Report, peak_rss_mb};
+use super::{Failure, input, local};
+use percept_formats::dataset::{self, Dataset, OpenOptions};
+use percept_geometry::SensorFrame;
+use percept_pipeline::{PipelineParams, Snapshot};
+use percept_service::{Limits, MapFormat, maps};
+use percept_wire::{convert, json, v1};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct ReplayArgs {
+    /// A 7-Scenes, TUM RGB-D or KITTI velodyne folder, a CARMEN log, a PCD or PLY file or a folder of them.
+    path: PathBuf,
+    /// Stream into the server at this gRPC address instead of running in this process.
+    #[arg(long)]
+    server: Option<String>,
+    /// Id of the session on the server; none: one is chosen.
+    #[arg(long, default_value = "", requires = "server")]
+    session: String,
+    /// Only a part of the recording, FIRST:LAST, LAST excluded.
+    #[arg(long, value_parser = input::parse_range)]
+    frames: Option<Range<usize>>,
+    /// Write trajectory, map, cloud, objects and scene graph into this folder.
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print one JSON object instead of a table.
+    #[arg(long)]
+    json: bool,
+    /// Threads for computing; 0 takes all cores.
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+    /// Leave colour out.
+    #[arg(long)]
+    depth_only: bool,
+    /// Leave wheel odometry out.
+    #[arg(long)]
+    no_odometry: bool,
+    /// Configuration file whose session parameters are used (in this process).
+    #[arg(long, conflicts_with = "server")]
+    config: Option<PathBuf>,
+}
+
+pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
+    let options = OpenOptions { depth_only: args.depth_only, ..OpenOptions::default() };
+    let mut recording = dataset::open_with(&args.path, &options).map_err(|e| format!("{}: {e}", args.path.display()))?;
+    if args.no_odometry {
+        recording.sensors.retain(|s| s.kind != percept_geometry::SensorKind::Odometry);
+    }
+    match &args.server {
+        None => in_process(&args, &recording),
+        Some(server) => {
+            let runtime = super::serve::runtime()?;
+            runtime.block_on(into_server(&args, &recording, server))
+        }
+    }
+}
+
+/// The part asked for, cut to what is there.
+fn part(args: &ReplayArgs, recording: &Dataset) -> Range<usize> {
+    let range = args.frames.clone().unwrap_or(0..usize::MAX);
+    range.start.min(recording.len())..range.end.min(recording.len())
+}
+
+type Frames = Box<dyn Iterator<Item = Result<SensorFrame, percept_formats::FormatError>> + Send>;
+
+fn frames(args: &ReplayArgs, recording: &Dataset) -> Frames {
+    let frames = recording.frames(Some(part(args, recording)));
+    if args.no_odometry {
+        let wheels = |f: &Result<SensorFrame, _>| {
+            matches!(f, Ok(SensorFrame { data: percept_geometry::SensorData::Odometry(_), .. }))
+        };
+        return Box::new(frames.filter(move |f| !wheels(f)));
+    }
+    Box::new(frames)
+}
+
+fn report(args: &ReplayArgs, recording: &Dataset) -> Report {
+    let n = part(args, recording).len();
+    Report {
+        dataset: recording.name.clone(),
+        kind: recording.kind.name().to_owned(),
+        sensor: recording.sensors.first().map(|s| format!("{:?}", s.kind).to_lowercase()).unwrap_or_default(),
+        frames: n,
+        ..Report::default()
+    }
+}
+
+/// Recorded seconds of the part that was played.
+fn recorded_s(args: &ReplayArgs, recording: &Dataset) -> f64 {
+    let stamps = &recording.stamps()[part(args, recording)];
+    match (stamps.first(), stamps.last()) {
+        (Some(first), Some(last)) => last.seconds_since(*first),
+        _ => 0.0,
+    }
+}
+
+fn finish(mut report: Report, wall_s: f64, recorded_s: f64, json: bool) -> Result<(), Failure> {
+    report.frames_per_s = report.frames as f64 / wall_s.max(1e-9);
+    report.realtime_factor = (recorded_s > 0.0).then(|| recorded_s / wall_s.max(1e-9));
+    report.peak_rss_mb = peak_rss_mb();
+    report.print(json)
+}
+
+fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {
+    let params = match &args.config {
+        Some(file) => crate::config::Config::load(Some(file))?.params,
+        None => PipelineParams::default(),
+    };
+    let pool = super::compute_pool(args.threads, 0)?;
+    let bar = super::progress(part(args, recording).len() as u64, "replay");
+    let primary = recording.sensors.first().map(|s| s.id.clone());
+    let read = input::read_ahead(frames(args, recording));
+    let run = local::run(&pool, params, &recording.sensors, read.into_iter(), |frame, _| {
+        bar.inc(u64::from(Some(&frame.sensor) == primary.as_ref()));
+    })?;
+    bar.finish_and_clear();
+    let mut report = report(args, recording);
+    report.tracked = run.tracked;
+    report.refused = run.refused;
+    report.keyframes = run.snapshot.keyframes.len();
+    report.objects = run.snapshot.objects.len();
+    report.judge(recording.reference.as_deref(), &run.trajectory());
+    report.set_frame_times(run.frame_s.clone());
+    if let Some(dir) = &args.out {
+        write_results(dir, &run.snapshot)?;
+    }
+    finish(report, run.wall_s, recorded_s(args, recording), args.json)
+}
+
+/// Files of a map, and what each is called in an output folder.
+pub(crate) const FILES: [(&str, MapFormat, v1::MapFormat); 8] = [
+    ("trajectory.tum", MapFormat::TrajectoryTum, v1::MapFormat::TrajectoryTum),
+    ("map.pgm", MapFormat::Nav2Pgm, v1::MapFormat::Nav2Pgm),
+    ("map.yaml", MapFormat::Nav2Yaml, v1::MapFormat::Nav2Yaml),
+    ("map.png", MapFormat::OccupancyPng, v1::MapFormat::OccupancyPng),
+    ("overview.png", MapFormat::OverviewPng, v1::MapFormat::OverviewPng),
+    ("cloud.ply", MapFormat::CloudPly, v1::MapFormat::CloudPly),
+    ("cloud.png", MapFormat::CloudTopPng, v1::MapFormat::CloudTopPng),
+    ("cloud.pcd", MapFormat::CloudPcd, v1::MapFormat::CloudPcd),
+];
+
+/// Writes trajectory, maps, cloud, objects and scene graph of a snapshot.
+pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failure> {
+    std::fs::create_dir_all(dir)?;
+    for (name, format, _) in FILES.iter().filter(|(name, ..)| *name != "cloud.pcd") {
+        match maps::export(snapshot, "map", *format, &Limits::default()) {
+            Ok(file) => std::fs::write(dir.join(name), file.bytes)?,
+            Err(e) if e.reason == "MAP_EMPTY" => eprintln!("percept: {name} not written: the map is empty"),
+            Err(e) => return Err(e.into()),
+        }
+    }
+    let objects = v1::ListObjectsResponse {
+        objects: snapshot.objects.iter().map(convert::scene::object_to).collect(),
+        next_page_token: String::new(),
+        map_version: snapshot.map_version,
+    };
+    let objects = json::to_json("ListObjectsResponse", &objects)?;
+    std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
+    let graph = json::to_json("SceneGraph", &convert::scene::graph_to(&snapshot.scene_graph()))?;
+    std::fs::write(dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
+    Ok(())
+}
+
+async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Result<(), Failure> {
+    let channel = connect(server).await?;
+    let session = RemoteSession::create(channel, &args.session, &recording.name, &recording.sensors).await?;
+    let bar = super::progress(part(args, recording).len() as u64, "replay");
+    let primary = recording.sensors.first().map(|s| s.id.0.clone()).unwrap_or_default();
+    let start = std::time::Instant::now();
+    let source = frames(args, recording);
+    let outcome = session
+        .stream(input::read_ahead_async(source), |ack| bar.inc(u64::from(ack.sensor_id == primary)))
+        .await?;
+    let wall_s = start.elapsed().as_secs_f64();
+    bar.finish_and_clear();
+    for e in outcome.rejections.iter().take(5) {
+        eprintln!("percept: frame refused: {} ({})", e.message, e.reason);
+    }
+    let trajectory = session.trajectory().await?;
+    let mut report = report(args, recording);
+    report.tracked = trajectory.iter().filter(|(_, tracked)| *tracked).count();
+    report.refused = outcome.rejections.len();
+    let poses: Vec<_> = trajectory.into_iter().map(|(pose, _)| pose).collect();
+    report.judge(recording.reference.as_deref(), &poses);
+    (report.keyframes, report.objects) = counts(&session).await?;
+    if let Some(dir) = &args.out {
+        write_remote(dir, &session).await?;
+    }
+    if !args.json {
+        println!("session {} on {server}; {} frames durable", session.id, outcome.durable);
+    }
+    finish(report, wall_s, recorded_s(args, recording), args.json)
+}
+
+async fn counts(session: &RemoteSession) -> Result<(usize, usize), Failure> {
+    let mut client = v1::sessions_service_client::SessionsServiceClient::new(session.channel.clone());
+    let answer = client.get_session(v1::GetSessionRequest { session_id: session.id.clone() }).await?.into_inner();
+    let s = answer.session.unwrap_or_default();
+    Ok((s.num_keyframes as usize, s.num_objects as usize))
+}
+
+async fn write_remote(dir: &Path, session: &RemoteSession) -> Result<(), Failure> {
+    std::fs::create_dir_all(dir)?;
+    for (name, _, format) in FILES.iter().filter(|(name, ..)| *name != "cloud.pcd") {
+        match session.export(*format).await {
+            Ok(bytes) => std::fs::write(dir.join(name), bytes)?,
+            Err(e) => eprintln!("percept: {name} not written: {e}"),
+        }
+    }
+    let mut scene = v1::scene_service_client::SceneServiceClient::new(session.channel.clone());
+    let request = v1::ListObjectsRequest { session_id: session.id.clone(), page_size: 1000, include_gone: true, ..Default::default() };
+    let objects = scene.list_objects(request).await?.into_inner();
+    let objects = json::to_json("ListObjectsResponse", &objects)?;
+    std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
+    let graph = scene.get_scene_graph(v1::GetSceneGraphRequest { session_id: session.id.clone() }).await?.into_inner();
+    let graph = json::to_json("SceneGraph", &graph.graph.unwrap_or_default())?;
+    std::fs::write(dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
+    Ok(())
+}
