@@ -11,10 +11,13 @@ use percept_geometry::{
 };
 use percept_mapping::Map;
 use percept_perception::detection::Detector;
-use percept_scene::{Object, ObjectChange, Observation, Tracker};
+use percept_scene::{Object, ObjectChange, Observation, Tracker, Visibility};
 use percept_slam::{KeyframePolicy, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState, keyframe};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+
+/// Objects this near to the edge of the searched part of the map may be cut by it, metres.
+const SEARCH_EDGE_M: f64 = 1.5;
 
 /// What a frame did.
 #[derive(Debug, Clone)]
@@ -102,7 +105,7 @@ impl Pipeline {
             odometry: None,
             keyframe_policies: BTreeMap::new(),
             map: Map::new(params.map).map_err(|e| failed("map", e))?,
-            detector: Detector::new(params.detection.detector.clone()).map_err(|e| failed("detection.detector", e))?,
+            detector: Detector::new(params.detection.detector).map_err(|e| failed("detection.detector", e))?,
             tracker: Tracker::new(params.tracker.clone()).map_err(|e| failed("tracker", e))?,
             base_height_m: 0.0,
             params: Arc::new(params),
@@ -301,16 +304,17 @@ impl Pipeline {
         let found = self.detector.detect(&cloud).unwrap_or_default();
         let observations: Vec<Observation> = found
             .iter()
-            .map(|d| Observation {
-                class: d.class,
-                confidence: d.confidence,
-                bbox: d.bbox,
-                num_points: d.num_points,
-            })
+            .map(|d| Observation { class: d.class, confidence: d.confidence, bbox: d.bbox, num_points: d.num_points })
             .collect();
         let range_image = RangeImage::new(&keyframe.info.t_map_base, &keyframe.scan);
         let stamp = keyframe.info.stamp;
-        let changes = self.tracker.update(stamp, &observations, &|b| range_image.visibility(b));
+        // The detector sees all of the map around the robot: what it does not find there is no thing of its own.
+        let searched_m = self.params.detection.range_m - SEARCH_EDGE_M;
+        let changes = self.tracker.update(stamp, &observations, &|b| match range_image.visibility(b) {
+            Visibility::SeenThrough => Visibility::SeenThrough,
+            _ if (b.center() - center).norm() < searched_m => Visibility::Refuted,
+            unsure => unsure,
+        });
         self.objects = Arc::new(self.tracker.objects());
         changes
     }

@@ -93,7 +93,8 @@ impl Snapshot {
 
     /// Robot, objects that are not gone, and their relations.
     pub fn scene_graph(&self) -> SceneGraph {
-        let (stamp, t_map_base) = self.pose.as_ref().map_or((Timestamp::default(), Pose::identity()), |p| (p.stamp, p.t_map_base));
+        let (stamp, t_map_base) =
+            self.pose.as_ref().map_or((Timestamp::default(), Pose::identity()), |p| (p.stamp, p.t_map_base));
         SceneGraph::build(stamp, self.map_version, &t_map_base, &self.objects, &self.params.relations)
     }
 }

@@ -72,7 +72,6 @@ fn bin(p_sensor: &Point3<f64>) -> Option<usize> {
 fn sample_points(bbox: &OrientedBox3) -> impl Iterator<Item = Point3<f64>> + '_ {
     (0..27).map(move |i| {
         let at = |k: i32, size: f64| f64::from(k - 1) * 0.3 * size;
-        bbox.t_frame_box
-            * Point3::new(at(i % 3, bbox.size.x), at(i / 3 % 3, bbox.size.y), at(i / 9, bbox.size.z))
+        bbox.t_frame_box * Point3::new(at(i % 3, bbox.size.x), at(i / 3 % 3, bbox.size.y), at(i / 9, bbox.size.z))
     })
 }

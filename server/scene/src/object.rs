@@ -47,6 +47,9 @@ pub enum Visibility {
     SeenThrough,
     /// Beams ended in it: something is there.
     Occupied,
+    /// Something may be there, but all around was searched for objects and none stands there by itself: it is a
+    /// part of another thing, or clutter.
+    Refuted,
     /// Hidden, out of view or out of range: nothing can be said.
     Unseen,
 }
@@ -117,7 +120,7 @@ pub enum ObjectChangeKind {
         /// The object that stays.
         into: ObjectId,
     },
-    /// It was gone, and was dropped to keep the list within its limit.
+    /// It was dropped: it turned out to be no thing of its own, or it was gone and the list is at its limit.
     Forgotten,
 }
 

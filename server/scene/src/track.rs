@@ -24,6 +24,7 @@ pub(crate) struct Track {
     pub(crate) observation_count: u64,
     /// Updates in a row that saw through its place.
     pub(crate) seen_through: u32,
+    pub(crate) refuted: u32,
     /// Updates in a row in which its place was occupied, but detected as a part of a larger object.
     pub(crate) swallowed: u32,
     velocity: Vector3<f64>,
@@ -52,6 +53,7 @@ impl Track {
             last_seen: stamp,
             observation_count: 1,
             seen_through: 0,
+            refuted: 0,
             swallowed: 0,
             velocity: Vector3::zeros(),
             anchor: bbox,
@@ -74,6 +76,7 @@ impl Track {
             last_seen: object.last_seen,
             observation_count: object.observation_count,
             seen_through: 0,
+            refuted: 0,
             swallowed: 0,
             velocity: object.velocity_mps,
             anchor: object.bbox,
@@ -138,7 +141,7 @@ impl Track {
         self.fuse(&seen, observation.num_points);
         self.last_seen = self.last_seen.max(stamp);
         self.observation_count += 1;
-        (self.seen_through, self.swallowed) = (0, 0);
+        (self.seen_through, self.refuted, self.swallowed) = (0, 0, 0);
         if self.differs_from_report() {
             self.reported = self.bbox;
             changes.push(ObjectChangeKind::Updated);

@@ -210,7 +210,13 @@ impl Tracker {
             match looked {
                 Visibility::SeenThrough => track.seen_through += 1,
                 Visibility::Occupied => track.seen_through = 0,
+                Visibility::Refuted => track.refuted += 1,
                 Visibility::Unseen => {}
+            }
+            if track.refuted >= self.params.swallow_observations {
+                removed.push(i);
+                changes.extend(track.id.map(|id| ObjectChange { id, kind: ObjectChangeKind::Forgotten }));
+                continue;
             }
             track.swallowed = if whole.is_some() { track.swallowed + 1 } else { track.swallowed };
             if let Some(whole) = whole.filter(|_| track.swallowed >= self.params.swallow_observations) {

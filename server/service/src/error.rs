@@ -95,7 +95,9 @@ impl From<percept_geometry::GeometryError> for Error {
             G::ShapeMismatch { field, expected, actual } => Self::invalid(
                 "SIZE_MISMATCH",
                 field,
-                format!("{field} holds {actual} elements but its declared shape needs {expected}; send exactly that many"),
+                format!(
+                    "{field} holds {actual} elements but its declared shape needs {expected}; send exactly that many"
+                ),
             ),
             G::OutOfRange { field, value, requirement } => {
                 Self::invalid("OUT_OF_RANGE", field, format!("{field} is {value}; it must be {requirement}"))

@@ -29,7 +29,8 @@ pub fn descriptor(name: &str) -> Result<MessageDescriptor> {
 /// # Errors
 /// `INTERNAL` if `name` is not the type of `message`.
 pub fn to_json(name: &str, message: &impl Message) -> Result<Value> {
-    let dynamic = DynamicMessage::decode(descriptor(name)?, message.encode_to_vec().as_slice()).map_err(Error::internal)?;
+    let dynamic =
+        DynamicMessage::decode(descriptor(name)?, message.encode_to_vec().as_slice()).map_err(Error::internal)?;
     let options = SerializeOptions::new().use_proto_field_name(true).skip_default_fields(false);
     dynamic.serialize_with_options(serde_json::value::Serializer, &options).map_err(Error::internal)
 }

@@ -18,7 +18,9 @@ use serde_json::Value;
 /// `PARAMETER_OUT_OF_RANGE`.
 pub fn pipeline(sent: Option<&v1::PipelineParams>, defaults: &PipelineParams) -> Result<PipelineParams> {
     let params = overlay("PipelineParams", sent, defaults)?;
-    params.validate().map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", format!("params.{}", e.section), e.message))?;
+    params
+        .validate()
+        .map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", format!("params.{}", e.section), e.message))?;
     Ok(params)
 }
 
@@ -40,10 +42,15 @@ pub fn pipeline_to(params: &PipelineParams) -> Result<v1::PipelineParams> {
     json::from_json("PipelineParams", serde_json::to_value(params).map_err(Error::internal)?)
 }
 
-fn overlay<M: Message, P: Serialize + DeserializeOwned + Clone>(name: &str, sent: Option<&M>, defaults: &P) -> Result<P> {
+fn overlay<M: Message, P: Serialize + DeserializeOwned + Clone>(
+    name: &str,
+    sent: Option<&M>,
+    defaults: &P,
+) -> Result<P> {
     let Some(sent) = sent else { return Ok(defaults.clone()) };
     let mut tree = serde_json::to_value(defaults).map_err(Error::internal)?;
-    let dynamic = DynamicMessage::decode(json::descriptor(name)?, sent.encode_to_vec().as_slice()).map_err(Error::internal)?;
+    let dynamic =
+        DynamicMessage::decode(json::descriptor(name)?, sent.encode_to_vec().as_slice()).map_err(Error::internal)?;
     let options = SerializeOptions::new().use_proto_field_name(true).stringify_64_bit_integers(false);
     let patch = dynamic.serialize_with_options(serde_json::value::Serializer, &options).map_err(Error::internal)?;
     lay_over(&mut tree, patch);
@@ -112,7 +119,8 @@ mod tests {
 
     #[test]
     fn values_out_of_bounds_are_named() {
-        let sent = json::from_json("PipelineParams", serde_json::json!({"planning": {"robot_radius_m": -1.0}})).unwrap();
+        let sent =
+            json::from_json("PipelineParams", serde_json::json!({"planning": {"robot_radius_m": -1.0}})).unwrap();
         let e = pipeline(Some(&sent), &PipelineParams::default()).unwrap_err();
         assert_eq!(e.reason, "PARAMETER_OUT_OF_RANGE");
         assert!(e.message.contains("robot_radius_m"), "{e}");

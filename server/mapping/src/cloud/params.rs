@@ -32,7 +32,7 @@ impl Default for CloudParams {
             range_min_m: 0.1,
             range_max_m: 10.0,
             max_weight: 20.0,
-            carve_weight: 2.0,
+            carve_weight: 6.0,
             carve_margin_m: 0.15,
             carve_margin_ratio: 0.05,
         }

@@ -21,7 +21,10 @@ pub(crate) async fn connect(server: &str) -> Result<Channel, Failure> {
         .initial_stream_window_size(16 << 20)
         .initial_connection_window_size(32 << 20)
         .tcp_nodelay(true);
-    endpoint.connect().await.map_err(|e| format!("cannot reach {server}: {e}; is `percept serve` running there?").into())
+    endpoint
+        .connect()
+        .await
+        .map_err(|e| format!("cannot reach {server}: {e}; is `percept serve` running there?").into())
 }
 
 /// A session on a server.
@@ -114,7 +117,8 @@ impl RemoteSession {
     /// A file of the session's map.
     pub(crate) async fn export(&self, format: v1::MapFormat) -> Result<Vec<u8>, Failure> {
         let source = v1::map_source::Source::SessionId(self.id.clone());
-        let request = v1::ExportMapRequest { source: Some(v1::MapSource { source: Some(source) }), format: format.into() };
+        let request =
+            v1::ExportMapRequest { source: Some(v1::MapSource { source: Some(source) }), format: format.into() };
         let mut client = v1::maps_service_client::MapsServiceClient::new(self.channel.clone());
         let mut parts = client.export_map(request).await?.into_inner();
         let mut out = Vec::new();

@@ -51,7 +51,12 @@ async fn demo(args: &DemoArgs) -> Result<(), Failure> {
     let data = tempfile::tempdir()?;
     let mut running = start_server(args, data.path()).await?;
     let grpc = running.addresses.grpc.clone();
-    println!("A simulated robot drives {:.0} s through {} rooms (seed {});", simulation.duration_s(), args.rooms, args.seed);
+    println!(
+        "A simulated robot drives {:.0} s through {} rooms (seed {});",
+        simulation.duration_s(),
+        args.rooms,
+        args.seed
+    );
     println!("its camera, laser and wheels stream into percept at {grpc}.");
     let outcome = day(args, &simulation, &grpc).await;
     if outcome.is_ok() {
@@ -91,20 +96,28 @@ async fn day(args: &DemoArgs, simulation: &Simulation, grpc: &str) -> Result<(),
     let source = frames.map(|f| Ok::<_, Failure>(f.frame));
     let outcome = session.stream(input::read_ahead_async(source), |_| bar.inc(1)).await?;
     bar.finish_and_clear();
-    println!("\n{:>10}  {} sensor messages, {} of them durable on disk", "streamed", outcome.acknowledged, outcome.durable);
+    println!(
+        "\n{:>10}  {} sensor messages, {} of them durable on disk",
+        "streamed", outcome.acknowledged, outcome.durable
+    );
     let trajectory: Vec<Stamped<Pose>> = session.trajectory().await?.into_iter().map(|(p, _)| p).collect();
     tell_trajectory(simulation, &trajectory);
     let objects = tell_objects(simulation, &session, trajectory.last()).await?;
     tell_graph(&session, &args.out).await?;
     let path = tell_path(&session, &trajectory).await?;
     write_pictures(&args.out, &session, &trajectory, &objects, &path).await?;
-    println!("{:>10}  {}/overview.png (map, trajectory, objects, path), {0}/cloud.png, {0}/map.yaml, {0}/cloud.ply, ...", "written", args.out.display());
+    println!(
+        "{:>10}  {}: overview.png (map, trajectory, objects, path), cloud.png (top view), map.yaml, cloud.ply, ...",
+        "written",
+        args.out.display()
+    );
     Ok(())
 }
 
 fn tell_trajectory(simulation: &Simulation, trajectory: &[Stamped<Pose>]) {
     // Truth at the very stamps of the estimate.
-    let truth: Vec<_> = trajectory.iter().map(|p| Stamped { stamp: p.stamp, value: simulation.pose_at(p.stamp) }).collect();
+    let truth: Vec<_> =
+        trajectory.iter().map(|p| Stamped { stamp: p.stamp, value: simulation.pose_at(p.stamp) }).collect();
     let mut report = Report::default();
     report.judge(Some(&truth), trajectory);
     println!(
@@ -176,7 +189,10 @@ async fn tell_path(session: &RemoteSession, trajectory: &[Stamped<Pose>]) -> Res
     match plan.outcome {
         Some(v1::plan_path_response::Outcome::Path(path)) => {
             let clearance = path.min_clearance_m.unwrap_or(f64::INFINITY);
-            println!("{:>10}  to ({:.1}, {:.1}): {:.1} m, never nearer than {clearance:.2} m to anything", "planned", far.x, far.y, path.length_m);
+            println!(
+                "{:>10}  to ({:.1}, {:.1}): {:.1} m, never nearer than {clearance:.2} m to anything",
+                "planned", far.x, far.y, path.length_m
+            );
             Ok(path.waypoints.iter().map(|w| Point2::new(w.x_m, w.y_m)).collect())
         }
         Some(v1::plan_path_response::Outcome::NoPath(none)) => {
@@ -198,7 +214,10 @@ async fn write_pictures(
         std::fs::write(out.join(name), session.export(*format).await?)?;
     }
     let listed = v1::ListObjectsResponse { objects: objects.to_vec(), ..Default::default() };
-    std::fs::write(out.join("objects.json"), serde_json::to_vec_pretty(&json::to_json("ListObjectsResponse", &listed)?)?)?;
+    std::fs::write(
+        out.join("objects.json"),
+        serde_json::to_vec_pretty(&json::to_json("ListObjectsResponse", &listed)?)?,
+    )?;
     // The same picture as the server's, with the path in it.
     let grid = percept_formats::nav2::read(&out.join("map.yaml"), &percept_formats::Limits::default())?;
     let boxes = objects.iter().map(|o| {

@@ -72,7 +72,8 @@ fn run_trajectory(args: &TrajectoryArgs) -> Result<(), Failure> {
         Align::None => Alignment::None,
     };
     let params = TrajectoryParams { alignment, max_difference_s: args.max_difference_s, ..TrajectoryParams::default() };
-    let score = score_trajectory(&Trajectory::new(read(&args.reference)?)?, &Trajectory::new(read(&args.estimate)?)?, &params)?;
+    let score =
+        score_trajectory(&Trajectory::new(read(&args.reference)?)?, &Trajectory::new(read(&args.estimate)?)?, &params)?;
     let rpe = score.relative.as_ref();
     if args.json {
         let object = json!({
@@ -91,7 +92,10 @@ fn run_trajectory(args: &TrajectoryArgs) -> Result<(), Failure> {
         println!("{object}");
         return Ok(());
     }
-    println!("{} pairs over {:.3} m, scale {:.6}", score.num_pairs, score.reference_length_m, score.absolute.similarity.scale);
+    println!(
+        "{} pairs over {:.3} m, scale {:.6}",
+        score.num_pairs, score.reference_length_m, score.absolute.similarity.scale
+    );
     println!("{:22} {:>10} {:>10} {:>10} {:>10} {:>10} {:>10}", "", "rmse", "mean", "median", "std", "min", "max");
     let row = |name: &str, s: &percept_evaluation::ErrorStatistics| {
         println!(

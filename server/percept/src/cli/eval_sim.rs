@@ -66,12 +66,10 @@ pub(crate) fn objects(args: &ObjectsArgs) -> Result<(), Failure> {
         let run = local::run(&pool, PipelineParams::default(), &simulation.sensors(), source, |_, _| bar.inc(1))?;
         bar.finish_and_clear();
         let stamp = run.snapshot.pose.as_ref().map(|p| p.stamp).unwrap_or_default();
-        // The person walks: where it was last seen is not where it is now. It is judged by the tests of moving things.
-        let truth: Vec<TrueObject> =
-            truth_in_map(&simulation, stamp).into_iter().filter(|t| t.0 != ObjectClass::Person).collect();
-        let seen = run.snapshot.objects.iter();
-        let seen = seen.filter(|o| o.state == ObjectState::Static && o.class != ObjectClass::Person);
-        let found: Vec<FoundObject> = seen.map(|o| (o.class, o.confidence, o.bbox)).collect();
+        // Everything counts, the person who walks on unseen, too.
+        let truth = truth_in_map(&simulation, stamp);
+        let there = run.snapshot.objects.iter().filter(|o| o.state != ObjectState::Gone);
+        let found: Vec<FoundObject> = there.map(|o| (o.class, o.confidence, o.bbox)).collect();
         let score = match_detections(&truth, &found, MIN_IOU)?;
         add(&mut total, &score);
         if !args.json {
@@ -105,7 +103,10 @@ pub(crate) fn objects(args: &ObjectsArgs) -> Result<(), Failure> {
             println!("{:>24} {:<12} {:6} {:6} {:6}", "", class.name(), sums[0], sums[1], sums[2]);
         }
     }
-    println!("precision {precision:.3}, recall {recall:.3} at 3D IoU {MIN_IOU}; class right for {:.3} of the matches", share(right, tp));
+    println!(
+        "precision {precision:.3}, recall {recall:.3} at 3D IoU {MIN_IOU}; class right for {:.3} of the matches",
+        share(right, tp)
+    );
     Ok(())
 }
 
@@ -143,7 +144,12 @@ pub(crate) fn planning(args: &PlanningArgs) -> Result<(), Failure> {
     } else {
         println!(
             "{} worlds: {} paths, {} in collision, {} goals without a path; {} of {} walled-in goals said to be unreachable",
-            counts.worlds, counts.paths, counts.collisions, counts.no_path, counts.unreachable_said, counts.unreachable_asked
+            counts.worlds,
+            counts.paths,
+            counts.collisions,
+            counts.no_path,
+            counts.unreachable_said,
+            counts.unreachable_asked
         );
     }
     Ok(())

@@ -8,8 +8,6 @@ use std::time::Instant;
 /// What a run over a recording found.
 pub(crate) struct LocalRun {
     pub(crate) snapshot: Snapshot,
-    /// Frames that move the pose.
-    pub(crate) registered: usize,
     /// Of those, placed.
     pub(crate) tracked: usize,
     /// Frames that could not be read or were refused.
@@ -36,7 +34,7 @@ pub(crate) fn run(
 ) -> Result<LocalRun, Failure> {
     let mut pipeline = Pipeline::new(params)?;
     sensors.iter().for_each(|s| pipeline.declare_sensor(s.clone()));
-    let (mut registered, mut tracked, mut refused, mut frame_s) = (0, 0, 0, Vec::new());
+    let (mut tracked, mut refused, mut frame_s) = (0, 0, Vec::new());
     let start = Instant::now();
     for frame in frames {
         let frame = match frame {
@@ -52,7 +50,6 @@ pub(crate) fn run(
         match outcome {
             Ok(report) => {
                 if report.pose.is_some() {
-                    registered += 1;
                     tracked += usize::from(report.trajectory.is_some_and(|t| t.tracked));
                     frame_s.push(begun.elapsed().as_secs_f64());
                 }
@@ -65,5 +62,5 @@ pub(crate) fn run(
         on_frame(&frame, &pipeline.snapshot());
     }
     let wall_s = start.elapsed().as_secs_f64();
-    Ok(LocalRun { snapshot: pipeline.snapshot(), registered, tracked, refused, frame_s, wall_s })
+    Ok(LocalRun { snapshot: pipeline.snapshot(), tracked, refused, frame_s, wall_s })
 }

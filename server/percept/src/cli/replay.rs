@@ -46,7 +46,8 @@ pub(crate) struct ReplayArgs {
 
 pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
     let options = OpenOptions { depth_only: args.depth_only, ..OpenOptions::default() };
-    let mut recording = dataset::open_with(&args.path, &options).map_err(|e| format!("{}: {e}", args.path.display()))?;
+    let mut recording =
+        dataset::open_with(&args.path, &options).map_err(|e| format!("{}: {e}", args.path.display()))?;
     if args.no_odometry {
         recording.sensors.retain(|s| s.kind != percept_geometry::SensorKind::Odometry);
     }
@@ -172,9 +173,8 @@ async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Re
     let primary = recording.sensors.first().map(|s| s.id.0.clone()).unwrap_or_default();
     let start = std::time::Instant::now();
     let source = frames(args, recording);
-    let outcome = session
-        .stream(input::read_ahead_async(source), |ack| bar.inc(u64::from(ack.sensor_id == primary)))
-        .await?;
+    let outcome =
+        session.stream(input::read_ahead_async(source), |ack| bar.inc(u64::from(ack.sensor_id == primary))).await?;
     let wall_s = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
     for e in outcome.rejections.iter().take(5) {
@@ -212,7 +212,12 @@ async fn write_remote(dir: &Path, session: &RemoteSession) -> Result<(), Failure
         }
     }
     let mut scene = v1::scene_service_client::SceneServiceClient::new(session.channel.clone());
-    let request = v1::ListObjectsRequest { session_id: session.id.clone(), page_size: 1000, include_gone: true, ..Default::default() };
+    let request = v1::ListObjectsRequest {
+        session_id: session.id.clone(),
+        page_size: 1000,
+        include_gone: true,
+        ..Default::default()
+    };
     let objects = scene.list_objects(request).await?.into_inner();
     let objects = json::to_json("ListObjectsResponse", &objects)?;
     std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;

@@ -163,7 +163,12 @@ pub(crate) fn run(args: ServeArgs) -> Result<(), Failure> {
     runtime.block_on(async {
         let mut running = Running::start(&config).await?;
         println!("{}", serde_json::to_string(&running.addresses)?);
-        tracing::info!(grpc = running.addresses.grpc, rest = running.addresses.rest, zenoh = running.addresses.zenoh, "serving");
+        tracing::info!(
+            grpc = running.addresses.grpc,
+            rest = running.addresses.rest,
+            zenoh = running.addresses.zenoh,
+            "serving"
+        );
         let outcome = running.until_stopped().await;
         tracing::info!("stopping");
         running.stop().await;

@@ -119,6 +119,11 @@ async fn drive(args: &SimArgs, simulation: &Simulation) -> Result<(), Failure> {
     for e in outcome.rejections.iter().take(5) {
         eprintln!("percept: frame refused: {} ({})", e.message, e.reason);
     }
-    println!("{} frames acknowledged, {} durable, {} refused", outcome.acknowledged, outcome.durable, outcome.rejections.len());
+    println!(
+        "{} frames acknowledged, {} durable, {} refused",
+        outcome.acknowledged,
+        outcome.durable,
+        outcome.rejections.len()
+    );
     Ok(())
 }

@@ -41,11 +41,8 @@ pub(crate) fn grpc(e: Error) -> Status {
 pub(crate) fn from_grpc(status: &Status) -> Problem {
     let details = status.get_error_details();
     let reason = details.error_info().map_or("INTERNAL", |i| i.reason.as_str()).to_owned();
-    let field = details
-        .bad_request()
-        .and_then(|b| b.field_violations.first())
-        .map(|v| v.field.clone())
-        .unwrap_or_default();
+    let field =
+        details.bad_request().and_then(|b| b.field_violations.first()).map(|v| v.field.clone()).unwrap_or_default();
     let table = [
         ErrorCode::InvalidArgument,
         ErrorCode::NotFound,

@@ -111,7 +111,7 @@ fn is_object(part: &Proposal, structure: &Structure, params: &DetectionParams) -
     // A thin sheet along a wall is what the wall's plane did not take, a high one by itself a piece of wall.
     let v = params.voxel_size_m;
     let beside_wall = short <= 3.0 * v && structure.wall_distance(&center) <= 3.0 * v;
-    let piece_of_wall = short <= 1.5 * v && part.bbox.size.z > 1.2;
+    let piece_of_wall = short <= 1.5 * v && part.bbox.size.z > 1.2 || short <= v && long > 10.0 * v;
     !beside_wall && !piece_of_wall
 }
 

@@ -92,20 +92,31 @@ fn cells_of(grid: &OccupancyGrid, region: Option<(Point2<f64>, Point2<f64>)>) ->
     let Some(bounds) = grid.bounds() else { return Ok(None) };
     let Some((min, max)) = region else { return Ok(Some(bounds)) };
     if !(min.x < max.x && min.y < max.y) {
-        let message = format!("region from ({}, {}) to ({}, {}) is empty; min must be below max", min.x, min.y, max.x, max.y);
+        let message =
+            format!("region from ({}, {}) to ({}, {}) is empty; min must be below max", min.x, min.y, max.x, max.y);
         return Err(Error::invalid("REGION_EMPTY", "region", message));
     }
-    let far = || Error::invalid("REGION_TOO_FAR", "region", "region lies beyond what cells can number; bring it nearer");
+    let far =
+        || Error::invalid("REGION_TOO_FAR", "region", "region lies beyond what cells can number; bring it nearer");
     let geometry = grid.geometry();
     let (a, b) = (geometry.cell(&min).ok_or_else(far)?, geometry.cell(&max).ok_or_else(far)?);
     Ok(Some((a, b)))
 }
 
 /// How many of the map's cells make one of the answer's.
-fn shrink_factor(own_m: f64, asked_m: Option<f64>, limits: &crate::Limits, region: Option<(Point2<f64>, Point2<f64>)>) -> Result<i32> {
+fn shrink_factor(
+    own_m: f64,
+    asked_m: Option<f64>,
+    limits: &crate::Limits,
+    region: Option<(Point2<f64>, Point2<f64>)>,
+) -> Result<i32> {
     let Some(asked) = asked_m else { return Ok(1) };
     if !(asked.is_finite() && asked > 0.0) {
-        return Err(Error::invalid("OUT_OF_RANGE", "resolution_m", format!("resolution_m is {asked}; it must be positive")));
+        return Err(Error::invalid(
+            "OUT_OF_RANGE",
+            "resolution_m",
+            format!("resolution_m is {asked}; it must be positive"),
+        ));
     }
     if let Some((min, max)) = region {
         let cells = ((max.x - min.x) / asked).ceil() * ((max.y - min.y) / asked).ceil();
@@ -115,7 +126,7 @@ fn shrink_factor(own_m: f64, asked_m: Option<f64>, limits: &crate::Limits, regio
     }
     let factor = asked / own_m;
     let rounded = factor.round();
-    if rounded < 1.0 || rounded > 1e4 || (factor - rounded).abs() > 1e-6 * factor {
+    if !(1.0..=1e4).contains(&rounded) || (factor - rounded).abs() > 1e-6 * factor {
         let message = format!("resolution_m is {asked}; the map's own is {own_m}, ask for that or a multiple of it");
         return Err(Error::invalid("RESOLUTION_NOT_A_MULTIPLE", "resolution_m", message));
     }
@@ -124,7 +135,13 @@ fn shrink_factor(own_m: f64, asked_m: Option<f64>, limits: &crate::Limits, regio
 
 fn too_large(cells: f64, limits: &crate::Limits) -> Error {
     let limit = limits.max_grid_cells;
-    Error::exhausted("GRID_TOO_LARGE", "region", format!("the answer would have {cells:.3e} cells, the limit is {limit}; ask for a smaller region or a coarser resolution"))
+    Error::exhausted(
+        "GRID_TOO_LARGE",
+        "region",
+        format!(
+            "the answer would have {cells:.3e} cells, the limit is {limit}; ask for a smaller region or a coarser resolution"
+        ),
+    )
 }
 
 /// The cells of a part of the map, dense; empty if nothing was mapped.
@@ -248,11 +265,15 @@ pub fn export(s: &Snapshot, name: &str, format: MapFormat, limits: &crate::Limit
         }
         F::Nav2Yaml => {
             let geometry = grid()?.geometry;
-            ("yaml", "application/yaml", written(|out| nav2::write_yaml(out, &geometry, &format!("{name}.pgm")))?)
+            ("yaml", "application/yaml", written(|out| nav2::write_yaml(out, &geometry, "map.pgm"))?)
         }
         F::CloudPly => {
             let cloud = cloud()?;
-            ("ply", "application/octet-stream", written(|out| ply::write(out, &cloud, ply::Encoding::BinaryLittleEndian))?)
+            (
+                "ply",
+                "application/octet-stream",
+                written(|out| ply::write(out, &cloud, ply::Encoding::BinaryLittleEndian))?,
+            )
         }
         F::CloudPcd => {
             let cloud = cloud()?;

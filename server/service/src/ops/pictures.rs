@@ -183,7 +183,10 @@ pub fn cloud_top(cloud: &PointCloud) -> Result<Vec<u8>> {
         let share = ((p.z - bounds.min.z) / size.z.clamp(0.1, f64::from(CEILING_M))).clamp(0.0, 1.0);
         let by_height = [(60.0 + 190.0 * share) as u8, (90.0 + 80.0 * share) as u8, (200.0 - 150.0 * share) as u8];
         let color = cloud.colors.as_ref().map_or(by_height, |c| c[i]);
-        let at = Point2::new((p.x - bounds.min.x) * per_metre, canvas.height as f64 - 1.0 - (p.y - bounds.min.y) * per_metre);
+        let at = Point2::new(
+            (p.x - bounds.min.x) * per_metre,
+            canvas.height as f64 - 1.0 - (p.y - bounds.min.y) * per_metre,
+        );
         canvas.disc(at, 1, color);
     }
     canvas.into_png()

@@ -29,9 +29,7 @@ impl Service {
         page_token: &str,
     ) -> Result<(Page<Object>, u64)> {
         let snapshot = self.snapshot(session).await?;
-        let wanted = |o: &&Object| {
-            class.is_none_or(|c| c == o.class) && (include_gone || o.state != ObjectState::Gone)
-        };
+        let wanted = |o: &&Object| class.is_none_or(|c| c == o.class) && (include_gone || o.state != ObjectState::Gone);
         let objects: Vec<Object> = snapshot.objects.iter().filter(wanted).cloned().collect();
         Ok((page_by_number(&objects, |o| o.id.0, page_size, page_token)?, snapshot.map_version))
     }
@@ -43,7 +41,11 @@ impl Service {
     pub async fn object(&self, session: &str, id: u64) -> Result<Object> {
         let snapshot = self.snapshot(session).await?;
         snapshot.objects.iter().find(|o| o.id.0 == id).cloned().ok_or_else(|| {
-            Error::not_found("OBJECT_NOT_FOUND", "object_id", format!("object_id {id} does not exist in this session; list the objects"))
+            Error::not_found(
+                "OBJECT_NOT_FOUND",
+                "object_id",
+                format!("object_id {id} does not exist in this session; list the objects"),
+            )
         })
     }
 

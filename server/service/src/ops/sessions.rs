@@ -46,7 +46,8 @@ pub(crate) fn page_by_number<T: Clone>(
     let after: Option<u64> = if token.is_empty() {
         None
     } else {
-        let bad = || Error::invalid("PAGE_TOKEN_INVALID", "page_token", "page_token is not one of ours; start without it");
+        let bad =
+            || Error::invalid("PAGE_TOKEN_INVALID", "page_token", "page_token is not one of ours; start without it");
         Some(token.parse().map_err(|_| bad())?)
     };
     let start = after.map_or(0, |n| items.partition_point(|i| number(i) <= n));
@@ -76,7 +77,8 @@ impl Service {
         };
         check_id("session_id", &id)?;
         if new.sensors.len() > self.limits.max_sensors_per_session {
-            let message = format!("{} sensors, the limit is {}", new.sensors.len(), self.limits.max_sensors_per_session);
+            let message =
+                format!("{} sensors, the limit is {}", new.sensors.len(), self.limits.max_sensors_per_session);
             return Err(Error::exhausted("TOO_MANY_SENSORS", "sensors", message));
         }
         let mut sensors = new.sensors;

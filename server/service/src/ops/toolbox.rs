@@ -38,7 +38,9 @@ fn cloud_error(e: CloudError) -> Error {
         CloudError::VoxelTooSmall { voxel_size_m, coordinate_m, at_least_m } => Error::invalid(
             "VOXEL_TOO_SMALL",
             "voxel_size_m",
-            format!("voxel_size_m is {voxel_size_m}, too small for a coordinate of {coordinate_m} m; use at least {at_least_m}"),
+            format!(
+                "voxel_size_m is {voxel_size_m}, too small for a coordinate of {coordinate_m} m; use at least {at_least_m}"
+            ),
         ),
     }
 }
@@ -120,7 +122,11 @@ impl Service {
             let n = cloud.len();
             let shape = ShapeFeatures::of(&cloud.positions).zip(upright_box(&cloud.positions));
             shape.ok_or_else(|| {
-                Error::invalid("CLOUD_EMPTY", "cloud", format!("cloud has {n} points and none is finite; send at least one"))
+                Error::invalid(
+                    "CLOUD_EMPTY",
+                    "cloud",
+                    format!("cloud has {n} points and none is finite; send at least one"),
+                )
             })
         };
         self.compute.request(work).await?
@@ -131,7 +137,7 @@ impl Service {
     /// # Errors
     /// Clouds whose channels do not fit.
     pub async fn detect_objects(&self, cloud: PointCloud) -> Result<Vec<Detection>> {
-        let params = self.default_params().detection.detector.clone();
+        let params = self.default_params().detection.detector;
         let work = move || {
             let detector = Detector::new(params).map_err(Error::internal)?;
             detector.detect(&cloud).map_err(cloud_error)

@@ -282,7 +282,11 @@ fn stopped() -> Error {
 }
 
 fn sensor_not_found(id: &SensorId) -> Error {
-    Error::not_found("SENSOR_NOT_FOUND", "sensor_id", format!("sensor_id {id:?} is not declared in this session; declare it first", id = id.0))
+    Error::not_found(
+        "SENSOR_NOT_FOUND",
+        "sensor_id",
+        format!("sensor_id {id:?} is not declared in this session; declare it first", id = id.0),
+    )
 }
 
 /// The one table from the pipeline's facts to the caller's words.
@@ -292,12 +296,18 @@ pub(crate) fn frame_error(e: &FrameError) -> Error {
         FrameError::KindMismatch { sensor, declared, sent } => Error::invalid(
             "SENSOR_KIND_MISMATCH",
             "data",
-            format!("sensor {sensor} is declared as {declared:?} but sent {sent:?}; declare it anew or send what was declared"),
+            format!(
+                "sensor {sensor} is declared as {declared:?} but sent {sent:?}; declare it anew or send what was declared"
+            ),
         ),
         FrameError::StampNotIncreasing { stamp, last, .. } => Error::invalid(
             "STAMP_NOT_INCREASING",
             "stamp_ns",
-            format!("stamp_ns is {}, not after the sensor's last, {}; send frames in order, each once", stamp.nanos(), last.nanos()),
+            format!(
+                "stamp_ns is {}, not after the sensor's last, {}; send frames in order, each once",
+                stamp.nanos(),
+                last.nanos()
+            ),
         ),
         FrameError::IntrinsicsMismatch { width, height, expected_width, expected_height, .. } => Error::invalid(
             "INTRINSICS_MISMATCH",
@@ -389,7 +399,8 @@ impl Actor {
         let objects = (!report.changes.is_empty()).then(|| (Arc::clone(&snapshot.objects), snapshot.next_object_id));
         self.publish(&report, snapshot);
         let keyframe = report.keyframe.as_ref().map(|k| k.info.id);
-        let job = Job { sensor, stamp, entry: report.trajectory, keyframe: report.keyframe, objects, corrected: vec![] };
+        let job =
+            Job { sensor, stamp, entry: report.trajectory, keyframe: report.keyframe, objects, corrected: vec![] };
         let ticket = self.persister.submit(job).await;
         Ok(Processed { pose: report.pose, keyframe, latency_s: received.elapsed().as_secs_f64(), ticket })
     }
@@ -401,7 +412,7 @@ impl Actor {
         *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
         let pose = report.pose.iter().map(|p| EventKind::Pose(Box::new(p.clone())));
         let keyframe = report.keyframe.iter().map(|k| EventKind::Keyframe(k.info.clone()));
-        let changes = report.changes.iter().map(|c| EventKind::Object(Box::new(c.clone())));
+        let changes = report.changes.iter().map(|c| EventKind::Object(Box::new(*c)));
         let map = (version != before).then_some(EventKind::MapVersion(version));
         self.session.events.publish(stamp, pose.chain(keyframe).chain(changes).chain(map));
     }

@@ -23,7 +23,8 @@ pub(crate) fn encode(scan: &KeyframeScan) -> Vec<u8> {
     out.extend_from_slice(&(name.len() as u16).to_le_bytes());
     out.extend_from_slice(name);
     let t = scan.t_base_sensor.translation.vector;
-    let numbers = [t.x, t.y, t.z].into_iter().chain(se3::quaternion_xyzw(&scan.t_base_sensor)).chain([scan.base_height_m]);
+    let numbers =
+        [t.x, t.y, t.z].into_iter().chain(se3::quaternion_xyzw(&scan.t_base_sensor)).chain([scan.base_height_m]);
     numbers.for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
     out.push(u8::from(scan.planar) | u8::from(scan.hits.colors.is_some()) << 1);
     put_points(&mut out, hits);

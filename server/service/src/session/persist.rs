@@ -62,13 +62,19 @@ pub(crate) fn json(value: &impl Serialize) -> Result<Bytes> {
 pub(crate) fn store_error(e: &StoreError) -> Error {
     match e {
         StoreError::Full => Error::exhausted("STORAGE_FULL", "", "no space left where the data live; free some"),
-        StoreError::Fenced { .. } => {
-            Error::new(ErrorCode::Unavailable, "STORAGE_FENCED", "another server has taken over the data; talk to that one")
-        }
+        StoreError::Fenced { .. } => Error::new(
+            ErrorCode::Unavailable,
+            "STORAGE_FENCED",
+            "another server has taken over the data; talk to that one",
+        ),
         StoreError::Closed => Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again"),
         StoreError::Stalled { .. } | StoreError::Io { .. } => {
             tracing::error!(error = ?e, "storage fault");
-            Error::new(ErrorCode::Unavailable, "STORAGE_FAULT", "the storage does not take data; the server's log has the cause")
+            Error::new(
+                ErrorCode::Unavailable,
+                "STORAGE_FAULT",
+                "the storage does not take data; the server's log has the cause",
+            )
         }
         other => Error::internal(other),
     }
@@ -91,7 +97,14 @@ impl Persister {
         let (durable_tx, durable) = watch::channel(state.ticket);
         let (fault_tx, fault) = watch::channel(None);
         let next_ticket = state.ticket + 1;
-        let writer = Writer { store, keys, state_key: key(session, "state")?, objects_key: key(session, "objects")?, state, keyframes: BTreeMap::new() };
+        let writer = Writer {
+            store,
+            keys,
+            state_key: key(session, "state")?,
+            objects_key: key(session, "objects")?,
+            state,
+            keyframes: BTreeMap::new(),
+        };
         let task = Some(tokio::spawn(writer.run(queue, durable_tx, fault_tx)));
         Ok(Self { jobs, next_ticket, durable, fault, task })
     }

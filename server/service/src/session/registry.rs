@@ -133,11 +133,18 @@ impl Registry {
                 "sensor_id {:?} has sent frames already; declare the changed sensor under another name",
                 declaration.spec.id.0
             );
-            return Err(Error { field: "sensor_id".to_owned(), ..Error::new(ErrorCode::FailedPrecondition, "SENSOR_IN_USE", message) });
+            return Err(Error {
+                field: "sensor_id".to_owned(),
+                ..Error::new(ErrorCode::FailedPrecondition, "SENSOR_IN_USE", message)
+            });
         }
         if known.is_none() && session.num_sensors() >= self.limits.max_sensors_per_session {
             let limit = self.limits.max_sensors_per_session;
-            return Err(Error::exhausted("TOO_MANY_SENSORS", "sensor_id", format!("a session has at most {limit} sensors")));
+            return Err(Error::exhausted(
+                "TOO_MANY_SENSORS",
+                "sensor_id",
+                format!("a session has at most {limit} sensors"),
+            ));
         }
         session.declare(declaration).await?;
         let meta = session.meta();
@@ -194,5 +201,9 @@ impl Registry {
 
 fn not_found(id: &str) -> Error {
     let shown: String = id.chars().take(80).collect();
-    Error::not_found("SESSION_NOT_FOUND", "session_id", format!("session_id {shown:?} does not exist; create it, or list the sessions"))
+    Error::not_found(
+        "SESSION_NOT_FOUND",
+        "session_id",
+        format!("session_id {shown:?} does not exist; create it, or list the sessions"),
+    )
 }

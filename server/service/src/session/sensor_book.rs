@@ -61,15 +61,8 @@ pub(crate) struct SensorBook {
 impl SensorBook {
     pub(crate) fn declare(&mut self, declaration: SensorDeclaration, last_stamp: Option<Timestamp>) {
         let id = declaration.spec.id.clone();
-        let status = SensorStatus {
-            declaration,
-            accepted: 0,
-            rejected: 0,
-            dropped: 0,
-            gaps: 0,
-            rate_hz: None,
-            last_stamp,
-        };
+        let status =
+            SensorStatus { declaration, accepted: 0, rejected: 0, dropped: 0, gaps: 0, rate_hz: None, last_stamp };
         self.entries.insert(id, Entry { status, stamps: VecDeque::new(), last_sequence: 0 });
     }
 

@@ -57,7 +57,7 @@ pub fn score_to(s: &TrajectoryScore) -> v1::TrajectoryMetrics {
 /// Boxes that are none, unknown classes.
 pub fn boxes(r: &v1::EvaluateDetectionsRequest) -> Result<(Vec<TrueObject>, Vec<FoundObject>)> {
     let convert = |field: &'static str, b: &v1::LabelledBox| {
-        let bbox = geometry::oriented_box(field, &required("box", b.r#box.clone()).map_err(|e| e.within(field))?)?;
+        let bbox = geometry::oriented_box(field, &required("box", b.r#box).map_err(|e| e.within(field))?)?;
         Ok((scene::class(b.object_class)?, b.confidence, bbox))
     };
     let truth: Result<Vec<FoundObject>> = r.truth.iter().map(|b| convert("truth", b)).collect();

@@ -167,7 +167,12 @@ mod tests {
     fn chunks_of_a_grid_join_to_the_whole() {
         for (width, height) in [(0, 0), (3, 2), (1500, 1500)] {
             let cells: Vec<i8> = (0..width * height).map(|i| (i % 102) as i8 - 1).collect();
-            let grid = percept_formats::GridMap { geometry: GridGeometry::new(0.1, Point2::origin()), width, height, cells: cells.clone() };
+            let grid = percept_formats::GridMap {
+                geometry: GridGeometry::new(0.1, Point2::origin()),
+                width,
+                height,
+                cells: cells.clone(),
+            };
             let chunks = grid_chunks(&GridAnswer { map_version: 1, stamp: Timestamp(2), grid });
             let joined: Vec<i8> = chunks.iter().flat_map(|c| c.cells.iter().map(|&b| b as i8)).collect();
             assert_eq!(joined, cells);

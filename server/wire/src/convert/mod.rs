@@ -21,7 +21,11 @@ pub fn required<T>(field: &str, value: Option<T>) -> Result<T> {
 
 /// An enum value that this version does not know, or that was left unspecified.
 pub fn unknown_enum(field: &str, value: i32) -> Error {
-    Error::invalid("ENUM_UNKNOWN", field, format!("{field} is {value}, which is unspecified or unknown; choose one of the contract's values"))
+    Error::invalid(
+        "ENUM_UNKNOWN",
+        field,
+        format!("{field} is {value}, which is unspecified or unknown; choose one of the contract's values"),
+    )
 }
 
 /// The formats' limits under the service's.

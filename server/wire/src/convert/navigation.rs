@@ -27,18 +27,25 @@ fn reason_to(reason: NoPathReason) -> (v1::NoPathReason, &'static str) {
     use v1::NoPathReason as R;
     match reason {
         NoPathReason::StartOutsideMap => (R::StartOutsideMap, "the start lies outside of what was mapped"),
-        NoPathReason::StartOccupied => (R::StartOccupied, "the start is in an obstacle, or nearer to one than the robot's radius"),
+        NoPathReason::StartOccupied => {
+            (R::StartOccupied, "the start is in an obstacle, or nearer to one than the robot's radius")
+        }
         NoPathReason::StartUnknown => (R::StartUnknown, "the start lies where nothing was seen yet"),
         NoPathReason::GoalOutsideMap => (R::GoalOutsideMap, "the goal lies outside of what was mapped"),
-        NoPathReason::GoalOccupied => (R::GoalOccupied, "the goal is in an obstacle, or nearer to one than the robot's radius"),
+        NoPathReason::GoalOccupied => {
+            (R::GoalOccupied, "the goal is in an obstacle, or nearer to one than the robot's radius")
+        }
         NoPathReason::GoalUnknown => (R::GoalUnknown, "the goal lies where nothing was seen yet"),
         NoPathReason::Unreachable => (R::Unreachable, "no way wide enough for the robot joins start and goal"),
-        NoPathReason::SearchLimit => (R::SearchLimit, "the search was stopped at max_expansions before it found a path"),
+        NoPathReason::SearchLimit => {
+            (R::SearchLimit, "the search was stopped at max_expansions before it found a path")
+        }
     }
 }
 
 fn path_to(p: &percept_planning::Path) -> v1::Path {
-    let waypoint = |w: &percept_planning::Waypoint| v1::Pose2 { x_m: w.position.x, y_m: w.position.y, yaw_rad: w.yaw_rad };
+    let waypoint =
+        |w: &percept_planning::Waypoint| v1::Pose2 { x_m: w.position.x, y_m: w.position.y, yaw_rad: w.yaw_rad };
     v1::Path {
         waypoints: p.waypoints.iter().map(waypoint).collect(),
         length_m: p.length_m,

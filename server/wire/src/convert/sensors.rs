@@ -49,11 +49,8 @@ pub fn kind_to(kind: SensorKind) -> v1::SensorKind {
 pub fn intrinsics(c: &v1::CameraIntrinsics) -> Result<CameraIntrinsics> {
     use v1::DistortionModel as M;
     let k = &c.distortion;
-    let mismatch = |expected| percept_geometry::GeometryError::ShapeMismatch {
-        field: "distortion",
-        expected,
-        actual: k.len(),
-    };
+    let mismatch =
+        |expected| percept_geometry::GeometryError::ShapeMismatch { field: "distortion", expected, actual: k.len() };
     let distortion = match M::try_from(c.distortion_model) {
         Ok(M::Unspecified) if k.is_empty() => Distortion::None,
         Ok(M::Unspecified) => return Err(mismatch(0).into()),
@@ -178,11 +175,7 @@ pub fn frame(message: &v1::SensorMessage, limits: &Limits) -> Result<IncomingFra
     Ok(IncomingFrame {
         session: message.session_id.clone(),
         sequence: message.sequence,
-        frame: SensorFrame {
-            sensor: SensorId(message.sensor_id.clone()),
-            stamp: Timestamp(message.stamp_ns),
-            data,
-        },
+        frame: SensorFrame { sensor: SensorId(message.sensor_id.clone()), stamp: Timestamp(message.stamp_ns), data },
     })
 }
 
@@ -239,7 +232,10 @@ fn rows(data: &Bytes, row_bytes: usize, height: usize, stride: Option<u32>) -> R
         return Err(Error::invalid(
             "SIZE_MISMATCH",
             "data",
-            format!("data holds {} bytes but {height} rows of {stride} bytes were declared; send exactly that many", data.len()),
+            format!(
+                "data holds {} bytes but {height} rows of {stride} bytes were declared; send exactly that many",
+                data.len()
+            ),
         ));
     }
     if stride == row_bytes {
@@ -259,7 +255,10 @@ fn decoded_size(decoded: (usize, usize), declared: (usize, usize)) -> Result<()>
     Err(Error::invalid(
         "IMAGE_SIZE_MISMATCH",
         "width_px",
-        format!("the file is {}x{} but {}x{} was declared; declare its true size", decoded.0, decoded.1, declared.0, declared.1),
+        format!(
+            "the file is {}x{} but {}x{} was declared; declare its true size",
+            decoded.0, decoded.1, declared.0, declared.1
+        ),
     ))
 }
 
@@ -283,7 +282,8 @@ pub fn depth(d: &v1::DepthImage, limits: &Limits) -> Result<DepthImage> {
             Ok(DepthImage::new(w, h, metres)?)
         }
         Ok(E::Png16) => {
-            let image = images::decode_depth_png(&d.data, scale()?, &super::format_limits(limits)).map_err(super::format_error)?;
+            let image = images::decode_depth_png(&d.data, scale()?, &super::format_limits(limits))
+                .map_err(super::format_error)?;
             decoded_size((image.width(), image.height()), (w, h))?;
             Ok(image)
         }
@@ -311,7 +311,7 @@ pub fn color(c: &v1::ColorImage, limits: &Limits) -> Result<RgbImage> {
 
 fn scan(s: &v1::LaserScan, limits: &Limits) -> Result<LaserScan> {
     let beams = s.ranges_m.len() / 4;
-    if beams == 0 || s.ranges_m.len() % 4 != 0 {
+    if beams == 0 || !s.ranges_m.len().is_multiple_of(4) {
         return Err(Error::invalid(
             "SCAN_EMPTY",
             "ranges_m",
@@ -339,11 +339,13 @@ fn scan(s: &v1::LaserScan, limits: &Limits) -> Result<LaserScan> {
     if s.range_max_m <= s.range_min_m || s.range_min_m < 0.0 {
         return Err(out_of("range_max_m", s.range_max_m, "greater than range_min_m, which is not negative").into());
     }
-    let values = |data: &Bytes| data.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect::<Vec<_>>();
+    let values =
+        |data: &Bytes| data.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect::<Vec<_>>();
     let intensities = match &s.intensities {
         Some(d) if d.len() != beams * 4 => {
             let actual = d.len() / 4;
-            let mismatch = percept_geometry::GeometryError::ShapeMismatch { field: "intensities", expected: beams, actual };
+            let mismatch =
+                percept_geometry::GeometryError::ShapeMismatch { field: "intensities", expected: beams, actual };
             return Err(mismatch.into());
         }
         other => other.as_ref().map(values),

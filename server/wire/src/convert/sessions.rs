@@ -18,7 +18,8 @@ pub fn new_session(r: &v1::CreateSessionRequest, defaults: &PipelineParams) -> R
         Ok(M::IngestOnly) => SessionMode::IngestOnly,
         Err(_) => return Err(super::unknown_enum("mode", r.mode)),
     };
-    let declare = |(i, s): (usize, &v1::SensorSpec)| sensors::declaration(s).map_err(|e| e.within(&format!("sensors[{i}]")));
+    let declare =
+        |(i, s): (usize, &v1::SensorSpec)| sensors::declaration(s).map_err(|e| e.within(&format!("sensors[{i}]")));
     Ok(NewSession {
         id: r.session_id.clone(),
         display_name: r.display_name.clone(),
@@ -99,11 +100,7 @@ pub fn trajectory_pose_to(t_map_base: &Pose, entry: &TrajectoryEntry) -> v1::Tra
 
 /// What a frame did, as a message.
 pub fn result_to(p: &Processed) -> v1::FrameResult {
-    v1::FrameResult {
-        pose: p.pose.as_ref().map(pose_to),
-        keyframe_id: p.keyframe.map(|k| k.0),
-        latency_s: p.latency_s,
-    }
+    v1::FrameResult { pose: p.pose.as_ref().map(pose_to), keyframe_id: p.keyframe.map(|k| k.0), latency_s: p.latency_s }
 }
 
 /// An error as a message.

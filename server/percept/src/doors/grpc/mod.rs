@@ -33,7 +33,10 @@ type Answer<T> = Result<Response<T>, Status>;
 type Streamed<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
 /// A list as a stream of messages.
-fn streamed<C: Send + 'static, T: 'static>(chunks: Vec<C>, wrap: impl Fn(C) -> T + Send + 'static) -> Answer<Streamed<T>> {
+fn streamed<C: Send + 'static, T: 'static>(
+    chunks: Vec<C>,
+    wrap: impl Fn(C) -> T + Send + 'static,
+) -> Answer<Streamed<T>> {
     Ok(Response::new(Box::pin(tokio_stream::iter(chunks.into_iter().map(move |c| Ok(wrap(c)))))))
 }
 

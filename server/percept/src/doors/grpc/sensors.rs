@@ -22,10 +22,7 @@ impl v1::sensors_service_server::SensorsService for Api {
         Ok(Response::new(v1::ListSensorsResponse { sensors }))
     }
 
-    async fn stream_frames(
-        &self,
-        r: Request<Streaming<v1::StreamFramesRequest>>,
-    ) -> Answer<Self::StreamFramesStream> {
+    async fn stream_frames(&self, r: Request<Streaming<v1::StreamFramesRequest>>) -> Answer<Self::StreamFramesStream> {
         Ok(Response::new(ingest::stream(self.clone(), r.into_inner())))
     }
 

@@ -61,7 +61,8 @@ impl v1::sessions_service_server::SessionsService for Api {
 
     async fn list_keyframes(&self, r: Request<v1::ListKeyframesRequest>) -> Answer<v1::ListKeyframesResponse> {
         let r = r.get_ref();
-        let page = self.service.list_keyframes(&r.session_id, r.page_size, &r.page_token).await.map_err(status::grpc)?;
+        let page =
+            self.service.list_keyframes(&r.session_id, r.page_size, &r.page_token).await.map_err(status::grpc)?;
         let keyframes = page.items.iter().map(sessions::keyframe_to).collect();
         Ok(Response::new(v1::ListKeyframesResponse { keyframes, next_page_token: page.next_page_token }))
     }

@@ -20,10 +20,7 @@ impl v1::toolbox_service_server::ToolboxService for Api {
         Ok(Response::new(v1::RemoveStatisticalOutliersResponse { cloud, indices }))
     }
 
-    async fn downsample_voxels(
-        &self,
-        r: Request<v1::DownsampleVoxelsRequest>,
-    ) -> Answer<v1::DownsampleVoxelsResponse> {
+    async fn downsample_voxels(&self, r: Request<v1::DownsampleVoxelsRequest>) -> Answer<v1::DownsampleVoxelsResponse> {
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let cloud = toolbox::cloud("cloud", r.get_ref().cloud.as_ref(), self.service.limits()).map_err(status::grpc)?;
         let size = r.get_ref().voxel_size_m.unwrap_or(0.05);

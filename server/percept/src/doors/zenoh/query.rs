@@ -81,7 +81,9 @@ async fn answer(api: &Api, key: &str) -> Result<Vec<u8>, Error> {
             }
         },
         _ => {
-            let words = format!("{question:?} is no question; ask map/occupancy, map/cloud, scene/graph, scene/objects, sensors or pose");
+            let words = format!(
+                "{question:?} is no question; ask map/occupancy, map/cloud, scene/graph, scene/objects, sensors or pose"
+            );
             return Err(Error::not_found("KEY_UNKNOWN", "", words));
         }
     })

@@ -1,0 +1,9 @@
+//! One robot's pipeline on simulated drives, whose truth is exact.
+
+// Helpers of tests may fail like tests.
+#![allow(clippy::unwrap_used)]
+
+mod correction;
+mod drive;
+mod refusal;
+mod restore;
