@@ -36,7 +36,7 @@ impl ComputePool {
     /// Runs a request's work once a permit is free.
     ///
     /// # Errors
-    /// As [`ComputePool::run`].
+    /// `INTERNAL` if the work panicked, `STOPPING` at the end.
     pub async fn request<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
         let _permit = self
             .requests
