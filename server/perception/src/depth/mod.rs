@@ -1,6 +1,6 @@
 //! Depth images in, points and normals out, in the optical frame (x right, y down, z forward).
 //!
-//! [`unproject`] makes a cloud; [`VertexMap`] and [`NormalMap`] keep the image's grid, for projective
+//! [`unproject()`] makes a cloud; [`VertexMap`] and [`NormalMap`] keep the image's grid, for projective
 //! registration; [`DepthPyramid`] shrinks without mixing surfaces across edges. Nothing here knows where
 //! the camera is.
 

@@ -1,6 +1,6 @@
 //! Planar lidars: each scan is searched for, then refined, in a local map of recent keyframe scans.
 //!
-//! Scan to hits with normals ([`sweep`]), map on grids ([`field`]), search ([`search`]), point-to-line
+//! Scan to hits with normals ([`sweep`]), map on grids ([`field`]), search ([`mod@search`]), point-to-line
 //! refinement ([`refine`]). The robot moves in the plane: z, roll and pitch of odom stay zero.
 
 mod field;

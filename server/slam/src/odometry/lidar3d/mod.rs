@@ -1,7 +1,7 @@
 //! 3D lidars: each sweep is placed in a local map of voxels with a Gaussian each.
 //!
 //! The same defaults serve a room and a street: the voxel's size is learned from the first sweep. Sweep to
-//! thinned points (here), map ([`voxels`]), points to map ([`align`]).
+//! thinned points (here), map ([`voxels`]), points to map ([`mod@align`]).
 
 mod align;
 mod voxels;

@@ -1,6 +1,6 @@
 //! Depth cameras: each frame is placed in a model of surfels, then fused into it.
 //!
-//! Image to vertices ([`frame`]), model to view ([`surfels`]), frame to view ([`align`]).
+//! Image to vertices ([`frame`]), model to view ([`surfels`]), frame to view ([`mod@align`]).
 
 mod align;
 mod frame;
