@@ -12,8 +12,17 @@ use std::sync::Arc;
 /// Edge of a tile, cells.
 const TILE: i32 = 64;
 
-/// Row-major `TILE x TILE` log-odds; NaN where nothing was ever seen.
-type Tile = [f32; (TILE * TILE) as usize];
+const TILE_CELLS: usize = (TILE * TILE) as usize;
+
+/// A tile, row-major `TILE x TILE`.
+#[derive(Debug, Clone)]
+struct Tile {
+    /// NaN where nothing was ever seen.
+    log_odds: [f32; TILE_CELLS],
+    /// Whether a sensor that looks at the whole height band saw something stand here, and none has freed it since:
+    /// a planar beam, which passes under table tops and over boxes, does not free such a cell.
+    standing: [bool; TILE_CELLS],
+}
 
 /// Unbounded 2D occupancy in the map frame: log-odds by cell, unknown where no beam has been.
 ///
@@ -54,7 +63,7 @@ impl OccupancyGrid {
             let p = f64::from(value) / 100.0;
             let log_odds = ((p / (1.0 - p)).ln() as f32).clamp(params.min_log_odds, params.max_log_odds);
             let (key, slot) = locate(cell);
-            Arc::make_mut(tiles.entry(key).or_insert_with(unknown_tile))[slot] = log_odds;
+            Arc::make_mut(tiles.entry(key).or_insert_with(unknown_tile)).log_odds[slot] = log_odds;
             grow(&mut grid.bounds, cell);
         }
         Ok(grid)
@@ -106,9 +115,16 @@ impl OccupancyGrid {
                         Mark::Hit => self.params.hit_log_odds,
                     };
                     let cell = Cell::new(update.min.x + x as i32, update.min.y + y as i32);
-                    let value = &mut tile[locate(cell).1];
+                    let slot = locate(cell).1;
+                    if update.planar && *mark == Mark::Free && tile.standing[slot] {
+                        continue;
+                    }
+                    let value = &mut tile.log_odds[slot];
                     let before = if value.is_nan() { 0.0 } else { *value };
                     *value = (before + change).clamp(self.params.min_log_odds, self.params.max_log_odds);
+                    if !update.planar {
+                        tile.standing[slot] = *value > 0.0;
+                    }
                     grow(&mut self.bounds, cell);
                 }
             }
@@ -118,7 +134,7 @@ impl OccupancyGrid {
     /// Log-odds of a cell; none where nothing was seen.
     pub fn log_odds(&self, cell: Cell) -> Option<f32> {
         let (key, slot) = locate(cell);
-        self.tiles.get(&key).map(|tile| tile[slot]).filter(|v| !v.is_nan())
+        self.tiles.get(&key).map(|tile| tile.log_odds[slot]).filter(|v| !v.is_nan())
     }
 
     /// Probability that a cell is occupied; none where nothing was seen.
@@ -138,7 +154,7 @@ impl OccupancyGrid {
 
     /// Number of known cells.
     pub fn num_known(&self) -> usize {
-        self.tiles.values().map(|t| t.iter().filter(|v| !v.is_nan()).count()).sum()
+        self.tiles.values().map(|t| t.log_odds.iter().filter(|v| !v.is_nan()).count()).sum()
     }
 
     /// All that is known, as a rectangle of ROS values (0 x 0 if nothing is).
@@ -175,7 +191,7 @@ impl OccupancyGrid {
             let (y0, y1) = overlap(key.1, min.y, height);
             for y in y0..y1 {
                 for x in x0..x1 {
-                    let value = tile[locate(Cell::new(min.x + x as i32, min.y + y as i32)).1];
+                    let value = tile.log_odds[locate(Cell::new(min.x + x as i32, min.y + y as i32)).1];
                     if !value.is_nan() {
                         out[y * width + x] = (100.0 * probability(value)).round() as i8;
                     }
@@ -190,7 +206,10 @@ impl OccupancyGrid {
 /// Equal in geometry and in the bytes of every cell.
 impl PartialEq for OccupancyGrid {
     fn eq(&self, other: &Self) -> bool {
-        let same = |a: &Tile, b: &Tile| a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits());
+        let same = |a: &Tile, b: &Tile| {
+            let cells = a.log_odds.iter().zip(&b.log_odds);
+            cells.map(|(x, y)| (x.to_bits(), y.to_bits())).all(|(x, y)| x == y) && a.standing == b.standing
+        };
         self.geometry == other.geometry
             && self.tiles.len() == other.tiles.len()
             && self.tiles.iter().zip(other.tiles.iter()).all(|((ka, a), (kb, b))| ka == kb && same(a, b))
@@ -202,7 +221,7 @@ fn probability(log_odds: f32) -> f64 {
 }
 
 fn unknown_tile() -> Arc<Tile> {
-    Arc::new([f32::NAN; (TILE * TILE) as usize])
+    Arc::new(Tile { log_odds: [f32::NAN; TILE_CELLS], standing: [false; TILE_CELLS] })
 }
 
 /// Tile of a cell, and its place there.

@@ -16,6 +16,8 @@ const DROP_M: f64 = 0.2;
 pub struct ScanUpdate {
     pub(super) min: Cell,
     pub(super) width: usize,
+    /// Whether the beams lie in one plane and say nothing about other heights.
+    pub(super) planar: bool,
     /// Row-major `width x width`.
     pub(super) marks: Vec<Mark>,
 }
@@ -46,9 +48,11 @@ impl ScanUpdate {
             c.x.checked_add(half).and(c.y.checked_add(half))?;
             Some(Cell::new(c.x.checked_sub(half)?, c.y.checked_sub(half)?))
         });
-        let Some(min) = min else { return Self { min: Cell::new(0, 0), width: 0, marks: Vec::new() } };
+        let Some(min) = min else {
+            return Self { min: Cell::new(0, 0), width: 0, planar: true, marks: Vec::new() };
+        };
         let width = 2 * half as usize + 1;
-        let mut update = Self { min, width, marks: vec![Mark::Unseen; width * width] };
+        let mut update = Self { min, width, planar: scan.planar, marks: vec![Mark::Unseen; width * width] };
         let frame = Frame { params, geometry, sensor, floor_z: t_map_base.translation.vector.z - scan.base_height_m };
         let in_map = |p: &Point3<f32>| t_map_base * p.cast::<f64>();
         if scan.planar {

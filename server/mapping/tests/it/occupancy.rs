@@ -199,3 +199,22 @@ fn regions_are_bounded_and_faults_named() {
     assert!(matches!(DenseGrid::new(geometry, 2, 2, vec![0; 3]), Err(MappingError::GridShape { cells: 3, .. })));
     assert!(matches!(DenseGrid::new(geometry, 1, 2, vec![0, 101]), Err(MappingError::CellValue { index: 1, .. })));
 }
+
+#[test]
+fn a_planar_beam_under_a_table_top_does_not_free_it_but_a_look_through_it_does() {
+    let mut map = grid();
+    let top: Vec<Point3<f32>> = vec![Point3::new(2.05, 0.0, 0.72)];
+    let cell = map.geometry().cell(&nalgebra::Point2::new(2.05, 0.0)).unwrap();
+    map.integrate(&Pose::identity(), &spatial(0.6, top)).unwrap();
+    let seen = map.log_odds(cell).unwrap();
+    assert!(seen > 0.0);
+    for _ in 0..20 {
+        map.integrate(&Pose::identity(), &planar(&[[5.0, 0.0]], &[])).unwrap();
+    }
+    assert_eq!(map.log_odds(cell), Some(seen));
+    // Carried away: a sensor that sees the whole band looks through its place.
+    for _ in 0..20 {
+        map.integrate(&Pose::identity(), &spatial(0.6, vec![Point3::new(5.0, 0.0, 0.7)])).unwrap();
+    }
+    assert!(map.log_odds(cell).unwrap() < 0.0);
+}
