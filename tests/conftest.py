@@ -70,7 +70,7 @@ def lidar_session(client):
     """A session that has seen the room with a 3D lidar. Read only."""
     session = client.sessions.create(sensors=[world.LIDAR])
     with session.stream() as stream:
-        for i, pose in enumerate(world.drive(12)):
+        for i, pose in enumerate(world.lidar_drive()):
             stream.send_cloud("lidar", stamp_ns=world.stamp(i), points=world.cloud(pose))
     assert stream.summary.rejected == 0, stream.summary.rejections
     return session

@@ -7,6 +7,7 @@ import pytest
 from percept import Client, InvalidArgument, Unavailable
 
 from support import world
+from support.server import Server, free_port
 
 
 def stream_until_killed(server, session, poses, kill_after):
@@ -121,12 +122,9 @@ def test_a_stop_in_the_middle_of_a_stream_tells_the_sender(own_server):
         stream.cancel()
 
 
-def test_a_watch_goes_on_after_a_crash_with_a_resync(own_server, tmp_path):
-    from support.server import Server, free_port
-
+def test_a_watch_goes_on_after_a_crash_with_a_resync(tmp_path):
     address = f"127.0.0.1:{free_port()}"
-    own_server.kill()
-    server = Server(tmp_path / "fixed", "--grpc", address)
+    server = Server(tmp_path / "fixed", grpc=address)
     try:
         with Client(address) as client:
             session = client.sessions.create("robot", sensors=[world.LASER])
@@ -140,7 +138,7 @@ def test_a_watch_goes_on_after_a_crash_with_a_resync(own_server, tmp_path):
                 session.send_scan("laser", stamp_ns=2, **scan)
                 # What was under way when the link broke may come first; then the news of the new server.
                 assert any(
-                    e.stamp_ns == 2 or type(e.event).__name__ == "Resync" for e, _ in zip(range(9), watch)
+                    e.stamp_ns == 2 or type(e.event).__name__ == "Resync" for _, e in zip(range(9), watch)
                 )
     finally:
         server.kill()

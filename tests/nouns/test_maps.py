@@ -28,7 +28,7 @@ def test_the_summary_is_that_of_the_content(lidar_session):
     assert np.array_equal(summary.occupancy.origin, grid.origin)
     assert summary.num_points == cloud.cloud.num_points > 1000
     assert summary.stamp == grid.stamp == cloud.stamp
-    assert summary.stamp.stamp_ns == world.stamp(11)
+    assert summary.stamp.stamp_ns == world.stamp(world.LIDAR_LAST)
     assert summary.stamp.frame_id == "map"
 
 
@@ -145,7 +145,7 @@ def test_maps_are_exported_as_files_with_a_checksum(lidar_session, tmp_path, fil
     assert file.path == tmp_path / file.file_name
     assert file.path.read_bytes() == file.data
     assert hashlib.sha256(file.data).hexdigest() == file.sha256
-    assert file.stamp.stamp_ns == world.stamp(11)
+    assert file.stamp.stamp_ns == world.stamp(world.LIDAR_LAST)
     assert [p.name for p in tmp_path.iterdir()] == [file.file_name], "no part is left behind"
 
 

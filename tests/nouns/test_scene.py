@@ -63,7 +63,7 @@ def test_the_graph_has_the_robot_and_every_object(lidar_session, objects):
     assert len(robots) == 1
     assert np.allclose(robots[0].t_map_node.matrix, lidar_session.pose().t_map_base.matrix, atol=1e-9)
     assert [n.object for n in graph.nodes if n.kind == "object"] == objects
-    assert (graph.frame_id, graph.stamp_ns) == ("map", world.stamp(11))
+    assert (graph.frame_id, graph.stamp_ns) == ("map", world.stamp(world.LIDAR_LAST))
 
 
 def test_relations_join_nodes_with_a_strength_in_a_frame(lidar_session):

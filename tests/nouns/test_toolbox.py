@@ -48,7 +48,10 @@ def test_one_centroid_a_voxel(client, rng):
 
 def test_normals_stand_on_the_plane_and_look_at_the_viewpoint(client, rng):
     cloud = client.toolbox.estimate_normals(plane_points(rng, 2000, z=1.0), viewpoint_m=(0, 0, 5))
-    assert np.allclose(np.linalg.norm(cloud.normals, axis=1), 1, atol=1e-4)
+    # Zero where fewer than three neighbours were found, which happens at the rim.
+    found = np.any(cloud.normals != 0, axis=1)
+    assert found.mean() > 0.99
+    assert np.allclose(np.linalg.norm(cloud.normals[found], axis=1), 1, atol=1e-4)
     assert np.quantile(cloud.normals[:, 2], 0.05) > 0.99
     below = client.toolbox.estimate_normals(plane_points(rng, 2000, z=1.0))
     assert np.quantile(below.normals[:, 2], 0.95) < -0.99
@@ -93,7 +96,8 @@ def test_the_shape_of_a_box_is_that_of_the_box(client, rng):
     assert shape.features.linearity == pytest.approx((l1 - l2) / l1)
     assert shape.features.planarity == pytest.approx((l2 - l3) / l1)
     assert shape.features.sphericity == pytest.approx(l3 / l1)
-    assert shape.features.volume_m3 == pytest.approx(np.prod(shape.features.extent_m))
+    assert shape.features.volume_m3 == pytest.approx(np.prod(shape.upright_box.size_m))
+    assert np.allclose(shape.features.extent_m, np.ptp(turned, axis=0), atol=1e-6)
     assert np.allclose(np.sort(shape.upright_box.size_m), np.sort(size), atol=0.03)
     assert np.allclose(shape.upright_box.center, turn.translation, atol=0.02)
 

@@ -38,17 +38,18 @@ def free_port() -> int:
 class Server:
     """`percept serve`; may be killed and started again on the same data."""
 
-    def __init__(self, data_dir: pathlib.Path, *arguments: str) -> None:
+    def __init__(self, data_dir: pathlib.Path, *arguments: str, grpc: str = "127.0.0.1:0") -> None:
         self.data_dir = data_dir
         self.log = data_dir.with_name(f"{data_dir.name}.log")
         self._arguments = arguments
+        self._grpc = grpc
         self.start()
 
     def start(self) -> None:
         """Starts and waits until the doors are open."""
         command = [
             *(binary(), "serve", "--data-dir", self.data_dir),
-            *("--grpc", "127.0.0.1:0", "--rest", "127.0.0.1:0"),
+            *("--grpc", self._grpc, "--rest", "127.0.0.1:0"),
             *("--zenoh", f"tcp/127.0.0.1:{free_port()}"),
             *self._arguments,
         ]

@@ -104,6 +104,15 @@ def drive(steps: int) -> list[Pose]:
     return poses
 
 
+def lidar_drive() -> list[Pose]:
+    """The drive of the session with a 3D lidar: long enough to see all furniture in several keyframes."""
+    return drive(3 * (LIDAR_LAST + 1))[::3]
+
+
+#: Number of the last frame of `lidar_drive`.
+LIDAR_LAST = 29
+
+
 def truth_in_map(poses: list[Pose]) -> list[np.ndarray]:
     """t_map_base of world poses: the map begins at the first."""
     start = np.linalg.inv(poses[0].matrix)

@@ -93,7 +93,7 @@ class _ObjectChangeKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Obje
     OBJECT_CHANGE_KIND_REAPPEARED: _ObjectChangeKind.ValueType  # 8
     """It was gone and is seen again."""
     OBJECT_CHANGE_KIND_FORGOTTEN: _ObjectChangeKind.ValueType  # 9
-    """It was removed to make room for others."""
+    """It turned out to be no thing of its own, or it was gone and made room for others."""
 
 class ObjectChangeKind(_ObjectChangeKind, metaclass=_ObjectChangeKindEnumTypeWrapper):
     """What happened to an object."""
@@ -111,7 +111,7 @@ OBJECT_CHANGE_KIND_STOPPED: ObjectChangeKind.ValueType  # 7
 OBJECT_CHANGE_KIND_REAPPEARED: ObjectChangeKind.ValueType  # 8
 """It was gone and is seen again."""
 OBJECT_CHANGE_KIND_FORGOTTEN: ObjectChangeKind.ValueType  # 9
-"""It was removed to make room for others."""
+"""It turned out to be no thing of its own, or it was gone and made room for others."""
 Global___ObjectChangeKind: _TypeAlias = ObjectChangeKind  # noqa: Y015
 
 @_typing.final
@@ -224,7 +224,7 @@ class ShapeFeatures(_message.Message):
     SPHERICITY_FIELD_NUMBER: _builtins.int
     num_points: _builtins.int
     volume_m3: _builtins.float
-    """Of the axis-aligned box, cubic metres."""
+    """Of the smallest box upright along z, cubic metres; 0 if flat."""
     linearity: _builtins.float
     """(l1 - l2) / l1."""
     planarity: _builtins.float

@@ -70,6 +70,7 @@ impl Session {
         persister: Persister,
         compute: ComputePool,
         limits: &Limits,
+        events: EventLog,
     ) -> Arc<Self> {
         let mut book = SensorBook::default();
         for declaration in &meta.sensors {
@@ -80,7 +81,7 @@ impl Session {
         let session = Arc::new(Self {
             meta: RwLock::new(meta),
             snapshot: RwLock::new(Arc::new(pipeline.snapshot())),
-            events: EventLog::new(limits.event_history),
+            events,
             book: Mutex::new(book),
             queue,
             durable: persister.durable(),

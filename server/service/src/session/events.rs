@@ -40,16 +40,24 @@ pub struct EventLog {
 
 struct Ring {
     events: VecDeque<Event>,
+    first_token: u64,
     next_token: u64,
     capacity: usize,
     closed: bool,
 }
 
 impl EventLog {
-    /// A log that keeps `capacity` events.
+    /// A log that keeps `capacity` events, of a session that had none before.
     pub fn new(capacity: usize) -> Self {
         // Tokens start at 1, so that 0 can mean 'from the very first'.
-        let ring = Ring { events: VecDeque::new(), next_token: 1, capacity: capacity.max(1), closed: false };
+        Self::starting_at(1, capacity)
+    }
+
+    /// A log whose first event gets `first_token`. Events are not stored: a session that comes back must start
+    /// above all tokens it gave before, or a watcher that resumes would miss events and not be told.
+    pub fn starting_at(first_token: u64, capacity: usize) -> Self {
+        let (events, capacity) = (VecDeque::new(), capacity.max(1));
+        let ring = Ring { events, first_token, next_token: first_token, capacity, closed: false };
         Self { ring: Mutex::new(ring), changed: Notify::new() }
     }
 
@@ -108,9 +116,10 @@ impl EventLog {
 impl Ring {
     fn after(&self, token: u64, limit: usize) -> Option<Vec<Event>> {
         let newest = self.next_token - 1;
-        // A token from before a restart may be larger than any we gave: the reader must start anew.
-        if token > newest {
-            return Some(vec![Event { token: newest, stamp: self.newest_stamp(), kind: EventKind::Resync(0) }]);
+        // A token from before a restart, or none of ours: nobody knows how many events are missing.
+        if token > newest || token + 1 < self.first_token {
+            let token = if token > newest { newest } else { self.next_token - 1 - self.events.len() as u64 };
+            return Some(vec![Event { token, stamp: self.newest_stamp(), kind: EventKind::Resync(0) }]);
         }
         if token == newest {
             return None;
@@ -153,6 +162,17 @@ mod tests {
         let events = log.after(1, 100).await.unwrap();
         assert!(matches!(events[..], [Event { token: 7, kind: EventKind::Resync(6), .. }]));
         assert_eq!(tokens(&log.after(7, 100).await.unwrap()), [8, 9, 10]);
+    }
+
+    #[tokio::test]
+    async fn a_token_from_before_a_restart_gets_a_resync_and_then_all_that_is_new() {
+        let log = EventLog::starting_at(1000, 10);
+        let events = log.after(3, 100).await.unwrap();
+        assert!(matches!(events[..], [Event { token: 999, kind: EventKind::Resync(0), .. }]));
+        log.publish(Timestamp(1), (0..2).map(EventKind::MapVersion));
+        let events = log.after(3, 100).await.unwrap();
+        assert!(matches!(events[..], [Event { token: 999, kind: EventKind::Resync(0), .. }]));
+        assert_eq!(tokens(&log.after(999, 100).await.unwrap()), [1000, 1001]);
     }
 
     #[tokio::test]

@@ -1,6 +1,7 @@
 //! Which sessions there are, which are awake; creates, wakes, deletes.
 
 use super::actor::Session;
+use super::events::EventLog;
 use super::meta::{SensorDeclaration, SessionMeta};
 use super::persist::{Persister, json, store_error};
 use super::recover::recover;
@@ -16,6 +17,8 @@ use tokio::sync::{Mutex, RwLock};
 struct Slot {
     meta: SessionMeta,
     awake: Option<Arc<Session>>,
+    /// Token of its first event once awake.
+    first_token: u64,
 }
 
 pub(crate) struct Registry {
@@ -41,9 +44,11 @@ impl Registry {
     ) -> Result<Self> {
         let prefix = Prefix::new(["catalog"]).map_err(|e| store_error(&e))?;
         let mut slots = BTreeMap::new();
+        // Events come far slower than one a microsecond, so that this lies above every token given before.
+        let first_token = u64::try_from(crate::ops::sessions::now_ns() / 1000).unwrap_or(1).max(1);
         for (_, bytes) in store.scan_all(&prefix).await.map_err(|e| store_error(&e))? {
             let meta: SessionMeta = serde_json::from_slice(&bytes).map_err(Error::internal)?;
-            slots.insert(meta.id.clone(), Arc::new(Mutex::new(Slot { meta, awake: None })));
+            slots.insert(meta.id.clone(), Arc::new(Mutex::new(Slot { meta, awake: None, first_token })));
         }
         let slots = RwLock::new(slots);
         Ok(Self { store, compute, limits, defaults, slots, creating: Mutex::default() })
@@ -73,8 +78,9 @@ impl Registry {
         let (pipeline, state) = recover(&self.store, &self.compute, &slot.meta).await?;
         let stamps = state.last_stamps.clone();
         let persister = Persister::start(Arc::clone(&self.store), id, state)?;
+        let events = EventLog::starting_at(slot.first_token, self.limits.event_history);
         let session =
-            Session::start(slot.meta.clone(), pipeline, &stamps, persister, self.compute.clone(), &self.limits);
+            Session::start(slot.meta.clone(), pipeline, &stamps, persister, self.compute.clone(), &self.limits, events);
         slot.awake = Some(Arc::clone(&session));
         Ok(session)
     }
@@ -102,7 +108,7 @@ impl Registry {
         }
         self.store.put(catalog_key(&meta.id)?, json(&meta)?).await.map_err(|e| store_error(&e))?;
         let id = meta.id.clone();
-        self.slots.write().await.insert(id.clone(), Arc::new(Mutex::new(Slot { meta, awake: None })));
+        self.slots.write().await.insert(id.clone(), Arc::new(Mutex::new(Slot { meta, awake: None, first_token: 1 })));
         self.get(&id).await
     }
 

@@ -1,7 +1,7 @@
 //! `SessionsService`.
 
 use super::{Answer, Api, Streamed, status, streamed};
-use percept_service::Error;
+use percept_service::{Error, ErrorCode};
 use percept_wire::{convert::sessions, params, v1};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response};
@@ -10,6 +10,11 @@ use tonic::{Request, Response};
 const POSES_PER_MESSAGE: usize = 1000;
 /// Events read at a time by a watcher.
 const EVENTS_PER_READ: usize = 64;
+
+fn stopping_error() -> Error {
+    let words = "the server is stopping; watch again, from the last resume token, when it is back";
+    Error::new(ErrorCode::Unavailable, "STOPPING", words)
+}
 
 #[tonic::async_trait]
 impl v1::sessions_service_server::SessionsService for Api {
@@ -77,10 +82,16 @@ impl v1::sessions_service_server::SessionsService for Api {
         tokio::spawn(async move {
             loop {
                 let events = tokio::select! {
-                    events = session.events().after(token, EVENTS_PER_READ) => events,
+                    events = session.events().after(token, EVENTS_PER_READ) => Some(events),
                     _ = stopping.wait_for(|s| *s) => None,
-                    () = out.closed() => None,
+                    () = out.closed() => return,
                 };
+                let Some(events) = events else {
+                    // Said as an error, so that clients reconnect instead of taking it for the end.
+                    let _ = out.send(Err(status::grpc(stopping_error()))).await;
+                    return;
+                };
+                // The session was deleted: a true end.
                 let Some(events) = events else { return };
                 let snapshot = session.snapshot();
                 for event in events {

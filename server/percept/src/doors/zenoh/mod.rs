@@ -17,6 +17,7 @@ use percept_service::{Error, IncomingFrame};
 use percept_wire::{convert, v1};
 use prost::Message;
 use std::sync::Arc;
+use tokio::sync::mpsc;
 use zenoh::sample::Sample;
 
 /// First chunk of every key.
@@ -57,14 +58,11 @@ impl ZenohDoor {
 
     /// Serves until the server stops.
     pub(crate) async fn serve(self, api: Api) -> Result<(), Failure> {
-        let (samples, received) = tokio::sync::mpsc::channel::<Sample>(BACKLOG);
+        let (samples, received) = mpsc::channel::<Sample>(BACKLOG);
         let subscriber = self
             .session
             .declare_subscriber(format!("{ROOT}/*/*/frame"))
-            .callback(move |sample| {
-                // Runs on zenoh's own threads: waiting here holds the sender, which is what BLOCK means.
-                let _ = samples.blocking_send(sample);
-            })
+            .callback(move |sample| hand_over(&samples, sample))
             .await?;
         let queries = query::serve(&self.session, api.clone()).await?;
         let publisher = Arc::new(publish::Publishers::new(self.session.clone(), api.clone()));
@@ -79,8 +77,16 @@ impl ZenohDoor {
     }
 }
 
+/// Called on zenoh's own threads: waiting here holds the sender, which is what BLOCK means. Those threads drive
+/// zenoh's runtime, which must be told before one of them waits.
+fn hand_over<T>(to: &mpsc::Sender<T>, item: T) {
+    if let Err(mpsc::error::TrySendError::Full(item)) = to.try_send(item) {
+        let _ = tokio::task::block_in_place(|| to.blocking_send(item));
+    }
+}
+
 /// Decodes samples in the order of their arrival and hands them on.
-async fn take(api: Api, mut received: tokio::sync::mpsc::Receiver<Sample>, publishers: Arc<publish::Publishers>) {
+async fn take(api: Api, mut received: mpsc::Receiver<Sample>, publishers: Arc<publish::Publishers>) {
     while let Some(sample) = received.recv().await {
         let key = sample.key_expr().as_str().to_owned();
         match decode(&api, &key, &sample).await {

@@ -31,18 +31,19 @@ impl Publishers {
         let Ok(handle) = self.api.service.session(session).await else { return };
         watched.insert(session.to_owned());
         let (this, id) = (std::sync::Arc::clone(self), session.to_owned());
+        // Told before the first frame is taken, so that its events are published, too.
+        let token = handle.events().newest_token();
         tokio::spawn(async move {
-            if let Err(error) = this.publish(&id, &handle).await {
+            if let Err(error) = this.publish(&id, &handle, token).await {
                 tracing::warn!(session = id, %error, "publishing stopped");
             }
             this.watched.lock().await.remove(&id);
         });
     }
 
-    async fn publish(&self, id: &str, session: &percept_service::Session) -> Result<(), super::Failure> {
+    async fn publish(&self, id: &str, session: &percept_service::Session, mut token: u64) -> Result<(), super::Failure> {
         let poses = self.zenoh.declare_publisher(format!("{ROOT}/{id}/pose")).await?;
         let events = self.zenoh.declare_publisher(format!("{ROOT}/{id}/events")).await?;
-        let mut token = session.events().newest_token();
         while let Some(batch) = session.events().after(token, EVENTS_PER_READ).await {
             let snapshot = session.snapshot();
             for event in batch {

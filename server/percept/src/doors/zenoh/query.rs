@@ -1,6 +1,6 @@
 //! Questions about sessions, answered by the newest snapshot.
 
-use super::{Api, Failure, ROOT};
+use super::{Api, Failure, ROOT, hand_over};
 use crate::doors::status::Problem;
 use percept_service::Error;
 use percept_wire::{convert, v1};
@@ -20,9 +20,7 @@ pub(super) async fn serve(zenoh: &zenoh::Session, api: Api) -> Result<impl Futur
         let asked = asked.clone();
         let queryable = zenoh
             .declare_queryable(format!("{ROOT}/*/{suffix}"))
-            .callback(move |query| {
-                let _ = asked.blocking_send(query);
-            })
+            .callback(move |query| hand_over(&asked, query))
             .await?;
         queryables.push(queryable);
     }
