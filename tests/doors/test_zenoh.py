@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 from percept import Keyframe, NotFound, PoseEstimate
 from percept.zenoh import MapReader, SensorPublisher
@@ -80,3 +82,27 @@ def test_a_slow_server_holds_a_blocking_sensor_instead_of_losing_frames(server, 
         assert eventually(lambda: session.sensors.list()[0].accepted == 12, seconds=60)
     status = session.sensors.list()[0]
     assert (status.dropped, status.gaps, status.rejected) == (0, 0, 0)
+
+
+def test_a_busy_session_does_not_hold_another(server, client):
+    busy, other = (client.sessions.create(sensors=[world.LIDAR, world.LASER]) for _ in range(2))
+    clouds = [world.cloud(pose, rings=64, columns=1800) for pose in world.drive(8)]
+    count = 120
+
+    def flood():
+        with SensorPublisher(server.zenoh, session_id=busy.session_id) as publisher:
+            for i in range(count):
+                publisher.send_cloud("lidar", stamp_ns=world.stamp(i), points=clouds[i % 8])
+
+    def accepted(session, sensor_id):
+        return {s.spec.sensor_id: s.accepted for s in session.sensors.list()}[sensor_id]
+
+    with SensorPublisher(server.zenoh, session_id=other.session_id) as publisher:
+        flooding = threading.Thread(target=flood)
+        flooding.start()
+        assert eventually(lambda: accepted(busy, "lidar") > 5, seconds=30)
+        publisher.send_scan("laser", stamp_ns=world.stamp(0), **world.scan(world.drive(1)[0]))
+        assert eventually(lambda: accepted(other, "laser") == 1, seconds=30)
+        assert accepted(busy, "lidar") < count - 20, "the busy session was done first"
+        flooding.join()
+    assert eventually(lambda: accepted(busy, "lidar") == count, seconds=60)

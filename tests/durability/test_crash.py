@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from percept import Client, InvalidArgument, Unavailable
+from percept import Client, InvalidArgument, Resync, Unavailable
 
 from support import world
 from support.server import Server, free_port
@@ -122,23 +122,39 @@ def test_a_stop_in_the_middle_of_a_stream_tells_the_sender(own_server):
         stream.cancel()
 
 
-def test_a_watch_goes_on_after_a_crash_with_a_resync(tmp_path):
-    address = f"127.0.0.1:{free_port()}"
-    server = Server(tmp_path / "fixed", grpc=address)
+@pytest.mark.parametrize("end", [Server.kill, Server.stop])
+def test_a_watch_goes_on_when_the_server_is_back_and_is_told_that_events_are_missing(tmp_path, end):
+    server = Server(tmp_path / "fixed", grpc=f"127.0.0.1:{free_port()}")
     try:
-        with Client(address) as client:
+        with Client(server.grpc) as client:
             session = client.sessions.create("robot", sensors=[world.LASER])
             scan = world.scan(world.drive(1)[0])
             with session.watch(resume_token=0) as watch:
                 session.send_scan("laser", stamp_ns=1, **scan)
                 first = next(watch)
                 assert first.token == 1
-                server.kill()
+                end(server)
                 server.start()
-                session.send_scan("laser", stamp_ns=2, **scan)
-                # What was under way when the link broke may come first; then the news of the new server.
-                assert any(
-                    e.stamp_ns == 2 or type(e.event).__name__ == "Resync" for _, e in zip(range(9), watch)
-                )
+                # More events than before: their places in the order must not be taken for the old ones.
+                for stamp_ns in range(2, 8):
+                    session.send_scan("laser", stamp_ns=stamp_ns, **scan)
+                events = []
+                while not events or events[-1].stamp_ns < 7:
+                    events.append(next(watch))
     finally:
         server.kill()
+    new = [e for e in events if e.stamp_ns > 1 or isinstance(e.event, Resync)]
+    assert isinstance(new[0].event, Resync)
+    tokens = [e.token for e in events]
+    assert tokens == sorted(set(tokens))
+
+
+def test_a_stop_ends_a_watch_with_a_reason(own_server):
+    with Client(own_server.grpc) as client:
+        session = client.sessions.create("robot", sensors=[world.LASER])
+        with session.watch() as watch:
+            assert own_server.stop() == 0
+            # Without an event there is no place to go on from.
+            with pytest.raises(Unavailable) as error:
+                next(watch)
+    assert error.value.reason == "STOPPING"

@@ -148,8 +148,8 @@ class FrameStream(FrameSender[None]):
 
 
 class Watch:
-    """Events of a session, as an iterator; a context manager. Ends when the server stops in good order; goes
-    on by itself when the link breaks, as a crash does, and the server comes back.
+    """Events of a session, as an iterator; a context manager. When the link breaks or the server stops it goes
+    on by itself once the server is back, with a Resync where events are missing. Ends when the session is deleted.
 
     `token` belongs to the newest event: watch(resume_token=token) goes on after it.
     """

@@ -107,6 +107,7 @@ class RelationFrame(Name):
     UNSPECIFIED = "unspecified"
     GRAVITY = "gravity"
     VIEWER = "viewer"
+    ANY = "any"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

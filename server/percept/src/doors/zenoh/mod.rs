@@ -9,6 +9,7 @@
 //!
 //! A frame that is refused has no one to be told: it is counted in the sensor's status.
 
+mod lanes;
 mod publish;
 mod query;
 
@@ -22,8 +23,8 @@ use zenoh::sample::Sample;
 
 /// First chunk of every key.
 const ROOT: &str = "percept";
-/// Samples that wait between the network and the decoder; beyond it the link is held.
-const BACKLOG: usize = 64;
+/// Samples of a session that wait between the network and the decoder; beyond it the link is held.
+const BACKLOG: usize = 16;
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -58,17 +59,16 @@ impl ZenohDoor {
 
     /// Serves until the server stops.
     pub(crate) async fn serve(self, api: Api) -> Result<(), Failure> {
-        let (samples, received) = mpsc::channel::<Sample>(BACKLOG);
-        let subscriber = self
-            .session
-            .declare_subscriber(format!("{ROOT}/*/*/frame"))
-            .callback(move |sample| hand_over(&samples, sample))
-            .await?;
+        let publishers = Arc::new(publish::Publishers::new(self.session.clone(), api.clone()));
+        let lanes = lanes::Lanes::new({
+            let api = api.clone();
+            move |sample| take(api.clone(), Arc::clone(&publishers), sample)
+        });
+        let frames = format!("{ROOT}/*/*/frame");
+        let subscriber = self.session.declare_subscriber(frames).callback(move |s| lanes.put(s)).await?;
         let queries = query::serve(&self.session, api.clone()).await?;
-        let publisher = Arc::new(publish::Publishers::new(self.session.clone(), api.clone()));
         let mut stopping = api.stopping.clone();
         tokio::select! {
-            () = take(api, received, publisher) => {}
             () = queries => {}
             _ = stopping.wait_for(|s| *s) => {}
         }
@@ -78,24 +78,26 @@ impl ZenohDoor {
 }
 
 /// Called on zenoh's own threads: waiting here holds the sender, which is what BLOCK means. Those threads drive
-/// zenoh's runtime, which must be told before one of them waits.
-fn hand_over<T>(to: &mpsc::Sender<T>, item: T) {
-    if let Err(mpsc::error::TrySendError::Full(item)) = to.try_send(item) {
-        let _ = tokio::task::block_in_place(|| to.blocking_send(item));
+/// zenoh's runtime, which must be told before one of them waits. Gives back what nobody will take any more.
+fn hand_over<T>(to: &mpsc::Sender<T>, item: T) -> Option<T> {
+    match to.try_send(item) {
+        Ok(()) => None,
+        Err(mpsc::error::TrySendError::Closed(item)) => Some(item),
+        Err(mpsc::error::TrySendError::Full(item)) => {
+            tokio::task::block_in_place(|| to.blocking_send(item)).err().map(|refused| refused.0)
+        }
     }
 }
 
-/// Decodes samples in the order of their arrival and hands them on.
-async fn take(api: Api, mut received: mpsc::Receiver<Sample>, publishers: Arc<publish::Publishers>) {
-    while let Some(sample) = received.recv().await {
-        let key = sample.key_expr().as_str().to_owned();
-        match decode(&api, &key, &sample).await {
-            Ok(incoming) => {
-                publishers.watch(&incoming.session).await;
-                api.service.offer_frame(incoming).await;
-            }
-            Err(error) => tracing::warn!(key, reason = error.reason, %error, "frame refused"),
+/// Decodes a sample and hands it on.
+async fn take(api: Api, publishers: Arc<publish::Publishers>, sample: Sample) {
+    let key = sample.key_expr().as_str().to_owned();
+    match decode(&api, &key, &sample).await {
+        Ok(incoming) => {
+            publishers.watch(&incoming.session).await;
+            api.service.offer_frame(incoming).await;
         }
+        Err(error) => tracing::warn!(key, reason = error.reason, %error, "frame refused"),
     }
 }
 

@@ -41,7 +41,12 @@ impl Publishers {
         });
     }
 
-    async fn publish(&self, id: &str, session: &percept_service::Session, mut token: u64) -> Result<(), super::Failure> {
+    async fn publish(
+        &self,
+        id: &str,
+        session: &percept_service::Session,
+        mut token: u64,
+    ) -> Result<(), super::Failure> {
         let poses = self.zenoh.declare_publisher(format!("{ROOT}/{id}/pose")).await?;
         let events = self.zenoh.declare_publisher(format!("{ROOT}/{id}/events")).await?;
         while let Some(batch) = session.events().after(token, EVENTS_PER_READ).await {

@@ -20,7 +20,7 @@ pub(super) async fn serve(zenoh: &zenoh::Session, api: Api) -> Result<impl Futur
         let asked = asked.clone();
         let queryable = zenoh
             .declare_queryable(format!("{ROOT}/*/{suffix}"))
-            .callback(move |query| hand_over(&asked, query))
+            .callback(move |query| drop(hand_over(&asked, query)))
             .await?;
         queryables.push(queryable);
     }
