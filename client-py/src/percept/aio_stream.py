@@ -15,7 +15,7 @@ from ._convert import sessions
 from ._sender import FrameSender
 from ._stream_state import StreamState
 from ._transport_options import backoff
-from .errors import DeadlineExceeded, FailedPrecondition, Unavailable, error_of_rpc
+from .errors import DeadlineExceeded, FailedPrecondition, Internal, Unavailable, error_of_rpc
 from .types.frames import SensorFrame
 from .types.sensors import FrameAck, StreamSummary
 from .types.sessions import SessionEvent
@@ -105,7 +105,7 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
                     self._state.answer(answer)
                     self._changed.notify_all()
         except grpc.RpcError as cause:
-            self._state.error = error_of_rpc(cause)
+            self._state.error = self._error_of(cause)
         except asyncio.CancelledError:
             # The call was cancelled, by us or with its channel.
             pass
@@ -113,6 +113,15 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
             self._state.ended = True
             async with self._changed:
                 self._changed.notify_all()
+
+    @staticmethod
+    def _error_of(cause: grpc.RpcError) -> Exception:
+        error = error_of_rpc(cause)
+        # When a write meets the end of the call, grpc.aio may put an error of its own in place of the
+        # server's, which would have had a reason.
+        if isinstance(error, Internal) and not error.reason:
+            return Unavailable("the server ended the stream", reason="STREAM_ENDED")
+        return error
 
     async def _wait(self, ready: Callable[[], bool]) -> None:
         """Waits under the lock until ready, for as long as acknowledgements keep coming."""

@@ -148,8 +148,10 @@ class FrameStream(FrameSender[None]):
 
 
 class Watch:
-    """Events of a session, as an iterator; a context manager. When the link breaks or the server stops it goes
-    on by itself once the server is back, with a Resync where events are missing. Ends when the session is deleted.
+    """Events of a session, as an iterator; a context manager.
+
+    When the link breaks or the server stops it goes on by itself once the server is back, with a Resync where
+    events are missing. It ends when the session is deleted.
 
     `token` belongs to the newest event: watch(resume_token=token) goes on after it.
     """
