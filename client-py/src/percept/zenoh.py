@@ -67,7 +67,7 @@ class _Peer:
         return f"percept/{self.session_id}/{rest}"
 
     def close(self) -> None:
-        """Leaves the network; what was sent before arrives."""
+        """Leaves the network."""
         self._zenoh.close()
 
 
@@ -82,6 +82,7 @@ class SensorPublisher(_Peer, FrameSender[None]):
         super().__init__(endpoint, session_id=session_id, timeout_s=timeout_s)
         self._publishers: dict[str, Any] = {}
         self._sequences: Counter[str] = Counter()
+        self._closed = False
 
     def send(self, frame: SensorFrame) -> None:
         """Publishes a frame; the first of a sensor waits until the server listens."""
@@ -93,6 +94,20 @@ class SensorPublisher(_Peer, FrameSender[None]):
     def publish_raw(self, sensor_id: str, payload: bytes) -> None:
         """Publishes bytes as they are, for drivers that encode SensorMessage themselves."""
         (self._publishers.get(sensor_id) or self._declare(sensor_id)).put(payload)
+
+    def close(self) -> None:
+        """Leaves the network once the server has all that was sent, or does not answer in time."""
+        if self._publishers and not self._closed:
+            # zenoh may drop what is still on its way when it closes. A question travels behind the frames:
+            # its answer says that they have arrived.
+            for _ in self._zenoh.get(
+                self._key("sensors"),
+                timeout=self._timeout_s,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            ):
+                pass
+        self._closed = True
+        super().close()
 
     def _declare(self, sensor_id: str) -> Any:  # noqa: ANN401
         key = self._key(f"{sensor_id}/frame")
