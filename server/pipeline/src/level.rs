@@ -55,6 +55,8 @@ fn floor(scan: &KeyframeScan) -> Option<(Unit<Vector3<f64>>, f64)> {
     });
     candidates
         .filter(|(up, _)| up.angle(&Vector3::z_axis()) < MAX_TILT)
+        // Base stands on the floor or is carried above it; a little below is the fit's noise.
+        .filter(|(_, height)| *height > -BELIEVED_HEIGHT)
         // Most of the scan lies above a floor; a ceiling or a table top fails this.
         .filter(|(up, height)| {
             let below = cloud.positions.iter().filter(|p| up.dot(&p.coords.cast()) + height < -0.15).count();

@@ -9,6 +9,7 @@ mod level;
 mod odometry_prior;
 mod params;
 mod pipeline;
+mod recovery;
 mod sensors;
 mod snapshot;
 mod visibility;

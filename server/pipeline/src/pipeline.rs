@@ -2,6 +2,7 @@
 
 use crate::level::level;
 use crate::odometry_prior::OdometryBuffer;
+use crate::recovery::Anchoring;
 use crate::sensors::{Sensors, scan_of};
 use crate::visibility::RangeImage;
 use crate::{Chunks, FrameError, KeyframeInfo, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
@@ -12,12 +13,17 @@ use percept_geometry::{
 use percept_mapping::Map;
 use percept_perception::detection::Detector;
 use percept_scene::{Object, ObjectChange, Observation, Tracker, Visibility};
-use percept_slam::{KeyframePolicy, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState, keyframe};
+use percept_slam::{
+    KeyframePolicy, LostReason, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState, keyframe,
+};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Objects this near to the edge of the searched part of the map may be cut by it, metres.
 const SEARCH_EDGE_M: f64 = 1.5;
+
+/// Keyframes that odometry starts again from.
+const NUM_RECENT: usize = 20;
 
 /// What a frame did.
 #[derive(Debug, Clone)]
@@ -75,6 +81,7 @@ pub struct Pipeline {
     sensors: Sensors,
     wheel: OdometryBuffer,
     odometry: Option<Odometry>,
+    anchoring: Anchoring,
     keyframe_policies: BTreeMap<SensorId, KeyframePolicy>,
     map: Map,
     detector: Detector,
@@ -103,6 +110,7 @@ impl Pipeline {
             sensors: Sensors::default(),
             wheel: OdometryBuffer::default(),
             odometry: None,
+            anchoring: Anchoring::default(),
             keyframe_policies: BTreeMap::new(),
             map: Map::new(params.map).map_err(|e| failed("map", e))?,
             detector: Detector::new(params.detection.detector).map_err(|e| failed("detection.detector", e))?,
@@ -154,21 +162,22 @@ impl Pipeline {
 
     /// Takes up odometry where the trajectory ends, with the last keyframes as the local model.
     fn restore_odometry(&mut self, restored: &Restored) {
-        let (Some(newest), Some(entry)) = (restored.keyframes.last(), restored.trajectory.last()) else { return };
+        // Frames that were not tracked have guessed poses.
+        let entry = restored.trajectory.iter().rev().find(|e| e.tracked);
+        let (Some(newest), Some(entry)) = (restored.keyframes.last(), entry) else { return };
         self.newest_keyframe_t_odom_base = newest.t_odom_base;
         self.t_map_odom = newest.t_map_base * newest.t_odom_base.inverse();
         let Some(anchor) = restored.keyframes.get(entry.anchor.0 as usize) else { return };
         // The trajectory hangs on keyframes of the sensor that moves the pose.
         let sensor = anchor.scan.sensor.clone();
         let t_odom_base = anchor.t_odom_base * entry.t_anchor_base;
-        let of_sensor = restored.keyframes.iter().filter(|k| k.scan.sensor == sensor);
-        let mut recent: Vec<_> = of_sensor.rev().take(20).map(|k| (k.t_odom_base, Arc::clone(&k.scan))).collect();
-        recent.reverse();
+        let recent = self.recent_keyframes(&sensor);
         let Some(spec) = self.sensors.spec(&sensor).cloned() else { return };
         let Some(kind) = odometry_kind(spec.kind) else { return };
         let mut odometry = Odometry::new(kind, self.params.slam.odometry.clone());
         odometry.seed(&t_odom_base, &recent, entry.stamp);
         self.odometry = Some(odometry);
+        self.anchoring = Anchoring::at(t_odom_base, entry.stamp);
         self.last_registered = Some(entry.stamp);
         self.sensors.set_pose_sensor(sensor);
         self.pose = Some(PoseEstimate {
@@ -212,11 +221,12 @@ impl Pipeline {
             Scan::Planar(_) => OdometryKind::Lidar2d,
         };
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.slam.odometry.clone()));
-        let estimate = odometry.register(stamp, scan, prior.as_ref());
+        let mut estimate = odometry.register(stamp, scan, prior.as_ref());
         self.last_registered = Some(stamp);
-        // A restart after a loss is a guess of where the robot is: it does not enter the map.
-        let first = self.trajectory.is_empty() && estimate.state == TrackingState::Initialising;
-        let tracked = first || estimate.state.is_tracking();
+        let mut tracked = self.anchoring.judge(&estimate, prior.as_ref());
+        if self.anchoring.is_adrift() {
+            (estimate, tracked) = self.recover(kind, &spec.id, scan, estimate);
+        }
         let t_odom_base = estimate.t_odom_base;
         let keyframe = (tracked && self.policy(&spec.id).consider(&t_odom_base))
             .then(|| self.add_keyframe(spec, stamp, scan, t_odom_base));
@@ -225,6 +235,38 @@ impl Pipeline {
         self.pose = Some(pose.clone());
         let trajectory = self.extend_trajectory(stamp, tracked, &pose.t_map_base, keyframe.as_ref());
         FrameReport { pose: Some(pose), trajectory, keyframe, changes }
+    }
+
+    /// Odometry runs on from a guess: back into the map if the frame fits there, else lost and said so.
+    fn recover(
+        &mut self,
+        kind: OdometryKind,
+        sensor: &SensorId,
+        scan: &Scan,
+        estimate: OdometryEstimate,
+    ) -> (OdometryEstimate, bool) {
+        let params = Arc::clone(&self.params);
+        let mut anchoring = std::mem::take(&mut self.anchoring);
+        let method = (kind, &params.slam.odometry);
+        let found = anchoring.recover(method, || self.recent_keyframes(sensor), estimate.stamp, scan);
+        self.anchoring = anchoring;
+        match found {
+            Some((odometry, estimate)) => {
+                self.odometry = Some(odometry);
+                (estimate, true)
+            }
+            None => (OdometryEstimate { state: TrackingState::Lost { reason: LostReason::Adrift }, ..estimate }, false),
+        }
+    }
+
+    /// The newest keyframes of a sensor with their odom poses, oldest first: what odometry starts again from.
+    fn recent_keyframes(&self, sensor: &SensorId) -> Vec<(Pose, Arc<KeyframeScan>)> {
+        let t_odom_map = self.t_map_odom.inverse();
+        let of_sensor = self.map.keyframes().values().filter(|k| k.scan.sensor == *sensor);
+        let newest = of_sensor.rev().take(NUM_RECENT).map(|k| (t_odom_map * k.t_map_base, Arc::clone(&k.scan)));
+        let mut recent: Vec<_> = newest.collect();
+        recent.reverse();
+        recent
     }
 
     fn pose_of(&self, stamp: Timestamp, estimate: &OdometryEstimate) -> PoseEstimate {
@@ -299,7 +341,8 @@ impl Pipeline {
         }
         let layers = self.map.layers();
         let center = nalgebra::Point3::from(keyframe.info.t_map_base.translation.vector);
-        let cloud = layers.cloud.points_within(&center, self.params.detection.range_m);
+        let settings = &self.params.detection;
+        let cloud = layers.cloud.points_within(&center, settings.range_m, settings.min_keyframes as f32);
         // The fused cloud is sound by construction; a detector that refuses it finds nothing.
         let found = self.detector.detect(&cloud).unwrap_or_default();
         let observations: Vec<Observation> = found

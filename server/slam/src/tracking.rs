@@ -48,6 +48,8 @@ pub enum LostReason {
     TimeGap,
     /// The scan's kind is not the one that this odometry registers.
     UnsuitableScan,
+    /// Odometry was lost for too long and started anew at a guessed pose: nothing measured ties it to the map.
+    Adrift,
 }
 
 impl std::fmt::Display for LostReason {
@@ -60,6 +62,7 @@ impl std::fmt::Display for LostReason {
             Self::Degenerate => "the scene has too little structure to fix the motion: turn towards objects or corners",
             Self::TimeGap => "frames were missing for too long: go back to where tracking was lost",
             Self::UnsuitableScan => "the sensor sends another kind of scan than this odometry registers",
+            Self::Adrift => "odometry started anew at a guessed pose: go back to where tracking was lost",
         })
     }
 }

@@ -1,6 +1,6 @@
 //! The unbounded grid of log-odds, in tiles that snapshots share.
 
-use super::update::Mark;
+use super::update::{Heights, Mark};
 use super::{DenseGrid, OccupancyParams, ScanUpdate};
 use crate::MappingError;
 use crate::error::check_keyframe;
@@ -19,9 +19,10 @@ const TILE_CELLS: usize = (TILE * TILE) as usize;
 struct Tile {
     /// NaN where nothing was ever seen.
     log_odds: [f32; TILE_CELLS],
-    /// Whether a sensor that looks at the whole height band saw something stand here, and none has freed it since:
-    /// a planar beam, which passes under table tops and over boxes, does not free such a cell.
-    standing: [bool; TILE_CELLS],
+    /// The heights at which sensors that look at the whole height band saw something stand here, until it is freed.
+    /// Only beams that pass at these heights free the cell: a look at the floor under a table top does not, nor does
+    /// a planar beam, which may pass over boxes and between legs.
+    standing: [Heights; TILE_CELLS],
 }
 
 /// Unbounded 2D occupancy in the map frame: log-odds by cell, unknown where no beam has been.
@@ -108,22 +109,30 @@ impl OccupancyGrid {
             }
             let tile = Arc::make_mut(tiles.entry(key).or_insert_with(unknown_tile));
             for y in y0..y1 {
-                for (x, mark) in (x0..x1).zip(row(y)) {
-                    let change = match mark {
-                        Mark::Unseen => continue,
-                        Mark::Free => self.params.free_log_odds,
-                        Mark::Hit => self.params.hit_log_odds,
-                    };
+                for (x, mark) in (x0..x1).zip(row(y)).filter(|(_, m)| **m != Mark::Unseen) {
                     let cell = Cell::new(update.min.x + x as i32, update.min.y + y as i32);
                     let slot = locate(cell).1;
-                    if update.planar && *mark == Mark::Free && tile.standing[slot] {
-                        continue;
-                    }
+                    let standing = &mut tile.standing[slot];
+                    let change = match mark {
+                        Mark::Unseen => continue,
+                        Mark::Free(heights) => {
+                            if *standing != Heights::NONE && (update.planar || !standing.meet(*heights)) {
+                                continue;
+                            }
+                            self.params.free_log_odds
+                        }
+                        Mark::Hit(heights) => {
+                            if !update.planar {
+                                *standing = standing.joined(*heights);
+                            }
+                            self.params.hit_log_odds
+                        }
+                    };
                     let value = &mut tile.log_odds[slot];
                     let before = if value.is_nan() { 0.0 } else { *value };
                     *value = (before + change).clamp(self.params.min_log_odds, self.params.max_log_odds);
-                    if !update.planar {
-                        tile.standing[slot] = *value > 0.0;
+                    if *value <= 0.0 {
+                        *standing = Heights::NONE;
                     }
                     grow(&mut self.bounds, cell);
                 }
@@ -221,7 +230,7 @@ fn probability(log_odds: f32) -> f64 {
 }
 
 fn unknown_tile() -> Arc<Tile> {
-    Arc::new(Tile { log_odds: [f32::NAN; TILE_CELLS], standing: [false; TILE_CELLS] })
+    Arc::new(Tile { log_odds: [f32::NAN; TILE_CELLS], standing: [Heights::NONE; TILE_CELLS] })
 }
 
 /// Tile of a cell, and its place there.

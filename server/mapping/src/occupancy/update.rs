@@ -22,15 +22,55 @@ pub struct ScanUpdate {
     pub(super) marks: Vec<Mark>,
 }
 
-/// What a keyframe says about a cell.
+/// What a keyframe says about a cell, and at which heights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Mark {
     /// Not seen.
     Unseen,
-    /// A beam passed, none ended here.
-    Free,
-    /// A beam ended here.
-    Hit,
+    /// Beams passed at these heights, none ended here.
+    Free(Heights),
+    /// Beams ended here, at these heights.
+    Hit(Heights),
+}
+
+impl Mark {
+    /// Both marks of one keyframe: a hit outweighs, heights of a kind join.
+    fn joined(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Hit(a), Self::Hit(b)) => Self::Hit(a.joined(b)),
+            (Self::Free(a), Self::Free(b)) => Self::Free(a.joined(b)),
+            (Self::Hit(_), _) | (_, Self::Unseen) => self,
+            _ => other,
+        }
+    }
+}
+
+/// From the lowest to the highest, above the floor under the robot, centimetres (saturating).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Heights {
+    low: i16,
+    high: i16,
+}
+
+impl Heights {
+    /// No height: joins as nothing, overlaps nothing.
+    pub(super) const NONE: Self = Self { low: i16::MAX, high: i16::MIN };
+
+    /// Metres.
+    fn new(low: f64, high: f64) -> Self {
+        Self { low: (low * 100.0).floor() as i16, high: (high * 100.0).ceil() as i16 }
+    }
+
+    /// The smallest interval that holds both.
+    pub(super) fn joined(self, other: Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    /// Whether they come within a finger's breadth of each other.
+    pub(super) fn meet(self, other: Self) -> bool {
+        const REACH_CM: i16 = 5;
+        self.low.saturating_sub(REACH_CM) <= other.high && other.low.saturating_sub(REACH_CM) <= self.high
+    }
 }
 
 impl ScanUpdate {
@@ -40,7 +80,9 @@ impl ScanUpdate {
     /// and returns beyond only free. **Others**: heights are taken along the map's z, from the floor under base. Returns in the
     /// band mark their ends. In each azimuth column seen from the sensor, the cells up to the nearest of them are
     /// free, or without one, up to the farthest floor return, far return or end of a miss (each only as far as its
-    /// beam stays in the band). Points that are not finite, or beyond the range of the indices, say nothing.
+    /// beam stays in the band). Free cells hold the heights between the lowest and the highest beam of the column
+    /// there, so that looking under a table does not free its top. Points that are not finite, or beyond the range
+    /// of the indices, say nothing.
     pub fn new(params: &OccupancyParams, geometry: &GridGeometry, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
         let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
         let half = (params.range_max_m / geometry.resolution_m).ceil() as i32 + 1;
@@ -70,9 +112,7 @@ impl ScanUpdate {
             return;
         }
         let slot = &mut self.marks[y as usize * self.width + x as usize];
-        if *slot != Mark::Hit {
-            *slot = mark;
-        }
+        *slot = slot.joined(mark);
     }
 }
 
@@ -84,14 +124,27 @@ struct Frame<'a> {
     floor_z: f64,
 }
 
-/// What is known of an azimuth column: ends relative to the sensor (m) and their horizontal ranges.
+/// What is known of an azimuth column: ends (m, map) and their horizontal ranges from the sensor (m), and how steep
+/// its beams are. One interval of slopes does for all ranges: beams that end early leave the band there, or end at
+/// the obstacle that bounds the column.
 #[derive(Clone, Copy)]
 struct Column {
     nearest_obstacle: f64,
     obstacle: Point2<f64>,
     farthest_free: f64,
     free: Point2<f64>,
+    /// Rise over run of the lowest and of the highest beam.
+    slopes: (f64, f64),
 }
+
+impl Column {
+    fn include(&mut self, slope: f64) {
+        self.slopes = (self.slopes.0.min(slope), self.slopes.1.max(slope));
+    }
+}
+
+/// Beams in a level plane: slopes of planar scans.
+const LEVEL: (f64, f64) = (0.0, 0.0);
 
 impl Frame<'_> {
     fn mark_beams(
@@ -105,15 +158,15 @@ impl Frame<'_> {
             let end = in_map(p).xy();
             let range = (end - self.sensor.xy()).norm();
             if range > self.params.range_max_m {
-                self.free_towards(update, &end, range);
+                self.free_towards(update, &end, range, LEVEL);
             } else if range >= self.params.range_min_m {
-                self.hit_at(update, &end);
-                self.free_before(update, &end);
+                self.hit_at(update, &end, self.sensor.z - self.floor_z);
+                self.free_before(update, &end, LEVEL);
             }
         }
         for p in misses {
             let end = in_map(p).xy();
-            self.free_towards(update, &end, (end - self.sensor.xy()).norm());
+            self.free_towards(update, &end, (end - self.sensor.xy()).norm(), LEVEL);
         }
     }
 
@@ -131,6 +184,7 @@ impl Frame<'_> {
             obstacle: Point2::origin(),
             farthest_free: 0.0,
             free: Point2::origin(),
+            slopes: (f64::INFINITY, f64::NEG_INFINITY),
         };
         let mut columns = vec![none; count];
         for p in hits {
@@ -141,9 +195,9 @@ impl Frame<'_> {
         }
         for column in &columns {
             if column.nearest_obstacle.is_finite() {
-                self.free_before(update, &column.obstacle);
+                self.free_before(update, &column.obstacle, column.slopes);
             } else if column.farthest_free > 0.0 {
-                self.free_towards(update, &column.free, column.farthest_free);
+                self.free_towards(update, &column.free, column.farthest_free, column.slopes);
             }
         }
     }
@@ -151,14 +205,17 @@ impl Frame<'_> {
     fn read_return(&self, update: &mut ScanUpdate, columns: &mut [Column], p: &Point3<f64>) {
         let range = (p.xy() - self.sensor.xy()).norm();
         let height = p.z - self.floor_z;
-        let usable = range >= self.params.range_min_m && range.is_finite() && height.is_finite();
-        if !usable || height > self.params.band_max_m && range <= self.params.range_max_m {
+        if !(range >= self.params.range_min_m && range > 0.0 && range.is_finite() && height.is_finite()) {
+            return;
+        }
+        self.column(columns, p).include((p.z - self.sensor.z) / range);
+        if height > self.params.band_max_m && range <= self.params.range_max_m {
             return;
         }
         if height < self.params.band_min_m || range > self.params.range_max_m {
             return self.read_free(columns, p);
         }
-        self.hit_at(update, &p.xy());
+        self.hit_at(update, &p.xy(), height);
         let column = self.column(columns, p);
         if range < column.nearest_obstacle {
             (column.nearest_obstacle, column.obstacle) = (range, p.xy());
@@ -169,6 +226,7 @@ impl Frame<'_> {
     /// band's top.
     fn read_free(&self, columns: &mut [Column], end: &Point3<f64>) {
         let (h0, h1) = (self.sensor.z - self.floor_z, end.z - self.floor_z);
+        let slope = (h1 - h0) / (end.xy() - self.sensor.xy()).norm();
         let (bottom, top) = (self.params.band_min_m - DROP_M, self.params.band_max_m);
         let share = match h1 {
             h if h > top => ((top - h0).max(0.0) / (h1 - h0)).max(0.0),
@@ -181,6 +239,7 @@ impl Frame<'_> {
             return;
         }
         let column = self.column(columns, &Point3::new(end.x, end.y, 0.0));
+        column.include(slope);
         if range > column.farthest_free {
             (column.farthest_free, column.free) = (range, end);
         }
@@ -192,28 +251,35 @@ impl Frame<'_> {
         &mut columns[(((azimuth + PI) / TAU * (last + 1) as f64) as usize).min(last)]
     }
 
-    fn hit_at(&self, update: &mut ScanUpdate, end: &Point2<f64>) {
+    fn hit_at(&self, update: &mut ScanUpdate, end: &Point2<f64>, height: f64) {
         if let Some(cell) = self.geometry.cell(end) {
-            update.mark(cell, Mark::Hit);
+            update.mark(cell, Mark::Hit(Heights::new(height, height)));
         }
     }
 
+    /// What a column says of a free cell: the heights at which its beams pass there.
+    fn passed(&self, cell: Cell, slopes: (f64, f64)) -> Mark {
+        let range = (self.geometry.center(cell) - self.sensor.xy()).norm();
+        let at = |slope: f64| self.sensor.z - self.floor_z + slope * range;
+        Mark::Free(Heights::new(at(slopes.0), at(slopes.1)))
+    }
+
     /// Frees the cells from the sensor to `end`, without that of `end` itself.
-    fn free_before(&self, update: &mut ScanUpdate, end: &Point2<f64>) {
+    fn free_before(&self, update: &mut ScanUpdate, end: &Point2<f64>, slopes: (f64, f64)) {
         let last = self.geometry.cell(end);
         walk(self.geometry, &self.sensor.xy(), end, |cell| {
             if Some(cell) != last {
-                update.mark(cell, Mark::Free);
+                update.mark(cell, self.passed(cell, slopes));
             }
         });
     }
 
     /// Frees the cells towards `end`, at most as far as the largest range.
-    fn free_towards(&self, update: &mut ScanUpdate, end: &Point2<f64>, range: f64) {
+    fn free_towards(&self, update: &mut ScanUpdate, end: &Point2<f64>, range: f64, slopes: (f64, f64)) {
         if range.is_finite() {
             let share = (self.params.range_max_m / range).min(1.0);
             let end = self.sensor.xy() + (end - self.sensor.xy()) * if range > 0.0 { share } else { 0.0 };
-            walk(self.geometry, &self.sensor.xy(), &end, |cell| update.mark(cell, Mark::Free));
+            walk(self.geometry, &self.sensor.xy(), &end, |cell| update.mark(cell, self.passed(cell, slopes)));
         }
     }
 }

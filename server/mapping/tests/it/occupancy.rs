@@ -145,6 +145,29 @@ fn the_band_is_measured_from_the_floor_where_base_is_a_camera_held_above_it() {
 }
 
 #[test]
+fn the_floor_seen_under_a_table_does_not_free_its_top_but_a_look_over_it_does() {
+    let mut grid = grid();
+    let cell = Cell::new(20, 0);
+    // A camera at 0.5 m sees a table's edge 2.05 m away, 0.72 m above the floor.
+    grid.integrate(&Pose::identity(), &spatial(0.5, vec![Point3::new(2.05, 0.05, 0.72)])).unwrap();
+    let marked = grid.log_odds(cell).unwrap();
+    assert!(marked > 0.0);
+    // Nearer, the edge is out of view: the floor and the wall's foot behind are seen under it.
+    let under = vec![Point3::new(3.05, 0.05, 0.0), Point3::new(4.05, 0.05, 0.1)];
+    for _ in 0..20 {
+        grid.integrate(&Pose::identity(), &spatial(0.5, under.clone())).unwrap();
+    }
+    assert_eq!(grid.log_odds(cell), Some(marked));
+    assert!(grid.log_odds(Cell::new(10, 0)).unwrap() < 0.0, "before the table the floor is free");
+    // Once the table is gone, the wall is seen through its place.
+    let through = vec![Point3::new(3.05, 0.05, 0.0), Point3::new(4.05, 0.05, 1.2)];
+    for _ in 0..3 {
+        grid.integrate(&Pose::identity(), &spatial(0.5, through.clone())).unwrap();
+    }
+    assert!(grid.log_odds(cell).unwrap() < 0.0);
+}
+
+#[test]
 fn a_drop_ahead_is_not_free() {
     // A camera at 1 m sees the ground 2 m below the floor, 6 m away: over the edge at about 2.4 m (0.2 m below band).
     let mut grid = grid();
@@ -214,7 +237,7 @@ fn a_planar_beam_under_a_table_top_does_not_free_it_but_a_look_through_it_does()
     assert_eq!(map.log_odds(cell), Some(seen));
     // Carried away: a sensor that sees the whole band looks through its place.
     for _ in 0..20 {
-        map.integrate(&Pose::identity(), &spatial(0.6, vec![Point3::new(5.0, 0.0, 0.7)])).unwrap();
+        map.integrate(&Pose::identity(), &spatial(0.6, vec![Point3::new(5.0, 0.0, 0.9)])).unwrap();
     }
     assert!(map.log_odds(cell).unwrap() < 0.0);
 }

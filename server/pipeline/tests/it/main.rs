@@ -3,6 +3,7 @@
 // Helpers of tests may fail like tests.
 #![allow(clippy::unwrap_used)]
 
+mod adrift;
 mod correction;
 mod drive;
 mod refusal;

@@ -363,9 +363,7 @@ impl Actor {
                 Command::Stop { stopped } => {
                     commands.close();
                     while let Some(command) = commands.recv().await {
-                        if let Command::Frame { frame, received, reply } = command {
-                            let _ = reply.send(self.frame(*frame, received).await);
-                        }
+                        self.last_of(command).await;
                     }
                     self.persister.finish().await;
                     self.session.events.close();
@@ -376,6 +374,24 @@ impl Actor {
         }
         self.persister.finish().await;
         self.session.events.close();
+    }
+
+    /// What was accepted before the stop is still done.
+    async fn last_of(&mut self, command: Command) {
+        match command {
+            Command::Frame { frame, received, reply } => {
+                let _ = reply.send(self.frame(*frame, received).await);
+            }
+            Command::Correct { correction, reply } => {
+                if let Some(snapshot) = self.correct(correction).await {
+                    let _ = reply.send(snapshot);
+                }
+            }
+            Command::Declare(_) => {}
+            Command::Stop { stopped } => {
+                let _ = stopped.send(());
+            }
+        }
     }
 
     async fn frame(&mut self, frame: SensorFrame, received: Instant) -> Result<Processed> {

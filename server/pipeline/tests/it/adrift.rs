@@ -1,0 +1,81 @@
+//! A robot that is carried off: the map must not take in what it sees elsewhere, and it is found when it comes back.
+
+use crate::drive::{empty, feed, planar, simulation};
+use percept_geometry::{SensorFrame, Timestamp};
+use percept_pipeline::PipelineParams;
+use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
+use percept_slam::{LostReason, TrackingState};
+
+/// The frames with their stamps moved by `nanos`.
+fn later(frames: &[SensorFrame], nanos: i64) -> impl Iterator<Item = SensorFrame> + '_ {
+    frames.iter().map(move |f| SensorFrame { stamp: Timestamp::from_nanos(f.stamp.nanos() + nanos), ..f.clone() })
+}
+
+/// Another building: six narrow rooms.
+fn elsewhere() -> Vec<SensorFrame> {
+    let world = WorldParams { seed: 77, rooms: 6, person: false, ..WorldParams::default() };
+    let params = SimParams {
+        world,
+        sensors: SensorSuite::only_lidar2d(),
+        duration_s: Some(12.0),
+        seed: 9,
+        ..SimParams::default()
+    };
+    Simulation::new(params).unwrap().frames().map(|f| f.frame).collect()
+}
+
+#[test]
+fn a_robot_carried_off_is_lost_and_leaves_the_map_alone_until_it_is_back() {
+    let home = simulation(SensorSuite::only_lidar2d(), 16.0);
+    let frames: Vec<_> = home.frames().map(|f| f.frame).collect();
+    let (first, rest) = frames.split_at(frames.len() / 2);
+    let mut pipeline = empty(&home, PipelineParams::default());
+    feed(&mut pipeline, first.iter().cloned());
+    let before = pipeline.snapshot();
+    let left = first.last().unwrap().stamp.nanos();
+
+    let away = elsewhere();
+    let gap = left + 2_000_000_000 - away[0].stamp.nanos();
+    feed(&mut pipeline, later(&away, gap));
+    let lost = pipeline.snapshot();
+    assert_eq!(lost.pose.as_ref().unwrap().state, TrackingState::Lost { reason: LostReason::Adrift });
+    assert_eq!(lost.keyframes.len(), before.keyframes.len());
+    assert_eq!(lost.layers.occupancy, before.layers.occupancy);
+
+    let back = away.last().unwrap().stamp.nanos() + gap + 1_000_000_000;
+    feed(&mut pipeline, later(rest, back - rest[0].stamp.nanos()));
+    let found = pipeline.snapshot().pose.unwrap();
+    assert_eq!(found.state, TrackingState::Tracking);
+    let truth = home.t_world_start().inverse() * home.pose_at(rest.last().unwrap().stamp);
+    let off = (truth.translation.vector - found.t_map_base.translation.vector).norm();
+    assert!(off < 0.08, "{off}");
+}
+
+#[test]
+fn wheels_carry_the_map_through_a_blackout() {
+    let simulation = planar(24.0);
+    let frames: Vec<_> = simulation.frames().map(|f| f.frame).collect();
+    let (start, end) = (frames[0].stamp.nanos() + 8_000_000_000, frames[0].stamp.nanos() + 14_000_000_000);
+    let dark = |f: &SensorFrame| {
+        (start..end).contains(&f.stamp.nanos()) && matches!(f.data, percept_geometry::SensorData::Scan(_))
+    };
+    let mut pipeline = empty(&simulation, PipelineParams::default());
+    // The lidar is covered: it sends scans without a return.
+    let covered = frames.iter().map(|f| if dark(f) { without_returns(f) } else { f.clone() });
+    feed(&mut pipeline, covered);
+    let snapshot = pipeline.snapshot();
+    let pose = snapshot.pose.unwrap();
+    assert_eq!(pose.state, TrackingState::Tracking);
+    assert!(snapshot.keyframes.last().unwrap().stamp.nanos() > end);
+    let truth = simulation.t_world_start().inverse() * simulation.pose_at(pose.stamp);
+    let off = (truth.translation.vector - pose.t_map_base.translation.vector).norm();
+    assert!(off < 0.25, "{off}");
+}
+
+fn without_returns(frame: &SensorFrame) -> SensorFrame {
+    let mut frame = frame.clone();
+    if let percept_geometry::SensorData::Scan(scan) = &mut frame.data {
+        scan.ranges_m.iter_mut().for_each(|r| *r = f32::INFINITY);
+    }
+    frame
+}
