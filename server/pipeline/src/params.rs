@@ -35,15 +35,13 @@ pub struct DetectionSettings {
     pub enabled: bool,
     /// The map around the robot is searched up to this distance, metres, 1 to 50.
     pub range_m: f64,
-    /// Points of the map count if this many keyframes saw them, 1 to 20: what moves leaves traces that one saw.
-    pub min_keyframes: u32,
     /// How objects are proposed, boxed and classified.
     pub detector: DetectionParams,
 }
 
 impl Default for DetectionSettings {
     fn default() -> Self {
-        Self { enabled: true, range_m: 6.0, min_keyframes: 2, detector: DetectionParams::default() }
+        Self { enabled: true, range_m: 6.0, detector: DetectionParams::default() }
     }
 }
 
@@ -79,10 +77,6 @@ impl PipelineParams {
         self.detection.detector.validate().map_err(named("detection.detector"))?;
         if !(1.0..=50.0).contains(&self.detection.range_m) {
             let message = format!("range_m is {}; set it between 1 and 50", self.detection.range_m);
-            return Err(ParamsError { section: "detection", message });
-        }
-        if !(1..=20).contains(&self.detection.min_keyframes) {
-            let message = format!("min_keyframes is {}; set it between 1 and 20", self.detection.min_keyframes);
             return Err(ParamsError { section: "detection", message });
         }
         self.tracker.validate().map_err(named("tracker"))?;

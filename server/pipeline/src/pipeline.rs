@@ -341,8 +341,7 @@ impl Pipeline {
         }
         let layers = self.map.layers();
         let center = nalgebra::Point3::from(keyframe.info.t_map_base.translation.vector);
-        let settings = &self.params.detection;
-        let cloud = layers.cloud.points_within(&center, settings.range_m, settings.min_keyframes as f32);
+        let cloud = layers.cloud.points_within(&center, self.params.detection.range_m);
         // The fused cloud is sound by construction; a detector that refuses it finds nothing.
         let found = self.detector.detect(&cloud).unwrap_or_default();
         let observations: Vec<Observation> = found

@@ -761,13 +761,10 @@ class DetectionSettings(_message.Message):
     ENABLED_FIELD_NUMBER: _builtins.int
     RANGE_M_FIELD_NUMBER: _builtins.int
     DETECTOR_FIELD_NUMBER: _builtins.int
-    MIN_KEYFRAMES_FIELD_NUMBER: _builtins.int
     enabled: _builtins.bool
     """Whether objects are looked for at all."""
     range_m: _builtins.float
     """The map around the robot is searched up to this distance, metres, 1 to 50."""
-    min_keyframes: _builtins.int
-    """Points of the map count if this many keyframes saw them, 1 to 20: what moves leaves traces that one saw."""
     @_builtins.property
     def detector(self) -> Global___DetectionParams:
         """How objects are proposed, boxed and classified."""
@@ -778,22 +775,17 @@ class DetectionSettings(_message.Message):
         enabled: _builtins.bool | None = ...,
         range_m: _builtins.float | None = ...,
         detector: Global___DetectionParams | None = ...,
-        min_keyframes: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_min_keyframes", b"_min_keyframes", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "min_keyframes", b"min_keyframes", "range_m", b"range_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "range_m", b"range_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_min_keyframes", b"_min_keyframes", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "min_keyframes", b"min_keyframes", "range_m", b"range_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "range_m", b"range_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__enabled: _TypeAlias = _typing.Literal["enabled"]  # noqa: Y015
     _WhichOneofArgType__enabled: _TypeAlias = _typing.Literal["_enabled", b"_enabled"]  # noqa: Y015
-    _WhichOneofReturnType__min_keyframes: _TypeAlias = _typing.Literal["min_keyframes"]  # noqa: Y015
-    _WhichOneofArgType__min_keyframes: _TypeAlias = _typing.Literal["_min_keyframes", b"_min_keyframes"]  # noqa: Y015
     _WhichOneofReturnType__range_m: _TypeAlias = _typing.Literal["range_m"]  # noqa: Y015
     _WhichOneofArgType__range_m: _TypeAlias = _typing.Literal["_range_m", b"_range_m"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__enabled) -> _WhichOneofReturnType__enabled | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_keyframes) -> _WhichOneofReturnType__min_keyframes | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__range_m) -> _WhichOneofReturnType__range_m | None: ...
 

@@ -131,9 +131,8 @@ impl FusedCloud {
         self.collect(self.voxels(|_| true))
     }
 
-    /// The points within `radius_m` of `center` whose weight is at least `min_weight`, as [`FusedCloud::to_cloud`]
-    /// gives them.
-    pub fn points_within(&self, center: &Point3<f64>, radius_m: f64, min_weight: f32) -> PointCloud {
+    /// The points within `radius_m` of `center`, as [`FusedCloud::to_cloud`] gives them.
+    pub fn points_within(&self, center: &Point3<f64>, radius_m: f64) -> PointCloud {
         let edge = f64::from(BLOCK) * self.params.voxel_size_m;
         let near = |key: &BlockKey| {
             let low = corner(*key, 0, self.params.voxel_size_m);
@@ -142,7 +141,7 @@ impl FusedCloud {
             (nearest - center).norm() <= radius_m + 1e-3 * edge
         };
         let inside = |(key, v): &(BlockKey, &VoxelMean)| (self.position(*key, v) - center).norm() <= radius_m;
-        self.collect(self.voxels(near).filter(|(_, v)| v.weight >= min_weight).filter(inside))
+        self.collect(self.voxels(near).filter(inside))
     }
 
     fn voxels(&self, wanted: impl Fn(&BlockKey) -> bool) -> impl Iterator<Item = (BlockKey, &VoxelMean)> {

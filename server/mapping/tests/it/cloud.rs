@@ -50,7 +50,7 @@ proptest! {
         let center = Point3::from(center);
         let all = cloud.to_cloud().positions;
         let expected = all.iter().filter(|p| (p.cast::<f64>() - center).norm() <= radius).count();
-        let found = cloud.points_within(&center, radius, 0.0).len();
+        let found = cloud.points_within(&center, radius).len();
         // A point within f32's rounding of the ball's surface may fall on either side.
         let near = all.iter().filter(|p| ((p.cast::<f64>() - center).norm() - radius).abs() < 1e-6).count();
         prop_assert!(found.abs_diff(expected) <= near);
@@ -75,7 +75,7 @@ fn who_has_left_vanishes_and_what_stands_stays() {
     let empty = room(1.0, 3.0, None, 0.008);
     let pillar = room(1.0, 3.0, Some(1.5), 0.008);
     let of_pillar = |cloud: &FusedCloud| {
-        let near = cloud.points_within(&Point3::new(1.5, 0.0, 0.9), 0.75, 0.0);
+        let near = cloud.points_within(&Point3::new(1.5, 0.0, 0.9), 0.75);
         near.positions.iter().filter(|p| p.z > 0.2 && p.z < 1.6).count()
     };
     for _ in 0..3 {

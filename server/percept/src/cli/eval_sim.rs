@@ -3,11 +3,11 @@
 use super::{Failure, local};
 use nalgebra::Point2;
 use percept_evaluation::{DetectionScore, FoundObject, TrueObject, match_detections};
-use percept_geometry::{Cell, ObjectClass, Pose};
+use percept_geometry::{Cell, ObjectClass, OrientedBox3, Pose};
 use percept_mapping::DenseGrid;
 use percept_pipeline::PipelineParams;
 use percept_planning::{NoPathReason, PlanOutcome, PlanParams, plan_dense};
-use percept_scene::ObjectState;
+use percept_scene::{Object, ObjectState};
 use percept_sim::{SensorSuite, SimParams, Simulation, TrueOccupancy, World, WorldParams};
 use serde_json::json;
 
@@ -25,6 +25,9 @@ pub(crate) struct ObjectsArgs {
     /// Threads for computing; 0 takes all cores.
     #[arg(long, default_value_t = 0)]
     threads: usize,
+    /// Name every object that was missed or that is not there.
+    #[arg(long, conflicts_with = "json")]
+    list: bool,
     /// Print one JSON object instead of a table.
     #[arg(long)]
     json: bool,
@@ -68,8 +71,8 @@ pub(crate) fn objects(args: &ObjectsArgs) -> Result<(), Failure> {
         let stamp = run.snapshot.pose.as_ref().map(|p| p.stamp).unwrap_or_default();
         // Everything counts, the person who walks on unseen, too.
         let truth = truth_in_map(&simulation, stamp);
-        let there = run.snapshot.objects.iter().filter(|o| o.state != ObjectState::Gone);
-        let found: Vec<FoundObject> = there.map(|o| (o.class, o.confidence, o.bbox)).collect();
+        let there: Vec<_> = run.snapshot.objects.iter().filter(|o| o.state != ObjectState::Gone).collect();
+        let found: Vec<FoundObject> = there.iter().map(|o| (o.class, o.confidence, o.bbox)).collect();
         let score = match_detections(&truth, &found, MIN_IOU)?;
         add(&mut total, &score);
         if !args.json {
@@ -81,6 +84,9 @@ pub(crate) fn objects(args: &ObjectsArgs) -> Result<(), Failure> {
                 score.precision.unwrap_or(0.0),
                 score.recall.unwrap_or(0.0)
             );
+        }
+        if args.list {
+            list_errors(&truth, &there, &score);
         }
         by_class.push(score.classes);
     }
@@ -108,6 +114,33 @@ pub(crate) fn objects(args: &ObjectsArgs) -> Result<(), Failure> {
         share(right, tp)
     );
     Ok(())
+}
+
+/// What was missed and what is not there, with the true object that overlaps most.
+fn list_errors(truth: &[TrueObject], found: &[&Object], score: &DetectionScore) {
+    let place = |b: &OrientedBox3| {
+        let (c, s) = (b.center(), b.size);
+        format!("at ({:.2}, {:.2}, {:.2}) m, {:.2} x {:.2} x {:.2} m", c.x, c.y, c.z, s.x, s.y, s.z)
+    };
+    for (i, (class, bbox)) in truth.iter().enumerate().filter(|(i, _)| score.matches.iter().all(|m| m.0 != *i)) {
+        let best = found.iter().map(|f| bbox.iou_upright(&f.bbox)).fold(0.0, f64::max);
+        println!("  missed {i} {}: {}; best overlap {best:.2}", class.name(), place(bbox));
+    }
+    for (i, object) in found.iter().enumerate().filter(|(i, _)| score.matches.iter().all(|m| m.1 != *i)) {
+        let overlap = |t: &&TrueObject| t.1.iou_upright(&object.bbox);
+        let nearest = truth.iter().max_by(|a, b| overlap(a).total_cmp(&overlap(b)));
+        let (name, iou) = nearest.map_or(("nothing", 0.0), |t| (t.0.name(), overlap(&t)));
+        println!(
+            "  not there {i} {} ({:.2}): {}; {} points, seen {} times, last at {} s, {:?}; overlaps {name} by {iou:.2}",
+            object.class.name(),
+            object.confidence,
+            place(&object.bbox),
+            object.num_points,
+            object.observation_count,
+            object.last_seen.nanos() / 1_000_000_000,
+            object.state,
+        );
+    }
 }
 
 #[derive(Debug, clap::Args)]

@@ -226,7 +226,7 @@ impl Service {
         let s = self.snapshot(session).await?;
         let (map_version, stamp) = (s.map_version, stamp_of(&s));
         let extract = move || match around {
-            Some((center, radius)) => s.layers.cloud.points_within(&center, radius, 0.0),
+            Some((center, radius)) => s.layers.cloud.points_within(&center, radius),
             None => s.layers.cloud.to_cloud(),
         };
         Ok(CloudAnswer { map_version, stamp, cloud: self.compute.request(extract).await? })
