@@ -19,10 +19,41 @@ const TILE_CELLS: usize = (TILE * TILE) as usize;
 struct Tile {
     /// NaN where nothing was ever seen.
     log_odds: [f32; TILE_CELLS],
-    /// The heights at which sensors that look at the whole height band saw something stand here, until it is freed.
-    /// Only beams that pass at these heights free the cell: a look at the floor under a table top does not, nor does
-    /// a planar beam, which may pass over boxes and between legs.
+    /// The heights at which something was hit here and not freed since, and those at which beams passed: evidence
+    /// counts for its own heights. The floor seen under a table does not free its top, nor do the beams of a planar
+    /// lidar; and what was free for these can still be hit at another height.
     standing: [Heights; TILE_CELLS],
+    passed: [Heights; TILE_CELLS],
+}
+
+impl Tile {
+    fn update(&mut self, slot: usize, mark: Mark, planar: bool, params: &OccupancyParams) {
+        let (standing, passed) = (&mut self.standing[slot], &mut self.passed[slot]);
+        let value = &mut self.log_odds[slot];
+        let before = if value.is_nan() { 0.0 } else { *value };
+        let after = match mark {
+            Mark::Unseen => return,
+            Mark::Free(heights) => {
+                *passed = passed.joined(heights);
+                // A planar beam may pass between the legs of what other sensors saw whole.
+                let blind = if planar { !standing.within(heights) } else { !standing.meet(heights) };
+                if *standing != Heights::NONE && blind {
+                    return;
+                }
+                before + params.free_log_odds
+            }
+            Mark::Hit(heights) => {
+                let news = !passed.meet(heights);
+                *standing = standing.joined(heights);
+                *passed = passed.without(heights);
+                params.hit_log_odds + if news { before.max(params.free_log_odds) } else { before }
+            }
+        };
+        *value = after.clamp(params.min_log_odds, params.max_log_odds);
+        if *value <= 0.0 {
+            *standing = Heights::NONE;
+        }
+    }
 }
 
 /// Unbounded 2D occupancy in the map frame: log-odds by cell, unknown where no beam has been.
@@ -112,28 +143,7 @@ impl OccupancyGrid {
                 for (x, mark) in (x0..x1).zip(row(y)).filter(|(_, m)| **m != Mark::Unseen) {
                     let cell = Cell::new(update.min.x + x as i32, update.min.y + y as i32);
                     let slot = locate(cell).1;
-                    let standing = &mut tile.standing[slot];
-                    let change = match mark {
-                        Mark::Unseen => continue,
-                        Mark::Free(heights) => {
-                            if *standing != Heights::NONE && (update.planar || !standing.meet(*heights)) {
-                                continue;
-                            }
-                            self.params.free_log_odds
-                        }
-                        Mark::Hit(heights) => {
-                            if !update.planar {
-                                *standing = standing.joined(*heights);
-                            }
-                            self.params.hit_log_odds
-                        }
-                    };
-                    let value = &mut tile.log_odds[slot];
-                    let before = if value.is_nan() { 0.0 } else { *value };
-                    *value = (before + change).clamp(self.params.min_log_odds, self.params.max_log_odds);
-                    if *value <= 0.0 {
-                        *standing = Heights::NONE;
-                    }
+                    tile.update(slot, *mark, update.planar, &self.params);
                     grow(&mut self.bounds, cell);
                 }
             }
@@ -217,7 +227,9 @@ impl PartialEq for OccupancyGrid {
     fn eq(&self, other: &Self) -> bool {
         let same = |a: &Tile, b: &Tile| {
             let cells = a.log_odds.iter().zip(&b.log_odds);
-            cells.map(|(x, y)| (x.to_bits(), y.to_bits())).all(|(x, y)| x == y) && a.standing == b.standing
+            cells.map(|(x, y)| (x.to_bits(), y.to_bits())).all(|(x, y)| x == y)
+                && a.standing == b.standing
+                && a.passed == b.passed
         };
         self.geometry == other.geometry
             && self.tiles.len() == other.tiles.len()
@@ -230,7 +242,11 @@ fn probability(log_odds: f32) -> f64 {
 }
 
 fn unknown_tile() -> Arc<Tile> {
-    Arc::new(Tile { log_odds: [f32::NAN; TILE_CELLS], standing: [Heights::NONE; TILE_CELLS] })
+    Arc::new(Tile {
+        log_odds: [f32::NAN; TILE_CELLS],
+        standing: [Heights::NONE; TILE_CELLS],
+        passed: [Heights::NONE; TILE_CELLS],
+    })
 }
 
 /// Tile of a cell, and its place there.

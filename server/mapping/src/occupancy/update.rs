@@ -45,31 +45,48 @@ impl Mark {
     }
 }
 
-/// From the lowest to the highest, above the floor under the robot, centimetres (saturating).
+/// A set of heights: a bit for each 64th of the band, the lowest first. Sampled beams leave gaps between them, in
+/// which the edge of a table may stand unseen; an interval would not know.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Heights {
-    low: i16,
-    high: i16,
-}
+pub(super) struct Heights(u64);
 
 impl Heights {
-    /// No height: joins as nothing, overlaps nothing.
-    pub(super) const NONE: Self = Self { low: i16::MAX, high: i16::MIN };
+    /// No height.
+    pub(super) const NONE: Self = Self(0);
 
-    /// Metres.
-    fn new(low: f64, high: f64) -> Self {
-        Self { low: (low * 100.0).floor() as i16, high: (high * 100.0).ceil() as i16 }
+    /// One height above the floor, metres; none outside of the band.
+    fn at(params: &OccupancyParams, height: f64) -> Self {
+        let share = Self::share(params, height);
+        if (0.0..1.0).contains(&share) { Self(1 << (share * 64.0) as u32) } else { Self::NONE }
     }
 
-    /// The smallest interval that holds both.
+    /// The height of a planar scan, which speaks for the band wherever it lies.
+    fn of_plane(params: &OccupancyParams, height: f64) -> Self {
+        Self(1 << (Self::share(params, height).clamp(0.0, 0.999) * 64.0) as u32)
+    }
+
+    fn share(params: &OccupancyParams, height: f64) -> f64 {
+        (height - params.band_min_m) / (params.band_max_m - params.band_min_m)
+    }
+
+    /// The heights of both.
     pub(super) fn joined(self, other: Self) -> Self {
-        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+        Self(self.0 | other.0)
     }
 
-    /// Whether they come within a finger's breadth of each other.
+    /// These heights but not the others.
+    pub(super) fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// Whether the other holds all of these.
+    pub(super) fn within(self, other: Self) -> bool {
+        self.0 & !other.0 == 0
+    }
+
+    /// Whether they share a height.
     pub(super) fn meet(self, other: Self) -> bool {
-        const REACH_CM: i16 = 5;
-        self.low.saturating_sub(REACH_CM) <= other.high && other.low.saturating_sub(REACH_CM) <= self.high
+        self.0 & other.0 != 0
     }
 }
 
@@ -80,8 +97,8 @@ impl ScanUpdate {
     /// and returns beyond only free. **Others**: heights are taken along the map's z, from the floor under base. Returns in the
     /// band mark their ends. In each azimuth column seen from the sensor, the cells up to the nearest of them are
     /// free, or without one, up to the farthest floor return, far return or end of a miss (each only as far as its
-    /// beam stays in the band). Free cells hold the heights between the lowest and the highest beam of the column
-    /// there, so that looking under a table does not free its top. Points that are not finite, or beyond the range
+    /// beam stays in the band). Free cells hold the heights at which the beams of the column pass there, so
+    /// that looking under a table does not free its top. Points that are not finite, or beyond the range
     /// of the indices, say nothing.
     pub fn new(params: &OccupancyParams, geometry: &GridGeometry, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
         let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
@@ -125,26 +142,29 @@ struct Frame<'a> {
 }
 
 /// What is known of an azimuth column: ends (m, map) and their horizontal ranges from the sensor (m), and how steep
-/// its beams are. One interval of slopes does for all ranges: beams that end early leave the band there, or end at
-/// the obstacle that bounds the column.
-#[derive(Clone, Copy)]
+/// its beams are. One set of slopes does for all ranges: beams that end early leave the band there, or end at the
+/// obstacle that bounds the column.
+#[derive(Clone)]
 struct Column {
     nearest_obstacle: f64,
     obstacle: Point2<f64>,
     farthest_free: f64,
     free: Point2<f64>,
-    /// Rise over run of the lowest and of the highest beam.
-    slopes: (f64, f64),
+    /// Rise over run of each beam, no two in the same bin.
+    slopes: Vec<f32>,
+    taken: u64,
 }
 
 impl Column {
+    /// Adds a beam unless there is one much like it: 64 bins from 45 degrees down to 45 degrees up.
     fn include(&mut self, slope: f64) {
-        self.slopes = (self.slopes.0.min(slope), self.slopes.1.max(slope));
+        let bin = ((slope.clamp(-1.0, 1.0) + 1.0) * 31.99) as u32;
+        if slope.is_finite() && self.taken & (1 << bin) == 0 {
+            self.taken |= 1 << bin;
+            self.slopes.push(slope as f32);
+        }
     }
 }
-
-/// Beams in a level plane: slopes of planar scans.
-const LEVEL: (f64, f64) = (0.0, 0.0);
 
 impl Frame<'_> {
     fn mark_beams(
@@ -154,19 +174,21 @@ impl Frame<'_> {
         misses: &[Point3<f32>],
         in_map: impl Fn(&Point3<f32>) -> Point3<f64>,
     ) {
+        let heights = Heights::of_plane(self.params, self.sensor.z - self.floor_z);
+        let passed = |_| Mark::Free(heights);
         for p in hits {
             let end = in_map(p).xy();
             let range = (end - self.sensor.xy()).norm();
             if range > self.params.range_max_m {
-                self.free_towards(update, &end, range, LEVEL);
+                self.free_towards(update, &end, range, passed);
             } else if range >= self.params.range_min_m {
-                self.hit_at(update, &end, self.sensor.z - self.floor_z);
-                self.free_before(update, &end, LEVEL);
+                self.hit_at(update, &end, heights);
+                self.free_before(update, &end, passed);
             }
         }
         for p in misses {
             let end = in_map(p).xy();
-            self.free_towards(update, &end, (end - self.sensor.xy()).norm(), LEVEL);
+            self.free_towards(update, &end, (end - self.sensor.xy()).norm(), passed);
         }
     }
 
@@ -184,7 +206,8 @@ impl Frame<'_> {
             obstacle: Point2::origin(),
             farthest_free: 0.0,
             free: Point2::origin(),
-            slopes: (f64::INFINITY, f64::NEG_INFINITY),
+            slopes: Vec::new(),
+            taken: 0,
         };
         let mut columns = vec![none; count];
         for p in hits {
@@ -195,9 +218,10 @@ impl Frame<'_> {
         }
         for column in &columns {
             if column.nearest_obstacle.is_finite() {
-                self.free_before(update, &column.obstacle, column.slopes);
+                self.free_before(update, &column.obstacle, |cell| self.passed(cell, &column.slopes));
             } else if column.farthest_free > 0.0 {
-                self.free_towards(update, &column.free, column.farthest_free, column.slopes);
+                let passed = |cell| self.passed(cell, &column.slopes);
+                self.free_towards(update, &column.free, column.farthest_free, passed);
             }
         }
     }
@@ -215,7 +239,7 @@ impl Frame<'_> {
         if height < self.params.band_min_m || range > self.params.range_max_m {
             return self.read_free(columns, p);
         }
-        self.hit_at(update, &p.xy(), height);
+        self.hit_at(update, &p.xy(), Heights::at(self.params, height));
         let column = self.column(columns, p);
         if range < column.nearest_obstacle {
             (column.nearest_obstacle, column.obstacle) = (range, p.xy());
@@ -251,35 +275,35 @@ impl Frame<'_> {
         &mut columns[(((azimuth + PI) / TAU * (last + 1) as f64) as usize).min(last)]
     }
 
-    fn hit_at(&self, update: &mut ScanUpdate, end: &Point2<f64>, height: f64) {
+    fn hit_at(&self, update: &mut ScanUpdate, end: &Point2<f64>, heights: Heights) {
         if let Some(cell) = self.geometry.cell(end) {
-            update.mark(cell, Mark::Hit(Heights::new(height, height)));
+            update.mark(cell, Mark::Hit(heights));
         }
     }
 
     /// What a column says of a free cell: the heights at which its beams pass there.
-    fn passed(&self, cell: Cell, slopes: (f64, f64)) -> Mark {
+    fn passed(&self, cell: Cell, slopes: &[f32]) -> Mark {
         let range = (self.geometry.center(cell) - self.sensor.xy()).norm();
-        let at = |slope: f64| self.sensor.z - self.floor_z + slope * range;
-        Mark::Free(Heights::new(at(slopes.0), at(slopes.1)))
+        let at = |slope: &f32| Heights::at(self.params, self.sensor.z - self.floor_z + f64::from(*slope) * range);
+        Mark::Free(slopes.iter().map(at).fold(Heights::NONE, Heights::joined))
     }
 
     /// Frees the cells from the sensor to `end`, without that of `end` itself.
-    fn free_before(&self, update: &mut ScanUpdate, end: &Point2<f64>, slopes: (f64, f64)) {
+    fn free_before(&self, update: &mut ScanUpdate, end: &Point2<f64>, passed: impl Fn(Cell) -> Mark) {
         let last = self.geometry.cell(end);
         walk(self.geometry, &self.sensor.xy(), end, |cell| {
             if Some(cell) != last {
-                update.mark(cell, self.passed(cell, slopes));
+                update.mark(cell, passed(cell));
             }
         });
     }
 
     /// Frees the cells towards `end`, at most as far as the largest range.
-    fn free_towards(&self, update: &mut ScanUpdate, end: &Point2<f64>, range: f64, slopes: (f64, f64)) {
+    fn free_towards(&self, update: &mut ScanUpdate, end: &Point2<f64>, range: f64, passed: impl Fn(Cell) -> Mark) {
         if range.is_finite() {
             let share = (self.params.range_max_m / range).min(1.0);
             let end = self.sensor.xy() + (end - self.sensor.xy()) * if range > 0.0 { share } else { 0.0 };
-            walk(self.geometry, &self.sensor.xy(), &end, |cell| update.mark(cell, self.passed(cell, slopes)));
+            walk(self.geometry, &self.sensor.xy(), &end, |cell| update.mark(cell, passed(cell)));
         }
     }
 }
