@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each crate looks only at crates before it.
-const ORDER: [&str; 14] = [
+const ORDER: [&str; 15] = [
     "geometry",
     "sim",
     "evaluation",
@@ -19,6 +19,7 @@ const ORDER: [&str; 14] = [
     "planning",
     "pipeline",
     "formats",
+    "bench",
     "store",
     "service",
     "wire",

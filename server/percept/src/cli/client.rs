@@ -1,12 +1,13 @@
 //! The tools as clients of a running server: create a session, stream frames, read results.
 
 use super::Failure;
-use percept_geometry::{Pose, SensorFrame, SensorSpec, Stamped, Timestamp};
+use percept_geometry::{Pose, SensorFrame, SensorId, SensorSpec, Stamped, Timestamp};
 use percept_service::{OverloadPolicy, SensorDeclaration};
 use percept_wire::convert::{geometry, sensors};
 use percept_wire::v1;
 use percept_wire::v1::sensors_service_client::SensorsServiceClient;
 use percept_wire::v1::sessions_service_client::SessionsServiceClient;
+use std::collections::BTreeMap;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::{Channel, Endpoint};
@@ -68,10 +69,11 @@ impl RemoteSession {
         let (out, requests) = mpsc::channel(WINDOW);
         let session = self.id.clone();
         let send = async move {
-            let mut sequence = 0;
+            let mut numbers: BTreeMap<SensorId, u64> = BTreeMap::new();
             while let Some(frame) = frames.recv().await {
-                sequence += 1;
-                let message = Some(sensors::frame_to(&session, sequence, &frame));
+                let number = numbers.entry(frame.sensor.clone()).or_default();
+                *number += 1;
+                let message = Some(sensors::frame_to(&session, *number, &frame));
                 if out.send(v1::StreamFramesRequest { message }).await.is_err() {
                     return;
                 }
