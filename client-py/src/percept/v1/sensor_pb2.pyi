@@ -505,7 +505,7 @@ class SensorMessage(_message.Message):
     session_id: _builtins.str
     sensor_id: _builtins.str
     sequence: _builtins.int
-    """The sender's running number, echoed in the acknowledgement; gaps are counted (zenoh). 0: not numbered."""
+    """The sender's running number for this sensor, echoed in the acknowledgement; gaps are counted. 0: not numbered."""
     stamp_ns: _builtins.int
     """Nanoseconds since the Unix epoch, by the sensor's clock; not negative, greater than the one before."""
     @_builtins.property
