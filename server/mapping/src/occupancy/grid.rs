@@ -26,10 +26,6 @@ struct Tile {
     passed: [Heights; TILE_CELLS],
 }
 
-/// Looks that saw a cell free at other heights count at most so often against a first hit: enough that one stray
-/// return does not make an obstacle.
-const OTHER_HEIGHTS: f32 = 2.0;
-
 impl Tile {
     fn update(&mut self, slot: usize, mark: Mark, planar: bool, params: &OccupancyParams) {
         let (standing, passed) = (&mut self.standing[slot], &mut self.passed[slot]);
@@ -50,7 +46,7 @@ impl Tile {
                 let news = !passed.meet(heights);
                 *standing = standing.joined(heights);
                 *passed = passed.without(heights);
-                params.hit_log_odds + if news { before.max(OTHER_HEIGHTS * params.free_log_odds) } else { before }
+                params.hit_log_odds + if news { before.max(params.free_log_odds) } else { before }
             }
         };
         *value = after.clamp(params.min_log_odds, params.max_log_odds);

@@ -152,16 +152,15 @@ struct Column {
     free: Point2<f64>,
     /// Rise over run of each beam, no two in the same bin.
     slopes: Vec<f32>,
-    taken: [u64; 4],
+    taken: u64,
 }
 
 impl Column {
-    /// Adds a beam unless there is one much like it: 256 bins from 45 degrees down to 45 degrees up.
+    /// Adds a beam unless there is one much like it: 64 bins from 45 degrees down to 45 degrees up.
     fn include(&mut self, slope: f64) {
-        let bin = ((slope.clamp(-1.0, 1.0) + 1.0) * 127.99) as usize;
-        let (word, bit) = (&mut self.taken[bin / 64], 1 << (bin % 64));
-        if slope.is_finite() && *word & bit == 0 {
-            *word |= bit;
+        let bin = ((slope.clamp(-1.0, 1.0) + 1.0) * 31.99) as u32;
+        if slope.is_finite() && self.taken & (1 << bin) == 0 {
+            self.taken |= 1 << bin;
             self.slopes.push(slope as f32);
         }
     }
@@ -208,7 +207,7 @@ impl Frame<'_> {
             farthest_free: 0.0,
             free: Point2::origin(),
             slopes: Vec::new(),
-            taken: [0; 4],
+            taken: 0,
         };
         let mut columns = vec![none; count];
         for p in hits {
