@@ -1,6 +1,7 @@
 //! The operations that can be timed, one file an area.
 
 mod files;
+mod segmentation;
 
 use crate::{Args, BenchError};
 use serde_json::{Map, Value};
@@ -24,7 +25,12 @@ pub trait Case {
 type Open = fn(&Args) -> Result<Box<dyn Case>, BenchError>;
 
 /// Operations by name.
-pub const OPERATIONS: &[(&str, Open)] = &[("load", files::load)];
+pub const OPERATIONS: &[(&str, Open)] = &[
+    ("load", files::load),
+    ("plane", segmentation::plane),
+    ("planes", segmentation::planes),
+    ("clusters_dbscan", segmentation::clusters_dbscan),
+];
 
 /// The case of an operation.
 ///

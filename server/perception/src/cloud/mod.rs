@@ -6,11 +6,13 @@
 //! (1e7 m) lose what f32 loses and nothing more.
 
 mod boxes;
+mod cells;
 mod clusters;
 mod downsample;
 mod eigen;
 mod features;
 mod hull;
+mod local;
 mod normals;
 mod outliers;
 mod plane;

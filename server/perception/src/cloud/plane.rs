@@ -1,17 +1,23 @@
 //! The largest plane of a cloud.
 
-use super::{Scatter, at_least, positive, symmetric_eigen3};
+use super::local::{Hypothesis, Local, Moments};
+use super::{at_least, positive};
 use nalgebra::{Point3, Unit, Vector3};
-use percept_geometry::{GeometryError, Plane, cloud::is_finite};
+use percept_geometry::{GeometryError, Plane};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Hypotheses drawn between two looks at whether to stop.
+/// Hypotheses drawn between two looks at whether to stop, and if there is no looking.
 const BATCH: usize = 32;
-/// Hypotheses are judged on at most about so many points, evenly picked; the winner on all.
-const JUDGED: usize = 20_000;
+const LARGE_BATCH: usize = 1024;
+/// Points on which hypotheses are judged before those that may still win are counted on all.
+const SAMPLES: [usize; 2] = [4096, 32768];
+/// Deviations of a sampled share that a hypothesis is given the benefit of: dropping the best has a chance below 1e-4.
+const DOUBT: f64 = 4.0;
+/// Fits on the way to rest at most, and the root mean square step, as a share of the distance, that counts as rest.
+const MAX_FITS: usize = 20;
+const AT_REST: f64 = 2e-3;
 /// Chance of having drawn a triple of inliers at which the search ends.
 const CONFIDENCE: f64 = 0.999;
 
@@ -27,11 +33,13 @@ pub struct PlaneParams {
     pub min_points: usize,
     /// Seed of the draws.
     pub seed: u64,
+    /// Whether to stop drawing when a better plane has become improbable; without, all triples are drawn.
+    pub early_stop: bool,
 }
 
 impl Default for PlaneParams {
     fn default() -> Self {
-        Self { distance_m: 0.02, max_iterations: 1000, min_points: 3, seed: 0 }
+        Self { distance_m: 0.02, max_iterations: 1000, min_points: 3, seed: 0, early_stop: true }
     }
 }
 
@@ -58,17 +66,20 @@ pub struct PlaneSegment {
     pub rms_m: f64,
 }
 
-/// The plane with the most points, refined by least squares on them; none if no three points span one that
-/// has `min_points`.
+/// The plane with the most points, refined to rest: it is the least squares fit of the points within the distance of
+/// it. None if no three points span one that has `min_points`.
 ///
-/// Source: Fischler and Bolles, "Random sample consensus", 1981, with their stopping rule.
+/// Source: Fischler and Bolles, "Random sample consensus", 1981, with their stopping rule. Hypotheses race: all are
+/// counted on a stratified random sample, those whose share is within its error of the best on a larger one, and what
+/// is left on all points (after Matas and Chum, "Randomized RANSAC with T(d,d) test", 2004, but with both sides of the
+/// error, so that the winner is the one that counting everything would find).
 ///
 /// # Errors
 /// `OutOfRange` naming the parameter.
 pub fn segment_plane(points: &[Point3<f32>], params: &PlaneParams) -> Result<Option<PlaneSegment>, GeometryError> {
     params.validate()?;
-    let all: Vec<u32> = (0..points.len() as u32).collect();
-    Ok(segment_among(points, &all, params, |_| true))
+    let local = Local::new(points, 0..points.len() as u32);
+    Ok(local.and_then(|local| local.find_plane(params, &|_| true)).map(|found| found.0))
 }
 
 /// As [`segment_plane`] among `candidates` only, for planes whose normal is `allowed` (either sign comes).
@@ -76,78 +87,88 @@ pub(crate) fn segment_among(
     points: &[Point3<f32>],
     candidates: &[u32],
     params: &PlaneParams,
-    allowed: impl Fn(&Vector3<f64>) -> bool + Sync,
+    allowed: impl Fn(&Vector3<f64>) -> bool,
 ) -> Option<PlaneSegment> {
-    let finite: Vec<u32> = candidates.iter().copied().filter(|&i| is_finite(&points[i as usize])).collect();
-    let anchor: Point3<f64> = points[*finite.first()? as usize].cast();
-    let local = Local::new(points, &finite, anchor);
-    let rough = local.search(params, &allowed)?;
-    local.refine(rough, &finite, params, &allowed)
-}
-
-/// Coordinates about an anchor, as f32 side by side: far from the origin they keep their digits.
-struct Local {
-    anchor: Point3<f64>,
-    xs: Vec<f32>,
-    ys: Vec<f32>,
-    zs: Vec<f32>,
-}
-
-/// `normal . p + offset`, about the anchor.
-#[derive(Clone, Copy)]
-struct Hypothesis {
-    normal: Vector3<f64>,
-    offset: f64,
+    Local::new(points, candidates.iter().copied())?.find_plane(params, &allowed).map(|found| found.0)
 }
 
 impl Local {
-    fn new(points: &[Point3<f32>], finite: &[u32], anchor: Point3<f64>) -> Self {
-        let axis = |a: usize| finite.iter().map(|&i| (f64::from(points[i as usize][a]) - anchor[a]) as f32).collect();
-        Self { anchor, xs: axis(0), ys: axis(1), zs: axis(2) }
-    }
-
-    fn len(&self) -> usize {
-        self.xs.len()
-    }
-
-    fn at(&self, i: usize) -> Vector3<f64> {
-        Vector3::new(self.xs[i], self.ys[i], self.zs[i]).cast()
-    }
-
-    fn search(&self, params: &PlaneParams, allowed: &(impl Fn(&Vector3<f64>) -> bool + Sync)) -> Option<Hypothesis> {
+    /// The plane, and the places of its points.
+    pub(super) fn find_plane(
+        &self,
+        params: &PlaneParams,
+        allowed: &impl Fn(&Vector3<f64>) -> bool,
+    ) -> Option<(PlaneSegment, Vec<u32>)> {
         let n = self.len();
         if n < params.min_points {
             return None;
         }
         let mut rng = ChaCha8Rng::seed_from_u64(params.seed);
-        let judged = self.thinned(n.div_ceil(JUDGED));
+        let samples: Vec<Self> =
+            SAMPLES.iter().filter(|&&m| 2 * m < n).map(|&m| self.stratified(m, &mut rng)).collect();
+        let rough = self.search(&samples, &mut rng, params, allowed)?;
+        self.refine(rough, samples.last(), params, allowed)
+    }
+
+    fn search(
+        &self,
+        samples: &[Self],
+        rng: &mut ChaCha8Rng,
+        params: &PlaneParams,
+        allowed: &impl Fn(&Vector3<f64>) -> bool,
+    ) -> Option<Hypothesis> {
+        let n = self.len();
+        let batch = if params.early_stop { BATCH } else { LARGE_BATCH };
         let mut best: Option<(usize, Hypothesis)> = None;
         let (mut drawn, mut needed) = (0, params.max_iterations);
         while drawn < needed {
-            let batch: Vec<[usize; 3]> =
-                (0..BATCH.min(needed - drawn)).map(|_| std::array::from_fn(|_| rng.random_range(0..n))).collect();
-            drawn += batch.len();
-            let counts: Vec<Option<(usize, Hypothesis)>> = batch
-                .par_iter()
-                .map(|triple| {
-                    let hypothesis = self.through(triple).filter(|h| allowed(&h.normal))?;
-                    Some((judged.count(&hypothesis, params.distance_m as f32), hypothesis))
-                })
-                .collect();
-            for (count, hypothesis) in counts.into_iter().flatten() {
-                if best.is_none_or(|(most, _)| count > most) {
-                    best = Some((count, hypothesis));
-                    let share = count as f64 / judged.len() as f64;
-                    needed = iterations_for(share).min(params.max_iterations);
-                }
+            let size = batch.min(needed - drawn);
+            drawn += size;
+            let triples = (0..size).map(|_| std::array::from_fn(|_| rng.random_range(0..n)));
+            let hypotheses: Vec<Hypothesis> =
+                triples.filter_map(|triple| self.through(&triple)).filter(|h| allowed(&h.normal)).collect();
+            let found = self.race(samples, hypotheses, best, params.distance_m);
+            if params.early_stop
+                && let Some((count, _)) = found
+            {
+                needed = iterations_for(count as f64 / n as f64).min(params.max_iterations);
             }
+            best = found;
         }
         best.map(|(_, hypothesis)| hypothesis)
     }
 
-    fn thinned(&self, stride: usize) -> Self {
-        let pick = |v: &[f32]| v.iter().step_by(stride).copied().collect();
-        Self { anchor: self.anchor, xs: pick(&self.xs), ys: pick(&self.ys), zs: pick(&self.zs) }
+    /// The best of a batch and of those before, with its count on all points.
+    fn race(
+        &self,
+        samples: &[Self],
+        mut hypotheses: Vec<Hypothesis>,
+        mut best: Option<(usize, Hypothesis)>,
+        distance: f64,
+    ) -> Option<(usize, Hypothesis)> {
+        for sample in samples {
+            let m = sample.len() as f64;
+            let shares: Vec<f64> = sample.counts(&hypotheses, distance).iter().map(|&c| c as f64 / m).collect();
+            let doubt = |share: f64| DOUBT * (share * (1.0 - share) / m).sqrt() + 1.0 / m;
+            let known = best.as_ref().map_or(0.0, |b| b.0 as f64 / self.len() as f64);
+            let sure = shares.iter().map(|&s| s - doubt(s)).fold(known, f64::max);
+            let mut shares = shares.iter();
+            hypotheses.retain(|_| shares.next().is_some_and(|&s| s + doubt(s) >= sure));
+        }
+        let counts = self.counts(&hypotheses, distance);
+        for (count, hypothesis) in counts.into_iter().zip(hypotheses) {
+            if best.is_none_or(|(most, _)| count > most) {
+                best = Some((count, hypothesis));
+            }
+        }
+        best
+    }
+
+    /// One point drawn from each of `m` equal stretches: no more variance than independent draws.
+    fn stratified(&self, m: usize, rng: &mut ChaCha8Rng) -> Self {
+        let n = self.len();
+        let places: Vec<usize> = (0..m).map(|i| rng.random_range(i * n / m..(i + 1) * n / m)).collect();
+        self.sample(&places)
     }
 
     fn through(&self, &[a, b, c]: &[usize; 3]) -> Option<Hypothesis> {
@@ -161,61 +182,57 @@ impl Local {
         Some(Hypothesis { normal, offset: -normal.dot(&a) })
     }
 
-    fn count(&self, h: &Hypothesis, distance: f32) -> usize {
-        let (n, o) = (h.normal.cast::<f32>(), h.offset as f32);
-        let mut count = 0u32;
-        for ((x, y), z) in self.xs.iter().zip(&self.ys).zip(&self.zs) {
-            count += u32::from((n.x * x + n.y * y + n.z * z + o).abs() <= distance);
-        }
-        count as usize
-    }
-
-    fn inliers(&self, h: &Hypothesis, distance: f64) -> Vec<u32> {
-        (0..self.len() as u32).filter(|&i| (h.normal.dot(&self.at(i as usize)) + h.offset).abs() <= distance).collect()
-    }
-
-    /// Least squares on the inliers, then inliers of that plane, until they do not grow any more.
+    /// The fixed point of 'least squares on the points within the distance', found on a sample and then on all points.
     fn refine(
         &self,
         rough: Hypothesis,
-        finite: &[u32],
+        sample: Option<&Self>,
         params: &PlaneParams,
         allowed: &impl Fn(&Vector3<f64>) -> bool,
-    ) -> Option<PlaneSegment> {
-        let mut best = (rough, self.inliers(&rough, params.distance_m));
-        for _ in 0..5 {
-            let Some(fitted) = self.fit(&best.1).filter(|h| allowed(&h.normal)) else { break };
-            let inliers = self.inliers(&fitted, params.distance_m);
-            // A fit of the same points is still the better plane; fewer points are not.
-            let grew = inliers.len() > best.1.len();
-            if inliers.len() >= best.1.len() {
-                best = (fitted, inliers);
+    ) -> Option<(PlaneSegment, Vec<u32>)> {
+        let start = sample.map_or(rough, |sample| sample.settle(rough, params.distance_m, allowed).0);
+        let mut found = self.settle(start, params.distance_m, allowed);
+        if found.1.num_points() < params.min_points {
+            // Few points: the sample may have lost them, and so may a fit.
+            found = (rough, self.moments(&rough, params.distance_m));
+        }
+        let (h, moments) = found;
+        if moments.num_points() < params.min_points {
+            return None;
+        }
+        let sign = if h.normal[h.normal.iamax()] < 0.0 { -1.0 } else { 1.0 };
+        let offset = h.offset - h.normal.dot(&self.anchor.coords);
+        let places = self.within(&h, params.distance_m);
+        let segment = PlaneSegment {
+            plane: Plane { normal: Unit::new_normalize(h.normal * sign), offset: offset * sign },
+            rms_m: moments.mean_square(&h).sqrt(),
+            inliers: self.indices(&places),
+        };
+        Some((segment, places))
+    }
+
+    /// Fits and gathers in turn until the plane rests. Each step lowers the sum of squared distances, cut off at
+    /// `distance`, so that the end depends little on the start, other than the plane of the most points.
+    fn settle(
+        &self,
+        start: Hypothesis,
+        distance: f64,
+        allowed: &impl Fn(&Vector3<f64>) -> bool,
+    ) -> (Hypothesis, Moments) {
+        let mut now = (start, self.moments(&start, distance));
+        for _ in 0..MAX_FITS {
+            let Some(mut fitted) = now.1.fit().filter(|h| allowed(&h.normal)) else { break };
+            if fitted.normal.dot(&now.0.normal) < 0.0 {
+                fitted = Hypothesis { normal: -fitted.normal, offset: -fitted.offset };
             }
-            if !grew {
+            // How far the plane moved where its points are.
+            let moved = now.1.deviation(&now.0, &fitted);
+            now = (fitted, self.moments(&fitted, distance));
+            if moved < AT_REST * distance {
                 break;
             }
         }
-        let (h, inliers) = best;
-        if inliers.len() < params.min_points {
-            return None;
-        }
-        let squares: f64 = inliers.iter().map(|&i| (h.normal.dot(&self.at(i as usize)) + h.offset).powi(2)).sum();
-        let sign = if h.normal[h.normal.iamax()] < 0.0 { -1.0 } else { 1.0 };
-        let offset = h.offset - h.normal.dot(&self.anchor.coords);
-        Some(PlaneSegment {
-            plane: Plane { normal: Unit::new_normalize(h.normal * sign), offset: offset * sign },
-            rms_m: (squares / inliers.len() as f64).sqrt(),
-            inliers: inliers.into_iter().map(|i| finite[i as usize] as usize).collect(),
-        })
-    }
-
-    fn fit(&self, inliers: &[u32]) -> Option<Hypothesis> {
-        let mut scatter = Scatter::new(Point3::from(self.at(*inliers.first()? as usize)));
-        inliers.iter().for_each(|&i| scatter.add(&Point3::from(self.at(i as usize))));
-        let eigen = symmetric_eigen3(&scatter.covariance());
-        let normal = eigen.vectors[0];
-        (eigen.values[1] > 1e-10 * eigen.values[2])
-            .then(|| Hypothesis { normal, offset: -normal.dot(&scatter.mean().coords) })
+        now
     }
 }
 
@@ -259,6 +276,19 @@ mod tests {
             pool.install(|| segment_plane(&points, &PlaneParams::default()).unwrap())
         };
         assert_eq!(on(1), on(3));
+    }
+
+    #[test]
+    fn drawing_all_triples_finds_no_smaller_plane() {
+        let points = noisy_plane(4000, 16_000, Vector3::zeros());
+        let with = |early_stop| {
+            segment_plane(&points, &PlaneParams { early_stop, ..PlaneParams::default() }).unwrap().unwrap()
+        };
+        let (early, all) = (with(true), with(false));
+        assert!(all.inliers.len() + 20 >= early.inliers.len());
+        assert!(all.plane.normal.angle(&early.plane.normal) < 2e-3);
+        let near = |p: &Point3<f32>| all.plane.distance(&p.cast()).abs() <= 0.02;
+        assert!((points.iter().filter(|p| near(p)).count()).abs_diff(all.inliers.len()) <= 1);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Floor, walls, ceiling and tables.
 
-use super::plane::segment_among;
+use super::local::Local;
 use super::{PlaneParams, PlaneSegment, at_least};
 use nalgebra::{Point3, Unit, Vector3};
 use percept_geometry::GeometryError;
@@ -73,11 +73,11 @@ pub fn segment_planes(
 ) -> Result<Vec<TypedPlane>, GeometryError> {
     params.plane.validate()?;
     at_least("max_planes", params.max_planes, 1, "at least 1")?;
-    let mut left: Vec<u32> = (0..points.len() as u32).collect();
     let mut out: Vec<TypedPlane> = Vec::new();
+    let Some(mut left) = Local::new(points, 0..points.len() as u32) else { return Ok(out) };
     while out.len() < params.max_planes {
-        let Some(segment) = segment_among(points, &left, &params.plane, |_| true) else { break };
-        left.retain(|&i| segment.inliers.binary_search(&(i as usize)).is_err());
+        let Some((segment, places)) = left.find_plane(&params.plane, &|_| true) else { break };
+        left.remove(&places);
         let heights = segment.inliers.iter().map(|&i| up.dot(&points[i].coords.cast()));
         let height_m = heights.sum::<f64>() / segment.inliers.len() as f64;
         out.push(TypedPlane { kind: PlaneKind::Other, segment, height_m });

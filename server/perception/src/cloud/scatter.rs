@@ -18,6 +18,12 @@ impl Scatter {
         Self { anchor, count: 0.0, sum: Vector3::zeros(), squares: [0.0; 6] }
     }
 
+    /// Moments from the number of points, their sum and the sums of xx, xy, xz, yy, yz, zz, all about `anchor`.
+    pub(crate) fn from_sums(anchor: Point3<f64>, sums: &[f64; 10]) -> Self {
+        let [count, x, y, z, squares @ ..] = *sums;
+        Self { anchor, count, sum: Vector3::new(x, y, z), squares }
+    }
+
     /// Moments of the finite ones of `points`; none if there is none.
     pub fn of<'a>(points: impl IntoIterator<Item = &'a Point3<f32>>) -> Option<Self> {
         let mut finite = points.into_iter().filter(|p| percept_geometry::cloud::is_finite(p));

@@ -78,6 +78,7 @@ fn find_floor(points: &[Point3<f32>], params: &DetectionParams) -> Plane {
         max_iterations: 400,
         min_points: params.min_points.max(30),
         seed: params.seed,
+        ..PlaneParams::default()
     };
     let found = segment_among(points, &low, &search, |n: &Vector3<f64>| n.z.abs() >= MAX_TILT_COS);
     // A plane of a fifth of what is low there is the floor; less is the edge of something.
