@@ -5,10 +5,12 @@
 //! Results depend on the input and the seed, not on the number of threads.
 //!
 //! Start with [`search`] (who is near whom), then [`depth`] (images to points), [`cloud`] (points to
-//! structure), [`registration`] (where two clouds meet) and [`detection`] (structure to objects).
+//! structure), [`registration`] (where two clouds meet), [`multiview`] (where cameras stood) and
+//! [`detection`] (structure to objects).
 
 pub mod cloud;
 pub mod depth;
 pub mod detection;
+pub mod multiview;
 pub mod registration;
 pub mod search;
