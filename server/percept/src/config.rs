@@ -212,6 +212,11 @@ fn check_limits(limits: &Limits) -> Result<(), ConfigError> {
         ("limits.max_grid_cells", limits.max_grid_cells, 1 << 30),
         ("limits.max_planning_cells", limits.max_planning_cells, 1 << 30),
         ("limits.max_concurrent_computations", limits.max_concurrent_computations, 10_000),
+        ("limits.max_computation_ms", limits.max_computation_ms, 86_400_000),
+        ("limits.max_upload_bytes", limits.max_upload_bytes, 1 << 40),
+        ("limits.max_kept_clouds", limits.max_kept_clouds, 1_000_000),
+        ("limits.max_kept_bytes", limits.max_kept_bytes, 1 << 40),
+        ("limits.max_kept_s", limits.max_kept_s, 86_400),
         ("limits.event_history", limits.event_history, 1_000_000),
     ];
     for (field, value, most) in bounds {

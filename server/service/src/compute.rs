@@ -2,6 +2,7 @@
 
 use crate::{Error, ErrorCode, Result};
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::{Semaphore, oneshot};
 
 /// A rayon pool reached from async code; requests beyond its permits wait their turn.
@@ -45,4 +46,33 @@ impl ComputePool {
             .map_err(|_| Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again"))?;
         self.run(work).await
     }
+
+    /// Runs a request's work as [`request`](Self::request) does, and waits for it no longer than `budget` from its start.
+    /// Work that does not look at the time itself goes on to its end, and holds its permit until then.
+    ///
+    /// # Errors
+    /// `COMPUTATION_TOO_LONG`, and those of `request`.
+    pub async fn request_within<T: Send + 'static>(
+        &self,
+        budget: Duration,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T> {
+        let permit = Arc::clone(&self.requests)
+            .acquire_owned()
+            .await
+            .map_err(|_| Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again"))?;
+        let held = move || {
+            let out = work();
+            drop(permit);
+            out
+        };
+        tokio::time::timeout(budget, self.run(held)).await.map_err(|_| too_long(budget))?
+    }
+}
+
+/// The answer to a request that computes for longer than it may.
+pub(crate) fn too_long(budget: Duration) -> Error {
+    let words =
+        format!("the request computed for {} ms, its limit; send a smaller cloud or fewer steps", budget.as_millis());
+    Error::new(ErrorCode::DeadlineExceeded, "COMPUTATION_TOO_LONG", words)
 }

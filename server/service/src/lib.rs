@@ -45,6 +45,7 @@ pub struct Service {
     pub(crate) registry: Arc<Registry>,
     pub(crate) compute: ComputePool,
     pub(crate) limits: Arc<Limits>,
+    pub(crate) kept: Arc<toolbox::KeptClouds>,
 }
 
 impl Service {
@@ -60,7 +61,8 @@ impl Service {
     ) -> Result<Self> {
         let limits = Arc::new(limits);
         let registry = Registry::open(store, compute.clone(), Arc::clone(&limits), defaults).await?;
-        Ok(Self { registry: Arc::new(registry), compute, limits })
+        let kept = toolbox::KeptClouds::open(&limits);
+        Ok(Self { registry: Arc::new(registry), compute, limits, kept })
     }
 
     /// The limits in force.

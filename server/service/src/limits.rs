@@ -24,6 +24,16 @@ pub struct Limits {
     pub max_planning_cells: usize,
     /// Toolbox and planning requests computed at a time; more wait.
     pub max_concurrent_computations: usize,
+    /// Time that one toolbox request may compute, milliseconds.
+    pub max_computation_ms: usize,
+    /// A cloud or file that is uploaded in parts, bytes.
+    pub max_upload_bytes: usize,
+    /// Clouds that are kept for toolbox requests.
+    pub max_kept_clouds: usize,
+    /// Memory of those clouds, bytes.
+    pub max_kept_bytes: usize,
+    /// Time that a kept cloud stays unused before it is forgotten, seconds; an upload may ask for less.
+    pub max_kept_s: usize,
     /// Events kept for watchers that resume.
     pub event_history: usize,
 }
@@ -40,6 +50,11 @@ impl Default for Limits {
             max_grid_cells: 64 << 20,
             max_planning_cells: 16 << 20,
             max_concurrent_computations: 4,
+            max_computation_ms: 60_000,
+            max_upload_bytes: 256 << 20,
+            max_kept_clouds: 256,
+            max_kept_bytes: 1 << 30,
+            max_kept_s: 600,
             event_history: 1024,
         }
     }

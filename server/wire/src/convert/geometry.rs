@@ -121,9 +121,6 @@ pub fn cloud(c: &v1::PointCloud, limits: &Limits) -> Result<PointCloud> {
             format!("num_points is {n}, the limit is {}; downsample or split the cloud", limits.max_cloud_points),
         ));
     }
-    let triples = |field, data: &Bytes| -> Result<Vec<[f32; 3]>> {
-        Ok(f32s(field, data, n * 3)?.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
-    };
     let channel = |field, data: &Option<Bytes>| data.as_ref().map(|d| f32s(field, d, n)).transpose();
     let colors = match &c.colors {
         Some(d) if d.len() != n * 3 => {
@@ -135,15 +132,36 @@ pub fn cloud(c: &v1::PointCloud, limits: &Limits) -> Result<PointCloud> {
         None => None,
     };
     Ok(PointCloud {
-        positions: triples("positions", &c.positions)?.into_iter().map(Point3::from).collect(),
+        positions: triples("positions", &c.positions, n, Point3::new)?,
         colors,
         intensities: channel("intensities", &c.intensities)?,
         normals: match &c.normals {
-            Some(d) => Some(triples("normals", d)?.into_iter().map(nalgebra::Vector3::from).collect()),
+            Some(d) => Some(triples("normals", d, n, Vector3::new)?),
             None => None,
         },
         time_offsets_s: channel("time_offsets_s", &c.time_offsets_s)?,
     })
+}
+
+/// Three coordinates an entry, in one pass.
+fn triples<T>(field: &'static str, data: &Bytes, n: usize, make: fn(f32, f32, f32) -> T) -> Result<Vec<T>> {
+    if n.checked_mul(12) != Some(data.len()) {
+        let (expected, actual) = (n * 3, data.len() / 4);
+        return Err(percept_geometry::GeometryError::ShapeMismatch { field, expected, actual }.into());
+    }
+    let coordinate = |b: &[u8], i: usize| f32::from_le_bytes([b[i], b[i + 1], b[i + 2], b[i + 3]]);
+    Ok(data.chunks_exact(12).map(|b| make(coordinate(b, 0), coordinate(b, 4), coordinate(b, 8))).collect())
+}
+
+fn triple_bytes<T>(values: &[T], parts: impl Fn(&T) -> [f32; 3]) -> Bytes {
+    let mut out = vec![0; values.len() * 12];
+    for (out, v) in out.chunks_exact_mut(12).zip(values) {
+        let [x, y, z] = parts(v).map(f32::to_le_bytes);
+        out[0..4].copy_from_slice(&x);
+        out[4..8].copy_from_slice(&y);
+        out[8..12].copy_from_slice(&z);
+    }
+    out.into()
 }
 
 fn f32_bytes(values: impl Iterator<Item = f32>) -> Bytes {
@@ -156,11 +174,39 @@ fn f32_bytes(values: impl Iterator<Item = f32>) -> Bytes {
 pub fn cloud_to(c: &PointCloud) -> v1::PointCloud {
     v1::PointCloud {
         num_points: c.len() as u32,
-        positions: f32_bytes(c.positions.iter().flat_map(|p| [p.x, p.y, p.z])),
+        positions: triple_bytes(&c.positions, |p| [p.x, p.y, p.z]),
         colors: c.colors.as_ref().map(|c| c.as_flattened().to_vec().into()),
         intensities: c.intensities.as_ref().map(|v| f32_bytes(v.iter().copied())),
-        normals: c.normals.as_ref().map(|v| f32_bytes(v.iter().flat_map(|n| [n.x, n.y, n.z]))),
+        normals: c.normals.as_ref().map(|v| triple_bytes(v, |n| [n.x, n.y, n.z])),
         time_offsets_s: c.time_offsets_s.as_ref().map(|v| f32_bytes(v.iter().copied())),
+    }
+}
+
+/// Points in one part of a cloud; a part stays under gRPC's default limit of 4 MiB with every channel.
+const PART_POINTS: usize = 1 << 16;
+
+/// A cloud in parts, in order; at least one.
+pub fn cloud_parts(c: &PointCloud) -> Vec<v1::PointCloud> {
+    let part = |start: usize| {
+        let indices: Vec<usize> = (start..(start + PART_POINTS).min(c.len())).collect();
+        cloud_to(&c.select(&indices))
+    };
+    (0..c.len().max(1)).step_by(PART_POINTS).map(part).collect()
+}
+
+/// Parts of a cloud as one. A channel that only some parts have comes out too short, and is refused by [`cloud()`].
+pub fn joined(parts: &[v1::PointCloud]) -> v1::PointCloud {
+    let channel = |of: fn(&v1::PointCloud) -> Option<&Bytes>| -> Option<Bytes> {
+        let parts: Vec<&[u8]> = parts.iter().filter_map(|c| of(c).map(|b| &b[..])).collect();
+        (!parts.is_empty()).then(|| parts.concat().into())
+    };
+    v1::PointCloud {
+        num_points: parts.iter().fold(0, |n, c| n.saturating_add(c.num_points)),
+        positions: channel(|c| Some(&c.positions)).unwrap_or_default(),
+        colors: channel(|c| c.colors.as_ref()),
+        intensities: channel(|c| c.intensities.as_ref()),
+        normals: channel(|c| c.normals.as_ref()),
+        time_offsets_s: channel(|c| c.time_offsets_s.as_ref()),
     }
 }
 

@@ -123,23 +123,15 @@ pub fn grid_chunks(answer: &GridAnswer) -> Vec<v1::OccupancyGridChunk> {
 
 /// A cloud in chunks; at least one, which holds the head.
 pub fn cloud_chunks(answer: &CloudAnswer) -> Vec<v1::CloudChunk> {
-    // 15 bytes a point with colour.
-    const POINTS: usize = CHUNK_BYTES / 15;
-    let n = answer.cloud.len();
-    let starts = (0..n.max(1)).step_by(POINTS);
-    starts
-        .map(|start| {
-            let indices: Vec<usize> = (start..(start + POINTS).min(n)).collect();
-            v1::CloudChunk {
-                stamp: (start == 0).then(|| stamp_to(answer.map_version, answer.stamp)),
-                total_points: (start == 0).then_some(n as u64),
-                cloud: Some(geometry::cloud_to(&answer.cloud.select(&indices))),
-            }
-        })
-        .collect()
+    let chunk = |(i, cloud)| v1::CloudChunk {
+        stamp: (i == 0).then(|| stamp_to(answer.map_version, answer.stamp)),
+        total_points: (i == 0).then_some(answer.cloud.len() as u64),
+        cloud: Some(cloud),
+    };
+    geometry::cloud_parts(&answer.cloud).into_iter().enumerate().map(chunk).collect()
 }
 
-/// A file in chunks; at least one, which holds the head. `sha256` is of the whole, lower-case hex.
+/// A map's file in chunks. `sha256` is of the whole, lower-case hex.
 pub fn file_chunks(file: MapFile, sha256: String) -> Vec<v1::FileChunk> {
     let header = v1::FileHeader {
         stamp: Some(stamp_to(file.map_version, file.stamp)),
@@ -148,7 +140,11 @@ pub fn file_chunks(file: MapFile, sha256: String) -> Vec<v1::FileChunk> {
         size_bytes: file.bytes.len() as u64,
         sha256,
     };
-    let bytes = Bytes::from(file.bytes);
+    chunks_of_file(&header, &Bytes::from(file.bytes))
+}
+
+/// A file in chunks; at least one, which holds the head.
+pub fn chunks_of_file(header: &v1::FileHeader, bytes: &Bytes) -> Vec<v1::FileChunk> {
     let starts = (0..bytes.len().max(1)).step_by(CHUNK_BYTES);
     starts
         .map(|start| v1::FileChunk {

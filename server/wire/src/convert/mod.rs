@@ -38,7 +38,4 @@ pub fn format_limits(limits: &percept_service::Limits) -> percept_formats::Limit
     }
 }
 
-/// A file that did not decode.
-pub fn format_error(e: percept_formats::FormatError) -> Error {
-    Error::invalid("FILE_INVALID", "data", format!("data does not decode: {e}"))
-}
+pub use percept_service::toolbox::format_error;

@@ -10,6 +10,7 @@ use bytes::Bytes;
 use futures::future::BoxFuture;
 use futures::{Stream, StreamExt};
 use percept_service::Error;
+use percept_wire::convert::geometry;
 use percept_wire::{json, v1};
 use prost::Message;
 use prost_reflect::MethodDescriptor;
@@ -172,19 +173,22 @@ fn join_cloud(parts: Vec<v1::GetCloudResponse>) -> v1::GetCloudResponse {
         clouds.extend(chunk.cloud.take());
         head.get_or_insert(chunk);
     }
-    let channel = |of: fn(&v1::PointCloud) -> Option<&Bytes>| -> Option<Bytes> {
-        let parts: Vec<&[u8]> = clouds.iter().map(|c| of(c).map(|b| &b[..])).collect::<Option<_>>()?;
-        Some(parts.concat().into())
-    };
-    let cloud = v1::PointCloud {
-        num_points: clouds.iter().map(|c| c.num_points).sum(),
-        positions: channel(|c| Some(&c.positions)).unwrap_or_default(),
-        colors: channel(|c| c.colors.as_ref()),
-        intensities: channel(|c| c.intensities.as_ref()),
-        normals: channel(|c| c.normals.as_ref()),
-        time_offsets_s: channel(|c| c.time_offsets_s.as_ref()),
-    };
+    let cloud = geometry::joined(&clouds);
     v1::GetCloudResponse { chunk: head.map(|head| v1::CloudChunk { cloud: Some(cloud), ..head }) }
+}
+
+fn join_download(parts: Vec<v1::DownloadCloudResponse>) -> v1::DownloadCloudResponse {
+    let (mut head, mut data, mut points) = (None, vec![], vec![]);
+    for part in parts {
+        points.extend(part.points);
+        if let Some(chunk) = part.chunk {
+            data.extend_from_slice(&chunk.data);
+            head = head.or(chunk.header);
+        }
+    }
+    let chunk = head.map(|header| v1::FileChunk { header: Some(header), offset: 0, data: data.into() });
+    let parts = points.drain(..).map(|chunk| v1::GetCloudResponse { chunk: Some(chunk) }).collect();
+    v1::DownloadCloudResponse { chunk, points: join_cloud(parts).chunk }
 }
 
 /// Whether the scene graph is asked for in Graphviz's language.
@@ -213,6 +217,7 @@ pub(super) async fn scene_as_dot(api: &Api, request: Bytes) -> Result<Response, 
 const SESSION: &[(&str, &str)] = &[("session_id", "session_id")];
 const SOURCE: &[(&str, &str)] = &[("session_id", "source.session_id")];
 const MESSAGE: &[(&str, &str)] = &[("session_id", "message.session_id")];
+const CLOUD: &[(&str, &str)] = &[("handle", "handle")];
 const OBJECT: &[(&str, &str)] = &[("session_id", "session_id"), ("object_id", "object_id")];
 
 const fn get(
@@ -242,7 +247,7 @@ const fn delete(
     Route { verb: Verb::Delete, path, rpc, fill, kind }
 }
 
-/// Every route that is an rpc. `StreamFrames` alone has none: a stream in needs gRPC, or zenoh.
+/// Every route that is an rpc. `StreamFrames` and `UploadLargeCloud` have none: a stream in needs gRPC, or zenoh.
 #[rustfmt::skip]
 pub(super) static ROUTES: &[Route] = &[
     post("/v1/sessions", "SessionsService/CreateSession", &[], unary!(Message create_session)),
@@ -272,6 +277,18 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/sessions/{session_id}/plan", "NavigationService/PlanPath", SOURCE, unary!(Message plan_path)),
     post("/v1/sessions/{session_id}/navigate", "NavigationService/Navigate", MESSAGE, unary!(Message navigate)),
 
+    post("/v1/toolbox/clouds", "ToolboxService/UploadCloud", &[], unary!(Message upload_cloud)),
+    get("/v1/toolbox/clouds", "ToolboxService/ListClouds", &[], unary!(Message list_clouds)),
+    get("/v1/toolbox/clouds/{handle}", "ToolboxService/DownloadCloud", CLOUD, joined!(download_cloud, join_download)),
+    delete("/v1/toolbox/clouds/{handle}", "ToolboxService/DropCloud", CLOUD, unary!(Message drop_cloud)),
+    post("/v1/toolbox/run-pipeline", "ToolboxService/RunPipeline", &[], unary!(Message run_pipeline)),
+    post("/v1/toolbox/decode-cloud", "ToolboxService/DecodeCloud", &[], unary!(Message decode_cloud)),
+    post("/v1/toolbox/encode-cloud", "ToolboxService/EncodeCloud", &[], unary!(Message encode_cloud)),
+    post("/v1/toolbox/convert-depth", "ToolboxService/ConvertDepth", &[], unary!(Message convert_depth)),
+    post("/v1/toolbox/convert-color", "ToolboxService/ConvertColor", &[], unary!(Message convert_color)),
+    post("/v1/toolbox/remove-non-finite", "ToolboxService/RemoveNonFinite", &[], unary!(Message remove_non_finite)),
+    post("/v1/toolbox/transform-cloud", "ToolboxService/TransformCloud", &[], unary!(Message transform_cloud)),
+    post("/v1/toolbox/remove-radius-outliers", "ToolboxService/RemoveRadiusOutliers", &[], unary!(Message remove_radius_outliers)),
     post("/v1/toolbox/remove-statistical-outliers", "ToolboxService/RemoveStatisticalOutliers", &[], unary!(Message remove_statistical_outliers)),
     post("/v1/toolbox/downsample-voxels", "ToolboxService/DownsampleVoxels", &[], unary!(Message downsample_voxels)),
     post("/v1/toolbox/estimate-normals", "ToolboxService/EstimateNormals", &[], unary!(Message estimate_normals)),

@@ -1,0 +1,128 @@
+//! Kept clouds, files, pipelines: decode, call, encode.
+
+use super::super::maps::sha256_hex;
+use super::status;
+use futures::{Stream, StreamExt};
+use percept_service::toolbox::Toolbox;
+use percept_service::{Error, Limits, Result};
+use percept_wire::convert::toolbox::{self as convert, files, pipeline};
+use percept_wire::convert::{geometry, maps, required};
+use percept_wire::v1;
+use std::pin::pin;
+use tonic::Status;
+
+pub(super) fn upload_cloud(t: &Toolbox, r: v1::UploadCloudRequest) -> Result<v1::UploadCloudResponse> {
+    use v1::upload_cloud_request::Source;
+    let cloud = match required("source", r.source.as_ref())? {
+        Source::Cloud(cloud) => geometry::cloud(cloud, t.limits()).map_err(|e| e.within("cloud"))?,
+        Source::File(file) => files::decoded(Some(file), t.limits())?,
+    };
+    Ok(v1::UploadCloudResponse { kept: Some(convert::kept_to(&t.keep(cloud, r.keep_s)?)) })
+}
+
+/// Parts of an upload, as they came.
+#[derive(Default)]
+pub(super) struct Upload {
+    points: Vec<v1::PointCloud>,
+    file: Vec<u8>,
+    format: i32,
+    keep_s: Option<f64>,
+}
+
+/// Takes the parts of a large cloud, never more than the limit allows.
+///
+/// # Errors
+/// `UPLOAD_TOO_LARGE`, `UPLOAD_MIXED`; `FIELD_MISSING` for a stream without a part.
+pub(super) async fn received(
+    parts: impl Stream<Item = std::result::Result<v1::UploadLargeCloudRequest, Status>>,
+    limits: &Limits,
+) -> std::result::Result<Upload, Status> {
+    use v1::upload_large_cloud_request::Part;
+    let mut parts = pin!(parts);
+    let (mut upload, mut size, mut first) = (Upload::default(), 0, true);
+    while let Some(message) = parts.next().await {
+        let message = message?;
+        if std::mem::take(&mut first) {
+            (upload.format, upload.keep_s) = (message.format, message.keep_s);
+        }
+        size += prost::Message::encoded_len(&message);
+        if size > limits.max_upload_bytes {
+            let limit = limits.max_upload_bytes;
+            let words = format!("the upload has more than {limit} bytes, the limit; downsample the cloud");
+            return Err(status::grpc(Error::exhausted("UPLOAD_TOO_LARGE", "", words)));
+        }
+        match required("part", message.part).map_err(status::grpc)? {
+            Part::Points(points) => upload.points.push(points),
+            Part::Data(data) => upload.file.extend_from_slice(&data),
+        }
+    }
+    if first {
+        required::<()>("part", None).map_err(status::grpc)?;
+    }
+    if !upload.points.is_empty() && !upload.file.is_empty() {
+        let words = "the upload mixes points and data; send one kind";
+        return Err(status::grpc(Error::invalid("UPLOAD_MIXED", "part", words)));
+    }
+    Ok(upload)
+}
+
+pub(super) fn upload_large_cloud(t: &Toolbox, upload: Upload) -> Result<v1::UploadLargeCloudResponse> {
+    let cloud = if upload.points.is_empty() {
+        let file = v1::CloudFile { data: upload.file.into(), format: upload.format };
+        files::decoded(Some(&file), t.limits())?
+    } else {
+        geometry::cloud(&geometry::joined(&upload.points), t.limits()).map_err(|e| e.within("points"))?
+    };
+    Ok(v1::UploadLargeCloudResponse { kept: Some(convert::kept_to(&t.keep(cloud, upload.keep_s)?)) })
+}
+
+pub(super) fn list_clouds(t: &Toolbox, _: v1::ListCloudsRequest) -> Result<v1::ListCloudsResponse> {
+    Ok(convert::kept_list_to(&t.list_kept()))
+}
+
+pub(super) fn drop_cloud(t: &Toolbox, r: v1::DropCloudRequest) -> Result<v1::DropCloudResponse> {
+    t.drop_kept(&r.handle)?;
+    Ok(v1::DropCloudResponse {})
+}
+
+pub(super) fn download_cloud(t: &Toolbox, r: v1::DownloadCloudRequest) -> Result<Vec<v1::DownloadCloudResponse>> {
+    let cloud = t.kept("handle", &r.handle)?;
+    let Some(format) = files::format("format", r.format)? else {
+        let total = Some(cloud.len() as u64);
+        let part = |(i, cloud)| v1::DownloadCloudResponse {
+            chunk: None,
+            points: Some(v1::CloudChunk { stamp: None, total_points: total.filter(|_| i == 0), cloud: Some(cloud) }),
+        };
+        return Ok(geometry::cloud_parts(&cloud).into_iter().enumerate().map(part).collect());
+    };
+    let data = files::encoded(&cloud, r.format)?.data;
+    let header = v1::FileHeader {
+        stamp: None,
+        file_name: format!("{}.{}", r.handle, format.suffix()),
+        media_type: "application/octet-stream".to_owned(),
+        size_bytes: data.len() as u64,
+        sha256: sha256_hex(&data),
+    };
+    let part = |chunk| v1::DownloadCloudResponse { chunk: Some(chunk), points: None };
+    Ok(maps::chunks_of_file(&header, &data).into_iter().map(part).collect())
+}
+
+pub(super) fn decode_cloud(t: &Toolbox, r: v1::DecodeCloudRequest) -> Result<v1::DecodeCloudResponse> {
+    let (cloud, kept) = convert::result(t, files::decoded(r.file.as_ref(), t.limits())?, r.keep_result)?;
+    Ok(v1::DecodeCloudResponse { cloud, kept })
+}
+
+pub(super) fn encode_cloud(t: &Toolbox, r: v1::EncodeCloudRequest) -> Result<v1::EncodeCloudResponse> {
+    let cloud = convert::cloud(t, "cloud", r.cloud.as_ref(), r.cloud_handle.as_deref())?;
+    Ok(v1::EncodeCloudResponse { file: Some(files::encoded(&cloud, r.format)?) })
+}
+
+pub(super) fn run_pipeline(t: &Toolbox, r: v1::RunPipelineRequest) -> Result<v1::RunPipelineResponse> {
+    let steps = pipeline::steps(&r)?;
+    let cloud = convert::cloud(t, "cloud", r.cloud.as_ref(), r.cloud_handle.as_deref())?;
+    let (cloud, reports) = t.run_pipeline(cloud, &steps)?;
+    let results = reports.iter().zip(&r.steps).map(|(report, s)| pipeline::report_to(report, s.quiet)).collect();
+    let sent = r.send_cloud.then(|| geometry::cloud_to(&cloud));
+    let kept = if r.keep_result { Some(convert::kept_to(&t.keep(cloud, None)?)) } else { None };
+    Ok(v1::RunPipelineResponse { results, cloud: sent, kept })
+}

@@ -1,0 +1,132 @@
+//! `ToolboxService`: every rpc decodes, calls and encodes on the pool, in the file of its group.
+
+mod depth;
+mod filters;
+mod kept;
+mod registration;
+mod segmentation;
+
+use super::{Answer, Api, Streamed, check_size, status, streamed};
+use percept_service::Result;
+use percept_service::toolbox::Toolbox;
+use percept_wire::v1;
+use tonic::{Request, Response, Streaming};
+
+impl Api {
+    async fn toolbox<Q, A>(&self, r: Request<Q>, run: fn(&Toolbox, Q) -> Result<A>) -> Answer<A>
+    where
+        Q: prost::Message + 'static,
+        A: Send + 'static,
+    {
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
+        let r = r.into_inner();
+        self.service.toolbox(move |t| run(t, r)).await.map(Response::new).map_err(status::grpc)
+    }
+}
+
+#[tonic::async_trait]
+impl v1::toolbox_service_server::ToolboxService for Api {
+    type DownloadCloudStream = Streamed<v1::DownloadCloudResponse>;
+
+    async fn upload_large_cloud(
+        &self,
+        r: Request<Streaming<v1::UploadLargeCloudRequest>>,
+    ) -> Answer<v1::UploadLargeCloudResponse> {
+        let upload = kept::received(r.into_inner(), self.service.limits()).await?;
+        let kept = self.service.toolbox(move |t| kept::upload_large_cloud(t, upload)).await;
+        kept.map(Response::new).map_err(status::grpc)
+    }
+
+    async fn download_cloud(&self, r: Request<v1::DownloadCloudRequest>) -> Answer<Self::DownloadCloudStream> {
+        streamed(self.toolbox(r, kept::download_cloud).await?.into_inner(), |part| part)
+    }
+
+    async fn upload_cloud(&self, r: Request<v1::UploadCloudRequest>) -> Answer<v1::UploadCloudResponse> {
+        self.toolbox(r, kept::upload_cloud).await
+    }
+
+    async fn list_clouds(&self, r: Request<v1::ListCloudsRequest>) -> Answer<v1::ListCloudsResponse> {
+        self.toolbox(r, kept::list_clouds).await
+    }
+
+    async fn drop_cloud(&self, r: Request<v1::DropCloudRequest>) -> Answer<v1::DropCloudResponse> {
+        self.toolbox(r, kept::drop_cloud).await
+    }
+
+    async fn run_pipeline(&self, r: Request<v1::RunPipelineRequest>) -> Answer<v1::RunPipelineResponse> {
+        self.toolbox(r, kept::run_pipeline).await
+    }
+
+    async fn decode_cloud(&self, r: Request<v1::DecodeCloudRequest>) -> Answer<v1::DecodeCloudResponse> {
+        self.toolbox(r, kept::decode_cloud).await
+    }
+
+    async fn encode_cloud(&self, r: Request<v1::EncodeCloudRequest>) -> Answer<v1::EncodeCloudResponse> {
+        self.toolbox(r, kept::encode_cloud).await
+    }
+
+    async fn remove_non_finite(&self, r: Request<v1::RemoveNonFiniteRequest>) -> Answer<v1::RemoveNonFiniteResponse> {
+        self.toolbox(r, filters::remove_non_finite).await
+    }
+
+    async fn transform_cloud(&self, r: Request<v1::TransformCloudRequest>) -> Answer<v1::TransformCloudResponse> {
+        self.toolbox(r, filters::transform_cloud).await
+    }
+
+    async fn remove_statistical_outliers(
+        &self,
+        r: Request<v1::RemoveStatisticalOutliersRequest>,
+    ) -> Answer<v1::RemoveStatisticalOutliersResponse> {
+        self.toolbox(r, filters::remove_statistical_outliers).await
+    }
+
+    async fn remove_radius_outliers(
+        &self,
+        r: Request<v1::RemoveRadiusOutliersRequest>,
+    ) -> Answer<v1::RemoveRadiusOutliersResponse> {
+        self.toolbox(r, filters::remove_radius_outliers).await
+    }
+
+    async fn downsample_voxels(&self, r: Request<v1::DownsampleVoxelsRequest>) -> Answer<v1::DownsampleVoxelsResponse> {
+        self.toolbox(r, filters::downsample_voxels).await
+    }
+
+    async fn estimate_normals(&self, r: Request<v1::EstimateNormalsRequest>) -> Answer<v1::EstimateNormalsResponse> {
+        self.toolbox(r, filters::estimate_normals).await
+    }
+
+    async fn segment_planes(&self, r: Request<v1::SegmentPlanesRequest>) -> Answer<v1::SegmentPlanesResponse> {
+        self.toolbox(r, segmentation::segment_planes).await
+    }
+
+    async fn cluster_points(&self, r: Request<v1::ClusterPointsRequest>) -> Answer<v1::ClusterPointsResponse> {
+        self.toolbox(r, segmentation::cluster_points).await
+    }
+
+    async fn compute_shape_features(
+        &self,
+        r: Request<v1::ComputeShapeFeaturesRequest>,
+    ) -> Answer<v1::ComputeShapeFeaturesResponse> {
+        self.toolbox(r, segmentation::compute_shape_features).await
+    }
+
+    async fn detect_objects(&self, r: Request<v1::DetectObjectsRequest>) -> Answer<v1::DetectObjectsResponse> {
+        self.toolbox(r, segmentation::detect_objects).await
+    }
+
+    async fn register_clouds(&self, r: Request<v1::RegisterCloudsRequest>) -> Answer<v1::RegisterCloudsResponse> {
+        self.toolbox(r, registration::register_clouds).await
+    }
+
+    async fn unproject_depth(&self, r: Request<v1::UnprojectDepthRequest>) -> Answer<v1::UnprojectDepthResponse> {
+        self.toolbox(r, depth::unproject_depth).await
+    }
+
+    async fn convert_depth(&self, r: Request<v1::ConvertDepthRequest>) -> Answer<v1::ConvertDepthResponse> {
+        self.toolbox(r, depth::convert_depth).await
+    }
+
+    async fn convert_color(&self, r: Request<v1::ConvertColorRequest>) -> Answer<v1::ConvertColorResponse> {
+        self.toolbox(r, depth::convert_color).await
+    }
+}

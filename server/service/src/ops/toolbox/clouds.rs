@@ -1,0 +1,113 @@
+//! Operations on one cloud.
+
+use super::cloud_error;
+use crate::{Error, Result};
+use nalgebra::{Point3, Unit, Vector3};
+use percept_geometry::{CameraIntrinsics, DepthImage, OrientedBox3, PointCloud, RgbImage};
+use percept_perception::cloud::{
+    self, ClusterParams, Clusters, DbscanParams, NormalParams, PlanesParams, RadiusOutlierParams, ShapeFeatures,
+    StatisticalOutlierParams, TypedPlane,
+};
+use percept_perception::depth::{self, UnprojectParams};
+use percept_perception::detection::{Detection, DetectionParams, Detector};
+
+/// What connects points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Clustering {
+    /// Every pair nearer than the distance.
+    Euclidean(ClusterParams),
+    /// Only points with enough neighbours.
+    Dbscan(DbscanParams),
+}
+
+/// Points whose mean distance to their neighbours is no outlier, and their indices.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter.
+pub fn remove_statistical_outliers(
+    cloud: &PointCloud,
+    params: &StatisticalOutlierParams,
+) -> Result<(PointCloud, Vec<usize>)> {
+    let kept = cloud::statistical_outliers(&cloud.positions, params)?;
+    Ok((cloud.select(&kept), kept))
+}
+
+/// Points with enough neighbours nearby, and their indices.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter.
+pub fn remove_radius_outliers(cloud: &PointCloud, params: &RadiusOutlierParams) -> Result<(PointCloud, Vec<usize>)> {
+    let kept = cloud::radius_outliers(&cloud.positions, params)?;
+    Ok((cloud.select(&kept), kept))
+}
+
+/// One centroid a voxel.
+///
+/// # Errors
+/// `OUT_OF_RANGE`, `VOXEL_TOO_SMALL`.
+pub fn downsample_voxels(cloud: &PointCloud, voxel_size_m: f64) -> Result<PointCloud> {
+    cloud::voxel_downsample(cloud, voxel_size_m).map_err(cloud_error)
+}
+
+/// The cloud with normals towards the viewpoint (m).
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter.
+pub fn estimate_normals(cloud: &PointCloud, params: &NormalParams, viewpoint: &Point3<f64>) -> Result<PointCloud> {
+    let normals = cloud::estimate_normals(&cloud.positions, params, Some(viewpoint))?;
+    Ok(PointCloud { normals: Some(normals), ..cloud.clone() })
+}
+
+/// Planes in turn, largest first; z is up.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter.
+pub fn segment_planes(cloud: &PointCloud, params: &PlanesParams) -> Result<Vec<TypedPlane>> {
+    let up: Unit<Vector3<f64>> = Vector3::z_axis();
+    Ok(cloud::segment_planes(&cloud.positions, &up, params)?)
+}
+
+/// Connected groups of points.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter.
+pub fn cluster_points(cloud: &PointCloud, method: &Clustering) -> Result<Clusters> {
+    Ok(match method {
+        Clustering::Euclidean(params) => cloud::cluster(&cloud.positions, params)?,
+        Clustering::Dbscan(params) => cloud::dbscan(&cloud.positions, params)?,
+    })
+}
+
+/// Shape of a set of points, and the smallest upright box around it.
+///
+/// # Errors
+/// `CLOUD_EMPTY` without a finite point.
+pub fn shape_features(points: &[Point3<f32>]) -> Result<(ShapeFeatures, OrientedBox3)> {
+    ShapeFeatures::of(points).zip(cloud::upright_box(points)).ok_or_else(|| {
+        let n = points.len();
+        let words = format!("cloud has {n} points and none is finite; send at least one");
+        Error::invalid("CLOUD_EMPTY", "cloud", words)
+    })
+}
+
+/// Objects in a cloud whose z is up and whose floor is near z = 0.
+///
+/// # Errors
+/// Clouds whose channels do not fit.
+pub fn detect_objects(cloud: &PointCloud, params: &DetectionParams) -> Result<Vec<Detection>> {
+    let detector = Detector::new(params.clone()).map_err(Error::internal)?;
+    detector.detect(cloud).map_err(cloud_error)
+}
+
+/// A depth image as a cloud in the optical frame.
+///
+/// # Errors
+/// `OUT_OF_RANGE`, `SIZE_MISMATCH` naming the field.
+pub fn unproject_depth(
+    depth: &DepthImage,
+    color: Option<&RgbImage>,
+    intrinsics: &CameraIntrinsics,
+    params: &UnprojectParams,
+) -> Result<PointCloud> {
+    Ok(depth::unproject(depth, color, intrinsics, params)?)
+}

@@ -1,0 +1,104 @@
+//! The perception toolbox: one cloud or image in, facts out; no session.
+//!
+//! [`Service::toolbox`] runs a request's work on the pool, within its budget of time. What the work may use is a
+//! [`Toolbox`]: the limits, the kept clouds, the time. The operations themselves are functions, one file a group;
+//! they call `perception` and `formats` and turn what those refuse into errors with reason and field.
+
+mod clouds;
+mod errors;
+mod files;
+mod kept;
+mod pipeline;
+mod registration;
+
+pub use clouds::*;
+pub use errors::{cloud_error, format_error, registration_error};
+pub use files::{CloudFormat, decode_cloud, encode_cloud};
+pub use kept::{KeptCloud, KeptClouds, KeptList};
+pub use pipeline::{Found, PlaneRemainder, Step, StepReport};
+pub use registration::{RegistrationMethod, register_clouds};
+
+use crate::{Limits, Result, Service};
+use percept_geometry::PointCloud;
+use percept_perception::detection::DetectionParams;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// What the work of one request may use.
+pub struct Toolbox {
+    limits: Arc<Limits>,
+    kept: Arc<KeptClouds>,
+    detector: DetectionParams,
+    begin: Instant,
+}
+
+impl Toolbox {
+    /// The limits in force.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// How objects are found.
+    pub fn detector(&self) -> &DetectionParams {
+        &self.detector
+    }
+
+    /// A kept cloud; its time starts anew.
+    ///
+    /// # Errors
+    /// `CLOUD_NOT_FOUND` naming `field`.
+    pub fn kept(&self, field: &str, handle: &str) -> Result<Arc<PointCloud>> {
+        self.kept.get(field, handle)
+    }
+
+    /// Keeps a cloud for later requests, at most `keep_s` seconds unused.
+    ///
+    /// # Errors
+    /// `KEPT_CLOUDS_FULL` if the budget has no room; `OUT_OF_RANGE` naming `keep_s`.
+    pub fn keep(&self, cloud: impl Into<Arc<PointCloud>>, keep_s: Option<f64>) -> Result<KeptCloud> {
+        self.kept.keep(cloud.into(), keep_s)
+    }
+
+    /// The kept clouds and their budget.
+    pub fn list_kept(&self) -> KeptList {
+        self.kept.list()
+    }
+
+    /// Forgets a kept cloud.
+    ///
+    /// # Errors
+    /// `CLOUD_NOT_FOUND`.
+    pub fn drop_kept(&self, handle: &str) -> Result<()> {
+        self.kept.forget(handle)
+    }
+
+    /// Whether there is time left.
+    ///
+    /// # Errors
+    /// `COMPUTATION_TOO_LONG`.
+    fn check_time(&self) -> Result<()> {
+        let budget = budget(&self.limits);
+        if self.begin.elapsed() < budget { Ok(()) } else { Err(crate::compute::too_long(budget)) }
+    }
+}
+
+fn budget(limits: &Limits) -> Duration {
+    Duration::from_millis(limits.max_computation_ms as u64)
+}
+
+impl Service {
+    /// Runs a toolbox request's work on the pool.
+    ///
+    /// # Errors
+    /// Those of the work; `COMPUTATION_TOO_LONG`.
+    pub async fn toolbox<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Toolbox) -> Result<T> + Send + 'static,
+    ) -> Result<T> {
+        let (limits, kept) = (Arc::clone(&self.limits), Arc::clone(&self.kept));
+        let detector = self.default_params().detection.detector.clone();
+        let budget = budget(&limits);
+        let work = move || work(&Toolbox { limits, kept, detector, begin: Instant::now() });
+        self.compute.request_within(budget, work).await?
+    }
+}

@@ -1,0 +1,195 @@
+//! Operations in turn on one cloud that stays here.
+
+use super::{Clustering, Toolbox, clouds};
+use crate::{Error, Result};
+use nalgebra::Point3;
+use percept_geometry::{OrientedBox3, PointCloud, Pose};
+use percept_perception::cloud::{
+    Clusters, NormalParams, PlanesParams, RadiusOutlierParams, ShapeFeatures, StatisticalOutlierParams, TypedPlane,
+};
+use percept_perception::detection::Detection;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Steps of one request, at most.
+const MAX_STEPS: usize = 64;
+
+/// Which points go on after planes were found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PlaneRemainder {
+    /// Those of no plane.
+    Rest,
+    /// Those of planes.
+    Planes,
+    /// All.
+    All,
+}
+
+/// An operation on the cloud that the step before left.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Step {
+    /// [`clouds::remove_statistical_outliers`].
+    RemoveStatisticalOutliers(StatisticalOutlierParams),
+    /// [`clouds::remove_radius_outliers`].
+    RemoveRadiusOutliers(RadiusOutlierParams),
+    /// Points with a non-finite coordinate go.
+    RemoveNonFinite,
+    /// [`clouds::downsample_voxels`], metres.
+    DownsampleVoxels(f64),
+    /// To another frame, by `t_a_b`.
+    Transform(Pose),
+    /// [`clouds::estimate_normals`], and the viewpoint, metres.
+    EstimateNormals(NormalParams, Point3<f64>),
+    /// [`clouds::segment_planes`].
+    SegmentPlanes(PlanesParams, PlaneRemainder),
+    /// [`clouds::cluster_points`].
+    ClusterPoints(Clustering),
+    /// [`clouds::shape_features`] of each cluster, or of the whole cloud before any were found.
+    ShapeFeatures,
+    /// [`clouds::detect_objects`].
+    DetectObjects,
+}
+
+impl Step {
+    /// Its field in the contract.
+    const fn name(&self) -> &'static str {
+        match self {
+            Self::RemoveStatisticalOutliers(_) => "remove_statistical_outliers",
+            Self::RemoveRadiusOutliers(_) => "remove_radius_outliers",
+            Self::RemoveNonFinite => "remove_non_finite",
+            Self::DownsampleVoxels(_) => "downsample_voxels",
+            Self::Transform(_) => "transform_cloud",
+            Self::EstimateNormals(..) => "estimate_normals",
+            Self::SegmentPlanes(..) => "segment_planes",
+            Self::ClusterPoints(_) => "cluster_points",
+            Self::ShapeFeatures => "compute_shape_features",
+            Self::DetectObjects => "detect_objects",
+        }
+    }
+}
+
+/// What a step found; indices and labels are of the points that it was given.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Found {
+    /// The cloud is all there is.
+    Nothing,
+    /// Indices of the kept points.
+    Kept(Vec<usize>),
+    /// Planes, largest first.
+    Planes(Vec<TypedPlane>),
+    /// Groups.
+    Clusters(Clusters),
+    /// Shape of the whole cloud.
+    Shape(ShapeFeatures, OrientedBox3),
+    /// Shapes of the clusters with their labels.
+    Shapes(Vec<(u32, ShapeFeatures, OrientedBox3)>),
+    /// Objects.
+    Detections(Vec<Detection>),
+}
+
+/// What became of a step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepReport {
+    /// Points that it was given.
+    pub num_points_in: usize,
+    /// Points that it left.
+    pub num_points_out: usize,
+    /// Time that it took.
+    pub elapsed: Duration,
+    /// What it found.
+    pub found: Found,
+}
+
+/// What the steps work on.
+struct Bench {
+    cloud: Arc<PointCloud>,
+    clusters: Option<Clusters>,
+}
+
+impl Toolbox {
+    /// Runs the steps in turn; the cloud that the last one left, and what each found.
+    ///
+    /// # Errors
+    /// Those of the steps, with `steps[i].name.` before their field; `STEPS_INVALID`, `COMPUTATION_TOO_LONG`.
+    pub fn run_pipeline(&self, cloud: Arc<PointCloud>, steps: &[Step]) -> Result<(Arc<PointCloud>, Vec<StepReport>)> {
+        if !(1..=MAX_STEPS).contains(&steps.len()) {
+            let words = format!("steps has {} entries; send 1 to {MAX_STEPS}", steps.len());
+            return Err(Error::invalid("STEPS_INVALID", "steps", words));
+        }
+        let mut bench = Bench { cloud, clusters: None };
+        let mut reports = Vec::with_capacity(steps.len());
+        for (i, step) in steps.iter().enumerate() {
+            self.check_time()?;
+            let (begin, num_points_in) = (Instant::now(), bench.cloud.len());
+            let found = self.step(&mut bench, step).map_err(|e| e.within(&format!("steps[{i}].{}", step.name())))?;
+            let (elapsed, num_points_out) = (begin.elapsed(), bench.cloud.len());
+            reports.push(StepReport { num_points_in, num_points_out, elapsed, found });
+        }
+        Ok((bench.cloud, reports))
+    }
+
+    fn step(&self, bench: &mut Bench, step: &Step) -> Result<Found> {
+        let cloud = Arc::clone(&bench.cloud);
+        Ok(match step {
+            Step::RemoveStatisticalOutliers(params) => bench.keep(clouds::remove_statistical_outliers(&cloud, params)?),
+            Step::RemoveRadiusOutliers(params) => bench.keep(clouds::remove_radius_outliers(&cloud, params)?),
+            Step::RemoveNonFinite => bench.replace(cloud.retain_finite()),
+            Step::DownsampleVoxels(size) => bench.replace(clouds::downsample_voxels(&cloud, *size)?),
+            Step::Transform(t_a_b) => bench.replace(cloud.transformed(t_a_b)),
+            Step::EstimateNormals(params, viewpoint) => {
+                // The points stay what they were, and their clusters with them.
+                bench.cloud = Arc::new(clouds::estimate_normals(&cloud, params, viewpoint)?);
+                Found::Nothing
+            }
+            Step::SegmentPlanes(params, remainder) => {
+                let planes = clouds::segment_planes(&cloud, params)?;
+                bench.take_planes(&planes, *remainder);
+                Found::Planes(planes)
+            }
+            Step::ClusterPoints(method) => {
+                let clusters = clouds::cluster_points(&cloud, method)?;
+                bench.clusters = Some(clusters.clone());
+                Found::Clusters(clusters)
+            }
+            Step::ShapeFeatures => match &bench.clusters {
+                Some(clusters) => Found::Shapes(shapes(&cloud, clusters)?),
+                None => clouds::shape_features(&cloud.positions).map(|(f, b)| Found::Shape(f, b))?,
+            },
+            Step::DetectObjects => Found::Detections(clouds::detect_objects(&cloud, self.detector())?),
+        })
+    }
+}
+
+impl Bench {
+    fn replace(&mut self, cloud: PointCloud) -> Found {
+        *self = Self { cloud: Arc::new(cloud), clusters: None };
+        Found::Nothing
+    }
+
+    fn keep(&mut self, (cloud, kept): (PointCloud, Vec<usize>)) -> Found {
+        self.replace(cloud);
+        Found::Kept(kept)
+    }
+
+    fn take_planes(&mut self, planes: &[TypedPlane], remainder: PlaneRemainder) {
+        if remainder == PlaneRemainder::All {
+            return;
+        }
+        let mut on_plane = vec![false; self.cloud.len()];
+        planes.iter().flat_map(|p| &p.segment.inliers).for_each(|&i| on_plane[i] = true);
+        let wanted = remainder == PlaneRemainder::Planes;
+        let kept: Vec<usize> = (0..on_plane.len()).filter(|&i| on_plane[i] == wanted).collect();
+        self.replace(self.cloud.select(&kept));
+    }
+}
+
+fn shapes(cloud: &PointCloud, clusters: &Clusters) -> Result<Vec<(u32, ShapeFeatures, OrientedBox3)>> {
+    let mut points = vec![vec![]; clusters.num_clusters];
+    for (label, p) in clusters.labels.iter().zip(&cloud.positions) {
+        if let Some(label) = label {
+            points[*label as usize].push(*p);
+        }
+    }
+    let shape = |(label, points): (usize, &Vec<_>)| clouds::shape_features(points).map(|(f, b)| (label as u32, f, b));
+    points.iter().enumerate().map(shape).collect()
+}

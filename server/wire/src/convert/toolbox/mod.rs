@@ -1,0 +1,91 @@
+//! Requests to the toolbox, laid over the defaults; answers back. One file a group.
+
+pub mod depth;
+pub mod files;
+pub mod filters;
+pub mod pipeline;
+pub mod registration;
+pub mod segmentation;
+
+use super::geometry;
+use crate::v1;
+use bytes::Bytes;
+use percept_geometry::PointCloud;
+use percept_service::toolbox::{KeptCloud, KeptList, Toolbox};
+use percept_service::{Error, Result};
+use std::sync::Arc;
+
+/// The cloud of a request: sent in `field`, or kept and named in `{field}_handle`.
+///
+/// # Errors
+/// Naming the channel; `CLOUD_MISSING`, `CLOUD_AMBIGUOUS`, `CLOUD_NOT_FOUND`.
+pub fn cloud(
+    toolbox: &Toolbox,
+    field: &'static str,
+    sent: Option<&v1::PointCloud>,
+    handle: Option<&str>,
+) -> Result<Arc<PointCloud>> {
+    match (sent, handle) {
+        (Some(c), None) => geometry::cloud(c, toolbox.limits()).map(Arc::new).map_err(|e| e.within(field)),
+        (None, Some(handle)) => toolbox.kept(&format!("{field}_handle"), handle),
+        (None, None) => {
+            let words = format!("{field} is missing; send it, or the handle of a kept one as {field}_handle");
+            Err(Error::invalid("FIELD_MISSING", field, words))
+        }
+        (Some(_), Some(_)) => {
+            let words = format!("{field} and {field}_handle are both set; send one of them");
+            Err(Error::invalid("CLOUD_AMBIGUOUS", field, words))
+        }
+    }
+}
+
+/// A resulting cloud: sent, or kept and named.
+///
+/// # Errors
+/// `KEPT_CLOUDS_FULL`.
+pub fn result(
+    toolbox: &Toolbox,
+    cloud: PointCloud,
+    keep: bool,
+) -> Result<(Option<v1::PointCloud>, Option<v1::CloudHandle>)> {
+    if keep {
+        return Ok((None, Some(kept_to(&toolbox.keep(cloud, None)?))));
+    }
+    Ok((Some(geometry::cloud_to(&cloud)), None))
+}
+
+/// A kept cloud as a message.
+pub fn kept_to(kept: &KeptCloud) -> v1::CloudHandle {
+    v1::CloudHandle {
+        handle: kept.handle.clone(),
+        num_points: kept.num_points as u32,
+        size_bytes: kept.size_bytes as u64,
+        expires_ns: kept.expires_ns,
+    }
+}
+
+/// The kept clouds as a message.
+pub fn kept_list_to(list: &KeptList) -> v1::ListCloudsResponse {
+    v1::ListCloudsResponse {
+        clouds: list.clouds.iter().map(kept_to).collect(),
+        used_bytes: list.used_bytes as u64,
+        max_bytes: list.max_bytes as u64,
+    }
+}
+
+/// Indices as uint32, little-endian.
+pub fn bytes_of_indices(indices: &[usize]) -> Bytes {
+    let mut out = vec![0; indices.len() * 4];
+    out.chunks_exact_mut(4).zip(indices).for_each(|(out, &i)| out.copy_from_slice(&(i as u32).to_le_bytes()));
+    out.into()
+}
+
+fn set<T>(slot: &mut T, sent: Option<T>) {
+    if let Some(value) = sent {
+        *slot = value;
+    }
+}
+
+fn count(sent: Option<u32>) -> Option<usize> {
+    sent.map(|n| n as usize)
+}

@@ -1,0 +1,101 @@
+//! Planes, clusters, shapes, objects: parameters of requests, and answers.
+
+use super::{count, set};
+use crate::convert::{geometry, scene, unknown_enum};
+use crate::v1;
+use percept_geometry::OrientedBox3;
+use percept_perception::cloud::{
+    ClusterParams, Clusters, DbscanParams, PlaneKind, PlaneParams, PlanesParams, ShapeFeatures, TypedPlane,
+};
+use percept_perception::detection::Detection;
+use percept_service::Result;
+use percept_service::toolbox::Clustering;
+
+/// Parameters of plane segmentation.
+pub fn planes_params(r: &v1::SegmentPlanesRequest) -> PlanesParams {
+    let mut plane = PlaneParams { seed: r.seed, min_points: 100, ..PlaneParams::default() };
+    set(&mut plane.distance_m, r.distance_m);
+    set(&mut plane.max_iterations, count(r.max_iterations));
+    set(&mut plane.min_points, count(r.min_points));
+    PlanesParams { plane, max_planes: count(r.max_planes).unwrap_or(1), ..PlanesParams::default() }
+}
+
+/// How points are clustered.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`.
+pub fn clustering(r: &v1::ClusterPointsRequest) -> Result<Clustering> {
+    use v1::ClusterMethod as M;
+    match M::try_from(r.method) {
+        Ok(M::Unspecified | M::Euclidean) => {
+            let mut params = ClusterParams::default();
+            set(&mut params.eps_m, r.eps_m);
+            set(&mut params.min_points, count(r.min_points));
+            Ok(Clustering::Euclidean(params))
+        }
+        Ok(M::Dbscan) => {
+            let mut params = DbscanParams::default();
+            set(&mut params.eps_m, r.eps_m);
+            set(&mut params.min_points, count(r.min_points));
+            Ok(Clustering::Dbscan(params))
+        }
+        Err(_) => Err(unknown_enum("method", r.method)),
+    }
+}
+
+/// Planes as a message.
+pub fn planes_to(planes: &[TypedPlane]) -> Vec<v1::PlaneSegment> {
+    let kind = |kind| match kind {
+        PlaneKind::Floor => v1::PlaneKind::Floor,
+        PlaneKind::Wall => v1::PlaneKind::Wall,
+        PlaneKind::Ceiling => v1::PlaneKind::Ceiling,
+        PlaneKind::Table => v1::PlaneKind::Table,
+        PlaneKind::Other => v1::PlaneKind::Other,
+    };
+    let convert = |p: &TypedPlane| v1::PlaneSegment {
+        plane: Some(geometry::plane_to(&p.segment.plane)),
+        kind: kind(p.kind).into(),
+        indices: p.segment.inliers.iter().map(|&i| i as u32).collect(),
+    };
+    planes.iter().map(convert).collect()
+}
+
+/// Clusters as a message.
+pub fn clusters_to(c: &Clusters) -> v1::ClusterPointsResponse {
+    let label = |l: &Option<u32>| l.map_or(-1, |l| l as i32);
+    v1::ClusterPointsResponse { labels: c.labels.iter().map(label).collect(), num_clusters: c.num_clusters as u32 }
+}
+
+/// Shape features as a message.
+pub fn features_to(f: &ShapeFeatures) -> v1::ShapeFeatures {
+    let [x, y, z] = f.eigenvalues;
+    v1::ShapeFeatures {
+        num_points: f.num_points as u32,
+        centroid: Some(geometry::vector_to(&f.centroid.coords)),
+        extent_m: Some(geometry::vector_to(&f.extent)),
+        volume_m3: f.volume_m3,
+        eigenvalues_m2: Some(v1::Vector3 { x, y, z }),
+        linearity: f.linearity,
+        planarity: f.planarity,
+        sphericity: f.sphericity,
+    }
+}
+
+/// Detections as a message.
+pub fn detections_to(found: &[Detection]) -> v1::DetectObjectsResponse {
+    let convert = |d: &Detection| v1::Detection {
+        object_class: scene::class_to(d.class).into(),
+        confidence: d.confidence,
+        r#box: Some(geometry::box_to(&d.bbox)),
+        features: Some(features_to(&d.features)),
+    };
+    v1::DetectObjectsResponse { detections: found.iter().map(convert).collect() }
+}
+
+/// A shape and its box as a message.
+pub fn shape_to((features, upright_box): &(ShapeFeatures, OrientedBox3)) -> v1::ComputeShapeFeaturesResponse {
+    v1::ComputeShapeFeaturesResponse {
+        features: Some(features_to(features)),
+        upright_box: Some(geometry::box_to(upright_box)),
+    }
+}
