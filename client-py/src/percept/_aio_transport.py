@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import grpc
 import grpc.aio
 
-from ._call import Call, ChunkedCall, PagedCall
+from ._call import Call, ChunkedCall, PagedCall, StreamedCall
 from ._rpc import A, Q, Rpc
 from ._transport_options import HEALTH_PATH, HEALTH_REQUEST, Options, backoff, is_serving
 from .errors import Unavailable, error_of_rpc
@@ -46,6 +46,15 @@ class AsyncTransport:
             return [answer async for answer in method(call.request, timeout=timeout_s)]
 
         return call.read(await self._tried(call.rpc.repeatable, None, read))
+
+    async def parts(self, call: StreamedCall[Q, A, T]) -> T:
+        """A request in parts; one answer."""
+        method: Any = self.channel.stream_unary(
+            call.rpc.path,
+            request_serializer=call.rpc.request.SerializeToString,
+            response_deserializer=call.rpc.answer.FromString,
+        )
+        return call.read(await self._tried(False, None, lambda t: method(call.parts(), timeout=t)))
 
     async def pages(self, call: PagedCall[Q, A, T]) -> AsyncIterator[T]:
         """The elements of all pages, asked for as they are used."""

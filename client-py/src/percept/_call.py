@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -27,6 +27,15 @@ class ChunkedCall(Generic[Q, A, T]):
     rpc: Rpc[Q, A]
     request: Q
     read: Callable[[list[A]], T]
+
+
+@dataclass(frozen=True)
+class StreamedCall(Generic[Q, A, T]):
+    """A request in parts, one answer; never tried again."""
+
+    rpc: Rpc[Q, A]
+    parts: Callable[[], Iterator[Q]]
+    read: Callable[[A], T]
 
 
 @dataclass(frozen=True)

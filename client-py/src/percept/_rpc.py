@@ -77,6 +77,32 @@ PLAN_PATH = Rpc(_V, "PlanPath", navigation.PlanPathRequest, navigation.PlanPathR
 NAVIGATE = Rpc(_V, "Navigate", navigation.NavigateRequest, navigation.NavigateResponse, repeatable=False)
 
 _T = "ToolboxService"
+# Uploading twice keeps two clouds.
+UPLOAD_CLOUD = Rpc(
+    _T, "UploadCloud", toolbox.UploadCloudRequest, toolbox.UploadCloudResponse, repeatable=False
+)
+UPLOAD_LARGE_CLOUD = Rpc(
+    _T,
+    "UploadLargeCloud",
+    toolbox.UploadLargeCloudRequest,
+    toolbox.UploadLargeCloudResponse,
+    repeatable=False,
+)
+LIST_CLOUDS = Rpc(_T, "ListClouds", toolbox.ListCloudsRequest, toolbox.ListCloudsResponse)
+DOWNLOAD_CLOUD = Rpc(_T, "DownloadCloud", toolbox.DownloadCloudRequest, toolbox.DownloadCloudResponse)
+DROP_CLOUD = Rpc(_T, "DropCloud", toolbox.DropCloudRequest, toolbox.DropCloudResponse, repeatable=False)
+RUN_PIPELINE = Rpc(_T, "RunPipeline", toolbox.RunPipelineRequest, toolbox.RunPipelineResponse)
+DECODE_CLOUD = Rpc(_T, "DecodeCloud", toolbox.DecodeCloudRequest, toolbox.DecodeCloudResponse)
+ENCODE_CLOUD = Rpc(_T, "EncodeCloud", toolbox.EncodeCloudRequest, toolbox.EncodeCloudResponse)
+CONVERT_DEPTH = Rpc(_T, "ConvertDepth", toolbox.ConvertDepthRequest, toolbox.ConvertDepthResponse)
+CONVERT_COLOR = Rpc(_T, "ConvertColor", toolbox.ConvertColorRequest, toolbox.ConvertColorResponse)
+REMOVE_NON_FINITE = Rpc(
+    _T, "RemoveNonFinite", toolbox.RemoveNonFiniteRequest, toolbox.RemoveNonFiniteResponse
+)
+TRANSFORM_CLOUD = Rpc(_T, "TransformCloud", toolbox.TransformCloudRequest, toolbox.TransformCloudResponse)
+REMOVE_RADIUS_OUTLIERS = Rpc(
+    _T, "RemoveRadiusOutliers", toolbox.RemoveRadiusOutliersRequest, toolbox.RemoveRadiusOutliersResponse
+)
 REMOVE_STATISTICAL_OUTLIERS = Rpc(
     _T,
     "RemoveStatisticalOutliers",

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import grpc
 
-from ._call import Call, ChunkedCall, PagedCall
+from ._call import Call, ChunkedCall, PagedCall, StreamedCall
 from ._rpc import A, Q, Rpc
 from ._transport_options import HEALTH_PATH, HEALTH_REQUEST, Options, backoff, is_serving
 from .errors import Unavailable, error_of_rpc
@@ -42,6 +42,15 @@ class Transport:
         method = self._server_stream(call.rpc)
         read = lambda t: list(method(call.request, timeout=t))  # noqa: E731
         return call.read(self._tried(call.rpc.repeatable, None, read))
+
+    def parts(self, call: StreamedCall[Q, A, T]) -> T:
+        """A request in parts; one answer."""
+        method: Any = self.channel.stream_unary(
+            call.rpc.path,
+            request_serializer=call.rpc.request.SerializeToString,
+            response_deserializer=call.rpc.answer.FromString,
+        )
+        return call.read(self._tried(False, None, lambda t: method(call.parts(), timeout=t)))
 
     def pages(self, call: PagedCall[Q, A, T]) -> Iterator[T]:
         """The elements of all pages, asked for as they are used."""

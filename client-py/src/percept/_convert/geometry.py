@@ -124,6 +124,13 @@ def fill_cloud(out: g.PointCloud, cloud: PointCloud) -> None:
             setattr(out, field, channel.tobytes())
 
 
+def sliced(cloud: PointCloud, part: slice) -> PointCloud:
+    """Some of a cloud's points, with all channels."""
+    channels = {name: getattr(cloud, name) for name, _, _, _ in _CHANNELS}
+    points = channels.pop("points")[part]
+    return PointCloud(points, **{name: c if c is None else c[part] for name, c in channels.items()})
+
+
 def cloud(message: g.PointCloud) -> PointCloud:
     """A cloud; its arrays are views of what came in, and cannot be written."""
     return joined_cloud([message])

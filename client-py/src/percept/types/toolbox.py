@@ -2,14 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from ._value import Name, Value
 from .geometry import Floats, OrientedBox, Plane, PointCloud, Pose
-from .scene import ShapeFeatures
+from .scene import Detection, ShapeFeatures
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CloudHandle(Value):
+    """A cloud that the server keeps; toolbox calls take it in place of a cloud."""
+
+    #: Its name on the server.
+    handle: str
+    num_points: int
+    #: What it takes of the server's budget.
+    size_bytes: int
+    #: Not forgotten before, nanoseconds since the Unix epoch by the server's clock; each use starts its
+    #: time anew.
+    expires_ns: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class KeptClouds(Value):
+    """The clouds that a server keeps."""
+
+    #: Oldest first.
+    clouds: tuple[CloudHandle, ...]
+    used_bytes: int
+    max_bytes: int
+
+
+class CloudFormat(Name):
+    """Files that a cloud is read from or written to."""
+
+    #: Reading: any PLY. Writing: binary little-endian.
+    PLY = "ply"
+    PLY_ASCII = "ply_ascii"
+    #: Reading: any PCD. Writing: binary.
+    PCD = "pcd"
+    #: float32 x y z intensity, without a header.
+    KITTI_BIN = "kitti_bin"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -89,3 +127,81 @@ class Registration(Value):
     converged: bool
     #: Axes (x, y, z, rotation x, y, z) that the clouds do not fix.
     degenerate_axes: tuple[bool, ...]
+
+
+class PlaneRemainder(Name):
+    """Which points go on after planes were found."""
+
+    REST = "rest"
+    PLANES = "planes"
+    ALL = "all"
+
+
+class Step(Value):
+    """An operation of a pipeline by its name, with the parameters of the method of that name.
+
+        Step("segment_planes", max_planes=3, remainder="rest"), Step("cluster_points", eps_m=0.08, quiet=True)
+
+    `quiet` leaves what it found out of the answer; `remainder` (segment_planes) says which points go on.
+    """
+
+    def __init__(
+        self,
+        operation: str,
+        *,
+        quiet: bool = False,
+        remainder: PlaneRemainder | str | None = None,
+        **params: object,
+    ) -> None:
+        self.operation = operation
+        self.quiet = quiet
+        self.remainder = remainder
+        self.params: Mapping[str, object] = params
+
+    def __repr__(self) -> str:
+        params = "".join(f", {name}={value!r}" for name, value in self.params.items())
+        return f"Step({self.operation!r}{params})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Step) and vars(self) == vars(other)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ClusterShape(Value):
+    """Shape of one cluster."""
+
+    label: int
+    features: ShapeFeatures
+    #: Smallest upright box, frame of the input.
+    upright_box: OrientedBox
+
+
+#: Indices of kept points (M,) uint32, planes, clusters, shape of the cloud, shapes of its clusters, objects.
+StepAnswer: TypeAlias = (
+    npt.NDArray[np.uint32] | list[PlaneSegment] | Clusters | Shape | list[ClusterShape] | list[Detection]
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StepResult(Value):
+    """What became of a step. Indices and labels are of the points that it was given."""
+
+    operation: str
+    num_points_in: int
+    num_points_out: int
+    #: On the server.
+    elapsed_ms: float
+    #: None if it was quiet, or the cloud is all there is.
+    answer: StepAnswer | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PipelineResult(Value):
+    """What a pipeline found."""
+
+    #: One a step.
+    steps: tuple[StepResult, ...]
+    #: What the last step left, if asked for.
+    cloud: PointCloud | None
+    #: The same, kept on the server, if asked for.
+    kept: CloudHandle | None

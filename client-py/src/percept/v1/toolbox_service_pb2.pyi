@@ -9,6 +9,7 @@ from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from percept.v1 import geometry_pb2 as _geometry_pb2
+from percept.v1 import map_pb2 as _map_pb2
 from percept.v1 import object_pb2 as _object_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
 import builtins as _builtins
@@ -96,6 +97,64 @@ REGISTRATION_METHOD_POINT_TO_PLANE: RegistrationMethod.ValueType  # 2
 """Chen and Medioni 1992; normals of the target are estimated if absent."""
 Global___RegistrationMethod: _TypeAlias = RegistrationMethod  # noqa: Y015
 
+class _CloudFormat:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _CloudFormatEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_CloudFormat.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    CLOUD_FORMAT_UNSPECIFIED: _CloudFormat.ValueType  # 0
+    """Reading: told by the first bytes."""
+    CLOUD_FORMAT_PLY: _CloudFormat.ValueType  # 1
+    """Reading: any PLY. Writing: binary little-endian."""
+    CLOUD_FORMAT_PLY_ASCII: _CloudFormat.ValueType  # 2
+    CLOUD_FORMAT_PCD: _CloudFormat.ValueType  # 3
+    """Reading: any PCD. Writing: binary."""
+    CLOUD_FORMAT_KITTI_BIN: _CloudFormat.ValueType  # 7
+    """float32 x y z intensity, without a header."""
+
+class CloudFormat(_CloudFormat, metaclass=_CloudFormatEnumTypeWrapper):
+    """Files that a cloud is read from or written to."""
+
+CLOUD_FORMAT_UNSPECIFIED: CloudFormat.ValueType  # 0
+"""Reading: told by the first bytes."""
+CLOUD_FORMAT_PLY: CloudFormat.ValueType  # 1
+"""Reading: any PLY. Writing: binary little-endian."""
+CLOUD_FORMAT_PLY_ASCII: CloudFormat.ValueType  # 2
+CLOUD_FORMAT_PCD: CloudFormat.ValueType  # 3
+"""Reading: any PCD. Writing: binary."""
+CLOUD_FORMAT_KITTI_BIN: CloudFormat.ValueType  # 7
+"""float32 x y z intensity, without a header."""
+Global___CloudFormat: _TypeAlias = CloudFormat  # noqa: Y015
+
+class _PlaneRemainder:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _PlaneRemainderEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_PlaneRemainder.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    PLANE_REMAINDER_UNSPECIFIED: _PlaneRemainder.ValueType  # 0
+    """REST."""
+    PLANE_REMAINDER_REST: _PlaneRemainder.ValueType  # 1
+    """Those of no plane."""
+    PLANE_REMAINDER_PLANES: _PlaneRemainder.ValueType  # 2
+    """Those of planes."""
+    PLANE_REMAINDER_ALL: _PlaneRemainder.ValueType  # 3
+    """All."""
+
+class PlaneRemainder(_PlaneRemainder, metaclass=_PlaneRemainderEnumTypeWrapper):
+    """Which points go on after planes were found."""
+
+PLANE_REMAINDER_UNSPECIFIED: PlaneRemainder.ValueType  # 0
+"""REST."""
+PLANE_REMAINDER_REST: PlaneRemainder.ValueType  # 1
+"""Those of no plane."""
+PLANE_REMAINDER_PLANES: PlaneRemainder.ValueType  # 2
+"""Those of planes."""
+PLANE_REMAINDER_ALL: PlaneRemainder.ValueType  # 3
+"""All."""
+Global___PlaneRemainder: _TypeAlias = PlaneRemainder  # noqa: Y015
+
 @_typing.final
 class RemoveStatisticalOutliersRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
@@ -103,10 +162,16 @@ class RemoveStatisticalOutliersRequest(_message.Message):
     CLOUD_FIELD_NUMBER: _builtins.int
     NUM_NEIGHBORS_FIELD_NUMBER: _builtins.int
     STD_RATIO_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
     num_neighbors: _builtins.int
     """Neighbours, 1 to 1000. Absent: 20."""
     std_ratio: _builtins.float
     """Kept up to mean + std_ratio * deviation of the mean distances. Absent: 2."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud: ...
     def __init__(
@@ -115,15 +180,21 @@ class RemoveStatisticalOutliersRequest(_message.Message):
         cloud: _geometry_pb2.PointCloud | None = ...,
         num_neighbors: _builtins.int | None = ...,
         std_ratio: _builtins.float | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+        keep_result: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_num_neighbors", b"_num_neighbors", "_std_ratio", b"_std_ratio", "cloud", b"cloud", "num_neighbors", b"num_neighbors", "std_ratio", b"std_ratio"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_num_neighbors", b"_num_neighbors", "_std_ratio", b"_std_ratio", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "num_neighbors", b"num_neighbors", "std_ratio", b"std_ratio"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_num_neighbors", b"_num_neighbors", "_std_ratio", b"_std_ratio", "cloud", b"cloud", "num_neighbors", b"num_neighbors", "std_ratio", b"std_ratio"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_num_neighbors", b"_num_neighbors", "_std_ratio", b"_std_ratio", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result", "num_neighbors", b"num_neighbors", "std_ratio", b"std_ratio"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
     _WhichOneofReturnType__num_neighbors: _TypeAlias = _typing.Literal["num_neighbors"]  # noqa: Y015
     _WhichOneofArgType__num_neighbors: _TypeAlias = _typing.Literal["_num_neighbors", b"_num_neighbors"]  # noqa: Y015
     _WhichOneofReturnType__std_ratio: _TypeAlias = _typing.Literal["std_ratio"]  # noqa: Y015
     _WhichOneofArgType__std_ratio: _TypeAlias = _typing.Literal["_std_ratio", b"_std_ratio"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__num_neighbors) -> _WhichOneofReturnType__num_neighbors | None: ...
     @_typing.overload
@@ -137,6 +208,7 @@ class RemoveStatisticalOutliersResponse(_message.Message):
 
     CLOUD_FIELD_NUMBER: _builtins.int
     INDICES_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud:
         """What was kept, in order, with all channels."""
@@ -145,17 +217,24 @@ class RemoveStatisticalOutliersResponse(_message.Message):
     def indices(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
         """Indices of the kept points in the input."""
 
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
+
     def __init__(
         self,
         *,
         cloud: _geometry_pb2.PointCloud | None = ...,
         indices: _abc.Iterable[_builtins.int] | None = ...,
+        kept: Global___CloudHandle | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "indices", b"indices"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "indices", b"indices", "kept", b"kept"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
 
 Global___RemoveStatisticalOutliersResponse: _TypeAlias = RemoveStatisticalOutliersResponse  # noqa: Y015
 
@@ -165,8 +244,14 @@ class DownsampleVoxelsRequest(_message.Message):
 
     CLOUD_FIELD_NUMBER: _builtins.int
     VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
     voxel_size_m: _builtins.float
     """Edge, metres. Absent: 0.05."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud: ...
     def __init__(
@@ -174,13 +259,20 @@ class DownsampleVoxelsRequest(_message.Message):
         *,
         cloud: _geometry_pb2.PointCloud | None = ...,
         voxel_size_m: _builtins.float | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+        keep_result: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
     _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
     _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
 
 Global___DownsampleVoxelsRequest: _TypeAlias = DownsampleVoxelsRequest  # noqa: Y015
@@ -190,18 +282,26 @@ class DownsampleVoxelsResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CLOUD_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
+
     def __init__(
         self,
         *,
         cloud: _geometry_pb2.PointCloud | None = ...,
+        kept: Global___CloudHandle | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
 
 Global___DownsampleVoxelsResponse: _TypeAlias = DownsampleVoxelsResponse  # noqa: Y015
 
@@ -213,10 +313,16 @@ class EstimateNormalsRequest(_message.Message):
     RADIUS_M_FIELD_NUMBER: _builtins.int
     MAX_NEIGHBORS_FIELD_NUMBER: _builtins.int
     VIEWPOINT_M_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
     radius_m: _builtins.float
     """Metres. Absent: 0.1."""
     max_neighbors: _builtins.int
     """Nearest neighbours used, at most. Absent: 30."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud: ...
     @_builtins.property
@@ -230,15 +336,21 @@ class EstimateNormalsRequest(_message.Message):
         radius_m: _builtins.float | None = ...,
         max_neighbors: _builtins.int | None = ...,
         viewpoint_m: _geometry_pb2.Vector3 | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+        keep_result: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
     _WhichOneofReturnType__max_neighbors: _TypeAlias = _typing.Literal["max_neighbors"]  # noqa: Y015
     _WhichOneofArgType__max_neighbors: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors"]  # noqa: Y015
     _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
     _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbors) -> _WhichOneofReturnType__max_neighbors | None: ...
     @_typing.overload
@@ -251,20 +363,28 @@ class EstimateNormalsResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CLOUD_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud:
         """The input with normals; zero where fewer than three neighbours were found."""
+
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
 
     def __init__(
         self,
         *,
         cloud: _geometry_pb2.PointCloud | None = ...,
+        kept: Global___CloudHandle | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
 
 Global___EstimateNormalsResponse: _TypeAlias = EstimateNormalsResponse  # noqa: Y015
 
@@ -309,6 +429,7 @@ class SegmentPlanesRequest(_message.Message):
     MAX_PLANES_FIELD_NUMBER: _builtins.int
     MIN_POINTS_FIELD_NUMBER: _builtins.int
     SEED_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
     distance_m: _builtins.float
     """Inliers are nearer than this, metres. Absent: 0.02."""
     max_iterations: _builtins.int
@@ -319,6 +440,8 @@ class SegmentPlanesRequest(_message.Message):
     """Points a plane must have. Absent: 100."""
     seed: _builtins.int
     """Same seed, same answer."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud: ...
     def __init__(
@@ -330,11 +453,14 @@ class SegmentPlanesRequest(_message.Message):
         max_planes: _builtins.int | None = ...,
         min_points: _builtins.int | None = ...,
         seed: _builtins.int = ...,
+        cloud_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "distance_m", b"distance_m", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_distance_m", b"_distance_m", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "distance_m", b"distance_m", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "distance_m", b"distance_m", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points", "seed", b"seed"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_distance_m", b"_distance_m", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "distance_m", b"distance_m", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points", "seed", b"seed"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
     _WhichOneofReturnType__distance_m: _TypeAlias = _typing.Literal["distance_m"]  # noqa: Y015
     _WhichOneofArgType__distance_m: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m"]  # noqa: Y015
     _WhichOneofReturnType__max_iterations: _TypeAlias = _typing.Literal["max_iterations"]  # noqa: Y015
@@ -343,6 +469,8 @@ class SegmentPlanesRequest(_message.Message):
     _WhichOneofArgType__max_planes: _TypeAlias = _typing.Literal["_max_planes", b"_max_planes"]  # noqa: Y015
     _WhichOneofReturnType__min_points: _TypeAlias = _typing.Literal["min_points"]  # noqa: Y015
     _WhichOneofArgType__min_points: _TypeAlias = _typing.Literal["_min_points", b"_min_points"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__distance_m) -> _WhichOneofReturnType__distance_m | None: ...
     @_typing.overload
@@ -384,11 +512,14 @@ class ClusterPointsRequest(_message.Message):
     METHOD_FIELD_NUMBER: _builtins.int
     EPS_M_FIELD_NUMBER: _builtins.int
     MIN_POINTS_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
     method: Global___ClusterMethod.ValueType
     eps_m: _builtins.float
     """Metres. Absent: 0.05."""
     min_points: _builtins.int
     """Absent: 10."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud: ...
     def __init__(
@@ -398,15 +529,20 @@ class ClusterPointsRequest(_message.Message):
         method: Global___ClusterMethod.ValueType = ...,
         eps_m: _builtins.float | None = ...,
         min_points: _builtins.int | None = ...,
+        cloud_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_eps_m", b"_eps_m", "_min_points", b"_min_points", "cloud", b"cloud", "eps_m", b"eps_m", "min_points", b"min_points"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_eps_m", b"_eps_m", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "eps_m", b"eps_m", "min_points", b"min_points"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_eps_m", b"_eps_m", "_min_points", b"_min_points", "cloud", b"cloud", "eps_m", b"eps_m", "method", b"method", "min_points", b"min_points"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_eps_m", b"_eps_m", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "eps_m", b"eps_m", "method", b"method", "min_points", b"min_points"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
     _WhichOneofReturnType__eps_m: _TypeAlias = _typing.Literal["eps_m"]  # noqa: Y015
     _WhichOneofArgType__eps_m: _TypeAlias = _typing.Literal["_eps_m", b"_eps_m"]  # noqa: Y015
     _WhichOneofReturnType__min_points: _TypeAlias = _typing.Literal["min_points"]  # noqa: Y015
     _WhichOneofArgType__min_points: _TypeAlias = _typing.Literal["_min_points", b"_min_points"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__eps_m) -> _WhichOneofReturnType__eps_m | None: ...
     @_typing.overload
@@ -444,18 +580,24 @@ class ComputeShapeFeaturesRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CLOUD_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud: ...
     def __init__(
         self,
         *,
         cloud: _geometry_pb2.PointCloud | None = ...,
+        cloud_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
 
 Global___ComputeShapeFeaturesRequest: _TypeAlias = ComputeShapeFeaturesRequest  # noqa: Y015
 
@@ -490,6 +632,9 @@ class DetectObjectsRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CLOUD_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud:
         """z up, floor near z = 0, metres."""
@@ -498,12 +643,15 @@ class DetectObjectsRequest(_message.Message):
         self,
         *,
         cloud: _geometry_pb2.PointCloud | None = ...,
+        cloud_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
 
 Global___DetectObjectsRequest: _TypeAlias = DetectObjectsRequest  # noqa: Y015
 
@@ -537,11 +685,17 @@ class RegisterCloudsRequest(_message.Message):
     METHOD_FIELD_NUMBER: _builtins.int
     MAX_DISTANCE_M_FIELD_NUMBER: _builtins.int
     MAX_ITERATIONS_FIELD_NUMBER: _builtins.int
+    SOURCE_HANDLE_FIELD_NUMBER: _builtins.int
+    TARGET_HANDLE_FIELD_NUMBER: _builtins.int
     method: Global___RegistrationMethod.ValueType
     max_distance_m: _builtins.float
     """Pairs further apart do not count, metres. Absent: 1."""
     max_iterations: _builtins.int
     """Absent: 50."""
+    source_handle: _builtins.str
+    """Instead of source: a kept cloud's handle."""
+    target_handle: _builtins.str
+    """Instead of target: a kept cloud's handle."""
     @_builtins.property
     def source(self) -> _geometry_pb2.PointCloud: ...
     @_builtins.property
@@ -559,19 +713,29 @@ class RegisterCloudsRequest(_message.Message):
         method: Global___RegistrationMethod.ValueType = ...,
         max_distance_m: _builtins.float | None = ...,
         max_iterations: _builtins.int | None = ...,
+        source_handle: _builtins.str | None = ...,
+        target_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "initial_guess", b"initial_guess", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "source", b"source", "target", b"target"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_source_handle", b"_source_handle", "_target_handle", b"_target_handle", "initial_guess", b"initial_guess", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "source", b"source", "source_handle", b"source_handle", "target", b"target", "target_handle", b"target_handle"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "initial_guess", b"initial_guess", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "method", b"method", "source", b"source", "target", b"target"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_source_handle", b"_source_handle", "_target_handle", b"_target_handle", "initial_guess", b"initial_guess", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "method", b"method", "source", b"source", "source_handle", b"source_handle", "target", b"target", "target_handle", b"target_handle"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__max_distance_m: _TypeAlias = _typing.Literal["max_distance_m"]  # noqa: Y015
     _WhichOneofArgType__max_distance_m: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m"]  # noqa: Y015
     _WhichOneofReturnType__max_iterations: _TypeAlias = _typing.Literal["max_iterations"]  # noqa: Y015
     _WhichOneofArgType__max_iterations: _TypeAlias = _typing.Literal["_max_iterations", b"_max_iterations"]  # noqa: Y015
+    _WhichOneofReturnType__source_handle: _TypeAlias = _typing.Literal["source_handle"]  # noqa: Y015
+    _WhichOneofArgType__source_handle: _TypeAlias = _typing.Literal["_source_handle", b"_source_handle"]  # noqa: Y015
+    _WhichOneofReturnType__target_handle: _TypeAlias = _typing.Literal["target_handle"]  # noqa: Y015
+    _WhichOneofArgType__target_handle: _TypeAlias = _typing.Literal["_target_handle", b"_target_handle"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_distance_m) -> _WhichOneofReturnType__max_distance_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_iterations) -> _WhichOneofReturnType__max_iterations | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__source_handle) -> _WhichOneofReturnType__source_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__target_handle) -> _WhichOneofReturnType__target_handle | None: ...
 
 Global___RegisterCloudsRequest: _TypeAlias = RegisterCloudsRequest  # noqa: Y015
 
@@ -631,12 +795,15 @@ class UnprojectDepthRequest(_message.Message):
     STRIDE_FIELD_NUMBER: _builtins.int
     MIN_DEPTH_M_FIELD_NUMBER: _builtins.int
     MAX_DEPTH_M_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
     stride: _builtins.int
     """Every stride-th pixel of every stride-th row. Absent: 1."""
     min_depth_m: _builtins.float
     """Metres. Absent: 0."""
     max_depth_m: _builtins.float
     """Metres. Absent: 10."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
     @_builtins.property
     def depth(self) -> _sensor_pb2.DepthImage: ...
     @_builtins.property
@@ -654,10 +821,11 @@ class UnprojectDepthRequest(_message.Message):
         stride: _builtins.int | None = ...,
         min_depth_m: _builtins.float | None = ...,
         max_depth_m: _builtins.float | None = ...,
+        keep_result: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_color", b"_color", "_max_depth_m", b"_max_depth_m", "_min_depth_m", b"_min_depth_m", "_stride", b"_stride", "color", b"color", "depth", b"depth", "intrinsics", b"intrinsics", "max_depth_m", b"max_depth_m", "min_depth_m", b"min_depth_m", "stride", b"stride"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_color", b"_color", "_max_depth_m", b"_max_depth_m", "_min_depth_m", b"_min_depth_m", "_stride", b"_stride", "color", b"color", "depth", b"depth", "intrinsics", b"intrinsics", "max_depth_m", b"max_depth_m", "min_depth_m", b"min_depth_m", "stride", b"stride"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_color", b"_color", "_max_depth_m", b"_max_depth_m", "_min_depth_m", b"_min_depth_m", "_stride", b"_stride", "color", b"color", "depth", b"depth", "intrinsics", b"intrinsics", "keep_result", b"keep_result", "max_depth_m", b"max_depth_m", "min_depth_m", b"min_depth_m", "stride", b"stride"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__color: _TypeAlias = _typing.Literal["color"]  # noqa: Y015
     _WhichOneofArgType__color: _TypeAlias = _typing.Literal["_color", b"_color"]  # noqa: Y015
@@ -683,19 +851,1006 @@ class UnprojectDepthResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CLOUD_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud:
         """Optical frame, metres."""
+
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
 
     def __init__(
         self,
         *,
         cloud: _geometry_pb2.PointCloud | None = ...,
+        kept: Global___CloudHandle | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
+
+Global___UnprojectDepthResponse: _TypeAlias = UnprojectDepthResponse  # noqa: Y015
+
+@_typing.final
+class CloudHandle(_message.Message):
+    """A cloud that the server keeps."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    HANDLE_FIELD_NUMBER: _builtins.int
+    NUM_POINTS_FIELD_NUMBER: _builtins.int
+    SIZE_BYTES_FIELD_NUMBER: _builtins.int
+    EXPIRES_NS_FIELD_NUMBER: _builtins.int
+    handle: _builtins.str
+    """Names it in requests."""
+    num_points: _builtins.int
+    size_bytes: _builtins.int
+    """What it takes of the budget."""
+    expires_ns: _builtins.int
+    """Not forgotten before, nanoseconds since the Unix epoch by the server's clock; each use starts its time anew."""
+    def __init__(
+        self,
+        *,
+        handle: _builtins.str = ...,
+        num_points: _builtins.int = ...,
+        size_bytes: _builtins.int = ...,
+        expires_ns: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["expires_ns", b"expires_ns", "handle", b"handle", "num_points", b"num_points", "size_bytes", b"size_bytes"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
-Global___UnprojectDepthResponse: _TypeAlias = UnprojectDepthResponse  # noqa: Y015
+Global___CloudHandle: _TypeAlias = CloudHandle  # noqa: Y015
+
+@_typing.final
+class CloudFile(_message.Message):
+    """A cloud's file."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DATA_FIELD_NUMBER: _builtins.int
+    FORMAT_FIELD_NUMBER: _builtins.int
+    data: _builtins.bytes
+    format: Global___CloudFormat.ValueType
+    def __init__(
+        self,
+        *,
+        data: _builtins.bytes = ...,
+        format: Global___CloudFormat.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["data", b"data", "format", b"format"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___CloudFile: _TypeAlias = CloudFile  # noqa: Y015
+
+@_typing.final
+class UploadCloudRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    FILE_FIELD_NUMBER: _builtins.int
+    KEEP_S_FIELD_NUMBER: _builtins.int
+    keep_s: _builtins.float
+    """How long it is kept unused, seconds, at most limits.max_kept_s. Absent: that."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def file(self) -> Global___CloudFile: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        file: Global___CloudFile | None = ...,
+        keep_s: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_keep_s", b"_keep_s", "cloud", b"cloud", "file", b"file", "keep_s", b"keep_s", "source", b"source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_keep_s", b"_keep_s", "cloud", b"cloud", "file", b"file", "keep_s", b"keep_s", "source", b"source"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__keep_s: _TypeAlias = _typing.Literal["keep_s"]  # noqa: Y015
+    _WhichOneofArgType__keep_s: _TypeAlias = _typing.Literal["_keep_s", b"_keep_s"]  # noqa: Y015
+    _WhichOneofReturnType_source: _TypeAlias = _typing.Literal["cloud", "file"]  # noqa: Y015
+    _WhichOneofArgType_source: _TypeAlias = _typing.Literal["source", b"source"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__keep_s) -> _WhichOneofReturnType__keep_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_source) -> _WhichOneofReturnType_source | None: ...
+
+Global___UploadCloudRequest: _TypeAlias = UploadCloudRequest  # noqa: Y015
+
+@_typing.final
+class UploadCloudResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    KEPT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle: ...
+    def __init__(
+        self,
+        *,
+        kept: Global___CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___UploadCloudResponse: _TypeAlias = UploadCloudResponse  # noqa: Y015
+
+@_typing.final
+class UploadLargeCloudRequest(_message.Message):
+    """Part of a cloud: points that join those before, or bytes of a file."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    POINTS_FIELD_NUMBER: _builtins.int
+    DATA_FIELD_NUMBER: _builtins.int
+    FORMAT_FIELD_NUMBER: _builtins.int
+    KEEP_S_FIELD_NUMBER: _builtins.int
+    data: _builtins.bytes
+    format: Global___CloudFormat.ValueType
+    """First message only: of the file."""
+    keep_s: _builtins.float
+    """First message only: as in UploadCloudRequest."""
+    @_builtins.property
+    def points(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        points: _geometry_pb2.PointCloud | None = ...,
+        data: _builtins.bytes = ...,
+        format: Global___CloudFormat.ValueType = ...,
+        keep_s: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_keep_s", b"_keep_s", "data", b"data", "keep_s", b"keep_s", "part", b"part", "points", b"points"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_keep_s", b"_keep_s", "data", b"data", "format", b"format", "keep_s", b"keep_s", "part", b"part", "points", b"points"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__keep_s: _TypeAlias = _typing.Literal["keep_s"]  # noqa: Y015
+    _WhichOneofArgType__keep_s: _TypeAlias = _typing.Literal["_keep_s", b"_keep_s"]  # noqa: Y015
+    _WhichOneofReturnType_part: _TypeAlias = _typing.Literal["points", "data"]  # noqa: Y015
+    _WhichOneofArgType_part: _TypeAlias = _typing.Literal["part", b"part"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__keep_s) -> _WhichOneofReturnType__keep_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_part) -> _WhichOneofReturnType_part | None: ...
+
+Global___UploadLargeCloudRequest: _TypeAlias = UploadLargeCloudRequest  # noqa: Y015
+
+@_typing.final
+class UploadLargeCloudResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    KEPT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle: ...
+    def __init__(
+        self,
+        *,
+        kept: Global___CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___UploadLargeCloudResponse: _TypeAlias = UploadLargeCloudResponse  # noqa: Y015
+
+@_typing.final
+class ListCloudsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    def __init__(
+        self,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ListCloudsRequest: _TypeAlias = ListCloudsRequest  # noqa: Y015
+
+@_typing.final
+class ListCloudsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUDS_FIELD_NUMBER: _builtins.int
+    USED_BYTES_FIELD_NUMBER: _builtins.int
+    MAX_BYTES_FIELD_NUMBER: _builtins.int
+    used_bytes: _builtins.int
+    """Budget that is used."""
+    max_bytes: _builtins.int
+    """Budget in all."""
+    @_builtins.property
+    def clouds(self) -> _containers.RepeatedCompositeFieldContainer[Global___CloudHandle]:
+        """Oldest first."""
+
+    def __init__(
+        self,
+        *,
+        clouds: _abc.Iterable[Global___CloudHandle] | None = ...,
+        used_bytes: _builtins.int = ...,
+        max_bytes: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["clouds", b"clouds", "max_bytes", b"max_bytes", "used_bytes", b"used_bytes"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ListCloudsResponse: _TypeAlias = ListCloudsResponse  # noqa: Y015
+
+@_typing.final
+class DownloadCloudRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    HANDLE_FIELD_NUMBER: _builtins.int
+    FORMAT_FIELD_NUMBER: _builtins.int
+    handle: _builtins.str
+    format: Global___CloudFormat.ValueType
+    """UNSPECIFIED: points."""
+    def __init__(
+        self,
+        *,
+        handle: _builtins.str = ...,
+        format: Global___CloudFormat.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["format", b"format", "handle", b"handle"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___DownloadCloudRequest: _TypeAlias = DownloadCloudRequest  # noqa: Y015
+
+@_typing.final
+class DownloadCloudResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CHUNK_FIELD_NUMBER: _builtins.int
+    POINTS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def chunk(self) -> _map_pb2.FileChunk:
+        """Part of the file. Absent if points were asked for."""
+
+    @_builtins.property
+    def points(self) -> _map_pb2.CloudChunk:
+        """Part of the points, in order; the first has total_points."""
+
+    def __init__(
+        self,
+        *,
+        chunk: _map_pb2.FileChunk | None = ...,
+        points: _map_pb2.CloudChunk | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["chunk", b"chunk", "points", b"points"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["chunk", b"chunk", "points", b"points"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___DownloadCloudResponse: _TypeAlias = DownloadCloudResponse  # noqa: Y015
+
+@_typing.final
+class DropCloudRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    HANDLE_FIELD_NUMBER: _builtins.int
+    handle: _builtins.str
+    def __init__(
+        self,
+        *,
+        handle: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["handle", b"handle"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___DropCloudRequest: _TypeAlias = DropCloudRequest  # noqa: Y015
+
+@_typing.final
+class DropCloudResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    def __init__(
+        self,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___DropCloudResponse: _TypeAlias = DropCloudResponse  # noqa: Y015
+
+@_typing.final
+class DecodeCloudRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    FILE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
+    @_builtins.property
+    def file(self) -> Global___CloudFile: ...
+    def __init__(
+        self,
+        *,
+        file: Global___CloudFile | None = ...,
+        keep_result: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["file", b"file"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["file", b"file", "keep_result", b"keep_result"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___DecodeCloudRequest: _TypeAlias = DecodeCloudRequest  # noqa: Y015
+
+@_typing.final
+class DecodeCloudResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        kept: Global___CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
+
+Global___DecodeCloudResponse: _TypeAlias = DecodeCloudResponse  # noqa: Y015
+
+@_typing.final
+class EncodeCloudRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    FORMAT_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    format: Global___CloudFormat.ValueType
+    """UNSPECIFIED: PLY."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        format: Global___CloudFormat.ValueType = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "format", b"format"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+
+Global___EncodeCloudRequest: _TypeAlias = EncodeCloudRequest  # noqa: Y015
+
+@_typing.final
+class EncodeCloudResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    FILE_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def file(self) -> Global___CloudFile: ...
+    def __init__(
+        self,
+        *,
+        file: Global___CloudFile | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["file", b"file"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["file", b"file"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___EncodeCloudResponse: _TypeAlias = EncodeCloudResponse  # noqa: Y015
+
+@_typing.final
+class ConvertDepthRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DEPTH_FIELD_NUMBER: _builtins.int
+    ENCODING_FIELD_NUMBER: _builtins.int
+    METRES_PER_UNIT_FIELD_NUMBER: _builtins.int
+    encoding: _sensor_pb2.DepthEncoding.ValueType
+    """UNSPECIFIED: F32."""
+    metres_per_unit: _builtins.float
+    """Of the answer, metres; for U16 and PNG16. Absent: 0.001."""
+    @_builtins.property
+    def depth(self) -> _sensor_pb2.DepthImage:
+        """A PNG16 may leave its size 0: it is the file's."""
+
+    def __init__(
+        self,
+        *,
+        depth: _sensor_pb2.DepthImage | None = ...,
+        encoding: _sensor_pb2.DepthEncoding.ValueType = ...,
+        metres_per_unit: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_metres_per_unit", b"_metres_per_unit", "depth", b"depth", "metres_per_unit", b"metres_per_unit"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_metres_per_unit", b"_metres_per_unit", "depth", b"depth", "encoding", b"encoding", "metres_per_unit", b"metres_per_unit"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__metres_per_unit: _TypeAlias = _typing.Literal["metres_per_unit"]  # noqa: Y015
+    _WhichOneofArgType__metres_per_unit: _TypeAlias = _typing.Literal["_metres_per_unit", b"_metres_per_unit"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__metres_per_unit) -> _WhichOneofReturnType__metres_per_unit | None: ...
+
+Global___ConvertDepthRequest: _TypeAlias = ConvertDepthRequest  # noqa: Y015
+
+@_typing.final
+class ConvertDepthResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DEPTH_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def depth(self) -> _sensor_pb2.DepthImage: ...
+    def __init__(
+        self,
+        *,
+        depth: _sensor_pb2.DepthImage | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["depth", b"depth"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["depth", b"depth"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ConvertDepthResponse: _TypeAlias = ConvertDepthResponse  # noqa: Y015
+
+@_typing.final
+class ConvertColorRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    COLOR_FIELD_NUMBER: _builtins.int
+    ENCODING_FIELD_NUMBER: _builtins.int
+    QUALITY_FIELD_NUMBER: _builtins.int
+    encoding: _sensor_pb2.ColorEncoding.ValueType
+    """UNSPECIFIED: RGB8."""
+    quality: _builtins.int
+    """Of a JPEG, 1 to 100. Absent: 90."""
+    @_builtins.property
+    def color(self) -> _sensor_pb2.ColorImage:
+        """A PNG or JPEG may leave its size 0: it is the file's."""
+
+    def __init__(
+        self,
+        *,
+        color: _sensor_pb2.ColorImage | None = ...,
+        encoding: _sensor_pb2.ColorEncoding.ValueType = ...,
+        quality: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_quality", b"_quality", "color", b"color", "quality", b"quality"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_quality", b"_quality", "color", b"color", "encoding", b"encoding", "quality", b"quality"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__quality: _TypeAlias = _typing.Literal["quality"]  # noqa: Y015
+    _WhichOneofArgType__quality: _TypeAlias = _typing.Literal["_quality", b"_quality"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__quality) -> _WhichOneofReturnType__quality | None: ...
+
+Global___ConvertColorRequest: _TypeAlias = ConvertColorRequest  # noqa: Y015
+
+@_typing.final
+class ConvertColorResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    COLOR_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def color(self) -> _sensor_pb2.ColorImage: ...
+    def __init__(
+        self,
+        *,
+        color: _sensor_pb2.ColorImage | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["color", b"color"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["color", b"color"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ConvertColorResponse: _TypeAlias = ConvertColorResponse  # noqa: Y015
+
+@_typing.final
+class RemoveNonFiniteRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+        keep_result: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+
+Global___RemoveNonFiniteRequest: _TypeAlias = RemoveNonFiniteRequest  # noqa: Y015
+
+@_typing.final
+class RemoveNonFiniteResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud:
+        """What was kept, in order, with all channels."""
+
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        kept: Global___CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
+
+Global___RemoveNonFiniteResponse: _TypeAlias = RemoveNonFiniteResponse  # noqa: Y015
+
+@_typing.final
+class TransformCloudRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    T_A_B_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def t_a_b(self) -> _geometry_pb2.Pose:
+        """Frame of the input b to that of the answer a. Absent: identity."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        t_a_b: _geometry_pb2.Pose | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+        keep_result: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "t_a_b", b"t_a_b"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result", "t_a_b", b"t_a_b"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+
+Global___TransformCloudRequest: _TypeAlias = TransformCloudRequest  # noqa: Y015
+
+@_typing.final
+class TransformCloudResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        kept: Global___CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
+
+Global___TransformCloudResponse: _TypeAlias = TransformCloudResponse  # noqa: Y015
+
+@_typing.final
+class RemoveRadiusOutliersRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    RADIUS_M_FIELD_NUMBER: _builtins.int
+    MIN_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
+    radius_m: _builtins.float
+    """Metres. Absent: 0.1."""
+    min_neighbors: _builtins.int
+    """Neighbours that a point has at least, itself not among them. Absent: 5."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        radius_m: _builtins.float | None = ...,
+        min_neighbors: _builtins.int | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+        keep_result: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_min_neighbors", b"_min_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "min_neighbors", b"min_neighbors", "radius_m", b"radius_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_min_neighbors", b"_min_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result", "min_neighbors", b"min_neighbors", "radius_m", b"radius_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType__min_neighbors: _TypeAlias = _typing.Literal["min_neighbors"]  # noqa: Y015
+    _WhichOneofArgType__min_neighbors: _TypeAlias = _typing.Literal["_min_neighbors", b"_min_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
+    _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbors) -> _WhichOneofReturnType__min_neighbors | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
+
+Global___RemoveRadiusOutliersRequest: _TypeAlias = RemoveRadiusOutliersRequest  # noqa: Y015
+
+@_typing.final
+class RemoveRadiusOutliersResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    INDICES_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
+    indices: _builtins.bytes
+    """Indices of the kept points in the input, uint32 each."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud:
+        """What was kept, in order, with all channels."""
+
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        indices: _builtins.bytes = ...,
+        kept: Global___CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "indices", b"indices", "kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
+
+Global___RemoveRadiusOutliersResponse: _TypeAlias = RemoveRadiusOutliersResponse  # noqa: Y015
+
+@_typing.final
+class PipelineStep(_message.Message):
+    """An operation on the cloud that the step before left; the request's own cloud, cloud_handle and keep_result stay
+    empty. Filters, sampling and transforms change the cloud, the other steps leave it. After cluster_points, and until
+    the cloud changes, compute_shape_features works on each cluster.
+    """
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    REMOVE_STATISTICAL_OUTLIERS_FIELD_NUMBER: _builtins.int
+    REMOVE_RADIUS_OUTLIERS_FIELD_NUMBER: _builtins.int
+    REMOVE_NON_FINITE_FIELD_NUMBER: _builtins.int
+    DOWNSAMPLE_VOXELS_FIELD_NUMBER: _builtins.int
+    TRANSFORM_CLOUD_FIELD_NUMBER: _builtins.int
+    ESTIMATE_NORMALS_FIELD_NUMBER: _builtins.int
+    SEGMENT_PLANES_FIELD_NUMBER: _builtins.int
+    CLUSTER_POINTS_FIELD_NUMBER: _builtins.int
+    COMPUTE_SHAPE_FEATURES_FIELD_NUMBER: _builtins.int
+    DETECT_OBJECTS_FIELD_NUMBER: _builtins.int
+    QUIET_FIELD_NUMBER: _builtins.int
+    REMAINDER_FIELD_NUMBER: _builtins.int
+    quiet: _builtins.bool
+    """Leave the answer out of the response: only what comes of it matters."""
+    remainder: Global___PlaneRemainder.ValueType
+    """segment_planes only: which points go on."""
+    @_builtins.property
+    def remove_statistical_outliers(self) -> Global___RemoveStatisticalOutliersRequest: ...
+    @_builtins.property
+    def remove_radius_outliers(self) -> Global___RemoveRadiusOutliersRequest: ...
+    @_builtins.property
+    def remove_non_finite(self) -> Global___RemoveNonFiniteRequest: ...
+    @_builtins.property
+    def downsample_voxels(self) -> Global___DownsampleVoxelsRequest: ...
+    @_builtins.property
+    def transform_cloud(self) -> Global___TransformCloudRequest: ...
+    @_builtins.property
+    def estimate_normals(self) -> Global___EstimateNormalsRequest: ...
+    @_builtins.property
+    def segment_planes(self) -> Global___SegmentPlanesRequest: ...
+    @_builtins.property
+    def cluster_points(self) -> Global___ClusterPointsRequest: ...
+    @_builtins.property
+    def compute_shape_features(self) -> Global___ComputeShapeFeaturesRequest: ...
+    @_builtins.property
+    def detect_objects(self) -> Global___DetectObjectsRequest: ...
+    def __init__(
+        self,
+        *,
+        remove_statistical_outliers: Global___RemoveStatisticalOutliersRequest | None = ...,
+        remove_radius_outliers: Global___RemoveRadiusOutliersRequest | None = ...,
+        remove_non_finite: Global___RemoveNonFiniteRequest | None = ...,
+        downsample_voxels: Global___DownsampleVoxelsRequest | None = ...,
+        transform_cloud: Global___TransformCloudRequest | None = ...,
+        estimate_normals: Global___EstimateNormalsRequest | None = ...,
+        segment_planes: Global___SegmentPlanesRequest | None = ...,
+        cluster_points: Global___ClusterPointsRequest | None = ...,
+        compute_shape_features: Global___ComputeShapeFeaturesRequest | None = ...,
+        detect_objects: Global___DetectObjectsRequest | None = ...,
+        quiet: _builtins.bool = ...,
+        remainder: Global___PlaneRemainder.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["cluster_points", b"cluster_points", "compute_shape_features", b"compute_shape_features", "detect_objects", b"detect_objects", "downsample_voxels", b"downsample_voxels", "estimate_normals", b"estimate_normals", "remove_non_finite", b"remove_non_finite", "remove_radius_outliers", b"remove_radius_outliers", "remove_statistical_outliers", b"remove_statistical_outliers", "segment_planes", b"segment_planes", "step", b"step", "transform_cloud", b"transform_cloud"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cluster_points", b"cluster_points", "compute_shape_features", b"compute_shape_features", "detect_objects", b"detect_objects", "downsample_voxels", b"downsample_voxels", "estimate_normals", b"estimate_normals", "quiet", b"quiet", "remainder", b"remainder", "remove_non_finite", b"remove_non_finite", "remove_radius_outliers", b"remove_radius_outliers", "remove_statistical_outliers", b"remove_statistical_outliers", "segment_planes", b"segment_planes", "step", b"step", "transform_cloud", b"transform_cloud"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_step: _TypeAlias = _typing.Literal["remove_statistical_outliers", "remove_radius_outliers", "remove_non_finite", "downsample_voxels", "transform_cloud", "estimate_normals", "segment_planes", "cluster_points", "compute_shape_features", "detect_objects"]  # noqa: Y015
+    _WhichOneofArgType_step: _TypeAlias = _typing.Literal["step", b"step"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_step) -> _WhichOneofReturnType_step | None: ...
+
+Global___PipelineStep: _TypeAlias = PipelineStep  # noqa: Y015
+
+@_typing.final
+class ClusterShape(_message.Message):
+    """Shape of one cluster."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABEL_FIELD_NUMBER: _builtins.int
+    FEATURES_FIELD_NUMBER: _builtins.int
+    UPRIGHT_BOX_FIELD_NUMBER: _builtins.int
+    label: _builtins.int
+    """Number of the cluster."""
+    @_builtins.property
+    def features(self) -> _object_pb2.ShapeFeatures: ...
+    @_builtins.property
+    def upright_box(self) -> _geometry_pb2.OrientedBox:
+        """Smallest upright box, frame of the input."""
+
+    def __init__(
+        self,
+        *,
+        label: _builtins.int = ...,
+        features: _object_pb2.ShapeFeatures | None = ...,
+        upright_box: _geometry_pb2.OrientedBox | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["features", b"features", "upright_box", b"upright_box"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["features", b"features", "label", b"label", "upright_box", b"upright_box"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ClusterShape: _TypeAlias = ClusterShape  # noqa: Y015
+
+@_typing.final
+class ClusterShapes(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLUSTERS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def clusters(self) -> _containers.RepeatedCompositeFieldContainer[Global___ClusterShape]:
+        """In the order of their labels."""
+
+    def __init__(
+        self,
+        *,
+        clusters: _abc.Iterable[Global___ClusterShape] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["clusters", b"clusters"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ClusterShapes: _TypeAlias = ClusterShapes  # noqa: Y015
+
+@_typing.final
+class PipelineStepResult(_message.Message):
+    """What a step found. Indices and labels are of the points that the step was given."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NUM_POINTS_IN_FIELD_NUMBER: _builtins.int
+    NUM_POINTS_OUT_FIELD_NUMBER: _builtins.int
+    ELAPSED_MS_FIELD_NUMBER: _builtins.int
+    INDICES_FIELD_NUMBER: _builtins.int
+    PLANES_FIELD_NUMBER: _builtins.int
+    CLUSTERS_FIELD_NUMBER: _builtins.int
+    SHAPE_FIELD_NUMBER: _builtins.int
+    SHAPES_FIELD_NUMBER: _builtins.int
+    DETECTIONS_FIELD_NUMBER: _builtins.int
+    num_points_in: _builtins.int
+    """Points that the step was given."""
+    num_points_out: _builtins.int
+    """Points that it left to the next."""
+    elapsed_ms: _builtins.float
+    """Time that it took on the server, milliseconds."""
+    indices: _builtins.bytes
+    """Indices of the kept points, uint32 each."""
+    @_builtins.property
+    def planes(self) -> Global___SegmentPlanesResponse: ...
+    @_builtins.property
+    def clusters(self) -> Global___ClusterPointsResponse: ...
+    @_builtins.property
+    def shape(self) -> Global___ComputeShapeFeaturesResponse:
+        """Of the whole cloud."""
+
+    @_builtins.property
+    def shapes(self) -> Global___ClusterShapes:
+        """Of each cluster."""
+
+    @_builtins.property
+    def detections(self) -> Global___DetectObjectsResponse: ...
+    def __init__(
+        self,
+        *,
+        num_points_in: _builtins.int = ...,
+        num_points_out: _builtins.int = ...,
+        elapsed_ms: _builtins.float = ...,
+        indices: _builtins.bytes = ...,
+        planes: Global___SegmentPlanesResponse | None = ...,
+        clusters: Global___ClusterPointsResponse | None = ...,
+        shape: Global___ComputeShapeFeaturesResponse | None = ...,
+        shapes: Global___ClusterShapes | None = ...,
+        detections: Global___DetectObjectsResponse | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["answer", b"answer", "clusters", b"clusters", "detections", b"detections", "indices", b"indices", "planes", b"planes", "shape", b"shape", "shapes", b"shapes"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["answer", b"answer", "clusters", b"clusters", "detections", b"detections", "elapsed_ms", b"elapsed_ms", "indices", b"indices", "num_points_in", b"num_points_in", "num_points_out", b"num_points_out", "planes", b"planes", "shape", b"shape", "shapes", b"shapes"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_answer: _TypeAlias = _typing.Literal["indices", "planes", "clusters", "shape", "shapes", "detections"]  # noqa: Y015
+    _WhichOneofArgType_answer: _TypeAlias = _typing.Literal["answer", b"answer"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_answer) -> _WhichOneofReturnType_answer | None: ...
+
+Global___PipelineStepResult: _TypeAlias = PipelineStepResult  # noqa: Y015
+
+@_typing.final
+class RunPipelineRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    STEPS_FIELD_NUMBER: _builtins.int
+    SEND_CLOUD_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
+    send_cloud: _builtins.bool
+    """Send the cloud that the last step left."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    keep_result: _builtins.bool
+    """Keep the cloud that the last step left, and send its handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def steps(self) -> _containers.RepeatedCompositeFieldContainer[Global___PipelineStep]:
+        """In turn; 1 to 64."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        steps: _abc.Iterable[Global___PipelineStep] | None = ...,
+        send_cloud: _builtins.bool = ...,
+        cloud_handle: _builtins.str | None = ...,
+        keep_result: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result", "send_cloud", b"send_cloud", "steps", b"steps"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+
+Global___RunPipelineRequest: _TypeAlias = RunPipelineRequest  # noqa: Y015
+
+@_typing.final
+class RunPipelineResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    RESULTS_FIELD_NUMBER: _builtins.int
+    CLOUD_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def results(self) -> _containers.RepeatedCompositeFieldContainer[Global___PipelineStepResult]:
+        """One a step."""
+
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud:
+        """If send_cloud was set."""
+
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """If keep_result was set."""
+
+    def __init__(
+        self,
+        *,
+        results: _abc.Iterable[Global___PipelineStepResult] | None = ...,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        kept: Global___CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud", b"_cloud", "_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud", b"_cloud", "_kept", b"_kept", "cloud", b"cloud", "kept", b"kept", "results", b"results"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud: _TypeAlias = _typing.Literal["cloud"]  # noqa: Y015
+    _WhichOneofArgType__cloud: _TypeAlias = _typing.Literal["_cloud", b"_cloud"]  # noqa: Y015
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud) -> _WhichOneofReturnType__cloud | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
+
+Global___RunPipelineResponse: _TypeAlias = RunPipelineResponse  # noqa: Y015

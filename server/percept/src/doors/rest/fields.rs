@@ -51,7 +51,8 @@ pub(super) fn from_query(message: MessageDescriptor, uri: &Uri, allowed: &[Strin
         if pairs[..i].iter().any(|(earlier, _)| earlier == name) {
             return Err(refuse(format!("{name} is given twice; give it once")).into());
         }
-        if name != FORM {
+        // A field of that name is the request's own.
+        if name != FORM || request.descriptor().get_field_by_name(FORM).is_some() {
             set(&mut request, name, text).map_err(|wanted| refuse(not_as_wanted(name, text, &wanted)))?;
         }
     }

@@ -1,0 +1,1 @@
+"""The perception toolbox: calls and answers, one file a group."""

@@ -1,0 +1,96 @@
+"""Filters, sampling, normals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .._arrays import Array
+from .._convert.toolbox import filters as convert
+from .._convert.toolbox.request import Cloud
+from ..types.geometry import PointCloud, Pose
+from ..types.toolbox import FilteredCloud
+from ._base import Async, Sync
+
+
+class Filters(Sync):
+    """Fewer points, or points with more to say."""
+
+    def remove_statistical_outliers(
+        self, cloud: Cloud, *, num_neighbors: int | None = None, std_ratio: float | None = None
+    ) -> FilteredCloud:
+        """Points whose mean distance to num_neighbors (20) others is up to mean + std_ratio (2) sigma."""
+        return self._transport.call(convert.remove_statistical_outliers(cloud, num_neighbors, std_ratio))
+
+    def remove_radius_outliers(
+        self, cloud: Cloud, *, radius_m: float | None = None, min_neighbors: int | None = None
+    ) -> FilteredCloud:
+        """Points with at least min_neighbors (5) others within radius_m (0.1)."""
+        return self._transport.call(convert.remove_radius_outliers(cloud, radius_m, min_neighbors))
+
+    def remove_non_finite(self, cloud: Cloud) -> PointCloud:
+        """Points whose coordinates are all finite, in order."""
+        return self._transport.call(convert.remove_non_finite(cloud))
+
+    def transform_cloud(self, cloud: Cloud, *, t_a_b: Pose | Array) -> PointCloud:
+        """The cloud in frame a, from frame b; normals turn along."""
+        return self._transport.call(convert.transform_cloud(cloud, t_a_b))
+
+    def downsample_voxels(self, cloud: Cloud, *, voxel_size_m: float | None = None) -> PointCloud:
+        """One centroid a voxel of edge voxel_size_m (0.05); channels are averaged."""
+        return self._transport.call(convert.downsample_voxels(cloud, voxel_size_m))
+
+    def estimate_normals(
+        self,
+        cloud: Cloud,
+        *,
+        radius_m: float | None = None,
+        max_neighbors: int | None = None,
+        viewpoint_m: Sequence[float] | None = None,
+    ) -> PointCloud:
+        """The cloud with unit normals of at most max_neighbors (30) within radius_m (0.1); they look towards
+        the viewpoint (the origin), and are zero where they are undefined."""
+        call = convert.estimate_normals(cloud, radius_m, max_neighbors, viewpoint_m)
+        return self._transport.call(call)
+
+
+class AsyncFilters(Async):
+    """Fewer points, or points with more to say."""
+
+    async def remove_statistical_outliers(
+        self, cloud: Cloud, *, num_neighbors: int | None = None, std_ratio: float | None = None
+    ) -> FilteredCloud:
+        """Points whose mean distance to num_neighbors (20) others is up to mean + std_ratio (2) sigma."""
+        return await self._transport.call(
+            convert.remove_statistical_outliers(cloud, num_neighbors, std_ratio)
+        )
+
+    async def remove_radius_outliers(
+        self, cloud: Cloud, *, radius_m: float | None = None, min_neighbors: int | None = None
+    ) -> FilteredCloud:
+        """Points with at least min_neighbors (5) others within radius_m (0.1)."""
+        return await self._transport.call(convert.remove_radius_outliers(cloud, radius_m, min_neighbors))
+
+    async def remove_non_finite(self, cloud: Cloud) -> PointCloud:
+        """Points whose coordinates are all finite, in order."""
+        return await self._transport.call(convert.remove_non_finite(cloud))
+
+    async def transform_cloud(self, cloud: Cloud, *, t_a_b: Pose | Array) -> PointCloud:
+        """The cloud in frame a, from frame b; normals turn along."""
+        return await self._transport.call(convert.transform_cloud(cloud, t_a_b))
+
+    async def downsample_voxels(self, cloud: Cloud, *, voxel_size_m: float | None = None) -> PointCloud:
+        """One centroid a voxel of edge voxel_size_m (0.05); channels are averaged."""
+        return await self._transport.call(convert.downsample_voxels(cloud, voxel_size_m))
+
+    async def estimate_normals(
+        self,
+        cloud: Cloud,
+        *,
+        radius_m: float | None = None,
+        max_neighbors: int | None = None,
+        viewpoint_m: Sequence[float] | None = None,
+    ) -> PointCloud:
+        """The cloud with unit normals of at most max_neighbors (30) within radius_m (0.1); they look towards
+        the viewpoint (the origin), and are zero where they are undefined."""
+        call = convert.estimate_normals(cloud, radius_m, max_neighbors, viewpoint_m)
+        return await self._transport.call(call)

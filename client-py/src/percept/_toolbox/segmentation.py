@@ -1,0 +1,85 @@
+"""Planes, clusters, shapes, objects."""
+
+from __future__ import annotations
+
+from .._convert.toolbox import segmentation as convert
+from .._convert.toolbox.request import Cloud
+from ..types.scene import Detection
+from ..types.toolbox import ClusterMethod, Clusters, PlaneSegment, Shape
+from ._base import Async, Sync
+
+
+class Segmentation(Sync):
+    """What belongs together."""
+
+    def segment_planes(
+        self,
+        cloud: Cloud,
+        *,
+        distance_m: float | None = None,
+        max_iterations: int | None = None,
+        max_planes: int | None = None,
+        min_points: int | None = None,
+        seed: int = 0,
+    ) -> list[PlaneSegment]:
+        """Up to max_planes (1) planes by RANSAC, largest first; z is up. Inliers are nearer than distance_m
+        (0.02). Same seed, same answer."""
+        call = convert.segment_planes(cloud, distance_m, max_iterations, max_planes, min_points, seed)
+        return self._transport.call(call)
+
+    def cluster_points(
+        self,
+        cloud: Cloud,
+        *,
+        method: ClusterMethod | str = ClusterMethod.EUCLIDEAN,
+        eps_m: float | None = None,
+        min_points: int | None = None,
+    ) -> Clusters:
+        """Connected groups of at least min_points (10) points, connected up to eps_m (0.05)."""
+        return self._transport.call(convert.cluster_points(cloud, method, eps_m, min_points))
+
+    def compute_shape_features(self, cloud: Cloud) -> Shape:
+        """Centroid, extent, eigenvalues and what follows from them; smallest upright box."""
+        return self._transport.call(convert.compute_shape_features(cloud))
+
+    def detect_objects(self, cloud: Cloud) -> list[Detection]:
+        """Objects in a cloud with z up and the floor near z = 0."""
+        return self._transport.call(convert.detect_objects(cloud))
+
+
+class AsyncSegmentation(Async):
+    """What belongs together."""
+
+    async def segment_planes(
+        self,
+        cloud: Cloud,
+        *,
+        distance_m: float | None = None,
+        max_iterations: int | None = None,
+        max_planes: int | None = None,
+        min_points: int | None = None,
+        seed: int = 0,
+    ) -> list[PlaneSegment]:
+        """Up to max_planes (1) planes by RANSAC, largest first; z is up. Inliers are nearer than distance_m
+        (0.02). Same seed, same answer."""
+        call = convert.segment_planes(cloud, distance_m, max_iterations, max_planes, min_points, seed)
+        return await self._transport.call(call)
+
+    async def cluster_points(
+        self,
+        cloud: Cloud,
+        *,
+        method: ClusterMethod | str = ClusterMethod.EUCLIDEAN,
+        eps_m: float | None = None,
+        min_points: int | None = None,
+    ) -> Clusters:
+        """Connected groups of at least min_points (10) points, connected up to eps_m (0.05)."""
+        return await self._transport.call(convert.cluster_points(cloud, method, eps_m, min_points))
+
+    async def compute_shape_features(self, cloud: Cloud) -> Shape:
+        """Centroid, extent, eigenvalues and what follows from them; smallest upright box."""
+        return await self._transport.call(convert.compute_shape_features(cloud))
+
+    async def detect_objects(self, cloud: Cloud) -> list[Detection]:
+        """Objects in a cloud with z up and the floor near z = 0."""
+        return await self._transport.call(convert.detect_objects(cloud))
