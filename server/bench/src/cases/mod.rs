@@ -1,6 +1,7 @@
 //! The operations that can be timed, one file an area.
 
 mod files;
+mod registration;
 mod segmentation;
 
 use crate::{Args, BenchError};
@@ -27,6 +28,7 @@ type Open = fn(&Args) -> Result<Box<dyn Case>, BenchError>;
 /// Operations by name.
 pub const OPERATIONS: &[(&str, Open)] = &[
     ("load", files::load),
+    ("register", registration::register),
     ("plane", segmentation::plane),
     ("planes", segmentation::planes),
     ("clusters_dbscan", segmentation::clusters_dbscan),

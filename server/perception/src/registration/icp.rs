@@ -1,107 +1,34 @@
-//! Iterative closest point of two clouds that are nearly aligned.
+//! Iterative registration of two clouds that are nearly aligned.
 
-use super::factors::{point_to_plane, point_to_point};
-use super::{Degeneracy, NormalEquations, RobustKernel, accumulate};
-use crate::search::KdTree;
-use nalgebra::{Point3, Vector3};
-use percept_geometry::{Covariance6, Pose, cloud, se3};
-use serde::{Deserialize, Serialize};
+use super::factors::{colored, gicp};
+use super::pair_block::{BLOCK, PairBlock};
+use super::pairing::Known;
+use super::{Degeneracy, IcpMethod, IcpParams, NormalEquations, PreparedCloud, RegistrationError, RobustKernel};
+use nalgebra::{Matrix3, Matrix6, Point3, Vector3};
+use percept_geometry::{Covariance6, Pose, se3};
+use rayon::prelude::*;
 
-/// Points a task: fixed, so that the number of threads changes nothing.
-const CHUNK: usize = 1024;
+/// Fewer pairs do not fix a pose.
+const FEWEST_PAIRS: usize = 6;
+/// Clouds with more points begin with every [`STRIDE`]th: while steps are long, few points say as much.
+const THIN_ABOVE: usize = 2000;
+const STRIDE: usize = 4;
+/// Thinned clouds are left once steps are below so many tolerances.
+const THIN_TOLERANCES: f64 = 5.0;
 
-/// Parameters of [`align_point_to_plane`] and [`align_point_to_point`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct IcpParams {
-    /// Points farther apart do not correspond, metres, above 0. A few times the expected misalignment.
-    pub max_distance_m: f64,
-    /// Most iterations, 1 to 1000.
-    pub max_iterations: usize,
-    /// Converged once a step is shorter, metres, above 0.
-    pub translation_tolerance_m: f64,
-    /// Converged once a step turns less, radians, above 0.
-    pub rotation_tolerance_rad: f64,
-    /// How much a residual counts.
-    pub kernel: RobustKernel,
-    /// A direction with a smaller share of the residuals' sensitivity is degenerate, 0 to 0.3.
-    pub degeneracy_threshold: f64,
-}
-
-impl Default for IcpParams {
-    fn default() -> Self {
-        Self {
-            max_distance_m: 0.02,
-            max_iterations: 50,
-            translation_tolerance_m: 1e-5,
-            rotation_tolerance_rad: 1e-5,
-            kernel: RobustKernel::None,
-            degeneracy_threshold: 0.002,
-        }
-    }
-}
-
-/// Why two clouds cannot be aligned at all.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RegistrationError {
-    /// A parameter is out of its bounds.
-    #[error("{field}: {value} is not {requirement}; {remedy}")]
-    BadParam {
-        /// Field name.
-        field: &'static str,
-        /// The value as given.
-        value: f64,
-        /// What it has to be.
-        requirement: &'static str,
-        /// What to do instead.
-        remedy: &'static str,
-    },
-    /// A cloud has too few finite points.
-    #[error("{field}: {num_points} finite points are fewer than {needed}")]
-    TooFewPoints {
-        /// Which cloud.
-        field: &'static str,
-        /// Finite points that it has.
-        num_points: usize,
-        /// Points that are needed.
-        needed: usize,
-    },
-    /// There is not one normal a target point.
-    #[error("target_normals: expected {expected}, got {actual}")]
-    NormalsMismatch {
-        /// Target points.
-        expected: usize,
-        /// Normals given.
-        actual: usize,
-    },
-}
-
-impl IcpParams {
-    /// Checks every field.
-    ///
-    /// # Errors
-    /// `BadParam` with field, value and remedy.
-    pub fn validate(&self) -> Result<(), RegistrationError> {
-        let bad =
-            |field, value, requirement, remedy| Err(RegistrationError::BadParam { field, value, requirement, remedy });
-        let positive = [
-            ("max_distance_m", self.max_distance_m),
-            ("translation_tolerance_m", self.translation_tolerance_m),
-            ("rotation_tolerance_rad", self.rotation_tolerance_rad),
-        ];
-        for (field, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return bad(field, value, "positive and finite", "leave it out for the default");
-            }
-        }
-        if !(1..=1000).contains(&self.max_iterations) {
-            return bad("max_iterations", self.max_iterations as f64, "within 1 to 1000", "use 50");
-        }
-        if !(0.0..=0.3).contains(&self.degeneracy_threshold) {
-            return bad("degeneracy_threshold", self.degeneracy_threshold, "within 0 to 0.3", "use 0.002");
-        }
-        Ok(())
-    }
+/// How registration ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum IcpOutcome {
+    /// The last step was below the tolerances, and the pairs fix the whole pose.
+    Converged,
+    /// The last step was below the tolerances, but the pairs leave directions open: see `degenerate_axes`.
+    Degenerate,
+    /// Steps were still above the tolerances.
+    MaxIterations,
+    /// Fewer than six pairs were within the distance.
+    TooFewPairs,
+    /// A step led away from the clouds, or most pairs were lost.
+    Diverged,
 }
 
 /// Where two clouds meet.
@@ -110,249 +37,322 @@ pub struct IcpResult {
     /// Source to target.
     pub t_target_source: Pose,
     /// 6x6, right perturbation in the source frame; scaled by the residuals' variance. Directions that the
-    /// clouds leave open have a variance of 1e6.
+    /// clouds leave open have a variance of 1e6 about the source's centroid.
     pub covariance: Covariance6,
-    /// Whether the last step was below the tolerances.
-    pub converged: bool,
+    /// How it ended.
+    pub outcome: IcpOutcome,
     /// Iterations done.
     pub iterations: usize,
-    /// Share of the finite source points with a target point within `max_distance_m`, 0 to 1.
+    /// Fitness: share of the finite source points with a partner within `max_distance_m`, 0 to 1.
     pub inlier_ratio: f64,
-    /// Root mean square distance of those from their target points (point to point), metres.
+    /// Root mean square distance of those from their partners (points, or means of voxels), metres.
     pub inlier_rmse_m: f64,
-    /// Axes of the source frame (x, y, z, rotation x, y, z) that the clouds leave open.
+    /// Axes of the source frame, about the source's centroid (x, y, z, rotation x, y, z), that the clouds leave open.
     pub degenerate_axes: [bool; 6],
 }
 
-/// Aligns by distances from the target's tangent planes: converges faster and slides along surfaces.
-///
-/// `source` (N) and `target` (M) in their own frames, metres; non-finite points are left out, as are
-/// target points with a zero normal. `start` is a first guess of `t_target_source`.
-/// Source: Chen and Medioni 1992; Rusinkiewicz and Levoy, "Efficient variants of the ICP algorithm", 2001.
-///
-/// # Errors
-/// `BadParam`, `TooFewPoints`, `NormalsMismatch`. Not converging is an answer.
-pub fn align_point_to_plane(
-    source: &[Point3<f32>],
-    target: &[Point3<f32>],
-    target_normals: &[Vector3<f32>],
-    start: &Pose,
-    params: &IcpParams,
-) -> Result<IcpResult, RegistrationError> {
-    if target.len() != target_normals.len() {
-        return Err(RegistrationError::NormalsMismatch { expected: target.len(), actual: target_normals.len() });
+impl IcpResult {
+    /// Whether the whole pose was found.
+    pub fn converged(&self) -> bool {
+        self.outcome == IcpOutcome::Converged
     }
-    align(source, target, Some(target_normals), start, params)
 }
 
-/// Aligns by distances between points: needs no normals. See [`align_point_to_plane`].
+/// Lays `source` over `target` from a first guess of `t_target_source`, by the method that both were prepared for.
 ///
-/// Source: Besl and McKay 1992.
+/// Gauss-Newton on pairs found anew in every step; steps turn about the source's centroid, so that distance from the
+/// origin costs nothing. What the clouds leave open stays as it was in `start`. Large sources begin thinned.
 ///
 /// # Errors
-/// `BadParam`, `TooFewPoints`.
-pub fn align_point_to_point(
-    source: &[Point3<f32>],
-    target: &[Point3<f32>],
-    start: &Pose,
-    params: &IcpParams,
-) -> Result<IcpResult, RegistrationError> {
-    align(source, target, None, start, params)
-}
-
-fn align(
-    source: &[Point3<f32>],
-    target: &[Point3<f32>],
-    normals: Option<&[Vector3<f32>]>,
+/// `BadParam`; `Missing` if the target was prepared for another method. Not converging is an answer.
+pub fn align(
+    source: &PreparedCloud,
+    target: &PreparedCloud,
     start: &Pose,
     params: &IcpParams,
 ) -> Result<IcpResult, RegistrationError> {
     params.validate()?;
-    let source: Vec<Point3<f32>> = source.iter().filter(|p| cloud::is_finite(p)).copied().collect();
-    let usable = |i: &usize| {
-        cloud::is_finite(&target[*i])
-            && normals.is_none_or(|n| n[*i].iter().all(|x| x.is_finite()) && n[*i].norm() > 0.5)
-    };
-    let kept: Vec<usize> = (0..target.len()).filter(usable).collect();
-    for (field, num_points) in [("source", source.len()), ("target", kept.len())] {
-        if num_points < 6 {
-            return Err(RegistrationError::TooFewPoints { field, num_points, needed: 6 });
+    check(source, target, params.method)?;
+    let n = source.points.len() as f64;
+    let center = source.points.iter().map(|p| p.coords.cast::<f64>()).sum::<Vector3<f64>>() / n;
+    let squares = source.points.iter().map(|p| (p.coords.cast::<f64>() - center).norm_squared()).sum::<f64>();
+    let problem = Problem { target, params, center, spread: (squares / n).sqrt() };
+    Ok(problem.solve(source, start))
+}
+
+fn check(source: &PreparedCloud, target: &PreparedCloud, method: IcpMethod) -> Result<(), RegistrationError> {
+    use IcpMethod as M;
+    let missing = |cloud, channel| Err(RegistrationError::Missing { cloud, channel });
+    if method == M::Vgicp && target.voxels.is_none() {
+        return missing("target", "voxels");
+    }
+    if method != M::Vgicp && target.tree.is_none() {
+        return missing("target", "search tree");
+    }
+    if matches!(method, M::Gicp | M::Vgicp) && source.normals.len() != source.points.len() {
+        return missing("source", "normals");
+    }
+    if !matches!(method, M::PointToPoint | M::Vgicp) && target.normals.len() != target.points.len() {
+        return missing("target", "normals");
+    }
+    if method == M::Colored {
+        for (name, cloud) in [("source", source), ("target", target)] {
+            if cloud.brightness.len() != cloud.points.len() {
+                return missing(name, "colors");
+            }
+        }
+        if target.gradients.len() != target.points.len() {
+            return missing("target", "colors");
         }
     }
-    let target: Vec<Point3<f32>> = kept.iter().map(|&i| target[i]).collect();
-    let normals: Option<Vec<Vector3<f64>>> =
-        normals.map(|n| kept.iter().map(|&i| n[i].cast::<f64>().normalize()).collect());
-    let problem = Problem { tree: KdTree::build(&target), source, target, normals, params };
-    Ok(problem.solve(start))
+    Ok(())
 }
 
 struct Problem<'a> {
-    source: Vec<Point3<f32>>,
-    target: Vec<Point3<f32>>,
-    normals: Option<Vec<Vector3<f64>>>,
-    tree: KdTree,
+    target: &'a PreparedCloud,
     params: &'a IcpParams,
+    /// Centroid of the source, and root mean square distance from it.
+    center: Vector3<f64>,
+    spread: f64,
+}
+
+/// The source, about its centroid, with what is known of each point's partner.
+struct Moving {
+    points: Vec<MovingPoint>,
+    known: Vec<Known>,
+}
+
+#[derive(Clone, Copy)]
+struct MovingPoint {
+    p: Vector3<f64>,
+    normal: Vector3<f32>,
+    brightness: f32,
+}
+
+impl Moving {
+    fn of(source: &PreparedCloud, center: &Vector3<f64>, stride: usize) -> Self {
+        let point = |i: usize| MovingPoint {
+            p: source.points[i].coords.cast::<f64>() - center,
+            normal: source.normals.get(i).copied().unwrap_or_default(),
+            brightness: source.brightness.get(i).copied().unwrap_or_default(),
+        };
+        let points: Vec<MovingPoint> = (0..source.points.len()).step_by(stride).map(point).collect();
+        Self { known: vec![Known::NOTHING; points.len()], points }
+    }
+}
+
+/// Sums over the pairs of one pose.
+#[derive(Clone, Copy, Default)]
+struct PairSums {
+    equations: NormalEquations,
+    num_pairs: usize,
+    distances2: f64,
+}
+
+impl PairSums {
+    fn merge(mut self, other: &Self) -> Self {
+        self.equations.merge(&other.equations);
+        self.num_pairs += other.num_pairs;
+        self.distances2 += other.distances2;
+        self
+    }
+}
+
+/// Where the iterations stand. `t` takes points about the centroid to the target.
+struct State {
+    t: Pose,
+    iterations: usize,
+    outcome: IcpOutcome,
 }
 
 impl Problem<'_> {
-    fn solve(&self, start: &Pose) -> IcpResult {
-        let (centroid, spread) = self.extent();
-        let mut t = *start;
-        let (mut converged, mut iterations) = (false, 0);
-        while iterations < self.params.max_iterations && !converged {
-            let e = self.equations(&t);
-            let degeneracy = Degeneracy::of(&e, &centroid, spread, self.params.degeneracy_threshold);
-            iterations += 1;
-            // What the clouds leave open stays where it is: a unit pull on a tiny scale makes H invertible.
-            let h = degeneracy.keep_good(&e.hessian());
-            let pull = nalgebra::Matrix6::identity() * (1e-9 * h.trace().max(1e-12));
-            let Some(cholesky) = (h + pull).cholesky() else { break };
-            let step = -cholesky.solve(&degeneracy.keep_good_gradient(&e.gradient()));
-            if e.num_residuals == 0 || !step.iter().all(|x| x.is_finite()) {
-                break;
-            }
-            t *= se3::exp(&step);
-            converged = step.fixed_rows::<3>(0).norm() < self.params.translation_tolerance_m
-                && step.fixed_rows::<3>(3).norm() < self.params.rotation_tolerance_rad;
+    fn solve(&self, source: &PreparedCloud, start: &Pose) -> IcpResult {
+        let t = start * nalgebra::Translation3::from(self.center);
+        let mut state = State { t, iterations: 0, outcome: IcpOutcome::MaxIterations };
+        if source.points.len() > THIN_ABOVE {
+            let mut thinned = Moving::of(source, &self.center, STRIDE);
+            self.iterate(&mut thinned, &mut state, self.params.max_iterations / 2, THIN_TOLERANCES);
         }
-        self.judge(t, converged, iterations, &centroid, spread)
+        let mut all = Moving::of(source, &self.center, 1);
+        self.iterate(&mut all, &mut state, self.params.max_iterations, 1.0);
+        self.judge(&mut all, state)
     }
 
-    fn nearest(&self, t: &Pose, i: usize) -> Option<(Point3<f64>, usize)> {
-        let moved = t * self.source[i].cast::<f64>();
-        let found = self.tree.nearest_within(&moved.cast::<f32>(), self.params.max_distance_m as f32)?;
-        Some((moved, found.index))
-    }
-
-    fn equations(&self, t: &Pose) -> NormalEquations {
-        let r = *t.rotation.to_rotation_matrix().matrix();
-        accumulate(self.source.len(), CHUNK, |i, e| {
-            let Some((moved, j)) = self.nearest(t, i) else { return };
-            let (p, q) = (self.source[i].coords.cast(), self.target[j].coords.cast());
-            match &self.normals {
-                Some(normals) => {
-                    let (residual, row) = point_to_plane::residual(&r, &p, &moved.coords, &q, &normals[j]);
-                    e.add(&row, residual, self.params.kernel.weight(residual));
-                }
-                None => {
-                    let weight = self.params.kernel.weight((moved.coords - q).norm());
-                    for (residual, row) in point_to_point::residuals(&r, &p, &moved.coords, &q) {
-                        e.add(&row, residual, weight);
-                    }
-                }
+    /// Steps until they are below `tolerances` tolerances, or `limit` iterations are done.
+    fn iterate(&self, moving: &mut Moving, state: &mut State, limit: usize, tolerances: f64) {
+        state.outcome = IcpOutcome::MaxIterations;
+        let mut pairs_at_start = None;
+        while state.iterations < limit {
+            let sums = self.sums(moving, &state.t, self.params.tangent_weight);
+            if sums.num_pairs < FEWEST_PAIRS {
+                state.outcome = IcpOutcome::TooFewPairs;
+                return;
             }
-        })
+            state.iterations += 1;
+            let fewest = *pairs_at_start.get_or_insert(sums.num_pairs) / 4;
+            let degeneracy = self.degeneracy(&sums.equations);
+            // What the clouds leave open stays where it is: a unit pull on a tiny scale makes H invertible.
+            let h = degeneracy.keep_good(&sums.equations.hessian());
+            let pull = Matrix6::identity() * (1e-9 * h.trace().max(1e-12));
+            let step =
+                (h + pull).cholesky().map(|c| -c.solve(&degeneracy.keep_good_gradient(&sums.equations.gradient())));
+            let bound = 10.0 * (self.spread + self.params.max_distance_m);
+            let usable =
+                |x: &nalgebra::Vector6<f64>| x.iter().all(|v| v.is_finite()) && x.fixed_rows::<3>(0).norm() <= bound;
+            let Some(step) = step.filter(usable).filter(|_| sums.num_pairs >= fewest) else {
+                state.outcome = IcpOutcome::Diverged;
+                return;
+            };
+            state.t *= se3::exp(&step);
+            if step.fixed_rows::<3>(0).norm() < tolerances * self.params.translation_tolerance_m
+                && step.fixed_rows::<3>(3).norm() < tolerances * self.params.rotation_tolerance_rad
+            {
+                state.outcome = IcpOutcome::Converged;
+                return;
+            }
+        }
     }
 
-    fn judge(&self, t: Pose, converged: bool, iterations: usize, centroid: &Vector3<f64>, spread: f64) -> IcpResult {
-        let e = self.equations(&t);
-        let degeneracy = Degeneracy::of(&e, centroid, spread, self.params.degeneracy_threshold);
+    fn degeneracy(&self, equations: &NormalEquations) -> Degeneracy {
+        Degeneracy::of(equations, &Vector3::zeros(), self.spread, self.params.degeneracy_threshold)
+    }
+
+    fn sums(&self, moving: &mut Moving, t: &Pose, tangent_weight: f64) -> PairSums {
+        let frame = Frame { r: *t.rotation.to_rotation_matrix().matrix(), t: t.translation.vector, tangent_weight };
+        let one = |(points, known): (&[MovingPoint], &mut [Known])| self.chunk(points, known, &frame);
+        let parts: Vec<PairSums> =
+            moving.points.par_chunks(BLOCK).zip(moving.known.par_chunks_mut(BLOCK)).map(one).collect();
+        parts.iter().fold(PairSums::default(), PairSums::merge)
+    }
+
+    fn chunk(&self, points: &[MovingPoint], known: &mut [Known], frame: &Frame) -> PairSums {
+        let (mut block, mut extra, mut out) = (PairBlock::default(), NormalEquations::default(), PairSums::default());
+        let mut buffer = Vec::with_capacity(3);
+        let max = self.params.max_distance_m;
+        let kernel = self.params.kernel;
+        for (point, known) in points.iter().zip(known) {
+            let moved = frame.r * point.p + frame.t;
+            let (difference, information, index) = match (&self.target.voxels, &self.target.tree) {
+                (Some(voxels), _) => {
+                    let Some(voxel) = voxels.at(&Point3::from(moved)) else { continue };
+                    let difference = moved - voxel.mean;
+                    if difference.norm_squared() > max * max {
+                        continue;
+                    }
+                    let mut c = turned(&voxel.covariance, &frame.r);
+                    c.iter_mut().zip(gicp::covariance(&point.normal.cast())).for_each(|(a, b)| *a += b);
+                    (difference, gicp::inverse(&c), 0)
+                }
+                (None, Some(tree)) => {
+                    let target = &self.target.points;
+                    let Some(j) = known.nearest(&Point3::from(moved).cast(), target, tree, max as f32, &mut buffer)
+                    else {
+                        continue;
+                    };
+                    let Some(information) = self.information(point, j, frame) else { continue };
+                    (moved - target[j].coords.cast(), information, j)
+                }
+                (None, None) => continue,
+            };
+            let e = frame.r.tr_mul(&difference);
+            let weight = match kernel {
+                RobustKernel::None => 1.0,
+                _ => kernel.weight(mahalanobis2(&information, &e).max(0.0).sqrt()),
+            };
+            block.push(point.p.into(), e.into(), &information, weight);
+            if self.params.method == IcpMethod::Colored {
+                let (residual, row) = colored::residual(
+                    &frame.r,
+                    &point.p,
+                    &moved,
+                    &self.target.points[index].coords.cast(),
+                    &self.target.gradients[index].cast(),
+                    f64::from(point.brightness),
+                    f64::from(self.target.brightness[index]),
+                );
+                extra.add(&row, residual, weight * self.params.color_share);
+            }
+            out.num_pairs += 1;
+            out.distances2 += difference.norm_squared();
+        }
+        out.equations =
+            block.sum(if matches!(self.params.method, IcpMethod::PointToPlane | IcpMethod::Colored) { 1 } else { 3 });
+        out.equations.merge(&extra);
+        out
+    }
+
+    /// Information of the difference from target point `j`, in the source frame; none without a normal.
+    #[inline]
+    fn information(&self, point: &MovingPoint, j: usize, frame: &Frame) -> Option<[f64; 6]> {
+        if self.params.method == IcpMethod::PointToPoint {
+            return Some([1.0, 0.0, 0.0, 1.0, 0.0, 1.0]);
+        }
+        let n = frame.r.tr_mul(&self.target.normals[j].cast::<f64>());
+        if self.params.method == IcpMethod::Gicp {
+            return Some(gicp::information(&n, &point.normal.cast()));
+        }
+        if n == Vector3::zeros() {
+            return None;
+        }
+        let (across, along) = match self.params.method {
+            IcpMethod::Colored => (1.0 - self.params.color_share, 0.0),
+            _ => (1.0, frame.tangent_weight),
+        };
+        let m = n * across;
+        Some([m.x * n.x + along, m.x * n.y, m.x * n.z, m.y * n.y + along, m.y * n.z, m.z * n.z + along])
+    }
+
+    fn judge(&self, all: &mut Moving, state: State) -> IcpResult {
+        // Along planes nothing is measured: the pull there steadies steps and is no information.
+        let sums = self.sums(all, &state.t, 0.0);
+        let degeneracy = self.degeneracy(&sums.equations);
         // Floats resolve 1e-7 of a few metres: a variance below that is not to be had.
-        let variance = (e.cost / (e.num_residuals as f64 - 6.0).max(1.0)).max(1e-12);
-        let open = nalgebra::Matrix6::identity() * 1e-6;
-        let information = degeneracy.keep_good(&e.hessian()) / variance + open;
-        let distances: Vec<f64> = (0..self.source.len())
-            .filter_map(|i| {
-                let (moved, j) = self.nearest(&t, i)?;
-                Some((moved - self.target[j].cast::<f64>()).norm_squared())
-            })
-            .collect();
-        let num = distances.len() as f64;
+        let variance = (sums.equations.cost / (sums.equations.num_residuals as f64 - 6.0).max(1.0)).max(1e-12);
+        let information = degeneracy.keep_good(&sums.equations.hessian()) / variance + Matrix6::identity() * 1e-6;
+        let centered = information.try_inverse().unwrap_or_else(|| Covariance6::identity() * 1e6);
+        // Turning about the centroid is turning about the origin and a shift.
+        let mut shift = Matrix6::identity();
+        shift.fixed_view_mut::<3, 3>(0, 3).copy_from(&se3::skew(&self.center));
+        let open = degeneracy.num_directions > 0;
         IcpResult {
-            t_target_source: t,
-            covariance: information.try_inverse().unwrap_or_else(|| Covariance6::identity() * 1e6),
-            converged,
-            iterations,
-            inlier_ratio: num / self.source.len() as f64,
-            inlier_rmse_m: (distances.iter().sum::<f64>() / num.max(1.0)).sqrt(),
+            t_target_source: state.t * nalgebra::Translation3::from(-self.center),
+            covariance: shift * centered * shift.transpose(),
+            outcome: if state.outcome == IcpOutcome::Converged && open {
+                IcpOutcome::Degenerate
+            } else {
+                state.outcome
+            },
+            iterations: state.iterations,
+            inlier_ratio: sums.num_pairs as f64 / all.points.len() as f64,
+            inlier_rmse_m: (sums.distances2 / (sums.num_pairs as f64).max(1.0)).sqrt(),
             degenerate_axes: degeneracy.axes,
         }
     }
+}
 
-    /// Mean of the source, and root mean square distance from it.
-    fn extent(&self) -> (Vector3<f64>, f64) {
-        let n = self.source.len() as f64;
-        let centroid = self.source.iter().map(|p| p.coords.cast::<f64>()).sum::<Vector3<f64>>() / n;
-        let squares = self.source.iter().map(|p| (p.coords.cast::<f64>() - centroid).norm_squared()).sum::<f64>();
-        (centroid, (squares / n).sqrt())
-    }
+/// Where the source stands in one iteration.
+struct Frame {
+    r: Matrix3<f64>,
+    t: Vector3<f64>,
+    tangent_weight: f64,
+}
+
+/// `e' W e`.
+#[inline]
+fn mahalanobis2(w: &[f64; 6], e: &Vector3<f64>) -> f64 {
+    w[0] * e.x * e.x
+        + w[3] * e.y * e.y
+        + w[5] * e.z * e.z
+        + 2.0 * (w[1] * e.x * e.y + w[2] * e.x * e.z + w[4] * e.y * e.z)
+}
+
+/// `R' C R` of an upper triangle.
+#[inline]
+fn turned(c: &[f64; 6], r: &Matrix3<f64>) -> [f64; 6] {
+    let full = Matrix3::new(c[0], c[1], c[2], c[1], c[3], c[4], c[2], c[4], c[5]);
+    let out = r.tr_mul(&(full * r));
+    [out.m11, out.m12, out.m13, out.m22, out.m23, out.m33]
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use nalgebra::Vector6;
-
-    /// Three faces of a cube's inside corner, `n x n` points each, 2 m long.
-    fn corner(n: usize) -> (Vec<Point3<f32>>, Vec<Vector3<f32>>) {
-        let (mut points, mut normals) = (vec![], vec![]);
-        for axis in 0..3 {
-            for i in 0..n * n {
-                let (a, b) = (2.0 * (i % n) as f32 / n as f32 + 0.05, 2.0 * (i / n) as f32 / n as f32 + 0.05);
-                let mut p = [a, b, 0.0];
-                p.rotate_right(axis);
-                let mut normal = [0.0, 0.0, 1.0];
-                normal.rotate_right(axis);
-                points.push(Point3::from(p));
-                normals.push(Vector3::from(normal));
-            }
-        }
-        (points, normals)
-    }
-
-    fn moved(points: &[Point3<f32>], t_target_source: &Pose) -> Vec<Point3<f32>> {
-        points.iter().map(|p| t_target_source.inverse_transform_point(&p.cast::<f64>()).cast()).collect()
-    }
-
-    #[test]
-    fn both_kinds_find_a_small_motion_back() {
-        let (target, normals) = corner(40);
-        let truth = se3::exp(&Vector6::new(0.02, -0.01, 0.015, 0.01, -0.02, 0.015));
-        let source = moved(&target, &truth);
-        let params = IcpParams { max_distance_m: 0.2, ..IcpParams::default() };
-        let planes = align_point_to_plane(&source, &target, &normals, &Pose::identity(), &params).unwrap();
-        let points = align_point_to_point(&source, &target, &Pose::identity(), &params).unwrap();
-        for found in [planes, points] {
-            assert!(found.converged && found.inlier_ratio > 0.99);
-            assert!(se3::log(&(truth.inverse() * found.t_target_source)).norm() < 1e-4);
-            assert_eq!(found.degenerate_axes, [false; 6]);
-        }
-    }
-
-    #[test]
-    fn a_wall_alone_is_reported_open_along_itself() {
-        let (target, normals) = corner(40);
-        let (target, normals) = (&target[..1600], &normals[..1600]);
-        let source = moved(target, &se3::exp(&Vector6::new(0.0, 0.0, 0.02, 0.0, 0.0, 0.0)));
-        let params = IcpParams { max_distance_m: 0.2, ..IcpParams::default() };
-        let found = align_point_to_plane(&source, target, normals, &Pose::identity(), &params).unwrap();
-        assert_eq!(found.degenerate_axes, [true, true, false, false, false, true]);
-        assert!((found.t_target_source.translation.z - 0.02).abs() < 1e-5);
-        assert!(found.covariance[(0, 0)] > 1e5 && found.covariance[(2, 2)] < 1e-6);
-    }
-
-    #[test]
-    fn what_cannot_be_aligned_is_named() {
-        let (target, normals) = corner(10);
-        let identity = Pose::identity();
-        let params = IcpParams::default();
-        assert!(matches!(
-            align_point_to_point(&[], &target, &identity, &params),
-            Err(RegistrationError::TooFewPoints { field: "source", .. })
-        ));
-        assert!(matches!(
-            align_point_to_plane(&target, &target, &normals[1..], &identity, &params),
-            Err(RegistrationError::NormalsMismatch { .. })
-        ));
-        let bad = IcpParams { max_distance_m: f64::NAN, ..params.clone() };
-        assert!(align_point_to_point(&target, &target, &identity, &bad).is_err());
-        // Far apart: no correspondence, an answer and no panic.
-        let far = Pose::translation(100.0, 0.0, 0.0);
-        let found = align_point_to_point(&target, &target, &far, &params).unwrap();
-        assert!(!found.converged && found.inlier_ratio == 0.0);
-        // All points equal.
-        let same = vec![Point3::new(1.0, 1.0, 1.0); 50];
-        let found = align_point_to_point(&same, &same, &identity, &params).unwrap();
-        assert!(found.t_target_source.translation.vector.norm() < 1e-6);
-    }
-}
+mod tests;

@@ -1,17 +1,28 @@
 //! Registration: two sets of points in, the transform between them with its uncertainty out.
 //!
-//! Parts that odometry and the toolbox share: [`factors`] (one residual a file), [`RobustKernel`],
-//! [`NormalEquations`] summed in fixed chunks, [`Degeneracy`] of the result and [`icp`], the plain
-//! iterative closest point of two clouds. Perturbations are on the right, `t_target_source * exp(xi)`.
-//! No global search and no feature matching live here.
+//! [`register`] takes raw clouds; [`align`] takes [`PreparedCloud`]s, which can be used many times. Parts that odometry
+//! shares: [`factors`] (one residual a file), [`RobustKernel`], [`NormalEquations`] summed in fixed chunks, and
+//! [`Degeneracy`] of the result. Perturbations are on the right, `t_target_source * exp(xi)`. No global search and no
+//! feature matching live here.
 
 pub mod degeneracy;
 pub mod factors;
+mod gaussian_voxels;
 pub mod icp;
 pub mod kernel;
 pub mod normal_equations;
+mod pair_block;
+mod pairing;
+mod params;
+mod prepared;
+mod register;
 
 pub use degeneracy::Degeneracy;
-pub use icp::{IcpParams, IcpResult, RegistrationError, align_point_to_plane, align_point_to_point};
+pub use gaussian_voxels::{GaussianVoxel, GaussianVoxels};
+pub use icp::{IcpOutcome, IcpResult, align};
 pub use kernel::RobustKernel;
 pub use normal_equations::{NormalEquations, accumulate};
+pub use pair_block::PairBlock;
+pub use params::{IcpMethod, IcpParams, RegistrationError};
+pub use prepared::PreparedCloud;
+pub use register::{RegisterParams, register};

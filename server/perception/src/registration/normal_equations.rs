@@ -41,6 +41,14 @@ impl NormalEquations {
         self.num_residuals += 1;
     }
 
+    /// From sums made elsewhere: upper triangle of the Hessian row by row, gradient, cost. `weight` stays 0.
+    pub(super) fn from_sums(sums: &[f64; 28], num_residuals: usize) -> Self {
+        let mut out = Self { cost: sums[27], num_residuals, ..Self::default() };
+        out.hessian.copy_from_slice(&sums[..21]);
+        out.gradient.copy_from_slice(&sums[21..27]);
+        out
+    }
+
     /// Adds the sums of another.
     pub fn merge(&mut self, other: &Self) {
         for (a, b) in self.hessian.iter_mut().zip(&other.hessian) {

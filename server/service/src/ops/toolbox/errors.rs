@@ -19,10 +19,11 @@ pub fn cloud_error(e: CloudError) -> Error {
 }
 
 /// Clouds that could not be registered at all.
-pub fn registration_error(e: &RegistrationError) -> Error {
+pub fn registration_error(e: RegistrationError) -> Error {
     let field = match e {
+        RegistrationError::Cloud(e) => return cloud_error(e),
         RegistrationError::BadParam { field, .. } | RegistrationError::TooFewPoints { field, .. } => field,
-        RegistrationError::NormalsMismatch { .. } => "target.normals",
+        RegistrationError::Missing { cloud, .. } => cloud,
     };
     Error::invalid("REGISTRATION_INVALID", field, e.to_string())
 }

@@ -16,7 +16,7 @@ pub use errors::{cloud_error, format_error, registration_error};
 pub use files::{CloudFormat, decode_cloud, encode_cloud};
 pub use kept::{KeptCloud, KeptClouds, KeptList};
 pub use pipeline::{Found, PlaneRemainder, Step, StepReport};
-pub use registration::{RegistrationMethod, register_clouds};
+pub use registration::register_clouds;
 
 use crate::{Limits, Result, Service};
 use percept_geometry::PointCloud;

@@ -10,6 +10,6 @@ pub(super) fn register_clouds(t: &Toolbox, r: v1::RegisterCloudsRequest) -> Resu
     let source = convert::cloud(t, "source", r.source.as_ref(), r.source_handle.as_deref())?;
     let target = convert::cloud(t, "target", r.target.as_ref(), r.target_handle.as_deref())?;
     let initial = geometry::pose("initial_guess", r.initial_guess.as_ref())?;
-    let (method, params) = registration::registration(&r)?;
-    Ok(registration::registration_to(&ops::register_clouds(&source, &target, &initial, method, &params)?))
+    let params = registration::registration(&r)?;
+    Ok(registration::registration_to(&ops::register_clouds(&source, &target, &initial, &params)?))
 }
