@@ -39,8 +39,8 @@ impl PairBlock {
             self.p[k][i] = p[k];
             self.e[k][i] = e[k];
         }
-        for k in 0..6 {
-            self.w[k][i] = weight * information[k];
+        for (w, value) in self.w.iter_mut().zip(information) {
+            w[i] = weight * value;
         }
         self.len = i + 1;
     }
