@@ -6,11 +6,12 @@
 //!
 //! Start with [`search`] (who is near whom), then [`depth`] (images to points), [`cloud`] (points to
 //! structure), [`registration`] (where two clouds meet), [`multiview`] (where cameras stood) and
-//! [`detection`] (structure to objects).
+//! [`detection`] (structure to objects); [`render`] draws clouds and depth images to look at.
 
 pub mod cloud;
 pub mod depth;
 pub mod detection;
 pub mod multiview;
 pub mod registration;
+pub mod render;
 pub mod search;
