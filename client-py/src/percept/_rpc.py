@@ -13,6 +13,7 @@ from .v1 import navigation_service_pb2 as navigation
 from .v1 import scene_service_pb2 as scene
 from .v1 import sensors_service_pb2 as sensors
 from .v1 import sessions_service_pb2 as sessions
+from .v1 import toolbox_images_pb2 as toolbox_images
 from .v1 import toolbox_service_pb2 as toolbox
 
 Q = TypeVar("Q", bound=Message)
@@ -121,6 +122,22 @@ COMPUTE_SHAPE_FEATURES = Rpc(
 DETECT_OBJECTS = Rpc(_T, "DetectObjects", toolbox.DetectObjectsRequest, toolbox.DetectObjectsResponse)
 REGISTER_CLOUDS = Rpc(_T, "RegisterClouds", toolbox.RegisterCloudsRequest, toolbox.RegisterCloudsResponse)
 UNPROJECT_DEPTH = Rpc(_T, "UnprojectDepth", toolbox.UnprojectDepthRequest, toolbox.UnprojectDepthResponse)
+ESTIMATE_ESSENTIAL = Rpc(
+    _T, "EstimateEssential", toolbox_images.EstimateEssentialRequest, toolbox_images.EstimateEssentialResponse
+)
+ESTIMATE_HOMOGRAPHY = Rpc(
+    _T,
+    "EstimateHomography",
+    toolbox_images.EstimateHomographyRequest,
+    toolbox_images.EstimateHomographyResponse,
+)
+ESTIMATE_TWO_VIEW = Rpc(
+    _T, "EstimateTwoView", toolbox_images.EstimateTwoViewRequest, toolbox_images.EstimateTwoViewResponse
+)
+TRIANGULATE_POINTS = Rpc(
+    _T, "TriangulatePoints", toolbox_images.TriangulatePointsRequest, toolbox_images.TriangulatePointsResponse
+)
+SOLVE_PNP = Rpc(_T, "SolvePnp", toolbox_images.SolvePnpRequest, toolbox_images.SolvePnpResponse)
 
 _E = "EvaluationService"
 EVALUATE_TRAJECTORY = Rpc(

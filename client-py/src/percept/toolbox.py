@@ -2,21 +2,25 @@
 server's defaults, which the contract names.
 
 The calls stand in `_toolbox`, one file a group: kept clouds, files and pipelines; filters, sampling and
-normals; planes, clusters, shapes and objects; registration; depth and colour images.
+normals; planes, clusters, shapes and objects; registration; depth and colour images; several
+views of one scene.
 """
 
 from __future__ import annotations
 
 from ._toolbox.depth import AsyncDepth, Depth
 from ._toolbox.filters import AsyncFilters, Filters
+from ._toolbox.images import AsyncImages, Images
 from ._toolbox.kept import AsyncKept, Kept
 from ._toolbox.registration import AsyncRegistrationCalls, RegistrationCalls
 from ._toolbox.segmentation import AsyncSegmentation, Segmentation
 
 
-class Toolbox(Kept, Filters, Segmentation, RegistrationCalls, Depth):
+class Toolbox(Kept, Filters, Segmentation, RegistrationCalls, Depth, Images):
     """A cloud is a PointCloud, its points as (N, 3) float32 metres, or the handle of a kept one."""
 
 
-class AsyncToolbox(AsyncKept, AsyncFilters, AsyncSegmentation, AsyncRegistrationCalls, AsyncDepth):
+class AsyncToolbox(
+    AsyncKept, AsyncFilters, AsyncSegmentation, AsyncRegistrationCalls, AsyncDepth, AsyncImages
+):
     """A cloud is a PointCloud, its points as (N, 3) float32 metres, or the handle of a kept one."""

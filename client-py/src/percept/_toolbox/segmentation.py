@@ -21,10 +21,13 @@ class Segmentation(Sync):
         max_planes: int | None = None,
         min_points: int | None = None,
         seed: int = 0,
+        early_stop: bool | None = None,
     ) -> list[PlaneSegment]:
         """Up to max_planes (1) planes by RANSAC, largest first; z is up. Inliers are nearer than distance_m
-        (0.02). Same seed, same answer."""
-        call = convert.segment_planes(cloud, distance_m, max_iterations, max_planes, min_points, seed)
+        (0.02). Same seed, same answer; early_stop=False draws all max_iterations (1000)."""
+        call = convert.segment_planes(
+            cloud, distance_m, max_iterations, max_planes, min_points, seed, early_stop
+        )
         return self._transport.call(call)
 
     def cluster_points(
@@ -34,9 +37,11 @@ class Segmentation(Sync):
         method: ClusterMethod | str = ClusterMethod.EUCLIDEAN,
         eps_m: float | None = None,
         min_points: int | None = None,
+        eps_slope: float | None = None,
     ) -> Clusters:
-        """Connected groups of at least min_points (10) points, connected up to eps_m (0.05)."""
-        return self._transport.call(convert.cluster_points(cloud, method, eps_m, min_points))
+        """Connected groups of at least min_points (10) points, connected up to eps_m (0.05); euclidean ones
+        may reach eps_slope farther for each metre of distance from the origin."""
+        return self._transport.call(convert.cluster_points(cloud, method, eps_m, min_points, eps_slope))
 
     def compute_shape_features(self, cloud: Cloud) -> Shape:
         """Centroid, extent, eigenvalues and what follows from them; smallest upright box."""
@@ -59,10 +64,13 @@ class AsyncSegmentation(Async):
         max_planes: int | None = None,
         min_points: int | None = None,
         seed: int = 0,
+        early_stop: bool | None = None,
     ) -> list[PlaneSegment]:
         """Up to max_planes (1) planes by RANSAC, largest first; z is up. Inliers are nearer than distance_m
-        (0.02). Same seed, same answer."""
-        call = convert.segment_planes(cloud, distance_m, max_iterations, max_planes, min_points, seed)
+        (0.02). Same seed, same answer; early_stop=False draws all max_iterations (1000)."""
+        call = convert.segment_planes(
+            cloud, distance_m, max_iterations, max_planes, min_points, seed, early_stop
+        )
         return await self._transport.call(call)
 
     async def cluster_points(
@@ -72,9 +80,11 @@ class AsyncSegmentation(Async):
         method: ClusterMethod | str = ClusterMethod.EUCLIDEAN,
         eps_m: float | None = None,
         min_points: int | None = None,
+        eps_slope: float | None = None,
     ) -> Clusters:
-        """Connected groups of at least min_points (10) points, connected up to eps_m (0.05)."""
-        return await self._transport.call(convert.cluster_points(cloud, method, eps_m, min_points))
+        """Connected groups of at least min_points (10) points, connected up to eps_m (0.05); euclidean ones
+        may reach eps_slope farther for each metre of distance from the origin."""
+        return await self._transport.call(convert.cluster_points(cloud, method, eps_m, min_points, eps_slope))
 
     async def compute_shape_features(self, cloud: Cloud) -> Shape:
         """Centroid, extent, eigenvalues and what follows from them; smallest upright box."""

@@ -429,6 +429,7 @@ class SegmentPlanesRequest(_message.Message):
     MAX_PLANES_FIELD_NUMBER: _builtins.int
     MIN_POINTS_FIELD_NUMBER: _builtins.int
     SEED_FIELD_NUMBER: _builtins.int
+    EARLY_STOP_FIELD_NUMBER: _builtins.int
     CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
     distance_m: _builtins.float
     """Inliers are nearer than this, metres. Absent: 0.02."""
@@ -440,6 +441,8 @@ class SegmentPlanesRequest(_message.Message):
     """Points a plane must have. Absent: 100."""
     seed: _builtins.int
     """Same seed, same answer."""
+    early_stop: _builtins.bool
+    """Stop drawing when a better plane has become improbable. Absent: true."""
     cloud_handle: _builtins.str
     """Instead of cloud: a kept one's handle."""
     @_builtins.property
@@ -453,16 +456,19 @@ class SegmentPlanesRequest(_message.Message):
         max_planes: _builtins.int | None = ...,
         min_points: _builtins.int | None = ...,
         seed: _builtins.int = ...,
+        early_stop: _builtins.bool | None = ...,
         cloud_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_distance_m", b"_distance_m", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "distance_m", b"distance_m", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_distance_m", b"_distance_m", "_early_stop", b"_early_stop", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "distance_m", b"distance_m", "early_stop", b"early_stop", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_distance_m", b"_distance_m", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "distance_m", b"distance_m", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points", "seed", b"seed"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_distance_m", b"_distance_m", "_early_stop", b"_early_stop", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "distance_m", b"distance_m", "early_stop", b"early_stop", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points", "seed", b"seed"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
     _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
     _WhichOneofReturnType__distance_m: _TypeAlias = _typing.Literal["distance_m"]  # noqa: Y015
     _WhichOneofArgType__distance_m: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__early_stop: _TypeAlias = _typing.Literal["early_stop"]  # noqa: Y015
+    _WhichOneofArgType__early_stop: _TypeAlias = _typing.Literal["_early_stop", b"_early_stop"]  # noqa: Y015
     _WhichOneofReturnType__max_iterations: _TypeAlias = _typing.Literal["max_iterations"]  # noqa: Y015
     _WhichOneofArgType__max_iterations: _TypeAlias = _typing.Literal["_max_iterations", b"_max_iterations"]  # noqa: Y015
     _WhichOneofReturnType__max_planes: _TypeAlias = _typing.Literal["max_planes"]  # noqa: Y015
@@ -473,6 +479,8 @@ class SegmentPlanesRequest(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__distance_m) -> _WhichOneofReturnType__distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__early_stop) -> _WhichOneofReturnType__early_stop | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_iterations) -> _WhichOneofReturnType__max_iterations | None: ...
     @_typing.overload
@@ -512,12 +520,15 @@ class ClusterPointsRequest(_message.Message):
     METHOD_FIELD_NUMBER: _builtins.int
     EPS_M_FIELD_NUMBER: _builtins.int
     MIN_POINTS_FIELD_NUMBER: _builtins.int
+    EPS_SLOPE_FIELD_NUMBER: _builtins.int
     CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
     method: Global___ClusterMethod.ValueType
     eps_m: _builtins.float
     """Metres. Absent: 0.05."""
     min_points: _builtins.int
     """Absent: 10."""
+    eps_slope: _builtins.float
+    """EUCLIDEAN only: eps_m grows by this for each metre of distance from the origin. Absent: 0."""
     cloud_handle: _builtins.str
     """Instead of cloud: a kept one's handle."""
     @_builtins.property
@@ -529,22 +540,27 @@ class ClusterPointsRequest(_message.Message):
         method: Global___ClusterMethod.ValueType = ...,
         eps_m: _builtins.float | None = ...,
         min_points: _builtins.int | None = ...,
+        eps_slope: _builtins.float | None = ...,
         cloud_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_eps_m", b"_eps_m", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "eps_m", b"eps_m", "min_points", b"min_points"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_eps_m", b"_eps_m", "_eps_slope", b"_eps_slope", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "eps_m", b"eps_m", "eps_slope", b"eps_slope", "min_points", b"min_points"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_eps_m", b"_eps_m", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "eps_m", b"eps_m", "method", b"method", "min_points", b"min_points"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_eps_m", b"_eps_m", "_eps_slope", b"_eps_slope", "_min_points", b"_min_points", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "eps_m", b"eps_m", "eps_slope", b"eps_slope", "method", b"method", "min_points", b"min_points"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
     _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
     _WhichOneofReturnType__eps_m: _TypeAlias = _typing.Literal["eps_m"]  # noqa: Y015
     _WhichOneofArgType__eps_m: _TypeAlias = _typing.Literal["_eps_m", b"_eps_m"]  # noqa: Y015
+    _WhichOneofReturnType__eps_slope: _TypeAlias = _typing.Literal["eps_slope"]  # noqa: Y015
+    _WhichOneofArgType__eps_slope: _TypeAlias = _typing.Literal["_eps_slope", b"_eps_slope"]  # noqa: Y015
     _WhichOneofReturnType__min_points: _TypeAlias = _typing.Literal["min_points"]  # noqa: Y015
     _WhichOneofArgType__min_points: _TypeAlias = _typing.Literal["_min_points", b"_min_points"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__eps_m) -> _WhichOneofReturnType__eps_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__eps_slope) -> _WhichOneofReturnType__eps_slope | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__min_points) -> _WhichOneofReturnType__min_points | None: ...
 

@@ -20,6 +20,7 @@ def segment_planes(
     max_planes: int | None,
     min_points: int | None,
     seed: int,
+    early_stop: bool | None,
 ) -> Call[service.SegmentPlanesRequest, service.SegmentPlanesResponse, list[PlaneSegment]]:
     request = with_cloud(
         service.SegmentPlanesRequest,
@@ -29,6 +30,7 @@ def segment_planes(
         max_planes=max_planes,
         min_points=min_points,
         seed=seed,
+        early_stop=early_stop,
     )
     return Call(_rpc.SEGMENT_PLANES, request, planes)
 
@@ -45,10 +47,19 @@ def planes(answer: service.SegmentPlanesResponse) -> list[PlaneSegment]:
 
 
 def cluster_points(
-    cloud: Cloud, method: ClusterMethod | str, eps_m: float | None, min_points: int | None
+    cloud: Cloud,
+    method: ClusterMethod | str,
+    eps_m: float | None,
+    min_points: int | None,
+    eps_slope: float | None,
 ) -> Call[service.ClusterPointsRequest, service.ClusterPointsResponse, Clusters]:
     request = with_cloud(
-        service.ClusterPointsRequest, cloud, method=method, eps_m=eps_m, min_points=min_points
+        service.ClusterPointsRequest,
+        cloud,
+        method=method,
+        eps_m=eps_m,
+        min_points=min_points,
+        eps_slope=eps_slope,
     )
     return Call(_rpc.CLUSTER_POINTS, request, clusters)
 

@@ -298,6 +298,11 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/detect-objects", "ToolboxService/DetectObjects", &[], unary!(Message detect_objects)),
     post("/v1/toolbox/register-clouds", "ToolboxService/RegisterClouds", &[], unary!(Message register_clouds)),
     post("/v1/toolbox/unproject-depth", "ToolboxService/UnprojectDepth", &[], unary!(Message unproject_depth)),
+    post("/v1/toolbox/estimate-essential", "ToolboxService/EstimateEssential", &[], unary!(Message estimate_essential)),
+    post("/v1/toolbox/estimate-homography", "ToolboxService/EstimateHomography", &[], unary!(Message estimate_homography)),
+    post("/v1/toolbox/estimate-two-view", "ToolboxService/EstimateTwoView", &[], unary!(Message estimate_two_view)),
+    post("/v1/toolbox/triangulate-points", "ToolboxService/TriangulatePoints", &[], unary!(Message triangulate_points)),
+    post("/v1/toolbox/solve-pnp", "ToolboxService/SolvePnp", &[], unary!(Message solve_pnp)),
 
     post("/v1/evaluation/trajectory", "EvaluationService/EvaluateTrajectory", &[], unary!(Message evaluate_trajectory)),
     post("/v1/evaluation/detections", "EvaluationService/EvaluateDetections", &[], unary!(Message evaluate_detections)),

@@ -7,6 +7,7 @@
 mod clouds;
 mod errors;
 mod files;
+mod images;
 mod kept;
 mod pipeline;
 mod registration;
@@ -14,6 +15,7 @@ mod registration;
 pub use clouds::*;
 pub use errors::{cloud_error, format_error, registration_error};
 pub use files::{CloudFormat, decode_cloud, encode_cloud};
+pub use images::{PosedView, multiview_error, triangulate_points};
 pub use kept::{KeptCloud, KeptClouds, KeptList};
 pub use pipeline::{Found, PlaneRemainder, Step, StepReport};
 pub use registration::register_clouds;

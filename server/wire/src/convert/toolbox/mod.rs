@@ -1,8 +1,16 @@
 //! Requests to the toolbox, laid over the defaults; answers back. One file a group.
 
+/// Lays the fields that were sent over parameters of the same names.
+macro_rules! lay {
+    ($params:ident, $r:ident: $($field:ident),+) => {
+        $(if let Some(value) = $r.$field { $params.$field = value as _; })+
+    };
+}
+
 pub mod depth;
 pub mod files;
 pub mod filters;
+pub mod images;
 pub mod pipeline;
 pub mod registration;
 pub mod segmentation;

@@ -17,6 +17,7 @@ pub fn planes_params(r: &v1::SegmentPlanesRequest) -> PlanesParams {
     set(&mut plane.distance_m, r.distance_m);
     set(&mut plane.max_iterations, count(r.max_iterations));
     set(&mut plane.min_points, count(r.min_points));
+    set(&mut plane.early_stop, r.early_stop);
     PlanesParams { plane, max_planes: count(r.max_planes).unwrap_or(1), ..PlanesParams::default() }
 }
 
@@ -31,6 +32,7 @@ pub fn clustering(r: &v1::ClusterPointsRequest) -> Result<Clustering> {
             let mut params = ClusterParams::default();
             set(&mut params.eps_m, r.eps_m);
             set(&mut params.min_points, count(r.min_points));
+            set(&mut params.eps_slope, r.eps_slope);
             Ok(Clustering::Euclidean(params))
         }
         Ok(M::Dbscan) => {

@@ -2,6 +2,7 @@
 
 mod depth;
 mod filters;
+mod images;
 mod kept;
 mod registration;
 mod segmentation;
@@ -128,5 +129,34 @@ impl v1::toolbox_service_server::ToolboxService for Api {
 
     async fn convert_color(&self, r: Request<v1::ConvertColorRequest>) -> Answer<v1::ConvertColorResponse> {
         self.toolbox(r, depth::convert_color).await
+    }
+
+    async fn estimate_essential(
+        &self,
+        r: Request<v1::EstimateEssentialRequest>,
+    ) -> Answer<v1::EstimateEssentialResponse> {
+        self.toolbox(r, images::estimate_essential).await
+    }
+
+    async fn estimate_homography(
+        &self,
+        r: Request<v1::EstimateHomographyRequest>,
+    ) -> Answer<v1::EstimateHomographyResponse> {
+        self.toolbox(r, images::estimate_homography).await
+    }
+
+    async fn estimate_two_view(&self, r: Request<v1::EstimateTwoViewRequest>) -> Answer<v1::EstimateTwoViewResponse> {
+        self.toolbox(r, images::estimate_two_view).await
+    }
+
+    async fn triangulate_points(
+        &self,
+        r: Request<v1::TriangulatePointsRequest>,
+    ) -> Answer<v1::TriangulatePointsResponse> {
+        self.toolbox(r, images::triangulate_points).await
+    }
+
+    async fn solve_pnp(&self, r: Request<v1::SolvePnpRequest>) -> Answer<v1::SolvePnpResponse> {
+        self.toolbox(r, images::solve_pnp).await
     }
 }

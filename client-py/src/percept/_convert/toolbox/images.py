@@ -1,0 +1,171 @@
+"""Several views of one scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ... import _rpc
+from ..._arrays import Array, checked
+from ..._call import Call
+from ...types.geometry import CameraIntrinsics, Floats
+from ...types.images import (
+    EssentialEstimate,
+    HomographyEstimate,
+    PnpEstimate,
+    PosedView,
+    Ransac,
+    TriangulatedPoints,
+    TwoViewEstimate,
+    TwoViewModel,
+    TwoViewOutcome,
+)
+from ...v1 import toolbox_images_pb2 as images
+from .. import geometry, words
+from .request import of, uint32s
+
+
+def _packed(field: str, value: Array, columns: int) -> bytes:
+    """(N, columns) float32 or float64 as packed float64."""
+    return checked(field, value, ("N", columns), np.float64, np.float32).astype("<f8").tobytes()
+
+
+def _float64s(data: bytes, *shape: int) -> Floats:
+    return np.frombuffer(data, "<f8").reshape(shape or (-1,))
+
+
+def _ransac(value: Ransac | None) -> images.RansacParams:
+    value = value or Ransac()
+    return of(
+        images.RansacParams,
+        threshold_px=value.threshold_px,
+        confidence=value.confidence,
+        max_iterations=value.max_iterations,
+        seed=value.seed,
+    )
+
+
+def estimate_essential(
+    points_a: Array,
+    points_b: Array,
+    camera_a: CameraIntrinsics,
+    camera_b: CameraIntrinsics | None,
+    ransac: Ransac | None,
+) -> Call[images.EstimateEssentialRequest, images.EstimateEssentialResponse, EssentialEstimate]:
+    request = of(
+        images.EstimateEssentialRequest,
+        points_a=_packed("points_a", points_a, 2),
+        points_b=_packed("points_b", points_b, 2),
+        camera_a=camera_a,
+        camera_b=camera_b,
+        ransac=_ransac(ransac),
+    )
+    return Call(_rpc.ESTIMATE_ESSENTIAL, request, _essential)
+
+
+def _essential(answer: images.EstimateEssentialResponse) -> EssentialEstimate:
+    return EssentialEstimate(
+        essential=np.array(answer.essential).reshape(3, 3),
+        t_b_a=geometry.pose(answer.t_b_a),
+        inliers=uint32s(answer.inliers),
+        num_with_parallax=answer.num_with_parallax,
+        rmse_px=answer.rmse_px,
+        iterations=answer.iterations,
+    )
+
+
+def estimate_homography(
+    points_a: Array, points_b: Array, ransac: Ransac | None
+) -> Call[images.EstimateHomographyRequest, images.EstimateHomographyResponse, HomographyEstimate]:
+    request = of(
+        images.EstimateHomographyRequest,
+        points_a=_packed("points_a", points_a, 2),
+        points_b=_packed("points_b", points_b, 2),
+        ransac=_ransac(ransac),
+    )
+    return Call(_rpc.ESTIMATE_HOMOGRAPHY, request, _homography)
+
+
+def _homography(answer: images.EstimateHomographyResponse) -> HomographyEstimate:
+    return HomographyEstimate(
+        homography=np.array(answer.homography).reshape(3, 3),
+        inliers=uint32s(answer.inliers),
+        rmse_px=answer.rmse_px,
+        iterations=answer.iterations,
+    )
+
+
+def estimate_two_view(
+    points_a: Array,
+    points_b: Array,
+    camera_a: CameraIntrinsics,
+    camera_b: CameraIntrinsics | None,
+    ransac: Ransac | None,
+) -> Call[images.EstimateTwoViewRequest, images.EstimateTwoViewResponse, TwoViewEstimate]:
+    def read(answer: images.EstimateTwoViewResponse) -> TwoViewEstimate:
+        return TwoViewEstimate(
+            model=words.word(TwoViewModel, images.TwoViewModel, answer.model),
+            outcome=words.word(TwoViewOutcome, images.TwoViewOutcome, answer.outcome),
+            essential=_essential(answer.essential),
+            homography=_homography(answer.homography) if answer.HasField("homography") else None,
+            gric_essential=answer.gric_essential,
+            gric_homography=answer.gric_homography,
+        )
+
+    request = of(
+        images.EstimateTwoViewRequest,
+        points_a=_packed("points_a", points_a, 2),
+        points_b=_packed("points_b", points_b, 2),
+        camera_a=camera_a,
+        camera_b=camera_b,
+        ransac=_ransac(ransac),
+    )
+    return Call(_rpc.ESTIMATE_TWO_VIEW, request, read)
+
+
+def triangulate_points(
+    views: Sequence[PosedView],
+) -> Call[images.TriangulatePointsRequest, images.TriangulatePointsResponse, TriangulatedPoints]:
+    def read(answer: images.TriangulatePointsResponse) -> TriangulatedPoints:
+        return TriangulatedPoints(
+            positions=_float64s(answer.positions, -1, 3),
+            covariances=_float64s(answer.covariances, -1, 3, 3),
+            parallax_rad=_float64s(answer.parallax_rad),
+            rmse_px=_float64s(answer.rmse_px),
+            in_front=np.frombuffer(answer.in_front, np.uint8).astype(bool),
+        )
+
+    request = images.TriangulatePointsRequest()
+    for view in views:
+        request.views.append(
+            of(
+                images.PosedView,
+                camera=view.camera,
+                t_world_camera=view.t_world_camera,
+                pixels=_packed("pixels", view.pixels, 2),
+            )
+        )
+    return Call(_rpc.TRIANGULATE_POINTS, request, read)
+
+
+def solve_pnp(
+    points: Array, pixels: Array, camera: CameraIntrinsics, ransac: Ransac | None
+) -> Call[images.SolvePnpRequest, images.SolvePnpResponse, PnpEstimate]:
+    def read(answer: images.SolvePnpResponse) -> PnpEstimate:
+        return PnpEstimate(
+            t_world_camera=geometry.pose(answer.t_world_camera),
+            covariance=geometry.covariance(answer.covariance),
+            inliers=uint32s(answer.inliers),
+            rmse_px=answer.rmse_px,
+            iterations=answer.iterations,
+        )
+
+    request = of(
+        images.SolvePnpRequest,
+        points=_packed("points", points, 3),
+        pixels=_packed("pixels", pixels, 2),
+        camera=camera,
+        ransac=_ransac(ransac),
+    )
+    return Call(_rpc.SOLVE_PNP, request, read)
