@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from .._arrays import Array
 from .._convert.toolbox import registration as convert
 from .._convert.toolbox.request import Cloud
 from ..types.geometry import Pose
-from ..types.toolbox import Registration, RegistrationMethod
+from ..types.toolbox import Registration, RegistrationMethod, RobustKernel
 from ._base import Async, Sync
 
 
@@ -22,10 +24,42 @@ class RegistrationCalls(Sync):
         method: RegistrationMethod | str = RegistrationMethod.POINT_TO_PLANE,
         max_distance_m: float | None = None,
         max_iterations: int | None = None,
+        voxel_sizes_m: Sequence[float] = (),
+        kernel: RobustKernel | str = RobustKernel.NONE,
+        kernel_scale_m: float | None = None,
+        translation_tolerance_m: float | None = None,
+        rotation_tolerance_rad: float | None = None,
+        num_neighbors: int | None = None,
+        target_voxel_size_m: float | None = None,
+        color_share: float | None = None,
+        tangent_weight: float | None = None,
+        degeneracy_threshold: float | None = None,
     ) -> Registration:
-        """Lays source over target (ICP), starting from t_target_source = initial_guess; pairs further apart
-        than max_distance_m do not count."""
-        call = convert.register_clouds(source, target, initial_guess, method, max_distance_m, max_iterations)
+        """Lays source over target, starting from t_target_source = initial_guess (identity).
+
+        Pairs further apart than max_distance_m (0.02) do not count. voxel_sizes_m thins both clouds, coarse
+        to fine. kernel_scale_m is where the kernel begins to bend. Normals come from num_neighbors (20) points;
+        target_voxel_size_m (1) is for vgicp, color_share (0.032) for colored, tangent_weight (0) for
+        point_to_plane.
+        """
+        call = convert.register_clouds(
+            source,
+            target,
+            initial_guess=initial_guess,
+            method=method,
+            max_distance_m=max_distance_m,
+            max_iterations=max_iterations,
+            voxel_sizes_m=voxel_sizes_m,
+            kernel=kernel,
+            kernel_scale_m=kernel_scale_m,
+            translation_tolerance_m=translation_tolerance_m,
+            rotation_tolerance_rad=rotation_tolerance_rad,
+            num_neighbors=num_neighbors,
+            target_voxel_size_m=target_voxel_size_m,
+            color_share=color_share,
+            tangent_weight=tangent_weight,
+            degeneracy_threshold=degeneracy_threshold,
+        )
         return self._transport.call(call)
 
 
@@ -41,8 +75,40 @@ class AsyncRegistrationCalls(Async):
         method: RegistrationMethod | str = RegistrationMethod.POINT_TO_PLANE,
         max_distance_m: float | None = None,
         max_iterations: int | None = None,
+        voxel_sizes_m: Sequence[float] = (),
+        kernel: RobustKernel | str = RobustKernel.NONE,
+        kernel_scale_m: float | None = None,
+        translation_tolerance_m: float | None = None,
+        rotation_tolerance_rad: float | None = None,
+        num_neighbors: int | None = None,
+        target_voxel_size_m: float | None = None,
+        color_share: float | None = None,
+        tangent_weight: float | None = None,
+        degeneracy_threshold: float | None = None,
     ) -> Registration:
-        """Lays source over target (ICP), starting from t_target_source = initial_guess; pairs further apart
-        than max_distance_m do not count."""
-        call = convert.register_clouds(source, target, initial_guess, method, max_distance_m, max_iterations)
+        """Lays source over target, starting from t_target_source = initial_guess (identity).
+
+        Pairs further apart than max_distance_m (0.02) do not count. voxel_sizes_m thins both clouds, coarse
+        to fine. kernel_scale_m is where the kernel begins to bend. Normals come from num_neighbors (20) points;
+        target_voxel_size_m (1) is for vgicp, color_share (0.032) for colored, tangent_weight (0) for
+        point_to_plane.
+        """
+        call = convert.register_clouds(
+            source,
+            target,
+            initial_guess=initial_guess,
+            method=method,
+            max_distance_m=max_distance_m,
+            max_iterations=max_iterations,
+            voxel_sizes_m=voxel_sizes_m,
+            kernel=kernel,
+            kernel_scale_m=kernel_scale_m,
+            translation_tolerance_m=translation_tolerance_m,
+            rotation_tolerance_rad=rotation_tolerance_rad,
+            num_neighbors=num_neighbors,
+            target_voxel_size_m=target_voxel_size_m,
+            color_share=color_share,
+            tangent_weight=tangent_weight,
+            degeneracy_threshold=degeneracy_threshold,
+        )
         return await self._transport.call(call)

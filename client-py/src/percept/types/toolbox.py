@@ -110,6 +110,34 @@ class RegistrationMethod(Name):
 
     POINT_TO_POINT = "point_to_point"
     POINT_TO_PLANE = "point_to_plane"
+    #: Differences weighted by the surfaces of both clouds.
+    GICP = "gicp"
+    #: GICP against the mean surface of the target's voxels.
+    VGICP = "vgicp"
+    #: Tangent planes and brightness; both clouds need colours.
+    COLORED = "colored"
+
+
+class RobustKernel(Name):
+    """How much a residual counts."""
+
+    NONE = "none"
+    HUBER = "huber"
+    CAUCHY = "cauchy"
+    GEMAN_MCCLURE = "geman_mcclure"
+    TUKEY = "tukey"
+
+
+class RegistrationOutcome(Name):
+    """How registration ended."""
+
+    UNSPECIFIED = "unspecified"
+    CONVERGED = "converged"
+    #: Converged, but the pairs leave directions open: see degenerate_axes.
+    DEGENERATE = "degenerate"
+    MAX_ITERATIONS = "max_iterations"
+    TOO_FEW_PAIRS = "too_few_pairs"
+    DIVERGED = "diverged"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -125,6 +153,8 @@ class Registration(Value):
     covariance: Floats
     iterations: int
     converged: bool
+    #: Why not converged, if not.
+    outcome: RegistrationOutcome
     #: Axes (x, y, z, rotation x, y, z) that the clouds do not fix.
     degenerate_axes: tuple[bool, ...]
 

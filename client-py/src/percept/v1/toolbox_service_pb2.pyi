@@ -85,6 +85,12 @@ class _RegistrationMethodEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Re
     """Besl and McKay 1992."""
     REGISTRATION_METHOD_POINT_TO_PLANE: _RegistrationMethod.ValueType  # 2
     """Chen and Medioni 1992; normals of the target are estimated if absent."""
+    REGISTRATION_METHOD_GICP: _RegistrationMethod.ValueType  # 3
+    """Segal et al. 2009: differences weighted by the surfaces of both."""
+    REGISTRATION_METHOD_VGICP: _RegistrationMethod.ValueType  # 4
+    """Koide et al. 2021: GICP against the mean surface of the target's voxels."""
+    REGISTRATION_METHOD_COLORED: _RegistrationMethod.ValueType  # 5
+    """Park et al. 2017: tangent planes and brightness; both clouds need colours."""
 
 class RegistrationMethod(_RegistrationMethod, metaclass=_RegistrationMethodEnumTypeWrapper):
     """What registration minimises."""
@@ -95,7 +101,77 @@ REGISTRATION_METHOD_POINT_TO_POINT: RegistrationMethod.ValueType  # 1
 """Besl and McKay 1992."""
 REGISTRATION_METHOD_POINT_TO_PLANE: RegistrationMethod.ValueType  # 2
 """Chen and Medioni 1992; normals of the target are estimated if absent."""
+REGISTRATION_METHOD_GICP: RegistrationMethod.ValueType  # 3
+"""Segal et al. 2009: differences weighted by the surfaces of both."""
+REGISTRATION_METHOD_VGICP: RegistrationMethod.ValueType  # 4
+"""Koide et al. 2021: GICP against the mean surface of the target's voxels."""
+REGISTRATION_METHOD_COLORED: RegistrationMethod.ValueType  # 5
+"""Park et al. 2017: tangent planes and brightness; both clouds need colours."""
 Global___RegistrationMethod: _TypeAlias = RegistrationMethod  # noqa: Y015
+
+class _RobustKernelKind:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _RobustKernelKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_RobustKernelKind.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    ROBUST_KERNEL_KIND_UNSPECIFIED: _RobustKernelKind.ValueType  # 0
+    """NONE."""
+    ROBUST_KERNEL_KIND_NONE: _RobustKernelKind.ValueType  # 1
+    ROBUST_KERNEL_KIND_HUBER: _RobustKernelKind.ValueType  # 2
+    """Quadratic to the scale, linear beyond."""
+    ROBUST_KERNEL_KIND_CAUCHY: _RobustKernelKind.ValueType  # 3
+    ROBUST_KERNEL_KIND_GEMAN_MCCLURE: _RobustKernelKind.ValueType  # 4
+    ROBUST_KERNEL_KIND_TUKEY: _RobustKernelKind.ValueType  # 5
+    """Nothing beyond the scale."""
+
+class RobustKernelKind(_RobustKernelKind, metaclass=_RobustKernelKindEnumTypeWrapper):
+    """How much a residual counts."""
+
+ROBUST_KERNEL_KIND_UNSPECIFIED: RobustKernelKind.ValueType  # 0
+"""NONE."""
+ROBUST_KERNEL_KIND_NONE: RobustKernelKind.ValueType  # 1
+ROBUST_KERNEL_KIND_HUBER: RobustKernelKind.ValueType  # 2
+"""Quadratic to the scale, linear beyond."""
+ROBUST_KERNEL_KIND_CAUCHY: RobustKernelKind.ValueType  # 3
+ROBUST_KERNEL_KIND_GEMAN_MCCLURE: RobustKernelKind.ValueType  # 4
+ROBUST_KERNEL_KIND_TUKEY: RobustKernelKind.ValueType  # 5
+"""Nothing beyond the scale."""
+Global___RobustKernelKind: _TypeAlias = RobustKernelKind  # noqa: Y015
+
+class _RegistrationOutcome:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _RegistrationOutcomeEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_RegistrationOutcome.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    REGISTRATION_OUTCOME_UNSPECIFIED: _RegistrationOutcome.ValueType  # 0
+    REGISTRATION_OUTCOME_CONVERGED: _RegistrationOutcome.ValueType  # 1
+    """The last step was below the tolerances, and the pairs fix the whole pose."""
+    REGISTRATION_OUTCOME_DEGENERATE: _RegistrationOutcome.ValueType  # 2
+    """As CONVERGED, but the pairs leave directions open: see degenerate_axes."""
+    REGISTRATION_OUTCOME_MAX_ITERATIONS: _RegistrationOutcome.ValueType  # 3
+    """Steps were still above the tolerances."""
+    REGISTRATION_OUTCOME_TOO_FEW_PAIRS: _RegistrationOutcome.ValueType  # 4
+    """Fewer than six pairs were within the distance."""
+    REGISTRATION_OUTCOME_DIVERGED: _RegistrationOutcome.ValueType  # 5
+    """A step led away from the clouds, or most pairs were lost."""
+
+class RegistrationOutcome(_RegistrationOutcome, metaclass=_RegistrationOutcomeEnumTypeWrapper):
+    """How registration ended."""
+
+REGISTRATION_OUTCOME_UNSPECIFIED: RegistrationOutcome.ValueType  # 0
+REGISTRATION_OUTCOME_CONVERGED: RegistrationOutcome.ValueType  # 1
+"""The last step was below the tolerances, and the pairs fix the whole pose."""
+REGISTRATION_OUTCOME_DEGENERATE: RegistrationOutcome.ValueType  # 2
+"""As CONVERGED, but the pairs leave directions open: see degenerate_axes."""
+REGISTRATION_OUTCOME_MAX_ITERATIONS: RegistrationOutcome.ValueType  # 3
+"""Steps were still above the tolerances."""
+REGISTRATION_OUTCOME_TOO_FEW_PAIRS: RegistrationOutcome.ValueType  # 4
+"""Fewer than six pairs were within the distance."""
+REGISTRATION_OUTCOME_DIVERGED: RegistrationOutcome.ValueType  # 5
+"""A step led away from the clouds, or most pairs were lost."""
+Global___RegistrationOutcome: _TypeAlias = RegistrationOutcome  # noqa: Y015
 
 class _CloudFormat:
     ValueType = _typing.NewType("ValueType", _builtins.int)
@@ -701,13 +777,40 @@ class RegisterCloudsRequest(_message.Message):
     METHOD_FIELD_NUMBER: _builtins.int
     MAX_DISTANCE_M_FIELD_NUMBER: _builtins.int
     MAX_ITERATIONS_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZES_M_FIELD_NUMBER: _builtins.int
+    KERNEL_FIELD_NUMBER: _builtins.int
+    KERNEL_SCALE_M_FIELD_NUMBER: _builtins.int
+    TRANSLATION_TOLERANCE_M_FIELD_NUMBER: _builtins.int
+    ROTATION_TOLERANCE_RAD_FIELD_NUMBER: _builtins.int
+    NUM_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    TARGET_VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    COLOR_SHARE_FIELD_NUMBER: _builtins.int
+    TANGENT_WEIGHT_FIELD_NUMBER: _builtins.int
+    DEGENERACY_THRESHOLD_FIELD_NUMBER: _builtins.int
     SOURCE_HANDLE_FIELD_NUMBER: _builtins.int
     TARGET_HANDLE_FIELD_NUMBER: _builtins.int
     method: Global___RegistrationMethod.ValueType
     max_distance_m: _builtins.float
-    """Pairs further apart do not count, metres. Absent: 1."""
+    """Pairs further apart do not count, metres; a few times the expected misalignment. Absent: 0.02."""
     max_iterations: _builtins.int
-    """Absent: 50."""
+    """1 to 1000. Absent: 50."""
+    kernel: Global___RobustKernelKind.ValueType
+    kernel_scale_m: _builtins.float
+    """Residual at which the kernel begins to bend, metres; required with a kernel."""
+    translation_tolerance_m: _builtins.float
+    """Converged once a step is shorter, metres. Absent: 1e-5."""
+    rotation_tolerance_rad: _builtins.float
+    """Converged once a step turns less, radians. Absent: 1e-5."""
+    num_neighbors: _builtins.int
+    """Normals come from so many nearest points, 3 to 1000. Absent: 20."""
+    target_voxel_size_m: _builtins.float
+    """VGICP only: edge of the target's voxels, metres. Absent: 1."""
+    color_share: _builtins.float
+    """COLORED only: share of the brightness in what is minimised, 0 to 1. Absent: 0.032."""
+    tangent_weight: _builtins.float
+    """POINT_TO_PLANE only: how much the difference along the plane counts, 0 to 1. Absent: 0."""
+    degeneracy_threshold: _builtins.float
+    """A direction with a smaller share of the residuals' sensitivity is degenerate, 0 to 0.3. Absent: 0.002."""
     source_handle: _builtins.str
     """Instead of source: a kept cloud's handle."""
     target_handle: _builtins.str
@@ -720,6 +823,12 @@ class RegisterCloudsRequest(_message.Message):
     def initial_guess(self) -> _geometry_pb2.Pose:
         """t_target_source to start from. Absent: identity."""
 
+    @_builtins.property
+    def voxel_sizes_m(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """Both clouds are thinned to one point a voxel of this edge, metres; the levels in turn, coarse to fine. Empty: the
+        clouds as they are, once.
+        """
+
     def __init__(
         self,
         *,
@@ -729,29 +838,71 @@ class RegisterCloudsRequest(_message.Message):
         method: Global___RegistrationMethod.ValueType = ...,
         max_distance_m: _builtins.float | None = ...,
         max_iterations: _builtins.int | None = ...,
+        voxel_sizes_m: _abc.Iterable[_builtins.float] | None = ...,
+        kernel: Global___RobustKernelKind.ValueType = ...,
+        kernel_scale_m: _builtins.float | None = ...,
+        translation_tolerance_m: _builtins.float | None = ...,
+        rotation_tolerance_rad: _builtins.float | None = ...,
+        num_neighbors: _builtins.int | None = ...,
+        target_voxel_size_m: _builtins.float | None = ...,
+        color_share: _builtins.float | None = ...,
+        tangent_weight: _builtins.float | None = ...,
+        degeneracy_threshold: _builtins.float | None = ...,
         source_handle: _builtins.str | None = ...,
         target_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_source_handle", b"_source_handle", "_target_handle", b"_target_handle", "initial_guess", b"initial_guess", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "source", b"source", "source_handle", b"source_handle", "target", b"target", "target_handle", b"target_handle"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_color_share", b"_color_share", "_degeneracy_threshold", b"_degeneracy_threshold", "_kernel_scale_m", b"_kernel_scale_m", "_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_num_neighbors", b"_num_neighbors", "_rotation_tolerance_rad", b"_rotation_tolerance_rad", "_source_handle", b"_source_handle", "_tangent_weight", b"_tangent_weight", "_target_handle", b"_target_handle", "_target_voxel_size_m", b"_target_voxel_size_m", "_translation_tolerance_m", b"_translation_tolerance_m", "color_share", b"color_share", "degeneracy_threshold", b"degeneracy_threshold", "initial_guess", b"initial_guess", "kernel_scale_m", b"kernel_scale_m", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "num_neighbors", b"num_neighbors", "rotation_tolerance_rad", b"rotation_tolerance_rad", "source", b"source", "source_handle", b"source_handle", "tangent_weight", b"tangent_weight", "target", b"target", "target_handle", b"target_handle", "target_voxel_size_m", b"target_voxel_size_m", "translation_tolerance_m", b"translation_tolerance_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_source_handle", b"_source_handle", "_target_handle", b"_target_handle", "initial_guess", b"initial_guess", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "method", b"method", "source", b"source", "source_handle", b"source_handle", "target", b"target", "target_handle", b"target_handle"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_color_share", b"_color_share", "_degeneracy_threshold", b"_degeneracy_threshold", "_kernel_scale_m", b"_kernel_scale_m", "_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_num_neighbors", b"_num_neighbors", "_rotation_tolerance_rad", b"_rotation_tolerance_rad", "_source_handle", b"_source_handle", "_tangent_weight", b"_tangent_weight", "_target_handle", b"_target_handle", "_target_voxel_size_m", b"_target_voxel_size_m", "_translation_tolerance_m", b"_translation_tolerance_m", "color_share", b"color_share", "degeneracy_threshold", b"degeneracy_threshold", "initial_guess", b"initial_guess", "kernel", b"kernel", "kernel_scale_m", b"kernel_scale_m", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "method", b"method", "num_neighbors", b"num_neighbors", "rotation_tolerance_rad", b"rotation_tolerance_rad", "source", b"source", "source_handle", b"source_handle", "tangent_weight", b"tangent_weight", "target", b"target", "target_handle", b"target_handle", "target_voxel_size_m", b"target_voxel_size_m", "translation_tolerance_m", b"translation_tolerance_m", "voxel_sizes_m", b"voxel_sizes_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__color_share: _TypeAlias = _typing.Literal["color_share"]  # noqa: Y015
+    _WhichOneofArgType__color_share: _TypeAlias = _typing.Literal["_color_share", b"_color_share"]  # noqa: Y015
+    _WhichOneofReturnType__degeneracy_threshold: _TypeAlias = _typing.Literal["degeneracy_threshold"]  # noqa: Y015
+    _WhichOneofArgType__degeneracy_threshold: _TypeAlias = _typing.Literal["_degeneracy_threshold", b"_degeneracy_threshold"]  # noqa: Y015
+    _WhichOneofReturnType__kernel_scale_m: _TypeAlias = _typing.Literal["kernel_scale_m"]  # noqa: Y015
+    _WhichOneofArgType__kernel_scale_m: _TypeAlias = _typing.Literal["_kernel_scale_m", b"_kernel_scale_m"]  # noqa: Y015
     _WhichOneofReturnType__max_distance_m: _TypeAlias = _typing.Literal["max_distance_m"]  # noqa: Y015
     _WhichOneofArgType__max_distance_m: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m"]  # noqa: Y015
     _WhichOneofReturnType__max_iterations: _TypeAlias = _typing.Literal["max_iterations"]  # noqa: Y015
     _WhichOneofArgType__max_iterations: _TypeAlias = _typing.Literal["_max_iterations", b"_max_iterations"]  # noqa: Y015
+    _WhichOneofReturnType__num_neighbors: _TypeAlias = _typing.Literal["num_neighbors"]  # noqa: Y015
+    _WhichOneofArgType__num_neighbors: _TypeAlias = _typing.Literal["_num_neighbors", b"_num_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__rotation_tolerance_rad: _TypeAlias = _typing.Literal["rotation_tolerance_rad"]  # noqa: Y015
+    _WhichOneofArgType__rotation_tolerance_rad: _TypeAlias = _typing.Literal["_rotation_tolerance_rad", b"_rotation_tolerance_rad"]  # noqa: Y015
     _WhichOneofReturnType__source_handle: _TypeAlias = _typing.Literal["source_handle"]  # noqa: Y015
     _WhichOneofArgType__source_handle: _TypeAlias = _typing.Literal["_source_handle", b"_source_handle"]  # noqa: Y015
+    _WhichOneofReturnType__tangent_weight: _TypeAlias = _typing.Literal["tangent_weight"]  # noqa: Y015
+    _WhichOneofArgType__tangent_weight: _TypeAlias = _typing.Literal["_tangent_weight", b"_tangent_weight"]  # noqa: Y015
     _WhichOneofReturnType__target_handle: _TypeAlias = _typing.Literal["target_handle"]  # noqa: Y015
     _WhichOneofArgType__target_handle: _TypeAlias = _typing.Literal["_target_handle", b"_target_handle"]  # noqa: Y015
+    _WhichOneofReturnType__target_voxel_size_m: _TypeAlias = _typing.Literal["target_voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__target_voxel_size_m: _TypeAlias = _typing.Literal["_target_voxel_size_m", b"_target_voxel_size_m"]  # noqa: Y015
+    _WhichOneofReturnType__translation_tolerance_m: _TypeAlias = _typing.Literal["translation_tolerance_m"]  # noqa: Y015
+    _WhichOneofArgType__translation_tolerance_m: _TypeAlias = _typing.Literal["_translation_tolerance_m", b"_translation_tolerance_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__color_share) -> _WhichOneofReturnType__color_share | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__degeneracy_threshold) -> _WhichOneofReturnType__degeneracy_threshold | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kernel_scale_m) -> _WhichOneofReturnType__kernel_scale_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_distance_m) -> _WhichOneofReturnType__max_distance_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_iterations) -> _WhichOneofReturnType__max_iterations | None: ...
     @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_neighbors) -> _WhichOneofReturnType__num_neighbors | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__rotation_tolerance_rad) -> _WhichOneofReturnType__rotation_tolerance_rad | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__source_handle) -> _WhichOneofReturnType__source_handle | None: ...
     @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__tangent_weight) -> _WhichOneofReturnType__tangent_weight | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__target_handle) -> _WhichOneofReturnType__target_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__target_voxel_size_m) -> _WhichOneofReturnType__target_voxel_size_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__translation_tolerance_m) -> _WhichOneofReturnType__translation_tolerance_m | None: ...
 
 Global___RegisterCloudsRequest: _TypeAlias = RegisterCloudsRequest  # noqa: Y015
 
@@ -766,12 +917,15 @@ class RegisterCloudsResponse(_message.Message):
     ITERATIONS_FIELD_NUMBER: _builtins.int
     CONVERGED_FIELD_NUMBER: _builtins.int
     DEGENERATE_AXES_FIELD_NUMBER: _builtins.int
+    OUTCOME_FIELD_NUMBER: _builtins.int
     fitness: _builtins.float
     """Share of source points with a partner, 0 to 1."""
     rmse_m: _builtins.float
     """Of those pairs, metres."""
     iterations: _builtins.int
     converged: _builtins.bool
+    outcome: Global___RegistrationOutcome.ValueType
+    """Why not converged, if not."""
     @_builtins.property
     def t_target_source(self) -> _geometry_pb2.Pose: ...
     @_builtins.property
@@ -792,10 +946,11 @@ class RegisterCloudsResponse(_message.Message):
         iterations: _builtins.int = ...,
         converged: _builtins.bool = ...,
         degenerate_axes: _abc.Iterable[_builtins.bool] | None = ...,
+        outcome: Global___RegistrationOutcome.ValueType = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "t_target_source", b"t_target_source"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["converged", b"converged", "covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "fitness", b"fitness", "iterations", b"iterations", "rmse_m", b"rmse_m", "t_target_source", b"t_target_source"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["converged", b"converged", "covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "fitness", b"fitness", "iterations", b"iterations", "outcome", b"outcome", "rmse_m", b"rmse_m", "t_target_source", b"t_target_source"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

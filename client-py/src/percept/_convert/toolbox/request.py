@@ -58,7 +58,13 @@ def fill(out: Message, fields: Mapping[str, object]) -> None:
 
 def _set(out: Message, field: Any, value: Any) -> None:  # noqa: ANN401
     name = field.name
-    if field.enum_type is not None:
+    if hasattr(getattr(out, name), "extend"):
+        try:
+            getattr(out, name).extend(value)
+        except (TypeError, ValueError) as cause:
+            message = f"{name} is {value!r}, which does not fit: {cause}"
+            raise InvalidArgument(message, reason="PARAMS_INVALID", field=name) from cause
+    elif field.enum_type is not None:
         setattr(out, name, words.number(name, EnumTypeWrapper(field.enum_type), value))
     elif field.message_type is not None:
         getattr(out, name).CopyFrom(_message(name, field.message_type.name, value))

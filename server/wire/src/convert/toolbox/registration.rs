@@ -1,10 +1,12 @@
 //! Registration: parameters of requests, and answers.
 
-use super::{count, set};
-use crate::convert::{geometry, unknown_enum};
+use crate::convert::{geometry, required, unknown_enum};
 use crate::v1;
-use percept_perception::registration::{IcpMethod, IcpParams, IcpResult, RegisterParams};
-use percept_service::Result;
+use percept_perception::registration::{IcpMethod, IcpOutcome, IcpParams, IcpResult, RegisterParams, RobustKernel};
+use percept_service::{Error, Result};
+
+/// Levels of a registration, at most.
+const MAX_LEVELS: usize = 16;
 
 /// Method and parameters of a registration.
 ///
@@ -15,12 +17,42 @@ pub fn registration(r: &v1::RegisterCloudsRequest) -> Result<RegisterParams> {
     let method = match M::try_from(r.method) {
         Ok(M::Unspecified | M::PointToPlane) => IcpMethod::PointToPlane,
         Ok(M::PointToPoint) => IcpMethod::PointToPoint,
+        Ok(M::Gicp) => IcpMethod::Gicp,
+        Ok(M::Vgicp) => IcpMethod::Vgicp,
+        Ok(M::Colored) => IcpMethod::Colored,
         Err(_) => return Err(unknown_enum("method", r.method)),
     };
-    let mut icp = IcpParams { method, ..IcpParams::default() };
-    set(&mut icp.max_distance_m, r.max_distance_m);
-    set(&mut icp.max_iterations, count(r.max_iterations));
-    Ok(RegisterParams { icp, ..RegisterParams::default() })
+    let mut icp = IcpParams { method, kernel: kernel(r.kernel, r.kernel_scale_m)?, ..IcpParams::default() };
+    lay!(icp, r: max_distance_m, max_iterations, translation_tolerance_m, rotation_tolerance_rad);
+    lay!(icp, r: num_neighbors, target_voxel_size_m, color_share, tangent_weight, degeneracy_threshold);
+    if r.voxel_sizes_m.len() > MAX_LEVELS {
+        let words = format!("voxel_sizes_m has {} entries; send at most {MAX_LEVELS}", r.voxel_sizes_m.len());
+        return Err(Error::invalid("LEVELS_TOO_MANY", "voxel_sizes_m", words));
+    }
+    Ok(RegisterParams { icp, voxel_sizes_m: r.voxel_sizes_m.clone() })
+}
+
+fn kernel(kind: i32, scale_m: Option<f64>) -> Result<RobustKernel> {
+    use v1::RobustKernelKind as K;
+    let scale = || required("kernel_scale_m", scale_m);
+    Ok(match K::try_from(kind) {
+        Ok(K::Unspecified | K::None) => RobustKernel::None,
+        Ok(K::Huber) => RobustKernel::Huber(scale()?),
+        Ok(K::Cauchy) => RobustKernel::Cauchy(scale()?),
+        Ok(K::GemanMcclure) => RobustKernel::GemanMcClure(scale()?),
+        Ok(K::Tukey) => RobustKernel::Tukey(scale()?),
+        Err(_) => return Err(unknown_enum("kernel", kind)),
+    })
+}
+
+fn outcome_to(outcome: IcpOutcome) -> v1::RegistrationOutcome {
+    match outcome {
+        IcpOutcome::Converged => v1::RegistrationOutcome::Converged,
+        IcpOutcome::Degenerate => v1::RegistrationOutcome::Degenerate,
+        IcpOutcome::MaxIterations => v1::RegistrationOutcome::MaxIterations,
+        IcpOutcome::TooFewPairs => v1::RegistrationOutcome::TooFewPairs,
+        IcpOutcome::Diverged => v1::RegistrationOutcome::Diverged,
+    }
 }
 
 /// A registration as a message.
@@ -33,5 +65,6 @@ pub fn registration_to(r: &IcpResult) -> v1::RegisterCloudsResponse {
         iterations: r.iterations as u32,
         converged: r.converged(),
         degenerate_axes: r.degenerate_axes.to_vec(),
+        outcome: outcome_to(r.outcome).into(),
     }
 }
