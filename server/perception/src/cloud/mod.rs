@@ -17,6 +17,7 @@ mod normals;
 mod outliers;
 mod plane;
 mod planes;
+mod sample;
 mod scatter;
 
 pub use boxes::{upright_box, upright_box_trimmed};
@@ -30,6 +31,7 @@ pub use outliers::{RadiusOutlierParams, StatisticalOutlierParams, radius_outlier
 pub(crate) use plane::segment_among;
 pub use plane::{PlaneParams, PlaneSegment, segment_plane};
 pub use planes::{PlaneKind, PlanesParams, TypedPlane, segment_planes};
+pub use sample::{crop_box, crop_polygon, crop_range, sample_farthest, sample_random, sample_uniform};
 pub use scatter::Scatter;
 
 use percept_geometry::GeometryError;
