@@ -1,6 +1,7 @@
 //! The operations that can be timed, one file an area.
 
 mod files;
+mod filters;
 mod registration;
 mod segmentation;
 
@@ -28,6 +29,7 @@ type Open = fn(&Args) -> Result<Box<dyn Case>, BenchError>;
 /// Operations by name.
 pub const OPERATIONS: &[(&str, Open)] = &[
     ("load", files::load),
+    ("voxel_downsample", filters::voxels),
     ("register", registration::register),
     ("plane", segmentation::plane),
     ("planes", segmentation::planes),

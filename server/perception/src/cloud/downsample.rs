@@ -2,8 +2,7 @@
 
 use super::{CloudError, positive};
 use nalgebra::{Point3, Vector3};
-use percept_geometry::{PointCloud, Voxel, cloud::is_finite};
-use rustc_hash::FxHashMap;
+use percept_geometry::{PointCloud, cloud::is_finite};
 
 /// The centroid of the points of every voxel of edge `voxel_size_m`, in the order in which the voxels first
 /// appear; channels are averaged, normals made unit again (zero if they cancel). Voxels are aligned with the
@@ -14,22 +13,19 @@ use rustc_hash::FxHashMap;
 pub fn voxel_downsample(cloud: &PointCloud, voxel_size_m: f64) -> Result<PointCloud, CloudError> {
     positive("voxel_size_m", voxel_size_m)?;
     cloud.validate()?;
-    let (members, num_voxels) = assign(&cloud.positions, voxel_size_m)?;
-    let mut counts = vec![0u32; num_voxels];
-    members.iter().for_each(|&(_, slot)| counts[slot as usize] += 1);
-    let mean = Mean { members: &members, counts: &counts };
-    let size = voxel_size_m;
+    let has_channels = cloud.colors.is_some()
+        || cloud.intensities.is_some()
+        || cloud.normals.is_some()
+        || cloud.time_offsets_s.is_some();
+    let mut table = Table::with_room_for(cloud.len());
+    let mut slots = if has_channels { vec![NONE; cloud.len()] } else { vec![] };
+    assign(&cloud.positions, voxel_size_m, &mut table, &mut slots);
+    if table.overflow {
+        return Err(too_small(&cloud.positions, voxel_size_m));
+    }
+    let mean = Mean { slots: &slots, voxels: &table.voxels };
     Ok(PointCloud {
-        // Offsets from the voxel's corner keep their digits far from the origin.
-        positions: mean
-            .of(|i| {
-                let p: Point3<f64> = cloud.positions[i].cast();
-                p - corner(&p, size)
-            })
-            .into_iter()
-            .zip(first_corners(cloud, &members, num_voxels, size))
-            .map(|(offset, corner)| (corner + offset).cast())
-            .collect(),
+        positions: table.voxels.iter().map(VoxelSum::centroid).collect(),
         colors: cloud.colors.as_ref().map(|c| {
             let means = mean.of(|i| Vector3::from(c[i]).cast::<f64>());
             means.iter().map(|m| [m.x, m.y, m.z].map(|v| v.round() as u8)).collect()
@@ -43,71 +39,163 @@ pub fn voxel_downsample(cloud: &PointCloud, voxel_size_m: f64) -> Result<PointCl
     })
 }
 
-/// The voxel's slot of every finite point, slots numbered by first appearance, and how many there are.
-fn assign(positions: &[Point3<f32>], size: f64) -> Result<(Vec<(u32, u32)>, usize), CloudError> {
-    let mut slots: FxHashMap<Voxel, u32> = FxHashMap::default();
-    let mut members = Vec::with_capacity(positions.len());
-    let mut last = None;
-    for (p, i) in positions.iter().zip(0..).filter(|(p, _)| is_finite(p)) {
-        let voxel = Voxel::containing(&p.cast(), size).ok_or_else(|| too_small(positions, size))?;
-        // Neighbours in a cloud are neighbours in space: often the same voxel again.
-        let slot = match last {
-            Some((same, slot)) if same == voxel => slot,
-            _ => {
-                let next = slots.len() as u32;
-                *slots.entry(voxel).or_insert(next)
-            }
-        };
-        last = Some((voxel, slot));
-        members.push((i, slot));
-    }
-    Ok((members, slots.len()))
-}
-
 fn too_small(positions: &[Point3<f32>], voxel_size_m: f64) -> CloudError {
     let finite = positions.iter().filter(|p| is_finite(p));
     let coordinate_m = f64::from(finite.flat_map(|p| [p.x, p.y, p.z]).fold(0.0f32, |m, v| m.max(v.abs())));
     CloudError::VoxelTooSmall { voxel_size_m, coordinate_m, at_least_m: coordinate_m / f64::from(i32::MAX) }
 }
 
-fn corner(p: &Point3<f64>, size: f64) -> Point3<f64> {
-    p.map(|c| (c / size).floor() * size)
+/// No slot: the point is not finite, or the place in the table is empty.
+const NONE: u32 = u32::MAX;
+/// Points whose voxels are computed at once, so that the arithmetic is vectorised and the lookup is not in its way.
+const BLOCK: usize = 128;
+
+/// A voxel and the sum of its points. Sums in f64 keep what f32 coordinates of 1e7 m have.
+#[derive(Clone, Copy)]
+struct VoxelSum {
+    voxel: [i32; 3],
+    count: u32,
+    sum: [f64; 3],
 }
 
-fn first_corners(cloud: &PointCloud, members: &[(u32, u32)], num_voxels: usize, size: f64) -> Vec<Point3<f64>> {
-    let mut out = Vec::with_capacity(num_voxels);
-    for &(i, slot) in members {
-        if slot as usize == out.len() {
-            out.push(corner(&cloud.positions[i as usize].cast(), size));
+impl VoxelSum {
+    fn centroid(&self) -> Point3<f32> {
+        let n = f64::from(self.count);
+        Point3::from(self.sum.map(|s| (s / n) as f32))
+    }
+}
+
+/// Voxels in the order of their appearance, found by open addressing with linear probing.
+struct Table {
+    /// Slots by hash; a power of two, at most half full.
+    places: Vec<u32>,
+    shift: u32,
+    voxels: Vec<VoxelSum>,
+    /// A voxel index did not fit.
+    overflow: bool,
+}
+
+impl Table {
+    fn with_room_for(points: usize) -> Self {
+        // Clouds that are worth thinning have many points a voxel; others grow the table.
+        let size = (points / 8).next_power_of_two().clamp(1 << 10, 1 << 22);
+        Self { places: vec![NONE; size], shift: 64 - size.trailing_zeros(), voxels: Vec::new(), overflow: false }
+    }
+
+    #[inline(always)]
+    fn hash(&self, [x, y, z]: [i32; 3]) -> usize {
+        // Distinct odd factors in 64 bits, then Fibonacci hashing by the upper ones.
+        let mixed = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+            ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f)
+            ^ (z as u64).wrapping_mul(0x1656_67b1_9e37_79f9);
+        (mixed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> self.shift) as usize
+    }
+
+    #[inline(always)]
+    fn slot_of(&mut self, voxel: [i32; 3]) -> u32 {
+        let mut place = self.hash(voxel);
+        loop {
+            let slot = self.places[place];
+            if slot == NONE {
+                return self.insert(voxel, place);
+            }
+            if self.voxels[slot as usize].voxel == voxel {
+                return slot;
+            }
+            place = (place + 1) & (self.places.len() - 1);
         }
     }
-    out
+
+    #[inline(never)]
+    fn insert(&mut self, voxel: [i32; 3], place: usize) -> u32 {
+        let slot = self.voxels.len() as u32;
+        self.voxels.push(VoxelSum { voxel, count: 0, sum: [0.0; 3] });
+        self.overflow |= voxel.iter().any(|v| *v == i32::MAX || *v == i32::MIN);
+        self.places[place] = slot;
+        if self.voxels.len() * 2 > self.places.len() {
+            self.grow();
+        }
+        slot
+    }
+
+    fn grow(&mut self) {
+        let size = 4 * self.places.len();
+        self.places = vec![NONE; size];
+        self.shift = 64 - size.trailing_zeros();
+        for slot in 0..self.voxels.len() {
+            let mut place = self.hash(self.voxels[slot].voxel);
+            while self.places[place] != NONE {
+                place = (place + 1) & (size - 1);
+            }
+            self.places[place] = slot as u32;
+        }
+    }
+}
+
+percept_geometry::by_processor! {
+    /// Adds every finite point to its voxel; `slots`, if it has room, gets each point's slot.
+    fn assign(positions: &[Point3<f32>], size: f64, table: &mut Table, slots: &mut [u32]) {
+        let mut voxels = [[0i32; 3]; BLOCK];
+        let mut finite = [false; BLOCK];
+        let (mut last, mut slot) = ([i32::MIN; 3], NONE);
+        for (block, points) in positions.chunks(BLOCK).enumerate() {
+            for ((v, f), p) in voxels.iter_mut().zip(&mut finite).zip(points) {
+                // Saturates beyond the range of i32, which is seen when the voxel is inserted.
+                let index = |c: f32| (f64::from(c) / size).floor() as i32;
+                *v = [index(p.x), index(p.y), index(p.z)];
+                *f = is_finite(p);
+            }
+            for (k, p) in points.iter().enumerate() {
+                if !finite[k] {
+                    continue;
+                }
+                // Neighbours in a cloud are neighbours in space: often the same voxel again.
+                if voxels[k] != last || slot == NONE {
+                    slot = table.slot_of(voxels[k]);
+                    last = voxels[k];
+                }
+                let sum = &mut table.voxels[slot as usize];
+                sum.count += 1;
+                sum.sum[0] += f64::from(p.x);
+                sum.sum[1] += f64::from(p.y);
+                sum.sum[2] += f64::from(p.z);
+                if let Some(s) = slots.get_mut(block * BLOCK + k) {
+                    *s = slot;
+                }
+            }
+        }
+    }
 }
 
 /// Averages over the members of each voxel.
 struct Mean<'a> {
-    members: &'a [(u32, u32)],
-    counts: &'a [u32],
+    slots: &'a [u32],
+    voxels: &'a [VoxelSum],
 }
 
 impl Mean<'_> {
     fn of(&self, value: impl Fn(usize) -> Vector3<f64>) -> Vec<Vector3<f64>> {
-        let mut sums = vec![Vector3::zeros(); self.counts.len()];
-        self.members.iter().for_each(|&(i, slot)| sums[slot as usize] += value(i as usize));
-        sums.iter_mut().zip(self.counts).for_each(|(s, &n)| *s /= f64::from(n));
+        let mut sums = vec![Vector3::zeros(); self.voxels.len()];
+        self.members().for_each(|(i, slot)| sums[slot] += value(i));
+        sums.iter_mut().zip(self.voxels).for_each(|(s, v)| *s /= f64::from(v.count));
         sums
     }
 
     fn of_scalar(&self, channel: &[f32]) -> Vec<f32> {
-        let mut sums = vec![0.0f64; self.counts.len()];
-        self.members.iter().for_each(|&(i, slot)| sums[slot as usize] += f64::from(channel[i as usize]));
-        sums.iter().zip(self.counts).map(|(s, &n)| (s / f64::from(n)) as f32).collect()
+        let mut sums = vec![0.0f64; self.voxels.len()];
+        self.members().for_each(|(i, slot)| sums[slot] += f64::from(channel[i]));
+        sums.iter().zip(self.voxels).map(|(s, v)| (s / f64::from(v.count)) as f32).collect()
+    }
+
+    fn members(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.slots.iter().enumerate().filter(|(_, s)| **s != NONE).map(|(i, s)| (i, *s as usize))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use percept_geometry::Voxel;
     use proptest::prelude::*;
 
     #[test]
