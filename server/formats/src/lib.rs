@@ -7,18 +7,24 @@
 //! Start with [`dataset::open`], then the codec of the format in question.
 
 pub mod carmen;
+mod clouds;
 pub mod dataset;
 mod error;
 pub mod images;
 pub mod kitti;
+mod layout;
 mod limits;
+pub mod las;
 pub mod nav2;
 pub mod pcd;
 pub mod pgm;
 pub mod ply;
+mod scalar;
 mod text;
 pub mod trajectory;
+pub mod xyz;
 
+pub use clouds::{CloudFile, CloudFormat, load_cloud, read_cloud_file, save_cloud, sniff_cloud};
 pub use dataset::{Dataset, DatasetKind};
 pub use error::{FormatError, Place};
 pub use images::{decode_color, decode_depth_png};

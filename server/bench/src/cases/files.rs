@@ -2,20 +2,14 @@
 
 use super::{Case, timed};
 use crate::{Args, BenchError};
-use percept_formats::{Limits, pcd, ply, read_file};
+use percept_formats::{Limits, read_cloud_file};
 use percept_geometry::PointCloud;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Reads a cloud by the ending of its name.
+/// Reads a cloud of any format.
 pub(super) fn read_cloud(path: &Path) -> Result<PointCloud, BenchError> {
-    let limits = Limits::default();
-    let bytes = read_file(path, &limits).map_err(BenchError::new)?;
-    match path.extension().and_then(|e| e.to_str()) {
-        Some("ply") => ply::decode(&bytes, &limits).map_err(BenchError::new),
-        Some("pcd") => pcd::decode(&bytes, &limits).map(|f| f.cloud).map_err(BenchError::new),
-        _ => Err(BenchError(format!("{}: not a .pcd or .ply file", path.display()))),
-    }
+    read_cloud_file(path, &Limits::default()).map(|file| file.cloud).map_err(BenchError::new)
 }
 
 /// `load file=`: the file read and decoded.

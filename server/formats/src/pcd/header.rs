@@ -2,68 +2,37 @@
 
 use super::FORMAT;
 use crate::FormatError;
-use crate::text::{Fields, Lines};
+use crate::scalar::Scalar;
+use crate::text::{Fields, Line, Lines};
+use nalgebra::{Quaternion, Translation3, UnitQuaternion};
+use percept_geometry::Pose;
 
 /// How the points are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Encoding {
+pub enum Encoding {
+    /// Decimal numbers, a point a line.
     Ascii,
+    /// Little-endian, point after point.
     Binary,
+    /// Little-endian, field after field, packed by LZF.
     BinaryCompressed,
 }
 
-/// A number's type: the letter and size of the header.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Scalar {
-    I8,
-    I16,
-    I32,
-    I64,
-    U8,
-    U16,
-    U32,
-    U64,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn named(letter: &[u8], size: u64) -> Option<Self> {
-        Some(match (letter, size) {
-            (b"I", 1) => Self::I8,
-            (b"I", 2) => Self::I16,
-            (b"I", 4) => Self::I32,
-            (b"I", 8) => Self::I64,
-            (b"U", 1) => Self::U8,
-            (b"U", 2) => Self::U16,
-            (b"U", 4) => Self::U32,
-            (b"U", 8) => Self::U64,
-            (b"F", 4) => Self::F32,
-            (b"F", 8) => Self::F64,
-            _ => return None,
-        })
-    }
-
-    /// The number at the start of `bytes`, little-endian, which hold at least its size.
-    pub(super) fn read(self, bytes: &[u8]) -> f64 {
-        fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {
-            let mut out = [0; N];
-            out.copy_from_slice(&bytes[..N]);
-            out
-        }
-        match self {
-            Self::I8 => f64::from(bytes[0] as i8),
-            Self::I16 => f64::from(i16::from_le_bytes(array(bytes))),
-            Self::I32 => f64::from(i32::from_le_bytes(array(bytes))),
-            Self::I64 => i64::from_le_bytes(array(bytes)) as f64,
-            Self::U8 => f64::from(bytes[0]),
-            Self::U16 => f64::from(u16::from_le_bytes(array(bytes))),
-            Self::U32 => f64::from(u32::from_le_bytes(array(bytes))),
-            Self::U64 => u64::from_le_bytes(array(bytes)) as f64,
-            Self::F32 => f64::from(f32::from_le_bytes(array(bytes))),
-            Self::F64 => f64::from_le_bytes(array(bytes)),
-        }
-    }
+/// The type of a letter and a size.
+fn scalar_named(letter: &[u8], size: u64) -> Option<Scalar> {
+    Some(match (letter, size) {
+        (b"I", 1) => Scalar::I8,
+        (b"I", 2) => Scalar::I16,
+        (b"I", 4) => Scalar::I32,
+        (b"I", 8) => Scalar::I64,
+        (b"U", 1) => Scalar::U8,
+        (b"U", 2) => Scalar::U16,
+        (b"U", 4) => Scalar::U32,
+        (b"U", 8) => Scalar::U64,
+        (b"F", 4) => Scalar::F32,
+        (b"F", 8) => Scalar::F64,
+        _ => return None,
+    })
 }
 
 /// One field of a point.
@@ -83,6 +52,7 @@ pub(super) struct Header {
     pub(super) width: u64,
     pub(super) height: u64,
     pub(super) num_points: u64,
+    pub(super) t_cloud_viewpoint: Pose,
     pub(super) encoding: Encoding,
     pub(super) body_offset: usize,
     pub(super) num_lines: u64,
@@ -103,6 +73,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, FormatError> {
     let mut lines = Lines::new(FORMAT, bytes);
     let (mut names, mut sizes, mut types, mut counts) = (vec![], vec![], vec![], vec![]);
     let (mut width, mut height, mut points) = (None, None, None);
+    let mut t_cloud_viewpoint = Pose::identity();
     while let Some(line) = lines.next() {
         let mut fields = line.fields();
         match fields.token() {
@@ -132,17 +103,31 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, FormatError> {
                     width,
                     height,
                     num_points,
+                    t_cloud_viewpoint,
                     encoding,
                     body_offset: lines.offset(),
                     num_lines: lines.number(),
                 });
             }
-            Some(b"VERSION" | b"VIEWPOINT") | None => {}
+            Some(b"VIEWPOINT") => t_cloud_viewpoint = viewpoint(&line, fields)?,
+            Some(b"VERSION") | None => {}
             Some(other) if other.starts_with(b"#") => {}
             Some(other) => return Err(line.malformed("header keyword", other, "a PCD keyword")),
         }
     }
     Err(missing("DATA"))
+}
+
+/// Position and quaternion (w first) from which the cloud was taken.
+fn viewpoint(line: &Line<'_>, mut fields: Fields<'_>) -> Result<Pose, FormatError> {
+    let mut v = [0.0; 7];
+    for value in &mut v {
+        *value = fields.finite("VIEWPOINT")?;
+    }
+    let q = UnitQuaternion::try_new(Quaternion::new(v[3], v[4], v[5], v[6]), 1e-9)
+        .filter(|q| q.coords.iter().all(|c| c.is_finite()))
+        .ok_or_else(|| line.malformed("VIEWPOINT", line.bytes, "a quaternion that is not zero"))?;
+    Ok(Pose::from_parts(Translation3::new(v[0], v[1], v[2]), q))
 }
 
 fn tokens<'a>(mut fields: Fields<'a>) -> Vec<&'a [u8]> {
@@ -170,7 +155,7 @@ fn zip(names: &[&[u8]], sizes: &[u64], types: &[&[u8]], counts: &[u64]) -> Resul
     }
     let field = |i: usize| {
         let (name, size) = (String::from_utf8_lossy(names[i]).into_owned(), sizes[i]);
-        let scalar = Scalar::named(types[i], size).ok_or_else(|| FormatError::Unsupported {
+        let scalar = scalar_named(types[i], size).ok_or_else(|| FormatError::Unsupported {
             format: FORMAT,
             field: "TYPE and SIZE",
             value: format!("{} {size}", String::from_utf8_lossy(types[i])),

@@ -1,4 +1,4 @@
-//! LZF decompression, as PCL uses it for `binary_compressed`.
+//! LZF, as PCL uses it for `binary_compressed`.
 //!
 //! Source: Lehmann, LibLZF's stream format. A control byte below 32 starts `c + 1` literals; otherwise
 //! its upper three bits are a length (7: one more byte follows), its lower five and the next byte a distance.
@@ -57,6 +57,54 @@ pub(super) fn decompress(input: &[u8], expected: usize) -> Result<Vec<u8>, Forma
     if out.len() == expected { Ok(out) } else { Err(truncated(out.len())) }
 }
 
+/// Most bytes of a copy, and how far back it may reach.
+const MAX_LENGTH: usize = 264;
+const MAX_DISTANCE: usize = 1 << 13;
+
+/// A stream that [`decompress`] takes back: the newest earlier place with the same three bytes is copied from.
+pub(super) fn compress(input: &[u8]) -> Vec<u8> {
+    const HASH_BITS: u32 = 14;
+    let hash = |b: &[u8]| {
+        let key = u32::from_le_bytes([b[0], b[1], b[2], 0]);
+        (key.wrapping_mul(0x9e37_79b1) >> (32 - HASH_BITS)) as usize
+    };
+    // Places are kept plus one, so that 0 is none.
+    let mut places = vec![0usize; 1 << HASH_BITS];
+    let mut out = Vec::with_capacity(input.len() / 2 + 16);
+    let (mut at, mut literals) = (0, 0);
+    while at + 3 <= input.len() {
+        let place = &mut places[hash(&input[at..at + 3])];
+        let from = std::mem::replace(place, at + 1);
+        let distance = (at + 1).saturating_sub(from);
+        if from == 0 || distance > MAX_DISTANCE || input[from - 1..from + 2] != input[at..at + 3] {
+            at += 1;
+            continue;
+        }
+        let limit = MAX_LENGTH.min(input.len() - at);
+        let length = (3..limit).find(|&k| input[from - 1 + k] != input[at + k]).unwrap_or(limit);
+        append_literals(&mut out, &input[literals..at]);
+        let (code, offset) = (length - 2, distance - 1);
+        let high = (offset >> 8) as u8;
+        if code < 7 {
+            out.push(((code as u8) << 5) | high);
+        } else {
+            out.extend([(7 << 5) | high, (code - 7) as u8]);
+        }
+        out.push(offset as u8);
+        at += length;
+        literals = at;
+    }
+    append_literals(&mut out, &input[literals..]);
+    out
+}
+
+fn append_literals(out: &mut Vec<u8>, literals: &[u8]) {
+    for run in literals.chunks(32) {
+        out.push((run.len() - 1) as u8);
+        out.extend_from_slice(run);
+    }
+}
+
 /// Appends `length` bytes from `from` on; they may run into what is being appended.
 fn copy_within(out: &mut Vec<u8>, from: usize, length: usize) {
     if from + length <= out.len() {
@@ -90,6 +138,12 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn what_is_compressed_comes_back(data in prop::collection::vec(0u8..4, 0..3000), repeat in 1usize..20) {
+            let data = data.repeat(repeat);
+            prop_assert_eq!(decompress(&compress(&data), data.len()).unwrap(), data);
+        }
+
         #[test]
         fn random_streams_never_panic(input in prop::collection::vec(any::<u8>(), 0..200), expected in 0usize..5000) {
             if let Ok(out) = decompress(&input, expected) {

@@ -1,15 +1,17 @@
-//! PCD point clouds: ascii, binary and binary_compressed in (versions .5 to .7); binary out.
+//! PCD point clouds: ascii, binary and binary_compressed in (versions .5 to .7) and out.
 //!
 //! Source: the Point Cloud Library's documentation of the PCD file format, version 0.7. Bytes after the
-//! declared points are padding and not looked at; the viewpoint is not applied.
+//! declared points are padding and not looked at; the viewpoint is told, not applied.
 
 mod header;
 mod lzf;
 mod read;
 mod write;
 
+pub use header::Encoding;
+pub(crate) use read::{encoding, rows};
 pub use read::{Pcd, decode};
-pub use write::{encode, write};
+pub use write::{encode, encode_as, write};
 
 const FORMAT: &str = "PCD";
 
@@ -28,7 +30,7 @@ mod tests {
             colors: Some((0..n).map(|i| [i as u8, (i * 3) as u8, (i * 7) as u8]).collect()),
             intensities: Some((0..n).map(|i| f(i, 4)).collect()),
             normals: Some((0..n).map(|i| Vector3::new(f(i, 5), 1.0, 2.0).normalize()).collect()),
-            time_offsets_s: None,
+            time_offsets_s: Some((0..n).map(|i| f(i, 8)).collect()),
         }
     }
 
@@ -36,7 +38,7 @@ mod tests {
     fn labelled(n: usize, encoding: &str) -> Vec<u8> {
         let header = format!(
             "# .PCD v.7\nVERSION .7\nFIELDS label x y z _ rgba\nSIZE 2 8 8 8 1 4\nTYPE U F F F U U\nCOUNT 1 1 1 1 2 1\n\
-             WIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA {encoding}\n"
+             WIDTH {n}\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS {n}\nDATA {encoding}\n"
         );
         let mut out = header.into_bytes();
         let columns: [fn(usize) -> Vec<u8>; 6] = [
@@ -79,6 +81,7 @@ mod tests {
             }
             let pcd = decode(&bytes, &Limits::default()).unwrap();
             assert_eq!((pcd.width, pcd.height), (7, 1));
+            assert_eq!(pcd.t_cloud_viewpoint, percept_geometry::Pose::translation(1.0, 2.0, 3.0));
             assert_eq!(pcd.labels.unwrap(), [0, 10, 20, 30, 40, 50, 60]);
             assert_eq!(pcd.cloud.positions[3], Point3::new(3.0, 3.5, -3.0));
             assert_eq!(pcd.cloud.colors.unwrap()[3], [1, 2, 3]);
@@ -106,12 +109,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_reads_back(n in 0usize..40, seed in 0u32..1000, channels in 0u8..8) {
+        fn what_is_written_reads_back(n in 0usize..40, seed in 0u32..1000, channels in 0u8..16, encoding in 0usize..3) {
             let mut cloud = cloud(n, seed);
             if channels & 1 == 0 { cloud.colors = None; }
             if channels & 2 == 0 { cloud.intensities = None; }
             if channels & 4 == 0 { cloud.normals = None; }
-            let bytes = encode(&cloud).unwrap();
+            if channels & 8 == 0 { cloud.time_offsets_s = None; }
+            let encoding = [Encoding::Ascii, Encoding::Binary, Encoding::BinaryCompressed][encoding];
+            let bytes = encode_as(&cloud, encoding).unwrap();
             prop_assert_eq!(decode(&bytes, &Limits::default()).unwrap().cloud, cloud);
         }
 

@@ -1,12 +1,12 @@
 //! The points: columns into a cloud.
 
 use super::FORMAT;
-use super::header::{Encoding, Field, Header, Scalar};
-use crate::ply::unit_or_zero;
+use super::header::{Encoding, Field, Header};
+use crate::layout::{Colors, Column, Layout, Rows};
+use crate::scalar::Scalar;
 use crate::text::{Lines, parse};
 use crate::{FormatError, Limits};
-use nalgebra::{Point3, Vector3};
-use percept_geometry::PointCloud;
+use percept_geometry::{PointCloud, Pose};
 
 /// A cloud as a PCD file holds it.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,12 +19,14 @@ pub struct Pcd {
     pub width: usize,
     /// Rows of an organised cloud; 1 of one that is not.
     pub height: usize,
+    /// Where the sensor stood when it took the cloud (VIEWPOINT); not applied to the points.
+    pub t_cloud_viewpoint: Pose,
 }
 
 /// A cloud from the bytes of a PCD file.
 ///
-/// Read are `x y z`, `rgb` or `rgba` (packed, as float or integer), `intensity`, `normal_x normal_y normal_z`
-/// and `label`; other fields are stepped over.
+/// Read are `x y z`, `rgb` or `rgba` (packed, as float or integer), `intensity`, `normal_x normal_y normal_z`,
+/// `time_offset_s` and `label`; other fields are stepped over.
 ///
 /// # Errors
 /// `Malformed`, `Missing` (no x, y or z), `Truncated`, `TooLarge`, `Unsupported` (a type), `Geometry` (header
@@ -32,56 +34,68 @@ pub struct Pcd {
 pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Pcd, FormatError> {
     let header = super::header::parse(bytes)?;
     let n = limits.points(header.num_points)?;
-    let column = |name: &str| header.fields.iter().position(|f| f.name == name && f.count > 0);
-    let required = |field| column(field).ok_or(FormatError::Missing { format: FORMAT, field });
-    let (x, y, z) = (required("x")?, required("y")?, required("z")?);
+    for field in ["x", "y", "z"] {
+        column(&header, field).ok_or(FormatError::Missing { format: FORMAT, field })?;
+    }
     let body = &bytes[header.body_offset..];
     let data = match header.encoding {
         Encoding::Ascii => ascii(bytes, &header, n)?,
         Encoding::Binary => binary(body, &header)?,
         Encoding::BinaryCompressed => compressed(body, &header, limits)?,
     };
-    let f = |column: usize, i: usize| data.value(&header.fields, column, i) as f32;
-    let positions = (0..n).map(|i| Point3::new(f(x, i), f(y, i), f(z, i))).collect();
-    let rgb = column("rgb").or(column("rgba")).filter(|&c| header.fields[c].size == 4);
-    let normals = [column("normal_x"), column("normal_y"), column("normal_z")];
-    let cloud = PointCloud {
-        positions,
-        colors: rgb.map(|c| (0..n).map(|i| data.packed_color(c, i)).collect()),
-        intensities: column("intensity").or(column("i")).map(|c| (0..n).map(|i| f(c, i)).collect()),
-        normals: match normals {
-            [Some(nx), Some(ny), Some(nz)] => {
-                Some((0..n).map(|i| unit_or_zero(Vector3::new(f(nx, i), f(ny, i), f(nz, i)))).collect())
-            }
-            _ => None,
-        },
-        time_offsets_s: None,
-    };
-    let labels = column("label").map(|c| (0..n).map(|i| data.value(&header.fields, c, i) as u32).collect());
-    Ok(Pcd { cloud, labels, width: header.width as usize, height: header.height as usize })
+    let layout = layout(&header, &data.columns)?;
+    let mut cloud = layout.empty_cloud(n);
+    layout.append(&data.bytes, n, &mut cloud);
+    let label = column(&header, "label").map(|c| data.columns[c]);
+    let value = |c: Column, i: usize| c.scalar.read(&data.bytes[c.base + i * c.step..], false) as u32;
+    let labels = label.map(|c| (0..n).map(|i| value(c, i)).collect());
+    let (width, height) = (header.width as usize, header.height as usize);
+    Ok(Pcd { cloud, labels, width, height, t_cloud_viewpoint: header.t_cloud_viewpoint })
 }
 
-/// Points as bytes: value `i` of a column lies at `base + i * step`.
-struct Columns<'a> {
+/// The rows of a file that begins with `head`, if they are binary and have no label.
+pub(crate) fn rows(head: &[u8], limits: &Limits) -> Option<(Rows, Pcd)> {
+    let header = super::header::parse(head).ok()?;
+    let is_plain = header.encoding == Encoding::Binary && column(&header, "label").is_none();
+    let stride = usize::try_from(header.stride()).ok().filter(|_| is_plain)?;
+    let num_points = limits.points(header.num_points).ok()?;
+    let layout = layout(&header, &columns_of_rows(&header)).ok()?;
+    let (width, height) = (header.width as usize, header.height as usize);
+    let cloud = PointCloud::default();
+    let empty = Pcd { cloud, labels: None, width, height, t_cloud_viewpoint: header.t_cloud_viewpoint };
+    Some((Rows { offset: header.body_offset, num_points, stride, layout }, empty))
+}
+
+/// The encoding that a file declares, as far as it can be read; ascii if it cannot.
+pub(crate) fn encoding(bytes: &[u8]) -> Encoding {
+    super::header::parse(bytes).map_or(Encoding::Ascii, |h| h.encoding)
+}
+
+/// Index of the field of this name.
+fn column(header: &Header, name: &str) -> Option<usize> {
+    header.fields.iter().position(|f| f.name == name && f.count > 0)
+}
+
+/// Which columns are which channels.
+fn layout(header: &Header, columns: &[Column]) -> Result<Layout, FormatError> {
+    let of = |name: &str| column(header, name).map(|c| columns[c]);
+    let required = |field| of(field).ok_or(FormatError::Missing { format: FORMAT, field });
+    let rgb = of("rgb").or(of("rgba")).filter(|c| c.scalar.size() == 4);
+    let normals = [of("normal_x"), of("normal_y"), of("normal_z")];
+    Ok(Layout {
+        big_endian: false,
+        positions: [required("x")?, required("y")?, required("z")?],
+        colors: rgb.map(Colors::Packed),
+        intensities: of("intensity").or(of("i")),
+        normals: if let [Some(x), Some(y), Some(z)] = normals { Some([x, y, z]) } else { None },
+        time_offsets_s: of("time_offset_s"),
+    })
+}
+
+/// Points as bytes, and where the values of each field lie.
+struct Body<'a> {
     bytes: std::borrow::Cow<'a, [u8]>,
-    base_and_step: Vec<(usize, usize)>,
-}
-
-impl Columns<'_> {
-    fn at(&self, column: usize, i: usize) -> &[u8] {
-        let (base, step) = self.base_and_step[column];
-        &self.bytes[base + i * step..]
-    }
-
-    fn value(&self, fields: &[Field], column: usize, i: usize) -> f64 {
-        fields[column].scalar.read(self.at(column, i))
-    }
-
-    /// 0x..rrggbb, whatever the type that the four bytes are declared as.
-    fn packed_color(&self, column: usize, i: usize) -> [u8; 3] {
-        let b = self.at(column, i);
-        [b[2], b[1], b[0]]
-    }
+    columns: Vec<Column>,
 }
 
 fn truncated(field: &'static str, needed: u64, available: usize) -> FormatError {
@@ -89,23 +103,27 @@ fn truncated(field: &'static str, needed: u64, available: usize) -> FormatError 
 }
 
 /// Point after point.
-fn binary<'a>(body: &'a [u8], header: &Header) -> Result<Columns<'a>, FormatError> {
+fn binary<'a>(body: &'a [u8], header: &Header) -> Result<Body<'a>, FormatError> {
     let needed = header.num_points.saturating_mul(header.stride());
     if needed > body.len() as u64 {
         return Err(truncated("points", needed, body.len()));
     }
-    let stride = header.stride() as usize;
+    Ok(Body { bytes: body.into(), columns: columns_of_rows(header) })
+}
+
+fn columns_of_rows(header: &Header) -> Vec<Column> {
+    let step = header.stride() as usize;
     let mut base = 0usize;
-    let mut base_and_step = vec![];
+    let mut columns = vec![];
     for field in &header.fields {
-        base_and_step.push((base, stride));
+        columns.push(Column { base, step, scalar: field.scalar });
         base = base.saturating_add(field.size.saturating_mul(field.count) as usize);
     }
-    Ok(Columns { bytes: body.into(), base_and_step })
+    columns
 }
 
 /// Two sizes, then column after column as LZF.
-fn compressed<'a>(body: &[u8], header: &Header, limits: &Limits) -> Result<Columns<'a>, FormatError> {
+fn compressed<'a>(body: &[u8], header: &Header, limits: &Limits) -> Result<Body<'a>, FormatError> {
     let size = |at: usize| {
         let bytes = body.get(at..at + 4).ok_or(truncated("sizes of the compressed data", 8, body.len()))?;
         Ok::<u64, FormatError>(u64::from(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])))
@@ -121,18 +139,18 @@ fn compressed<'a>(body: &[u8], header: &Header, limits: &Limits) -> Result<Colum
     let input = body.get(8..8 + packed as usize).ok_or(truncated("compressed data", packed, body.len() - 8))?;
     let bytes = super::lzf::decompress(input, limits.bytes(unpacked)?)?;
     let mut base = 0usize;
-    let mut base_and_step = vec![];
+    let mut columns = vec![];
     for field in &header.fields {
         // The product is within `unpacked` unless there is no point to read.
         let step = field.size.saturating_mul(field.count) as usize;
-        base_and_step.push((base, step));
+        columns.push(Column { base, step, scalar: field.scalar });
         base = base.saturating_add(step.saturating_mul(header.num_points as usize));
     }
-    Ok(Columns { bytes: bytes.into(), base_and_step })
+    Ok(Body { bytes: bytes.into(), columns })
 }
 
 /// Lines of numbers, brought into the binary form of the first value of each field.
-fn ascii<'a>(bytes: &[u8], header: &Header, n: usize) -> Result<Columns<'a>, FormatError> {
+fn ascii<'a>(bytes: &[u8], header: &Header, n: usize) -> Result<Body<'a>, FormatError> {
     let available = bytes.len() - header.body_offset;
     let numbers = header.fields.iter().fold(0u64, |sum, f| sum.saturating_add(f.count));
     // A number takes a digit and what parts it from the next; so a lying count fails before memory is taken.
@@ -157,12 +175,12 @@ fn ascii<'a>(bytes: &[u8], header: &Header, n: usize) -> Result<Columns<'a>, For
         }
     }
     let mut base = 0usize;
-    let mut base_and_step = vec![];
+    let mut columns = vec![];
     for field in &header.fields {
-        base_and_step.push((base, stride));
+        columns.push(Column { base, step: stride, scalar: field.scalar });
         base += size(field);
     }
-    Ok(Columns { bytes: out.into(), base_and_step })
+    Ok(Body { bytes: out.into(), columns })
 }
 
 fn append(out: &mut Vec<u8>, scalar: Scalar, token: &[u8]) -> Option<()> {

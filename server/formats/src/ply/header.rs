@@ -2,6 +2,7 @@
 
 use super::FORMAT;
 use crate::FormatError;
+use crate::scalar::Scalar;
 use crate::text::{Line, Lines};
 
 /// How the body is written.
@@ -15,64 +16,18 @@ pub enum Encoding {
     BinaryBigEndian,
 }
 
-/// A number's type.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn named(name: &[u8]) -> Option<Self> {
-        Some(match name {
-            b"char" | b"int8" => Self::I8,
-            b"uchar" | b"uint8" => Self::U8,
-            b"short" | b"int16" => Self::I16,
-            b"ushort" | b"uint16" => Self::U16,
-            b"int" | b"int32" => Self::I32,
-            b"uint" | b"uint32" => Self::U32,
-            b"float" | b"float32" => Self::F32,
-            b"double" | b"float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    pub(super) fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    /// The number at the start of `bytes`, which hold at least `size` bytes.
-    pub(super) fn read(self, bytes: &[u8], big_endian: bool) -> f64 {
-        fn array<const N: usize>(bytes: &[u8], big_endian: bool) -> [u8; N] {
-            let mut out = [0; N];
-            out.copy_from_slice(&bytes[..N]);
-            if big_endian {
-                out.reverse();
-            }
-            out
-        }
-        match self {
-            Self::I8 => f64::from(bytes[0] as i8),
-            Self::U8 => f64::from(bytes[0]),
-            Self::I16 => f64::from(i16::from_le_bytes(array(bytes, big_endian))),
-            Self::U16 => f64::from(u16::from_le_bytes(array(bytes, big_endian))),
-            Self::I32 => f64::from(i32::from_le_bytes(array(bytes, big_endian))),
-            Self::U32 => f64::from(u32::from_le_bytes(array(bytes, big_endian))),
-            Self::F32 => f64::from(f32::from_le_bytes(array(bytes, big_endian))),
-            Self::F64 => f64::from_le_bytes(array(bytes, big_endian)),
-        }
-    }
+fn scalar_named(name: &[u8]) -> Option<Scalar> {
+    Some(match name {
+        b"char" | b"int8" => Scalar::I8,
+        b"uchar" | b"uint8" => Scalar::U8,
+        b"short" | b"int16" => Scalar::I16,
+        b"ushort" | b"uint16" => Scalar::U16,
+        b"int" | b"int32" => Scalar::I32,
+        b"uint" | b"uint32" => Scalar::U32,
+        b"float" | b"float32" => Scalar::F32,
+        b"double" | b"float64" => Scalar::F64,
+        _ => return None,
+    })
 }
 
 /// One property of an element.
@@ -156,7 +111,7 @@ fn parse_encoding(line: &Line<'_>, name: &[u8]) -> Result<Encoding, FormatError>
 
 fn parse_property(line: &Line<'_>) -> Result<Property, FormatError> {
     let scalar = |token: &[u8]| {
-        Scalar::named(token).ok_or_else(|| line.malformed("property type", token, "a type such as float or uchar"))
+        scalar_named(token).ok_or_else(|| line.malformed("property type", token, "a type such as float or uchar"))
     };
     let mut fields = line.fields();
     fields.token();

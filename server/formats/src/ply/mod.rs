@@ -9,7 +9,7 @@ mod write;
 
 pub use header::Encoding;
 pub use read::decode;
-pub(crate) use read::unit_or_zero;
+pub(crate) use read::{encoding, rows};
 pub use write::{encode, write};
 
 const FORMAT: &str = "PLY";
@@ -29,7 +29,7 @@ mod tests {
             colors: Some((0..n).map(|i| [i as u8, (i * 3) as u8, (i * 7) as u8]).collect()),
             intensities: Some((0..n).map(|i| f(i, 4)).collect()),
             normals: Some((0..n).map(|i| Vector3::new(f(i, 5), 1.0, 2.0).normalize()).collect()),
-            time_offsets_s: None,
+            time_offsets_s: Some((0..n).map(|i| f(i, 8)).collect()),
         }
     }
 
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn foreign_properties_and_elements_are_stepped_over() {
-        let known = PointCloud { intensities: None, normals: None, ..cloud(11, 3) };
+        let known = PointCloud { intensities: None, normals: None, time_offsets_s: None, ..cloud(11, 3) };
         for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian] {
             let bytes = foreign(&known, encoding);
             assert_eq!(decode(&bytes, &Limits::default()).unwrap(), known, "{encoding:?}");
@@ -98,7 +98,7 @@ mod tests {
 
     #[test]
     fn a_file_cut_anywhere_is_an_error() {
-        for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian] {
+        for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian] {
             let bytes = encode(&cloud(5, 1), encoding).unwrap();
             // A text's last number may lose its line end or digits and still be a number.
             let spare = if encoding == Encoding::Ascii { 12 } else { 0 };
@@ -141,9 +141,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_reads_back(n in 0usize..40, seed in any::<u32>(), ascii in any::<bool>()) {
+        fn what_is_written_reads_back(n in 0usize..40, seed in any::<u32>(), encoding in 0usize..3) {
             let cloud = cloud(n, seed % 1000);
-            let encoding = if ascii { Encoding::Ascii } else { Encoding::BinaryLittleEndian };
+            let encoding = [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian][encoding];
             let back = decode(&encode(&cloud, encoding).unwrap(), &Limits::default()).unwrap();
             prop_assert_eq!(back, cloud);
         }

@@ -1,7 +1,9 @@
 //! The body: vertices into a cloud.
 
 use super::FORMAT;
-use super::header::{Element, Encoding, Header, Property, Scalar};
+use super::header::{Element, Encoding, Header, Property};
+use crate::layout::{Colors, Column, Layout, Rows, color_value, unit_or_zero};
+use crate::scalar::Scalar;
 use crate::text::Lines;
 use crate::{FormatError, Limits, Place};
 use nalgebra::{Point3, Vector3};
@@ -12,9 +14,10 @@ const X: usize = 0;
 const RED: usize = 3;
 const INTENSITY: usize = 6;
 const NX: usize = 7;
-const NUM_SLOTS: usize = 10;
+const TIME: usize = 10;
+const NUM_SLOTS: usize = 11;
 
-/// One vertex: x y z, red green blue, intensity, nx ny nz.
+/// One vertex: x y z, red green blue, intensity, nx ny nz, time offset.
 type Vertex = [f64; NUM_SLOTS];
 
 /// A cloud from the bytes of a PLY file.
@@ -26,15 +29,8 @@ type Vertex = [f64; NUM_SLOTS];
 /// `Malformed`, `Missing` (no vertex element, no x, y or z), `Truncated`, `TooLarge`.
 pub fn decode(bytes: &[u8], limits: &Limits) -> Result<PointCloud, FormatError> {
     let header = super::header::parse(bytes)?;
-    let position = header.elements.iter().position(|e| e.name == "vertex");
-    let index = position.ok_or(FormatError::Missing { format: FORMAT, field: "element vertex" })?;
+    let (index, slots) = vertex_slots(&header)?;
     let (before, vertex) = (&header.elements[..index], &header.elements[index]);
-    let slots: Vec<Option<usize>> = vertex.properties.iter().map(slot).collect();
-    for (slot, field) in [(X, "x"), (X + 1, "y"), (X + 2, "z")] {
-        if !slots.contains(&Some(slot)) {
-            return Err(FormatError::Missing { format: FORMAT, field });
-        }
-    }
     let count = limits.points(vertex.count)?;
     let mut cloud = Builder::new(&slots);
     match header.encoding {
@@ -42,6 +38,35 @@ pub fn decode(bytes: &[u8], limits: &Limits) -> Result<PointCloud, FormatError> 
         _ => read_binary(bytes, &header, before, vertex, &slots, count, &mut cloud)?,
     }
     Ok(cloud.cloud)
+}
+
+/// Which element holds the vertices, and what each of its properties is.
+fn vertex_slots(header: &Header) -> Result<(usize, Vec<Option<usize>>), FormatError> {
+    let position = header.elements.iter().position(|e| e.name == "vertex");
+    let index = position.ok_or(FormatError::Missing { format: FORMAT, field: "element vertex" })?;
+    let slots: Vec<Option<usize>> = header.elements[index].properties.iter().map(slot).collect();
+    for (slot, field) in [(X, "x"), (X + 1, "y"), (X + 2, "z")] {
+        if !slots.contains(&Some(slot)) {
+            return Err(FormatError::Missing { format: FORMAT, field });
+        }
+    }
+    Ok((index, slots))
+}
+
+/// The rows of a file that begins with `head`, if they follow the header at once, binary and all of one size.
+pub(crate) fn rows(head: &[u8], limits: &Limits) -> Option<Rows> {
+    let header = super::header::parse(head).ok()?;
+    let (index, slots) = vertex_slots(&header).ok()?;
+    let vertex = &header.elements[index];
+    let stride = vertex.stride().filter(|_| index == 0 && header.encoding != Encoding::Ascii)?;
+    let num_points = limits.points(vertex.count).ok()?;
+    let layout = layout(vertex, stride, &slots, header.encoding == Encoding::BinaryBigEndian);
+    Some(Rows { offset: header.body_offset, num_points, stride, layout })
+}
+
+/// The encoding that a file declares, as far as it can be read; ascii if it cannot.
+pub(crate) fn encoding(bytes: &[u8]) -> Encoding {
+    super::header::parse(bytes).map_or(Encoding::Ascii, |h| h.encoding)
 }
 
 fn slot(property: &Property) -> Option<usize> {
@@ -59,6 +84,7 @@ fn slot(property: &Property) -> Option<usize> {
         "nx" | "normal_x" => NX,
         "ny" | "normal_y" => NX + 1,
         "nz" | "normal_z" => NX + 2,
+        "time_offset_s" => TIME,
         _ => return None,
     })
 }
@@ -76,6 +102,7 @@ impl Builder {
                 colors: has(RED, 3).then(Vec::new),
                 intensities: has(INTENSITY, 1).then(Vec::new),
                 normals: has(NX, 3).then(Vec::new),
+                time_offsets_s: has(TIME, 1).then(Vec::new),
                 ..PointCloud::default()
             },
         }
@@ -87,6 +114,7 @@ impl Builder {
         cloud.colors.iter_mut().for_each(|c| c.reserve_exact(count));
         cloud.intensities.iter_mut().for_each(|c| c.reserve_exact(count));
         cloud.normals.iter_mut().for_each(|c| c.reserve_exact(count));
+        cloud.time_offsets_s.iter_mut().for_each(|c| c.reserve_exact(count));
     }
 
     fn push(&mut self, v: &Vertex) {
@@ -100,28 +128,37 @@ impl Builder {
         if let Some(normals) = &mut self.cloud.normals {
             normals.push(unit_or_zero(Vector3::new(v[NX] as f32, v[NX + 1] as f32, v[NX + 2] as f32)));
         }
-    }
-}
-
-/// A normal of unit length; zero where it is undefined. One that is unit already keeps its bits.
-pub(crate) fn unit_or_zero(n: Vector3<f32>) -> Vector3<f32> {
-    let norm = n.norm();
-    if (norm - 1.0).abs() < 1e-3 {
-        n
-    } else if norm > 1e-12 && norm.is_finite() {
-        n / norm
-    } else {
-        Vector3::zeros()
+        if let Some(times) = &mut self.cloud.time_offsets_s {
+            times.push(v[TIME] as f32);
+        }
     }
 }
 
 /// Colours to 0..255 by the type they came in.
 fn scaled(slot: usize, scalar: Scalar, value: f64) -> f64 {
-    match scalar {
-        _ if !(RED..RED + 3).contains(&slot) => value,
-        Scalar::F32 | Scalar::F64 => (value * 255.0).round(),
-        Scalar::U16 => value / 257.0,
-        _ => value,
+    if (RED..RED + 3).contains(&slot) { f64::from(color_value(scalar, value)) } else { value }
+}
+
+/// The layout of vertices without lists.
+fn layout(vertex: &Element, stride: usize, slots: &[Option<usize>], big_endian: bool) -> Layout {
+    let mut columns = [None; NUM_SLOTS];
+    let mut base = 0;
+    for (property, slot) in vertex.properties.iter().zip(slots) {
+        if let Some(slot) = *slot {
+            columns[slot] = Some(Column { base, step: stride, scalar: property.scalar });
+        }
+        base += property.scalar.size();
+    }
+    let three = |from: usize| Some([columns[from]?, columns[from + 1]?, columns[from + 2]?]);
+    // The caller has found x, y and z.
+    let nothing = Column { base: 0, step: stride, scalar: Scalar::U8 };
+    Layout {
+        big_endian,
+        positions: three(X).unwrap_or([nothing; 3]),
+        colors: three(RED).map(Colors::Separate),
+        intensities: columns[INTENSITY],
+        normals: three(NX),
+        time_offsets_s: columns[TIME],
     }
 }
 
@@ -161,19 +198,9 @@ fn read_binary(
         return Ok(());
     };
     let body = cursor.take(vertex.count.saturating_mul(stride as u64), "vertices")?;
-    let mut offset = 0;
-    let mut columns = vec![];
-    for (property, slot) in vertex.properties.iter().zip(slots) {
-        columns.extend(slot.map(|slot| (offset, property.scalar, slot)));
-        offset += property.scalar.size();
-    }
-    cloud.reserve(count);
-    for row in body.chunks_exact(stride) {
-        for &(offset, scalar, slot) in &columns {
-            v[slot] = scaled(slot, scalar, scalar.read(&row[offset..], big_endian));
-        }
-        cloud.push(&v);
-    }
+    let layout = layout(vertex, stride, slots, big_endian);
+    cloud.cloud = layout.empty_cloud(count);
+    layout.append(body, count, &mut cloud.cloud);
     Ok(())
 }
 

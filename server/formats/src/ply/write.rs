@@ -1,4 +1,4 @@
-//! A cloud out: x y z, then those of colour, intensity and normals that it has.
+//! A cloud out: x y z, then those of colour, intensity, normals and time offsets that it has.
 
 use super::header::Encoding;
 use crate::FormatError;
@@ -15,9 +15,10 @@ pub fn encode(cloud: &PointCloud, encoding: Encoding) -> Result<Vec<u8>, FormatE
     Ok(out)
 }
 
-/// Writes a PLY file: float x y z (m), uchar red green blue, float intensity, float nx ny nz.
+/// Writes a PLY file: float x y z (m), uchar red green blue, float intensity, float nx ny nz, float
+/// time_offset_s.
 ///
-/// Time offsets are left out. Wrap files in a `BufWriter`: each point is a write of its own.
+/// Wrap files in a `BufWriter`: each point is a write of its own.
 ///
 /// # Errors
 /// `Geometry` if a channel has another length than the positions; `Write` if the writer refuses.
@@ -38,6 +39,9 @@ pub fn write(out: &mut impl Write, cloud: &PointCloud, encoding: Encoding) -> Re
     }
     if cloud.normals.is_some() {
         write_properties(out, "float", &["nx", "ny", "nz"])?;
+    }
+    if cloud.time_offsets_s.is_some() {
+        write_properties(out, "float", &["time_offset_s"])?;
     }
     out.write_all(b"end_header\n")?;
     let mut row = Vec::with_capacity(160);
@@ -78,6 +82,9 @@ fn append_row(row: &mut Vec<u8>, cloud: &PointCloud, i: usize, encoding: Encodin
     }
     if let Some(normals) = &cloud.normals {
         floats(row, normals[i].as_slice());
+    }
+    if let Some(times) = &cloud.time_offsets_s {
+        floats(row, &times[i..=i]);
     }
     if encoding == Encoding::Ascii {
         row.pop();

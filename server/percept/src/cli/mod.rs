@@ -1,5 +1,6 @@
 //! The command line: one file a command.
 
+mod bench;
 mod client;
 mod demo;
 mod eval;
@@ -40,6 +41,8 @@ enum Command {
     /// Measure against ground truth.
     #[command(subcommand)]
     Eval(eval::EvalCommand),
+    /// Time one operation on given files and print a JSON line.
+    Bench(bench::BenchArgs),
     /// Print the configuration file with every default explained.
     Config(ConfigArgs),
     /// Ask a running server whether it serves; the exit code says so.
@@ -62,6 +65,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Sim(args) => sim::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Eval(command) => eval::run(command),
+        Command::Bench(args) => bench::run(args),
         Command::Config(args) => config(&args),
         Command::Health(args) => health::run(&args),
     };
