@@ -170,10 +170,7 @@ mod tests {
 
     #[test]
     fn errors_name_the_line() {
-        assert_eq!(
-            read("1 2 3\n1 2 drei\n").unwrap_err().to_string(),
-            "XYZ, line 2: row is 'drei', expected a number"
-        );
+        assert_eq!(read("1 2 3\n1 2 drei\n").unwrap_err().to_string(), "XYZ, line 2: row is 'drei', expected a number");
         assert!(matches!(read("1 2 3\n1 2\n"), Err(FormatError::Malformed { .. })));
         assert!(matches!(read("1 2\n"), Err(FormatError::Unsupported { .. })));
         let tight = Limits { max_points: 1, ..Limits::default() };

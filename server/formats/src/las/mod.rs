@@ -40,7 +40,11 @@ mod tests {
             // What follows the packed points is the table of chunks, which only seeking needs.
             let spare = if packed { 24 } else { 0 };
             for end in 0..bytes.len() - spare {
-                assert!(decode(&bytes[..end], &Limits::default()).is_err(), "packed {packed}, cut at {end} of {}", bytes.len());
+                assert!(
+                    decode(&bytes[..end], &Limits::default()).is_err(),
+                    "packed {packed}, cut at {end} of {}",
+                    bytes.len()
+                );
             }
         }
     }

@@ -105,8 +105,7 @@ fn vlr_compressor(bytes: &[u8], header: &Header) -> Result<u16, FormatError> {
 fn check_items(vlr: &LazVlr, header: &Header) -> Result<(), FormatError> {
     let extra = header.record_bytes - super::header::RECORD_BYTES[usize::from(header.point_format)];
     let expected = u16::try_from(extra).map_err(library)?;
-    let expected =
-        LazItemRecordBuilder::default_for_point_format_id(header.point_format, expected).map_err(library)?;
+    let expected = LazItemRecordBuilder::default_for_point_format_id(header.point_format, expected).map_err(library)?;
     let kinds = |items: &[laz::LazItem]| items.iter().map(|i| (i.item_type(), i.size())).collect::<Vec<_>>();
     let items = vlr.items();
     if kinds(items) != kinds(&expected) || items.iter().any(|i| i.version() != items[0].version()) {

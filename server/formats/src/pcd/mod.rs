@@ -9,8 +9,8 @@ mod read;
 mod write;
 
 pub use header::Encoding;
-pub(crate) use read::{encoding, rows};
 pub use read::{Pcd, decode};
+pub(crate) use read::{encoding, rows};
 pub use write::{encode, encode_as, write};
 
 const FORMAT: &str = "PCD";
