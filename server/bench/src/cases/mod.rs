@@ -3,6 +3,7 @@
 mod files;
 mod filters;
 mod registration;
+mod search;
 mod segmentation;
 
 use crate::{Args, BenchError};
@@ -31,6 +32,10 @@ pub const OPERATIONS: &[(&str, Open)] = &[
     ("load", files::load),
     ("voxel_downsample", filters::voxels),
     ("register", registration::register),
+    ("outliers_statistical", filters::outliers_statistical),
+    ("outliers_radius", filters::outliers_radius),
+    ("search_build", search::build),
+    ("search_knn_all", search::knn_all),
     ("plane", segmentation::plane),
     ("planes", segmentation::planes),
     ("clusters_dbscan", segmentation::clusters_dbscan),

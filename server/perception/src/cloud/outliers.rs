@@ -1,13 +1,10 @@
 //! Points that stand too much alone.
 
 use super::{at_least, positive};
-use crate::search::KdTree;
+use crate::search::{KdTree, Neighbor, Wanted};
 use nalgebra::Point3;
 use percept_geometry::{GeometryError, cloud::is_finite};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-
-const CHUNK: usize = 1024;
 
 /// How [`statistical_outliers`] judges.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -54,18 +51,20 @@ pub fn statistical_outliers(
     if k == 0 {
         return Ok((0..points.len()).filter(|&i| is_finite(&points[i])).collect());
     }
-    let mut means = vec![f64::NAN; points.len()];
-    means.par_chunks_mut(CHUNK).zip(points.par_chunks(CHUNK)).for_each_init(Vec::new, |found, (means, points)| {
-        for (mean, p) in means.iter_mut().zip(points).filter(|(_, p)| is_finite(p)) {
-            // The point itself, or one equal to it, is the first at distance 0.
-            tree.knn_into(p, k + 1, found);
-            *mean = found.iter().map(|n| f64::from(n.distance2).sqrt()).sum::<f64>() / k as f64;
-        }
+    // The point itself, or one equal to it, is the first at distance 0.
+    let wanted = Wanted { k: k + 1, radius_m: f32::INFINITY, sorted: false };
+    let by_task = tree.map_leaves(&wanted, |means: &mut Vec<f64>, leaf, group| {
+        means.extend((0..tree.num_points_of(leaf)).map(|i| mean_distance(group.row(i, &wanted), k)));
     });
+    let means = tree.in_cloud_order(&by_task, f64::NAN);
     let (mean, deviation) = mean_and_deviation(means.iter().copied().filter(|m| !m.is_nan()));
     // Rounding in the sums must not throw out points that are all alike.
     let limit = mean + params.std_ratio * deviation + 1e-9 * mean;
     Ok((0..points.len()).filter(|&i| means[i] <= limit).collect())
+}
+
+fn mean_distance(keys: &[u64], k: usize) -> f64 {
+    keys.iter().map(|&key| f64::from(Neighbor::of_key(key).distance2.sqrt())).sum::<f64>() / k as f64
 }
 
 fn mean_and_deviation(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
@@ -96,15 +95,8 @@ impl Default for RadiusOutlierParams {
 /// `OutOfRange` naming the parameter.
 pub fn radius_outliers(points: &[Point3<f32>], params: &RadiusOutlierParams) -> Result<Vec<usize>, GeometryError> {
     positive("radius_m", params.radius_m)?;
-    let tree = KdTree::build(points);
     let wanted = params.min_neighbors.saturating_add(1);
-    let mut keep = vec![false; points.len()];
-    keep.par_chunks_mut(CHUNK).zip(points.par_chunks(CHUNK)).for_each_init(Vec::new, |found, (keep, points)| {
-        for (keep, p) in keep.iter_mut().zip(points).filter(|(_, p)| is_finite(p)) {
-            tree.hybrid_into(p, params.radius_m as f32, wanted, found);
-            *keep = found.len() == wanted;
-        }
-    });
+    let keep = KdTree::build(points).at_least_within(params.radius_m as f32, wanted);
     Ok((0..points.len()).filter(|&i| keep[i]).collect())
 }
 

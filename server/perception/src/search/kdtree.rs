@@ -3,8 +3,8 @@
 use nalgebra::Point3;
 use std::cmp::Ordering;
 
-/// Most points in a leaf. Sixteen f32 distances are four SSE or two AVX operations a coordinate.
-const LEAF: usize = 16;
+/// Points in a leaf (all are full but the last). Sixteen f32 are four SSE or two AVX registers.
+pub(super) const LEAF: usize = 16;
 /// Subtrees with fewer points are built by the thread that has them.
 const PARALLEL_ABOVE: usize = 8192;
 /// Up to this `k` an insertion-sorted list beats a heap.
@@ -20,36 +20,72 @@ pub struct Neighbor {
 }
 
 impl Neighbor {
+    /// Distance and index as one number: the order of numbers is the order of answers.
+    pub(super) fn key(&self) -> u64 {
+        key(self.distance2, self.index as u32)
+    }
+
+    /// Back from [`key`](Self::key).
+    pub(crate) fn of_key(key: u64) -> Self {
+        Self { distance2: f32::from_bits((key >> 32) as u32), index: (key & u64::from(u32::MAX)) as usize }
+    }
+
     /// The order of answers: nearest first, equal distances by index.
     fn order(&self, other: &Self) -> Ordering {
         self.distance2.total_cmp(&other.distance2).then(self.index.cmp(&other.index))
     }
 }
 
+/// Distances are not negative, so that their bits are in their order.
+#[inline(always)]
+pub(super) fn key(distance2: f32, index: u32) -> u64 {
+    u64::from(distance2.to_bits()) << 32 | u64::from(index)
+}
+
 /// A static k-d tree: built from a slice of points, queried by many threads at once.
 ///
-/// Every level splits at the median of the widest axis, so the tree is perfect: no child pointers, a leaf's
-/// range follows from the number of points alone, and leaf coordinates lie side by side. Answers equal brute
-/// force in f32 exactly, with ties broken by the smaller index.
+/// Every level splits the leaves of the widest axis in half, so the tree needs no child pointers, a leaf's range
+/// follows from its number alone, all leaves but the last are full, and leaf coordinates lie side by side. Answers
+/// equal brute force in f32 exactly, with ties broken by the smaller index; subtrees know their smallest index, so
+/// that a heap of equal points is not searched through.
 ///
 /// Source: Friedman, Bentley and Finkel, "An algorithm for finding best matches in logarithmic expected
 /// time", 1977; bounds carried down as in Arya and Mount, "Algorithms for fast vector quantization", 1993.
 #[derive(Debug, Clone, Default)]
 pub struct KdTree {
-    /// Levels of inner nodes above the leaves.
-    depth: u32,
-    /// Inner nodes in pre-order: the left child follows its parent, the right one comes `2^(depth-1)` later.
+    /// Number of points that the tree was built from, those not finite among them.
+    pub(super) num_given: usize,
+    /// Inner nodes in pre-order: the left child follows its parent, the right one follows the left subtree.
     nodes: Vec<Node>,
-    xs: Vec<f32>,
-    ys: Vec<f32>,
-    zs: Vec<f32>,
-    indices: Vec<u32>,
+    /// Boxes of inner nodes and leaves in pre-order.
+    pub(super) bounds: Vec<Bounds>,
+    /// Coordinates and indices by leaf, the last one filled up with infinity.
+    pub(super) leaves: Vec<Leaf>,
+    len: usize,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Node {
     axis: u8,
     split: f32,
+    /// Smallest index in the subtree.
+    least: u32,
+}
+
+/// The points of a leaf.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Leaf {
+    pub(super) xs: [f32; LEAF],
+    pub(super) ys: [f32; LEAF],
+    pub(super) zs: [f32; LEAF],
+    pub(super) indices: [u32; LEAF],
+}
+
+/// The box about the points of a subtree.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Bounds {
+    pub(super) lo: [f32; 3],
+    pub(super) hi: [f32; 3],
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -63,34 +99,34 @@ impl KdTree {
     ///
     /// Points beyond the first 2^32 are not indexed (memory ends before).
     pub fn build(points: &[Point3<f32>]) -> Self {
-        let mut entries: Vec<Entry> = points
-            .iter()
-            .zip(0..u32::MAX)
-            .filter(|(p, _)| percept_geometry::cloud::is_finite(p))
-            .map(|(p, index)| Entry { p: [p.x, p.y, p.z], index })
-            .collect();
-        let n = entries.len();
-        let depth = n.div_ceil(LEAF).max(1).next_power_of_two().trailing_zeros();
-        let mut nodes = vec![Node::default(); (1 << depth) - 1];
-        split(&mut entries, &mut nodes);
-        Self {
-            depth,
-            nodes,
-            xs: entries.iter().map(|e| e.p[0]).collect(),
-            ys: entries.iter().map(|e| e.p[1]).collect(),
-            zs: entries.iter().map(|e| e.p[2]).collect(),
-            indices: entries.iter().map(|e| e.index).collect(),
+        let mut entries: Vec<Entry> = Vec::with_capacity(points.len());
+        let finite = points.iter().zip(0..u32::MAX).filter(|(p, _)| percept_geometry::cloud::is_finite(p));
+        entries.extend(finite.map(|(p, index)| Entry { p: [p.x, p.y, p.z], index }));
+        let num_leaves = entries.len().div_ceil(LEAF);
+        if num_leaves == 0 {
+            return Self { num_given: points.len(), ..Self::default() };
         }
+        let mut nodes = vec![Node::default(); num_leaves - 1];
+        let mut bounds = vec![Bounds::default(); 2 * num_leaves - 1];
+        let empty = Leaf {
+            xs: [f32::INFINITY; LEAF],
+            ys: [f32::INFINITY; LEAF],
+            zs: [f32::INFINITY; LEAF],
+            indices: [u32::MAX; LEAF],
+        };
+        let mut leaves = vec![empty; num_leaves];
+        split(&mut entries, &mut nodes, &mut bounds, &mut leaves);
+        Self { num_given: points.len(), nodes, bounds, leaves, len: entries.len() }
     }
 
     /// Number of (finite) points in the tree.
     pub fn len(&self) -> usize {
-        self.indices.len()
+        self.len
     }
 
     /// Whether there is no point in the tree.
     pub fn is_empty(&self) -> bool {
-        self.indices.is_empty()
+        self.len == 0
     }
 
     /// The nearest point; none if the tree is empty or the query not finite.
@@ -159,7 +195,7 @@ impl KdTree {
 
     fn search<C: Collector>(&self, query: &Point3<f32>, collector: &mut C) {
         if !self.is_empty() && percept_geometry::cloud::is_finite(query) {
-            self.descend(Subtree { depth: self.depth, node: 0, lo: 0, hi: self.len() }, query, [0.0; 3], collector);
+            self.descend(Subtree { node: 0, leaf: 0, leaves: self.leaves.len() }, query, [0.0; 3], collector);
         }
     }
 
@@ -169,31 +205,39 @@ impl KdTree {
     /// rounded monotonically and in the same order as the distances themselves, so the bound never exceeds
     /// a distance that it stands for: pruning is exact, not exact up to rounding.
     fn descend<C: Collector>(&self, s: Subtree, q: &Point3<f32>, off: [f32; 3], collector: &mut C) {
-        if s.depth == 0 {
-            return self.scan(s.lo, s.hi, q, collector);
+        if s.leaves == 1 {
+            return self.scan(s.leaf, q, collector);
         }
-        let Node { axis, split } = self.nodes[s.node];
+        let Node { axis, split, .. } = self.nodes[s.node];
         let axis = usize::from(axis);
         let to_split = q[axis] - split;
         let (left, right) = s.children();
-        let (near, far) = if to_split < 0.0 { (left, right) } else { (right, left) };
-        self.descend(near, q, off, collector);
+        // On the border the left side comes first: among equal points it holds the smaller indices.
+        let (near, far) = if to_split <= 0.0 { (left, right) } else { (right, left) };
+        if !collector.is_beyond(off[0] * off[0] + off[1] * off[1] + off[2] * off[2], self.least(near)) {
+            self.descend(near, q, off, collector);
+        }
         let mut off = off;
         off[axis] = to_split;
-        if off[0] * off[0] + off[1] * off[1] + off[2] * off[2] <= collector.limit() {
+        if !collector.is_beyond(off[0] * off[0] + off[1] * off[1] + off[2] * off[2], self.least(far)) {
             self.descend(far, q, off, collector);
         }
     }
 
+    /// Smallest index in a subtree; a leaf's is not worth looking for.
+    fn least(&self, s: Subtree) -> u32 {
+        if s.leaves == 1 { 0 } else { self.nodes[s.node].least }
+    }
+
     #[inline]
-    fn scan<C: Collector>(&self, lo: usize, hi: usize, q: &Point3<f32>, collector: &mut C) {
-        let (xs, ys, zs) = (&self.xs[lo..hi], &self.ys[lo..hi], &self.zs[lo..hi]);
+    fn scan<C: Collector>(&self, leaf: usize, q: &Point3<f32>, collector: &mut C) {
+        let Leaf { xs, ys, zs, indices } = &self.leaves[leaf];
         let mut distances = [0.0f32; LEAF];
         for (((d, &x), &y), &z) in distances.iter_mut().zip(xs).zip(ys).zip(zs) {
             let (dx, dy, dz) = (q.x - x, q.y - y, q.z - z);
             *d = dx * dx + dy * dy + dz * dz;
         }
-        for (&distance2, &index) in distances.iter().zip(&self.indices[lo..hi]) {
+        for (&distance2, &index) in distances.iter().zip(&indices[..(self.len - leaf * LEAF).min(LEAF)]) {
             if distance2 <= collector.limit() {
                 collector.push(Neighbor { distance2, index: index as usize });
             }
@@ -201,53 +245,75 @@ impl KdTree {
     }
 }
 
-/// A subtree: levels above its leaves, its root's place, and the range of its points.
+/// A subtree: its root's place and its leaves.
 #[derive(Clone, Copy)]
 struct Subtree {
-    depth: u32,
     node: usize,
-    lo: usize,
-    hi: usize,
+    leaf: usize,
+    leaves: usize,
 }
 
 impl Subtree {
     fn children(self) -> (Self, Self) {
-        let depth = self.depth - 1;
-        let mid = self.lo + (self.hi - self.lo) / 2;
+        let left = self.leaves / 2;
         (
-            Self { depth, node: self.node + 1, lo: self.lo, hi: mid },
-            Self { depth, node: self.node + (1 << depth), lo: mid, hi: self.hi },
+            Self { node: self.node + 1, leaf: self.leaf, leaves: left },
+            Self { node: self.node + left, leaf: self.leaf + left, leaves: self.leaves - left },
         )
     }
 }
 
-/// Orders `entries` into leaves and fills the pre-order `nodes` above them.
-fn split(entries: &mut [Entry], nodes: &mut [Node]) {
-    let Some((root, children)) = nodes.split_first_mut() else { return };
-    let axis = widest_axis(entries);
-    let mid = entries.len() / 2;
-    let order = |a: &Entry, b: &Entry| a.p[axis].total_cmp(&b.p[axis]).then(a.index.cmp(&b.index));
+/// Orders `entries` into leaves and fills the pre-order `nodes` and `bounds` above them; gives the smallest index.
+fn split(entries: &mut [Entry], nodes: &mut [Node], bounds: &mut [Bounds], leaves: &mut [Leaf]) -> u32 {
+    let Some((here, below)) = bounds.split_first_mut() else { return u32::MAX };
+    *here = bounds_of(entries);
+    let Some((root, children)) = nodes.split_first_mut() else {
+        return fill(entries, &mut leaves[0]);
+    };
+    let axis = widest_axis(here);
+    let left_leaves = leaves.len() / 2;
+    let mid = left_leaves * LEAF;
+    let order = |a: &Entry, b: &Entry| match a.p[axis].partial_cmp(&b.p[axis]) {
+        Some(Ordering::Equal) | None => a.index.cmp(&b.index),
+        Some(order) => order,
+    };
     let (_, median, _) = entries.select_nth_unstable_by(mid, order);
-    *root = Node { axis: axis as u8, split: median.p[axis] };
-    let half = children.len() / 2;
+    let at = median.p[axis];
     let (left, right) = entries.split_at_mut(mid);
-    let (left_nodes, right_nodes) = children.split_at_mut(half);
-    if left.len() > PARALLEL_ABOVE {
-        rayon::join(|| split(left, left_nodes), || split(right, right_nodes));
+    let (left_nodes, right_nodes) = children.split_at_mut(left_leaves - 1);
+    let (left_bounds, right_bounds) = below.split_at_mut(2 * left_leaves - 1);
+    let (left_leaves, right_leaves) = leaves.split_at_mut(left_leaves);
+    let (a, b) = if left.len() > PARALLEL_ABOVE {
+        rayon::join(
+            || split(left, left_nodes, left_bounds, left_leaves),
+            || split(right, right_nodes, right_bounds, right_leaves),
+        )
     } else {
-        split(left, left_nodes);
-        split(right, right_nodes);
-    }
+        (split(left, left_nodes, left_bounds, left_leaves), split(right, right_nodes, right_bounds, right_leaves))
+    };
+    *root = Node { axis: axis as u8, split: at, least: a.min(b) };
+    a.min(b)
 }
 
-fn widest_axis(entries: &[Entry]) -> usize {
+fn fill(entries: &[Entry], leaf: &mut Leaf) -> u32 {
+    for (i, e) in entries.iter().enumerate().take(LEAF) {
+        (leaf.xs[i], leaf.ys[i], leaf.zs[i], leaf.indices[i]) = (e.p[0], e.p[1], e.p[2], e.index);
+    }
+    entries.iter().map(|e| e.index).min().unwrap_or(u32::MAX)
+}
+
+fn bounds_of(entries: &[Entry]) -> Bounds {
     let (mut lo, mut hi) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for e in entries {
         for i in 0..3 {
-            lo[i] = lo[i].min(e.p[i]);
-            hi[i] = hi[i].max(e.p[i]);
+            lo[i] = if e.p[i] < lo[i] { e.p[i] } else { lo[i] };
+            hi[i] = if e.p[i] > hi[i] { e.p[i] } else { hi[i] };
         }
     }
+    Bounds { lo, hi }
+}
+
+fn widest_axis(Bounds { lo, hi }: &Bounds) -> usize {
     let size = |i: usize| hi[i] - lo[i];
     let xy = if size(1) > size(0) { 1 } else { 0 };
     if size(2) > size(xy) { 2 } else { xy }
@@ -257,6 +323,10 @@ fn widest_axis(entries: &[Entry]) -> usize {
 trait Collector {
     /// Squared distance beyond which nothing is wanted any more.
     fn limit(&self) -> f32;
+    /// Whether a point at this squared distance at least, and of this index at least, is not wanted any more.
+    fn is_beyond(&self, distance2: f32, _least_index: u32) -> bool {
+        distance2 > self.limit()
+    }
     /// Takes a point that is within the limit.
     fn push(&mut self, neighbor: Neighbor);
 }
@@ -267,6 +337,10 @@ struct Nearest {
 }
 
 impl Collector for Nearest {
+    fn is_beyond(&self, distance2: f32, least_index: u32) -> bool {
+        distance2 > self.limit || self.best.is_some_and(|b| b.distance2 == distance2 && b.index < least_index as usize)
+    }
+
     fn limit(&self) -> f32 {
         self.limit
     }
@@ -302,6 +376,12 @@ struct SortedList<'a> {
 }
 
 impl Collector for SortedList<'_> {
+    fn is_beyond(&self, distance2: f32, least_index: u32) -> bool {
+        let full = self.out.len() == self.k;
+        let worst = self.out.last().filter(|_| full);
+        distance2 > self.limit || worst.is_some_and(|w| w.distance2 == distance2 && w.index < least_index as usize)
+    }
+
     fn limit(&self) -> f32 {
         self.limit
     }
@@ -354,6 +434,12 @@ impl Heap<'_> {
 }
 
 impl Collector for Heap<'_> {
+    fn is_beyond(&self, distance2: f32, least_index: u32) -> bool {
+        let full = self.out.len() == self.k;
+        let worst = self.out.first().filter(|_| full);
+        distance2 > self.limit || worst.is_some_and(|w| w.distance2 == distance2 && w.index < least_index as usize)
+    }
+
     fn limit(&self) -> f32 {
         self.limit
     }

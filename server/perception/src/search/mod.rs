@@ -4,8 +4,12 @@
 //! in scan by scan, thins them, forgets what is far, and answers the nearest point around a query.
 //! Points with a non-finite coordinate are never returned by either.
 
+mod group;
 mod kdtree;
+mod neighbors;
 mod voxel_map;
 
+pub(crate) use group::Wanted;
 pub use kdtree::{KdTree, Neighbor};
+pub use neighbors::Neighbors;
 pub use voxel_map::{MapNeighbor, VoxelHashMap, VoxelMapParams, VoxelStats};
