@@ -4,7 +4,8 @@ use super::files::read_cloud;
 use super::{Case, timed};
 use crate::{Args, BenchError};
 use percept_perception::cloud::{
-    RadiusOutlierParams, StatisticalOutlierParams, radius_outliers, statistical_outliers, voxel_downsample,
+    NormalParams, RadiusOutlierParams, StatisticalOutlierParams, estimate_normals, local_features, radius_outliers,
+    statistical_outliers, voxel_downsample,
 };
 use serde_json::json;
 use std::path::PathBuf;
@@ -35,4 +36,26 @@ pub(super) fn voxels(args: &Args) -> Result<Box<dyn Case>, BenchError> {
     let work = move || voxel_downsample(&cloud, size).map_err(BenchError::new);
     let items = read_cloud(&path)?.len();
     Ok(timed(items, work, |out| json!({"out_points": out.len()})))
+}
+
+/// `normals file= k=`, or with `radius_m= max_neighbors=`.
+pub(super) fn normals(args: &Args) -> Result<Box<dyn Case>, BenchError> {
+    let points = read_cloud(&args.required::<PathBuf>("file")?)?.positions;
+    let max_neighbors = args.or("k", args.or("max_neighbors", 30)?)?;
+    let params = NormalParams { radius_m: args.or("radius_m", f64::INFINITY)?, max_neighbors, min_neighbors: 3 };
+    let items = points.len();
+    let work = move || estimate_normals(&points, &params, None).map_err(BenchError::new);
+    Ok(timed(items, work, |normals| json!({"defined": normals.iter().filter(|n| n.norm_squared() > 0.0).count()})))
+}
+
+/// `local_features file= k=`.
+pub(super) fn features(args: &Args) -> Result<Box<dyn Case>, BenchError> {
+    let points = read_cloud(&args.required::<PathBuf>("file")?)?.positions;
+    let k = args.required("k")?;
+    let items = points.len();
+    let work = move || local_features(&points, k).map_err(BenchError::new);
+    Ok(timed(items, work, |all| {
+        let sum: f64 = all.iter().flatten().map(|f| f64::from(f.planarity)).sum();
+        json!({"mean_planarity": sum / all.len().max(1) as f64})
+    }))
 }

@@ -36,6 +36,8 @@ pub const OPERATIONS: &[(&str, Open)] = &[
     ("outliers_radius", filters::outliers_radius),
     ("search_build", search::build),
     ("search_knn_all", search::knn_all),
+    ("normals", filters::normals),
+    ("local_features", filters::features),
     ("plane", segmentation::plane),
     ("planes", segmentation::planes),
     ("clusters_dbscan", segmentation::clusters_dbscan),

@@ -1,19 +1,17 @@
 //! Normals from the scatter of neighbours.
 
 use super::{Scatter, at_least, positive, symmetric_eigen3};
-use crate::search::{KdTree, Neighbor};
+use crate::search::{KdTree, Neighbor, Wanted};
 use nalgebra::{Point3, Vector3};
-use percept_geometry::{GeometryError, cloud::is_finite};
-use rayon::prelude::*;
+use percept_geometry::GeometryError;
 use serde::{Deserialize, Serialize};
-
-const CHUNK: usize = 512;
 
 /// Which neighbours make a normal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NormalParams {
-    /// Neighbours lie within this distance, metres; about three times the spacing of points.
+    /// Neighbours lie within this distance, metres; about three times the spacing of points. Infinite: the nearest
+    /// ones, however far.
     pub radius_m: f64,
     /// Of them the nearest so many are used, the point itself among them; at least 3.
     pub max_neighbors: usize,
@@ -33,7 +31,9 @@ impl NormalParams {
     /// # Errors
     /// `OutOfRange` naming the field.
     pub fn validate(&self) -> Result<(), GeometryError> {
-        positive("radius_m", self.radius_m)?;
+        if self.radius_m != f64::INFINITY {
+            positive("radius_m", self.radius_m)?;
+        }
         at_least("min_neighbors", self.min_neighbors, 3, "at least 3")?;
         at_least("max_neighbors", self.max_neighbors, self.min_neighbors, "at least min_neighbors")
     }
@@ -53,28 +53,25 @@ pub fn estimate_normals(
 ) -> Result<Vec<Vector3<f32>>, GeometryError> {
     params.validate()?;
     let tree = KdTree::build(points);
-    let mut normals = vec![Vector3::zeros(); points.len()];
-    let estimate = |found: &mut Vec<Neighbor>, (normals, queries): (&mut [Vector3<f32>], &[Point3<f32>])| {
-        for (normal, p) in normals.iter_mut().zip(queries).filter(|(_, p)| is_finite(p)) {
-            tree.hybrid_into(p, params.radius_m as f32, params.max_neighbors, found);
-            if found.len() >= params.min_neighbors {
-                *normal = least_scatter(points, p, found, viewpoint).unwrap_or_default();
-            }
-        }
-    };
-    normals.par_chunks_mut(CHUNK).zip(points.par_chunks(CHUNK)).for_each_init(Vec::new, estimate);
-    Ok(normals)
+    let wanted = Wanted { k: params.max_neighbors.min(tree.len()), radius_m: params.radius_m as f32, sorted: false };
+    let by_task = tree.map_leaves(&wanted, |normals: &mut Vec<Vector3<f32>>, leaf, group| {
+        normals.extend(tree.indices_of(leaf).iter().enumerate().map(|(i, &index)| {
+            let keys = group.row(i, &wanted);
+            let enough = keys.len() >= params.min_neighbors;
+            let normal = enough.then(|| least_scatter(points, &points[index as usize], keys, viewpoint)).flatten();
+            normal.unwrap_or_default()
+        }));
+    });
+    Ok(tree.in_cloud_order(&by_task, Vector3::zeros()))
 }
 
 fn least_scatter(
     points: &[Point3<f32>],
     p: &Point3<f32>,
-    found: &[Neighbor],
+    keys: &[u64],
     viewpoint: Option<&Point3<f64>>,
 ) -> Option<Vector3<f32>> {
-    let mut scatter = Scatter::new(p.cast());
-    found.iter().for_each(|n| scatter.add(&points[n.index].cast()));
-    let eigen = symmetric_eigen3(&scatter.covariance());
+    let eigen = symmetric_eigen3(&scatter_about(points, p, keys).covariance());
     // On a line the second value is rounding: any direction across would do, so none does.
     if eigen.values[1] <= 1e-10 * eigen.values[2] {
         return None;
@@ -82,6 +79,13 @@ fn least_scatter(
     let normal = eigen.vectors[0];
     let away = viewpoint.is_some_and(|v| normal.dot(&(v - p.cast::<f64>())) < 0.0);
     Some(if away { -normal } else { normal }.cast())
+}
+
+/// Moments of the neighbours with these keys.
+pub(super) fn scatter_about(points: &[Point3<f32>], p: &Point3<f32>, keys: &[u64]) -> Scatter {
+    let mut scatter = Scatter::new(p.cast());
+    keys.iter().for_each(|&key| scatter.add(&points[Neighbor::of_key(key).index].cast()));
+    scatter
 }
 
 #[cfg(test)]
