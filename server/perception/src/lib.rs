@@ -4,13 +4,14 @@
 //! detections, poses. Nothing here remembers the message before, reads a clock or touches a file.
 //! Results depend on the input and the seed, not on the number of threads.
 //!
-//! Start with [`search`] (who is near whom), then [`depth`] (images to points), [`cloud`] (points to
-//! structure), [`registration`] (where two clouds meet), [`multiview`] (where cameras stood) and
+//! Start with [`search`] (who is near whom), then [`depth`] (images to points), [`features2d`] (images to
+//! keypoints), [`cloud`] (points to structure), [`registration`] (where two clouds meet), [`multiview`] (where cameras stood) and
 //! [`detection`] (structure to objects); [`render`] draws clouds and depth images to look at.
 
 pub mod cloud;
 pub mod depth;
 pub mod detection;
+pub mod features2d;
 pub mod multiview;
 pub mod registration;
 pub mod render;

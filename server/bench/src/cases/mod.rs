@@ -2,6 +2,7 @@
 
 mod files;
 mod filters;
+mod images;
 mod registration;
 mod search;
 mod segmentation;
@@ -41,6 +42,10 @@ pub const OPERATIONS: &[(&str, Open)] = &[
     ("plane", segmentation::plane),
     ("planes", segmentation::planes),
     ("clusters_dbscan", segmentation::clusters_dbscan),
+    ("features_orb", images::orb),
+    ("features_sift", images::sift),
+    ("match_features", images::matching),
+    ("essential", images::essential),
 ];
 
 /// The case of an operation.
