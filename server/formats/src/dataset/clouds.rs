@@ -5,15 +5,15 @@
 use super::files::{self, Folder, extension};
 use super::frames::Load;
 use super::{Dataset, DatasetKind, OpenOptions};
-use crate::{FormatError, Limits, kitti, pcd, ply};
-use percept_geometry::{PointCloud, Pose, SensorData, SensorId, SensorKind, SensorSpec, Timestamp};
+use crate::{FormatError, Limits};
+use percept_geometry::{Pose, SensorData, SensorId, SensorKind, SensorSpec, Timestamp};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 const LIDAR: &str = "lidar";
 const PERIOD_NS: i64 = 100_000_000;
 
-/// Reads and decodes clouds by their extension; points without return are dropped.
+/// Reads and decodes clouds; points without return are dropped.
 #[derive(Debug)]
 pub(super) struct CloudLoader {
     pub(super) files: Vec<PathBuf>,
@@ -39,18 +39,9 @@ impl Load for CloudLoader {
 
     fn load(&self, index: usize) -> Result<SensorData, FormatError> {
         let path = &self.files[index];
-        let bytes = crate::read_file(path, &self.limits)?;
-        let cloud = decode(&bytes, &extension(path), &self.limits).map_err(|e| e.in_file(path))?;
+        let cloud = crate::read_cloud_file(path, &self.limits)?.cloud;
         let finite = cloud.positions.iter().all(percept_geometry::cloud::is_finite);
         Ok(SensorData::Cloud(if finite { cloud } else { cloud.retain_finite() }))
-    }
-}
-
-fn decode(bytes: &[u8], extension: &str, limits: &Limits) -> Result<PointCloud, FormatError> {
-    match extension {
-        "ply" => ply::decode(bytes, limits),
-        "bin" => kitti::decode_bin(bytes, limits),
-        _ => Ok(pcd::decode(bytes, limits)?.cloud),
     }
 }
 
