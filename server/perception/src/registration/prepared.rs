@@ -2,7 +2,7 @@
 
 use super::{GaussianVoxels, IcpMethod, IcpParams, RegistrationError};
 use crate::cloud::{Scatter, symmetric_eigen3};
-use crate::search::{KdTree, Neighbor};
+use crate::search::{KdTree, Neighbor, Wanted};
 use nalgebra::{Matrix3, Point3, Vector3};
 use percept_geometry::{PointCloud, cloud::is_finite};
 use rayon::prelude::*;
@@ -96,22 +96,20 @@ impl PreparedCloud {
     }
 }
 
-/// Direction of least scatter of each point's `k` nearest; zero where they lie on a line.
+/// Direction of least scatter of each point's `k` nearest; zero where they lie on a line. `tree` is of `points`, which
+/// are finite.
 fn normals(points: &[Point3<f32>], tree: &KdTree, k: usize) -> Vec<Vector3<f32>> {
-    let mut out = vec![Vector3::zeros(); points.len()];
-    let estimate = |found: &mut Vec<Neighbor>, (normals, queries): (&mut [Vector3<f32>], &[Point3<f32>])| {
-        for (normal, p) in normals.iter_mut().zip(queries) {
-            tree.knn_into(p, k, found);
-            let mut scatter = Scatter::new(p.cast());
-            found.iter().for_each(|n| scatter.add(&points[n.index].cast()));
+    let wanted = Wanted { k: k.min(points.len()), radius_m: f32::INFINITY, sorted: false };
+    let by_task = tree.map_leaves(&wanted, |normals: &mut Vec<Vector3<f32>>, leaf, group| {
+        for (i, &index) in tree.indices_of(leaf).iter().enumerate() {
+            let mut scatter = Scatter::new(points[index as usize].cast());
+            group.row(i, &wanted).iter().for_each(|&key| scatter.add(&points[Neighbor::of_key(key).index].cast()));
             let eigen = symmetric_eigen3(&scatter.covariance());
-            if eigen.values[1] > 1e-10 * eigen.values[2] {
-                *normal = eigen.vectors[0].cast();
-            }
+            let flat = eigen.values[1] > 1e-10 * eigen.values[2];
+            normals.push(if flat { eigen.vectors[0].cast() } else { Vector3::zeros() });
         }
-    };
-    out.par_chunks_mut(CHUNK).zip(points.par_chunks(CHUNK)).for_each_init(Vec::new, estimate);
-    out
+    });
+    tree.in_cloud_order(&by_task, Vector3::zeros())
 }
 
 /// How brightness changes along the tangent plane: least squares over the `k` nearest (eq. 10 of the paper, with the
