@@ -16,3 +16,4 @@ pub mod multiview;
 pub mod registration;
 pub mod render;
 pub mod search;
+pub mod segmentation;

@@ -46,6 +46,8 @@ pub const OPERATIONS: &[(&str, Open)] = &[
     ("features_sift", images::sift),
     ("match_features", images::matching),
     ("essential", images::essential),
+    ("ground", segmentation::ground),
+    ("segment_objects", segmentation::segment_objects),
 ];
 
 /// The case of an operation.

@@ -3,10 +3,11 @@
 use super::files::read_cloud;
 use super::{Case, timed};
 use crate::{Args, BenchError};
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use percept_perception::cloud::{
     Clusters, DbscanParams, PlaneParams, PlanesParams, dbscan, segment_plane, segment_planes,
 };
+use percept_perception::segmentation::{GroundParams, ObjectsParams, segment_ground};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -58,4 +59,47 @@ pub(super) fn clusters_dbscan(args: &Args) -> Result<Box<dyn Case>, BenchError> 
 fn sizes(clusters: &Clusters) -> Value {
     let large = clusters.indices().iter().filter(|c| c.len() >= 100).count();
     json!({"clusters": clusters.num_clusters, "clusters_ge100": large})
+}
+
+/// `ground file= sensor_height_m=`: the ground of a lidar scan; `labels=` names a file for a byte a point.
+pub(super) fn ground(args: &Args) -> Result<Box<dyn Case>, BenchError> {
+    let points = read_cloud(&args.required::<PathBuf>("file")?)?.positions;
+    let defaults = GroundParams::default();
+    let params = GroundParams { sensor_height_m: args.or("sensor_height_m", defaults.sensor_height_m)?, ..defaults };
+    let labels: Option<PathBuf> = args.optional("labels")?;
+    let items = points.len();
+    Ok(timed(
+        items,
+        move || segment_ground(&points, &params).map_err(BenchError::new),
+        move |ground| {
+            if let Some(path) = &labels {
+                let bytes: Vec<u8> = ground.is_ground.iter().map(|&g| u8::from(g)).collect();
+                if let Err(e) = std::fs::write(path, bytes) {
+                    return json!({"labels": e.to_string()});
+                }
+            }
+            json!({"ground_points": ground.is_ground.iter().filter(|g| **g).count()})
+        },
+    ))
+}
+
+/// `segment_objects file=`: objects on the largest plane of one view from the origin; `labels=` as above, two bytes.
+pub(super) fn segment_objects(args: &Args) -> Result<Box<dyn Case>, BenchError> {
+    let points = read_cloud(&args.required::<PathBuf>("file")?)?.positions;
+    let labels: Option<PathBuf> = args.optional("labels")?;
+    let params = ObjectsParams::default();
+    let items = points.len();
+    let work = move || {
+        percept_perception::segmentation::segment_objects(&points, &Point3::origin(), &params).map_err(BenchError::new)
+    };
+    Ok(timed(items, work, move |objects| {
+        if let Some(path) = &labels {
+            let labels = &objects.clusters.labels;
+            let bytes: Vec<u8> = labels.iter().flat_map(|l| l.map_or(-1, |l| l as i16).to_le_bytes()).collect();
+            if let Err(e) = std::fs::write(path, bytes) {
+                return json!({"labels": e.to_string()});
+            }
+        }
+        json!({"objects": objects.clusters.num_clusters})
+    }))
 }

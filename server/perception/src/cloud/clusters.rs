@@ -102,11 +102,7 @@ pub fn cluster(points: &[Point3<f32>], params: &ClusterParams) -> Result<Cluster
     } else {
         join(points, &KdTree::build(points), &vec![eps; points.len()], |_| true, &mut sets);
     }
-    let mut sizes = vec![0usize; points.len()];
-    let roots: Vec<u32> = (0..points.len() as u32).map(|i| sets.root(i)).collect();
-    roots.iter().for_each(|&r| sizes[r as usize] += 1);
-    let counts = |i: usize| is_finite(&points[i]) && sizes[roots[i] as usize] >= params.min_points;
-    Ok(number((0..points.len()).map(|i| counts(i).then_some(roots[i])), points.len()))
+    Ok(sets.clusters(params.min_points, |i| is_finite(&points[i])))
 }
 
 /// Density-based clusters. A border point in reach of several goes to the one that comes first: clusters are numbered
@@ -251,6 +247,16 @@ impl DisjointSets {
             i = self.0[i as usize];
         }
         i
+    }
+
+    /// The sets of at least so many elements, without those that do not take part, numbered by their first.
+    pub(crate) fn clusters(&mut self, min_points: usize, takes_part: impl Fn(usize) -> bool) -> Clusters {
+        let n = self.0.len();
+        let roots: Vec<u32> = (0..n as u32).map(|i| self.root(i)).collect();
+        let mut sizes = vec![0usize; n];
+        roots.iter().for_each(|&r| sizes[r as usize] += 1);
+        let counts = |i: usize| takes_part(i) && sizes[roots[i] as usize] >= min_points;
+        number((0..n).map(|i| counts(i).then_some(roots[i])), n)
     }
 
     /// Makes two sets one.

@@ -92,7 +92,7 @@ impl Local {
         let plane = h.coefficients();
         let chunks = self.xs.par_chunks(CHUNK).zip(self.ys.par_chunks(CHUNK)).zip(self.zs.par_chunks(CHUNK));
         let parts: Vec<[f64; 10]> =
-            chunks.map(|((xs, ys), zs)| sums_within(xs, ys, zs, &plane, distance as f32)).collect();
+            chunks.map(|((xs, ys), zs)| sums_within(xs, ys, zs, &plane, -distance as f32, distance as f32)).collect();
         let mut sums = [0.0; 10];
         parts.iter().for_each(|part| sums.iter_mut().zip(part).for_each(|(s, p)| *s += p));
         Moments(Scatter::from_sums(Point3::origin(), &sums))
@@ -170,13 +170,14 @@ by_processor! {
 }
 
 by_processor! {
-    /// Number, sum and products (xx, xy, xz, yy, yz, zz) of the points within the distance.
-    fn sums_within(xs: &[f32], ys: &[f32], zs: &[f32], plane: &[f32; 4], distance: f32) -> [f64; 10] {
+    /// Number, sum and products (xx, xy, xz, yy, yz, zz) of the points whose signed distance is from `low` to `high`.
+    pub(crate) fn sums_within(xs: &[f32], ys: &[f32], zs: &[f32], plane: &[f32; 4], low: f32, high: f32) -> [f64; 10] {
         let [a, b, c, d] = *plane;
         let mut sums = [[0.0f64; LANES]; 10];
         let mut take = |xs: &[f32; LANES], ys: &[f32; LANES], zs: &[f32; LANES], valid: usize| {
             for l in 0..LANES {
-                let near = (a * xs[l] + b * ys[l] + c * zs[l] + d).abs() <= distance && l < valid;
+                let height = a * xs[l] + b * ys[l] + c * zs[l] + d;
+                let near = low <= height && height <= high && l < valid;
                 let weight = if near { 1.0f64 } else { 0.0 };
                 let (x, y, z) = (f64::from(xs[l]), f64::from(ys[l]), f64::from(zs[l]));
                 let (wx, wy, wz) = (weight * x, weight * y, weight * z);

@@ -22,12 +22,14 @@ mod sample;
 mod scatter;
 
 pub use boxes::{upright_box, upright_box_trimmed};
+pub(crate) use clusters::DisjointSets;
 pub use clusters::{ClusterParams, Clusters, DbscanParams, cluster, dbscan};
 pub use downsample::voxel_downsample;
 pub use eigen::{SymmetricEigen3, symmetric_eigen3};
 pub use features::ShapeFeatures;
 pub use hull::{Rectangle, convex_hull, minimum_area_rectangle};
 pub use local_features::{LocalFeatures, local_features};
+pub(crate) use local::sums_within;
 pub use normals::{NormalParams, estimate_normals};
 pub use outliers::{RadiusOutlierParams, StatisticalOutlierParams, radius_outliers, statistical_outliers};
 pub(crate) use plane::segment_among;
@@ -58,14 +60,19 @@ pub enum CloudError {
     },
 }
 
-fn positive(field: &'static str, value: f64) -> Result<(), GeometryError> {
+pub(crate) fn positive(field: &'static str, value: f64) -> Result<(), GeometryError> {
     if value.is_finite() && value > 0.0 {
         return Ok(());
     }
     Err(GeometryError::OutOfRange { field, value, requirement: "positive and finite" })
 }
 
-fn at_least(field: &'static str, value: usize, least: usize, requirement: &'static str) -> Result<(), GeometryError> {
+pub(crate) fn at_least(
+    field: &'static str,
+    value: usize,
+    least: usize,
+    requirement: &'static str,
+) -> Result<(), GeometryError> {
     if value >= least {
         return Ok(());
     }
