@@ -6,6 +6,7 @@
 mod convexity;
 mod ground;
 mod objects;
+mod occlusion;
 mod patches;
 mod region_growing;
 mod supervoxels;

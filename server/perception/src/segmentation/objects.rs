@@ -1,5 +1,6 @@
 //! Objects on a table or a floor, from one view.
 
+use super::occlusion::{Hidden, join_hidden};
 use super::{ConvexityParams, SupervoxelParams, group_convex, supervoxels};
 use crate::cloud::{CloudError, Clusters, PlaneParams, at_least, positive, segment_plane};
 use crate::search::KdTree;
@@ -20,6 +21,10 @@ pub struct ObjectsParams {
     pub supervoxels: SupervoxelParams,
     /// What makes them one object.
     pub convexity: ConvexityParams,
+    /// Widest gap, hidden by something in front, over which parts of one plane are one object, metres.
+    pub max_hidden_gap_m: f64,
+    /// Most that such parts turn from each other, radians.
+    pub max_hidden_angle_rad: f64,
     /// Objects have at least so many points.
     pub min_points: usize,
     /// Points of no object go to the nearest one within this distance, metres.
@@ -33,6 +38,8 @@ impl Default for ObjectsParams {
             min_height_m: 0.006,
             supervoxels: SupervoxelParams::default(),
             convexity: ConvexityParams::default(),
+            max_hidden_gap_m: 0.2,
+            max_hidden_angle_rad: 0.1,
             min_points: 300,
             rest_m: 0.02,
         }
@@ -50,6 +57,8 @@ impl ObjectsParams {
         self.convexity.validate()?;
         positive("min_height_m", self.min_height_m)?;
         positive("rest_m", self.rest_m)?;
+        positive("max_hidden_gap_m", self.max_hidden_gap_m)?;
+        positive("max_hidden_angle_rad", self.max_hidden_angle_rad)?;
         at_least("min_points", self.min_points, 1, "at least 1")
     }
 }
@@ -64,7 +73,8 @@ pub struct Objects {
 }
 
 /// What stands on the largest plane, seen from `viewpoint` (metres, the frame of the cloud): points above the plane are
-/// cut into supervoxels, and these joined to objects where the surface is convex. Objects may touch and stand on each
+/// cut into supervoxels, and these joined to objects where the surface is convex, or where it goes on behind something that
+/// hides it. Objects may touch and stand on each
 /// other; one that is itself concave may be parted.
 ///
 /// # Errors
@@ -84,7 +94,14 @@ pub fn segment_objects(
     let indices: Vec<usize> = (0..points.len()).filter(|&i| above(&points[i])).collect();
     let standing: Vec<Point3<f32>> = indices.iter().map(|&i| points[i]).collect();
     let parts = supervoxels(&standing, viewpoint, &params.supervoxels)?;
-    let groups = group_convex(&parts, params.supervoxels.seed_size_m, &params.convexity)?;
+    let mut groups = group_convex(&parts, params.supervoxels.seed_size_m, &params.convexity)?;
+    let hidden = Hidden {
+        viewpoint,
+        max_gap: params.max_hidden_gap_m,
+        max_angle: params.max_hidden_angle_rad,
+        patch: params.supervoxels.seed_size_m,
+    };
+    join_hidden(&standing, &parts, &mut groups, &hidden);
     let of_part = |label: &Option<u32>| label.map(|l| groups[l as usize]);
     let (mut labels, num_clusters) = large_only(parts.labels.iter().map(of_part).collect(), params.min_points);
     give_rest(&standing, &mut labels, params.rest_m as f32);
