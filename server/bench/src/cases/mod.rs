@@ -47,6 +47,7 @@ pub const OPERATIONS: &[(&str, Open)] = &[
     ("match_features", images::matching),
     ("essential", images::essential),
     ("ground", segmentation::ground),
+    ("cloud_features", segmentation::cloud_features),
     ("segment_objects", segmentation::segment_objects),
 ];
 

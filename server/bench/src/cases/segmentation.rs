@@ -5,7 +5,8 @@ use super::{Case, timed};
 use crate::{Args, BenchError};
 use nalgebra::{Point3, Vector3};
 use percept_perception::cloud::{
-    Clusters, DbscanParams, PlaneParams, PlanesParams, dbscan, segment_plane, segment_planes,
+    Clusters, DbscanParams, PlaneParams, PlanesParams, ShapeFeatures, dbscan, minimal_box, segment_plane,
+    segment_planes,
 };
 use percept_perception::segmentation::{GroundParams, ObjectsParams, segment_ground};
 use serde_json::{Value, json};
@@ -101,5 +102,22 @@ pub(super) fn segment_objects(args: &Args) -> Result<Box<dyn Case>, BenchError> 
             }
         }
         json!({"objects": objects.clusters.num_clusters})
+    }))
+}
+
+/// `cloud_features file=`: moments, boxes and hull of a whole cloud.
+pub(super) fn cloud_features(args: &Args) -> Result<Box<dyn Case>, BenchError> {
+    let points = read_cloud(&args.required::<PathBuf>("file")?)?.positions;
+    let items = points.len();
+    let work = move || {
+        let features = ShapeFeatures::of(&points).ok_or_else(|| BenchError("no finite point".to_owned()))?;
+        let least = minimal_box(&points).ok_or_else(|| BenchError("no finite point".to_owned()))?;
+        Ok((features, least))
+    };
+    Ok(timed(items, work, |(features, least)| {
+        json!({
+            "hull_volume_m3": features.hull_volume_m3, "hull_area_m2": features.hull_area_m2,
+            "upright_volume_m3": features.volume_m3, "minimal_volume_m3": least.volume(),
+        })
     }))
 }

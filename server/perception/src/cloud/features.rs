@@ -1,6 +1,6 @@
 //! Numbers that describe a cluster's shape.
 
-use super::{Scatter, symmetric_eigen3, upright_box};
+use super::{Scatter, convex_hull_3d, symmetric_eigen3, upright_box};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::Aabb3;
 use serde::{Deserialize, Serialize};
@@ -16,10 +16,16 @@ pub struct ShapeFeatures {
     pub num_points: usize,
     /// Mean, metres.
     pub centroid: Point3<f64>,
+    /// Variance along x, y, z, square metres.
+    pub variance: Vector3<f64>,
     /// Edges of the axis-aligned box, metres.
     pub extent: Vector3<f64>,
     /// Volume of the smallest box upright along z, cubic metres; 0 if flat.
     pub volume_m3: f64,
+    /// Volume of the convex hull, cubic metres; 0 if flat.
+    pub hull_volume_m3: f64,
+    /// Area of the convex hull's surface, square metres; both sides if flat.
+    pub hull_area_m2: f64,
     /// (l1 - l2) / l1.
     pub linearity: f64,
     /// (l2 - l3) / l1.
@@ -28,23 +34,33 @@ pub struct ShapeFeatures {
     pub sphericity: f64,
     /// Eigenvalues of the covariance, largest first, square metres, not negative.
     pub eigenvalues: [f64; 3],
+    /// Unit eigenvectors in the order of the eigenvalues; signs are arbitrary but fixed.
+    pub eigenvectors: [Vector3<f64>; 3],
 }
 
 impl ShapeFeatures {
     /// Features of the finite ones of `points`; none if there is none.
     pub fn of(points: &[Point3<f32>]) -> Option<Self> {
         let scatter = Scatter::of(points)?;
-        let [l3, l2, l1] = symmetric_eigen3(&scatter.covariance()).values.map(|v| v.max(0.0));
+        let covariance = scatter.covariance();
+        let eigen = symmetric_eigen3(&covariance);
+        let [l3, l2, l1] = eigen.values.map(|v| v.max(0.0));
+        let [v3, v2, v1] = eigen.vectors;
+        let hull = convex_hull_3d(points)?;
         let ratio = |a: f64| if l1 > 0.0 { a / l1 } else { 0.0 };
         Some(Self {
             num_points: scatter.num_points(),
             centroid: scatter.mean(),
+            variance: covariance.diagonal().map(|v| v.max(0.0)),
             extent: Aabb3::of(points).size(),
             volume_m3: upright_box(points)?.volume(),
+            hull_volume_m3: hull.volume_m3,
+            hull_area_m2: hull.area_m2,
             linearity: ratio(l1 - l2),
             planarity: ratio(l2 - l3),
             sphericity: ratio(l3),
             eigenvalues: [l1, l2, l3],
+            eigenvectors: [v1, v2, v3],
         })
     }
 }
@@ -67,6 +83,11 @@ mod tests {
         }
         assert!((f.centroid - Point3::new(1.0, 0.5, 0.25)).norm() < 1e-6);
         assert!((f.volume_m3 - 1.95 * 0.95 * 0.45).abs() < 1e-5);
+        assert!((f.hull_volume_m3 - 1.95 * 0.95 * 0.45).abs() < 1e-5);
+        let area = 2.0 * (1.95 * 0.95 + 0.95 * 0.45 + 1.95 * 0.45);
+        assert!((f.hull_area_m2 - area).abs() < 1e-5);
+        assert!((f.variance - Vector3::from(expected)).norm() < 1e-6);
+        assert!(f.eigenvectors[0].x.abs() > 0.999 && f.eigenvectors[2].z.abs() > 0.999);
         assert!((f.linearity + f.planarity + f.sphericity - 1.0).abs() < 1e-12);
     }
 
