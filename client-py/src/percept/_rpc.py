@@ -14,6 +14,7 @@ from .v1 import scene_service_pb2 as scene
 from .v1 import sensors_service_pb2 as sensors
 from .v1 import sessions_service_pb2 as sessions
 from .v1 import toolbox_images_pb2 as toolbox_images
+from .v1 import toolbox_pictures_pb2 as toolbox_pictures
 from .v1 import toolbox_service_pb2 as toolbox
 
 Q = TypeVar("Q", bound=Message)
@@ -138,6 +139,20 @@ TRIANGULATE_POINTS = Rpc(
     _T, "TriangulatePoints", toolbox_images.TriangulatePointsRequest, toolbox_images.TriangulatePointsResponse
 )
 SOLVE_PNP = Rpc(_T, "SolvePnp", toolbox_images.SolvePnpRequest, toolbox_images.SolvePnpResponse)
+RENDER_CLOUD = Rpc(
+    _T, "RenderCloud", toolbox_pictures.RenderCloudRequest, toolbox_pictures.RenderCloudResponse
+)
+RENDER_DEPTH = Rpc(
+    _T, "RenderDepth", toolbox_pictures.RenderDepthRequest, toolbox_pictures.RenderDepthResponse
+)
+SEGMENT_GROUND = Rpc(_T, "SegmentGround", toolbox.SegmentGroundRequest, toolbox.SegmentGroundResponse)
+GROW_REGIONS = Rpc(_T, "GrowRegions", toolbox.GrowRegionsRequest, toolbox.GrowRegionsResponse)
+COMPUTE_SUPERVOXELS = Rpc(
+    _T, "ComputeSupervoxels", toolbox.ComputeSupervoxelsRequest, toolbox.ComputeSupervoxelsResponse
+)
+SEGMENT_OBJECTS = Rpc(_T, "SegmentObjects", toolbox.SegmentObjectsRequest, toolbox.SegmentObjectsResponse)
+SAMPLE_POINTS = Rpc(_T, "SamplePoints", toolbox.SamplePointsRequest, toolbox.SamplePointsResponse)
+CROP_CLOUD = Rpc(_T, "CropCloud", toolbox.CropCloudRequest, toolbox.CropCloudResponse)
 
 _E = "EvaluationService"
 EVALUATE_TRAJECTORY = Rpc(

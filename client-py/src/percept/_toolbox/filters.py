@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from .._arrays import Array
 from .._convert.toolbox import filters as convert
 from .._convert.toolbox.request import Cloud
-from ..types.geometry import PointCloud, Pose
+from ..types.geometry import OrientedBox, PointCloud, Pose
 from ..types.toolbox import FilteredCloud
 from ._base import Async, Sync
 
@@ -30,6 +30,35 @@ class Filters(Sync):
     def remove_non_finite(self, cloud: Cloud) -> PointCloud:
         """Points whose coordinates are all finite, in order."""
         return self._transport.call(convert.remove_non_finite(cloud))
+
+    def sample_points(
+        self,
+        cloud: Cloud,
+        *,
+        every: int | None = None,
+        random: int | None = None,
+        farthest: int | None = None,
+        seed: int = 0,
+    ) -> FilteredCloud:
+        """Every so-many-th finite point, so many at random, or so many far from each other: give one of them.
+        Same seed, same points."""
+        return self._transport.call(convert.sample_points(cloud, every, random, farthest, seed))
+
+    def crop_cloud(
+        self,
+        cloud: Cloud,
+        *,
+        box: OrientedBox | None = None,
+        range_m: tuple[float, float] | None = None,
+        center: Sequence[float] | None = None,
+        polygon: Array | None = None,
+        z_m: tuple[float | None, float | None] = (None, None),
+        outside: bool = False,
+    ) -> FilteredCloud:
+        """The points in a box, at distances range_m (low, high) from center (the origin), or in a polygon
+        (N, 2) of the xy plane between the heights z_m: give one of them. `outside` keeps the others."""
+        call = convert.crop_cloud(cloud, box, range_m, center, polygon, z_m, outside)
+        return self._transport.call(call)
 
     def transform_cloud(self, cloud: Cloud, *, t_a_b: Pose | Array) -> PointCloud:
         """The cloud in frame a, from frame b; normals turn along."""
@@ -73,6 +102,35 @@ class AsyncFilters(Async):
     async def remove_non_finite(self, cloud: Cloud) -> PointCloud:
         """Points whose coordinates are all finite, in order."""
         return await self._transport.call(convert.remove_non_finite(cloud))
+
+    async def sample_points(
+        self,
+        cloud: Cloud,
+        *,
+        every: int | None = None,
+        random: int | None = None,
+        farthest: int | None = None,
+        seed: int = 0,
+    ) -> FilteredCloud:
+        """Every so-many-th finite point, so many at random, or so many far from each other: give one of them.
+        Same seed, same points."""
+        return await self._transport.call(convert.sample_points(cloud, every, random, farthest, seed))
+
+    async def crop_cloud(
+        self,
+        cloud: Cloud,
+        *,
+        box: OrientedBox | None = None,
+        range_m: tuple[float, float] | None = None,
+        center: Sequence[float] | None = None,
+        polygon: Array | None = None,
+        z_m: tuple[float | None, float | None] = (None, None),
+        outside: bool = False,
+    ) -> FilteredCloud:
+        """The points in a box, at distances range_m (low, high) from center (the origin), or in a polygon
+        (N, 2) of the xy plane between the heights z_m: give one of them. `outside` keeps the others."""
+        call = convert.crop_cloud(cloud, box, range_m, center, polygon, z_m, outside)
+        return await self._transport.call(call)
 
     async def transform_cloud(self, cloud: Cloud, *, t_a_b: Pose | Array) -> PointCloud:
         """The cloud in frame a, from frame b; normals turn along."""

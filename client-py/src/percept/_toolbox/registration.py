@@ -38,8 +38,8 @@ class RegistrationCalls(Sync):
         """Lays source over target, starting from t_target_source = initial_guess (identity).
 
         Pairs further apart than max_distance_m (0.02) do not count. voxel_sizes_m thins both clouds, coarse
-        to fine. kernel_scale_m is where the kernel begins to bend. Normals come from num_neighbors (20) points;
-        target_voxel_size_m (1) is for vgicp, color_share (0.032) for colored, tangent_weight (0) for
+        to fine. kernel_scale_m is where the kernel begins to bend. Normals come from num_neighbors (20)
+        points; target_voxel_size_m (1) is for vgicp, color_share (0.032) for colored, tangent_weight (0) for
         point_to_plane.
         """
         call = convert.register_clouds(
@@ -89,8 +89,8 @@ class AsyncRegistrationCalls(Async):
         """Lays source over target, starting from t_target_source = initial_guess (identity).
 
         Pairs further apart than max_distance_m (0.02) do not count. voxel_sizes_m thins both clouds, coarse
-        to fine. kernel_scale_m is where the kernel begins to bend. Normals come from num_neighbors (20) points;
-        target_voxel_size_m (1) is for vgicp, color_share (0.032) for colored, tangent_weight (0) for
+        to fine. kernel_scale_m is where the kernel begins to bend. Normals come from num_neighbors (20)
+        points; target_voxel_size_m (1) is for vgicp, color_share (0.032) for colored, tangent_weight (0) for
         point_to_plane.
         """
         call = convert.register_clouds(

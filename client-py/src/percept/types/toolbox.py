@@ -159,8 +159,75 @@ class Registration(Value):
     degenerate_axes: tuple[bool, ...]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GroundPatch(Value):
+    """A piece of ground."""
+
+    #: Normal upward.
+    plane: Plane
+    #: Mean of its points, metres, (3,).
+    center: Floats
+    num_points: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Ground(Value):
+    """What of a scan is ground."""
+
+    #: Of its points in the input, ascending, (M,) uint32.
+    indices: npt.NDArray[np.uint32]
+    #: From the sensor outward.
+    patches: tuple[GroundPatch, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Supervoxels(Value):
+    """Small patches of even surface."""
+
+    #: Number of each point's patch, -1 for none, (N,) int32.
+    labels: npt.NDArray[np.int32]
+    #: Means of their points, metres, (M, 3) float32.
+    centers: npt.NDArray[np.float32]
+    #: Unit length, (M, 3) float32.
+    normals: npt.NDArray[np.float32]
+    #: Pairs that touch, the smaller number first, (E, 2) uint32.
+    edges: npt.NDArray[np.uint32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SupportedObjects(Value):
+    """What stands on the largest plane."""
+
+    #: Number of each point's object, -1 for none, (N,) int32.
+    labels: npt.NDArray[np.int32]
+    num_objects: int
+    #: What they stand on; None if no plane was found.
+    support: Plane | None
+
+
+class CloudView(Name):
+    """From where a cloud is seen."""
+
+    TOP = "top"
+    FRONT = "front"
+    SIDE = "side"
+    PERSPECTIVE = "perspective"
+    #: As the camera at the origin of an optical frame.
+    CAMERA = "camera"
+
+
+class CloudColoring(Name):
+    """In which colours a cloud is drawn."""
+
+    OWN = "own"
+    HEIGHT = "height"
+    NORMAL = "normal"
+    LABEL = "label"
+    INTENSITY = "intensity"
+
+
 class PlaneRemainder(Name):
-    """Which points go on after planes were found."""
+    """Which points go on after planes, or ground, were found."""
 
     REST = "rest"
     PLANES = "planes"
@@ -206,9 +273,17 @@ class ClusterShape(Value):
     upright_box: OrientedBox
 
 
-#: Indices of kept points (M,) uint32, planes, clusters, shape of the cloud, shapes of its clusters, objects.
+#: Indices of kept points (M,) uint32, planes, clusters or regions, shape of the cloud, shapes of its
+#: clusters, objects, ground, objects on a support.
 StepAnswer: TypeAlias = (
-    npt.NDArray[np.uint32] | list[PlaneSegment] | Clusters | Shape | list[ClusterShape] | list[Detection]
+    npt.NDArray[np.uint32]
+    | list[PlaneSegment]
+    | Clusters
+    | Shape
+    | list[ClusterShape]
+    | list[Detection]
+    | Ground
+    | SupportedObjects
 )
 
 

@@ -219,7 +219,7 @@ class _PlaneRemainderEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_PlaneR
     """All."""
 
 class PlaneRemainder(_PlaneRemainder, metaclass=_PlaneRemainderEnumTypeWrapper):
-    """Which points go on after planes were found."""
+    """Which points go on after planes, or ground, were found."""
 
 PLANE_REMAINDER_UNSPECIFIED: PlaneRemainder.ValueType  # 0
 """REST."""
@@ -1761,10 +1761,724 @@ class RemoveRadiusOutliersResponse(_message.Message):
 Global___RemoveRadiusOutliersResponse: _TypeAlias = RemoveRadiusOutliersResponse  # noqa: Y015
 
 @_typing.final
+class SegmentGroundRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    SENSOR_HEIGHT_M_FIELD_NUMBER: _builtins.int
+    MIN_RANGE_M_FIELD_NUMBER: _builtins.int
+    MAX_RANGE_M_FIELD_NUMBER: _builtins.int
+    DISTANCE_M_FIELD_NUMBER: _builtins.int
+    SEED_HEIGHT_M_FIELD_NUMBER: _builtins.int
+    NUM_LOWEST_FIELD_NUMBER: _builtins.int
+    MIN_POINTS_FIELD_NUMBER: _builtins.int
+    NUM_FITS_FIELD_NUMBER: _builtins.int
+    MAX_SLOPE_RAD_FIELD_NUMBER: _builtins.int
+    MAX_BELOW_M_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    sensor_height_m: _builtins.float
+    """Height of the sensor above the ground under it, metres. Absent: 1.73."""
+    min_range_m: _builtins.float
+    """Nearer points are not ground, metres. Absent: 2.7."""
+    max_range_m: _builtins.float
+    """Farther points are not ground, metres. Absent: 80."""
+    distance_m: _builtins.float
+    """Points so far above the fitted plane are still ground, metres. Absent: 0.125."""
+    seed_height_m: _builtins.float
+    """The first fit takes points up to this height above the lowest ones, metres. Absent: 0.125."""
+    num_lowest: _builtins.int
+    """Lowest points that tell the height to start from. Absent: 20."""
+    min_points: _builtins.int
+    """Patches with fewer points have no ground. Absent: 10."""
+    num_fits: _builtins.int
+    """Fits a patch. Absent: 3."""
+    max_slope_rad: _builtins.float
+    """Steepest ground, radians. Absent: 0.785."""
+    max_below_m: _builtins.float
+    """Points so far below the fitted plane are mirrored beams, metres. Absent: 0.8."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud:
+        """Sensor frame, z up."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        sensor_height_m: _builtins.float | None = ...,
+        min_range_m: _builtins.float | None = ...,
+        max_range_m: _builtins.float | None = ...,
+        distance_m: _builtins.float | None = ...,
+        seed_height_m: _builtins.float | None = ...,
+        num_lowest: _builtins.int | None = ...,
+        min_points: _builtins.int | None = ...,
+        num_fits: _builtins.int | None = ...,
+        max_slope_rad: _builtins.float | None = ...,
+        max_below_m: _builtins.float | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_distance_m", b"_distance_m", "_max_below_m", b"_max_below_m", "_max_range_m", b"_max_range_m", "_max_slope_rad", b"_max_slope_rad", "_min_points", b"_min_points", "_min_range_m", b"_min_range_m", "_num_fits", b"_num_fits", "_num_lowest", b"_num_lowest", "_seed_height_m", b"_seed_height_m", "_sensor_height_m", b"_sensor_height_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "distance_m", b"distance_m", "max_below_m", b"max_below_m", "max_range_m", b"max_range_m", "max_slope_rad", b"max_slope_rad", "min_points", b"min_points", "min_range_m", b"min_range_m", "num_fits", b"num_fits", "num_lowest", b"num_lowest", "seed_height_m", b"seed_height_m", "sensor_height_m", b"sensor_height_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_distance_m", b"_distance_m", "_max_below_m", b"_max_below_m", "_max_range_m", b"_max_range_m", "_max_slope_rad", b"_max_slope_rad", "_min_points", b"_min_points", "_min_range_m", b"_min_range_m", "_num_fits", b"_num_fits", "_num_lowest", b"_num_lowest", "_seed_height_m", b"_seed_height_m", "_sensor_height_m", b"_sensor_height_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "distance_m", b"distance_m", "max_below_m", b"max_below_m", "max_range_m", b"max_range_m", "max_slope_rad", b"max_slope_rad", "min_points", b"min_points", "min_range_m", b"min_range_m", "num_fits", b"num_fits", "num_lowest", b"num_lowest", "seed_height_m", b"seed_height_m", "sensor_height_m", b"sensor_height_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType__distance_m: _TypeAlias = _typing.Literal["distance_m"]  # noqa: Y015
+    _WhichOneofArgType__distance_m: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_below_m: _TypeAlias = _typing.Literal["max_below_m"]  # noqa: Y015
+    _WhichOneofArgType__max_below_m: _TypeAlias = _typing.Literal["_max_below_m", b"_max_below_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_range_m: _TypeAlias = _typing.Literal["max_range_m"]  # noqa: Y015
+    _WhichOneofArgType__max_range_m: _TypeAlias = _typing.Literal["_max_range_m", b"_max_range_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_slope_rad: _TypeAlias = _typing.Literal["max_slope_rad"]  # noqa: Y015
+    _WhichOneofArgType__max_slope_rad: _TypeAlias = _typing.Literal["_max_slope_rad", b"_max_slope_rad"]  # noqa: Y015
+    _WhichOneofReturnType__min_points: _TypeAlias = _typing.Literal["min_points"]  # noqa: Y015
+    _WhichOneofArgType__min_points: _TypeAlias = _typing.Literal["_min_points", b"_min_points"]  # noqa: Y015
+    _WhichOneofReturnType__min_range_m: _TypeAlias = _typing.Literal["min_range_m"]  # noqa: Y015
+    _WhichOneofArgType__min_range_m: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m"]  # noqa: Y015
+    _WhichOneofReturnType__num_fits: _TypeAlias = _typing.Literal["num_fits"]  # noqa: Y015
+    _WhichOneofArgType__num_fits: _TypeAlias = _typing.Literal["_num_fits", b"_num_fits"]  # noqa: Y015
+    _WhichOneofReturnType__num_lowest: _TypeAlias = _typing.Literal["num_lowest"]  # noqa: Y015
+    _WhichOneofArgType__num_lowest: _TypeAlias = _typing.Literal["_num_lowest", b"_num_lowest"]  # noqa: Y015
+    _WhichOneofReturnType__seed_height_m: _TypeAlias = _typing.Literal["seed_height_m"]  # noqa: Y015
+    _WhichOneofArgType__seed_height_m: _TypeAlias = _typing.Literal["_seed_height_m", b"_seed_height_m"]  # noqa: Y015
+    _WhichOneofReturnType__sensor_height_m: _TypeAlias = _typing.Literal["sensor_height_m"]  # noqa: Y015
+    _WhichOneofArgType__sensor_height_m: _TypeAlias = _typing.Literal["_sensor_height_m", b"_sensor_height_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__distance_m) -> _WhichOneofReturnType__distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_below_m) -> _WhichOneofReturnType__max_below_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_range_m) -> _WhichOneofReturnType__max_range_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_slope_rad) -> _WhichOneofReturnType__max_slope_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_points) -> _WhichOneofReturnType__min_points | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_range_m) -> _WhichOneofReturnType__min_range_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_fits) -> _WhichOneofReturnType__num_fits | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_lowest) -> _WhichOneofReturnType__num_lowest | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__seed_height_m) -> _WhichOneofReturnType__seed_height_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__sensor_height_m) -> _WhichOneofReturnType__sensor_height_m | None: ...
+
+Global___SegmentGroundRequest: _TypeAlias = SegmentGroundRequest  # noqa: Y015
+
+@_typing.final
+class GroundPatch(_message.Message):
+    """A piece of ground."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PLANE_FIELD_NUMBER: _builtins.int
+    CENTER_FIELD_NUMBER: _builtins.int
+    NUM_POINTS_FIELD_NUMBER: _builtins.int
+    num_points: _builtins.int
+    @_builtins.property
+    def plane(self) -> _geometry_pb2.Plane:
+        """Normal upward."""
+
+    @_builtins.property
+    def center(self) -> _geometry_pb2.Vector3:
+        """Mean of its points, metres."""
+
+    def __init__(
+        self,
+        *,
+        plane: _geometry_pb2.Plane | None = ...,
+        center: _geometry_pb2.Vector3 | None = ...,
+        num_points: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["center", b"center", "plane", b"plane"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["center", b"center", "num_points", b"num_points", "plane", b"plane"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___GroundPatch: _TypeAlias = GroundPatch  # noqa: Y015
+
+@_typing.final
+class SegmentGroundResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    INDICES_FIELD_NUMBER: _builtins.int
+    PATCHES_FIELD_NUMBER: _builtins.int
+    indices: _builtins.bytes
+    """Indices of the ground's points in the input, uint32 each, ascending."""
+    @_builtins.property
+    def patches(self) -> _containers.RepeatedCompositeFieldContainer[Global___GroundPatch]:
+        """From the sensor outward."""
+
+    def __init__(
+        self,
+        *,
+        indices: _builtins.bytes = ...,
+        patches: _abc.Iterable[Global___GroundPatch] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["indices", b"indices", "patches", b"patches"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SegmentGroundResponse: _TypeAlias = SegmentGroundResponse  # noqa: Y015
+
+@_typing.final
+class GrowRegionsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    RADIUS_M_FIELD_NUMBER: _builtins.int
+    MAX_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    MAX_ANGLE_RAD_FIELD_NUMBER: _builtins.int
+    MIN_POINTS_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    radius_m: _builtins.float
+    """Neighbours are nearer, metres. Absent: 0.05."""
+    max_neighbors: _builtins.int
+    """Nearest ones used, at most. Absent: 30."""
+    max_angle_rad: _builtins.float
+    """Normals of one region turn by less from neighbour to neighbour, radians. Absent: 0.1."""
+    min_points: _builtins.int
+    """Smaller regions are noise. Absent: 50."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud:
+        """Its normals are used if it has them, else estimated from radius_m and max_neighbors."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        radius_m: _builtins.float | None = ...,
+        max_neighbors: _builtins.int | None = ...,
+        max_angle_rad: _builtins.float | None = ...,
+        min_points: _builtins.int | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_angle_rad", b"_max_angle_rad", "_max_neighbors", b"_max_neighbors", "_min_points", b"_min_points", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "max_angle_rad", b"max_angle_rad", "max_neighbors", b"max_neighbors", "min_points", b"min_points", "radius_m", b"radius_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_angle_rad", b"_max_angle_rad", "_max_neighbors", b"_max_neighbors", "_min_points", b"_min_points", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "max_angle_rad", b"max_angle_rad", "max_neighbors", b"max_neighbors", "min_points", b"min_points", "radius_m", b"radius_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType__max_angle_rad: _TypeAlias = _typing.Literal["max_angle_rad"]  # noqa: Y015
+    _WhichOneofArgType__max_angle_rad: _TypeAlias = _typing.Literal["_max_angle_rad", b"_max_angle_rad"]  # noqa: Y015
+    _WhichOneofReturnType__max_neighbors: _TypeAlias = _typing.Literal["max_neighbors"]  # noqa: Y015
+    _WhichOneofArgType__max_neighbors: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__min_points: _TypeAlias = _typing.Literal["min_points"]  # noqa: Y015
+    _WhichOneofArgType__min_points: _TypeAlias = _typing.Literal["_min_points", b"_min_points"]  # noqa: Y015
+    _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
+    _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_angle_rad) -> _WhichOneofReturnType__max_angle_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbors) -> _WhichOneofReturnType__max_neighbors | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_points) -> _WhichOneofReturnType__min_points | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
+
+Global___GrowRegionsRequest: _TypeAlias = GrowRegionsRequest  # noqa: Y015
+
+@_typing.final
+class GrowRegionsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABELS_FIELD_NUMBER: _builtins.int
+    NUM_REGIONS_FIELD_NUMBER: _builtins.int
+    labels: _builtins.bytes
+    """N int32: number of each point's region in the order of their first points, or -1."""
+    num_regions: _builtins.int
+    def __init__(
+        self,
+        *,
+        labels: _builtins.bytes = ...,
+        num_regions: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["labels", b"labels", "num_regions", b"num_regions"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___GrowRegionsResponse: _TypeAlias = GrowRegionsResponse  # noqa: Y015
+
+@_typing.final
+class ComputeSupervoxelsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    SEED_SIZE_M_FIELD_NUMBER: _builtins.int
+    NORMAL_RADIUS_M_FIELD_NUMBER: _builtins.int
+    SPATIAL_WEIGHT_FIELD_NUMBER: _builtins.int
+    NORMAL_WEIGHT_FIELD_NUMBER: _builtins.int
+    VIEWPOINT_M_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    voxel_size_m: _builtins.float
+    """Metres. Absent: 0.0075."""
+    seed_size_m: _builtins.float
+    """Distance of the patches' seeds, metres. Absent: 0.04."""
+    normal_radius_m: _builtins.float
+    """Metres. Absent: 0.0165."""
+    spatial_weight: _builtins.float
+    """Absent: 1."""
+    normal_weight: _builtins.float
+    """Absent: 4."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def viewpoint_m(self) -> _geometry_pb2.Vector3:
+        """Normals look towards it, metres. Absent: the origin."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        voxel_size_m: _builtins.float | None = ...,
+        seed_size_m: _builtins.float | None = ...,
+        normal_radius_m: _builtins.float | None = ...,
+        spatial_weight: _builtins.float | None = ...,
+        normal_weight: _builtins.float | None = ...,
+        viewpoint_m: _geometry_pb2.Vector3 | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_normal_radius_m", b"_normal_radius_m", "_normal_weight", b"_normal_weight", "_seed_size_m", b"_seed_size_m", "_spatial_weight", b"_spatial_weight", "_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "normal_radius_m", b"normal_radius_m", "normal_weight", b"normal_weight", "seed_size_m", b"seed_size_m", "spatial_weight", b"spatial_weight", "viewpoint_m", b"viewpoint_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_normal_radius_m", b"_normal_radius_m", "_normal_weight", b"_normal_weight", "_seed_size_m", b"_seed_size_m", "_spatial_weight", b"_spatial_weight", "_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "normal_radius_m", b"normal_radius_m", "normal_weight", b"normal_weight", "seed_size_m", b"seed_size_m", "spatial_weight", b"spatial_weight", "viewpoint_m", b"viewpoint_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType__normal_radius_m: _TypeAlias = _typing.Literal["normal_radius_m"]  # noqa: Y015
+    _WhichOneofArgType__normal_radius_m: _TypeAlias = _typing.Literal["_normal_radius_m", b"_normal_radius_m"]  # noqa: Y015
+    _WhichOneofReturnType__normal_weight: _TypeAlias = _typing.Literal["normal_weight"]  # noqa: Y015
+    _WhichOneofArgType__normal_weight: _TypeAlias = _typing.Literal["_normal_weight", b"_normal_weight"]  # noqa: Y015
+    _WhichOneofReturnType__seed_size_m: _TypeAlias = _typing.Literal["seed_size_m"]  # noqa: Y015
+    _WhichOneofArgType__seed_size_m: _TypeAlias = _typing.Literal["_seed_size_m", b"_seed_size_m"]  # noqa: Y015
+    _WhichOneofReturnType__spatial_weight: _TypeAlias = _typing.Literal["spatial_weight"]  # noqa: Y015
+    _WhichOneofArgType__spatial_weight: _TypeAlias = _typing.Literal["_spatial_weight", b"_spatial_weight"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__normal_radius_m) -> _WhichOneofReturnType__normal_radius_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__normal_weight) -> _WhichOneofReturnType__normal_weight | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__seed_size_m) -> _WhichOneofReturnType__seed_size_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__spatial_weight) -> _WhichOneofReturnType__spatial_weight | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
+
+Global___ComputeSupervoxelsRequest: _TypeAlias = ComputeSupervoxelsRequest  # noqa: Y015
+
+@_typing.final
+class ComputeSupervoxelsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABELS_FIELD_NUMBER: _builtins.int
+    CENTERS_FIELD_NUMBER: _builtins.int
+    NORMALS_FIELD_NUMBER: _builtins.int
+    EDGES_FIELD_NUMBER: _builtins.int
+    labels: _builtins.bytes
+    """N int32: number of each point's supervoxel, or -1."""
+    centers: _builtins.bytes
+    """M x 3 float32: means of their points, metres."""
+    normals: _builtins.bytes
+    """M x 3 float32, unit length."""
+    edges: _builtins.bytes
+    """E x 2 uint32: pairs that touch, the smaller number first."""
+    def __init__(
+        self,
+        *,
+        labels: _builtins.bytes = ...,
+        centers: _builtins.bytes = ...,
+        normals: _builtins.bytes = ...,
+        edges: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["centers", b"centers", "edges", b"edges", "labels", b"labels", "normals", b"normals"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ComputeSupervoxelsResponse: _TypeAlias = ComputeSupervoxelsResponse  # noqa: Y015
+
+@_typing.final
+class SegmentObjectsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    VIEWPOINT_M_FIELD_NUMBER: _builtins.int
+    PLANE_DISTANCE_M_FIELD_NUMBER: _builtins.int
+    MIN_HEIGHT_M_FIELD_NUMBER: _builtins.int
+    MIN_POINTS_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    SEED_SIZE_M_FIELD_NUMBER: _builtins.int
+    CONCAVITY_TOLERANCE_RAD_FIELD_NUMBER: _builtins.int
+    SEED_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    plane_distance_m: _builtins.float
+    """Points at most this far from the supporting plane belong to it, metres. Absent: 0.006."""
+    min_height_m: _builtins.float
+    """Objects begin so high above the plane, metres. Absent: 0.006."""
+    min_points: _builtins.int
+    """Smaller objects are noise. Absent: 300."""
+    voxel_size_m: _builtins.float
+    """Of the supervoxels, metres. Absent: 0.0075."""
+    seed_size_m: _builtins.float
+    """Of the supervoxels, metres. Absent: 0.04."""
+    concavity_tolerance_rad: _builtins.float
+    """Surfaces that are concave by less still join, radians. Absent: 0.1745."""
+    seed: _builtins.int
+    """Same seed, same answer."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def viewpoint_m(self) -> _geometry_pb2.Vector3:
+        """Where the sensor was, metres. Absent: the origin."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        viewpoint_m: _geometry_pb2.Vector3 | None = ...,
+        plane_distance_m: _builtins.float | None = ...,
+        min_height_m: _builtins.float | None = ...,
+        min_points: _builtins.int | None = ...,
+        voxel_size_m: _builtins.float | None = ...,
+        seed_size_m: _builtins.float | None = ...,
+        concavity_tolerance_rad: _builtins.float | None = ...,
+        seed: _builtins.int = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_concavity_tolerance_rad", b"_concavity_tolerance_rad", "_min_height_m", b"_min_height_m", "_min_points", b"_min_points", "_plane_distance_m", b"_plane_distance_m", "_seed_size_m", b"_seed_size_m", "_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "concavity_tolerance_rad", b"concavity_tolerance_rad", "min_height_m", b"min_height_m", "min_points", b"min_points", "plane_distance_m", b"plane_distance_m", "seed_size_m", b"seed_size_m", "viewpoint_m", b"viewpoint_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_concavity_tolerance_rad", b"_concavity_tolerance_rad", "_min_height_m", b"_min_height_m", "_min_points", b"_min_points", "_plane_distance_m", b"_plane_distance_m", "_seed_size_m", b"_seed_size_m", "_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "concavity_tolerance_rad", b"concavity_tolerance_rad", "min_height_m", b"min_height_m", "min_points", b"min_points", "plane_distance_m", b"plane_distance_m", "seed", b"seed", "seed_size_m", b"seed_size_m", "viewpoint_m", b"viewpoint_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType__concavity_tolerance_rad: _TypeAlias = _typing.Literal["concavity_tolerance_rad"]  # noqa: Y015
+    _WhichOneofArgType__concavity_tolerance_rad: _TypeAlias = _typing.Literal["_concavity_tolerance_rad", b"_concavity_tolerance_rad"]  # noqa: Y015
+    _WhichOneofReturnType__min_height_m: _TypeAlias = _typing.Literal["min_height_m"]  # noqa: Y015
+    _WhichOneofArgType__min_height_m: _TypeAlias = _typing.Literal["_min_height_m", b"_min_height_m"]  # noqa: Y015
+    _WhichOneofReturnType__min_points: _TypeAlias = _typing.Literal["min_points"]  # noqa: Y015
+    _WhichOneofArgType__min_points: _TypeAlias = _typing.Literal["_min_points", b"_min_points"]  # noqa: Y015
+    _WhichOneofReturnType__plane_distance_m: _TypeAlias = _typing.Literal["plane_distance_m"]  # noqa: Y015
+    _WhichOneofArgType__plane_distance_m: _TypeAlias = _typing.Literal["_plane_distance_m", b"_plane_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__seed_size_m: _TypeAlias = _typing.Literal["seed_size_m"]  # noqa: Y015
+    _WhichOneofArgType__seed_size_m: _TypeAlias = _typing.Literal["_seed_size_m", b"_seed_size_m"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__concavity_tolerance_rad) -> _WhichOneofReturnType__concavity_tolerance_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_height_m) -> _WhichOneofReturnType__min_height_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_points) -> _WhichOneofReturnType__min_points | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__plane_distance_m) -> _WhichOneofReturnType__plane_distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__seed_size_m) -> _WhichOneofReturnType__seed_size_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
+
+Global___SegmentObjectsRequest: _TypeAlias = SegmentObjectsRequest  # noqa: Y015
+
+@_typing.final
+class SegmentObjectsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABELS_FIELD_NUMBER: _builtins.int
+    NUM_OBJECTS_FIELD_NUMBER: _builtins.int
+    SUPPORT_FIELD_NUMBER: _builtins.int
+    labels: _builtins.bytes
+    """N int32: number of each point's object, or -1."""
+    num_objects: _builtins.int
+    @_builtins.property
+    def support(self) -> _geometry_pb2.Plane:
+        """What they stand on. Absent if no plane was found."""
+
+    def __init__(
+        self,
+        *,
+        labels: _builtins.bytes = ...,
+        num_objects: _builtins.int = ...,
+        support: _geometry_pb2.Plane | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_support", b"_support", "support", b"support"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_support", b"_support", "labels", b"labels", "num_objects", b"num_objects", "support", b"support"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__support: _TypeAlias = _typing.Literal["support"]  # noqa: Y015
+    _WhichOneofArgType__support: _TypeAlias = _typing.Literal["_support", b"_support"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__support) -> _WhichOneofReturnType__support | None: ...
+
+Global___SegmentObjectsResponse: _TypeAlias = SegmentObjectsResponse  # noqa: Y015
+
+@_typing.final
+class SamplePointsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    EVERY_FIELD_NUMBER: _builtins.int
+    RANDOM_FIELD_NUMBER: _builtins.int
+    FARTHEST_FIELD_NUMBER: _builtins.int
+    SEED_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
+    every: _builtins.int
+    """Every step-th finite point."""
+    random: _builtins.int
+    """So many at random, in order."""
+    farthest: _builtins.int
+    """So many, each as far as possible from those before it; points times this at most 2e10."""
+    seed: _builtins.int
+    """Same seed, same points."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        every: _builtins.int = ...,
+        random: _builtins.int = ...,
+        farthest: _builtins.int = ...,
+        seed: _builtins.int = ...,
+        cloud_handle: _builtins.str | None = ...,
+        keep_result: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "every", b"every", "farthest", b"farthest", "random", b"random", "sample", b"sample"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "every", b"every", "farthest", b"farthest", "keep_result", b"keep_result", "random", b"random", "sample", b"sample", "seed", b"seed"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType_sample: _TypeAlias = _typing.Literal["every", "random", "farthest"]  # noqa: Y015
+    _WhichOneofArgType_sample: _TypeAlias = _typing.Literal["sample", b"sample"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_sample) -> _WhichOneofReturnType_sample | None: ...
+
+Global___SamplePointsRequest: _TypeAlias = SamplePointsRequest  # noqa: Y015
+
+@_typing.final
+class SamplePointsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    INDICES_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
+    indices: _builtins.bytes
+    """Indices of the taken points in the input, uint32 each."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        indices: _builtins.bytes = ...,
+        kept: Global___CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "indices", b"indices", "kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
+
+Global___SamplePointsResponse: _TypeAlias = SamplePointsResponse  # noqa: Y015
+
+@_typing.final
+class RangeBand(_message.Message):
+    """Distances from a point."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CENTER_FIELD_NUMBER: _builtins.int
+    MIN_RANGE_M_FIELD_NUMBER: _builtins.int
+    MAX_RANGE_M_FIELD_NUMBER: _builtins.int
+    min_range_m: _builtins.float
+    """Metres. Absent: 0."""
+    max_range_m: _builtins.float
+    """Metres."""
+    @_builtins.property
+    def center(self) -> _geometry_pb2.Vector3:
+        """Metres. Absent: the origin."""
+
+    def __init__(
+        self,
+        *,
+        center: _geometry_pb2.Vector3 | None = ...,
+        min_range_m: _builtins.float | None = ...,
+        max_range_m: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m", "center", b"center", "min_range_m", b"min_range_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m", "center", b"center", "max_range_m", b"max_range_m", "min_range_m", b"min_range_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__min_range_m: _TypeAlias = _typing.Literal["min_range_m"]  # noqa: Y015
+    _WhichOneofArgType__min_range_m: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_range_m) -> _WhichOneofReturnType__min_range_m | None: ...
+
+Global___RangeBand: _TypeAlias = RangeBand  # noqa: Y015
+
+@_typing.final
+class PolygonPrism(_message.Message):
+    """A polygon in the xy plane, between two heights; it may be concave."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CORNERS_FIELD_NUMBER: _builtins.int
+    Z_MIN_M_FIELD_NUMBER: _builtins.int
+    Z_MAX_M_FIELD_NUMBER: _builtins.int
+    z_min_m: _builtins.float
+    """Metres. Absent: no lower end."""
+    z_max_m: _builtins.float
+    """Metres. Absent: no upper end."""
+    @_builtins.property
+    def corners(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector2]:
+        """At least 3, metres."""
+
+    def __init__(
+        self,
+        *,
+        corners: _abc.Iterable[_geometry_pb2.Vector2] | None = ...,
+        z_min_m: _builtins.float | None = ...,
+        z_max_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_z_max_m", b"_z_max_m", "_z_min_m", b"_z_min_m", "z_max_m", b"z_max_m", "z_min_m", b"z_min_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_z_max_m", b"_z_max_m", "_z_min_m", b"_z_min_m", "corners", b"corners", "z_max_m", b"z_max_m", "z_min_m", b"z_min_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__z_max_m: _TypeAlias = _typing.Literal["z_max_m"]  # noqa: Y015
+    _WhichOneofArgType__z_max_m: _TypeAlias = _typing.Literal["_z_max_m", b"_z_max_m"]  # noqa: Y015
+    _WhichOneofReturnType__z_min_m: _TypeAlias = _typing.Literal["z_min_m"]  # noqa: Y015
+    _WhichOneofArgType__z_min_m: _TypeAlias = _typing.Literal["_z_min_m", b"_z_min_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__z_max_m) -> _WhichOneofReturnType__z_max_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__z_min_m) -> _WhichOneofReturnType__z_min_m | None: ...
+
+Global___PolygonPrism: _TypeAlias = PolygonPrism  # noqa: Y015
+
+@_typing.final
+class CropCloudRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    BOX_FIELD_NUMBER: _builtins.int
+    RANGE_FIELD_NUMBER: _builtins.int
+    POLYGON_FIELD_NUMBER: _builtins.int
+    OUTSIDE_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
+    outside: _builtins.bool
+    """Keep what is finite and outside instead."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def box(self) -> _geometry_pb2.OrientedBox:
+        """Its border belongs to it."""
+
+    @_builtins.property
+    def range(self) -> Global___RangeBand: ...
+    @_builtins.property
+    def polygon(self) -> Global___PolygonPrism: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        box: _geometry_pb2.OrientedBox | None = ...,
+        range: Global___RangeBand | None = ...,
+        polygon: Global___PolygonPrism | None = ...,
+        outside: _builtins.bool = ...,
+        cloud_handle: _builtins.str | None = ...,
+        keep_result: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "box", b"box", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "polygon", b"polygon", "range", b"range", "region", b"region"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "box", b"box", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result", "outside", b"outside", "polygon", b"polygon", "range", b"range", "region", b"region"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType_region: _TypeAlias = _typing.Literal["box", "range", "polygon"]  # noqa: Y015
+    _WhichOneofArgType_region: _TypeAlias = _typing.Literal["region", b"region"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_region) -> _WhichOneofReturnType_region | None: ...
+
+Global___CropCloudRequest: _TypeAlias = CropCloudRequest  # noqa: Y015
+
+@_typing.final
+class CropCloudResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    INDICES_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
+    indices: _builtins.bytes
+    """Indices of the kept points in the input, uint32 each, ascending."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def kept(self) -> Global___CloudHandle:
+        """In place of cloud, if keep_result was set."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        indices: _builtins.bytes = ...,
+        kept: Global___CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "indices", b"indices", "kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
+
+Global___CropCloudResponse: _TypeAlias = CropCloudResponse  # noqa: Y015
+
+@_typing.final
 class PipelineStep(_message.Message):
     """An operation on the cloud that the step before left; the request's own cloud, cloud_handle and keep_result stay
     empty. Filters, sampling and transforms change the cloud, the other steps leave it. After cluster_points, and until
-    the cloud changes, compute_shape_features works on each cluster.
+    the cloud changes, compute_shape_features works on each cluster; so it does after grow_regions and segment_objects.
     """
 
     DESCRIPTOR: _descriptor.Descriptor
@@ -1779,12 +2493,17 @@ class PipelineStep(_message.Message):
     CLUSTER_POINTS_FIELD_NUMBER: _builtins.int
     COMPUTE_SHAPE_FEATURES_FIELD_NUMBER: _builtins.int
     DETECT_OBJECTS_FIELD_NUMBER: _builtins.int
+    SEGMENT_GROUND_FIELD_NUMBER: _builtins.int
+    GROW_REGIONS_FIELD_NUMBER: _builtins.int
+    SEGMENT_OBJECTS_FIELD_NUMBER: _builtins.int
+    SAMPLE_POINTS_FIELD_NUMBER: _builtins.int
+    CROP_CLOUD_FIELD_NUMBER: _builtins.int
     QUIET_FIELD_NUMBER: _builtins.int
     REMAINDER_FIELD_NUMBER: _builtins.int
     quiet: _builtins.bool
     """Leave the answer out of the response: only what comes of it matters."""
     remainder: Global___PlaneRemainder.ValueType
-    """segment_planes only: which points go on."""
+    """segment_planes and segment_ground only: which points go on."""
     @_builtins.property
     def remove_statistical_outliers(self) -> Global___RemoveStatisticalOutliersRequest: ...
     @_builtins.property
@@ -1805,6 +2524,16 @@ class PipelineStep(_message.Message):
     def compute_shape_features(self) -> Global___ComputeShapeFeaturesRequest: ...
     @_builtins.property
     def detect_objects(self) -> Global___DetectObjectsRequest: ...
+    @_builtins.property
+    def segment_ground(self) -> Global___SegmentGroundRequest: ...
+    @_builtins.property
+    def grow_regions(self) -> Global___GrowRegionsRequest: ...
+    @_builtins.property
+    def segment_objects(self) -> Global___SegmentObjectsRequest: ...
+    @_builtins.property
+    def sample_points(self) -> Global___SamplePointsRequest: ...
+    @_builtins.property
+    def crop_cloud(self) -> Global___CropCloudRequest: ...
     def __init__(
         self,
         *,
@@ -1818,14 +2547,19 @@ class PipelineStep(_message.Message):
         cluster_points: Global___ClusterPointsRequest | None = ...,
         compute_shape_features: Global___ComputeShapeFeaturesRequest | None = ...,
         detect_objects: Global___DetectObjectsRequest | None = ...,
+        segment_ground: Global___SegmentGroundRequest | None = ...,
+        grow_regions: Global___GrowRegionsRequest | None = ...,
+        segment_objects: Global___SegmentObjectsRequest | None = ...,
+        sample_points: Global___SamplePointsRequest | None = ...,
+        crop_cloud: Global___CropCloudRequest | None = ...,
         quiet: _builtins.bool = ...,
         remainder: Global___PlaneRemainder.ValueType = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cluster_points", b"cluster_points", "compute_shape_features", b"compute_shape_features", "detect_objects", b"detect_objects", "downsample_voxels", b"downsample_voxels", "estimate_normals", b"estimate_normals", "remove_non_finite", b"remove_non_finite", "remove_radius_outliers", b"remove_radius_outliers", "remove_statistical_outliers", b"remove_statistical_outliers", "segment_planes", b"segment_planes", "step", b"step", "transform_cloud", b"transform_cloud"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["cluster_points", b"cluster_points", "compute_shape_features", b"compute_shape_features", "crop_cloud", b"crop_cloud", "detect_objects", b"detect_objects", "downsample_voxels", b"downsample_voxels", "estimate_normals", b"estimate_normals", "grow_regions", b"grow_regions", "remove_non_finite", b"remove_non_finite", "remove_radius_outliers", b"remove_radius_outliers", "remove_statistical_outliers", b"remove_statistical_outliers", "sample_points", b"sample_points", "segment_ground", b"segment_ground", "segment_objects", b"segment_objects", "segment_planes", b"segment_planes", "step", b"step", "transform_cloud", b"transform_cloud"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cluster_points", b"cluster_points", "compute_shape_features", b"compute_shape_features", "detect_objects", b"detect_objects", "downsample_voxels", b"downsample_voxels", "estimate_normals", b"estimate_normals", "quiet", b"quiet", "remainder", b"remainder", "remove_non_finite", b"remove_non_finite", "remove_radius_outliers", b"remove_radius_outliers", "remove_statistical_outliers", b"remove_statistical_outliers", "segment_planes", b"segment_planes", "step", b"step", "transform_cloud", b"transform_cloud"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cluster_points", b"cluster_points", "compute_shape_features", b"compute_shape_features", "crop_cloud", b"crop_cloud", "detect_objects", b"detect_objects", "downsample_voxels", b"downsample_voxels", "estimate_normals", b"estimate_normals", "grow_regions", b"grow_regions", "quiet", b"quiet", "remainder", b"remainder", "remove_non_finite", b"remove_non_finite", "remove_radius_outliers", b"remove_radius_outliers", "remove_statistical_outliers", b"remove_statistical_outliers", "sample_points", b"sample_points", "segment_ground", b"segment_ground", "segment_objects", b"segment_objects", "segment_planes", b"segment_planes", "step", b"step", "transform_cloud", b"transform_cloud"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType_step: _TypeAlias = _typing.Literal["remove_statistical_outliers", "remove_radius_outliers", "remove_non_finite", "downsample_voxels", "transform_cloud", "estimate_normals", "segment_planes", "cluster_points", "compute_shape_features", "detect_objects"]  # noqa: Y015
+    _WhichOneofReturnType_step: _TypeAlias = _typing.Literal["remove_statistical_outliers", "remove_radius_outliers", "remove_non_finite", "downsample_voxels", "transform_cloud", "estimate_normals", "segment_planes", "cluster_points", "compute_shape_features", "detect_objects", "segment_ground", "grow_regions", "segment_objects", "sample_points", "crop_cloud"]  # noqa: Y015
     _WhichOneofArgType_step: _TypeAlias = _typing.Literal["step", b"step"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType_step) -> _WhichOneofReturnType_step | None: ...
 
@@ -1900,6 +2634,9 @@ class PipelineStepResult(_message.Message):
     SHAPE_FIELD_NUMBER: _builtins.int
     SHAPES_FIELD_NUMBER: _builtins.int
     DETECTIONS_FIELD_NUMBER: _builtins.int
+    GROUND_FIELD_NUMBER: _builtins.int
+    REGIONS_FIELD_NUMBER: _builtins.int
+    OBJECTS_FIELD_NUMBER: _builtins.int
     num_points_in: _builtins.int
     """Points that the step was given."""
     num_points_out: _builtins.int
@@ -1922,6 +2659,12 @@ class PipelineStepResult(_message.Message):
 
     @_builtins.property
     def detections(self) -> Global___DetectObjectsResponse: ...
+    @_builtins.property
+    def ground(self) -> Global___SegmentGroundResponse: ...
+    @_builtins.property
+    def regions(self) -> Global___GrowRegionsResponse: ...
+    @_builtins.property
+    def objects(self) -> Global___SegmentObjectsResponse: ...
     def __init__(
         self,
         *,
@@ -1934,12 +2677,15 @@ class PipelineStepResult(_message.Message):
         shape: Global___ComputeShapeFeaturesResponse | None = ...,
         shapes: Global___ClusterShapes | None = ...,
         detections: Global___DetectObjectsResponse | None = ...,
+        ground: Global___SegmentGroundResponse | None = ...,
+        regions: Global___GrowRegionsResponse | None = ...,
+        objects: Global___SegmentObjectsResponse | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["answer", b"answer", "clusters", b"clusters", "detections", b"detections", "indices", b"indices", "planes", b"planes", "shape", b"shape", "shapes", b"shapes"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["answer", b"answer", "clusters", b"clusters", "detections", b"detections", "ground", b"ground", "indices", b"indices", "objects", b"objects", "planes", b"planes", "regions", b"regions", "shape", b"shape", "shapes", b"shapes"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["answer", b"answer", "clusters", b"clusters", "detections", b"detections", "elapsed_ms", b"elapsed_ms", "indices", b"indices", "num_points_in", b"num_points_in", "num_points_out", b"num_points_out", "planes", b"planes", "shape", b"shape", "shapes", b"shapes"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["answer", b"answer", "clusters", b"clusters", "detections", b"detections", "elapsed_ms", b"elapsed_ms", "ground", b"ground", "indices", b"indices", "num_points_in", b"num_points_in", "num_points_out", b"num_points_out", "objects", b"objects", "planes", b"planes", "regions", b"regions", "shape", b"shape", "shapes", b"shapes"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType_answer: _TypeAlias = _typing.Literal["indices", "planes", "clusters", "shape", "shapes", "detections"]  # noqa: Y015
+    _WhichOneofReturnType_answer: _TypeAlias = _typing.Literal["indices", "planes", "clusters", "shape", "shapes", "detections", "ground", "regions", "objects"]  # noqa: Y015
     _WhichOneofArgType_answer: _TypeAlias = _typing.Literal["answer", b"answer"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType_answer) -> _WhichOneofReturnType_answer | None: ...
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ... import _rpc
-from ..._arrays import Array
+from ..._arrays import Array, checked
 from ..._call import Call
-from ...types.geometry import PointCloud, Pose
+from ...errors import InvalidArgument
+from ...types.geometry import OrientedBox, PointCloud, Pose
 from ...types.toolbox import FilteredCloud
 from ...v1 import toolbox_service_pb2 as service
 from .. import geometry
-from .request import Cloud, uint32_array, uint32s, with_cloud
+from .request import Cloud, of, uint32_array, uint32s, with_cloud
 
 
 def remove_statistical_outliers(
@@ -70,3 +73,48 @@ def estimate_normals(
         viewpoint_m=viewpoint_m,
     )
     return Call(_rpc.ESTIMATE_NORMALS, request, lambda a: geometry.cloud(a.cloud))
+
+
+def sample_points(
+    cloud: Cloud, every: int | None, random: int | None, farthest: int | None, seed: int
+) -> Call[service.SamplePointsRequest, service.SamplePointsResponse, FilteredCloud]:
+    if sum(way is not None for way in (every, random, farthest)) != 1:
+        message = "give one of every, random and farthest"
+        raise InvalidArgument(message, reason="FIELD_MISSING", field="sample")
+
+    def read(answer: service.SamplePointsResponse) -> FilteredCloud:
+        return FilteredCloud(cloud=geometry.cloud(answer.cloud), indices=uint32s(answer.indices))
+
+    request = with_cloud(
+        service.SamplePointsRequest, cloud, every=every, random=random, farthest=farthest, seed=seed
+    )
+    return Call(_rpc.SAMPLE_POINTS, request, read)
+
+
+def crop_cloud(
+    cloud: Cloud,
+    box: OrientedBox | None,
+    range_m: tuple[float, float] | None,
+    center: Sequence[float] | None,
+    polygon: Array | None,
+    z_m: tuple[float | None, float | None],
+    outside: bool,
+) -> Call[service.CropCloudRequest, service.CropCloudResponse, FilteredCloud]:
+    if sum(region is not None for region in (box, range_m, polygon)) != 1:
+        message = "give one of box, range_m and polygon"
+        raise InvalidArgument(message, reason="FIELD_MISSING", field="region")
+
+    def read(answer: service.CropCloudResponse) -> FilteredCloud:
+        return FilteredCloud(cloud=geometry.cloud(answer.cloud), indices=uint32s(answer.indices))
+
+    request = with_cloud(service.CropCloudRequest, cloud, box=box, outside=outside)
+    if range_m is not None:
+        low, high = range_m
+        band = of(service.RangeBand, center=center, min_range_m=low, max_range_m=high)
+        request.range.CopyFrom(band)
+    if polygon is not None:
+        prism = of(service.PolygonPrism, z_min_m=z_m[0], z_max_m=z_m[1])
+        corners = checked("polygon", polygon, ("N", 2), np.float64, np.float32)
+        prism.corners.extend(geometry.vector2_to("polygon", c) for c in corners)
+        request.polygon.CopyFrom(prism)
+    return Call(_rpc.CROP_CLOUD, request, read)

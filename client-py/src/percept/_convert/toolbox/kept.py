@@ -23,7 +23,7 @@ from ...types.toolbox import (
 )
 from ...v1 import toolbox_service_pb2 as service
 from .. import geometry, scene
-from . import segmentation
+from . import regions, segmentation
 from .request import Cloud, fill, of, uint32s, with_cloud
 
 #: What is larger is uploaded in parts.
@@ -172,6 +172,9 @@ def _answer(message: service.PipelineStepResult) -> StepAnswer | None:
         "shape": segmentation.shape,
         "shapes": _shapes,
         "detections": segmentation.detections,
+        "ground": regions.ground,
+        "regions": regions.regions,
+        "objects": regions.objects,
     }
     which = message.WhichOneof("answer")
     answer: StepAnswer | None = readers[which](getattr(message, which)) if which in readers else None

@@ -9,16 +9,22 @@ mod errors;
 mod files;
 mod images;
 mod kept;
+mod pictures;
 mod pipeline;
+mod regions;
 mod registration;
+mod subsets;
 
 pub use clouds::*;
 pub use errors::{cloud_error, format_error, registration_error};
 pub use files::{CloudFormat, decode_cloud, encode_cloud};
 pub use images::{PosedView, multiview_error, triangulate_points};
 pub use kept::{KeptCloud, KeptClouds, KeptList};
+pub use pictures::{render_cloud, render_depth};
 pub use pipeline::{Found, PlaneRemainder, Step, StepReport};
+pub use regions::{grow_regions, segment_ground, segment_objects, supervoxels};
 pub use registration::register_clouds;
+pub use subsets::{Region, Sample, crop_cloud, sample_points};
 
 use crate::{Limits, Result, Service};
 use percept_geometry::PointCloud;

@@ -1,6 +1,6 @@
 //! Operations in turn on one cloud that stays here.
 
-use super::{Clustering, Toolbox, clouds};
+use super::{Clustering, Region, Sample, Toolbox, clouds, regions, subsets};
 use crate::{Error, Result};
 use nalgebra::Point3;
 use percept_geometry::{OrientedBox3, PointCloud, Pose};
@@ -8,13 +8,14 @@ use percept_perception::cloud::{
     Clusters, NormalParams, PlanesParams, RadiusOutlierParams, ShapeFeatures, StatisticalOutlierParams, TypedPlane,
 };
 use percept_perception::detection::Detection;
+use percept_perception::segmentation::{Ground, GroundParams, Objects, ObjectsParams, RegionGrowingParams};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Steps of one request, at most.
 const MAX_STEPS: usize = 64;
 
-/// Which points go on after planes were found.
+/// Which points go on after planes, or ground, were found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlaneRemainder {
     /// Those of no plane.
@@ -48,6 +49,16 @@ pub enum Step {
     ShapeFeatures,
     /// [`clouds::detect_objects`].
     DetectObjects,
+    /// [`subsets::sample_points`].
+    SamplePoints(Sample),
+    /// [`subsets::crop_cloud`], and whether what is outside is kept.
+    Crop(Region, bool),
+    /// [`regions::segment_ground`].
+    SegmentGround(GroundParams, PlaneRemainder),
+    /// [`regions::grow_regions`].
+    GrowRegions(RegionGrowingParams),
+    /// [`regions::segment_objects`], and the viewpoint, metres.
+    SegmentObjects(ObjectsParams, Point3<f64>),
 }
 
 impl Step {
@@ -64,6 +75,11 @@ impl Step {
             Self::ClusterPoints(_) => "cluster_points",
             Self::ShapeFeatures => "compute_shape_features",
             Self::DetectObjects => "detect_objects",
+            Self::SamplePoints(_) => "sample_points",
+            Self::Crop(..) => "crop_cloud",
+            Self::SegmentGround(..) => "segment_ground",
+            Self::GrowRegions(_) => "grow_regions",
+            Self::SegmentObjects(..) => "segment_objects",
         }
     }
 }
@@ -85,6 +101,12 @@ pub enum Found {
     Shapes(Vec<(u32, ShapeFeatures, OrientedBox3)>),
     /// Objects.
     Detections(Vec<Detection>),
+    /// What of a scan is ground.
+    Ground(Ground),
+    /// Smooth regions.
+    Regions(Clusters),
+    /// What stands on a plane.
+    Objects(Objects),
 }
 
 /// What became of a step.
@@ -143,7 +165,8 @@ impl Toolbox {
             }
             Step::SegmentPlanes(params, remainder) => {
                 let planes = clouds::segment_planes(&cloud, params)?;
-                bench.take_planes(&planes, *remainder);
+                let inliers = planes.iter().flat_map(|p| p.segment.inliers.iter().copied());
+                bench.take(inliers, *remainder);
                 Found::Planes(planes)
             }
             Step::ClusterPoints(method) => {
@@ -155,6 +178,23 @@ impl Toolbox {
                 Some(clusters) => Found::Shapes(shapes(&cloud, clusters)?),
                 None => clouds::shape_features(&cloud.positions).map(|(f, b)| Found::Shape(f, b))?,
             },
+            Step::SamplePoints(sample) => bench.keep(subsets::sample_points(&cloud, sample)?),
+            Step::Crop(region, outside) => bench.keep(subsets::crop_cloud(&cloud, region, *outside)?),
+            Step::SegmentGround(params, remainder) => {
+                let ground = regions::segment_ground(&cloud, params)?;
+                bench.take((0..cloud.len()).filter(|&i| ground.is_ground[i]), *remainder);
+                Found::Ground(ground)
+            }
+            Step::GrowRegions(params) => {
+                let grown = regions::grow_regions(&cloud, params)?;
+                bench.clusters = Some(grown.clone());
+                Found::Regions(grown)
+            }
+            Step::SegmentObjects(params, viewpoint) => {
+                let objects = regions::segment_objects(&cloud, viewpoint, params)?;
+                bench.clusters = Some(objects.clusters.clone());
+                Found::Objects(objects)
+            }
             Step::DetectObjects => Found::Detections(clouds::detect_objects(&cloud, self.detector())?),
         })
     }
@@ -171,14 +211,15 @@ impl Bench {
         Found::Kept(kept)
     }
 
-    fn take_planes(&mut self, planes: &[TypedPlane], remainder: PlaneRemainder) {
+    /// Goes on with the points that were found, or the others.
+    fn take(&mut self, found: impl Iterator<Item = usize>, remainder: PlaneRemainder) {
         if remainder == PlaneRemainder::All {
             return;
         }
-        let mut on_plane = vec![false; self.cloud.len()];
-        planes.iter().flat_map(|p| &p.segment.inliers).for_each(|&i| on_plane[i] = true);
+        let mut is_found = vec![false; self.cloud.len()];
+        found.for_each(|i| is_found[i] = true);
         let wanted = remainder == PlaneRemainder::Planes;
-        let kept: Vec<usize> = (0..on_plane.len()).filter(|&i| on_plane[i] == wanted).collect();
+        let kept: Vec<usize> = (0..is_found.len()).filter(|&i| is_found[i] == wanted).collect();
         self.replace(self.cloud.select(&kept));
     }
 }

@@ -69,7 +69,7 @@ pub fn cameras(
 pub fn ransac(r: Option<&v1::RansacParams>) -> RansacParams {
     let mut params = RansacParams::default();
     let Some(r) = r else { return params };
-    lay!(params, r: threshold_px, confidence, max_iterations);
+    lay_over!(params, r: threshold_px, confidence, max_iterations);
     params.seed = r.seed;
     params
 }

@@ -1,7 +1,7 @@
 //! Requests to the toolbox, laid over the defaults; answers back. One file a group.
 
 /// Lays the fields that were sent over parameters of the same names.
-macro_rules! lay {
+macro_rules! lay_over {
     ($params:ident, $r:ident: $($field:ident),+) => {
         $(if let Some(value) = $r.$field { $params.$field = value as _; })+
     };
@@ -11,9 +11,12 @@ pub mod depth;
 pub mod files;
 pub mod filters;
 pub mod images;
+pub mod pictures;
 pub mod pipeline;
+pub mod regions;
 pub mod registration;
 pub mod segmentation;
+pub mod subsets;
 
 use super::geometry;
 use crate::v1;
@@ -85,6 +88,14 @@ pub fn kept_list_to(list: &KeptList) -> v1::ListCloudsResponse {
 pub fn bytes_of_indices(indices: &[usize]) -> Bytes {
     let mut out = vec![0; indices.len() * 4];
     out.chunks_exact_mut(4).zip(indices).for_each(|(out, &i)| out.copy_from_slice(&(i as u32).to_le_bytes()));
+    out.into()
+}
+
+/// Labels as int32, little-endian; -1 for none.
+pub fn bytes_of_labels(labels: &[Option<u32>]) -> Bytes {
+    let mut out = vec![0; labels.len() * 4];
+    let number = |l: &Option<u32>| l.map_or(-1, |l| l as i32).to_le_bytes();
+    out.chunks_exact_mut(4).zip(labels).for_each(|(out, l)| out.copy_from_slice(&number(l)));
     out.into()
 }
 

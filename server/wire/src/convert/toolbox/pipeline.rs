@@ -1,6 +1,6 @@
 //! Steps of a pipeline, and what they found.
 
-use super::{bytes_of_indices, filters, segmentation};
+use super::{bytes_of_indices, filters, regions, segmentation, subsets};
 use crate::convert::{geometry, required, unknown_enum};
 use crate::v1;
 use percept_service::toolbox::{Found, PlaneRemainder, Step, StepReport};
@@ -69,6 +69,27 @@ fn step(s: &v1::PipelineStep) -> Result<Step> {
             bare!(r);
             Step::DetectObjects
         }
+        S::SamplePoints(r) => {
+            bare!(r, keep_result);
+            Step::SamplePoints(subsets::sample(r)?)
+        }
+        S::CropCloud(r) => {
+            bare!(r, keep_result);
+            Step::Crop(subsets::region(r)?, r.outside)
+        }
+        S::SegmentGround(r) => {
+            bare!(r);
+            Step::SegmentGround(regions::ground_params(r), remainder(s.remainder)?)
+        }
+        S::GrowRegions(r) => {
+            bare!(r);
+            Step::GrowRegions(regions::region_params(r))
+        }
+        S::SegmentObjects(r) => {
+            bare!(r);
+            let (params, viewpoint) = regions::objects_params(r)?;
+            Step::SegmentObjects(params, viewpoint)
+        }
     })
 }
 
@@ -111,5 +132,8 @@ fn found_to(found: &Found) -> Option<v1::pipeline_step_result::Answer> {
             A::Shapes(v1::ClusterShapes { clusters: clusters.collect() })
         }
         Found::Detections(found) => A::Detections(segmentation::detections_to(found)),
+        Found::Ground(ground) => A::Ground(regions::ground_to(ground)),
+        Found::Regions(grown) => A::Regions(regions::regions_to(grown)),
+        Found::Objects(objects) => A::Objects(regions::objects_to(objects)),
     })
 }

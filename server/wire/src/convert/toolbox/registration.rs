@@ -23,8 +23,8 @@ pub fn registration(r: &v1::RegisterCloudsRequest) -> Result<RegisterParams> {
         Err(_) => return Err(unknown_enum("method", r.method)),
     };
     let mut icp = IcpParams { method, kernel: kernel(r.kernel, r.kernel_scale_m)?, ..IcpParams::default() };
-    lay!(icp, r: max_distance_m, max_iterations, translation_tolerance_m, rotation_tolerance_rad);
-    lay!(icp, r: num_neighbors, target_voxel_size_m, color_share, tangent_weight, degeneracy_threshold);
+    lay_over!(icp, r: max_distance_m, max_iterations, translation_tolerance_m, rotation_tolerance_rad);
+    lay_over!(icp, r: num_neighbors, target_voxel_size_m, color_share, tangent_weight, degeneracy_threshold);
     if r.voxel_sizes_m.len() > MAX_LEVELS {
         let words = format!("voxel_sizes_m has {} entries; send at most {MAX_LEVELS}", r.voxel_sizes_m.len());
         return Err(Error::invalid("LEVELS_TOO_MANY", "voxel_sizes_m", words));

@@ -2,7 +2,7 @@
 
 use percept_service::Result;
 use percept_service::toolbox::{self as ops, Toolbox};
-use percept_wire::convert::toolbox::filters;
+use percept_wire::convert::toolbox::{filters, subsets};
 use percept_wire::convert::{geometry, toolbox as convert};
 use percept_wire::v1;
 
@@ -53,4 +53,20 @@ pub(super) fn estimate_normals(t: &Toolbox, r: v1::EstimateNormalsRequest) -> Re
     let (params, viewpoint) = filters::normal_params(&r)?;
     let (cloud, kept) = convert::result(t, ops::estimate_normals(&cloud, &params, &viewpoint)?, r.keep_result)?;
     Ok(v1::EstimateNormalsResponse { cloud, kept })
+}
+
+pub(super) fn sample_points(t: &Toolbox, r: v1::SamplePointsRequest) -> Result<v1::SamplePointsResponse> {
+    let cloud = convert::cloud(t, "cloud", r.cloud.as_ref(), r.cloud_handle.as_deref())?;
+    let (cloud, taken) = ops::sample_points(&cloud, &subsets::sample(&r)?)?;
+    let indices = convert::bytes_of_indices(&taken);
+    let (cloud, kept) = convert::result(t, cloud, r.keep_result)?;
+    Ok(v1::SamplePointsResponse { cloud, indices, kept })
+}
+
+pub(super) fn crop_cloud(t: &Toolbox, r: v1::CropCloudRequest) -> Result<v1::CropCloudResponse> {
+    let cloud = convert::cloud(t, "cloud", r.cloud.as_ref(), r.cloud_handle.as_deref())?;
+    let (cloud, inside) = ops::crop_cloud(&cloud, &subsets::region(&r)?, r.outside)?;
+    let indices = convert::bytes_of_indices(&inside);
+    let (cloud, kept) = convert::result(t, cloud, r.keep_result)?;
+    Ok(v1::CropCloudResponse { cloud, indices, kept })
 }

@@ -4,6 +4,8 @@ mod depth;
 mod filters;
 mod images;
 mod kept;
+mod pictures;
+mod regions;
 mod registration;
 mod segmentation;
 
@@ -158,5 +160,40 @@ impl v1::toolbox_service_server::ToolboxService for Api {
 
     async fn solve_pnp(&self, r: Request<v1::SolvePnpRequest>) -> Answer<v1::SolvePnpResponse> {
         self.toolbox(r, images::solve_pnp).await
+    }
+
+    async fn render_cloud(&self, r: Request<v1::RenderCloudRequest>) -> Answer<v1::RenderCloudResponse> {
+        self.toolbox(r, pictures::render_cloud).await
+    }
+
+    async fn render_depth(&self, r: Request<v1::RenderDepthRequest>) -> Answer<v1::RenderDepthResponse> {
+        self.toolbox(r, pictures::render_depth).await
+    }
+
+    async fn segment_ground(&self, r: Request<v1::SegmentGroundRequest>) -> Answer<v1::SegmentGroundResponse> {
+        self.toolbox(r, regions::segment_ground).await
+    }
+
+    async fn grow_regions(&self, r: Request<v1::GrowRegionsRequest>) -> Answer<v1::GrowRegionsResponse> {
+        self.toolbox(r, regions::grow_regions).await
+    }
+
+    async fn compute_supervoxels(
+        &self,
+        r: Request<v1::ComputeSupervoxelsRequest>,
+    ) -> Answer<v1::ComputeSupervoxelsResponse> {
+        self.toolbox(r, regions::compute_supervoxels).await
+    }
+
+    async fn segment_objects(&self, r: Request<v1::SegmentObjectsRequest>) -> Answer<v1::SegmentObjectsResponse> {
+        self.toolbox(r, regions::segment_objects).await
+    }
+
+    async fn sample_points(&self, r: Request<v1::SamplePointsRequest>) -> Answer<v1::SamplePointsResponse> {
+        self.toolbox(r, filters::sample_points).await
+    }
+
+    async fn crop_cloud(&self, r: Request<v1::CropCloudRequest>) -> Answer<v1::CropCloudResponse> {
+        self.toolbox(r, filters::crop_cloud).await
     }
 }

@@ -1,0 +1,53 @@
+//! Ground, smooth regions, convex parts.
+
+use super::cloud_error;
+use crate::Result;
+use nalgebra::Point3;
+use percept_geometry::PointCloud;
+use percept_perception::cloud::{Clusters, NormalParams, estimate_normals};
+use percept_perception::segmentation::{
+    self, Ground, GroundParams, Objects, ObjectsParams, RegionGrowingParams, SupervoxelParams, Supervoxels,
+};
+
+/// The ground of a scan in the sensor's frame, z up.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter.
+pub fn segment_ground(cloud: &PointCloud, params: &GroundParams) -> Result<Ground> {
+    Ok(segmentation::segment_ground(&cloud.positions, params)?)
+}
+
+/// Regions in which the normal turns little; normals are estimated if the cloud has none.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter.
+pub fn grow_regions(cloud: &PointCloud, params: &RegionGrowingParams) -> Result<Clusters> {
+    let estimated;
+    let normals = match &cloud.normals {
+        Some(normals) => normals,
+        None => {
+            params.validate()?;
+            let (radius_m, max_neighbors) = (params.radius_m, params.max_neighbors);
+            let normals = NormalParams { radius_m, max_neighbors, ..NormalParams::default() };
+            estimated = estimate_normals(&cloud.positions, &normals, None)?;
+            &estimated
+        }
+    };
+    Ok(segmentation::grow_regions(&cloud.positions, normals, params)?)
+}
+
+/// Patches of even surface seen from a viewpoint, metres.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter, `VOXEL_TOO_SMALL`.
+pub fn supervoxels(cloud: &PointCloud, viewpoint: &Point3<f64>, params: &SupervoxelParams) -> Result<Supervoxels> {
+    segmentation::supervoxels(&cloud.positions, viewpoint, params).map_err(cloud_error)
+}
+
+/// What stands on the largest plane, seen from a viewpoint, metres.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter, `VOXEL_TOO_SMALL`.
+pub fn segment_objects(cloud: &PointCloud, viewpoint: &Point3<f64>, params: &ObjectsParams) -> Result<Objects> {
+    segmentation::segment_objects(&cloud.positions, viewpoint, params).map_err(cloud_error)
+}
