@@ -80,15 +80,25 @@ def test_a_large_cloud_goes_up_and_comes_down_in_parts(client, rng):
         client.toolbox.drop_cloud(handle)
 
 
-@pytest.mark.parametrize("file_format", ["ply", "ply_ascii", "pcd", "kitti_bin"])
+@pytest.mark.parametrize(
+    "file_format",
+    [
+        *("ply", "ply_ascii", "ply_big_endian", "pcd", "pcd_ascii", "pcd_compressed"),
+        *("xyz", "kitti_bin", "las", "laz"),
+    ],
+)
 def test_files_hold_what_went_in(client, rng, file_format):
     cloud = coloured(rng, 500)
     data = client.toolbox.encode_cloud(cloud, file_format)
     # A raw array of floats says nothing of what it is.
     told = {"file_format": file_format} if file_format == "kitti_bin" else {}
-    back = client.toolbox.decode_cloud(data, **told)
-    assert np.allclose(back.points, cloud.points, atol=1e-6)
-    assert np.allclose(back.intensities, cloud.intensities, atol=1e-6)
+    decoded = client.toolbox.decode_cloud(data, **told)
+    back = decoded.cloud
+    # LAS counts millimetres, and intensities in 16 bits; XYZ has colours and normals, or intensities.
+    las = file_format in ("las", "laz")
+    assert np.allclose(back.points + decoded.origin_m, cloud.points, atol=6e-4 if las else 1e-6)
+    if not las and file_format != "xyz":
+        assert np.allclose(back.intensities, cloud.intensities, atol=1e-6)
     if file_format != "kitti_bin":
         assert np.array_equal(back.colors, cloud.colors)
     # Cut short, it is refused.
@@ -99,8 +109,24 @@ def test_files_hold_what_went_in(client, rng, file_format):
 
 def test_a_file_of_unknown_kind_is_refused(client):
     with pytest.raises(InvalidArgument) as error:
-        client.toolbox.decode_cloud(b"what is this")
+        client.toolbox.decode_cloud(b"\x00\x01\x02\x03")
     assert (error.value.reason, error.value.field) == ("FORMAT_UNKNOWN", "file.format")
+    with pytest.raises(InvalidArgument) as error:
+        client.toolbox.decode_cloud(
+            client.toolbox.encode_cloud(np.zeros((3, 3), np.float32)), file_format="pcd"
+        )
+    assert (error.value.reason, error.value.field) == ("FORMAT_MISMATCH", "file.format")
+
+
+def test_coordinates_of_a_survey_keep_their_millimetres(client, rng):
+    cloud = rng.uniform(-50, 50, (200, 3)).astype(np.float32)
+    origin = np.array([4_512_345.0, 5_400_321.0, 312.0])
+    data = client.toolbox.encode_cloud(cloud, "laz", origin_m=origin)
+    decoded = client.toolbox.decode_cloud(data)
+    assert np.allclose(decoded.cloud.points.astype(float) + decoded.origin_m, cloud + origin, atol=1e-3)
+    with pytest.raises(InvalidArgument) as error:
+        client.toolbox.encode_cloud(cloud, "ply", origin_m=origin)
+    assert (error.value.reason, error.value.field) == ("ORIGIN_UNSUPPORTED", "origin_m")
 
 
 def test_the_budget_of_kept_clouds_is_held_and_nothing_is_forgotten_for_it(tmp_path):

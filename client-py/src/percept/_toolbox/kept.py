@@ -8,7 +8,7 @@ from .._arrays import Array
 from .._convert.toolbox import kept as convert
 from .._convert.toolbox.request import Cloud
 from ..types.geometry import PointCloud
-from ..types.toolbox import CloudFormat, CloudHandle, KeptClouds, PipelineResult, Step
+from ..types.toolbox import CloudFormat, CloudHandle, DecodedCloud, KeptClouds, PipelineResult, Step
 from ._base import Async, Sync
 
 
@@ -24,7 +24,8 @@ class Kept(Sync):
     ) -> CloudHandle:
         """Keeps a cloud, or that of a file's bytes, on the server; toolbox calls take its handle in place of
         a cloud. It is forgotten when unused for keep_s (the server's limit), and refused if the budget is
-        full."""
+        full. A file whose coordinates float32 would spoil is kept relative to an origin that decode_cloud
+        tells."""
         if convert.size_bytes(source) > convert.ONE_MESSAGE_BYTES:
             return self._transport.parts(convert.upload_large_cloud(source, file_format, keep_s))
         return self._transport.call(convert.upload_cloud(source, file_format, keep_s))
@@ -45,13 +46,19 @@ class Kept(Sync):
         """Forgets a kept cloud."""
         return self._transport.call(convert.drop_cloud(kept))
 
-    def decode_cloud(self, data: bytes, *, file_format: CloudFormat | str | None = None) -> PointCloud:
-        """A cloud's file to points; the format is told by the first bytes if it is not said."""
+    def decode_cloud(self, data: bytes, *, file_format: CloudFormat | str | None = None) -> DecodedCloud:
+        """A cloud's file to points; the format is told by the content if it is not said."""
         return self._transport.call(convert.decode_cloud(data, file_format))
 
-    def encode_cloud(self, cloud: Cloud, file_format: CloudFormat | str = CloudFormat.PLY) -> bytes:
-        """A cloud to a file's bytes."""
-        return self._transport.call(convert.encode_cloud(cloud, file_format))
+    def encode_cloud(
+        self,
+        cloud: Cloud,
+        file_format: CloudFormat | str = CloudFormat.PLY,
+        *,
+        origin_m: Sequence[float] | None = None,
+    ) -> bytes:
+        """A cloud to a file's bytes; origin_m (xyz, las and laz only) is added to every position."""
+        return self._transport.call(convert.encode_cloud(cloud, file_format, origin_m))
 
     def run_pipeline(
         self,
@@ -87,7 +94,8 @@ class AsyncKept(Async):
     ) -> CloudHandle:
         """Keeps a cloud, or that of a file's bytes, on the server; toolbox calls take its handle in place of
         a cloud. It is forgotten when unused for keep_s (the server's limit), and refused if the budget is
-        full."""
+        full. A file whose coordinates float32 would spoil is kept relative to an origin that decode_cloud
+        tells."""
         if convert.size_bytes(source) > convert.ONE_MESSAGE_BYTES:
             return await self._transport.parts(convert.upload_large_cloud(source, file_format, keep_s))
         return await self._transport.call(convert.upload_cloud(source, file_format, keep_s))
@@ -108,13 +116,21 @@ class AsyncKept(Async):
         """Forgets a kept cloud."""
         return await self._transport.call(convert.drop_cloud(kept))
 
-    async def decode_cloud(self, data: bytes, *, file_format: CloudFormat | str | None = None) -> PointCloud:
-        """A cloud's file to points; the format is told by the first bytes if it is not said."""
+    async def decode_cloud(
+        self, data: bytes, *, file_format: CloudFormat | str | None = None
+    ) -> DecodedCloud:
+        """A cloud's file to points; the format is told by the content if it is not said."""
         return await self._transport.call(convert.decode_cloud(data, file_format))
 
-    async def encode_cloud(self, cloud: Cloud, file_format: CloudFormat | str = CloudFormat.PLY) -> bytes:
-        """A cloud to a file's bytes."""
-        return await self._transport.call(convert.encode_cloud(cloud, file_format))
+    async def encode_cloud(
+        self,
+        cloud: Cloud,
+        file_format: CloudFormat | str = CloudFormat.PLY,
+        *,
+        origin_m: Sequence[float] | None = None,
+    ) -> bytes:
+        """A cloud to a file's bytes; origin_m (xyz, las and laz only) is added to every position."""
+        return await self._transport.call(convert.encode_cloud(cloud, file_format, origin_m))
 
     async def run_pipeline(
         self,

@@ -44,10 +44,29 @@ class CloudFormat(Name):
     #: Reading: any PLY. Writing: binary little-endian.
     PLY = "ply"
     PLY_ASCII = "ply_ascii"
+    PLY_BIG_ENDIAN = "ply_big_endian"
     #: Reading: any PCD. Writing: binary.
     PCD = "pcd"
+    PCD_ASCII = "pcd_ascii"
+    PCD_COMPRESSED = "pcd_compressed"
+    #: Text: x y z a line, then colours and normals, or intensities.
+    XYZ = "xyz"
     #: float32 x y z intensity, without a header.
     KITTI_BIN = "kitti_bin"
+    #: Colours and intensities; millimetres.
+    LAS = "las"
+    #: LAS packed by LASzip.
+    LAZ = "laz"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DecodedCloud(Value):
+    """What a file holds."""
+
+    #: Relative to origin_m.
+    cloud: PointCloud
+    #: What to add to every position in float64, metres, (3,); zero unless float32 would spoil them.
+    origin_m: Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

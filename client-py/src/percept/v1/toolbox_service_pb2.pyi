@@ -184,10 +184,19 @@ class _CloudFormatEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_CloudForm
     CLOUD_FORMAT_PLY: _CloudFormat.ValueType  # 1
     """Reading: any PLY. Writing: binary little-endian."""
     CLOUD_FORMAT_PLY_ASCII: _CloudFormat.ValueType  # 2
+    CLOUD_FORMAT_PLY_BIG_ENDIAN: _CloudFormat.ValueType  # 10
     CLOUD_FORMAT_PCD: _CloudFormat.ValueType  # 3
     """Reading: any PCD. Writing: binary."""
+    CLOUD_FORMAT_PCD_ASCII: _CloudFormat.ValueType  # 4
+    CLOUD_FORMAT_PCD_COMPRESSED: _CloudFormat.ValueType  # 5
+    CLOUD_FORMAT_XYZ: _CloudFormat.ValueType  # 6
+    """Text: x y z a line, then colours and normals, or intensities."""
     CLOUD_FORMAT_KITTI_BIN: _CloudFormat.ValueType  # 7
     """float32 x y z intensity, without a header."""
+    CLOUD_FORMAT_LAS: _CloudFormat.ValueType  # 8
+    """Colours and intensities; millimetres."""
+    CLOUD_FORMAT_LAZ: _CloudFormat.ValueType  # 9
+    """LAS packed by LASzip."""
 
 class CloudFormat(_CloudFormat, metaclass=_CloudFormatEnumTypeWrapper):
     """Files that a cloud is read from or written to."""
@@ -197,10 +206,19 @@ CLOUD_FORMAT_UNSPECIFIED: CloudFormat.ValueType  # 0
 CLOUD_FORMAT_PLY: CloudFormat.ValueType  # 1
 """Reading: any PLY. Writing: binary little-endian."""
 CLOUD_FORMAT_PLY_ASCII: CloudFormat.ValueType  # 2
+CLOUD_FORMAT_PLY_BIG_ENDIAN: CloudFormat.ValueType  # 10
 CLOUD_FORMAT_PCD: CloudFormat.ValueType  # 3
 """Reading: any PCD. Writing: binary."""
+CLOUD_FORMAT_PCD_ASCII: CloudFormat.ValueType  # 4
+CLOUD_FORMAT_PCD_COMPRESSED: CloudFormat.ValueType  # 5
+CLOUD_FORMAT_XYZ: CloudFormat.ValueType  # 6
+"""Text: x y z a line, then colours and normals, or intensities."""
 CLOUD_FORMAT_KITTI_BIN: CloudFormat.ValueType  # 7
 """float32 x y z intensity, without a header."""
+CLOUD_FORMAT_LAS: CloudFormat.ValueType  # 8
+"""Colours and intensities; millimetres."""
+CLOUD_FORMAT_LAZ: CloudFormat.ValueType  # 9
+"""LAS packed by LASzip."""
 Global___CloudFormat: _TypeAlias = CloudFormat  # noqa: Y015
 
 class _PlaneRemainder:
@@ -1144,16 +1162,22 @@ class UploadCloudResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     KEPT_FIELD_NUMBER: _builtins.int
+    ORIGIN_M_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def kept(self) -> Global___CloudHandle: ...
+    @_builtins.property
+    def origin_m(self) -> _geometry_pb2.Vector3:
+        """What to add to every position of the kept cloud, metres: files may have coordinates that float32 would spoil."""
+
     def __init__(
         self,
         *,
         kept: Global___CloudHandle | None = ...,
+        origin_m: _geometry_pb2.Vector3 | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept", "origin_m", b"origin_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept", "origin_m", b"origin_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -1204,16 +1228,22 @@ class UploadLargeCloudResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     KEPT_FIELD_NUMBER: _builtins.int
+    ORIGIN_M_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def kept(self) -> Global___CloudHandle: ...
+    @_builtins.property
+    def origin_m(self) -> _geometry_pb2.Vector3:
+        """As in UploadCloudResponse."""
+
     def __init__(
         self,
         *,
         kept: Global___CloudHandle | None = ...,
+        origin_m: _geometry_pb2.Vector3 | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept", "origin_m", b"origin_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["kept", b"kept", "origin_m", b"origin_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -1378,9 +1408,16 @@ class DecodeCloudResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CLOUD_FIELD_NUMBER: _builtins.int
+    ORIGIN_M_FIELD_NUMBER: _builtins.int
     KEPT_FIELD_NUMBER: _builtins.int
     @_builtins.property
-    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def cloud(self) -> _geometry_pb2.PointCloud:
+        """Relative to origin_m."""
+
+    @_builtins.property
+    def origin_m(self) -> _geometry_pb2.Vector3:
+        """What to add to every position, metres; zero unless the file has coordinates that float32 would spoil."""
+
     @_builtins.property
     def kept(self) -> Global___CloudHandle:
         """In place of cloud, if keep_result was set."""
@@ -1389,11 +1426,12 @@ class DecodeCloudResponse(_message.Message):
         self,
         *,
         cloud: _geometry_pb2.PointCloud | None = ...,
+        origin_m: _geometry_pb2.Vector3 | None = ...,
         kept: Global___CloudHandle | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept", "origin_m", b"origin_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept", "origin_m", b"origin_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
     _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
@@ -1407,6 +1445,7 @@ class EncodeCloudRequest(_message.Message):
 
     CLOUD_FIELD_NUMBER: _builtins.int
     FORMAT_FIELD_NUMBER: _builtins.int
+    ORIGIN_M_FIELD_NUMBER: _builtins.int
     CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
     format: Global___CloudFormat.ValueType
     """UNSPECIFIED: PLY."""
@@ -1414,16 +1453,21 @@ class EncodeCloudRequest(_message.Message):
     """Instead of cloud: a kept one's handle."""
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def origin_m(self) -> _geometry_pb2.Vector3:
+        """What is added to every position, metres; XYZ, LAS and LAZ only. Absent: zero."""
+
     def __init__(
         self,
         *,
         cloud: _geometry_pb2.PointCloud | None = ...,
         format: Global___CloudFormat.ValueType = ...,
+        origin_m: _geometry_pb2.Vector3 | None = ...,
         cloud_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "origin_m", b"origin_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "format", b"format"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "format", b"format", "origin_m", b"origin_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
     _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015

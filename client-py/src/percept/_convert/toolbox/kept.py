@@ -15,6 +15,7 @@ from ...types.toolbox import (
     CloudFormat,
     CloudHandle,
     ClusterShape,
+    DecodedCloud,
     KeptClouds,
     PipelineResult,
     Step,
@@ -115,15 +116,18 @@ def download_file(
 
 def decode_cloud(
     data: bytes, file_format: CloudFormat | str | None
-) -> Call[service.DecodeCloudRequest, service.DecodeCloudResponse, PointCloud]:
+) -> Call[service.DecodeCloudRequest, service.DecodeCloudResponse, DecodedCloud]:
+    def read(answer: service.DecodeCloudResponse) -> DecodedCloud:
+        return DecodedCloud(cloud=geometry.cloud(answer.cloud), origin_m=geometry.vector3(answer.origin_m))
+
     request = service.DecodeCloudRequest(file=of(service.CloudFile, data=data, format=file_format))
-    return Call(_rpc.DECODE_CLOUD, request, lambda a: geometry.cloud(a.cloud))
+    return Call(_rpc.DECODE_CLOUD, request, read)
 
 
 def encode_cloud(
-    cloud: Cloud, file_format: CloudFormat | str
+    cloud: Cloud, file_format: CloudFormat | str, origin_m: Sequence[float] | None
 ) -> Call[service.EncodeCloudRequest, service.EncodeCloudResponse, bytes]:
-    request = with_cloud(service.EncodeCloudRequest, cloud, format=file_format)
+    request = with_cloud(service.EncodeCloudRequest, cloud, format=file_format, origin_m=origin_m)
     return Call(_rpc.ENCODE_CLOUD, request, lambda a: a.file.data)
 
 

@@ -2,77 +2,63 @@
 
 use super::format_error;
 use crate::{Error, Limits, Result};
-use percept_formats::{kitti, pcd, ply};
+pub use percept_formats::CloudFormat;
+use percept_formats::FormatError;
 use percept_geometry::PointCloud;
 
-/// A cloud's file format; reading takes any variant of PLY and PCD.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CloudFormat {
-    /// Binary little-endian PLY.
-    Ply,
-    /// PLY as text.
-    PlyAscii,
-    /// Binary PCD.
-    Pcd,
-    /// float32 x y z intensity, without a header.
-    KittiBin,
-}
-
-impl CloudFormat {
-    /// Ending of the file's name.
-    pub const fn suffix(self) -> &'static str {
-        match self {
-            Self::Ply | Self::PlyAscii => "ply",
-            Self::Pcd => "pcd",
-            Self::KittiBin => "bin",
-        }
-    }
-
-    /// By the first bytes.
-    fn told_by(bytes: &[u8]) -> Result<Self> {
-        let starts = |word: &[u8]| bytes.starts_with(word);
-        if starts(b"ply") {
-            return Ok(Self::Ply);
-        }
-        if starts(b"# .PCD") || starts(b"VERSION") {
-            return Ok(Self::Pcd);
-        }
-        let words = "format is not told by the first bytes of data; say it";
-        Err(Error::invalid("FORMAT_UNKNOWN", "format", words))
+/// Ending of a file's name.
+pub const fn suffix(format: CloudFormat) -> &'static str {
+    match format {
+        CloudFormat::Ply(_) => "ply",
+        CloudFormat::Pcd(_) => "pcd",
+        CloudFormat::Xyz => "xyz",
+        CloudFormat::KittiBin => "bin",
+        CloudFormat::Las => "las",
+        CloudFormat::Laz => "laz",
     }
 }
 
-/// Points of a file; the format is told by the first bytes if it is not said.
+/// Points of a file relative to an origin, metres; the format is told by the content if it is not said.
 ///
 /// # Errors
-/// `FILE_INVALID`, `FORMAT_UNKNOWN`.
-pub fn decode_cloud(bytes: &[u8], format: Option<CloudFormat>, limits: &Limits) -> Result<PointCloud> {
-    let format = format.map_or_else(|| CloudFormat::told_by(bytes), Ok)?;
-    let limits = percept_formats::Limits {
+/// `FILE_INVALID`, `FORMAT_UNKNOWN`, `FORMAT_MISMATCH`, `CLOUD_TOO_LARGE`.
+pub fn decode_cloud(bytes: &[u8], format: Option<CloudFormat>, limits: &Limits) -> Result<(PointCloud, [f64; 3])> {
+    let name_hint = format.map_or(String::new(), |f| format!("cloud.{}", suffix(f)));
+    let found = percept_formats::sniff_cloud(bytes, &name_hint).map_err(|_| {
+        let words = "format is not told by the first bytes of data; say it";
+        Error::invalid("FORMAT_UNKNOWN", "format", words)
+    })?;
+    if let Some(said) = format.filter(|f| suffix(*f) != suffix(found)) {
+        let (said, found) = (suffix(said), suffix(found));
+        let words = format!("format is {said} but data begins as {found} does; leave format out, or say the true one");
+        // LAS and LAZ differ by a bit of the header, which decides.
+        if !(said.starts_with("la") && found.starts_with("la")) {
+            return Err(Error::invalid("FORMAT_MISMATCH", "format", words));
+        }
+    }
+    let bounds = percept_formats::Limits {
         max_points: limits.max_cloud_points as u64,
         max_pixels: limits.max_image_pixels as u64,
         max_bytes: limits.max_upload_bytes as u64,
     };
-    match format {
-        CloudFormat::Ply | CloudFormat::PlyAscii => ply::decode(bytes, &limits),
-        CloudFormat::Pcd => pcd::decode(bytes, &limits).map(|f| f.cloud),
-        CloudFormat::KittiBin => kitti::decode_bin(bytes, &limits),
+    match percept_formats::load_cloud(bytes, &name_hint, &bounds) {
+        Ok(file) => Ok((file.cloud, file.origin_m)),
+        Err(e @ FormatError::TooLarge { .. }) => {
+            Err(Error::exhausted("CLOUD_TOO_LARGE", "data", format!("{e}; downsample or split the cloud")))
+        }
+        Err(e) => Err(format_error(e)),
     }
-    .map_err(format_error)
 }
 
-/// A file of points.
+/// A file of points that are relative to an origin, metres.
 ///
 /// # Errors
-/// Clouds whose channels do not fit.
-pub fn encode_cloud(cloud: &PointCloud, format: CloudFormat) -> Result<Vec<u8>> {
-    let mut out = Vec::new();
-    match format {
-        CloudFormat::Ply => ply::write(&mut out, cloud, ply::Encoding::BinaryLittleEndian),
-        CloudFormat::PlyAscii => ply::write(&mut out, cloud, ply::Encoding::Ascii),
-        CloudFormat::Pcd => pcd::write(&mut out, cloud),
-        CloudFormat::KittiBin => kitti::write_bin(&mut out, cloud),
-    }
-    .map_err(format_error)?;
-    Ok(out)
+/// `FILE_INVALID` for an origin that the format cannot keep.
+pub fn encode_cloud(cloud: &PointCloud, origin_m: [f64; 3], format: CloudFormat) -> Result<Vec<u8>> {
+    percept_formats::save_cloud(cloud, origin_m, format).map_err(|e| match e {
+        FormatError::Unsupported { field: "origin_m", .. } => {
+            Error::invalid("ORIGIN_UNSUPPORTED", "origin_m", e.to_string())
+        }
+        e => format_error(e),
+    })
 }

@@ -17,7 +17,7 @@ mod subsets;
 
 pub use clouds::*;
 pub use errors::{cloud_error, format_error, registration_error};
-pub use files::{CloudFormat, decode_cloud, encode_cloud};
+pub use files::{CloudFormat, decode_cloud, encode_cloud, suffix};
 pub use images::{PosedView, multiview_error, triangulate_points};
 pub use kept::{KeptCloud, KeptClouds, KeptList};
 pub use pictures::{render_cloud, render_depth};

@@ -3,7 +3,7 @@
 use super::super::maps::sha256_hex;
 use super::status;
 use futures::{Stream, StreamExt};
-use percept_service::toolbox::Toolbox;
+use percept_service::toolbox::{Toolbox, suffix};
 use percept_service::{Error, Limits, Result};
 use percept_wire::convert::toolbox::{self as convert, files, pipeline};
 use percept_wire::convert::{geometry, maps, required};
@@ -13,11 +13,15 @@ use tonic::Status;
 
 pub(super) fn upload_cloud(t: &Toolbox, r: v1::UploadCloudRequest) -> Result<v1::UploadCloudResponse> {
     use v1::upload_cloud_request::Source;
-    let cloud = match required("source", r.source.as_ref())? {
-        Source::Cloud(cloud) => geometry::cloud(cloud, t.limits()).map_err(|e| e.within("cloud"))?,
+    let (cloud, origin_m) = match required("source", r.source.as_ref())? {
+        Source::Cloud(cloud) => {
+            let cloud = geometry::cloud(cloud, t.limits()).map_err(|e| e.within("cloud"))?;
+            (cloud, v1::Vector3::default())
+        }
         Source::File(file) => files::decoded(Some(file), t.limits())?,
     };
-    Ok(v1::UploadCloudResponse { kept: Some(convert::kept_to(&t.keep(cloud, r.keep_s)?)) })
+    let kept = convert::kept_to(&t.keep(cloud, r.keep_s)?);
+    Ok(v1::UploadCloudResponse { kept: Some(kept), origin_m: Some(origin_m) })
 }
 
 /// Parts of an upload, as they came.
@@ -67,13 +71,15 @@ pub(super) async fn received(
 }
 
 pub(super) fn upload_large_cloud(t: &Toolbox, upload: Upload) -> Result<v1::UploadLargeCloudResponse> {
-    let cloud = if upload.points.is_empty() {
+    let (cloud, origin_m) = if upload.points.is_empty() {
         let file = v1::CloudFile { data: upload.file.into(), format: upload.format };
         files::decoded(Some(&file), t.limits())?
     } else {
-        geometry::cloud(&geometry::joined(&upload.points), t.limits()).map_err(|e| e.within("points"))?
+        let cloud = geometry::cloud(&geometry::joined(&upload.points), t.limits()).map_err(|e| e.within("points"))?;
+        (cloud, v1::Vector3::default())
     };
-    Ok(v1::UploadLargeCloudResponse { kept: Some(convert::kept_to(&t.keep(cloud, upload.keep_s)?)) })
+    let kept = convert::kept_to(&t.keep(cloud, upload.keep_s)?);
+    Ok(v1::UploadLargeCloudResponse { kept: Some(kept), origin_m: Some(origin_m) })
 }
 
 pub(super) fn list_clouds(t: &Toolbox, _: v1::ListCloudsRequest) -> Result<v1::ListCloudsResponse> {
@@ -95,10 +101,10 @@ pub(super) fn download_cloud(t: &Toolbox, r: v1::DownloadCloudRequest) -> Result
         };
         return Ok(geometry::cloud_parts(&cloud).into_iter().enumerate().map(part).collect());
     };
-    let data = files::encoded(&cloud, r.format)?.data;
+    let data = files::encoded(&cloud, None, r.format)?.data;
     let header = v1::FileHeader {
         stamp: None,
-        file_name: format!("{}.{}", r.handle, format.suffix()),
+        file_name: format!("{}.{}", r.handle, suffix(format)),
         media_type: "application/octet-stream".to_owned(),
         size_bytes: data.len() as u64,
         sha256: sha256_hex(&data),
@@ -108,13 +114,14 @@ pub(super) fn download_cloud(t: &Toolbox, r: v1::DownloadCloudRequest) -> Result
 }
 
 pub(super) fn decode_cloud(t: &Toolbox, r: v1::DecodeCloudRequest) -> Result<v1::DecodeCloudResponse> {
-    let (cloud, kept) = convert::result(t, files::decoded(r.file.as_ref(), t.limits())?, r.keep_result)?;
-    Ok(v1::DecodeCloudResponse { cloud, kept })
+    let (cloud, origin_m) = files::decoded(r.file.as_ref(), t.limits())?;
+    let (cloud, kept) = convert::result(t, cloud, r.keep_result)?;
+    Ok(v1::DecodeCloudResponse { cloud, origin_m: Some(origin_m), kept })
 }
 
 pub(super) fn encode_cloud(t: &Toolbox, r: v1::EncodeCloudRequest) -> Result<v1::EncodeCloudResponse> {
     let cloud = convert::cloud(t, "cloud", r.cloud.as_ref(), r.cloud_handle.as_deref())?;
-    Ok(v1::EncodeCloudResponse { file: Some(files::encoded(&cloud, r.format)?) })
+    Ok(v1::EncodeCloudResponse { file: Some(files::encoded(&cloud, r.origin_m, r.format)?) })
 }
 
 pub(super) fn run_pipeline(t: &Toolbox, r: v1::RunPipelineRequest) -> Result<v1::RunPipelineResponse> {
