@@ -1,5 +1,6 @@
 //! The operations that can be timed, one file an area.
 
+mod depth;
 mod files;
 mod filters;
 mod images;
@@ -49,6 +50,10 @@ pub const OPERATIONS: &[(&str, Open)] = &[
     ("ground", segmentation::ground),
     ("cloud_features", segmentation::cloud_features),
     ("segment_objects", segmentation::segment_objects),
+    ("depth_to_cloud", depth::depth_to_cloud),
+    ("depth_median", depth::depth_median),
+    ("depth_bilateral", depth::depth_bilateral),
+    ("depth_normals", depth::depth_normals),
 ];
 
 /// The case of an operation.

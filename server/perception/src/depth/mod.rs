@@ -4,17 +4,22 @@
 //! registration; [`DepthPyramid`] shrinks without mixing surfaces across edges. Nothing here knows where
 //! the camera is.
 
+mod bilateral;
 mod filter;
 mod maps;
+mod median;
+mod normals;
 mod pyramid;
 mod rays;
 mod unproject;
 
-pub use filter::{BilateralParams, EdgeParams, bilateral, edge_mask};
+pub use bilateral::{BilateralParams, bilateral};
+pub use filter::{EdgeParams, edge_mask};
 pub use maps::{NormalMap, NormalMapParams, VertexMap};
+pub use median::{MedianHoles, MedianParams, median, median_units};
 pub use pyramid::{DepthPyramid, PyramidLevel, halve};
 pub use rays::RayTable;
-pub use unproject::{UnprojectParams, unproject, unproject_with};
+pub use unproject::{UnprojectParams, unproject, unproject_units, unproject_with};
 
 use percept_geometry::{DepthImage, GeometryError};
 

@@ -63,6 +63,21 @@ impl RayTable {
     }
 }
 
+impl RayTable {
+    /// x and y at depth 1 of the pixels of row `v`; `scratch` is used where they are not stored so.
+    #[inline]
+    pub(super) fn row<'a>(&'a self, v: usize, scratch: &'a mut Vec<f32>) -> (&'a [f32], &'a [f32]) {
+        if self.separable {
+            scratch.clear();
+            scratch.resize(self.width, self.ys[v]);
+            (&self.xs, scratch)
+        } else {
+            let row = v * self.width..(v + 1) * self.width;
+            (&self.xs[row.clone()], &self.ys[row])
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

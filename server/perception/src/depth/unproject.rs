@@ -2,7 +2,7 @@
 
 use super::{RayTable, check_size, positive, size};
 use nalgebra::Point3;
-use percept_geometry::{CameraIntrinsics, DepthImage, GeometryError, PointCloud, RgbImage};
+use percept_geometry::{CameraIntrinsics, DepthImage, GeometryError, PointCloud, RgbImage, by_processor};
 use serde::{Deserialize, Serialize};
 
 /// Which pixels become points.
@@ -69,34 +69,114 @@ pub fn unproject_with(
     rays: &RayTable,
     params: &UnprojectParams,
 ) -> Result<PointCloud, GeometryError> {
+    let row = |v: usize, out: &mut [f32]| out.copy_from_slice(&depth.data()[v * depth.width()..][..depth.width()]);
+    unproject_rows(size(depth), row, color, rays, params)
+}
+
+/// As [`unproject_with`], from `H x W` 16-bit units of `metres_per_unit`; 0 and 65535 (Kinect's overflow) are no
+/// return.
+///
+/// # Errors
+/// As [`unproject`], and those of [`DepthImage::from_u16`].
+pub fn unproject_units(
+    units: &[u16],
+    metres_per_unit: f64,
+    color: Option<&RgbImage>,
+    rays: &RayTable,
+    params: &UnprojectParams,
+) -> Result<PointCloud, GeometryError> {
+    positive("metres_per_unit", metres_per_unit)?;
+    let (w, expected) = (rays.width(), rays.width() * rays.height());
+    if units.len() != expected {
+        return Err(GeometryError::ShapeMismatch { field: "depth", expected, actual: units.len() });
+    }
+    let scale = metres_per_unit as f32;
+    let row = |v: usize, out: &mut [f32]| {
+        for (out, &u) in out.iter_mut().zip(&units[v * w..(v + 1) * w]) {
+            *out = if u == u16::MAX { 0.0 } else { f32::from(u) * scale };
+        }
+    };
+    unproject_rows((w, rays.height()), row, color, rays, params)
+}
+
+fn unproject_rows(
+    (w, h): (usize, usize),
+    read_row: impl Fn(usize, &mut [f32]),
+    color: Option<&RgbImage>,
+    rays: &RayTable,
+    params: &UnprojectParams,
+) -> Result<PointCloud, GeometryError> {
     params.validate()?;
-    check_size("depth", (rays.width(), rays.height()), size(depth))?;
+    check_size("depth", (rays.width(), rays.height()), (w, h))?;
     if let Some(color) = color {
         check_size("color", (rays.width(), rays.height()), (color.width(), color.height()))?;
     }
     let stride = params.stride_px;
-    let room = depth.width().div_ceil(stride) * depth.height().div_ceil(stride);
+    let room = w.div_ceil(stride) * h.div_ceil(stride);
     let mut positions = Vec::with_capacity(room);
     let mut colors = Vec::with_capacity(if color.is_some() { room } else { 0 });
     // Zero, 'no return', is below every bound.
     let (min, max) = ((params.min_depth_m as f32).max(f32::MIN_POSITIVE), params.max_depth_m as f32);
-    for v in (0..depth.height()).step_by(stride) {
-        for u in (0..depth.width()).step_by(stride) {
-            let d = depth.at(u, v);
-            if !(d >= min && d <= max) {
-                continue;
-            }
-            let (x, y) = rays.ray(u, v);
-            if !(x.is_finite() && y.is_finite()) {
-                continue;
-            }
-            positions.push(Point3::new(x * d, y * d, d));
-            if let Some(color) = color {
-                colors.push(color.at(u, v));
+    let (mut depths, mut scratch) = (vec![0.0; w], Vec::new());
+    for v in (0..h).step_by(stride) {
+        read_row(v, &mut depths);
+        let (xs, ys) = rays.row(v, &mut scratch);
+        if stride == 1 && color.is_none() {
+            points_of_row(&depths, xs, ys, min, max, &mut positions);
+            continue;
+        }
+        for u in (0..w).step_by(stride) {
+            let d = depths[u];
+            if d >= min && d <= max && (xs[u] + ys[u]).is_finite() {
+                positions.push(Point3::new(xs[u] * d, ys[u] * d, d));
+                if let Some(color) = color {
+                    colors.push(color.at(u, v));
+                }
             }
         }
     }
     Ok(PointCloud { positions, colors: color.map(|_| colors), ..PointCloud::default() })
+}
+
+by_processor! {
+    /// Appends the points of one row. Bound: the points written, 12 bytes each; most blocks of eight pixels have all
+    /// their returns or none, and go out without a branch for each.
+    fn points_of_row(depths: &[f32], xs: &[f32], ys: &[f32], min: f32, max: f32, out: &mut Vec<Point3<f32>>) {
+        const BLOCK: usize = 16;
+        let (blocks, rest) = depths.as_chunks::<BLOCK>();
+        let ((x_blocks, x_rest), (y_blocks, y_rest)) = (xs.as_chunks::<BLOCK>(), ys.as_chunks::<BLOCK>());
+        for ((d, x), y) in blocks.iter().zip(x_blocks).zip(y_blocks) {
+            let mut good = [0u32; BLOCK];
+            let mut points = [Point3::new(0.0, 0.0, 0.0); BLOCK];
+            for j in 0..BLOCK {
+                // A ray that is not finite makes the sum so; times zero it is NaN.
+                let finite = (x[j] + y[j]) * 0.0 == 0.0;
+                good[j] = u32::from((d[j] >= min) & (d[j] <= max) & finite);
+            }
+            let num_good: u32 = good.iter().sum();
+            if num_good == 0 {
+                continue;
+            }
+            for j in 0..BLOCK {
+                points[j] = Point3::new(x[j] * d[j], y[j] * d[j], d[j]);
+            }
+            if num_good == BLOCK as u32 {
+                out.extend_from_slice(&points);
+            } else {
+                let mut kept = 0;
+                for j in 0..BLOCK {
+                    points[kept] = points[j];
+                    kept += good[j] as usize;
+                }
+                out.extend_from_slice(&points[..kept]);
+            }
+        }
+        for ((&d, &x), &y) in rest.iter().zip(x_rest).zip(y_rest) {
+            if d >= min && d <= max && (x + y).is_finite() {
+                out.push(Point3::new(x * d, y * d, d));
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -137,5 +217,24 @@ mod tests {
         assert_eq!(error, GeometryError::ShapeMismatch { field: "depth", expected: 5, actual: 4 });
         let params = UnprojectParams { min_depth_m: 3.0, max_depth_m: 2.0, ..Default::default() };
         assert!(params.validate().unwrap_err().to_string().starts_with("min_depth_m"));
+    }
+
+    #[test]
+    fn rows_in_blocks_and_units_give_the_points_of_each_pixel() {
+        let camera = CameraIntrinsics {
+            distortion: percept_geometry::camera::Distortion::PlumbBob([-0.2, 0.05, 1e-3, -1e-3, 0.0]),
+            ..CameraIntrinsics::pinhole(77, 30, 60.0, 61.0, 38.0, 15.0)
+        };
+        let rays = RayTable::new(&camera).unwrap();
+        // Whole blocks of returns, of none, and mixed ones.
+        let units: Vec<u16> = (0..77 * 30u32).map(|i| if i % 77 < 32 || i % 3 == 0 { 900 + (i % 500) as u16 } else { 0 }).collect();
+        let depth = DepthImage::from_u16(77, 30, &units, 0.001).unwrap();
+        let rgb = RgbImage::new(77, 30, vec![7; 77 * 30 * 3]).unwrap();
+        let params = UnprojectParams { max_depth_m: 1.3, ..Default::default() };
+        let pixel_by_pixel = unproject_with(&depth, Some(&rgb), &rays, &params).unwrap();
+        assert!(pixel_by_pixel.len() > 500);
+        assert_eq!(unproject_with(&depth, None, &rays, &params).unwrap().positions, pixel_by_pixel.positions);
+        assert_eq!(unproject_units(&units, 0.001, None, &rays, &params).unwrap().positions, pixel_by_pixel.positions);
+        assert!(unproject_units(&units[1..], 0.001, None, &rays, &params).is_err());
     }
 }

@@ -1,0 +1,160 @@
+//! Normals straight from a depth image: the fast form of [`VertexMap`](super::VertexMap) and [`NormalMap::new`].
+//!
+//! Bound: about 90 vector operations and 12 bytes written a pixel.
+
+use super::{NormalMap, NormalMapParams, RayTable, check_size, size};
+use nalgebra::Vector3;
+use percept_geometry::{DepthImage, GeometryError, by_processor};
+use rayon::prelude::*;
+
+/// Rows of one unit of work; fixed, so that results do not depend on threads.
+const BAND: usize = 32;
+/// Pixels that are worked on together.
+const BLOCK: usize = 32;
+
+impl NormalMap {
+    /// The normals that [`NormalMap::new`] finds on the image's vertices, without storing these.
+    ///
+    /// # Errors
+    /// `OutOfRange` naming the parameter; `ShapeMismatch` if the image is not of the table's size.
+    pub fn of_depth(depth: &DepthImage, rays: &RayTable, params: &NormalMapParams) -> Result<Self, GeometryError> {
+        params.validate()?;
+        check_size("depth", (rays.width(), rays.height()), size(depth))?;
+        let (width, height) = size(depth);
+        let mut normals = vec![Vector3::zeros(); width * height];
+        let jump = params.max_jump_fraction as f32 * params.step_px as f32;
+        let min_cos = params.max_incidence_rad.min(std::f64::consts::FRAC_PI_2).cos() as f32;
+        normals.par_chunks_mut(width.max(1) * BAND).enumerate().for_each(|(i, rows)| {
+            let band = Vertices::new(depth, rays, i * BAND, rows.len() / width, params.step_px);
+            normals_of_band(&band, jump, min_cos * min_cos, rows);
+        });
+        Ok(Self { width, height, normals })
+    }
+}
+
+/// The coordinates of a band's pixels apart, with `step` rows and columns around it; all zero where nothing is.
+struct Vertices {
+    step: usize,
+    width: usize,
+    room: usize,
+    xyz: [Vec<f32>; 3],
+}
+
+impl Vertices {
+    fn new(depth: &DepthImage, rays: &RayTable, v0: usize, num_rows: usize, step: usize) -> Self {
+        let (width, height) = size(depth);
+        let room = width.next_multiple_of(BLOCK) + 2 * step;
+        let mut xyz = [0, 1, 2].map(|_| vec![0.0; room * (num_rows + 2 * step)]);
+        let mut scratch = Vec::new();
+        for i in 0..num_rows + 2 * step {
+            let v = (v0 + i).wrapping_sub(step);
+            if v < height {
+                let (xs, ys) = rays.row(v, &mut scratch);
+                let [x, y, z] = xyz.each_mut().map(|c| &mut c[i * room + step..][..width]);
+                vertices_of_row(&depth.data()[v * width..(v + 1) * width], xs, ys, x, y, z);
+            }
+        }
+        Self { step, width, room, xyz }
+    }
+
+    /// The coordinates of a block.
+    #[inline(always)]
+    fn block(&self, at: usize) -> [&[f32]; 3] {
+        self.xyz.each_ref().map(|c| &c[at..at + BLOCK])
+    }
+}
+
+by_processor! {
+    fn vertices_of_row(depths: &[f32], xs: &[f32], ys: &[f32], x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
+        let n = depths.len();
+        let (xs, ys, x, y, z) = (&xs[..n], &ys[..n], &mut x[..n], &mut y[..n], &mut z[..n]);
+        for i in 0..n {
+            let finite = (xs[i] + ys[i]) * 0.0 == 0.0;
+            x[i] = if finite { xs[i] * depths[i] } else { 0.0 };
+            y[i] = if finite { ys[i] * depths[i] } else { 0.0 };
+            z[i] = if finite { depths[i] } else { 0.0 };
+        }
+    }
+}
+
+/// The neighbour ahead minus the one behind; the pixel itself where one of them is not on its surface.
+#[inline(always)]
+fn difference(p: [f32; 3], ahead: [f32; 3], behind: [f32; 3], reach: f32) -> [f32; 3] {
+    let a = (ahead[2] > 0.0) & ((ahead[2] - p[2]).abs() <= reach);
+    let b = (behind[2] > 0.0) & ((behind[2] - p[2]).abs() <= reach);
+    let one = |k: usize| (if a { ahead[k] } else { p[k] }) - (if b { behind[k] } else { p[k] });
+    [one(0), one(1), one(2)]
+}
+
+#[inline(always)]
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+by_processor! {
+    fn normals_of_band(band: &Vertices, jump: f32, min_cos2: f32, out: &mut [Vector3<f32>]) {
+        let (step, room) = (band.step, band.room);
+        for (i, out) in out.chunks_mut(band.width).enumerate() {
+            for (k, out) in out.chunks_mut(BLOCK).enumerate() {
+                let at = (i + step) * room + step + k * BLOCK;
+                let [p, left, right] = [at, at - step, at + step].map(|at| band.block(at));
+                let [up, down] = [at - step * room, at + step * room].map(|at| band.block(at));
+                let mut normals = [[0.0f32; BLOCK]; 3];
+                let [nx, ny, nz] = &mut normals;
+                for j in 0..BLOCK {
+                    let of = |b: [&[f32]; 3]| [b[0][j], b[1][j], b[2][j]];
+                    let here = of(p);
+                    let reach = jump * here[2];
+                    let a = difference(here, of(down), of(up), reach);
+                    let b = difference(here, of(right), of(left), reach);
+                    let n = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+                    let (n2, facing) = (dot(n, n), -dot(n, here));
+                    // At a grazing angle the differences are mostly noise; a zero normal fails, too.
+                    let good = facing * facing > min_cos2 * (n2 * dot(here, here));
+                    let length = 1.0 / n2.sqrt();
+                    let scale = if facing < 0.0 { -length } else { length };
+                    nx[j] = if good { n[0] * scale } else { 0.0 };
+                    ny[j] = if good { n[1] * scale } else { 0.0 };
+                    nz[j] = if good { n[2] * scale } else { 0.0 };
+                }
+                let mut block = [Vector3::zeros(); BLOCK];
+                for (j, n) in block.iter_mut().enumerate() {
+                    *n = Vector3::new(nx[j], ny[j], nz[j]);
+                }
+                out.copy_from_slice(&block[..out.len()]);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::VertexMap;
+    use super::*;
+    use percept_geometry::CameraIntrinsics;
+    use percept_geometry::camera::Distortion;
+    use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn the_fast_normals_are_those_of_the_vertex_map() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        for (w, h, step_px) in [(1, 1, 1), (40, 3, 2), (3, 70, 1), (131, 67, 2), (64, 40, 5)] {
+            let camera = CameraIntrinsics {
+                distortion: Distortion::PlumbBob([-0.1, 0.02, 1e-3, 0.0, 0.0]),
+                ..CameraIntrinsics::pinhole(w, h, 90.0, 91.0, w as f64 / 2.0, h as f64 / 2.0)
+            };
+            let data = (0..w * h).map(|i| match rng.random_range(0..20) {
+                0 => 0.0,
+                1 => 4.0,
+                _ => 2.0 + 0.01 * (i % w) as f32 + 0.02 * (i / w) as f32 + rng.random_range(0.0..0.01f32),
+            });
+            let depth = DepthImage::new(w, h, data.collect()).unwrap();
+            let (rays, params) = (RayTable::new(&camera).unwrap(), NormalMapParams { step_px, ..Default::default() });
+            let plain = NormalMap::new(&VertexMap::new(&depth, &rays).unwrap(), &params).unwrap();
+            let fast = NormalMap::of_depth(&depth, &rays, &params).unwrap();
+            for (i, (a, b)) in fast.normals.iter().zip(&plain.normals).enumerate() {
+                assert!((a - b).norm() < 2e-6, "{w} x {h}, pixel {i}: {a} {b}");
+            }
+        }
+    }
+}
