@@ -48,6 +48,20 @@ impl Scatter {
         self.squares[5] += o.z * o.z;
     }
 
+    /// The moments of both sets of points.
+    pub fn merged(&self, other: &Self) -> Self {
+        let shift = other.anchor - self.anchor;
+        let mut out = *self;
+        out.count += other.count;
+        out.sum += other.sum + shift * other.count;
+        // Sum of (o + s)(o + s)' over the other's offsets o.
+        let pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
+        for ((square, theirs), (i, j)) in out.squares.iter_mut().zip(other.squares).zip(pairs) {
+            *square += theirs + other.sum[i] * shift[j] + shift[i] * other.sum[j] + other.count * shift[i] * shift[j];
+        }
+        out
+    }
+
     /// Number of points.
     pub fn num_points(&self) -> usize {
         self.count as usize

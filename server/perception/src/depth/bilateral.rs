@@ -203,7 +203,9 @@ mod tests {
 
     #[test]
     fn the_fast_filter_is_the_plain_one() {
-        for (w, h, radius_px, sigma_px) in [(1, 1, 2, 5.0), (7, 70, 3, 1.0), (100, 9, 2, 5.0), (33, 130, 5, 2.0), (20, 20, 16, 8.0)] {
+        for (w, h, radius_px, sigma_px) in
+            [(1, 1, 2, 5.0), (7, 70, 3, 1.0), (100, 9, 2, 5.0), (33, 130, 5, 2.0), (20, 20, 16, 8.0)]
+        {
             let mut data = step(w, h, 0.04).data().to_vec();
             data.iter_mut().step_by(11).for_each(|d| *d = 0.0);
             let depth = DepthImage::new(w, h, data).unwrap();

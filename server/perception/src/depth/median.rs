@@ -219,7 +219,8 @@ macro_rules! bands {
                     }
                     for x in (0..room).step_by(BLOCK) {
                         let mut block = [[<$type>::default(); BLOCK]; 5];
-                        let s: [&[$type]; 5] = [0, 1, 2, 3, 4].map(|k| &source[k][x..x + BLOCK]);
+                        let chunk = |k: usize| source[k][x..].first_chunk::<BLOCK>().unwrap_or(&[0 as $type; BLOCK]);
+                        let s = [chunk(0), chunk(1), chunk(2), chunk(3), chunk(4)];
                         let [b0, b1, b2, b3, b4] = &mut block;
                         if five {
                             for j in 0..BLOCK {
@@ -243,16 +244,18 @@ macro_rules! bands {
                     }
                     for x in (0..w).step_by(BLOCK) {
                         let mut block = [<$type>::default(); BLOCK];
-                        let s: [&[$type]; 5] = [0, 1, 2, 3, 4].map(|k| &sorted[k][x..x + BLOCK + 4]);
+                        const WIDE: usize = BLOCK + 4;
+                        let chunk = |k: usize| sorted[k][x..].first_chunk::<WIDE>().unwrap_or(&[0 as $type; WIDE]);
+                        let s = [chunk(0), chunk(1), chunk(2), chunk(3), chunk(4)];
                         if five {
-                            for (j, m) in block.iter_mut().enumerate() {
+                            for j in 0..BLOCK {
                                 let at = |k: usize| [s[k][j], s[k][j + 1], s[k][j + 2], s[k][j + 3], s[k][j + 4]];
-                                *m = median_of_5_columns([at(0), at(1), at(2), at(3), at(4)]);
+                                block[j] = median_of_5_columns([at(0), at(1), at(2), at(3), at(4)]);
                             }
                         } else {
-                            for (j, m) in block.iter_mut().enumerate() {
+                            for j in 0..BLOCK {
                                 let at = |k: usize| [s[k][j + 1], s[k][j + 2], s[k][j + 3]];
-                                *m = median_of_3_columns([at(0), at(1), at(2)]);
+                                block[j] = median_of_3_columns([at(0), at(1), at(2)]);
                             }
                         }
                         let n = BLOCK.min(w - x);

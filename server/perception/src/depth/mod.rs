@@ -5,20 +5,28 @@
 //! the camera is.
 
 mod bilateral;
+mod boundaries;
 mod filter;
 mod maps;
 mod median;
 mod normals;
+mod outliers;
+mod planes;
 mod pyramid;
 mod rays;
+mod register;
 mod unproject;
 
 pub use bilateral::{BilateralParams, bilateral};
+pub use boundaries::{BoundaryParams, EdgeKind, boundaries};
 pub use filter::{EdgeParams, edge_mask};
 pub use maps::{NormalMap, NormalMapParams, VertexMap};
 pub use median::{MedianHoles, MedianParams, median, median_units};
+pub use outliers::{DepthOutlierParams, FillParams, fill_holes, remove_outliers, to_units};
+pub use planes::{DepthPlane, DepthPlaneParams, DepthPlanes, depth_planes};
 pub use pyramid::{DepthPyramid, PyramidLevel, halve};
 pub use rays::RayTable;
+pub use register::{RegisteredColor, register_color};
 pub use unproject::{UnprojectParams, unproject, unproject_units, unproject_with};
 
 use percept_geometry::{DepthImage, GeometryError};

@@ -59,8 +59,9 @@ impl Vertices {
 
     /// The coordinates of a block.
     #[inline(always)]
-    fn block(&self, at: usize) -> [&[f32]; 3] {
-        self.xyz.each_ref().map(|c| &c[at..at + BLOCK])
+    fn block(&self, at: usize) -> [&[f32; BLOCK]; 3] {
+        let chunk = |k: usize| self.xyz[k][at..].first_chunk().unwrap_or(&[0.0; BLOCK]);
+        [chunk(0), chunk(1), chunk(2)]
     }
 }
 
@@ -97,12 +98,11 @@ by_processor! {
         for (i, out) in out.chunks_mut(band.width).enumerate() {
             for (k, out) in out.chunks_mut(BLOCK).enumerate() {
                 let at = (i + step) * room + step + k * BLOCK;
-                let [p, left, right] = [at, at - step, at + step].map(|at| band.block(at));
-                let [up, down] = [at - step * room, at + step * room].map(|at| band.block(at));
-                let mut normals = [[0.0f32; BLOCK]; 3];
-                let [nx, ny, nz] = &mut normals;
+                let (p, left, right) = (band.block(at), band.block(at - step), band.block(at + step));
+                let (up, down) = (band.block(at - step * room), band.block(at + step * room));
+                let (mut nx, mut ny, mut nz) = ([0.0f32; BLOCK], [0.0f32; BLOCK], [0.0f32; BLOCK]);
                 for j in 0..BLOCK {
-                    let of = |b: [&[f32]; 3]| [b[0][j], b[1][j], b[2][j]];
+                    let of = |b: [&[f32; BLOCK]; 3]| [b[0][j], b[1][j], b[2][j]];
                     let here = of(p);
                     let reach = jump * here[2];
                     let a = difference(here, of(down), of(up), reach);

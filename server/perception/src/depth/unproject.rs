@@ -227,7 +227,8 @@ mod tests {
         };
         let rays = RayTable::new(&camera).unwrap();
         // Whole blocks of returns, of none, and mixed ones.
-        let units: Vec<u16> = (0..77 * 30u32).map(|i| if i % 77 < 32 || i % 3 == 0 { 900 + (i % 500) as u16 } else { 0 }).collect();
+        let units: Vec<u16> =
+            (0..77 * 30u32).map(|i| if i % 77 < 32 || i % 3 == 0 { 900 + (i % 500) as u16 } else { 0 }).collect();
         let depth = DepthImage::from_u16(77, 30, &units, 0.001).unwrap();
         let rgb = RgbImage::new(77, 30, vec![7; 77 * 30 * 3]).unwrap();
         let params = UnprojectParams { max_depth_m: 1.3, ..Default::default() };
