@@ -108,8 +108,11 @@ def test_two_things_that_touch_are_two(client, rng):
     found = client.toolbox.segment_objects(scene, viewpoint_m=(0, 0, 1))
     assert found.num_objects == 2
     assert abs(found.support.normal[2]) > 0.999
-    named = [np.unique(part[part >= 0]) for part in np.split(found.labels, [20000, 26000])]
-    assert not set(named[1]) & set(named[2])
+    _, first, second = np.split(found.labels, [20000, 26000])
+    most = [np.bincount(part[part >= 0]).argmax() for part in (first, second)]
+    assert most[0] != most[1]
+    # Supervoxels are not cut where the balls touch.
+    assert all((part[part >= 0] == label).mean() > 0.95 for part, label in zip((first, second), most))
     patches = client.toolbox.compute_supervoxels(scene, viewpoint_m=(0, 0, 1))
     assert len(patches.centers) == len(patches.normals) == patches.labels.max() + 1
     assert (patches.edges[:, 0] < patches.edges[:, 1]).all()

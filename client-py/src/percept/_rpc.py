@@ -13,6 +13,7 @@ from .v1 import navigation_service_pb2 as navigation
 from .v1 import scene_service_pb2 as scene
 from .v1 import sensors_service_pb2 as sensors
 from .v1 import sessions_service_pb2 as sessions
+from .v1 import toolbox_depth_pb2 as toolbox_depth
 from .v1 import toolbox_images_pb2 as toolbox_images
 from .v1 import toolbox_pictures_pb2 as toolbox_pictures
 from .v1 import toolbox_service_pb2 as toolbox
@@ -153,6 +154,39 @@ COMPUTE_SUPERVOXELS = Rpc(
 SEGMENT_OBJECTS = Rpc(_T, "SegmentObjects", toolbox.SegmentObjectsRequest, toolbox.SegmentObjectsResponse)
 SAMPLE_POINTS = Rpc(_T, "SamplePoints", toolbox.SamplePointsRequest, toolbox.SamplePointsResponse)
 CROP_CLOUD = Rpc(_T, "CropCloud", toolbox.CropCloudRequest, toolbox.CropCloudResponse)
+FIND_NEIGHBORS = Rpc(_T, "FindNeighbors", toolbox.FindNeighborsRequest, toolbox.FindNeighborsResponse)
+COMPUTE_LOCAL_FEATURES = Rpc(
+    _T, "ComputeLocalFeatures", toolbox.ComputeLocalFeaturesRequest, toolbox.ComputeLocalFeaturesResponse
+)
+FIT_BOXES = Rpc(_T, "FitBoxes", toolbox.FitBoxesRequest, toolbox.FitBoxesResponse)
+COMPUTE_CONVEX_HULL = Rpc(
+    _T, "ComputeConvexHull", toolbox.ComputeConvexHullRequest, toolbox.ComputeConvexHullResponse
+)
+EXTRACT_FEATURES = Rpc(
+    _T, "ExtractFeatures", toolbox_images.ExtractFeaturesRequest, toolbox_images.ExtractFeaturesResponse
+)
+MATCH_FEATURES = Rpc(
+    _T, "MatchFeatures", toolbox_images.MatchFeaturesRequest, toolbox_images.MatchFeaturesResponse
+)
+FILTER_DEPTH = Rpc(_T, "FilterDepth", toolbox_depth.FilterDepthRequest, toolbox_depth.FilterDepthResponse)
+COMPUTE_DEPTH_NORMALS = Rpc(
+    _T,
+    "ComputeDepthNormals",
+    toolbox_depth.ComputeDepthNormalsRequest,
+    toolbox_depth.ComputeDepthNormalsResponse,
+)
+SEGMENT_DEPTH_PLANES = Rpc(
+    _T,
+    "SegmentDepthPlanes",
+    toolbox_depth.SegmentDepthPlanesRequest,
+    toolbox_depth.SegmentDepthPlanesResponse,
+)
+FIND_DEPTH_EDGES = Rpc(
+    _T, "FindDepthEdges", toolbox_depth.FindDepthEdgesRequest, toolbox_depth.FindDepthEdgesResponse
+)
+REGISTER_COLOR = Rpc(
+    _T, "RegisterColor", toolbox_depth.RegisterColorRequest, toolbox_depth.RegisterColorResponse
+)
 
 _E = "EvaluationService"
 EVALUATE_TRAJECTORY = Rpc(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from .. import _rpc
 from .._call import Call, PagedCall
 from ..types.scene import (
@@ -61,6 +63,10 @@ def features(message: object_pb2.ShapeFeatures) -> ShapeFeatures:
         linearity=message.linearity,
         planarity=message.planarity,
         sphericity=message.sphericity,
+        variance_m2=geometry.vector3(message.variance_m2),
+        hull_volume_m3=message.hull_volume_m3,
+        hull_area_m2=message.hull_area_m2,
+        eigenvectors=np.array([[v.x, v.y, v.z] for v in message.eigenvectors]).reshape(-1, 3),
     )
 
 

@@ -6,10 +6,14 @@ from collections.abc import Sequence
 
 from .._arrays import Array
 from .._convert.toolbox import images as convert
+from ..types.frames import EncodedImage
 from ..types.geometry import CameraIntrinsics
 from ..types.images import (
     EssentialEstimate,
+    FeatureMatches,
+    FeatureMethod,
     HomographyEstimate,
+    ImageFeatures,
     PnpEstimate,
     PosedView,
     Ransac,
@@ -21,6 +25,47 @@ from ._base import Async, Sync
 
 class Images(Sync):
     """Pixels are (N, 2) float64 or float32: columns and rows of the full image."""
+
+    def extract_features(
+        self,
+        image: Array | EncodedImage | bytes,
+        *,
+        method: FeatureMethod | str = FeatureMethod.ORB,
+        max_features: int | None = None,
+        num_levels: int | None = None,
+        scale_factor: float | None = None,
+        fast_threshold: int | None = None,
+        contrast_threshold: float | None = None,
+        edge_threshold: float | None = None,
+        root: bool = False,
+    ) -> ImageFeatures:
+        """Up to max_features (1000) of an image, (H, W) or (H, W, 3) uint8. num_levels (8), scale_factor
+        (1.2) and fast_threshold (14) are for orb; contrast_threshold (0.04), edge_threshold (10) and root for
+        sift."""
+        call = convert.extract_features(
+            image,
+            method,
+            max_features=max_features,
+            num_levels=num_levels,
+            scale_factor=scale_factor,
+            fast_threshold=fast_threshold,
+            contrast_threshold=contrast_threshold,
+            edge_threshold=edge_threshold,
+            root=root,
+        )
+        return self._transport.call(call)
+
+    def match_features(
+        self,
+        query: Array,
+        train: Array,
+        *,
+        ratio: float | None = None,
+        mutual: bool = False,
+        max_distance: float | None = None,
+    ) -> FeatureMatches:
+        """Each descriptor's nearest of the other image, if nearer than ratio (0.75) times the second."""
+        return self._transport.call(convert.match_features(query, train, ratio, mutual, max_distance))
 
     def estimate_essential(
         self,
@@ -73,6 +118,47 @@ class Images(Sync):
 
 class AsyncImages(Async):
     """Pixels are (N, 2) float64 or float32: columns and rows of the full image."""
+
+    async def extract_features(
+        self,
+        image: Array | EncodedImage | bytes,
+        *,
+        method: FeatureMethod | str = FeatureMethod.ORB,
+        max_features: int | None = None,
+        num_levels: int | None = None,
+        scale_factor: float | None = None,
+        fast_threshold: int | None = None,
+        contrast_threshold: float | None = None,
+        edge_threshold: float | None = None,
+        root: bool = False,
+    ) -> ImageFeatures:
+        """Up to max_features (1000) of an image, (H, W) or (H, W, 3) uint8. num_levels (8), scale_factor
+        (1.2) and fast_threshold (14) are for orb; contrast_threshold (0.04), edge_threshold (10) and root for
+        sift."""
+        call = convert.extract_features(
+            image,
+            method,
+            max_features=max_features,
+            num_levels=num_levels,
+            scale_factor=scale_factor,
+            fast_threshold=fast_threshold,
+            contrast_threshold=contrast_threshold,
+            edge_threshold=edge_threshold,
+            root=root,
+        )
+        return await self._transport.call(call)
+
+    async def match_features(
+        self,
+        query: Array,
+        train: Array,
+        *,
+        ratio: float | None = None,
+        mutual: bool = False,
+        max_distance: float | None = None,
+    ) -> FeatureMatches:
+        """Each descriptor's nearest of the other image, if nearer than ratio (0.75) times the second."""
+        return await self._transport.call(convert.match_features(query, train, ratio, mutual, max_distance))
 
     async def estimate_essential(
         self,

@@ -28,7 +28,10 @@ from .geometry import (
 )
 from .images import (
     EssentialEstimate,
+    FeatureMatches,
+    FeatureMethod,
     HomographyEstimate,
+    ImageFeatures,
     PnpEstimate,
     PosedView,
     Ransac,
@@ -91,6 +94,14 @@ from .sessions import (
     TrackingState,
     Trajectory,
 )
+from .shapes import (
+    Boxes,
+    ConvexHull,
+    DepthPlane,
+    DepthPlanes,
+    LocalFeatures,
+    Neighbors,
+)
 from .toolbox import (
     CloudColoring,
     CloudFormat,
@@ -120,6 +131,7 @@ from .toolbox import (
 )
 
 __all__ = [
+    "Boxes",
     "CameraFrame",
     "CameraIntrinsics",
     "ClockOffset",
@@ -131,8 +143,11 @@ __all__ = [
     "ClusterMethod",
     "ClusterShape",
     "Clusters",
+    "ConvexHull",
     "DecodedCloud",
     "DepthFrame",
+    "DepthPlane",
+    "DepthPlanes",
     "Detection",
     "DetectionMetrics",
     "DistortionModel",
@@ -140,6 +155,8 @@ __all__ = [
     "ErrorStatistics",
     "EssentialEstimate",
     "Event",
+    "FeatureMatches",
+    "FeatureMethod",
     "FilteredCloud",
     "FrameAck",
     "FrameResult",
@@ -147,10 +164,12 @@ __all__ = [
     "Ground",
     "GroundPatch",
     "HomographyEstimate",
+    "ImageFeatures",
     "ImuFrame",
     "KeptClouds",
     "Keyframe",
     "LabelledBox",
+    "LocalFeatures",
     "MapChanged",
     "MapCloud",
     "MapFile",
@@ -158,6 +177,7 @@ __all__ = [
     "MapStamp",
     "MapSummary",
     "Navigation",
+    "Neighbors",
     "NoPath",
     "NoPathReason",
     "Object",

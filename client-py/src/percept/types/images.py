@@ -129,3 +129,40 @@ class PnpEstimate(Value):
     rmse_px: float
     #: Samples that were drawn.
     iterations: int
+
+
+class FeatureMethod(Name):
+    """How features are found."""
+
+    #: Oriented FAST corners, 256 bits.
+    ORB = "orb"
+    #: Blobs in scale space, 128 numbers.
+    SIFT = "sift"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ImageFeatures(Value):
+    """K distinct places of an image."""
+
+    #: Columns and rows, (K, 2) float32.
+    points: npt.NDArray[np.float32]
+    #: Diameter of what was described, pixels, (K,) float32.
+    sizes_px: npt.NDArray[np.float32]
+    #: Main direction from x towards y (down), (K,) float32.
+    angles_rad: npt.NDArray[np.float32]
+    #: How distinct, (K,) float32.
+    responses: npt.NDArray[np.float32]
+    #: Pyramid level (ORB) or octave (SIFT), (K,) int32.
+    octaves: npt.NDArray[np.int32]
+    #: (K, 32) uint8 of bits (ORB), (K, 128) uint8 (SIFT).
+    descriptors: npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FeatureMatches(Value):
+    """Features that look alike."""
+
+    #: Index in the first set, index in the second, (M, 2) uint32.
+    pairs: npt.NDArray[np.uint32]
+    #: Differing bits, or Euclidean, (M,) float32.
+    distances: npt.NDArray[np.float32]

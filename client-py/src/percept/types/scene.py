@@ -145,7 +145,7 @@ class ShapeFeatures(Value):
     centroid: Floats
     #: Axis-aligned, metres, (3,).
     extent_m: Floats
-    #: Of the axis-aligned box, cubic metres.
+    #: Of the smallest box upright along z, cubic metres.
     volume_m3: float
     #: Square metres, (3,).
     eigenvalues_m2: Floats
@@ -155,6 +155,14 @@ class ShapeFeatures(Value):
     planarity: float
     #: l3 / l1.
     sphericity: float
+    #: Along x, y, z, square metres, (3,).
+    variance_m2: Floats
+    #: Of the convex hull, cubic metres; 0 if flat.
+    hull_volume_m3: float
+    #: Of the convex hull's surface, square metres; both sides if flat.
+    hull_area_m2: float
+    #: (3, 3): unit vectors, one a row, in the order of the eigenvalues.
+    eigenvectors: Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

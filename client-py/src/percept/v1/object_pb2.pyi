@@ -3,8 +3,10 @@
 isort:skip_file
 """
 
+from collections import abc as _abc
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
+from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from percept.v1 import geometry_pb2 as _geometry_pb2
 import builtins as _builtins
@@ -222,6 +224,10 @@ class ShapeFeatures(_message.Message):
     LINEARITY_FIELD_NUMBER: _builtins.int
     PLANARITY_FIELD_NUMBER: _builtins.int
     SPHERICITY_FIELD_NUMBER: _builtins.int
+    VARIANCE_M2_FIELD_NUMBER: _builtins.int
+    HULL_VOLUME_M3_FIELD_NUMBER: _builtins.int
+    HULL_AREA_M2_FIELD_NUMBER: _builtins.int
+    EIGENVECTORS_FIELD_NUMBER: _builtins.int
     num_points: _builtins.int
     volume_m3: _builtins.float
     """Of the smallest box upright along z, cubic metres; 0 if flat."""
@@ -231,6 +237,10 @@ class ShapeFeatures(_message.Message):
     """(l2 - l3) / l1."""
     sphericity: _builtins.float
     """l3 / l1."""
+    hull_volume_m3: _builtins.float
+    """Of the convex hull, cubic metres; 0 if flat."""
+    hull_area_m2: _builtins.float
+    """Of the convex hull's surface, square metres; both sides if flat."""
     @_builtins.property
     def centroid(self) -> _geometry_pb2.Vector3:
         """Metres, frame of the input."""
@@ -243,6 +253,14 @@ class ShapeFeatures(_message.Message):
     def eigenvalues_m2(self) -> _geometry_pb2.Vector3:
         """l1, l2, l3, square metres."""
 
+    @_builtins.property
+    def variance_m2(self) -> _geometry_pb2.Vector3:
+        """Along x, y, z, square metres."""
+
+    @_builtins.property
+    def eigenvectors(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector3]:
+        """Three unit vectors in the order of the eigenvalues; signs are arbitrary but fixed."""
+
     def __init__(
         self,
         *,
@@ -254,10 +272,14 @@ class ShapeFeatures(_message.Message):
         linearity: _builtins.float = ...,
         planarity: _builtins.float = ...,
         sphericity: _builtins.float = ...,
+        variance_m2: _geometry_pb2.Vector3 | None = ...,
+        hull_volume_m3: _builtins.float = ...,
+        hull_area_m2: _builtins.float = ...,
+        eigenvectors: _abc.Iterable[_geometry_pb2.Vector3] | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["centroid", b"centroid", "eigenvalues_m2", b"eigenvalues_m2", "extent_m", b"extent_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["centroid", b"centroid", "eigenvalues_m2", b"eigenvalues_m2", "extent_m", b"extent_m", "variance_m2", b"variance_m2"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["centroid", b"centroid", "eigenvalues_m2", b"eigenvalues_m2", "extent_m", b"extent_m", "linearity", b"linearity", "num_points", b"num_points", "planarity", b"planarity", "sphericity", b"sphericity", "volume_m3", b"volume_m3"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["centroid", b"centroid", "eigenvalues_m2", b"eigenvalues_m2", "eigenvectors", b"eigenvectors", "extent_m", b"extent_m", "hull_area_m2", b"hull_area_m2", "hull_volume_m3", b"hull_volume_m3", "linearity", b"linearity", "num_points", b"num_points", "planarity", b"planarity", "sphericity", b"sphericity", "variance_m2", b"variance_m2", "volume_m3", b"volume_m3"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -2278,6 +2278,274 @@ class SegmentObjectsResponse(_message.Message):
 Global___SegmentObjectsResponse: _TypeAlias = SegmentObjectsResponse  # noqa: Y015
 
 @_typing.final
+class FindNeighborsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    QUERIES_FIELD_NUMBER: _builtins.int
+    K_FIELD_NUMBER: _builtins.int
+    RADIUS_M_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    queries: _builtins.bytes
+    """Q x 3 float32, metres. Absent: every point of the cloud, itself among its neighbours."""
+    k: _builtins.int
+    """Nearest ones, at most. Absent: all within radius_m."""
+    radius_m: _builtins.float
+    """Metres. Absent: the k nearest however far."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        queries: _builtins.bytes | None = ...,
+        k: _builtins.int | None = ...,
+        radius_m: _builtins.float | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_k", b"_k", "_queries", b"_queries", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "k", b"k", "queries", b"queries", "radius_m", b"radius_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_k", b"_k", "_queries", b"_queries", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "k", b"k", "queries", b"queries", "radius_m", b"radius_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType__k: _TypeAlias = _typing.Literal["k"]  # noqa: Y015
+    _WhichOneofArgType__k: _TypeAlias = _typing.Literal["_k", b"_k"]  # noqa: Y015
+    _WhichOneofReturnType__queries: _TypeAlias = _typing.Literal["queries"]  # noqa: Y015
+    _WhichOneofArgType__queries: _TypeAlias = _typing.Literal["_queries", b"_queries"]  # noqa: Y015
+    _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
+    _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__k) -> _WhichOneofReturnType__k | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__queries) -> _WhichOneofReturnType__queries | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
+
+Global___FindNeighborsRequest: _TypeAlias = FindNeighborsRequest  # noqa: Y015
+
+@_typing.final
+class FindNeighborsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    OFFSETS_FIELD_NUMBER: _builtins.int
+    INDICES_FIELD_NUMBER: _builtins.int
+    DISTANCES_M_FIELD_NUMBER: _builtins.int
+    offsets: _builtins.bytes
+    """Q + 1 uint32: the neighbours of query i are at offsets[i] to offsets[i + 1] of the other two, nearest first."""
+    indices: _builtins.bytes
+    """uint32 each, of the cloud's points."""
+    distances_m: _builtins.bytes
+    """float32 each, metres."""
+    def __init__(
+        self,
+        *,
+        offsets: _builtins.bytes = ...,
+        indices: _builtins.bytes = ...,
+        distances_m: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["distances_m", b"distances_m", "indices", b"indices", "offsets", b"offsets"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___FindNeighborsResponse: _TypeAlias = FindNeighborsResponse  # noqa: Y015
+
+@_typing.final
+class ComputeLocalFeaturesRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    K_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    k: _builtins.int
+    """Nearest points, itself among them, at least 3. Absent: 20."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        k: _builtins.int | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_k", b"_k", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "k", b"k"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_k", b"_k", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "k", b"k"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType__k: _TypeAlias = _typing.Literal["k"]  # noqa: Y015
+    _WhichOneofArgType__k: _TypeAlias = _typing.Literal["_k", b"_k"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__k) -> _WhichOneofReturnType__k | None: ...
+
+Global___ComputeLocalFeaturesRequest: _TypeAlias = ComputeLocalFeaturesRequest  # noqa: Y015
+
+@_typing.final
+class ComputeLocalFeaturesResponse(_message.Message):
+    """N float32 each; NaN where the point is not finite or all its neighbours are equal. Eigenvalues l1 >= l2 >= l3."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LINEARITY_FIELD_NUMBER: _builtins.int
+    PLANARITY_FIELD_NUMBER: _builtins.int
+    SCATTERING_FIELD_NUMBER: _builtins.int
+    VERTICALITY_FIELD_NUMBER: _builtins.int
+    CURVATURE_FIELD_NUMBER: _builtins.int
+    linearity: _builtins.bytes
+    """(l1 - l2) / l1."""
+    planarity: _builtins.bytes
+    """(l2 - l3) / l1."""
+    scattering: _builtins.bytes
+    """l3 / l1."""
+    verticality: _builtins.bytes
+    """1 - |n . z| of the normal n."""
+    curvature: _builtins.bytes
+    """l3 / (l1 + l2 + l3)."""
+    def __init__(
+        self,
+        *,
+        linearity: _builtins.bytes = ...,
+        planarity: _builtins.bytes = ...,
+        scattering: _builtins.bytes = ...,
+        verticality: _builtins.bytes = ...,
+        curvature: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["curvature", b"curvature", "linearity", b"linearity", "planarity", b"planarity", "scattering", b"scattering", "verticality", b"verticality"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ComputeLocalFeaturesResponse: _TypeAlias = ComputeLocalFeaturesResponse  # noqa: Y015
+
+@_typing.final
+class FitBoxesRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+
+Global___FitBoxesRequest: _TypeAlias = FitBoxesRequest  # noqa: Y015
+
+@_typing.final
+class FitBoxesResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    AXIS_ALIGNED_FIELD_NUMBER: _builtins.int
+    UPRIGHT_FIELD_NUMBER: _builtins.int
+    MINIMAL_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def axis_aligned(self) -> _geometry_pb2.OrientedBox: ...
+    @_builtins.property
+    def upright(self) -> _geometry_pb2.OrientedBox:
+        """Upright along z, of least area."""
+
+    @_builtins.property
+    def minimal(self) -> _geometry_pb2.OrientedBox:
+        """Of least volume, to a local optimum; x, y, z along the longest, middle and shortest edge."""
+
+    def __init__(
+        self,
+        *,
+        axis_aligned: _geometry_pb2.OrientedBox | None = ...,
+        upright: _geometry_pb2.OrientedBox | None = ...,
+        minimal: _geometry_pb2.OrientedBox | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["axis_aligned", b"axis_aligned", "minimal", b"minimal", "upright", b"upright"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["axis_aligned", b"axis_aligned", "minimal", b"minimal", "upright", b"upright"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___FitBoxesResponse: _TypeAlias = FitBoxesResponse  # noqa: Y015
+
+@_typing.final
+class ComputeConvexHullRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "cloud", b"cloud", "cloud_handle", b"cloud_handle"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+
+Global___ComputeConvexHullRequest: _TypeAlias = ComputeConvexHullRequest  # noqa: Y015
+
+@_typing.final
+class ComputeConvexHullResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    VERTICES_FIELD_NUMBER: _builtins.int
+    TRIANGLES_FIELD_NUMBER: _builtins.int
+    VOLUME_M3_FIELD_NUMBER: _builtins.int
+    AREA_M2_FIELD_NUMBER: _builtins.int
+    vertices: _builtins.bytes
+    """V x 3 float64: corners, metres."""
+    triangles: _builtins.bytes
+    """T x 3 uint32: triangles of corners, counter-clockwise from outside; none if the cloud is flat."""
+    volume_m3: _builtins.float
+    """Cubic metres; 0 if flat."""
+    area_m2: _builtins.float
+    """Square metres; both sides if flat."""
+    def __init__(
+        self,
+        *,
+        vertices: _builtins.bytes = ...,
+        triangles: _builtins.bytes = ...,
+        volume_m3: _builtins.float = ...,
+        area_m2: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["area_m2", b"area_m2", "triangles", b"triangles", "vertices", b"vertices", "volume_m3", b"volume_m3"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ComputeConvexHullResponse: _TypeAlias = ComputeConvexHullResponse  # noqa: Y015
+
+@_typing.final
 class SamplePointsRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 

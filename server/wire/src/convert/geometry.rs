@@ -153,7 +153,8 @@ fn triples<T>(field: &'static str, data: &Bytes, n: usize, make: fn(f32, f32, f3
     Ok(data.chunks_exact(12).map(|b| make(coordinate(b, 0), coordinate(b, 4), coordinate(b, 8))).collect())
 }
 
-fn triple_bytes<T>(values: &[T], parts: impl Fn(&T) -> [f32; 3]) -> Bytes {
+/// Three float32 an entry, little-endian.
+pub(crate) fn triple_bytes<T>(values: &[T], parts: impl Fn(&T) -> [f32; 3]) -> Bytes {
     let mut out = vec![0; values.len() * 12];
     for (out, v) in out.chunks_exact_mut(12).zip(values) {
         let [x, y, z] = parts(v).map(f32::to_le_bytes);

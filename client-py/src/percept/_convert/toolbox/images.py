@@ -9,10 +9,14 @@ import numpy as np
 from ... import _rpc
 from ..._arrays import Array, checked
 from ..._call import Call
+from ...types.frames import EncodedImage
 from ...types.geometry import CameraIntrinsics, Floats
 from ...types.images import (
     EssentialEstimate,
+    FeatureMatches,
+    FeatureMethod,
     HomographyEstimate,
+    ImageFeatures,
     PnpEstimate,
     PosedView,
     Ransac,
@@ -23,7 +27,8 @@ from ...types.images import (
 )
 from ...v1 import toolbox_images_pb2 as images
 from .. import geometry, words
-from .request import of, uint32s
+from .depth import put_color
+from .request import floats, of, uint32s
 
 
 def _packed(field: str, value: Array, columns: int) -> bytes:
@@ -169,3 +174,43 @@ def solve_pnp(
         ransac=_ransac(ransac),
     )
     return Call(_rpc.SOLVE_PNP, request, read)
+
+
+def extract_features(
+    image: Array | EncodedImage | bytes, method: FeatureMethod | str, **fields: object
+) -> Call[images.ExtractFeaturesRequest, images.ExtractFeaturesResponse, ImageFeatures]:
+    def read(answer: images.ExtractFeaturesResponse) -> ImageFeatures:
+        return ImageFeatures(
+            points=floats(answer.points, -1, 2),
+            sizes_px=floats(answer.sizes_px),
+            angles_rad=floats(answer.angles_rad),
+            responses=floats(answer.responses),
+            octaves=np.frombuffer(answer.octaves, "<i4"),
+            descriptors=np.frombuffer(answer.descriptors, np.uint8).reshape(-1, answer.descriptor_bytes),
+        )
+
+    request = of(images.ExtractFeaturesRequest, method=method, **fields)
+    if isinstance(image, np.ndarray) and image.ndim == 2:
+        image = np.repeat(checked("image", image, ("H", "W"), np.uint8)[:, :, None], 3, axis=2)
+    put_color(request.image, image)
+    return Call(_rpc.EXTRACT_FEATURES, request, read)
+
+
+def match_features(
+    query: Array, train: Array, ratio: float | None, mutual: bool, max_distance: float | None
+) -> Call[images.MatchFeaturesRequest, images.MatchFeaturesResponse, FeatureMatches]:
+    def read(answer: images.MatchFeaturesResponse) -> FeatureMatches:
+        return FeatureMatches(pairs=uint32s(answer.pairs).reshape(-1, 2), distances=floats(answer.distances))
+
+    first = checked("query", query, ("K", "B"), np.uint8)
+    second = checked("train", train, ("L", first.shape[1]), np.uint8)
+    request = of(
+        images.MatchFeaturesRequest,
+        query=first.tobytes(),
+        train=second.tobytes(),
+        descriptor_bytes=first.shape[1],
+        ratio=ratio,
+        mutual=mutual,
+        max_distance=max_distance,
+    )
+    return Call(_rpc.MATCH_FEATURES, request, read)

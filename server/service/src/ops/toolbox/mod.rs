@@ -5,7 +5,9 @@
 //! they call `perception` and `formats` and turn what those refuse into errors with reason and field.
 
 mod clouds;
+mod depth_images;
 mod errors;
+mod features;
 mod files;
 mod images;
 mod kept;
@@ -13,10 +15,13 @@ mod pictures;
 mod pipeline;
 mod regions;
 mod registration;
+mod shapes;
 mod subsets;
 
 pub use clouds::*;
+pub use depth_images::{DepthFilter, filter_depth};
 pub use errors::{cloud_error, format_error, registration_error};
+pub use features::{FeatureMethod, extract_features, feature_error};
 pub use files::{CloudFormat, decode_cloud, encode_cloud, suffix};
 pub use images::{PosedView, multiview_error, triangulate_points};
 pub use kept::{KeptCloud, KeptClouds, KeptList};
@@ -24,6 +29,7 @@ pub use pictures::{render_cloud, render_depth};
 pub use pipeline::{Found, PlaneRemainder, Step, StepReport};
 pub use regions::{grow_regions, segment_ground, segment_objects, supervoxels};
 pub use registration::register_clouds;
+pub use shapes::{Boxes, NeighborhoodParams, convex_hull, find_neighbors, fit_boxes};
 pub use subsets::{Region, Sample, crop_cloud, sample_points};
 
 use crate::{Limits, Result, Service};

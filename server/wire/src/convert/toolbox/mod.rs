@@ -8,6 +8,8 @@ macro_rules! lay_over {
 }
 
 pub mod depth;
+pub mod depth_images;
+pub mod features;
 pub mod files;
 pub mod filters;
 pub mod images;
@@ -16,6 +18,7 @@ pub mod pipeline;
 pub mod regions;
 pub mod registration;
 pub mod segmentation;
+pub mod shapes;
 pub mod subsets;
 
 use super::geometry;

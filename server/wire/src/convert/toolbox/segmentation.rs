@@ -80,6 +80,10 @@ pub fn features_to(f: &ShapeFeatures) -> v1::ShapeFeatures {
         linearity: f.linearity,
         planarity: f.planarity,
         sphericity: f.sphericity,
+        variance_m2: Some(geometry::vector_to(&f.variance)),
+        hull_volume_m3: f.hull_volume_m3,
+        hull_area_m2: f.hull_area_m2,
+        eigenvectors: f.eigenvectors.iter().map(geometry::vector_to).collect(),
     }
 }
 

@@ -1,8 +1,11 @@
 //! Depth and colour images: decode, call, encode.
 
+use percept_perception::depth as images;
 use percept_service::Result;
 use percept_service::toolbox::{self as ops, Toolbox};
-use percept_wire::convert::toolbox::{self as convert, depth};
+use percept_wire::convert::geometry;
+use percept_wire::convert::toolbox::images::camera;
+use percept_wire::convert::toolbox::{self as convert, depth, depth_images};
 use percept_wire::v1;
 
 pub(super) fn unproject_depth(t: &Toolbox, r: v1::UnprojectDepthRequest) -> Result<v1::UnprojectDepthResponse> {
@@ -20,4 +23,45 @@ pub(super) fn convert_depth(t: &Toolbox, r: v1::ConvertDepthRequest) -> Result<v
 pub(super) fn convert_color(t: &Toolbox, r: v1::ConvertColorRequest) -> Result<v1::ConvertColorResponse> {
     let image = depth::color("color", r.color.as_ref(), t.limits())?;
     Ok(v1::ConvertColorResponse { color: Some(depth::converted_color(&image, &r)?) })
+}
+
+pub(super) fn filter_depth(t: &Toolbox, r: v1::FilterDepthRequest) -> Result<v1::FilterDepthResponse> {
+    let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
+    let image = ops::filter_depth(image, &depth_images::filters(&r)?)?;
+    Ok(v1::FilterDepthResponse { depth: Some(depth::depth_to(&image)) })
+}
+
+pub(super) fn compute_depth_normals(
+    t: &Toolbox,
+    r: v1::ComputeDepthNormalsRequest,
+) -> Result<v1::ComputeDepthNormalsResponse> {
+    let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
+    let rays = images::RayTable::new(&camera("intrinsics", r.intrinsics.as_ref())?)?;
+    Ok(depth_images::normals_to(&images::NormalMap::of_depth(&image, &rays, &depth_images::normal_params(&r))?))
+}
+
+pub(super) fn segment_depth_planes(
+    t: &Toolbox,
+    r: v1::SegmentDepthPlanesRequest,
+) -> Result<v1::SegmentDepthPlanesResponse> {
+    let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
+    let intrinsics = camera("intrinsics", r.intrinsics.as_ref())?;
+    Ok(depth_images::planes_to(&images::depth_planes(&image, &intrinsics, &depth_images::plane_params(&r))?))
+}
+
+pub(super) fn find_depth_edges(t: &Toolbox, r: v1::FindDepthEdgesRequest) -> Result<v1::FindDepthEdgesResponse> {
+    let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
+    let intrinsics = camera("intrinsics", r.intrinsics.as_ref())?;
+    Ok(depth_images::edges_to(&images::boundaries(&image, &intrinsics, &depth_images::edge_params(&r))?))
+}
+
+pub(super) fn register_color(t: &Toolbox, r: v1::RegisterColorRequest) -> Result<v1::RegisterColorResponse> {
+    let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
+    let color = depth::color("color", r.color.as_ref(), t.limits())?;
+    let depth_camera = camera("depth_camera", r.depth_camera.as_ref())?;
+    let color_camera = camera("color_camera", r.color_camera.as_ref())?;
+    let t_color_depth = geometry::pose("t_color_depth", r.t_color_depth.as_ref())?;
+    let jump = r.max_jump_fraction.unwrap_or(0.05);
+    let found = images::register_color(&image, &depth_camera, &color, &color_camera, &t_color_depth, jump)?;
+    Ok(depth_images::registered_to(&found))
 }

@@ -1,9 +1,9 @@
 //! Several views of one scene: decode, call, encode.
 
-use percept_perception::multiview;
+use percept_perception::{features2d, multiview};
 use percept_service::Result;
 use percept_service::toolbox::{self as ops, Toolbox};
-use percept_wire::convert::toolbox::images;
+use percept_wire::convert::toolbox::{depth, features, images};
 use percept_wire::v1;
 
 pub(super) fn estimate_essential(
@@ -44,4 +44,15 @@ pub(super) fn solve_pnp(_: &Toolbox, r: v1::SolvePnpRequest) -> Result<v1::Solve
     let camera = images::camera("camera", r.camera.as_ref())?;
     let found = multiview::solve_pnp(&points, &pixels, &camera, &images::ransac(r.ransac.as_ref()));
     Ok(images::pnp_to(&found.map_err(ops::multiview_error)?))
+}
+
+pub(super) fn extract_features(t: &Toolbox, r: v1::ExtractFeaturesRequest) -> Result<v1::ExtractFeaturesResponse> {
+    let image = depth::color("image", r.image.as_ref(), t.limits())?;
+    Ok(features::features_to(&ops::extract_features(&image.to_gray(), &features::method(&r)?)?))
+}
+
+pub(super) fn match_features(_: &Toolbox, r: v1::MatchFeaturesRequest) -> Result<v1::MatchFeaturesResponse> {
+    let (query, train) = features::descriptors(&r)?;
+    let found = features2d::match_features(&query, &train, &features::match_params(&r));
+    Ok(features::matches_to(&found.map_err(ops::feature_error)?))
 }

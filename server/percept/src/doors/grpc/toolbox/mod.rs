@@ -8,6 +8,7 @@ mod pictures;
 mod regions;
 mod registration;
 mod segmentation;
+mod shapes;
 
 use super::{Answer, Api, Streamed, check_size, status, streamed};
 use percept_service::Result;
@@ -195,5 +196,61 @@ impl v1::toolbox_service_server::ToolboxService for Api {
 
     async fn crop_cloud(&self, r: Request<v1::CropCloudRequest>) -> Answer<v1::CropCloudResponse> {
         self.toolbox(r, filters::crop_cloud).await
+    }
+
+    async fn find_neighbors(&self, r: Request<v1::FindNeighborsRequest>) -> Answer<v1::FindNeighborsResponse> {
+        self.toolbox(r, shapes::find_neighbors).await
+    }
+
+    async fn compute_local_features(
+        &self,
+        r: Request<v1::ComputeLocalFeaturesRequest>,
+    ) -> Answer<v1::ComputeLocalFeaturesResponse> {
+        self.toolbox(r, shapes::compute_local_features).await
+    }
+
+    async fn fit_boxes(&self, r: Request<v1::FitBoxesRequest>) -> Answer<v1::FitBoxesResponse> {
+        self.toolbox(r, shapes::fit_boxes).await
+    }
+
+    async fn compute_convex_hull(
+        &self,
+        r: Request<v1::ComputeConvexHullRequest>,
+    ) -> Answer<v1::ComputeConvexHullResponse> {
+        self.toolbox(r, shapes::compute_convex_hull).await
+    }
+
+    async fn extract_features(&self, r: Request<v1::ExtractFeaturesRequest>) -> Answer<v1::ExtractFeaturesResponse> {
+        self.toolbox(r, images::extract_features).await
+    }
+
+    async fn match_features(&self, r: Request<v1::MatchFeaturesRequest>) -> Answer<v1::MatchFeaturesResponse> {
+        self.toolbox(r, images::match_features).await
+    }
+
+    async fn filter_depth(&self, r: Request<v1::FilterDepthRequest>) -> Answer<v1::FilterDepthResponse> {
+        self.toolbox(r, depth::filter_depth).await
+    }
+
+    async fn compute_depth_normals(
+        &self,
+        r: Request<v1::ComputeDepthNormalsRequest>,
+    ) -> Answer<v1::ComputeDepthNormalsResponse> {
+        self.toolbox(r, depth::compute_depth_normals).await
+    }
+
+    async fn segment_depth_planes(
+        &self,
+        r: Request<v1::SegmentDepthPlanesRequest>,
+    ) -> Answer<v1::SegmentDepthPlanesResponse> {
+        self.toolbox(r, depth::segment_depth_planes).await
+    }
+
+    async fn find_depth_edges(&self, r: Request<v1::FindDepthEdgesRequest>) -> Answer<v1::FindDepthEdgesResponse> {
+        self.toolbox(r, depth::find_depth_edges).await
+    }
+
+    async fn register_color(&self, r: Request<v1::RegisterColorRequest>) -> Answer<v1::RegisterColorResponse> {
+        self.toolbox(r, depth::register_color).await
     }
 }
