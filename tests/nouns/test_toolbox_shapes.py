@@ -198,7 +198,8 @@ def test_features_of_a_shifted_image_match_by_the_shift(client, rng, method, siz
     found = client.toolbox.match_features(a.descriptors, b.descriptors, ratio=0.8, mutual=True)
     assert len(found.pairs) > 40
     moved = b.points[found.pairs[:, 1]] - a.points[found.pairs[:, 0]]
-    assert (np.abs(moved - (20, 12)) < 1.5).all(axis=1).mean() > 0.9
+    # A pixel of the coarsest level is 3.6 of the image (1.2^7).
+    assert (np.abs(moved - (20, 12)) < 4).all(axis=1).mean() > 0.9
     # Distances are what they say.
     first, second = a.descriptors[found.pairs[0, 0]], b.descriptors[found.pairs[0, 1]]
     if method == "orb":
