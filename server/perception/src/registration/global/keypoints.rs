@@ -1,0 +1,104 @@
+//! A cloud thinned, with normals and features.
+
+use super::super::RegistrationError;
+use super::super::fpfh::{Fpfh, fpfh_of};
+use super::{FEWEST_PAIRS, GlobalParams};
+use crate::cloud::{Scatter, symmetric_eigen3, voxel_downsample};
+use crate::search::{KdTree, Neighbors};
+use nalgebra::{Point3, Vector3};
+use percept_geometry::PointCloud;
+use rayon::prelude::*;
+
+/// Radius of the neighbourhood that gives a normal, and of that which gives a feature, voxels.
+const NORMAL_RADIUS: f64 = 3.0;
+const FEATURE_RADIUS: f64 = 5.0;
+/// Nearest neighbours used for each, at most.
+const NORMAL_NEIGHBORS: usize = 30;
+const FEATURE_NEIGHBORS: usize = 100;
+/// Features of more points than this cost more than they bring.
+const MAX_FEATURES: usize = 5000;
+
+/// A thinned cloud and what its points look like.
+pub(super) struct Described {
+    /// One point a voxel, metres, with normals.
+    pub(super) cloud: PointCloud,
+    /// Points that have a feature, and their features.
+    pub(super) keys: Vec<u32>,
+    pub(super) features: Vec<Fpfh>,
+    /// How far each point's surroundings are from flat, 0 to 1/3.
+    pub(super) curvature: Vec<f32>,
+}
+
+impl Described {
+    pub(super) fn new(
+        field: &'static str,
+        cloud: &PointCloud,
+        params: &GlobalParams,
+    ) -> Result<Self, RegistrationError> {
+        let bare = PointCloud::from_positions(cloud.positions.clone());
+        let mut thin = voxel_downsample(&bare, params.voxel_size_m)?;
+        if thin.len() < FEWEST_PAIRS {
+            return Err(RegistrationError::TooFewPoints { field, num_points: thin.len(), needed: FEWEST_PAIRS });
+        }
+        let size = params.voxel_size_m as f32;
+        let tree = KdTree::build(&thin.positions);
+        let wide = tree.hybrid_all(FEATURE_RADIUS as f32 * size, FEATURE_NEIGHBORS);
+        let limit2 = (NORMAL_RADIUS as f32 * size).powi(2);
+        let described: Vec<(Vector3<f32>, f32)> = (0..thin.len())
+            .into_par_iter()
+            .with_min_len(64)
+            .map(|i| normal(&thin.positions, i, &wide, limit2))
+            .collect();
+        let normals: Vec<Vector3<f32>> = described.iter().map(|d| d.0).collect();
+        let all = fpfh_of(&thin.positions, &normals, &wide);
+        let keys = choose(&all, &described);
+        let features = keys.iter().map(|&k| all[k as usize]).collect();
+        thin.normals = Some(normals);
+        let curvature = described.iter().map(|d| d.1).collect();
+        Ok(Self { cloud: thin, keys, features, curvature })
+    }
+
+    pub(super) fn key(&self, i: usize) -> Point3<f64> {
+        self.cloud.positions[self.keys[i] as usize].cast()
+    }
+}
+
+/// Normal of a point, and how far its wide neighbourhood is from flat.
+///
+/// The normal's side is the one to which the wide neighbourhood bends: a rule that moves with the cloud, since from where
+/// the cloud was seen is not known.
+fn normal(positions: &[Point3<f32>], i: usize, wide: &Neighbors, limit2: f32) -> (Vector3<f32>, f32) {
+    let (indices, distances2) = wide.of(i);
+    let near = distances2.partition_point(|d| *d <= limit2).clamp(1, NORMAL_NEIGHBORS).min(indices.len());
+    if near < 3 {
+        return (Vector3::zeros(), 0.0);
+    }
+    let p: Point3<f64> = positions[i].cast();
+    let scatter = |among: &[u32]| {
+        let mut s = Scatter::new(p);
+        among.iter().for_each(|&j| s.add(&positions[j as usize].cast()));
+        s
+    };
+    let n = symmetric_eigen3(&scatter(&indices[..near]).covariance()).vectors[0];
+    let around = scatter(indices);
+    let [flat, middle, long] = symmetric_eigen3(&around.covariance()).values;
+    let curvature = flat / (flat + middle + long).max(1e-30);
+    let bend = (around.mean() - p).dot(&n);
+    ((if bend < 0.0 { -n } else { n }).cast(), curvature as f32)
+}
+
+/// The points whose surroundings are least flat, and that have a normal; in the order of the cloud.
+fn choose(features: &[Fpfh], described: &[(Vector3<f32>, f32)]) -> Vec<u32> {
+    let usable = |i: &u32| {
+        let i = *i as usize;
+        described[i].0 != Vector3::zeros() && features[i].iter().any(|v| *v > 0.0)
+    };
+    let mut keys: Vec<u32> = (0..features.len() as u32).filter(usable).collect();
+    if keys.len() > MAX_FEATURES {
+        let order = |a: &u32, b: &u32| described[*b as usize].1.total_cmp(&described[*a as usize].1).then(a.cmp(b));
+        keys.select_nth_unstable_by(MAX_FEATURES, order);
+        keys.truncate(MAX_FEATURES);
+        keys.sort_unstable();
+    }
+    keys
+}
