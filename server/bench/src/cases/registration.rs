@@ -43,7 +43,7 @@ fn method(name: &str) -> Result<IcpMethod, BenchError> {
 }
 
 /// A 4x4 matrix in rows of text.
-fn read_pose(path: &Path) -> Result<Pose, BenchError> {
+pub(super) fn read_pose(path: &Path) -> Result<Pose, BenchError> {
     let text = std::fs::read_to_string(path).map_err(BenchError::new)?;
     let values: Vec<f64> =
         text.split_whitespace().map(str::parse).collect::<Result<_, _>>().map_err(BenchError::new)?;

@@ -1,6 +1,5 @@
 //! Sets of pairs that one rigid motion allows.
 
-use super::keypoints::Described;
 use super::matching::Pair;
 use super::rigid::{fit, settle};
 use super::{Candidate, FEWEST_PAIRS, GlobalParams};
@@ -26,12 +25,7 @@ pub(super) const AGREE: f64 = 1.5;
 ///
 /// Source: Chen et al., "SC2-PCR: a second order spatial compatibility for efficient and robust point cloud
 /// registration", 2022.
-pub(super) fn candidates(
-    _source: &Described,
-    _target: &Described,
-    pairs: &[Pair],
-    params: &GlobalParams,
-) -> Vec<Candidate> {
+pub(super) fn candidates(pairs: &[Pair], params: &GlobalParams) -> Vec<Candidate> {
     let size = params.voxel_size_m;
     let graph = Graph::new(pairs, size);
     let scores: Vec<u64> = (0..pairs.len()).into_par_iter().with_min_len(16).map(|i| graph.score(i)).collect();

@@ -9,12 +9,11 @@ use nalgebra::{Point3, Vector3};
 use percept_geometry::PointCloud;
 use rayon::prelude::*;
 
-/// Radius of the neighbourhood that gives a normal, and of that which gives a feature, voxels.
+/// Radius of the neighbourhood that gives a normal, voxels.
 const NORMAL_RADIUS: f64 = 3.0;
-const FEATURE_RADIUS: f64 = 5.0;
 /// Nearest neighbours used for each, at most.
 const NORMAL_NEIGHBORS: usize = 30;
-const FEATURE_NEIGHBORS: usize = 100;
+const FEATURE_NEIGHBORS: usize = 150;
 /// Features of more points than this cost more than they bring.
 const MAX_FEATURES: usize = 5000;
 
@@ -22,11 +21,16 @@ const MAX_FEATURES: usize = 5000;
 pub(super) struct Described {
     /// One point a voxel, metres, with normals.
     pub(super) cloud: PointCloud,
-    /// Points that have a feature, and their features.
-    pub(super) keys: Vec<u32>,
-    pub(super) features: Vec<Fpfh>,
     /// How far each point's surroundings are from flat, 0 to 1/3.
     pub(super) curvature: Vec<f32>,
+    tree: KdTree,
+    size: f64,
+}
+
+/// Points that have a feature, and their features.
+pub(super) struct Keys {
+    pub(super) positions: Vec<Point3<f64>>,
+    pub(super) features: Vec<Fpfh>,
 }
 
 impl Described {
@@ -35,31 +39,31 @@ impl Described {
         cloud: &PointCloud,
         params: &GlobalParams,
     ) -> Result<Self, RegistrationError> {
+        let size = params.voxel_size_m;
         let bare = PointCloud::from_positions(cloud.positions.clone());
-        let mut thin = voxel_downsample(&bare, params.voxel_size_m)?;
+        let mut thin = voxel_downsample(&bare, size)?;
         if thin.len() < FEWEST_PAIRS {
             return Err(RegistrationError::TooFewPoints { field, num_points: thin.len(), needed: FEWEST_PAIRS });
         }
-        let size = params.voxel_size_m as f32;
         let tree = KdTree::build(&thin.positions);
-        let wide = tree.hybrid_all(FEATURE_RADIUS as f32 * size, FEATURE_NEIGHBORS);
-        let limit2 = (NORMAL_RADIUS as f32 * size).powi(2);
-        let described: Vec<(Vector3<f32>, f32)> = (0..thin.len())
-            .into_par_iter()
-            .with_min_len(64)
-            .map(|i| normal(&thin.positions, i, &wide, limit2))
-            .collect();
-        let normals: Vec<Vector3<f32>> = described.iter().map(|d| d.0).collect();
-        let all = fpfh_of(&thin.positions, &normals, &wide);
-        let keys = choose(&all, &described);
-        let features = keys.iter().map(|&k| all[k as usize]).collect();
+        let wide = tree.hybrid_all((super::FEATURE_RADII[0] * size) as f32, FEATURE_NEIGHBORS);
+        let limit2 = ((NORMAL_RADIUS * size) as f32).powi(2);
+        let one = |i| normal(&thin.positions, i, &wide, limit2);
+        let (normals, curvature) = (0..thin.len()).into_par_iter().with_min_len(64).map(one).unzip();
         thin.normals = Some(normals);
-        let curvature = described.iter().map(|d| d.1).collect();
-        Ok(Self { cloud: thin, keys, features, curvature })
+        Ok(Self { cloud: thin, curvature, tree, size })
     }
 
-    pub(super) fn key(&self, i: usize) -> Point3<f64> {
-        self.cloud.positions[self.keys[i] as usize].cast()
+    /// Features of the points whose surroundings are least flat, from neighbourhoods of so many voxels.
+    pub(super) fn keys(&self, radius_voxels: f64) -> Keys {
+        let neighbors = self.tree.hybrid_all((radius_voxels * self.size) as f32, FEATURE_NEIGHBORS);
+        let normals = self.cloud.normals.as_deref().unwrap_or_default();
+        let all = fpfh_of(&self.cloud.positions, normals, &neighbors);
+        let keys = choose(&all, normals, &self.curvature);
+        Keys {
+            positions: keys.iter().map(|&k| self.cloud.positions[k as usize].cast()).collect(),
+            features: keys.iter().map(|&k| all[k as usize]).collect(),
+        }
     }
 }
 
@@ -88,14 +92,14 @@ fn normal(positions: &[Point3<f32>], i: usize, wide: &Neighbors, limit2: f32) ->
 }
 
 /// The points whose surroundings are least flat, and that have a normal; in the order of the cloud.
-fn choose(features: &[Fpfh], described: &[(Vector3<f32>, f32)]) -> Vec<u32> {
+fn choose(features: &[Fpfh], normals: &[Vector3<f32>], curvature: &[f32]) -> Vec<u32> {
     let usable = |i: &u32| {
         let i = *i as usize;
-        described[i].0 != Vector3::zeros() && features[i].iter().any(|v| *v > 0.0)
+        normals[i] != Vector3::zeros() && features[i].iter().any(|v| *v > 0.0)
     };
     let mut keys: Vec<u32> = (0..features.len() as u32).filter(usable).collect();
     if keys.len() > MAX_FEATURES {
-        let order = |a: &u32, b: &u32| described[*b as usize].1.total_cmp(&described[*a as usize].1).then(a.cmp(b));
+        let order = |a: &u32, b: &u32| curvature[*b as usize].total_cmp(&curvature[*a as usize]).then(a.cmp(b));
         keys.select_nth_unstable_by(MAX_FEATURES, order);
         keys.truncate(MAX_FEATURES);
         keys.sort_unstable();

@@ -1,8 +1,7 @@
 //! Pairs of points that look alike: each the other's nearest by feature.
 
 use super::super::fpfh::{FPFH_LEN, Fpfh};
-use super::GlobalParams;
-use super::keypoints::Described;
+use super::keypoints::Keys;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
@@ -23,11 +22,11 @@ pub(super) struct Pair {
 }
 
 /// Mutual nearest neighbours of features, most alike first.
-pub(super) fn pairs(source: &Described, target: &Described, _params: &GlobalParams) -> Vec<Pair> {
+pub(super) fn pairs(source: &Keys, target: &Keys) -> Vec<Pair> {
     let (rows, columns) = nearest(&source.features, &target.features);
     let mutual = |(i, &(unlike, j)): (usize, &(f32, u32))| {
         let back = columns.get(j as usize)?.1;
-        let pair = || Pair { source: source.key(i), target: target.key(j as usize), unlike };
+        let pair = || Pair { source: source.positions[i], target: target.positions[j as usize], unlike };
         (back as usize == i).then(pair)
     };
     let mut out: Vec<Pair> = rows.iter().enumerate().filter_map(mutual).collect();

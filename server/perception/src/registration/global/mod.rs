@@ -12,15 +12,21 @@ mod ransac;
 mod rigid;
 mod verify;
 
+#[cfg(test)]
+mod tests;
+
 pub use params::{GlobalMethod, GlobalOutcome, GlobalParams, GlobalResult};
 
 use super::RegistrationError;
 use keypoints::Described;
+use matching::Pair;
 use percept_geometry::{PointCloud, Pose};
-use verify::{Judge, Verdict};
+use verify::Judge;
 
 /// Fewer pairs than this are never believed.
 const FEWEST_PAIRS: usize = 6;
+/// Neighbourhoods of features, voxels; each is tried when those before it gave nothing to believe.
+const FEATURE_RADII: [f64; 3] = [5.0, 8.0, 3.5];
 
 /// Lays `source` over `target` from anywhere. Non-finite points are left out.
 ///
@@ -39,21 +45,26 @@ pub fn register_global(
     let (source, target) =
         rayon::join(|| Described::new("source", source, params), || Described::new("target", target, params));
     let (source, target) = (source?, target?);
-    let pairs = matching::pairs(&source, &target, params);
-    let candidates = match params.method {
-        GlobalMethod::Consistency => consistency::candidates(&source, &target, &pairs, params),
-        GlobalMethod::Ransac => ransac::candidates(&source, &target, &pairs, params),
-    };
-    if candidates.is_empty() {
-        return Ok(GlobalResult::nothing(pairs.len()));
-    }
     let judge = Judge::new(&source, &target, params)?;
-    let mut verdicts: Vec<Verdict> = candidates.iter().map(|c| judge.refined(c)).collect();
-    // Stable: of equals, the earlier candidate stays first.
-    verdicts.sort_by(|a, b| b.overlap.total_cmp(&a.overlap));
-    let best = &verdicts[0];
-    let rival = verdicts[1..].iter().filter(|v| !v.is_like(best, params)).map(|v| v.overlap).fold(0.0, f64::max);
-    Ok(judge.result(best, rival, pairs.len()))
+    let mut pairs: Vec<Pair> = Vec::new();
+    let mut answer = GlobalResult::nothing(0);
+    // Wider neighbourhoods tell more apart but reach over the edges of what both clouds saw: only if need be.
+    for radius in FEATURE_RADII {
+        let (of_source, of_target) = rayon::join(|| source.keys(radius), || target.keys(radius));
+        pairs.extend(matching::pairs(&of_source, &of_target));
+        let candidates = match params.method {
+            GlobalMethod::Consistency => consistency::candidates(&pairs, params),
+            GlobalMethod::Ransac => ransac::candidates(&pairs, params),
+        };
+        let found = judge.best(&candidates, pairs.len());
+        if found.overlap >= answer.overlap {
+            answer = found;
+        }
+        if answer.outcome == GlobalOutcome::Found {
+            break;
+        }
+    }
+    Ok(answer)
 }
 
 /// A rigid motion that some pairs agree on.

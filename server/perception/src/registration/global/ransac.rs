@@ -1,7 +1,6 @@
 //! Motions by random samples of pairs.
 
 use super::consistency::{AGREE, distinct};
-use super::keypoints::Described;
 use super::matching::Pair;
 use super::rigid::{fit, settle};
 use super::{Candidate, FEWEST_PAIRS, GlobalParams};
@@ -18,12 +17,7 @@ const CONFIDENCE: f64 = 0.999;
 /// Samples of four pairs whose edges are about as long in both clouds; of these the motions most pairs agree with.
 ///
 /// Source: Rusu, Blodow and Beetz 2009, sample consensus initial alignment; edge lengths as in Buch et al. 2013.
-pub(super) fn candidates(
-    _source: &Described,
-    _target: &Described,
-    pairs: &[Pair],
-    params: &GlobalParams,
-) -> Vec<Candidate> {
+pub(super) fn candidates(pairs: &[Pair], params: &GlobalParams) -> Vec<Candidate> {
     if pairs.len() < SAMPLE {
         return vec![];
     }

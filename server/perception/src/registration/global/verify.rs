@@ -20,22 +20,24 @@ const BELIEVED_OVERLAP: f64 = 0.35;
 const BELIEVED_PAIRS: usize = 10;
 /// A different way that reaches this share of the overlap makes the answer ambiguous.
 const RIVAL: f64 = 0.9;
+/// Candidates that are refined.
+const REFINED: usize = 3;
 
 /// A candidate after its refinement.
-pub(super) struct Verdict {
+struct Verdict {
     t_target_source: Pose,
     covariance: Covariance6,
-    pub(super) overlap: f64,
+    overlap: f64,
     rmse_m: f64,
     num_pairs: usize,
 }
 
 impl Verdict {
     /// Whether two put the cloud in about the same place.
-    pub(super) fn is_like(&self, other: &Self, params: &GlobalParams) -> bool {
+    fn is_like(&self, other: &Self, size: f64) -> bool {
         let d = self.t_target_source.inverse() * other.t_target_source;
         // The centres of rotation differ from the origin: compare generously.
-        d.rotation.angle() < 0.15 && d.translation.vector.norm() < 20.0 * params.voxel_size_m
+        d.rotation.angle() < 0.15 && d.translation.vector.norm() < 20.0 * size
     }
 }
 
@@ -70,8 +72,22 @@ impl<'a> Judge<'a> {
         Ok(Self { tree: KdTree::build(&target.cloud.positions), source, target, icp, prepared, size })
     }
 
+    /// The candidate that lays most of the clouds over each other, and whether to believe it.
+    pub(super) fn best(&self, candidates: &[Candidate], num_pairs: usize) -> GlobalResult {
+        // Refinement costs most: the likeliest few.
+        let rough = |c: &Candidate| self.overlap(&c.t_target_source).0;
+        let mut ranked: Vec<(f64, &Candidate)> = candidates.iter().map(|c| (rough(c), c)).collect();
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut verdicts: Vec<Verdict> = ranked.iter().take(REFINED).map(|(_, c)| self.refined(c)).collect();
+        // Stable: of equals, the earlier candidate stays first.
+        verdicts.sort_by(|a, b| b.overlap.total_cmp(&a.overlap));
+        let Some(best) = verdicts.first() else { return GlobalResult::nothing(num_pairs) };
+        let rival = verdicts[1..].iter().filter(|v| !v.is_like(best, self.size)).map(|v| v.overlap).fold(0.0, f64::max);
+        self.result(best, rival, num_pairs)
+    }
+
     /// The candidate refined, if that was asked for, and judged.
-    pub(super) fn refined(&self, candidate: &Candidate) -> Verdict {
+    fn refined(&self, candidate: &Candidate) -> Verdict {
         let (mut t_target_source, mut covariance) = (candidate.t_target_source, Covariance6::zeros());
         if let Some((source, target)) = &self.prepared
             && let Ok(result) = align(source, target, &t_target_source, &self.icp)
@@ -109,7 +125,7 @@ impl<'a> Judge<'a> {
         (fits / all.max(1e-12), (squares / count.max(1.0)).sqrt())
     }
 
-    pub(super) fn result(&self, best: &Verdict, rival_overlap: f64, num_pairs: usize) -> GlobalResult {
+    fn result(&self, best: &Verdict, rival_overlap: f64, num_pairs: usize) -> GlobalResult {
         let outcome = if best.overlap < BELIEVED_OVERLAP || best.num_pairs < BELIEVED_PAIRS {
             GlobalOutcome::Doubtful
         } else if rival_overlap > RIVAL * best.overlap {

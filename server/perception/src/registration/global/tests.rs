@@ -1,0 +1,82 @@
+//! A made scene, cut and moved: the truth is exact.
+
+use super::*;
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Boxes of many sizes on a floor, sampled on their faces.
+fn scene(seed: u64) -> Vec<Point3<f32>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut out = Vec::new();
+    for _ in 0..25 {
+        let at = Vector3::new(rng.random_range(-4.0..4.0), rng.random_range(-4.0..4.0), 0.0);
+        let size = Vector3::from_fn(|_, _| rng.random_range(0.2..1.6f32));
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rng.random_range(0.0..3.0f32));
+        for _ in 0..700 {
+            let mut p = Vector3::from_fn(|i, _| rng.random_range(0.0..size[i]));
+            let face = rng.random_range(0..3);
+            p[face] = if rng.random_range(0..2) == 0 { 0.0 } else { size[face] };
+            out.push(Point3::from(turn * p + at));
+        }
+    }
+    for _ in 0..6000 {
+        out.push(Point3::new(rng.random_range(-5.0..5.0), rng.random_range(-5.0..5.0), 0.0));
+    }
+    out
+}
+
+fn cut(points: &[Point3<f32>], keep: impl Fn(&Point3<f32>) -> bool, t: &Pose, seed: u64) -> PointCloud {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut noisy = |p: &Point3<f32>| p + Vector3::from_fn(|_, _| rng.random_range(-0.01..0.01f32));
+    let kept: Vec<_> = points.iter().filter(|p| keep(p)).map(&mut noisy).collect();
+    PointCloud::from_positions(kept).transformed(t)
+}
+
+fn moved() -> Pose {
+    Pose::from_parts(Vector3::new(3.0, -7.0, 2.0).into(), UnitQuaternion::from_euler_angles(2.0, -0.8, 1.5))
+}
+
+#[test]
+fn parts_of_a_scene_that_overlap_by_half_are_laid_over_each_other_from_anywhere() {
+    let points = scene(1);
+    let target = cut(&points, |p| p.x < 1.5, &Pose::identity(), 2);
+    let source = cut(&points, |p| p.x > -1.5, &moved(), 3);
+    for method in [GlobalMethod::Consistency, GlobalMethod::Ransac] {
+        let params = GlobalParams { voxel_size_m: 0.1, method, ..GlobalParams::default() };
+        let found = register_global(&source, &target, &params).unwrap();
+        let off = found.t_target_source * moved();
+        assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.02, "{method:?} {off} {found:?}");
+        assert_eq!(found, register_global(&source, &target, &params).unwrap());
+    }
+}
+
+#[test]
+fn scenes_that_have_nothing_in_common_are_not_said_to_match() {
+    for seed in 10..14 {
+        let target = cut(&scene(seed), |_| true, &Pose::identity(), 2);
+        let source = cut(&scene(seed + 100), |_| true, &moved(), 3);
+        let params = GlobalParams { voxel_size_m: 0.1, ..GlobalParams::default() };
+        let found = register_global(&source, &target, &params).unwrap();
+        assert_ne!(found.outcome, GlobalOutcome::Found, "{found:?}");
+    }
+}
+
+#[test]
+fn degenerate_clouds_are_answered() {
+    let params = GlobalParams { voxel_size_m: 0.1, ..GlobalParams::default() };
+    let cloud = |points: Vec<Point3<f32>>| PointCloud::from_positions(points);
+    let line = cloud((0..500).map(|i| Point3::new(i as f32 * 0.1, 0.0, 0.0)).collect());
+    let plane = cloud((0..2500).map(|i| Point3::new((i % 50) as f32 * 0.1, (i / 50) as f32 * 0.1, 0.0)).collect());
+    for (a, b) in [(&line, &line), (&plane, &plane), (&line, &plane)] {
+        let found = register_global(a, b, &params).unwrap();
+        assert_ne!(found.outcome, GlobalOutcome::Found, "{found:?}");
+    }
+    let equal = cloud(vec![Point3::origin(); 100]);
+    assert!(matches!(
+        register_global(&equal, &plane, &params),
+        Err(RegistrationError::TooFewPoints { field: "source", num_points: 1, .. })
+    ));
+    let bad = GlobalParams { voxel_size_m: 0.0, ..params };
+    assert!(matches!(register_global(&plane, &plane, &bad), Err(RegistrationError::BadParam { field: "voxel_size_m", .. })));
+}
