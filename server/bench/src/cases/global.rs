@@ -26,8 +26,7 @@ pub(super) fn register(args: &Args) -> Result<Box<dyn Case>, BenchError> {
     let target = read_cloud(&args.required::<PathBuf>("target")?)?;
     let truth = read_pose(&args.required::<PathBuf>("truth")?)?;
     let refine = args.or("refine", true)?;
-    let params =
-        GlobalParams { voxel_size_m: args.required("voxel_size_m")?, refine, ..GlobalParams::default() };
+    let params = GlobalParams { voxel_size_m: args.required("voxel_size_m")?, refine, ..GlobalParams::default() };
     let items = source.len() + target.len();
     let work = move || register_global(&source, &target, &params).map_err(BenchError::new);
     Ok(timed(items, work, move |out| {

@@ -3,6 +3,7 @@
 mod depth;
 mod files;
 mod filters;
+mod global;
 mod images;
 mod registration;
 mod search;
@@ -32,6 +33,8 @@ type Open = fn(&Args) -> Result<Box<dyn Case>, BenchError>;
 /// Operations by name.
 pub const OPERATIONS: &[(&str, Open)] = &[
     ("load", files::load),
+    ("fpfh", global::fpfh),
+    ("register_global", global::register),
     ("voxel_downsample", filters::voxels),
     ("register", registration::register),
     ("outliers_statistical", filters::outliers_statistical),
