@@ -95,7 +95,7 @@ fn exp2(x: f32) -> f32 {
     let x = if x > -126.0 { x } else { -126.0 };
     let whole = x + ROUND;
     let f = x - (whole - ROUND);
-    let p = 1.0 + f * (0.693_147_2 + f * (0.240_227 + f * (0.055_504 + f * 0.009_618)));
+    let p = 1.0 + f * (std::f32::consts::LN_2 + f * (0.240_227 + f * (0.055_504 + f * 0.009_618)));
     f32::from_bits(p.to_bits().wrapping_add(whole.to_bits() << 23))
 }
 

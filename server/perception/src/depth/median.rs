@@ -72,7 +72,7 @@ pub fn median_units(
     params: &MedianParams,
 ) -> Result<Vec<u16>, GeometryError> {
     params.validate()?;
-    let expected = width.checked_mul(height).unwrap_or(usize::MAX);
+    let expected = width.saturating_mul(height);
     if units.len() != expected {
         return Err(GeometryError::ShapeMismatch { field: "depth", expected, actual: units.len() });
     }

@@ -244,9 +244,9 @@ by_processor! {
             let num_points = tree.num_points_of(other as usize);
             for j in 0..num_points {
                 let (x, y, z) = (leaf.xs[j], leaf.ys[j], leaf.zs[j]);
-                for i in 0..LEAF {
+                for (i, count) in counts.iter_mut().enumerate() {
                     let (dx, dy, dz) = (own.xs[i] - x, own.ys[i] - y, own.zs[i] - z);
-                    counts[i] += u32::from(dx * dx + dy * dy + dz * dz <= radius2);
+                    *count += u32::from(dx * dx + dy * dy + dz * dz <= radius2);
                 }
             }
         }
@@ -347,9 +347,9 @@ fn carried_bound(own: &Leaf, q: &[f32; 3], reaches: &[f32; LEAF]) -> f32 {
 
 #[inline(always)]
 fn measure(leaf: &Leaf, q: &[f32; 3], out: &mut [f32; LEAF]) {
-    for j in 0..LEAF {
+    for (j, distance2) in out.iter_mut().enumerate() {
         let (dx, dy, dz) = (q[0] - leaf.xs[j], q[1] - leaf.ys[j], q[2] - leaf.zs[j]);
-        out[j] = dx * dx + dy * dy + dz * dz;
+        *distance2 = dx * dx + dy * dy + dz * dz;
     }
 }
 

@@ -158,7 +158,7 @@ impl KdTree {
         wanted: &Wanted,
         take: impl Fn(&mut R, usize, &Group) + Sync,
     ) -> Vec<R> {
-        if wanted.k == 0 || !(wanted.radius_m >= 0.0) {
+        if wanted.k == 0 || wanted.radius_m.is_nan() || wanted.radius_m < 0.0 {
             return Vec::new();
         }
         self.map_tasks(Group::new, |group, out, leaf| {
@@ -170,7 +170,7 @@ impl KdTree {
     /// Whether each point that the tree was built from has at least `wanted` points within `radius_m`, itself among
     /// them; false for points that are not finite. Stops counting as soon as it can.
     pub fn at_least_within(&self, radius_m: f32, wanted: usize) -> Vec<bool> {
-        if !(radius_m >= 0.0) {
+        if radius_m.is_nan() || radius_m < 0.0 {
             return vec![false; self.num_given];
         }
         let by_task = self.map_tasks(Group::new, |group, out: &mut Vec<bool>, leaf| {

@@ -48,7 +48,7 @@ pub(super) fn candidates(pairs: &[Pair], params: &GlobalParams) -> Vec<Candidate
 
 /// The most agreed motions that differ from each other by where they put the pairs.
 pub(super) fn distinct(mut found: Vec<Candidate>, size: f64, pairs: &[Pair]) -> Vec<Candidate> {
-    found.sort_by(|a, b| b.num_pairs.cmp(&a.num_pairs));
+    found.sort_by_key(|c| std::cmp::Reverse(c.num_pairs));
     let mut out: Vec<Candidate> = Vec::new();
     let sample: Vec<&Pair> = pairs.iter().step_by(pairs.len().div_ceil(20).max(1)).collect();
     for c in found {

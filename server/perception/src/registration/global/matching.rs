@@ -92,12 +92,10 @@ percept_geometry::by_processor! {
                 let square: f32 = row.iter().map(|v| v * v).sum();
                 let mut dot = [0.0f32; LANES];
                 for (x, numbers) in row.iter().zip(&block.numbers) {
-                    for lane in 0..LANES {
-                        dot[lane] += x * numbers[lane];
-                    }
+                    dot.iter_mut().zip(numbers).for_each(|(d, n)| *d += x * n);
                 }
-                for lane in 0..block.used {
-                    let distance2 = square + block.squares[lane] - 2.0 * dot[lane];
+                for (lane, dot) in dot.iter().enumerate().take(block.used) {
+                    let distance2 = square + block.squares[lane] - 2.0 * dot;
                     let column = b * LANES + lane;
                     if distance2 < of_rows[r].0 {
                         of_rows[r] = (distance2, column as u32);
