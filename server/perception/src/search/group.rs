@@ -69,6 +69,11 @@ impl Group {
         }
     }
 
+    /// Forgets what was learnt from leaves before; memory is kept.
+    pub(crate) fn forget(&mut self) {
+        self.usual = 0.0;
+    }
+
     /// Finds the neighbours of the points of a leaf. `wanted.k` is not more than the points of the tree.
     pub(crate) fn find(&mut self, tree: &KdTree, leaf: usize, wanted: &Wanted) {
         self.rows.resize(LEAF * wanted.k, 0);

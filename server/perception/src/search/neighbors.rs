@@ -161,7 +161,7 @@ impl KdTree {
         if wanted.k == 0 || wanted.radius_m.is_nan() || wanted.radius_m < 0.0 {
             return Vec::new();
         }
-        self.map_tasks(Group::new, |group, out, leaf| {
+        self.map_tasks(|group, out, leaf| {
             group.find(self, leaf, wanted);
             take(out, leaf, group);
         })
@@ -173,25 +173,23 @@ impl KdTree {
         if radius_m.is_nan() || radius_m < 0.0 {
             return vec![false; self.num_given];
         }
-        let by_task = self.map_tasks(Group::new, |group, out: &mut Vec<bool>, leaf| {
+        let by_task = self.map_tasks(|group, out: &mut Vec<bool>, leaf| {
             let reached = group.at_least(self, leaf, radius_m, wanted);
             out.extend_from_slice(&reached[..self.num_points_of(leaf)]);
         });
         self.in_cloud_order(&by_task, false)
     }
 
-    fn map_tasks<S, R: Send + Default>(
-        &self,
-        scratch: impl Fn() -> S + Sync + Send,
-        work: impl Fn(&mut S, &mut R, usize) + Sync + Send,
-    ) -> Vec<R> {
+    fn map_tasks<R: Send + Default>(&self, work: impl Fn(&mut Group, &mut R, usize) + Sync + Send) -> Vec<R> {
         let tasks = (0..self.num_leaves().div_ceil(LEAVES)).into_par_iter();
-        let task = |scratch: &mut S, task| {
+        let task = |group: &mut Group, task| {
+            // What a thread did before must not be seen: the order of rows that are not sorted depends on the guess.
+            group.forget();
             let mut out = R::default();
-            self.leaves_of_task(task).for_each(|leaf| work(scratch, &mut out, leaf));
+            self.leaves_of_task(task).for_each(|leaf| work(group, &mut out, leaf));
             out
         };
-        tasks.map_init(scratch, task).collect()
+        tasks.map_init(Group::new, task).collect()
     }
 
     /// The leaves that belong to a result of [`map_leaves`](Self::map_leaves).
@@ -290,6 +288,28 @@ mod tests {
                 prop_assert_eq!(reached, percept_geometry::cloud::is_finite(p) && tree.radius(p, radius).len() >= k);
             }
         }
+    }
+
+    #[test]
+    fn rows_that_are_not_sorted_do_not_depend_on_the_number_of_threads() {
+        // Dense and sparse stretches in turn, so that a guess carried over from elsewhere would be wrong.
+        let hash = |i: u32| (i.wrapping_mul(2_654_435_761) >> 8) as f32 / (1 << 24) as f32;
+        let stretch = |i: u32| if (i / 3000).is_multiple_of(2) { 0.1 } else { 10.0 };
+        let points: Vec<Point3<f32>> = (0..24_000u32)
+            .map(|i| Point3::new((i / 3000) as f32 * 20.0 + hash(i) * stretch(i), hash(i + 77_777) * stretch(i), 0.0))
+            .collect();
+        let tree = KdTree::build(&points);
+        let wanted = Wanted { k: 20, radius_m: f32::INFINITY, sorted: false };
+        let rows = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                tree.map_leaves(&wanted, |out: &mut Vec<u64>, leaf, group| {
+                    (0..tree.num_points_of(leaf)).for_each(|i| out.extend_from_slice(group.row(i, &wanted)));
+                })
+            })
+        };
+        let one = rows(1);
+        assert!((0..5).all(|_| rows(3) == one));
     }
 
     #[test]
