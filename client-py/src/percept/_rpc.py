@@ -123,6 +123,15 @@ COMPUTE_SHAPE_FEATURES = Rpc(
 )
 DETECT_OBJECTS = Rpc(_T, "DetectObjects", toolbox.DetectObjectsRequest, toolbox.DetectObjectsResponse)
 REGISTER_CLOUDS = Rpc(_T, "RegisterClouds", toolbox.RegisterCloudsRequest, toolbox.RegisterCloudsResponse)
+REGISTER_CLOUDS_GLOBALLY = Rpc(
+    _T,
+    "RegisterCloudsGlobally",
+    toolbox.RegisterCloudsGloballyRequest,
+    toolbox.RegisterCloudsGloballyResponse,
+)
+COMPUTE_POINT_FEATURES = Rpc(
+    _T, "ComputePointFeatures", toolbox.ComputePointFeaturesRequest, toolbox.ComputePointFeaturesResponse
+)
 UNPROJECT_DEPTH = Rpc(_T, "UnprojectDepth", toolbox.UnprojectDepthRequest, toolbox.UnprojectDepthResponse)
 ESTIMATE_ESSENTIAL = Rpc(
     _T, "EstimateEssential", toolbox_images.EstimateEssentialRequest, toolbox_images.EstimateEssentialResponse

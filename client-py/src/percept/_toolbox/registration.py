@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .._arrays import Array
+from .._arrays import Array, Floats
 from .._convert.toolbox import registration as convert
 from .._convert.toolbox.request import Cloud
 from ..types.geometry import Pose
-from ..types.toolbox import Registration, RegistrationMethod, RobustKernel
+from ..types.toolbox import (
+    GlobalRegistration,
+    GlobalRegistrationMethod,
+    Registration,
+    RegistrationMethod,
+    RobustKernel,
+)
 from ._base import Async, Sync
 
 
@@ -62,6 +68,41 @@ class RegistrationCalls(Sync):
         )
         return self._transport.call(call)
 
+    def register_clouds_globally(
+        self,
+        source: Cloud,
+        *,
+        target: Cloud,
+        voxel_size_m: float | None = None,
+        method: GlobalRegistrationMethod | str = GlobalRegistrationMethod.CONSISTENCY,
+        refine: bool | None = None,
+        max_iterations: int | None = None,
+        seed: int = 0,
+    ) -> GlobalRegistration:
+        """Lays source over target from anywhere, with no guess; believe it only if its outcome is FOUND.
+
+        Both clouds are thinned to voxel_size_m (0.05; 0.5 for outdoor lidars), with which all else scales.
+        max_iterations (100000) is for ransac.
+        """
+        call = convert.register_clouds_globally(
+            source,
+            target,
+            voxel_size_m=voxel_size_m,
+            method=method,
+            refine=refine,
+            max_iterations=max_iterations,
+            seed=seed,
+        )
+        return self._transport.call(call)
+
+    def compute_point_features(
+        self, cloud: Cloud, *, radius_m: float | None = None, max_neighbors: int | None = None
+    ) -> Floats:
+        """FPFH of every point, (N, 33) float32, from neighbours within radius_m (0.25), at most
+        max_neighbors (100; 0: all); zeros for points without neighbours."""
+        call = convert.compute_point_features(cloud, radius_m=radius_m, max_neighbors=max_neighbors)
+        return self._transport.call(call)
+
 
 class AsyncRegistrationCalls(Async):
     """How one cloud lies over another."""
@@ -111,4 +152,39 @@ class AsyncRegistrationCalls(Async):
             tangent_weight=tangent_weight,
             degeneracy_threshold=degeneracy_threshold,
         )
+        return await self._transport.call(call)
+
+    async def register_clouds_globally(
+        self,
+        source: Cloud,
+        *,
+        target: Cloud,
+        voxel_size_m: float | None = None,
+        method: GlobalRegistrationMethod | str = GlobalRegistrationMethod.CONSISTENCY,
+        refine: bool | None = None,
+        max_iterations: int | None = None,
+        seed: int = 0,
+    ) -> GlobalRegistration:
+        """Lays source over target from anywhere, with no guess; believe it only if its outcome is FOUND.
+
+        Both clouds are thinned to voxel_size_m (0.05; 0.5 for outdoor lidars), with which all else scales.
+        max_iterations (100000) is for ransac.
+        """
+        call = convert.register_clouds_globally(
+            source,
+            target,
+            voxel_size_m=voxel_size_m,
+            method=method,
+            refine=refine,
+            max_iterations=max_iterations,
+            seed=seed,
+        )
+        return await self._transport.call(call)
+
+    async def compute_point_features(
+        self, cloud: Cloud, *, radius_m: float | None = None, max_neighbors: int | None = None
+    ) -> Floats:
+        """FPFH of every point, (N, 33) float32, from neighbours within radius_m (0.25), at most
+        max_neighbors (100; 0: all); zeros for points without neighbours."""
+        call = convert.compute_point_features(cloud, radius_m=radius_m, max_neighbors=max_neighbors)
         return await self._transport.call(call)

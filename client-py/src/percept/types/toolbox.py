@@ -178,6 +178,46 @@ class Registration(Value):
     degenerate_axes: tuple[bool, ...]
 
 
+class GlobalRegistrationMethod(Name):
+    """How sets of right pairs of points are found among wrong ones."""
+
+    CONSISTENCY = "consistency"
+    RANSAC = "ransac"
+
+
+class GlobalRegistrationOutcome(Name):
+    """Whether an answer with no first guess is to be believed."""
+
+    UNSPECIFIED = "unspecified"
+    FOUND = "found"
+    #: The best found, but not enough of the clouds coincides to be sure.
+    DOUBTFUL = "doubtful"
+    #: Two different ways fit nearly as well: the place repeats itself.
+    AMBIGUOUS = "ambiguous"
+    NOT_FOUND = "not_found"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GlobalRegistration(Value):
+    """How a source cloud lies over a target cloud, found with no guess."""
+
+    #: Use the transform only if FOUND.
+    outcome: GlobalRegistrationOutcome
+    t_target_source: Pose
+    #: Of a right perturbation in source, (6, 6); zero without refinement.
+    covariance: Floats
+    #: Share of the source that coincides with the target, 0 to 1.
+    overlap: float
+    #: The same of the best way that differs from the answer.
+    rival_overlap: float
+    #: Of the points that coincide, metres.
+    rmse_m: float
+    #: Pairs of points with like features.
+    num_pairs: int
+    #: Of these, the pairs that agree with the answer.
+    num_agreeing: int
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GroundPatch(Value):
     """A piece of ground."""

@@ -173,6 +173,60 @@ REGISTRATION_OUTCOME_DIVERGED: RegistrationOutcome.ValueType  # 5
 """A step led away from the clouds, or most pairs were lost."""
 Global___RegistrationOutcome: _TypeAlias = RegistrationOutcome  # noqa: Y015
 
+class _GlobalRegistrationMethod:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _GlobalRegistrationMethodEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_GlobalRegistrationMethod.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    GLOBAL_REGISTRATION_METHOD_UNSPECIFIED: _GlobalRegistrationMethod.ValueType  # 0
+    """CONSISTENCY."""
+    GLOBAL_REGISTRATION_METHOD_CONSISTENCY: _GlobalRegistrationMethod.ValueType  # 1
+    """By the graph of pairs whose distances agree (Chen et al. 2022)."""
+    GLOBAL_REGISTRATION_METHOD_RANSAC: _GlobalRegistrationMethod.ValueType  # 2
+    """By random samples of four pairs (Rusu et al. 2009)."""
+
+class GlobalRegistrationMethod(_GlobalRegistrationMethod, metaclass=_GlobalRegistrationMethodEnumTypeWrapper):
+    """How sets of right pairs of points are found among wrong ones."""
+
+GLOBAL_REGISTRATION_METHOD_UNSPECIFIED: GlobalRegistrationMethod.ValueType  # 0
+"""CONSISTENCY."""
+GLOBAL_REGISTRATION_METHOD_CONSISTENCY: GlobalRegistrationMethod.ValueType  # 1
+"""By the graph of pairs whose distances agree (Chen et al. 2022)."""
+GLOBAL_REGISTRATION_METHOD_RANSAC: GlobalRegistrationMethod.ValueType  # 2
+"""By random samples of four pairs (Rusu et al. 2009)."""
+Global___GlobalRegistrationMethod: _TypeAlias = GlobalRegistrationMethod  # noqa: Y015
+
+class _GlobalRegistrationOutcome:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _GlobalRegistrationOutcomeEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_GlobalRegistrationOutcome.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    GLOBAL_REGISTRATION_OUTCOME_UNSPECIFIED: _GlobalRegistrationOutcome.ValueType  # 0
+    GLOBAL_REGISTRATION_OUTCOME_FOUND: _GlobalRegistrationOutcome.ValueType  # 1
+    """Much of the clouds coincides, and no other way to lay them over each other does nearly as well."""
+    GLOBAL_REGISTRATION_OUTCOME_DOUBTFUL: _GlobalRegistrationOutcome.ValueType  # 2
+    """The best found, but not enough of the clouds coincides to be sure."""
+    GLOBAL_REGISTRATION_OUTCOME_AMBIGUOUS: _GlobalRegistrationOutcome.ValueType  # 3
+    """Two different ways fit nearly as well: the place repeats itself."""
+    GLOBAL_REGISTRATION_OUTCOME_NOT_FOUND: _GlobalRegistrationOutcome.ValueType  # 4
+    """Too few pairs of points agree."""
+
+class GlobalRegistrationOutcome(_GlobalRegistrationOutcome, metaclass=_GlobalRegistrationOutcomeEnumTypeWrapper):
+    """Whether an answer with no first guess is to be believed."""
+
+GLOBAL_REGISTRATION_OUTCOME_UNSPECIFIED: GlobalRegistrationOutcome.ValueType  # 0
+GLOBAL_REGISTRATION_OUTCOME_FOUND: GlobalRegistrationOutcome.ValueType  # 1
+"""Much of the clouds coincides, and no other way to lay them over each other does nearly as well."""
+GLOBAL_REGISTRATION_OUTCOME_DOUBTFUL: GlobalRegistrationOutcome.ValueType  # 2
+"""The best found, but not enough of the clouds coincides to be sure."""
+GLOBAL_REGISTRATION_OUTCOME_AMBIGUOUS: GlobalRegistrationOutcome.ValueType  # 3
+"""Two different ways fit nearly as well: the place repeats itself."""
+GLOBAL_REGISTRATION_OUTCOME_NOT_FOUND: GlobalRegistrationOutcome.ValueType  # 4
+"""Too few pairs of points agree."""
+Global___GlobalRegistrationOutcome: _TypeAlias = GlobalRegistrationOutcome  # noqa: Y015
+
 class _CloudFormat:
     ValueType = _typing.NewType("ValueType", _builtins.int)
     V: _TypeAlias = ValueType  # noqa: Y015
@@ -973,6 +1027,195 @@ class RegisterCloudsResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___RegisterCloudsResponse: _TypeAlias = RegisterCloudsResponse  # noqa: Y015
+
+@_typing.final
+class RegisterCloudsGloballyRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    TARGET_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    METHOD_FIELD_NUMBER: _builtins.int
+    REFINE_FIELD_NUMBER: _builtins.int
+    MAX_ITERATIONS_FIELD_NUMBER: _builtins.int
+    SEED_FIELD_NUMBER: _builtins.int
+    SOURCE_HANDLE_FIELD_NUMBER: _builtins.int
+    TARGET_HANDLE_FIELD_NUMBER: _builtins.int
+    voxel_size_m: _builtins.float
+    """Both clouds are thinned to one point a voxel of this edge, metres; all else scales with it: 0.5 for outdoor lidars,
+    0.05 for rooms. Absent: 0.05.
+    """
+    method: Global___GlobalRegistrationMethod.ValueType
+    refine: _builtins.bool
+    """Whether candidates are refined by GICP on the thinned clouds. Absent: true."""
+    max_iterations: _builtins.int
+    """RANSAC only: samples at most, 1 to 10000000. Absent: 100000."""
+    seed: _builtins.int
+    """Same seed, same answer."""
+    source_handle: _builtins.str
+    """Instead of source: a kept cloud's handle."""
+    target_handle: _builtins.str
+    """Instead of target: a kept cloud's handle."""
+    @_builtins.property
+    def source(self) -> _geometry_pb2.PointCloud: ...
+    @_builtins.property
+    def target(self) -> _geometry_pb2.PointCloud: ...
+    def __init__(
+        self,
+        *,
+        source: _geometry_pb2.PointCloud | None = ...,
+        target: _geometry_pb2.PointCloud | None = ...,
+        voxel_size_m: _builtins.float | None = ...,
+        method: Global___GlobalRegistrationMethod.ValueType = ...,
+        refine: _builtins.bool | None = ...,
+        max_iterations: _builtins.int | None = ...,
+        seed: _builtins.int = ...,
+        source_handle: _builtins.str | None = ...,
+        target_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_iterations", b"_max_iterations", "_refine", b"_refine", "_source_handle", b"_source_handle", "_target_handle", b"_target_handle", "_voxel_size_m", b"_voxel_size_m", "max_iterations", b"max_iterations", "refine", b"refine", "source", b"source", "source_handle", b"source_handle", "target", b"target", "target_handle", b"target_handle", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_iterations", b"_max_iterations", "_refine", b"_refine", "_source_handle", b"_source_handle", "_target_handle", b"_target_handle", "_voxel_size_m", b"_voxel_size_m", "max_iterations", b"max_iterations", "method", b"method", "refine", b"refine", "seed", b"seed", "source", b"source", "source_handle", b"source_handle", "target", b"target", "target_handle", b"target_handle", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__max_iterations: _TypeAlias = _typing.Literal["max_iterations"]  # noqa: Y015
+    _WhichOneofArgType__max_iterations: _TypeAlias = _typing.Literal["_max_iterations", b"_max_iterations"]  # noqa: Y015
+    _WhichOneofReturnType__refine: _TypeAlias = _typing.Literal["refine"]  # noqa: Y015
+    _WhichOneofArgType__refine: _TypeAlias = _typing.Literal["_refine", b"_refine"]  # noqa: Y015
+    _WhichOneofReturnType__source_handle: _TypeAlias = _typing.Literal["source_handle"]  # noqa: Y015
+    _WhichOneofArgType__source_handle: _TypeAlias = _typing.Literal["_source_handle", b"_source_handle"]  # noqa: Y015
+    _WhichOneofReturnType__target_handle: _TypeAlias = _typing.Literal["target_handle"]  # noqa: Y015
+    _WhichOneofArgType__target_handle: _TypeAlias = _typing.Literal["_target_handle", b"_target_handle"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_iterations) -> _WhichOneofReturnType__max_iterations | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__refine) -> _WhichOneofReturnType__refine | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__source_handle) -> _WhichOneofReturnType__source_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__target_handle) -> _WhichOneofReturnType__target_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
+
+Global___RegisterCloudsGloballyRequest: _TypeAlias = RegisterCloudsGloballyRequest  # noqa: Y015
+
+@_typing.final
+class RegisterCloudsGloballyResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    OUTCOME_FIELD_NUMBER: _builtins.int
+    T_TARGET_SOURCE_FIELD_NUMBER: _builtins.int
+    COVARIANCE_FIELD_NUMBER: _builtins.int
+    OVERLAP_FIELD_NUMBER: _builtins.int
+    RIVAL_OVERLAP_FIELD_NUMBER: _builtins.int
+    RMSE_M_FIELD_NUMBER: _builtins.int
+    NUM_PAIRS_FIELD_NUMBER: _builtins.int
+    NUM_AGREEING_FIELD_NUMBER: _builtins.int
+    outcome: Global___GlobalRegistrationOutcome.ValueType
+    """Use the transform only if FOUND."""
+    overlap: _builtins.float
+    """Share of the source that coincides with the target within a voxel, places that are not flat counting more, 0 to 1."""
+    rival_overlap: _builtins.float
+    """The same of the best way that differs from the answer."""
+    rmse_m: _builtins.float
+    """Of the points that coincide, metres."""
+    num_pairs: _builtins.int
+    """Pairs of points with like features."""
+    num_agreeing: _builtins.int
+    """Of these, the pairs that agree with the answer."""
+    @_builtins.property
+    def t_target_source(self) -> _geometry_pb2.Pose:
+        """Identity if NOT_FOUND."""
+
+    @_builtins.property
+    def covariance(self) -> _geometry_pb2.Covariance6:
+        """Of a right perturbation in source; zero without refinement."""
+
+    def __init__(
+        self,
+        *,
+        outcome: Global___GlobalRegistrationOutcome.ValueType = ...,
+        t_target_source: _geometry_pb2.Pose | None = ...,
+        covariance: _geometry_pb2.Covariance6 | None = ...,
+        overlap: _builtins.float = ...,
+        rival_overlap: _builtins.float = ...,
+        rmse_m: _builtins.float = ...,
+        num_pairs: _builtins.int = ...,
+        num_agreeing: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "t_target_source", b"t_target_source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "num_agreeing", b"num_agreeing", "num_pairs", b"num_pairs", "outcome", b"outcome", "overlap", b"overlap", "rival_overlap", b"rival_overlap", "rmse_m", b"rmse_m", "t_target_source", b"t_target_source"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___RegisterCloudsGloballyResponse: _TypeAlias = RegisterCloudsGloballyResponse  # noqa: Y015
+
+@_typing.final
+class ComputePointFeaturesRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    RADIUS_M_FIELD_NUMBER: _builtins.int
+    MAX_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
+    radius_m: _builtins.float
+    """Neighbourhood, metres; about five voxels of a thinned cloud. Absent: 0.25."""
+    max_neighbors: _builtins.int
+    """Nearest neighbours used, at most, itself among them; 0: all. Absent: 100."""
+    cloud_handle: _builtins.str
+    """Instead of cloud: a kept one's handle."""
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud:
+        """With normals, or they are estimated from 20 neighbours."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        radius_m: _builtins.float | None = ...,
+        max_neighbors: _builtins.int | None = ...,
+        cloud_handle: _builtins.str | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
+    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
+    _WhichOneofReturnType__max_neighbors: _TypeAlias = _typing.Literal["max_neighbors"]  # noqa: Y015
+    _WhichOneofArgType__max_neighbors: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
+    _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbors) -> _WhichOneofReturnType__max_neighbors | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
+
+Global___ComputePointFeaturesRequest: _TypeAlias = ComputePointFeaturesRequest  # noqa: Y015
+
+@_typing.final
+class ComputePointFeaturesResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    FEATURES_FIELD_NUMBER: _builtins.int
+    features: _builtins.bytes
+    """N x 33 float32, row-major: three histograms of eleven bins; zeros for points without neighbours."""
+    def __init__(
+        self,
+        *,
+        features: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["features", b"features"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ComputePointFeaturesResponse: _TypeAlias = ComputePointFeaturesResponse  # noqa: Y015
 
 @_typing.final
 class UnprojectDepthRequest(_message.Message):

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ... import _rpc
+from ..._arrays import Floats
 from ..._call import Call
-from ...types.toolbox import Registration, RegistrationOutcome
+from ...types.toolbox import (
+    GlobalRegistration,
+    GlobalRegistrationOutcome,
+    Registration,
+    RegistrationOutcome,
+)
 from ...v1 import toolbox_service_pb2 as service
 from .. import geometry, words
-from .request import Cloud, of, put_cloud
+from .request import Cloud, of, put_cloud, with_cloud
 
 
 def register_clouds(
@@ -29,4 +37,38 @@ def _registration(answer: service.RegisterCloudsResponse) -> Registration:
         converged=answer.converged,
         outcome=words.word(RegistrationOutcome, service.RegistrationOutcome, answer.outcome),
         degenerate_axes=tuple(answer.degenerate_axes),
+    )
+
+
+def register_clouds_globally(
+    source: Cloud, target: Cloud, **fields: object
+) -> Call[service.RegisterCloudsGloballyRequest, service.RegisterCloudsGloballyResponse, GlobalRegistration]:
+    request = of(service.RegisterCloudsGloballyRequest, **fields)
+    put_cloud(request, "source", source)
+    put_cloud(request, "target", target)
+    return Call(_rpc.REGISTER_CLOUDS_GLOBALLY, request, _global)
+
+
+def _global(answer: service.RegisterCloudsGloballyResponse) -> GlobalRegistration:
+    outcome = words.word(GlobalRegistrationOutcome, service.GlobalRegistrationOutcome, answer.outcome)
+    return GlobalRegistration(
+        outcome=outcome,
+        t_target_source=geometry.pose(answer.t_target_source),
+        covariance=geometry.covariance(answer.covariance),
+        overlap=answer.overlap,
+        rival_overlap=answer.rival_overlap,
+        rmse_m=answer.rmse_m,
+        num_pairs=answer.num_pairs,
+        num_agreeing=answer.num_agreeing,
+    )
+
+
+def compute_point_features(
+    cloud: Cloud, **fields: object
+) -> Call[service.ComputePointFeaturesRequest, service.ComputePointFeaturesResponse, Floats]:
+    def read(answer: service.ComputePointFeaturesResponse) -> Floats:
+        return np.frombuffer(answer.features, "<f4").reshape(-1, 33)
+
+    return Call(
+        _rpc.COMPUTE_POINT_FEATURES, with_cloud(service.ComputePointFeaturesRequest, cloud, **fields), read
     )

@@ -297,6 +297,18 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/compute-shape-features", "ToolboxService/ComputeShapeFeatures", &[], unary!(Message compute_shape_features)),
     post("/v1/toolbox/detect-objects", "ToolboxService/DetectObjects", &[], unary!(Message detect_objects)),
     post("/v1/toolbox/register-clouds", "ToolboxService/RegisterClouds", &[], unary!(Message register_clouds)),
+    post(
+        "/v1/toolbox/register-clouds-globally",
+        "ToolboxService/RegisterCloudsGlobally",
+        &[],
+        unary!(Message register_clouds_globally),
+    ),
+    post(
+        "/v1/toolbox/compute-point-features",
+        "ToolboxService/ComputePointFeatures",
+        &[],
+        unary!(Message compute_point_features),
+    ),
     post("/v1/toolbox/unproject-depth", "ToolboxService/UnprojectDepth", &[], unary!(Message unproject_depth)),
     post("/v1/toolbox/estimate-essential", "ToolboxService/EstimateEssential", &[], unary!(Message estimate_essential)),
     post("/v1/toolbox/estimate-homography", "ToolboxService/EstimateHomography", &[], unary!(Message estimate_homography)),

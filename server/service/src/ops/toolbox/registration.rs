@@ -3,7 +3,10 @@
 use super::registration_error;
 use crate::Result;
 use percept_geometry::{PointCloud, Pose};
-use percept_perception::registration::{IcpResult, RegisterParams, register};
+use percept_perception::cloud::{NormalParams, estimate_normals};
+use percept_perception::registration::{
+    Fpfh, FpfhParams, GlobalParams, GlobalResult, IcpResult, RegisterParams, compute_fpfh, register, register_global,
+};
 
 /// Lays a source over a target from an initial `t_target_source`.
 ///
@@ -17,4 +20,33 @@ pub fn register_clouds(
     params: &RegisterParams,
 ) -> Result<IcpResult> {
     register(source, target, initial, params).map_err(registration_error)
+}
+
+/// Lays a source over a target with no first guess. That nothing was found is an answer.
+///
+/// # Errors
+/// `REGISTRATION_INVALID`: too few points, parameters out of bounds; `VOXEL_TOO_SMALL`.
+pub fn register_clouds_globally(
+    source: &PointCloud,
+    target: &PointCloud,
+    params: &GlobalParams,
+) -> Result<GlobalResult> {
+    register_global(source, target, params).map_err(registration_error)
+}
+
+/// A feature for every point; normals are estimated from 20 neighbours if the cloud has none.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter.
+pub fn compute_point_features(cloud: &PointCloud, params: &FpfhParams) -> Result<Vec<Fpfh>> {
+    let estimated;
+    let normals = match &cloud.normals {
+        Some(normals) => normals,
+        None => {
+            let twenty = NormalParams { radius_m: params.radius_m, max_neighbors: 20, ..NormalParams::default() };
+            estimated = estimate_normals(&cloud.positions, &twenty, None)?;
+            &estimated
+        }
+    };
+    Ok(compute_fpfh(&cloud.positions, normals, params)?)
 }

@@ -2,7 +2,10 @@
 
 use crate::convert::{geometry, required, unknown_enum};
 use crate::v1;
-use percept_perception::registration::{IcpMethod, IcpOutcome, IcpParams, IcpResult, RegisterParams, RobustKernel};
+use percept_perception::registration::{
+    Fpfh, FpfhParams, GlobalMethod, GlobalOutcome, GlobalParams, GlobalResult, IcpMethod, IcpOutcome, IcpParams,
+    IcpResult, RegisterParams, RobustKernel,
+};
 use percept_service::{Error, Result};
 
 /// Levels of a registration, at most.
@@ -67,4 +70,54 @@ pub fn registration_to(r: &IcpResult) -> v1::RegisterCloudsResponse {
         degenerate_axes: r.degenerate_axes.to_vec(),
         outcome: outcome_to(r.outcome).into(),
     }
+}
+
+/// Parameters of a registration with no first guess.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`.
+pub fn global(r: &v1::RegisterCloudsGloballyRequest) -> Result<GlobalParams> {
+    use v1::GlobalRegistrationMethod as M;
+    let method = match M::try_from(r.method) {
+        Ok(M::Unspecified | M::Consistency) => GlobalMethod::Consistency,
+        Ok(M::Ransac) => GlobalMethod::Ransac,
+        Err(_) => return Err(unknown_enum("method", r.method)),
+    };
+    let mut params = GlobalParams { method, seed: r.seed, ..GlobalParams::default() };
+    lay_over!(params, r: voxel_size_m, max_iterations);
+    params.refine = r.refine.unwrap_or(params.refine);
+    Ok(params)
+}
+
+/// A registration with no first guess as a message.
+pub fn global_to(r: &GlobalResult) -> v1::RegisterCloudsGloballyResponse {
+    use v1::GlobalRegistrationOutcome as O;
+    let outcome = match r.outcome {
+        GlobalOutcome::Found => O::Found,
+        GlobalOutcome::Doubtful => O::Doubtful,
+        GlobalOutcome::Ambiguous => O::Ambiguous,
+        GlobalOutcome::NotFound => O::NotFound,
+    };
+    v1::RegisterCloudsGloballyResponse {
+        outcome: outcome.into(),
+        t_target_source: Some(geometry::pose_to(&r.t_target_source)),
+        covariance: Some(geometry::covariance_to(&r.covariance)),
+        overlap: r.overlap,
+        rival_overlap: r.rival_overlap,
+        rmse_m: r.inlier_rmse_m,
+        num_pairs: r.num_pairs as u32,
+        num_agreeing: r.num_agreeing as u32,
+    }
+}
+
+/// Parameters of features.
+pub fn point_features(r: &v1::ComputePointFeaturesRequest) -> FpfhParams {
+    let mut params = FpfhParams::default();
+    lay_over!(params, r: radius_m, max_neighbors);
+    params
+}
+
+/// Features as a message.
+pub fn point_features_to(features: &[Fpfh]) -> v1::ComputePointFeaturesResponse {
+    v1::ComputePointFeaturesResponse { features: features.iter().flatten().flat_map(|v| v.to_le_bytes()).collect() }
 }

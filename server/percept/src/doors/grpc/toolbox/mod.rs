@@ -122,6 +122,20 @@ impl v1::toolbox_service_server::ToolboxService for Api {
         self.toolbox(r, registration::register_clouds).await
     }
 
+    async fn register_clouds_globally(
+        &self,
+        r: Request<v1::RegisterCloudsGloballyRequest>,
+    ) -> Answer<v1::RegisterCloudsGloballyResponse> {
+        self.toolbox(r, registration::register_clouds_globally).await
+    }
+
+    async fn compute_point_features(
+        &self,
+        r: Request<v1::ComputePointFeaturesRequest>,
+    ) -> Answer<v1::ComputePointFeaturesResponse> {
+        self.toolbox(r, registration::compute_point_features).await
+    }
+
     async fn unproject_depth(&self, r: Request<v1::UnprojectDepthRequest>) -> Answer<v1::UnprojectDepthResponse> {
         self.toolbox(r, depth::unproject_depth).await
     }
