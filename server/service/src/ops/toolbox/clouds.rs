@@ -95,7 +95,7 @@ pub fn shape_features(points: &[Point3<f32>]) -> Result<(ShapeFeatures, Oriented
 /// # Errors
 /// Clouds whose channels do not fit.
 pub fn detect_objects(cloud: &PointCloud, params: &DetectionParams) -> Result<Vec<Detection>> {
-    let detector = Detector::new(params.clone()).map_err(Error::internal)?;
+    let detector = Detector::new(*params).map_err(Error::internal)?;
     detector.detect(cloud).map_err(cloud_error)
 }
 

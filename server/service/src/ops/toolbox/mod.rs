@@ -28,7 +28,7 @@ pub use kept::{KeptCloud, KeptClouds, KeptList};
 pub use pictures::{render_cloud, render_depth};
 pub use pipeline::{Found, PlaneRemainder, Step, StepReport};
 pub use regions::{grow_regions, segment_ground, segment_objects, supervoxels};
-pub use registration::register_clouds;
+pub use registration::{compute_point_features, register_clouds, register_clouds_globally};
 pub use shapes::{Boxes, NeighborhoodParams, convex_hull, find_neighbors, fit_boxes};
 pub use subsets::{Region, Sample, crop_cloud, sample_points};
 
@@ -110,7 +110,7 @@ impl Service {
         work: impl FnOnce(&Toolbox) -> Result<T> + Send + 'static,
     ) -> Result<T> {
         let (limits, kept) = (Arc::clone(&self.limits), Arc::clone(&self.kept));
-        let detector = self.default_params().detection.detector.clone();
+        let detector = self.default_params().detection.detector;
         let budget = budget(&limits);
         let work = move || work(&Toolbox { limits, kept, detector, begin: Instant::now() });
         self.compute.request_within(budget, work).await?

@@ -120,9 +120,7 @@ fn found_to(found: &Found) -> Option<v1::pipeline_step_result::Answer> {
         Found::Kept(indices) => A::Indices(bytes_of_indices(indices)),
         Found::Planes(planes) => A::Planes(v1::SegmentPlanesResponse { planes: segmentation::planes_to(planes) }),
         Found::Clusters(clusters) => A::Clusters(segmentation::clusters_to(clusters)),
-        Found::Shape(features, upright_box) => {
-            A::Shape(segmentation::shape_to(&(features.clone(), upright_box.clone())))
-        }
+        Found::Shape(features, upright_box) => A::Shape(segmentation::shape_to(&(*features, *upright_box))),
         Found::Shapes(shapes) => {
             let clusters = shapes.iter().map(|(label, features, upright_box)| v1::ClusterShape {
                 label: *label,
