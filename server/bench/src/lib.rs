@@ -1,7 +1,7 @@
 //! Times operations on given files, one operation a process, for comparison with other libraries.
 //!
 //! Comes in: an operation and its `key=value` arguments. Goes out: JSON lines with milliseconds and the quality of the
-//! result. [`worker`] answers `prep`, `run` and `extra` line by line, so that another program can interleave several
+//! result. [`worker()`] answers `prep`, `run` and `extra` line by line, so that another program can interleave several
 //! such processes; [`run`] does a whole measurement. Each operation is one [`Case`], found in [`cases`].
 
 pub mod args;

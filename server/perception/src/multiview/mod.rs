@@ -3,7 +3,7 @@
 //! Comes in: pixels that show the same points in two images, or pixels and the points themselves, and the cameras.
 //! Goes out: [`estimate_essential`] the relative pose (its translation of length 1: two images do not tell the scale),
 //! [`estimate_homography`] the plane-to-plane map, [`estimate_two_view`] whichever of both explains more, with why a pose
-//! is not to be had, [`triangulate`] a point with its covariance, [`solve_pnp`] a camera's pose among known points.
+//! is not to be had, [`triangulate()`] a point with its covariance, [`solve_pnp`] a camera's pose among known points.
 //!
 //! All estimators draw samples from a seed (same input, same seed, same answer), score by truncated squares and stop when
 //! a better sample has become unlikely. Pixels go through the cameras' distortion; thresholds are pixels.

@@ -1,6 +1,6 @@
 //! Registration: two sets of points in, the transform between them with its uncertainty out.
 //!
-//! [`register`] takes raw clouds; [`align`] takes [`PreparedCloud`]s, which can be used many times. Parts that odometry
+//! [`register()`] takes raw clouds; [`align`] takes [`PreparedCloud`]s, which can be used many times. Parts that odometry
 //! shares: [`factors`] (one residual a file), [`RobustKernel`], [`NormalEquations`] summed in fixed chunks, and
 //! [`Degeneracy`] of the result. Perturbations are on the right, `t_target_source * exp(xi)`. [`register_global`] needs no
 //! first guess; its features are [`compute_fpfh`]'s.
