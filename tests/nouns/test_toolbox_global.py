@@ -36,7 +36,7 @@ def test_a_cloud_is_laid_over_another_from_anywhere(client, method):
     target = scene[scene[:, 0] < 2]
     found = client.toolbox.register_clouds_globally(source, target=target, voxel_size_m=0.1, method=method)
     assert found.outcome == GlobalRegistrationOutcome.FOUND
-    moved = found.t_target_source.matrix() @ np.vstack([source.T, np.ones(len(source))])
+    moved = found.t_target_source.matrix @ np.vstack([source.T, np.ones(len(source))])
     off = np.linalg.norm(moved[:3].T - scene[scene[:, 0] > -2], axis=1)
     assert off.max() < 0.05
     assert found.rival_overlap < found.overlap

@@ -15,7 +15,7 @@ from ._convert import sessions
 from ._sender import FrameSender
 from ._stream_state import StreamState
 from ._transport_options import backoff
-from .errors import DeadlineExceeded, FailedPrecondition, Internal, Unavailable, error_of_rpc
+from .errors import DeadlineExceeded, FailedPrecondition, Internal, PerceptError, Unavailable, error_of_rpc
 from .types.frames import SensorFrame
 from .types.sensors import FrameAck, StreamSummary
 from .types.sessions import SessionEvent
@@ -115,7 +115,7 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
                 self._changed.notify_all()
 
     @staticmethod
-    def _error_of(cause: grpc.RpcError) -> Exception:
+    def _error_of(cause: grpc.RpcError) -> PerceptError:
         error = error_of_rpc(cause)
         # When a write meets the end of the call, grpc.aio may put an error of its own in place of the
         # server's, which would have had a reason.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .._arrays import Array, Floats
+from .._arrays import Array
 from .._convert.toolbox import registration as convert
 from .._convert.toolbox.request import Cloud
 from ..types.geometry import Pose
@@ -97,7 +97,7 @@ class RegistrationCalls(Sync):
 
     def compute_point_features(
         self, cloud: Cloud, *, radius_m: float | None = None, max_neighbors: int | None = None
-    ) -> Floats:
+    ) -> Array:
         """FPFH of every point, (N, 33) float32, from neighbours within radius_m (0.25), at most
         max_neighbors (100; 0: all); zeros for points without neighbours."""
         call = convert.compute_point_features(cloud, radius_m=radius_m, max_neighbors=max_neighbors)
@@ -183,7 +183,7 @@ class AsyncRegistrationCalls(Async):
 
     async def compute_point_features(
         self, cloud: Cloud, *, radius_m: float | None = None, max_neighbors: int | None = None
-    ) -> Floats:
+    ) -> Array:
         """FPFH of every point, (N, 33) float32, from neighbours within radius_m (0.25), at most
         max_neighbors (100; 0: all); zeros for points without neighbours."""
         call = convert.compute_point_features(cloud, radius_m=radius_m, max_neighbors=max_neighbors)

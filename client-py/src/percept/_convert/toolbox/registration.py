@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ... import _rpc
-from ..._arrays import Floats
+from ..._arrays import Array
 from ..._call import Call
 from ...types.toolbox import (
     GlobalRegistration,
@@ -65,8 +65,8 @@ def _global(answer: service.RegisterCloudsGloballyResponse) -> GlobalRegistratio
 
 def compute_point_features(
     cloud: Cloud, **fields: object
-) -> Call[service.ComputePointFeaturesRequest, service.ComputePointFeaturesResponse, Floats]:
-    def read(answer: service.ComputePointFeaturesResponse) -> Floats:
+) -> Call[service.ComputePointFeaturesRequest, service.ComputePointFeaturesResponse, Array]:
+    def read(answer: service.ComputePointFeaturesResponse) -> Array:
         return np.frombuffer(answer.features, "<f4").reshape(-1, 33)
 
     return Call(
