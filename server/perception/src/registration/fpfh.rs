@@ -1,14 +1,12 @@
 //! Fast point feature histograms.
 
+use super::pair_bins::{BINS, LANES, PairBins};
 use crate::search::{KdTree, Neighbors};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::GeometryError;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::f32::consts::PI;
 
-/// Bins of each of the three angles.
-const BINS: usize = 11;
 /// Numbers of a feature.
 pub const FPFH_LEN: usize = 3 * BINS;
 /// A feature: three histograms of eleven bins, each adding up to about 200.
@@ -67,78 +65,71 @@ pub fn compute_fpfh(
     Ok(fpfh_of(positions, normals, &neighbors))
 }
 
-/// Features from neighbours that are known already.
+/// Features of all points from neighbours that are known already.
 pub(super) fn fpfh_of(positions: &[Point3<f32>], normals: &[Vector3<f32>], neighbors: &Neighbors) -> Vec<Fpfh> {
-    let n = positions.len();
-    let in_chunks = |one: &(dyn Fn(usize) -> Fpfh + Sync)| -> Vec<Fpfh> {
-        let mut out = vec![[0.0; FPFH_LEN]; n];
-        out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            chunk.iter_mut().enumerate().for_each(|(k, f)| *f = one(c * CHUNK + k));
-        });
-        out
-    };
-    let simple = in_chunks(&|i| simple_histogram(i, positions, normals, neighbors.of(i).0));
-    in_chunks(&|i| weighted(i, &simple, neighbors.of(i)))
+    let all: Vec<u32> = (0..positions.len() as u32).collect();
+    fpfh_of_some(&all, positions, normals, neighbors)
 }
 
-/// Histograms of the pairs of a point with its neighbours, each adding up to 100.
-fn simple_histogram(i: usize, positions: &[Point3<f32>], normals: &[Vector3<f32>], neighbors: &[u32]) -> Fpfh {
-    let mut out = [0.0; FPFH_LEN];
-    let others = neighbors.len().saturating_sub(1);
-    if others == 0 {
-        return out;
-    }
-    let share = 100.0 / others as f32;
-    let (p, n) = (&positions[i], &normals[i]);
-    for &j in neighbors.iter().filter(|&&j| j as usize != i) {
-        let [theta, alpha, phi] = pair_features(p, n, &positions[j as usize], &normals[j as usize]);
-        let bin = |x: f32| ((BINS as f32 * x) as usize).min(BINS - 1);
-        out[bin((theta + PI) * (0.5 / PI))] += share;
-        out[BINS + bin((alpha + 1.0) * 0.5)] += share;
-        out[2 * BINS + bin((phi + 1.0) * 0.5)] += share;
-    }
+/// Features of some points, in their order, from neighbours that are known already.
+pub(super) fn fpfh_of_some(
+    some: &[u32],
+    positions: &[Point3<f32>],
+    normals: &[Vector3<f32>],
+    neighbors: &Neighbors,
+) -> Vec<Fpfh> {
+    let mut touched = vec![false; positions.len()];
+    some.iter().for_each(|&i| neighbors.of(i as usize).0.iter().for_each(|&j| touched[j as usize] = true));
+    let simple = in_chunks(positions.len(), |i, out| {
+        if touched[i] {
+            simple_histogram(i, positions, normals, neighbors.of(i).0, out);
+        }
+    });
+    in_chunks(some.len(), |k, out| weighted(some[k] as usize, &simple, neighbors, out))
+}
+
+fn in_chunks(n: usize, one: impl Fn(usize, &mut Fpfh) + Sync) -> Vec<Fpfh> {
+    let mut out = vec![[0.0; FPFH_LEN]; n];
+    out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+        chunk.iter_mut().enumerate().for_each(|(k, f)| one(c * CHUNK + k, f));
+    });
     out
 }
 
-/// Angle about the line, cosine of the second normal against the plane of line and first normal, cosine of the first
-/// normal against the line.
-#[inline]
-fn pair_features(p1: &Point3<f32>, n1: &Vector3<f32>, p2: &Point3<f32>, n2: &Vector3<f32>) -> [f32; 3] {
-    let mut line = p2 - p1;
-    let length = line.norm();
-    if length == 0.0 {
-        return [0.0; 3];
+percept_geometry::by_processor! {
+    /// Histograms of the pairs of a point with its neighbours, each adding up to 100.
+    fn simple_histogram(i: usize, positions: &[Point3<f32>], normals: &[Vector3<f32>], neighbors: &[u32], out: &mut Fpfh) {
+        let mut counts = [0u32; FPFH_LEN];
+        let mut pairs = PairBins::new(&positions[i], &normals[i]);
+        for chunk in neighbors.chunks(LANES) {
+            for (lane, &j) in chunk.iter().enumerate() {
+                pairs.put(lane, &positions[j as usize], &normals[j as usize]);
+            }
+            let bins = pairs.bins();
+            for (lane, _) in chunk.iter().enumerate().filter(|(_, j)| **j as usize != i) {
+                (0..3).for_each(|angle| counts[angle * BINS + (bins[angle][lane] as usize).min(BINS - 1)] += 1);
+            }
+        }
+        let share = 100.0 / (neighbors.len() as f32 - 1.0).max(1.0);
+        out.iter_mut().zip(&counts).for_each(|(o, c)| *o = *c as f32 * share);
     }
-    let (along1, along2) = (n1.dot(&line) / length, n2.dot(&line) / length);
-    // The normal nearer to the line comes first.
-    let (first, second, phi) = if along1.abs() < along2.abs() {
-        line = -line;
-        (n2, n1, -along2)
-    } else {
-        (n1, n2, along1)
-    };
-    let v = line.cross(first);
-    let across = v.norm();
-    if across == 0.0 {
-        return [0.0; 3];
-    }
-    let v = v / across;
-    let w = first.cross(&v);
-    [w.dot(second).atan2(first.dot(second)), v.dot(second), phi]
 }
 
-fn weighted(i: usize, simple: &[Fpfh], (neighbors, distances2): (&[u32], &[f32])) -> Fpfh {
-    let mut out = [0.0f32; FPFH_LEN];
-    for (&j, &d2) in neighbors.iter().zip(distances2).filter(|(_, d2)| **d2 > 0.0) {
-        let weight = 1.0 / d2;
-        out.iter_mut().zip(&simple[j as usize]).for_each(|(o, s)| *o += weight * s);
+percept_geometry::by_processor! {
+    /// A point's own histograms and those of its neighbours.
+    fn weighted(i: usize, simple: &[Fpfh], neighbors: &Neighbors, out: &mut Fpfh) {
+        let (indices, distances2) = neighbors.of(i);
+        let mut sums = [0.0f32; FPFH_LEN];
+        for (&j, &d2) in indices.iter().zip(distances2).filter(|(_, d2)| **d2 > 0.0) {
+            let weight = 1.0 / d2;
+            sums.iter_mut().zip(&simple[j as usize]).for_each(|(o, s)| *o += weight * s);
+        }
+        for ((histogram, own), out) in sums.chunks(BINS).zip(simple[i].chunks(BINS)).zip(out.chunks_mut(BINS)) {
+            let sum: f32 = histogram.iter().sum();
+            let scale = if sum > 0.0 { 100.0 / sum } else { 0.0 };
+            out.iter_mut().zip(histogram).zip(own).for_each(|((o, h), s)| *o = *h * scale + s);
+        }
     }
-    for (histogram, own) in out.chunks_mut(BINS).zip(simple[i].chunks(BINS)) {
-        let sum: f32 = histogram.iter().sum();
-        let scale = if sum > 0.0 { 100.0 / sum } else { 0.0 };
-        histogram.iter_mut().zip(own).for_each(|(o, s)| *o = *o * scale + s);
-    }
-    out
 }
 
 #[cfg(test)]

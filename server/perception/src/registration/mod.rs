@@ -13,6 +13,7 @@ mod global;
 pub mod icp;
 pub mod kernel;
 pub mod normal_equations;
+mod pair_bins;
 mod pair_block;
 mod pairing;
 mod params;

@@ -1,7 +1,7 @@
 //! A cloud thinned, with normals and features.
 
 use super::super::RegistrationError;
-use super::super::fpfh::{Fpfh, fpfh_of};
+use super::super::fpfh::{Fpfh, fpfh_of_some};
 use super::{FEWEST_PAIRS, GlobalParams};
 use crate::cloud::{Scatter, symmetric_eigen3, voxel_downsample};
 use crate::search::{KdTree, Neighbors};
@@ -23,6 +23,8 @@ pub(super) struct Described {
     pub(super) cloud: PointCloud,
     /// How far each point's surroundings are from flat, 0 to 1/3.
     pub(super) curvature: Vec<f32>,
+    /// Of the points, by distance: the neighbourhoods of the first features.
+    wide: Neighbors,
     tree: KdTree,
     size: f64,
 }
@@ -51,18 +53,23 @@ impl Described {
         let one = |i| normal(&thin.positions, i, &wide, limit2);
         let (normals, curvature) = (0..thin.len()).into_par_iter().with_min_len(64).map(one).unzip();
         thin.normals = Some(normals);
-        Ok(Self { cloud: thin, curvature, tree, size })
+        Ok(Self { cloud: thin, curvature, wide, tree, size })
     }
 
     /// Features of the points whose surroundings are least flat, from neighbourhoods of so many voxels.
     pub(super) fn keys(&self, radius_voxels: f64) -> Keys {
-        let neighbors = self.tree.hybrid_all((radius_voxels * self.size) as f32, FEATURE_NEIGHBORS);
+        let other;
+        let neighbors = if radius_voxels == super::FEATURE_RADII[0] {
+            &self.wide
+        } else {
+            other = self.tree.hybrid_all((radius_voxels * self.size) as f32, FEATURE_NEIGHBORS);
+            &other
+        };
         let normals = self.cloud.normals.as_deref().unwrap_or_default();
-        let all = fpfh_of(&self.cloud.positions, normals, &neighbors);
-        let keys = choose(&all, normals, &self.curvature);
+        let keys = choose(neighbors, normals, &self.curvature);
         Keys {
             positions: keys.iter().map(|&k| self.cloud.positions[k as usize].cast()).collect(),
-            features: keys.iter().map(|&k| all[k as usize]).collect(),
+            features: fpfh_of_some(&keys, &self.cloud.positions, normals, neighbors),
         }
     }
 }
@@ -91,13 +98,10 @@ fn normal(positions: &[Point3<f32>], i: usize, wide: &Neighbors, limit2: f32) ->
     ((if bend < 0.0 { -n } else { n }).cast(), curvature as f32)
 }
 
-/// The points whose surroundings are least flat, and that have a normal; in the order of the cloud.
-fn choose(features: &[Fpfh], normals: &[Vector3<f32>], curvature: &[f32]) -> Vec<u32> {
-    let usable = |i: &u32| {
-        let i = *i as usize;
-        normals[i] != Vector3::zeros() && features[i].iter().any(|v| *v > 0.0)
-    };
-    let mut keys: Vec<u32> = (0..features.len() as u32).filter(usable).collect();
+/// The points whose surroundings are least flat, and that have a normal and neighbours; in the order of the cloud.
+fn choose(neighbors: &Neighbors, normals: &[Vector3<f32>], curvature: &[f32]) -> Vec<u32> {
+    let usable = |i: &u32| normals[*i as usize] != Vector3::zeros() && neighbors.of(*i as usize).0.len() > 1;
+    let mut keys: Vec<u32> = (0..normals.len() as u32).filter(usable).collect();
     if keys.len() > MAX_FEATURES {
         let order = |a: &u32, b: &u32| curvature[*b as usize].total_cmp(&curvature[*a as usize]).then(a.cmp(b));
         keys.select_nth_unstable_by(MAX_FEATURES, order);

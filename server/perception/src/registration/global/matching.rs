@@ -74,7 +74,9 @@ struct Block {
 impl Block {
     fn of(features: &[Fpfh]) -> Vec<Self> {
         let block = |chunk: &[Fpfh]| {
-            let mut out = Self { numbers: [[0.0; LANES]; FPFH_LEN], squares: [0.0; LANES], used: chunk.len() };
+            // What no feature fills is infinitely far from all.
+            let mut out =
+                Self { numbers: [[0.0; LANES]; FPFH_LEN], squares: [f32::INFINITY; LANES], used: chunk.len() };
             for (lane, f) in chunk.iter().enumerate() {
                 (0..FPFH_LEN).for_each(|k| out.numbers[k][lane] = f[k]);
                 out.squares[lane] = f.iter().map(|v| v * v).sum();
@@ -86,25 +88,37 @@ impl Block {
 }
 
 percept_geometry::by_processor! {
-    fn compare(rows: &[Fpfh], first: u32, blocks: &[Block], of_rows: &mut [(f32, u32)], of_columns: &mut [(f32, u32)]) {
+    fn compare(rows: &[Fpfh], first: u32, blocks: &[Block], of_rows: &mut [Nearest], of_columns: &mut [Nearest]) {
+        // The nearest of each row so far, a lane for the columns of its own; without branches.
+        let mut best = vec![[f32::INFINITY; LANES]; rows.len()];
+        let mut best_block = vec![[u32::MAX; LANES]; rows.len()];
+        let squares: Vec<f32> = rows.iter().map(|row| row.iter().map(|v| v * v).sum()).collect();
         for (b, block) in blocks.iter().enumerate() {
+            let (mut column, mut column_row) = ([f32::INFINITY; LANES], [u32::MAX; LANES]);
             for (r, row) in rows.iter().enumerate() {
-                let square: f32 = row.iter().map(|v| v * v).sum();
                 let mut dot = [0.0f32; LANES];
                 for (x, numbers) in row.iter().zip(&block.numbers) {
                     dot.iter_mut().zip(numbers).for_each(|(d, n)| *d += x * n);
                 }
-                for (lane, dot) in dot.iter().enumerate().take(block.used) {
-                    let distance2 = square + block.squares[lane] - 2.0 * dot;
-                    let column = b * LANES + lane;
-                    if distance2 < of_rows[r].0 {
-                        of_rows[r] = (distance2, column as u32);
-                    }
-                    if distance2 < of_columns[column].0 {
-                        of_columns[column] = (distance2, first + r as u32);
-                    }
+                let (best, best_block) = (&mut best[r], &mut best_block[r]);
+                for lane in 0..LANES {
+                    let distance2 = squares[r] + block.squares[lane] - 2.0 * dot[lane];
+                    let nearer = distance2 < best[lane];
+                    best[lane] = if nearer { distance2 } else { best[lane] };
+                    best_block[lane] = if nearer { b as u32 } else { best_block[lane] };
+                    let nearer = distance2 < column[lane];
+                    column[lane] = if nearer { distance2 } else { column[lane] };
+                    column_row[lane] = if nearer { first + r as u32 } else { column_row[lane] };
                 }
             }
+            for lane in 0..block.used {
+                of_columns[b * LANES + lane] = (column[lane], column_row[lane]);
+            }
+        }
+        for (r, of_row) in of_rows.iter_mut().enumerate() {
+            let lanes = (0..LANES).filter(|&lane| best_block[r][lane] != u32::MAX);
+            let found = lanes.map(|lane| (best[r][lane], best_block[r][lane] * LANES as u32 + lane as u32));
+            *of_row = found.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))).unwrap_or(*of_row);
         }
     }
 }

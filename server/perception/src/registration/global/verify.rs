@@ -18,6 +18,10 @@ const FLAT_WEIGHT: f32 = 0.02;
 /// Overlap from which an answer may be believed, and the least number of agreeing pairs.
 const BELIEVED_OVERLAP: f64 = 0.35;
 const BELIEVED_PAIRS: usize = 10;
+/// Less overlap will do where so many pairs agree as never do by chance, and nothing else comes near.
+const CERTAIN_OVERLAP: f64 = 0.25;
+const CERTAIN_PAIRS: usize = 40;
+const CERTAIN_RIVAL: f64 = 0.6;
 /// A different way that reaches this share of the overlap makes the answer ambiguous.
 const RIVAL: f64 = 0.9;
 /// Candidates that are refined.
@@ -126,7 +130,11 @@ impl<'a> Judge<'a> {
     }
 
     fn result(&self, best: &Verdict, rival_overlap: f64, num_pairs: usize) -> GlobalResult {
-        let outcome = if best.overlap < BELIEVED_OVERLAP || best.num_pairs < BELIEVED_PAIRS {
+        let believed = best.overlap >= BELIEVED_OVERLAP && best.num_pairs >= BELIEVED_PAIRS;
+        let certain = best.overlap >= CERTAIN_OVERLAP
+            && best.num_pairs >= CERTAIN_PAIRS
+            && rival_overlap < CERTAIN_RIVAL * best.overlap;
+        let outcome = if !(believed || certain) {
             GlobalOutcome::Doubtful
         } else if rival_overlap > RIVAL * best.overlap {
             GlobalOutcome::Ambiguous
