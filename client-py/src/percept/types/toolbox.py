@@ -216,6 +216,8 @@ class GlobalRegistration(Value):
     num_pairs: int
     #: Of these, the pairs that agree with the answer.
     num_agreeing: int
+    #: Axes (x, y, z, rotation x, y, z) that the clouds do not fix; all False without refinement.
+    degenerate_axes: tuple[bool, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

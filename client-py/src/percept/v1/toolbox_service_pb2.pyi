@@ -1047,7 +1047,9 @@ class RegisterCloudsGloballyRequest(_message.Message):
     """
     method: Global___GlobalRegistrationMethod.ValueType
     refine: _builtins.bool
-    """Whether candidates are refined by GICP on the thinned clouds. Absent: true."""
+    """Whether candidates are refined by GICP on the thinned clouds, and the answer on voxels half as large in the end.
+    Absent: true.
+    """
     max_iterations: _builtins.int
     """RANSAC only: samples at most, 1 to 10000000. Absent: 100000."""
     seed: _builtins.int
@@ -1112,6 +1114,7 @@ class RegisterCloudsGloballyResponse(_message.Message):
     RMSE_M_FIELD_NUMBER: _builtins.int
     NUM_PAIRS_FIELD_NUMBER: _builtins.int
     NUM_AGREEING_FIELD_NUMBER: _builtins.int
+    DEGENERATE_AXES_FIELD_NUMBER: _builtins.int
     outcome: Global___GlobalRegistrationOutcome.ValueType
     """Use the transform only if FOUND."""
     overlap: _builtins.float
@@ -1132,6 +1135,10 @@ class RegisterCloudsGloballyResponse(_message.Message):
     def covariance(self) -> _geometry_pb2.Covariance6:
         """Of a right perturbation in source; zero without refinement."""
 
+    @_builtins.property
+    def degenerate_axes(self) -> _containers.RepeatedScalarFieldContainer[_builtins.bool]:
+        """Axes (x, y, z, rotation x, y, z) that the clouds do not fix; all false without refinement."""
+
     def __init__(
         self,
         *,
@@ -1143,10 +1150,11 @@ class RegisterCloudsGloballyResponse(_message.Message):
         rmse_m: _builtins.float = ...,
         num_pairs: _builtins.int = ...,
         num_agreeing: _builtins.int = ...,
+        degenerate_axes: _abc.Iterable[_builtins.bool] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "t_target_source", b"t_target_source"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "num_agreeing", b"num_agreeing", "num_pairs", b"num_pairs", "outcome", b"outcome", "overlap", b"overlap", "rival_overlap", b"rival_overlap", "rmse_m", b"rmse_m", "t_target_source", b"t_target_source"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "num_agreeing", b"num_agreeing", "num_pairs", b"num_pairs", "outcome", b"outcome", "overlap", b"overlap", "rival_overlap", b"rival_overlap", "rmse_m", b"rmse_m", "t_target_source", b"t_target_source"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -60,6 +60,7 @@ def _global(answer: service.RegisterCloudsGloballyResponse) -> GlobalRegistratio
         rmse_m=answer.rmse_m,
         num_pairs=answer.num_pairs,
         num_agreeing=answer.num_agreeing,
+        degenerate_axes=tuple(answer.degenerate_axes),
     )
 
 

@@ -2,9 +2,11 @@
 //!
 //! [`register_global`] goes through the files in this order: [`keypoints`] thins a cloud and describes it, [`matching`]
 //! pairs what looks alike, [`consistency`] finds sets of pairs that a rigid motion allows, [`ransac`] is the older way to
-//! do so, [`verify`] lays the clouds over each other and says whether that is right.
+//! do so, [`verify`] lays the clouds over each other and says whether that is right,
+//! [`finish`] aligns them closely.
 
 mod consistency;
+mod finish;
 mod keypoints;
 mod matching;
 mod params;
@@ -42,9 +44,10 @@ pub fn register_global(
     params: &GlobalParams,
 ) -> Result<GlobalResult, RegistrationError> {
     params.validate()?;
-    let (source, target) =
+    let described =
         rayon::join(|| Described::new("source", source, params), || Described::new("target", target, params));
-    let (source, target) = (source?, target?);
+    let (whole_source, whole_target) = (source, target);
+    let (source, target) = (described.0?, described.1?);
     let judge = Judge::new(&source, &target, params)?;
     let mut pairs: Vec<Pair> = Vec::new();
     let mut answer = GlobalResult::nothing(0);
@@ -64,7 +67,10 @@ pub fn register_global(
             break;
         }
     }
-    Ok(answer)
+    Ok(match params.refine {
+        true => finish::finish(answer, whole_source, whole_target, params.voxel_size_m),
+        false => answer,
+    })
 }
 
 /// A rigid motion that some pairs agree on.

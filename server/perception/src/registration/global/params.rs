@@ -24,7 +24,8 @@ pub struct GlobalParams {
     pub voxel_size_m: f64,
     /// How right pairs are told from wrong ones.
     pub method: GlobalMethod,
-    /// Whether the best candidates are refined by GICP before they are judged.
+    /// Whether the best candidates are refined by GICP before they are judged, and the answer on voxels half as large
+    /// in the end.
     pub refine: bool,
     /// RANSAC only: samples at most, 1 to 10000000.
     pub max_iterations: usize,
@@ -87,6 +88,9 @@ pub struct GlobalResult {
     pub t_target_source: Pose,
     /// 6x6 of the refinement, right perturbation in the source; zero without one.
     pub covariance: Covariance6,
+    /// Axes of the source frame, about the source's centroid (x, y, z, rotation x, y, z), that the clouds leave open, as
+    /// the refinement sees it; none without one.
+    pub degenerate_axes: [bool; 6],
     /// Share of the smaller cloud that coincides with the other within a voxel, 0 to 1.
     pub overlap: f64,
     /// The same of the best way that differs from the answer.
@@ -105,6 +109,7 @@ impl GlobalResult {
             outcome: GlobalOutcome::NotFound,
             t_target_source: Pose::identity(),
             covariance: Covariance6::zeros(),
+            degenerate_axes: [false; 6],
             overlap: 0.0,
             rival_overlap: 0.0,
             inlier_rmse_m: 0.0,

@@ -145,6 +145,7 @@ impl<'a> Judge<'a> {
             outcome,
             t_target_source: best.t_target_source,
             covariance: best.covariance,
+            degenerate_axes: [false; 6],
             overlap: best.overlap,
             rival_overlap,
             inlier_rmse_m: best.rmse_m,

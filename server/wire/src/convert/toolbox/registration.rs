@@ -107,6 +107,7 @@ pub fn global_to(r: &GlobalResult) -> v1::RegisterCloudsGloballyResponse {
         rmse_m: r.inlier_rmse_m,
         num_pairs: r.num_pairs as u32,
         num_agreeing: r.num_agreeing as u32,
+        degenerate_axes: r.degenerate_axes.to_vec(),
     }
 }
 
