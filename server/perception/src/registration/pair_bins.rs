@@ -138,8 +138,6 @@ mod tests {
         pairs.put(0, &Point3::origin(), &Vector3::x());
         pairs.put(1, &Point3::new(0.0, 0.0, 2.0), &Vector3::x());
         let bins = pairs.bins();
-        for lane in 0..2 {
-            assert_eq!([bins[0][lane], bins[1][lane], bins[2][lane]], [5; 3]);
-        }
+        assert!(bins.iter().all(|of_angle| of_angle[..2] == [5, 5]), "{bins:?}");
     }
 }
