@@ -5,8 +5,6 @@ use std::cmp::Ordering;
 
 /// Points in a leaf (all are full but the last). Sixteen f32 are four SSE or two AVX registers.
 pub(super) const LEAF: usize = 16;
-/// Subtrees with fewer points are built by the thread that has them.
-const PARALLEL_ABOVE: usize = 8192;
 /// Up to this `k` an insertion-sorted list beats a heap.
 const LIST_UP_TO: usize = 48;
 
@@ -56,20 +54,20 @@ pub struct KdTree {
     /// Number of points that the tree was built from, those not finite among them.
     pub(super) num_given: usize,
     /// Inner nodes in pre-order: the left child follows its parent, the right one follows the left subtree.
-    nodes: Vec<Node>,
+    pub(super) nodes: Vec<Node>,
     /// Boxes of inner nodes and leaves in pre-order.
     pub(super) bounds: Vec<Bounds>,
     /// Coordinates and indices by leaf, the last one filled up with infinity.
     pub(super) leaves: Vec<Leaf>,
-    len: usize,
+    pub(super) len: usize,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Node {
-    axis: u8,
-    split: f32,
+pub(super) struct Node {
+    pub(super) axis: u8,
+    pub(super) split: f32,
     /// Smallest index in the subtree.
-    least: u32,
+    pub(super) least: u32,
 }
 
 /// The points of a leaf.
@@ -88,37 +86,26 @@ pub(super) struct Bounds {
     pub(super) hi: [f32; 3],
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Entry {
-    p: [f32; 3],
-    index: u32,
+impl Bounds {
+    /// Axis of the longest side, the first of equal ones.
+    pub(super) fn widest_axis(&self) -> usize {
+        let size = |i: usize| self.hi[i] - self.lo[i];
+        let xy = if size(1) > size(0) { 1 } else { 0 };
+        if size(2) > size(xy) { 2 } else { xy }
+    }
+}
+
+impl Leaf {
+    /// No points: infinitely far away.
+    pub(super) const EMPTY: Self = Self {
+        xs: [f32::INFINITY; LEAF],
+        ys: [f32::INFINITY; LEAF],
+        zs: [f32::INFINITY; LEAF],
+        indices: [u32::MAX; LEAF],
+    };
 }
 
 impl KdTree {
-    /// Builds the tree; points with a non-finite coordinate are left out. `O(n log n)`.
-    ///
-    /// Points beyond the first 2^32 are not indexed (memory ends before).
-    pub fn build(points: &[Point3<f32>]) -> Self {
-        let mut entries: Vec<Entry> = Vec::with_capacity(points.len());
-        let finite = points.iter().zip(0..u32::MAX).filter(|(p, _)| percept_geometry::cloud::is_finite(p));
-        entries.extend(finite.map(|(p, index)| Entry { p: [p.x, p.y, p.z], index }));
-        let num_leaves = entries.len().div_ceil(LEAF);
-        if num_leaves == 0 {
-            return Self { num_given: points.len(), ..Self::default() };
-        }
-        let mut nodes = vec![Node::default(); num_leaves - 1];
-        let mut bounds = vec![Bounds::default(); 2 * num_leaves - 1];
-        let empty = Leaf {
-            xs: [f32::INFINITY; LEAF],
-            ys: [f32::INFINITY; LEAF],
-            zs: [f32::INFINITY; LEAF],
-            indices: [u32::MAX; LEAF],
-        };
-        let mut leaves = vec![empty; num_leaves];
-        split(&mut entries, &mut nodes, &mut bounds, &mut leaves);
-        Self { num_given: points.len(), nodes, bounds, leaves, len: entries.len() }
-    }
-
     /// Number of (finite) points in the tree.
     pub fn len(&self) -> usize {
         self.len
@@ -261,62 +248,6 @@ impl Subtree {
             Self { node: self.node + left, leaf: self.leaf + left, leaves: self.leaves - left },
         )
     }
-}
-
-/// Orders `entries` into leaves and fills the pre-order `nodes` and `bounds` above them; gives the smallest index.
-fn split(entries: &mut [Entry], nodes: &mut [Node], bounds: &mut [Bounds], leaves: &mut [Leaf]) -> u32 {
-    let Some((here, below)) = bounds.split_first_mut() else { return u32::MAX };
-    *here = bounds_of(entries);
-    let Some((root, children)) = nodes.split_first_mut() else {
-        return fill(entries, &mut leaves[0]);
-    };
-    let axis = widest_axis(here);
-    let left_leaves = leaves.len() / 2;
-    let mid = left_leaves * LEAF;
-    let order = |a: &Entry, b: &Entry| match a.p[axis].partial_cmp(&b.p[axis]) {
-        Some(Ordering::Equal) | None => a.index.cmp(&b.index),
-        Some(order) => order,
-    };
-    let (_, median, _) = entries.select_nth_unstable_by(mid, order);
-    let at = median.p[axis];
-    let (left, right) = entries.split_at_mut(mid);
-    let (left_nodes, right_nodes) = children.split_at_mut(left_leaves - 1);
-    let (left_bounds, right_bounds) = below.split_at_mut(2 * left_leaves - 1);
-    let (left_leaves, right_leaves) = leaves.split_at_mut(left_leaves);
-    let (a, b) = if left.len() > PARALLEL_ABOVE {
-        rayon::join(
-            || split(left, left_nodes, left_bounds, left_leaves),
-            || split(right, right_nodes, right_bounds, right_leaves),
-        )
-    } else {
-        (split(left, left_nodes, left_bounds, left_leaves), split(right, right_nodes, right_bounds, right_leaves))
-    };
-    *root = Node { axis: axis as u8, split: at, least: a.min(b) };
-    a.min(b)
-}
-
-fn fill(entries: &[Entry], leaf: &mut Leaf) -> u32 {
-    for (i, e) in entries.iter().enumerate().take(LEAF) {
-        (leaf.xs[i], leaf.ys[i], leaf.zs[i], leaf.indices[i]) = (e.p[0], e.p[1], e.p[2], e.index);
-    }
-    entries.iter().map(|e| e.index).min().unwrap_or(u32::MAX)
-}
-
-fn bounds_of(entries: &[Entry]) -> Bounds {
-    let (mut lo, mut hi) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for e in entries {
-        for i in 0..3 {
-            lo[i] = if e.p[i] < lo[i] { e.p[i] } else { lo[i] };
-            hi[i] = if e.p[i] > hi[i] { e.p[i] } else { hi[i] };
-        }
-    }
-    Bounds { lo, hi }
-}
-
-fn widest_axis(Bounds { lo, hi }: &Bounds) -> usize {
-    let size = |i: usize| hi[i] - lo[i];
-    let xy = if size(1) > size(0) { 1 } else { 0 };
-    if size(2) > size(xy) { 2 } else { xy }
 }
 
 /// What a query keeps of the points it meets.

@@ -4,6 +4,7 @@
 //! in scan by scan, thins them, forgets what is far, and answers the nearest point around a query.
 //! Points with a non-finite coordinate are never returned by either.
 
+mod build;
 mod group;
 mod kdtree;
 mod neighbors;
