@@ -1,8 +1,8 @@
 //! Numbers that describe the surface around each point.
 
-use super::normals::scatter_about;
+use super::normals::scatter;
 use super::{at_least, symmetric_eigen3};
-use crate::search::{KdTree, Wanted};
+use crate::search::{Group, KdTree, Wanted, What};
 use nalgebra::Point3;
 use percept_geometry::GeometryError;
 
@@ -33,23 +33,18 @@ pub struct LocalFeatures {
 pub fn local_features(points: &[Point3<f32>], k: usize) -> Result<Vec<Option<LocalFeatures>>, GeometryError> {
     at_least("k", k, 3, "at least 3")?;
     let tree = KdTree::build(points);
-    let wanted = Wanted { k: k.min(tree.len()), radius_m: f32::INFINITY, sorted: false };
+    let wanted = Wanted { k: k.min(tree.len()), radius_m: f32::INFINITY, what: What::Moments(points) };
     let by_task = tree.map_leaves(&wanted, |out: &mut Vec<Option<LocalFeatures>>, leaf, group| {
-        out.extend(
-            tree.indices_of(leaf)
-                .iter()
-                .enumerate()
-                .map(|(i, &index)| describe(points, &points[index as usize], group.row(i, &wanted))),
-        );
+        out.extend((0..tree.num_points_of(leaf)).map(|i| describe(group, i)));
     });
     Ok(tree.in_cloud_order(&by_task, None))
 }
 
-fn describe(points: &[Point3<f32>], p: &Point3<f32>, keys: &[u64]) -> Option<LocalFeatures> {
-    if keys.len() < 3 {
+fn describe(group: &Group, i: usize) -> Option<LocalFeatures> {
+    if group.count(i) < 3 {
         return None;
     }
-    let eigen = symmetric_eigen3(&scatter_about(points, p, keys).covariance());
+    let eigen = symmetric_eigen3(&scatter(group, i).covariance());
     let [l3, l2, l1] = eigen.values.map(|v| v.max(0.0));
     (l1 > 0.0).then(|| LocalFeatures {
         linearity: ((l1 - l2) / l1) as f32,

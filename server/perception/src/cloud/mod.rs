@@ -34,6 +34,7 @@ pub use hull3::{Hull3, convex_hull_3d};
 pub(crate) use local::sums_within;
 pub use local_features::{LocalFeatures, local_features};
 pub use minimal_box::{minimal_box, minimal_box_of_hull};
+pub(crate) use normals::nearest_normals;
 pub use normals::{NormalParams, estimate_normals};
 pub use outliers::{RadiusOutlierParams, StatisticalOutlierParams, radius_outliers, statistical_outliers};
 pub(crate) use plane::segment_among;

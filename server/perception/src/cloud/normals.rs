@@ -1,7 +1,7 @@
 //! Normals from the scatter of neighbours.
 
 use super::{Scatter, at_least, positive, symmetric_eigen3};
-use crate::search::{KdTree, Neighbor, Wanted};
+use crate::search::{Group, KdTree, Wanted, What};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::GeometryError;
 use serde::{Deserialize, Serialize};
@@ -53,25 +53,36 @@ pub fn estimate_normals(
 ) -> Result<Vec<Vector3<f32>>, GeometryError> {
     params.validate()?;
     let tree = KdTree::build(points);
-    let wanted = Wanted { k: params.max_neighbors.min(tree.len()), radius_m: params.radius_m as f32, sorted: false };
+    Ok(normals_of(points, &tree, params, viewpoint))
+}
+
+/// Unit normals, signs arbitrary, from the `k` nearest of each point; zero where they lie on a line. `tree` is of
+/// `points`.
+pub(crate) fn nearest_normals(points: &[Point3<f32>], tree: &KdTree, k: usize) -> Vec<Vector3<f32>> {
+    let params = NormalParams { radius_m: f64::INFINITY, max_neighbors: k, min_neighbors: 0 };
+    normals_of(points, tree, &params, None)
+}
+
+fn normals_of(
+    points: &[Point3<f32>],
+    tree: &KdTree,
+    params: &NormalParams,
+    viewpoint: Option<&Point3<f64>>,
+) -> Vec<Vector3<f32>> {
+    let k = params.max_neighbors.min(tree.len());
+    let wanted = Wanted { k, radius_m: params.radius_m as f32, what: What::Moments(points) };
     let by_task = tree.map_leaves(&wanted, |normals: &mut Vec<Vector3<f32>>, leaf, group| {
         normals.extend(tree.indices_of(leaf).iter().enumerate().map(|(i, &index)| {
-            let keys = group.row(i, &wanted);
-            let enough = keys.len() >= params.min_neighbors;
-            let normal = enough.then(|| least_scatter(points, &points[index as usize], keys, viewpoint)).flatten();
+            let enough = group.count(i) >= params.min_neighbors;
+            let normal = enough.then(|| least_scatter(&points[index as usize], group, i, viewpoint)).flatten();
             normal.unwrap_or_default()
         }));
     });
-    Ok(tree.in_cloud_order(&by_task, Vector3::zeros()))
+    tree.in_cloud_order(&by_task, Vector3::zeros())
 }
 
-fn least_scatter(
-    points: &[Point3<f32>],
-    p: &Point3<f32>,
-    keys: &[u64],
-    viewpoint: Option<&Point3<f64>>,
-) -> Option<Vector3<f32>> {
-    let eigen = symmetric_eigen3(&scatter_about(points, p, keys).covariance());
+fn least_scatter(p: &Point3<f32>, group: &Group, i: usize, viewpoint: Option<&Point3<f64>>) -> Option<Vector3<f32>> {
+    let eigen = symmetric_eigen3(&scatter(group, i).covariance());
     // On a line the second value is rounding: any direction across would do, so none does.
     if eigen.values[1] <= 1e-10 * eigen.values[2] {
         return None;
@@ -81,11 +92,9 @@ fn least_scatter(
     Some(if away { -normal } else { normal }.cast())
 }
 
-/// Moments of the neighbours with these keys.
-pub(super) fn scatter_about(points: &[Point3<f32>], p: &Point3<f32>, keys: &[u64]) -> Scatter {
-    let mut scatter = Scatter::new(p.cast());
-    keys.iter().for_each(|&key| scatter.add(&points[Neighbor::of_key(key).index].cast()));
-    scatter
+/// Moments of the neighbours of the `i`-th point of a group about it.
+pub(super) fn scatter(group: &Group, i: usize) -> Scatter {
+    Scatter::from_sums(Point3::origin(), &group.moments().each_ref().map(|sums| sums[i]))
 }
 
 #[cfg(test)]

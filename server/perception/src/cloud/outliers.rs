@@ -1,7 +1,7 @@
 //! Points that stand too much alone.
 
 use super::{at_least, positive};
-use crate::search::{KdTree, Neighbor, Wanted};
+use crate::search::{KdTree, Wanted, What};
 use nalgebra::Point3;
 use percept_geometry::{GeometryError, cloud::is_finite};
 use serde::{Deserialize, Serialize};
@@ -52,19 +52,15 @@ pub fn statistical_outliers(
         return Ok((0..points.len()).filter(|&i| is_finite(&points[i])).collect());
     }
     // The point itself, or one equal to it, is the first at distance 0.
-    let wanted = Wanted { k: k + 1, radius_m: f32::INFINITY, sorted: false };
+    let wanted = Wanted { k: k + 1, radius_m: f32::INFINITY, what: What::Distances };
     let by_task = tree.map_leaves(&wanted, |means: &mut Vec<f64>, leaf, group| {
-        means.extend((0..tree.num_points_of(leaf)).map(|i| mean_distance(group.row(i, &wanted), k)));
+        means.extend((0..tree.num_points_of(leaf)).map(|i| group.sum_of_distances(i) / k as f64));
     });
     let means = tree.in_cloud_order(&by_task, f64::NAN);
     let (mean, deviation) = mean_and_deviation(means.iter().copied().filter(|m| !m.is_nan()));
     // Rounding in the sums must not throw out points that are all alike.
     let limit = mean + params.std_ratio * deviation + 1e-9 * mean;
     Ok((0..points.len()).filter(|&i| means[i] <= limit).collect())
-}
-
-fn mean_distance(keys: &[u64], k: usize) -> f64 {
-    keys.iter().map(|&key| f64::from(Neighbor::of_key(key).distance2.sqrt())).sum::<f64>() / k as f64
 }
 
 fn mean_and_deviation(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {

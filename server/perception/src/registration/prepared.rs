@@ -1,8 +1,8 @@
 //! A cloud with what registration needs of it: normals, a search tree, voxels, brightness.
 
 use super::{GaussianVoxels, IcpMethod, IcpParams, RegistrationError};
-use crate::cloud::{Scatter, symmetric_eigen3};
-use crate::search::{KdTree, Neighbor, Wanted};
+use crate::cloud::nearest_normals;
+use crate::search::{KdTree, Neighbor};
 use nalgebra::{Matrix3, Point3, Vector3};
 use percept_geometry::{PointCloud, cloud::is_finite};
 use rayon::prelude::*;
@@ -36,7 +36,7 @@ impl PreparedCloud {
         params.validate()?;
         let mut out = Self::finite("source", cloud, params.method)?;
         if matches!(params.method, IcpMethod::Gicp | IcpMethod::Vgicp) && out.normals.is_empty() {
-            out.normals = normals(&out.points, &KdTree::build(&out.points), params.num_neighbors);
+            out.normals = nearest_normals(&out.points, &KdTree::build(&out.points), params.num_neighbors);
         }
         Ok(out)
     }
@@ -52,7 +52,7 @@ impl PreparedCloud {
         if params.method == IcpMethod::PointToPoint {
             out.normals.clear();
         } else if out.normals.is_empty() {
-            out.normals = normals(&out.points, &tree, params.num_neighbors);
+            out.normals = nearest_normals(&out.points, &tree, params.num_neighbors);
         }
         if params.method == IcpMethod::Colored {
             out.gradients = gradients(&out, &tree, params.num_neighbors);
@@ -94,22 +94,6 @@ impl PreparedCloud {
         }
         Ok(Self { points: cloud.positions, normals, brightness, ..Self::default() })
     }
-}
-
-/// Direction of least scatter of each point's `k` nearest; zero where they lie on a line. `tree` is of `points`, which
-/// are finite.
-fn normals(points: &[Point3<f32>], tree: &KdTree, k: usize) -> Vec<Vector3<f32>> {
-    let wanted = Wanted { k: k.min(points.len()), radius_m: f32::INFINITY, sorted: false };
-    let by_task = tree.map_leaves(&wanted, |normals: &mut Vec<Vector3<f32>>, leaf, group| {
-        for (i, &index) in tree.indices_of(leaf).iter().enumerate() {
-            let mut scatter = Scatter::new(points[index as usize].cast());
-            group.row(i, &wanted).iter().for_each(|&key| scatter.add(&points[Neighbor::of_key(key).index].cast()));
-            let eigen = symmetric_eigen3(&scatter.covariance());
-            let flat = eigen.values[1] > 1e-10 * eigen.values[2];
-            normals.push(if flat { eigen.vectors[0].cast() } else { Vector3::zeros() });
-        }
-    });
-    tree.in_cloud_order(&by_task, Vector3::zeros())
 }
 
 /// How brightness changes along the tangent plane: least squares over the `k` nearest (eq. 10 of the paper, with the

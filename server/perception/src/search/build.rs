@@ -152,7 +152,8 @@ fn narrow(values: &mut [f32], rank: usize) -> Option<Ranked> {
 /// rows of an image do not beat with the samples.
 fn scattered(i: usize, len: usize) -> usize {
     let stretch = len / RANKED;
-    i * stretch + ((i as u32 + 1).wrapping_mul(2_654_435_769) as usize * stretch >> 32)
+    let share = u64::from((i as u32 + 1).wrapping_mul(2_654_435_769));
+    i * stretch + ((share * stretch as u64) >> 32) as usize
 }
 
 by_processor! {
@@ -284,7 +285,8 @@ mod tests {
             prop_assert_eq!(found.num_less, values.iter().filter(|&&v| v < found.value).count());
             let mut expected = entries;
             expected.sort_by(|a, b| a.p[1].total_cmp(&b.p[1]));
-            for (out, expected) in [(&out[..rank], &mut expected[..rank]), (&out[rank..], &mut expected.clone()[rank..])] {
+            let (low, high) = expected.split_at_mut(rank);
+            for (out, expected) in [(&out[..rank], low), (&out[rank..], high)] {
                 expected.sort_by_key(|e| e.index);
                 prop_assert!(out.iter().map(|e| e.index).eq(expected.iter().map(|e| e.index)));
             }

@@ -1,35 +1,47 @@
 //! The neighbours of every point of a cloud, a leaf of the tree at a time.
 //!
-//! The points of a leaf share their candidates: leaves whose boxes are near the leaf's own, found once. For each point
-//! the k-th smallest distance is found by counting (regula falsi on the number of candidates within a distance, which on
-//! a surface grows with its square), which needs no data-dependent branches, and only then are neighbours gathered.
+//! The points of a leaf share their candidates: leaves whose boxes are near the leaf's own, found once. Of each point
+//! those within a guessed radius are packed side by side and ranked by comparing each with each, which needs no
+//! branches that depend on the data.
 //!
-//! The radius that candidates are gathered within is a guess from points before. An answer is taken only if it proves
-//! itself: k candidates within the guess, and all leaves that reach into it were looked at. Otherwise the tree is
-//! searched for that point alone. So answers are exact, whatever was guessed.
+//! The radius is a guess from points before. An answer is taken only if it proves itself: k candidates within the
+//! guess, and all leaves that reach into it were looked at. Otherwise a bound that is sure is taken: the reach of a
+//! neighbour already done and the distance to it. So answers are exact, whatever was guessed.
 
-use super::kdtree::{Bounds, KdTree, LEAF, Leaf, Neighbor, key};
+use super::kdtree::{Bounds, KdTree, LEAF, Leaf, Neighbor};
+use super::near::{self, MAX_LEAVES, Near, Packing, Query};
 use nalgebra::Point3;
 use percept_geometry::by_processor;
 
-/// Leaves that the candidates of a leaf's points may lie in; more are not worth sharing.
-const MAX_LEAVES: usize = 64;
 /// Up to this many neighbours candidates are shared.
 const MAX_SHARED: usize = 64;
 /// How far beyond the usual distance of the k-th neighbour candidates are gathered.
-const MARGIN: f32 = 1.3;
-/// Steps of the search for the k-th distance.
-const STEPS: usize = 8;
+const MARGIN: f32 = 1.2;
 
-/// Which neighbours are wanted.
+/// A guess that was too small is taken so many times larger (squared), so many times.
+const WIDEN: f32 = 2.0;
+const RAISE: f32 = 1.1;
+const RETRIES: usize = 4;
+
+/// Which neighbours are wanted, and what of them.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted {
+pub(crate) struct Wanted<'a> {
     /// At most so many nearest ones, the point itself among them; at least 1.
     pub(crate) k: usize,
     /// At most so far away, metres; infinite for any.
     pub(crate) radius_m: f32,
-    /// Whether they come nearest first.
-    pub(crate) sorted: bool,
+    pub(crate) what: What<'a>,
+}
+
+/// What is wanted of neighbours.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum What<'a> {
+    /// Which they are, nearest first.
+    Rows,
+    /// Their moments about the point; with the points that the tree was built from.
+    Moments(&'a [Point3<f32>]),
+    /// The sum of their distances.
+    Distances,
 }
 
 /// The neighbours of the points of a leaf, and memory for finding those of the next.
@@ -37,12 +49,17 @@ pub(crate) struct Group {
     /// `LEAF x k`: keys of neighbours by point.
     rows: Vec<u64>,
     counts: [usize; LEAF],
-    done: [bool; LEAF],
+    /// Number, sum and products (xx, xy, xz, yy, yz, zz) of the neighbours about each point.
+    moments: [[f64; LEAF]; 10],
+    distances: [f64; LEAF],
+    /// Distance of the k-th neighbour of points already done; infinite if there are not so many.
+    reaches: [f32; LEAF],
     /// Usual distance of the k-th neighbour, metres; 0 if not known.
     usual: f32,
     around: Around,
-    distances: Vec<f32>,
-    gathered: Vec<u64>,
+    wider: Around,
+    near: Near,
+    ranked: Vec<u64>,
     found: Vec<Neighbor>,
 }
 
@@ -56,15 +73,17 @@ struct Around {
 
 impl Group {
     pub(crate) fn new() -> Self {
-        let around = Around { len: 0, leaves: [0; MAX_LEAVES], lo: [[0.0; MAX_LEAVES]; 3], hi: [[0.0; MAX_LEAVES]; 3] };
         Self {
             rows: Vec::new(),
             counts: [0; LEAF],
-            done: [false; LEAF],
+            moments: [[0.0; LEAF]; 10],
+            distances: [0.0; LEAF],
+            reaches: [f32::INFINITY; LEAF],
             usual: 0.0,
-            around,
-            distances: vec![0.0; MAX_LEAVES * LEAF],
-            gathered: vec![0; MAX_LEAVES * LEAF],
+            around: Around::NONE,
+            wider: Around::NONE,
+            near: Near::new(),
+            ranked: Vec::new(),
             found: Vec::new(),
         }
     }
@@ -76,29 +95,35 @@ impl Group {
 
     /// Finds the neighbours of the points of a leaf. `wanted.k` is not more than the points of the tree.
     pub(crate) fn find(&mut self, tree: &KdTree, leaf: usize, wanted: &Wanted) {
-        self.rows.resize(LEAF * wanted.k, 0);
-        self.done = [false; LEAF];
+        if matches!(wanted.what, What::Rows) {
+            self.rows.resize(LEAF * wanted.k, 0);
+        }
+        self.reaches = [f32::INFINITY; LEAF];
         let num_points = tree.num_points_of(leaf);
-        if wanted.k <= MAX_SHARED {
-            if self.usual == 0.0 {
-                self.find_alone(tree, leaf, 0, wanted);
-                self.usual = self.worst(0, wanted);
-            }
-            find_shared(self, tree, leaf, wanted);
-        }
-        for i in 0..num_points {
-            if !self.done[i] {
-                self.find_alone(tree, leaf, i, wanted);
-            }
-        }
-        let mut reach: [f32; LEAF] = std::array::from_fn(|i| if i < num_points { self.worst(i, wanted) } else { 0.0 });
-        let (_, median, _) = reach[..num_points].select_nth_unstable_by(num_points / 2, f32::total_cmp);
+        let mut worst = [0.0; LEAF];
+        find_by_processor(self, tree, leaf, wanted, &mut worst);
+        let (_, median, _) = worst[..num_points].select_nth_unstable_by(num_points / 2, f32::total_cmp);
         self.usual = *median;
     }
 
-    /// Keys (squared distance above, index below) of the neighbours of the `i`-th point of the leaf.
+    /// Keys (squared distance above, index below) of the neighbours of the `i`-th point of the leaf, nearest first.
     pub(crate) fn row(&self, i: usize, wanted: &Wanted) -> &[u64] {
         &self.rows[i * wanted.k..][..self.counts[i]]
+    }
+
+    /// Number of neighbours of the `i`-th point of the leaf.
+    pub(crate) fn count(&self, i: usize) -> usize {
+        self.counts[i]
+    }
+
+    /// Number, sum and products of the neighbours about each point of the leaf.
+    pub(crate) fn moments(&self) -> &[[f64; LEAF]; 10] {
+        &self.moments
+    }
+
+    /// Sum of the distances of the neighbours of the `i`-th point of the leaf.
+    pub(crate) fn sum_of_distances(&self, i: usize) -> f64 {
+        self.distances[i]
     }
 
     /// Whether each point of a leaf has at least `wanted` points within the radius, itself among them.
@@ -145,17 +170,153 @@ impl Group {
         })
     }
 
-    fn find_alone(&mut self, tree: &KdTree, leaf: usize, i: usize, wanted: &Wanted) {
-        tree.hybrid_into(&tree.leaves[leaf].point(i), wanted.radius_m, wanted.k, &mut self.found);
-        self.counts[i] = self.found.len();
-        self.rows[i * wanted.k..].iter_mut().zip(&self.found).for_each(|(row, n)| *row = n.key());
-        self.done[i] = true;
+    /// Finds the neighbours of all points of a leaf; `worst` is how far the farthest are.
+    #[inline(always)]
+    fn find_with<P: Packing>(
+        &mut self,
+        packing: P,
+        tree: &KdTree,
+        leaf: usize,
+        wanted: &Wanted,
+        worst: &mut [f32; LEAF],
+    ) {
+        let own = &tree.leaves[leaf];
+        let radius2 = wanted.radius_m * wanted.radius_m;
+        let with_offsets = matches!(wanted.what, What::Moments(_));
+        let mut start = 0;
+        if self.usual == 0.0 {
+            self.find_alone(tree, &own.point(0), wanted);
+            worst[0] = self.finish(packing, 0, wanted);
+            (self.usual, start) = (worst[0], 1);
+        }
+        let mut guess2 = ((self.usual * MARGIN) * (self.usual * MARGIN)).min(radius2);
+        let (mut shared, mut reached) = self.share(tree, leaf, guess2, wanted);
+        for i in start..tree.num_points_of(leaf) {
+            let q = [own.xs[i], own.ys[i], own.zs[i]];
+            self.near.len = 0;
+            let mut leaves = reached[i];
+            while leaves != 0 {
+                let other = self.around.leaves[leaves.trailing_zeros() as usize % MAX_LEAVES];
+                let query = Query { q, limit2: guess2, with_offsets };
+                packing.append(&tree.leaves[other as usize], &query, &mut self.near);
+                leaves &= leaves - 1;
+            }
+            let proven = shared && (self.near.len >= wanted.k || guess2 == radius2);
+            if !proven {
+                self.find_again(packing, tree, leaf, i, guess2, wanted);
+            }
+            worst[i] = self.finish(packing, i, wanted);
+            if !proven && worst[i] * worst[i] > guess2 {
+                // Points are farther apart than in the leaf before.
+                guess2 = ((worst[i] * RAISE) * (worst[i] * RAISE)).min(radius2);
+                (shared, reached) = self.share(tree, leaf, guess2, wanted);
+            }
+        }
     }
 
-    fn worst(&self, i: usize, wanted: &Wanted) -> f32 {
-        let worst = self.row(i, wanted).iter().max().copied().unwrap_or(0);
-        Neighbor::of_key(worst).distance2.sqrt()
+    /// Looks for the leaves that all points of a leaf share: whether there are not too many, and which of them each
+    /// point reaches.
+    #[inline(always)]
+    fn share(&mut self, tree: &KdTree, leaf: usize, guess2: f32, wanted: &Wanted) -> (bool, [u64; LEAF]) {
+        let shared = wanted.k <= MAX_SHARED
+            && guess2.is_finite()
+            && tree.gather(&tree.leaf_bounds(leaf), guess2, &mut self.around);
+        (shared, if shared { self.around.reached(&tree.leaves[leaf], guess2) } else { [0; LEAF] })
     }
+
+    /// Finds candidates for a point where the guess was too small: with larger ones, up to what is sure.
+    #[inline(always)]
+    fn find_again<P: Packing>(
+        &mut self,
+        packing: P,
+        tree: &KdTree,
+        leaf: usize,
+        i: usize,
+        guess2: f32,
+        wanted: &Wanted,
+    ) {
+        let own = &tree.leaves[leaf];
+        let q = [own.xs[i], own.ys[i], own.zs[i]];
+        let sure2 = carried_bound(own, &q, &self.reaches).min(wanted.radius_m * wanted.radius_m);
+        let mut limit2 = guess2;
+        for _ in 0..RETRIES {
+            limit2 = (limit2 * WIDEN).min(sure2);
+            let usable = wanted.k <= MAX_SHARED && limit2.is_finite();
+            if !usable || !tree.gather(&Bounds { lo: q, hi: q }, limit2, &mut self.wider) {
+                break;
+            }
+            self.near.len = 0;
+            let query = Query { q, limit2, with_offsets: matches!(wanted.what, What::Moments(_)) };
+            for &other in &self.wider.leaves[..self.wider.len] {
+                packing.append(&tree.leaves[other as usize], &query, &mut self.near);
+            }
+            if self.near.len >= wanted.k || limit2 == sure2 {
+                return;
+            }
+        }
+        self.find_alone(tree, &own.point(i), wanted);
+    }
+
+    /// Finds the neighbours of a point by searching the tree for it alone.
+    fn find_alone(&mut self, tree: &KdTree, q: &Point3<f32>, wanted: &Wanted) {
+        tree.hybrid_into(q, wanted.radius_m, wanted.k, &mut self.found);
+        self.near.clear_for(self.found.len());
+        for n in &self.found {
+            let offset = if let What::Moments(points) = wanted.what { points[n.index] - q } else { Default::default() };
+            self.near.push(n.distance2, n.index as u32, offset.into());
+        }
+    }
+
+    /// Takes of the candidates of the `i`-th point what is wanted; how far away the farthest of its neighbours is.
+    #[inline(always)]
+    fn finish<P: Packing>(&mut self, packing: P, i: usize, wanted: &Wanted) -> f32 {
+        self.near.rank(packing, wanted.k);
+        let count = self.near.len.min(wanted.k);
+        self.counts[i] = count;
+        match wanted.what {
+            What::Rows => self.near.sort_into(&mut self.ranked, &mut self.rows[i * wanted.k..][..count]),
+            What::Moments(_) => {
+                self.near.settle_border(count);
+                let sums = self.near.moments(count);
+                self.moments.iter_mut().zip(sums).for_each(|(m, s)| m[i] = s);
+            }
+            What::Distances => self.distances[i] = self.near.sum_of_distances(count),
+        }
+        let worst = self.near.worst2(count).sqrt();
+        self.reaches[i] = if count == wanted.k { worst } else { f32::INFINITY };
+        worst
+    }
+}
+
+fn find_by_processor(group: &mut Group, tree: &KdTree, leaf: usize, wanted: &Wanted, worst: &mut [f32; LEAF]) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+        fn wide(group: &mut Group, tree: &KdTree, leaf: usize, wanted: &Wanted, worst: &mut [f32; LEAF]) {
+            // SAFETY: there is AVX2 here.
+            #[allow(unsafe_code)]
+            let packing = unsafe { near::Avx2::known() };
+            group.find_with(packing, tree, leaf, wanted, worst);
+        }
+        #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+        fn wider(group: &mut Group, tree: &KdTree, leaf: usize, wanted: &Wanted, worst: &mut [f32; LEAF]) {
+            // SAFETY: there is AVX-512 F here.
+            #[allow(unsafe_code)]
+            let packing = unsafe { near::Avx512::known() };
+            group.find_with(packing, tree, leaf, wanted, worst);
+        }
+        if near::has_avx2() {
+            if near::has_avx512() {
+                // SAFETY: this processor has every feature that `wider` is compiled for.
+                #[allow(unsafe_code)]
+                return unsafe { wider(group, tree, leaf, wanted, worst) };
+            }
+            // SAFETY: this processor has every feature that `wide` is compiled for.
+            #[allow(unsafe_code)]
+            return unsafe { wide(group, tree, leaf, wanted, worst) };
+        }
+    }
+    group.find_with(near::Plain, tree, leaf, wanted, worst);
 }
 
 impl Leaf {
@@ -258,82 +419,30 @@ by_processor! {
     }
 }
 
-by_processor! {
-    /// Finds what it can for the points of a leaf from shared candidates, and marks it as done.
-    fn find_shared(group: &mut Group, tree: &KdTree, leaf: usize, wanted: &Wanted) {
-        let Group { rows, counts, done, usual, around, distances, gathered, .. } = group;
-        let radius2 = wanted.radius_m * wanted.radius_m;
-        let mut limit2 = (*usual * MARGIN) * (*usual * MARGIN);
-        limit2 = limit2.min(radius2);
-        if !limit2.is_finite() || !tree.gather(&tree.leaf_bounds(leaf), limit2, around) {
-            return;
-        }
-        let own = &tree.leaves[leaf];
-        // Distance of the k-th neighbour of points already done; the triangle inequality bounds that of the next.
-        let mut reaches = [f32::INFINITY; LEAF];
-        for i in 0..tree.num_points_of(leaf) {
-            let q = [own.xs[i], own.ys[i], own.zs[i]];
-            let bound2 = carried_bound(own, &q, &reaches).min(limit2);
-            let mut chosen = [0u8; MAX_LEAVES];
-            let num_chosen = around.reached(&q, bound2, &mut chosen);
-            let n = num_chosen * LEAF;
-            for (out, &j) in distances[..n].as_chunks_mut::<LEAF>().0.iter_mut().zip(&chosen[..num_chosen]) {
-                measure(&tree.leaves[around.leaves[j as usize] as usize], &q, out);
-            }
-            let within = count(&distances[..n], bound2);
-            if within < wanted.k && bound2 < radius2 {
-                continue;
-            }
-            let limit = if within <= wanted.k { bound2 } else { kth(&distances[..n], bound2, within, wanted.k) };
-            let mut len = 0;
-            for (d, &j) in distances[..n].as_chunks::<LEAF>().0.iter().zip(&chosen[..num_chosen]) {
-                let indices = &tree.leaves[around.leaves[j as usize] as usize].indices;
-                gather_within(d, indices, limit, gathered, &mut len);
-            }
-            if len > wanted.k {
-                gathered[..len].select_nth_unstable(wanted.k - 1);
-                len = wanted.k;
-            }
-            let row = &mut rows[i * wanted.k..][..len];
-            if wanted.sorted {
-                sort_by_rank(&gathered[..len], row);
-            } else {
-                row.copy_from_slice(&gathered[..len]);
-            }
-            counts[i] = len;
-            done[i] = true;
-            if len == wanted.k {
-                reaches[i] = limit.sqrt();
-            }
-        }
-    }
-}
-
 impl Around {
+    const NONE: Self = Self { len: 0, leaves: [0; MAX_LEAVES], lo: [[0.0; MAX_LEAVES]; 3], hi: [[0.0; MAX_LEAVES]; 3] };
+
     fn bounds(&self, j: usize) -> Bounds {
         Bounds { lo: [0, 1, 2].map(|a| self.lo[a][j]), hi: [0, 1, 2].map(|a| self.hi[a][j]) }
     }
 
-    /// Numbers of the leaves whose box is within the distance (squared) of a point.
+    /// For each point of a leaf the set of leaves whose box is within the distance (squared).
     #[inline(always)]
-    fn reached(&self, q: &[f32; 3], bound2: f32, chosen: &mut [u8; MAX_LEAVES]) -> usize {
-        let mut gaps = [0.0f32; MAX_LEAVES];
-        let padded = self.len.next_multiple_of(8);
-        for (j, gap) in gaps[..padded].iter_mut().enumerate() {
-            let side = |a: usize| {
-                let (below, above) = (self.lo[a][j] - q[a], q[a] - self.hi[a][j]);
-                let side = if below > above { below } else { above };
-                if side > 0.0 { side } else { 0.0 }
-            };
-            let (x, y, z) = (side(0), side(1), side(2));
-            *gap = x * x + y * y + z * z;
+    fn reached(&self, own: &Leaf, limit2: f32) -> [u64; LEAF] {
+        let mut out = [0u64; LEAF];
+        for j in 0..self.len {
+            let (lo, hi) = ([0, 1, 2].map(|a| self.lo[a][j]), [0, 1, 2].map(|a| self.hi[a][j]));
+            for (i, out) in out.iter_mut().enumerate() {
+                let side = |v: f32, a: usize| {
+                    let (below, above) = (lo[a] - v, v - hi[a]);
+                    let side = if below > above { below } else { above };
+                    if side > 0.0 { side } else { 0.0 }
+                };
+                let (x, y, z) = (side(own.xs[i], 0), side(own.ys[i], 1), side(own.zs[i], 2));
+                *out |= u64::from(x * x + y * y + z * z <= limit2) << j;
+            }
         }
-        let mut n = 0;
-        for (j, &gap) in gaps[..self.len].iter().enumerate() {
-            chosen[n] = j as u8;
-            n += usize::from(gap <= bound2);
-        }
-        n.min(MAX_LEAVES)
+        out
     }
 }
 
@@ -355,65 +464,5 @@ fn measure(leaf: &Leaf, q: &[f32; 3], out: &mut [f32; LEAF]) {
     for (j, distance2) in out.iter_mut().enumerate() {
         let (dx, dy, dz) = (q[0] - leaf.xs[j], q[1] - leaf.ys[j], q[2] - leaf.zs[j]);
         *distance2 = dx * dx + dy * dy + dz * dz;
-    }
-}
-
-/// How many distances are within the limit.
-#[inline(always)]
-fn count(distances: &[f32], limit: f32) -> usize {
-    let mut counts = [0u32; LEAF];
-    for chunk in distances.as_chunks::<LEAF>().0 {
-        for j in 0..LEAF {
-            counts[j] += u32::from(chunk[j] <= limit);
-        }
-    }
-    counts.iter().sum::<u32>() as usize
-}
-
-/// A limit within which at least k distances lie, exactly k if that is found soon.
-#[inline(always)]
-fn kth(distances: &[f32], bound2: f32, within: usize, k: usize) -> f32 {
-    let (mut lo, mut hi, mut num_lo, mut num_hi) = (0.0f32, bound2, 0usize, within);
-    for _ in 0..STEPS {
-        let share = (k as f32 + 0.5 - num_lo as f32) / (num_hi as f32 + 0.5 - num_lo as f32);
-        let t = lo + (hi - lo) * share.clamp(0.05, 0.95);
-        if !(t > lo && t < hi) {
-            break;
-        }
-        let n = count(distances, t);
-        if n >= k {
-            (hi, num_hi) = (t, n);
-        } else {
-            (lo, num_lo) = (t, n);
-        }
-        if n == k {
-            break;
-        }
-    }
-    hi
-}
-
-/// Appends the keys of the points within the limit.
-#[inline(always)]
-fn gather_within(distances: &[f32; LEAF], indices: &[u32; LEAF], limit: f32, out: &mut [u64], len: &mut usize) {
-    let mut flags = [0u8; LEAF];
-    for j in 0..LEAF {
-        flags[j] = u8::from(distances[j] <= limit);
-    }
-    let mut bits = u128::from_le_bytes(flags);
-    while bits != 0 {
-        let j = (bits.trailing_zeros() / 8) as usize % LEAF;
-        out[*len] = key(distances[j], indices[j]);
-        *len += 1;
-        bits &= bits - 1;
-    }
-}
-
-/// Sorts by counting for each how many are smaller: no branches that depend on the data. Keys are all different.
-#[inline(always)]
-fn sort_by_rank(keys: &[u64], out: &mut [u64]) {
-    for &key in keys {
-        let rank: u64 = keys.iter().map(|&other| u64::from((other as i64) < key as i64)).sum();
-        out[rank as usize] = key;
     }
 }

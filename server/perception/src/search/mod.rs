@@ -7,10 +7,11 @@
 mod build;
 mod group;
 mod kdtree;
+mod near;
 mod neighbors;
 mod voxel_map;
 
-pub(crate) use group::Wanted;
+pub(crate) use group::{Group, Wanted, What};
 pub use kdtree::{KdTree, Neighbor};
 pub use neighbors::Neighbors;
 pub use voxel_map::{MapNeighbor, VoxelHashMap, VoxelMapParams, VoxelStats};

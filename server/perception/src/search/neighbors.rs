@@ -1,6 +1,6 @@
 //! Neighbours of many queries at once, in flat arrays.
 
-use super::group::{Group, Wanted};
+use super::group::{Group, Wanted, What};
 use super::kdtree::{KdTree, Neighbor};
 use nalgebra::Point3;
 use percept_geometry::GeometryError;
@@ -69,7 +69,7 @@ impl KdTree {
     /// At most `max_nn` nearest within `radius_m` of every point that the tree was built from, itself among them.
     /// None at all if the radius is negative or not a number.
     pub fn hybrid_all(&self, radius_m: f32, max_nn: usize) -> Neighbors {
-        let wanted = Wanted { k: max_nn.min(self.len()), radius_m, sorted: true };
+        let wanted = Wanted { k: max_nn.min(self.len()), radius_m, what: What::Rows };
         let parts = self.map_leaves(&wanted, |part: &mut Part, leaf, group| {
             for i in 0..self.num_points_of(leaf) {
                 let row = group.row(i, &wanted);
@@ -183,7 +183,7 @@ impl KdTree {
     fn map_tasks<R: Send + Default>(&self, work: impl Fn(&mut Group, &mut R, usize) + Sync + Send) -> Vec<R> {
         let tasks = (0..self.num_leaves().div_ceil(LEAVES)).into_par_iter();
         let task = |group: &mut Group, task| {
-            // What a thread did before must not be seen: the order of rows that are not sorted depends on the guess.
+            // What a thread did before must not be seen: the rounding of sums depends on the guess.
             group.forget();
             let mut out = R::default();
             self.leaves_of_task(task).for_each(|leaf| work(group, &mut out, leaf));
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_are_not_sorted_do_not_depend_on_the_number_of_threads() {
+    fn sums_do_not_depend_on_the_number_of_threads() {
         // Dense and sparse stretches in turn, so that a guess carried over from elsewhere would be wrong.
         let hash = |i: u32| (i.wrapping_mul(2_654_435_761) >> 8) as f32 / (1 << 24) as f32;
         let stretch = |i: u32| if (i / 3000).is_multiple_of(2) { 0.1 } else { 10.0 };
@@ -299,12 +299,12 @@ mod tests {
             .map(|i| Point3::new((i / 3000) as f32 * 20.0 + hash(i) * stretch(i), hash(i + 77_777) * stretch(i), 0.0))
             .collect();
         let tree = KdTree::build(&points);
-        let wanted = Wanted { k: 20, radius_m: f32::INFINITY, sorted: false };
+        let wanted = Wanted { k: 20, radius_m: f32::INFINITY, what: What::Distances };
         let rows = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                tree.map_leaves(&wanted, |out: &mut Vec<u64>, leaf, group| {
-                    (0..tree.num_points_of(leaf)).for_each(|i| out.extend_from_slice(group.row(i, &wanted)));
+                tree.map_leaves(&wanted, |out: &mut Vec<f64>, leaf, group| {
+                    out.extend((0..tree.num_points_of(leaf)).map(|i| group.sum_of_distances(i)));
                 })
             })
         };
