@@ -16,7 +16,7 @@ pub mod object;
 pub mod se3;
 pub mod sensor;
 pub mod shapes;
-mod simd;
+pub mod simd;
 pub mod time;
 
 pub use camera::{CameraIntrinsics, Distortion};

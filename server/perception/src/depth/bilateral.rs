@@ -100,6 +100,7 @@ fn exp2(x: f32) -> f32 {
 }
 
 by_processor! {
+    [avx512]
     /// Smooths the rows from `v0` on, as many as `out` holds.
     fn smooth(data: &[f32], w: usize, v0: usize, r: usize, pairs: &[Pair], scale: f32, out: &mut [f32]) {
         let (h, pad) = (data.len() / w, 32);

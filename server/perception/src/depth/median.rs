@@ -206,6 +206,7 @@ fn median7<T: PartialOrd + Copy>(five: [T; 5], f: T, g: T) -> T {
 macro_rules! bands {
     ($name:ident, $type:ty) => {
         by_processor! {
+            [avx512]
             /// Medians of the rows from `v0` on, as many as `out` holds; 5 x 5 or 3 x 3.
             fn $name(data: &[$type], w: usize, v0: usize, five: bool, out: &mut [$type]) {
                 let (h, room) = (data.len() / w, w.next_multiple_of(BLOCK));

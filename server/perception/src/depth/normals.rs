@@ -66,6 +66,7 @@ impl Vertices {
 }
 
 by_processor! {
+    [avx512]
     fn vertices_of_row(depths: &[f32], xs: &[f32], ys: &[f32], x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
         let n = depths.len();
         let (xs, ys, x, y, z) = (&xs[..n], &ys[..n], &mut x[..n], &mut y[..n], &mut z[..n]);
@@ -93,6 +94,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 by_processor! {
+    [avx512]
     fn normals_of_band(band: &Vertices, jump: f32, min_cos2: f32, out: &mut [Vector3<f32>]) {
         let (step, room) = (band.step, band.room);
         for (i, out) in out.chunks_mut(band.width).enumerate() {

@@ -139,6 +139,7 @@ fn unproject_rows(
 }
 
 by_processor! {
+    [avx512]
     /// Appends the points of one row. Bound: the points written, 12 bytes each; most blocks of eight pixels have all
     /// their returns or none, and go out without a branch for each.
     fn points_of_row(depths: &[f32], xs: &[f32], ys: &[f32], min: f32, max: f32, out: &mut Vec<Point3<f32>>) {
