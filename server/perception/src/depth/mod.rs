@@ -4,6 +4,8 @@
 //! registration; [`DepthPyramid`] shrinks without mixing surfaces across edges. Nothing here knows where
 //! the camera is.
 
+#[cfg(target_arch = "x86_64")]
+mod avx512;
 mod bilateral;
 mod boundaries;
 mod filter;

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 /// Rows of one unit of work; fixed, so that results do not depend on threads.
 const BAND: usize = 32;
 /// Pixels that are worked on together.
-const BLOCK: usize = 32;
+const BLOCK: usize = 64;
 
 impl NormalMap {
     /// The normals that [`NormalMap::new`] finds on the image's vertices, without storing these.
@@ -32,7 +32,7 @@ impl NormalMap {
     }
 }
 
-/// The coordinates of a band's pixels apart, with `step` rows and columns around it; all zero where nothing is.
+/// The coordinates of a band's pixels apart, with `step` rows and columns around it; z is NaN where nothing is.
 struct Vertices {
     step: usize,
     width: usize,
@@ -44,7 +44,7 @@ impl Vertices {
     fn new(depth: &DepthImage, rays: &RayTable, v0: usize, num_rows: usize, step: usize) -> Self {
         let (width, height) = size(depth);
         let room = width.next_multiple_of(BLOCK) + 2 * step;
-        let mut xyz = [0, 1, 2].map(|_| vec![0.0; room * (num_rows + 2 * step)]);
+        let mut xyz = [0, 1, 2].map(|_| vec![f32::NAN; room * (num_rows + 2 * step)]);
         let mut scratch = Vec::new();
         for i in 0..num_rows + 2 * step {
             let v = (v0 + i).wrapping_sub(step);
@@ -72,9 +72,9 @@ by_processor! {
         let (xs, ys, x, y, z) = (&xs[..n], &ys[..n], &mut x[..n], &mut y[..n], &mut z[..n]);
         for i in 0..n {
             let finite = (xs[i] + ys[i]) * 0.0 == 0.0;
-            x[i] = if finite { xs[i] * depths[i] } else { 0.0 };
-            y[i] = if finite { ys[i] * depths[i] } else { 0.0 };
-            z[i] = if finite { depths[i] } else { 0.0 };
+            x[i] = xs[i] * depths[i];
+            y[i] = ys[i] * depths[i];
+            z[i] = if finite & (depths[i] > 0.0) { depths[i] } else { f32::NAN };
         }
     }
 }
@@ -82,10 +82,23 @@ by_processor! {
 /// The neighbour ahead minus the one behind; the pixel itself where one of them is not on its surface.
 #[inline(always)]
 fn difference(p: [f32; 3], ahead: [f32; 3], behind: [f32; 3], reach: f32) -> [f32; 3] {
-    let a = (ahead[2] > 0.0) & ((ahead[2] - p[2]).abs() <= reach);
-    let b = (behind[2] > 0.0) & ((behind[2] - p[2]).abs() <= reach);
+    // NaN is not within reach.
+    let a = (ahead[2] - p[2]).abs() <= reach;
+    let b = (behind[2] - p[2]).abs() <= reach;
     let one = |k: usize| (if a { ahead[k] } else { p[k] }) - (if b { behind[k] } else { p[k] });
     [one(0), one(1), one(2)]
+}
+
+/// 1 / sqrt(v), relative error below 3e-7, for positive normal numbers: a first guess from the bits (Lomont, "Fast
+/// inverse square root", 2003), then Newton. Takes half the time of a root and a division, and is the same everywhere.
+#[inline(always)]
+fn inverse_root(v: f32) -> f32 {
+    let mut r = f32::from_bits(0x5F37_59DFu32.wrapping_sub(v.to_bits() >> 1));
+    let half = 0.5 * v;
+    for _ in 0..3 {
+        r *= 1.5 - half * r * r;
+    }
+    r
 }
 
 #[inline(always)]
@@ -113,17 +126,20 @@ by_processor! {
                     let (n2, facing) = (dot(n, n), -dot(n, here));
                     // At a grazing angle the differences are mostly noise; a zero normal fails, too.
                     let good = facing * facing > min_cos2 * (n2 * dot(here, here));
-                    let length = 1.0 / n2.sqrt();
-                    let scale = if facing < 0.0 { -length } else { length };
+                    let scale = inverse_root(n2).copysign(facing);
                     nx[j] = if good { n[0] * scale } else { 0.0 };
                     ny[j] = if good { n[1] * scale } else { 0.0 };
                     nz[j] = if good { n[2] * scale } else { 0.0 };
                 }
-                let mut block = [Vector3::zeros(); BLOCK];
-                for (j, n) in block.iter_mut().enumerate() {
-                    *n = Vector3::new(nx[j], ny[j], nz[j]);
+                if let Some(out) = out.first_chunk_mut::<BLOCK>() {
+                    for j in 0..BLOCK {
+                        out[j] = Vector3::new(nx[j], ny[j], nz[j]);
+                    }
+                } else {
+                    for (j, n) in out.iter_mut().enumerate() {
+                        *n = Vector3::new(nx[j], ny[j], nz[j]);
+                    }
                 }
-                out.copy_from_slice(&block[..out.len()]);
             }
         }
     }

@@ -91,13 +91,12 @@ pub fn unproject_units(
         return Err(GeometryError::ShapeMismatch { field: "depth", expected, actual: units.len() });
     }
     let scale = metres_per_unit as f32;
-    let row = |v: usize, out: &mut [f32]| {
-        for (out, &u) in out.iter_mut().zip(&units[v * w..(v + 1) * w]) {
-            *out = if u == u16::MAX { 0.0 } else { f32::from(u) * scale };
-        }
-    };
+    let row = |v: usize, out: &mut [f32]| metres_of_units(&units[v * w..(v + 1) * w], scale, out);
     unproject_rows((w, rays.height()), row, color, rays, params)
 }
+
+/// Pixels that are worked on together.
+const BLOCK: usize = 16;
 
 fn unproject_rows(
     (w, h): (usize, usize),
@@ -118,11 +117,13 @@ fn unproject_rows(
     // Zero, 'no return', is below every bound.
     let (min, max) = ((params.min_depth_m as f32).max(f32::MIN_POSITIVE), params.max_depth_m as f32);
     let (mut depths, mut scratch) = (vec![0.0; w], Vec::new());
+    let mut points = vec![Point3::origin(); w + BLOCK];
     for v in (0..h).step_by(stride) {
         read_row(v, &mut depths);
         let (xs, ys) = rays.row(v, &mut scratch);
         if stride == 1 && color.is_none() {
-            points_of_row(&depths, xs, ys, min, max, &mut positions);
+            let kept = points_of_row(&depths, xs, ys, (min, max), &mut points);
+            positions.extend_from_slice(&points[..kept]);
             continue;
         }
         for u in (0..w).step_by(stride) {
@@ -138,44 +139,86 @@ fn unproject_rows(
     Ok(PointCloud { positions, colors: color.map(|_| colors), ..PointCloud::default() })
 }
 
+/// Writes the points of a row to the front of `out`, which has a block more room than the row pixels; returns how many.
+///
+/// Bound: the points written, 12 bytes each. Holes cost no branch.
+fn points_of_row(depths: &[f32], xs: &[f32], ys: &[f32], bounds: (f32, f32), out: &mut [Point3<f32>]) -> usize {
+    let (blocks, rest) = depths.as_chunks::<BLOCK>();
+    let ((x_blocks, x_rest), (y_blocks, y_rest)) = (xs.as_chunks::<BLOCK>(), ys.as_chunks::<BLOCK>());
+    let mut kept = points_of_blocks(blocks, x_blocks, y_blocks, bounds, out);
+    for ((&d, &x), &y) in rest.iter().zip(x_rest).zip(y_rest) {
+        if d >= bounds.0 && d <= bounds.1 && (x + y).is_finite() {
+            out[kept] = Point3::new(x * d, y * d, d);
+            kept += 1;
+        }
+    }
+    kept
+}
+
+type Block = [f32; BLOCK];
+
+fn points_of_blocks(
+    depths: &[Block],
+    xs: &[Block],
+    ys: &[Block],
+    bounds: (f32, f32),
+    out: &mut [Point3<f32>],
+) -> usize {
+    #[cfg(target_arch = "x86_64")]
+    if percept_geometry::simd::has_avx512() {
+        // SAFETY: the processor has what the function is compiled for.
+        #[allow(unsafe_code)]
+        return unsafe { super::avx512::points_of_blocks(depths, xs, ys, bounds, out) };
+    }
+    plain_points_of_blocks(depths, xs, ys, bounds, out)
+}
+
 by_processor! {
-    [avx512]
-    /// Appends the points of one row. Bound: the points written, 12 bytes each; most blocks of eight pixels have all
-    /// their returns or none, and go out without a branch for each.
-    fn points_of_row(depths: &[f32], xs: &[f32], ys: &[f32], min: f32, max: f32, out: &mut Vec<Point3<f32>>) {
-        const BLOCK: usize = 16;
-        let (blocks, rest) = depths.as_chunks::<BLOCK>();
-        let ((x_blocks, x_rest), (y_blocks, y_rest)) = (xs.as_chunks::<BLOCK>(), ys.as_chunks::<BLOCK>());
-        for ((d, x), y) in blocks.iter().zip(x_blocks).zip(y_blocks) {
+    fn plain_points_of_blocks(
+        depths: &[Block],
+        xs: &[Block],
+        ys: &[Block],
+        bounds: (f32, f32),
+        out: &mut [Point3<f32>],
+    ) -> usize {
+        let (min, max) = bounds;
+        let mut kept = 0;
+        for ((d, x), y) in depths.iter().zip(xs).zip(ys) {
             let mut good = [0u32; BLOCK];
-            let mut points = [Point3::new(0.0, 0.0, 0.0); BLOCK];
             for j in 0..BLOCK {
                 // A ray that is not finite makes the sum so; times zero it is NaN.
                 let finite = (x[j] + y[j]) * 0.0 == 0.0;
                 good[j] = u32::from((d[j] >= min) & (d[j] <= max) & finite);
             }
-            let num_good: u32 = good.iter().sum();
+            let num_good = good.iter().sum::<u32>() as usize;
+            // Most blocks have all their returns or none.
             if num_good == 0 {
                 continue;
             }
-            for j in 0..BLOCK {
-                points[j] = Point3::new(x[j] * d[j], y[j] * d[j], d[j]);
-            }
-            if num_good == BLOCK as u32 {
-                out.extend_from_slice(&points);
-            } else {
-                let mut kept = 0;
+            let Some(out) = out[kept..].first_chunk_mut::<BLOCK>() else { break };
+            if num_good == BLOCK {
                 for j in 0..BLOCK {
-                    points[kept] = points[j];
-                    kept += good[j] as usize;
+                    out[j] = Point3::new(x[j] * d[j], y[j] * d[j], d[j]);
                 }
-                out.extend_from_slice(&points[..kept]);
+            } else {
+                let mut next = 0;
+                for j in 0..BLOCK {
+                    out[next] = Point3::new(x[j] * d[j], y[j] * d[j], d[j]);
+                    next += good[j] as usize;
+                }
             }
+            kept += num_good;
         }
-        for ((&d, &x), &y) in rest.iter().zip(x_rest).zip(y_rest) {
-            if d >= min && d <= max && (x + y).is_finite() {
-                out.push(Point3::new(x * d, y * d, d));
-            }
+        kept
+    }
+}
+
+by_processor! {
+    [avx512]
+    /// Metres; 65535 is no return.
+    fn metres_of_units(units: &[u16], scale: f32, out: &mut [f32]) {
+        for (out, &u) in out.iter_mut().zip(units) {
+            *out = if u == u16::MAX { 0.0 } else { f32::from(u) * scale };
         }
     }
 }
@@ -238,5 +281,20 @@ mod tests {
         assert_eq!(unproject_with(&depth, None, &rays, &params).unwrap().positions, pixel_by_pixel.positions);
         assert_eq!(unproject_units(&units, 0.001, None, &rays, &params).unwrap().positions, pixel_by_pixel.positions);
         assert!(unproject_units(&units[1..], 0.001, None, &rays, &params).is_err());
+    }
+
+    #[test]
+    fn blocks_packed_by_the_processors_widest_vectors_are_the_plain_ones() {
+        let rays: Vec<Block> = (0..50).map(|b| std::array::from_fn(|j| (b * 16 + j) as f32 * 0.01 - 3.0)).collect();
+        let mut xs = rays.clone();
+        (xs[3][5], xs[4][0], xs[7][15]) = (f32::NAN, f32::INFINITY, f32::NEG_INFINITY);
+        // Block by block other holes: none, all, and every pattern between.
+        let hole = |b: usize, j: usize| (b as u64 * 0x9E37_79B9_7F4A_7C15) >> (b % 40 + j) & 1 == 1;
+        let depth = |b: usize, j: usize| if b % 7 > 1 && hole(b, j) { 0.0 } else { 0.4 + 0.1 * (b + j) as f32 };
+        let depths: Vec<Block> = (0..50).map(|b| std::array::from_fn(|j| depth(b, j))).collect();
+        let (mut fast, mut plain) = (vec![Point3::origin(); 51 * 16], vec![Point3::origin(); 51 * 16]);
+        let kept = points_of_blocks(&depths, &xs, &rays, (0.5, 5.0), &mut fast);
+        assert_eq!(kept, plain_points_of_blocks(&depths, &xs, &rays, (0.5, 5.0), &mut plain));
+        assert!((200..750).contains(&kept) && fast[..kept] == plain[..kept]);
     }
 }
