@@ -1,6 +1,7 @@
 //! What the compiler does not find by itself with vectors of 512 bits: points packed without their holes, and
 //! coordinates laid out as points. Each has a plain version beside its caller, which it is tested against.
 
+use super::room::Room;
 use nalgebra::Point3;
 use std::arch::x86_64::{
     __m512, _CMP_GE_OQ, _CMP_LE_OQ, _CMP_ORD_Q, _mm512_add_ps, _mm512_cmp_ps_mask, _mm512_loadu_epi32,
@@ -57,18 +58,16 @@ fn points(x: __m512, y: __m512, z: __m512) -> [Point3<f32>; LANES] {
     }
 }
 
-/// Writes the points of whole blocks of pixels to the front of `out`, which has a block more room than pixels; returns
-/// how many.
+/// Appends the points of whole blocks of pixels.
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,popcnt")]
 pub(super) fn points_of_blocks(
     depths: &[[f32; LANES]],
     xs: &[[f32; LANES]],
     ys: &[[f32; LANES]],
     (min, max): (f32, f32),
-    out: &mut [Point3<f32>],
-) -> usize {
+    out: &mut Room<'_, Point3<f32>>,
+) {
     let (min, max) = (_mm512_set1_ps(min), _mm512_set1_ps(max));
-    let mut kept = 0;
     for ((d, x), y) in depths.iter().zip(xs).zip(ys) {
         let (d, x, y) = (load(d), load(x), load(y));
         // A ray that is not finite makes the sum so; times zero it is NaN.
@@ -77,10 +76,6 @@ pub(super) fn points_of_blocks(
             & _mm512_cmp_ps_mask::<_CMP_LE_OQ>(d, max)
             & _mm512_cmp_ps_mask::<_CMP_ORD_Q>(sum, sum);
         let pack = |v| _mm512_maskz_compress_ps(good, v);
-        if let Some(out) = out.get_mut(kept..kept + LANES) {
-            out.copy_from_slice(&points(pack(_mm512_mul_ps(x, d)), pack(_mm512_mul_ps(y, d)), pack(d)));
-        }
-        kept += good.count_ones() as usize;
+        out.push(&points(pack(_mm512_mul_ps(x, d)), pack(_mm512_mul_ps(y, d)), pack(d)), good.count_ones() as usize);
     }
-    kept
 }

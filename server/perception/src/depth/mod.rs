@@ -17,6 +17,7 @@ mod planes;
 mod pyramid;
 mod rays;
 mod register;
+mod room;
 mod unproject;
 
 pub use bilateral::{BilateralParams, bilateral};

@@ -2,10 +2,10 @@
 //!
 //! Bound: about 90 vector operations and 12 bytes written a pixel.
 
+use super::room::{Room, filled_in_bands};
 use super::{NormalMap, NormalMapParams, RayTable, check_size, size};
 use nalgebra::Vector3;
 use percept_geometry::{DepthImage, GeometryError, by_processor};
-use rayon::prelude::*;
 
 /// Rows of one unit of work; fixed, so that results do not depend on threads.
 const BAND: usize = 32;
@@ -21,12 +21,12 @@ impl NormalMap {
         params.validate()?;
         check_size("depth", (rays.width(), rays.height()), size(depth))?;
         let (width, height) = size(depth);
-        let mut normals = vec![Vector3::zeros(); width * height];
         let jump = params.max_jump_fraction as f32 * params.step_px as f32;
         let min_cos = params.max_incidence_rad.min(std::f64::consts::FRAC_PI_2).cos() as f32;
-        normals.par_chunks_mut(width.max(1) * BAND).enumerate().for_each(|(i, rows)| {
-            let band = Vertices::new(depth, rays, i * BAND, rows.len() / width, params.step_px);
-            normals_of_band(&band, jump, min_cos * min_cos, rows);
+        let normals = filled_in_bands(width * height, width * BAND, |i, normals| {
+            let (v0, num_rows) = (i * BAND, BAND.min(height - i * BAND));
+            let band = Vertices::new(depth, rays, v0, num_rows, params.step_px);
+            normals_of_band(&band, num_rows, jump, min_cos * min_cos, normals);
         });
         Ok(Self { width, height, normals })
     }
@@ -44,7 +44,8 @@ impl Vertices {
     fn new(depth: &DepthImage, rays: &RayTable, v0: usize, num_rows: usize, step: usize) -> Self {
         let (width, height) = size(depth);
         let room = width.next_multiple_of(BLOCK) + 2 * step;
-        let mut xyz = [0, 1, 2].map(|_| vec![f32::NAN; room * (num_rows + 2 * step)]);
+        let area = room * (num_rows + 2 * step);
+        let mut xyz = [vec![0.0; area], vec![0.0; area], vec![f32::NAN; area]];
         let mut scratch = Vec::new();
         for i in 0..num_rows + 2 * step {
             let v = (v0 + i).wrapping_sub(step);
@@ -108,11 +109,11 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 by_processor! {
     [avx512]
-    fn normals_of_band(band: &Vertices, jump: f32, min_cos2: f32, out: &mut [Vector3<f32>]) {
+    fn normals_of_band(band: &Vertices, num_rows: usize, jump: f32, min_cos2: f32, out: &mut Room<'_, Vector3<f32>>) {
         let (step, room) = (band.step, band.room);
-        for (i, out) in out.chunks_mut(band.width).enumerate() {
-            for (k, out) in out.chunks_mut(BLOCK).enumerate() {
-                let at = (i + step) * room + step + k * BLOCK;
+        for i in 0..num_rows {
+            for u in (0..band.width).step_by(BLOCK) {
+                let at = (i + step) * room + step + u;
                 let (p, left, right) = (band.block(at), band.block(at - step), band.block(at + step));
                 let (up, down) = (band.block(at - step * room), band.block(at + step * room));
                 let (mut nx, mut ny, mut nz) = ([0.0f32; BLOCK], [0.0f32; BLOCK], [0.0f32; BLOCK]);
@@ -131,15 +132,11 @@ by_processor! {
                     ny[j] = if good { n[1] * scale } else { 0.0 };
                     nz[j] = if good { n[2] * scale } else { 0.0 };
                 }
-                if let Some(out) = out.first_chunk_mut::<BLOCK>() {
-                    for j in 0..BLOCK {
-                        out[j] = Vector3::new(nx[j], ny[j], nz[j]);
-                    }
-                } else {
-                    for (j, n) in out.iter_mut().enumerate() {
-                        *n = Vector3::new(nx[j], ny[j], nz[j]);
-                    }
+                let mut block = [Vector3::zeros(); BLOCK];
+                for j in 0..BLOCK {
+                    block[j] = Vector3::new(nx[j], ny[j], nz[j]);
                 }
+                out.push(&block, band.width - u);
             }
         }
     }

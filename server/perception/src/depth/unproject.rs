@@ -1,5 +1,6 @@
 //! Depth image to cloud.
 
+use super::room::{Room, filled};
 use super::{RayTable, check_size, positive, size};
 use nalgebra::Point3;
 use percept_geometry::{CameraIntrinsics, DepthImage, GeometryError, PointCloud, RgbImage, by_processor};
@@ -112,65 +113,58 @@ fn unproject_rows(
     }
     let stride = params.stride_px;
     let room = w.div_ceil(stride) * h.div_ceil(stride);
-    let mut positions = Vec::with_capacity(room);
     let mut colors = Vec::with_capacity(if color.is_some() { room } else { 0 });
     // Zero, 'no return', is below every bound.
     let (min, max) = ((params.min_depth_m as f32).max(f32::MIN_POSITIVE), params.max_depth_m as f32);
     let (mut depths, mut scratch) = (vec![0.0; w], Vec::new());
-    let mut points = vec![Point3::origin(); w + BLOCK];
-    for v in (0..h).step_by(stride) {
-        read_row(v, &mut depths);
-        let (xs, ys) = rays.row(v, &mut scratch);
-        if stride == 1 && color.is_none() {
-            let kept = points_of_row(&depths, xs, ys, (min, max), &mut points);
-            positions.extend_from_slice(&points[..kept]);
-            continue;
-        }
-        for u in (0..w).step_by(stride) {
-            let d = depths[u];
-            if d >= min && d <= max && (xs[u] + ys[u]).is_finite() {
-                positions.push(Point3::new(xs[u] * d, ys[u] * d, d));
-                if let Some(color) = color {
-                    colors.push(color.at(u, v));
+    let positions = filled(room, |positions| {
+        for v in (0..h).step_by(stride) {
+            read_row(v, &mut depths);
+            let (xs, ys) = rays.row(v, &mut scratch);
+            if stride == 1 && color.is_none() {
+                points_of_row(&depths, xs, ys, (min, max), positions);
+                continue;
+            }
+            for u in (0..w).step_by(stride) {
+                let d = depths[u];
+                if d >= min && d <= max && (xs[u] + ys[u]).is_finite() {
+                    positions.push(&[Point3::new(xs[u] * d, ys[u] * d, d)], 1);
+                    if let Some(color) = color {
+                        colors.push(color.at(u, v));
+                    }
                 }
             }
         }
-    }
+    });
     Ok(PointCloud { positions, colors: color.map(|_| colors), ..PointCloud::default() })
 }
 
-/// Writes the points of a row to the front of `out`, which has a block more room than the row pixels; returns how many.
+type Points<'a> = Room<'a, Point3<f32>>;
+
+/// Appends the points of a row.
 ///
 /// Bound: the points written, 12 bytes each. Holes cost no branch.
-fn points_of_row(depths: &[f32], xs: &[f32], ys: &[f32], bounds: (f32, f32), out: &mut [Point3<f32>]) -> usize {
+fn points_of_row(depths: &[f32], xs: &[f32], ys: &[f32], bounds: (f32, f32), out: &mut Points<'_>) {
     let (blocks, rest) = depths.as_chunks::<BLOCK>();
     let ((x_blocks, x_rest), (y_blocks, y_rest)) = (xs.as_chunks::<BLOCK>(), ys.as_chunks::<BLOCK>());
-    let mut kept = points_of_blocks(blocks, x_blocks, y_blocks, bounds, out);
+    points_of_blocks(blocks, x_blocks, y_blocks, bounds, out);
     for ((&d, &x), &y) in rest.iter().zip(x_rest).zip(y_rest) {
         if d >= bounds.0 && d <= bounds.1 && (x + y).is_finite() {
-            out[kept] = Point3::new(x * d, y * d, d);
-            kept += 1;
+            out.push(&[Point3::new(x * d, y * d, d)], 1);
         }
     }
-    kept
 }
 
 type Block = [f32; BLOCK];
 
-fn points_of_blocks(
-    depths: &[Block],
-    xs: &[Block],
-    ys: &[Block],
-    bounds: (f32, f32),
-    out: &mut [Point3<f32>],
-) -> usize {
+fn points_of_blocks(depths: &[Block], xs: &[Block], ys: &[Block], bounds: (f32, f32), out: &mut Points<'_>) {
     #[cfg(target_arch = "x86_64")]
     if percept_geometry::simd::has_avx512() {
         // SAFETY: the processor has what the function is compiled for.
         #[allow(unsafe_code)]
         return unsafe { super::avx512::points_of_blocks(depths, xs, ys, bounds, out) };
     }
-    plain_points_of_blocks(depths, xs, ys, bounds, out)
+    plain_points_of_blocks(depths, xs, ys, bounds, out);
 }
 
 by_processor! {
@@ -179,10 +173,9 @@ by_processor! {
         xs: &[Block],
         ys: &[Block],
         bounds: (f32, f32),
-        out: &mut [Point3<f32>],
-    ) -> usize {
+        out: &mut Points<'_>,
+    ) {
         let (min, max) = bounds;
-        let mut kept = 0;
         for ((d, x), y) in depths.iter().zip(xs).zip(ys) {
             let mut good = [0u32; BLOCK];
             for j in 0..BLOCK {
@@ -195,21 +188,19 @@ by_processor! {
             if num_good == 0 {
                 continue;
             }
-            let Some(out) = out[kept..].first_chunk_mut::<BLOCK>() else { break };
-            if num_good == BLOCK {
-                for j in 0..BLOCK {
-                    out[j] = Point3::new(x[j] * d[j], y[j] * d[j], d[j]);
-                }
-            } else {
+            let mut points = [Point3::new(0.0, 0.0, 0.0); BLOCK];
+            for j in 0..BLOCK {
+                points[j] = Point3::new(x[j] * d[j], y[j] * d[j], d[j]);
+            }
+            if num_good < BLOCK {
                 let mut next = 0;
                 for j in 0..BLOCK {
-                    out[next] = Point3::new(x[j] * d[j], y[j] * d[j], d[j]);
+                    points[next] = points[j];
                     next += good[j] as usize;
                 }
             }
-            kept += num_good;
+            out.push(&points, num_good);
         }
-        kept
     }
 }
 
@@ -292,9 +283,8 @@ mod tests {
         let hole = |b: usize, j: usize| (b as u64 * 0x9E37_79B9_7F4A_7C15) >> (b % 40 + j) & 1 == 1;
         let depth = |b: usize, j: usize| if b % 7 > 1 && hole(b, j) { 0.0 } else { 0.4 + 0.1 * (b + j) as f32 };
         let depths: Vec<Block> = (0..50).map(|b| std::array::from_fn(|j| depth(b, j))).collect();
-        let (mut fast, mut plain) = (vec![Point3::origin(); 51 * 16], vec![Point3::origin(); 51 * 16]);
-        let kept = points_of_blocks(&depths, &xs, &rays, (0.5, 5.0), &mut fast);
-        assert_eq!(kept, plain_points_of_blocks(&depths, &xs, &rays, (0.5, 5.0), &mut plain));
-        assert!((200..750).contains(&kept) && fast[..kept] == plain[..kept]);
+        let fast = filled(50 * 16, |out| points_of_blocks(&depths, &xs, &rays, (0.5, 5.0), out));
+        let plain = filled(50 * 16, |out| plain_points_of_blocks(&depths, &xs, &rays, (0.5, 5.0), out));
+        assert!((200..750).contains(&plain.len()) && fast == plain);
     }
 }
