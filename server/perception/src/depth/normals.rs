@@ -11,6 +11,8 @@ use percept_geometry::{DepthImage, GeometryError, by_processor};
 const BAND: usize = 32;
 /// Pixels that are worked on together.
 const BLOCK: usize = 64;
+/// Normals that are written together.
+const PART: usize = 16;
 
 impl NormalMap {
     /// The normals that [`NormalMap::new`] finds on the image's vertices, without storing these.
@@ -25,57 +27,70 @@ impl NormalMap {
         let min_cos = params.max_incidence_rad.min(std::f64::consts::FRAC_PI_2).cos() as f32;
         let normals = filled_in_bands(width * height, width * BAND, |i, normals| {
             let (v0, num_rows) = (i * BAND, BAND.min(height - i * BAND));
-            let band = Vertices::new(depth, rays, v0, num_rows, params.step_px);
+            let band = Band::new(depth, rays, v0, num_rows, params.step_px);
             normals_of_band(&band, num_rows, jump, min_cos * min_cos, normals);
         });
         Ok(Self { width, height, normals })
     }
 }
 
-/// The coordinates of a band's pixels apart, with `step` rows and columns around it; z is NaN where nothing is.
-struct Vertices {
+/// A band's depths, NaN where nothing is, and its rays, with `step` rows and columns around.
+struct Band {
     step: usize,
     width: usize,
     room: usize,
-    xyz: [Vec<f32>; 3],
+    depths: Vec<f32>,
+    /// One row for all where they are the same in each.
+    xs: Vec<f32>,
+    x_room: usize,
+    ys: Vec<f32>,
 }
 
-impl Vertices {
+impl Band {
     fn new(depth: &DepthImage, rays: &RayTable, v0: usize, num_rows: usize, step: usize) -> Self {
         let (width, height) = size(depth);
         let room = width.next_multiple_of(BLOCK) + 2 * step;
-        let area = room * (num_rows + 2 * step);
-        let mut xyz = [vec![0.0; area], vec![0.0; area], vec![f32::NAN; area]];
+        let all_rows = num_rows + 2 * step;
+        let (x_rows, x_room) = if rays.is_separable() { (1, 0) } else { (all_rows, room) };
+        let mut band = Self {
+            step,
+            width,
+            room,
+            depths: vec![f32::NAN; room * all_rows],
+            xs: vec![0.0; room * x_rows],
+            x_room,
+            ys: vec![0.0; room * all_rows],
+        };
         let mut scratch = Vec::new();
-        for i in 0..num_rows + 2 * step {
+        for i in 0..all_rows {
             let v = (v0 + i).wrapping_sub(step);
             if v < height {
                 let (xs, ys) = rays.row(v, &mut scratch);
-                let [x, y, z] = xyz.each_mut().map(|c| &mut c[i * room + step..][..width]);
-                vertices_of_row(&depth.data()[v * width..(v + 1) * width], xs, ys, x, y, z);
+                let row = i * room + step..i * room + step + width;
+                band.xs[i * x_room + step..][..width].copy_from_slice(xs);
+                band.ys[row.clone()].copy_from_slice(ys);
+                depths_of_row(&depth.data()[v * width..(v + 1) * width], xs, ys, &mut band.depths[row]);
             }
         }
-        Self { step, width, room, xyz }
+        band
     }
 
-    /// The coordinates of a block.
+    /// x and y at depth 1, and the depths of a block: from column `u - step` of row `i - step` on.
     #[inline(always)]
-    fn block(&self, at: usize) -> [&[f32; BLOCK]; 3] {
-        let chunk = |k: usize| self.xyz[k][at..].first_chunk().unwrap_or(&[0.0; BLOCK]);
-        [chunk(0), chunk(1), chunk(2)]
+    fn block<'a>(&'a self, i: usize, u: usize) -> [&'a [f32; BLOCK]; 3] {
+        let chunk = |values: &'a [f32], at: usize| values[at..].first_chunk().unwrap_or(&[0.0; BLOCK]);
+        [chunk(&self.xs, i * self.x_room + u), chunk(&self.ys, i * self.room + u), chunk(&self.depths, i * self.room + u)]
     }
 }
 
 by_processor! {
     [avx512]
-    fn vertices_of_row(depths: &[f32], xs: &[f32], ys: &[f32], x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
+    fn depths_of_row(depths: &[f32], xs: &[f32], ys: &[f32], out: &mut [f32]) {
         let n = depths.len();
-        let (xs, ys, x, y, z) = (&xs[..n], &ys[..n], &mut x[..n], &mut y[..n], &mut z[..n]);
+        let (xs, ys, out) = (&xs[..n], &ys[..n], &mut out[..n]);
         for i in 0..n {
             let finite = (xs[i] + ys[i]) * 0.0 == 0.0;
-            x[i] = xs[i] * depths[i];
-            y[i] = ys[i] * depths[i];
-            z[i] = if finite & (depths[i] > 0.0) { depths[i] } else { f32::NAN };
+            out[i] = if finite & (depths[i] > 0.0) { depths[i] } else { f32::NAN };
         }
     }
 }
@@ -109,16 +124,15 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 by_processor! {
     [avx512]
-    fn normals_of_band(band: &Vertices, num_rows: usize, jump: f32, min_cos2: f32, out: &mut Room<'_, Vector3<f32>>) {
-        let (step, room) = (band.step, band.room);
-        for i in 0..num_rows {
+    fn normals_of_band(band: &Band, num_rows: usize, jump: f32, min_cos2: f32, out: &mut Room<'_, Vector3<f32>>) {
+        let step = band.step;
+        for i in step..num_rows + step {
             for u in (0..band.width).step_by(BLOCK) {
-                let at = (i + step) * room + step + u;
-                let (p, left, right) = (band.block(at), band.block(at - step), band.block(at + step));
-                let (up, down) = (band.block(at - step * room), band.block(at + step * room));
+                let (p, left, right) = (band.block(i, u + step), band.block(i, u), band.block(i, u + 2 * step));
+                let (up, down) = (band.block(i - step, u + step), band.block(i + step, u + step));
                 let (mut nx, mut ny, mut nz) = ([0.0f32; BLOCK], [0.0f32; BLOCK], [0.0f32; BLOCK]);
                 for j in 0..BLOCK {
-                    let of = |b: [&[f32; BLOCK]; 3]| [b[0][j], b[1][j], b[2][j]];
+                    let of = |b: [&[f32; BLOCK]; 3]| [b[0][j] * b[2][j], b[1][j] * b[2][j], b[2][j]];
                     let here = of(p);
                     let reach = jump * here[2];
                     let a = difference(here, of(down), of(up), reach);
@@ -132,11 +146,13 @@ by_processor! {
                     ny[j] = if good { n[1] * scale } else { 0.0 };
                     nz[j] = if good { n[2] * scale } else { 0.0 };
                 }
-                let mut block = [Vector3::zeros(); BLOCK];
-                for j in 0..BLOCK {
-                    block[j] = Vector3::new(nx[j], ny[j], nz[j]);
+                for k in (0..BLOCK.min(band.width - u)).step_by(PART) {
+                    let mut part = [Vector3::zeros(); PART];
+                    for j in 0..PART {
+                        part[j] = Vector3::new(nx[k + j], ny[k + j], nz[k + j]);
+                    }
+                    out.push(&part, band.width - u - k);
                 }
-                out.push(&block, band.width - u);
             }
         }
     }

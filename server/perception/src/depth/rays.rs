@@ -64,6 +64,11 @@ impl RayTable {
 }
 
 impl RayTable {
+    /// Whether x depends on the column and y on the row alone.
+    pub(super) fn is_separable(&self) -> bool {
+        self.separable
+    }
+
     /// x and y at depth 1 of the pixels of row `v`; `scratch` is used where they are not stored so.
     #[inline]
     pub(super) fn row<'a>(&'a self, v: usize, scratch: &'a mut Vec<f32>) -> (&'a [f32], &'a [f32]) {

@@ -1,77 +1,161 @@
-//! Real roots of polynomials.
+//! Real roots of polynomials by Sturm's theorem.
 
-use nalgebra::Complex;
+/// Most coefficients.
+const MAX: usize = 11;
 
-/// Real roots of the polynomial with coefficients `c[0] + c[1] x + ...`, ascending; multiple roots may come once.
-///
-/// All roots at once by Aberth's method ("Iteration methods for finding all zeros of a polynomial simultaneously",
-/// 1973), those near the real axis polished by Newton's.
-pub(super) fn real_roots(c: &[f64]) -> Vec<f64> {
-    let scale = c.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    // `max` passes over NaN.
-    if !(scale > 0.0 && c.iter().all(|v| v.is_finite())) {
-        return vec![];
+/// A polynomial of degree 10 at most: coefficients of 1, x, x^2 …
+#[derive(Clone, Copy)]
+struct Poly {
+    c: [f64; MAX],
+    degree: usize,
+}
+
+impl Poly {
+    fn at(&self, x: f64) -> f64 {
+        self.c[..=self.degree].iter().rev().fold(0.0, |sum, c| sum * x + c)
     }
-    let degree = c.iter().rposition(|v| v.abs() > 1e-13 * scale).unwrap_or(0);
-    let c: Vec<f64> = c[..=degree].iter().map(|v| v / c[degree]).collect();
-    match degree {
-        0 => vec![],
-        1 => vec![-c[0]],
-        _ => {
-            let mut out: Vec<f64> = aberth(&c).into_iter().filter_map(|z| polished(&c, z)).collect();
-            out.sort_by(f64::total_cmp);
-            out.dedup_by(|a, b| (*a - *b).abs() <= 1e-9 * (1.0 + b.abs()));
-            out
+
+    /// Without leading coefficients that are nothing beside the others; none if nothing is left.
+    fn trimmed(mut self, tolerance: f64) -> Option<Self> {
+        let most = self.c[..=self.degree].iter().fold(0.0f64, |m, c| m.max(c.abs()));
+        if !(most > 0.0 && most.is_finite()) {
+            return None;
         }
+        while self.c[self.degree].abs() <= tolerance * most {
+            if self.degree == 0 {
+                return None;
+            }
+            self.degree -= 1;
+        }
+        let scale = 1.0 / self.c[self.degree].abs();
+        self.c[..=self.degree].iter_mut().for_each(|c| *c *= scale);
+        Some(self)
+    }
+
+    /// No root is larger (Fujiwara 1916); with room for roundings. The leading coefficient is 1 or -1.
+    fn bound(&self) -> f64 {
+        let root = |i: usize| (self.c[i].abs().ln() / (self.degree - i) as f64).exp();
+        2.001 * (0..self.degree).map(root).fold(1e-9, f64::max)
+    }
+
+    fn derivative(&self) -> Self {
+        let mut c = [0.0; MAX];
+        for i in 1..=self.degree {
+            c[i - 1] = self.c[i] * i as f64;
+        }
+        Self { c, degree: self.degree.saturating_sub(1) }
+    }
+
+    /// Minus the remainder of a division.
+    fn minus_remainder(&self, by: &Self) -> Option<Self> {
+        let mut r = self.c;
+        for top in (by.degree..=self.degree).rev() {
+            let q = r[top] / by.c[by.degree];
+            for i in 0..=by.degree {
+                r[top - by.degree + i] -= q * by.c[i];
+            }
+        }
+        if by.degree == 0 {
+            return None;
+        }
+        let mut c = [0.0; MAX];
+        (0..by.degree).for_each(|i| c[i] = -r[i]);
+        let scale = self.c[..=self.degree].iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let most = c[..by.degree].iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        if most <= 1e-14 * scale {
+            return None;
+        }
+        Self { c, degree: by.degree - 1 }.trimmed(1e-14)
     }
 }
 
-fn aberth(c: &[f64]) -> Vec<Complex<f64>> {
-    let n = c.len() - 1;
-    // Cauchy-like radius, and angles without symmetry about the real axis.
-    let radius = (0..n).map(|i| c[i].abs().powf(1.0 / (n - i) as f64)).fold(0.0f64, f64::max).max(1e-9);
-    let mut z: Vec<Complex<f64>> =
-        (0..n).map(|i| Complex::from_polar(radius, 0.4 + std::f64::consts::TAU * i as f64 / n as f64)).collect();
-    for _ in 0..60 {
-        let mut moved = 0.0f64;
-        for i in 0..n {
-            let (p, dp) = evaluate(c, z[i]);
-            if p.norm_sqr() == 0.0 {
-                continue;
-            }
-            let newton = p / dp;
-            let repulsion: Complex<f64> = (0..n).filter(|&j| j != i).map(|j| (z[i] - z[j]).inv()).sum();
-            let step = newton / (Complex::new(1.0, 0.0) - newton * repulsion);
-            if step.re.is_finite() && step.im.is_finite() {
-                z[i] -= step;
-                moved = moved.max(step.norm() / (1e-12 + z[i].norm()));
-            }
+/// Distinct real roots of the polynomial with coefficients `c[0] + c[1] x + ...` of degree 10 at most, ascending.
+///
+/// **Source:** Sturm 1829; used for relative pose by Nister 2004. Roots are isolated by halving, then polished by
+/// Newton steps that stay inside.
+pub(super) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
+    let mut c = [0.0; MAX];
+    let n = coefficients.len().min(MAX);
+    c[..n].copy_from_slice(&coefficients[..n]);
+    let mut roots = Vec::new();
+    let Some(poly) = (Poly { c, degree: n.saturating_sub(1) }).trimmed(1e-13) else { return roots };
+    if poly.degree == 0 {
+        return roots;
+    }
+    let mut chain = [poly; MAX];
+    let mut length = 1;
+    let mut next = poly.derivative().trimmed(0.0);
+    while let Some(p) = next {
+        chain[length] = p;
+        length += 1;
+        next = if length < MAX { chain[length - 2].minus_remainder(&chain[length - 1]) } else { None };
+    }
+    let chain = &chain[..length];
+    let bound = poly.bound();
+    let (low, high) = (changes(chain, -bound), changes(chain, bound));
+    isolate(chain, [-bound, bound], [low, high], 0, &mut roots);
+    roots
+}
+
+/// Changes of sign along the chain.
+fn changes(chain: &[Poly], x: f64) -> usize {
+    let (mut count, mut before) = (0, 0.0f64);
+    for p in chain {
+        let value = p.at(x);
+        if value != 0.0 {
+            count += usize::from(before * value.signum() < 0.0);
+            before = value.signum();
         }
-        if moved < 1e-10 {
+    }
+    count
+}
+
+fn isolate(
+    chain: &[Poly],
+    [a, b]: [f64; 2],
+    [va, vb]: [usize; 2],
+    depth: usize,
+    out: &mut Vec<f64>,
+) {
+    let inside = va.saturating_sub(vb);
+    if inside == 0 || out.len() >= chain[0].degree {
+        return;
+    }
+    let polish_now = inside == 1 && chain[0].at(a) * chain[0].at(b) <= 0.0;
+    if polish_now || depth > 60 {
+        out.push(polish(&chain[0], a, b));
+        return;
+    }
+    let middle = 0.5 * (a + b);
+    let vm = changes(chain, middle);
+    isolate(chain, [a, middle], [va, vm], depth + 1, out);
+    isolate(chain, [middle, b], [vm, vb], depth + 1, out);
+}
+
+/// Newton's steps where they stay between a change of sign, halving where not.
+fn polish(p: &Poly, mut a: f64, mut b: f64) -> f64 {
+    let derivative = p.derivative();
+    let rising = p.at(a) < 0.0;
+    let mut x = 0.5 * (a + b);
+    for _ in 0..100 {
+        let value = p.at(x);
+        if value == 0.0 {
+            return x;
+        }
+        if (value < 0.0) == rising {
+            a = x
+        } else {
+            b = x
+        }
+        let newton = x - value / derivative.at(x);
+        let next = if newton > a && newton < b { newton } else { 0.5 * (a + b) };
+        let step = (next - x).abs();
+        x = next;
+        if step <= 1e-14 * x.abs().max(1e-3) {
             break;
         }
     }
-    z
-}
-
-fn evaluate(c: &[f64], z: Complex<f64>) -> (Complex<f64>, Complex<f64>) {
-    let zero = Complex::new(0.0, 0.0);
-    c.iter().rev().fold((zero, zero), |(p, dp), &k| (p * z + k, dp * z + p))
-}
-
-fn polished(c: &[f64], z: Complex<f64>) -> Option<f64> {
-    if z.im.abs() > 1e-4 * (1.0 + z.re.abs()) {
-        return None;
-    }
-    let mut x = z.re;
-    for _ in 0..3 {
-        let (p, dp) = c.iter().rev().fold((0.0, 0.0), |(p, dp), &k| (p * x + k, dp * x + p));
-        if dp != 0.0 {
-            x -= p / dp;
-        }
-    }
-    // A root of the real polynomial moves little; what was near the axis only by chance runs away.
-    (x.is_finite() && (x - z.re).abs() <= 1e-3 * (1.0 + z.re.abs())).then_some(x)
+    x
 }
 
 #[cfg(test)]

@@ -90,11 +90,10 @@ pub(super) fn search<P: Problem>(problem: &P, params: &RansacParams) -> Option<F
         for model in &models {
             let limit = best.as_ref().map_or(n as f64, |b| b.1);
             let Some(cost) = cost_below(problem, model, &order, limit) else { continue };
-            best = Some(polish(problem, model.clone(), cost, &order));
-        }
-        if let Some((model, _)) = &best {
-            let inliers = (0..n).filter(|&i| problem.error2(model, i) < 1.0).count();
+            let better = polish(problem, model.clone(), cost, &order);
+            let inliers = inliers_of(problem, &better.0).len();
             needed = iterations(inliers as f64 / n as f64, P::SAMPLE, params);
+            best = Some(better);
         }
     }
     let (model, _) = best?;
