@@ -79,7 +79,11 @@ impl Band {
     #[inline(always)]
     fn block<'a>(&'a self, i: usize, u: usize) -> [&'a [f32; BLOCK]; 3] {
         let chunk = |values: &'a [f32], at: usize| values[at..].first_chunk().unwrap_or(&[0.0; BLOCK]);
-        [chunk(&self.xs, i * self.x_room + u), chunk(&self.ys, i * self.room + u), chunk(&self.depths, i * self.room + u)]
+        [
+            chunk(&self.xs, i * self.x_room + u),
+            chunk(&self.ys, i * self.room + u),
+            chunk(&self.depths, i * self.room + u),
+        ]
     }
 }
 

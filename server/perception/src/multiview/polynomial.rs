@@ -110,13 +110,7 @@ fn changes(chain: &[Poly], x: f64) -> usize {
     count
 }
 
-fn isolate(
-    chain: &[Poly],
-    [a, b]: [f64; 2],
-    [va, vb]: [usize; 2],
-    depth: usize,
-    out: &mut Vec<f64>,
-) {
+fn isolate(chain: &[Poly], [a, b]: [f64; 2], [va, vb]: [usize; 2], depth: usize, out: &mut Vec<f64>) {
     let inside = va.saturating_sub(vb);
     if inside == 0 || out.len() >= chain[0].degree {
         return;
