@@ -22,19 +22,21 @@ pub fn symmetric_eigen3(m: &Matrix3<f64>) -> SymmetricEigen3 {
     if scale <= f64::MIN_POSITIVE {
         return SymmetricEigen3 { values: [0.0; 3], vectors: [Vector3::x(), Vector3::y(), Vector3::z()] };
     }
-    let a = Matrix3::new(m.m11, m.m12, m.m13, m.m12, m.m22, m.m23, m.m13, m.m23, m.m33) / scale;
-    let mean = a.trace() / 3.0;
-    let b = a - Matrix3::identity() * mean;
-    let p = (b.component_mul(&b).sum() / 6.0).sqrt();
+    let [xx, xy, xz, yy, yz, zz] = [m.m11, m.m12, m.m13, m.m22, m.m23, m.m33].map(|v| v * (1.0 / scale));
+    let a = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+    let mean = (xx + yy + zz) * (1.0 / 3.0);
+    let b = a - Matrix3::from_diagonal_element(mean);
+    let off = xy * xy + xz * xz + yz * yz;
+    let p = ((b.m11 * b.m11 + b.m22 * b.m22 + b.m33 * b.m33 + 2.0 * off) * (1.0 / 6.0)).sqrt();
     if p <= 1e-15 {
         // A multiple of the identity: every frame is a frame of eigenvectors.
         return SymmetricEigen3 { values: [mean * scale; 3], vectors: [Vector3::x(), Vector3::y(), Vector3::z()] };
     }
-    let r = ((b / p).determinant() / 2.0).clamp(-1.0, 1.0);
-    let angle = r.acos() / 3.0;
+    let r = (b.determinant() / (2.0 * p * p * p)).clamp(-1.0, 1.0);
+    let angle = r.acos() * (1.0 / 3.0);
     // With r >= 0 the largest eigenvalue stands apart, otherwise the smallest.
     let apart = if r >= 0.0 { angle.cos() } else { (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos() };
-    let axis = null_vector(&(b - Matrix3::identity() * (2.0 * p * apart)));
+    let axis = null_vector(&(b - Matrix3::from_diagonal_element(2.0 * p * apart)));
     let lambda = axis.dot(&(a * axis));
     let ((low, low_axis), (high, high_axis)) = plane_pair(&a, &axis);
     let (values, vectors) = if r >= 0.0 {
@@ -45,17 +47,17 @@ pub fn symmetric_eigen3(m: &Matrix3<f64>) -> SymmetricEigen3 {
     SymmetricEigen3 { values: values.map(|v| v * scale), vectors }
 }
 
-/// The direction that a matrix of rank two sends to zero.
+/// The direction that a symmetric matrix of rank two sends to zero.
 fn null_vector(m: &Matrix3<f64>) -> Vector3<f64> {
-    let rows: [Vector3<f64>; 3] = std::array::from_fn(|i| m.row(i).transpose());
+    // It is symmetric: columns are rows.
+    let rows: [Vector3<f64>; 3] = std::array::from_fn(|i| m.column(i).into_owned());
     let crosses = [rows[0].cross(&rows[1]), rows[1].cross(&rows[2]), rows[2].cross(&rows[0])];
-    let mut best = crosses[0];
+    let (mut best, mut most) = (crosses[0], crosses[0].norm_squared());
     for c in &crosses[1..] {
-        if c.norm_squared() > best.norm_squared() {
-            best = *c;
-        }
+        let square = c.norm_squared();
+        (best, most) = if square > most { (*c, square) } else { (best, most) };
     }
-    best.normalize()
+    best * (1.0 / most.sqrt())
 }
 
 type Pair = (f64, Vector3<f64>);
@@ -71,8 +73,9 @@ fn plane_pair(a: &Matrix3<f64>, axis: &Vector3<f64>) -> (Pair, Pair) {
         (1.0, 0.0, 0.0)
     } else {
         let tau = (vv - uu) / (2.0 * uv);
-        let t = tau.signum() / (tau.abs() + 1f64.hypot(tau));
-        let c = 1.0 / 1f64.hypot(t);
+        // Where the square of tau is beyond all numbers, t is nothing.
+        let t = tau.signum() / (tau.abs() + (1.0 + tau * tau).sqrt());
+        let c = 1.0 / (1.0 + t * t).sqrt();
         (c, t * c, t)
     };
     let (first, second) = ((uu - t * uv, u * c - v * s), (vv + t * uv, u * s + v * c));
@@ -82,7 +85,7 @@ fn plane_pair(a: &Matrix3<f64>, axis: &Vector3<f64>) -> (Pair, Pair) {
 /// Some unit vector across a unit vector.
 fn across(n: &Vector3<f64>) -> Vector3<f64> {
     let v = if n.x.abs() > n.y.abs() { Vector3::new(-n.z, 0.0, n.x) } else { Vector3::new(0.0, n.z, -n.y) };
-    v.normalize()
+    v * (1.0 / v.norm())
 }
 
 #[cfg(test)]

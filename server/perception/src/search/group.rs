@@ -13,6 +13,11 @@ use super::near::{self, MAX_LEAVES, Near, Packing, Query};
 use nalgebra::Point3;
 use percept_geometry::by_processor;
 
+/// Leaves that are looked for together, and how many may be near them.
+const BLOCK: usize = 8;
+const MAX_NEARBY: usize = 256;
+/// Leaves near a block are looked for up to a distance so many times larger (squared).
+const BEYOND: f32 = 1.5;
 /// Up to this many neighbours candidates are shared.
 const MAX_SHARED: usize = 64;
 /// How far beyond the usual distance of the k-th neighbour candidates are gathered.
@@ -56,19 +61,29 @@ pub(crate) struct Group {
     reaches: [f32; LEAF],
     /// Usual distance of the k-th neighbour, metres; 0 if not known.
     usual: f32,
-    around: Around,
-    wider: Around,
+    nearby: Nearby,
+    around: Around<MAX_LEAVES>,
+    wider: Around<MAX_LEAVES>,
     near: Near,
     ranked: Vec<u64>,
     found: Vec<Neighbor>,
 }
 
 /// Leaves near a leaf: boxes side by side.
-struct Around {
+struct Around<const N: usize> {
     len: usize,
-    leaves: [u32; MAX_LEAVES],
-    lo: [[f32; MAX_LEAVES]; 3],
-    hi: [[f32; MAX_LEAVES]; 3],
+    leaves: [u32; N],
+    lo: [[f32; N]; 3],
+    hi: [[f32; N]; 3],
+}
+
+/// Leaves near a block of leaves, of which those near each of its leaves are picked.
+struct Nearby {
+    /// None if it was not looked at, or has too many leaves near it.
+    block: Option<usize>,
+    /// How near (squared distance of boxes) they are.
+    limit2: f32,
+    around: Around<MAX_NEARBY>,
 }
 
 impl Group {
@@ -80,6 +95,7 @@ impl Group {
             distances: [0.0; LEAF],
             reaches: [f32::INFINITY; LEAF],
             usual: 0.0,
+            nearby: Nearby { block: None, limit2: 0.0, around: Around::NONE },
             around: Around::NONE,
             wider: Around::NONE,
             near: Near::new(),
@@ -91,6 +107,7 @@ impl Group {
     /// Forgets what was learnt from leaves before; memory is kept.
     pub(crate) fn forget(&mut self) {
         self.usual = 0.0;
+        self.nearby.block = None;
     }
 
     /// Finds the neighbours of the points of a leaf. `wanted.k` is not more than the points of the tree.
@@ -218,9 +235,8 @@ impl Group {
     /// point reaches.
     #[inline(always)]
     fn share(&mut self, tree: &KdTree, leaf: usize, guess2: f32, wanted: &Wanted) -> (bool, [u64; LEAF]) {
-        let shared = wanted.k <= MAX_SHARED
-            && guess2.is_finite()
-            && tree.gather(&tree.leaf_bounds(leaf), guess2, &mut self.around);
+        let shared =
+            wanted.k <= MAX_SHARED && guess2.is_finite() && self.nearby.gather(tree, leaf, guess2, &mut self.around);
         (shared, if shared { self.around.reached(&tree.leaves[leaf], guess2) } else { [0; LEAF] })
     }
 
@@ -242,7 +258,7 @@ impl Group {
         for _ in 0..RETRIES {
             limit2 = (limit2 * WIDEN).min(sure2);
             let usable = wanted.k <= MAX_SHARED && limit2.is_finite();
-            if !usable || !tree.gather(&Bounds { lo: q, hi: q }, limit2, &mut self.wider) {
+            if !usable || !self.nearby.gather_about(tree, leaf, &Bounds { lo: q, hi: q }, limit2, &mut self.wider) {
                 break;
             }
             self.near.len = 0;
@@ -346,7 +362,7 @@ impl KdTree {
     ///
     /// Gaps are rounded monotonically, like the distances of points: no leaf with a point within is missed.
     #[inline(always)]
-    fn gather(&self, of: &Bounds, limit2: f32, around: &mut Around) -> bool {
+    fn gather<const N: usize>(&self, of: &Bounds, limit2: f32, around: &mut Around<N>) -> bool {
         let mut stack = [(0u32, 0u32, 0u32); 48];
         stack[0] = (0, 0, self.leaves.len() as u32);
         let mut depth = 1;
@@ -367,15 +383,9 @@ impl KdTree {
                 depth += 2;
                 continue;
             }
-            if around.len == MAX_LEAVES {
+            if !around.push(leaf, b) {
                 return false;
             }
-            around.leaves[around.len] = leaf;
-            for a in 0..3 {
-                around.lo[a][around.len] = b.lo[a];
-                around.hi[a][around.len] = b.hi[a];
-            }
-            around.len += 1;
         }
         true
     }
@@ -419,16 +429,93 @@ by_processor! {
     }
 }
 
-impl Around {
-    const NONE: Self = Self { len: 0, leaves: [0; MAX_LEAVES], lo: [[0.0; MAX_LEAVES]; 3], hi: [[0.0; MAX_LEAVES]; 3] };
+impl Nearby {
+    /// The leaves whose boxes are within the distance (squared) of a leaf's; false if they are too many.
+    #[inline(always)]
+    fn gather(&mut self, tree: &KdTree, leaf: usize, limit2: f32, out: &mut Around<MAX_LEAVES>) -> bool {
+        let block = leaf / BLOCK;
+        if self.block != Some(block) || limit2 > self.limit2 {
+            self.limit2 = limit2 * BEYOND;
+            let leaves = block * BLOCK..((block + 1) * BLOCK).min(tree.num_leaves());
+            let of = leaves.map(|leaf| tree.leaf_bounds(leaf)).reduce(|a, b| a.with(&b)).unwrap_or_default();
+            self.block = tree.gather(&of, self.limit2, &mut self.around).then_some(block);
+        }
+        self.gather_about(tree, leaf, &tree.leaf_bounds(leaf), limit2, out)
+    }
+
+    /// The same about a box inside of a leaf's, without looking at the block anew.
+    #[inline(always)]
+    fn gather_about(&self, tree: &KdTree, leaf: usize, of: &Bounds, limit2: f32, out: &mut Around<MAX_LEAVES>) -> bool {
+        if self.block != Some(leaf / BLOCK) || limit2 > self.limit2 {
+            return tree.gather(of, limit2, out);
+        }
+        out.len = 0;
+        for from in (0..self.around.len).step_by(LEAF) {
+            let mut near = self.around.near_of(from, of, limit2);
+            while near != 0 {
+                let j = from + (near.trailing_zeros() / 8) as usize % LEAF;
+                near &= near - 1;
+                if j >= self.around.len {
+                    break;
+                }
+                if !out.push(self.around.leaves[j], &self.around.bounds(j)) {
+                    return false;
+                }
+            }
+        }
+        true
+    }
+}
+
+impl Bounds {
+    fn with(&self, other: &Self) -> Self {
+        let each = |f: fn(f32, f32) -> f32, a: &[f32; 3], b: &[f32; 3]| [0, 1, 2].map(|i| f(a[i], b[i]));
+        Self { lo: each(f32::min, &self.lo, &other.lo), hi: each(f32::max, &self.hi, &other.hi) }
+    }
+}
+
+impl<const N: usize> Around<N> {
+    const NONE: Self = Self { len: 0, leaves: [0; N], lo: [[0.0; N]; 3], hi: [[0.0; N]; 3] };
+
+    /// Takes a leaf; false if there is no room.
+    #[inline(always)]
+    fn push(&mut self, leaf: u32, b: &Bounds) -> bool {
+        if self.len == N {
+            return false;
+        }
+        self.leaves[self.len] = leaf;
+        for a in 0..3 {
+            self.lo[a][self.len] = b.lo[a];
+            self.hi[a][self.len] = b.hi[a];
+        }
+        self.len += 1;
+        true
+    }
 
     fn bounds(&self, j: usize) -> Bounds {
         Bounds { lo: [0, 1, 2].map(|a| self.lo[a][j]), hi: [0, 1, 2].map(|a| self.hi[a][j]) }
     }
 
+    /// Of the sixteen leaves from a place on a byte each, 1 if its box is within the distance (squared) of a box.
+    #[inline(always)]
+    fn near_of(&self, from: usize, of: &Bounds, limit2: f32) -> u128 {
+        let mut sums = [0.0f32; LEAF];
+        for a in 0..3 {
+            let (lo, hi) = (&self.lo[a][from..from + LEAF], &self.hi[a][from..from + LEAF]);
+            for i in 0..LEAF {
+                let (below, above) = (lo[i] - of.hi[a], of.lo[a] - hi[i]);
+                let side = if below > above { below } else { above };
+                let side = if side > 0.0 { side } else { 0.0 };
+                sums[i] += side * side;
+            }
+        }
+        u128::from_le_bytes(sums.map(|s| u8::from(s <= limit2)))
+    }
+
     /// For each point of a leaf the set of leaves whose box is within the distance (squared).
     #[inline(always)]
     fn reached(&self, own: &Leaf, limit2: f32) -> [u64; LEAF] {
+        debug_assert!(N <= 64);
         let mut out = [0u64; LEAF];
         for j in 0..self.len {
             let (lo, hi) = ([0, 1, 2].map(|a| self.lo[a][j]), [0, 1, 2].map(|a| self.hi[a][j]));

@@ -1,7 +1,7 @@
 //! Neighbours of many queries at once, in flat arrays.
 
 use super::group::{Group, Wanted, What};
-use super::kdtree::{KdTree, Neighbor};
+use super::kdtree::{KdTree, LEAF, Neighbor};
 use nalgebra::Point3;
 use percept_geometry::GeometryError;
 use rayon::prelude::*;
@@ -45,18 +45,43 @@ impl Neighbors {
         Self { offsets, indices: vec![0; sum], distances2: vec![0.0; sum] }
     }
 
-    fn put(&mut self, query: usize, keys: impl Iterator<Item = Neighbor>) {
-        let range = self.offsets[query]..self.offsets[query + 1];
-        let places = self.indices[range.clone()].iter_mut().zip(&mut self.distances2[range]);
-        places.zip(keys).for_each(|((index, distance2), n)| (*index, *distance2) = (n.index as u32, n.distance2));
+    /// Fills the rows of all queries, of which `row` gives the keys, with the threads there are.
+    fn fill<'a>(&mut self, row: impl Fn(usize) -> &'a [u64] + Sync) {
+        let (mut indices, mut distances2) = (self.indices.as_mut_slice(), self.distances2.as_mut_slice());
+        let mut pieces = Vec::with_capacity(self.offsets.len() / QUERIES + 1);
+        for from in (0..self.offsets.len() - 1).step_by(QUERIES) {
+            let to = (from + QUERIES).min(self.offsets.len() - 1);
+            let len = self.offsets[to] - self.offsets[from];
+            pieces.push((
+                from..to,
+                indices.split_off_mut(..len).unwrap_or_default(),
+                distances2.split_off_mut(..len).unwrap_or_default(),
+            ));
+        }
+        pieces.into_par_iter().for_each(|(queries, indices, distances2)| {
+            let mut places = indices.iter_mut().zip(distances2);
+            for &key in queries.flat_map(&row) {
+                if let Some((index, distance2)) = places.next() {
+                    let n = Neighbor::of_key(key);
+                    (*index, *distance2) = (n.index as u32, n.distance2);
+                }
+            }
+        });
     }
 }
 
-/// Neighbours found by a task: how many each query has, then all of them.
+/// Neighbours found by a task: where those of each query end, and all of them.
 #[derive(Default)]
 struct Part {
-    counts: Vec<u32>,
+    ends: Vec<usize>,
     keys: Vec<u64>,
+}
+
+impl Part {
+    fn row(&self, i: usize) -> &[u64] {
+        let from = if i == 0 { 0 } else { self.ends[i - 1] };
+        &self.keys[from..self.ends[i]]
+    }
 }
 
 impl KdTree {
@@ -73,14 +98,23 @@ impl KdTree {
         let parts = self.map_leaves(&wanted, |part: &mut Part, leaf, group| {
             for i in 0..self.num_points_of(leaf) {
                 let row = group.row(i, &wanted);
-                part.counts.push(row.len() as u32);
                 part.keys.extend_from_slice(row);
+                part.ends.push(part.keys.len());
             }
         });
-        let mut counts = vec![0u32; self.num_given];
-        self.with_rows(&parts, |index, keys| counts[index] = keys.len() as u32);
-        let mut out = Neighbors::with_counts(counts.iter().map(|&c| c as usize));
-        self.with_rows(&parts, |index, keys| out.put(index, keys.iter().map(|&key| Neighbor::of_key(key))));
+        if parts.is_empty() {
+            return Neighbors::with_counts(std::iter::repeat_n(0, self.num_given));
+        }
+        let mut slots = vec![u32::MAX; self.num_given];
+        for leaf in 0..self.num_leaves() {
+            self.indices_of(leaf).iter().zip(leaf * LEAF..).for_each(|(&i, slot)| slots[i as usize] = slot as u32);
+        }
+        let row = |query: usize| match slots[query] as usize {
+            slot if slot < self.len() => parts[slot / (LEAVES * LEAF)].row(slot % (LEAVES * LEAF)),
+            _ => &[],
+        };
+        let mut out = Neighbors::with_counts((0..self.num_given).map(|query| row(query).len()));
+        out.fill(row);
         out
     }
 
@@ -109,8 +143,8 @@ impl KdTree {
             let mut part = Part::default();
             for q in queries {
                 self.hybrid_into(q, radius_m, max_nn, found);
-                part.counts.push(found.len() as u32);
                 part.keys.extend(found.iter().map(Neighbor::key));
+                part.ends.push(part.keys.len());
             }
             part
         });
@@ -141,10 +175,10 @@ impl KdTree {
                 if before.saturating_add(found.len()) > max_total {
                     return Err(too_many());
                 }
-                part.counts.push(found.len() as u32);
                 let from = part.keys.len();
                 part.keys.extend(found.iter().map(Neighbor::key));
                 part.keys[from..].sort_unstable();
+                part.ends.push(part.keys.len());
             }
             Ok(part)
         });
@@ -197,17 +231,6 @@ impl KdTree {
         task * LEAVES..((task + 1) * LEAVES).min(self.num_leaves())
     }
 
-    fn with_rows(&self, parts: &[Part], mut take: impl FnMut(usize, &[u64])) {
-        for (task, part) in parts.iter().enumerate() {
-            let indices = self.leaves_of_task(task).flat_map(|leaf| self.indices_of(leaf));
-            let mut from = 0;
-            for (&index, &count) in indices.zip(&part.counts) {
-                take(index as usize, &part.keys[from..from + count as usize]);
-                from += count as usize;
-            }
-        }
-    }
-
     /// One value a point, in the order of the cloud, from values in the order of leaves.
     pub(crate) fn in_cloud_order<T: Copy>(&self, by_task: &[Vec<T>], absent: T) -> Vec<T> {
         let mut out = vec![absent; self.num_given];
@@ -220,10 +243,10 @@ impl KdTree {
 }
 
 fn joined(parts: &[Part]) -> Neighbors {
-    let mut out = Neighbors::with_counts(parts.iter().flat_map(|p| &p.counts).map(|&c| c as usize));
-    let keys = parts.iter().flat_map(|p| &p.keys).map(|&key| Neighbor::of_key(key));
-    let places = out.indices.iter_mut().zip(&mut out.distances2);
-    places.zip(keys).for_each(|((index, distance2), n)| (*index, *distance2) = (n.index as u32, n.distance2));
+    let row = |query: usize| parts[query / QUERIES].row(query % QUERIES);
+    let num_queries = parts.iter().map(|p| p.ends.len()).sum();
+    let mut out = Neighbors::with_counts((0..num_queries).map(|query| row(query).len()));
+    out.fill(row);
     out
 }
 
