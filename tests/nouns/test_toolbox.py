@@ -57,6 +57,33 @@ def test_normals_stand_on_the_plane_and_look_at_the_viewpoint(client, rng):
     assert np.quantile(below.normals[:, 2], 0.95) < -0.99
 
 
+def test_normals_of_a_closed_surface_all_look_outward(client, rng):
+    ball = rng.normal(size=(4000, 3))
+    ball = (ball / np.linalg.norm(ball, axis=1, keepdims=True)).astype(np.float32)
+    for around in (
+        {"radius_m": 0.15},
+        {"radius_m": np.inf, "max_neighbors": 12},
+        {"radius_m": 0.15, "max_neighbors": 0},
+        {"radius_m": np.inf, "max_neighbors": 4, "min_neighbors": 3},
+    ):
+        found = client.toolbox.estimate_normals(ball, orientation="spanning_tree", **around).normals
+        defined = found.any(1)
+        assert defined.mean() > 0.99
+        assert np.quantile((found * ball)[defined].sum(1), 0.01) > 0.8
+        # The viewpoint knows of one side only.
+        seen = client.toolbox.estimate_normals(ball, viewpoint_m=(0, 0, 5), **around).normals
+        assert (seen * ball).sum(1).min() < -0.8
+    for bad, field in (
+        ({"radius_m": np.inf, "max_neighbors": 0}, "max_neighbors"),
+        ({"orientation": "spanning_tree", "tree_neighbors": 0}, "tree_neighbors"),
+        ({"min_neighbors": 2}, "min_neighbors"),
+        ({"orientation": "sideways"}, "orientation"),
+    ):
+        with pytest.raises(InvalidArgument) as error:
+            client.toolbox.estimate_normals(ball, **bad)
+        assert error.value.field == field
+
+
 def test_planes_are_found_with_their_points(client, rng):
     floor = plane_points(rng, 3000, size=4.0)
     wall = plane_points(rng, 1500)[:, [2, 0, 1]] + np.array([2, 0, 1.2], np.float32)

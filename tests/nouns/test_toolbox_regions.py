@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from percept import InvalidArgument, OrientedBox, PointCloud, Pose, ResourceExhausted, Step
@@ -117,6 +119,37 @@ def test_two_things_that_touch_are_two(client, rng):
     assert len(patches.centers) == len(patches.normals) == patches.labels.max() + 1
     assert (patches.edges[:, 0] < patches.edges[:, 1]).all()
     assert patches.edges.max() < len(patches.centers)
+
+
+def test_supervoxels_are_grouped_where_the_surface_is_convex(client, rng):
+    # Of two balls in one another, what is outside of both.
+    halves = [sphere(rng, (x, 0, 0.03), 0.08, 8000) for x in (-0.05, 0.05)]
+    balls = np.vstack([half[half[:, 0] * x > 0] for half, x in zip(halves, (-1, 1))])
+    parts = client.toolbox.compute_supervoxels(balls, viewpoint_m=(0, 0, 1))
+    groups = client.toolbox.group_convex(parts)
+    assert len(groups.labels) == len(parts.centers)
+    assert groups.num_clusters == 2
+    of_point = groups.labels[parts.labels[parts.labels >= 0]]
+    side = balls[parts.labels >= 0, 0] > 0
+    assert max((of_point == side).mean(), (of_point != side).mean()) > 0.95
+    # What may bend inward by half a turn is all one.
+    assert client.toolbox.group_convex(parts, concavity_tolerance_rad=3.2, max_step_m=1.0).num_clusters <= 2
+    none = dataclasses.replace(
+        parts, centers=parts.centers[:0], normals=parts.normals[:0], edges=parts.edges[:0]
+    )
+    assert client.toolbox.group_convex(none).num_clusters == 0
+    wrong = np.array([[0, len(parts.centers)]], np.uint32)
+    for bad, field in (
+        ({"edges": wrong}, "edges"),
+        ({"normals": parts.normals[1:]}, "normals"),
+        ({"centers": parts.centers * np.float32(np.nan)}, "centers"),
+    ):
+        with pytest.raises(InvalidArgument) as error:
+            client.toolbox.group_convex(dataclasses.replace(parts, **bad))
+        assert error.value.field == field
+    with pytest.raises(InvalidArgument) as error:
+        client.toolbox.group_convex(parts, min_supervoxels=0)
+    assert error.value.field == "min_supervoxels"
 
 
 @pytest.mark.parametrize("method", ["point_to_point", "point_to_plane", "gicp", "vgicp", "colored"])

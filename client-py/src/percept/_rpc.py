@@ -115,6 +115,7 @@ REMOVE_STATISTICAL_OUTLIERS = Rpc(
 DOWNSAMPLE_VOXELS = Rpc(
     _T, "DownsampleVoxels", toolbox.DownsampleVoxelsRequest, toolbox.DownsampleVoxelsResponse
 )
+GROUP_CONVEX = Rpc(_T, "GroupConvex", toolbox.GroupConvexRequest, toolbox.GroupConvexResponse)
 ESTIMATE_NORMALS = Rpc(_T, "EstimateNormals", toolbox.EstimateNormalsRequest, toolbox.EstimateNormalsResponse)
 SEGMENT_PLANES = Rpc(_T, "SegmentPlanes", toolbox.SegmentPlanesRequest, toolbox.SegmentPlanesResponse)
 CLUSTER_POINTS = Rpc(_T, "ClusterPoints", toolbox.ClusterPointsRequest, toolbox.ClusterPointsResponse)

@@ -8,7 +8,7 @@ from .._arrays import Array
 from .._convert.toolbox import filters as convert
 from .._convert.toolbox.request import Cloud
 from ..types.geometry import OrientedBox, PointCloud, Pose
-from ..types.toolbox import FilteredCloud
+from ..types.toolbox import FilteredCloud, NormalOrientation
 from ._base import Async, Sync
 
 
@@ -74,11 +74,26 @@ class Filters(Sync):
         *,
         radius_m: float | None = None,
         max_neighbors: int | None = None,
+        min_neighbors: int | None = None,
         viewpoint_m: Sequence[float] | None = None,
+        orientation: NormalOrientation | str = NormalOrientation.VIEWPOINT,
+        tree_neighbors: int | None = None,
     ) -> PointCloud:
-        """The cloud with unit normals of at most max_neighbors (30) within radius_m (0.1); they look towards
-        the viewpoint (the origin), and are zero where they are undefined."""
-        call = convert.estimate_normals(cloud, radius_m, max_neighbors, viewpoint_m)
+        """The cloud with unit normals, zero where they are undefined.
+
+        Of at most max_neighbors (30; 0: all) within radius_m (0.1; inf: however far), itself among them, and
+        at least min_neighbors (5). They look towards the viewpoint (the origin), or to one side of the
+        surface: spanning_tree compares each with tree_neighbors (12) around; the highest point's looks up.
+        """
+        call = convert.estimate_normals(
+            cloud,
+            radius_m=radius_m,
+            max_neighbors=max_neighbors,
+            min_neighbors=min_neighbors,
+            viewpoint_m=viewpoint_m,
+            orientation=orientation,
+            tree_neighbors=tree_neighbors,
+        )
         return self._transport.call(call)
 
 
@@ -146,9 +161,24 @@ class AsyncFilters(Async):
         *,
         radius_m: float | None = None,
         max_neighbors: int | None = None,
+        min_neighbors: int | None = None,
         viewpoint_m: Sequence[float] | None = None,
+        orientation: NormalOrientation | str = NormalOrientation.VIEWPOINT,
+        tree_neighbors: int | None = None,
     ) -> PointCloud:
-        """The cloud with unit normals of at most max_neighbors (30) within radius_m (0.1); they look towards
-        the viewpoint (the origin), and are zero where they are undefined."""
-        call = convert.estimate_normals(cloud, radius_m, max_neighbors, viewpoint_m)
+        """The cloud with unit normals, zero where they are undefined.
+
+        Of at most max_neighbors (30; 0: all) within radius_m (0.1; inf: however far), itself among them, and
+        at least min_neighbors (5). They look towards the viewpoint (the origin), or to one side of the
+        surface: spanning_tree compares each with tree_neighbors (12) around; the highest point's looks up.
+        """
+        call = convert.estimate_normals(
+            cloud,
+            radius_m=radius_m,
+            max_neighbors=max_neighbors,
+            min_neighbors=min_neighbors,
+            viewpoint_m=viewpoint_m,
+            orientation=orientation,
+            tree_neighbors=tree_neighbors,
+        )
         return await self._transport.call(call)

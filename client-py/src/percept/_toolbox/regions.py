@@ -81,6 +81,26 @@ class Regions(Sync):
         )
         return self._transport.call(call)
 
+    def group_convex(
+        self,
+        parts: Supervoxels,
+        *,
+        seed_size_m: float | None = None,
+        concavity_tolerance_rad: float | None = None,
+        max_step_m: float | None = None,
+        min_supervoxels: int | None = None,
+    ) -> Clusters:
+        """A label for each of M supervoxels: those joined by convex edges, or by ones concave by less than
+        concavity_tolerance_rad (0.1745). A point has that of its supervoxel."""
+        call = convert.group_convex(
+            parts,
+            seed_size_m=seed_size_m,
+            concavity_tolerance_rad=concavity_tolerance_rad,
+            max_step_m=max_step_m,
+            min_supervoxels=min_supervoxels,
+        )
+        return self._transport.call(call)
+
     def segment_objects(
         self,
         cloud: Cloud,
@@ -212,6 +232,26 @@ class AsyncRegions(Async):
             spatial_weight=spatial_weight,
             normal_weight=normal_weight,
             viewpoint_m=viewpoint_m,
+        )
+        return await self._transport.call(call)
+
+    async def group_convex(
+        self,
+        parts: Supervoxels,
+        *,
+        seed_size_m: float | None = None,
+        concavity_tolerance_rad: float | None = None,
+        max_step_m: float | None = None,
+        min_supervoxels: int | None = None,
+    ) -> Clusters:
+        """A label for each of M supervoxels: those joined by convex edges, or by ones concave by less than
+        concavity_tolerance_rad (0.1745). A point has that of its supervoxel."""
+        call = convert.group_convex(
+            parts,
+            seed_size_m=seed_size_m,
+            concavity_tolerance_rad=concavity_tolerance_rad,
+            max_step_m=max_step_m,
+            min_supervoxels=min_supervoxels,
         )
         return await self._transport.call(call)
 

@@ -78,6 +78,14 @@ class FilteredCloud(Value):
     indices: npt.NDArray[np.uint32]
 
 
+class NormalOrientation(Name):
+    """To which side normals look."""
+
+    VIEWPOINT = "viewpoint"
+    #: To one side of the surface, from neighbour to neighbour.
+    SPANNING_TREE = "spanning_tree"
+
+
 class PlaneKind(Name):
     """What a plane is, by its direction and height."""
 

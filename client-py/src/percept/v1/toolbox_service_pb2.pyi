@@ -23,6 +23,34 @@ else:
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
+class _NormalOrientation:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _NormalOrientationEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_NormalOrientation.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    NORMAL_ORIENTATION_UNSPECIFIED: _NormalOrientation.ValueType  # 0
+    """VIEWPOINT."""
+    NORMAL_ORIENTATION_VIEWPOINT: _NormalOrientation.ValueType  # 1
+    """Towards viewpoint_m."""
+    NORMAL_ORIENTATION_SPANNING_TREE: _NormalOrientation.ValueType  # 2
+    """To one side of the surface, from neighbour to neighbour along a minimum spanning tree, the highest point's (largest
+    z) of each connected part upward (Hoppe et al. 1992).
+    """
+
+class NormalOrientation(_NormalOrientation, metaclass=_NormalOrientationEnumTypeWrapper):
+    """To which side normals look."""
+
+NORMAL_ORIENTATION_UNSPECIFIED: NormalOrientation.ValueType  # 0
+"""VIEWPOINT."""
+NORMAL_ORIENTATION_VIEWPOINT: NormalOrientation.ValueType  # 1
+"""Towards viewpoint_m."""
+NORMAL_ORIENTATION_SPANNING_TREE: NormalOrientation.ValueType  # 2
+"""To one side of the surface, from neighbour to neighbour along a minimum spanning tree, the highest point's (largest
+z) of each connected part upward (Hoppe et al. 1992).
+"""
+Global___NormalOrientation: _TypeAlias = NormalOrientation  # noqa: Y015
+
 class _PlaneKind:
     ValueType = _typing.NewType("ValueType", _builtins.int)
     V: _TypeAlias = ValueType  # noqa: Y015
@@ -461,12 +489,20 @@ class EstimateNormalsRequest(_message.Message):
     RADIUS_M_FIELD_NUMBER: _builtins.int
     MAX_NEIGHBORS_FIELD_NUMBER: _builtins.int
     VIEWPOINT_M_FIELD_NUMBER: _builtins.int
+    ORIENTATION_FIELD_NUMBER: _builtins.int
+    TREE_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    MIN_NEIGHBORS_FIELD_NUMBER: _builtins.int
     CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
     KEEP_RESULT_FIELD_NUMBER: _builtins.int
     radius_m: _builtins.float
-    """Metres. Absent: 0.1."""
+    """Neighbours are nearer, metres. Infinity: the max_neighbors nearest, however far. Absent: 0.1."""
     max_neighbors: _builtins.int
-    """Nearest neighbours used, at most. Absent: 30."""
+    """Nearest neighbours used, at most, the point itself among them; 0: all within radius_m. Absent: 30."""
+    orientation: Global___NormalOrientation.ValueType
+    tree_neighbors: _builtins.int
+    """SPANNING_TREE only: neighbours that a normal is compared with, 1 to 100. Absent: 12."""
+    min_neighbors: _builtins.int
+    """With fewer neighbours, the point itself among them, the normal is undefined; at least 3. Absent: 5."""
     cloud_handle: _builtins.str
     """Instead of cloud: a kept one's handle."""
     keep_result: _builtins.bool
@@ -475,7 +511,7 @@ class EstimateNormalsRequest(_message.Message):
     def cloud(self) -> _geometry_pb2.PointCloud: ...
     @_builtins.property
     def viewpoint_m(self) -> _geometry_pb2.Vector3:
-        """Normals look towards it, metres. Absent: the origin."""
+        """VIEWPOINT only: metres. Absent: the origin."""
 
     def __init__(
         self,
@@ -484,25 +520,36 @@ class EstimateNormalsRequest(_message.Message):
         radius_m: _builtins.float | None = ...,
         max_neighbors: _builtins.int | None = ...,
         viewpoint_m: _geometry_pb2.Vector3 | None = ...,
+        orientation: Global___NormalOrientation.ValueType = ...,
+        tree_neighbors: _builtins.int | None = ...,
+        min_neighbors: _builtins.int | None = ...,
         cloud_handle: _builtins.str | None = ...,
         keep_result: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_neighbors", b"_max_neighbors", "_min_neighbors", b"_min_neighbors", "_radius_m", b"_radius_m", "_tree_neighbors", b"_tree_neighbors", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "max_neighbors", b"max_neighbors", "min_neighbors", b"min_neighbors", "radius_m", b"radius_m", "tree_neighbors", b"tree_neighbors", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle", "_max_neighbors", b"_max_neighbors", "_min_neighbors", b"_min_neighbors", "_radius_m", b"_radius_m", "_tree_neighbors", b"_tree_neighbors", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "keep_result", b"keep_result", "max_neighbors", b"max_neighbors", "min_neighbors", b"min_neighbors", "orientation", b"orientation", "radius_m", b"radius_m", "tree_neighbors", b"tree_neighbors", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
     _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
     _WhichOneofReturnType__max_neighbors: _TypeAlias = _typing.Literal["max_neighbors"]  # noqa: Y015
     _WhichOneofArgType__max_neighbors: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__min_neighbors: _TypeAlias = _typing.Literal["min_neighbors"]  # noqa: Y015
+    _WhichOneofArgType__min_neighbors: _TypeAlias = _typing.Literal["_min_neighbors", b"_min_neighbors"]  # noqa: Y015
     _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
     _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
+    _WhichOneofReturnType__tree_neighbors: _TypeAlias = _typing.Literal["tree_neighbors"]  # noqa: Y015
+    _WhichOneofArgType__tree_neighbors: _TypeAlias = _typing.Literal["_tree_neighbors", b"_tree_neighbors"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbors) -> _WhichOneofReturnType__max_neighbors | None: ...
     @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbors) -> _WhichOneofReturnType__min_neighbors | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__tree_neighbors) -> _WhichOneofReturnType__tree_neighbors | None: ...
 
 Global___EstimateNormalsRequest: _TypeAlias = EstimateNormalsRequest  # noqa: Y015
 
@@ -514,7 +561,7 @@ class EstimateNormalsResponse(_message.Message):
     KEPT_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud:
-        """The input with normals; zero where fewer than three neighbours were found."""
+        """The input with normals; zero where too few neighbours were found, or all on a line."""
 
     @_builtins.property
     def kept(self) -> Global___CloudHandle:
@@ -2411,6 +2458,88 @@ class ComputeSupervoxelsResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___ComputeSupervoxelsResponse: _TypeAlias = ComputeSupervoxelsResponse  # noqa: Y015
+
+@_typing.final
+class GroupConvexRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CENTERS_FIELD_NUMBER: _builtins.int
+    NORMALS_FIELD_NUMBER: _builtins.int
+    EDGES_FIELD_NUMBER: _builtins.int
+    SEED_SIZE_M_FIELD_NUMBER: _builtins.int
+    CONCAVITY_TOLERANCE_RAD_FIELD_NUMBER: _builtins.int
+    MAX_STEP_M_FIELD_NUMBER: _builtins.int
+    MIN_SUPERVOXELS_FIELD_NUMBER: _builtins.int
+    centers: _builtins.bytes
+    """M x 3 float32, as of ComputeSupervoxelsResponse, metres."""
+    normals: _builtins.bytes
+    """M x 3 float32, unit length."""
+    edges: _builtins.bytes
+    """E x 2 uint32: pairs that touch."""
+    seed_size_m: _builtins.float
+    """That of the supervoxels, metres. Absent: 0.04."""
+    concavity_tolerance_rad: _builtins.float
+    """Surfaces that are concave by less still join, radians. Absent: 0.1745."""
+    max_step_m: _builtins.float
+    """Step between two patches that is taken for noise, metres. Absent: 0.00075."""
+    min_supervoxels: _builtins.int
+    """Groups of fewer supervoxels go to the largest group that they touch. Absent: 3."""
+    def __init__(
+        self,
+        *,
+        centers: _builtins.bytes = ...,
+        normals: _builtins.bytes = ...,
+        edges: _builtins.bytes = ...,
+        seed_size_m: _builtins.float | None = ...,
+        concavity_tolerance_rad: _builtins.float | None = ...,
+        max_step_m: _builtins.float | None = ...,
+        min_supervoxels: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_concavity_tolerance_rad", b"_concavity_tolerance_rad", "_max_step_m", b"_max_step_m", "_min_supervoxels", b"_min_supervoxels", "_seed_size_m", b"_seed_size_m", "concavity_tolerance_rad", b"concavity_tolerance_rad", "max_step_m", b"max_step_m", "min_supervoxels", b"min_supervoxels", "seed_size_m", b"seed_size_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_concavity_tolerance_rad", b"_concavity_tolerance_rad", "_max_step_m", b"_max_step_m", "_min_supervoxels", b"_min_supervoxels", "_seed_size_m", b"_seed_size_m", "centers", b"centers", "concavity_tolerance_rad", b"concavity_tolerance_rad", "edges", b"edges", "max_step_m", b"max_step_m", "min_supervoxels", b"min_supervoxels", "normals", b"normals", "seed_size_m", b"seed_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__concavity_tolerance_rad: _TypeAlias = _typing.Literal["concavity_tolerance_rad"]  # noqa: Y015
+    _WhichOneofArgType__concavity_tolerance_rad: _TypeAlias = _typing.Literal["_concavity_tolerance_rad", b"_concavity_tolerance_rad"]  # noqa: Y015
+    _WhichOneofReturnType__max_step_m: _TypeAlias = _typing.Literal["max_step_m"]  # noqa: Y015
+    _WhichOneofArgType__max_step_m: _TypeAlias = _typing.Literal["_max_step_m", b"_max_step_m"]  # noqa: Y015
+    _WhichOneofReturnType__min_supervoxels: _TypeAlias = _typing.Literal["min_supervoxels"]  # noqa: Y015
+    _WhichOneofArgType__min_supervoxels: _TypeAlias = _typing.Literal["_min_supervoxels", b"_min_supervoxels"]  # noqa: Y015
+    _WhichOneofReturnType__seed_size_m: _TypeAlias = _typing.Literal["seed_size_m"]  # noqa: Y015
+    _WhichOneofArgType__seed_size_m: _TypeAlias = _typing.Literal["_seed_size_m", b"_seed_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__concavity_tolerance_rad) -> _WhichOneofReturnType__concavity_tolerance_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_step_m) -> _WhichOneofReturnType__max_step_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_supervoxels) -> _WhichOneofReturnType__min_supervoxels | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__seed_size_m) -> _WhichOneofReturnType__seed_size_m | None: ...
+
+Global___GroupConvexRequest: _TypeAlias = GroupConvexRequest  # noqa: Y015
+
+@_typing.final
+class GroupConvexResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABELS_FIELD_NUMBER: _builtins.int
+    NUM_GROUPS_FIELD_NUMBER: _builtins.int
+    labels: _builtins.bytes
+    """M int32: number of each supervoxel's group in the order of their first supervoxels."""
+    num_groups: _builtins.int
+    def __init__(
+        self,
+        *,
+        labels: _builtins.bytes = ...,
+        num_groups: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["labels", b"labels", "num_groups", b"num_groups"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___GroupConvexResponse: _TypeAlias = GroupConvexResponse  # noqa: Y015
 
 @_typing.final
 class SegmentObjectsRequest(_message.Message):

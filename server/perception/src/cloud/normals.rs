@@ -1,10 +1,17 @@
 //! Normals from the scatter of neighbours.
 
 use super::{Scatter, at_least, positive, symmetric_eigen3};
-use crate::search::{Group, KdTree, Wanted, What};
+use crate::search::{Group, KdTree, Neighbor, Wanted, What};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::GeometryError;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Neighbours in all, at most, if all within the radius are used, a bound on time.
+const MAX_PAIRS: usize = 1_000_000_000;
+/// Points of one task.
+const CHUNK: usize = 256;
 
 /// Which neighbours make a normal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -13,7 +20,7 @@ pub struct NormalParams {
     /// Neighbours lie within this distance, metres; about three times the spacing of points. Infinite: the nearest
     /// ones, however far.
     pub radius_m: f64,
-    /// Of them the nearest so many are used, the point itself among them; at least 3.
+    /// Of them the nearest so many are used, the point itself among them, at least `min_neighbors`; 0: all of them.
     pub max_neighbors: usize,
     /// With fewer the normal is undefined; at least 3.
     pub min_neighbors: usize,
@@ -35,7 +42,14 @@ impl NormalParams {
             positive("radius_m", self.radius_m)?;
         }
         at_least("min_neighbors", self.min_neighbors, 3, "at least 3")?;
-        at_least("max_neighbors", self.max_neighbors, self.min_neighbors, "at least min_neighbors")
+        match self.max_neighbors {
+            0 if self.radius_m == f64::INFINITY => {
+                let requirement = "at least min_neighbors if radius_m is infinite";
+                Err(GeometryError::OutOfRange { field: "max_neighbors", value: 0.0, requirement })
+            }
+            0 => Ok(()),
+            n => at_least("max_neighbors", n, self.min_neighbors, "at least min_neighbors"),
+        }
     }
 }
 
@@ -45,7 +59,7 @@ impl NormalParams {
 /// Source: Hoppe et al., "Surface reconstruction from unorganized points", 1992, section 3.2.
 ///
 /// # Errors
-/// `OutOfRange` naming the parameter.
+/// `OutOfRange` naming the parameter; for the radius also if all neighbours within it are more than 1e9.
 pub fn estimate_normals(
     points: &[Point3<f32>],
     params: &NormalParams,
@@ -53,7 +67,10 @@ pub fn estimate_normals(
 ) -> Result<Vec<Vector3<f32>>, GeometryError> {
     params.validate()?;
     let tree = KdTree::build(points);
-    Ok(normals_of(points, &tree, params, viewpoint))
+    match params.max_neighbors {
+        0 => normals_within(points, &tree, params, viewpoint),
+        _ => Ok(normals_of(points, &tree, params, viewpoint)),
+    }
 }
 
 /// Unit normals, signs arbitrary, from the `k` nearest of each point; zero where they lie on a line. `tree` is of
@@ -74,15 +91,46 @@ fn normals_of(
     let by_task = tree.map_leaves(&wanted, |normals: &mut Vec<Vector3<f32>>, leaf, group| {
         normals.extend(tree.indices_of(leaf).iter().enumerate().map(|(i, &index)| {
             let enough = group.count(i) >= params.min_neighbors;
-            let normal = enough.then(|| least_scatter(&points[index as usize], group, i, viewpoint)).flatten();
+            let p = &points[index as usize];
+            let normal = enough.then(|| least_scatter(&scatter(group, i), p, viewpoint)).flatten();
             normal.unwrap_or_default()
         }));
     });
     tree.in_cloud_order(&by_task, Vector3::zeros())
 }
 
-fn least_scatter(p: &Point3<f32>, group: &Group, i: usize, viewpoint: Option<&Point3<f64>>) -> Option<Vector3<f32>> {
-    let eigen = symmetric_eigen3(&scatter(group, i).covariance());
+/// Of all neighbours within the radius.
+fn normals_within(
+    points: &[Point3<f32>],
+    tree: &KdTree,
+    params: &NormalParams,
+    viewpoint: Option<&Point3<f64>>,
+) -> Result<Vec<Vector3<f32>>, GeometryError> {
+    let total = AtomicUsize::new(0);
+    let too_many = || GeometryError::OutOfRange {
+        field: "radius_m",
+        value: params.radius_m,
+        requirement: "small enough for at most 1e9 neighbours in all; or give max_neighbors",
+    };
+    let chunks = points.par_chunks(CHUNK).map_init(Vec::new, |found: &mut Vec<Neighbor>, chunk| {
+        let mut normals = Vec::with_capacity(chunk.len());
+        for p in chunk {
+            tree.radius_into(p, params.radius_m as f32, found);
+            if total.fetch_add(found.len(), Ordering::Relaxed).saturating_add(found.len()) > MAX_PAIRS {
+                return Err(too_many());
+            }
+            let mut scatter = Scatter::new(p.cast());
+            found.iter().for_each(|n| scatter.add(&points[n.index].cast()));
+            let enough = found.len() >= params.min_neighbors;
+            normals.push(enough.then(|| least_scatter(&scatter, p, viewpoint)).flatten().unwrap_or_default());
+        }
+        Ok(normals)
+    });
+    Ok(chunks.collect::<Result<Vec<_>, _>>()?.concat())
+}
+
+fn least_scatter(scatter: &Scatter, p: &Point3<f32>, viewpoint: Option<&Point3<f64>>) -> Option<Vector3<f32>> {
+    let eigen = symmetric_eigen3(&scatter.covariance());
     // On a line the second value is rounding: any direction across would do, so none does.
     if eigen.values[1] <= 1e-10 * eigen.values[2] {
         return None;
@@ -138,6 +186,24 @@ mod tests {
     }
 
     #[test]
+    fn all_neighbours_within_the_radius_are_used_if_their_number_is_open() {
+        let points = sphere(Vector3::zeros(), 3000);
+        let all = NormalParams { radius_m: 0.3, max_neighbors: 0, ..NormalParams::default() };
+        let found = estimate_normals(&points, &all, None).unwrap();
+        let most = estimate_normals(&points, &NormalParams { max_neighbors: 3000, ..all }, None).unwrap();
+        for (a, b) in found.iter().zip(&most) {
+            assert!(a.dot(b).abs() > 1.0 - 1e-6);
+        }
+        let nearest = NormalParams { radius_m: f64::INFINITY, max_neighbors: 12, min_neighbors: 12 };
+        let found = estimate_normals(&points, &nearest, None).unwrap();
+        assert!(found.iter().zip(&points).all(|(n, p)| n.dot(&p.coords).abs() > 0.99));
+        let far = vec![Point3::new(f32::NAN, 0.0, 0.0); 3];
+        assert_eq!(estimate_normals(&far, &all, None).unwrap(), vec![Vector3::zeros(); 3]);
+        let dense = vec![Point3::new(1.0, 0.0, 0.0); 40_000];
+        assert!(estimate_normals(&dense, &all, None).unwrap_err().to_string().starts_with("radius_m"));
+    }
+
+    #[test]
     fn points_far_from_the_origin_have_normals_too() {
         let far: Vec<Point3<f32>> =
             (0..400).map(|i| Point3::new(1e6 + (i % 20) as f32 * 0.25, (i / 20) as f32 * 0.25, 2.0)).collect();
@@ -152,6 +218,7 @@ mod tests {
             (NormalParams { radius_m: 0.0, ..Default::default() }, "radius_m"),
             (NormalParams { min_neighbors: 2, ..Default::default() }, "min_neighbors"),
             (NormalParams { max_neighbors: 4, ..Default::default() }, "max_neighbors"),
+            (NormalParams { max_neighbors: 0, radius_m: f64::INFINITY, ..Default::default() }, "max_neighbors"),
         ] {
             assert!(estimate_normals(&[], &params, None).unwrap_err().to_string().starts_with(name));
         }

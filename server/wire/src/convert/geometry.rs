@@ -144,7 +144,7 @@ pub fn cloud(c: &v1::PointCloud, limits: &Limits) -> Result<PointCloud> {
 }
 
 /// Three coordinates an entry, in one pass.
-fn triples<T>(field: &'static str, data: &Bytes, n: usize, make: fn(f32, f32, f32) -> T) -> Result<Vec<T>> {
+pub(crate) fn triples<T>(field: &'static str, data: &Bytes, n: usize, make: fn(f32, f32, f32) -> T) -> Result<Vec<T>> {
     if n.checked_mul(12) != Some(data.len()) {
         let (expected, actual) = (n * 3, data.len() / 4);
         return Err(percept_geometry::GeometryError::ShapeMismatch { field, expected, actual }.into());

@@ -63,15 +63,9 @@ def downsample_voxels(
 
 
 def estimate_normals(
-    cloud: Cloud, radius_m: float | None, max_neighbors: int | None, viewpoint_m: Sequence[float] | None
+    cloud: Cloud, **fields: object
 ) -> Call[service.EstimateNormalsRequest, service.EstimateNormalsResponse, PointCloud]:
-    request = with_cloud(
-        service.EstimateNormalsRequest,
-        cloud,
-        radius_m=radius_m,
-        max_neighbors=max_neighbors,
-        viewpoint_m=viewpoint_m,
-    )
+    request = with_cloud(service.EstimateNormalsRequest, cloud, **fields)
     return Call(_rpc.ESTIMATE_NORMALS, request, lambda a: geometry.cloud(a.cloud))
 
 

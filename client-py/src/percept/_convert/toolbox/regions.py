@@ -60,6 +60,22 @@ def compute_supervoxels(
     return Call(_rpc.COMPUTE_SUPERVOXELS, request, read)
 
 
+def group_convex(
+    parts: Supervoxels, **fields: object
+) -> Call[service.GroupConvexRequest, service.GroupConvexResponse, Clusters]:
+    def read(answer: service.GroupConvexResponse) -> Clusters:
+        return Clusters(labels=_labels(answer.labels), num_clusters=answer.num_groups)
+
+    request = of(
+        service.GroupConvexRequest,
+        centers=checked("centers", parts.centers, ("M", 3), np.float32).astype("<f4").tobytes(),
+        normals=checked("normals", parts.normals, ("M", 3), np.float32).astype("<f4").tobytes(),
+        edges=checked("edges", parts.edges, ("E", 2), np.uint32).astype("<u4").tobytes(),
+        **fields,
+    )
+    return Call(_rpc.GROUP_CONVEX, request, read)
+
+
 def segment_objects(
     cloud: Cloud, **fields: object
 ) -> Call[service.SegmentObjectsRequest, service.SegmentObjectsResponse, SupportedObjects]:

@@ -320,6 +320,7 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/segment-ground", "ToolboxService/SegmentGround", &[], unary!(Message segment_ground)),
     post("/v1/toolbox/grow-regions", "ToolboxService/GrowRegions", &[], unary!(Message grow_regions)),
     post("/v1/toolbox/compute-supervoxels", "ToolboxService/ComputeSupervoxels", &[], unary!(Message compute_supervoxels)),
+    post("/v1/toolbox/group-convex", "ToolboxService/GroupConvex", &[], unary!(Message group_convex)),
     post("/v1/toolbox/segment-objects", "ToolboxService/SegmentObjects", &[], unary!(Message segment_objects)),
     post("/v1/toolbox/sample-points", "ToolboxService/SamplePoints", &[], unary!(Message sample_points)),
     post("/v1/toolbox/crop-cloud", "ToolboxService/CropCloud", &[], unary!(Message crop_cloud)),

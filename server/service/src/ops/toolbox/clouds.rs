@@ -6,7 +6,7 @@ use nalgebra::{Point3, Unit, Vector3};
 use percept_geometry::{CameraIntrinsics, DepthImage, OrientedBox3, PointCloud, RgbImage};
 use percept_perception::cloud::{
     self, ClusterParams, Clusters, DbscanParams, NormalParams, PlanesParams, RadiusOutlierParams, ShapeFeatures,
-    StatisticalOutlierParams, TypedPlane,
+    SpanningTreeParams, StatisticalOutlierParams, TypedPlane,
 };
 use percept_perception::depth::{self, UnprojectParams};
 use percept_perception::detection::{Detection, DetectionParams, Detector};
@@ -49,12 +49,33 @@ pub fn downsample_voxels(cloud: &PointCloud, voxel_size_m: f64) -> Result<PointC
     cloud::voxel_downsample(cloud, voxel_size_m).map_err(cloud_error)
 }
 
-/// The cloud with normals towards the viewpoint (m).
+/// To which side normals look.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum NormalOrientation {
+    /// Towards this point, metres.
+    Viewpoint(Point3<f64>),
+    /// To one side of the surface, from neighbour to neighbour.
+    SpanningTree(SpanningTreeParams),
+}
+
+/// The cloud with normals.
 ///
 /// # Errors
 /// `OUT_OF_RANGE` naming the parameter.
-pub fn estimate_normals(cloud: &PointCloud, params: &NormalParams, viewpoint: &Point3<f64>) -> Result<PointCloud> {
-    let normals = cloud::estimate_normals(&cloud.positions, params, Some(viewpoint))?;
+pub fn estimate_normals(
+    cloud: &PointCloud,
+    params: &NormalParams,
+    orientation: &NormalOrientation,
+) -> Result<PointCloud> {
+    let normals = match orientation {
+        NormalOrientation::Viewpoint(viewpoint) => cloud::estimate_normals(&cloud.positions, params, Some(viewpoint))?,
+        NormalOrientation::SpanningTree(tree) => {
+            tree.validate()?;
+            let mut normals = cloud::estimate_normals(&cloud.positions, params, None)?;
+            cloud::orient_by_spanning_tree(&cloud.positions, &mut normals, tree)?;
+            normals
+        }
+    };
     Ok(PointCloud { normals: Some(normals), ..cloud.clone() })
 }
 

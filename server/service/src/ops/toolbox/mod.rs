@@ -27,7 +27,7 @@ pub use images::{PosedView, multiview_error, triangulate_points};
 pub use kept::{KeptCloud, KeptClouds, KeptList};
 pub use pictures::{render_cloud, render_depth};
 pub use pipeline::{Found, PlaneRemainder, Step, StepReport};
-pub use regions::{grow_regions, segment_ground, segment_objects, supervoxels};
+pub use regions::{group_convex, grow_regions, segment_ground, segment_objects, supervoxels};
 pub use registration::{compute_point_features, register_clouds, register_clouds_globally};
 pub use shapes::{Boxes, NeighborhoodParams, convex_hull, find_neighbors, fit_boxes};
 pub use subsets::{Region, Sample, crop_cloud, sample_points};

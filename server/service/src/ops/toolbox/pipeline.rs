@@ -1,6 +1,6 @@
 //! Operations in turn on one cloud that stays here.
 
-use super::{Clustering, Region, Sample, Toolbox, clouds, regions, subsets};
+use super::{Clustering, NormalOrientation, Region, Sample, Toolbox, clouds, regions, subsets};
 use crate::{Error, Result};
 use nalgebra::Point3;
 use percept_geometry::{OrientedBox3, PointCloud, Pose};
@@ -39,8 +39,8 @@ pub enum Step {
     DownsampleVoxels(f64),
     /// To another frame, by `t_a_b`.
     Transform(Pose),
-    /// [`clouds::estimate_normals`], and the viewpoint, metres.
-    EstimateNormals(NormalParams, Point3<f64>),
+    /// [`clouds::estimate_normals`].
+    EstimateNormals(NormalParams, NormalOrientation),
     /// [`clouds::segment_planes`].
     SegmentPlanes(PlanesParams, PlaneRemainder),
     /// [`clouds::cluster_points`].
@@ -158,9 +158,9 @@ impl Toolbox {
             Step::RemoveNonFinite => bench.replace(cloud.retain_finite()),
             Step::DownsampleVoxels(size) => bench.replace(clouds::downsample_voxels(&cloud, *size)?),
             Step::Transform(t_a_b) => bench.replace(cloud.transformed(t_a_b)),
-            Step::EstimateNormals(params, viewpoint) => {
+            Step::EstimateNormals(params, orientation) => {
                 // The points stay what they were, and their clusters with them.
-                bench.cloud = Arc::new(clouds::estimate_normals(&cloud, params, viewpoint)?);
+                bench.cloud = Arc::new(clouds::estimate_normals(&cloud, params, orientation)?);
                 Found::Nothing
             }
             Step::SegmentPlanes(params, remainder) => {

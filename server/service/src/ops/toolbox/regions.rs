@@ -6,7 +6,8 @@ use nalgebra::Point3;
 use percept_geometry::PointCloud;
 use percept_perception::cloud::{Clusters, NormalParams, estimate_normals};
 use percept_perception::segmentation::{
-    self, Ground, GroundParams, Objects, ObjectsParams, RegionGrowingParams, SupervoxelParams, Supervoxels,
+    self, ConvexityParams, Ground, GroundParams, Objects, ObjectsParams, RegionGrowingParams, SupervoxelParams,
+    Supervoxels,
 };
 
 /// The ground of a scan in the sensor's frame, z up.
@@ -42,6 +43,14 @@ pub fn grow_regions(cloud: &PointCloud, params: &RegionGrowingParams) -> Result<
 /// `OUT_OF_RANGE` naming the parameter, `VOXEL_TOO_SMALL`.
 pub fn supervoxels(cloud: &PointCloud, viewpoint: &Point3<f64>, params: &SupervoxelParams) -> Result<Supervoxels> {
     segmentation::supervoxels(&cloud.positions, viewpoint, params).map_err(cloud_error)
+}
+
+/// The convex group of each supervoxel; `labels` are not looked at. `seed_size_m` is that of the supervoxels.
+///
+/// # Errors
+/// `OUT_OF_RANGE` naming the parameter.
+pub fn group_convex(parts: &Supervoxels, seed_size_m: f64, params: &ConvexityParams) -> Result<Vec<u32>> {
+    Ok(segmentation::group_convex(parts, seed_size_m, params)?)
 }
 
 /// What stands on the largest plane, seen from a viewpoint, metres.

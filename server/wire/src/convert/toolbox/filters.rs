@@ -1,11 +1,11 @@
 //! Filters, sampling, normals: parameters of requests.
 
 use super::{count, set};
-use crate::convert::geometry;
+use crate::convert::{geometry, unknown_enum};
 use crate::v1;
-use nalgebra::Point3;
-use percept_perception::cloud::{NormalParams, RadiusOutlierParams, StatisticalOutlierParams};
+use percept_perception::cloud::{NormalParams, RadiusOutlierParams, SpanningTreeParams, StatisticalOutlierParams};
 use percept_service::Result;
+use percept_service::toolbox::NormalOrientation;
 
 /// Parameters of the outlier filter.
 pub fn outlier_params(r: &v1::RemoveStatisticalOutliersRequest) -> StatisticalOutlierParams {
@@ -28,14 +28,29 @@ pub fn voxel_size_m(r: &v1::DownsampleVoxelsRequest) -> f64 {
     r.voxel_size_m.unwrap_or(0.05)
 }
 
-/// Parameters of normals, and the viewpoint.
+/// Parameters of normals.
+pub fn normal_params(r: &v1::EstimateNormalsRequest) -> NormalParams {
+    let mut params = NormalParams::default();
+    lay_over!(params, r: radius_m, max_neighbors, min_neighbors);
+    params
+}
+
+/// To which side normals look.
 ///
 /// # Errors
-/// A viewpoint that is not finite.
-pub fn normal_params(r: &v1::EstimateNormalsRequest) -> Result<(NormalParams, Point3<f64>)> {
-    let mut params = NormalParams::default();
-    set(&mut params.radius_m, r.radius_m);
-    set(&mut params.max_neighbors, count(r.max_neighbors));
-    let viewpoint = geometry::vector("viewpoint_m", &r.viewpoint_m.unwrap_or_default())?;
-    Ok((params, viewpoint.into()))
+/// A viewpoint that is not finite; `ENUM_UNKNOWN`.
+pub fn normal_orientation(r: &v1::EstimateNormalsRequest) -> Result<NormalOrientation> {
+    use v1::NormalOrientation as O;
+    match O::try_from(r.orientation) {
+        Ok(O::Unspecified | O::Viewpoint) => {
+            let viewpoint = geometry::vector("viewpoint_m", &r.viewpoint_m.unwrap_or_default())?;
+            Ok(NormalOrientation::Viewpoint(viewpoint.into()))
+        }
+        Ok(O::SpanningTree) => {
+            let mut params = SpanningTreeParams::default();
+            lay_over!(params, r: tree_neighbors);
+            Ok(NormalOrientation::SpanningTree(params))
+        }
+        Err(_) => Err(unknown_enum("orientation", r.orientation)),
+    }
 }

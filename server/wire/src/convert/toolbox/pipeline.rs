@@ -50,8 +50,7 @@ fn step(s: &v1::PipelineStep) -> Result<Step> {
         }
         S::EstimateNormals(r) => {
             bare!(r, keep_result);
-            let (params, viewpoint) = filters::normal_params(r)?;
-            Step::EstimateNormals(params, viewpoint)
+            Step::EstimateNormals(filters::normal_params(r), filters::normal_orientation(r)?)
         }
         S::SegmentPlanes(r) => {
             bare!(r);

@@ -3,12 +3,13 @@
 use super::{bytes_of_indices, bytes_of_labels};
 use crate::convert::geometry;
 use crate::v1;
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use percept_perception::cloud::Clusters;
 use percept_perception::segmentation::{
-    Ground, GroundParams, Objects, ObjectsParams, RegionGrowingParams, SupervoxelParams, Supervoxels,
+    ConvexityParams, Ground, GroundParams, Objects, ObjectsParams, RegionGrowingParams, Supervoxel, SupervoxelParams,
+    Supervoxels,
 };
-use percept_service::Result;
+use percept_service::{Error, Result};
 
 /// How ground is fitted.
 pub fn ground_params(r: &v1::SegmentGroundRequest) -> GroundParams {
@@ -34,6 +35,55 @@ pub fn supervoxel_params(r: &v1::ComputeSupervoxelsRequest) -> Result<(Supervoxe
     lay_over!(params, r: voxel_size_m, seed_size_m, normal_radius_m, spatial_weight, normal_weight);
     let viewpoint = geometry::vector("viewpoint_m", &r.viewpoint_m.unwrap_or_default())?;
     Ok((params, viewpoint.into()))
+}
+
+/// How supervoxels are grouped, and the size of their seeds, metres.
+pub fn convexity_params(r: &v1::GroupConvexRequest) -> (ConvexityParams, f64) {
+    let mut params = ConvexityParams::default();
+    lay_over!(params, r: concavity_tolerance_rad, max_step_m, min_supervoxels);
+    (params, r.seed_size_m.unwrap_or(SupervoxelParams::default().seed_size_m))
+}
+
+/// Supervoxels without the points that they were cut from.
+///
+/// # Errors
+/// `SIZE_MISMATCH`, `NOT_FINITE`, `INDEX_OUT_OF_RANGE` naming the field.
+pub fn supervoxels(r: &v1::GroupConvexRequest) -> Result<Supervoxels> {
+    let count = r.centers.len() / 12;
+    let wide = |x, y, z| Vector3::new(f64::from(x), f64::from(y), f64::from(z));
+    let centers = geometry::triples("centers", &r.centers, count, wide)?;
+    let normals = geometry::triples("normals", &r.normals, count, wide)?;
+    for (field, values) in [("centers", &centers), ("normals", &normals)] {
+        if let Some(i) = values.iter().position(|v| !v.iter().all(|c| c.is_finite())) {
+            let words = format!("{field}[{i}] is not finite; leave it out, and its edges");
+            return Err(Error::invalid("NOT_FINITE", field, words));
+        }
+    }
+    let supervoxel = |(center, normal): (Vector3<f64>, Vector3<f64>)| Supervoxel {
+        center: center.into(),
+        normal: normal.try_normalize(1e-9).unwrap_or_default(),
+        num_voxels: 0,
+    };
+    let supervoxels = centers.into_iter().zip(normals).map(supervoxel).collect();
+    Ok(Supervoxels { labels: Vec::new(), supervoxels, edges: edges(&r.edges, count)? })
+}
+
+/// Pairs of supervoxels.
+fn edges(data: &[u8], count: usize) -> Result<Vec<(u32, u32)>> {
+    let (rows, rest) = data.as_chunks::<8>();
+    if !rest.is_empty() {
+        let words = format!("edges ends with {} bytes of a pair; send E x 2 uint32", rest.len());
+        return Err(Error::invalid("SIZE_MISMATCH", "edges", words));
+    }
+    let number = |b: &[u8; 8], i: usize| u32::from_le_bytes([b[i], b[i + 1], b[i + 2], b[i + 3]]);
+    let pairs: Vec<(u32, u32)> = rows.iter().map(|b| (number(b, 0), number(b, 4))).collect();
+    match pairs.iter().position(|&(a, b)| a.max(b) as usize >= count) {
+        None => Ok(pairs),
+        Some(i) => {
+            let words = format!("edges[{i}] is {:?} and there are {count} centers; name two of them", pairs[i]);
+            Err(Error::invalid("INDEX_OUT_OF_RANGE", "edges", words))
+        }
+    }
 }
 
 /// How objects on a support are told apart, and the viewpoint.
@@ -79,6 +129,12 @@ pub fn supervoxels_to(s: &Supervoxels) -> v1::ComputeSupervoxelsResponse {
         normals: floats(s.supervoxels.iter().map(|v| v.normal.into()).collect()).into(),
         edges: s.edges.iter().flat_map(|&(a, b)| [a, b]).flat_map(u32::to_le_bytes).collect::<Vec<u8>>().into(),
     }
+}
+
+/// Groups of supervoxels as a message.
+pub fn groups_to(groups: &[u32]) -> v1::GroupConvexResponse {
+    let labels = groups.iter().flat_map(|g| (*g as i32).to_le_bytes()).collect::<Vec<u8>>();
+    v1::GroupConvexResponse { labels: labels.into(), num_groups: groups.iter().max().map_or(0, |m| m + 1) }
 }
 
 /// Objects on a support as a message.

@@ -50,8 +50,8 @@ pub(super) fn downsample_voxels(t: &Toolbox, r: v1::DownsampleVoxelsRequest) -> 
 
 pub(super) fn estimate_normals(t: &Toolbox, r: v1::EstimateNormalsRequest) -> Result<v1::EstimateNormalsResponse> {
     let cloud = convert::cloud(t, "cloud", r.cloud.as_ref(), r.cloud_handle.as_deref())?;
-    let (params, viewpoint) = filters::normal_params(&r)?;
-    let (cloud, kept) = convert::result(t, ops::estimate_normals(&cloud, &params, &viewpoint)?, r.keep_result)?;
+    let (params, orientation) = (filters::normal_params(&r), filters::normal_orientation(&r)?);
+    let (cloud, kept) = convert::result(t, ops::estimate_normals(&cloud, &params, &orientation)?, r.keep_result)?;
     Ok(v1::EstimateNormalsResponse { cloud, kept })
 }
 

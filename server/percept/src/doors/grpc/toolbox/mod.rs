@@ -200,6 +200,10 @@ impl v1::toolbox_service_server::ToolboxService for Api {
         self.toolbox(r, regions::compute_supervoxels).await
     }
 
+    async fn group_convex(&self, r: Request<v1::GroupConvexRequest>) -> Answer<v1::GroupConvexResponse> {
+        self.toolbox(r, regions::group_convex).await
+    }
+
     async fn segment_objects(&self, r: Request<v1::SegmentObjectsRequest>) -> Answer<v1::SegmentObjectsResponse> {
         self.toolbox(r, regions::segment_objects).await
     }

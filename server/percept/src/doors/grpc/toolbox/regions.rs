@@ -24,6 +24,11 @@ pub(super) fn compute_supervoxels(
     Ok(regions::supervoxels_to(&ops::supervoxels(&cloud, &viewpoint, &params)?))
 }
 
+pub(super) fn group_convex(_: &Toolbox, r: v1::GroupConvexRequest) -> Result<v1::GroupConvexResponse> {
+    let (params, seed_size_m) = regions::convexity_params(&r);
+    Ok(regions::groups_to(&ops::group_convex(&regions::supervoxels(&r)?, seed_size_m, &params)?))
+}
+
 pub(super) fn segment_objects(t: &Toolbox, r: v1::SegmentObjectsRequest) -> Result<v1::SegmentObjectsResponse> {
     let cloud = convert::cloud(t, "cloud", r.cloud.as_ref(), r.cloud_handle.as_deref())?;
     let (params, viewpoint) = regions::objects_params(&r)?;
