@@ -96,6 +96,9 @@ impl KdTree {
     pub fn hybrid_all(&self, radius_m: f32, max_nn: usize) -> Neighbors {
         let wanted = Wanted { k: max_nn.min(self.len()), radius_m, what: What::Rows };
         let parts = self.map_leaves(&wanted, |part: &mut Part, leaf, group| {
+            if part.ends.len() == LEAF {
+                part.keys.reserve_exact(part.keys.len() * (LEAVES - 1));
+            }
             for i in 0..self.num_points_of(leaf) {
                 let row = group.row(i, &wanted);
                 part.keys.extend_from_slice(row);
@@ -105,12 +108,17 @@ impl KdTree {
         if parts.is_empty() {
             return Neighbors::with_counts(std::iter::repeat_n(0, self.num_given));
         }
+        // Mostly all have k, so that the place of a row needs no looking up.
+        let full = parts.iter().all(|part| part.keys.len() == part.ends.len() * wanted.k);
         let mut slots = vec![u32::MAX; self.num_given];
         for leaf in 0..self.num_leaves() {
             self.indices_of(leaf).iter().zip(leaf * LEAF..).for_each(|(&i, slot)| slots[i as usize] = slot as u32);
         }
         let row = |query: usize| match slots[query] as usize {
-            slot if slot < self.len() => parts[slot / (LEAVES * LEAF)].row(slot % (LEAVES * LEAF)),
+            slot if slot < self.len() => {
+                let (part, i) = (&parts[slot / (LEAVES * LEAF)], slot % (LEAVES * LEAF));
+                if full { &part.keys[i * wanted.k..][..wanted.k] } else { part.row(i) }
+            }
             _ => &[],
         };
         let mut out = Neighbors::with_counts((0..self.num_given).map(|query| row(query).len()));
