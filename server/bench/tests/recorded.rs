@@ -28,7 +28,7 @@ const NORMALS: (f64, f64) = (3.0, 9.0);
 
 /// A file of the recorded frames, if it is there.
 fn recorded(frame: usize, end: &str) -> Option<Vec<u8>> {
-    let by_default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let by_default = || Path::new(&std::env::var("CARGO_MANIFEST_DIR").unwrap()).join("../../../shared/data");
     let root = std::env::var_os("PERCEPT_DATA").map_or_else(by_default, PathBuf::from);
     let path = root.join("rgbd-7scenes-a").join(format!("frame-{frame:06}.{end}"));
     if !path.exists() {

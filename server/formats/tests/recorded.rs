@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 /// A folder of the recorded data, if it is there.
 fn recorded(name: &str) -> Option<PathBuf> {
-    let by_default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let by_default = || Path::new(&std::env::var("CARGO_MANIFEST_DIR").unwrap()).join("../../../shared/data");
     let path = std::env::var_os("PERCEPT_DATA").map_or_else(by_default, PathBuf::from).join(name);
     if !path.exists() {
         eprintln!("skipped: {} is absent", path.display());

@@ -65,7 +65,7 @@ const ABSENT: [&str; 14] = [
 ];
 
 fn server() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+    Path::new(&std::env::var("CARGO_MANIFEST_DIR").unwrap()).parent().unwrap().to_owned()
 }
 
 fn place(name: &str) -> usize {

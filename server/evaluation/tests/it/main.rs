@@ -12,7 +12,7 @@ use std::path::PathBuf;
 fn data() -> Option<PathBuf> {
     let root = match std::env::var_os("PERCEPT_DATA") {
         Some(root) => PathBuf::from(root),
-        None => PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
+        None => PathBuf::from(std::env::var("CARGO_MANIFEST_DIR").unwrap()).join("../../../shared/data"),
     };
     let folder = root.join("trajectory-evo");
     if !folder.is_dir() {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 fn folder() -> Option<PathBuf> {
     let data = std::env::var_os("PERCEPT_DATA").map(PathBuf::from);
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(3)?.join("shared/data");
+    let beside = Path::new(&std::env::var("CARGO_MANIFEST_DIR").unwrap()).ancestors().nth(3)?.join("shared/data");
     Some(data.unwrap_or(beside).join("planning-movingai")).filter(|p| p.is_dir())
 }
 

@@ -15,7 +15,7 @@ use std::sync::Arc;
 /// The folder of a set: `$PERCEPT_DATA`, else `shared/data` beside the repository.
 fn data(set: &str) -> Option<PathBuf> {
     let root = std::env::var_os("PERCEPT_DATA").map(PathBuf::from).or_else(|| {
-        let crate_dir = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+        let crate_dir = PathBuf::from(std::env::var("CARGO_MANIFEST_DIR").unwrap());
         crate_dir.ancestors().map(|a| a.join("shared/data")).find(|p| p.is_dir())
     })?;
     Some(root.join(set)).filter(|p| p.exists())
