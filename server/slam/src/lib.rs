@@ -7,7 +7,9 @@
 //! Start with [`odometry::Odometry::register`]; each sensor's method is a folder of [`odometry`].
 
 pub mod keyframe;
+pub mod loops;
 pub mod odometry;
+pub mod pose_graph;
 pub mod scan;
 pub mod tracking;
 

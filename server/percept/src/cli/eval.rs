@@ -1,6 +1,6 @@
 //! `percept eval`: metrics against ground truth.
 
-use super::{Failure, eval_sim};
+use super::{Failure, eval_graph, eval_sim};
 use percept_evaluation::{Alignment, Trajectory, TrajectoryParams, score_trajectory};
 use percept_formats::{Limits, read_file, trajectory};
 use percept_geometry::{Pose, Stamped, Timestamp};
@@ -11,6 +11,8 @@ use std::path::{Path, PathBuf};
 pub(crate) enum EvalCommand {
     /// ATE and RPE of a trajectory file, as evo computes them.
     Trajectory(TrajectoryArgs),
+    /// A pose graph in a g2o file, optimised from its poses or from its measurements alone, whichever start is better.
+    Graph(eval_graph::GraphArgs),
     /// Objects found in simulated worlds: precision and recall.
     Objects(eval_sim::ObjectsArgs),
     /// Paths planned in simulated worlds, checked against the true occupancy.
@@ -44,6 +46,7 @@ pub(crate) struct TrajectoryArgs {
 pub(crate) fn run(command: EvalCommand) -> Result<(), Failure> {
     match command {
         EvalCommand::Trajectory(args) => run_trajectory(&args),
+        EvalCommand::Graph(args) => eval_graph::run(&args),
         EvalCommand::Objects(args) => eval_sim::objects(&args),
         EvalCommand::Planning(args) => eval_sim::planning(&args),
     }

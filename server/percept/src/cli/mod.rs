@@ -4,6 +4,7 @@ mod bench;
 mod client;
 mod demo;
 mod eval;
+mod eval_graph;
 mod eval_sim;
 mod health;
 mod input;

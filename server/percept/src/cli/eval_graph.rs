@@ -1,0 +1,111 @@
+//! `percept eval graph`: a pose graph optimised.
+
+use super::Failure;
+use nalgebra::SMatrix;
+use percept_formats::g2o::{G2oEdge, G2oFile, G2oGraph};
+use percept_formats::{Limits, parse_g2o, read_file, write_g2o};
+use percept_slam::pose_graph::{Edge, Manifold, OptimiseParams, OptimiseReport, PlanarPose, PoseGraph, solve};
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::Instant;
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct GraphArgs {
+    /// A g2o file: VERTEX_SE2 and EDGE_SE2, or VERTEX_SE3:QUAT and EDGE_SE3:QUAT.
+    file: PathBuf,
+    /// Where the optimised graph goes, as g2o.
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Steps at most.
+    #[arg(long, default_value_t = OptimiseParams::default().max_iterations)]
+    max_iterations: usize,
+    /// Print one JSON object instead of a line.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &GraphArgs) -> Result<(), Failure> {
+    let in_file = |e: &dyn std::fmt::Display| Failure::from(format!("{}: {e}", args.file.display()));
+    let bytes = read_file(&args.file, &Limits::default())?;
+    let mut file = parse_g2o(&bytes, &Limits::default()).map_err(|e| in_file(&e))?;
+    let params = OptimiseParams { max_iterations: args.max_iterations, ..OptimiseParams::default() };
+    let solved = match &mut file {
+        G2oFile::Planar(graph) => {
+            let to = |[x, y, yaw]: [f64; 3]| PlanarPose { x, y, yaw };
+            optimised(graph, to, |p: &PlanarPose| [p.x, p.y, p.yaw], &params)
+        }
+        G2oFile::Spatial(graph) => optimised(graph, |p| p, |p| *p, &params),
+    };
+    let (report, nodes, edges, ms) = solved.map_err(|e| in_file(&e))?;
+    if let Some(path) = &args.out {
+        let mut text = Vec::new();
+        write_g2o(&mut text, &file)?;
+        std::fs::write(path, text).map_err(|e| format!("{}: {e}", path.display()))?;
+    }
+    if args.json {
+        println!(
+            "{}",
+            json!({
+                "poses": nodes, "edges": edges, "chi2_start": finite(report.chi2_start), "chi2": finite(report.chi2),
+                "iterations": report.iterations, "converged": report.converged, "ms": ms,
+            })
+        );
+    } else {
+        let OptimiseReport { chi2_start, chi2, iterations, converged } = report;
+        let end = if converged { "converged" } else { "not converged" };
+        println!(
+            "{nodes} poses, {edges} edges: chi2 {chi2_start:.6} to {chi2:.6}, {iterations} steps, {ms:.1} ms, {end}"
+        );
+    }
+    Ok(())
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+/// Solves the file's graph in place: report, poses, edges and milliseconds (without reading and writing).
+fn optimised<R: Copy, P: Manifold<D>, const D: usize, const I: usize>(
+    file: &mut G2oGraph<R, I>,
+    from_row: impl Fn(R) -> P,
+    to_row: impl Fn(&P) -> R,
+    params: &OptimiseParams,
+) -> Result<(OptimiseReport, usize, usize, f64), Failure> {
+    let has_poses = !file.vertices.is_empty();
+    let mut index: BTreeMap<u64, u32> = BTreeMap::new();
+    if has_poses {
+        for (k, (id, _)) in file.vertices.iter().enumerate() {
+            if index.insert(*id, k as u32).is_some() {
+                return Err(format!("vertex {id} is there twice").into());
+            }
+        }
+    } else {
+        file.edges.iter().flat_map(|e| [e.from, e.to]).for_each(|id| {
+            index.insert(id, 0);
+        });
+        index.values_mut().enumerate().for_each(|(k, place)| *place = k as u32);
+        file.vertices = index.keys().map(|id| (*id, to_row(&P::identity()))).collect();
+    }
+    let place = |id: u64| index.get(&id).copied().ok_or_else(|| format!("vertex {id} has an edge, but no pose"));
+    let mut fixed = file.fixed.iter().map(|id| place(*id)).collect::<Result<Vec<u32>, _>>()?;
+    if fixed.is_empty() && !file.vertices.is_empty() {
+        fixed.push(0);
+    }
+    let edge = |e: &G2oEdge<R, I>| -> Result<Edge<P, D>, String> {
+        let mut information = SMatrix::<f64, D, D>::zeros();
+        let upper = (0..D).flat_map(|r| (r..D).map(move |c| (r, c)));
+        for ((r, c), v) in upper.zip(e.information) {
+            (information[(r, c)], information[(c, r)]) = (v, v);
+        }
+        Ok(Edge { from: place(e.from)?, to: place(e.to)?, t_from_to: from_row(e.t_from_to), information })
+    };
+    let edges = file.edges.iter().map(edge).collect::<Result<Vec<_>, _>>()?;
+    let poses = file.vertices.iter().map(|(_, row)| from_row(*row)).collect();
+    let mut graph = PoseGraph { poses, edges, fixed };
+    let start = Instant::now();
+    let report = solve(&mut graph, has_poses, params)?;
+    let ms = start.elapsed().as_secs_f64() * 1e3;
+    file.vertices.iter_mut().zip(&graph.poses).for_each(|(v, p)| v.1 = to_row(p));
+    Ok((report, graph.poses.len(), graph.edges.len(), ms))
+}

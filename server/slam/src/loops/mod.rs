@@ -1,0 +1,59 @@
+//! Places seen again: a keyframe in, loops to earlier keyframes out, each verified by geometry.
+//!
+//! [`PlaceRecognition`] is what a kind of sensor brings; the back end believes the loops that agree with each other
+//! and moves the keyframes.
+
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Keyframes with where base was, base to map as now believed.
+pub type KeyframePoses = BTreeMap<KeyframeId, Pose>;
+
+/// A keyframe measured from another one that saw the same place at another time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LoopClosure {
+    /// The keyframe that was there before.
+    pub from: KeyframeId,
+    /// The keyframe that came back.
+    pub to: KeyframeId,
+    /// Base at `to`, seen from base at `from`.
+    pub t_from_to: Pose,
+    /// Of that measurement, order x, y, z, rotation x, y, z, right perturbation in `to`.
+    pub covariance: Covariance6,
+    /// Share of the scan that fits the place, 0 to 1.
+    pub inlier_ratio: f64,
+}
+
+/// A scan placed among keyframes with no guess.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Relocalisation {
+    /// The keyframe that it was measured from.
+    pub keyframe: KeyframeId,
+    /// Base, seen from base at the keyframe.
+    pub t_keyframe_base: Pose,
+    /// Of that measurement, right perturbation in base.
+    pub covariance: Covariance6,
+    /// Share of the scan that fits the place, 0 to 1.
+    pub inlier_ratio: f64,
+}
+
+/// What a kind of sensor brings to find places again. Deterministic; `insert` takes bounded time and memory.
+pub trait PlaceRecognition: Send {
+    /// Takes a keyframe in, with the covariance of its pose since the start (right perturbation in base), and answers with
+    /// the loops that it closes.
+    fn insert(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        drift: &Covariance6,
+        poses: &KeyframePoses,
+    ) -> Vec<LoopClosure>;
+
+    /// Where a scan is among the keyframes taken in; none unless that is certain.
+    fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation>;
+
+    /// A keyframe has left the graph.
+    fn forget(&mut self, id: KeyframeId);
+}

@@ -1,0 +1,200 @@
+//! Pose graphs: poses, what was measured between them, and the poses that explain that best.
+//!
+//! Comes in: a [`PoseGraph`] of poses in the plane ([`PlanarPose`]) or in space. [`chordal`] finds poses from the
+//! measurements alone, [`optimise`] improves those that are there, [`solve`] does what a user wants: from whichever start
+//! is better. Errors and their weights are g2o's, so that chi2 can be compared.
+
+mod manifold;
+mod optimise;
+mod sparse;
+mod start;
+
+#[cfg(test)]
+mod tests;
+
+pub use manifold::{Linearised, Manifold, PlanarPose};
+pub use optimise::{OptimiseParams, OptimiseReport, optimise};
+pub use start::chordal;
+
+use nalgebra::SMatrix;
+
+/// A measured pose of one node seen from another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Edge<P, const D: usize> {
+    /// Index of the node that the measurement is seen from.
+    pub from: u32,
+    /// Index of the node that is measured.
+    pub to: u32,
+    /// The measurement.
+    pub t_from_to: P,
+    /// Inverse covariance of its error, symmetric: per square metre, then per square radian (in space: of half the
+    /// radians, the vector part of a quaternion).
+    pub information: SMatrix<f64, D, D>,
+}
+
+/// Poses and what was measured between them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseGraph<P, const D: usize> {
+    /// Poses of the nodes, metres.
+    pub poses: Vec<P>,
+    /// Measurements.
+    pub edges: Vec<Edge<P, D>>,
+    /// Nodes that stay where they are. With none, nothing says where the graph is: name at least one of each connected part.
+    pub fixed: Vec<u32>,
+}
+
+/// Why a graph cannot be solved.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PoseGraphError {
+    /// An edge or a fixed node names a node that is not there.
+    #[error("{field}: node {node} is not one of {num_nodes}")]
+    NoSuchNode {
+        /// What names it, e.g. `edges[3].to`.
+        field: String,
+        /// The node.
+        node: u32,
+        /// Nodes that are there.
+        num_nodes: usize,
+    },
+    /// An edge that cannot be used.
+    #[error("edges[{edge}].{field} is not {requirement}")]
+    BadEdge {
+        /// Its index.
+        edge: usize,
+        /// The field.
+        field: &'static str,
+        /// What it has to be.
+        requirement: &'static str,
+    },
+    /// No chain of edges leads from a fixed node to this one.
+    #[error("node {node} is not connected with a fixed node; fix one of its part, or leave it out")]
+    Unconnected {
+        /// The first of them.
+        node: u32,
+    },
+    /// The equations are not positive definite, or do not fit the memory.
+    #[error("the equations cannot be solved; does an edge's information leave something open?")]
+    NotSolvable,
+}
+
+impl From<sparse::NotSolvable> for PoseGraphError {
+    fn from(_: sparse::NotSolvable) -> Self {
+        Self::NotSolvable
+    }
+}
+
+impl<P: Manifold<D>, const D: usize> PoseGraph<P, D> {
+    /// Sum of squared errors weighted by their information, with these poses instead of the graph's.
+    pub fn chi2_of(&self, poses: &[P]) -> f64 {
+        let one = |e: &Edge<P, D>| {
+            let r = P::error(&e.t_from_to, &poses[e.from as usize], &poses[e.to as usize]);
+            r.dot(&(e.information * r))
+        };
+        self.edges.iter().map(one).sum()
+    }
+
+    /// Sum of squared errors weighted by their information.
+    pub fn chi2(&self) -> f64 {
+        self.chi2_of(&self.poses)
+    }
+
+    /// Checks that every name is that of a node, every number is finite, and every node hangs on a fixed one.
+    ///
+    /// # Errors
+    /// `NoSuchNode`, `BadEdge`, `Unconnected`.
+    pub fn validate(&self) -> Result<(), PoseGraphError> {
+        let num_nodes = self.poses.len();
+        let known = |field: &dyn Fn() -> String, node: u32| match (node as usize) < num_nodes {
+            true => Ok(()),
+            false => Err(PoseGraphError::NoSuchNode { field: field(), node, num_nodes }),
+        };
+        for (k, &node) in self.fixed.iter().enumerate() {
+            known(&|| format!("fixed[{k}]"), node)?;
+        }
+        // Union of connected nodes; the root of every part is fixed if one of the part is.
+        let mut parent: Vec<u32> = (0..num_nodes as u32).collect();
+        fn root(parent: &mut [u32], mut node: u32) -> u32 {
+            while parent[node as usize] != node {
+                parent[node as usize] = parent[parent[node as usize] as usize];
+                node = parent[node as usize];
+            }
+            node
+        }
+        for (edge, e) in self.edges.iter().enumerate() {
+            known(&|| format!("edges[{edge}].from"), e.from)?;
+            known(&|| format!("edges[{edge}].to"), e.to)?;
+            let bad = |field, requirement| Err(PoseGraphError::BadEdge { edge, field, requirement });
+            if e.from == e.to {
+                return bad("to", "another node than the edge's first");
+            }
+            if !e.t_from_to.position().iter().chain(e.t_from_to.rotation().iter()).all(|v| v.is_finite()) {
+                return bad("t_from_to", "finite");
+            }
+            let information = &e.information;
+            let scale = information.amax();
+            let asymmetry = (information - information.transpose()).amax();
+            if !scale.is_finite() || asymmetry > 1e-9 * scale || information.diagonal().iter().any(|v| *v < 0.0) {
+                return bad("information", "finite, symmetric and not negative on its diagonal");
+            }
+            let (a, b) = (root(&mut parent, e.from), root(&mut parent, e.to));
+            parent[a.max(b) as usize] = a.min(b);
+        }
+        let mut is_held = vec![false; num_nodes];
+        self.fixed.iter().for_each(|&node| is_held[root(&mut parent, node) as usize] = true);
+        let loose = (0..num_nodes as u32).find(|&node| !is_held[root(&mut parent, node) as usize]);
+        loose.map_or(Ok(()), |node| Err(PoseGraphError::Unconnected { node }))
+    }
+}
+
+/// Places of the nodes that may move among the unknowns.
+struct Unknowns {
+    place: Vec<Option<u32>>,
+    nodes: Vec<u32>,
+}
+
+impl Unknowns {
+    fn of<P, const D: usize>(graph: &PoseGraph<P, D>) -> Self {
+        let mut is_fixed = vec![false; graph.poses.len()];
+        graph.fixed.iter().for_each(|&node| is_fixed[node as usize] = true);
+        let nodes: Vec<u32> = (0..graph.poses.len() as u32).filter(|&n| !is_fixed[n as usize]).collect();
+        let mut place = vec![None; graph.poses.len()];
+        nodes.iter().enumerate().for_each(|(k, &n)| place[n as usize] = Some(k as u32));
+        Self { place, nodes }
+    }
+
+    /// Places of an edge's ends.
+    fn ends<P, const D: usize>(&self, e: &Edge<P, D>) -> (Option<u32>, Option<u32>) {
+        (self.place[e.from as usize], self.place[e.to as usize])
+    }
+
+    fn pattern<P, const D: usize>(&self, graph: &PoseGraph<P, D>) -> Result<sparse::Pattern, sparse::NotSolvable> {
+        let both = |e| match self.ends(e) {
+            (Some(a), Some(b)) => Some((a, b)),
+            _ => None,
+        };
+        sparse::Pattern::new(self.nodes.len(), &graph.edges.iter().filter_map(both).collect::<Vec<_>>())
+    }
+}
+
+/// Optimises from the graph's poses or from [`chordal`]'s, whichever explain the measurements better; `has_poses` is
+/// false if the graph's say nothing.
+///
+/// A start that is far off ends in a minimum that is not the least one: the measurements alone often know better.
+///
+/// # Errors
+/// As [`PoseGraph::validate`]; `NotSolvable`.
+pub fn solve<P: Manifold<D>, const D: usize>(
+    graph: &mut PoseGraph<P, D>,
+    has_poses: bool,
+    params: &OptimiseParams,
+) -> Result<OptimiseReport, PoseGraphError> {
+    graph.validate()?;
+    let given = if has_poses { graph.chi2() } else { f64::INFINITY };
+    let found = chordal(graph)?;
+    // A start that is nearly as good is the user's own.
+    if graph.chi2_of(&found) < given {
+        graph.poses = found;
+    }
+    let report = optimise(graph, params)?;
+    Ok(OptimiseReport { chi2_start: if has_poses { given } else { report.chi2_start }, ..report })
+}

@@ -1,0 +1,96 @@
+//! Poses to start from, found from the measurements alone.
+
+use super::sparse::{NotSolvable, Solver};
+use super::{Manifold, PoseGraph, PoseGraphError, Unknowns};
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+/// Rotations by relaxing them to any matrices, then positions by least squares; no guess is needed. Fixed nodes stay.
+///
+/// Source: Carlone et al., "Initialization techniques for 3D SLAM: a survey on rotation estimation and its use in pose
+/// graph optimization", 2015 (chordal relaxation, after Martinec and Pajdla 2007).
+///
+/// # Errors
+/// As [`PoseGraph::validate`]; `NotSolvable` if measurements without information are all that holds a node.
+pub fn chordal<P: Manifold<D>, const D: usize>(graph: &PoseGraph<P, D>) -> Result<Vec<P>, PoseGraphError> {
+    graph.validate()?;
+    let unknowns = Unknowns::of(graph);
+    let mut poses = graph.poses.clone();
+    if unknowns.nodes.is_empty() {
+        return Ok(poses);
+    }
+    let rotations = rotations(graph, &unknowns)?;
+    let positions = positions(graph, &unknowns, &rotations)?;
+    for &node in &unknowns.nodes {
+        poses[node as usize] = P::from_parts(&rotations[node as usize], &positions[node as usize]);
+    }
+    Ok(poses)
+}
+
+fn rotations<P: Manifold<D>, const D: usize>(
+    graph: &PoseGraph<P, D>,
+    unknowns: &Unknowns,
+) -> Result<Vec<Matrix3<f64>>, NotSolvable> {
+    let mut rotations: Vec<Matrix3<f64>> = graph.poses.iter().map(P::rotation).collect();
+    let mut solver = Solver::<3>::new(unknowns.pattern(graph)?, 3)?;
+    let mut blocks = vec![Matrix3::zeros(); solver.pattern().num_blocks()];
+    // The rotations' transposes: their columns do not depend on each other.
+    let mut x = vec![Matrix3::zeros(); unknowns.nodes.len()];
+    for e in &graph.edges {
+        let z = e.t_from_to.rotation();
+        let weight = P::turn_information(&e.information);
+        let ends = unknowns.ends(e);
+        for place in [ends.0, ends.1].into_iter().flatten() {
+            blocks[solver.pattern().diagonal(place)] += Matrix3::identity() * weight;
+        }
+        match ends {
+            (None, Some(to)) => x[to as usize] += z.transpose() * rotations[e.from as usize].transpose() * weight,
+            (Some(from), None) => x[from as usize] += z * rotations[e.to as usize].transpose() * weight,
+            (Some(from), Some(to)) => {
+                if let Some((block, from_is_row)) = solver.pattern().block(from, to) {
+                    blocks[block] -= if from_is_row { z } else { z.transpose() } * weight;
+                }
+            }
+            (None, None) => {}
+        }
+    }
+    solver.factorise(&blocks, 0.0)?;
+    solver.solve(&mut x);
+    unknowns.nodes.iter().zip(&x).for_each(|(&node, x)| rotations[node as usize] = nearest_rotation(&x.transpose()));
+    Ok(rotations)
+}
+
+fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
+    let svd = m.svd(true, true);
+    let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return Matrix3::identity() };
+    let sign = (u * vt).determinant().signum();
+    u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * vt
+}
+
+fn positions<P: Manifold<D>, const D: usize>(
+    graph: &PoseGraph<P, D>,
+    unknowns: &Unknowns,
+    rotations: &[Matrix3<f64>],
+) -> Result<Vec<Vector3<f64>>, NotSolvable> {
+    let mut positions: Vec<Vector3<f64>> = graph.poses.iter().map(P::position).collect();
+    let mut solver = Solver::<1>::new(unknowns.pattern(graph)?, 3)?;
+    let mut blocks = vec![SMatrix::<f64, 1, 1>::zeros(); solver.pattern().num_blocks()];
+    let mut x = vec![SMatrix::<f64, 1, 3>::zeros(); unknowns.nodes.len()];
+    for e in &graph.edges {
+        let apart = rotations[e.from as usize] * e.t_from_to.position();
+        let weight = P::shift_information(&e.information);
+        let (from, to) = unknowns.ends(e);
+        for (own, other, other_node, sign) in [(from, to, e.to, -1.0), (to, from, e.from, 1.0)] {
+            let Some(own) = own else { continue };
+            blocks[solver.pattern().diagonal(own)][0] += weight;
+            let known = if other.is_none() { positions[other_node as usize] } else { Vector3::zeros() };
+            x[own as usize] += ((apart * sign + known) * weight).transpose();
+        }
+        if let Some((block, _)) = from.zip(to).and_then(|(a, b)| solver.pattern().block(a, b)) {
+            blocks[block][0] -= weight;
+        }
+    }
+    solver.factorise(&blocks, 0.0)?;
+    solver.solve(&mut x);
+    unknowns.nodes.iter().zip(&x).for_each(|(&node, x)| positions[node as usize] = x.transpose());
+    Ok(positions)
+}

@@ -1,0 +1,108 @@
+//! Made graphs whose truth is known, and what is refused.
+
+use super::*;
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
+use percept_geometry::Pose;
+
+/// A drive of `n` poses along a circle, twice around, with a measurement from each to the next and to the one a round
+/// later; `noise` is a number for edge and axis.
+fn circle(n: u32, noise: impl Fn(u32, usize) -> f64) -> (PoseGraph<PlanarPose, 3>, Vec<PlanarPose>) {
+    let angle = |k: u32| 2.0 * std::f64::consts::TAU * f64::from(k) / f64::from(n);
+    let truth: Vec<PlanarPose> = (0..n)
+        .map(|k| PlanarPose { x: 5.0 * angle(k).sin(), y: 5.0 - 5.0 * angle(k).cos(), yaw: angle(k) })
+        .map(|p| p.compose(&PlanarPose::identity()))
+        .collect();
+    let pairs = (0..n - 1).map(|k| (k, k + 1)).chain((0..n - n / 2).map(|k| (k, k + n / 2)).filter(|p| p.1 < n));
+    let edges = pairs.enumerate().map(|(i, (from, to))| {
+        let exact = truth[from as usize].inverse().compose(&truth[to as usize]);
+        let off = nalgebra::Vector3::new(noise(i as u32, 0), noise(i as u32, 1), noise(i as u32, 2));
+        let information = Matrix3::from_diagonal(&Vector3::new(400.0, 400.0, 900.0));
+        Edge { from, to, t_from_to: exact.step(&off), information }
+    });
+    let graph = PoseGraph { poses: vec![truth[0]; n as usize], edges: edges.collect(), fixed: vec![0] };
+    (graph, truth)
+}
+
+fn apart(a: &PlanarPose, b: &PlanarPose) -> f64 {
+    PlanarPose::error(&PlanarPose::identity(), a, b).norm()
+}
+
+#[test]
+fn exact_measurements_give_the_true_poses_from_no_guess() {
+    let (mut graph, truth) = circle(40, |_, _| 0.0);
+    let report = solve(&mut graph, false, &OptimiseParams::default()).unwrap();
+    assert!(report.converged && report.chi2 < 1e-15, "{report:?}");
+    assert!(graph.poses.iter().zip(&truth).all(|(a, b)| apart(a, b) < 1e-9));
+}
+
+#[test]
+fn noise_is_shared_out_between_the_edges() {
+    let noise = |edge: u32, axis: usize| 0.05 * f64::from((edge * 7 + axis as u32 * 3) % 11) / 5.0 - 0.05;
+    let (mut graph, truth) = circle(60, noise);
+    let at_truth = graph.chi2_of(&truth);
+    let report = solve(&mut graph, false, &OptimiseParams::default()).unwrap();
+    assert!(report.converged && report.chi2 < at_truth, "{report:?} {at_truth}");
+    // No small step of any pose leads lower.
+    for node in 1..60 {
+        for d in [Vector3::x(), Vector3::y(), Vector3::z()].iter().flat_map(|d| [d * 1e-3, d * -1e-3]) {
+            let mut poses = graph.poses.clone();
+            poses[node] = poses[node].step(&d);
+            assert!(graph.chi2_of(&poses) > report.chi2);
+        }
+    }
+}
+
+#[test]
+fn fixed_nodes_stay_where_they_are_and_hold_their_parts() {
+    let at = |x: f64| Pose::translation(x, 0.0, 0.0);
+    let edge = |from, to| Edge { from, to, t_from_to: at(1.0), information: Matrix6::identity() };
+    let poses = vec![at(0.0), at(9.0), at(9.0), at(20.0), at(0.0)];
+    let mut graph = PoseGraph { poses, edges: vec![edge(0, 1), edge(1, 2), edge(3, 4)], fixed: vec![0, 3] };
+    solve(&mut graph, true, &OptimiseParams::default()).unwrap();
+    let x: Vec<f64> = graph.poses.iter().map(|p| (p.translation.x * 1e6).round() / 1e6).collect();
+    assert_eq!(x, [0.0, 1.0, 2.0, 20.0, 21.0]);
+}
+
+#[test]
+fn a_turned_start_in_space_is_found_back_by_the_measurements() {
+    let pose = |k: u32| {
+        let k = f64::from(k);
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.4 * k, (0.7 * k).sin(), 0.3));
+        Pose::from_parts(Vector3::new(k, (1.3 * k).cos(), 0.2 * k).into(), turn)
+    };
+    let truth: Vec<Pose> = (0..30).map(pose).collect();
+    let pairs = (0..29).map(|k| (k, k + 1)).chain((0..20).map(|k| (k, k + 9)));
+    let information = Matrix6::from_diagonal(&Vector6::new(100.0, 100.0, 100.0, 400.0, 400.0, 400.0));
+    let edges = pairs.map(|(from, to)| {
+        let t_from_to = truth[from as usize].inv_mul(&truth[to as usize]);
+        Edge { from, to, t_from_to, information }
+    });
+    let mut graph = PoseGraph { poses: truth.clone(), edges: edges.collect(), fixed: vec![0] };
+    graph.poses[1..].iter_mut().for_each(|p| *p = Pose::translation(3.0, 3.0, 3.0));
+    let report = solve(&mut graph, true, &OptimiseParams::default()).unwrap();
+    assert!(report.chi2 < 1e-12 && report.chi2_start > 1.0, "{report:?}");
+    let off = graph.poses.iter().zip(&truth).map(|(a, b)| a.inv_mul(b).translation.vector.norm());
+    assert!(off.fold(0.0, f64::max) < 1e-6);
+}
+
+#[test]
+fn what_cannot_be_solved_is_named() {
+    let (graph, _) = circle(10, |_, _| 0.0);
+    let error = |change: &dyn Fn(&mut PoseGraph<PlanarPose, 3>)| {
+        let mut graph = graph.clone();
+        change(&mut graph);
+        solve(&mut graph, true, &OptimiseParams::default()).unwrap_err()
+    };
+    assert!(matches!(error(&|g| g.edges[3].to = 99), PoseGraphError::NoSuchNode { node: 99, num_nodes: 10, .. }));
+    assert!(matches!(error(&|g| g.fixed.clear()), PoseGraphError::Unconnected { node: 0 }));
+    assert!(matches!(error(&|g| g.poses.push(g.poses[0])), PoseGraphError::Unconnected { node: 10 }));
+    assert!(matches!(error(&|g| g.edges[2].to = g.edges[2].from), PoseGraphError::BadEdge { edge: 2, .. }));
+    let nan = |g: &mut PoseGraph<PlanarPose, 3>| g.edges[1].t_from_to.x = f64::NAN;
+    assert!(matches!(error(&nan), PoseGraphError::BadEdge { edge: 1, field: "t_from_to", .. }));
+    let lopsided = |g: &mut PoseGraph<PlanarPose, 3>| g.edges[1].information[(0, 1)] = 3.0;
+    assert!(matches!(error(&lopsided), PoseGraphError::BadEdge { field: "information", .. }));
+    let nothing = |g: &mut PoseGraph<PlanarPose, 3>| g.edges.iter_mut().for_each(|e| e.information *= 0.0);
+    assert_eq!(error(&nothing), PoseGraphError::NotSolvable);
+    let mut empty = PoseGraph::<PlanarPose, 3> { poses: vec![], edges: vec![], fixed: vec![] };
+    assert!(solve(&mut empty, true, &OptimiseParams::default()).unwrap().converged);
+}
