@@ -2,10 +2,11 @@
 //!
 //! Comes in: a [`Scan`] with its stamp, and what wheels say if there are any. Goes out: the pose of base
 //! in the drifting frame `odom` with its covariance, and the [`TrackingState`]. Lost is a state, not a
-//! wrong pose. No loop closure, no map layers, no I/O, no clock live here.
+//! wrong pose. Then keyframes in, loops and corrected poses out ([`BackEnd`]). No map layers, no I/O, no clock live here.
 //!
 //! Start with [`odometry::Odometry::register`]; each sensor's method is a folder of [`odometry`].
 
+pub mod back_end;
 pub mod keyframe;
 pub mod loops;
 pub mod odometry;
@@ -13,6 +14,7 @@ pub mod pose_graph;
 pub mod scan;
 pub mod tracking;
 
+pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
 pub use odometry::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams};
 pub use scan::{CloudScan, DepthScan, PlanarScan, Scan};

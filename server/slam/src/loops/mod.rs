@@ -1,8 +1,9 @@
 //! Places seen again: a keyframe in, loops to earlier keyframes out, each verified by geometry.
 //!
-//! [`PlaceRecognition`] is what a kind of sensor brings; the back end believes the loops that agree with each other
+//! [`PlaceRecognition`] is what a kind of sensor brings; [`crate::BackEnd`] believes the loops that agree with each other
 //! and moves the keyframes.
 
+use crate::odometry::OdometryKind;
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -56,4 +57,11 @@ pub trait PlaceRecognition: Send {
 
     /// A keyframe has left the graph.
     fn forget(&mut self, id: KeyframeId);
+}
+
+/// Place recognition for the frames that an odometry registers; none where there is none yet.
+pub fn place_recognition(kind: OdometryKind) -> Option<Box<dyn PlaceRecognition>> {
+    match kind {
+        OdometryKind::Rgbd | OdometryKind::Lidar3d | OdometryKind::Lidar2d => None,
+    }
 }

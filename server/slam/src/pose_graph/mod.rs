@@ -4,6 +4,7 @@
 //! measurements alone, [`optimise`] improves those that are there, [`solve`] does what a user wants: from whichever start
 //! is better. Errors and their weights are g2o's, so that chi2 can be compared.
 
+mod covariance;
 mod manifold;
 mod optimise;
 mod sparse;
@@ -12,6 +13,7 @@ mod start;
 #[cfg(test)]
 mod tests;
 
+pub use covariance::covariance_of;
 pub use manifold::{Linearised, Manifold, PlanarPose};
 pub use optimise::{OptimiseParams, OptimiseReport, optimise};
 pub use start::chordal;

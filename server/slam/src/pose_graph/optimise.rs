@@ -103,8 +103,8 @@ pub fn optimise<P: Manifold<D>, const D: usize>(
 }
 
 /// The linearised problem.
-struct Normal<const D: usize> {
-    blocks: Vec<SMatrix<f64, D, D>>,
+pub(super) struct Normal<const D: usize> {
+    pub(super) blocks: Vec<SMatrix<f64, D, D>>,
     gradient: Vec<SVector<f64, D>>,
     targets: Vec<Target>,
 }
@@ -117,7 +117,7 @@ struct Target {
 }
 
 impl<const D: usize> Normal<D> {
-    fn new<P>(graph: &PoseGraph<P, D>, unknowns: &Unknowns, pattern: &Pattern) -> Self {
+    pub(super) fn new<P>(graph: &PoseGraph<P, D>, unknowns: &Unknowns, pattern: &Pattern) -> Self {
         let target = |e| {
             let (from, to) = unknowns.ends(e);
             let own = |place: u32| (place as usize, pattern.diagonal(place));
@@ -131,7 +131,7 @@ impl<const D: usize> Normal<D> {
         }
     }
 
-    fn fill<P: Manifold<D>>(&mut self, graph: &PoseGraph<P, D>) {
+    pub(super) fn fill<P: Manifold<D>>(&mut self, graph: &PoseGraph<P, D>) {
         self.blocks.iter_mut().for_each(|b| *b = SMatrix::zeros());
         self.gradient.iter_mut().for_each(|g| *g = SVector::zeros());
         for (edge, target) in graph.edges.iter().zip(&self.targets) {

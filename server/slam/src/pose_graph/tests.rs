@@ -106,3 +106,26 @@ fn what_cannot_be_solved_is_named() {
     let mut empty = PoseGraph::<PlanarPose, 3> { poses: vec![], edges: vec![], fixed: vec![] };
     assert!(solve(&mut empty, true, &OptimiseParams::default()).unwrap().converged);
 }
+
+#[test]
+fn a_pose_is_as_sure_as_what_leads_to_it() {
+    // A straight chain: variances along it add up; those across it also have the levers of the turns before.
+    let (step, sigma_t, sigma_r) = (1.0, 0.1, 0.02);
+    let information =
+        Matrix3::from_diagonal(&Vector3::new(1.0 / sigma_t, 1.0 / sigma_t, 1.0 / sigma_r).map(|v: f64| v * v));
+    let t_from_to = PlanarPose { x: step, y: 0.0, yaw: 0.0 };
+    let poses: Vec<_> = (0..6).map(|k| PlanarPose { x: f64::from(k) * step, y: 0.0, yaw: 0.0 }).collect();
+    let edges = (0..5).map(|k| Edge { from: k, to: k + 1, t_from_to, information }).collect();
+    let mut graph = PoseGraph { poses, edges, fixed: vec![0] };
+    let covariance = covariance_of(&graph, 5).unwrap();
+    let levers: f64 = (1..=4).map(|k| f64::from(k * k)).sum();
+    assert!((covariance[(0, 0)] - 5.0 * 0.01).abs() < 1e-12);
+    assert!((covariance[(1, 1)] - 5.0 * 0.01 - levers * 4e-4).abs() < 1e-12);
+    assert!((covariance[(2, 2)] - 5.0 * 4e-4).abs() < 1e-12);
+    assert_eq!(covariance_of(&graph, 0).unwrap(), Matrix3::zeros());
+    assert!(matches!(covariance_of(&graph, 6), Err(PoseGraphError::NoSuchNode { node: 6, .. })));
+    // A second way to the end halves what is not known along it.
+    let mut second: Vec<_> = graph.edges.clone();
+    graph.edges.append(&mut second);
+    assert!((covariance_of(&graph, 5).unwrap()[(0, 0)] - 0.025).abs() < 1e-12);
+}

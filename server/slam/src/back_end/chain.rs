@@ -1,0 +1,109 @@
+//! Keyframes in the order of their making, and how sure the way from each to the next is.
+
+use percept_geometry::{Covariance6, KeyframeId, Pose, se3};
+use std::collections::BTreeMap;
+
+/// A keyframe of the graph.
+#[derive(Debug, Clone)]
+pub(super) struct Node {
+    pub(super) id: KeyframeId,
+    /// Base here, seen from base at the node before; the map pose for the first.
+    pub(super) t_prev_node: Pose,
+    /// Of that, right perturbation in base here.
+    pub(super) step: Covariance6,
+    /// Sums from the first node up to here: variance of position (m^2) and of turning (rad^2), mean over axes.
+    sums: (f64, f64),
+}
+
+/// The nodes; their indices are those of the pose graph.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Chain {
+    nodes: Vec<Node>,
+    index: BTreeMap<KeyframeId, u32>,
+}
+
+/// Least error of a step, whatever the registration says of itself: metres and radians, then shares of the way and of the
+/// turn. Registrations are surer of themselves than they are right: neighbouring scans share their errors.
+const FLOOR: (f64, f64) = (0.005, 0.002);
+const SHARES: (f64, f64) = (0.01, 0.01);
+
+/// What a step's covariance is at least.
+fn floor_of(t_prev_node: &Pose) -> (f64, f64) {
+    let (way, turn) = (t_prev_node.translation.vector.norm(), t_prev_node.rotation.angle());
+    let sigma_t = FLOOR.0 + SHARES.0 * way;
+    let sigma_r = FLOOR.1 + SHARES.1 * turn;
+    (sigma_t * sigma_t, sigma_r * sigma_r)
+}
+
+impl Chain {
+    pub(super) fn len(&self) -> usize {
+        self.nodes.len()
+    }
+
+    pub(super) fn nodes(&self) -> &[Node] {
+        &self.nodes
+    }
+
+    pub(super) fn index(&self, id: KeyframeId) -> Option<u32> {
+        self.index.get(&id).copied()
+    }
+
+    /// Adds a node; `measured` is what the odometry says of its step, zero if that is not known.
+    pub(super) fn push(&mut self, id: KeyframeId, t_prev_node: Pose, measured: &Covariance6) {
+        let (var_t, var_r) = floor_of(&t_prev_node);
+        let floor = Covariance6::from_diagonal(&[var_t, var_t, var_t, var_r, var_r, var_r].into());
+        let step = measured + floor;
+        let mean = |k: usize| (k..k + 3).map(|i| step[(i, i)]).sum::<f64>() / 3.0;
+        let before = self.nodes.last().map_or((0.0, 0.0), |n| n.sums);
+        let sums = (before.0 + mean(0), before.1 + mean(3));
+        self.index.insert(id, self.nodes.len() as u32);
+        self.nodes.push(Node { id, t_prev_node, step, sums });
+    }
+
+    /// Variances of position and turning that the way from one node to another adds, the lever of the turning over
+    /// `distance` metres included.
+    pub(super) fn drift(&self, a: u32, b: u32, distance: f64) -> (f64, f64) {
+        let at = |i: u32| self.nodes[i as usize].sums;
+        let (low, high) = (at(a.min(b)), at(a.max(b)));
+        let turn = high.1 - low.1;
+        (high.0 - low.0 + turn * distance * distance, turn)
+    }
+}
+
+/// What the odometry added between two estimates since the start: not less than nothing in any direction.
+pub(super) fn step_covariance(before: &Covariance6, t_before_now: &Pose, now: &Covariance6) -> Covariance6 {
+    let carried = se3::compose_covariance(before, t_before_now, &Covariance6::zeros());
+    let difference = now - carried;
+    let mut eigen = ((difference + difference.transpose()) * 0.5).symmetric_eigen();
+    eigen.eigenvalues.apply(|v| *v = v.max(0.0));
+    let back = eigen.recompose();
+    if back.iter().all(|v| v.is_finite()) { back } else { *now }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn drift_is_that_of_the_way_between() {
+        let mut chain = Chain::default();
+        for k in 0..10 {
+            chain.push(KeyframeId(k), se3::from_xy_yaw(0.5, 0.0, 0.0), &Covariance6::zeros());
+        }
+        let (t, r) = chain.drift(2, 7, 0.0);
+        let (back_t, back_r) = chain.drift(7, 2, 0.0);
+        assert!((t - 5.0 * 0.01 * 0.01).abs() < 1e-12 && (r - 5.0 * 0.002 * 0.002).abs() < 1e-12);
+        assert!((t, r) == (back_t, back_r));
+        assert!((chain.drift(2, 7, 10.0).0 - t - 100.0 * r).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_step_adds_what_the_estimates_differ_by() {
+        let one = Covariance6::identity() * 1e-4;
+        let t = se3::from_xy_yaw(1.0, 2.0, 0.3);
+        let now = se3::compose_covariance(&one, &t, &one);
+        assert!((step_covariance(&one, &t, &now) - one).norm() < 1e-12);
+        // Placed again after a loss: what was added is taken back, not more.
+        assert!(step_covariance(&now, &Pose::identity(), &one).symmetric_eigenvalues().min() > -1e-15);
+    }
+}

@@ -1,0 +1,421 @@
+//! The back end: keyframes and loops in, corrected keyframe poses out.
+//!
+//! Every keyframe is tied to the one before it by odometry, and to older ones by the loops that [`PlaceRecognition`] finds.
+//! Loops that move the map are believed only as groups that agree ([`consensus`]), and only if what was believed before
+//! still holds with them; the rest are weighed down by how badly they fit. Start with [`BackEnd::insert`].
+
+mod chain;
+mod consensus;
+mod solve;
+
+#[cfg(test)]
+mod tests;
+
+use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::{ParamError, check_range};
+use chain::{Chain, step_covariance};
+use consensus::{AGREE, Tie, agreeing, chi2, within_drift};
+use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, se3};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of the back end.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BackEndParams {
+    /// Whether loops are looked for.
+    pub enabled: bool,
+    /// A loop that moves the map is believed once so many keyframes say the same, 1 to 20.
+    pub min_agreeing: usize,
+}
+
+impl Default for BackEndParams {
+    fn default() -> Self {
+        Self { enabled: true, min_agreeing: 2 }
+    }
+}
+
+impl BackEndParams {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// [`ParamError`] with field, value and remedy.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        let least = self.min_agreeing as f64;
+        check_range("back_end.min_agreeing", least, (1.0, 20.0), "within 1 to 20", "use 2")
+    }
+}
+
+/// Number of a loop in its session, counted from 0 in the order of finding.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct LoopId(pub u64);
+
+/// What became of a loop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LoopState {
+    /// Waits for others that say the same.
+    Pending,
+    /// Holds the map together.
+    Active,
+    /// Nothing confirmed it in time, or it contradicts what is believed.
+    Rejected,
+    /// Taken out by the user.
+    Vetoed,
+}
+
+/// A loop that was found, and what became of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Loop {
+    /// Its number.
+    pub id: LoopId,
+    /// What was measured.
+    pub closure: LoopClosure,
+    /// What became of it.
+    pub state: LoopState,
+}
+
+/// A keyframe for the graph.
+#[derive(Debug, Clone)]
+pub struct BackEndKeyframe<'a> {
+    /// Its number; ascending.
+    pub id: KeyframeId,
+    /// Base in the drifting frame of odometry.
+    pub t_odom_base: Pose,
+    /// Of that since the start, right perturbation in base.
+    pub covariance: Covariance6,
+    /// What it saw.
+    pub scan: &'a Arc<KeyframeScan>,
+}
+
+/// What a keyframe, or a veto, changed.
+#[derive(Debug, Clone, Default)]
+pub struct BackEndUpdate {
+    /// Loops that were found or changed their state.
+    pub loops: Vec<Loop>,
+    /// Keyframes that move now, if any.
+    pub correction: Option<Correction>,
+}
+
+/// Keyframes after which a loop that nothing confirmed is given up.
+const PATIENCE: u32 = 60;
+/// Standard deviations of drift that a loop may ask for; more takes twice as many that agree.
+const LIKELY_DRIFT: f64 = 4.0;
+/// Squared standard deviations of misfit from which a loop that was believed is so no longer: its weight is next to nothing.
+const CONTRADICTS: f64 = 10.0 * AGREE;
+/// Keyframes between optimisations that change next to nothing.
+const LAZY: usize = 10;
+/// Displacement below which keyframes are left where they are: metres and radians.
+const UNMOVED: (f64, f64) = (0.003, 0.001);
+/// Displacement from which a correction does not wait for the next turn.
+const URGENT: (f64, f64) = (0.25, 0.05);
+
+/// Keyframes, what ties them, and where they are believed to be.
+pub struct BackEnd {
+    params: BackEndParams,
+    recognition: Box<dyn PlaceRecognition>,
+    chain: Chain,
+    /// By index in the chain.
+    poses: Vec<Pose>,
+    /// The same, by number, as place recognition reads them.
+    by_id: KeyframePoses,
+    /// Poses that were given out, by index.
+    given: Vec<Pose>,
+    loops: Vec<Loop>,
+    last: Option<(Pose, Covariance6)>,
+    /// Of the newest keyframe's pose in the map.
+    drift: Covariance6,
+    since_optimised: usize,
+    since_given: usize,
+}
+
+impl std::fmt::Debug for BackEnd {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("BackEnd")
+            .field("keyframes", &self.chain.len())
+            .field("loops", &self.loops.len())
+            .finish_non_exhaustive()
+    }
+}
+
+impl BackEnd {
+    /// A back end without keyframes. Validate `params` first.
+    pub fn new(params: BackEndParams, recognition: Box<dyn PlaceRecognition>) -> Self {
+        Self {
+            params,
+            recognition,
+            chain: Chain::default(),
+            poses: vec![],
+            by_id: KeyframePoses::new(),
+            given: vec![],
+            loops: vec![],
+            last: None,
+            drift: Covariance6::zeros(),
+            since_optimised: 0,
+            since_given: 0,
+        }
+    }
+
+    /// Takes a keyframe in. `t_map_base` is where the map has put it: the first one stays there.
+    pub fn insert(&mut self, keyframe: &BackEndKeyframe<'_>, t_map_base: &Pose) -> BackEndUpdate {
+        self.extend(keyframe, t_map_base);
+        let found = self.recognition.insert(keyframe.id, keyframe.scan, &self.drift, &self.by_id);
+        let mut changed = self.add_loops(found);
+        let urgent = self.judge(&mut changed);
+        self.since_optimised += 1;
+        self.since_given += 1;
+        let is_tied = self.loops.iter().any(|l| l.state == LoopState::Active);
+        if urgent || (is_tied && self.since_optimised >= LAZY) {
+            self.optimise();
+        }
+        changed.sort_unstable();
+        changed.dedup();
+        let loops = changed.iter().map(|&k| self.loops[k].clone()).collect();
+        BackEndUpdate { loops, correction: self.due() }
+    }
+
+    /// Takes loops of a caller's own in, as if place recognition had found them at the newest keyframe. Loops that name
+    /// keyframes which are not there are ignored.
+    pub fn propose(&mut self, closures: Vec<LoopClosure>) -> BackEndUpdate {
+        let mut changed = self.add_loops(closures);
+        if self.judge(&mut changed) {
+            self.optimise();
+        }
+        changed.sort_unstable();
+        changed.dedup();
+        BackEndUpdate { loops: changed.iter().map(|&k| self.loops[k].clone()).collect(), correction: self.due() }
+    }
+
+    /// Takes a loop out of the map, or back in; none if there is no such loop.
+    pub fn veto(&mut self, id: LoopId, vetoed: bool) -> Option<BackEndUpdate> {
+        let position = self.loops.binary_search_by_key(&id, |l| l.id).ok()?;
+        let was = self.loops[position].state;
+        self.loops[position].state = match (vetoed, was) {
+            (true, _) => LoopState::Vetoed,
+            (false, LoopState::Vetoed) => LoopState::Active,
+            (false, other) => other,
+        };
+        if self.loops[position].state != was {
+            self.restart();
+            self.optimise();
+        }
+        Some(BackEndUpdate { loops: vec![self.loops[position].clone()], correction: self.settle() })
+    }
+
+    /// All loops, in the order of finding.
+    pub fn loops(&self) -> &[Loop] {
+        &self.loops
+    }
+
+    /// Where keyframes are believed to be, base to map.
+    pub fn poses(&self) -> &KeyframePoses {
+        &self.by_id
+    }
+
+    /// Of the newest keyframe's pose in the map, right perturbation in base: what loops left of the drift.
+    pub fn drift(&self) -> &Covariance6 {
+        &self.drift
+    }
+
+    /// Where a scan is with no guess; none unless that is certain.
+    pub fn relocalise(&self, scan: &KeyframeScan) -> Option<Relocalisation> {
+        self.recognition.relocalise(scan, &self.by_id)
+    }
+
+    /// Optimises once more and moves every keyframe to where it is believed to be, however little that is.
+    pub fn settle(&mut self) -> Option<Correction> {
+        if self.since_optimised > 0 && self.loops.iter().any(|l| l.state == LoopState::Active) {
+            self.optimise();
+        }
+        self.give()
+    }
+
+    /// Goes on with stored keyframes and loops: poses are those of the map.
+    pub fn resume<'a>(&mut self, keyframes: impl Iterator<Item = (BackEndKeyframe<'a>, Pose)>, loops: Vec<Loop>) {
+        for (keyframe, t_map_base) in keyframes {
+            self.extend(&keyframe, &t_map_base);
+            if let Some(pose) = self.poses.last_mut() {
+                *pose = t_map_base;
+            }
+            if let Some(pose) = self.given.last_mut() {
+                *pose = t_map_base;
+            }
+            self.by_id.insert(keyframe.id, t_map_base);
+            let _known = self.recognition.insert(keyframe.id, keyframe.scan, &self.drift, &self.by_id);
+        }
+        self.loops = loops;
+    }
+
+    fn extend(&mut self, keyframe: &BackEndKeyframe<'_>, t_map_base: &Pose) {
+        let (t_odom_base, covariance) = (keyframe.t_odom_base, keyframe.covariance);
+        let (t_prev_node, step) = match &self.last {
+            None => (*t_map_base, Covariance6::zeros()),
+            Some((t_odom_last, before)) => {
+                let t_last_now = t_odom_last.inv_mul(&t_odom_base);
+                (t_last_now, step_covariance(before, &t_last_now, &covariance))
+            }
+        };
+        self.last = Some((t_odom_base, covariance));
+        self.chain.push(keyframe.id, t_prev_node, &step);
+        let pose = self.poses.last().map_or(*t_map_base, |last| last * t_prev_node);
+        let step = self.chain.nodes().last().map_or(step, |n| n.step);
+        if !self.poses.is_empty() {
+            self.drift = se3::compose_covariance(&self.drift, &t_prev_node, &step);
+        }
+        self.poses.push(pose);
+        self.by_id.insert(keyframe.id, pose);
+        // The map has put it where it believes that the odometry's origin is.
+        self.given.push(*t_map_base);
+    }
+
+    /// Places of the new loops; those between keyframes that are not there are left out.
+    fn add_loops(&mut self, closures: Vec<LoopClosure>) -> Vec<usize> {
+        let first = self.loops.len();
+        let next = self.loops.last().map_or(0, |l| l.id.0 + 1);
+        let known = closures.into_iter().filter(|c| {
+            let ends = (self.chain.index(c.from), self.chain.index(c.to));
+            matches!(ends, (Some(a), Some(b)) if a != b) && c.covariance.cholesky().is_some()
+        });
+        let new = known.enumerate().map(|(k, closure)| Loop {
+            id: LoopId(next + k as u64),
+            closure,
+            state: LoopState::Pending,
+        });
+        self.loops.extend(new.collect::<Vec<_>>());
+        (first..self.loops.len()).collect()
+    }
+
+    /// Decides about pending loops; whether the graph should be optimised now.
+    fn judge(&mut self, changed: &mut Vec<usize>) -> bool {
+        let now = self.chain.len() as u32;
+        let mut far = vec![];
+        let mut urgent = false;
+        for k in 0..self.loops.len() {
+            if self.loops[k].state != LoopState::Pending {
+                continue;
+            }
+            let Some(tie) = self.tie(k) else { continue };
+            let (from, to) = (tie.from, tie.to);
+            let off = chi2(tie.closure, &self.poses[from as usize], &self.poses[to as usize]);
+            if off < AGREE {
+                self.loops[k].state = LoopState::Active;
+                urgent |= off > 6.0;
+                changed.push(k);
+            } else if to + PATIENCE < now {
+                self.loops[k].state = LoopState::Rejected;
+                changed.push(k);
+            } else {
+                far.push(k);
+            }
+        }
+        if far.is_empty() {
+            return urgent;
+        }
+        self.try_group(&far, changed) || urgent
+    }
+
+    /// Believes the largest group of far loops that agree, if they are enough and the map still holds with them.
+    fn try_group(&mut self, far: &[usize], changed: &mut Vec<usize>) -> bool {
+        let ties: Vec<Tie<'_>> = far.iter().filter_map(|&k| self.tie(k)).collect();
+        let group = agreeing(&ties, &self.chain, &self.poses);
+        let likely = group.iter().all(|&g| within_drift(&ties[g], &self.chain, &self.poses, LIKELY_DRIFT));
+        let enough = self.params.min_agreeing * if likely { 1 } else { 2 };
+        if group.len() < enough {
+            return false;
+        }
+        let group: Vec<usize> = group.iter().map(|&g| far[g]).collect();
+        let before = (self.poses.clone(), self.misfits());
+        group.iter().for_each(|&k| self.loops[k].state = LoopState::Active);
+        self.optimise();
+        let holds = group.iter().all(|&k| self.misfit(k) < AGREE) && self.misfits() <= before.1 + group.len() / 4;
+        if !holds {
+            self.place(before.0);
+        }
+        for &k in &group {
+            self.loops[k].state = if holds { LoopState::Active } else { LoopState::Rejected };
+        }
+        changed.extend(group);
+        holds
+    }
+
+    fn tie(&self, k: usize) -> Option<Tie<'_>> {
+        let closure = &self.loops[k].closure;
+        Some(Tie { from: self.chain.index(closure.from)?, to: self.chain.index(closure.to)?, closure })
+    }
+
+    /// How badly a loop fits the poses, squared standard deviations.
+    fn misfit(&self, k: usize) -> f64 {
+        self.tie(k).map_or(0.0, |t| chi2(t.closure, &self.poses[t.from as usize], &self.poses[t.to as usize]))
+    }
+
+    /// Loops that are believed and do not fit.
+    fn misfits(&self) -> usize {
+        let active = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Active);
+        active.filter(|&k| self.misfit(k) > 2.0 * AGREE).count()
+    }
+
+    /// Poses by odometry alone.
+    fn restart(&mut self) {
+        let mut poses: Vec<Pose> = Vec::with_capacity(self.chain.len());
+        for node in self.chain.nodes() {
+            let pose = match poses.last() {
+                None => self.poses[0],
+                Some(last) => last * node.t_prev_node,
+            };
+            poses.push(pose);
+        }
+        self.place(poses);
+    }
+
+    fn place(&mut self, poses: Vec<Pose>) {
+        for (node, pose) in self.chain.nodes().iter().zip(&poses) {
+            self.by_id.insert(node.id, *pose);
+        }
+        self.poses = poses;
+    }
+
+    fn optimise(&mut self) {
+        self.since_optimised = 0;
+        let ties: Vec<Tie<'_>> = (0..self.loops.len())
+            .filter(|&k| self.loops[k].state == LoopState::Active)
+            .filter_map(|k| self.tie(k))
+            .collect();
+        // A graph that cannot be solved leaves the poses as they are.
+        if let Some(solved) = solve::solve(&self.chain, &ties, &self.poses) {
+            self.drift = solved.covariance_of_newest;
+            self.place(solved.poses);
+        }
+        self.doubt();
+    }
+
+    /// Loops that the map has come to contradict are believed no longer.
+    fn doubt(&mut self) {
+        for k in 0..self.loops.len() {
+            if self.loops[k].state == LoopState::Active && self.misfit(k) > CONTRADICTS {
+                self.loops[k].state = LoopState::Rejected;
+            }
+        }
+    }
+
+    /// The correction, if it is time for one: the layers are rebuilt with each, so small ones wait for as many keyframes
+    /// as keep that cheap.
+    fn due(&mut self) -> Option<Correction> {
+        let far = |limit: (f64, f64)| {
+            self.poses.iter().zip(&self.given).any(|(a, b)| {
+                let off = b.inv_mul(a);
+                off.translation.vector.norm() > limit.0 || off.rotation.angle() > limit.1
+            })
+        };
+        let turn = self.since_given > self.chain.len() / 20 && far(UNMOVED);
+        if turn || far(URGENT) { self.give() } else { None }
+    }
+
+    fn give(&mut self) -> Option<Correction> {
+        let changed = self.poses.iter().zip(&self.given).zip(self.chain.nodes()).filter(|((a, b), _)| a != b);
+        let t_map_base: Vec<_> = changed.map(|((pose, _), node)| (node.id, *pose)).collect();
+        self.since_given = 0;
+        self.given.clone_from(&self.poses);
+        (!t_map_base.is_empty()).then_some(Correction { t_map_base })
+    }
+}

@@ -1,0 +1,180 @@
+//! A drive on a circle with made loops, true and false.
+
+use super::*;
+use percept_geometry::{PointCloud, SensorId, Timestamp};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeMap;
+
+/// Answers with what was written down for a keyframe.
+struct Script(BTreeMap<u64, Vec<LoopClosure>>);
+
+impl PlaceRecognition for Script {
+    fn insert(
+        &mut self,
+        id: KeyframeId,
+        _: &Arc<KeyframeScan>,
+        _: &Covariance6,
+        _: &KeyframePoses,
+    ) -> Vec<LoopClosure> {
+        self.0.remove(&id.0).unwrap_or_default()
+    }
+
+    fn relocalise(&self, _: &KeyframeScan, _: &KeyframePoses) -> Option<Relocalisation> {
+        None
+    }
+
+    fn forget(&mut self, _: KeyframeId) {}
+}
+
+const ROUND: u64 = 80;
+const SIGMA: f64 = 0.01;
+
+/// Poses of two and a half rounds, half a metre apart.
+fn truth() -> Vec<Pose> {
+    let turn = std::f64::consts::TAU / ROUND as f64;
+    let step = se3::from_xy_yaw(0.5, 0.0, turn);
+    let mut poses = vec![Pose::identity()];
+    for _ in 1..ROUND * 5 / 2 {
+        poses.push(poses[poses.len() - 1] * step);
+    }
+    poses
+}
+
+fn noise(rng: &mut ChaCha8Rng, sigma_t: f64, sigma_r: f64) -> Pose {
+    let mut one = |s: f64| s * (rng.random::<f64>() + rng.random::<f64>() + rng.random::<f64>() - 1.5) * 2.0;
+    se3::from_xy_yaw(one(sigma_t), one(sigma_t), one(sigma_r))
+}
+
+fn measured(from: u64, to: u64, t_from_to: Pose) -> LoopClosure {
+    let covariance = Covariance6::identity() * SIGMA * SIGMA;
+    LoopClosure { from: KeyframeId(from), to: KeyframeId(to), t_from_to, covariance, inlier_ratio: 0.9 }
+}
+
+fn true_loop(rng: &mut ChaCha8Rng, truth: &[Pose], from: u64, to: u64) -> LoopClosure {
+    let t_from_to = truth[from as usize].inverse() * truth[to as usize] * noise(rng, SIGMA, SIGMA);
+    measured(from, to, t_from_to)
+}
+
+/// Drives with odometry that turns a little too far; the back end, and where the map has the keyframes.
+fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackEnd, Vec<Pose>) {
+    let truth = truth();
+    let scan = Arc::new(KeyframeScan {
+        stamp: Timestamp(0),
+        sensor: SensorId("lidar".to_owned()),
+        t_base_sensor: Pose::identity(),
+        base_height_m: 0.0,
+        hits: PointCloud::default(),
+        misses: vec![],
+        planar: true,
+    });
+    let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(Script(loops)));
+    let (mut t_odom_base, mut t_map_odom) = (Pose::identity(), Pose::identity());
+    let mut map: Vec<Pose> = vec![];
+    for k in 0..truth.len() {
+        if k > 0 {
+            let drift = se3::from_xy_yaw(0.0, 0.0, 0.001);
+            t_odom_base *= truth[k - 1].inverse() * truth[k] * drift * noise(rng, 0.002, 0.0005);
+        }
+        let covariance = Covariance6::identity() * 1e-6 * k as f64;
+        let keyframe = BackEndKeyframe { id: KeyframeId(k as u64), t_odom_base, covariance, scan: &scan };
+        map.push(t_map_odom * t_odom_base);
+        let update = back_end.insert(&keyframe, &map[k]);
+        for (id, t_map_base) in update.correction.into_iter().flat_map(|c| c.t_map_base) {
+            map[id.0 as usize] = t_map_base;
+        }
+        t_map_odom = map[k] * t_odom_base.inverse();
+    }
+    for (id, t_map_base) in back_end.settle().into_iter().flat_map(|c| c.t_map_base) {
+        map[id.0 as usize] = t_map_base;
+    }
+    (back_end, map)
+}
+
+/// Root mean square of the distances from the truth, metres; the first keyframe is at the origin of both.
+fn rmse(map: &[Pose]) -> f64 {
+    let squares = map.iter().zip(truth()).map(|(a, b)| (a.translation.vector - b.translation.vector).norm_squared());
+    (squares.sum::<f64>() / map.len() as f64).sqrt()
+}
+
+fn true_loops(rng: &mut ChaCha8Rng) -> BTreeMap<u64, Vec<LoopClosure>> {
+    let truth = truth();
+    (ROUND..truth.len() as u64).step_by(3).map(|k| (k, vec![true_loop(rng, &truth, k - ROUND, k)])).collect()
+}
+
+#[test]
+fn loops_take_the_drift_out_of_the_map() {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let (_, without) = drive(&mut rng, BTreeMap::new());
+    let loops = true_loops(&mut rng);
+    let (back_end, with) = drive(&mut rng, loops);
+    assert!(rmse(&without) > 0.3 && rmse(&with) < 0.08, "{} {}", rmse(&without), rmse(&with));
+    assert!(back_end.loops().iter().all(|l| l.state == LoopState::Active));
+}
+
+#[test]
+fn a_hundred_runs_with_false_loops_keep_none_of_them() {
+    let truth = truth();
+    for seed in 0..100 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut loops = true_loops(&mut rng);
+        let (_, undisturbed) = drive(&mut ChaCha8Rng::seed_from_u64(1000 + seed), loops.clone());
+        let mut is_false = std::collections::BTreeSet::new();
+        for _ in 0..60 {
+            let (from, to) = (rng.random_range(0..100u64), rng.random_range(120..truth.len() as u64));
+            let turn = rng.random_range(-3.0..3.0);
+            let t_from_to = se3::from_xy_yaw(rng.random_range(-3.0..3.0), rng.random_range(-3.0..3.0), turn);
+            let off = se3::log(&(t_from_to.inverse() * truth[from as usize].inverse() * truth[to as usize]));
+            if off.norm() > 0.5 && to - from != ROUND {
+                is_false.insert((from, to));
+                loops.entry(to).or_default().push(measured(from, to, t_from_to));
+            }
+        }
+        let (back_end, map) = drive(&mut ChaCha8Rng::seed_from_u64(1000 + seed), loops);
+        let kept = |l: &&Loop| l.state == LoopState::Active && is_false.contains(&(l.closure.from.0, l.closure.to.0));
+        let kept: Vec<_> =
+            back_end.loops().iter().filter(kept).map(|l| (l, back_end.misfit(l.id.0 as usize))).collect();
+        assert!(kept.is_empty(), "seed {seed}: {kept:?}");
+        let (with, without) = (rmse(&map), rmse(&undisturbed));
+        assert!(with < 0.005 + 1.2 * without, "seed {seed}: {with} {without}");
+    }
+}
+
+#[test]
+fn a_false_loop_alone_moves_nothing() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let (_, without) = drive(&mut rng.clone(), BTreeMap::new());
+    let wrong = BTreeMap::from([(120, vec![measured(3, 120, se3::from_xy_yaw(0.2, 0.1, 0.0))])]);
+    let (back_end, with) = drive(&mut rng, wrong);
+    assert_eq!(back_end.loops()[0].state, LoopState::Rejected);
+    assert_eq!(with, without);
+}
+
+#[test]
+fn a_veto_takes_loops_out_and_is_undone() {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let (_, without) = drive(&mut rng.clone(), BTreeMap::new());
+    let mut made = rng.clone();
+    let (mut back_end, with) = drive(&mut rng, true_loops(&mut made));
+    let ids: Vec<LoopId> = back_end.loops().iter().map(|l| l.id).collect();
+    for &id in &ids {
+        assert!(back_end.veto(id, true).is_some());
+    }
+    let far = |a: &Pose, b: &Pose| (a.translation.vector - b.translation.vector).norm();
+    assert!(back_end.poses().values().zip(&without).all(|(a, b)| far(a, b) < 1e-6));
+    for &id in &ids {
+        assert!(back_end.veto(id, false).is_some());
+    }
+    assert!(back_end.poses().values().zip(&with).all(|(a, b)| far(a, b) < 0.01));
+    assert!(back_end.veto(LoopId(10_000), true).is_none());
+}
+
+#[test]
+fn what_is_known_of_the_newest_pose_grows_by_drift_and_shrinks_by_loops() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let (without, _) = drive(&mut rng, BTreeMap::new());
+    let loops = true_loops(&mut rng);
+    let (with, _) = drive(&mut rng, loops);
+    let sigma = |b: &BackEnd| (b.drift()[(0, 0)] + b.drift()[(1, 1)]).sqrt();
+    assert!(sigma(&with) < 0.5 * sigma(&without), "{} {}", sigma(&with), sigma(&without));
+}
