@@ -1,7 +1,7 @@
 //! Pose graphs: poses, what was measured between them, and the poses that explain that best.
 //!
 //! Comes in: a [`PoseGraph`] of poses in the plane ([`PlanarPose`]) or in space. [`chordal`] finds poses from the
-//! measurements alone, [`optimise`] improves those that are there, [`solve`] does what a user wants: from whichever start
+//! measurements alone, [`optimise()`] improves those that are there, [`solve`] does what a user wants: from whichever start
 //! is better. Errors and their weights are g2o's, so that chi2 can be compared.
 
 mod covariance;

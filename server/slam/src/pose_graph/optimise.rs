@@ -9,7 +9,7 @@ const MOST_DAMPING: f64 = 1e6;
 /// Damping after a first step that was taken back; less than a hundredth of it is none.
 const FIRST_DAMPING: f64 = 1e-6;
 
-/// Parameters of [`optimise`].
+/// Parameters of [`optimise()`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct OptimiseParams {
     /// Steps at most, those that were taken back among them.
