@@ -11,6 +11,8 @@ use serde::{Deserialize, Serialize};
 pub enum Alignment {
     /// None: both trajectories are in the same frame.
     None,
+    /// The first poses are laid onto each other (evo's `--align_origin`).
+    Origin,
     /// Rotation and translation (evo's `-a`).
     #[default]
     Se3,
@@ -44,7 +46,7 @@ impl Similarity {
     }
 }
 
-/// The transform of the estimated positions that has the least sum of squared distances to the true ones.
+/// The transform that lays the estimate over the reference: for `Se3` and `Sim3` that of the positions which has the least sum of squared distances to the true ones.
 ///
 /// Source: Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
 /// 1991, eq. 38 to 43.
@@ -55,8 +57,13 @@ pub fn align(pairs: &[PosePair], alignment: Alignment) -> Result<Similarity, Eva
     if pairs.is_empty() {
         return Err(EvaluationError::NoCommonStamps { num_reference: 0, num_estimate: 0, max_difference_s: 0.0 });
     }
-    if alignment == Alignment::None {
-        return Ok(Similarity::identity());
+    match alignment {
+        Alignment::None => return Ok(Similarity::identity()),
+        Alignment::Origin => {
+            let t_reference_estimate = pairs[0].reference * pairs[0].estimate.inverse();
+            return Ok(Similarity { t_reference_estimate, ..Similarity::identity() });
+        }
+        Alignment::Se3 | Alignment::Sim3 => {}
     }
     let count = pairs.len() as f64;
     let mean = |f: &dyn Fn(&PosePair) -> Vector3<f64>| pairs.iter().map(f).sum::<Vector3<f64>>() / count;

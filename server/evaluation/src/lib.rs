@@ -3,7 +3,7 @@
 //! Comes in: what was estimated and what is true, in memory. Goes out: figures with defined meaning.
 //! No file is read here (that is `formats`) and nothing is estimated. Start with
 //! [`score::score_trajectory`], which computes all figures of a trajectory; [`absolute`], [`relative`] and
-//! [`drift`] are its parts. Detections: [`detection::match_detections`]. Maps: [`occupancy`], [`cloud`].
+//! [`drift`] are its parts. Without a true trajectory, but with some checked motions: [`relations`]. Detections: [`detection::match_detections`]. Maps: [`occupancy`], [`cloud`].
 //!
 //! Trajectory figures agree with the tool evo (Grupp 2017) on its own test data, digit by digit.
 //! A figure that does not exist (the precision of no detection, the drift of no path) is `None`, not 0.
@@ -14,6 +14,7 @@ pub mod cloud;
 pub mod detection;
 pub mod drift;
 pub mod occupancy;
+pub mod relations;
 pub mod relative;
 pub mod score;
 pub mod statistics;
@@ -25,8 +26,9 @@ pub use cloud::{CloudScore, score_cloud};
 pub use detection::{ClassScore, DetectionScore, FoundObject, TrueObject, match_detections};
 pub use drift::{SegmentDrift, SegmentParams, end_drift_percent, segment_drift};
 pub use occupancy::{OccupancyScore, score_occupancy};
+pub use relations::{RelationScore, TrueRelation, score_relations};
 pub use relative::{Delta, RelativeError, relative_error};
-pub use score::{TrajectoryParams, TrajectoryScore, score_trajectory};
+pub use score::{TrajectoryParams, TrajectoryScore, aligned_pairs, score_trajectory};
 pub use statistics::ErrorStatistics;
 pub use trajectory::{PosePair, Trajectory, associate};
 
@@ -65,10 +67,30 @@ pub enum EvaluationError {
     NoPairs {
         /// The distance asked for.
         delta: f64,
-        /// `frames` or `m`.
+        /// `frames`, `m`, `s` or `deg`.
         unit: &'static str,
         /// Poses there are.
         num_poses: usize,
+    },
+    /// No relation has both its stamps in the trajectory.
+    #[error(
+        "none of {num_relations} relations has both its stamps in the trajectory or in a gap of at most {max_gap_s} s"
+    )]
+    NoRelations {
+        /// Relations given.
+        num_relations: usize,
+        /// Longest gap that is bridged, seconds.
+        max_gap_s: f64,
+    },
+    /// What was asked for takes too long for so many poses.
+    #[error(
+        "all pairs by angle among {num_poses} poses, at most {limit} are compared: take fewer poses, or not all pairs"
+    )]
+    TooManyPoses {
+        /// Poses there are.
+        num_poses: usize,
+        /// Most that are compared.
+        limit: usize,
     },
     /// A parameter is out of its bounds.
     #[error("{field}: {value} is not {requirement}")]

@@ -2,6 +2,10 @@
 
 use crate::EvaluationError;
 use percept_geometry::{Pose, Stamped, Timestamp, se3};
+use std::borrow::Cow;
+
+/// Stamps this close are one: files round them to as little as four decimals.
+pub const SAME_STAMP_S: f64 = 2e-4;
 
 /// Poses of one body in one frame, stamps not decreasing.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -58,7 +62,20 @@ impl Trajectory {
         Some(se3::interpolate(&previous.value, &next.value, share))
     }
 
-    /// Index of the pose nearest in time to `stamp`, the first of equals; `None` if empty.
+    /// As [`Self::at`], but only if the neighbours are at most `max_gap_s` apart, or one of them is at `stamp` but
+    /// for the rounding of stamps in files ([`SAME_STAMP_S`]).
+    pub fn at_within(&self, stamp: Timestamp, max_gap_s: f64) -> Option<Pose> {
+        let nearest = &self.0[self.nearest(stamp)?];
+        if nearest.stamp.seconds_since(stamp).abs() <= SAME_STAMP_S {
+            return Some(nearest.value);
+        }
+        let after = self.0.partition_point(|p| p.stamp < stamp);
+        let (previous, next) = (self.0.get(after.checked_sub(1)?)?, self.0.get(after)?);
+        (next.stamp.seconds_since(previous.stamp) <= max_gap_s).then(|| self.at(stamp)).flatten()
+    }
+
+    /// Index of the pose nearest in time to `stamp`, the earlier of equally near ones, the first of equals;
+    /// `None` if empty.
     pub fn nearest(&self, stamp: Timestamp) -> Option<usize> {
         let after = self.0.partition_point(|p| p.stamp < stamp);
         let first_of_equals = |i: usize| self.0.partition_point(|p| p.stamp < self.0[i].stamp);
@@ -70,6 +87,20 @@ impl Trajectory {
             (Some(before), true) if away(before) <= away(after) => Some(first_of_equals(before)),
             (Some(_), true) => Some(after),
         }
+    }
+
+    /// The trajectory with its stamps moved by `offset_s`; itself for 0.
+    pub(crate) fn shifted(&self, offset_s: f64) -> Result<Cow<'_, Self>, EvaluationError> {
+        if offset_s == 0.0 {
+            return Ok(Cow::Borrowed(self));
+        }
+        // A hundred years: stamps stay within their range.
+        if offset_s.is_nan() || offset_s.abs() > 3.2e9 {
+            let requirement = "finite and within 3.2e9 s";
+            return Err(EvaluationError::InvalidParam { field: "estimate_offset_s", value: offset_s, requirement });
+        }
+        let pose = |p: &Stamped<Pose>| Stamped { stamp: p.stamp.plus_seconds(offset_s), value: p.value };
+        Ok(Cow::Owned(Self(self.0.iter().map(pose).collect())))
     }
 }
 
@@ -98,7 +129,7 @@ pub struct PosePair {
 
 /// Pairs of poses that are at most `max_difference_s` apart in time.
 ///
-/// As evo does it: every pose of the shorter trajectory (of the estimate, if they are equally long) takes the
+/// As evo 1.38 does it: every pose of the shorter trajectory (of the estimate, if they are equally long) takes the
 /// one nearest in time of the longer, which may so be taken twice; pairs come in the shorter one's order.
 ///
 /// # Errors
@@ -119,10 +150,7 @@ pub fn associate(
     let (short, long) = if reference_is_longer { (estimate, reference) } else { (reference, estimate) };
     let mut pairs = Vec::with_capacity(short.len());
     for pose in short.poses() {
-        let Some(other) = long.nearest(pose.stamp).map(|i| &long.poses()[i]) else { break };
-        if other.stamp.seconds_since(pose.stamp).abs() > max_difference_s {
-            continue;
-        }
+        let Some(other) = partner(long.poses(), pose.stamp, max_difference_s) else { continue };
         let (r, e) = if reference_is_longer { (other, pose) } else { (pose, other) };
         pairs.push(PosePair { stamp: r.stamp, reference: r.value, estimate: e.value });
     }
@@ -134,6 +162,30 @@ pub fn associate(
         });
     }
     Ok(pairs)
+}
+
+/// The pose nearest in time, within `max_difference_s`: of equally near ones the earlier, of equal ones the last.
+///
+/// Compared are f64 seconds, as evo has them: recorded stamps often lie exactly between two others, and to which
+/// side such a one falls is a matter of the last bit.
+fn partner(poses: &[Stamped<Pose>], stamp: Timestamp, max_difference_s: f64) -> Option<&Stamped<Pose>> {
+    let at = seconds(stamp);
+    let after = poses.partition_point(|p| seconds(p.stamp) <= at).min(poses.len().checked_sub(1)?);
+    let until = seconds(poses[after].stamp) - at;
+    let since = after.checked_sub(1).map_or(f64::INFINITY, |before| at - seconds(poses[before].stamp));
+    if until.abs() <= max_difference_s && until < since {
+        Some(&poses[after])
+    } else if since <= max_difference_s && since <= until {
+        Some(&poses[after - 1])
+    } else {
+        None
+    }
+}
+
+/// A stamp as the f64 of seconds that is read from its decimal digits.
+fn seconds(stamp: Timestamp) -> f64 {
+    let (whole, nanos) = (stamp.0.div_euclid(1_000_000_000), stamp.0.rem_euclid(1_000_000_000));
+    whole as f64 + nanos as f64 / 1e9
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
-//! Trajectories as text: TUM, KITTI, Redwood, and single 4x4 matrices.
+//! Trajectories as text: TUM, EuRoC, KITTI, Redwood, and single 4x4 matrices.
 //!
 //! Poses are those of the file, mostly sensor to world; stamps keep every nanosecond that the file gives.
 
 use crate::FormatError;
-use crate::text::{Line, Lines};
+use crate::text::{Line, Lines, parse};
 use nalgebra::Matrix4;
-use percept_geometry::{Pose, Stamped, se3};
+use percept_geometry::{Pose, Stamped, Timestamp, se3};
 use std::io::Write;
 
 /// TUM: rows `stamp x y z qx qy qz qw` (s, m), comments with `#`.
@@ -26,14 +26,44 @@ fn tum_row(line: &Line<'_>) -> Result<Stamped<Pose>, FormatError> {
         *value = fields.finite(name)?;
     }
     fields.end()?;
+    Ok(Stamped { stamp, value: rounded_pose(line, &v)? })
+}
+
+/// A pose from x y z qx qy qz qw, the quaternion as rounded as files have it.
+fn rounded_pose(line: &Line<'_>, v: &[f64; 7]) -> Result<Pose, FormatError> {
     let norm = v[3..].iter().map(|q| q * q).sum::<f64>().sqrt();
     if (norm - 1.0).abs() > 0.05 {
         return Err(line.malformed("quaternion norm", norm.to_string().as_bytes(), "1"));
     }
     // Left alone if it is unit to f64's precision, so that poses survive a round trip.
     let scale = if (norm - 1.0).abs() < 1e-12 { 1.0 } else { norm };
-    let value = se3::pose_from_parts("pose", [v[0], v[1], v[2]], [3, 4, 5, 6].map(|i| v[i] / scale))?;
-    Ok(Stamped { stamp, value })
+    Ok(se3::pose_from_parts("pose", [v[0], v[1], v[2]], [3, 4, 5, 6].map(|i| v[i] / scale))?)
+}
+
+/// EuRoC's ground truth: rows `stamp,x,y,z,qw,qx,qy,qz` (ns, m) and more columns, which are left out.
+///
+/// Source: Burri et al., "The EuRoC micro aerial vehicle datasets", 2016.
+///
+/// # Errors
+/// `Malformed` with the line, for a row that does not begin with these eight numbers.
+pub fn parse_euroc(bytes: &[u8]) -> Result<Vec<Stamped<Pose>>, FormatError> {
+    Lines::new("EuRoC", bytes).contents().map(|line| euroc_row(&line)).collect()
+}
+
+fn euroc_row(line: &Line<'_>) -> Result<Stamped<Pose>, FormatError> {
+    const NAMES: [&str; 8] = ["stamp", "x", "y", "z", "qw", "qx", "qy", "qz"];
+    let mut cells = line.bytes.split(|&b| b == b',').map(<[u8]>::trim_ascii);
+    let mut cell = |name: &str| cells.next().ok_or_else(|| line.malformed(name, b"end of line", "a value"));
+    let token = cell("stamp")?;
+    let stamp = Timestamp(parse(token).ok_or_else(|| line.malformed("stamp", token, "nanoseconds"))?);
+    let mut v = [0.0; 7];
+    // The file has qw first.
+    for (slot, name) in [0, 1, 2, 6, 3, 4, 5].into_iter().zip(&NAMES[1..]) {
+        let token = cell(name)?;
+        let number = parse::<f64>(token).filter(|v| v.is_finite());
+        v[slot] = number.ok_or_else(|| line.malformed(name, token, "a finite number"))?;
+    }
+    Ok(Stamped { stamp, value: rounded_pose(line, &v)? })
 }
 
 /// Writes TUM rows with nine decimals.
@@ -169,8 +199,8 @@ mod tests {
         }
 
         #[test]
-        fn damaged_text_never_panics(bytes in "([0-9 .e#\n-]|nan){0,200}") {
-            let _ = (parse_tum(bytes.as_bytes()), parse_kitti(bytes.as_bytes()));
+        fn damaged_text_never_panics(bytes in "([0-9 ,.e#\n-]|nan){0,200}") {
+            let _ = (parse_tum(bytes.as_bytes()), parse_kitti(bytes.as_bytes()), parse_euroc(bytes.as_bytes()));
             let _ = (parse_redwood(bytes.as_bytes()), parse_matrix(bytes.as_bytes()));
         }
     }
@@ -186,6 +216,19 @@ mod tests {
         assert_eq!(message(parse_tum(b"1 0 0 0 0 0 0 2\n")), "TUM, line 1: quaternion norm is '2', expected 1");
         assert!(parse_kitti(b"1 0 0 0 0 1 0 0 0 0 1\n").is_err());
         assert!(parse_kitti(b"9 0 0 0 0 9 0 0 0 0 9 0\n").is_err());
+    }
+
+    #[test]
+    fn euroc_rows_have_the_real_part_first_and_more_than_a_pose() {
+        let text = b"#timestamp [ns],p_x\n1403715529662142976,1,2,3,0.6, 0.8,0,0,9,9\n";
+        let pose = &parse_euroc(text).unwrap()[0];
+        assert_eq!(pose.stamp, Timestamp(1_403_715_529_662_142_976));
+        assert_eq!(pose.value.translation.vector.as_slice(), [1.0, 2.0, 3.0]);
+        assert_eq!(se3::quaternion_xyzw(&pose.value), [0.8, 0.0, 0.0, 0.6]);
+        let refused = |text: &[u8]| parse_euroc(text).unwrap_err().to_string();
+        assert_eq!(refused(b"1,2,3,4,1,0,0\n"), "EuRoC, line 1: qz is 'end of line', expected a value");
+        assert_eq!(refused(b"1,2,3,4,,0,0,1\n"), "EuRoC, line 1: qw is '', expected a finite number");
+        assert_eq!(refused(b"1.5,2,3,4,1,0,0,0\n"), "EuRoC, line 1: stamp is '1.5', expected nanoseconds");
     }
 
     #[test]
