@@ -219,6 +219,7 @@ impl Pipeline {
             Scan::Depth(_) => OdometryKind::Rgbd,
             Scan::Cloud(_) => OdometryKind::Lidar3d,
             Scan::Planar(_) => OdometryKind::Lidar2d,
+            Scan::Image(_) => OdometryKind::Mono,
         };
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.slam.odometry.clone()));
         let mut estimate = odometry.register(stamp, scan, prior.as_ref());

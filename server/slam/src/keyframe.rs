@@ -102,6 +102,8 @@ pub fn keyframe_scan(
         Scan::Depth(s) => (depth_hits(params, s), vec![]),
         Scan::Cloud(s) => (cloud_hits(params, s, velocity), vec![]),
         Scan::Planar(s) => planar_ends(params, s),
+        // What a camera saw is known only with its map: see `Odometry::keyframe_scan`.
+        Scan::Image(_) => (PointCloud::default(), vec![]),
     };
     KeyframeScan {
         stamp,

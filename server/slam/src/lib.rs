@@ -17,8 +17,8 @@ pub mod tracking;
 pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
 pub use odometry::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams};
-pub use scan::{CloudScan, DepthScan, PlanarScan, Scan};
-pub use tracking::{LostReason, TrackingState};
+pub use scan::{CloudScan, DepthScan, ImageScan, PlanarScan, Scan, SecondCamera};
+pub use tracking::{LostReason, Scale, TrackingState, Waiting};
 
 /// A parameter that cannot be used: the facts, for the caller to put into words.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

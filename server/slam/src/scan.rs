@@ -34,6 +34,32 @@ pub struct PlanarScan {
     pub t_base_sensor: Pose,
 }
 
+/// An image of a camera without depth, or with depth now and then.
+#[derive(Debug, Clone)]
+pub struct ImageScan {
+    /// As it came: distortion is undone by the intrinsics.
+    pub image: Arc<RgbImage>,
+    /// Depth of the same view (same size, same intrinsics), metres, when there is some: it tells the scale.
+    pub depth: Option<Arc<DepthImage>>,
+    /// An image of a second camera taken at the same time: its distance tells the scale, too.
+    pub second: Option<SecondCamera>,
+    /// Of the image, lens distortion included.
+    pub intrinsics: CameraIntrinsics,
+    /// Optical frame to base.
+    pub t_base_sensor: Pose,
+}
+
+/// An image of a camera that is mounted beside another one.
+#[derive(Debug, Clone)]
+pub struct SecondCamera {
+    /// As it came.
+    pub image: Arc<RgbImage>,
+    /// Of the image.
+    pub intrinsics: CameraIntrinsics,
+    /// Its optical frame to that of the first camera, metres.
+    pub t_sensor_second: Pose,
+}
+
 /// One frame of a sensor that sees surfaces.
 #[derive(Debug, Clone)]
 pub enum Scan {
@@ -43,13 +69,15 @@ pub enum Scan {
     Cloud(CloudScan),
     /// A planar lidar's.
     Planar(PlanarScan),
+    /// A camera's.
+    Image(ImageScan),
 }
 
 impl Scan {
     /// Whether its points were taken one after the other, at known times.
     pub fn is_sweep(&self) -> bool {
         match self {
-            Self::Depth(_) => false,
+            Self::Depth(_) | Self::Image(_) => false,
             Self::Cloud(s) => s.cloud.time_offsets_s.is_some(),
             Self::Planar(s) => s.scan.time_increment_s != 0.0,
         }
@@ -61,6 +89,7 @@ impl Scan {
             Self::Depth(s) => &s.t_base_sensor,
             Self::Cloud(s) => &s.t_base_sensor,
             Self::Planar(s) => &s.t_base_sensor,
+            Self::Image(s) => &s.t_base_sensor,
         }
     }
 }

@@ -48,6 +48,12 @@ pub enum LostReason {
     TimeGap,
     /// The scan's kind is not the one that this odometry registers.
     UnsuitableScan,
+    /// The image shows too few distinct places.
+    NoTexture,
+    /// Most of the image is white or black.
+    BadExposure,
+    /// The image's size is not that of the intrinsics, or these are no camera's.
+    IntrinsicsMismatch,
     /// Odometry was lost for too long and started anew at a guessed pose: nothing measured ties it to the map.
     Adrift,
 }
@@ -62,7 +68,57 @@ impl std::fmt::Display for LostReason {
             Self::Degenerate => "the scene has too little structure to fix the motion: turn towards objects or corners",
             Self::TimeGap => "frames were missing for too long: go back to where tracking was lost",
             Self::UnsuitableScan => "the sensor sends another kind of scan than this odometry registers",
+            Self::NoTexture => "the image shows too little texture: turn towards things with detail, clean the lens",
+            Self::BadExposure => "the image is nearly all white or black: check exposure, light and lens cap",
+            Self::IntrinsicsMismatch => {
+                "the camera's intrinsics do not fit its images: declare those of this resolution"
+            }
             Self::Adrift => "odometry started anew at a guessed pose: go back to where tracking was lost",
+        })
+    }
+}
+
+/// Whether lengths are metres, and what tells so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Scale {
+    /// The sensor measures lengths.
+    Measured,
+    /// Lengths are in a unit of the map's own: one camera does not tell more.
+    Unknown,
+    /// By wheel odometry, or what else stated the motion in metres.
+    FromOdometry,
+    /// By depth images.
+    FromDepth,
+    /// By a known distance between two cameras.
+    FromBaseline,
+}
+
+impl Scale {
+    /// Whether lengths are metres.
+    pub fn is_metric(self) -> bool {
+        self != Self::Unknown
+    }
+}
+
+/// What an odometry that needs several frames to begin is waiting for; `Display` says it to an operator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Waiting {
+    /// The first image came.
+    SecondView,
+    /// The camera stood, only turned, or looks at things far away.
+    NoParallax,
+    /// The images have too little in common.
+    FewMatches,
+}
+
+impl std::fmt::Display for Waiting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::SecondView => "waiting for a second view: move the camera sideways",
+            Self::NoParallax => "no parallax yet: move the camera sideways, turning in place shows no depth",
+            Self::FewMatches => "the images have too little in common: move more slowly, towards things with detail",
         })
     }
 }

@@ -114,6 +114,7 @@ class OdometryParams(_message.Message):
     LIDAR3D_FIELD_NUMBER: _builtins.int
     LIDAR2D_FIELD_NUMBER: _builtins.int
     KEYFRAME_FIELD_NUMBER: _builtins.int
+    MONO_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def tracking(self) -> Global___TrackingParams:
         """Prediction, loss and restart."""
@@ -134,6 +135,10 @@ class OdometryParams(_message.Message):
     def keyframe(self) -> Global___KeyframeParams:
         """When frames become keyframes and what is kept of them."""
 
+    @_builtins.property
+    def mono(self) -> Global___MonoParams:
+        """Cameras without depth."""
+
     def __init__(
         self,
         *,
@@ -142,10 +147,11 @@ class OdometryParams(_message.Message):
         lidar3d: Global___Lidar3dParams | None = ...,
         lidar2d: Global___Lidar2dParams | None = ...,
         keyframe: Global___KeyframeParams | None = ...,
+        mono: Global___MonoParams | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["keyframe", b"keyframe", "lidar2d", b"lidar2d", "lidar3d", b"lidar3d", "rgbd", b"rgbd", "tracking", b"tracking"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["keyframe", b"keyframe", "lidar2d", b"lidar2d", "lidar3d", b"lidar3d", "mono", b"mono", "rgbd", b"rgbd", "tracking", b"tracking"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["keyframe", b"keyframe", "lidar2d", b"lidar2d", "lidar3d", b"lidar3d", "rgbd", b"rgbd", "tracking", b"tracking"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["keyframe", b"keyframe", "lidar2d", b"lidar2d", "lidar3d", b"lidar3d", "mono", b"mono", "rgbd", b"rgbd", "tracking", b"tracking"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -484,6 +490,41 @@ class Lidar2dParams(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__window_m) -> _WhichOneofReturnType__window_m | None: ...
 
 Global___Lidar2dParams: _TypeAlias = Lidar2dParams  # noqa: Y015
+
+@_typing.final
+class MonoParams(_message.Message):
+    """Parameters of odometry by a camera alone."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MAX_FEATURES_FIELD_NUMBER: _builtins.int
+    MATCH_RATIO_FIELD_NUMBER: _builtins.int
+    max_features: _builtins.int
+    """Features sought in an image, 200 to 10000. More: surer in poor light, slower."""
+    match_ratio: _builtins.float
+    """Lowe's test where features are matched by looks alone: the nearest has to be nearer than this times the second
+    nearest, 0.3 to 0.95.
+    """
+    def __init__(
+        self,
+        *,
+        max_features: _builtins.int | None = ...,
+        match_ratio: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_match_ratio", b"_match_ratio", "_max_features", b"_max_features", "match_ratio", b"match_ratio", "max_features", b"max_features"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_match_ratio", b"_match_ratio", "_max_features", b"_max_features", "match_ratio", b"match_ratio", "max_features", b"max_features"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__match_ratio: _TypeAlias = _typing.Literal["match_ratio"]  # noqa: Y015
+    _WhichOneofArgType__match_ratio: _TypeAlias = _typing.Literal["_match_ratio", b"_match_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__max_features: _TypeAlias = _typing.Literal["max_features"]  # noqa: Y015
+    _WhichOneofArgType__max_features: _TypeAlias = _typing.Literal["_max_features", b"_max_features"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__match_ratio) -> _WhichOneofReturnType__match_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_features) -> _WhichOneofReturnType__max_features | None: ...
+
+Global___MonoParams: _TypeAlias = MonoParams  # noqa: Y015
 
 @_typing.final
 class KeyframeParams(_message.Message):

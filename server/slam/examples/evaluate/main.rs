@@ -1,7 +1,8 @@
 //! Figures of the odometries on recorded data: `evaluate SET PATH [options]`.
 //!
-//! `rgbd DIR`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`.
+//! `rgbd DIR`, `mono DIR [STRIDE]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`.
 
+mod camera;
 mod measure;
 mod read;
 
@@ -19,6 +20,7 @@ fn main() -> Result<(), Failure> {
     let path = Path::new(args.get(2).ok_or("usage: evaluate SET PATH")?);
     match args[1].as_str() {
         "rgbd" => rgbd(path, args.get(3).and_then(|s| s.parse().ok()).unwrap_or(1)),
+        "mono" => camera::recorded(path, args.get(3).and_then(|s| s.parse().ok()).unwrap_or(1)),
         "kitti-tracking" => kitti_tracking(path),
         "kitti-pair" => kitti_pair(path),
         "carmen" => {
@@ -30,15 +32,15 @@ fn main() -> Result<(), Failure> {
 }
 
 /// Registers and times; the timed part is `register` alone.
-struct Run {
-    odometry: Odometry,
+pub(crate) struct Run {
+    pub(crate) odometry: Odometry,
     milliseconds: Vec<f64>,
     cpu_ticks: u64,
-    estimates: Vec<OdometryEstimate>,
+    pub(crate) estimates: Vec<OdometryEstimate>,
 }
 
 impl Run {
-    fn new(kind: OdometryKind) -> Self {
+    pub(crate) fn new(kind: OdometryKind) -> Self {
         Self {
             odometry: Odometry::new(kind, OdometryParams::default()),
             milliseconds: vec![],
@@ -47,7 +49,7 @@ impl Run {
         }
     }
 
-    fn step(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) {
+    pub(crate) fn step(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) {
         let (start, ticks) = (Instant::now(), cpu_ticks());
         let e = self.odometry.register(stamp, scan, prior);
         self.cpu_ticks += cpu_ticks() - ticks;
@@ -70,7 +72,7 @@ impl Run {
         self.estimates.push(e);
     }
 
-    fn report(&self) {
+    pub(crate) fn report(&self) {
         let mut ms = self.milliseconds.clone();
         ms.sort_by(f64::total_cmp);
         let at = |q: f64| ms[((ms.len() - 1) as f64 * q) as usize];

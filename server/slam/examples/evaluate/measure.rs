@@ -24,6 +24,22 @@ fn align(truth: &[Pose], estimate: &[Pose]) -> Pose {
     Pose::from_parts((mt - rotation * me).into(), rotation)
 }
 
+/// The same with the scale that fits best: scale and root mean square error, metres.
+pub(crate) fn ate_scaled(truth: &[Pose], estimate: &[Pose]) -> (f64, f64) {
+    let t = align(truth, estimate);
+    let n = truth.len() as f64;
+    let mean = |p: &[Pose]| p.iter().map(|t| t.translation.vector).sum::<Vector3<f64>>() / n;
+    let (mt, me) = (mean(truth), mean(estimate));
+    let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = truth
+        .iter()
+        .zip(estimate)
+        .map(|(a, b)| (a.translation.vector - mt, t.rotation * (b.translation.vector - me)))
+        .collect();
+    let scale = pairs.iter().map(|(a, b)| a.dot(b)).sum::<f64>() / pairs.iter().map(|(_, b)| b.dot(b)).sum::<f64>();
+    let errors: Vec<f64> = pairs.iter().map(|(a, b)| (a - b * scale).norm()).collect();
+    (scale, rmse(&errors))
+}
+
 /// Distances of aligned positions, metres.
 fn position_errors(truth: &[Pose], estimate: &[Pose]) -> Vec<f64> {
     let t = align(truth, estimate);

@@ -63,5 +63,7 @@ pub trait PlaceRecognition: Send {
 pub fn place_recognition(kind: OdometryKind) -> Option<Box<dyn PlaceRecognition>> {
     match kind {
         OdometryKind::Rgbd | OdometryKind::Lidar3d | OdometryKind::Lidar2d => None,
+        // A camera's map closes its loops itself: they correct its scale, too.
+        OdometryKind::Mono => None,
     }
 }

@@ -2,17 +2,19 @@
 //!
 //! Every kind registers frame to local model, never frame to frame. What they share is here: the
 //! prediction (wheels, else constant velocity), being lost and starting again, and the covariance.
-//! Start with [`Odometry::register`]; the methods are [`rgbd`], [`lidar3d`] and [`lidar2d`].
+//! Start with [`Odometry::register`]; the methods are [`rgbd`], [`lidar3d`], [`lidar2d`] and [`mono`], which keeps a map and
+//! a state of its own: what the others share supposes that lengths are known.
 
 pub(crate) mod deskew;
 pub mod lidar2d;
 pub mod lidar3d;
+pub mod mono;
 pub mod rgbd;
 mod uncertainty;
 
 use crate::keyframe::{KeyframeParams, keyframe_scan};
 use crate::scan::Scan;
-use crate::tracking::{LostReason, TrackingState};
+use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
 use nalgebra::Vector6;
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
@@ -33,6 +35,8 @@ pub enum OdometryKind {
     Lidar3d,
     /// Planar scans: the robot moves in the plane z = 0 of odom.
     Lidar2d,
+    /// Images of one camera: no depth, no scale unless another source gives it.
+    Mono,
 }
 
 /// Parameters of all methods and of what they share.
@@ -47,6 +51,8 @@ pub struct OdometryParams {
     pub lidar3d: lidar3d::Lidar3dParams,
     /// Planar lidars.
     pub lidar2d: lidar2d::Lidar2dParams,
+    /// Cameras without depth.
+    pub mono: mono::MonoParams,
     /// When frames become keyframes and what is kept of them.
     pub keyframe: KeyframeParams,
 }
@@ -61,6 +67,7 @@ impl OdometryParams {
         self.rgbd.validate()?;
         self.lidar3d.validate()?;
         self.lidar2d.validate()?;
+        self.mono.validate()?;
         self.keyframe.validate()
     }
 }
@@ -133,7 +140,7 @@ struct MotionLimits {
 impl MotionLimits {
     fn of(kind: OdometryKind, params: &TrackingParams) -> Self {
         let (speed, turn_rate, acceleration, turn_acceleration, smoothing) = match kind {
-            OdometryKind::Rgbd => (4.0, 8.0, 4.0, 8.0, 0.03),
+            OdometryKind::Rgbd | OdometryKind::Mono => (4.0, 8.0, 4.0, 8.0, 0.03),
             OdometryKind::Lidar3d => (40.0, 8.0, 4.0, 8.0, 0.04),
             OdometryKind::Lidar2d => (4.0, 3.0, 1.5, 4.0, 0.2),
         };
@@ -175,6 +182,10 @@ pub struct OdometryEstimate {
     pub iterations: usize,
     /// Axes of base (x, y, z, rotation x, y, z) that the scene left open and the prediction filled in.
     pub degenerate_axes: [bool; 6],
+    /// Whether lengths are metres, and by what.
+    pub scale: Scale,
+    /// What a method that needs several frames to begin is waiting for.
+    pub waiting: Option<Waiting>,
 }
 
 /// Where base is expected before the scan is looked at.
@@ -211,6 +222,14 @@ pub(crate) trait LocalModel: Send {
     fn clear(&mut self);
     /// Starts the model from keyframes with their `t_odom_base`, oldest first.
     fn seed(&mut self, t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)]);
+    /// A method with a map and a state of its own, whose lengths may be in no known unit, does all here.
+    fn as_mono(&mut self) -> Option<&mut mono::Mono> {
+        None
+    }
+    /// Stamps and `t_odom_base` of the frames that such a method keeps.
+    fn views(&self, _t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {
+        vec![]
+    }
 }
 
 /// Odometry of one sensor: deterministic, no clock, no I/O; parallel on rayon's current pool.
@@ -244,6 +263,7 @@ impl Odometry {
             OdometryKind::Rgbd => Box::new(rgbd::Rgbd::new(params.rgbd.clone())),
             OdometryKind::Lidar3d => Box::new(lidar3d::Lidar3d::new(params.lidar3d.clone())),
             OdometryKind::Lidar2d => Box::new(lidar2d::Lidar2d::new(params.lidar2d.clone())),
+            OdometryKind::Mono => Box::new(mono::Mono::new(&params.mono)),
         };
         let limits = MotionLimits::of(kind, &params.tracking);
         Self {
@@ -264,6 +284,11 @@ impl Odometry {
     /// A frame that cannot be placed gives `Lost` with the prediction as pose; the next frames are tried
     /// against the same model until `restart_after_frames` of them are lost.
     pub fn register(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) -> OdometryEstimate {
+        if let Some(mono) = self.model.as_mono() {
+            let estimate = mono.track(stamp, scan, prior);
+            (self.t_odom_base, self.last_stamp) = (estimate.t_odom_base, Some(stamp));
+            return estimate;
+        }
         let dt = self.last_stamp.map_or(0.0, |last| stamp.seconds_since(last).max(0.0));
         let prediction = self.predict(dt, prior);
         self.last_stamp = Some(stamp);
@@ -301,6 +326,11 @@ impl Odometry {
     /// What a keyframe keeps of a scan: ends of beams in base, thinned; see [`KeyframeScan`].
     pub fn keyframe_scan(&self, stamp: Timestamp, sensor: &SensorId, scan: &Scan) -> KeyframeScan {
         keyframe_scan(&self.params.keyframe, stamp, sensor, scan, &self.velocity())
+    }
+
+    /// What a camera's map now makes of the past: its views' stamps and `t_odom_base`, oldest first; for other kinds none.
+    pub fn views(&self, t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {
+        self.model.views(t_base_sensor)
     }
 
     /// Goes on after a restart: `recent` keyframes with their `t_odom_base`, oldest first, become the
@@ -415,6 +445,8 @@ impl Odometry {
             rmse_m: found.rmse_m,
             iterations: found.iterations,
             degenerate_axes: found.degenerate_axes,
+            scale: Scale::Measured,
+            waiting: None,
         }
     }
 
@@ -455,6 +487,8 @@ impl Odometry {
             rmse_m: 0.0,
             iterations: 0,
             degenerate_axes: [false; 6],
+            scale: Scale::Measured,
+            waiting: None,
         }
     }
 }

@@ -92,6 +92,7 @@ fn odometry_goes_on_from_keyframes_after_a_restart() {
             OdometryKind::Rgbd => room.depth(t, &mut noise),
             OdometryKind::Lidar3d => room.cloud(t, 32, &nalgebra::Vector6::zeros(), &mut noise),
             OdometryKind::Lidar2d => room.scan(t, &mut noise),
+            OdometryKind::Mono => panic!("a camera's keyframes hold no surfaces to begin with"),
         };
         let before = Odometry::new(kind, OdometryParams::default());
         let t_odom_map = se3::from_xy_yaw(5.0, -3.0, 0.5);

@@ -1,0 +1,213 @@
+//! How many metres the map's unit is: by wheels, by depth images, or by a second camera at a known distance.
+//!
+//! Each source gives ratios of metres to the map's unit; their median counts once they agree. From then on the map is in
+//! metres, and what wheels say between views stays in the adjustment, so that the scale does not drift.
+
+use super::frame::{self, Lens};
+use super::map::ViewId;
+use super::tracker::Tracker;
+use crate::odometry::MotionPrior;
+use crate::scan::{ImageScan, SecondCamera};
+use crate::tracking::Scale;
+use nalgebra::{Point3, Vector3};
+use percept_geometry::{Covariance6, DepthImage, Pose, se3};
+use std::collections::BTreeMap;
+
+/// The median is believed when its relative standard error is below this.
+const SURE: f64 = 0.04;
+/// Steps between views shorter than this tell nothing, metres; nor do those shorter than twice their error.
+const MIN_STEP_M: f64 = 0.02;
+/// Views' steps that are needed, and metres in all.
+const MIN_STEPS: usize = 4;
+const MIN_WAY_M: f64 = 0.3;
+/// Points of one image with depth, and images of a second camera, that are needed.
+const MIN_DEPTHS: usize = 30;
+const MIN_SECONDS: usize = 6;
+
+/// How the camera moved from one view to another by another source.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct KnownStep {
+    /// Metres.
+    pub(super) t_a_b: Pose,
+    /// Of its translation, each axis, square metres.
+    pub(super) variance: f64,
+}
+
+/// Steps by the views that they join.
+#[derive(Debug, Clone, Default)]
+pub(super) struct KnownSteps(pub(super) BTreeMap<(ViewId, ViewId), KnownStep>);
+
+impl KnownSteps {
+    /// A view goes: the step to it and the one from it become one.
+    pub(super) fn bridge(&mut self, gone: ViewId) {
+        let to = self.0.iter().find(|((_, b), _)| *b == gone).map(|(&k, &s)| (k, s));
+        let from = self.0.iter().find(|((a, _), _)| *a == gone).map(|(&k, &s)| (k, s));
+        self.0.retain(|&(a, b), _| a != gone && b != gone);
+        if let (Some(((a, _), first)), Some(((_, b), second))) = (to, from) {
+            let step = KnownStep { t_a_b: first.t_a_b * second.t_a_b, variance: first.variance + second.variance };
+            self.0.insert((a, b), step);
+        }
+    }
+}
+
+/// What is known of the scale.
+#[derive(Debug, Clone)]
+pub(super) struct Scaling {
+    scale: Scale,
+    /// Base's motion since the newest view, as long as it was told.
+    since_view: Option<(Pose, Covariance6)>,
+    /// Ratios by the second camera.
+    seconds: Vec<f64>,
+}
+
+impl Default for Scaling {
+    fn default() -> Self {
+        Self { scale: Scale::Unknown, since_view: None, seconds: vec![] }
+    }
+}
+
+impl Scaling {
+    pub(super) fn scale(&self) -> Scale {
+        self.scale
+    }
+
+    /// What a motion prior says of the camera, t_now_previous, in the map's unit; while that is unknown only how it turned.
+    pub(super) fn hint(&self, prior: &MotionPrior, t_base_sensor: &Pose, motion: Option<&Pose>) -> Pose {
+        let mut hint = in_camera(&prior.t_prev_now, t_base_sensor).inverse();
+        if self.scale == Scale::Unknown {
+            hint.translation.vector = motion.map_or_else(Vector3::zeros, |m| m.translation.vector);
+        }
+        hint
+    }
+
+    /// Notes how base moved up to the image that the tracker has just taken in; `newest_before` was the newest view then.
+    pub(super) fn moved(
+        &mut self,
+        prior: Option<&MotionPrior>,
+        t_base_sensor: &Pose,
+        tracker: &mut Tracker,
+        newest_before: Option<ViewId>,
+    ) {
+        self.since_view = self.since_view.take().zip(prior).map(|((t, covariance), p)| {
+            (t * p.t_prev_now, se3::compose_covariance(&covariance, &p.t_prev_now, &p.covariance))
+        });
+        if tracker.newest == newest_before {
+            return;
+        }
+        if let (Some((t, covariance)), Some(a), Some(b)) = (&self.since_view, newest_before, tracker.newest) {
+            let variance = covariance.fixed_view::<3, 3>(0, 0).trace() / 3.0;
+            let step = KnownStep { t_a_b: in_camera(t, t_base_sensor), variance: variance.max(1e-5) };
+            tracker.known.0.insert((a, b), step);
+        }
+        self.since_view = Some((Pose::identity(), Covariance6::zeros()));
+        if self.scale == Scale::Unknown
+            && let Some(ratio) = by_steps(tracker)
+        {
+            self.apply(ratio, Scale::FromOdometry, tracker);
+        }
+    }
+
+    /// An image that was placed came with depth.
+    pub(super) fn see_depth(&mut self, depth: &DepthImage, scan: &ImageScan, tracker: &mut Tracker) {
+        let k = &scan.intrinsics;
+        if self.scale != Scale::Unknown || (depth.width(), depth.height()) != (k.width, k.height) {
+            return;
+        }
+        let ratio = |p: Point3<f64>| {
+            let pixel = k.project(&p)?;
+            let (u, v) = (pixel.x.round(), pixel.y.round());
+            let inside = u >= 0.0 && v >= 0.0 && u < k.width as f64 && v < k.height as f64;
+            let metres = if inside { f64::from(depth.at(u as usize, v as usize)) } else { 0.0 };
+            (metres > 0.0).then_some(metres / p.z)
+        };
+        let mut ratios: Vec<f64> = tracker.points_in_camera().into_iter().filter_map(ratio).collect();
+        if let Some(ratio) = agreed(&mut ratios, MIN_DEPTHS) {
+            self.apply(ratio, Scale::FromDepth, tracker);
+        }
+    }
+
+    /// An image that was placed came with one of a second camera.
+    pub(super) fn see_second(&mut self, second: &SecondCamera, tracker: &mut Tracker, max_features: usize) {
+        let baseline = second.t_sensor_second.translation.vector.norm();
+        if self.scale != Scale::Unknown || !(baseline > 0.0 && baseline.is_finite()) {
+            return;
+        }
+        let lens = Lens::of(&second.intrinsics);
+        let Ok(frame) = frame::extract(&second.image, &second.intrinsics, &lens, max_features) else { return };
+        let Some(distance) = tracker.distance_to(frame, &lens, &second.t_sensor_second) else { return };
+        if distance > 0.0 {
+            self.seconds.push(baseline / distance);
+        }
+        if let Some(ratio) = agreed(&mut self.seconds.clone(), MIN_SECONDS) {
+            self.apply(ratio, Scale::FromBaseline, tracker);
+        } else if self.seconds.len() >= 64 {
+            self.seconds.remove(0);
+        }
+    }
+
+    fn apply(&mut self, ratio: f64, scale: Scale, tracker: &mut Tracker) {
+        tracker.rescale(ratio);
+        tracker.is_metric = true;
+        self.scale = scale;
+    }
+}
+
+/// Base's motion as the camera's.
+fn in_camera(t_base: &Pose, t_base_sensor: &Pose) -> Pose {
+    t_base_sensor.inverse() * t_base * t_base_sensor
+}
+
+/// Metres by the map's unit from the steps between views.
+fn by_steps(tracker: &Tracker) -> Option<f64> {
+    let (mut ratios, mut way) = (vec![], 0.0);
+    for ((a, b), step) in &tracker.known.0 {
+        let (Some(a), Some(b)) = (tracker.map.views.get(a), tracker.map.views.get(b)) else { continue };
+        let seen = (a.t_camera_map * b.t_camera_map.inverse()).translation.vector;
+        let told = step.t_a_b.translation.vector;
+        let length = told.norm();
+        if length < MIN_STEP_M.max(2.0 * step.variance.sqrt()) || seen.norm() < 1e-9 {
+            continue;
+        }
+        way += length;
+        ratios.push(length / seen.norm());
+    }
+    if way < MIN_WAY_M { None } else { agreed(&mut ratios, MIN_STEPS) }
+}
+
+/// The median, if there are enough and their spread is small.
+fn agreed(ratios: &mut [f64], needed: usize) -> Option<f64> {
+    if ratios.len() < needed {
+        return None;
+    }
+    ratios.sort_by(f64::total_cmp);
+    let median = ratios[ratios.len() / 2];
+    let mut off: Vec<f64> = ratios.iter().map(|r| (r / median - 1.0).abs()).collect();
+    off.sort_by(f64::total_cmp);
+    // 1.4826 makes the median deviation a standard deviation, 1.25 is the median's loss against the mean.
+    let error = 1.25 * 1.4826 * off[off.len() / 2] / (ratios.len() as f64).sqrt();
+    (median.is_finite() && median > 0.0 && error < SURE).then_some(median)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_median_counts_only_when_the_ratios_agree() {
+        assert_eq!(agreed(&mut [2.0, 2.01, 1.99, 9.0], 4), Some(2.01));
+        assert_eq!(agreed(&mut [2.0, 2.01, 1.99], 4), None);
+        assert_eq!(agreed(&mut [1.0, 2.0, 3.0, 4.0], 4), None);
+    }
+
+    #[test]
+    fn steps_to_and_from_a_view_that_goes_become_one() {
+        let step = |x| KnownStep { t_a_b: se3::from_xy_yaw(x, 0.0, 0.0), variance: 0.01 };
+        let [a, b, c] = [0, 1, 2].map(ViewId);
+        let mut steps = KnownSteps(BTreeMap::from([((a, b), step(1.0)), ((b, c), step(2.0))]));
+        steps.bridge(b);
+        let all: Vec<_> = steps.0.into_iter().collect();
+        assert_eq!(all.len(), 1);
+        assert_eq!(all[0].0, (a, c));
+        assert!((all[0].1.t_a_b.translation.x - 3.0).abs() < 1e-12 && (all[0].1.variance - 0.02).abs() < 1e-12);
+    }
+}
