@@ -8,7 +8,7 @@ use std::sync::Arc;
 pub struct DepthScan {
     /// Depth along the optical axis, metres.
     pub depth: Arc<DepthImage>,
-    /// Colour of the same size; registered to the depth or nearly so.
+    /// Colour of the same size; if it is not registered to the depth, where it belongs is learned from the images.
     pub color: Option<Arc<RgbImage>>,
     /// Of the depth image.
     pub intrinsics: CameraIntrinsics,

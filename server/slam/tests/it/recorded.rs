@@ -22,7 +22,7 @@ fn data(set: &str) -> Option<PathBuf> {
 }
 
 #[test]
-fn seven_scenes_is_tracked_to_six_centimetres() {
+fn seven_scenes_is_tracked_to_two_and_a_half_centimetres() {
     let Some(dir) = data("rgbd-7scenes-a") else { return };
     let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
     let intrinsics = CameraIntrinsics::pinhole(640, 480, 585.0, 585.0, 320.0, 240.0);
@@ -31,14 +31,16 @@ fn seven_scenes_is_tracked_to_six_centimetres() {
         let name = dir.join(format!("frame-{i:06}"));
         let file = |end: &str| PathBuf::from(format!("{}{end}", name.display()));
         let depth = Arc::new(read::depth_png(&file(".depth.png"), 0.001).unwrap());
-        let scan = Scan::Depth(DepthScan { depth, color: None, intrinsics, t_base_sensor: Pose::identity() });
+        let color = Some(Arc::new(read::color(&file(".color.jpg")).unwrap()));
+        let scan = Scan::Depth(DepthScan { depth, color, intrinsics, t_base_sensor: Pose::identity() });
         let e = odometry.register(Timestamp::from_secs_f64(f64::from(i) / 30.0), &scan, None);
         assert!(!e.state.is_lost(), "frame {i}: {:?}", e.state);
         truth.push(read::pose_3x4(&read::numbers(&file(".pose.txt")).unwrap()).unwrap());
         estimate.push(e.t_odom_base);
     }
     let rmse = measure::ate_rmse(&truth, &estimate);
-    assert!(rmse < 0.05, "{rmse}");
+    // The truth itself is good to 1 to 3 cm. By depth alone it is 0.031 m.
+    assert!(rmse < 0.025, "{rmse}");
 }
 
 #[test]

@@ -6,6 +6,7 @@
 
 use super::frame::{Frame, Rigid32, Vertex};
 use super::noise::sigma;
+use super::photometric::Photometric;
 use super::surfels::{View, pixel};
 use crate::odometry::Match;
 use crate::tracking::LostReason;
@@ -19,6 +20,8 @@ const CHUNK: usize = 4096;
 const PIXELS_PER_MEASUREMENT: f64 = 100.0;
 /// Least mean squared sensitivity of a direction; noise of normals alone gives about 0.003.
 const DEGENERATE: f64 = 0.006;
+/// The same of textured points: what lies within a few pixels shares blur, shine and edge.
+const POINTS_PER_MEASUREMENT: f64 = 64.0;
 
 /// One level: every `stride`-th row and column, correspondences up to `gate` metres.
 struct Level {
@@ -45,6 +48,8 @@ pub(crate) struct Problem<'a> {
     pub(crate) frame: &'a Frame,
     pub(crate) view: &'a View,
     pub(crate) camera: &'a CameraIntrinsics,
+    /// Brightness, if model and frame have some.
+    pub(crate) photometric: Option<Photometric<'a>>,
     /// Prediction of the camera's pose in odom, at which the view was rendered, and its covariance in
     /// the camera frame.
     pub(crate) covariance: Covariance6,
@@ -57,7 +62,7 @@ pub(crate) struct Problem<'a> {
 pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
     let Some(prior) = problem.covariance.try_inverse() else { return Err(LostReason::Degenerate) };
     let mut t_view_camera = Pose::identity();
-    let mut scale = 3.0;
+    let (mut scale, mut light_scale) = (3.0, 3.0);
     let mut iterations = 0;
     let mut last = None;
     for level in &LEVELS {
@@ -70,8 +75,13 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
             }
             let degeneracy = Degeneracy::of(&e, &problem.frame.centroid, problem.frame.spread, DEGENERATE);
             let pull = se3::log(&t_view_camera);
+            let light = problem
+                .photometric
+                .as_ref()
+                .map(|p| p.equations(problem.frame, problem.camera, &t_view_camera, level.stride, light_scale));
             let (step, information) =
-                solve(&e, &degeneracy, &prior, &pull, level.stride).ok_or(LostReason::Degenerate)?;
+                solve(&e, light.as_ref(), &degeneracy, &prior, &pull, level.stride).ok_or(LostReason::Degenerate)?;
+            light_scale = light.map_or(3.0, |l| (l.rmse() * 2.0).clamp(1.0, 3.0));
             t_view_camera *= se3::exp(&step);
             iterations += 1;
             // Tukey's cut-off follows the residuals, from what the noise model says to three times that;
@@ -133,6 +143,7 @@ fn sampled(frame: &Frame, stride: usize) -> f64 {
 /// The step and the information of measurement and prediction together.
 fn solve(
     e: &NormalEquations,
+    light: Option<&NormalEquations>,
     degeneracy: &Degeneracy,
     prior: &Matrix6<f64>,
     pull: &Vector6<f64>,
@@ -142,8 +153,13 @@ fn solve(
     let variance = (e.cost / e.weight.max(1.0)).max(0.25);
     let h = degeneracy.keep_good(&e.hessian()) * (share / variance);
     let g = degeneracy.keep_good_gradient(&e.gradient()) * (share / variance);
-    let information = h + prior;
-    let step = -information.cholesky()?.solve(&(g + prior * pull));
+    let (mut information, mut gradient) = (h + prior, g + prior * pull);
+    if let Some(light) = light {
+        let share = stride as f64 / POINTS_PER_MEASUREMENT / (light.cost / light.weight.max(1.0)).max(0.25);
+        information += light.hessian() * share;
+        gradient += light.gradient() * share;
+    }
+    let step = -information.cholesky()?.solve(&gradient);
     step.iter().all(|x| x.is_finite()).then_some((step, information))
 }
 
@@ -161,7 +177,7 @@ fn judge(
     if inlier_ratio < r.min_inlier_ratio {
         return Err(LostReason::ResidualTooLarge);
     }
-    if degeneracy.num_directions >= 5 {
+    if degeneracy.num_directions >= 5 && problem.photometric.is_none() {
         return Err(LostReason::Degenerate);
     }
     let moved = (t_view_camera.translation.vector.norm(), t_view_camera.rotation.angle());
@@ -176,6 +192,19 @@ fn judge(
         inlier_ratio: e.num_residuals as f64 / problem.frame.num_valid.max(1) as f64,
         rmse_m: e.rmse() * noise,
         iterations,
-        degenerate_axes: degeneracy.axes_in(&problem.r_base_camera),
+        degenerate_axes: open_axes(problem, degeneracy, &covariance),
     })
+}
+
+/// Axes that depth leaves open and brightness does not fix either: the prediction was hardly sharpened there.
+fn open_axes(problem: &Problem<'_>, degeneracy: &Degeneracy, covariance: &Covariance6) -> [bool; 6] {
+    let turned = |c: &Covariance6| {
+        let mut r = Matrix6::zeros();
+        r.fixed_view_mut::<3, 3>(0, 0).copy_from(&problem.r_base_camera);
+        r.fixed_view_mut::<3, 3>(3, 3).copy_from(&problem.r_base_camera);
+        (r * c * r.transpose()).diagonal()
+    };
+    let (before, after) = (turned(&problem.covariance), turned(covariance));
+    let open = degeneracy.axes_in(&problem.r_base_camera);
+    std::array::from_fn(|k| open[k] && (problem.photometric.is_none() || after[k] > 0.25 * before[k]))
 }

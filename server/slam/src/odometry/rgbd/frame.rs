@@ -4,9 +4,10 @@
 //! squares over a window therefore smooths the depth and gives the normal at once, exactly for planes
 //! and any lens. Its unit suits structured light and stereo, whose noise is even in inverse depth.
 
+use super::intensity::Intensity;
 use crate::scan::DepthScan;
 use nalgebra::{Matrix3, Vector3};
-use percept_geometry::CameraIntrinsics;
+use percept_geometry::{CameraIntrinsics, Distortion};
 use rayon::prelude::*;
 
 /// Half width of the plane fit's window, pixels.
@@ -35,6 +36,8 @@ pub(crate) struct Frame {
     /// Mean of the valid vertices, and root mean square distance from it, metres.
     pub(crate) centroid: Vector3<f64>,
     pub(crate) spread: f64,
+    /// Undistorted, on the same grid; empty without colour.
+    pub(crate) intensity: Intensity,
 }
 
 impl Frame {
@@ -62,8 +65,10 @@ pub(crate) struct Preparer {
     /// Pinhole of the frame's grid, without distortion: the model is rendered with it.
     pub(crate) pinhole: Option<CameraIntrinsics>,
     factor: usize,
-    rays: Vec<[f32; 2]>,
-    inverse_depth: Vec<f32>,
+    pub(crate) rays: Vec<[f32; 2]>,
+    pub(crate) inverse_depth: Vec<f32>,
+    /// Where the pinhole's pixels are in the shrunk image, if its lens distorts.
+    undistort: Option<Vec<[f32; 2]>>,
 }
 
 impl Preparer {
@@ -87,6 +92,10 @@ impl Preparer {
             }
         });
         frame.measure();
+        frame.intensity.clear();
+        if let Some(color) = &scan.color {
+            frame.intensity.fill(color, self.factor, (width, height), self.undistort.as_deref());
+        }
     }
 
     fn set_camera(&mut self, intrinsics: &CameraIntrinsics, max_width: usize) {
@@ -102,8 +111,16 @@ impl Preparer {
                 [ray.x as f32, ray.y as f32]
             })
             .collect();
-        self.pinhole =
-            Some(CameraIntrinsics::pinhole(small.width, small.height, small.fx, small.fy, small.cx, small.cy));
+        let pinhole = CameraIntrinsics::pinhole(small.width, small.height, small.fx, small.fy, small.cx, small.cy);
+        self.undistort = (small.distortion != Distortion::None).then(|| {
+            (0..small.width * small.height)
+                .map(|i| {
+                    let ray = pinhole.ray((i % small.width) as f64, (i / small.width) as f64);
+                    small.project(&ray).map_or([-1.0; 2], |uv| [uv.x as f32, uv.y as f32])
+                })
+                .collect()
+        });
+        self.pinhole = Some(pinhole);
     }
 
     /// Mean inverse depth of each block's nearer surface; 0 where there is none.

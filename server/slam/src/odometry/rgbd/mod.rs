@@ -1,10 +1,15 @@
 //! Depth cameras: each frame is placed in a model of surfels, then fused into it.
 //!
-//! Image to vertices ([`frame`]), model to view ([`surfels`]), frame to view ([`mod@align`]).
+//! Image to vertices ([`frame`]) and brightness ([`intensity`]), model to view ([`surfels`]), frame to view by depth
+//! ([`mod@align`]) and brightness ([`photometric`]) at once. Depth slides along smooth surfaces and brightness does not;
+//! colour that was not registered to depth is ([`color_camera`]).
 
 mod align;
+mod color_camera;
 mod frame;
+mod intensity;
 mod noise;
+mod photometric;
 mod surfels;
 
 use crate::odometry::{LocalModel, Match, Prediction};
@@ -12,9 +17,11 @@ use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
 use align::{Problem, Requirements, align};
+use color_camera::ColorRegistration;
 use frame::{Frame, Preparer, Vertex};
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeScan, Pose, se3};
+use photometric::Photometric;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use surfels::{FusionLimits, Surfels, View};
@@ -108,6 +115,9 @@ pub(crate) struct Rgbd {
     /// Whether `view` was rendered for the frame that is to be fused.
     viewed: bool,
     t_base_camera: Pose,
+    registration: ColorRegistration,
+    /// Where colour was last compared with depth.
+    t_odom_compared: Option<Pose>,
     pending: Vec<Pending>,
 }
 
@@ -121,6 +131,8 @@ impl Rgbd {
             view: View::default(),
             viewed: false,
             t_base_camera: Pose::identity(),
+            registration: ColorRegistration::default(),
+            t_odom_compared: None,
             pending: vec![],
         }
     }
@@ -133,6 +145,23 @@ impl Rgbd {
             let coarse = camera.shrunk(2, true);
             let vertices = self::seed::vertices(&coarse, &scan, &t_sensor_base);
             self.surfels.insert(&vertices, &(t_odom_base * scan.t_base_sensor));
+        }
+    }
+
+    /// Learns from the first views that differ where the colour camera is.
+    fn compare_color(&mut self, t_odom_camera: &Pose) {
+        let Some(camera) = self.preparer.pinhole else { return };
+        let moved = self.t_odom_compared.is_none_or(|last| {
+            let t = last.inverse() * t_odom_camera;
+            t.translation.vector.norm() > 0.15 || t.rotation.angle() > 0.15
+        });
+        if !moved || !self.registration.wants_more() || self.frame.intensity.is_empty() {
+            return;
+        }
+        self.t_odom_compared = Some(*t_odom_camera);
+        let depth = (&self.preparer.rays[..], &self.preparer.inverse_depth[..]);
+        if self.registration.add(&camera, depth, &self.frame.intensity) {
+            self.surfels.forget_light();
         }
     }
 
@@ -171,6 +200,11 @@ impl LocalModel for Rgbd {
             frame: &self.frame,
             view: &self.view,
             camera: &camera,
+            photometric: (!self.frame.intensity.is_empty() && self.view.textured.len() > 200).then(|| Photometric {
+                intensity: &self.frame.intensity,
+                color: self.registration.camera(&camera),
+                points: &self.view.textured,
+            }),
             covariance: ad * prediction.covariance * ad.transpose(),
             r_base_camera: *self.t_base_camera.rotation.to_rotation_matrix().matrix(),
             requirements: Requirements {
@@ -189,8 +223,12 @@ impl LocalModel for Rgbd {
 
     fn integrate(&mut self, t_odom_base: &Pose) {
         let limits = self.limits();
-        let view = self.preparer.pinhole.as_ref().filter(|_| self.viewed).map(|camera| (&self.view, camera));
-        self.surfels.fuse(&self.frame, &(t_odom_base * self.t_base_camera), view, &limits);
+        let t_odom_camera = t_odom_base * self.t_base_camera;
+        self.compare_color(&t_odom_camera);
+        let Some(camera) = self.preparer.pinhole else { return };
+        let view = self.viewed.then_some((&self.view, &camera));
+        let color = self.registration.camera(&camera);
+        self.surfels.fuse(&self.frame, &t_odom_camera, view, &color, &limits);
     }
 
     fn clear(&mut self) {

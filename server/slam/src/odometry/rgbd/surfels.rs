@@ -4,8 +4,10 @@
 //! We depart from it in rendering: surfels of one surface that fall on one pixel are averaged by weight,
 //! since taking the nearest would pull the surface towards the camera by its noise.
 
+use super::color_camera::ColorCamera;
 use super::frame::{Frame, Rigid32, Vertex};
 use super::noise::sigma;
+use super::photometric::{MIN_CONTRAST, TexturedPoint};
 use nalgebra::Vector3;
 use percept_geometry::{CameraIntrinsics, Pose};
 use rayon::prelude::*;
@@ -23,6 +25,8 @@ pub(crate) struct Surfel {
     pub(crate) weight: f32,
     /// Motion travelled when last measured, metres.
     pub(crate) last_seen: f32,
+    /// As [`super::intensity`] has it; NaN if not seen in colour.
+    pub(crate) intensity: f32,
 }
 
 /// The model as a camera at `t_odom_view` sees it.
@@ -31,6 +35,10 @@ pub(crate) struct View {
     pub(crate) t_odom_view: Pose,
     /// In the view's frame.
     pub(crate) vertices: Vec<Vertex>,
+    /// Those of its surfels that fix motion by their brightness.
+    pub(crate) textured: Vec<TexturedPoint>,
+    /// The heaviest surfel's place and brightness.
+    lights: Vec<TexturedPoint>,
     /// Heaviest surfel of the pixel.
     index: Vec<u32>,
     nearest: Vec<f32>,
@@ -44,6 +52,46 @@ pub(crate) struct FusionLimits {
     pub(crate) max_weight: f32,
     pub(crate) window: f32,
     pub(crate) max_surfels: usize,
+}
+
+impl View {
+    /// Points whose brightness differs from the next pixel's on the same surface.
+    fn find_texture(&mut self, width: usize) {
+        self.textured.clear();
+        for i in 0..self.lights.len().saturating_sub(width) {
+            let here = &self.lights[i];
+            if here.intensity.is_nan() || self.vertices[i].p.z <= 0.0 {
+                continue;
+            }
+            let step = |there: &TexturedPoint| {
+                let same = (there.p.z - here.p.z).abs() < 0.05 * here.p.z;
+                if same { (there.intensity - here.intensity).abs() } else { f32::NAN }
+            };
+            let (right, below) = (step(&self.lights[i + 1]), step(&self.lights[i + width]));
+            if right.max(below) > MIN_CONTRAST && !right.is_nan() && !below.is_nan() {
+                self.textured.push(*here);
+            }
+        }
+    }
+}
+
+/// The frame that is fused.
+struct Live<'a> {
+    frame: &'a Frame,
+    color: &'a ColorCamera,
+    to_odom: Rigid32,
+    to_view: Rigid32,
+    to_camera: Rigid32,
+}
+
+/// Brightness of a point of the camera's frame; NaN where there is none.
+#[inline]
+fn light(frame: &Frame, color: &ColorCamera, p: &Vector3<f32>) -> f32 {
+    if frame.intensity.is_empty() || p.z <= 0.1 {
+        return f32::NAN;
+    }
+    let (u, v) = color.project(p);
+    frame.intensity.sample(u, v).map_or(f32::NAN, |s| s.value)
 }
 
 #[derive(Debug, Default)]
@@ -64,6 +112,11 @@ impl Surfels {
         self.last_pose = None;
     }
 
+    /// Forgets brightness: it was looked up with a camera that turned out wrong.
+    pub(crate) fn forget_light(&mut self) {
+        self.surfels.iter_mut().for_each(|s| s.intensity = f32::NAN);
+    }
+
     /// Renders into `view` with a pinhole at `t_odom_view`.
     pub(crate) fn render(&self, camera: &CameraIntrinsics, t_odom_view: &Pose, view: &mut View) {
         let num_pixels = camera.width * camera.height;
@@ -76,6 +129,8 @@ impl Surfels {
         view.nearest.resize(num_pixels, f32::INFINITY);
         view.weight.clear();
         view.weight.resize(num_pixels, 0.0);
+        view.lights.clear();
+        view.lights.resize(num_pixels, TexturedPoint { p: Vector3::zeros(), intensity: f32::NAN });
         let t_view_odom = Rigid32::from(&t_odom_view.inverse());
         self.project(camera, &t_view_odom, &mut view.projected);
         for &(pixel, z) in &view.projected {
@@ -91,12 +146,14 @@ impl Surfels {
             }
             let (pixel, s) = (pixel as usize, &self.surfels[i]);
             let sum = &mut view.vertices[pixel];
-            sum.p += t_view_odom.apply(&s.p) * s.weight;
+            let p = t_view_odom.apply(&s.p);
+            sum.p += p * s.weight;
             sum.n += t_view_odom.r * s.n * s.weight;
             view.weight[pixel] += s.weight;
             if s.weight > heaviest[pixel] {
                 heaviest[pixel] = s.weight;
                 view.index[pixel] = i as u32;
+                view.lights[pixel] = TexturedPoint { p, intensity: s.intensity };
             }
         }
         for (v, &w) in view.vertices.iter_mut().zip(&view.weight) {
@@ -107,6 +164,7 @@ impl Surfels {
                 *v = if norm > 0.7 * w { Vertex { n: v.n / norm, p: v.p } } else { Vertex::default() };
             }
         }
+        view.find_texture(camera.width);
     }
 
     /// Pixel and depth of every surfel that faces the view and lies in it.
@@ -136,6 +194,7 @@ impl Surfels {
         frame: &Frame,
         t_odom_camera: &Pose,
         view: Option<(&View, &CameraIntrinsics)>,
+        color: &ColorCamera,
         limits: &FusionLimits,
     ) {
         self.travel(t_odom_camera);
@@ -144,12 +203,14 @@ impl Surfels {
             None => {
                 let new = frame.vertices.iter().filter(|v| v.p.z > 0.0);
                 let seen = self.travelled;
-                self.surfels.extend(new.map(|v| surfel(v, &to_odom, seen)));
+                self.surfels.extend(new.map(|v| surfel(v, &to_odom, seen, light(frame, color, &v.p))));
             }
             Some((view, camera)) => {
                 let to_view = Rigid32::from(&(view.t_odom_view.inverse() * t_odom_camera));
+                let to_camera = Rigid32::from(&t_odom_camera.inverse());
+                let live = Live { frame, color, to_odom, to_view, to_camera };
                 for v in frame.vertices.iter().filter(|v| v.p.z > 0.0) {
-                    self.fuse_vertex(v, &to_odom, &to_view, view, camera, limits);
+                    self.fuse_vertex(v, &live, view, camera, limits);
                 }
             }
         }
@@ -159,39 +220,47 @@ impl Surfels {
     fn fuse_vertex(
         &mut self,
         v: &Vertex,
-        to_odom: &Rigid32,
-        to_view: &Rigid32,
+        live: &Live<'_>,
         view: &View,
         camera: &CameraIntrinsics,
         limits: &FusionLimits,
     ) {
-        let q = to_view.apply(&v.p);
+        let q = live.to_view.apply(&v.p);
         let index = match pixel(camera, &q) {
             Some(pixel) => view.index[pixel],
             None => NONE,
         };
-        let measured = surfel(v, to_odom, self.travelled);
+        let measured = |light| surfel(v, &live.to_odom, self.travelled, light);
         if index == NONE {
-            self.surfels.push(measured);
+            self.surfels.push(measured(light(live.frame, live.color, &v.p)));
             return;
         }
+        let measured = measured(f32::NAN);
         let s = &mut self.surfels[index as usize];
         let gate = 0.015 + 4.0 * sigma(v.p.z);
         // Along the line of sight: positive if the model lies in front of what the frame sees.
-        let sight = (to_odom.r * v.p).normalize();
+        let sight = (live.to_odom.r * v.p).normalize();
         let behind = sight.dot(&(measured.p - s.p));
         if behind.abs() < gate && s.n.dot(&measured.n) > 0.5 {
             let share = measured.weight / (s.weight + measured.weight);
             // Along the normal only, so that surfels do not drift over the surface.
             s.p += s.n * (share * s.n.dot(&(measured.p - s.p)));
             s.n = (s.n + (measured.n - s.n) * share).normalize();
+            // Looked up where the surfel is, not where the frame measured: brightness must not smear.
+            let light = light(live.frame, live.color, &live.to_camera.apply(&s.p));
+            s.intensity = if s.intensity.is_nan() || light.is_nan() {
+                s.intensity.max(light)
+            } else {
+                s.intensity + (light - s.intensity) * share
+            };
             s.weight = (s.weight + measured.weight).min(limits.max_weight);
             s.last_seen = measured.last_seen;
         } else if behind > 3.0 * gate {
             // Seen through: it has moved away.
             s.weight -= 3.0 * measured.weight;
         } else if behind < -gate {
-            self.surfels.push(measured);
+            let light = light(live.frame, live.color, &v.p);
+            self.surfels.push(Surfel { intensity: light, ..measured });
         }
     }
 
@@ -200,7 +269,7 @@ impl Surfels {
         self.travel(t_odom_camera);
         let to_odom = Rigid32::from(t_odom_camera);
         let seen = self.travelled;
-        self.surfels.extend(vertices.iter().filter(|v| v.p.z > 0.0).map(|v| surfel(v, &to_odom, seen)));
+        self.surfels.extend(vertices.iter().filter(|v| v.p.z > 0.0).map(|v| surfel(v, &to_odom, seen, f32::NAN)));
     }
 
     fn travel(&mut self, t_odom_camera: &Pose) {
@@ -245,6 +314,6 @@ fn surfel_weight(z: f32) -> f32 {
     (s * s).min(4.0)
 }
 
-fn surfel(v: &Vertex, to_odom: &Rigid32, last_seen: f32) -> Surfel {
-    Surfel { p: to_odom.apply(&v.p), n: to_odom.r * v.n, weight: surfel_weight(v.p.z), last_seen }
+fn surfel(v: &Vertex, to_odom: &Rigid32, last_seen: f32, intensity: f32) -> Surfel {
+    Surfel { p: to_odom.apply(&v.p), n: to_odom.r * v.n, weight: surfel_weight(v.p.z), last_seen, intensity }
 }

@@ -1,0 +1,272 @@
+//! Where the colour camera sees what the depth camera sees, found from the images themselves.
+//!
+//! Many depth cameras are recorded without registering colour to depth: another focal length and a
+//! baseline of a few centimetres put a surface's colour tens of pixels away. Where depth jumps there is
+//! mostly an edge of brightness, too, so the camera under which most jumps fall on edges is the one
+//! (Levinson and Thrun, "Automatic online calibration of cameras and lasers", 2013, section III).
+//! Registered images stay as they are: another camera has to explain clearly more.
+
+use super::intensity::Intensity;
+use nalgebra::Vector3;
+use percept_geometry::CameraIntrinsics;
+
+/// Frames whose edges are kept.
+const MAX_FRAMES: usize = 8;
+/// Edges kept of one frame.
+const MAX_EDGES: usize = 400;
+/// Fewest edges to judge by.
+const MIN_EDGES: usize = 150;
+/// Another camera must bring the edges so much more gradient than the one believed.
+const CLEARLY: f32 = 1.15;
+
+/// Pinhole of the colour image on the frame's grid, its optical axis parallel to depth's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct ColorCamera {
+    pub(crate) fx: f32,
+    pub(crate) fy: f32,
+    pub(crate) cx: f32,
+    pub(crate) cy: f32,
+    /// Focal length times baseline along x, pixel metres.
+    pub(crate) bx: f32,
+}
+
+impl ColorCamera {
+    /// The same as the depth's.
+    pub(crate) fn registered(depth: &CameraIntrinsics) -> Self {
+        let (fx, fy, cx, cy) = (depth.fx as f32, depth.fy as f32, depth.cx as f32, depth.cy as f32);
+        Self { fx, fy, cx, cy, bx: 0.0 }
+    }
+
+    /// Pixel of a point in the depth camera's frame (metres, `z > 0`).
+    #[inline]
+    pub(crate) fn project(&self, p: &Vector3<f32>) -> (f32, f32) {
+        let w = 1.0 / p.z;
+        ((self.fx * p.x + self.bx) * w + self.cx, self.fy * p.y * w + self.cy)
+    }
+
+    fn changed(&self, c: &Change) -> Self {
+        Self {
+            fx: self.fx * c.scale,
+            fy: self.fy * c.scale,
+            cx: self.cx + c.du,
+            cy: self.cy + c.dv,
+            bx: self.bx + c.bx,
+        }
+    }
+
+    /// Largest shift of a point seen by both, pixels.
+    fn differs(&self, other: &Self, half: (f32, f32)) -> f32 {
+        let corner = |c: &Self, z: f32| c.project(&Vector3::new(half.0 * z, half.1 * z, z));
+        [1.0, 3.0]
+            .into_iter()
+            .map(|z| {
+                let (a, b) = (corner(self, z), corner(other, z));
+                (a.0 - b.0).abs().max((a.1 - b.1).abs())
+            })
+            .fold(0.0, f32::max)
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Change {
+    scale: f32,
+    du: f32,
+    dv: f32,
+    bx: f32,
+}
+
+/// One frame's jumps of depth, as points on the nearer surface, and its edges of brightness.
+#[derive(Debug, Clone)]
+struct Edges {
+    points: Vec<Vector3<f32>>,
+    width: usize,
+    height: usize,
+    /// Gradient, capped and smoothed, in units of its mean.
+    wide: Vec<f32>,
+    sharp: Vec<f32>,
+}
+
+/// Collects edges and keeps the colour camera that explains them.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct ColorRegistration {
+    frames: Vec<Edges>,
+    camera: Option<ColorCamera>,
+}
+
+impl ColorRegistration {
+    /// The camera as now believed.
+    pub(crate) fn camera(&self, depth: &CameraIntrinsics) -> ColorCamera {
+        self.camera.unwrap_or_else(|| ColorCamera::registered(depth))
+    }
+
+    /// Whether more frames would help.
+    pub(crate) fn wants_more(&self) -> bool {
+        self.frames.len() < MAX_FRAMES
+    }
+
+    /// Takes a frame's edges in; whether the camera moved by more than a pixel, so that what was seen
+    /// with the old one is void. `inverse_depth` (1/m, 0 for none) along `rays` and `intensity` are on
+    /// grids of one size.
+    pub(crate) fn add(
+        &mut self,
+        depth: &CameraIntrinsics,
+        (rays, inverse_depth): (&[[f32; 2]], &[f32]),
+        intensity: &Intensity,
+    ) -> bool {
+        let edges = Edges::of(rays, inverse_depth, intensity);
+        if edges.points.len() < 30 {
+            return false;
+        }
+        self.frames.push(edges);
+        if self.frames.iter().map(|f| f.points.len()).sum::<usize>() < MIN_EDGES {
+            return false;
+        }
+        let before = self.camera(depth);
+        // The search over everything is dear: with the first, second, fourth and eighth frame.
+        let found = if self.frames.len().is_power_of_two() { self.search(depth) } else { before };
+        let found = self.refine(found, 1.0);
+        let unmoved = ColorCamera::registered(depth);
+        let best = if self.score(&found, false) > CLEARLY * self.score(&unmoved, false) { found } else { unmoved };
+        self.camera = Some(best);
+        let half = (0.5 * (depth.width as f64 / depth.fx) as f32, 0.5 * (depth.height as f64 / depth.fy) as f32);
+        best.differs(&before, half) > 1.0
+    }
+
+    /// Mean gradient under the edges.
+    fn score(&self, camera: &ColorCamera, wide: bool) -> f32 {
+        let (mut sum, mut n) = (0f32, 0usize);
+        for f in &self.frames {
+            let image = if wide { &f.wide } else { &f.sharp };
+            for p in &f.points {
+                let (u, v) = camera.project(p);
+                let inside = u >= 0.0 && v >= 0.0 && u + 0.5 < f.width as f32 && v + 0.5 < f.height as f32;
+                // What falls outside says nothing, so it counts as chance would.
+                sum += if inside { image[(v + 0.5) as usize * f.width + (u + 0.5) as usize] } else { 1.0 };
+            }
+            n += f.points.len();
+        }
+        sum / n.max(1) as f32
+    }
+
+    /// Focal lengths from 3/4 to 4/3 of the depth's and offsets that cameras side by side have.
+    fn search(&self, depth: &CameraIntrinsics) -> ColorCamera {
+        let start = ColorCamera::registered(depth);
+        let step = depth.width as f32 / 80.0;
+        let mut best = (self.score(&start, true), start);
+        for s in -7..=7 {
+            for b in -3..=3 {
+                for du in -3..=3 {
+                    for dv in -2..=2 {
+                        let change = Change {
+                            scale: 1.04f32.powi(s),
+                            du: du as f32 * step,
+                            dv: dv as f32 * step,
+                            bx: b as f32 * step,
+                        };
+                        let camera = start.changed(&change);
+                        let score = self.score(&camera, true);
+                        if score > best.0 {
+                            best = (score, camera);
+                        }
+                    }
+                }
+            }
+        }
+        self.refine(best.1, step)
+    }
+
+    /// Climbs along the axes with halving steps.
+    fn refine(&self, mut camera: ColorCamera, step: f32) -> ColorCamera {
+        let mut best = self.score(&camera, false);
+        let mut step = step;
+        while step > 0.2 {
+            let mut moved = false;
+            let none = Change { scale: 1.0, du: 0.0, dv: 0.0, bx: 0.0 };
+            // At a depth of two metres a baseline is a shift: both are tried against each other, too.
+            let changes = |s: f32| {
+                [
+                    Change { scale: 1.0 + 0.01 * s, ..none },
+                    Change { du: s, ..none },
+                    Change { dv: s, ..none },
+                    Change { bx: 2.0 * s, ..none },
+                    Change { du: s, bx: -2.0 * s, ..none },
+                ]
+            };
+            for change in changes(step).into_iter().chain(changes(-step)) {
+                let next = camera.changed(&change);
+                let score = self.score(&next, false);
+                if score > best {
+                    (best, camera, moved) = (score, next, true);
+                }
+            }
+            if !moved {
+                step *= 0.5;
+            }
+        }
+        camera
+    }
+}
+
+impl Edges {
+    fn of(rays: &[[f32; 2]], inverse_depth: &[f32], intensity: &Intensity) -> Self {
+        let (width, height) = (intensity.width, intensity.height);
+        let mut points = jumps(rays, inverse_depth, width, height);
+        let keep = points.len().div_ceil(MAX_EDGES).max(1);
+        points = points.into_iter().step_by(keep).collect();
+        let gradient = capped_gradient(intensity);
+        let sharp = mean_of_square(&gradient, width, height, 1);
+        let wide = mean_of_square(&gradient, width, height, width / 100);
+        Self { points, width, height, wide, sharp }
+    }
+}
+
+/// The nearer side of every jump between neighbours by more than 6 % of the depth.
+fn jumps(rays: &[[f32; 2]], inverse_depth: &[f32], width: usize, height: usize) -> Vec<Vector3<f32>> {
+    let mut out = vec![];
+    for v in 1..height.saturating_sub(1) {
+        for u in 1..width.saturating_sub(1) {
+            let (i, here) = (v * width + u, inverse_depth[v * width + u]);
+            for j in [i + 1, i + width] {
+                let there = inverse_depth[j];
+                let (near, far) = (here.max(there), here.min(there));
+                if far > 0.0 && near > 1.06 * far {
+                    let (a, b) = (rays[i], rays[j]);
+                    out.push(Vector3::new(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 1.0) / near);
+                }
+            }
+        }
+    }
+    out
+}
+
+/// Norm of the gradient up to three times its mean, in units of its mean then.
+fn capped_gradient(intensity: &Intensity) -> Vec<f32> {
+    let (width, height, data) = (intensity.width, intensity.height, &intensity.data);
+    let mut out = vec![0f32; width * height];
+    for v in 1..height - 1 {
+        for u in 1..width - 1 {
+            let i = v * width + u;
+            out[i] = (data[i + 1] - data[i - 1]).hypot(data[i + width] - data[i - width]);
+        }
+    }
+    for _ in 0..2 {
+        let mean = out.iter().sum::<f32>() / out.len().max(1) as f32;
+        out.iter_mut().for_each(|g| *g = (*g / mean.max(1e-6)).min(3.0));
+    }
+    out
+}
+
+fn mean_of_square(from: &[f32], width: usize, height: usize, r: usize) -> Vec<f32> {
+    let along = |from: &[f32], n: usize, stride: usize, lines: usize, next: usize| {
+        let mut out = vec![0f32; from.len()];
+        for line in 0..lines {
+            for k in 0..n {
+                let (a, b) = (k.saturating_sub(r), (k + r).min(n - 1));
+                let sum: f32 = (a..=b).map(|x| from[line * next + x * stride]).sum();
+                out[line * next + k * stride] = sum / (b + 1 - a) as f32;
+            }
+        }
+        out
+    };
+    along(&along(from, width, 1, height, width), height, width, width, 1)
+}
