@@ -202,6 +202,9 @@ _E = "EvaluationService"
 EVALUATE_TRAJECTORY = Rpc(
     _E, "EvaluateTrajectory", evaluation.EvaluateTrajectoryRequest, evaluation.EvaluateTrajectoryResponse
 )
+EVALUATE_RELATIONS = Rpc(
+    _E, "EvaluateRelations", evaluation.EvaluateRelationsRequest, evaluation.EvaluateRelationsResponse
+)
 EVALUATE_DETECTIONS = Rpc(
     _E, "EvaluateDetections", evaluation.EvaluateDetectionsRequest, evaluation.EvaluateDetectionsResponse
 )

@@ -8,7 +8,14 @@ from ._aio_transport import AsyncTransport
 from ._arrays import Array
 from ._convert import evaluation as convert
 from ._transport import Transport
-from .types.evaluation import DetectionMetrics, LabelledBox, TrajectoryAlignment, TrajectoryMetrics
+from .types.evaluation import (
+    DeltaUnit,
+    DetectionMetrics,
+    LabelledBox,
+    RelationMetrics,
+    TrajectoryAlignment,
+    TrajectoryMetrics,
+)
 from .types.sessions import Trajectory
 
 
@@ -25,11 +32,43 @@ class Evaluation:
         estimate: Trajectory | tuple[Array, Array],
         alignment: TrajectoryAlignment | str = TrajectoryAlignment.SE3,
         max_stamp_difference_s: float | None = None,
+        estimate_offset_s: float = 0.0,
+        delta: float = 1.0,
+        delta_unit: DeltaUnit | str = DeltaUnit.FRAMES,
+        all_pairs: bool = False,
+        segment_lengths_m: Sequence[float] = (),
+        return_pairs: bool = False,
     ) -> TrajectoryMetrics:
-        """ATE and RPE as evo computes them. A trajectory is a Trajectory, or its stamps (N,) int64 ns with
-        its poses (N, 4, 4) or (N, 7): x, y, z, quaternion x, y, z, w; float64."""
-        call = convert.trajectory(reference, estimate, alignment, max_stamp_difference_s)
+        """ATE and RPE as evo computes them, drift over segments as KITTI does (100, 200, ..., 800 m if no
+        lengths are given). A trajectory is a Trajectory, or its stamps (N,) int64 ns with its poses
+        (N, 4, 4) or (N, 7): x, y, z, quaternion x, y, z, w; float64. `delta` is the stretch of the RPE;
+        with `all_pairs` one begins at every pose. `return_pairs` sends back what was compared, for
+        `percept.plot`."""
+        call = convert.trajectory(
+            reference,
+            estimate,
+            alignment,
+            max_stamp_difference_s,
+            estimate_offset_s,
+            delta,
+            delta_unit,
+            all_pairs,
+            segment_lengths_m,
+            return_pairs,
+        )
         return self._transport.call(call)
+
+    def relations(
+        self,
+        trajectory: Trajectory | tuple[Array, Array],
+        *,
+        relations: tuple[Array, Array, Array],
+        max_gap_s: float | None = None,
+    ) -> RelationMetrics:
+        """A trajectory judged by motions that were checked by hand (Kuemmerle et al. 2009): stamps (N,)
+        int64 ns, stamps (N,) int64 ns, and the body at the second seen from the first, (N, 4, 4) or
+        (N, 7) float64. Poses are interpolated between two that are at most `max_gap_s` (2 s) apart."""
+        return self._transport.call(convert.relations(trajectory, relations, max_gap_s))
 
     def detections(
         self,
@@ -55,11 +94,43 @@ class AsyncEvaluation:
         estimate: Trajectory | tuple[Array, Array],
         alignment: TrajectoryAlignment | str = TrajectoryAlignment.SE3,
         max_stamp_difference_s: float | None = None,
+        estimate_offset_s: float = 0.0,
+        delta: float = 1.0,
+        delta_unit: DeltaUnit | str = DeltaUnit.FRAMES,
+        all_pairs: bool = False,
+        segment_lengths_m: Sequence[float] = (),
+        return_pairs: bool = False,
     ) -> TrajectoryMetrics:
-        """ATE and RPE as evo computes them. A trajectory is a Trajectory, or its stamps (N,) int64 ns with
-        its poses (N, 4, 4) or (N, 7): x, y, z, quaternion x, y, z, w; float64."""
-        call = convert.trajectory(reference, estimate, alignment, max_stamp_difference_s)
+        """ATE and RPE as evo computes them, drift over segments as KITTI does (100, 200, ..., 800 m if no
+        lengths are given). A trajectory is a Trajectory, or its stamps (N,) int64 ns with its poses
+        (N, 4, 4) or (N, 7): x, y, z, quaternion x, y, z, w; float64. `delta` is the stretch of the RPE;
+        with `all_pairs` one begins at every pose. `return_pairs` sends back what was compared, for
+        `percept.plot`."""
+        call = convert.trajectory(
+            reference,
+            estimate,
+            alignment,
+            max_stamp_difference_s,
+            estimate_offset_s,
+            delta,
+            delta_unit,
+            all_pairs,
+            segment_lengths_m,
+            return_pairs,
+        )
         return await self._transport.call(call)
+
+    async def relations(
+        self,
+        trajectory: Trajectory | tuple[Array, Array],
+        *,
+        relations: tuple[Array, Array, Array],
+        max_gap_s: float | None = None,
+    ) -> RelationMetrics:
+        """A trajectory judged by motions that were checked by hand (Kuemmerle et al. 2009): stamps (N,)
+        int64 ns, stamps (N,) int64 ns, and the body at the second seen from the first, (N, 4, 4) or
+        (N, 7) float64. Poses are interpolated between two that are at most `max_gap_s` (2 s) apart."""
+        return await self._transport.call(convert.relations(trajectory, relations, max_gap_s))
 
     async def detections(
         self,

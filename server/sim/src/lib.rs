@@ -4,21 +4,26 @@
 //! order, each with the true pose; beside them the truth: objects, occupancy, distance to surfaces.
 //! It knows nothing of perception, and reads no clock: the same parameters give the same bytes,
 //! whatever the number of threads.
-//! Start with [`Simulation`]; a world alone is [`World::generate`].
+//! Start with [`Simulation`]; a world alone is [`World::generate`]. What SLAM is measured on, kidnaps and other
+//! trouble included, is [`Scenario`].
 //!
 //! The world frame has z up and the floor at z = 0. It is not the map frame: the robot starts at
 //! [`Simulation::t_world_start`], and a map that begins there differs from the world by that pose.
 
 mod bvh;
+mod disturbances;
 mod rng;
 mod robot;
+mod scenario;
 mod sensors;
 mod simulation;
 mod solid;
 mod texture;
 mod world;
 
+pub use disturbances::{Blackout, ClockJump, Disturbances, Kidnap, Pause};
 pub use robot::{RobotParams, RobotPath, RobotState};
+pub use scenario::{MainSensor, Scenario};
 pub use sensors::{
     DepthCameraParams, ImuParams, Lidar2dParams, Lidar3dParams, OdometryParams, ScanPattern, SensorSuite,
 };

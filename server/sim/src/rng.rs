@@ -15,6 +15,8 @@ pub(crate) enum Purpose {
     Lidar2d = 6,
     Odometry = 7,
     Imu = 8,
+    Transport = 9,
+    Kidnap = 10,
 }
 
 /// The stream of `seed` for a purpose, a frame (or room) and a row (or column).

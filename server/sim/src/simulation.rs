@@ -1,10 +1,15 @@
 //! A simulated session: the robot drives, its sensors send.
 
+use crate::rng::{Purpose, stream};
+use crate::robot::Drive;
 use crate::sensors::{Imu, Scene, Wheels, capture, scan, sweep};
-use crate::{RobotParams, RobotPath, SensorSuite, SimError, TrueObject, World, WorldParams, check};
+use crate::{Disturbances, RobotParams, RobotPath, SensorSuite, SimError, TrueObject, World, WorldParams, check};
+use nalgebra::{UnitQuaternion, Vector3};
 use percept_geometry::{
     GeometryError, Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Stamped, Timestamp,
 };
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -18,6 +23,8 @@ pub struct SimParams {
     pub robot: RobotParams,
     /// What it carries.
     pub sensors: SensorSuite,
+    /// What goes wrong.
+    pub disturbances: Disturbances,
     /// Seed of all sensor noise.
     pub seed: u64,
     /// Laps through all rooms, 1 to 1000, unless `duration_s` is given.
@@ -34,6 +41,7 @@ impl Default for SimParams {
             world: WorldParams::default(),
             robot: RobotParams::default(),
             sensors: SensorSuite::default(),
+            disturbances: Disturbances::default(),
             seed: 1,
             laps: 1,
             duration_s: None,
@@ -51,17 +59,20 @@ impl SimParams {
         self.world.validate()?;
         self.robot.validate()?;
         self.sensors.validate()?;
+        self.disturbances.validate()?;
         check("laps", self.laps as f64, 1.0, 1000.0, "between 1 and 1000")?;
         check("duration_s", self.duration_s.unwrap_or(0.0), 0.0, 1e6, "between 0 and 1,000,000")
     }
 }
 
-/// One message and where the robot truly was at its stamp.
+/// One message and where the robot truly was when it was measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimFrame {
     /// The message.
     pub frame: SensorFrame,
-    /// Base to world at the stamp.
+    /// When it was measured, seconds after the start.
+    pub measured_s: f64,
+    /// Base to world at the time of measurement, which is the stamp but for disturbances.
     pub t_world_base: Pose,
 }
 
@@ -71,6 +82,7 @@ pub struct Simulation {
     params: SimParams,
     world: Arc<World>,
     path: Arc<RobotPath>,
+    drive: Drive,
 }
 
 impl Simulation {
@@ -81,8 +93,9 @@ impl Simulation {
     pub fn new(params: SimParams) -> Result<Self, SimError> {
         params.validate()?;
         let world = World::generate(&params.world)?;
-        let path = RobotPath::new(&world, &params.robot)?;
-        Ok(Self { params, world: Arc::new(world), path: Arc::new(path) })
+        let path = Arc::new(RobotPath::new(&world, &params.robot)?);
+        let drive = Drive::new(Arc::clone(&path), &params.disturbances);
+        Ok(Self { params, world: Arc::new(world), path, drive })
     }
 
     /// What was asked for.
@@ -95,14 +108,19 @@ impl Simulation {
         &self.world
     }
 
-    /// The drive.
+    /// The path that is driven, without interruptions.
     pub fn path(&self) -> &RobotPath {
         &self.path
     }
 
-    /// The sensors as a session declares them.
+    /// The sensors as a session declares them, errors of the declared mounts included.
     pub fn sensors(&self) -> Vec<SensorSpec> {
-        self.params.sensors.specs()
+        let mut specs = self.params.sensors.specs();
+        let error = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.params.disturbances.mount_yaw_error_rad);
+        for spec in specs.iter_mut().filter(|s| sees(s.kind)).skip(1) {
+            spec.t_base_sensor.rotation = error * spec.t_base_sensor.rotation;
+        }
+        specs
     }
 
     /// Base to world at the start: a map that begins there is the world moved by the inverse.
@@ -120,9 +138,9 @@ impl Simulation {
         stamp.seconds_since(self.params.start_stamp)
     }
 
-    /// Base to world at `stamp`, exact.
+    /// Base to world at `stamp` of a clock that nobody sets, exact.
     pub fn pose_at(&self, stamp: Timestamp) -> Pose {
-        self.path.pose_at(self.seconds_at(stamp))
+        self.drive.pose_at(self.seconds_at(stamp))
     }
 
     /// Every object at `stamp`, world frame.
@@ -151,6 +169,7 @@ impl Simulation {
                 id: spec.id,
                 kind: spec.kind,
                 next: 0,
+                late: None,
             })
             .collect();
         let seed = self.params.seed;
@@ -159,6 +178,7 @@ impl Simulation {
             sources,
             wheels: self.params.sensors.odometry.clone().map(|p| Wheels::new(p, seed)),
             imu: self.params.sensors.imu.clone().map(|p| Imu::new(p, seed)),
+            arrived: None,
         }
     }
 }
@@ -170,6 +190,13 @@ struct Source {
     kind: SensorKind,
     rate_hz: f64,
     next: u64,
+    /// A message that arrives after the next one.
+    late: Option<SimFrame>,
+}
+
+/// Whether a sensor sees the surroundings.
+fn sees(kind: SensorKind) -> bool {
+    !matches!(kind, SensorKind::Odometry | SensorKind::Imu)
 }
 
 impl Source {
@@ -178,17 +205,27 @@ impl Source {
     }
 }
 
-/// The messages of a simulation, in stamp order; at equal stamps in the order of the sensors.
+/// The messages of a simulation in the order of measurement, but for those that arrive late; at equal times in the
+/// order of the sensors.
 #[derive(Debug, Clone)]
 pub struct Frames {
     simulation: Simulation,
     sources: Vec<Source>,
     wheels: Option<Wheels>,
     imu: Option<Imu>,
+    /// A late message that comes now.
+    arrived: Option<SimFrame>,
+}
+
+/// What becomes of a message on its way.
+struct Transport {
+    dropped: bool,
+    late: bool,
+    jitter_s: f64,
 }
 
 impl Frames {
-    /// How many messages there are in all, those taken already included.
+    /// How many messages are measured in all, those taken already and those that get lost included.
     pub fn total(&self) -> u64 {
         let duration = self.simulation.duration_s();
         self.sources.iter().map(|s| (duration * s.rate_hz).ceil() as u64).sum()
@@ -197,7 +234,7 @@ impl Frames {
     fn measure(&mut self, kind: SensorKind, frame: u64, t_s: f64) -> Option<Result<SensorData, GeometryError>> {
         let Self { simulation, wheels, imu, .. } = self;
         let sensors = &simulation.params.sensors;
-        let scene = Scene { world: &simulation.world, path: &simulation.path, seed: simulation.params.seed };
+        let scene = Scene { world: &simulation.world, drive: &simulation.drive, seed: simulation.params.seed };
         match kind {
             SensorKind::Depth | SensorKind::Rgbd => {
                 sensors.depth_camera.as_ref().map(|p| capture(p, &scene, frame, t_s))
@@ -211,23 +248,66 @@ impl Frames {
     }
 }
 
-impl Iterator for Frames {
-    type Item = SimFrame;
+impl Frames {
+    /// Chance decides about each message of a sensor that sees, by its number alone.
+    fn transport(&self, kind: SensorKind, frame: u64) -> Transport {
+        let wrong = &self.simulation.params.disturbances;
+        if !sees(kind) {
+            return Transport { dropped: false, late: false, jitter_s: 0.0 };
+        }
+        let mut rng = stream(self.simulation.params.seed, Purpose::Transport, frame, kind as u64);
+        let mut share = || rng.random_range(0.0..1.0);
+        let (dropped, late) = (share() < wrong.drop_rate, share() < wrong.late_rate);
+        let gauss: f64 = StandardNormal.sample(&mut rng);
+        Transport { dropped, late, jitter_s: wrong.stamp_jitter_s * gauss }
+    }
 
-    fn next(&mut self) -> Option<SimFrame> {
+    /// The next message to be measured; none at the end. The inner none is one that gets lost.
+    fn advance(&mut self) -> Option<Option<SimFrame>> {
         // `min_by` keeps the first of equals: the order of the sensors.
-        let source = self.sources.iter_mut().min_by(|a, b| a.next_s().total_cmp(&b.next_s()))?;
+        let by_time = |a: &(usize, &Source), b: &(usize, &Source)| a.1.next_s().total_cmp(&b.1.next_s());
+        let (index, source) = self.sources.iter().enumerate().min_by(by_time)?;
         let t_s = source.next_s();
         if t_s >= self.simulation.duration_s() {
             return None;
         }
         let (sensor, kind, frame) = (source.id.clone(), source.kind, source.next);
-        source.next += 1;
-        let stamp = self.simulation.params.start_stamp.plus_seconds(t_s);
-        // Truth is that of the stamp as sent, to the nanosecond.
-        let t_s = self.simulation.seconds_at(stamp);
+        self.sources[index].next += 1;
+        let transport = self.transport(kind, frame);
+        let wrong = &self.simulation.params.disturbances;
+        if transport.dropped || (sees(kind) && wrong.is_dark(t_s)) {
+            return Some(None);
+        }
+        let start = self.simulation.params.start_stamp;
+        let sent = start.plus_seconds(t_s + transport.jitter_s + wrong.clock_offset_s(t_s));
+        // Truth is that of the stamp as sent but for what goes wrong, to the nanosecond.
+        let t_s = self.simulation.seconds_at(start.plus_seconds(t_s));
         // Sizes were checked with the parameters, so that a shape can not fail to fit here.
         let data = self.measure(kind, frame, t_s)?.ok()?;
-        Some(SimFrame { frame: SensorFrame { sensor, stamp, data }, t_world_base: self.simulation.path.pose_at(t_s) })
+        let t_world_base = self.simulation.drive.pose_at(t_s);
+        let frame = SensorFrame { sensor, stamp: sent, data };
+        let measured = SimFrame { frame, measured_s: t_s, t_world_base };
+        let source = &mut self.sources[index];
+        if transport.late && source.late.is_none() {
+            source.late = Some(measured);
+            return Some(None);
+        }
+        self.arrived = source.late.take();
+        Some(Some(measured))
+    }
+}
+
+impl Iterator for Frames {
+    type Item = SimFrame;
+
+    fn next(&mut self) -> Option<SimFrame> {
+        if let Some(late) = self.arrived.take() {
+            return Some(late);
+        }
+        loop {
+            if let Some(frame) = self.advance()? {
+                return Some(frame);
+            }
+        }
     }
 }

@@ -1,9 +1,13 @@
 """Results and inputs: frozen dataclasses over numpy arrays, one file a noun."""
 
 from .evaluation import (
+    DeltaUnit,
     DetectionMetrics,
     ErrorStatistics,
     LabelledBox,
+    PosePairs,
+    RelationMetrics,
+    SegmentDrift,
     TrajectoryAlignment,
     TrajectoryMetrics,
 )
@@ -246,4 +250,8 @@ __all__ = [
     "TwoViewEstimate",
     "TwoViewModel",
     "TwoViewOutcome",
+    "DeltaUnit",
+    "PosePairs",
+    "RelationMetrics",
+    "SegmentDrift",
 ]

@@ -26,23 +26,33 @@ from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
 from percept.v1 import object_pb2 as percept_dot_v1_dot_object__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1bpercept/v1/evaluation.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/object.proto\"?\n\x0bStampedPose\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12\x1e\n\x04pose\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\"d\n\x0f\x45rrorStatistics\x12\x0c\n\x04rmse\x18\x01 \x01(\x01\x12\x0c\n\x04mean\x18\x02 \x01(\x01\x12\x0e\n\x06median\x18\x03 \x01(\x01\x12\x0b\n\x03std\x18\x04 \x01(\x01\x12\x0b\n\x03min\x18\x05 \x01(\x01\x12\x0b\n\x03max\x18\x06 \x01(\x01\"\x8a\x02\n\x11TrajectoryMetrics\x12\x11\n\tnum_pairs\x18\x01 \x01(\x04\x12*\n\x05\x61te_m\x18\x02 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12\x30\n\x0brpe_trans_m\x18\x03 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12\x30\n\x0brpe_rot_deg\x18\x04 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12\x15\n\rpath_length_m\x18\x05 \x01(\x01\x12\x1a\n\rdrift_percent\x18\x06 \x01(\x01H\x00\x88\x01\x01\x12\r\n\x05scale\x18\x07 \x01(\x01\x42\x10\n\x0e_drift_percent\"v\n\x0bLabelledBox\x12-\n\x0cobject_class\x18\x01 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12$\n\x03\x62ox\x18\x02 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12\x12\n\nconfidence\x18\x03 \x01(\x01\"\xf6\x01\n\x10\x44\x65tectionMetrics\x12\x16\n\x0etrue_positives\x18\x01 \x01(\r\x12\x17\n\x0f\x66\x61lse_positives\x18\x02 \x01(\r\x12\x17\n\x0f\x66\x61lse_negatives\x18\x03 \x01(\r\x12\x16\n\tprecision\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x13\n\x06recall\x18\x05 \x01(\x01H\x01\x88\x01\x01\x12\x15\n\x08mean_iou\x18\x06 \x01(\x01H\x02\x88\x01\x01\x12\x1b\n\x0e\x63lass_accuracy\x18\x07 \x01(\x01H\x03\x88\x01\x01\x42\x0c\n\n_precisionB\t\n\x07_recallB\x0b\n\t_mean_iouB\x11\n\x0f_class_accuracy*\x97\x01\n\x13TrajectoryAlignment\x12$\n TRAJECTORY_ALIGNMENT_UNSPECIFIED\x10\x00\x12\x1c\n\x18TRAJECTORY_ALIGNMENT_SE3\x10\x01\x12\x1d\n\x19TRAJECTORY_ALIGNMENT_SIM3\x10\x02\x12\x1d\n\x19TRAJECTORY_ALIGNMENT_NONE\x10\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1bpercept/v1/evaluation.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/object.proto\"?\n\x0bStampedPose\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12\x1e\n\x04pose\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\"d\n\x0f\x45rrorStatistics\x12\x0c\n\x04rmse\x18\x01 \x01(\x01\x12\x0c\n\x04mean\x18\x02 \x01(\x01\x12\x0e\n\x06median\x18\x03 \x01(\x01\x12\x0b\n\x03std\x18\x04 \x01(\x01\x12\x0b\n\x03min\x18\x05 \x01(\x01\x12\x0b\n\x03max\x18\x06 \x01(\x01\"]\n\x0cSegmentDrift\x12\x1b\n\x13translation_percent\x18\x01 \x01(\x01\x12\x1a\n\x12rotation_deg_per_m\x18\x02 \x01(\x01\x12\x14\n\x0cnum_segments\x18\x03 \x01(\x04\"e\n\x08PosePair\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12#\n\treference\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\x12\"\n\x08\x65stimate\x18\x03 \x01(\x0b\x32\x10.percept.v1.Pose\"]\n\x12TrajectoryRelation\x12\x12\n\nstamp_1_ns\x18\x01 \x01(\x03\x12\x12\n\nstamp_2_ns\x18\x02 \x01(\x03\x12\x1f\n\x05t_1_2\x18\x03 \x01(\x0b\x32\x10.percept.v1.Pose\"\xa7\x02\n\x0fRelationMetrics\x12\x15\n\rnum_relations\x18\x01 \x01(\x04\x12\x12\n\nnum_missed\x18\x02 \x01(\x04\x12\x32\n\rtranslation_m\x18\x03 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12\x31\n\x0crotation_deg\x18\x04 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12\x11\n\tnum_loops\x18\x05 \x01(\x04\x12\x37\n\x12loop_translation_m\x18\x06 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12\x36\n\x11loop_rotation_deg\x18\x07 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\"\x9d\x03\n\x11TrajectoryMetrics\x12\x11\n\tnum_pairs\x18\x01 \x01(\x04\x12*\n\x05\x61te_m\x18\x02 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12\x30\n\x0brpe_trans_m\x18\x03 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12\x30\n\x0brpe_rot_deg\x18\x04 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12\x15\n\rpath_length_m\x18\x05 \x01(\x01\x12\x1a\n\rdrift_percent\x18\x06 \x01(\x01H\x00\x88\x01\x01\x12\r\n\x05scale\x18\x07 \x01(\x01\x12\x30\n\x0b\x61te_rot_deg\x18\x08 \x01(\x0b\x32\x1b.percept.v1.ErrorStatistics\x12/\n\rsegment_drift\x18\t \x01(\x0b\x32\x18.percept.v1.SegmentDrift\x12.\n\x14t_reference_estimate\x18\n \x01(\x0b\x32\x10.percept.v1.PoseB\x10\n\x0e_drift_percent\"v\n\x0bLabelledBox\x12-\n\x0cobject_class\x18\x01 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12$\n\x03\x62ox\x18\x02 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12\x12\n\nconfidence\x18\x03 \x01(\x01\"\xf6\x01\n\x10\x44\x65tectionMetrics\x12\x16\n\x0etrue_positives\x18\x01 \x01(\r\x12\x17\n\x0f\x66\x61lse_positives\x18\x02 \x01(\r\x12\x17\n\x0f\x66\x61lse_negatives\x18\x03 \x01(\r\x12\x16\n\tprecision\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x13\n\x06recall\x18\x05 \x01(\x01H\x01\x88\x01\x01\x12\x15\n\x08mean_iou\x18\x06 \x01(\x01H\x02\x88\x01\x01\x12\x1b\n\x0e\x63lass_accuracy\x18\x07 \x01(\x01H\x03\x88\x01\x01\x42\x0c\n\n_precisionB\t\n\x07_recallB\x0b\n\t_mean_iouB\x11\n\x0f_class_accuracy*\xb8\x01\n\x13TrajectoryAlignment\x12$\n TRAJECTORY_ALIGNMENT_UNSPECIFIED\x10\x00\x12\x1c\n\x18TRAJECTORY_ALIGNMENT_SE3\x10\x01\x12\x1d\n\x19TRAJECTORY_ALIGNMENT_SIM3\x10\x02\x12\x1d\n\x19TRAJECTORY_ALIGNMENT_NONE\x10\x03\x12\x1f\n\x1bTRAJECTORY_ALIGNMENT_ORIGIN\x10\x04*\x85\x01\n\tDeltaUnit\x12\x1a\n\x16\x44\x45LTA_UNIT_UNSPECIFIED\x10\x00\x12\x15\n\x11\x44\x45LTA_UNIT_FRAMES\x10\x01\x12\x15\n\x11\x44\x45LTA_UNIT_METRES\x10\x02\x12\x16\n\x12\x44\x45LTA_UNIT_SECONDS\x10\x03\x12\x16\n\x12\x44\x45LTA_UNIT_DEGREES\x10\x04\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.evaluation_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_TRAJECTORYALIGNMENT']._serialized_start=901
-  _globals['_TRAJECTORYALIGNMENT']._serialized_end=1052
+  _globals['_TRAJECTORYALIGNMENT']._serialized_start=1639
+  _globals['_TRAJECTORYALIGNMENT']._serialized_end=1823
+  _globals['_DELTAUNIT']._serialized_start=1826
+  _globals['_DELTAUNIT']._serialized_end=1959
   _globals['_STAMPEDPOSE']._serialized_start=95
   _globals['_STAMPEDPOSE']._serialized_end=158
   _globals['_ERRORSTATISTICS']._serialized_start=160
   _globals['_ERRORSTATISTICS']._serialized_end=260
-  _globals['_TRAJECTORYMETRICS']._serialized_start=263
-  _globals['_TRAJECTORYMETRICS']._serialized_end=529
-  _globals['_LABELLEDBOX']._serialized_start=531
-  _globals['_LABELLEDBOX']._serialized_end=649
-  _globals['_DETECTIONMETRICS']._serialized_start=652
-  _globals['_DETECTIONMETRICS']._serialized_end=898
+  _globals['_SEGMENTDRIFT']._serialized_start=262
+  _globals['_SEGMENTDRIFT']._serialized_end=355
+  _globals['_POSEPAIR']._serialized_start=357
+  _globals['_POSEPAIR']._serialized_end=458
+  _globals['_TRAJECTORYRELATION']._serialized_start=460
+  _globals['_TRAJECTORYRELATION']._serialized_end=553
+  _globals['_RELATIONMETRICS']._serialized_start=556
+  _globals['_RELATIONMETRICS']._serialized_end=851
+  _globals['_TRAJECTORYMETRICS']._serialized_start=854
+  _globals['_TRAJECTORYMETRICS']._serialized_end=1267
+  _globals['_LABELLEDBOX']._serialized_start=1269
+  _globals['_LABELLEDBOX']._serialized_end=1387
+  _globals['_DETECTIONMETRICS']._serialized_start=1390
+  _globals['_DETECTIONMETRICS']._serialized_end=1636
 # @@protoc_insertion_point(module_scope)

@@ -33,6 +33,8 @@ class _TrajectoryAlignmentEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_T
     """Rotation, translation and scale."""
     TRAJECTORY_ALIGNMENT_NONE: _TrajectoryAlignment.ValueType  # 3
     """As it is."""
+    TRAJECTORY_ALIGNMENT_ORIGIN: _TrajectoryAlignment.ValueType  # 4
+    """The first poses onto each other."""
 
 class TrajectoryAlignment(_TrajectoryAlignment, metaclass=_TrajectoryAlignmentEnumTypeWrapper):
     """How the estimate is laid over the reference before it is judged."""
@@ -45,7 +47,41 @@ TRAJECTORY_ALIGNMENT_SIM3: TrajectoryAlignment.ValueType  # 2
 """Rotation, translation and scale."""
 TRAJECTORY_ALIGNMENT_NONE: TrajectoryAlignment.ValueType  # 3
 """As it is."""
+TRAJECTORY_ALIGNMENT_ORIGIN: TrajectoryAlignment.ValueType  # 4
+"""The first poses onto each other."""
 Global___TrajectoryAlignment: _TypeAlias = TrajectoryAlignment  # noqa: Y015
+
+class _DeltaUnit:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _DeltaUnitEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_DeltaUnit.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    DELTA_UNIT_UNSPECIFIED: _DeltaUnit.ValueType  # 0
+    """Frames."""
+    DELTA_UNIT_FRAMES: _DeltaUnit.ValueType  # 1
+    """Poses."""
+    DELTA_UNIT_METRES: _DeltaUnit.ValueType  # 2
+    """Metres travelled."""
+    DELTA_UNIT_SECONDS: _DeltaUnit.ValueType  # 3
+    """Seconds."""
+    DELTA_UNIT_DEGREES: _DeltaUnit.ValueType  # 4
+    """Degrees turned, at most 180."""
+
+class DeltaUnit(_DeltaUnit, metaclass=_DeltaUnitEnumTypeWrapper):
+    """What the length of a stretch of the relative error is counted in; of the estimate, as evo has it."""
+
+DELTA_UNIT_UNSPECIFIED: DeltaUnit.ValueType  # 0
+"""Frames."""
+DELTA_UNIT_FRAMES: DeltaUnit.ValueType  # 1
+"""Poses."""
+DELTA_UNIT_METRES: DeltaUnit.ValueType  # 2
+"""Metres travelled."""
+DELTA_UNIT_SECONDS: DeltaUnit.ValueType  # 3
+"""Seconds."""
+DELTA_UNIT_DEGREES: DeltaUnit.ValueType  # 4
+"""Degrees turned, at most 180."""
+Global___DeltaUnit: _TypeAlias = DeltaUnit  # noqa: Y015
 
 @_typing.final
 class StampedPose(_message.Message):
@@ -111,6 +147,151 @@ class ErrorStatistics(_message.Message):
 Global___ErrorStatistics: _TypeAlias = ErrorStatistics  # noqa: Y015
 
 @_typing.final
+class SegmentDrift(_message.Message):
+    """KITTI's drift, averaged over segments of fixed lengths of the reference."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TRANSLATION_PERCENT_FIELD_NUMBER: _builtins.int
+    ROTATION_DEG_PER_M_FIELD_NUMBER: _builtins.int
+    NUM_SEGMENTS_FIELD_NUMBER: _builtins.int
+    translation_percent: _builtins.float
+    """Translation error at the end of a segment over its length, percent."""
+    rotation_deg_per_m: _builtins.float
+    """Rotation error at the end of a segment over its length, degrees a metre."""
+    num_segments: _builtins.int
+    def __init__(
+        self,
+        *,
+        translation_percent: _builtins.float = ...,
+        rotation_deg_per_m: _builtins.float = ...,
+        num_segments: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["num_segments", b"num_segments", "rotation_deg_per_m", b"rotation_deg_per_m", "translation_percent", b"translation_percent"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SegmentDrift: _TypeAlias = SegmentDrift  # noqa: Y015
+
+@_typing.final
+class PosePair(_message.Message):
+    """A true pose and the estimate of it, the latter laid over the reference."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STAMP_NS_FIELD_NUMBER: _builtins.int
+    REFERENCE_FIELD_NUMBER: _builtins.int
+    ESTIMATE_FIELD_NUMBER: _builtins.int
+    stamp_ns: _builtins.int
+    """Of the reference."""
+    @_builtins.property
+    def reference(self) -> _geometry_pb2.Pose: ...
+    @_builtins.property
+    def estimate(self) -> _geometry_pb2.Pose: ...
+    def __init__(
+        self,
+        *,
+        stamp_ns: _builtins.int = ...,
+        reference: _geometry_pb2.Pose | None = ...,
+        estimate: _geometry_pb2.Pose | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["estimate", b"estimate", "reference", b"reference"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["estimate", b"estimate", "reference", b"reference", "stamp_ns", b"stamp_ns"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___PosePair: _TypeAlias = PosePair  # noqa: Y015
+
+@_typing.final
+class TrajectoryRelation(_message.Message):
+    """A motion that was checked by hand."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STAMP_1_NS_FIELD_NUMBER: _builtins.int
+    STAMP_2_NS_FIELD_NUMBER: _builtins.int
+    T_1_2_FIELD_NUMBER: _builtins.int
+    stamp_1_ns: _builtins.int
+    """First time; may be the later one."""
+    stamp_2_ns: _builtins.int
+    """Second time."""
+    @_builtins.property
+    def t_1_2(self) -> _geometry_pb2.Pose:
+        """The body at the second time, seen from the first."""
+
+    def __init__(
+        self,
+        *,
+        stamp_1_ns: _builtins.int = ...,
+        stamp_2_ns: _builtins.int = ...,
+        t_1_2: _geometry_pb2.Pose | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["t_1_2", b"t_1_2"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["stamp_1_ns", b"stamp_1_ns", "stamp_2_ns", b"stamp_2_ns", "t_1_2", b"t_1_2"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___TrajectoryRelation: _TypeAlias = TrajectoryRelation  # noqa: Y015
+
+@_typing.final
+class RelationMetrics(_message.Message):
+    """How well a trajectory agrees with relations (Kuemmerle et al. 2009)."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NUM_RELATIONS_FIELD_NUMBER: _builtins.int
+    NUM_MISSED_FIELD_NUMBER: _builtins.int
+    TRANSLATION_M_FIELD_NUMBER: _builtins.int
+    ROTATION_DEG_FIELD_NUMBER: _builtins.int
+    NUM_LOOPS_FIELD_NUMBER: _builtins.int
+    LOOP_TRANSLATION_M_FIELD_NUMBER: _builtins.int
+    LOOP_ROTATION_DEG_FIELD_NUMBER: _builtins.int
+    num_relations: _builtins.int
+    """Relations that were judged."""
+    num_missed: _builtins.int
+    """Relations that the trajectory has no poses for."""
+    num_loops: _builtins.int
+    """Of those relations over more than a minute."""
+    @_builtins.property
+    def translation_m(self) -> Global___ErrorStatistics:
+        """Length of the translation by which the motions differ, metres."""
+
+    @_builtins.property
+    def rotation_deg(self) -> Global___ErrorStatistics:
+        """Angle by which they differ, degrees."""
+
+    @_builtins.property
+    def loop_translation_m(self) -> Global___ErrorStatistics:
+        """Absent without such relations."""
+
+    @_builtins.property
+    def loop_rotation_deg(self) -> Global___ErrorStatistics:
+        """Absent without such relations."""
+
+    def __init__(
+        self,
+        *,
+        num_relations: _builtins.int = ...,
+        num_missed: _builtins.int = ...,
+        translation_m: Global___ErrorStatistics | None = ...,
+        rotation_deg: Global___ErrorStatistics | None = ...,
+        num_loops: _builtins.int = ...,
+        loop_translation_m: Global___ErrorStatistics | None = ...,
+        loop_rotation_deg: Global___ErrorStatistics | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["loop_rotation_deg", b"loop_rotation_deg", "loop_translation_m", b"loop_translation_m", "rotation_deg", b"rotation_deg", "translation_m", b"translation_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["loop_rotation_deg", b"loop_rotation_deg", "loop_translation_m", b"loop_translation_m", "num_loops", b"num_loops", "num_missed", b"num_missed", "num_relations", b"num_relations", "rotation_deg", b"rotation_deg", "translation_m", b"translation_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___RelationMetrics: _TypeAlias = RelationMetrics  # noqa: Y015
+
+@_typing.final
 class TrajectoryMetrics(_message.Message):
     """How good a trajectory is."""
 
@@ -123,6 +304,9 @@ class TrajectoryMetrics(_message.Message):
     PATH_LENGTH_M_FIELD_NUMBER: _builtins.int
     DRIFT_PERCENT_FIELD_NUMBER: _builtins.int
     SCALE_FIELD_NUMBER: _builtins.int
+    ATE_ROT_DEG_FIELD_NUMBER: _builtins.int
+    SEGMENT_DRIFT_FIELD_NUMBER: _builtins.int
+    T_REFERENCE_ESTIMATE_FIELD_NUMBER: _builtins.int
     num_pairs: _builtins.int
     """Pairs of poses with matching stamps."""
     path_length_m: _builtins.float
@@ -139,11 +323,23 @@ class TrajectoryMetrics(_message.Message):
 
     @_builtins.property
     def rpe_trans_m(self) -> Global___ErrorStatistics:
-        """Relative pose error over one frame, translation, metres. Absent for a single pair."""
+        """Relative pose error over the stretch asked for, translation, metres. Absent if no poses are as far apart."""
 
     @_builtins.property
     def rpe_rot_deg(self) -> Global___ErrorStatistics:
-        """Relative pose error over one frame, rotation, degrees."""
+        """Relative pose error over the stretch, rotation, degrees."""
+
+    @_builtins.property
+    def ate_rot_deg(self) -> Global___ErrorStatistics:
+        """Absolute rotation error, degrees."""
+
+    @_builtins.property
+    def segment_drift(self) -> Global___SegmentDrift:
+        """Absent for paths shorter than the shortest segment."""
+
+    @_builtins.property
+    def t_reference_estimate(self) -> _geometry_pb2.Pose:
+        """The alignment: estimate's frame, once scaled, to the reference's."""
 
     def __init__(
         self,
@@ -155,10 +351,13 @@ class TrajectoryMetrics(_message.Message):
         path_length_m: _builtins.float = ...,
         drift_percent: _builtins.float | None = ...,
         scale: _builtins.float = ...,
+        ate_rot_deg: Global___ErrorStatistics | None = ...,
+        segment_drift: Global___SegmentDrift | None = ...,
+        t_reference_estimate: _geometry_pb2.Pose | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_drift_percent", b"_drift_percent", "ate_m", b"ate_m", "drift_percent", b"drift_percent", "rpe_rot_deg", b"rpe_rot_deg", "rpe_trans_m", b"rpe_trans_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_drift_percent", b"_drift_percent", "ate_m", b"ate_m", "ate_rot_deg", b"ate_rot_deg", "drift_percent", b"drift_percent", "rpe_rot_deg", b"rpe_rot_deg", "rpe_trans_m", b"rpe_trans_m", "segment_drift", b"segment_drift", "t_reference_estimate", b"t_reference_estimate"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_drift_percent", b"_drift_percent", "ate_m", b"ate_m", "drift_percent", b"drift_percent", "num_pairs", b"num_pairs", "path_length_m", b"path_length_m", "rpe_rot_deg", b"rpe_rot_deg", "rpe_trans_m", b"rpe_trans_m", "scale", b"scale"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_drift_percent", b"_drift_percent", "ate_m", b"ate_m", "ate_rot_deg", b"ate_rot_deg", "drift_percent", b"drift_percent", "num_pairs", b"num_pairs", "path_length_m", b"path_length_m", "rpe_rot_deg", b"rpe_rot_deg", "rpe_trans_m", b"rpe_trans_m", "scale", b"scale", "segment_drift", b"segment_drift", "t_reference_estimate", b"t_reference_estimate"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__drift_percent: _TypeAlias = _typing.Literal["drift_percent"]  # noqa: Y015
     _WhichOneofArgType__drift_percent: _TypeAlias = _typing.Literal["_drift_percent", b"_drift_percent"]  # noqa: Y015

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from percept.v1 import evaluation_pb2 as percept_dot_v1_dot_evaluation__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#percept/v1/evaluation_service.proto\x12\npercept.v1\x1a\x1bpercept/v1/evaluation.proto\"\xe6\x01\n\x19\x45valuateTrajectoryRequest\x12*\n\treference\x18\x01 \x03(\x0b\x32\x17.percept.v1.StampedPose\x12)\n\x08\x65stimate\x18\x02 \x03(\x0b\x32\x17.percept.v1.StampedPose\x12\x32\n\talignment\x18\x03 \x01(\x0e\x32\x1f.percept.v1.TrajectoryAlignment\x12#\n\x16max_stamp_difference_s\x18\x04 \x01(\x01H\x00\x88\x01\x01\x42\x19\n\x17_max_stamp_difference_s\"L\n\x1a\x45valuateTrajectoryResponse\x12.\n\x07metrics\x18\x01 \x01(\x0b\x32\x1d.percept.v1.TrajectoryMetrics\"\x92\x01\n\x19\x45valuateDetectionsRequest\x12&\n\x05truth\x18\x01 \x03(\x0b\x32\x17.percept.v1.LabelledBox\x12+\n\ndetections\x18\x02 \x03(\x0b\x32\x17.percept.v1.LabelledBox\x12\x14\n\x07min_iou\x18\x03 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_min_iou\"K\n\x1a\x45valuateDetectionsResponse\x12-\n\x07metrics\x18\x01 \x01(\x0b\x32\x1c.percept.v1.DetectionMetrics2\xdd\x01\n\x11\x45valuationService\x12\x63\n\x12\x45valuateTrajectory\x12%.percept.v1.EvaluateTrajectoryRequest\x1a&.percept.v1.EvaluateTrajectoryResponse\x12\x63\n\x12\x45valuateDetections\x12%.percept.v1.EvaluateDetectionsRequest\x1a&.percept.v1.EvaluateDetectionsResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#percept/v1/evaluation_service.proto\x12\npercept.v1\x1a\x1bpercept/v1/evaluation.proto\"\x8e\x03\n\x19\x45valuateTrajectoryRequest\x12*\n\treference\x18\x01 \x03(\x0b\x32\x17.percept.v1.StampedPose\x12)\n\x08\x65stimate\x18\x02 \x03(\x0b\x32\x17.percept.v1.StampedPose\x12\x32\n\talignment\x18\x03 \x01(\x0e\x32\x1f.percept.v1.TrajectoryAlignment\x12#\n\x16max_stamp_difference_s\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x12\n\x05\x64\x65lta\x18\x05 \x01(\x01H\x01\x88\x01\x01\x12)\n\ndelta_unit\x18\x06 \x01(\x0e\x32\x15.percept.v1.DeltaUnit\x12\x11\n\tall_pairs\x18\x07 \x01(\x08\x12\x19\n\x11segment_lengths_m\x18\x08 \x03(\x01\x12\x19\n\x11\x65stimate_offset_s\x18\t \x01(\x01\x12\x14\n\x0creturn_pairs\x18\n \x01(\x08\x42\x19\n\x17_max_stamp_difference_sB\x08\n\x06_delta\"q\n\x1a\x45valuateTrajectoryResponse\x12.\n\x07metrics\x18\x01 \x01(\x0b\x32\x1d.percept.v1.TrajectoryMetrics\x12#\n\x05pairs\x18\x02 \x03(\x0b\x32\x14.percept.v1.PosePair\"\xa0\x01\n\x18\x45valuateRelationsRequest\x12+\n\ntrajectory\x18\x01 \x03(\x0b\x32\x17.percept.v1.StampedPose\x12\x31\n\trelations\x18\x02 \x03(\x0b\x32\x1e.percept.v1.TrajectoryRelation\x12\x16\n\tmax_gap_s\x18\x03 \x01(\x01H\x00\x88\x01\x01\x42\x0c\n\n_max_gap_s\"I\n\x19\x45valuateRelationsResponse\x12,\n\x07metrics\x18\x01 \x01(\x0b\x32\x1b.percept.v1.RelationMetrics\"\x92\x01\n\x19\x45valuateDetectionsRequest\x12&\n\x05truth\x18\x01 \x03(\x0b\x32\x17.percept.v1.LabelledBox\x12+\n\ndetections\x18\x02 \x03(\x0b\x32\x17.percept.v1.LabelledBox\x12\x14\n\x07min_iou\x18\x03 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_min_iou\"K\n\x1a\x45valuateDetectionsResponse\x12-\n\x07metrics\x18\x01 \x01(\x0b\x32\x1c.percept.v1.DetectionMetrics2\xbf\x02\n\x11\x45valuationService\x12\x63\n\x12\x45valuateTrajectory\x12%.percept.v1.EvaluateTrajectoryRequest\x1a&.percept.v1.EvaluateTrajectoryResponse\x12`\n\x11\x45valuateRelations\x12$.percept.v1.EvaluateRelationsRequest\x1a%.percept.v1.EvaluateRelationsResponse\x12\x63\n\x12\x45valuateDetections\x12%.percept.v1.EvaluateDetectionsRequest\x1a&.percept.v1.EvaluateDetectionsResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -33,13 +33,17 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.evaluation_servi
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_EVALUATETRAJECTORYREQUEST']._serialized_start=81
-  _globals['_EVALUATETRAJECTORYREQUEST']._serialized_end=311
-  _globals['_EVALUATETRAJECTORYRESPONSE']._serialized_start=313
-  _globals['_EVALUATETRAJECTORYRESPONSE']._serialized_end=389
-  _globals['_EVALUATEDETECTIONSREQUEST']._serialized_start=392
-  _globals['_EVALUATEDETECTIONSREQUEST']._serialized_end=538
-  _globals['_EVALUATEDETECTIONSRESPONSE']._serialized_start=540
-  _globals['_EVALUATEDETECTIONSRESPONSE']._serialized_end=615
-  _globals['_EVALUATIONSERVICE']._serialized_start=618
-  _globals['_EVALUATIONSERVICE']._serialized_end=839
+  _globals['_EVALUATETRAJECTORYREQUEST']._serialized_end=479
+  _globals['_EVALUATETRAJECTORYRESPONSE']._serialized_start=481
+  _globals['_EVALUATETRAJECTORYRESPONSE']._serialized_end=594
+  _globals['_EVALUATERELATIONSREQUEST']._serialized_start=597
+  _globals['_EVALUATERELATIONSREQUEST']._serialized_end=757
+  _globals['_EVALUATERELATIONSRESPONSE']._serialized_start=759
+  _globals['_EVALUATERELATIONSRESPONSE']._serialized_end=832
+  _globals['_EVALUATEDETECTIONSREQUEST']._serialized_start=835
+  _globals['_EVALUATEDETECTIONSREQUEST']._serialized_end=981
+  _globals['_EVALUATEDETECTIONSRESPONSE']._serialized_start=983
+  _globals['_EVALUATEDETECTIONSRESPONSE']._serialized_end=1058
+  _globals['_EVALUATIONSERVICE']._serialized_start=1061
+  _globals['_EVALUATIONSERVICE']._serialized_end=1380
 # @@protoc_insertion_point(module_scope)

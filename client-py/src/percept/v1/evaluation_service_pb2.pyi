@@ -27,9 +27,24 @@ class EvaluateTrajectoryRequest(_message.Message):
     ESTIMATE_FIELD_NUMBER: _builtins.int
     ALIGNMENT_FIELD_NUMBER: _builtins.int
     MAX_STAMP_DIFFERENCE_S_FIELD_NUMBER: _builtins.int
+    DELTA_FIELD_NUMBER: _builtins.int
+    DELTA_UNIT_FIELD_NUMBER: _builtins.int
+    ALL_PAIRS_FIELD_NUMBER: _builtins.int
+    SEGMENT_LENGTHS_M_FIELD_NUMBER: _builtins.int
+    ESTIMATE_OFFSET_S_FIELD_NUMBER: _builtins.int
+    RETURN_PAIRS_FIELD_NUMBER: _builtins.int
     alignment: _evaluation_pb2.TrajectoryAlignment.ValueType
     max_stamp_difference_s: _builtins.float
     """Stamps match within this, seconds. Absent: 0.01."""
+    delta: _builtins.float
+    """Stretch of the relative error. Absent: 1."""
+    delta_unit: _evaluation_pb2.DeltaUnit.ValueType
+    all_pairs: _builtins.bool
+    """Whether a stretch begins at every pose instead of where the one before ended."""
+    estimate_offset_s: _builtins.float
+    """Added to the estimate's stamps, seconds."""
+    return_pairs: _builtins.bool
+    """Whether the compared poses are sent back, for a plot."""
     @_builtins.property
     def reference(self) -> _containers.RepeatedCompositeFieldContainer[_evaluation_pb2.StampedPose]:
         """Ascending stamps."""
@@ -38,6 +53,10 @@ class EvaluateTrajectoryRequest(_message.Message):
     def estimate(self) -> _containers.RepeatedCompositeFieldContainer[_evaluation_pb2.StampedPose]:
         """Ascending stamps."""
 
+    @_builtins.property
+    def segment_lengths_m(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
+        """Lengths of the segments of KITTI's drift, metres. Empty: 100, 200, ..., 800."""
+
     def __init__(
         self,
         *,
@@ -45,13 +64,24 @@ class EvaluateTrajectoryRequest(_message.Message):
         estimate: _abc.Iterable[_evaluation_pb2.StampedPose] | None = ...,
         alignment: _evaluation_pb2.TrajectoryAlignment.ValueType = ...,
         max_stamp_difference_s: _builtins.float | None = ...,
+        delta: _builtins.float | None = ...,
+        delta_unit: _evaluation_pb2.DeltaUnit.ValueType = ...,
+        all_pairs: _builtins.bool = ...,
+        segment_lengths_m: _abc.Iterable[_builtins.float] | None = ...,
+        estimate_offset_s: _builtins.float = ...,
+        return_pairs: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_stamp_difference_s", b"_max_stamp_difference_s", "max_stamp_difference_s", b"max_stamp_difference_s"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_delta", b"_delta", "_max_stamp_difference_s", b"_max_stamp_difference_s", "delta", b"delta", "max_stamp_difference_s", b"max_stamp_difference_s"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_stamp_difference_s", b"_max_stamp_difference_s", "alignment", b"alignment", "estimate", b"estimate", "max_stamp_difference_s", b"max_stamp_difference_s", "reference", b"reference"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_delta", b"_delta", "_max_stamp_difference_s", b"_max_stamp_difference_s", "alignment", b"alignment", "all_pairs", b"all_pairs", "delta", b"delta", "delta_unit", b"delta_unit", "estimate", b"estimate", "estimate_offset_s", b"estimate_offset_s", "max_stamp_difference_s", b"max_stamp_difference_s", "reference", b"reference", "return_pairs", b"return_pairs", "segment_lengths_m", b"segment_lengths_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__delta: _TypeAlias = _typing.Literal["delta"]  # noqa: Y015
+    _WhichOneofArgType__delta: _TypeAlias = _typing.Literal["_delta", b"_delta"]  # noqa: Y015
     _WhichOneofReturnType__max_stamp_difference_s: _TypeAlias = _typing.Literal["max_stamp_difference_s"]  # noqa: Y015
     _WhichOneofArgType__max_stamp_difference_s: _TypeAlias = _typing.Literal["_max_stamp_difference_s", b"_max_stamp_difference_s"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__delta) -> _WhichOneofReturnType__delta | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_stamp_difference_s) -> _WhichOneofReturnType__max_stamp_difference_s | None: ...
 
 Global___EvaluateTrajectoryRequest: _TypeAlias = EvaluateTrajectoryRequest  # noqa: Y015
@@ -61,12 +91,70 @@ class EvaluateTrajectoryResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     METRICS_FIELD_NUMBER: _builtins.int
+    PAIRS_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def metrics(self) -> _evaluation_pb2.TrajectoryMetrics: ...
+    @_builtins.property
+    def pairs(self) -> _containers.RepeatedCompositeFieldContainer[_evaluation_pb2.PosePair]:
+        """If asked for: ascending stamps."""
+
     def __init__(
         self,
         *,
         metrics: _evaluation_pb2.TrajectoryMetrics | None = ...,
+        pairs: _abc.Iterable[_evaluation_pb2.PosePair] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["metrics", b"metrics"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["metrics", b"metrics", "pairs", b"pairs"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___EvaluateTrajectoryResponse: _TypeAlias = EvaluateTrajectoryResponse  # noqa: Y015
+
+@_typing.final
+class EvaluateRelationsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TRAJECTORY_FIELD_NUMBER: _builtins.int
+    RELATIONS_FIELD_NUMBER: _builtins.int
+    MAX_GAP_S_FIELD_NUMBER: _builtins.int
+    max_gap_s: _builtins.float
+    """Poses are interpolated between two that are at most this far apart, seconds. Absent: 2."""
+    @_builtins.property
+    def trajectory(self) -> _containers.RepeatedCompositeFieldContainer[_evaluation_pb2.StampedPose]:
+        """Ascending stamps."""
+
+    @_builtins.property
+    def relations(self) -> _containers.RepeatedCompositeFieldContainer[_evaluation_pb2.TrajectoryRelation]: ...
+    def __init__(
+        self,
+        *,
+        trajectory: _abc.Iterable[_evaluation_pb2.StampedPose] | None = ...,
+        relations: _abc.Iterable[_evaluation_pb2.TrajectoryRelation] | None = ...,
+        max_gap_s: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_gap_s", b"_max_gap_s", "max_gap_s", b"max_gap_s"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_gap_s", b"_max_gap_s", "max_gap_s", b"max_gap_s", "relations", b"relations", "trajectory", b"trajectory"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__max_gap_s: _TypeAlias = _typing.Literal["max_gap_s"]  # noqa: Y015
+    _WhichOneofArgType__max_gap_s: _TypeAlias = _typing.Literal["_max_gap_s", b"_max_gap_s"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_gap_s) -> _WhichOneofReturnType__max_gap_s | None: ...
+
+Global___EvaluateRelationsRequest: _TypeAlias = EvaluateRelationsRequest  # noqa: Y015
+
+@_typing.final
+class EvaluateRelationsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    METRICS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def metrics(self) -> _evaluation_pb2.RelationMetrics: ...
+    def __init__(
+        self,
+        *,
+        metrics: _evaluation_pb2.RelationMetrics | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["metrics", b"metrics"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
@@ -74,7 +162,7 @@ class EvaluateTrajectoryResponse(_message.Message):
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
-Global___EvaluateTrajectoryResponse: _TypeAlias = EvaluateTrajectoryResponse  # noqa: Y015
+Global___EvaluateRelationsResponse: _TypeAlias = EvaluateRelationsResponse  # noqa: Y015
 
 @_typing.final
 class EvaluateDetectionsRequest(_message.Message):

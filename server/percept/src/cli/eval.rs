@@ -1,6 +1,6 @@
 //! `percept eval`: metrics against ground truth.
 
-use super::{Failure, eval_graph, eval_relations, eval_sim, eval_trajectory};
+use super::{Failure, eval_graph, eval_relations, eval_sim, eval_slam, eval_trajectory};
 
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum EvalCommand {
@@ -10,6 +10,8 @@ pub(crate) enum EvalCommand {
     Relations(eval_relations::RelationsArgs),
     /// A pose graph in a g2o file, optimised from its poses or from its measurements alone, whichever start is better.
     Graph(eval_graph::GraphArgs),
+    /// The whole pipeline in simulated sessions with loops, kidnaps and other trouble, against exact truth.
+    Slam(eval_slam::SlamArgs),
     /// Objects found in simulated worlds: precision and recall.
     Objects(eval_sim::ObjectsArgs),
     /// Paths planned in simulated worlds, checked against the true occupancy.
@@ -21,6 +23,7 @@ pub(crate) fn run(command: EvalCommand) -> Result<(), Failure> {
         EvalCommand::Trajectory(args) => eval_trajectory::run(&args),
         EvalCommand::Relations(args) => eval_relations::run(&args),
         EvalCommand::Graph(args) => eval_graph::run(&args),
+        EvalCommand::Slam(args) => eval_slam::run(&args),
         EvalCommand::Objects(args) => eval_sim::objects(&args),
         EvalCommand::Planning(args) => eval_sim::planning(&args),
     }

@@ -1,8 +1,9 @@
 //! `percept eval trajectory`: ATE, RPE and drift of a trajectory file.
 
-use super::Failure;
+use super::{Failure, plot};
 use percept_evaluation::{
-    Alignment, Delta, ErrorStatistics, SegmentParams, Trajectory, TrajectoryParams, TrajectoryScore, score_trajectory,
+    Alignment, Delta, ErrorStatistics, SegmentParams, Trajectory, TrajectoryParams, TrajectoryScore, aligned_pairs,
+    score_trajectory,
 };
 use percept_formats::{Limits, read_file, trajectory};
 use percept_geometry::{Pose, Stamped, Timestamp};
@@ -60,6 +61,9 @@ pub(crate) struct TrajectoryArgs {
     /// Lengths of the segments of KITTI's drift, metres.
     #[arg(long, value_delimiter = ',', default_value = "100,200,300,400,500,600,700,800")]
     segments_m: Vec<f64>,
+    /// Draw both trajectories over each other and the error over time into this PNG.
+    #[arg(long)]
+    plot: Option<PathBuf>,
     /// Print one JSON object instead of a table.
     #[arg(long)]
     json: bool,
@@ -117,6 +121,10 @@ pub(crate) fn run(args: &TrajectoryArgs) -> Result<(), Failure> {
     let params = args.params()?;
     let (reference, estimate) = (Trajectory::new(read(&args.reference)?)?, Trajectory::new(read(&args.estimate)?)?);
     let score = score_trajectory(&reference, &estimate, &params)?;
+    if let Some(path) = &args.plot {
+        let (pairs, _) = aligned_pairs(&reference, &estimate, &params)?;
+        std::fs::write(path, plot::trajectories(&pairs)?)?;
+    }
     if args.json {
         println!("{}", to_json(&score));
     } else {

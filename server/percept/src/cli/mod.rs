@@ -7,14 +7,17 @@ mod eval;
 mod eval_graph;
 mod eval_relations;
 mod eval_sim;
+mod eval_slam;
 mod eval_trajectory;
 mod health;
 mod input;
 mod local;
+mod plot;
 mod replay;
 mod report;
 mod serve;
 mod sim;
+mod slam_run;
 
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;

@@ -2,8 +2,9 @@
 
 use crate::{Error, Result, Service};
 use percept_evaluation::{
-    Alignment, DetectionScore, EvaluationError, FoundObject, Trajectory, TrajectoryParams, TrajectoryScore, TrueObject,
-    match_detections, score_trajectory,
+    Alignment, Delta, DetectionScore, EvaluationError, FoundObject, PosePair, RelationScore, Trajectory,
+    TrajectoryParams, TrajectoryScore, TrueObject, TrueRelation, aligned_pairs, match_detections, score_relations,
+    score_trajectory,
 };
 use percept_geometry::{Pose, Stamped};
 
@@ -18,15 +19,44 @@ pub struct TrajectoryComparison {
     pub alignment: Alignment,
     /// Stamps match within this, seconds; none: 0.01.
     pub max_stamp_difference_s: Option<f64>,
+    /// Added to the estimate's stamps, seconds.
+    pub estimate_offset_s: f64,
+    /// Stretch of the relative error.
+    pub delta: Delta,
+    /// Whether a stretch begins at every pose.
+    pub all_pairs: bool,
+    /// Lengths of the segments of the drift, metres; empty: KITTI's.
+    pub segment_lengths_m: Vec<f64>,
+    /// Whether the compared poses are wanted.
+    pub return_pairs: bool,
 }
 
 impl Service {
-    /// ATE and RPE as evo computes them.
+    /// ATE and RPE as evo computes them, drift as KITTI does; the compared poses if they are wanted.
     ///
     /// # Errors
-    /// `EVALUATION_INVALID`: stamps that decrease or do not match, poses that are not finite.
-    pub async fn evaluate_trajectory(&self, comparison: TrajectoryComparison) -> Result<TrajectoryScore> {
+    /// `EVALUATION_INVALID`: stamps that decrease or do not match, poses that are not finite, parameters out of
+    /// bounds.
+    pub async fn evaluate_trajectory(
+        &self,
+        comparison: TrajectoryComparison,
+    ) -> Result<(TrajectoryScore, Vec<PosePair>)> {
         self.compute.request(move || compare(comparison)).await?.map_err(|e| evaluation_error(&e))
+    }
+
+    /// A trajectory (ascending stamps) judged by checked motions; poses are interpolated over at most `max_gap_s`
+    /// (2 if none).
+    ///
+    /// # Errors
+    /// `EVALUATION_INVALID`: stamps that decrease, a gap that is not positive, no relation that can be judged.
+    pub async fn evaluate_relations(
+        &self,
+        trajectory: Vec<Stamped<Pose>>,
+        relations: Vec<TrueRelation>,
+        max_gap_s: Option<f64>,
+    ) -> Result<RelationScore> {
+        let work = move || score_relations(&Trajectory::new(trajectory)?, &relations, max_gap_s.unwrap_or(2.0));
+        self.compute.request(work).await?.map_err(|e| evaluation_error(&e))
     }
 
     /// Precision and recall of boxes; a pair matches at `min_iou` (0.25 if none).
@@ -44,12 +74,24 @@ impl Service {
     }
 }
 
-fn compare(c: TrajectoryComparison) -> std::result::Result<TrajectoryScore, EvaluationError> {
-    let mut params = TrajectoryParams { alignment: c.alignment, ..TrajectoryParams::default() };
+fn compare(c: TrajectoryComparison) -> std::result::Result<(TrajectoryScore, Vec<PosePair>), EvaluationError> {
+    let mut params = TrajectoryParams {
+        alignment: c.alignment,
+        estimate_offset_s: c.estimate_offset_s,
+        delta: c.delta,
+        all_pairs: c.all_pairs,
+        ..TrajectoryParams::default()
+    };
     if let Some(s) = c.max_stamp_difference_s {
         params.max_difference_s = s;
     }
-    score_trajectory(&Trajectory::new(c.reference)?, &Trajectory::new(c.estimate)?, &params)
+    if !c.segment_lengths_m.is_empty() {
+        params.segments.lengths_m = c.segment_lengths_m;
+    }
+    let (reference, estimate) = (Trajectory::new(c.reference)?, Trajectory::new(c.estimate)?);
+    let score = score_trajectory(&reference, &estimate, &params)?;
+    let pairs = if c.return_pairs { aligned_pairs(&reference, &estimate, &params)?.0 } else { Vec::new() };
+    Ok((score, pairs))
 }
 
 fn evaluation_error(e: &EvaluationError) -> Error {

@@ -1,6 +1,9 @@
 //! The robot: how it drives the lane in time.
 
+mod drive;
 pub(crate) mod route;
+
+pub(crate) use drive::Drive;
 
 use crate::world::World;
 use crate::{SimError, check};
@@ -123,6 +126,14 @@ impl RobotPath {
     /// Length of one lap, metres.
     pub fn lap_length_m(&self) -> f64 {
         self.knots.windows(2).map(|k| (k[1].position - k[0].position).norm()).sum()
+    }
+
+    /// The first time from `t_s` on at which the robot stands, seconds after the start.
+    pub(crate) fn next_stop_s(&self, t_s: f64) -> f64 {
+        let lap_s = self.lap_duration_s();
+        let begun = (t_s / lap_s).floor() * lap_s;
+        let stop = self.knots.iter().find(|k| k.speed == 0.0 && begun + k.t_s >= t_s);
+        begun + stop.map_or(lap_s, |k| k.t_s)
     }
 
     /// Base to world at `t_s` seconds after the start; laps repeat.

@@ -129,7 +129,7 @@ pub(crate) fn capture(
     t_s: f64,
 ) -> Result<SensorData, GeometryError> {
     let camera = &params.intrinsics;
-    let t_world_optical = scene.path.pose_at(t_s) * params.t_base_sensor();
+    let t_world_optical = scene.drive.pose_at(t_s) * params.t_base_sensor();
     let samples = render(&scene.world.view(t_s), &t_world_optical, camera);
     let (width, height) = (camera.width, camera.height);
     let mut depth = vec![0f32; width * height];

@@ -79,7 +79,7 @@ impl Imu {
 
     /// The sample number `frame` at `t_s`.
     pub(crate) fn sample(&self, scene: &Scene<'_>, frame: u64, t_s: f64) -> SensorData {
-        let state = scene.path.state_at(t_s);
+        let state = scene.drive.state_at(t_s);
         let mut rng = stream(scene.seed, Purpose::Imu, frame, 0);
         let turning = Vector3::new(0.0, 0.0, state.yaw_rate_rad_per_s);
         let force = state.acceleration_m_per_s2 + Vector3::new(0.0, 0.0, GRAVITY);

@@ -86,13 +86,13 @@ pub(crate) fn scan(params: &Lidar2dParams, scene: &Scene<'_>, frame: u64, t_s: f
     let angle_min = -0.5 * params.fov_rad;
     let mut rng = stream(scene.seed, Purpose::Lidar2d, frame, 0);
     let mut view = scene.world.view(t_s);
-    let mut t_world_sensor = scene.path.pose_at(t_s) * params.t_base_sensor();
+    let mut t_world_sensor = scene.drive.pose_at(t_s) * params.t_base_sensor();
     let ranges_m = (0..params.beams)
         .map(|i| {
             if params.motion_distortion {
                 let t = t_s + i as f64 * time_increment;
                 view = scene.world.view(t);
-                t_world_sensor = scene.path.pose_at(t) * params.t_base_sensor();
+                t_world_sensor = scene.drive.pose_at(t) * params.t_base_sensor();
             }
             let (sin, cos) = (angle_min + i as f64 * increment).sin_cos();
             let direction = t_world_sensor.rotation * Vector3::new(cos, sin, 0.0);

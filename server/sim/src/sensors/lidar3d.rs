@@ -152,7 +152,7 @@ pub(crate) fn sweep(params: &Lidar3dParams, scene: &Scene<'_>, frame: u64, t_s: 
         .map(|column| {
             let offset = period * column as f64 / columns as f64;
             let pose_time = if params.motion_distortion { t_s + offset } else { t_s };
-            let t_world_sensor = scene.path.pose_at(pose_time) * params.t_base_sensor();
+            let t_world_sensor = scene.drive.pose_at(pose_time) * params.t_base_sensor();
             let view = scene.world.view(pose_time);
             let mut rng = stream(scene.seed, Purpose::Lidar3d, frame, column as u64);
             let origin = Point3::from(t_world_sensor.translation.vector);

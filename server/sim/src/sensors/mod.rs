@@ -19,7 +19,7 @@ pub(crate) use lidar2d::scan;
 pub(crate) use lidar3d::sweep;
 pub(crate) use odometry::Wheels;
 
-use crate::robot::RobotPath;
+use crate::robot::Drive;
 use crate::world::World;
 use crate::{SimError, check};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -137,7 +137,7 @@ impl SensorSuite {
 /// What sensors look at: the world, the drive through it, and the seed of all noise.
 pub(crate) struct Scene<'a> {
     pub(crate) world: &'a World,
-    pub(crate) path: &'a RobotPath,
+    pub(crate) drive: &'a Drive,
     pub(crate) seed: u64,
 }
 

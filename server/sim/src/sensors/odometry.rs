@@ -63,14 +63,14 @@ impl OdometryParams {
     }
 }
 
-/// The state of the odometry: its own drifting pose and what was true at the sample before.
+/// The state of the odometry: its own drifting pose and the time of the sample before.
 #[derive(Debug, Clone)]
 pub(crate) struct Wheels {
     params: OdometryParams,
     distance_scale: f64,
     angle_scale: f64,
     t_odom_base: Pose,
-    last: Option<Pose>,
+    last_s: Option<f64>,
 }
 
 impl Wheels {
@@ -79,14 +79,13 @@ impl Wheels {
         let mut gauss = || -> f64 { StandardNormal.sample(&mut rng) };
         let distance_scale = 1.0 + params.distance_scale_sigma * gauss();
         let angle_scale = 1.0 + params.angle_scale_sigma * gauss();
-        Self { params, distance_scale, angle_scale, t_odom_base: Pose::identity(), last: None }
+        Self { params, distance_scale, angle_scale, t_odom_base: Pose::identity(), last_s: None }
     }
 
     /// The sample number `frame` at `t_s`; samples have to be taken in order.
     pub(crate) fn sample(&mut self, scene: &Scene<'_>, frame: u64, t_s: f64) -> SensorData {
-        let truth = scene.path.pose_at(t_s);
-        let step = self.last.map_or_else(Pose::identity, |last| last.inverse() * truth);
-        self.last = Some(truth);
+        let step = self.last_s.map_or_else(Pose::identity, |last_s| scene.drive.driven(last_s, t_s));
+        self.last_s = Some(t_s);
         let (distance, angle) = (step.translation.vector.norm(), se3::yaw(&step));
         let p = &self.params;
         let sigma_along = p.distance_noise * distance.sqrt();

@@ -96,12 +96,16 @@ impl Lines {
 /// Draws the rooms and builds what encloses them.
 pub(crate) fn generate(params: &WorldParams) -> Layout {
     let mut rng = stream(params.seed, Purpose::Layout, 0, 0);
-    let columns = (params.rooms as f64).sqrt().ceil() as usize;
-    let rows = params.rooms.div_ceil(columns);
+    let num_rooms = if params.corridor_m.is_some() { 1 } else { params.rooms };
+    let columns = (num_rooms as f64).sqrt().ceil() as usize;
+    let rows = num_rooms.div_ceil(columns);
     let mut draw =
         |n: usize| -> Vec<f64> { (0..n).map(|_| rng.random_range(params.room_min_m..=params.room_max_m)).collect() };
     let (mut width, mut depth) = (draw(columns), draw(rows));
-    let person_room = params.person.then(|| rng.random_range(0..params.rooms));
+    let person_room = (params.person && params.corridor_m.is_none()).then(|| rng.random_range(0..num_rooms));
+    if let Some(length_m) = params.corridor_m {
+        (width, depth) = (vec![length_m], vec![params.room_min_m]);
+    }
     if let Some(room) = person_room {
         let (column, row) = (room % columns, room / columns);
         width[column] = width[column].max(PERSON_ROOM_M);
@@ -110,8 +114,8 @@ pub(crate) fn generate(params: &WorldParams) -> Layout {
     let starts = |sizes: &[f64]| -> Vec<f64> {
         sizes.iter().chain([&0.0]).scan(WALL_M, |at, size| Some(std::mem::replace(at, *at + size + WALL_M))).collect()
     };
-    let lines = Lines { x: starts(&width), y: starts(&depth), width, depth, rooms: params.rooms };
-    let rooms = (0..params.rooms)
+    let lines = Lines { x: starts(&width), y: starts(&depth), width, depth, rooms: num_rooms };
+    let rooms = (0..num_rooms)
         .map(|id| {
             let (c, r) = (id % columns, id / columns);
             let min = Point2::new(lines.x[c], lines.y[r]);

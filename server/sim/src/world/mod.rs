@@ -36,6 +36,8 @@ pub struct WorldParams {
     pub lane_clearance_m: f64,
     /// Whether a person walks in one of the rooms (which is then at least 5.6 m wide and deep).
     pub person: bool,
+    /// One empty corridor of this length, metres, 12 to 500, and of the smallest width of a room, instead of rooms.
+    pub corridor_m: Option<f64>,
 }
 
 impl Default for WorldParams {
@@ -48,6 +50,7 @@ impl Default for WorldParams {
             furniture_per_m2: 0.35,
             lane_clearance_m: 0.5,
             person: true,
+            corridor_m: None,
         }
     }
 }
@@ -62,6 +65,7 @@ impl WorldParams {
         check("room_min_m", self.room_min_m, 4.2, 12.0, "between 4.2 and 12")?;
         check("room_max_m", self.room_max_m, self.room_min_m, 12.0, "between room_min_m and 12")?;
         check("furniture_per_m2", self.furniture_per_m2, 0.0, 1.0, "between 0 and 1")?;
+        check("corridor_m", self.corridor_m.unwrap_or(12.0), 12.0, 500.0, "between 12 and 500")?;
         check("lane_clearance_m", self.lane_clearance_m, 0.3, 0.6, "between 0.3 and 0.6")
     }
 }
@@ -119,8 +123,9 @@ impl World {
         if let Some(person) = &person {
             keep_out.push(KeepOut { points: &person.line, clearance_m: 0.6 });
         }
+        let furnished = if params.corridor_m.is_some() { &[][..] } else { &layout.rooms[..] };
         let pieces: Vec<Piece> =
-            layout.rooms.iter().flat_map(|room| furniture::furnish(params, room, &keep_out)).collect();
+            furnished.iter().flat_map(|room| furniture::furnish(params, room, &keep_out)).collect();
         let mut solids = layout.solids;
         for (id, piece) in pieces.iter().enumerate() {
             solids.extend(piece.solids(id as u32));

@@ -3,6 +3,7 @@
 // Helpers outside of test functions may unwrap as tests do.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+mod disturbances;
 mod noise;
 mod session;
 mod world;

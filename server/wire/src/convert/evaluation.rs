@@ -2,9 +2,12 @@
 
 use super::{geometry, required, scene};
 use crate::v1;
-use percept_evaluation::{Alignment, DetectionScore, ErrorStatistics, FoundObject, TrajectoryScore, TrueObject};
+use percept_evaluation::{
+    Alignment, Delta, DetectionScore, ErrorStatistics, FoundObject, PosePair, RelationScore, TrajectoryScore, TrueObject,
+    TrueRelation,
+};
 use percept_geometry::{Pose, Stamped, Timestamp};
-use percept_service::{Result, TrajectoryComparison};
+use percept_service::{Error, Result, TrajectoryComparison};
 
 fn poses(field: &'static str, poses: &[v1::StampedPose]) -> Result<Vec<Stamped<Pose>>> {
     let convert = |p: &v1::StampedPose| {
@@ -23,6 +26,7 @@ pub fn comparison(r: &v1::EvaluateTrajectoryRequest) -> Result<TrajectoryCompari
     let alignment = match A::try_from(r.alignment) {
         Ok(A::Unspecified | A::Se3) => Alignment::Se3,
         Ok(A::Sim3) => Alignment::Sim3,
+        Ok(A::Origin) => Alignment::Origin,
         Ok(A::None) => Alignment::None,
         Err(_) => return Err(super::unknown_enum("alignment", r.alignment)),
     };
@@ -31,7 +35,67 @@ pub fn comparison(r: &v1::EvaluateTrajectoryRequest) -> Result<TrajectoryCompari
         estimate: poses("estimate", &r.estimate)?,
         alignment,
         max_stamp_difference_s: r.max_stamp_difference_s,
+        estimate_offset_s: r.estimate_offset_s,
+        delta: delta(r)?,
+        all_pairs: r.all_pairs,
+        segment_lengths_m: r.segment_lengths_m.clone(),
+        return_pairs: r.return_pairs,
     })
+}
+
+fn delta(r: &v1::EvaluateTrajectoryRequest) -> Result<Delta> {
+    use v1::DeltaUnit as U;
+    let value = r.delta.unwrap_or(1.0);
+    match U::try_from(r.delta_unit) {
+        Ok(U::Unspecified | U::Frames) if value.fract() == 0.0 && (1.0..=1e9).contains(&value) => {
+            Ok(Delta::Frames(value as usize))
+        }
+        Ok(U::Unspecified | U::Frames) => {
+            let message = format!("delta: {value} is not a whole number of frames above 0");
+            Err(Error::invalid("EVALUATION_INVALID", "delta", message))
+        }
+        Ok(U::Metres) => Ok(Delta::Metres(value)),
+        Ok(U::Seconds) => Ok(Delta::Seconds(value)),
+        Ok(U::Degrees) => Ok(Delta::Degrees(value)),
+        Err(_) => Err(super::unknown_enum("delta_unit", r.delta_unit)),
+    }
+}
+
+/// A trajectory and the relations to judge it by.
+///
+/// # Errors
+/// Poses that are none.
+pub fn relations(r: &v1::EvaluateRelationsRequest) -> Result<(Vec<Stamped<Pose>>, Vec<TrueRelation>)> {
+    let relation = |r: &v1::TrajectoryRelation| {
+        let t_1_2 = geometry::pose("relations", r.t_1_2.as_ref())?;
+        Ok(TrueRelation { stamp_1: Timestamp(r.stamp_1_ns), stamp_2: Timestamp(r.stamp_2_ns), t_1_2 })
+    };
+    let relations: Result<Vec<TrueRelation>> = r.relations.iter().map(relation).collect();
+    Ok((poses("trajectory", &r.trajectory)?, relations?))
+}
+
+/// Metrics as a message.
+pub fn relation_score_to(s: &RelationScore) -> v1::RelationMetrics {
+    let loops = s.loops.as_ref();
+    v1::RelationMetrics {
+        num_relations: s.translation_m.count as u64,
+        num_missed: s.num_missed as u64,
+        translation_m: Some(statistics(&s.translation_m)),
+        rotation_deg: Some(statistics(&s.rotation_deg)),
+        num_loops: loops.map_or(0, |l| l.0.count as u64),
+        loop_translation_m: loops.map(|l| statistics(&l.0)),
+        loop_rotation_deg: loops.map(|l| statistics(&l.1)),
+    }
+}
+
+/// Compared poses as messages.
+pub fn pairs_to(pairs: &[PosePair]) -> Vec<v1::PosePair> {
+    let pair = |p: &PosePair| v1::PosePair {
+        stamp_ns: p.stamp.nanos(),
+        reference: Some(geometry::pose_to(&p.reference)),
+        estimate: Some(geometry::pose_to(&p.estimate)),
+    };
+    pairs.iter().map(pair).collect()
 }
 
 fn statistics(s: &ErrorStatistics) -> v1::ErrorStatistics {
@@ -48,6 +112,13 @@ pub fn score_to(s: &TrajectoryScore) -> v1::TrajectoryMetrics {
         path_length_m: s.reference_length_m,
         drift_percent: s.end_drift_percent,
         scale: s.absolute.similarity.scale,
+        ate_rot_deg: Some(statistics(&s.absolute.rotation_deg)),
+        segment_drift: s.segment_drift.map(|d| v1::SegmentDrift {
+            translation_percent: d.translation_percent,
+            rotation_deg_per_m: d.rotation_deg_per_m,
+            num_segments: d.num_segments as u64,
+        }),
+        t_reference_estimate: Some(geometry::pose_to(&s.absolute.similarity.t_reference_estimate)),
     }
 }
 

@@ -12,8 +12,20 @@ impl v1::evaluation_service_server::EvaluationService for Api {
     ) -> Answer<v1::EvaluateTrajectoryResponse> {
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let comparison = evaluation::comparison(r.get_ref()).map_err(status::grpc)?;
-        let score = self.service.evaluate_trajectory(comparison).await.map_err(status::grpc)?;
-        Ok(Response::new(v1::EvaluateTrajectoryResponse { metrics: Some(evaluation::score_to(&score)) }))
+        let (score, pairs) = self.service.evaluate_trajectory(comparison).await.map_err(status::grpc)?;
+        let (metrics, pairs) = (Some(evaluation::score_to(&score)), evaluation::pairs_to(&pairs));
+        Ok(Response::new(v1::EvaluateTrajectoryResponse { metrics, pairs }))
+    }
+
+    async fn evaluate_relations(
+        &self,
+        r: Request<v1::EvaluateRelationsRequest>,
+    ) -> Answer<v1::EvaluateRelationsResponse> {
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
+        let (trajectory, relations) = evaluation::relations(r.get_ref()).map_err(status::grpc)?;
+        let max_gap_s = r.get_ref().max_gap_s;
+        let score = self.service.evaluate_relations(trajectory, relations, max_gap_s).await.map_err(status::grpc)?;
+        Ok(Response::new(v1::EvaluateRelationsResponse { metrics: Some(evaluation::relation_score_to(&score)) }))
     }
 
     async fn evaluate_detections(

@@ -337,6 +337,7 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/register-color", "ToolboxService/RegisterColor", &[], unary!(Message register_color)),
 
     post("/v1/evaluation/trajectory", "EvaluationService/EvaluateTrajectory", &[], unary!(Message evaluate_trajectory)),
+    post("/v1/evaluation/relations", "EvaluationService/EvaluateRelations", &[], unary!(Message evaluate_relations)),
     post("/v1/evaluation/detections", "EvaluationService/EvaluateDetections", &[], unary!(Message evaluate_detections)),
 ];
 
