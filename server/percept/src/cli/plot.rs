@@ -269,7 +269,7 @@ impl Chart {
             let shown: Vec<_> = series.points.iter().step_by(stride).collect();
             for ends in shown.windows(2).filter(|e| e.iter().all(|p| p.0.is_finite() && p.1.is_finite())) {
                 let at = |p: &(f64, f64)| (x.at(p.0), y.at(p.1));
-                line(canvas, at(ends[0]), at(ends[1]), series.color, 2)?;
+                line(canvas, at(ends[0]), at(ends[1]), series.color, if self.equal { 2 } else { 1 })?;
             }
         }
         let frame = Rectangle::with_corners(Point::new(left, top), Point::new(right, bottom));

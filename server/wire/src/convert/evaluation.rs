@@ -3,8 +3,8 @@
 use super::{geometry, required, scene};
 use crate::v1;
 use percept_evaluation::{
-    Alignment, Delta, DetectionScore, ErrorStatistics, FoundObject, PosePair, RelationScore, TrajectoryScore, TrueObject,
-    TrueRelation,
+    Alignment, Delta, DetectionScore, ErrorStatistics, FoundObject, PosePair, RelationScore, TrajectoryScore,
+    TrueObject, TrueRelation,
 };
 use percept_geometry::{Pose, Stamped, Timestamp};
 use percept_service::{Error, Result, TrajectoryComparison};
