@@ -3,6 +3,7 @@
 //! `rgbd DIR`, `mono DIR [STRIDE]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`.
 
 mod camera;
+mod mapping;
 mod measure;
 mod read;
 
@@ -174,20 +175,31 @@ fn carmen(path: &Path, relations: Option<&Path>, use_prior: bool) -> Result<(), 
     let log = read::carmen(path, 80.0)?;
     let mut run = Run::new(OdometryKind::Lidar2d);
     let mut last: Option<Pose> = None;
+    let mut mapping = mapping::Mapping::new(OdometryKind::Lidar2d).ok_or("no place recognition")?;
     for row in &log {
         let scan = Scan::Planar(PlanarScan { scan: Arc::new(row.scan.clone()), t_base_sensor: Pose::identity() });
         let prior = last.filter(|_| use_prior).map(|last| measure::wheel_prior(&(last.inverse() * row.t_odom_base)));
         run.step(row.stamp, &scan, prior.as_ref());
+        if let Some(e) = run.estimates.last() {
+            mapping.frame(&run.odometry, e, &scan);
+        }
         last = Some(row.t_odom_base);
     }
+    let estimate = mapping.finish();
     run.report();
-    let stamps: Vec<f64> = log.iter().map(|r| r.stamp.as_secs_f64()).collect();
-    let estimate: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base).collect();
+    mapping.report();
+    let stamps: Vec<f64> = log.iter().map(|r| r.logged_s).collect();
+    let drifting: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base).collect();
     if let Some(relations) = relations {
         let rows = read::numbers(relations)?;
         let raw: Vec<Pose> = log.iter().map(|r| r.t_odom_base).collect();
         println!("wheels:   {}", measure::relations(&rows, &stamps, &raw));
-        println!("odometry: {}", measure::relations(&rows, &stamps, &estimate));
+        println!("odometry: {}", measure::relations(&rows, &stamps, &drifting));
+        println!("loops:    {}", measure::relations(&rows, &stamps, &estimate));
+    }
+    if let Ok(out) = std::env::var("TUM") {
+        measure::write_tum(&out, &stamps, &estimate)?;
+        measure::write_tum(&format!("{out}.odom"), &stamps, &drifting)?;
     }
     if let Ok(out) = std::env::var("MAP_PNG") {
         let scans: Vec<_> = log.iter().map(|r| r.scan.hits()).collect();

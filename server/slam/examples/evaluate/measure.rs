@@ -88,9 +88,15 @@ pub(crate) struct RelationError {
     pub(crate) is_loop: bool,
 }
 
-/// Errors over relations `t1 t2 dx dy dz roll pitch yaw` between poses at `stamps` (s).
+/// Errors over relations `t1 t2 dx dy dz roll pitch yaw` between poses at `stamps` (s, in any order; the nearest counts).
 pub(crate) fn relation_errors(rows: &[f64], stamps: &[f64], poses: &[Pose]) -> Vec<RelationError> {
-    let at = |t: f64| poses[stamps.partition_point(|&s| s < t - 1e-3).min(stamps.len() - 1)];
+    let mut order: Vec<usize> = (0..stamps.len()).collect();
+    order.sort_by(|&a, &b| stamps[a].total_cmp(&stamps[b]));
+    let at = |t: f64| {
+        let after = order.partition_point(|&i| stamps[i] < t).min(order.len() - 1);
+        let (a, b) = (order[after.saturating_sub(1)], order[after]);
+        poses[if (stamps[a] - t).abs() < (stamps[b] - t).abs() { a } else { b }]
+    };
     let one = |r: &[f64]| {
         let d = se3::from_xy_yaw(r[2], r[3], r[7]).inverse() * (at(r[0]).inverse() * at(r[1]));
         let (metres, degrees) = (d.translation.vector.norm(), d.rotation.angle().to_degrees());
@@ -109,7 +115,7 @@ pub(crate) fn relations(rows: &[f64], stamps: &[f64], poses: &[Pose]) -> String 
     all.sort_by(f64::total_cmp);
     let at = |q: usize| all.get(all.len() * q / 100).copied().unwrap_or(0.0);
     format!(
-        "relations mean {:.3} m, median {:.3}, p90 {:.3}, {} loops mean {:.3} m, {:.2} deg",
+        "relations mean {:.4} m, median {:.4}, p90 {:.4}, {} loops mean {:.4} m, {:.3} deg",
         mean(&all),
         at(50),
         at(90),
@@ -117,6 +123,17 @@ pub(crate) fn relations(rows: &[f64], stamps: &[f64], poses: &[Pose]) -> String 
         mean(&loops),
         mean(&degrees)
     )
+}
+
+/// A trajectory as the TUM benchmark writes it: `t x y z qx qy qz qw`.
+pub(crate) fn write_tum(path: &str, stamps: &[f64], poses: &[Pose]) -> Result<(), Failure> {
+    use std::fmt::Write;
+    let mut text = String::new();
+    for (s, t) in stamps.iter().zip(poses) {
+        let (p, [x, y, z, w]) = (t.translation.vector, se3::quaternion_xyzw(t));
+        writeln!(text, "{s:.6} {:.6} {:.6} {:.6} {x:.8} {y:.8} {z:.8} {w:.8}", p.x, p.y, p.z)?;
+    }
+    Ok(std::fs::write(path, text)?)
 }
 
 /// Hits of all scans, dark on white, 0.1 m a pixel.

@@ -56,7 +56,10 @@ pub(crate) fn pcd_xyzi(path: &Path) -> Result<PointCloud, Failure> {
 
 /// A FLASER row: scan, wheel odometry, stamp.
 pub(crate) struct Laser {
+    /// Rising in the order of the rows.
     pub(crate) stamp: Timestamp,
+    /// As logged: may jump back.
+    pub(crate) logged_s: f64,
     pub(crate) scan: LaserScan,
     pub(crate) t_odom_base: Pose,
 }
@@ -80,9 +83,14 @@ pub(crate) fn carmen(path: &Path, range_max_m: f64) -> Result<Vec<Laser>, Failur
         let o = &f[n + 4..n + 8];
         out.push(Laser {
             stamp: Timestamp::from_secs_f64(o[3]),
+            logged_s: o[3],
             scan,
             t_odom_base: se3::from_xy_yaw(o[0], o[1], o[2]),
         });
     }
+    // Rows follow the motion; their stamps are dealt out again in rising order, as a replay does.
+    let mut stamps: Vec<Timestamp> = out.iter().map(|r| r.stamp).collect();
+    stamps.sort_unstable();
+    out.iter_mut().zip(stamps).for_each(|(r, s)| r.stamp = s);
     Ok(out)
 }

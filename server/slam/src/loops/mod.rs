@@ -3,6 +3,8 @@
 //! [`PlaceRecognition`] is what a kind of sensor brings; [`crate::BackEnd`] believes the loops that agree with each other
 //! and moves the keyframes.
 
+pub(crate) mod planar;
+
 use crate::odometry::OdometryKind;
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
 use serde::{Deserialize, Serialize};
@@ -62,7 +64,8 @@ pub trait PlaceRecognition: Send {
 /// Place recognition for the frames that an odometry registers; none where there is none yet.
 pub fn place_recognition(kind: OdometryKind) -> Option<Box<dyn PlaceRecognition>> {
     match kind {
-        OdometryKind::Rgbd | OdometryKind::Lidar3d | OdometryKind::Lidar2d => None,
+        OdometryKind::Lidar2d => Some(Box::new(planar::PlanarPlaces::new())),
+        OdometryKind::Rgbd | OdometryKind::Lidar3d => None,
         // A camera's map closes its loops itself: they correct its scale, too.
         OdometryKind::Mono => None,
     }

@@ -10,6 +10,7 @@ pub mod lidar2d;
 pub mod lidar3d;
 pub mod mono;
 pub mod rgbd;
+mod rhythm;
 mod uncertainty;
 
 use crate::keyframe::{KeyframeParams, keyframe_scan};
@@ -18,12 +19,16 @@ use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
 use nalgebra::Vector6;
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
+use rhythm::Rhythm;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use uncertainty::Uncertainty;
 
 /// A frame whose inlier ratio falls below this share of the usual one is tried from the last pose too.
 const DOUBTFUL: f64 = 0.9;
+
+/// What a measurement left open counts up to this variance, m^2.
+const MAX_LEFT_OPEN: f64 = 0.25;
 
 /// Which method registers the scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -135,6 +140,8 @@ struct MotionLimits {
     acceleration: f64,
     turn_acceleration: f64,
     smoothing: f64,
+    /// Whether the scene often leaves a direction open that a later frame decides (corridors in the plane).
+    remembers_open: bool,
 }
 
 impl MotionLimits {
@@ -150,6 +157,7 @@ impl MotionLimits {
             acceleration: params.acceleration_mps2.unwrap_or(acceleration),
             turn_acceleration: params.turn_acceleration_radps2.unwrap_or(turn_acceleration),
             smoothing,
+            remembers_open: kind == OdometryKind::Lidar2d,
         }
     }
 }
@@ -194,6 +202,8 @@ pub(crate) struct Prediction {
     pub(crate) t_odom_base: Pose,
     /// Right perturbation in base.
     pub(crate) covariance: Covariance6,
+    /// Whether it was measured (by wheels, an IMU), not assumed.
+    pub(crate) is_measured: bool,
 }
 
 /// A frame placed in the local model.
@@ -241,6 +251,9 @@ pub struct Odometry {
     velocity: Option<Vector6<f64>>,
     limits: MotionLimits,
     uncertainty: Uncertainty,
+    rhythm: Rhythm,
+    /// Of the newest measurement against the local model: what it left open is open for the next one too.
+    left_open: Covariance6,
     /// Running mean of the inlier ratio.
     usual_inlier_ratio: f64,
     num_lost: usize,
@@ -274,6 +287,8 @@ impl Odometry {
             velocity: None,
             limits,
             uncertainty: Uncertainty::default(),
+            rhythm: Rhythm::default(),
+            left_open: Covariance6::zeros(),
             usual_inlier_ratio: 0.0,
             num_lost: 0,
         }
@@ -289,7 +304,10 @@ impl Odometry {
             (self.t_odom_base, self.last_stamp) = (estimate.t_odom_base, Some(stamp));
             return estimate;
         }
-        let dt = self.last_stamp.map_or(0.0, |last| stamp.seconds_since(last).max(0.0));
+        let stamped = self.last_stamp.map_or(0.0, |last| stamp.seconds_since(last).max(0.0));
+        self.rhythm.tick(stamped);
+        let dt = self.rhythm.elapsed(stamped);
+        let t_odom_before = self.t_odom_base;
         let prediction = self.predict(dt, prior);
         self.last_stamp = Some(stamp);
         // The sweep is undone with what is known of this step's motion.
@@ -304,7 +322,12 @@ impl Odometry {
             return self.start(stamp, &prediction);
         }
         match self.place(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found)) {
-            Ok(found) => self.tracked(stamp, dt, found),
+            Ok(found) => {
+                if self.num_lost == 0 {
+                    self.rhythm.observe(stamped, &(t_odom_before.inverse() * found.t_odom_base));
+                }
+                self.tracked(stamp, dt, found)
+            }
             Err(_) if self.num_lost + 1 >= self.params.tracking.restart_after_frames => {
                 self.model.clear();
                 self.start(stamp, &prediction)
@@ -350,7 +373,7 @@ impl Odometry {
             let t_odom_base = self.t_odom_base * prior.t_prev_now;
             // A prior surer than 1 mm and 1 mrad is not believed.
             let floor = diagonal(1e-3, 1e-3);
-            return Prediction { t_odom_base, covariance: prior.covariance + floor };
+            return Prediction { t_odom_base, covariance: prior.covariance + floor, is_measured: true };
         }
         let t = &self.params.tracking;
         let velocity = self.velocity.filter(|_| dt <= t.max_gap_s);
@@ -360,10 +383,11 @@ impl Odometry {
         let sigma_t =
             0.01 + 0.5 * self.limits.acceleration * dt.min(t.max_gap_s).powi(2) + 0.25 * self.limits.speed * unsure;
         let sigma_r = 0.01 + 0.5 * self.limits.turn_acceleration * dt.min(t.max_gap_s).powi(2) + 0.5 * unsure;
-        Prediction {
-            t_odom_base: self.t_odom_base * se3::exp(&moving),
-            covariance: diagonal(sigma_t, sigma_r.min(1.0)),
-        }
+        let usual = self.rhythm.error();
+        let (sigma_t, sigma_r) = (sigma_t.max(1.5 * usual), sigma_r.max(1.5 * usual));
+        let t_now_next = se3::exp(&moving);
+        let covariance = se3::compose_covariance(&self.left_open, &t_now_next, &diagonal(sigma_t, sigma_r.min(1.0)));
+        Prediction { t_odom_base: self.t_odom_base * t_now_next, covariance, is_measured: false }
     }
 
     /// Tries the prediction and, if that fails or fits worse than usual, the last pose; the better is taken.
@@ -400,7 +424,8 @@ impl Odometry {
         if self.model.prepare(scan, &velocity).is_err() {
             return found;
         }
-        let again = Prediction { t_odom_base: found.t_odom_base, covariance: diagonal(0.05, 0.02) };
+        let covariance = diagonal(0.05, 0.02);
+        let again = Prediction { t_odom_base: found.t_odom_base, covariance, is_measured: true };
         self.try_from(dt, &again).unwrap_or(found)
     }
 
@@ -424,6 +449,10 @@ impl Odometry {
     fn tracked(&mut self, stamp: Timestamp, dt: f64, found: Match) -> OdometryEstimate {
         let t_last_now = self.t_odom_base.inverse() * found.t_odom_base;
         let covariance = self.uncertainty.measured(&t_last_now, &found.covariance);
+        if self.limits.remembers_open {
+            let largest = found.covariance.diagonal().max();
+            self.left_open = found.covariance * (MAX_LEFT_OPEN / largest.max(MAX_LEFT_OPEN));
+        }
         let recovered = self.num_lost > 0;
         self.num_lost = 0;
         self.usual_inlier_ratio += 0.1 * (found.inlier_ratio - self.usual_inlier_ratio);
@@ -457,6 +486,7 @@ impl Odometry {
             self.advance(prediction);
         }
         self.uncertainty.restarted();
+        self.left_open = Covariance6::zeros();
         self.num_lost = 0;
         self.model.integrate(&self.t_odom_base);
         self.unmeasured(stamp, TrackingState::Initialising)

@@ -3,10 +3,10 @@
 //! Scan to hits with normals ([`sweep`]), map on grids ([`field`]), search ([`mod@search`]), point-to-line
 //! refinement ([`refine`]). The robot moves in the plane: z, roll and pitch of odom stay zero.
 
-mod field;
-mod refine;
-mod search;
-mod sweep;
+pub(crate) mod field;
+pub(crate) mod refine;
+pub(crate) mod search;
+pub(crate) mod sweep;
 
 use crate::odometry::{LocalModel, Match, Prediction};
 use crate::scan::Scan;
@@ -139,7 +139,7 @@ impl Lidar2d {
 }
 
 /// x, y and yaw of a pose.
-fn planar(t: &Pose) -> Isometry2<f64> {
+pub(crate) fn planar(t: &Pose) -> Isometry2<f64> {
     Isometry2::new(Vector2::new(t.translation.x, t.translation.y), se3::yaw(t))
 }
 

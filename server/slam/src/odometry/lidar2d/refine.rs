@@ -1,7 +1,7 @@
 //! Point-to-line refinement of a searched pose on the map's line elements.
 //!
 //! Source: Censi, "An ICP variant using a point-to-line metric", 2008; the lines are means over the scans
-//! of the local map. Degenerate directions (a corridor's length) are left to the prediction.
+//! of the local map. Degenerate directions (a corridor's length) are left to what wheels say, else to the search.
 
 use super::field::Field;
 use super::sweep::Hit;
@@ -31,7 +31,8 @@ pub(crate) fn refine(
     min_inlier_ratio: f64,
 ) -> Result<Match, LostReason> {
     let (centroid, spread) = extent(hits);
-    let predicted = super::planar(&prediction.t_odom_base);
+    // What is open here is where wheels say; without them the search has seen more than an assumed velocity knows.
+    let held = if prediction.is_measured { super::planar(&prediction.t_odom_base) } else { *start };
     let prior = planar_covariance(&prediction.covariance).try_inverse().ok_or(LostReason::Degenerate)?;
     let mut t = *start;
     let mut last = None;
@@ -46,7 +47,7 @@ pub(crate) fn refine(
         let degeneracy = Degeneracy::of(&e, &centroid, spread, DEGENERATE);
         let h = degeneracy.keep_good(&e.hessian()) / HITS_PER_MEASUREMENT;
         let g = degeneracy.keep_good_gradient(&e.gradient()) / HITS_PER_MEASUREMENT;
-        let d = predicted.inverse() * t;
+        let d = held.inverse() * t;
         let pull = Vector3::new(d.translation.x, d.translation.y, d.rotation.angle());
         let pick = [0, 1, 5];
         let information = Matrix3::from_fn(|i, j| h[(pick[i], pick[j])]) + prior;

@@ -1,0 +1,166 @@
+//! A scan measured against the local map of a visit, and whether what both saw agrees.
+
+use super::sight::Sight;
+use super::spatial;
+use crate::odometry::lidar2d::field::Field;
+use crate::odometry::lidar2d::refine::refine;
+use crate::odometry::lidar2d::search::{Window, search};
+use crate::odometry::lidar2d::sweep::{self, Hit};
+use crate::odometry::{Prediction, diagonal};
+use nalgebra::{Isometry2, Matrix3, Point2, Vector2};
+use percept_geometry::{Covariance6, KeyframeScan, Pose};
+
+/// Farther hits are not used, metres.
+pub(crate) const MAX_RANGE_M: f64 = 25.0;
+/// Cell of a local map, metres.
+const CELL_M: f64 = 0.05;
+/// A local map's half width, metres.
+const HALF_M: f64 = 25.0;
+/// What a measurement may be off beyond its noise: the local map's own errors, metres and radians.
+const FLOOR: (f64, f64) = (0.01, 0.003);
+/// A match may leave so much open before it counts as open, metres and radians.
+const MAX_SIGMA: (f64, f64) = (0.1, 0.05);
+/// Points for the search.
+const SEARCH_POINTS: usize = 180;
+
+/// What a match has to bring.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Strictness {
+    /// Least share of the hits on the local map.
+    min_inlier_ratio: f64,
+    /// Most that may contradict, as a share of what both saw.
+    max_contradicted: f64,
+}
+
+impl Strictness {
+    /// The robot is believed to be here.
+    pub(crate) const NEAR: Self = Self { min_inlier_ratio: 0.45, max_contradicted: 0.2 };
+    /// It is believed to be somewhere around.
+    pub(crate) const FAR: Self = Self { min_inlier_ratio: 0.6, max_contradicted: 0.12 };
+    /// It may be anywhere.
+    pub(crate) const LOST: Self = Self { min_inlier_ratio: 0.7, max_contradicted: 0.1 };
+}
+
+/// A scan placed in a visit.
+#[derive(Debug, Clone)]
+pub(crate) struct Measurement {
+    pub(crate) t_from_to: Pose,
+    pub(crate) covariance: Covariance6,
+    pub(crate) inlier_ratio: f64,
+}
+
+/// Why a scan was not placed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Refused {
+    TooFewHits,
+    NotRefined(crate::LostReason),
+    Contradicted(f64),
+    Open(f64, f64),
+    AtBorder,
+}
+
+/// Keyframes with their poses in the base of the one that they are gathered around.
+pub(crate) type Visit<'a> = [(Isometry2<f64>, &'a KeyframeScan)];
+
+/// Places scans in visits; keeps the memory of the local map.
+pub(crate) struct Visits {
+    field: Field,
+}
+
+impl Visits {
+    pub(crate) fn new() -> Self {
+        Self { field: Field::new(CELL_M, HALF_M, Point2::origin()) }
+    }
+
+    /// Places `scan` within `window` (metres, radians) of the guess.
+    pub(crate) fn measure(
+        &mut self,
+        visit: &Visit<'_>,
+        scan: &KeyframeScan,
+        guess: &Isometry2<f64>,
+        window: (f64, f64),
+        strictness: &Strictness,
+    ) -> Result<Measurement, Refused> {
+        let scan_hits = hits(scan);
+        if scan_hits.len() < 20 || visit.is_empty() {
+            return Err(Refused::TooFewHits);
+        }
+        self.field.reset(Point2::from(guess.translation.vector));
+        let seen: Vec<Vec<Hit>> = visit.iter().map(|(_, s)| hits(s)).collect();
+        visit.iter().zip(&seen).for_each(|((t, _), hits)| self.field.add(hits, t));
+        let start = self.start(&scan_hits, guess, window);
+        let off = guess.inverse() * start;
+        if off.translation.vector.amax() > 0.95 * window.0 || off.rotation.angle().abs() > 0.95 * window.1 {
+            return Err(Refused::AtBorder);
+        }
+        // Hardly a prior: the measurement shall not know what was believed.
+        let prediction =
+            Prediction { t_odom_base: spatial(&start), covariance: diagonal(1.0, 0.5), is_measured: false };
+        let found = refine(&self.field, &scan_hits, &start, &prediction, strictness.min_inlier_ratio)
+            .map_err(Refused::NotRefined)?;
+        let t = crate::odometry::lidar2d::planar(&found.t_odom_base);
+        let contradicted = contradicted(&self.field, visit, &seen, scan, &scan_hits, &t);
+        if contradicted > strictness.max_contradicted {
+            return Err(Refused::Contradicted(contradicted));
+        }
+        let covariance = found.covariance + diagonal(FLOOR.0, FLOOR.1);
+        let (sigma_t, sigma_r) = (covariance[(0, 0)].max(covariance[(1, 1)]).sqrt(), covariance[(5, 5)].sqrt());
+        if sigma_t > MAX_SIGMA.0 || sigma_r > MAX_SIGMA.1 {
+            return Err(Refused::Open(sigma_t, sigma_r));
+        }
+        Ok(Measurement { t_from_to: found.t_odom_base, covariance, inlier_ratio: found.inlier_ratio })
+    }
+
+    fn start(&self, hits: &[Hit], guess: &Isometry2<f64>, window: (f64, f64)) -> Isometry2<f64> {
+        let points = sweep::thin(hits, 0.5 * CELL_M, SEARCH_POINTS);
+        let information = |half: f64| 9.0 / (half * half);
+        let prior =
+            Matrix3::from_diagonal(&[information(window.0), information(window.0), information(window.1)].into());
+        let window = Window { translation: window.0, rotation: window.1 };
+        search(&self.field, &points, guess, &prior, &window).0
+    }
+}
+
+fn hits(scan: &KeyframeScan) -> Vec<Hit> {
+    let origin = scan.t_base_sensor.translation.vector.xy();
+    let mut hits = sweep::from_points(&scan.hits.positions, &scan.t_base_sensor);
+    hits.retain(|h| (h.p.coords - origin).norm() < MAX_RANGE_M);
+    hits
+}
+
+/// Share of what both saw in which they contradict each other: hits of one that the other looked through.
+fn contradicted(
+    field: &Field,
+    visit: &Visit<'_>,
+    seen: &[Vec<Hit>],
+    scan: &KeyframeScan,
+    scan_hits: &[Hit],
+    t: &Isometry2<f64>,
+) -> f64 {
+    let views: Vec<(Isometry2<f64>, Sight)> = visit.iter().map(|(t, s)| (t.inverse(), Sight::new(s))).collect();
+    let (mut agreed, mut against) = (0usize, 0usize);
+    for hit in scan_hits {
+        let p = t * hit.p;
+        let is_there = field.element(&p, &Vector2::zeros()).is_some();
+        if is_there {
+            agreed += 1;
+        } else if views.iter().any(|(t_base_visit, sight)| sight.is_through(&(t_base_visit * p))) {
+            against += 1;
+        }
+    }
+    let own = Sight::new(scan);
+    let t_base_visit = t.inverse();
+    let (mut passed, mut met) = (0usize, 0usize);
+    for ((t_visit_other, _), hits) in visit.iter().zip(seen) {
+        for hit in hits.iter().step_by(4) {
+            let p = t_base_visit * t_visit_other * hit.p;
+            match own.is_through(&p) {
+                true => passed += 1,
+                false if own.reaches(&p) => met += 1,
+                false => {}
+            }
+        }
+    }
+    let share = |bad: usize, good: usize| bad as f64 / (bad + good).max(1) as f64;
+    share(against, agreed).max(share(passed, met))
+}

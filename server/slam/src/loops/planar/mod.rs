@@ -1,0 +1,396 @@
+//! Places of planar lidars: keyframes tied to earlier ones of the same place, near and far, and scans found with no guess.
+//!
+//! A visit is a run of neighbouring keyframes; its points make a local map. While drift is small, a keyframe is measured
+//! against the visits around it: a search of the cells in reach, then point-to-line refinement ([`measure`]). Once drift
+//! is large, the newest keyframes together are searched for in all that was seen in reach ([`pyramid`]), and a pose counts
+//! only if no other one fits nearly as well; now and then all of the map is searched. Every match has to explain what was
+//! seen, and nothing that one view shows may stand where the other looked through ([`sight`]).
+
+mod links;
+mod measure;
+mod pyramid;
+mod sight;
+
+#[cfg(test)]
+mod tests;
+
+use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::odometry::lidar2d::planar;
+use links::Links;
+use measure::{Measurement, Strictness, Visits};
+use nalgebra::{Isometry2, Point2};
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
+use pyramid::{Fit, Pyramid, Region, Search};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Keyframes of the last metres are what odometry was measured against.
+const RECENT_M: f64 = 10.0;
+/// Keyframes farther than this from the believed place see other surfaces, metres.
+const NEAR_M: f64 = 3.0;
+/// Visits that one keyframe is measured against, at most.
+const MAX_VISITS: usize = 3;
+/// Uncertainty after a way of d metres: a + b sqrt(d) + c d, metres and radians. Odometry that was off by less than half of
+/// this in every log we have.
+const DRIFT_M: (f64, f64, f64) = (0.05, 0.03, 0.005);
+const DRIFT_RAD: (f64, f64, f64) = (0.01, 0.004, 0.0003);
+/// A window this small is searched in one visit's map, metres.
+const SMALL_M: f64 = 1.2;
+/// Windows are not larger than this, metres.
+const LARGEST_M: f64 = 15.0;
+/// Driving past known places without a tie that doubles the uncertainty, metres: they are not where they are believed.
+const DOUBT_M: f64 = 3.0;
+/// A closed loop is as unsure as so much driving, metres.
+const TIE_M: f64 = 0.3;
+/// Driving between searches of a large window, and of all the map, metres.
+const SEARCH_EVERY_M: f64 = 1.5;
+const SEARCH_ALL_EVERY_M: f64 = 10.0;
+/// Keyframes of the last metres make the query of a large search.
+const QUERY_M: f64 = 5.0;
+/// Points of a query.
+const QUERY_POINTS: usize = 150;
+/// Cell of a large search, metres.
+const CELL_M: f64 = 0.1;
+/// Least score of a large search, and of one without a guess.
+const MIN_SCORE: f64 = 0.55;
+const MIN_SCORE_LOST: f64 = 0.6;
+/// Another optimum this good, as a share of the best one's score, leaves the match open.
+const RIVAL: f64 = 0.85;
+
+/// A keyframe taken in.
+struct Kept {
+    scan: Arc<KeyframeScan>,
+    /// Driven until here, metres.
+    travelled_m: f64,
+}
+
+/// Places seen by a planar lidar.
+pub(crate) struct PlanarPlaces {
+    kept: BTreeMap<KeyframeId, Kept>,
+    links: Links,
+    visits: Visits,
+    /// Where the robot had driven to at the last search of a large window, and of all the map.
+    searched_m: f64,
+    searched_all_m: f64,
+    last_drift: (f64, f64),
+    /// Driven past known places since the last tie, metres.
+    missed_m: f64,
+    travelled_m: f64,
+}
+
+impl Default for PlanarPlaces {
+    fn default() -> Self {
+        Self {
+            kept: BTreeMap::new(),
+            links: Links::default(),
+            visits: Visits::new(),
+            searched_m: 0.0,
+            searched_all_m: 0.0,
+            last_drift: (0.0, 0.0),
+            missed_m: 0.0,
+            travelled_m: 0.0,
+        }
+    }
+}
+
+impl PlanarPlaces {
+    /// Nothing seen yet.
+    pub(crate) fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes the keyframe in; how far the robot has driven.
+    fn keep(&mut self, id: KeyframeId, scan: &Arc<KeyframeScan>, drift: &Covariance6, poses: &KeyframePoses) -> f64 {
+        let spread = |c: &Covariance6| (c[(0, 0)].max(c[(1, 1)]).max(0.0).sqrt(), c[(5, 5)].max(0.0).sqrt());
+        let drift = spread(drift);
+        let mut travelled_m = 0.0;
+        if let Some((&last, kept)) = self.kept.last_key_value() {
+            let step = match (poses.get(&last), poses.get(&id)) {
+                (Some(a), Some(b)) => length(&(planar(a).inverse() * planar(b))),
+                _ => 0.0,
+            };
+            // A lost stretch adds more than its length.
+            let sudden = (drift.0 - self.last_drift.0 - 0.05 * step - 0.05).max(0.0) / DRIFT_M.2;
+            self.links.tie(last, id, step + sudden.min(1e4));
+            travelled_m = kept.travelled_m + step;
+        }
+        self.last_drift = drift;
+        self.kept.insert(id, Kept { scan: scan.clone(), travelled_m });
+        travelled_m
+    }
+
+    /// Ties to the visits around the believed place, nearest first.
+    fn near(&mut self, id: KeyframeId, here: &Isometry2<f64>, reach: &Reach) -> Vec<LoopClosure> {
+        let mut candidates: Vec<(f64, KeyframeId)> = reach
+            .old
+            .iter()
+            .filter(|o| o.window_m <= SMALL_M)
+            .map(|o| (length(&(o.t_map_base.inverse() * here)), o.id))
+            .filter(|c| c.0 < NEAR_M)
+            .collect();
+        candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut tried: Vec<f64> = vec![];
+        let mut closures = vec![];
+        for (_, candidate) in candidates {
+            let at = self.kept[&candidate].travelled_m;
+            if tried.iter().any(|t| (t - at).abs() < RECENT_M) {
+                continue;
+            }
+            if tried.len() == MAX_VISITS {
+                break;
+            }
+            tried.push(at);
+            let window = reach.window(candidate);
+            let found = self.measure(id, candidate, here, window, &Strictness::NEAR, &reach.poses);
+            closures.extend(found.map(|m| closure(candidate, id, &m)));
+        }
+        closures
+    }
+
+    fn measure(
+        &mut self,
+        id: KeyframeId,
+        candidate: KeyframeId,
+        t_map_base: &Isometry2<f64>,
+        window: (f64, f64),
+        strictness: &Strictness,
+        poses: &BTreeMap<KeyframeId, Isometry2<f64>>,
+    ) -> Option<Measurement> {
+        let scan = self.kept.get(&id)?.scan.clone();
+        let visit = visit(&self.kept, candidate, id, poses);
+        let t_map_candidate = poses.get(&candidate)?;
+        let guess = t_map_candidate.inverse() * t_map_base;
+        self.visits.measure(&visit, &scan, &guess, window, strictness).ok()
+    }
+
+    /// Searches for the newest keyframes together in what was seen within the window, or everywhere.
+    fn far(&mut self, id: KeyframeId, here: &Isometry2<f64>, reach: &Reach, everywhere: bool) -> Option<LoopClosure> {
+        let query = self.query(id, reach);
+        let (translation, rotation) = reach.largest(here);
+        let points: Vec<Point2<f64>> = reach
+            .old
+            .iter()
+            .filter(|o| {
+                everywhere || (o.t_map_base.translation.vector - here.translation.vector).norm() < translation + 5.0
+            })
+            .flat_map(|o| ends(&self.kept[&o.id].scan).map(|p| o.t_map_base * p))
+            .collect();
+        let pyramid = Pyramid::new(CELL_M, &points)?;
+        let region = match everywhere {
+            true => pyramid.everywhere(),
+            false => Region { center: *here, translation, rotation },
+        };
+        let min_score = if everywhere { MIN_SCORE_LOST } else { MIN_SCORE };
+        let best = only_optimum(&pyramid, &query, &region, min_score)?;
+        let candidate = reach.nearest(&best)?;
+        let m = self.measure(id, candidate, &best.t, (0.3, 0.06), &Strictness::FAR, &reach.poses)?;
+        Some(closure(candidate, id, &m))
+    }
+
+    /// Points of the newest keyframes in the newest one's base.
+    fn query(&self, id: KeyframeId, reach: &Reach) -> Vec<Point2<f64>> {
+        let travelled_m = self.kept[&id].travelled_m;
+        let Some(here) = reach.poses.get(&id) else { return vec![] };
+        let recent = self.kept.iter().rev().take_while(|(_, k)| travelled_m - k.travelled_m < QUERY_M);
+        let points = recent
+            .filter_map(|(id, k)| Some((reach.poses.get(id)?, k)))
+            .flat_map(|(t, k)| ends(&k.scan).map(move |p| here.inverse() * t * p))
+            .collect();
+        spread_out(points)
+    }
+}
+
+impl PlaceRecognition for PlanarPlaces {
+    fn insert(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        drift: &Covariance6,
+        poses: &KeyframePoses,
+    ) -> Vec<LoopClosure> {
+        let travelled_m = self.keep(id, scan, drift, poses);
+        let Some(here) = poses.get(&id).map(planar) else { return vec![] };
+        let doubt = 1.0 + self.missed_m / DOUBT_M;
+        let reach = Reach::of(id, &self.kept, &self.links, doubt, poses);
+        let mut closures = self.near(id, &here, &reach);
+        let step = travelled_m - self.travelled_m;
+        self.travelled_m = travelled_m;
+        if reach.is_known(&here) {
+            self.missed_m += step;
+        }
+        let is_tied = !closures.is_empty();
+        if !is_tied && travelled_m - self.searched_m >= SEARCH_EVERY_M && reach.is_far(&here) {
+            let everywhere = travelled_m - self.searched_all_m >= SEARCH_ALL_EVERY_M;
+            self.searched_m = travelled_m;
+            closures.extend(self.far(id, &here, &reach, false));
+            if everywhere && closures.is_empty() {
+                self.searched_all_m = travelled_m;
+                closures.extend(self.far(id, &here, &reach, true));
+            }
+        }
+        for c in &closures {
+            self.links.tie(c.from, id, TIE_M);
+        }
+        if !closures.is_empty() {
+            self.searched_all_m = travelled_m;
+            self.missed_m = 0.0;
+        }
+        closures
+    }
+
+    fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
+        let known: BTreeMap<KeyframeId, Isometry2<f64>> =
+            poses.iter().filter(|(id, _)| self.kept.contains_key(id)).map(|(id, t)| (*id, planar(t))).collect();
+        let points: Vec<_> = known.iter().flat_map(|(id, t)| ends(&self.kept[id].scan).map(move |p| t * p)).collect();
+        let query = spread_out(ends(scan).collect());
+        let pyramid = Pyramid::new(CELL_M, &points)?;
+        let best = only_optimum(&pyramid, &query, &pyramid.everywhere(), MIN_SCORE_LOST)?;
+        let keyframe = nearest(&known, &best)?;
+        let visit = visit(&self.kept, keyframe, KeyframeId(u64::MAX), &known);
+        let guess = known[&keyframe].inverse() * best.t;
+        let m = Visits::new().measure(&visit, scan, &guess, (0.3, 0.06), &Strictness::LOST).ok()?;
+        Some(Relocalisation {
+            keyframe,
+            t_keyframe_base: m.t_from_to,
+            covariance: m.covariance,
+            inlier_ratio: m.inlier_ratio,
+        })
+    }
+
+    fn forget(&mut self, id: KeyframeId) {
+        self.kept.remove(&id);
+        self.links.remove(id);
+    }
+}
+
+/// An older keyframe, where it is believed to be and how well that is known from the newest one.
+struct Old {
+    id: KeyframeId,
+    t_map_base: Isometry2<f64>,
+    window_m: f64,
+    window_rad: f64,
+}
+
+/// What there is to be found again from a keyframe.
+struct Reach {
+    old: Vec<Old>,
+    poses: BTreeMap<KeyframeId, Isometry2<f64>>,
+}
+
+impl Reach {
+    fn of(id: KeyframeId, kept: &BTreeMap<KeyframeId, Kept>, links: &Links, doubt: f64, poses: &KeyframePoses) -> Self {
+        let poses: BTreeMap<KeyframeId, Isometry2<f64>> =
+            poses.iter().filter(|(id, _)| kept.contains_key(id)).map(|(id, t)| (*id, planar(t))).collect();
+        let distances = links.distances(id);
+        let travelled_m = kept[&id].travelled_m;
+        let old = poses
+            .iter()
+            .filter(|(other, _)| **other != id && travelled_m - kept[other].travelled_m > RECENT_M)
+            .map(|(other, t)| {
+                let d = distances.get(other).copied().unwrap_or(1e4);
+                let sigma = |(a, b, c): (f64, f64, f64)| a + b * d.sqrt() + c * d;
+                let window_m = (0.2 + 3.0 * doubt * sigma(DRIFT_M)).min(LARGEST_M);
+                let window_rad = (3.0 * doubt * sigma(DRIFT_RAD)).min(std::f64::consts::PI);
+                Old { id: *other, t_map_base: *t, window_m, window_rad }
+            })
+            .collect();
+        Self { old, poses }
+    }
+
+    fn window(&self, id: KeyframeId) -> (f64, f64) {
+        self.old.iter().find(|o| o.id == id).map_or((SMALL_M, 0.1), |o| (o.window_m, o.window_rad))
+    }
+
+    /// Older keyframes that may be around.
+    fn around<'a>(&'a self, here: &'a Isometry2<f64>) -> impl Iterator<Item = &'a Old> {
+        let distance = |o: &Old| (o.t_map_base.translation.vector - here.translation.vector).norm();
+        self.old.iter().filter(move |o| distance(o) < o.window_m + NEAR_M)
+    }
+
+    fn largest(&self, here: &Isometry2<f64>) -> (f64, f64) {
+        self.around(here).fold((0.0, 0.0), |(m, rad), o| (o.window_m.max(m), o.window_rad.max(rad)))
+    }
+
+    /// Whether one of them is not surely where it is believed to be.
+    fn is_far(&self, here: &Isometry2<f64>) -> bool {
+        self.around(here).any(|o| o.window_m > SMALL_M)
+    }
+
+    /// Whether the robot is believed to pass through a known place.
+    fn is_known(&self, here: &Isometry2<f64>) -> bool {
+        self.old.iter().any(|o| length(&(o.t_map_base.inverse() * here)) < NEAR_M)
+    }
+
+    fn nearest(&self, fit: &Fit) -> Option<KeyframeId> {
+        let cost = |o: &Old| length(&(o.t_map_base.inverse() * fit.t));
+        self.old.iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).filter(|o| cost(o) < 2.0 * NEAR_M).map(|o| o.id)
+    }
+}
+
+fn nearest(poses: &BTreeMap<KeyframeId, Isometry2<f64>>, fit: &Fit) -> Option<KeyframeId> {
+    let cost = |t: &Isometry2<f64>| length(&(t.inverse() * fit.t));
+    poses.iter().min_by(|a, b| cost(a.1).total_cmp(&cost(b.1))).filter(|p| cost(p.1) < 2.0 * NEAR_M).map(|p| *p.0)
+}
+
+/// The best pose, unless it is bad or another one is nearly as good.
+fn only_optimum(pyramid: &Pyramid, query: &[Point2<f64>], region: &Region, min_score: f64) -> Option<Fit> {
+    match pyramid.search(query, region, min_score, None) {
+        Search::Found(best) => {
+            let rival = pyramid.search(query, region, RIVAL * best.score, Some(&best));
+            matches!(rival, Search::Nothing).then_some(best)
+        }
+        Search::Nothing | Search::GivenUp => None,
+    }
+}
+
+/// Keyframes around a candidate in time, with their poses in the candidate's base.
+fn visit<'a>(
+    kept: &'a BTreeMap<KeyframeId, Kept>,
+    candidate: KeyframeId,
+    newest: KeyframeId,
+    poses: &BTreeMap<KeyframeId, Isometry2<f64>>,
+) -> Vec<(Isometry2<f64>, &'a KeyframeScan)> {
+    const HALF_M: f64 = 4.0;
+    let (Some(t_map_candidate), Some(at)) = (poses.get(&candidate), kept.get(&candidate)) else { return vec![] };
+    let end = kept.get(&newest).map_or(f64::INFINITY, |k| k.travelled_m - 0.5 * RECENT_M);
+    let belongs = |k: &Kept| (k.travelled_m - at.travelled_m).abs() < HALF_M && k.travelled_m < end;
+    let before = kept.range(..candidate).rev().take_while(|(_, k)| belongs(k));
+    let after = kept.range(candidate..).take_while(|(_, k)| belongs(k));
+    before
+        .chain(after)
+        .filter_map(|(id, k)| Some((t_map_candidate.inverse() * poses.get(id)?, k.scan.as_ref())))
+        .collect()
+}
+
+/// Ends of a keyframe's beams in base.
+fn ends(scan: &KeyframeScan) -> impl Iterator<Item = Point2<f64>> + '_ {
+    let origin = scan.t_base_sensor.translation.vector.xy();
+    scan.hits
+        .positions
+        .iter()
+        .map(|p| p.cast::<f64>().xy())
+        .filter(move |p| (p.coords - origin).norm() < measure::MAX_RANGE_M)
+}
+
+/// At most [`QUERY_POINTS`] points, one a cell, evenly taken.
+fn spread_out(points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
+    let mut taken = rustc_hash::FxHashSet::default();
+    let cell = |p: &Point2<f64>| ((p.x / CELL_M).floor() as i64, (p.y / CELL_M).floor() as i64);
+    let kept: Vec<Point2<f64>> = points.into_iter().filter(|p| taken.insert(cell(p))).collect();
+    let step = kept.len() as f64 / QUERY_POINTS.min(kept.len()).max(1) as f64;
+    (0..QUERY_POINTS.min(kept.len())).map(|i| kept[(i as f64 * step) as usize]).collect()
+}
+
+/// Metres, with a radian for half a metre.
+fn length(t: &Isometry2<f64>) -> f64 {
+    t.translation.vector.norm() + 0.5 * t.rotation.angle().abs()
+}
+
+fn closure(from: KeyframeId, to: KeyframeId, m: &Measurement) -> LoopClosure {
+    LoopClosure { from, to, t_from_to: m.t_from_to, covariance: m.covariance, inlier_ratio: m.inlier_ratio }
+}
+
+/// A planar pose in space.
+fn spatial(t: &Isometry2<f64>) -> Pose {
+    se3::from_xy_yaw(t.translation.x, t.translation.y, t.rotation.angle())
+}

@@ -1,0 +1,309 @@
+//! Branch and bound: where in a map a set of points fits best, without a good guess.
+//!
+//! Source: Hess et al., "Real-time loop closure in 2D LIDAR SLAM", 2016, section V. Each level bounds the one below
+//! from above, so that the result is that of trying every pose. Levels are stored at their own spacing, which takes a
+//! third of the finest one's memory in all, for bounds that look a little farther than needed.
+
+use nalgebra::{Isometry2, Point2, Vector2};
+use percept_geometry::GridGeometry;
+use rayon::prelude::*;
+
+/// Levels above the finest: a cell of the coarsest is 32 fine ones wide.
+const DEPTH: u32 = 5;
+/// Reach of a point's likelihood, fine cells.
+const REACH: i32 = 2;
+/// Standard deviation of a point, fine cells.
+const SIGMA: f64 = 1.2;
+/// Points farther than this do not make the steps of the angle finer, metres.
+const MAX_LEVER_M: f64 = 12.0;
+/// A pose nearer than this to another one is the same optimum, metres and radians.
+const SAME: (f64, f64) = (1.0, 0.35);
+/// Nodes that a search may visit: so many fit nearly alike only where the map says nothing.
+const MAX_NODES: usize = 200_000;
+/// Fine cells at most along an edge: larger maps are cut off.
+const MAX_CELLS: f64 = 8192.0;
+
+/// One level: upper bounds for shifts within a cell.
+#[derive(Debug)]
+struct Level {
+    width: i32,
+    height: i32,
+    cells: Vec<u8>,
+}
+
+impl Level {
+    #[inline]
+    fn at(&self, x: i32, y: i32) -> u32 {
+        if x < 0 || y < 0 || x >= self.width || y >= self.height {
+            return 0;
+        }
+        u32::from(self.cells[(y * self.width + x) as usize])
+    }
+
+    /// Half as many cells along each edge, each the largest of four.
+    fn halved(&self) -> Self {
+        let (width, height) = ((self.width + 1) / 2, (self.height + 1) / 2);
+        let mut cells = vec![0u8; (width * height) as usize];
+        for y in 0..self.height {
+            let (from, to) = ((y * self.width) as usize, (y / 2 * width) as usize);
+            for (x, &v) in self.cells[from..from + self.width as usize].iter().enumerate() {
+                let cell = &mut cells[to + x / 2];
+                *cell = v.max(*cell);
+            }
+        }
+        Self { width, height, cells }
+    }
+
+    /// Each cell the largest of itself and its next ones: what a shift by less than a cell can reach.
+    fn reaching(&self) -> Self {
+        let (w, h) = (self.width as usize, self.height as usize);
+        let mut cells = self.cells.clone();
+        for row in cells.chunks_exact_mut(w) {
+            (1..w).for_each(|x| row[x - 1] = row[x - 1].max(row[x]));
+        }
+        for y in 1..h {
+            let (above, below) = cells.split_at_mut(y * w);
+            above[(y - 1) * w..].iter_mut().zip(&below[..w]).for_each(|(a, &b)| *a = b.max(*a));
+        }
+        Self { cells, ..*self }
+    }
+}
+
+/// Likelihood of points of a map at several resolutions.
+#[derive(Debug)]
+pub(crate) struct Pyramid {
+    geometry: GridGeometry,
+    /// Finest first.
+    levels: Vec<Level>,
+}
+
+/// Where to search: a pose and half widths (metres, radians).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Region {
+    pub(crate) center: Isometry2<f64>,
+    pub(crate) translation: f64,
+    pub(crate) rotation: f64,
+}
+
+/// A pose and its score, the mean likelihood, 0 to 1.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Fit {
+    pub(crate) t: Isometry2<f64>,
+    pub(crate) score: f64,
+}
+
+impl Fit {
+    fn is_near(&self, t: &Isometry2<f64>) -> bool {
+        let d = self.t.inverse() * t;
+        d.translation.vector.norm() < SAME.0 && d.rotation.angle().abs() < SAME.1
+    }
+}
+
+/// What a search found.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Search {
+    Found(Fit),
+    Nothing,
+    /// Too many poses fit nearly alike.
+    GivenUp,
+}
+
+/// All shifts of `2^level` cells from (x, y) on at one angle.
+#[derive(Debug, Clone, Copy)]
+struct Node {
+    sum: u32,
+    angle: i32,
+    x: i32,
+    y: i32,
+    level: u32,
+}
+
+impl Pyramid {
+    /// Of the points of a map; none if there are no points.
+    pub(crate) fn new(resolution: f64, points: &[Point2<f64>]) -> Option<Self> {
+        let first = *points.first()?;
+        let (lo, hi) = points.iter().fold((first, first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
+        // Bounds look one coarsest cell ahead: a margin of it keeps them true at the border.
+        let margin = f64::from(1 << DEPTH) + f64::from(REACH);
+        let cells = |lo: f64, hi: f64| (((hi - lo) / resolution).ceil() + 2.0 * margin).min(MAX_CELLS) as i32 + 1;
+        let geometry = GridGeometry::new(resolution, lo - Vector2::repeat(margin * resolution));
+        let (width, height) = (cells(lo.x, hi.x), cells(lo.y, hi.y));
+        let mut fine = Level { width, height, cells: vec![0; (width * height) as usize] };
+        let kernel = kernel();
+        points.iter().for_each(|p| smear(&mut fine, &geometry, &kernel, p));
+        let mut levels = vec![fine];
+        let mut plain: Option<Level> = None;
+        for _ in 0..DEPTH {
+            let next = plain.as_ref().unwrap_or(&levels[0]).halved();
+            levels.push(next.reaching());
+            plain = Some(next);
+        }
+        Some(Self { geometry, levels })
+    }
+
+    /// The region that holds every pose from which the map could be seen.
+    pub(crate) fn everywhere(&self) -> Region {
+        let extent = Vector2::new(f64::from(self.levels[0].width), f64::from(self.levels[0].height));
+        let half = 0.5 * self.geometry.resolution_m * extent;
+        let center = Isometry2::translation(self.geometry.origin.x + half.x, self.geometry.origin.y + half.y);
+        Region { center, translation: half.amax(), rotation: std::f64::consts::PI }
+    }
+
+    /// The best pose that scores more than `min_score`, and is another optimum than `besides`.
+    pub(crate) fn search(
+        &self,
+        query: &[Point2<f64>],
+        region: &Region,
+        min_score: f64,
+        besides: Option<&Fit>,
+    ) -> Search {
+        let resolution = self.geometry.resolution_m;
+        let lever = query.iter().map(|p| p.coords.norm()).fold(1.0, f64::max).min(MAX_LEVER_M);
+        let num_angles = (region.rotation * lever / resolution).ceil().max(1.0) as i32;
+        let angle_step = region.rotation / f64::from(num_angles);
+        let reach = (region.translation / resolution).ceil() as i32;
+        let turned = |a: i32| {
+            let angle = region.center.rotation.angle() + f64::from(a) * angle_step;
+            let t = Isometry2::new(region.center.translation.vector, angle);
+            query.iter().map(|p| self.cell(&(t * p))).collect::<Vec<_>>()
+        };
+        let rotated: Vec<Vec<(i32, i32)>> = (-num_angles..=num_angles).into_par_iter().map(turned).collect();
+        let cells = |a: i32| &rotated[(a + num_angles) as usize];
+        let pose = |n: &Node| {
+            let shift = Vector2::new(f64::from(n.x), f64::from(n.y)) * resolution;
+            let angle = region.center.rotation.angle() + f64::from(n.angle) * angle_step;
+            Isometry2::new(region.center.translation.vector + shift, angle)
+        };
+        let worth = 255.0 * query.len().max(1) as f64;
+        let mut least = (min_score * worth) as u32;
+        let mut best: Option<Node> = None;
+        let mut stack = self.roots(&rotated, num_angles, reach, least);
+        let mut num_visited = 0;
+        // The best bound is on top.
+        while let Some(node) = stack.pop() {
+            num_visited += 1;
+            if num_visited > MAX_NODES {
+                return Search::GivenUp;
+            }
+            if node.sum <= least {
+                continue;
+            }
+            if node.level == 0 {
+                let is_new = besides.is_none_or(|other| !other.is_near(&pose(&node)));
+                if is_new {
+                    (least, best) = (node.sum, Some(node));
+                }
+                continue;
+            }
+            let level = node.level - 1;
+            let half = 1 << level;
+            let mut children: Vec<Node> = [(0, 0), (half, 0), (0, half), (half, half)]
+                .into_iter()
+                .map(|(dx, dy)| {
+                    let (x, y) = (node.x + dx, node.y + dy);
+                    Node { sum: self.sum(cells(node.angle), x, y, level), angle: node.angle, x, y, level }
+                })
+                .filter(|n| n.sum > least && n.x <= reach && n.y <= reach)
+                .collect();
+            children.sort_by_key(|n| n.sum);
+            stack.append(&mut children);
+        }
+        best.map_or(Search::Nothing, |n| Search::Found(Fit { t: pose(&n), score: f64::from(n.sum) / worth }))
+    }
+
+    /// The coarsest nodes above `least`, best last.
+    fn roots(&self, rotated: &[Vec<(i32, i32)>], num_angles: i32, reach: i32, least: u32) -> Vec<Node> {
+        let side = 1i32 << DEPTH;
+        let of_angle = |(i, cells): (usize, &Vec<(i32, i32)>)| {
+            let mut nodes = vec![];
+            for y in (-reach..=reach).step_by(side as usize) {
+                for x in (-reach..=reach).step_by(side as usize) {
+                    let sum = self.sum(cells, x, y, DEPTH);
+                    if sum > least {
+                        nodes.push(Node { sum, angle: i as i32 - num_angles, x, y, level: DEPTH });
+                    }
+                }
+            }
+            nodes
+        };
+        let mut roots: Vec<Node> = rotated.par_iter().enumerate().flat_map_iter(of_angle).collect();
+        roots.sort_by_key(|n| (n.sum, n.angle, n.x, n.y));
+        roots
+    }
+
+    #[inline]
+    fn sum(&self, cells: &[(i32, i32)], dx: i32, dy: i32, level: u32) -> u32 {
+        let l = &self.levels[level as usize];
+        cells.iter().map(|&(x, y)| l.at((x + dx) >> level, (y + dy) >> level)).sum()
+    }
+
+    fn cell(&self, p: &Point2<f64>) -> (i32, i32) {
+        let q = (p - self.geometry.origin) / self.geometry.resolution_m;
+        (q.x.floor() as i32, q.y.floor() as i32)
+    }
+}
+
+/// Offset and likelihood of the cells around a point.
+fn kernel() -> Vec<(i32, i32, u8)> {
+    let value = |x: i32, y: i32| (255.0 * (-f64::from(x * x + y * y) / (2.0 * SIGMA * SIGMA)).exp()) as u8;
+    (-REACH..=REACH).flat_map(|y| (-REACH..=REACH).map(move |x| (x, y, value(x, y)))).collect()
+}
+
+fn smear(fine: &mut Level, geometry: &GridGeometry, kernel: &[(i32, i32, u8)], p: &Point2<f64>) {
+    let Some(c) = geometry.cell(p) else { return };
+    if c.x < REACH || c.y < REACH || c.x + REACH >= fine.width || c.y + REACH >= fine.height {
+        return;
+    }
+    for &(dx, dy, value) in kernel {
+        let cell = &mut fine.cells[((c.y + dy) * fine.width + c.x + dx) as usize];
+        *cell = value.max(*cell);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An L of walls with a pillar.
+    fn map() -> Vec<Point2<f64>> {
+        let wall = |i: i32| f64::from(i) * 0.05;
+        let mut points: Vec<Point2<f64>> = (0..160).map(|i| Point2::new(wall(i), 0.0)).collect();
+        points.extend((0..100).map(|i| Point2::new(0.0, wall(i))));
+        points.extend((0..8).map(|i| Point2::new(5.0 + wall(i), 2.0)));
+        points
+    }
+
+    #[test]
+    fn points_are_found_wherever_they_are() {
+        let t_map_query = Isometry2::new(Vector2::new(3.0, 1.5), 2.5);
+        let query: Vec<_> = map().iter().step_by(2).map(|p| t_map_query.inverse() * p).collect();
+        let pyramid = Pyramid::new(0.1, &map()).unwrap();
+        let Search::Found(found) = pyramid.search(&query, &pyramid.everywhere(), 0.5, None) else {
+            panic!("not found")
+        };
+        let off = found.t.inverse() * t_map_query;
+        assert!(off.translation.vector.norm() < 0.15 && off.rotation.angle().abs() < 0.02, "{off}");
+        assert!(found.score > 0.8);
+        let rival = pyramid.search(&query, &pyramid.everywhere(), 0.8 * found.score, Some(&found));
+        assert!(matches!(rival, Search::Nothing));
+    }
+
+    #[test]
+    fn the_search_finds_what_trying_every_pose_finds() {
+        let query: Vec<_> = map().iter().step_by(5).map(|p| Isometry2::new(Vector2::new(0.3, -0.2), 0.1) * p).collect();
+        let pyramid = Pyramid::new(0.1, &map()).unwrap();
+        let region = Region { center: Isometry2::identity(), translation: 0.8, rotation: 0.2 };
+        let Search::Found(found) = pyramid.search(&query, &region, 0.0, None) else { panic!("not found") };
+        let mut best = 0u32;
+        let lever = query.iter().map(|p| p.coords.norm()).fold(1.0, f64::max).min(MAX_LEVER_M);
+        let n = (region.rotation * lever / 0.1).ceil() as i32;
+        for a in -n..=n {
+            let t = Isometry2::rotation(f64::from(a) * region.rotation / f64::from(n));
+            let cells: Vec<_> = query.iter().map(|p| pyramid.cell(&(t * p))).collect();
+            for (y, x) in (-8..=8).flat_map(|y| (-8..=8).map(move |x| (y, x))) {
+                best = best.max(pyramid.sum(&cells, x, y, 0));
+            }
+        }
+        assert_eq!((found.score * 255.0 * query.len() as f64).round() as u32, best);
+    }
+}
