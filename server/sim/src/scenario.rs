@@ -46,7 +46,7 @@ impl MainSensor {
 /// What a session puts to the test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scenario {
-    /// Nothing goes wrong: laps through four rooms, every room seen again each lap.
+    /// Nothing goes wrong: laps through all rooms, every room seen again each lap.
     Loops,
     /// After a lap the robot is carried elsewhere in the rooms it knows, blind for 4 s, `trials` times, 20 s apart.
     Kidnap {
@@ -70,7 +70,7 @@ pub enum Scenario {
     Disorder,
     /// Stamps are off by 10 ms (standard deviation).
     Jitter,
-    /// A second sensor (depth camera; a planar lidar beside a camera) is declared 0.2 rad off its true heading.
+    /// A second sensor (depth camera at 2 Hz; a planar lidar beside a camera) is declared 0.2 rad off its true heading.
     Extrinsics,
 }
 
@@ -80,13 +80,14 @@ const CARRIED_S: f64 = 4.0;
 const BETWEEN_KIDNAPS_S: f64 = 20.0;
 
 impl Scenario {
-    /// The session of this scenario, `seconds` long; a session of kidnaps lasts until all are over.
+    /// The session of this scenario in a world of so many rooms (30 to 40 s each and lap), `seconds` long; a session
+    /// of kidnaps lasts until all are over.
     ///
     /// # Errors
     /// `OutOfRange` naming a parameter.
-    pub fn params(self, sensor: MainSensor, seconds: f64, seed: u64) -> Result<SimParams, SimError> {
+    pub fn params(self, sensor: MainSensor, rooms: usize, seconds: f64, seed: u64) -> Result<SimParams, SimError> {
         let mut params = SimParams {
-            world: WorldParams { seed, ..WorldParams::default() },
+            world: WorldParams { seed, rooms, ..WorldParams::default() },
             sensors: sensor.suite(),
             seed,
             duration_s: Some(seconds),
@@ -119,7 +120,10 @@ impl Scenario {
                 wrong.mount_yaw_error_rad = 0.2;
                 match sensor {
                     MainSensor::Rgbd | MainSensor::Depth => params.sensors.lidar2d = Some(Lidar2dParams::default()),
-                    _ => params.sensors.depth_camera = MainSensor::Depth.suite().depth_camera,
+                    _ => {
+                        params.sensors.depth_camera =
+                            Some(DepthCameraParams { rate_hz: 2.0, color: false, ..DepthCameraParams::default() });
+                    }
                 }
             }
         }

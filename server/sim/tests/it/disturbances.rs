@@ -111,7 +111,7 @@ fn frames_are_lost_late_and_jittered_at_the_rates_asked_for() {
 
 #[test]
 fn a_corridor_shows_nothing_but_two_walls() {
-    let params = Scenario::Corridor.params(MainSensor::Lidar2d, 60.0, 1).unwrap();
+    let params = Scenario::Corridor.params(MainSensor::Lidar2d, 4, 60.0, 1).unwrap();
     let sim = Simulation::new(params).unwrap();
     assert_eq!((sim.world().rooms().len(), sim.world().doors().len()), (1, 0));
     assert!(sim.world().objects_at(0.0).is_empty());
@@ -147,7 +147,7 @@ fn every_scenario_can_be_driven_with_every_sensor_and_repeats_itself() {
     ];
     for scenario in scenarios {
         for sensor in [MainSensor::Lidar2d, MainSensor::Lidar3d, MainSensor::Rosette, MainSensor::Rgbd] {
-            let params = scenario.params(sensor, 600.0, 1).unwrap();
+            let params = scenario.params(sensor, 4, 600.0, 1).unwrap();
             let sim = Simulation::new(params).unwrap();
             let mains =
                 sim.sensors().iter().filter(|s| s.kind != SensorKind::Odometry && s.kind != SensorKind::Imu).count();
