@@ -110,7 +110,8 @@ pub(crate) fn session(run: &SlamRun, open: Option<&SlamRun>) -> Result<Vec<u8>, 
     }
     paths.push(line("with loops", BLUE, path(&pairs, &|p| p.estimate)));
     errors.push(line("with loops", BLUE, seconds(run, &run.online_errors())));
-    let (ms, rss): (Vec<f64>, Vec<f64>) = run.frames.iter().map(|f| (f64::from(f.ms), f64::from(f.rss_mb))).unzip();
+    let (mut ms, rss): (Vec<f64>, Vec<f64>) = run.frames.iter().map(|f| (f64::from(f.ms), f64::from(f.rss_mb))).unzip();
+    cut_off(&mut ms);
     let chart = |title, y, series| Chart { title, x: "time [s]", y, equal: false, series };
     draw(&[
         Chart { title: "Trajectories", x: "x [m]", y: "y [m]", equal: true, series: paths },
