@@ -208,3 +208,13 @@ def test_coloured_frames_make_a_coloured_map(client):
     left, right = cloud.points[:, 1] > 0.2, cloud.points[:, 1] < -0.2
     assert cloud.colors[left].mean(0) == pytest.approx([200, 0, 0], abs=15)
     assert cloud.colors[right].mean(0) == pytest.approx([0, 0, 200], abs=15)
+
+
+def test_a_map_without_loops_says_so(client):
+    session = client.sessions.create(sensors=[world.LASER])
+    assert list(session.map.loops()) == []
+    assert session.map.optimise().num_keyframes_moved == 0
+    for decide in (session.map.veto_loop, session.map.allow_loop):
+        with pytest.raises(NotFound) as error:
+            decide(3)
+        assert (error.value.reason, error.value.field) == ("LOOP_NOT_FOUND", "loop_id")

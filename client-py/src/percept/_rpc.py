@@ -69,6 +69,9 @@ GET_MAP_SUMMARY = Rpc(_M, "GetMapSummary", maps.GetMapSummaryRequest, maps.GetMa
 GET_OCCUPANCY_GRID = Rpc(_M, "GetOccupancyGrid", maps.GetOccupancyGridRequest, maps.GetOccupancyGridResponse)
 GET_CLOUD = Rpc(_M, "GetCloud", maps.GetCloudRequest, maps.GetCloudResponse)
 EXPORT_MAP = Rpc(_M, "ExportMap", maps.ExportMapRequest, maps.ExportMapResponse)
+LIST_LOOPS = Rpc(_M, "ListLoops", maps.ListLoopsRequest, maps.ListLoopsResponse)
+OPTIMISE_MAP = Rpc(_M, "OptimiseMap", maps.OptimiseMapRequest, maps.OptimiseMapResponse)
+SET_LOOP_VETO = Rpc(_M, "SetLoopVeto", maps.SetLoopVetoRequest, maps.SetLoopVetoResponse)
 
 _C = "SceneService"
 LIST_OBJECTS = Rpc(_C, "ListObjects", scene.ListObjectsRequest, scene.ListObjectsResponse)

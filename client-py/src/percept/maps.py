@@ -5,12 +5,22 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 
 from ._aio_transport import AsyncTransport
 from ._convert import maps as convert
 from ._transport import Transport
-from .types.maps import MapCloud, MapFile, MapFormat, MapSummary, OccupancyGrid, Region
+from .types.maps import (
+    Loop,
+    LoopVeto,
+    MapCloud,
+    MapFile,
+    MapFormat,
+    MapOptimised,
+    MapSummary,
+    OccupancyGrid,
+    Region,
+)
 
 
 def _written(file: MapFile, path: str | os.PathLike[str] | None) -> MapFile:
@@ -45,6 +55,25 @@ class Maps:
         """The fused cloud, whole or within radius_m of a point of the map."""
         return self._transport.chunks(convert.get_cloud(self._session_id, center, radius_m))
 
+    def loops(self, *, page_size: int = 0) -> Iterator[Loop]:
+        """Loops that were found, believed or not, by number; pages are asked for as they are used."""
+        return self._transport.pages(convert.list_loops(self._session_id, page_size))
+
+    def veto_loop(self, loop_id: int) -> LoopVeto:
+        """Takes a loop out of the map, which follows at once; allow_loop() undoes it."""
+        return self._transport.call(convert.set_loop_veto(self._session_id, loop_id, True))
+
+    def allow_loop(self, loop_id: int) -> LoopVeto:
+        """Lets a loop that was vetoed into the map again."""
+        return self._transport.call(convert.set_loop_veto(self._session_id, loop_id, False))
+
+    def optimise(self) -> MapOptimised:
+        """Solves the pose graph once more and moves every keyframe to where it belongs, now.
+
+        Corrections of millimetres wait for more while frames come in.
+        """
+        return self._transport.call(convert.optimise(self._session_id))
+
     def export(self, file_format: MapFormat | str, *, path: str | os.PathLike[str] | None = None) -> MapFile:
         """The map as a file, checksum compared; with `path` (file or folder) it is written there."""
         file = self._transport.chunks(convert.export(self._session_id, file_format))
@@ -73,6 +102,25 @@ class AsyncMaps:
     ) -> MapCloud:
         """The fused cloud, whole or within radius_m of a point of the map."""
         return await self._transport.chunks(convert.get_cloud(self._session_id, center, radius_m))
+
+    def loops(self, *, page_size: int = 0) -> AsyncIterator[Loop]:
+        """Loops that were found, believed or not, by number; pages are asked for as they are used."""
+        return self._transport.pages(convert.list_loops(self._session_id, page_size))
+
+    async def veto_loop(self, loop_id: int) -> LoopVeto:
+        """Takes a loop out of the map, which follows at once; allow_loop() undoes it."""
+        return await self._transport.call(convert.set_loop_veto(self._session_id, loop_id, True))
+
+    async def allow_loop(self, loop_id: int) -> LoopVeto:
+        """Lets a loop that was vetoed into the map again."""
+        return await self._transport.call(convert.set_loop_veto(self._session_id, loop_id, False))
+
+    async def optimise(self) -> MapOptimised:
+        """Solves the pose graph once more and moves every keyframe to where it belongs, now.
+
+        Corrections of millimetres wait for more while frames come in.
+        """
+        return await self._transport.call(convert.optimise(self._session_id))
 
     async def export(
         self, file_format: MapFormat | str, *, path: str | os.PathLike[str] | None = None

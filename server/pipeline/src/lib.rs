@@ -4,7 +4,9 @@
 //! that the caller runs it in. Start with [`Pipeline::process`].
 
 mod chunks;
+mod clock_offset;
 mod frame_error;
+mod imu_prior;
 mod level;
 mod odometry_prior;
 mod params;
@@ -17,6 +19,7 @@ mod visibility;
 pub use chunks::Chunks;
 pub use frame_error::FrameError;
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
-pub use pipeline::{FrameReport, NewKeyframe, Pipeline, Restored, RestoredKeyframe};
+pub use percept_slam::{Loop, LoopId, LoopState};
+pub use pipeline::{FrameReport, NewKeyframe, Pipeline, Restored, RestoredKeyframe, VetoReport};
 pub use sensors::check_frame;
 pub use snapshot::{KeyframeInfo, PoseEstimate, Snapshot, TrajectoryEntry};

@@ -16,11 +16,15 @@ pub(crate) struct OdometryBuffer {
 }
 
 impl OdometryBuffer {
-    pub(crate) fn push(&mut self, stamp: Timestamp, sample: &OdometrySample) {
+    /// Adds a sample; the stamp of the one before, and the angle turned since.
+    pub(crate) fn push(&mut self, stamp: Timestamp, sample: &OdometrySample) -> Option<(Timestamp, f64)> {
+        let before = self.samples.back().filter(|s| s.0 < stamp);
+        let turned = before.map(|s| (s.0, s.1.rotation.angle_to(&sample.t_odom_base.rotation)));
         self.samples.push_back((stamp, sample.t_odom_base, sample.covariance));
         while self.samples.front().is_some_and(|s| stamp.seconds_since(s.0) > KEPT_S) {
             self.samples.pop_front();
         }
+        turned
     }
 
     /// Motion from one stamp to another, if samples surround both (or end shortly before).
@@ -75,7 +79,9 @@ mod tests {
     fn motion_is_interpolated_between_samples_and_not_invented_far_from_them() {
         let mut buffer = OdometryBuffer::default();
         let at = |s: f64| Timestamp::from_secs_f64(s);
-        (0..=10).for_each(|i| buffer.push(at(0.1 * f64::from(i)), &sample(f64::from(i) * 0.05)));
+        for i in 0..=10 {
+            buffer.push(at(0.1 * f64::from(i)), &sample(f64::from(i) * 0.05));
+        }
         let motion = buffer.between(at(0.25), at(0.75)).unwrap();
         assert!((motion.t_prev_now.translation.x - 0.25).abs() < 1e-9);
         assert!((buffer.between(at(0.5), at(1.1)).unwrap().t_prev_now.translation.x - 0.3).abs() < 1e-9);

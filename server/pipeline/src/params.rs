@@ -4,7 +4,7 @@ use percept_mapping::MapParams;
 use percept_perception::detection::DetectionParams;
 use percept_planning::PlanParams;
 use percept_scene::{RelationParams, TrackerParams};
-use percept_slam::OdometryParams;
+use percept_slam::{BackEndParams, OdometryParams};
 use serde::{Deserialize, Serialize};
 
 /// A parameter outside its bounds: what each crate's `validate` said, with the path to the field.
@@ -25,6 +25,8 @@ pub struct SlamParams {
     pub pose_sensor: String,
     /// Registration of frames, and when one becomes a keyframe.
     pub odometry: OdometryParams,
+    /// Loops, and the corrections that follow from them.
+    pub back_end: BackEndParams,
 }
 
 /// What is looked for, and where.
@@ -73,6 +75,7 @@ impl PipelineParams {
             move |e| ParamsError { section, message: e.to_string() }
         }
         self.slam.odometry.validate().map_err(named("slam.odometry"))?;
+        self.slam.back_end.validate().map_err(named("slam.back_end"))?;
         self.map.validate().map_err(named("map"))?;
         self.detection.detector.validate().map_err(named("detection.detector"))?;
         if !(1.0..=50.0).contains(&self.detection.range_m) {

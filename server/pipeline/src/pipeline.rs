@@ -1,5 +1,11 @@
 //! One robot's state and the path of a frame through it.
 
+mod loops;
+
+pub use loops::VetoReport;
+
+use crate::clock_offset::ClockOffsets;
+use crate::imu_prior::{ImuBuffer, joined};
 use crate::level::level;
 use crate::odometry_prior::OdometryBuffer;
 use crate::recovery::Anchoring;
@@ -14,7 +20,7 @@ use percept_mapping::Map;
 use percept_perception::detection::Detector;
 use percept_scene::{Object, ObjectChange, Observation, Tracker, Visibility};
 use percept_slam::{
-    KeyframePolicy, LostReason, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState, keyframe,
+    BackEnd, KeyframePolicy, Loop, LostReason, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState, keyframe,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,11 +28,14 @@ use std::sync::Arc;
 /// Objects this near to the edge of the searched part of the map may be cut by it, metres.
 const SEARCH_EDGE_M: f64 = 1.5;
 
+/// A keyframe this near says that the robot has been there, metres.
+const MAPPED_M: f64 = 1.0;
+
 /// Keyframes that odometry starts again from.
 const NUM_RECENT: usize = 20;
 
 /// What a frame did.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct FrameReport {
     /// Pose after it; none for sensors that do not move the pose.
     pub pose: Option<PoseEstimate>,
@@ -36,6 +45,12 @@ pub struct FrameReport {
     pub keyframe: Option<NewKeyframe>,
     /// What it changed about objects.
     pub changes: Vec<ObjectChange>,
+    /// Keyframes of a part of the map that joined it with this frame, older than `keyframe`.
+    pub joined: Vec<NewKeyframe>,
+    /// Loops that were found or changed their state.
+    pub loops: Vec<Loop>,
+    /// Keyframes that a correction moved, with their new poses, base to map.
+    pub corrected: Vec<(KeyframeId, Pose)>,
 }
 
 /// A keyframe as it is stored.
@@ -67,6 +82,8 @@ pub struct Restored {
     pub keyframes: Vec<RestoredKeyframe>,
     /// Registered frames, oldest first.
     pub trajectory: Vec<TrajectoryEntry>,
+    /// Loops, in the order of finding.
+    pub loops: Vec<Loop>,
     /// Objects, those gone included.
     pub objects: Vec<Object>,
     /// Number that the next object gets.
@@ -80,8 +97,17 @@ pub struct Pipeline {
     params: Arc<PipelineParams>,
     sensors: Sensors,
     wheel: OdometryBuffer,
+    imu: ImuBuffer,
+    clocks: ClockOffsets,
+    clock_offsets: Arc<BTreeMap<SensorId, f64>>,
     odometry: Option<Odometry>,
     anchoring: Anchoring,
+    back_end: Option<BackEnd>,
+    loops: Arc<Vec<Loop>>,
+    /// Keyframes made while adrift.
+    floating: Vec<loops::Floating>,
+    /// Whether nothing measured ties the next keyframe to the one before.
+    after_gap: bool,
     keyframe_policies: BTreeMap<SensorId, KeyframePolicy>,
     map: Map,
     detector: Detector,
@@ -109,8 +135,15 @@ impl Pipeline {
         Ok(Self {
             sensors: Sensors::default(),
             wheel: OdometryBuffer::default(),
+            imu: ImuBuffer::default(),
+            clocks: ClockOffsets::default(),
+            clock_offsets: Arc::default(),
             odometry: None,
             anchoring: Anchoring::default(),
+            back_end: None,
+            loops: Arc::default(),
+            floating: vec![],
+            after_gap: false,
             keyframe_policies: BTreeMap::new(),
             map: Map::new(params.map).map_err(|e| failed("map", e))?,
             detector: Detector::new(params.detection.detector).map_err(|e| failed("detection.detector", e))?,
@@ -179,6 +212,7 @@ impl Pipeline {
         self.odometry = Some(odometry);
         self.anchoring = Anchoring::at(t_odom_base, entry.stamp);
         self.last_registered = Some(entry.stamp);
+        self.restore_back_end(kind, &sensor, restored);
         self.sensors.set_pose_sensor(sensor);
         self.pose = Some(PoseEstimate {
             stamp: entry.stamp,
@@ -199,9 +233,17 @@ impl Pipeline {
     /// Bad input, by variant; nothing was changed.
     pub fn process(&mut self, frame: &SensorFrame) -> Result<FrameReport, FrameError> {
         let (spec, stamp) = self.sensors.admit(frame)?;
-        let nothing = FrameReport { pose: None, trajectory: None, keyframe: None, changes: vec![] };
+        let nothing = FrameReport::default();
         if let SensorData::Odometry(sample) = &frame.data {
-            self.wheel.push(stamp, sample);
+            if let Some((before, angle)) = self.wheel.push(stamp, sample) {
+                let dt = stamp.seconds_since(before);
+                self.clocks.saw(&spec.id, before.plus_seconds(0.5 * dt), angle / dt);
+            }
+            return Ok(nothing);
+        }
+        if let SensorData::Imu(sample) = &frame.data {
+            self.imu.push(stamp, sample, &spec.t_base_sensor);
+            self.clocks.saw(&spec.id, stamp, sample.angular_velocity.norm());
             return Ok(nothing);
         }
         let Some(scan) = scan_of(&spec, &frame.data) else { return Ok(nothing) };
@@ -214,7 +256,9 @@ impl Pipeline {
 
     /// A frame that moves the pose.
     fn register(&mut self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan) -> FrameReport {
-        let prior = self.last_registered.and_then(|last| self.wheel.between(last, stamp));
+        let since = self.last_registered;
+        let wheels = since.and_then(|last| self.wheel.between(last, stamp));
+        let prior = joined(wheels.clone(), since.and_then(|last| self.imu.between(last, stamp)));
         let kind = match scan {
             Scan::Depth(_) => OdometryKind::Rgbd,
             Scan::Cloud(_) => OdometryKind::Lidar3d,
@@ -222,42 +266,81 @@ impl Pipeline {
             Scan::Image(_) => OdometryKind::Mono,
         };
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.slam.odometry.clone()));
+        let (t_odom_last, was_tracking) = (*odometry.t_odom_base(), odometry.is_tracking());
         let mut estimate = odometry.register(stamp, scan, prior.as_ref());
+        if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking()) {
+            let turn = t_odom_last.rotation.inverse() * estimate.t_odom_base.rotation;
+            self.imu.learn(last, stamp, &turn);
+            if self.clocks.turned(last, stamp, turn.angle()) {
+                self.clock_offsets = Arc::new(self.clocks.found().clone());
+            }
+        }
         self.last_registered = Some(stamp);
-        let mut tracked = self.anchoring.judge(&estimate, prior.as_ref());
+        self.prepare_back_end(kind);
+        let mut report = FrameReport::default();
+        let is_mapped = self.is_mapped(&spec.id, &estimate.t_odom_base);
+        let mut tracked = self.anchoring.judge(&estimate, wheels.as_ref(), is_mapped);
         if self.anchoring.is_adrift() {
-            (estimate, tracked) = self.recover(kind, &spec.id, scan, estimate);
+            (estimate, tracked) = self.recover(kind, spec, scan, estimate, &mut report);
         }
         let t_odom_base = estimate.t_odom_base;
-        let keyframe = (tracked && self.policy(&spec.id).consider(&t_odom_base))
-            .then(|| self.add_keyframe(spec, stamp, scan, t_odom_base));
-        let changes = keyframe.as_ref().map(|k| self.observe(k)).unwrap_or_default();
+        if tracked && self.policy(&spec.id).consider(&t_odom_base) {
+            let mut keyframe = self.add_keyframe(spec, stamp, scan, t_odom_base);
+            self.close_loops(&mut keyframe, true, &mut report);
+            report.changes = self.observe(&keyframe);
+            report.keyframe = Some(keyframe);
+        }
         let pose = self.pose_of(stamp, &estimate);
         self.pose = Some(pose.clone());
-        let trajectory = self.extend_trajectory(stamp, tracked, &pose.t_map_base, keyframe.as_ref());
-        FrameReport { pose: Some(pose), trajectory, keyframe, changes }
+        report.trajectory = self.extend_trajectory(stamp, tracked, &pose.t_map_base, report.keyframe.as_ref());
+        report.pose = Some(pose);
+        report
+    }
+
+    /// Whether a sensor has been where odometry is now: a keyframe of its is near.
+    fn is_mapped(&self, sensor: &SensorId, t_odom_base: &Pose) -> bool {
+        let here = (self.t_map_odom * t_odom_base).translation.vector;
+        let near = |k: &KeyframeInfo| k.sensor == *sensor && (k.t_map_base.translation.vector - here).norm() < MAPPED_M;
+        self.keyframes.iter().any(near)
     }
 
     /// Odometry runs on from a guess: back into the map if the frame fits there, else lost and said so.
     fn recover(
         &mut self,
         kind: OdometryKind,
-        sensor: &SensorId,
+        spec: &SensorSpec,
         scan: &Scan,
         estimate: OdometryEstimate,
+        report: &mut FrameReport,
     ) -> (OdometryEstimate, bool) {
         let params = Arc::clone(&self.params);
         let mut anchoring = std::mem::take(&mut self.anchoring);
         let method = (kind, &params.slam.odometry);
-        let found = anchoring.recover(method, || self.recent_keyframes(sensor), estimate.stamp, scan);
+        let near = |t_odom_base: &Pose| self.keyframes_near(&spec.id, t_odom_base);
+        let found = anchoring.recover(method, &estimate, near, scan);
         self.anchoring = anchoring;
-        match found {
-            Some((odometry, estimate)) => {
-                self.odometry = Some(odometry);
-                (estimate, true)
-            }
-            None => (OdometryEstimate { state: TrackingState::Lost { reason: LostReason::Adrift }, ..estimate }, false),
+        if let Some((odometry, estimate)) = found {
+            self.odometry = Some(odometry);
+            self.floating.clear();
+            return (estimate, true);
         }
+        if self.look_around(spec, scan, &estimate, report) {
+            return (OdometryEstimate { state: TrackingState::Tracking, ..estimate }, true);
+        }
+        (OdometryEstimate { state: TrackingState::Lost { reason: LostReason::Adrift }, ..estimate }, false)
+    }
+
+    /// Keyframes of a sensor around a place, with their odom poses, oldest first.
+    fn keyframes_near(&self, sensor: &SensorId, t_odom_base: &Pose) -> Vec<(Pose, Arc<KeyframeScan>)> {
+        let here = (self.t_map_odom * t_odom_base).translation.vector;
+        let of_sensor = self.map.keyframes().iter().filter(|(_, k)| k.scan.sensor == *sensor);
+        let mut by_distance: Vec<_> =
+            of_sensor.map(|(id, k)| ((k.t_map_base.translation.vector - here).norm(), *id, k)).collect();
+        by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
+        by_distance.truncate(NUM_RECENT);
+        by_distance.sort_by_key(|(_, id, _)| *id);
+        let t_odom_map = self.t_map_odom.inverse();
+        by_distance.into_iter().map(|(_, _, k)| (t_odom_map * k.t_map_base, Arc::clone(&k.scan))).collect()
     }
 
     /// The newest keyframes of a sensor with their odom poses, oldest first: what odometry starts again from.
@@ -297,9 +380,12 @@ impl Pipeline {
         if !self.policy(&spec.id).consider(&t_odom_base) {
             return None;
         }
-        let keyframe = self.add_keyframe(spec, stamp, scan, t_odom_base);
-        let changes = self.observe(&keyframe);
-        Some(FrameReport { pose: None, trajectory: None, keyframe: Some(keyframe), changes })
+        let mut report = FrameReport::default();
+        let mut keyframe = self.add_keyframe(spec, stamp, scan, t_odom_base);
+        self.close_loops(&mut keyframe, false, &mut report);
+        report.changes = self.observe(&keyframe);
+        report.keyframe = Some(keyframe);
+        Some(report)
     }
 
     /// Adds a keyframe to the map layers. Poses and scans are our own: a refusal is a fault of ours.
@@ -324,13 +410,23 @@ impl Pipeline {
             self.base_height_m = level.base_height_m;
         }
         scan.base_height_m = self.base_height_m;
-        let scan = Arc::new(scan);
+        self.enter(stamp, &spec.id, t_odom_base, Arc::new(scan))
+    }
+
+    /// Puts a keyframe into the map where odometry says.
+    fn enter(
+        &mut self,
+        stamp: Timestamp,
+        sensor: &SensorId,
+        t_odom_base: Pose,
+        scan: Arc<KeyframeScan>,
+    ) -> NewKeyframe {
         let id = KeyframeId(self.keyframes.len() as u64);
         let t_map_base = self.t_map_odom * t_odom_base;
         self.insert(id, t_map_base, &scan);
         self.newest_keyframe_t_odom_base = t_odom_base;
         let num_points = scan.hits.len();
-        let info = KeyframeInfo { id, stamp, sensor: spec.id.clone(), t_map_base, num_points };
+        let info = KeyframeInfo { id, stamp, sensor: sensor.clone(), t_map_base, num_points };
         Arc::make_mut(&mut self.keyframes).push(info.clone());
         NewKeyframe { info, t_odom_base, scan }
     }
@@ -438,6 +534,8 @@ impl Pipeline {
             trajectory: self.trajectory.clone(),
             keyframes: Arc::clone(&self.keyframes),
             layers: self.map.layers(),
+            clock_offsets: Arc::clone(&self.clock_offsets),
+            loops: Arc::clone(&self.loops),
             objects: Arc::clone(&self.objects),
             next_object_id: self.tracker.next_id(),
             params: Arc::clone(&self.params),

@@ -41,7 +41,8 @@ impl Anchoring {
     }
 
     /// Whether the frame's pose is tied to the map, by measurement or by wheels.
-    pub(crate) fn judge(&mut self, estimate: &OdometryEstimate, prior: Option<&MotionPrior>) -> bool {
+    /// `is_mapped`: the robot has been before where odometry believes to be.
+    pub(crate) fn judge(&mut self, estimate: &OdometryEstimate, prior: Option<&MotionPrior>, is_mapped: bool) -> bool {
         self.reckoned &= prior.is_some() || self.last.is_none() || estimate.state.is_tracking();
         if let Some(frames) = &mut self.adrift {
             *frames += 1;
@@ -49,7 +50,8 @@ impl Anchoring {
         }
         match estimate.state {
             TrackingState::Lost { .. } => return false,
-            TrackingState::Initialising if !self.reckoned => {
+            // A frame that does not fit the map where wheels say that it is in it: somebody carried the robot, perhaps.
+            TrackingState::Initialising if !self.reckoned || (is_mapped && self.last.is_some()) => {
                 self.adrift = Some(0);
                 return false;
             }
@@ -68,26 +70,39 @@ impl Anchoring {
         self.adrift.is_some()
     }
 
-    /// Tries to find the frame among the keyframes where the robot was last known to be, oldest first; the odometry
-    /// to go on with, if it fits.
+    /// Frames since odometry restarted from a guess.
+    pub(crate) fn frames_adrift(&self) -> Option<u32> {
+        self.adrift
+    }
+
+    /// The frame's place in the map was found.
+    pub(crate) fn found(&mut self, estimate: &OdometryEstimate) {
+        self.last = Some((estimate.t_odom_base, estimate.stamp));
+        (self.reckoned, self.adrift) = (true, None);
+    }
+
+    /// Tries to find the frame among the keyframes (oldest first) where the robot was last known to be, and in the first
+    /// frame where wheels say it is; the odometry to go on with, if it fits.
     pub(crate) fn recover(
         &mut self,
         (kind, params): (OdometryKind, &OdometryParams),
-        keyframes: impl FnOnce() -> Vec<(Pose, Arc<KeyframeScan>)>,
-        stamp: Timestamp,
+        estimate: &OdometryEstimate,
+        keyframes_near: impl Fn(&Pose) -> Vec<(Pose, Arc<KeyframeScan>)>,
         scan: &Scan,
     ) -> Option<(Odometry, OdometryEstimate)> {
         let (t_odom_base, last) = self.last?;
-        if !self.adrift?.is_multiple_of(TRY_EVERY) {
-            return None;
-        }
+        let frames = self.adrift?;
+        let (place, stamp) = match frames {
+            0 if self.reckoned => (estimate.t_odom_base, last),
+            n if n.is_multiple_of(TRY_EVERY) => (t_odom_base, last),
+            _ => return None,
+        };
         let mut odometry = Odometry::new(kind, params.clone());
-        odometry.seed(&t_odom_base, &keyframes(), last);
-        let estimate = odometry.register(stamp, scan, None);
+        odometry.seed(&place, &keyframes_near(&place), stamp);
+        let estimate = odometry.register(estimate.stamp, scan, None);
         let sure = estimate.inlier_ratio >= SURE.1.max(SURE.0 * self.usual_inlier_ratio);
         (estimate.state.is_tracking() && sure).then(|| {
-            self.last = Some((estimate.t_odom_base, stamp));
-            (self.reckoned, self.adrift) = (true, None);
+            self.found(&estimate);
             (odometry, estimate)
         })
     }

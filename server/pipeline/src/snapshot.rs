@@ -4,8 +4,9 @@ use crate::{Chunks, PipelineParams};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
 use percept_mapping::MapLayers;
 use percept_scene::{Object, SceneGraph};
-use percept_slam::TrackingState;
+use percept_slam::{Loop, TrackingState};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Where the robot is, how sure we are, or that we are lost.
@@ -74,6 +75,11 @@ pub struct Snapshot {
     pub keyframes: Arc<Vec<KeyframeInfo>>,
     /// Occupancy and cloud.
     pub layers: MapLayers,
+    /// Seconds by which sensors' stamps are late behind the pose sensor's, beyond their declared `time_offset_s`: IMUs and
+    /// wheels, once the robot has turned enough to tell.
+    pub clock_offsets: Arc<BTreeMap<SensorId, f64>>,
+    /// Loops in the order of finding, those not believed included.
+    pub loops: Arc<Vec<Loop>>,
     /// Confirmed objects by id, those gone included.
     pub objects: Arc<Vec<Object>>,
     /// Number that the next object gets.

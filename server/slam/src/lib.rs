@@ -16,6 +16,7 @@ pub mod tracking;
 
 pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
+pub use loops::{LoopClosure, Relocalisation};
 pub use odometry::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams};
 pub use scan::{CloudScan, DepthScan, ImageScan, PlanarScan, Scan, SecondCamera};
 pub use tracking::{LostReason, Scale, TrackingState, Waiting};

@@ -198,6 +198,18 @@ impl SessionKeys {
         self.at("keyframes").prefix()
     }
 
+    /// `sessions/<id>/loops/<n>`.
+    #[must_use]
+    pub fn loop_closure(&self, number: u64) -> Key {
+        self.at(&format!("loops/{}", number_segment(number)))
+    }
+
+    /// All loops, in order.
+    #[must_use]
+    pub fn loop_closures(&self) -> Prefix {
+        self.at("loops").prefix()
+    }
+
     /// `sessions/<id>/trajectory/<chunk>`.
     #[must_use]
     pub fn trajectory(&self, chunk: u64) -> Key {

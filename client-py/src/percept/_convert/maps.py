@@ -8,13 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from .. import _rpc
-from .._call import Call, ChunkedCall
+from .._call import Call, ChunkedCall, PagedCall
 from ..errors import Internal, InvalidArgument
 from ..types.maps import (
     GridGeometry,
+    Loop,
+    LoopState,
+    LoopVeto,
     MapCloud,
     MapFile,
     MapFormat,
+    MapOptimised,
     MapStamp,
     MapSummary,
     OccupancyGrid,
@@ -54,6 +58,27 @@ def summary(message: service.GetMapSummaryResponse) -> MapSummary:
         num_points=message.num_points,
         voxel_size_m=message.voxel_size_m,
         num_keyframes=message.num_keyframes,
+    )
+
+
+def loop(message: map_pb2.Loop) -> Loop:
+    """A loop."""
+    return Loop(
+        loop_id=message.loop_id,
+        from_keyframe_id=message.from_keyframe_id,
+        to_keyframe_id=message.to_keyframe_id,
+        t_from_to=geometry.pose(message.t_from_to),
+        inlier_ratio=message.inlier_ratio,
+        state=words.word(LoopState, map_pb2.LoopState, message.state),
+    )
+
+
+def loop_veto(message: service.SetLoopVetoResponse) -> LoopVeto:
+    """What a veto did."""
+    return LoopVeto(
+        loop=loop(message.loop),
+        num_keyframes_moved=message.num_keyframes_moved,
+        map_version=message.map_version,
     )
 
 
@@ -107,6 +132,29 @@ def get_summary(
     session_id: str,
 ) -> Call[service.GetMapSummaryRequest, service.GetMapSummaryResponse, MapSummary]:
     return Call(_rpc.GET_MAP_SUMMARY, service.GetMapSummaryRequest(source=source(session_id)), summary)
+
+
+def list_loops(
+    session_id: str, page_size: int
+) -> PagedCall[service.ListLoopsRequest, service.ListLoopsResponse, Loop]:
+    request = service.ListLoopsRequest(source=source(session_id), page_size=page_size)
+    return PagedCall(_rpc.LIST_LOOPS, request, lambda a: [loop(x) for x in a.loops])
+
+
+def set_loop_veto(
+    session_id: str, loop_id: int, vetoed: bool
+) -> Call[service.SetLoopVetoRequest, service.SetLoopVetoResponse, LoopVeto]:
+    request = service.SetLoopVetoRequest(source=source(session_id), loop_id=loop_id, vetoed=vetoed)
+    return Call(_rpc.SET_LOOP_VETO, request, loop_veto)
+
+
+def optimise(
+    session_id: str,
+) -> Call[service.OptimiseMapRequest, service.OptimiseMapResponse, MapOptimised]:
+    def optimised(a: service.OptimiseMapResponse) -> MapOptimised:
+        return MapOptimised(num_keyframes_moved=a.num_keyframes_moved, map_version=a.map_version)
+
+    return Call(_rpc.OPTIMISE_MAP, service.OptimiseMapRequest(source=source(session_id)), optimised)
 
 
 def get_occupancy(

@@ -70,6 +70,7 @@ def status(message: sensor_pb2.SensorStatus) -> SensorStatus:
         rate_hz=message.rate_hz if message.HasField("rate_hz") else None,
         last_stamp_ns=message.last_stamp_ns if message.HasField("last_stamp_ns") else None,
         verdict=message.verdict,
+        clock_offset_s=message.clock_offset_s if message.HasField("clock_offset_s") else None,
     )
 
 

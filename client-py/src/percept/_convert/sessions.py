@@ -24,7 +24,7 @@ from ..types.sessions import (
 )
 from ..v1 import params_pb2, session_pb2
 from ..v1 import sessions_service_pb2 as service
-from . import geometry, poses, scene, sensors, words
+from . import geometry, maps, poses, scene, sensors, words
 
 
 def session_info(message: session_pb2.Session) -> SessionInfo:
@@ -83,6 +83,8 @@ def _event(message: session_pb2.SessionEvent) -> Event | None:
             return keyframe(message.keyframe_added)
         case "object_changed":
             return scene.object_change(message.object_changed)
+        case "loop_changed":
+            return maps.loop(message.loop_changed)
         case "map_version":
             return MapChanged(map_version=message.map_version)
         case "resync":

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ._value import Name, Value
-from .geometry import Floats, PointCloud
+from .geometry import Floats, PointCloud, Pose
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -21,6 +21,56 @@ class MapStamp(Value):
     stamp_ns: int
     #: Frame of all coordinates in the answer.
     frame_id: str
+
+
+class LoopState(Name):
+    """What became of a loop that was found."""
+
+    UNSPECIFIED = "unspecified"
+    #: Waits for others that say the same.
+    PENDING = "pending"
+    #: Holds the map together.
+    ACTIVE = "active"
+    #: Nothing confirmed it in time, or it contradicts what is believed.
+    REJECTED = "rejected"
+    #: Taken out by veto_loop().
+    VETOED = "vetoed"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Loop(Value):
+    """A place seen again: one keyframe measured from an earlier one."""
+
+    loop_id: int
+    #: The keyframe that was there before.
+    from_keyframe_id: int
+    #: The keyframe that came back.
+    to_keyframe_id: int
+    #: Base at `to`, seen from base at `from`.
+    t_from_to: Pose
+    #: Share of the scan that fits the place, 0 to 1.
+    inlier_ratio: float
+    state: LoopState
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LoopVeto(Value):
+    """What a veto did."""
+
+    #: With its new state.
+    loop: Loop
+    num_keyframes_moved: int
+    #: Of the map with it.
+    map_version: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapOptimised(Value):
+    """What an optimisation did."""
+
+    num_keyframes_moved: int
+    #: Of the map with it.
+    map_version: int
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -62,6 +62,8 @@ class SensorStatus(Value):
     last_stamp_ns: int | None
     #: In words, for an operator.
     verdict: str
+    #: Seconds by which its stamps are late behind the pose sensor's, beyond time_offset_s; None until known.
+    clock_offset_s: float | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

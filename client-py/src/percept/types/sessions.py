@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ._value import Name, Value
 from .geometry import Floats, Pose, rotation_matrices
+from .maps import Loop
 from .scene import ObjectChange
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ class Resync(Value):
     missed: int
 
 
-Event: TypeAlias = PoseEstimate | Keyframe | ObjectChange | MapChanged | Resync
+Event: TypeAlias = PoseEstimate | Keyframe | ObjectChange | Loop | MapChanged | Resync
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -25,29 +25,33 @@ _sym_db = _symbol_database.Default()
 from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x14percept/v1/map.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\"+\n\tMapSource\x12\x14\n\nsession_id\x18\x01 \x01(\tH\x00\x42\x08\n\x06source\"M\n\x07Region2\x12 \n\x03min\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector2\x12 \n\x03max\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\"C\n\x08MapStamp\x12\x13\n\x0bmap_version\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12\x10\n\x08\x66rame_id\x18\x03 \x01(\t\"h\n\x0cGridGeometry\x12\x14\n\x0cresolution_m\x18\x01 \x01(\x01\x12#\n\x06origin\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\r\n\x05width\x18\x03 \x01(\r\x12\x0e\n\x06height\x18\x04 \x01(\r\"\xa5\x01\n\x12OccupancyGridChunk\x12(\n\x05stamp\x18\x01 \x01(\x0b\x32\x14.percept.v1.MapStampH\x00\x88\x01\x01\x12/\n\x08geometry\x18\x02 \x01(\x0b\x32\x18.percept.v1.GridGeometryH\x01\x88\x01\x01\x12\x0e\n\x06offset\x18\x03 \x01(\x04\x12\r\n\x05\x63\x65lls\x18\x04 \x01(\x0c\x42\x08\n\x06_stampB\x0b\n\t_geometry\"\x93\x01\n\nCloudChunk\x12(\n\x05stamp\x18\x01 \x01(\x0b\x32\x14.percept.v1.MapStampH\x00\x88\x01\x01\x12\x19\n\x0ctotal_points\x18\x02 \x01(\x04H\x01\x88\x01\x01\x12%\n\x05\x63loud\x18\x03 \x01(\x0b\x32\x16.percept.v1.PointCloudB\x08\n\x06_stampB\x0f\n\r_total_points\"a\n\tFileChunk\x12+\n\x06header\x18\x01 \x01(\x0b\x32\x16.percept.v1.FileHeaderH\x00\x88\x01\x01\x12\x0e\n\x06offset\x18\x02 \x01(\x04\x12\x0c\n\x04\x64\x61ta\x18\x03 \x01(\x0c\x42\t\n\x07_header\"|\n\nFileHeader\x12#\n\x05stamp\x18\x01 \x01(\x0b\x32\x14.percept.v1.MapStamp\x12\x11\n\tfile_name\x18\x02 \x01(\t\x12\x12\n\nmedia_type\x18\x03 \x01(\t\x12\x12\n\nsize_bytes\x18\x04 \x01(\x04\x12\x0e\n\x06sha256\x18\x05 \x01(\t*\x86\x02\n\tMapFormat\x12\x1a\n\x16MAP_FORMAT_UNSPECIFIED\x10\x00\x12\x1c\n\x18MAP_FORMAT_OCCUPANCY_PNG\x10\x01\x12\x17\n\x13MAP_FORMAT_NAV2_PGM\x10\x02\x12\x18\n\x14MAP_FORMAT_NAV2_YAML\x10\x03\x12\x18\n\x14MAP_FORMAT_CLOUD_PLY\x10\x04\x12\x1d\n\x19MAP_FORMAT_TRAJECTORY_TUM\x10\x05\x12\x1b\n\x17MAP_FORMAT_OVERVIEW_PNG\x10\x06\x12\x1c\n\x18MAP_FORMAT_CLOUD_TOP_PNG\x10\x07\x12\x18\n\x14MAP_FORMAT_CLOUD_PCD\x10\x08\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x14percept/v1/map.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\"+\n\tMapSource\x12\x14\n\nsession_id\x18\x01 \x01(\tH\x00\x42\x08\n\x06source\"\xaa\x01\n\x04Loop\x12\x0f\n\x07loop_id\x18\x01 \x01(\x04\x12\x18\n\x10\x66rom_keyframe_id\x18\x02 \x01(\x04\x12\x16\n\x0eto_keyframe_id\x18\x03 \x01(\x04\x12#\n\tt_from_to\x18\x04 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x14\n\x0cinlier_ratio\x18\x05 \x01(\x01\x12$\n\x05state\x18\x06 \x01(\x0e\x32\x15.percept.v1.LoopState\"M\n\x07Region2\x12 \n\x03min\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector2\x12 \n\x03max\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\"C\n\x08MapStamp\x12\x13\n\x0bmap_version\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12\x10\n\x08\x66rame_id\x18\x03 \x01(\t\"h\n\x0cGridGeometry\x12\x14\n\x0cresolution_m\x18\x01 \x01(\x01\x12#\n\x06origin\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\r\n\x05width\x18\x03 \x01(\r\x12\x0e\n\x06height\x18\x04 \x01(\r\"\xa5\x01\n\x12OccupancyGridChunk\x12(\n\x05stamp\x18\x01 \x01(\x0b\x32\x14.percept.v1.MapStampH\x00\x88\x01\x01\x12/\n\x08geometry\x18\x02 \x01(\x0b\x32\x18.percept.v1.GridGeometryH\x01\x88\x01\x01\x12\x0e\n\x06offset\x18\x03 \x01(\x04\x12\r\n\x05\x63\x65lls\x18\x04 \x01(\x0c\x42\x08\n\x06_stampB\x0b\n\t_geometry\"\x93\x01\n\nCloudChunk\x12(\n\x05stamp\x18\x01 \x01(\x0b\x32\x14.percept.v1.MapStampH\x00\x88\x01\x01\x12\x19\n\x0ctotal_points\x18\x02 \x01(\x04H\x01\x88\x01\x01\x12%\n\x05\x63loud\x18\x03 \x01(\x0b\x32\x16.percept.v1.PointCloudB\x08\n\x06_stampB\x0f\n\r_total_points\"a\n\tFileChunk\x12+\n\x06header\x18\x01 \x01(\x0b\x32\x16.percept.v1.FileHeaderH\x00\x88\x01\x01\x12\x0e\n\x06offset\x18\x02 \x01(\x04\x12\x0c\n\x04\x64\x61ta\x18\x03 \x01(\x0c\x42\t\n\x07_header\"|\n\nFileHeader\x12#\n\x05stamp\x18\x01 \x01(\x0b\x32\x14.percept.v1.MapStamp\x12\x11\n\tfile_name\x18\x02 \x01(\t\x12\x12\n\nmedia_type\x18\x03 \x01(\t\x12\x12\n\nsize_bytes\x18\x04 \x01(\x04\x12\x0e\n\x06sha256\x18\x05 \x01(\t*\x86\x01\n\tLoopState\x12\x1a\n\x16LOOP_STATE_UNSPECIFIED\x10\x00\x12\x16\n\x12LOOP_STATE_PENDING\x10\x01\x12\x15\n\x11LOOP_STATE_ACTIVE\x10\x02\x12\x17\n\x13LOOP_STATE_REJECTED\x10\x03\x12\x15\n\x11LOOP_STATE_VETOED\x10\x04*\x86\x02\n\tMapFormat\x12\x1a\n\x16MAP_FORMAT_UNSPECIFIED\x10\x00\x12\x1c\n\x18MAP_FORMAT_OCCUPANCY_PNG\x10\x01\x12\x17\n\x13MAP_FORMAT_NAV2_PGM\x10\x02\x12\x18\n\x14MAP_FORMAT_NAV2_YAML\x10\x03\x12\x18\n\x14MAP_FORMAT_CLOUD_PLY\x10\x04\x12\x1d\n\x19MAP_FORMAT_TRAJECTORY_TUM\x10\x05\x12\x1b\n\x17MAP_FORMAT_OVERVIEW_PNG\x10\x06\x12\x1c\n\x18MAP_FORMAT_CLOUD_TOP_PNG\x10\x07\x12\x18\n\x14MAP_FORMAT_CLOUD_PCD\x10\x08\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.map_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_MAPFORMAT']._serialized_start=906
-  _globals['_MAPFORMAT']._serialized_end=1168
+  _globals['_LOOPSTATE']._serialized_start=1079
+  _globals['_LOOPSTATE']._serialized_end=1213
+  _globals['_MAPFORMAT']._serialized_start=1216
+  _globals['_MAPFORMAT']._serialized_end=1478
   _globals['_MAPSOURCE']._serialized_start=63
   _globals['_MAPSOURCE']._serialized_end=106
-  _globals['_REGION2']._serialized_start=108
-  _globals['_REGION2']._serialized_end=185
-  _globals['_MAPSTAMP']._serialized_start=187
-  _globals['_MAPSTAMP']._serialized_end=254
-  _globals['_GRIDGEOMETRY']._serialized_start=256
-  _globals['_GRIDGEOMETRY']._serialized_end=360
-  _globals['_OCCUPANCYGRIDCHUNK']._serialized_start=363
-  _globals['_OCCUPANCYGRIDCHUNK']._serialized_end=528
-  _globals['_CLOUDCHUNK']._serialized_start=531
-  _globals['_CLOUDCHUNK']._serialized_end=678
-  _globals['_FILECHUNK']._serialized_start=680
-  _globals['_FILECHUNK']._serialized_end=777
-  _globals['_FILEHEADER']._serialized_start=779
-  _globals['_FILEHEADER']._serialized_end=903
+  _globals['_LOOP']._serialized_start=109
+  _globals['_LOOP']._serialized_end=279
+  _globals['_REGION2']._serialized_start=281
+  _globals['_REGION2']._serialized_end=358
+  _globals['_MAPSTAMP']._serialized_start=360
+  _globals['_MAPSTAMP']._serialized_end=427
+  _globals['_GRIDGEOMETRY']._serialized_start=429
+  _globals['_GRIDGEOMETRY']._serialized_end=533
+  _globals['_OCCUPANCYGRIDCHUNK']._serialized_start=536
+  _globals['_OCCUPANCYGRIDCHUNK']._serialized_end=701
+  _globals['_CLOUDCHUNK']._serialized_start=704
+  _globals['_CLOUDCHUNK']._serialized_end=851
+  _globals['_FILECHUNK']._serialized_start=853
+  _globals['_FILECHUNK']._serialized_end=950
+  _globals['_FILEHEADER']._serialized_start=952
+  _globals['_FILEHEADER']._serialized_end=1076
 # @@protoc_insertion_point(module_scope)

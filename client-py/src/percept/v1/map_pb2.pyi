@@ -18,6 +18,36 @@ else:
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
+class _LoopState:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _LoopStateEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_LoopState.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    LOOP_STATE_UNSPECIFIED: _LoopState.ValueType  # 0
+    LOOP_STATE_PENDING: _LoopState.ValueType  # 1
+    """Waits for others that say the same."""
+    LOOP_STATE_ACTIVE: _LoopState.ValueType  # 2
+    """Holds the map together."""
+    LOOP_STATE_REJECTED: _LoopState.ValueType  # 3
+    """Nothing confirmed it in time, or it contradicts what is believed."""
+    LOOP_STATE_VETOED: _LoopState.ValueType  # 4
+    """Taken out by SetLoopVeto."""
+
+class LoopState(_LoopState, metaclass=_LoopStateEnumTypeWrapper):
+    """What became of a loop that was found."""
+
+LOOP_STATE_UNSPECIFIED: LoopState.ValueType  # 0
+LOOP_STATE_PENDING: LoopState.ValueType  # 1
+"""Waits for others that say the same."""
+LOOP_STATE_ACTIVE: LoopState.ValueType  # 2
+"""Holds the map together."""
+LOOP_STATE_REJECTED: LoopState.ValueType  # 3
+"""Nothing confirmed it in time, or it contradicts what is believed."""
+LOOP_STATE_VETOED: LoopState.ValueType  # 4
+"""Taken out by SetLoopVeto."""
+Global___LoopState: _TypeAlias = LoopState  # noqa: Y015
+
 class _MapFormat:
     ValueType = _typing.NewType("ValueType", _builtins.int)
     V: _TypeAlias = ValueType  # noqa: Y015
@@ -87,6 +117,49 @@ class MapSource(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType_source) -> _WhichOneofReturnType_source | None: ...
 
 Global___MapSource: _TypeAlias = MapSource  # noqa: Y015
+
+@_typing.final
+class Loop(_message.Message):
+    """A place seen again: one keyframe measured from an earlier one."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LOOP_ID_FIELD_NUMBER: _builtins.int
+    FROM_KEYFRAME_ID_FIELD_NUMBER: _builtins.int
+    TO_KEYFRAME_ID_FIELD_NUMBER: _builtins.int
+    T_FROM_TO_FIELD_NUMBER: _builtins.int
+    INLIER_RATIO_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    loop_id: _builtins.int
+    """Number in the session, in the order of finding."""
+    from_keyframe_id: _builtins.int
+    """The keyframe that was there before."""
+    to_keyframe_id: _builtins.int
+    """The keyframe that came back."""
+    inlier_ratio: _builtins.float
+    """Share of the scan that fits the place, 0 to 1."""
+    state: Global___LoopState.ValueType
+    @_builtins.property
+    def t_from_to(self) -> _geometry_pb2.Pose:
+        """Base at `to`, seen from base at `from`."""
+
+    def __init__(
+        self,
+        *,
+        loop_id: _builtins.int = ...,
+        from_keyframe_id: _builtins.int = ...,
+        to_keyframe_id: _builtins.int = ...,
+        t_from_to: _geometry_pb2.Pose | None = ...,
+        inlier_ratio: _builtins.float = ...,
+        state: Global___LoopState.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["t_from_to", b"t_from_to"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["from_keyframe_id", b"from_keyframe_id", "inlier_ratio", b"inlier_ratio", "loop_id", b"loop_id", "state", b"state", "t_from_to", b"t_from_to", "to_keyframe_id", b"to_keyframe_id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Loop: _TypeAlias = Loop  # noqa: Y015
 
 @_typing.final
 class Region2(_message.Message):

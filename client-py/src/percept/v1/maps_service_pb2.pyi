@@ -3,8 +3,10 @@
 isort:skip_file
 """
 
+from collections import abc as _abc
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
+from google.protobuf.internal import containers as _containers
 from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import map_pb2 as _map_pb2
 import builtins as _builtins
@@ -17,6 +19,160 @@ else:
     from typing_extensions import TypeAlias as _TypeAlias, Never as _Never
 
 DESCRIPTOR: _descriptor.FileDescriptor
+
+@_typing.final
+class OptimiseMapRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["source", b"source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["source", b"source"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___OptimiseMapRequest: _TypeAlias = OptimiseMapRequest  # noqa: Y015
+
+@_typing.final
+class OptimiseMapResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NUM_KEYFRAMES_MOVED_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    num_keyframes_moved: _builtins.int
+    """Keyframes that moved."""
+    map_version: _builtins.int
+    """Of the map with it."""
+    def __init__(
+        self,
+        *,
+        num_keyframes_moved: _builtins.int = ...,
+        map_version: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["map_version", b"map_version", "num_keyframes_moved", b"num_keyframes_moved"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___OptimiseMapResponse: _TypeAlias = OptimiseMapResponse  # noqa: Y015
+
+@_typing.final
+class ListLoopsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    PAGE_SIZE_FIELD_NUMBER: _builtins.int
+    PAGE_TOKEN_FIELD_NUMBER: _builtins.int
+    page_size: _builtins.int
+    """At most this many; 0 means 100, 1000 at most."""
+    page_token: _builtins.str
+    """From the answer before. Empty: from the start."""
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        page_size: _builtins.int = ...,
+        page_token: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["source", b"source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["page_size", b"page_size", "page_token", b"page_token", "source", b"source"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ListLoopsRequest: _TypeAlias = ListLoopsRequest  # noqa: Y015
+
+@_typing.final
+class ListLoopsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LOOPS_FIELD_NUMBER: _builtins.int
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    next_page_token: _builtins.str
+    """Empty on the last page."""
+    map_version: _builtins.int
+    @_builtins.property
+    def loops(self) -> _containers.RepeatedCompositeFieldContainer[_map_pb2.Loop]: ...
+    def __init__(
+        self,
+        *,
+        loops: _abc.Iterable[_map_pb2.Loop] | None = ...,
+        next_page_token: _builtins.str = ...,
+        map_version: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["loops", b"loops", "map_version", b"map_version", "next_page_token", b"next_page_token"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ListLoopsResponse: _TypeAlias = ListLoopsResponse  # noqa: Y015
+
+@_typing.final
+class SetLoopVetoRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    LOOP_ID_FIELD_NUMBER: _builtins.int
+    VETOED_FIELD_NUMBER: _builtins.int
+    loop_id: _builtins.int
+    vetoed: _builtins.bool
+    """True takes the loop out, false lets it in again."""
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        loop_id: _builtins.int = ...,
+        vetoed: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["source", b"source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["loop_id", b"loop_id", "source", b"source", "vetoed", b"vetoed"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SetLoopVetoRequest: _TypeAlias = SetLoopVetoRequest  # noqa: Y015
+
+@_typing.final
+class SetLoopVetoResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LOOP_FIELD_NUMBER: _builtins.int
+    NUM_KEYFRAMES_MOVED_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    num_keyframes_moved: _builtins.int
+    """Keyframes that moved."""
+    map_version: _builtins.int
+    """Of the map with it."""
+    @_builtins.property
+    def loop(self) -> _map_pb2.Loop: ...
+    def __init__(
+        self,
+        *,
+        loop: _map_pb2.Loop | None = ...,
+        num_keyframes_moved: _builtins.int = ...,
+        map_version: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["loop", b"loop"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["loop", b"loop", "map_version", b"map_version", "num_keyframes_moved", b"num_keyframes_moved"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SetLoopVetoResponse: _TypeAlias = SetLoopVetoResponse  # noqa: Y015
 
 @_typing.final
 class GetMapSummaryRequest(_message.Message):

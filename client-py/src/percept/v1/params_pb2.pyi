@@ -81,27 +81,66 @@ class SlamParams(_message.Message):
 
     POSE_SENSOR_FIELD_NUMBER: _builtins.int
     ODOMETRY_FIELD_NUMBER: _builtins.int
+    BACK_END_FIELD_NUMBER: _builtins.int
     pose_sensor: _builtins.str
     """Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd, depth)."""
     @_builtins.property
     def odometry(self) -> Global___OdometryParams:
         """Registration of frames, and when one becomes a keyframe."""
 
+    @_builtins.property
+    def back_end(self) -> Global___BackEndParams:
+        """Loops, and the corrections that follow from them."""
+
     def __init__(
         self,
         *,
         pose_sensor: _builtins.str | None = ...,
         odometry: Global___OdometryParams | None = ...,
+        back_end: Global___BackEndParams | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "odometry", b"odometry", "pose_sensor", b"pose_sensor"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "odometry", b"odometry", "pose_sensor", b"pose_sensor"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "odometry", b"odometry", "pose_sensor", b"pose_sensor"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "odometry", b"odometry", "pose_sensor", b"pose_sensor"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__pose_sensor: _TypeAlias = _typing.Literal["pose_sensor"]  # noqa: Y015
     _WhichOneofArgType__pose_sensor: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose_sensor) -> _WhichOneofReturnType__pose_sensor | None: ...
 
 Global___SlamParams: _TypeAlias = SlamParams  # noqa: Y015
+
+@_typing.final
+class BackEndParams(_message.Message):
+    """How loops are believed."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ENABLED_FIELD_NUMBER: _builtins.int
+    MIN_AGREEING_FIELD_NUMBER: _builtins.int
+    enabled: _builtins.bool
+    """Whether loops are looked for."""
+    min_agreeing: _builtins.int
+    """A loop that moves the map is believed once so many keyframes say the same, 1 to 20."""
+    def __init__(
+        self,
+        *,
+        enabled: _builtins.bool | None = ...,
+        min_agreeing: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_min_agreeing", b"_min_agreeing", "enabled", b"enabled", "min_agreeing", b"min_agreeing"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_min_agreeing", b"_min_agreeing", "enabled", b"enabled", "min_agreeing", b"min_agreeing"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__enabled: _TypeAlias = _typing.Literal["enabled"]  # noqa: Y015
+    _WhichOneofArgType__enabled: _TypeAlias = _typing.Literal["_enabled", b"_enabled"]  # noqa: Y015
+    _WhichOneofReturnType__min_agreeing: _TypeAlias = _typing.Literal["min_agreeing"]  # noqa: Y015
+    _WhichOneofArgType__min_agreeing: _TypeAlias = _typing.Literal["_min_agreeing", b"_min_agreeing"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__enabled) -> _WhichOneofReturnType__enabled | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_agreeing) -> _WhichOneofReturnType__min_agreeing | None: ...
+
+Global___BackEndParams: _TypeAlias = BackEndParams  # noqa: Y015
 
 @_typing.final
 class OdometryParams(_message.Message):

@@ -563,6 +563,7 @@ class SensorStatus(_message.Message):
     RATE_HZ_FIELD_NUMBER: _builtins.int
     LAST_STAMP_NS_FIELD_NUMBER: _builtins.int
     VERDICT_FIELD_NUMBER: _builtins.int
+    CLOCK_OFFSET_S_FIELD_NUMBER: _builtins.int
     accepted: _builtins.int
     """Frames accepted since the session was created."""
     rejected: _builtins.int
@@ -577,6 +578,10 @@ class SensorStatus(_message.Message):
     """Stamp of the newest accepted frame. Absent before the first."""
     verdict: _builtins.str
     """The verdict in words, for an operator."""
+    clock_offset_s: _builtins.float
+    """Seconds by which its stamps are late behind the pose sensor's, beyond the declared time_offset_s. IMUs and odometry,
+    once the robot has turned enough to tell.
+    """
     @_builtins.property
     def spec(self) -> Global___SensorSpec: ...
     def __init__(
@@ -590,15 +595,20 @@ class SensorStatus(_message.Message):
         rate_hz: _builtins.float | None = ...,
         last_stamp_ns: _builtins.int | None = ...,
         verdict: _builtins.str = ...,
+        clock_offset_s: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "spec", b"spec"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "clock_offset_s", b"clock_offset_s", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "spec", b"spec"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "accepted", b"accepted", "dropped", b"dropped", "gaps", b"gaps", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "rejected", b"rejected", "spec", b"spec", "verdict", b"verdict"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "accepted", b"accepted", "clock_offset_s", b"clock_offset_s", "dropped", b"dropped", "gaps", b"gaps", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "rejected", b"rejected", "spec", b"spec", "verdict", b"verdict"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__clock_offset_s: _TypeAlias = _typing.Literal["clock_offset_s"]  # noqa: Y015
+    _WhichOneofArgType__clock_offset_s: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s"]  # noqa: Y015
     _WhichOneofReturnType__last_stamp_ns: _TypeAlias = _typing.Literal["last_stamp_ns"]  # noqa: Y015
     _WhichOneofArgType__last_stamp_ns: _TypeAlias = _typing.Literal["_last_stamp_ns", b"_last_stamp_ns"]  # noqa: Y015
     _WhichOneofReturnType__rate_hz: _TypeAlias = _typing.Literal["rate_hz"]  # noqa: Y015
     _WhichOneofArgType__rate_hz: _TypeAlias = _typing.Literal["_rate_hz", b"_rate_hz"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__clock_offset_s) -> _WhichOneofReturnType__clock_offset_s | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__last_stamp_ns) -> _WhichOneofReturnType__last_stamp_ns | None: ...
     @_typing.overload

@@ -10,6 +10,7 @@ from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from percept.v1 import error_pb2 as _error_pb2
 from percept.v1 import geometry_pb2 as _geometry_pb2
+from percept.v1 import map_pb2 as _map_pb2
 from percept.v1 import object_pb2 as _object_pb2
 from percept.v1 import params_pb2 as _params_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
@@ -377,6 +378,7 @@ class SessionEvent(_message.Message):
     OBJECT_CHANGED_FIELD_NUMBER: _builtins.int
     MAP_VERSION_FIELD_NUMBER: _builtins.int
     RESYNC_FIELD_NUMBER: _builtins.int
+    LOOP_CHANGED_FIELD_NUMBER: _builtins.int
     token: _builtins.int
     """Give it to WatchSession to go on after this event."""
     stamp_ns: _builtins.int
@@ -395,6 +397,10 @@ class SessionEvent(_message.Message):
     def resync(self) -> Global___Resync:
         """Events were lost (a slow client, or a token too old): read the state anew."""
 
+    @_builtins.property
+    def loop_changed(self) -> _map_pb2.Loop:
+        """A loop was found or changed its state."""
+
     def __init__(
         self,
         *,
@@ -405,12 +411,13 @@ class SessionEvent(_message.Message):
         object_changed: _object_pb2.ObjectChange | None = ...,
         map_version: _builtins.int = ...,
         resync: Global___Resync | None = ...,
+        loop_changed: _map_pb2.Loop | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["event", b"event", "keyframe_added", b"keyframe_added", "map_version", b"map_version", "object_changed", b"object_changed", "pose", b"pose", "resync", b"resync"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["event", b"event", "keyframe_added", b"keyframe_added", "loop_changed", b"loop_changed", "map_version", b"map_version", "object_changed", b"object_changed", "pose", b"pose", "resync", b"resync"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["event", b"event", "keyframe_added", b"keyframe_added", "map_version", b"map_version", "object_changed", b"object_changed", "pose", b"pose", "resync", b"resync", "stamp_ns", b"stamp_ns", "token", b"token"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["event", b"event", "keyframe_added", b"keyframe_added", "loop_changed", b"loop_changed", "map_version", b"map_version", "object_changed", b"object_changed", "pose", b"pose", "resync", b"resync", "stamp_ns", b"stamp_ns", "token", b"token"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType_event: _TypeAlias = _typing.Literal["pose", "keyframe_added", "object_changed", "map_version", "resync"]  # noqa: Y015
+    _WhichOneofReturnType_event: _TypeAlias = _typing.Literal["pose", "keyframe_added", "object_changed", "map_version", "resync", "loop_changed"]  # noqa: Y015
     _WhichOneofArgType_event: _TypeAlias = _typing.Literal["event", b"event"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType_event) -> _WhichOneofReturnType_event | None: ...
 

@@ -116,6 +116,15 @@ impl RemoteSession {
         Ok(out)
     }
 
+    /// Makes the small corrections that wait for more.
+    pub(crate) async fn optimise(&self) -> Result<(), Failure> {
+        let mut client = v1::maps_service_client::MapsServiceClient::new(self.channel.clone());
+        let source = v1::map_source::Source::SessionId(self.id.clone());
+        let source = Some(v1::MapSource { source: Some(source) });
+        client.optimise_map(v1::OptimiseMapRequest { source }).await?;
+        Ok(())
+    }
+
     /// A file of the session's map.
     pub(crate) async fn export(&self, format: v1::MapFormat) -> Result<Vec<u8>, Failure> {
         let source = v1::map_source::Source::SessionId(self.id.clone());

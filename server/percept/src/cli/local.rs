@@ -61,6 +61,7 @@ pub(crate) fn run(
         }
         on_frame(&frame, &pipeline.snapshot());
     }
+    pool.install(|| pipeline.settle());
     let wall_s = start.elapsed().as_secs_f64();
     Ok(LocalRun { snapshot: pipeline.snapshot(), tracked, refused, frame_s, wall_s })
 }

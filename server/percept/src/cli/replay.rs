@@ -180,6 +180,7 @@ async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Re
     for e in outcome.rejections.iter().take(5) {
         eprintln!("percept: frame refused: {} ({})", e.message, e.reason);
     }
+    session.optimise().await?;
     let trajectory = session.trajectory().await?;
     let mut report = report(args, recording);
     report.tracked = trajectory.iter().filter(|(_, tracked)| *tracked).count();

@@ -1,12 +1,14 @@
 //! Read maps: grids, clouds, files.
 
 use super::pictures;
+use super::sessions::{Page, page_by_number};
+use crate::session::actor::Vetoed;
 use crate::{Error, Result, Service};
 use nalgebra::{Point2, Point3};
 use percept_formats::{FormatError, GridMap, nav2, pcd, ply, trajectory};
 use percept_geometry::{Cell, GridGeometry, PointCloud, Stamped, Timestamp};
 use percept_mapping::OccupancyGrid;
-use percept_pipeline::Snapshot;
+use percept_pipeline::{Loop, LoopId, Snapshot};
 
 /// A part of the occupancy grid, dense.
 #[derive(Debug, Clone)]
@@ -181,6 +183,35 @@ pub fn dense(
 }
 
 impl Service {
+    /// Loops by number, those not believed included, and the version of the map that they belong to.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `PAGE_TOKEN_INVALID`.
+    pub async fn list_loops(&self, session: &str, page_size: u32, page_token: &str) -> Result<(Page<Loop>, u64)> {
+        let snapshot = self.snapshot(session).await?;
+        Ok((page_by_number(&snapshot.loops, |l| l.id.0, page_size, page_token)?, snapshot.map_version))
+    }
+
+    /// Makes the small corrections that wait for more: how many keyframes moved, and the map's version then.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn optimise_map(&self, session: &str) -> Result<(usize, u64)> {
+        self.session(session).await?.settle().await
+    }
+
+    /// Takes a loop out of the map, or back in; the map follows at once.
+    ///
+    /// # Errors
+    /// `LOOP_NOT_FOUND`, `SESSION_NOT_FOUND`.
+    pub async fn set_loop_veto(&self, session: &str, id: LoopId, vetoed: bool) -> Result<Vetoed> {
+        let done = self.session(session).await?.veto(id, vetoed).await?;
+        done.ok_or_else(|| {
+            let message = format!("loop_id {} does not exist in this session; list the loops", id.0);
+            Error::not_found("LOOP_NOT_FOUND", "loop_id", message)
+        })
+    }
+
     /// Sizes and version of a session's map.
     ///
     /// # Errors

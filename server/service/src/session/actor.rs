@@ -5,8 +5,8 @@ use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 use super::persist::{Job, Persister};
 use super::sensor_book::{SensorBook, SensorStatus};
 use crate::{ComputePool, Error, ErrorCode, Limits, Result};
-use percept_geometry::{Correction, KeyframeId, SensorFrame, SensorId, SensorSpec, Timestamp};
-use percept_pipeline::{FrameError, FrameReport, Pipeline, PoseEstimate, Snapshot};
+use percept_geometry::{Correction, KeyframeId, Pose, SensorFrame, SensorId, SensorSpec, Timestamp};
+use percept_pipeline::{FrameError, FrameReport, Loop, LoopId, Pipeline, PoseEstimate, Snapshot, VetoReport};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Instant;
@@ -35,7 +35,20 @@ pub(crate) enum Command {
     Frame { frame: Box<SensorFrame>, received: Instant, reply: oneshot::Sender<Result<Processed>> },
     Declare(Box<SensorSpec>),
     Correct { correction: Correction, reply: oneshot::Sender<Snapshot> },
+    Veto { id: LoopId, vetoed: bool, reply: oneshot::Sender<Option<Vetoed>> },
+    Settle { reply: oneshot::Sender<(usize, u64)> },
     Stop { stopped: oneshot::Sender<()> },
+}
+
+/// What a veto did.
+#[derive(Debug, Clone)]
+pub struct Vetoed {
+    /// The loop, with its new state.
+    pub changed: Loop,
+    /// Keyframes that moved.
+    pub num_moved: usize,
+    /// Version of the map with it.
+    pub map_version: u64,
 }
 
 /// A handle on a running session; queries through it never wait for ingest.
@@ -111,7 +124,12 @@ impl Session {
 
     /// Health of every sensor, by name.
     pub fn sensors(&self) -> Vec<SensorStatus> {
-        lock(&self.book).all().cloned().collect()
+        let offsets = Arc::clone(&self.snapshot().clock_offsets);
+        let with_offset = |s: &SensorStatus| {
+            let clock_offset_s = offsets.get(&s.declaration.spec.id).copied();
+            SensorStatus { clock_offset_s, ..s.clone() }
+        };
+        lock(&self.book).all().map(with_offset).collect()
     }
 
     /// Frames waiting.
@@ -255,6 +273,26 @@ impl Session {
         done.await.map_err(|_| stopped())
     }
 
+    /// Takes a loop out of the map, or back in; none if there is no such loop.
+    ///
+    /// # Errors
+    /// `SESSION_STOPPED`.
+    pub async fn veto(&self, id: LoopId, vetoed: bool) -> Result<Option<Vetoed>> {
+        let (reply, done) = oneshot::channel();
+        self.queue.send(Command::Veto { id, vetoed, reply }).await.map_err(|_| stopped())?;
+        done.await.map_err(|_| stopped())
+    }
+
+    /// Makes the small corrections that wait for more: how many keyframes moved, and the map's version then.
+    ///
+    /// # Errors
+    /// `SESSION_STOPPED`.
+    pub async fn settle(&self) -> Result<(usize, u64)> {
+        let (reply, done) = oneshot::channel();
+        self.queue.send(Command::Settle { reply }).await.map_err(|_| stopped())?;
+        done.await.map_err(|_| stopped())
+    }
+
     /// Finishes what was accepted, stores it, ends the watches.
     pub(crate) async fn stop(&self) {
         let (stopped, done) = oneshot::channel();
@@ -360,11 +398,22 @@ impl Actor {
                         let _ = reply.send(snapshot);
                     }
                 }
+                Command::Veto { id, vetoed, reply } => {
+                    if let Some(answer) = self.veto(id, vetoed).await {
+                        let _ = reply.send(answer);
+                    }
+                }
+                Command::Settle { reply } => {
+                    if let Some(answer) = self.settle().await {
+                        let _ = reply.send(answer);
+                    }
+                }
                 Command::Stop { stopped } => {
                     commands.close();
                     while let Some(command) = commands.recv().await {
                         self.last_of(command).await;
                     }
+                    let _ = self.settle().await;
                     self.persister.finish().await;
                     self.session.events.close();
                     let _ = stopped.send(());
@@ -385,6 +434,16 @@ impl Actor {
             Command::Correct { correction, reply } => {
                 if let Some(snapshot) = self.correct(correction).await {
                     let _ = reply.send(snapshot);
+                }
+            }
+            Command::Veto { id, vetoed, reply } => {
+                if let Some(answer) = self.veto(id, vetoed).await {
+                    let _ = reply.send(answer);
+                }
+            }
+            Command::Settle { reply } => {
+                if let Some(answer) = self.settle().await {
+                    let _ = reply.send(answer);
                 }
             }
             Command::Declare(_) => {}
@@ -413,11 +472,14 @@ impl Actor {
             }
         };
         lock(&self.session.book).accepted(&sensor, stamp);
-        let objects = (!report.changes.is_empty()).then(|| (Arc::clone(&snapshot.objects), snapshot.next_object_id));
+        let objects_changed = !report.changes.is_empty() || !report.corrected.is_empty();
+        let objects = objects_changed.then(|| (Arc::clone(&snapshot.objects), snapshot.next_object_id));
         self.publish(&report, snapshot);
         let keyframe = report.keyframe.as_ref().map(|k| k.info.id);
-        let job =
-            Job { sensor, stamp, entry: report.trajectory, keyframe: report.keyframe, objects, corrected: vec![] };
+        let mut keyframes = report.joined;
+        keyframes.extend(report.keyframe);
+        let (entry, loops, corrected) = (report.trajectory, report.loops, report.corrected);
+        let job = Job { sensor, stamp, entry, keyframes, loops, objects, corrected };
         let ticket = self.persister.submit(job).await;
         Ok(Processed { pose: report.pose, keyframe, latency_s: received.elapsed().as_secs_f64(), ticket })
     }
@@ -428,32 +490,70 @@ impl Actor {
         let stamp = snapshot.pose.as_ref().map(|p| p.stamp).unwrap_or_default();
         *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
         let pose = report.pose.iter().map(|p| EventKind::Pose(Box::new(p.clone())));
-        let keyframe = report.keyframe.iter().map(|k| EventKind::Keyframe(k.info.clone()));
+        let keyframes = report.joined.iter().chain(&report.keyframe).map(|k| EventKind::Keyframe(k.info.clone()));
+        let loops = report.loops.iter().map(|l| EventKind::Loop(Box::new(l.clone())));
         let changes = report.changes.iter().map(|c| EventKind::Object(Box::new(*c)));
         let map = (version != before).then_some(EventKind::MapVersion(version));
-        self.session.events.publish(stamp, pose.chain(keyframe).chain(changes).chain(map));
+        self.session.events.publish(stamp, pose.chain(keyframes).chain(loops).chain(changes).chain(map));
     }
 
     async fn correct(&mut self, correction: Correction) -> Option<Snapshot> {
-        let mut pipeline = self.pipeline.take()?;
-        let moved = correction.t_map_base.clone();
-        let work = self.compute.run(move || {
+        self.change(move |pipeline| {
             pipeline.apply(&correction);
+            ((), vec![], correction.t_map_base)
+        })
+        .await
+        .map(|((), snapshot)| snapshot)
+    }
+
+    async fn veto(&mut self, id: LoopId, vetoed: bool) -> Option<Option<Vetoed>> {
+        let change = move |pipeline: &mut Pipeline| match pipeline.veto(id, vetoed) {
+            None => (None, vec![], vec![]),
+            Some(VetoReport { changed, corrected }) => {
+                (Some((changed.clone(), corrected.len())), vec![changed], corrected)
+            }
+        };
+        let (done, snapshot) = self.change(change).await?;
+        let map_version = snapshot.map_version;
+        Some(done.map(|(changed, num_moved)| Vetoed { changed, num_moved, map_version }))
+    }
+
+    async fn settle(&mut self) -> Option<(usize, u64)> {
+        let change = |pipeline: &mut Pipeline| {
+            let corrected = pipeline.settle();
+            (corrected.len(), vec![], corrected)
+        };
+        self.change(change).await.map(|(num_moved, snapshot)| (num_moved, snapshot.map_version))
+    }
+
+    /// Changes the map other than by a frame: what `change` answers, the loops it changed and the keyframes it moved.
+    async fn change<T: Send + 'static>(
+        &mut self,
+        change: impl FnOnce(&mut Pipeline) -> (T, Vec<Loop>, Vec<(KeyframeId, Pose)>) + Send + 'static,
+    ) -> Option<(T, Snapshot)> {
+        let mut pipeline = self.pipeline.take()?;
+        let work = self.compute.run(move || {
+            let done = change(&mut pipeline);
             let snapshot = pipeline.snapshot();
-            (pipeline, snapshot)
+            (pipeline, done, snapshot)
         });
-        let (pipeline, snapshot) = work.await.ok()?;
+        let (pipeline, (answer, loops, corrected), snapshot) = work.await.ok()?;
         self.pipeline = Some(pipeline);
+        if loops.is_empty() && corrected.is_empty() {
+            return Some((answer, snapshot));
+        }
+        let report = FrameReport { loops, corrected, ..FrameReport::default() };
+        self.publish(&report, snapshot.clone());
         let job = Job {
             sensor: SensorId(String::new()),
             stamp: Timestamp::default(),
             entry: None,
-            keyframe: None,
+            keyframes: vec![],
+            loops: report.loops,
             objects: Some((Arc::clone(&snapshot.objects), snapshot.next_object_id)),
-            corrected: moved,
+            corrected: report.corrected,
         };
-        self.publish(&FrameReport { pose: None, trajectory: None, keyframe: None, changes: vec![] }, snapshot.clone());
         self.persister.submit(job).await;
-        Some(snapshot)
+        Some((answer, snapshot))
     }
 }

@@ -14,6 +14,8 @@ pub enum EventKind {
     Keyframe(percept_pipeline::KeyframeInfo),
     /// An object changed.
     Object(Box<percept_scene::ObjectChange>),
+    /// A loop was found or changed its state.
+    Loop(Box<percept_pipeline::Loop>),
     /// The map has a new version.
     MapVersion(u64),
     /// Events are missing; how many.

@@ -4,7 +4,7 @@ use super::keyframe_codec;
 use crate::{Error, ErrorCode, Result};
 use bytes::Bytes;
 use percept_geometry::{KeyframeId, Pose, SensorId, Timestamp};
-use percept_pipeline::{NewKeyframe, TrajectoryEntry};
+use percept_pipeline::{Loop, NewKeyframe, TrajectoryEntry};
 use percept_scene::Object;
 use percept_store::{Key, Record, SessionKeys, Store, StoreError};
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,10 @@ pub(crate) struct Job {
     pub(crate) sensor: SensorId,
     pub(crate) stamp: Timestamp,
     pub(crate) entry: Option<TrajectoryEntry>,
-    pub(crate) keyframe: Option<NewKeyframe>,
+    /// New keyframes, by number.
+    pub(crate) keyframes: Vec<NewKeyframe>,
+    /// Loops that were found or changed their state.
+    pub(crate) loops: Vec<Loop>,
     /// All objects and the number that the next one gets, if any changed.
     pub(crate) objects: Option<(Arc<Vec<Object>>, u64)>,
     /// Keyframes that a correction moved.
@@ -181,8 +184,11 @@ impl Writer {
     async fn write(&mut self, batch: &[(u64, Job)]) -> Result<()> {
         let mut records: Vec<Record> = Vec::new();
         for (ticket, job) in batch {
-            if let Some(keyframe) = &job.keyframe {
+            for keyframe in &job.keyframes {
                 records.push(self.keyframe(keyframe).await?);
+            }
+            for found in &job.loops {
+                records.push((self.keys.loop_closure(found.id.0), json(found)?));
             }
             for (id, t_map_base) in &job.corrected {
                 records.extend(self.corrected(*id, t_map_base).await?);

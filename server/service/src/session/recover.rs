@@ -34,6 +34,9 @@ pub(crate) async fn recover(
     for (_, bytes) in store.scan_all(&keys.trajectories()).await.map_err(|e| store_error(&e))? {
         restored.trajectory.push(parse(&bytes)?);
     }
+    for (_, bytes) in store.scan_all(&keys.loop_closures()).await.map_err(|e| store_error(&e))? {
+        restored.loops.push(parse(&bytes)?);
+    }
     let get = |name| {
         let key = key(&meta.id, name);
         async move { store.get(&key?).await.map_err(|e| store_error(&e)) }

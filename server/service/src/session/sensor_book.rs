@@ -24,7 +24,12 @@ pub struct SensorStatus {
     pub rate_hz: Option<f64>,
     /// Newest accepted stamp, the sensor's clock.
     pub last_stamp: Option<Timestamp>,
+    /// Seconds by which its stamps are late behind the pose sensor's, beyond the declared offset, once that is known.
+    pub clock_offset_s: Option<f64>,
 }
+
+/// A clock off by more than this is worth telling, seconds.
+const TELLING_OFFSET_S: f64 = 0.02;
 
 impl SensorStatus {
     /// The verdict in words, for an operator.
@@ -41,6 +46,13 @@ impl SensorStatus {
         note(self.rejected, "frames refused as bad input");
         note(self.dropped, "frames dropped because they came faster than they are processed");
         note(self.gaps, "frames missing in the sender's numbering");
+        if let Some(offset) = self.clock_offset_s.filter(|o| o.abs() > TELLING_OFFSET_S) {
+            let (ms, which) = ((offset.abs() * 1e3).round(), if offset > 0.0 { "late" } else { "early" });
+            troubles.push(format!(
+                "its stamps are {ms} ms {which}, compared with the pose sensor's; declare time_offset_s {:.3}",
+                self.declaration.spec.time_offset_s - offset
+            ));
+        }
         if troubles.is_empty() { "good".to_owned() } else { troubles.join("; ") }
     }
 }
@@ -61,8 +73,16 @@ pub(crate) struct SensorBook {
 impl SensorBook {
     pub(crate) fn declare(&mut self, declaration: SensorDeclaration, last_stamp: Option<Timestamp>) {
         let id = declaration.spec.id.clone();
-        let status =
-            SensorStatus { declaration, accepted: 0, rejected: 0, dropped: 0, gaps: 0, rate_hz: None, last_stamp };
+        let status = SensorStatus {
+            declaration,
+            accepted: 0,
+            rejected: 0,
+            dropped: 0,
+            gaps: 0,
+            rate_hz: None,
+            last_stamp,
+            clock_offset_s: None,
+        };
         self.entries.insert(id, Entry { status, stamps: VecDeque::new(), last_sequence: 0 });
     }
 

@@ -42,7 +42,7 @@ impl BackEndParams {
     /// [`ParamError`] with field, value and remedy.
     pub fn validate(&self) -> Result<(), ParamError> {
         let least = self.min_agreeing as f64;
-        check_range("back_end.min_agreeing", least, (1.0, 20.0), "within 1 to 20", "use 2")
+        check_range("min_agreeing", least, (1.0, 20.0), "within 1 to 20", "use 2")
     }
 }
 
@@ -87,6 +87,10 @@ pub struct BackEndKeyframe<'a> {
     pub covariance: Covariance6,
     /// What it saw.
     pub scan: &'a Arc<KeyframeScan>,
+    /// Whether loops are looked for from here.
+    pub recognise: bool,
+    /// Whether nothing measured ties it to the keyframe before: the robot was lost in between.
+    pub after_gap: bool,
 }
 
 /// What a keyframe, or a veto, changed.
@@ -104,6 +108,8 @@ const PATIENCE: u32 = 60;
 const LIKELY_DRIFT: f64 = 4.0;
 /// Squared standard deviations of misfit from which a loop that was believed is so no longer: its weight is next to nothing.
 const CONTRADICTS: f64 = 10.0 * AGREE;
+/// What is known of the way over a gap: standard deviations, metres and radians.
+const GAP: (f64, f64) = (10.0, 3.0);
 /// Keyframes between optimisations that change next to nothing.
 const LAZY: usize = 10;
 /// Displacement below which keyframes are left where they are: metres and radians.
@@ -160,7 +166,10 @@ impl BackEnd {
     /// Takes a keyframe in. `t_map_base` is where the map has put it: the first one stays there.
     pub fn insert(&mut self, keyframe: &BackEndKeyframe<'_>, t_map_base: &Pose) -> BackEndUpdate {
         self.extend(keyframe, t_map_base);
-        let found = self.recognition.insert(keyframe.id, keyframe.scan, &self.drift, &self.by_id);
+        let found = match keyframe.recognise {
+            true => self.recognition.insert(keyframe.id, keyframe.scan, &self.drift, &self.by_id),
+            false => vec![],
+        };
         let mut changed = self.add_loops(found);
         let urgent = self.judge(&mut changed);
         self.since_optimised += 1;
@@ -242,7 +251,9 @@ impl BackEnd {
                 *pose = t_map_base;
             }
             self.by_id.insert(keyframe.id, t_map_base);
-            let _known = self.recognition.insert(keyframe.id, keyframe.scan, &self.drift, &self.by_id);
+            if keyframe.recognise {
+                self.recognition.restore(keyframe.id, keyframe.scan, &self.by_id);
+            }
         }
         self.loops = loops;
     }
@@ -251,6 +262,10 @@ impl BackEnd {
         let (t_odom_base, covariance) = (keyframe.t_odom_base, keyframe.covariance);
         let (t_prev_node, step) = match &self.last {
             None => (*t_map_base, Covariance6::zeros()),
+            Some(_) if keyframe.after_gap => {
+                let last = self.poses.last().copied().unwrap_or_else(Pose::identity);
+                (last.inv_mul(t_map_base), crate::odometry::diagonal(GAP.0, GAP.1))
+            }
             Some((t_odom_last, before)) => {
                 let t_last_now = t_odom_last.inv_mul(&t_odom_base);
                 (t_last_now, step_covariance(before, &t_last_now, &covariance))

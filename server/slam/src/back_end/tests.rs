@@ -77,7 +77,8 @@ fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackE
             t_odom_base *= truth[k - 1].inverse() * truth[k] * drift * noise(rng, 0.002, 0.0005);
         }
         let covariance = Covariance6::identity() * 1e-6 * k as f64;
-        let keyframe = BackEndKeyframe { id: KeyframeId(k as u64), t_odom_base, covariance, scan: &scan };
+        let id = KeyframeId(k as u64);
+        let keyframe = BackEndKeyframe { id, t_odom_base, covariance, scan: &scan, recognise: true, after_gap: false };
         map.push(t_map_odom * t_odom_base);
         let update = back_end.insert(&keyframe, &map[k]);
         for (id, t_map_base) in update.correction.into_iter().flat_map(|c| c.t_map_base) {

@@ -30,6 +30,9 @@ const DOUBTFUL: f64 = 0.9;
 /// What a measurement left open counts up to this variance, m^2.
 const MAX_LEFT_OPEN: f64 = 0.25;
 
+/// A prior whose position has a larger variance than this leaves the translation open, m^2.
+const UNKNOWN_VARIANCE: f64 = 1e4;
+
 /// Which method registers the scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -167,7 +170,8 @@ impl MotionLimits {
 pub struct MotionPrior {
     /// Base now, seen from base at the frame before.
     pub t_prev_now: Pose,
-    /// Of that motion, right perturbation in base now.
+    /// Of that motion, right perturbation in base now. With standard deviations above 100 m the translation is open, and
+    /// prediction takes it from the velocity.
     pub covariance: Covariance6,
 }
 
@@ -312,7 +316,9 @@ impl Odometry {
         self.last_stamp = Some(stamp);
         // The sweep is undone with what is known of this step's motion.
         let sweep_velocity = match prior {
-            Some(p) if dt > 0.0 && dt <= self.params.tracking.max_gap_s => se3::log(&p.t_prev_now) / dt,
+            Some(_) if dt > 0.0 && dt <= self.params.tracking.max_gap_s => {
+                se3::log(&self.t_odom_base.inv_mul(&prediction.t_odom_base)) / dt
+            }
             _ => self.velocity(),
         };
         if let Err(reason) = self.model.prepare(scan, &sweep_velocity) {
@@ -336,9 +342,19 @@ impl Odometry {
         }
     }
 
+    /// Whether the newest frame was placed.
+    pub fn is_tracking(&self) -> bool {
+        self.last_stamp.is_some() && self.num_lost == 0
+    }
+
     /// Base's velocity in base, m/s and rad/s, from the last two placed frames; zero when not known.
     pub fn velocity(&self) -> Vector6<f64> {
         self.velocity.unwrap_or_else(Vector6::zeros)
+    }
+
+    /// Of the newest pose since the start, drift included, right perturbation in base.
+    pub fn covariance(&self) -> Covariance6 {
+        self.uncertainty.covariance()
     }
 
     /// The newest pose, base to odom.
@@ -367,14 +383,24 @@ impl Odometry {
         self.num_lost = 0;
     }
 
-    /// The motion prior if there is one, else constant velocity while frames are near in time.
+    /// The motion prior if there is one; what it leaves open, as a gyro does the translation, from constant velocity.
     fn predict(&self, dt: f64, prior: Option<&MotionPrior>) -> Prediction {
-        if let Some(prior) = prior {
-            let t_odom_base = self.t_odom_base * prior.t_prev_now;
-            // A prior surer than 1 mm and 1 mrad is not believed.
-            let floor = diagonal(1e-3, 1e-3);
-            return Prediction { t_odom_base, covariance: prior.covariance + floor, is_measured: true };
+        let constant = self.constant_velocity(dt);
+        let Some(prior) = prior else { return constant };
+        // A prior surer than 1 mm and 1 mrad is not believed.
+        let covariance = prior.covariance + diagonal(1e-3, 1e-3);
+        if (0..3).all(|i| covariance[(i, i)] <= UNKNOWN_VARIANCE) {
+            return Prediction { t_odom_base: self.t_odom_base * prior.t_prev_now, covariance, is_measured: true };
         }
+        let way = self.t_odom_base.inv_mul(&constant.t_odom_base).translation;
+        let mut both = constant.covariance;
+        both.fixed_view_mut::<3, 3>(3, 3).copy_from(&covariance.fixed_view::<3, 3>(3, 3));
+        let t_odom_base = self.t_odom_base * Pose::from_parts(way, prior.t_prev_now.rotation);
+        Prediction { t_odom_base, covariance: both, is_measured: false }
+    }
+
+    /// Constant velocity while frames are near in time.
+    fn constant_velocity(&self, dt: f64) -> Prediction {
         let t = &self.params.tracking;
         let velocity = self.velocity.filter(|_| dt <= t.max_gap_s);
         let moving = velocity.unwrap_or_else(Vector6::zeros) * dt;

@@ -5,7 +5,8 @@ use crate::v1;
 use bytes::Bytes;
 use nalgebra::{Point2, Point3};
 use percept_geometry::{GridGeometry, Timestamp};
-use percept_service::{CloudAnswer, Error, GridAnswer, MapFile, MapFormat, MapSummary, Result};
+use percept_pipeline::{Loop, LoopId, LoopState};
+use percept_service::{CloudAnswer, Error, GridAnswer, MapFile, MapFormat, MapSummary, Result, Vetoed};
 
 /// Payload of a chunk, bytes: well under gRPC's default limit of 4 MiB.
 const CHUNK_BYTES: usize = 1 << 20;
@@ -18,6 +19,38 @@ pub fn session_id(source: Option<&v1::MapSource>) -> Result<&str> {
     let source = required("source", source)?;
     match required("source.session_id", source.source.as_ref())? {
         v1::map_source::Source::SessionId(id) => Ok(id),
+    }
+}
+
+/// A loop as a message.
+pub fn loop_to(l: &Loop) -> v1::Loop {
+    let state = match l.state {
+        LoopState::Pending => v1::LoopState::Pending,
+        LoopState::Active => v1::LoopState::Active,
+        LoopState::Rejected => v1::LoopState::Rejected,
+        LoopState::Vetoed => v1::LoopState::Vetoed,
+    };
+    v1::Loop {
+        loop_id: l.id.0,
+        from_keyframe_id: l.closure.from.0,
+        to_keyframe_id: l.closure.to.0,
+        t_from_to: Some(geometry::pose_to(&l.closure.t_from_to)),
+        inlier_ratio: l.closure.inlier_ratio,
+        state: state.into(),
+    }
+}
+
+/// The loop that a veto is about.
+pub fn loop_id(r: &v1::SetLoopVetoRequest) -> LoopId {
+    LoopId(r.loop_id)
+}
+
+/// What a veto did, as a message.
+pub fn vetoed_to(v: &Vetoed) -> v1::SetLoopVetoResponse {
+    v1::SetLoopVetoResponse {
+        r#loop: Some(loop_to(&v.changed)),
+        num_keyframes_moved: v.num_moved as u64,
+        map_version: v.map_version,
     }
 }
 

@@ -145,6 +145,7 @@ pub fn status_to(s: &SensorStatus) -> v1::SensorStatus {
         rate_hz: s.rate_hz,
         last_stamp_ns: s.last_stamp.map(Timestamp::nanos),
         verdict: s.verdict(),
+        clock_offset_s: s.clock_offset_s,
     }
 }
 

@@ -123,6 +123,7 @@ pub fn event_to(event: &Event, snapshot: &Snapshot) -> v1::SessionEvent {
             let object = snapshot.objects.iter().find(|o| o.id == c.id);
             E::ObjectChanged(scene::change_to(c, object))
         }
+        EventKind::Loop(l) => E::LoopChanged(super::maps::loop_to(l)),
         EventKind::MapVersion(v) => E::MapVersion(*v),
         EventKind::Resync(missed) => E::Resync(v1::Resync { missed: *missed }),
     };

@@ -41,6 +41,28 @@ impl v1::maps_service_server::MapsService for Api {
         streamed(maps::cloud_chunks(&cloud), |chunk| v1::GetCloudResponse { chunk: Some(chunk) })
     }
 
+    async fn list_loops(&self, r: Request<v1::ListLoopsRequest>) -> Answer<v1::ListLoopsResponse> {
+        let r = r.get_ref();
+        let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
+        let listed = self.service.list_loops(session, r.page_size, &r.page_token).await;
+        let (page, map_version) = listed.map_err(status::grpc)?;
+        let loops = page.items.iter().map(maps::loop_to).collect();
+        Ok(Response::new(v1::ListLoopsResponse { loops, next_page_token: page.next_page_token, map_version }))
+    }
+
+    async fn set_loop_veto(&self, r: Request<v1::SetLoopVetoRequest>) -> Answer<v1::SetLoopVetoResponse> {
+        let r = r.get_ref();
+        let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
+        let done = self.service.set_loop_veto(session, maps::loop_id(r), r.vetoed).await.map_err(status::grpc)?;
+        Ok(Response::new(maps::vetoed_to(&done)))
+    }
+
+    async fn optimise_map(&self, r: Request<v1::OptimiseMapRequest>) -> Answer<v1::OptimiseMapResponse> {
+        let session = maps::session_id(r.get_ref().source.as_ref()).map_err(status::grpc)?;
+        let (num_moved, map_version) = self.service.optimise_map(session).await.map_err(status::grpc)?;
+        Ok(Response::new(v1::OptimiseMapResponse { num_keyframes_moved: num_moved as u64, map_version }))
+    }
+
     async fn export_map(&self, r: Request<v1::ExportMapRequest>) -> Answer<Self::ExportMapStream> {
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;

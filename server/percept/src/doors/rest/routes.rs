@@ -219,6 +219,7 @@ const SOURCE: &[(&str, &str)] = &[("session_id", "source.session_id")];
 const MESSAGE: &[(&str, &str)] = &[("session_id", "message.session_id")];
 const CLOUD: &[(&str, &str)] = &[("handle", "handle")];
 const OBJECT: &[(&str, &str)] = &[("session_id", "session_id"), ("object_id", "object_id")];
+const LOOP: &[(&str, &str)] = &[("session_id", "source.session_id"), ("loop_id", "loop_id")];
 
 const fn get(
     path: &'static str,
@@ -268,6 +269,9 @@ pub(super) static ROUTES: &[Route] = &[
     get("/v1/sessions/{session_id}/map", "MapsService/GetMapSummary", SOURCE, unary!(Message get_map_summary)),
     get("/v1/sessions/{session_id}/map/occupancy", "MapsService/GetOccupancyGrid", SOURCE, joined!(get_occupancy_grid, join_grid)),
     get("/v1/sessions/{session_id}/map/cloud", "MapsService/GetCloud", SOURCE, joined!(get_cloud, join_cloud)),
+    get("/v1/sessions/{session_id}/map/loops", "MapsService/ListLoops", SOURCE, unary!(Message list_loops)),
+    post("/v1/sessions/{session_id}/map/loops/{loop_id}/veto", "MapsService/SetLoopVeto", LOOP, unary!(Message set_loop_veto)),
+    post("/v1/sessions/{session_id}/map/optimise", "MapsService/OptimiseMap", SOURCE, unary!(Message optimise_map)),
     get("/v1/sessions/{session_id}/map/files/{name}", "MapsService/ExportMap", SOURCE, Kind::File),
 
     get("/v1/sessions/{session_id}/objects", "SceneService/ListObjects", SESSION, unary!(Message list_objects)),

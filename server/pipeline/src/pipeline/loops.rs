@@ -1,0 +1,182 @@
+//! Loops close: keyframes go to the back end, corrections come back and move what hangs on them; a robot that was lost
+//! is found again among the keyframes.
+
+use super::{FrameReport, NewKeyframe, Pipeline, Restored};
+use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorSpec, Timestamp};
+use percept_slam::loops::{LoopClosure, place_recognition};
+use percept_slam::{
+    BackEnd, BackEndKeyframe, BackEndUpdate, Loop, LoopId, OdometryEstimate, OdometryKind, Relocalisation, Scan,
+};
+use std::sync::Arc;
+
+/// While adrift, every so many frames are looked for in the whole map, besides those that would be keyframes.
+const LOOK_EVERY: u32 = 10;
+/// Keyframes of a part of the map that hangs on nothing yet; when there are more, the oldest are given up.
+const MOST_FLOATING: usize = 500;
+
+/// A keyframe of a part of the map that hangs on nothing yet.
+#[derive(Debug, Clone)]
+pub(super) struct Floating {
+    stamp: Timestamp,
+    sensor: SensorId,
+    t_odom_base: Pose,
+    scan: Arc<KeyframeScan>,
+}
+
+/// What a veto did.
+#[derive(Debug, Clone)]
+pub struct VetoReport {
+    /// The loop, with its new state.
+    pub changed: Loop,
+    /// Keyframes that moved, with their new poses, base to map.
+    pub corrected: Vec<(KeyframeId, Pose)>,
+}
+
+impl Pipeline {
+    /// Makes the back end for the kind of sensor that moves the pose, if loops are wanted and can be found.
+    pub(super) fn prepare_back_end(&mut self, kind: OdometryKind) {
+        if self.back_end.is_none() && self.params.slam.back_end.enabled {
+            let params = self.params.slam.back_end.clone();
+            self.back_end = place_recognition(kind).map(|r| BackEnd::new(params, r));
+        }
+    }
+
+    /// Hands a keyframe that is in the map to the back end, and does what follows.
+    pub(super) fn close_loops(&mut self, keyframe: &mut NewKeyframe, recognise: bool, report: &mut FrameReport) {
+        let Some(mut back_end) = self.back_end.take() else { return };
+        let covariance = self.odometry.as_ref().map(percept_slam::Odometry::covariance).unwrap_or_default();
+        let node = BackEndKeyframe {
+            id: keyframe.info.id,
+            t_odom_base: keyframe.t_odom_base,
+            covariance,
+            scan: &keyframe.scan,
+            recognise,
+            after_gap: std::mem::take(&mut self.after_gap),
+        };
+        let update = back_end.insert(&node, &keyframe.info.t_map_base);
+        self.back_end = Some(back_end);
+        self.follow(update, report);
+        if let Some(info) = self.keyframes.get(keyframe.info.id.0 as usize) {
+            keyframe.info.t_map_base = info.t_map_base;
+        }
+    }
+
+    /// Applies a correction and notes what changed.
+    fn follow(&mut self, update: BackEndUpdate, report: &mut FrameReport) {
+        if let Some(correction) = &update.correction {
+            self.apply(correction);
+            report.corrected.extend(correction.t_map_base.iter().copied());
+        }
+        if let Some(back_end) = self.back_end.as_ref().filter(|_| !update.loops.is_empty()) {
+            self.loops = Arc::new(back_end.loops().to_vec());
+        }
+        report.loops.extend(update.loops);
+    }
+
+    /// Moves every keyframe to where the back end believes it, however little that is: what small corrections wait for
+    /// while frames come in.
+    pub fn settle(&mut self) -> Vec<(KeyframeId, Pose)> {
+        let Some(correction) = self.back_end.as_mut().and_then(BackEnd::settle) else { return vec![] };
+        self.apply(&correction);
+        correction.t_map_base
+    }
+
+    /// Takes a loop out of the map, or back in; none if there is no such loop.
+    pub fn veto(&mut self, id: LoopId, vetoed: bool) -> Option<VetoReport> {
+        let update = self.back_end.as_mut()?.veto(id, vetoed)?;
+        let changed = update.loops.first()?.clone();
+        let mut report = FrameReport::default();
+        self.follow(update, &mut report);
+        Some(VetoReport { changed, corrected: report.corrected })
+    }
+
+    /// Gives the stored keyframes and loops to the back end.
+    pub(super) fn restore_back_end(&mut self, kind: OdometryKind, pose_sensor: &SensorId, restored: &Restored) {
+        self.prepare_back_end(kind);
+        let Some(back_end) = &mut self.back_end else { return };
+        let keyframes = restored.keyframes.iter().enumerate().map(|(i, k)| {
+            let node = BackEndKeyframe {
+                id: KeyframeId(i as u64),
+                t_odom_base: k.t_odom_base,
+                covariance: percept_geometry::Covariance6::zeros(),
+                scan: &k.scan,
+                recognise: k.scan.sensor == *pose_sensor,
+                after_gap: false,
+            };
+            (node, k.t_map_base)
+        });
+        back_end.resume(keyframes, restored.loops.clone());
+        self.loops = Arc::new(restored.loops.clone());
+    }
+
+    /// A frame of a robot that is adrift: it goes into a part of the map of its own, which joins the map once one of its
+    /// frames is found there. Whether that happened with this one.
+    pub(super) fn look_around(
+        &mut self,
+        spec: &SensorSpec,
+        scan: &Scan,
+        estimate: &OdometryEstimate,
+        report: &mut FrameReport,
+    ) -> bool {
+        if estimate.state.is_lost() {
+            return false;
+        }
+        if !estimate.state.is_tracking() {
+            // Odometry has begun anew: what was gathered hangs on nothing any more.
+            self.floating.clear();
+        }
+        let (Some(odometry), Some(frames)) = (&self.odometry, self.anchoring.frames_adrift()) else { return false };
+        let is_far = self.floating.last().is_none_or(|last| self.is_keyframe_away(&last.t_odom_base, estimate));
+        if !is_far && !frames.is_multiple_of(LOOK_EVERY) {
+            return false;
+        }
+        let mut scan = odometry.keyframe_scan(estimate.stamp, &spec.id, scan);
+        scan.base_height_m = self.base_height_m;
+        let found = self.back_end.as_ref().and_then(|b| b.relocalise(&scan));
+        if is_far {
+            if self.floating.len() == MOST_FLOATING {
+                self.floating.remove(0);
+            }
+            let (stamp, sensor, t_odom_base) = (estimate.stamp, spec.id.clone(), estimate.t_odom_base);
+            self.floating.push(Floating { stamp, sensor, t_odom_base, scan: Arc::new(scan) });
+        }
+        let Some(found) = found else { return false };
+        self.join(&found, estimate, report)
+    }
+
+    fn is_keyframe_away(&self, t_odom_base: &Pose, estimate: &OdometryEstimate) -> bool {
+        let params = &self.params.slam.odometry.keyframe;
+        let off = t_odom_base.inv_mul(&estimate.t_odom_base);
+        off.translation.vector.norm() >= params.distance_m || off.rotation.angle() >= params.angle_rad
+    }
+
+    /// Puts the part of the map that hung on nothing where one of its frames was found.
+    fn join(&mut self, found: &Relocalisation, estimate: &OdometryEstimate, report: &mut FrameReport) -> bool {
+        let Some(place) = self.keyframes.get(found.keyframe.0 as usize) else { return false };
+        let t_map_base = place.t_map_base * found.t_keyframe_base;
+        self.t_map_odom = t_map_base * estimate.t_odom_base.inverse();
+        self.after_gap = true;
+        let mut newest = None;
+        for f in std::mem::take(&mut self.floating) {
+            let mut keyframe = self.enter(f.stamp, &f.sensor, f.t_odom_base, f.scan);
+            self.close_loops(&mut keyframe, true, report);
+            newest = Some((keyframe.info.id, f.t_odom_base));
+            report.joined.push(keyframe);
+        }
+        if let (Some((id, t_odom_base)), Some(mut back_end)) = (newest, self.back_end.take()) {
+            let t_from_to = found.t_keyframe_base * estimate.t_odom_base.inverse() * t_odom_base;
+            let closure = LoopClosure {
+                from: found.keyframe,
+                to: id,
+                t_from_to,
+                covariance: found.covariance,
+                inlier_ratio: found.inlier_ratio,
+            };
+            let update = back_end.propose(vec![closure]);
+            self.back_end = Some(back_end);
+            self.follow(update, report);
+        }
+        self.anchoring.found(estimate);
+        true
+    }
+}
