@@ -1,10 +1,10 @@
 //! A simulated session through a pipeline in this process, frame by frame beside its truth.
 
 use super::Failure;
-use super::eval_slam::moves_pose;
+use super::eval_slam::{RIGHT_M, RIGHT_RAD, moves_pose};
 use percept_evaluation::{Alignment, PosePair, align};
-use percept_geometry::{Pose, Timestamp};
-use percept_pipeline::{Pipeline, PipelineParams};
+use percept_geometry::{KeyframeId, Pose, Timestamp};
+use percept_pipeline::{Loop, LoopState, Pipeline, PipelineParams, Snapshot};
 use percept_sim::Simulation;
 use percept_slam::TrackingState;
 use std::collections::{BTreeMap, HashMap};
@@ -36,6 +36,8 @@ pub(crate) struct SlamRun {
     pub(crate) num_keyframes: usize,
     /// Times that poses of old keyframes moved.
     pub(crate) num_corrections: usize,
+    /// Loops that were found, those that were believed, and believed ones that contradict the truth.
+    pub(crate) num_loops: [usize; 3],
     /// Frames by what was said of tracking.
     pub(crate) states: BTreeMap<String, usize>,
     /// Base to map by stamp, with all corrections, of frames that were tracked.
@@ -104,6 +106,7 @@ pub(crate) fn run_session(
         num_refused: 0,
         num_keyframes: 0,
         num_corrections: 0,
+        num_loops: [0; 3],
         states: BTreeMap::new(),
         corrected: HashMap::new(),
     };
@@ -139,9 +142,23 @@ pub(crate) fn run_session(
     bar.finish_and_clear();
     let snapshot = pipeline.snapshot();
     run.num_keyframes = snapshot.keyframes.len();
+    run.num_loops = loops(&snapshot, &run.frames);
     let tracked = snapshot.trajectory().filter(|(_, e)| e.tracked);
     run.corrected = tracked.map(|(pose, e)| (e.stamp, pose)).collect();
     Ok(run)
+}
+
+/// Loops found, believed, and believed though they contradict the truth.
+fn loops(snapshot: &Snapshot, frames: &[FrameRecord]) -> [usize; 3] {
+    let by_stamp: HashMap<Timestamp, &Pose> = frames.iter().map(|f| (f.stamp, &f.truth)).collect();
+    let truth = |id: KeyframeId| by_stamp.get(&snapshot.keyframes.get(usize::try_from(id.0).ok()?)?.stamp);
+    let is_false = |l: &&Loop| {
+        let (Some(from), Some(to)) = (truth(l.closure.from), truth(l.closure.to)) else { return false };
+        let error = l.closure.t_from_to.inverse() * (from.inverse() * **to);
+        error.translation.vector.norm() > RIGHT_M || error.rotation.angle() > RIGHT_RAD
+    };
+    let believed = || snapshot.loops.iter().filter(|l| l.state == LoopState::Active);
+    [snapshot.loops.len(), believed().count(), believed().filter(is_false).count()]
 }
 
 /// Room for so many records, its pages in memory from the start: growth is then the pipeline's.
