@@ -1,8 +1,9 @@
 //! Figures of the odometries on recorded data: `evaluate SET PATH [options]`.
 //!
-//! `rgbd DIR`, `mono DIR [STRIDE]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`.
+//! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person]`, `mono DIR [STRIDE]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`.
 
 mod camera;
+mod depth;
 mod mapping;
 mod measure;
 mod read;
@@ -21,6 +22,9 @@ fn main() -> Result<(), Failure> {
     let path = Path::new(args.get(2).ok_or("usage: evaluate SET PATH")?);
     match args[1].as_str() {
         "rgbd" => rgbd(path, args.get(3).and_then(|s| s.parse().ok()).unwrap_or(1)),
+        "rgbd-sim" => depth::simulated(args[2].parse()?, &args),
+        "redwood" => depth::redwood(path),
+        "slambook" => depth::slambook(path),
         "mono" => camera::recorded(path, args.get(3).and_then(|s| s.parse().ok()).unwrap_or(1)),
         "kitti-tracking" => kitti_tracking(path),
         "kitti-pair" => kitti_pair(path),

@@ -8,3 +8,4 @@ mod recorded;
 mod rgbd;
 mod room;
 mod states;
+mod visual;
