@@ -47,7 +47,14 @@ impl Mapping {
             _ => e.t_odom_base,
         };
         self.t_odom_keyframe.push(e.t_odom_base);
-        let keyframe = BackEndKeyframe { id, t_odom_base: e.t_odom_base, covariance: e.covariance, scan: &kept };
+        let keyframe = BackEndKeyframe {
+            id,
+            t_odom_base: e.t_odom_base,
+            covariance: e.covariance,
+            scan: &kept,
+            recognise: true,
+            after_gap: false,
+        };
         let start = Instant::now();
         self.back_end.insert(&keyframe, &t_map_base);
         self.milliseconds.push(start.elapsed().as_secs_f64() * 1e3);
