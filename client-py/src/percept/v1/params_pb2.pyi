@@ -538,26 +538,34 @@ class MonoParams(_message.Message):
 
     MAX_FEATURES_FIELD_NUMBER: _builtins.int
     MATCH_RATIO_FIELD_NUMBER: _builtins.int
+    CLOSE_LOOPS_FIELD_NUMBER: _builtins.int
     max_features: _builtins.int
     """Features sought in an image, 200 to 10000. More: surer in poor light, slower."""
     match_ratio: _builtins.float
     """Lowe's test where features are matched by looks alone: the nearest has to be nearer than this times the second
     nearest, 0.3 to 0.95.
     """
+    close_loops: _builtins.bool
+    """Whether places seen again correct the map and its scale."""
     def __init__(
         self,
         *,
         max_features: _builtins.int | None = ...,
         match_ratio: _builtins.float | None = ...,
+        close_loops: _builtins.bool | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_match_ratio", b"_match_ratio", "_max_features", b"_max_features", "match_ratio", b"match_ratio", "max_features", b"max_features"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_close_loops", b"_close_loops", "_match_ratio", b"_match_ratio", "_max_features", b"_max_features", "close_loops", b"close_loops", "match_ratio", b"match_ratio", "max_features", b"max_features"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_match_ratio", b"_match_ratio", "_max_features", b"_max_features", "match_ratio", b"match_ratio", "max_features", b"max_features"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_close_loops", b"_close_loops", "_match_ratio", b"_match_ratio", "_max_features", b"_max_features", "close_loops", b"close_loops", "match_ratio", b"match_ratio", "max_features", b"max_features"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__close_loops: _TypeAlias = _typing.Literal["close_loops"]  # noqa: Y015
+    _WhichOneofArgType__close_loops: _TypeAlias = _typing.Literal["_close_loops", b"_close_loops"]  # noqa: Y015
     _WhichOneofReturnType__match_ratio: _TypeAlias = _typing.Literal["match_ratio"]  # noqa: Y015
     _WhichOneofArgType__match_ratio: _TypeAlias = _typing.Literal["_match_ratio", b"_match_ratio"]  # noqa: Y015
     _WhichOneofReturnType__max_features: _TypeAlias = _typing.Literal["max_features"]  # noqa: Y015
     _WhichOneofArgType__max_features: _TypeAlias = _typing.Literal["_max_features", b"_max_features"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__close_loops) -> _WhichOneofReturnType__close_loops | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__match_ratio) -> _WhichOneofReturnType__match_ratio | None: ...
     @_typing.overload

@@ -2,8 +2,9 @@
 
 use super::read::{self, Failure};
 use super::{Run, measure};
-use percept_geometry::{CameraIntrinsics, Pose, SensorSpec, Timestamp};
-use percept_slam::{ImageScan, OdometryKind, Scan, TrackingState};
+use percept_geometry::{CameraIntrinsics, Pose, SensorData, SensorSpec, Timestamp};
+use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
+use percept_slam::{ImageScan, OdometryKind, OdometryParams, Scan, TrackingState};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -31,6 +32,69 @@ pub(crate) fn recorded(dir: &Path, stride: usize) -> Result<(), Failure> {
     run.report();
     report(&run, &truth, &t_base_sensor);
     Ok(())
+}
+
+/// The simulator's drive through its rooms, seen by the colour images of its camera.
+pub(crate) fn simulated(args: &[String]) -> Result<(), Failure> {
+    let has = |flag: &str| args.iter().any(|a| a == flag);
+    let number = |flag: &str| args.iter().position(|a| a == flag).and_then(|i| args.get(i + 1)?.parse::<usize>().ok());
+    let mut sensors = SensorSuite::only_depth_camera();
+    sensors.odometry = has("--wheels").then(percept_sim::OdometryParams::default);
+    let seed = args.first().and_then(|s| s.parse().ok()).unwrap_or(1);
+    let world = WorldParams { seed, rooms: number("--rooms").unwrap_or(1), ..WorldParams::default() };
+    let laps = number("--laps").unwrap_or(1);
+    let duration_s = number("--seconds").map(|s| s as f64);
+    let simulation = Simulation::new(SimParams { world, sensors, laps, duration_s, ..SimParams::default() })?;
+    let spec = simulation.sensors().into_iter().find(|s| s.intrinsics.is_some()).ok_or("no camera")?;
+    let intrinsics = spec.intrinsics.ok_or("no intrinsics")?;
+    let mut params = OdometryParams::default();
+    params.mono.close_loops = !has("--no-loops");
+    let mut run = Run::with(OdometryKind::Mono, params);
+    let (mut truth, mut wheels, mut last) = (vec![], None, None);
+    for frame in simulation.frames() {
+        let (depth, color) = match frame.frame.data {
+            SensorData::Odometry(sample) => {
+                wheels = Some(sample.t_odom_base);
+                continue;
+            }
+            SensorData::Rgbd(depth, color) => (depth, color),
+            _ => continue,
+        };
+        let depth = (has("--depth") && truth.len() % 30 == 0).then(|| Arc::new(depth));
+        let (image, t_base_sensor) = (Arc::new(color), spec.t_base_sensor);
+        let scan = Scan::Image(ImageScan { image, depth, second: None, intrinsics, t_base_sensor });
+        let prior = last.zip(wheels).map(|(a, b): (Pose, Pose)| measure::wheel_prior(&(a.inverse() * b)));
+        truth.push((frame.frame.stamp, frame.t_world_base));
+        run.step(frame.frame.stamp, &scan, prior.as_ref());
+        last = wheels;
+    }
+    println!("{} images, {:.1} m", truth.len(), simulation.path().lap_length_m());
+    run.report();
+    report(&run, &truth, &spec.t_base_sensor);
+    drift(&run, &truth, &spec.t_base_sensor);
+    Ok(())
+}
+
+/// The map's scale (by the steps between its views) in its first and its last fifth: their ratio is the drift.
+fn drift(run: &Run, truth: &[(Timestamp, Pose)], t_base_sensor: &Pose) {
+    let by_stamp: BTreeMap<Timestamp, Pose> = truth.iter().copied().collect();
+    let views = run.odometry.views(t_base_sensor);
+    let mut ratios = vec![];
+    for w in views.windows(2) {
+        let (Some(a), Some(b)) = (by_stamp.get(&w[0].0), by_stamp.get(&w[1].0)) else { continue };
+        let true_step = (a * t_base_sensor).inverse() * (b * t_base_sensor);
+        let seen = (w[0].1.inverse() * w[1].1).translation.vector.norm();
+        if true_step.translation.vector.norm() > 0.1 {
+            ratios.push(true_step.translation.vector.norm() / seen);
+        }
+    }
+    let median = |r: &[f64]| {
+        let mut r = r.to_vec();
+        r.sort_by(f64::total_cmp);
+        r.get(r.len() / 2).copied().unwrap_or(f64::NAN)
+    };
+    let fifths: Vec<f64> = ratios.chunks((ratios.len() / 5).max(1)).take(5).map(median).collect();
+    println!("metres by unit along the way {fifths:.3?}");
 }
 
 /// Scale-aligned errors of the camera's poses as they were given, and of the views as the map has them in the end.

@@ -13,12 +13,12 @@ pub mod rgbd;
 mod rhythm;
 mod uncertainty;
 
-use crate::keyframe::{KeyframeParams, keyframe_scan_seen_by};
+use crate::keyframe::{KeyframeParams, keyframe_scan};
 use crate::scan::Scan;
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
 use nalgebra::Vector6;
-use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
+use percept_geometry::{Covariance6, KeyframeScan, PointCloud, Pose, SensorId, Timestamp, se3};
 use rhythm::Rhythm;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -232,10 +232,6 @@ pub(crate) trait LocalModel: Send {
     fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason>;
     /// Adds the current frame at its pose.
     fn integrate(&mut self, t_odom_base: &Pose);
-    /// Where a depth camera's colour camera was found to be, for the image in full size.
-    fn color_camera(&self) -> Option<rgbd::ColorCamera> {
-        None
-    }
     /// Forgets the model.
     fn clear(&mut self);
     /// Starts the model from keyframes with their `t_odom_base`, oldest first.
@@ -243,6 +239,10 @@ pub(crate) trait LocalModel: Send {
     /// A method with a map and a state of its own, whose lengths may be in no known unit, does all here.
     fn as_mono(&mut self) -> Option<&mut mono::Mono> {
         None
+    }
+    /// The map's points that its last frame shows, in base, metres; none where lengths are not metres.
+    fn sparse_points(&self, _t_base_sensor: &Pose) -> PointCloud {
+        PointCloud::default()
     }
     /// Stamps and `t_odom_base` of the frames that such a method keeps.
     fn views(&self, _t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {
@@ -366,10 +366,14 @@ impl Odometry {
         &self.t_odom_base
     }
 
-    /// What a keyframe keeps of a scan: ends of beams in base, thinned; see [`KeyframeScan`].
+    /// What a keyframe keeps of a scan: ends of beams in base, thinned; see [`KeyframeScan`]. Of a camera's image the points
+    /// of its map that it shows, once lengths are metres, and nothing before.
     pub fn keyframe_scan(&self, stamp: Timestamp, sensor: &SensorId, scan: &Scan) -> KeyframeScan {
-        let color = self.model.color_camera();
-        keyframe_scan_seen_by(&self.params.keyframe, stamp, sensor, scan, &self.velocity(), color)
+        let mut kept = keyframe_scan(&self.params.keyframe, stamp, sensor, scan, &self.velocity());
+        if let Scan::Image(image) = scan {
+            kept.hits = self.model.sparse_points(&image.t_base_sensor);
+        }
+        kept
     }
 
     /// What a camera's map now makes of the past: its views' stamps and `t_odom_base`, oldest first; for other kinds none.

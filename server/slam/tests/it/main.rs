@@ -4,8 +4,8 @@
 
 mod lidar2d;
 mod lidar3d;
+mod mono;
 mod recorded;
 mod rgbd;
 mod room;
 mod states;
-mod visual;

@@ -8,7 +8,7 @@ mod measure;
 mod read;
 
 use percept_geometry::{CameraIntrinsics, Pose, Timestamp};
-use percept_slam::{CloudScan, DepthScan, Odometry, OdometryKind, OdometryParams, PlanarScan, Scan};
+use percept_slam::{CloudScan, DepthScan, ImageScan, Odometry, OdometryKind, OdometryParams, PlanarScan, Scale, Scan};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -41,6 +41,31 @@ fn seven_scenes_is_tracked_to_two_and_a_half_centimetres() {
     let rmse = measure::ate_rmse(&truth, &estimate);
     // The truth itself is good to 1 to 3 cm. By depth alone it is 0.031 m.
     assert!(rmse < 0.025, "{rmse}");
+}
+
+#[test]
+fn seven_scenes_is_tracked_by_its_colour_images_alone() {
+    let Some(dir) = data("rgbd-7scenes-a") else { return };
+    let mut odometry = Odometry::new(OdometryKind::Mono, OdometryParams::default());
+    let intrinsics = CameraIntrinsics::pinhole(640, 480, 585.0, 585.0, 320.0, 240.0);
+    let (mut truth, mut estimate) = (vec![], vec![]);
+    // Every fourth image of the source: 7.5 a second, which keeps the test short.
+    for i in (0..400).step_by(4) {
+        let name = dir.join(format!("frame-{i:06}"));
+        let file = |end: &str| PathBuf::from(format!("{}{end}", name.display()));
+        let image = Arc::new(read::color(&file(".color.jpg")).unwrap());
+        let t_base_sensor = Pose::identity();
+        let scan = Scan::Image(ImageScan { image, depth: None, second: None, intrinsics, t_base_sensor });
+        let e = odometry.register(Timestamp::from_secs_f64(f64::from(i) / 30.0), &scan, None);
+        assert_eq!(e.scale, Scale::Unknown);
+        if e.state.is_tracking() {
+            truth.push(read::pose_3x4(&read::numbers(&file(".pose.txt")).unwrap()).unwrap());
+            estimate.push(e.t_odom_base);
+        }
+    }
+    assert!(truth.len() > 80, "{}", truth.len());
+    let (_, rmse) = measure::ate_scaled(&truth, &estimate);
+    assert!(rmse < 0.07, "{rmse}");
 }
 
 #[test]

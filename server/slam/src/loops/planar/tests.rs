@@ -66,7 +66,6 @@ impl Building {
             hits: PointCloud::from_positions(hits),
             misses,
             planar: true,
-            features: None,
         })
     }
 }

@@ -104,6 +104,11 @@ impl Frame {
         }
     }
 
+    /// Where a feature is and its standard deviation, pixels.
+    pub(super) fn seen(&self, feature: usize) -> (Vector2<f64>, f64) {
+        (self.pixels[feature], sigma(self.octaves[feature]))
+    }
+
     pub(super) fn binary(&self) -> Descriptors {
         Descriptors::Binary(self.descriptors.clone())
     }

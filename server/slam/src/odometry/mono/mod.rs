@@ -15,11 +15,13 @@ mod adjust;
 mod frame;
 mod grow;
 mod local;
+mod loops;
 mod map;
 mod places;
 mod pose;
 mod scale;
 mod search;
+mod similarity;
 mod start;
 mod tracker;
 
@@ -30,7 +32,7 @@ use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
 use frame::Lens;
 use nalgebra::{Translation3, Vector6};
-use percept_geometry::{CameraIntrinsics, Covariance6, KeyframeScan, Pose, Timestamp, se3};
+use percept_geometry::{CameraIntrinsics, Covariance6, KeyframeScan, PointCloud, Pose, Timestamp, se3};
 use pose::PlacedCamera;
 use scale::Scaling;
 use serde::{Deserialize, Serialize};
@@ -46,11 +48,13 @@ pub struct MonoParams {
     /// Lowe's test where features are matched by looks alone: the nearest has to be nearer than this times the second
     /// nearest, 0.3 to 0.95.
     pub match_ratio: f64,
+    /// Whether places seen again correct the map and its scale.
+    pub close_loops: bool,
 }
 
 impl Default for MonoParams {
     fn default() -> Self {
-        Self { max_features: 1000, match_ratio: 0.75 }
+        Self { max_features: 1000, match_ratio: 0.75, close_loops: true }
     }
 }
 
@@ -121,7 +125,14 @@ impl Mono {
                 self.t_odom_base = self.newest(&scan.t_base_sensor);
                 self.unmeasured(stamp, TrackingState::Initialising, None)
             }
-            Outcome::Placed(placed) => self.tracked(stamp, scan, &placed),
+            Outcome::Placed(placed) => {
+                if std::mem::take(&mut self.tracker.is_corrected) {
+                    // The newest pose stays where it is: the past moves, see `views`.
+                    let t_start_base = self.t_odom_start.inverse() * self.newest(&scan.t_base_sensor);
+                    self.t_odom_start = self.t_odom_base * t_start_base.inverse();
+                }
+                self.tracked(stamp, scan, &placed)
+            }
             Outcome::Lost(reason) => self.lost(stamp, prior, reason),
         }
     }
@@ -246,6 +257,14 @@ impl LocalModel for Mono {
 
     fn seed(&mut self, t_odom_base_last: &Pose, _: &[(Pose, Arc<KeyframeScan>)]) {
         self.t_odom_base = *t_odom_base_last;
+    }
+
+    fn sparse_points(&self, t_base_sensor: &Pose) -> PointCloud {
+        if !self.scaling.scale().is_metric() {
+            return PointCloud::default();
+        }
+        let points = self.tracker.points_in_camera().into_iter();
+        PointCloud::from_positions(points.map(|p| (t_base_sensor * p).cast()).collect())
     }
 
     fn views(&self, t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {

@@ -7,7 +7,7 @@ use super::places::Places;
 use super::pose::{self, PlacedCamera};
 use super::scale::KnownSteps;
 use super::start::{Reference, TwoViews};
-use super::{MonoParams, grow, search};
+use super::{MonoParams, grow, loops, search};
 use crate::tracking::{LostReason, Waiting};
 use nalgebra::{Point2, Point3, Translation3};
 use percept_geometry::{Pose, Timestamp};
@@ -50,6 +50,8 @@ pub(super) struct Tracker {
     pub(super) known: KnownSteps,
     /// Whether the map's unit is the metre.
     pub(super) is_metric: bool,
+    /// A loop was closed: past views moved.
+    pub(super) is_corrected: bool,
     pub(super) places: Places,
     params: MonoParams,
     reference: Option<Reference>,
@@ -66,6 +68,7 @@ impl Tracker {
             map: Map::default(),
             known: KnownSteps::default(),
             is_metric: false,
+            is_corrected: false,
             places: Places::default(),
             params: params.clone(),
             reference: None,
@@ -272,8 +275,24 @@ impl Tracker {
             self.places.remove(gone, &descriptors);
             self.known.bridge(gone);
         }
+        self.close_loop(id, lens);
         if let Some(v) = self.map.views.get(&id) {
             self.last = Some((v.frame.clone(), v.t_camera_map));
+        }
+    }
+
+    fn close_loop(&mut self, id: ViewId, lens: &Lens) {
+        if !self.params.close_loops {
+            return;
+        }
+        let found = loops::detect(&self.map, &self.places, id, lens, self.params.match_ratio);
+        if let Some(found) = found {
+            loops::close(&mut self.map, &found, lens);
+            let known = self.is_metric.then_some(&self.known);
+            local::adjust(&mut self.map, id, lens, known);
+            // The motion was in the unit before.
+            self.motion = None;
+            self.is_corrected = true;
         }
     }
 
