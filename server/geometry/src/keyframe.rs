@@ -1,8 +1,9 @@
 //! Keyframes by number, and the correction that moves them: the seam between SLAM and the maps.
 
-use crate::{PointCloud, Pose, SensorId, Timestamp};
-use nalgebra::Point3;
+use crate::{CameraIntrinsics, PointCloud, Pose, SensorId, Timestamp};
+use nalgebra::{Point2, Point3};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Number of a keyframe in its session, counted from 0 in the order of creation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -26,6 +27,33 @@ pub struct KeyframeScan {
     pub misses: Vec<Point3<f32>>,
     /// Whether the beams lie in one plane (a 2D lidar): the height band does not apply to them.
     pub planar: bool,
+    /// What a colour camera saw that can be told apart; none for other sensors. Shared, not copied.
+    pub features: Option<Arc<KeyframeFeatures>>,
+}
+
+/// Distinct places of a keyframe's image, for finding the place again.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KeyframeFeatures {
+    /// Of the image that `KeyframeScan::hits` were measured in; its lens undone, so without distortion.
+    pub camera: CameraIntrinsics,
+    /// The most distinct first of each size; at most [`KeyframeFeatures::LIMIT`].
+    pub features: Vec<KeyframeFeature>,
+}
+
+impl KeyframeFeatures {
+    /// Most features of a keyframe.
+    pub const LIMIT: usize = 500;
+}
+
+/// A distinct place of an image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KeyframeFeature {
+    /// ORB, 256 bits; compared by the number of bits that differ.
+    pub descriptor: [u64; 4],
+    /// In base, metres; NaN where there is no depth.
+    pub p_base: Point3<f32>,
+    /// Column and row in the colour image, pixels.
+    pub pixel: Point2<f32>,
 }
 
 /// New poses for keyframes, found by the back end: `t_map_base` by number. Keyframes not named stay

@@ -285,7 +285,8 @@ impl Pipeline {
         }
         let t_odom_base = estimate.t_odom_base;
         if tracked && self.policy(&spec.id).consider(&t_odom_base) {
-            let mut keyframe = self.add_keyframe(spec, stamp, scan, t_odom_base);
+            let kept = self.kept_of(spec, stamp, scan, true);
+            let mut keyframe = self.add_keyframe(spec, kept, t_odom_base);
             self.close_loops(&mut keyframe, true, &mut report);
             report.changes = self.observe(&keyframe);
             report.keyframe = Some(keyframe);
@@ -381,7 +382,8 @@ impl Pipeline {
             return None;
         }
         let mut report = FrameReport::default();
-        let mut keyframe = self.add_keyframe(spec, stamp, scan, t_odom_base);
+        let kept = self.kept_of(spec, stamp, scan, false);
+        let mut keyframe = self.add_keyframe(spec, kept, t_odom_base);
         self.close_loops(&mut keyframe, false, &mut report);
         report.changes = self.observe(&keyframe);
         report.keyframe = Some(keyframe);
@@ -400,10 +402,18 @@ impl Pipeline {
         self.keyframe_policies.entry(sensor.clone()).or_insert_with(|| KeyframePolicy::new(params.clone()))
     }
 
-    fn add_keyframe(&mut self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan, t_odom_base: Pose) -> NewKeyframe {
-        let velocity = self.odometry.as_ref().map(Odometry::velocity).unwrap_or_default();
-        let params = &self.params.slam.odometry.keyframe;
-        let mut scan = keyframe::keyframe_scan(params, stamp, &spec.id, scan, &velocity);
+    /// What a keyframe keeps; of the pose sensor's odometry knows more than the scan says.
+    fn kept_of(&self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan, is_pose_sensor: bool) -> KeyframeScan {
+        let odometry = self.odometry.as_ref();
+        if let Some(odometry) = odometry.filter(|_| is_pose_sensor) {
+            return odometry.keyframe_scan(stamp, &spec.id, scan);
+        }
+        let velocity = odometry.map(Odometry::velocity).unwrap_or_default();
+        keyframe::keyframe_scan(&self.params.slam.odometry.keyframe, stamp, &spec.id, scan, &velocity)
+    }
+
+    fn add_keyframe(&mut self, spec: &SensorSpec, mut scan: KeyframeScan, t_odom_base: Pose) -> NewKeyframe {
+        let stamp = scan.stamp;
         if self.keyframes.is_empty() {
             let level = level(&scan);
             self.t_map_odom = level.t_map_base * t_odom_base.inverse();

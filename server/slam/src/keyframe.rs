@@ -1,5 +1,8 @@
 //! When a frame becomes a keyframe, and what of it is kept.
 
+mod features;
+
+use crate::odometry::rgbd::ColorCamera;
 use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
 use crate::{ParamError, check_range};
 use nalgebra::Point3;
@@ -7,6 +10,7 @@ use percept_geometry::cloud::Beam;
 use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp, Voxel, cloud};
 use rustc_hash::FxHashSet;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// When a frame becomes a keyframe, and how much of it is kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -98,6 +102,18 @@ pub fn keyframe_scan(
     scan: &Scan,
     velocity: &nalgebra::Vector6<f64>,
 ) -> KeyframeScan {
+    keyframe_scan_seen_by(params, stamp, sensor, scan, velocity, None)
+}
+
+/// The same, with the colour camera where an odometry has found it to be.
+pub(crate) fn keyframe_scan_seen_by(
+    params: &KeyframeParams,
+    stamp: Timestamp,
+    sensor: &SensorId,
+    scan: &Scan,
+    velocity: &nalgebra::Vector6<f64>,
+    color: Option<ColorCamera>,
+) -> KeyframeScan {
     let (hits, misses) = match scan {
         Scan::Depth(s) => (depth_hits(params, s), vec![]),
         Scan::Cloud(s) => (cloud_hits(params, s, velocity), vec![]),
@@ -113,6 +129,10 @@ pub fn keyframe_scan(
         misses,
         base_height_m: 0.0,
         planar: matches!(scan, Scan::Planar(_)),
+        features: match scan {
+            Scan::Depth(s) => features::of(s, color).map(Arc::new),
+            Scan::Cloud(_) | Scan::Planar(_) | Scan::Image(_) => None,
+        },
     }
 }
 
@@ -173,7 +193,6 @@ fn planar_ends(params: &KeyframeParams, s: &PlanarScan) -> (PointCloud, Vec<Poin
 mod tests {
     use super::*;
     use percept_geometry::{LaserScan, se3};
-    use std::sync::Arc;
 
     #[test]
     fn a_keyframe_comes_with_distance_or_turning() {

@@ -14,6 +14,7 @@ pub(crate) fn planar(hits: &[[f32; 2]], misses: &[[f32; 2]]) -> KeyframeScan {
         misses: lift(misses),
         base_height_m: 0.0,
         planar: true,
+        features: None,
     }
 }
 

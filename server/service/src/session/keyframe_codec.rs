@@ -3,11 +3,18 @@
 //! Layout, little-endian: magic `PKS1`; stamp i64; sensor name (u16 length, UTF-8); t_base_sensor as 7 f64
 //! (x, y, z, qx, qy, qz, qw); base height f64; flags u8 (1 planar, 2 colours); number of hits u32; hits 3 f32
 //! each; colours 3 u8 each if flagged; number of misses u32; misses 3 f32 each.
+//!
+//! With features the magic is `PKS2` and there follow the camera (width, height u32; fx, fy, cx, cy f64), the number of
+//! features u16, and each as descriptor 4 u64, point 3 f32, pixel 2 f32. Both are read.
 
-use nalgebra::Point3;
-use percept_geometry::{KeyframeScan, PointCloud, SensorId, Timestamp, se3};
+use nalgebra::{Point2, Point3};
+use percept_geometry::{
+    CameraIntrinsics, KeyframeFeature, KeyframeFeatures, KeyframeScan, PointCloud, SensorId, Timestamp, se3,
+};
+use std::sync::Arc;
 
 const MAGIC: &[u8; 4] = b"PKS1";
+const MAGIC_WITH_FEATURES: &[u8; 4] = b"PKS2";
 
 /// The bytes are not a keyframe's scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -17,7 +24,7 @@ pub(crate) struct CodecError(&'static str);
 pub(crate) fn encode(scan: &KeyframeScan) -> Vec<u8> {
     let (hits, misses) = (&scan.hits.positions, &scan.misses);
     let mut out = Vec::with_capacity(128 + hits.len() * 15 + misses.len() * 12);
-    out.extend_from_slice(MAGIC);
+    out.extend_from_slice(if scan.features.is_some() { MAGIC_WITH_FEATURES } else { MAGIC });
     out.extend_from_slice(&scan.stamp.nanos().to_le_bytes());
     let name = scan.sensor.0.as_bytes();
     out.extend_from_slice(&(name.len() as u16).to_le_bytes());
@@ -32,7 +39,23 @@ pub(crate) fn encode(scan: &KeyframeScan) -> Vec<u8> {
         out.extend_from_slice(colors.as_flattened());
     }
     put_points(&mut out, misses);
+    if let Some(features) = &scan.features {
+        put_features(&mut out, features);
+    }
     out
+}
+
+fn put_features(out: &mut Vec<u8>, features: &KeyframeFeatures) {
+    let c = &features.camera;
+    [c.width, c.height].iter().for_each(|&n| out.extend_from_slice(&(n as u32).to_le_bytes()));
+    [c.fx, c.fy, c.cx, c.cy].iter().for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
+    let kept = &features.features[..features.features.len().min(usize::from(u16::MAX))];
+    out.extend_from_slice(&(kept.len() as u16).to_le_bytes());
+    for f in kept {
+        f.descriptor.iter().for_each(|w| out.extend_from_slice(&w.to_le_bytes()));
+        let (p, uv) = (f.p_base, f.pixel);
+        [p.x, p.y, p.z, uv.x, uv.y].iter().for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
+    }
 }
 
 fn put_points(out: &mut Vec<u8>, points: &[Point3<f32>]) {
@@ -65,9 +88,37 @@ impl<'a> Reader<'a> {
     }
 }
 
+impl Reader<'_> {
+    fn features(&mut self) -> Result<KeyframeFeatures, CodecError> {
+        let [width, height] = [u32::from_le_bytes(self.array()?) as usize, u32::from_le_bytes(self.array()?) as usize];
+        let mut k = [0.0; 4];
+        for v in &mut k {
+            *v = f64::from_le_bytes(self.array()?);
+        }
+        let camera = CameraIntrinsics::pinhole(width, height, k[0], k[1], k[2], k[3]);
+        camera.validate().map_err(|_| CodecError("its camera is no camera"))?;
+        let n = usize::from(u16::from_le_bytes(self.array()?));
+        let mut features = vec![];
+        for _ in 0..n {
+            let mut descriptor = [0; 4];
+            for w in &mut descriptor {
+                *w = u64::from_le_bytes(self.array()?);
+            }
+            let mut v = [0f32; 5];
+            for x in &mut v {
+                *x = f32::from_le_bytes(self.array()?);
+            }
+            let (p_base, pixel) = (Point3::new(v[0], v[1], v[2]), Point2::new(v[3], v[4]));
+            features.push(KeyframeFeature { descriptor, p_base, pixel });
+        }
+        Ok(KeyframeFeatures { camera, features })
+    }
+}
+
 pub(crate) fn decode(bytes: &[u8]) -> Result<KeyframeScan, CodecError> {
     let mut r = Reader(bytes);
-    if &r.array::<4>()? != MAGIC {
+    let magic = r.array::<4>()?;
+    if &magic != MAGIC && &magic != MAGIC_WITH_FEATURES {
         return Err(CodecError("it has another magic number"));
     }
     let stamp = Timestamp(i64::from_le_bytes(r.array()?));
@@ -88,6 +139,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeyframeScan, CodecError> {
         None
     };
     let misses = r.points()?;
+    let features = if &magic == MAGIC_WITH_FEATURES { Some(Arc::new(r.features()?)) } else { None };
     if !r.0.is_empty() {
         return Err(CodecError("bytes are left over"));
     }
@@ -100,6 +152,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeyframeScan, CodecError> {
         hits,
         misses,
         planar: flags & 1 != 0,
+        features,
     })
 }
 
@@ -120,21 +173,38 @@ mod tests {
             },
             misses: vec![Point3::new(9.0, 8.0, 7.0)],
             planar: true,
+            features: None,
         }
+    }
+
+    fn with_features() -> KeyframeScan {
+        let feature = |k: u64| KeyframeFeature {
+            descriptor: [k, !k, k << 7, 3],
+            p_base: Point3::new(1.0, f32::NAN, k as f32),
+            pixel: Point2::new(3.5, k as f32),
+        };
+        let camera = CameraIntrinsics::primesense();
+        let features = KeyframeFeatures { camera, features: (0..3).map(feature).collect() };
+        KeyframeScan { features: Some(Arc::new(features)), ..scan() }
     }
 
     #[test]
     fn a_scan_survives_the_round_trip_bit_for_bit() {
-        let bytes = encode(&scan());
-        assert_eq!(encode(&decode(&bytes).unwrap()), bytes);
+        for scan in [scan(), with_features()] {
+            let bytes = encode(&scan);
+            assert_eq!(encode(&decode(&bytes).unwrap()), bytes);
+        }
+        // Records of before features came are as they were.
+        assert_eq!(&encode(&scan())[..4], b"PKS1");
     }
 
     #[test]
     fn a_record_cut_at_any_length_is_refused() {
-        let bytes = encode(&scan());
-        for n in 0..bytes.len() {
-            assert!(decode(&bytes[..n]).is_err(), "{n}");
+        for bytes in [encode(&scan()), encode(&with_features())] {
+            for n in 0..bytes.len() {
+                assert!(decode(&bytes[..n]).is_err(), "{n}");
+            }
+            assert!(decode(&[bytes.as_slice(), &[0]].concat()).is_err());
         }
-        assert!(decode(&[bytes.as_slice(), &[0]].concat()).is_err());
     }
 }

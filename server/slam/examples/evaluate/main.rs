@@ -1,8 +1,10 @@
 //! Figures of the odometries on recorded data: `evaluate SET PATH [options]`.
 //!
-//! `rgbd DIR`, `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`.
+//! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person]`,
+//! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`.
 
 mod camera;
+mod depth;
 mod mapping;
 mod measure;
 mod read;
@@ -21,6 +23,9 @@ fn main() -> Result<(), Failure> {
     let path = Path::new(args.get(2).ok_or("usage: evaluate SET PATH")?);
     match args[1].as_str() {
         "rgbd" => rgbd(path, args.get(3).and_then(|s| s.parse().ok()).unwrap_or(1)),
+        "rgbd-sim" => depth::simulated(args[2].parse()?, &args),
+        "redwood" => depth::redwood(path),
+        "slambook" => depth::slambook(path),
         "mono" => camera::recorded(path, args.get(3).and_then(|s| s.parse().ok()).unwrap_or(1)),
         "mono-sim" => camera::simulated(&args[2..]),
         "kitti-tracking" => kitti_tracking(path),

@@ -67,6 +67,7 @@ fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackE
         hits: PointCloud::default(),
         misses: vec![],
         planar: true,
+        features: None,
     });
     let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(Script(loops)));
     let (mut t_odom_base, mut t_map_odom) = (Pose::identity(), Pose::identity());

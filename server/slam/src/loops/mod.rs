@@ -4,6 +4,7 @@
 //! and moves the keyframes.
 
 pub(crate) mod planar;
+mod visual;
 
 use crate::odometry::OdometryKind;
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
@@ -70,7 +71,8 @@ pub trait PlaceRecognition: Send {
 pub fn place_recognition(kind: OdometryKind) -> Option<Box<dyn PlaceRecognition>> {
     match kind {
         OdometryKind::Lidar2d => Some(Box::new(planar::PlanarPlaces::new())),
-        OdometryKind::Rgbd | OdometryKind::Lidar3d => None,
+        OdometryKind::Rgbd => Some(Box::new(visual::VisualPlaces::default())),
+        OdometryKind::Lidar3d => None,
         // A camera's map closes its loops itself: they correct its scale, too.
         OdometryKind::Mono => None,
     }

@@ -13,7 +13,7 @@ pub mod rgbd;
 mod rhythm;
 mod uncertainty;
 
-use crate::keyframe::{KeyframeParams, keyframe_scan};
+use crate::keyframe::{KeyframeParams, keyframe_scan_seen_by};
 use crate::scan::Scan;
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
@@ -232,6 +232,10 @@ pub(crate) trait LocalModel: Send {
     fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason>;
     /// Adds the current frame at its pose.
     fn integrate(&mut self, t_odom_base: &Pose);
+    /// Where a depth camera's colour camera was found to be, for the image in full size.
+    fn color_camera(&self) -> Option<rgbd::ColorCamera> {
+        None
+    }
     /// Forgets the model.
     fn clear(&mut self);
     /// Starts the model from keyframes with their `t_odom_base`, oldest first.
@@ -369,7 +373,8 @@ impl Odometry {
     /// What a keyframe keeps of a scan: ends of beams in base, thinned; see [`KeyframeScan`]. Of a camera's image the points
     /// of its map that it shows, once lengths are metres, and nothing before.
     pub fn keyframe_scan(&self, stamp: Timestamp, sensor: &SensorId, scan: &Scan) -> KeyframeScan {
-        let mut kept = keyframe_scan(&self.params.keyframe, stamp, sensor, scan, &self.velocity());
+        let color = self.model.color_camera();
+        let mut kept = keyframe_scan_seen_by(&self.params.keyframe, stamp, sensor, scan, &self.velocity(), color);
         if let Scan::Image(image) = scan {
             kept.hits = self.model.sparse_points(&image.t_base_sensor);
         }

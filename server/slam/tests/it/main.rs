@@ -9,3 +9,4 @@ mod recorded;
 mod rgbd;
 mod room;
 mod states;
+mod visual;

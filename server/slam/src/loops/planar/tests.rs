@@ -66,6 +66,7 @@ impl Building {
             hits: PointCloud::from_positions(hits),
             misses,
             planar: true,
+            features: None,
         })
     }
 }

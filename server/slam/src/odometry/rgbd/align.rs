@@ -48,6 +48,8 @@ pub(crate) struct Problem<'a> {
     pub(crate) frame: &'a Frame,
     pub(crate) view: &'a View,
     pub(crate) camera: &'a CameraIntrinsics,
+    /// Where in the view's frame the search starts and the prediction is.
+    pub(crate) start: Pose,
     /// Brightness, if model and frame have some.
     pub(crate) photometric: Option<Photometric<'a>>,
     /// Prediction of the camera's pose in odom, at which the view was rendered, and its covariance in
@@ -61,7 +63,7 @@ pub(crate) struct Problem<'a> {
 /// Places the frame: `t_odom_base` of the result is the camera's pose in odom, covariance in the camera.
 pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
     let Some(prior) = problem.covariance.try_inverse() else { return Err(LostReason::Degenerate) };
-    let mut t_view_camera = Pose::identity();
+    let mut t_view_camera = problem.start;
     let (mut scale, mut light_scale) = (3.0, 3.0);
     let mut iterations = 0;
     let mut last = None;
@@ -74,7 +76,7 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
                 return Err(LostReason::TooFewCorrespondences);
             }
             let degeneracy = Degeneracy::of(&e, &problem.frame.centroid, problem.frame.spread, DEGENERATE);
-            let pull = se3::log(&t_view_camera);
+            let pull = se3::log(&(problem.start.inverse() * t_view_camera));
             let light = problem
                 .photometric
                 .as_ref()
@@ -180,7 +182,8 @@ fn judge(
     if degeneracy.num_directions >= 5 && problem.photometric.is_none() {
         return Err(LostReason::Degenerate);
     }
-    let moved = (t_view_camera.translation.vector.norm(), t_view_camera.rotation.angle());
+    let correction = problem.start.inverse() * t_view_camera;
+    let moved = (correction.translation.vector.norm(), correction.rotation.angle());
     if moved.0 > r.max_correction.0 || moved.1 > r.max_correction.1 {
         return Err(LostReason::MotionTooLarge);
     }

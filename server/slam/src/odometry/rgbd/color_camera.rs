@@ -44,6 +44,18 @@ impl ColorCamera {
         ((self.fx * p.x + self.bx) * w + self.cx, self.fy * p.y * w + self.cy)
     }
 
+    /// For the image that was shrunk by `factor` with averaging.
+    pub(crate) fn enlarged(&self, factor: f32) -> Self {
+        let middle = |c: f32| c * factor + 0.5 * (factor - 1.0);
+        Self {
+            fx: self.fx * factor,
+            fy: self.fy * factor,
+            cx: middle(self.cx),
+            cy: middle(self.cy),
+            bx: self.bx * factor,
+        }
+    }
+
     fn changed(&self, c: &Change) -> Self {
         Self {
             fx: self.fx * c.scale,

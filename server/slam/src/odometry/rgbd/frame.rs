@@ -41,6 +41,14 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
+    /// From vertices in rows of `width`.
+    pub(crate) fn of_vertices(width: usize, vertices: Vec<Vertex>) -> Self {
+        let height = vertices.len() / width.max(1);
+        let mut out = Self { width, height, vertices, ..Self::default() };
+        out.measure();
+        out
+    }
+
     fn measure(&mut self) {
         let (mut n, mut range, mut sum, mut squares) = (0usize, 0f64, Vector3::zeros(), 0f64);
         for v in self.vertices.iter().filter(|v| v.p.z > 0.0) {
@@ -64,7 +72,7 @@ pub(crate) struct Preparer {
     source: Option<CameraIntrinsics>,
     /// Pinhole of the frame's grid, without distortion: the model is rendered with it.
     pub(crate) pinhole: Option<CameraIntrinsics>,
-    factor: usize,
+    pub(crate) factor: usize,
     pub(crate) rays: Vec<[f32; 2]>,
     pub(crate) inverse_depth: Vec<f32>,
     /// Where the pinhole's pixels are in the shrunk image, if its lens distorts.

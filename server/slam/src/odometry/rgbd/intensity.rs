@@ -206,7 +206,7 @@ mod tests {
 
     #[test]
     fn exposure_hardly_changes_it() {
-        let scene = |u: usize, v: usize| if (u / 7 + v / 9) % 2 == 0 { 60.0 } else { 180.0 };
+        let scene = |u: usize, v: usize| if (u / 7 + v / 9).is_multiple_of(2) { 60.0 } else { 180.0 };
         let (mut a, mut b) = (Intensity::default(), Intensity::default());
         a.fill(&image(scene), 1, (80, 60), None);
         b.fill(&image(|u, v| 0.7 * scene(u, v)), 1, (80, 60), None);

@@ -10,6 +10,7 @@ mod frame;
 mod intensity;
 mod noise;
 mod photometric;
+pub(crate) mod place;
 mod surfels;
 
 use crate::odometry::{LocalModel, Match, Prediction};
@@ -17,6 +18,7 @@ use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
 use align::{Problem, Requirements, align};
+pub(crate) use color_camera::ColorCamera;
 use color_camera::ColorRegistration;
 use frame::{Frame, Preparer, Vertex};
 use nalgebra::{Point3, Vector6};
@@ -200,6 +202,7 @@ impl LocalModel for Rgbd {
             frame: &self.frame,
             view: &self.view,
             camera: &camera,
+            start: Pose::identity(),
             photometric: (!self.frame.intensity.is_empty() && self.view.textured.len() > 200).then(|| Photometric {
                 intensity: &self.frame.intensity,
                 color: self.registration.camera(&camera),
@@ -229,6 +232,11 @@ impl LocalModel for Rgbd {
         let view = self.viewed.then_some((&self.view, &camera));
         let color = self.registration.camera(&camera);
         self.surfels.fuse(&self.frame, &t_odom_camera, view, &color, &limits);
+    }
+
+    fn color_camera(&self) -> Option<ColorCamera> {
+        let camera = self.preparer.pinhole?;
+        Some(self.registration.camera(&camera).enlarged(self.preparer.factor as f32))
     }
 
     fn clear(&mut self) {

@@ -1,0 +1,188 @@
+//! Places of a depth camera with colour, found again by what they look like and verified by their shape.
+//!
+//! Candidates by binary features ([`index`]), the motion by their points ([`rigid`]), then the whole surface
+//! ([`crate::odometry::rgbd::place`]): enough of it fits and none of it contradicts. Without colour there are no features,
+//! and no place is found again: blank depth of one room's corner fits another's too well to be trusted.
+
+mod index;
+mod rigid;
+
+use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::odometry::rgbd::place::{Placed, place};
+use index::Index;
+use percept_geometry::{Covariance6, KeyframeFeature, KeyframeId, KeyframeScan, Pose};
+use percept_perception::features2d::{Descriptors, MatchParams, match_features};
+use rigid::{Pair, most_agree};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Odometry ties a keyframe to so many before it better than a loop could.
+const RECENT: u64 = 8;
+/// Keyframes that are looked at closely for each new one: bounds the time.
+const MAX_CANDIDATES: usize = 3;
+/// Keyframes kept for recognition: bounds memory, about 60 kB each.
+const MAX_KEYFRAMES: usize = 4096;
+/// Features of a keyframe that are indexed, evenly over sizes.
+const MAX_INDEXED: usize = 250;
+/// Fewest features alike of a candidate.
+const MIN_VOTES: u32 = 12;
+/// Fewest pairs of features that agree on a motion.
+const MIN_PAIRS: usize = 12;
+/// Least share of the scan's points on surfaces of the place, and most share that contradicts.
+const MIN_INLIERS: f64 = 0.3;
+const MAX_SEEN_THROUGH: f64 = 0.1;
+const MAX_IN_FRONT: f64 = 0.25;
+
+/// A keyframe that can be recognised.
+struct Known {
+    scan: Arc<KeyframeScan>,
+    indexed: Vec<[u64; 4]>,
+}
+
+/// Place recognition by features and depth.
+#[derive(Default)]
+pub(crate) struct VisualPlaces {
+    known: BTreeMap<KeyframeId, Known>,
+    index: Index,
+}
+
+impl PlaceRecognition for VisualPlaces {
+    fn insert(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        _drift: &Covariance6,
+        poses: &KeyframePoses,
+    ) -> Vec<LoopClosure> {
+        let newest_old = id.0.saturating_sub(RECENT);
+        let loops = self
+            .candidates(scan, |k| k.0 < newest_old)
+            .into_iter()
+            .filter_map(|from| {
+                let placed = self.verify(from, scan, poses)?;
+                Some(LoopClosure {
+                    from,
+                    to: id,
+                    t_from_to: placed.t_place_base,
+                    covariance: placed.covariance,
+                    inlier_ratio: placed.inlier_ratio,
+                })
+            })
+            .collect();
+        self.remember(id, scan);
+        loops
+    }
+
+    fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
+        self.candidates(scan, |k| poses.contains_key(&k))
+            .into_iter()
+            .filter_map(|keyframe| self.verify(keyframe, scan, poses).map(|placed| (keyframe, placed)))
+            .max_by(|a, b| a.1.inlier_ratio.total_cmp(&b.1.inlier_ratio))
+            .map(|(keyframe, placed)| Relocalisation {
+                keyframe,
+                t_keyframe_base: placed.t_place_base,
+                covariance: placed.covariance,
+                inlier_ratio: placed.inlier_ratio,
+            })
+    }
+
+    fn forget(&mut self, id: KeyframeId) {
+        if let Some(known) = self.known.remove(&id) {
+            self.index.remove(id, &known.indexed);
+        }
+    }
+}
+
+impl VisualPlaces {
+    fn remember(&mut self, id: KeyframeId, scan: &Arc<KeyframeScan>) {
+        let indexed = descriptors(scan, MAX_INDEXED);
+        if indexed.is_empty() {
+            return;
+        }
+        self.forget(id);
+        self.index.insert(id, &indexed);
+        self.known.insert(id, Known { scan: Arc::clone(scan), indexed });
+        // Of very many, every second of the older half goes: places stay covered, more thinly.
+        if self.known.len() > MAX_KEYFRAMES {
+            let old: Vec<KeyframeId> = self.known.keys().copied().take(MAX_KEYFRAMES / 2).step_by(2).collect();
+            old.into_iter().for_each(|k| self.forget(k));
+        }
+    }
+
+    /// The keyframes that look most alike, not next to each other; best first.
+    fn candidates(&self, scan: &KeyframeScan, allowed: impl Fn(KeyframeId) -> bool) -> Vec<KeyframeId> {
+        let query = descriptors(scan, MAX_INDEXED);
+        let votes = self.index.votes(&query, |(id, i)| self.known.get(&id)?.indexed.get(usize::from(i)));
+        let mut ranked: Vec<(u32, KeyframeId)> =
+            votes.into_iter().filter(|v| v.1 >= MIN_VOTES && allowed(v.0)).map(|(id, n)| (n, id)).collect();
+        ranked.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+        let mut out: Vec<KeyframeId> = vec![];
+        for (_, id) in ranked {
+            if out.len() < MAX_CANDIDATES && out.iter().all(|o| o.0.abs_diff(id.0) > 1) {
+                out.push(id);
+            }
+        }
+        out
+    }
+
+    /// Where base of the scan is, seen from base at keyframe `from`; none unless features and surfaces agree.
+    fn verify(&self, from: KeyframeId, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Placed> {
+        let known = self.known.get(&from)?;
+        let (t_from_to, covariance) = by_features(&known.scan, scan)?;
+        // Its neighbours on the way have seen more of the place, if odometry ties them to it.
+        let neighbours = [from.0.wrapping_sub(1), from.0.wrapping_add(1)].map(KeyframeId);
+        let around = neighbours.iter().filter_map(|k| {
+            let t_from_other = poses.get(&from)?.inverse() * poses.get(k)?;
+            let near = t_from_other.translation.vector.norm() < 1.0 && t_from_other.rotation.angle() < 1.0;
+            near.then_some((t_from_other, self.known.get(k)?.scan.as_ref()))
+        });
+        let others: Vec<(Pose, &KeyframeScan)> =
+            std::iter::once((Pose::identity(), known.scan.as_ref())).chain(around).collect();
+        place(&others, scan, &t_from_to, &covariance).filter(|p| {
+            p.inlier_ratio >= MIN_INLIERS && p.seen_through <= MAX_SEEN_THROUGH && p.in_front <= MAX_IN_FRONT
+        })
+    }
+}
+
+/// The motion that features agree on and its covariance, right perturbation in `to`'s base.
+fn by_features(from: &KeyframeScan, to: &KeyframeScan) -> Option<(Pose, Covariance6)> {
+    let (a, b) = (from.features.as_ref()?, to.features.as_ref()?);
+    let set = |f: &[KeyframeFeature]| Descriptors::Binary(f.iter().map(|f| f.descriptor).collect());
+    let params = MatchParams { ratio: 0.85, mutual: true, max_distance: Some(64.0) };
+    let matches = match_features(&set(&b.features), &set(&a.features), &params).ok()?;
+    let pairs: Vec<Pair> = matches
+        .iter()
+        .filter_map(|m| {
+            let (f, t) = (a.features.get(m.train_index as usize)?, b.features.get(m.query_index as usize)?);
+            let range = (f.p_base.cast::<f64>() - from.t_base_sensor.translation.vector)
+                .coords
+                .norm()
+                .max((t.p_base.cast::<f64>() - to.t_base_sensor.translation.vector).coords.norm());
+            // Depth of both, and a few pixels across: see `odometry::rgbd::noise`.
+            let tolerance = 0.02 + 0.01 * range + 0.01 * range * range;
+            (range <= 6.0).then(|| Pair { from: f.p_base.cast(), to: t.p_base.cast(), tolerance })
+        })
+        .collect();
+    let (t_from_to, inliers) = most_agree(&pairs, MIN_PAIRS)?;
+    Some((t_from_to, uncertainty(&pairs, &inliers)))
+}
+
+/// Of points that err independently by half their tolerance; never surer than 1 cm and 10 mrad.
+fn uncertainty(pairs: &[Pair], inliers: &[usize]) -> Covariance6 {
+    let mut information = Covariance6::zeros();
+    for p in inliers.iter().map(|&i| &pairs[i]) {
+        let mut j = nalgebra::Matrix3x6::zeros();
+        j.fixed_columns_mut::<3>(0).fill_with_identity();
+        j.fixed_columns_mut::<3>(3).copy_from(&-p.to.coords.cross_matrix());
+        information += j.transpose() * j * (4.0 / (p.tolerance * p.tolerance));
+    }
+    let floor = crate::odometry::diagonal(0.01, 0.01);
+    information.try_inverse().unwrap_or_else(|| Covariance6::identity() * 0.01) + floor
+}
+
+/// At most `most`, evenly over the list.
+fn descriptors(scan: &KeyframeScan, most: usize) -> Vec<[u64; 4]> {
+    let Some(features) = &scan.features else { return vec![] };
+    let step = features.features.len().div_ceil(most).max(1);
+    features.features.iter().step_by(step).map(|f| f.descriptor).collect()
+}

@@ -1,0 +1,141 @@
+//! Places found again by a depth camera with colour, in the simulator's worlds.
+
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorData, Timestamp, se3};
+use percept_sim::{DepthCameraParams, SensorSuite, SimParams, Simulation};
+use percept_slam::loops::{KeyframePoses, PlaceRecognition, place_recognition};
+use percept_slam::{DepthScan, Odometry, OdometryKind, OdometryParams, Scan, keyframe};
+use std::sync::Arc;
+
+/// Every `1 / rate_hz` seconds what a keyframe would keep, with the truth.
+fn drive(world: u64, noise: u64, rate_hz: f64, seconds: f64) -> Vec<(Pose, Arc<KeyframeScan>)> {
+    scans(world, noise, rate_hz, seconds).into_iter().map(|(t, scan)| (t, keep(&scan))).collect()
+}
+
+fn scans(world: u64, noise: u64, rate_hz: f64, seconds: f64) -> Vec<(Pose, Scan)> {
+    let camera = DepthCameraParams { rate_hz, ..DepthCameraParams::default() };
+    let (intrinsics, t_base_sensor) = (camera.intrinsics, camera.t_base_sensor());
+    let mut params = SimParams { seed: noise, duration_s: Some(seconds), ..SimParams::default() };
+    (params.world.seed, params.world.person) = (world, false);
+    params.sensors =
+        SensorSuite { depth_camera: Some(camera), lidar3d: None, lidar2d: None, odometry: None, imu: None };
+    let frames = Simulation::new(params).unwrap().frames();
+    frames
+        .filter_map(|f| {
+            let SensorData::Rgbd(depth, color) = f.frame.data else { return None };
+            let (depth, color) = (Arc::new(depth), Some(Arc::new(color)));
+            Some((f.t_world_base, Scan::Depth(DepthScan { depth, color, intrinsics, t_base_sensor })))
+        })
+        .collect()
+}
+
+fn keep(scan: &Scan) -> Arc<KeyframeScan> {
+    let params = OdometryParams::default().keyframe;
+    Arc::new(keyframe::keyframe_scan(&params, Timestamp(0), &"camera".into(), scan, &nalgebra::Vector6::zeros()))
+}
+
+fn taken_in(keyframes: &[(Pose, Arc<KeyframeScan>)]) -> (Box<dyn PlaceRecognition>, KeyframePoses) {
+    let mut places = place_recognition(OdometryKind::Rgbd).unwrap();
+    let mut poses = KeyframePoses::new();
+    for (k, (t, scan)) in keyframes.iter().enumerate() {
+        poses.insert(KeyframeId(k as u64), *t);
+        places.insert(KeyframeId(k as u64), scan, &Covariance6::identity(), &poses);
+    }
+    (places, poses)
+}
+
+#[test]
+fn after_a_kidnap_the_camera_finds_itself_without_a_guess_and_never_in_a_wrong_place() {
+    let keyframes = drive(2, 1, 1.0, 12.0);
+    let (mut places, poses) = taken_in(&keyframes);
+    // The same rooms with other noise, between the keyframes.
+    let mut found = 0;
+    let asked = drive(2, 7, 0.8, 11.0);
+    for (truth, scan) in &asked {
+        if let Some(r) = places.relocalise(scan, &poses) {
+            let off = truth.inverse() * poses[&r.keyframe] * r.t_keyframe_base;
+            assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.02, "{off}");
+            found += 1;
+        }
+    }
+    assert!(2 * found >= asked.len(), "{found} of {}", asked.len());
+    // What was forgotten is not found.
+    poses.keys().for_each(|&id| places.forget(id));
+    assert!(asked.iter().all(|(_, scan)| places.relocalise(scan, &poses).is_none()));
+}
+
+#[test]
+fn another_house_is_not_taken_for_this_one() {
+    let (places, poses) = taken_in(&drive(2, 1, 1.0, 8.0));
+    for (_, scan) in drive(5, 1, 1.0, 8.0) {
+        assert_eq!(places.relocalise(&scan, &poses), None);
+    }
+}
+
+#[test]
+fn coming_back_closes_a_loop_where_it_is() {
+    // There, and the same way again with other noise; between them more keyframes than count as recent.
+    let (there, away, again) = (drive(2, 1, 1.0, 4.0), drive(5, 1, 2.0, 5.0), drive(2, 9, 1.0, 4.0));
+    let (mut places, mut poses) = taken_in(&[there.clone(), away].concat());
+    let mut found = 0;
+    for (truth, scan) in &again {
+        let id = KeyframeId(poses.len() as u64);
+        poses.insert(id, *truth);
+        for l in places.insert(id, scan, &Covariance6::identity(), &poses) {
+            let off = se3::log(&((poses[&l.from].inverse() * truth).inverse() * l.t_from_to));
+            assert!(off.norm() < 0.05 && l.from.0 < there.len() as u64, "{l:?}");
+            found += 1;
+        }
+    }
+    assert!(found >= 2, "{found}");
+}
+
+#[test]
+fn without_colour_or_depth_there_is_nothing_to_recognise_and_nothing_breaks() {
+    let mut keyframes = drive(2, 1, 1.0, 3.0);
+    for (_, scan) in &mut keyframes {
+        *scan = Arc::new(KeyframeScan { features: None, ..(**scan).clone() });
+    }
+    let (places, poses) = taken_in(&keyframes);
+    assert_eq!(places.relocalise(&keyframes[0].1, &poses), None);
+}
+
+#[test]
+fn features_know_their_points_and_there_are_at_most_five_hundred() {
+    let (_, scan) = scans(2, 1, 1.0, 1.0).remove(0);
+    let kept = keep(&scan);
+    let features = kept.features.as_ref().unwrap();
+    assert!(features.features.len() > 50 && features.features.len() <= 500, "{}", features.features.len());
+    let Scan::Depth(depth) = &scan else { panic!() };
+    let mut known = 0;
+    for f in features.features.iter().filter(|f| f.p_base.x.is_finite()) {
+        let p = kept.t_base_sensor.inverse() * f.p_base.cast::<f64>();
+        let pixel = depth.intrinsics.project(&p).unwrap();
+        // Within the three cells that are looked at.
+        assert!((pixel - f.pixel.cast::<f64>()).amax() < 5.0);
+        known += 1;
+    }
+    assert!(2 * known > features.features.len());
+}
+
+#[test]
+fn after_five_seconds_of_blackout_odometry_says_lost_and_the_place_is_found_again() {
+    let before = scans(2, 1, 2.0, 3.0);
+    let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+    let stamp = |k: usize| Timestamp::from_secs_f64(k as f64 * 0.1);
+    let first = &before[0].1;
+    odometry.register(stamp(0), first, None);
+    let Scan::Depth(s) = first else { panic!() };
+    let blank = percept_geometry::DepthImage::new(640, 480, vec![0.0; 640 * 480]).unwrap();
+    let dark = percept_geometry::RgbImage::new(640, 480, vec![0; 640 * 480 * 3]).unwrap();
+    let black = Scan::Depth(DepthScan { depth: Arc::new(blank), color: Some(Arc::new(dark)), ..s.clone() });
+    for k in 1..=29 {
+        assert!(odometry.register(stamp(k), &black, None).state.is_lost());
+    }
+    assert_eq!(keep(&black).features.as_ref().map(|f| f.features.len()), Some(0));
+    let kept: Vec<_> = before.iter().map(|(t, scan)| (*t, keep(scan))).collect();
+    let (places, poses) = taken_in(&kept);
+    assert_eq!(places.relocalise(&keep(&black), &poses), None);
+    let r = places.relocalise(&kept[3].1, &poses).unwrap();
+    let off = before[3].0.inverse() * poses[&r.keyframe] * r.t_keyframe_base;
+    assert!(off.translation.vector.norm() < 0.03, "{off}");
+}
