@@ -27,6 +27,8 @@ use uncertainty::Uncertainty;
 /// A frame whose inlier ratio falls below this share of the usual one is tried from the last pose too.
 const DOUBTFUL: f64 = 0.9;
 
+/// Wheels that differ so much from the velocity before, in one frame, are doubted: metres and radians.
+const SUDDEN: (f64, f64) = (0.15, 0.15);
 /// What a measurement left open counts up to this variance, m^2.
 const MAX_LEFT_OPEN: f64 = 0.25;
 
@@ -335,7 +337,7 @@ impl Odometry {
         if self.model.is_empty() {
             return self.start(stamp, &prediction);
         }
-        match self.place(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found)) {
+        match self.place_or_doubt(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found)) {
             Ok(found) => {
                 if self.num_lost == 0 {
                     self.rhythm.observe(stamped, &(t_odom_before.inverse() * found.t_odom_base));
@@ -428,6 +430,25 @@ impl Odometry {
         let t_now_next = se3::exp(&moving);
         let covariance = se3::compose_covariance(&self.left_open, &t_now_next, &diagonal(sigma_t, sigma_r.min(1.0)));
         Prediction { t_odom_base: self.t_odom_base * t_now_next, covariance, is_measured: false }
+    }
+
+    /// Wheels that slip or lag shall not lose what the scan alone can place: where they fail, or say what the motion
+    /// before does not lead to, that is tried as well, and wins if it fits better.
+    fn place_or_doubt(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+        let measured = self.place(dt, prediction);
+        if !prediction.is_measured || !self.limits.remembers_open {
+            return measured;
+        }
+        let assumed = self.predict(dt, None);
+        let apart = prediction.t_odom_base.inverse() * assumed.t_odom_base;
+        let likely = apart.translation.vector.norm() < SUDDEN.0 && apart.rotation.angle() < SUDDEN.1;
+        if likely && measured.is_ok() {
+            return measured;
+        }
+        match (measured, self.place(dt, &assumed)) {
+            (Ok(a), Ok(b)) => Ok(if b.inlier_ratio > 1.02 * a.inlier_ratio { b } else { a }),
+            (measured, assumed) => measured.or_else(|reason| assumed.map_err(|_| reason)),
+        }
     }
 
     /// Tries the prediction and, if that fails or fits worse than usual, the last pose; the better is taken.
