@@ -7,6 +7,7 @@ use super::frames::Load;
 use super::{Dataset, DatasetKind, OpenOptions};
 use crate::{FormatError, Limits};
 use percept_geometry::{Pose, SensorData, SensorId, SensorKind, SensorSpec, Timestamp};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -64,6 +65,7 @@ fn dataset(name: String, kind: DatasetKind, files: Vec<PathBuf>, options: &OpenO
         reference: None,
         reference_source: None,
         relations: None,
+        restamped: BTreeMap::new(),
         stamps: (0..files.len() as i64).map(|i| Timestamp(i * PERIOD_NS)).collect(),
         odometry: Arc::default(),
         source: Arc::new(CloudLoader { files, limits: options.limits }),

@@ -11,6 +11,7 @@ use super::{Dataset, DatasetKind, OpenOptions};
 use crate::text::Lines;
 use crate::{FormatError, Limits, kitti, trajectory};
 use percept_geometry::{Pose, Stamped, Timestamp};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -40,6 +41,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference_source: poses_path.filter(|_| reference.is_some()).map(|p| name(&p)),
         reference,
         relations: None,
+        restamped: BTreeMap::new(),
         stamps: stamps.into(),
         odometry: Arc::default(),
         source: Arc::new(CloudLoader { files, limits: options.limits }),

@@ -28,6 +28,7 @@ use files::Folder;
 use frames::Load;
 use percept_geometry::{Pose, SensorSpec, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
@@ -97,6 +98,8 @@ pub struct Dataset {
     pub relations: Option<Vec<Relation>>,
     /// Stamps of the primary sensor's frames, strictly increasing.
     stamps: Arc<[Timestamp]>,
+    /// What the file says instead, where that does not rise.
+    restamped: BTreeMap<Timestamp, Timestamp>,
     /// t_odom_base beside the primary sensor, in order.
     odometry: Arc<[Stamped<Pose>]>,
     source: Arc<dyn Load>,
@@ -121,6 +124,16 @@ impl Dataset {
     /// Stamps of the primary sensor's frames, strictly increasing.
     pub fn stamps(&self) -> &[Timestamp] {
         &self.stamps
+    }
+
+    /// The file's own stamp of a frame that is delivered with `stamp`: another one where the file's do not rise.
+    pub fn recorded_stamp(&self, stamp: Timestamp) -> Timestamp {
+        self.restamped.get(&stamp).copied().unwrap_or(stamp)
+    }
+
+    /// Whether frames are delivered with other stamps than the file's.
+    pub fn is_restamped(&self) -> bool {
+        !self.restamped.is_empty()
     }
 
     /// Seconds from the first to the last frame of the primary sensor.

@@ -1,6 +1,7 @@
 //! Stamps as a replay needs them: strictly increasing in the order of the rows.
 
 use percept_geometry::Timestamp;
+use std::collections::BTreeMap;
 
 /// Nanoseconds between rows whose stamps say nothing.
 const STEP_NS: i64 = 1_000_000_000;
@@ -26,6 +27,16 @@ pub(super) fn strictly_increasing(raw: &[Timestamp]) -> Vec<Timestamp> {
     out
 }
 
+/// Each delivered stamp with the raw one that it stands for, where they differ; none if the raw ones say nothing.
+pub(super) fn restamped(raw: &[Timestamp], delivered: &[Timestamp]) -> BTreeMap<Timestamp, Timestamp> {
+    let mut sorted = raw.to_vec();
+    sorted.sort_unstable();
+    if sorted.chunk_by(|a, b| a == b).count() * 2 <= raw.len() {
+        return BTreeMap::new();
+    }
+    delivered.iter().copied().zip(raw.iter().copied()).filter(|(a, b)| a != b).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -42,6 +53,16 @@ mod tests {
         assert_eq!(repaired(&[10, 20, 35, 36]), [10, 20, 35, 36]);
         assert_eq!(repaired(&[0, 100, 60, 200, 200]), [0, 60, 100, 200, 201]);
         assert_eq!(repaired(&[5, 5, 5]), [5, 5 + STEP_NS, 5 + 2 * STEP_NS]);
+    }
+
+    #[test]
+    fn what_was_stamped_anew_is_known_by_its_own_stamp() {
+        let stamps = |raw: &[i64]| raw.iter().map(|&t| Timestamp(t)).collect::<Vec<_>>();
+        let raw = stamps(&[0, 100, 60, 200]);
+        let found = restamped(&raw, &strictly_increasing(&raw));
+        assert_eq!(found, BTreeMap::from([(Timestamp(60), Timestamp(100)), (Timestamp(100), Timestamp(60))]));
+        let useless = stamps(&[5, 5, 5]);
+        assert!(restamped(&useless, &strictly_increasing(&useless)).is_empty());
     }
 
     proptest! {

@@ -10,6 +10,7 @@ use super::{Dataset, DatasetKind, OpenOptions};
 use crate::text::Lines;
 use crate::{FormatError, trajectory};
 use percept_geometry::{CameraIntrinsics, Stamped, Timestamp};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -43,6 +44,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference,
         reference_source: truth_path.map(name),
         relations: None,
+        restamped: BTreeMap::new(),
         stamps: stamps.into(),
         odometry: Arc::default(),
         source: Arc::new(RgbdLoader { images, metres_per_unit: 1.0 / 5000.0, limits: options.limits }),

@@ -4,8 +4,9 @@ use super::client::{RemoteSession, connect};
 use super::report::{Report, peak_rss_mb};
 use super::{Failure, input, local};
 use percept_formats::dataset::{self, Dataset, OpenOptions};
+use percept_formats::{Limits as FileLimits, read_file, trajectory};
 use percept_geometry::SensorFrame;
-use percept_pipeline::{PipelineParams, Snapshot};
+use percept_pipeline::{LoopState, PipelineParams, Snapshot};
 use percept_service::{Limits, MapFormat, maps};
 use percept_wire::{convert, json, v1};
 use std::ops::Range;
@@ -124,10 +125,12 @@ fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {
     report.refused = run.refused;
     report.keyframes = run.snapshot.keyframes.len();
     report.objects = run.snapshot.objects.len();
+    report.loops = run.snapshot.loops.iter().filter(|l| l.state == LoopState::Active).count();
     report.judge(recording.reference.as_deref(), &run.trajectory());
     report.set_frame_times(run.frame_s.clone());
     if let Some(dir) = &args.out {
         write_results(dir, &run.snapshot)?;
+        restamp(dir, recording)?;
     }
     finish(report, run.wall_s, recorded_s(args, recording), args.json)
 }
@@ -190,11 +193,26 @@ async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Re
     (report.keyframes, report.objects) = counts(&session).await?;
     if let Some(dir) = &args.out {
         write_remote(dir, &session).await?;
+        restamp(dir, recording)?;
     }
     if !args.json {
         println!("session {} on {server}; {} frames durable", session.id, outcome.durable);
     }
     finish(report, wall_s, recorded_s(args, recording), args.json)
+}
+
+/// Gives the poses of a written trajectory the recording's own stamps, by which others know its frames.
+fn restamp(dir: &Path, recording: &Dataset) -> Result<(), Failure> {
+    let path = dir.join("trajectory.tum");
+    if !recording.is_restamped() || !path.exists() {
+        return Ok(());
+    }
+    let mut poses = trajectory::parse_tum(&read_file(&path, &FileLimits::default())?)?;
+    poses.iter_mut().for_each(|p| p.stamp = recording.recorded_stamp(p.stamp));
+    poses.sort_by_key(|p| p.stamp);
+    let mut text = Vec::new();
+    trajectory::write_tum(&mut text, &poses)?;
+    Ok(std::fs::write(path, text)?)
 }
 
 async fn counts(session: &RemoteSession) -> Result<(usize, usize), Failure> {
