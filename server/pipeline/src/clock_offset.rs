@@ -33,10 +33,11 @@ impl Rates {
 
     fn at(&self, stamp: Timestamp) -> Option<f64> {
         let after = self.0.partition_point(|s| s.0 < stamp);
-        let (before, next) = (self.0.get(after.checked_sub(1)?)?, self.0.get(after)?);
+        let before = self.0.get(after.checked_sub(1)?)?;
+        let next = self.0.get(after)?;
         let span = next.0.seconds_since(before.0);
         let share = stamp.seconds_since(before.0) / span;
-        (span < 0.5).then(|| before.1 + share * (next.1 - before.1))
+        (span < 0.5).then_some(before.1 + share * (next.1 - before.1))
     }
 }
 

@@ -305,7 +305,9 @@ impl Pipeline {
         self.keyframes.iter().any(near)
     }
 
-    /// Odometry runs on from a guess: back into the map if the frame fits there, else lost and said so.
+    /// Odometry runs on from a guess: back into the map if the frame is found there, else lost and said so. Where places
+    /// can be recognised the whole map is looked through; else only the place where the robot was last known to be is
+    /// tried: elsewhere rooms that resemble it would do as well.
     fn recover(
         &mut self,
         kind: OdometryKind,
@@ -314,19 +316,21 @@ impl Pipeline {
         estimate: OdometryEstimate,
         report: &mut FrameReport,
     ) -> (OdometryEstimate, bool) {
-        let params = Arc::clone(&self.params);
-        let mut anchoring = std::mem::take(&mut self.anchoring);
-        let method = (kind, &params.slam.odometry);
-        let near = |t_odom_base: &Pose| self.keyframes_near(&spec.id, t_odom_base);
-        let found = anchoring.recover(method, &estimate, near, scan);
-        self.anchoring = anchoring;
-        if let Some((odometry, estimate)) = found {
-            self.odometry = Some(odometry);
-            self.floating.clear();
-            return (estimate, true);
-        }
-        if self.look_around(spec, scan, &estimate, report) {
-            return (OdometryEstimate { state: TrackingState::Tracking, ..estimate }, true);
+        if self.back_end.is_some() {
+            if self.look_around(spec, scan, &estimate, report) {
+                return (OdometryEstimate { state: TrackingState::Tracking, ..estimate }, true);
+            }
+        } else {
+            let params = Arc::clone(&self.params);
+            let mut anchoring = std::mem::take(&mut self.anchoring);
+            let method = (kind, &params.slam.odometry);
+            let near = |t_odom_base: &Pose| self.keyframes_near(&spec.id, t_odom_base);
+            let found = anchoring.recover(method, &estimate, near, scan);
+            self.anchoring = anchoring;
+            if let Some((odometry, estimate)) = found {
+                self.odometry = Some(odometry);
+                return (estimate, true);
+            }
         }
         (OdometryEstimate { state: TrackingState::Lost { reason: LostReason::Adrift }, ..estimate }, false)
     }
