@@ -8,10 +8,17 @@ fn poses(snapshot: &Snapshot) -> Vec<Pose> {
     snapshot.trajectory().map(|(t, _)| t).collect()
 }
 
+/// Corrections come from the test, none from loops.
+fn by_hand() -> PipelineParams {
+    let mut params = PipelineParams::default();
+    params.slam.back_end.enabled = false;
+    params
+}
+
 #[test]
 fn a_correction_moves_trajectory_map_and_robot_and_leaves_the_old_snapshot_alone() {
     let simulation = planar(15.0);
-    let mut pipeline = empty(&simulation, PipelineParams::default());
+    let mut pipeline = empty(&simulation, by_hand());
     feed(&mut pipeline, simulation.frames().map(|f| f.frame));
     let before = pipeline.snapshot();
     let shift = se3::from_xy_yaw(2.0, -1.0, 0.5);
@@ -35,7 +42,7 @@ fn a_correction_moves_trajectory_map_and_robot_and_leaves_the_old_snapshot_alone
 #[test]
 fn undoing_a_correction_gives_the_map_back() {
     let simulation = planar(8.0);
-    let mut pipeline = empty(&simulation, PipelineParams::default());
+    let mut pipeline = empty(&simulation, by_hand());
     feed(&mut pipeline, simulation.frames().map(|f| f.frame));
     let before = pipeline.snapshot();
     let original: Vec<(KeyframeId, Pose)> = before.keyframes.iter().map(|k| (k.id, k.t_map_base)).collect();
@@ -52,7 +59,7 @@ fn frames_after_a_correction_go_on_from_the_corrected_place() {
     let simulation = planar(10.0);
     let frames: Vec<_> = simulation.frames().map(|f| f.frame).collect();
     let (first, rest) = frames.split_at(frames.len() / 2);
-    let mut pipeline = empty(&simulation, PipelineParams::default());
+    let mut pipeline = empty(&simulation, by_hand());
     feed(&mut pipeline, first.iter().cloned());
     let shift = se3::from_xy_yaw(5.0, 5.0, 1.0);
     let moved = pipeline.snapshot().keyframes.iter().map(|k| (k.id, shift * k.t_map_base)).collect();
@@ -66,7 +73,7 @@ fn frames_after_a_correction_go_on_from_the_corrected_place() {
 #[test]
 fn a_correction_of_unknown_keyframes_changes_nothing() {
     let simulation = planar(3.0);
-    let mut pipeline = empty(&simulation, PipelineParams::default());
+    let mut pipeline = empty(&simulation, by_hand());
     feed(&mut pipeline, simulation.frames().map(|f| f.frame));
     let before = pipeline.snapshot();
     pipeline.apply(&Correction { t_map_base: vec![(KeyframeId(9999), Pose::identity())] });

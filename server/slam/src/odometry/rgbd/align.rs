@@ -21,7 +21,7 @@ const PIXELS_PER_MEASUREMENT: f64 = 100.0;
 /// Least mean squared sensitivity of a direction; noise of normals alone gives about 0.003.
 const DEGENERATE: f64 = 0.006;
 /// The same of textured points: what lies within a few pixels shares blur, shine and edge.
-const POINTS_PER_MEASUREMENT: f64 = 64.0;
+const POINTS_PER_MEASUREMENT: f64 = PIXELS_PER_MEASUREMENT;
 
 /// One level: every `stride`-th row and column, correspondences up to `gate` metres.
 struct Level {
