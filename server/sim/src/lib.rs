@@ -22,7 +22,7 @@ mod texture;
 mod world;
 
 pub use disturbances::{Blackout, ClockJump, Disturbances, Kidnap, Pause};
-pub use robot::{RobotParams, RobotPath, RobotState};
+pub use robot::{HandheldParams, RobotParams, RobotPath, RobotState};
 pub use scenario::{MainSensor, Scenario};
 pub use sensors::{
     DepthCameraParams, ImuParams, Lidar2dParams, Lidar3dParams, OdometryParams, ScanPattern, SensorSuite,

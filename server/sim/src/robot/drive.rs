@@ -6,6 +6,9 @@ use nalgebra::Vector3;
 use percept_geometry::Pose;
 use std::sync::Arc;
 
+/// Step of the differences that give a carried sensor's motion: of a 2 Hz wave they are right to 1e-4.
+const DIFFERENCE_S: f64 = 1e-3;
+
 /// From `from_s` on the robot is at `path_s` of its path, and stays there or goes on.
 #[derive(Debug, Clone, PartialEq)]
 struct Leg {
@@ -74,6 +77,19 @@ impl Drive {
             return state;
         }
         RobotState { speed_m_per_s: 0.0, yaw_rate_rad_per_s: 0.0, acceleration_m_per_s2: Vector3::zeros(), ..state }
+    }
+
+    /// What an inertial sensor fixed to base above its origin feels: turn rate (rad/s) and specific force without
+    /// gravity (m/s^2), both in the sensor's axes, which are base's.
+    pub(crate) fn inertial_at(&self, t_s: f64, t_base_sensor: &Pose) -> (Vector3<f64>, Vector3<f64>) {
+        if !self.path.is_carried() {
+            let state = self.state_at(t_s);
+            return (Vector3::new(0.0, 0.0, state.yaw_rate_rad_per_s), state.acceleration_m_per_s2);
+        }
+        let [before, now, after] = [-DIFFERENCE_S, 0.0, DIFFERENCE_S].map(|dt| self.pose_at(t_s + dt) * t_base_sensor);
+        let turn_rate = (before.rotation.inverse() * after.rotation).scaled_axis() / (2.0 * DIFFERENCE_S);
+        let [a, b, c] = [before, now, after].map(|t| t.translation.vector);
+        (turn_rate, now.rotation.inverse() * ((a - b * 2.0 + c) / DIFFERENCE_S.powi(2)))
     }
 
     /// What the wheels turned between two times: without the way on which somebody carried the robot.

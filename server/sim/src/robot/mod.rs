@@ -1,9 +1,11 @@
 //! The robot: how it drives the lane in time.
 
 mod drive;
+mod hand;
 pub(crate) mod route;
 
 pub(crate) use drive::Drive;
+pub use hand::HandheldParams;
 
 use crate::world::World;
 use crate::{SimError, check};
@@ -26,6 +28,8 @@ pub struct RobotParams {
     pub turn_acceleration_rad_per_s2: f64,
     /// Whether it stops once in every room and turns around once on the spot.
     pub look_around: bool,
+    /// How base moves in the hand of someone who walks the lane; none for a robot on wheels.
+    pub handheld: Option<HandheldParams>,
 }
 
 impl Default for RobotParams {
@@ -36,6 +40,7 @@ impl Default for RobotParams {
             acceleration_m_per_s2: 0.5,
             turn_acceleration_rad_per_s2: 1.2,
             look_around: true,
+            handheld: None,
         }
     }
 }
@@ -50,7 +55,8 @@ impl RobotParams {
         check("turn_rate_rad_per_s", self.turn_rate_rad_per_s, 0.1, 3.0, "between 0.1 and 3")?;
         check("acceleration_m_per_s2", self.acceleration_m_per_s2, 0.05, 5.0, "between 0.05 and 5")?;
         let turn = self.turn_acceleration_rad_per_s2;
-        check("turn_acceleration_rad_per_s2", turn, 0.1, 10.0, "between 0.1 and 10")
+        check("turn_acceleration_rad_per_s2", turn, 0.1, 10.0, "between 0.1 and 10")?;
+        self.handheld.as_ref().map_or(Ok(()), HandheldParams::validate)
     }
 }
 
@@ -85,6 +91,7 @@ pub struct RobotPath {
     knots: Vec<Knot>,
     turn_rate: f64,
     turn_acceleration: f64,
+    hand: Option<HandheldParams>,
 }
 
 impl RobotPath {
@@ -105,6 +112,7 @@ impl RobotPath {
             knots: Vec::with_capacity(n + 1),
             turn_rate: params.turn_rate_rad_per_s,
             turn_acceleration: params.turn_acceleration_rad_per_s2,
+            hand: params.handheld,
         };
         let mut t_s = 0.0;
         for i in 0..=n {
@@ -141,8 +149,20 @@ impl RobotPath {
         self.state_at(t_s).t_world_base
     }
 
-    /// Pose and motion at `t_s` seconds after the start; laps repeat.
+    /// Whether base is carried by hand.
+    pub(crate) fn is_carried(&self) -> bool {
+        self.hand.is_some()
+    }
+
+    /// Pose of base, and motion on the lane of the robot or of whoever carries base, at `t_s` seconds after the start;
+    /// laps repeat.
     pub fn state_at(&self, t_s: f64) -> RobotState {
+        let lane = self.lane_state_at(t_s);
+        let t_world_base = self.hand.map_or(lane.t_world_base, |hand| lane.t_world_base * hand.t_walker_base(t_s));
+        RobotState { t_world_base, ..lane }
+    }
+
+    fn lane_state_at(&self, t_s: f64) -> RobotState {
         let t = t_s.rem_euclid(self.lap_duration_s());
         let i = self.knots.partition_point(|k| k.t_s <= t).clamp(1, self.knots.len() - 1) - 1;
         let (a, b) = (&self.knots[i], &self.knots[i + 1]);

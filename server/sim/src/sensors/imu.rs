@@ -79,10 +79,10 @@ impl Imu {
 
     /// The sample number `frame` at `t_s`.
     pub(crate) fn sample(&self, scene: &Scene<'_>, frame: u64, t_s: f64) -> SensorData {
-        let state = scene.drive.state_at(t_s);
+        let (turning, acceleration) = scene.drive.inertial_at(t_s, &t_base_sensor());
+        let up = scene.drive.pose_at(t_s).rotation.inverse() * Vector3::z();
         let mut rng = stream(scene.seed, Purpose::Imu, frame, 0);
-        let turning = Vector3::new(0.0, 0.0, state.yaw_rate_rad_per_s);
-        let force = state.acceleration_m_per_s2 + Vector3::new(0.0, 0.0, GRAVITY);
+        let force = acceleration + up * GRAVITY;
         SensorData::Imu(ImuSample {
             angular_velocity: turning + self.gyro_bias + gauss(&mut rng) * self.params.gyro_noise_rad_per_s,
             linear_acceleration: force + self.accel_bias + gauss(&mut rng) * self.params.accel_noise_m_per_s2,

@@ -1,13 +1,16 @@
 //! Figures of the odometries on recorded data: `evaluate SET PATH [options]`.
 //!
 //! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person]`,
-//! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`.
+//! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
+//! `lidar-sim spinning|rosette [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`.
 
 mod camera;
 mod depth;
 mod mapping;
 mod measure;
+mod places;
 mod read;
+mod simulated;
 
 use percept_geometry::{Pose, SensorSpec, Timestamp, se3};
 use percept_slam::{
@@ -30,6 +33,8 @@ fn main() -> Result<(), Failure> {
         "mono-sim" => camera::simulated(&args[2..]),
         "kitti-tracking" => kitti_tracking(path),
         "kitti-pair" => kitti_pair(path),
+        "submaps" => places::submaps(path, args.get(3).map(Path::new)),
+        "lidar-sim" => simulated::lidar(&args[2..]),
         "carmen" => {
             let relations = args.get(3).filter(|a| !a.starts_with("--")).map(Path::new);
             carmen(path, relations, !args.iter().any(|a| a == "--no-prior"))

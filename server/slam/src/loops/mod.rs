@@ -4,6 +4,7 @@
 //! and moves the keyframes.
 
 pub(crate) mod planar;
+pub(crate) mod spatial;
 mod visual;
 
 use crate::odometry::OdometryKind;
@@ -72,7 +73,7 @@ pub fn place_recognition(kind: OdometryKind) -> Option<Box<dyn PlaceRecognition>
     match kind {
         OdometryKind::Lidar2d => Some(Box::new(planar::PlanarPlaces::new())),
         OdometryKind::Rgbd => Some(Box::new(visual::VisualPlaces::default())),
-        OdometryKind::Lidar3d => None,
+        OdometryKind::Lidar3d => Some(Box::new(spatial::SpatialRecognition::default())),
         // A camera's map closes its loops itself: they correct its scale, too.
         OdometryKind::Mono => None,
     }

@@ -232,6 +232,10 @@ pub(crate) trait LocalModel: Send {
     fn is_empty(&self) -> bool;
     /// Places the current frame.
     fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason>;
+    /// Base's velocity (m/s, rad/s) while the current frame was taken, where placing it has found that too.
+    fn sweep_velocity(&self) -> Option<Vector6<f64>> {
+        None
+    }
     /// Adds the current frame at its pose.
     fn integrate(&mut self, t_odom_base: &Pose);
     /// Where a depth camera's colour camera was found to be, for the image in full size.
@@ -473,7 +477,8 @@ impl Odometry {
 
     /// Undoes the sweep's motion again where it was other than assumed, and places the scan once more.
     fn sharpen(&mut self, dt: f64, scan: &Scan, assumed: &Vector6<f64>, found: Match) -> Match {
-        if !scan.is_sweep() || dt < 1e-3 || dt > self.params.tracking.max_gap_s {
+        if self.model.sweep_velocity().is_some() || !scan.is_sweep() || dt < 1e-3 || dt > self.params.tracking.max_gap_s
+        {
             return found;
         }
         let velocity = se3::log(&(self.t_odom_base.inverse() * found.t_odom_base)) / dt;
@@ -519,11 +524,12 @@ impl Odometry {
         self.usual_inlier_ratio += 0.1 * (found.inlier_ratio - self.usual_inlier_ratio);
         // After a loss the step says nothing about the velocity; a repeated stamp neither.
         let usable = !recovered && dt > 1e-4 && dt <= self.params.tracking.max_gap_s;
-        self.velocity = usable.then(|| {
+        let from_steps = || {
             let now = se3::log(&t_last_now) / dt;
             // Stamps jitter: a step counts the less, the shorter it is.
             self.velocity.map_or(now, |before| before + (now - before) * (dt / (dt + self.limits.smoothing)))
-        });
+        };
+        self.velocity = self.model.sweep_velocity().or_else(|| usable.then(from_steps));
         self.t_odom_base = found.t_odom_base;
         self.model.integrate(&found.t_odom_base);
         OdometryEstimate {

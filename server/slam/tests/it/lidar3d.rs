@@ -1,6 +1,9 @@
 use crate::room::{Noise, Room, drive, velocity};
+use percept_geometry::SensorData;
 use percept_geometry::{Pose, Timestamp, se3};
-use percept_slam::{Odometry, OdometryEstimate, OdometryKind, OdometryParams};
+use percept_sim::{HandheldParams, Lidar3dParams, RobotParams, ScanPattern, SensorSuite, SimParams, Simulation};
+use percept_slam::{CloudScan, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scan};
+use std::sync::Arc;
 
 fn run(threads: usize, frames: usize, rings: usize) -> Vec<OdometryEstimate> {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
@@ -37,4 +40,41 @@ fn sixteen_sparse_rings_are_followed_too() {
 #[test]
 fn the_number_of_threads_changes_not_one_bit() {
     assert_eq!(run(1, 6, 16), run(3, 6, 16));
+}
+
+/// Greatest distance from the truth of a lidar swung by hand at up to 1.9 rad/s through rooms, metres.
+fn carried(lidar: Lidar3dParams, frames: usize) -> f64 {
+    let robot = RobotParams { handheld: Some(HandheldParams::default()), ..RobotParams::default() };
+    let sensors = SensorSuite { lidar3d: Some(lidar), ..SensorSuite::none() };
+    let simulation = Simulation::new(SimParams { robot, sensors, ..SimParams::default() }).unwrap();
+    let t_base_sensor = simulation.sensors()[0].t_base_sensor;
+    let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());
+    let mut worst: f64 = 0.0;
+    for frame in simulation.frames().take(frames) {
+        let SensorData::Cloud(cloud) = frame.frame.data else { continue };
+        let scan = Scan::Cloud(CloudScan { cloud: Arc::new(cloud), t_base_sensor });
+        let e = odometry.register(frame.frame.stamp, &scan, None);
+        assert!(!e.state.is_lost());
+        let truth = simulation.t_world_start().inverse() * frame.t_world_base;
+        worst = worst.max((truth.inverse() * e.t_odom_base).translation.vector.norm());
+    }
+    worst
+}
+
+#[test]
+fn a_spinning_lidar_swung_by_hand_is_followed() {
+    let worst = carried(Lidar3dParams { columns: 900, ..Lidar3dParams::default() }, 70);
+    assert!(worst < 0.08, "{worst}");
+}
+
+#[test]
+fn a_rosette_swung_by_hand_is_followed() {
+    let lidar = Lidar3dParams {
+        pattern: ScanPattern::Rosette,
+        rosette_points: 40_000,
+        rosette_half_angle_rad: 0.9,
+        ..Lidar3dParams::default()
+    };
+    let worst = carried(lidar, 50);
+    assert!(worst < 0.15, "{worst}");
 }

@@ -6,27 +6,41 @@
 //! 2021 (one Gaussian a voxel). We narrow the kernel from the expected error to the surfaces' noise while
 //! iterating, and leave degenerate directions to the prediction (Zhang, Kaess, Singh 2016).
 
-use super::voxels::{GaussianMap, Shape};
+use super::sweep::{Motion, Sweep};
+use super::voxels::{Gaussian, Levels, Shape};
 use crate::odometry::{Match, Prediction};
 use crate::tracking::LostReason;
-use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
 use percept_geometry::{Pose, se3};
 use percept_perception::registration::factors::{point_to_plane, point_to_point};
-use percept_perception::registration::{Degeneracy, NormalEquations, RobustKernel, accumulate};
+use percept_perception::registration::{Degeneracy, NormalEquations, RobustKernel};
+use rayon::prelude::*;
 
-/// Points a task: fixed, so that the number of threads changes nothing.
-const CHUNK: usize = 1024;
+/// Groups of points a task: fixed, so that the number of threads changes nothing.
+const GROUPS: usize = 8;
 /// Neighbouring points err alike (voxels share a plane): so many count as one measurement.
 const POINTS_PER_MEASUREMENT: f64 = 10.0;
 /// Least share of a direction in the points' sensitivity.
 const DEGENERATE: f64 = 0.004;
+/// A wall whose voxels are tilted by noise seems to fix motion along it: so many times what noise alone brings.
+const TILTED: f64 = 4.0;
+/// How fast the velocity during a sweep may differ from what was expected: m/s and rad/s a second of sweep, and at
+/// least. Hands and feet do this; how much less a robot does is learned ([`agility`]).
+const ACCELERATION: (f64, f64) = (4.0, 8.0);
+const LEAST_CHANGE: (f64, f64) = (0.02, 0.01);
+
+type Matrix12 = SMatrix<f64, 12, 12>;
+type Vector12 = SVector<f64, 12>;
 
 pub(crate) struct Problem<'a> {
-    /// Thinned sweep in base.
-    pub(crate) points: &'a [Point3<f32>],
-    pub(crate) fine: &'a GaussianMap,
-    pub(crate) coarse: &'a GaussianMap,
+    /// Thinned sweep.
+    pub(crate) sweep: &'a Sweep,
+    pub(crate) map: &'a Levels,
     pub(crate) prediction: &'a Prediction,
+    /// Expected velocity of base during the sweep, m/s and rad/s.
+    pub(crate) velocity: Vector6<f64>,
+    /// How fast velocities change here, as a share of what hands do.
+    pub(crate) agility: f64,
     /// Expected error of the prediction at the points, metres.
     pub(crate) expected_error: f64,
     pub(crate) max_iterations: usize,
@@ -34,60 +48,159 @@ pub(crate) struct Problem<'a> {
     pub(crate) min_inlier_ratio: f64,
 }
 
-pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
-    let Some(prior) = problem.prediction.covariance.try_inverse() else { return Err(LostReason::Degenerate) };
-    let (centroid, spread) = extent(problem.points);
-    let mut t = problem.prediction.t_odom_base;
+/// Where base was at the stamp, and how it moved while the points were taken.
+#[derive(Debug, Clone)]
+pub(crate) struct State {
+    pub(crate) t_odom_base: Pose,
+    pub(crate) velocity: Vector6<f64>,
+}
+
+/// The equations of both: of the pose alone, and with the velocity.
+struct Equations {
+    pose: NormalEquations,
+    /// Mean variance of the planes' tilts, rad^2.
+    tilt: f64,
+    hessian: Matrix12,
+    gradient: Vector12,
+}
+
+pub(crate) fn align(problem: &Problem<'_>) -> Result<(Match, State), LostReason> {
+    let prior = prior(problem).ok_or(LostReason::Degenerate)?;
+    let (centroid, spread) = extent(&problem.sweep.at_stamp(&problem.velocity));
+    let mut state = State { t_odom_base: problem.prediction.t_odom_base, velocity: problem.velocity };
     let mut iterations = 0;
     let mut last = None;
-    let size = problem.fine.size();
+    let size = problem.map.size();
     // Coarse voxels while the error may exceed a fine one; then fine ones, narrowing.
     let finest = 0.08 * size;
     let stages = [
-        (problem.coarse, 4, (0.5 * problem.expected_error).max(0.5 * size), 0.5 * size, 8),
-        (problem.fine, 1, (0.5 * problem.expected_error).clamp(finest, 0.5 * size), finest, problem.max_iterations),
+        (true, 4, (0.5 * problem.expected_error).max(0.5 * size), 0.5 * size, 8),
+        (false, 1, (0.5 * problem.expected_error).clamp(finest, 0.5 * size), finest, problem.max_iterations),
     ];
-    for (map, stride, start, end, rounds) in stages {
+    for (coarse, stride, start, end, rounds) in stages {
         let mut scale = start;
         for _ in 0..rounds {
-            let e = equations(problem, map, stride, &t, scale);
-            let needed = problem.min_overlap * (problem.points.len() / stride) as f64;
-            if (e.num_residuals as f64) < needed.max(30.0) {
+            let e = equations(problem, coarse, stride, &state, scale);
+            let needed = problem.min_overlap * (problem.sweep.len() / stride) as f64;
+            if (e.pose.num_residuals as f64) < needed.max(30.0) {
                 return Err(LostReason::TooFewCorrespondences);
             }
-            let degeneracy = Degeneracy::of(&e, &centroid, spread, DEGENERATE);
-            let pull = se3::log(&(problem.prediction.t_odom_base.inverse() * t));
+            let degeneracy = Degeneracy::of(&e.pose, &centroid, spread, DEGENERATE + TILTED * e.tilt);
+            let pull = pull(problem, &state);
             let (step, information) = solve(&e, &degeneracy, &prior, &pull, stride).ok_or(LostReason::Degenerate)?;
-            t *= se3::exp(&step);
+            let (moved, faster) = (step.fixed_rows::<6>(0).into_owned(), step.fixed_rows::<6>(6).into_owned());
+            state.t_odom_base *= se3::exp(&moved);
+            state.velocity += faster;
             iterations += 1;
-            last = Some((e, degeneracy, information));
-            let moved = step.fixed_rows::<3>(0).norm() + spread * step.fixed_rows::<3>(3).norm();
-            if moved < 0.1 * scale.min(0.02 * size) && scale <= end {
+            last = Some((e.pose, degeneracy, information));
+            let at_points = |v: &Vector6<f64>| v.fixed_rows::<3>(0).norm() + spread * v.fixed_rows::<3>(3).norm();
+            let duration = problem.sweep.instants().duration();
+            let change = at_points(&moved) + 0.5 * duration * at_points(&faster);
+            if change < 0.1 * scale.min(0.02 * size) && scale <= end {
                 break;
             }
             scale = (scale * 0.6).max(end);
         }
     }
     let Some((e, degeneracy, information)) = last else { return Err(LostReason::TooFewPoints) };
-    judge(problem, &t, &e, &degeneracy, &information, iterations)
+    let found = judge(problem, &state, &e, &degeneracy, &information, iterations)?;
+    Ok((found, state))
 }
 
-fn equations(problem: &Problem<'_>, map: &GaussianMap, stride: usize, t: &Pose, scale: f64) -> NormalEquations {
-    let r = *t.rotation.to_rotation_matrix().matrix();
+/// How far the velocity of a sweep was from what was expected, as a share of what hands do.
+pub(crate) fn agility(duration: f64, change: &Vector6<f64>) -> f64 {
+    let share = |k: usize, (rate, least): (f64, f64)| change.fixed_rows::<3>(k).norm() / (rate * duration + least);
+    share(0, (ACCELERATION.0, LEAST_CHANGE.0)).max(share(3, (ACCELERATION.1, LEAST_CHANGE.1)))
+}
+
+/// Information of the prediction and of the expected velocity.
+fn prior(problem: &Problem<'_>) -> Option<Matrix12> {
+    let duration = problem.sweep.instants().duration();
+    let information = |(rate, least): (f64, f64)| 1.0 / (problem.agility * (rate * duration + least)).powi(2);
+    let moving = information((ACCELERATION.0, LEAST_CHANGE.0));
+    let turning = information((ACCELERATION.1, LEAST_CHANGE.1));
+    let mut out = Matrix12::zeros();
+    out.fixed_view_mut::<6, 6>(0, 0).copy_from(&problem.prediction.covariance.try_inverse()?);
+    for k in 0..3 {
+        (out[(6 + k, 6 + k)], out[(9 + k, 9 + k)]) = (moving, turning);
+    }
+    Some(out)
+}
+
+/// How far the state is from what was expected.
+fn pull(problem: &Problem<'_>, state: &State) -> Vector12 {
+    let mut out = Vector12::zeros();
+    let off = se3::log(&(problem.prediction.t_odom_base.inverse() * state.t_odom_base));
+    out.fixed_rows_mut::<6>(0).copy_from(&off);
+    out.fixed_rows_mut::<6>(6).copy_from(&(state.velocity - problem.velocity));
+    out
+}
+
+/// Sums over the sweep, group by group: a point taken `t` seconds after the stamp moves with the velocity `t` times as
+/// it does with the pose. Source: Dellenbach et al., "CT-ICP", 2022 (a sweep's begin and end are both estimated); we
+/// take pose and velocity, and let the sweeps be discontinuous.
+fn equations(problem: &Problem<'_>, coarse: bool, stride: usize, state: &State, scale: f64) -> Equations {
+    let sweep = problem.sweep;
+    let motions = sweep.instants().motions(&state.velocity);
+    let t = Motion::of(&state.t_odom_base);
     let kernel = RobustKernel::GemanMcClure(3.0 * scale);
-    accumulate(problem.points.len() / stride, CHUNK, |i, e| {
-        let p = problem.points[i * stride].cast::<f64>();
-        let moved = Point3::from(r * p.coords + t.translation.vector);
-        let Some(voxel) = map.at(&moved) else { return };
-        match voxel.shape {
-            Shape::Plane(normal, variance) => {
-                let (residual, j) = point_to_plane::residual(&r, &p.coords, &moved.coords, &voxel.mean.coords, &normal);
-                e.add(&j, residual, kernel.weight(residual) / (variance + 0.25 * scale * scale));
+    let of_group = |g: usize| {
+        let (mut e, mut tilt) = (NormalEquations::default(), 0.0);
+        let (first, points) = sweep.group(g);
+        for p in points.iter().skip(first.next_multiple_of(stride) - first).step_by(stride) {
+            let p = motions[g].apply(p);
+            let moved = Point3::from(t.rotation * p.coords + t.translation);
+            let voxel = if coarse { problem.map.coarse(&moved) } else { problem.map.at(&moved) };
+            if let Some(voxel) = voxel {
+                add(&mut e, voxel, &t.rotation, &p.coords, &moved, &kernel, scale);
+                tilt += voxel.tilt;
             }
-            Shape::Scatter(information) => add_scatter(e, &r, &p.coords, &moved, &voxel.mean, &information, scale),
-            Shape::Unknown => {}
         }
-    })
+        (e, tilt)
+    };
+    let parts: Vec<(NormalEquations, f64)> =
+        (0..motions.len()).into_par_iter().with_min_len(GROUPS).map(of_group).collect();
+    let mut out = Equations {
+        pose: NormalEquations::default(),
+        tilt: 0.0,
+        hessian: Matrix12::zeros(),
+        gradient: Vector12::zeros(),
+    };
+    for ((part, tilt), &time) in parts.iter().zip(sweep.instants().times()) {
+        out.pose.merge(part);
+        out.tilt += tilt;
+        let (h, g) = (part.hessian(), part.gradient());
+        for (i, factor) in [1.0, time].into_iter().enumerate() {
+            for (j, other) in [1.0, time].into_iter().enumerate() {
+                let mut block = out.hessian.fixed_view_mut::<6, 6>(6 * i, 6 * j);
+                block += h * (factor * other);
+            }
+            let mut block = out.gradient.fixed_rows_mut::<6>(6 * i);
+            block += g * factor;
+        }
+    }
+    // A scatter adds three residuals: the mean is a little too small, which is the safe side of nothing much.
+    out.tilt /= out.pose.num_residuals.max(1) as f64;
+    out
+}
+
+fn add(
+    e: &mut NormalEquations,
+    voxel: &Gaussian,
+    r: &Matrix3<f64>,
+    p: &Vector3<f64>,
+    moved: &Point3<f64>,
+    kernel: &RobustKernel,
+    scale: f64,
+) {
+    match voxel.shape {
+        Shape::Plane(normal, variance) => {
+            let (residual, j) = point_to_plane::residual(r, p, &moved.coords, &voxel.mean.coords, &normal);
+            e.add(&j, residual, kernel.weight(residual) / (variance + 0.25 * scale * scale));
+        }
+        Shape::Scatter(information) => add_scatter(e, r, p, moved, &voxel.mean, &information, scale),
+        Shape::Unknown => {}
+    }
 }
 
 /// Offsets from the mean count by their axes' own information; cross terms are left out.
@@ -110,38 +223,47 @@ fn add_scatter(
 }
 
 fn solve(
-    e: &NormalEquations,
+    e: &Equations,
     degeneracy: &Degeneracy,
-    prior: &Matrix6<f64>,
-    pull: &Vector6<f64>,
+    prior: &Matrix12,
+    pull: &Vector12,
     stride: usize,
-) -> Option<(Vector6<f64>, Matrix6<f64>)> {
+) -> Option<(Vector12, Matrix12)> {
     let share = stride as f64 / POINTS_PER_MEASUREMENT;
-    let h = degeneracy.keep_good(&e.hessian()) * share;
-    let g = degeneracy.keep_good_gradient(&e.gradient()) * share;
-    let information = h + prior;
-    let step = -information.cholesky()?.solve(&(g + prior * pull));
-    step.iter().all(|x| x.is_finite()).then_some((step, information))
+    let (mut h, mut g) = (*prior, prior * pull);
+    for i in [0, 6] {
+        for j in [0, 6] {
+            let kept = degeneracy.keep_good(&e.hessian.fixed_view::<6, 6>(i, j).into_owned());
+            let mut block = h.fixed_view_mut::<6, 6>(i, j);
+            block += kept * share;
+        }
+        let mut block = g.fixed_rows_mut::<6>(i);
+        block += degeneracy.keep_good_gradient(&e.gradient.fixed_rows::<6>(i).into_owned()) * share;
+    }
+    let step = -h.cholesky()?.solve(&g);
+    step.iter().all(|x| x.is_finite()).then_some((step, h))
 }
 
 fn judge(
     problem: &Problem<'_>,
-    t: &Pose,
+    state: &State,
     e: &NormalEquations,
     degeneracy: &Degeneracy,
-    information: &Matrix6<f64>,
+    information: &Matrix12,
     iterations: usize,
 ) -> Result<Match, LostReason> {
-    let (overlap, close) = fit(problem, t);
+    let (overlap, close) = fit(problem, state);
     if close < problem.min_inlier_ratio * overlap {
         return Err(LostReason::ResidualTooLarge);
     }
     if degeneracy.num_directions >= 5 {
         return Err(LostReason::Degenerate);
     }
+    let covariance = information.cholesky().ok_or(LostReason::Degenerate)?.inverse();
+    let covariance: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
     Ok(Match {
-        t_odom_base: *t,
-        covariance: information.try_inverse().ok_or(LostReason::Degenerate)?,
+        t_odom_base: state.t_odom_base,
+        covariance: (covariance + covariance.transpose()) * 0.5,
         inlier_ratio: close,
         rmse_m: e.rmse(),
         iterations,
@@ -150,16 +272,16 @@ fn judge(
 }
 
 /// Shares of the points that meet a plane, and that lie within a sixth of a voxel of it.
-fn fit(problem: &Problem<'_>, t: &Pose) -> (f64, f64) {
+fn fit(problem: &Problem<'_>, state: &State) -> (f64, f64) {
     let (mut met, mut close, mut all) = (0.0, 0.0, 0.0);
-    for p in problem.points.iter().step_by(4) {
+    for p in problem.sweep.at_stamp(&state.velocity).iter().step_by(4) {
         all += 1.0;
-        let p = t * p.cast::<f64>();
-        if let Some(v) = problem.fine.at(&p) {
+        let p = state.t_odom_base * p.cast::<f64>();
+        if let Some(v) = problem.map.at(&p) {
             met += 1.0;
             let near = match v.shape {
                 Shape::Plane(normal, variance) => {
-                    normal.dot(&(p - v.mean)).abs() < problem.fine.size() / 6.0 + 2.0 * variance.sqrt()
+                    normal.dot(&(p - v.mean)).abs() < problem.map.size() / 6.0 + 2.0 * variance.sqrt()
                 }
                 _ => true,
             };

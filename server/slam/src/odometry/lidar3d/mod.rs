@@ -1,21 +1,24 @@
 //! 3D lidars: each sweep is placed in a local map of voxels with a Gaussian each.
 //!
 //! The same defaults serve a room and a street: the voxel's size is learned from the first sweep. Sweep to
-//! thinned points (here), map ([`voxels`]), points to map ([`mod@align`]).
+//! thinned points (here and [`sweep`]), map ([`voxels`]), points to map ([`mod@align`]), which finds the motion during
+//! the sweep along with the pose.
 
 mod align;
+mod sweep;
 mod voxels;
 
 use crate::odometry::{LocalModel, Match, Prediction, deskew};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
-use align::{Problem, align};
+use align::{Problem, agility, align};
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeScan, Pose, cloud};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use voxels::{GaussianMap, Thinner};
+use sweep::{Instants, Motion, Sweep};
+use voxels::{GaussianMap, Levels, Thinner};
 
 /// Parameters of 3D lidar odometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -71,24 +74,42 @@ impl Lidar3dParams {
 }
 
 /// Sizes to learn from, as shares of the 90th percentile of the ranges; the first that makes planes wins.
-const SIZE_LADDER: [f64; 5] = [1.0 / 40.0, 1.0 / 28.0, 1.0 / 20.0, 1.0 / 14.0, 1.0 / 10.0];
+const SIZE_LADDER: [f64; 6] = [1.0 / 40.0, 1.0 / 28.0, 1.0 / 20.0, 1.0 / 14.0, 1.0 / 10.0, 1.0 / 7.0];
+/// Smallest and largest size that is learned, metres: ranges good to 2 or 3 cm make no planes in smaller voxels, and
+/// streets none in larger ones. In the narrowest places the last rung may be smaller.
+const SIZES: (f64, f64) = (0.4, 1.5);
+/// Voxels are halved or doubled when the usual range has changed by this factor since their size was learned.
+const RANGE_CHANGE: f64 = 2.2;
+/// Velocities may change so many times faster than they did of late, and by at least this share of what hands do.
+const CAUTION: f64 = 2.0;
+const LEAST_AGILITY: f64 = 0.1;
+/// Spacing of the points that go into the map, and of those that are registered, voxels.
+const DENSE: f64 = 0.2;
+const SPARSE: f64 = 0.7;
+/// Where so few points are left, more are registered: narrow views and small rooms.
+const ENOUGH_POINTS: usize = 2000;
 /// Share of the first sweep's points that must lie in planes.
 const PLANAR_SHARE: f64 = 0.6;
-/// Coarse voxels are so much larger.
-const COARSE: f64 = 3.0;
 
 /// The local map of a lidar and its current sweep.
 pub(crate) struct Lidar3d {
     params: Lidar3dParams,
     thinner: Thinner,
-    fine: Option<GaussianMap>,
-    coarse: GaussianMap,
-    /// Current sweep in base: what goes into the map, and what is registered.
-    dense: Vec<Point3<f32>>,
-    sparse: Vec<Point3<f32>>,
+    map: Option<Levels>,
+    /// Current sweep: what goes into the map, and what is registered.
+    dense: Sweep,
+    sparse: Sweep,
+    /// Base's velocity during the current sweep, m/s and rad/s: as expected, and as last found.
+    expected_velocity: Vector6<f64>,
+    velocity: Vector6<f64>,
     reach: f64,
+    /// The 90th percentile of the ranges, metres: its running geometric mean, and when the size was learned.
+    usual_range: f64,
+    learned_at: f64,
     /// Squares of how far predictions were off at the points, as a running mean; see KISS-ICP, eq. 7.
     deviation2: Option<f64>,
+    /// Square of how fast velocities change, as a share of what hands do: rises at once, falls slowly.
+    agility2: f64,
     last_trim: Option<Point3<f64>>,
 }
 
@@ -97,12 +118,16 @@ impl Lidar3d {
         Self {
             params,
             thinner: Thinner::default(),
-            fine: None,
-            coarse: GaussianMap::default(),
-            dense: vec![],
-            sparse: vec![],
+            map: None,
+            dense: Sweep::default(),
+            sparse: Sweep::default(),
+            expected_velocity: Vector6::zeros(),
+            velocity: Vector6::zeros(),
             reach: 0.0,
+            usual_range: 1.0,
+            learned_at: 1.0,
             deviation2: None,
+            agility2: (0.25f64 / CAUTION).powi(2),
             last_trim: None,
         }
     }
@@ -112,10 +137,11 @@ impl Lidar3d {
         if let Some(size) = self.params.voxel_size_m {
             return size;
         }
-        let mut best = (0.0, 1.0);
+        let smallest = SIZES.0.min(range90 * SIZE_LADDER[SIZE_LADDER.len() - 1]).max(0.1);
+        let mut best = (0.0, smallest);
         for share in SIZE_LADDER {
-            let size = (share * range90).clamp(0.15, 1.5);
-            let kept = self.thinner.first_per_voxel(points, usable, 0.2 * size);
+            let size = (share * range90).clamp(smallest, SIZES.1);
+            let kept = self.thinner.first_per_voxel(points, usable, DENSE * size);
             let mut map = GaussianMap::new(size);
             map.insert(kept.iter().map(|&i| points[i as usize].cast()));
             let planar = map.planar_share();
@@ -129,17 +155,37 @@ impl Lidar3d {
         best.1
     }
 
+    /// Learns the size from the first points, and halves or doubles it as the usual range changes: out of a door, into
+    /// a room. `points` in base; `usable` of them.
+    fn adapt(&mut self, points: &[Point3<f32>], usable: &[u32]) {
+        let Some(range90) = range90(points, usable) else { return };
+        if self.map.is_none() {
+            let size = self.learn_size(points, usable, range90);
+            self.start_maps(size);
+            self.usual_range = range90;
+            self.learned_at = range90;
+        }
+        self.usual_range *= (range90 / self.usual_range).powf(0.1);
+        self.reach = (4.0 * self.usual_range).clamp(20.0, self.params.max_range_m.max(20.0));
+        let Some(map) = self.map.as_mut().filter(|_| self.params.voxel_size_m.is_none()) else { return };
+        if self.usual_range > RANGE_CHANGE * self.learned_at && map.size() * 2.0 <= SIZES.1 {
+            map.double();
+            self.learned_at *= 2.0;
+        } else if self.usual_range * RANGE_CHANGE < self.learned_at && map.size() * 0.5 >= 0.5 * SIZES.0 {
+            map.halve();
+            self.learned_at *= 0.5;
+        }
+    }
+
     fn start_maps(&mut self, size: f64) {
-        self.fine = Some(GaussianMap::new(size));
-        self.coarse = GaussianMap::new(COARSE * size);
+        self.map = Some(Levels::new(size));
     }
 
     fn insert(&mut self, points: &[Point3<f32>], t_odom_base: &Pose) {
-        let r = *t_odom_base.rotation.to_rotation_matrix().matrix();
-        let moved = |p: &Point3<f32>| Point3::from(r * p.coords.cast::<f64>() + t_odom_base.translation.vector);
-        if let Some(fine) = &mut self.fine {
-            fine.insert(points.iter().map(moved));
-            self.coarse.insert(points.iter().map(moved));
+        let motion = Motion::of(t_odom_base);
+        let moved: Vec<Point3<f64>> = points.iter().map(|p| motion.apply(p)).collect();
+        if let Some(map) = &mut self.map {
+            map.insert(&moved);
         }
     }
 
@@ -150,11 +196,18 @@ impl Lidar3d {
             return;
         }
         self.last_trim = Some(here);
-        if let Some(fine) = &mut self.fine {
-            fine.remove_far_from(&here, 1.2 * self.reach);
-            self.coarse.remove_far_from(&here, 1.2 * self.reach);
+        if let Some(map) = &mut self.map {
+            map.remove_far_from(&here, 1.2 * self.reach);
         }
     }
+}
+
+/// The 90th percentile of the distances from base, metres, of about a thousand points.
+fn range90(points: &[Point3<f32>], usable: &[u32]) -> Option<f64> {
+    let step = (usable.len() / 1000).max(1);
+    let mut ranges: Vec<f32> = usable.iter().step_by(step).map(|&i| points[i as usize].coords.norm()).collect();
+    let k = ranges.len() * 9 / 10;
+    (k < ranges.len()).then(|| f64::from(*ranges.select_nth_unstable_by(k, f32::total_cmp).1).max(0.1))
 }
 
 impl LocalModel for Lidar3d {
@@ -172,38 +225,40 @@ impl LocalModel for Lidar3d {
         if usable.len() < 100 {
             return Err(LostReason::TooFewPoints);
         }
+        let offsets = scan.cloud.time_offsets_s.as_deref().filter(|o| self.params.deskew && o.len() == positions.len());
+        let instants = Instants::new(offsets);
         let still = Vector6::zeros();
-        let in_base =
-            deskew::to_base(&scan.cloud, &scan.t_base_sensor, if self.params.deskew { velocity } else { &still });
-        if self.is_empty() && self.fine.is_none() {
-            let mut ranges: Vec<f32> = usable.iter().map(|&i| positions[i as usize].coords.norm()).collect();
-            let k = ranges.len() * 9 / 10;
-            let range90 = f64::from(*ranges.select_nth_unstable_by(k, f32::total_cmp).1);
-            let size = self.learn_size(&in_base, &usable, range90);
-            self.start_maps(size);
-            self.reach = (4.0 * range90).clamp(20.0, self.params.max_range_m.max(20.0));
+        self.expected_velocity = if offsets.is_some() { *velocity } else { still };
+        self.velocity = self.expected_velocity;
+        let in_base = deskew::to_base(&scan.cloud, &scan.t_base_sensor, &self.expected_velocity);
+        self.adapt(&in_base, &usable);
+        let size = self.map.as_ref().map_or(1.0, Levels::size);
+        let dense = self.thinner.first_per_voxel(&in_base, &usable, DENSE * size);
+        let mut spacing = SPARSE * size;
+        let mut sparse = self.thinner.first_per_voxel(&in_base, &dense, spacing);
+        while sparse.len() < ENOUGH_POINTS && spacing > 1.5 * DENSE * size {
+            spacing *= 0.7;
+            sparse = self.thinner.first_per_voxel(&in_base, &dense, spacing);
         }
-        let size = self.fine.as_ref().map_or(1.0, GaussianMap::size);
-        let dense = self.thinner.first_per_voxel(&in_base, &usable, 0.2 * size);
-        let sparse = self.thinner.first_per_voxel(&in_base, &dense, 0.7 * size);
-        let take = |indices: &[u32]| indices.iter().map(|&i| in_base[i as usize]).collect();
+        let take = |indices: &[u32]| Sweep::new(positions, offsets, &scan.t_base_sensor, &instants, indices);
         (self.dense, self.sparse) = (take(&dense), take(&sparse));
         if self.sparse.len() < 50 { Err(LostReason::TooFewPoints) } else { Ok(()) }
     }
 
     fn is_empty(&self) -> bool {
-        self.fine.as_ref().is_none_or(GaussianMap::is_empty)
+        self.map.as_ref().is_none_or(Levels::is_empty)
     }
 
     fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason> {
-        let Some(fine) = &self.fine else { return Err(LostReason::TooFewCorrespondences) };
-        let size = fine.size();
+        let Some(map) = &self.map else { return Err(LostReason::TooFewCorrespondences) };
+        let size = map.size();
         let expected_error = self.deviation2.map_or(2.0 * size, |d| 3.0 * d.sqrt()).max(0.1 * size);
-        let found = align(&Problem {
-            points: &self.sparse,
-            fine,
-            coarse: &self.coarse,
+        let (found, state) = align(&Problem {
+            sweep: &self.sparse,
+            map,
             prediction,
+            velocity: self.expected_velocity,
+            agility: (CAUTION * self.agility2.sqrt()).clamp(LEAST_AGILITY, 1.0),
             expected_error,
             max_iterations: self.params.max_iterations,
             min_overlap: self.params.min_overlap_ratio,
@@ -213,18 +268,26 @@ impl LocalModel for Lidar3d {
         let at_points = off.translation.vector.norm() + 0.25 * self.reach * off.rotation.angle();
         let last = self.deviation2.unwrap_or(size * size);
         self.deviation2 = Some(last + 0.2 * (at_points * at_points - last));
+        self.velocity = state.velocity;
         Ok(found)
     }
 
     fn integrate(&mut self, t_odom_base: &Pose) {
-        let points = std::mem::take(&mut self.dense);
-        self.insert(&points, t_odom_base);
-        self.dense = points;
+        let duration = self.dense.instants().duration();
+        if duration > 0.0 {
+            let now2 = agility(duration, &(self.velocity - self.expected_velocity)).powi(2);
+            self.agility2 += if now2 > self.agility2 { 0.5 } else { 0.1 } * (now2 - self.agility2);
+        }
+        self.insert(&self.dense.at_stamp(&self.velocity), t_odom_base);
         self.trim(t_odom_base);
     }
 
+    fn sweep_velocity(&self) -> Option<Vector6<f64>> {
+        (self.dense.instants().duration() > 0.0).then_some(self.velocity)
+    }
+
     fn clear(&mut self) {
-        if let Some(size) = self.fine.as_ref().map(GaussianMap::size) {
+        if let Some(size) = self.map.as_ref().map(Levels::size) {
             self.start_maps(size);
         }
         self.deviation2 = None;
@@ -234,14 +297,9 @@ impl LocalModel for Lidar3d {
     fn seed(&mut self, _t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)]) {
         let scans: Vec<_> = recent.iter().filter(|(_, k)| !k.planar && !k.hits.is_empty()).collect();
         let Some((_, newest)) = scans.last() else { return };
-        if self.fine.is_none() {
-            let mut ranges: Vec<f32> = newest.hits.positions.iter().map(|p| p.coords.norm()).collect();
-            let k = ranges.len() * 9 / 10;
-            let range90 = f64::from(*ranges.select_nth_unstable_by(k, f32::total_cmp).1);
+        if self.map.is_none() {
             let all: Vec<u32> = (0..newest.hits.len() as u32).collect();
-            let size = self.learn_size(&newest.hits.positions, &all, range90);
-            self.start_maps(size);
-            self.reach = (4.0 * range90).clamp(20.0, self.params.max_range_m.max(20.0));
+            self.adapt(&newest.hits.positions, &all);
         }
         for (t_odom_base, scan) in scans {
             self.insert(&scan.hits.positions, t_odom_base);

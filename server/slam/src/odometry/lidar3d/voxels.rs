@@ -74,6 +74,8 @@ pub(crate) struct Gaussian {
     /// Sum of outer products of offsets from the mean.
     scatter: Matrix3<f64>,
     pub(crate) shape: Shape,
+    /// Variance of a plane's tilt about each axis in it, rad^2, from noise and number of its points.
+    pub(crate) tilt: f64,
     dirty: bool,
 }
 
@@ -82,9 +84,17 @@ const MIN_POINTS: f64 = 5.0;
 /// More count as so many, so that old points fade.
 const MAX_POINTS: f64 = 200.0;
 
+/// A plane's variance across it is less than this share of that along it.
+const FLAT: f64 = 0.08;
+
+/// Least variance that a plane is given, m^2: voxels' planes differ from each other.
+fn floor(size: f64) -> f64 {
+    (0.02 * size).powi(2)
+}
+
 impl Gaussian {
     fn new(key: Key, p: &Point3<f64>) -> Self {
-        Self { key, num: 1.0, mean: *p, scatter: Matrix3::zeros(), shape: Shape::Unknown, dirty: true }
+        Self { key, num: 1.0, mean: *p, scatter: Matrix3::zeros(), shape: Shape::Unknown, tilt: 0.0, dirty: true }
     }
 
     /// Source: Welford, "Note on a method for calculating corrected sums of squares and products", 1962.
@@ -101,6 +111,15 @@ impl Gaussian {
         self.dirty = true;
     }
 
+    /// Takes in the points of another.
+    fn merge(&mut self, other: &Self) {
+        let (n, all) = (self.num, self.num + other.num);
+        let between = other.mean - self.mean;
+        self.mean += between * (other.num / all);
+        self.scatter += other.scatter + between * between.transpose() * (n * other.num / all);
+        self.num = all;
+    }
+
     fn describe(&mut self, size: f64) {
         self.dirty = false;
         self.shape = Shape::Unknown;
@@ -114,9 +133,9 @@ impl Gaussian {
         if values[1] < 0.04 * values[2] || values[2] < 1e-4 * size * size {
             return;
         }
-        let floor = (0.02 * size).powi(2);
-        self.shape = if values[0] < 0.08 * values[1] {
-            Shape::Plane(normal, values[0].max(0.0) + floor)
+        self.tilt = values[0].max(0.0) / (self.num * values[1]);
+        self.shape = if values[0] < FLAT * values[1] {
+            Shape::Plane(normal, values[0].max(0.0) + floor(size))
         } else {
             let soft = c + Matrix3::identity() * (0.1 * size).powi(2);
             soft.try_inverse().map_or(Shape::Unknown, Shape::Scatter)
@@ -187,6 +206,23 @@ impl GaussianMap {
         self.voxels.par_iter_mut().with_min_len(1024).filter(|v| v.dirty).for_each(|v| v.describe(size));
     }
 
+    /// The same points in voxels of twice the size.
+    fn doubled(&self) -> Self {
+        let mut out = Self::new(2.0 * self.size);
+        for v in &self.voxels {
+            let k = key(&v.mean, out.inverse);
+            match out.index.entry(k) {
+                std::collections::hash_map::Entry::Occupied(i) => out.voxels[*i.get() as usize].merge(v),
+                std::collections::hash_map::Entry::Vacant(slot) => {
+                    slot.insert(out.voxels.len() as u32);
+                    out.voxels.push(Gaussian { key: k, ..v.clone() });
+                }
+            }
+        }
+        out.voxels.iter_mut().for_each(|v| v.describe(out.size));
+        out
+    }
+
     /// Forgets voxels farther than `radius` from `center`.
     pub(crate) fn remove_far_from(&mut self, center: &Point3<f64>, radius: f64) {
         self.voxels.retain(|v| (v.mean - center).norm_squared() <= radius * radius);
@@ -230,6 +266,83 @@ impl GaussianMap {
     }
 }
 
+/// The same points in voxels of several sizes: a point meets the finest that is a plane.
+///
+/// Near the sensor, and where much was seen, that is a small voxel; far away, between sparse rings and with coarse
+/// ranges it is a large one. So no size has to be right for all of a scene.
+#[derive(Debug, Default)]
+pub(crate) struct Levels {
+    maps: Vec<GaussianMap>,
+}
+
+/// Sizes of the levels, in voxels of the finest.
+const LEVELS: [f64; 3] = [1.0, 2.0, 4.0];
+
+impl Levels {
+    pub(crate) fn new(size: f64) -> Self {
+        Self { maps: LEVELS.iter().map(|scale| GaussianMap::new(scale * size)).collect() }
+    }
+
+    /// Of the finest voxels, metres.
+    pub(crate) fn size(&self) -> f64 {
+        self.maps.first().map_or(1.0, GaussianMap::size)
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.maps.iter().all(GaussianMap::is_empty)
+    }
+
+    pub(crate) fn insert(&mut self, points: &[Point3<f64>]) {
+        for map in &mut self.maps {
+            map.insert(points.iter().copied());
+        }
+    }
+
+    pub(crate) fn remove_far_from(&mut self, center: &Point3<f64>, radius: f64) {
+        for map in &mut self.maps {
+            map.remove_far_from(center, radius);
+        }
+    }
+
+    /// The finest plane at `p`, else what else is there. A large voxel's plane has to be as thin as a small one's: what
+    /// is thicker bends, or is two surfaces.
+    #[inline]
+    pub(crate) fn at(&self, p: &Point3<f64>) -> Option<&Gaussian> {
+        let mut other = None;
+        let thin = FLAT * self.size().powi(2) / 12.0;
+        for map in &self.maps {
+            let found = map.at(p);
+            if found.is_some_and(|v| matches!(v.shape, Shape::Plane(_, variance) if variance < thin + floor(map.size)))
+            {
+                return found;
+            }
+            other = other.or(found);
+        }
+        other
+    }
+
+    /// Voxels of twice the size: the finest level goes, and the coarsest is gathered into a coarser one.
+    pub(crate) fn double(&mut self) {
+        if let Some(coarser) = self.maps.last().map(GaussianMap::doubled) {
+            self.maps.push(coarser);
+            self.maps.remove(0);
+        }
+    }
+
+    /// Voxels of half the size: the coarsest level goes, and a finer one begins, empty: it is filled by what is seen next.
+    pub(crate) fn halve(&mut self) {
+        let finer = GaussianMap::new(0.5 * self.size());
+        self.maps.insert(0, finer);
+        self.maps.pop();
+    }
+
+    /// What the coarsest level has at `p`.
+    #[inline]
+    pub(crate) fn coarse(&self, p: &Point3<f64>) -> Option<&Gaussian> {
+        self.maps.last()?.at(p)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -257,6 +370,22 @@ mod tests {
         let mut line = GaussianMap::new(1.0);
         line.insert((0..9).map(grid));
         assert!(line.at(&Point3::new(0.5, 0.05, 0.5)).is_none());
+    }
+
+    #[test]
+    fn doubled_voxels_are_those_of_the_same_points() {
+        let points: Vec<_> = (0..2000)
+            .map(|i| Point3::from(Vector3::from_fn(|k, _| 3.0 * (f64::from(i * (k as i32 + 3)) * 0.37).sin())))
+            .collect();
+        let (mut small, mut large) = (GaussianMap::new(0.5), GaussianMap::new(1.0));
+        small.insert(points.iter().copied());
+        large.insert(points.iter().copied());
+        let doubled = small.doubled();
+        assert_eq!(doubled.voxels.len(), large.voxels.len());
+        for v in &large.voxels {
+            let d = &doubled.voxels[doubled.index[&v.key] as usize];
+            assert!((d.mean - v.mean).norm() < 1e-9 && (d.scatter - v.scatter).norm() < 1e-9);
+        }
     }
 
     #[test]

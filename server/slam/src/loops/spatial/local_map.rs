@@ -1,0 +1,110 @@
+//! What the keyframes of a stretch saw, in one cloud, with a picture of it from above.
+
+use nalgebra::{Point3, Translation3};
+use percept_geometry::{GrayImage, KeyframeId, KeyframeScan, PointCloud, Pose};
+use percept_perception::cloud::voxel_downsample;
+use percept_perception::features2d::{Features, Orb, OrbParams};
+use rustc_hash::FxHashSet;
+
+/// Pixels and voxels are this share of the usual range, rounded to a power of two so that maps can be compared, and
+/// within these bounds (m).
+const FINENESS: f64 = 1.0 / 60.0;
+const VOXELS_M: (f64, f64) = (0.125, 0.5);
+/// The picture reaches so many usual ranges from the anchor, and is at most so many pixels wide.
+const REACH: f64 = 1.6;
+const MOST_PIXELS: usize = 400;
+/// Keypoints of a picture.
+const FEATURES: usize = 300;
+/// Fewer points make no place.
+const FEWEST_POINTS: usize = 300;
+
+/// A part of the way as one thing.
+#[derive(Debug, Clone)]
+pub(super) struct LocalMap {
+    /// Ascending in the order of making.
+    pub(super) number: u64,
+    /// The keyframe in the middle, to which loops are tied.
+    pub(super) anchor: KeyframeId,
+    /// Base at the anchor in the map's own frame: that has the session map's axes, and its origin at the anchor.
+    pub(super) t_local_anchor: Pose,
+    /// One point a half voxel, in the map's own frame, metres.
+    pub(super) cloud: PointCloud,
+    /// Voxels of its registration, and pixels of its picture, metres.
+    pub(super) voxel_m: f64,
+    /// Of the picture from above.
+    pub(super) features: Features,
+    /// Length of the way up to its end, and of its own stretch, metres.
+    pub(super) travel: f64,
+    pub(super) stretch: f64,
+}
+
+impl LocalMap {
+    /// Of keyframes with their base to map; none where they saw too little.
+    pub(super) fn gather(
+        number: u64,
+        keyframes: &[(KeyframeId, &KeyframeScan, Pose)],
+        travel: f64,
+        stretch: f64,
+    ) -> Option<Self> {
+        let (anchor, _, t_map_anchor) = keyframes.get(keyframes.len() / 2)?;
+        let usual = keyframes.iter().map(|(_, scan, _)| range(scan)).fold(0.0, f64::max);
+        let voxel_m = 2f64.powf((usual * FINENESS).log2().round()).clamp(VOXELS_M.0, VOXELS_M.1);
+        let t_local_map = Translation3::from(-t_map_anchor.translation.vector);
+        let points = keyframes.iter().flat_map(|(_, scan, t_map_base)| {
+            let t_local_base = t_local_map * t_map_base;
+            scan.hits.positions.iter().map(move |p| (t_local_base * p.cast::<f64>()).cast::<f32>())
+        });
+        let all = PointCloud::from_positions(points.collect());
+        let cloud = voxel_downsample(&all, 0.5 * voxel_m).ok()?;
+        if cloud.len() < FEWEST_POINTS {
+            return None;
+        }
+        let reach = REACH * usual;
+        let width = ((2.0 * reach / voxel_m).ceil() as usize).clamp(64, MOST_PIXELS);
+        let orb = Orb::new(OrbParams { max_features: FEATURES, num_levels: 1, ..OrbParams::default() }).ok()?;
+        let features = orb.extract(&from_above(&cloud.positions, voxel_m, width)?).ok()?;
+        Some(Self {
+            number,
+            anchor: *anchor,
+            t_local_anchor: t_local_map * t_map_anchor,
+            cloud,
+            voxel_m,
+            features,
+            travel,
+            stretch,
+        })
+    }
+}
+
+/// How high things are at each place: the number of voxels with points above each other, as grey.
+fn from_above(points: &[Point3<f32>], voxel_m: f64, width: usize) -> Option<GrayImage> {
+    let half = 0.5 * width as f64;
+    let mut seen = FxHashSet::default();
+    let mut counts = vec![0u16; width * width];
+    for p in points {
+        let [x, y, z] = [p.x, p.y, p.z].map(|v| (f64::from(v) / voxel_m).floor());
+        let (u, v) = (x + half, y + half);
+        let inside = u >= 0.0 && v >= 0.0 && u < width as f64 && v < width as f64;
+        if inside && seen.insert((u as u32, v as u32, z as i32)) {
+            counts[v as usize * width + u as usize] += 1;
+        }
+    }
+    // The floor is one voxel high and says nothing; the highest columns set the scale.
+    let mut heights: Vec<u16> = counts.iter().copied().filter(|&c| c > 1).collect();
+    if heights.is_empty() {
+        return None;
+    }
+    let k = heights.len() * 19 / 20;
+    let top = f64::from(*heights.select_nth_unstable(k).1).max(2.0);
+    let grey = counts.iter().map(|&c| (255.0 * (f64::from(c.saturating_sub(1)) / (top - 1.0)).min(1.0)) as u8);
+    GrayImage::new(width, width, grey.collect()).ok()
+}
+
+/// The 90th percentile of the distances from the sensor, metres, of about a thousand points; 0 without points.
+pub(super) fn range(scan: &KeyframeScan) -> f64 {
+    let (points, origin) = (&scan.hits.positions, scan.t_base_sensor.translation.vector.cast::<f32>());
+    let step = (points.len() / 1000).max(1);
+    let mut ranges: Vec<f32> = points.iter().step_by(step).map(|p| (p.coords - origin).norm()).collect();
+    let k = ranges.len() * 9 / 10;
+    if k < ranges.len() { f64::from(*ranges.select_nth_unstable_by(k, f32::total_cmp).1) } else { 0.0 }
+}

@@ -1,0 +1,226 @@
+//! Places that a 3D lidar has seen before: local maps, recognised from above, laid over each other in space.
+//!
+//! Keyframes of a stretch of the way are gathered into a [`LocalMap`]; its picture from above is looked for among those
+//! of earlier maps ([`retrieve`]), and what looks alike or lies near is registered with no first guess
+//! ([`percept_perception::registration::register_global`]), which says itself whether it is to be believed. How long a
+//! stretch is, and how fine the pictures are, follows from how far the lidar sees: 20 m in streets, 3 m in rooms.
+//!
+//! Source: Gupta et al., "Effectively detecting loop closures using point cloud density maps", ICRA 2024 (MapClosures). We
+//! verify in space, with no use of the picture's alignment: where the floor is not level, that is wrong.
+
+mod local_map;
+mod retrieve;
+
+#[cfg(test)]
+mod tests;
+
+use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::odometry::diagonal;
+use local_map::LocalMap;
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
+use percept_perception::registration::{GlobalOutcome, GlobalParams, GlobalResult, register_global};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Length of a local map's stretch, and the least and most of it (m); a new map begins each half of it.
+const STRETCH_PER_RANGE: f64 = 0.6;
+const STRETCH: (f64, f64) = (2.0, 20.0);
+/// Turning on the spot makes keyframes without travel: so many close a map, too.
+const MOST_KEYFRAMES: usize = 60;
+/// A map is compared with those that began so many stretches before it.
+const APART: f64 = 2.5;
+/// Drift beyond what odometry says, as a share of the travel between.
+const UNTOLD_DRIFT: f64 = 0.03;
+/// Maps whose pictures are compared with a new one, the nearest first; pairs waiting for registration; keyframes between
+/// two registrations (one takes some 100 ms).
+const COMPARED: usize = 100;
+const WAITING: usize = 8;
+const PATIENCE: usize = 3;
+/// Local maps kept; beyond, the oldest of a place that was mapped again goes first.
+const MOST_MAPS: usize = 400;
+/// Candidates by looks for a local map, and for a scan with no guess.
+const ALIKE: usize = 2;
+const LOST_ALIKE: usize = 3;
+
+/// A keyframe of the stretch that is being gathered.
+#[derive(Debug, Clone)]
+struct Gathered {
+    id: KeyframeId,
+    scan: Arc<KeyframeScan>,
+    t_map_base: Pose,
+    /// Length of the way since the first keyframe, metres.
+    travel: f64,
+}
+
+/// The 3D lidar's place recognition.
+#[derive(Debug, Default)]
+pub(crate) struct SpatialRecognition {
+    maps: Vec<LocalMap>,
+    recent: VecDeque<Gathered>,
+    /// Travel at which the last map was closed.
+    closed_at: f64,
+    since_closed: usize,
+    /// Pairs to be registered: earlier and later map, by number.
+    waiting: VecDeque<(u64, u64)>,
+    since_registered: usize,
+    next_map: u64,
+}
+
+impl SpatialRecognition {
+    /// Length of a stretch, metres, by how far the newest keyframes see.
+    fn stretch(&self) -> f64 {
+        let ranges: Vec<f64> = self.recent.iter().rev().take(5).map(|g| local_map::range(&g.scan)).collect();
+        let usual = ranges.iter().copied().fold(0.0, f64::max);
+        (STRETCH_PER_RANGE * usual).clamp(STRETCH.0, STRETCH.1)
+    }
+
+    /// Makes a local map of the last stretch, and drops the keyframes that the next one will not need.
+    fn close(&mut self, drift: &Covariance6, poses: &KeyframePoses) {
+        let stretch = self.stretch();
+        let Some(end) = self.recent.back().map(|g| g.travel) else { return };
+        while self.recent.len() > MOST_KEYFRAMES || self.recent.front().is_some_and(|g| end - g.travel > stretch) {
+            self.recent.pop_front();
+        }
+        // Where the back end has moved keyframes meanwhile, the map is gathered as now believed.
+        let keyframes: Vec<_> =
+            self.recent.iter().map(|g| (g.id, &*g.scan, poses.get(&g.id).copied().unwrap_or(g.t_map_base))).collect();
+        let made = LocalMap::gather(self.next_map, &keyframes, end, stretch);
+        (self.closed_at, self.since_closed) = (end, 0);
+        let Some(map) = made else { return };
+        self.next_map += 1;
+        self.propose(&map, drift, poses);
+        self.maps.push(map);
+        self.bound_memory(poses);
+    }
+
+    /// Queues the earlier maps that may show the same place.
+    fn propose(&mut self, map: &LocalMap, drift: &Covariance6, poses: &KeyframePoses) {
+        let position = |m: &LocalMap| poses.get(&m.anchor).map(|t| t.translation.vector);
+        let Some(here) = position(map) else { return };
+        let sigma = (0..3).map(|k| drift[(k, k)].max(0.0)).sum::<f64>().sqrt();
+        let mut near: Vec<(f64, &LocalMap)> = self
+            .maps
+            .iter()
+            .filter(|m| map.travel - m.travel > APART * map.stretch)
+            .filter_map(|m| Some(((position(m)? - here).norm(), m)))
+            .filter(|(d, m)| *d < 4.0 * sigma + UNTOLD_DRIFT * (map.travel - m.travel) + map.stretch + m.stretch)
+            .collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        near.truncate(COMPARED);
+        let nearest = near.first().map(|(_, m)| m.number);
+        let alike = retrieve::most_alike(map, near.iter().map(|(_, m)| *m), ALIKE, retrieve::FEWEST);
+        let mut chosen: Vec<u64> = alike.into_iter().chain(nearest).collect();
+        chosen.dedup();
+        for (k, &number) in chosen.iter().enumerate() {
+            if !chosen[..k].contains(&number) {
+                self.waiting.push_back((number, map.number));
+            }
+        }
+        while self.waiting.len() > WAITING {
+            self.waiting.pop_front();
+        }
+    }
+
+    /// Registers the next waiting pair, if it is time for one.
+    fn register_next(&mut self) -> Option<LoopClosure> {
+        self.since_registered += 1;
+        if self.since_registered < PATIENCE {
+            return None;
+        }
+        let (earlier, later) = self.waiting.pop_front()?;
+        self.since_registered = 0;
+        let (from, to) = (self.map(earlier)?, self.map(later)?);
+        let found = verified(to, from)?;
+        Some(LoopClosure {
+            from: from.anchor,
+            to: to.anchor,
+            t_from_to: from.t_local_anchor.inverse() * found.t_target_source * to.t_local_anchor,
+            covariance: covariance(&found, &to.t_local_anchor, to.voxel_m.max(from.voxel_m)),
+            inlier_ratio: found.overlap,
+        })
+    }
+
+    fn map(&self, number: u64) -> Option<&LocalMap> {
+        self.maps.binary_search_by_key(&number, |m| m.number).ok().map(|i| &self.maps[i])
+    }
+
+    /// Drops a map where there are too many: the oldest that a newer one lies beside, else the oldest.
+    fn bound_memory(&mut self, poses: &KeyframePoses) {
+        if self.maps.len() <= MOST_MAPS {
+            return;
+        }
+        let at: Vec<_> = self.maps.iter().map(|m| poses.get(&m.anchor).map(|t| t.translation.vector)).collect();
+        let again = |i: usize| {
+            let half = 0.5 * self.maps[i].stretch;
+            at[i].is_none_or(|p| at[i + 1..].iter().flatten().any(|q| (q - p).norm() < half))
+        };
+        let oldest = (0..self.maps.len() / 2).find(|&i| again(i)).unwrap_or(0);
+        self.maps.remove(oldest);
+    }
+}
+
+/// The later map in the earlier one, if that is certain.
+fn verified(source: &LocalMap, target: &LocalMap) -> Option<GlobalResult> {
+    let params = GlobalParams { voxel_size_m: source.voxel_m.max(target.voxel_m), ..GlobalParams::default() };
+    let found = register_global(&source.cloud, &target.cloud, &params).ok()?;
+    // What the clouds leave open (the length of a corridor) is no measurement.
+    let certain = found.outcome == GlobalOutcome::Found && !found.degenerate_axes.contains(&true);
+    certain.then_some(found)
+}
+
+/// Of base at the anchor: the registration's, and what it does not know of (maps bend while they are gathered).
+fn covariance(found: &GlobalResult, t_local_base: &Pose, voxel_m: f64) -> Covariance6 {
+    // A right perturbation in the local frame is one in base, turned and shifted.
+    let adjoint = percept_geometry::se3::adjoint(&t_local_base.inverse());
+    let turned = adjoint * found.covariance * adjoint.transpose();
+    (turned + turned.transpose()) * 0.5 + diagonal(0.1 * voxel_m, 0.003)
+}
+
+impl PlaceRecognition for SpatialRecognition {
+    fn insert(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        drift: &Covariance6,
+        poses: &KeyframePoses,
+    ) -> Vec<LoopClosure> {
+        let Some(&t_map_base) = poses.get(&id) else { return vec![] };
+        if scan.planar {
+            return vec![];
+        }
+        let step = self
+            .recent
+            .back()
+            .map_or(0.0, |g| (g.t_map_base.translation.vector - t_map_base.translation.vector).norm());
+        let travel = self.recent.back().map_or(0.0, |g| g.travel) + step;
+        if !self.recent.is_empty()
+            && (travel - self.closed_at > 0.5 * self.stretch() || self.since_closed >= MOST_KEYFRAMES / 2)
+        {
+            self.close(drift, poses);
+        }
+        self.since_closed += 1;
+        self.recent.push_back(Gathered { id, scan: Arc::clone(scan), t_map_base, travel });
+        self.register_next().into_iter().collect()
+    }
+
+    fn relocalise(&self, scan: &KeyframeScan, _poses: &KeyframePoses) -> Option<Relocalisation> {
+        let lost = LocalMap::gather(u64::MAX, &[(KeyframeId(u64::MAX), scan, Pose::identity())], 0.0, 0.0)?;
+        // Registration decides, and being lost is worth its time: even maps that hardly look alike are tried.
+        let alike = retrieve::most_alike(&lost, self.maps.iter(), LOST_ALIKE, 0);
+        let found = alike.iter().filter_map(|&number| {
+            let map = self.map(number)?;
+            Some((map, verified(&lost, map)?))
+        });
+        let (map, found) = found.reduce(|a, b| if b.1.overlap > a.1.overlap { b } else { a })?;
+        Some(Relocalisation {
+            keyframe: map.anchor,
+            t_keyframe_base: map.t_local_anchor.inverse() * found.t_target_source * lost.t_local_anchor,
+            covariance: covariance(&found, &lost.t_local_anchor, map.voxel_m.max(lost.voxel_m)),
+            inlier_ratio: found.overlap,
+        })
+    }
+
+    fn forget(&mut self, id: KeyframeId) {
+        self.maps.retain(|m| m.anchor != id);
+    }
+}

@@ -1,0 +1,80 @@
+use super::*;
+use crate::keyframe::{KeyframeParams, keyframe_scan};
+use crate::{CloudScan, Scan};
+use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
+use percept_geometry::{PointCloud, Timestamp, se3};
+
+/// A street of boxes that no other place resembles: the same numbers give the same street.
+fn street(seed: u32) -> Vec<Point3<f32>> {
+    let mut state = seed.wrapping_mul(2_654_435_761).wrapping_add(1);
+    let mut next = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(state >> 8) / f64::from(1u32 << 24)
+    };
+    let mut points = Vec::new();
+    for _ in 0..40 {
+        let (x, y, yaw) = (80.0 * next() - 40.0, 80.0 * next() - 40.0, 6.0 * next());
+        let (w, d, h) = (1.0 + 7.0 * next(), 1.0 + 5.0 * next(), 1.0 + 6.0 * next());
+        let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, yaw);
+        for _ in 0..400 {
+            let (s, z) = (4.0 * next(), h * next());
+            let f = s.fract() - 0.5;
+            let side = [(f * w, 0.5 * d), (f * w, -0.5 * d), (0.5 * w, f * d), (-0.5 * w, f * d)][s as usize % 4];
+            points.push((turn * Point3::new(side.0, side.1, z) + Vector3::new(x, y, 0.0)).cast());
+        }
+    }
+    for _ in 0..4000 {
+        points.push(Point3::new(90.0 * next() - 45.0, 90.0 * next() - 45.0, 0.02 * next()).cast());
+    }
+    points
+}
+
+fn seen_from(points: &[Point3<f32>], t_world_base: &Pose) -> Arc<KeyframeScan> {
+    let t = t_world_base.inverse();
+    let hits = points.iter().map(|p| t * p.cast::<f64>()).filter(|p| p.coords.norm() < 35.0).map(|p| p.cast());
+    let cloud = Arc::new(PointCloud::from_positions(hits.collect()));
+    let scan = Scan::Cloud(CloudScan { cloud, t_base_sensor: Pose::identity() });
+    Arc::new(keyframe_scan(&KeyframeParams::default(), Timestamp(0), &"lidar".into(), &scan, &Vector6::zeros()))
+}
+
+#[test]
+fn a_scan_is_placed_with_no_guess_and_another_street_is_not() {
+    let (here, elsewhere) = (street(1), street(2));
+    let mut recognition = SpatialRecognition::default();
+    let mut poses = KeyframePoses::new();
+    for (i, x) in [0.0, 1.0, 12.0, 24.0].into_iter().enumerate() {
+        let (id, t) = (KeyframeId(i as u64), se3::from_xy_yaw(x, 0.0, 0.0));
+        poses.insert(id, t);
+        recognition.insert(id, &seen_from(&here, &t), &Covariance6::zeros(), &poses);
+    }
+    let truth = se3::from_xy_yaw(4.0, 3.0, 2.0);
+    let found = recognition.relocalise(&seen_from(&here, &truth), &poses).unwrap();
+    let off = (poses[&found.keyframe] * found.t_keyframe_base).inverse() * truth;
+    assert!(off.translation.vector.norm() < 0.1 && off.rotation.angle() < 0.01, "{off}");
+    assert_eq!(recognition.relocalise(&seen_from(&elsewhere, &truth), &poses), None);
+}
+
+#[test]
+fn coming_back_closes_a_loop_and_the_neighbourhood_does_not() {
+    let world = street(3);
+    let mut recognition = SpatialRecognition::default();
+    let mut poses = KeyframePoses::new();
+    let mut found = vec![];
+    // Out and back on a circle of 120 m; odometry has drifted by 2 m at its end.
+    let at = |i: u64| {
+        let a = std::f64::consts::TAU * i as f64 / 24.0;
+        se3::from_xy_yaw(19.0 * a.sin(), 19.0 - 19.0 * a.cos(), a)
+    };
+    for i in 0..32 {
+        let drifted = Pose::translation(2.0 * i as f64 / 24.0, 0.0, 0.0) * at(i);
+        poses.insert(KeyframeId(i), drifted);
+        let drift = diagonal(0.5, 0.02);
+        found.extend(recognition.insert(KeyframeId(i), &seen_from(&world, &at(i)), &drift, &poses));
+    }
+    assert!(!found.is_empty());
+    for l in found {
+        assert!(l.to.0 - l.from.0 >= 6, "{} {}", l.from.0, l.to.0);
+        let off = l.t_from_to.inverse() * (at(l.from.0).inverse() * at(l.to.0));
+        assert!(off.translation.vector.norm() < 0.6 && off.rotation.angle() < 0.03, "{} {} {off}", l.from.0, l.to.0);
+    }
+}
