@@ -16,7 +16,8 @@ def test_a_map_with_loops_has_every_place_where_it_was_seen_before(tmp_path):
         pytest.skip("recorded data is not there")
 
     def percept(*words):
-        return json.loads(subprocess.run([binary(), *words, "--json"], check=True, capture_output=True).stdout)
+        done = subprocess.run([binary(), *words, "--json"], check=True, capture_output=True)
+        return json.loads(done.stdout)
 
     report = percept("replay", folder, "--out", tmp_path)
     assert report["tracked"] == report["frames"] == 13631
