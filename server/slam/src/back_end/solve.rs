@@ -2,8 +2,8 @@
 
 use super::chain::Chain;
 use super::consensus::{AGREE, Tie, chi2};
-use crate::pose_graph::{Edge, OptimiseParams, PoseGraph, covariance_of, optimise};
-use nalgebra::{Matrix6, Vector6};
+use crate::pose_graph::{Edge, OptimiseParams, PoseGraph, covariance_of, information_of, optimise};
+use nalgebra::Matrix6;
 use percept_geometry::{Covariance6, Pose};
 
 /// Rounds of weighing and solving.
@@ -18,23 +18,16 @@ pub(super) struct Solved {
     pub(super) covariance_of_newest: Covariance6,
 }
 
-/// Information of an error as g2o has it (the vector part of a quaternion: half the angle) for a covariance in radians.
-fn information(covariance: &Covariance6) -> Option<Matrix6<f64>> {
-    let halves = Matrix6::from_diagonal(&Vector6::new(1.0, 1.0, 1.0, 2.0, 2.0, 2.0));
-    let inverse = halves * covariance.cholesky()?.inverse() * halves;
-    Some((inverse + inverse.transpose()) * 0.5)
-}
-
 /// Least squares over the steps, and Geman and McClure's weights on the loops: one that contradicts the rest fades out.
 pub(super) fn solve(chain: &Chain, ties: &[Tie<'_>], poses: &[Pose]) -> Option<Solved> {
     let mut graph = PoseGraph::<Pose, 6> { poses: poses.to_vec(), edges: vec![], fixed: vec![0] };
     for (k, node) in chain.nodes().iter().enumerate().skip(1) {
-        let information = information(&node.step)?;
+        let information = information_of(&node.step)?;
         graph.edges.push(Edge { from: k as u32 - 1, to: k as u32, t_from_to: node.t_prev_node, information });
     }
     let steps = graph.edges.len();
     for tie in ties {
-        let information = information(&tie.closure.covariance)?;
+        let information = information_of(&tie.closure.covariance)?;
         graph.edges.push(Edge { from: tie.from, to: tie.to, t_from_to: tie.closure.t_from_to, information });
     }
     let full: Vec<Matrix6<f64>> = graph.edges[steps..].iter().map(|e| e.information).collect();

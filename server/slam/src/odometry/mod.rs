@@ -238,6 +238,11 @@ pub(crate) trait LocalModel: Send {
     }
     /// Adds the current frame at its pose.
     fn integrate(&mut self, t_odom_base: &Pose);
+    /// Makes the local model agree better with what its frames saw, after the current one was added at its pose; where base
+    /// is then, if that moved it.
+    fn refine(&mut self, _t_odom_base: &Pose) -> Option<Pose> {
+        None
+    }
     /// Where a depth camera's colour camera was found to be, for the image in full size.
     fn color_camera(&self) -> Option<rgbd::ColorCamera> {
         None
@@ -530,8 +535,8 @@ impl Odometry {
             self.velocity.map_or(now, |before| before + (now - before) * (dt / (dt + self.limits.smoothing)))
         };
         self.velocity = self.model.sweep_velocity().or_else(|| usable.then(from_steps));
-        self.t_odom_base = found.t_odom_base;
         self.model.integrate(&found.t_odom_base);
+        self.t_odom_base = self.model.refine(&found.t_odom_base).unwrap_or(found.t_odom_base);
         OdometryEstimate {
             stamp,
             t_odom_base: self.t_odom_base,

@@ -1,8 +1,10 @@
 //! Poses in the plane and in space as the pose graph sees them: composition, small steps, errors with derivatives.
 
-use nalgebra::{Matrix3, Quaternion, Rotation3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3};
-use percept_geometry::Pose;
+use nalgebra::{
+    Matrix3, Matrix6, Quaternion, Rotation3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
+};
 use percept_geometry::se3::{skew, wrap_angle};
+use percept_geometry::{Covariance6, Pose};
 use std::fmt::Debug;
 
 /// What a pair of poses leaves unexplained of a measurement, and how that changes with small steps of both.
@@ -202,6 +204,14 @@ impl Manifold<6> for Pose {
     fn shift_information(information: &SMatrix<f64, 6, 6>) -> f64 {
         (0..3).map(|k| information[(k, k)]).sum::<f64>() / 3.0
     }
+}
+
+/// Information of an error as g2o has it (the vector part of a quaternion: half the angle) for a covariance in radians;
+/// none if that is not positive definite.
+pub(crate) fn information_of(covariance: &Covariance6) -> Option<Matrix6<f64>> {
+    let halves = Matrix6::from_diagonal(&Vector6::new(1.0, 1.0, 1.0, 2.0, 2.0, 2.0));
+    let inverse = halves * covariance.cholesky()?.inverse() * halves;
+    Some((inverse + inverse.transpose()) * 0.5)
 }
 
 #[cfg(test)]

@@ -14,6 +14,7 @@ mod start;
 mod tests;
 
 pub use covariance::covariance_of;
+pub(crate) use manifold::information_of;
 pub use manifold::{Linearised, Manifold, PlanarPose};
 pub use optimise::{OptimiseParams, OptimiseReport, optimise};
 pub use start::chordal;

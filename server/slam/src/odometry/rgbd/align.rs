@@ -24,13 +24,14 @@ const DEGENERATE: f64 = 0.006;
 const POINTS_PER_MEASUREMENT: f64 = PIXELS_PER_MEASUREMENT;
 
 /// One level: every `stride`-th row and column, correspondences up to `gate` metres.
-struct Level {
-    stride: usize,
-    gate: f32,
-    iterations: usize,
+pub(crate) struct Level {
+    pub(crate) stride: usize,
+    pub(crate) gate: f32,
+    pub(crate) iterations: usize,
 }
 
-const LEVELS: [Level; 3] = [
+/// For a prediction that may be off by some centimetres and degrees.
+pub(crate) const LEVELS: [Level; 3] = [
     Level { stride: 4, gate: 0.20, iterations: 12 },
     Level { stride: 2, gate: 0.08, iterations: 8 },
     Level { stride: 1, gate: 0.05, iterations: 6 },
@@ -58,6 +59,10 @@ pub(crate) struct Problem<'a> {
     /// Turns the camera's axes into base's, for the report.
     pub(crate) r_base_camera: Matrix3<f64>,
     pub(crate) requirements: Requirements,
+    /// Coarse to fine.
+    pub(crate) levels: &'a [Level],
+    /// Pixels of the prepared image that one of the frame's stands for.
+    pub(crate) pixels_each: f64,
 }
 
 /// Places the frame: `t_odom_base` of the result is the camera's pose in odom, covariance in the camera.
@@ -67,7 +72,7 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
     let (mut scale, mut light_scale) = (3.0, 3.0);
     let mut iterations = 0;
     let mut last = None;
-    for level in &LEVELS {
+    for level in problem.levels {
         for _ in 0..level.iterations {
             let e = equations(problem, level, &t_view_camera, scale);
             let found = e.num_residuals;
@@ -82,7 +87,8 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
                 .as_ref()
                 .map(|p| p.equations(problem.frame, problem.camera, &t_view_camera, level.stride, light_scale));
             let (step, information) =
-                solve(&e, light.as_ref(), &degeneracy, &prior, &pull, level.stride).ok_or(LostReason::Degenerate)?;
+                solve(&e, light.as_ref(), &degeneracy, &prior, &pull, (level.stride, problem.pixels_each))
+                    .ok_or(LostReason::Degenerate)?;
             light_scale = light.map_or(3.0, |l| (l.rmse() * 2.0).clamp(1.0, 3.0));
             t_view_camera *= se3::exp(&step);
             iterations += 1;
@@ -149,15 +155,16 @@ fn solve(
     degeneracy: &Degeneracy,
     prior: &Matrix6<f64>,
     pull: &Vector6<f64>,
-    stride: usize,
+    (stride, pixels_each): (usize, f64),
 ) -> Option<(Vector6<f64>, Matrix6<f64>)> {
-    let share = (stride * stride) as f64 / PIXELS_PER_MEASUREMENT;
+    let share = (stride * stride) as f64 * pixels_each / PIXELS_PER_MEASUREMENT;
     let variance = (e.cost / e.weight.max(1.0)).max(0.25);
     let h = degeneracy.keep_good(&e.hessian()) * (share / variance);
     let g = degeneracy.keep_good_gradient(&e.gradient()) * (share / variance);
     let (mut information, mut gradient) = (h + prior, g + prior * pull);
     if let Some(light) = light {
-        let share = stride as f64 / POINTS_PER_MEASUREMENT / (light.cost / light.weight.max(1.0)).max(0.25);
+        let share =
+            stride as f64 * pixels_each / POINTS_PER_MEASUREMENT / (light.cost / light.weight.max(1.0)).max(0.25);
         information += light.hessian() * share;
         gradient += light.gradient() * share;
     }

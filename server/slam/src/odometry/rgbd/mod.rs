@@ -12,21 +12,23 @@ mod noise;
 mod photometric;
 pub(crate) mod place;
 mod surfels;
+mod window;
 
 use crate::odometry::{LocalModel, Match, Prediction};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
-use align::{Problem, Requirements, align};
+use align::{LEVELS, Problem, Requirements, align};
 pub(crate) use color_camera::ColorCamera;
 use color_camera::ColorRegistration;
 use frame::{Frame, Preparer, Vertex};
 use nalgebra::{Point3, Vector6};
-use percept_geometry::{KeyframeScan, Pose, se3};
+use percept_geometry::{Covariance6, KeyframeScan, Pose, se3};
 use photometric::Photometric;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use surfels::{FusionLimits, Surfels, View};
+use window::{Placed, Window, unit};
 
 /// Parameters of depth odometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -121,6 +123,9 @@ pub(crate) struct Rgbd {
     /// Where colour was last compared with depth.
     t_odom_compared: Option<Pose>,
     pending: Vec<Pending>,
+    window: Window,
+    /// Of the newest placement, right perturbation in the camera.
+    placement: Covariance6,
 }
 
 impl Rgbd {
@@ -136,6 +141,8 @@ impl Rgbd {
             registration: ColorRegistration::default(),
             t_odom_compared: None,
             pending: vec![],
+            window: Window::default(),
+            placement: Covariance6::zeros(),
         }
     }
 
@@ -164,6 +171,7 @@ impl Rgbd {
         let depth = (&self.preparer.rays[..], &self.preparer.inverse_depth[..]);
         if self.registration.add(&camera, depth, &self.frame.intensity) {
             self.surfels.forget_light();
+            self.window.forget_light();
         }
     }
 
@@ -215,7 +223,10 @@ impl LocalModel for Rgbd {
                 min_inlier_ratio: self.params.min_inlier_ratio,
                 max_correction: (self.params.max_correction_m, self.params.max_correction_rad),
             },
+            levels: &LEVELS,
+            pixels_each: 1.0,
         })?;
+        self.placement = found.covariance;
         let back = se3::adjoint(&self.t_base_camera);
         Ok(Match {
             t_odom_base: found.t_odom_base * self.t_base_camera.inverse(),
@@ -234,6 +245,17 @@ impl LocalModel for Rgbd {
         self.surfels.fuse(&self.frame, &t_odom_camera, view, &color, &limits);
     }
 
+    fn refine(&mut self, t_odom_base: &Pose) -> Option<Pose> {
+        let camera = self.preparer.pinhole?;
+        let t_odom_camera = t_odom_base * self.t_base_camera;
+        let color = self.registration.camera(&camera);
+        let placed = Placed { frame: &self.frame, camera: &camera, color, t_odom_camera, covariance: self.placement };
+        let moved = self.window.consider(&placed);
+        self.surfels.follow(&moved);
+        self.surfels.anchor_to(self.window.newest());
+        moved.last().map(|(_, t)| unit(t * t_odom_base))
+    }
+
     fn color_camera(&self) -> Option<ColorCamera> {
         let camera = self.preparer.pinhole?;
         Some(self.registration.camera(&camera).enlarged(self.preparer.factor as f32))
@@ -242,6 +264,7 @@ impl LocalModel for Rgbd {
     fn clear(&mut self) {
         self.surfels.clear();
         self.pending.clear();
+        self.window.clear();
         self.viewed = false;
     }
 

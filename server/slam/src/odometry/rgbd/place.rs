@@ -1,6 +1,6 @@
 //! Whether two keyframes show one place: dense alignment of one to the surfaces of others, and what speaks against it.
 
-use super::align::{Problem, Requirements, align};
+use super::align::{LEVELS, Problem, Requirements, align};
 use super::frame::Frame;
 use super::noise::sigma;
 use super::surfels::{Surfels, View, pixel};
@@ -61,6 +61,8 @@ pub(crate) fn place(
         covariance: ad * covariance * ad.transpose(),
         r_base_camera: Matrix3::identity(),
         requirements: Requirements { min_overlap: 0.15, min_inlier_ratio: 0.4, max_correction: (0.3, 0.3) },
+        levels: &LEVELS,
+        pixels_each: 1.0,
     };
     let found = align(&problem).ok()?;
     Some(judged(&surfels, &frame, &camera, scan, found))

@@ -27,6 +27,8 @@ pub(crate) struct Surfel {
     pub(crate) last_seen: f32,
     /// As [`super::intensity`] has it; NaN if not seen in colour.
     pub(crate) intensity: f32,
+    /// The kept frame that it was last measured with: it moves with that.
+    anchor: u32,
 }
 
 /// The model as a camera at `t_odom_view` sees it.
@@ -55,6 +57,11 @@ pub(crate) struct FusionLimits {
 }
 
 impl View {
+    /// A view that is a frame of its own: nothing is fused with it.
+    pub(crate) fn of(t_odom_view: Pose, vertices: Vec<Vertex>, textured: Vec<TexturedPoint>) -> Self {
+        Self { t_odom_view, vertices, textured, ..Self::default() }
+    }
+
     /// Points whose brightness differs from the next pixel's on the same surface.
     fn find_texture(&mut self, width: usize) {
         self.textured.clear();
@@ -100,6 +107,7 @@ pub(crate) struct Surfels {
     /// Motion travelled, metres: translation plus half a metre a radian.
     travelled: f32,
     last_pose: Option<Pose>,
+    anchor: u32,
 }
 
 impl Surfels {
@@ -202,7 +210,7 @@ impl Surfels {
         match view {
             None => {
                 let new = frame.vertices.iter().filter(|v| v.p.z > 0.0);
-                let seen = self.travelled;
+                let seen = self.now();
                 self.surfels.extend(new.map(|v| surfel(v, &to_odom, seen, light(frame, color, &v.p))));
             }
             Some((view, camera)) => {
@@ -230,7 +238,8 @@ impl Surfels {
             Some(pixel) => view.index[pixel],
             None => NONE,
         };
-        let measured = |light| surfel(v, &live.to_odom, self.travelled, light);
+        let now = self.now();
+        let measured = |light| surfel(v, &live.to_odom, now, light);
         if index == NONE {
             self.surfels.push(measured(light(live.frame, live.color, &v.p)));
             return;
@@ -255,6 +264,8 @@ impl Surfels {
             };
             s.weight = (s.weight + measured.weight).min(limits.max_weight);
             s.last_seen = measured.last_seen;
+            // It now is where the newest views have it.
+            s.anchor = measured.anchor;
         } else if behind > 3.0 * gate {
             // Seen through: it has moved away.
             s.weight -= 3.0 * measured.weight;
@@ -268,8 +279,30 @@ impl Surfels {
     pub(crate) fn insert(&mut self, vertices: &[Vertex], t_odom_camera: &Pose) {
         self.travel(t_odom_camera);
         let to_odom = Rigid32::from(t_odom_camera);
-        let seen = self.travelled;
+        let seen = self.now();
         self.surfels.extend(vertices.iter().filter(|v| v.p.z > 0.0).map(|v| surfel(v, &to_odom, seen, f32::NAN)));
+    }
+
+    /// What is measured from now on moves with this kept frame.
+    pub(crate) fn anchor_to(&mut self, anchor: u32) {
+        self.anchor = anchor;
+    }
+
+    /// Moves the surfels with the kept frames that they were last measured with; `moved` by rising number, in odom.
+    pub(crate) fn follow(&mut self, moved: &[(u32, Pose)]) {
+        let Some(first) = moved.first().map(|m| m.0) else { return };
+        let moved: Vec<Rigid32> = moved.iter().map(|m| Rigid32::from(&m.1)).collect();
+        self.surfels.par_chunks_mut(CHUNK).flatten().for_each(|s| {
+            if let Some(t) = s.anchor.checked_sub(first).and_then(|k| moved.get(k as usize)) {
+                s.p = t.apply(&s.p);
+                s.n = t.r * s.n;
+            }
+        });
+    }
+
+    /// When and with what something is seen now.
+    fn now(&self) -> (f32, u32) {
+        (self.travelled, self.anchor)
     }
 
     fn travel(&mut self, t_odom_camera: &Pose) {
@@ -314,6 +347,6 @@ fn surfel_weight(z: f32) -> f32 {
     (s * s).min(4.0)
 }
 
-fn surfel(v: &Vertex, to_odom: &Rigid32, last_seen: f32, intensity: f32) -> Surfel {
-    Surfel { p: to_odom.apply(&v.p), n: to_odom.r * v.n, weight: surfel_weight(v.p.z), last_seen, intensity }
+fn surfel(v: &Vertex, to_odom: &Rigid32, (last_seen, anchor): (f32, u32), intensity: f32) -> Surfel {
+    Surfel { p: to_odom.apply(&v.p), n: to_odom.r * v.n, weight: surfel_weight(v.p.z), last_seen, intensity, anchor }
 }
