@@ -63,3 +63,12 @@ pub struct Correction {
     /// Keyframe and its corrected base-to-map pose, ascending by number, each at most once.
     pub t_map_base: Vec<(KeyframeId, Pose)>,
 }
+
+impl Correction {
+    /// Both in one: where both move a keyframe, this one does.
+    pub fn after(self, earlier: Option<Self>) -> Self {
+        let mut poses: std::collections::BTreeMap<_, _> = earlier.into_iter().flat_map(|c| c.t_map_base).collect();
+        poses.extend(self.t_map_base);
+        Self { t_map_base: poses.into_iter().collect() }
+    }
+}

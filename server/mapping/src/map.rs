@@ -130,6 +130,15 @@ impl Map {
     /// # Errors
     /// `PoseNotFinite`; the map is unchanged then.
     pub fn apply(&mut self, correction: &Correction) -> Result<CorrectionReport, MappingError> {
+        self.revise(correction, &[])
+    }
+
+    /// Moves keyframes and takes others out in one step: the layers are as if those had never been. Numbers that the map
+    /// does not hold are left out.
+    ///
+    /// # Errors
+    /// `PoseNotFinite`; the map is unchanged then.
+    pub fn revise(&mut self, correction: &Correction, gone: &[KeyframeId]) -> Result<CorrectionReport, MappingError> {
         correction.t_map_base.iter().try_for_each(|(_, pose)| check_pose(pose))?;
         let mut report = CorrectionReport { num_moved: 0, num_unknown: 0 };
         for (id, pose) in &correction.t_map_base {
@@ -142,7 +151,9 @@ impl Map {
                 Some(_) => {}
             }
         }
-        if report.num_moved > 0 {
+        let before = self.keyframes.len();
+        gone.iter().for_each(|id| drop(self.keyframes.remove(id)));
+        if report.num_moved > 0 || self.keyframes.len() != before {
             self.rebuild()?;
         }
         Ok(report)

@@ -1,6 +1,7 @@
 //! One robot's state and the path of a frame through it.
 
 mod loops;
+mod merging;
 
 pub use loops::VetoReport;
 
@@ -11,7 +12,9 @@ use crate::odometry_prior::OdometryBuffer;
 use crate::recovery::Anchoring;
 use crate::sensors::{Sensors, scan_of};
 use crate::visibility::RangeImage;
-use crate::{Chunks, FrameError, KeyframeInfo, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
+use crate::{
+    Chunks, FrameError, KeyframeInfo, Merged, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry,
+};
 use percept_geometry::{
     Correction, KeyframeId, KeyframeScan, Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp,
     se3,
@@ -20,7 +23,8 @@ use percept_mapping::Map;
 use percept_perception::detection::Detector;
 use percept_scene::{Object, ObjectChange, Observation, Tracker, Visibility};
 use percept_slam::{
-    BackEnd, KeyframePolicy, Loop, LostReason, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState, keyframe,
+    BackEnd, KeyframePolicy, Loop, LoopId, LostReason, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState,
+    keyframe,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -51,6 +55,10 @@ pub struct FrameReport {
     pub loops: Vec<Loop>,
     /// Keyframes that a correction moved, with their new poses, base to map.
     pub corrected: Vec<(KeyframeId, Pose)>,
+    /// Keyframes that others stand for from now on, or through yet others than before.
+    pub merged: Vec<(KeyframeInfo, Merged)>,
+    /// Loops that went with them.
+    pub dissolved: Vec<LoopId>,
 }
 
 /// A keyframe as it is stored.
@@ -71,8 +79,40 @@ pub struct RestoredKeyframe {
     pub t_map_base: Pose,
     /// Base to odom at the keyframe.
     pub t_odom_base: Pose,
-    /// What it saw.
-    pub scan: Arc<KeyframeScan>,
+    /// What it saw, or what stands for it.
+    pub content: RestoredContent,
+}
+
+/// What is left of a stored keyframe.
+#[derive(Debug, Clone)]
+pub enum RestoredContent {
+    /// All.
+    Scan(Arc<KeyframeScan>),
+    /// Where it was, and when.
+    Merged {
+        /// Stamp, session's clock.
+        stamp: Timestamp,
+        /// Sensor.
+        sensor: SensorId,
+        /// What stands for it.
+        merged: Merged,
+    },
+}
+
+impl RestoredKeyframe {
+    fn scan(&self) -> Option<&Arc<KeyframeScan>> {
+        match &self.content {
+            RestoredContent::Scan(scan) => Some(scan),
+            RestoredContent::Merged { .. } => None,
+        }
+    }
+
+    fn sensor(&self) -> &SensorId {
+        match &self.content {
+            RestoredContent::Scan(scan) => &scan.sensor,
+            RestoredContent::Merged { sensor, .. } => sensor,
+        }
+    }
 }
 
 /// A session as it was stored.
@@ -172,18 +212,23 @@ impl Pipeline {
         }
         let mut infos = Vec::with_capacity(restored.keyframes.len());
         for (i, k) in restored.keyframes.iter().enumerate() {
-            let id = KeyframeId(i as u64);
-            self.insert(id, k.t_map_base, &k.scan);
-            infos.push(KeyframeInfo {
-                id,
-                stamp: k.scan.stamp,
-                sensor: k.scan.sensor.clone(),
-                t_map_base: k.t_map_base,
-                num_points: k.scan.hits.len(),
+            let (id, sensor) = (KeyframeId(i as u64), k.sensor().clone());
+            let t_map_base = k.t_map_base;
+            self.policy(&sensor).resume(&k.t_odom_base);
+            infos.push(match &k.content {
+                RestoredContent::Scan(scan) => {
+                    self.insert(id, t_map_base, scan);
+                    self.base_height_m = scan.base_height_m;
+                    let (stamp, num_points) = (scan.stamp, scan.hits.len());
+                    KeyframeInfo { id, stamp, sensor, t_map_base, num_points, merged: None }
+                }
+                RestoredContent::Merged { stamp, merged, .. } => {
+                    let (stamp, merged) = (*stamp, Some(*merged));
+                    KeyframeInfo { id, stamp, sensor, t_map_base, num_points: 0, merged }
+                }
             });
-            self.policy(&k.scan.sensor).resume(&k.t_odom_base);
-            self.base_height_m = k.scan.base_height_m;
         }
+        merging::carry(&mut infos);
         self.keyframes = Arc::new(infos);
         restored.trajectory.iter().for_each(|e| self.trajectory.push(*e));
         if let Ok(tracker) = Tracker::restore(self.params.tracker.clone(), &restored.objects, restored.next_object_id) {
@@ -202,7 +247,7 @@ impl Pipeline {
         self.t_map_odom = newest.t_map_base * newest.t_odom_base.inverse();
         let Some(anchor) = restored.keyframes.get(entry.anchor.0 as usize) else { return };
         // The trajectory hangs on keyframes of the sensor that moves the pose.
-        let sensor = anchor.scan.sensor.clone();
+        let sensor = anchor.sensor().clone();
         let t_odom_base = anchor.t_odom_base * entry.t_anchor_base;
         let recent = self.recent_keyframes(&sensor);
         let Some(spec) = self.sensors.spec(&sensor).cloned() else { return };
@@ -301,7 +346,9 @@ impl Pipeline {
     /// Whether a sensor has been where odometry is now: a keyframe of its is near.
     fn is_mapped(&self, sensor: &SensorId, t_odom_base: &Pose) -> bool {
         let here = (self.t_map_odom * t_odom_base).translation.vector;
-        let near = |k: &KeyframeInfo| k.sensor == *sensor && (k.t_map_base.translation.vector - here).norm() < MAPPED_M;
+        let near = |k: &KeyframeInfo| {
+            k.merged.is_none() && k.sensor == *sensor && (k.t_map_base.translation.vector - here).norm() < MAPPED_M
+        };
         self.keyframes.iter().any(near)
     }
 
@@ -440,7 +487,7 @@ impl Pipeline {
         self.insert(id, t_map_base, &scan);
         self.newest_keyframe_t_odom_base = t_odom_base;
         let num_points = scan.hits.len();
-        let info = KeyframeInfo { id, stamp, sensor: sensor.clone(), t_map_base, num_points };
+        let info = KeyframeInfo { id, stamp, sensor: sensor.clone(), t_map_base, num_points, merged: None };
         Arc::make_mut(&mut self.keyframes).push(info.clone());
         NewKeyframe { info, t_odom_base, scan }
     }
@@ -503,16 +550,22 @@ impl Pipeline {
     /// Moves keyframes, and all that hangs on them: trajectory, map layers, objects, and where the robot is now.
     /// Corrections for keyframes that do not exist are ignored.
     pub fn apply(&mut self, correction: &Correction) {
+        self.revise(correction, &[]);
+    }
+
+    /// The same, with keyframes that leave the map.
+    fn revise(&mut self, correction: &Correction, gone: &[KeyframeId]) {
         let mut moved: BTreeMap<KeyframeId, Pose> = BTreeMap::new();
         for (id, t_map_base) in &correction.t_map_base {
             let Some(info) = Arc::make_mut(&mut self.keyframes).get_mut(id.0 as usize) else { continue };
             moved.insert(*id, t_map_base * info.t_map_base.inverse());
             info.t_map_base = *t_map_base;
         }
-        if moved.is_empty() {
+        if moved.is_empty() && gone.is_empty() {
             return;
         }
-        if let Err(error) = self.map.apply(correction) {
+        moved.extend(merging::carry(Arc::make_mut(&mut self.keyframes).as_mut_slice()));
+        if let Err(error) = self.map.revise(correction, gone) {
             // Poses were checked when they came in; a map that refuses them keeps its old state.
             debug_assert!(false, "{error}");
         }

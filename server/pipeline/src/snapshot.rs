@@ -45,6 +45,17 @@ pub struct KeyframeInfo {
     pub t_map_base: Pose,
     /// Points kept.
     pub num_points: usize,
+    /// Set once a newer keyframe stands for this one: what it saw is gone, and it moves with that one.
+    pub merged: Option<Merged>,
+}
+
+/// Where a keyframe is that another one stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Merged {
+    /// The one that stands for it.
+    pub into: KeyframeId,
+    /// Base here, seen from base there.
+    pub t_into_base: Pose,
 }
 
 /// One registered frame: anchored to a keyframe, so that it moves with it.
@@ -71,7 +82,7 @@ pub struct Snapshot {
     pub pose: Option<PoseEstimate>,
     /// Every registered frame.
     pub trajectory: Chunks<TrajectoryEntry>,
-    /// Keyframes by number.
+    /// All keyframes by number, merged ones too: trajectories hang on them.
     pub keyframes: Arc<Vec<KeyframeInfo>>,
     /// Occupancy and cloud.
     pub layers: MapLayers,
@@ -89,6 +100,11 @@ pub struct Snapshot {
 }
 
 impl Snapshot {
+    /// The keyframes that the map is made of.
+    pub fn living_keyframes(&self) -> impl Iterator<Item = &KeyframeInfo> {
+        self.keyframes.iter().filter(|k| k.merged.is_none())
+    }
+
     /// The trajectory with all corrections so far: stamp, base to map, entry.
     pub fn trajectory(&self) -> impl Iterator<Item = (Pose, &TrajectoryEntry)> {
         self.trajectory.iter().filter_map(|entry| {

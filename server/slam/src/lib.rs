@@ -14,7 +14,7 @@ pub mod pose_graph;
 pub mod scan;
 pub mod tracking;
 
-pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState};
+pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
 pub use loops::{LoopClosure, Relocalisation};
 pub use odometry::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams};

@@ -123,7 +123,7 @@ fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {
     let mut report = report(args, recording);
     report.tracked = run.tracked;
     report.refused = run.refused;
-    report.keyframes = run.snapshot.keyframes.len();
+    report.keyframes = run.snapshot.living_keyframes().count();
     report.objects = run.snapshot.objects.len();
     report.loops = run.snapshot.loops.iter().filter(|l| l.state == LoopState::Active).count();
     report.judge(recording.reference.as_deref(), &run.trajectory());

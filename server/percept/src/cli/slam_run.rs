@@ -141,7 +141,7 @@ pub(crate) fn run_session(
     }
     bar.finish_and_clear();
     let snapshot = pipeline.snapshot();
-    run.num_keyframes = snapshot.keyframes.len();
+    run.num_keyframes = snapshot.living_keyframes().count();
     run.num_loops = loops(&snapshot, &run.frames);
     let tracked = snapshot.trajectory().filter(|(_, e)| e.tracked);
     run.corrected = tracked.map(|(pose, e)| (e.stamp, pose)).collect();

@@ -1,7 +1,7 @@
 //! Loops close: keyframes go to the back end, corrections come back and move what hangs on them; a robot that was lost
 //! is found again among the keyframes.
 
-use super::{FrameReport, NewKeyframe, Pipeline, Restored};
+use super::{FrameReport, NewKeyframe, Pipeline, Restored, merging};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorSpec, Timestamp};
 use percept_slam::loops::{LoopClosure, place_recognition};
 use percept_slam::{
@@ -63,14 +63,21 @@ impl Pipeline {
 
     /// Applies a correction and notes what changed.
     fn follow(&mut self, update: BackEndUpdate, report: &mut FrameReport) {
-        if let Some(correction) = &update.correction {
-            self.apply(correction);
-            report.corrected.extend(correction.t_map_base.iter().copied());
+        let gone: Vec<KeyframeId> = update.merged.iter().map(|m| m.id).collect();
+        if !gone.is_empty() {
+            let infos = Arc::make_mut(&mut self.keyframes);
+            let changed = merging::merge(infos, &update.merged);
+            report.merged.extend(changed.into_iter().filter_map(|k| Some((infos[k].clone(), infos[k].merged?))));
         }
-        if let Some(back_end) = self.back_end.as_ref().filter(|_| !update.loops.is_empty()) {
+        let correction = update.correction.unwrap_or_default();
+        self.revise(&correction, &gone);
+        report.corrected.extend(correction.t_map_base.into_iter().filter(|(id, _)| gone.binary_search(id).is_err()));
+        let changed = !update.loops.is_empty() || !update.dissolved.is_empty();
+        if let Some(back_end) = self.back_end.as_ref().filter(|_| changed) {
             self.loops = Arc::new(back_end.loops().to_vec());
         }
         report.loops.extend(update.loops);
+        report.dissolved.extend(update.dissolved);
     }
 
     /// Moves every keyframe to where the back end believes it, however little that is: what small corrections wait for
@@ -94,16 +101,17 @@ impl Pipeline {
     pub(super) fn restore_back_end(&mut self, kind: OdometryKind, pose_sensor: &SensorId, restored: &Restored) {
         self.prepare_back_end(kind);
         let Some(back_end) = &mut self.back_end else { return };
-        let keyframes = restored.keyframes.iter().enumerate().map(|(i, k)| {
+        let keyframes = restored.keyframes.iter().enumerate().filter_map(|(i, k)| {
+            let scan = k.scan()?;
             let node = BackEndKeyframe {
                 id: KeyframeId(i as u64),
                 t_odom_base: k.t_odom_base,
                 covariance: percept_geometry::Covariance6::zeros(),
-                scan: &k.scan,
-                recognise: k.scan.sensor == *pose_sensor,
+                scan,
+                recognise: scan.sensor == *pose_sensor,
                 after_gap: false,
             };
-            (node, k.t_map_base)
+            Some((node, k.t_map_base))
         });
         back_end.resume(keyframes, restored.loops.clone());
         self.loops = Arc::new(restored.loops.clone());

@@ -1,7 +1,7 @@
 //! A session that was stored and brought back goes on as if nothing had happened.
 
 use crate::drive::{empty, feed, planar};
-use percept_pipeline::{PipelineParams, Restored, RestoredKeyframe};
+use percept_pipeline::{Merged, PipelineParams, Restored, RestoredContent, RestoredKeyframe};
 
 #[test]
 fn a_restored_session_has_its_map_and_goes_on_tracking() {
@@ -10,7 +10,10 @@ fn a_restored_session_has_its_map_and_goes_on_tracking() {
     let (first, rest) = frames.split_at(frames.len() / 2);
     let mut before = empty(&simulation, PipelineParams::default());
     let stored = feed(&mut before, first.iter().cloned());
-    let keyframe = |(t_map_base, t_odom_base, scan)| RestoredKeyframe { t_map_base, t_odom_base, scan };
+    let keyframe = |(t_map_base, t_odom_base, scan)| {
+        let content = RestoredContent::Scan(scan);
+        RestoredKeyframe { t_map_base, t_odom_base, content }
+    };
     let restored = Restored {
         keyframes: stored.keyframes.into_iter().map(keyframe).collect(),
         trajectory: stored.trajectory,
@@ -33,4 +36,33 @@ fn a_restored_session_has_its_map_and_goes_on_tracking() {
     let truth = simulation.t_world_start().inverse() * simulation.pose_at(pose.stamp);
     let off = (truth.translation.vector - pose.t_map_base.translation.vector).norm();
     assert!(off < 0.08, "{off}");
+}
+
+#[test]
+fn a_merged_keyframe_is_where_the_one_is_that_stands_for_it() {
+    let simulation = planar(6.0);
+    let mut before = empty(&simulation, PipelineParams::default());
+    let stored = feed(&mut before, simulation.frames().map(|f| f.frame));
+    let mut keyframes: Vec<_> = stored
+        .keyframes
+        .into_iter()
+        .map(|(t_map_base, t_odom_base, scan)| {
+            let content = RestoredContent::Scan(scan);
+            RestoredKeyframe { t_map_base, t_odom_base, content }
+        })
+        .collect();
+    let info = before.snapshot().keyframes[1].clone();
+    let into = before.snapshot().keyframes[2].clone();
+    let t_into_base = into.t_map_base.inverse() * info.t_map_base;
+    let merged = Merged { into: into.id, t_into_base };
+    // What was stored as its pose is from before the other one moved.
+    keyframes[1].t_map_base = percept_geometry::Pose::identity();
+    keyframes[1].content = RestoredContent::Merged { stamp: info.stamp, sensor: info.sensor, merged };
+    let mut after = empty(&simulation, PipelineParams::default());
+    after.restore(Restored { keyframes, trajectory: stored.trajectory, ..Restored::default() });
+    let (old, new) = (before.snapshot(), after.snapshot());
+    assert_eq!(new.living_keyframes().count() + 1, old.keyframes.len());
+    let far = |(a, b): (percept_geometry::Pose, percept_geometry::Pose)| (a.inverse() * b).translation.vector.norm();
+    let poses = old.trajectory().map(|(t, _)| t).zip(new.trajectory().map(|(t, _)| t));
+    assert!(poses.map(far).fold(0.0, f64::max) < 1e-9);
 }

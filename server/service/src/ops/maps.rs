@@ -229,7 +229,7 @@ impl Service {
             occupancy,
             num_points: s.layers.cloud.len(),
             voxel_size_m: s.params.map.cloud.voxel_size_m,
-            num_keyframes: s.keyframes.len(),
+            num_keyframes: s.living_keyframes().count(),
         })
     }
 

@@ -124,13 +124,14 @@ impl Service {
         Ok(Page { items, next_page_token })
     }
 
-    /// Keyframes by number.
+    /// Keyframes that the map is made of, by number.
     ///
     /// # Errors
     /// `SESSION_NOT_FOUND`, `PAGE_TOKEN_INVALID`.
     pub async fn list_keyframes(&self, session: &str, page_size: u32, page_token: &str) -> Result<Page<KeyframeInfo>> {
         let snapshot = self.snapshot(session).await?;
-        page_by_number(&snapshot.keyframes, |k| k.id.0, page_size, page_token)
+        let living: Vec<KeyframeInfo> = snapshot.living_keyframes().cloned().collect();
+        page_by_number(&living, |k| k.id.0, page_size, page_token)
     }
 
     /// Deletes a session with all that is stored for it.

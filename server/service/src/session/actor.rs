@@ -479,7 +479,8 @@ impl Actor {
         let mut keyframes = report.joined;
         keyframes.extend(report.keyframe);
         let (entry, loops, corrected) = (report.trajectory, report.loops, report.corrected);
-        let job = Job { sensor, stamp, entry, keyframes, loops, objects, corrected };
+        let (merged, dissolved) = (report.merged, report.dissolved);
+        let job = Job { sensor, stamp, entry, keyframes, loops, objects, corrected, merged, dissolved };
         let ticket = self.persister.submit(job).await;
         Ok(Processed { pose: report.pose, keyframe, latency_s: received.elapsed().as_secs_f64(), ticket })
     }
@@ -552,6 +553,8 @@ impl Actor {
             loops: report.loops,
             objects: Some((Arc::clone(&snapshot.objects), snapshot.next_object_id)),
             corrected: report.corrected,
+            merged: vec![],
+            dissolved: vec![],
         };
         self.persister.submit(job).await;
         Some((answer, snapshot))

@@ -4,7 +4,7 @@ use super::keyframe_codec;
 use crate::{Error, ErrorCode, Result};
 use bytes::Bytes;
 use percept_geometry::{KeyframeId, Pose, SensorId, Timestamp};
-use percept_pipeline::{Loop, NewKeyframe, TrajectoryEntry};
+use percept_pipeline::{KeyframeInfo, Loop, LoopId, Merged, NewKeyframe, TrajectoryEntry};
 use percept_scene::Object;
 use percept_store::{Key, Record, SessionKeys, Store, StoreError};
 use serde::{Deserialize, Serialize};
@@ -32,15 +32,30 @@ pub(crate) struct Job {
     pub(crate) objects: Option<(Arc<Vec<Object>>, u64)>,
     /// Keyframes that a correction moved.
     pub(crate) corrected: Vec<(KeyframeId, Pose)>,
+    /// Keyframes that others stand for from now on.
+    pub(crate) merged: Vec<(KeyframeInfo, Merged)>,
+    /// Loops that went with them.
+    pub(crate) dissolved: Vec<LoopId>,
 }
 
-/// Record of a keyframe; what it saw is in the blob.
+/// Record of a keyframe; what it saw is in the blob, unless another one stands for it.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct KeyframeRecord {
     pub(crate) t_map_base: Pose,
     pub(crate) t_odom_base: Pose,
     /// SHA-256 of the encoded scan.
-    pub(crate) blob: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) blob: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) merged: Option<MergedRecord>,
+}
+
+/// What is left of a keyframe that another one stands for.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct MergedRecord {
+    pub(crate) stamp: Timestamp,
+    pub(crate) sensor: SensorId,
+    pub(crate) merged: Merged,
 }
 
 /// Record of how far a session has come.
@@ -183,6 +198,7 @@ impl Writer {
     /// Blobs first, then one batch of records that names them.
     async fn write(&mut self, batch: &[(u64, Job)]) -> Result<()> {
         let mut records: Vec<Record> = Vec::new();
+        let mut deletes: Vec<Key> = Vec::new();
         for (ticket, job) in batch {
             for keyframe in &job.keyframes {
                 records.push(self.keyframe(keyframe).await?);
@@ -191,8 +207,16 @@ impl Writer {
                 records.push((self.keys.loop_closure(found.id.0), json(found)?));
             }
             for (id, t_map_base) in &job.corrected {
-                records.extend(self.corrected(*id, t_map_base).await?);
+                let moved = |record| KeyframeRecord { t_map_base: *t_map_base, ..record };
+                records.extend(self.rewritten(*id, moved).await?);
             }
+            for (info, merged) in &job.merged {
+                let rest = MergedRecord { stamp: info.stamp, sensor: info.sensor.clone(), merged: *merged };
+                let t_map_base = info.t_map_base;
+                let left = |record| KeyframeRecord { t_map_base, blob: None, merged: Some(rest), ..record };
+                records.extend(self.rewritten(info.id, left).await?);
+            }
+            deletes.extend(job.dissolved.iter().map(|id| self.keys.loop_closure(id.0)));
             if let Some(entry) = &job.entry {
                 records.push((self.keys.trajectory(*ticket), json(entry)?));
             }
@@ -206,20 +230,26 @@ impl Writer {
             records.push((self.objects_key.clone(), json(objects.as_ref())?));
         }
         records.push((self.state_key.clone(), json(&self.state)?));
-        self.store.put_batch(records, vec![]).await.map_err(|e| store_error(&e))
+        // A loop that one job found and a later one dissolved is in both: what is deleted stays so.
+        records.retain(|(key, _)| !deletes.contains(key));
+        self.store.put_batch(records, deletes).await.map_err(|e| store_error(&e))
     }
 
     async fn keyframe(&mut self, k: &NewKeyframe) -> Result<Record> {
         let bytes = Bytes::from(keyframe_codec::encode(&k.scan));
         let blob = self.store.put_blob(bytes).await.map_err(|e| store_error(&e))?;
-        let record =
-            KeyframeRecord { t_map_base: k.info.t_map_base, t_odom_base: k.t_odom_base, blob: blob.to_string() };
+        let (t_map_base, t_odom_base) = (k.info.t_map_base, k.t_odom_base);
+        let record = KeyframeRecord { t_map_base, t_odom_base, blob: Some(blob.to_string()), merged: None };
         let out = (self.keys.keyframe(k.info.id.0), json(&record)?);
         self.keyframes.insert(k.info.id, record);
         Ok(out)
     }
 
-    async fn corrected(&mut self, id: KeyframeId, t_map_base: &Pose) -> Result<Option<Record>> {
+    async fn rewritten(
+        &mut self,
+        id: KeyframeId,
+        change: impl FnOnce(KeyframeRecord) -> KeyframeRecord,
+    ) -> Result<Option<Record>> {
         let key = self.keys.keyframe(id.0);
         let known = match self.keyframes.get(&id) {
             Some(record) => Some(record.clone()),
@@ -229,7 +259,7 @@ impl Writer {
             },
         };
         let Some(record) = known else { return Ok(None) };
-        let record = KeyframeRecord { t_map_base: *t_map_base, ..record };
+        let record = change(record);
         let out = (key, json(&record)?);
         self.keyframes.insert(id, record);
         Ok(Some(out))

@@ -2,9 +2,9 @@
 
 use super::keyframe_codec;
 use super::meta::SessionMeta;
-use super::persist::{KeyframeRecord, StateRecord, key, store_error};
+use super::persist::{KeyframeRecord, MergedRecord, StateRecord, key, store_error};
 use crate::{ComputePool, Error, Result};
-use percept_pipeline::{Pipeline, Restored, RestoredKeyframe};
+use percept_pipeline::{Pipeline, Restored, RestoredContent, RestoredKeyframe};
 use percept_scene::Object;
 use percept_store::{BlobId, SessionKeys, Store};
 use std::sync::Arc;
@@ -22,14 +22,17 @@ pub(crate) async fn recover(
     let mut restored = Restored::default();
     for (_, bytes) in store.scan_all(&keys.keyframes()).await.map_err(|e| store_error(&e))? {
         let record: KeyframeRecord = parse(&bytes)?;
-        let blob: BlobId = record.blob.parse().map_err(|e| store_error(&e))?;
-        let bytes = store.get_blob(blob).await.map_err(|e| store_error(&e))?;
-        let scan = Arc::new(keyframe_codec::decode(&bytes).map_err(Error::internal)?);
-        restored.keyframes.push(RestoredKeyframe {
-            t_map_base: record.t_map_base,
-            t_odom_base: record.t_odom_base,
-            scan,
-        });
+        let content = match (record.blob, record.merged) {
+            (_, Some(MergedRecord { stamp, sensor, merged })) => RestoredContent::Merged { stamp, sensor, merged },
+            (Some(blob), None) => {
+                let blob: BlobId = blob.parse().map_err(|e| store_error(&e))?;
+                let bytes = store.get_blob(blob).await.map_err(|e| store_error(&e))?;
+                RestoredContent::Scan(Arc::new(keyframe_codec::decode(&bytes).map_err(Error::internal)?))
+            }
+            (None, None) => return Err(Error::internal("a keyframe's record names neither what it saw nor another")),
+        };
+        let (t_map_base, t_odom_base) = (record.t_map_base, record.t_odom_base);
+        restored.keyframes.push(RestoredKeyframe { t_map_base, t_odom_base, content });
     }
     for (_, bytes) in store.scan_all(&keys.trajectories()).await.map_err(|e| store_error(&e))? {
         restored.trajectory.push(parse(&bytes)?);

@@ -184,7 +184,9 @@ impl Registry {
             let keys = SessionKeys::new(&id).map_err(|e| store_error(&e))?;
             for (_, bytes) in self.store.scan_all(&keys.keyframes()).await.map_err(|e| store_error(&e))? {
                 let record: super::persist::KeyframeRecord = serde_json::from_slice(&bytes).map_err(Error::internal)?;
-                live.insert(record.blob.parse().map_err(|e| store_error(&e))?);
+                if let Some(blob) = record.blob {
+                    live.insert(blob.parse().map_err(|e| store_error(&e))?);
+                }
             }
         }
         let grace = Duration::from_secs(3600);

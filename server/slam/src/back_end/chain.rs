@@ -1,5 +1,6 @@
 //! Keyframes in the order of their making, and how sure the way from each to the next is.
 
+use super::thinning::View;
 use percept_geometry::{Covariance6, KeyframeId, Pose, se3};
 use std::collections::BTreeMap;
 
@@ -11,14 +12,28 @@ pub(super) struct Node {
     pub(super) t_prev_node: Pose,
     /// Of that, right perturbation in base here.
     pub(super) step: Covariance6,
+    /// What it sees.
+    pub(super) view: View,
     /// Sums from the first node up to here: variance of position (m^2) and of turning (rad^2), mean over axes.
     sums: (f64, f64),
+}
+
+/// A way that odometry measured between two nodes.
+#[derive(Debug, Clone)]
+pub(super) struct Step {
+    pub(super) from: u32,
+    pub(super) to: u32,
+    pub(super) t_from_to: Pose,
+    /// Right perturbation in `to`.
+    pub(super) covariance: Covariance6,
 }
 
 /// The nodes; their indices are those of the pose graph.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Chain {
     nodes: Vec<Node>,
+    /// From each node to the next, until nodes are merged.
+    steps: Vec<Step>,
     index: BTreeMap<KeyframeId, u32>,
 }
 
@@ -44,20 +59,47 @@ impl Chain {
         &self.nodes
     }
 
+    pub(super) fn steps(&self) -> &[Step] {
+        &self.steps
+    }
+
     pub(super) fn index(&self, id: KeyframeId) -> Option<u32> {
         self.index.get(&id).copied()
     }
 
     /// Adds a node; `measured` is what the odometry says of its step, zero if that is not known.
-    pub(super) fn push(&mut self, id: KeyframeId, t_prev_node: Pose, measured: &Covariance6) {
+    pub(super) fn push(&mut self, id: KeyframeId, view: View, t_prev_node: Pose, measured: &Covariance6) {
         let (var_t, var_r) = floor_of(&t_prev_node);
         let floor = Covariance6::from_diagonal(&[var_t, var_t, var_t, var_r, var_r, var_r].into());
         let step = measured + floor;
         let mean = |k: usize| (k..k + 3).map(|i| step[(i, i)]).sum::<f64>() / 3.0;
         let before = self.nodes.last().map_or((0.0, 0.0), |n| n.sums);
         let sums = (before.0 + mean(0), before.1 + mean(3));
-        self.index.insert(id, self.nodes.len() as u32);
-        self.nodes.push(Node { id, t_prev_node, step, sums });
+        let to = self.nodes.len() as u32;
+        if let Some(from) = to.checked_sub(1) {
+            self.steps.push(Step { from, to, t_from_to: t_prev_node, covariance: step });
+        }
+        self.index.insert(id, to);
+        self.nodes.push(Node { id, t_prev_node, step, view, sums });
+    }
+
+    /// Keeps the nodes that `number` gives a new index; `steps` are between those already.
+    pub(super) fn keep(&mut self, number: &[Option<u32>], steps: Vec<Step>) {
+        self.steps = steps;
+        let mut over: Option<(Pose, Covariance6)> = None;
+        let mut kept: Vec<Node> = Vec::with_capacity(self.nodes.len());
+        for (mut node, number) in std::mem::take(&mut self.nodes).into_iter().zip(number) {
+            if let Some((t, covariance)) = over.take() {
+                node.step = se3::compose_covariance(&covariance, &node.t_prev_node, &node.step);
+                node.t_prev_node = t * node.t_prev_node;
+            }
+            match number {
+                Some(_) => kept.push(node),
+                None => over = Some((node.t_prev_node, node.step)),
+            }
+        }
+        self.index = kept.iter().zip(0..).map(|(n, i)| (n.id, i)).collect();
+        self.nodes = kept;
     }
 
     /// Variances of position and turning that the way from one node to another adds, the lever of the turning over
@@ -87,8 +129,9 @@ mod tests {
     #[test]
     fn drift_is_that_of_the_way_between() {
         let mut chain = Chain::default();
+        let view = View { sensor: "lidar".into(), around: true };
         for k in 0..10 {
-            chain.push(KeyframeId(k), se3::from_xy_yaw(0.5, 0.0, 0.0), &Covariance6::zeros());
+            chain.push(KeyframeId(k), view.clone(), se3::from_xy_yaw(0.5, 0.0, 0.0), &Covariance6::zeros());
         }
         let (t, r) = chain.drift(2, 7, 0.0);
         let (back_t, back_r) = chain.drift(7, 2, 0.0);

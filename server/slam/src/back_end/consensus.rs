@@ -14,7 +14,7 @@ pub(super) const AGREE: f64 = 22.5;
 
 /// Closures confirm each other if both their ends are within so many keyframes: farther apart, the drift between them lets
 /// too much agree by chance.
-const NEIGHBOURS: u32 = 20;
+pub(super) const NEIGHBOURS: u64 = 20;
 
 /// A closure with the indices of its nodes.
 #[derive(Debug, Clone, Copy)]
@@ -72,7 +72,8 @@ pub(super) fn agreeing(ties: &[Tie<'_>], chain: &Chain, poses: &[Pose]) -> Vec<u
     for i in 0..n {
         for j in 0..i {
             // Two matches of one scan share its mistakes: neither confirms the other.
-            let apart = (ties[i].to.abs_diff(ties[j].to), ties[i].from.abs_diff(ties[j].from));
+            let (a, b) = (ties[i].closure, ties[j].closure);
+            let apart = (a.to.0.abs_diff(b.to.0), a.from.0.abs_diff(b.from.0));
             let near = apart.0 > 0 && apart.0 <= NEIGHBOURS && apart.1 <= NEIGHBOURS;
             let both = near && agree(&ties[i], &ties[j], chain, poses);
             (friends[i][j], friends[j][i]) = (both, both);

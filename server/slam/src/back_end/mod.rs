@@ -7,6 +7,7 @@
 mod chain;
 mod consensus;
 mod solve;
+mod thinning;
 
 #[cfg(test)]
 mod tests;
@@ -17,7 +18,10 @@ use chain::{Chain, step_covariance};
 use consensus::{AGREE, Tie, agreeing, chi2, within_drift};
 use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, se3};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::sync::Arc;
+pub use thinning::MergedKeyframe;
+use thinning::{Moves, View};
 
 /// Parameters of the back end.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -100,6 +104,10 @@ pub struct BackEndUpdate {
     pub loops: Vec<Loop>,
     /// Keyframes that move now, if any.
     pub correction: Option<Correction>,
+    /// Keyframes that newer ones stand for from now on, ascending; poses after the correction.
+    pub merged: Vec<MergedKeyframe>,
+    /// Loops that went with them.
+    pub dissolved: Vec<LoopId>,
 }
 
 /// Keyframes after which a loop that nothing confirmed is given up.
@@ -110,6 +118,8 @@ const LIKELY_DRIFT: f64 = 4.0;
 const CONTRADICTS: f64 = 10.0 * AGREE;
 /// What is known of the way over a gap: standard deviations, metres and radians.
 const GAP: (f64, f64) = (10.0, 3.0);
+/// What a stored map knows of keyframes whose neighbours were merged: metres, metres a metre, radians.
+const MERGED: (f64, f64, f64) = (0.03, 0.02, 0.02);
 /// Keyframes between optimisations that change next to nothing.
 const LAZY: usize = 10;
 /// Displacement below which keyframes are left where they are: metres and radians.
@@ -134,6 +144,8 @@ pub struct BackEnd {
     drift: Covariance6,
     since_optimised: usize,
     since_given: usize,
+    /// Keyframes from which on old ones are merged into newer ones.
+    thin_at: usize,
 }
 
 impl std::fmt::Debug for BackEnd {
@@ -160,6 +172,7 @@ impl BackEnd {
             drift: Covariance6::zeros(),
             since_optimised: 0,
             since_given: 0,
+            thin_at: thinning::FEWEST,
         }
     }
 
@@ -181,7 +194,87 @@ impl BackEnd {
         changed.sort_unstable();
         changed.dedup();
         let loops = changed.iter().map(|&k| self.loops[k].clone()).collect();
-        BackEndUpdate { loops, correction: self.due() }
+        let update = BackEndUpdate { loops, correction: self.due(), ..BackEndUpdate::default() };
+        if self.chain.len() < self.thin_at { update } else { self.thin(update) }
+    }
+
+    /// Merges old keyframes into newer ones that see the same. Everything is moved to where it is believed to be before.
+    fn thin(&mut self, mut update: BackEndUpdate) -> BackEndUpdate {
+        if let Some(correction) = self.settle() {
+            update.correction = Some(correction.after(update.correction.take()));
+        }
+        let merges = thinning::redundant(&self.chain, &self.poses, &self.active_ties(), &self.pending_ends());
+        let moves = Moves::new(&merges, self.chain.len());
+        let id = |k: u32| self.chain.nodes()[k as usize].id;
+        let merged =
+            merges.iter().map(|m| MergedKeyframe { id: id(m.gone), into: id(m.into), t_into_base: m.t_into_gone });
+        update.merged = merged.collect();
+        let (moved, dissolved) = self.move_loops(&moves);
+        let steps = moves.steps(self.chain.steps());
+        self.chain.keep(&moves.number, steps);
+        let stays = |k: usize| moves.number[k].is_some();
+        self.poses = (0..self.poses.len()).filter(|&k| stays(k)).map(|k| self.poses[k]).collect();
+        self.given = (0..self.given.len()).filter(|&k| stays(k)).map(|k| self.given[k]).collect();
+        for m in &update.merged {
+            self.by_id.remove(&m.id);
+            self.recognition.forget(m.id);
+        }
+        update.loops.retain(|l| !moved.contains(&l.id) && dissolved.binary_search(&l.id).is_err());
+        update.loops.extend(self.loops.iter().filter(|l| moved.contains(&l.id)).cloned());
+        update.dissolved = dissolved;
+        self.thin_at = thinning::FEWEST.max((thinning::GROWTH * self.chain.len() as f64) as usize);
+        update
+    }
+
+    /// Ties loops to what stands for their ends: those moved, and those that are gone, ascending.
+    fn move_loops(&mut self, moves: &Moves<'_>) -> (BTreeSet<LoopId>, Vec<LoopId>) {
+        let (mut moved, mut dissolved) = (BTreeSet::new(), vec![]);
+        let chain = &self.chain;
+        let id = |k: u32| chain.nodes()[k as usize].id;
+        self.loops.retain_mut(|l| {
+            let ends = (chain.index(l.closure.from), chain.index(l.closure.to));
+            let (Some(from), Some(to)) = ends else { return true };
+            if !moves.touches(from, to) {
+                return true;
+            }
+            let (t_from_to, covariance) = (l.closure.t_from_to, l.closure.covariance);
+            let edge = moves.moved(&chain::Step { from, to, t_from_to, covariance });
+            let Some(edge) = edge.filter(|_| matches!(l.state, LoopState::Active | LoopState::Vetoed)) else {
+                dissolved.push(l.id);
+                return false;
+            };
+            (l.closure.from, l.closure.to) = (id(edge.from), id(edge.to));
+            (l.closure.t_from_to, l.closure.covariance) = (edge.t_from_to, edge.covariance);
+            moved.insert(l.id);
+            true
+        });
+        let active = |l: &&mut Loop| l.state == LoopState::Active;
+        let ends = |l: &mut Loop| (l.closure.from, l.closure.to, l.closure.covariance.trace());
+        let mut stay =
+            thinning::surest(&self.loops.iter_mut().filter(active).map(ends).collect::<Vec<_>>()).into_iter();
+        self.loops.retain(|l| {
+            let stays = l.state != LoopState::Active || stay.next().unwrap_or(true);
+            if !stays {
+                moved.remove(&l.id);
+                dissolved.push(l.id);
+            }
+            stays
+        });
+        dissolved.sort_unstable();
+        (moved, dissolved)
+    }
+
+    fn active_ties(&self) -> Vec<Tie<'_>> {
+        let active = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Active);
+        active.filter_map(|k| self.tie(k)).collect()
+    }
+
+    /// Nodes that loops wait at.
+    fn pending_ends(&self) -> Vec<u32> {
+        let pending = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Pending);
+        let mut ends: Vec<u32> = pending.filter_map(|k| self.tie(k)).flat_map(|t| [t.from, t.to]).collect();
+        ends.sort_unstable();
+        ends
     }
 
     /// Takes loops of a caller's own in, as if place recognition had found them at the newest keyframe. Loops that name
@@ -193,7 +286,8 @@ impl BackEnd {
         }
         changed.sort_unstable();
         changed.dedup();
-        BackEndUpdate { loops: changed.iter().map(|&k| self.loops[k].clone()).collect(), correction: self.due() }
+        let loops = changed.iter().map(|&k| self.loops[k].clone()).collect();
+        BackEndUpdate { loops, correction: self.due(), ..BackEndUpdate::default() }
     }
 
     /// Takes a loop out of the map, or back in; none if there is no such loop.
@@ -209,7 +303,8 @@ impl BackEnd {
             self.restart();
             self.optimise();
         }
-        Some(BackEndUpdate { loops: vec![self.loops[position].clone()], correction: self.settle() })
+        let loops = vec![self.loops[position].clone()];
+        Some(BackEndUpdate { loops, correction: self.settle(), ..BackEndUpdate::default() })
     }
 
     /// All loops, in the order of finding.
@@ -243,7 +338,11 @@ impl BackEnd {
     /// Goes on with stored keyframes and loops: poses are those of the map.
     pub fn resume<'a>(&mut self, keyframes: impl Iterator<Item = (BackEndKeyframe<'a>, Pose)>, loops: Vec<Loop>) {
         for (keyframe, t_map_base) in keyframes {
-            self.extend(&keyframe, &t_map_base);
+            let merged_between = self.chain.nodes().last().is_some_and(|n| n.id.0 + 1 != keyframe.id.0);
+            match self.poses.last().filter(|_| merged_between) {
+                Some(last) => self.extend_over(&keyframe, &last.inv_mul(&t_map_base)),
+                None => self.extend(&keyframe, &t_map_base),
+            }
             if let Some(pose) = self.poses.last_mut() {
                 *pose = t_map_base;
             }
@@ -271,8 +370,7 @@ impl BackEnd {
                 (t_last_now, step_covariance(before, &t_last_now, &covariance))
             }
         };
-        self.last = Some((t_odom_base, covariance));
-        self.chain.push(keyframe.id, t_prev_node, &step);
+        self.push(keyframe, &t_prev_node, &step);
         let pose = self.poses.last().map_or(*t_map_base, |last| last * t_prev_node);
         let step = self.chain.nodes().last().map_or(step, |n| n.step);
         if !self.poses.is_empty() {
@@ -282,6 +380,21 @@ impl BackEnd {
         self.by_id.insert(keyframe.id, pose);
         // The map has put it where it believes that the odometry's origin is.
         self.given.push(*t_map_base);
+    }
+
+    /// Adds a keyframe whose neighbour was merged: how it lies to the one before is known from the map alone.
+    fn extend_over(&mut self, keyframe: &BackEndKeyframe<'_>, t_prev_node: &Pose) {
+        let way = t_prev_node.translation.vector.norm();
+        let step = crate::odometry::diagonal(MERGED.0 + MERGED.1 * way, MERGED.2);
+        self.push(keyframe, t_prev_node, &step);
+        let pose = self.poses.last().map_or(*t_prev_node, |last| last * t_prev_node);
+        self.poses.push(pose);
+        self.given.push(pose);
+    }
+
+    fn push(&mut self, keyframe: &BackEndKeyframe<'_>, t_prev_node: &Pose, step: &Covariance6) {
+        self.last = Some((keyframe.t_odom_base, keyframe.covariance));
+        self.chain.push(keyframe.id, View::of(keyframe.scan), *t_prev_node, step);
     }
 
     /// Places of the new loops; those between keyframes that are not there are left out.
@@ -370,8 +483,11 @@ impl BackEnd {
         active.filter(|&k| self.misfit(k) > 2.0 * AGREE).count()
     }
 
-    /// Poses by odometry alone.
+    /// Poses by odometry alone, as long as that is known from each keyframe to the next.
     fn restart(&mut self) {
+        if self.thin_at > thinning::FEWEST {
+            return;
+        }
         let mut poses: Vec<Pose> = Vec::with_capacity(self.chain.len());
         for node in self.chain.nodes() {
             let pose = match poses.last() {
@@ -392,10 +508,7 @@ impl BackEnd {
 
     fn optimise(&mut self) {
         self.since_optimised = 0;
-        let ties: Vec<Tie<'_>> = (0..self.loops.len())
-            .filter(|&k| self.loops[k].state == LoopState::Active)
-            .filter_map(|k| self.tie(k))
-            .collect();
+        let ties = self.active_ties();
         // A graph that cannot be solved leaves the poses as they are.
         if let Some(solved) = solve::solve(&self.chain, &ties, &self.poses) {
             self.drift = solved.covariance_of_newest;

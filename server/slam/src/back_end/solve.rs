@@ -21,9 +21,9 @@ pub(super) struct Solved {
 /// Least squares over the steps, and Geman and McClure's weights on the loops: one that contradicts the rest fades out.
 pub(super) fn solve(chain: &Chain, ties: &[Tie<'_>], poses: &[Pose]) -> Option<Solved> {
     let mut graph = PoseGraph::<Pose, 6> { poses: poses.to_vec(), edges: vec![], fixed: vec![0] };
-    for (k, node) in chain.nodes().iter().enumerate().skip(1) {
-        let information = information_of(&node.step)?;
-        graph.edges.push(Edge { from: k as u32 - 1, to: k as u32, t_from_to: node.t_prev_node, information });
+    for step in chain.steps() {
+        let information = information_of(&step.covariance)?;
+        graph.edges.push(Edge { from: step.from, to: step.to, t_from_to: step.t_from_to, information });
     }
     let steps = graph.edges.len();
     for tie in ties {

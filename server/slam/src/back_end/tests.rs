@@ -32,10 +32,14 @@ const SIGMA: f64 = 0.01;
 
 /// Poses of two and a half rounds, half a metre apart.
 fn truth() -> Vec<Pose> {
+    circle(ROUND * 5 / 2)
+}
+
+fn circle(keyframes: u64) -> Vec<Pose> {
     let turn = std::f64::consts::TAU / ROUND as f64;
     let step = se3::from_xy_yaw(0.5, 0.0, turn);
     let mut poses = vec![Pose::identity()];
-    for _ in 1..ROUND * 5 / 2 {
+    for _ in 1..keyframes {
         poses.push(poses[poses.len() - 1] * step);
     }
     poses
@@ -58,7 +62,10 @@ fn true_loop(rng: &mut ChaCha8Rng, truth: &[Pose], from: u64, to: u64) -> LoopCl
 
 /// Drives with odometry that turns a little too far; the back end, and where the map has the keyframes.
 fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackEnd, Vec<Pose>) {
-    let truth = truth();
+    drive_along(rng, &truth(), Box::new(Script(loops)))
+}
+
+fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceRecognition>) -> (BackEnd, Vec<Pose>) {
     let scan = Arc::new(KeyframeScan {
         stamp: Timestamp(0),
         sensor: SensorId("lidar".to_owned()),
@@ -69,7 +76,8 @@ fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackE
         planar: true,
         features: None,
     });
-    let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(Script(loops)));
+    let mut back_end = BackEnd::new(BackEndParams::default(), recognition);
+    let mut merged: BTreeMap<KeyframeId, MergedKeyframe> = BTreeMap::new();
     let (mut t_odom_base, mut t_map_odom) = (Pose::identity(), Pose::identity());
     let mut map: Vec<Pose> = vec![];
     for k in 0..truth.len() {
@@ -85,17 +93,25 @@ fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackE
         for (id, t_map_base) in update.correction.into_iter().flat_map(|c| c.t_map_base) {
             map[id.0 as usize] = t_map_base;
         }
+        merged.extend(update.merged.iter().map(|m| (m.id, *m)));
         t_map_odom = map[k] * t_odom_base.inverse();
     }
     for (id, t_map_base) in back_end.settle().into_iter().flat_map(|c| c.t_map_base) {
         map[id.0 as usize] = t_map_base;
+    }
+    // The newest first: what a keyframe merged into may have merged, too.
+    for m in merged.values().rev() {
+        map[m.id.0 as usize] = map[m.into.0 as usize] * m.t_into_base;
     }
     (back_end, map)
 }
 
 /// Root mean square of the distances from the truth, metres; the first keyframe is at the origin of both.
 fn rmse(map: &[Pose]) -> f64 {
-    let squares = map.iter().zip(truth()).map(|(a, b)| (a.translation.vector - b.translation.vector).norm_squared());
+    let squares = map
+        .iter()
+        .zip(circle(map.len() as u64))
+        .map(|(a, b)| (a.translation.vector - b.translation.vector).norm_squared());
     (squares.sum::<f64>() / map.len() as f64).sqrt()
 }
 
@@ -179,4 +195,55 @@ fn what_is_known_of_the_newest_pose_grows_by_drift_and_shrinks_by_loops() {
     let (with, _) = drive(&mut rng, loops);
     let sigma = |b: &BackEnd| (b.drift()[(0, 0)] + b.drift()[(1, 1)]).sqrt();
     assert!(sigma(&with) < 0.5 * sigma(&without), "{} {}", sigma(&with), sigma(&without));
+}
+
+/// Measures every third keyframe from the newest one of a round ago or more that stands there.
+struct Rounds {
+    rng: ChaCha8Rng,
+    truth: Vec<Pose>,
+    known: std::collections::BTreeSet<u64>,
+}
+
+impl PlaceRecognition for Rounds {
+    fn insert(
+        &mut self,
+        id: KeyframeId,
+        _: &Arc<KeyframeScan>,
+        _: &Covariance6,
+        _: &KeyframePoses,
+    ) -> Vec<LoopClosure> {
+        self.known.insert(id.0);
+        let to = id.0;
+        let old = self.known.iter().rev().copied().find(|k| k + ROUND <= to && (to - k).is_multiple_of(ROUND));
+        let old = old.filter(|_| to.is_multiple_of(3));
+        old.map(|from| true_loop(&mut self.rng, &self.truth, from, to)).into_iter().collect()
+    }
+
+    fn relocalise(&self, _: &KeyframeScan, _: &KeyframePoses) -> Option<Relocalisation> {
+        None
+    }
+
+    fn forget(&mut self, id: KeyframeId) {
+        assert!(self.known.remove(&id.0), "forgotten twice: {id:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_stays_needs_no_more_keyframes_and_its_map_stays_true() {
+    let truth = circle(30 * ROUND);
+    let rounds = |seed| {
+        let (rng, known) = (ChaCha8Rng::seed_from_u64(seed), Default::default());
+        Box::new(Rounds { rng, truth: truth.clone(), known })
+    };
+    let (back_end, map) = drive_along(&mut ChaCha8Rng::seed_from_u64(6), &truth, rounds(7));
+    assert!(back_end.poses().len() < 2 * thinning::FEWEST, "{} keyframes", back_end.poses().len());
+    assert!(back_end.loops().len() < 4 * back_end.poses().len(), "{} loops", back_end.loops().len());
+    assert!(rmse(&map) < 0.2, "{}", rmse(&map));
+    let newest = &map[map.len() - 100..];
+    let worst = newest.iter().zip(&truth[map.len() - 100..]);
+    let worst = worst.map(|(a, b)| (a.translation.vector - b.translation.vector).norm()).fold(0.0, f64::max);
+    assert!(worst < 0.15, "{worst}");
+    let ids: Vec<_> = back_end.loops().iter().map(|l| l.id).collect();
+    assert!(ids.is_sorted());
+    assert_eq!(map, drive_along(&mut ChaCha8Rng::seed_from_u64(6), &truth, rounds(7)).1);
 }

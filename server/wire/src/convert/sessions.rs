@@ -48,7 +48,7 @@ pub fn session_to(s: &Session) -> Result<v1::Session> {
         params: Some(params::pipeline_to(&meta.params)?),
         sensors: s.sensors().iter().map(sensors::status_to).collect(),
         pose: snapshot.pose.as_ref().map(pose_to),
-        num_keyframes: snapshot.keyframes.len() as u64,
+        num_keyframes: snapshot.living_keyframes().count() as u64,
         num_objects: snapshot.objects.iter().filter(|o| o.state != percept_scene::ObjectState::Gone).count() as u64,
         map_version: snapshot.map_version,
         queue_length: s.queue_len() as u32,
