@@ -135,13 +135,14 @@ pub enum Beam {
 }
 
 impl LaserScan {
-    /// What beam `i` says (REP-117).
+    /// What beam `i` says (REP-117); zero is no measurement, whatever the least range.
     pub fn beam(&self, i: usize) -> Beam {
-        let r = self.ranges_m[i];
-        if r.is_nan() || r == f32::NEG_INFINITY || f64::from(r) < self.range_min_m {
+        // The limits as ranges are stored: 5.6 m as such is a little less.
+        let (r, min, max) = (self.ranges_m[i], self.range_min_m as f32, self.range_max_m as f32);
+        if r.is_nan() || r <= 0.0 || r < min {
             Beam::Invalid
-        } else if f64::from(r) >= self.range_max_m {
-            Beam::Free(self.range_max_m as f32)
+        } else if r >= max {
+            Beam::Free(max)
         } else {
             Beam::Hit(r)
         }
@@ -180,21 +181,29 @@ mod tests {
         );
     }
 
-    #[test]
-    fn beams_follow_rep_117() {
+    fn beams(range_min_m: f64, range_max_m: f64, ranges_m: Vec<f32>) -> Vec<Beam> {
         let scan = LaserScan {
             angle_min_rad: 0.0,
             angle_increment_rad: 0.1,
-            range_min_m: 0.1,
-            range_max_m: 10.0,
+            range_min_m,
+            range_max_m,
             time_increment_s: 0.0,
-            ranges_m: vec![1.0, f32::INFINITY, f32::NAN, f32::NEG_INFINITY, 0.05, 10.0],
+            ranges_m,
             intensities: None,
         };
-        let beams: Vec<Beam> = (0..6).map(|i| scan.beam(i)).collect();
-        assert_eq!(
-            beams,
-            [Beam::Hit(1.0), Beam::Free(10.0), Beam::Invalid, Beam::Invalid, Beam::Invalid, Beam::Free(10.0)]
-        );
+        (0..scan.ranges_m.len()).map(|i| scan.beam(i)).collect()
+    }
+
+    #[test]
+    fn beams_follow_rep_117() {
+        let found = beams(0.1, 10.0, vec![1.0, f32::INFINITY, f32::NAN, f32::NEG_INFINITY, 0.05, 10.0, 12.0, 0.1]);
+        let (free, invalid) = (Beam::Free(10.0), Beam::Invalid);
+        assert_eq!(found, [Beam::Hit(1.0), free, invalid, invalid, invalid, free, free, Beam::Hit(0.1)]);
+    }
+
+    #[test]
+    fn a_beam_of_the_full_range_is_no_hit_and_zero_is_no_measurement() {
+        // 5.6 is 5.5999999 as f32.
+        assert_eq!(beams(0.0, 5.6, vec![5.6, 0.0, -1.0]), [Beam::Free(5.6), Beam::Invalid, Beam::Invalid]);
     }
 }
