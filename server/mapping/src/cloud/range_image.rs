@@ -12,26 +12,33 @@ const ROWS: usize = 360;
 pub(super) struct RangeImage {
     sensor: Point3<f64>,
     max_range: f64,
-    /// `ROWS x COLUMNS`: range (m), infinite without a beam, and the beam's unit direction.
-    bins: Vec<(f32, Vector3<f32>)>,
+    /// Rows of `COLUMNS`, empty where no beam went: a planar scan fills few.
+    rows: Vec<Vec<Bin>>,
 }
+
+/// Range (m), infinite without a beam, and the beam's unit direction.
+type Bin = (f32, Vector3<f32>);
 
 impl RangeImage {
     /// From the ends of beams in the map frame, returns and misses alike; ends that are not finite are left out.
     pub(super) fn new(sensor: Point3<f64>, ends: impl Iterator<Item = Point3<f64>>) -> Self {
-        let mut out = Self { sensor, max_range: 0.0, bins: Vec::new() };
+        let mut out = Self { sensor, max_range: 0.0, rows: Vec::new() };
         for end in ends {
             let beam = end - sensor;
             let range = beam.norm();
             if !(range.is_finite() && range > 1e-6) {
                 continue;
             }
-            if out.bins.is_empty() {
-                out.bins = vec![(f32::INFINITY, Vector3::zeros()); ROWS * COLUMNS];
+            if out.rows.is_empty() {
+                out.rows = vec![Vec::new(); ROWS];
             }
             out.max_range = out.max_range.max(range);
             let (row, column) = bin(&beam, range);
-            let slot = &mut out.bins[row * COLUMNS + column];
+            let row = &mut out.rows[row];
+            if row.is_empty() {
+                *row = vec![(f32::INFINITY, Vector3::zeros()); COLUMNS];
+            }
+            let slot = &mut row[column];
             if (range as f32) < slot.0 {
                 *slot = (range as f32, (beam / range).cast());
             }
@@ -55,18 +62,18 @@ impl RangeImage {
         let offset = p - self.sensor;
         let r = offset.norm();
         let behind = r + params.margin(r);
-        if self.bins.is_empty() || r < params.range_min_m || behind > self.max_range {
+        if self.rows.is_empty() || r < params.range_min_m || behind > self.max_range {
             return false;
         }
         let (row, column) = bin(&offset, r);
-        let (range, direction) = self.bins[row * COLUMNS + column];
+        let Some(&(range, direction)) = self.rows[row].get(column) else { return false };
         let passes = offset.cross(&direction.cast()).norm() <= 0.5 * params.voxel_size_m;
         if !range.is_finite() || f64::from(range) < behind || !passes {
             return false;
         }
         let rows = row.saturating_sub(1)..=(row + 1).min(ROWS - 1);
         rows.flat_map(|y| [COLUMNS - 1, 0, 1].map(|dx| (y, (column + dx) % COLUMNS)))
-            .all(|(y, x)| f64::from(self.bins[y * COLUMNS + x].0) >= behind)
+            .all(|(y, x)| self.rows[y].get(x).is_none_or(|b| f64::from(b.0) >= behind))
     }
 }
 

@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 /// A beam that goes deeper than this below the band's bottom looks down a drop (stairs, a pit), metres.
 const DROP_M: f64 = 0.2;
 
-/// What one keyframe says about the cells around its sensor: a square window of marks.
+/// What one keyframe says about the cells around its sensor: a square window of marks, as far as it saw.
 ///
 /// Depends on the pose and the scan alone, so that many keyframes can be worked on at once.
 #[derive(Debug, Clone, PartialEq)]
@@ -102,7 +102,10 @@ impl ScanUpdate {
     /// of the indices, say nothing.
     pub fn new(params: &OccupancyParams, geometry: &GridGeometry, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
         let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
-        let half = (params.range_max_m / geometry.resolution_m).ceil() as i32 + 1;
+        let in_map = |p: &Point3<f32>| t_map_base * p.cast::<f64>();
+        let ends = scan.hits.positions.iter().chain(&scan.misses);
+        let ranges = ends.map(|p| (in_map(p) - sensor).xy().norm()).filter(|r| r.is_finite());
+        let half = (ranges.fold(0.0, f64::max).min(params.range_max_m) / geometry.resolution_m).ceil() as i32 + 1;
         let min = geometry.cell(&sensor.xy()).and_then(|c| {
             c.x.checked_add(half).and(c.y.checked_add(half))?;
             Some(Cell::new(c.x.checked_sub(half)?, c.y.checked_sub(half)?))
@@ -113,7 +116,6 @@ impl ScanUpdate {
         let width = 2 * half as usize + 1;
         let mut update = Self { min, width, planar: scan.planar, marks: vec![Mark::Unseen; width * width] };
         let frame = Frame { params, geometry, sensor, floor_z: t_map_base.translation.vector.z - scan.base_height_m };
-        let in_map = |p: &Point3<f32>| t_map_base * p.cast::<f64>();
         if scan.planar {
             frame.mark_beams(&mut update, &scan.hits.positions, &scan.misses, in_map);
         } else {
