@@ -6,7 +6,9 @@
 //! known to be.
 
 use percept_geometry::{KeyframeScan, Pose, Timestamp};
-use percept_slam::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scan, TrackingState};
+use percept_slam::{
+    LostReason, MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scan, TrackingState,
+};
 use std::sync::Arc;
 
 /// While adrift, every so many frames are tried against the old keyframes: the model has to be built each time.
@@ -22,6 +24,8 @@ pub(crate) struct Anchoring {
     last: Option<(Pose, Timestamp)>,
     /// Whether wheels covered every frame since then.
     reckoned: bool,
+    /// Whether a frame that followed a gap did not fit the map where wheels said that it is in it.
+    misplaced: bool,
     /// Frames since odometry restarted from a guess; none while it did not.
     adrift: Option<u32>,
     /// Running mean of the inlier ratio; 0 before the first.
@@ -30,7 +34,7 @@ pub(crate) struct Anchoring {
 
 impl Default for Anchoring {
     fn default() -> Self {
-        Self { last: None, reckoned: true, adrift: None, usual_inlier_ratio: 0.0 }
+        Self { last: None, reckoned: true, misplaced: false, adrift: None, usual_inlier_ratio: 0.0 }
     }
 }
 
@@ -49,10 +53,13 @@ impl Anchoring {
             return false;
         }
         match estimate.state {
-            TrackingState::Lost { .. } => return false,
+            TrackingState::Lost { reason } => {
+                self.misplaced |= is_mapped && reason == LostReason::TimeGap;
+                return false;
+            }
             // A frame that does not fit the map where wheels say that it is in it: somebody carried the robot, perhaps.
-            TrackingState::Initialising if !self.reckoned || (is_mapped && self.last.is_some()) => {
-                self.adrift = Some(0);
+            TrackingState::Initialising if !self.reckoned || ((is_mapped || self.misplaced) && self.last.is_some()) => {
+                (self.adrift, self.misplaced) = (Some(0), false);
                 return false;
             }
             TrackingState::Initialising | TrackingState::Tracking => {}
@@ -61,7 +68,7 @@ impl Anchoring {
             self.usual_inlier_ratio += 0.1 * (estimate.inlier_ratio - self.usual_inlier_ratio);
         }
         self.last = Some((estimate.t_odom_base, estimate.stamp));
-        self.reckoned = true;
+        (self.reckoned, self.misplaced) = (true, false);
         true
     }
 

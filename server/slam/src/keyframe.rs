@@ -213,7 +213,7 @@ mod tests {
             range_min_m: 0.0,
             range_max_m: 80.0,
             time_increment_s: 0.0,
-            ranges_m: vec![2.0, f32::INFINITY, f32::NAN],
+            ranges_m: vec![2.0, f32::INFINITY, f32::NAN, 0.0, 80.0, 81.9],
             intensities: None,
         };
         let scan = Scan::Planar(PlanarScan { scan: Arc::new(scan), t_base_sensor: se3::from_xy_yaw(1.0, 0.0, 0.0) });
@@ -225,8 +225,10 @@ mod tests {
             &nalgebra::Vector6::zeros(),
         );
         assert_eq!(kept.hits.positions, [Point3::new(3.0, 0.0, 0.0)]);
-        assert_eq!(kept.misses.len(), 1);
-        assert!(((kept.misses[0] - Point3::new(1.0, 0.0, 0.0)).norm() - 10.0).abs() < 1e-5);
+        assert_eq!(kept.misses.len(), 3);
+        for miss in &kept.misses {
+            assert!(((miss - Point3::new(1.0, 0.0, 0.0)).norm() - 10.0).abs() < 1e-5);
+        }
         assert!(kept.planar);
     }
 }

@@ -73,7 +73,7 @@ impl std::fmt::Display for LostReason {
             Self::IntrinsicsMismatch => {
                 "the camera's intrinsics do not fit its images: declare those of this resolution"
             }
-            Self::Adrift => "odometry started anew at a guessed pose: go back to where tracking was lost",
+            Self::Adrift => "nothing ties this place to the map yet: drive on through known places, or go back to where tracking was lost",
         })
     }
 }

@@ -140,7 +140,9 @@ impl Pipeline {
         }
         let mut scan = odometry.keyframe_scan(estimate.stamp, &spec.id, scan);
         scan.base_height_m = self.base_height_m;
-        let found = self.back_end.as_ref().and_then(|b| b.relocalise(&scan));
+        let seen_from = |f: &Floating| (estimate.t_odom_base.inv_mul(&f.t_odom_base), Arc::clone(&f.scan));
+        let before: Vec<_> = self.floating.iter().map(seen_from).collect();
+        let found = self.back_end.as_ref().and_then(|b| b.relocalise(&before, &scan));
         if is_far {
             if self.floating.len() == MOST_FLOATING {
                 self.floating.remove(0);

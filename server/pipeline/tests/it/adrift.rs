@@ -3,7 +3,7 @@
 use crate::drive::{empty, feed, planar, simulation};
 use percept_geometry::{SensorFrame, Timestamp};
 use percept_pipeline::PipelineParams;
-use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
+use percept_sim::{MainSensor, Scenario, SensorSuite, SimParams, Simulation, WorldParams};
 use percept_slam::{LostReason, TrackingState};
 
 /// The frames with their stamps moved by `nanos`.
@@ -26,7 +26,7 @@ fn elsewhere() -> Vec<SensorFrame> {
 
 #[test]
 fn a_robot_carried_off_is_lost_and_leaves_the_map_alone_until_it_is_back() {
-    let home = simulation(SensorSuite::only_lidar2d(), 16.0);
+    let home = simulation(SensorSuite::only_lidar2d(), 28.0);
     let frames: Vec<_> = home.frames().map(|f| f.frame).collect();
     let (first, rest) = frames.split_at(frames.len() / 2);
     let mut pipeline = empty(&home, PipelineParams::default());
@@ -78,4 +78,27 @@ fn without_returns(frame: &SensorFrame) -> SensorFrame {
         scan.ranges_m.iter_mut().for_each(|r| *r = f32::INFINITY);
     }
     frame
+}
+
+#[test]
+fn a_kidnapped_robot_is_found_in_the_other_room_and_never_said_to_be_where_it_is_not() {
+    let params = Scenario::Kidnap { trials: 1 }.params(MainSensor::Lidar2d, 2, 0.0, 2).unwrap();
+    let simulation = Simulation::new(params).unwrap();
+    let kidnap = &simulation.params().disturbances.kidnaps[0];
+    let put_down_s = kidnap.at_s + kidnap.carried_s;
+    let mut pipeline = empty(&simulation, PipelineParams::default());
+    let t_map_world = simulation.t_world_start().inverse();
+    let mut found_s = None;
+    for sim in simulation.frames() {
+        let report = pipeline.process(&sim.frame).unwrap();
+        let Some(pose) = report.pose.filter(|_| report.trajectory.is_some_and(|t| t.tracked)) else { continue };
+        let off = (t_map_world * sim.t_world_base).inverse() * pose.t_map_base;
+        assert!(off.translation.vector.norm() < 0.1, "{:.1} s: {off}", sim.measured_s);
+        if sim.measured_s > put_down_s {
+            found_s.get_or_insert(sim.measured_s - put_down_s);
+        }
+    }
+    assert!(found_s.is_some_and(|s| s < 15.0), "{found_s:?}");
+    let believed = |l: &&percept_pipeline::Loop| l.state == percept_pipeline::LoopState::Active;
+    assert!(pipeline.snapshot().loops.iter().filter(believed).count() > 5);
 }

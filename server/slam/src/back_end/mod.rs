@@ -322,9 +322,10 @@ impl BackEnd {
         &self.drift
     }
 
-    /// Where a scan is with no guess; none unless that is certain.
-    pub fn relocalise(&self, scan: &KeyframeScan) -> Option<Relocalisation> {
-        self.recognition.relocalise(scan, &self.by_id)
+    /// Where a scan is with no guess; none unless that is certain. `before` is what was seen since the robot was lost,
+    /// oldest first, with base then seen from base now.
+    pub fn relocalise(&self, before: &[(Pose, Arc<KeyframeScan>)], scan: &KeyframeScan) -> Option<Relocalisation> {
+        self.recognition.relocalise_driven(before, scan, &self.by_id)
     }
 
     /// Optimises once more and moves every keyframe to where it is believed to be, however little that is.

@@ -64,6 +64,17 @@ pub trait PlaceRecognition: Send {
     /// Where a scan is among the keyframes taken in; none unless that is certain.
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation>;
 
+    /// The same for a robot that has driven since it was lost: `before` is what it saw on the way, oldest first, with base
+    /// then seen from base now. Methods that are certain by one scan need no more.
+    fn relocalise_driven(
+        &self,
+        _before: &[(Pose, Arc<KeyframeScan>)],
+        scan: &KeyframeScan,
+        poses: &KeyframePoses,
+    ) -> Option<Relocalisation> {
+        self.relocalise(scan, poses)
+    }
+
     /// A keyframe has left the graph.
     fn forget(&mut self, id: KeyframeId);
 }

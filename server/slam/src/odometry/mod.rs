@@ -232,6 +232,10 @@ pub(crate) trait LocalModel: Send {
     fn is_empty(&self) -> bool;
     /// Places the current frame.
     fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason>;
+    /// Whether the current frame, placed after a time without any, fits so well that it can hardly be elsewhere.
+    fn is_certain(&self, _found: &Match) -> bool {
+        true
+    }
     /// Base's velocity (m/s, rad/s) while the current frame was taken, where placing it has found that too.
     fn sweep_velocity(&self) -> Option<Vector6<f64>> {
         None
@@ -280,6 +284,8 @@ pub struct Odometry {
     /// Running mean of the inlier ratio.
     usual_inlier_ratio: f64,
     num_lost: usize,
+    /// Since the last placed frame, seconds.
+    unplaced_s: f64,
 }
 
 impl std::fmt::Debug for Odometry {
@@ -314,6 +320,7 @@ impl Odometry {
             left_open: Covariance6::zeros(),
             usual_inlier_ratio: 0.0,
             num_lost: 0,
+            unplaced_s: 0.0,
         }
     }
 
@@ -405,7 +412,7 @@ impl Odometry {
         self.t_odom_base = *t_odom_base_last;
         self.last_stamp = Some(stamp);
         self.velocity = None;
-        self.num_lost = 0;
+        (self.num_lost, self.unplaced_s) = (0, 0.0);
     }
 
     /// The motion prior if there is one; what it leaves open, as a gyro does the translation, from constant velocity.
@@ -514,18 +521,23 @@ impl Odometry {
         // The constants allow for stamps that jitter.
         let too_far = t_last_now.translation.vector.norm() > self.limits.speed * dt.max(0.05) + 0.1;
         let too_much = t_last_now.rotation.angle() > self.limits.turn_rate * dt.max(0.05) + 0.1;
-        if too_far || too_much { Err(LostReason::MotionTooLarge) } else { Ok(found) }
+        if too_far || too_much {
+            return Err(LostReason::MotionTooLarge);
+        }
+        // Meanwhile somebody may have carried the robot to a place that resembles the old one.
+        let after_gap = self.unplaced_s + dt > self.params.tracking.max_gap_s;
+        if after_gap && !self.model.is_certain(&found) { Err(LostReason::TimeGap) } else { Ok(found) }
     }
 
     fn tracked(&mut self, stamp: Timestamp, dt: f64, found: Match) -> OdometryEstimate {
         let t_last_now = self.t_odom_base.inverse() * found.t_odom_base;
-        let covariance = self.uncertainty.measured(&t_last_now, &found.covariance);
+        let covariance = self.uncertainty.measured(&t_last_now, &found.covariance, &found.degenerate_axes);
         if self.limits.remembers_open {
             let largest = found.covariance.diagonal().max();
             self.left_open = found.covariance * (MAX_LEFT_OPEN / largest.max(MAX_LEFT_OPEN));
         }
         let recovered = self.num_lost > 0;
-        self.num_lost = 0;
+        (self.num_lost, self.unplaced_s) = (0, 0.0);
         self.usual_inlier_ratio += 0.1 * (found.inlier_ratio - self.usual_inlier_ratio);
         // After a loss the step says nothing about the velocity; a repeated stamp neither.
         let usable = !recovered && dt > 1e-4 && dt <= self.params.tracking.max_gap_s;
@@ -559,13 +571,14 @@ impl Odometry {
         }
         self.uncertainty.restarted();
         self.left_open = Covariance6::zeros();
-        self.num_lost = 0;
+        (self.num_lost, self.unplaced_s) = (0, 0.0);
         self.model.integrate(&self.t_odom_base);
         self.unmeasured(stamp, TrackingState::Initialising)
     }
 
     fn lost(&mut self, stamp: Timestamp, dt: f64, prediction: &Prediction, reason: LostReason) -> OdometryEstimate {
         self.num_lost += 1;
+        self.unplaced_s += dt;
         self.advance(prediction);
         // A guess of constant velocity is worth less with every second.
         let gap = dt > self.params.tracking.max_gap_s;

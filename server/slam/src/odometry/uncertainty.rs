@@ -3,9 +3,14 @@
 //! A frame placed in a local model is as sure as the model plus one measurement: standing still, the
 //! error does not grow. It grows as the model is renewed: every half metre or 0.35 rad of motion replaces
 //! about one model's worth of surfaces and adds one measurement's covariance. While lost, predictions
-//! add up; placed again in the same model, what they added is gone.
+//! add up; placed again in the same model, what they added is gone. Along an axis that the scene leaves open the
+//! prediction's errors add up as well.
 
 use percept_geometry::{Covariance6, Pose, se3};
+
+/// What a prediction adds along an axis that the scene leaves open, m / sqrt(m) and rad / sqrt(rad): wheels are off by two
+/// hundredths over ways of ten metres.
+const LEFT_OPEN: (f64, f64) = (0.06, 0.02);
 
 /// Motion after which the local model's errors are independent of what they were, metres and radians.
 const RENEWAL: (f64, f64) = (0.5, 0.35);
@@ -26,11 +31,17 @@ impl Uncertainty {
         symmetric(&self.last)
     }
 
-    /// A frame was placed `t_last_now` from the last estimate, with this covariance against the model.
-    pub(crate) fn measured(&mut self, t_last_now: &Pose, covariance: &Covariance6) -> Covariance6 {
+    /// A frame was placed `t_last_now` from the last estimate, with this covariance against the model. Along the axes of
+    /// base that are `open` it was put where the prediction was.
+    pub(crate) fn measured(&mut self, t_last_now: &Pose, covariance: &Covariance6, open: &[bool; 6]) -> Covariance6 {
         let t_placed_now = self.since_placed * t_last_now;
         let share = t_placed_now.translation.vector.norm() / RENEWAL.0 + t_placed_now.rotation.angle() / RENEWAL.1;
         self.model = se3::compose_covariance(&self.model, &t_placed_now, &(covariance * share.min(1.0)));
+        let step = se3::log(t_last_now);
+        for k in (0..6).filter(|&k| open[k]) {
+            let rate = if k < 3 { LEFT_OPEN.0 } else { LEFT_OPEN.1 };
+            self.model[(k, k)] += rate * rate * step[k].abs();
+        }
         self.last = self.model + covariance;
         self.predicted = Covariance6::zeros();
         self.since_placed = Pose::identity();
@@ -62,26 +73,41 @@ mod tests {
     use super::*;
     use crate::odometry::diagonal;
 
+    const FIXED: &[bool; 6] = &[false; 6];
+
+    #[test]
+    fn along_an_open_axis_the_error_grows_with_the_way() {
+        let mut u = Uncertainty::default();
+        let open = [true, false, false, false, false, false];
+        for _ in 0..400 {
+            u.measured(&se3::from_xy_yaw(0.06, 0.0, 0.0), &diagonal(1e-3, 1e-5), &open);
+        }
+        let (along, across) = (u.covariance()[(0, 0)].sqrt(), u.covariance()[(1, 1)].sqrt());
+        assert!((along - 0.06 * 24f64.sqrt()).abs() < 0.01 && across < 0.02, "{along} {across}");
+        u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), &open);
+        assert!((u.covariance()[(0, 0)].sqrt() - along).abs() < 1e-3);
+    }
+
     #[test]
     fn error_grows_with_motion_and_loss_but_not_with_time() {
         let mut u = Uncertainty::default();
         let one = diagonal(0.01, 0.01);
-        let still = u.measured(&Pose::identity(), &one);
+        let still = u.measured(&Pose::identity(), &one, FIXED);
         for _ in 0..1000 {
-            u.measured(&Pose::identity(), &one);
+            u.measured(&Pose::identity(), &one, FIXED);
         }
         assert!((u.covariance() - still).norm() < 1e-12);
         for _ in 0..100 {
-            u.measured(&se3::from_xy_yaw(0.1, 0.0, 0.0), &one);
+            u.measured(&se3::from_xy_yaw(0.1, 0.0, 0.0), &one, FIXED);
         }
         // 10 m are 20 renewals: 21 measurements along x, more across it.
         let moved = u.covariance();
         assert!((moved[(0, 0)] / 1e-4 - 21.0).abs() < 1e-6 && moved[(1, 1)] > moved[(0, 0)]);
         u.predicted(&Pose::identity(), &diagonal(0.5, 0.5));
         assert!(u.covariance()[(0, 0)] > 0.25);
-        assert!((u.measured(&Pose::identity(), &one) - moved).norm() < 1e-9);
+        assert!((u.measured(&Pose::identity(), &one, FIXED) - moved).norm() < 1e-9);
         u.predicted(&Pose::identity(), &diagonal(0.5, 0.5));
         u.restarted();
-        assert!(u.measured(&Pose::identity(), &one)[(0, 0)] > 0.25);
+        assert!(u.measured(&Pose::identity(), &one, FIXED)[(0, 0)] > 0.25);
     }
 }

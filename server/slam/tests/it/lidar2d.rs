@@ -37,4 +37,6 @@ fn in_a_corridor_the_wheels_say_how_far() {
     assert!((e.t_odom_base.translation.x - 3.9).abs() < 0.1, "{}", e.t_odom_base);
     assert!(e.t_odom_base.translation.y.abs() < 0.02 && se3::yaw(&e.t_odom_base).abs() < 0.005);
     assert!(e.covariance[(0, 0)] > 4.0 * e.covariance[(1, 1)]);
+    // Whatever the wheels say of each step: what they are off by has one cause and adds up.
+    assert!(e.covariance[(0, 0)].sqrt() > 0.1, "{}", e.covariance[(0, 0)].sqrt());
 }

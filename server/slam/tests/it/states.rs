@@ -54,6 +54,46 @@ fn another_place_is_lost_and_after_enough_frames_a_new_model_starts_and_says_so(
 }
 
 #[test]
+fn after_a_gap_a_room_that_shares_walls_with_the_old_one_is_not_taken_for_it() {
+    let (room, mut noise) = (Room::furnished(), Noise(9));
+    let mut other = Room::furnished();
+    other.walls.1 += nalgebra::Vector3::new(2.0, 1.5, 0.0);
+    other.boxes.truncate(1);
+    let states = |later: &Room, noise: &mut Noise| {
+        let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+        (0..5).for_each(|i| {
+            odometry.register(Timestamp::from_secs_f64(0.1 * f64::from(i)), &room.scan(&Pose::identity(), noise), None);
+        });
+        let at = |i: u32| (Timestamp::from_secs_f64(4.5 + 0.1 * f64::from(i)), later.scan(&Pose::identity(), noise));
+        let frames: Vec<_> = (0..3).map(at).collect();
+        frames.iter().map(|(stamp, scan)| odometry.register(*stamp, scan, None).state).collect::<Vec<_>>()
+    };
+    assert_eq!(states(&other, &mut noise), [TrackingState::Lost { reason: LostReason::TimeGap }; 3]);
+    // Not moved meanwhile.
+    assert_eq!(states(&room, &mut noise), [TrackingState::Tracking; 3]);
+}
+
+#[test]
+fn beams_without_a_return_do_not_move_a_planar_scan() {
+    let (room, mut noise) = (Room::furnished(), Noise(10));
+    let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+    let mut still = vec![];
+    for i in 0..6 {
+        let mut scan = room.scan(&Pose::identity(), &mut noise);
+        let Scan::Planar(planar) = &mut scan else { panic!() };
+        let laser = Arc::make_mut(&mut planar.scan);
+        laser.range_min_m = 0.0;
+        // A sector each of what drivers send for nothing: the farthest range, more than it, infinity, NaN, zero.
+        for (k, nothing) in [20.0, 81.9, f32::INFINITY, f32::NAN, 0.0].into_iter().enumerate() {
+            laser.ranges_m[60 * k..60 * k + 40].fill(nothing);
+        }
+        let e = odometry.register(Timestamp::from_secs_f64(0.1 * f64::from(i)), &scan, None);
+        still.push((e.state.is_tracking(), e.inlier_ratio, e.t_odom_base.translation.vector.norm()));
+    }
+    assert!(still[1..].iter().all(|(tracks, share, off)| *tracks && *share > 0.95 && *off < 0.01), "{still:?}");
+}
+
+#[test]
 fn odd_scans_are_lost_frames_and_do_no_harm() {
     let (room, mut noise) = (Room::furnished(), Noise(8));
     let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());

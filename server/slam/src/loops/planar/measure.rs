@@ -1,13 +1,14 @@
 //! A scan measured against the local map of a visit, and whether what both saw agrees.
 
-use super::sight::Sight;
 use super::spatial;
 use crate::odometry::lidar2d::field::Field;
+use crate::odometry::lidar2d::planar;
 use crate::odometry::lidar2d::refine::refine;
 use crate::odometry::lidar2d::search::{Window, search};
+use crate::odometry::lidar2d::sight::{Sight, View, contradicted};
 use crate::odometry::lidar2d::sweep::{self, Hit};
 use crate::odometry::{Prediction, diagonal};
-use nalgebra::{Isometry2, Matrix3, Point2, Vector2};
+use nalgebra::{Isometry2, Matrix3, Point2};
 use percept_geometry::{Covariance6, KeyframeScan, Pose};
 
 /// Farther hits are not used, metres.
@@ -98,8 +99,9 @@ impl Visits {
             Prediction { t_odom_base: spatial(&start), covariance: diagonal(1.0, 0.5), is_measured: false };
         let found = refine(&self.field, &scan_hits, &start, &prediction, strictness.min_inlier_ratio)
             .map_err(Refused::NotRefined)?;
-        let t = crate::odometry::lidar2d::planar(&found.t_odom_base);
-        let contradicted = contradicted(&self.field, visit, &seen, scan, &scan_hits, &t);
+        let views: Vec<View<'_>> =
+            visit.iter().zip(&seen).map(|((t, s), hits)| View { t_map_base: *t, hits, sight: sight(s) }).collect();
+        let contradicted = contradicted(&self.field, &views, (&sight(scan), &scan_hits), &planar(&found.t_odom_base));
         if contradicted > strictness.max_contradicted {
             return Err(Refused::Contradicted(contradicted));
         }
@@ -128,39 +130,7 @@ fn hits(scan: &KeyframeScan) -> Vec<Hit> {
     hits
 }
 
-/// Share of what both saw in which they contradict each other: hits of one that the other looked through.
-fn contradicted(
-    field: &Field,
-    visit: &Visit<'_>,
-    seen: &[Vec<Hit>],
-    scan: &KeyframeScan,
-    scan_hits: &[Hit],
-    t: &Isometry2<f64>,
-) -> f64 {
-    let views: Vec<(Isometry2<f64>, Sight)> = visit.iter().map(|(t, s)| (t.inverse(), Sight::new(s))).collect();
-    let (mut agreed, mut against) = (0usize, 0usize);
-    for hit in scan_hits {
-        let p = t * hit.p;
-        let is_there = field.element(&p, &Vector2::zeros()).is_some();
-        if is_there {
-            agreed += 1;
-        } else if views.iter().any(|(t_base_visit, sight)| sight.is_through(&(t_base_visit * p))) {
-            against += 1;
-        }
-    }
-    let own = Sight::new(scan);
-    let t_base_visit = t.inverse();
-    let (mut passed, mut met) = (0usize, 0usize);
-    for ((t_visit_other, _), hits) in visit.iter().zip(seen) {
-        for hit in hits.iter().step_by(4) {
-            let p = t_base_visit * t_visit_other * hit.p;
-            match own.is_through(&p) {
-                true => passed += 1,
-                false if own.reaches(&p) => met += 1,
-                false => {}
-            }
-        }
-    }
-    let share = |bad: usize, good: usize| bad as f64 / (bad + good).max(1) as f64;
-    share(against, agreed).max(share(passed, met))
+fn sight(scan: &KeyframeScan) -> Sight {
+    let ends = scan.hits.positions.iter().chain(&scan.misses).map(|p| p.cast::<f64>().xy());
+    Sight::new(ends, &planar(&scan.t_base_sensor))
 }

@@ -3,13 +3,14 @@
 //! A visit is a run of neighbouring keyframes; its points make a local map. While drift is small, a keyframe is measured
 //! against the visits around it: a search of the cells in reach, then point-to-line refinement ([`measure`]). Once drift
 //! is large, the newest keyframes together are searched for in all that was seen in reach ([`pyramid`]), and a pose counts
-//! only if no other one fits nearly as well; now and then all of the map is searched. Every match has to explain what was
-//! seen, and nothing that one view shows may stand where the other looked through ([`sight`]).
+//! only if no other one fits nearly as well; now and then all of the map is searched. A robot that is lost is found by all
+//! that it has seen since ([`lost`]). Every match has to explain what was seen, and nothing that one view shows may stand
+//! where the other looked through ([`crate::odometry::lidar2d::sight`]).
 
 mod links;
+mod lost;
 mod measure;
 mod pyramid;
-mod sight;
 
 #[cfg(test)]
 mod tests;
@@ -17,10 +18,11 @@ mod tests;
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::lidar2d::planar;
 use links::Links;
+use lost::Lost;
 use measure::{Measurement, Strictness, Visits};
 use nalgebra::{Isometry2, Point2};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
-use pyramid::{Fit, Pyramid, Region, Search};
+use pyramid::{Fit, PATIENCE, Pyramid, Region, Search};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -54,6 +56,8 @@ const CELL_M: f64 = 0.1;
 /// Least score of a large search, and of one without a guess.
 const MIN_SCORE: f64 = 0.55;
 const MIN_SCORE_LOST: f64 = 0.6;
+/// Driving since the robot was lost before it is found again: one view resembles too many, metres.
+const FOUND_AFTER_M: f64 = 1.5;
 /// Another optimum this good, as a share of the best one's score, leaves the match open.
 const RIVAL: f64 = 0.85;
 
@@ -239,22 +243,17 @@ impl PlaceRecognition for PlanarPlaces {
     }
 
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
-        let known: BTreeMap<KeyframeId, Isometry2<f64>> =
-            poses.iter().filter(|(id, _)| self.kept.contains_key(id)).map(|(id, t)| (*id, planar(t))).collect();
-        let points: Vec<_> = known.iter().flat_map(|(id, t)| ends(&self.kept[id].scan).map(move |p| t * p)).collect();
-        let query = spread_out(ends(scan).collect());
-        let pyramid = Pyramid::new(CELL_M, &points)?;
-        let best = only_optimum(&pyramid, &query, &pyramid.everywhere(), MIN_SCORE_LOST)?;
-        let keyframe = nearest(&known, &best)?;
-        let visit = visit(&self.kept, keyframe, KeyframeId(u64::MAX), &known);
-        let guess = known[&keyframe].inverse() * best.t;
-        let m = Visits::new().measure(&visit, scan, &guess, (0.3, 0.06), &Strictness::LOST).ok()?;
-        Some(Relocalisation {
-            keyframe,
-            t_keyframe_base: m.t_from_to,
-            covariance: m.covariance,
-            inlier_ratio: m.inlier_ratio,
-        })
+        Lost { before: vec![], scan }.find(&self.kept, poses)
+    }
+
+    fn relocalise_driven(
+        &self,
+        before: &[(Pose, Arc<KeyframeScan>)],
+        scan: &KeyframeScan,
+        poses: &KeyframePoses,
+    ) -> Option<Relocalisation> {
+        let lost = Lost { before: before.iter().map(|(t, s)| (planar(t), s.as_ref())).collect(), scan };
+        if lost.way_m() < FOUND_AFTER_M { None } else { lost.find(&self.kept, poses) }
     }
 
     fn forget(&mut self, id: KeyframeId) {
@@ -327,19 +326,22 @@ impl Reach {
     }
 }
 
-fn nearest(poses: &BTreeMap<KeyframeId, Isometry2<f64>>, fit: &Fit) -> Option<KeyframeId> {
-    let cost = |t: &Isometry2<f64>| length(&(t.inverse() * fit.t));
-    poses.iter().min_by(|a, b| cost(a.1).total_cmp(&cost(b.1))).filter(|p| cost(p.1) < 2.0 * NEAR_M).map(|p| *p.0)
-}
-
 /// The best pose, unless it is bad or another one is nearly as good.
 fn only_optimum(pyramid: &Pyramid, query: &[Point2<f64>], region: &Region, min_score: f64) -> Option<Fit> {
-    match pyramid.search(query, region, min_score, None) {
-        Search::Found(best) => {
-            let rival = pyramid.search(query, region, RIVAL * best.score, Some(&best));
-            matches!(rival, Search::Nothing).then_some(best)
+    optima(pyramid, query, region, min_score, 1)?.pop()
+}
+
+/// The best pose and all others that are nearly as good, best first; none if that is bad, or if they are more than `most`.
+fn optima(pyramid: &Pyramid, query: &[Point2<f64>], region: &Region, min_score: f64, most: usize) -> Option<Vec<Fit>> {
+    let mut found: Vec<Fit> = vec![];
+    let mut patience = PATIENCE;
+    loop {
+        let least = found.first().map_or(min_score, |best| RIVAL * best.score);
+        match pyramid.search(query, region, least, &found, &mut patience) {
+            Search::Found(fit) if found.len() < most => found.push(fit),
+            Search::Nothing => return (!found.is_empty()).then_some(found),
+            Search::Found(_) | Search::GivenUp => return None,
         }
-        Search::Nothing | Search::GivenUp => None,
     }
 }
 

@@ -7,6 +7,8 @@
 use nalgebra::{Isometry2, Point2, Vector2};
 use percept_geometry::GridGeometry;
 use rayon::prelude::*;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 
 /// Levels above the finest: a cell of the coarsest is 32 fine ones wide.
 const DEPTH: u32 = 5;
@@ -18,8 +20,10 @@ const SIGMA: f64 = 1.2;
 const MAX_LEVER_M: f64 = 12.0;
 /// A pose nearer than this to another one is the same optimum, metres and radians.
 const SAME: (f64, f64) = (1.0, 0.35);
-/// Nodes that a search may visit: so many fit nearly alike only where the map says nothing.
-const MAX_NODES: usize = 200_000;
+/// Nodes that a search and those for its rivals may visit: so many fit nearly alike only where the map says nothing.
+pub(crate) const PATIENCE: usize = 200_000;
+/// Points summed up before a node is looked at again whether it can still be good enough.
+const CHUNK: usize = 16;
 /// Fine cells at most along an edge: larger maps are cut off.
 const MAX_CELLS: f64 = 8192.0;
 
@@ -34,7 +38,8 @@ struct Level {
 impl Level {
     #[inline]
     fn at(&self, x: i32, y: i32) -> u32 {
-        if x < 0 || y < 0 || x >= self.width || y >= self.height {
+        // Negative ones are large, too.
+        if x as u32 >= self.width as u32 || y as u32 >= self.height as u32 {
             return 0;
         }
         u32::from(self.cells[(y * self.width + x) as usize])
@@ -93,9 +98,10 @@ pub(crate) struct Fit {
 }
 
 impl Fit {
-    fn is_near(&self, t: &Isometry2<f64>) -> bool {
+    /// Whether all poses around `t`, up to a distance, are the same optimum.
+    fn is_near(&self, t: &Isometry2<f64>, up_to: f64) -> bool {
         let d = self.t.inverse() * t;
-        d.translation.vector.norm() < SAME.0 && d.rotation.angle().abs() < SAME.1
+        d.translation.vector.norm() + up_to < SAME.0 && d.rotation.angle().abs() < SAME.1
     }
 }
 
@@ -108,14 +114,15 @@ pub(crate) enum Search {
     GivenUp,
 }
 
-/// All shifts of `2^level` cells from (x, y) on at one angle.
-#[derive(Debug, Clone, Copy)]
+/// All shifts of `2^level` cells from (x, y) on at one angle. Ordered by what is looked at first: the best, then the
+/// finest; the rest makes the order total.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Node {
     sum: u32,
+    level: Reverse<u32>,
     angle: i32,
     x: i32,
     y: i32,
-    level: u32,
 }
 
 impl Pyramid {
@@ -149,15 +156,95 @@ impl Pyramid {
         Region { center, translation: half.amax(), rotation: std::f64::consts::PI }
     }
 
-    /// The best pose that scores more than `min_score`, and is another optimum than `besides`.
+    /// The best pose that scores more than `min_score`, and is another optimum than `besides`. Takes what it visits from
+    /// `patience`.
     pub(crate) fn search(
         &self,
         query: &[Point2<f64>],
         region: &Region,
         min_score: f64,
-        besides: Option<&Fit>,
+        besides: &[Fit],
+        patience: &mut usize,
     ) -> Search {
-        let resolution = self.geometry.resolution_m;
+        let grid = Shifts::new(self, query, region);
+        let worth = 255.0 * query.len().max(1) as f64;
+        let least = (min_score * worth) as u32;
+        let mut open: BinaryHeap<Node> = self.roots(&grid, least).into();
+        // The best bound comes first: the first pose that comes is the best.
+        while let Some(node) = open.pop() {
+            if *patience == 0 {
+                return Search::GivenUp;
+            }
+            *patience -= 1;
+            if besides.iter().any(|other| grid.is_known(&node, other)) {
+                continue;
+            }
+            if node.level.0 == 0 {
+                return Search::Found(Fit { t: grid.pose(&node), score: f64::from(node.sum) / worth });
+            }
+            let level = node.level.0 - 1;
+            let half = 1 << level;
+            for (dx, dy) in [(0, 0), (half, 0), (0, half), (half, half)] {
+                let (x, y) = (node.x + dx, node.y + dy);
+                if x <= grid.reach && y <= grid.reach {
+                    let sum = self.sum(grid.cells(node.angle), (x, y), level, least);
+                    open.extend((sum > least).then_some(Node { sum, level: Reverse(level), angle: node.angle, x, y }));
+                }
+            }
+        }
+        Search::Nothing
+    }
+
+    /// The coarsest nodes above `least`.
+    fn roots(&self, grid: &Shifts, least: u32) -> Vec<Node> {
+        let side = 1usize << DEPTH;
+        let of_angle = |angle: i32| {
+            let shifts = move || (-grid.reach..=grid.reach).step_by(side);
+            let at = move |(x, y)| {
+                let sum = self.sum(grid.cells(angle), (x, y), DEPTH, least);
+                (sum > least).then_some(Node { sum, level: Reverse(DEPTH), angle, x, y })
+            };
+            shifts().flat_map(move |y| shifts().map(move |x| (x, y))).filter_map(at)
+        };
+        (-grid.num_angles..=grid.num_angles).into_par_iter().flat_map_iter(of_angle).collect()
+    }
+
+    /// Sum of the bounds at a shift; not more than `least` if it is not above it.
+    #[inline]
+    fn sum(&self, cells: &[(i32, i32)], (dx, dy): (i32, i32), level: u32, least: u32) -> u32 {
+        let l = &self.levels[level as usize];
+        let mut sum = 0;
+        let mut left = cells.len();
+        for chunk in cells.chunks(CHUNK) {
+            sum += chunk.iter().map(|&(x, y)| l.at((x + dx) >> level, (y + dy) >> level)).sum::<u32>();
+            left -= chunk.len();
+            if sum + 255 * left as u32 <= least {
+                return 0;
+            }
+        }
+        sum
+    }
+
+    fn cell(&self, p: &Point2<f64>) -> (i32, i32) {
+        let q = (p - self.geometry.origin) / self.geometry.resolution_m;
+        (q.x.floor() as i32, q.y.floor() as i32)
+    }
+}
+
+/// The poses of a search, by numbers: angles and shifts in fine cells.
+struct Shifts {
+    center: Isometry2<f64>,
+    resolution: f64,
+    num_angles: i32,
+    angle_step: f64,
+    reach: i32,
+    /// Cells of the query, by angle.
+    rotated: Vec<Vec<(i32, i32)>>,
+}
+
+impl Shifts {
+    fn new(pyramid: &Pyramid, query: &[Point2<f64>], region: &Region) -> Self {
+        let resolution = pyramid.geometry.resolution_m;
         let lever = query.iter().map(|p| p.coords.norm()).fold(1.0, f64::max).min(MAX_LEVER_M);
         let num_angles = (region.rotation * lever / resolution).ceil().max(1.0) as i32;
         let angle_step = region.rotation / f64::from(num_angles);
@@ -165,81 +252,30 @@ impl Pyramid {
         let turned = |a: i32| {
             let angle = region.center.rotation.angle() + f64::from(a) * angle_step;
             let t = Isometry2::new(region.center.translation.vector, angle);
-            query.iter().map(|p| self.cell(&(t * p))).collect::<Vec<_>>()
+            query.iter().map(|p| pyramid.cell(&(t * p))).collect::<Vec<_>>()
         };
-        let rotated: Vec<Vec<(i32, i32)>> = (-num_angles..=num_angles).into_par_iter().map(turned).collect();
-        let cells = |a: i32| &rotated[(a + num_angles) as usize];
-        let pose = |n: &Node| {
-            let shift = Vector2::new(f64::from(n.x), f64::from(n.y)) * resolution;
-            let angle = region.center.rotation.angle() + f64::from(n.angle) * angle_step;
-            Isometry2::new(region.center.translation.vector + shift, angle)
-        };
-        let worth = 255.0 * query.len().max(1) as f64;
-        let mut least = (min_score * worth) as u32;
-        let mut best: Option<Node> = None;
-        let mut stack = self.roots(&rotated, num_angles, reach, least);
-        let mut num_visited = 0;
-        // The best bound is on top.
-        while let Some(node) = stack.pop() {
-            num_visited += 1;
-            if num_visited > MAX_NODES {
-                return Search::GivenUp;
-            }
-            if node.sum <= least {
-                continue;
-            }
-            if node.level == 0 {
-                let is_new = besides.is_none_or(|other| !other.is_near(&pose(&node)));
-                if is_new {
-                    (least, best) = (node.sum, Some(node));
-                }
-                continue;
-            }
-            let level = node.level - 1;
-            let half = 1 << level;
-            let mut children: Vec<Node> = [(0, 0), (half, 0), (0, half), (half, half)]
-                .into_iter()
-                .map(|(dx, dy)| {
-                    let (x, y) = (node.x + dx, node.y + dy);
-                    Node { sum: self.sum(cells(node.angle), x, y, level), angle: node.angle, x, y, level }
-                })
-                .filter(|n| n.sum > least && n.x <= reach && n.y <= reach)
-                .collect();
-            children.sort_by_key(|n| n.sum);
-            stack.append(&mut children);
-        }
-        best.map_or(Search::Nothing, |n| Search::Found(Fit { t: pose(&n), score: f64::from(n.sum) / worth }))
+        let rotated = (-num_angles..=num_angles).into_par_iter().map(turned).collect();
+        Self { center: region.center, resolution, num_angles, angle_step, reach, rotated }
     }
 
-    /// The coarsest nodes above `least`, best last.
-    fn roots(&self, rotated: &[Vec<(i32, i32)>], num_angles: i32, reach: i32, least: u32) -> Vec<Node> {
-        let side = 1i32 << DEPTH;
-        let of_angle = |(i, cells): (usize, &Vec<(i32, i32)>)| {
-            let mut nodes = vec![];
-            for y in (-reach..=reach).step_by(side as usize) {
-                for x in (-reach..=reach).step_by(side as usize) {
-                    let sum = self.sum(cells, x, y, DEPTH);
-                    if sum > least {
-                        nodes.push(Node { sum, angle: i as i32 - num_angles, x, y, level: DEPTH });
-                    }
-                }
-            }
-            nodes
-        };
-        let mut roots: Vec<Node> = rotated.par_iter().enumerate().flat_map_iter(of_angle).collect();
-        roots.sort_by_key(|n| (n.sum, n.angle, n.x, n.y));
-        roots
+    fn cells(&self, angle: i32) -> &[(i32, i32)] {
+        &self.rotated[(angle + self.num_angles) as usize]
     }
 
-    #[inline]
-    fn sum(&self, cells: &[(i32, i32)], dx: i32, dy: i32, level: u32) -> u32 {
-        let l = &self.levels[level as usize];
-        cells.iter().map(|&(x, y)| l.at((x + dx) >> level, (y + dy) >> level)).sum()
+    /// The pose of a node's first shift.
+    fn pose(&self, n: &Node) -> Isometry2<f64> {
+        let shift = Vector2::new(f64::from(n.x), f64::from(n.y)) * self.resolution;
+        let angle = self.center.rotation.angle() + f64::from(n.angle) * self.angle_step;
+        Isometry2::new(self.center.translation.vector + shift, angle)
     }
 
-    fn cell(&self, p: &Point2<f64>) -> (i32, i32) {
-        let q = (p - self.geometry.origin) / self.geometry.resolution_m;
-        (q.x.floor() as i32, q.y.floor() as i32)
+    /// Whether all poses of a node are the same optimum as another fit.
+    fn is_known(&self, n: &Node, other: &Fit) -> bool {
+        let last = ((1 << n.level.0) - 1) as f64 * self.resolution;
+        let half = Vector2::repeat(0.5 * last);
+        let first = self.pose(n);
+        let middle = Isometry2::new(first.translation.vector + half, first.rotation.angle());
+        other.is_near(&middle, half.norm())
     }
 }
 
@@ -278,13 +314,14 @@ mod tests {
         let t_map_query = Isometry2::new(Vector2::new(3.0, 1.5), 2.5);
         let query: Vec<_> = map().iter().step_by(2).map(|p| t_map_query.inverse() * p).collect();
         let pyramid = Pyramid::new(0.1, &map()).unwrap();
-        let Search::Found(found) = pyramid.search(&query, &pyramid.everywhere(), 0.5, None) else {
+        let Search::Found(found) = pyramid.search(&query, &pyramid.everywhere(), 0.5, &[], &mut PATIENCE.clone())
+        else {
             panic!("not found")
         };
         let off = found.t.inverse() * t_map_query;
         assert!(off.translation.vector.norm() < 0.15 && off.rotation.angle().abs() < 0.02, "{off}");
         assert!(found.score > 0.8);
-        let rival = pyramid.search(&query, &pyramid.everywhere(), 0.8 * found.score, Some(&found));
+        let rival = pyramid.search(&query, &pyramid.everywhere(), 0.8 * found.score, &[found], &mut PATIENCE.clone());
         assert!(matches!(rival, Search::Nothing));
     }
 
@@ -293,7 +330,9 @@ mod tests {
         let query: Vec<_> = map().iter().step_by(5).map(|p| Isometry2::new(Vector2::new(0.3, -0.2), 0.1) * p).collect();
         let pyramid = Pyramid::new(0.1, &map()).unwrap();
         let region = Region { center: Isometry2::identity(), translation: 0.8, rotation: 0.2 };
-        let Search::Found(found) = pyramid.search(&query, &region, 0.0, None) else { panic!("not found") };
+        let Search::Found(found) = pyramid.search(&query, &region, 0.0, &[], &mut PATIENCE.clone()) else {
+            panic!("not found")
+        };
         let mut best = 0u32;
         let lever = query.iter().map(|p| p.coords.norm()).fold(1.0, f64::max).min(MAX_LEVER_M);
         let n = (region.rotation * lever / 0.1).ceil() as i32;
@@ -301,7 +340,7 @@ mod tests {
             let t = Isometry2::rotation(f64::from(a) * region.rotation / f64::from(n));
             let cells: Vec<_> = query.iter().map(|p| pyramid.cell(&(t * p))).collect();
             for (y, x) in (-8..=8).flat_map(|y| (-8..=8).map(move |x| (y, x))) {
-                best = best.max(pyramid.sum(&cells, x, y, 0));
+                best = best.max(pyramid.sum(&cells, (x, y), 0, 0));
             }
         }
         assert_eq!((found.score * 255.0 * query.len() as f64).round() as u32, best);

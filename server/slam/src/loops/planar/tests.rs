@@ -139,6 +139,27 @@ impl Drive {
         let off = truth.inverse() * planar(&c.t_from_to);
         (off.translation.vector.norm(), off.rotation.angle().abs())
     }
+
+    /// Asks with views from a way, the last of them the newest.
+    fn relocalise_views(
+        &self,
+        way: &[Isometry2<f64>],
+        mut views: Vec<Arc<KeyframeScan>>,
+    ) -> Option<crate::loops::Relocalisation> {
+        let scan = views.pop()?;
+        let from_now = way.last()?.inverse();
+        let before: Vec<_> = way.iter().zip(views).map(|(t, view)| (spatial(&(from_now * t)), view)).collect();
+        self.places.relocalise_driven(&before, &scan, &self.poses)
+    }
+
+    fn relocalise_driven(
+        &mut self,
+        building: &Building,
+        way: &[Isometry2<f64>],
+    ) -> Option<crate::loops::Relocalisation> {
+        let views = way.iter().map(|t| building.scan(t, &mut self.noise)).collect();
+        self.relocalise_views(way, views)
+    }
 }
 
 const ROUND: [[f64; 2]; 5] = [[3.0, 2.0], [19.0, 2.5], [19.5, 11.0], [4.0, 11.0], [3.0, 2.0]];
@@ -191,6 +212,7 @@ fn rooms_that_look_alike_are_not_joined() {
     assert_eq!(wrong, 0, "{found:?}");
     let scan = building.scan(&tour(0.0)[3], &mut drive.noise);
     assert_eq!(drive.places.relocalise(&scan, &drive.poses), None);
+    assert_eq!(drive.relocalise_driven(&building, &tour(0.0)), None);
 }
 
 #[test]
@@ -222,6 +244,25 @@ fn a_kidnapped_robot_is_found_where_it_has_been_and_nowhere_else() {
         let scan = elsewhere.scan(&at, &mut drive.noise);
         assert_eq!(drive.places.relocalise(&scan, &drive.poses), None, "{k}");
     }
+}
+
+#[test]
+fn a_robot_that_drives_since_it_was_lost_is_found_by_the_way_and_not_before() {
+    let mut drive = Drive::new(6);
+    let office = Building::office();
+    drive.along(&office, &route(&ROUND), &Isometry2::identity());
+    let way: Vec<_> = drive.truth[12..20].iter().map(|t| t * Isometry2::new(Vector2::new(0.2, 0.1), 0.1)).collect();
+    assert_eq!(drive.relocalise_driven(&office, &way[..2]), None);
+    let found = drive.relocalise_driven(&office, &way).unwrap();
+    let off = (drive.poses[&found.keyframe] * found.t_keyframe_base).inverse() * spatial(way.last().unwrap());
+    assert!(off.translation.vector.norm() < 0.04, "{off}");
+    // The same way, but its beginning was seen elsewhere.
+    let elsewhere = Building::default().cuboid(0.0, 0.0, 9.0, 7.0).cuboid(2.0, 2.5, 1.5, 0.8);
+    let mut views: Vec<_> = way.iter().map(|t| office.scan(t, &mut drive.noise)).collect();
+    for (k, view) in views.iter_mut().take(4).enumerate() {
+        *view = elsewhere.scan(&Isometry2::new(Vector2::new(1.0 + 0.4 * k as f64, 1.2), 0.8), &mut drive.noise);
+    }
+    assert_eq!(drive.relocalise_views(&way, views), None);
 }
 
 #[test]

@@ -6,6 +6,7 @@
 pub(crate) mod field;
 pub(crate) mod refine;
 pub(crate) mod search;
+pub(crate) mod sight;
 pub(crate) mod sweep;
 
 use crate::odometry::{LocalModel, Match, Prediction};
@@ -17,6 +18,7 @@ use nalgebra::{Isometry2, Matrix3, Point2, Vector2, Vector6};
 use percept_geometry::{KeyframeScan, Pose, se3};
 use search::{Window, search};
 use serde::{Deserialize, Serialize};
+use sight::{Sight, View, contradicted};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use sweep::Hit;
@@ -84,12 +86,20 @@ impl Lidar2dParams {
 /// A scan of the local map.
 struct Kept {
     hits: Vec<Hit>,
+    t_base_sensor: Isometry2<f64>,
     t_odom_base: Isometry2<f64>,
     travelled: f64,
 }
 
 /// Hits beyond so many are thinned for the search; the refinement uses all.
 const SEARCH_POINTS: usize = 180;
+
+/// What a scan has to bring that follows a gap in which the robot may have been carried off: least share of its hits on the
+/// local map, and most that may contradict of what both saw. Rooms of one building share half of their walls.
+const AFTER_GAP: (f64, f64) = (0.6, 0.12);
+/// Scans of the local map that it is compared with: so near, metres, and so many at most.
+const COMPARED_M: f64 = 5.0;
+const COMPARED: usize = 12;
 
 /// The local map of a planar lidar and its current scan.
 pub(crate) struct Lidar2d {
@@ -98,6 +108,8 @@ pub(crate) struct Lidar2d {
     field: Field,
     /// Hits of the current scan in base.
     hits: Vec<Hit>,
+    /// Its sensor.
+    t_base_sensor: Isometry2<f64>,
     travelled: f64,
     last: Option<Isometry2<f64>>,
 }
@@ -105,12 +117,25 @@ pub(crate) struct Lidar2d {
 impl Lidar2d {
     pub(crate) fn new(params: Lidar2dParams) -> Self {
         let field = Field::new(params.resolution_m, 1.4 * params.max_range_m, Point2::origin());
-        Self { params, kept: VecDeque::new(), field, hits: vec![], travelled: 0.0, last: None }
+        let t_base_sensor = Isometry2::identity();
+        Self { params, kept: VecDeque::new(), field, hits: vec![], t_base_sensor, travelled: 0.0, last: None }
     }
 
-    fn keep(&mut self, hits: Vec<Hit>, t_odom_base: Isometry2<f64>) {
+    fn keep(&mut self, hits: Vec<Hit>, t_base_sensor: Isometry2<f64>, t_odom_base: Isometry2<f64>) {
         self.field.add(&hits, &t_odom_base);
-        self.kept.push_back(Kept { hits, t_odom_base, travelled: self.travelled });
+        self.kept.push_back(Kept { hits, t_base_sensor, t_odom_base, travelled: self.travelled });
+    }
+
+    /// Scans of the local map around a pose, with what they looked through.
+    fn views_around(&self, t: &Isometry2<f64>) -> Vec<View<'_>> {
+        let offset = |k: &Kept| k.t_odom_base.translation.vector - t.translation.vector;
+        let near: Vec<&Kept> = self.kept.iter().filter(|k| offset(k).norm() < COMPARED_M).collect();
+        let mut views = vec![];
+        for k in near.iter().step_by(near.len().div_ceil(COMPARED).max(1)) {
+            let sight = Sight::new(k.hits.iter().map(|h| h.p), &k.t_base_sensor);
+            views.push(View { t_map_base: k.t_odom_base, hits: &k.hits, sight });
+        }
+        views
     }
 
     /// Redraws the grids when a good part of the scans is old or the robot nears their border.
@@ -147,6 +172,7 @@ impl LocalModel for Lidar2d {
     fn prepare(&mut self, scan: &Scan, velocity: &Vector6<f64>) -> Result<(), LostReason> {
         let Scan::Planar(scan) = scan else { return Err(LostReason::UnsuitableScan) };
         self.hits = sweep::hits(scan, self.params.max_range_m, velocity);
+        self.t_base_sensor = planar(&scan.t_base_sensor);
         if self.hits.len() < 20 { Err(LostReason::TooFewPoints) } else { Ok(()) }
     }
 
@@ -180,8 +206,15 @@ impl LocalModel for Lidar2d {
         self.redraw(Point2::from(t.translation.vector));
         if far {
             let hits = self.hits.clone();
-            self.keep(hits, t);
+            self.keep(hits, self.t_base_sensor, t);
         }
+    }
+
+    fn is_certain(&self, found: &Match) -> bool {
+        let t = planar(&found.t_odom_base);
+        let own = Sight::new(self.hits.iter().map(|h| h.p), &self.t_base_sensor);
+        let against = contradicted(&self.field, &self.views_around(&t), (&own, &self.hits), &t);
+        found.inlier_ratio >= AFTER_GAP.0 && against <= AFTER_GAP.1
     }
 
     fn clear(&mut self) {
@@ -197,7 +230,7 @@ impl LocalModel for Lidar2d {
             let t = planar(t_odom_base);
             self.travel(&t);
             let hits = sweep::from_points(&scan.hits.positions, &scan.t_base_sensor);
-            self.keep(hits, t);
+            self.keep(hits, planar(&scan.t_base_sensor), t);
         }
         self.travel(&here);
     }

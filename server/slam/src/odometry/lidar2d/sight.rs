@@ -1,11 +1,11 @@
-//! What a keyframe saw in each direction, and whether another one's points contradict it.
+//! What a scan saw in each direction, and whether another one's points contradict it.
 //!
 //! Places that look alike agree in the surfaces that both views show; what tells them apart is a surface of one that the
 //! other looked through.
 
-use crate::odometry::lidar2d::planar;
-use nalgebra::{Isometry2, Point2};
-use percept_geometry::KeyframeScan;
+use super::field::Field;
+use super::sweep::Hit;
+use nalgebra::{Isometry2, Point2, Vector2};
 use std::f64::consts::TAU;
 
 /// Directions of a full turn.
@@ -22,11 +22,12 @@ pub(crate) struct Sight {
 }
 
 impl Sight {
-    pub(crate) fn new(scan: &KeyframeScan) -> Self {
-        let t_sensor_base = planar(&scan.t_base_sensor).inverse();
+    /// Of the ends of beams in base, those without a return included if they are known.
+    pub(crate) fn new(ends: impl Iterator<Item = Point2<f64>>, t_base_sensor: &Isometry2<f64>) -> Self {
+        let t_sensor_base = t_base_sensor.inverse();
         let mut ranges = vec![0f32; BINS];
-        for p in scan.hits.positions.iter().chain(&scan.misses) {
-            let q = t_sensor_base * p.cast::<f64>().xy();
+        for p in ends {
+            let q = t_sensor_base * p;
             let (bin, r) = (bin(&q), q.coords.norm() as f32);
             let known = &mut ranges[bin];
             *known = if *known == 0.0 { r } else { known.min(r) };
@@ -35,7 +36,7 @@ impl Sight {
     }
 
     /// Whether a beam ended near a point of base.
-    pub(crate) fn reaches(&self, p: &Point2<f64>) -> bool {
+    fn reaches(&self, p: &Point2<f64>) -> bool {
         let q = self.t_sensor_base * p;
         let (bin, r) = (bin(&q), q.coords.norm());
         let near = BEYOND.0 + BEYOND.1 * r;
@@ -43,7 +44,7 @@ impl Sight {
     }
 
     /// Whether beams on both sides of a point of base ended well beyond it.
-    pub(crate) fn is_through(&self, p: &Point2<f64>) -> bool {
+    fn is_through(&self, p: &Point2<f64>) -> bool {
         let q = self.t_sensor_base * p;
         let (bin, r) = (bin(&q), q.coords.norm());
         let beyond = (r + BEYOND.0 + BEYOND.1 * r) as f32;
@@ -54,4 +55,46 @@ impl Sight {
 fn bin(q: &Point2<f64>) -> usize {
     let turn = q.y.atan2(q.x).rem_euclid(TAU) / TAU;
     ((turn * BINS as f64) as usize).min(BINS - 1)
+}
+
+/// A scan of a local map, with its pose in it.
+pub(crate) struct View<'a> {
+    pub(crate) t_map_base: Isometry2<f64>,
+    pub(crate) hits: &'a [Hit],
+    pub(crate) sight: Sight,
+}
+
+/// Share of what both a scan at `t` and the views of a local map saw in which they contradict each other: hits of one
+/// that the other looked through. `field` holds the views' hits.
+pub(crate) fn contradicted(
+    field: &Field,
+    views: &[View<'_>],
+    (own, hits): (&Sight, &[Hit]),
+    t: &Isometry2<f64>,
+) -> f64 {
+    let to_views: Vec<Isometry2<f64>> = views.iter().map(|v| v.t_map_base.inverse()).collect();
+    let (mut agreed, mut against) = (0usize, 0usize);
+    for hit in hits {
+        let p = t * hit.p;
+        if field.element(&p, &Vector2::zeros()).is_some() {
+            agreed += 1;
+        } else if views.iter().zip(&to_views).any(|(v, t_base_map)| v.sight.is_through(&(t_base_map * p))) {
+            against += 1;
+        }
+    }
+    let t_base_map = t.inverse();
+    let (mut passed, mut met) = (0usize, 0usize);
+    for view in views {
+        let t_base_view = t_base_map * view.t_map_base;
+        for hit in view.hits.iter().step_by(4) {
+            let p = t_base_view * hit.p;
+            match own.is_through(&p) {
+                true => passed += 1,
+                false if own.reaches(&p) => met += 1,
+                false => {}
+            }
+        }
+    }
+    let share = |bad: usize, good: usize| bad as f64 / (bad + good).max(1) as f64;
+    share(against, agreed).max(share(passed, met))
 }

@@ -176,7 +176,8 @@ impl Mono {
         let before = self.t_odom_base;
         self.t_odom_base = self.newest(&scan.t_base_sensor);
         let covariance = self.covariance(placed, &scan.t_base_sensor);
-        let covariance = self.uncertainty.measured(&(before.inverse() * self.t_odom_base), &covariance);
+        let t_last_now = before.inverse() * self.t_odom_base;
+        let covariance = self.uncertainty.measured(&t_last_now, &covariance, &[false; 6]);
         self.num_lost = 0;
         OdometryEstimate {
             stamp,
