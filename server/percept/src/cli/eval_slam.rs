@@ -204,6 +204,7 @@ fn figures(run: &SlamRun) -> Value {
         "tracked": run.num_tracked(),
         "tracked_share": run.num_tracked() as f64 / run.num_sent.max(1) as f64,
         "states": run.states,
+        "degenerate_frames": run.num_degenerate,
         "path_length_m": run.path_length_m(),
         "ate_rmse_m": last.as_ref().map(|a| a.translation_m.rmse),
         "ate_max_m": last.as_ref().map(|a| a.translation_m.max),

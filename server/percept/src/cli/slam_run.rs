@@ -38,6 +38,8 @@ pub(crate) struct SlamRun {
     pub(crate) num_corrections: usize,
     /// Loops that were found, those that were believed, and believed ones that contradict the truth.
     pub(crate) num_loops: [usize; 3],
+    /// Frames in which the scene left each axis of base open: x, y, z, rotation x, y, z.
+    pub(crate) num_degenerate: [usize; 6],
     /// Frames by what was said of tracking.
     pub(crate) states: BTreeMap<String, usize>,
     /// Base to map by stamp, with all corrections, of frames that were tracked.
@@ -107,6 +109,7 @@ pub(crate) fn run_session(
         num_keyframes: 0,
         num_corrections: 0,
         num_loops: [0; 3],
+        num_degenerate: [0; 6],
         states: BTreeMap::new(),
         corrected: HashMap::new(),
     };
@@ -125,6 +128,7 @@ pub(crate) fn run_session(
             }
         };
         let Some(pose) = report.pose.filter(|_| sim.frame.sensor == main) else { continue };
+        run.num_degenerate.iter_mut().zip(pose.degenerate_axes).for_each(|(n, open)| *n += usize::from(open));
         *run.states.entry(state_name(pose.state)).or_default() += 1;
         run.frames.push(FrameRecord {
             stamp: sim.frame.stamp,
