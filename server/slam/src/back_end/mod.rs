@@ -122,10 +122,9 @@ const GAP: (f64, f64) = (10.0, 3.0);
 const MERGED: (f64, f64, f64) = (0.03, 0.02, 0.02);
 /// Keyframes between optimisations that change next to nothing.
 const LAZY: usize = 10;
-/// Displacement below which keyframes are left where they are: metres and radians.
-const UNMOVED: (f64, f64) = (0.003, 0.001);
-/// Displacement from which a correction does not wait for the next turn.
-const URGENT: (f64, f64) = (0.25, 0.05);
+/// Displacements (metres and radians) and the share of all keyframes that must have come since the last correction before
+/// one is made for them: less than the first is left, the last does not wait.
+const TURNS: [((f64, f64), f64); 3] = [((0.003, 0.001), 0.25), ((0.02, 0.005), 0.05), ((0.25, 0.05), 0.0)];
 
 /// Keyframes, what ties them, and where they are believed to be.
 pub struct BackEnd {
@@ -536,8 +535,9 @@ impl BackEnd {
                 off.translation.vector.norm() > limit.0 || off.rotation.angle() > limit.1
             })
         };
-        let turn = self.since_given > self.chain.len() / 20 && far(UNMOVED);
-        if turn || far(URGENT) { self.give() } else { None }
+        let waited = self.since_given as f64;
+        let is_time = |&(limit, share): &((f64, f64), f64)| waited >= share * self.chain.len() as f64 && far(limit);
+        if TURNS.iter().any(is_time) { self.give() } else { None }
     }
 
     fn give(&mut self) -> Option<Correction> {

@@ -242,7 +242,8 @@ fn a_robot_that_stays_needs_no_more_keyframes_and_its_map_stays_true() {
     let newest = &map[map.len() - 100..];
     let worst = newest.iter().zip(&truth[map.len() - 100..]);
     let worst = worst.map(|(a, b)| (a.translation.vector - b.translation.vector).norm()).fold(0.0, f64::max);
-    assert!(worst < 0.15, "{worst}");
+    // As without merging: what came last is measured least.
+    assert!(worst < 0.25, "{worst}");
     let ids: Vec<_> = back_end.loops().iter().map(|l| l.id).collect();
     assert!(ids.is_sorted());
     assert_eq!(map, drive_along(&mut ChaCha8Rng::seed_from_u64(6), &truth, rounds(7)).1);
