@@ -1,6 +1,7 @@
 //! Gyro samples between two frames, as a prior on the turn; the gyro's bias is learned from the frames that were placed.
+//! At rest the accelerometer says which way is up.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Unit, UnitQuaternion, Vector3};
 use percept_geometry::sensor::ImuSample;
 use percept_geometry::{Covariance6, Pose, Timestamp};
 use percept_slam::MotionPrior;
@@ -16,14 +17,23 @@ const BIAS_SIGMA: (f64, f64) = (0.02, 0.002);
 const BIAS_MEMORY: f64 = 300.0;
 /// Errors of a turn that do not come from the bias: radians, and share of the turn (scale, alignment).
 const TURN_SIGMA: (f64, f64) = (0.002, 0.02);
+/// At rest: so many samples over so long (seconds), in which forces vary by no more (standard deviation, m/s^2), are as
+/// large as gravity within this (m/s^2), and turning is slower than this (rad/s).
+const REST_SAMPLES: usize = 15;
+const REST_S: (f64, f64) = (0.2, 1.5);
+const REST_SPREAD: f64 = 0.4;
+const GRAVITY: (f64, f64) = (9.81, 0.4);
+const REST_RATE: f64 = 0.1;
 /// Standard deviation that says nothing about a translation, metres.
 const UNKNOWN_M: f64 = 1e3;
 
-/// Angular velocities of one IMU.
+/// Samples of one IMU.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ImuBuffer {
-    /// In base, rad/s, as measured.
+    /// Angular velocity in base, rad/s, as measured.
     samples: VecDeque<(Timestamp, Vector3<f64>)>,
+    /// Specific force in base, m/s^2, of the same samples.
+    forces: VecDeque<Vector3<f64>>,
     bias: Vector3<f64>,
     num_learned: f64,
 }
@@ -31,9 +41,26 @@ pub(crate) struct ImuBuffer {
 impl ImuBuffer {
     pub(crate) fn push(&mut self, stamp: Timestamp, sample: &ImuSample, t_base_sensor: &Pose) {
         self.samples.push_back((stamp, t_base_sensor.rotation * sample.angular_velocity));
+        self.forces.push_back(t_base_sensor.rotation * sample.linear_acceleration);
         while self.samples.front().is_some_and(|s| stamp.seconds_since(s.0) > KEPT_S) {
             self.samples.pop_front();
+            self.forces.pop_front();
         }
+    }
+
+    /// The direction against gravity in base, if the IMU was at rest just before a stamp.
+    pub(crate) fn up(&self, stamp: Timestamp) -> Option<Unit<Vector3<f64>>> {
+        let first = self.samples.partition_point(|s| stamp.seconds_since(s.0) > REST_S.1);
+        let end = self.samples.partition_point(|s| s.0 <= stamp);
+        let stretch = end.checked_sub(first).filter(|n| *n >= REST_SAMPLES)?;
+        let covered = self.samples[end - 1].0.seconds_since(self.samples[first].0);
+        let n = stretch as f64;
+        let mean = self.forces.range(first..end).sum::<Vector3<f64>>() / n;
+        let spread = (self.forces.range(first..end).map(|f| (f - mean).norm_squared()).sum::<f64>() / n).sqrt();
+        let rate = self.samples.range(first..end).map(|s| s.1).sum::<Vector3<f64>>() / n;
+        let is_gravity = (mean.norm() - GRAVITY.0).abs() < GRAVITY.1;
+        let rests = covered >= REST_S.0 && spread < REST_SPREAD && is_gravity && rate.norm() < REST_RATE;
+        rests.then(|| Unit::new_normalize(mean))
     }
 
     /// The turn from one stamp to another, with a translation that is not known.
@@ -156,6 +183,20 @@ mod tests {
         }
         let turn = imu.between(at(8.0), at(9.0)).unwrap().t_prev_now.rotation.scaled_axis();
         assert!((turn - turning).norm() < 1e-6);
+    }
+
+    #[test]
+    fn up_is_known_at_rest_alone() {
+        let mut imu = ImuBuffer::default();
+        // Mounted on its side: its y is base's z.
+        let mount = Pose::rotation(Vector3::new(std::f64::consts::FRAC_PI_2, 0.0, 0.0));
+        let force = |f: Vector3<f64>| ImuSample { angular_velocity: Vector3::zeros(), linear_acceleration: f };
+        let wobble = |i: i32| Vector3::new(0.05 * f64::from(i % 3 - 1), 0.0, 0.0);
+        (0..100).for_each(|i| imu.push(at(0.01 * f64::from(i)), &force(Vector3::y() * 9.8 + wobble(i)), &mount));
+        assert!(imu.up(at(0.1)).is_none(), "too short");
+        assert!(imu.up(at(1.0)).unwrap().angle(&Vector3::z_axis()) < 0.01);
+        (100..200).for_each(|i| imu.push(at(0.01 * f64::from(i)), &force(Vector3::y() * 12.0), &mount));
+        assert!(imu.up(at(2.0)).is_none(), "accelerated");
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! The map's z axis points up and its floor is z = 0: found from the first keyframe.
+//! The map's z axis points up and its floor is z = 0: found from the first keyframe, and from gravity where an IMU was
+//! at rest.
 //!
 //! A base whose origin is on the floor (as on most robots) keeps its frame. A handheld camera, or a lidar
 //! whose mount was not declared, gets the tilt and height of the floor that it sees.
@@ -12,6 +13,8 @@ const MAX_TILT: f64 = 0.7;
 /// Declared frames this close to the floor found are believed, radians and metres: the fit is no better.
 const BELIEVED_TILT: f64 = 0.02;
 const BELIEVED_HEIGHT: f64 = 0.05;
+/// A floor is this level, radians; where gravity is known, what is steeper is a ramp or no floor.
+const MAX_SLOPE: f64 = 0.1;
 /// A floor holds at least this share of the scan.
 const MIN_SHARE: f64 = 0.05;
 
@@ -24,13 +27,14 @@ pub(crate) struct Level {
     pub(crate) base_height_m: f64,
 }
 
-/// The level of the first keyframe. Identity if the scan is planar, shows no floor, or agrees with base.
-pub(crate) fn level(scan: &KeyframeScan) -> Level {
+/// The level of the first keyframe; `gravity_up` in base if it was measured. Identity if the scan is planar, agrees with base,
+/// or shows no floor and nothing was measured.
+pub(crate) fn level(scan: &KeyframeScan, gravity_up: Option<Unit<Vector3<f64>>>) -> Level {
     let as_declared = Level { t_map_base: Pose::identity(), base_height_m: 0.0 };
     if scan.planar {
         return as_declared;
     }
-    let Some((up, height)) = floor(scan) else { return as_declared };
+    let Some((up, height)) = floor(scan, gravity_up).or(gravity_up.map(|up| (up, 0.0))) else { return as_declared };
     if up.angle(&Vector3::z_axis()) < BELIEVED_TILT && height.abs() < BELIEVED_HEIGHT {
         return as_declared;
     }
@@ -41,20 +45,21 @@ pub(crate) fn level(scan: &KeyframeScan) -> Level {
     Level { t_map_base: Pose::from_parts(Vector3::new(0.0, 0.0, height).into(), yaw * rotation), base_height_m: height }
 }
 
-/// The lowest large plane that is nearly horizontal in base: its upward normal, and base's height above it.
-fn floor(scan: &KeyframeScan) -> Option<(Unit<Vector3<f64>>, f64)> {
+/// The lowest large plane that is nearly horizontal, by gravity or in base: its upward normal, and base's height above it.
+fn floor(scan: &KeyframeScan, gravity_up: Option<Unit<Vector3<f64>>>) -> Option<(Unit<Vector3<f64>>, f64)> {
+    let (expected, most_tilt) = gravity_up.map_or((Vector3::z_axis(), MAX_TILT), |up| (up, MAX_SLOPE));
     let cloud = voxel_downsample(&scan.hits, 0.1).ok()?;
     let n = cloud.len();
     let min_points = ((n as f64 * MIN_SHARE) as usize).max(30);
     let plane = PlaneParams { distance_m: 0.05, min_points, ..PlaneParams::default() };
     let params = PlanesParams { plane, max_planes: 6, ..PlanesParams::default() };
-    let planes = segment_planes(&cloud.positions, &Vector3::z_axis(), &params).ok()?;
+    let planes = segment_planes(&cloud.positions, &expected, &params).ok()?;
     let candidates = planes.iter().map(|s| {
         let plane = s.segment.plane;
-        if plane.normal.z < 0.0 { (-plane.normal, -plane.offset) } else { (plane.normal, plane.offset) }
+        if plane.normal.dot(&expected) < 0.0 { (-plane.normal, -plane.offset) } else { (plane.normal, plane.offset) }
     });
     candidates
-        .filter(|(up, _)| up.angle(&Vector3::z_axis()) < MAX_TILT)
+        .filter(|(up, _)| up.angle(&expected) < most_tilt)
         // Base stands on the floor or is carried above it; a little below is the fit's noise.
         .filter(|(_, height)| *height > -BELIEVED_HEIGHT)
         // Most of the scan lies above a floor; a ceiling or a table top fails this.
@@ -63,4 +68,56 @@ fn floor(scan: &KeyframeScan) -> Option<(Unit<Vector3<f64>>, f64)> {
             (below as f64) < 0.05 * n as f64
         })
         .max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point3;
+    use percept_geometry::{PointCloud, Timestamp};
+
+    /// Points of a plane through `center` along two directions, 4 m wide, seen from a base turned by `r_world_base`.
+    fn patch(center: Vector3<f64>, a: Vector3<f64>, b: Vector3<f64>, r: &UnitQuaternion<f64>) -> Vec<Point3<f32>> {
+        let at = |i: i32, j: i32| center + a * (0.1 * f64::from(i)) + b * (0.1 * f64::from(j));
+        let grid = (-20..=20).flat_map(|i| (-20..=20).map(move |j| (i, j)));
+        grid.map(|(i, j)| Point3::from(r.inverse() * at(i, j)).cast()).collect()
+    }
+
+    fn seen(positions: Vec<Point3<f32>>) -> KeyframeScan {
+        KeyframeScan {
+            stamp: Timestamp(0),
+            sensor: "lidar".into(),
+            t_base_sensor: Pose::identity(),
+            base_height_m: 0.0,
+            hits: PointCloud::from_positions(positions),
+            misses: vec![],
+            planar: false,
+            features: None,
+        }
+    }
+
+    #[test]
+    fn gravity_levels_a_base_that_sees_no_floor() {
+        let tilted = UnitQuaternion::from_euler_angles(0.3, -0.9, 0.0);
+        let wall = seen(patch(Vector3::new(3.0, 0.0, 0.0), Vector3::y(), Vector3::z(), &tilted));
+        let up = Unit::new_normalize(tilted.inverse() * Vector3::z());
+        let known = level(&wall, Some(up)).t_map_base;
+        assert!((known.rotation * up.into_inner() - Vector3::z()).norm() < 1e-9);
+        assert!((known.rotation * Vector3::x()).y.abs() < 1e-9);
+        // Declared level and measured level: nothing is turned.
+        let straight =
+            seen(patch(Vector3::new(3.0, 0.0, 0.0), Vector3::y(), Vector3::z(), &UnitQuaternion::identity()));
+        assert_eq!(level(&straight, Some(Vector3::z_axis())).t_map_base, Pose::identity());
+    }
+
+    #[test]
+    fn a_ramp_is_no_floor_where_gravity_is_known() {
+        let slope = UnitQuaternion::from_euler_angles(0.0, 0.3, 0.0);
+        let (along, across) = (slope * Vector3::x(), Vector3::y());
+        let ramp = seen(patch(Vector3::new(2.0, 0.0, -1.0), along, across, &UnitQuaternion::identity()));
+        assert!(level(&ramp, None).t_map_base.rotation.angle() > 0.25);
+        assert_eq!(level(&ramp, Some(Vector3::z_axis())).t_map_base, Pose::identity());
+        let floor = seen(patch(Vector3::new(2.0, 0.0, -1.0), Vector3::x(), across, &UnitQuaternion::identity()));
+        assert!((level(&floor, Some(Vector3::z_axis())).base_height_m - 1.0).abs() < 0.02);
+    }
 }

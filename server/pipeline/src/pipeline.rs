@@ -466,7 +466,7 @@ impl Pipeline {
     fn add_keyframe(&mut self, spec: &SensorSpec, mut scan: KeyframeScan, t_odom_base: Pose) -> NewKeyframe {
         let stamp = scan.stamp;
         if self.keyframes.is_empty() {
-            let level = level(&scan);
+            let level = level(&scan, self.imu.up(stamp));
             self.t_map_odom = level.t_map_base * t_odom_base.inverse();
             self.base_height_m = level.base_height_m;
         }

@@ -230,7 +230,7 @@ impl PlaceRecognition for Rounds {
 
 #[test]
 fn a_robot_that_stays_needs_no_more_keyframes_and_its_map_stays_true() {
-    let truth = circle(30 * ROUND);
+    let truth = circle(16 * ROUND);
     let rounds = |seed| {
         let (rng, known) = (ChaCha8Rng::seed_from_u64(seed), Default::default());
         Box::new(Rounds { rng, truth: truth.clone(), known })
