@@ -59,7 +59,7 @@ class FrameSender(abc.ABC, Generic[R]):
         )
 
     def send_color(self, sensor_id: str, *, stamp_ns: int, color: Array | EncodedImage) -> R:
-        """Sends a colour image: (H, W, 3) uint8 RGB, PNG or JPEG."""
+        """Sends a camera's image: (H, W, 3) uint8 RGB, (H, W) uint8 grey, PNG or JPEG."""
         return self.send(CameraFrame(sensor_id, stamp_ns=stamp_ns, color=color))
 
     def send_cloud(

@@ -12,6 +12,7 @@ mod odometry_prior;
 mod params;
 mod pipeline;
 mod recovery;
+mod scale_hints;
 mod sensors;
 mod snapshot;
 mod visibility;

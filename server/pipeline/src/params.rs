@@ -21,7 +21,7 @@ pub struct ParamsError {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SlamParams {
-    /// Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd, depth).
+    /// Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd or depth, camera).
     pub pose_sensor: String,
     /// Registration of frames, and when one becomes a keyframe.
     pub odometry: OdometryParams,

@@ -10,6 +10,7 @@ use crate::imu_prior::{ImuBuffer, joined};
 use crate::level::level;
 use crate::odometry_prior::OdometryBuffer;
 use crate::recovery::Anchoring;
+use crate::scale_hints::ScaleHints;
 use crate::sensors::{Sensors, scan_of};
 use crate::visibility::RangeImage;
 use crate::{
@@ -23,8 +24,8 @@ use percept_mapping::Map;
 use percept_perception::detection::Detector;
 use percept_scene::{Object, ObjectChange, Observation, Tracker, Visibility};
 use percept_slam::{
-    BackEnd, KeyframePolicy, Loop, LoopId, LostReason, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState,
-    keyframe,
+    BackEnd, KeyframePolicy, Loop, LoopId, LostReason, Odometry, OdometryEstimate, OdometryKind, Scale, Scan,
+    TrackingState, keyframe,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -141,6 +142,7 @@ pub struct Pipeline {
     clocks: ClockOffsets,
     clock_offsets: Arc<BTreeMap<SensorId, f64>>,
     odometry: Option<Odometry>,
+    scale_hints: ScaleHints,
     anchoring: Anchoring,
     back_end: Option<BackEnd>,
     loops: Arc<Vec<Loop>>,
@@ -179,6 +181,7 @@ impl Pipeline {
             clocks: ClockOffsets::default(),
             clock_offsets: Arc::default(),
             odometry: None,
+            scale_hints: ScaleHints::default(),
             anchoring: Anchoring::default(),
             back_end: None,
             loops: Arc::default(),
@@ -241,11 +244,12 @@ impl Pipeline {
     /// Takes up odometry where the trajectory ends, with the last keyframes as the local model.
     fn restore_odometry(&mut self, restored: &Restored) {
         // Frames that were not tracked have guessed poses.
-        let entry = restored.trajectory.iter().rev().find(|e| e.tracked);
-        let (Some(newest), Some(entry)) = (restored.keyframes.last(), entry) else { return };
+        let anchored = |e: &TrajectoryEntry| Some((*e, e.anchor.filter(|_| e.tracked)?));
+        let entry = restored.trajectory.iter().rev().find_map(anchored);
+        let (Some(newest), Some((entry, anchor))) = (restored.keyframes.last(), entry) else { return };
         self.newest_keyframe_t_odom_base = newest.t_odom_base;
         self.t_map_odom = newest.t_map_base * newest.t_odom_base.inverse();
-        let Some(anchor) = restored.keyframes.get(entry.anchor.0 as usize) else { return };
+        let Some(anchor) = restored.keyframes.get(anchor.0 as usize) else { return };
         // The trajectory hangs on keyframes of the sensor that moves the pose.
         let sensor = anchor.sensor().clone();
         let t_odom_base = anchor.t_odom_base * entry.t_anchor_base;
@@ -268,6 +272,10 @@ impl Pipeline {
             inlier_ratio: 0.0,
             rmse_m: 0.0,
             degenerate_axes: [false; 6],
+            // A camera's own map is not stored: it begins anew.
+            scale: if kind == OdometryKind::Mono { Scale::Unknown } else { Scale::Measured },
+            waiting: None,
+            is_relocalised: false,
             map_version: self.map.layers().version,
         });
     }
@@ -291,11 +299,29 @@ impl Pipeline {
             self.clocks.saw(&spec.id, stamp, sample.angular_velocity.norm());
             return Ok(nothing);
         }
-        let Some(scan) = scan_of(&spec, &frame.data) else { return Ok(nothing) };
+        let Some(mut scan) = scan_of(&spec, &frame.data) else { return Ok(nothing) };
         if self.sensors.is_pose_sensor(&frame.sensor, &self.params.slam.pose_sensor, stamp) {
+            if !self.is_metric() {
+                self.scale_hints.see_image(stamp, &mut scan);
+            }
             Ok(self.register(&spec, stamp, &scan))
         } else {
+            self.tell_scale(stamp, &scan);
             Ok(self.map_only(&spec, stamp, &scan).unwrap_or(nothing))
+        }
+    }
+
+    /// Whether the newest pose is in metres.
+    fn is_metric(&self) -> bool {
+        self.pose.as_ref().is_some_and(|p| p.scale.is_metric())
+    }
+
+    /// A frame of another sensor tells a camera its scale, perhaps.
+    fn tell_scale(&mut self, stamp: Timestamp, scan: &Scan) {
+        if self.is_metric() {
+            self.scale_hints.clear();
+        } else if let (Some(hint), Some(odometry)) = (self.scale_hints.see_other(stamp, scan), &mut self.odometry) {
+            odometry.tell_scale(&hint);
         }
     }
 
@@ -313,6 +339,7 @@ impl Pipeline {
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.slam.odometry.clone()));
         let (t_odom_last, was_tracking) = (*odometry.t_odom_base(), odometry.is_tracking());
         let mut estimate = odometry.register(stamp, scan, prior.as_ref());
+        let moved = odometry.take_moved();
         if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking()) {
             let turn = t_odom_last.rotation.inverse() * estimate.t_odom_base.rotation;
             self.imu.learn(last, stamp, &turn);
@@ -322,6 +349,12 @@ impl Pipeline {
         }
         self.last_registered = Some(stamp);
         self.prepare_back_end(kind);
+        if !moved.is_empty() {
+            self.move_unanchored(&moved);
+        }
+        if !estimate.scale.is_metric() {
+            return self.answer_without_scale(stamp, &estimate, wheels.is_some());
+        }
         let mut report = FrameReport::default();
         let is_mapped = self.is_mapped(&spec.id, &estimate.t_odom_base);
         let mut tracked = self.anchoring.judge(&estimate, wheels.as_ref(), is_mapped);
@@ -338,9 +371,51 @@ impl Pipeline {
         }
         let pose = self.pose_of(stamp, &estimate);
         self.pose = Some(pose.clone());
-        report.trajectory = self.extend_trajectory(stamp, tracked, &pose.t_map_base, report.keyframe.as_ref());
+        report.trajectory = self.extend_trajectory(spec, stamp, tracked, &pose.t_map_base, report.keyframe.as_ref());
         report.pose = Some(pose);
         report
+    }
+
+    /// A frame whose pose is in no known unit: it is answered and said so, and no map is built from it.
+    fn answer_without_scale(&mut self, stamp: Timestamp, estimate: &OdometryEstimate, has_wheels: bool) -> FrameReport {
+        self.anchoring.judge_without_scale(estimate, has_wheels);
+        let mut pose = self.pose_of(stamp, estimate);
+        if self.anchoring.is_adrift() && pose.state.is_tracking() {
+            pose.state = TrackingState::Lost { reason: LostReason::Adrift };
+            pose.is_relocalised = false;
+        }
+        self.pose = Some(pose.clone());
+        let tracked = pose.state.is_tracking();
+        // Before the first pose that was measured there is no trajectory.
+        let entry = (tracked || !self.trajectory.is_empty()).then_some(TrajectoryEntry {
+            stamp,
+            tracked,
+            anchor: None,
+            t_anchor_base: pose.t_map_base,
+            is_keyframe: false,
+        });
+        entry.iter().for_each(|e| self.trajectory.push(*e));
+        FrameReport { pose: Some(pose), trajectory: entry, ..FrameReport::default() }
+    }
+
+    /// Poses in a unit of their own hang on no keyframe: they follow the camera's own map when that closes a loop. Where they
+    /// are stored they stay as they were said.
+    fn move_unanchored(&mut self, moved: &[(Timestamp, Pose)]) {
+        let (Some(first), t_map_odom) = (moved.first(), self.t_map_odom) else { return };
+        let nearest = |stamp: Timestamp| {
+            let after = moved.partition_point(|m| m.0 < stamp);
+            let around = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|i| moved.get(i));
+            around.min_by_key(|m| m.0.nanos().abs_diff(stamp.nanos())).map(|m| m.1)
+        };
+        let mut trajectory = Chunks::default();
+        for entry in self.trajectory.iter() {
+            let mut entry = *entry;
+            if let Some(t_new_old) = nearest(entry.stamp).filter(|_| entry.anchor.is_none() && entry.stamp >= first.0) {
+                entry.t_anchor_base = t_map_odom * t_new_old * t_map_odom.inverse() * entry.t_anchor_base;
+            }
+            trajectory.push(entry);
+        }
+        self.trajectory = trajectory;
     }
 
     /// Whether a sensor has been where odometry is now: a keyframe of its is near.
@@ -406,6 +481,7 @@ impl Pipeline {
     }
 
     fn pose_of(&self, stamp: Timestamp, estimate: &OdometryEstimate) -> PoseEstimate {
+        let was_lost = self.pose.as_ref().is_some_and(|p| p.state.is_lost());
         PoseEstimate {
             stamp,
             state: estimate.state,
@@ -415,13 +491,19 @@ impl Pipeline {
             inlier_ratio: estimate.inlier_ratio,
             rmse_m: estimate.rmse_m,
             degenerate_axes: estimate.degenerate_axes,
+            scale: estimate.scale,
+            waiting: estimate.waiting,
+            is_relocalised: was_lost && estimate.state.is_tracking(),
             map_version: self.map.layers().version,
         }
     }
 
     /// A frame of another sensor: seen from where the pose sensor says the robot is, it adds to the map.
     fn map_only(&mut self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan) -> Option<FrameReport> {
-        let pose = self.pose.as_ref().filter(|p| !p.state.is_lost())?;
+        let pose = self.pose.as_ref().filter(|p| !p.state.is_lost() && p.scale.is_metric())?;
+        if matches!(scan, Scan::Image(_)) {
+            return None;
+        }
         // Too long after the last pose the robot may be anywhere.
         let ahead = stamp.seconds_since(pose.stamp);
         if ahead.abs() > 0.5 {
@@ -465,7 +547,8 @@ impl Pipeline {
 
     fn add_keyframe(&mut self, spec: &SensorSpec, mut scan: KeyframeScan, t_odom_base: Pose) -> NewKeyframe {
         let stamp = scan.stamp;
-        if self.keyframes.is_empty() {
+        // A camera's few points show no floor to be trusted, and its map begins before lengths are metres: where odom does.
+        if self.keyframes.is_empty() && spec.kind != SensorKind::Camera {
             let level = level(&scan, self.imu.up(stamp));
             self.t_map_odom = level.t_map_base * t_odom_base.inverse();
             self.base_height_m = level.base_height_m;
@@ -494,7 +577,8 @@ impl Pipeline {
 
     /// Looks for objects in the map around a new keyframe.
     fn observe(&mut self, keyframe: &NewKeyframe) -> Vec<ObjectChange> {
-        if !self.params.detection.enabled || keyframe.scan.planar {
+        let is_sparse = self.sensors.spec(&keyframe.info.sensor).is_some_and(|s| s.kind == SensorKind::Camera);
+        if !self.params.detection.enabled || keyframe.scan.planar || is_sparse {
             return vec![];
         }
         let layers = self.map.layers();
@@ -521,6 +605,7 @@ impl Pipeline {
 
     fn extend_trajectory(
         &mut self,
+        spec: &SensorSpec,
         stamp: Timestamp,
         tracked: bool,
         t_map_base: &Pose,
@@ -528,12 +613,12 @@ impl Pipeline {
     ) -> Option<TrajectoryEntry> {
         let anchor = match keyframe {
             Some(k) => k.info.clone(),
-            None => self.newest_anchor()?.clone(),
+            None => self.newest_anchor(&spec.id)?.clone(),
         };
         let entry = TrajectoryEntry {
             stamp,
             tracked,
-            anchor: anchor.id,
+            anchor: Some(anchor.id),
             t_anchor_base: anchor.t_map_base.inverse() * t_map_base,
             is_keyframe: keyframe.is_some(),
         };
@@ -542,9 +627,11 @@ impl Pipeline {
     }
 
     /// The newest keyframe of the sensor that moves the pose.
-    fn newest_anchor(&self) -> Option<&KeyframeInfo> {
-        let last = self.trajectory.last()?;
-        self.keyframes.get(usize::try_from(last.anchor.0).ok()?)
+    fn newest_anchor(&self, sensor: &SensorId) -> Option<&KeyframeInfo> {
+        match self.trajectory.last()?.anchor {
+            Some(anchor) => self.keyframes.get(usize::try_from(anchor.0).ok()?),
+            None => self.keyframes.iter().rev().find(|k| k.sensor == *sensor),
+        }
     }
 
     /// Moves keyframes, and all that hangs on them: trajectory, map layers, objects, and where the robot is now.
@@ -625,6 +712,7 @@ fn odometry_kind(kind: SensorKind) -> Option<OdometryKind> {
         SensorKind::Depth | SensorKind::Rgbd => Some(OdometryKind::Rgbd),
         SensorKind::Lidar3d => Some(OdometryKind::Lidar3d),
         SensorKind::Lidar2d => Some(OdometryKind::Lidar2d),
-        SensorKind::Camera | SensorKind::Imu | SensorKind::Odometry => None,
+        SensorKind::Camera => Some(OdometryKind::Mono),
+        SensorKind::Imu | SensorKind::Odometry => None,
     }
 }

@@ -72,6 +72,14 @@ impl Anchoring {
         true
     }
 
+    /// A frame whose pose is in no known unit: whether it goes on from the map is kept in mind until lengths are metres.
+    pub(crate) fn judge_without_scale(&mut self, estimate: &OdometryEstimate, has_wheels: bool) {
+        self.reckoned &= has_wheels || self.last.is_none() || estimate.state.is_tracking();
+        if !self.reckoned {
+            self.adrift.get_or_insert(0);
+        }
+    }
+
     /// Whether poses hang on a guess.
     pub(crate) fn is_adrift(&self) -> bool {
         self.adrift.is_some()

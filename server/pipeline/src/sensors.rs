@@ -2,7 +2,7 @@
 
 use crate::FrameError;
 use percept_geometry::{SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp, cloud};
-use percept_slam::{CloudScan, DepthScan, PlanarScan, Scan};
+use percept_slam::{CloudScan, DepthScan, ImageScan, PlanarScan, Scan};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -122,13 +122,14 @@ impl Sensors {
     }
 }
 
-/// Lower is preferred; none for kinds that cannot carry the pose yet.
+/// Lower is preferred; none for kinds that cannot carry the pose.
 fn rank(kind: SensorKind) -> Option<u8> {
     match kind {
         SensorKind::Lidar3d => Some(0),
         SensorKind::Lidar2d => Some(1),
         SensorKind::Rgbd | SensorKind::Depth => Some(2),
-        SensorKind::Camera | SensorKind::Imu | SensorKind::Odometry => None,
+        SensorKind::Camera => Some(3),
+        SensorKind::Imu | SensorKind::Odometry => None,
     }
 }
 
@@ -150,6 +151,13 @@ pub(crate) fn scan_of(spec: &SensorSpec, data: &SensorData) -> Option<Scan> {
         })),
         SensorData::Cloud(cloud) => Some(Scan::Cloud(CloudScan { cloud: Arc::new(cloud.clone()), t_base_sensor })),
         SensorData::Scan(scan) => Some(Scan::Planar(PlanarScan { scan: Arc::new(scan.clone()), t_base_sensor })),
-        SensorData::Camera(_) | SensorData::Imu(_) | SensorData::Odometry(_) => None,
+        SensorData::Camera(image) => Some(Scan::Image(ImageScan {
+            image: Arc::new(image.clone()),
+            depth: None,
+            second: None,
+            intrinsics: spec.intrinsics?,
+            t_base_sensor,
+        })),
+        SensorData::Imu(_) | SensorData::Odometry(_) => None,
     }
 }

@@ -4,7 +4,7 @@ use crate::{Chunks, PipelineParams};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
 use percept_mapping::MapLayers;
 use percept_scene::{Object, SceneGraph};
-use percept_slam::{Loop, TrackingState};
+use percept_slam::{Loop, Scale, TrackingState, Waiting};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,6 +28,13 @@ pub struct PoseEstimate {
     pub rmse_m: f64,
     /// Axes of base (x, y, z, rotation x, y, z) that the surroundings do not fix.
     pub degenerate_axes: [bool; 6],
+    /// Whether lengths are metres, and what tells so. Without, no map is built, and pose and covariance are in a unit of
+    /// their own.
+    pub scale: Scale,
+    /// What an odometry that needs several frames to begin is waiting for.
+    pub waiting: Option<Waiting>,
+    /// Whether the robot was lost and this frame found it again.
+    pub is_relocalised: bool,
     /// Version of the map that `t_map_base` refers to.
     pub map_version: u64,
 }
@@ -65,9 +72,9 @@ pub struct TrajectoryEntry {
     pub stamp: Timestamp,
     /// Whether the pose can be trusted.
     pub tracked: bool,
-    /// Keyframe that it hangs on.
-    pub anchor: KeyframeId,
-    /// Base to the anchor's base.
+    /// Keyframe that it hangs on; none while the scale was unknown: the pose is in a unit of its own then.
+    pub anchor: Option<KeyframeId>,
+    /// Base to the anchor's base, or to map if there is no anchor.
     pub t_anchor_base: Pose,
     /// Whether this frame is that keyframe.
     pub is_keyframe: bool,
@@ -108,9 +115,21 @@ impl Snapshot {
     /// The trajectory with all corrections so far: stamp, base to map, entry.
     pub fn trajectory(&self) -> impl Iterator<Item = (Pose, &TrajectoryEntry)> {
         self.trajectory.iter().filter_map(|entry| {
-            let anchor = self.keyframes.get(usize::try_from(entry.anchor.0).ok()?)?;
+            let Some(anchor) = entry.anchor else { return Some((entry.t_anchor_base, entry)) };
+            let anchor = self.keyframes.get(usize::try_from(anchor.0).ok()?)?;
             Some((anchor.t_map_base * entry.t_anchor_base, entry))
         })
+    }
+
+    /// The part of the trajectory whose poses are in one unit: metres, if there are any in metres.
+    pub fn trajectory_in_one_unit(&self) -> impl Iterator<Item = (Pose, &TrajectoryEntry)> {
+        let is_metric = self.is_metric();
+        self.trajectory().filter(move |(_, e)| e.anchor.is_some() == is_metric)
+    }
+
+    /// Whether there are poses in metres, or none at all.
+    pub fn is_metric(&self) -> bool {
+        !self.keyframes.is_empty() || self.trajectory.is_empty()
     }
 
     /// Robot, objects that are not gone, and their relations.

@@ -20,12 +20,14 @@ pub enum MainSensor {
     Rgbd,
     /// Depth camera without colour, 10 Hz.
     Depth,
+    /// Camera without depth, 15 Hz.
+    Camera,
 }
 
 impl MainSensor {
     /// The sensor with wheels (20 Hz) and IMU (100 Hz).
     pub fn suite(self) -> SensorSuite {
-        let camera = |color| Some(DepthCameraParams { rate_hz: 10.0, color, ..DepthCameraParams::default() });
+        let depth = |color| Some(DepthCameraParams { rate_hz: 10.0, color, ..DepthCameraParams::default() });
         let rosette = Lidar3dParams { pattern: ScanPattern::Rosette, ..Lidar3dParams::default() };
         let mut suite = SensorSuite {
             odometry: Some(OdometryParams::default()),
@@ -36,8 +38,9 @@ impl MainSensor {
             Self::Lidar2d => suite.lidar2d = Some(Lidar2dParams::default()),
             Self::Lidar3d => suite.lidar3d = Some(Lidar3dParams::default()),
             Self::Rosette => suite.lidar3d = Some(rosette),
-            Self::Rgbd => suite.depth_camera = camera(true),
-            Self::Depth => suite.depth_camera = camera(false),
+            Self::Rgbd => suite.depth_camera = depth(true),
+            Self::Depth => suite.depth_camera = depth(false),
+            Self::Camera => suite.depth_camera = SensorSuite::only_camera().depth_camera,
         }
         suite
     }
@@ -119,7 +122,9 @@ impl Scenario {
             Self::Extrinsics => {
                 wrong.mount_yaw_error_rad = 0.2;
                 match sensor {
-                    MainSensor::Rgbd | MainSensor::Depth => params.sensors.lidar2d = Some(Lidar2dParams::default()),
+                    MainSensor::Rgbd | MainSensor::Depth | MainSensor::Camera => {
+                        params.sensors.lidar2d = Some(Lidar2dParams::default())
+                    }
                     _ => {
                         params.sensors.depth_camera =
                             Some(DepthCameraParams { rate_hz: 2.0, color: false, ..DepthCameraParams::default() });

@@ -236,14 +236,13 @@ impl Frames {
         let sensors = &simulation.params.sensors;
         let scene = Scene { world: &simulation.world, drive: &simulation.drive, seed: simulation.params.seed };
         match kind {
-            SensorKind::Depth | SensorKind::Rgbd => {
+            SensorKind::Depth | SensorKind::Rgbd | SensorKind::Camera => {
                 sensors.depth_camera.as_ref().map(|p| capture(p, &scene, frame, t_s))
             }
             SensorKind::Lidar3d => sensors.lidar3d.as_ref().map(|p| Ok(sweep(p, &scene, frame, t_s))),
             SensorKind::Lidar2d => sensors.lidar2d.as_ref().map(|p| Ok(scan(p, &scene, frame, t_s))),
             SensorKind::Odometry => wheels.as_mut().map(|w| Ok(w.sample(&scene, frame, t_s))),
             SensorKind::Imu => imu.as_ref().map(|i| Ok(i.sample(&scene, frame, t_s))),
-            SensorKind::Camera => None,
         }
     }
 }

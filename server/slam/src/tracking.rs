@@ -94,6 +94,21 @@ pub enum Scale {
     FromBaseline,
 }
 
+impl std::fmt::Display for Scale {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Measured => "the sensor measures lengths",
+            Self::Unknown => {
+                "unknown: one camera does not tell lengths, so that no map is built; send wheel odometry, depth images \
+                 or a second camera's images along"
+            }
+            Self::FromOdometry => "by wheel odometry",
+            Self::FromDepth => "by depth images",
+            Self::FromBaseline => "by a second camera at a known distance",
+        })
+    }
+}
+
 impl Scale {
     /// Whether lengths are metres.
     pub fn is_metric(self) -> bool {

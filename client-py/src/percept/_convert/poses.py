@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..types.sensors import FrameAck, Rejection
-from ..types.sessions import FrameResult, PoseEstimate, TrackingState
+from ..types.sessions import FrameResult, PoseEstimate, Scale, TrackingState
 from ..v1 import error_pb2, session_pb2
 from . import geometry, words
 
@@ -21,6 +21,10 @@ def pose_estimate(message: session_pb2.PoseEstimate) -> PoseEstimate:
         rmse_m=message.rmse_m,
         degenerate_axes=tuple(message.degenerate_axes),
         map_version=message.map_version,
+        scale=words.word(Scale, session_pb2.Scale, message.scale),
+        scale_source=message.scale_source,
+        waiting_for=message.waiting_for,
+        relocalised=message.relocalised,
     )
 
 

@@ -91,10 +91,12 @@ def fill_depth(
 
 
 def fill_color(out: sensor_pb2.ColorImage, image: Array | EncodedImage) -> None:
-    """A colour image: RGB8, JPEG or PNG, told by its first bytes."""
+    """A colour image: RGB8, grey, JPEG or PNG, told by its first bytes."""
     if not isinstance(image, EncodedImage):
-        out.encoding, out.data = sensor_pb2.COLOR_ENCODING_RGB8, image.tobytes()
-        out.height_px, out.width_px, _ = image.shape
+        grey = image.ndim == 2
+        out.encoding = sensor_pb2.COLOR_ENCODING_GRAY8 if grey else sensor_pb2.COLOR_ENCODING_RGB8
+        out.data = image.tobytes()
+        out.height_px, out.width_px = image.shape[:2]
         return
     if image.data.startswith(_PNG):
         out.encoding = sensor_pb2.COLOR_ENCODING_PNG

@@ -19,6 +19,7 @@ from ..types.sessions import (
     SessionEvent,
     SessionInfo,
     SessionMode,
+    Scale,
     TrackingState,
     Trajectory,
 )
@@ -65,6 +66,7 @@ def trajectory(chunks: Sequence[service.GetTrajectoryResponse]) -> Trajectory:
         positions=np.array([p.translation for p in each]).reshape(-1, 3),
         rotations=np.array([p.rotation for p in each]).reshape(-1, 4),
         states=tuple(states[p.state] for p in entries),
+        scales=tuple(words.word(Scale, session_pb2.Scale, p.scale) for p in entries),
         keyframe_ids=tuple(p.keyframe_id if p.HasField("keyframe_id") else None for p in entries),
         map_version=chunks[-1].map_version if chunks else 0,
     )

@@ -19,6 +19,7 @@ from .frames import (
     ImuFrame,
     OdometryFrame,
     RgbdFrame,
+    Scale,
     ScanFrame,
     SensorFrame,
 )
@@ -232,6 +233,7 @@ __all__ = [
     "Resync",
     "RgbdFrame",
     "RobustKernel",
+    "Scale",
     "ScanFrame",
     "SceneGraph",
     "SceneNode",

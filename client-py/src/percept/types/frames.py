@@ -35,7 +35,10 @@ def _depth(image: Array | EncodedImage, metres_per_unit: float | None) -> Array 
 
 
 def _color(image: Array | EncodedImage) -> Array | EncodedImage:
-    return image if isinstance(image, EncodedImage) else checked("color", image, ("H", "W", 3), np.uint8)
+    if isinstance(image, EncodedImage):
+        return image
+    grey = np.ndim(image) == 2
+    return checked("color", image, ("H", "W") if grey else ("H", "W", 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +71,7 @@ class RgbdFrame(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CameraFrame(Value):
-    """A colour image: (H, W, 3) uint8 RGB, or encoded."""
+    """An image: (H, W, 3) uint8 RGB, (H, W) uint8 grey, or encoded."""
 
     sensor_id: str
     stamp_ns: int = field(kw_only=True)

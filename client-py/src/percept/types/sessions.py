@@ -35,6 +35,15 @@ class TrackingState(Name):
     LOST = "lost"
 
 
+class Scale(Name):
+    """Whether lengths are metres. One camera alone does not tell."""
+
+    UNSPECIFIED = "unspecified"
+    #: Positions are in a unit of their own, and no map is built.
+    UNKNOWN = "unknown"
+    METRIC = "metric"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PoseEstimate(Value):
     """Where the robot is, how sure we are, or that we are lost."""
@@ -54,6 +63,13 @@ class PoseEstimate(Value):
     #: Axes of base (x, y, z, rotation x, y, z) that the surroundings do not fix.
     degenerate_axes: tuple[bool, ...]
     map_version: int
+    scale: Scale
+    #: What tells the scale, or what would, in words.
+    scale_source: str
+    #: What an odometry that needs several frames to begin waits for; empty unless initialising.
+    waiting_for: str
+    #: The robot was lost, and this frame found it again.
+    relocalised: bool
 
     @property
     def lost(self) -> bool:
@@ -103,6 +119,8 @@ class Trajectory(Value):
     states: tuple[TrackingState, ...]
     #: Number of the keyframe that a frame became.
     keyframe_ids: tuple[int | None, ...]
+    #: Unknown: in a unit of its own, and not moved by corrections.
+    scales: tuple[Scale, ...]
     map_version: int
 
     @property

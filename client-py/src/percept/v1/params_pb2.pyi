@@ -83,7 +83,7 @@ class SlamParams(_message.Message):
     ODOMETRY_FIELD_NUMBER: _builtins.int
     BACK_END_FIELD_NUMBER: _builtins.int
     pose_sensor: _builtins.str
-    """Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd, depth)."""
+    """Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd or depth, camera)."""
     @_builtins.property
     def odometry(self) -> Global___OdometryParams:
         """Registration of frames, and when one becomes a keyframe."""

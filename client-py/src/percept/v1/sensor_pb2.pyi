@@ -151,6 +151,8 @@ class _ColorEncodingEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_ColorEn
     """R G B, uint8."""
     COLOR_ENCODING_JPEG: _ColorEncoding.ValueType  # 2
     COLOR_ENCODING_PNG: _ColorEncoding.ValueType  # 3
+    COLOR_ENCODING_GRAY8: _ColorEncoding.ValueType  # 4
+    """Grey, uint8."""
 
 class ColorEncoding(_ColorEncoding, metaclass=_ColorEncodingEnumTypeWrapper):
     """How the pixels of a colour image are packed."""
@@ -160,6 +162,8 @@ COLOR_ENCODING_RGB8: ColorEncoding.ValueType  # 1
 """R G B, uint8."""
 COLOR_ENCODING_JPEG: ColorEncoding.ValueType  # 2
 COLOR_ENCODING_PNG: ColorEncoding.ValueType  # 3
+COLOR_ENCODING_GRAY8: ColorEncoding.ValueType  # 4
+"""Grey, uint8."""
 Global___ColorEncoding: _TypeAlias = ColorEncoding  # noqa: Y015
 
 @_typing.final

@@ -30,31 +30,33 @@ from percept.v1 import params_pb2 as percept_dot_v1_dot_params__pb2
 from percept.v1 import sensor_pb2 as percept_dot_v1_dot_sensor__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18percept/v1/session.proto\x12\npercept.v1\x1a\x16percept/v1/error.proto\x1a\x19percept/v1/geometry.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/object.proto\x1a\x17percept/v1/params.proto\x1a\x17percept/v1/sensor.proto\"\xad\x02\n\x0cPoseEstimate\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12(\n\x05state\x18\x02 \x01(\x0e\x32\x19.percept.v1.TrackingState\x12$\n\nt_map_base\x18\x03 \x01(\x0b\x32\x10.percept.v1.Pose\x12+\n\ncovariance\x18\x04 \x01(\x0b\x32\x17.percept.v1.Covariance6\x12%\n\x0bt_odom_base\x18\x05 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x13\n\x0blost_reason\x18\x06 \x01(\t\x12\x14\n\x0cinlier_ratio\x18\x07 \x01(\x01\x12\x0e\n\x06rmse_m\x18\x08 \x01(\x01\x12\x17\n\x0f\x64\x65generate_axes\x18\t \x03(\x08\x12\x13\n\x0bmap_version\x18\n \x01(\x04\"\xd6\x02\n\x07Session\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12%\n\x04mode\x18\x03 \x01(\x0e\x32\x17.percept.v1.SessionMode\x12\x16\n\x0e\x63reate_time_ns\x18\x04 \x01(\x03\x12*\n\x06params\x18\x05 \x01(\x0b\x32\x1a.percept.v1.PipelineParams\x12)\n\x07sensors\x18\x06 \x03(\x0b\x32\x18.percept.v1.SensorStatus\x12+\n\x04pose\x18\x07 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x00\x88\x01\x01\x12\x15\n\rnum_keyframes\x18\x08 \x01(\x04\x12\x13\n\x0bnum_objects\x18\t \x01(\x04\x12\x13\n\x0bmap_version\x18\n \x01(\x04\x12\x14\n\x0cqueue_length\x18\x0b \x01(\rB\x07\n\x05_pose\"\x9c\x01\n\x0eTrajectoryPose\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12$\n\nt_map_base\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\x12(\n\x05state\x18\x03 \x01(\x0e\x32\x19.percept.v1.TrackingState\x12\x18\n\x0bkeyframe_id\x18\x04 \x01(\x04H\x00\x88\x01\x01\x42\x0e\n\x0c_keyframe_id\"~\n\x08Keyframe\x12\x13\n\x0bkeyframe_id\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12\x11\n\tsensor_id\x18\x03 \x01(\t\x12$\n\nt_map_base\x18\x04 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x12\n\nnum_points\x18\x05 \x01(\r\"\xba\x01\n\x08\x46rameAck\x12\x11\n\tsensor_id\x18\x01 \x01(\t\x12\x10\n\x08sequence\x18\x02 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x03 \x01(\x03\x12)\n\x06result\x18\x04 \x01(\x0b\x32\x17.percept.v1.FrameResultH\x00\x12*\n\trejection\x18\x05 \x01(\x0b\x32\x15.percept.v1.ErrorInfoH\x00\x12\x15\n\rdurable_count\x18\x06 \x01(\x04\x42\t\n\x07outcome\"\x80\x01\n\x0b\x46rameResult\x12+\n\x04pose\x18\x01 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x00\x88\x01\x01\x12\x18\n\x0bkeyframe_id\x18\x02 \x01(\x04H\x01\x88\x01\x01\x12\x11\n\tlatency_s\x18\x03 \x01(\x01\x42\x07\n\x05_poseB\x0e\n\x0c_keyframe_id\"\xad\x02\n\x0cSessionEvent\x12\r\n\x05token\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12(\n\x04pose\x18\x03 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x00\x12.\n\x0ekeyframe_added\x18\x04 \x01(\x0b\x32\x14.percept.v1.KeyframeH\x00\x12\x32\n\x0eobject_changed\x18\x05 \x01(\x0b\x32\x18.percept.v1.ObjectChangeH\x00\x12\x15\n\x0bmap_version\x18\x06 \x01(\x04H\x00\x12$\n\x06resync\x18\x07 \x01(\x0b\x32\x12.percept.v1.ResyncH\x00\x12(\n\x0cloop_changed\x18\x08 \x01(\x0b\x32\x10.percept.v1.LoopH\x00\x42\x07\n\x05\x65vent\"\x18\n\x06Resync\x12\x0e\n\x06missed\x18\x01 \x01(\x04*c\n\x0bSessionMode\x12\x1c\n\x18SESSION_MODE_UNSPECIFIED\x10\x00\x12\x18\n\x14SESSION_MODE_MAPPING\x10\x01\x12\x1c\n\x18SESSION_MODE_INGEST_ONLY\x10\x02*\x86\x01\n\rTrackingState\x12\x1e\n\x1aTRACKING_STATE_UNSPECIFIED\x10\x00\x12\x1f\n\x1bTRACKING_STATE_INITIALISING\x10\x01\x12\x1b\n\x17TRACKING_STATE_TRACKING\x10\x02\x12\x17\n\x13TRACKING_STATE_LOST\x10\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18percept/v1/session.proto\x12\npercept.v1\x1a\x16percept/v1/error.proto\x1a\x19percept/v1/geometry.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/object.proto\x1a\x17percept/v1/params.proto\x1a\x17percept/v1/sensor.proto\"\x8f\x03\n\x0cPoseEstimate\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12(\n\x05state\x18\x02 \x01(\x0e\x32\x19.percept.v1.TrackingState\x12$\n\nt_map_base\x18\x03 \x01(\x0b\x32\x10.percept.v1.Pose\x12+\n\ncovariance\x18\x04 \x01(\x0b\x32\x17.percept.v1.Covariance6\x12%\n\x0bt_odom_base\x18\x05 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x13\n\x0blost_reason\x18\x06 \x01(\t\x12\x14\n\x0cinlier_ratio\x18\x07 \x01(\x01\x12\x0e\n\x06rmse_m\x18\x08 \x01(\x01\x12\x17\n\x0f\x64\x65generate_axes\x18\t \x03(\x08\x12\x13\n\x0bmap_version\x18\n \x01(\x04\x12 \n\x05scale\x18\x0b \x01(\x0e\x32\x11.percept.v1.Scale\x12\x14\n\x0cscale_source\x18\x0c \x01(\t\x12\x13\n\x0bwaiting_for\x18\r \x01(\t\x12\x13\n\x0brelocalised\x18\x0e \x01(\x08\"\xd6\x02\n\x07Session\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12%\n\x04mode\x18\x03 \x01(\x0e\x32\x17.percept.v1.SessionMode\x12\x16\n\x0e\x63reate_time_ns\x18\x04 \x01(\x03\x12*\n\x06params\x18\x05 \x01(\x0b\x32\x1a.percept.v1.PipelineParams\x12)\n\x07sensors\x18\x06 \x03(\x0b\x32\x18.percept.v1.SensorStatus\x12+\n\x04pose\x18\x07 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x00\x88\x01\x01\x12\x15\n\rnum_keyframes\x18\x08 \x01(\x04\x12\x13\n\x0bnum_objects\x18\t \x01(\x04\x12\x13\n\x0bmap_version\x18\n \x01(\x04\x12\x14\n\x0cqueue_length\x18\x0b \x01(\rB\x07\n\x05_pose\"\xbe\x01\n\x0eTrajectoryPose\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12$\n\nt_map_base\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\x12(\n\x05state\x18\x03 \x01(\x0e\x32\x19.percept.v1.TrackingState\x12\x18\n\x0bkeyframe_id\x18\x04 \x01(\x04H\x00\x88\x01\x01\x12 \n\x05scale\x18\x05 \x01(\x0e\x32\x11.percept.v1.ScaleB\x0e\n\x0c_keyframe_id\"~\n\x08Keyframe\x12\x13\n\x0bkeyframe_id\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12\x11\n\tsensor_id\x18\x03 \x01(\t\x12$\n\nt_map_base\x18\x04 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x12\n\nnum_points\x18\x05 \x01(\r\"\xba\x01\n\x08\x46rameAck\x12\x11\n\tsensor_id\x18\x01 \x01(\t\x12\x10\n\x08sequence\x18\x02 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x03 \x01(\x03\x12)\n\x06result\x18\x04 \x01(\x0b\x32\x17.percept.v1.FrameResultH\x00\x12*\n\trejection\x18\x05 \x01(\x0b\x32\x15.percept.v1.ErrorInfoH\x00\x12\x15\n\rdurable_count\x18\x06 \x01(\x04\x42\t\n\x07outcome\"\x80\x01\n\x0b\x46rameResult\x12+\n\x04pose\x18\x01 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x00\x88\x01\x01\x12\x18\n\x0bkeyframe_id\x18\x02 \x01(\x04H\x01\x88\x01\x01\x12\x11\n\tlatency_s\x18\x03 \x01(\x01\x42\x07\n\x05_poseB\x0e\n\x0c_keyframe_id\"\xad\x02\n\x0cSessionEvent\x12\r\n\x05token\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12(\n\x04pose\x18\x03 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x00\x12.\n\x0ekeyframe_added\x18\x04 \x01(\x0b\x32\x14.percept.v1.KeyframeH\x00\x12\x32\n\x0eobject_changed\x18\x05 \x01(\x0b\x32\x18.percept.v1.ObjectChangeH\x00\x12\x15\n\x0bmap_version\x18\x06 \x01(\x04H\x00\x12$\n\x06resync\x18\x07 \x01(\x0b\x32\x12.percept.v1.ResyncH\x00\x12(\n\x0cloop_changed\x18\x08 \x01(\x0b\x32\x10.percept.v1.LoopH\x00\x42\x07\n\x05\x65vent\"\x18\n\x06Resync\x12\x0e\n\x06missed\x18\x01 \x01(\x04*c\n\x0bSessionMode\x12\x1c\n\x18SESSION_MODE_UNSPECIFIED\x10\x00\x12\x18\n\x14SESSION_MODE_MAPPING\x10\x01\x12\x1c\n\x18SESSION_MODE_INGEST_ONLY\x10\x02*\x86\x01\n\rTrackingState\x12\x1e\n\x1aTRACKING_STATE_UNSPECIFIED\x10\x00\x12\x1f\n\x1bTRACKING_STATE_INITIALISING\x10\x01\x12\x1b\n\x17TRACKING_STATE_TRACKING\x10\x02\x12\x17\n\x13TRACKING_STATE_LOST\x10\x03*C\n\x05Scale\x12\x15\n\x11SCALE_UNSPECIFIED\x10\x00\x12\x11\n\rSCALE_UNKNOWN\x10\x01\x12\x10\n\x0cSCALE_METRIC\x10\x02\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.session_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_SESSIONMODE']._serialized_start=1774
-  _globals['_SESSIONMODE']._serialized_end=1873
-  _globals['_TRACKINGSTATE']._serialized_start=1876
-  _globals['_TRACKINGSTATE']._serialized_end=2010
+  _globals['_SESSIONMODE']._serialized_start=1906
+  _globals['_SESSIONMODE']._serialized_end=2005
+  _globals['_TRACKINGSTATE']._serialized_start=2008
+  _globals['_TRACKINGSTATE']._serialized_end=2142
+  _globals['_SCALE']._serialized_start=2144
+  _globals['_SCALE']._serialized_end=2211
   _globals['_POSEESTIMATE']._serialized_start=189
-  _globals['_POSEESTIMATE']._serialized_end=490
-  _globals['_SESSION']._serialized_start=493
-  _globals['_SESSION']._serialized_end=835
-  _globals['_TRAJECTORYPOSE']._serialized_start=838
-  _globals['_TRAJECTORYPOSE']._serialized_end=994
-  _globals['_KEYFRAME']._serialized_start=996
-  _globals['_KEYFRAME']._serialized_end=1122
-  _globals['_FRAMEACK']._serialized_start=1125
-  _globals['_FRAMEACK']._serialized_end=1311
-  _globals['_FRAMERESULT']._serialized_start=1314
-  _globals['_FRAMERESULT']._serialized_end=1442
-  _globals['_SESSIONEVENT']._serialized_start=1445
-  _globals['_SESSIONEVENT']._serialized_end=1746
-  _globals['_RESYNC']._serialized_start=1748
-  _globals['_RESYNC']._serialized_end=1772
+  _globals['_POSEESTIMATE']._serialized_end=588
+  _globals['_SESSION']._serialized_start=591
+  _globals['_SESSION']._serialized_end=933
+  _globals['_TRAJECTORYPOSE']._serialized_start=936
+  _globals['_TRAJECTORYPOSE']._serialized_end=1126
+  _globals['_KEYFRAME']._serialized_start=1128
+  _globals['_KEYFRAME']._serialized_end=1254
+  _globals['_FRAMEACK']._serialized_start=1257
+  _globals['_FRAMEACK']._serialized_end=1443
+  _globals['_FRAMERESULT']._serialized_start=1446
+  _globals['_FRAMERESULT']._serialized_end=1574
+  _globals['_SESSIONEVENT']._serialized_start=1577
+  _globals['_SESSIONEVENT']._serialized_end=1878
+  _globals['_RESYNC']._serialized_start=1880
+  _globals['_RESYNC']._serialized_end=1904
 # @@protoc_insertion_point(module_scope)

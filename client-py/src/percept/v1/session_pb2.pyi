@@ -73,6 +73,28 @@ TRACKING_STATE_LOST: TrackingState.ValueType  # 3
 """The pose is a prediction; the reason says what to do."""
 Global___TrackingState: _TypeAlias = TrackingState  # noqa: Y015
 
+class _Scale:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _ScaleEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Scale.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    SCALE_UNSPECIFIED: _Scale.ValueType  # 0
+    SCALE_UNKNOWN: _Scale.ValueType  # 1
+    """Positions, and the covariance of positions, are in a unit of their own."""
+    SCALE_METRIC: _Scale.ValueType  # 2
+
+class Scale(_Scale, metaclass=_ScaleEnumTypeWrapper):
+    """Whether lengths are metres. One camera alone does not tell: without wheel odometry, depth or a second camera at a known
+    distance, poses are in a unit of their own, and no map is built.
+    """
+
+SCALE_UNSPECIFIED: Scale.ValueType  # 0
+SCALE_UNKNOWN: Scale.ValueType  # 1
+"""Positions, and the covariance of positions, are in a unit of their own."""
+SCALE_METRIC: Scale.ValueType  # 2
+Global___Scale: _TypeAlias = Scale  # noqa: Y015
+
 @_typing.final
 class PoseEstimate(_message.Message):
     """Where the robot is, how sure we are, or that we are lost."""
@@ -89,6 +111,10 @@ class PoseEstimate(_message.Message):
     RMSE_M_FIELD_NUMBER: _builtins.int
     DEGENERATE_AXES_FIELD_NUMBER: _builtins.int
     MAP_VERSION_FIELD_NUMBER: _builtins.int
+    SCALE_FIELD_NUMBER: _builtins.int
+    SCALE_SOURCE_FIELD_NUMBER: _builtins.int
+    WAITING_FOR_FIELD_NUMBER: _builtins.int
+    RELOCALISED_FIELD_NUMBER: _builtins.int
     stamp_ns: _builtins.int
     """Stamp of the frame that it belongs to."""
     state: Global___TrackingState.ValueType
@@ -100,6 +126,13 @@ class PoseEstimate(_message.Message):
     """Root mean square residual of those, metres."""
     map_version: _builtins.int
     """Version of the map that t_map_base refers to."""
+    scale: Global___Scale.ValueType
+    scale_source: _builtins.str
+    """What tells the scale, or what would, in words."""
+    waiting_for: _builtins.str
+    """What an odometry that needs several frames to begin is waiting for, in words. Empty unless INITIALISING."""
+    relocalised: _builtins.bool
+    """The robot was lost, and this frame found it again."""
     @_builtins.property
     def t_map_base(self) -> _geometry_pb2.Pose:
         """Base to map."""
@@ -129,10 +162,14 @@ class PoseEstimate(_message.Message):
         rmse_m: _builtins.float = ...,
         degenerate_axes: _abc.Iterable[_builtins.bool] | None = ...,
         map_version: _builtins.int = ...,
+        scale: Global___Scale.ValueType = ...,
+        scale_source: _builtins.str = ...,
+        waiting_for: _builtins.str = ...,
+        relocalised: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "inlier_ratio", b"inlier_ratio", "lost_reason", b"lost_reason", "map_version", b"map_version", "rmse_m", b"rmse_m", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "inlier_ratio", b"inlier_ratio", "lost_reason", b"lost_reason", "map_version", b"map_version", "relocalised", b"relocalised", "rmse_m", b"rmse_m", "scale", b"scale", "scale_source", b"scale_source", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base", "waiting_for", b"waiting_for"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -213,10 +250,13 @@ class TrajectoryPose(_message.Message):
     T_MAP_BASE_FIELD_NUMBER: _builtins.int
     STATE_FIELD_NUMBER: _builtins.int
     KEYFRAME_ID_FIELD_NUMBER: _builtins.int
+    SCALE_FIELD_NUMBER: _builtins.int
     stamp_ns: _builtins.int
     state: Global___TrackingState.ValueType
     keyframe_id: _builtins.int
     """Set if the frame became a keyframe."""
+    scale: Global___Scale.ValueType
+    """UNKNOWN: in a unit of its own, and not moved by corrections."""
     @_builtins.property
     def t_map_base(self) -> _geometry_pb2.Pose:
         """Base to map, with all corrections so far."""
@@ -228,10 +268,11 @@ class TrajectoryPose(_message.Message):
         t_map_base: _geometry_pb2.Pose | None = ...,
         state: Global___TrackingState.ValueType = ...,
         keyframe_id: _builtins.int | None = ...,
+        scale: Global___Scale.ValueType = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_keyframe_id", b"_keyframe_id", "keyframe_id", b"keyframe_id", "t_map_base", b"t_map_base"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_keyframe_id", b"_keyframe_id", "keyframe_id", b"keyframe_id", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_keyframe_id", b"_keyframe_id", "keyframe_id", b"keyframe_id", "scale", b"scale", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__keyframe_id: _TypeAlias = _typing.Literal["keyframe_id"]  # noqa: Y015
     _WhichOneofArgType__keyframe_id: _TypeAlias = _typing.Literal["_keyframe_id", b"_keyframe_id"]  # noqa: Y015

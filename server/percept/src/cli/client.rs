@@ -34,6 +34,14 @@ pub(crate) struct RemoteSession {
     pub(crate) id: String,
 }
 
+/// A pose of a session's trajectory.
+pub(crate) struct RemotePose {
+    pub(crate) t_map_base: Stamped<Pose>,
+    pub(crate) tracked: bool,
+    /// Whether lengths are metres.
+    pub(crate) is_metric: bool,
+}
+
 /// What became of streamed frames.
 #[derive(Debug, Default)]
 pub(crate) struct StreamOutcome {
@@ -100,8 +108,8 @@ impl RemoteSession {
         outcome
     }
 
-    /// The trajectory, and which of its poses were tracked.
-    pub(crate) async fn trajectory(&self) -> Result<Vec<(Stamped<Pose>, bool)>, Failure> {
+    /// The trajectory.
+    pub(crate) async fn trajectory(&self) -> Result<Vec<RemotePose>, Failure> {
         let request = v1::GetTrajectoryRequest { session_id: self.id.clone() };
         let mut client = SessionsServiceClient::new(self.channel.clone());
         let mut parts = client.get_trajectory(request).await?.into_inner();
@@ -110,7 +118,12 @@ impl RemoteSession {
             for p in part.poses {
                 let value = geometry::pose("t_map_base", p.t_map_base.as_ref())?;
                 let tracked = p.state() == v1::TrackingState::Tracking;
-                out.push((Stamped { stamp: Timestamp(p.stamp_ns), value }, tracked));
+                let is_metric = p.scale() == v1::Scale::Metric;
+                out.push(RemotePose {
+                    t_map_base: Stamped { stamp: Timestamp(p.stamp_ns), value },
+                    tracked,
+                    is_metric,
+                });
             }
         }
         Ok(out)

@@ -100,7 +100,7 @@ async fn day(args: &DemoArgs, simulation: &Simulation, grpc: &str) -> Result<(),
         "\n{:>10}  {} sensor messages, {} of them durable on disk",
         "streamed", outcome.acknowledged, outcome.durable
     );
-    let trajectory: Vec<Stamped<Pose>> = session.trajectory().await?.into_iter().map(|(p, _)| p).collect();
+    let trajectory: Vec<Stamped<Pose>> = session.trajectory().await?.into_iter().map(|p| p.t_map_base).collect();
     tell_trajectory(simulation, &trajectory);
     let objects = tell_objects(simulation, &session, trajectory.last()).await?;
     tell_graph(&session, &args.out).await?;
@@ -119,7 +119,7 @@ fn tell_trajectory(simulation: &Simulation, trajectory: &[Stamped<Pose>]) {
     let truth: Vec<_> =
         trajectory.iter().map(|p| Stamped { stamp: p.stamp, value: simulation.pose_at(p.stamp) }).collect();
     let mut report = Report::default();
-    report.judge(Some(&truth), trajectory);
+    report.judge(Some(&truth), trajectory, true);
     println!(
         "{:>10}  {} poses over {:.1} m, off by {:.3} m (RMS against the truth)",
         "localised",

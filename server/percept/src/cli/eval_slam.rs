@@ -23,6 +23,8 @@ enum Sensor {
     Rosette,
     Rgbd,
     Depth,
+    /// Camera without depth; with `--alone` its scale stays unknown.
+    Camera,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -107,6 +109,7 @@ impl SlamArgs {
             Sensor::Rosette => MainSensor::Rosette,
             Sensor::Rgbd => MainSensor::Rgbd,
             Sensor::Depth => MainSensor::Depth,
+            Sensor::Camera => MainSensor::Camera,
         };
         let scenario = match self.scenario {
             Name::Loops => Scenario::Loops,
@@ -144,6 +147,7 @@ impl SlamArgs {
 /// The parameters with loop closing off.
 fn without_loops(mut params: PipelineParams) -> PipelineParams {
     params.slam.back_end.enabled = false;
+    params.slam.odometry.mono.close_loops = false;
     params
 }
 
@@ -189,7 +193,8 @@ pub(crate) fn run(args: &SlamArgs) -> Result<(), Failure> {
 /// The figures of one run.
 fn figures(run: &SlamRun) -> Value {
     let pairs = run.final_pairs();
-    let of = |pairs: &[PosePair]| absolute_error(pairs, Alignment::Se3).ok();
+    let alignment = if run.is_metric { Alignment::Se3 } else { Alignment::Sim3 };
+    let of = |pairs: &[PosePair]| absolute_error(pairs, alignment).ok();
     let (last, online) = (of(&pairs), of(&run.online_pairs()));
     let mut ms: Vec<f64> = run.frames.iter().map(|f| f64::from(f.ms)).collect();
     let third = ms.len() / 3;
@@ -205,6 +210,8 @@ fn figures(run: &SlamRun) -> Value {
         "tracked_share": run.num_tracked() as f64 / run.num_sent.max(1) as f64,
         "states": run.states,
         "degenerate_frames": run.num_degenerate,
+        "metric": run.is_metric,
+        "metres_by_unit": metres_by_unit(&pairs),
         "path_length_m": run.path_length_m(),
         "ate_rmse_m": last.as_ref().map(|a| a.translation_m.rmse),
         "ate_max_m": last.as_ref().map(|a| a.translation_m.max),
@@ -226,6 +233,12 @@ fn figures(run: &SlamRun) -> Value {
         "rss_mb_half": rss(0.5),
         "rss_mb_end": rss(1.0),
     })
+}
+
+/// True metres by the estimate's unit in each fifth of the way: all 1 where scale is right, all alike where it does not drift.
+fn metres_by_unit(pairs: &[PosePair]) -> Vec<Option<f64>> {
+    let fifths = pairs.chunks(pairs.len().div_ceil(5).max(1));
+    fifths.map(|fifth| align(fifth, Alignment::Sim3).ok().map(|s| s.scale)).collect()
 }
 
 /// Kidnap by kidnap: was the robot found, when, and was it ever said to be where it is not.

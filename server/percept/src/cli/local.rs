@@ -18,9 +18,9 @@ pub(crate) struct LocalRun {
 }
 
 impl LocalRun {
-    /// Base to map at every registered frame.
+    /// Base to map at every registered frame; where some are in metres, those.
     pub(crate) fn trajectory(&self) -> Vec<Stamped<Pose>> {
-        self.snapshot.trajectory().map(|(value, e)| Stamped { stamp: e.stamp, value }).collect()
+        self.snapshot.trajectory_in_one_unit().map(|(value, e)| Stamped { stamp: e.stamp, value }).collect()
     }
 }
 

@@ -18,6 +18,7 @@ mod report;
 mod serve;
 mod sim;
 mod slam_run;
+mod streams;
 
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;

@@ -2,10 +2,11 @@
 
 use super::client::{RemoteSession, connect};
 use super::report::{Report, peak_rss_mb};
+use super::streams::{Chosen, Stream};
 use super::{Failure, input, local};
 use percept_formats::dataset::{self, Dataset, OpenOptions};
 use percept_formats::{Limits as FileLimits, read_file, trajectory};
-use percept_geometry::SensorFrame;
+use percept_geometry::{SensorFrame, SensorKind};
 use percept_pipeline::{LoopState, PipelineParams, Snapshot};
 use percept_service::{Limits, MapFormat, maps};
 use percept_wire::{convert, json, v1};
@@ -34,12 +35,15 @@ pub(crate) struct ReplayArgs {
     /// Threads for computing; 0 takes all cores.
     #[arg(long, default_value_t = 0)]
     threads: usize,
+    /// Stream only these sensors; of a depth camera with colour, `camera` is its colour images, `depth` its depth.
+    #[arg(long, value_enum, value_delimiter = ',')]
+    pub(crate) sensors: Vec<Stream>,
     /// Leave colour out.
     #[arg(long)]
     depth_only: bool,
     /// Leave wheel odometry out.
     #[arg(long)]
-    no_odometry: bool,
+    pub(crate) no_odometry: bool,
     /// Configuration file whose session parameters are used (in this process).
     #[arg(long, conflicts_with = "server")]
     config: Option<PathBuf>,
@@ -49,8 +53,11 @@ pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
     let options = OpenOptions { depth_only: args.depth_only, ..OpenOptions::default() };
     let mut recording =
         dataset::open_with(&args.path, &options).map_err(|e| format!("{}: {e}", args.path.display()))?;
-    if args.no_odometry {
-        recording.sensors.retain(|s| s.kind != percept_geometry::SensorKind::Odometry);
+    let chosen = Chosen::of(&args);
+    recording.sensors = chosen.specs(&recording.sensors);
+    if recording.sensors.is_empty() {
+        let kinds = "the recording has none of the sensors asked for; leave --sensors out to see what it has";
+        return Err(kinds.into());
     }
     match &args.server {
         None => in_process(&args, &recording),
@@ -70,14 +77,18 @@ fn part(args: &ReplayArgs, recording: &Dataset) -> Range<usize> {
 type Frames = Box<dyn Iterator<Item = Result<SensorFrame, percept_formats::FormatError>> + Send>;
 
 fn frames(args: &ReplayArgs, recording: &Dataset) -> Frames {
+    let chosen = Chosen::of(args);
     let frames = recording.frames(Some(part(args, recording)));
-    if args.no_odometry {
-        let wheels = |f: &Result<SensorFrame, _>| {
-            matches!(f, Ok(SensorFrame { data: percept_geometry::SensorData::Odometry(_), .. }))
-        };
-        return Box::new(frames.filter(move |f| !wheels(f)));
-    }
-    Box::new(frames)
+    Box::new(frames.flat_map(move |frame| match frame {
+        Ok(frame) => chosen.frames(frame).into_iter().map(Ok).collect::<Vec<_>>(),
+        Err(e) => vec![Err(e)],
+    }))
+}
+
+/// The sensor whose frames are counted.
+fn primary(recording: &Dataset) -> Option<&percept_geometry::SensorSpec> {
+    let sees = |s: &&percept_geometry::SensorSpec| !matches!(s.kind, SensorKind::Odometry | SensorKind::Imu);
+    recording.sensors.iter().find(sees).or(recording.sensors.first())
 }
 
 fn report(args: &ReplayArgs, recording: &Dataset) -> Report {
@@ -85,7 +96,7 @@ fn report(args: &ReplayArgs, recording: &Dataset) -> Report {
     Report {
         dataset: recording.name.clone(),
         kind: recording.kind.name().to_owned(),
-        sensor: recording.sensors.first().map(|s| format!("{:?}", s.kind).to_lowercase()).unwrap_or_default(),
+        sensor: primary(recording).map(|s| format!("{:?}", s.kind).to_lowercase()).unwrap_or_default(),
         frames: n,
         ..Report::default()
     }
@@ -114,7 +125,7 @@ fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {
     };
     let pool = super::compute_pool(args.threads, 0)?;
     let bar = super::progress(part(args, recording).len() as u64, "replay");
-    let primary = recording.sensors.first().map(|s| s.id.clone());
+    let primary = primary(recording).map(|s| s.id.clone());
     let read = input::read_ahead(frames(args, recording));
     let run = local::run(&pool, params, &recording.sensors, read.into_iter(), |frame, _| {
         bar.inc(u64::from(Some(&frame.sensor) == primary.as_ref()));
@@ -126,7 +137,7 @@ fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {
     report.keyframes = run.snapshot.living_keyframes().count();
     report.objects = run.snapshot.objects.len();
     report.loops = run.snapshot.loops.iter().filter(|l| l.state == LoopState::Active).count();
-    report.judge(recording.reference.as_deref(), &run.trajectory());
+    report.judge(recording.reference.as_deref(), &run.trajectory(), run.snapshot.is_metric());
     report.set_frame_times(run.frame_s.clone());
     if let Some(dir) = &args.out {
         write_results(dir, &run.snapshot)?;
@@ -173,7 +184,7 @@ async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Re
     let channel = connect(server).await?;
     let session = RemoteSession::create(channel, &args.session, &recording.name, &recording.sensors).await?;
     let bar = super::progress(part(args, recording).len() as u64, "replay");
-    let primary = recording.sensors.first().map(|s| s.id.0.clone()).unwrap_or_default();
+    let primary = primary(recording).map(|s| s.id.0.clone()).unwrap_or_default();
     let start = std::time::Instant::now();
     let source = frames(args, recording);
     let outcome =
@@ -186,10 +197,11 @@ async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Re
     session.optimise().await?;
     let trajectory = session.trajectory().await?;
     let mut report = report(args, recording);
-    report.tracked = trajectory.iter().filter(|(_, tracked)| *tracked).count();
+    report.tracked = trajectory.iter().filter(|p| p.tracked).count();
     report.refused = outcome.rejections.len();
-    let poses: Vec<_> = trajectory.into_iter().map(|(pose, _)| pose).collect();
-    report.judge(recording.reference.as_deref(), &poses);
+    let is_metric = trajectory.iter().any(|p| p.is_metric) || trajectory.is_empty();
+    let poses = trajectory.into_iter().filter(|p| p.is_metric == is_metric).map(|p| p.t_map_base).collect::<Vec<_>>();
+    report.judge(recording.reference.as_deref(), &poses, is_metric);
     (report.keyframes, report.objects) = counts(&session).await?;
     if let Some(dir) = &args.out {
         write_remote(dir, &session).await?;

@@ -1,6 +1,6 @@
 //! What a replay prints: figures as a table or one JSON object.
 
-use percept_evaluation::{Trajectory, TrajectoryParams, score_trajectory};
+use percept_evaluation::{Alignment, Trajectory, TrajectoryParams, score_trajectory};
 use percept_geometry::{Pose, Stamped};
 use serde::Serialize;
 
@@ -19,6 +19,8 @@ pub(crate) struct Report {
     pub(crate) tracked: usize,
     /// Frames that could not be read or were refused.
     pub(crate) refused: usize,
+    /// Whether the estimate's lengths are metres: if not, it is scaled onto the reference before it is judged.
+    pub(crate) metric: bool,
     pub(crate) ate_rmse_m: Option<f64>,
     pub(crate) rpe_trans_rmse_m: Option<f64>,
     pub(crate) rpe_rot_rmse_deg: Option<f64>,
@@ -44,13 +46,15 @@ pub(crate) struct Report {
 
 impl Report {
     /// Adds the errors against a reference, if there is one that shares stamps.
-    pub(crate) fn judge(&mut self, reference: Option<&[Stamped<Pose>]>, estimate: &[Stamped<Pose>]) {
+    pub(crate) fn judge(&mut self, reference: Option<&[Stamped<Pose>]>, estimate: &[Stamped<Pose>], is_metric: bool) {
+        self.metric = is_metric;
         let Some(reference) = reference else { return };
         let (Ok(reference), Ok(estimate)) = (Trajectory::new(reference.to_vec()), Trajectory::new(estimate.to_vec()))
         else {
             return;
         };
-        match score_trajectory(&reference, &estimate, &TrajectoryParams::default()) {
+        let alignment = if is_metric { Alignment::Se3 } else { Alignment::Sim3 };
+        match score_trajectory(&reference, &estimate, &TrajectoryParams { alignment, ..TrajectoryParams::default() }) {
             Ok(score) => {
                 self.ate_rmse_m = Some(score.absolute.translation_m.rmse);
                 self.rpe_trans_rmse_m = score.relative.as_ref().map(|r| r.translation_m.rmse);

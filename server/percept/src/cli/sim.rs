@@ -15,6 +15,10 @@ enum Suite {
     All,
     /// Depth camera alone.
     Camera,
+    /// Camera without depth alone.
+    Images,
+    /// Camera without depth, and wheels.
+    ImagesWheels,
     /// 3D lidar alone.
     Lidar3d,
     /// Planar lidar alone.
@@ -57,6 +61,8 @@ pub(crate) fn run(args: SimArgs) -> Result<(), Failure> {
         Suite::Default => SensorSuite::default(),
         Suite::All => SensorSuite::all(),
         Suite::Camera => SensorSuite::only_depth_camera(),
+        Suite::Images => SensorSuite::only_camera(),
+        Suite::ImagesWheels => SensorSuite { odometry: SensorSuite::all().odometry, ..SensorSuite::only_camera() },
         Suite::Lidar3d => SensorSuite::only_lidar3d(),
         Suite::Lidar2d => SensorSuite::only_lidar2d(),
     };

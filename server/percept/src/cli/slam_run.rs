@@ -2,6 +2,7 @@
 
 use super::Failure;
 use super::eval_slam::{RIGHT_M, RIGHT_RAD, moves_pose};
+use nalgebra::UnitQuaternion;
 use percept_evaluation::{Alignment, PosePair, align};
 use percept_geometry::{KeyframeId, Pose, Timestamp};
 use percept_pipeline::{Loop, LoopState, Pipeline, PipelineParams, Snapshot};
@@ -21,6 +22,8 @@ pub(crate) struct FrameRecord {
     /// Base to map, as was said at the time.
     pub(crate) online: Pose,
     pub(crate) tracked: bool,
+    /// Whether lengths are metres.
+    pub(crate) is_metric: bool,
     /// Time in the pipeline, milliseconds.
     pub(crate) ms: f32,
     /// Resident memory of this process after it, megabytes.
@@ -40,6 +43,8 @@ pub(crate) struct SlamRun {
     pub(crate) num_loops: [usize; 3],
     /// Frames in which the scene left each axis of base open: x, y, z, rotation x, y, z.
     pub(crate) num_degenerate: [usize; 6],
+    /// Whether lengths are metres; if not, truth is that of the camera, whose mount counts only in metres.
+    pub(crate) is_metric: bool,
     /// Frames by what was said of tracking.
     pub(crate) states: BTreeMap<String, usize>,
     /// Base to map by stamp, with all corrections, of frames that were tracked.
@@ -67,13 +72,14 @@ impl SlamRun {
 
     /// As [`Self::online_pairs`], of frames before a time.
     pub(crate) fn online_pairs_until(&self, end_s: f64) -> Vec<PosePair> {
-        let tracked = self.frames.iter().filter(|f| f.tracked && f.second < end_s);
+        let tracked = self.frames.iter().filter(|f| f.tracked && f.is_metric == self.is_metric && f.second < end_s);
         tracked.map(|f| PosePair { stamp: f.stamp, reference: f.truth, estimate: f.online }).collect()
     }
 
     /// Distance of each frame's pose, as it was said, from the truth, metres; aligned over the tracked ones.
     pub(crate) fn online_errors(&self) -> Vec<f64> {
-        let Ok(similarity) = align(&self.online_pairs(), Alignment::Se3) else {
+        let alignment = if self.is_metric { Alignment::Se3 } else { Alignment::Sim3 };
+        let Ok(similarity) = align(&self.online_pairs(), alignment) else {
             return vec![f64::NAN; self.frames.len()];
         };
         let away =
@@ -98,7 +104,8 @@ pub(crate) fn run_session(
     let mut pipeline = Pipeline::new(params)?;
     let sensors = simulation.sensors();
     sensors.iter().for_each(|s| pipeline.declare_sensor(s.clone()));
-    let main = sensors.iter().find(|s| moves_pose(s.kind)).ok_or("no sensor that finds poses")?.id.clone();
+    let spec = sensors.iter().find(|s| moves_pose(s.kind)).ok_or("no sensor that finds poses")?;
+    let (main, arm) = (spec.id.clone(), Pose::from_parts(spec.t_base_sensor.translation, UnitQuaternion::identity()));
     let mut frames = simulation.frames();
     let bar = super::progress(frames.total(), what);
     let t_start_world = simulation.t_world_start().inverse();
@@ -110,6 +117,7 @@ pub(crate) fn run_session(
         num_corrections: 0,
         num_loops: [0; 3],
         num_degenerate: [0; 6],
+        is_metric: true,
         states: BTreeMap::new(),
         corrected: HashMap::new(),
     };
@@ -136,6 +144,7 @@ pub(crate) fn run_session(
             truth: t_start_world * sim.t_world_base,
             online: pose.t_map_base,
             tracked: report.trajectory.is_some_and(|t| t.tracked),
+            is_metric: pose.scale.is_metric(),
             ms,
             rss_mb: rss_mb().unwrap_or(0.0),
         });
@@ -147,7 +156,11 @@ pub(crate) fn run_session(
     let snapshot = pipeline.snapshot();
     run.num_keyframes = snapshot.living_keyframes().count();
     run.num_loops = loops(&snapshot, &run.frames);
-    let tracked = snapshot.trajectory().filter(|(_, e)| e.tracked);
+    run.is_metric = snapshot.is_metric();
+    if !run.is_metric {
+        run.frames.iter_mut().for_each(|f| f.truth *= arm);
+    }
+    let tracked = snapshot.trajectory_in_one_unit().filter(|(_, e)| e.tracked);
     run.corrected = tracked.map(|(pose, e)| (e.stamp, pose)).collect();
     Ok(run)
 }
@@ -174,6 +187,7 @@ fn touched(num_records: usize) -> Vec<FrameRecord> {
         truth: pose,
         online: pose,
         tracked: true,
+        is_metric: true,
         ms: 1.0,
         rss_mb: 1.0,
     };

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod adrift;
+mod camera;
 mod correction;
 mod drive;
 mod refusal;

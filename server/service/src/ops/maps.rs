@@ -311,7 +311,8 @@ pub fn export(s: &Snapshot, name: &str, format: MapFormat, limits: &crate::Limit
             ("pcd", "application/octet-stream", written(|out| pcd::write(out, &cloud))?)
         }
         F::TrajectoryTum => {
-            let poses: Vec<_> = s.trajectory().map(|(value, e)| Stamped { stamp: e.stamp, value }).collect();
+            let poses: Vec<_> =
+                s.trajectory_in_one_unit().map(|(value, e)| Stamped { stamp: e.stamp, value }).collect();
             ("tum", "text/plain", written(|out| trajectory::write_tum(out, &poses))?)
         }
         F::OverviewPng => ("overview.png", "image/png", pictures::overview(&grid()?, &pictures::Overlay::of(s))?),

@@ -92,7 +92,8 @@ fn near(snapshot: &Snapshot, pose: &PoseEstimate) -> Vec<Object> {
 pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Result<Plan> {
     let stamp = snapshot.pose.as_ref().map(|p| p.stamp).unwrap_or_default();
     let map_version = snapshot.map_version;
-    let known = snapshot.pose.as_ref().filter(|p| !matches!(p.state, TrackingState::Lost { .. }));
+    let is_known = |p: &&PoseEstimate| !matches!(p.state, TrackingState::Lost { .. }) && p.scale.is_metric();
+    let known = snapshot.pose.as_ref().filter(is_known);
     let robot = known.map(|p| Point2::from(p.t_map_base.translation.vector.xy()));
     let Some(start) = request.start.or(robot) else {
         return Ok(Plan { outcome: None, map_version, stamp });

@@ -127,7 +127,7 @@ impl Overlay {
     pub fn of(snapshot: &Snapshot) -> Self {
         let there = snapshot.objects.iter().filter(|o| o.state != ObjectState::Gone);
         Self {
-            trajectory: snapshot.trajectory().map(|(t, _)| t).collect(),
+            trajectory: snapshot.trajectory_in_one_unit().map(|(t, _)| t).collect(),
             objects: there.map(|o| (o.class, o.bbox)).collect(),
             path: vec![],
         }

@@ -5,7 +5,7 @@ use super::{Scene, check_rate, check_share, mount};
 use crate::rng::{Purpose, stream};
 use crate::{SimError, check};
 use percept_geometry::{
-    CameraIntrinsics, DepthImage, Distortion, GeometryError, Pose, RgbImage, SensorData, SensorSpec,
+    CameraIntrinsics, DepthImage, Distortion, GeometryError, Pose, RgbImage, SensorData, SensorKind, SensorSpec,
 };
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
@@ -25,6 +25,8 @@ pub struct DepthCameraParams {
     pub intrinsics: CameraIntrinsics,
     /// Whether a colour image comes with the depth.
     pub color: bool,
+    /// Whether depth comes at all: without, it is a mere camera, and `color` has to be there.
+    pub depth: bool,
     /// Height of the camera over the floor, metres, 0.05 to 2.5.
     pub height_m: f64,
     /// How far ahead of the robot's middle the camera sits, metres, -0.2 to 0.2.
@@ -55,6 +57,7 @@ impl Default for DepthCameraParams {
             rate_hz: 15.0,
             intrinsics: CameraIntrinsics::primesense(),
             color: true,
+            depth: true,
             height_m: 0.6,
             forward_m: 0.1,
             pitch_rad: 0.12,
@@ -89,6 +92,15 @@ impl DepthCameraParams {
         self.noise_scale * (0.0012 + 0.0019 * (z - 0.4) * (z - 0.4))
     }
 
+    /// What it is as a sensor, by what comes.
+    pub(crate) fn kind(&self) -> SensorKind {
+        match (self.depth, self.color) {
+            (false, _) => SensorKind::Camera,
+            (true, true) => SensorKind::Rgbd,
+            (true, false) => SensorKind::Depth,
+        }
+    }
+
     /// Camera's optical frame to base.
     pub fn t_base_sensor(&self) -> Pose {
         let mut t = mount(self.forward_m, self.height_m, self.pitch_rad);
@@ -101,6 +113,9 @@ impl DepthCameraParams {
     /// # Errors
     /// `OutOfRange` naming the field.
     pub fn validate(&self) -> Result<(), SimError> {
+        if !self.color && !self.depth {
+            return Err(SimError::OutOfRange { field: "color", value: 0.0, requirement: "true without depth" });
+        }
         check_rate(self.rate_hz)?;
         if let Err(GeometryError::OutOfRange { field, value, requirement }) = self.intrinsics.validate() {
             return Err(SimError::OutOfRange { field, value, requirement });
@@ -140,10 +155,10 @@ pub(crate) fn capture(
         measure_row(params, &row, &mut rng, depth, color);
     });
     let depth = DepthImage::new(width, height, depth)?;
-    if params.color {
-        Ok(SensorData::Rgbd(depth, RgbImage::new(width, height, color)?))
-    } else {
-        Ok(SensorData::Depth(depth))
+    match params.kind() {
+        SensorKind::Camera => Ok(SensorData::Camera(RgbImage::new(width, height, color)?)),
+        SensorKind::Rgbd => Ok(SensorData::Rgbd(depth, RgbImage::new(width, height, color)?)),
+        _ => Ok(SensorData::Depth(depth)),
     }
 }
 

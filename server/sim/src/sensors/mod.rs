@@ -70,6 +70,12 @@ impl SensorSuite {
         Self { depth_camera: Some(DepthCameraParams::default()), ..Self::none() }
     }
 
+    /// Only a camera without depth, otherwise with the depth camera's defaults.
+    pub fn only_camera() -> Self {
+        let camera = DepthCameraParams { depth: false, ..DepthCameraParams::default() };
+        Self { depth_camera: Some(camera), ..Self::none() }
+    }
+
     /// Only the 3D lidar, with its defaults.
     pub fn only_lidar3d() -> Self {
         Self { lidar3d: Some(Lidar3dParams::default()), ..Self::none() }
@@ -115,8 +121,7 @@ impl SensorSuite {
             out.push(spec("lidar", SensorKind::Lidar3d, p.t_base_sensor(), None));
         }
         if let Some(p) = &self.depth_camera {
-            let kind = if p.color { SensorKind::Rgbd } else { SensorKind::Depth };
-            out.push(spec("camera", kind, p.t_base_sensor(), Some(p.intrinsics)));
+            out.push(spec("camera", p.kind(), p.t_base_sensor(), Some(p.intrinsics)));
         }
         out
     }
@@ -124,12 +129,13 @@ impl SensorSuite {
     /// Messages a second of the sensor of this kind; 0 if there is none.
     pub(crate) fn rate_hz(&self, kind: SensorKind) -> f64 {
         match kind {
-            SensorKind::Depth | SensorKind::Rgbd => self.depth_camera.as_ref().map_or(0.0, |p| p.rate_hz),
+            SensorKind::Depth | SensorKind::Rgbd | SensorKind::Camera => {
+                self.depth_camera.as_ref().map_or(0.0, |p| p.rate_hz)
+            }
             SensorKind::Lidar3d => self.lidar3d.as_ref().map_or(0.0, |p| p.rate_hz),
             SensorKind::Lidar2d => self.lidar2d.as_ref().map_or(0.0, |p| p.rate_hz),
             SensorKind::Odometry => self.odometry.as_ref().map_or(0.0, |p| p.rate_hz),
             SensorKind::Imu => self.imu.as_ref().map_or(0.0, |p| p.rate_hz),
-            SensorKind::Camera => 0.0,
         }
     }
 }

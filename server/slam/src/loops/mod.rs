@@ -85,7 +85,7 @@ pub fn place_recognition(kind: OdometryKind) -> Option<Box<dyn PlaceRecognition>
         OdometryKind::Lidar2d => Some(Box::new(planar::PlanarPlaces::new())),
         OdometryKind::Rgbd => Some(Box::new(visual::VisualPlaces::default())),
         OdometryKind::Lidar3d => Some(Box::new(spatial::SpatialRecognition::default())),
-        // A camera's map closes its loops itself: they correct its scale, too.
-        OdometryKind::Mono => None,
+        // A camera's own map closes its loops, too, for its points and their scale; these move what the session has built.
+        OdometryKind::Mono => Some(Box::new(visual::VisualPlaces::of_sparse_points())),
     }
 }

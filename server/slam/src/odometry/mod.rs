@@ -14,11 +14,11 @@ mod rhythm;
 mod uncertainty;
 
 use crate::keyframe::{KeyframeParams, keyframe_scan_seen_by};
-use crate::scan::Scan;
+use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
 use nalgebra::Vector6;
-use percept_geometry::{Covariance6, KeyframeScan, PointCloud, Pose, SensorId, Timestamp, se3};
+use percept_geometry::{Covariance6, KeyframeFeatures, KeyframeScan, PointCloud, Pose, SensorId, Timestamp, se3};
 use rhythm::Rhythm;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -263,6 +263,10 @@ pub(crate) trait LocalModel: Send {
     fn sparse_points(&self, _t_base_sensor: &Pose) -> PointCloud {
         PointCloud::default()
     }
+    /// What the last frame shows of these points, as a keyframe keeps it.
+    fn features(&self, _t_base_sensor: &Pose) -> Option<KeyframeFeatures> {
+        None
+    }
     /// Stamps and `t_odom_base` of the frames that such a method keeps.
     fn views(&self, _t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {
         vec![]
@@ -305,7 +309,7 @@ impl Odometry {
             OdometryKind::Rgbd => Box::new(rgbd::Rgbd::new(params.rgbd.clone())),
             OdometryKind::Lidar3d => Box::new(lidar3d::Lidar3d::new(params.lidar3d.clone())),
             OdometryKind::Lidar2d => Box::new(lidar2d::Lidar2d::new(params.lidar2d.clone())),
-            OdometryKind::Mono => Box::new(mono::Mono::new(&params.mono)),
+            OdometryKind::Mono => Box::new(mono::Mono::new(&params.mono, params.tracking.restart_after_frames)),
         };
         let limits = MotionLimits::of(kind, &params.tracking);
         Self {
@@ -331,7 +335,7 @@ impl Odometry {
     pub fn register(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) -> OdometryEstimate {
         if let Some(mono) = self.model.as_mono() {
             let estimate = mono.track(stamp, scan, prior);
-            (self.t_odom_base, self.last_stamp) = (estimate.t_odom_base, Some(stamp));
+            self.follow(&estimate);
             return estimate;
         }
         let stamped = self.last_stamp.map_or(0.0, |last| stamp.seconds_since(last).max(0.0));
@@ -368,6 +372,31 @@ impl Odometry {
         }
     }
 
+    /// Takes over what a method found that keeps a state of its own. Steps tell a velocity only in metres.
+    fn follow(&mut self, estimate: &OdometryEstimate) {
+        let dt = self.last_stamp.map_or(0.0, |last| estimate.stamp.seconds_since(last));
+        let step = se3::log(&self.t_odom_base.inv_mul(&estimate.t_odom_base));
+        let both = estimate.state.is_tracking() && self.num_lost == 0 && estimate.scale.is_metric();
+        let near = dt > 1e-4 && dt <= self.params.tracking.max_gap_s;
+        self.velocity = (both && near).then(|| step / dt).filter(|v| v.fixed_rows::<3>(0).norm() < self.limits.speed);
+        self.num_lost = if estimate.state.is_tracking() { 0 } else { self.num_lost + 1 };
+        (self.t_odom_base, self.last_stamp) = (estimate.t_odom_base, Some(estimate.stamp));
+    }
+
+    /// How the past moved with the newest frame, where the method closes loops in a map of its own (a camera's): stamps,
+    /// ascending, and what takes poses in odom near them in time to where they are now. Given once.
+    pub fn take_moved(&mut self) -> Vec<(Timestamp, Pose)> {
+        self.model.as_mono().map(mono::Mono::take_moved).unwrap_or_default()
+    }
+
+    /// What tells a camera its scale: a depth image of the same view, or an image of a second camera, that came after
+    /// the newest image and belongs to it. Other methods, and a camera that is lost, take no notice.
+    pub fn tell_scale(&mut self, hint: &ImageScan) {
+        if let Some(mono) = self.model.as_mono() {
+            mono.tell_scale(hint);
+        }
+    }
+
     /// Whether the newest frame was placed.
     pub fn is_tracking(&self) -> bool {
         self.last_stamp.is_some() && self.num_lost == 0
@@ -395,6 +424,7 @@ impl Odometry {
         let mut kept = keyframe_scan_seen_by(&self.params.keyframe, stamp, sensor, scan, &self.velocity(), color);
         if let Scan::Image(image) = scan {
             kept.hits = self.model.sparse_points(&image.t_base_sensor);
+            kept.features = self.model.features(&image.t_base_sensor).map(Arc::new);
         }
         kept
     }

@@ -301,6 +301,10 @@ pub fn color(c: &v1::ColorImage, limits: &Limits) -> Result<RgbImage> {
     let (w, h) = image_size(c.width_px, c.height_px, limits)?;
     match E::try_from(c.encoding) {
         Ok(E::Rgb8) => Ok(RgbImage::new(w, h, rows(&c.data, w * 3, h, c.row_stride_bytes)?.to_vec())?),
+        Ok(E::Gray8) => {
+            let gray = rows(&c.data, w, h, c.row_stride_bytes)?;
+            Ok(RgbImage::new(w, h, gray.iter().flat_map(|&g| [g; 3]).collect())?)
+        }
         Ok(E::Jpeg | E::Png) => {
             let image = images::decode_color(&c.data, &super::format_limits(limits)).map_err(super::format_error)?;
             decoded_size((image.width(), image.height()), (w, h))?;

@@ -72,8 +72,16 @@ pub fn pose_to(p: &PoseEstimate) -> v1::PoseEstimate {
         inlier_ratio: p.inlier_ratio,
         rmse_m: p.rmse_m,
         degenerate_axes: p.degenerate_axes.to_vec(),
+        scale: scale_to(p.scale.is_metric()).into(),
+        scale_source: p.scale.to_string(),
+        waiting_for: p.waiting.map(|w| w.to_string()).unwrap_or_default(),
+        relocalised: p.is_relocalised,
         map_version: p.map_version,
     }
+}
+
+fn scale_to(is_metric: bool) -> v1::Scale {
+    if is_metric { v1::Scale::Metric } else { v1::Scale::Unknown }
 }
 
 /// A keyframe as a message.
@@ -94,7 +102,8 @@ pub fn trajectory_pose_to(t_map_base: &Pose, entry: &TrajectoryEntry) -> v1::Tra
         stamp_ns: entry.stamp.nanos(),
         t_map_base: Some(geometry::pose_to(t_map_base)),
         state: state.into(),
-        keyframe_id: entry.is_keyframe.then_some(entry.anchor.0),
+        keyframe_id: entry.anchor.filter(|_| entry.is_keyframe).map(|k| k.0),
+        scale: scale_to(entry.anchor.is_some()).into(),
     }
 }
 

@@ -1,8 +1,9 @@
-//! Places of a depth camera with colour, found again by what they look like and verified by their shape.
+//! Places of a camera, found again by what they look like and verified by their shape.
 //!
 //! Candidates by binary features ([`index`]), the motion by their points ([`rigid`]), then the whole surface
 //! ([`crate::odometry::rgbd::place`]): enough of it fits and none of it contradicts. Without colour there are no features,
-//! and no place is found again: blank depth of one room's corner fits another's too well to be trusted.
+//! and no place is found again: blank depth of one room's corner fits another's too well to be trusted. A camera without
+//! depth has the points of its features alone: so many more of these have to agree.
 
 mod index;
 mod rigid;
@@ -28,6 +29,9 @@ const MAX_INDEXED: usize = 250;
 const MIN_VOTES: u32 = 12;
 /// Fewest pairs of features that agree on a motion.
 const MIN_PAIRS: usize = 12;
+/// The same, and their share of all that were paired, where there is no surface to verify by.
+const SPARSE_PAIRS: usize = 30;
+const SPARSE_SHARE: f64 = 0.4;
 /// Least share of the scan's points on surfaces of the place, and most share that contradicts.
 const MIN_INLIERS: f64 = 0.3;
 const MAX_SEEN_THROUGH: f64 = 0.1;
@@ -44,6 +48,8 @@ struct Known {
 pub(crate) struct VisualPlaces {
     known: BTreeMap<KeyframeId, Known>,
     index: Index,
+    /// Whether scans hold the features' points alone, no surfaces.
+    is_sparse: bool,
 }
 
 impl PlaceRecognition for VisualPlaces {
@@ -94,6 +100,11 @@ impl PlaceRecognition for VisualPlaces {
 }
 
 impl VisualPlaces {
+    /// For a camera without depth, whose scans hold the points of its own map.
+    pub(crate) fn of_sparse_points() -> Self {
+        Self { is_sparse: true, ..Self::default() }
+    }
+
     fn remember(&mut self, id: KeyframeId, scan: &Arc<KeyframeScan>) {
         let indexed = descriptors(scan, MAX_INDEXED);
         if indexed.is_empty() {
@@ -128,7 +139,16 @@ impl VisualPlaces {
     /// Where base of the scan is, seen from base at keyframe `from`; none unless features and surfaces agree.
     fn verify(&self, from: KeyframeId, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Placed> {
         let known = self.known.get(&from)?;
-        let (t_from_to, covariance) = by_features(&known.scan, scan)?;
+        let (t_from_to, covariance, inliers, share) = by_features(&known.scan, scan)?;
+        if self.is_sparse {
+            return (inliers >= SPARSE_PAIRS && share >= SPARSE_SHARE).then_some(Placed {
+                t_place_base: t_from_to,
+                covariance,
+                inlier_ratio: share,
+                seen_through: 0.0,
+                in_front: 0.0,
+            });
+        }
         // Its neighbours on the way have seen more of the place, if odometry ties them to it.
         let neighbours = [from.0.wrapping_sub(1), from.0.wrapping_add(1)].map(KeyframeId);
         let around = neighbours.iter().filter_map(|k| {
@@ -144,8 +164,9 @@ impl VisualPlaces {
     }
 }
 
-/// The motion that features agree on and its covariance, right perturbation in `to`'s base.
-fn by_features(from: &KeyframeScan, to: &KeyframeScan) -> Option<(Pose, Covariance6)> {
+/// The motion that features agree on, its covariance (right perturbation in `to`'s base), how many pairs agree, and which
+/// share of all.
+fn by_features(from: &KeyframeScan, to: &KeyframeScan) -> Option<(Pose, Covariance6, usize, f64)> {
     let (a, b) = (from.features.as_ref()?, to.features.as_ref()?);
     let set = |f: &[KeyframeFeature]| Descriptors::Binary(f.iter().map(|f| f.descriptor).collect());
     let params = MatchParams { ratio: 0.85, mutual: true, max_distance: Some(64.0) };
@@ -164,7 +185,8 @@ fn by_features(from: &KeyframeScan, to: &KeyframeScan) -> Option<(Pose, Covarian
         })
         .collect();
     let (t_from_to, inliers) = most_agree(&pairs, MIN_PAIRS)?;
-    Some((t_from_to, uncertainty(&pairs, &inliers)))
+    let share = inliers.len() as f64 / pairs.len() as f64;
+    Some((t_from_to, uncertainty(&pairs, &inliers), inliers.len(), share))
 }
 
 /// Of points that err independently by half their tolerance; never surer than 1 cm and 10 mrad.

@@ -26,18 +26,26 @@ mod start;
 mod tracker;
 
 use crate::odometry::uncertainty::Uncertainty;
-use crate::odometry::{LocalModel, Match, MotionPrior, OdometryEstimate, Prediction, diagonal};
+use crate::odometry::{LocalModel, Match, MotionPrior, OdometryEstimate, Prediction, UNKNOWN_VARIANCE, diagonal};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
 use frame::Lens;
-use nalgebra::{Translation3, Vector6};
-use percept_geometry::{CameraIntrinsics, Covariance6, KeyframeScan, PointCloud, Pose, Timestamp, se3};
+use map::ViewId;
+use nalgebra::{Point2, Translation3, Vector6};
+use percept_geometry::{
+    CameraIntrinsics, Covariance6, KeyframeFeature, KeyframeFeatures, KeyframeScan, PointCloud, Pose, Timestamp, se3,
+};
 use pose::PlacedCamera;
 use scale::Scaling;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use tracker::{Outcome, Tracker};
+
+/// Images farther apart than this in time need not overlap, seconds.
+const GAP_S: f64 = 1.0;
+/// A turn between two images by which so large a share of what the first shows leaves the second.
+const FAST_TURN: f64 = 0.25;
 
 /// Parameters of odometry by a camera alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -77,28 +85,39 @@ pub(crate) struct Mono {
     lens: Option<(CameraIntrinsics, Lens)>,
     /// Base to odom when the map's first view was taken.
     t_odom_start: Pose,
+    /// The image that a second view is sought for: its stamp, and base to odom then.
+    reference: Option<(Timestamp, Pose)>,
     t_odom_base: Pose,
+    last_stamp: Option<Timestamp>,
+    moved: Vec<(Timestamp, Pose)>,
     scaling: Scaling,
     uncertainty: Uncertainty,
     num_lost: usize,
+    /// So many images in a row that do not fit the map end it.
+    restart_after: usize,
 }
 
 impl Mono {
-    pub(crate) fn new(params: &MonoParams) -> Self {
+    pub(crate) fn new(params: &MonoParams, restart_after: usize) -> Self {
         Self {
             tracker: Tracker::new(params),
             params: params.clone(),
             lens: None,
             t_odom_start: Pose::identity(),
+            reference: None,
+            last_stamp: None,
+            moved: vec![],
             t_odom_base: Pose::identity(),
             scaling: Scaling::default(),
             uncertainty: Uncertainty::default(),
             num_lost: 0,
+            restart_after,
         }
     }
 
     /// Places an image; see [`crate::Odometry::register`].
     pub(crate) fn track(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) -> OdometryEstimate {
+        let since = self.last_stamp.replace(stamp).map_or(0.0, |last| stamp.seconds_since(last));
         let Scan::Image(scan) = scan else { return self.lost(stamp, prior, LostReason::UnsuitableScan) };
         let lens = match self.lens(&scan.intrinsics) {
             Ok(lens) => lens,
@@ -108,8 +127,9 @@ impl Mono {
             Ok(frame) => frame,
             Err(reason) => return self.lost(stamp, prior, reason),
         };
-        let motion = self.tracker.motion.as_ref();
-        let hint = prior.map(|p| self.scaling.hint(p, &scan.t_base_sensor, motion));
+        let motion = self.tracker.motion;
+        let hint = prior.map(|p| self.scaling.hint(p, &scan.t_base_sensor, motion.as_ref()));
+        let turn = hint.or(motion).map_or(0.0, |m| m.rotation.angle());
         let views_before = self.tracker.newest;
         let outcome = self.tracker.track(stamp, frame, &lens, hint.as_ref());
         if !self.tracker.has_map() {
@@ -117,23 +137,79 @@ impl Mono {
         }
         self.scaling.moved(prior, &scan.t_base_sensor, &mut self.tracker, views_before);
         match outcome {
-            Outcome::Waiting(waiting) => self.waiting(stamp, prior, waiting),
+            Outcome::Waiting(waiting) => {
+                let estimate = self.waiting(stamp, prior, waiting);
+                self.note_reference();
+                estimate
+            }
             Outcome::Started => {
-                self.t_odom_start = self.t_odom_base;
+                self.t_odom_start = self.reference.take().map_or(self.t_odom_base, |(_, t)| t);
                 self.uncertainty.restarted();
                 self.num_lost = 0;
                 self.t_odom_base = self.newest(&scan.t_base_sensor);
                 self.unmeasured(stamp, TrackingState::Initialising, None)
             }
             Outcome::Placed(placed) => {
-                if std::mem::take(&mut self.tracker.is_corrected) {
-                    // The newest pose stays where it is: the past moves, see `views`.
-                    let t_start_base = self.t_odom_start.inverse() * self.newest(&scan.t_base_sensor);
-                    self.t_odom_start = self.t_odom_base * t_start_base.inverse();
+                if let Some(before) = self.tracker.corrected.take() {
+                    self.correct(&before, &scan.t_base_sensor);
                 }
                 self.tracked(stamp, scan, &placed)
             }
-            Outcome::Lost(reason) => self.lost(stamp, prior, reason),
+            Outcome::Lost(reason) => {
+                let turned = turn * lens.focal / scan.intrinsics.width as f64;
+                let estimate = self.lost(stamp, prior, why(reason, since, turned));
+                self.give_up();
+                self.note_reference();
+                estimate
+            }
+        }
+    }
+
+    /// A loop was closed: the newest pose stays where it is, the past moves.
+    fn correct(&mut self, before: &[(ViewId, Pose)], t_base_sensor: &Pose) {
+        let old: Vec<(ViewId, Pose)> = before.iter().map(|(id, t)| (*id, self.to_odom(t, t_base_sensor))).collect();
+        let t_start_base = self.t_odom_start.inverse() * self.newest(t_base_sensor);
+        self.t_odom_start = self.t_odom_base * t_start_base.inverse();
+        let moved = old.into_iter().filter_map(|(id, old)| {
+            let view = self.tracker.map.views.get(&id)?;
+            Some((view.stamp, self.to_odom(&view.t_camera_map, t_base_sensor) * old.inverse()))
+        });
+        self.moved = moved.collect();
+    }
+
+    /// How past views moved when a loop was closed with the newest image, once: stamps, ascending, and what takes poses
+    /// in odom to where they are now.
+    pub(crate) fn take_moved(&mut self) -> Vec<(Timestamp, Pose)> {
+        std::mem::take(&mut self.moved)
+    }
+
+    /// Takes a depth image of the same view, or an image of a second camera, in, that belongs to the newest image.
+    pub(crate) fn tell_scale(&mut self, hint: &ImageScan) {
+        if self.num_lost > 0 || !self.tracker.has_map() {
+            return;
+        }
+        if let Some(depth) = &hint.depth {
+            self.scaling.see_depth(depth, hint, &mut self.tracker);
+        }
+        if let Some(second) = &hint.second {
+            self.scaling.see_second(second, &mut self.tracker, self.params.max_features);
+        }
+    }
+
+    /// A map in metres that nothing fits for long gives way to a new one: what hangs on it joins when the session
+    /// recognises the place. Without metres there is nothing that could join the two.
+    fn give_up(&mut self) {
+        if self.num_lost >= self.restart_after && self.scaling.scale().is_metric() {
+            self.tracker.clear();
+            self.scaling = Scaling::default();
+        }
+    }
+
+    /// Where base was when the image came that a second view is sought for.
+    fn note_reference(&mut self) {
+        let stamp = self.tracker.reference_stamp();
+        if stamp != self.reference.map(|(known, _)| known) {
+            self.reference = stamp.map(|stamp| (stamp, self.t_odom_base));
         }
     }
 
@@ -167,18 +243,13 @@ impl Mono {
     }
 
     fn tracked(&mut self, stamp: Timestamp, scan: &ImageScan, placed: &PlacedCamera) -> OdometryEstimate {
-        if let Some(depth) = &scan.depth {
-            self.scaling.see_depth(depth, scan, &mut self.tracker);
-        }
-        if let Some(second) = &scan.second {
-            self.scaling.see_second(second, &mut self.tracker, self.params.max_features);
-        }
+        self.num_lost = 0;
+        self.tell_scale(scan);
         let before = self.t_odom_base;
         self.t_odom_base = self.newest(&scan.t_base_sensor);
         let covariance = self.covariance(placed, &scan.t_base_sensor);
         let t_last_now = before.inverse() * self.t_odom_base;
         let covariance = self.uncertainty.measured(&t_last_now, &covariance, &[false; 6]);
-        self.num_lost = 0;
         OdometryEstimate {
             stamp,
             t_odom_base: self.t_odom_base,
@@ -216,7 +287,12 @@ impl Mono {
     /// By the prior, if there is one; else base is taken to stand, and that is a poor guess.
     fn advance(&mut self, prior: Option<&MotionPrior>) {
         let still = MotionPrior { t_prev_now: Pose::identity(), covariance: diagonal(0.05, 0.05) };
-        let prior = prior.unwrap_or(&still);
+        // A gyro alone says nothing of the way.
+        let mut prior = prior.unwrap_or(&still).clone();
+        if !knows_way(&prior) {
+            let way = still.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+            prior.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&way);
+        }
         self.uncertainty.predicted(&prior.t_prev_now, &prior.covariance);
         self.t_odom_base *= prior.t_prev_now;
     }
@@ -234,6 +310,21 @@ impl Mono {
             scale: self.scaling.scale(),
             waiting,
         }
+    }
+}
+
+/// Whether a prior tells the translation: a gyro's does not.
+fn knows_way(prior: &MotionPrior) -> bool {
+    (0..3).all(|i| prior.covariance[(i, i)] <= UNKNOWN_VARIANCE)
+}
+
+/// An image that shares too little with those before may have come too late (`since`, seconds), or from a camera that
+/// turned too fast (`turn`, as a share of the image's width).
+fn why(reason: LostReason, since: f64, turn: f64) -> LostReason {
+    match reason {
+        LostReason::TooFewCorrespondences | LostReason::Degenerate if since > GAP_S => LostReason::TimeGap,
+        LostReason::TooFewCorrespondences | LostReason::Degenerate if turn > FAST_TURN => LostReason::MotionTooLarge,
+        other => other,
     }
 }
 
@@ -266,6 +357,20 @@ impl LocalModel for Mono {
         }
         let points = self.tracker.points_in_camera().into_iter();
         PointCloud::from_positions(points.map(|p| (t_base_sensor * p).cast()).collect())
+    }
+
+    fn features(&self, t_base_sensor: &Pose) -> Option<KeyframeFeatures> {
+        let (_, lens) = self.lens.as_ref().filter(|_| self.scaling.scale().is_metric())?;
+        let known = self.tracker.features_in_camera().into_iter().map(|(pixel, descriptor, p)| KeyframeFeature {
+            descriptor,
+            p_base: (t_base_sensor * p).cast(),
+            pixel: Point2::from((pixel - lens.min).cast()),
+        });
+        let known: Vec<KeyframeFeature> = known.collect();
+        let step = known.len().div_ceil(KeyframeFeatures::LIMIT).max(1);
+        let mut camera = lens.intrinsics();
+        (camera.cx, camera.cy) = (-lens.min.x, -lens.min.y);
+        Some(KeyframeFeatures { camera, features: known.into_iter().step_by(step).collect() })
     }
 
     fn views(&self, t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {

@@ -4,6 +4,7 @@
 //! metres, and what wheels say between views stays in the adjustment, so that the scale does not drift.
 
 use super::frame::{self, Lens};
+use super::knows_way;
 use super::map::ViewId;
 use super::tracker::Tracker;
 use crate::odometry::MotionPrior;
@@ -71,10 +72,11 @@ impl Scaling {
         self.scale
     }
 
-    /// What a motion prior says of the camera, t_now_previous, in the map's unit; while that is unknown only how it turned.
+    /// What a motion prior says of the camera, t_now_previous, in the map's unit; only how it turned while that is unknown,
+    /// or if the prior tells no more.
     pub(super) fn hint(&self, prior: &MotionPrior, t_base_sensor: &Pose, motion: Option<&Pose>) -> Pose {
         let mut hint = in_camera(&prior.t_prev_now, t_base_sensor).inverse();
-        if self.scale == Scale::Unknown {
+        if self.scale == Scale::Unknown || !knows_way(prior) {
             hint.translation.vector = motion.map_or_else(Vector3::zeros, |m| m.translation.vector);
         }
         hint
@@ -88,7 +90,7 @@ impl Scaling {
         tracker: &mut Tracker,
         newest_before: Option<ViewId>,
     ) {
-        self.since_view = self.since_view.take().zip(prior).map(|((t, covariance), p)| {
+        self.since_view = self.since_view.take().zip(prior.filter(|p| knows_way(p))).map(|((t, covariance), p)| {
             (t * p.t_prev_now, se3::compose_covariance(&covariance, &p.t_prev_now, &p.covariance))
         });
         if tracker.newest == newest_before {

@@ -9,7 +9,7 @@ use super::scale::KnownSteps;
 use super::start::{Reference, TwoViews};
 use super::{MonoParams, grow, loops, search};
 use crate::tracking::{LostReason, Waiting};
-use nalgebra::{Point2, Point3, Translation3};
+use nalgebra::{Point2, Point3, Translation3, Vector2};
 use percept_geometry::{Pose, Timestamp};
 use percept_perception::features2d::{Descriptors, MatchParams, match_features};
 use percept_perception::multiview::{RansacParams, solve_pnp};
@@ -50,8 +50,8 @@ pub(super) struct Tracker {
     pub(super) known: KnownSteps,
     /// Whether the map's unit is the metre.
     pub(super) is_metric: bool,
-    /// A loop was closed: past views moved.
-    pub(super) is_corrected: bool,
+    /// A loop was closed: where past views were before.
+    pub(super) corrected: Option<Vec<(ViewId, Pose)>>,
     pub(super) places: Places,
     params: MonoParams,
     reference: Option<Reference>,
@@ -68,7 +68,7 @@ impl Tracker {
             map: Map::default(),
             known: KnownSteps::default(),
             is_metric: false,
-            is_corrected: false,
+            corrected: None,
             places: Places::default(),
             params: params.clone(),
             reference: None,
@@ -81,6 +81,11 @@ impl Tracker {
 
     pub(super) fn has_map(&self) -> bool {
         self.last.is_some()
+    }
+
+    /// When the image was taken that a second view is sought for.
+    pub(super) fn reference_stamp(&self) -> Option<Timestamp> {
+        self.reference.as_ref().map(|r| r.stamp)
     }
 
     /// The camera's last pose.
@@ -287,12 +292,13 @@ impl Tracker {
         }
         let found = loops::detect(&self.map, &self.places, id, lens, self.params.match_ratio);
         if let Some(found) = found {
+            let before: Vec<_> = self.map.views.iter().map(|(id, v)| (*id, v.t_camera_map)).collect();
             loops::close(&mut self.map, &found, lens);
             let known = self.is_metric.then_some(&self.known);
             local::adjust(&mut self.map, id, lens, known);
             // The motion was in the unit before.
             self.motion = None;
-            self.is_corrected = true;
+            self.corrected = Some(before);
         }
     }
 
@@ -300,6 +306,16 @@ impl Tracker {
     pub(super) fn points_in_camera(&self) -> Vec<Point3<f64>> {
         let Some((frame, t)) = &self.last else { return vec![] };
         frame.points.iter().flatten().filter_map(|id| Some(t * self.map.points.get(id)?.position)).collect()
+    }
+
+    /// The features of the last image that show map points: pixel of the lens, descriptor, point in the camera.
+    pub(super) fn features_in_camera(&self) -> Vec<(Vector2<f64>, [u64; 4], Point3<f64>)> {
+        let Some((frame, t)) = &self.last else { return vec![] };
+        let one = |(i, id): (usize, &Option<PointId>)| {
+            let p = t * self.map.points.get(id.as_ref()?)?.position;
+            Some((frame.pixels[i], frame.descriptors[i], p))
+        };
+        frame.points.iter().enumerate().filter_map(one).collect()
     }
 
     /// How far a second camera, mounted at `t_camera_second` (metres), is from the last image's in the map's unit.

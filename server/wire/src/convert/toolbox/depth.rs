@@ -46,7 +46,8 @@ pub fn depth(field: &'static str, d: Option<&v1::DepthImage>, limits: &Limits) -
 /// Those of [`sensors::color`].
 pub fn color(field: &'static str, c: Option<&v1::ColorImage>, limits: &Limits) -> Result<RgbImage> {
     let c = required(field, c)?;
-    let raw = c.encoding == i32::from(v1::ColorEncoding::Rgb8) || c.encoding == 0;
+    use v1::ColorEncoding as E;
+    let raw = matches!(E::try_from(c.encoding), Ok(E::Unspecified | E::Rgb8 | E::Gray8));
     if raw || (c.width_px, c.height_px) != (0, 0) {
         return sensors::color(c, limits).map_err(|e| e.within(field));
     }
@@ -126,6 +127,7 @@ pub fn converted_color(c: &RgbImage, r: &v1::ConvertColorRequest) -> Result<v1::
         Ok(E::Unspecified | E::Rgb8) => return Ok(color_to(c)),
         Ok(E::Jpeg) => (E::Jpeg, images::encode_jpeg(c, quality)),
         Ok(E::Png) => (E::Png, images::encode_rgb_png(c)),
+        Ok(E::Gray8) => (E::Gray8, Ok(c.to_gray().data().to_vec())),
         Err(_) => return Err(unknown_enum("encoding", r.encoding)),
     };
     let (width_px, height_px) = (c.width() as u32, c.height() as u32);

@@ -1,0 +1,124 @@
+"""A session with nothing but a camera, and what tells it its scale."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from support import world
+
+STEPS = 60
+
+
+@pytest.fixture(scope="module")
+def images():
+    return [world.color_image(pose) for pose in world.drive(STEPS)]
+
+
+def camera_session(client, images, *others):
+    session = client.sessions.create(sensors=[world.EYE, *others])
+    poses = world.drive(STEPS)
+    with session.stream() as stream:
+        for i, image in enumerate(images):
+            if others:
+                stream.send_odometry("wheels", stamp_ns=world.stamp(i), t_odom_base=poses[i])
+            stream.send_color("eye", stamp_ns=world.stamp(i), color=image)
+        acks = [a for a in stream.acks() if a.sensor_id == "eye"]
+    assert stream.summary.rejected == 0, stream.summary.rejections
+    return session, [a.result.pose for a in acks]
+
+
+@pytest.fixture(scope="module")
+def alone(client, images):
+    return camera_session(client, images)
+
+
+@pytest.fixture(scope="module")
+def on_wheels(client, images):
+    return camera_session(client, images, world.WHEELS)
+
+
+def scaled_error_m(estimate, truth):
+    """RMSE after the similarity of least squares: Umeyama 1991."""
+    x, y = estimate - estimate.mean(0), truth - truth.mean(0)
+    u, s, vt = np.linalg.svd(y.T @ x)
+    d = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
+    scale = np.trace(np.diag(s) @ d) / (x**2).sum()
+    return float(np.sqrt(((y - scale * x @ (u @ d @ vt).T) ** 2).sum(1).mean()))
+
+
+def test_a_camera_alone_waits_for_parallax_then_tracks_and_says_that_scale_is_unknown(alone):
+    session, poses = alone
+    assert poses[0].state == "initialising"
+    assert "sideways" in poses[0].waiting_for
+    tracked = [p for p in poses if p.state == "tracking"]
+    assert len(tracked) > STEPS / 2
+    assert {p.scale for p in poses} == {"unknown"}
+    assert "no map is built" in poses[-1].scale_source
+    assert session.pose() == poses[-1]
+
+
+def test_the_trajectory_of_a_camera_alone_is_right_but_for_its_scale(alone):
+    session, _ = alone
+    trajectory = session.trajectory()
+    assert set(trajectory.scales) == {"unknown"}
+    assert set(trajectory.states) <= {"tracking", "lost"}
+    # Without scale the poses are the camera's.
+    by_stamp = {
+        world.stamp(i): (pose.matrix @ world.EYE.t_base_sensor.matrix)[:3, 3]
+        for i, pose in enumerate(world.drive(STEPS))
+    }
+    truth = np.array([by_stamp[s] for s in trajectory.stamps_ns.tolist()])
+    assert scaled_error_m(trajectory.positions, truth) < 0.03
+
+
+def test_no_map_is_built_without_scale(alone):
+    session, _ = alone
+    info = session.info()
+    assert (info.num_keyframes, info.num_objects, info.map_version) == (0, 0, 0)
+
+
+def test_wheels_make_lengths_metres_and_the_map_begins(on_wheels):
+    session, poses = on_wheels
+    scales = [p.scale for p in poses]
+    first = scales.index("metric")
+    assert scales == ["unknown"] * first + ["metric"] * (len(poses) - first)
+    assert poses[-1].scale_source == "by wheel odometry"
+    assert session.info().num_keyframes > 0
+    truth = world.truth_in_map(world.drive(STEPS))
+    assert world.position_error_m(poses[-1].t_map_base, truth[-1]) < 0.06
+    trajectory = session.trajectory()
+    assert trajectory.scales[-1] == "metric"
+
+
+def test_images_that_show_nothing_are_lost_with_the_reason_and_found_again(client, images):
+    session, _ = camera_session(client, images)
+
+    def send(i, color):
+        return session.send_color("eye", stamp_ns=world.stamp(STEPS + i), color=color).pose
+
+    for i, (shade, words) in enumerate([(0, "exposure"), (255, "exposure"), (120, "texture")]):
+        pose = send(i, np.full_like(images[0], shade))
+        assert pose.state == "lost"
+        assert words in pose.lost_reason
+    found = send(3, images[-1])
+    assert found.state == "tracking"
+    assert found.relocalised
+    assert not send(4, images[-1]).relocalised
+
+
+def test_an_image_of_another_size_and_a_stamp_from_the_past_are_refused_precisely(client, images):
+    session, poses = camera_session(client, images)
+    with session.stream() as stream:
+        stream.send_color("eye", stamp_ns=world.stamp(STEPS), color=images[0][:100])
+        stream.send_color("eye", stamp_ns=world.stamp(3), color=images[0])
+    reasons = [r.reason for r in stream.summary.rejections]
+    assert reasons == ["INTRINSICS_MISMATCH", "STAMP_NOT_INCREASING"]
+    assert "320x100" in stream.summary.rejections[0].message
+    assert session.pose() == poses[-1]
+
+
+def test_colour_and_grey_images_give_the_same(client, images, alone):
+    _, grey = alone
+    _, poses = camera_session(client, [np.repeat(i[..., None], 3, axis=2) for i in images])
+    assert np.allclose(poses[-1].t_map_base.matrix, grey[-1].t_map_base.matrix, atol=1e-9)
