@@ -77,18 +77,24 @@ def depth_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS) -> np
 
 
 def color_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS) -> np.ndarray:
-    """(H, W) uint8: walls and furniture of grey blocks, 8 cm wide, each with a shade of its own."""
+    """(H, W) uint8: walls and furniture of grey blocks, each with a shade of its own; the mean of 2 x 2 rays a pixel."""
     t_world_camera = t_world_base.matrix @ CAMERA.t_base_sensor.matrix
-    u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
+    u, v = np.meshgrid(np.arange(2 * camera.width_px) / 2 - 0.25, np.arange(2 * camera.height_px) / 2 - 0.25)
     rays = np.stack(
         [(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones(u.shape)], axis=-1
     )
     rays = rays @ t_world_camera[:3, :3].T
     points = t_world_camera[:3, 3] + rays * cast(t_world_camera[:3, 3], rays)[..., None]
+    shade = (_shade(points, 0.15) + _shade(points, 0.04)) / 2
+    return shade.reshape(camera.height_px, 2, camera.width_px, 2).mean((1, 3)).astype(np.uint8)
+
+
+def _shade(points: np.ndarray, block_m: float) -> np.ndarray:
+    """Grey of the block that a point lies in, 40 to 167."""
     # Off the surfaces' own coordinates, which would else lie on the border of two blocks.
-    block = np.floor((points + 0.013) / 0.08).astype(np.int64)
-    shade = (block * np.array([7_919, 104_729, 1_299_709])).sum(-1) * 2_654_435_761
-    return (40 + ((shade >> 9) & 0x7F)).astype(np.uint8)
+    block = np.floor((points + 0.013) / block_m).astype(np.int64)
+    mixed = (block * np.array([7_919, 104_729, 1_299_709])).sum(-1) * 2_654_435_761
+    return 40 + ((mixed >> 9) & 0x7F)
 
 
 def scan(t_world_base: Pose, beams: int = 360) -> dict[str, object]:

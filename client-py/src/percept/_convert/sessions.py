@@ -16,10 +16,10 @@ from ..types.sessions import (
     MapChanged,
     PoseEstimate,
     Resync,
+    Scale,
     SessionEvent,
     SessionInfo,
     SessionMode,
-    Scale,
     TrackingState,
     Trajectory,
 )

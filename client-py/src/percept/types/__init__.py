@@ -19,7 +19,6 @@ from .frames import (
     ImuFrame,
     OdometryFrame,
     RgbdFrame,
-    Scale,
     ScanFrame,
     SensorFrame,
 )
@@ -97,6 +96,7 @@ from .sessions import (
     MapChanged,
     PoseEstimate,
     Resync,
+    Scale,
     SessionEvent,
     SessionInfo,
     SessionMode,

@@ -2,13 +2,25 @@
 
 use crate::drive::{empty, simulation};
 use percept_evaluation::{Alignment, PosePair, absolute_error, align};
-use percept_geometry::{RgbImage, SensorData, SensorFrame, SensorId, SensorKind, Timestamp};
+use percept_geometry::{CameraIntrinsics, RgbImage, SensorData, SensorFrame, SensorId, SensorKind, Timestamp};
 use percept_pipeline::{FrameError, FrameReport, Pipeline, PipelineParams, PoseEstimate};
 use percept_sim::{SensorSuite, Simulation};
 use percept_slam::{LostReason, Scale, TrackingState, Waiting};
 
+/// Half the usual resolution, quicker to render.
+fn halved(mut suite: SensorSuite) -> SensorSuite {
+    if let Some(camera) = &mut suite.depth_camera {
+        camera.intrinsics = CameraIntrinsics::pinhole(320, 240, 262.0, 262.0, 159.5, 119.5);
+    }
+    suite
+}
+
+fn alone() -> SensorSuite {
+    halved(SensorSuite::only_camera())
+}
+
 fn with_wheels() -> SensorSuite {
-    SensorSuite { odometry: SensorSuite::all().odometry, ..SensorSuite::only_camera() }
+    SensorSuite { odometry: SensorSuite::all().odometry, ..alone() }
 }
 
 fn run(pipeline: &mut Pipeline, simulation: &Simulation) -> Vec<PoseEstimate> {
@@ -31,7 +43,7 @@ fn pairs(simulation: &Simulation, poses: &[PoseEstimate], scale: Scale) -> Vec<P
 
 #[test]
 fn a_camera_alone_is_followed_in_a_unit_of_its_own_and_builds_no_map() {
-    let simulation = simulation(SensorSuite::only_camera(), 4.0);
+    let simulation = simulation(alone(), 4.0);
     let mut pipeline = empty(&simulation, PipelineParams::default());
     let poses = run(&mut pipeline, &simulation);
     assert_eq!(poses[0].state, TrackingState::Initialising);
@@ -40,7 +52,7 @@ fn a_camera_alone_is_followed_in_a_unit_of_its_own_and_builds_no_map() {
     assert!(poses[0].scale.to_string().contains("no map is built"));
     let pairs = pairs(&simulation, &poses, Scale::Unknown);
     assert!(pairs.len() > 30, "{}", pairs.len());
-    // Features are good to a pixel, 2 mm a metre: a few centimetres at the room's depths.
+    // Features are good to a pixel, 4 mm a metre: a few centimetres at the room's depths.
     let error = absolute_error(&pairs, Alignment::Sim3).unwrap().translation_m.rmse;
     assert!(error < 0.05, "{error}");
     let snapshot = pipeline.snapshot();
@@ -53,7 +65,7 @@ fn a_camera_alone_is_followed_in_a_unit_of_its_own_and_builds_no_map() {
 
 #[test]
 fn wheels_tell_a_camera_its_scale_and_maps_begin() {
-    let simulation = simulation(with_wheels(), 8.0);
+    let simulation = simulation(with_wheels(), 6.0);
     let mut pipeline = empty(&simulation, PipelineParams::default());
     let poses = run(&mut pipeline, &simulation);
     let metric = poses.iter().position(|p| p.scale == Scale::FromOdometry).expect("no scale");
@@ -76,7 +88,7 @@ fn wheels_tell_a_camera_its_scale_and_maps_begin() {
 
 #[test]
 fn depth_that_comes_along_tells_a_camera_its_scale() {
-    let simulation = simulation(SensorSuite::only_depth_camera(), 4.0);
+    let simulation = simulation(halved(SensorSuite::only_depth_camera()), 4.0);
     let mut params = PipelineParams::default();
     params.slam.pose_sensor = "images".to_owned();
     let mut pipeline = empty(&simulation, params);
@@ -111,7 +123,7 @@ fn flat(frame: &SensorFrame, grey: u8) -> SensorFrame {
 
 #[test]
 fn images_without_use_are_answered_with_the_reason_and_the_session_lives_on() {
-    let simulation = simulation(SensorSuite::only_camera(), 4.0);
+    let simulation = simulation(alone(), 4.0);
     let frames: Vec<SensorFrame> = simulation.frames().map(|f| f.frame).collect();
     let mut pipeline = empty(&simulation, PipelineParams::default());
     let (bad, good) = (40..43, 44);
@@ -136,7 +148,7 @@ fn images_without_use_are_answered_with_the_reason_and_the_session_lives_on() {
 
 #[test]
 fn a_better_sensor_ranks_above_a_camera() {
-    let mut sensors = SensorSuite::only_camera();
+    let mut sensors = alone();
     sensors.lidar2d = SensorSuite::only_lidar2d().lidar2d;
     let simulation = simulation(sensors, 1.0);
     let mut pipeline = empty(&simulation, PipelineParams::default());

@@ -168,8 +168,10 @@ impl Mono {
     /// A loop was closed: the newest pose stays where it is, the past moves.
     fn correct(&mut self, before: &[(ViewId, Pose)], t_base_sensor: &Pose) {
         let old: Vec<(ViewId, Pose)> = before.iter().map(|(id, t)| (*id, self.to_odom(t, t_base_sensor))).collect();
+        // The newest view is the image that closed the loop.
+        let kept = old.last().map_or(self.t_odom_base, |(_, t)| *t);
         let t_start_base = self.t_odom_start.inverse() * self.newest(t_base_sensor);
-        self.t_odom_start = self.t_odom_base * t_start_base.inverse();
+        self.t_odom_start = kept * t_start_base.inverse();
         let moved = old.into_iter().filter_map(|(id, old)| {
             let view = self.tracker.map.views.get(&id)?;
             Some((view.stamp, self.to_odom(&view.t_camera_map, t_base_sensor) * old.inverse()))

@@ -70,6 +70,8 @@ pub(super) fn place(start: &Pose, sightings: &[Sighting], focal: f64) -> Option<
                 return None;
             }
             t = se3::exp(&-step) * t;
+            // Starts are products of poses found before: what a quaternion is off unit length would double with every image.
+            t.rotation.renormalize();
             if step.norm() < 1e-6 {
                 break;
             }
@@ -135,6 +137,26 @@ mod tests {
             let numeric = (at(&t, &(point + d)) - at(&t, &(point - d))) / (2.0 * h);
             assert!((numeric - by_point.column(k)).norm() < 1e-4 * (1.0 + numeric.norm()), "{k}");
         }
+    }
+
+    #[test]
+    fn poses_stay_rigid_however_often_one_is_predicted_from_those_before() {
+        let step = se3::exp(&Vector6::new(0.01, 0.0, 0.02, 0.0, 0.01, 0.0));
+        let (mut truth, mut before, mut now) = (Pose::identity(), Pose::identity(), Pose::identity());
+        for _ in 0..120 {
+            truth = step * truth;
+            let see = |i: i32| {
+                let a = f64::from(i);
+                let in_camera = Point3::new((a * 1.7).sin(), (a * 2.3).cos(), 3.0 + (a * 0.9).sin());
+                let pixel = project(&in_camera, 500.0).0;
+                Sighting { point: truth.inverse() * in_camera, pixel, sigma: 1.0 }
+            };
+            let sightings: Vec<Sighting> = (0..30).map(see).collect();
+            let predicted = now * before.inverse() * now;
+            (before, now) = (now, place(&predicted, &sightings, 500.0).unwrap().t_camera_map);
+        }
+        assert!((now.rotation.norm() - 1.0).abs() < 1e-12);
+        assert!((truth.inverse() * now).translation.vector.norm() < 1e-6);
     }
 
     #[test]
