@@ -91,7 +91,8 @@ def test_wheels_make_lengths_metres_and_the_map_begins(on_wheels):
     assert poses[-1].scale_source == "by wheel odometry"
     assert session.info().num_keyframes > 0
     truth = world.truth_in_map(drive())
-    assert world.position_error_m(poses[-1].t_map_base, truth[-1]) < 0.06
+    # Wheels without a covariance count for a tenth of the way, here 1.5 m.
+    assert world.position_error_m(poses[-1].t_map_base, truth[-1]) < 0.15
     trajectory = session.trajectory()
     assert trajectory.scales[-1] == "metric"
 

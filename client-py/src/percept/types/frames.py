@@ -35,10 +35,12 @@ def _depth(image: Array | EncodedImage, metres_per_unit: float | None) -> Array 
 
 
 def _color(image: Array | EncodedImage) -> Array | EncodedImage:
-    if isinstance(image, EncodedImage):
-        return image
-    grey = np.ndim(image) == 2
-    return checked("color", image, ("H", "W") if grey else ("H", "W", 3), np.uint8)
+    return image if isinstance(image, EncodedImage) else checked("color", image, ("H", "W", 3), np.uint8)
+
+
+def _color_or_grey(image: Array | EncodedImage) -> Array | EncodedImage:
+    is_grey = isinstance(image, np.ndarray) and image.ndim == 2
+    return checked("color", image, ("H", "W"), np.uint8) if is_grey else _color(image)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,7 +80,7 @@ class CameraFrame(Value):
     color: Array | EncodedImage = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "color", _color(self.color))
+        object.__setattr__(self, "color", _color_or_grey(self.color))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
