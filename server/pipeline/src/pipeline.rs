@@ -379,6 +379,8 @@ impl Pipeline {
     /// A frame whose pose is in no known unit: it is answered and said so, and no map is built from it.
     fn answer_without_scale(&mut self, stamp: Timestamp, estimate: &OdometryEstimate, has_wheels: bool) -> FrameReport {
         self.anchoring.judge_without_scale(estimate, has_wheels);
+        // The camera's map has begun anew: what was gathered in the one before hangs on nothing any more.
+        self.floating.clear();
         let mut pose = self.pose_of(stamp, estimate);
         if self.anchoring.is_adrift() && pose.state.is_tracking() {
             pose.state = TrackingState::Lost { reason: LostReason::Adrift };
