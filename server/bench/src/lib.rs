@@ -6,6 +6,7 @@
 
 pub mod args;
 pub mod cases;
+pub mod g2o;
 pub mod worker;
 
 pub use args::Args;

@@ -10,17 +10,21 @@ use percept_perception::depth::{
     unproject_units,
 };
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A frame of `dir`: millimetres and the camera of `K.txt`.
-struct Frame {
+pub(super) struct Frame {
     units: Vec<u16>,
-    camera: CameraIntrinsics,
+    pub(super) camera: CameraIntrinsics,
 }
 
 impl Frame {
     fn read(args: &Args) -> Result<Self, BenchError> {
-        let (dir, frame): (PathBuf, usize) = (args.required("dir")?, args.or("frame", 0)?);
+        Self::number(&args.required::<PathBuf>("dir")?, args.or("frame", 0)?)
+    }
+
+    /// One frame of a folder.
+    pub(super) fn number(dir: &Path, frame: usize) -> Result<Self, BenchError> {
         let limits = Limits::default();
         let bytes = read_file(&dir.join(format!("{frame:04}.depth.png")), &limits).map_err(BenchError::new)?;
         let image = decode_gray16(&bytes, &limits).map_err(BenchError::new)?;
@@ -32,7 +36,7 @@ impl Frame {
         Ok(Self { camera: CameraIntrinsics::pinhole(image.width, image.height, fx, fy, cx, cy), units: image.data })
     }
 
-    fn metres(&self) -> Result<DepthImage, BenchError> {
+    pub(super) fn metres(&self) -> Result<DepthImage, BenchError> {
         DepthImage::from_u16(self.camera.width, self.camera.height, &self.units, 0.001).map_err(BenchError::new)
     }
 }

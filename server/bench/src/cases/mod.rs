@@ -8,6 +8,7 @@ mod images;
 mod registration;
 mod search;
 mod segmentation;
+mod slam;
 
 use crate::{Args, BenchError};
 use serde_json::{Map, Value};
@@ -57,6 +58,9 @@ pub const OPERATIONS: &[(&str, Open)] = &[
     ("depth_median", depth::depth_median),
     ("depth_bilateral", depth::depth_bilateral),
     ("depth_normals", depth::depth_normals),
+    ("odometry_lidar3d", slam::lidar3d),
+    ("odometry_rgbd", slam::rgbd),
+    ("pose_graph", slam::graph),
 ];
 
 /// The case of an operation.

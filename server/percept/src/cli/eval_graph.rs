@@ -1,12 +1,11 @@
 //! `percept eval graph`: a pose graph optimised.
 
 use super::Failure;
-use nalgebra::SMatrix;
-use percept_formats::g2o::{G2oEdge, G2oFile, G2oGraph};
+use percept_bench::g2o::{numbered, pose_graph};
+use percept_formats::g2o::{G2oFile, G2oGraph};
 use percept_formats::{Limits, parse_g2o, read_file, write_g2o};
-use percept_slam::pose_graph::{Edge, Manifold, OptimiseParams, OptimiseReport, PlanarPose, PoseGraph, solve};
+use percept_slam::pose_graph::{Manifold, OptimiseParams, OptimiseReport, PlanarPose, solve};
 use serde_json::json;
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -72,37 +71,10 @@ fn optimised<R: Copy, P: Manifold<D>, const D: usize, const I: usize>(
     to_row: impl Fn(&P) -> R,
     params: &OptimiseParams,
 ) -> Result<(OptimiseReport, usize, usize, f64), Failure> {
-    let has_poses = !file.vertices.is_empty();
-    let mut index: BTreeMap<u64, u32> = BTreeMap::new();
-    if has_poses {
-        for (k, (id, _)) in file.vertices.iter().enumerate() {
-            if index.insert(*id, k as u32).is_some() {
-                return Err(format!("vertex {id} is there twice").into());
-            }
-        }
-    } else {
-        file.edges.iter().flat_map(|e| [e.from, e.to]).for_each(|id| {
-            index.insert(id, 0);
-        });
-        index.values_mut().enumerate().for_each(|(k, place)| *place = k as u32);
-        file.vertices = index.keys().map(|id| (*id, to_row(&P::identity()))).collect();
+    let (mut graph, has_poses) = pose_graph(file, from_row)?;
+    if !has_poses {
+        file.vertices = numbered(file)?.into_keys().map(|id| (id, to_row(&P::identity()))).collect();
     }
-    let place = |id: u64| index.get(&id).copied().ok_or_else(|| format!("vertex {id} has an edge, but no pose"));
-    let mut fixed = file.fixed.iter().map(|id| place(*id)).collect::<Result<Vec<u32>, _>>()?;
-    if fixed.is_empty() && !file.vertices.is_empty() {
-        fixed.push(0);
-    }
-    let edge = |e: &G2oEdge<R, I>| -> Result<Edge<P, D>, String> {
-        let mut information = SMatrix::<f64, D, D>::zeros();
-        let upper = (0..D).flat_map(|r| (r..D).map(move |c| (r, c)));
-        for ((r, c), v) in upper.zip(e.information) {
-            (information[(r, c)], information[(c, r)]) = (v, v);
-        }
-        Ok(Edge { from: place(e.from)?, to: place(e.to)?, t_from_to: from_row(e.t_from_to), information })
-    };
-    let edges = file.edges.iter().map(edge).collect::<Result<Vec<_>, _>>()?;
-    let poses = file.vertices.iter().map(|(_, row)| from_row(*row)).collect();
-    let mut graph = PoseGraph { poses, edges, fixed };
     let start = Instant::now();
     let report = solve(&mut graph, has_poses, params)?;
     let ms = start.elapsed().as_secs_f64() * 1e3;
