@@ -138,6 +138,8 @@ pub struct BackEnd {
     /// Poses that were given out, by index.
     given: Vec<Pose>,
     loops: Vec<Loop>,
+    /// Number of the next loop: those of loops that are gone do not come again.
+    next_loop: u64,
     last: Option<(Pose, Covariance6)>,
     /// Of the newest keyframe's pose in the map.
     drift: Covariance6,
@@ -167,6 +169,7 @@ impl BackEnd {
             by_id: KeyframePoses::new(),
             given: vec![],
             loops: vec![],
+            next_loop: 0,
             last: None,
             drift: Covariance6::zeros(),
             since_optimised: 0,
@@ -354,6 +357,7 @@ impl BackEnd {
                 self.recognition.restore(keyframe.id, keyframe.scan, &self.by_id);
             }
         }
+        self.next_loop = loops.last().map_or(0, |l| l.id.0 + 1);
         self.loops = loops;
     }
 
@@ -400,7 +404,7 @@ impl BackEnd {
     /// Places of the new loops; those between keyframes that are not there are left out.
     fn add_loops(&mut self, closures: Vec<LoopClosure>) -> Vec<usize> {
         let first = self.loops.len();
-        let next = self.loops.last().map_or(0, |l| l.id.0 + 1);
+        let next = self.next_loop;
         let known = closures.into_iter().filter(|c| {
             let ends = (self.chain.index(c.from), self.chain.index(c.to));
             matches!(ends, (Some(a), Some(b)) if a != b) && c.covariance.cholesky().is_some()
@@ -411,6 +415,7 @@ impl BackEnd {
             state: LoopState::Pending,
         });
         self.loops.extend(new.collect::<Vec<_>>());
+        self.next_loop += (self.loops.len() - first) as u64;
         (first..self.loops.len()).collect()
     }
 
