@@ -207,4 +207,40 @@ mod tests {
             assert!(decode(&[bytes.as_slice(), &[0]].concat()).is_err());
         }
     }
+
+    #[test]
+    fn damaged_records_are_refused_or_read_but_never_larger_than_their_bytes() {
+        // xorshift64*, the same every time.
+        let mut state = 0x2545_f491_4f6c_dd1du64;
+        let mut draw = || {
+            state ^= state >> 12;
+            state ^= state << 25;
+            state ^= state >> 27;
+            state.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 33
+        };
+        for record in [encode(&scan()), encode(&with_features())] {
+            for _ in 0..20_000 {
+                let mut bytes = record.clone();
+                for _ in 0..=draw() % 4 {
+                    let at = draw() as usize % bytes.len();
+                    // Often the largest counts, which nothing may be set aside for.
+                    bytes[at] = if draw() % 3 == 0 { 0xff } else { draw() as u8 };
+                }
+                bytes.truncate(bytes.len() - draw() as usize % 8);
+                check(&bytes);
+            }
+            // Rubbish after a sound beginning, of any length.
+            for n in 0..record.len() {
+                let rubbish = (0..draw() % 300).map(|_| draw() as u8);
+                check(&record[..n].iter().copied().chain(rubbish).collect::<Vec<u8>>());
+            }
+        }
+    }
+
+    fn check(bytes: &[u8]) {
+        let Ok(scan) = decode(bytes) else { return };
+        let features = scan.features.as_ref().map_or(0, |f| f.features.capacity() * 52);
+        let points = (scan.hits.positions.capacity() + scan.misses.capacity()) * 12;
+        assert!(features / 2 + points <= bytes.len(), "{} bytes", bytes.len());
+    }
 }

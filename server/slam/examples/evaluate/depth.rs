@@ -84,6 +84,10 @@ pub(crate) fn simulated(seed: u64, args: &[String]) -> Result<(), Failure> {
         run.step(f.frame.stamp, &scan, None);
         truth.push(f.t_world_base);
         estimate.extend(run.estimates.last().map(|e| e.t_odom_base));
+        if let (Some(e), true) = (estimate.last(), std::env::var_os("VERBOSE").is_some()) {
+            let off = truth[0].inv_mul(&f.t_world_base).inv_mul(e);
+            println!("   off {:.3} m {:.3} deg", off.translation.vector.norm(), off.rotation.angle().to_degrees());
+        }
         if has("--loops") && policy.consider(&f.t_world_base) {
             let kept = Arc::new(run.odometry.keyframe_scan(f.frame.stamp, &spec.id, &scan));
             let id = KeyframeId(keyframes.len() as u64);

@@ -113,3 +113,113 @@ fn intrinsics_that_do_not_fit_the_image_and_depth_of_nothing_are_lost() {
 fn stamp(i: usize) -> Timestamp {
     Timestamp::from_secs_f64(i as f64 / 15.0)
 }
+
+/// Somebody of half a metre's width at (x, y).
+fn somebody(x: f64, y: f64) -> (nalgebra::Vector3<f64>, nalgebra::Vector3<f64>) {
+    (nalgebra::Vector3::new(x, y, 0.0), nalgebra::Vector3::new(x + 0.3, y + 0.5, 1.8))
+}
+
+fn off(e: &OdometryEstimate, truth: &Pose) -> (f64, f64) {
+    let off = truth.inverse() * e.t_odom_base;
+    (off.translation.vector.norm(), off.rotation.angle())
+}
+
+#[test]
+fn somebody_who_walks_past_does_not_take_the_pose_along() {
+    for (from, speed) in [(-2.2, 0.8), (1.7, -1.2)] {
+        let mut noise = Noise(5);
+        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+        for i in 0..45 {
+            let mut room = Room::furnished();
+            room.boxes.push(somebody(0.9, from + speed * i as f64 / 15.0));
+            let e = odometry.register(stamp(i), &room.depth(&drive(i, 450), &mut noise), None);
+            let (m, rad) = off(&e, &(drive(0, 450).inverse() * drive(i, 450)));
+            assert!(!e.state.is_tracking() || m < 0.02 && rad < 0.01, "frame {i}: {m} m {rad} rad {:?}", e.state);
+            assert!(!e.state.is_lost(), "frame {i}: {:?}", e.state);
+        }
+    }
+}
+
+#[test]
+fn what_was_put_down_becomes_part_of_the_room_and_may_go_again() {
+    let (mut room, mut noise) = (Room::furnished(), Noise(6));
+    let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+    let mut ratios = vec![];
+    for i in 0..100 {
+        match i {
+            5 => room.boxes.push(somebody(0.6, -0.4)),
+            90 => drop(room.boxes.pop()),
+            _ => {}
+        }
+        let e = odometry.register(stamp(i), &room.depth(&Pose::identity(), &mut noise), None);
+        assert_eq!(e.state.is_tracking(), i > 0, "frame {i}: {:?}", e.state);
+        let (m, rad) = off(&e, &Pose::identity());
+        assert!(m < 0.01 && rad < 0.005, "frame {i}: {m} m {rad} rad");
+        ratios.push(e.inlier_ratio);
+    }
+    assert!(ratios[88] > 0.95 * ratios[4], "{} {}", ratios[4], ratios[88]);
+}
+
+#[test]
+fn a_pose_called_good_is_right_however_fast_the_camera_turns() {
+    let room = Room::furnished();
+    for rate in [1.0, 2.5, 5.0, 7.0] {
+        let mut noise = Noise(7);
+        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+        let at = |i: usize| {
+            // From rest, a third of a second to full speed.
+            let t = i as f64 / 15.0;
+            se3::from_xy_yaw(0.0, 0.0, rate * (t - 0.33f64.min(t) + 0.5 * t.min(0.33).powi(2) / 0.33))
+        };
+        let mut lost = false;
+        for i in 0..24 {
+            let e = odometry.register(stamp(i), &room.depth(&at(i), &mut noise), None);
+            lost |= e.state.is_lost();
+            let (m, rad) = off(&e, &at(i));
+            assert!(!e.state.is_tracking() || m < 0.05 && rad < 0.03, "{rate} rad/s frame {i}: {m} m {rad} rad");
+        }
+        assert!(rate > 1.5 || !lost, "{rate} rad/s");
+    }
+}
+
+/// Depth is missing in a band of rows that rolls through the image, and in every other block.
+fn with_holes(scan: Scan, i: usize) -> Scan {
+    let Scan::Depth(s) = scan else { return scan };
+    let mut data = s.depth.data().to_vec();
+    for (k, z) in data.iter_mut().enumerate() {
+        let (u, v) = (k % 640, k / 640);
+        if (v + 480 - 37 * i % 480) % 480 < 160 || (u / 60 + v / 60 + i).is_multiple_of(3) {
+            *z = 0.0;
+        }
+    }
+    Scan::Depth(DepthScan { depth: Arc::new(DepthImage::new(640, 480, data).unwrap()), ..s })
+}
+
+#[test]
+fn holes_that_roll_through_the_depth_do_not_shift_the_pose() {
+    let (room, mut noise) = (Room::furnished(), Noise(8));
+    let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+    for i in 0..40 {
+        let scan = with_holes(room.depth(&drive(i, 150), &mut noise), i);
+        let e = odometry.register(stamp(i), &scan, None);
+        let (m, rad) = off(&e, &(drive(0, 150).inverse() * drive(i, 150)));
+        assert_eq!(e.state.is_tracking(), i > 0, "frame {i}: {:?}", e.state);
+        assert!(m < 0.03 && rad < 0.015, "frame {i}: {m} m {rad} rad");
+    }
+}
+
+#[test]
+fn along_a_blank_wall_no_motion_that_nothing_shows_is_called_measured() {
+    let mut room = Room::furnished();
+    room.boxes.clear();
+    room.walls = (nalgebra::Vector3::new(-50.0, -50.0, -50.0), nalgebra::Vector3::new(1.5, 50.0, 50.0));
+    let mut noise = Noise(9);
+    let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+    for i in 0..15 {
+        // Sideways by 3 cm a frame: no depth image can tell.
+        let t = se3::from_xy_yaw(0.0, 0.03 * i as f64, 0.0);
+        let e = odometry.register(stamp(i), &room.depth(&t, &mut noise), None);
+        let open = e.degenerate_axes[1] && e.covariance[(1, 1)].sqrt() > 0.01;
+        assert!(i == 0 || e.state.is_lost() || open, "frame {i}: {:?} {:?}", e.state, e.degenerate_axes);
+    }
+}

@@ -17,7 +17,8 @@ const MIN_SUPPORT: f32 = 10.0;
 /// Rows a task: fixed, so that the number of threads changes nothing.
 const ROWS: usize = 8;
 
-/// Position and unit normal (towards the camera) in the camera frame; `z = 0` where there is none.
+/// Position and unit normal (towards the camera) in the camera frame; `z = 0` where there is none. What moves by itself has its
+/// position negated: it lies behind the camera, where nothing is.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Vertex {
     pub(crate) p: Vector3<f32>,
@@ -49,7 +50,20 @@ impl Frame {
         out
     }
 
-    fn measure(&mut self) {
+    /// Makes what was marked as moving valid again.
+    pub(crate) fn unmark(&mut self) {
+        let marked = self.vertices.iter_mut().filter(|v| v.p.z < 0.0);
+        if marked.fold(0, |n, v| {
+            v.p *= -1.0;
+            n + 1
+        }) > 0
+        {
+            self.measure();
+        }
+    }
+
+    /// Counts the valid vertices and where they are.
+    pub(crate) fn measure(&mut self) {
         let (mut n, mut range, mut sum, mut squares) = (0usize, 0f64, Vector3::zeros(), 0f64);
         for v in self.vertices.iter().filter(|v| v.p.z > 0.0) {
             let p = v.p.cast::<f64>();

@@ -8,6 +8,7 @@ mod align;
 mod color_camera;
 mod frame;
 mod intensity;
+mod moving;
 mod noise;
 mod photometric;
 pub(crate) mod place;
@@ -22,8 +23,9 @@ use align::{LEVELS, Problem, Requirements, align};
 pub(crate) use color_camera::ColorCamera;
 use color_camera::ColorRegistration;
 use frame::{Frame, Preparer, Vertex};
+use moving::Moving;
 use nalgebra::{Point3, Vector6};
-use percept_geometry::{Covariance6, KeyframeScan, Pose, se3};
+use percept_geometry::{CameraIntrinsics, Covariance6, KeyframeScan, Pose, se3};
 use photometric::Photometric;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -106,6 +108,14 @@ impl RgbdParams {
     }
 }
 
+/// With more of the frame moving than this share nothing says which part is the room.
+const MAX_MOVING: f64 = 0.8;
+
+/// A prediction surer than this leads to the right place, metres.
+const SURE_M: f64 = 0.05;
+/// Largest share of a frame found without one that may contradict the model.
+const MAX_WRONG: f64 = 0.1;
+
 /// A keyframe to start from, waiting for the first frame to tell the camera.
 type Pending = (Pose, Arc<KeyframeScan>);
 
@@ -124,6 +134,8 @@ pub(crate) struct Rgbd {
     t_odom_compared: Option<Pose>,
     pending: Vec<Pending>,
     window: Window,
+    /// What moves by itself in the current frame.
+    moving: Moving,
     /// Of the newest placement, right perturbation in the camera.
     placement: Covariance6,
 }
@@ -142,6 +154,7 @@ impl Rgbd {
             t_odom_compared: None,
             pending: vec![],
             window: Window::default(),
+            moving: Moving::default(),
             placement: Covariance6::zeros(),
         }
     }
@@ -175,6 +188,77 @@ impl Rgbd {
         }
     }
 
+    /// Whether the frame was found from hardly any prediction and contradicts the model there: with enough freedom the
+    /// surfaces of one place fit another's.
+    fn is_guesswork(&self, camera: &CameraIntrinsics, prediction: &Covariance6, t_odom_camera: &Pose) -> bool {
+        let is_unsure = (0..3).any(|k| prediction[(k, k)] > SURE_M * SURE_M);
+        let t_view_camera = self.view.t_odom_view.inv_mul(t_odom_camera);
+        is_unsure && {
+            let (wrong, all) = moving::contradictions(&self.frame, &self.view, camera, &t_view_camera);
+            wrong as f64 > MAX_WRONG * all as f64
+        }
+    }
+
+    /// Where the frame is by what keeps still in it, `found` by all of it.
+    ///
+    /// What moves may have taken the pose along, and then the room seems to move. So it is sought twice, as seen from the
+    /// pose found and from the prediction, and the pose is taken by which less of the frame contradicts the model.
+    fn without_moving(
+        &mut self,
+        camera: &CameraIntrinsics,
+        covariance: Covariance6,
+        found: Match,
+    ) -> Result<Match, LostReason> {
+        if !self.mark(camera, &found.t_odom_base).is_any {
+            return Ok(found);
+        }
+        let mut best: Option<(usize, Match)> = None;
+        for start in [self.view.t_odom_view, found.t_odom_base] {
+            self.mark(camera, &start);
+            let Ok(first) = self.align(camera, covariance) else { continue };
+            self.mark(camera, &first.t_odom_base);
+            let Ok(second) = self.align(camera, covariance) else { continue };
+            let t_view_camera = self.view.t_odom_view.inv_mul(&second.t_odom_base);
+            let (wrong, _) = moving::contradictions(&self.frame, &self.view, camera, &t_view_camera);
+            if best.as_ref().is_none_or(|b| 2 * wrong < b.0) {
+                best = Some((wrong, second));
+            }
+        }
+        let (_, best) = best.ok_or(LostReason::ResidualTooLarge)?;
+        self.mark(camera, &best.t_odom_base);
+        Ok(best)
+    }
+
+    fn mark(&mut self, camera: &CameraIntrinsics, t_odom_camera: &Pose) -> &Moving {
+        let t_view_camera = self.view.t_odom_view.inv_mul(t_odom_camera);
+        self.moving = moving::mark(&mut self.frame, &self.view, camera, &t_view_camera);
+        &self.moving
+    }
+
+    /// Places what is valid of the frame in the view, with the camera's covariance of the prediction.
+    fn align(&self, camera: &CameraIntrinsics, covariance: Covariance6) -> Result<Match, LostReason> {
+        align(&Problem {
+            frame: &self.frame,
+            view: &self.view,
+            camera,
+            start: Pose::identity(),
+            photometric: (!self.frame.intensity.is_empty() && self.view.textured.len() > 200).then(|| Photometric {
+                intensity: &self.frame.intensity,
+                color: self.registration.camera(camera),
+                points: &self.view.textured,
+            }),
+            covariance,
+            r_base_camera: *self.t_base_camera.rotation.to_rotation_matrix().matrix(),
+            requirements: Requirements {
+                min_overlap: self.params.min_overlap_ratio,
+                min_inlier_ratio: self.params.min_inlier_ratio,
+                max_correction: (self.params.max_correction_m, self.params.max_correction_rad),
+            },
+            levels: &LEVELS,
+            pixels_each: 1.0,
+        })
+    }
+
     fn limits(&self) -> FusionLimits {
         FusionLimits {
             max_weight: self.params.max_weight as f32,
@@ -188,6 +272,7 @@ impl LocalModel for Rgbd {
     fn prepare(&mut self, scan: &Scan, _velocity: &Vector6<f64>) -> Result<(), LostReason> {
         let Scan::Depth(scan) = scan else { return Err(LostReason::UnsuitableScan) };
         self.viewed = false;
+        self.moving = Moving::default();
         self.t_base_camera = scan.t_base_sensor;
         let depth = (self.params.min_depth_m as f32, self.params.max_depth_m as f32);
         self.preparer.prepare(scan, self.params.max_width_px, depth, &mut self.frame);
@@ -206,26 +291,14 @@ impl LocalModel for Rgbd {
         self.viewed = true;
         // The prediction's covariance in the camera: exp(xi_base) t_base_camera = t_base_camera exp(xi_camera).
         let ad = se3::adjoint(&self.t_base_camera.inverse());
-        let found = align(&Problem {
-            frame: &self.frame,
-            view: &self.view,
-            camera: &camera,
-            start: Pose::identity(),
-            photometric: (!self.frame.intensity.is_empty() && self.view.textured.len() > 200).then(|| Photometric {
-                intensity: &self.frame.intensity,
-                color: self.registration.camera(&camera),
-                points: &self.view.textured,
-            }),
-            covariance: ad * prediction.covariance * ad.transpose(),
-            r_base_camera: *self.t_base_camera.rotation.to_rotation_matrix().matrix(),
-            requirements: Requirements {
-                min_overlap: self.params.min_overlap_ratio,
-                min_inlier_ratio: self.params.min_inlier_ratio,
-                max_correction: (self.params.max_correction_m, self.params.max_correction_rad),
-            },
-            levels: &LEVELS,
-            pixels_each: 1.0,
-        })?;
+        let covariance = ad * prediction.covariance * ad.transpose();
+        self.frame.unmark();
+        self.moving = Moving::default();
+        let found = self.align(&camera, covariance)?;
+        let found = self.without_moving(&camera, covariance, found)?;
+        if self.moving.share > MAX_MOVING || self.is_guesswork(&camera, &prediction.covariance, &found.t_odom_base) {
+            return Err(LostReason::ResidualTooLarge);
+        }
         self.placement = found.covariance;
         let back = se3::adjoint(&self.t_base_camera);
         Ok(Match {
@@ -242,6 +315,9 @@ impl LocalModel for Rgbd {
         let Some(camera) = self.preparer.pinhole else { return };
         let view = self.viewed.then_some((&self.view, &camera));
         let color = self.registration.camera(&camera);
+        if self.viewed {
+            self.surfels.cover(&self.view, &self.moving.covered);
+        }
         self.surfels.fuse(&self.frame, &t_odom_camera, view, &color, &limits);
     }
 

@@ -50,7 +50,7 @@ impl Photometric<'_> {
         accumulate(self.points.len() / stride, CHUNK, |i, e| {
             let point = &self.points[i * stride];
             let q = t_camera_view.apply(&point.p);
-            if q.z > 0.1 && !hidden(frame, camera, &q) {
+            if q.z > 0.1 && is_there(frame, camera, &q) {
                 self.add(point.intensity, &q, cut, e);
             }
         })
@@ -73,11 +73,11 @@ impl Photometric<'_> {
     }
 }
 
-/// Whether the frame sees something nearer where the point would be.
+/// Whether the frame, where it has depth, sees the point: nothing nearer, nothing behind it, nothing that moves.
 #[inline]
-fn hidden(frame: &Frame, camera: &CameraIntrinsics, q: &Vector3<f32>) -> bool {
-    pixel(camera, q).is_some_and(|i| {
+fn is_there(frame: &Frame, camera: &CameraIntrinsics, q: &Vector3<f32>) -> bool {
+    pixel(camera, q).is_none_or(|i| {
         let z = frame.vertices[i].p.z;
-        z > 0.0 && z < q.z - (0.03 + 4.0 * sigma(q.z))
+        z == 0.0 || (z - q.z).abs() < 0.03 + 4.0 * sigma(q.z)
     })
 }

@@ -15,6 +15,10 @@ use rayon::prelude::*;
 const NONE: u32 = u32::MAX;
 /// Surfels a task: fixed, so that the number of threads changes nothing.
 const CHUNK: usize = 8192;
+/// A surface is established with so many frames' weight.
+const ESTABLISHED: f32 = 4.0;
+/// Frames in a row after which what stands in front of a surface counts as the scene: some seconds.
+const PATIENCE: u16 = 60;
 
 /// A small disc of surface in odom.
 #[derive(Debug, Clone, Copy)]
@@ -29,6 +33,8 @@ pub(crate) struct Surfel {
     pub(crate) intensity: f32,
     /// The kept frame that it was last measured with: it moves with that.
     anchor: u32,
+    /// Frames in a row in which something stood in front of it.
+    covered: u16,
 }
 
 /// The model as a camera at `t_odom_view` sees it.
@@ -60,6 +66,13 @@ impl View {
     /// A view that is a frame of its own: nothing is fused with it.
     pub(crate) fn of(t_odom_view: Pose, vertices: Vec<Vertex>, textured: Vec<TexturedPoint>) -> Self {
         Self { t_odom_view, vertices, textured, ..Self::default() }
+    }
+
+    /// Whether a pixel's surface was seen in several frames.
+    #[inline]
+    pub(crate) fn is_established(&self, pixel: usize) -> bool {
+        let z = self.vertices[pixel].p.z;
+        z > 0.0 && self.weight[pixel] >= ESTABLISHED * surfel_weight(z)
     }
 
     /// Points whose brightness differs from the next pixel's on the same surface.
@@ -266,9 +279,10 @@ impl Surfels {
             s.last_seen = measured.last_seen;
             // It now is where the newest views have it.
             s.anchor = measured.anchor;
+            s.covered = 0;
         } else if behind > 3.0 * gate {
             // Seen through: it has moved away.
-            s.weight -= 3.0 * measured.weight;
+            s.weight -= 3.0 * surfel_weight(live.to_camera.apply(&s.p).z);
         } else if behind < -gate {
             let light = light(live.frame, live.color, &v.p);
             self.surfels.push(Surfel { intensity: light, ..measured });
@@ -303,6 +317,17 @@ impl Surfels {
     /// When and with what something is seen now.
     fn now(&self) -> (f32, u32) {
         (self.travelled, self.anchor)
+    }
+
+    /// Something stands in front of what these pixels of the view show: after a while it is what is there.
+    pub(crate) fn cover(&mut self, view: &View, pixels: &[u32]) {
+        for &pixel in pixels {
+            let Some(s) = self.surfels.get_mut(view.index[pixel as usize] as usize) else { continue };
+            s.covered += 1;
+            if s.covered > PATIENCE {
+                s.weight = 0.0;
+            }
+        }
     }
 
     fn travel(&mut self, t_odom_camera: &Pose) {
@@ -348,5 +373,13 @@ fn surfel_weight(z: f32) -> f32 {
 }
 
 fn surfel(v: &Vertex, to_odom: &Rigid32, (last_seen, anchor): (f32, u32), intensity: f32) -> Surfel {
-    Surfel { p: to_odom.apply(&v.p), n: to_odom.r * v.n, weight: surfel_weight(v.p.z), last_seen, intensity, anchor }
+    Surfel {
+        p: to_odom.apply(&v.p),
+        n: to_odom.r * v.n,
+        weight: surfel_weight(v.p.z),
+        last_seen,
+        intensity,
+        anchor,
+        covered: 0,
+    }
 }
