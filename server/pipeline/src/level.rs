@@ -34,9 +34,22 @@ pub(crate) fn level(scan: &KeyframeScan, gravity_up: Option<Unit<Vector3<f64>>>)
     if scan.planar {
         return as_declared;
     }
-    let Some((up, height)) = floor(scan, gravity_up).or(gravity_up.map(|up| (up, 0.0))) else { return as_declared };
+    match (floor(scan, gravity_up), gravity_up) {
+        (Some((up, height)), _) => standing(up, height),
+        (None, Some(up)) => by_gravity(up),
+        (None, None) => as_declared,
+    }
+}
+
+/// The level by what an IMU at rest measured alone (`up` in base): the height stays as declared.
+pub(crate) fn by_gravity(up: Unit<Vector3<f64>>) -> Level {
+    standing(up, 0.0)
+}
+
+/// The level of a base `height` above the floor; identity where it agrees with what was declared.
+fn standing(up: Unit<Vector3<f64>>, height: f64) -> Level {
     if up.angle(&Vector3::z_axis()) < BELIEVED_TILT && height.abs() < BELIEVED_HEIGHT {
-        return as_declared;
+        return Level { t_map_base: Pose::identity(), base_height_m: 0.0 };
     }
     let rotation = UnitQuaternion::rotation_between(&up, &Vector3::z_axis()).unwrap_or_default();
     // Undo the turn about z that the shortest rotation brings along.

@@ -7,7 +7,7 @@ pub use loops::VetoReport;
 
 use crate::clock_offset::ClockOffsets;
 use crate::imu_prior::{ImuBuffer, joined};
-use crate::level::level;
+use crate::level::{by_gravity, level};
 use crate::odometry_prior::OdometryBuffer;
 use crate::recovery::Anchoring;
 use crate::scale_hints::ScaleHints;
@@ -381,6 +381,13 @@ impl Pipeline {
         self.anchoring.judge_without_scale(estimate, has_wheels);
         // The camera's map has begun anew: what was gathered in the one before hangs on nothing any more.
         self.floating.clear();
+        // Before anything hangs on it the map is turned upright.
+        if self.trajectory.is_empty()
+            && self.keyframes.is_empty()
+            && let Some(up) = self.imu.up(stamp)
+        {
+            self.t_map_odom = by_gravity(up).t_map_base * estimate.t_odom_base.inverse();
+        }
         let mut pose = self.pose_of(stamp, estimate);
         if self.anchoring.is_adrift() && pose.state.is_tracking() {
             pose.state = TrackingState::Lost { reason: LostReason::Adrift };
@@ -549,7 +556,8 @@ impl Pipeline {
 
     fn add_keyframe(&mut self, spec: &SensorSpec, mut scan: KeyframeScan, t_odom_base: Pose) -> NewKeyframe {
         let stamp = scan.stamp;
-        // A camera's few points show no floor to be trusted, and its map begins before lengths are metres: where odom does.
+        // A camera's few points show no floor to be trusted, and its map begins before lengths are metres: it was levelled
+        // then, where an IMU was at rest.
         if self.keyframes.is_empty() && spec.kind != SensorKind::Camera {
             let level = level(&scan, self.imu.up(stamp));
             self.t_map_odom = level.t_map_base * t_odom_base.inverse();

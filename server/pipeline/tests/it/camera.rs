@@ -1,8 +1,12 @@
 //! A camera alone: poses without scale build no map; wheels or depth give the scale, and what follows is metric.
 
 use crate::drive::{empty, simulation};
+use nalgebra::{UnitQuaternion, Vector3};
 use percept_evaluation::{Alignment, PosePair, absolute_error, align};
-use percept_geometry::{CameraIntrinsics, RgbImage, SensorData, SensorFrame, SensorId, SensorKind, Timestamp};
+use percept_geometry::sensor::ImuSample;
+use percept_geometry::{
+    CameraIntrinsics, Pose, RgbImage, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp,
+};
 use percept_pipeline::{FrameError, FrameReport, Pipeline, PipelineParams, PoseEstimate};
 use percept_sim::{SensorSuite, Simulation};
 use percept_slam::{LostReason, Scale, TrackingState, Waiting};
@@ -112,6 +116,26 @@ fn depth_that_comes_along_tells_a_camera_its_scale() {
     let from = |id: &str| snapshot.keyframes.iter().filter(|k| k.sensor == SensorId::from(id)).count();
     // Depth images seen from metric poses build the map, too.
     assert!(from("images") > 0 && from("depth") > 0);
+}
+
+#[test]
+fn gravity_levels_the_map_of_a_camera_on_a_leaning_base() {
+    let simulation = simulation(with_wheels(), 4.0);
+    let mut pipeline = empty(&simulation, PipelineParams::default());
+    let imu = SensorSpec { id: "imu".into(), kind: SensorKind::Imu, ..simulation.sensors().remove(0) };
+    let imu = SensorSpec { intrinsics: None, t_base_sensor: Pose::identity(), ..imu };
+    pipeline.declare_sensor(imu.clone());
+    // Base leans forward by 0.2 rad, and rests for a second before the drive.
+    let up = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 0.2).inverse() * Vector3::z();
+    let start = simulation.frames().next().unwrap().frame.stamp;
+    for i in 0..100 {
+        let stamp = start.plus_seconds(0.01 * f64::from(i - 99));
+        let rest = ImuSample { angular_velocity: Vector3::zeros(), linear_acceleration: up * 9.81 };
+        pipeline.process(&SensorFrame { sensor: imu.id.clone(), stamp, data: SensorData::Imu(rest) }).unwrap();
+    }
+    let poses = run(&mut pipeline, &simulation);
+    let first = poses.iter().find(|p| p.state.is_tracking()).unwrap();
+    assert!((first.t_map_base.rotation * up - Vector3::z()).norm() < 0.05, "{first:?}");
 }
 
 /// The frame with an image of one colour instead of what was seen.

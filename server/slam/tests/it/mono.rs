@@ -1,11 +1,11 @@
 //! A camera alone, on images drawn from the directions of rays and from the simulator.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use percept_geometry::{CameraIntrinsics, Pose, RgbImage, SensorData, Timestamp};
+use percept_geometry::{CameraIntrinsics, Covariance6, Pose, RgbImage, SensorData, Timestamp};
 use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
 use percept_slam::{
-    ImageScan, LostReason, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scale, Scan, TrackingState,
-    Waiting,
+    ImageScan, LostReason, MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scale, Scan,
+    TrackingState, Waiting,
 };
 use std::sync::Arc;
 
@@ -94,4 +94,57 @@ fn a_depth_image_now_and_then_makes_lengths_metres() {
     let way = truth.translation.vector.norm();
     // Depth is good to a per cent at these ranges, the pose to some more.
     assert!((truth.inverse() * got).translation.vector.norm() < 0.08 * way + 0.02, "{way} {got}");
+}
+
+/// Images of a drive through a world of its own, with the true poses of base.
+fn images(seed: u64, seconds: f64) -> Vec<(Scan, Pose)> {
+    let mut sensors = SensorSuite::only_camera();
+    if let Some(c) = &mut sensors.depth_camera {
+        c.intrinsics = camera();
+    }
+    let world = WorldParams { seed, rooms: 1, person: false, ..WorldParams::default() };
+    let params = SimParams { world, sensors, duration_s: Some(seconds), seed, ..SimParams::default() };
+    let simulation = Simulation::new(params).unwrap();
+    let t_base_sensor = simulation.sensors().remove(0).t_base_sensor;
+    let one = |frame: percept_sim::SimFrame| {
+        let SensorData::Camera(image) = frame.frame.data else { panic!() };
+        let image = Arc::new(image);
+        let scan = ImageScan { image, depth: None, second: None, intrinsics: camera(), t_base_sensor };
+        (Scan::Image(scan), frame.t_world_base)
+    };
+    simulation.frames().map(one).collect()
+}
+
+/// What good wheels say of the way from one pose to another.
+fn wheels(a: &Pose, b: &Pose) -> MotionPrior {
+    MotionPrior { t_prev_now: a.inverse() * b, covariance: Covariance6::identity() * 1e-5 }
+}
+
+#[test]
+fn a_map_that_was_left_is_found_again_and_none_is_the_end() {
+    let (here, elsewhere) = (images(1, 3.0), images(2, 4.0));
+    let mut odometry = Odometry::new(OdometryKind::Mono, OdometryParams::default());
+    let mut estimates = vec![];
+    let mut show = |(scan, _): &(Scan, Pose), prior: Option<MotionPrior>| {
+        let stamp = Timestamp::from_secs_f64(estimates.len() as f64 / 15.0);
+        estimates.push(odometry.register(stamp, scan, prior.as_ref()));
+    };
+    show(&here[0], None);
+    here.windows(2).for_each(|w| show(&w[1], Some(wheels(&w[0].1, &w[1].1))));
+    // Carried into another room, the camera drives on.
+    elsewhere.windows(2).for_each(|w| show(&w[1], Some(wheels(&w[0].1, &w[1].1))));
+    // And back, to where it was.
+    let back = here.len() - 10;
+    here[back..].iter().for_each(|image| show(image, None));
+    let first = &estimates[..here.len()];
+    let away = &estimates[here.len()..estimates.len() - 10];
+    assert_eq!(first[here.len() - 1].scale, Scale::FromOdometry);
+    assert!(away[0].state.is_lost());
+    assert!(away[away.len() - 1].state.is_tracking());
+    let again = &estimates[estimates.len() - 10..];
+    for (a, b) in first[back..].iter().zip(again).skip(2) {
+        assert!(b.state.is_tracking() && b.scale == Scale::FromOdometry, "{:?}", b.state);
+        // The same image fits the same place: the map was adjusted since, by millimetres.
+        assert!((a.t_odom_base.inverse() * b.t_odom_base).translation.vector.norm() < 0.03);
+    }
 }

@@ -21,6 +21,7 @@ mod places;
 mod pose;
 mod scale;
 mod search;
+mod shelf;
 mod similarity;
 mod start;
 mod tracker;
@@ -39,6 +40,7 @@ use percept_geometry::{
 use pose::PlacedCamera;
 use scale::Scaling;
 use serde::{Deserialize, Serialize};
+use shelf::Shelf;
 use std::sync::Arc;
 use tracker::{Outcome, Tracker};
 
@@ -91,6 +93,10 @@ pub(crate) struct Mono {
     last_stamp: Option<Timestamp>,
     moved: Vec<(Timestamp, Pose)>,
     scaling: Scaling,
+    /// Maps that were left because nothing fitted them.
+    shelf: Shelf,
+    /// Base to odom in metres, by priors since the last pose in metres, and whether they told the way of every frame since.
+    reckoned: (Pose, bool),
     uncertainty: Uncertainty,
     num_lost: usize,
     /// So many images in a row that do not fit the map end it.
@@ -109,6 +115,8 @@ impl Mono {
             moved: vec![],
             t_odom_base: Pose::identity(),
             scaling: Scaling::default(),
+            shelf: Shelf::default(),
+            reckoned: (Pose::identity(), true),
             uncertainty: Uncertainty::default(),
             num_lost: 0,
             restart_after,
@@ -118,6 +126,7 @@ impl Mono {
     /// Places an image; see [`crate::Odometry::register`].
     pub(crate) fn track(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) -> OdometryEstimate {
         let since = self.last_stamp.replace(stamp).map_or(0.0, |last| stamp.seconds_since(last));
+        self.reckon(prior, since);
         let Scan::Image(scan) = scan else { return self.lost(stamp, prior, LostReason::UnsuitableScan) };
         let lens = match self.lens(&scan.intrinsics) {
             Ok(lens) => lens,
@@ -131,12 +140,17 @@ impl Mono {
         let hint = prior.map(|p| self.scaling.hint(p, &scan.t_base_sensor, motion.as_ref()));
         let turn = hint.or(motion).map_or(0.0, |m| m.rotation.angle());
         let views_before = self.tracker.newest;
+        let spare = (!self.shelf.is_empty()).then(|| frame.clone());
         let outcome = self.tracker.track(stamp, frame, &lens, hint.as_ref());
         if !self.tracker.has_map() {
             self.scaling = Scaling::default();
         }
         self.scaling.moved(prior, &scan.t_base_sensor, &mut self.tracker, views_before);
-        match outcome {
+        let returned = match (&outcome, spare) {
+            (Outcome::Waiting(_) | Outcome::Lost(_), Some(frame)) => self.take_back(stamp, frame, &lens),
+            _ => None,
+        };
+        match returned.map_or(outcome, Outcome::Placed) {
             Outcome::Waiting(waiting) => {
                 let estimate = self.waiting(stamp, prior, waiting);
                 self.note_reference();
@@ -198,15 +212,6 @@ impl Mono {
         }
     }
 
-    /// A map in metres that nothing fits for long gives way to a new one: what hangs on it joins when the session
-    /// recognises the place. Without metres there is nothing that could join the two.
-    fn give_up(&mut self) {
-        if self.num_lost >= self.restart_after && self.scaling.scale().is_metric() {
-            self.tracker.clear();
-            self.scaling = Scaling::default();
-        }
-    }
-
     /// Where base was when the image came that a second view is sought for.
     fn note_reference(&mut self) {
         let stamp = self.tracker.reference_stamp();
@@ -227,6 +232,7 @@ impl Mono {
         }
         let lens = Lens::of(k);
         self.tracker.clear();
+        self.shelf = Shelf::default();
         self.lens = Some((*k, lens));
         Ok(lens)
     }
@@ -249,6 +255,9 @@ impl Mono {
         self.tell_scale(scan);
         let before = self.t_odom_base;
         self.t_odom_base = self.newest(&scan.t_base_sensor);
+        if self.scaling.scale().is_metric() {
+            self.reckoned = (self.t_odom_base, true);
+        }
         let covariance = self.covariance(placed, &scan.t_base_sensor);
         let t_last_now = before.inverse() * self.t_odom_base;
         let covariance = self.uncertainty.measured(&t_last_now, &covariance, &[false; 6]);
@@ -347,10 +356,12 @@ impl LocalModel for Mono {
 
     fn clear(&mut self) {
         self.tracker.clear();
+        self.shelf = Shelf::default();
     }
 
     fn seed(&mut self, t_odom_base_last: &Pose, _: &[(Pose, Arc<KeyframeScan>)]) {
         self.t_odom_base = *t_odom_base_last;
+        self.reckoned = (self.t_odom_base, true);
     }
 
     fn sparse_points(&self, t_base_sensor: &Pose) -> PointCloud {

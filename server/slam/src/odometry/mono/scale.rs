@@ -72,6 +72,11 @@ impl Scaling {
         self.scale
     }
 
+    /// The map is left for a while: what moves in the meantime is not seen by it.
+    pub(super) fn interrupt(&mut self) {
+        self.since_view = None;
+    }
+
     /// What a motion prior says of the camera, t_now_previous, in the map's unit; only how it turned while that is unknown,
     /// or if the prior tells no more.
     pub(super) fn hint(&self, prior: &MotionPrior, t_base_sensor: &Pose, motion: Option<&Pose>) -> Pose {

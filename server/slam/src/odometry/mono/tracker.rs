@@ -58,6 +58,8 @@ pub(super) struct Tracker {
     last: Option<(Frame, Pose)>,
     /// Motion of the camera over the last image: t_now_previous.
     pub(super) motion: Option<Pose>,
+    /// Later images than the last placed one were lost: what hints say of the motion since then, t_now_last.
+    lost_way: Option<Pose>,
     pub(super) newest: Option<ViewId>,
     since_view: usize,
 }
@@ -74,6 +76,7 @@ impl Tracker {
             reference: None,
             last: None,
             motion: None,
+            lost_way: None,
             newest: None,
             since_view: 0,
         }
@@ -101,6 +104,7 @@ impl Tracker {
     /// Where the camera is expected: by the hint (t_now_previous), else as it moved last.
     fn predict(&self, hint: Option<&Pose>) -> Pose {
         let t = self.t_camera_map().copied().unwrap_or_else(Pose::identity);
+        let t = self.lost_way.map_or(t, |way| way * t);
         hint.or(self.motion.as_ref()).map_or(t, |m| m * t)
     }
 
@@ -121,13 +125,27 @@ impl Tracker {
             }
             Err(reason) => {
                 self.motion = None;
-                if self.map.views.len() < YOUNG_VIEWS {
+                let before = self.lost_way.unwrap_or_else(Pose::identity);
+                self.lost_way = Some(hint.map_or(before, |h| h * before));
+                if self.is_young() {
                     self.clear();
                     self.reference = Some(Reference::new(frame, stamp));
                 }
                 Outcome::Lost(reason)
             }
         }
+    }
+
+    /// Whether the map is so small that it is given up when lost.
+    pub(super) fn is_young(&self) -> bool {
+        self.map.views.len() < YOUNG_VIEWS
+    }
+
+    /// Tries to place an image that others of the map need not lead up to.
+    pub(super) fn find(&mut self, stamp: Timestamp, mut frame: Frame, lens: &Lens) -> Option<PlacedCamera> {
+        let placed = self.relocalise(&mut frame, lens)?;
+        self.accept(stamp, frame, &placed, lens);
+        Some(placed)
     }
 
     fn start(&mut self, stamp: Timestamp, frame: Frame, lens: &Lens) -> Outcome {
@@ -244,7 +262,9 @@ impl Tracker {
                 p.found += 1;
             }
         }
-        self.motion = self.t_camera_map().map(|before| placed.t_camera_map * before.inverse());
+        // Across a loss the way is not that of one image.
+        let followed = self.lost_way.take().is_none();
+        self.motion = self.t_camera_map().filter(|_| followed).map(|before| placed.t_camera_map * before.inverse());
         self.since_view += 1;
         if self.wants_view(&frame, placed.num_inliers) {
             self.add_view(stamp, &mut frame, placed, lens);
