@@ -111,9 +111,6 @@ impl RgbdParams {
 /// With more of the frame moving than this share nothing says which part is the room.
 const MAX_MOVING: f64 = 0.8;
 
-/// Squared standard deviations of a measured prediction by which what keeps still may be farther from it than all of the
-/// frame. Else what was left out was the room, and what is left does not hold the pose.
-const FARTHER: f64 = 22.5;
 /// A prediction surer than this leads to the right place, metres.
 const SURE_M: f64 = 0.05;
 /// Largest share of a frame found without one that may contradict the model.
@@ -209,40 +206,25 @@ impl Rgbd {
     fn without_moving(
         &mut self,
         camera: &CameraIntrinsics,
-        (covariance, is_measured): (Covariance6, bool),
+        covariance: Covariance6,
         found: Match,
     ) -> Result<Match, LostReason> {
         if !self.mark(camera, &found.t_odom_base).is_any {
             return Ok(found);
         }
-        let t_odom_view = self.view.t_odom_view;
-        let information = covariance.try_inverse().filter(|_| is_measured).unwrap_or_else(Covariance6::zeros);
-        let off = |m: &Match| {
-            let off = se3::log(&t_odom_view.inv_mul(&m.t_odom_base));
-            off.dot(&(information * off))
-        };
         let mut best: Option<(usize, Match)> = None;
-        let mut is_placed = false;
         for start in [self.view.t_odom_view, found.t_odom_base] {
             self.mark(camera, &start);
             let Ok(first) = self.align(camera, covariance) else { continue };
             self.mark(camera, &first.t_odom_base);
             let Ok(second) = self.align(camera, covariance) else { continue };
-            is_placed = true;
-            if off(&second) > off(&found) + FARTHER {
-                continue;
-            }
             let t_view_camera = self.view.t_odom_view.inv_mul(&second.t_odom_base);
             let (wrong, _) = moving::contradictions(&self.frame, &self.view, camera, &t_view_camera);
             if best.as_ref().is_none_or(|b| 2 * wrong < b.0) {
                 best = Some((wrong, second));
             }
         }
-        let Some((_, best)) = best else {
-            self.frame.unmark();
-            self.moving = Moving::default();
-            return if is_placed { Ok(found) } else { Err(LostReason::ResidualTooLarge) };
-        };
+        let (_, best) = best.ok_or(LostReason::ResidualTooLarge)?;
         self.mark(camera, &best.t_odom_base);
         Ok(best)
     }
@@ -313,7 +295,12 @@ impl LocalModel for Rgbd {
         self.frame.unmark();
         self.moving = Moving::default();
         let found = self.align(&camera, covariance)?;
-        let found = self.without_moving(&camera, (covariance, prediction.is_measured), found)?;
+        // Wheels hold the pose against what moves, and better than what is left of a room where parts of it were taken for
+        // moving, as happens after gaps.
+        let found = match prediction.is_measured {
+            true => found,
+            false => self.without_moving(&camera, covariance, found)?,
+        };
         if self.moving.share > MAX_MOVING || self.is_guesswork(&camera, &prediction.covariance, &found.t_odom_base) {
             return Err(LostReason::ResidualTooLarge);
         }
