@@ -505,6 +505,10 @@ impl Odometry {
         if predicted.as_ref().is_ok_and(sound) || se3::log(&t_still_predicted).norm() < 1e-3 {
             return predicted.map_err(|reason| self.with_gap(dt, reason));
         }
+        // After a gap the place of before may look like the one where wheels have led to since.
+        if prediction.is_measured && !self.limits.remembers_open && self.is_after_gap(dt) {
+            return predicted.map_err(|reason| self.with_gap(dt, reason));
+        }
         let still = self.try_from(dt, &Prediction { t_odom_base: self.t_odom_base, ..prediction.clone() });
         match (predicted, still) {
             (Ok(a), Ok(b)) if b.inlier_ratio <= 1.02 * a.inlier_ratio => {
@@ -542,6 +546,10 @@ impl Odometry {
         self.plausible(dt, found)
     }
 
+    fn is_after_gap(&self, dt: f64) -> bool {
+        self.unplaced_s + dt > self.params.tracking.max_gap_s
+    }
+
     fn with_gap(&self, dt: f64, reason: LostReason) -> LostReason {
         if dt > self.params.tracking.max_gap_s { LostReason::TimeGap } else { reason }
     }
@@ -555,8 +563,7 @@ impl Odometry {
             return Err(LostReason::MotionTooLarge);
         }
         // Meanwhile somebody may have carried the robot to a place that resembles the old one.
-        let after_gap = self.unplaced_s + dt > self.params.tracking.max_gap_s;
-        if after_gap && !self.model.is_certain(&found) { Err(LostReason::TimeGap) } else { Ok(found) }
+        if self.is_after_gap(dt) && !self.model.is_certain(&found) { Err(LostReason::TimeGap) } else { Ok(found) }
     }
 
     fn tracked(&mut self, stamp: Timestamp, dt: f64, found: Match) -> OdometryEstimate {

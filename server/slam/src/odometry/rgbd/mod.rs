@@ -113,6 +113,9 @@ const MAX_MOVING: f64 = 0.8;
 
 /// A prediction surer than this leads to the right place, metres.
 const SURE_M: f64 = 0.05;
+/// After a gap: least share of a frame that meets the model, and largest share of that which may contradict it.
+const MIN_MET: f64 = 0.3;
+const MAX_WRONG_AFTER_GAP: f64 = 0.04;
 /// Largest share of a frame found without one that may contradict the model.
 const MAX_WRONG: f64 = 0.1;
 
@@ -311,6 +314,14 @@ impl LocalModel for Rgbd {
             covariance: back * found.covariance * back.transpose(),
             ..found
         })
+    }
+
+    fn is_certain(&self, found: &Match) -> bool {
+        let Some(camera) = self.preparer.pinhole else { return false };
+        let t_view_camera = self.view.t_odom_view.inv_mul(&(found.t_odom_base * self.t_base_camera));
+        let (wrong, all) = moving::contradictions(&self.frame, &self.view, &camera, &t_view_camera);
+        let valid = self.frame.num_valid as f64;
+        all as f64 > MIN_MET * valid && (wrong as f64) < MAX_WRONG_AFTER_GAP * all as f64
     }
 
     fn integrate(&mut self, t_odom_base: &Pose) {
