@@ -7,7 +7,8 @@ use nalgebra::{Point2, Vector2};
 ///
 /// Source: Andrew, "Another efficient algorithm for convex hulls in two dimensions", 1979.
 pub fn convex_hull(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
-    let mut sorted = points.to_vec();
+    // A zero with a sign would be sorted apart from the other zeros.
+    let mut sorted: Vec<Point2<f64>> = points.iter().map(|p| p.map(|v| v + 0.0)).collect();
     sorted.sort_unstable_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     sorted.dedup();
     if sorted.len() < 3 {
@@ -125,6 +126,14 @@ mod tests {
             values.clone().fold(f64::NEG_INFINITY, f64::max) - values.fold(f64::INFINITY, f64::min)
         };
         Vector2::new(range(Vector2::new(angle.cos(), angle.sin())), range(Vector2::new(-angle.sin(), angle.cos())))
+    }
+
+    #[test]
+    fn zeros_with_a_sign_are_on_the_same_line() {
+        let points = [Point2::new(0.0, 0.0), Point2::new(0.0, 3.0), Point2::new(-0.0, 4.0)];
+        assert_eq!(convex_hull(&points), [points[0], Point2::new(0.0, 4.0)]);
+        let found = minimum_area_rectangle(&points).unwrap();
+        assert_eq!((found.size, found.center), (Vector2::new(4.0, 0.0), Point2::new(0.0, 2.0)));
     }
 
     proptest! {
