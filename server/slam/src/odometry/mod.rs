@@ -510,6 +510,10 @@ impl Odometry {
             return predicted.map_err(|reason| self.with_gap(dt, reason));
         }
         let still = self.try_from(dt, &Prediction { t_odom_base: self.t_odom_base, ..prediction.clone() });
+        let still = still.and_then(|m| match self.may_deny(prediction, &m) {
+            true => Ok(m),
+            false => Err(LostReason::ResidualTooLarge),
+        });
         match (predicted, still) {
             (Ok(a), Ok(b)) if b.inlier_ratio <= 1.02 * a.inlier_ratio => {
                 // The model's view of the winner is what its frame is fused with.
@@ -519,6 +523,19 @@ impl Odometry {
             (Ok(_), Err(_)) => self.try_from(dt, prediction),
             (Err(reason), Err(_)) => Err(self.with_gap(dt, reason)),
         }
+    }
+
+    /// Whether a place found elsewhere than wheels say is believed rather than they: a frame fits anywhere along a wall. It has
+    /// to fit as well as frames usually do, contradict nothing, and show the motion that it denies.
+    fn may_deny(&self, prediction: &Prediction, found: &Match) -> bool {
+        if !prediction.is_measured || self.limits.remembers_open {
+            return true;
+        }
+        let off = se3::log(&prediction.t_odom_base.inv_mul(&found.t_odom_base));
+        let is_seen = |k: usize| !found.degenerate_axes[k] || off[k].abs() < 3.0 * prediction.covariance[(k, k)].sqrt();
+        (0..6).all(is_seen)
+            && found.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio
+            && self.model.is_certain(found)
     }
 
     /// Undoes the sweep's motion again where it was other than assumed, and places the scan once more.
