@@ -1,0 +1,125 @@
+//! Frames that stay: they enter the map, and the trajectory hangs on them.
+
+use super::{FrameReport, NewKeyframe, Pipeline};
+use crate::level::level;
+use crate::{KeyframeInfo, TrajectoryEntry};
+use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorKind, SensorSpec, Timestamp, se3};
+use percept_slam::{KeyframePolicy, Odometry, Scan, keyframe};
+use std::sync::Arc;
+
+impl Pipeline {
+    /// A frame of another sensor: seen from where the pose sensor says the robot is, it adds to the map.
+    pub(super) fn map_only(&mut self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan) -> Option<FrameReport> {
+        let pose = self.pose.as_ref().filter(|p| !p.state.is_lost() && p.scale.is_metric())?;
+        if matches!(scan, Scan::Image(_)) {
+            return None;
+        }
+        // Too long after the last pose the robot may be anywhere.
+        let ahead = stamp.seconds_since(pose.stamp);
+        if ahead.abs() > 0.5 {
+            return None;
+        }
+        let odometry = self.odometry.as_ref()?;
+        let t_odom_base = odometry.t_odom_base() * se3::exp(&(odometry.velocity() * ahead));
+        if !self.policy(&spec.id).consider(&t_odom_base) {
+            return None;
+        }
+        let mut report = FrameReport::default();
+        let kept = self.kept_of(spec, stamp, scan, false);
+        let mut keyframe = self.add_keyframe(spec, kept, t_odom_base);
+        self.close_loops(&mut keyframe, false, &mut report);
+        report.changes = self.observe(&keyframe);
+        report.keyframe = Some(keyframe);
+        Some(report)
+    }
+
+    pub(super) fn policy(&mut self, sensor: &SensorId) -> &mut KeyframePolicy {
+        let params = &self.params.slam.odometry.keyframe;
+        self.keyframe_policies.entry(sensor.clone()).or_insert_with(|| KeyframePolicy::new(params.clone()))
+    }
+
+    /// What a keyframe keeps; of the pose sensor's odometry knows more than the scan says.
+    pub(super) fn kept_of(
+        &self,
+        spec: &SensorSpec,
+        stamp: Timestamp,
+        scan: &Scan,
+        is_pose_sensor: bool,
+    ) -> KeyframeScan {
+        let odometry = self.odometry.as_ref();
+        if let Some(odometry) = odometry.filter(|_| is_pose_sensor) {
+            return odometry.keyframe_scan(stamp, &spec.id, scan);
+        }
+        let velocity = odometry.map(Odometry::velocity).unwrap_or_default();
+        keyframe::keyframe_scan(&self.params.slam.odometry.keyframe, stamp, &spec.id, scan, &velocity)
+    }
+
+    pub(super) fn add_keyframe(&mut self, spec: &SensorSpec, mut scan: KeyframeScan, t_odom_base: Pose) -> NewKeyframe {
+        let stamp = scan.stamp;
+        // A camera's few points show no floor to be trusted, and its map begins before lengths are metres: it was levelled
+        // then, where an IMU was at rest.
+        if self.keyframes.is_empty() && spec.kind != SensorKind::Camera {
+            let level = level(&scan, self.imu.up(stamp));
+            self.t_map_odom = level.t_map_base * t_odom_base.inverse();
+            self.base_height_m = level.base_height_m;
+        }
+        scan.base_height_m = self.base_height_m;
+        self.enter(stamp, &spec.id, t_odom_base, Arc::new(scan))
+    }
+
+    /// Puts a keyframe into the map where odometry says.
+    pub(super) fn enter(
+        &mut self,
+        stamp: Timestamp,
+        sensor: &SensorId,
+        t_odom_base: Pose,
+        scan: Arc<KeyframeScan>,
+    ) -> NewKeyframe {
+        let id = KeyframeId(self.keyframes.len() as u64);
+        let t_map_base = self.t_map_odom * t_odom_base;
+        self.insert(id, t_map_base, &scan);
+        self.newest_keyframe_t_odom_base = t_odom_base;
+        let num_points = scan.hits.len();
+        let info = KeyframeInfo { id, stamp, sensor: sensor.clone(), t_map_base, num_points, merged: None };
+        Arc::make_mut(&mut self.keyframes).push(info.clone());
+        NewKeyframe { info, t_odom_base, scan }
+    }
+
+    /// Adds a keyframe to the map layers. Poses and scans are our own: a refusal is a fault of ours.
+    pub(super) fn insert(&mut self, id: KeyframeId, t_map_base: Pose, scan: &Arc<KeyframeScan>) {
+        if let Err(error) = self.map.insert(id, t_map_base, Arc::clone(scan)) {
+            debug_assert!(false, "{error}");
+        }
+    }
+
+    pub(super) fn extend_trajectory(
+        &mut self,
+        spec: &SensorSpec,
+        stamp: Timestamp,
+        tracked: bool,
+        t_map_base: &Pose,
+        keyframe: Option<&NewKeyframe>,
+    ) -> Option<TrajectoryEntry> {
+        let anchor = match keyframe {
+            Some(k) => k.info.clone(),
+            None => self.newest_anchor(&spec.id)?.clone(),
+        };
+        let entry = TrajectoryEntry {
+            stamp,
+            tracked,
+            anchor: Some(anchor.id),
+            t_anchor_base: anchor.t_map_base.inverse() * t_map_base,
+            is_keyframe: keyframe.is_some(),
+        };
+        self.trajectory.push(entry);
+        Some(entry)
+    }
+
+    /// The newest keyframe of the sensor that moves the pose.
+    fn newest_anchor(&self, sensor: &SensorId) -> Option<&KeyframeInfo> {
+        match self.trajectory.last()?.anchor {
+            Some(anchor) => self.keyframes.get(usize::try_from(anchor.0).ok()?),
+            None => self.keyframes.iter().rev().find(|k| k.sensor == *sensor),
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! What a frame did.
+
+use crate::{KeyframeInfo, Merged, PoseEstimate, TrajectoryEntry};
+use percept_geometry::{KeyframeId, KeyframeScan, Pose};
+use percept_scene::ObjectChange;
+use percept_slam::{Loop, LoopId};
+use std::sync::Arc;
+
+/// What a frame did.
+#[derive(Debug, Clone, Default)]
+pub struct FrameReport {
+    /// Pose after it; none for sensors that do not move the pose.
+    pub pose: Option<PoseEstimate>,
+    /// Set if the frame was added to the trajectory.
+    pub trajectory: Option<TrajectoryEntry>,
+    /// Set if it became a keyframe.
+    pub keyframe: Option<NewKeyframe>,
+    /// What it changed about objects.
+    pub changes: Vec<ObjectChange>,
+    /// Keyframes of a part of the map that joined it with this frame, older than `keyframe`.
+    pub joined: Vec<NewKeyframe>,
+    /// Loops that were found or changed their state.
+    pub loops: Vec<Loop>,
+    /// Keyframes that a correction moved, with their new poses, base to map.
+    pub corrected: Vec<(KeyframeId, Pose)>,
+    /// Keyframes that others stand for from now on, or through yet others than before.
+    pub merged: Vec<(KeyframeInfo, Merged)>,
+    /// Loops that went with them.
+    pub dissolved: Vec<LoopId>,
+}
+
+/// A keyframe as it is stored.
+#[derive(Debug, Clone)]
+pub struct NewKeyframe {
+    /// Number, stamp, sensor, pose in the map.
+    pub info: KeyframeInfo,
+    /// Base to odom at the keyframe.
+    pub t_odom_base: Pose,
+    /// What it saw.
+    pub scan: Arc<KeyframeScan>,
+}
