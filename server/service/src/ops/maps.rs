@@ -2,7 +2,7 @@
 
 use super::pictures;
 use super::sessions::{Page, page_by_number};
-use crate::session::actor::Vetoed;
+use crate::session::handle::Vetoed;
 use crate::{Error, Result, Service};
 use nalgebra::{Point2, Point3};
 use percept_formats::{FormatError, GridMap, nav2, pcd, ply, trajectory};

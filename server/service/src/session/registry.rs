@@ -1,7 +1,7 @@
 //! Which sessions there are, which are awake; creates, wakes, deletes.
 
-use super::actor::Session;
 use super::events::EventLog;
+use super::handle::Session;
 use super::meta::{SensorDeclaration, SessionMeta};
 use super::persist::{Persister, json, store_error};
 use super::recover::recover;

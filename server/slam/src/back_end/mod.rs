@@ -4,118 +4,25 @@
 //! Loops that move the map are believed only as groups that agree ([`consensus`]), and only if what was believed before
 //! still holds with them; the rest are weighed down by how badly they fit. Start with [`BackEnd::insert`].
 
+mod belief;
 mod chain;
 mod consensus;
+mod shrink;
 mod solve;
 mod thinning;
+mod types;
 
 #[cfg(test)]
 mod tests;
 
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
-use crate::{ParamError, check_range};
 use chain::{Chain, step_covariance};
-use consensus::{AGREE, Tie, agreeing, chi2, within_drift};
-use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, se3};
-use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use percept_geometry::{Correction, Covariance6, KeyframeScan, Pose, se3};
 use std::sync::Arc;
 pub use thinning::MergedKeyframe;
-use thinning::{Moves, View};
+use thinning::View;
+pub use types::{BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState};
 
-/// Parameters of the back end.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BackEndParams {
-    /// Whether loops are looked for.
-    pub enabled: bool,
-    /// A loop that moves the map is believed once so many keyframes say the same, 1 to 20.
-    pub min_agreeing: usize,
-}
-
-impl Default for BackEndParams {
-    fn default() -> Self {
-        Self { enabled: true, min_agreeing: 2 }
-    }
-}
-
-impl BackEndParams {
-    /// Checks every field.
-    ///
-    /// # Errors
-    /// [`ParamError`] with field, value and remedy.
-    pub fn validate(&self) -> Result<(), ParamError> {
-        let least = self.min_agreeing as f64;
-        check_range("min_agreeing", least, (1.0, 20.0), "within 1 to 20", "use 2")
-    }
-}
-
-/// Number of a loop in its session, counted from 0 in the order of finding.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct LoopId(pub u64);
-
-/// What became of a loop.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LoopState {
-    /// Waits for others that say the same.
-    Pending,
-    /// Holds the map together.
-    Active,
-    /// Nothing confirmed it in time, or it contradicts what is believed.
-    Rejected,
-    /// Taken out by the user.
-    Vetoed,
-}
-
-/// A loop that was found, and what became of it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Loop {
-    /// Its number.
-    pub id: LoopId,
-    /// What was measured.
-    pub closure: LoopClosure,
-    /// What became of it.
-    pub state: LoopState,
-}
-
-/// A keyframe for the graph.
-#[derive(Debug, Clone)]
-pub struct BackEndKeyframe<'a> {
-    /// Its number; ascending.
-    pub id: KeyframeId,
-    /// Base in the drifting frame of odometry.
-    pub t_odom_base: Pose,
-    /// Of that since the start, right perturbation in base.
-    pub covariance: Covariance6,
-    /// What it saw.
-    pub scan: &'a Arc<KeyframeScan>,
-    /// Whether loops are looked for from here.
-    pub recognise: bool,
-    /// Whether nothing measured ties it to the keyframe before: the robot was lost in between.
-    pub after_gap: bool,
-}
-
-/// What a keyframe, or a veto, changed.
-#[derive(Debug, Clone, Default)]
-pub struct BackEndUpdate {
-    /// Loops that were found or changed their state.
-    pub loops: Vec<Loop>,
-    /// Keyframes that move now, if any.
-    pub correction: Option<Correction>,
-    /// Keyframes that newer ones stand for from now on, ascending; poses after the correction.
-    pub merged: Vec<MergedKeyframe>,
-    /// Loops that went with them.
-    pub dissolved: Vec<LoopId>,
-}
-
-/// Keyframes after which a loop that nothing confirmed is given up.
-const PATIENCE: u32 = 60;
-/// Standard deviations of drift that a loop may ask for; more takes twice as many that agree.
-const LIKELY_DRIFT: f64 = 4.0;
-/// Squared standard deviations of misfit from which a loop that was believed is so no longer: its weight is next to nothing.
-const CONTRADICTS: f64 = 10.0 * AGREE;
 /// What is known of the way over a gap: standard deviations, metres and radians.
 const GAP: (f64, f64) = (10.0, 3.0);
 /// What a stored map knows of keyframes whose neighbours were merged: metres, metres a metre, radians.
@@ -198,85 +105,6 @@ impl BackEnd {
         let loops = changed.iter().map(|&k| self.loops[k].clone()).collect();
         let update = BackEndUpdate { loops, correction: self.due(), ..BackEndUpdate::default() };
         if self.chain.len() < self.thin_at { update } else { self.thin(update) }
-    }
-
-    /// Merges old keyframes into newer ones that see the same. Everything is moved to where it is believed to be before.
-    fn thin(&mut self, mut update: BackEndUpdate) -> BackEndUpdate {
-        if let Some(correction) = self.settle() {
-            update.correction = Some(correction.after(update.correction.take()));
-        }
-        let merges = thinning::redundant(&self.chain, &self.poses, &self.active_ties(), &self.pending_ends());
-        let moves = Moves::new(&merges, self.chain.len());
-        let id = |k: u32| self.chain.nodes()[k as usize].id;
-        let merged =
-            merges.iter().map(|m| MergedKeyframe { id: id(m.gone), into: id(m.into), t_into_base: m.t_into_gone });
-        update.merged = merged.collect();
-        let (moved, dissolved) = self.move_loops(&moves);
-        let steps = moves.steps(self.chain.steps());
-        self.chain.keep(&moves.number, steps);
-        let stays = |k: usize| moves.number[k].is_some();
-        self.poses = (0..self.poses.len()).filter(|&k| stays(k)).map(|k| self.poses[k]).collect();
-        self.given = (0..self.given.len()).filter(|&k| stays(k)).map(|k| self.given[k]).collect();
-        for m in &update.merged {
-            self.by_id.remove(&m.id);
-            self.recognition.forget(m.id);
-        }
-        update.loops.retain(|l| !moved.contains(&l.id) && dissolved.binary_search(&l.id).is_err());
-        update.loops.extend(self.loops.iter().filter(|l| moved.contains(&l.id)).cloned());
-        update.dissolved = dissolved;
-        self.thin_at = thinning::FEWEST.max((thinning::GROWTH * self.chain.len() as f64) as usize);
-        update
-    }
-
-    /// Ties loops to what stands for their ends: those moved, and those that are gone, ascending.
-    fn move_loops(&mut self, moves: &Moves<'_>) -> (BTreeSet<LoopId>, Vec<LoopId>) {
-        let (mut moved, mut dissolved) = (BTreeSet::new(), vec![]);
-        let chain = &self.chain;
-        let id = |k: u32| chain.nodes()[k as usize].id;
-        self.loops.retain_mut(|l| {
-            let ends = (chain.index(l.closure.from), chain.index(l.closure.to));
-            let (Some(from), Some(to)) = ends else { return true };
-            if !moves.touches(from, to) {
-                return true;
-            }
-            let (t_from_to, covariance) = (l.closure.t_from_to, l.closure.covariance);
-            let edge = moves.moved(&chain::Step { from, to, t_from_to, covariance });
-            let Some(edge) = edge.filter(|_| matches!(l.state, LoopState::Active | LoopState::Vetoed)) else {
-                dissolved.push(l.id);
-                return false;
-            };
-            (l.closure.from, l.closure.to) = (id(edge.from), id(edge.to));
-            (l.closure.t_from_to, l.closure.covariance) = (edge.t_from_to, edge.covariance);
-            moved.insert(l.id);
-            true
-        });
-        let active = |l: &&mut Loop| l.state == LoopState::Active;
-        let ends = |l: &mut Loop| (l.closure.from, l.closure.to, l.closure.covariance.trace());
-        let mut stay =
-            thinning::surest(&self.loops.iter_mut().filter(active).map(ends).collect::<Vec<_>>()).into_iter();
-        self.loops.retain(|l| {
-            let stays = l.state != LoopState::Active || stay.next().unwrap_or(true);
-            if !stays {
-                moved.remove(&l.id);
-                dissolved.push(l.id);
-            }
-            stays
-        });
-        dissolved.sort_unstable();
-        (moved, dissolved)
-    }
-
-    fn active_ties(&self) -> Vec<Tie<'_>> {
-        let active = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Active);
-        active.filter_map(|k| self.tie(k)).collect()
-    }
-
-    /// Nodes that loops wait at.
-    fn pending_ends(&self) -> Vec<u32> {
-        let pending = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Pending);
-        let mut ends: Vec<u32> = pending.filter_map(|k| self.tie(k)).flat_map(|t| [t.from, t.to]).collect();
-        ends.sort_unstable();
-        ends
     }
 
     /// Takes loops of a caller's own in, as if place recognition had found them at the newest keyframe. Loops that name
@@ -401,93 +229,6 @@ impl BackEnd {
         self.chain.push(keyframe.id, View::of(keyframe.scan), *t_prev_node, step);
     }
 
-    /// Places of the new loops; those between keyframes that are not there are left out.
-    fn add_loops(&mut self, closures: Vec<LoopClosure>) -> Vec<usize> {
-        let first = self.loops.len();
-        let next = self.next_loop;
-        let known = closures.into_iter().filter(|c| {
-            let ends = (self.chain.index(c.from), self.chain.index(c.to));
-            matches!(ends, (Some(a), Some(b)) if a != b) && c.covariance.cholesky().is_some()
-        });
-        let new = known.enumerate().map(|(k, closure)| Loop {
-            id: LoopId(next + k as u64),
-            closure,
-            state: LoopState::Pending,
-        });
-        self.loops.extend(new.collect::<Vec<_>>());
-        self.next_loop += (self.loops.len() - first) as u64;
-        (first..self.loops.len()).collect()
-    }
-
-    /// Decides about pending loops; whether the graph should be optimised now.
-    fn judge(&mut self, changed: &mut Vec<usize>) -> bool {
-        let now = self.chain.len() as u32;
-        let mut far = vec![];
-        let mut urgent = false;
-        for k in 0..self.loops.len() {
-            if self.loops[k].state != LoopState::Pending {
-                continue;
-            }
-            let Some(tie) = self.tie(k) else { continue };
-            let (from, to) = (tie.from, tie.to);
-            let off = chi2(tie.closure, &self.poses[from as usize], &self.poses[to as usize]);
-            if off < AGREE {
-                self.loops[k].state = LoopState::Active;
-                urgent |= off > 6.0;
-                changed.push(k);
-            } else if to + PATIENCE < now {
-                self.loops[k].state = LoopState::Rejected;
-                changed.push(k);
-            } else {
-                far.push(k);
-            }
-        }
-        if far.is_empty() {
-            return urgent;
-        }
-        self.try_group(&far, changed) || urgent
-    }
-
-    /// Believes the largest group of far loops that agree, if they are enough and the map still holds with them.
-    fn try_group(&mut self, far: &[usize], changed: &mut Vec<usize>) -> bool {
-        let ties: Vec<Tie<'_>> = far.iter().filter_map(|&k| self.tie(k)).collect();
-        let group = agreeing(&ties, &self.chain, &self.poses);
-        let likely = group.iter().all(|&g| within_drift(&ties[g], &self.chain, &self.poses, LIKELY_DRIFT));
-        let enough = self.params.min_agreeing * if likely { 1 } else { 2 };
-        if group.len() < enough {
-            return false;
-        }
-        let group: Vec<usize> = group.iter().map(|&g| far[g]).collect();
-        let before = (self.poses.clone(), self.misfits());
-        group.iter().for_each(|&k| self.loops[k].state = LoopState::Active);
-        self.optimise();
-        let holds = group.iter().all(|&k| self.misfit(k) < AGREE) && self.misfits() <= before.1 + group.len() / 4;
-        if !holds {
-            self.place(before.0);
-        }
-        for &k in &group {
-            self.loops[k].state = if holds { LoopState::Active } else { LoopState::Rejected };
-        }
-        changed.extend(group);
-        holds
-    }
-
-    fn tie(&self, k: usize) -> Option<Tie<'_>> {
-        let closure = &self.loops[k].closure;
-        Some(Tie { from: self.chain.index(closure.from)?, to: self.chain.index(closure.to)?, closure })
-    }
-
-    /// How badly a loop fits the poses, squared standard deviations.
-    fn misfit(&self, k: usize) -> f64 {
-        self.tie(k).map_or(0.0, |t| chi2(t.closure, &self.poses[t.from as usize], &self.poses[t.to as usize]))
-    }
-
-    /// Loops that are believed and do not fit.
-    fn misfits(&self) -> usize {
-        let active = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Active);
-        active.filter(|&k| self.misfit(k) > 2.0 * AGREE).count()
-    }
-
     /// Poses by odometry alone, as long as that is known from each keyframe to the next.
     fn restart(&mut self) {
         if self.thin_at > thinning::FEWEST {
@@ -520,15 +261,6 @@ impl BackEnd {
             self.place(solved.poses);
         }
         self.doubt();
-    }
-
-    /// Loops that the map has come to contradict are believed no longer.
-    fn doubt(&mut self) {
-        for k in 0..self.loops.len() {
-            if self.loops[k].state == LoopState::Active && self.misfit(k) > CONTRADICTS {
-                self.loops[k].state = LoopState::Rejected;
-            }
-        }
     }
 
     /// The correction, if it is time for one: the layers are rebuilt with each, so small ones wait for as many keyframes

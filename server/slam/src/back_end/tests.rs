@@ -1,7 +1,7 @@
 //! A drive on a circle with made loops, true and false.
 
 use super::*;
-use percept_geometry::{PointCloud, SensorId, Timestamp};
+use percept_geometry::{KeyframeId, PointCloud, SensorId, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;

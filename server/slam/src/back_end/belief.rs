@@ -1,0 +1,124 @@
+//! Which loops are believed: those that fit the map, and groups that agree with each other and with what was believed
+//! before.
+
+use super::consensus::{AGREE, Tie, agreeing, chi2, within_drift};
+use super::{BackEnd, Loop, LoopId, LoopState};
+use crate::loops::LoopClosure;
+
+/// Keyframes after which a loop that nothing confirmed is given up.
+const PATIENCE: u32 = 60;
+/// Standard deviations of drift that a loop may ask for; more takes twice as many that agree.
+const LIKELY_DRIFT: f64 = 4.0;
+/// Squared standard deviations of misfit from which a loop that was believed is so no longer: its weight is next to nothing.
+const CONTRADICTS: f64 = 10.0 * AGREE;
+
+impl BackEnd {
+    /// Places of the new loops; those between keyframes that are not there are left out.
+    pub(super) fn add_loops(&mut self, closures: Vec<LoopClosure>) -> Vec<usize> {
+        let first = self.loops.len();
+        let next = self.next_loop;
+        let known = closures.into_iter().filter(|c| {
+            let ends = (self.chain.index(c.from), self.chain.index(c.to));
+            matches!(ends, (Some(a), Some(b)) if a != b) && c.covariance.cholesky().is_some()
+        });
+        let new = known.enumerate().map(|(k, closure)| Loop {
+            id: LoopId(next + k as u64),
+            closure,
+            state: LoopState::Pending,
+        });
+        self.loops.extend(new.collect::<Vec<_>>());
+        self.next_loop += (self.loops.len() - first) as u64;
+        (first..self.loops.len()).collect()
+    }
+
+    /// Decides about pending loops; whether the graph should be optimised now.
+    pub(super) fn judge(&mut self, changed: &mut Vec<usize>) -> bool {
+        let now = self.chain.len() as u32;
+        let mut far = vec![];
+        let mut urgent = false;
+        for k in 0..self.loops.len() {
+            if self.loops[k].state != LoopState::Pending {
+                continue;
+            }
+            let Some(tie) = self.tie(k) else { continue };
+            let (from, to) = (tie.from, tie.to);
+            let off = chi2(tie.closure, &self.poses[from as usize], &self.poses[to as usize]);
+            if off < AGREE {
+                self.loops[k].state = LoopState::Active;
+                urgent |= off > 6.0;
+                changed.push(k);
+            } else if to + PATIENCE < now {
+                self.loops[k].state = LoopState::Rejected;
+                changed.push(k);
+            } else {
+                far.push(k);
+            }
+        }
+        if far.is_empty() {
+            return urgent;
+        }
+        self.try_group(&far, changed) || urgent
+    }
+
+    /// Believes the largest group of far loops that agree, if they are enough and the map still holds with them.
+    fn try_group(&mut self, far: &[usize], changed: &mut Vec<usize>) -> bool {
+        let ties: Vec<Tie<'_>> = far.iter().filter_map(|&k| self.tie(k)).collect();
+        let group = agreeing(&ties, &self.chain, &self.poses);
+        let likely = group.iter().all(|&g| within_drift(&ties[g], &self.chain, &self.poses, LIKELY_DRIFT));
+        let enough = self.params.min_agreeing * if likely { 1 } else { 2 };
+        if group.len() < enough {
+            return false;
+        }
+        let group: Vec<usize> = group.iter().map(|&g| far[g]).collect();
+        let before = (self.poses.clone(), self.misfits());
+        group.iter().for_each(|&k| self.loops[k].state = LoopState::Active);
+        self.optimise();
+        let holds = group.iter().all(|&k| self.misfit(k) < AGREE) && self.misfits() <= before.1 + group.len() / 4;
+        if !holds {
+            self.place(before.0);
+        }
+        for &k in &group {
+            self.loops[k].state = if holds { LoopState::Active } else { LoopState::Rejected };
+        }
+        changed.extend(group);
+        holds
+    }
+
+    /// Loops that the map has come to contradict are believed no longer.
+    pub(super) fn doubt(&mut self) {
+        for k in 0..self.loops.len() {
+            if self.loops[k].state == LoopState::Active && self.misfit(k) > CONTRADICTS {
+                self.loops[k].state = LoopState::Rejected;
+            }
+        }
+    }
+
+    pub(super) fn active_ties(&self) -> Vec<Tie<'_>> {
+        let active = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Active);
+        active.filter_map(|k| self.tie(k)).collect()
+    }
+
+    /// Nodes that loops wait at.
+    pub(super) fn pending_ends(&self) -> Vec<u32> {
+        let pending = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Pending);
+        let mut ends: Vec<u32> = pending.filter_map(|k| self.tie(k)).flat_map(|t| [t.from, t.to]).collect();
+        ends.sort_unstable();
+        ends
+    }
+
+    pub(super) fn tie(&self, k: usize) -> Option<Tie<'_>> {
+        let closure = &self.loops[k].closure;
+        Some(Tie { from: self.chain.index(closure.from)?, to: self.chain.index(closure.to)?, closure })
+    }
+
+    /// How badly a loop fits the poses, squared standard deviations.
+    pub(super) fn misfit(&self, k: usize) -> f64 {
+        self.tie(k).map_or(0.0, |t| chi2(t.closure, &self.poses[t.from as usize], &self.poses[t.to as usize]))
+    }
+
+    /// Loops that are believed and do not fit.
+    fn misfits(&self) -> usize {
+        let active = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Active);
+        active.filter(|&k| self.misfit(k) > 2.0 * AGREE).count()
+    }
+}

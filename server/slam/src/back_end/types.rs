@@ -1,0 +1,95 @@
+//! What the back end is given, and what it answers.
+
+use super::MergedKeyframe;
+use crate::loops::LoopClosure;
+use crate::{ParamError, check_range};
+use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of the back end.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BackEndParams {
+    /// Whether loops are looked for.
+    pub enabled: bool,
+    /// A loop that moves the map is believed once so many keyframes say the same, 1 to 20.
+    pub min_agreeing: usize,
+}
+
+impl Default for BackEndParams {
+    fn default() -> Self {
+        Self { enabled: true, min_agreeing: 2 }
+    }
+}
+
+impl BackEndParams {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// [`ParamError`] with field, value and remedy.
+    pub fn validate(&self) -> Result<(), ParamError> {
+        let least = self.min_agreeing as f64;
+        check_range("min_agreeing", least, (1.0, 20.0), "within 1 to 20", "use 2")
+    }
+}
+
+/// Number of a loop in its session, counted from 0 in the order of finding.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct LoopId(pub u64);
+
+/// What became of a loop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LoopState {
+    /// Waits for others that say the same.
+    Pending,
+    /// Holds the map together.
+    Active,
+    /// Nothing confirmed it in time, or it contradicts what is believed.
+    Rejected,
+    /// Taken out by the user.
+    Vetoed,
+}
+
+/// A loop that was found, and what became of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Loop {
+    /// Its number.
+    pub id: LoopId,
+    /// What was measured.
+    pub closure: LoopClosure,
+    /// What became of it.
+    pub state: LoopState,
+}
+
+/// A keyframe for the graph.
+#[derive(Debug, Clone)]
+pub struct BackEndKeyframe<'a> {
+    /// Its number; ascending.
+    pub id: KeyframeId,
+    /// Base in the drifting frame of odometry.
+    pub t_odom_base: Pose,
+    /// Of that since the start, right perturbation in base.
+    pub covariance: Covariance6,
+    /// What it saw.
+    pub scan: &'a Arc<KeyframeScan>,
+    /// Whether loops are looked for from here.
+    pub recognise: bool,
+    /// Whether nothing measured ties it to the keyframe before: the robot was lost in between.
+    pub after_gap: bool,
+}
+
+/// What a keyframe, or a veto, changed.
+#[derive(Debug, Clone, Default)]
+pub struct BackEndUpdate {
+    /// Loops that were found or changed their state.
+    pub loops: Vec<Loop>,
+    /// Keyframes that move now, if any.
+    pub correction: Option<Correction>,
+    /// Keyframes that newer ones stand for from now on, ascending; poses after the correction.
+    pub merged: Vec<MergedKeyframe>,
+    /// Loops that went with them.
+    pub dissolved: Vec<LoopId>,
+}

@@ -1,0 +1,79 @@
+//! What a method brings: a local model that frames are placed in.
+
+use super::{mono, rgbd};
+use crate::scan::Scan;
+use crate::tracking::LostReason;
+use nalgebra::Vector6;
+use percept_geometry::{Covariance6, KeyframeFeatures, KeyframeScan, PointCloud, Pose, Timestamp};
+use std::sync::Arc;
+
+/// Where base is expected before the scan is looked at.
+#[derive(Debug, Clone)]
+pub(crate) struct Prediction {
+    pub(crate) t_odom_base: Pose,
+    /// Right perturbation in base.
+    pub(crate) covariance: Covariance6,
+    /// Whether it was measured (by wheels, an IMU), not assumed.
+    pub(crate) is_measured: bool,
+}
+
+/// A frame placed in the local model.
+#[derive(Debug, Clone)]
+pub(crate) struct Match {
+    pub(crate) t_odom_base: Pose,
+    /// Of this measurement against the model, right perturbation in base.
+    pub(crate) covariance: Covariance6,
+    pub(crate) inlier_ratio: f64,
+    pub(crate) rmse_m: f64,
+    pub(crate) iterations: usize,
+    pub(crate) degenerate_axes: [bool; 6],
+}
+
+/// What a method brings: a local model that frames are placed in and then added to.
+pub(crate) trait LocalModel: Send {
+    /// Makes `scan` the current frame. `velocity` is base's (m/s, rad/s), for undoing sweeps.
+    fn prepare(&mut self, scan: &Scan, velocity: &Vector6<f64>) -> Result<(), LostReason>;
+    /// Whether there is nothing to register against.
+    fn is_empty(&self) -> bool;
+    /// Places the current frame.
+    fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason>;
+    /// Whether the current frame, placed after a time without any, fits so well that it can hardly be elsewhere.
+    fn is_certain(&self, _found: &Match) -> bool {
+        true
+    }
+    /// Base's velocity (m/s, rad/s) while the current frame was taken, where placing it has found that too.
+    fn sweep_velocity(&self) -> Option<Vector6<f64>> {
+        None
+    }
+    /// Adds the current frame at its pose.
+    fn integrate(&mut self, t_odom_base: &Pose);
+    /// Makes the local model agree better with what its frames saw, after the current one was added at its pose; where base
+    /// is then, if that moved it.
+    fn refine(&mut self, _t_odom_base: &Pose) -> Option<Pose> {
+        None
+    }
+    /// Where a depth camera's colour camera was found to be, for the image in full size.
+    fn color_camera(&self) -> Option<rgbd::ColorCamera> {
+        None
+    }
+    /// Forgets the model.
+    fn clear(&mut self);
+    /// Starts the model from keyframes with their `t_odom_base`, oldest first.
+    fn seed(&mut self, t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)]);
+    /// A method with a map and a state of its own, whose lengths may be in no known unit, does all here.
+    fn as_mono(&mut self) -> Option<&mut mono::Mono> {
+        None
+    }
+    /// The map's points that its last frame shows, in base, metres; none where lengths are not metres.
+    fn sparse_points(&self, _t_base_sensor: &Pose) -> PointCloud {
+        PointCloud::default()
+    }
+    /// What the last frame shows of these points, as a keyframe keeps it.
+    fn features(&self, _t_base_sensor: &Pose) -> Option<KeyframeFeatures> {
+        None
+    }
+    /// Stamps and `t_odom_base` of the frames that such a method keeps.
+    fn views(&self, _t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {
+        vec![]
+    }
+}

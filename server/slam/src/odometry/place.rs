@@ -1,0 +1,156 @@
+//! A frame finds its place in the local model: where it is expected, the tries, and which of them is believed.
+
+use super::{Match, MotionPrior, Odometry, Prediction, diagonal};
+use crate::scan::Scan;
+use crate::tracking::LostReason;
+use nalgebra::Vector6;
+use percept_geometry::{Pose, se3};
+
+/// A frame whose inlier ratio falls below this share of the usual one is tried from the last pose too.
+const DOUBTFUL: f64 = 0.9;
+
+/// Wheels that differ so much from the velocity before, in one frame, are doubted: metres and radians.
+const SUDDEN: (f64, f64) = (0.15, 0.15);
+
+/// A prior whose position has a larger variance than this leaves the translation open, m^2.
+pub(super) const UNKNOWN_VARIANCE: f64 = 1e4;
+
+impl Odometry {
+    /// The motion prior if there is one; what it leaves open, as a gyro does the translation, from constant velocity.
+    pub(super) fn predict(&self, dt: f64, prior: Option<&MotionPrior>) -> Prediction {
+        let constant = self.constant_velocity(dt);
+        let Some(prior) = prior else { return constant };
+        // A prior surer than 1 mm and 1 mrad is not believed.
+        let covariance = prior.covariance + diagonal(1e-3, 1e-3);
+        if (0..3).all(|i| covariance[(i, i)] <= UNKNOWN_VARIANCE) {
+            return Prediction { t_odom_base: self.t_odom_base * prior.t_prev_now, covariance, is_measured: true };
+        }
+        let way = self.t_odom_base.inv_mul(&constant.t_odom_base).translation;
+        let mut both = constant.covariance;
+        both.fixed_view_mut::<3, 3>(3, 3).copy_from(&covariance.fixed_view::<3, 3>(3, 3));
+        let t_odom_base = self.t_odom_base * Pose::from_parts(way, prior.t_prev_now.rotation);
+        Prediction { t_odom_base, covariance: both, is_measured: false }
+    }
+
+    /// Constant velocity while frames are near in time.
+    fn constant_velocity(&self, dt: f64) -> Prediction {
+        let t = &self.params.tracking;
+        let velocity = self.velocity.filter(|_| dt <= t.max_gap_s);
+        let moving = velocity.unwrap_or_else(Vector6::zeros) * dt;
+        // Without a velocity, or lost, the robot may have done anything that robots usually do.
+        let unsure = if self.num_lost > 0 || velocity.is_none() { dt } else { 0.0 };
+        let sigma_t =
+            0.01 + 0.5 * self.limits.acceleration * dt.min(t.max_gap_s).powi(2) + 0.25 * self.limits.speed * unsure;
+        let sigma_r = 0.01 + 0.5 * self.limits.turn_acceleration * dt.min(t.max_gap_s).powi(2) + 0.5 * unsure;
+        let usual = self.rhythm.error();
+        let (sigma_t, sigma_r) = (sigma_t.max(1.5 * usual), sigma_r.max(1.5 * usual));
+        let t_now_next = se3::exp(&moving);
+        let covariance = se3::compose_covariance(&self.left_open, &t_now_next, &diagonal(sigma_t, sigma_r.min(1.0)));
+        Prediction { t_odom_base: self.t_odom_base * t_now_next, covariance, is_measured: false }
+    }
+
+    /// Wheels that slip or lag shall not lose what the scan alone can place: where they fail, or say what the motion
+    /// before does not lead to, that is tried as well, and wins if it fits better.
+    pub(super) fn place_or_doubt(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+        let measured = self.place(dt, prediction);
+        if !prediction.is_measured || !self.limits.remembers_open {
+            return measured;
+        }
+        let assumed = self.predict(dt, None);
+        let apart = prediction.t_odom_base.inverse() * assumed.t_odom_base;
+        let likely = apart.translation.vector.norm() < SUDDEN.0 && apart.rotation.angle() < SUDDEN.1;
+        if likely && measured.is_ok() {
+            return measured;
+        }
+        match (measured, self.place(dt, &assumed)) {
+            (Ok(a), Ok(b)) => Ok(if b.inlier_ratio > 1.02 * a.inlier_ratio { b } else { a }),
+            (measured, assumed) => measured.or_else(|reason| assumed.map_err(|_| reason)),
+        }
+    }
+
+    /// Tries the prediction and, if that fails or fits worse than usual, the last pose; the better is taken.
+    pub(super) fn place(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+        let predicted = self.try_from(dt, prediction);
+        let sound = |m: &Match| m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio;
+        let t_still_predicted = self.t_odom_base.inverse() * prediction.t_odom_base;
+        if predicted.as_ref().is_ok_and(sound) || se3::log(&t_still_predicted).norm() < 1e-3 {
+            return predicted.map_err(|reason| self.with_gap(dt, reason));
+        }
+        // After a gap the place of before may look like the one where wheels have led to since.
+        if prediction.is_measured && !self.limits.remembers_open && self.is_after_gap(dt) {
+            return predicted.map_err(|reason| self.with_gap(dt, reason));
+        }
+        let still = self.try_from(dt, &Prediction { t_odom_base: self.t_odom_base, ..prediction.clone() });
+        let still = still.and_then(|m| match self.may_deny(prediction, &m) {
+            true => Ok(m),
+            false => Err(LostReason::ResidualTooLarge),
+        });
+        match (predicted, still) {
+            (Ok(a), Ok(b)) if b.inlier_ratio <= 1.02 * a.inlier_ratio => {
+                // The model's view of the winner is what its frame is fused with.
+                self.try_from(dt, prediction).or(Ok(a))
+            }
+            (_, Ok(b)) => Ok(b),
+            (Ok(_), Err(_)) => self.try_from(dt, prediction),
+            (Err(reason), Err(_)) => Err(self.with_gap(dt, reason)),
+        }
+    }
+
+    /// Whether a place found elsewhere than wheels say is believed rather than they: a frame fits anywhere along a wall. It has
+    /// to fit as well as frames usually do, contradict nothing, and show the motion that it denies.
+    fn may_deny(&self, prediction: &Prediction, found: &Match) -> bool {
+        if !prediction.is_measured || self.limits.remembers_open {
+            return true;
+        }
+        let off = se3::log(&prediction.t_odom_base.inv_mul(&found.t_odom_base));
+        let is_seen = |k: usize| !found.degenerate_axes[k] || off[k].abs() < 3.0 * prediction.covariance[(k, k)].sqrt();
+        (0..6).all(is_seen)
+            && found.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio
+            && self.model.is_certain(found)
+    }
+
+    /// Undoes the sweep's motion again where it was other than assumed, and places the scan once more.
+    pub(super) fn sharpen(&mut self, dt: f64, scan: &Scan, assumed: &Vector6<f64>, found: Match) -> Match {
+        if self.model.sweep_velocity().is_some() || !scan.is_sweep() || dt < 1e-3 || dt > self.params.tracking.max_gap_s
+        {
+            return found;
+        }
+        let velocity = se3::log(&(self.t_odom_base.inverse() * found.t_odom_base)) / dt;
+        // Over a sweep of 0.1 s: 1 cm, or 5 mrad.
+        let off = velocity - assumed;
+        if off.fixed_rows::<3>(0).norm() < 0.1 && off.fixed_rows::<3>(3).norm() < 0.05 {
+            return found;
+        }
+        if self.model.prepare(scan, &velocity).is_err() {
+            return found;
+        }
+        let covariance = diagonal(0.05, 0.02);
+        let again = Prediction { t_odom_base: found.t_odom_base, covariance, is_measured: true };
+        self.try_from(dt, &again).unwrap_or(found)
+    }
+
+    fn try_from(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+        let found = self.model.register(prediction)?;
+        self.plausible(dt, found)
+    }
+
+    fn is_after_gap(&self, dt: f64) -> bool {
+        self.unplaced_s + dt > self.params.tracking.max_gap_s
+    }
+
+    fn with_gap(&self, dt: f64, reason: LostReason) -> LostReason {
+        if dt > self.params.tracking.max_gap_s { LostReason::TimeGap } else { reason }
+    }
+
+    fn plausible(&self, dt: f64, found: Match) -> Result<Match, LostReason> {
+        let t_last_now = self.t_odom_base.inverse() * found.t_odom_base;
+        // The constants allow for stamps that jitter.
+        let too_far = t_last_now.translation.vector.norm() > self.limits.speed * dt.max(0.05) + 0.1;
+        let too_much = t_last_now.rotation.angle() > self.limits.turn_rate * dt.max(0.05) + 0.1;
+        if too_far || too_much {
+            return Err(LostReason::MotionTooLarge);
+        }
+        // Meanwhile somebody may have carried the robot to a place that resembles the old one.
+        if self.is_after_gap(dt) && !self.model.is_certain(&found) { Err(LostReason::TimeGap) } else { Ok(found) }
+    }
+}
