@@ -21,6 +21,6 @@ pub use chunks::Chunks;
 pub use frame_error::FrameError;
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
 pub use percept_slam::{Loop, LoopId, LoopState};
-pub use pipeline::{FrameReport, NewKeyframe, Pipeline, Restored, RestoredContent, RestoredKeyframe, VetoReport};
+pub use pipeline::{FrameReport, MapChange, NewKeyframe, Pipeline, Restored, RestoredContent, RestoredKeyframe};
 pub use sensors::check_frame;
 pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, Snapshot, TrajectoryEntry};

@@ -16,9 +16,13 @@ pub(crate) struct OdometryBuffer {
 }
 
 impl OdometryBuffer {
-    /// Adds a sample; the stamp of the one before, and the angle turned since.
+    /// Adds a sample, unless it is not newer than the last; the stamp of the one before, and the angle turned since.
     pub(crate) fn push(&mut self, stamp: Timestamp, sample: &OdometrySample) -> Option<(Timestamp, f64)> {
-        let before = self.samples.back().filter(|s| s.0 < stamp);
+        let newest = self.samples.back();
+        if newest.is_some_and(|s| s.0 >= stamp) {
+            return None;
+        }
+        let before = newest;
         let turned = before.map(|s| (s.0, s.1.rotation.angle_to(&sample.t_odom_base.rotation)));
         self.samples.push_back((stamp, sample.t_odom_base, sample.covariance));
         while self.samples.front().is_some_and(|s| stamp.seconds_since(s.0) > KEPT_S) {

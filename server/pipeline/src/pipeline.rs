@@ -8,7 +8,7 @@ mod register;
 mod report;
 mod restore;
 
-pub use loops::VetoReport;
+pub use loops::MapChange;
 pub use report::{FrameReport, NewKeyframe};
 pub use restore::{Restored, RestoredContent, RestoredKeyframe};
 
@@ -19,6 +19,7 @@ use crate::recovery::Anchoring;
 use crate::scale_hints::ScaleHints;
 use crate::sensors::{Sensors, scan_of};
 use crate::{Chunks, FrameError, KeyframeInfo, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
+use nalgebra::{Unit, Vector3};
 use percept_geometry::{Correction, KeyframeId, Pose, SensorData, SensorFrame, SensorId, SensorSpec, Timestamp};
 use percept_mapping::Map;
 use percept_perception::detection::Detector;
@@ -31,8 +32,9 @@ use std::sync::Arc;
 pub struct Pipeline {
     params: Arc<PipelineParams>,
     sensors: Sensors,
-    wheel: OdometryBuffer,
-    imu: ImuBuffer,
+    /// By sensor; of several the first by name that covers a stretch is believed.
+    wheels: BTreeMap<SensorId, OdometryBuffer>,
+    imus: BTreeMap<SensorId, ImuBuffer>,
     clocks: ClockOffsets,
     clock_offsets: Arc<BTreeMap<SensorId, f64>>,
     odometry: Option<Odometry>,
@@ -70,8 +72,8 @@ impl Pipeline {
         params.validate()?;
         Ok(Self {
             sensors: Sensors::default(),
-            wheel: OdometryBuffer::default(),
-            imu: ImuBuffer::default(),
+            wheels: BTreeMap::new(),
+            imus: BTreeMap::new(),
             clocks: ClockOffsets::default(),
             clock_offsets: Arc::default(),
             odometry: None,
@@ -110,14 +112,14 @@ impl Pipeline {
         let (spec, stamp) = self.sensors.admit(frame)?;
         let nothing = FrameReport::default();
         if let SensorData::Odometry(sample) = &frame.data {
-            if let Some((before, angle)) = self.wheel.push(stamp, sample) {
+            if let Some((before, angle)) = self.wheels.entry(spec.id.clone()).or_default().push(stamp, sample) {
                 let dt = stamp.seconds_since(before);
                 self.clocks.saw(&spec.id, before.plus_seconds(0.5 * dt), angle / dt);
             }
             return Ok(nothing);
         }
         if let SensorData::Imu(sample) = &frame.data {
-            self.imu.push(stamp, sample, &spec.t_base_sensor);
+            self.imus.entry(spec.id.clone()).or_default().push(stamp, sample, &spec.t_base_sensor);
             self.clocks.saw(&spec.id, stamp, sample.angular_velocity.norm());
             return Ok(nothing);
         }
@@ -180,6 +182,11 @@ impl Pipeline {
             next_object_id: self.tracker.next_id(),
             params: Arc::clone(&self.params),
         }
+    }
+
+    /// The direction against gravity in base, if an IMU was at rest just before a stamp.
+    fn up(&self, stamp: Timestamp) -> Option<Unit<Vector3<f64>>> {
+        self.imus.values().find_map(|i| i.up(stamp))
     }
 
     /// The declaration of a sensor.

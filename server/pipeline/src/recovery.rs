@@ -46,7 +46,12 @@ impl Anchoring {
 
     /// Whether the frame's pose is tied to the map, by measurement or by wheels.
     /// `is_mapped`: the robot has been before where odometry believes to be.
-    pub(crate) fn judge(&mut self, estimate: &OdometryEstimate, prior: Option<&MotionPrior>, is_mapped: bool) -> bool {
+    pub(crate) fn judge(
+        &mut self,
+        estimate: &OdometryEstimate,
+        prior: Option<&MotionPrior>,
+        is_mapped: impl Fn() -> bool,
+    ) -> bool {
         self.reckoned &= prior.is_some() || self.last.is_none() || estimate.state.is_tracking();
         if let Some(frames) = &mut self.adrift {
             *frames += 1;
@@ -54,11 +59,13 @@ impl Anchoring {
         }
         match estimate.state {
             TrackingState::Lost { reason } => {
-                self.misplaced |= is_mapped && reason == LostReason::TimeGap;
+                self.misplaced |= reason == LostReason::TimeGap && is_mapped();
                 return false;
             }
             // A frame that does not fit the map where wheels say that it is in it: somebody carried the robot, perhaps.
-            TrackingState::Initialising if !self.reckoned || ((is_mapped || self.misplaced) && self.last.is_some()) => {
+            TrackingState::Initialising
+                if !self.reckoned || (self.last.is_some() && (self.misplaced || is_mapped())) =>
+            {
                 (self.adrift, self.misplaced) = (Some(0), false);
                 return false;
             }

@@ -59,7 +59,7 @@ impl Pipeline {
         // A camera's few points show no floor to be trusted, and its map begins before lengths are metres: it was levelled
         // then, where an IMU was at rest.
         if self.keyframes.is_empty() && spec.kind != SensorKind::Camera {
-            let level = level(&scan, self.imu.up(stamp));
+            let level = level(&scan, self.up(stamp));
             self.t_map_odom = level.t_map_base * t_odom_base.inverse();
             self.base_height_m = level.base_height_m;
         }
@@ -82,7 +82,7 @@ impl Pipeline {
         let num_points = scan.hits.len();
         let info = KeyframeInfo { id, stamp, sensor: sensor.clone(), t_map_base, num_points, merged: None };
         Arc::make_mut(&mut self.keyframes).push(info.clone());
-        NewKeyframe { info, t_odom_base, scan }
+        NewKeyframe { info, t_odom_base, after_gap: false, scan }
     }
 
     /// Adds a keyframe to the map layers. Poses and scans are our own: a refusal is a fault of ours.
@@ -117,9 +117,6 @@ impl Pipeline {
 
     /// The newest keyframe of the sensor that moves the pose.
     fn newest_anchor(&self, sensor: &SensorId) -> Option<&KeyframeInfo> {
-        match self.trajectory.last()?.anchor {
-            Some(anchor) => self.keyframes.get(usize::try_from(anchor.0).ok()?),
-            None => self.keyframes.iter().rev().find(|k| k.sensor == *sensor),
-        }
+        self.keyframes.iter().rev().find(|k| k.sensor == *sensor)
     }
 }

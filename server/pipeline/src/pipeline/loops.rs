@@ -23,11 +23,11 @@ pub(super) struct Floating {
     scan: Arc<KeyframeScan>,
 }
 
-/// What a veto did.
-#[derive(Debug, Clone)]
-pub struct VetoReport {
-    /// The loop, with its new state.
-    pub changed: Loop,
+/// What changed in the map without a frame.
+#[derive(Debug, Clone, Default)]
+pub struct MapChange {
+    /// Loops whose state changed.
+    pub loops: Vec<Loop>,
     /// Keyframes that moved, with their new poses, base to map.
     pub corrected: Vec<(KeyframeId, Pose)>,
 }
@@ -45,13 +45,14 @@ impl Pipeline {
     pub(super) fn close_loops(&mut self, keyframe: &mut NewKeyframe, recognise: bool, report: &mut FrameReport) {
         let Some(mut back_end) = self.back_end.take() else { return };
         let covariance = self.odometry.as_ref().map(percept_slam::Odometry::covariance).unwrap_or_default();
+        keyframe.after_gap = std::mem::take(&mut self.after_gap);
         let node = BackEndKeyframe {
             id: keyframe.info.id,
             t_odom_base: keyframe.t_odom_base,
             covariance,
             scan: &keyframe.scan,
             recognise,
-            after_gap: std::mem::take(&mut self.after_gap),
+            after_gap: keyframe.after_gap,
         };
         let update = back_end.insert(&node, &keyframe.info.t_map_base);
         self.back_end = Some(back_end);
@@ -82,19 +83,21 @@ impl Pipeline {
 
     /// Moves every keyframe to where the back end believes it, however little that is: what small corrections wait for
     /// while frames come in.
-    pub fn settle(&mut self) -> Vec<(KeyframeId, Pose)> {
-        let Some(correction) = self.back_end.as_mut().and_then(BackEnd::settle) else { return vec![] };
-        self.apply(&correction);
-        correction.t_map_base
+    pub fn settle(&mut self) -> MapChange {
+        let update = self.back_end.as_mut().map(BackEnd::settle).unwrap_or_default();
+        self.change(update)
     }
 
-    /// Takes a loop out of the map, or back in; none if there is no such loop.
-    pub fn veto(&mut self, id: LoopId, vetoed: bool) -> Option<VetoReport> {
+    /// Takes a loop out of the map, or undoes that; none if there is no such loop. It is among the loops of the answer.
+    pub fn veto(&mut self, id: LoopId, vetoed: bool) -> Option<MapChange> {
         let update = self.back_end.as_mut()?.veto(id, vetoed)?;
-        let changed = update.loops.first()?.clone();
+        Some(self.change(update))
+    }
+
+    fn change(&mut self, update: BackEndUpdate) -> MapChange {
         let mut report = FrameReport::default();
         self.follow(update, &mut report);
-        Some(VetoReport { changed, corrected: report.corrected })
+        MapChange { loops: report.loops, corrected: report.corrected }
     }
 
     /// Gives the stored keyframes and loops to the back end.
@@ -109,11 +112,11 @@ impl Pipeline {
                 covariance: percept_geometry::Covariance6::zeros(),
                 scan,
                 recognise: scan.sensor == *pose_sensor,
-                after_gap: false,
+                after_gap: k.after_gap,
             };
             Some((node, k.t_map_base))
         });
-        back_end.resume(keyframes, restored.loops.clone());
+        back_end.resume(keyframes, restored.loops.clone(), restored.next_loop_id);
         self.loops = Arc::new(restored.loops.clone());
     }
 
@@ -171,17 +174,18 @@ impl Pipeline {
             let mut keyframe = self.enter(f.stamp, &f.sensor, f.t_odom_base, f.scan);
             self.close_loops(&mut keyframe, true, report);
             newest = Some((keyframe.info.id, f.t_odom_base));
+            self.policy(&keyframe.info.sensor).resume(&f.t_odom_base);
             report.joined.push(keyframe);
         }
         if let (Some((id, t_odom_base)), Some(mut back_end)) = (newest, self.back_end.take()) {
-            let t_from_to = found.t_keyframe_base * estimate.t_odom_base.inverse() * t_odom_base;
-            let closure = LoopClosure {
-                from: found.keyframe,
-                to: id,
-                t_from_to,
-                covariance: found.covariance,
-                inlier_ratio: found.inlier_ratio,
+            // Meanwhile another keyframe may have come to stand for the one that was recognised.
+            let (from, t_from_found) = match self.keyframes.get(found.keyframe.0 as usize).and_then(|k| k.merged) {
+                Some(merged) => (merged.into, merged.t_into_base),
+                None => (found.keyframe, Pose::identity()),
             };
+            let t_from_to = t_from_found * found.t_keyframe_base * estimate.t_odom_base.inverse() * t_odom_base;
+            let closure =
+                LoopClosure { from, to: id, t_from_to, covariance: found.covariance, inlier_ratio: found.inlier_ratio };
             let update = back_end.propose(vec![closure]);
             self.back_end = Some(back_end);
             self.follow(update, report);

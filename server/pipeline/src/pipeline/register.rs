@@ -32,8 +32,9 @@ impl Pipeline {
     /// A frame that moves the pose.
     pub(super) fn register(&mut self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan) -> FrameReport {
         let since = self.last_registered;
-        let wheels = since.and_then(|last| self.wheel.between(last, stamp));
-        let prior = joined(wheels.clone(), since.and_then(|last| self.imu.between(last, stamp)));
+        let wheels = since.and_then(|last| self.wheels.values().find_map(|w| w.between(last, stamp)));
+        let turn = since.and_then(|last| self.imus.values().find_map(|i| i.between(last, stamp)));
+        let prior = joined(wheels.clone(), turn);
         let kind = match scan {
             Scan::Depth(_) => OdometryKind::Rgbd,
             Scan::Cloud(_) => OdometryKind::Lidar3d,
@@ -46,7 +47,7 @@ impl Pipeline {
         let moved = odometry.take_moved();
         if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking()) {
             let turn = t_odom_last.rotation.inverse() * estimate.t_odom_base.rotation;
-            self.imu.learn(last, stamp, &turn);
+            self.imus.values_mut().for_each(|i| i.learn(last, stamp, &turn));
             if self.clocks.turned(last, stamp, turn.angle()) {
                 self.clock_offsets = Arc::new(self.clocks.found().clone());
             }
@@ -60,8 +61,10 @@ impl Pipeline {
             return self.answer_without_scale(stamp, &estimate, wheels.is_some());
         }
         let mut report = FrameReport::default();
-        let is_mapped = self.is_mapped(&spec.id, &estimate.t_odom_base);
-        let mut tracked = self.anchoring.judge(&estimate, wheels.as_ref(), is_mapped);
+        let mut anchoring = std::mem::take(&mut self.anchoring);
+        let is_mapped = || self.is_mapped(&spec.id, &estimate.t_odom_base);
+        let mut tracked = anchoring.judge(&estimate, wheels.as_ref(), is_mapped);
+        self.anchoring = anchoring;
         if self.anchoring.is_adrift() {
             (estimate, tracked) = self.recover(kind, spec, scan, estimate, &mut report);
         }
@@ -88,7 +91,7 @@ impl Pipeline {
         // Before anything hangs on it the map is turned upright.
         if self.trajectory.is_empty()
             && self.keyframes.is_empty()
-            && let Some(up) = self.imu.up(stamp)
+            && let Some(up) = self.up(stamp)
         {
             self.t_map_odom = by_gravity(up).t_map_base * estimate.t_odom_base.inverse();
         }

@@ -36,6 +36,8 @@ pub struct NewKeyframe {
     pub info: KeyframeInfo,
     /// Base to odom at the keyframe.
     pub t_odom_base: Pose,
+    /// Whether nothing measured ties it to the keyframe before: the robot was lost in between.
+    pub after_gap: bool,
     /// What it saw.
     pub scan: Arc<KeyframeScan>,
 }

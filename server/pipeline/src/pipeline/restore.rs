@@ -16,6 +16,8 @@ pub struct RestoredKeyframe {
     pub t_map_base: Pose,
     /// Base to odom at the keyframe.
     pub t_odom_base: Pose,
+    /// Whether nothing measured ties it to the keyframe before.
+    pub after_gap: bool,
     /// What it saw, or what stands for it.
     pub content: RestoredContent,
 }
@@ -61,6 +63,8 @@ pub struct Restored {
     pub trajectory: Vec<TrajectoryEntry>,
     /// Loops, in the order of finding.
     pub loops: Vec<Loop>,
+    /// Number that the next loop gets.
+    pub next_loop_id: u64,
     /// Objects, those gone included.
     pub objects: Vec<Object>,
     /// Number that the next object gets.

@@ -12,7 +12,7 @@ fn a_restored_session_has_its_map_and_goes_on_tracking() {
     let stored = feed(&mut before, first.iter().cloned());
     let keyframe = |(t_map_base, t_odom_base, scan)| {
         let content = RestoredContent::Scan(scan);
-        RestoredKeyframe { t_map_base, t_odom_base, content }
+        RestoredKeyframe { t_map_base, t_odom_base, after_gap: false, content }
     };
     let restored = Restored {
         keyframes: stored.keyframes.into_iter().map(keyframe).collect(),
@@ -48,7 +48,7 @@ fn a_merged_keyframe_is_where_the_one_is_that_stands_for_it() {
         .into_iter()
         .map(|(t_map_base, t_odom_base, scan)| {
             let content = RestoredContent::Scan(scan);
-            RestoredKeyframe { t_map_base, t_odom_base, content }
+            RestoredKeyframe { t_map_base, t_odom_base, after_gap: false, content }
         })
         .collect();
     let info = before.snapshot().keyframes[1].clone();

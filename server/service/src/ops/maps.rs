@@ -200,16 +200,18 @@ impl Service {
         self.session(session).await?.settle().await
     }
 
-    /// Takes a loop out of the map, or back in; the map follows at once.
+    /// Takes a loop out of the map, or undoes that; the map follows at once, and it is durable when this answers.
     ///
     /// # Errors
-    /// `LOOP_NOT_FOUND`, `SESSION_NOT_FOUND`.
+    /// `LOOP_NOT_FOUND`, `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
     pub async fn set_loop_veto(&self, session: &str, id: LoopId, vetoed: bool) -> Result<Vetoed> {
-        let done = self.session(session).await?.veto(id, vetoed).await?;
-        done.ok_or_else(|| {
+        let session = self.session(session).await?;
+        let done = session.veto(id, vetoed).await?.ok_or_else(|| {
             let message = format!("loop_id {} does not exist in this session; list the loops", id.0);
             Error::not_found("LOOP_NOT_FOUND", "loop_id", message)
-        })
+        })?;
+        session.wait_durable(done.ticket).await?;
+        Ok(done)
     }
 
     /// Sizes and version of a session's map.

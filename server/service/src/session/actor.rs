@@ -1,12 +1,12 @@
 //! The actor: takes frames from a bounded queue, one at a time, and publishes what they did.
 
 use super::events::EventKind;
-use super::handle::{Command, Processed, Session, Vetoed, lock};
+use super::handle::{Command, Processed, Session, Ticket, Vetoed, lock};
 use super::persist::{Job, Persister};
 use super::refusal::{frame_error, stopped};
-use crate::{ComputePool, ErrorCode, Result};
-use percept_geometry::{Correction, KeyframeId, Pose, SensorFrame, SensorId, Timestamp};
-use percept_pipeline::{FrameReport, Loop, LoopId, Pipeline, Snapshot, VetoReport};
+use crate::{ComputePool, Result};
+use percept_geometry::SensorFrame;
+use percept_pipeline::{FrameReport, LoopId, MapChange, Pipeline, Snapshot};
 use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 use tokio::sync::mpsc;
@@ -22,62 +22,39 @@ pub(super) struct Actor {
 
 impl Actor {
     pub(super) async fn run(mut self, mut commands: mpsc::Receiver<Command>) {
+        let mut stops = vec![];
         while let Some(command) = commands.recv().await {
             match command {
-                Command::Frame { frame, received, reply } => {
-                    let answer = self.frame(*frame, received).await;
-                    let fatal = answer.as_ref().is_err_and(|e| e.code == ErrorCode::Internal);
-                    let _ = reply.send(answer);
-                    if fatal && self.pipeline.is_none() {
-                        break;
-                    }
-                }
-                Command::Declare(spec) => {
-                    if let Some(pipeline) = &mut self.pipeline {
-                        pipeline.declare_sensor(*spec);
-                    }
-                }
-                Command::Correct { correction, reply } => {
-                    if let Some(snapshot) = self.correct(correction).await {
-                        let _ = reply.send(snapshot);
-                    }
-                }
-                Command::Veto { id, vetoed, reply } => {
-                    if let Some(answer) = self.veto(id, vetoed).await {
-                        let _ = reply.send(answer);
-                    }
-                }
-                Command::Settle { reply } => {
-                    if let Some(answer) = self.settle().await {
-                        let _ = reply.send(answer);
-                    }
-                }
                 Command::Stop { stopped } => {
+                    // What was accepted before is still done.
                     commands.close();
-                    while let Some(command) = commands.recv().await {
-                        self.last_of(command).await;
-                    }
-                    let _ = self.settle().await;
-                    self.persister.finish().await;
-                    self.session.events.close();
-                    let _ = stopped.send(());
-                    return;
+                    stops.push(stopped);
                 }
+                command => self.obey(command).await,
             }
+            if self.pipeline.is_none() {
+                break;
+            }
+        }
+        if !stops.is_empty() {
+            let _ = self.settle().await;
         }
         self.persister.finish().await;
         self.session.events.close();
+        for stopped in stops {
+            let _ = stopped.send(());
+        }
     }
 
-    /// What was accepted before the stop is still done.
-    async fn last_of(&mut self, command: Command) {
+    /// Does what a command says; without a pipeline, its sender learns that the session is gone.
+    async fn obey(&mut self, command: Command) {
         match command {
             Command::Frame { frame, received, reply } => {
                 let _ = reply.send(self.frame(*frame, received).await);
             }
-            Command::Correct { correction, reply } => {
-                if let Some(snapshot) = self.correct(correction).await {
-                    let _ = reply.send(snapshot);
+            Command::Declare(spec) => {
+                if let Some(pipeline) = &mut self.pipeline {
+                    pipeline.declare_sensor(*spec);
                 }
             }
             Command::Veto { id, vetoed, reply } => {
@@ -90,7 +67,6 @@ impl Actor {
                     let _ = reply.send(answer);
                 }
             }
-            Command::Declare(_) => {}
             Command::Stop { stopped } => {
                 let _ = stopped.send(());
             }
@@ -124,7 +100,8 @@ impl Actor {
         keyframes.extend(report.keyframe);
         let (entry, loops, corrected) = (report.trajectory, report.loops, report.corrected);
         let (merged, dissolved) = (report.merged, report.dissolved);
-        let job = Job { sensor, stamp, entry, keyframes, loops, objects, corrected, merged, dissolved };
+        let frame = Some((sensor, stamp));
+        let job = Job { frame, entry, keyframes, loops, objects, corrected, merged, dissolved };
         let ticket = self.persister.submit(job).await;
         Ok(Processed { pose: report.pose, keyframe, latency_s: received.elapsed().as_secs_f64(), ticket })
     }
@@ -142,65 +119,43 @@ impl Actor {
         self.session.events.publish(stamp, pose.chain(keyframes).chain(loops).chain(changes).chain(map));
     }
 
-    async fn correct(&mut self, correction: Correction) -> Option<Snapshot> {
-        self.change(move |pipeline| {
-            pipeline.apply(&correction);
-            ((), vec![], correction.t_map_base)
-        })
-        .await
-        .map(|((), snapshot)| snapshot)
-    }
-
     async fn veto(&mut self, id: LoopId, vetoed: bool) -> Option<Option<Vetoed>> {
-        let change = move |pipeline: &mut Pipeline| match pipeline.veto(id, vetoed) {
-            None => (None, vec![], vec![]),
-            Some(VetoReport { changed, corrected }) => {
-                (Some((changed.clone(), corrected.len())), vec![changed], corrected)
-            }
-        };
-        let (done, snapshot) = self.change(change).await?;
-        let map_version = snapshot.map_version;
-        Some(done.map(|(changed, num_moved)| Vetoed { changed, num_moved, map_version }))
+        let change = self.change(move |pipeline| pipeline.veto(id, vetoed)).await?;
+        let Some((change, map_version, ticket)) = change else { return Some(None) };
+        let changed = change.loops.into_iter().find(|l| l.id == id)?;
+        Some(Some(Vetoed { changed, num_moved: change.corrected.len(), map_version, ticket }))
     }
 
     async fn settle(&mut self) -> Option<(usize, u64)> {
-        let change = |pipeline: &mut Pipeline| {
-            let corrected = pipeline.settle();
-            (corrected.len(), vec![], corrected)
-        };
-        self.change(change).await.map(|(num_moved, snapshot)| (num_moved, snapshot.map_version))
+        let (change, map_version, _) = self.change(|pipeline| Some(pipeline.settle())).await??;
+        Some((change.corrected.len(), map_version))
     }
 
-    /// Changes the map other than by a frame: what `change` answers, the loops it changed and the keyframes it moved.
-    async fn change<T: Send + 'static>(
+    /// Changes the map other than by a frame: what was changed, the map's version with it, and the ticket from which on it
+    /// is durable. None inside if there is nothing to change, none outside if the pipeline is gone.
+    async fn change(
         &mut self,
-        change: impl FnOnce(&mut Pipeline) -> (T, Vec<Loop>, Vec<(KeyframeId, Pose)>) + Send + 'static,
-    ) -> Option<(T, Snapshot)> {
+        change: impl FnOnce(&mut Pipeline) -> Option<MapChange> + Send + 'static,
+    ) -> Option<Option<(MapChange, u64, Ticket)>> {
         let mut pipeline = self.pipeline.take()?;
         let work = self.compute.run(move || {
             let done = change(&mut pipeline);
             let snapshot = pipeline.snapshot();
             (pipeline, done, snapshot)
         });
-        let (pipeline, (answer, loops, corrected), snapshot) = work.await.ok()?;
+        let (pipeline, done, snapshot) = work.await.ok()?;
         self.pipeline = Some(pipeline);
-        if loops.is_empty() && corrected.is_empty() {
-            return Some((answer, snapshot));
+        let Some(change) = done else { return Some(None) };
+        let (version, objects) = (snapshot.map_version, (Arc::clone(&snapshot.objects), snapshot.next_object_id));
+        if change.loops.is_empty() && change.corrected.is_empty() {
+            return Some(Some((change, version, self.persister.newest())));
         }
+        let MapChange { loops, corrected } = change.clone();
         let report = FrameReport { loops, corrected, ..FrameReport::default() };
-        self.publish(&report, snapshot.clone());
-        let job = Job {
-            sensor: SensorId(String::new()),
-            stamp: Timestamp::default(),
-            entry: None,
-            keyframes: vec![],
-            loops: report.loops,
-            objects: Some((Arc::clone(&snapshot.objects), snapshot.next_object_id)),
-            corrected: report.corrected,
-            merged: vec![],
-            dissolved: vec![],
-        };
-        self.persister.submit(job).await;
-        Some((answer, snapshot))
+        self.publish(&report, snapshot);
+        let (loops, corrected) = (report.loops, report.corrected);
+        let job = Job { loops, corrected, objects: Some(objects), ..Job::default() };
+        let ticket = self.persister.submit(job).await;
+        Some(Some((change, version, ticket)))
     }
 }

@@ -7,7 +7,7 @@ use super::persist::Persister;
 use super::refusal::{frame_error, sensor_not_found, stopped};
 use super::sensor_book::{SensorBook, SensorStatus};
 use crate::{ComputePool, Error, Limits, Result};
-use percept_geometry::{Correction, KeyframeId, SensorFrame, SensorId, SensorSpec, Timestamp};
+use percept_geometry::{KeyframeId, SensorFrame, SensorId, SensorSpec, Timestamp};
 use percept_pipeline::{Loop, LoopId, Pipeline, PoseEstimate, Snapshot};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -36,7 +36,6 @@ pub type Pending = oneshot::Receiver<Result<Processed>>;
 pub(crate) enum Command {
     Frame { frame: Box<SensorFrame>, received: Instant, reply: oneshot::Sender<Result<Processed>> },
     Declare(Box<SensorSpec>),
-    Correct { correction: Correction, reply: oneshot::Sender<Snapshot> },
     Veto { id: LoopId, vetoed: bool, reply: oneshot::Sender<Option<Vetoed>> },
     Settle { reply: oneshot::Sender<(usize, u64)> },
     Stop { stopped: oneshot::Sender<()> },
@@ -51,6 +50,8 @@ pub struct Vetoed {
     pub num_moved: usize,
     /// Version of the map with it.
     pub map_version: u64,
+    /// Durable once [`Session::durable`] has reached it.
+    pub ticket: Ticket,
 }
 
 /// A handle on a running session; queries through it never wait for ingest.
@@ -265,17 +266,7 @@ impl Session {
         lock(&self.book).len()
     }
 
-    /// Moves keyframes; readers see the map before or after, never between.
-    ///
-    /// # Errors
-    /// `SESSION_STOPPED`.
-    pub async fn correct(&self, correction: Correction) -> Result<Snapshot> {
-        let (reply, done) = oneshot::channel();
-        self.queue.send(Command::Correct { correction, reply }).await.map_err(|_| stopped())?;
-        done.await.map_err(|_| stopped())
-    }
-
-    /// Takes a loop out of the map, or back in; none if there is no such loop.
+    /// Takes a loop out of the map, or undoes that; none if there is no such loop.
     ///
     /// # Errors
     /// `SESSION_STOPPED`.

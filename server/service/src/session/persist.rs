@@ -19,10 +19,11 @@ const BACKLOG: usize = 256;
 /// First and longest pause between tries after a fault of the storage.
 const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
-/// What one frame left behind.
+/// What one frame, or a change of the map without one, left behind.
+#[derive(Default)]
 pub(crate) struct Job {
-    pub(crate) sensor: SensorId,
-    pub(crate) stamp: Timestamp,
+    /// Whose frame it was, and when.
+    pub(crate) frame: Option<(SensorId, Timestamp)>,
     pub(crate) entry: Option<TrajectoryEntry>,
     /// New keyframes, by number.
     pub(crate) keyframes: Vec<NewKeyframe>,
@@ -43,6 +44,9 @@ pub(crate) struct Job {
 pub(crate) struct KeyframeRecord {
     pub(crate) t_map_base: Pose,
     pub(crate) t_odom_base: Pose,
+    /// Whether nothing measured ties it to the keyframe before.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(crate) after_gap: bool,
     /// SHA-256 of the encoded scan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) blob: Option<String>,
@@ -64,6 +68,8 @@ pub(crate) struct StateRecord {
     pub(crate) ticket: u64,
     pub(crate) last_stamps: BTreeMap<SensorId, Timestamp>,
     pub(crate) next_object_id: u64,
+    #[serde(default)]
+    pub(crate) next_loop_id: u64,
 }
 
 /// `sessions/<id>/<name>`.
@@ -143,6 +149,11 @@ impl Persister {
         ticket
     }
 
+    /// The newest ticket.
+    pub(crate) fn newest(&self) -> u64 {
+        self.next_ticket - 1
+    }
+
     /// Stores what is queued, then ends; gives up on a storage that does not recover.
     pub(crate) async fn finish(&mut self) {
         let (closed, _) = mpsc::channel(1);
@@ -204,6 +215,7 @@ impl Writer {
                 records.push(self.keyframe(keyframe).await?);
             }
             for found in &job.loops {
+                self.state.next_loop_id = self.state.next_loop_id.max(found.id.0 + 1);
                 records.push((self.keys.loop_closure(found.id.0), json(found)?));
             }
             for (id, t_map_base) in &job.corrected {
@@ -220,9 +232,7 @@ impl Writer {
             if let Some(entry) = &job.entry {
                 records.push((self.keys.trajectory(*ticket), json(entry)?));
             }
-            if !job.sensor.0.is_empty() {
-                self.state.last_stamps.insert(job.sensor.clone(), job.stamp);
-            }
+            self.state.last_stamps.extend(job.frame.clone());
             self.state.ticket = *ticket;
         }
         if let Some((objects, next_id)) = batch.iter().rev().find_map(|(_, job)| job.objects.as_ref()) {
@@ -238,8 +248,8 @@ impl Writer {
     async fn keyframe(&mut self, k: &NewKeyframe) -> Result<Record> {
         let bytes = Bytes::from(keyframe_codec::encode(&k.scan));
         let blob = self.store.put_blob(bytes).await.map_err(|e| store_error(&e))?;
-        let (t_map_base, t_odom_base) = (k.info.t_map_base, k.t_odom_base);
-        let record = KeyframeRecord { t_map_base, t_odom_base, blob: Some(blob.to_string()), merged: None };
+        let (t_map_base, t_odom_base, after_gap) = (k.info.t_map_base, k.t_odom_base, k.after_gap);
+        let record = KeyframeRecord { t_map_base, t_odom_base, after_gap, blob: Some(blob.to_string()), merged: None };
         let out = (self.keys.keyframe(k.info.id.0), json(&record)?);
         self.keyframes.insert(k.info.id, record);
         Ok(out)

@@ -31,8 +31,8 @@ pub(crate) async fn recover(
             }
             (None, None) => return Err(Error::internal("a keyframe's record names neither what it saw nor another")),
         };
-        let (t_map_base, t_odom_base) = (record.t_map_base, record.t_odom_base);
-        restored.keyframes.push(RestoredKeyframe { t_map_base, t_odom_base, content });
+        let (t_map_base, t_odom_base, after_gap) = (record.t_map_base, record.t_odom_base, record.after_gap);
+        restored.keyframes.push(RestoredKeyframe { t_map_base, t_odom_base, after_gap, content });
     }
     for (_, bytes) in store.scan_all(&keys.trajectories()).await.map_err(|e| store_error(&e))? {
         restored.trajectory.push(parse(&bytes)?);
@@ -48,6 +48,7 @@ pub(crate) async fn recover(
     let state: StateRecord = get("state").await?.map(|b| parse(&b)).transpose()?.unwrap_or_default();
     restored.last_stamps = state.last_stamps.clone();
     restored.next_object_id = state.next_object_id;
+    restored.next_loop_id = state.next_loop_id;
     let (params, sensors) = (meta.params.clone(), meta.sensors.clone());
     let pipeline = compute
         .run(move || {

@@ -70,27 +70,37 @@ impl BackEnd {
             return false;
         }
         let group: Vec<usize> = group.iter().map(|&g| far[g]).collect();
-        let before = (self.poses.clone(), self.misfits());
+        let (poses, drift, misfits) = (self.poses.clone(), self.drift, self.misfits());
         group.iter().for_each(|&k| self.loops[k].state = LoopState::Active);
-        self.optimise();
-        let holds = group.iter().all(|&k| self.misfit(k) < AGREE) && self.misfits() <= before.1 + group.len() / 4;
-        if !holds {
-            self.place(before.0);
+        self.solve();
+        // What was believed before has to say so itself: none of it is doubted until the group is believed.
+        let holds = group.iter().all(|&k| self.misfit(k) < AGREE) && self.misfits() <= misfits + group.len() / 4;
+        changed.extend(&group);
+        if holds {
+            self.doubt(changed);
+        } else {
+            group.iter().for_each(|&k| self.loops[k].state = LoopState::Rejected);
+            self.place(poses);
+            self.drift = drift;
         }
-        for &k in &group {
-            self.loops[k].state = if holds { LoopState::Active } else { LoopState::Rejected };
-        }
-        changed.extend(group);
         holds
     }
 
     /// Loops that the map has come to contradict are believed no longer.
-    pub(super) fn doubt(&mut self) {
+    pub(super) fn doubt(&mut self, changed: &mut Vec<usize>) {
         for k in 0..self.loops.len() {
             if self.loops[k].state == LoopState::Active && self.misfit(k) > CONTRADICTS {
                 self.loops[k].state = LoopState::Rejected;
+                changed.push(k);
             }
         }
+    }
+
+    /// Loops at these places, each once.
+    pub(super) fn loops_at(&self, mut changed: Vec<usize>) -> Vec<Loop> {
+        changed.sort_unstable();
+        changed.dedup();
+        changed.into_iter().map(|k| self.loops[k].clone()).collect()
     }
 
     pub(super) fn active_ties(&self) -> Vec<Tie<'_>> {

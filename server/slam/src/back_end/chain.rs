@@ -63,6 +63,11 @@ impl Chain {
         &self.steps
     }
 
+    /// Whether the steps are those from each node to the next, and no others.
+    pub(super) fn is_way(&self) -> bool {
+        self.steps.len() + 1 == self.nodes.len() && self.steps.iter().all(|s| s.from + 1 == s.to)
+    }
+
     pub(super) fn index(&self, id: KeyframeId) -> Option<u32> {
         self.index.get(&id).copied()
     }

@@ -18,6 +18,7 @@ mod tests;
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use chain::{Chain, step_covariance};
 use percept_geometry::{Correction, Covariance6, KeyframeScan, Pose, se3};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 pub use thinning::MergedKeyframe;
 use thinning::View;
@@ -47,6 +48,8 @@ pub struct BackEnd {
     loops: Vec<Loop>,
     /// Number of the next loop: those of loops that are gone do not come again.
     next_loop: u64,
+    /// What vetoed loops were.
+    before_veto: BTreeMap<LoopId, LoopState>,
     last: Option<(Pose, Covariance6)>,
     /// Of the newest keyframe's pose in the map.
     drift: Covariance6,
@@ -77,6 +80,7 @@ impl BackEnd {
             given: vec![],
             loops: vec![],
             next_loop: 0,
+            before_veto: BTreeMap::new(),
             last: None,
             drift: Covariance6::zeros(),
             since_optimised: 0,
@@ -98,11 +102,9 @@ impl BackEnd {
         self.since_given += 1;
         let is_tied = self.loops.iter().any(|l| l.state == LoopState::Active);
         if urgent || (is_tied && self.since_optimised >= LAZY) {
-            self.optimise();
+            self.optimise(&mut changed);
         }
-        changed.sort_unstable();
-        changed.dedup();
-        let loops = changed.iter().map(|&k| self.loops[k].clone()).collect();
+        let loops = self.loops_at(changed);
         let update = BackEndUpdate { loops, correction: self.due(), ..BackEndUpdate::default() };
         if self.chain.len() < self.thin_at { update } else { self.thin(update) }
     }
@@ -112,29 +114,34 @@ impl BackEnd {
     pub fn propose(&mut self, closures: Vec<LoopClosure>) -> BackEndUpdate {
         let mut changed = self.add_loops(closures);
         if self.judge(&mut changed) {
-            self.optimise();
+            self.optimise(&mut changed);
         }
-        changed.sort_unstable();
-        changed.dedup();
-        let loops = changed.iter().map(|&k| self.loops[k].clone()).collect();
+        let loops = self.loops_at(changed);
         BackEndUpdate { loops, correction: self.due(), ..BackEndUpdate::default() }
     }
 
-    /// Takes a loop out of the map, or back in; none if there is no such loop.
+    /// Takes a loop out of the map, or undoes that: it is then what it was before. After a restart of the session that is
+    /// not known any more, and it holds the map again. None if there is no such loop.
     pub fn veto(&mut self, id: LoopId, vetoed: bool) -> Option<BackEndUpdate> {
         let position = self.loops.binary_search_by_key(&id, |l| l.id).ok()?;
         let was = self.loops[position].state;
-        self.loops[position].state = match (vetoed, was) {
-            (true, _) => LoopState::Vetoed,
-            (false, LoopState::Vetoed) => LoopState::Active,
+        let state = match (vetoed, was) {
+            (true, LoopState::Vetoed) => was,
+            (true, _) => {
+                self.before_veto.insert(id, was);
+                LoopState::Vetoed
+            }
+            (false, LoopState::Vetoed) => self.before_veto.remove(&id).unwrap_or(LoopState::Active),
             (false, other) => other,
         };
-        if self.loops[position].state != was {
+        self.loops[position].state = state;
+        let mut changed = vec![position];
+        if state != was && (state == LoopState::Active || was == LoopState::Active) {
             self.restart();
-            self.optimise();
+            self.optimise(&mut changed);
         }
-        let loops = vec![self.loops[position].clone()];
-        Some(BackEndUpdate { loops, correction: self.settle(), ..BackEndUpdate::default() })
+        let loops = self.loops_at(changed);
+        Some(BackEndUpdate { loops, correction: self.give(), ..BackEndUpdate::default() })
     }
 
     /// All loops, in the order of finding.
@@ -159,15 +166,22 @@ impl BackEnd {
     }
 
     /// Optimises once more and moves every keyframe to where it is believed to be, however little that is.
-    pub fn settle(&mut self) -> Option<Correction> {
+    pub fn settle(&mut self) -> BackEndUpdate {
+        let mut changed = vec![];
         if self.since_optimised > 0 && self.loops.iter().any(|l| l.state == LoopState::Active) {
-            self.optimise();
+            self.optimise(&mut changed);
         }
-        self.give()
+        let loops = self.loops_at(changed);
+        BackEndUpdate { loops, correction: self.give(), ..BackEndUpdate::default() }
     }
 
-    /// Goes on with stored keyframes and loops: poses are those of the map.
-    pub fn resume<'a>(&mut self, keyframes: impl Iterator<Item = (BackEndKeyframe<'a>, Pose)>, loops: Vec<Loop>) {
+    /// Goes on with stored keyframes and loops: poses are those of the map. `next_loop` is the next loop's number.
+    pub fn resume<'a>(
+        &mut self,
+        keyframes: impl Iterator<Item = (BackEndKeyframe<'a>, Pose)>,
+        loops: Vec<Loop>,
+        next_loop: u64,
+    ) {
         for (keyframe, t_map_base) in keyframes {
             let merged_between = self.chain.nodes().last().is_some_and(|n| n.id.0 + 1 != keyframe.id.0);
             match self.poses.last().filter(|_| merged_between) {
@@ -185,7 +199,7 @@ impl BackEnd {
                 self.recognition.restore(keyframe.id, keyframe.scan, &self.by_id);
             }
         }
-        self.next_loop = loops.last().map_or(0, |l| l.id.0 + 1);
+        self.next_loop = next_loop.max(loops.last().map_or(0, |l| l.id.0 + 1));
         self.loops = loops;
     }
 
@@ -229,9 +243,10 @@ impl BackEnd {
         self.chain.push(keyframe.id, View::of(keyframe.scan), *t_prev_node, step);
     }
 
-    /// Poses by odometry alone, as long as that is known from each keyframe to the next.
+    /// Poses by odometry alone, as long as nothing but that ties keyframes to each other: where some were merged, what tied
+    /// them holds the map together.
     fn restart(&mut self) {
-        if self.thin_at > thinning::FEWEST {
+        if !self.chain.is_way() {
             return;
         }
         let mut poses: Vec<Pose> = Vec::with_capacity(self.chain.len());
@@ -252,7 +267,12 @@ impl BackEnd {
         self.poses = poses;
     }
 
-    fn optimise(&mut self) {
+    fn optimise(&mut self, changed: &mut Vec<usize>) {
+        self.solve();
+        self.doubt(changed);
+    }
+
+    fn solve(&mut self) {
         self.since_optimised = 0;
         let ties = self.active_ties();
         // A graph that cannot be solved leaves the poses as they are.
@@ -260,7 +280,6 @@ impl BackEnd {
             self.drift = solved.covariance_of_newest;
             self.place(solved.poses);
         }
-        self.doubt();
     }
 
     /// The correction, if it is time for one: the layers are rebuilt with each, so small ones wait for as many keyframes

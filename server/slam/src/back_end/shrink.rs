@@ -7,9 +7,12 @@ use std::collections::BTreeSet;
 impl BackEnd {
     /// Merges old keyframes into newer ones that see the same. Everything is moved to where it is believed to be before.
     pub(super) fn thin(&mut self, mut update: BackEndUpdate) -> BackEndUpdate {
-        if let Some(correction) = self.settle() {
+        let settled = self.settle();
+        if let Some(correction) = settled.correction {
             update.correction = Some(correction.after(update.correction.take()));
         }
+        update.loops.retain(|l| settled.loops.iter().all(|s| s.id != l.id));
+        update.loops.extend(settled.loops);
         let merges = thinning::redundant(&self.chain, &self.poses, &self.active_ties(), &self.pending_ends());
         let moves = Moves::new(&merges, self.chain.len());
         let id = |k: u32| self.chain.nodes()[k as usize].id;

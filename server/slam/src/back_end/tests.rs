@@ -60,13 +60,8 @@ fn true_loop(rng: &mut ChaCha8Rng, truth: &[Pose], from: u64, to: u64) -> LoopCl
     measured(from, to, t_from_to)
 }
 
-/// Drives with odometry that turns a little too far; the back end, and where the map has the keyframes.
-fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackEnd, Vec<Pose>) {
-    drive_along(rng, &truth(), Box::new(Script(loops)))
-}
-
-fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceRecognition>) -> (BackEnd, Vec<Pose>) {
-    let scan = Arc::new(KeyframeScan {
+fn scan() -> Arc<KeyframeScan> {
+    Arc::new(KeyframeScan {
         stamp: Timestamp(0),
         sensor: SensorId("lidar".to_owned()),
         t_base_sensor: Pose::identity(),
@@ -75,9 +70,19 @@ fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceR
         misses: vec![],
         planar: true,
         features: None,
-    });
+    })
+}
+
+/// Drives with odometry that turns a little too far; the back end, and where the map has the keyframes.
+fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackEnd, Vec<Pose>) {
+    drive_along(rng, &truth(), Box::new(Script(loops)))
+}
+
+fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceRecognition>) -> (BackEnd, Vec<Pose>) {
+    let scan = scan();
     let mut back_end = BackEnd::new(BackEndParams::default(), recognition);
     let mut merged: BTreeMap<KeyframeId, MergedKeyframe> = BTreeMap::new();
+    let mut told: BTreeMap<LoopId, Loop> = BTreeMap::new();
     let (mut t_odom_base, mut t_map_odom) = (Pose::identity(), Pose::identity());
     let mut map: Vec<Pose> = vec![];
     for k in 0..truth.len() {
@@ -94,9 +99,15 @@ fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceR
             map[id.0 as usize] = t_map_base;
         }
         merged.extend(update.merged.iter().map(|m| (m.id, *m)));
+        told.extend(update.loops.into_iter().map(|l| (l.id, l)));
+        told.retain(|id, _| !update.dissolved.contains(id));
         t_map_odom = map[k] * t_odom_base.inverse();
     }
-    for (id, t_map_base) in back_end.settle().into_iter().flat_map(|c| c.t_map_base) {
+    let settled = back_end.settle();
+    told.extend(settled.loops.into_iter().map(|l| (l.id, l)));
+    // Whoever stores what was told has all there is.
+    assert!(told.values().eq(back_end.loops()));
+    for (id, t_map_base) in settled.correction.into_iter().flat_map(|c| c.t_map_base) {
         map[id.0 as usize] = t_map_base;
     }
     // The newest first: what a keyframe merged into may have merged, too.
@@ -247,4 +258,69 @@ fn a_robot_that_stays_needs_no_more_keyframes_and_its_map_stays_true() {
     let ids: Vec<_> = back_end.loops().iter().map(|l| l.id).collect();
     assert!(ids.is_sorted());
     assert_eq!(map, drive_along(&mut ChaCha8Rng::seed_from_u64(6), &truth, rounds(7)).1);
+}
+
+#[test]
+fn a_group_that_contradicts_what_is_believed_takes_nothing_of_it_along() {
+    for seed in 0..20 {
+        let mut rng = ChaCha8Rng::seed_from_u64(100 + seed);
+        let truth = truth();
+        let mut loops = true_loops(&mut rng);
+        let true_ones = loops.clone();
+        let is_true: std::collections::BTreeSet<u64> = loops.keys().copied().collect();
+        // Rooms that resemble each other: four keyframes say the same, half a metre and more off.
+        let t_wrong =
+            se3::from_xy_yaw(rng.random_range(0.5..3.0), rng.random_range(-2.0..2.0), rng.random_range(-0.5..0.5));
+        let first = rng.random_range(150..190u64);
+        for to in (first..first + 12).filter(|k| !is_true.contains(k)).take(6) {
+            let from = to - ROUND;
+            let t_from_to =
+                truth[from as usize].inverse() * truth[to as usize] * t_wrong * noise(&mut rng, SIGMA, SIGMA);
+            loops.entry(to).or_default().push(measured(from, to, t_from_to));
+        }
+        let (_, undisturbed) = drive(&mut ChaCha8Rng::seed_from_u64(200 + seed), true_ones);
+        let (back_end, map) = drive(&mut ChaCha8Rng::seed_from_u64(200 + seed), loops);
+        for l in back_end.loops() {
+            let right = is_true.contains(&l.closure.to.0);
+            assert_eq!(l.state == LoopState::Active, right, "seed {seed}: {} to {}", l.closure.from.0, l.closure.to.0);
+        }
+        let (with, without) = (rmse(&map), rmse(&undisturbed));
+        assert!(with < 0.005 + 1.2 * without, "seed {seed}: {with} {without}");
+    }
+}
+
+#[test]
+fn a_gap_stays_one_after_a_restart() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let truth = truth();
+    let scan = scan();
+    let gap = 100;
+    // Carried while nothing was seen: odometry guesses on, metres off, and loops say where the robot is.
+    let t_guess = se3::from_xy_yaw(4.0, -3.0, 0.8);
+    let at = |k: usize| if k < gap { truth[k] } else { truth[gap - 1] * t_guess * truth[gap - 1].inverse() * truth[k] };
+    let node = |k: usize| BackEndKeyframe {
+        id: KeyframeId(k as u64),
+        t_odom_base: at(k),
+        covariance: Covariance6::identity() * 1e-6 * k as f64,
+        scan: &scan,
+        recognise: true,
+        after_gap: k == gap,
+    };
+    let loops = (gap..truth.len()).step_by(4).enumerate().map(|(i, k)| Loop {
+        id: LoopId(i as u64),
+        closure: true_loop(&mut rng, &truth, k as u64 - ROUND, k as u64),
+        state: LoopState::Active,
+    });
+    let loops: Vec<Loop> = loops.collect();
+    let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(Script(BTreeMap::new())));
+    let next = loops.len() as u64;
+    back_end.resume((0..truth.len()).map(|k| (node(k), truth[k])), loops.clone(), next + 5);
+    let vetoed = back_end.veto(LoopId(3), true).unwrap();
+    assert!(vetoed.loops.iter().all(|l| l.id == LoopId(3)), "others go with it");
+    let off = back_end.poses().values().zip(&truth).map(|(a, b)| (a.translation.vector - b.translation.vector).norm());
+    assert!(off.fold(0.0, f64::max) < 0.1);
+    // Undone, it is what it was; and a number is not given twice.
+    assert_eq!(back_end.veto(LoopId(3), false).unwrap().loops[0].state, LoopState::Active);
+    let again = back_end.propose(vec![measured(0, 50, truth[0].inverse() * truth[50])]);
+    assert_eq!(again.loops[0].id, LoopId(next + 5));
 }

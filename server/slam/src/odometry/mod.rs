@@ -76,6 +76,8 @@ pub struct Odometry {
     velocity: Option<Vector6<f64>>,
     limits: MotionLimits,
     uncertainty: Uncertainty,
+    /// Of the newest estimate.
+    covariance: Covariance6,
     rhythm: Rhythm,
     /// Of the newest measurement against the local model: what it left open is open for the next one too.
     left_open: Covariance6,
@@ -114,6 +116,7 @@ impl Odometry {
             velocity: None,
             limits,
             uncertainty: Uncertainty::default(),
+            covariance: Covariance6::zeros(),
             rhythm: Rhythm::default(),
             left_open: Covariance6::zeros(),
             usual_inlier_ratio: 0.0,
@@ -127,11 +130,15 @@ impl Odometry {
     /// A frame that cannot be placed gives `Lost` with the prediction as pose; the next frames are tried
     /// against the same model until `restart_after_frames` of them are lost.
     pub fn register(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) -> OdometryEstimate {
-        if let Some(mono) = self.model.as_mono() {
-            let estimate = mono.track(stamp, scan, prior);
-            self.follow(&estimate);
-            return estimate;
-        }
+        let estimate = match self.model.as_mono().map(|mono| mono.track(stamp, scan, prior)) {
+            Some(estimate) => self.follow(estimate),
+            None => self.register_frame(stamp, scan, prior),
+        };
+        self.covariance = estimate.covariance;
+        estimate
+    }
+
+    fn register_frame(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) -> OdometryEstimate {
         let stamped = self.last_stamp.map_or(0.0, |last| stamp.seconds_since(last).max(0.0));
         self.rhythm.tick(stamped);
         let dt = self.rhythm.elapsed(stamped);
@@ -167,7 +174,7 @@ impl Odometry {
     }
 
     /// Takes over what a method found that keeps a state of its own. Steps tell a velocity only in metres.
-    fn follow(&mut self, estimate: &OdometryEstimate) {
+    fn follow(&mut self, estimate: OdometryEstimate) -> OdometryEstimate {
         let dt = self.last_stamp.map_or(0.0, |last| estimate.stamp.seconds_since(last));
         let step = se3::log(&self.t_odom_base.inv_mul(&estimate.t_odom_base));
         let both = estimate.state.is_tracking() && self.num_lost == 0 && estimate.scale.is_metric();
@@ -175,6 +182,7 @@ impl Odometry {
         self.velocity = (both && near).then(|| step / dt).filter(|v| v.fixed_rows::<3>(0).norm() < self.limits.speed);
         self.num_lost = if estimate.state.is_tracking() { 0 } else { self.num_lost + 1 };
         (self.t_odom_base, self.last_stamp) = (estimate.t_odom_base, Some(estimate.stamp));
+        estimate
     }
 
     /// How the past moved with the newest frame, where the method closes loops in a map of its own (a camera's): stamps,
@@ -203,7 +211,7 @@ impl Odometry {
 
     /// Of the newest pose since the start, drift included, right perturbation in base.
     pub fn covariance(&self) -> Covariance6 {
-        self.uncertainty.covariance()
+        self.covariance
     }
 
     /// The newest pose, base to odom.

@@ -104,9 +104,7 @@ impl Odometry {
         }
         let off = se3::log(&prediction.t_odom_base.inv_mul(&found.t_odom_base));
         let is_seen = |k: usize| !found.degenerate_axes[k] || off[k].abs() < 3.0 * prediction.covariance[(k, k)].sqrt();
-        (0..6).all(is_seen)
-            && found.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio
-            && self.model.is_certain(found)
+        (0..6).all(is_seen) && found.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio && self.model.is_certain(found)
     }
 
     /// Undoes the sweep's motion again where it was other than assumed, and places the scan once more.
