@@ -3,6 +3,9 @@
 use crate::{EvaluationError, PosePair, positive, trajectory::path_length};
 use serde::{Deserialize, Serialize};
 
+/// Lengths that segments may have, each of which takes a pass over the poses.
+const MOST_LENGTHS: usize = 64;
+
 /// Which segments the KITTI figure is averaged over.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -25,6 +28,14 @@ impl SegmentParams {
     /// # Errors
     /// `InvalidParam` naming the field.
     pub fn validate(&self) -> Result<(), EvaluationError> {
+        if self.lengths_m.len() > MOST_LENGTHS {
+            let value = self.lengths_m.len() as f64;
+            return Err(EvaluationError::InvalidParam {
+                field: "number of lengths_m",
+                value,
+                requirement: "at most 64",
+            });
+        }
         for &length in &self.lengths_m {
             positive("lengths_m", length)?;
         }

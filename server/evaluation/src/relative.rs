@@ -150,9 +150,7 @@ fn all_stretches(pairs: &[PosePair], delta: Delta, scale: f64) -> Result<Vec<(us
         } else {
             after
         };
-        while last > first + 1 && travelled[last - 1] == travelled[last] {
-            last -= 1;
-        }
+        last = travelled.partition_point(|&t| t < travelled[last]).max(first + 1).min(last);
         if last > first && away(last) <= tolerance {
             out.push((first, last));
         }

@@ -57,4 +57,10 @@ pub enum FrameError {
         /// Finite points sent.
         num_points: usize,
     },
+    /// A point's time lies too far from its frame's stamp.
+    #[error("a point's time is {seconds} s from the frame's stamp, more than 10 s")]
+    TimeOffsetTooLarge {
+        /// As sent.
+        seconds: f32,
+    },
 }

@@ -6,6 +6,9 @@ use percept_slam::{CloudScan, DepthScan, ImageScan, PlanarScan, Scan};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// No sweep takes longer: points whose times lie farther from the frame's stamp are in another unit, seconds.
+const MOST_OFFSET_S: f32 = 10.0;
+
 /// Checks a frame against its sensor's declaration and last stamp, changing nothing.
 ///
 /// # Errors
@@ -51,7 +54,8 @@ fn check_cloud(cloud: &percept_geometry::PointCloud) -> Result<(), FrameError> {
     if finite.clone().all(|p| p == first) {
         return Err(FrameError::CloudDegenerate { num_points: 1 + finite.count() });
     }
-    Ok(())
+    let far = cloud.time_offsets_s.iter().flatten().find(|t| t.abs() > MOST_OFFSET_S);
+    far.map_or(Ok(()), |&seconds| Err(FrameError::TimeOffsetTooLarge { seconds }))
 }
 
 #[derive(Debug, Clone)]

@@ -1,5 +1,6 @@
 //! Metrics against ground truth.
 
+use super::toolbox::budget;
 use crate::{Error, Result, Service};
 use percept_evaluation::{
     Alignment, Delta, DetectionScore, EvaluationError, FoundObject, PosePair, RelationScore, Trajectory,
@@ -41,7 +42,7 @@ impl Service {
         &self,
         comparison: TrajectoryComparison,
     ) -> Result<(TrajectoryScore, Vec<PosePair>)> {
-        self.compute.request(move || compare(comparison)).await?.map_err(|e| evaluation_error(&e))
+        self.evaluate(move || compare(comparison)).await
     }
 
     /// A trajectory (ascending stamps) judged by checked motions; poses are interpolated over at most `max_gap_s`
@@ -56,7 +57,14 @@ impl Service {
         max_gap_s: Option<f64>,
     ) -> Result<RelationScore> {
         let work = move || score_relations(&Trajectory::new(trajectory)?, &relations, max_gap_s.unwrap_or(2.0));
-        self.compute.request(work).await?.map_err(|e| evaluation_error(&e))
+        self.evaluate(work).await
+    }
+
+    async fn evaluate<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> std::result::Result<T, EvaluationError> + Send + 'static,
+    ) -> Result<T> {
+        self.compute.request_within(budget(&self.limits), work).await?.map_err(|e| evaluation_error(&e))
     }
 
     /// Precision and recall of boxes; a pair matches at `min_iou` (0.25 if none).
@@ -70,7 +78,7 @@ impl Service {
         min_iou: Option<f64>,
     ) -> Result<DetectionScore> {
         let work = move || match_detections(&truth, &found, min_iou.unwrap_or(0.25));
-        self.compute.request(work).await?.map_err(|e| evaluation_error(&e))
+        self.evaluate(work).await
     }
 }
 

@@ -48,6 +48,13 @@ pub(crate) fn frame_error(e: &FrameError) -> Error {
             "cloud",
             format!("cloud has {num_points} points and none is finite; send at least one return"),
         ),
+        FrameError::TimeOffsetTooLarge { seconds } => Error::invalid(
+            "TIME_OFFSET_TOO_LARGE",
+            "cloud.time_offsets_s",
+            format!(
+                "cloud.time_offsets_s has {seconds}, more than 10 s from the frame's stamp; send seconds from the stamp"
+            ),
+        ),
         FrameError::CloudDegenerate { num_points } => Error::invalid(
             "CLOUD_DEGENERATE",
             "cloud",

@@ -49,7 +49,7 @@ impl SensorStatus {
         if let Some(offset) = self.clock_offset_s.filter(|o| o.abs() > TELLING_OFFSET_S) {
             let (ms, which) = ((offset.abs() * 1e3).round(), if offset > 0.0 { "late" } else { "early" });
             troubles.push(format!(
-                "its stamps are {ms} ms {which}, compared with the pose sensor's; declare time_offset_s {:.3}",
+                "its stamps are {ms} ms {which}, compared with the pose sensor's; declare it under a new name with time_offset_s {:.3}",
                 self.declaration.spec.time_offset_s - offset
             ));
         }

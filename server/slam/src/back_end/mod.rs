@@ -17,7 +17,7 @@ mod tests;
 
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use chain::{Chain, step_covariance};
-use percept_geometry::{Correction, Covariance6, KeyframeScan, Pose, se3};
+use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, se3};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 pub use thinning::MergedKeyframe;
@@ -182,6 +182,10 @@ impl BackEnd {
         loops: Vec<Loop>,
         next_loop: u64,
     ) {
+        let mut ties: BTreeMap<KeyframeId, Vec<KeyframeId>> = BTreeMap::new();
+        for l in loops.iter().filter(|l| l.state == LoopState::Active) {
+            ties.entry(l.closure.to).or_default().push(l.closure.from);
+        }
         for (keyframe, t_map_base) in keyframes {
             let merged_between = self.chain.nodes().last().is_some_and(|n| n.id.0 + 1 != keyframe.id.0);
             match self.poses.last().filter(|_| merged_between) {
@@ -196,11 +200,16 @@ impl BackEnd {
             }
             self.by_id.insert(keyframe.id, t_map_base);
             if keyframe.recognise {
-                self.recognition.restore(keyframe.id, keyframe.scan, &self.by_id);
+                let ties = ties.get(&keyframe.id).map_or(&[][..], Vec::as_slice);
+                self.recognition.restore(keyframe.id, keyframe.scan, &self.drift, &self.by_id, ties);
             }
         }
         self.next_loop = next_loop.max(loops.last().map_or(0, |l| l.id.0 + 1));
         self.loops = loops;
+        // What loops left of the drift; the map stays as it was stored.
+        if let Some(solved) = solve::solve(&self.chain, &self.active_ties(), &self.poses) {
+            self.drift = solved.covariance_of_newest;
+        }
     }
 
     fn extend(&mut self, keyframe: &BackEndKeyframe<'_>, t_map_base: &Pose) {

@@ -1,7 +1,7 @@
 //! A drive on a circle with made loops, true and false.
 
 use super::*;
-use percept_geometry::{KeyframeId, PointCloud, SensorId, Timestamp};
+use percept_geometry::{PointCloud, SensorId, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
@@ -10,6 +10,8 @@ use std::collections::BTreeMap;
 struct Script(BTreeMap<u64, Vec<LoopClosure>>);
 
 impl PlaceRecognition for Script {
+    fn restore(&mut self, _: KeyframeId, _: &Arc<KeyframeScan>, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
+
     fn insert(
         &mut self,
         id: KeyframeId,
@@ -216,6 +218,8 @@ struct Rounds {
 }
 
 impl PlaceRecognition for Rounds {
+    fn restore(&mut self, _: KeyframeId, _: &Arc<KeyframeScan>, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
+
     fn insert(
         &mut self,
         id: KeyframeId,

@@ -56,10 +56,15 @@ pub trait PlaceRecognition: Send {
         poses: &KeyframePoses,
     ) -> Vec<LoopClosure>;
 
-    /// Takes a keyframe in whose loops are known already.
-    fn restore(&mut self, id: KeyframeId, scan: &Arc<KeyframeScan>, poses: &KeyframePoses) {
-        let _known = self.insert(id, scan, &Covariance6::zeros(), poses);
-    }
+    /// Takes a stored keyframe in, with the earlier ones that loops tie it to: nothing is looked for.
+    fn restore(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        drift: &Covariance6,
+        poses: &KeyframePoses,
+        ties: &[KeyframeId],
+    );
 
     /// Where a scan is among the keyframes taken in; none unless that is certain.
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation>;

@@ -96,7 +96,8 @@ impl Toolbox {
     }
 }
 
-fn budget(limits: &Limits) -> Duration {
+/// How long a request may compute.
+pub(crate) fn budget(limits: &Limits) -> Duration {
     Duration::from_millis(limits.max_computation_ms as u64)
 }
 

@@ -242,6 +242,18 @@ impl PlaceRecognition for PlanarPlaces {
         closures
     }
 
+    fn restore(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        drift: &Covariance6,
+        poses: &KeyframePoses,
+        ties: &[KeyframeId],
+    ) {
+        self.travelled_m = self.keep(id, scan, drift, poses);
+        ties.iter().for_each(|&from| self.links.tie(from, id, TIE_M));
+    }
+
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
         Lost { before: vec![], scan }.find(&self.kept, poses)
     }

@@ -74,8 +74,26 @@ impl SpatialRecognition {
         (STRETCH_PER_RANGE * usual).clamp(STRETCH.0, STRETCH.1)
     }
 
+    /// Adds a keyframe to the stretch that is being gathered. With the `drift` so far, a map that this closes is compared with
+    /// earlier ones.
+    fn take(&mut self, id: KeyframeId, scan: &Arc<KeyframeScan>, drift: Option<&Covariance6>, poses: &KeyframePoses) {
+        let Some(&t_map_base) = poses.get(&id).filter(|_| !scan.planar) else { return };
+        let step = self
+            .recent
+            .back()
+            .map_or(0.0, |g| (g.t_map_base.translation.vector - t_map_base.translation.vector).norm());
+        let travel = self.recent.back().map_or(0.0, |g| g.travel) + step;
+        if !self.recent.is_empty()
+            && (travel - self.closed_at > 0.5 * self.stretch() || self.since_closed >= MOST_KEYFRAMES / 2)
+        {
+            self.close(drift, poses);
+        }
+        self.since_closed += 1;
+        self.recent.push_back(Gathered { id, scan: Arc::clone(scan), t_map_base, travel });
+    }
+
     /// Makes a local map of the last stretch, and drops the keyframes that the next one will not need.
-    fn close(&mut self, drift: &Covariance6, poses: &KeyframePoses) {
+    fn close(&mut self, drift: Option<&Covariance6>, poses: &KeyframePoses) {
         let stretch = self.stretch();
         let Some(end) = self.recent.back().map(|g| g.travel) else { return };
         while self.recent.len() > MOST_KEYFRAMES || self.recent.front().is_some_and(|g| end - g.travel > stretch) {
@@ -88,7 +106,9 @@ impl SpatialRecognition {
         (self.closed_at, self.since_closed) = (end, 0);
         let Some(map) = made else { return };
         self.next_map += 1;
-        self.propose(&map, drift, poses);
+        if let Some(drift) = drift {
+            self.propose(&map, drift, poses);
+        }
         self.maps.push(map);
         self.bound_memory(poses);
     }
@@ -184,23 +204,19 @@ impl PlaceRecognition for SpatialRecognition {
         drift: &Covariance6,
         poses: &KeyframePoses,
     ) -> Vec<LoopClosure> {
-        let Some(&t_map_base) = poses.get(&id) else { return vec![] };
-        if scan.planar {
-            return vec![];
-        }
-        let step = self
-            .recent
-            .back()
-            .map_or(0.0, |g| (g.t_map_base.translation.vector - t_map_base.translation.vector).norm());
-        let travel = self.recent.back().map_or(0.0, |g| g.travel) + step;
-        if !self.recent.is_empty()
-            && (travel - self.closed_at > 0.5 * self.stretch() || self.since_closed >= MOST_KEYFRAMES / 2)
-        {
-            self.close(drift, poses);
-        }
-        self.since_closed += 1;
-        self.recent.push_back(Gathered { id, scan: Arc::clone(scan), t_map_base, travel });
+        self.take(id, scan, Some(drift), poses);
         self.register_next().into_iter().collect()
+    }
+
+    fn restore(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        _drift: &Covariance6,
+        poses: &KeyframePoses,
+        _ties: &[KeyframeId],
+    ) {
+        self.take(id, scan, None, poses);
     }
 
     fn relocalise(&self, scan: &KeyframeScan, _poses: &KeyframePoses) -> Option<Relocalisation> {

@@ -79,6 +79,17 @@ impl PlaceRecognition for VisualPlaces {
         loops
     }
 
+    fn restore(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        _drift: &Covariance6,
+        _poses: &KeyframePoses,
+        _ties: &[KeyframeId],
+    ) {
+        self.remember(id, scan);
+    }
+
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
         self.candidates(scan, |k| poses.contains_key(&k))
             .into_iter()
