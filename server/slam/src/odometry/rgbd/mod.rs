@@ -298,12 +298,7 @@ impl LocalModel for Rgbd {
         self.frame.unmark();
         self.moving = Moving::default();
         let found = self.align(&camera, covariance)?;
-        // Wheels hold the pose against what moves, and better than what is left of a room where parts of it were taken for
-        // moving, as happens after gaps.
-        let found = match prediction.is_measured {
-            true => found,
-            false => self.without_moving(&camera, covariance, found)?,
-        };
+        let found = self.without_moving(&camera, covariance, found)?;
         if self.moving.share > MAX_MOVING || self.is_guesswork(&camera, &prediction.covariance, &found.t_odom_base) {
             return Err(LostReason::ResidualTooLarge);
         }
