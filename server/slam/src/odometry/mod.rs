@@ -86,6 +86,8 @@ pub struct Odometry {
     num_lost: usize,
     /// Since the last placed frame, seconds.
     unplaced_s: f64,
+    /// Whether frames were missing when the first one was lost.
+    after_silence: bool,
 }
 
 impl std::fmt::Debug for Odometry {
@@ -122,6 +124,7 @@ impl Odometry {
             usual_inlier_ratio: 0.0,
             num_lost: 0,
             unplaced_s: 0.0,
+            after_silence: false,
         }
     }
 
@@ -165,7 +168,7 @@ impl Odometry {
                 }
                 self.tracked(stamp, dt, found)
             }
-            Err(_) if self.num_lost + 1 >= self.params.tracking.restart_after_frames => {
+            Err(_) if self.num_lost + 1 >= self.patience(dt) => {
                 self.model.clear();
                 self.start(stamp, &prediction)
             }
@@ -295,6 +298,7 @@ impl Odometry {
     }
 
     fn lost(&mut self, stamp: Timestamp, dt: f64, prediction: &Prediction, reason: LostReason) -> OdometryEstimate {
+        self.after_silence = self.is_after_silence(dt);
         self.num_lost += 1;
         self.unplaced_s += dt;
         self.advance(prediction);

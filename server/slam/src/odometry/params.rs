@@ -115,6 +115,8 @@ pub(super) struct MotionLimits {
     pub(super) acceleration: f64,
     pub(super) turn_acceleration: f64,
     pub(super) smoothing: f64,
+    /// Frames in a row that do not fit after a silence, from which on they are of another place.
+    pub(super) frames_after_silence: usize,
     /// Whether the scene often leaves a direction open that a later frame decides (corridors in the plane).
     pub(super) remembers_open: bool,
 }
@@ -132,6 +134,8 @@ impl MotionLimits {
             acceleration: params.acceleration_mps2.unwrap_or(acceleration),
             turn_acceleration: params.turn_acceleration_radps2.unwrap_or(turn_acceleration),
             smoothing,
+            // A camera's features find a place again in a second; a lidar has to drive for that, and comes back sooner.
+            frames_after_silence: if kind == OdometryKind::Rgbd { 5 } else { usize::MAX },
             remembers_open: kind == OdometryKind::Lidar2d,
         }
     }

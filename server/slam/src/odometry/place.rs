@@ -132,6 +132,17 @@ impl Odometry {
         self.plausible(dt, found)
     }
 
+    /// Whether frames were missing before the first one that could not be placed.
+    pub(super) fn is_after_silence(&self, dt: f64) -> bool {
+        dt > self.params.tracking.max_gap_s || (self.num_lost > 0 && self.after_silence)
+    }
+
+    /// Lost frames in a row after which the local model starts anew.
+    pub(super) fn patience(&self, dt: f64) -> usize {
+        let most = self.params.tracking.restart_after_frames;
+        if self.is_after_silence(dt) { most.min(self.limits.frames_after_silence) } else { most }
+    }
+
     fn is_after_gap(&self, dt: f64) -> bool {
         self.unplaced_s + dt > self.params.tracking.max_gap_s
     }
@@ -150,5 +161,74 @@ impl Odometry {
         }
         // Meanwhile somebody may have carried the robot to a place that resembles the old one.
         if self.is_after_gap(dt) && !self.model.is_certain(&found) { Err(LostReason::TimeGap) } else { Ok(found) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::odometry::{LocalModel, OdometryKind, OdometryParams};
+    use crate::scan::CloudScan;
+    use percept_geometry::{KeyframeScan, PointCloud, Timestamp};
+    use std::sync::Arc;
+
+    /// Fits badly where it is expected and well where the robot was before.
+    struct Doorway {
+        inlier_ratio_before: f64,
+        is_open_ahead: bool,
+        is_certain: bool,
+        is_empty: bool,
+    }
+
+    impl LocalModel for Doorway {
+        fn prepare(&mut self, _: &Scan, _: &Vector6<f64>) -> Result<(), LostReason> {
+            Ok(())
+        }
+        fn is_empty(&self) -> bool {
+            self.is_empty
+        }
+        fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason> {
+            let is_before = prediction.t_odom_base.translation.vector.norm() < 0.01;
+            Ok(Match {
+                t_odom_base: prediction.t_odom_base,
+                covariance: diagonal(0.001, 0.001),
+                inlier_ratio: if is_before { self.inlier_ratio_before } else { 0.4 },
+                rmse_m: 0.001,
+                iterations: 1,
+                degenerate_axes: [is_before && self.is_open_ahead, false, false, false, false, false],
+            })
+        }
+        fn is_certain(&self, _: &Match) -> bool {
+            self.is_certain
+        }
+        fn integrate(&mut self, _: &Pose) {
+            self.is_empty = false;
+        }
+        fn clear(&mut self) {}
+        fn seed(&mut self, _: &Pose, _: &[(Pose, Arc<KeyframeScan>)]) {}
+    }
+
+    /// Where the robot is said to be along x, in metres, when wheels say that it drove half a metre.
+    fn driven(model: Doorway) -> f64 {
+        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+        odometry.model = Box::new(model);
+        let scan = Scan::Cloud(CloudScan { cloud: Arc::new(PointCloud::default()), t_base_sensor: Pose::identity() });
+        let stay = MotionPrior { t_prev_now: Pose::identity(), covariance: diagonal(0.002, 0.002) };
+        for k in 0..20 {
+            odometry.register(Timestamp::from_secs_f64(0.1 * f64::from(k)), &scan, Some(&stay));
+        }
+        let drive = MotionPrior { t_prev_now: se3::from_xy_yaw(0.5, 0.0, 0.1), covariance: diagonal(0.005, 0.005) };
+        let estimate = odometry.register(Timestamp::from_secs_f64(2.5), &scan, Some(&drive));
+        assert!(estimate.state.is_tracking());
+        estimate.t_odom_base.translation.x
+    }
+
+    #[test]
+    fn wheels_are_denied_by_what_shows_the_motion_and_by_nothing_less() {
+        let slipped = || Doorway { inlier_ratio_before: 0.8, is_open_ahead: false, is_certain: true, is_empty: true };
+        assert!(driven(slipped()).abs() < 1e-9);
+        // It fits anywhere along the wall, or contradicts what was seen: the robot was left behind by the whole step.
+        assert!((driven(Doorway { is_open_ahead: true, ..slipped() }) - 0.5).abs() < 1e-9);
+        assert!((driven(Doorway { is_certain: false, ..slipped() }) - 0.5).abs() < 1e-9);
     }
 }

@@ -63,6 +63,58 @@ fn after_a_kidnap_the_camera_finds_itself_without_a_guess_and_never_in_a_wrong_p
     assert!(asked.iter().all(|(_, scan)| places.relocalise(scan, &poses).is_none()));
 }
 
+/// Views with where base was.
+type Views = Vec<(Pose, Arc<KeyframeScan>)>;
+
+/// What a lost robot saw: the first views as the way, with base then seen from base at the last one.
+fn way(views: &[(Pose, Arc<KeyframeScan>)]) -> (Views, Pose, Arc<KeyframeScan>) {
+    let (now, scan) = views.last().unwrap();
+    let before = views[..views.len() - 1].iter().map(|(then, s)| (now.inv_mul(then), Arc::clone(s))).collect();
+    (before, *now, Arc::clone(scan))
+}
+
+#[test]
+fn a_lost_camera_is_placed_by_several_views_that_agree_and_not_by_one() {
+    let (places, poses) = taken_in(&drive(2, 1, 1.0, 12.0));
+    let asked = drive(2, 7, 0.8, 11.0);
+    let mut found = 0;
+    for views in asked.windows(4) {
+        let (before, truth, scan) = way(views);
+        assert_eq!(places.relocalise_driven(&[], &scan, &poses), None);
+        assert_eq!(places.relocalise_driven(&before[2..], &scan, &poses), None);
+        if let Some(r) = places.relocalise_driven(&before, &scan, &poses) {
+            let off = truth.inverse() * poses[&r.keyframe] * r.t_keyframe_base;
+            assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.02, "{off}");
+            found += 1;
+        }
+    }
+    assert!(found >= 2, "{found}");
+}
+
+#[test]
+fn a_way_that_does_not_fit_where_a_view_does_places_nothing() {
+    let (places, poses) = taken_in(&drive(2, 1, 1.0, 12.0));
+    for views in drive(2, 7, 0.8, 11.0).windows(4) {
+        let (before, _, scan) = way(views);
+        // The same views, but turned by half a right angle more on the way than was driven.
+        let turn = se3::from_xy_yaw(0.0, 0.0, 0.8);
+        let elsewhere: Vec<_> = before.into_iter().map(|(t, s)| (turn * t, s)).collect();
+        assert_eq!(places.relocalise_driven(&elsewhere, &scan, &poses), None);
+    }
+}
+
+#[test]
+fn of_two_rooms_that_are_alike_neither_is_claimed() {
+    let keyframes = drive(2, 1, 1.0, 8.0);
+    let twin = se3::from_xy_yaw(30.0, 5.0, 1.0);
+    let again: Vec<_> = drive(2, 3, 1.0, 8.0).into_iter().map(|(t, s)| (twin * t, s)).collect();
+    let (places, poses) = taken_in(&[keyframes, again].concat());
+    for views in drive(2, 7, 0.8, 8.0).windows(4) {
+        let (before, _, scan) = way(views);
+        assert_eq!(places.relocalise_driven(&before, &scan, &poses), None);
+    }
+}
+
 #[test]
 fn another_house_is_not_taken_for_this_one() {
     let (places, poses) = taken_in(&drive(2, 1, 1.0, 8.0));

@@ -3,9 +3,11 @@
 //! Candidates by binary features ([`index`]), the motion by their points ([`rigid`]), then the whole surface
 //! ([`crate::odometry::rgbd::place`]): enough of it fits and none of it contradicts. Without colour there are no features,
 //! and no place is found again: blank depth of one room's corner fits another's too well to be trusted. A camera without
-//! depth has the points of its features alone: so many more of these have to agree.
+//! depth has the points of its features alone: so many more of these have to agree. A robot that may be anywhere is placed
+//! by several views ([`lost`]).
 
 mod index;
+mod lost;
 mod rigid;
 
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
@@ -62,7 +64,7 @@ impl PlaceRecognition for VisualPlaces {
     ) -> Vec<LoopClosure> {
         let newest_old = id.0.saturating_sub(RECENT);
         let loops = self
-            .candidates(scan, |k| k.0 < newest_old)
+            .candidates(scan, MAX_CANDIDATES, |k| k.0 < newest_old)
             .into_iter()
             .filter_map(|from| {
                 let placed = self.verify(from, scan, poses)?;
@@ -91,16 +93,20 @@ impl PlaceRecognition for VisualPlaces {
     }
 
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
-        self.candidates(scan, |k| poses.contains_key(&k))
+        self.candidates(scan, MAX_CANDIDATES, |k| poses.contains_key(&k))
             .into_iter()
-            .filter_map(|keyframe| self.verify(keyframe, scan, poses).map(|placed| (keyframe, placed)))
-            .max_by(|a, b| a.1.inlier_ratio.total_cmp(&b.1.inlier_ratio))
-            .map(|(keyframe, placed)| Relocalisation {
-                keyframe,
-                t_keyframe_base: placed.t_place_base,
-                covariance: placed.covariance,
-                inlier_ratio: placed.inlier_ratio,
-            })
+            .filter_map(|keyframe| self.found(keyframe, scan, poses))
+            .max_by(|a, b| a.inlier_ratio.total_cmp(&b.inlier_ratio))
+    }
+
+    fn relocalise_driven(
+        &self,
+        before: &[(Pose, Arc<KeyframeScan>)],
+        scan: &KeyframeScan,
+        poses: &KeyframePoses,
+    ) -> Option<Relocalisation> {
+        // Without surfaces nothing but features could agree, and those are asked for more.
+        if self.is_sparse { self.relocalise(scan, poses) } else { self.find_driven(before, scan, poses) }
     }
 
     fn forget(&mut self, id: KeyframeId) {
@@ -131,8 +137,8 @@ impl VisualPlaces {
         }
     }
 
-    /// The keyframes that look most alike, not next to each other; best first.
-    fn candidates(&self, scan: &KeyframeScan, allowed: impl Fn(KeyframeId) -> bool) -> Vec<KeyframeId> {
+    /// At most so many keyframes that look most alike, not next to each other; best first.
+    fn candidates(&self, scan: &KeyframeScan, most: usize, allowed: impl Fn(KeyframeId) -> bool) -> Vec<KeyframeId> {
         let query = descriptors(scan, MAX_INDEXED);
         let votes = self.index.votes(&query, |(id, i)| self.known.get(&id)?.indexed.get(usize::from(i)));
         let mut ranked: Vec<(u32, KeyframeId)> =
@@ -140,11 +146,22 @@ impl VisualPlaces {
         ranked.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
         let mut out: Vec<KeyframeId> = vec![];
         for (_, id) in ranked {
-            if out.len() < MAX_CANDIDATES && out.iter().all(|o| o.0.abs_diff(id.0) > 1) {
+            if out.len() < most && out.iter().all(|o| o.0.abs_diff(id.0) > 1) {
                 out.push(id);
             }
         }
         out
+    }
+
+    /// The scan placed by a keyframe; none unless features and surfaces agree.
+    fn found(&self, keyframe: KeyframeId, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
+        let placed = self.verify(keyframe, scan, poses)?;
+        Some(Relocalisation {
+            keyframe,
+            t_keyframe_base: placed.t_place_base,
+            covariance: placed.covariance,
+            inlier_ratio: placed.inlier_ratio,
+        })
     }
 
     /// Where base of the scan is, seen from base at keyframe `from`; none unless features and surfaces agree.

@@ -1,0 +1,126 @@
+//! A robot that may be anywhere: one view proposes where it is, what it saw on the way has to agree.
+//!
+//! Rooms resemble each other, and one view of a corner with a picture on the wall all the more. So a place that a view was
+//! found in counts only if the views from the way, put where odometry says that they were then, lie on the surfaces that
+//! the map has there and look through none of them; and only if no other place does as well.
+
+use super::{MAX_IN_FRONT, MAX_SEEN_THROUGH, MIN_INLIERS, VisualPlaces};
+use crate::loops::{KeyframePoses, Relocalisation};
+use crate::odometry::diagonal;
+use crate::odometry::rgbd::place::place;
+use percept_geometry::{KeyframeScan, Pose};
+use std::sync::Arc;
+
+/// Places that are looked at: where there are more, nothing tells them apart.
+const MAX_PLACES: usize = 6;
+/// Places nearer than this are one: metres and radians.
+const SAME: (f64, f64) = (0.3, 0.2);
+/// A view from the way tells something of its own if it is so far from the newest one: metres and radians.
+const APART: (f64, f64) = (0.3, 0.2);
+/// Views from the way that are looked at, and how many of them have to agree.
+const WITNESSES: usize = 6;
+const MIN_AGREE: usize = 2;
+/// Keyframes that show what a view may see stand so near to it: metres and radians.
+const NEAR: (f64, f64) = (1.0, 0.6);
+const MAX_NEAR: usize = 3;
+/// Error of odometry from then to now, metres and radians, and what a view may be off by.
+const ODOMETRY: (f64, f64) = (0.05, 0.03);
+const WINDOW: (f64, f64) = (0.2, 0.1);
+
+/// What a view from the way says of a place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Word {
+    Agrees,
+    /// The map has seen that view, and it does not lie there.
+    Against,
+    /// It looks through what the map has there, or sees what the map looked through.
+    Contradicts,
+    /// The map has not seen it.
+    Nothing,
+}
+
+/// Larger of both shares: below 1 is nearer than the limits.
+fn share(t: &Pose, (m, rad): (f64, f64)) -> f64 {
+    (t.translation.vector.norm() / m).max(t.rotation.angle() / rad)
+}
+
+impl VisualPlaces {
+    /// The only place where the newest view was found and the views from the way agree; see
+    /// [`crate::loops::PlaceRecognition::relocalise_driven`].
+    pub(super) fn find_driven(
+        &self,
+        before: &[(Pose, Arc<KeyframeScan>)],
+        scan: &KeyframeScan,
+        poses: &KeyframePoses,
+    ) -> Option<Relocalisation> {
+        let witnesses: Vec<_> = before.iter().rev().filter(|(t, _)| share(t, APART) >= 1.0).take(WITNESSES).collect();
+        if witnesses.len() < MIN_AGREE {
+            return None;
+        }
+        let agrees = |t_map_base: &Pose| {
+            let (mut agree, mut against) = (0, 0);
+            for (t_now_then, then) in &witnesses {
+                match self.ask(then, &(t_map_base * t_now_then), poses) {
+                    Word::Agrees => agree += 1,
+                    Word::Against => against += 1,
+                    Word::Contradicts => return false,
+                    Word::Nothing => {}
+                }
+            }
+            agree >= MIN_AGREE && 3 * against <= agree
+        };
+        let mut found = self.places(scan, poses).into_iter().filter(|(t_map_base, _)| agrees(t_map_base));
+        let (_, first) = found.next()?;
+        found.next().is_none().then_some(first)
+    }
+
+    /// Every place where a view is found, best first, with base to map.
+    fn places(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Vec<(Pose, Relocalisation)> {
+        let candidates = self.candidates(scan, MAX_PLACES, |k| poses.contains_key(&k));
+        let mut found: Vec<(Pose, Relocalisation)> = candidates
+            .into_iter()
+            .filter_map(|k| {
+                let found = self.found(k, scan, poses)?;
+                Some((poses.get(&k)? * found.t_keyframe_base, found))
+            })
+            .collect();
+        found.sort_by(|a, b| b.1.inlier_ratio.total_cmp(&a.1.inlier_ratio));
+        let mut out: Vec<(Pose, Relocalisation)> = vec![];
+        for place in found {
+            if out.iter().all(|o| share(&o.0.inv_mul(&place.0), SAME) >= 1.0) {
+                out.push(place);
+            }
+        }
+        out
+    }
+
+    /// What a view says, if base was at `t_map_then`.
+    fn ask(&self, then: &KeyframeScan, t_map_then: &Pose, poses: &KeyframePoses) -> Word {
+        let others = self.around(t_map_then, poses);
+        if others.is_empty() {
+            return Word::Nothing;
+        }
+        let uncertain = diagonal(ODOMETRY.0, ODOMETRY.1);
+        let Some(placed) = place(&others, then, &Pose::identity(), &uncertain) else { return Word::Against };
+        if placed.seen_through > MAX_SEEN_THROUGH || placed.in_front > MAX_IN_FRONT {
+            return Word::Contradicts;
+        }
+        let stays = share(&placed.t_place_base, WINDOW) < 1.0;
+        if stays && placed.inlier_ratio >= MIN_INLIERS { Word::Agrees } else { Word::Against }
+    }
+
+    /// Keyframes that look from near a place, with their base seen from there, nearest first.
+    fn around(&self, t_map_base: &Pose, poses: &KeyframePoses) -> Vec<(Pose, &KeyframeScan)> {
+        let mut near: Vec<(f64, Pose, &KeyframeScan)> = self
+            .known
+            .iter()
+            .filter_map(|(id, known)| {
+                let t_base_other = t_map_base.inv_mul(poses.get(id)?);
+                let far = share(&t_base_other, NEAR);
+                (far < 1.0).then_some((far, t_base_other, known.scan.as_ref()))
+            })
+            .collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        near.into_iter().take(MAX_NEAR).map(|(_, t, scan)| (t, scan)).collect()
+    }
+}
