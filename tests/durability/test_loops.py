@@ -1,4 +1,4 @@
-"""A robot that goes round and round: loops, what they moved and what was merged survive a crash, and can be taken out."""
+"""A robot goes round and round: loops, and what they moved and merged, survive a crash, and can be taken out."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from percept import Client
 
 from support import world
 
-#: Every eighth pose of `world.drive`, whose arc closes after 360.
-ROUND = 45
-ROUNDS = 32
+ROUND, ROUNDS = world.ROUND, 32
 
 
 def rounds(first: int, last: int):
     """Scans of frames `first` to `last`, those of the first round again and again."""
-    poses = world.drive(8 * ROUND)[::8]
-    scans = [world.scan(pose) for pose in poses]
+    scans = [world.scan(pose) for pose in world.circle()]
     return ((i, scans[i % ROUND]) for i in range(first, last))
 
 
@@ -36,7 +33,7 @@ def test_a_session_with_loops_goes_on_after_a_crash(own_server):
     assert all(loop.from_keyframe_id in alive and loop.to_keyframe_id in alive for loop in loops)
     own_server.kill()
     own_server.start()
-    truth = np.array(world.truth_in_map(world.drive(8 * ROUND)[::8]))[np.arange(end) % ROUND, :3, 3]
+    truth = np.array(world.truth_in_map(world.circle()))[np.arange(end) % ROUND, :3, 3]
     with Client(own_server.grpc) as client:
         session = client.session("robot")
         after = session.trajectory()

@@ -5,7 +5,7 @@ use super::eval_slam::{RIGHT_M, RIGHT_RAD, moves_pose};
 use nalgebra::UnitQuaternion;
 use percept_evaluation::{Alignment, PosePair, align};
 use percept_geometry::{KeyframeId, Pose, Timestamp};
-use percept_pipeline::{Loop, LoopState, Pipeline, PipelineParams, Snapshot};
+use percept_pipeline::{Loop, LoopId, LoopState, Pipeline, PipelineParams, Snapshot};
 use percept_sim::Simulation;
 use percept_slam::TrackingState;
 use std::collections::{BTreeMap, HashMap};
@@ -122,6 +122,7 @@ pub(crate) fn run_session(
         corrected: HashMap::new(),
     };
     let mut oldest = None;
+    let mut believed: BTreeMap<LoopId, Loop> = BTreeMap::new();
     while let Some(sim) = pool.install(|| frames.next()) {
         bar.inc(1);
         run.num_sent += usize::from(sim.frame.sensor == main);
@@ -135,6 +136,8 @@ pub(crate) fn run_session(
                 continue;
             }
         };
+        // A loop that was believed for a while and then no longer has bent the map all the same.
+        believed.extend(report.loops.iter().filter(|l| l.state == LoopState::Active).map(|l| (l.id, l.clone())));
         let Some(pose) = report.pose.filter(|_| sim.frame.sensor == main) else { continue };
         run.num_degenerate.iter_mut().zip(pose.degenerate_axes).for_each(|(n, open)| *n += usize::from(open));
         *run.states.entry(state_name(pose.state)).or_default() += 1;
@@ -153,9 +156,10 @@ pub(crate) fn run_session(
         oldest = first;
     }
     bar.finish_and_clear();
+    pool.install(|| pipeline.settle());
     let snapshot = pipeline.snapshot();
     run.num_keyframes = snapshot.living_keyframes().count();
-    run.num_loops = loops(&snapshot, &run.frames);
+    run.num_loops = loops(&snapshot, &believed, &run.frames);
     run.is_metric = snapshot.is_metric();
     if !run.is_metric {
         run.frames.iter_mut().for_each(|f| f.truth *= arm);
@@ -165,17 +169,17 @@ pub(crate) fn run_session(
     Ok(run)
 }
 
-/// Loops found, believed, and believed though they contradict the truth.
-fn loops(snapshot: &Snapshot, frames: &[FrameRecord]) -> [usize; 3] {
+/// Loops found, believed at the end, and those that contradict the truth of all that ever were believed.
+fn loops(snapshot: &Snapshot, believed: &BTreeMap<LoopId, Loop>, frames: &[FrameRecord]) -> [usize; 3] {
     let by_stamp: HashMap<Timestamp, &Pose> = frames.iter().map(|f| (f.stamp, &f.truth)).collect();
     let truth = |id: KeyframeId| by_stamp.get(&snapshot.keyframes.get(usize::try_from(id.0).ok()?)?.stamp);
-    let is_false = |l: &&Loop| {
+    let is_false = |l: &Loop| {
         let (Some(from), Some(to)) = (truth(l.closure.from), truth(l.closure.to)) else { return false };
         let error = l.closure.t_from_to.inverse() * (from.inverse() * **to);
         error.translation.vector.norm() > RIGHT_M || error.rotation.angle() > RIGHT_RAD
     };
-    let believed = || snapshot.loops.iter().filter(|l| l.state == LoopState::Active);
-    [snapshot.loops.len(), believed().count(), believed().filter(is_false).count()]
+    let at_end = snapshot.loops.iter().filter(|l| l.state == LoopState::Active).count();
+    [snapshot.loops.len(), at_end, believed.values().filter(|l| is_false(l)).count()]
 }
 
 /// Room for so many records, its pages in memory from the start: growth is then the pipeline's.

@@ -289,6 +289,8 @@ impl Odometry {
         let first = self.num_lost == 0;
         if !first {
             self.advance(prediction);
+            // How it moved before it was lost says nothing about how it moves now.
+            self.velocity = None;
         }
         self.uncertainty.restarted();
         self.left_open = Covariance6::zeros();

@@ -274,3 +274,30 @@ fn a_keyframe_that_left_is_not_answered_with() {
     let found = drive.along(&office, &route(&ROUND[..3]), &Isometry2::identity());
     assert!(!found.is_empty() && found.iter().all(|c| c.from.0 >= 20));
 }
+
+#[test]
+fn a_robot_that_circles_in_one_room_is_found_in_it() {
+    // The room of 6 x 4 m has four pieces of furniture; nothing else says which way round it is.
+    let room = Building::default()
+        .cuboid(-3.0, -2.0, 6.0, 4.0)
+        .cuboid(1.2, 0.6, 0.8, 0.8)
+        .cuboid(2.0, -1.6, 0.5, 0.9)
+        .cuboid(-2.4, -1.5, 0.8, 0.5)
+        .cuboid(0.6, -1.7, 0.4, 0.5);
+    let step = Isometry2::new(Vector2::new(0.48, 0.0), 0.42);
+    let circle = |first: usize, n: usize| -> Vec<Isometry2<f64>> {
+        let on = std::iter::successors(Some(Isometry2::translation(-0.8, -1.1)), |t| Some(t * step));
+        on.skip(first).take(n).collect()
+    };
+    let mut drive = Drive::new(7);
+    drive.along(&room, &circle(0, 30), &Isometry2::identity());
+    let mut num_found = 0;
+    for k in 0..8 {
+        let way = circle(3 * k, 8);
+        let Some(found) = drive.relocalise_driven(&room, &way) else { continue };
+        num_found += 1;
+        let off = (drive.poses[&found.keyframe] * found.t_keyframe_base).inverse() * spatial(way.last().unwrap());
+        assert!(off.translation.vector.norm() < 0.04, "{off}");
+    }
+    assert!(num_found >= 6, "{num_found} of 8");
+}
