@@ -3,7 +3,9 @@
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorData, Timestamp, se3};
 use percept_sim::{DepthCameraParams, SensorSuite, SimParams, Simulation};
 use percept_slam::loops::{KeyframePoses, PlaceRecognition, place_recognition};
-use percept_slam::{DepthScan, Odometry, OdometryKind, OdometryParams, Scan, keyframe};
+use percept_slam::{
+    DepthScan, LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, Scan, TrackingState, keyframe,
+};
 use std::sync::Arc;
 
 /// Every `1 / rate_hz` seconds what a keyframe would keep, with the truth.
@@ -194,4 +196,23 @@ fn after_five_seconds_of_blackout_odometry_says_lost_and_the_place_is_found_agai
     let r = places.relocalise(&kept[3].1, &poses).unwrap();
     let off = before[3].0.inverse() * poses[&r.keyframe] * r.t_keyframe_base;
     assert!(off.translation.vector.norm() < 0.03, "{off}");
+}
+
+#[test]
+fn after_a_silence_the_same_shape_with_another_look_is_another_place() {
+    let (here, there) = (scans(2, 1, 10.0, 0.8), scans(5, 1, 1.0, 0.5));
+    let (Some((_, Scan::Depth(last))), Some((_, Scan::Depth(other)))) = (here.last(), there.first()) else { panic!() };
+    // Wheels say that the robot stood still meanwhile.
+    let stay = MotionPrior { t_prev_now: Pose::identity(), covariance: Covariance6::identity() * 1e-4 };
+    let after = |color: &DepthScan| {
+        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+        let stamp = |s: f64| Timestamp::from_secs_f64(s);
+        for (k, (_, scan)) in here.iter().enumerate() {
+            odometry.register(stamp(0.1 * k as f64), scan, None);
+        }
+        let seen = Scan::Depth(DepthScan { color: color.color.clone(), ..last.clone() });
+        odometry.register(stamp(5.0), &seen, Some(&stay)).state
+    };
+    assert_eq!(after(last), TrackingState::Tracking);
+    assert_eq!(after(other), TrackingState::Lost { reason: LostReason::TimeGap });
 }

@@ -26,7 +26,7 @@ use frame::{Frame, Preparer, Vertex};
 use moving::Moving;
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{CameraIntrinsics, Covariance6, KeyframeScan, Pose, se3};
-use photometric::Photometric;
+use photometric::{MIN_POINTS, Photometric};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use surfels::{FusionLimits, Surfels, View};
@@ -116,6 +116,8 @@ const SURE_M: f64 = 0.05;
 /// After a gap: least share of a frame that meets the model, and largest share of that which may contradict it.
 const MIN_MET: f64 = 0.3;
 const MAX_WRONG_AFTER_GAP: f64 = 0.04;
+/// And how its brightness has to go with the model's: another place's does not at all, the same one's mostly by nine tenths.
+const MIN_ALIKE: f64 = 0.5;
 /// Largest share of a frame found without one that may contradict the model.
 const MAX_WRONG: f64 = 0.1;
 
@@ -245,11 +247,8 @@ impl Rgbd {
             view: &self.view,
             camera,
             start: Pose::identity(),
-            photometric: (!self.frame.intensity.is_empty() && self.view.textured.len() > 200).then(|| Photometric {
-                intensity: &self.frame.intensity,
-                color: self.registration.camera(camera),
-                points: &self.view.textured,
-            }),
+            photometric: Some(self.photometric(camera))
+                .filter(|_| self.is_lit() && self.view.textured.len() > MIN_POINTS),
             covariance,
             r_base_camera: *self.t_base_camera.rotation.to_rotation_matrix().matrix(),
             requirements: Requirements {
@@ -260,6 +259,17 @@ impl Rgbd {
             levels: &LEVELS,
             pixels_each: 1.0,
         })
+    }
+
+    /// The brightness of the model's view against the frame's.
+    fn photometric(&self, camera: &CameraIntrinsics) -> Photometric<'_> {
+        let color = self.registration.camera(camera);
+        Photometric { intensity: &self.frame.intensity, color, points: &self.view.textured }
+    }
+
+    /// Whether the frame came with an image that shows something.
+    fn is_lit(&self) -> bool {
+        !self.frame.intensity.is_empty()
     }
 
     fn limits(&self) -> FusionLimits {
@@ -316,7 +326,11 @@ impl LocalModel for Rgbd {
         let t_view_camera = self.view.t_odom_view.inv_mul(&(found.t_odom_base * self.t_base_camera));
         let (wrong, all) = moving::contradictions(&self.frame, &self.view, &camera, &t_view_camera);
         let valid = self.frame.num_valid as f64;
-        all as f64 > MIN_MET * valid && (wrong as f64) < MAX_WRONG_AFTER_GAP * all as f64
+        // Bare surfaces of one room fit another's, as they are and turned about.
+        let looks_alike = || self.photometric(&camera).correlation(&self.frame, &camera, &t_view_camera);
+        all as f64 > MIN_MET * valid
+            && (wrong as f64) < MAX_WRONG_AFTER_GAP * all as f64
+            && (!self.is_lit() || looks_alike().is_some_and(|c| c > MIN_ALIKE))
     }
 
     fn integrate(&mut self, t_odom_base: &Pose) {

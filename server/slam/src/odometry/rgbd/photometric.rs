@@ -20,6 +20,9 @@ pub(crate) const NOISE: f32 = 0.06;
 /// Less change than this to the next pixel is noise.
 pub(crate) const MIN_CONTRAST: f32 = 0.03;
 
+/// Fewer textured points say too little.
+pub(crate) const MIN_POINTS: usize = 200;
+
 /// A textured point of the model in the view's frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct TexturedPoint {
@@ -54,6 +57,29 @@ impl Photometric<'_> {
                 self.add(point.intensity, &q, cut, e);
             }
         })
+    }
+
+    /// How the brightness of the points in sight goes with the image's, -1 to 1, whatever the exposure: near 0 where the image
+    /// shows another place, however alike its surfaces are. None if too few are in sight.
+    pub(crate) fn correlation(&self, frame: &Frame, camera: &CameraIntrinsics, t_view_camera: &Pose) -> Option<f64> {
+        let t_camera_view = Rigid32::from(&t_view_camera.inverse());
+        let seen = self.points.iter().filter_map(|point| {
+            let q = t_camera_view.apply(&point.p);
+            let (u, v) = self.color.project(&q);
+            let s = (q.z > 0.1 && is_there(frame, camera, &q)).then(|| self.intensity.sample(u, v))??;
+            Some((f64::from(point.intensity), f64::from(s.value)))
+        });
+        let (mut n, mut sum, mut squares) = (0usize, (0.0, 0.0), (0.0, 0.0, 0.0));
+        for (a, b) in seen {
+            n += 1;
+            sum = (sum.0 + a, sum.1 + b);
+            squares = (squares.0 + a * a, squares.1 + a * b, squares.2 + b * b);
+        }
+        let count = n as f64;
+        let variances = (squares.0 - sum.0 * sum.0 / count, squares.2 - sum.1 * sum.1 / count);
+        let both = squares.1 - sum.0 * sum.1 / count;
+        let scale = (variances.0 * variances.1).sqrt();
+        (n >= MIN_POINTS && scale > 0.0).then(|| both / scale)
     }
 
     #[inline]
