@@ -9,6 +9,9 @@ use percept_geometry::{Pose, se3};
 /// A frame whose inlier ratio falls below this share of the usual one is tried from the last pose too.
 const DOUBTFUL: f64 = 0.9;
 
+/// A planar scan that fits worse than this share of how scans usually do is looked for farther away.
+const POOR: f64 = 0.7;
+
 /// Wheels that differ so much from the velocity before, in one frame, are doubted: metres and radians.
 const SUDDEN: (f64, f64) = (0.15, 0.15);
 
@@ -52,6 +55,26 @@ impl Odometry {
     /// Wheels that slip or lag shall not lose what the scan alone can place: where they fail, or say what the motion
     /// before does not lead to, that is tried as well, and wins if it fits better.
     pub(super) fn place_or_doubt(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+        let found = self.place_or_doubt_wheels(dt, prediction);
+        let is_poor = !found.as_ref().is_ok_and(|m| m.inlier_ratio >= POOR * self.usual_inlier_ratio);
+        let reach_s = self.unplaced_s + dt;
+        if !is_poor || !self.limits.remembers_open || reach_s > self.params.tracking.max_gap_s {
+            return found;
+        }
+        // Faster than the motion before leads to: wherever a robot can be by now, if that explains the frame as usual.
+        let (way, turn) = (self.limits.speed * reach_s, self.limits.turn_rate * reach_s);
+        let covariance = diagonal(way / 3.0, turn / 3.0);
+        let wide = Prediction { t_odom_base: self.t_odom_base, covariance, is_measured: false };
+        let can_be = |m: &Match| {
+            let off = self.t_odom_base.inv_mul(&m.t_odom_base);
+            m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio
+                && off.translation.vector.norm() <= way + 0.1
+                && off.rotation.angle() <= turn + 0.1
+        };
+        self.model.register(&wide).ok().filter(can_be).map_or(found, Ok)
+    }
+
+    fn place_or_doubt_wheels(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
         let measured = self.place(dt, prediction);
         if !prediction.is_measured || !self.limits.remembers_open {
             return measured;

@@ -40,3 +40,22 @@ fn in_a_corridor_the_wheels_say_how_far() {
     // Whatever the wheels say of each step: what they are off by has one cause and adds up.
     assert!(e.covariance[(0, 0)].sqrt() > 0.1, "{}", e.covariance[(0, 0)].sqrt());
 }
+
+#[test]
+fn a_turn_that_begins_at_once_is_followed() {
+    let room = Room::furnished();
+    let mut noise = Noise(21);
+    let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+    let mut t_world_base = se3::from_xy_yaw(-0.5, 0.3, 0.0);
+    let start = t_world_base;
+    for i in 0..40 {
+        // Straight at 0.3 m/s, then on the spot at 2.6 rad/s from one scan to the next, as small robots do.
+        t_world_base *= if i < 20 { se3::from_xy_yaw(0.03, 0.0, 0.0) } else { se3::from_xy_yaw(0.0, 0.0, 0.26) };
+        let scan = room.scan(&t_world_base, &mut noise);
+        let estimate = odometry.register(Timestamp::from_secs_f64(0.1 * f64::from(i)), &scan, None);
+        let truth = se3::from_xy_yaw(0.03, 0.0, 0.0).inverse() * start.inverse() * t_world_base;
+        let off = truth.inverse() * estimate.t_odom_base;
+        assert!(i == 0 || estimate.state.is_tracking(), "frame {i}: {:?}", estimate.state);
+        assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.03, "frame {i}: {off}");
+    }
+}
