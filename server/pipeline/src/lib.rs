@@ -8,6 +8,7 @@ mod clock_offset;
 mod frame_error;
 mod imu_prior;
 mod level;
+mod mounts;
 mod odometry_prior;
 mod params;
 mod pipeline;
@@ -19,6 +20,7 @@ mod visibility;
 
 pub use chunks::Chunks;
 pub use frame_error::FrameError;
+pub use mounts::MountOffset;
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
 pub use percept_slam::{Loop, LoopId, LoopState};
 pub use pipeline::{FrameReport, MapChange, NewKeyframe, Pipeline, Restored, RestoredContent, RestoredKeyframe};

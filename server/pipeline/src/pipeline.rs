@@ -14,6 +14,7 @@ pub use restore::{Restored, RestoredContent, RestoredKeyframe};
 
 use crate::clock_offset::ClockOffsets;
 use crate::imu_prior::ImuBuffer;
+use crate::mounts::Mounts;
 use crate::odometry_prior::OdometryBuffer;
 use crate::recovery::Anchoring;
 use crate::scale_hints::ScaleHints;
@@ -37,6 +38,7 @@ pub struct Pipeline {
     imus: BTreeMap<SensorId, ImuBuffer>,
     clocks: ClockOffsets,
     clock_offsets: Arc<BTreeMap<SensorId, f64>>,
+    mounts: Mounts,
     odometry: Option<Odometry>,
     scale_hints: ScaleHints,
     anchoring: Anchoring,
@@ -76,6 +78,7 @@ impl Pipeline {
             imus: BTreeMap::new(),
             clocks: ClockOffsets::default(),
             clock_offsets: Arc::default(),
+            mounts: Mounts::default(),
             odometry: None,
             scale_hints: ScaleHints::default(),
             anchoring: Anchoring::default(),
@@ -177,6 +180,7 @@ impl Pipeline {
             keyframes: Arc::clone(&self.keyframes),
             layers: self.map.layers(),
             clock_offsets: Arc::clone(&self.clock_offsets),
+            mount_offsets: self.mounts.told(),
             loops: Arc::clone(&self.loops),
             objects: Arc::clone(&self.objects),
             next_object_id: self.tracker.next_id(),

@@ -106,6 +106,11 @@ impl Sensors {
         Ok((entry.spec.clone(), frame.stamp.plus_seconds(entry.spec.time_offset_s)))
     }
 
+    /// The sensor that moves the pose, once it is chosen.
+    pub(crate) fn pose_sensor(&self) -> Option<&SensorId> {
+        self.pose_sensor.as_ref()
+    }
+
     /// Whether `id` is the sensor that moves the pose. Chosen once: the one asked for, else the best kind
     /// declared; if that one stays silent for a second, the sensor that does send.
     pub(crate) fn is_pose_sensor(&mut self, id: &SensorId, wanted: &str, stamp: Timestamp) -> bool {

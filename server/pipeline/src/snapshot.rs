@@ -1,6 +1,6 @@
 //! The immutable picture of a session that every query is answered from.
 
-use crate::{Chunks, PipelineParams};
+use crate::{Chunks, MountOffset, PipelineParams};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
 use percept_mapping::MapLayers;
 use percept_scene::{Object, SceneGraph};
@@ -96,6 +96,8 @@ pub struct Snapshot {
     /// Seconds by which sensors' stamps are late behind the pose sensor's, beyond their declared `time_offset_s`: IMUs and
     /// wheels, once the robot has turned enough to tell.
     pub clock_offsets: Arc<BTreeMap<SensorId, f64>>,
+    /// Sensors whose mount is not as declared, by how far.
+    pub mount_offsets: Arc<BTreeMap<SensorId, MountOffset>>,
     /// Loops in the order of finding, those not believed included.
     pub loops: Arc<Vec<Loop>>,
     /// Confirmed objects by id, those gone included.

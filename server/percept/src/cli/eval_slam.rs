@@ -223,6 +223,7 @@ fn figures(run: &SlamRun) -> Value {
         "loops_found": run.num_loops[0],
         "loops_believed": run.num_loops[1],
         "loops_false": run.num_loops[2],
+        "mounts_off_deg": run.mounts_off_deg,
         "frame_ms_mean": mean(&ms),
         "frame_ms_p50": at(0.5),
         "frame_ms_p99": at(0.99),

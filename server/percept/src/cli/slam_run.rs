@@ -41,6 +41,8 @@ pub(crate) struct SlamRun {
     pub(crate) num_corrections: usize,
     /// Loops that were found, those that were believed, and believed ones that contradict the truth.
     pub(crate) num_loops: [usize; 3],
+    /// Sensors that the session says are mounted otherwise than declared, and by how many degrees.
+    pub(crate) mounts_off_deg: BTreeMap<String, f64>,
     /// Frames in which the scene left each axis of base open: x, y, z, rotation x, y, z.
     pub(crate) num_degenerate: [usize; 6],
     /// Whether lengths are metres; if not, truth is that of the camera, whose mount counts only in metres.
@@ -116,6 +118,7 @@ pub(crate) fn run_session(
         num_keyframes: 0,
         num_corrections: 0,
         num_loops: [0; 3],
+        mounts_off_deg: BTreeMap::new(),
         num_degenerate: [0; 6],
         is_metric: true,
         states: BTreeMap::new(),
@@ -160,6 +163,8 @@ pub(crate) fn run_session(
     let snapshot = pipeline.snapshot();
     run.num_keyframes = snapshot.living_keyframes().count();
     run.num_loops = loops(&snapshot, &believed, &run.frames);
+    let mounts = snapshot.mount_offsets.iter();
+    run.mounts_off_deg = mounts.map(|(id, off)| (id.0.clone(), off.angle_rad.to_degrees())).collect();
     run.is_metric = snapshot.is_metric();
     if !run.is_metric {
         run.frames.iter_mut().for_each(|f| f.truth *= arm);

@@ -26,11 +26,24 @@ impl Pipeline {
         }
         let mut report = FrameReport::default();
         let kept = self.kept_of(spec, stamp, scan, false);
+        self.check_mount(&kept, &t_odom_base);
         let mut keyframe = self.add_keyframe(spec, kept, t_odom_base);
         self.close_loops(&mut keyframe, false, &mut report);
         report.changes = self.observe(&keyframe);
         report.keyframe = Some(keyframe);
         Some(report)
+    }
+
+    /// Compares what a second sensor sees with what the pose sensor saw around here.
+    fn check_mount(&mut self, scan: &KeyframeScan, t_odom_base: &Pose) {
+        let Some(pose_sensor) = self.sensors.pose_sensor().cloned() else { return };
+        let is_camera = self.sensors.spec(&pose_sensor).is_none_or(|s| s.kind == SensorKind::Camera);
+        if is_camera || !self.mounts.is_due(&scan.sensor) {
+            return;
+        }
+        let near = self.keyframes_near(&pose_sensor, t_odom_base);
+        let from_here = near.into_iter().map(|(t, k)| (t_odom_base.inv_mul(&t), k));
+        self.mounts.measure(scan, &from_here.collect::<Vec<_>>());
     }
 
     pub(super) fn policy(&mut self, sensor: &SensorId) -> &mut KeyframePolicy {

@@ -174,7 +174,7 @@ impl Pipeline {
     }
 
     /// Keyframes of a sensor around a place, with their odom poses, oldest first.
-    fn keyframes_near(&self, sensor: &SensorId, t_odom_base: &Pose) -> Vec<(Pose, Arc<KeyframeScan>)> {
+    pub(super) fn keyframes_near(&self, sensor: &SensorId, t_odom_base: &Pose) -> Vec<(Pose, Arc<KeyframeScan>)> {
         let here = (self.t_map_odom * t_odom_base).translation.vector;
         let of_sensor = self.map.keyframes().iter().filter(|(_, k)| k.scan.sensor == *sensor);
         let mut by_distance: Vec<_> =

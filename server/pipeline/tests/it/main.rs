@@ -7,5 +7,6 @@ mod adrift;
 mod camera;
 mod correction;
 mod drive;
+mod mounts;
 mod refusal;
 mod restore;

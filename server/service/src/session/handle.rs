@@ -127,12 +127,14 @@ impl Session {
 
     /// Health of every sensor, by name.
     pub fn sensors(&self) -> Vec<SensorStatus> {
-        let offsets = Arc::clone(&self.snapshot().clock_offsets);
-        let with_offset = |s: &SensorStatus| {
-            let clock_offset_s = offsets.get(&s.declaration.spec.id).copied();
-            SensorStatus { clock_offset_s, ..s.clone() }
+        let snapshot = self.snapshot();
+        let with_offsets = |s: &SensorStatus| {
+            let id = &s.declaration.spec.id;
+            let clock_offset_s = snapshot.clock_offsets.get(id).copied();
+            let mount_offset = snapshot.mount_offsets.get(id).copied();
+            SensorStatus { clock_offset_s, mount_offset, ..s.clone() }
         };
-        lock(&self.book).all().map(with_offset).collect()
+        lock(&self.book).all().map(with_offsets).collect()
     }
 
     /// Frames waiting.

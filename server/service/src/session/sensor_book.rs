@@ -2,6 +2,7 @@
 
 use super::meta::SensorDeclaration;
 use percept_geometry::{SensorId, Timestamp};
+use percept_pipeline::MountOffset;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Stamps kept to tell the rate.
@@ -26,6 +27,8 @@ pub struct SensorStatus {
     pub last_stamp: Option<Timestamp>,
     /// Seconds by which its stamps are late behind the pose sensor's, beyond the declared offset, once that is known.
     pub clock_offset_s: Option<f64>,
+    /// How far its mount is off, if what it sees contradicts the pose sensor's map.
+    pub mount_offset: Option<MountOffset>,
 }
 
 /// A clock off by more than this is worth telling, seconds.
@@ -51,6 +54,13 @@ impl SensorStatus {
             troubles.push(format!(
                 "its stamps are {ms} ms {which}, compared with the pose sensor's; declare it under a new name with time_offset_s {:.3}",
                 self.declaration.spec.time_offset_s - offset
+            ));
+        }
+        if let Some(off) = self.mount_offset {
+            let (cm, degrees) = ((off.distance_m * 100.0).round(), off.angle_rad.to_degrees().round());
+            troubles.push(format!(
+                "what it sees contradicts the pose sensor's map as if it were mounted {cm} cm and {degrees} degrees off; \
+                 measure both mounts and declare it under a new name with the right t_base_sensor"
             ));
         }
         if troubles.is_empty() { "good".to_owned() } else { troubles.join("; ") }
@@ -82,6 +92,7 @@ impl SensorBook {
             rate_hz: None,
             last_stamp,
             clock_offset_s: None,
+            mount_offset: None,
         };
         self.entries.insert(id, Entry { status, stamps: VecDeque::new(), last_sequence: 0 });
     }
