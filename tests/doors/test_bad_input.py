@@ -209,6 +209,12 @@ CASES = {
     "cloud without returns": (of_cloud([[NAN] * 3, [INF, 0, 0]]), "CLOUD_EMPTY", "cloud", BAD),
     "cloud of one point": (of_cloud(POINTS[:1]), "CLOUD_DEGENERATE", "cloud", BAD),
     "cloud of equal points": (of_cloud([POINTS[0]] * 50), "CLOUD_DEGENERATE", "cloud", BAD),
+    "cloud timed in milliseconds": (
+        of_cloud(POINTS, time_offsets_s=floats(*[99.5] * len(POINTS))),
+        "TIME_OFFSET_TOO_LARGE",
+        "cloud.time_offsets_s",
+        BAD,
+    ),
     "cloud that lies": (of_cloud(POINTS, num_points=4), "SIZE_MISMATCH", "cloud.positions", BAD),
     "cloud of 4 billion points": (
         of_cloud(POINTS, num_points=LIMIT),
@@ -225,6 +231,12 @@ CASES = {
     "colours that are short": (of_cloud(POINTS, colors=bytes(8)), "SIZE_MISMATCH", "cloud.colors", BAD),
     "scan without beams": (of_scan(ranges_m=b""), "SCAN_EMPTY", "scan.ranges_m", BAD),
     "scan of half a beam": (of_scan(ranges_m=bytes(6)), "SCAN_EMPTY", "scan.ranges_m", BAD),
+    "scan of one echo and a half": (
+        of_scan(later_echoes_m=floats(1, 2)),
+        "SIZE_MISMATCH",
+        "scan.later_echoes_m",
+        BAD,
+    ),
     "scan without an angle": (of_scan(angle_min_rad=NAN), "OUT_OF_RANGE", "scan.angle_min_rad", BAD),
     "scan of one direction": (
         of_scan(angle_increment_rad=0.0),

@@ -133,6 +133,21 @@ def test_an_encoded_image_that_lies_is_refused(client):
     assert error.value.reason == "FILE_INVALID"
 
 
+def test_what_stands_behind_glass_is_mapped_by_later_echoes(client):
+    session = client.sessions.create(sensors=[world.LASER])
+    pose = world.drive(1)[0]
+    scan = world.scan(pose)
+    wall = scan["ranges_m"]
+    glass = np.abs(np.arange(360) - 180) < 6
+    first = np.where(glass, 1.0, wall).astype(np.float32)
+    later = np.where(glass, wall, np.nan).astype(np.float32)[None]
+    session.send_scan("laser", stamp_ns=1, **{**scan, "ranges_m": first}, later_echoes_m=later)
+    grid = session.map.occupancy()
+    assert grid.cell_at(1.0, 0.0) > 50
+    assert grid.cell_at(float(wall[180]), 0.0) > 50
+    assert grid.cell_at(1.0 + (float(wall[180]) - 1.0) / 2, 0.0) < 50
+
+
 def test_odometry_is_a_prior_where_scans_say_nothing(client):
     """A robot that only has wheels and a laser stands right between two scans 30 cm apart."""
     session = client.sessions.create(sensors=[world.LASER, SensorSpec("odom", kind="odometry")])

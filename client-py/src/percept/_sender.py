@@ -88,8 +88,10 @@ class FrameSender(abc.ABC, Generic[R]):
         range_max_m: float,
         time_increment_s: float = 0.0,
         intensities: Array | None = None,
+        later_echoes_m: Array | None = None,
     ) -> R:
-        """Sends a planar scan: ranges (B,) float32 metres, +inf no return, NaN invalid."""
+        """Sends a planar scan: ranges (B,) float32 metres, +inf no return, NaN invalid; of a lidar with several
+        echoes the later ones (E, B)."""
         return self.send(
             ScanFrame(
                 sensor_id,
@@ -101,6 +103,7 @@ class FrameSender(abc.ABC, Generic[R]):
                 range_max_m=range_max_m,
                 time_increment_s=time_increment_s,
                 intensities=intensities,
+                later_echoes_m=later_echoes_m,
             )
         )
 

@@ -71,6 +71,7 @@ impl CarmenLog {
             time_increment_s: 0.0,
             ranges_m: scan.ranges_m.iter().map(range).collect(),
             intensities: None,
+            later_echoes_m: vec![],
         }
     }
 }

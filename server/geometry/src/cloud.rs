@@ -121,6 +121,9 @@ pub struct LaserScan {
     pub ranges_m: Vec<f32>,
     /// B intensities, or none.
     pub intensities: Option<Vec<f32>>,
+    /// E x B ranges, echo by echo: what each beam met behind `ranges_m` (through glass or rain), metres; NaN or inf where
+    /// nothing. Empty: one echo.
+    pub later_echoes_m: Vec<f32>,
 }
 
 /// What one beam of a scan says.
@@ -137,8 +140,21 @@ pub enum Beam {
 impl LaserScan {
     /// What beam `i` says (REP-117); zero is no measurement, whatever the least range.
     pub fn beam(&self, i: usize) -> Beam {
+        self.reading(self.ranges_m[i])
+    }
+
+    /// What the beams met, with the beam's number: first echoes in beam order, then those behind them, echo by echo.
+    pub fn echoes(&self) -> impl Iterator<Item = (usize, Beam)> + '_ {
+        let later = self.later_echoes_m.iter().enumerate().filter_map(|(k, &r)| match self.reading(r) {
+            hit @ Beam::Hit(_) => Some((k % self.ranges_m.len().max(1), hit)),
+            Beam::Free(_) | Beam::Invalid => None,
+        });
+        (0..self.ranges_m.len()).map(|i| (i, self.beam(i))).chain(later)
+    }
+
+    fn reading(&self, r: f32) -> Beam {
         // The limits as ranges are stored: 5.6 m as such is a little less.
-        let (r, min, max) = (self.ranges_m[i], self.range_min_m as f32, self.range_max_m as f32);
+        let (min, max) = (self.range_min_m as f32, self.range_max_m as f32);
         if r.is_nan() || r <= 0.0 || r < min {
             Beam::Invalid
         } else if r >= max {
@@ -153,10 +169,10 @@ impl LaserScan {
         self.angle_min_rad + i as f64 * self.angle_increment_rad
     }
 
-    /// The hits as points in the sensor frame (z = 0), in beam order.
+    /// The hits as points in the sensor frame (z = 0), in the order of [`LaserScan::echoes`].
     pub fn hits(&self) -> Vec<Point3<f32>> {
-        (0..self.ranges_m.len())
-            .filter_map(|i| match self.beam(i) {
+        self.echoes()
+            .filter_map(|(i, beam)| match beam {
                 Beam::Hit(r) => {
                     let (sin, cos) = self.angle(i).sin_cos();
                     Some(Point3::new((f64::from(r) * cos) as f32, (f64::from(r) * sin) as f32, 0.0))
@@ -190,6 +206,7 @@ mod tests {
             time_increment_s: 0.0,
             ranges_m,
             intensities: None,
+            later_echoes_m: vec![],
         };
         (0..scan.ranges_m.len()).map(|i| scan.beam(i)).collect()
     }
@@ -199,6 +216,22 @@ mod tests {
         let found = beams(0.1, 10.0, vec![1.0, f32::INFINITY, f32::NAN, f32::NEG_INFINITY, 0.05, 10.0, 12.0, 0.1]);
         let (free, invalid) = (Beam::Free(10.0), Beam::Invalid);
         assert_eq!(found, [Beam::Hit(1.0), free, invalid, invalid, invalid, free, free, Beam::Hit(0.1)]);
+    }
+
+    #[test]
+    fn later_echoes_are_further_hits_of_the_same_beams() {
+        let scan = LaserScan {
+            angle_min_rad: 0.0,
+            angle_increment_rad: 0.1,
+            range_min_m: 0.1,
+            range_max_m: 10.0,
+            time_increment_s: 0.0,
+            ranges_m: vec![1.0, 2.0],
+            intensities: None,
+            later_echoes_m: vec![f32::NAN, 3.0, 12.0, 4.0],
+        };
+        let expected = [(0, Beam::Hit(1.0)), (1, Beam::Hit(2.0)), (1, Beam::Hit(3.0)), (1, Beam::Hit(4.0))];
+        assert_eq!(scan.echoes().collect::<Vec<_>>(), expected);
     }
 
     #[test]

@@ -177,10 +177,10 @@ fn cloud_hits(params: &KeyframeParams, s: &CloudScan, velocity: &nalgebra::Vecto
 
 fn planar_ends(params: &KeyframeParams, s: &PlanarScan) -> (PointCloud, Vec<Point3<f32>>) {
     let (mut hits, mut misses) = (vec![], vec![]);
-    for i in 0..s.scan.ranges_m.len() {
+    for (i, beam) in s.scan.echoes() {
         let (sin, cos) = s.scan.angle(i).sin_cos();
         let end = |r: f64| (s.t_base_sensor * Point3::new(r * cos, r * sin, 0.0)).cast();
-        match s.scan.beam(i) {
+        match beam {
             Beam::Hit(r) => hits.push(end(f64::from(r))),
             Beam::Free(r) => misses.push(end(f64::from(r).min(params.free_range_m))),
             Beam::Invalid => {}
@@ -215,6 +215,7 @@ mod tests {
             time_increment_s: 0.0,
             ranges_m: vec![2.0, f32::INFINITY, f32::NAN, 0.0, 80.0, 81.9],
             intensities: None,
+            later_echoes_m: vec![],
         };
         let scan = Scan::Planar(PlanarScan { scan: Arc::new(scan), t_base_sensor: se3::from_xy_yaw(1.0, 0.0, 0.0) });
         let kept = keyframe_scan(

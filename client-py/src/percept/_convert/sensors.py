@@ -147,6 +147,7 @@ def _scan_to(scan: ScanFrame) -> sensor_pb2.LaserScan:
         time_increment_s=scan.time_increment_s,
         ranges_m=scan.ranges_m.tobytes(),
         intensities=None if scan.intensities is None else scan.intensities.tobytes(),
+        later_echoes_m=None if scan.later_echoes_m is None else scan.later_echoes_m.tobytes(),
     )
 
 

@@ -107,6 +107,8 @@ class ScanFrame(Value):
     time_increment_s: float = field(default=0.0, kw_only=True)
     #: (B,) float32.
     intensities: Array | None = field(default=None, kw_only=True)
+    #: (E, B) float32: what each beam met behind `ranges_m` (glass, rain), metres; NaN or inf where nothing.
+    later_echoes_m: Array | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ranges_m", checked("ranges_m", self.ranges_m, ("B",), np.float32))
@@ -114,6 +116,10 @@ class ScanFrame(Value):
             array = checked("intensities", self.intensities, ("B",), np.float32)
             same_length("intensities", array, len(self.ranges_m))
             object.__setattr__(self, "intensities", array)
+        if self.later_echoes_m is not None:
+            echoes = checked("later_echoes_m", self.later_echoes_m, ("E", "B"), np.float32)
+            same_length("later_echoes_m", echoes.T, len(self.ranges_m))
+            object.__setattr__(self, "later_echoes_m", echoes)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -392,6 +392,7 @@ class LaserScan(_message.Message):
     TIME_INCREMENT_S_FIELD_NUMBER: _builtins.int
     RANGES_M_FIELD_NUMBER: _builtins.int
     INTENSITIES_FIELD_NUMBER: _builtins.int
+    LATER_ECHOES_M_FIELD_NUMBER: _builtins.int
     angle_min_rad: _builtins.float
     """Radians."""
     angle_increment_rad: _builtins.float
@@ -406,6 +407,10 @@ class LaserScan(_message.Message):
     """B float32, metres (REP-117): +inf no return, NaN or -inf invalid."""
     intensities: _builtins.bytes
     """B float32. Absent: none."""
+    later_echoes_m: _builtins.bytes
+    """E x B float32, echo by echo: what each beam met behind ranges_m (glass, rain), metres; NaN or inf where nothing.
+    Absent: one echo.
+    """
     def __init__(
         self,
         *,
@@ -416,14 +421,20 @@ class LaserScan(_message.Message):
         time_increment_s: _builtins.float = ...,
         ranges_m: _builtins.bytes = ...,
         intensities: _builtins.bytes | None = ...,
+        later_echoes_m: _builtins.bytes | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_intensities", b"_intensities", "intensities", b"intensities"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_intensities", b"_intensities", "_later_echoes_m", b"_later_echoes_m", "intensities", b"intensities", "later_echoes_m", b"later_echoes_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_intensities", b"_intensities", "angle_increment_rad", b"angle_increment_rad", "angle_min_rad", b"angle_min_rad", "intensities", b"intensities", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "ranges_m", b"ranges_m", "time_increment_s", b"time_increment_s"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_intensities", b"_intensities", "_later_echoes_m", b"_later_echoes_m", "angle_increment_rad", b"angle_increment_rad", "angle_min_rad", b"angle_min_rad", "intensities", b"intensities", "later_echoes_m", b"later_echoes_m", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "ranges_m", b"ranges_m", "time_increment_s", b"time_increment_s"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__intensities: _TypeAlias = _typing.Literal["intensities"]  # noqa: Y015
     _WhichOneofArgType__intensities: _TypeAlias = _typing.Literal["_intensities", b"_intensities"]  # noqa: Y015
+    _WhichOneofReturnType__later_echoes_m: _TypeAlias = _typing.Literal["later_echoes_m"]  # noqa: Y015
+    _WhichOneofArgType__later_echoes_m: _TypeAlias = _typing.Literal["_later_echoes_m", b"_later_echoes_m"]  # noqa: Y015
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__intensities) -> _WhichOneofReturnType__intensities | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__later_echoes_m) -> _WhichOneofReturnType__later_echoes_m | None: ...
 
 Global___LaserScan: _TypeAlias = LaserScan  # noqa: Y015
 

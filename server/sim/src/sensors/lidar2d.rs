@@ -109,6 +109,7 @@ pub(crate) fn scan(params: &Lidar2dParams, scene: &Scene<'_>, frame: u64, t_s: f
         time_increment_s: time_increment,
         ranges_m,
         intensities: None,
+        later_echoes_m: vec![],
     })
 }
 

@@ -79,6 +79,7 @@ pub(crate) fn carmen(path: &Path, range_max_m: f64) -> Result<Vec<Laser>, Failur
             time_increment_s: 0.0,
             ranges_m: f[1..=n].iter().map(|&r| r as f32).collect(),
             intensities: None,
+            later_echoes_m: vec![],
         };
         let o = &f[n + 4..n + 8];
         out.push(Laser {

@@ -116,6 +116,7 @@ impl Room {
             time_increment_s: 0.0,
             ranges_m,
             intensities: None,
+            later_echoes_m: vec![],
         };
         Scan::Planar(PlanarScan { scan: Arc::new(scan), t_base_sensor })
     }

@@ -355,6 +355,16 @@ fn scan(s: &v1::LaserScan, limits: &Limits) -> Result<LaserScan> {
         }
         other => other.as_ref().map(values),
     };
+    let later = s.later_echoes_m.as_ref().map_or(&[][..], |d| d);
+    if !later.len().is_multiple_of(beams * 4) {
+        let (expected, actual) = (beams, later.len() / 4);
+        return Err(percept_geometry::GeometryError::ShapeMismatch { field: "later_echoes_m", expected, actual }.into());
+    }
+    if later.len() / 4 > limits.max_cloud_points {
+        let (echoes, limit) = (later.len() / 4, limits.max_cloud_points);
+        let message = format!("later_echoes_m has {echoes} echoes, the limit is {limit}");
+        return Err(Error::exhausted("SCAN_TOO_LARGE", "later_echoes_m", message));
+    }
     Ok(LaserScan {
         angle_min_rad: s.angle_min_rad,
         angle_increment_rad: s.angle_increment_rad,
@@ -363,6 +373,7 @@ fn scan(s: &v1::LaserScan, limits: &Limits) -> Result<LaserScan> {
         time_increment_s: s.time_increment_s,
         ranges_m: values(&s.ranges_m),
         intensities,
+        later_echoes_m: s.later_echoes_m.as_ref().map(values).unwrap_or_default(),
     })
 }
 
@@ -419,6 +430,7 @@ pub fn frame_to(session: &str, sequence: u64, frame: &SensorFrame) -> v1::Sensor
             time_increment_s: s.time_increment_s,
             ranges_m: floats(&s.ranges_m),
             intensities: s.intensities.as_deref().map(floats),
+            later_echoes_m: (!s.later_echoes_m.is_empty()).then(|| floats(&s.later_echoes_m)),
         }),
         SensorData::Imu(i) => Data::Imu(v1::ImuSample {
             angular_velocity_radps: Some(geometry::vector_to(&i.angular_velocity)),

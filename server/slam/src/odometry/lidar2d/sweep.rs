@@ -17,13 +17,13 @@ const SIDE_M: f64 = 0.15;
 /// But to at least and at most so many of them to each side.
 const SIDE: (usize, usize) = (3, 24);
 
-/// Hits within `max_range`, in beam order, with the sweep's motion undone.
+/// Hits within `max_range`, in beam order, later echoes behind them, with the sweep's motion undone.
 pub(crate) fn hits(scan: &PlanarScan, max_range: f64, velocity: &Vector6<f64>) -> Vec<Hit> {
     let s = &scan.scan;
     let moving = s.time_increment_s != 0.0 && velocity.norm() > 0.0;
     let mut points: Vec<Point2<f64>> = vec![];
-    for i in 0..s.ranges_m.len() {
-        let Beam::Hit(r) = s.beam(i) else { continue };
+    for (i, beam) in s.echoes() {
+        let Beam::Hit(r) = beam else { continue };
         let r = f64::from(r);
         if r > max_range {
             continue;
@@ -117,6 +117,7 @@ mod tests {
             time_increment_s: 0.0,
             ranges_m,
             intensities: None,
+            later_echoes_m: vec![],
         };
         let scan = PlanarScan { scan: Arc::new(scan), t_base_sensor: Pose::identity() };
         let hits = hits(&scan, 10.0, &Vector6::zeros());
