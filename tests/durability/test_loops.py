@@ -1,4 +1,4 @@
-"""A robot goes round and round: loops, and what they moved and merged, survive a crash, and can be taken out."""
+"""A robot goes round and round: loops and what they moved survive a crash, and can be taken out."""
 
 from __future__ import annotations
 

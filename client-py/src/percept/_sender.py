@@ -90,8 +90,8 @@ class FrameSender(abc.ABC, Generic[R]):
         intensities: Array | None = None,
         later_echoes_m: Array | None = None,
     ) -> R:
-        """Sends a planar scan: ranges (B,) float32 metres, +inf no return, NaN invalid; of a lidar with several
-        echoes the later ones (E, B)."""
+        """Sends a planar scan: ranges (B,) float32 metres, +inf no return, NaN invalid; of a lidar with
+        several echoes the later ones (E, B)."""
         return self.send(
             ScanFrame(
                 sensor_id,
