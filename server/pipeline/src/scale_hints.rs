@@ -49,7 +49,7 @@ fn told(stamp: Timestamp, image: &ImageScan, at: Timestamp, other: &Scan) -> Opt
     let apart = stamp.seconds_since(at).abs();
     let mut image = image.clone();
     match other {
-        Scan::Depth(depth) if apart <= DEPTH_S => image.depth = Some(Arc::new(in_view(depth, &image))),
+        Scan::Depth(depth) if apart <= DEPTH_S => image.depth = in_view(depth, &image).map(Arc::new),
         Scan::Image(second) if apart <= SECOND_S => {
             image.second = Some(SecondCamera {
                 image: Arc::clone(&second.image),
@@ -64,7 +64,7 @@ fn told(stamp: Timestamp, image: &ImageScan, at: Timestamp, other: &Scan) -> Opt
 
 /// Depth as the camera would see it from where it is mounted, its lens included; nearer surfaces hide farther ones, and
 /// pixels between those that are met have none.
-fn in_view(scan: &DepthScan, image: &ImageScan) -> DepthImage {
+fn in_view(scan: &DepthScan, image: &ImageScan) -> Option<DepthImage> {
     let k = &image.intrinsics;
     let t_camera_depth: Pose = image.t_base_sensor.inv_mul(&scan.t_base_sensor);
     let mut out = vec![0.0f32; k.width * k.height];
@@ -85,8 +85,7 @@ fn in_view(scan: &DepthScan, image: &ImageScan) -> DepthImage {
             }
         }
     }
-    // Of the image's size by construction; an image without depth tells nothing.
-    DepthImage::new(k.width, k.height, out).unwrap_or_else(|_| (*scan.depth).clone())
+    DepthImage::new(k.width, k.height, out).ok()
 }
 
 #[cfg(test)]
