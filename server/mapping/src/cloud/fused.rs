@@ -71,7 +71,9 @@ impl FusedCloud {
         let edge = f64::from(BLOCK) * self.params.voxel_size_m;
         let near = |key: &BlockKey| {
             let center = corner(*key, 0, self.params.voxel_size_m) + nalgebra::Vector3::repeat(0.5 * edge);
+            // Means rounded to f32 may stick out of their voxel a little.
             (center - ranges.sensor()).norm() <= reach + edge
+                && ranges.may_see_through(&center, 0.87 * edge, &self.params)
         };
         let touched: Vec<(BlockKey, Arc<Block>)> =
             self.blocks.iter().filter(|(key, _)| near(key)).map(|(key, block)| (*key, block.clone())).collect();

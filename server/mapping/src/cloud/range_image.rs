@@ -14,6 +14,49 @@ pub(super) struct RangeImage {
     max_range: f64,
     /// Rows of `COLUMNS`, empty where no beam went: a planar scan fills few.
     rows: Vec<Vec<Bin>>,
+    /// What all beams lie in.
+    view: View,
+}
+
+/// A cone that holds all beams, and the elevations between which they lie.
+#[derive(Debug, Clone, Copy)]
+struct View {
+    axis: Vector3<f64>,
+    /// Angle to the axis, radians; pi where beams go all around.
+    half_angle: f64,
+    /// Least and largest angle above the horizontal, radians.
+    elevations: (f64, f64),
+}
+
+impl View {
+    fn of(rows: &[Vec<Bin>]) -> Self {
+        let beams = || rows.iter().flatten().filter(|b| b.0.is_finite()).map(|b| b.1.cast::<f64>());
+        let sum: Vector3<f64> = beams().sum();
+        let axis = sum.try_normalize(1e-9).unwrap_or_else(Vector3::z);
+        let least = beams().map(|d| d.dot(&axis)).fold(1.0, f64::min);
+        let (low, high) = beams().map(|d| d.z).fold((1.0, -1.0), |(a, b): (f64, f64), z| (a.min(z), b.max(z)));
+        let angle = |sin: f64| sin.clamp(-1.0, 1.0).asin();
+        // Directions are kept as f32.
+        Self {
+            axis,
+            half_angle: least.clamp(-1.0, 1.0).acos() + 1e-3,
+            elevations: (angle(low) - 1e-3, angle(high) + 1e-3),
+        }
+    }
+
+    /// Whether a beam may pass within `radius` of what lies at `offset` from the sensor.
+    fn may_reach(&self, offset: &Vector3<f64>, radius: f64) -> bool {
+        let distance = offset.norm();
+        if distance <= radius {
+            return true;
+        }
+        let spread = (radius / distance).asin();
+        let from_axis = (offset.dot(&self.axis) / distance).clamp(-1.0, 1.0).acos();
+        let elevation = (offset.z / distance).clamp(-1.0, 1.0).asin();
+        from_axis <= self.half_angle + spread
+            && elevation + spread >= self.elevations.0
+            && elevation - spread <= self.elevations.1
+    }
 }
 
 /// Range (m), infinite without a beam, and the beam's unit direction.
@@ -22,7 +65,8 @@ type Bin = (f32, Vector3<f32>);
 impl RangeImage {
     /// From the ends of beams in the map frame, returns and misses alike; ends that are not finite are left out.
     pub(super) fn new(sensor: Point3<f64>, ends: impl Iterator<Item = Point3<f64>>) -> Self {
-        let mut out = Self { sensor, max_range: 0.0, rows: Vec::new() };
+        let view = View { axis: Vector3::z(), half_angle: 0.0, elevations: (0.0, 0.0) };
+        let mut out = Self { sensor, max_range: 0.0, rows: Vec::new(), view };
         for end in ends {
             let beam = end - sensor;
             let range = beam.norm();
@@ -43,7 +87,13 @@ impl RangeImage {
                 *slot = (range as f32, (beam / range).cast());
             }
         }
+        out.view = View::of(&out.rows);
         out
+    }
+
+    /// Whether anything within `radius_m` of a point may have been seen through; if not, nothing was.
+    pub(super) fn may_see_through(&self, center: &Point3<f64>, radius_m: f64, params: &CloudParams) -> bool {
+        !self.rows.is_empty() && self.view.may_reach(&(center - self.sensor), radius_m + 0.5 * params.voxel_size_m)
     }
 
     /// Where the beams start, map frame.
@@ -82,4 +132,46 @@ fn bin(v: &Vector3<f64>, norm: f64) -> (usize, usize) {
     let row = ((elevation / PI + 0.5) * ROWS as f64) as usize;
     let column = ((v.y.atan2(v.x) + PI) / TAU * COLUMNS as f64) as usize;
     (row.min(ROWS - 1), column.min(COLUMNS - 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Beams of a camera, of a planar lidar, of one that spins.
+    fn views() -> Vec<RangeImage> {
+        let sensor = Point3::new(0.3, -0.2, 1.0);
+        let image = |azimuths: (f64, f64), elevations: (f64, f64)| {
+            let at = |(a, b): (f64, f64), i: i32, n: i32| a + (b - a) * f64::from(i) / f64::from(n);
+            let beams = (0..=400).flat_map(move |i| {
+                (0..=60).map(move |j| {
+                    let (a, e) = (at(azimuths, i, 400), at(elevations, j, 60));
+                    let range = 3.0 + (5.0 * a).sin();
+                    sensor + Vector3::new(e.cos() * a.cos(), e.cos() * a.sin(), e.sin()) * range
+                })
+            });
+            RangeImage::new(sensor, beams)
+        };
+        vec![image((0.4, 1.4), (-0.5, 0.3)), image((-PI, PI), (0.0, 0.0)), image((-PI, PI), (-0.6, 0.3))]
+    }
+
+    #[test]
+    fn what_may_not_be_seen_through_is_not() {
+        let params = CloudParams::default();
+        for (k, view) in views().iter().enumerate() {
+            let (mut through, mut left_out) = (0, 0);
+            for i in 0..60_000 {
+                let spread = |m: u32| f64::from((i as u32).wrapping_mul(m) >> 16) / 65536.0 - 0.5;
+                let center =
+                    Point3::new(6.0 * spread(2_654_435_761), 6.0 * spread(2_246_822_519), 3.0 * spread(3_266_489_917));
+                let inside = Vector3::new(spread(668_265_263), spread(374_761_393), spread(2_147_483_647)) * 0.4;
+                let sees = view.sees_through(&(center + inside), &params);
+                let may = view.may_see_through(&center, 0.87 * 0.4, &params);
+                assert!(may || !sees, "view {k}: {center}");
+                through += usize::from(sees);
+                left_out += usize::from(!may);
+            }
+            assert!(through > 50 && left_out > 5_000, "view {k}: {through} seen through, {left_out} left out");
+        }
+    }
 }

@@ -32,7 +32,7 @@ const MERGED: (f64, f64, f64) = (0.03, 0.02, 0.02);
 const LAZY: usize = 10;
 /// Displacements (metres and radians) and the share of all keyframes that must have come since the last correction before
 /// one is made for them: less than the first is left, the last does not wait.
-const TURNS: [((f64, f64), f64); 3] = [((0.003, 0.001), 0.25), ((0.02, 0.005), 0.05), ((0.25, 0.05), 0.0)];
+const TURNS: [((f64, f64), f64); 3] = [((0.003, 0.001), 0.25), ((0.02, 0.005), 0.1), ((0.25, 0.05), 0.0)];
 
 /// Keyframes, what ties them, and where they are believed to be.
 pub struct BackEnd {
