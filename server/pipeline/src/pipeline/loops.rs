@@ -2,7 +2,7 @@
 //! is found again among the keyframes.
 
 use super::{FrameReport, NewKeyframe, Pipeline, Restored, merging};
-use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorSpec, Timestamp};
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId, SensorSpec, Timestamp, se3};
 use percept_slam::loops::{LoopClosure, place_recognition};
 use percept_slam::{
     BackEnd, BackEndKeyframe, BackEndUpdate, Loop, LoopId, OdometryEstimate, OdometryKind, Relocalisation, Scan,
@@ -11,6 +11,8 @@ use std::sync::Arc;
 
 /// While adrift, every so many frames are looked for in the whole map, besides those that would be keyframes.
 const LOOK_EVERY: u32 = 10;
+/// What odometry may drift while a robot is adrift: metres and radians a metre, radians a radian.
+const DRIFTS: (f64, f64, f64) = (0.03, 0.01, 0.02);
 /// Keyframes of a part of the map that hangs on nothing yet; when there are more, the oldest are given up.
 const MOST_FLOATING: usize = 500;
 
@@ -43,23 +45,26 @@ impl Pipeline {
 
     /// Hands a keyframe that is in the map to the back end, and does what follows.
     pub(super) fn close_loops(&mut self, keyframe: &mut NewKeyframe, recognise: bool, report: &mut FrameReport) {
-        let Some(mut back_end) = self.back_end.take() else { return };
-        let covariance = self.odometry.as_ref().map(percept_slam::Odometry::covariance).unwrap_or_default();
-        keyframe.after_gap = std::mem::take(&mut self.after_gap);
-        let node = BackEndKeyframe {
-            id: keyframe.info.id,
-            t_odom_base: keyframe.t_odom_base,
-            covariance,
-            scan: &keyframe.scan,
-            recognise,
-            after_gap: keyframe.after_gap,
-        };
-        let update = back_end.insert(&node, &keyframe.info.t_map_base);
-        self.back_end = Some(back_end);
+        let Some(update) = self.tell_back_end(keyframe, recognise) else { return };
         self.follow(update, report);
         if let Some(info) = self.keyframes.get(keyframe.info.id.0 as usize) {
             keyframe.info.t_map_base = info.t_map_base;
         }
+    }
+
+    /// Hands a keyframe that is in the map to the back end; what follows from that.
+    fn tell_back_end(&mut self, keyframe: &mut NewKeyframe, recognise: bool) -> Option<BackEndUpdate> {
+        let back_end = self.back_end.as_mut()?;
+        keyframe.after_gap = std::mem::take(&mut self.after_gap);
+        let node = BackEndKeyframe {
+            id: keyframe.info.id,
+            t_odom_base: keyframe.t_odom_base,
+            covariance: self.odometry.as_ref().map(percept_slam::Odometry::covariance).unwrap_or_default(),
+            scan: &keyframe.scan,
+            recognise,
+            after_gap: keyframe.after_gap,
+        };
+        Some(back_end.insert(&node, &keyframe.info.t_map_base))
     }
 
     /// Applies a correction and notes what changed.
@@ -109,7 +114,7 @@ impl Pipeline {
             let node = BackEndKeyframe {
                 id: KeyframeId(i as u64),
                 t_odom_base: k.t_odom_base,
-                covariance: percept_geometry::Covariance6::zeros(),
+                covariance: Covariance6::zeros(),
                 scan,
                 recognise: scan.sensor == *pose_sensor,
                 after_gap: k.after_gap,
@@ -169,28 +174,55 @@ impl Pipeline {
         let t_map_base = place.t_map_base * found.t_keyframe_base;
         self.t_map_odom = t_map_base * estimate.t_odom_base.inverse();
         self.after_gap = true;
-        let mut newest = None;
-        for f in std::mem::take(&mut self.floating) {
+        // All of them at once: a correction rebuilds the layers.
+        let mut all = BackEndUpdate::default();
+        let first = report.joined.len();
+        let floating = std::mem::take(&mut self.floating);
+        let last = floating.len().saturating_sub(1);
+        for (k, f) in floating.into_iter().enumerate() {
+            let t_now_then = estimate.t_odom_base.inv_mul(&f.t_odom_base);
             let mut keyframe = self.enter(f.stamp, &f.sensor, f.t_odom_base, f.scan);
-            self.close_loops(&mut keyframe, true, report);
-            newest = Some((keyframe.info.id, f.t_odom_base));
+            if let Some(update) = self.tell_back_end(&mut keyframe, true) {
+                all = all.followed_by(update);
+            }
+            if !all.merged.is_empty() {
+                self.follow(std::mem::take(&mut all), report);
+            }
+            // The first is tied at once, so that the others are not looked for everywhere; the last, as it was found.
+            if k == 0 || k == last {
+                let closure = self.tie(found, keyframe.info.id, &t_now_then);
+                let update = self.back_end.as_mut().map(|b| b.propose(vec![closure]));
+                all = all.followed_by(update.unwrap_or_default());
+            }
             self.policy(&keyframe.info.sensor).resume(&f.t_odom_base);
             report.joined.push(keyframe);
         }
-        if let (Some((id, t_odom_base)), Some(mut back_end)) = (newest, self.back_end.take()) {
-            // Meanwhile another keyframe may have come to stand for the one that was recognised.
-            let (from, t_from_found) = match self.keyframes.get(found.keyframe.0 as usize).and_then(|k| k.merged) {
-                Some(merged) => (merged.into, merged.t_into_base),
-                None => (found.keyframe, Pose::identity()),
-            };
-            let t_from_to = t_from_found * found.t_keyframe_base * estimate.t_odom_base.inverse() * t_odom_base;
-            let closure =
-                LoopClosure { from, to: id, t_from_to, covariance: found.covariance, inlier_ratio: found.inlier_ratio };
-            let update = back_end.propose(vec![closure]);
-            self.back_end = Some(back_end);
-            self.follow(update, report);
+        self.follow(all, report);
+        for keyframe in &mut report.joined[first..] {
+            if let Some(info) = self.keyframes.get(keyframe.info.id.0 as usize) {
+                keyframe.info.t_map_base = info.t_map_base;
+            }
         }
         self.anchoring.found(estimate);
         true
+    }
+
+    /// What ties a keyframe to the place where the robot was found to be, `t_now_then` later by odometry.
+    fn tie(&self, found: &Relocalisation, to: KeyframeId, t_now_then: &Pose) -> LoopClosure {
+        // Meanwhile another keyframe may have come to stand for the one that was recognised.
+        let (from, t_from_found) = match self.keyframes.get(found.keyframe.0 as usize).and_then(|k| k.merged) {
+            Some(merged) => (merged.into, merged.t_into_base),
+            None => (found.keyframe, Pose::identity()),
+        };
+        let (way, turn) = (t_now_then.translation.vector.norm(), t_now_then.rotation.angle());
+        let [t, r] = [DRIFTS.0 * way, DRIFTS.1 * way + DRIFTS.2 * turn].map(|sigma| sigma * sigma);
+        let odometry = Covariance6::from_diagonal(&[t, t, t, r, r, r].into());
+        LoopClosure {
+            from,
+            to,
+            t_from_to: t_from_found * found.t_keyframe_base * t_now_then,
+            covariance: se3::compose_covariance(&found.covariance, t_now_then, &odometry),
+            inlier_ratio: found.inlier_ratio,
+        }
     }
 }

@@ -166,6 +166,7 @@ impl Odometry {
                 if self.num_lost == 0 {
                     self.rhythm.observe(stamped, &(t_odom_before.inverse() * found.t_odom_base));
                 }
+                self.uncertainty.filled_in(&found.degenerate_axes, prediction.is_measured, dt);
                 self.tracked(stamp, dt, found)
             }
             Err(_) if self.num_lost + 1 >= self.patience(dt) => {

@@ -1,8 +1,9 @@
 //! Parameters of odometry, and what robots can do.
 
-use super::{lidar2d, lidar3d, mono, rgbd};
+use super::{diagonal, lidar2d, lidar3d, mono, rgbd};
 use crate::keyframe::KeyframeParams;
 use crate::{ParamError, check_range};
+use percept_geometry::Covariance6;
 use serde::{Deserialize, Serialize};
 
 /// Which method registers the scans.
@@ -119,6 +120,8 @@ pub(super) struct MotionLimits {
     pub(super) frames_after_silence: usize,
     /// Whether the scene often leaves a direction open that a later frame decides (corridors in the plane).
     pub(super) remembers_open: bool,
+    /// Standard deviations that a motion prior is given besides its own: none is believed to be surer, m and rad.
+    prior: (f64, f64),
 }
 
 impl MotionLimits {
@@ -135,8 +138,20 @@ impl MotionLimits {
             turn_acceleration: params.turn_acceleration_radps2.unwrap_or(turn_acceleration),
             smoothing,
             // A camera's features find a place again in a second; a lidar has to drive for that, and comes back sooner.
-            frames_after_silence: if kind == OdometryKind::Rgbd { 5 } else { usize::MAX },
+            frames_after_silence: match kind {
+                OdometryKind::Rgbd => 5,
+                OdometryKind::Lidar3d => 10,
+                OdometryKind::Lidar2d | OdometryKind::Mono => usize::MAX,
+            },
             remembers_open: kind == OdometryKind::Lidar2d,
+            // Wheels that are a hundredth off are so in every frame, while a 3D lidar's errors against its map average
+            // out: were each step believed to the millimetre, they would drag the map along.
+            prior: if kind == OdometryKind::Lidar3d { (0.01, 0.003) } else { (1e-3, 1e-3) },
         }
+    }
+
+    /// What is added to the covariance of a motion prior.
+    pub(super) fn prior_floor(&self) -> Covariance6 {
+        diagonal(self.prior.0, self.prior.1)
     }
 }

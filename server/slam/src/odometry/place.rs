@@ -23,8 +23,7 @@ impl Odometry {
     pub(super) fn predict(&self, dt: f64, prior: Option<&MotionPrior>) -> Prediction {
         let constant = self.constant_velocity(dt);
         let Some(prior) = prior else { return constant };
-        // A prior surer than 1 mm and 1 mrad is not believed.
-        let covariance = prior.covariance + diagonal(1e-3, 1e-3);
+        let covariance = prior.covariance + self.limits.prior_floor();
         if (0..3).all(|i| covariance[(i, i)] <= UNKNOWN_VARIANCE) {
             return Prediction { t_odom_base: self.t_odom_base * prior.t_prev_now, covariance, is_measured: true };
         }

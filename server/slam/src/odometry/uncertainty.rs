@@ -4,13 +4,18 @@
 //! error does not grow. It grows as the model is renewed: every half metre or 0.35 rad of motion replaces
 //! about one model's worth of surfaces and adds one measurement's covariance. While lost, predictions
 //! add up; placed again in the same model, what they added is gone. Along an axis that the scene leaves open the
-//! prediction's errors add up as well.
+//! prediction's errors add up as well: those of wheels with the way, those of a velocity that nobody measures with time.
 
+use nalgebra::Vector6;
 use percept_geometry::{Covariance6, Pose, se3};
 
 /// What a prediction adds along an axis that the scene leaves open, m / sqrt(m) and rad / sqrt(rad): wheels are off by two
 /// hundredths over ways of ten metres.
 const LEFT_OPEN: (f64, f64) = (0.06, 0.02);
+
+/// How the velocity may wander along an open axis that nothing measures, m/s / sqrt(s) and rad/s / sqrt(s): a robot that
+/// drives off is noticed by nothing.
+const WANDERS: (f64, f64) = (0.3, 0.1);
 
 /// Motion after which the local model's errors are independent of what they were, metres and radians.
 const RENEWAL: (f64, f64) = (0.5, 0.35);
@@ -24,11 +29,25 @@ pub(crate) struct Uncertainty {
     /// Motion since the last placed frame.
     since_placed: Pose,
     last: Covariance6,
+    /// Standard deviation of the velocity along each axis that has been open, and unmeasured, of late: m/s and rad/s.
+    unknown_velocity: Vector6<f64>,
 }
 
 impl Uncertainty {
     pub(crate) fn covariance(&self) -> Covariance6 {
         symmetric(&self.last)
+    }
+
+    /// Along the axes of base that are `open` the frame that follows was put where a prediction was, `dt` seconds after the
+    /// one before: by wheels if that `is_measured`, else by a velocity that was never seen.
+    pub(crate) fn filled_in(&mut self, open: &[bool; 6], is_measured: bool, dt: f64) {
+        for (k, (v, &open)) in self.unknown_velocity.iter_mut().zip(open).enumerate() {
+            let rate = if k < 3 { WANDERS.0 } else { WANDERS.1 };
+            *v = if open && !is_measured { (*v * *v + rate * rate * dt).sqrt() } else { 0.0 };
+            // Errors of a velocity add up, they do not average out.
+            let sigma = self.model[(k, k)].max(0.0).sqrt();
+            self.model[(k, k)] += 2.0 * sigma * *v * dt + (*v * dt).powi(2);
+        }
     }
 
     /// A frame was placed `t_last_now` from the last estimate, with this covariance against the model. Along the axes of
@@ -86,6 +105,22 @@ mod tests {
         assert!((along - 0.06 * 24f64.sqrt()).abs() < 0.01 && across < 0.02, "{along} {across}");
         u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), &open);
         assert!((u.covariance()[(0, 0)].sqrt() - along).abs() < 1e-3);
+    }
+
+    #[test]
+    fn along_an_open_axis_that_nothing_measures_the_error_grows_with_time() {
+        let mut u = Uncertainty::default();
+        let open = [true, false, false, false, false, false];
+        for _ in 0..250 {
+            u.filled_in(&open, false, 0.1);
+            u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), &open);
+        }
+        // The velocity's standard deviation is a square root of time: two thirds of 0.3 t^1.5 after 25 s.
+        let (along, across) = (u.covariance()[(0, 0)].sqrt(), u.covariance()[(1, 1)].sqrt());
+        assert!((along - 25.0).abs() < 0.5 && across < 0.02, "{along} {across}");
+        u.filled_in(FIXED, false, 0.1);
+        let fixed = u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), FIXED)[(0, 0)].sqrt();
+        assert!((fixed - along).abs() < 0.01, "{fixed}");
     }
 
     #[test]

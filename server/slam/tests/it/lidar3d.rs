@@ -1,8 +1,10 @@
 use crate::room::{Noise, Room, drive, velocity};
 use percept_geometry::SensorData;
-use percept_geometry::{Pose, Timestamp, se3};
+use percept_geometry::{Covariance6, Pose, Timestamp, se3};
 use percept_sim::{HandheldParams, Lidar3dParams, RobotParams, ScanPattern, SensorSuite, SimParams, Simulation};
-use percept_slam::{CloudScan, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scan};
+use percept_slam::{
+    CloudScan, LostReason, MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scan, TrackingState,
+};
 use std::sync::Arc;
 
 fn run(threads: usize, frames: usize, rings: usize) -> Vec<OdometryEstimate> {
@@ -77,4 +79,54 @@ fn a_rosette_swung_by_hand_is_followed() {
     };
     let worst = carried(lidar, 50);
     assert!(worst < 0.15, "{worst}");
+}
+
+/// What is said of the first scan after 4 s without any, seen in another room or the same one, half a metre ahead.
+fn after_a_gap(other: Option<Room>) -> TrackingState {
+    let (room, mut noise) = (Room::furnished(), Noise(5));
+    let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());
+    for i in 0..20 {
+        let scan = room.cloud(&drive(i, 200), 16, &velocity(i, 200), &mut noise);
+        assert!(!odometry.register(Timestamp::from_secs_f64(i as f64 * 0.1), &scan, None).state.is_lost());
+    }
+    let t_world_base = drive(19, 200) * se3::from_xy_yaw(0.1, 0.0, 0.05);
+    let scan = other.unwrap_or(room).cloud(&t_world_base, 16, &nalgebra::Vector6::zeros(), &mut noise);
+    odometry.register(Timestamp::from_secs_f64(6.0), &scan, None).state
+}
+
+#[test]
+fn a_lidar_that_was_blind_goes_on_in_the_same_room_and_is_lost_in_another_one() {
+    assert_eq!(after_a_gap(None), TrackingState::Tracking);
+    // The same walls with other furniture, and the same furniture in a larger room.
+    let mut refurnished = Room::furnished();
+    refurnished.boxes.iter_mut().for_each(|b| {
+        let (min, max) = *b;
+        *b = (-max, -min);
+        (b.0.z, b.1.z) = (min.z, max.z);
+    });
+    let mut larger = Room::furnished();
+    larger.walls.1.x += 1.5;
+    for other in [refurnished, larger] {
+        assert_eq!(after_a_gap(Some(other)), TrackingState::Lost { reason: LostReason::TimeGap });
+    }
+}
+
+#[test]
+fn wheels_that_are_a_hundredth_off_do_not_drag_the_map_along() {
+    let (room, mut noise) = (Room::furnished(), Noise(7));
+    let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());
+    let mut worst: f64 = 0.0;
+    for i in 0..150 {
+        let scan = room.cloud(&drive(i, 200), 16, &velocity(i, 200), &mut noise);
+        let prior = (i > 0).then(|| {
+            let step = se3::log(&drive(i - 1, 200).inv_mul(&drive(i, 200)));
+            let sigma = |share: f64| (share * 0.01f64).powi(2).max(1e-10);
+            let covariance = Covariance6::from_diagonal(&step.map(|_| sigma(0.1)));
+            MotionPrior { t_prev_now: se3::exp(&(step * 1.03)), covariance }
+        });
+        let e = odometry.register(Timestamp::from_secs_f64(i as f64 * 0.1), &scan, prior.as_ref());
+        let truth = drive(0, 200).inv_mul(&drive(i, 200));
+        worst = worst.max(truth.inv_mul(&e.t_odom_base).translation.vector.norm());
+    }
+    assert!(worst < 0.03, "{worst}");
 }

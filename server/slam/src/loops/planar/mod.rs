@@ -10,7 +10,7 @@
 mod links;
 mod lost;
 mod measure;
-mod pyramid;
+pub(super) mod pyramid;
 
 #[cfg(test)]
 mod tests;
@@ -344,7 +344,13 @@ fn only_optimum(pyramid: &Pyramid, query: &[Point2<f64>], region: &Region, min_s
 }
 
 /// The best pose and all others that are nearly as good, best first; none if that is bad, or if they are more than `most`.
-fn optima(pyramid: &Pyramid, query: &[Point2<f64>], region: &Region, min_score: f64, most: usize) -> Option<Vec<Fit>> {
+pub(super) fn optima(
+    pyramid: &Pyramid,
+    query: &[Point2<f64>],
+    region: &Region,
+    min_score: f64,
+    most: usize,
+) -> Option<Vec<Fit>> {
     let mut found: Vec<Fit> = vec![];
     let mut patience = PATIENCE;
     loop {

@@ -48,7 +48,7 @@ impl LocalMap {
     ) -> Option<Self> {
         let (anchor, _, t_map_anchor) = keyframes.get(keyframes.len() / 2)?;
         let usual = keyframes.iter().map(|(_, scan, _)| range(scan)).fold(0.0, f64::max);
-        let voxel_m = 2f64.powf((usual * FINENESS).log2().round()).clamp(VOXELS_M.0, VOXELS_M.1);
+        let voxel_m = voxel_for(usual);
         let t_local_map = Translation3::from(-t_map_anchor.translation.vector);
         let points = keyframes.iter().flat_map(|(_, scan, t_map_base)| {
             let t_local_base = t_local_map * t_map_base;
@@ -98,6 +98,11 @@ fn from_above(points: &[Point3<f32>], voxel_m: f64, width: usize) -> Option<Gray
     let top = f64::from(*heights.select_nth_unstable(k).1).max(2.0);
     let grey = counts.iter().map(|&c| (255.0 * (f64::from(c.saturating_sub(1)) / (top - 1.0)).min(1.0)) as u8);
     GrayImage::new(width, width, grey.collect()).ok()
+}
+
+/// Edge of the voxels for what is seen so far, metres.
+pub(super) fn voxel_for(range: f64) -> f64 {
+    2f64.powf((range * FINENESS).log2().round()).clamp(VOXELS_M.0, VOXELS_M.1)
 }
 
 /// The 90th percentile of the distances from the sensor, metres, of about a thousand points; 0 without points.

@@ -9,7 +9,11 @@
 //! verify in space, with no use of the picture's alignment: where the floor is not level, that is wrong.
 
 mod local_map;
+mod lost;
+mod near;
+mod neighbourhood;
 mod retrieve;
+mod walls;
 
 #[cfg(test)]
 mod tests;
@@ -17,9 +21,11 @@ mod tests;
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::diagonal;
 use local_map::LocalMap;
+use lost::Lost;
+use nalgebra::Point2;
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
 use percept_perception::registration::{GlobalOutcome, GlobalParams, GlobalResult, register_global};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 /// Length of a local map's stretch, and the least and most of it (m); a new map begins each half of it.
@@ -52,9 +58,20 @@ struct Gathered {
     travel: f64,
 }
 
+/// A keyframe among which a lost robot is looked for.
+#[derive(Debug)]
+struct Kept {
+    scan: Arc<KeyframeScan>,
+    /// What stands upright, seen from above: in base turned level, its x axis kept.
+    walls: Vec<Point2<f32>>,
+    /// Length of the way up to it, metres.
+    travel: f64,
+}
+
 /// The 3D lidar's place recognition.
 #[derive(Debug, Default)]
 pub(crate) struct SpatialRecognition {
+    kept: BTreeMap<KeyframeId, Kept>,
     maps: Vec<LocalMap>,
     recent: VecDeque<Gathered>,
     /// Travel at which the last map was closed.
@@ -64,6 +81,8 @@ pub(crate) struct SpatialRecognition {
     waiting: VecDeque<(u64, u64)>,
     since_registered: usize,
     next_map: u64,
+    /// Length of the way up to the newest keyframe that was measured from a place seen before, metres.
+    tied_at: f64,
 }
 
 impl SpatialRecognition {
@@ -90,6 +109,8 @@ impl SpatialRecognition {
         }
         self.since_closed += 1;
         self.recent.push_back(Gathered { id, scan: Arc::clone(scan), t_map_base, travel });
+        let walls = walls::of(scan, &walls::leveling(&t_map_base));
+        self.kept.insert(id, Kept { scan: Arc::clone(scan), walls, travel });
     }
 
     /// Makes a local map of the last stretch, and drops the keyframes that the next one will not need.
@@ -106,7 +127,8 @@ impl SpatialRecognition {
         (self.closed_at, self.since_closed) = (end, 0);
         let Some(map) = made else { return };
         self.next_map += 1;
-        if let Some(drift) = drift {
+        // Where the way is tied to what was seen before, there is nothing to look for.
+        if let Some(drift) = drift.filter(|_| end - self.tied_at > stretch) {
             self.propose(&map, drift, poses);
         }
         self.maps.push(map);
@@ -142,7 +164,7 @@ impl SpatialRecognition {
     }
 
     /// Registers the next waiting pair, if it is time for one.
-    fn register_next(&mut self) -> Option<LoopClosure> {
+    fn register_next(&mut self, poses: &KeyframePoses) -> Option<LoopClosure> {
         self.since_registered += 1;
         if self.since_registered < PATIENCE {
             return None;
@@ -151,13 +173,9 @@ impl SpatialRecognition {
         self.since_registered = 0;
         let (from, to) = (self.map(earlier)?, self.map(later)?);
         let found = verified(to, from)?;
-        Some(LoopClosure {
-            from: from.anchor,
-            to: to.anchor,
-            t_from_to: from.t_local_anchor.inverse() * found.t_target_source * to.t_local_anchor,
-            covariance: covariance(&found, &to.t_local_anchor, to.voxel_m.max(from.voxel_m)),
-            inlier_ratio: found.overlap,
-        })
+        // What the pictures and the surfaces agree on has to explain what each scan looked through as well.
+        let t_from_to = from.t_local_anchor.inverse() * found.t_target_source * to.t_local_anchor;
+        self.measure(to.anchor, from.anchor, &(poses.get(&from.anchor)? * t_from_to), poses)
     }
 
     fn map(&self, number: u64) -> Option<&LocalMap> {
@@ -188,7 +206,7 @@ fn verified(source: &LocalMap, target: &LocalMap) -> Option<GlobalResult> {
     certain.then_some(found)
 }
 
-/// Of base at the anchor: the registration's, and what it does not know of (maps bend while they are gathered).
+/// Of base at a scan that was lost: the registration's, and what it does not know of (maps bend while they are gathered).
 fn covariance(found: &GlobalResult, t_local_base: &Pose, voxel_m: f64) -> Covariance6 {
     // A right perturbation in the local frame is one in base, turned and shifted.
     let adjoint = percept_geometry::se3::adjoint(&t_local_base.inverse());
@@ -205,7 +223,11 @@ impl PlaceRecognition for SpatialRecognition {
         poses: &KeyframePoses,
     ) -> Vec<LoopClosure> {
         self.take(id, scan, Some(drift), poses);
-        self.register_next().into_iter().collect()
+        if let Some(near) = self.near(id, drift, poses) {
+            self.tied_at = self.recent.back().map_or(0.0, |g| g.travel);
+            return vec![near];
+        }
+        self.register_next(poses).into_iter().collect()
     }
 
     fn restore(
@@ -236,7 +258,18 @@ impl PlaceRecognition for SpatialRecognition {
         })
     }
 
+    fn relocalise_driven(
+        &self,
+        before: &[(Pose, Arc<KeyframeScan>)],
+        scan: &KeyframeScan,
+        poses: &KeyframePoses,
+    ) -> Option<Relocalisation> {
+        let before: Vec<_> = before.iter().map(|(t, s)| (*t, s.as_ref())).collect();
+        Lost::new(&before, scan).find(&self.kept, poses)
+    }
+
     fn forget(&mut self, id: KeyframeId) {
+        self.kept.remove(&id);
         self.maps.retain(|m| m.anchor != id);
     }
 }

@@ -31,7 +31,18 @@ fn street(seed: u32) -> Vec<Point3<f32>> {
 
 fn seen_from(points: &[Point3<f32>], t_world_base: &Pose) -> Arc<KeyframeScan> {
     let t = t_world_base.inverse();
-    let hits = points.iter().map(|p| t * p.cast::<f64>()).filter(|p| p.coords.norm() < 35.0).map(|p| p.cast());
+    let near: Vec<_> = points.iter().map(|p| t * p.cast::<f64>()).filter(|p| p.coords.norm() < 35.0).collect();
+    // A lidar 1.5 m above the floor does not see what is behind something else.
+    let direction = |p: &Point3<f64>| {
+        let (up, turn) = ((p.z - 1.5).atan2(p.xy().coords.norm()), p.y.atan2(p.x));
+        ((up * 29.0).floor() as i32, (turn * 29.0).floor() as i32)
+    };
+    let mut nearest = std::collections::BTreeMap::new();
+    for p in &near {
+        let known = nearest.entry(direction(p)).or_insert(f64::MAX);
+        *known = p.coords.norm().min(*known);
+    }
+    let hits = near.iter().filter(|p| p.coords.norm() < nearest[&direction(p)] + 1.0).map(|p| p.cast());
     let cloud = Arc::new(PointCloud::from_positions(hits.collect()));
     let scan = Scan::Cloud(CloudScan { cloud, t_base_sensor: Pose::identity() });
     Arc::new(keyframe_scan(&KeyframeParams::default(), Timestamp(0), &"lidar".into(), &scan, &Vector6::zeros()))
@@ -77,4 +88,27 @@ fn coming_back_closes_a_loop_and_the_neighbourhood_does_not() {
         let off = l.t_from_to.inverse() * (at(l.from.0).inverse() * at(l.to.0));
         assert!(off.translation.vector.norm() < 0.6 && off.rotation.angle() < 0.03, "{} {} {off}", l.from.0, l.to.0);
     }
+}
+
+#[test]
+fn a_robot_that_drove_is_found_by_what_it_saw_on_the_way_and_not_before() {
+    let (here, elsewhere) = (street(5), street(6));
+    let mut recognition = SpatialRecognition::default();
+    let mut poses = KeyframePoses::new();
+    for i in 0..16 {
+        let (id, t) = (KeyframeId(i), se3::from_xy_yaw(2.0 * i as f64 - 15.0, 0.0, 0.1 * i as f64));
+        poses.insert(id, t);
+        recognition.insert(id, &seen_from(&here, &t), &Covariance6::zeros(), &poses);
+    }
+    let drive = |k: usize| se3::from_xy_yaw(2.0 - 1.5 * k as f64, 1.0, 2.0);
+    let find = |world: &[Point3<f32>], last: usize| {
+        let seen = |k: usize| (drive(last).inverse() * drive(k), seen_from(world, &drive(k)));
+        let before: Vec<_> = (0..last).map(seen).collect();
+        recognition.relocalise_driven(&before, &seen_from(world, &drive(last)), &poses)
+    };
+    assert_eq!(find(&here, 1), None);
+    let found = find(&here, 7).unwrap();
+    let off = (poses[&found.keyframe] * found.t_keyframe_base).inverse() * drive(7);
+    assert!(off.translation.vector.norm() < 0.15 && off.rotation.angle() < 0.02, "{off}");
+    assert_eq!(find(&elsewhere, 7), None);
 }

@@ -1,0 +1,145 @@
+//! A robot that may be anywhere: what it has seen since it was lost is searched for in all of the map.
+//!
+//! Rooms resemble each other, and one view of them all the more. So what stands upright along some metres of the way is
+//! laid over that of all the map, seen from above ([`crate::loops::planar::pyramid`]); every place in which it fits nearly
+//! as well as in the best one is looked at in space; what was seen on the way has to agree with each place, view by view,
+//! and only if it does in the best one and in no other is that claimed.
+
+use super::local_map::{range, voxel_for};
+use super::neighbourhood::{Neighbourhood, Refused, Strictness};
+use super::{Kept, walls};
+use crate::loops::planar::optima;
+use crate::loops::planar::pyramid::{Fit, Pyramid};
+use crate::loops::{KeyframePoses, Relocalisation};
+use nalgebra::{Isometry2, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
+use percept_geometry::{KeyframeId, KeyframeScan, Pose, se3};
+use rustc_hash::FxHashSet;
+use std::collections::BTreeMap;
+
+/// Places that may fit nearly alike: where there are more, nothing tells them apart.
+const MAX_PLACES: usize = 4;
+/// Least share of the walls that lies on those of the map.
+const MIN_SCORE: f64 = 0.6;
+/// Views from the way that a place is checked with, besides the newest one.
+const WITNESSES: usize = 5;
+/// Way since the robot was lost before it is found again, and way whose views are searched for, usual ranges; and the
+/// least and most of the first, metres.
+const FOUND_AFTER: f64 = 0.25;
+const FOUND_AFTER_M: (f64, f64) = (1.0, 10.0);
+const QUERY: f64 = 3.0;
+/// Points of a query, at most and at least.
+const QUERY_POINTS: usize = 150;
+const FEWEST_POINTS: usize = 30;
+/// The search from above is made for cells of a tenth of a metre: lengths are told to it in these.
+const CELL: f64 = 0.1;
+/// What the newest view has to bring, and those before.
+const NEWEST: Strictness = Strictness { min_inlier_ratio: 0.75, max_contradicted: 0.04 };
+const WITNESS: Strictness = Strictness { min_inlier_ratio: 0.65, max_contradicted: 0.06 };
+
+/// What a lost robot has seen: views from the way, oldest first, with base then seen from base now.
+pub(super) struct Lost<'a> {
+    before: &'a [(Pose, &'a KeyframeScan)],
+    scan: &'a KeyframeScan,
+    usual_range: f64,
+}
+
+impl<'a> Lost<'a> {
+    pub(super) fn new(before: &'a [(Pose, &'a KeyframeScan)], scan: &'a KeyframeScan) -> Self {
+        let usual_range = before.iter().map(|(_, s)| range(s)).fold(range(scan), f64::max);
+        Self { before, scan, usual_range }
+    }
+
+    /// The way since the robot was lost, metres.
+    fn way_m(&self) -> f64 {
+        let here = Pose::identity();
+        let stations: Vec<&Pose> = self.before.iter().map(|(t, _)| t).chain([&here]).collect();
+        stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum()
+    }
+
+    /// The only place among the keyframes where all of it fits.
+    pub(super) fn find(&self, kept: &BTreeMap<KeyframeId, Kept>, poses: &KeyframePoses) -> Option<Relocalisation> {
+        if self.way_m() < (FOUND_AFTER * self.usual_range).clamp(FOUND_AFTER_M.0, FOUND_AFTER_M.1) {
+            return None;
+        }
+        let known: BTreeMap<KeyframeId, Pose> =
+            poses.iter().filter(|(id, _)| kept.contains_key(id)).map(|(id, t)| (*id, *t)).collect();
+        let scale = CELL / voxel_for(self.usual_range);
+        let of_map: Vec<_> =
+            known.iter().flat_map(|(id, t)| above(t, &kept[id].walls).map(|p| p * scale).collect::<Vec<_>>()).collect();
+        let query = self.query(scale);
+        if query.len() < FEWEST_POINTS {
+            return None;
+        }
+        let pyramid = Pyramid::new(CELL, &of_map)?;
+        let places = optima(&pyramid, &query, &pyramid.everywhere(), MIN_SCORE, MAX_PLACES);
+        let mut verified = places?.into_iter().map(|fit| self.verify(&fit, scale, kept, &known));
+        let best = verified.next().flatten()?;
+        verified.all(|other| other.is_none()).then_some(best)
+    }
+
+    /// What stands upright along the newest part of the way, from above, base now level.
+    fn query(&self, scale: f64) -> Vec<Point2<f64>> {
+        let near = self.before.iter().rev().filter(|(t, _)| t.translation.vector.norm() < QUERY * self.usual_range);
+        let here = (Pose::identity(), self.scan);
+        let mut taken = FxHashSet::default();
+        let mut points = vec![];
+        for (t, scan) in std::iter::once(&here).chain(near) {
+            for p in above(t, &walls::of(scan, &UnitQuaternion::identity())).map(|p| p * scale) {
+                if taken.insert(((p.x / CELL).floor() as i64, (p.y / CELL).floor() as i64)) {
+                    points.push(p);
+                }
+            }
+        }
+        let few = QUERY_POINTS.min(points.len());
+        let step = points.len() as f64 / few.max(1) as f64;
+        (0..few).map(|i| points[(i as f64 * step) as usize]).collect()
+    }
+
+    /// What the newest view measures at a place, if what was seen on the way agrees.
+    fn verify(
+        &self,
+        fit: &Fit,
+        scale: f64,
+        kept: &BTreeMap<KeyframeId, Kept>,
+        poses: &BTreeMap<KeyframeId, Pose>,
+    ) -> Option<Relocalisation> {
+        let guess = upright(fit, scale, poses)?;
+        let witnesses: Vec<&(Pose, &KeyframeScan)> =
+            self.before.iter().step_by(self.before.len().div_ceil(WITNESSES).max(1)).collect();
+        let places: Vec<Pose> = std::iter::once(guess).chain(witnesses.iter().map(|(t, _)| guess * t)).collect();
+        let around = Neighbourhood::new(kept, poses, &places);
+        let found = around.measure(self.scan, &guess, &NEWEST).ok()?;
+        let (mut agree, mut against) = (0, 0);
+        for (t_now_then, scan) in witnesses {
+            match around.measure(scan, &(found.t_odom_base * t_now_then), &WITNESS) {
+                Ok(_) => agree += 1,
+                Err(Refused::Contradicted) => return None,
+                // A view that leaves something open says nothing.
+                Err(Refused::Open) => {}
+                Err(Refused::Misfit) => against += 1,
+            }
+        }
+        let (keyframe, t_keyframe_base) = around.seen_from(&found.t_odom_base)?;
+        (3 * against <= agree).then_some(Relocalisation {
+            keyframe,
+            t_keyframe_base,
+            covariance: found.covariance,
+            inlier_ratio: found.inlier_ratio,
+        })
+    }
+}
+
+/// Walls of a levelled base from above, in the frame of its pose.
+fn above<'a>(t: &Pose, walls: &'a [Point2<f32>]) -> impl Iterator<Item = Point2<f64>> + 'a {
+    let t = Isometry2::new(Vector2::new(t.translation.x, t.translation.y), se3::yaw(t));
+    walls.iter().map(move |p| t * p.cast::<f64>())
+}
+
+/// The pose in space of a fit: as high and as level as the nearest keyframe.
+fn upright(fit: &Fit, scale: f64, poses: &BTreeMap<KeyframeId, Pose>) -> Option<Pose> {
+    let at = fit.t.translation.vector / scale;
+    let distance = |t: &Pose| (t.translation.vector.xy() - at).norm();
+    let nearest = poses.values().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), fit.t.rotation.angle());
+    Some(Pose::from_parts(Translation3::new(at.x, at.y, nearest.translation.z), turn * walls::leveling(nearest)))
+}

@@ -1,0 +1,70 @@
+//! Loops where the map is believed to be known: a keyframe measured in what an earlier visit to the place saw.
+
+use super::local_map::range;
+use super::neighbourhood::{Neighbourhood, Strictness, reach};
+use super::{APART, SpatialRecognition};
+use crate::loops::{KeyframePoses, LoopClosure};
+use percept_geometry::{Covariance6, KeyframeId, Pose};
+use std::collections::BTreeMap;
+
+/// Earlier keyframes within so many stretches are the same place.
+const NEAR: f64 = 0.5;
+/// The drift that such a measurement can bridge, standard deviations: beyond it another place may fit.
+const BRIDGED: f64 = 2.0;
+/// What a scan has to bring.
+const STRICTNESS: Strictness = Strictness { min_inlier_ratio: 0.6, max_contradicted: 0.05 };
+
+impl SpatialRecognition {
+    /// The newest keyframe measured in one of the earlier visits to where it is believed to be, in turn.
+    pub(super) fn near(&mut self, id: KeyframeId, drift: &Covariance6, poses: &KeyframePoses) -> Option<LoopClosure> {
+        let t_map_base = *poses.get(&id)?;
+        let stretch = self.stretch();
+        let travel = self.kept.get(&id)?.travel;
+        let sigma = (0..3).map(|k| drift[(k, k)].max(0.0)).fold(0.0, f64::max).sqrt();
+        let turning = (3..6).map(|k| drift[(k, k)].max(0.0)).fold(0.0, f64::max).sqrt();
+        let reach = reach(range(&self.kept.get(&id)?.scan));
+        if BRIDGED * sigma > reach.0 || BRIDGED * turning > reach.1 {
+            return None;
+        }
+        let away = |t: &Pose| (t.translation.vector - t_map_base.translation.vector).norm();
+        let mut visits: Vec<(f64, KeyframeId)> = vec![];
+        for (other, kept) in &self.kept {
+            if travel - kept.travel < APART * stretch {
+                break;
+            }
+            let Some(distance) = poses.get(other).map(away).filter(|d| *d < NEAR * stretch) else { continue };
+            match visits.last_mut() {
+                Some((nearest, last)) if kept.travel - self.kept[last].travel < stretch => {
+                    if distance < *nearest {
+                        (*nearest, *last) = (distance, *other);
+                    }
+                }
+                _ => visits.push((distance, *other)),
+            }
+        }
+        let (_, chosen) = *visits.get(id.0 as usize % visits.len().max(1))?;
+        self.measure(id, chosen, &t_map_base, poses)
+    }
+
+    /// A keyframe measured from those around an earlier one in time, where it is expected at `t_map_base`.
+    pub(super) fn measure(
+        &self,
+        id: KeyframeId,
+        earlier: KeyframeId,
+        t_map_base: &Pose,
+        poses: &KeyframePoses,
+    ) -> Option<LoopClosure> {
+        let (to, at) = (self.kept.get(&id)?, self.kept.get(&earlier)?.travel);
+        let stretch = self.stretch();
+        let visit: BTreeMap<KeyframeId, Pose> = self
+            .kept
+            .iter()
+            .filter(|(_, k)| (k.travel - at).abs() < stretch && to.travel - k.travel > 0.5 * APART * stretch)
+            .filter_map(|(id, _)| Some((*id, *poses.get(id)?)))
+            .collect();
+        let place = Neighbourhood::new(&self.kept, &visit, &[*t_map_base]);
+        let found = place.measure(&to.scan, t_map_base, &STRICTNESS).ok()?;
+        let (from, t_from_to) = place.seen_from(&found.t_odom_base)?;
+        Some(LoopClosure { from, to: id, t_from_to, covariance: found.covariance, inlier_ratio: found.inlier_ratio })
+    }
+}
