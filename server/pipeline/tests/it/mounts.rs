@@ -10,7 +10,7 @@ fn drive(mut sensors: SensorSuite, yaw_rad: f64) -> Simulation {
     sensors.depth_camera = Some(DepthCameraParams { rate_hz: 2.0, color: false, ..DepthCameraParams::default() });
     let world = WorldParams { seed: 5, rooms: 1, person: false, ..WorldParams::default() };
     let disturbances = Disturbances { mount_yaw_error_rad: yaw_rad, ..Disturbances::default() };
-    let params = SimParams { world, sensors, disturbances, duration_s: Some(12.0), seed: 5, ..SimParams::default() };
+    let params = SimParams { world, sensors, disturbances, duration_s: Some(16.0), seed: 5, ..SimParams::default() };
     Simulation::new(params).unwrap()
 }
 
