@@ -161,7 +161,7 @@ impl Odometry {
         if self.model.is_empty() {
             return self.start(stamp, &prediction);
         }
-        match self.place_or_doubt(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found)) {
+        match self.place_or_search(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found)) {
             Ok(found) => {
                 if self.num_lost == 0 {
                     self.rhythm.observe(stamped, &(t_odom_before.inverse() * found.t_odom_base));
@@ -254,7 +254,7 @@ impl Odometry {
     fn tracked(&mut self, stamp: Timestamp, dt: f64, found: Match) -> OdometryEstimate {
         let t_last_now = self.t_odom_base.inverse() * found.t_odom_base;
         let covariance = self.uncertainty.measured(&t_last_now, &found.covariance, &found.degenerate_axes);
-        if self.limits.remembers_open {
+        if self.limits.is_planar {
             let largest = found.covariance.diagonal().max();
             self.left_open = found.covariance * (MAX_LEFT_OPEN / largest.max(MAX_LEFT_OPEN));
         }

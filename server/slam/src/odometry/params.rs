@@ -118,8 +118,9 @@ pub(super) struct MotionLimits {
     pub(super) smoothing: f64,
     /// Frames in a row that do not fit after a silence, from which on they are of another place.
     pub(super) frames_after_silence: usize,
-    /// Whether the scene often leaves a direction open that a later frame decides (corridors in the plane).
-    pub(super) remembers_open: bool,
+    /// A lidar that sees all around in the plane that the robot drives in: what one scan leaves open (a corridor's length) is
+    /// kept in mind for a later one, and scans may doubt wheels and are looked for widely, as they are placed cheaply.
+    pub(super) is_planar: bool,
     /// Standard deviations that a motion prior is given besides its own: none is believed to be surer, m and rad.
     prior: (f64, f64),
 }
@@ -143,7 +144,7 @@ impl MotionLimits {
                 OdometryKind::Lidar3d => 10,
                 OdometryKind::Lidar2d | OdometryKind::Mono => usize::MAX,
             },
-            remembers_open: kind == OdometryKind::Lidar2d,
+            is_planar: kind == OdometryKind::Lidar2d,
             // Wheels that are a hundredth off are so in every frame, while a 3D lidar's errors against its map average
             // out: were each step believed to the millimetre, they would drag the map along.
             prior: if kind == OdometryKind::Lidar3d { (0.01, 0.003) } else { (1e-3, 1e-3) },

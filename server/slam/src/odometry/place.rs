@@ -51,16 +51,16 @@ impl Odometry {
         Prediction { t_odom_base: self.t_odom_base * t_now_next, covariance, is_measured: false }
     }
 
-    /// Wheels that slip or lag shall not lose what the scan alone can place: where they fail, or say what the motion
-    /// before does not lead to, that is tried as well, and wins if it fits better.
-    pub(super) fn place_or_doubt(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
-        let found = self.place_or_doubt_wheels(dt, prediction);
+    /// Places a frame; a planar scan that fits nowhere near is looked for wherever a robot can be by now, and is believed to be
+    /// where it fits as scans usually do.
+    pub(super) fn place_or_search(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+        let found = self.place_or_doubt(dt, prediction);
         let is_poor = !found.as_ref().is_ok_and(|m| m.inlier_ratio >= POOR * self.usual_inlier_ratio);
         let reach_s = self.unplaced_s + dt;
-        if !is_poor || !self.limits.remembers_open || reach_s > self.params.tracking.max_gap_s {
+        if !is_poor || !self.limits.is_planar || reach_s > self.params.tracking.max_gap_s {
             return found;
         }
-        // Faster than the motion before leads to: wherever a robot can be by now, if that explains the frame as usual.
+        // Faster than the motion before leads to, as robots that begin to turn on the spot are.
         let (way, turn) = (self.limits.speed * reach_s, self.limits.turn_rate * reach_s);
         let covariance = diagonal(way / 3.0, turn / 3.0);
         let wide = Prediction { t_odom_base: self.t_odom_base, covariance, is_measured: false };
@@ -73,9 +73,11 @@ impl Odometry {
         self.model.register(&wide).ok().filter(can_be).map_or(found, Ok)
     }
 
-    fn place_or_doubt_wheels(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+    /// Wheels that slip or lag shall not lose what the scan alone can place: where they fail, or say what the motion
+    /// before does not lead to, that is tried as well, and wins if it fits better.
+    fn place_or_doubt(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
         let measured = self.place(dt, prediction);
-        if !prediction.is_measured || !self.limits.remembers_open {
+        if !prediction.is_measured || !self.limits.is_planar {
             return measured;
         }
         let assumed = self.predict(dt, None);
@@ -99,7 +101,7 @@ impl Odometry {
             return predicted.map_err(|reason| self.with_gap(dt, reason));
         }
         // After a gap the place of before may look like the one where wheels have led to since.
-        if prediction.is_measured && !self.limits.remembers_open && self.is_after_gap(dt) {
+        if prediction.is_measured && !self.limits.is_planar && self.is_after_gap(dt) {
             return predicted.map_err(|reason| self.with_gap(dt, reason));
         }
         let still = self.try_from(dt, &Prediction { t_odom_base: self.t_odom_base, ..prediction.clone() });
@@ -121,7 +123,7 @@ impl Odometry {
     /// Whether a place found elsewhere than wheels say is believed rather than they: a frame fits anywhere along a wall. It has
     /// to fit as well as frames usually do, contradict nothing, and show the motion that it denies.
     fn may_deny(&self, prediction: &Prediction, found: &Match) -> bool {
-        if !prediction.is_measured || self.limits.remembers_open {
+        if !prediction.is_measured || self.limits.is_planar {
             return true;
         }
         let off = se3::log(&prediction.t_odom_base.inv_mul(&found.t_odom_base));

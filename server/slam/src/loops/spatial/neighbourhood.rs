@@ -161,14 +161,10 @@ impl<'a> Neighbourhood<'a> {
     fn contradicted(&self, scan: &KeyframeScan, t_map_base: &Pose) -> Contradiction {
         let own = Sight::new(&scan.hits.positions, &scan.t_base_sensor);
         let poses = self.views.iter().map(|(id, v)| (*id, v.0)).collect();
-        let (mut mine, mut theirs) = (Contradiction::default(), Contradiction::default());
-        for id in nearest(&poses, t_map_base, COMPARED) {
+        own.contradicted(nearest(&poses, t_map_base, COMPARED).into_iter().map(|id| {
             let (t_map_view, _, sight) = &self.views[&id];
-            let t_base_view = t_map_base.inv_mul(t_map_view);
-            mine.add(&own.compare(sight, &t_base_view));
-            theirs.add(&sight.compare(&own, &t_base_view.inverse()));
-        }
-        if mine.share() > theirs.share() { mine } else { theirs }
+            (sight, t_map_base.inv_mul(t_map_view))
+        }))
     }
 }
 

@@ -235,13 +235,8 @@ impl Lidar3d {
         let own = Sight::new(&self.dense.at_stamp(&self.velocity), &self.t_base_sensor);
         let away = |k: &&Kept| (k.t_odom_base.translation.vector - t_odom_base.translation.vector).norm();
         let near: Vec<&Kept> = self.kept.iter().filter(|k| away(k) < COMPARED_WITHIN * self.usual_range).collect();
-        let (mut mine, mut theirs) = (Contradiction::default(), Contradiction::default());
-        for k in near.iter().step_by(near.len().div_ceil(COMPARED).max(1)) {
-            let t_base_kept = t_odom_base.inv_mul(&k.t_odom_base);
-            mine.add(&own.compare(&k.sight, &t_base_kept));
-            theirs.add(&k.sight.compare(&own, &t_base_kept.inverse()));
-        }
-        if mine.share() > theirs.share() { mine } else { theirs }
+        let some = near.iter().step_by(near.len().div_ceil(COMPARED).max(1));
+        own.contradicted(some.map(|k| (&k.sight, t_odom_base.inv_mul(&k.t_odom_base))))
     }
 
     /// Forgets what is out of reach, now and then.

@@ -44,7 +44,7 @@ impl Contradiction {
         (self.through + self.met) as f64 / self.looked_up.max(1) as f64
     }
 
-    pub(crate) fn add(&mut self, other: &Self) {
+    fn add(&mut self, other: &Self) {
         self.through += other.through;
         self.met += other.met;
         self.looked_up += other.looked_up;
@@ -66,8 +66,19 @@ impl Sight {
         Self { points: ends.iter().step_by(step).copied().collect(), t_sensor_base, ranges }
     }
 
+    /// What this scan and others, with their base seen from this one's, contradict each other in: the larger of both
+    /// directions.
+    pub(crate) fn contradicted<'a>(&self, others: impl Iterator<Item = (&'a Self, Pose)>) -> Contradiction {
+        let (mut mine, mut theirs) = (Contradiction::default(), Contradiction::default());
+        for (other, t_base_other) in others {
+            mine.add(&self.compare(other, &t_base_other));
+            theirs.add(&other.compare(self, &t_base_other.inverse()));
+        }
+        if mine.share() > theirs.share() { mine } else { theirs }
+    }
+
     /// What this scan says to the points of another one, whose base lies at `t_base_other` from this one's.
-    pub(crate) fn compare(&self, other: &Self, t_base_other: &Pose) -> Contradiction {
+    fn compare(&self, other: &Self, t_base_other: &Pose) -> Contradiction {
         let t_sensor_other = self.t_sensor_base * t_base_other;
         let mut out = Contradiction { looked_up: other.points.len(), ..Contradiction::default() };
         for p in &other.points {
