@@ -9,10 +9,13 @@ use percept_perception::registration::{IcpMethod, IcpOutcome, IcpParams, Registe
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// Measurements that are kept, and of how many at least the median is believed.
-const KEPT: usize = 9;
+/// Measurements that are kept; so many, and this share of them, have to agree. Where little of the map is known yet, or one
+/// wall is in view, a keyframe fits in more than one way.
+const KEPT: usize = 30;
 const ENOUGH: usize = 5;
-/// Once enough are there, every so many keyframes are measured.
+const SHARE: f64 = 0.4;
+/// So many keyframes are measured one by one, whether they fit or not, and every so many from then on.
+const FIRST: u32 = 40;
 const EVERY: u32 = 10;
 /// So much is worth telling: metres and radians. Poses, levelling and noise are off by less.
 const TELLING: (f64, f64) = (0.08, 0.05);
@@ -58,7 +61,7 @@ impl Mounts {
     pub(crate) fn is_due(&mut self, sensor: &SensorId) -> bool {
         let measured = self.measured.entry(sensor.clone()).or_default();
         measured.keyframes += 1;
-        measured.offsets.len() < KEPT || measured.keyframes.is_multiple_of(EVERY)
+        measured.keyframes <= FIRST || measured.keyframes.is_multiple_of(EVERY)
     }
 
     /// Measures a keyframe of a sensor against others around it, with their base seen from base now.
@@ -86,7 +89,7 @@ fn moved(offset: &Pose, t_base_sensor: &Pose) -> MountOffset {
     MountOffset { distance_m: way.norm(), angle_rad: offset.rotation.angle() }
 }
 
-/// The measurement that most others agree with, if those are enough and more than half of all.
+/// The measurement that most others agree with, if those are enough.
 fn believed(offsets: &VecDeque<Pose>) -> Option<Pose> {
     let agree = |a: &Pose, b: &Pose| {
         let off = a.inv_mul(b);
@@ -95,7 +98,7 @@ fn believed(offsets: &VecDeque<Pose>) -> Option<Pose> {
     let count = |a: &Pose| offsets.iter().filter(|b| agree(a, b)).count();
     let best = offsets.iter().max_by_key(|a| count(a))?;
     let most = count(best);
-    (most >= ENOUGH && 2 * most > offsets.len()).then_some(*best)
+    (most >= ENOUGH && most as f64 >= SHARE * offsets.len() as f64).then_some(*best)
 }
 
 /// What moves the scan's points onto those of the others, if most of them fit then. Directions that the surfaces leave
