@@ -1,13 +1,13 @@
 //! How sure a pose is, given all that was measured.
 
-use super::optimise::Normal;
+use super::normal::Normal;
 use super::sparse::Solver;
 use super::{Manifold, PoseGraph, PoseGraphError, Unknowns};
 use nalgebra::SMatrix;
 
 /// Marginal covariance of a node's pose at the graph's poses, by [`Manifold::step`]: zero for a fixed one.
 ///
-/// The block of the inverse of the normal equations that belongs to the node, found by solving for its columns.
+/// The block of the inverse of the normal equations that belongs to the node.
 ///
 /// # Errors
 /// As [`PoseGraph::validate`]; `NotSolvable`.
@@ -24,13 +24,10 @@ pub fn covariance_of<P: Manifold<D>, const D: usize>(
         num_nodes,
     })?;
     let Some(place) = place else { return Ok(SMatrix::zeros()) };
-    let mut solver = Solver::<D>::new(unknowns.pattern(graph)?, D)?;
-    let mut normal = Normal::new(graph, &unknowns, solver.pattern());
+    let pattern = unknowns.pattern(graph)?;
+    let mut solver = Solver::<D>::new(&pattern)?;
+    let mut normal = Normal::new(graph, &unknowns, &pattern);
     normal.fill(graph);
     solver.factorise(&normal.blocks, 0.0)?;
-    let mut columns = vec![SMatrix::<f64, D, D>::zeros(); unknowns.nodes.len()];
-    columns[*place as usize] = SMatrix::identity();
-    solver.solve(&mut columns);
-    let block = columns[*place as usize];
-    Ok((block + block.transpose()) * 0.5)
+    Ok(solver.inverse_of(*place))
 }

@@ -4,9 +4,12 @@
 //! measurements alone, [`optimise()`] improves those that are there, [`solve`] does what a user wants: from whichever start
 //! is better. Errors and their weights are g2o's, so that chi2 can be compared.
 
+mod cholesky;
 mod covariance;
 mod manifold;
+mod normal;
 mod optimise;
+mod pattern;
 mod sparse;
 mod start;
 
@@ -19,7 +22,7 @@ pub use manifold::{Linearised, Manifold, PlanarPose};
 pub use optimise::{OptimiseParams, OptimiseReport, optimise};
 pub use start::chordal;
 
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, SVector};
 
 /// A measured pose of one node seen from another.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -170,12 +173,19 @@ impl Unknowns {
         (self.place[e.from as usize], self.place[e.to as usize])
     }
 
-    fn pattern<P, const D: usize>(&self, graph: &PoseGraph<P, D>) -> Result<sparse::Pattern, sparse::NotSolvable> {
+    /// The poses after a step back by this much of each that may move.
+    fn moved<P: Manifold<D>, const D: usize>(&self, poses: &[P], step: &[SVector<f64, D>]) -> Vec<P> {
+        let mut moved = poses.to_vec();
+        self.nodes.iter().zip(step).for_each(|(&n, d)| moved[n as usize] = moved[n as usize].step(&-d));
+        moved
+    }
+
+    fn pattern<P, const D: usize>(&self, graph: &PoseGraph<P, D>) -> Result<pattern::Pattern, sparse::NotSolvable> {
         let both = |e| match self.ends(e) {
             (Some(a), Some(b)) => Some((a, b)),
             _ => None,
         };
-        sparse::Pattern::new(self.nodes.len(), &graph.edges.iter().filter_map(both).collect::<Vec<_>>())
+        pattern::Pattern::new(self.nodes.len(), &graph.edges.iter().filter_map(both).collect::<Vec<_>>())
     }
 }
 
@@ -192,12 +202,14 @@ pub fn solve<P: Manifold<D>, const D: usize>(
     params: &OptimiseParams,
 ) -> Result<OptimiseReport, PoseGraphError> {
     graph.validate()?;
+    let unknowns = Unknowns::of(graph);
+    let pattern = unknowns.pattern(graph)?;
     let given = if has_poses { graph.chi2() } else { f64::INFINITY };
-    let found = chordal(graph)?;
+    let found = start::chordal_of(graph, &unknowns, &pattern)?;
     // A start that is nearly as good is the user's own.
     if graph.chi2_of(&found) < given {
         graph.poses = found;
     }
-    let report = optimise(graph, params)?;
+    let report = optimise::optimise_by(graph, &unknowns, &pattern, params)?;
     Ok(OptimiseReport { chi2_start: if has_poses { given } else { report.chi2_start }, ..report })
 }

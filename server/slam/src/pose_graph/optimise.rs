@@ -1,8 +1,9 @@
 //! Levenberg-Marquardt on a pose graph.
 
-use super::sparse::{Pattern, Solver};
+use super::normal::Normal;
+use super::pattern::Pattern;
+use super::sparse::Solver;
 use super::{Manifold, PoseGraph, PoseGraphError, Unknowns};
-use nalgebra::{SMatrix, SVector};
 
 /// Damping beyond this: no step leads down.
 const MOST_DAMPING: f64 = 1e6;
@@ -51,107 +52,90 @@ pub fn optimise<P: Manifold<D>, const D: usize>(
 ) -> Result<OptimiseReport, PoseGraphError> {
     graph.validate()?;
     let unknowns = Unknowns::of(graph);
+    let pattern = unknowns.pattern(graph)?;
+    optimise_by(graph, &unknowns, &pattern, params)
+}
+
+/// [`optimise()`] of a graph that is sound, with the pattern of its unknowns.
+pub(super) fn optimise_by<P: Manifold<D>, const D: usize>(
+    graph: &mut PoseGraph<P, D>,
+    unknowns: &Unknowns,
+    pattern: &Pattern,
+    params: &OptimiseParams,
+) -> Result<OptimiseReport, PoseGraphError> {
     let chi2 = graph.chi2();
     let mut report = OptimiseReport { chi2_start: chi2, chi2, iterations: 0, converged: true };
     if unknowns.nodes.is_empty() || graph.edges.is_empty() {
         return Ok(report);
     }
-    let mut solver = Solver::<D>::new(unknowns.pattern(graph)?, 1)?;
-    let mut normal = Normal::new(graph, &unknowns, solver.pattern());
+    let mut solver = Solver::<D>::new(pattern)?;
+    let mut normal = Normal::new(graph, unknowns, pattern);
     normal.fill(graph);
     let (mut damping, mut growth) = (0.0, 2.0);
     report.converged = false;
     while report.iterations < params.max_iterations && !report.converged {
         report.iterations += 1;
-        let mut step = normal.gradient.clone();
         let is_solved = solver.factorise(&normal.blocks, damping).is_ok();
-        let mut next = graph.poses.clone();
-        if is_solved {
-            solver.solve(&mut step);
-            unknowns.nodes.iter().zip(&step).for_each(|(&n, d)| next[n as usize] = next[n as usize].step(&-d));
-        }
-        let chi2 = graph.chi2_of(&next);
-        if is_solved && chi2 <= report.chi2 {
-            let lowered = report.chi2 - chi2;
-            // What the linear system promised.
-            let promised: f64 = normal.gradient.iter().zip(&step).map(|(g, d)| g.dot(d)).sum();
-            let gain = lowered / promised.max(f64::MIN_POSITIVE);
-            report.converged = lowered <= params.tolerance * report.chi2;
-            (graph.poses, report.chi2) = (next, chi2);
-            damping = match gain {
-                g if g > 0.75 && damping < FIRST_DAMPING / 100.0 => 0.0,
-                g if g > 0.75 => damping / 10.0,
-                g if g < 0.25 => (damping * 2.0).max(FIRST_DAMPING / 100.0),
-                _ => damping,
-            };
-            growth = 2.0;
-            if !report.converged {
-                normal.fill(graph);
-            }
-        } else {
-            damping = (damping * growth).max(FIRST_DAMPING);
-            growth *= 2.0;
-            if damping > MOST_DAMPING {
-                if !is_solved {
-                    return Err(PoseGraphError::NotSolvable);
+        let step = is_solved.then(|| Step::of(graph, unknowns, &normal, &mut solver));
+        match step {
+            Some(step) if step.chi2 <= report.chi2 => {
+                let lowered = report.chi2 - step.chi2;
+                report.converged = lowered <= params.tolerance * report.chi2;
+                damping = relaxed(damping, lowered / step.promised.max(f64::MIN_POSITIVE));
+                (graph.poses, report.chi2, growth) = (step.poses, step.chi2, 2.0);
+                if !report.converged {
+                    normal.fill(graph);
                 }
-                report.converged = true;
+            }
+            _ => {
+                damping = (damping * growth).max(FIRST_DAMPING);
+                growth *= 2.0;
+                if damping > MOST_DAMPING {
+                    if !is_solved {
+                        return Err(PoseGraphError::NotSolvable);
+                    }
+                    report.converged = true;
+                }
             }
         }
     }
     Ok(report)
 }
 
-/// The linearised problem.
-pub(super) struct Normal<const D: usize> {
-    pub(super) blocks: Vec<SMatrix<f64, D, D>>,
-    gradient: Vec<SVector<f64, D>>,
-    targets: Vec<Target>,
-}
-
-/// Where an edge's blocks go.
-struct Target {
-    from: Option<(usize, usize)>,
-    to: Option<(usize, usize)>,
-    coupling: Option<(usize, bool)>,
-}
-
-impl<const D: usize> Normal<D> {
-    pub(super) fn new<P>(graph: &PoseGraph<P, D>, unknowns: &Unknowns, pattern: &Pattern) -> Self {
-        let target = |e| {
-            let (from, to) = unknowns.ends(e);
-            let own = |place: u32| (place as usize, pattern.diagonal(place));
-            let coupling = from.zip(to).and_then(|(a, b)| pattern.block(a, b));
-            Target { from: from.map(own), to: to.map(own), coupling }
-        };
-        Self {
-            blocks: vec![SMatrix::zeros(); pattern.num_blocks()],
-            gradient: vec![SVector::zeros(); pattern.len()],
-            targets: graph.edges.iter().map(target).collect(),
-        }
+/// Damping after a step that led down, by the share of what was promised that came true.
+fn relaxed(damping: f64, gain: f64) -> f64 {
+    match gain {
+        g if g > 0.75 && damping < FIRST_DAMPING / 100.0 => 0.0,
+        g if g > 0.75 => damping / 10.0,
+        g if g < 0.25 => (damping * 2.0).max(FIRST_DAMPING / 100.0),
+        _ => damping,
     }
+}
 
-    pub(super) fn fill<P: Manifold<D>>(&mut self, graph: &PoseGraph<P, D>) {
-        self.blocks.iter_mut().for_each(|b| *b = SMatrix::zeros());
-        self.gradient.iter_mut().for_each(|g| *g = SVector::zeros());
-        for (edge, target) in graph.edges.iter().zip(&self.targets) {
-            let (from, to) = (edge.from as usize, edge.to as usize);
-            let l = P::linearise(&edge.t_from_to, &graph.poses[from], &graph.poses[to]);
-            let weighted_from = l.from.transpose() * edge.information;
-            let weighted_to = l.to.transpose() * edge.information;
-            if let Some((place, block)) = target.from {
-                self.blocks[block] += weighted_from * l.from;
-                self.gradient[place] += weighted_from * l.error;
-            }
-            if let Some((place, block)) = target.to {
-                self.blocks[block] += weighted_to * l.to;
-                self.gradient[place] += weighted_to * l.error;
-            }
-            match target.coupling {
-                Some((block, true)) => self.blocks[block] += weighted_from * l.to,
-                Some((block, false)) => self.blocks[block] += weighted_to * l.from,
-                None => {}
-            }
-        }
+/// Where a step leads.
+struct Step<P> {
+    poses: Vec<P>,
+    chi2: f64,
+    /// By how much the linear system says that chi2 falls.
+    promised: f64,
+}
+
+impl<P> Step<P> {
+    /// From the graph's poses, by the solver's last factor.
+    fn of<const D: usize>(
+        graph: &PoseGraph<P, D>,
+        unknowns: &Unknowns,
+        normal: &Normal<D>,
+        solver: &mut Solver<'_, D>,
+    ) -> Self
+    where
+        P: Manifold<D>,
+    {
+        let mut step = normal.gradient.clone();
+        solver.solve(&mut step);
+        let promised = normal.gradient.iter().zip(&step).map(|(g, d)| g.dot(d)).sum();
+        let poses = unknowns.moved(&graph.poses, &step);
+        let chi2 = graph.chi2_of(&poses);
+        Self { poses, chi2, promised }
     }
 }

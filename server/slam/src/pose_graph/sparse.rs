@@ -1,239 +1,146 @@
 //! Symmetric positive definite systems of small dense blocks, by sparse Cholesky.
 
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::factor::LltRegularization;
-use faer::sparse::linalg::amd;
-use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
-};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Conj, MatMut, Par, Side};
+use super::cholesky::{climb, factorise, stride, substitute};
+use super::pattern::Pattern;
 use nalgebra::SMatrix;
 
 /// The system cannot be solved: not positive definite, or too large for the memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct NotSolvable;
 
-/// Where the blocks of a symmetric matrix are, in an order that keeps its factor sparse.
-///
-/// The order is found on blocks, not on their entries: minimum degree (Amestoy, Davis and Duff 1996).
-#[derive(Debug)]
-pub(super) struct Pattern {
-    /// Place in the order of every block row.
-    place: Vec<u32>,
-    /// Per place, where its blocks begin in `rows`: the upper triangle, so that the last of each is the diagonal one.
-    starts: Vec<usize>,
-    /// Places, ascending within a column.
-    rows: Vec<u32>,
-}
-
-impl Pattern {
-    /// For `n` block rows of which these pairs are coupled, in either order and as often as they like.
-    pub(super) fn new(n: usize, pairs: &[(u32, u32)]) -> Result<Self, NotSolvable> {
-        let place = Self::order(n, pairs)?;
-        let mut entries: Vec<u64> = (0..n as u64).map(|k| k << 32 | k).collect();
-        entries.extend(pairs.iter().filter(|(a, b)| a != b).map(|&(a, b)| {
-            let (a, b) = (place[a as usize], place[b as usize]);
-            u64::from(a.max(b)) << 32 | u64::from(a.min(b))
-        }));
-        entries.sort_unstable();
-        entries.dedup();
-        let mut starts = vec![0; n + 1];
-        entries.iter().for_each(|e| starts[(e >> 32) as usize + 1] += 1);
-        (0..n).for_each(|k| starts[k + 1] += starts[k]);
-        Ok(Self { place, starts, rows: entries.iter().map(|e| *e as u32).collect() })
-    }
-
-    fn order(n: usize, pairs: &[(u32, u32)]) -> Result<Vec<u32>, NotSolvable> {
-        let mut entries: Vec<u64> = pairs
-            .iter()
-            .filter(|(a, b)| a != b)
-            .map(|&(a, b)| u64::from(a.max(b)) << 32 | u64::from(a.min(b)))
-            .collect();
-        entries.sort_unstable();
-        entries.dedup();
-        let mut starts = vec![0usize; n + 1];
-        entries.iter().for_each(|e| starts[(e >> 32) as usize + 1] += 1);
-        (0..n).for_each(|k| starts[k + 1] += starts[k]);
-        let rows: Vec<usize> = entries.iter().map(|e| *e as u32 as usize).collect();
-        let matrix = SymbolicSparseColMatRef::new_checked(n, n, &starts, None, &rows);
-        let (mut forward, mut inverse) = (vec![0usize; n], vec![0usize; n]);
-        let mut memory = MemBuffer::try_new(amd::order_scratch::<usize>(n, rows.len())).map_err(|_| NotSolvable)?;
-        amd::order(&mut forward, &mut inverse, matrix, amd::Control::default(), MemStack::new(&mut memory))
-            .map_err(|_| NotSolvable)?;
-        Ok(inverse.iter().map(|&p| p as u32).collect())
-    }
-
-    /// Block rows.
-    pub(super) fn len(&self) -> usize {
-        self.place.len()
-    }
-
-    /// Index of the block that couples two rows, and whether it holds row `a` against column `b` (else transposed).
-    pub(super) fn block(&self, a: u32, b: u32) -> Option<(usize, bool)> {
-        let (pa, pb) = (self.place[a as usize], self.place[b as usize]);
-        let (column, row) = (pa.max(pb), pa.min(pb));
-        let range = self.starts[column as usize]..self.starts[column as usize + 1];
-        let at = self.rows[range.clone()].binary_search(&row).ok()?;
-        Some((range.start + at, pa <= pb))
-    }
-
-    /// Index of a diagonal block.
-    pub(super) fn diagonal(&self, a: u32) -> usize {
-        self.starts[self.place[a as usize] as usize + 1] - 1
-    }
-
-    /// Number of blocks.
-    pub(super) fn num_blocks(&self) -> usize {
-        self.rows.len()
-    }
-}
-
 /// Solves systems of one pattern again and again.
-pub(super) struct Solver<const D: usize> {
-    pattern: Pattern,
-    columns: Vec<usize>,
-    rows: Vec<usize>,
-    values: Vec<f64>,
-    symbolic: SymbolicCholesky<usize>,
+pub(super) struct Solver<'a, const D: usize> {
+    pattern: &'a Pattern,
     factor: Vec<f64>,
-    memory: MemBuffer,
+    /// For each row, its place in the panel at hand.
+    local: Vec<u32>,
     rhs: Vec<f64>,
 }
 
-impl<const D: usize> Solver<D> {
-    /// Analyses the pattern; solves for `num_rhs` right-hand sides at a time.
-    pub(super) fn new(pattern: Pattern, num_rhs: usize) -> Result<Self, NotSolvable> {
-        let n = pattern.len() * D;
-        let (mut columns, mut rows) = (Vec::with_capacity(n + 1), Vec::with_capacity(pattern.num_blocks() * D * D));
-        columns.push(0);
-        for j in 0..pattern.len() {
-            let of_column = &pattern.rows[pattern.starts[j]..pattern.starts[j + 1]];
-            for c in 0..D {
-                let (_, above) = of_column.split_last().unwrap_or((&0, &[]));
-                rows.extend(above.iter().flat_map(|&i| (0..D).map(move |r| i as usize * D + r)));
-                rows.extend((0..=c).map(|r| j * D + r));
-                columns.push(rows.len());
-            }
-        }
-        let matrix = SymbolicSparseColMatRef::new_checked(n, n, &columns, None, &rows);
-        let symbolic = factorize_symbolic_cholesky(
-            matrix,
-            Side::Upper,
-            SymmetricOrdering::Identity,
-            CholeskySymbolicParams::default(),
-        )
-        .map_err(|_| NotSolvable)?;
-        let scratch = symbolic
-            .factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default())
-            .or(symbolic.solve_in_place_scratch::<f64>(num_rhs, Par::Seq));
-        let memory = MemBuffer::try_new(scratch).map_err(|_| NotSolvable)?;
-        let (values, factor) = (vec![0.0; rows.len()], vec![0.0; symbolic.len_val()]);
-        Ok(Self { pattern, columns, rows, values, symbolic, factor, memory, rhs: vec![0.0; n * num_rhs] })
-    }
-
-    /// The pattern.
-    pub(super) fn pattern(&self) -> &Pattern {
-        &self.pattern
+impl<'a, const D: usize> Solver<'a, D> {
+    /// For systems of this pattern.
+    pub(super) fn new(pattern: &'a Pattern) -> Result<Self, NotSolvable> {
+        let len = pattern.num_factor_blocks() * D * stride(D);
+        let mut factor = Vec::new();
+        factor.try_reserve_exact(len).map_err(|_| NotSolvable)?;
+        factor.resize(len, 0.0);
+        Ok(Self { pattern, factor, local: vec![0; pattern.len()], rhs: vec![0.0; pattern.len() * stride(D)] })
     }
 
     /// Factorises the matrix of these blocks (by their index), its diagonal multiplied by `1 + damping`.
     pub(super) fn factorise(&mut self, blocks: &[SMatrix<f64, D, D>], damping: f64) -> Result<(), NotSolvable> {
-        for j in 0..self.pattern.len() {
-            let (start, end) = (self.pattern.starts[j], self.pattern.starts[j + 1]);
-            for c in 0..D {
-                let mut at = self.columns[j * D + c];
-                for block in &blocks[start..end - 1] {
-                    self.values[at..at + D].copy_from_slice(block.column(c).as_slice());
-                    at += D;
-                }
-                self.values[at..=at + c].copy_from_slice(&blocks[end - 1].column(c).as_slice()[..=c]);
-                self.values[at + c] *= 1.0 + damping;
-            }
+        let (stride, size) = (stride(D), stride(D) * D);
+        self.factor.fill(0.0);
+        for (block, &at) in blocks.iter().zip(self.pattern.in_factor()) {
+            let target = &mut self.factor[at as usize * size..][..size];
+            target
+                .chunks_exact_mut(stride)
+                .zip(block.column_iter())
+                .for_each(|(t, c)| t[..D].copy_from_slice(c.as_slice()));
         }
-        let n = self.pattern.len() * D;
-        let pattern = SymbolicSparseColMatRef::new_checked(n, n, &self.columns, None, &self.rows);
-        self.symbolic
-            .factorize_numeric_llt(
-                &mut self.factor,
-                SparseColMatRef::new(pattern, &self.values[..]),
-                Side::Upper,
-                LltRegularization::default(),
-                Par::Seq,
-                MemStack::new(&mut self.memory),
-                Default::default(),
-            )
-            .map(|_| ())
-            .map_err(|_| NotSolvable)
+        for j in 0..self.pattern.len() {
+            let diagonal = &mut self.factor[self.pattern.column(j).start * size..][..size];
+            (0..D).for_each(|c| diagonal[c * stride + c] *= 1.0 + damping);
+        }
+        match factorise::<D>(self.pattern, &mut self.factor, &mut self.local) {
+            true => Ok(()),
+            false => Err(NotSolvable),
+        }
     }
 
     /// Solves in place for `K` right-hand sides, a row of `D x K` numbers a block row, with the last factor.
     pub(super) fn solve<const K: usize>(&mut self, x: &mut [SMatrix<f64, D, K>]) {
-        let n = self.pattern.len() * D;
-        for (i, v) in x.iter().enumerate() {
-            let at = self.pattern.place[i] as usize * D;
-            for k in 0..K {
-                self.rhs[k * n + at..k * n + at + D].copy_from_slice(v.column(k).as_slice());
+        let stride = stride(D);
+        for k in 0..K {
+            for (i, v) in (0..).zip(x.iter()) {
+                let at = self.pattern.place(i) * stride;
+                self.rhs[at..at + D].copy_from_slice(v.column(k).as_slice());
+            }
+            substitute::<D>(self.pattern, &self.factor, &mut self.rhs);
+            for (i, v) in (0..).zip(x.iter_mut()) {
+                let at = self.pattern.place(i) * stride;
+                v.column_mut(k).copy_from_slice(&self.rhs[at..at + D]);
             }
         }
-        let rhs = MatMut::from_column_major_slice_mut(&mut self.rhs[..n * K], n, K);
-        LltRef::new(&self.symbolic, &self.factor).solve_in_place_with_conj(
-            Conj::No,
-            rhs,
-            Par::Seq,
-            MemStack::new(&mut self.memory),
-        );
-        for (i, v) in x.iter_mut().enumerate() {
-            let at = self.pattern.place[i] as usize * D;
-            for k in 0..K {
-                v.column_mut(k).copy_from_slice(&self.rhs[k * n + at..k * n + at + D]);
-            }
-        }
+    }
+    /// The block of the inverse that belongs to row `a` alone, of the matrix that was last factorised.
+    ///
+    /// With `x` the columns of the factor's inverse that belong to the row, it is `x^T * x`.
+    pub(super) fn inverse_of(&self, a: u32) -> SMatrix<f64, D, D> {
+        let (j, stride) = (self.pattern.place(a), stride(D));
+        let column = |c: usize| {
+            let mut x = vec![0.0; self.rhs.len()];
+            x[j * stride + c] = 1.0;
+            climb::<D>(self.pattern, &self.factor, j, &mut x);
+            x
+        };
+        let columns: Vec<Vec<f64>> = (0..D).map(column).collect();
+        SMatrix::from_fn(|r, c| columns[r].iter().zip(&columns[c]).map(|(a, b)| a * b).sum())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{DMatrix, Matrix2, Vector2};
+    use nalgebra::{DMatrix, DVector, Matrix2, SVector};
     use proptest::prelude::*;
+
+    /// Solves what these pairs and numbers make with the sparse and with a dense solver; how far they are apart.
+    fn apart<const D: usize>(n: usize, pairs: &[(u32, u32)], numbers: &[f64], damping: f64) -> f64 {
+        let pattern = Pattern::new(n, pairs).unwrap();
+        let mut solver = Solver::<D>::new(&pattern).unwrap();
+        let mut number = numbers.iter().copied().cycle();
+        let mut dense = DMatrix::<f64>::identity(D * n, D * n) * 100.0;
+        let mut blocks = vec![SMatrix::<f64, D, D>::zeros(); pattern.num_blocks()];
+        (0..n as u32).for_each(|k| blocks[pattern.diagonal(k)] += SMatrix::identity() * 100.0);
+        for (a, b) in pairs.iter().filter(|(a, b)| a != b) {
+            let coupling = SMatrix::<f64, D, D>::from_fn(|_, _| number.next().unwrap_or(0.0));
+            let (k, is_row) = pattern.block(*a, *b).unwrap();
+            blocks[k] += if is_row { coupling } else { coupling.transpose() };
+            let (i, j) = (D * *a as usize, D * *b as usize);
+            let mut above = dense.view_mut((i, j), (D, D));
+            above += coupling;
+            let mut below = dense.view_mut((j, i), (D, D));
+            below += coupling.transpose();
+        }
+        (0..D * n).for_each(|k| dense[(k, k)] *= 1.0 + damping);
+        let rhs: Vec<SVector<f64, D>> = (0..n).map(|_| SVector::from_fn(|_, _| number.next().unwrap_or(0.0))).collect();
+        let mut x = rhs.clone();
+        solver.factorise(&blocks, damping).unwrap();
+        solver.solve(&mut x);
+        let flat = |v: &[SVector<f64, D>]| DVector::from_iterator(D * n, v.iter().flat_map(|v| v.iter().copied()));
+        let inverse = dense.clone().try_inverse().unwrap();
+        let own = (0..n).map(|k| (inverse.view((D * k, D * k), (D, D)) - solver.inverse_of(k as u32)).amax());
+        (dense * flat(&x) - flat(&rhs)).amax().max(own.fold(0.0, f64::max))
+    }
 
     proptest! {
         #[test]
         fn solves_what_a_dense_solver_solves(
-            pairs in prop::collection::vec((0..8u32, 0..8u32), 0..20),
+            pairs in prop::collection::vec((0..20u32, 0..20u32), 0..60),
             numbers in prop::collection::vec(-1.0..1.0f64, 200),
+            damping in 0.0..1.0f64,
         ) {
-            let n = 8;
-            let mut solver = Solver::<2>::new(Pattern::new(n, &pairs).unwrap(), 1).unwrap();
-            let mut dense = DMatrix::<f64>::identity(2 * n, 2 * n) * 100.0;
-            let mut blocks = vec![Matrix2::zeros(); solver.pattern().num_blocks()];
-            (0..n as u32).for_each(|k| blocks[solver.pattern().diagonal(k)] += Matrix2::identity() * 100.0);
-            for ((a, b), v) in pairs.iter().filter(|(a, b)| a != b).zip(numbers.chunks(4)) {
-                let coupling = Matrix2::from_column_slice(v);
-                let (k, is_row) = solver.pattern().block(*a, *b).unwrap();
-                blocks[k] += if is_row { coupling } else { coupling.transpose() };
-                let (i, j) = (2 * *a as usize, 2 * *b as usize);
-                for r in 0..2 {
-                    for c in 0..2 {
-                        dense[(i + r, j + c)] += coupling[(r, c)];
-                        dense[(j + c, i + r)] += coupling[(r, c)];
-                    }
-                }
-            }
-            let rhs: Vec<Vector2<f64>> = numbers[100..].chunks(2).take(n).map(Vector2::from_column_slice).collect();
-            let mut x = rhs.clone();
-            solver.factorise(&blocks, 0.0).unwrap();
-            solver.solve(&mut x);
-            let flat = |v: &[Vector2<f64>]| nalgebra::DVector::from_iterator(2 * n, v.iter().flat_map(|v| [v.x, v.y]));
-            prop_assert!((dense * flat(&x) - flat(&rhs)).norm() < 1e-9);
+            prop_assert!(apart::<1>(20, &pairs, &numbers, damping) < 1e-9);
+            prop_assert!(apart::<2>(20, &pairs, &numbers, damping) < 1e-9);
+            prop_assert!(apart::<3>(20, &pairs, &numbers, damping) < 1e-9);
+            prop_assert!(apart::<6>(20, &pairs, &numbers, damping) < 1e-9);
         }
     }
 
     #[test]
+    fn an_empty_system_is_solved() {
+        let pattern = Pattern::new(0, &[]).unwrap();
+        let mut solver = Solver::<3>::new(&pattern).unwrap();
+        assert_eq!(solver.factorise(&[], 0.0), Ok(()));
+        solver.solve::<1>(&mut []);
+    }
+
+    #[test]
     fn what_is_not_positive_definite_is_refused() {
-        let mut solver = Solver::<2>::new(Pattern::new(2, &[(0, 1)]).unwrap(), 1).unwrap();
-        let blocks = vec![Matrix2::identity(); solver.pattern().num_blocks()];
+        let pattern = Pattern::new(2, &[(0, 1)]).unwrap();
+        let mut solver = Solver::<2>::new(&pattern).unwrap();
+        let blocks = vec![Matrix2::identity(); pattern.num_blocks()];
         assert_eq!(solver.factorise(&blocks, 0.0), Err(NotSolvable));
         assert_eq!(solver.factorise(&blocks, 2.0), Ok(()));
     }

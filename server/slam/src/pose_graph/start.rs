@@ -1,5 +1,6 @@
 //! Poses to start from, found from the measurements alone.
 
+use super::pattern::Pattern;
 use super::sparse::{NotSolvable, Solver};
 use super::{Manifold, PoseGraph, PoseGraphError, Unknowns};
 use nalgebra::{Matrix3, SMatrix, Vector3};
@@ -14,12 +15,21 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 pub fn chordal<P: Manifold<D>, const D: usize>(graph: &PoseGraph<P, D>) -> Result<Vec<P>, PoseGraphError> {
     graph.validate()?;
     let unknowns = Unknowns::of(graph);
+    Ok(chordal_of(graph, &unknowns, &unknowns.pattern(graph)?)?)
+}
+
+/// [`chordal`] of a graph that is sound, with the pattern of its unknowns.
+pub(super) fn chordal_of<P: Manifold<D>, const D: usize>(
+    graph: &PoseGraph<P, D>,
+    unknowns: &Unknowns,
+    pattern: &Pattern,
+) -> Result<Vec<P>, NotSolvable> {
     let mut poses = graph.poses.clone();
     if unknowns.nodes.is_empty() {
         return Ok(poses);
     }
-    let rotations = rotations(graph, &unknowns)?;
-    let positions = positions(graph, &unknowns, &rotations)?;
+    let rotations = rotations(graph, unknowns, pattern)?;
+    let positions = positions(graph, unknowns, pattern, &rotations)?;
     for &node in &unknowns.nodes {
         poses[node as usize] = P::from_parts(&rotations[node as usize], &positions[node as usize]);
     }
@@ -29,10 +39,11 @@ pub fn chordal<P: Manifold<D>, const D: usize>(graph: &PoseGraph<P, D>) -> Resul
 fn rotations<P: Manifold<D>, const D: usize>(
     graph: &PoseGraph<P, D>,
     unknowns: &Unknowns,
+    pattern: &Pattern,
 ) -> Result<Vec<Matrix3<f64>>, NotSolvable> {
     let mut rotations: Vec<Matrix3<f64>> = graph.poses.iter().map(P::rotation).collect();
-    let mut solver = Solver::<3>::new(unknowns.pattern(graph)?, 3)?;
-    let mut blocks = vec![Matrix3::zeros(); solver.pattern().num_blocks()];
+    let mut solver = Solver::<3>::new(pattern)?;
+    let mut blocks = vec![Matrix3::zeros(); pattern.num_blocks()];
     // The rotations' transposes: their columns do not depend on each other.
     let mut x = vec![Matrix3::zeros(); unknowns.nodes.len()];
     for e in &graph.edges {
@@ -40,13 +51,13 @@ fn rotations<P: Manifold<D>, const D: usize>(
         let weight = P::turn_information(&e.information);
         let ends = unknowns.ends(e);
         for place in [ends.0, ends.1].into_iter().flatten() {
-            blocks[solver.pattern().diagonal(place)] += Matrix3::identity() * weight;
+            blocks[pattern.diagonal(place)] += Matrix3::identity() * weight;
         }
         match ends {
             (None, Some(to)) => x[to as usize] += z.transpose() * rotations[e.from as usize].transpose() * weight,
             (Some(from), None) => x[from as usize] += z * rotations[e.to as usize].transpose() * weight,
             (Some(from), Some(to)) => {
-                if let Some((block, from_is_row)) = solver.pattern().block(from, to) {
+                if let Some((block, from_is_row)) = pattern.block(from, to) {
                     blocks[block] -= if from_is_row { z } else { z.transpose() } * weight;
                 }
             }
@@ -69,11 +80,12 @@ fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
 fn positions<P: Manifold<D>, const D: usize>(
     graph: &PoseGraph<P, D>,
     unknowns: &Unknowns,
+    pattern: &Pattern,
     rotations: &[Matrix3<f64>],
 ) -> Result<Vec<Vector3<f64>>, NotSolvable> {
     let mut positions: Vec<Vector3<f64>> = graph.poses.iter().map(P::position).collect();
-    let mut solver = Solver::<1>::new(unknowns.pattern(graph)?, 3)?;
-    let mut blocks = vec![SMatrix::<f64, 1, 1>::zeros(); solver.pattern().num_blocks()];
+    let mut solver = Solver::<1>::new(pattern)?;
+    let mut blocks = vec![SMatrix::<f64, 1, 1>::zeros(); pattern.num_blocks()];
     let mut x = vec![SMatrix::<f64, 1, 3>::zeros(); unknowns.nodes.len()];
     for e in &graph.edges {
         let apart = rotations[e.from as usize] * e.t_from_to.position();
@@ -81,11 +93,11 @@ fn positions<P: Manifold<D>, const D: usize>(
         let (from, to) = unknowns.ends(e);
         for (own, other, other_node, sign) in [(from, to, e.to, -1.0), (to, from, e.from, 1.0)] {
             let Some(own) = own else { continue };
-            blocks[solver.pattern().diagonal(own)][0] += weight;
+            blocks[pattern.diagonal(own)][0] += weight;
             let known = if other.is_none() { positions[other_node as usize] } else { Vector3::zeros() };
             x[own as usize] += ((apart * sign + known) * weight).transpose();
         }
-        if let Some((block, _)) = from.zip(to).and_then(|(a, b)| solver.pattern().block(a, b)) {
+        if let Some((block, _)) = from.zip(to).and_then(|(a, b)| pattern.block(a, b)) {
             blocks[block][0] -= weight;
         }
     }

@@ -1,0 +1,60 @@
+//! The normal equations of a pose graph at its poses.
+
+use super::pattern::Pattern;
+use super::{Manifold, PoseGraph, Unknowns};
+use nalgebra::{SMatrix, SVector};
+
+/// The linearised problem.
+pub(super) struct Normal<const D: usize> {
+    pub(super) blocks: Vec<SMatrix<f64, D, D>>,
+    pub(super) gradient: Vec<SVector<f64, D>>,
+    targets: Vec<Target>,
+}
+
+/// Where an edge's blocks go.
+struct Target {
+    from: Option<(usize, usize)>,
+    to: Option<(usize, usize)>,
+    coupling: Option<(usize, bool)>,
+}
+
+impl<const D: usize> Normal<D> {
+    pub(super) fn new<P>(graph: &PoseGraph<P, D>, unknowns: &Unknowns, pattern: &Pattern) -> Self {
+        let target = |e| {
+            let (from, to) = unknowns.ends(e);
+            let own = |place: u32| (place as usize, pattern.diagonal(place));
+            let coupling = from.zip(to).and_then(|(a, b)| pattern.block(a, b));
+            Target { from: from.map(own), to: to.map(own), coupling }
+        };
+        Self {
+            blocks: vec![SMatrix::zeros(); pattern.num_blocks()],
+            gradient: vec![SVector::zeros(); pattern.len()],
+            targets: graph.edges.iter().map(target).collect(),
+        }
+    }
+
+    /// Linearises at the graph's poses.
+    pub(super) fn fill<P: Manifold<D>>(&mut self, graph: &PoseGraph<P, D>) {
+        self.blocks.iter_mut().for_each(|b| *b = SMatrix::zeros());
+        self.gradient.iter_mut().for_each(|g| *g = SVector::zeros());
+        for (edge, target) in graph.edges.iter().zip(&self.targets) {
+            let (from, to) = (edge.from as usize, edge.to as usize);
+            let l = P::linearise(&edge.t_from_to, &graph.poses[from], &graph.poses[to]);
+            let weighted_from = l.from.transpose() * edge.information;
+            let weighted_to = l.to.transpose() * edge.information;
+            if let Some((place, block)) = target.from {
+                self.blocks[block] += weighted_from * l.from;
+                self.gradient[place] += weighted_from * l.error;
+            }
+            if let Some((place, block)) = target.to {
+                self.blocks[block] += weighted_to * l.to;
+                self.gradient[place] += weighted_to * l.error;
+            }
+            match target.coupling {
+                Some((block, true)) => self.blocks[block] += weighted_from * l.to,
+                Some((block, false)) => self.blocks[block] += weighted_to * l.from,
+                None => {}
+            }
+        }
+    }
+}
