@@ -33,6 +33,30 @@ impl<const D: usize> Normal<D> {
         }
     }
 
+    /// Gradient of what the errors at `next` have beyond those that the linear system expects after this step there.
+    pub(super) fn bend<P: Manifold<D>>(
+        &self,
+        graph: &PoseGraph<P, D>,
+        next: &[P],
+        step: &[SVector<f64, D>],
+    ) -> Vec<SVector<f64, D>> {
+        let mut bend = vec![SVector::zeros(); step.len()];
+        for (edge, target) in graph.edges.iter().zip(&self.targets) {
+            let (from, to) = (edge.from as usize, edge.to as usize);
+            let l = P::linearise(&edge.t_from_to, &graph.poses[from], &graph.poses[to]);
+            let ends = [(target.from, l.from), (target.to, l.to)];
+            let mut beyond = P::error(&edge.t_from_to, &next[from], &next[to]) - l.error;
+            for ((place, _), by_end) in ends.iter().filter_map(|(t, m)| t.zip(Some(m))) {
+                beyond += by_end * step[place];
+            }
+            let weighted = edge.information * beyond;
+            for ((place, _), by_end) in ends.iter().filter_map(|(t, m)| t.zip(Some(m))) {
+                bend[place] += by_end.transpose() * weighted;
+            }
+        }
+        bend
+    }
+
     /// Linearises at the graph's poses.
     pub(super) fn fill<P: Manifold<D>>(&mut self, graph: &PoseGraph<P, D>) {
         self.blocks.iter_mut().for_each(|b| *b = SMatrix::zeros());

@@ -38,11 +38,13 @@ pub struct OptimiseReport {
     pub converged: bool,
 }
 
-/// Moves the poses to where chi2 is least, from where they are. Steps start as Gauss-Newton's and are damped, by shares
-/// of the diagonal, when they lead up.
+/// Moves the poses to where chi2 is least, from where they are. Steps start as Gauss-Newton's; where one leads up, it is
+/// bent by how the errors curve along it, and damped, by shares of the diagonal, if that leads up, too.
 ///
 /// Source: Marquardt 1963; the damping's schedule by gain is that of Madsen, Nielsen and Tingleff, "Methods for
-/// non-linear least squares problems", 2004.
+/// non-linear least squares problems", 2004. Bent steps: Transtrum and Sethna, "Improvements to the Levenberg-Marquardt
+/// algorithm for nonlinear least-squares minimization", 2012; the second derivative along a step is taken from the
+/// errors at its end, which are known by then, and no limit is put on it, as only what leads lower is taken.
 ///
 /// # Errors
 /// As [`PoseGraph::validate`]; `NotSolvable` if even a damped system cannot be solved.
@@ -76,7 +78,7 @@ pub(super) fn optimise_by<P: Manifold<D>, const D: usize>(
     while report.iterations < params.max_iterations && !report.converged {
         report.iterations += 1;
         let is_solved = solver.factorise(&normal.blocks, damping).is_ok();
-        let step = is_solved.then(|| Step::of(graph, unknowns, &normal, &mut solver));
+        let step = is_solved.then(|| Step::of(graph, unknowns, &normal, &mut solver, report.chi2));
         match step {
             Some(step) if step.chi2 <= report.chi2 => {
                 let lowered = report.chi2 - step.chi2;
@@ -121,12 +123,13 @@ struct Step<P> {
 }
 
 impl<P> Step<P> {
-    /// From the graph's poses, by the solver's last factor.
+    /// From the graph's poses, whose chi2 is `before`, by the solver's last factor.
     fn of<const D: usize>(
         graph: &PoseGraph<P, D>,
         unknowns: &Unknowns,
         normal: &Normal<D>,
         solver: &mut Solver<'_, D>,
+        before: f64,
     ) -> Self
     where
         P: Manifold<D>,
@@ -134,8 +137,18 @@ impl<P> Step<P> {
         let mut step = normal.gradient.clone();
         solver.solve(&mut step);
         let promised = normal.gradient.iter().zip(&step).map(|(g, d)| g.dot(d)).sum();
-        let poses = unknowns.moved(&graph.poses, &step);
-        let chi2 = graph.chi2_of(&poses);
+        let mut poses = unknowns.moved(&graph.poses, &step);
+        let mut chi2 = graph.chi2_of(&poses);
+        if chi2 > before {
+            let mut bend = normal.bend(graph, &poses, &step);
+            solver.solve(&mut bend);
+            step.iter_mut().zip(&bend).for_each(|(s, b)| *s += b);
+            let bent = unknowns.moved(&graph.poses, &step);
+            let chi2_bent = graph.chi2_of(&bent);
+            if chi2_bent < chi2 {
+                (poses, chi2) = (bent, chi2_bent);
+            }
+        }
         Self { poses, chi2, promised }
     }
 }

@@ -86,6 +86,21 @@ fn a_turned_start_in_space_is_found_back_by_the_measurements() {
 }
 
 #[test]
+fn a_curved_valley_is_followed_in_few_steps() {
+    // A long arm on a loose hinge, pulled to the side: its length is ten thousand times surer than what pulls, so
+    // that straight steps lead up unless they are tiny.
+    let information = |shift: f64| Matrix3::from_diagonal(&Vector3::new(shift, shift, 1e-3));
+    let at = |x: f64, y: f64| PlanarPose { x, y, yaw: 0.0 };
+    let edge = |from, to, t_from_to, shift| Edge { from, to, t_from_to, information: information(shift) };
+    let pull = at(10.0 * 0.3f64.cos(), 10.0 * 0.3f64.sin());
+    let edges = vec![edge(0, 1, at(0.0, 0.0), 1e4), edge(1, 2, at(10.0, 0.0), 1e4), edge(0, 2, pull, 1.0)];
+    let mut graph = PoseGraph { poses: vec![at(0.0, 0.0), at(0.0, 0.0), at(10.0, 0.0)], edges, fixed: vec![0] };
+    let report = optimise(&mut graph, &OptimiseParams::default()).unwrap();
+    assert!(report.converged && report.iterations <= 20, "{report:?}");
+    assert!((graph.poses[1].yaw - 0.3).abs() < 1e-3, "{:?}", graph.poses);
+}
+
+#[test]
 fn what_cannot_be_solved_is_named() {
     let (graph, _) = circle(10, |_, _| 0.0);
     let error = |change: &dyn Fn(&mut PoseGraph<PlanarPose, 3>)| {
