@@ -6,6 +6,8 @@ use std::f64::consts::{PI, TAU};
 
 const COLUMNS: usize = 720;
 const ROWS: usize = 360;
+/// Edge of a window of which the longest beam is known, bins.
+const WINDOW: usize = 4;
 
 /// The shortest beam in each half degree of azimuth and elevation around the sensor, along the map's axes.
 #[derive(Debug, Clone)]
@@ -14,6 +16,8 @@ pub(super) struct RangeImage {
     max_range: f64,
     /// Rows of `COLUMNS`, empty where no beam went: a planar scan fills few.
     rows: Vec<Vec<Bin>>,
+    /// Longest beam of each window of `WINDOW x WINDOW` bins, metres; row-major, 0 without a beam.
+    longest: Vec<f32>,
     /// What all beams lie in.
     view: View,
 }
@@ -66,7 +70,7 @@ impl RangeImage {
     /// From the ends of beams in the map frame, returns and misses alike; ends that are not finite are left out.
     pub(super) fn new(sensor: Point3<f64>, ends: impl Iterator<Item = Point3<f64>>) -> Self {
         let view = View { axis: Vector3::z(), half_angle: 0.0, elevations: (0.0, 0.0) };
-        let mut out = Self { sensor, max_range: 0.0, rows: Vec::new(), view };
+        let mut out = Self { sensor, max_range: 0.0, rows: Vec::new(), longest: Vec::new(), view };
         for end in ends {
             let beam = end - sensor;
             let range = beam.norm();
@@ -88,12 +92,42 @@ impl RangeImage {
             }
         }
         out.view = View::of(&out.rows);
+        out.longest = longest(&out.rows);
         out
     }
 
     /// Whether anything within `radius_m` of a point may have been seen through; if not, nothing was.
     pub(super) fn may_see_through(&self, center: &Point3<f64>, radius_m: f64, params: &CloudParams) -> bool {
-        !self.rows.is_empty() && self.view.may_reach(&(center - self.sensor), radius_m + 0.5 * params.voxel_size_m)
+        let offset = center - self.sensor;
+        if self.rows.is_empty() || !self.view.may_reach(&offset, radius_m + 0.5 * params.voxel_size_m) {
+            return false;
+        }
+        let nearest = offset.norm() - radius_m;
+        nearest <= 0.0 || self.longest_towards(&offset, radius_m) >= nearest + params.margin(nearest)
+    }
+
+    /// No beam within `radius` of what lies at `offset`, farther away than that, is longer.
+    fn longest_towards(&self, offset: &Vector3<f64>, radius: f64) -> f64 {
+        let distance = offset.norm();
+        // Rounding may put a beam into the bin beside its own.
+        let spread = (radius / distance).min(1.0).asin() + 1e-6;
+        let elevation = (offset.z / distance).clamp(-1.0, 1.0).asin();
+        let row = |angle: f64| ((((angle / PI + 0.5) * ROWS as f64).max(0.0) as usize).min(ROWS - 1)) / WINDOW;
+        // How far a cap around that direction reaches to the sides; around a pole, all around.
+        let aside = (spread.sin() / elevation.cos()).clamp(0.0, 1.0);
+        let half = if elevation.abs() + spread < 0.5 * PI { aside.asin() } else { PI };
+        let step = TAU / (COLUMNS / WINDOW) as f64;
+        let azimuth = offset.y.atan2(offset.x) + PI;
+        let (first, last) = (((azimuth - half) / step).floor() as i64, ((azimuth + half) / step).floor() as i64);
+        let windows = COLUMNS / WINDOW;
+        let columns = (last - first + 1).clamp(0, windows as i64);
+        let mut out: f32 = 0.0;
+        for y in row(elevation - spread)..=row(elevation + spread) {
+            for x in (0..columns).map(|k| (first + k).rem_euclid(windows as i64) as usize) {
+                out = out.max(self.longest[y * windows + x]);
+            }
+        }
+        f64::from(out)
     }
 
     /// Where the beams start, map frame.
@@ -125,6 +159,17 @@ impl RangeImage {
         rows.flat_map(|y| [COLUMNS - 1, 0, 1].map(|dx| (y, (column + dx) % COLUMNS)))
             .all(|(y, x)| self.rows[y].get(x).is_none_or(|b| f64::from(b.0) >= behind))
     }
+}
+
+fn longest(rows: &[Vec<Bin>]) -> Vec<f32> {
+    let mut out = vec![0.0f32; rows.len().div_ceil(WINDOW) * (COLUMNS / WINDOW)];
+    for (y, row) in rows.iter().enumerate() {
+        for (x, bin) in row.iter().enumerate().filter(|(_, b)| b.0.is_finite()) {
+            let slot = &mut out[y / WINDOW * (COLUMNS / WINDOW) + x / WINDOW];
+            *slot = slot.max(bin.0);
+        }
+    }
+    out
 }
 
 fn bin(v: &Vector3<f64>, norm: f64) -> (usize, usize) {
