@@ -7,10 +7,14 @@
 
 pub mod cloud;
 mod error;
+mod layers;
 pub mod map;
 pub mod occupancy;
+mod revision;
 
 pub use cloud::{CloudParams, FusedCloud};
 pub use error::MappingError;
-pub use map::{CorrectionReport, Map, MapKeyframe, MapLayers, MapParams};
+pub use layers::MapLayers;
+pub use map::{CorrectionReport, Map, MapKeyframe, MapParams};
 pub use occupancy::{DenseGrid, OccupancyGrid, OccupancyParams};
+pub use revision::Revision;

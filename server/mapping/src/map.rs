@@ -1,16 +1,11 @@
 //! The map of one session: keyframes where they are believed to be, and the layers built from them.
 
-use crate::error::{check_keyframe, check_pose};
-use crate::occupancy::ScanUpdate;
-use crate::{CloudParams, FusedCloud, MappingError, OccupancyGrid, OccupancyParams, cloud::CloudUpdate};
+use crate::error::check_keyframe;
+use crate::{CloudParams, MapLayers, MappingError, OccupancyParams, Revision};
 use percept_geometry::{Correction, KeyframeId, KeyframeScan, Pose};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// Keyframes prepared at once when the layers are rebuilt: bounds the memory that takes.
-const REBUILD_CHUNK: usize = 8;
 
 /// Parameters of every layer.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -33,17 +28,6 @@ impl MapParams {
     }
 }
 
-/// An immutable picture of the layers; cloning costs two references.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MapLayers {
-    /// Rises with every change of the map; never falls, not even when a correction is undone.
-    pub version: u64,
-    /// Free, occupied, unknown.
-    pub occupancy: OccupancyGrid,
-    /// Coloured points.
-    pub cloud: FusedCloud,
-}
-
 /// A keyframe of the map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapKeyframe {
@@ -54,7 +38,7 @@ pub struct MapKeyframe {
 }
 
 /// What a correction did.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct CorrectionReport {
     /// Keyframes that have another pose now.
     pub num_moved: usize,
@@ -67,8 +51,9 @@ pub struct CorrectionReport {
 /// The layers are always what integrating the keyframes in the order of their numbers gives, at the poses they have
 /// now: a correction therefore leaves the same bytes as if the poses had been known from the start, and undoing it
 /// restores the bytes from before. After a restart, the map is rebuilt by inserting its keyframes again.
-/// Adding the newest keyframe costs one keyframe's work; a correction, or a keyframe out of order, costs all of them
-/// (prepared in parallel). Cloning is cheap: to correct a large map without holding up ingest, correct a clone.
+/// Adding the newest keyframe costs one keyframe's work; a correction, or a keyframe out of order, costs all of them:
+/// who cannot wait for that has the corrected map built beside this one, a little at a time ([`Map::begin_revision`]).
+/// Cloning is cheap.
 #[derive(Debug, Clone)]
 pub struct Map {
     params: MapParams,
@@ -82,8 +67,7 @@ impl Map {
     /// # Errors
     /// `InvalidParam`.
     pub fn new(params: MapParams) -> Result<Self, MappingError> {
-        let layers = empty_layers(&params, 0)?;
-        Ok(Self { params, keyframes: BTreeMap::new(), layers })
+        Ok(Self { params, keyframes: BTreeMap::new(), layers: MapLayers::empty(&params)? })
     }
 
     /// Parameters.
@@ -113,13 +97,13 @@ impl Map {
         let newest = self.keyframes.last_key_value().is_none_or(|(last, _)| *last < id);
         let keyframe = MapKeyframe { t_map_base, scan };
         if newest {
-            let update = self.prepare(&keyframe);
-            self.add(&update);
+            self.layers.add(&self.layers.prepare(&self.params, &keyframe));
             self.layers.version += 1;
             self.keyframes.insert(id, keyframe);
         } else {
-            self.keyframes.insert(id, keyframe);
-            self.rebuild()?;
+            let mut revision = self.begin_revision(&Correction::default(), &[])?;
+            revision.insert(id, t_map_base, keyframe.scan)?;
+            self.adopt(revision);
         }
         Ok(())
     }
@@ -139,51 +123,29 @@ impl Map {
     /// # Errors
     /// `PoseNotFinite`; the map is unchanged then.
     pub fn revise(&mut self, correction: &Correction, gone: &[KeyframeId]) -> Result<CorrectionReport, MappingError> {
-        correction.t_map_base.iter().try_for_each(|(_, pose)| check_pose(pose))?;
-        let mut report = CorrectionReport { num_moved: 0, num_unknown: 0 };
-        for (id, pose) in &correction.t_map_base {
-            match self.keyframes.get_mut(id) {
-                None => report.num_unknown += 1,
-                Some(keyframe) if keyframe.t_map_base != *pose => {
-                    keyframe.t_map_base = *pose;
-                    report.num_moved += 1;
-                }
-                Some(_) => {}
-            }
-        }
-        let before = self.keyframes.len();
-        gone.iter().for_each(|id| drop(self.keyframes.remove(id)));
-        if report.num_moved > 0 || self.keyframes.len() != before {
-            self.rebuild()?;
+        let revision = self.begin_revision(correction, gone)?;
+        let report = *revision.report();
+        if revision.changes_anything() {
+            self.adopt(revision);
         }
         Ok(report)
     }
 
-    fn rebuild(&mut self) -> Result<(), MappingError> {
-        self.layers = empty_layers(&self.params, self.layers.version + 1)?;
-        let keyframes: Vec<MapKeyframe> = self.keyframes.values().cloned().collect();
-        for chunk in keyframes.chunks(REBUILD_CHUNK) {
-            let updates: Vec<_> = chunk.par_iter().map(|k| self.prepare(k)).collect();
-            updates.iter().for_each(|update| self.add(update));
-        }
-        Ok(())
+    /// The map as it will be with keyframes moved and others taken out, still to be built. Numbers that the map does not
+    /// hold are left out.
+    ///
+    /// # Errors
+    /// `PoseNotFinite`.
+    pub fn begin_revision(&self, correction: &Correction, gone: &[KeyframeId]) -> Result<Revision, MappingError> {
+        Revision::new(self.params, self.keyframes.clone(), correction, gone)
     }
 
-    fn prepare(&self, keyframe: &MapKeyframe) -> (ScanUpdate, CloudUpdate) {
-        let MapKeyframe { t_map_base, scan } = keyframe;
-        let geometry = self.layers.occupancy.geometry();
-        (
-            ScanUpdate::new(&self.params.occupancy, geometry, t_map_base, scan),
-            CloudUpdate::new(&self.params.cloud, t_map_base, scan),
-        )
+    /// Becomes what a revision of this map has built; what is missing of it is built first. Keyframes that came since the
+    /// revision began and were not given to it keep their poses.
+    pub fn adopt(&mut self, mut revision: Revision) {
+        revision.carry_over(&self.keyframes);
+        let version = self.layers.version + 1;
+        (self.keyframes, self.layers) = revision.finish();
+        self.layers.version = version;
     }
-
-    fn add(&mut self, (occupancy, cloud): &(ScanUpdate, CloudUpdate)) {
-        self.layers.occupancy.apply(occupancy);
-        self.layers.cloud.apply(cloud);
-    }
-}
-
-fn empty_layers(params: &MapParams, version: u64) -> Result<MapLayers, MappingError> {
-    Ok(MapLayers { version, occupancy: OccupancyGrid::new(params.occupancy)?, cloud: FusedCloud::new(params.cloud)? })
 }

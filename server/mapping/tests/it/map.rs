@@ -41,6 +41,48 @@ fn a_corrected_map_is_the_one_built_at_the_corrected_poses_and_undo_restores_the
 }
 
 #[test]
+fn a_revision_built_in_steps_beside_a_growing_map_is_the_map_built_at_once() {
+    let (scans, direct) = (scans(), built(-0.02));
+    let id = |i: usize| KeyframeId(i as u64);
+    let mut map = Map::new(MapParams::default()).unwrap();
+    (0..8).for_each(|i| map.insert(id(i), pose(i, 0.01), Arc::clone(&scans[i])).unwrap());
+    let moved = Correction { t_map_base: (0..8).map(|i| (id(i), pose(i, -0.02))).collect() };
+    let mut revision = map.begin_revision(&moved, &[]).unwrap();
+    let mut steps = 0;
+    for (i, scan) in scans.iter().enumerate().skip(8) {
+        assert!(!revision.advance(scan.hits.len() + 1), "two keyframes a step, one comes meanwhile");
+        map.insert(id(i), pose(i, 0.01), Arc::clone(scan)).unwrap();
+        revision.insert(id(i), pose(i, -0.02), Arc::clone(scan)).unwrap();
+    }
+    while !revision.advance(1) {
+        steps += 1;
+    }
+    assert!(steps > 0);
+    let (version, shown) = (map.layers().version, built(0.01).layers());
+    assert_eq!((&map.layers().occupancy, &map.layers().cloud), (&shown.occupancy, &shown.cloud), "untouched so far");
+    map.adopt(revision);
+    assert_eq!(map.layers().version, version + 1);
+    assert_eq!(map.keyframes(), direct.keyframes());
+    let (stepped, direct) = (map.layers(), direct.layers());
+    assert_eq!((&stepped.occupancy, &stepped.cloud), (&direct.occupancy, &direct.cloud));
+}
+
+#[test]
+fn what_a_revision_was_not_told_of_keeps_its_pose_and_what_it_took_out_stays_out() {
+    let scans = scans();
+    let id = |i: usize| KeyframeId(i as u64);
+    let mut map = Map::new(MapParams::default()).unwrap();
+    (0..6).for_each(|i| map.insert(id(i), pose(i, 0.01), Arc::clone(&scans[i])).unwrap());
+    let revision = map.begin_revision(&Correction::default(), &[id(2)]).unwrap();
+    map.insert(id(6), pose(6, 0.01), Arc::clone(&scans[6])).unwrap();
+    map.adopt(revision);
+    let mut direct = Map::new(MapParams::default()).unwrap();
+    [0, 1, 3, 4, 5, 6].into_iter().for_each(|i| direct.insert(id(i), pose(i, 0.01), Arc::clone(&scans[i])).unwrap());
+    assert_eq!(map.keyframes(), direct.keyframes());
+    assert_eq!(map.layers().cloud, direct.layers().cloud);
+}
+
+#[test]
 fn the_order_of_insertion_does_not_matter() {
     let forward = built(0.01).layers();
     let mut map = Map::new(MapParams::default()).unwrap();
