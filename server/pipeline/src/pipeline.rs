@@ -7,10 +7,11 @@ mod objects;
 mod register;
 mod report;
 mod restore;
+mod revising;
 
-pub use loops::MapChange;
 pub use report::{FrameReport, NewKeyframe};
 pub use restore::{Restored, RestoredContent, RestoredKeyframe};
+pub use revising::MapChange;
 
 use crate::clock_offset::ClockOffsets;
 use crate::imu_prior::ImuBuffer;
@@ -21,7 +22,7 @@ use crate::scale_hints::ScaleHints;
 use crate::sensors::{Sensors, scan_of};
 use crate::{Chunks, FrameError, KeyframeInfo, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
 use nalgebra::{Unit, Vector3};
-use percept_geometry::{Correction, KeyframeId, Pose, SensorData, SensorFrame, SensorId, SensorSpec, Timestamp};
+use percept_geometry::{Correction, Pose, SensorData, SensorFrame, SensorId, SensorSpec, Timestamp};
 use percept_mapping::Map;
 use percept_perception::detection::Detector;
 use percept_scene::{Object, Tracker};
@@ -50,6 +51,7 @@ pub struct Pipeline {
     after_gap: bool,
     keyframe_policies: BTreeMap<SensorId, KeyframePolicy>,
     map: Map,
+    revising: revising::Revising,
     detector: Detector,
     tracker: Tracker,
     /// Odom to map: found level at the first keyframe, moved by corrections.
@@ -88,6 +90,7 @@ impl Pipeline {
             after_gap: false,
             keyframe_policies: BTreeMap::new(),
             map: Map::new(params.map).map_err(|e| failed("map", e))?,
+            revising: revising::Revising::default(),
             detector: Detector::new(params.detection.detector).map_err(|e| failed("detection.detector", e))?,
             tracker: Tracker::new(params.tracker.clone()).map_err(|e| failed("tracker", e))?,
             base_height_m: 0.0,
@@ -127,48 +130,26 @@ impl Pipeline {
             return Ok(nothing);
         }
         let Some(mut scan) = scan_of(&spec, &frame.data) else { return Ok(nothing) };
-        if self.sensors.is_pose_sensor(&frame.sensor, &self.params.slam.pose_sensor, stamp) {
+        let mut change = self.build_on();
+        let mut report = if self.sensors.is_pose_sensor(&frame.sensor, &self.params.slam.pose_sensor, stamp) {
             if !self.is_metric() {
                 self.scale_hints.see_image(stamp, &mut scan);
             }
-            Ok(self.register(&spec, stamp, &scan))
+            self.register(&spec, stamp, &scan)
         } else {
             self.tell_scale(stamp, &scan);
-            Ok(self.map_only(&spec, stamp, &scan).unwrap_or(nothing))
-        }
+            self.map_only(&spec, stamp, &scan).unwrap_or(nothing)
+        };
+        change.extend(std::mem::take(&mut report.map));
+        Ok(FrameReport { map: change, ..report })
     }
 
     /// Moves keyframes, and all that hangs on them: trajectory, map layers, objects, and where the robot is now.
     /// Corrections for keyframes that do not exist are ignored.
     pub fn apply(&mut self, correction: &Correction) {
-        self.revise(correction, &[]);
-    }
-
-    /// The same, with keyframes that leave the map.
-    fn revise(&mut self, correction: &Correction, gone: &[KeyframeId]) {
-        let mut moved: BTreeMap<KeyframeId, Pose> = BTreeMap::new();
-        for (id, t_map_base) in &correction.t_map_base {
-            let Some(info) = Arc::make_mut(&mut self.keyframes).get_mut(id.0 as usize) else { continue };
-            moved.insert(*id, t_map_base * info.t_map_base.inverse());
-            info.t_map_base = *t_map_base;
-        }
-        if moved.is_empty() && gone.is_empty() {
-            return;
-        }
-        moved.extend(merging::carry(Arc::make_mut(&mut self.keyframes).as_mut_slice()));
-        if let Err(error) = self.map.revise(correction, gone) {
-            // Poses were checked when they came in; a map that refuses them keeps its old state.
-            debug_assert!(false, "{error}");
-        }
-        if let Some(newest) = self.keyframes.last() {
-            self.t_map_odom = newest.t_map_base * self.newest_keyframe_t_odom_base.inverse();
-        }
-        self.move_objects(&moved);
-        let version = self.map.layers().version;
-        if let Some(pose) = &mut self.pose {
-            pose.t_map_base = self.t_map_odom * pose.t_odom_base;
-            pose.map_version = version;
-        }
+        self.finish_revision();
+        self.decide(Some(correction.clone()), vec![]);
+        self.finish_revision();
     }
 
     /// The state as it is now; cheap, and unaffected by what comes later.

@@ -140,7 +140,7 @@ pub(crate) fn run_session(
             }
         };
         // A loop that was believed for a while and then no longer has bent the map all the same.
-        believed.extend(report.loops.iter().filter(|l| l.state == LoopState::Active).map(|l| (l.id, l.clone())));
+        believed.extend(report.map.loops.iter().filter(|l| l.state == LoopState::Active).map(|l| (l.id, l.clone())));
         let Some(pose) = report.pose.filter(|_| sim.frame.sensor == main) else { continue };
         run.num_degenerate.iter_mut().zip(pose.degenerate_axes).for_each(|(n, open)| *n += usize::from(open));
         *run.states.entry(state_name(pose.state)).or_default() += 1;

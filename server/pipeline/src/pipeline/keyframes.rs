@@ -92,6 +92,7 @@ impl Pipeline {
         let t_map_base = self.t_map_odom * t_odom_base;
         self.insert(id, t_map_base, &scan);
         self.newest_keyframe_t_odom_base = t_odom_base;
+        self.insert_to_come(id, &t_odom_base, &scan);
         let num_points = scan.hits.len();
         let info = KeyframeInfo { id, stamp, sensor: sensor.clone(), t_map_base, num_points, merged: None };
         Arc::make_mut(&mut self.keyframes).push(info.clone());

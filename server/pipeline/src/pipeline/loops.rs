@@ -1,11 +1,11 @@
 //! Loops close: keyframes go to the back end, corrections come back and move what hangs on them; a robot that was lost
 //! is found again among the keyframes.
 
-use super::{FrameReport, NewKeyframe, Pipeline, Restored, merging};
+use super::{FrameReport, MapChange, NewKeyframe, Pipeline, Restored};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId, SensorSpec, Timestamp, se3};
 use percept_slam::loops::{LoopClosure, place_recognition};
 use percept_slam::{
-    BackEnd, BackEndKeyframe, BackEndUpdate, Loop, LoopId, OdometryEstimate, OdometryKind, Relocalisation, Scan,
+    BackEnd, BackEndKeyframe, BackEndUpdate, LoopId, OdometryEstimate, OdometryKind, Relocalisation, Scan,
 };
 use std::sync::Arc;
 
@@ -25,15 +25,6 @@ pub(super) struct Floating {
     scan: Arc<KeyframeScan>,
 }
 
-/// What changed in the map without a frame.
-#[derive(Debug, Clone, Default)]
-pub struct MapChange {
-    /// Loops whose state changed.
-    pub loops: Vec<Loop>,
-    /// Keyframes that moved, with their new poses, base to map.
-    pub corrected: Vec<(KeyframeId, Pose)>,
-}
-
 impl Pipeline {
     /// Makes the back end for the kind of sensor that moves the pose, if loops are wanted and can be found.
     pub(super) fn prepare_back_end(&mut self, kind: OdometryKind) {
@@ -45,15 +36,14 @@ impl Pipeline {
 
     /// Hands a keyframe that is in the map to the back end, and does what follows.
     pub(super) fn close_loops(&mut self, keyframe: &mut NewKeyframe, recognise: bool, report: &mut FrameReport) {
-        let Some(update) = self.tell_back_end(keyframe, recognise) else { return };
-        self.follow(update, report);
-        if let Some(info) = self.keyframes.get(keyframe.info.id.0 as usize) {
-            keyframe.info.t_map_base = info.t_map_base;
+        if let Some(update) = self.tell_back_end(keyframe, recognise) {
+            self.follow(update, &mut report.map);
         }
     }
 
     /// Hands a keyframe that is in the map to the back end; what follows from that.
     fn tell_back_end(&mut self, keyframe: &mut NewKeyframe, recognise: bool) -> Option<BackEndUpdate> {
+        let t_map_base = self.t_decided_odom() * keyframe.t_odom_base;
         let back_end = self.back_end.as_mut()?;
         keyframe.after_gap = std::mem::take(&mut self.after_gap);
         let node = BackEndKeyframe {
@@ -64,30 +54,22 @@ impl Pipeline {
             recognise,
             after_gap: keyframe.after_gap,
         };
-        Some(back_end.insert(&node, &keyframe.info.t_map_base))
+        Some(back_end.insert(&node, &t_map_base))
     }
 
-    /// Applies a correction and notes what changed.
-    fn follow(&mut self, update: BackEndUpdate, report: &mut FrameReport) {
-        let gone: Vec<KeyframeId> = update.merged.iter().map(|m| m.id).collect();
-        if !gone.is_empty() {
-            let infos = Arc::make_mut(&mut self.keyframes);
-            let changed = merging::merge(infos, &update.merged);
-            report.merged.extend(changed.into_iter().filter_map(|k| Some((infos[k].clone(), infos[k].merged?))));
-        }
-        let correction = update.correction.unwrap_or_default();
-        self.revise(&correction, &gone);
-        report.corrected.extend(correction.t_map_base.into_iter().filter(|(id, _)| gone.binary_search(id).is_err()));
+    /// Notes what changed about loops, and what the map is to become.
+    fn follow(&mut self, update: BackEndUpdate, change: &mut MapChange) {
+        self.decide(update.correction, update.merged);
         let changed = !update.loops.is_empty() || !update.dissolved.is_empty();
         if let Some(back_end) = self.back_end.as_ref().filter(|_| changed) {
             self.loops = Arc::new(back_end.loops().to_vec());
         }
-        report.loops.extend(update.loops);
-        report.dissolved.extend(update.dissolved);
+        change.loops.extend(update.loops);
+        change.dissolved.extend(update.dissolved);
     }
 
-    /// Moves every keyframe to where the back end believes it, however little that is: what small corrections wait for
-    /// while frames come in.
+    /// Moves every keyframe to where the back end believes it, however little that is, and shows the map that is so: what
+    /// waits while frames come in.
     pub fn settle(&mut self) -> MapChange {
         let update = self.back_end.as_mut().map(BackEnd::settle).unwrap_or_default();
         self.change(update)
@@ -100,9 +82,10 @@ impl Pipeline {
     }
 
     fn change(&mut self, update: BackEndUpdate) -> MapChange {
-        let mut report = FrameReport::default();
-        self.follow(update, &mut report);
-        MapChange { loops: report.loops, corrected: report.corrected }
+        let mut change = MapChange::default();
+        self.follow(update, &mut change);
+        change.extend(self.finish_revision());
+        change
     }
 
     /// Gives the stored keyframes and loops to the back end.
@@ -170,38 +153,25 @@ impl Pipeline {
 
     /// Puts the part of the map that hung on nothing where one of its frames was found.
     fn join(&mut self, found: &Relocalisation, estimate: &OdometryEstimate, report: &mut FrameReport) -> bool {
-        let Some(place) = self.keyframes.get(found.keyframe.0 as usize) else { return false };
-        let t_map_base = place.t_map_base * found.t_keyframe_base;
-        self.t_map_odom = t_map_base * estimate.t_odom_base.inverse();
+        if self.keyframes.len() as u64 <= found.keyframe.0 {
+            return false;
+        }
+        self.place_odometry(found.keyframe, &(found.t_keyframe_base * estimate.t_odom_base.inverse()));
         self.after_gap = true;
-        // All of them at once: a correction rebuilds the layers.
-        let mut all = BackEndUpdate::default();
-        let first = report.joined.len();
         let floating = std::mem::take(&mut self.floating);
         let last = floating.len().saturating_sub(1);
         for (k, f) in floating.into_iter().enumerate() {
             let t_now_then = estimate.t_odom_base.inv_mul(&f.t_odom_base);
             let mut keyframe = self.enter(f.stamp, &f.sensor, f.t_odom_base, f.scan);
-            if let Some(update) = self.tell_back_end(&mut keyframe, true) {
-                all = all.followed_by(update);
-            }
-            if !all.merged.is_empty() {
-                self.follow(std::mem::take(&mut all), report);
-            }
+            self.close_loops(&mut keyframe, true, report);
             // The first is tied at once, so that the others are not looked for everywhere; the last, as it was found.
             if k == 0 || k == last {
                 let closure = self.tie(found, keyframe.info.id, &t_now_then);
                 let update = self.back_end.as_mut().map(|b| b.propose(vec![closure]));
-                all = all.followed_by(update.unwrap_or_default());
+                self.follow(update.unwrap_or_default(), &mut report.map);
             }
             self.policy(&keyframe.info.sensor).resume(&f.t_odom_base);
             report.joined.push(keyframe);
-        }
-        self.follow(all, report);
-        for keyframe in &mut report.joined[first..] {
-            if let Some(info) = self.keyframes.get(keyframe.info.id.0 as usize) {
-                keyframe.info.t_map_base = info.t_map_base;
-            }
         }
         self.anchoring.found(estimate);
         true
@@ -210,10 +180,7 @@ impl Pipeline {
     /// What ties a keyframe to the place where the robot was found to be, `t_now_then` later by odometry.
     fn tie(&self, found: &Relocalisation, to: KeyframeId, t_now_then: &Pose) -> LoopClosure {
         // Meanwhile another keyframe may have come to stand for the one that was recognised.
-        let (from, t_from_found) = match self.keyframes.get(found.keyframe.0 as usize).and_then(|k| k.merged) {
-            Some(merged) => (merged.into, merged.t_into_base),
-            None => (found.keyframe, Pose::identity()),
-        };
+        let (from, t_from_found) = self.stand_in(found.keyframe);
         let (way, turn) = (t_now_then.translation.vector.norm(), t_now_then.rotation.angle());
         let [t, r] = [DRIFTS.0 * way, DRIFTS.1 * way + DRIFTS.2 * turn].map(|sigma| sigma * sigma);
         let odometry = Covariance6::from_diagonal(&[t, t, t, r, r, r].into());

@@ -30,12 +30,13 @@ pub(super) fn merge(keyframes: &mut [KeyframeInfo], merged: &[MergedKeyframe]) -
     }
     let mut changed: Vec<usize> = merged.iter().map(|m| m.id.0 as usize).collect();
     for k in 0..keyframes.len() {
-        let Some(merged) = keyframes[k].merged else { continue };
-        // What stands for others is alive, or has been merged just now into one that is.
-        let Some(next) = keyframes.get(merged.into.0 as usize).and_then(|i| i.merged) else { continue };
-        let t_into_base = next.t_into_base * merged.t_into_base;
-        keyframes[k].merged = Some(Merged { into: next.into, t_into_base });
-        changed.push(k);
+        let Some(mut merged) = keyframes[k].merged else { continue };
+        // Newer keyframes stand for older ones, so this ends at one that is alive.
+        while let Some(next) = keyframes.get(merged.into.0 as usize).and_then(|i| i.merged) {
+            merged = Merged { into: next.into, t_into_base: next.t_into_base * merged.t_into_base };
+            changed.push(k);
+        }
+        keyframes[k].merged = Some(merged);
     }
     changed.sort_unstable();
     changed.dedup();

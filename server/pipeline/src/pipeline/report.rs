@@ -1,9 +1,9 @@
 //! What a frame did.
 
-use crate::{KeyframeInfo, Merged, PoseEstimate, TrajectoryEntry};
-use percept_geometry::{KeyframeId, KeyframeScan, Pose};
+use super::MapChange;
+use crate::{KeyframeInfo, PoseEstimate, TrajectoryEntry};
+use percept_geometry::{KeyframeScan, Pose};
 use percept_scene::ObjectChange;
-use percept_slam::{Loop, LoopId};
 use std::sync::Arc;
 
 /// What a frame did.
@@ -19,14 +19,8 @@ pub struct FrameReport {
     pub changes: Vec<ObjectChange>,
     /// Keyframes of a part of the map that joined it with this frame, older than `keyframe`.
     pub joined: Vec<NewKeyframe>,
-    /// Loops that were found or changed their state.
-    pub loops: Vec<Loop>,
-    /// Keyframes that a correction moved, with their new poses, base to map.
-    pub corrected: Vec<(KeyframeId, Pose)>,
-    /// Keyframes that others stand for from now on, or through yet others than before.
-    pub merged: Vec<(KeyframeInfo, Merged)>,
-    /// Loops that went with them.
-    pub dissolved: Vec<LoopId>,
+    /// What changed in the map besides.
+    pub map: MapChange,
 }
 
 /// A keyframe as it is stored.

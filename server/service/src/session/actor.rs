@@ -8,8 +8,12 @@ use crate::{ComputePool, Result};
 use percept_geometry::SensorFrame;
 use percept_pipeline::{FrameReport, LoopId, MapChange, Pipeline, Snapshot};
 use std::sync::{Arc, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
+use tokio::time::timeout;
+
+/// A session without frames for so long shows what was decided about its map: no frame waits for that.
+const IDLE: Duration = Duration::from_secs(1);
 
 /// One session's writer.
 pub(super) struct Actor {
@@ -23,7 +27,16 @@ pub(super) struct Actor {
 impl Actor {
     pub(super) async fn run(mut self, mut commands: mpsc::Receiver<Command>) {
         let mut stops = vec![];
-        while let Some(command) = commands.recv().await {
+        loop {
+            let is_building = self.pipeline.as_ref().is_some_and(Pipeline::is_revising);
+            let command = match timeout(if is_building { IDLE } else { Duration::MAX }, commands.recv()).await {
+                Ok(Some(command)) => command,
+                Ok(None) => break,
+                Err(_) => {
+                    let _ = self.change(|pipeline| Some(pipeline.finish_revision())).await;
+                    continue;
+                }
+            };
             match command {
                 Command::Stop { stopped } => {
                     // What was accepted before is still done.
@@ -92,15 +105,14 @@ impl Actor {
             }
         };
         lock(&self.session.book).accepted(&sensor, stamp);
-        let objects_changed = !report.changes.is_empty() || !report.corrected.is_empty();
+        let objects_changed = !report.changes.is_empty() || !report.map.corrected.is_empty();
         let objects = objects_changed.then(|| (Arc::clone(&snapshot.objects), snapshot.next_object_id));
         self.publish(&report, snapshot);
         let keyframe = report.keyframe.as_ref().map(|k| k.info.id);
         let mut keyframes = report.joined;
         keyframes.extend(report.keyframe);
-        let (entry, loops, corrected) = (report.trajectory, report.loops, report.corrected);
-        let (merged, dissolved) = (report.merged, report.dissolved);
-        let frame = Some((sensor, stamp));
+        let (frame, entry) = (Some((sensor, stamp)), report.trajectory);
+        let MapChange { loops, dissolved, corrected, merged } = report.map;
         let job = Job { frame, entry, keyframes, loops, objects, corrected, merged, dissolved };
         let ticket = self.persister.submit(job).await;
         Ok(Processed { pose: report.pose, keyframe, latency_s: received.elapsed().as_secs_f64(), ticket })
@@ -113,7 +125,7 @@ impl Actor {
         *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
         let pose = report.pose.iter().map(|p| EventKind::Pose(Box::new(p.clone())));
         let keyframes = report.joined.iter().chain(&report.keyframe).map(|k| EventKind::Keyframe(k.info.clone()));
-        let loops = report.loops.iter().map(|l| EventKind::Loop(Box::new(l.clone())));
+        let loops = report.map.loops.iter().map(|l| EventKind::Loop(Box::new(l.clone())));
         let changes = report.changes.iter().map(|c| EventKind::Object(Box::new(*c)));
         let map = (version != before).then_some(EventKind::MapVersion(version));
         self.session.events.publish(stamp, pose.chain(keyframes).chain(loops).chain(changes).chain(map));
@@ -147,15 +159,15 @@ impl Actor {
         self.pipeline = Some(pipeline);
         let Some(change) = done else { return Some(None) };
         let (version, objects) = (snapshot.map_version, (Arc::clone(&snapshot.objects), snapshot.next_object_id));
-        if change.loops.is_empty() && change.corrected.is_empty() {
+        let is_same = change.loops.is_empty() && change.corrected.is_empty() && change.merged.is_empty();
+        if is_same {
             return Some(Some((change, version, self.persister.newest())));
         }
-        let MapChange { loops, corrected } = change.clone();
-        let report = FrameReport { loops, corrected, ..FrameReport::default() };
+        let report = FrameReport { map: change, ..FrameReport::default() };
         self.publish(&report, snapshot);
-        let (loops, corrected) = (report.loops, report.corrected);
-        let job = Job { loops, corrected, objects: Some(objects), ..Job::default() };
+        let MapChange { loops, dissolved, corrected, merged } = report.map.clone();
+        let job = Job { loops, dissolved, corrected, merged, objects: Some(objects), ..Job::default() };
         let ticket = self.persister.submit(job).await;
-        Some(Some((change, version, ticket)))
+        Some(Some((report.map, version, ticket)))
     }
 }

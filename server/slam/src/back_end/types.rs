@@ -93,19 +93,3 @@ pub struct BackEndUpdate {
     /// Loops that went with them.
     pub dissolved: Vec<LoopId>,
 }
-
-impl BackEndUpdate {
-    /// What this and a later one changed together.
-    #[must_use]
-    pub fn followed_by(mut self, later: Self) -> Self {
-        let goes = |l: &Loop| later.dissolved.binary_search(&l.id).is_ok() || later.loops.iter().any(|n| n.id == l.id);
-        self.loops.retain(|l| !goes(l));
-        self.loops.extend(later.loops);
-        self.correction = later.correction.map(|c| c.after(self.correction.take())).or(self.correction);
-        self.merged.extend(later.merged);
-        self.merged.sort_by_key(|m| m.id);
-        self.dissolved.extend(later.dissolved);
-        self.dissolved.sort_unstable();
-        self
-    }
-}
