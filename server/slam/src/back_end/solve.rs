@@ -2,7 +2,7 @@
 
 use super::chain::Chain;
 use super::consensus::{AGREE, Tie, chi2};
-use crate::pose_graph::{Edge, OptimiseParams, PoseGraph, covariance_of, information_of, optimise};
+use crate::pose_graph::{Edge, Equations, OptimiseParams, PoseGraph, Structure, information_of};
 use nalgebra::Matrix6;
 use percept_geometry::{Covariance6, Pose};
 
@@ -32,8 +32,10 @@ pub(super) fn solve(chain: &Chain, ties: &[Tie<'_>], poses: &[Pose]) -> Option<S
     }
     let full: Vec<Matrix6<f64>> = graph.edges[steps..].iter().map(|e| e.information).collect();
     let params = OptimiseParams { max_iterations: STEPS, tolerance: 1e-4 };
+    let structure = Structure::of(&graph).ok()?;
+    let mut equations = Equations::of(&graph, &structure).ok()?;
     for round in 0..ROUNDS {
-        optimise(&mut graph, &params).ok()?;
+        equations.optimise(&mut graph, &params).ok()?;
         if round + 1 < ROUNDS {
             for (k, tie) in ties.iter().enumerate() {
                 let off = chi2(tie.closure, &graph.poses[tie.from as usize], &graph.poses[tie.to as usize]);
@@ -43,6 +45,6 @@ pub(super) fn solve(chain: &Chain, ties: &[Tie<'_>], poses: &[Pose]) -> Option<S
         }
     }
     let newest = graph.poses.len() as u32 - 1;
-    let covariance_of_newest = covariance_of(&graph, newest).ok()?;
+    let covariance_of_newest = equations.covariance_of(&graph, newest).ok()?;
     Some(Solved { poses: graph.poses, covariance_of_newest })
 }

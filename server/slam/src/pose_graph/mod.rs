@@ -19,10 +19,12 @@ mod tests;
 pub use covariance::covariance_of;
 pub(crate) use manifold::information_of;
 pub use manifold::{Linearised, Manifold, PlanarPose};
+pub(crate) use normal::Equations;
 pub use optimise::{OptimiseParams, OptimiseReport, optimise};
 pub use start::chordal;
 
 use nalgebra::{SMatrix, SVector};
+use pattern::Pattern;
 
 /// A measured pose of one node seen from another.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -179,13 +181,29 @@ impl Unknowns {
         self.nodes.iter().zip(step).for_each(|(&n, d)| moved[n as usize] = moved[n as usize].step(&-d));
         moved
     }
+}
 
-    fn pattern<P, const D: usize>(&self, graph: &PoseGraph<P, D>) -> Result<pattern::Pattern, sparse::NotSolvable> {
-        let both = |e| match self.ends(e) {
+/// What all equations of a graph have in common.
+pub(crate) struct Structure {
+    unknowns: Unknowns,
+    pattern: Pattern,
+}
+
+impl Structure {
+    /// Of a graph, which is checked.
+    ///
+    /// # Errors
+    /// As [`PoseGraph::validate`]; `NotSolvable` if it does not fit the memory.
+    pub(crate) fn of<P: Manifold<D>, const D: usize>(graph: &PoseGraph<P, D>) -> Result<Self, PoseGraphError> {
+        graph.validate()?;
+        let unknowns = Unknowns::of(graph);
+        let both = |e| match unknowns.ends(e) {
             (Some(a), Some(b)) => Some((a, b)),
             _ => None,
         };
-        pattern::Pattern::new(self.nodes.len(), &graph.edges.iter().filter_map(both).collect::<Vec<_>>())
+        let coupled: Vec<(u32, u32)> = graph.edges.iter().filter_map(both).collect();
+        let pattern = Pattern::new(unknowns.nodes.len(), &coupled)?;
+        Ok(Self { unknowns, pattern })
     }
 }
 
@@ -201,15 +219,13 @@ pub fn solve<P: Manifold<D>, const D: usize>(
     has_poses: bool,
     params: &OptimiseParams,
 ) -> Result<OptimiseReport, PoseGraphError> {
-    graph.validate()?;
-    let unknowns = Unknowns::of(graph);
-    let pattern = unknowns.pattern(graph)?;
+    let structure = Structure::of(graph)?;
     let given = if has_poses { graph.chi2() } else { f64::INFINITY };
-    let found = start::chordal_of(graph, &unknowns, &pattern)?;
+    let found = start::chordal_of(graph, &structure)?;
     // A start that is nearly as good is the user's own.
     if graph.chi2_of(&found) < given {
         graph.poses = found;
     }
-    let report = optimise::optimise_by(graph, &unknowns, &pattern, params)?;
+    let report = Equations::of(graph, &structure)?.optimise(graph, params)?;
     Ok(OptimiseReport { chi2_start: if has_poses { given } else { report.chi2_start }, ..report })
 }

@@ -1,12 +1,14 @@
 //! The normal equations of a pose graph at its poses.
 
-use super::pattern::Pattern;
-use super::{Manifold, PoseGraph, Unknowns};
+use super::sparse::{NotSolvable, Solver};
+use super::{Manifold, PoseGraph, PoseGraphError, Structure, Unknowns};
 use nalgebra::{SMatrix, SVector};
 
-/// The linearised problem.
-pub(super) struct Normal<const D: usize> {
-    pub(super) blocks: Vec<SMatrix<f64, D, D>>,
+/// A graph's normal equations, set up once to be solved again and again: at other poses, with other weights.
+pub(crate) struct Equations<'a, const D: usize> {
+    pub(super) unknowns: &'a Unknowns,
+    pub(super) solver: Solver<'a, D>,
+    blocks: Vec<SMatrix<f64, D, D>>,
     pub(super) gradient: Vec<SVector<f64, D>>,
     targets: Vec<Target>,
 }
@@ -18,19 +20,31 @@ struct Target {
     coupling: Option<(usize, bool)>,
 }
 
-impl<const D: usize> Normal<D> {
-    pub(super) fn new<P>(graph: &PoseGraph<P, D>, unknowns: &Unknowns, pattern: &Pattern) -> Self {
+impl<'a, const D: usize> Equations<'a, D> {
+    /// For graphs of this structure, such as this one.
+    ///
+    /// # Errors
+    /// `NotSolvable` if they do not fit the memory.
+    pub(crate) fn of<P>(graph: &PoseGraph<P, D>, structure: &'a Structure) -> Result<Self, PoseGraphError> {
+        let Structure { unknowns, pattern } = structure;
         let target = |e| {
             let (from, to) = unknowns.ends(e);
             let own = |place: u32| (place as usize, pattern.diagonal(place));
             let coupling = from.zip(to).and_then(|(a, b)| pattern.block(a, b));
             Target { from: from.map(own), to: to.map(own), coupling }
         };
-        Self {
+        Ok(Self {
+            unknowns,
+            solver: Solver::new(pattern)?,
             blocks: vec![SMatrix::zeros(); pattern.num_blocks()],
             gradient: vec![SVector::zeros(); pattern.len()],
             targets: graph.edges.iter().map(target).collect(),
-        }
+        })
+    }
+
+    /// Factorises them, the diagonal multiplied by `1 + damping`.
+    pub(super) fn factorise(&mut self, damping: f64) -> Result<(), NotSolvable> {
+        self.solver.factorise(&self.blocks, damping)
     }
 
     /// Gradient of what the errors at `next` have beyond those that the linear system expects after this step there.

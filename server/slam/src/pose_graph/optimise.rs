@@ -1,9 +1,6 @@
 //! Levenberg-Marquardt on a pose graph.
 
-use super::normal::Normal;
-use super::pattern::Pattern;
-use super::sparse::Solver;
-use super::{Manifold, PoseGraph, PoseGraphError, Unknowns};
+use super::{Equations, Manifold, PoseGraph, PoseGraphError, Structure};
 
 /// Damping beyond this: no step leads down.
 const MOST_DAMPING: f64 = 1e6;
@@ -52,56 +49,55 @@ pub fn optimise<P: Manifold<D>, const D: usize>(
     graph: &mut PoseGraph<P, D>,
     params: &OptimiseParams,
 ) -> Result<OptimiseReport, PoseGraphError> {
-    graph.validate()?;
-    let unknowns = Unknowns::of(graph);
-    let pattern = unknowns.pattern(graph)?;
-    optimise_by(graph, &unknowns, &pattern, params)
+    let structure = Structure::of(graph)?;
+    Equations::of(graph, &structure)?.optimise(graph, params)
 }
 
-/// [`optimise()`] of a graph that is sound, with the pattern of its unknowns.
-pub(super) fn optimise_by<P: Manifold<D>, const D: usize>(
-    graph: &mut PoseGraph<P, D>,
-    unknowns: &Unknowns,
-    pattern: &Pattern,
-    params: &OptimiseParams,
-) -> Result<OptimiseReport, PoseGraphError> {
-    let chi2 = graph.chi2();
-    let mut report = OptimiseReport { chi2_start: chi2, chi2, iterations: 0, converged: true };
-    if unknowns.nodes.is_empty() || graph.edges.is_empty() {
-        return Ok(report);
-    }
-    let mut solver = Solver::<D>::new(pattern)?;
-    let mut normal = Normal::new(graph, unknowns, pattern);
-    normal.fill(graph);
-    let (mut damping, mut growth) = (0.0, 2.0);
-    report.converged = false;
-    while report.iterations < params.max_iterations && !report.converged {
-        report.iterations += 1;
-        let is_solved = solver.factorise(&normal.blocks, damping).is_ok();
-        let step = is_solved.then(|| Step::of(graph, unknowns, &normal, &mut solver, report.chi2));
-        match step {
-            Some(step) if step.chi2 <= report.chi2 => {
-                let lowered = report.chi2 - step.chi2;
-                report.converged = lowered <= params.tolerance * report.chi2;
-                damping = relaxed(damping, lowered / step.promised.max(f64::MIN_POSITIVE));
-                (graph.poses, report.chi2, growth) = (step.poses, step.chi2, 2.0);
-                if !report.converged {
-                    normal.fill(graph);
-                }
-            }
-            _ => {
-                damping = (damping * growth).max(FIRST_DAMPING);
-                growth *= 2.0;
-                if damping > MOST_DAMPING {
-                    if !is_solved {
-                        return Err(PoseGraphError::NotSolvable);
+impl<const D: usize> Equations<'_, D> {
+    /// [`optimise()`] of a graph that they were set up for: other poses and weights may be in it, not other edges.
+    pub(crate) fn optimise<P: Manifold<D>>(
+        &mut self,
+        graph: &mut PoseGraph<P, D>,
+        params: &OptimiseParams,
+    ) -> Result<OptimiseReport, PoseGraphError> {
+        let chi2 = graph.chi2();
+        let mut report = OptimiseReport { chi2_start: chi2, chi2, iterations: 0, converged: true };
+        if self.unknowns.nodes.is_empty() || graph.edges.is_empty() {
+            return Ok(report);
+        }
+        self.fill(graph);
+        let (mut damping, mut growth) = (0.0, 2.0);
+        report.converged = false;
+        while report.iterations < params.max_iterations && !report.converged {
+            report.iterations += 1;
+            let is_solved = self.factorise(damping).is_ok();
+            let step = is_solved.then(|| Step::of(graph, self, report.chi2));
+            match step {
+                Some(step) if step.chi2 <= report.chi2 => {
+                    let lowered = report.chi2 - step.chi2;
+                    report.converged = lowered <= params.tolerance * report.chi2;
+                    damping = relaxed(damping, lowered / step.promised.max(f64::MIN_POSITIVE));
+                    (graph.poses, report.chi2, growth) = (step.poses, step.chi2, 2.0);
+                    if !report.converged {
+                        self.fill(graph);
                     }
-                    report.converged = true;
+                }
+                // What is left to gain is lost in the last digits.
+                Some(step) if step.promised <= params.tolerance * report.chi2 => report.converged = true,
+                _ => {
+                    damping = (damping * growth).max(FIRST_DAMPING);
+                    growth *= 2.0;
+                    if damping > MOST_DAMPING {
+                        if !is_solved {
+                            return Err(PoseGraphError::NotSolvable);
+                        }
+                        report.converged = true;
+                    }
                 }
             }
         }
+        Ok(report)
     }
-    Ok(report)
 }
 
 /// Damping after a step that led down, by the share of what was promised that came true.
@@ -123,25 +119,20 @@ struct Step<P> {
 }
 
 impl<P> Step<P> {
-    /// From the graph's poses, whose chi2 is `before`, by the solver's last factor.
-    fn of<const D: usize>(
-        graph: &PoseGraph<P, D>,
-        unknowns: &Unknowns,
-        normal: &Normal<D>,
-        solver: &mut Solver<'_, D>,
-        before: f64,
-    ) -> Self
+    /// From the graph's poses, whose chi2 is `before`, by the equations last factorised.
+    fn of<const D: usize>(graph: &PoseGraph<P, D>, equations: &mut Equations<'_, D>, before: f64) -> Self
     where
         P: Manifold<D>,
     {
-        let mut step = normal.gradient.clone();
-        solver.solve(&mut step);
-        let promised = normal.gradient.iter().zip(&step).map(|(g, d)| g.dot(d)).sum();
+        let unknowns = equations.unknowns;
+        let mut step = equations.gradient.clone();
+        equations.solver.solve(&mut step);
+        let promised = equations.gradient.iter().zip(&step).map(|(g, d)| g.dot(d)).sum();
         let mut poses = unknowns.moved(&graph.poses, &step);
         let mut chi2 = graph.chi2_of(&poses);
         if chi2 > before {
-            let mut bend = normal.bend(graph, &poses, &step);
-            solver.solve(&mut bend);
+            let mut bend = equations.bend(graph, &poses, &step);
+            equations.solver.solve(&mut bend);
             step.iter_mut().zip(&bend).for_each(|(s, b)| *s += b);
             let bent = unknowns.moved(&graph.poses, &step);
             let chi2_bent = graph.chi2_of(&bent);

@@ -20,17 +20,16 @@ pub(super) struct Solver<'a, const D: usize> {
 impl<'a, const D: usize> Solver<'a, D> {
     /// For systems of this pattern.
     pub(super) fn new(pattern: &'a Pattern) -> Result<Self, NotSolvable> {
-        let len = pattern.num_factor_blocks() * D * stride(D);
         let mut factor = Vec::new();
-        factor.try_reserve_exact(len).map_err(|_| NotSolvable)?;
-        factor.resize(len, 0.0);
+        factor.try_reserve_exact(pattern.num_factor_blocks() * D * stride(D)).map_err(|_| NotSolvable)?;
         Ok(Self { pattern, factor, local: vec![0; pattern.len()], rhs: vec![0.0; pattern.len() * stride(D)] })
     }
 
     /// Factorises the matrix of these blocks (by their index), its diagonal multiplied by `1 + damping`.
     pub(super) fn factorise(&mut self, blocks: &[SMatrix<f64, D, D>], damping: f64) -> Result<(), NotSolvable> {
         let (stride, size) = (stride(D), stride(D) * D);
-        self.factor.fill(0.0);
+        self.factor.clear();
+        self.factor.resize(self.pattern.num_factor_blocks() * size, 0.0);
         for (block, &at) in blocks.iter().zip(self.pattern.in_factor()) {
             let target = &mut self.factor[at as usize * size..][..size];
             target

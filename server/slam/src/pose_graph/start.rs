@@ -2,7 +2,7 @@
 
 use super::pattern::Pattern;
 use super::sparse::{NotSolvable, Solver};
-use super::{Manifold, PoseGraph, PoseGraphError, Unknowns};
+use super::{Manifold, PoseGraph, PoseGraphError, Structure, Unknowns};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Rotations by relaxing them to any matrices, then positions by least squares; no guess is needed. Fixed nodes stay.
@@ -13,17 +13,16 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 /// # Errors
 /// As [`PoseGraph::validate`]; `NotSolvable` if measurements without information are all that holds a node.
 pub fn chordal<P: Manifold<D>, const D: usize>(graph: &PoseGraph<P, D>) -> Result<Vec<P>, PoseGraphError> {
-    graph.validate()?;
-    let unknowns = Unknowns::of(graph);
-    Ok(chordal_of(graph, &unknowns, &unknowns.pattern(graph)?)?)
+    let structure = Structure::of(graph)?;
+    Ok(chordal_of(graph, &structure)?)
 }
 
-/// [`chordal`] of a graph that is sound, with the pattern of its unknowns.
+/// [`chordal`] of a graph of this structure.
 pub(super) fn chordal_of<P: Manifold<D>, const D: usize>(
     graph: &PoseGraph<P, D>,
-    unknowns: &Unknowns,
-    pattern: &Pattern,
+    structure: &Structure,
 ) -> Result<Vec<P>, NotSolvable> {
+    let Structure { unknowns, pattern } = structure;
     let mut poses = graph.poses.clone();
     if unknowns.nodes.is_empty() {
         return Ok(poses);
