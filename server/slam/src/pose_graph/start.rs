@@ -5,6 +5,9 @@ use super::sparse::{NotSolvable, Solver};
 use super::{Manifold, PoseGraph, PoseGraphError, Structure, Unknowns};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
+/// Newton's steps to a polar factor; from a matrix that is nearly a rotation it takes four or five.
+const MOST_POLAR_STEPS: usize = 12;
+
 /// Rotations by relaxing them to any matrices, then positions by least squares; no guess is needed. Fixed nodes stay.
 ///
 /// Source: Carlone et al., "Initialization techniques for 3D SLAM: a survey on rotation estimation and its use in pose
@@ -69,7 +72,24 @@ fn rotations<P: Manifold<D>, const D: usize>(
     Ok(rotations)
 }
 
+/// The rotation nearest to a matrix, by Newton's iteration for its polar factor (Higham 1986) or, if it turns space inside
+/// out, by its singular vectors.
 fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
+    let mut x = m / m.determinant().abs().cbrt();
+    for _ in 0..MOST_POLAR_STEPS {
+        let (a, b, c) = (x.column(0), x.column(1), x.column(2));
+        let cofactors = Matrix3::from_columns(&[b.cross(&c), c.cross(&a), a.cross(&b)]);
+        let determinant = a.dot(&cofactors.column(0));
+        if determinant.is_nan() || determinant <= 0.0 {
+            break;
+        }
+        let next = (x + cofactors / determinant) * 0.5;
+        // What a step this small leaves is its square.
+        if (next - x).amax() < 1e-9 {
+            return next;
+        }
+        x = next;
+    }
     let svd = m.svd(true, true);
     let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return Matrix3::identity() };
     let sign = (u * vt).determinant().signum();
@@ -104,4 +124,23 @@ fn positions<P: Manifold<D>, const D: usize>(
     solver.solve(&mut x);
     unknowns.nodes.iter().zip(&x).for_each(|(&node, x)| positions[node as usize] = x.transpose());
     Ok(positions)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Rotation3;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn no_rotation_is_nearer_than_the_nearest(m in prop::array::uniform9(-1.0..1.0f64), w in prop::array::uniform3(-0.1..0.1f64)) {
+            let m = Matrix3::from_column_slice(&m);
+            let found = nearest_rotation(&m);
+            prop_assert!((found * found.transpose() - Matrix3::identity()).amax() < 1e-9);
+            prop_assert!((found.determinant() - 1.0).abs() < 1e-9);
+            let other = found * Rotation3::new(Vector3::from(w)).into_inner();
+            prop_assert!((m - found).norm() < (m - other).norm() + 1e-9);
+        }
+    }
 }
