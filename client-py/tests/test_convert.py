@@ -19,7 +19,7 @@ from percept import (
     SessionMode,
 )
 from percept._convert import geometry, maps, navigation, poses, sensors, sessions, words
-from percept.v1 import map_pb2, navigation_service_pb2, path_pb2, sensor_pb2, session_pb2
+from percept.v1 import map_pb2, navigation_service_pb2, params_pb2, path_pb2, sensor_pb2, session_pb2
 
 
 def full_cloud(n=5):
@@ -150,6 +150,19 @@ def test_unknown_parameters_are_refused():
         sessions.create(None, "", "mapping", [], {"no_such_group": {"x": 1}}, None)
     assert error.value.reason == "PARAMS_INVALID"
     assert "no_such_group" in error.value.message
+
+
+def test_choices_of_a_tree_are_words_or_names_and_others_are_refused():
+    def tree(value):
+        return {"slam": {"odometry": {"keyframe": {"features": value}}}}
+
+    for value in ("sift", "SIFT", "FEATURE_METHOD_SIFT"):
+        message = words.message_of("params", params_pb2.PipelineParams, tree(value))
+        assert words.tree_of(message) == tree("sift")
+    with pytest.raises(InvalidArgument) as error:
+        words.message_of("params", params_pb2.PipelineParams, tree("surf"))
+    assert error.value.reason == "ENUM_UNKNOWN"
+    assert error.value.field == "params.slam.odometry.keyframe.features"
 
 
 def test_a_tree_survives_the_round_trip():

@@ -107,6 +107,25 @@ def test_parameters_out_of_their_bounds_are_refused_by_name(client):
     assert "voxel_size_m" in f"{error.value.field} {error.value.message}"
 
 
+def test_choices_are_words_and_unknown_ones_are_refused_by_name(client):
+    def choose(features):
+        return client.sessions.create(params=nested(path, features))
+
+    path = ("slam", "odometry", "keyframe", "features")
+    assert dict(leaves(client.sessions.default_params()))[path] == "orb"
+    assert dict(leaves(choose("sift").info().params))[path] == "sift"
+    with pytest.raises(InvalidArgument) as error:
+        choose("surf")
+    assert error.value.field == "params.slam.odometry.keyframe.features"
+    assert "'surf'; choose one of orb, sift" in error.value.message
+    # A newer client may know more than this server.
+    with pytest.raises(InvalidArgument) as error:
+        choose(9)
+    assert error.value.reason == "PARAMETER_OUT_OF_RANGE"
+    assert error.value.field == "params.slam.odometry.keyframe.features"
+    assert "9 is unknown; use orb or sift" in error.value.message
+
+
 def test_a_trajectory_follows_the_robot(client, laser_session):
     trajectory = laser_session.trajectory()
     poses = world.drive(30)

@@ -31,12 +31,25 @@ pub struct KeyframeScan {
     pub features: Option<Arc<KeyframeFeatures>>,
 }
 
+/// How the distinct places of an image are found, and so what the bits of their descriptors mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FeatureMethod {
+    /// Corners, and 256 comparisons of brightness around each.
+    #[default]
+    Orb,
+    /// Blobs of any size, and two bits for each of the 128 numbers that describe one: steadier, and ten times slower.
+    Sift,
+}
+
 /// Distinct places of a keyframe's image, for finding the place again.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KeyframeFeatures {
+    /// How they were found: those of different methods have nothing to do with each other.
+    pub method: FeatureMethod,
     /// Of the image that `KeyframeScan::hits` were measured in; its lens undone, so without distortion.
     pub camera: CameraIntrinsics,
-    /// The most distinct first of each size; at most [`KeyframeFeatures::LIMIT`].
+    /// The most distinct first (of ORB's: of each size); at most [`KeyframeFeatures::LIMIT`].
     pub features: Vec<KeyframeFeature>,
 }
 
@@ -48,7 +61,7 @@ impl KeyframeFeatures {
 /// A distinct place of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KeyframeFeature {
-    /// ORB, 256 bits; compared by the number of bits that differ.
+    /// 256 bits, as [`KeyframeFeatures::method`] says; compared by the number of bits that differ.
     pub descriptor: [u64; 4],
     /// In base, metres; NaN where there is no depth.
     pub p_base: Point3<f32>,

@@ -23,7 +23,7 @@ pub use camera::{CameraIntrinsics, Distortion};
 pub use cloud::{LaserScan, PointCloud};
 pub use grid::{Cell, GridGeometry, Voxel};
 pub use image::{DepthImage, GrayImage, RgbImage};
-pub use keyframe::{Correction, KeyframeFeature, KeyframeFeatures, KeyframeId, KeyframeScan};
+pub use keyframe::{Correction, FeatureMethod, KeyframeFeature, KeyframeFeatures, KeyframeId, KeyframeScan};
 pub use object::ObjectClass;
 pub use se3::{Covariance6, Pose};
 pub use sensor::{SensorData, SensorFrame, SensorId, SensorKind, SensorSpec};

@@ -7,7 +7,7 @@ use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
 use crate::{ParamError, check_range};
 use nalgebra::Point3;
 use percept_geometry::cloud::Beam;
-use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp, Voxel, cloud};
+use percept_geometry::{FeatureMethod, KeyframeScan, PointCloud, Pose, SensorId, Timestamp, Voxel, cloud};
 use rustc_hash::FxHashSet;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -28,6 +28,9 @@ pub struct KeyframeParams {
     pub voxel_size_m: f64,
     /// A beam without a return frees space up to here, metres, 0.1 to 1000.
     pub free_range_m: f64,
+    /// What depth cameras with colour know places by: orb, or sift, which is steadier and takes ten times as long for each
+    /// keyframe. A camera without depth always uses orb: it knows places by the points that it tracks.
+    pub features: FeatureMethod,
 }
 
 impl Default for KeyframeParams {
@@ -39,6 +42,7 @@ impl Default for KeyframeParams {
             max_depth_m: 10.0,
             voxel_size_m: 0.1,
             free_range_m: 10.0,
+            features: FeatureMethod::Orb,
         }
     }
 }
@@ -130,7 +134,7 @@ pub(crate) fn keyframe_scan_seen_by(
         base_height_m: 0.0,
         planar: matches!(scan, Scan::Planar(_)),
         features: match scan {
-            Scan::Depth(s) => features::of(s, color).map(Arc::new),
+            Scan::Depth(s) => features::of(params.features, s, color).map(Arc::new),
             Scan::Cloud(_) | Scan::Planar(_) | Scan::Image(_) => None,
         },
     }

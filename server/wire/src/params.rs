@@ -1,14 +1,15 @@
 //! Parameters: what was sent is laid over the defaults; unknown names cannot arise, values are checked.
 //!
 //! The proto and the Rust trees have the same field names (a test holds them equal), so that one generic
-//! conversion through JSON serves all of them.
+//! conversion through JSON serves all of them. Their enums have the same words: `sift` in code and configuration is
+//! `FEATURE_METHOD_SIFT` in the contract.
 
 use crate::{json, v1};
 use percept_pipeline::PipelineParams;
 use percept_planning::PlanParams;
 use percept_service::{Error, Result};
 use prost::Message;
-use prost_reflect::{DynamicMessage, SerializeOptions};
+use prost_reflect::{DynamicMessage, EnumDescriptor, Kind, MessageDescriptor, SerializeOptions};
 use serde::{Serialize, de::DeserializeOwned};
 use serde_json::Value;
 
@@ -39,7 +40,13 @@ pub fn planning(sent: Option<&v1::PlanningParams>, defaults: &PlanParams) -> Res
 /// # Errors
 /// `INTERNAL` if a field is missing in the contract.
 pub fn pipeline_to(params: &PipelineParams) -> Result<v1::PipelineParams> {
-    json::from_json("PipelineParams", serde_json::to_value(params).map_err(Error::internal)?)
+    let mut tree = serde_json::to_value(params).map_err(Error::internal)?;
+    each_enum(&json::descriptor("PipelineParams")?, &mut tree, "params", &mut |kind, value, _| {
+        let name = value.as_str().map(|word| format!("{}{}", prefix(kind), word.to_uppercase()));
+        *value = name.map_or(Value::Null, Value::String);
+        Ok(())
+    })?;
+    json::from_json("PipelineParams", tree)
 }
 
 fn overlay<M: Message, P: Serialize + DeserializeOwned + Clone>(
@@ -49,13 +56,53 @@ fn overlay<M: Message, P: Serialize + DeserializeOwned + Clone>(
 ) -> Result<P> {
     let Some(sent) = sent else { return Ok(defaults.clone()) };
     let mut tree = serde_json::to_value(defaults).map_err(Error::internal)?;
+    let descriptor = json::descriptor(name)?;
     let dynamic =
-        DynamicMessage::decode(json::descriptor(name)?, sent.encode_to_vec().as_slice()).map_err(Error::internal)?;
+        DynamicMessage::decode(descriptor.clone(), sent.encode_to_vec().as_slice()).map_err(Error::internal)?;
     let options = SerializeOptions::new().use_proto_field_name(true).stringify_64_bit_integers(false);
-    let patch = dynamic.serialize_with_options(serde_json::value::Serializer, &options).map_err(Error::internal)?;
+    let mut patch = dynamic.serialize_with_options(serde_json::value::Serializer, &options).map_err(Error::internal)?;
+    each_enum(&descriptor, &mut patch, "params", &mut to_word)?;
     lay_over(&mut tree, patch);
     serde_json::from_value(tree)
         .map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", "params", format!("params do not fit: {e}")))
+}
+
+/// Every enum of a tree, with its path.
+fn each_enum(
+    message: &MessageDescriptor,
+    tree: &mut Value,
+    path: &str,
+    with: &mut impl FnMut(&EnumDescriptor, &mut Value, &str) -> Result<()>,
+) -> Result<()> {
+    for field in message.fields() {
+        let Some(value) = tree.get_mut(field.name()) else { continue };
+        let path = format!("{path}.{}", field.name());
+        match field.kind() {
+            Kind::Message(inner) => each_enum(&inner, value, &path, with)?,
+            Kind::Enum(kind) => with(&kind, value, &path)?,
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// What the names of an enum's values begin with: `FEATURE_METHOD_`.
+fn prefix(kind: &EnumDescriptor) -> String {
+    kind.default_value().name().trim_end_matches("UNSPECIFIED").to_owned()
+}
+
+/// The word for the name of a value, null for the unspecified one; what has no name is refused.
+fn to_word(kind: &EnumDescriptor, value: &mut Value, path: &str) -> Result<()> {
+    let prefix = prefix(kind);
+    let word = |name: &str| name.trim_start_matches(&prefix).to_lowercase();
+    let Some(name) = value.as_str() else {
+        let known: Vec<String> = kind.values().skip(1).map(|v| word(v.name())).collect();
+        let field = path.rsplit('.').next().unwrap_or(path);
+        let message = format!("{field}: {value} is unknown; use {}", known.join(" or "));
+        return Err(Error::invalid("PARAMETER_OUT_OF_RANGE", path, message));
+    };
+    *value = if name == kind.default_value().name() { Value::Null } else { Value::String(word(name)) };
+    Ok(())
 }
 
 fn lay_over(tree: &mut Value, patch: Value) {
@@ -65,6 +112,8 @@ fn lay_over(tree: &mut Value, patch: Value) {
                 lay_over(tree.entry(name).or_insert(Value::Null), value);
             }
         }
+        // An enum that was left unspecified.
+        (_, Value::Null) => {}
         (slot, value) => *slot = value,
     }
 }
@@ -72,7 +121,6 @@ fn lay_over(tree: &mut Value, patch: Value) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use prost_reflect::{Kind, MessageDescriptor};
 
     /// Paths of all leaves of a message.
     fn proto_leaves(message: &MessageDescriptor, prefix: &str, out: &mut Vec<String>) {
@@ -115,6 +163,23 @@ mod tests {
         let mut wanted = defaults.clone();
         wanted.planning.robot_radius_m = 0.3;
         assert_eq!(pipeline(Some(&sent), &defaults).unwrap(), wanted);
+    }
+
+    #[test]
+    fn words_of_the_code_are_names_of_the_contract() {
+        let sent = |value| {
+            let tree = serde_json::json!({"slam": {"odometry": {"keyframe": {"features": value}}}});
+            let sent: v1::PipelineParams = json::from_json("PipelineParams", tree).unwrap();
+            pipeline(Some(&sent), &PipelineParams::default())
+        };
+        let sift = sent(serde_json::json!("FEATURE_METHOD_SIFT")).unwrap();
+        assert_eq!(serde_json::to_value(&sift).unwrap()["slam"]["odometry"]["keyframe"]["features"], "sift");
+        let back = pipeline_to(&sift).unwrap();
+        assert_eq!(pipeline(Some(&back), &PipelineParams::default()).unwrap(), sift);
+        assert_eq!(sent(serde_json::json!("FEATURE_METHOD_UNSPECIFIED")).unwrap(), PipelineParams::default());
+        let e = sent(serde_json::json!(9)).unwrap_err();
+        assert_eq!(e.reason, "PARAMETER_OUT_OF_RANGE");
+        assert!(e.to_string().contains("features: 9 is unknown; use orb or sift"), "{e}");
     }
 
     #[test]

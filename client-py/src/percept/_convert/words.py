@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol, TypeVar
 
 from google.protobuf import json_format
-from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
 from google.protobuf.message import Message
 
 from ..errors import InvalidArgument
@@ -51,12 +51,42 @@ def word(kind: type[N], enum: ProtoEnum, value: int) -> N:
 
 
 def message_of(field: str, kind: type[M], tree: Mapping[str, object] | None) -> M:
-    """A message of a nested dict with the proto's field names."""
+    """A message of a nested dict with the proto's field names; enums by their words."""
+    descriptor: Any = kind.DESCRIPTOR
     try:
-        return json_format.ParseDict(dict(tree or {}), kind())
+        return json_format.ParseDict(_named(field, descriptor, tree or {}), kind())
     except json_format.ParseError as cause:
         message = f"{field} does not fit: {cause}; default_params() shows the names"
         raise InvalidArgument(message, reason="PARAMS_INVALID", field=field) from cause
+
+
+def _named(path: str, message: Descriptor, tree: Mapping[str, object]) -> dict[str, object]:
+    """The tree with the proto's names in place of words: {'features': 'FEATURE_METHOD_SIFT'} for 'sift'."""
+    named: dict[str, object] = {}
+    for name, value in tree.items():
+        field, inner = message.fields_by_name.get(name), f"{path}.{name}"
+        if field is not None and field.enum_type is not None and isinstance(value, str):
+            named[name] = _name(inner, field.enum_type, value)
+        elif field is not None and field.message_type is not None and isinstance(value, Mapping):
+            named[name] = _named(inner, field.message_type, value)
+        else:
+            named[name] = value
+    return named
+
+
+def _name(field: str, enum: EnumDescriptor, word: str) -> str:
+    names = [str(value.name) for value in enum.values]
+    found = _words(names).get(word.lower(), word)
+    if found not in names:
+        known = ", ".join(list(_words(names))[1:])
+        message = f"{field} is {word!r}; choose one of {known}"
+        raise InvalidArgument(message, reason="ENUM_UNKNOWN", field=field)
+    return found
+
+
+def _words(names: list[str]) -> dict[str, str]:
+    """Names of an enum's values by their words."""
+    return {name.removeprefix(names[0].removesuffix("UNSPECIFIED")).lower(): name for name in names}
 
 
 def tree_of(message: Message) -> dict[str, object]:
@@ -70,5 +100,6 @@ def _plain(field: FieldDescriptor, value: Any) -> object:  # noqa: ANN401
     if isinstance(value, Message):
         return tree_of(value)
     if field.enum_type is not None:
-        return str(field.enum_type.values_by_number[int(value)].name)
+        words = {n: w for w, n in _words([str(v.name) for v in field.enum_type.values]).items()}
+        return words[str(field.enum_type.values_by_number[int(value)].name)]
     return value

@@ -5,6 +5,7 @@ isort:skip_file
 
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
+from percept.v1 import toolbox_images_pb2 as _toolbox_images_pb2
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -585,6 +586,7 @@ class KeyframeParams(_message.Message):
     MAX_DEPTH_M_FIELD_NUMBER: _builtins.int
     VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
     FREE_RANGE_M_FIELD_NUMBER: _builtins.int
+    FEATURES_FIELD_NUMBER: _builtins.int
     distance_m: _builtins.float
     """A keyframe at least every so many metres, 0.01 to 100. Smaller: denser maps, more memory."""
     angle_rad: _builtins.float
@@ -597,6 +599,10 @@ class KeyframeParams(_message.Message):
     """Keep one lidar point per voxel of this edge, metres, 0.01 to 10."""
     free_range_m: _builtins.float
     """A beam without a return frees space up to here, metres, 0.1 to 1000."""
+    features: _toolbox_images_pb2.FeatureMethod.ValueType
+    """What depth cameras with colour know places by: orb, or sift, which is steadier and takes ten times as long for each
+    keyframe. A camera without depth always uses orb: it knows places by the points that it tracks.
+    """
     def __init__(
         self,
         *,
@@ -606,10 +612,11 @@ class KeyframeParams(_message.Message):
         max_depth_m: _builtins.float | None = ...,
         voxel_size_m: _builtins.float | None = ...,
         free_range_m: _builtins.float | None = ...,
+        features: _toolbox_images_pb2.FeatureMethod.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad", "_depth_stride_px", b"_depth_stride_px", "_distance_m", b"_distance_m", "_free_range_m", b"_free_range_m", "_max_depth_m", b"_max_depth_m", "_voxel_size_m", b"_voxel_size_m", "angle_rad", b"angle_rad", "depth_stride_px", b"depth_stride_px", "distance_m", b"distance_m", "free_range_m", b"free_range_m", "max_depth_m", b"max_depth_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad", "_depth_stride_px", b"_depth_stride_px", "_distance_m", b"_distance_m", "_features", b"_features", "_free_range_m", b"_free_range_m", "_max_depth_m", b"_max_depth_m", "_voxel_size_m", b"_voxel_size_m", "angle_rad", b"angle_rad", "depth_stride_px", b"depth_stride_px", "distance_m", b"distance_m", "features", b"features", "free_range_m", b"free_range_m", "max_depth_m", b"max_depth_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad", "_depth_stride_px", b"_depth_stride_px", "_distance_m", b"_distance_m", "_free_range_m", b"_free_range_m", "_max_depth_m", b"_max_depth_m", "_voxel_size_m", b"_voxel_size_m", "angle_rad", b"angle_rad", "depth_stride_px", b"depth_stride_px", "distance_m", b"distance_m", "free_range_m", b"free_range_m", "max_depth_m", b"max_depth_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad", "_depth_stride_px", b"_depth_stride_px", "_distance_m", b"_distance_m", "_features", b"_features", "_free_range_m", b"_free_range_m", "_max_depth_m", b"_max_depth_m", "_voxel_size_m", b"_voxel_size_m", "angle_rad", b"angle_rad", "depth_stride_px", b"depth_stride_px", "distance_m", b"distance_m", "features", b"features", "free_range_m", b"free_range_m", "max_depth_m", b"max_depth_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__angle_rad: _TypeAlias = _typing.Literal["angle_rad"]  # noqa: Y015
     _WhichOneofArgType__angle_rad: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad"]  # noqa: Y015
@@ -617,6 +624,8 @@ class KeyframeParams(_message.Message):
     _WhichOneofArgType__depth_stride_px: _TypeAlias = _typing.Literal["_depth_stride_px", b"_depth_stride_px"]  # noqa: Y015
     _WhichOneofReturnType__distance_m: _TypeAlias = _typing.Literal["distance_m"]  # noqa: Y015
     _WhichOneofArgType__distance_m: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__features: _TypeAlias = _typing.Literal["features"]  # noqa: Y015
+    _WhichOneofArgType__features: _TypeAlias = _typing.Literal["_features", b"_features"]  # noqa: Y015
     _WhichOneofReturnType__free_range_m: _TypeAlias = _typing.Literal["free_range_m"]  # noqa: Y015
     _WhichOneofArgType__free_range_m: _TypeAlias = _typing.Literal["_free_range_m", b"_free_range_m"]  # noqa: Y015
     _WhichOneofReturnType__max_depth_m: _TypeAlias = _typing.Literal["max_depth_m"]  # noqa: Y015
@@ -629,6 +638,8 @@ class KeyframeParams(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__depth_stride_px) -> _WhichOneofReturnType__depth_stride_px | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__distance_m) -> _WhichOneofReturnType__distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__features) -> _WhichOneofReturnType__features | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__free_range_m) -> _WhichOneofReturnType__free_range_m | None: ...
     @_typing.overload

@@ -15,7 +15,7 @@ mod spread;
 
 pub use matching::{FeatureMatch, MatchParams, match_features};
 pub use orb::{Orb, OrbParams};
-pub use sift::{Sift, SiftParams};
+pub use sift::{Sift, SiftParams, binary_sift};
 
 use percept_geometry::GeometryError;
 

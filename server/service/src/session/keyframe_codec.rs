@@ -1,7 +1,7 @@
 //! A keyframe's scan as bytes, for the store.
 //!
 //! Layout, little-endian: magic `PKS1`; stamp i64; sensor name (u16 length, UTF-8); t_base_sensor as 7 f64
-//! (x, y, z, qx, qy, qz, qw); base height f64; flags u8 (1 planar, 2 colours); number of hits u32; hits 3 f32
+//! (x, y, z, qx, qy, qz, qw); base height f64; flags u8 (1 planar, 2 colours, 4 features are SIFT); number of hits u32; hits 3 f32
 //! each; colours 3 u8 each if flagged; number of misses u32; misses 3 f32 each.
 //!
 //! With features the magic is `PKS2` and there follow the camera (width, height u32; fx, fy, cx, cy f64), the number of
@@ -9,7 +9,8 @@
 
 use nalgebra::{Point2, Point3};
 use percept_geometry::{
-    CameraIntrinsics, KeyframeFeature, KeyframeFeatures, KeyframeScan, PointCloud, SensorId, Timestamp, se3,
+    CameraIntrinsics, FeatureMethod, KeyframeFeature, KeyframeFeatures, KeyframeScan, PointCloud, SensorId, Timestamp,
+    se3,
 };
 use std::sync::Arc;
 
@@ -33,7 +34,8 @@ pub(crate) fn encode(scan: &KeyframeScan) -> Vec<u8> {
     let numbers =
         [t.x, t.y, t.z].into_iter().chain(se3::quaternion_xyzw(&scan.t_base_sensor)).chain([scan.base_height_m]);
     numbers.for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
-    out.push(u8::from(scan.planar) | u8::from(scan.hits.colors.is_some()) << 1);
+    let is_sift = scan.features.as_ref().is_some_and(|f| f.method == FeatureMethod::Sift);
+    out.push(u8::from(scan.planar) | u8::from(scan.hits.colors.is_some()) << 1 | u8::from(is_sift) << 2);
     put_points(&mut out, hits);
     if let Some(colors) = &scan.hits.colors {
         out.extend_from_slice(colors.as_flattened());
@@ -89,7 +91,7 @@ impl<'a> Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn features(&mut self) -> Result<KeyframeFeatures, CodecError> {
+    fn features(&mut self, method: FeatureMethod) -> Result<KeyframeFeatures, CodecError> {
         let [width, height] = [u32::from_le_bytes(self.array()?) as usize, u32::from_le_bytes(self.array()?) as usize];
         let mut k = [0.0; 4];
         for v in &mut k {
@@ -111,7 +113,7 @@ impl Reader<'_> {
             let (p_base, pixel) = (Point3::new(v[0], v[1], v[2]), Point2::new(v[3], v[4]));
             features.push(KeyframeFeature { descriptor, p_base, pixel });
         }
-        Ok(KeyframeFeatures { camera, features })
+        Ok(KeyframeFeatures { method, camera, features })
     }
 }
 
@@ -139,7 +141,8 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeyframeScan, CodecError> {
         None
     };
     let misses = r.points()?;
-    let features = if &magic == MAGIC_WITH_FEATURES { Some(Arc::new(r.features()?)) } else { None };
+    let method = if flags & 4 != 0 { FeatureMethod::Sift } else { FeatureMethod::Orb };
+    let features = if &magic == MAGIC_WITH_FEATURES { Some(Arc::new(r.features(method)?)) } else { None };
     if !r.0.is_empty() {
         return Err(CodecError("bytes are left over"));
     }
@@ -177,22 +180,24 @@ mod tests {
         }
     }
 
-    fn with_features() -> KeyframeScan {
+    fn with_features(method: FeatureMethod) -> KeyframeScan {
         let feature = |k: u64| KeyframeFeature {
             descriptor: [k, !k, k << 7, 3],
             p_base: Point3::new(1.0, f32::NAN, k as f32),
             pixel: Point2::new(3.5, k as f32),
         };
         let camera = CameraIntrinsics::primesense();
-        let features = KeyframeFeatures { camera, features: (0..3).map(feature).collect() };
+        let features = KeyframeFeatures { method, camera, features: (0..3).map(feature).collect() };
         KeyframeScan { features: Some(Arc::new(features)), ..scan() }
     }
 
     #[test]
     fn a_scan_survives_the_round_trip_bit_for_bit() {
-        for scan in [scan(), with_features()] {
+        for scan in [scan(), with_features(FeatureMethod::Orb), with_features(FeatureMethod::Sift)] {
             let bytes = encode(&scan);
-            assert_eq!(encode(&decode(&bytes).unwrap()), bytes);
+            let read = decode(&bytes).unwrap();
+            assert_eq!(encode(&read), bytes);
+            assert_eq!(read.features.map(|f| f.method), scan.features.map(|f| f.method));
         }
         // Records of before features came are as they were.
         assert_eq!(&encode(&scan())[..4], b"PKS1");
@@ -200,7 +205,7 @@ mod tests {
 
     #[test]
     fn a_record_cut_at_any_length_is_refused() {
-        for bytes in [encode(&scan()), encode(&with_features())] {
+        for bytes in [encode(&scan()), encode(&with_features(FeatureMethod::Sift))] {
             for n in 0..bytes.len() {
                 assert!(decode(&bytes[..n]).is_err(), "{n}");
             }
@@ -218,7 +223,7 @@ mod tests {
             state ^= state >> 27;
             state.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 33
         };
-        for record in [encode(&scan()), encode(&with_features())] {
+        for record in [encode(&scan()), encode(&with_features(FeatureMethod::Sift))] {
             for _ in 0..20_000 {
                 let mut bytes = record.clone();
                 for _ in 0..=draw() % 4 {

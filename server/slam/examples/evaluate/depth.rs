@@ -1,7 +1,9 @@
 //! Depth cameras: short recorded sets, and the simulator's drives with the loops they close.
 
 use super::{Run, measure, read, read::Failure};
-use percept_geometry::{CameraIntrinsics, Covariance6, KeyframeId, Pose, SensorData, SensorSpec, Timestamp, se3};
+use percept_geometry::{
+    CameraIntrinsics, Covariance6, FeatureMethod, KeyframeId, Pose, SensorData, SensorSpec, Timestamp, se3,
+};
 use percept_sim::{DepthCameraParams, SensorSuite, SimParams, Simulation};
 use percept_slam::loops::{KeyframePoses, place_recognition};
 use percept_slam::{DepthScan, KeyframePolicy, OdometryKind, OdometryParams, Scan};
@@ -68,7 +70,11 @@ pub(crate) fn simulated(seed: u64, args: &[String]) -> Result<(), Failure> {
     };
     let simulation = Simulation::new(params)?;
     let spec: SensorSpec = simulation.sensors().remove(0);
-    let mut run = Run::new(OdometryKind::Rgbd);
+    let mut params = OdometryParams::default();
+    if has("--sift") {
+        params.keyframe.features = FeatureMethod::Sift;
+    }
+    let mut run = Run::with(OdometryKind::Rgbd, params);
     let mut policy = KeyframePolicy::new(OdometryParams::default().keyframe);
     let mut places = place_recognition(OdometryKind::Rgbd).ok_or("no place recognition")?;
     let (mut truth, mut estimate, mut keyframes) = (vec![], vec![], KeyframePoses::new());

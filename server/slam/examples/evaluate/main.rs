@@ -1,11 +1,13 @@
 //! Figures of the odometries on recorded data: `evaluate SET PATH [options]`.
 //!
-//! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person]`,
+//! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person] [--sift]`,
+//! `looks DIR` (as `rgbd`), `unrelated DIR DIR ...` (images),
 //! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
 //! `lidar-sim spinning|rosette [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`.
 
 mod camera;
 mod depth;
+mod looks;
 mod mapping;
 mod measure;
 mod places;
@@ -26,6 +28,8 @@ fn main() -> Result<(), Failure> {
     let path = Path::new(args.get(2).ok_or("usage: evaluate SET PATH")?);
     match args[1].as_str() {
         "rgbd" => rgbd(path, args.get(3).and_then(|s| s.parse().ok()).unwrap_or(1)),
+        "looks" => looks::compare(path),
+        "unrelated" => looks::unrelated(&args[2..]),
         "rgbd-sim" => depth::simulated(args[2].parse()?, &args),
         "redwood" => depth::redwood(path),
         "slambook" => depth::slambook(path),

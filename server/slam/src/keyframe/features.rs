@@ -3,24 +3,22 @@
 use crate::odometry::rgbd::ColorCamera;
 use crate::scan::DepthScan;
 use nalgebra::{Point2, Point3};
-use percept_geometry::{CameraIntrinsics, KeyframeFeature, KeyframeFeatures};
-use percept_perception::features2d::{Descriptors, Orb, OrbParams};
+use percept_geometry::{CameraIntrinsics, FeatureMethod, GrayImage, KeyframeFeature, KeyframeFeatures};
+use percept_perception::features2d::{Descriptors, Keypoint, Orb, OrbParams, Sift, SiftParams, binary_sift};
 
 /// Every so many rows and columns of the depth image are looked up, and cells of the colour image are as large.
 const CELL: usize = 2;
 
-/// ORB features of the colour image; none without colour of the depth's size. `color` tells where the colour camera is,
-/// none: as the depth camera.
-pub(super) fn of(scan: &DepthScan, color: Option<ColorCamera>) -> Option<KeyframeFeatures> {
+/// Features of the colour image; none without colour of the depth's size. `color` tells where the colour camera is, none:
+/// as the depth camera.
+pub(super) fn of(method: FeatureMethod, scan: &DepthScan, color: Option<ColorCamera>) -> Option<KeyframeFeatures> {
     let image = scan.color.as_ref()?;
     if (image.width(), image.height()) != (scan.depth.width(), scan.depth.height()) {
         return None;
     }
-    let orb = Orb::new(OrbParams { max_features: KeyframeFeatures::LIMIT, ..OrbParams::default() }).ok()?;
-    let found = orb.extract(&image.to_gray()).ok()?;
-    let Descriptors::Binary(descriptors) = &found.descriptors else { return None };
+    let (keypoints, descriptors) = extract(method, &image.to_gray())?;
     let nearest = Nearest::of(scan, color);
-    let features = found.keypoints.iter().zip(descriptors).map(|(k, &descriptor)| KeyframeFeature {
+    let features = keypoints.iter().zip(descriptors).map(|(k, descriptor)| KeyframeFeature {
         descriptor,
         p_base: nearest
             .at(k.u, k.v)
@@ -29,7 +27,23 @@ pub(super) fn of(scan: &DepthScan, color: Option<ColorCamera>) -> Option<Keyfram
     });
     let i = &scan.intrinsics;
     let camera = CameraIntrinsics::pinhole(i.width, i.height, i.fx, i.fy, i.cx, i.cy);
-    Some(KeyframeFeatures { camera, features: features.collect() })
+    Some(KeyframeFeatures { method, camera, features: features.collect() })
+}
+
+/// Keypoints, and 256 bits of each.
+fn extract(method: FeatureMethod, image: &GrayImage) -> Option<(Vec<Keypoint>, Vec<[u64; 4]>)> {
+    let max_features = KeyframeFeatures::LIMIT;
+    let found = match method {
+        FeatureMethod::Orb => Orb::new(OrbParams { max_features, ..OrbParams::default() }).ok()?.extract(image).ok()?,
+        FeatureMethod::Sift => {
+            Sift::new(SiftParams { max_features, ..SiftParams::default() }).ok()?.extract(image).ok()?
+        }
+    };
+    let bits = match found.descriptors {
+        Descriptors::Binary(bits) => bits,
+        Descriptors::Bytes(numbers) => numbers.iter().map(binary_sift).collect(),
+    };
+    Some((found.keypoints, bits))
 }
 
 /// The nearest surface behind every cell of the colour image, as points of the depth camera.

@@ -1,10 +1,11 @@
 //! Places found again by a depth camera with colour, in the simulator's worlds.
 
-use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorData, Timestamp, se3};
+use percept_geometry::{Covariance6, FeatureMethod, KeyframeId, KeyframeScan, Pose, SensorData, Timestamp, se3};
 use percept_sim::{DepthCameraParams, SensorSuite, SimParams, Simulation};
 use percept_slam::loops::{KeyframePoses, PlaceRecognition, place_recognition};
 use percept_slam::{
-    DepthScan, LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, Scan, TrackingState, keyframe,
+    DepthScan, KeyframeParams, LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, Scan, TrackingState,
+    keyframe,
 };
 use std::sync::Arc;
 
@@ -31,7 +32,11 @@ fn scans(world: u64, noise: u64, rate_hz: f64, seconds: f64) -> Vec<(Pose, Scan)
 }
 
 fn keep(scan: &Scan) -> Arc<KeyframeScan> {
-    let params = OdometryParams::default().keyframe;
+    keep_with(FeatureMethod::Orb, scan)
+}
+
+fn keep_with(features: FeatureMethod, scan: &Scan) -> Arc<KeyframeScan> {
+    let params = KeyframeParams { features, ..KeyframeParams::default() };
     Arc::new(keyframe::keyframe_scan(&params, Timestamp(0), &"camera".into(), scan, &nalgebra::Vector6::zeros()))
 }
 
@@ -141,6 +146,32 @@ fn coming_back_closes_a_loop_where_it_is() {
         }
     }
     assert!(found >= 2, "{found}");
+}
+
+#[test]
+fn a_way_back_is_recognised_by_sift_and_not_by_features_of_another_method() {
+    let views = |noise| scans(2, noise, 1.0, 4.0);
+    let keep = |views: &[(Pose, Scan)], method| -> Views {
+        views.iter().map(|(t, scan)| (*t, keep_with(method, scan))).collect()
+    };
+    let there = keep(&views(1), FeatureMethod::Sift);
+    assert!(there.iter().all(|(_, s)| s.features.as_ref().is_some_and(|f| f.method == FeatureMethod::Sift)));
+    // Between there and back more keyframes than count as recent; what they show does not matter.
+    let (mut places, poses) = taken_in(&there);
+    let again = views(9);
+    let mut found = 0;
+    for (k, (truth, scan)) in (20u64..).zip(&again) {
+        let scan = keep_with(FeatureMethod::Sift, scan);
+        for l in places.insert(KeyframeId(k), &scan, &Covariance6::identity(), &poses) {
+            let off = se3::log(&((poses[&l.from].inverse() * truth).inverse() * l.t_from_to));
+            assert!(off.norm() < 0.05, "{l:?}");
+            found += 1;
+        }
+    }
+    assert!(found >= 2, "{found}");
+    for (_, scan) in keep(&again, FeatureMethod::Orb) {
+        assert_eq!(places.relocalise(&scan, &poses), None);
+    }
 }
 
 #[test]

@@ -4,10 +4,13 @@
 //! and Zisserman, CVPR 2012. In the order of the work: `scale_space` (Gaussians), `extrema` (keypoints),
 //! `orientation`, `descriptor`.
 
+mod binary;
 mod descriptor;
 mod extrema;
 mod orientation;
 mod scale_space;
+
+pub use binary::binary_sift;
 
 use super::{Descriptors, FeatureError, Features, Keypoint, check_size, within};
 use extrema::Extremum;

@@ -12,8 +12,6 @@ use std::collections::BTreeMap;
 const WORDS: usize = 16;
 /// A word that so many features share tells nothing.
 const COMMON: usize = 512;
-/// Most differing bits of features that look alike.
-pub(super) const ALIKE: u32 = 50;
 
 /// A feature's keyframe and number in it.
 type Entry = (KeyframeId, u16);
@@ -44,10 +42,12 @@ impl Index {
         }
     }
 
-    /// How many of the `query`'s features have one alike in each keyframe; `descriptor` gives an entry's.
+    /// How many of the `query`'s features have one alike in each keyframe, of which at most `bits` differ; `descriptor` gives
+    /// an entry's, if it may be compared.
     pub(super) fn votes<'a>(
         &self,
         query: &[[u64; 4]],
+        bits: u32,
         descriptor: impl Fn(Entry) -> Option<&'a [u64; 4]>,
     ) -> BTreeMap<KeyframeId, u32> {
         let mut votes: FxHashMap<KeyframeId, (u32, usize)> = FxHashMap::default();
@@ -56,7 +56,7 @@ impl Index {
                 for &entry in list {
                     let vote = votes.entry(entry.0).or_insert((0, usize::MAX));
                     // A feature votes once for a keyframe.
-                    if vote.1 != i && descriptor(entry).is_some_and(|d| distance(q, d) <= ALIKE) {
+                    if vote.1 != i && descriptor(entry).is_some_and(|d| distance(q, d) <= bits) {
                         *vote = (vote.0 + 1, i);
                     }
                 }
@@ -88,7 +88,7 @@ mod tests {
         let look_up = |e: Entry| all.get(usize::from(e.1));
         // Three bits of each are wrong.
         let query: Vec<[u64; 4]> = all.iter().map(|d| [d[0] ^ 0x1001, d[1] ^ 4, d[2], d[3]]).collect();
-        let votes = index.votes(&query, look_up);
+        let votes = index.votes(&query, 3, look_up);
         assert_eq!(votes[&KeyframeId(3)], 39);
         assert!(votes[&KeyframeId(4)] >= 10);
         index.remove(KeyframeId(3), &all);

@@ -1,19 +1,21 @@
 //! Places of a camera, found again by what they look like and verified by their shape.
 //!
-//! Candidates by binary features ([`index`]), the motion by their points ([`rigid`]), then the whole surface
+//! Candidates by binary features, ORB's or SIFT's ([`index`], [`alike`]), the motion by their points ([`rigid`]), then the whole surface
 //! ([`crate::odometry::rgbd::place`]): enough of it fits and none of it contradicts. Without colour there are no features,
 //! and no place is found again: blank depth of one room's corner fits another's too well to be trusted. A camera without
 //! depth has the points of its features alone: so many more of these have to agree. A robot that may be anywhere is placed
 //! by several views ([`lost`]).
 
+mod alike;
 mod index;
 mod lost;
 mod rigid;
 
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::rgbd::place::{Placed, place};
+use alike::Alike;
 use index::Index;
-use percept_geometry::{Covariance6, KeyframeFeature, KeyframeId, KeyframeScan, Pose};
+use percept_geometry::{Covariance6, FeatureMethod, KeyframeFeature, KeyframeId, KeyframeScan, Pose};
 use percept_perception::features2d::{Descriptors, MatchParams, match_features};
 use rigid::{Pair, most_agree};
 use std::collections::BTreeMap;
@@ -25,7 +27,7 @@ const RECENT: u64 = 8;
 const MAX_CANDIDATES: usize = 3;
 /// Keyframes kept for recognition: bounds memory, about 60 kB each.
 const MAX_KEYFRAMES: usize = 4096;
-/// Features of a keyframe that are indexed, evenly over sizes.
+/// Features of a keyframe that are indexed.
 const MAX_INDEXED: usize = 250;
 /// Fewest features alike of a candidate.
 const MIN_VOTES: u32 = 12;
@@ -139,8 +141,10 @@ impl VisualPlaces {
 
     /// At most so many keyframes that look most alike, not next to each other; best first.
     fn candidates(&self, scan: &KeyframeScan, most: usize, allowed: impl Fn(KeyframeId) -> bool) -> Vec<KeyframeId> {
-        let query = descriptors(scan, MAX_INDEXED);
-        let votes = self.index.votes(&query, |(id, i)| self.known.get(&id)?.indexed.get(usize::from(i)));
+        let Some(method) = method(scan) else { return vec![] };
+        let same = |id: KeyframeId| self.known.get(&id).filter(|k| self::method(&k.scan) == Some(method));
+        let entry = |(id, i)| same(id)?.indexed.get(usize::from(i));
+        let votes = self.index.votes(&descriptors(scan, MAX_INDEXED), Alike::of(method).vote, entry);
         let mut ranked: Vec<(u32, KeyframeId)> =
             votes.into_iter().filter(|v| v.1 >= MIN_VOTES && allowed(v.0)).map(|(id, n)| (n, id)).collect();
         ranked.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -196,8 +200,11 @@ impl VisualPlaces {
 /// share of all.
 fn by_features(from: &KeyframeScan, to: &KeyframeScan) -> Option<(Pose, Covariance6, usize, f64)> {
     let (a, b) = (from.features.as_ref()?, to.features.as_ref()?);
+    if a.method != b.method {
+        return None;
+    }
     let set = |f: &[KeyframeFeature]| Descriptors::Binary(f.iter().map(|f| f.descriptor).collect());
-    let params = MatchParams { ratio: 0.85, mutual: true, max_distance: Some(64.0) };
+    let params = MatchParams { ratio: 0.85, mutual: true, max_distance: Some(f64::from(Alike::of(a.method).pair)) };
     let matches = match_features(&set(&b.features), &set(&a.features), &params).ok()?;
     let pairs: Vec<Pair> = matches
         .iter()
@@ -230,9 +237,17 @@ fn uncertainty(pairs: &[Pair], inliers: &[usize]) -> Covariance6 {
     information.try_inverse().unwrap_or_else(|| Covariance6::identity() * 0.01) + floor
 }
 
-/// At most `most`, evenly over the list.
+fn method(scan: &KeyframeScan) -> Option<FeatureMethod> {
+    scan.features.as_ref().map(|f| f.method)
+}
+
+/// At most `most`. ORB's are the most distinct of each size, so they are taken evenly over the list. SIFT's are the most
+/// distinct first, whatever their size, and those of two views are the same ones the more distinct they are.
 fn descriptors(scan: &KeyframeScan, most: usize) -> Vec<[u64; 4]> {
     let Some(features) = &scan.features else { return vec![] };
-    let step = features.features.len().div_ceil(most).max(1);
-    features.features.iter().step_by(step).map(|f| f.descriptor).collect()
+    let step = match features.method {
+        FeatureMethod::Orb => features.features.len().div_ceil(most).max(1),
+        FeatureMethod::Sift => 1,
+    };
+    features.features.iter().step_by(step).take(most).map(|f| f.descriptor).collect()
 }

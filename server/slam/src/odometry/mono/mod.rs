@@ -35,7 +35,8 @@ use frame::Lens;
 use map::ViewId;
 use nalgebra::{Point2, Translation3, Vector6};
 use percept_geometry::{
-    CameraIntrinsics, Covariance6, KeyframeFeature, KeyframeFeatures, KeyframeScan, PointCloud, Pose, Timestamp, se3,
+    CameraIntrinsics, Covariance6, FeatureMethod, KeyframeFeature, KeyframeFeatures, KeyframeScan, PointCloud, Pose,
+    Timestamp, se3,
 };
 use pose::PlacedCamera;
 use scale::Scaling;
@@ -383,7 +384,9 @@ impl LocalModel for Mono {
         let step = known.len().div_ceil(KeyframeFeatures::LIMIT).max(1);
         let mut camera = lens.intrinsics();
         (camera.cx, camera.cy) = (-lens.min.x, -lens.min.y);
-        Some(KeyframeFeatures { camera, features: known.into_iter().step_by(step).collect() })
+        // Those that it tracks: others would need points of their own, and a map of them.
+        let method = FeatureMethod::Orb;
+        Some(KeyframeFeatures { method, camera, features: known.into_iter().step_by(step).collect() })
     }
 
     fn views(&self, t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {
