@@ -15,6 +15,17 @@ pub(crate) struct Prediction {
     pub(crate) covariance: Covariance6,
     /// Whether it was measured (by wheels, an IMU), not assumed.
     pub(crate) is_measured: bool,
+    /// Seconds since the newest frame that was placed; 0 where there is none.
+    pub(crate) elapsed_s: f64,
+    /// Where base was then, base to odom, if that was the frame before.
+    pub(crate) t_odom_before: Option<Pose>,
+}
+
+impl Prediction {
+    /// Near a pose, whatever was before.
+    pub(crate) fn within(t_odom_base: Pose, covariance: Covariance6) -> Self {
+        Self { t_odom_base, covariance, is_measured: false, elapsed_s: 0.0, t_odom_before: None }
+    }
 }
 
 /// A frame placed in the local model.

@@ -25,13 +25,14 @@ impl Odometry {
         let Some(prior) = prior else { return constant };
         let covariance = prior.covariance + self.limits.prior_floor();
         if (0..3).all(|i| covariance[(i, i)] <= UNKNOWN_VARIANCE) {
-            return Prediction { t_odom_base: self.t_odom_base * prior.t_prev_now, covariance, is_measured: true };
+            let t_odom_base = self.t_odom_base * prior.t_prev_now;
+            return Prediction { t_odom_base, covariance, is_measured: true, ..constant };
         }
         let way = self.t_odom_base.inv_mul(&constant.t_odom_base).translation;
         let mut both = constant.covariance;
         both.fixed_view_mut::<3, 3>(3, 3).copy_from(&covariance.fixed_view::<3, 3>(3, 3));
         let t_odom_base = self.t_odom_base * Pose::from_parts(way, prior.t_prev_now.rotation);
-        Prediction { t_odom_base, covariance: both, is_measured: false }
+        Prediction { t_odom_base, covariance: both, ..constant }
     }
 
     /// Constant velocity while frames are near in time.
@@ -48,7 +49,13 @@ impl Odometry {
         let (sigma_t, sigma_r) = (sigma_t.max(1.5 * usual), sigma_r.max(1.5 * usual));
         let t_now_next = se3::exp(&moving);
         let covariance = se3::compose_covariance(&self.left_open, &t_now_next, &diagonal(sigma_t, sigma_r.min(1.0)));
-        Prediction { t_odom_base: self.t_odom_base * t_now_next, covariance, is_measured: false }
+        Prediction {
+            t_odom_base: self.t_odom_base * t_now_next,
+            covariance,
+            is_measured: false,
+            elapsed_s: self.unplaced_s + dt,
+            t_odom_before: self.is_tracking().then_some(self.t_odom_base),
+        }
     }
 
     /// Places a frame; a planar scan that fits nowhere near is looked for wherever a robot can be by now, and is believed to be
@@ -63,7 +70,7 @@ impl Odometry {
         // Faster than the motion before leads to, as robots that begin to turn on the spot are.
         let (way, turn) = (self.limits.speed * reach_s, self.limits.turn_rate * reach_s);
         let covariance = diagonal(way / 3.0, turn / 3.0);
-        let wide = Prediction { t_odom_base: self.t_odom_base, covariance, is_measured: false };
+        let wide = Prediction::within(self.t_odom_base, covariance);
         let can_be = |m: &Match| {
             let off = self.t_odom_base.inv_mul(&m.t_odom_base);
             m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio
@@ -147,7 +154,7 @@ impl Odometry {
             return found;
         }
         let covariance = diagonal(0.05, 0.02);
-        let again = Prediction { t_odom_base: found.t_odom_base, covariance, is_measured: true };
+        let again = Prediction { is_measured: true, ..Prediction::within(found.t_odom_base, covariance) };
         self.try_from(dt, &again).unwrap_or(found)
     }
 

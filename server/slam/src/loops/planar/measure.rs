@@ -95,8 +95,7 @@ impl Visits {
             return Err(Refused::AtBorder);
         }
         // Hardly a prior: the measurement shall not know what was believed.
-        let prediction =
-            Prediction { t_odom_base: spatial(&start), covariance: diagonal(1.0, 0.5), is_measured: false };
+        let prediction = Prediction::within(spatial(&start), diagonal(1.0, 0.5));
         let found = refine(&self.field, &scan_hits, &start, &prediction, strictness.min_inlier_ratio)
             .map_err(Refused::NotRefined)?;
         let views: Vec<View<'_>> =

@@ -146,7 +146,7 @@ impl<'a> Neighbourhood<'a> {
         let problem = Problem {
             sweep: &Sweep::new(points, None, &Pose::identity(), &instants, &indices),
             map: &self.surface,
-            prediction: &Prediction { t_odom_base: *t_map_base, covariance, is_measured: false },
+            prediction: &Prediction::within(*t_map_base, covariance),
             velocity: Vector6::zeros(),
             agility: 1.0,
             expected_error: 2.0 * EXPECTED.0 * self.voxel_m,

@@ -28,6 +28,8 @@ const TILTED: f64 = 4.0;
 /// least. Hands and feet do this; how much less a robot does is learned ([`agility`]).
 const ACCELERATION: (f64, f64) = (4.0, 8.0);
 const LEAST_CHANGE: (f64, f64) = (0.02, 0.01);
+/// How far two poses in a row may be off in where the second lies to the first, metres and radians.
+const STEP: (f64, f64) = (0.005, 0.002);
 
 type Matrix12 = SMatrix<f64, 12, 12>;
 type Vector12 = SVector<f64, 12>;
@@ -46,6 +48,13 @@ pub(crate) struct Problem<'a> {
     pub(crate) max_iterations: usize,
     pub(crate) min_overlap: f64,
     pub(crate) min_inlier_ratio: f64,
+}
+
+impl Problem<'_> {
+    /// Seconds in which the velocity may have changed.
+    pub(crate) fn elapsed(&self) -> f64 {
+        self.prediction.elapsed_s.max(self.sweep.instants().duration())
+    }
 }
 
 /// Where base was at the stamp, and how it moved while the points were taken.
@@ -86,8 +95,8 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<(Match, State), LostReason>
                 return Err(LostReason::TooFewCorrespondences);
             }
             let degeneracy = Degeneracy::of(&e.pose, &centroid, spread, DEGENERATE + TILTED * e.tilt);
-            let pull = pull(problem, &state);
-            let (step, information) = solve(&e, &degeneracy, &prior, &pull, stride).ok_or(LostReason::Degenerate)?;
+            let expected = expected(problem, &prior, &state);
+            let (step, information) = solve(&e, &degeneracy, &expected, stride).ok_or(LostReason::Degenerate)?;
             let (moved, faster) = (step.fixed_rows::<6>(0).into_owned(), step.fixed_rows::<6>(6).into_owned());
             state.t_odom_base *= se3::exp(&moved);
             state.velocity += faster;
@@ -107,16 +116,16 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<(Match, State), LostReason>
     Ok((found, state))
 }
 
-/// How far the velocity of a sweep was from what was expected, as a share of what hands do.
-pub(crate) fn agility(duration: f64, change: &Vector6<f64>) -> f64 {
-    let share = |k: usize, (rate, least): (f64, f64)| change.fixed_rows::<3>(k).norm() / (rate * duration + least);
+/// How far the velocity of a sweep was from what was expected `elapsed` seconds before, as a share of what hands do.
+pub(crate) fn agility(elapsed: f64, change: &Vector6<f64>) -> f64 {
+    let share = |k: usize, (rate, least): (f64, f64)| change.fixed_rows::<3>(k).norm() / (rate * elapsed + least);
     share(0, (ACCELERATION.0, LEAST_CHANGE.0)).max(share(3, (ACCELERATION.1, LEAST_CHANGE.1)))
 }
 
 /// Information of the prediction and of the expected velocity.
 fn prior(problem: &Problem<'_>) -> Option<Matrix12> {
-    let duration = problem.sweep.instants().duration();
-    let information = |(rate, least): (f64, f64)| 1.0 / (problem.agility * (rate * duration + least)).powi(2);
+    let elapsed = problem.elapsed();
+    let information = |(rate, least): (f64, f64)| 1.0 / (problem.agility * (rate * elapsed + least)).powi(2);
     let moving = information((ACCELERATION.0, LEAST_CHANGE.0));
     let turning = information((ACCELERATION.1, LEAST_CHANGE.1));
     let mut out = Matrix12::zeros();
@@ -127,13 +136,33 @@ fn prior(problem: &Problem<'_>) -> Option<Matrix12> {
     Some(out)
 }
 
-/// How far the state is from what was expected.
-fn pull(problem: &Problem<'_>, state: &State) -> Vector12 {
-    let mut out = Vector12::zeros();
-    let off = se3::log(&(problem.prediction.t_odom_base.inverse() * state.t_odom_base));
-    out.fixed_rows_mut::<6>(0).copy_from(&off);
-    out.fixed_rows_mut::<6>(6).copy_from(&(state.velocity - problem.velocity));
-    out
+/// Information and gradient of how far the state is from what was expected, and of how far its velocity is from the step
+/// that it makes: what the points of one sweep hardly tell, its poses tell over the sweeps.
+/// Source: Dellenbach et al., "CT-ICP", 2022 (location consistency); here between a sweep's velocity and its pose.
+fn expected(problem: &Problem<'_>, prior: &Matrix12, state: &State) -> (Matrix12, Vector12) {
+    let mut off = Vector12::zeros();
+    off.fixed_rows_mut::<6>(0).copy_from(&se3::log(&problem.prediction.t_odom_base.inv_mul(&state.t_odom_base)));
+    off.fixed_rows_mut::<6>(6).copy_from(&(state.velocity - problem.velocity));
+    let (mut h, mut g) = (*prior, prior * off);
+    let (dt, is_sweep) = (problem.prediction.elapsed_s, problem.sweep.instants().duration() > 0.0);
+    let Some(before) = problem.prediction.t_odom_before.filter(|_| is_sweep && dt > 1e-3) else { return (h, g) };
+    let misfit = state.velocity - se3::log(&before.inv_mul(&state.t_odom_base)) / dt;
+    // The step's velocity is that of its middle, the sweep's that of the sweep's.
+    let apart = (problem.sweep.instants().middle() + 0.5 * dt).abs();
+    for k in 0..6 {
+        let (rate, least, step) = match k {
+            0..3 => (ACCELERATION.0, LEAST_CHANGE.0, STEP.0),
+            _ => (ACCELERATION.1, LEAST_CHANGE.1, STEP.1),
+        };
+        let information = 1.0 / (problem.agility * rate * apart + least + step / dt).powi(2);
+        h[(k, k)] += information / (dt * dt);
+        h[(k, 6 + k)] -= information / dt;
+        h[(6 + k, k)] -= information / dt;
+        h[(6 + k, 6 + k)] += information;
+        g[k] -= information * misfit[k] / dt;
+        g[6 + k] += information * misfit[k];
+    }
+    (h, g)
 }
 
 /// Sums over the sweep, group by group: a point taken `t` seconds after the stamp moves with the velocity `t` times as
@@ -225,12 +254,11 @@ fn add_scatter(
 fn solve(
     e: &Equations,
     degeneracy: &Degeneracy,
-    prior: &Matrix12,
-    pull: &Vector12,
+    expected: &(Matrix12, Vector12),
     stride: usize,
 ) -> Option<(Vector12, Matrix12)> {
     let share = stride as f64 / POINTS_PER_MEASUREMENT;
-    let (mut h, mut g) = (*prior, prior * pull);
+    let (mut h, mut g) = *expected;
     for i in [0, 6] {
         for j in [0, 6] {
             let kept = degeneracy.keep_good(&e.hessian.fixed_view::<6, 6>(i, j).into_owned());

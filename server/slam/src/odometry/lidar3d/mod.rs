@@ -102,8 +102,8 @@ const COMPARED_WITHIN: f64 = 1.0;
 const COMPARED: usize = 10;
 /// What it has to bring, lest the robot was carried off meanwhile: least share of its points on the local map, most that
 /// may contradict of what both saw, and least share that both saw. In simulated buildings, robots that had driven on for
-/// 5 s in the dark had 0.95 and more, 0.02 and less; carried to another room 0.99 and less, 0.06 and more.
-const AFTER_GAP: (f64, f64, f64) = (0.6, 0.04, 0.25);
+/// 5 s in the dark had 0.95 and more, 0.02 and less; carried to another room 0.99 and less, 0.035 and more.
+const AFTER_GAP: (f64, f64, f64) = (0.6, 0.03, 0.25);
 
 /// A scan of the local map.
 struct Kept {
@@ -122,6 +122,8 @@ pub(crate) struct Lidar3d {
     /// Base's velocity during the current sweep, m/s and rad/s: as expected, and as last found.
     expected_velocity: Vector6<f64>,
     velocity: Vector6<f64>,
+    /// Seconds in which it may have changed from the one to the other.
+    elapsed: f64,
     reach: f64,
     /// The 90th percentile of the ranges, metres: its running geometric mean, and when the size was learned.
     usual_range: f64,
@@ -147,6 +149,7 @@ impl Lidar3d {
             sparse: Sweep::default(),
             expected_velocity: Vector6::zeros(),
             velocity: Vector6::zeros(),
+            elapsed: 0.0,
             reach: 0.0,
             usual_range: 1.0,
             learned_at: 1.0,
@@ -304,7 +307,7 @@ impl LocalModel for Lidar3d {
         let Some(map) = &self.map else { return Err(LostReason::TooFewCorrespondences) };
         let size = map.size();
         let expected_error = self.deviation2.map_or(2.0 * size, |d| 3.0 * d.sqrt()).max(0.1 * size);
-        let (found, state) = align(&Problem {
+        let problem = Problem {
             sweep: &self.sparse,
             map,
             prediction,
@@ -314,7 +317,9 @@ impl LocalModel for Lidar3d {
             max_iterations: self.params.max_iterations,
             min_overlap: self.params.min_overlap_ratio,
             min_inlier_ratio: self.params.min_inlier_ratio,
-        })?;
+        };
+        let (found, state) = align(&problem)?;
+        self.elapsed = problem.elapsed();
         let off = prediction.t_odom_base.inverse() * found.t_odom_base;
         let at_points = off.translation.vector.norm() + 0.25 * self.reach * off.rotation.angle();
         let last = self.deviation2.unwrap_or(size * size);
@@ -324,9 +329,8 @@ impl LocalModel for Lidar3d {
     }
 
     fn integrate(&mut self, t_odom_base: &Pose) {
-        let duration = self.dense.instants().duration();
-        if duration > 0.0 {
-            let now2 = agility(duration, &(self.velocity - self.expected_velocity)).powi(2);
+        if self.dense.instants().duration() > 0.0 {
+            let now2 = agility(self.elapsed, &(self.velocity - self.expected_velocity)).powi(2);
             self.agility2 += if now2 > self.agility2 { 0.5 } else { 0.1 } * (now2 - self.agility2);
         }
         let points = self.dense.at_stamp(&self.velocity);

@@ -70,6 +70,11 @@ impl Instants {
         }
     }
 
+    /// The middle between the first point and the last, seconds from the stamp.
+    pub(crate) fn middle(&self) -> f64 {
+        self.times.first().zip(self.times.last()).map_or(0.0, |(a, b)| 0.5 * (a + b))
+    }
+
     /// What brings points to base at the stamp, group by group, if base moves at constant `velocity`.
     pub(crate) fn motions(&self, velocity: &Vector6<f64>) -> Vec<Motion> {
         self.times.iter().map(|&t| Motion::of(&se3::exp(&(velocity * t)))).collect()
