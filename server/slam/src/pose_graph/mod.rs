@@ -81,7 +81,9 @@ pub enum PoseGraphError {
         node: u32,
     },
     /// The equations are not positive definite, or do not fit the memory.
-    #[error("the equations cannot be solved; does an edge's information leave something open?")]
+    #[error(
+        "the equations cannot be solved: an edge's information leaves something open, or so many edges tie far nodes that they do not fit the memory"
+    )]
     NotSolvable,
 }
 

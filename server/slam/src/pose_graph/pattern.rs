@@ -8,6 +8,9 @@ use std::ops::Range;
 
 /// Columns that are worked on together at most: each block of an earlier column is then read once for so many.
 const WIDEST: usize = 4;
+/// Blocks of a factor at most: 1.5 GB of those of poses in space. A graph whose nodes are tied at random fills up; maps of
+/// a thousand poses have ten thousand.
+const MOST_BLOCKS: usize = 4_000_000;
 
 /// Where the blocks of a symmetric matrix and of its Cholesky factor are, in an order that keeps the factor sparse:
 /// lower triangles by columns, rows ascending, so that the first block of each column is the diagonal one.
@@ -58,7 +61,7 @@ impl Pattern {
         let place = order(n, pairs)?;
         let placed: Vec<(u32, u32)> = pairs.iter().map(|&(a, b)| (place[a as usize], place[b as usize])).collect();
         let matrix = lower_triangle(n, &placed, true);
-        let factor = factor_of(&matrix);
+        let factor = factor_of(&matrix, MOST_BLOCKS)?;
         let mut in_factor = Vec::with_capacity(matrix.rows.len());
         for j in 0..n {
             let range = factor.range(j);
@@ -161,7 +164,8 @@ fn order(n: usize, pairs: &[(u32, u32)]) -> Result<Vec<u32>, NotSolvable> {
     Ok(inverse.iter().map(|&p| p as u32).collect())
 }
 
-fn factor_of(matrix: &Columns) -> Columns {
+/// The factor's blocks; refused as soon as they are more than `most`.
+fn factor_of(matrix: &Columns, most: usize) -> Result<Columns, NotSolvable> {
     const NONE: u32 = u32::MAX;
     let n = matrix.starts.len() - 1;
     let mut factor = Columns { starts: Vec::with_capacity(n + 1), rows: Vec::with_capacity(2 * matrix.rows.len()) };
@@ -186,6 +190,9 @@ fn factor_of(matrix: &Columns) -> Columns {
             }
             of = next[of as usize];
         }
+        if factor.rows.len() > most {
+            return Err(NotSolvable);
+        }
         factor.rows[start..].sort_unstable();
         factor.starts.push(factor.rows.len());
         if let Some(&parent) = factor.rows.get(start + 1) {
@@ -193,7 +200,7 @@ fn factor_of(matrix: &Columns) -> Columns {
             child[parent as usize] = j as u32;
         }
     }
-    factor
+    Ok(factor)
 }
 
 fn panels_of(factor: &Columns) -> Vec<u32> {
@@ -244,4 +251,18 @@ fn updates_of(factor: &Columns, panels: &[u32]) -> (Vec<usize>, Vec<Update>) {
         at[panel as usize] += 1;
     }
     (starts, updates)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_factor_that_fills_up_is_refused_before_it_takes_the_memory() {
+        // A star whose centre comes first ties all others to each other.
+        let star: Vec<(u32, u32)> = (1..100).map(|k| (0, k)).collect();
+        let matrix = lower_triangle(100, &star, true);
+        assert_eq!(factor_of(&matrix, 5050).map(|f| f.rows.len()), Ok(5050));
+        assert!(factor_of(&matrix, 5049).is_err());
+    }
 }

@@ -62,6 +62,7 @@ impl<'a, const D: usize> Solver<'a, D> {
             }
         }
     }
+
     /// The block of the inverse that belongs to row `a` alone, of the matrix that was last factorised.
     ///
     /// With `x` the columns of the factor's inverse that belong to the row, it is `x^T * x`.
