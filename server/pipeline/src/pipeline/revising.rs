@@ -23,8 +23,8 @@ pub struct MapChange {
     pub loops: Vec<Loop>,
     /// Loops that went with keyframes that others stand for.
     pub dissolved: Vec<LoopId>,
-    /// Keyframes that a correction moved, with their new poses, base to map.
-    pub corrected: Vec<(KeyframeId, Pose)>,
+    /// Keyframes that a correction moved, each once, with their new poses, base to map.
+    pub corrected: BTreeMap<KeyframeId, Pose>,
     /// Keyframes that others stand for from now on, or through yet others than before.
     pub merged: Vec<(KeyframeInfo, Merged)>,
 }
@@ -34,6 +34,7 @@ impl MapChange {
     pub(super) fn extend(&mut self, later: Self) {
         self.loops.extend(later.loops);
         self.dissolved.extend(later.dissolved);
+        // Who moved twice is where it moved last.
         self.corrected.extend(later.corrected);
         self.merged.extend(later.merged);
     }

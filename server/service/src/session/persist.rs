@@ -32,7 +32,7 @@ pub(crate) struct Job {
     /// All objects and the number that the next one gets, if any changed.
     pub(crate) objects: Option<(Arc<Vec<Object>>, u64)>,
     /// Keyframes that a correction moved.
-    pub(crate) corrected: Vec<(KeyframeId, Pose)>,
+    pub(crate) corrected: BTreeMap<KeyframeId, Pose>,
     /// Keyframes that others stand for from now on.
     pub(crate) merged: Vec<(KeyframeInfo, Merged)>,
     /// Loops that went with them.
