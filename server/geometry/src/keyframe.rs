@@ -38,7 +38,7 @@ pub enum FeatureMethod {
     /// Corners, and 256 comparisons of brightness around each.
     #[default]
     Orb,
-    /// Blobs of any size, and two bits for each of the 128 numbers that describe one: steadier, and ten times slower.
+    /// Blobs of any size, and two bits for each of the 128 numbers that describe one: steadier, and eight times slower.
     Sift,
 }
 

@@ -28,7 +28,7 @@ pub struct KeyframeParams {
     pub voxel_size_m: f64,
     /// A beam without a return frees space up to here, metres, 0.1 to 1000.
     pub free_range_m: f64,
-    /// What depth cameras with colour know places by: orb, or sift, which is steadier and takes ten times as long for each
+    /// What depth cameras with colour know places by: orb, or sift, which is steadier and takes eight times as long for each
     /// keyframe. A camera without depth always uses orb: it knows places by the points that it tracks.
     pub features: FeatureMethod,
 }

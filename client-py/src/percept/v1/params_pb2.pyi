@@ -600,7 +600,7 @@ class KeyframeParams(_message.Message):
     free_range_m: _builtins.float
     """A beam without a return frees space up to here, metres, 0.1 to 1000."""
     features: _toolbox_images_pb2.FeatureMethod.ValueType
-    """What depth cameras with colour know places by: orb, or sift, which is steadier and takes ten times as long for each
+    """What depth cameras with colour know places by: orb, or sift, which is steadier and takes eight times as long for each
     keyframe. A camera without depth always uses orb: it knows places by the points that it tracks.
     """
     def __init__(
