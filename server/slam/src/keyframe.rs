@@ -12,6 +12,9 @@ use rustc_hash::FxHashSet;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+/// Columns of a depth image that [`KeyframeParams::depth_stride_px`] is meant for.
+const FULL_WIDTH: usize = 640;
+
 /// When a frame becomes a keyframe, and how much of it is kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -20,7 +23,8 @@ pub struct KeyframeParams {
     pub distance_m: f64,
     /// A keyframe at least every so many radians of turning, 0.01 to pi.
     pub angle_rad: f64,
-    /// Keep every n-th row and column of a depth image, 1 to 64.
+    /// Keep every n-th row and column of a depth image 640 or more pixels wide, 1 to 64; of a narrower one fewer are left out, in
+    /// proportion, so that it shows surfaces as finely.
     pub depth_stride_px: usize,
     /// Depth beyond this is not kept, metres, 0.1 to 100: noise grows with the square of the depth.
     pub max_depth_m: f64,
@@ -140,10 +144,15 @@ pub(crate) fn keyframe_scan_seen_by(
     }
 }
 
+/// Rows and columns from one point that is kept to the next, of an image so many columns wide.
+fn stride(params: &KeyframeParams, width: usize) -> usize {
+    (params.depth_stride_px * width.min(FULL_WIDTH)).div_ceil(FULL_WIDTH).max(1)
+}
+
 fn depth_hits(params: &KeyframeParams, s: &DepthScan) -> PointCloud {
     let (width, height) = (s.depth.width(), s.depth.height());
     let color = s.color.as_ref().filter(|c| c.width() == width && c.height() == height);
-    let stride = params.depth_stride_px.max(1);
+    let stride = stride(params, width);
     let mut hits = PointCloud::default();
     let mut colors = vec![];
     for v in (stride / 2..height).step_by(stride) {
@@ -207,6 +216,17 @@ mod tests {
             .map(|t| policy.consider(t))
             .collect();
         assert_eq!(decisions, [true, false, true, false, true, false]);
+    }
+
+    #[test]
+    fn small_images_are_thinned_less_and_none_more_than_asked_for() {
+        let params = KeyframeParams::default();
+        let kept = [80, 160, 240, 320, 424, 640, 848, 1280].map(|width| width / stride(&params, width));
+        assert_eq!(kept, [80, 160, 120, 160, 141, 160, 212, 320]);
+        let coarse = KeyframeParams { depth_stride_px: 16, ..params.clone() };
+        let all = KeyframeParams { depth_stride_px: 1, ..params };
+        assert_eq!([160, 320, 640, 1280].map(|width| stride(&coarse, width)), [4, 8, 16, 16]);
+        assert_eq!([1, 160, 640].map(|width| stride(&all, width)), [1; 3]);
     }
 
     #[test]

@@ -592,7 +592,9 @@ class KeyframeParams(_message.Message):
     angle_rad: _builtins.float
     """A keyframe at least every so many radians of turning, 0.01 to pi."""
     depth_stride_px: _builtins.int
-    """Keep every n-th row and column of a depth image, 1 to 64."""
+    """Keep every n-th row and column of a depth image 640 or more pixels wide, 1 to 64; of a narrower one fewer are left out, in
+    proportion, so that it shows surfaces as finely.
+    """
     max_depth_m: _builtins.float
     """Depth beyond this is not kept, metres, 0.1 to 100: noise grows with the square of the depth."""
     voxel_size_m: _builtins.float

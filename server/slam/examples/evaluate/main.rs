@@ -1,7 +1,7 @@
 //! Figures of the odometries on recorded data: `evaluate SET PATH [options]`.
 //!
 //! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person] [--sift]`,
-//! `looks DIR` (as `rgbd`), `unrelated DIR DIR ...` (images),
+//! `rgbd-sizes WIDTHxHEIGHT SEED SEED ...`, `looks DIR` (as `rgbd`), `unrelated DIR DIR ...` (images),
 //! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
 //! `lidar-sim spinning|rosette [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`.
 
@@ -13,6 +13,7 @@ mod measure;
 mod places;
 mod read;
 mod simulated;
+mod sizes;
 
 use percept_geometry::{Pose, SensorSpec, Timestamp, se3};
 use percept_slam::{
@@ -31,6 +32,7 @@ fn main() -> Result<(), Failure> {
         "looks" => looks::compare(path),
         "unrelated" => looks::unrelated(&args[2..]),
         "rgbd-sim" => depth::simulated(args[2].parse()?, &args),
+        "rgbd-sizes" => sizes::compare(&args[2..]),
         "redwood" => depth::redwood(path),
         "slambook" => depth::slambook(path),
         "mono" => camera::recorded(path, args.get(3).and_then(|s| s.parse().ok()).unwrap_or(1)),

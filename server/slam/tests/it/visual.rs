@@ -1,6 +1,8 @@
 //! Places found again by a depth camera with colour, in the simulator's worlds.
 
-use percept_geometry::{Covariance6, FeatureMethod, KeyframeId, KeyframeScan, Pose, SensorData, Timestamp, se3};
+use percept_geometry::{
+    CameraIntrinsics, Covariance6, FeatureMethod, KeyframeId, KeyframeScan, Pose, SensorData, Timestamp, se3,
+};
 use percept_sim::{DepthCameraParams, SensorSuite, SimParams, Simulation};
 use percept_slam::loops::{KeyframePoses, PlaceRecognition, place_recognition};
 use percept_slam::{
@@ -15,7 +17,10 @@ fn drive(world: u64, noise: u64, rate_hz: f64, seconds: f64) -> Vec<(Pose, Arc<K
 }
 
 fn scans(world: u64, noise: u64, rate_hz: f64, seconds: f64) -> Vec<(Pose, Scan)> {
-    let camera = DepthCameraParams { rate_hz, ..DepthCameraParams::default() };
+    seen_by(DepthCameraParams { rate_hz, ..DepthCameraParams::default() }, world, noise, seconds)
+}
+
+fn seen_by(camera: DepthCameraParams, world: u64, noise: u64, seconds: f64) -> Vec<(Pose, Scan)> {
     let (intrinsics, t_base_sensor) = (camera.intrinsics, camera.t_base_sensor());
     let mut params = SimParams { seed: noise, duration_s: Some(seconds), ..SimParams::default() };
     (params.world.seed, params.world.person) = (world, false);
@@ -172,6 +177,53 @@ fn a_way_back_is_recognised_by_sift_and_not_by_features_of_another_method() {
     for (_, scan) in keep(&again, FeatureMethod::Orb) {
         assert_eq!(places.relocalise(&scan, &poses), None);
     }
+}
+
+/// Once a second for eight, what a keyframe of a camera with a field of view as usual, in so many pixels, would keep.
+fn drive_with(width: usize, height: usize, world: u64, noise: u64) -> Views {
+    let f = 525.0 * width as f64 / 640.0;
+    let centre = (0.5 * width as f64 - 0.5, 0.5 * height as f64 - 0.5);
+    let intrinsics = CameraIntrinsics::pinhole(width, height, f, f, centre.0, centre.1);
+    let camera = DepthCameraParams { rate_hz: 1.0, intrinsics, ..DepthCameraParams::default() };
+    seen_by(camera, world, noise, 8.0).into_iter().map(|(t, scan)| (t, keep(&scan))).collect()
+}
+
+#[test]
+fn small_images_are_recognised_as_large_ones_are() {
+    for (width, height) in [(240, 180), (320, 240), (424, 240)] {
+        let (places, poses) = taken_in(&drive_with(width, height, 2, 1));
+        let asked = drive_with(width, height, 2, 7);
+        let mut found = 0;
+        for views in asked.windows(4) {
+            let (before, truth, scan) = way(views);
+            let Some(r) = places.relocalise_driven(&before, &scan, &poses) else { continue };
+            let off = truth.inverse() * poses[&r.keyframe] * r.t_keyframe_base;
+            assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.02, "{off}");
+            found += 1;
+        }
+        assert!(found >= 2, "{width}: {found}");
+        let elsewhere = drive_with(width, height, 5, 7);
+        for views in elsewhere.windows(4) {
+            let (before, _, scan) = way(views);
+            assert_eq!(places.relocalise_driven(&before, &scan, &poses), None);
+        }
+    }
+}
+
+#[test]
+fn a_way_back_closes_loops_with_small_images() {
+    let there = drive_with(240, 180, 2, 1);
+    let (mut places, poses) = taken_in(&there);
+    let mut found = 0;
+    // Between there and back more keyframes than count as recent; what they show does not matter.
+    for (k, (truth, scan)) in (20u64..).zip(&drive_with(240, 180, 2, 9)) {
+        for l in places.insert(KeyframeId(k), scan, &Covariance6::identity(), &poses) {
+            let off = se3::log(&((poses[&l.from].inverse() * truth).inverse() * l.t_from_to));
+            assert!(off.norm() < 0.05, "{l:?}");
+            found += 1;
+        }
+    }
+    assert!(found >= 4, "{found}");
 }
 
 #[test]
