@@ -205,6 +205,7 @@ fn small_images_are_recognised_as_large_ones_are() {
         let elsewhere = drive_with(width, height, 5, 7);
         for views in elsewhere.windows(4) {
             let (before, _, scan) = way(views);
+            assert_eq!(places.relocalise(&scan, &poses), None);
             assert_eq!(places.relocalise_driven(&before, &scan, &poses), None);
         }
     }
@@ -224,6 +225,22 @@ fn a_way_back_closes_loops_with_small_images() {
         }
     }
     assert!(found >= 4, "{found}");
+}
+
+#[test]
+fn odometry_of_small_images_goes_on_from_keyframes_after_a_restart() {
+    let intrinsics = CameraIntrinsics::pinhole(240, 180, 197.0, 197.0, 119.5, 89.5);
+    let camera = DepthCameraParams { rate_hz: 2.0, intrinsics, ..DepthCameraParams::default() };
+    let views = seen_by(camera, 2, 1, 2.0);
+    let t_odom_world = se3::from_xy_yaw(5.0, -3.0, 0.5);
+    let keyframes: Vec<_> = views[..2].iter().map(|(t, scan)| (t_odom_world * t, keep(scan))).collect();
+    let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+    odometry.seed(&keyframes[1].0, &keyframes, Timestamp(0));
+    let (truth, scan) = &views[2];
+    let e = odometry.register(Timestamp::from_secs_f64(0.5), scan, None);
+    let off = (t_odom_world * truth).inverse() * e.t_odom_base;
+    assert!(e.state.is_tracking(), "{:?}", e.state);
+    assert!(off.translation.vector.norm() < 0.03 && off.rotation.angle() < 0.02, "{off}");
 }
 
 #[test]

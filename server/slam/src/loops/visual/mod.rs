@@ -31,8 +31,9 @@ const MAX_KEYFRAMES: usize = 4096;
 const MAX_INDEXED: usize = 250;
 /// Fewest features alike of a candidate.
 const MIN_VOTES: u32 = 12;
-/// Fewest pairs of features that agree on a motion.
+/// Fewest pairs of features that agree on a motion, in images so many pixels wide and more; see [`min_pairs`].
 const MIN_PAIRS: usize = 12;
+const FULL_WIDTH: usize = 640;
 /// The same, and their share of all that were paired, where there is no surface to verify by.
 const SPARSE_PAIRS: usize = 30;
 const SPARSE_SHARE: f64 = 0.4;
@@ -219,9 +220,15 @@ fn by_features(from: &KeyframeScan, to: &KeyframeScan) -> Option<(Pose, Covarian
             (range <= 6.0).then(|| Pair { from: f.p_base.cast(), to: t.p_base.cast(), tolerance })
         })
         .collect();
-    let (t_from_to, inliers) = most_agree(&pairs, MIN_PAIRS)?;
+    let (t_from_to, inliers) = most_agree(&pairs, min_pairs(a.camera.width.min(b.camera.width)))?;
     let share = inliers.len() as f64 / pairs.len() as f64;
     Some((t_from_to, uncertainty(&pairs, &inliers), inliers.len(), share))
+}
+
+/// Fewest pairs that agree, by the narrower image. A feature looks at as many pixels in a small image as in a large one, so
+/// those of a small one overlap more, and as many of them have seen less: twice as many are asked for where it is half as wide.
+fn min_pairs(width: usize) -> usize {
+    (MIN_PAIRS * FULL_WIDTH).div_ceil(width.max(1)).clamp(MIN_PAIRS, 2 * MIN_PAIRS)
 }
 
 /// Of points that err independently by half their tolerance; never surer than 1 cm and 10 mrad.
