@@ -3,6 +3,7 @@
 //! [`PlaceRecognition`] is what a kind of sensor brings; [`crate::BackEnd`] believes the loops that agree with each other
 //! and moves the keyframes.
 
+mod depth;
 pub(crate) mod planar;
 pub(crate) mod spatial;
 mod visual;
@@ -89,7 +90,7 @@ pub trait PlaceRecognition: Send {
 pub fn place_recognition(kind: OdometryKind) -> Option<Box<dyn PlaceRecognition>> {
     match kind {
         OdometryKind::Lidar2d => Some(Box::new(planar::PlanarPlaces::new())),
-        OdometryKind::Rgbd => Some(Box::new(visual::VisualPlaces::default())),
+        OdometryKind::Rgbd => Some(Box::new(depth::DepthPlaces::default())),
         OdometryKind::Lidar3d => Some(Box::new(spatial::SpatialRecognition::default())),
         // A camera's own map closes its loops, too, for its points and their scale; these move what the session has built.
         OdometryKind::Mono => Some(Box::new(visual::VisualPlaces::of_sparse_points())),

@@ -227,6 +227,37 @@ fn a_way_back_closes_loops_with_small_images() {
     assert!(found >= 4, "{found}");
 }
 
+/// Depth alone of a small camera, every second.
+fn bare_drive(world: u64, noise: u64, seconds: f64) -> Views {
+    let intrinsics = CameraIntrinsics::pinhole(160, 120, 131.0, 131.0, 79.5, 59.5);
+    let camera = DepthCameraParams { rate_hz: 1.0, intrinsics, ..DepthCameraParams::default() };
+    let bare = |scan: Scan| match scan {
+        Scan::Depth(s) => Scan::Depth(DepthScan { color: None, ..s }),
+        other => other,
+    };
+    seen_by(camera, world, noise, seconds).into_iter().map(|(t, scan)| (t, keep(&bare(scan)))).collect()
+}
+
+#[test]
+fn depth_without_colour_is_found_by_what_it_saw_on_its_way_and_not_in_another_house() {
+    let (places, poses) = taken_in(&bare_drive(2, 1, 45.0));
+    let (mut found, asked) = (0, bare_drive(2, 7, 34.0));
+    for views in asked.windows(12).step_by(6) {
+        let (before, truth, scan) = way(views);
+        assert_eq!(places.relocalise(&scan, &poses), None);
+        if let Some(r) = places.relocalise_driven(&before, &scan, &poses) {
+            let off = truth.inverse() * poses[&r.keyframe] * r.t_keyframe_base;
+            assert!(off.translation.vector.norm() < 0.15 && off.rotation.angle() < 0.03, "{off}");
+            found += 1;
+        }
+    }
+    assert!(found >= 2, "{found}");
+    for views in bare_drive(5, 7, 20.0).windows(12).step_by(6) {
+        let (before, _, scan) = way(views);
+        assert_eq!(places.relocalise_driven(&before, &scan, &poses), None);
+    }
+}
+
 #[test]
 fn odometry_of_small_images_goes_on_from_keyframes_after_a_restart() {
     let intrinsics = CameraIntrinsics::pinhole(240, 180, 197.0, 197.0, 119.5, 89.5);

@@ -2,9 +2,8 @@
 //!
 //! Candidates by binary features, ORB's or SIFT's ([`index`], [`alike`]), the motion by their points ([`rigid`]), then
 //! the whole surface ([`crate::odometry::rgbd::place`]): enough of it fits and none of it contradicts. Without colour
-//! there are no features, and no place is found again: blank depth of one room's corner fits another's too well to be
-//! trusted. A camera without depth has the points of its features alone: so many more of these have to agree. A robot
-//! that may be anywhere is placed by several views ([`lost`]).
+//! there are no features: see [`super::depth`]. A camera without depth has the points of its features alone: so many more of
+//! these have to agree. A robot that may be anywhere is placed by several views ([`lost`]).
 
 mod alike;
 mod index;

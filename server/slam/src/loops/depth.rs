@@ -1,0 +1,72 @@
+//! Places of a depth camera: by their looks where it has colour ([`super::visual`]), by their shape where it has none
+//! ([`super::spatial`]).
+//!
+//! One view without colour says little: blank corners of rooms fit each other. So a lost robot is looked for by what it has
+//! seen on some metres of its way, as with a lidar that sees ahead only; and loops are left to colour: one such view in the
+//! map of another visit is now and then off by a decimetre.
+
+use super::spatial::SpatialRecognition;
+use super::visual::VisualPlaces;
+use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
+use std::sync::Arc;
+
+/// Place recognition of a depth camera. Keyframes with colour and without are not compared with each other.
+#[derive(Default)]
+pub(super) struct DepthPlaces {
+    by_looks: VisualPlaces,
+    by_shape: SpatialRecognition,
+}
+
+impl PlaceRecognition for DepthPlaces {
+    fn insert(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        drift: &Covariance6,
+        poses: &KeyframePoses,
+    ) -> Vec<LoopClosure> {
+        if scan.features.is_some() {
+            return self.by_looks.insert(id, scan, drift, poses);
+        }
+        self.by_shape.restore(id, scan, drift, poses, &[]);
+        vec![]
+    }
+
+    fn restore(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        drift: &Covariance6,
+        poses: &KeyframePoses,
+        ties: &[KeyframeId],
+    ) {
+        match scan.features {
+            Some(_) => self.by_looks.restore(id, scan, drift, poses, ties),
+            None => self.by_shape.restore(id, scan, drift, poses, ties),
+        }
+    }
+
+    /// One view is enough only by its looks.
+    fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
+        scan.features.as_ref()?;
+        self.by_looks.relocalise(scan, poses)
+    }
+
+    fn relocalise_driven(
+        &self,
+        before: &[(Pose, Arc<KeyframeScan>)],
+        scan: &KeyframeScan,
+        poses: &KeyframePoses,
+    ) -> Option<Relocalisation> {
+        match scan.features {
+            Some(_) => self.by_looks.relocalise_driven(before, scan, poses),
+            None => self.by_shape.relocalise_driven(before, scan, poses),
+        }
+    }
+
+    fn forget(&mut self, id: KeyframeId) {
+        self.by_looks.forget(id);
+        self.by_shape.forget(id);
+    }
+}
