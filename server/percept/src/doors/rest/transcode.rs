@@ -121,9 +121,17 @@ fn first_fault(message: &MessageDescriptor, value: &Value) -> Option<(String, St
             }
             _ => None,
         };
-        return Some(inner.unwrap_or_else(|| (name.clone(), e.to_string())));
+        return Some(inner.unwrap_or_else(|| (name.clone(), leaf_fault(&field.kind(), &e))));
     }
     None
+}
+
+/// What is wrong with a value that holds no fields; of a choice, with the words that there are.
+fn leaf_fault(kind: &Kind, e: &serde_json::Error) -> String {
+    let Kind::Enum(choice) = kind else { return e.to_string() };
+    // The first says that nothing was chosen.
+    let words: Vec<String> = choice.values().filter(|v| v.number() != 0).map(|v| v.name().to_owned()).collect();
+    format!("{e}; there are {}", words.join(", "))
 }
 
 fn joined(outer: &str, inner: &str) -> String {
@@ -171,6 +179,7 @@ mod tests {
         assert_eq!((e.reason, e.field.as_str()), ("JSON_INVALID", "message.depth.width_px"));
         let e = fault("CreateSessionRequest", r#"{"sensors": [{}, {"kind": "SONAR"}]}"#);
         assert_eq!(e.field, "sensors[1].kind");
+        assert!(e.message.contains("SONAR") && e.message.contains("SENSOR_KIND_LIDAR2D"), "{}", e.message);
         let e = fault("CreateSessionRequest", r#"{"sesion_id": "a"}"#);
         assert_eq!(e.field, "sesion_id");
         assert!(e.message.contains("session_id"), "{e}");
