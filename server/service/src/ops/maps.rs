@@ -2,7 +2,7 @@
 
 use super::pictures;
 use super::sessions::{Page, page_by_number};
-use crate::session::handle::Vetoed;
+use crate::session::handle::{Settled, Vetoed};
 use crate::{Error, Result, Service};
 use nalgebra::{Point2, Point3};
 use percept_formats::{FormatError, GridMap, nav2, pcd, ply, trajectory};
@@ -192,12 +192,15 @@ impl Service {
         Ok((page_by_number(&snapshot.loops, |l| l.id.0, page_size, page_token)?, snapshot.map_version))
     }
 
-    /// Makes the small corrections that wait for more: how many keyframes moved, and the map's version then.
+    /// Makes the small corrections that wait for more; they are durable when this answers.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`.
-    pub async fn optimise_map(&self, session: &str) -> Result<(usize, u64)> {
-        self.session(session).await?.settle().await
+    /// `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
+    pub async fn optimise_map(&self, session: &str) -> Result<Settled> {
+        let session = self.session(session).await?;
+        let done = session.settle().await?;
+        session.wait_durable(done.ticket).await?;
+        Ok(done)
     }
 
     /// Takes a loop out of the map, or undoes that; the map follows at once, and it is durable when this answers.

@@ -1,7 +1,7 @@
 //! The actor: takes frames from a bounded queue, one at a time, and publishes what they did.
 
 use super::events::EventKind;
-use super::handle::{Command, Processed, Session, Ticket, Vetoed, lock};
+use super::handle::{Command, Processed, Session, Settled, Ticket, Vetoed, lock};
 use super::persist::{Job, Persister};
 use super::refusal::{frame_error, stopped};
 use crate::{ComputePool, Result};
@@ -138,9 +138,9 @@ impl Actor {
         Some(Some(Vetoed { changed, num_moved: change.corrected.len(), map_version, ticket }))
     }
 
-    async fn settle(&mut self) -> Option<(usize, u64)> {
-        let (change, map_version, _) = self.change(|pipeline| Some(pipeline.settle())).await??;
-        Some((change.corrected.len(), map_version))
+    async fn settle(&mut self) -> Option<Settled> {
+        let (change, map_version, ticket) = self.change(|pipeline| Some(pipeline.settle())).await??;
+        Some(Settled { num_moved: change.corrected.len(), map_version, ticket })
     }
 
     /// Changes the map other than by a frame: what was changed, the map's version with it, and the ticket from which on it

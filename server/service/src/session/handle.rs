@@ -37,7 +37,7 @@ pub(crate) enum Command {
     Frame { frame: Box<SensorFrame>, received: Instant, reply: oneshot::Sender<Result<Processed>> },
     Declare(Box<SensorSpec>),
     Veto { id: LoopId, vetoed: bool, reply: oneshot::Sender<Option<Vetoed>> },
-    Settle { reply: oneshot::Sender<(usize, u64)> },
+    Settle { reply: oneshot::Sender<Settled> },
     Stop { stopped: oneshot::Sender<()> },
 }
 
@@ -46,6 +46,17 @@ pub(crate) enum Command {
 pub struct Vetoed {
     /// The loop, with its new state.
     pub changed: Loop,
+    /// Keyframes that moved.
+    pub num_moved: usize,
+    /// Version of the map with it.
+    pub map_version: u64,
+    /// Durable once [`Session::durable`] has reached it.
+    pub ticket: Ticket,
+}
+
+/// What the corrections did that waited for more.
+#[derive(Debug, Clone, Copy)]
+pub struct Settled {
     /// Keyframes that moved.
     pub num_moved: usize,
     /// Version of the map with it.
@@ -278,11 +289,11 @@ impl Session {
         done.await.map_err(|_| stopped())
     }
 
-    /// Makes the small corrections that wait for more: how many keyframes moved, and the map's version then.
+    /// Makes the small corrections that wait for more.
     ///
     /// # Errors
     /// `SESSION_STOPPED`.
-    pub async fn settle(&self) -> Result<(usize, u64)> {
+    pub async fn settle(&self) -> Result<Settled> {
         let (reply, done) = oneshot::channel();
         self.queue.send(Command::Settle { reply }).await.map_err(|_| stopped())?;
         done.await.map_err(|_| stopped())
