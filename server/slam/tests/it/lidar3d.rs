@@ -1,7 +1,9 @@
 use crate::room::{Noise, Room, drive, velocity};
 use percept_geometry::SensorData;
 use percept_geometry::{Covariance6, Pose, Timestamp, se3};
-use percept_sim::{HandheldParams, Lidar3dParams, RobotParams, ScanPattern, SensorSuite, SimParams, Simulation};
+use percept_sim::{
+    Disturbances, HandheldParams, Kidnap, Lidar3dParams, RobotParams, ScanPattern, SensorSuite, SimParams, Simulation,
+};
 use percept_slam::{
     CloudScan, LostReason, MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scan, TrackingState,
 };
@@ -81,6 +83,17 @@ fn a_rosette_swung_by_hand_is_followed() {
     assert!(worst < 0.15, "{worst}");
 }
 
+/// The same walls with other furniture.
+fn refurnished() -> Room {
+    let mut room = Room::furnished();
+    room.boxes.iter_mut().for_each(|b| {
+        let (min, max) = *b;
+        *b = (-max, -min);
+        (b.0.z, b.1.z) = (min.z, max.z);
+    });
+    room
+}
+
 /// What is said of the first scan after 4 s without any, seen in another room or the same one, half a metre ahead.
 fn after_a_gap(other: Option<Room>) -> TrackingState {
     let (room, mut noise) = (Room::furnished(), Noise(5));
@@ -97,18 +110,45 @@ fn after_a_gap(other: Option<Room>) -> TrackingState {
 #[test]
 fn a_lidar_that_was_blind_goes_on_in_the_same_room_and_is_lost_in_another_one() {
     assert_eq!(after_a_gap(None), TrackingState::Tracking);
-    // The same walls with other furniture, and the same furniture in a larger room.
-    let mut refurnished = Room::furnished();
-    refurnished.boxes.iter_mut().for_each(|b| {
-        let (min, max) = *b;
-        *b = (-max, -min);
-        (b.0.z, b.1.z) = (min.z, max.z);
-    });
     let mut larger = Room::furnished();
     larger.walls.1.x += 1.5;
-    for other in [refurnished, larger] {
+    for other in [refurnished(), larger] {
         assert_eq!(after_a_gap(Some(other)), TrackingState::Lost { reason: LostReason::TimeGap });
     }
+}
+
+#[test]
+fn a_lidar_put_down_elsewhere_begins_a_map_that_is_not_bent_by_what_it_tried_before() {
+    let lidar = Lidar3dParams { columns: 900, ..Lidar3dParams::default() };
+    let kidnaps = vec![Kidnap { at_s: 3.0, carried_s: 4.0, ahead_s: 12.0 }];
+    let simulation = Simulation::new(SimParams {
+        sensors: SensorSuite { lidar3d: Some(lidar), ..SensorSuite::none() },
+        disturbances: Disturbances { kidnaps, ..Disturbances::default() },
+        ..SimParams::default()
+    });
+    let simulation = simulation.unwrap();
+    let t_base_sensor = simulation.sensors()[0].t_base_sensor;
+    let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());
+    let (mut last, mut began): (Option<Pose>, Option<(Pose, Pose)>) = (None, None);
+    let mut worst: f64 = 0.0;
+    for frame in simulation.frames().take(70) {
+        let SensorData::Cloud(cloud) = frame.frame.data else { continue };
+        let scan = Scan::Cloud(CloudScan { cloud: Arc::new(cloud), t_base_sensor });
+        let truth = frame.t_world_base;
+        // Wheels measure everything but that the robot is carried.
+        let step = last.map(|before| before.inv_mul(&truth)).filter(|s| s.translation.vector.norm() < 0.5);
+        let covariance = Covariance6::identity() * 1e-4;
+        let prior = last.map(|_| MotionPrior { t_prev_now: step.unwrap_or_else(Pose::identity), covariance });
+        let e = odometry.register(frame.frame.stamp, &scan, prior.as_ref());
+        if last.is_some() && e.state == TrackingState::Initialising {
+            began = Some((truth, e.t_odom_base));
+        }
+        last = Some(truth);
+        let Some((truth_then, t_odom_then)) = began.filter(|_| e.state.is_tracking()) else { continue };
+        let off = truth_then.inv_mul(&truth).inv_mul(&t_odom_then.inv_mul(&e.t_odom_base));
+        worst = worst.max(off.translation.vector.norm() + off.rotation.angle());
+    }
+    assert!(began.is_some() && worst < 0.04, "{worst}");
 }
 
 #[test]

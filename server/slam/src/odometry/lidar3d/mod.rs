@@ -354,6 +354,8 @@ impl LocalModel for Lidar3d {
         if let Some(size) = self.map.as_ref().map(Levels::size) {
             self.start_maps(size);
         }
+        // What was found in the old map was not believed: the sweep that starts the new one moved as it was expected to.
+        (self.velocity, self.elapsed) = (self.expected_velocity, 0.0);
         self.deviation2 = None;
         self.last_trim = None;
         self.kept.clear();
