@@ -34,15 +34,27 @@ impl Pipeline {
         }
     }
 
-    /// Hands a keyframe that is in the map to the back end, and does what follows.
-    pub(super) fn close_loops(&mut self, keyframe: &mut NewKeyframe, recognise: bool, report: &mut FrameReport) {
-        if let Some(update) = self.tell_back_end(keyframe, recognise) {
+    /// Hands a keyframe that is in the map to the back end, and does what follows. `tied` is how it is known to lie to
+    /// another one.
+    pub(super) fn close_loops(
+        &mut self,
+        keyframe: &mut NewKeyframe,
+        recognise: bool,
+        tied: Option<LoopClosure>,
+        report: &mut FrameReport,
+    ) {
+        if let Some(update) = self.tell_back_end(keyframe, recognise, tied) {
             self.follow(update, &mut report.map);
         }
     }
 
     /// Hands a keyframe that is in the map to the back end; what follows from that.
-    fn tell_back_end(&mut self, keyframe: &mut NewKeyframe, recognise: bool) -> Option<BackEndUpdate> {
+    fn tell_back_end(
+        &mut self,
+        keyframe: &mut NewKeyframe,
+        recognise: bool,
+        tied: Option<LoopClosure>,
+    ) -> Option<BackEndUpdate> {
         let t_map_base = self.t_decided_odom() * keyframe.t_odom_base;
         let back_end = self.back_end.as_mut()?;
         keyframe.after_gap = std::mem::take(&mut self.after_gap);
@@ -53,6 +65,7 @@ impl Pipeline {
             scan: &keyframe.scan,
             recognise,
             after_gap: keyframe.after_gap,
+            tied,
         };
         Some(back_end.insert(&node, &t_map_base))
     }
@@ -101,6 +114,7 @@ impl Pipeline {
                 scan,
                 recognise: scan.sensor == *pose_sensor,
                 after_gap: k.after_gap,
+                tied: None,
             };
             Some((node, k.t_map_base))
         });
@@ -163,13 +177,9 @@ impl Pipeline {
         for (k, f) in floating.into_iter().enumerate() {
             let t_now_then = estimate.t_odom_base.inv_mul(&f.t_odom_base);
             let mut keyframe = self.enter(f.stamp, &f.sensor, f.t_odom_base, f.scan);
-            self.close_loops(&mut keyframe, true, report);
             // The first is tied at once, so that the others are not looked for everywhere; the last, as it was found.
-            if k == 0 || k == last {
-                let closure = self.tie(found, keyframe.info.id, &t_now_then);
-                let update = self.back_end.as_mut().map(|b| b.propose(vec![closure]));
-                self.follow(update.unwrap_or_default(), &mut report.map);
-            }
+            let tied = (k == 0 || k == last).then(|| self.tie(found, keyframe.info.id, &t_now_then));
+            self.close_loops(&mut keyframe, true, tied, report);
             self.policy(&keyframe.info.sensor).resume(&f.t_odom_base);
             report.joined.push(keyframe);
         }

@@ -72,7 +72,7 @@ impl Pipeline {
         if tracked && self.policy(&spec.id).consider(&t_odom_base) {
             let kept = self.kept_of(spec, stamp, scan, true);
             let mut keyframe = self.add_keyframe(spec, kept, t_odom_base);
-            self.close_loops(&mut keyframe, true, &mut report);
+            self.close_loops(&mut keyframe, true, None, &mut report);
             report.changes = self.observe(&keyframe);
             report.keyframe = Some(keyframe);
         }

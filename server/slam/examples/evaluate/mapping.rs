@@ -54,6 +54,7 @@ impl Mapping {
             scan: &kept,
             recognise: true,
             after_gap: false,
+            tied: None,
         };
         let start = Instant::now();
         self.back_end.insert(&keyframe, &t_map_base);

@@ -4,11 +4,14 @@
 use super::consensus::{AGREE, Tie, agreeing, chi2, within_drift};
 use super::{BackEnd, Loop, LoopId, LoopState};
 use crate::loops::LoopClosure;
+use percept_geometry::Covariance6;
 
 /// Keyframes after which a loop that nothing confirmed is given up.
 const PATIENCE: u32 = 60;
 /// Standard deviations of drift that a loop may ask for; more takes twice as many that agree.
 const LIKELY_DRIFT: f64 = 4.0;
+/// The newest pose is known badly if its variance is so many times that of the last solution and of a loop together.
+const GROWN: f64 = 4.0;
 /// Squared standard deviations of misfit from which a loop that was believed is so no longer: its weight is next to nothing.
 const CONTRADICTS: f64 = 10.0 * AGREE;
 
@@ -45,7 +48,7 @@ impl BackEnd {
             let off = chi2(tie.closure, &self.poses[from as usize], &self.poses[to as usize]);
             if off < AGREE {
                 self.loops[k].state = LoopState::Active;
-                urgent |= off > 6.0;
+                urgent |= off > 6.0 || self.is_news(k);
                 changed.push(k);
             } else if to + PATIENCE < now {
                 self.loops[k].state = LoopState::Rejected;
@@ -60,6 +63,17 @@ impl BackEnd {
         self.try_group(&far, changed) || urgent
     }
 
+    /// Whether a loop at the newest keyframe tells where the robot is that has long been unsure of it.
+    fn is_news(&self, k: usize) -> bool {
+        let closure = &self.loops[k].closure;
+        let variance = |c: &Covariance6, from: usize| (from..from + 3).map(|i| c[(i, i)]).sum::<f64>();
+        let has_grown = |from: usize| {
+            let known = variance(&closure.covariance, from) + variance(&self.drift_solved, from);
+            variance(&self.drift, from) > GROWN * known
+        };
+        self.chain.nodes().last().is_some_and(|n| n.id == closure.to) && (has_grown(0) || has_grown(3))
+    }
+
     /// Believes the largest group of far loops that agree, if they are enough and the map still holds with them.
     fn try_group(&mut self, far: &[usize], changed: &mut Vec<usize>) -> bool {
         let ties: Vec<Tie<'_>> = far.iter().filter_map(|&k| self.tie(k)).collect();
@@ -70,7 +84,7 @@ impl BackEnd {
             return false;
         }
         let group: Vec<usize> = group.iter().map(|&g| far[g]).collect();
-        let (poses, drift, misfits) = (self.poses.clone(), self.drift, self.misfits());
+        let (poses, drift, misfits) = (self.poses.clone(), (self.drift, self.drift_solved), self.misfits());
         group.iter().for_each(|&k| self.loops[k].state = LoopState::Active);
         self.solve();
         // What was believed before has to say so itself: none of it is doubted until the group is believed.
@@ -81,7 +95,7 @@ impl BackEnd {
         } else {
             group.iter().for_each(|&k| self.loops[k].state = LoopState::Rejected);
             self.place(poses);
-            self.drift = drift;
+            (self.drift, self.drift_solved) = drift;
         }
         holds
     }

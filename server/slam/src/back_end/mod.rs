@@ -15,7 +15,7 @@ mod types;
 #[cfg(test)]
 mod tests;
 
-use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::loops::{KeyframePoses, PlaceRecognition, Relocalisation};
 use chain::{Chain, step_covariance};
 use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, se3};
 use std::collections::BTreeMap;
@@ -51,8 +51,9 @@ pub struct BackEnd {
     /// What vetoed loops were.
     before_veto: BTreeMap<LoopId, LoopState>,
     last: Option<(Pose, Covariance6)>,
-    /// Of the newest keyframe's pose in the map.
+    /// Of the newest keyframe's pose in the map, and what it was when the graph was last solved.
     drift: Covariance6,
+    drift_solved: Covariance6,
     since_optimised: usize,
     since_given: usize,
     /// Keyframes from which on old ones are merged into newer ones.
@@ -83,6 +84,7 @@ impl BackEnd {
             before_veto: BTreeMap::new(),
             last: None,
             drift: Covariance6::zeros(),
+            drift_solved: Covariance6::zeros(),
             since_optimised: 0,
             since_given: 0,
             thin_at: thinning::FEWEST,
@@ -92,11 +94,16 @@ impl BackEnd {
     /// Takes a keyframe in. `t_map_base` is where the map has put it: the first one stays there.
     pub fn insert(&mut self, keyframe: &BackEndKeyframe<'_>, t_map_base: &Pose) -> BackEndUpdate {
         self.extend(keyframe, t_map_base);
+        let mut changed = self.add_loops(keyframe.tied.iter().cloned().collect());
+        // Place recognition is to know where it has to look.
+        if !changed.is_empty() && self.judge(&mut changed) {
+            self.optimise(&mut changed);
+        }
         let found = match keyframe.recognise {
             true => self.recognition.insert(keyframe.id, keyframe.scan, &self.drift, &self.by_id),
             false => vec![],
         };
-        let mut changed = self.add_loops(found);
+        changed.extend(self.add_loops(found));
         let urgent = self.judge(&mut changed);
         self.since_optimised += 1;
         self.since_given += 1;
@@ -107,17 +114,6 @@ impl BackEnd {
         let loops = self.loops_at(changed);
         let update = BackEndUpdate { loops, correction: self.due(), ..BackEndUpdate::default() };
         if self.chain.len() < self.thin_at { update } else { self.thin(update) }
-    }
-
-    /// Takes loops of a caller's own in, as if place recognition had found them at the newest keyframe. Loops that name
-    /// keyframes which are not there are ignored.
-    pub fn propose(&mut self, closures: Vec<LoopClosure>) -> BackEndUpdate {
-        let mut changed = self.add_loops(closures);
-        if self.judge(&mut changed) {
-            self.optimise(&mut changed);
-        }
-        let loops = self.loops_at(changed);
-        BackEndUpdate { loops, correction: self.due(), ..BackEndUpdate::default() }
     }
 
     /// Takes a loop out of the map, or undoes that: it is then what it was before. After a restart of the session that is
@@ -209,6 +205,7 @@ impl BackEnd {
         // What loops left of the drift; the map stays as it was stored.
         if let Some(solved) = solve::solve(&self.chain, &self.active_ties(), &self.poses) {
             self.drift = solved.covariance_of_newest;
+            self.drift_solved = self.drift;
         }
     }
 
@@ -287,6 +284,7 @@ impl BackEnd {
         // A graph that cannot be solved leaves the poses as they are.
         if let Some(solved) = solve::solve(&self.chain, &ties, &self.poses) {
             self.drift = solved.covariance_of_newest;
+            self.drift_solved = self.drift;
             self.place(solved.poses);
         }
     }

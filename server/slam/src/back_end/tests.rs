@@ -1,6 +1,7 @@
 //! A drive on a circle with made loops, true and false.
 
 use super::*;
+use crate::loops::LoopClosure;
 use percept_geometry::{PointCloud, SensorId, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -94,7 +95,8 @@ fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceR
         }
         let covariance = Covariance6::identity() * 1e-6 * k as f64;
         let id = KeyframeId(k as u64);
-        let keyframe = BackEndKeyframe { id, t_odom_base, covariance, scan: &scan, recognise: true, after_gap: false };
+        let keyframe =
+            BackEndKeyframe { id, t_odom_base, covariance, scan: &scan, recognise: true, after_gap: false, tied: None };
         map.push(t_map_odom * t_odom_base);
         let update = back_end.insert(&keyframe, &map[k]);
         for (id, t_map_base) in update.correction.into_iter().flat_map(|c| c.t_map_base) {
@@ -309,6 +311,7 @@ fn a_gap_stays_one_after_a_restart() {
         scan: &scan,
         recognise: true,
         after_gap: k == gap,
+        tied: None,
     };
     let loops = (gap..truth.len()).step_by(4).enumerate().map(|(i, k)| Loop {
         id: LoopId(i as u64),
@@ -325,6 +328,8 @@ fn a_gap_stays_one_after_a_restart() {
     assert!(off.fold(0.0, f64::max) < 0.1);
     // Undone, it is what it was; and a number is not given twice.
     assert_eq!(back_end.veto(LoopId(3), false).unwrap().loops[0].state, LoopState::Active);
-    let again = back_end.propose(vec![measured(0, 50, truth[0].inverse() * truth[50])]);
+    let (last, new) = (truth.len() - 1, truth.len() as u64);
+    let tied = Some(measured(50, new, truth[50].inverse() * truth[last]));
+    let again = back_end.insert(&BackEndKeyframe { id: KeyframeId(new), tied, ..node(last) }, &truth[last]);
     assert_eq!(again.loops[0].id, LoopId(next + 5));
 }

@@ -79,6 +79,8 @@ pub struct BackEndKeyframe<'a> {
     pub recognise: bool,
     /// Whether nothing measured ties it to the keyframe before: the robot was lost in between.
     pub after_gap: bool,
+    /// How the caller has found it to lie to an earlier one: as surely a loop as those that place recognition finds.
+    pub tied: Option<LoopClosure>,
 }
 
 /// What a keyframe, or a veto, changed.
