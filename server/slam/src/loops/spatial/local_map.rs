@@ -18,18 +18,19 @@ const FEATURES: usize = 300;
 /// Fewer points make no place.
 const FEWEST_POINTS: usize = 300;
 
-/// A part of the way as one thing.
+/// A keyframe with base to map.
+pub(super) type Placed<'a> = (KeyframeId, &'a KeyframeScan, Pose);
+
+/// A part of the way as one thing: it holds no points, as the keyframes do.
 #[derive(Debug, Clone)]
 pub(super) struct LocalMap {
     /// Ascending in the order of making.
     pub(super) number: u64,
     /// The keyframe in the middle, to which loops are tied.
     pub(super) anchor: KeyframeId,
-    /// Base at the anchor in the map's own frame: that has the session map's axes, and its origin at the anchor.
-    pub(super) t_local_anchor: Pose,
-    /// One point a half voxel, in the map's own frame, metres.
-    pub(super) cloud: PointCloud,
-    /// Voxels of its registration, and pixels of its picture, metres.
+    /// All of them, oldest first.
+    pub(super) keyframes: Vec<KeyframeId>,
+    /// Pixels of its picture, metres.
     pub(super) voxel_m: f64,
     /// Of the picture from above.
     pub(super) features: Features,
@@ -39,40 +40,41 @@ pub(super) struct LocalMap {
 }
 
 impl LocalMap {
-    /// Of keyframes with their base to map; none where they saw too little.
-    pub(super) fn gather(
-        number: u64,
-        keyframes: &[(KeyframeId, &KeyframeScan, Pose)],
-        travel: f64,
-        stretch: f64,
-    ) -> Option<Self> {
+    /// Of keyframes; none where they saw too little.
+    pub(super) fn gather(number: u64, keyframes: &[Placed<'_>], travel: f64, stretch: f64) -> Option<Self> {
         let (anchor, _, t_map_anchor) = keyframes.get(keyframes.len() / 2)?;
-        let usual = keyframes.iter().map(|(_, scan, _)| range(scan)).fold(0.0, f64::max);
-        let voxel_m = voxel_for(usual);
-        let t_local_map = Translation3::from(-t_map_anchor.translation.vector);
+        let Surface { cloud, voxel_m, usual_range } = Surface::around(t_map_anchor, keyframes)?;
+        let width = ((2.0 * REACH * usual_range / voxel_m).ceil() as usize).clamp(64, MOST_PIXELS);
+        let orb = Orb::new(OrbParams { max_features: FEATURES, num_levels: 1, ..OrbParams::default() }).ok()?;
+        let features = orb.extract(&from_above(&cloud.positions, voxel_m, width)?).ok()?;
+        let keyframes = keyframes.iter().map(|k| k.0).collect();
+        Some(Self { number, anchor: *anchor, keyframes, voxel_m, features, travel, stretch })
+    }
+}
+
+/// What some keyframes saw.
+#[derive(Debug)]
+pub(super) struct Surface {
+    /// One point a half voxel, metres: the axes are the session map's, the origin is at a pose in it.
+    pub(super) cloud: PointCloud,
+    pub(super) voxel_m: f64,
+    /// How far the lidar sees, metres.
+    usual_range: f64,
+}
+
+impl Surface {
+    /// Around a pose in the map; none where they saw too little.
+    pub(super) fn around(t_map_here: &Pose, keyframes: &[Placed<'_>]) -> Option<Self> {
+        let usual_range = keyframes.iter().map(|(_, scan, _)| range(scan)).fold(0.0, f64::max);
+        let voxel_m = voxel_for(usual_range);
+        let t_local_map = Translation3::from(-t_map_here.translation.vector);
         let points = keyframes.iter().flat_map(|(_, scan, t_map_base)| {
             let t_local_base = t_local_map * t_map_base;
             scan.hits.positions.iter().map(move |p| (t_local_base * p.cast::<f64>()).cast::<f32>())
         });
         let all = PointCloud::from_positions(points.collect());
         let cloud = voxel_downsample(&all, 0.5 * voxel_m).ok()?;
-        if cloud.len() < FEWEST_POINTS {
-            return None;
-        }
-        let reach = REACH * usual;
-        let width = ((2.0 * reach / voxel_m).ceil() as usize).clamp(64, MOST_PIXELS);
-        let orb = Orb::new(OrbParams { max_features: FEATURES, num_levels: 1, ..OrbParams::default() }).ok()?;
-        let features = orb.extract(&from_above(&cloud.positions, voxel_m, width)?).ok()?;
-        Some(Self {
-            number,
-            anchor: *anchor,
-            t_local_anchor: t_local_map * t_map_anchor,
-            cloud,
-            voxel_m,
-            features,
-            travel,
-            stretch,
-        })
+        (cloud.len() >= FEWEST_POINTS).then_some(Self { cloud, voxel_m, usual_range })
     }
 }
 

@@ -54,17 +54,25 @@ impl SpatialRecognition {
         t_map_base: &Pose,
         poses: &KeyframePoses,
     ) -> Option<LoopClosure> {
-        let (to, at) = (self.kept.get(&id)?, self.kept.get(&earlier)?.travel);
-        let stretch = self.stretch();
-        let visit: BTreeMap<KeyframeId, Pose> = self
-            .kept
-            .iter()
-            .filter(|(_, k)| (k.travel - at).abs() < stretch && to.travel - k.travel > 0.5 * APART * stretch)
-            .filter_map(|(id, _)| Some((*id, *poses.get(id)?)))
-            .collect();
+        let to = self.kept.get(&id)?;
+        let visit = self.visit(earlier, id, poses)?;
         let place = Neighbourhood::new(&self.kept, &visit, &[*t_map_base]);
         let found = place.measure(&to.scan, t_map_base, &STRICTNESS).ok()?;
         let (from, t_from_to) = place.seen_from(&found.t_odom_base)?;
         Some(LoopClosure { from, to: id, t_from_to, covariance: found.covariance, inlier_ratio: found.inlier_ratio })
+    }
+
+    /// Keyframes around an earlier one in time, without those that odometry ties a later one to; base to map.
+    pub(super) fn visit(
+        &self,
+        earlier: KeyframeId,
+        later: KeyframeId,
+        poses: &KeyframePoses,
+    ) -> Option<BTreeMap<KeyframeId, Pose>> {
+        let (at, end) = (self.kept.get(&earlier)?.travel, self.kept.get(&later)?.travel);
+        let stretch = self.stretch();
+        let around =
+            self.kept.iter().filter(|(_, k)| (k.travel - at).abs() < stretch && end - k.travel > 0.5 * APART * stretch);
+        Some(around.filter_map(|(id, _)| Some((*id, *poses.get(id)?))).collect())
     }
 }

@@ -3,6 +3,7 @@
 use super::local_map::LocalMap;
 use nalgebra::{Point2, Vector2};
 use percept_perception::features2d::{MatchParams, match_features};
+use std::f64::consts::PI;
 
 /// Most differing bits of 256.
 const MOST_BITS: f64 = 64.0;
@@ -15,21 +16,22 @@ const SPREAD_PX: f64 = 12.0;
 pub(super) const FEWEST: usize = 5;
 
 /// Numbers of the maps that look most like `map`, at most `count`, the likest first; with at least so many keypoints in
-/// agreement.
+/// agreement. Each other one comes with the most that the pictures may be turned to each other, radians.
 pub(super) fn most_alike<'a>(
     map: &LocalMap,
-    others: impl Iterator<Item = &'a LocalMap>,
+    others: impl Iterator<Item = (f64, &'a LocalMap)>,
     count: usize,
     least: usize,
 ) -> Vec<u64> {
-    let mut scored: Vec<(usize, u64)> = others.map(|o| (agreeing(map, o), o.number)).filter(|s| s.0 >= least).collect();
+    let scored = others.map(|(most_turn, o)| (agreeing(map, o, most_turn), o.number));
+    let mut scored: Vec<(usize, u64)> = scored.filter(|s| s.0 >= least).collect();
     scored.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
     scored.truncate(count);
     scored.into_iter().map(|s| s.1).collect()
 }
 
 /// How many keypoints of two pictures one turn and shift brings together.
-pub(super) fn agreeing(a: &LocalMap, b: &LocalMap) -> usize {
+fn agreeing(a: &LocalMap, b: &LocalMap, most_turn: f64) -> usize {
     if a.voxel_m != b.voxel_m {
         return 0;
     }
@@ -40,12 +42,13 @@ pub(super) fn agreeing(a: &LocalMap, b: &LocalMap) -> usize {
         Point2::new(f64::from(k.u), f64::from(k.v))
     };
     let pairs: Vec<_> = matches.iter().map(|m| (place(a, m.query_index), place(b, m.train_index))).collect();
-    best_agreement(&pairs)
+    best_agreement(&pairs, most_turn)
 }
 
 /// RANSAC over pairs of matches: the most that one rigid motion of the plane brings together.
-fn best_agreement(pairs: &[(Point2<f64>, Point2<f64>)]) -> usize {
+fn best_agreement(pairs: &[(Point2<f64>, Point2<f64>)], most_turn: f64) -> usize {
     let n = pairs.len();
+    let least_cos = most_turn.min(PI).cos();
     if n < FEWEST {
         return 0;
     }
@@ -59,6 +62,9 @@ fn best_agreement(pairs: &[(Point2<f64>, Point2<f64>)]) -> usize {
         }
         // Turn of the plane as a unit complex number: e / d.
         let turn = Vector2::new(d.dot(&e), d.perp(&e)) / (d.norm() * e.norm());
+        if turn.x < least_cos {
+            continue;
+        }
         let moved = |p: &Point2<f64>| {
             let v = p - pairs[i].0;
             pairs[i].1 + Vector2::new(turn.x * v.x - turn.y * v.y, turn.y * v.x + turn.x * v.y)
@@ -80,8 +86,9 @@ mod tests {
         let turned = |p: Point2<f64>| Point2::new(cos * p.x - sin * p.y + 40.0, sin * p.x + cos * p.y - 9.0);
         let pairs: Vec<_> =
             (0..60).map(|i| (pattern(i), if i % 3 == 0 { turned(pattern(i)) } else { pattern(i * 13 + 5) })).collect();
-        assert!((20..24).contains(&best_agreement(&pairs)), "{}", best_agreement(&pairs));
+        assert!((20..24).contains(&best_agreement(&pairs, PI)), "{}", best_agreement(&pairs, PI));
+        assert!((20..24).contains(&best_agreement(&pairs, 0.8)) && best_agreement(&pairs, 0.5) < 8);
         let chance: Vec<_> = (0..40).map(|i| (pattern(i), pattern(i * 13 + 5))).collect();
-        assert!(best_agreement(&chance) < 8);
+        assert!(best_agreement(&chance, PI) < 8);
     }
 }

@@ -1,7 +1,7 @@
 //! What stands upright, seen from above: the part of a scan that looks the same wherever it was taken from.
 
 use super::local_map::{range, voxel_for};
-use nalgebra::{Point2, UnitQuaternion, Vector3};
+use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
 use percept_geometry::{KeyframeScan, Pose, se3};
 use rustc_hash::FxHashMap;
 
@@ -17,17 +17,28 @@ pub(super) fn leveling(t_map_base: &Pose) -> UnitQuaternion<f64> {
 pub(super) fn of(scan: &KeyframeScan, r_level_base: &UnitQuaternion<f64>) -> Vec<Point2<f32>> {
     let voxel_m = voxel_for(range(scan));
     let turn = r_level_base.to_rotation_matrix();
-    // The heights that are filled, a bit each, of 64: columns are not higher, or start again from the bottom.
-    let mut columns: FxHashMap<(i32, i32), u64> = FxHashMap::default();
+    let mut columns: FxHashMap<(i32, i32), Column> = FxHashMap::default();
     for p in &scan.hits.positions {
-        let [x, y, z] = (turn * p.cast::<f64>() / voxel_m).coords.map(|v| v.floor() as i32).into();
-        *columns.entry((x, y)).or_default() |= 1 << (z.rem_euclid(64));
+        let p = turn * p.cast::<f64>();
+        let [x, y, z] = (p / voxel_m).coords.map(|v| v.floor() as i32).into();
+        let column = columns.entry((x, y)).or_default();
+        column.heights |= 1 << (z.rem_euclid(64));
+        column.sum += p.coords.xy();
+        column.count += 1.0;
     }
-    let mut tall: Vec<(i32, i32)> =
-        columns.into_iter().filter(|(_, heights)| heights.count_ones() >= TALL).map(|(at, _)| at).collect();
-    tall.sort_unstable();
-    let center = |cell: i32| ((f64::from(cell) + 0.5) * voxel_m) as f32;
-    tall.into_iter().map(|(x, y)| Point2::new(center(x), center(y))).collect()
+    let mut tall: Vec<((i32, i32), Column)> =
+        columns.into_iter().filter(|(_, c)| c.heights.count_ones() >= TALL).collect();
+    tall.sort_unstable_by_key(|(at, _)| *at);
+    tall.into_iter().map(|(_, c)| Point2::from(c.sum / c.count).cast()).collect()
+}
+
+/// What was seen above one place.
+#[derive(Debug, Clone, Copy, Default)]
+struct Column {
+    /// The heights that are filled, a bit each, of 64: columns are not higher, or start again from the bottom.
+    heights: u64,
+    sum: Vector2<f64>,
+    count: f64,
 }
 
 #[cfg(test)]

@@ -1,16 +1,16 @@
-//! A robot that may be anywhere: what it has seen since it was lost is searched for in all of the map.
+//! What was seen along some metres of the way, searched for with no guess in the map or a part of it.
 //!
-//! Rooms resemble each other, and one view of them all the more. So what stands upright along some metres of the way is
-//! laid over that of all the map, seen from above ([`crate::loops::planar::pyramid`]); every place in which it fits nearly
-//! as well as in the best one is looked at in space; what was seen on the way has to agree with each place, view by view,
-//! and only if it does in the best one and in no other is that claimed.
+//! Rooms resemble each other, and one view of them all the more. So what stands upright along the way is laid over what
+//! does in the map, seen from above ([`crate::loops::planar::pyramid`]); every place in which it fits nearly as well as in
+//! the best one is looked at in space; what was seen on the way has to agree with each place, view by view, and only if it
+//! does in the best one and in no other is that claimed.
 
 use super::local_map::{range, voxel_for};
 use super::neighbourhood::{Neighbourhood, Refused, Strictness};
 use super::{Kept, walls};
+use crate::loops::Relocalisation;
 use crate::loops::planar::optima;
-use crate::loops::planar::pyramid::{Fit, Pyramid};
-use crate::loops::{KeyframePoses, Relocalisation};
+use crate::loops::planar::pyramid::{Fit, Pyramid, Region};
 use nalgebra::{Isometry2, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, se3};
 use rustc_hash::FxHashSet;
@@ -36,43 +36,55 @@ const CELL: f64 = 0.1;
 const NEWEST: Strictness = Strictness { min_inlier_ratio: 0.75, max_contradicted: 0.04 };
 const WITNESS: Strictness = Strictness { min_inlier_ratio: 0.65, max_contradicted: 0.06 };
 
-/// What a lost robot has seen: views from the way, oldest first, with base then seen from base now.
-pub(super) struct Lost<'a> {
+/// Views of a stretch of the way.
+pub(super) struct Stretch<'a> {
+    /// Oldest first, with base then seen from base now.
     before: &'a [(Pose, &'a KeyframeScan)],
     scan: &'a KeyframeScan,
+    /// What turns base now level, its x axis kept; if that is not known, it is as level as the keyframe nearest to it.
+    r_level_base: Option<UnitQuaternion<f64>>,
     usual_range: f64,
 }
 
-impl<'a> Lost<'a> {
-    pub(super) fn new(before: &'a [(Pose, &'a KeyframeScan)], scan: &'a KeyframeScan) -> Self {
+impl<'a> Stretch<'a> {
+    pub(super) fn new(
+        before: &'a [(Pose, &'a KeyframeScan)],
+        scan: &'a KeyframeScan,
+        r_level_base: Option<UnitQuaternion<f64>>,
+    ) -> Self {
         let usual_range = before.iter().map(|(_, s)| range(s)).fold(range(scan), f64::max);
-        Self { before, scan, usual_range }
+        Self { before, scan, r_level_base, usual_range }
     }
 
-    /// The way since the robot was lost, metres.
-    fn way_m(&self) -> f64 {
+    /// Whether a lost robot has come far enough to be found: less resembles too many places.
+    pub(super) fn is_long(&self) -> bool {
         let here = Pose::identity();
         let stations: Vec<&Pose> = self.before.iter().map(|(t, _)| t).chain([&here]).collect();
-        stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum()
+        let way: f64 = stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum();
+        way >= (FOUND_AFTER * self.usual_range).clamp(FOUND_AFTER_M.0, FOUND_AFTER_M.1)
     }
 
-    /// The only place among the keyframes where all of it fits.
-    pub(super) fn find(&self, kept: &BTreeMap<KeyframeId, Kept>, poses: &KeyframePoses) -> Option<Relocalisation> {
-        if self.way_m() < (FOUND_AFTER * self.usual_range).clamp(FOUND_AFTER_M.0, FOUND_AFTER_M.1) {
-            return None;
-        }
-        let known: BTreeMap<KeyframeId, Pose> =
-            poses.iter().filter(|(id, _)| kept.contains_key(id)).map(|(id, t)| (*id, *t)).collect();
+    /// The only place among the known keyframes (base to map) where all of it fits, base now turned from the direction
+    /// `heading.0` by `heading.1` at most, radians.
+    pub(super) fn find(
+        &self,
+        kept: &BTreeMap<KeyframeId, Kept>,
+        known: &BTreeMap<KeyframeId, Pose>,
+        heading: (f64, f64),
+    ) -> Option<Relocalisation> {
         let scale = CELL / voxel_for(self.usual_range);
-        let of_map: Vec<_> =
-            known.iter().flat_map(|(id, t)| above(t, &kept[id].walls).map(|p| p * scale).collect::<Vec<_>>()).collect();
+        let walls = known.iter().filter_map(|(id, t)| Some((t, &kept.get(id)?.walls)));
+        let of_map: Vec<_> = walls.flat_map(|(t, w)| above(t, w).map(|p| p * scale).collect::<Vec<_>>()).collect();
         let query = self.query(scale);
         if query.len() < FEWEST_POINTS {
             return None;
         }
         let pyramid = Pyramid::new(CELL, &of_map)?;
-        let places = optima(&pyramid, &query, &pyramid.everywhere(), MIN_SCORE, MAX_PLACES);
-        let mut verified = places?.into_iter().map(|fit| self.verify(&fit, scale, kept, &known));
+        let everywhere = pyramid.everywhere();
+        let center = Isometry2::new(everywhere.center.translation.vector, heading.0);
+        let region = Region { center, rotation: heading.1, ..everywhere };
+        let places = optima(&pyramid, &query, &region, MIN_SCORE, MAX_PLACES);
+        let mut verified = places?.into_iter().map(|fit| self.verify(&fit, scale, kept, known));
         let best = verified.next().flatten()?;
         verified.all(|other| other.is_none()).then_some(best)
     }
@@ -81,10 +93,12 @@ impl<'a> Lost<'a> {
     fn query(&self, scale: f64) -> Vec<Point2<f64>> {
         let near = self.before.iter().rev().filter(|(t, _)| t.translation.vector.norm() < QUERY * self.usual_range);
         let here = (Pose::identity(), self.scan);
+        let r_level_base = self.r_level_base.unwrap_or_default();
         let mut taken = FxHashSet::default();
         let mut points = vec![];
         for (t, scan) in std::iter::once(&here).chain(near) {
-            for p in above(t, &walls::of(scan, &UnitQuaternion::identity())).map(|p| p * scale) {
+            let t_level_then = r_level_base * t;
+            for p in above(&t_level_then, &walls::of(scan, &walls::leveling(&t_level_then))).map(|p| p * scale) {
                 if taken.insert(((p.x / CELL).floor() as i64, (p.y / CELL).floor() as i64)) {
                     points.push(p);
                 }
@@ -103,12 +117,13 @@ impl<'a> Lost<'a> {
         kept: &BTreeMap<KeyframeId, Kept>,
         poses: &BTreeMap<KeyframeId, Pose>,
     ) -> Option<Relocalisation> {
-        let guess = upright(fit, scale, poses)?;
+        let guess = self.upright(fit, scale, poses)?;
         let witnesses: Vec<&(Pose, &KeyframeScan)> =
             self.before.iter().step_by(self.before.len().div_ceil(WITNESSES).max(1)).collect();
         let places: Vec<Pose> = std::iter::once(guess).chain(witnesses.iter().map(|(t, _)| guess * t)).collect();
         let around = Neighbourhood::new(kept, poses, &places);
-        let found = around.measure(self.scan, &guess, &NEWEST).ok()?;
+        let found = around.measure(self.scan, &guess, &NEWEST);
+        let found = found.ok()?;
         let (mut agree, mut against) = (0, 0);
         for (t_now_then, scan) in witnesses {
             match around.measure(scan, &(found.t_odom_base * t_now_then), &WITNESS) {
@@ -127,19 +142,20 @@ impl<'a> Lost<'a> {
             inlier_ratio: found.inlier_ratio,
         })
     }
+
+    /// The pose in space of a fit: as high as the nearest keyframe.
+    fn upright(&self, fit: &Fit, scale: f64, poses: &BTreeMap<KeyframeId, Pose>) -> Option<Pose> {
+        let at = fit.t.translation.vector / scale;
+        let distance = |t: &Pose| (t.translation.vector.xy() - at).norm();
+        let nearest = poses.values().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), fit.t.rotation.angle());
+        let leveling = self.r_level_base.unwrap_or_else(|| walls::leveling(nearest));
+        Some(Pose::from_parts(Translation3::new(at.x, at.y, nearest.translation.z), turn * leveling))
+    }
 }
 
 /// Walls of a levelled base from above, in the frame of its pose.
 fn above<'a>(t: &Pose, walls: &'a [Point2<f32>]) -> impl Iterator<Item = Point2<f64>> + 'a {
     let t = Isometry2::new(Vector2::new(t.translation.x, t.translation.y), se3::yaw(t));
     walls.iter().map(move |p| t * p.cast::<f64>())
-}
-
-/// The pose in space of a fit: as high and as level as the nearest keyframe.
-fn upright(fit: &Fit, scale: f64, poses: &BTreeMap<KeyframeId, Pose>) -> Option<Pose> {
-    let at = fit.t.translation.vector / scale;
-    let distance = |t: &Pose| (t.translation.vector.xy() - at).norm();
-    let nearest = poses.values().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), fit.t.rotation.angle());
-    Some(Pose::from_parts(Translation3::new(at.x, at.y, nearest.translation.z), turn * walls::leveling(nearest)))
 }
