@@ -196,6 +196,7 @@ fn figures(run: &SlamRun) -> Value {
     let alignment = if run.is_metric { Alignment::Se3 } else { Alignment::Sim3 };
     let of = |pairs: &[PosePair]| absolute_error(pairs, alignment).ok();
     let (last, online) = (of(&pairs), of(&run.online_pairs()));
+    let kept = of(&run.keyframe_pairs());
     let mut ms: Vec<f64> = run.frames.iter().map(|f| f64::from(f.ms)).collect();
     let third = ms.len() / 3;
     let mean = |of: &[f64]| ErrorStatistics::of(of).map(|s| s.mean);
@@ -219,6 +220,9 @@ fn figures(run: &SlamRun) -> Value {
         "ate_online_rmse_m": online.as_ref().map(|a| a.translation_m.rmse),
         "end_drift_percent": percept_evaluation::end_drift_percent(&pairs),
         "keyframes": run.num_keyframes,
+        "keyframes_ate_rmse_m": kept.as_ref().map(|a| a.translation_m.rmse),
+        "keyframes_ate_max_m": kept.as_ref().map(|a| a.translation_m.max),
+        "keyframes_ate_rot_rmse_deg": kept.as_ref().map(|a| a.rotation_deg.rmse),
         "corrections": run.num_corrections,
         "loops_found": run.num_loops[0],
         "loops_believed": run.num_loops[1],

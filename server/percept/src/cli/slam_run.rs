@@ -51,6 +51,8 @@ pub(crate) struct SlamRun {
     pub(crate) states: BTreeMap<String, usize>,
     /// Base to map by stamp, with all corrections, of frames that were tracked.
     corrected: HashMap<Timestamp, Pose>,
+    /// The same of the keyframes that hold the map, those of a stretch in which the robot was lost included.
+    keyframes: HashMap<Timestamp, Pose>,
 }
 
 impl SlamRun {
@@ -60,8 +62,17 @@ impl SlamRun {
 
     /// Truth and estimate, the latter with all corrections, of tracked frames.
     pub(crate) fn final_pairs(&self) -> Vec<PosePair> {
+        self.paired(&self.corrected)
+    }
+
+    /// The same of the keyframes that hold the map: what was seen while lost may have joined it since.
+    pub(crate) fn keyframe_pairs(&self) -> Vec<PosePair> {
+        self.paired(&self.keyframes)
+    }
+
+    fn paired(&self, estimates: &HashMap<Timestamp, Pose>) -> Vec<PosePair> {
         let pair = |f: &FrameRecord| {
-            let estimate = *self.corrected.get(&f.stamp)?;
+            let estimate = *estimates.get(&f.stamp)?;
             Some(PosePair { stamp: f.stamp, reference: f.truth, estimate })
         };
         self.frames.iter().filter_map(pair).collect()
@@ -123,6 +134,7 @@ pub(crate) fn run_session(
         is_metric: true,
         states: BTreeMap::new(),
         corrected: HashMap::new(),
+        keyframes: HashMap::new(),
     };
     let mut oldest = None;
     let mut believed: BTreeMap<LoopId, Loop> = BTreeMap::new();
@@ -169,6 +181,8 @@ pub(crate) fn run_session(
     if !run.is_metric {
         run.frames.iter_mut().for_each(|f| f.truth *= arm);
     }
+    let kept = snapshot.keyframes.iter().filter(|k| k.merged.is_none() && run.is_metric);
+    run.keyframes = kept.map(|k| (k.stamp, k.t_map_base)).collect();
     let tracked = snapshot.trajectory_in_one_unit().filter(|(_, e)| e.tracked);
     run.corrected = tracked.map(|(pose, e)| (e.stamp, pose)).collect();
     Ok(run)
