@@ -20,7 +20,7 @@ pub use ops::pictures;
 pub use ops::sessions::{NewSession, Page};
 pub use ops::toolbox;
 pub use session::events::{Event, EventKind};
-pub use session::handle::{Pending, Processed, Session, Settled, Ticket, Vetoed};
+pub use session::handle::{Moved, Pending, Processed, Session, Ticket, Vetoed};
 pub use session::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 pub use session::sensor_book::SensorStatus;
 

@@ -2,7 +2,7 @@
 
 use super::pictures;
 use super::sessions::{Page, page_by_number};
-use crate::session::handle::{Settled, Vetoed};
+use crate::session::handle::{Moved, Vetoed};
 use crate::{Error, Result, Service};
 use nalgebra::{Point2, Point3};
 use percept_formats::{FormatError, GridMap, nav2, pcd, ply, trajectory};
@@ -196,7 +196,7 @@ impl Service {
     ///
     /// # Errors
     /// `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
-    pub async fn optimise_map(&self, session: &str) -> Result<Settled> {
+    pub async fn optimise_map(&self, session: &str) -> Result<Moved> {
         let session = self.session(session).await?;
         let done = session.settle().await?;
         session.wait_durable(done.ticket).await?;
@@ -213,7 +213,7 @@ impl Service {
             let message = format!("loop_id {} does not exist in this session; list the loops", id.0);
             Error::not_found("LOOP_NOT_FOUND", "loop_id", message)
         })?;
-        session.wait_durable(done.ticket).await?;
+        session.wait_durable(done.moved.ticket).await?;
         Ok(done)
     }
 

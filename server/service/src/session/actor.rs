@@ -1,12 +1,12 @@
 //! The actor: takes frames from a bounded queue, one at a time, and publishes what they did.
 
 use super::events::EventKind;
-use super::handle::{Command, Processed, Session, Settled, Ticket, Vetoed, lock};
+use super::handle::{Command, Moved, Processed, Session, Vetoed, lock};
 use super::persist::{Job, Persister};
 use super::refusal::{frame_error, stopped};
 use crate::{ComputePool, Result};
 use percept_geometry::SensorFrame;
-use percept_pipeline::{FrameReport, LoopId, MapChange, Pipeline, Snapshot};
+use percept_pipeline::{FrameReport, Loop, LoopId, MapChange, Pipeline, Snapshot};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
@@ -132,23 +132,22 @@ impl Actor {
     }
 
     async fn veto(&mut self, id: LoopId, vetoed: bool) -> Option<Option<Vetoed>> {
-        let change = self.change(move |pipeline| pipeline.veto(id, vetoed)).await?;
-        let Some((change, map_version, ticket)) = change else { return Some(None) };
-        let changed = change.loops.into_iter().find(|l| l.id == id)?;
-        Some(Some(Vetoed { changed, num_moved: change.corrected.len(), map_version, ticket }))
+        let done = self.change(move |pipeline| pipeline.veto(id, vetoed)).await?;
+        let Some((loops, moved)) = done else { return Some(None) };
+        let changed = loops.into_iter().find(|l| l.id == id)?;
+        Some(Some(Vetoed { changed, moved }))
     }
 
-    async fn settle(&mut self) -> Option<Settled> {
-        let (change, map_version, ticket) = self.change(|pipeline| Some(pipeline.settle())).await??;
-        Some(Settled { num_moved: change.corrected.len(), map_version, ticket })
+    async fn settle(&mut self) -> Option<Moved> {
+        Some(self.change(|pipeline| Some(pipeline.settle())).await??.1)
     }
 
-    /// Changes the map other than by a frame: what was changed, the map's version with it, and the ticket from which on it
-    /// is durable. None inside if there is nothing to change, none outside if the pipeline is gone.
+    /// Changes the map other than by a frame: the loops that changed, and how the map moved. None inside if there is nothing
+    /// to change, none outside if the pipeline is gone.
     async fn change(
         &mut self,
         change: impl FnOnce(&mut Pipeline) -> Option<MapChange> + Send + 'static,
-    ) -> Option<Option<(MapChange, u64, Ticket)>> {
+    ) -> Option<Option<(Vec<Loop>, Moved)>> {
         let mut pipeline = self.pipeline.take()?;
         let work = self.compute.run(move || {
             let done = change(&mut pipeline);
@@ -158,16 +157,17 @@ impl Actor {
         let (pipeline, done, snapshot) = work.await.ok()?;
         self.pipeline = Some(pipeline);
         let Some(change) = done else { return Some(None) };
-        let (version, objects) = (snapshot.map_version, (Arc::clone(&snapshot.objects), snapshot.next_object_id));
+        let (map_version, objects) = (snapshot.map_version, (Arc::clone(&snapshot.objects), snapshot.next_object_id));
+        let num_keyframes = change.corrected.len();
         let is_same = change.loops.is_empty() && change.corrected.is_empty() && change.merged.is_empty();
         if is_same {
-            return Some(Some((change, version, self.persister.newest())));
+            return Some(Some((vec![], Moved { num_keyframes, map_version, ticket: self.persister.newest() })));
         }
         let report = FrameReport { map: change, ..FrameReport::default() };
         self.publish(&report, snapshot);
         let MapChange { loops, dissolved, corrected, merged } = report.map.clone();
         let job = Job { loops, dissolved, corrected, merged, objects: Some(objects), ..Job::default() };
         let ticket = self.persister.submit(job).await;
-        Some(Some((report.map, version, ticket)))
+        Some(Some((report.map.loops, Moved { num_keyframes, map_version, ticket })))
     }
 }

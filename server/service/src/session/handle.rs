@@ -37,8 +37,19 @@ pub(crate) enum Command {
     Frame { frame: Box<SensorFrame>, received: Instant, reply: oneshot::Sender<Result<Processed>> },
     Declare(Box<SensorSpec>),
     Veto { id: LoopId, vetoed: bool, reply: oneshot::Sender<Option<Vetoed>> },
-    Settle { reply: oneshot::Sender<Settled> },
+    Settle { reply: oneshot::Sender<Moved> },
     Stop { stopped: oneshot::Sender<()> },
+}
+
+/// How the map moved, other than by a frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Moved {
+    /// Keyframes that moved.
+    pub num_keyframes: usize,
+    /// Version of the map with it.
+    pub map_version: u64,
+    /// Durable once [`Session::durable`] has reached it.
+    pub ticket: Ticket,
 }
 
 /// What a veto did.
@@ -46,23 +57,8 @@ pub(crate) enum Command {
 pub struct Vetoed {
     /// The loop, with its new state.
     pub changed: Loop,
-    /// Keyframes that moved.
-    pub num_moved: usize,
-    /// Version of the map with it.
-    pub map_version: u64,
-    /// Durable once [`Session::durable`] has reached it.
-    pub ticket: Ticket,
-}
-
-/// What the corrections did that waited for more.
-#[derive(Debug, Clone, Copy)]
-pub struct Settled {
-    /// Keyframes that moved.
-    pub num_moved: usize,
-    /// Version of the map with it.
-    pub map_version: u64,
-    /// Durable once [`Session::durable`] has reached it.
-    pub ticket: Ticket,
+    /// The map that followed.
+    pub moved: Moved,
 }
 
 /// A handle on a running session; queries through it never wait for ingest.
@@ -293,7 +289,7 @@ impl Session {
     ///
     /// # Errors
     /// `SESSION_STOPPED`.
-    pub async fn settle(&self) -> Result<Settled> {
+    pub async fn settle(&self) -> Result<Moved> {
         let (reply, done) = oneshot::channel();
         self.queue.send(Command::Settle { reply }).await.map_err(|_| stopped())?;
         done.await.map_err(|_| stopped())

@@ -6,6 +6,7 @@ use percept_geometry::{PointCloud, SensorId, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
 
 /// Answers with what was written down for a keyframe.
 struct Script(BTreeMap<u64, Vec<LoopClosure>>);
@@ -332,4 +333,57 @@ fn a_gap_stays_one_after_a_restart() {
     let tied = Some(measured(50, new, truth[50].inverse() * truth[last]));
     let again = back_end.insert(&BackEndKeyframe { id: KeyframeId(new), tied, ..node(last) }, &truth[last]);
     assert_eq!(again.loops[0].id, LoopId(next + 5));
+}
+
+/// Notes what is asked for: the standard deviation of each keyframe's place, metres.
+struct Asked(Script, Arc<Mutex<BTreeMap<u64, f64>>>);
+
+impl PlaceRecognition for Asked {
+    fn restore(&mut self, _: KeyframeId, _: &Arc<KeyframeScan>, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
+
+    fn insert(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        drift: &Covariance6,
+        poses: &KeyframePoses,
+    ) -> Vec<LoopClosure> {
+        self.1.lock().unwrap().insert(id.0, drift[(0, 0)].max(drift[(1, 1)]).sqrt());
+        self.0.insert(id, scan, drift, poses)
+    }
+
+    fn relocalise(&self, _: &KeyframeScan, _: &KeyframePoses) -> Option<Relocalisation> {
+        None
+    }
+
+    fn forget(&mut self, _: KeyframeId) {}
+}
+
+#[test]
+fn after_a_gap_one_measurement_tells_where_places_are_to_be_looked_for() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let (truth, scan, gap) = (truth(), scan(), 100);
+    let tie = true_loop(&mut rng, &truth, 20, gap);
+    // Told with the keyframe itself where a lost robot was found, or found by place recognition just after the gap.
+    for (tied, found) in [(Some(tie.clone()), BTreeMap::new()), (None, BTreeMap::from([(gap, vec![tie])]))] {
+        let asked = Arc::default();
+        let (first, is_told) = (if tied.is_some() { gap } else { gap + 1 }, tied.is_some());
+        let mut back_end =
+            BackEnd::new(BackEndParams::default(), Box::new(Asked(Script(found), Arc::clone(&asked))));
+        for k in 0..gap + 3 {
+            let keyframe = BackEndKeyframe {
+                id: KeyframeId(k),
+                t_odom_base: truth[k as usize],
+                covariance: Covariance6::identity() * 1e-6 * k as f64,
+                scan: &scan,
+                recognise: true,
+                after_gap: k == gap,
+                tied: tied.clone().filter(|_| k == gap),
+            };
+            back_end.insert(&keyframe, &truth[k as usize]);
+        }
+        let asked = asked.lock().unwrap();
+        assert_eq!(is_told, asked[&gap] < 0.1, "{asked:?}");
+        assert!((first..gap + 3).all(|k| asked[&k] < 0.1), "{asked:?}");
+    }
 }

@@ -5,7 +5,7 @@
 //! seen on some metres of its way, as with a lidar that sees ahead only; and loops are left to colour: one such view in the
 //! map of another visit is now and then off by a decimetre.
 
-use super::spatial::SpatialRecognition;
+use super::spatial::Seen;
 use super::visual::VisualPlaces;
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
@@ -15,7 +15,7 @@ use std::sync::Arc;
 #[derive(Default)]
 pub(super) struct DepthPlaces {
     by_looks: VisualPlaces,
-    by_shape: SpatialRecognition,
+    by_shape: Seen,
 }
 
 impl PlaceRecognition for DepthPlaces {
@@ -29,7 +29,7 @@ impl PlaceRecognition for DepthPlaces {
         if scan.features.is_some() {
             return self.by_looks.insert(id, scan, drift, poses);
         }
-        self.by_shape.restore(id, scan, drift, poses, &[]);
+        self.by_shape.keep(id, scan, poses);
         vec![]
     }
 
@@ -41,9 +41,10 @@ impl PlaceRecognition for DepthPlaces {
         poses: &KeyframePoses,
         ties: &[KeyframeId],
     ) {
-        match scan.features {
-            Some(_) => self.by_looks.restore(id, scan, drift, poses, ties),
-            None => self.by_shape.restore(id, scan, drift, poses, ties),
+        if scan.features.is_some() {
+            self.by_looks.restore(id, scan, drift, poses, ties);
+        } else {
+            self.by_shape.keep(id, scan, poses);
         }
     }
 

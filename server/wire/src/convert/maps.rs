@@ -49,8 +49,8 @@ pub fn loop_id(r: &v1::SetLoopVetoRequest) -> LoopId {
 pub fn vetoed_to(v: &Vetoed) -> v1::SetLoopVetoResponse {
     v1::SetLoopVetoResponse {
         r#loop: Some(loop_to(&v.changed)),
-        num_keyframes_moved: v.num_moved as u64,
-        map_version: v.map_version,
+        num_keyframes_moved: v.moved.num_keyframes as u64,
+        map_version: v.moved.map_version,
     }
 }
 

@@ -60,7 +60,7 @@ impl v1::maps_service_server::MapsService for Api {
     async fn optimise_map(&self, r: Request<v1::OptimiseMapRequest>) -> Answer<v1::OptimiseMapResponse> {
         let session = maps::session_id(r.get_ref().source.as_ref()).map_err(status::grpc)?;
         let done = self.service.optimise_map(session).await.map_err(status::grpc)?;
-        let num_keyframes_moved = done.num_moved as u64;
+        let num_keyframes_moved = done.num_keyframes as u64;
         Ok(Response::new(v1::OptimiseMapResponse { num_keyframes_moved, map_version: done.map_version }))
     }
 

@@ -13,6 +13,7 @@ mod local_map;
 mod near;
 mod neighbourhood;
 mod retrieve;
+mod seen;
 mod stretch;
 mod walls;
 
@@ -22,10 +23,11 @@ mod tests;
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::diagonal;
 use local_map::{LocalMap, Placed, Surface};
-use nalgebra::{Point2, Translation3, UnitQuaternion};
+use nalgebra::{Translation3, UnitQuaternion};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
 use percept_perception::registration::{GlobalOutcome, GlobalParams, GlobalResult, register_global};
-use std::collections::{BTreeMap, VecDeque};
+pub(super) use seen::Seen;
+use std::collections::VecDeque;
 use std::f64::consts::PI;
 use std::sync::Arc;
 use stretch::Stretch;
@@ -60,16 +62,6 @@ struct Gathered {
     travel: f64,
 }
 
-/// A keyframe among which a lost robot is looked for.
-#[derive(Debug)]
-struct Kept {
-    scan: Arc<KeyframeScan>,
-    /// What stands upright, seen from above: in base turned level, its x axis kept.
-    walls: Vec<Point2<f32>>,
-    /// Length of the way up to it, metres.
-    travel: f64,
-}
-
 /// Two local maps that may show one place, by number.
 #[derive(Debug, Clone, Copy)]
 struct Waiting {
@@ -84,7 +76,7 @@ struct Waiting {
 /// The 3D lidar's place recognition.
 #[derive(Debug, Default)]
 pub(crate) struct SpatialRecognition {
-    kept: BTreeMap<KeyframeId, Kept>,
+    seen: Seen,
     maps: Vec<LocalMap>,
     recent: VecDeque<Gathered>,
     /// Travel at which the last map was closed.
@@ -108,12 +100,8 @@ impl SpatialRecognition {
     /// Adds a keyframe to the stretch that is being gathered. With the `drift` so far, a map that this closes is compared with
     /// earlier ones.
     fn take(&mut self, id: KeyframeId, scan: &Arc<KeyframeScan>, drift: Option<&Covariance6>, poses: &KeyframePoses) {
-        let Some(&t_map_base) = poses.get(&id).filter(|_| !scan.planar) else { return };
-        let step = self
-            .recent
-            .back()
-            .map_or(0.0, |g| (g.t_map_base.translation.vector - t_map_base.translation.vector).norm());
-        let travel = self.recent.back().map_or(0.0, |g| g.travel) + step;
+        let Some(travel) = self.seen.keep(id, scan, poses) else { return };
+        let t_map_base = poses[&id];
         if !self.recent.is_empty()
             && (travel - self.closed_at > 0.5 * self.stretch() || self.since_closed >= MOST_KEYFRAMES / 2)
         {
@@ -121,8 +109,6 @@ impl SpatialRecognition {
         }
         self.since_closed += 1;
         self.recent.push_back(Gathered { id, scan: Arc::clone(scan), t_map_base, travel });
-        let walls = walls::of(scan, &walls::leveling(&t_map_base));
-        self.kept.insert(id, Kept { scan: Arc::clone(scan), walls, travel });
     }
 
     /// Makes a local map of the last stretch, and drops the keyframes that the next one will not need.
@@ -161,18 +147,21 @@ impl SpatialRecognition {
             .collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         near.truncate(COMPARED);
-        let nearest = near.first().map(|(_, m)| m.number);
         let turning = (3..6).map(|k| drift[(k, k)].max(0.0)).sum::<f64>().sqrt();
-        let most_turn =
-            |m: &LocalMap| (4.0 * turning + UNTOLD_TURN.0 + UNTOLD_TURN.1 * (map.travel - m.travel)).min(PI);
-        let looks = retrieve::most_alike(map, near.iter().map(|(_, m)| (most_turn(m), *m)), ALIKE, retrieve::FEWEST);
-        let unlike = nearest.filter(|n| !looks.contains(n));
-        let chosen = looks.iter().map(|&earlier| (earlier, true)).chain(unlike.map(|earlier| (earlier, false)));
-        let pair = |(earlier, alike)| {
-            let most_turn = near.iter().find(|(_, m)| m.number == earlier).map_or(PI, |(_, m)| most_turn(m));
-            Waiting { earlier, later: map.number, alike, most_turn }
+        let most_turn = |travel: f64| (4.0 * turning + UNTOLD_TURN.0 + UNTOLD_TURN.1 * (map.travel - travel)).min(PI);
+        let candidates = near.iter().map(|(_, m)| (most_turn(m.travel), *m));
+        let looks = retrieve::most_alike(map, candidates, ALIKE, retrieve::FEWEST);
+        let pair = |m: &LocalMap| Waiting {
+            earlier: m.number,
+            later: map.number,
+            alike: looks.contains(&m.number),
+            most_turn: most_turn(m.travel),
         };
-        self.waiting.extend(chosen.map(pair));
+        // Those that look alike, the most alike first, and the nearest one, whatever it looks like.
+        let by_looks = looks.iter().filter_map(|&number| self.map(number));
+        let unlike = near.first().map(|(_, m)| *m).filter(|m| !looks.contains(&m.number));
+        let pairs: Vec<Waiting> = by_looks.chain(unlike).map(pair).collect();
+        self.waiting.extend(pairs);
         while self.waiting.len() > WAITING {
             self.waiting.pop_front();
         }
@@ -198,10 +187,10 @@ impl SpatialRecognition {
         let views: Vec<_> = self.placed(to, poses);
         let others = views.iter().filter(|v| v.0 != to.anchor).map(|(_, scan, t)| (t_map_anchor.inv_mul(t), *scan));
         let others: Vec<_> = others.collect();
-        let scan = &self.kept.get(&to.anchor)?.scan;
+        let scan = &self.seen.kept.get(&to.anchor)?.scan;
         let stretch = Stretch::new(&others, scan, Some(walls::leveling(t_map_anchor)));
         let heading = (se3::yaw(t_map_anchor), most_turn);
-        let found = stretch.find(&self.kept, &self.visit(from.anchor, to.anchor, poses)?, heading)?;
+        let found = stretch.find(&self.seen.kept, &self.visit(from.anchor, to.anchor, poses)?, heading)?;
         Some(LoopClosure {
             from: found.keyframe,
             to: to.anchor,
@@ -225,13 +214,8 @@ impl SpatialRecognition {
 
     /// What is left of a local map's keyframes, where they are believed to be.
     fn placed(&self, map: &LocalMap, poses: &KeyframePoses) -> Vec<Placed<'_>> {
-        let view = |id: &KeyframeId| Some((*id, self.kept.get(id)?.scan.as_ref(), *poses.get(id)?));
+        let view = |id: &KeyframeId| Some((*id, self.seen.kept.get(id)?.scan.as_ref(), *poses.get(id)?));
         map.keyframes.iter().filter_map(view).collect()
-    }
-
-    /// Keyframes taken in, base to map.
-    fn known(&self, poses: &KeyframePoses) -> BTreeMap<KeyframeId, Pose> {
-        poses.iter().filter(|(id, _)| self.kept.contains_key(id)).map(|(id, t)| (*id, *t)).collect()
     }
 
     fn map(&self, number: u64) -> Option<&LocalMap> {
@@ -320,13 +304,11 @@ impl PlaceRecognition for SpatialRecognition {
         scan: &KeyframeScan,
         poses: &KeyframePoses,
     ) -> Option<Relocalisation> {
-        let before: Vec<_> = before.iter().map(|(t, s)| (*t, s.as_ref())).collect();
-        let stretch = Stretch::new(&before, scan, None);
-        if stretch.is_long() { stretch.find(&self.kept, &self.known(poses), (0.0, PI)) } else { None }
+        self.seen.relocalise_driven(before, scan, poses)
     }
 
     fn forget(&mut self, id: KeyframeId) {
-        self.kept.remove(&id);
+        self.seen.forget(id);
         self.maps.retain(|m| m.anchor != id);
     }
 }

@@ -19,22 +19,22 @@ impl SpatialRecognition {
     pub(super) fn near(&mut self, id: KeyframeId, drift: &Covariance6, poses: &KeyframePoses) -> Option<LoopClosure> {
         let t_map_base = *poses.get(&id)?;
         let stretch = self.stretch();
-        let travel = self.kept.get(&id)?.travel;
+        let travel = self.seen.kept.get(&id)?.travel;
         let sigma = (0..3).map(|k| drift[(k, k)].max(0.0)).fold(0.0, f64::max).sqrt();
         let turning = (3..6).map(|k| drift[(k, k)].max(0.0)).fold(0.0, f64::max).sqrt();
-        let reach = reach(range(&self.kept.get(&id)?.scan));
+        let reach = reach(range(&self.seen.kept.get(&id)?.scan));
         if BRIDGED * sigma > reach.0 || BRIDGED * turning > reach.1 {
             return None;
         }
         let away = |t: &Pose| (t.translation.vector - t_map_base.translation.vector).norm();
         let mut visits: Vec<(f64, KeyframeId)> = vec![];
-        for (other, kept) in &self.kept {
+        for (other, kept) in &self.seen.kept {
             if travel - kept.travel < APART * stretch {
                 break;
             }
             let Some(distance) = poses.get(other).map(away).filter(|d| *d < NEAR * stretch) else { continue };
             match visits.last_mut() {
-                Some((nearest, last)) if kept.travel - self.kept[last].travel < stretch => {
+                Some((nearest, last)) if kept.travel - self.seen.kept[last].travel < stretch => {
                     if distance < *nearest {
                         (*nearest, *last) = (distance, *other);
                     }
@@ -54,9 +54,9 @@ impl SpatialRecognition {
         t_map_base: &Pose,
         poses: &KeyframePoses,
     ) -> Option<LoopClosure> {
-        let to = self.kept.get(&id)?;
+        let to = self.seen.kept.get(&id)?;
         let visit = self.visit(earlier, id, poses)?;
-        let place = Neighbourhood::new(&self.kept, &visit, &[*t_map_base]);
+        let place = Neighbourhood::new(&self.seen.kept, &visit, &[*t_map_base]);
         let found = place.measure(&to.scan, t_map_base, &STRICTNESS).ok()?;
         let (from, t_from_to) = place.seen_from(&found.t_odom_base)?;
         Some(LoopClosure { from, to: id, t_from_to, covariance: found.covariance, inlier_ratio: found.inlier_ratio })
@@ -69,10 +69,10 @@ impl SpatialRecognition {
         later: KeyframeId,
         poses: &KeyframePoses,
     ) -> Option<BTreeMap<KeyframeId, Pose>> {
-        let (at, end) = (self.kept.get(&earlier)?.travel, self.kept.get(&later)?.travel);
+        let (at, end) = (self.seen.kept.get(&earlier)?.travel, self.seen.kept.get(&later)?.travel);
         let stretch = self.stretch();
         let around =
-            self.kept.iter().filter(|(_, k)| (k.travel - at).abs() < stretch && end - k.travel > 0.5 * APART * stretch);
+            self.seen.kept.iter().filter(|(_, k)| (k.travel - at).abs() < stretch && end - k.travel > 0.5 * APART * stretch);
         Some(around.filter_map(|(id, _)| Some((*id, *poses.get(id)?))).collect())
     }
 }

@@ -1,7 +1,7 @@
 //! A part of the map as one surface, and whether scans fit into it.
 
-use super::Kept;
 use super::local_map::{range, voxel_for};
+use super::seen::Kept;
 use crate::odometry::lidar3d::align::{Problem, align};
 use crate::odometry::lidar3d::sight::{Contradiction, Sight};
 use crate::odometry::lidar3d::sweep::{Instants, Sweep};

@@ -7,7 +7,8 @@
 
 use super::local_map::{range, voxel_for};
 use super::neighbourhood::{Neighbourhood, Refused, Strictness};
-use super::{Kept, walls};
+use super::seen::Kept;
+use super::walls;
 use crate::loops::Relocalisation;
 use crate::loops::planar::optima;
 use crate::loops::planar::pyramid::{Fit, Pyramid, Region};
@@ -122,8 +123,7 @@ impl<'a> Stretch<'a> {
             self.before.iter().step_by(self.before.len().div_ceil(WITNESSES).max(1)).collect();
         let places: Vec<Pose> = std::iter::once(guess).chain(witnesses.iter().map(|(t, _)| guess * t)).collect();
         let around = Neighbourhood::new(kept, poses, &places);
-        let found = around.measure(self.scan, &guess, &NEWEST);
-        let found = found.ok()?;
+        let found = around.measure(self.scan, &guess, &NEWEST).ok()?;
         let (mut agree, mut against) = (0, 0);
         for (t_now_then, scan) in witnesses {
             match around.measure(scan, &(found.t_odom_base * t_now_then), &WITNESS) {

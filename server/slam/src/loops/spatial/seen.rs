@@ -1,0 +1,68 @@
+//! Keyframes among which a lost robot is looked for.
+
+use super::stretch::Stretch;
+use super::walls;
+use crate::loops::{KeyframePoses, Relocalisation};
+use nalgebra::{Point2, Vector3};
+use percept_geometry::{KeyframeId, KeyframeScan, Pose};
+use std::collections::BTreeMap;
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// What a keyframe saw.
+#[derive(Debug)]
+pub(super) struct Kept {
+    pub(super) scan: Arc<KeyframeScan>,
+    /// What stands upright, seen from above: in base turned level, its x axis kept.
+    pub(super) walls: Vec<Point2<f32>>,
+    /// Length of the way up to it, metres.
+    pub(super) travel: f64,
+}
+
+/// All keyframes that a sensor has seen in space.
+#[derive(Debug, Default)]
+pub(in crate::loops) struct Seen {
+    pub(super) kept: BTreeMap<KeyframeId, Kept>,
+    /// Where the newest one was when it came, and the length of the way up to it, metres.
+    newest: Option<(Vector3<f64>, f64)>,
+}
+
+impl Seen {
+    /// Takes a keyframe in; answers with the length of the way up to it, metres, none for what was not seen in space.
+    pub(in crate::loops) fn keep(
+        &mut self,
+        id: KeyframeId,
+        scan: &Arc<KeyframeScan>,
+        poses: &KeyframePoses,
+    ) -> Option<f64> {
+        let t_map_base = poses.get(&id).filter(|_| !scan.planar)?;
+        let here = t_map_base.translation.vector;
+        let travel = self.newest.map_or(0.0, |(there, travel)| travel + (there - here).norm());
+        self.newest = Some((here, travel));
+        let walls = walls::of(scan, &walls::leveling(t_map_base));
+        self.kept.insert(id, Kept { scan: Arc::clone(scan), walls, travel });
+        Some(travel)
+    }
+
+    /// A keyframe has left the graph.
+    pub(in crate::loops) fn forget(&mut self, id: KeyframeId) {
+        self.kept.remove(&id);
+    }
+
+    /// Where a robot is that has driven since it was lost ([`crate::loops::PlaceRecognition::relocalise_driven`]).
+    pub(in crate::loops) fn relocalise_driven(
+        &self,
+        before: &[(Pose, Arc<KeyframeScan>)],
+        scan: &KeyframeScan,
+        poses: &KeyframePoses,
+    ) -> Option<Relocalisation> {
+        let before: Vec<_> = before.iter().map(|(t, s)| (*t, s.as_ref())).collect();
+        let stretch = Stretch::new(&before, scan, None);
+        if stretch.is_long() { stretch.find(&self.kept, &self.known(poses), (0.0, PI)) } else { None }
+    }
+
+    /// Where the keyframes are believed to be, base to map.
+    fn known(&self, poses: &KeyframePoses) -> BTreeMap<KeyframeId, Pose> {
+        poses.iter().filter(|(id, _)| self.kept.contains_key(id)).map(|(id, t)| (*id, *t)).collect()
+    }
+}
