@@ -368,8 +368,7 @@ fn after_a_gap_one_measurement_tells_where_places_are_to_be_looked_for() {
     for (tied, found) in [(Some(tie.clone()), BTreeMap::new()), (None, BTreeMap::from([(gap, vec![tie])]))] {
         let asked = Arc::default();
         let (first, is_told) = (if tied.is_some() { gap } else { gap + 1 }, tied.is_some());
-        let mut back_end =
-            BackEnd::new(BackEndParams::default(), Box::new(Asked(Script(found), Arc::clone(&asked))));
+        let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(Asked(Script(found), Arc::clone(&asked))));
         for k in 0..gap + 3 {
             let keyframe = BackEndKeyframe {
                 id: KeyframeId(k),

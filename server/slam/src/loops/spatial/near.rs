@@ -71,8 +71,11 @@ impl SpatialRecognition {
     ) -> Option<BTreeMap<KeyframeId, Pose>> {
         let (at, end) = (self.seen.kept.get(&earlier)?.travel, self.seen.kept.get(&later)?.travel);
         let stretch = self.stretch();
-        let around =
-            self.seen.kept.iter().filter(|(_, k)| (k.travel - at).abs() < stretch && end - k.travel > 0.5 * APART * stretch);
+        let around = self
+            .seen
+            .kept
+            .iter()
+            .filter(|(_, k)| (k.travel - at).abs() < stretch && end - k.travel > 0.5 * APART * stretch);
         Some(around.filter_map(|(id, _)| Some((*id, *poses.get(id)?))).collect())
     }
 }
