@@ -173,6 +173,7 @@ fn equations(problem: &Problem<'_>, coarse: bool, stride: usize, state: &State, 
     let motions = sweep.instants().motions(&state.velocity);
     let t = Motion::of(&state.t_odom_base);
     let kernel = RobustKernel::GemanMcClure(3.0 * scale);
+    let clock = problem.map.clock();
     let of_group = |g: usize| {
         let (mut e, mut tilt) = (NormalEquations::default(), 0.0);
         let (first, points) = sweep.group(g);
@@ -181,7 +182,7 @@ fn equations(problem: &Problem<'_>, coarse: bool, stride: usize, state: &State, 
             let moved = Point3::from(t.rotation * p.coords + t.translation);
             let voxel = if coarse { problem.map.coarse(&moved) } else { problem.map.at(&moved) };
             if let Some(voxel) = voxel {
-                add(&mut e, voxel, &t.rotation, &p.coords, &moved, &kernel, scale);
+                add(&mut e, voxel, &t.rotation, &p.coords, &moved, &kernel, (scale, voxel.stale(&clock)));
                 tilt += voxel.tilt;
             }
         }
@@ -220,14 +221,14 @@ fn add(
     p: &Vector3<f64>,
     moved: &Point3<f64>,
     kernel: &RobustKernel,
-    scale: f64,
+    (scale, stale): (f64, f64),
 ) {
     match voxel.shape {
         Shape::Plane(normal, variance) => {
             let (residual, j) = point_to_plane::residual(r, p, &moved.coords, &voxel.mean.coords, &normal);
-            e.add(&j, residual, kernel.weight(residual) / (variance + 0.25 * scale * scale));
+            e.add(&j, residual, kernel.weight(residual) / (variance + stale + 0.25 * scale * scale));
         }
-        Shape::Scatter(information) => add_scatter(e, r, p, moved, &voxel.mean, &information, scale),
+        Shape::Scatter(information) => add_scatter(e, r, p, moved, &voxel.mean, &information, (scale, stale)),
         Shape::Unknown => {}
     }
 }
@@ -240,14 +241,14 @@ fn add_scatter(
     moved: &Point3<f64>,
     mean: &Point3<f64>,
     information: &Matrix3<f64>,
-    scale: f64,
+    (scale, stale): (f64, f64),
 ) {
     let d = moved - mean;
     let distance2 = d.dot(&(information * d));
     let weight = 0.25 / (1.0 + distance2).powi(2);
     let rows = point_to_point::residuals(r, p, &moved.coords, &mean.coords);
     for (i, (residual, j)) in rows.into_iter().enumerate() {
-        e.add(&j, residual, weight / (1.0 / information[(i, i)] + 0.25 * scale * scale));
+        e.add(&j, residual, weight / (1.0 / information[(i, i)] + stale + 0.25 * scale * scale));
     }
 }
 

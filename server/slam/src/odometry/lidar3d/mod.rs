@@ -21,7 +21,7 @@ use sight::{Contradiction, Sight};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use sweep::{Instants, Motion, Sweep};
-use voxels::{GaussianMap, Levels, Thinner};
+use voxels::{Levels, Thinner};
 
 /// Parameters of 3D lidar odometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -81,18 +81,22 @@ const SIZE_LADDER: [f64; 6] = [1.0 / 40.0, 1.0 / 28.0, 1.0 / 20.0, 1.0 / 14.0, 1
 /// Smallest and largest size that is learned, metres: ranges good to 2 or 3 cm make no planes in smaller voxels, and
 /// streets none in larger ones. In the narrowest places the last rung may be smaller.
 const SIZES: (f64, f64) = (0.4, 1.5);
-/// Voxels are halved or doubled when the usual range has changed by this factor since their size was learned.
+/// Voxels are halved or doubled when the usual range has changed by this factor since their size was learned; halved to
+/// this share of the smallest size at least.
 const RANGE_CHANGE: f64 = 2.2;
+const SMALLEST: f64 = 0.75;
 /// Velocities may change so many times faster than they did of late, and by at least this share of what hands do.
 const CAUTION: f64 = 2.0;
 const LEAST_AGILITY: f64 = 0.1;
+/// The most by which a sweep's change of velocity counts more than those of late.
+const QUICKENS: f64 = 2.0;
 /// Spacing of the points that go into the map, and of those that are registered, voxels.
 const DENSE: f64 = 0.2;
 const SPARSE: f64 = 0.7;
 /// Where so few points are left, more are registered: narrow views and small rooms.
 const ENOUGH_POINTS: usize = 2000;
-/// Share of the first sweep's points that must lie in planes.
-const PLANAR_SHARE: f64 = 0.6;
+/// Share of the first sweep's points that must meet planes, of voxels of this size or of the coarser levels.
+const PLANAR_SHARE: f64 = 0.5;
 
 /// Scans that stand for the local map are so many usual ranges and radians apart; so many of them are kept.
 const KEEP_EVERY: (f64, f64) = (0.1, 0.5);
@@ -133,6 +137,8 @@ pub(crate) struct Lidar3d {
     /// Square of how fast velocities change, as a share of what hands do: rises at once, falls slowly.
     agility2: f64,
     last_trim: Option<Point3<f64>>,
+    /// Standard deviation with which the newest sweep was placed, at the usual range, metres.
+    sigma: f64,
     /// Sensor to base, of the current sweep.
     t_base_sensor: Pose,
     /// Oldest first.
@@ -156,12 +162,13 @@ impl Lidar3d {
             deviation2: None,
             agility2: (0.25f64 / CAUTION).powi(2),
             last_trim: None,
+            sigma: 0.0,
             t_base_sensor: Pose::identity(),
             kept: VecDeque::new(),
         }
     }
 
-    /// The size at which the sweep is made of planes: rooms have small ones, sparse rings need large ones.
+    /// The smallest size at which the sweep is made of planes: sparse rings need large ones.
     fn learn_size(&mut self, points: &[Point3<f32>], usable: &[u32], range90: f64) -> f64 {
         if let Some(size) = self.params.voxel_size_m {
             return size;
@@ -171,9 +178,10 @@ impl Lidar3d {
         for share in SIZE_LADDER {
             let size = (share * range90).clamp(smallest, SIZES.1);
             let kept = self.thinner.first_per_voxel(points, usable, DENSE * size);
-            let mut map = GaussianMap::new(size);
-            map.insert(kept.iter().map(|&i| points[i as usize].cast()));
-            let planar = map.planar_share();
+            let kept: Vec<Point3<f64>> = kept.iter().map(|&i| points[i as usize].cast()).collect();
+            let mut map = Levels::new(size);
+            map.insert(&kept);
+            let planar = map.planar_share(&kept);
             if planar > best.0 {
                 best = (planar, size);
             }
@@ -200,7 +208,7 @@ impl Lidar3d {
         if self.usual_range > RANGE_CHANGE * self.learned_at && map.size() * 2.0 <= SIZES.1 {
             map.double();
             self.learned_at *= 2.0;
-        } else if self.usual_range * RANGE_CHANGE < self.learned_at && map.size() * 0.5 >= 0.5 * SIZES.0 {
+        } else if self.usual_range * RANGE_CHANGE < self.learned_at && map.size() * 0.5 >= SMALLEST * SIZES.0 {
             map.halve();
             self.learned_at *= 0.5;
         }
@@ -214,7 +222,8 @@ impl Lidar3d {
         let motion = Motion::of(t_odom_base);
         let moved: Vec<Point3<f64>> = points.iter().map(|p| motion.apply(p)).collect();
         if let Some(map) = &mut self.map {
-            map.insert(&moved);
+            let new = map.insert(&moved);
+            map.renewed(new, self.sigma);
         }
     }
 
@@ -320,6 +329,8 @@ impl LocalModel for Lidar3d {
         };
         let (found, state) = align(&problem)?;
         self.elapsed = problem.elapsed();
+        let sigma = |from: usize| (from..from + 3).map(|k| found.covariance[(k, k)]).sum::<f64>().sqrt();
+        self.sigma = sigma(0) + self.usual_range * sigma(3);
         let off = prediction.t_odom_base.inverse() * found.t_odom_base;
         let at_points = off.translation.vector.norm() + 0.25 * self.reach * off.rotation.angle();
         let last = self.deviation2.unwrap_or(size * size);
@@ -330,7 +341,9 @@ impl LocalModel for Lidar3d {
 
     fn integrate(&mut self, t_odom_base: &Pose) {
         if self.dense.instants().duration() > 0.0 {
-            let now2 = agility(self.elapsed, &(self.velocity - self.expected_velocity)).powi(2);
+            // One sweep that was placed wrongly must not open the door for the next.
+            let most2 = QUICKENS.powi(2) * self.agility2;
+            let now2 = agility(self.elapsed, &(self.velocity - self.expected_velocity)).powi(2).min(most2);
             self.agility2 += if now2 > self.agility2 { 0.5 } else { 0.1 } * (now2 - self.agility2);
         }
         let points = self.dense.at_stamp(&self.velocity);

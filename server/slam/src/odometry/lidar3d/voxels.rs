@@ -76,6 +76,8 @@ pub(crate) struct Gaussian {
     pub(crate) shape: Shape,
     /// Variance of a plane's tilt about each axis in it, rad^2, from noise and number of its points.
     pub(crate) tilt: f64,
+    /// The clock's way when it was last seen.
+    seen: f64,
     dirty: bool,
 }
 
@@ -83,6 +85,10 @@ pub(crate) struct Gaussian {
 const MIN_POINTS: f64 = 5.0;
 /// More count as so many, so that old points fade.
 const MAX_POINTS: f64 = 200.0;
+
+/// Drift that makes a difference, and the most that what was seen before is thought to be off by, finest voxels.
+const NOTICED: f64 = 0.075;
+const MOST_DRIFT: f64 = 0.125;
 
 /// A plane's variance across it is less than this share of that along it.
 const FLAT: f64 = 0.08;
@@ -93,8 +99,20 @@ fn floor(size: f64) -> f64 {
 }
 
 impl Gaussian {
-    fn new(key: Key, p: &Point3<f64>) -> Self {
-        Self { key, num: 1.0, mean: *p, scatter: Matrix3::zeros(), shape: Shape::Unknown, tilt: 0.0, dirty: true }
+    fn new(key: Key, p: &Point3<f64>, seen: f64) -> Self {
+        let (scatter, shape) = (Matrix3::zeros(), Shape::Unknown);
+        Self { key, num: 1.0, mean: *p, scatter, shape, tilt: 0.0, seen, dirty: true }
+    }
+
+    /// Seen again: what was seen long ago may be off by what the odometry has drifted since, and fades.
+    fn refresh(&mut self, clock: &Clock) {
+        let variance = self.stale(clock);
+        self.seen = clock.way;
+        if variance > 0.0 {
+            let num = (self.num / (1.0 + variance / (NOTICED * clock.size).powi(2))).max(1.0);
+            self.scatter *= num / self.num;
+            self.num = num;
+        }
     }
 
     /// Source: Welford, "Note on a method for calculating corrected sums of squares and products", 1962.
@@ -118,6 +136,12 @@ impl Gaussian {
         self.mean += between * (other.num / all);
         self.scatter += other.scatter + between * between.transpose() * (n * other.num / all);
         self.num = all;
+    }
+
+    /// Variance of where it is now, by what the odometry may have drifted since it was seen, m^2.
+    #[inline]
+    pub(crate) fn stale(&self, clock: &Clock) -> f64 {
+        (clock.sigma * (clock.way - self.seen)).min(MOST_DRIFT * clock.size).powi(2)
     }
 
     fn describe(&mut self, size: f64) {
@@ -175,6 +199,18 @@ pub(crate) struct GaussianMap {
     inverse: f64,
     index: FxHashMap<Key, u32>,
     voxels: Vec<Gaussian>,
+    clock: Clock,
+}
+
+/// What the odometry's drift goes by.
+#[derive(Debug, Default, Clone, Copy)]
+pub(crate) struct Clock {
+    /// How many times the whole view was new since the map began.
+    pub(crate) way: f64,
+    /// Drift for each time, metres.
+    pub(crate) sigma: f64,
+    /// Of the finest voxels, metres.
+    pub(crate) size: f64,
 }
 
 impl GaussianMap {
@@ -190,25 +226,30 @@ impl GaussianMap {
         self.voxels.is_empty()
     }
 
-    /// Adds points of odom and brings the shapes up to date.
-    pub(crate) fn insert(&mut self, points: impl Iterator<Item = Point3<f64>>) {
+    /// Adds points of odom and brings the shapes up to date. Answers with the share that lies where nothing was.
+    pub(crate) fn insert(&mut self, points: impl Iterator<Item = Point3<f64>>) -> f64 {
+        let (before, mut new, mut all) = (self.voxels.len(), 0u32, 0u32);
         for p in points {
             let k = key(&p, self.inverse);
-            match self.index.entry(k) {
-                std::collections::hash_map::Entry::Occupied(i) => self.voxels[*i.get() as usize].add(&p),
-                std::collections::hash_map::Entry::Vacant(slot) => {
-                    slot.insert(self.voxels.len() as u32);
-                    self.voxels.push(Gaussian::new(k, &p));
+            let i = *self.index.entry(k).or_insert(self.voxels.len() as u32) as usize;
+            match self.voxels.get_mut(i) {
+                Some(voxel) => {
+                    voxel.refresh(&self.clock);
+                    voxel.add(&p);
                 }
+                None => self.voxels.push(Gaussian::new(k, &p, self.clock.way)),
             }
+            new += u32::from(i >= before);
+            all += 1;
         }
         let size = self.size;
         self.voxels.par_iter_mut().with_min_len(1024).filter(|v| v.dirty).for_each(|v| v.describe(size));
+        f64::from(new) / f64::from(all.max(1))
     }
 
     /// The same points in voxels of twice the size.
     fn doubled(&self) -> Self {
-        let mut out = Self::new(2.0 * self.size);
+        let mut out = Self { clock: self.clock, ..Self::new(2.0 * self.size) };
         for v in &self.voxels {
             let k = key(&v.mean, out.inverse);
             match out.index.entry(k) {
@@ -252,18 +293,6 @@ impl GaussianMap {
         }
         best.filter(|b| b.0 < self.size * self.size).map(|b| b.1)
     }
-
-    /// Share of points that lie in voxels with a plane.
-    pub(crate) fn planar_share(&self) -> f64 {
-        let (mut planar, mut all) = (0.0, 0.0);
-        for v in &self.voxels {
-            all += v.num;
-            if matches!(v.shape, Shape::Plane(..)) {
-                planar += v.num;
-            }
-        }
-        if all > 0.0 { planar / all } else { 0.0 }
-    }
 }
 
 /// The same points in voxels of several sizes: a point meets the finest that is a plane.
@@ -275,6 +304,10 @@ pub(crate) struct Levels {
     maps: Vec<GaussianMap>,
 }
 
+/// Standard deviation of the coarsest ranges, metres.
+const COARSE_RANGES: f64 = 0.04;
+/// Drift while the whole view becomes new, standard deviations with which a sweep is placed.
+const DRIFT: f64 = 6.0;
 /// Sizes of the levels, in voxels of the finest.
 const LEVELS: [f64; 3] = [1.0, 2.0, 4.0];
 
@@ -292,10 +325,30 @@ impl Levels {
         self.maps.iter().all(GaussianMap::is_empty)
     }
 
-    pub(crate) fn insert(&mut self, points: &[Point3<f64>]) {
+    /// Adds points of odom; answers with the share that lies in finest voxels where nothing was.
+    pub(crate) fn insert(&mut self, points: &[Point3<f64>]) -> f64 {
+        let mut new = None;
         for map in &mut self.maps {
-            map.insert(points.iter().copied());
+            let share = map.insert(points.iter().copied());
+            new = new.or(Some(share));
         }
+        new.unwrap_or(1.0)
+    }
+
+    pub(crate) fn clock(&self) -> Clock {
+        self.maps.first().map_or_else(Clock::default, |m| m.clock)
+    }
+
+    /// This share of the view was new, and it was placed with such a standard deviation, metres.
+    pub(crate) fn renewed(&mut self, share: f64, sigma: f64) {
+        let clock = Clock { way: self.clock().way + share, sigma: DRIFT * sigma, size: self.size() };
+        self.maps.iter_mut().for_each(|m| m.clock = clock);
+    }
+
+    /// Share of some points that meet planes.
+    pub(crate) fn planar_share(&self, points: &[Point3<f64>]) -> f64 {
+        let planar = |p: &&Point3<f64>| self.at(p).is_some_and(|v| matches!(v.shape, Shape::Plane(..)));
+        points.iter().filter(planar).count() as f64 / points.len().max(1) as f64
     }
 
     pub(crate) fn remove_far_from(&mut self, center: &Point3<f64>, radius: f64) {
@@ -304,12 +357,12 @@ impl Levels {
         }
     }
 
-    /// The finest plane at `p`, else what else is there. A large voxel's plane has to be as thin as a small one's: what
-    /// is thicker bends, or is two surfaces.
+    /// The finest plane at `p`, else what else is there. A large voxel's plane has to be as thin as a small one's, or as
+    /// coarse ranges make it: what is thicker bends, or is two surfaces.
     #[inline]
     pub(crate) fn at(&self, p: &Point3<f64>) -> Option<&Gaussian> {
         let mut other = None;
-        let thin = FLAT * self.size().powi(2) / 12.0;
+        let thin = (FLAT * self.size().powi(2) / 12.0).max(COARSE_RANGES.powi(2));
         for map in &self.maps {
             let found = map.at(p);
             if found.is_some_and(|v| matches!(v.shape, Shape::Plane(_, variance) if variance < thin + floor(map.size)))
@@ -331,7 +384,7 @@ impl Levels {
 
     /// Voxels of half the size: the coarsest level goes, and a finer one begins, empty: it is filled by what is seen next.
     pub(crate) fn halve(&mut self) {
-        let finer = GaussianMap::new(0.5 * self.size());
+        let finer = GaussianMap { clock: self.clock(), ..GaussianMap::new(0.5 * self.size()) };
         self.maps.insert(0, finer);
         self.maps.pop();
     }
