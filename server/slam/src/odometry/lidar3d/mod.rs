@@ -77,7 +77,7 @@ impl Lidar3dParams {
 }
 
 /// Sizes to learn from, as shares of the 90th percentile of the ranges; the first that makes planes wins.
-const SIZE_LADDER: [f64; 6] = [1.0 / 40.0, 1.0 / 28.0, 1.0 / 20.0, 1.0 / 14.0, 1.0 / 10.0, 1.0 / 7.0];
+const SIZE_LADDER: [f64; 5] = [1.0 / 28.0, 1.0 / 20.0, 1.0 / 14.0, 1.0 / 10.0, 1.0 / 7.0];
 /// Smallest and largest size that is learned, metres: ranges good to 2 or 3 cm make no planes in smaller voxels, and
 /// streets none in larger ones. In the narrowest places the last rung may be smaller.
 const SIZES: (f64, f64) = (0.4, 1.5);
