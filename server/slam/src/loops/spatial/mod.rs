@@ -39,6 +39,8 @@ const STRETCH: (f64, f64) = (2.0, 20.0);
 const MOST_KEYFRAMES: usize = 60;
 /// A map is compared with those that began so many stretches before it.
 const APART: f64 = 2.5;
+/// A loop that tells of more drift than so many standard deviations is of another place that looks the same.
+const LIKELY: f64 = 3.0;
 /// Drift beyond what odometry says, as a share of the travel between; and turning, radians and radians a metre.
 const UNTOLD_DRIFT: f64 = 0.03;
 const UNTOLD_TURN: (f64, f64) = (0.2, 0.01);
@@ -69,7 +71,8 @@ struct Waiting {
     later: u64,
     /// Whether they look alike, or only lie near each other.
     alike: bool,
-    /// The most that drift has turned them to each other, radians.
+    /// The most that drift has moved and turned them to each other, metres and radians.
+    most_way: f64,
     most_turn: f64,
 }
 
@@ -155,6 +158,7 @@ impl SpatialRecognition {
             earlier: m.number,
             later: map.number,
             alike: looks.contains(&m.number),
+            most_way: LIKELY * sigma + UNTOLD_DRIFT * (map.travel - m.travel) + 0.1 * map.stretch,
             most_turn: most_turn(m.travel),
         };
         // Those that look alike, the most alike first, and the nearest one, whatever it looks like.
@@ -173,12 +177,15 @@ impl SpatialRecognition {
         if self.since_searched < PATIENCE {
             return None;
         }
-        let Waiting { earlier, later, alike, most_turn } = self.waiting.pop_front()?;
+        let Waiting { earlier, later, alike, most_way, most_turn } = self.waiting.pop_front()?;
         self.since_searched = 0;
         let (from, to) = (self.map(earlier)?, self.map(later)?);
         // Most of what overlaps is found from above, in a tenth of the time that surfaces alone take.
-        self.overlaid(from, to, most_turn, poses)
-            .or_else(|| if alike { self.registered(from, to, poses) } else { None })
+        let found = self
+            .overlaid(from, to, most_turn, poses)
+            .or_else(|| if alike { self.registered(from, to, poses) } else { None })?;
+        let off = found.t_from_to.inv_mul(&poses.get(&found.from)?.inv_mul(poses.get(&found.to)?));
+        (off.translation.vector.norm() < most_way).then_some(found)
     }
 
     /// The later map's stretch searched for in the earlier visit, from above.
