@@ -8,8 +8,12 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-/// Answers with what was written down for a keyframe.
-struct Script(BTreeMap<u64, Vec<LoopClosure>>);
+/// Answers with what was written down for a keyframe, and notes how well each one's place was known, metres.
+#[derive(Default)]
+struct Script {
+    loops: BTreeMap<u64, Vec<LoopClosure>>,
+    asked: Arc<Mutex<BTreeMap<u64, f64>>>,
+}
 
 impl PlaceRecognition for Script {
     fn restore(&mut self, _: KeyframeId, _: &Arc<KeyframeScan>, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
@@ -18,10 +22,11 @@ impl PlaceRecognition for Script {
         &mut self,
         id: KeyframeId,
         _: &Arc<KeyframeScan>,
-        _: &Covariance6,
+        drift: &Covariance6,
         _: &KeyframePoses,
     ) -> Vec<LoopClosure> {
-        self.0.remove(&id.0).unwrap_or_default()
+        self.asked.lock().unwrap().insert(id.0, drift[(0, 0)].max(drift[(1, 1)]).sqrt());
+        self.loops.remove(&id.0).unwrap_or_default()
     }
 
     fn relocalise(&self, _: &KeyframeScan, _: &KeyframePoses) -> Option<Relocalisation> {
@@ -79,7 +84,7 @@ fn scan() -> Arc<KeyframeScan> {
 
 /// Drives with odometry that turns a little too far; the back end, and where the map has the keyframes.
 fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackEnd, Vec<Pose>) {
-    drive_along(rng, &truth(), Box::new(Script(loops)))
+    drive_along(rng, &truth(), Box::new(Script { loops, ..Script::default() }))
 }
 
 fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceRecognition>) -> (BackEnd, Vec<Pose>) {
@@ -320,7 +325,7 @@ fn a_gap_stays_one_after_a_restart() {
         state: LoopState::Active,
     });
     let loops: Vec<Loop> = loops.collect();
-    let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(Script(BTreeMap::new())));
+    let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(Script::default()));
     let next = loops.len() as u64;
     back_end.resume((0..truth.len()).map(|k| (node(k), truth[k])), loops.clone(), next + 5);
     let vetoed = back_end.veto(LoopId(3), true).unwrap();
@@ -335,30 +340,6 @@ fn a_gap_stays_one_after_a_restart() {
     assert_eq!(again.loops[0].id, LoopId(next + 5));
 }
 
-/// Notes what is asked for: the standard deviation of each keyframe's place, metres.
-struct Asked(Script, Arc<Mutex<BTreeMap<u64, f64>>>);
-
-impl PlaceRecognition for Asked {
-    fn restore(&mut self, _: KeyframeId, _: &Arc<KeyframeScan>, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
-
-    fn insert(
-        &mut self,
-        id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
-        drift: &Covariance6,
-        poses: &KeyframePoses,
-    ) -> Vec<LoopClosure> {
-        self.1.lock().unwrap().insert(id.0, drift[(0, 0)].max(drift[(1, 1)]).sqrt());
-        self.0.insert(id, scan, drift, poses)
-    }
-
-    fn relocalise(&self, _: &KeyframeScan, _: &KeyframePoses) -> Option<Relocalisation> {
-        None
-    }
-
-    fn forget(&mut self, _: KeyframeId) {}
-}
-
 #[test]
 fn after_a_gap_one_measurement_tells_where_places_are_to_be_looked_for() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
@@ -366,9 +347,10 @@ fn after_a_gap_one_measurement_tells_where_places_are_to_be_looked_for() {
     let tie = true_loop(&mut rng, &truth, 20, gap);
     // Told with the keyframe itself where a lost robot was found, or found by place recognition just after the gap.
     for (tied, found) in [(Some(tie.clone()), BTreeMap::new()), (None, BTreeMap::from([(gap, vec![tie])]))] {
-        let asked = Arc::default();
+        let recognition = Script { loops: found, ..Script::default() };
+        let asked = Arc::clone(&recognition.asked);
         let (first, is_told) = (if tied.is_some() { gap } else { gap + 1 }, tied.is_some());
-        let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(Asked(Script(found), Arc::clone(&asked))));
+        let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(recognition));
         for k in 0..gap + 3 {
             let keyframe = BackEndKeyframe {
                 id: KeyframeId(k),
