@@ -175,8 +175,9 @@ impl Lidar3d {
         }
         let smallest = SIZES.0.min(range90 * SIZE_LADDER[SIZE_LADDER.len() - 1]).max(0.1);
         let mut best = (0.0, smallest);
-        for share in SIZE_LADDER {
-            let size = (share * range90).clamp(smallest, SIZES.1);
+        let mut sizes = SIZE_LADDER.map(|share| (share * range90).clamp(smallest, SIZES.1)).to_vec();
+        sizes.dedup();
+        for size in sizes {
             let kept = self.thinner.first_per_voxel(points, usable, DENSE * size);
             let kept: Vec<Point3<f64>> = kept.iter().map(|&i| points[i as usize].cast()).collect();
             let mut map = Levels::new(size);
@@ -222,6 +223,7 @@ impl Lidar3d {
         let motion = Motion::of(t_odom_base);
         let moved: Vec<Point3<f64>> = points.iter().map(|p| motion.apply(p)).collect();
         if let Some(map) = &mut self.map {
+            // The points count as old as the map that they were placed in: what is new is off by as much as the sweep is.
             let new = map.insert(&moved);
             map.renewed(new, self.sigma);
         }
@@ -368,7 +370,7 @@ impl LocalModel for Lidar3d {
             self.start_maps(size);
         }
         // What was found in the old map was not believed: the sweep that starts the new one moved as it was expected to.
-        (self.velocity, self.elapsed) = (self.expected_velocity, 0.0);
+        (self.velocity, self.elapsed, self.sigma) = (self.expected_velocity, 0.0, 0.0);
         self.deviation2 = None;
         self.last_trim = None;
         self.kept.clear();

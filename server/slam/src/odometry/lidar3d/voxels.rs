@@ -136,6 +136,7 @@ impl Gaussian {
         self.mean += between * (other.num / all);
         self.scatter += other.scatter + between * between.transpose() * (n * other.num / all);
         self.num = all;
+        self.seen = self.seen.max(other.seen);
     }
 
     /// Variance of where it is now, by what the odometry may have drifted since it was seen, m^2.
@@ -327,12 +328,8 @@ impl Levels {
 
     /// Adds points of odom; answers with the share that lies in finest voxels where nothing was.
     pub(crate) fn insert(&mut self, points: &[Point3<f64>]) -> f64 {
-        let mut new = None;
-        for map in &mut self.maps {
-            let share = map.insert(points.iter().copied());
-            new = new.or(Some(share));
-        }
-        new.unwrap_or(1.0)
+        // The finest level comes last.
+        self.maps.iter_mut().rev().fold(1.0, |_, map| map.insert(points.iter().copied()))
     }
 
     pub(crate) fn clock(&self) -> Clock {
