@@ -139,6 +139,8 @@ fn rgbd(dir: &Path, stride: usize) -> Result<(), Failure> {
     let estimate: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base * t_base_camera).collect();
     run.report();
     measure::report(&truth, &estimate);
+    let truth: Vec<Pose> = truth.iter().map(|t| t * t_base_camera.inverse()).collect();
+    measure::consistency(&truth, &run.estimates);
     Ok(())
 }
 
@@ -153,6 +155,7 @@ fn kitti_tracking(dir: &Path) -> Result<(), Failure> {
     let estimate: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base).collect();
     run.report();
     measure::report(&truth, &estimate);
+    measure::consistency(&truth, &run.estimates);
     if let (Some(a), Some(b)) = (truth.last(), estimate.last()) {
         let d = a.inverse() * b;
         println!("end off by {:.4} m, {:.3} deg", d.translation.vector.norm(), d.rotation.angle().to_degrees());

@@ -3,7 +3,7 @@
 use super::read::Failure;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3, Vector6};
 use percept_geometry::{Covariance6, Pose, se3};
-use percept_slam::MotionPrior;
+use percept_slam::{MotionPrior, OdometryEstimate};
 
 /// The transform that brings `estimate` onto `truth` with least squares of positions.
 ///
@@ -69,6 +69,26 @@ pub(crate) fn report(truth: &[Pose], estimate: &[Pose]) {
         errors.iter().fold(0f64, |a, &b| a.max(b)),
         rmse(&rpe_t),
         rmse(&rpe_r)
+    );
+}
+
+/// Errors since the first frame beside those that the estimates tell of: root mean squares of positions and turns.
+pub(crate) fn consistency(truth: &[Pose], estimates: &[OdometryEstimate]) {
+    let Some((first, start)) = truth.first().zip(estimates.first()) else { return };
+    let (mut off, mut told) = (vec![], vec![]);
+    for (t, e) in truth.iter().zip(estimates) {
+        let d = (first.inverse() * t).inverse() * (start.t_odom_base.inverse() * e.t_odom_base);
+        off.push([d.translation.vector.norm(), d.rotation.angle().to_degrees()]);
+        let sigma = |from: usize| (from..from + 3).map(|k| e.covariance[(k, k)]).sum::<f64>().sqrt();
+        told.push([sigma(0), sigma(3).to_degrees()]);
+    }
+    let of = |errors: &[[f64; 2]], k: usize| rmse(&errors.iter().map(|e| e[k]).collect::<Vec<_>>());
+    println!(
+        "since the start off by {:.4} m, {:.3} deg; told {:.4} m, {:.3} deg",
+        of(&off, 0),
+        of(&off, 1),
+        of(&told, 0),
+        of(&told, 1)
     );
 }
 

@@ -70,5 +70,6 @@ pub(crate) fn lidar(args: &[String]) -> Result<(), Failure> {
     let estimate: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base).collect();
     run.report();
     measure::report(&truth, &estimate);
+    measure::consistency(&truth, &run.estimates);
     Ok(())
 }
