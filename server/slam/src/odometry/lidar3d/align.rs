@@ -28,6 +28,9 @@ const TILTED: f64 = 4.0;
 /// least. Hands and feet do this; how much less a robot does is learned ([`agility`]).
 const ACCELERATION: (f64, f64) = (4.0, 8.0);
 const LEAST_CHANGE: (f64, f64) = (0.02, 0.01);
+/// Where nothing tells a velocity it comes back to rest, as hands and bumps do: its standard deviation in the long run,
+/// m/s and rad/s. What moves faster is thought to go on moving as fast.
+const REST: (f64, f64) = (0.5, 1.2);
 /// How far two poses in a row may be off in where the second lies to the first, metres and radians.
 const STEP: (f64, f64) = (0.005, 0.002);
 
@@ -136,14 +139,22 @@ fn prior(problem: &Problem<'_>) -> Option<Matrix12> {
     Some(out)
 }
 
-/// Information and gradient of how far the state is from what was expected, and of how far its velocity is from the step
-/// that it makes: what the points of one sweep hardly tell, its poses tell over the sweeps.
+/// Information and gradient of how far the state is from what was expected, of its velocity, and of how far that is from
+/// the step that it makes: what the points of one sweep hardly tell, its poses tell over the sweeps.
 /// Source: Dellenbach et al., "CT-ICP", 2022 (location consistency); here between a sweep's velocity and its pose.
 fn expected(problem: &Problem<'_>, prior: &Matrix12, state: &State) -> (Matrix12, Vector12) {
     let mut off = Vector12::zeros();
     off.fixed_rows_mut::<6>(0).copy_from(&se3::log(&problem.prediction.t_odom_base.inv_mul(&state.t_odom_base)));
     off.fixed_rows_mut::<6>(6).copy_from(&(state.velocity - problem.velocity));
     let (mut h, mut g) = (*prior, prior * off);
+    for (from, sigma) in [(0, REST.0), (3, REST.1)] {
+        let fast2 = problem.velocity.fixed_rows::<3>(from).norm_squared();
+        let information = 1.0 / (sigma * sigma + fast2);
+        for k in from..from + 3 {
+            h[(6 + k, 6 + k)] += information;
+            g[6 + k] += information * state.velocity[k];
+        }
+    }
     let (dt, is_sweep) = (problem.prediction.elapsed_s, problem.sweep.instants().duration() > 0.0);
     let Some(before) = problem.prediction.t_odom_before.filter(|_| is_sweep && dt > 1e-3) else { return (h, g) };
     let misfit = state.velocity - se3::log(&before.inv_mul(&state.t_odom_base)) / dt;

@@ -87,7 +87,7 @@ const RANGE_CHANGE: f64 = 2.2;
 const SMALLEST: f64 = 0.75;
 /// Velocities may change so many times faster than they did of late, and by at least this share of what hands do.
 const CAUTION: f64 = 2.0;
-const LEAST_AGILITY: f64 = 0.1;
+const LEAST_AGILITY: f64 = 0.15;
 /// The most by which a sweep's change of velocity counts more than those of late.
 const QUICKENS: f64 = 2.0;
 /// Spacing of the points that go into the map, and of those that are registered, voxels.
