@@ -35,6 +35,7 @@ pub(crate) fn simulation(args: &[String]) -> Result<Simulation, Failure> {
             rooms: value("rooms", 4.0) as usize,
             room_min_m: value("room", 4.4),
             room_max_m: value("room", 4.4).max(6.0),
+            corridor_m: option(args, "corridor"),
             ..WorldParams::default()
         },
         robot: RobotParams { speed_m_per_s: value("speed", 0.6), handheld, ..RobotParams::default() },
