@@ -3,9 +3,10 @@
 use percept_geometry::{KeyframeId, Pose};
 use percept_slam::loops::place_recognition;
 use percept_slam::{
-    BackEnd, BackEndKeyframe, BackEndParams, KeyframeParams, KeyframePolicy, LoopState, Odometry, OdometryEstimate,
-    OdometryKind, Scan,
+    BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, KeyframeParams, KeyframePolicy, LoopState, Odometry,
+    OdometryEstimate, OdometryKind, Scan,
 };
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -13,6 +14,8 @@ pub(crate) struct Mapping {
     policy: KeyframePolicy,
     back_end: BackEnd,
     t_odom_keyframe: Vec<Pose>,
+    /// Keyframes that others stand for, and their poses in those.
+    merged: BTreeMap<KeyframeId, (KeyframeId, Pose)>,
     /// The keyframe before each frame, and the frame's pose in it.
     frames: Vec<(usize, Pose)>,
     milliseconds: Vec<f64>,
@@ -25,6 +28,7 @@ impl Mapping {
             policy: KeyframePolicy::new(KeyframeParams::default()),
             back_end: BackEnd::new(BackEndParams::default(), place_recognition(kind)?),
             t_odom_keyframe: vec![],
+            merged: BTreeMap::new(),
             frames: vec![],
             milliseconds: vec![],
         })
@@ -57,16 +61,28 @@ impl Mapping {
             tied: None,
         };
         let start = Instant::now();
-        self.back_end.insert(&keyframe, &t_map_base);
+        let update = self.back_end.insert(&keyframe, &t_map_base);
+        self.merge(&update);
         self.milliseconds.push(start.elapsed().as_secs_f64() * 1e3);
     }
 
     /// Poses of all frames, carried by the corrected keyframes before them.
     pub(crate) fn finish(&mut self) -> Vec<Pose> {
-        self.back_end.settle();
+        let update = self.back_end.settle();
+        self.merge(&update);
         let poses = self.back_end.poses();
-        let at = |(k, t): &(usize, Pose)| poses.get(&KeyframeId(*k as u64)).map_or(*t, |anchor| anchor * t);
+        let at = |(k, t): &(usize, Pose)| {
+            let (mut id, mut t) = (KeyframeId(*k as u64), *t);
+            while let Some((into, t_into_base)) = self.merged.get(&id) {
+                (id, t) = (*into, t_into_base * t);
+            }
+            poses.get(&id).map_or(t, |anchor| anchor * t)
+        };
         self.frames.iter().map(at).collect()
+    }
+
+    fn merge(&mut self, update: &BackEndUpdate) {
+        self.merged.extend(update.merged.iter().map(|m| (m.id, (m.into, m.t_into_base))));
     }
 
     pub(crate) fn report(&self) {
