@@ -42,7 +42,7 @@ pub enum LostReason {
     ResidualTooLarge,
     /// The frame fits only with a motion that no robot of this kind makes.
     MotionTooLarge,
-    /// The frame's geometry leaves most of the motion open.
+    /// The frame's geometry leaves most of the motion open, or has left an axis open for seconds while nothing measured it.
     Degenerate,
     /// Too much time passed since the last placed frame, and the frame does not fit the old place.
     TimeGap,
@@ -65,7 +65,10 @@ impl std::fmt::Display for LostReason {
             Self::TooFewCorrespondences => "too little overlap with the places just seen: go back or turn back",
             Self::ResidualTooLarge => "the scene does not fit the places just seen: many things moved, or a jump",
             Self::MotionTooLarge => "the motion between two frames is too large: drive slower or send more frames",
-            Self::Degenerate => "the scene has too little structure to fix the motion: turn towards objects or corners",
+            Self::Degenerate => {
+                "the scene has too little structure to fix the motion: turn towards objects or corners, or send wheel \
+                 odometry along"
+            }
             Self::TimeGap => "frames were missing for too long: go back to where tracking was lost",
             Self::UnsuitableScan => "the sensor sends another kind of scan than this odometry registers",
             Self::NoTexture => "the image shows too little texture: turn towards things with detail, clean the lens",

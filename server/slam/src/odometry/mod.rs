@@ -161,12 +161,16 @@ impl Odometry {
         if self.model.is_empty() {
             return self.start(stamp, &prediction);
         }
-        match self.place_or_search(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found)) {
+        let found = self.place_or_search(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found));
+        if let Ok(found) = &found {
+            self.uncertainty.filled_in(&found.degenerate_axes, prediction.is_measured, dt);
+        }
+        let is_guessed = self.uncertainty.is_guessed();
+        match found.and_then(|found| if is_guessed { Err(LostReason::Degenerate) } else { Ok(found) }) {
             Ok(found) => {
                 if self.num_lost == 0 {
                     self.rhythm.observe(stamped, &(t_odom_before.inverse() * found.t_odom_base));
                 }
-                self.uncertainty.filled_in(&found.degenerate_axes, prediction.is_measured, dt);
                 self.tracked(stamp, dt, found)
             }
             Err(_) if self.num_lost + 1 >= self.patience(dt) => {

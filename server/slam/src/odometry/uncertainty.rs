@@ -17,6 +17,9 @@ const LEFT_OPEN: (f64, f64) = (0.06, 0.02);
 /// drives off is noticed by nothing.
 const WANDERS: (f64, f64) = (0.3, 0.1);
 
+/// Where a velocity that nobody measures may have led so far, metres and radians, a pose is a guess: after five seconds.
+const GUESSED: (f64, f64) = (2.5, 0.8);
+
 /// Motion after which the local model's errors are independent of what they were, metres and radians.
 const RENEWAL: (f64, f64) = (0.5, 0.35);
 
@@ -58,6 +61,11 @@ impl Uncertainty {
         }
     }
 
+    /// Whether the pose along some axis has become a guess: nothing has measured it for seconds.
+    pub(crate) fn is_guessed(&self) -> bool {
+        (0..6).any(|k| self.unknown_way[k] > if k < 3 { GUESSED.0 } else { GUESSED.1 })
+    }
+
     /// A frame was placed `t_last_now` from the last estimate, with this covariance against the model. Along the axes of
     /// base that are `open` it was put where the prediction was.
     pub(crate) fn measured(&mut self, t_last_now: &Pose, covariance: &Covariance6, open: &[bool; 6]) -> Covariance6 {
@@ -87,6 +95,7 @@ impl Uncertainty {
 
     /// A new local model starts where base is believed to be.
     pub(crate) fn restarted(&mut self) {
+        (self.unknown_velocity, self.unknown_way) = (Vector6::zeros(), Vector6::zeros());
         self.model = se3::compose_covariance(&self.model, &self.since_placed, &self.predicted);
         self.last = self.model;
         self.predicted = Covariance6::zeros();
@@ -129,7 +138,9 @@ mod tests {
         // The velocity's standard deviation is a square root of time: two thirds of 0.3 t^1.5 after 25 s.
         let (along, across) = (u.covariance()[(0, 0)].sqrt(), u.covariance()[(1, 1)].sqrt());
         assert!((along - 25.0).abs() < 0.5 && across < 0.02, "{along} {across}");
+        assert!(u.is_guessed());
         u.filled_in(FIXED, false, 0.1);
+        assert!(!u.is_guessed());
         let fixed = u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), FIXED)[(0, 0)].sqrt();
         assert!((fixed - along).abs() < 0.01, "{fixed}");
     }

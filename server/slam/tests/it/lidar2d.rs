@@ -1,6 +1,6 @@
 use crate::room::{Noise, Room, drive};
 use percept_geometry::{Covariance6, Pose, Timestamp, se3};
-use percept_slam::{MotionPrior, Odometry, OdometryKind, OdometryParams};
+use percept_slam::{LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, TrackingState};
 
 #[test]
 fn a_drive_through_the_room_is_followed_to_a_centimetre_without_wheels() {
@@ -39,6 +39,29 @@ fn in_a_corridor_the_wheels_say_how_far() {
     assert!(e.covariance[(0, 0)] > 4.0 * e.covariance[(1, 1)]);
     // Whatever the wheels say of each step: what they are off by has one cause and adds up.
     assert!(e.covariance[(0, 0)].sqrt() > 0.1, "{}", e.covariance[(0, 0)].sqrt());
+}
+
+#[test]
+fn in_a_corridor_without_wheels_the_robot_is_lost_before_it_is_far_off() {
+    let (room, mut noise) = (Room::corridor(), Noise(5));
+    let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+    let mut t_world_base = Pose::identity();
+    let mut states = vec![];
+    for i in 0..90 {
+        let scan = room.scan(&t_world_base, &mut noise);
+        let e = odometry.register(Timestamp::from_secs_f64(i as f64 * 0.1), &scan, None);
+        let off = (t_world_base.inverse() * e.t_odom_base).translation.vector.norm();
+        // What is said of the error grows with it.
+        assert!(off < 2.0 * e.covariance[(0, 0)].sqrt() + 0.5, "frame {i}: {off}");
+        states.push(e.state);
+        t_world_base *= se3::from_xy_yaw(0.06, 0.0, 0.0);
+    }
+    let lost = states.iter().position(|s| s.is_lost()).unwrap();
+    assert_eq!(states[lost], TrackingState::Lost { reason: LostReason::Degenerate });
+    assert!((40..70).contains(&lost), "{lost}");
+    // It stays so until the map begins anew.
+    let after = states[lost..].iter().find(|s| !s.is_lost());
+    assert!(after.is_none_or(|s| *s == TrackingState::Initialising), "{after:?}");
 }
 
 #[test]
