@@ -165,7 +165,7 @@ impl Odometry {
         if let Ok(found) = &found {
             self.uncertainty.filled_in(&found.degenerate_axes, prediction.is_measured, dt);
         }
-        let is_guessed = self.uncertainty.is_guessed();
+        let is_guessed = self.uncertainty.guessed().contains(&true);
         match found.and_then(|found| if is_guessed { Err(LostReason::Degenerate) } else { Ok(found) }) {
             Ok(found) => {
                 if self.num_lost == 0 {
@@ -330,7 +330,7 @@ impl Odometry {
             inlier_ratio: 0.0,
             rmse_m: 0.0,
             iterations: 0,
-            degenerate_axes: [false; 6],
+            degenerate_axes: self.uncertainty.guessed(),
             scale: Scale::Measured,
             waiting: None,
         }

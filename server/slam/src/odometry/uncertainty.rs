@@ -61,9 +61,9 @@ impl Uncertainty {
         }
     }
 
-    /// Whether the pose along some axis has become a guess: nothing has measured it for seconds.
-    pub(crate) fn is_guessed(&self) -> bool {
-        (0..6).any(|k| self.unknown_way[k] > if k < 3 { GUESSED.0 } else { GUESSED.1 })
+    /// Axes of base along which the pose has become a guess: nothing has measured them for seconds.
+    pub(crate) fn guessed(&self) -> [bool; 6] {
+        std::array::from_fn(|k| self.unknown_way[k] > if k < 3 { GUESSED.0 } else { GUESSED.1 })
     }
 
     /// A frame was placed `t_last_now` from the last estimate, with this covariance against the model. Along the axes of
@@ -138,9 +138,9 @@ mod tests {
         // The velocity's standard deviation is a square root of time: two thirds of 0.3 t^1.5 after 25 s.
         let (along, across) = (u.covariance()[(0, 0)].sqrt(), u.covariance()[(1, 1)].sqrt());
         assert!((along - 25.0).abs() < 0.5 && across < 0.02, "{along} {across}");
-        assert!(u.is_guessed());
+        assert_eq!(u.guessed(), open);
         u.filled_in(FIXED, false, 0.1);
-        assert!(!u.is_guessed());
+        assert_eq!(u.guessed(), *FIXED);
         let fixed = u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), FIXED)[(0, 0)].sqrt();
         assert!((fixed - along).abs() < 0.01, "{fixed}");
     }

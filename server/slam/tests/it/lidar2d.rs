@@ -53,6 +53,9 @@ fn in_a_corridor_without_wheels_the_robot_is_lost_before_it_is_far_off() {
         let off = (t_world_base.inverse() * e.t_odom_base).translation.vector.norm();
         // What is said of the error grows with it.
         assert!(off < 2.0 * e.covariance[(0, 0)].sqrt() + 0.5, "frame {i}: {off}");
+        // It tells which axis is open, when it is lost for that as well.
+        let is_open = e.degenerate_axes == [true, false, false, false, false, false];
+        assert!(is_open || e.state != TrackingState::Lost { reason: LostReason::Degenerate }, "frame {i}");
         states.push(e.state);
         t_world_base *= se3::from_xy_yaw(0.06, 0.0, 0.0);
     }
