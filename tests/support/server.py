@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pathlib
+import random
 import select
 import signal
 import socket
@@ -29,10 +31,15 @@ def recorded(name: str) -> pathlib.Path | None:
 
 
 def free_port() -> int:
-    """A port that was free a moment ago; for zenoh, which takes none by itself."""
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
+    """A port that was free a moment ago; for zenoh, which takes none by itself.
+
+    Below those that the system gives to clients (32768 on Linux): no connection of a test beside this one takes it meanwhile.
+    """
+    while True:
+        port = random.randrange(20000, 32000)
+        with socket.socket() as s, contextlib.suppress(OSError):
+            s.bind(("127.0.0.1", port))
+            return port
 
 
 class Server:

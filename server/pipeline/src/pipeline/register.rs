@@ -170,7 +170,12 @@ impl Pipeline {
                 return (estimate, true);
             }
         }
-        (OdometryEstimate { state: TrackingState::Lost { reason: LostReason::Adrift }, ..estimate }, false)
+        // What odometry itself lacks says more.
+        let state = match estimate.state {
+            lost @ TrackingState::Lost { .. } => lost,
+            _ => TrackingState::Lost { reason: LostReason::Adrift },
+        };
+        (OdometryEstimate { state, ..estimate }, false)
     }
 
     /// Keyframes of a sensor around a place, with their odom poses, oldest first.

@@ -12,6 +12,7 @@
 mod local_map;
 mod near;
 mod neighbourhood;
+mod registering;
 mod retrieve;
 mod seen;
 mod stretch;
@@ -23,9 +24,9 @@ mod tests;
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::diagonal;
 use local_map::{LocalMap, Placed, Surface};
-use nalgebra::{Translation3, UnitQuaternion};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
 use percept_perception::registration::{GlobalOutcome, GlobalParams, GlobalResult, register_global};
+use registering::{Registering, Views};
 pub(super) use seen::Seen;
 use std::collections::VecDeque;
 use std::f64::consts::PI;
@@ -87,6 +88,8 @@ pub(crate) struct SpatialRecognition {
     since_closed: usize,
     waiting: VecDeque<Waiting>,
     since_searched: usize,
+    /// The pair whose surfaces are being registered.
+    registering: Registering<Waiting>,
     next_map: u64,
     /// Length of the way up to the newest keyframe that was measured from a place seen before, metres.
     tied_at: f64,
@@ -171,21 +174,28 @@ impl SpatialRecognition {
         }
     }
 
-    /// Looks for the later map of the next waiting pair in the earlier one, if it is time for that.
+    /// Looks for the later map of the next waiting pair in the earlier one, if it is time for that. Most of what overlaps is
+    /// found from above, in a tenth of the time that surfaces alone take: those are registered until the next search.
     fn search_next(&mut self, poses: &KeyframePoses) -> Option<LoopClosure> {
         self.since_searched += 1;
         if self.since_searched < PATIENCE {
             return None;
         }
-        let Waiting { earlier, later, alike, most_way, most_turn } = self.waiting.pop_front()?;
+        if let Some(found) = self.registered(poses) {
+            self.since_searched = 0;
+            return Some(found);
+        }
+        let pair = self.waiting.pop_front()?;
         self.since_searched = 0;
-        let (from, to) = (self.map(earlier)?, self.map(later)?);
-        // Most of what overlaps is found from above, in a tenth of the time that surfaces alone take.
-        let found = self
-            .overlaid(from, to, most_turn, poses)
-            .or_else(|| if alike { self.registered(from, to, poses) } else { None })?;
-        let off = found.t_from_to.inv_mul(&poses.get(&found.from)?.inv_mul(poses.get(&found.to)?));
-        (off.translation.vector.norm() < most_way).then_some(found)
+        let (from, to) = (self.map(pair.earlier)?, self.map(pair.later)?);
+        if let Some(found) = self.overlaid(from, to, pair.most_turn, poses) {
+            return likely(found, &pair, poses);
+        }
+        if pair.alike {
+            let (from, to) = (self.views(from, poses)?, self.views(to, poses)?);
+            self.registering.begin(pair, from, to);
+        }
+        None
     }
 
     /// The later map's stretch searched for in the earlier visit, from above.
@@ -207,16 +217,20 @@ impl SpatialRecognition {
         })
     }
 
-    /// The later map's surface laid over the earlier one's.
-    fn registered(&self, from: &LocalMap, to: &LocalMap, poses: &KeyframePoses) -> Option<LoopClosure> {
-        let (t_map_from, t_map_to) = (poses.get(&from.anchor)?, poses.get(&to.anchor)?);
-        let of_from = Surface::around(t_map_from, &self.placed(from, poses))?;
-        let of_to = Surface::around(t_map_to, &self.placed(to, poses))?;
-        let t_from_to = verified(&of_to, &of_from)?.t_target_source;
-        // The frames have the map's axes: what the surfaces agree on has to explain what each scan looked through as well.
-        let here = Pose::from_parts(t_map_from.translation, UnitQuaternion::identity());
-        let expected = here * t_from_to * Pose::from_parts(Translation3::identity(), t_map_to.rotation);
-        self.measure(to.anchor, from.anchor, &expected, poses)
+    /// What came of laying one local map's surface over another's, if that was begun.
+    fn registered(&mut self, poses: &KeyframePoses) -> Option<LoopClosure> {
+        let (pair, t_from_to) = self.registering.take()?;
+        let (from, to) = (self.map(pair.earlier)?.anchor, self.map(pair.later)?.anchor);
+        // What the surfaces agree on has to explain what each scan looked through as well.
+        let found = self.measure(to, from, &(poses.get(&from)? * t_from_to?), poses)?;
+        likely(found, &pair, poses)
+    }
+
+    /// What is left of a local map's keyframes, to be registered beside the frames.
+    fn views(&self, map: &LocalMap, poses: &KeyframePoses) -> Option<Views> {
+        let view = |id: &KeyframeId| Some((*id, Arc::clone(&self.seen.kept.get(id)?.scan), *poses.get(id)?));
+        let keyframes = map.keyframes.iter().filter_map(view).collect();
+        Some(Views { t_map_anchor: *poses.get(&map.anchor)?, keyframes })
     }
 
     /// What is left of a local map's keyframes, where they are believed to be.
@@ -242,6 +256,12 @@ impl SpatialRecognition {
         let oldest = (0..self.maps.len() / 2).find(|&i| again(i)).unwrap_or(0);
         self.maps.remove(oldest);
     }
+}
+
+/// A loop, if it tells of no more than drift between its maps explains.
+fn likely(found: LoopClosure, pair: &Waiting, poses: &KeyframePoses) -> Option<LoopClosure> {
+    let off = found.t_from_to.inv_mul(&poses.get(&found.from)?.inv_mul(poses.get(&found.to)?));
+    (off.translation.vector.norm() < pair.most_way).then_some(found)
 }
 
 /// The source in the target, if that is certain.
