@@ -4,11 +4,11 @@ mod features;
 
 use crate::odometry::rgbd::ColorCamera;
 use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
+use crate::thinning::Thinner;
 use crate::{ParamError, check_range};
 use nalgebra::Point3;
 use percept_geometry::cloud::Beam;
 use percept_geometry::{FeatureMethod, KeyframeScan, PointCloud, Pose, SensorId, Timestamp, Voxel, cloud};
-use rustc_hash::FxHashSet;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -28,7 +28,7 @@ pub struct KeyframeParams {
     pub depth_stride_px: usize,
     /// Depth beyond this is not kept, metres, 0.1 to 100: noise grows with the square of the depth.
     pub max_depth_m: f64,
-    /// Keep one lidar point per voxel of this edge, metres, 0.01 to 10.
+    /// Keep about one lidar point per voxel of this edge, metres, 0.01 to 10.
     pub voxel_size_m: f64,
     /// A beam without a return frees space up to here, metres, 0.1 to 1000.
     pub free_range_m: f64,
@@ -171,11 +171,13 @@ fn depth_hits(params: &KeyframeParams, s: &DepthScan) -> PointCloud {
 
 fn cloud_hits(params: &KeyframeParams, s: &CloudScan, velocity: &nalgebra::Vector6<f64>) -> PointCloud {
     let in_base = crate::odometry::deskew::to_base(&s.cloud, &s.t_base_sensor, velocity);
-    let mut taken = FxHashSet::default();
-    let keep: Vec<usize> = (0..in_base.len())
-        .filter(|&i| cloud::is_finite(&in_base[i]) && cloud::is_finite(&s.cloud.positions[i]))
-        .filter(|&i| Voxel::containing(&in_base[i].cast(), params.voxel_size_m).is_some_and(|v| taken.insert(v)))
-        .collect();
+    let is_usable = |&i: &u32| {
+        let p = &in_base[i as usize];
+        cloud::is_finite(&s.cloud.positions[i as usize]) && Voxel::containing(&p.cast(), params.voxel_size_m).is_some()
+    };
+    let usable: Vec<u32> = (0..in_base.len() as u32).filter(is_usable).collect();
+    let keep = Thinner::default().even(&in_base, &usable, params.voxel_size_m);
+    let keep: Vec<usize> = keep.into_iter().map(|i| i as usize).collect();
     let mut hits = PointCloud {
         positions: in_base,
         colors: s.cloud.colors.clone(),

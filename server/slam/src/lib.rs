@@ -12,6 +12,7 @@ pub mod loops;
 pub mod odometry;
 pub mod pose_graph;
 pub mod scan;
+mod thinning;
 pub mod tracking;
 
 pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe};

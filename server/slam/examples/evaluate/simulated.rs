@@ -22,6 +22,8 @@ pub(crate) fn simulation(args: &[String]) -> Result<Simulation, Failure> {
         columns: value("columns", 900.0) as usize,
         rosette_points: value("points", 20_000.0) as usize,
         rosette_half_angle_rad: value("half_angle", 0.6),
+        motion_distortion: option(args, "frozen").is_none(),
+        range_noise_m: value("noise", 0.02),
         ..Lidar3dParams::default()
     };
     let handheld = option(args, "hand").map(|swing_rad| HandheldParams {
@@ -65,7 +67,22 @@ pub(crate) fn lidar(args: &[String]) -> Result<(), Failure> {
         truth.push(frame.t_world_base);
         if let (Some(t), Some(e), true) = (truth.last(), run.estimates.last(), std::env::var_os("VERBOSE").is_some()) {
             let d = (truth[0].inverse() * t).inverse() * e.t_odom_base;
-            println!("   off {:.3} m {:.3} deg", d.translation.vector.norm(), d.rotation.angle().to_degrees());
+            let r = d.rotation.scaled_axis() * 57.2958;
+            let p = t.translation.vector;
+            println!(
+                "   off {:.3} m {:.3} deg rpy {:.3} {:.3} {:.3} xyz {:.3} {:.3} {:.3} at {:.2} {:.2} {:.0}",
+                d.translation.vector.norm(),
+                d.rotation.angle().to_degrees(),
+                r.x,
+                r.y,
+                r.z,
+                d.translation.x,
+                d.translation.y,
+                d.translation.z,
+                p.x,
+                p.y,
+                t.rotation.euler_angles().2.to_degrees()
+            );
         }
     }
     let estimate: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base).collect();

@@ -5,8 +5,9 @@ use super::seen::Kept;
 use crate::odometry::lidar3d::align::{Problem, align};
 use crate::odometry::lidar3d::sight::{Contradiction, Sight};
 use crate::odometry::lidar3d::sweep::{Instants, Sweep};
-use crate::odometry::lidar3d::voxels::{Levels, Thinner};
+use crate::odometry::lidar3d::voxels::Levels;
 use crate::odometry::{Match, Prediction, diagonal};
+use crate::thinning::Thinner;
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
 use std::collections::{BTreeMap, BTreeSet};
@@ -133,10 +134,10 @@ impl<'a> Neighbourhood<'a> {
         let mut thinner = Thinner::default();
         let all: Vec<u32> = (0..points.len() as u32).collect();
         let mut spacing = 0.5 * self.voxel_m;
-        let mut indices = thinner.first_per_voxel(points, &all, spacing);
+        let mut indices = thinner.even(points, &all, spacing);
         while indices.len() > POINTS {
             spacing *= 1.3;
-            indices = thinner.first_per_voxel(points, &indices, spacing);
+            indices = thinner.even(points, &indices, spacing);
         }
         if indices.len() < 50 {
             return None;

@@ -11,6 +11,7 @@ pub(crate) mod voxels;
 
 use crate::odometry::{LocalModel, Match, Prediction, deskew};
 use crate::scan::Scan;
+use crate::thinning::Thinner;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
 use align::{Problem, agility, align};
@@ -21,7 +22,7 @@ use sight::{Contradiction, Sight};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use sweep::{Instants, Motion, Sweep};
-use voxels::{Levels, Thinner};
+use voxels::Levels;
 
 /// Parameters of 3D lidar odometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -178,7 +179,7 @@ impl Lidar3d {
         let mut sizes = SIZE_LADDER.map(|share| (share * range90).clamp(smallest, SIZES.1)).to_vec();
         sizes.dedup();
         for size in sizes {
-            let kept = self.thinner.first_per_voxel(points, usable, DENSE * size);
+            let kept = self.thinner.even(points, usable, DENSE * size);
             let kept: Vec<Point3<f64>> = kept.iter().map(|&i| points[i as usize].cast()).collect();
             let mut map = Levels::new(size);
             map.insert(&kept);
@@ -297,12 +298,12 @@ impl LocalModel for Lidar3d {
         let in_base = deskew::to_base(&scan.cloud, &scan.t_base_sensor, &self.expected_velocity);
         self.adapt(&in_base, &usable);
         let size = self.map.as_ref().map_or(1.0, Levels::size);
-        let dense = self.thinner.first_per_voxel(&in_base, &usable, DENSE * size);
+        let dense = self.thinner.even(&in_base, &usable, DENSE * size);
         let mut spacing = SPARSE * size;
-        let mut sparse = self.thinner.first_per_voxel(&in_base, &dense, spacing);
+        let mut sparse = self.thinner.even(&in_base, &dense, spacing);
         while sparse.len() < ENOUGH_POINTS && spacing > 1.5 * DENSE * size {
             spacing *= 0.7;
-            sparse = self.thinner.first_per_voxel(&in_base, &dense, spacing);
+            sparse = self.thinner.even(&in_base, &dense, spacing);
         }
         self.t_base_sensor = scan.t_base_sensor;
         let take = |indices: &[u32]| Sweep::new(positions, offsets, &scan.t_base_sensor, &instants, indices);

@@ -1,4 +1,4 @@
-//! Voxels with a Gaussian each, and a set for thinning clouds.
+//! Voxels with a Gaussian each.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
@@ -22,36 +22,6 @@ fn neighbour(key: Key, axis: u32, up: bool) -> Key {
     let one = 1u64 << shift;
     let moved = if up { (key & mask).wrapping_add(one) } else { (key & mask).wrapping_sub(one) };
     (key & !mask) | (moved & mask)
-}
-
-/// Indices of the first point in each voxel, in input order. Non-finite points are left out.
-///
-/// Open addressing in a table that is kept between calls: a hash a point is most of what thinning costs.
-#[derive(Debug, Default)]
-pub(crate) struct Thinner {
-    table: Vec<u64>,
-}
-
-impl Thinner {
-    pub(crate) fn first_per_voxel(&mut self, points: &[Point3<f32>], indices: &[u32], size: f64) -> Vec<u32> {
-        let capacity = (indices.len() * 2).next_power_of_two().max(1024);
-        self.table.clear();
-        self.table.resize(capacity, u64::MAX);
-        let (mask, inverse) = (capacity - 1, 1.0 / size);
-        let mut out = Vec::with_capacity(indices.len() / 2);
-        for &i in indices {
-            let k = key(&points[i as usize].cast(), inverse);
-            let mut slot = (k.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 20) as usize & mask;
-            while self.table[slot] != u64::MAX && self.table[slot] != k {
-                slot = (slot + 1) & mask;
-            }
-            if self.table[slot] == u64::MAX {
-                self.table[slot] = k;
-                out.push(i);
-            }
-        }
-        out
-    }
 }
 
 /// What a voxel's points look like.
@@ -83,8 +53,9 @@ pub(crate) struct Gaussian {
 
 /// Fewest points that make a shape.
 const MIN_POINTS: f64 = 5.0;
-/// More count as so many, so that old points fade.
-const MAX_POINTS: f64 = 200.0;
+/// More count as so many, so that old points fade: too soon, and a voxel follows the sweeps instead of holding them (dense
+/// rings bring 25 points a sweep, so that 200 were forgotten in a second).
+const MAX_POINTS: f64 = 500.0;
 
 /// Drift that makes a difference, and the most that what was seen before is thought to be off by, finest voxels.
 const NOTICED: f64 = 0.075;
