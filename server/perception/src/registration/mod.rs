@@ -23,7 +23,7 @@ mod register;
 pub use degeneracy::Degeneracy;
 pub use fpfh::{FPFH_LEN, Fpfh, FpfhParams, compute_fpfh};
 pub use gaussian_voxels::{GaussianVoxel, GaussianVoxels};
-pub use global::{GlobalMethod, GlobalOutcome, GlobalParams, GlobalResult, register_global};
+pub use global::{GlobalMethod, GlobalOutcome, GlobalParams, GlobalResult, GlobalSearch, register_global};
 pub use icp::{IcpOutcome, IcpResult, align};
 pub use kernel::RobustKernel;
 pub use normal_equations::{NormalEquations, accumulate};

@@ -20,9 +20,10 @@ mod tests;
 pub use params::{GlobalMethod, GlobalOutcome, GlobalParams, GlobalResult};
 
 use super::RegistrationError;
-use keypoints::Described;
+use keypoints::{Described, Keys};
 use matching::Pair;
 use percept_geometry::{PointCloud, Pose};
+use std::borrow::Cow;
 use verify::Judge;
 
 /// Fewer pairs than this are never believed.
@@ -43,34 +44,89 @@ pub fn register_global(
     target: &PointCloud,
     params: &GlobalParams,
 ) -> Result<GlobalResult, RegistrationError> {
-    params.validate()?;
-    let described =
-        rayon::join(|| Described::new("source", source, params), || Described::new("target", target, params));
-    let (whole_source, whole_target) = (source, target);
-    let (source, target) = (described.0?, described.1?);
-    let judge = Judge::new(&source, &target, params)?;
-    let mut pairs: Vec<Pair> = Vec::new();
-    let mut answer = GlobalResult::nothing(0);
-    // Wider neighbourhoods tell more apart but reach over the edges of what both clouds saw: only if need be.
-    for radius in FEATURE_RADII {
-        let (of_source, of_target) = rayon::join(|| source.keys(radius), || target.keys(radius));
-        pairs.extend(matching::pairs(&of_source, &of_target));
-        let candidates = match params.method {
-            GlobalMethod::Consistency => consistency::candidates(&pairs, params),
-            GlobalMethod::Ransac => ransac::candidates(&pairs, params),
-        };
-        let found = judge.best(&candidates, pairs.len());
-        if found.overlap >= answer.overlap {
-            answer = found;
-        }
-        if answer.outcome == GlobalOutcome::Found {
-            break;
+    let mut search = GlobalSearch::new(Cow::Borrowed(source), Cow::Borrowed(target), params)?;
+    loop {
+        if let Some(answer) = search.step() {
+            return answer;
         }
     }
-    Ok(match params.refine {
-        true => finish::finish(answer, whole_source, whole_target, params.voxel_size_m),
-        false => answer,
-    })
+}
+
+/// [`register_global`] in steps, for who has little time at once: at most seven, none longer than a third of the whole.
+pub struct GlobalSearch<'a> {
+    params: GlobalParams,
+    source: Cow<'a, PointCloud>,
+    target: Cow<'a, PointCloud>,
+    /// Both clouds described, from the first step on.
+    judge: Option<Judge>,
+    /// The neighbourhood that comes next, and the source's features of it.
+    radius: usize,
+    of_source: Option<Keys>,
+    pairs: Vec<Pair>,
+    answer: GlobalResult,
+}
+
+impl std::fmt::Debug for GlobalSearch<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("GlobalSearch").field("radius", &self.radius).finish_non_exhaustive()
+    }
+}
+
+impl<'a> GlobalSearch<'a> {
+    /// A search that has not begun.
+    ///
+    /// # Errors
+    /// `BadParam`.
+    pub fn new(
+        source: Cow<'a, PointCloud>,
+        target: Cow<'a, PointCloud>,
+        params: &GlobalParams,
+    ) -> Result<Self, RegistrationError> {
+        params.validate()?;
+        let (params, answer) = (params.clone(), GlobalResult::nothing(0));
+        Ok(Self { params, source, target, judge: None, radius: 0, of_source: None, pairs: vec![], answer })
+    }
+
+    /// Goes on for one step; answers as [`register_global`] does once that was the last.
+    pub fn step(&mut self) -> Option<Result<GlobalResult, RegistrationError>> {
+        match self.advance() {
+            Ok(false) => None,
+            Ok(true) => Some(Ok(match self.params.refine {
+                true => finish::finish(self.answer.clone(), &self.source, &self.target, self.params.voxel_size_m),
+                false => self.answer.clone(),
+            })),
+            Err(error) => Some(Err(error)),
+        }
+    }
+
+    /// Whether there is nothing more to try.
+    fn advance(&mut self) -> Result<bool, RegistrationError> {
+        let Some(judge) = &self.judge else {
+            let (source, target) = rayon::join(
+                || Described::new("source", &self.source, &self.params),
+                || Described::new("target", &self.target, &self.params),
+            );
+            self.judge = Some(Judge::new(source?, target?, &self.params)?);
+            return Ok(false);
+        };
+        let Some(&radius) = FEATURE_RADII.get(self.radius) else { return Ok(true) };
+        let Some(of_source) = self.of_source.take() else {
+            self.of_source = Some(judge.source.keys(radius));
+            return Ok(false);
+        };
+        self.pairs.extend(matching::pairs(&of_source, &judge.target.keys(radius)));
+        let candidates = match self.params.method {
+            GlobalMethod::Consistency => consistency::candidates(&self.pairs, &self.params),
+            GlobalMethod::Ransac => ransac::candidates(&self.pairs, &self.params),
+        };
+        let found = judge.best(&candidates, self.pairs.len());
+        if found.overlap >= self.answer.overlap {
+            self.answer = found;
+        }
+        // Wider neighbourhoods tell more apart but reach over the edges of what both clouds saw: only if need be.
+        self.radius += 1;
+        Ok(self.answer.outcome == GlobalOutcome::Found || self.radius == FEATURE_RADII.len())
+    }
 }
 
 /// A rigid motion that some pairs agree on.

@@ -46,21 +46,17 @@ impl Verdict {
 }
 
 /// Both clouds, ready to be laid over each other.
-pub(super) struct Judge<'a> {
-    source: &'a Described,
-    target: &'a Described,
+pub(super) struct Judge {
+    pub(super) source: Described,
+    pub(super) target: Described,
     tree: KdTree,
     icp: IcpParams,
     prepared: Option<(PreparedCloud, PreparedCloud)>,
     size: f64,
 }
 
-impl<'a> Judge<'a> {
-    pub(super) fn new(
-        source: &'a Described,
-        target: &'a Described,
-        params: &GlobalParams,
-    ) -> Result<Self, RegistrationError> {
+impl Judge {
+    pub(super) fn new(source: Described, target: Described, params: &GlobalParams) -> Result<Self, RegistrationError> {
         let size = params.voxel_size_m;
         let icp = IcpParams {
             max_distance_m: 2.0 * size,

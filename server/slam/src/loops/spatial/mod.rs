@@ -25,8 +25,8 @@ use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::diagonal;
 use local_map::{LocalMap, Placed, Surface};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
-use percept_perception::registration::{GlobalOutcome, GlobalParams, GlobalResult, register_global};
-use registering::{Registering, Views};
+use percept_perception::registration::{GlobalResult, register_global};
+use registering::{Registering, Step, Views};
 pub(super) use seen::Seen;
 use std::collections::VecDeque;
 use std::f64::consts::PI;
@@ -89,7 +89,7 @@ pub(crate) struct SpatialRecognition {
     waiting: VecDeque<Waiting>,
     since_searched: usize,
     /// The pair whose surfaces are being registered.
-    registering: Registering<Waiting>,
+    registering: Option<(Waiting, Registering)>,
     next_map: u64,
     /// Length of the way up to the newest keyframe that was measured from a place seen before, metres.
     tied_at: f64,
@@ -175,15 +175,18 @@ impl SpatialRecognition {
     }
 
     /// Looks for the later map of the next waiting pair in the earlier one, if it is time for that. Most of what overlaps is
-    /// found from above, in a tenth of the time that surfaces alone take: those are registered until the next search.
+    /// found from above, in a tenth of the time that surfaces alone take: those are registered with the keyframes that come.
     fn search_next(&mut self, poses: &KeyframePoses) -> Option<LoopClosure> {
         self.since_searched += 1;
-        if self.since_searched < PATIENCE {
+        if let Some((pair, mut registering)) = self.registering.take() {
+            match registering.step() {
+                Step::GoesOn => self.registering = Some((pair, registering)),
+                Step::Done(found) => return self.registered(&pair, &found?, poses),
+            }
             return None;
         }
-        if let Some(found) = self.registered(poses) {
-            self.since_searched = 0;
-            return Some(found);
+        if self.since_searched < PATIENCE {
+            return None;
         }
         let pair = self.waiting.pop_front()?;
         self.since_searched = 0;
@@ -192,8 +195,7 @@ impl SpatialRecognition {
             return likely(found, &pair, poses);
         }
         if pair.alike {
-            let (from, to) = (self.views(from, poses)?, self.views(to, poses)?);
-            self.registering.begin(pair, from, to);
+            self.registering = Some((pair, Registering::new(self.views(from, poses)?, self.views(to, poses)?)));
         }
         None
     }
@@ -217,16 +219,15 @@ impl SpatialRecognition {
         })
     }
 
-    /// What came of laying one local map's surface over another's, if that was begun.
-    fn registered(&mut self, poses: &KeyframePoses) -> Option<LoopClosure> {
-        let (pair, t_from_to) = self.registering.take()?;
+    /// A pair whose surfaces lie over each other so that the later map's anchor is seen from the earlier one's so.
+    fn registered(&self, pair: &Waiting, t_from_to: &Pose, poses: &KeyframePoses) -> Option<LoopClosure> {
         let (from, to) = (self.map(pair.earlier)?.anchor, self.map(pair.later)?.anchor);
         // What the surfaces agree on has to explain what each scan looked through as well.
-        let found = self.measure(to, from, &(poses.get(&from)? * t_from_to?), poses)?;
-        likely(found, &pair, poses)
+        let found = self.measure(to, from, &(poses.get(&from)? * t_from_to), poses)?;
+        likely(found, pair, poses)
     }
 
-    /// What is left of a local map's keyframes, to be registered beside the frames.
+    /// What is left of a local map's keyframes, to be registered.
     fn views(&self, map: &LocalMap, poses: &KeyframePoses) -> Option<Views> {
         let view = |id: &KeyframeId| Some((*id, Arc::clone(&self.seen.kept.get(id)?.scan), *poses.get(id)?));
         let keyframes = map.keyframes.iter().filter_map(view).collect();
@@ -266,11 +267,8 @@ fn likely(found: LoopClosure, pair: &Waiting, poses: &KeyframePoses) -> Option<L
 
 /// The source in the target, if that is certain.
 fn verified(source: &Surface, target: &Surface) -> Option<GlobalResult> {
-    let params = GlobalParams { voxel_size_m: source.voxel_m.max(target.voxel_m), ..GlobalParams::default() };
-    let found = register_global(&source.cloud, &target.cloud, &params).ok()?;
-    // What the clouds leave open (the length of a corridor) is no measurement.
-    let certain = found.outcome == GlobalOutcome::Found && !found.degenerate_axes.contains(&true);
-    certain.then_some(found)
+    let found = register_global(&source.cloud, &target.cloud, &registering::params(source, target)).ok()?;
+    registering::is_certain(&found).then_some(found)
 }
 
 /// Of base at a scan that was lost: the registration's, and what it does not know of (maps bend while they are gathered).

@@ -1,11 +1,11 @@
-//! Local maps registered beside the frames: that takes up to a second, and no frame shall wait for it.
+//! Local maps registered a step a keyframe: all at once takes up to a second, and no frame shall wait for that.
 
 use super::local_map::{Placed, Surface};
-use super::verified;
+use nalgebra::Translation3;
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use percept_perception::registration::{GlobalOutcome, GlobalParams, GlobalResult, GlobalSearch};
+use std::borrow::Cow;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, channel};
 
 /// What a local map's keyframes saw, and where they are believed to be, base to map.
 #[derive(Debug)]
@@ -22,50 +22,53 @@ impl Views {
     }
 }
 
-/// Base at the later map's anchor, seen from base at the earlier one's; none unless that is certain.
-fn lay_over(from: &Views, to: &Views) -> Option<Pose> {
-    // Both surfaces have the axes of the session's map, and each its origin at its anchor.
-    let found = verified(&to.surface()?, &from.surface()?)?.t_target_source;
-    let [r_from, r_to] = [from, to].map(|v| Pose::from_parts(Default::default(), v.t_map_anchor.rotation));
-    Some(r_from.inverse() * found * r_to)
-}
-
-/// One registration at a time. When it is asked for does not depend on how long it takes, so neither does the map.
+/// The later of two local maps being laid over the earlier one.
 #[derive(Debug)]
-pub(super) struct Registering<T> {
-    /// A thread of its own: one that works on frames would wait for itself.
-    thread: Option<ThreadPool>,
-    running: Option<(T, Receiver<Option<Pose>>)>,
+pub(super) struct Registering {
+    from: Views,
+    to: Views,
+    /// From the first step on.
+    search: Option<GlobalSearch<'static>>,
 }
 
-impl<T> Default for Registering<T> {
-    fn default() -> Self {
-        Self { thread: None, running: None }
+/// How far that is.
+#[derive(Debug)]
+pub(super) enum Step {
+    /// There is more to do.
+    GoesOn,
+    /// Base at the later map's anchor, seen from base at the earlier one's; none unless that is certain.
+    Done(Option<Pose>),
+}
+
+impl Registering {
+    pub(super) fn new(from: Views, to: Views) -> Self {
+        Self { from, to, search: None }
     }
-}
 
-impl<T> Registering<T> {
-    /// Begins to lay the later map's surface over the earlier one's; what was begun before has to be taken first.
-    pub(super) fn begin(&mut self, what: T, from: Views, to: Views) {
-        let (answer, answered) = channel();
-        // Whoever asked may be gone.
-        let work = move || {
-            answer.send(lay_over(&from, &to)).ok();
+    /// One step.
+    pub(super) fn step(&mut self) -> Step {
+        let Some(search) = &mut self.search else {
+            let surfaces = self.to.surface().zip(self.from.surface());
+            self.search = surfaces.and_then(|(to, from)| {
+                let params = params(&to, &from);
+                GlobalSearch::new(Cow::Owned(to.cloud), Cow::Owned(from.cloud), &params).ok()
+            });
+            return if self.search.is_some() { Step::GoesOn } else { Step::Done(None) };
         };
-        if self.thread.is_none() {
-            self.thread = ThreadPoolBuilder::new().num_threads(1).build().ok();
-        }
-        match &self.thread {
-            Some(thread) => thread.spawn(work),
-            // No more threads are to be had: the frame does it.
-            None => work(),
-        }
-        self.running = Some((what, answered));
+        let Some(answer) = search.step() else { return Step::GoesOn };
+        // Both surfaces have the axes of the session's map, and each its origin at its anchor.
+        let turned = |v: &Views| Pose::from_parts(Translation3::identity(), v.t_map_anchor.rotation);
+        let between = |found: GlobalResult| turned(&self.from).inverse() * found.t_target_source * turned(&self.to);
+        Step::Done(answer.ok().filter(is_certain).map(between))
     }
+}
 
-    /// What was begun, with its answer: waits for it if need be.
-    pub(super) fn take(&mut self) -> Option<(T, Option<Pose>)> {
-        let (what, answered) = self.running.take()?;
-        Some((what, answered.recv().ok().flatten()))
-    }
+/// For laying one surface over another.
+pub(super) fn params(source: &Surface, target: &Surface) -> GlobalParams {
+    GlobalParams { voxel_size_m: source.voxel_m.max(target.voxel_m), ..GlobalParams::default() }
+}
+
+/// Whether it is a measurement: what the clouds leave open (the length of a corridor) is none.
+pub(super) fn is_certain(found: &GlobalResult) -> bool {
+    found.outcome == GlobalOutcome::Found && !found.degenerate_axes.contains(&true)
 }

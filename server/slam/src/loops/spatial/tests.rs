@@ -114,7 +114,7 @@ fn a_robot_that_drove_is_found_by_what_it_saw_on_the_way_and_not_before() {
 }
 
 #[test]
-fn surfaces_registered_beside_the_frames_lie_as_the_world_has_it() {
+fn surfaces_registered_step_by_step_lie_as_the_world_has_it() {
     let world = street(7);
     let seen = |number: u64, x: f64, yaw: f64, drifted: Pose| {
         let truth: Vec<Pose> = (0..5).map(|i| se3::from_xy_yaw(x + f64::from(i), 2.0, yaw)).collect();
@@ -124,11 +124,11 @@ fn surfaces_registered_beside_the_frames_lie_as_the_world_has_it() {
     let (truth_from, from) = seen(0, -4.0, 0.3, Pose::identity());
     // Odometry has drifted by more than what is searched from above: surfaces need no guess.
     let (truth_to, to) = seen(10, 0.0, 1.2, se3::from_xy_yaw(9.0, -5.0, 0.4));
-    let mut registering = Registering::default();
-    assert!(registering.take().is_none());
-    registering.begin("pair", from, to);
-    let (what, found) = registering.take().unwrap();
-    let off = found.unwrap().inverse() * truth_from.inverse() * truth_to;
-    assert!(what == "pair" && off.translation.vector.norm() < 0.1 && off.rotation.angle() < 0.01, "{off}");
-    assert!(registering.take().is_none());
+    let mut registering = Registering::new(from, to);
+    let found = (0..8).find_map(|_| match registering.step() {
+        Step::GoesOn => None,
+        Step::Done(found) => Some(found),
+    });
+    let off = found.unwrap().unwrap().inverse() * truth_from.inverse() * truth_to;
+    assert!(off.translation.vector.norm() < 0.1 && off.rotation.angle() < 0.01, "{off}");
 }
