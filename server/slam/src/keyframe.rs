@@ -2,9 +2,9 @@
 
 mod features;
 
+use crate::downsample::Thinner;
 use crate::odometry::rgbd::ColorCamera;
 use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
-use crate::thinning::Thinner;
 use crate::{ParamError, check_range};
 use nalgebra::Point3;
 use percept_geometry::cloud::Beam;

@@ -7,12 +7,12 @@
 //! Start with [`odometry::Odometry::register`]; each sensor's method is a folder of [`odometry`].
 
 pub mod back_end;
+mod downsample;
 pub mod keyframe;
 pub mod loops;
 pub mod odometry;
 pub mod pose_graph;
 pub mod scan;
-mod thinning;
 pub mod tracking;
 
 pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe};

@@ -2,12 +2,12 @@
 
 use super::local_map::{range, voxel_for};
 use super::seen::Kept;
+use crate::downsample::Thinner;
 use crate::odometry::lidar3d::align::{Problem, align};
 use crate::odometry::lidar3d::sight::{Contradiction, Sight};
 use crate::odometry::lidar3d::sweep::{Instants, Sweep};
 use crate::odometry::lidar3d::voxels::Levels;
 use crate::odometry::{Match, Prediction, diagonal};
-use crate::thinning::Thinner;
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
 use std::collections::{BTreeMap, BTreeSet};

@@ -9,9 +9,9 @@ pub(crate) mod sight;
 pub(crate) mod sweep;
 pub(crate) mod voxels;
 
+use crate::downsample::Thinner;
 use crate::odometry::{LocalModel, Match, Prediction, deskew};
 use crate::scan::Scan;
-use crate::thinning::Thinner;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
 use align::{Problem, agility, align};
