@@ -77,7 +77,7 @@ fn worst(off: &[f64]) -> f64 {
 
 #[test]
 fn dense_rings_do_not_turn_the_map_round() {
-    // Noise steers what is kept of many points on a wall, and a voxel forgets them soon: either turned this by degrees.
+    // One point of each cell of a grid is one that noise chose: thinned so, this turned by degrees.
     let lidar = Lidar3dParams { rings: 64, columns: 900, ..Lidar3dParams::default() };
     let world = WorldParams { rooms: 2, ..WorldParams::default() };
     let off = moved(lidar, world, RobotParams::default(), 200);
