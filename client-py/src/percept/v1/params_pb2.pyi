@@ -598,7 +598,7 @@ class KeyframeParams(_message.Message):
     max_depth_m: _builtins.float
     """Depth beyond this is not kept, metres, 0.1 to 100: noise grows with the square of the depth."""
     voxel_size_m: _builtins.float
-    """Keep one lidar point per voxel of this edge, metres, 0.01 to 10."""
+    """Keep about one lidar point per voxel of this edge, metres, 0.01 to 10."""
     free_range_m: _builtins.float
     """A beam without a return frees space up to here, metres, 0.1 to 1000."""
     features: _toolbox_images_pb2.FeatureMethod.ValueType

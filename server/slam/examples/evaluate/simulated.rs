@@ -67,7 +67,7 @@ pub(crate) fn lidar(args: &[String]) -> Result<(), Failure> {
         truth.push(frame.t_world_base);
         if let (Some(t), Some(e), true) = (truth.last(), run.estimates.last(), std::env::var_os("VERBOSE").is_some()) {
             let d = (truth[0].inverse() * t).inverse() * e.t_odom_base;
-            let r = d.rotation.scaled_axis() * 57.2958;
+            let r = d.rotation.scaled_axis().map(f64::to_degrees);
             let p = t.translation.vector;
             println!(
                 "   off {:.3} m {:.3} deg rpy {:.3} {:.3} {:.3} xyz {:.3} {:.3} {:.3} at {:.2} {:.2} {:.0}",

@@ -52,7 +52,7 @@ pub fn register_global(
     }
 }
 
-/// [`register_global`] in steps, for who has little time at once: at most seven, none longer than a third of the whole.
+/// [`register_global`] in steps, for who has little time at once: at most seven.
 pub struct GlobalSearch<'a> {
     params: GlobalParams,
     source: Cow<'a, PointCloud>,
