@@ -76,7 +76,10 @@ impl std::fmt::Display for LostReason {
             Self::IntrinsicsMismatch => {
                 "the camera's intrinsics do not fit its images: declare those of this resolution"
             }
-            Self::Adrift => "nothing ties this place to the map yet: drive on through known places, or go back to where tracking was lost",
+            Self::Adrift => {
+                "nothing ties this place to the map yet: drive on through known places, or go back to where tracking \
+                 was lost"
+            }
         })
     }
 }

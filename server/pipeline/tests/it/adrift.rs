@@ -72,6 +72,22 @@ fn wheels_carry_the_map_through_a_blackout() {
     assert!(off < 0.25, "{off}");
 }
 
+#[test]
+fn a_robot_that_is_adrift_in_the_dark_is_told_of_the_dark() {
+    let home = simulation(SensorSuite::only_lidar2d(), 14.0);
+    let frames: Vec<_> = home.frames().map(|f| f.frame).collect();
+    let mut pipeline = empty(&home, PipelineParams::default());
+    feed(&mut pipeline, frames.iter().cloned());
+    let away = elsewhere();
+    let gap = frames.last().unwrap().stamp.nanos() + 2_000_000_000 - away[0].stamp.nanos();
+    let (lit, dark) = away.split_at(away.len() / 2);
+    let state = |pipeline: &percept_pipeline::Pipeline| pipeline.snapshot().pose.unwrap().state;
+    feed(&mut pipeline, later(lit, gap));
+    assert_eq!(state(&pipeline), TrackingState::Lost { reason: LostReason::Adrift });
+    feed(&mut pipeline, later(dark, gap).map(|f| without_returns(&f)));
+    assert_eq!(state(&pipeline), TrackingState::Lost { reason: LostReason::TooFewPoints });
+}
+
 fn without_returns(frame: &SensorFrame) -> SensorFrame {
     let mut frame = frame.clone();
     if let percept_geometry::SensorData::Scan(scan) = &mut frame.data {

@@ -23,7 +23,7 @@ mod tests;
 
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::diagonal;
-use local_map::{LocalMap, Placed, Surface};
+use local_map::{LocalMap, Surface};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
 use percept_perception::registration::{GlobalResult, register_global};
 use registering::{Registering, Step, Views};
@@ -202,13 +202,12 @@ impl SpatialRecognition {
 
     /// The later map's stretch searched for in the earlier visit, from above.
     fn overlaid(&self, from: &LocalMap, to: &LocalMap, most_turn: f64, poses: &KeyframePoses) -> Option<LoopClosure> {
-        let t_map_anchor = poses.get(&to.anchor)?;
-        let views: Vec<_> = self.placed(to, poses);
-        let others = views.iter().filter(|v| v.0 != to.anchor).map(|(_, scan, t)| (t_map_anchor.inv_mul(t), *scan));
-        let others: Vec<_> = others.collect();
+        let Views { t_map_anchor, keyframes } = self.views(to, poses)?;
+        let others = keyframes.iter().filter(|v| v.0 != to.anchor);
+        let others: Vec<_> = others.map(|(_, scan, t)| (t_map_anchor.inv_mul(t), &**scan)).collect();
         let scan = &self.seen.kept.get(&to.anchor)?.scan;
-        let stretch = Stretch::new(&others, scan, Some(walls::leveling(t_map_anchor)));
-        let heading = (se3::yaw(t_map_anchor), most_turn);
+        let stretch = Stretch::new(&others, scan, Some(walls::leveling(&t_map_anchor)));
+        let heading = (se3::yaw(&t_map_anchor), most_turn);
         let found = stretch.find(&self.seen.kept, &self.visit(from.anchor, to.anchor, poses)?, heading)?;
         Some(LoopClosure {
             from: found.keyframe,
@@ -227,17 +226,11 @@ impl SpatialRecognition {
         likely(found, pair, poses)
     }
 
-    /// What is left of a local map's keyframes, to be registered.
+    /// What is left of a local map's keyframes, where they are believed to be.
     fn views(&self, map: &LocalMap, poses: &KeyframePoses) -> Option<Views> {
         let view = |id: &KeyframeId| Some((*id, Arc::clone(&self.seen.kept.get(id)?.scan), *poses.get(id)?));
         let keyframes = map.keyframes.iter().filter_map(view).collect();
         Some(Views { t_map_anchor: *poses.get(&map.anchor)?, keyframes })
-    }
-
-    /// What is left of a local map's keyframes, where they are believed to be.
-    fn placed(&self, map: &LocalMap, poses: &KeyframePoses) -> Vec<Placed<'_>> {
-        let view = |id: &KeyframeId| Some((*id, self.seen.kept.get(id)?.scan.as_ref(), *poses.get(id)?));
-        map.keyframes.iter().filter_map(view).collect()
     }
 
     fn map(&self, number: u64) -> Option<&LocalMap> {
@@ -311,8 +304,8 @@ impl PlaceRecognition for SpatialRecognition {
         let alike = retrieve::most_alike(&lost, self.maps.iter().map(|m| (PI, m)), LOST_ALIKE, 0);
         let found = alike.iter().filter_map(|&number| {
             let map = self.map(number)?;
-            let t_map_anchor = poses.get(&map.anchor)?;
-            Some((map, t_map_anchor, verified(&surface, &Surface::around(t_map_anchor, &self.placed(map, poses))?)?))
+            let views = self.views(map, poses)?;
+            Some((map, views.t_map_anchor, verified(&surface, &views.surface()?)?))
         });
         let (map, t_map_anchor, found) = found.reduce(|a, b| if b.2.overlap > a.2.overlap { b } else { a })?;
         Some(Relocalisation {

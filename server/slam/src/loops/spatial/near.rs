@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 const NEAR: f64 = 0.5;
 /// The drift that such a measurement can bridge, standard deviations: beyond it another place may fit.
 const BRIDGED: f64 = 2.0;
+/// A visit that merging has left fewer keyframes of shows too little of its surroundings to measure in.
+const FEWEST: usize = 3;
 /// What a scan has to bring.
 const STRICTNESS: Strictness = Strictness { min_inlier_ratio: 0.6, max_contradicted: 0.05 };
 
@@ -42,6 +44,7 @@ impl SpatialRecognition {
                 _ => visits.push((distance, *other)),
             }
         }
+        visits.retain(|(_, other)| self.visit(*other, id, poses).is_some_and(|visit| visit.len() >= FEWEST));
         let (_, chosen) = *visits.get(id.0 as usize % visits.len().max(1))?;
         self.measure(id, chosen, &t_map_base, poses)
     }

@@ -16,7 +16,7 @@ pub(super) struct Views {
 }
 
 impl Views {
-    fn surface(&self) -> Option<Surface> {
+    pub(super) fn surface(&self) -> Option<Surface> {
         let placed: Vec<Placed<'_>> = self.keyframes.iter().map(|(id, scan, t)| (*id, scan.as_ref(), *t)).collect();
         Surface::around(&self.t_map_anchor, &placed)
     }

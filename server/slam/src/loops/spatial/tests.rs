@@ -91,6 +91,28 @@ fn coming_back_closes_a_loop_and_the_neighbourhood_does_not() {
 }
 
 #[test]
+fn nothing_is_measured_in_what_merging_left_of_a_visit() {
+    let world = street(3);
+    let loops_with = |merged: &[u64]| {
+        let mut recognition = SpatialRecognition::default();
+        let mut poses = KeyframePoses::new();
+        for i in 0..25 {
+            let a = std::f64::consts::TAU * i as f64 / 24.0;
+            let at = se3::from_xy_yaw(19.0 * a.sin(), 19.0 - 19.0 * a.cos(), a);
+            poses.insert(KeyframeId(i), at);
+            if i == 24 {
+                merged.iter().for_each(|id| recognition.forget(KeyframeId(*id)));
+            }
+            recognition.take(KeyframeId(i), &seen_from(&world, &at), None, &poses);
+        }
+        recognition.near(KeyframeId(24), &diagonal(0.1, 0.01), &poses)
+    };
+    assert!(loops_with(&[]).is_some());
+    assert!(loops_with(&[3]).is_some());
+    assert_eq!(loops_with(&[1, 3, 4, 5, 6, 7, 8]), None);
+}
+
+#[test]
 fn a_robot_that_drove_is_found_by_what_it_saw_on_the_way_and_not_before() {
     let (here, elsewhere) = (street(5), street(6));
     let mut recognition = SpatialRecognition::default();
