@@ -79,13 +79,18 @@ impl Revision {
         Ok(())
     }
 
+    /// Points and misses of all keyframes.
+    pub fn num_points(&self) -> usize {
+        self.keyframes.values().map(size).sum()
+    }
+
     /// Builds on by keyframes of about so many points and misses together, by one at least; whether all are in.
     pub fn advance(&mut self, num_points: usize) -> bool {
         let mut left = num_points.max(1);
         let rest = (self.newest_built.map_or(Bound::Unbounded, Bound::Excluded), Bound::Unbounded);
         let mut is_due = |k: &MapKeyframe| {
             let is_due = left > 0;
-            left = left.saturating_sub((k.scan.hits.len() + k.scan.misses.len()).max(1));
+            left = left.saturating_sub(size(k).max(1));
             is_due
         };
         let due = self.keyframes.range(rest).take_while(|(_, k)| is_due(k));
@@ -114,4 +119,8 @@ impl Revision {
         while !self.advance(usize::MAX) {}
         (self.keyframes, self.layers)
     }
+}
+
+fn size(keyframe: &MapKeyframe) -> usize {
+    keyframe.scan.hits.len() + keyframe.scan.misses.len()
 }

@@ -15,6 +15,15 @@ use std::sync::Arc;
 /// Points of keyframes that the map is built anew from with each frame: a few milliseconds, whatever the sensor. Counted,
 /// not timed, so that the same input gives the same answers.
 const POINTS_A_FRAME: usize = 16_000;
+/// Frames after which a map is shown at that pace; beyond, waiting and work of a frame grow alike.
+const FRAMES: usize = 150;
+
+/// Points to build from with a frame, for a map of so many: of a map a hundred times as large ten times as many.
+fn points_a_frame(of_map: usize) -> usize {
+    let usual = POINTS_A_FRAME as f64;
+    let frames = of_map as f64 / usual;
+    (usual * (frames / FRAMES as f64).sqrt().max(1.0)) as usize
+}
 
 /// What changed in the map.
 #[derive(Debug, Clone, Default)]
@@ -144,7 +153,7 @@ impl Pipeline {
     pub(super) fn build_on(&mut self) -> MapChange {
         let mut change = MapChange::default();
         if let Some((_, revision)) = &mut self.revising.building
-            && revision.advance(POINTS_A_FRAME)
+            && revision.advance(points_a_frame(revision.num_points()))
         {
             self.show(&mut change);
         }

@@ -93,6 +93,13 @@ fn the_map_before_is_shown_whole_until_the_map_after_is_and_keyframes_that_come_
 }
 
 #[test]
+fn large_maps_are_shown_in_time_and_small_ones_at_the_usual_pace() {
+    let frames = |points: usize| points / points_a_frame(points);
+    assert_eq!([80_000, 800_000, 2_400_000].map(frames), [5, 50, 150]);
+    assert_eq!(frames(240_000_000), 1_500);
+}
+
+#[test]
 fn what_was_decided_is_shown_at_once_when_asked_for() {
     let (mut pipeline, _) = driven();
     let correction = bent(&pipeline, 0.002);
