@@ -19,6 +19,9 @@ const MAX_REFINEMENT: (f64, f64) = (0.3, 0.1);
 const NOISE: f64 = 0.02;
 /// Neighbouring beams err alike: so many count as one measurement.
 const HITS_PER_MEASUREMENT: f64 = 3.0;
+/// Weight of a hit that met no line, along each axis: it meets the same spot only about. Where walls leave their length open,
+/// legs and edges are all that tells it.
+const POINT_WEIGHT: f64 = 0.3;
 /// Least share of a direction in the hits' sensitivity.
 const DEGENERATE: f64 = 0.01;
 
@@ -113,9 +116,9 @@ fn equations(field: &Field, hits: &[Hit], t: &Isometry2<f64>, scale: f64) -> Nor
             e.add(&j, residual, share * weight * kernel.weight(residual));
         };
         if normal == Vector2::zeros() {
-            // No line: the offset itself, with little weight, since no hit meets the same spot twice.
-            add(&Vector2::x(), 0.05);
-            add(&Vector2::y(), 0.05);
+            // No line: the offset itself.
+            add(&Vector2::x(), POINT_WEIGHT);
+            add(&Vector2::y(), POINT_WEIGHT);
         } else {
             add(&normal, 1.0);
         }
