@@ -1,6 +1,8 @@
 use crate::room::{Noise, Room, drive};
+use nalgebra::Vector3;
 use percept_geometry::{Covariance6, Pose, Timestamp, se3};
-use percept_slam::{LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, TrackingState};
+use percept_slam::{LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, PlanarScan, Scan, TrackingState};
+use std::sync::Arc;
 
 #[test]
 fn a_drive_through_the_room_is_followed_to_a_centimetre_without_wheels() {
@@ -83,5 +85,42 @@ fn a_turn_that_begins_at_once_is_followed() {
         let off = truth.inverse() * estimate.t_odom_base;
         assert!(i == 0 || estimate.state.is_tracking(), "frame {i}: {:?}", estimate.state);
         assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.03, "frame {i}: {off}");
+    }
+}
+
+/// The scan as a small lidar has it: nothing beyond 4 m, and a noise of a hundredth of the range.
+fn short_sighted(scan: Scan, noise: &mut Noise) -> Scan {
+    let Scan::Planar(PlanarScan { scan, t_base_sensor }) = scan else { panic!("planar") };
+    let mut scan = Arc::unwrap_or_clone(scan);
+    scan.range_max_m = 4.0;
+    for r in &mut scan.ranges_m {
+        *r = if *r > 4.0 { f32::INFINITY } else { *r * (1.0 + 0.01 * noise.next() as f32) };
+    }
+    Scan::Planar(PlanarScan { scan: Arc::new(scan), t_base_sensor })
+}
+
+#[test]
+fn legs_beside_a_wall_tell_a_lidar_that_sees_four_metres_how_far_it_drives() {
+    let v = Vector3::new;
+    // A wall on the right, tables on the left, and nothing else in sight.
+    let legs = (0..60).map(|k| {
+        let (x, y) = (-8.0 + 0.45 * f64::from(k), 1.0 + 0.8 * f64::from(k % 3));
+        (v(x, y, 0.0), v(x + 0.05, y + 0.05, 0.8))
+    });
+    let room = Room { walls: (v(-500.0, -0.9, 0.0), v(500.0, 500.0, 2.5)), boxes: legs.collect() };
+    for seed in 1..=4 {
+        let mut noise = Noise(seed);
+        let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+        let (mut x, mut speed) = (0.0, 0.0);
+        for i in 0..80 {
+            let scan = short_sighted(room.scan(&se3::from_xy_yaw(x, 0.0, 0.0), &mut noise), &mut noise);
+            let e = odometry.register(Timestamp::from_secs_f64(0.1 * f64::from(i)), &scan, None);
+            let off = e.t_odom_base.translation.x - x;
+            assert!(i == 0 || e.state.is_tracking(), "seed {seed}, frame {i}: {:?}", e.state);
+            assert!(off.abs() < 0.25, "seed {seed}, frame {i}: {off}");
+            // Off at 2 m/s^2 after a second, as small robots do.
+            speed = if i < 10 { 0.0 } else { f64::min(speed + 0.2, 1.3) };
+            x += 0.1 * speed;
+        }
     }
 }

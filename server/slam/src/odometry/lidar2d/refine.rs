@@ -22,6 +22,8 @@ const HITS_PER_MEASUREMENT: f64 = 3.0;
 /// Weight of a hit that met no line, along each axis: it meets the same spot only about. Where walls leave their length open,
 /// legs and edges are all that tells it.
 const POINT_WEIGHT: f64 = 0.3;
+/// The same of one that the next scan meets elsewhere.
+const SPARSE_WEIGHT: f64 = 0.05;
 /// Least share of a direction in the hits' sensitivity.
 const DEGENERATE: f64 = 0.01;
 
@@ -117,8 +119,9 @@ fn equations(field: &Field, hits: &[Hit], t: &Isometry2<f64>, scale: f64) -> Nor
         };
         if normal == Vector2::zeros() {
             // No line: the offset itself.
-            add(&Vector2::x(), POINT_WEIGHT);
-            add(&Vector2::y(), POINT_WEIGHT);
+            let weight = if hit.is_sparse { SPARSE_WEIGHT } else { POINT_WEIGHT };
+            add(&Vector2::x(), weight);
+            add(&Vector2::y(), weight);
         } else {
             add(&normal, 1.0);
         }

@@ -10,12 +10,17 @@ use percept_geometry::{Pose, se3};
 pub(crate) struct Hit {
     pub(crate) p: Point2<f64>,
     pub(crate) n: Vector2<f64>,
+    /// Whether it lies where a wall that is met by few beams would be met: elsewhere by the next scan.
+    pub(crate) is_sparse: bool,
 }
 
 /// A normal is fitted to neighbours up to so far to each side, metres: the noise of ranges is a centimetre.
 const SIDE_M: f64 = 0.15;
 /// But to at least and at most so many of them to each side.
 const SIDE: (usize, usize) = (3, 24);
+/// Hits farther apart than [`SIDE_M`] are of one wall if one step along it is so many times the other at most, and the sine of
+/// the turn between the steps is no more than this.
+const SPARSE: (f64, f64) = (3.0, 0.15);
 
 /// Hits within `max_range`, in beam order, later echoes behind them, with the sweep's motion undone.
 pub(crate) fn hits(scan: &PlanarScan, max_range: f64, velocity: &Vector6<f64>) -> Vec<Hit> {
@@ -47,7 +52,9 @@ pub(crate) fn from_points(points: &[Point3<f32>], t_base_sensor: &Pose) -> Vec<H
 
 fn with_normals(points: Vec<Point2<f64>>, t_base_sensor: &Pose, spacing: f64) -> Vec<Hit> {
     let origin = Point2::new(t_base_sensor.translation.x, t_base_sensor.translation.y);
-    (0..points.len()).map(|i| Hit { p: points[i], n: normal(&points, i, &origin, spacing) }).collect()
+    let hit =
+        |i: usize| Hit { p: points[i], n: normal(&points, i, &origin, spacing), is_sparse: is_sparse(&points, i) };
+    (0..points.len()).map(hit).collect()
 }
 
 /// Normal of the line through a point and its neighbours on the same surface, towards the sensor.
@@ -88,6 +95,17 @@ fn normal(points: &[Point2<f64>], i: usize, origin: &Point2<f64>, spacing: f64) 
     if n.dot(&(origin - p)) < 0.0 { -n } else { n }
 }
 
+/// Whether the hits before and after one lie in line with it, each far from the next, as on a wall seen along it. What
+/// stands alone, such as a leg, does not.
+fn is_sparse(points: &[Point2<f64>], i: usize) -> bool {
+    if i == 0 || i + 1 >= points.len() {
+        return true;
+    }
+    let (a, b) = (points[i] - points[i - 1], points[i + 1] - points[i]);
+    let (short, long) = (a.norm().min(b.norm()), a.norm().max(b.norm()));
+    short > SIDE_M && long < SPARSE.0 * short && a.dot(&b) > 0.0 && a.perp(&b).abs() < SPARSE.1 * short * long
+}
+
 /// Every hit that is at least `spacing` from the last one kept, then at most `count` of them, evenly.
 pub(crate) fn thin(hits: &[Hit], spacing: f64, count: usize) -> Vec<Point2<f64>> {
     let mut kept: Vec<Point2<f64>> = vec![];
@@ -105,6 +123,16 @@ mod tests {
     use super::*;
     use percept_geometry::LaserScan;
     use std::sync::Arc;
+
+    #[test]
+    fn a_wall_seen_along_it_is_sparse_and_a_leg_before_a_wall_is_not() {
+        let along: Vec<_> =
+            (0..6).map(|k| Point2::new(3.0 * 1.15f64.powi(k), 1.0 + 0.005 * f64::from(k % 2))).collect();
+        assert_eq!([1, 2, 3, 4].map(|i| is_sparse(&along, i)), [true; 4]);
+        let leg = [(4.0, -0.5), (4.0, -0.2), (2.0, 0.0), (2.0, 0.05), (4.0, 0.2), (4.0, 0.5)];
+        let leg: Vec<_> = leg.iter().map(|&(x, y)| Point2::new(x, y)).collect();
+        assert!(!is_sparse(&leg, 2) && !is_sparse(&leg, 3));
+    }
 
     #[test]
     fn a_wall_ahead_has_its_normal_towards_the_sensor() {
