@@ -96,7 +96,7 @@ fn normal(points: &[Point2<f64>], i: usize, origin: &Point2<f64>, spacing: f64) 
 }
 
 /// Whether the hits before and after one lie in line with it, each far from the next, as on a wall seen along it. What
-/// stands alone, such as a leg, does not.
+/// stands alone, such as a leg, does not; of the first and the last hit that is not known, and they count as sparse.
 fn is_sparse(points: &[Point2<f64>], i: usize) -> bool {
     if i == 0 || i + 1 >= points.len() {
         return true;
