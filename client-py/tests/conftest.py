@@ -15,12 +15,17 @@ from percept.v1 import error_pb2, session_pb2
 
 
 class FakeServer:
-    def __init__(self):
+    def __init__(self, credentials=None):
         self.handlers = {}
         self.calls = []
+        #: Headers of each call, as a dict.
+        self.headers = []
         self._server = grpc.server(futures.ThreadPoolExecutor(8))
         self._server.add_generic_rpc_handlers([self])
-        self.port = self._server.add_insecure_port("127.0.0.1:0")
+        if credentials is None:
+            self.port = self._server.add_insecure_port("127.0.0.1:0")
+        else:
+            self.port = self._server.add_secure_port("127.0.0.1:0", credentials)
         self._server.start()
 
     @property
@@ -39,6 +44,7 @@ class FakeServer:
     def _add(self, call, kind, answer):
         def recorded(request, context):
             self.calls.append(request)
+            self.headers.append(dict(context.invocation_metadata()))
             return answer(request, context)
 
         self.handlers[call.path] = kind(
@@ -54,15 +60,20 @@ class FakeServer:
         self._server.stop(None).wait()
 
 
-def refuse(context, code, reason, field, message="refused"):
+def refuse(context, code, reason, field, message="refused", retry_s=None, metadata=None):
     """Ends a call as percept does."""
     status = status_pb2.Status(code=code.value[0], message=message)
-    for detail in (
-        error_details_pb2.ErrorInfo(reason=reason, domain="percept"),
+    details = [
+        error_details_pb2.ErrorInfo(reason=reason, domain="percept", metadata=metadata),
         error_details_pb2.BadRequest(
             field_violations=[error_details_pb2.BadRequest.FieldViolation(field=field)]
         ),
-    ):
+    ]
+    if retry_s is not None:
+        retry = error_details_pb2.RetryInfo()
+        retry.retry_delay.FromMicroseconds(round(retry_s * 1e6))
+        details.append(retry)
+    for detail in details:
         packed = any_pb2.Any()
         packed.Pack(detail)
         status.details.append(packed)
@@ -70,7 +81,7 @@ def refuse(context, code, reason, field, message="refused"):
     context.abort(code, message)
 
 
-def ack_of(message, durable, reason=""):
+def ack_of(message, durable, reason="", code="INVALID_ARGUMENT"):
     """An acknowledgement as percept sends it."""
     ack = session_pb2.FrameAck(
         sensor_id=message.sensor_id,
@@ -79,7 +90,7 @@ def ack_of(message, durable, reason=""):
         durable_count=durable,
     )
     if reason:
-        ack.rejection.CopyFrom(error_pb2.ErrorInfo(reason=reason, code="INVALID_ARGUMENT"))
+        ack.rejection.CopyFrom(error_pb2.ErrorInfo(reason=reason, code=code))
     else:
         ack.result.latency_s = 0.001
     return rpc.STREAM_FRAMES.answer(ack=ack)

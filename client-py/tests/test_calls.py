@@ -1,6 +1,7 @@
 """Deadlines, retries, errors, pages."""
 
 import asyncio
+import threading
 import time
 
 import grpc
@@ -64,11 +65,28 @@ def test_a_creation_is_repeated_with_the_same_request_id(fake, client):
     assert fake.calls[0].request_id == fake.calls[1].request_id != ""
 
 
-def test_a_frame_is_never_sent_twice(fake, client):
-    fake.unary(rpc.SEND_FRAME, away_at_first(1, rpc.SEND_FRAME.answer()))
+def test_a_frame_whose_answer_was_lost_is_sent_again_and_known_by_its_stamp(fake, client):
+    answer = rpc.SEND_FRAME.answer(result=session_pb2.FrameResult(duplicate=True))
+    fake.unary(rpc.SEND_FRAME, away_at_first(1, answer))
+    assert client.session("s").send_depth("d", stamp_ns=1, depth=DEPTH).duplicate
+    assert [call.message.stamp_ns for call in fake.calls] == [1, 1]
+
+
+def test_a_deletion_is_never_asked_for_twice(fake, client):
+    fake.unary(rpc.DELETE_SESSION, away_at_first(1, rpc.DELETE_SESSION.answer()))
     with pytest.raises(Unavailable):
-        client.session("s").send_depth("d", stamp_ns=1, depth=DEPTH)
+        client.session("s").delete()
     assert len(fake.calls) == 1
+
+
+def test_sessions_are_listed_by_their_state_with_what_is_wrong_with_them(fake, client):
+    fault = {"reason": "RECORD_DAMAGED", "message": "a record does not parse"}
+    listed = session_pb2.Session(session_id="s", state=session_pb2.SESSION_STATE_FAULTED, fault=fault)
+    fake.unary(rpc.LIST_SESSIONS, lambda *_: rpc.LIST_SESSIONS.answer(sessions=[listed]))
+    [info] = client.sessions.list(state="faulted")
+    assert fake.calls[0].state == session_pb2.SESSION_STATE_FAULTED
+    assert (info.state, info.fault) == ("faulted", percept.SessionFault(**fault))
+    assert (info.params, info.pose, info.last_stamp_ns) == (None, None, None)
 
 
 def test_the_deadline_bounds_a_call(fake):
@@ -83,9 +101,103 @@ def test_the_deadline_bounds_a_call(fake):
 
 def test_nobody_at_the_address_is_unavailable_and_not_healthy():
     with Client("127.0.0.1:1", timeout_s=1.0, retries=1) as client:
-        assert client.health(timeout_s=0.3) is False
+        assert client.with_options(timeout_s=0.3).health() is False
         with pytest.raises(Unavailable):
             client.session("s").pose()
+
+
+def refused_at_first(times, code, answer, **details):
+    """Refused so many times, then the answer."""
+    left = [times]
+
+    def handler(request, context):
+        if left[0]:
+            left[0] -= 1
+            refuse(context, code, "BUSY", "", **details)
+        return answer
+
+    return handler
+
+
+def test_a_limit_is_waited_for_if_the_server_says_for_how_long(fake, client):
+    exhausted, answer = grpc.StatusCode.RESOURCE_EXHAUSTED, rpc.GET_POSE.answer()
+    fake.unary(rpc.GET_POSE, refused_at_first(2, exhausted, answer, retry_s=0.05))
+    assert client.session("s").pose() is None
+    assert len(fake.calls) == 3
+    # Without that it is used up, and a further try would find it so, too.
+    fake.unary(rpc.GET_POSE, refused_at_first(1, exhausted, answer))
+    with pytest.raises(percept.ResourceExhausted) as error:
+        client.session("s").pose()
+    assert error.value.retry_after_s is None
+    assert len(fake.calls) == 4
+
+
+def test_a_pause_beyond_the_deadline_is_left_to_the_caller(fake, client):
+    fake.unary(
+        rpc.GET_POSE,
+        refused_at_first(1, grpc.StatusCode.UNAVAILABLE, rpc.GET_POSE.answer(), retry_s=3600),
+    )
+    with pytest.raises(Unavailable) as error:
+        client.session("s").pose()
+    assert error.value.retry_after_s == 3600
+    assert len(fake.calls) == 1
+
+
+def test_what_may_not_be_repeated_is_not_whatever_the_server_asks_for(fake, client):
+    code, answer = grpc.StatusCode.RESOURCE_EXHAUSTED, rpc.UPLOAD_CLOUD.answer()
+    fake.unary(rpc.UPLOAD_CLOUD, refused_at_first(1, code, answer, retry_s=0.01))
+    with pytest.raises(percept.ResourceExhausted) as error:
+        client.toolbox.upload_cloud(b"ply")
+    assert error.value.retry_after_s == 0.01
+
+
+def test_who_may_not_is_told_so_and_the_trace_for_the_operator(fake, client):
+    for code, kind in (
+        (grpc.StatusCode.UNAUTHENTICATED, percept.Unauthenticated),
+        (grpc.StatusCode.PERMISSION_DENIED, percept.PermissionDenied),
+    ):
+        fake.unary(
+            rpc.GET_POSE, refused_at_first(1, code, rpc.GET_POSE.answer(), metadata={"trace_id": "4bf9"})
+        )
+        with pytest.raises(kind) as error:
+            client.session("s").pose()
+        assert (error.value.code, error.value.reason, error.value.trace_id) == (code.name, "BUSY", "4bf9")
+    assert issubclass(percept.PermissionDenied, PermissionError)
+
+
+def test_options_hold_for_what_was_made_with_them_and_for_nothing_else(fake, client):
+    fake.unary(rpc.GET_POSE, lambda *_: rpc.GET_POSE.answer())
+    fake.unary(rpc.GET_OBJECT, lambda *_: rpc.GET_OBJECT.answer())
+    session = client.session("s")
+    mine = session.with_options(metadata={"X-Request-Id": "1"})
+    mine.pose()
+    mine.scene.with_options(metadata={"x-request-id": "2", "x-b": "3"}).object(1)
+    client.with_options(metadata={"x-b": "4"}).session("s").pose()
+    session.pose()
+    ids = [(h.get("x-request-id"), h.get("x-b")) for h in fake.headers]
+    assert ids == [("1", None), ("2", "3"), (None, "4"), (None, None)]
+
+
+def test_a_session_with_less_patience_shares_the_link(fake, client):
+    release = threading.Event()
+
+    def slow(request, context):
+        release.wait(10)
+        return rpc.GET_POSE.answer()
+
+    fake.unary(rpc.GET_POSE, slow)
+    session = client.session("s")
+    with pytest.raises(percept.DeadlineExceeded):
+        session.with_options(timeout_s=0.1).pose()
+    release.set()
+    assert session.pose() is None
+
+
+def test_a_try_less_is_a_try_less(fake, client):
+    fake.unary(rpc.GET_POSE, away_at_first(1, rpc.GET_POSE.answer()))
+    with pytest.raises(Unavailable):
+        client.session("s").with_options(retries=0).pose()
+    assert len(fake.calls) == 1
 
 
 def paged(request, context):

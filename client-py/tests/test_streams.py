@@ -123,7 +123,7 @@ def test_a_stream_that_the_server_ends_early_is_not_a_success(fake, client):
         yield ack_of(next(requests).message, 1)
 
     fake.bidi(rpc.STREAM_FRAMES, short)
-    stream = client.session("s").stream()
+    stream = client.session("s").stream(resume=False)
     stream.send_depth("d", stamp_ns=1, depth=DEPTH)
     assert next(stream.acks()).accepted
     with pytest.raises(Unavailable) as error:
@@ -168,7 +168,7 @@ def test_an_asyncio_stream_raises_what_ended_it(fake):
     async def scenario():
         async with (
             AsyncClient(fake.address, timeout_s=5.0) as client,
-            client.session("s").stream(max_in_flight=2) as stream,
+            client.session("s").stream(max_in_flight=2, resume=False) as stream,
         ):
             for i in range(10):
                 await stream.send_depth("d", stamp_ns=i, depth=DEPTH)

@@ -10,7 +10,7 @@ import pytest
 zenoh = pytest.importorskip("zenoh")
 
 import percept.zenoh as pz  # noqa: E402
-from percept import NotFound, Unavailable  # noqa: E402
+from percept import InvalidArgument, NotFound, Unavailable  # noqa: E402
 from percept.v1 import error_pb2, map_pb2, sensor_pb2, session_pb2  # noqa: E402
 
 
@@ -85,3 +85,59 @@ def test_poses_are_received_as_they_are_published(peer):
         received = [poses.receive(timeout_s=5) for _ in range(3)]
     assert [p.stamp_ns for p in received] == [0, 1, 2]
     assert received[0].state == "tracking"
+
+
+def test_a_peer_with_a_certificate_and_a_password_is_let_in_and_no_other(tmp_path):
+    trustme = pytest.importorskip("trustme")
+    authority = trustme.CA()
+    authority.cert_pem.write_to_path(tmp_path / "ca.pem")
+    for name, identity in (("server", "127.0.0.1"), ("robot", "robot")):
+        issued = authority.issue_cert(identity)
+        issued.private_key_pem.write_to_path(tmp_path / f"{name}.key")
+        issued.cert_chain_pems[0].write_to_path(tmp_path / f"{name}.pem")
+    (tmp_path / "users").write_text("robot:secret\n")
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        endpoint = f"tls/127.0.0.1:{s.getsockname()[1]}"
+    config = zenoh.Config()
+    settings = {"mode": "peer", "listen/endpoints": [endpoint], "scouting/multicast/enabled": False}
+    settings |= {
+        "scouting/gossip/enabled": False,
+        "transport/link/tls/root_ca_certificate": str(tmp_path / "ca.pem"),
+        "transport/link/tls/listen_certificate": str(tmp_path / "server.pem"),
+        "transport/link/tls/listen_private_key": str(tmp_path / "server.key"),
+        "transport/link/tls/enable_mtls": True,
+        "transport/auth/usrpwd/user": "server",
+        "transport/auth/usrpwd/password": "other",
+        "transport/auth/usrpwd/dictionary_file": str(tmp_path / "users"),
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    robot = {
+        "user": "robot",
+        "password": "secret",
+        "ca_file": tmp_path / "ca.pem",
+        "cert_file": tmp_path / "robot.pem",
+        "key_file": tmp_path / "robot.key",
+    }
+    assert "secret" not in repr(pz.Credentials(**robot))
+    with zenoh.open(config):
+        with pz.MapReader(endpoint, session_id="s", credentials=pz.Credentials(**robot)):
+            pass
+        for missing in ({"password": "wrong"}, {"cert_file": None, "key_file": None}, {"ca_file": None}):
+            with pytest.raises(Unavailable):
+                others = pz.Credentials(**(robot | missing))
+                pz.MapReader(endpoint, session_id="s", timeout_s=1.0, credentials=others)
+
+
+def test_credentials_that_contradict_themselves_are_refused(tmp_path):
+    (tmp_path / "ca.pem").write_text("")
+    for options, field in (
+        ({"user": "a"}, "password"),
+        ({"cert_file": "a"}, "key_file"),
+        ({"ca_file": tmp_path / "ca.pem"}, "ca_file"),
+        ({"ca_file": tmp_path / "none.pem"}, "ca_file"),
+    ):
+        with pytest.raises(InvalidArgument) as error:
+            pz.MapReader("tcp/127.0.0.1:1", session_id="s", credentials=pz.Credentials(**options))
+        assert error.value.field == field

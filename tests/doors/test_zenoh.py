@@ -6,7 +6,7 @@ import threading
 import time
 
 import pytest
-from percept import Keyframe, NotFound, PoseEstimate
+from percept import Keyframe, MapChanged, NotFound, PoseEstimate, SensorSpec
 from percept.zenoh import MapReader, SensorPublisher
 
 from support import world
@@ -34,10 +34,16 @@ def test_poses_and_events_are_published_after_every_frame(server, session):
         assert isinstance(received[-1], PoseEstimate)
         truth = world.truth_in_map(poses)[-1]
         assert world.position_error_m(received[-1].t_map_base, truth) < 0.03
-        kinds = set()
-        while PoseEstimate not in kinds:
-            kinds.add(type(events.receive(timeout_s=10).event))
-        assert kinds <= {PoseEstimate, Keyframe, *kinds}
+        seen = []
+        of_poses = []
+        while not of_poses or of_poses[-1] < world.stamp(5):
+            seen.append(events.receive(timeout_s=10))
+            of_poses = [e.event.stamp_ns for e in seen if isinstance(e.event, PoseEstimate)]
+        # The first frame is a keyframe and gives the map its first version; each frame has a pose.
+        assert {type(e.event) for e in seen} == {PoseEstimate, Keyframe, MapChanged}
+        assert of_poses == [world.stamp(i) for i in range(6)]
+        assert [e.event.keyframe_id for e in seen if isinstance(e.event, Keyframe)][:1] == [0]
+        assert [e.token for e in seen] == list(range(seen[0].token, seen[0].token + len(seen)))
 
 
 def test_missing_numbers_are_counted(server, session):
@@ -74,15 +80,39 @@ def test_questions_about_nothing_are_errors(server, name):
     assert error.value.reason == "SESSION_NOT_FOUND"
 
 
-def test_a_slow_server_holds_a_blocking_sensor_instead_of_losing_frames(server, client):
-    session = client.sessions.create(sensors=[world.CAMERA])
-    images = [world.depth_image(pose) for pose in world.drive(12)]
+def flooded(server, client, policy, count):
+    """A camera's status after it has sent faster than the server works, far more than its queue holds."""
+    camera = SensorSpec(
+        "camera",
+        kind="depth",
+        t_base_sensor=world.CAMERA.t_base_sensor,
+        intrinsics=world.INTRINSICS,
+        overload_policy=policy,
+    )
+    session = client.sessions.create(sensors=[camera])
+    images = [world.depth_image(pose) for pose in world.drive(8)]
+
+    def status():
+        return session.sensors.list()[0]
+
+    def done(s):
+        return s.accepted + s.dropped + s.rejected
+
     with SensorPublisher(server.zenoh, session_id=session.session_id) as publisher:
-        for i, depth in enumerate(images):
-            publisher.send_depth("camera", stamp_ns=world.stamp(i), depth=depth, metres_per_unit=0.001)
-        assert eventually(lambda: session.sensors.list()[0].accepted == 12, seconds=60)
-    status = session.sensors.list()[0]
-    assert (status.dropped, status.gaps, status.rejected) == (0, 0, 0)
+        for i in range(count):
+            publisher.send_depth(
+                "camera", stamp_ns=world.stamp(i), depth=images[i % 8], metres_per_unit=0.001
+            )
+        assert eventually(lambda: done(status()) == count, seconds=60)
+    return status()
+
+
+def test_a_slow_server_holds_a_blocking_sensor_instead_of_losing_frames(server, client):
+    # Of as many frames, a sensor that may drop some does: they come faster than they are worked on.
+    count = 60
+    assert flooded(server, client, "drop_oldest", count).dropped > 0
+    status = flooded(server, client, "block", count)
+    assert (status.accepted, status.dropped, status.gaps, status.rejected) == (count, 0, 0, 0)
 
 
 def test_a_busy_session_does_not_hold_another(server, client):

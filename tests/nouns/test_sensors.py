@@ -85,11 +85,23 @@ def test_health_tells_rate_gaps_and_refusals(client):
     for i, pose in enumerate(world.drive(6)):
         session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
     with pytest.raises(InvalidArgument):
-        session.send_scan("laser", stamp_ns=world.stamp(2), **world.scan(pose))
+        session.send_scan("laser", stamp_ns=world.stamp(2) + 1, **world.scan(pose))
     (status,) = session.sensors.list()
     assert (status.accepted, status.rejected, status.dropped) == (6, 1, 0)
     assert status.rate_hz == pytest.approx(1e9 / world.FRAME_NS, rel=1e-3)
     assert status.last_stamp_ns == world.stamp(5)
+
+
+def test_a_frame_that_is_sent_again_is_answered_and_does_nothing_more(client):
+    session = client.sessions.create(sensors=[world.LASER])
+    scans = [world.scan(pose) for pose in world.drive(3)]
+    for i, scan in enumerate(scans):
+        assert not session.send_scan("laser", stamp_ns=world.stamp(i), **scan).duplicate
+    for i in (1, 2, 0):
+        assert session.send_scan("laser", stamp_ns=world.stamp(i), **scans[i]).duplicate
+    assert len(session.trajectory()) == 3
+    (status,) = session.sensors.list()
+    assert (status.accepted, status.rejected) == (3, 0)
 
 
 def test_every_kind_of_frame_is_taken(client):

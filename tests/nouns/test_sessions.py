@@ -159,10 +159,12 @@ def test_lost_is_a_state_not_an_error(client):
     elsewhere["ranges_m"] = elsewhere["ranges_m"][::-1] * 0.2 + 0.1
     result = session.send_scan("laser", stamp_ns=world.stamp(100), **elsewhere)
     assert result.pose is not None
-    assert result.pose.state in ("lost", "tracking")
-    if result.pose.lost:
-        assert result.pose.lost_reason
+    assert result.pose.state == "lost"
+    assert result.pose.lost
+    assert result.pose.lost_reason
     assert session.pose() == result.pose
+    # What a lost robot sees does not enter the map.
+    assert result.keyframe_id is None
 
 
 def test_ingest_only_counts_and_does_nothing_more(client):

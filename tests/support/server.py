@@ -33,7 +33,8 @@ def recorded(name: str) -> pathlib.Path | None:
 def free_port() -> int:
     """A port that was free a moment ago; for zenoh, which takes none by itself.
 
-    Below those that the system gives to clients (32768 on Linux): no connection of a test beside this one takes it meanwhile.
+    Below those that the system gives to clients (32768 on Linux): no connection of a test beside this one
+    takes it meanwhile.
     """
     while True:
         port = random.randrange(20000, 32000)
@@ -45,9 +46,15 @@ def free_port() -> int:
 class Server:
     """`percept serve`; may be killed and started again on the same data."""
 
-    def __init__(self, data_dir: pathlib.Path, *arguments: str, grpc: str = "127.0.0.1:0") -> None:
+    def __init__(
+        self,
+        data_dir: pathlib.Path,
+        *arguments: str,
+        grpc: str = "127.0.0.1:0",
+        log: pathlib.Path | None = None,
+    ) -> None:
         self.data_dir = data_dir
-        self.log = data_dir.with_name(f"{data_dir.name}.log")
+        self.log = log or data_dir.with_name(f"{data_dir.name}.log")
         self._arguments = arguments
         self._grpc = grpc
         self.start()
@@ -69,6 +76,7 @@ class Server:
             self.kill()
             raise AssertionError(f"the server did not start; its log:\n{self.tail()}")
         doors = json.loads(line)
+        self.doors = doors
         self.grpc, self.rest, self.zenoh = doors["grpc"], doors["rest"], doors["zenoh"]
 
     @property
@@ -110,3 +118,17 @@ def eventually(check, *, seconds: float = 10.0):
         if value or time.monotonic() > deadline:
             return value
         time.sleep(0.01)
+
+
+def settled(ask, *, times: int = 40, seconds: float = 10.0):
+    """What `ask` answers once it has answered alike so many times in a row: for what goes on behind a caller
+    that left.
+    """
+    deadline = time.monotonic() + seconds
+    last, alike = ask(), 0
+    while alike < times:
+        assert time.monotonic() < deadline, f"it does not come to rest; newest: {last}"
+        time.sleep(0.01)
+        value = ask()
+        last, alike = value, alike + 1 if value == last else 0
+    return last

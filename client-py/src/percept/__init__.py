@@ -4,18 +4,29 @@ Start with `Client` (blocking) or `AsyncClient`; `percept.zenoh` publishes senso
 radians, nanoseconds; `t_a_b` maps coordinates in b to coordinates in a; arrays are numpy.
 """
 
-from .aio import (
+from ._async.client import (
     AsyncClient,
 )
-from .aio_session import (
+from ._async.session import (
     AsyncSession,
 )
-from .aio_stream import (
+from ._async.stream import (
     AsyncFrameStream,
+)
+from ._async.watch import (
     AsyncWatch,
 )
-from .client import (
+from ._sync.client import (
     Client,
+)
+from ._sync.session import (
+    Session,
+)
+from ._sync.stream import (
+    FrameStream,
+)
+from ._sync.watch import (
+    Watch,
 )
 from .errors import (
     AlreadyExists,
@@ -25,15 +36,11 @@ from .errors import (
     InvalidArgument,
     NotFound,
     PerceptError,
+    PermissionDenied,
     ResourceExhausted,
+    StreamBroken,
+    Unauthenticated,
     Unavailable,
-)
-from .session import (
-    Session,
-)
-from .stream import (
-    FrameStream,
-    Watch,
 )
 from .types import (
     Boxes,
@@ -139,8 +146,10 @@ from .types import (
     SensorSpec,
     SensorStatus,
     SessionEvent,
+    SessionFault,
     SessionInfo,
     SessionMode,
+    SessionState,
     Shape,
     ShapeFeatures,
     Step,
@@ -243,6 +252,7 @@ __all__ = [
     "Path",
     "PerceptError",
     "PipelineResult",
+    "PermissionDenied",
     "Plane",
     "PlaneKind",
     "PlaneRemainder",
@@ -279,12 +289,15 @@ __all__ = [
     "SensorStatus",
     "Session",
     "SessionEvent",
+    "SessionFault",
     "SessionInfo",
     "SessionMode",
+    "SessionState",
     "Shape",
     "ShapeFeatures",
     "Step",
     "StepResult",
+    "StreamBroken",
     "StreamSummary",
     "Supervoxels",
     "SupportedObjects",
@@ -296,6 +309,7 @@ __all__ = [
     "TwoViewEstimate",
     "TwoViewModel",
     "TwoViewOutcome",
+    "Unauthenticated",
     "Unavailable",
     "Watch",
 ]

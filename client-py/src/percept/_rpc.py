@@ -61,7 +61,8 @@ LIST_SENSORS = Rpc(_N, "ListSensors", sensors.ListSensorsRequest, sensors.ListSe
 STREAM_FRAMES = Rpc(
     _N, "StreamFrames", sensors.StreamFramesRequest, sensors.StreamFramesResponse, repeatable=False
 )
-SEND_FRAME = Rpc(_N, "SendFrame", sensors.SendFrameRequest, sensors.SendFrameResponse, repeatable=False)
+# A frame that was taken in before is answered as such.
+SEND_FRAME = Rpc(_N, "SendFrame", sensors.SendFrameRequest, sensors.SendFrameResponse)
 SYNC_TIME = Rpc(_N, "SyncTime", sensors.SyncTimeRequest, sensors.SyncTimeResponse)
 
 _M = "MapsService"

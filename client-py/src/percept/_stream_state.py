@@ -1,11 +1,18 @@
-"""The books of a stream, without threads or loops: both streams keep them alike."""
+"""The books of a stream of frames, without threads or loops: what was sent, what came back, what is safe.
+
+A stream may live through several connections. A frame is kept until it is durable or was refused for good;
+those kept are written again on the next connection, where the server refuses by its stamp what it had taken
+in before.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import threading
 from collections import Counter, deque
 
 from ._convert import poses, sensors
-from .errors import PerceptError
+from .errors import PerceptError, Unavailable, error_of
 from .types.frames import SensorFrame
 from .types.sensors import FrameAck, StreamSummary
 from .v1 import sensors_service_pb2 as service
@@ -13,55 +20,188 @@ from .v1 import sensors_service_pb2 as service
 #: Acknowledgements that nobody reads are kept up to this many, then the oldest go.
 MAX_UNREAD = 4096
 MAX_REJECTIONS = 100
+#: What a kept frame takes in memory beside its bytes, about.
+OVERHEAD_BYTES = 256
+
+
+@dataclasses.dataclass(eq=False)
+class Sent:
+    """A frame that is not known to be safe."""
+
+    data: bytes
+    #: Whether its stamp is later than all that the stream sent before for its sensor.
+    in_order: bool
+    #: On how many connections it was written.
+    tries: int = 0
+    answered: bool = False
+    #: Refused whatever is tried, or durable: it need not be sent again.
+    settled: bool = False
+    #: The server could not take it just then.
+    turned_away: bool = False
+
+
+class Connection:
+    """One connection's part: acknowledgements come in the order of writing, and count from its first."""
+
+    def __init__(self, frames: deque[Sent]) -> None:
+        self.to_write = frames
+        self.unanswered: deque[Sent] = deque()
+        self.not_durable: deque[Sent] = deque()
+        self.durable = 0
+        #: It ended, whoever ended it.
+        self.closed = False
+        #: We said that no more comes.
+        self.finished = False
+
+    @property
+    def complete(self) -> bool:
+        """Whether all that was written was answered, and no more was to come."""
+        return self.finished and not self.unanswered
 
 
 class StreamState:
     """What was sent, what came back."""
 
-    def __init__(self, session_id: str) -> None:
+    def __init__(self, session_id: str, *, resume: bool) -> None:
         self.session_id = session_id
+        self.resume = resume
         self.sent = 0
         self.answered = 0
         self.rejected = 0
         self.durable = 0
+        #: Grows with everything that comes back.
+        self.progress = 0
         self.ended = False
         self.error: PerceptError | None = None
         self.unread: deque[FrameAck] = deque(maxlen=MAX_UNREAD)
+        self._kept_bytes = 0
+        self._kept: deque[Sent] = deque()
+        self._connection: Connection | None = None
         self._rejections: list[FrameAck] = []
         self._sequences: Counter[str] = Counter()
+        self._newest: dict[str, int] = {}
+        # The summary is read at any time, from any thread.
+        self._lock = threading.Lock()
 
     @property
     def in_flight(self) -> int:
         """Frames sent and not yet acknowledged."""
         return self.sent - self.answered
 
-    def message(self, frame: SensorFrame) -> service.StreamFramesRequest:
+    @property
+    def unsafe(self) -> bool:
+        """Whether frames are kept that would be lost if the server were."""
+        return bool(self._kept)
+
+    def fits(self, data: bytes, limit_bytes: int) -> bool:
+        """Whether a frame has room beside those that are kept; one alone always has."""
+        needed = self._kept_bytes + OVERHEAD_BYTES + len(data)
+        return not self._kept_bytes or needed <= limit_bytes
+
+    def encoded(self, frame: SensorFrame) -> bytes:
         """A frame as a message, numbered for its sensor from 1."""
         request = service.StreamFramesRequest()
         sequence = self._sequences[frame.sensor_id] + 1
         sensors.fill_frame(request.message, self.session_id, frame, sequence)
-        self._sequences[frame.sensor_id] = sequence
-        return request
+        return request.SerializeToString()
 
-    def answer(self, answer: service.StreamFramesResponse) -> None:
-        """Takes an acknowledgement; one without an outcome only tells what became durable."""
-        self.durable = max(self.durable, answer.ack.durable_count)
-        if answer.ack.WhichOneof("outcome") is None:
+    def add(self, frame: SensorFrame, data: bytes) -> None:
+        """Takes an encoded frame to be written."""
+        newest = self._newest.get(frame.sensor_id)
+        in_order = newest is None or frame.stamp_ns > newest
+        if in_order:
+            self._newest[frame.sensor_id] = frame.stamp_ns
+        self._sequences[frame.sensor_id] += 1
+        sent = Sent(data, in_order)
+        with self._lock:
+            self.sent += 1
+            self._kept_bytes += OVERHEAD_BYTES + len(data)
+            self._kept.append(sent)
+        if self._connection is not None and not self._connection.closed:
+            self._connection.to_write.append(sent)
+
+    def connect(self) -> Connection:
+        """Begins a connection, with all that is not settled to be written (again)."""
+        self._connection = Connection(deque(s for s in self._kept if not s.settled))
+        return self._connection
+
+    def write(self, connection: Connection) -> bytes:
+        """The next message of a connection."""
+        sent = connection.to_write.popleft()
+        sent.tries += 1
+        connection.unanswered.append(sent)
+        connection.not_durable.append(sent)
+        data = sent.data
+        if not self.resume:
+            self._forget(sent)
+        return data
+
+    def answer(self, connection: Connection, answer: service.StreamFramesResponse) -> None:
+        """Takes an acknowledgement; one without an outcome only tells what became durable.
+
+        Raises Unavailable if the server turns the frame away for now, and it is to be sent again.
+        """
+        with self._lock:
+            self.progress += 1
+            sent = None
+            if answer.ack.WhichOneof("outcome") is not None and connection.unanswered:
+                sent = connection.unanswered.popleft()
+                self._turned_away(sent, answer)
+            self._make_durable(connection, answer.ack.durable_count)
+            if sent is not None:
+                self._settle(sent, dataclasses.replace(poses.ack(answer.ack), durable_count=self.durable))
+
+    def _turned_away(self, sent: Sent, answer: service.StreamFramesResponse) -> None:
+        refused = answer.ack.rejection
+        if self.resume and refused.code == Unavailable.code:
+            self.progress -= 1
+            sent.turned_away = True
+            raise error_of(refused.code, refused.message, reason=refused.reason, field=refused.field)
+
+    def _make_durable(self, connection: Connection, count: int) -> None:
+        while connection.durable < count and connection.not_durable:
+            connection.not_durable.popleft().settled = True
+            connection.durable += 1
+        self._pop_settled()
+
+    def _pop_settled(self) -> None:
+        while self._kept and self._kept[0].settled:
+            self._forget(self._kept.popleft())
+            self.durable += 1
+
+    def _forget(self, sent: Sent) -> None:
+        if sent.data:
+            self._kept_bytes -= OVERHEAD_BYTES + len(sent.data)
+            sent.data = b""
+
+    def _settle(self, sent: Sent, ack: FrameAck) -> None:
+        if ack.rejection is not None and self._taken_before(sent, ack.rejection.reason):
+            ack = dataclasses.replace(ack, rejection=None)
+        if not sent.answered:
+            sent.answered = True
+            self.answered += 1
+            self.unread.append(ack)
+        elif ack.accepted:
             return
-        ack = poses.ack(answer.ack)
-        self.answered += 1
-        self.unread.append(ack)
         if not ack.accepted:
             self.rejected += 1
+            sent.settled = True
+            self._pop_settled()
             if len(self._rejections) < MAX_REJECTIONS:
                 self._rejections.append(ack)
 
+    @staticmethod
+    def _taken_before(sent: Sent, reason: str) -> bool:
+        """Whether a refused stamp only says that the frame arrived over a connection of before."""
+        return reason == "STAMP_NOT_INCREASING" and sent.tries > 1 and sent.in_order and not sent.turned_away
+
     def summary(self) -> StreamSummary:
         """What became of the stream."""
-        return StreamSummary(
-            sent=self.sent,
-            accepted=self.answered - self.rejected,
-            rejected=self.rejected,
-            durable=self.durable,
-            rejections=tuple(self._rejections),
-        )
+        with self._lock:
+            return StreamSummary(
+                sent=self.sent,
+                accepted=self.answered - self.rejected,
+                rejected=self.rejected,
+                durable=self.durable,
+                rejections=tuple(self._rejections),
+            )

@@ -2,11 +2,14 @@
 
 PerceptError
 ├── InvalidArgument         the request is wrong: mend it (also a ValueError)
+├── Unauthenticated         the server does not know who asks: token or certificate missing, wrong, expired
+├── PermissionDenied        it knows, and does not allow it (also a PermissionError)
 ├── NotFound                what was named does not exist
 ├── AlreadyExists           it exists already, and differs
 ├── FailedPrecondition      right request, wrong state: do something else first
 ├── ResourceExhausted       a limit is used up
 ├── Unavailable             server stopping, unreachable, or a resource gone for now: try again
+│   └── StreamBroken        a stream of frames could not be taken up again in time; says how many are safe
 ├── DeadlineExceeded        no answer in time
 └── Internal                a fault of the server's; its log has the cause
 
@@ -17,8 +20,10 @@ is an acknowledgement with a `rejection`.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import grpc
+from google.protobuf import any_pb2
 from google.protobuf.message import DecodeError
 from google.rpc import error_details_pb2, status_pb2
 
@@ -27,17 +32,30 @@ class PerceptError(Exception):
     """A request that was not served.
 
     `reason` is stable and upper-case (SENSOR_NOT_FOUND), `message` says field, value and remedy, `field` is
-    the path of the offending field or empty, `code` the name of the gRPC code.
+    the path of the offending field or empty, `code` the name of the gRPC code. `retry_after_s` is how long
+    the server asks to wait before another try, `trace_id` what its operator finds the call by; None if it
+    does not say.
     """
 
     code = "UNKNOWN"
 
-    def __init__(self, message: str, *, reason: str = "", field: str = "", code: str = "") -> None:
+    def __init__(
+        self,
+        message: str,
+        *,
+        reason: str = "",
+        field: str = "",
+        code: str = "",
+        retry_after_s: float | None = None,
+        trace_id: str | None = None,
+    ) -> None:
         super().__init__(message)
         self.message = message
         self.reason = reason
         self.field = field
         self.code = code or type(self).code
+        self.retry_after_s = retry_after_s
+        self.trace_id = trace_id
 
     def __str__(self) -> str:
         reason = f" [{self.reason}]" if self.reason else ""
@@ -49,6 +67,18 @@ class InvalidArgument(PerceptError, ValueError):
     """The request is wrong whatever the state of the server."""
 
     code = "INVALID_ARGUMENT"
+
+
+class Unauthenticated(PerceptError):
+    """The server does not know who asks."""
+
+    code = "UNAUTHENTICATED"
+
+
+class PermissionDenied(PerceptError, PermissionError):
+    """The server knows who asks, and does not allow it."""
+
+    code = "PERMISSION_DENIED"
 
 
 class NotFound(PerceptError, LookupError):
@@ -81,6 +111,23 @@ class Unavailable(PerceptError, ConnectionError):
     code = "UNAVAILABLE"
 
 
+class StreamBroken(Unavailable):
+    """A stream of frames broke, and was not taken up again in time. The first `durable` of the `sent` frames
+    survive a crash; send those after them again on another stream, and what was taken in is told by its
+    stamp."""
+
+    def __init__(self, cause: PerceptError, *, sent: int, durable: int, tried_s: float) -> None:
+        super().__init__(
+            f"the stream broke ({cause.message}) and was not resumed within {tried_s:g} s: {durable} of "
+            f"{sent} frames are durable; send the others again",
+            reason=cause.reason or "STREAM_BROKEN",
+            retry_after_s=cause.retry_after_s,
+            trace_id=cause.trace_id,
+        )
+        self.sent = sent
+        self.durable = durable
+
+
 class DeadlineExceeded(PerceptError, TimeoutError):
     """No answer within the deadline."""
 
@@ -97,6 +144,8 @@ _BY_CODE: dict[str, type[PerceptError]] = {
     kind.code: kind
     for kind in (
         InvalidArgument,
+        Unauthenticated,
+        PermissionDenied,
         NotFound,
         AlreadyExists,
         FailedPrecondition,
@@ -113,35 +162,73 @@ _ALIASES = {"OUT_OF_RANGE": "INVALID_ARGUMENT", "DATA_LOSS": "INTERNAL"}
 _DETAILS = "grpc-status-details-bin"
 
 
-def error_of(code: str, message: str, *, reason: str = "", field: str = "") -> PerceptError:
+def error_of(
+    code: str,
+    message: str,
+    *,
+    reason: str = "",
+    field: str = "",
+    retry_after_s: float | None = None,
+    trace_id: str | None = None,
+) -> PerceptError:
     """The exception for the name of a gRPC code."""
     kind = _BY_CODE.get(_ALIASES.get(code, code), PerceptError)
-    return kind(message, reason=reason, field=field, code=code)
+    return kind(
+        message, reason=reason, field=field, code=code, retry_after_s=retry_after_s, trace_id=trace_id
+    )
 
 
 def error_of_rpc(error: grpc.RpcError) -> PerceptError:
-    """The exception for a failed call: reason and field come out of its google.rpc.Status details."""
+    """The exception for a failed call, with what its google.rpc.Status details say."""
     if not isinstance(error, (grpc.Call, grpc.aio.AioRpcError)):
         return PerceptError(str(error))
-    reason, field = _details(error.trailing_metadata() or ())
-    return error_of(error.code().name, error.details() or "", reason=reason, field=field)
+    said = _details(error.trailing_metadata() or ())
+    return error_of(
+        error.code().name,
+        error.details() or "",
+        reason=said.reason,
+        field=said.field,
+        retry_after_s=said.retry_after_s,
+        trace_id=said.trace_id,
+    )
 
 
-def _details(metadata: Iterable[tuple[str, str | bytes]]) -> tuple[str, str]:
-    """Reason (ErrorInfo) and field (first BadRequest violation); empty where absent or unreadable."""
-    reason = field = ""
+@dataclass
+class _Details:
+    """What a google.rpc.Status says beyond code and message; empty or None where it does not."""
+
+    reason: str = ""
+    field: str = ""
+    retry_after_s: float | None = None
+    trace_id: str | None = None
+
+
+def _details(metadata: Iterable[tuple[str, str | bytes]]) -> _Details:
+    """Reason and trace (ErrorInfo), field (first BadRequest violation), pause (RetryInfo)."""
+    said = _Details()
     for key, value in metadata:
         if key != _DETAILS or not isinstance(value, bytes):
             continue
         status = status_pb2.Status()
         try:
             status.ParseFromString(value)
+            for detail in status.details:
+                _read(detail, said)
         except DecodeError:
             continue
-        info, bad = error_details_pb2.ErrorInfo(), error_details_pb2.BadRequest()
-        for detail in status.details:
-            if detail.Unpack(info):
-                reason = info.reason
-            elif detail.Unpack(bad) and bad.field_violations:
-                field = bad.field_violations[0].field
-    return reason, field
+    return said
+
+
+def _read(detail: any_pb2.Any, said: _Details) -> None:
+    info, bad, retry = (
+        error_details_pb2.ErrorInfo(),
+        error_details_pb2.BadRequest(),
+        error_details_pb2.RetryInfo(),
+    )
+    if detail.Unpack(info):
+        said.reason = info.reason
+        said.trace_id = info.metadata.get("trace_id") or None
+    elif detail.Unpack(bad) and bad.field_violations:
+        said.field = bad.field_violations[0].field
+    elif detail.Unpack(retry):
+        said.retry_after_s = max(retry.retry_delay.ToNanoseconds() / 1e9, 0.0)

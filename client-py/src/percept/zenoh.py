@@ -10,19 +10,22 @@ Scouting is off: the server's endpoint is named. Keys, as the server has them:
 from __future__ import annotations
 
 import json
+import os
 import queue
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 import zenoh
 from google.protobuf.message import Message
 
+from ._access import FilePath, read_file
 from ._convert import maps, poses, scene, sensors, sessions
 from ._sender import FrameSender
-from .errors import DeadlineExceeded, FailedPrecondition, Unavailable, error_of
+from .errors import DeadlineExceeded, FailedPrecondition, InvalidArgument, Unavailable, error_of
 from .types.frames import SensorFrame
 from .types.maps import MapCloud, OccupancyGrid
 from .types.scene import Object, SceneGraph
@@ -37,7 +40,49 @@ M = TypeVar("M", bound=Message)
 MAX_UNREAD = 256
 
 
-def _open(endpoint: str, timeout_s: float) -> Any:  # noqa: ANN401
+@dataclass(frozen=True, kw_only=True)
+class Credentials:
+    """Who asks, and whom to trust. With any of the files the endpoint is tls/host:port."""
+
+    user: str | None = None
+    password: str | None = field(default=None, repr=False)
+    #: PEM: whom to trust instead of the well-known authorities.
+    ca_file: FilePath | None = None
+    #: PEM: who asks.
+    cert_file: FilePath | None = None
+    key_file: FilePath | None = None
+
+    def settings(self, endpoint: str) -> dict[str, object]:
+        """What zenoh calls them; contradictions are refused."""
+        for one, other in (("user", "password"), ("cert_file", "key_file")):
+            given = {name for name in (one, other) if getattr(self, name) is not None}
+            if len(given) == 1:
+                missing = ({one, other} - given).pop()
+                message = f"{missing} is missing; {one} and {other} belong together"
+                raise InvalidArgument(message, reason="OPTIONS_CONFLICT", field=missing)
+        files = {"ca_file": self.ca_file, "cert_file": self.cert_file, "key_file": self.key_file}
+        for name, path in files.items():
+            if path is not None:
+                read_file(name, path)
+                if not endpoint.startswith(("tls/", "quic/")):
+                    message = f"{name} is for TLS, but the endpoint is {endpoint}; write tls/host:port"
+                    raise InvalidArgument(message, reason="OPTIONS_CONFLICT", field=name)
+        settings: dict[str, object | None] = {
+            "transport/auth/usrpwd/user": self.user,
+            "transport/auth/usrpwd/password": self.password,
+            "transport/link/tls/root_ca_certificate": _path(self.ca_file),
+            "transport/link/tls/connect_certificate": _path(self.cert_file),
+            "transport/link/tls/connect_private_key": _path(self.key_file),
+            "transport/link/tls/enable_mtls": None if self.cert_file is None else True,
+        }
+        return {key: value for key, value in settings.items() if value is not None}
+
+
+def _path(path: FilePath | None) -> str | None:
+    return None if path is None else os.path.abspath(path)
+
+
+def _open(endpoint: str, timeout_s: float, credentials: Credentials | None) -> Any:  # noqa: ANN401
     config = zenoh.Config()
     settings: dict[str, object] = {
         "mode": "peer",
@@ -47,21 +92,33 @@ def _open(endpoint: str, timeout_s: float) -> Any:  # noqa: ANN401
         "connect/endpoints": [endpoint],
         "connect/timeout_ms": int(timeout_s * 1000),
         "connect/exit_on_failure": True,
+        **(credentials or Credentials()).settings(endpoint),
     }
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     try:
         return zenoh.open(config)
     except zenoh.ZError as cause:
-        message = f"no zenoh peer answers at {endpoint}; is the server running with --zenoh?"
+        message = (
+            f"no zenoh peer lets us in at {endpoint}; is the server running with --zenoh, and are the "
+            "credentials right?"
+        )
         raise Unavailable(message, reason="ENDPOINT_UNREACHABLE", field="endpoint") from cause
 
 
 class _Peer:
-    def __init__(self, endpoint: str, *, session_id: str, timeout_s: float = 10.0) -> None:
+    def __init__(
+        self,
+        endpoint: str,
+        *,
+        session_id: str,
+        timeout_s: float = 10.0,
+        credentials: Credentials | None = None,
+    ) -> None:
+        """`endpoint` is tcp/host:port or tls/host:port."""
         self.session_id = session_id
         self._timeout_s = timeout_s
-        self._zenoh = _open(endpoint, timeout_s)
+        self._zenoh = _open(endpoint, timeout_s, credentials)
 
     def _key(self, rest: str) -> str:
         return f"percept/{self.session_id}/{rest}"
@@ -78,8 +135,16 @@ class SensorPublisher(_Peer, FrameSender[None]):
     so that it counts the missing ones, too.
     """
 
-    def __init__(self, endpoint: str, *, session_id: str, timeout_s: float = 10.0) -> None:
-        super().__init__(endpoint, session_id=session_id, timeout_s=timeout_s)
+    def __init__(
+        self,
+        endpoint: str,
+        *,
+        session_id: str,
+        timeout_s: float = 10.0,
+        credentials: Credentials | None = None,
+    ) -> None:
+        """`endpoint` is tcp/host:port or tls/host:port."""
+        super().__init__(endpoint, session_id=session_id, timeout_s=timeout_s, credentials=credentials)
         self._publishers: dict[str, Any] = {}
         self._sequences: Counter[str] = Counter()
         self._closed = False

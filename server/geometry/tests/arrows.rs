@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each crate looks only at crates before it.
-const ORDER: [&str; 15] = [
+const ORDER: [&str; 16] = [
     "geometry",
     "sim",
     "evaluation",
@@ -21,6 +21,7 @@ const ORDER: [&str; 15] = [
     "formats",
     "bench",
     "store",
+    "identity",
     "service",
     "wire",
     "percept",
@@ -37,13 +38,16 @@ const CORE_MAY_USE: [&str; 9] =
 const STRANGERS: [&str; 3] = ["slam", "scene", "planning"];
 
 /// What belongs to whom: dependencies that begin so, and the crates that may have them.
-const KEPT_BY: [(&str, &[&str]); 6] = [
+const KEPT_BY: [(&str, &[&str]); 9] = [
     ("prost", &["wire", "percept"]),
     ("tonic", &["wire", "percept"]),
     ("axum", &["percept"]),
     ("tower", &["percept"]),
     ("zenoh", &["percept"]),
     ("slatedb", &["store"]),
+    ("ring", &["identity"]),
+    ("prometheus", &["service", "percept"]),
+    ("opentelemetry", &["percept"]),
 ];
 
 /// Absent from the core's sources: files, sockets, threads and processes of its own, environment, clocks.

@@ -10,6 +10,7 @@ mod origin;
 
 pub(crate) use error::ConfigError;
 use origin::Origins;
+use percept_identity::{AuthMode, AuthSettings};
 use percept_pipeline::PipelineParams;
 use percept_service::Limits;
 use serde::{Deserialize, Serialize};
@@ -25,6 +26,10 @@ pub(crate) const TEMPLATE: &str = include_str!("../../../deploy/percept.toml");
 pub(crate) struct Config {
     /// Addresses of the doors.
     pub listen: Listen,
+    /// Who may call, and what they may do.
+    pub auth: AuthSettings,
+    /// Encryption of the doors.
+    pub tls: Tls,
     /// Where everything durable lives.
     pub storage: Storage,
     /// How much of the machine is used.
@@ -33,6 +38,8 @@ pub(crate) struct Config {
     pub limits: Limits,
     /// What is logged.
     pub log: Log,
+    /// What is counted, timed and traced.
+    pub telemetry: Telemetry,
     /// Parameters of a session, where its creator sends none.
     pub params: PipelineParams,
 }
@@ -45,8 +52,20 @@ pub(crate) struct Listen {
     pub grpc: String,
     /// REST: IP address and port; port 0 takes a free one.
     pub rest: String,
-    /// Zenoh: endpoint that peers connect to, protocol/address:port.
+    /// Zenoh: endpoint that peers connect to, protocol/address:port; tls/ needs section tls.
     pub zenoh: String,
+    /// REST: names by which browsers and clients may call the server, beside the address it is bound to and, there,
+    /// localhost; with a port, or for any. An entry "*" allows all.
+    pub allowed_hosts: Vec<String>,
+    /// gRPC: whether clients may list services and messages (server reflection).
+    pub reflection: bool,
+    /// REST: whether the documentation (/docs, /openapi.json) is served.
+    pub docs: bool,
+    /// Time between the signal to stop, from which on `/readyz` says no, and the closing of the doors, seconds; give
+    /// load balancers theirs.
+    pub notice_s: usize,
+    /// Time for requests under way to finish after that, seconds; half-sent ones get two.
+    pub drain_s: usize,
 }
 
 impl Default for Listen {
@@ -55,7 +74,34 @@ impl Default for Listen {
             grpc: "127.0.0.1:50051".to_owned(),
             rest: "127.0.0.1:8080".to_owned(),
             zenoh: "tcp/127.0.0.1:7447".to_owned(),
+            allowed_hosts: vec![],
+            reflection: true,
+            docs: true,
+            notice_s: 0,
+            drain_s: 20,
         }
+    }
+}
+
+/// Encryption of the doors: TLS on gRPC, REST and, for an endpoint tls/, zenoh. Changed files are read again within seconds,
+/// or on SIGHUP; connections stay.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Tls {
+    /// Certificate of the server and those between it and its authority, PEM; empty: no encryption.
+    pub cert_file: PathBuf,
+    /// Its private key, PEM.
+    pub key_file: PathBuf,
+    /// Authorities of clients' certificates, PEM; empty: clients are not asked for one.
+    pub client_ca_file: PathBuf,
+    /// Whether a client has to show a certificate; else it may.
+    pub client_cert_required: bool,
+}
+
+impl Tls {
+    /// Whether the doors speak TLS.
+    pub(crate) fn is_on(&self) -> bool {
+        !self.cert_file.as_os_str().is_empty()
     }
 }
 
@@ -79,7 +125,8 @@ impl Default for Storage {
 pub(crate) struct Compute {
     /// Threads that compute, 0 to 1024; 0: one for each core.
     pub threads: usize,
-    /// How far those threads stand back behind the ones that answer, 0 to 19, as `nice` has it.
+    /// How far those that process frames stand back behind the ones that answer, 0 to 19, as `nice` has it; those of
+    /// the toolbox ten more.
     pub nice: i32,
 }
 
@@ -117,6 +164,29 @@ pub(crate) enum LogFormat {
     Json,
 }
 
+/// What is counted, timed and traced.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Telemetry {
+    /// Whether `GET /metrics` answers Prometheus.
+    pub metrics: bool,
+    /// IP address and port at which /metrics, /livez and /readyz are served apart from the REST door, which then has no
+    /// /metrics; empty: /metrics is served at the REST door.
+    pub listen: String,
+    /// Share of requests that get a line in the log, at target access, 0 to 1.
+    pub access_log: f64,
+    /// Collector that spans are sent to by OTLP over gRPC, such as http://127.0.0.1:4317; empty: they are not sent.
+    pub otlp_endpoint: String,
+    /// Share of the traces that begin here whose spans are sent, 0 to 1; those of a caller go as the caller says.
+    pub trace_share: f64,
+}
+
+impl Default for Telemetry {
+    fn default() -> Self {
+        Self { metrics: true, listen: String::new(), access_log: 0.0, otlp_endpoint: String::new(), trace_share: 1.0 }
+    }
+}
+
 impl Config {
     /// Defaults, `file` over them, this process's environment over both; checked. Flags are laid over the result by
     /// the caller, who then calls [`validate`](Self::validate) again.
@@ -147,6 +217,8 @@ impl Config {
     /// `OutOfBounds`, the first one.
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         check_listen(&self.listen)?;
+        check_auth(&self.auth, &self.listen)?;
+        check_tls(&self.tls, &self.listen)?;
         if self.storage.data_dir.as_os_str().is_empty() {
             return Err(out_of_bounds("storage.data_dir", "empty", "name a directory, such as \"percept-data\""));
         }
@@ -161,6 +233,7 @@ impl Config {
             let remedy = format!("{problem}; write off, error, warn, info, debug or trace");
             return Err(quoted("log.level", &self.log.level, &remedy));
         }
+        check_telemetry(self)?;
         self.params.validate().map_err(|e| ConfigError::params(e.section, e.message))
     }
 }
@@ -195,8 +268,102 @@ fn check_listen(listen: &Listen) -> Result<(), ConfigError> {
         let remedy = "write tcp/, udp/ or tls/, address and port, such as \"tcp/127.0.0.1:7447\", or \"\" to close it";
         return Err(quoted("listen.zenoh", &listen.zenoh, remedy));
     }
+    for (field, value) in [("listen.notice_s", listen.notice_s), ("listen.drain_s", listen.drain_s)] {
+        if value > 3600 {
+            return Err(out_of_bounds(field, value, "set it between 0 and 3600"));
+        }
+    }
+    for host in &listen.allowed_hosts {
+        if host != "*" && (host.is_empty() || host.contains('/') || host.parse::<axum::http::uri::Authority>().is_err())
+        {
+            return Err(quoted("listen.allowed_hosts", host, "write a name, or name:port, without a scheme"));
+        }
+    }
     if listen.grpc.is_empty() && listen.rest.is_empty() && listen.zenoh.is_empty() {
         return Err(quoted("listen.grpc", "", "open at least one door of grpc, rest and zenoh"));
+    }
+    Ok(())
+}
+
+fn check_auth(auth: &AuthSettings, listen: &Listen) -> Result<(), ConfigError> {
+    auth.validate().map_err(|e| ConfigError::OutOfBounds {
+        origin: None,
+        field: format!("auth.{}", e.field),
+        problem: format!(" is {}; {}", e.value, e.remedy),
+    })?;
+    if auth.mode == AuthMode::Required || auth.allow_anonymous_beyond_loopback {
+        return Ok(());
+    }
+    for (field, address) in
+        [("listen.grpc", &listen.grpc), ("listen.rest", &listen.rest), ("listen.zenoh", &listen.zenoh)]
+    {
+        if !address.is_empty() && !is_loopback(address) {
+            let remedy = "which others can reach, and nobody is asked who they are: set auth.mode = \"required\", listen on \
+                          127.0.0.1, or let everybody in with auth.allow_anonymous_beyond_loopback = true";
+            return Err(quoted(field, address, remedy));
+        }
+    }
+    Ok(())
+}
+
+fn check_tls(tls: &Tls, listen: &Listen) -> Result<(), ConfigError> {
+    let given = |path: &Path| !path.as_os_str().is_empty();
+    if given(&tls.key_file) && !tls.is_on() {
+        return Err(out_of_bounds("tls.cert_file", "empty", "name the certificate that goes with tls.key_file"));
+    }
+    if tls.is_on() && !given(&tls.key_file) {
+        return Err(out_of_bounds("tls.key_file", "empty", "name the private key that goes with tls.cert_file"));
+    }
+    if given(&tls.client_ca_file) && !tls.is_on() {
+        let remedy = "name the server's certificate: clients show theirs over TLS only";
+        return Err(out_of_bounds("tls.cert_file", "empty", remedy));
+    }
+    if tls.client_cert_required && !given(&tls.client_ca_file) {
+        let remedy = "name the authorities whose certificates are required";
+        return Err(out_of_bounds("tls.client_ca_file", "empty", remedy));
+    }
+    if listen.zenoh.starts_with("tls/") && !tls.is_on() {
+        return Err(out_of_bounds("tls.cert_file", "empty", "listen.zenoh is a tls/ endpoint; name a certificate"));
+    }
+    Ok(())
+}
+
+/// Whether only this machine can reach an address, or endpoint of zenoh.
+fn is_loopback(address: &str) -> bool {
+    let address = address.split_once('/').map_or(address, |(_, address)| address);
+    match address.parse::<SocketAddr>() {
+        Ok(address) => address.ip().to_canonical().is_loopback(),
+        Err(_) => address.rsplit_once(':').is_some_and(|(host, _)| host == "localhost"),
+    }
+}
+
+fn check_telemetry(config: &Config) -> Result<(), ConfigError> {
+    let telemetry = &config.telemetry;
+    for (field, share) in
+        [("telemetry.access_log", telemetry.access_log), ("telemetry.trace_share", telemetry.trace_share)]
+    {
+        if !(0.0..=1.0).contains(&share) {
+            return Err(out_of_bounds(field, share, "set it between 0 and 1"));
+        }
+    }
+    let collector = &telemetry.otlp_endpoint;
+    if !collector.is_empty() && collector.strip_prefix("http://").is_none_or(str::is_empty) {
+        let remedy = "write http://, host and port, such as \"http://127.0.0.1:4317\", or \"\" to send nothing";
+        return Err(quoted("telemetry.otlp_endpoint", collector, remedy));
+    }
+    if telemetry.listen.is_empty() {
+        return Ok(());
+    }
+    let address: SocketAddr = telemetry.listen.parse().map_err(|_| {
+        let remedy = "write IP address and port, such as \"127.0.0.1:9464\", or \"\" to use the REST door";
+        quoted("telemetry.listen", &telemetry.listen, remedy)
+    })?;
+    let taken = [&config.listen.grpc, &config.listen.rest].into_iter().any(|door| door.parse() == Ok(address));
+    if taken && address.port() != 0 {
+        return Err(quoted("telemetry.listen", &telemetry.listen, "take another port: a door has this one"));
+    }
+    if !telemetry.metrics {
+        return Err(quoted("telemetry.listen", &telemetry.listen, "set telemetry.metrics to true, or this to \"\""));
     }
     Ok(())
 }
@@ -218,10 +385,35 @@ fn check_limits(limits: &Limits) -> Result<(), ConfigError> {
         ("limits.max_kept_bytes", limits.max_kept_bytes, 1 << 40),
         ("limits.max_kept_s", limits.max_kept_s, 86_400),
         ("limits.event_history", limits.event_history, 1_000_000),
+        ("limits.max_queued_computations", limits.max_queued_computations, 1_000_000),
+        ("limits.max_bytes_in_flight", limits.max_bytes_in_flight, 1 << 40),
+        ("limits.max_bytes_in_flight_per_peer", limits.max_bytes_in_flight_per_peer, 1 << 40),
+        ("limits.max_connections", limits.max_connections, 1_000_000),
+        ("limits.max_connections_per_peer", limits.max_connections_per_peer, 1_000_000),
+        ("limits.max_calls_per_connection", limits.max_calls_per_connection, 10_000),
+        ("limits.max_ingest_streams", limits.max_ingest_streams, 1_000_000),
+        ("limits.max_watchers", limits.max_watchers, 1_000_000),
+        ("limits.max_watchers_per_peer", limits.max_watchers_per_peer, 1_000_000),
+        ("limits.header_timeout_s", limits.header_timeout_s, 86_400),
+        ("limits.body_timeout_s", limits.body_timeout_s, 86_400),
+        ("limits.idle_timeout_s", limits.idle_timeout_s, 86_400),
+        ("limits.stream_idle_timeout_s", limits.stream_idle_timeout_s, 86_400),
+        ("limits.unread_timeout_s", limits.unread_timeout_s, 86_400),
     ];
     for (field, value, most) in bounds {
         if !(1..=most).contains(&value) {
             return Err(out_of_bounds(field, value, format!("set it between 1 and {most}")));
+        }
+    }
+    // A message of the largest size has to fit: as JSON it is a third longer.
+    let least = limits.max_message_bytes.saturating_mul(2);
+    for (field, value) in [
+        ("limits.max_bytes_in_flight", limits.max_bytes_in_flight),
+        ("limits.max_bytes_in_flight_per_peer", limits.max_bytes_in_flight_per_peer),
+    ] {
+        if value < least {
+            let remedy = format!("set it to twice limits.max_message_bytes ({least}) or more");
+            return Err(out_of_bounds(field, value, remedy));
         }
     }
     Ok(())

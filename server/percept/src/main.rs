@@ -3,6 +3,7 @@
 mod cli;
 mod config;
 mod doors;
+mod provider;
 mod telemetry;
 
 use std::process::ExitCode;

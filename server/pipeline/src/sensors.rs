@@ -72,6 +72,9 @@ pub(crate) struct Sensors {
     first_frame: Option<Timestamp>,
 }
 
+/// Seconds without a frame after which another sensor of the same kind may take over: more than links drop out for.
+const SILENCE_S: f64 = 2.0;
+
 /// Seconds for which a better pose sensor that is declared but silent is waited for.
 const PATIENCE_S: f64 = 1.0;
 
@@ -112,9 +115,14 @@ impl Sensors {
     }
 
     /// Whether `id` is the sensor that moves the pose. Chosen once: the one asked for, else the best kind
-    /// declared; if that one stays silent for a second, the sensor that does send.
+    /// declared; if that one stays silent for a second, the sensor that does send. One of the same kind takes over from
+    /// a chosen one that has gone silent: a sensor that was replaced, or declared anew.
     pub(crate) fn is_pose_sensor(&mut self, id: &SensorId, wanted: &str, stamp: Timestamp) -> bool {
         if let Some(chosen) = &self.pose_sensor {
+            if chosen != id && wanted.is_empty() && self.is_silent(chosen, stamp) && self.is_same_kind(chosen, id) {
+                self.pose_sensor = Some(id.clone());
+                return true;
+            }
             return chosen == id;
         }
         if !wanted.is_empty() {
@@ -128,6 +136,19 @@ impl Sensors {
             self.pose_sensor = Some(id.clone());
         }
         chosen
+    }
+}
+
+impl Sensors {
+    /// Whether a sensor has sent nothing for longer than one that is only late.
+    fn is_silent(&self, id: &SensorId, now: Timestamp) -> bool {
+        let last = self.entries.get(id).and_then(|e| Some(e.last_stamp?.plus_seconds(e.spec.time_offset_s)));
+        last.is_none_or(|last| now.seconds_since(last) > SILENCE_S)
+    }
+
+    fn is_same_kind(&self, a: &SensorId, b: &SensorId) -> bool {
+        let kind = |id| self.entries.get(id).map(|e: &Entry| e.spec.kind);
+        kind(a).is_some() && kind(a) == kind(b)
     }
 }
 

@@ -1,73 +1,160 @@
-//! The pool on which all heavy work runs, so that doors stay responsive whatever is computed.
+//! The threads on which all heavy work runs, so that doors stay responsive whatever is computed.
+//!
+//! Three kinds of work, each with threads of its own between which the operating system decides by priority: frames,
+//! questions about a session's map, the toolbox. So a frame never waits for a toolbox request to end. Within a kind, work
+//! that waits is taken in fair turns ([`fair`]).
+
+mod fair;
 
 use crate::{Error, ErrorCode, Result};
+use fair::{Job, Line};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tokio::sync::{Semaphore, oneshot};
+use tokio::sync::oneshot;
 
-/// A rayon pool reached from async code; requests beyond its permits wait their turn.
+/// Threads of the three kinds of work.
+pub struct ComputeThreads {
+    /// For frames.
+    pub frames: rayon::ThreadPool,
+    /// For questions about maps and scenes.
+    pub queries: rayon::ThreadPool,
+    /// For the toolbox, evaluation and plans.
+    pub toolbox: rayon::ThreadPool,
+}
+
+/// Rayon pools reached from async code; requests beyond their turns wait, and beyond a number are refused.
 #[derive(Clone)]
 pub struct ComputePool {
-    pool: Arc<rayon::ThreadPool>,
-    requests: Arc<Semaphore>,
+    frames: Arc<Line>,
+    queries: Arc<Line>,
+    toolbox: Arc<Line>,
+}
+
+/// Whether somebody still waits for a request's work.
+#[derive(Debug, Clone, Default)]
+pub struct Alive(Arc<AtomicBool>);
+
+impl Alive {
+    /// False once the caller has gone: what is computed then is computed for nobody.
+    pub fn is_wanted(&self) -> bool {
+        !self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Tells the work, when the caller's future is dropped.
+struct Caller(Alive);
+
+impl Drop for Caller {
+    fn drop(&mut self) {
+        self.0.0.store(true, Ordering::Relaxed);
+    }
 }
 
 impl ComputePool {
-    /// Over an existing pool, with at most `max_concurrent` requests at a time.
+    /// All work on one pool, with at most `max_concurrent` requests at a time, and any number waiting.
     pub fn new(pool: rayon::ThreadPool, max_concurrent: usize) -> Self {
-        Self { pool: Arc::new(pool), requests: Arc::new(Semaphore::new(max_concurrent.max(1))) }
+        let pool = Arc::new(pool);
+        let requests = Line::new(Arc::clone(&pool), max_concurrent, usize::MAX);
+        Self { frames: Line::new(pool, usize::MAX, usize::MAX), queries: Arc::clone(&requests), toolbox: requests }
+    }
+
+    /// Each kind of work on threads of its own, with at most `max_concurrent` requests of a kind at a time and
+    /// `max_queued` waiting.
+    pub fn apart(threads: ComputeThreads, max_concurrent: usize, max_queued: usize) -> Self {
+        let at_a_time = threads.frames.current_num_threads();
+        Self {
+            frames: Line::new(Arc::new(threads.frames), at_a_time, usize::MAX),
+            queries: Line::new(Arc::new(threads.queries), max_concurrent, max_queued),
+            toolbox: Line::new(Arc::new(threads.toolbox), max_concurrent, max_queued),
+        }
+    }
+
+    /// Requests that wait for their turn: of queries, of the toolbox.
+    pub fn queued(&self) -> (usize, usize) {
+        (self.queries.waiting(), self.toolbox.waiting())
     }
 
     /// Runs a session's work.
     ///
     /// # Errors
     /// `INTERNAL` if the work panicked.
-    pub(crate) async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
-        let (done, result) = oneshot::channel();
-        self.pool.spawn(move || {
-            // A panic drops `done`, which the awaiting side sees; it must not take the pool down.
-            let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
-            if let Ok(value) = outcome {
-                let _ = done.send(value);
-            }
-        });
-        result.await.map_err(|_| Error::internal("computation panicked"))
+    pub async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
+        self.run_for("", work).await
     }
 
-    /// Runs a request's work once a permit is free.
+    /// Runs a session's work, in fair turns with the others': who has computed least goes first.
     ///
     /// # Errors
-    /// `INTERNAL` if the work panicked, `STOPPING` at the end.
-    pub async fn request<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
-        let _permit = self
-            .requests
-            .acquire()
-            .await
-            .map_err(|_| Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again"))?;
-        self.run(work).await
-    }
-
-    /// Runs a request's work as [`request`](Self::request) does, and waits for it no longer than `budget` from its start.
-    /// Work that does not look at the time itself goes on to its end, and holds its permit until then.
-    ///
-    /// # Errors
-    /// `COMPUTATION_TOO_LONG`, and those of `request`.
-    pub async fn request_within<T: Send + 'static>(
+    /// `INTERNAL` if the work panicked.
+    pub async fn run_for<T: Send + 'static>(
         &self,
-        budget: Duration,
+        session: &str,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T> {
-        let permit = Arc::clone(&self.requests)
-            .acquire_owned()
-            .await
-            .map_err(|_| Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again"))?;
-        let held = move || {
-            let out = work();
-            drop(permit);
-            out
-        };
-        tokio::time::timeout(budget, self.run(held)).await.map_err(|_| too_long(budget))?
+        let (job, answer) = prepared(work, false);
+        self.frames.push(session, job).map_err(|_| busy())?;
+        answer.await.map_err(|_| Error::internal("computation panicked"))
     }
+
+    /// Runs a question's work in its turn. Who asks alike (by session, or by tenant) shares turns.
+    ///
+    /// # Errors
+    /// `SERVER_BUSY` if too many wait, `INTERNAL` if the work panicked.
+    pub async fn query<T: Send + 'static>(&self, asker: &str, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
+        let (job, answer) = prepared(work, true);
+        self.queries.push(asker, job).map_err(|_| busy())?;
+        answer.await.map_err(|_| Error::internal("computation panicked"))
+    }
+
+    /// Runs a request's work in its turn, and waits for it no longer than `budget` from its start. Work whose
+    /// caller has gone never starts; begun, it learns so by [`Alive`], and holds its place until it ends.
+    ///
+    /// # Errors
+    /// `COMPUTATION_TOO_LONG`, `SERVER_BUSY` if too many wait, `INTERNAL` if the work panicked.
+    pub async fn request_within<T: Send + 'static>(
+        &self,
+        asker: &str,
+        budget: Duration,
+        work: impl FnOnce(&Alive) -> T + Send + 'static,
+    ) -> Result<T> {
+        let alive = Alive::default();
+        let _caller = Caller(alive.clone());
+        let (begun, begins) = oneshot::channel();
+        let work = move || {
+            let _ = begun.send(());
+            work(&alive)
+        };
+        let (job, answer) = prepared(work, true);
+        self.toolbox.push(asker, job).map_err(|_| busy())?;
+        // An error is a panic, which the answer tells, too.
+        let _ = begins.await;
+        let answer = tokio::time::timeout(budget, answer).await.map_err(|_| too_long(budget))?;
+        answer.map_err(|_| Error::internal("computation panicked"))
+    }
+}
+
+/// Work as a job, and where its answer comes; nothing comes of work that panics.
+fn prepared<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+    may_be_left_out: bool,
+) -> (Job, oneshot::Receiver<T>) {
+    let (done, answer) = oneshot::channel();
+    let job = move || {
+        if may_be_left_out && done.is_closed() {
+            return;
+        }
+        // A panic drops `done`, which the awaiting side sees; it must not take the pool down.
+        if let Ok(value) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)) {
+            let _ = done.send(value);
+        }
+    };
+    (Box::new(job), answer)
+}
+
+fn busy() -> Error {
+    let words = "too many requests wait to be computed; try again, or send fewer at a time";
+    Error::exhausted("SERVER_BUSY", "", words)
 }
 
 /// The answer to a request that computes for longer than it may.
@@ -75,4 +162,112 @@ pub(crate) fn too_long(budget: Duration) -> Error {
     let words =
         format!("the request computed for {} ms, its limit; send a smaller cloud or fewer steps", budget.as_millis());
     Error::new(ErrorCode::DeadlineExceeded, "COMPUTATION_TOO_LONG", words)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc;
+
+    fn pool(threads: usize) -> rayon::ThreadPool {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap()
+    }
+
+    fn apart(max_concurrent: usize, max_queued: usize) -> ComputePool {
+        let threads = ComputeThreads { frames: pool(1), queries: pool(1), toolbox: pool(1) };
+        ComputePool::apart(threads, max_concurrent, max_queued)
+    }
+
+    const LONG: Duration = Duration::from_secs(600);
+
+    /// Toolbox work that has begun and lasts until the sender goes.
+    async fn occupied(compute: &ComputePool) -> (mpsc::Sender<()>, tokio::task::JoinHandle<Result<()>>) {
+        let (end, until) = mpsc::channel();
+        let (begun, begins) = oneshot::channel();
+        let compute = compute.clone();
+        let task = tokio::spawn(async move {
+            let work = move |_: &Alive| {
+                let _ = begun.send(());
+                let _ = until.recv();
+            };
+            compute.request_within("a", LONG, work).await
+        });
+        begins.await.unwrap();
+        (end, task)
+    }
+
+    #[tokio::test]
+    async fn frames_and_questions_do_not_wait_for_the_toolbox() {
+        let compute = apart(1, 8);
+        let (end, task) = occupied(&compute).await;
+        assert_eq!(compute.run(|| 7).await, Ok(7));
+        assert_eq!(compute.query("a", || 8).await, Ok(8));
+        drop(end);
+        assert_eq!(task.await.unwrap(), Ok(()));
+    }
+
+    #[tokio::test]
+    async fn requests_beyond_the_queue_are_shed() {
+        let compute = apart(1, 1);
+        let (end, task) = occupied(&compute).await;
+        let (other, ran) = (compute.clone(), Arc::new(AtomicBool::new(false)));
+        let mark = Arc::clone(&ran);
+        let mut queued =
+            Box::pin(async move { other.request_within("b", LONG, move |_| mark.store(true, Ordering::SeqCst)).await });
+        assert!(futures::poll!(&mut queued).is_pending());
+        let shed = compute.request_within("c", LONG, |_| ()).await.unwrap_err();
+        assert_eq!((shed.reason, shed.code), ("SERVER_BUSY", ErrorCode::ResourceExhausted));
+        drop(end);
+        task.await.unwrap().unwrap();
+        queued.await.unwrap();
+        assert!(ran.load(Ordering::SeqCst));
+    }
+
+    #[tokio::test]
+    async fn queued_work_whose_caller_is_gone_never_starts() {
+        let compute = apart(1, 8);
+        let (end, task) = occupied(&compute).await;
+        let ran = Arc::new(AtomicBool::new(false));
+        let mark = Arc::clone(&ran);
+        let mut queued = Box::pin(compute.request_within("b", LONG, move |_| mark.store(true, Ordering::SeqCst)));
+        assert!(futures::poll!(&mut queued).is_pending());
+        drop(queued);
+        drop(end);
+        task.await.unwrap().unwrap();
+        // It would have had its turn before this one.
+        compute.request_within("c", LONG, |_| ()).await.unwrap();
+        assert!(!ran.load(Ordering::SeqCst));
+    }
+
+    #[tokio::test]
+    async fn a_request_that_is_cancelled_holds_its_place_until_its_work_ends_and_learns_of_it() {
+        let compute = apart(1, 8);
+        let (begun, begins) = oneshot::channel();
+        let (said, told) = mpsc::channel();
+        let (end, until) = mpsc::channel::<()>();
+        let mut request = Box::pin(compute.request_within("a", LONG, move |alive| {
+            let _ = begun.send(alive.is_wanted());
+            let _ = until.recv();
+            let _ = said.send(alive.is_wanted());
+        }));
+        assert!(futures::poll!(&mut request).is_pending());
+        assert!(begins.await.unwrap());
+        drop(request);
+        let mut next = Box::pin(compute.request_within("b", LONG, |_| ()));
+        assert!(futures::poll!(&mut next).is_pending());
+        assert_eq!(compute.queued(), (0, 1), "the place is not free while the work goes on");
+        drop(end);
+        next.await.unwrap();
+        assert!(!told.recv().unwrap(), "the work could see that nobody waits");
+    }
+
+    #[tokio::test]
+    async fn a_panic_is_an_error_and_leaves_the_place_free() {
+        let compute = apart(1, 8);
+        for _ in 0..3 {
+            let failed: Result<()> = compute.request_within("a", LONG, |_| panic!("on purpose")).await;
+            assert_eq!(failed.unwrap_err().code, ErrorCode::Internal);
+        }
+        assert_eq!(compute.query("a", || 1).await, Ok(1));
+    }
 }

@@ -13,6 +13,10 @@ pub enum ErrorCode {
     FailedPrecondition,
     /// A limit or budget is used up.
     ResourceExhausted,
+    /// Nobody, or nobody any more, that is known here: send credentials that hold.
+    Unauthenticated,
+    /// Known, and not allowed.
+    PermissionDenied,
     /// The service is stopping, or a resource is gone for now: try again.
     Unavailable,
     /// The deadline passed.
@@ -30,6 +34,8 @@ impl ErrorCode {
             Self::AlreadyExists => "ALREADY_EXISTS",
             Self::FailedPrecondition => "FAILED_PRECONDITION",
             Self::ResourceExhausted => "RESOURCE_EXHAUSTED",
+            Self::Unauthenticated => "UNAUTHENTICATED",
+            Self::PermissionDenied => "PERMISSION_DENIED",
             Self::Unavailable => "UNAVAILABLE",
             Self::DeadlineExceeded => "DEADLINE_EXCEEDED",
             Self::Internal => "INTERNAL",

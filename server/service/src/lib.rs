@@ -1,28 +1,41 @@
 //! Every operation of percept, written once, whichever door was used.
 //!
 //! Comes in: checked domain types. Goes out: answers, or an [`Error`] with code, reason and field. It knows
-//! nothing of protobuf, HTTP, gRPC or zenoh. Start with [`Service`], then `ops/`, one file a noun;
-//! `session/` holds the actor that owns one robot's pipeline.
+//! nothing of protobuf, HTTP, gRPC or zenoh. Start with [`Service`], then `ops/`, one file a noun; [`caller`] asks
+//! who may; `session/` holds the actor that owns one robot's pipeline.
 
+pub mod caller;
 mod compute;
 mod error;
+mod flood;
+mod health;
 mod limits;
+pub mod observe;
 mod ops;
 mod session;
+pub mod trace;
 
-pub use compute::ComputePool;
+pub use caller::{CallContext, Caller, Guarded};
+pub use compute::{Alive, ComputePool, ComputeThreads};
 pub use error::{Error, ErrorCode, Result, check_id};
+pub use flood::RateLimitedLog;
+pub use health::{HEALTHY, Health, Part, Readiness, Reason, Trouble};
 pub use limits::Limits;
 pub use ops::evaluation::{self, TrajectoryComparison};
 pub use ops::maps::{self, CloudAnswer, GridAnswer, MapFile, MapFormat, MapSummary};
 pub use ops::navigation::{self, Navigation, Plan, PlanRequest};
 pub use ops::pictures;
-pub use ops::sessions::{NewSession, Page};
+pub use ops::server::{About, ServerInfo};
+pub use ops::sessions::{NewSession, Page, SessionDescription};
 pub use ops::toolbox;
-pub use session::events::{Event, EventKind};
+pub use session::events::{Event, EventKind, EventLog};
+pub use session::fault::Fault;
 pub use session::handle::{Moved, Pending, Processed, Session, Ticket, Vetoed};
-pub use session::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
+pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
+pub use session::records::Counts;
+pub use session::registry::SessionView;
 pub use session::sensor_book::SensorStatus;
+pub use session::slot::SessionState;
 
 use percept_geometry::SensorFrame;
 use session::registry::Registry;
@@ -39,30 +52,56 @@ pub struct IncomingFrame {
     pub frame: SensorFrame,
 }
 
-/// All operations. Cheap to clone; every door holds one.
+/// All operations, whoever calls: for the program itself. Cheap to clone; doors hold it [`Guarded`].
 #[derive(Clone)]
 pub struct Service {
     pub(crate) registry: Arc<Registry>,
     pub(crate) compute: ComputePool,
+    pub(crate) faults: Arc<RateLimitedLog>,
     pub(crate) limits: Arc<Limits>,
     pub(crate) kept: Arc<toolbox::KeptClouds>,
+    pub(crate) health: Health,
+    pub(crate) about: Arc<About>,
 }
 
 impl Service {
-    /// Opens the service over a store: sessions found there sleep until they are used.
+    /// Opens the service over its data: sessions found there sleep until they are used.
     ///
     /// # Errors
     /// `INTERNAL`, `UNAVAILABLE` if the catalogue cannot be read.
     pub async fn open(
-        store: Arc<dyn percept_store::Store>,
+        data: percept_store::DataRoot,
         compute: ComputePool,
         limits: Limits,
         defaults: percept_pipeline::PipelineParams,
     ) -> Result<Self> {
-        let limits = Arc::new(limits);
-        let registry = Registry::open(store, compute.clone(), Arc::clone(&limits), defaults).await?;
+        ops::server::started();
+        let (limits, health) = (Arc::new(limits), Health::starting());
+        let registry = Registry::open(data, compute.clone(), Arc::clone(&limits), defaults, health.clone()).await?;
         let kept = toolbox::KeptClouds::open(&limits);
-        Ok(Self { registry: Arc::new(registry), compute, limits, kept })
+        let (faults, about) = (Arc::default(), Arc::default());
+        Ok(Self { registry, compute, faults, limits, kept, health, about })
+    }
+
+    /// The threads on which doors do what takes computing: decoding, digests, encoding.
+    pub fn compute(&self) -> &ComputePool {
+        &self.compute
+    }
+
+    /// Which of many alike faults are told in the log.
+    pub fn faults(&self) -> &Arc<RateLimitedLog> {
+        &self.faults
+    }
+
+    /// The same, with what the program says of itself.
+    #[must_use]
+    pub fn described(self, about: About) -> Self {
+        Self { about: Arc::new(about), ..self }
+    }
+
+    /// Whether requests are taken; what the service depends on reports to it.
+    pub fn health(&self) -> &Health {
+        &self.health
     }
 
     /// The limits in force.
@@ -71,7 +110,10 @@ impl Service {
     }
 
     /// Stops taking frames, finishes and stores what was accepted, ends watches.
-    pub async fn stop(&self) {
-        self.registry.stop().await;
+    ///
+    /// # Errors
+    /// The fault of the storage, if something that was accepted could not be stored.
+    pub async fn stop(&self) -> Result<()> {
+        self.registry.stop().await
     }
 }

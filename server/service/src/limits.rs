@@ -22,8 +22,10 @@ pub struct Limits {
     pub max_grid_cells: usize,
     /// Cells that one path search may look at.
     pub max_planning_cells: usize,
-    /// Toolbox and planning requests computed at a time; more wait.
+    /// Toolbox requests computed at a time, and questions about maps and scenes; more wait.
     pub max_concurrent_computations: usize,
+    /// Requests of each of these kinds that wait to be computed; beyond it they are refused.
+    pub max_queued_computations: usize,
     /// Time that one toolbox request may compute, milliseconds.
     pub max_computation_ms: usize,
     /// A cloud or file that is uploaded in parts, bytes.
@@ -36,6 +38,39 @@ pub struct Limits {
     pub max_kept_s: usize,
     /// Events kept for watchers that resume.
     pub event_history: usize,
+    /// Time that a session stays in memory unused before it is put to sleep, seconds; the next use wakes it.
+    pub sleep_after_s: usize,
+    /// Memory of this process from which on sessions are put to sleep that were not used for the longest time, MiB; 0:
+    /// half of the machine's.
+    pub max_memory_mb: usize,
+    /// Memory of messages and bodies under way, bytes, in all, and half as much for what HTTP/2 keeps of them; beyond it
+    /// they are refused.
+    pub max_bytes_in_flight: usize,
+    /// The same of one peer: a client's address, a session on zenoh.
+    pub max_bytes_in_flight_per_peer: usize,
+    /// Connections to each of gRPC and REST; fewer if the process may not open as many files.
+    pub max_connections: usize,
+    /// The same from one address.
+    pub max_connections_per_peer: usize,
+    /// Calls under way on one gRPC connection.
+    pub max_calls_per_connection: usize,
+    /// Ingest streams on gRPC.
+    pub max_ingest_streams: usize,
+    /// Watchers of events, on gRPC and REST.
+    pub max_watchers: usize,
+    /// The same from one address.
+    pub max_watchers_per_peer: usize,
+    /// Time for a request's header, and for TLS to agree, seconds.
+    pub header_timeout_s: usize,
+    /// Time in which some of a request's body has to come, seconds; all of it may take as long, and a second for
+    /// each 16 KiB.
+    pub body_timeout_s: usize,
+    /// Time without a request after which a connection is closed, seconds.
+    pub idle_timeout_s: usize,
+    /// Time without a message after which an ingest stream is closed, seconds.
+    pub stream_idle_timeout_s: usize,
+    /// Time after which an answer that is not read is given up, seconds.
+    pub unread_timeout_s: usize,
 }
 
 impl Default for Limits {
@@ -50,12 +85,28 @@ impl Default for Limits {
             max_grid_cells: 64 << 20,
             max_planning_cells: 16 << 20,
             max_concurrent_computations: 4,
+            max_queued_computations: 64,
             max_computation_ms: 60_000,
             max_upload_bytes: 256 << 20,
             max_kept_clouds: 256,
             max_kept_bytes: 1 << 30,
             max_kept_s: 600,
             event_history: 1024,
+            sleep_after_s: 300,
+            max_memory_mb: 0,
+            max_bytes_in_flight: 512 << 20,
+            max_bytes_in_flight_per_peer: 256 << 20,
+            max_connections: 2048,
+            max_connections_per_peer: 512,
+            max_calls_per_connection: 128,
+            max_ingest_streams: 512,
+            max_watchers: 1024,
+            max_watchers_per_peer: 256,
+            header_timeout_s: 10,
+            body_timeout_s: 20,
+            idle_timeout_s: 300,
+            stream_idle_timeout_s: 600,
+            unread_timeout_s: 30,
         }
     }
 }

@@ -1,17 +1,19 @@
 //! Latency and throughput of durable writes: `cargo run --release -p percept-store --example
-//! durable_latency -- <directory>`.
+//! durable_latency -- <a new directory>`.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use percept_store::{SessionKeys, SlateStore, Store, StoreConfig, StoreError};
+use percept_store::{DataRoot, Key, Prefix, RootConfig, SlateStore, Store, StoreError};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let root = std::env::args().nth(1).unwrap_or_else(|| "durable-latency".to_owned());
     let opening = Instant::now();
-    let store = Arc::new(SlateStore::open(StoreConfig::directory(&root)).await?);
+    let data = DataRoot::open(RootConfig::directory(&root)).await?;
+    let place = data.create("durable-latency", b"").await?;
+    let store = Arc::new(data.open_session(&place).await?);
     println!("open: {:?}", opening.elapsed());
     for (writers, each) in [(1, 1000), (8, 500), (64, 200), (256, 100)] {
         records(&store, writers, each).await?;
@@ -22,12 +24,14 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     store.close().await?;
     println!("close: {:?}", closing.elapsed());
     let opening = Instant::now();
-    let store = SlateStore::open(StoreConfig::directory(&root)).await?;
+    let store = data.open_session(&place).await?;
     println!("open again: {:?}", opening.elapsed());
     let scanning = Instant::now();
-    let found = store.scan_all(&SessionKeys::of_all_sessions()).await?.len();
+    let found = store.scan_all(&Prefix::everything()).await?.len();
     println!("scan of {found} x 1 KB: {:?}", scanning.elapsed());
-    Ok(store.close().await?)
+    store.close().await?;
+    data.bury(&place).await?;
+    Ok(data.purge(&place).await?)
 }
 
 async fn records(store: &Arc<SlateStore>, writers: u64, each: u64) -> Result<(), Box<dyn std::error::Error>> {
@@ -36,12 +40,12 @@ async fn records(store: &Arc<SlateStore>, writers: u64, each: u64) -> Result<(),
         .map(|writer| {
             let store = store.clone();
             tokio::spawn(async move {
-                let keys = SessionKeys::new(&format!("{writers}-{writer}"))?;
+                let keys = Key::parse(&format!("{writers}-{writer}"))?;
                 let mut times = Vec::new();
                 for number in 0..each {
                     let value = Bytes::from(vec![number as u8; 1024]);
                     let start = Instant::now();
-                    store.put(keys.log(number), value).await?;
+                    store.put(keys.numbered(number)?, value).await?;
                     times.push(start.elapsed());
                 }
                 Ok::<_, StoreError>(times)

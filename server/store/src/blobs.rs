@@ -23,6 +23,9 @@ const REFRESH_AGE: Duration = Duration::from_secs(60);
 /// Bytes from which hashing leaves the async threads alone (about 0.1 ms of work).
 const HASH_INLINE_BYTES: usize = 128 << 10;
 
+/// Folder of the blobs.
+pub(crate) const FOLDER: &str = "blobs";
+
 /// Identity of a blob: the SHA-256 of its bytes, written as 64 lower-case hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BlobId([u8; 32]);
@@ -46,12 +49,8 @@ impl BlobId {
         &self.0
     }
 
-    fn shard(&self) -> String {
-        format!("{:02x}", self.0[0])
-    }
-
     fn path(&self) -> Path {
-        Path::from(format!("blobs/{}/{self}", self.shard()))
+        Path::from(format!("{FOLDER}/{self}"))
     }
 }
 
@@ -143,8 +142,8 @@ impl Blobs {
         }
         // Whoever created it synced its bytes before linking it, but perhaps not yet the link.
         let Some(root) = &self.synced_root else { return Ok(()) };
-        let shard = directory::shard(root, &id.shard());
-        blocking(move || directory::sync(&shard))
+        let folder = root.join(FOLDER);
+        blocking(move || directory::sync(&folder))
             .await?
             .map_err(|error| StoreError::from_io("sync a blob's directory", error))
     }
@@ -173,7 +172,7 @@ impl Blobs {
     /// All blobs with what the object store knows of them; foreign names are passed over.
     pub(crate) fn list(&self) -> BoxStream<'static, Result<(BlobId, ObjectMeta), StoreError>> {
         self.objects
-            .list(Some(&Path::from("blobs")))
+            .list(Some(&Path::from(FOLDER)))
             .map_err(|error| StoreError::from_object("list blobs", error))
             .try_filter_map(|meta| async move {
                 let id = meta.location.filename().and_then(|name| name.parse::<BlobId>().ok());
@@ -217,7 +216,7 @@ impl Blobs {
 }
 
 /// Time since the object was written; a time in the future counts as now.
-fn age(meta: &ObjectMeta) -> Duration {
+pub(crate) fn age(meta: &ObjectMeta) -> Duration {
     SystemTime::now().duration_since(SystemTime::from(meta.last_modified)).unwrap_or_default()
 }
 

@@ -3,15 +3,16 @@
 //! Batches become durable in the order of the queue. A group is one SlateDB batch, so each caller's part
 //! is all or nothing too.
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use slatedb::config::{CloseOptions, FlushType};
+use slatedb::config::{CloseOptions, FlushOptions, FlushType};
 use slatedb::{CloseReason, Db, WriteBatch, WriteHandle};
 use tokio::sync::{mpsc, oneshot, watch};
 
-use crate::directory::DirectoryLock;
 use crate::error::StoreError;
 use crate::keys::Key;
+use crate::node::Life;
 use crate::observed::Failures;
 use crate::store::Record;
 
@@ -20,6 +21,9 @@ const MAX_GROUP_BYTES: usize = 8 << 20;
 
 /// How long a commit waits for an earlier stalled one to get through before it fails too.
 const STALLED_GRACE: Duration = Duration::from_millis(200);
+
+/// How long closing waits for the last records to become a sorted table.
+const TABLE_PATIENCE: Duration = Duration::from_secs(2);
 
 /// What the committer is asked for.
 pub(crate) enum Request {
@@ -41,7 +45,7 @@ pub(crate) enum Request {
     },
 }
 
-/// The task's state. It holds the directory's lock until SlateDB is closed.
+/// The task's state.
 pub(crate) struct Committer {
     /// The records.
     pub(crate) db: Db,
@@ -51,10 +55,10 @@ pub(crate) struct Committer {
     pub(crate) failures: watch::Receiver<Failures>,
     /// When to give up waiting.
     pub(crate) timeout: Duration,
+    /// Where data are shared: as long as it lasts, nobody else can have taken over.
+    pub(crate) life: Option<Arc<Life>>,
     /// A write that was reported as failed but may still get through.
     pub(crate) stalled: Option<WriteHandle>,
-    /// Kept until the end.
-    pub(crate) lock: Option<DirectoryLock>,
 }
 
 impl Committer {
@@ -82,7 +86,6 @@ impl Committer {
         // Waiting callers see their channel dropped, which they report as `Closed`.
         drop(queue);
         let outcome = self.close().await;
-        drop(self.lock.take());
         if let Some(done) = closing {
             let _ = done.send(outcome);
         } else if let Err(error) = outcome {
@@ -91,11 +94,21 @@ impl Committer {
     }
 
     async fn commit(&mut self, group: Group) {
-        let outcome = if group.is_empty { self.settle_stalled().await } else { self.write(group.batch).await };
+        let mut outcome = self.check_life();
+        if outcome.is_ok() {
+            outcome = if group.is_empty { self.settle_stalled().await } else { self.write(group.batch).await };
+            // While it was written the process may have been stopped for long.
+            outcome = outcome.and_then(|()| self.check_life());
+        }
         for done in group.waiting {
             // A caller that stopped waiting does not care.
             let _ = done.send(outcome.clone());
         }
+    }
+
+    fn check_life(&self) -> Result<(), StoreError> {
+        let is_over = self.life.as_ref().is_some_and(|life| !life.is_alive());
+        if is_over { Err(StoreError::Fenced { epoch: self.epoch }) } else { Ok(()) }
     }
 
     async fn write(&mut self, batch: WriteBatch) -> Result<(), StoreError> {
@@ -145,7 +158,14 @@ impl Committer {
 
     async fn close(&mut self) -> Result<(), StoreError> {
         let fenced = self.db.status().close_reason == Some(CloseReason::Fenced);
-        // The log has everything; sorted tables can wait for the next opening.
+        if self.stalled.is_none() && !fenced {
+            // As a sorted table what was written is read quickly by the next opening, and the log's files can go. The log
+            // has everything, so that this may fail.
+            let table = self.db.flush_with_options(FlushOptions { flush_type: FlushType::MemTable });
+            if !matches!(tokio::time::timeout(TABLE_PATIENCE, table).await, Ok(Ok(()))) {
+                tracing::debug!("closed without a sorted table; the next opening reads the log");
+            }
+        }
         let flush_type = self.stalled.is_none().then_some(FlushType::Wal);
         let options = CloseOptions { flush_type };
         let closed = tokio::time::timeout(self.timeout, self.db.close_with_options(options)).await;

@@ -1,7 +1,7 @@
 //! A local directory made ready: created, locked, cleared of what a crash left half-written.
 
 use std::fs::{File, TryLockError};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use crate::error::StoreError;
@@ -14,21 +14,13 @@ pub(crate) struct DirectoryLock {
     _file: File,
 }
 
-/// Makes the directory and what lies directly in it, and syncs the entries: `blobs/00` to `blobs/ff`
-/// exist from then on, so that no writer ever depends on another one's unsynced directory.
+/// Makes the directory and syncs its entry.
 pub(crate) fn prepare(root: &Path, fsync: bool) -> Result<(), StoreError> {
     let io = |error| StoreError::from_io("prepare the data directory", error);
     let existed = root.exists();
-    let blobs = root.join("blobs");
-    std::fs::create_dir_all(&blobs).map_err(io)?;
-    for first in 0..=255u8 {
-        let shard = blobs.join(format!("{first:02x}"));
-        if !shard.exists() {
-            std::fs::create_dir(shard).map_err(io)?;
-        }
-    }
+    std::fs::create_dir_all(root).map_err(io)?;
     if fsync {
-        sync(&blobs).and_then(|()| sync(root)).map_err(io)?;
+        sync(root).map_err(io)?;
         if let (false, Some(parent)) = (existed, root.canonicalize().map_err(io)?.parent()) {
             sync(parent).map_err(io)?;
         }
@@ -74,11 +66,6 @@ pub(crate) fn sync(directory: &Path) -> std::io::Result<()> {
     if cfg!(unix) { File::open(directory)?.sync_all() } else { Ok(()) }
 }
 
-/// Where a blob's shard lies on disk.
-pub(crate) fn shard(root: &Path, shard: &str) -> PathBuf {
-    root.join("blobs").join(shard)
-}
-
 fn is_staged(name: &str) -> bool {
     name.rsplit_once('#')
         .is_some_and(|(_, digits)| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit()))
@@ -92,7 +79,8 @@ mod tests {
     fn only_staged_files_are_removed() {
         let directory = tempfile::tempdir().unwrap();
         prepare(directory.path(), false).unwrap();
-        let shard = shard(directory.path(), "ab");
+        let shard = directory.path().join("sessions");
+        std::fs::create_dir(&shard).unwrap();
         for name in ["abcd", "abcd#1", "abcd#12", "abcd#", "abcd#x"] {
             std::fs::write(shard.join(name), name).unwrap();
         }

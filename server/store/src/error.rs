@@ -26,6 +26,12 @@ pub enum StoreError {
         /// The directory as given.
         path: PathBuf,
     },
+    /// The catalogue has a session of this id.
+    #[error("session {id} exists already")]
+    AlreadyExists {
+        /// The id.
+        id: String,
+    },
     /// The data were written by a newer version of this program.
     #[error("store: format {found} is newer than {supported}, the newest that this version reads; upgrade percept")]
     FormatTooNew {
@@ -40,6 +46,34 @@ pub enum StoreError {
         /// What it holds, shortened.
         text: String,
     },
+    /// A text that names no place for data.
+    #[error("data location {text:?} is not {requirement}")]
+    InvalidLocation {
+        /// The text, shortened.
+        text: String,
+        /// What it has to be.
+        requirement: &'static str,
+    },
+    /// Two writers created the same object, so nothing could keep stale writers away.
+    #[error(
+        "object store: {num_won} of {num_writers} writers created the same object; it does not honour `If-None-Match`: \
+         use a service that does"
+    )]
+    CreateNotAtomic {
+        /// Writers that were told that they created it.
+        num_won: usize,
+        /// Writers that tried.
+        num_writers: usize,
+    },
+    /// Another node that may be alive has the session.
+    #[error("session belongs to the node at {address}; ask there")]
+    Elsewhere {
+        /// The address that the other node advertises.
+        address: String,
+    },
+    /// This node could not renew its heartbeat in time: what it held may be another's.
+    #[error("store: this node could not write its heartbeat; its sessions may be another node's")]
+    NodeSilent,
     /// No space or quota left where the data live.
     #[error("store: no space left; free some and try again")]
     Full,

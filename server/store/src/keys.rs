@@ -1,7 +1,7 @@
 //! Names of records: paths of segments, ordered as text; and where a session keeps what.
 //!
 //! A number in a key is written as 16 hexadecimal digits, most significant first, so that the order of
-//! the text is the order of the numbers. `sessions/<id>/…` is laid out by [`SessionKeys`].
+//! the text is the order of the numbers. Where a session keeps what is said by the functions at the end.
 
 use std::fmt;
 use std::sync::Arc;
@@ -145,92 +145,74 @@ impl Prefix {
     }
 }
 
-/// Where one session keeps what; its id is checked once, here.
-#[derive(Debug, Clone)]
-pub struct SessionKeys(Key);
+/// `state`: how far the session has come.
+#[must_use]
+pub fn state() -> Key {
+    Key::trusted("state")
+}
 
-impl SessionKeys {
-    /// The keys of the session with this id.
-    ///
-    /// # Errors
-    /// [`StoreError::InvalidKey`] if the id cannot be a segment or has more than 256 bytes.
-    pub fn new(session_id: &str) -> Result<Self, StoreError> {
-        if session_id.len() > 256 {
-            let segment = shortened(session_id);
-            return Err(StoreError::InvalidKey { segment, requirement: "at most 256 bytes" });
-        }
-        Ok(Self(Key::new(["sessions", session_id])?))
-    }
+/// `meta`: what is declared and set, as last changed.
+#[must_use]
+pub fn meta() -> Key {
+    Key::trusted("meta")
+}
 
-    /// All sessions' records.
-    #[must_use]
-    pub fn of_all_sessions() -> Prefix {
-        Prefix("sessions/".into())
-    }
+/// `keyframes/<n>`.
+#[must_use]
+pub fn keyframe(number: u64) -> Key {
+    numbered("keyframes", number)
+}
 
-    /// `sessions/<id>/meta`: what it was created with, its state.
-    #[must_use]
-    pub fn meta(&self) -> Key {
-        self.at("meta")
-    }
+/// All keyframes, in order.
+#[must_use]
+pub fn keyframes() -> Prefix {
+    Prefix("keyframes/".into())
+}
 
-    /// `sessions/<id>/log/<n>`: the n-th entry of its log of decisions.
-    #[must_use]
-    pub fn log(&self, number: u64) -> Key {
-        self.at(&format!("log/{}", number_segment(number)))
-    }
+/// `loops/<n>`.
+#[must_use]
+pub fn loop_closure(number: u64) -> Key {
+    numbered("loops", number)
+}
 
-    /// The whole log, in order.
-    #[must_use]
-    pub fn logs(&self) -> Prefix {
-        self.at("log").prefix()
-    }
+/// All loops, in order.
+#[must_use]
+pub fn loop_closures() -> Prefix {
+    Prefix("loops/".into())
+}
 
-    /// `sessions/<id>/keyframes/<n>`.
-    #[must_use]
-    pub fn keyframe(&self, number: u64) -> Key {
-        self.at(&format!("keyframes/{}", number_segment(number)))
-    }
+/// `trajectory/<ticket of its first entry>`: one entry, or a chunk of them.
+#[must_use]
+pub fn trajectory(ticket: u64) -> Key {
+    numbered("trajectory", ticket)
+}
 
-    /// All keyframes, in order.
-    #[must_use]
-    pub fn keyframes(&self) -> Prefix {
-        self.at("keyframes").prefix()
-    }
+/// The whole trajectory, in order.
+#[must_use]
+pub fn trajectories() -> Prefix {
+    Prefix("trajectory/".into())
+}
 
-    /// `sessions/<id>/loops/<n>`.
-    #[must_use]
-    pub fn loop_closure(&self, number: u64) -> Key {
-        self.at(&format!("loops/{}", number_segment(number)))
-    }
+/// `objects/<n>`.
+#[must_use]
+pub fn object(number: u64) -> Key {
+    numbered("objects", number)
+}
 
-    /// All loops, in order.
-    #[must_use]
-    pub fn loop_closures(&self) -> Prefix {
-        self.at("loops").prefix()
-    }
+/// All objects, in order.
+#[must_use]
+pub fn objects() -> Prefix {
+    Prefix("objects/".into())
+}
 
-    /// `sessions/<id>/trajectory/<chunk>`.
-    #[must_use]
-    pub fn trajectory(&self, chunk: u64) -> Key {
-        self.at(&format!("trajectory/{}", number_segment(chunk)))
-    }
+/// `objects`: all objects in one record, as sessions of format 1 have it.
+#[must_use]
+pub fn objects_in_one() -> Key {
+    Key::trusted("objects")
+}
 
-    /// The whole trajectory, in order.
-    #[must_use]
-    pub fn trajectories(&self) -> Prefix {
-        self.at("trajectory").prefix()
-    }
-
-    /// Everything of this session, e.g. to delete it.
-    #[must_use]
-    pub fn all(&self) -> Prefix {
-        self.0.prefix()
-    }
-
-    fn at(&self, rest: &str) -> Key {
-        Key::trusted(&format!("{}/{rest}", self.0))
-    }
+fn numbered(folder: &str, number: u64) -> Key {
+    Key::trusted(&format!("{folder}/{}", number_segment(number)))
 }
 
 fn number_segment(number: u64) -> String {
@@ -256,19 +238,19 @@ mod tests {
 
     #[test]
     fn the_order_of_numbered_keys_is_the_order_of_the_numbers() {
-        let log = SessionKeys::new("a").unwrap();
         let numbers = [0, 1, 9, 10, 255, 256, 1 << 32, u64::MAX];
-        let keys: Vec<Key> = numbers.iter().map(|&number| log.keyframe(number)).collect();
+        let keys: Vec<Key> = numbers.iter().map(|&number| keyframe(number)).collect();
         assert!(keys.is_sorted());
         assert_eq!(keys.iter().map(|key| key.number().unwrap()).collect::<Vec<_>>(), numbers);
-        assert_eq!(log.meta().number(), None);
+        assert_eq!(meta().number(), None);
     }
 
     #[test]
     fn a_prefix_ends_at_a_segment() {
-        let prefix = SessionKeys::new("a").unwrap().all();
-        assert!(SessionKeys::new("a").unwrap().meta().as_str().starts_with(prefix.as_str()));
-        assert!(!SessionKeys::new("ab").unwrap().meta().as_str().starts_with(prefix.as_str()));
+        let prefix = Prefix::new(["objects"]).unwrap();
+        assert_eq!(prefix, objects());
+        assert!(object(7).as_str().starts_with(prefix.as_str()));
+        assert!(!objects_in_one().as_str().starts_with(prefix.as_str()));
     }
 
     #[test]
@@ -280,6 +262,5 @@ mod tests {
         assert!(Key::new(["_store", "x"]).is_err());
         assert!(Key::new([&*"k".repeat(MAX_KEY_BYTES)]).is_ok());
         assert!(Key::new([&*"k".repeat(MAX_KEY_BYTES + 1)]).is_err());
-        assert!(SessionKeys::new(&"s".repeat(257)).is_err());
     }
 }

@@ -4,20 +4,26 @@
 //! power loss, a full disk or a second writer; nothing is acknowledged that could still be lost.
 //! It knows nothing of what the bytes mean, and it has no clock but the one that ages blobs.
 //!
-//! - [`Store`] is the trait that the service speaks; `Arc<dyn Store>` is what it holds.
-//! - [`SlateStore`] is the one implementation: records in SlateDB, blobs as content-addressed objects
-//!   beside it, both over `object_store`; a local directory now, memory for tests, any object store that
-//!   has an atomic create later.
-//! - [`keys`] says where a session keeps what; [`export`] carries a whole store elsewhere.
+//! - [`DataRoot`] is all data of a server: a catalogue of sessions, and a store of its own for each.
+//! - [`Store`] is the trait that a session keeps its state behind; `Arc<dyn Store>` is what the service holds.
+//! - [`SlateStore`] is its one implementation: records in SlateDB, blobs as content-addressed objects
+//!   beside it, both over `object_store`: a local directory, memory for tests, any object store that has an
+//!   atomic create.
+//! - [`keys`] says where a session keeps what; [`export`] carries a session elsewhere.
 //!
-//! A directory holds `LOCK` (advisory, one process), `FORMAT` (a number in a line), `records/` and
-//! `blobs/<first two hex digits>/<sha256>`.
+//! A directory holds `LOCK` (advisory, one process), `FORMAT` (a number in a line), `catalogue/<id>/<n>` and, for
+//! every session, `sessions/<id>/<generation>/` with `records/`, `blobs/<sha256>` and `summary`.
+//!
+//! Where several processes share the data there are also `nodes/<id>`, their heartbeats, and for every session
+//! `lease/<n>`, which says whose it is; see [`Claim`].
 //!
 //! The rule for readers and writers: write the blobs first, then one batch of records that names them,
 //! and acknowledge after the batch. A crash in between leaves blobs that nobody names, which
 //! [`Store::collect_garbage`] removes.
 
 mod blobs;
+mod catalogue;
+mod clock;
 mod committer;
 mod config;
 mod directory;
@@ -25,13 +31,25 @@ mod error;
 pub mod export;
 mod format;
 pub mod keys;
+mod lease;
+mod location;
+mod migrate;
+mod node;
 mod observed;
+mod root;
 mod slate;
 mod store;
+mod trial;
 
 pub use blobs::{BlobId, GarbageReport};
-pub use config::{Location, StoreConfig};
+pub use catalogue::{CatalogueEntry, SessionPlace};
+pub use clock::Clock;
+pub use config::{RootConfig, StoreConfig};
 pub use error::StoreError;
-pub use keys::{Key, Prefix, SessionKeys};
+pub use keys::{Key, Prefix};
+pub use lease::Claim;
+pub use location::{Location, S3Options};
+pub use node::NodeState;
+pub use root::DataRoot;
 pub use slate::SlateStore;
 pub use store::{Record, Store};

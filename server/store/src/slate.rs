@@ -11,7 +11,7 @@ use bytes::Bytes;
 use futures::future::BoxFuture;
 use futures::stream::{BoxStream, StreamExt, TryStreamExt, try_unfold};
 use object_store::ObjectStore;
-use object_store::local::LocalFileSystem;
+use object_store::memory::InMemory;
 use slatedb::config::{
     CompactorOptions, DurabilityLevel, GarbageCollectorDirectoryOptions, GarbageCollectorOptions, ReadOptions,
     ScanOptions, Settings,
@@ -19,29 +19,30 @@ use slatedb::config::{
 use slatedb::{Db, DbIterator, IterationOrder};
 use tokio::sync::{mpsc, oneshot};
 
-use crate::blobs::{BlobId, Blobs, GarbageReport, blocking};
+use crate::blobs::{BlobId, Blobs, GarbageReport};
 use crate::committer::{Committer, Request};
-use crate::config::{Location, StoreConfig};
-use crate::directory::{self, DirectoryLock};
+use crate::config::StoreConfig;
 use crate::error::StoreError;
-use crate::format;
 use crate::keys::{Key, Prefix, RESERVED};
+use crate::node::Life;
 use crate::observed::ObservedStore;
 use crate::store::{Record, Store};
 
 /// Folder of SlateDB's own objects.
-const RECORDS: &str = "records";
+pub(crate) const RECORDS: &str = "records";
+
+/// Tables that may lie unmerged: small ones, which are read quickly all the same.
+const MAX_TABLES: usize = 64;
 
 /// Bytes that a scan asks for at once.
 const SCAN_READ_AHEAD_BYTES: usize = 256 << 10;
 
 /// Memory for records on their way to the disk; beyond it writers wait.
-const MAX_UNFLUSHED_BYTES: usize = 256 << 20;
+const MAX_UNFLUSHED_BYTES: usize = 32 << 20;
 
 /// Records in SlateDB, blobs as objects beside it; see [`Store`].
 ///
-/// Needs a tokio runtime. Dropping it without [`Store::close`] closes it in the background; the directory
-/// is free once that is done.
+/// Needs a tokio runtime. Dropping it without [`Store::close`] closes it in the background.
 pub struct SlateStore {
     db: Db,
     queue: mpsc::Sender<Request>,
@@ -58,19 +59,31 @@ impl fmt::Debug for SlateStore {
 }
 
 impl SlateStore {
-    /// Opens the data, made new if there are none, and takes the next epoch: a writer that had them open
-    /// gets [`StoreError::Fenced`] from its next durable write.
+    /// Opens the records and blobs below the root of `objects`, made new if there are none, and takes the next
+    /// epoch: a writer that had them open gets [`StoreError::Fenced`] from its next durable write.
     ///
     /// # Errors
-    /// [`StoreError::DirectoryInUse`], [`StoreError::FormatTooNew`], [`StoreError::FormatUnreadable`],
     /// [`StoreError::Corrupt`], [`StoreError::Full`], [`StoreError::Io`]; [`StoreError::Fenced`] if
     /// `expected_epoch` is not the newest any more.
-    pub async fn open(config: StoreConfig) -> Result<Self, StoreError> {
-        let Opened { objects, lock, synced_root, is_local } = reach(&config).await?;
-        format::check_or_create(objects.as_ref()).await?;
-        let blobs = Blobs::new(objects.clone(), synced_root, config.max_blob_bytes);
+    pub async fn open(objects: Arc<dyn ObjectStore>, config: StoreConfig) -> Result<Self, StoreError> {
+        Self::open_at(Place { objects, directory: None, life: None }, config).await
+    }
+
+    /// A new store in memory, for tests.
+    ///
+    /// # Errors
+    /// None that are expected.
+    pub async fn in_memory() -> Result<Self, StoreError> {
+        Self::open(Arc::new(InMemory::new()), StoreConfig::default()).await
+    }
+
+    pub(crate) async fn open_at(place: Place, config: StoreConfig) -> Result<Self, StoreError> {
+        let Place { objects, directory, life } = place;
+        let settings = settings(&config, directory.is_some());
+        let blobs = Blobs::new(objects.clone(), directory, config.max_blob_bytes);
         let (observed, failures) = ObservedStore::new(objects);
-        let mut builder = Db::builder(RECORDS, Arc::new(observed)).with_settings(settings(&config, is_local));
+        // Sessions are read once, when they wake: a cache would hold what nobody reads again.
+        let mut builder = Db::builder(RECORDS, Arc::new(observed)).with_settings(settings).with_db_cache_disabled();
         if let Some(expected) = config.expected_epoch {
             builder = builder.with_expected_epoch(expected);
         }
@@ -78,18 +91,10 @@ impl SlateStore {
         let epoch = db.manifest().writer_epoch();
         let (queue, requests) = mpsc::channel(config.queue_length.max(1));
         let timeout = config.commit_timeout;
-        let committer = Committer { db: db.clone(), epoch, failures, timeout, stalled: None, lock };
+        let committer = Committer { db: db.clone(), epoch, failures, timeout, life, stalled: None };
         tokio::spawn(committer.run(requests));
         let StoreConfig { max_record_bytes, max_batch_bytes, .. } = config;
         Ok(Self { db, queue, blobs, epoch, max_record_bytes, max_batch_bytes })
-    }
-
-    /// A new store in memory, for tests; [`StoreConfig::in_memory`] if it is to be opened again.
-    ///
-    /// # Errors
-    /// None that are expected.
-    pub async fn in_memory() -> Result<Self, StoreError> {
-        Self::open(StoreConfig::in_memory()).await
     }
 
     fn check_sizes(&self, puts: &[Record], deletes: &[Key]) -> Result<usize, StoreError> {
@@ -228,37 +233,14 @@ impl Store for SlateStore {
     }
 }
 
-/// What opening has in hand before the records.
-struct Opened {
-    objects: Arc<dyn ObjectStore>,
-    lock: Option<DirectoryLock>,
-    synced_root: Option<PathBuf>,
-    is_local: bool,
-}
-
-async fn reach(config: &StoreConfig) -> Result<Opened, StoreError> {
-    let root = match &config.location {
-        Location::Objects(objects) => {
-            let objects = objects.clone();
-            return Ok(Opened { objects, lock: None, synced_root: None, is_local: false });
-        }
-        Location::Directory(root) => root.clone(),
-    };
-    let (prepared, fsync) = (root.clone(), config.fsync);
-    blocking(move || directory::prepare(&prepared, fsync)).await??;
-    let lock = if config.lock_directory { Some(directory::lock(&root, config.lock_wait).await?) } else { None };
-    if lock.is_some() {
-        let swept = root.clone();
-        let removed = blocking(move || directory::remove_staged(&swept)).await?;
-        let removed = removed.map_err(|error| StoreError::from_io("clear staged files", error))?;
-        if removed > 0 {
-            tracing::info!(removed, "removed files that a killed writer left half-written");
-        }
-    }
-    let files = LocalFileSystem::new_with_prefix(&root)
-        .map_err(|error| StoreError::from_object("open the data directory", error))?
-        .with_fsync(config.fsync);
-    Ok(Opened { objects: Arc::new(files), lock, synced_root: config.fsync.then_some(root), is_local: true })
+/// Where a store keeps its objects.
+pub(crate) struct Place {
+    /// Seen from its root.
+    pub(crate) objects: Arc<dyn ObjectStore>,
+    /// The same as a directory on disk, if it is one and is to be synced.
+    pub(crate) directory: Option<PathBuf>,
+    /// Of the node that opens it, where data are shared.
+    pub(crate) life: Option<Arc<Life>>,
 }
 
 fn settings(config: &StoreConfig, is_local: bool) -> Settings {
@@ -282,6 +264,9 @@ fn settings(config: &StoreConfig, is_local: bool) -> Settings {
     Settings {
         flush_interval: Some(config.flush_interval),
         l0_sst_size_bytes: config.memtable_bytes,
+        // Every sleep of a session leaves a table; at the limit writes, and the next sleep, would wait for compaction.
+        l0_max_ssts: MAX_TABLES,
+        l0_max_ssts_per_key: MAX_TABLES,
         max_unflushed_bytes: MAX_UNFLUSHED_BYTES.max(config.memtable_bytes * 4),
         compactor_options: Some(compactor),
         garbage_collector_options: Some(garbage),

@@ -34,6 +34,7 @@ def result(message: session_pb2.FrameResult) -> FrameResult:
         pose=pose_estimate(message.pose) if message.HasField("pose") else None,
         keyframe_id=message.keyframe_id if message.HasField("keyframe_id") else None,
         latency_s=message.latency_s,
+        duplicate=message.duplicate,
     )
 
 

@@ -18,12 +18,14 @@ from ..types.sessions import (
     Resync,
     Scale,
     SessionEvent,
+    SessionFault,
     SessionInfo,
     SessionMode,
+    SessionState,
     TrackingState,
     Trajectory,
 )
-from ..v1 import params_pb2, session_pb2
+from ..v1 import error_pb2, params_pb2, session_pb2
 from ..v1 import sessions_service_pb2 as service
 from . import geometry, maps, poses, scene, sensors, words
 
@@ -35,14 +37,23 @@ def session_info(message: session_pb2.Session) -> SessionInfo:
         display_name=message.display_name,
         mode=words.word(SessionMode, session_pb2.SessionMode, message.mode),
         create_time_ns=message.create_time_ns,
-        params=words.tree_of(message.params),
+        params=words.tree_of(message.params) if message.HasField("params") else None,
         sensors=tuple(sensors.status(s) for s in message.sensors),
         pose=poses.pose_estimate(message.pose) if message.HasField("pose") else None,
         num_keyframes=message.num_keyframes,
         num_objects=message.num_objects,
         map_version=message.map_version,
         queue_length=message.queue_length,
+        state=words.word(SessionState, session_pb2.SessionState, message.state),
+        fault=_fault(message.fault) if message.HasField("fault") else None,
+        last_used_ns=message.last_used_ns,
+        last_stamp_ns=message.last_stamp_ns if message.HasField("last_stamp_ns") else None,
+        tenant=message.tenant,
     )
+
+
+def _fault(message: error_pb2.ErrorInfo) -> SessionFault:
+    return SessionFault(reason=message.reason, message=message.message)
 
 
 def keyframe(message: session_pb2.Keyframe) -> Keyframe:
@@ -123,9 +134,11 @@ def get(
 
 
 def list_sessions(
-    page_size: int,
+    state: SessionState | str | None, page_size: int
 ) -> PagedCall[service.ListSessionsRequest, service.ListSessionsResponse, SessionInfo]:
     request = service.ListSessionsRequest(page_size=page_size)
+    if state is not None:
+        request.state = words.number("state", session_pb2.SessionState, state)
     return PagedCall(_rpc.LIST_SESSIONS, request, lambda a: [session_info(s) for s in a.sessions])
 
 

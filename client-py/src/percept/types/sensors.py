@@ -78,7 +78,8 @@ class Rejection(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FrameAck(Value):
-    """What became of one frame of a stream: `result`, or `rejection`."""
+    """What became of one frame of a stream: `result`, or `rejection`; neither, if it was taken in over a link
+    that broke before the answer came."""
 
     sensor_id: str
     sequence: int

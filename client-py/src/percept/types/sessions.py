@@ -26,6 +26,20 @@ class SessionMode(Name):
     INGEST_ONLY = "ingest_only"
 
 
+class SessionState(Name):
+    """Where a session is in its life."""
+
+    UNSPECIFIED = "unspecified"
+    CREATING = "creating"
+    #: Stored, not in memory. The first frame or question wakes it.
+    ASLEEP = "asleep"
+    WAKING = "waking"
+    AWAKE = "awake"
+    #: Set apart: what of it is whole can be read, frames are refused.
+    FAULTED = "faulted"
+    DELETING = "deleting"
+
+
 class TrackingState(Name):
     """Whether a pose can be trusted."""
 
@@ -85,25 +99,46 @@ class FrameResult(Value):
     pose: PoseEstimate | None
     keyframe_id: int | None
     latency_s: float
+    #: The frame had been taken in before; nothing was done with it this time.
+    duplicate: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SessionFault(Value):
+    """Why a session was set apart."""
+
+    #: Stable, upper-case.
+    reason: str
+    message: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SessionInfo(Value):
-    """A session as it was when asked."""
+    """A session as it was when asked. One that sleeps has the numbers with which it fell asleep."""
 
     session_id: str
     display_name: str
     mode: SessionMode
     create_time_ns: int
-    #: Every parameter in force, nested.
-    params: Mapping[str, object] = field(repr=False)
+    #: Every parameter in force, nested; None in lists.
+    params: Mapping[str, object] | None = field(repr=False)
+    #: None are told in lists.
     sensors: tuple[SensorStatus, ...]
-    #: None before the first frame.
+    #: None before the first frame, and while it sleeps.
     pose: PoseEstimate | None
     num_keyframes: int
     num_objects: int
     map_version: int
     queue_length: int
+    state: SessionState
+    #: None unless it is faulted.
+    fault: SessionFault | None
+    #: By the server's clock; its start if it was not used since.
+    last_used_ns: int
+    #: Stamp of the newest frame that moved the pose; None before the first.
+    last_stamp_ns: int | None
+    #: Whose it is.
+    tenant: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -28,6 +28,7 @@ class ErrorInfo(_message.Message):
     MESSAGE_FIELD_NUMBER: _builtins.int
     FIELD_FIELD_NUMBER: _builtins.int
     CODE_FIELD_NUMBER: _builtins.int
+    TRACE_ID_FIELD_NUMBER: _builtins.int
     reason: _builtins.str
     """Stable, upper-case: e.g. SENSOR_NOT_FOUND, DEPTH_SIZE_MISMATCH."""
     message: _builtins.str
@@ -36,6 +37,8 @@ class ErrorInfo(_message.Message):
     """Path of the offending field, e.g. depth.row_stride_bytes. Empty if none."""
     code: _builtins.str
     """Name of the gRPC code, e.g. INVALID_ARGUMENT."""
+    trace_id: _builtins.str
+    """The request's trace, 32 hexadecimal digits, by which the server's log and traces name it. Empty where there is none."""
     def __init__(
         self,
         *,
@@ -43,10 +46,11 @@ class ErrorInfo(_message.Message):
         message: _builtins.str = ...,
         field: _builtins.str = ...,
         code: _builtins.str = ...,
+        trace_id: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["code", b"code", "field", b"field", "message", b"message", "reason", b"reason"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["code", b"code", "field", b"field", "message", b"message", "reason", b"reason", "trace_id", b"trace_id"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -95,6 +95,44 @@ SCALE_UNKNOWN: Scale.ValueType  # 1
 SCALE_METRIC: Scale.ValueType  # 2
 Global___Scale: _TypeAlias = Scale  # noqa: Y015
 
+class _SessionState:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _SessionStateEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_SessionState.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    SESSION_STATE_UNSPECIFIED: _SessionState.ValueType  # 0
+    SESSION_STATE_CREATING: _SessionState.ValueType  # 1
+    """Being created: not durable yet."""
+    SESSION_STATE_ASLEEP: _SessionState.ValueType  # 2
+    """Stored, not in memory. The first frame or question wakes it."""
+    SESSION_STATE_WAKING: _SessionState.ValueType  # 3
+    """On its way into memory."""
+    SESSION_STATE_AWAKE: _SessionState.ValueType  # 4
+    """In memory."""
+    SESSION_STATE_FAULTED: _SessionState.ValueType  # 5
+    """Set apart: its data are damaged, or it failed again and again. What of it is whole can be read; frames are refused."""
+    SESSION_STATE_DELETING: _SessionState.ValueType  # 6
+    """On its way out."""
+
+class SessionState(_SessionState, metaclass=_SessionStateEnumTypeWrapper):
+    """Where a session is in its life."""
+
+SESSION_STATE_UNSPECIFIED: SessionState.ValueType  # 0
+SESSION_STATE_CREATING: SessionState.ValueType  # 1
+"""Being created: not durable yet."""
+SESSION_STATE_ASLEEP: SessionState.ValueType  # 2
+"""Stored, not in memory. The first frame or question wakes it."""
+SESSION_STATE_WAKING: SessionState.ValueType  # 3
+"""On its way into memory."""
+SESSION_STATE_AWAKE: SessionState.ValueType  # 4
+"""In memory."""
+SESSION_STATE_FAULTED: SessionState.ValueType  # 5
+"""Set apart: its data are damaged, or it failed again and again. What of it is whole can be read; frames are refused."""
+SESSION_STATE_DELETING: SessionState.ValueType  # 6
+"""On its way out."""
+Global___SessionState: _TypeAlias = SessionState  # noqa: Y015
+
 @_typing.final
 class PoseEstimate(_message.Message):
     """Where the robot is, how sure we are, or that we are lost."""
@@ -192,6 +230,11 @@ class Session(_message.Message):
     NUM_OBJECTS_FIELD_NUMBER: _builtins.int
     MAP_VERSION_FIELD_NUMBER: _builtins.int
     QUEUE_LENGTH_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    FAULT_FIELD_NUMBER: _builtins.int
+    LAST_USED_NS_FIELD_NUMBER: _builtins.int
+    LAST_STAMP_NS_FIELD_NUMBER: _builtins.int
+    TENANT_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     """1 to 64 characters of a-z A-Z 0-9 _ -."""
     display_name: _builtins.str
@@ -200,20 +243,34 @@ class Session(_message.Message):
     create_time_ns: _builtins.int
     """Server's clock, nanoseconds since the Unix epoch."""
     num_keyframes: _builtins.int
+    """The numbers of a session that sleeps are those with which it fell asleep."""
     num_objects: _builtins.int
     map_version: _builtins.int
     """Grows with every change of the map."""
     queue_length: _builtins.int
     """Frames waiting in the session's queue."""
+    state: Global___SessionState.ValueType
+    last_used_ns: _builtins.int
+    """When it was last used, server's clock, nanoseconds since the Unix epoch; the server's start if not since then."""
+    last_stamp_ns: _builtins.int
+    """Stamp of the newest frame that moved the pose, sensor's clock, nanoseconds. Absent before the first frame."""
+    tenant: _builtins.str
+    """Whose it is."""
     @_builtins.property
     def params(self) -> _params_pb2.PipelineParams:
-        """Every parameter in force."""
+        """Every parameter in force. Absent in lists."""
 
     @_builtins.property
-    def sensors(self) -> _containers.RepeatedCompositeFieldContainer[_sensor_pb2.SensorStatus]: ...
+    def sensors(self) -> _containers.RepeatedCompositeFieldContainer[_sensor_pb2.SensorStatus]:
+        """Absent in lists. While the session sleeps nothing is counted."""
+
     @_builtins.property
     def pose(self) -> Global___PoseEstimate:
-        """Newest pose. Absent before the first frame."""
+        """Newest pose. Absent before the first frame, and while the session sleeps."""
+
+    @_builtins.property
+    def fault(self) -> _error_pb2.ErrorInfo:
+        """Why it is set apart: reason and message. Absent unless FAULTED."""
 
     def __init__(
         self,
@@ -229,13 +286,27 @@ class Session(_message.Message):
         num_objects: _builtins.int = ...,
         map_version: _builtins.int = ...,
         queue_length: _builtins.int = ...,
+        state: Global___SessionState.ValueType = ...,
+        fault: _error_pb2.ErrorInfo | None = ...,
+        last_used_ns: _builtins.int = ...,
+        last_stamp_ns: _builtins.int | None = ...,
+        tenant: _builtins.str = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "params", b"params", "pose", b"pose"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "fault", b"fault", "last_stamp_ns", b"last_stamp_ns", "params", b"params", "pose", b"pose"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "fault", b"fault", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "tenant", b"tenant"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__fault: _TypeAlias = _typing.Literal["fault"]  # noqa: Y015
+    _WhichOneofArgType__fault: _TypeAlias = _typing.Literal["_fault", b"_fault"]  # noqa: Y015
+    _WhichOneofReturnType__last_stamp_ns: _TypeAlias = _typing.Literal["last_stamp_ns"]  # noqa: Y015
+    _WhichOneofArgType__last_stamp_ns: _TypeAlias = _typing.Literal["_last_stamp_ns", b"_last_stamp_ns"]  # noqa: Y015
     _WhichOneofReturnType__pose: _TypeAlias = _typing.Literal["pose"]  # noqa: Y015
     _WhichOneofArgType__pose: _TypeAlias = _typing.Literal["_pose", b"_pose"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__fault) -> _WhichOneofReturnType__fault | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__last_stamp_ns) -> _WhichOneofReturnType__last_stamp_ns | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose) -> _WhichOneofReturnType__pose | None: ...
 
 Global___Session: _TypeAlias = Session  # noqa: Y015
@@ -376,10 +447,13 @@ class FrameResult(_message.Message):
     POSE_FIELD_NUMBER: _builtins.int
     KEYFRAME_ID_FIELD_NUMBER: _builtins.int
     LATENCY_S_FIELD_NUMBER: _builtins.int
+    DUPLICATE_FIELD_NUMBER: _builtins.int
     keyframe_id: _builtins.int
     """Set if the frame became a keyframe."""
     latency_s: _builtins.float
     """Time in the queue and in the pipeline, seconds."""
+    duplicate: _builtins.bool
+    """The frame had been taken in before: nothing was done with it this time. SendFrame may be repeated."""
     @_builtins.property
     def pose(self) -> Global___PoseEstimate:
         """Pose after the frame. Absent for sensors that do not move the pose, and in INGEST_ONLY."""
@@ -390,10 +464,11 @@ class FrameResult(_message.Message):
         pose: Global___PoseEstimate | None = ...,
         keyframe_id: _builtins.int | None = ...,
         latency_s: _builtins.float = ...,
+        duplicate: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_keyframe_id", b"_keyframe_id", "_pose", b"_pose", "keyframe_id", b"keyframe_id", "pose", b"pose"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_keyframe_id", b"_keyframe_id", "_pose", b"_pose", "keyframe_id", b"keyframe_id", "latency_s", b"latency_s", "pose", b"pose"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_keyframe_id", b"_keyframe_id", "_pose", b"_pose", "duplicate", b"duplicate", "keyframe_id", b"keyframe_id", "latency_s", b"latency_s", "pose", b"pose"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__keyframe_id: _TypeAlias = _typing.Literal["keyframe_id"]  # noqa: Y015
     _WhichOneofArgType__keyframe_id: _TypeAlias = _typing.Literal["_keyframe_id", b"_keyframe_id"]  # noqa: Y015

@@ -50,6 +50,17 @@ mod tests {
     }
 
     #[test]
+    fn what_unpacks_to_more_than_a_file_may_have_is_refused_before_it_is_unpacked() {
+        let bytes = encode(&cloud(4000, 0), [0.0; 3], true).unwrap();
+        let unpacked = 4000 * u64::from(u16::from_le_bytes([bytes[105], bytes[106]]));
+        assert!(unpacked > bytes.len() as u64);
+        let limits = |max_bytes| Limits { max_bytes, ..Limits::default() };
+        assert!(decode(&bytes, &limits(unpacked)).is_ok());
+        let error = decode(&bytes, &limits(unpacked - 1)).unwrap_err();
+        assert!(matches!(error, FormatError::TooLarge { field: "num_bytes", .. }), "{error}");
+    }
+
+    #[test]
     fn a_wrong_count_is_named() {
         for count in [0u32, 39, 41, 1_000_000, u32::MAX] {
             let mut bytes = encode(&cloud(40, 0), [0.0; 3], false).unwrap();

@@ -24,8 +24,8 @@ struct Raw {
 /// for 8 bits, as many programs write them. Other fields (returns, classes, GPS time) are stepped over.
 ///
 /// # Errors
-/// `Malformed` (a count that contradicts the records, scale, items), `Missing`, `Truncated`, `TooLarge`, `Unsupported`
-/// (version, point format), `Image` (the word of the unpacking library).
+/// `Malformed` (a count that contradicts the records, scale, items), `Missing`, `Truncated`, `TooLarge` (points, or bytes
+/// once unpacked), `Unsupported` (version, point format), `Image` (the word of the unpacking library).
 pub fn decode(bytes: &[u8], limits: &Limits) -> Result<(PointCloud, [f64; 3]), FormatError> {
     let header = super::header::parse(bytes, limits)?;
     let mut raw = Raw::default();
@@ -39,6 +39,8 @@ pub fn decode(bytes: &[u8], limits: &Limits) -> Result<(PointCloud, [f64; 3]), F
         }
     };
     if header.is_packed {
+        // Few bytes may unpack to many, as records may have up to 64 KiB, mostly of fields that are stepped over.
+        limits.bytes(header.num_points.saturating_mul(header.record_bytes as u64))?;
         super::packed::records(bytes, &header, take)?;
     } else {
         let body = &bytes[header.points_at..];

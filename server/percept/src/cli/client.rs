@@ -8,29 +8,131 @@ use percept_wire::v1;
 use percept_wire::v1::sensors_service_client::SensorsServiceClient;
 use percept_wire::v1::sessions_service_client::SessionsServiceClient;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::transport::{Channel, Endpoint};
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::service::Interceptor;
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+use tonic::{Request, Status};
 
 /// Messages under way to the server.
 const WINDOW: usize = 8;
 
-/// Connects to `http://HOST:PORT`; the scheme may be left out.
-pub(crate) async fn connect(server: &str) -> Result<Channel, Failure> {
+/// How a tool says who it is.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct TokenArgs {
+    /// Key or token to call the server with.
+    #[arg(long, env = "PERCEPT_TOKEN", hide_env_values = true, conflicts_with = "token_file")]
+    token: Option<String>,
+    /// File that holds it, so that it does not show among the processes.
+    #[arg(long, env = "PERCEPT_TOKEN_FILE")]
+    token_file: Option<PathBuf>,
+}
+
+impl TokenArgs {
+    fn read(&self) -> Result<Bearer, Failure> {
+        let token = match (&self.token, &self.token_file) {
+            (Some(token), _) => Some(token.clone()),
+            (None, Some(file)) => {
+                Some(std::fs::read_to_string(file).map_err(|e| format!("cannot read {}: {e}", file.display()))?)
+            }
+            (None, None) => None,
+        };
+        let Some(token) = token.map(|t| t.trim().to_owned()).filter(|t| !t.is_empty()) else { return Ok(Bearer(None)) };
+        let mut value: MetadataValue<Ascii> =
+            format!("Bearer {token}").parse().map_err(|_| "the token has characters that no token has")?;
+        value.set_sensitive(true);
+        Ok(Bearer(Some(value)))
+    }
+}
+
+/// Puts the token on every call.
+#[derive(Clone)]
+pub(crate) struct Bearer(Option<MetadataValue<Ascii>>);
+
+impl Interceptor for Bearer {
+    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+        if let Some(value) = &self.0 {
+            request.metadata_mut().insert("authorization", value.clone());
+        }
+        Ok(request)
+    }
+}
+
+/// Calls go through it.
+pub(crate) type Connection = InterceptedService<Channel, Bearer>;
+
+/// How a client of a server that speaks TLS knows it, and is known by it.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct TlsArgs {
+    /// Authorities of the server's certificate, PEM; without it those of the system.
+    #[arg(long)]
+    ca_file: Option<PathBuf>,
+    /// Certificate to show to the server, PEM.
+    #[arg(long, requires = "key")]
+    cert: Option<PathBuf>,
+    /// Its private key, PEM.
+    #[arg(long, requires = "cert")]
+    key: Option<PathBuf>,
+}
+
+impl TlsArgs {
+    fn config(&self) -> Result<ClientTlsConfig, Failure> {
+        let read = |path: &PathBuf| {
+            std::fs::read(path).map_err(|e| Failure::from(format!("cannot read {}: {e}", path.display())))
+        };
+        let config = match &self.ca_file {
+            Some(file) => ClientTlsConfig::new().ca_certificate(Certificate::from_pem(read(file)?)),
+            None => ClientTlsConfig::new().with_native_roots(),
+        };
+        Ok(match (&self.cert, &self.key) {
+            (Some(cert), Some(key)) => config.identity(Identity::from_pem(read(cert)?, read(key)?)),
+            _ => config,
+        })
+    }
+}
+
+/// How a tool is let in.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct AccessArgs {
+    #[command(flatten)]
+    token: TokenArgs,
+    #[command(flatten)]
+    tls: TlsArgs,
+}
+
+/// Connects to `http://HOST:PORT` or, with TLS, `https://HOST:PORT`; the scheme may be left out.
+pub(crate) async fn connect(server: &str, access: &AccessArgs) -> Result<Connection, Failure> {
+    let (bearer, tls) = (access.token.read()?, &access.tls);
     let address = if server.contains("://") { server.to_owned() } else { format!("http://{server}") };
-    let endpoint = Endpoint::from_shared(address)?
-        .initial_stream_window_size(16 << 20)
-        .initial_connection_window_size(32 << 20)
-        .tcp_nodelay(true);
-    endpoint
+    let is_encrypted = address.starts_with("https://");
+    if !is_encrypted && (tls.ca_file.is_some() || tls.cert.is_some()) {
+        return Err(format!("server is {server}, which is not encrypted; write https:// to use certificates").into());
+    }
+    let mut endpoint = Endpoint::from_shared(address)?;
+    if is_encrypted {
+        endpoint = endpoint.tls_config(tls.config()?)?;
+    }
+    let endpoint =
+        endpoint.initial_stream_window_size(16 << 20).initial_connection_window_size(32 << 20).tcp_nodelay(true);
+    let channel = endpoint
         .connect()
         .await
-        .map_err(|e| format!("cannot reach {server}: {e}; is `percept serve` running there?").into())
+        .map_err(|e| format!("cannot reach {server}: {}; is `percept serve` running there?", with_causes(&e)))?;
+    Ok(InterceptedService::new(channel, bearer))
+}
+
+/// An error and what caused it: of a connection that fails, the cause is what helps.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(error.source(), |e| e.source()).map(|e| format!(": {e}"));
+    std::iter::once(error.to_string()).chain(causes).collect()
 }
 
 /// A session on a server.
 pub(crate) struct RemoteSession {
-    pub(crate) channel: Channel,
+    pub(crate) channel: Connection,
     pub(crate) id: String,
 }
 
@@ -52,7 +154,12 @@ pub(crate) struct StreamOutcome {
 
 impl RemoteSession {
     /// Creates a session with these sensors; `id` empty: the server chooses one.
-    pub(crate) async fn create(channel: Channel, id: &str, name: &str, specs: &[SensorSpec]) -> Result<Self, Failure> {
+    pub(crate) async fn create(
+        channel: Connection,
+        id: &str,
+        name: &str,
+        specs: &[SensorSpec],
+    ) -> Result<Self, Failure> {
         let declare = |spec: &SensorSpec| {
             sensors::declaration_to(&SensorDeclaration { spec: spec.clone(), overload: OverloadPolicy::Block })
         };

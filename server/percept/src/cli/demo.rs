@@ -1,10 +1,10 @@
 //! `percept demo`: a robot's day without a robot: simulator, server, map, objects, scene graph, path.
 
-use super::client::{RemoteSession, connect};
+use super::client::{AccessArgs, RemoteSession, connect};
 use super::eval_sim::{demo_params, truth_in_map};
 use super::replay::FILES;
 use super::report::Report;
-use super::serve::{Running, runtime, stop_signal};
+use super::serve::{Running, Signals, runtime};
 use super::{Failure, input};
 use nalgebra::Point2;
 use percept_evaluation::{FoundObject, match_detections};
@@ -63,16 +63,13 @@ async fn demo(args: &DemoArgs) -> Result<(), Failure> {
         let wants_more = args.keep || (!args.exit && std::io::stdout().is_terminal());
         if wants_more {
             println!("\nOpen http://{} to look around. Ctrl-C ends it.", running.addresses.rest);
-            tokio::select! {
-                ended = running.until_stopped() => ended?,
-                signal = stop_signal() => signal?,
-            }
+            running.until_stopped(&mut Signals::listen()?).await?;
         } else {
             println!("\nRun it in a terminal, or with --keep, to look around at http://{}.", running.addresses.rest);
         }
     }
-    running.stop().await;
-    outcome
+    let stopped = running.stop().await;
+    outcome.and(stopped)
 }
 
 /// A server of its own on a data directory of its own; a REST port that is taken is replaced by a free one.
@@ -90,7 +87,8 @@ async fn start_server(args: &DemoArgs, data_dir: &Path) -> Result<Running, Failu
 }
 
 async fn day(args: &DemoArgs, simulation: &Simulation, grpc: &str) -> Result<(), Failure> {
-    let session = RemoteSession::create(connect(grpc).await?, "demo", "demo robot", &simulation.sensors()).await?;
+    let channel = connect(grpc, &AccessArgs::default()).await?;
+    let session = RemoteSession::create(channel, "demo", "demo robot", &simulation.sensors()).await?;
     let frames = simulation.frames();
     let bar = super::progress(frames.total(), "driving");
     let source = frames.map(|f| Ok::<_, Failure>(f.frame));

@@ -1,6 +1,7 @@
 //! `percept health`: ask a running server whether it serves.
 
 use super::Failure;
+use super::client::AccessArgs;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::{HealthCheckRequest, health_client::HealthClient};
 
@@ -9,12 +10,14 @@ pub(crate) struct HealthArgs {
     /// gRPC address of the server.
     #[arg(long, default_value = "http://127.0.0.1:50051")]
     server: String,
+    #[command(flatten)]
+    access: AccessArgs,
 }
 
 pub(crate) fn run(args: &HealthArgs) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
-        let mut client = HealthClient::new(super::client::connect(&args.server).await?);
+        let mut client = HealthClient::new(super::client::connect(&args.server, &args.access).await?);
         let answer = client.check(HealthCheckRequest { service: String::new() }).await?;
         match answer.into_inner().status() {
             ServingStatus::Serving => {

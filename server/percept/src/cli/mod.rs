@@ -11,6 +11,7 @@ mod eval_slam;
 mod eval_trajectory;
 mod health;
 mod input;
+mod keys;
 mod local;
 mod plot;
 mod replay;
@@ -50,6 +51,9 @@ enum Command {
     Eval(eval::EvalCommand),
     /// Time one operation on given files and print a JSON line.
     Bench(bench::BenchArgs),
+    /// Make, list and revoke the keys with which callers say who they are.
+    #[command(subcommand)]
+    Keys(keys::KeysCommand),
     /// Print the configuration file with every default explained.
     Config(ConfigArgs),
     /// Ask a running server whether it serves; the exit code says so.
@@ -73,6 +77,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Replay(args) => replay::run(args),
         Command::Eval(command) => eval::run(command),
         Command::Bench(args) => bench::run(args),
+        Command::Keys(command) => keys::run(command),
         Command::Config(args) => config(&args),
         Command::Health(args) => health::run(&args),
     };

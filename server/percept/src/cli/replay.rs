@@ -1,6 +1,6 @@
 //! `percept replay`: a recorded data set through percept, in this process or into a server.
 
-use super::client::{RemoteSession, connect};
+use super::client::{AccessArgs, RemoteSession, connect};
 use super::report::{Report, peak_rss_mb};
 use super::streams::{Chosen, Stream};
 use super::{Failure, input, local};
@@ -20,6 +20,8 @@ pub(crate) struct ReplayArgs {
     /// Stream into the server at this gRPC address instead of running in this process.
     #[arg(long)]
     server: Option<String>,
+    #[command(flatten)]
+    access: AccessArgs,
     /// Id of the session on the server; none: one is chosen.
     #[arg(long, default_value = "", requires = "server")]
     session: String,
@@ -181,7 +183,7 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
 }
 
 async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Result<(), Failure> {
-    let channel = connect(server).await?;
+    let channel = connect(server, &args.access).await?;
     let session = RemoteSession::create(channel, &args.session, &recording.name, &recording.sensors).await?;
     let bar = super::progress(part(args, recording).len() as u64, "replay");
     let primary = primary(recording).map(|s| s.id.0.clone()).unwrap_or_default();

@@ -2,20 +2,28 @@
 
 use super::Failure;
 use crate::config::Config;
+use crate::doors::bounds::Bounds;
 use crate::doors::grpc::Api;
+use crate::doors::identify::Gate;
+use crate::doors::listener::tls::Tls;
+use crate::doors::listener::{Listener, Protocol, Shared, files};
 use crate::doors::{grpc, rest, zenoh::ZenohDoor};
-use percept_service::{ComputePool, Service};
-use percept_store::{SlateStore, StoreConfig};
+use percept_identity::{AuthMode, Authenticator};
+use percept_service::{About, ComputePool, ComputeThreads, Guarded, HEALTHY, Part, Service};
+use percept_store::{DataRoot, RootConfig};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::net::TcpListener;
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-/// Time for requests under way to finish after the signal to stop.
-const DRAIN: Duration = Duration::from_secs(20);
+/// How far the toolbox's threads stand back behind those for sessions, as `nice` has it.
+const TOOLBOX_STANDS_BACK: i32 = 10;
+
+/// How often files of keys are looked at.
+const REFRESH: Duration = Duration::from_secs(1);
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct ServeArgs {
@@ -67,87 +75,233 @@ pub(crate) struct Addresses {
     pub(crate) grpc: String,
     pub(crate) rest: String,
     pub(crate) zenoh: String,
+    /// Where `/metrics` is served apart from the REST door.
+    pub(crate) telemetry: String,
 }
 
 /// A server whose doors are open.
 pub(crate) struct Running {
     pub(crate) addresses: Addresses,
     service: Service,
+    tls: Option<Arc<Tls>>,
+    /// Read again when a signal asks for it.
+    config_file: Option<PathBuf>,
+    /// First the server is no longer ready, then it takes nothing more.
     stop: watch::Sender<bool>,
+    notice: Duration,
+    drain: Duration,
     doors: JoinSet<Result<(), Failure>>,
 }
 
 impl Running {
     /// Opens store and doors.
     pub(crate) async fn start(config: &Config) -> Result<Self, Failure> {
-        let store = SlateStore::open(StoreConfig::directory(&config.storage.data_dir)).await?;
-        let pool = super::compute_pool(config.compute.threads, config.compute.nice)?;
-        let compute = ComputePool::new(pool, config.limits.max_concurrent_computations);
-        let service = Service::open(Arc::new(store), compute, config.limits.clone(), config.params.clone()).await?;
+        let files = files::raise_limit();
+        let tls = config.tls.is_on().then(|| Tls::open(&config.tls)).transpose()?;
+        let data = DataRoot::open(RootConfig::directory(&config.storage.data_dir)).await?;
+        let limits = &config.limits;
+        crate::telemetry::begin(&config.telemetry);
+        let service = Service::open(data, compute(config)?, limits.clone(), config.params.clone()).await?;
+        let service = service.described(about(config));
         let (stop, stopping) = watch::channel(false);
-        let api = Api { service: service.clone(), stopping };
+        let bounds = Bounds::new(limits);
+        let shared = Shared {
+            limits: Arc::clone(service.limits()),
+            memory: Arc::clone(&bounds.memory),
+            windows: Arc::clone(&bounds.windows),
+            tls: tls.clone(),
+            stopping: stopping.clone(),
+            faults: Arc::clone(service.faults()),
+        };
+        let listen = Arc::new(config.listen.clone());
+        let authenticator = Arc::new(Authenticator::open(&config.auth, crate::provider::keys(&config.auth.jwt))?);
+        let gate = Gate::new(Arc::clone(&authenticator));
+        let shows_metrics = config.telemetry.metrics && config.telemetry.listen.is_empty();
+        let api = Api { service: Guarded::new(service.clone()), gate, listen, bounds, stopping, shows_metrics };
         let mut addresses = Addresses::default();
         let mut doors: JoinSet<Result<(), Failure>> = JoinSet::new();
+        let open = [&config.listen.grpc, &config.listen.rest].into_iter().filter(|address| !address.is_empty());
+        let most = files::max_connections(limits.max_connections, files, open.count());
         if !config.listen.grpc.is_empty() {
-            let listener = bind("listen.grpc", &config.listen.grpc).await?;
-            addresses.grpc = listener.local_addr()?.to_string();
+            let listener = bind("listen.grpc", &config.listen.grpc, Protocol::Grpc, most, shared.clone())?;
+            addresses.grpc = listener.address()?.to_string();
             let api = api.clone();
-            doors.spawn(async move { Ok(grpc::serve(api, listener).await?) });
+            doors.spawn(async move {
+                grpc::serve(api, listener).await;
+                Ok(())
+            });
         }
         if !config.listen.rest.is_empty() {
-            let listener = bind("listen.rest", &config.listen.rest).await?;
-            addresses.rest = listener.local_addr()?.to_string();
+            let listener = bind("listen.rest", &config.listen.rest, Protocol::Rest, most, shared)?;
+            addresses.rest = listener.address()?.to_string();
             let api = api.clone();
             doors.spawn(async move { Ok(rest::serve(api, listener).await?) });
         }
         if !config.listen.zenoh.is_empty() {
-            let door = ZenohDoor::open(&api, &config.listen.zenoh).await?;
+            let door = ZenohDoor::open(&api, &config.listen.zenoh, &config.auth, &config.tls).await?;
             addresses.zenoh = config.listen.zenoh.clone();
-            doors.spawn(door.serve(api));
+            doors.spawn(door.serve(api.clone()));
         }
-        let garbage = service.clone();
-        tokio::spawn(async move {
-            if let Err(error) = garbage.collect_garbage().await {
-                tracing::warn!(%error, "unused scans were not removed");
-            }
-        });
-        Ok(Self { addresses, service, stop, doors })
+        if let Some(tls) = tls.clone() {
+            tokio::spawn(async move { tls.follow().await });
+        }
+        tokio::spawn(refresh(Arc::downgrade(&authenticator)));
+        if !config.telemetry.listen.is_empty() {
+            let at = &config.telemetry.listen;
+            let listener = tokio::net::TcpListener::bind(at).await;
+            let listener = listener.map_err(|e| format!("telemetry.listen: cannot listen on {at}: {e}"))?;
+            addresses.telemetry = listener.local_addr()?.to_string();
+            // Not one of the doors: it still tells how the server stands while those drain.
+            tokio::spawn(rest::serve_telemetry(api.clone(), listener));
+        }
+        service.health().report(Part::Server, HEALTHY);
+        let seconds = |s: usize| Duration::from_secs(s as u64);
+        let (notice, drain) = (seconds(config.listen.notice_s), seconds(config.listen.drain_s));
+        Ok(Self { addresses, service, tls, config_file: None, stop, notice, drain, doors })
     }
 
     /// Serves until a signal, or until a door fails.
-    pub(crate) async fn until_stopped(&mut self) -> Result<(), Failure> {
-        tokio::select! {
-            signal = stop_signal() => signal,
-            ended = self.doors.join_next() => match ended {
-                Some(Ok(outcome)) => outcome,
-                Some(Err(panic)) => Err(panic.into()),
-                None => Err("all doors are closed; open one in the configuration".into()),
-            },
+    pub(crate) async fn until_stopped(&mut self, signals: &mut Signals) -> Result<(), Failure> {
+        loop {
+            tokio::select! {
+                signal = signals.next() => match signal {
+                    Signalled::Stop => return Ok(()),
+                    Signalled::Reload => self.reload(),
+                },
+                ended = self.doors.join_next() => return match ended {
+                    Some(Ok(outcome)) => outcome,
+                    Some(Err(panic)) => Err(panic.into()),
+                    None => Err("all doors are closed; open one in the configuration".into()),
+                },
+            }
         }
     }
 
-    /// Refuses new work, finishes what is under way, stores it, closes.
-    pub(crate) async fn stop(mut self) {
+    /// Reads again what can be changed while serving: certificates, what is logged.
+    fn reload(&self) {
+        let logged = Config::load(self.config_file.as_deref()).map_err(|e| e.to_string());
+        if let Err(error) = logged.and_then(|config| crate::telemetry::reload(&config)) {
+            tracing::error!(%error, "the configuration in force stays");
+        }
+        if let Some(tls) = &self.tls
+            && let Err(error) = tls.reload()
+        {
+            tracing::error!(%error, "the certificates in force stay");
+        }
+    }
+
+    /// Says that it is no longer ready, refuses new work, finishes what is under way, stores it, closes.
+    ///
+    /// # Errors
+    /// What was accepted and could not be stored.
+    pub(crate) async fn stop(mut self) -> Result<(), Failure> {
+        self.service.health().draining();
+        tokio::time::sleep(self.notice).await;
         let _ = self.stop.send(true);
-        let drained = tokio::time::timeout(DRAIN, async { while self.doors.join_next().await.is_some() {} });
+        let drained = tokio::time::timeout(self.drain, async { while self.doors.join_next().await.is_some() {} });
         if drained.await.is_err() {
-            tracing::warn!("requests were still under way after {} s", DRAIN.as_secs());
+            tracing::warn!("requests were still under way after {} s", self.drain.as_secs());
             self.doors.abort_all();
         }
-        self.service.stop().await;
+        let stopped = self.service.stop().await;
+        crate::telemetry::end().await;
+        stopped.map_err(|e| format!("not all that was accepted is stored: {e}").into())
     }
 }
 
-async fn bind(field: &str, address: &str) -> Result<TcpListener, Failure> {
-    TcpListener::bind(address).await.map_err(|e| format!("{field}: cannot listen on {address}: {e}").into())
+/// Takes over keys that were made or revoked.
+async fn refresh(authenticator: std::sync::Weak<Authenticator>) {
+    loop {
+        tokio::time::sleep(REFRESH).await;
+        let Some(authenticator) = authenticator.upgrade() else { return };
+        authenticator.refresh().await;
+    }
 }
 
-/// Ctrl-C, or SIGTERM as a supervisor sends it.
-pub(crate) async fn stop_signal() -> Result<(), Failure> {
-    let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
-    tokio::select! {
-        interrupted = tokio::signal::ctrl_c() => Ok(interrupted?),
-        _ = terminate.recv() => Ok(()),
+/// Threads for each kind of work: questions are short and go first, the toolbox stands back behind the frames.
+fn compute(config: &Config) -> Result<ComputePool, Failure> {
+    let (threads, nice) = (config.compute.threads, config.compute.nice);
+    let pools = ComputeThreads {
+        frames: super::compute_pool(threads, nice)?,
+        queries: super::compute_pool(threads, 0)?,
+        toolbox: super::compute_pool(threads, (nice + TOOLBOX_STANDS_BACK).min(19))?,
+    };
+    let limits = &config.limits;
+    Ok(ComputePool::apart(pools, limits.max_concurrent_computations, limits.max_queued_computations))
+}
+
+/// What the program knows of itself.
+fn about(config: &Config) -> About {
+    let listen = &config.listen;
+    let auth = match config.auth.mode {
+        AuthMode::None => "none",
+        AuthMode::Required => "required",
+    };
+    let doors = [("grpc", &listen.grpc), ("rest", &listen.rest), ("zenoh", &listen.zenoh)];
+    About {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        commit: crate::telemetry::COMMIT.to_owned(),
+        store: "file".to_owned(),
+        doors: doors.into_iter().filter(|(_, at)| !at.is_empty()).map(|(name, _)| name.to_owned()).collect(),
+        tls: config.tls.is_on(),
+        auth: auth.to_owned(),
+    }
+}
+
+fn bind(
+    field: &str,
+    address: &str,
+    protocol: Protocol,
+    max_connections: usize,
+    shared: Shared,
+) -> Result<Listener, Failure> {
+    Listener::bind(address, protocol, max_connections, shared)
+        .map_err(|e| format!("{field}: cannot listen on {address}: {e}").into())
+}
+
+/// What a signal asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Signalled {
+    /// Ctrl-C, or SIGTERM as a supervisor sends it.
+    Stop,
+    /// SIGHUP.
+    Reload,
+}
+
+/// The signals that a server obeys, from when this is made: none of them kills it.
+pub(crate) struct Signals {
+    interrupt: Signal,
+    terminate: Signal,
+    hang_up: Signal,
+}
+
+impl Signals {
+    /// # Errors
+    /// What the system says.
+    pub(crate) fn listen() -> Result<Self, Failure> {
+        let (interrupt, terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+        Ok(Self { interrupt, terminate, hang_up: signal(SignalKind::hangup())? })
+    }
+
+    /// The next one.
+    pub(crate) async fn next(&mut self) -> Signalled {
+        tokio::select! {
+            _ = self.interrupt.recv() => Signalled::Stop,
+            _ = self.terminate.recv() => Signalled::Stop,
+            _ = self.hang_up.recv() => Signalled::Reload,
+        }
+    }
+
+    /// Somebody at the terminal does not want to wait: Ctrl-C once more. Supervisors may say SIGTERM twice and mean nothing
+    /// by it.
+    pub(crate) async fn forced(&mut self) {
+        loop {
+            tokio::select! {
+                _ = self.interrupt.recv() => return,
+                _ = self.terminate.recv() => {}
+                _ = self.hang_up.recv() => {}
+            }
+        }
     }
 }
 
@@ -157,11 +311,13 @@ pub(crate) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
 }
 
 pub(crate) fn run(args: ServeArgs) -> Result<(), Failure> {
+    let config_file = args.config.clone();
     let config = args.config()?;
     crate::telemetry::init(&config.log.level, config.log.format);
     let runtime = runtime()?;
-    runtime.block_on(async {
-        let mut running = Running::start(&config).await?;
+    let outcome = runtime.block_on(async {
+        let mut signals = Signals::listen()?;
+        let mut running = Running { config_file, ..Running::start(&config).await? };
         println!("{}", serde_json::to_string(&running.addresses)?);
         tracing::info!(
             grpc = running.addresses.grpc,
@@ -169,9 +325,15 @@ pub(crate) fn run(args: ServeArgs) -> Result<(), Failure> {
             zenoh = running.addresses.zenoh,
             "serving"
         );
-        let outcome = running.until_stopped().await;
+        let outcome = running.until_stopped(&mut signals).await;
         tracing::info!("stopping");
-        running.stop().await;
-        outcome
-    })
+        let stopped = tokio::select! {
+            stopped = running.stop() => stopped,
+            () = signals.forced() => Err("stopped by a second signal before all that was under way was finished".into()),
+        };
+        outcome.and(stopped)
+    });
+    // What may still run after a second signal is not waited for.
+    runtime.shutdown_background();
+    outcome
 }

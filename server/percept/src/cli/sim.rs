@@ -1,6 +1,6 @@
 //! `percept sim`: a simulated robot that streams its sensors into a server.
 
-use super::client::{RemoteSession, connect};
+use super::client::{AccessArgs, RemoteSession, connect};
 use super::{Failure, input};
 use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
 use serde_json::json;
@@ -30,6 +30,8 @@ pub(crate) struct SimArgs {
     /// gRPC address of the server.
     #[arg(long, default_value = "http://127.0.0.1:50051")]
     server: String,
+    #[command(flatten)]
+    access: AccessArgs,
     /// Id of the session; none: one is chosen.
     #[arg(long, default_value = "")]
     session: String,
@@ -107,7 +109,7 @@ fn truth(simulation: &Simulation) -> serde_json::Value {
 }
 
 async fn drive(args: &SimArgs, simulation: &Simulation) -> Result<(), Failure> {
-    let channel = connect(&args.server).await?;
+    let channel = connect(&args.server, &args.access).await?;
     let session = RemoteSession::create(channel, &args.session, "simulated robot", &simulation.sensors()).await?;
     println!("session {} on {}: driving {:.0} s", session.id, args.server, simulation.duration_s());
     let frames = simulation.frames();

@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 
 /// Read by the program, its tests and its gate for other purposes.
-const OTHER: [&str; 4] = ["PERCEPT_BIN", "PERCEPT_CI_CACHE", "PERCEPT_CONFIG", "PERCEPT_DATA"];
+const OTHER: [&str; 6] =
+    ["PERCEPT_BIN", "PERCEPT_CI_CACHE", "PERCEPT_CONFIG", "PERCEPT_DATA", "PERCEPT_TOKEN", "PERCEPT_TOKEN_FILE"];
 
 /// Kubernetes and Docker describe a service called `percept` by variables that begin so; no section is called so.
 const LINKS: [&str; 2] = ["PERCEPT_PORT", "PERCEPT_SERVICE_"];

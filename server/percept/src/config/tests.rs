@@ -146,6 +146,40 @@ fn complaints_name_place_field_value_and_remedy() {
 }
 
 #[test]
+fn nobody_is_let_in_from_beyond_this_machine_unless_it_is_said_in_so_many_words() {
+    let addresses = [("grpc", "0.0.0.0:1"), ("rest", "[::]:1"), ("rest", "192.168.0.7:1"), ("zenoh", "tcp/0.0.0.0:1")];
+    for (door, address) in addresses {
+        let text = format!("[listen]\n{door} = \"{address}\"\n");
+        let refused = complaint(&text, &[]);
+        assert!(refused.contains(door) && refused.contains("auth.allow_anonymous_beyond_loopback"), "{refused}");
+        assert!(load(&text, &[("PERCEPT_AUTH_ALLOW_ANONYMOUS_BEYOND_LOOPBACK", "true")]).is_ok());
+        let required = [("PERCEPT_AUTH_MODE", "required"), ("PERCEPT_AUTH_KEYS_FILE", "keys.json")];
+        assert!(load(&text, &required).is_ok());
+    }
+    for near in
+        ["grpc = \"[::1]:1\"", "rest = \"127.9.9.9:1\"", "zenoh = \"tcp/localhost:1\"", "zenoh = \"tcp/[::1]:1\""]
+    {
+        assert!(load(&format!("[listen]\n{near}\n"), &[]).is_ok(), "{near}");
+    }
+}
+
+#[test]
+fn who_may_call_is_read_from_file_and_environment() {
+    let text = "[auth]\nmode = \"required\"\n[[auth.certificates]]\nsubject = \"cn:robot-7\"\naccess = \"write\"\nsessions = \"robot-7*\"\n";
+    let config = load(text, &[]).unwrap();
+    assert_eq!(config.auth.certificates[0].tenant, "default");
+    let entry = r#"[{"subject": "dns:x", "tenant": "a", "access": "read"}]"#;
+    let config = load("", &[("PERCEPT_AUTH_CERTIFICATES", entry)]).unwrap();
+    assert_eq!(config.auth.certificates[0].sessions.as_str(), "*");
+    assert!(
+        complaint("[auth]\nmode = \"required\"\n", &[])
+            .contains("percept.toml:2: auth.mode is \"required\"; but nothing")
+    );
+    assert!(complaint("[auth]\nmode = \"off\"\n", &[]).contains("percept.toml:2"));
+    assert!(toml::to_string_pretty(&config).is_ok());
+}
+
+#[test]
 fn both_sides_of_a_limit_are_told_apart() {
     let with = |threads| Config { compute: Compute { threads, nice: 19 }, ..Config::default() }.validate();
     assert_eq!(with(1024), Ok(()));

@@ -1,15 +1,28 @@
 //! The one table from our error codes to gRPC status, HTTP status and zenoh error replies.
 
-use axum::http::StatusCode;
+use crate::telemetry::requests::RefusedWith;
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use percept_service::{Error, ErrorCode};
+use percept_service::{Error, ErrorCode, observe, trace};
 use prost::Message;
 use serde_json::json;
+use std::collections::HashMap;
+use std::time::Duration;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 /// Domain of our reasons in `google.rpc.ErrorInfo`.
 const DOMAIN: &str = "percept";
+/// Names the request's trace in an error.
+const TRACE_ID: &str = "trace_id";
+
+/// When to try again what was refused for now.
+const RETRY_AFTER: Duration = Duration::from_secs(1);
+
+/// Whether the same request may be served a little later.
+fn is_for_now(code: ErrorCode, reason: &str) -> bool {
+    code == ErrorCode::Unavailable || (code == ErrorCode::ResourceExhausted && !reason.ends_with("_TOO_LARGE"))
+}
 
 fn codes(code: ErrorCode) -> (Code, StatusCode) {
     match code {
@@ -18,6 +31,8 @@ fn codes(code: ErrorCode) -> (Code, StatusCode) {
         ErrorCode::AlreadyExists => (Code::AlreadyExists, StatusCode::CONFLICT),
         ErrorCode::FailedPrecondition => (Code::FailedPrecondition, StatusCode::CONFLICT),
         ErrorCode::ResourceExhausted => (Code::ResourceExhausted, StatusCode::TOO_MANY_REQUESTS),
+        ErrorCode::Unauthenticated => (Code::Unauthenticated, StatusCode::UNAUTHORIZED),
+        ErrorCode::PermissionDenied => (Code::PermissionDenied, StatusCode::FORBIDDEN),
         ErrorCode::Unavailable => (Code::Unavailable, StatusCode::SERVICE_UNAVAILABLE),
         ErrorCode::DeadlineExceeded => (Code::DeadlineExceeded, StatusCode::GATEWAY_TIMEOUT),
         ErrorCode::Internal => (Code::Internal, StatusCode::INTERNAL_SERVER_ERROR),
@@ -26,13 +41,15 @@ fn codes(code: ErrorCode) -> (Code, StatusCode) {
 
 /// As gRPC says it: `google.rpc.Status` with `ErrorInfo` and, for a field, `BadRequest`.
 pub(crate) fn grpc(e: Error) -> Status {
+    observe::refusal(e.reason);
     let mut details = ErrorDetails::new();
-    details.set_error_info(e.reason, DOMAIN, std::collections::HashMap::new());
+    let metadata = trace::current().map(|t| (TRACE_ID.to_owned(), t.trace_id_hex()));
+    details.set_error_info(e.reason, DOMAIN, metadata.into_iter().collect::<HashMap<_, _>>());
     if !e.field.is_empty() {
         details.add_bad_request_violation(&e.field, &e.message);
     }
-    if e.code == ErrorCode::Unavailable {
-        details.set_retry_info(Some(std::time::Duration::from_millis(500)));
+    if is_for_now(e.code, e.reason) {
+        details.set_retry_info(Some(RETRY_AFTER));
     }
     Status::with_error_details(codes(e.code).0, e.message, details)
 }
@@ -49,11 +66,13 @@ pub(crate) fn from_grpc(status: &Status) -> Problem {
         ErrorCode::AlreadyExists,
         ErrorCode::FailedPrecondition,
         ErrorCode::ResourceExhausted,
+        ErrorCode::Unauthenticated,
+        ErrorCode::PermissionDenied,
         ErrorCode::Unavailable,
         ErrorCode::DeadlineExceeded,
     ];
     let code = table.into_iter().find(|c| codes(*c).0 == status.code()).unwrap_or(ErrorCode::Internal);
-    Problem { code, reason, message: status.message().to_owned(), field }
+    Problem { code, reason, message: status.message().to_owned(), field, trace_id: trace_id() }
 }
 
 /// An error as REST and zenoh say it.
@@ -63,15 +82,33 @@ pub(crate) struct Problem {
     reason: String,
     message: String,
     field: String,
+    /// Of the request; empty outside of one.
+    trace_id: String,
 }
 
 impl From<Error> for Problem {
     fn from(e: Error) -> Self {
-        Self { code: e.code, reason: e.reason.to_owned(), message: e.message, field: e.field }
+        observe::refusal(e.reason);
+        Self { code: e.code, reason: e.reason.to_owned(), message: e.message, field: e.field, trace_id: trace_id() }
     }
 }
 
+/// Of the request that is being answered; empty outside of one.
+pub(crate) fn trace_id() -> String {
+    trace::current().map(|t| t.trace_id_hex()).unwrap_or_default()
+}
+
 impl Problem {
+    /// Its stable reason.
+    pub(crate) fn reason(&self) -> &str {
+        &self.reason
+    }
+
+    /// Name of the gRPC code.
+    pub(crate) const fn code_name(&self) -> &'static str {
+        self.code.name()
+    }
+
     /// Encoded `percept.v1.ErrorInfo`, for zenoh's error replies.
     pub(crate) fn to_error_info(&self) -> Vec<u8> {
         let info = percept_wire::v1::ErrorInfo {
@@ -79,6 +116,7 @@ impl Problem {
             message: self.message.clone(),
             field: self.field.clone(),
             code: self.code.name().to_owned(),
+            trace_id: self.trace_id.clone(),
         };
         info.encode_to_vec()
     }
@@ -102,14 +140,34 @@ impl IntoResponse for Problem {
             "reason": self.reason,
             "field": self.field,
             "code": self.code.name(),
+            TRACE_ID: self.trace_id,
         });
-        (status, [("content-type", "application/problem+json")], body.to_string()).into_response()
+        let headers = [("content-type", "application/problem+json")];
+        let mut response = (status, headers, body.to_string()).into_response();
+        if is_for_now(self.code, &self.reason) {
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(RETRY_AFTER.as_secs()));
+        }
+        response.extensions_mut().insert(RefusedWith(self.code.name()));
+        response
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_refused_for_now_says_when_to_try_again() {
+        let again = |e: Error| {
+            let rest = Problem::from(e.clone()).into_response().headers().contains_key(header::RETRY_AFTER);
+            assert_eq!(rest, grpc(e).get_details_retry_info().is_some(), "the doors agree");
+            rest
+        };
+        assert!(again(Error::exhausted("SERVER_BUSY", "", "")));
+        assert!(again(Error::new(ErrorCode::Unavailable, "STOPPING", "")));
+        assert!(!again(Error::exhausted("MESSAGE_TOO_LARGE", "", "")));
+        assert!(!again(Error::invalid("OUT_OF_RANGE", "x", "")));
+    }
 
     #[test]
     fn an_error_survives_the_way_through_grpc() {

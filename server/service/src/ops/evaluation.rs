@@ -64,7 +64,7 @@ impl Service {
         &self,
         work: impl FnOnce() -> std::result::Result<T, EvaluationError> + Send + 'static,
     ) -> Result<T> {
-        self.compute.request_within(budget(&self.limits), work).await?.map_err(|e| evaluation_error(&e))
+        self.compute.request_within("", budget(&self.limits), |_| work()).await?.map_err(|e| evaluation_error(&e))
     }
 
     /// Precision and recall of boxes; a pair matches at `min_iou` (0.25 if none).

@@ -3,12 +3,13 @@
 use super::pictures;
 use super::sessions::{Page, page_by_number};
 use crate::session::handle::{Moved, Vetoed};
-use crate::{Error, Result, Service};
+use crate::{Error, Result, Service, Session, check_id};
 use nalgebra::{Point2, Point3};
 use percept_formats::{FormatError, GridMap, nav2, pcd, ply, trajectory};
 use percept_geometry::{Cell, GridGeometry, PointCloud, Stamped, Timestamp};
 use percept_mapping::OccupancyGrid;
 use percept_pipeline::{Loop, LoopId, Snapshot};
+use std::sync::Arc;
 
 /// A part of the occupancy grid, dense.
 #[derive(Debug, Clone)]
@@ -197,10 +198,12 @@ impl Service {
     /// # Errors
     /// `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
     pub async fn optimise_map(&self, session: &str) -> Result<Moved> {
-        let session = self.session(session).await?;
-        let done = session.settle().await?;
-        session.wait_durable(done.ticket).await?;
-        Ok(done)
+        let settle = |session: Arc<Session>| async move {
+            let done = session.settle().await?;
+            session.wait_durable(done.ticket).await.map(|()| done)
+        };
+        check_id("session_id", session)?;
+        self.registry.awake(session, settle).await
     }
 
     /// Takes a loop out of the map, or undoes that; the map follows at once, and it is durable when this answers.
@@ -208,13 +211,15 @@ impl Service {
     /// # Errors
     /// `LOOP_NOT_FOUND`, `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
     pub async fn set_loop_veto(&self, session: &str, id: LoopId, vetoed: bool) -> Result<Vetoed> {
-        let session = self.session(session).await?;
-        let done = session.veto(id, vetoed).await?.ok_or_else(|| {
-            let message = format!("loop_id {} does not exist in this session; list the loops", id.0);
-            Error::not_found("LOOP_NOT_FOUND", "loop_id", message)
-        })?;
-        session.wait_durable(done.moved.ticket).await?;
-        Ok(done)
+        let veto = |session: Arc<Session>| async move {
+            let done = session.veto(id, vetoed).await?.ok_or_else(|| {
+                let message = format!("loop_id {} does not exist in this session; list the loops", id.0);
+                Error::not_found("LOOP_NOT_FOUND", "loop_id", message)
+            })?;
+            session.wait_durable(done.moved.ticket).await.map(|()| done)
+        };
+        check_id("session_id", session)?;
+        self.registry.awake(session, veto).await
     }
 
     /// Sizes and version of a session's map.
@@ -249,9 +254,9 @@ impl Service {
         resolution_m: Option<f64>,
     ) -> Result<GridAnswer> {
         let s = self.snapshot(session).await?;
-        // A copy of memory, of milliseconds: it does not queue behind heavy requests.
-        let grid = dense(&s.layers.occupancy, region, resolution_m, &self.limits)?;
-        Ok(GridAnswer { map_version: s.map_version, stamp: stamp_of(&s), grid })
+        let (map_version, stamp, limits) = (s.map_version, stamp_of(&s), Arc::clone(&self.limits));
+        let copy = move || dense(&s.layers.occupancy, region, resolution_m, &limits);
+        Ok(GridAnswer { map_version, stamp, grid: self.compute.query(session, copy).await?? })
     }
 
     /// The fused cloud, or the part of it around a point (m, map frame; radius m).
@@ -265,7 +270,7 @@ impl Service {
             Some((center, radius)) => s.layers.cloud.points_within(&center, radius),
             None => s.layers.cloud.to_cloud(),
         };
-        Ok(CloudAnswer { map_version, stamp, cloud: self.compute.request(extract).await? })
+        Ok(CloudAnswer { map_version, stamp, cloud: self.compute.query(session, extract).await? })
     }
 
     /// The map as a file.
@@ -275,7 +280,7 @@ impl Service {
     pub async fn export_map(&self, session: &str, format: MapFormat) -> Result<MapFile> {
         let s = self.snapshot(session).await?;
         let (name, limits) = (session.to_owned(), self.limits.clone());
-        self.compute.request(move || export(&s, &name, format, &limits)).await?
+        self.compute.query(session, move || export(&s, &name, format, &limits)).await?
     }
 }
 

@@ -6,6 +6,7 @@ pub mod navigation;
 pub mod pictures;
 mod scene;
 mod sensors;
+pub(crate) mod server;
 pub(crate) mod sessions;
 pub mod toolbox;
 

@@ -54,12 +54,12 @@ impl Service {
     /// Coordinates or parameters out of bounds, `GRID_TOO_LARGE`, `SESSION_NOT_FOUND`.
     pub async fn plan_path(&self, session: &str, request: PlanRequest) -> Result<Plan> {
         let snapshot = self.snapshot(session).await?;
-        self.plan_on(snapshot, request).await
+        self.plan_on(session, snapshot, request).await
     }
 
-    async fn plan_on(&self, snapshot: Arc<Snapshot>, request: PlanRequest) -> Result<Plan> {
+    async fn plan_on(&self, session: &str, snapshot: Arc<Snapshot>, request: PlanRequest) -> Result<Plan> {
         let max_cells = self.limits.max_planning_cells;
-        self.compute.request(move || plan(&snapshot, &request, max_cells)).await?
+        self.compute.query(session, move || plan(&snapshot, &request, max_cells)).await?
     }
 
     /// A sensor message and a goal in; pose, obstacles and path out.
@@ -68,11 +68,12 @@ impl Service {
     /// As [`Service::send_frame`] and [`Service::plan_path`].
     pub async fn navigate(&self, incoming: IncomingFrame, mut request: PlanRequest) -> Result<Navigation> {
         request.start = None;
+        let id = incoming.session.clone();
         let (session, processed) = self.send_frame(incoming).await?;
         let snapshot = session.snapshot();
         let pose = snapshot.pose.clone();
         let obstacles = pose.as_ref().map(|p| near(&snapshot, p)).unwrap_or_default();
-        let plan = self.plan_on(snapshot, request).await?;
+        let plan = self.plan_on(&id, snapshot, request).await?;
         Ok(Navigation { processed, pose, obstacles, plan })
     }
 }

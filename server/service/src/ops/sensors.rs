@@ -1,7 +1,8 @@
 //! Declare sensors, take frames.
 
+use crate::session::handle::{Offered, Submitted};
 use crate::session::meta::SensorDeclaration;
-use crate::{IncomingFrame, Processed, Result, SensorStatus, Service, Session};
+use crate::{IncomingFrame, Pending, Processed, Result, SensorStatus, Service, Session, check_id};
 use percept_geometry::SensorId;
 use std::sync::Arc;
 
@@ -17,29 +18,77 @@ impl Service {
         status.ok_or_else(|| crate::Error::internal("a sensor just declared is missing"))
     }
 
-    /// Takes one frame and answers when it was processed and is durable.
+    /// Hands a frame to its session, which is woken if it slept; the answer comes through what is returned.
     ///
     /// # Errors
-    /// What is wrong with the frame; limits; faults of the storage.
+    /// `SESSION_NOT_FOUND`, `SENSOR_NOT_FOUND`; limits; faults of the storage.
+    pub async fn submit_frame(&self, incoming: IncomingFrame) -> Result<(Arc<Session>, Pending)> {
+        check_id("session_id", &incoming.session)?;
+        let mut frame = Box::new(incoming.frame);
+        loop {
+            let session = self.registry.get(&incoming.session).await?;
+            session.numbered(&frame.sensor, incoming.sequence);
+            match session.submit(frame).await? {
+                Submitted::Taken(pending) => return Ok((session, pending)),
+                Submitted::Asleep(given_back) => frame = given_back,
+            }
+        }
+    }
+
+    /// Takes one frame and answers when it was processed and is durable. A frame that is sent again is answered as one that
+    /// was taken in, and nothing is done with it.
+    ///
+    /// # Errors
+    /// What is wrong with the frame; limits; faults of the storage; `NOT_YET_DURABLE`.
     pub async fn send_frame(&self, incoming: IncomingFrame) -> Result<(Arc<Session>, Processed)> {
-        let session = self.session(&incoming.session).await?;
-        session.numbered(&incoming.frame.sensor, incoming.sequence);
-        let processed = session.process(incoming.frame).await?;
+        let (sensor, stamp) = (incoming.frame.sensor.clone(), incoming.frame.stamp);
+        let (session, pending) = self.submit_frame(incoming).await?;
+        let answer = pending.await.map_err(|_| crate::Error::internal("a frame's answer was lost"))?;
+        let processed = match answer {
+            Err(e) if matches!(e.reason, "STAMP_NOT_INCREASING" | "CLOCK_SET_BACK") => {
+                session.taken_before(&sensor, stamp).ok_or(e)?
+            }
+            answer => answer?,
+        };
         session.wait_durable(processed.ticket).await?;
         Ok((session, processed))
     }
 
     /// Takes a frame from a door that cannot answer: what is wrong is counted and logged.
-    pub async fn offer_frame(&self, incoming: IncomingFrame) {
-        let sensor = incoming.frame.sensor.clone();
-        let outcome = async {
-            let session = self.session(&incoming.session).await?;
-            session.numbered(&sensor, incoming.sequence);
-            session.offer(incoming.frame).await
-        };
-        if let Err(error) = outcome.await {
-            tracing::warn!(session = incoming.session, %sensor, reason = error.reason, %error, "frame refused");
+    ///
+    /// # Errors
+    /// Why it was not taken.
+    pub async fn offer_frame(&self, incoming: IncomingFrame) -> Result<()> {
+        check_id("session_id", &incoming.session)?;
+        let mut frame = Box::new(incoming.frame);
+        loop {
+            let session = self.registry.get(&incoming.session).await?;
+            session.numbered(&frame.sensor, incoming.sequence);
+            match session.offer(frame).await? {
+                Offered::Taken => return Ok(()),
+                Offered::Asleep(given_back) => frame = given_back,
+            }
         }
+    }
+
+    /// Counts a frame that a door refused before it got here. A session that sleeps is woken: whoever looks at it has to see
+    /// what comes.
+    pub async fn count_rejected(&self, session: &str, sensor: &SensorId) {
+        if let Ok(session) = self.session(session).await {
+            session.rejected(sensor);
+        }
+    }
+
+    /// Health of every sensor of a session, without waking it.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`; faults of the storage.
+    pub async fn list_sensors(&self, session: &str) -> Result<Vec<SensorStatus>> {
+        if let Some(session) = self.view_session(session).await?.live {
+            return Ok(session.sensors());
+        }
+        let sensors = self.session_meta(session).await?.sensors;
+        Ok(sensors.into_iter().map(|declaration| SensorStatus::unseen(declaration, None)).collect())
     }
 
     /// The server's clock, nanoseconds since the Unix epoch.

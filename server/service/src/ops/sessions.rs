@@ -1,7 +1,7 @@
 //! Create, find, list, delete sessions.
 
 use crate::session::meta::{SensorDeclaration, SessionMeta, SessionMode};
-use crate::{Error, Result, Service, Session, check_id};
+use crate::{Error, EventLog, Result, Service, Session, SessionState, SessionView, check_id};
 use percept_pipeline::{KeyframeInfo, PipelineParams};
 use std::sync::Arc;
 
@@ -20,6 +20,15 @@ pub struct NewSession {
     pub params: PipelineParams,
     /// Makes the call idempotent; empty: not.
     pub request_id: String,
+}
+
+/// Everything that can be said of a session without waking it.
+#[derive(Clone)]
+pub struct SessionDescription {
+    /// What lists say.
+    pub view: SessionView,
+    /// What it is, and its sensors; none if that cannot be read.
+    pub whole: Option<(SessionMeta, Vec<crate::SensorStatus>)>,
 }
 
 /// A part of a list.
@@ -66,11 +75,12 @@ impl Service {
         self.registry.defaults()
     }
 
-    /// Creates a session, durably.
+    /// Creates a session of a tenant, durably; its id. It sleeps until it is used. Ids are unique among all tenants: whose
+    /// keys are for a pattern of ids leaves the others to others.
     ///
     /// # Errors
     /// Bad ids or parameters, `SESSION_EXISTS`, limits.
-    pub async fn create_session(&self, new: NewSession) -> Result<Arc<Session>> {
+    pub async fn create_session(&self, tenant: &str, new: NewSession) -> Result<String> {
         let id = match new.id {
             Some(id) => id,
             None => fresh_id(),
@@ -90,6 +100,7 @@ impl Service {
         new.params.validate().map_err(|e| super::params_error(&e))?;
         let meta = SessionMeta {
             id,
+            tenant: tenant.to_owned(),
             display_name: new.display_name,
             mode: new.mode,
             create_time_ns: now_ns(),
@@ -109,19 +120,60 @@ impl Service {
         self.registry.get(id).await
     }
 
-    /// Sessions by id.
+    /// What can be said of a session without waking it.
     ///
     /// # Errors
-    /// Faults of the storage.
-    pub async fn list_sessions(&self, size: u32, token: &str) -> Result<Page<Arc<Session>>> {
-        let size = page_size(size);
-        let ids = self.registry.ids(token, size + 1).await;
-        let mut items = Vec::new();
-        for id in ids.iter().take(size) {
-            items.push(self.registry.get(id).await?);
+    /// `SESSION_NOT_FOUND`.
+    pub async fn view_session(&self, id: &str) -> Result<SessionView> {
+        check_id("session_id", id)?;
+        self.registry.view(id).await
+    }
+
+    /// Everything that can be said of a session without waking it; of one whose data cannot be read, less.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`; faults of the storage.
+    pub async fn describe_session(&self, id: &str) -> Result<SessionDescription> {
+        let view = self.view_session(id).await?;
+        if view.fault.is_some() && view.live.is_none() {
+            return Ok(SessionDescription { view, whole: None });
         }
-        let next_page_token = if ids.len() > size { ids[size - 1].clone() } else { String::new() };
-        Ok(Page { items, next_page_token })
+        let whole = Some((self.session_meta(id).await?, self.list_sensors(id).await?));
+        Ok(SessionDescription { view, whole })
+    }
+
+    /// What a session was created with and what was changed since, without waking it.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `SESSION_FAULTED` if that cannot be read; faults of the storage.
+    pub async fn session_meta(&self, id: &str) -> Result<SessionMeta> {
+        check_id("session_id", id)?;
+        self.registry.meta(id).await
+    }
+
+    /// Events of a session, awake or not.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn session_events(&self, id: &str) -> Result<Arc<EventLog>> {
+        check_id("session_id", id)?;
+        self.registry.events(id)
+    }
+
+    /// Sessions by id, those that `is_wanted`, without waking any.
+    pub async fn list_sessions(
+        &self,
+        size: u32,
+        token: &str,
+        is_wanted: impl Fn(&SessionView) -> bool,
+    ) -> Page<SessionView> {
+        let size = page_size(size);
+        let mut items = self.registry.list(token, size + 1, is_wanted).await;
+        let is_last = items.len() <= size;
+        items.truncate(size);
+        let last = items.last().filter(|_| !is_last);
+        let next_page_token = last.map(|view| view.id.clone()).unwrap_or_default();
+        Page { items, next_page_token }
     }
 
     /// Keyframes that the map is made of, by number.
@@ -143,12 +195,9 @@ impl Service {
         self.registry.delete(id).await
     }
 
-    /// Removes stored scans that belong to no session any more.
-    ///
-    /// # Errors
-    /// Faults of the storage.
-    pub async fn collect_garbage(&self) -> Result<()> {
-        self.registry.collect_garbage().await
+    /// How many sessions are in each state.
+    pub fn count_sessions(&self) -> std::collections::HashMap<SessionState, usize> {
+        self.registry.census()
     }
 }
 
@@ -159,7 +208,7 @@ pub(crate) fn now_ns() -> i64 {
 }
 
 /// An id that no other session of this server has: the time, and a counter for calls within a tick.
-fn fresh_id() -> String {
+pub(crate) fn fresh_id() -> String {
     use std::sync::atomic::{AtomicU32, Ordering};
     static COUNTER: AtomicU32 = AtomicU32::new(0);
     format!("s-{:x}-{:x}", now_ns(), COUNTER.fetch_add(1, Ordering::Relaxed))

@@ -1,15 +1,16 @@
 //! The actor: takes frames from a bounded queue, one at a time, and publishes what they did.
 
 use super::events::EventKind;
+use super::fault::Trouble;
 use super::handle::{Command, Moved, Processed, Session, Vetoed, lock};
-use super::persist::{Job, Persister};
-use super::refusal::{frame_error, stopped};
-use crate::{ComputePool, Result};
+use super::persist::{Job, Persister, Storing};
+use super::refusal::{failed, frame_error, stopped};
+use crate::{ComputePool, Result, observe};
 use percept_geometry::SensorFrame;
 use percept_pipeline::{FrameReport, Loop, LoopId, MapChange, Pipeline, Snapshot};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use tokio::time::timeout;
 
 /// A session without frames for so long shows what was decided about its map: no frame waits for that.
@@ -24,51 +25,106 @@ pub(super) struct Actor {
     pub(super) compute: ComputePool,
 }
 
+/// Why an actor ended.
+#[derive(Debug)]
+pub(super) enum Ending {
+    /// All that was accepted is stored.
+    Retired,
+    /// It was told to.
+    Discarded,
+    /// The pipeline failed; what was accepted before is stored, as far as the storage took it.
+    Panicked,
+    /// The session cannot be stored any more.
+    Unstorable(Trouble),
+}
+
+/// Time that storing what was accepted may take after the pipeline has failed.
+const LAST_PATIENCE: Duration = Duration::from_secs(10);
+
 impl Actor {
-    pub(super) async fn run(mut self, mut commands: mpsc::Receiver<Command>) {
-        let mut stops = vec![];
+    pub(super) async fn run(mut self, mut commands: mpsc::Receiver<Command>) -> Ending {
+        let ending = self.obey_all(&mut commands).await;
+        commands.close();
+        if let Ending::Panicked = ending {
+            let _ = self.persister.flushed(LAST_PATIENCE).await;
+        }
+        self.persister.end().await;
+        ending
+    }
+
+    async fn obey_all(&mut self, commands: &mut mpsc::Receiver<Command>) -> Ending {
+        let mut storing = self.persister.storing();
         loop {
             let is_building = self.pipeline.as_ref().is_some_and(Pipeline::is_revising);
-            let command = match timeout(if is_building { IDLE } else { Duration::MAX }, commands.recv()).await {
-                Ok(Some(command)) => command,
-                Ok(None) => break,
-                Err(_) => {
-                    let _ = self.change(|pipeline| Some(pipeline.finish_revision())).await;
-                    continue;
+            let command = tokio::select! {
+                command = timeout(if is_building { IDLE } else { Duration::MAX }, commands.recv()) => command,
+                ended = storing.wait_for(|s| matches!(s, Storing::Ended(_))) => {
+                    let trouble = match ended.as_deref() {
+                        Ok(Storing::Ended(trouble)) => trouble.clone(),
+                        _ => Trouble::Passing(stopped()),
+                    };
+                    return Ending::Unstorable(trouble);
                 }
             };
             match command {
-                Command::Stop { stopped } => {
-                    // What was accepted before is still done.
-                    commands.close();
-                    stops.push(stopped);
+                Ok(Some(Command::Retire { patience, done })) => {
+                    if let Some(ending) = self.retire(patience, done, commands).await {
+                        return ending;
+                    }
                 }
-                command => self.obey(command).await,
+                Ok(Some(Command::Discard)) | Ok(None) => return Ending::Discarded,
+                Ok(Some(command)) => self.obey(command).await,
+                Err(_) => {
+                    let _ = self.change(|pipeline| Some(pipeline.finish_revision())).await;
+                }
             }
             if self.pipeline.is_none() {
-                break;
+                return Ending::Panicked;
             }
         }
-        if !stops.is_empty() {
-            let _ = self.settle().await;
+    }
+
+    /// Ends if all can be stored; goes on otherwise, so that nothing is lost that was accepted.
+    async fn retire(
+        &mut self,
+        patience: Duration,
+        done: oneshot::Sender<std::result::Result<(), Trouble>>,
+        commands: &mut mpsc::Receiver<Command>,
+    ) -> Option<Ending> {
+        let _ = self.settle().await;
+        if let Err(trouble) = self.persister.flushed(patience).await {
+            let _ = done.send(Err(trouble));
+            return None;
         }
-        self.persister.finish().await;
-        self.session.events.close();
-        for stopped in stops {
-            let _ = stopped.send(());
+        commands.close();
+        // Whoever was quicker than the closing is served.
+        let mut is_discarded = false;
+        while let Some(command) = commands.recv().await {
+            is_discarded |= matches!(command, Command::Discard);
+            self.obey(command).await;
         }
+        let stored = self.persister.flushed(patience).await;
+        if let Err(trouble) = &stored {
+            tracing::error!(?trouble, "the last frames of a session were not stored");
+        }
+        let _ = done.send(stored);
+        Some(if is_discarded { Ending::Discarded } else { Ending::Retired })
     }
 
     /// Does what a command says; without a pipeline, its sender learns that the session is gone.
     async fn obey(&mut self, command: Command) {
         match command {
-            Command::Frame { frame, received, reply } => {
+            Command::Frame { frame, received, reply, queued } => {
+                drop(queued);
                 let _ = reply.send(self.frame(*frame, received).await);
             }
-            Command::Declare(spec) => {
-                if let Some(pipeline) = &mut self.pipeline {
-                    pipeline.declare_sensor(*spec);
+            Command::Change { meta, declared, done } => {
+                if let (Some(pipeline), Some(declaration)) = (&mut self.pipeline, &declared) {
+                    pipeline.declare_sensor(declaration.spec.clone());
                 }
+                self.session.changed(*meta.clone(), declared.map(|d| *d));
+                let ticket = self.persister.submit(Job { meta: Some(meta), ..Job::default() }).await;
+                let _ = done.send(ticket);
             }
             Command::Veto { id, vetoed, reply } => {
                 if let Some(answer) = self.veto(id, vetoed).await {
@@ -80,53 +136,71 @@ impl Actor {
                     let _ = reply.send(answer);
                 }
             }
-            Command::Stop { stopped } => {
-                let _ = stopped.send(());
+            Command::Retire { done, .. } => {
+                let _ = done.send(Ok(()));
             }
+            Command::Discard => {}
         }
     }
 
     async fn frame(&mut self, frame: SensorFrame, received: Instant) -> Result<Processed> {
-        let (sensor, stamp) = (frame.sensor.clone(), frame.stamp);
+        let (sensor, stamp, kind) = (frame.sensor.clone(), frame.stamp, frame.data.kind());
+        let (waited, began) = (received.elapsed(), Instant::now());
         let mut pipeline = self.pipeline.take().ok_or_else(stopped)?;
         let (pipeline, outcome) = self
             .compute
-            .run(move || {
+            .run_for(self.session.id(), move || {
                 let outcome = pipeline.process(&frame).map(|report| (report, pipeline.snapshot()));
                 (pipeline, outcome)
             })
-            .await?;
+            .await
+            .map_err(|_| failed())?;
         self.pipeline = Some(pipeline);
         let (report, snapshot) = match outcome {
             Ok(done) => done,
             Err(e) => {
-                lock(&self.session.book).rejected(&sensor);
-                return Err(frame_error(&e));
+                // A frame that is sent again is no bad input.
+                let mut book = lock(&self.session.book);
+                if book.ticket_of(&sensor, stamp).is_none() {
+                    book.rejected(&sensor);
+                }
+                drop(book);
+                let refused = frame_error(&e);
+                observe::frame_refused(Some(kind), refused.reason);
+                return Err(refused);
             }
         };
-        lock(&self.session.book).accepted(&sensor, stamp);
+        observe::frame_accepted(kind, waited, began.elapsed());
         let objects_changed = !report.changes.is_empty() || !report.map.corrected.is_empty();
         let objects = objects_changed.then(|| (Arc::clone(&snapshot.objects), snapshot.next_object_id));
         self.publish(&report, snapshot);
         let keyframe = report.keyframe.as_ref().map(|k| k.info.id);
         let mut keyframes = report.joined;
         keyframes.extend(report.keyframe);
-        let (frame, entry) = (Some((sensor, stamp)), report.trajectory);
+        let (frame, entry) = (Some((sensor.clone(), stamp)), report.trajectory);
         let MapChange { loops, dissolved, corrected, merged } = report.map;
-        let job = Job { frame, entry, keyframes, loops, objects, corrected, merged, dissolved };
+        let job = Job { frame, entry, keyframes, loops, objects, corrected, merged, dissolved, meta: None };
         let ticket = self.persister.submit(job).await;
-        Ok(Processed { pose: report.pose, keyframe, latency_s: received.elapsed().as_secs_f64(), ticket })
+        lock(&self.session.book).accepted(&sensor, stamp, ticket);
+        let latency_s = received.elapsed().as_secs_f64();
+        Ok(Processed { pose: report.pose, keyframe, latency_s, ticket, is_duplicate: false })
     }
 
     fn publish(&self, report: &FrameReport, snapshot: Snapshot) {
         let before = self.session.snapshot().map_version;
         let version = snapshot.map_version;
         let stamp = snapshot.pose.as_ref().map(|p| p.stamp).unwrap_or_default();
+        self.session.share.map(snapshot.keyframes.len(), snapshot.objects.len());
+        if let Some(pose) = &report.pose {
+            self.session.share.tracking(pose.state, pose.stamp);
+        }
         *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
         let pose = report.pose.iter().map(|p| EventKind::Pose(Box::new(p.clone())));
         let keyframes = report.joined.iter().chain(&report.keyframe).map(|k| EventKind::Keyframe(k.info.clone()));
         let loops = report.map.loops.iter().map(|l| EventKind::Loop(Box::new(l.clone())));
-        let changes = report.changes.iter().map(|c| EventKind::Object(Box::new(*c)));
+        let objects = self.session.snapshot().objects.clone();
+        let now = |id| objects.iter().find(|o| o.id == id).copied();
+        let changes = report.changes.iter().map(|c| EventKind::Object(Box::new((*c, now(c.id)))));
         let map = (version != before).then_some(EventKind::MapVersion(version));
         self.session.events.publish(stamp, pose.chain(keyframes).chain(loops).chain(changes).chain(map));
     }
@@ -149,7 +223,7 @@ impl Actor {
         change: impl FnOnce(&mut Pipeline) -> Option<MapChange> + Send + 'static,
     ) -> Option<Option<(Vec<Loop>, Moved)>> {
         let mut pipeline = self.pipeline.take()?;
-        let work = self.compute.run(move || {
+        let work = self.compute.run_for(self.session.id(), move || {
             let done = change(&mut pipeline);
             let snapshot = pipeline.snapshot();
             (pipeline, done, snapshot)

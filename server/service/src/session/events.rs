@@ -12,8 +12,8 @@ pub enum EventKind {
     Pose(Box<percept_pipeline::PoseEstimate>),
     /// A frame became a keyframe.
     Keyframe(percept_pipeline::KeyframeInfo),
-    /// An object changed.
-    Object(Box<percept_scene::ObjectChange>),
+    /// An object changed; with it as it is now, if it is still there.
+    Object(Box<(percept_scene::ObjectChange, Option<percept_scene::Object>)>),
     /// A loop was found or changed its state.
     Loop(Box<percept_pipeline::Loop>),
     /// The map has a new version.
@@ -80,6 +80,13 @@ impl EventLog {
         }
         drop(ring);
         self.changed.notify_waiters();
+    }
+
+    /// Forgets the history, not where it was: a watcher who resumes from before is told that events are missing.
+    pub fn forget(&self) {
+        let mut ring = self.lock();
+        ring.events = VecDeque::new();
+        ring.first_token = ring.next_token;
     }
 
     /// No more events will come: watchers end.

@@ -1,17 +1,19 @@
 //! The handle on a running session: doors put frames and commands into its actor's queue, and read what it published.
 
-use super::actor::Actor;
+use super::actor::{Actor, Ending};
 use super::events::EventLog;
+use super::fault::{Fault, Trouble};
 use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
-use super::persist::Persister;
-use super::refusal::{frame_error, sensor_not_found, stopped};
+use super::persist::{Persister, Storing};
+use super::refusal::{check_stamp, frame_error, not_yet_durable, sensor_not_found, stopped};
 use super::sensor_book::{SensorBook, SensorStatus};
-use crate::{ComputePool, Error, Limits, Result};
-use percept_geometry::{KeyframeId, SensorFrame, SensorId, SensorSpec, Timestamp};
+use crate::observe::{self, Held, SessionShare};
+use crate::{ComputePool, Limits, Result};
+use percept_geometry::{KeyframeId, SensorFrame, SensorId, Timestamp};
 use percept_pipeline::{Loop, LoopId, Pipeline, PoseEstimate, Snapshot};
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::Instant;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
+use std::time::{Duration, Instant};
 use tokio::sync::{Notify, mpsc, oneshot, watch};
 
 /// Running number of an accepted frame in its session; durable once [`Session::durable`] has reached it.
@@ -28,17 +30,56 @@ pub struct Processed {
     pub latency_s: f64,
     /// Its number.
     pub ticket: Ticket,
+    /// The frame had been taken in before; nothing was done with it this time.
+    pub is_duplicate: bool,
 }
 
 /// The answer to a submitted frame, when it comes.
 pub type Pending = oneshot::Receiver<Result<Processed>>;
 
+/// What became of a submitted frame so far.
+pub(crate) enum Submitted {
+    /// It waits its turn.
+    Taken(Pending),
+    /// The session has just been put to sleep: wake it and submit again.
+    Asleep(Box<SensorFrame>),
+}
+
+/// What became of an offered frame.
+pub(crate) enum Offered {
+    /// It waits its turn, or will be dropped and counted.
+    Taken,
+    /// The session has just been put to sleep: wake it and offer again.
+    Asleep(Box<SensorFrame>),
+}
+
 pub(crate) enum Command {
-    Frame { frame: Box<SensorFrame>, received: Instant, reply: oneshot::Sender<Result<Processed>> },
-    Declare(Box<SensorSpec>),
-    Veto { id: LoopId, vetoed: bool, reply: oneshot::Sender<Option<Vetoed>> },
-    Settle { reply: oneshot::Sender<Moved> },
-    Stop { stopped: oneshot::Sender<()> },
+    Frame {
+        frame: Box<SensorFrame>,
+        received: Instant,
+        reply: oneshot::Sender<Result<Processed>>,
+        queued: Held,
+    },
+    Change {
+        meta: Box<SessionMeta>,
+        declared: Option<Box<SensorDeclaration>>,
+        done: oneshot::Sender<Ticket>,
+    },
+    Veto {
+        id: LoopId,
+        vetoed: bool,
+        reply: oneshot::Sender<Option<Vetoed>>,
+    },
+    Settle {
+        reply: oneshot::Sender<Moved>,
+    },
+    /// Store everything, then end; go on if it cannot be stored.
+    Retire {
+        patience: Duration,
+        done: oneshot::Sender<std::result::Result<(), Trouble>>,
+    },
+    /// End at once; what is not stored is not wanted any more.
+    Discard,
 }
 
 /// How the map moved, other than by a frame.
@@ -61,22 +102,27 @@ pub struct Vetoed {
     pub moved: Moved,
 }
 
-/// A handle on a running session; queries through it never wait for ingest.
+/// A handle on a session that is awake; queries through it never wait for ingest.
 pub struct Session {
+    id: String,
     meta: RwLock<SessionMeta>,
     pub(super) snapshot: RwLock<Arc<Snapshot>>,
-    pub(super) events: EventLog,
+    pub(super) events: Arc<EventLog>,
     pub(super) book: Mutex<SensorBook>,
+    pub(super) share: SessionShare,
     queue: mpsc::Sender<Command>,
     durable: watch::Receiver<Ticket>,
-    fault: watch::Receiver<Option<Error>>,
+    storing: watch::Receiver<Storing>,
+    /// Set if the session is only read.
+    fault: OnceLock<Fault>,
     inboxes: Mutex<BTreeMap<SensorId, Arc<Inbox>>>,
+    changing: tokio::sync::Mutex<()>,
     queue_length: usize,
 }
 
 /// Frames of one sensor that waits under `DropOldest`.
 struct Inbox {
-    frames: Mutex<VecDeque<SensorFrame>>,
+    frames: Mutex<VecDeque<Box<SensorFrame>>>,
     filled: Notify,
 }
 
@@ -85,36 +131,77 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 impl Session {
-    /// Starts the actor over a pipeline, which may have been restored.
-    pub(crate) fn start(
+    /// A handle and the actor behind it, over a pipeline that may have been restored. The caller runs the actor.
+    pub(super) fn start(
         meta: SessionMeta,
         mut pipeline: Pipeline,
         last_stamps: &BTreeMap<SensorId, Timestamp>,
         persister: Persister,
         compute: ComputePool,
         limits: &Limits,
-        events: EventLog,
-    ) -> Arc<Self> {
-        let mut book = SensorBook::default();
+        events: Arc<EventLog>,
+    ) -> (Arc<Self>, impl Future<Output = Ending> + Send + 'static) {
         for declaration in &meta.sensors {
             pipeline.declare_sensor(declaration.spec.clone());
-            book.declare(declaration.clone(), last_stamps.get(&declaration.spec.id).copied());
         }
         let (queue, commands) = mpsc::channel(limits.queue_length.max(1));
-        let session = Arc::new(Self {
+        let (durable, storing) = (persister.durable(), persister.storing());
+        let session =
+            Arc::new(Self::over(meta, &pipeline, last_stamps, queue, (durable, storing), None, limits, events));
+        let actor = Actor { session: Arc::clone(&session), pipeline: Some(pipeline), persister, compute };
+        (session, actor.run(commands))
+    }
+
+    /// A handle on a session that is damaged: it can be read, and nothing else.
+    pub(super) fn read_only(
+        meta: SessionMeta,
+        pipeline: &Pipeline,
+        last_stamps: &BTreeMap<SensorId, Timestamp>,
+        fault: Fault,
+        limits: &Limits,
+        events: Arc<EventLog>,
+    ) -> Arc<Self> {
+        let (queue, _) = mpsc::channel(1);
+        let nothing = (watch::channel(0).1, watch::channel(Storing::Well).1);
+        Arc::new(Self::over(meta, pipeline, last_stamps, queue, nothing, Some(fault), limits, events))
+    }
+
+    fn over(
+        meta: SessionMeta,
+        pipeline: &Pipeline,
+        last_stamps: &BTreeMap<SensorId, Timestamp>,
+        queue: mpsc::Sender<Command>,
+        (durable, storing): (watch::Receiver<Ticket>, watch::Receiver<Storing>),
+        fault: Option<Fault>,
+        limits: &Limits,
+        events: Arc<EventLog>,
+    ) -> Self {
+        let mut book = SensorBook::default();
+        for declaration in &meta.sensors {
+            book.declare(declaration.clone(), last_stamps.get(&declaration.spec.id).copied());
+        }
+        let (snapshot, share) = (pipeline.snapshot(), SessionShare::default());
+        share.map(snapshot.keyframes.len(), snapshot.objects.len());
+        Self {
+            id: meta.id.clone(),
             meta: RwLock::new(meta),
-            snapshot: RwLock::new(Arc::new(pipeline.snapshot())),
+            snapshot: RwLock::new(Arc::new(snapshot)),
             events,
             book: Mutex::new(book),
+            share,
             queue,
-            durable: persister.durable(),
-            fault: persister.fault(),
+            durable,
+            storing,
+            fault: fault.map_or_else(OnceLock::new, OnceLock::from),
             inboxes: Mutex::default(),
+            changing: tokio::sync::Mutex::default(),
             queue_length: limits.queue_length.max(1),
-        });
-        let actor = Actor { session: Arc::clone(&session), pipeline: Some(pipeline), persister, compute };
-        tokio::spawn(actor.run(commands));
-        session
+        }
+    }
+
+    /// Its id.
+    pub fn id(&self) -> &str {
+        &self.id
     }
 
     /// What the session was created with, and its sensors.
@@ -125,11 +212,6 @@ impl Session {
     /// The newest snapshot.
     pub fn snapshot(&self) -> Arc<Snapshot> {
         Arc::clone(&self.snapshot.read().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    /// Events, for watchers.
-    pub fn events(&self) -> &EventLog {
-        &self.events
     }
 
     /// Health of every sensor, by name.
@@ -164,42 +246,72 @@ impl Session {
         lock(&self.book).rejected(sensor);
     }
 
-    /// Waits for room in the queue, then hands the frame over. The answer comes through what is returned.
+    /// Whether the session does anything that sleeping would interrupt.
+    pub(crate) fn is_busy(&self) -> bool {
+        self.queue_len() > 0 || lock(&self.inboxes).values().any(|inbox| !lock(&inbox.frames).is_empty())
+    }
+
+    /// The session is only read from now on.
+    pub(super) fn set_apart(&self, fault: Fault) {
+        let _ = self.fault.set(fault);
+    }
+
+    /// Why frames cannot be taken at the moment, or any more.
+    fn check_storing(&self) -> Result<()> {
+        if let Some(fault) = self.fault.get() {
+            return Err(fault.error());
+        }
+        self.storing.borrow().error().map_or(Ok(()), Err)
+    }
+
+    /// Waits for room in the queue, then hands the frame over. The answer comes through what is returned. A session that
+    /// has just been put to sleep gives the frame back.
     ///
     /// # Errors
-    /// `SENSOR_NOT_FOUND`, `STORAGE_FAULT`, `SESSION_STOPPED`; in `IngestOnly` what is wrong with the frame.
-    pub async fn submit(&self, frame: SensorFrame) -> Result<Pending> {
-        if let Some(fault) = self.fault.borrow().clone() {
-            return Err(fault);
-        }
+    /// `SENSOR_NOT_FOUND`, `STAMP_IMPLAUSIBLE`, `STORAGE_FAULT`, `STORAGE_FULL`, `SESSION_FAULTED`; in `IngestOnly` what is
+    /// wrong with the frame.
+    pub(crate) async fn submit(&self, frame: Box<SensorFrame>) -> Result<Submitted> {
+        self.check_storing()?;
         self.check_sensor(&frame.sensor)?;
+        if let Err(implausible) = check_stamp(frame.stamp) {
+            self.rejected(&frame.sensor);
+            return Err(implausible);
+        }
         let (reply, pending) = oneshot::channel();
         if self.meta.read().unwrap_or_else(PoisonError::into_inner).mode == SessionMode::IngestOnly {
             let _ = reply.send(self.count_only(&frame));
-            return Ok(pending);
+            return Ok(Submitted::Taken(pending));
         }
-        let command = Command::Frame { frame: Box::new(frame), received: Instant::now(), reply };
-        self.queue.send(command).await.map_err(|_| stopped())?;
-        Ok(pending)
+        let queued = observe::frame_queued();
+        let command = Command::Frame { frame, received: Instant::now(), reply, queued };
+        match self.queue.send(command).await {
+            Ok(()) => Ok(Submitted::Taken(pending)),
+            Err(mpsc::error::SendError(Command::Frame { frame, .. })) => Ok(Submitted::Asleep(frame)),
+            Err(_) => Err(stopped()),
+        }
     }
 
-    /// Submits and waits for the answer.
-    ///
-    /// # Errors
-    /// As [`Session::submit`], and what the pipeline refused.
-    pub async fn process(&self, frame: SensorFrame) -> Result<Processed> {
-        self.submit(frame).await?.await.map_err(|_| stopped())?
+    /// What became of a frame that was taken in before: sent again, it is not an error.
+    pub(crate) fn taken_before(&self, sensor: &SensorId, stamp: Timestamp) -> Option<Processed> {
+        let ticket = lock(&self.book).ticket_of(sensor, stamp)?;
+        Some(Processed { pose: None, keyframe: None, latency_s: 0.0, ticket, is_duplicate: true })
     }
 
     /// Waits until a frame's effects survive a crash.
     ///
     /// # Errors
-    /// The storage's fault if there is one.
+    /// `NOT_YET_DURABLE` if the storage does not take it at the moment: the frame stays taken in, and becomes durable when
+    /// the storage is well again. `SESSION_FAULTED` if it never will.
     pub async fn wait_durable(&self, ticket: Ticket) -> Result<()> {
-        let (mut durable, mut fault) = (self.durable.clone(), self.fault.clone());
+        let (mut durable, mut storing) = (self.durable.clone(), self.storing.clone());
         tokio::select! {
+            biased;
             reached = durable.wait_for(|d| *d >= ticket) => reached.map(|_| ()).map_err(|_| stopped()),
-            failed = fault.wait_for(Option::is_some) => Err(failed.ok().and_then(|f| f.clone()).unwrap_or_else(stopped)),
+            failed = storing.wait_for(|s| !matches!(s, Storing::Well)) => Err(match failed.as_deref() {
+                Ok(Storing::Waiting(cause)) => not_yet_durable(cause),
+                Ok(Storing::Ended(trouble)) => trouble.error(),
+                _ => stopped(),
+            }),
         }
     }
 
@@ -207,12 +319,18 @@ impl Session {
     /// oldest waiting frame is dropped and counted.
     ///
     /// # Errors
-    /// As [`Session::submit`] for blocking sensors; `SENSOR_NOT_FOUND`.
-    pub async fn offer(self: &Arc<Self>, frame: SensorFrame) -> Result<()> {
+    /// As [`Session::submit`].
+    pub(crate) async fn offer(self: &Arc<Self>, frame: Box<SensorFrame>) -> Result<Offered> {
         let policy = self.check_sensor(&frame.sensor)?;
         if policy == OverloadPolicy::Block {
-            let _answer = self.submit(frame).await?;
-            return Ok(());
+            return Ok(match self.submit(frame).await? {
+                Submitted::Taken(_) => Offered::Taken,
+                Submitted::Asleep(frame) => Offered::Asleep(frame),
+            });
+        }
+        self.check_storing()?;
+        if self.queue.is_closed() {
+            return Ok(Offered::Asleep(frame));
         }
         let inbox = self.inbox(&frame.sensor);
         let dropped = {
@@ -223,9 +341,10 @@ impl Session {
         };
         if let Some(frame) = dropped {
             lock(&self.book).dropped(&frame.sensor);
+            observe::frame_dropped(frame.data.kind());
         }
         inbox.filled.notify_one();
-        Ok(())
+        Ok(Offered::Taken)
     }
 
     fn inbox(self: &Arc<Self>, sensor: &SensorId) -> Arc<Inbox> {
@@ -248,8 +367,8 @@ impl Session {
         let checked = percept_pipeline::check_frame(&status.declaration.spec, status.last_stamp, frame);
         match checked {
             Ok(()) => {
-                book.accepted(&frame.sensor, frame.stamp);
-                Ok(Processed { pose: None, keyframe: None, latency_s: 0.0, ticket: 0 })
+                book.accepted(&frame.sensor, frame.stamp, 0);
+                Ok(Processed { pose: None, keyframe: None, latency_s: 0.0, ticket: 0, is_duplicate: false })
             }
             Err(e) => {
                 book.rejected(&frame.sensor);
@@ -258,21 +377,34 @@ impl Session {
         }
     }
 
-    /// Declares a sensor in the running session; the caller has stored it.
-    pub(crate) async fn declare(&self, declaration: SensorDeclaration) -> Result<()> {
-        let spec = declaration.spec.clone();
-        lock(&self.book).declare(declaration.clone(), None);
-        {
-            let mut meta = self.meta.write().unwrap_or_else(PoisonError::into_inner);
-            meta.sensors.retain(|s| s.spec.id != spec.id);
-            meta.sensors.push(declaration);
-            meta.sensors.sort_by(|a, b| a.spec.id.cmp(&b.spec.id));
+    /// Changes what is declared and set, durably. Changes come one at a time: `change` says what becomes of what is there.
+    ///
+    /// # Errors
+    /// Those of `change`; `SESSION_STOPPED`, and why it is not stored.
+    pub(super) async fn change(
+        &self,
+        change: impl FnOnce(&mut SessionMeta) -> Result<Option<SensorDeclaration>>,
+    ) -> Result<()> {
+        self.check_storing()?;
+        let _one_at_a_time = self.changing.lock().await;
+        let mut meta = self.meta();
+        let declared = change(&mut meta)?.map(Box::new);
+        if meta == self.meta() {
+            return Ok(());
         }
-        self.queue.send(Command::Declare(Box::new(spec))).await.map_err(|_| stopped())
+        let (done, changed) = oneshot::channel();
+        let meta = Box::new(meta);
+        self.queue.send(Command::Change { meta, declared, done }).await.map_err(|_| stopped())?;
+        let ticket = changed.await.map_err(|_| stopped())?;
+        self.wait_durable(ticket).await
     }
 
-    pub(crate) fn num_sensors(&self) -> usize {
-        lock(&self.book).len()
+    /// What the actor does of it.
+    pub(super) fn changed(&self, meta: SessionMeta, declared: Option<SensorDeclaration>) {
+        if let Some(declaration) = declared {
+            lock(&self.book).declare(declaration, None);
+        }
+        *self.meta.write().unwrap_or_else(PoisonError::into_inner) = meta;
     }
 
     /// Takes a loop out of the map, or undoes that; none if there is no such loop.
@@ -280,6 +412,7 @@ impl Session {
     /// # Errors
     /// `SESSION_STOPPED`.
     pub async fn veto(&self, id: LoopId, vetoed: bool) -> Result<Option<Vetoed>> {
+        self.check_storing()?;
         let (reply, done) = oneshot::channel();
         self.queue.send(Command::Veto { id, vetoed, reply }).await.map_err(|_| stopped())?;
         done.await.map_err(|_| stopped())
@@ -290,17 +423,25 @@ impl Session {
     /// # Errors
     /// `SESSION_STOPPED`.
     pub async fn settle(&self) -> Result<Moved> {
+        self.check_storing()?;
         let (reply, done) = oneshot::channel();
         self.queue.send(Command::Settle { reply }).await.map_err(|_| stopped())?;
         done.await.map_err(|_| stopped())
     }
 
-    /// Finishes what was accepted, stores it, ends the watches.
-    pub(crate) async fn stop(&self) {
-        let (stopped, done) = oneshot::channel();
-        if self.queue.send(Command::Stop { stopped }).await.is_ok() {
-            let _ = done.await;
+    /// Finishes what was accepted, stores it, ends. If it cannot be stored, the session goes on.
+    pub(super) async fn retire(&self, patience: Duration) -> std::result::Result<(), Trouble> {
+        let (done, retired) = oneshot::channel();
+        if self.queue.send(Command::Retire { patience, done }).await.is_err() {
+            return Ok(());
         }
+        retired.await.unwrap_or(Ok(()))
+    }
+
+    /// Ends without storing anything more.
+    pub(super) async fn discard(&self) {
+        let _ = self.queue.send(Command::Discard).await;
+        self.queue.closed().await;
     }
 }
 
@@ -311,8 +452,10 @@ async fn forward(session: std::sync::Weak<Session>, inbox: Arc<Inbox>) {
         loop {
             let Some(frame) = lock(&inbox.frames).pop_front() else { break };
             let Some(session) = session.upgrade() else { return };
-            if session.submit(frame).await.is_err_and(|e| e.reason == "SESSION_STOPPED") {
-                return;
+            match session.submit(frame).await {
+                Ok(Submitted::Asleep(_)) => return,
+                Err(e) => tracing::debug!(reason = e.reason, "a waiting frame was refused"),
+                Ok(Submitted::Taken(_)) => {}
             }
         }
     }

@@ -35,11 +35,13 @@ pub struct SensorDeclaration {
     pub overload: OverloadPolicy,
 }
 
-/// A session's record in the catalogue.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// What a session is: as it was created, and as it was changed since.
+#[derive(Debug, Clone, PartialEq)]
 pub struct SessionMeta {
     /// Identifier.
     pub id: String,
+    /// Whose it is.
+    pub tenant: String,
     /// For people.
     pub display_name: String,
     /// What it does with frames.
@@ -53,3 +55,6 @@ pub struct SessionMeta {
     /// Sensors by name.
     pub sensors: Vec<SensorDeclaration>,
 }
+
+/// Tenant of sessions that nobody in particular owns.
+pub const DEFAULT_TENANT: &str = "default";

@@ -1,14 +1,27 @@
 //! A session: one writer, a bounded queue, snapshots for readers, records for the time after a crash.
 //!
-//! [`actor`] owns the pipeline; [`handle`] is what doors hold of it; [`persist`] makes its results durable; [`registry`] finds and wakes sessions.
+//! - [`registry`] knows which sessions there are and gives handles on them; [`slot`] is one session's state machine,
+//!   [`life`] holds its steps, [`keeper`] puts to sleep what nobody uses.
+//! - [`actor`] owns the pipeline of a session that is awake; [`handle`] is what callers hold of it; [`events`] tells
+//!   watchers, awake or not.
+//! - [`persist`] makes results durable, [`writer`] turns them into [`records`] and blobs ([`keyframe_codec`]), [`recover`]
+//!   reads them again. [`fault`] says which troubles pass and which set a session apart.
 
 pub(crate) mod actor;
 pub(crate) mod events;
+pub(crate) mod fault;
 pub(crate) mod handle;
+pub(crate) mod keeper;
 pub(crate) mod keyframe_codec;
+pub(crate) mod life;
 pub(crate) mod meta;
 pub(crate) mod persist;
+pub(crate) mod records;
 pub(crate) mod recover;
 pub(crate) mod refusal;
 pub(crate) mod registry;
 pub(crate) mod sensor_book;
+pub(crate) mod slot;
+#[cfg(test)]
+mod tests;
+pub(crate) mod writer;

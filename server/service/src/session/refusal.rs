@@ -1,11 +1,51 @@
 //! Why a frame is refused, in the caller's words.
 
 use crate::{Error, ErrorCode};
-use percept_geometry::SensorId;
+use percept_geometry::{SensorId, Timestamp};
 use percept_pipeline::FrameError;
 
+/// Reason of what is refused because the session has just been put to sleep; trying again wakes it.
+pub(super) const STOPPED: &str = "SESSION_STOPPED";
+
 pub(super) fn stopped() -> Error {
-    Error::new(ErrorCode::Unavailable, "SESSION_STOPPED", "the session is stopping; try again in a moment")
+    Error::new(ErrorCode::Unavailable, STOPPED, "the session is stopping; try again in a moment")
+}
+
+/// The pipeline failed at a frame.
+pub(super) fn failed() -> Error {
+    let words = "the frame made the session fail; it goes on from what is stored, without this frame; \
+                 the server's log has the cause";
+    Error::new(ErrorCode::Internal, "PIPELINE_FAILED", words)
+}
+
+/// A frame that was processed, or a change that was made, waits for the storage.
+pub(super) fn not_yet_durable(cause: &Error) -> Error {
+    let words = format!(
+        "it was taken in but is not durable yet: {}; it will be when that is over; send it again to learn when",
+        cause.message
+    );
+    Error::new(ErrorCode::Unavailable, "NOT_YET_DURABLE", words)
+}
+
+/// Stamps may be ahead of the server's clock by as much as this: clocks of robots that nobody has set.
+const MOST_AHEAD_NS: i64 = 3600 * 1_000_000_000;
+/// 2026-01-01: a server whose clock is behind this has not been told the time, and judges nobody's.
+const CLOCK_IS_SET_NS: i64 = 1_767_225_600 * 1_000_000_000;
+
+/// Refuses stamps from the future: a sensor's stamps have to grow, so that one of them would end it.
+pub(super) fn check_stamp(stamp: Timestamp) -> crate::Result<()> {
+    let now_ns = crate::ops::sessions::now_ns();
+    let ahead_ns = stamp.nanos().saturating_sub(now_ns);
+    if now_ns < CLOCK_IS_SET_NS || ahead_ns <= MOST_AHEAD_NS {
+        return Ok(());
+    }
+    let words = format!(
+        "stamp_ns is {}, {:.1} hours ahead of the server's clock; at most one is allowed; send nanoseconds since 1970, and \
+         set the clocks (SyncTime measures their offset)",
+        stamp.nanos(),
+        ahead_ns as f64 / 3.6e12
+    );
+    Err(Error::invalid("STAMP_IMPLAUSIBLE", "stamp_ns", words))
 }
 
 pub(super) fn sensor_not_found(id: &SensorId) -> Error {
@@ -14,6 +54,24 @@ pub(super) fn sensor_not_found(id: &SensorId) -> Error {
         "sensor_id",
         format!("sensor_id {id:?} is not declared in this session; declare it first", id = id.0),
     )
+}
+
+/// Frames that are farther back than this were not overtaken on the way, seconds: the sensor's clock was set.
+const SET_BACK_S: f64 = 5.0;
+
+fn not_increasing(stamp: Timestamp, last: Timestamp) -> Error {
+    let (sent, newest, back_s) = (stamp.nanos(), last.nanos(), last.seconds_since(stamp));
+    if back_s <= SET_BACK_S {
+        let words =
+            format!("stamp_ns is {sent}, not after the sensor's last, {newest}; send frames in order, each once");
+        return Error::invalid("STAMP_NOT_INCREASING", "stamp_ns", words);
+    }
+    let words = format!(
+        "stamp_ns is {sent}, {back_s:.1} s before the sensor's last, {newest}; if its clock was set back, declare the sensor \
+         under another name with time_offset_s {:.1}, so that the session's time goes on",
+        back_s + 1.0
+    );
+    Error::invalid("CLOCK_SET_BACK", "stamp_ns", words)
 }
 
 /// The one table from the pipeline's facts to the caller's words.
@@ -27,15 +85,7 @@ pub(crate) fn frame_error(e: &FrameError) -> Error {
                 "sensor {sensor} is declared as {declared:?} but sent {sent:?}; declare it anew or send what was declared"
             ),
         ),
-        FrameError::StampNotIncreasing { stamp, last, .. } => Error::invalid(
-            "STAMP_NOT_INCREASING",
-            "stamp_ns",
-            format!(
-                "stamp_ns is {}, not after the sensor's last, {}; send frames in order, each once",
-                stamp.nanos(),
-                last.nanos()
-            ),
-        ),
+        FrameError::StampNotIncreasing { stamp, last, .. } => not_increasing(*stamp, *last),
         FrameError::IntrinsicsMismatch { width, height, expected_width, expected_height, .. } => Error::invalid(
             "INTRINSICS_MISMATCH",
             "width_px",

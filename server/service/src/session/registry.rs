@@ -1,213 +1,504 @@
-//! Which sessions there are, which are awake; creates, wakes, deletes.
+//! Which sessions there are, and how to get hold of one. What becomes of them is in [`super::life`].
 
 use super::events::EventLog;
+use super::fault::{Fault, store_error};
 use super::handle::Session;
-use super::meta::{SensorDeclaration, SessionMeta};
-use super::persist::{Persister, json, store_error};
-use super::recover::recover;
-use crate::{ComputePool, Error, ErrorCode, Limits, Result};
+use super::meta::{SensorDeclaration, SessionMeta, SessionMode};
+use super::records::{Counts, MetaRecord, SummaryRecord, parse};
+use super::slot::{Known, Phase, SessionState, Slot};
+use crate::{ComputePool, Error, ErrorCode, Health, Limits, Result};
+use futures::stream::StreamExt;
 use percept_pipeline::PipelineParams;
-use percept_store::{BlobId, Key, Prefix, SessionKeys, Store};
-use std::collections::{BTreeMap, HashSet};
-use std::sync::Arc;
+use percept_store::{CatalogueEntry, DataRoot, SessionPlace};
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
-use tokio::sync::{Mutex, RwLock};
+use tokio::sync::Semaphore;
 
-/// A catalogue entry; asleep until first used.
-struct Slot {
-    meta: SessionMeta,
-    awake: Option<Arc<Session>>,
-    /// Token of its first event once awake.
-    first_token: u64,
-}
+/// Sessions that wake at a time; more wait their turn.
+const WAKES_AT_ONCE: usize = 4;
+/// Summaries read at a time for a page of a list: each read of a local file takes a thread.
+const READS_AT_ONCE: usize = 8;
+/// Time that a session may take to store its last frames when the server stops.
+const STOP_PATIENCE: Duration = Duration::from_secs(10);
 
 pub(crate) struct Registry {
-    store: Arc<dyn Store>,
-    compute: ComputePool,
-    limits: Arc<Limits>,
-    defaults: PipelineParams,
-    slots: RwLock<BTreeMap<String, Arc<Mutex<Slot>>>>,
-    /// Creations one at a time, so that ids and request ids are checked and taken in one step.
-    creating: Mutex<()>,
+    pub(super) root: DataRoot,
+    pub(super) compute: ComputePool,
+    pub(super) limits: Arc<Limits>,
+    pub(super) defaults: PipelineParams,
+    pub(super) waking: Semaphore,
+    sessions: RwLock<Sessions>,
 }
 
-fn catalog_key(id: &str) -> Result<Key> {
-    Key::new(["catalog", id]).map_err(|e| store_error(&e))
+#[derive(Default)]
+struct Sessions {
+    by_id: BTreeMap<String, Arc<Slot>>,
+    /// Tenant and request id to session id.
+    by_request: HashMap<(String, String), String>,
+    is_stopping: bool,
+}
+
+/// What can be said of a session without waking it.
+#[derive(Clone)]
+pub struct SessionView {
+    /// Its id.
+    pub id: String,
+    /// Whose it is.
+    pub tenant: String,
+    /// For people.
+    pub display_name: String,
+    /// What it does with frames.
+    pub mode: SessionMode,
+    /// Server's clock, nanoseconds since the Unix epoch.
+    pub create_time_ns: i64,
+    /// Where it is in its life.
+    pub state: SessionState,
+    /// Why it is set apart.
+    pub fault: Option<Fault>,
+    /// What it has gathered; of one that sleeps as it was when it last fell asleep.
+    pub counts: Counts,
+    /// Server's clock, nanoseconds since the Unix epoch: when it was last used, by this process.
+    pub last_used_ns: i64,
+    /// The session, if it is in memory.
+    pub live: Option<Arc<Session>>,
 }
 
 impl Registry {
+    /// Reads the catalogue. Sessions found there sleep until they are used; those whose deletion broke off are removed.
     pub(crate) async fn open(
-        store: Arc<dyn Store>,
+        root: DataRoot,
         compute: ComputePool,
         limits: Arc<Limits>,
         defaults: PipelineParams,
-    ) -> Result<Self> {
-        let prefix = Prefix::new(["catalog"]).map_err(|e| store_error(&e))?;
-        let mut slots = BTreeMap::new();
+        health: Health,
+    ) -> Result<Arc<Self>> {
+        let mut sessions = Sessions::default();
+        let mut buried = Vec::new();
         // Events come far slower than one a microsecond, so that this lies above every token given before.
         let first_token = u64::try_from(crate::ops::sessions::now_ns() / 1000).unwrap_or(1).max(1);
-        for (_, bytes) in store.scan_all(&prefix).await.map_err(|e| store_error(&e))? {
-            let meta: SessionMeta = serde_json::from_slice(&bytes).map_err(Error::internal)?;
-            slots.insert(meta.id.clone(), Arc::new(Mutex::new(Slot { meta, awake: None, first_token })));
+        let event_history = limits.event_history;
+        let events = || EventLog::starting_at(first_token, event_history);
+        for entry in root.list().await.map_err(|e| store_error(&e))? {
+            let (place, phase, known) = match entry {
+                CatalogueEntry::Deleted { place } => {
+                    buried.push(place);
+                    continue;
+                }
+                CatalogueEntry::Created { place, record } => {
+                    match parse::<MetaRecord>("the catalogue entry", &record) {
+                        Ok(record) => (place, Phase::Asleep(None), known(&record)),
+                        Err(error) => (place, unreadable(&error), Known::nothing()),
+                    }
+                }
+                CatalogueEntry::Damaged { place } => {
+                    (place, unreadable(&"its catalogue entry cannot be read"), Known::nothing())
+                }
+            };
+            sessions.insert(place, phase, known, events());
         }
-        let slots = RwLock::new(slots);
-        Ok(Self { store, compute, limits, defaults, slots, creating: Mutex::default() })
+        let sessions = RwLock::new(sessions);
+        let waking = Semaphore::new(WAKES_AT_ONCE);
+        let registry = Arc::new(Self { root, compute, limits, defaults, waking, sessions });
+        let this = Arc::clone(&registry);
+        tokio::spawn(async move {
+            for place in buried {
+                this.purge(&place).await;
+            }
+        });
+        tokio::spawn(super::keeper::keep(Arc::downgrade(&registry)));
+        tokio::spawn(super::keeper::watch_storage(Arc::downgrade(&registry), health));
+        Ok(registry)
     }
 
     pub(crate) fn defaults(&self) -> &PipelineParams {
         &self.defaults
     }
 
-    /// Ids in order, after `after`, at most `limit`.
-    pub(crate) async fn ids(&self, after: &str, limit: usize) -> Vec<String> {
-        let slots = self.slots.read().await;
-        let from = (std::ops::Bound::Excluded(after.to_owned()), std::ops::Bound::Unbounded);
-        slots.range(from).take(limit).map(|(id, _)| id.clone()).collect()
+    fn find(&self, id: &str) -> Result<Arc<Slot>> {
+        let slot = self.read_sessions().by_id.get(id).cloned();
+        slot.filter(|slot| !slot.is_doomed()).ok_or_else(|| not_found(id))
     }
 
-    /// The session, woken if it slept.
+    /// Whose a session is, if there is one.
+    pub(crate) fn tenant(&self, id: &str) -> Option<String> {
+        self.find(id).ok().map(|slot| slot.known().tenant)
+    }
+
+    /// All slots, in the order of ids.
+    pub(super) fn slots(&self) -> Vec<Arc<Slot>> {
+        self.read_sessions().by_id.values().cloned().collect()
+    }
+
+    /// The session, woken if it slept. A caller who leaves does not stop the waking.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`; faults of the storage.
-    pub(crate) async fn get(&self, id: &str) -> Result<Arc<Session>> {
-        let slot = self.slots.read().await.get(id).cloned().ok_or_else(|| not_found(id))?;
-        let mut slot = slot.lock().await;
-        if let Some(session) = &slot.awake {
-            return Ok(Arc::clone(session));
+    /// `SESSION_NOT_FOUND`, `SESSION_FAULTED`; faults of the storage.
+    pub(crate) async fn get(self: &Arc<Self>, id: &str) -> Result<Arc<Session>> {
+        let mut has_waited = false;
+        loop {
+            let slot = self.find(id)?;
+            slot.touch();
+            match slot.phase() {
+                Phase::Awake(session) | Phase::Faulted(_, Some(session)) => return Ok(session),
+                Phase::Faulted(fault, None) => return Err(fault.error()),
+                Phase::Asleep(Some(error)) if has_waited => return Err(error),
+                Phase::Gone(_) => return Err(not_found(id)),
+                Phase::Asleep(_) => {
+                    if self.read_sessions().is_stopping {
+                        return Err(stopping());
+                    }
+                    if slot.step(|phase| matches!(phase, Phase::Asleep(_)).then_some(Phase::Waking)) {
+                        tokio::spawn(Arc::clone(self).wake(Arc::clone(&slot)));
+                    }
+                    has_waited = true;
+                }
+                Phase::Creating | Phase::Waking | Phase::Retiring(_) | Phase::Deleting => {}
+            }
+            slot.until(Phase::is_settled).await;
         }
-        let (pipeline, state) = recover(&self.store, &self.compute, &slot.meta).await?;
-        let stamps = state.last_stamps.clone();
-        let persister = Persister::start(Arc::clone(&self.store), id, state)?;
-        let events = EventLog::starting_at(slot.first_token, self.limits.event_history);
-        let session =
-            Session::start(slot.meta.clone(), pipeline, &stamps, persister, self.compute.clone(), &self.limits, events);
-        slot.awake = Some(Arc::clone(&session));
-        Ok(session)
     }
 
-    /// Creates a session, durably. The same request id gives the session of the first call.
+    /// The events of a session, awake or not: watching does not keep it awake.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub(crate) fn events(&self, id: &str) -> Result<Arc<EventLog>> {
+        Ok(Arc::clone(&self.find(id)?.events))
+    }
+
+    /// What can be said of a session without waking it.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub(crate) async fn view(&self, id: &str) -> Result<SessionView> {
+        let slot = self.find(id)?;
+        self.read_counts(&slot).await;
+        Ok(view(&slot))
+    }
+
+    /// What a session was created with and what was changed since, without waking it.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `SESSION_FAULTED` if that cannot be read; faults of the storage.
+    pub(crate) async fn meta(&self, id: &str) -> Result<SessionMeta> {
+        let slot = self.find(id)?;
+        if let Some(session) = view(&slot).live {
+            return Ok(session.meta());
+        }
+        let place = slot.place.get().ok_or_else(|| not_found(id))?;
+        let noted = self.root.summary(place).await.map_err(|e| store_error(&e))?;
+        let noted = noted.and_then(|bytes| parse::<SummaryRecord>("the summary", &bytes).ok());
+        let record = match noted {
+            Some(summary) => summary.meta,
+            None => self.created(place).await.map_err(|trouble| trouble.error())?,
+        };
+        record.into_meta(&self.defaults).map_err(|e| Fault::new("DATA_DAMAGED", e.to_string()).error())
+    }
+
+    /// Sessions in the order of ids, after `after`, those that `is_wanted`, at most `limit`.
+    pub(crate) async fn list(
+        &self,
+        after: &str,
+        limit: usize,
+        is_wanted: impl Fn(&SessionView) -> bool,
+    ) -> Vec<SessionView> {
+        let found: Vec<Arc<Slot>> = {
+            let sessions = self.read_sessions();
+            let from = (std::ops::Bound::Excluded(after.to_owned()), std::ops::Bound::Unbounded);
+            let slots = sessions.by_id.range(from).map(|(_, slot)| slot);
+            slots.filter(|slot| !slot.is_doomed() && is_wanted(&view(slot))).take(limit).cloned().collect()
+        };
+        futures::stream::iter(&found).for_each_concurrent(READS_AT_ONCE, |slot| self.read_counts(slot)).await;
+        found.iter().map(|slot| view(slot)).collect()
+    }
+
+    /// Reads what is noted of a session that has not been awake since the start.
+    async fn read_counts(&self, slot: &Slot) {
+        let (None, Some(place)) = (slot.known().counts, slot.place.get()) else { return };
+        let Ok(noted) = self.root.summary(place).await else { return };
+        let noted = noted.and_then(|bytes| parse::<SummaryRecord>("the summary", &bytes).ok());
+        slot.update_known(|known| {
+            known.counts = Some(noted.as_ref().map(|n| n.counts).unwrap_or_default());
+            if let Some(noted) = noted {
+                known.display_name = noted.meta.display_name;
+            }
+        });
+    }
+
+    /// Creates a session, durably; it sleeps until it is used. The same request id gives the session of the first call. A
+    /// caller who leaves does not stop it.
     ///
     /// # Errors
     /// `SESSION_EXISTS`, `TOO_MANY_SESSIONS`; faults of the storage.
-    pub(crate) async fn create(&self, meta: SessionMeta) -> Result<Arc<Session>> {
-        let _one_at_a_time = self.creating.lock().await;
-        if let Some(id) = self.created_by(&meta.request_id).await {
-            return self.get(&id).await;
+    pub(crate) async fn create(self: &Arc<Self>, meta: SessionMeta) -> Result<String> {
+        loop {
+            let slot = match self.reserve(&meta)? {
+                Reserved::New(slot) => {
+                    tokio::spawn(Arc::clone(self).bring_to_life(Arc::clone(&slot), meta.clone()));
+                    slot
+                }
+                Reserved::Before(slot) => slot,
+                Reserved::Leaving(slot) => {
+                    slot.until(|phase| matches!(phase, Phase::Gone(_)) || !slot.is_doomed()).await;
+                    continue;
+                }
+            };
+            return match slot.until(|phase| !matches!(phase, Phase::Creating)).await {
+                Phase::Gone(outcome) => outcome.and_then(|()| Err(not_found(&slot.id))),
+                _ => Ok(slot.id.clone()),
+            };
         }
-        {
-            let slots = self.slots.read().await;
-            if slots.contains_key(&meta.id) {
-                let message = format!("session_id {:?} exists; choose another, or use it", meta.id);
-                let code = ErrorCode::AlreadyExists;
-                return Err(Error { code, reason: "SESSION_EXISTS", message, field: "session_id".to_owned() });
-            }
-            if slots.len() >= self.limits.max_sessions {
-                let message = format!("this server holds {} sessions, its limit; delete some", slots.len());
-                return Err(Error::exhausted("TOO_MANY_SESSIONS", "", message));
-            }
-        }
-        self.store.put(catalog_key(&meta.id)?, json(&meta)?).await.map_err(|e| store_error(&e))?;
-        let id = meta.id.clone();
-        self.slots.write().await.insert(id.clone(), Arc::new(Mutex::new(Slot { meta, awake: None, first_token: 1 })));
-        self.get(&id).await
     }
 
-    async fn created_by(&self, request_id: &str) -> Option<String> {
-        if request_id.is_empty() {
-            return None;
+    /// Takes an id and a request id in one step.
+    fn reserve(&self, meta: &SessionMeta) -> Result<Reserved> {
+        let mut sessions = self.sessions.write().unwrap_or_else(PoisonError::into_inner);
+        if sessions.is_stopping {
+            return Err(stopping());
         }
-        for (id, slot) in self.slots.read().await.iter() {
-            if slot.lock().await.meta.request_id == request_id {
-                return Some(id.clone());
-            }
+        let request = (meta.tenant.clone(), meta.request_id.clone());
+        let before = (!request.1.is_empty()).then(|| sessions.by_request.get(&request)).flatten();
+        if let Some(slot) = before.and_then(|id| sessions.by_id.get(id)) {
+            let slot = Arc::clone(slot);
+            return Ok(if slot.is_doomed() { Reserved::Leaving(slot) } else { Reserved::Before(slot) });
         }
-        None
+        if let Some(slot) = sessions.by_id.get(&meta.id) {
+            return if slot.is_doomed() { Ok(Reserved::Leaving(Arc::clone(slot))) } else { Err(exists(&meta.id)) };
+        }
+        if sessions.by_id.len() >= self.limits.max_sessions {
+            let message = format!("this server holds {} sessions, its limit; delete some", sessions.by_id.len());
+            return Err(Error::exhausted("TOO_MANY_SESSIONS", "", message));
+        }
+        let known = Known {
+            tenant: meta.tenant.clone(),
+            display_name: meta.display_name.clone(),
+            request_id: meta.request_id.clone(),
+            create_time_ns: meta.create_time_ns,
+            is_ingest_only: meta.mode == SessionMode::IngestOnly,
+            counts: Some(Counts::default()),
+        };
+        let slot = Slot::new(&meta.id, Phase::Creating, known, EventLog::new(self.limits.event_history));
+        sessions.add(&slot);
+        Ok(Reserved::New(slot))
+    }
+
+    /// Takes a slot out, unless another one has taken its place.
+    pub(super) fn remove(&self, slot: &Arc<Slot>) {
+        let mut sessions = self.sessions.write().unwrap_or_else(PoisonError::into_inner);
+        if sessions.by_id.get(&slot.id).is_some_and(|there| Arc::ptr_eq(there, slot)) {
+            sessions.by_id.remove(&slot.id);
+            let known = slot.known();
+            sessions.by_request.remove(&(known.tenant, known.request_id));
+        }
     }
 
     /// Declares a sensor, durably.
     ///
     /// # Errors
     /// `SENSOR_IN_USE` if it has sent frames under another declaration, `TOO_MANY_SENSORS`.
-    pub(crate) async fn declare(&self, id: &str, declaration: SensorDeclaration) -> Result<Arc<Session>> {
-        let session = self.get(id).await?;
-        let known = session.sensors().into_iter().find(|s| s.declaration.spec.id == declaration.spec.id);
-        if known.as_ref().is_some_and(|s| s.declaration == declaration) {
-            return Ok(session);
+    pub(crate) async fn declare(self: &Arc<Self>, id: &str, declaration: SensorDeclaration) -> Result<Arc<Session>> {
+        let limit = self.limits.max_sensors_per_session;
+        self.change(id, |session, meta| {
+            let spec = &declaration.spec;
+            let known = session.sensors().into_iter().find(|s| s.declaration.spec.id == spec.id);
+            if known.as_ref().is_some_and(|s| s.declaration == declaration) {
+                return Ok(None);
+            }
+            if known.as_ref().is_some_and(|s| s.last_stamp.is_some()) {
+                let message = format!(
+                    "sensor_id {:?} has sent frames already; declare the changed sensor under another name",
+                    spec.id.0
+                );
+                let error = Error::new(ErrorCode::FailedPrecondition, "SENSOR_IN_USE", message);
+                return Err(Error { field: "sensor_id".to_owned(), ..error });
+            }
+            if known.is_none() && meta.sensors.len() >= limit {
+                let message = format!("a session has at most {limit} sensors");
+                return Err(Error::exhausted("TOO_MANY_SENSORS", "sensor_id", message));
+            }
+            meta.sensors.retain(|s| s.spec.id != spec.id);
+            meta.sensors.push(declaration.clone());
+            meta.sensors.sort_by(|a, b| a.spec.id.cmp(&b.spec.id));
+            Ok(Some(declaration.clone()))
+        })
+        .await
+    }
+
+    /// Changes what is declared and set of a session, durably.
+    ///
+    /// # Errors
+    /// Those of `change`; `SESSION_NOT_FOUND`, `SESSION_FAULTED`; faults of the storage.
+    pub(crate) async fn change(
+        self: &Arc<Self>,
+        id: &str,
+        change: impl Fn(&Session, &mut SessionMeta) -> Result<Option<SensorDeclaration>>,
+    ) -> Result<Arc<Session>> {
+        let session = self.awake(id, |session| {
+            let change = &change;
+            async move { session.change(|meta| change(&session, meta)).await.map(|()| session) }
+        });
+        let session = session.await?;
+        if let Ok(slot) = self.find(id) {
+            let (this, session) = (Arc::clone(self), Arc::clone(&session));
+            tokio::spawn(async move { this.write_summary(&slot, &session).await });
         }
-        if known.as_ref().is_some_and(|s| s.last_stamp.is_some()) {
-            let message = format!(
-                "sensor_id {:?} has sent frames already; declare the changed sensor under another name",
-                declaration.spec.id.0
-            );
-            return Err(Error {
-                field: "sensor_id".to_owned(),
-                ..Error::new(ErrorCode::FailedPrecondition, "SENSOR_IN_USE", message)
-            });
-        }
-        if known.is_none() && session.num_sensors() >= self.limits.max_sensors_per_session {
-            let limit = self.limits.max_sensors_per_session;
-            return Err(Error::exhausted(
-                "TOO_MANY_SENSORS",
-                "sensor_id",
-                format!("a session has at most {limit} sensors"),
-            ));
-        }
-        session.declare(declaration).await?;
-        let meta = session.meta();
-        self.store.put(catalog_key(id)?, json(&meta)?).await.map_err(|e| store_error(&e))?;
         Ok(session)
     }
 
-    /// Deletes a session and its records.
+    /// Does something with a session that is awake; once more if it has just been put to sleep.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`; faults of the storage.
-    pub(crate) async fn delete(&self, id: &str) -> Result<()> {
-        let slot = self.slots.write().await.remove(id).ok_or_else(|| not_found(id))?;
-        if let Some(session) = slot.lock().await.awake.take() {
-            session.stop().await;
+    /// Those of `get` and of what is done.
+    pub(crate) async fn awake<T, F: Future<Output = Result<T>>>(
+        self: &Arc<Self>,
+        id: &str,
+        act: impl Fn(Arc<Session>) -> F,
+    ) -> Result<T> {
+        const TRIES: usize = 3;
+        let mut outcome = act(self.get(id).await?).await;
+        for _ in 1..TRIES {
+            if !outcome.as_ref().is_err_and(|e| e.reason == super::refusal::STOPPED) {
+                break;
+            }
+            outcome = act(self.get(id).await?).await;
         }
-        let keys = SessionKeys::new(id).map_err(|e| store_error(&e))?;
-        let records = self.store.scan_all(&keys.all()).await.map_err(|e| store_error(&e))?;
-        // The catalogue entry goes last: a crash in between leaves a session that can be deleted again.
-        for chunk in records.chunks(1000) {
-            let deletes = chunk.iter().map(|(k, _)| k.clone()).collect();
-            self.store.put_batch(vec![], deletes).await.map_err(|e| store_error(&e))?;
-        }
-        self.store.delete(catalog_key(id)?).await.map_err(|e| store_error(&e))
+        outcome
     }
 
-    /// Removes blobs that no keyframe names any more and that are older than an hour.
-    pub(crate) async fn collect_garbage(&self) -> Result<()> {
-        let mut live: HashSet<BlobId> = HashSet::new();
-        for id in self.ids("", usize::MAX).await {
-            let keys = SessionKeys::new(&id).map_err(|e| store_error(&e))?;
-            for (_, bytes) in self.store.scan_all(&keys.keyframes()).await.map_err(|e| store_error(&e))? {
-                let record: super::persist::KeyframeRecord = serde_json::from_slice(&bytes).map_err(Error::internal)?;
-                if let Some(blob) = record.blob {
-                    live.insert(blob.parse().map_err(|e| store_error(&e))?);
-                }
-            }
+    /// Deletes a session. It is gone, durably, when this returns; what it stored goes soon after. A caller who leaves does
+    /// not stop it.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, faults of the storage.
+    pub(crate) async fn delete(self: &Arc<Self>, id: &str) -> Result<()> {
+        let slot = self.find(id)?;
+        if !slot.doom() {
+            return Err(not_found(id));
         }
-        let grace = Duration::from_secs(3600);
-        self.store.collect_garbage(&live, grace).await.map(|_| ()).map_err(|e| store_error(&e))
+        tokio::spawn(Arc::clone(self).end(Arc::clone(&slot)));
+        let end = slot.until(|phase| matches!(phase, Phase::Gone(_)) || !slot.is_doomed()).await;
+        match end {
+            Phase::Gone(outcome) => outcome,
+            _ => Err(slot.deletion_error().unwrap_or_else(|| Error::internal("a deletion failed without a reason"))),
+        }
     }
 
-    /// Stops every session that is awake, then the store.
-    pub(crate) async fn stop(&self) {
-        let slots: Vec<_> = self.slots.read().await.values().cloned().collect();
-        for slot in slots {
-            if let Some(session) = slot.lock().await.awake.take() {
-                session.stop().await;
-            }
+    /// How many sessions are in each state.
+    pub(crate) fn census(&self) -> HashMap<SessionState, usize> {
+        let mut counts = HashMap::new();
+        for slot in self.slots() {
+            *counts.entry(slot.phase().state()).or_default() += 1;
         }
-        if let Err(error) = self.store.close().await {
-            tracing::error!(%error, "the store did not close cleanly; what was acknowledged is safe");
-        }
+        counts
+    }
+
+    /// Stores what every session has taken in and ends them, all at once.
+    ///
+    /// # Errors
+    /// The last fault, if something that was accepted could not be stored.
+    pub(crate) async fn stop(self: &Arc<Self>) -> Result<()> {
+        self.sessions.write().unwrap_or_else(PoisonError::into_inner).is_stopping = true;
+        let slots = self.slots();
+        let ends = slots.iter().map(|slot| async {
+            slot.until(Phase::is_settled).await;
+            let retired = self.retire(slot, STOP_PATIENCE).await;
+            slot.events.close();
+            retired.map_err(|trouble| trouble.error())
+        });
+        let ends = futures::future::join_all(ends).await;
+        ends.into_iter().filter_map(Result::err).next_back().map_or(Ok(()), Err)
+    }
+
+    fn read_sessions(&self) -> std::sync::RwLockReadGuard<'_, Sessions> {
+        self.sessions.read().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-fn not_found(id: &str) -> Error {
+enum Reserved {
+    /// To be created by the caller.
+    New(Arc<Slot>),
+    /// Created by an earlier call with the same request id.
+    Before(Arc<Slot>),
+    /// On its way out: wait, then try again.
+    Leaving(Arc<Slot>),
+}
+
+impl Sessions {
+    fn insert(&mut self, place: SessionPlace, phase: Phase, known: Known, events: EventLog) {
+        let slot = Slot::new(place.id(), phase, known, events);
+        let _ = slot.place.set(place);
+        self.add(&slot);
+    }
+
+    fn add(&mut self, slot: &Arc<Slot>) {
+        let known = slot.known();
+        if !known.request_id.is_empty() {
+            self.by_request.insert((known.tenant, known.request_id), slot.id.clone());
+        }
+        self.by_id.insert(slot.id.clone(), Arc::clone(slot));
+    }
+}
+
+impl Known {
+    /// Of a session whose catalogue entry cannot be read.
+    fn nothing() -> Self {
+        let tenant = super::meta::DEFAULT_TENANT.to_owned();
+        let (display_name, request_id) = (String::new(), String::new());
+        Self { tenant, display_name, request_id, create_time_ns: 0, is_ingest_only: false, counts: None }
+    }
+}
+
+fn known(record: &MetaRecord) -> Known {
+    Known {
+        tenant: record.tenant.clone(),
+        display_name: record.display_name.clone(),
+        request_id: record.request_id.clone(),
+        create_time_ns: record.create_time_ns,
+        is_ingest_only: record.mode == SessionMode::IngestOnly,
+        counts: None,
+    }
+}
+
+fn view(slot: &Slot) -> SessionView {
+    let (known, phase) = (slot.known(), slot.phase());
+    let live = match &phase {
+        Phase::Awake(session) | Phase::Retiring(session) | Phase::Faulted(_, Some(session)) => {
+            Some(Arc::clone(session))
+        }
+        _ => None,
+    };
+    let counts = live.as_ref().map(|session| super::life::counts(session)).or(known.counts).unwrap_or_default();
+    let display_name = live.as_ref().map_or(known.display_name, |session| session.meta().display_name);
+    SessionView {
+        id: slot.id.clone(),
+        tenant: known.tenant,
+        display_name,
+        mode: if known.is_ingest_only { SessionMode::IngestOnly } else { SessionMode::Mapping },
+        create_time_ns: known.create_time_ns,
+        state: phase.state(),
+        fault: if let Phase::Faulted(fault, _) = phase { Some(fault) } else { None },
+        counts,
+        last_used_ns: slot.last_used_ns(),
+        live,
+    }
+}
+
+fn unreadable(why: &dyn std::fmt::Display) -> Phase {
+    Phase::Faulted(Fault::new("DATA_DAMAGED", why.to_string()), None)
+}
+
+pub(super) fn exists(id: &str) -> Error {
+    let message = format!("session_id {id:?} exists; choose another, or use it");
+    let code = ErrorCode::AlreadyExists;
+    Error { field: "session_id".to_owned(), ..Error::new(code, "SESSION_EXISTS", message) }
+}
+
+pub(super) fn stopping() -> Error {
+    Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again")
+}
+
+pub(crate) fn not_found(id: &str) -> Error {
     let shown: String = id.chars().take(80).collect();
     Error::not_found(
         "SESSION_NOT_FOUND",

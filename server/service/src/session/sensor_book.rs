@@ -35,6 +35,21 @@ pub struct SensorStatus {
 const TELLING_OFFSET_S: f64 = 0.02;
 
 impl SensorStatus {
+    /// Of a sensor that has sent nothing since the server was started.
+    pub fn unseen(declaration: SensorDeclaration, last_stamp: Option<Timestamp>) -> Self {
+        Self {
+            declaration,
+            accepted: 0,
+            rejected: 0,
+            dropped: 0,
+            gaps: 0,
+            rate_hz: None,
+            last_stamp,
+            clock_offset_s: None,
+            mount_offset: None,
+        }
+    }
+
     /// The verdict in words, for an operator.
     pub fn verdict(&self) -> String {
         if self.accepted == 0 && self.rejected == 0 {
@@ -67,10 +82,15 @@ impl SensorStatus {
     }
 }
 
+/// Frames whose tickets are remembered, for senders who send again what they do not know to be stored.
+const TICKETS: usize = 256;
+
 #[derive(Debug, Clone)]
 struct Entry {
     status: SensorStatus,
     stamps: VecDeque<Timestamp>,
+    /// The newest frames, oldest first.
+    tickets: VecDeque<(Timestamp, u64)>,
     last_sequence: u64,
 }
 
@@ -83,18 +103,10 @@ pub(crate) struct SensorBook {
 impl SensorBook {
     pub(crate) fn declare(&mut self, declaration: SensorDeclaration, last_stamp: Option<Timestamp>) {
         let id = declaration.spec.id.clone();
-        let status = SensorStatus {
-            declaration,
-            accepted: 0,
-            rejected: 0,
-            dropped: 0,
-            gaps: 0,
-            rate_hz: None,
-            last_stamp,
-            clock_offset_s: None,
-            mount_offset: None,
-        };
-        self.entries.insert(id, Entry { status, stamps: VecDeque::new(), last_sequence: 0 });
+        // What was taken in before a restart is durable.
+        let tickets = last_stamp.map(|stamp| (stamp, 0)).into_iter().collect();
+        let status = SensorStatus::unseen(declaration, last_stamp);
+        self.entries.insert(id, Entry { status, stamps: VecDeque::new(), tickets, last_sequence: 0 });
     }
 
     pub(crate) fn get(&self, id: &SensorId) -> Option<&SensorStatus> {
@@ -105,14 +117,20 @@ impl SensorBook {
         self.entries.values().map(|e| &e.status)
     }
 
-    pub(crate) fn len(&self) -> usize {
-        self.entries.len()
+    /// The ticket of a frame that was taken in not long ago.
+    pub(crate) fn ticket_of(&self, id: &SensorId, stamp: Timestamp) -> Option<u64> {
+        let tickets = &self.entries.get(id)?.tickets;
+        tickets.iter().rev().find(|(s, _)| *s == stamp).map(|(_, ticket)| *ticket)
     }
 
-    pub(crate) fn accepted(&mut self, id: &SensorId, stamp: Timestamp) {
+    pub(crate) fn accepted(&mut self, id: &SensorId, stamp: Timestamp, ticket: u64) {
         let Some(entry) = self.entries.get_mut(id) else { return };
         entry.status.accepted += 1;
         entry.status.last_stamp = Some(stamp);
+        entry.tickets.push_back((stamp, ticket));
+        if entry.tickets.len() > TICKETS {
+            entry.tickets.pop_front();
+        }
         entry.stamps.push_back(stamp);
         if entry.stamps.len() > RATE_WINDOW {
             entry.stamps.pop_front();

@@ -7,11 +7,10 @@ use bytes::Bytes;
 use futures::TryStreamExt;
 use percept_store::{BlobId, SlateStore, Store, StoreError};
 
-use crate::{open, value};
+use crate::{Opened, open, value};
 
-fn file_of(root: &Path, id: BlobId) -> PathBuf {
-    let name = id.to_string();
-    root.join("blobs").join(&name[..2]).join(name)
+fn file_of(store: &Opened, id: BlobId) -> PathBuf {
+    store.folder().join("blobs").join(id.to_string())
 }
 
 fn make_old(path: &Path, age: Duration) {
@@ -46,7 +45,7 @@ async fn a_damaged_blob_is_detected_and_mended_by_storing_it_again() {
     let directory = tempfile::tempdir().unwrap();
     let store = open(directory.path()).await;
     let id = store.put_blob(value("precious")).await.unwrap();
-    let file = file_of(directory.path(), id);
+    let file = file_of(&store, id);
     for damaged in [&b"preciouS"[..], b"prec", b""] {
         std::fs::write(&file, damaged).unwrap();
         make_old(&file, Duration::from_secs(3600));
@@ -70,7 +69,7 @@ async fn garbage_is_what_is_neither_named_nor_young() {
     }
     let [live, old, young, again] = ids[..] else { unreachable!() };
     for id in [live, old, again] {
-        make_old(&file_of(directory.path(), id), Duration::from_secs(7200));
+        make_old(&file_of(&store, id), Duration::from_secs(7200));
     }
     // Somebody is about to name this one again.
     store.put_blob(value("again")).await.unwrap();

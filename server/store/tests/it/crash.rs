@@ -8,25 +8,19 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use percept_store::{BlobId, Key, SlateStore, Store, StoreConfig};
+use percept_store::{BlobId, Key, RootConfig, Store};
+
+use crate::{Opened, mix, open_with};
 
 const DIRECTORY: &str = "PERCEPT_CRASH_DIRECTORY";
 const ROUND: &str = "PERCEPT_CRASH_ROUND";
 const WRITERS: u64 = 4;
 
 /// Small tables, so that sorted tables and compaction are under way when the blow comes.
-async fn open(root: &Path) -> SlateStore {
-    let mut config = StoreConfig::directory(root);
-    config.memtable_bytes = 1 << 20;
-    SlateStore::open(config).await.unwrap()
-}
-
-/// A generator good enough for test values: SplitMix64 (Steele, Lea, Flood 2014).
-fn mix(seed: u64) -> u64 {
-    let mut z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+async fn open(root: &Path) -> Opened {
+    let mut config = RootConfig::directory(root);
+    config.session.memtable_bytes = 1 << 20;
+    open_with(config).await
 }
 
 /// Fresh bytes of each record: 8 to about 8,000 of them, from its number alone.
@@ -53,7 +47,7 @@ fn child() {
 }
 
 /// Each tenth record names a blob that was stored before it; each odd one replaces a counter with it.
-async fn write_for_ever(store: Arc<SlateStore>, round: u64, writer: u64) {
+async fn write_for_ever(store: Arc<Opened>, round: u64, writer: u64) {
     let counter = Key::parse(&format!("counter/{writer}")).unwrap();
     for number in 0.. {
         let mut value = content(round, writer, number);

@@ -1,16 +1,15 @@
 use bytes::Bytes;
 use futures::TryStreamExt;
 use percept_store::export::{BlobContent, export, import};
-use percept_store::{Prefix, SessionKeys, SlateStore, Store, StoreError};
+use percept_store::{Prefix, SlateStore, Store, StoreError, keys};
 
 use crate::{key, value};
 
 async fn filled() -> SlateStore {
     let store = SlateStore::in_memory().await.unwrap();
-    let keys = SessionKeys::new("räum 1").unwrap();
-    let puts = (0..300u64).map(|number| (keys.log(number), Bytes::from(vec![number as u8; 9_000]))).collect();
+    let puts = (0..300u64).map(|number| (keys::keyframe(number), Bytes::from(vec![number as u8; 9_000]))).collect();
     store.put_batch(puts, vec![]).await.unwrap();
-    store.put(keys.meta(), Bytes::new()).await.unwrap();
+    store.put(keys::meta(), Bytes::new()).await.unwrap();
     for size in [0usize, 1, 3_000_000] {
         store.put_blob(Bytes::from(vec![1; size])).await.unwrap();
     }

@@ -2,7 +2,9 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use futures::TryStreamExt;
-use percept_store::{Key, Prefix, SessionKeys, SlateStore, Store, StoreConfig, StoreError};
+use object_store::ObjectStore;
+use object_store::memory::InMemory;
+use percept_store::{Key, Prefix, SlateStore, Store, StoreConfig, StoreError, keys};
 
 use crate::{key, open, value};
 
@@ -27,34 +29,32 @@ async fn a_batch_deletes_first_and_the_last_value_stands() {
 #[tokio::test]
 async fn a_scan_is_ordered_ends_at_the_prefix_and_pages() {
     let store = SlateStore::in_memory().await.unwrap();
-    let (a, ab) = (SessionKeys::new("a").unwrap(), SessionKeys::new("ab").unwrap());
     let numbers = [300u64, 2, 1, 1 << 40, 255, 256];
-    let mut puts: Vec<_> = numbers.iter().map(|&number| (a.keyframe(number), value(&number.to_string()))).collect();
-    puts.extend([(ab.keyframe(3), value("ab")), (a.meta(), value("meta")), (key("sessions"), value("x"))]);
+    let mut puts: Vec<_> = numbers.iter().map(|&number| (keys::keyframe(number), value(&number.to_string()))).collect();
+    puts.extend([(key("keyframes2/3"), value("x")), (keys::meta(), value("meta")), (key("keyframes"), value("x"))]);
     store.put_batch(puts, vec![]).await.unwrap();
     store.confirm_ownership().await.unwrap();
 
-    let keyframes = store.scan_all(&a.keyframes()).await.unwrap();
+    let keyframes = store.scan_all(&keys::keyframes()).await.unwrap();
     let found: Vec<u64> = keyframes.iter().map(|(key, _)| key.number().unwrap()).collect();
     assert_eq!(found, [1, 2, 255, 256, 300, 1 << 40]);
-    let rest: Vec<_> = store.scan(&a.keyframes(), Some(&a.keyframe(256))).try_collect().await.unwrap();
+    let rest: Vec<_> = store.scan(&keys::keyframes(), Some(&keys::keyframe(256))).try_collect().await.unwrap();
     assert_eq!(rest, keyframes[4..]);
-    assert_eq!(store.last(&a.keyframes()).await.unwrap().unwrap().0, a.keyframe(1 << 40));
-    assert_eq!(store.last(&a.trajectories()).await.unwrap(), None);
+    assert_eq!(store.last(&keys::keyframes()).await.unwrap().unwrap().0, keys::keyframe(1 << 40));
+    assert_eq!(store.last(&keys::trajectories()).await.unwrap(), None);
 
     // The store's own records are nobody else's.
     let all = store.scan_all(&Prefix::everything()).await.unwrap();
     assert_eq!(all.len(), 9);
     assert!(texts(&all).is_sorted());
-    assert_eq!(store.scan_all(&SessionKeys::of_all_sessions()).await.unwrap().len(), 8);
-    assert_eq!(store.last(&Prefix::everything()).await.unwrap().unwrap().0, ab.keyframe(3));
+    assert_eq!(store.last(&Prefix::everything()).await.unwrap().unwrap().0, keys::meta());
 }
 
 #[tokio::test]
 async fn limits_are_refused_one_byte_above_and_nothing_is_written() {
-    let mut config = StoreConfig::in_memory();
+    let mut config = StoreConfig::default();
     (config.max_record_bytes, config.max_batch_bytes, config.max_blob_bytes) = (100, 202, 10);
-    let store = SlateStore::open(config).await.unwrap();
+    let store = SlateStore::open(Arc::new(InMemory::new()), config).await.unwrap();
     let sized = |size: usize| Bytes::from(vec![7; size]);
     store.put_batch(vec![(key("a"), sized(100)), (key("b"), sized(100))], vec![]).await.unwrap();
     let error = store.put(key("c"), sized(101)).await.unwrap_err();
@@ -75,10 +75,10 @@ async fn many_callers_at_once_all_get_through() {
         .map(|writer| {
             let store = store.clone();
             tokio::spawn(async move {
-                let keys = SessionKeys::new(&format!("w{writer}")).unwrap();
+                let own = key(&format!("w{writer}"));
                 for number in 0..20 {
-                    store.put(keys.log(number), value("x")).await.unwrap();
-                    assert!(store.get(&keys.log(number)).await.unwrap().is_some());
+                    store.put(own.numbered(number).unwrap(), value("x")).await.unwrap();
+                    assert!(store.get(&own.numbered(number).unwrap()).await.unwrap().is_some());
                 }
             })
         })
@@ -99,7 +99,9 @@ fn what_was_acknowledged_survives_a_drop_without_close() {
         let store = open(directory.path()).await;
         store.put(key("a/1"), value("one")).await.unwrap();
         store.put_blob(value("blob")).await.unwrap();
-        std::mem::forget(store);
+        // The process is gone, and its lock with it, before anything could be closed.
+        drop(store.root);
+        std::mem::forget(store.store);
     });
     // Every task is dropped where it stands.
     runtime.shutdown_background();
@@ -116,13 +118,13 @@ fn what_was_acknowledged_survives_a_drop_without_close() {
 
 #[tokio::test]
 async fn a_closed_store_says_so() {
-    let config = StoreConfig::in_memory();
-    let store = SlateStore::open(config.clone()).await.unwrap();
+    let objects: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
+    let store = SlateStore::open(objects.clone(), StoreConfig::default()).await.unwrap();
     store.put(key("a"), value("1")).await.unwrap();
     store.close().await.unwrap();
     store.close().await.unwrap();
     assert!(matches!(store.put(key("b"), value("2")).await, Err(StoreError::Closed)));
     assert!(matches!(store.get(&key("a")).await, Err(StoreError::Closed)));
-    let again = SlateStore::open(config).await.unwrap();
+    let again = SlateStore::open(objects, StoreConfig::default()).await.unwrap();
     assert_eq!(again.get(&key("a")).await.unwrap(), Some(value("1")));
 }

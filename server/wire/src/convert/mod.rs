@@ -6,6 +6,7 @@ pub mod maps;
 pub mod navigation;
 pub mod scene;
 pub mod sensors;
+pub mod server;
 pub mod sessions;
 pub mod toolbox;
 

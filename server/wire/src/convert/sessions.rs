@@ -3,8 +3,10 @@
 use super::{geometry, scene, sensors};
 use crate::{params, v1};
 use percept_geometry::Pose;
-use percept_pipeline::{KeyframeInfo, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
-use percept_service::{Error, Event, EventKind, NewSession, Processed, Result, Session, SessionMode};
+use percept_pipeline::{KeyframeInfo, PipelineParams, PoseEstimate, TrajectoryEntry};
+use percept_service::{
+    Error, Event, EventKind, NewSession, Processed, Result, SessionDescription, SessionMode, SessionState, SessionView,
+};
 use percept_slam::TrackingState;
 
 /// What a session is created with.
@@ -30,28 +32,76 @@ pub fn new_session(r: &v1::CreateSessionRequest, defaults: &PipelineParams) -> R
     })
 }
 
-/// A session as a message.
-///
-/// # Errors
-/// `INTERNAL` if the parameters do not fit the contract.
-pub fn session_to(s: &Session) -> Result<v1::Session> {
-    let (meta, snapshot) = (s.meta(), s.snapshot());
-    let mode = match meta.mode {
+/// What is known of a session as a message: without parameters and sensors, as lists have it.
+pub fn view_to(s: &SessionView) -> v1::Session {
+    let mode = match s.mode {
         SessionMode::Mapping => v1::SessionMode::Mapping,
         SessionMode::IngestOnly => v1::SessionMode::IngestOnly,
     };
-    Ok(v1::Session {
-        session_id: meta.id,
-        display_name: meta.display_name,
+    let pose = s.live.as_ref().and_then(|live| live.snapshot().pose.as_ref().map(pose_to));
+    let fault = s.fault.as_ref().map(|fault| v1::ErrorInfo {
+        reason: fault.reason.to_owned(),
+        message: fault.message.clone(),
+        field: String::new(),
+        code: percept_service::ErrorCode::FailedPrecondition.name().to_owned(),
+        trace_id: String::new(),
+    });
+    v1::Session {
+        session_id: s.id.clone(),
+        display_name: s.display_name.clone(),
         mode: mode.into(),
-        create_time_ns: meta.create_time_ns,
-        params: Some(params::pipeline_to(&meta.params)?),
-        sensors: s.sensors().iter().map(sensors::status_to).collect(),
-        pose: snapshot.pose.as_ref().map(pose_to),
-        num_keyframes: snapshot.living_keyframes().count() as u64,
-        num_objects: snapshot.objects.iter().filter(|o| o.state != percept_scene::ObjectState::Gone).count() as u64,
-        map_version: snapshot.map_version,
-        queue_length: s.queue_len() as u32,
+        create_time_ns: s.create_time_ns,
+        params: None,
+        sensors: vec![],
+        pose,
+        num_keyframes: s.counts.num_keyframes,
+        num_objects: s.counts.num_objects,
+        map_version: s.counts.map_version,
+        queue_length: s.live.as_ref().map_or(0, |live| live.queue_len() as u32),
+        state: state_to(s.state).into(),
+        fault,
+        last_used_ns: s.last_used_ns,
+        last_stamp_ns: Some(s.counts.last_stamp_ns).filter(|stamp| *stamp != 0),
+        tenant: s.tenant.clone(),
+    }
+}
+
+/// A session as a message, with parameters and sensors where they can be read.
+///
+/// # Errors
+/// `INTERNAL` if the parameters do not fit the contract.
+pub fn description_to(s: &SessionDescription) -> Result<v1::Session> {
+    let view = view_to(&s.view);
+    let Some((meta, statuses)) = &s.whole else { return Ok(view) };
+    let params = Some(params::pipeline_to(&meta.params)?);
+    Ok(v1::Session { params, sensors: statuses.iter().map(sensors::status_to).collect(), ..view })
+}
+
+fn state_to(state: SessionState) -> v1::SessionState {
+    match state {
+        SessionState::Creating => v1::SessionState::Creating,
+        SessionState::Asleep => v1::SessionState::Asleep,
+        SessionState::Waking => v1::SessionState::Waking,
+        SessionState::Awake => v1::SessionState::Awake,
+        SessionState::Faulted => v1::SessionState::Faulted,
+        SessionState::Deleting => v1::SessionState::Deleting,
+    }
+}
+
+/// The state that a list is asked for, if any.
+///
+/// # Errors
+/// `ENUM_UNKNOWN` naming the field.
+pub fn wanted_state(state: i32) -> Result<Option<SessionState>> {
+    use v1::SessionState as S;
+    Ok(match S::try_from(state).map_err(|_| super::unknown_enum("state", state))? {
+        S::Unspecified => None,
+        S::Creating => Some(SessionState::Creating),
+        S::Asleep => Some(SessionState::Asleep),
+        S::Waking => Some(SessionState::Waking),
+        S::Awake => Some(SessionState::Awake),
+        S::Faulted => Some(SessionState::Faulted),
+        S::Deleting => Some(SessionState::Deleting),
     })
 }
 
@@ -109,7 +159,12 @@ pub fn trajectory_pose_to(t_map_base: &Pose, entry: &TrajectoryEntry) -> v1::Tra
 
 /// What a frame did, as a message.
 pub fn result_to(p: &Processed) -> v1::FrameResult {
-    v1::FrameResult { pose: p.pose.as_ref().map(pose_to), keyframe_id: p.keyframe.map(|k| k.0), latency_s: p.latency_s }
+    v1::FrameResult {
+        pose: p.pose.as_ref().map(pose_to),
+        keyframe_id: p.keyframe.map(|k| k.0),
+        latency_s: p.latency_s,
+        duplicate: p.is_duplicate,
+    }
 }
 
 /// An error as a message.
@@ -119,19 +174,18 @@ pub fn error_to(e: &Error) -> v1::ErrorInfo {
         message: e.message.clone(),
         field: e.field.clone(),
         code: e.code.name().to_owned(),
+        // Of the stream: its sender knows it.
+        trace_id: String::new(),
     }
 }
 
-/// An event as a message; objects are given as they are in `snapshot`.
-pub fn event_to(event: &Event, snapshot: &Snapshot) -> v1::SessionEvent {
+/// An event as a message.
+pub fn event_to(event: &Event) -> v1::SessionEvent {
     use v1::session_event::Event as E;
     let kind = match &event.kind {
         EventKind::Pose(p) => E::Pose(pose_to(p)),
         EventKind::Keyframe(k) => E::KeyframeAdded(keyframe_to(k)),
-        EventKind::Object(c) => {
-            let object = snapshot.objects.iter().find(|o| o.id == c.id);
-            E::ObjectChanged(scene::change_to(c, object))
-        }
+        EventKind::Object(changed) => E::ObjectChanged(scene::change_to(&changed.0, changed.1.as_ref())),
         EventKind::Loop(l) => E::LoopChanged(super::maps::loop_to(l)),
         EventKind::MapVersion(v) => E::MapVersion(*v),
         EventKind::Resync(missed) => E::Resync(v1::Resync { missed: *missed }),

@@ -10,9 +10,11 @@ impl v1::evaluation_service_server::EvaluationService for Api {
         &self,
         r: Request<v1::EvaluateTrajectoryRequest>,
     ) -> Answer<v1::EvaluateTrajectoryResponse> {
+        let caller = self.caller(&r)?;
+        caller.may("EvaluationService/*").map_err(status::grpc)?;
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let comparison = evaluation::comparison(r.get_ref()).map_err(status::grpc)?;
-        let (score, pairs) = self.service.evaluate_trajectory(comparison).await.map_err(status::grpc)?;
+        let (score, pairs) = caller.evaluate_trajectory(comparison).await.map_err(status::grpc)?;
         let (metrics, pairs) = (Some(evaluation::score_to(&score)), evaluation::pairs_to(&pairs));
         Ok(Response::new(v1::EvaluateTrajectoryResponse { metrics, pairs }))
     }
@@ -21,10 +23,12 @@ impl v1::evaluation_service_server::EvaluationService for Api {
         &self,
         r: Request<v1::EvaluateRelationsRequest>,
     ) -> Answer<v1::EvaluateRelationsResponse> {
+        let caller = self.caller(&r)?;
+        caller.may("EvaluationService/*").map_err(status::grpc)?;
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let (trajectory, relations) = evaluation::relations(r.get_ref()).map_err(status::grpc)?;
         let max_gap_s = r.get_ref().max_gap_s;
-        let score = self.service.evaluate_relations(trajectory, relations, max_gap_s).await.map_err(status::grpc)?;
+        let score = caller.evaluate_relations(trajectory, relations, max_gap_s).await.map_err(status::grpc)?;
         Ok(Response::new(v1::EvaluateRelationsResponse { metrics: Some(evaluation::relation_score_to(&score)) }))
     }
 
@@ -32,9 +36,11 @@ impl v1::evaluation_service_server::EvaluationService for Api {
         &self,
         r: Request<v1::EvaluateDetectionsRequest>,
     ) -> Answer<v1::EvaluateDetectionsResponse> {
+        let caller = self.caller(&r)?;
+        caller.may("EvaluationService/*").map_err(status::grpc)?;
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let (truth, found) = evaluation::boxes(r.get_ref()).map_err(status::grpc)?;
-        let score = self.service.evaluate_detections(truth, found, r.get_ref().min_iou).await.map_err(status::grpc)?;
+        let score = caller.evaluate_detections(truth, found, r.get_ref().min_iou).await.map_err(status::grpc)?;
         Ok(Response::new(v1::EvaluateDetectionsResponse { metrics: Some(evaluation::detection_to(&score)) }))
     }
 }

@@ -1,8 +1,11 @@
 //! The ingest stream: messages in, one acknowledgement each in order out, and how far they are durable.
 
+use super::super::bounds::{Charge, Place};
+use super::super::listener::Held;
 use super::{Api, Streamed, check_size, status};
-use percept_service::{Error, IncomingFrame, Processed, Result, Session, Ticket};
+use percept_service::{Caller, Error, IncomingFrame, Processed, Result, Session, Ticket, observe};
 use percept_wire::{convert, v1};
+use prost::Message;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -11,6 +14,9 @@ use tonic::{Status, Streaming};
 
 /// Frames under way in one stream; beyond it the reader stops reading and flow control holds the sender.
 const WINDOW: usize = 32;
+
+/// Messages above it are decoded beside the threads that serve everyone else.
+const LARGE_BYTES: usize = 256 << 10;
 
 /// A message and what will become of it.
 struct Sent {
@@ -21,37 +27,84 @@ struct Sent {
 }
 
 enum Outcome {
-    Pending { session: Arc<Session>, answer: oneshot::Receiver<Result<Processed>> },
+    Pending { session: Arc<Session>, answer: oneshot::Receiver<Result<Processed>>, memory: Option<Charge> },
     Refused(Error),
 }
 
-/// Decodes a message, counting what is refused.
-pub(super) async fn decode(api: &Api, message: &v1::SensorMessage) -> Result<IncomingFrame> {
-    let decoded = convert::sensors::frame(message, api.service.limits());
-    if decoded.is_err()
-        && let Ok(session) = api.service.session(&message.session_id).await
-    {
-        session.rejected(&message.sensor_id.as_str().into());
+/// Decodes a message for an operation of the table, counting what is refused. What takes long (images, large clouds) is done
+/// beside the threads that serve everyone else.
+pub(crate) async fn decode(
+    caller: &Caller,
+    operation: &'static str,
+    message: v1::SensorMessage,
+) -> Result<IncomingFrame> {
+    caller.may_with(operation, &message.session_id).await?;
+    let (session, sensor) = (message.session_id.clone(), message.sensor_id.clone());
+    let limits = Arc::clone(caller.limits());
+    let decoded = if takes_long(&message) {
+        caller.compute().run_for(&session, move || convert::sensors::frame(&message, &limits)).await.flatten()
+    } else {
+        convert::sensors::frame(&message, &limits)
+    };
+    if let Err(e) = &decoded {
+        observe::frame_refused(None, e.reason);
+        caller.rejected(&session, &sensor.as_str().into()).await;
     }
     decoded
 }
 
+fn takes_long(message: &v1::SensorMessage) -> bool {
+    use v1::sensor_message::Data;
+    let is_image = matches!(message.data, Some(Data::Depth(_) | Data::Rgbd(_) | Data::Color(_)));
+    is_image || message.encoded_len() > LARGE_BYTES
+}
+
 /// Takes a stream in; the answer ends when all of it is processed and durable.
-pub(super) fn stream(api: Api, requests: Streaming<v1::StreamFramesRequest>) -> Streamed<v1::StreamFramesResponse> {
+///
+/// `held` gives each message's memory, which is given back when the message is acknowledged.
+pub(super) fn stream(
+    api: Api,
+    caller: Caller,
+    requests: Streaming<v1::StreamFramesRequest>,
+    held: Held,
+    place: Place,
+) -> Streamed<v1::StreamFramesResponse> {
     let (sent, under_way) = mpsc::channel(WINDOW);
     let (acks, answer) = mpsc::channel(WINDOW);
-    tokio::spawn(read(api, requests, sent, acks.clone()));
-    tokio::spawn(acknowledge(under_way, acks));
+    let open = observe::stream(observe::Stream::Ingest);
+    let reading = read(api, caller, requests, held, sent, acks.clone());
+    tokio::spawn(async move {
+        reading.await;
+        drop(open);
+    });
+    tokio::spawn(async move {
+        acknowledge(under_way, acks).await;
+        drop(place);
+    });
     Box::pin(ReceiverStream::new(answer))
 }
 
 type Acks = mpsc::Sender<std::result::Result<v1::StreamFramesResponse, Status>>;
 
-async fn read(api: Api, mut requests: Streaming<v1::StreamFramesRequest>, sent: mpsc::Sender<Sent>, acks: Acks) {
+async fn read(
+    api: Api,
+    caller: Caller,
+    mut requests: Streaming<v1::StreamFramesRequest>,
+    held: Held,
+    sent: mpsc::Sender<Sent>,
+    acks: Acks,
+) {
     let mut stopping = api.stopping.clone();
+    let mut ended = std::pin::pin!(caller.ended());
     loop {
         let request = tokio::select! {
             request = requests.message() => request,
+            error = &mut ended => {
+                let _ = acks.send(Err(status::grpc(error))).await;
+                return;
+            }
+            // The client has gone; nothing else would tell while it sends nothing.
+            () = acks.closed() => return,
             () = stopped(&mut stopping) => {
                 let words = "the server is stopping; reconnect and send what was not acknowledged as durable";
                 let _ = acks.send(Err(status::grpc(Error::new(percept_service::ErrorCode::Unavailable, "STOPPING", words)))).await;
@@ -66,22 +119,20 @@ async fn read(api: Api, mut requests: Streaming<v1::StreamFramesRequest>, sent: 
                 return;
             }
         };
-        if sent.send(submit(&api, request.message.unwrap_or_default()).await).await.is_err() {
+        let submitted = submit(&api, &caller, request.message.unwrap_or_default(), held.take()).await;
+        if sent.send(submitted).await.is_err() {
             return;
         }
     }
 }
 
-async fn submit(api: &Api, message: v1::SensorMessage) -> Sent {
+async fn submit(api: &Api, caller: &Caller, message: v1::SensorMessage, memory: Option<Charge>) -> Sent {
     let (sensor_id, sequence, stamp_ns) = (message.sensor_id.clone(), message.sequence, message.stamp_ns);
     let submitted = async {
         check_size(&message, api)?;
-        let incoming = decode(api, &message).await?;
-        drop(message);
-        let session = api.service.session(&incoming.session).await?;
-        session.numbered(&incoming.frame.sensor, incoming.sequence);
-        let answer = session.submit(incoming.frame).await?;
-        Ok(Outcome::Pending { session, answer })
+        let incoming = decode(caller, "SensorsService/StreamFrames", message).await?;
+        let (session, answer) = caller.submit(incoming).await?;
+        Ok(Outcome::Pending { session, answer, memory })
     };
     let outcome = submitted.await.unwrap_or_else(Outcome::Refused);
     Sent { sensor_id, sequence, stamp_ns, outcome }
@@ -128,14 +179,18 @@ async fn acknowledge(mut under_way: mpsc::Receiver<Sent>, acks: Acks) {
     while let Some(sent) = under_way.recv().await {
         let (outcome, ticket) = match sent.outcome {
             Outcome::Refused(e) => (Err(e), None),
-            Outcome::Pending { session, answer } => match answer.await {
-                Ok(Ok(processed)) => {
-                    let ticket = (session.durable(), processed.ticket);
-                    (Ok(processed), Some(ticket))
+            Outcome::Pending { session, answer, memory } => {
+                let answer = answer.await;
+                drop(memory);
+                match answer {
+                    Ok(Ok(processed)) => {
+                        let ticket = (session.durable(), processed.ticket);
+                        (Ok(processed), Some(ticket))
+                    }
+                    Ok(Err(e)) => (Err(e), None),
+                    Err(_) => (Err(Error::internal("a frame's answer was lost")), None),
                 }
-                Ok(Err(e)) => (Err(e), None),
-                Err(_) => (Err(Error::internal("a frame's answer was lost")), None),
-            },
+            }
         };
         durability.waiting.push_back(ticket);
         let ack = v1::FrameAck {

@@ -17,8 +17,9 @@ impl v1::maps_service_server::MapsService for Api {
     type ExportMapStream = Streamed<v1::ExportMapResponse>;
 
     async fn get_map_summary(&self, r: Request<v1::GetMapSummaryRequest>) -> Answer<v1::GetMapSummaryResponse> {
+        let caller = self.caller(&r)?;
         let session = maps::session_id(r.get_ref().source.as_ref()).map_err(status::grpc)?;
-        let summary = self.service.map_summary(session).await.map_err(status::grpc)?;
+        let summary = caller.map_summary(session).await.map_err(status::grpc)?;
         Ok(Response::new(maps::summary_to(&summary)))
     }
 
@@ -26,50 +27,62 @@ impl v1::maps_service_server::MapsService for Api {
         &self,
         r: Request<v1::GetOccupancyGridRequest>,
     ) -> Answer<Self::GetOccupancyGridStream> {
+        let caller = self.caller(&r)?;
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let region = maps::region(r.region.as_ref()).map_err(status::grpc)?;
-        let grid = self.service.occupancy_grid(session, region, r.resolution_m).await.map_err(status::grpc)?;
-        streamed(maps::grid_chunks(&grid), |chunk| v1::GetOccupancyGridResponse { chunk: Some(chunk) })
+        let grid = caller.occupancy_grid(session, region, r.resolution_m).await.map_err(status::grpc)?;
+        let chunks = caller.compute().query(session, move || maps::grid_chunks(&grid)).await;
+        streamed(chunks.map_err(status::grpc)?, |chunk| v1::GetOccupancyGridResponse { chunk: Some(chunk) })
     }
 
     async fn get_cloud(&self, r: Request<v1::GetCloudRequest>) -> Answer<Self::GetCloudStream> {
+        let caller = self.caller(&r)?;
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let around = maps::around(r).map_err(status::grpc)?;
-        let cloud = self.service.cloud(session, around).await.map_err(status::grpc)?;
-        streamed(maps::cloud_chunks(&cloud), |chunk| v1::GetCloudResponse { chunk: Some(chunk) })
+        let cloud = caller.cloud(session, around).await.map_err(status::grpc)?;
+        let chunks = caller.compute().query(session, move || maps::cloud_chunks(&cloud)).await;
+        streamed(chunks.map_err(status::grpc)?, |chunk| v1::GetCloudResponse { chunk: Some(chunk) })
     }
 
     async fn list_loops(&self, r: Request<v1::ListLoopsRequest>) -> Answer<v1::ListLoopsResponse> {
+        let caller = self.caller(&r)?;
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
-        let listed = self.service.list_loops(session, r.page_size, &r.page_token).await;
+        let listed = caller.list_loops(session, r.page_size, &r.page_token).await;
         let (page, map_version) = listed.map_err(status::grpc)?;
         let loops = page.items.iter().map(maps::loop_to).collect();
         Ok(Response::new(v1::ListLoopsResponse { loops, next_page_token: page.next_page_token, map_version }))
     }
 
     async fn set_loop_veto(&self, r: Request<v1::SetLoopVetoRequest>) -> Answer<v1::SetLoopVetoResponse> {
+        let caller = self.caller(&r)?;
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
-        let done = self.service.set_loop_veto(session, maps::loop_id(r), r.vetoed).await.map_err(status::grpc)?;
+        let done = caller.set_loop_veto(session, maps::loop_id(r), r.vetoed).await.map_err(status::grpc)?;
         Ok(Response::new(maps::vetoed_to(&done)))
     }
 
     async fn optimise_map(&self, r: Request<v1::OptimiseMapRequest>) -> Answer<v1::OptimiseMapResponse> {
+        let caller = self.caller(&r)?;
         let session = maps::session_id(r.get_ref().source.as_ref()).map_err(status::grpc)?;
-        let done = self.service.optimise_map(session).await.map_err(status::grpc)?;
+        let done = caller.optimise_map(session).await.map_err(status::grpc)?;
         let num_keyframes_moved = done.num_keyframes as u64;
         Ok(Response::new(v1::OptimiseMapResponse { num_keyframes_moved, map_version: done.map_version }))
     }
 
     async fn export_map(&self, r: Request<v1::ExportMapRequest>) -> Answer<Self::ExportMapStream> {
+        let caller = self.caller(&r)?;
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let format = maps::format(r.format).map_err(status::grpc)?;
-        let file = self.service.export_map(session, format).await.map_err(status::grpc)?;
-        let sha256 = sha256_hex(&file.bytes);
-        streamed(maps::file_chunks(file, sha256), |chunk| v1::ExportMapResponse { chunk: Some(chunk) })
+        let file = caller.export_map(session, format).await.map_err(status::grpc)?;
+        let chunks = move || {
+            let sha256 = sha256_hex(&file.bytes);
+            maps::file_chunks(file, sha256)
+        };
+        let chunks = caller.compute().query(session, chunks).await.map_err(status::grpc)?;
+        streamed(chunks, |chunk| v1::ExportMapResponse { chunk: Some(chunk) })
     }
 }

@@ -1,36 +1,67 @@
 //! The gRPC door: the contract's services over HTTP/2, with health and reflection. One file a noun.
 
+mod calls;
 mod evaluation;
-mod ingest;
+pub(crate) mod ingest;
 mod maps;
 mod navigation;
 mod scene;
 mod sensors;
+mod server;
 mod sessions;
 mod toolbox;
 
+use super::bounds::{Bounds, Peer};
+use super::identify::{self, Door, Gate};
+use super::listener::{Listener, PeerIdentity};
 use super::status;
+use crate::config::Listen;
+use crate::telemetry::requests::Observe;
+use axum::middleware::from_fn;
 use futures::Stream;
-use percept_service::{Error, Service};
-use percept_wire::v1;
+use percept_service::{CallContext, Caller, Error, Guarded, Readiness, observe};
+use percept_wire::{json, v1};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::pin::Pin;
-use std::time::Duration;
-use tokio::net::TcpListener;
+use std::sync::Arc;
 use tokio::sync::watch;
-use tonic::transport::server::TcpIncoming;
-use tonic::{Response, Status};
+use tonic::service::Routes;
+use tonic::{Extensions, Request, Response, Status};
 use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
 
 /// All services over one set of operations.
 #[derive(Clone)]
 pub(crate) struct Api {
-    pub(crate) service: Service,
+    pub(crate) service: Guarded,
+    /// Tells who calls.
+    pub(crate) gate: Gate,
+    /// How the doors are set up.
+    pub(crate) listen: Arc<Listen>,
+    /// What clients may take.
+    pub(crate) bounds: Bounds,
     /// Turns true when the server stops: watches end.
     pub(crate) stopping: watch::Receiver<bool>,
+    /// Whether the REST door shows the metrics.
+    pub(crate) shows_metrics: bool,
+}
+
+impl Api {
+    /// The operations, in the name of who made a request.
+    fn caller<T>(&self, request: &Request<T>) -> Result<Caller, Status> {
+        identify::context(request.extensions()).map(|context| self.service.caller(context)).map_err(status::grpc)
+    }
 }
 
 type Answer<T> = Result<Response<T>, Status>;
 type Streamed<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+/// Who sent a request, whichever door it came through.
+fn peer_of(extensions: &Extensions) -> Peer {
+    let of_rest = || extensions.get::<CallContext>().and_then(|context| context.peer.parse().ok());
+    let address = extensions.get::<PeerIdentity>().map(|identity| identity.address).or_else(of_rest);
+    Peer::at(address.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0))))
+}
 
 /// A list as a stream of messages.
 fn streamed<C: Send + 'static, T: 'static>(
@@ -50,28 +81,13 @@ fn check_size(message: &impl prost::Message, api: &Api) -> Result<(), Error> {
     Err(Error::exhausted("MESSAGE_TOO_LARGE", "", words))
 }
 
-/// Serves until `stopping` turns true, then finishes what is under way.
-pub(crate) async fn serve(api: Api, listener: TcpListener) -> Result<(), tonic::transport::Error> {
-    let (health, health_service) = tonic_health::server::health_reporter();
-    let names = [
-        "percept.v1.SessionsService",
-        "percept.v1.SensorsService",
-        "percept.v1.MapsService",
-        "percept.v1.SceneService",
-        "percept.v1.NavigationService",
-        "percept.v1.ToolboxService",
-        "percept.v1.EvaluationService",
-    ];
-    for name in names.into_iter().chain([""]) {
-        health.set_service_status(name, ServingStatus::Serving).await;
-    }
-    let mut stopping = api.stopping.clone();
-    let drain = async move {
-        let _ = stopping.wait_for(|s| *s).await;
-        for name in names.into_iter().chain([""]) {
-            health.set_service_status(name, ServingStatus::NotServing).await;
-        }
-    };
+/// Serves until the server stops, then finishes what is under way.
+pub(crate) async fn serve(api: Api, listener: Listener) {
+    let (reporter, health_service) = tonic_health::server::health_reporter();
+    let changes = api.service.health().watch();
+    let is_ready = changes.borrow().is_ready();
+    tell_health(&reporter, is_ready).await;
+    tokio::spawn(follow_health(reporter, changes, is_ready));
     let reflection = |v: tonic_reflection::server::Builder<'static>| {
         v.register_encoded_file_descriptor_set(percept_wire::DESCRIPTORS)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
@@ -85,27 +101,45 @@ pub(crate) async fn serve(api: Api, listener: TcpListener) -> Result<(), tonic::
             <$server>::new(api.clone()).max_decoding_message_size(limit).max_encoding_message_size(limit)
         };
     }
-    let mut server = tonic::transport::Server::builder()
-        .initial_stream_window_size(16 << 20)
-        .initial_connection_window_size(32 << 20)
-        .max_frame_size(1 << 20)
-        .http2_keepalive_interval(Some(Duration::from_secs(20)))
-        .add_service(health_service)
+    let mut routes = Routes::new(health_service)
         .add_service(limited!(v1::sessions_service_server::SessionsServiceServer<Api>))
         .add_service(limited!(v1::sensors_service_server::SensorsServiceServer<Api>))
         .add_service(limited!(v1::maps_service_server::MapsServiceServer<Api>))
         .add_service(limited!(v1::scene_service_server::SceneServiceServer<Api>))
         .add_service(limited!(v1::navigation_service_server::NavigationServiceServer<Api>))
         .add_service(limited!(v1::toolbox_service_server::ToolboxServiceServer<Api>))
-        .add_service(limited!(v1::evaluation_service_server::EvaluationServiceServer<Api>));
-    if let Ok(v1) = v1_reflection {
-        server = server.add_service(v1);
+        .add_service(limited!(v1::evaluation_service_server::EvaluationServiceServer<Api>))
+        .add_service(limited!(v1::server_service_server::ServerServiceServer<Api>));
+    if let (true, Ok(v1), Ok(v1alpha)) = (api.listen.reflection, v1_reflection, v1alpha_reflection) {
+        routes = routes.add_service(v1).add_service(v1alpha);
     }
-    if let Ok(v1alpha) = v1alpha_reflection {
-        server = server.add_service(v1alpha);
+    let gate = api.gate.clone();
+    let router = routes.prepare().into_axum_router();
+    let router = router.layer(from_fn(move |request, next| gate.clone().admit(Door::Grpc, request, next)));
+    let router = router.layer(from_fn(calls::guard)).layer(Observe(observe::Door::Grpc));
+    listener.serve(router, calls::framing).await;
+}
+
+/// Tells how the server stands for each service of the contract, and for the whole, which has no name.
+async fn tell_health(reporter: &HealthReporter, is_ready: bool) {
+    let status = if is_ready { ServingStatus::Serving } else { ServingStatus::NotServing };
+    let services = json::pool().services().map(|service| service.full_name().to_owned());
+    for name in services.chain([String::new()]) {
+        reporter.set_service_status(name, status).await;
     }
-    // Without it small answers wait for the peer's acknowledgement, 40 ms. The builder's own switch does not reach
-    // sockets of a listener that we bind.
-    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
-    server.serve_with_incoming_shutdown(incoming, drain).await
+}
+
+/// Tells every change; `told` is what was told last.
+async fn follow_health(reporter: HealthReporter, mut changes: watch::Receiver<Readiness>, mut told: bool) {
+    loop {
+        // What changed before this task began is told, too. Telling the same again would be a change to those who watch.
+        let is_ready = changes.borrow_and_update().is_ready();
+        if is_ready != told {
+            tell_health(&reporter, is_ready).await;
+            told = is_ready;
+        }
+        if changes.changed().await.is_err() {
+            return;
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! `SessionsService`.
 
-use super::{Answer, Api, Streamed, status, streamed};
-use percept_service::{Error, ErrorCode};
+use super::{Answer, Api, Streamed, peer_of, status, streamed};
+use percept_service::{Error, ErrorCode, observe};
 use percept_wire::{convert::sessions, params, v1};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response};
@@ -22,81 +22,104 @@ impl v1::sessions_service_server::SessionsService for Api {
     type WatchSessionStream = Streamed<v1::WatchSessionResponse>;
 
     async fn create_session(&self, r: Request<v1::CreateSessionRequest>) -> Answer<v1::CreateSessionResponse> {
-        let new = sessions::new_session(r.get_ref(), self.service.default_params()).map_err(status::grpc)?;
-        let session = self.service.create_session(new).await.map_err(status::grpc)?;
-        let session = Some(sessions::session_to(&session).map_err(status::grpc)?);
+        let caller = self.caller(&r)?;
+        let new = sessions::new_session(r.get_ref(), caller.params_to_fill()).map_err(status::grpc)?;
+        let id = caller.create_session(new).await.map_err(status::grpc)?;
+        let described = caller.describe_session("SessionsService/CreateSession", &id).await.map_err(status::grpc)?;
+        let session = Some(sessions::description_to(&described).map_err(status::grpc)?);
         Ok(Response::new(v1::CreateSessionResponse { session }))
     }
 
     async fn get_session(&self, r: Request<v1::GetSessionRequest>) -> Answer<v1::GetSessionResponse> {
-        let session = self.service.session(&r.get_ref().session_id).await.map_err(status::grpc)?;
-        let session = Some(sessions::session_to(&session).map_err(status::grpc)?);
+        let caller = self.caller(&r)?;
+        let id = &r.get_ref().session_id;
+        let described = caller.describe_session("SessionsService/GetSession", id).await.map_err(status::grpc)?;
+        let session = Some(sessions::description_to(&described).map_err(status::grpc)?);
         Ok(Response::new(v1::GetSessionResponse { session }))
     }
 
     async fn list_sessions(&self, r: Request<v1::ListSessionsRequest>) -> Answer<v1::ListSessionsResponse> {
+        let caller = self.caller(&r)?;
         let r = r.get_ref();
-        let page = self.service.list_sessions(r.page_size, &r.page_token).await.map_err(status::grpc)?;
-        let listed: Result<_, Error> = page.items.iter().map(|s| sessions::session_to(s)).collect();
-        let sessions = listed.map_err(status::grpc)?;
+        let state = sessions::wanted_state(r.state).map_err(status::grpc)?;
+        let page = caller.list_sessions(state, r.page_size, &r.page_token).await.map_err(status::grpc)?;
+        let sessions = page.items.iter().map(sessions::view_to).collect();
         Ok(Response::new(v1::ListSessionsResponse { sessions, next_page_token: page.next_page_token }))
     }
 
     async fn delete_session(&self, r: Request<v1::DeleteSessionRequest>) -> Answer<v1::DeleteSessionResponse> {
-        self.service.delete_session(&r.get_ref().session_id).await.map_err(status::grpc)?;
+        let caller = self.caller(&r)?;
+        caller.delete_session(&r.get_ref().session_id).await.map_err(status::grpc)?;
         Ok(Response::new(v1::DeleteSessionResponse {}))
     }
 
     async fn get_pose(&self, r: Request<v1::GetPoseRequest>) -> Answer<v1::GetPoseResponse> {
-        let snapshot = self.service.snapshot(&r.get_ref().session_id).await.map_err(status::grpc)?;
+        let caller = self.caller(&r)?;
+        let snapshot =
+            caller.snapshot("SessionsService/GetPose", &r.get_ref().session_id).await.map_err(status::grpc)?;
         Ok(Response::new(v1::GetPoseResponse { pose: snapshot.pose.as_ref().map(sessions::pose_to) }))
     }
 
     async fn get_trajectory(&self, r: Request<v1::GetTrajectoryRequest>) -> Answer<Self::GetTrajectoryStream> {
-        let snapshot = self.service.snapshot(&r.get_ref().session_id).await.map_err(status::grpc)?;
-        let poses: Vec<_> = snapshot.trajectory().map(|(t, e)| sessions::trajectory_pose_to(&t, e)).collect();
-        // An empty trajectory is told by one message without poses.
-        let mut chunks: Vec<Vec<_>> = poses.chunks(POSES_PER_MESSAGE).map(<[_]>::to_vec).collect();
-        if chunks.is_empty() {
-            chunks.push(vec![]);
-        }
+        let caller = self.caller(&r)?;
+        let session = &r.get_ref().session_id;
+        let snapshot = caller.snapshot("SessionsService/GetTrajectory", session).await.map_err(status::grpc)?;
         let map_version = snapshot.map_version;
+        let chunks = move || {
+            let poses: Vec<_> = snapshot.trajectory().map(|(t, e)| sessions::trajectory_pose_to(&t, e)).collect();
+            // An empty trajectory is told by one message without poses.
+            let mut chunks: Vec<Vec<_>> = poses.chunks(POSES_PER_MESSAGE).map(<[_]>::to_vec).collect();
+            if chunks.is_empty() {
+                chunks.push(vec![]);
+            }
+            chunks
+        };
+        let chunks = caller.compute().query(session, chunks).await.map_err(status::grpc)?;
         streamed(chunks, move |poses| v1::GetTrajectoryResponse { map_version, poses })
     }
 
     async fn list_keyframes(&self, r: Request<v1::ListKeyframesRequest>) -> Answer<v1::ListKeyframesResponse> {
+        let caller = self.caller(&r)?;
         let r = r.get_ref();
-        let page =
-            self.service.list_keyframes(&r.session_id, r.page_size, &r.page_token).await.map_err(status::grpc)?;
+        let page = caller.list_keyframes(&r.session_id, r.page_size, &r.page_token).await.map_err(status::grpc)?;
         let keyframes = page.items.iter().map(sessions::keyframe_to).collect();
         Ok(Response::new(v1::ListKeyframesResponse { keyframes, next_page_token: page.next_page_token }))
     }
 
     async fn watch_session(&self, r: Request<v1::WatchSessionRequest>) -> Answer<Self::WatchSessionStream> {
+        let caller = self.caller(&r)?;
+        let place = self.bounds.watcher(&peer_of(r.extensions())).map_err(status::grpc)?;
         let r = r.into_inner();
-        let session = self.service.session(&r.session_id).await.map_err(status::grpc)?;
-        let mut token = r.resume_token.unwrap_or_else(|| session.events().newest_token());
+        let log = caller.session_events("SessionsService/WatchSession", &r.session_id).await.map_err(status::grpc)?;
+        let mut token = r.resume_token.unwrap_or_else(|| log.newest_token());
         // One read ahead at most: what a slow client misses is told by a resync, not kept for it.
         let (out, answer) = tokio::sync::mpsc::channel(EVENTS_PER_READ);
         let mut stopping = self.stopping.clone();
+        let open = observe::stream(observe::Stream::Watch);
         tokio::spawn(async move {
+            let _open = open;
+            let mut ended = std::pin::pin!(caller.ended());
+            let _place = place;
             loop {
                 let events = tokio::select! {
-                    events = session.events().after(token, EVENTS_PER_READ) => Some(events),
-                    _ = stopping.wait_for(|s| *s) => None,
+                    events = log.after(token, EVENTS_PER_READ) => Ok(events),
+                    _ = stopping.wait_for(|s| *s) => Err(stopping_error()),
+                    error = &mut ended => Err(error),
                     () = out.closed() => return,
                 };
-                let Some(events) = events else {
-                    // Said as an error, so that clients reconnect instead of taking it for the end.
-                    let _ = out.send(Err(status::grpc(stopping_error()))).await;
-                    return;
+                let events = match events {
+                    Ok(Some(events)) => events,
+                    // The session was deleted: a true end.
+                    Ok(None) => return,
+                    // Said as an error, so that clients come back instead of taking it for the end.
+                    Err(error) => {
+                        let _ = out.send(Err(status::grpc(error))).await;
+                        return;
+                    }
                 };
-                // The session was deleted: a true end.
-                let Some(events) = events else { return };
-                let snapshot = session.snapshot();
                 for event in events {
                     token = event.token;
-                    let event = Some(sessions::event_to(&event, &snapshot));
+                    let event = Some(sessions::event_to(&event));
                     if out.send(Ok(v1::WatchSessionResponse { event })).await.is_err() {
                         return;
                     }
@@ -108,9 +131,11 @@ impl v1::sessions_service_server::SessionsService for Api {
 
     async fn get_default_params(
         &self,
-        _: Request<v1::GetDefaultParamsRequest>,
+        r: Request<v1::GetDefaultParamsRequest>,
     ) -> Answer<v1::GetDefaultParamsResponse> {
-        let params = Some(params::pipeline_to(self.service.default_params()).map_err(status::grpc)?);
+        let caller = self.caller(&r)?;
+        let params = caller.default_params().map_err(status::grpc)?;
+        let params = Some(params::pipeline_to(params).map_err(status::grpc)?);
         Ok(Response::new(v1::GetDefaultParamsResponse { params }))
     }
 }

@@ -1,11 +1,13 @@
 //! Request bodies, read up to the limit.
 
+use super::super::status;
 use super::refused::Refused;
 use axum::body::Body;
-use axum::http::{HeaderMap, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use bytes::{Bytes, BytesMut};
 use futures::StreamExt;
 use percept_service::{Error, Limits};
+use std::error::Error as _;
 
 /// Room for what stands around the bytes of a message.
 const AROUND_BYTES: usize = 64 << 10;
@@ -18,8 +20,14 @@ fn limit_of(limits: &Limits) -> usize {
 /// All of a body.
 ///
 /// # Errors
-/// `MESSAGE_TOO_LARGE`, `BODY_BROKEN` if the sender went away.
+/// `MESSAGE_TOO_LARGE`; `CONTENT_ENCODING_UNSUPPORTED` (415); `BODY_BROKEN` if the sender went away, `BODY_TOO_SLOW` (408) if
+/// it sent too slowly; `MEMORY_EXHAUSTED`.
 pub(super) async fn read(body: Body, headers: &HeaderMap, limits: &Limits) -> Result<Bytes, Refused> {
+    let encoding = headers.get(header::CONTENT_ENCODING).map(|v| v.to_str().unwrap_or("unreadable"));
+    if let Some(encoding) = encoding.filter(|e| !e.eq_ignore_ascii_case("identity")) {
+        let message = format!("content-encoding is {encoding:?}; send the body as it is");
+        return Err(Refused::http(StatusCode::UNSUPPORTED_MEDIA_TYPE, "CONTENT_ENCODING_UNSUPPORTED", message));
+    }
     let limit = limit_of(limits);
     let too_large = |size: u64| -> Refused {
         let message =
@@ -33,7 +41,7 @@ pub(super) async fn read(body: Body, headers: &HeaderMap, limits: &Limits) -> Re
     let mut stream = body.into_data_stream();
     let mut all = BytesMut::new();
     while let Some(chunk) = stream.next().await {
-        let chunk = chunk.map_err(|e| Error::invalid("BODY_BROKEN", "", format!("the body ended early: {e}")))?;
+        let chunk = chunk.map_err(|e| broken(&e))?;
         if all.len() + chunk.len() > limit {
             return Err(too_large((all.len() + chunk.len()) as u64));
         }
@@ -41,4 +49,20 @@ pub(super) async fn read(body: Body, headers: &HeaderMap, limits: &Limits) -> Re
         all.extend_from_slice(&chunk);
     }
     Ok(all.freeze())
+}
+
+/// What the listener says of a body that it broke off, or that the sender left.
+fn broken(error: &axum::Error) -> Refused {
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        if let Some(said) = inner.downcast_ref::<tonic::Status>() {
+            let problem = status::from_grpc(said);
+            return match problem.reason() {
+                "BODY_TOO_SLOW" => Refused::http(StatusCode::REQUEST_TIMEOUT, "BODY_TOO_SLOW", said.message()),
+                _ => problem.into(),
+            };
+        }
+        cause = inner.source();
+    }
+    Error::invalid("BODY_BROKEN", "", format!("the body ended early: {error}")).into()
 }

@@ -3,12 +3,13 @@
 use super::super::grpc::Api;
 use super::super::status;
 use super::refused::Refused;
+use super::routes;
 use axum::http::HeaderMap;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::StreamExt;
-use percept_service::Error;
+use percept_service::{CallContext, Error};
 use percept_wire::{json, v1};
 use prost::Message;
 use std::convert::Infallible;
@@ -25,13 +26,18 @@ const LAST_EVENT_ID: &str = "last-event-id";
 ///
 /// # Errors
 /// `HEADER_INVALID`, and those of the rpc.
-pub(super) async fn watch(api: &Api, request: Bytes, headers: &HeaderMap) -> Result<Response, Refused> {
+pub(super) async fn watch(
+    api: &Api,
+    context: CallContext,
+    request: Bytes,
+    headers: &HeaderMap,
+) -> Result<Response, Refused> {
     let mut request = v1::WatchSessionRequest::decode(request).map_err(Error::internal)?;
     // It is newer than the query, which a browser repeats as it was.
     if let Some(token) = last_event(headers)? {
         request.resume_token = Some(token);
     }
-    let stream = api.watch_session(tonic::Request::new(request)).await?.into_inner();
+    let stream = api.watch_session(routes::asked(context, request)).await?.into_inner();
     let events = stream.map(|message| Ok::<_, Infallible>(told(message)));
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response())
 }

@@ -7,7 +7,7 @@ use super::routes;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
-use percept_service::Error;
+use percept_service::{CallContext, Error};
 use percept_wire::v1::{self, MapFormat};
 use prost::Message;
 use sha2::{Digest, Sha256};
@@ -41,7 +41,13 @@ struct File {
 ///
 /// # Errors
 /// `FILE_NOT_FOUND`, `RANGE_NOT_SATISFIABLE` (416), and those of the rpc.
-pub(super) async fn export(api: &Api, request: Bytes, name: &str, headers: &HeaderMap) -> Result<Response, Refused> {
+pub(super) async fn export(
+    api: &Api,
+    context: CallContext,
+    request: Bytes,
+    name: &str,
+    headers: &HeaderMap,
+) -> Result<Response, Refused> {
     let mut request = v1::ExportMapRequest::decode(request).map_err(Error::internal)?;
     let Some((_, format)) = FILES.iter().find(|(n, _)| *n == name) else {
         let known: Vec<&str> = FILES.iter().map(|f| f.0).collect();
@@ -50,8 +56,13 @@ pub(super) async fn export(api: &Api, request: Bytes, name: &str, headers: &Head
         return Err(Error::not_found("FILE_NOT_FOUND", "name", message).into());
     };
     request.format = (*format).into();
-    let parts = routes::collect(api.export_map(tonic::Request::new(request)).await?.into_inner()).await?;
-    answer(&joined(name, *format, parts)?, headers)
+    let compute = api.service.compute().clone();
+    let session = request.source.as_ref().and_then(|s| s.source.clone());
+    let session = session.map_or_else(String::new, |v1::map_source::Source::SessionId(id)| id);
+    let parts = routes::collect(api.export_map(routes::asked(context, request)).await?.into_inner()).await?;
+    let (name, format, headers) = (name.to_owned(), *format, headers.clone());
+    let work = move || answer(&joined(&name, format, parts)?, &headers);
+    compute.query(&session, work).await?
 }
 
 fn joined(name: &str, format: MapFormat, parts: Vec<v1::ExportMapResponse>) -> Result<File, Error> {
@@ -62,10 +73,23 @@ fn joined(name: &str, format: MapFormat, parts: Vec<v1::ExportMapResponse>) -> R
     if format == MapFormat::Nav2Yaml {
         bytes = with_our_image(&bytes);
     }
-    let sha256 = Sha256::digest(&bytes).into();
+    // The rpc's own digest, unless the file was changed here.
+    let sha256 = match digest_of(&head.sha256) {
+        Some(digest) if format != MapFormat::Nav2Yaml => digest,
+        _ => Sha256::digest(&bytes).into(),
+    };
     let media_type = head.media_type.parse().map_err(Error::internal)?;
     let map_version = head.stamp.map(|s| s.map_version).unwrap_or_default();
     Ok(File { name: name.to_owned(), media_type, map_version, bytes: bytes.into(), sha256 })
+}
+
+/// A digest of lower-case hex.
+fn digest_of(hex: &str) -> Option<[u8; 32]> {
+    let mut digest = [0; 32];
+    for (i, byte) in digest.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(hex.get(2 * i..2 * i + 2)?, 16).ok()?;
+    }
+    (hex.len() == 64).then_some(digest)
 }
 
 /// The description names the image by the name that it has here.

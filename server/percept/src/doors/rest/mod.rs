@@ -9,6 +9,7 @@ mod comments;
 mod events;
 mod fields;
 mod files;
+mod hosts;
 mod openapi;
 mod pages;
 mod range;
@@ -17,54 +18,73 @@ mod routes;
 mod transcode;
 
 use super::grpc::Api;
+use super::identify::{self, Door};
+use super::listener::{Framing, Listener};
+use crate::telemetry::operations;
+use crate::telemetry::requests::{Answered, Observe};
 use axum::Router;
 use axum::extract::{FromRequestParts, RawPathParams, Request};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, Version, header};
-use axum::middleware::map_response;
+use axum::middleware::{Next, from_fn, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodFilter, on};
-use axum::serve::ListenerExt;
 use bytes::Bytes;
-use percept_service::Error;
-use prost::Message;
+use hosts::Hosts;
+use percept_service::{Error, observe};
 use refused::Refused;
 use routes::{Bound, Kind, Verb};
 use std::sync::Arc;
-use tokio::net::TcpListener;
 use tower_http::compression::CompressionLayer;
 
 /// JSON below this is not worth compressing, above `COMPRESS_AT_MOST_BYTES` not worth the wait.
 const COMPRESS_AT_LEAST_BYTES: u64 = 1 << 10;
 const COMPRESS_AT_MOST_BYTES: u64 = 4 << 20;
 
-/// Serves until `stopping` turns true, then finishes what is under way.
-pub(crate) async fn serve(api: Api, listener: TcpListener) -> std::io::Result<()> {
-    let mut stopping = api.stopping.clone();
-    let app = router(api).map_err(std::io::Error::other)?;
-    // Without it small answers wait for the peer's acknowledgement; a socket that refuses it still works.
-    let listener = listener.tap_io(|socket| drop(socket.set_nodelay(true)));
-    let drain = async move {
-        let _ = stopping.wait_for(|s| *s).await;
-    };
-    axum::serve(listener, app).with_graceful_shutdown(drain).await
+/// Serves until the server stops, then finishes what is under way.
+///
+/// # Errors
+/// What the system says of the address.
+pub(crate) async fn serve(api: Api, listener: Listener) -> std::io::Result<()> {
+    let hosts = Hosts::new(listener.address()?, &api.listen.allowed_hosts);
+    let app = router(api, hosts).map_err(std::io::Error::other)?;
+    listener.serve(app, |_| Framing::Whole).await;
+    Ok(())
+}
+
+/// Serves what watches the server, apart from the door that everybody uses, until the process ends.
+pub(crate) async fn serve_telemetry(api: Api, listener: tokio::net::TcpListener) -> std::io::Result<()> {
+    axum::serve(listener, pages::telemetry(&api).fallback(not_found)).await
 }
 
 /// Everything that the door answers.
-fn router(api: Api) -> Result<Router, Error> {
+fn router(api: Api, hosts: Hosts) -> Result<Router, Error> {
     let bound = Bound::all()?;
+    let gate = api.gate.clone();
     let document = Bytes::from(openapi::document(&bound).to_string());
     let mut router = pages::router(&api, document);
     for route in bound {
         let (path, verb, route, api) = (route.route.path, route.route.verb, Arc::new(route), api.clone());
-        let handler = move |request: Request| handle(Arc::clone(&route), api.clone(), request);
+        let operation = operations::of_rpc(route.route.rpc);
+        let handler = move |request: Request| handle(Arc::clone(&route), operation, api.clone(), request);
         router = router.route(path, on(filter(verb), handler));
     }
     Ok(router
         .fallback(not_found)
         .method_not_allowed_fallback(not_allowed)
+        .layer(from_fn(move |request, next| gate.clone().admit(Door::Rest, request, next)))
         .layer(CompressionLayer::new().compress_when(worth_compressing))
-        .layer(map_response(never_sniffed)))
+        .layer(from_fn(move |request: Request, next: Next| ours_only(hosts.clone(), request, next)))
+        .layer(map_response(never_sniffed))
+        .layer(Observe(observe::Door::Rest)))
+}
+
+async fn ours_only(hosts: Hosts, request: Request, next: Next) -> Response {
+    let (parts, body) = request.into_parts();
+    match hosts.check(&parts) {
+        Ok(()) => next.run(Request::from_parts(parts, body)).await,
+        Err(refused) => refused.into_response(),
+    }
 }
 
 const fn filter(verb: Verb) -> MethodFilter {
@@ -75,18 +95,22 @@ const fn filter(verb: Verb) -> MethodFilter {
     }
 }
 
-async fn handle(route: Arc<Bound>, api: Api, request: Request) -> Response {
-    answer(&route, api, request).await.unwrap_or_else(IntoResponse::into_response)
+async fn handle(route: Arc<Bound>, operation: operations::Operation, api: Api, request: Request) -> Response {
+    let mut response = answer(&route, api, request).await.unwrap_or_else(IntoResponse::into_response);
+    response.extensions_mut().insert(Answered { operation });
+    response
 }
 
 async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, Refused> {
     let (mut parts, body) = request.into_parts();
-    let input = route.rpc.input();
+    let context = identify::context(&parts.extensions)?;
+    let (input, mut is_large) = (route.rpc.input(), false);
     let mut message = match route.route.verb {
         Verb::Post => {
             fields::no_query(&parts.uri)?;
             let format = transcode::content_format(&parts.headers)?;
             let bytes = body::read(body, &parts.headers, api.service.limits()).await?;
+            is_large = transcode::is_large(&bytes);
             transcode::decode(input, format, bytes).await?
         }
         Verb::Get | Verb::Delete => fields::from_query(input, &parts.uri, &route.route.query_fields(&route.rpc))?,
@@ -96,23 +120,23 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
         let text = names.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str()).unwrap_or_default();
         fields::fill_from_path(&mut message, name, field, text)?;
     }
-    let request = Bytes::from(message.encode_to_vec());
+    let request = transcode::encoded(message, is_large).await?;
     match route.route.kind {
         Kind::Message(call) => {
-            let output = call(api, request).await?;
+            let output = call(api, context, request).await?;
             transcode::encode(route.rpc.output(), &parts.headers, output).await
         }
         Kind::SceneGraph(call) => {
             if routes::wants_dot(&parts)? {
-                return routes::scene_as_dot(&api, request).await;
+                return routes::scene_as_dot(&api, context, request).await;
             }
-            let output = call(api, request).await?;
+            let output = call(api, context, request).await?;
             transcode::encode(route.rpc.output(), &parts.headers, output).await
         }
-        Kind::Events => events::watch(&api, request, &parts.headers).await,
+        Kind::Events => events::watch(&api, context, request, &parts.headers).await,
         Kind::File => {
             let name = names.iter().find(|(n, _)| n == "name").map(|(_, v)| v.as_str()).unwrap_or_default();
-            files::export(&api, request, name, &parts.headers).await
+            files::export(&api, context, request, name, &parts.headers).await
         }
     }
 }

@@ -5,6 +5,7 @@ use super::fields;
 use super::files::FILES;
 use super::pages::PAGES;
 use super::routes::{Bound, Kind as Answer, Verb};
+use percept_service::caller::rules::{About, rule};
 use percept_wire::json;
 use prost_reflect::{EnumDescriptor, FieldDescriptor, Kind, MessageDescriptor};
 use serde_json::{Map, Value, json};
@@ -26,7 +27,7 @@ pub(super) fn document(routes: &[Bound]) -> Value {
         let answer = json!({"description": page.about, "content": {page.media_type: {"schema": {"type": "string"}}}});
         let mut responses = json!({"200": answer});
         if page.path == "/readyz" || page.path == "/healthz" {
-            responses["503"] = json!({"description": "The server is stopping."});
+            responses["503"] = json!({"description": "Not ready; the body says why.", "content": answer["content"]});
         }
         paths.insert(
             page.path.to_owned(),
@@ -45,6 +46,10 @@ pub(super) fn document(routes: &[Bound]) -> Value {
         "paths": paths,
         "components": {
             "schemas": schemas(&comments),
+            "securitySchemes": {"bearer": {
+                "type": "http", "scheme": "bearer",
+                "description": "A key of `percept keys`, or a token of the identity provider. Not needed where auth.mode is none.",
+            }},
             "responses": {"Problem": {
                 "description": "Why the request was not served.",
                 "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
@@ -74,7 +79,8 @@ fn operation(bound: &Bound, comments: &Comments) -> Value {
         "tags": [tag(service.name())],
         "operationId": rpc.name(),
         "summary": summary,
-        "description": format!("{words} (`percept.v1.{}`)", route.rpc.replace('/', ".")),
+        "description": format!("{words} {} (`percept.v1.{}`)", needs(route.rpc), route.rpc.replace('/', ".")),
+        "security": [{"bearer": []}, {}],
         "parameters": parameters(bound, comments),
         "responses": {"200": answer(bound), "default": {"$ref": "#/components/responses/Problem"}},
     });
@@ -96,6 +102,12 @@ fn operation(bound: &Bound, comments: &Comments) -> Value {
         out["responses"]["416"] = json!({"$ref": "#/components/responses/Problem"});
     }
     out
+}
+
+/// The access that an rpc needs.
+fn needs(rpc: &str) -> String {
+    let of = |about| if about == About::Session { " to the session" } else { "" };
+    rule(rpc).map(|r| format!("Needs {} access{}.", r.access, of(r.about))).unwrap_or_default()
 }
 
 fn answer(bound: &Bound) -> Value {
@@ -184,7 +196,7 @@ fn reference(name: &str) -> Value {
 
 fn schemas(comments: &Comments) -> Value {
     let ours = |package: &str| package == "percept.v1";
-    let messages = json::pool().all_messages().filter(|m| ours(m.package_name()));
+    let messages = json::pool().all_messages().filter(|m| ours(m.package_name()) && !m.is_map_entry());
     let enums = json::pool().all_enums().filter(|e| ours(e.package_name()));
     let mut all: Map<String, Value> = messages.map(|m| (m.name().to_owned(), message(&m, comments))).collect();
     all.extend(enums.map(|e| (e.name().to_owned(), enumeration(&e, comments))));
@@ -197,7 +209,7 @@ fn problem() -> Value {
     json!({
         "type": "object",
         "description": "RFC 9457; the same facts as ErrorInfo.",
-        "required": ["type", "title", "status", "detail", "reason", "field", "code"],
+        "required": ["type", "title", "status", "detail", "reason", "field", "code", "trace_id"],
         "properties": {
             "type": text("urn:percept:error:<reason>."),
             "title": text("Words of the HTTP status."),
@@ -206,6 +218,7 @@ fn problem() -> Value {
             "reason": text("Stable, upper-case, e.g. SESSION_NOT_FOUND."),
             "field": text("Path of the offending field; empty if none."),
             "code": text("Name of the gRPC code."),
+            "trace_id": text("The request's trace, 32 hexadecimal digits; empty if it has none."),
         },
     })
 }
@@ -223,6 +236,10 @@ fn message(message: &MessageDescriptor, comments: &Comments) -> Value {
 
 fn property(field: &FieldDescriptor, comments: &Comments) -> Value {
     let mut schema = match field.kind() {
+        Kind::Message(entry) if field.is_map() => {
+            let value = entry.map_entry_value_field();
+            json!({"type": "object", "additionalProperties": property(&value, comments)})
+        }
         Kind::Message(inner) => reference(inner.name()),
         Kind::Enum(inner) => reference(inner.name()),
         kind => scalar(&kind),

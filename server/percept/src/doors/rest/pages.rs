@@ -1,11 +1,16 @@
-//! What is no rpc: health, the OpenAPI document, and two pages for people.
+//! What is no rpc: health, metrics, the OpenAPI document, and two pages for people.
 
 use super::super::grpc::Api;
+use crate::telemetry::operations::Operation;
+use crate::telemetry::requests::Answered;
 use axum::Router;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use bytes::Bytes;
+use percept_service::{Readiness, observe};
+use percept_wire::convert;
+use serde_json::json;
 
 /// A page.
 pub(super) struct Page {
@@ -23,6 +28,7 @@ enum Content {
     OpenApi,
     Alive,
     Ready,
+    Metrics,
 }
 
 const fn page(
@@ -37,16 +43,18 @@ const fn page(
 
 const HTML: &str = "text/html; charset=utf-8";
 const TEXT: &str = "text/plain; charset=utf-8";
+const JSON: &str = "application/json";
 
 /// All pages.
 #[rustfmt::skip]
 pub(super) const PAGES: &[Page] = &[
     page("/", "LivePage", "Sessions, live, in a browser", HTML, Content::Html(include_str!("live.html"))),
     page("/docs", "DocsPage", "This API, to browse and try", HTML, Content::Html(include_str!("docs.html"))),
-    page("/openapi.json", "OpenApi", "This document", "application/json", Content::OpenApi),
+    page("/openapi.json", "OpenApi", "This document", JSON, Content::OpenApi),
     page("/livez", "Live", "Whether the process runs", TEXT, Content::Alive),
-    page("/readyz", "Ready", "Whether requests are taken", TEXT, Content::Ready),
-    page("/healthz", "Health", "Whether requests are taken", TEXT, Content::Ready),
+    page("/readyz", "Ready", "Whether requests are taken, and if not, why", JSON, Content::Ready),
+    page("/healthz", "Health", "The same as /readyz", JSON, Content::Ready),
+    page("/metrics", "Metrics", "What is counted and timed, for Prometheus, unless it is served elsewhere", observe::TEXT_MEDIA_TYPE, Content::Metrics),
 ];
 
 /// Pages load nothing from elsewhere.
@@ -57,7 +65,22 @@ const POLICY: HeaderValue = HeaderValue::from_static(
 
 /// Routes of all pages; `document` is the OpenAPI document.
 pub(super) fn router(api: &Api, document: Bytes) -> Router {
-    PAGES.iter().fold(Router::new(), |router, page| {
+    let is_served = |page: &&Page| match page.content {
+        Content::Metrics => api.shows_metrics,
+        _ => api.listen.docs || !matches!(page.path, "/docs" | "/openapi.json"),
+    };
+    let shown = PAGES.iter().filter(is_served);
+    routed(shown, api, &document)
+}
+
+/// Routes of what watches the server.
+pub(super) fn telemetry(api: &Api) -> Router {
+    let watching = |page: &&Page| matches!(page.content, Content::Metrics | Content::Alive | Content::Ready);
+    routed(PAGES.iter().filter(watching), api, &Bytes::new())
+}
+
+fn routed<'a>(pages: impl Iterator<Item = &'static Page> + 'a, api: &Api, document: &Bytes) -> Router {
+    pages.fold(Router::new(), |router, page| {
         let (api, document) = (api.clone(), document.clone());
         router.route(page.path, get(move || async move { answer(page, &api, document) }))
     })
@@ -68,16 +91,25 @@ fn answer(page: &Page, api: &Api, document: Bytes) -> Response {
         Content::Html(text) => (StatusCode::OK, Bytes::from_static(text.as_bytes())),
         Content::OpenApi => (StatusCode::OK, document),
         Content::Alive => (StatusCode::OK, Bytes::from_static(b"ok\n")),
-        Content::Ready if *api.stopping.borrow() => {
-            (StatusCode::SERVICE_UNAVAILABLE, Bytes::from_static(b"stopping\n"))
-        }
-        Content::Ready => (StatusCode::OK, Bytes::from_static(b"ok\n")),
+        Content::Ready => readiness(&api.service.health().readiness()),
+        Content::Metrics => (StatusCode::OK, Bytes::from(observe::text())),
     };
     let mut response = (status, [(header::CONTENT_TYPE, page.media_type)], body).into_response();
+    response.extensions_mut().insert(Answered { operation: Operation::brief(page.path) });
     let headers = response.headers_mut();
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
     if matches!(page.content, Content::Html(_)) {
         headers.insert(header::CONTENT_SECURITY_POLICY, POLICY);
     }
     response
+}
+
+fn readiness(readiness: &Readiness) -> (StatusCode, Bytes) {
+    let status = if readiness.is_ready() { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    let reasons: Vec<_> = convert::server::reasons_to(readiness)
+        .into_iter()
+        .map(|r| json!({"part": r.part, "reason": r.reason, "message": r.message}))
+        .collect();
+    let body = json!({"ready": readiness.is_ready(), "reasons": reasons});
+    (status, Bytes::from(body.to_string()))
 }

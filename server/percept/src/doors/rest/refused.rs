@@ -22,6 +22,7 @@ impl Refused {
             "reason": reason,
             "field": "",
             "code": "INVALID_ARGUMENT",
+            "trace_id": status::trace_id(),
         });
         let response = (status, [(header::CONTENT_TYPE, "application/problem+json")], body.to_string());
         Self(Box::new(response.into_response()))

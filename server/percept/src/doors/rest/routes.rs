@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::future::BoxFuture;
 use futures::{Stream, StreamExt};
-use percept_service::Error;
+use percept_service::{CallContext, Error};
 use percept_wire::convert::geometry;
 use percept_wire::{json, v1};
 use prost::Message;
@@ -21,11 +21,12 @@ use v1::maps_service_server::MapsService;
 use v1::navigation_service_server::NavigationService;
 use v1::scene_service_server::SceneService;
 use v1::sensors_service_server::SensorsService;
+use v1::server_service_server::ServerService;
 use v1::sessions_service_server::SessionsService;
 use v1::toolbox_service_server::ToolboxService;
 
 /// An rpc from encoded request to encoded response.
-pub(super) type Call = fn(Api, Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>>;
+pub(super) type Call = fn(Api, CallContext, Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>>;
 
 /// HTTP methods in use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -113,6 +114,13 @@ impl Route {
     }
 }
 
+/// A request of the rpc, in somebody's name.
+pub(super) fn asked<M>(context: CallContext, message: M) -> tonic::Request<M> {
+    let mut request = tonic::Request::new(message);
+    request.extensions_mut().insert(context);
+    request
+}
+
 fn decode<M: Message + Default>(request: Bytes) -> Result<M, Refused> {
     Ok(M::decode(request).map_err(Error::internal)?)
 }
@@ -120,9 +128,9 @@ fn decode<M: Message + Default>(request: Bytes) -> Result<M, Refused> {
 /// A unary rpc.
 macro_rules! unary {
     ($kind:ident $rpc:ident) => {{
-        fn call(api: Api, request: Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>> {
+        fn call(api: Api, context: CallContext, request: Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>> {
             Box::pin(async move {
-                let answer = api.$rpc(tonic::Request::new(decode(request)?)).await?;
+                let answer = api.$rpc(asked(context, decode(request)?)).await?;
                 Ok(answer.into_inner().encode_to_vec())
             })
         }
@@ -133,9 +141,9 @@ macro_rules! unary {
 /// A streaming rpc whose messages are joined by the function.
 macro_rules! joined {
     ($rpc:ident, $join:expr) => {{
-        fn call(api: Api, request: Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>> {
+        fn call(api: Api, context: CallContext, request: Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>> {
             Box::pin(async move {
-                let answer = api.$rpc(tonic::Request::new(decode(request)?)).await?;
+                let answer = api.$rpc(asked(context, decode(request)?)).await?;
                 Ok($join(collect(answer.into_inner()).await?).encode_to_vec())
             })
         }
@@ -208,9 +216,9 @@ pub(super) fn wants_dot(parts: &Parts) -> Result<bool, Refused> {
 }
 
 /// The scene graph in Graphviz's language.
-pub(super) async fn scene_as_dot(api: &Api, request: Bytes) -> Result<Response, Refused> {
+pub(super) async fn scene_as_dot(api: &Api, context: CallContext, request: Bytes) -> Result<Response, Refused> {
     let request: v1::GetSceneGraphRequest = decode(request)?;
-    let graph = api.service.scene_graph(&request.session_id).await?;
+    let graph = api.service.caller(context).scene_graph(&request.session_id).await?;
     Ok(([(header::CONTENT_TYPE, "text/vnd.graphviz; charset=utf-8")], graph.to_dot()).into_response())
 }
 
@@ -251,6 +259,8 @@ const fn delete(
 /// Every route that is an rpc. `StreamFrames` and `UploadLargeCloud` have none: a stream in needs gRPC, or zenoh.
 #[rustfmt::skip]
 pub(super) static ROUTES: &[Route] = &[
+    get("/v1/server", "ServerService/GetServerInfo", &[], unary!(Message get_server_info)),
+
     post("/v1/sessions", "SessionsService/CreateSession", &[], unary!(Message create_session)),
     get("/v1/sessions", "SessionsService/ListSessions", &[], unary!(Message list_sessions)),
     get("/v1/sessions/{session_id}", "SessionsService/GetSession", SESSION, unary!(Message get_session)),

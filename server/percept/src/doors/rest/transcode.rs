@@ -40,12 +40,25 @@ pub(super) fn content_format(headers: &HeaderMap) -> Result<Format, Refused> {
     }
 }
 
+/// Whether a body is worked on beside the threads that serve everyone else.
+pub(super) fn is_large(body: &[u8]) -> bool {
+    body.len() > LARGE_BYTES
+}
+
+/// A message as the rpc takes it.
+///
+/// # Errors
+/// `INTERNAL`.
+pub(super) async fn encoded(message: DynamicMessage, is_large: bool) -> Result<Bytes, Error> {
+    apart(is_large, move || Bytes::from(prost::Message::encode_to_vec(&message))).await
+}
+
 /// A message of a body; an empty body is an empty message.
 ///
 /// # Errors
 /// `JSON_INVALID` naming the field, `PROTOBUF_INVALID`.
 pub(super) async fn decode(message: MessageDescriptor, format: Format, body: Bytes) -> Result<DynamicMessage, Refused> {
-    let large = body.len() > LARGE_BYTES;
+    let large = is_large(&body);
     let work = move || match format {
         Format::Json if body.is_empty() => Ok(DynamicMessage::new(message)),
         Format::Json => from_json(&message, &body),

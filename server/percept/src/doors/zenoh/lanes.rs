@@ -1,6 +1,7 @@
 //! A lane for each session, so that one whose sender must wait does not hold the others.
 
 use super::{BACKLOG, hand_over};
+use crate::doors::bounds::{Charge, Memory, Peer};
 use percept_service::check_id;
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -14,36 +15,45 @@ const MAX_LANES: usize = 256;
 /// A lane on which nothing came for so long is closed.
 const IDLE: Duration = Duration::from_secs(30);
 
-type Open = Mutex<BTreeMap<String, mpsc::Sender<Sample>>>;
+/// A sample and the memory that it takes.
+type Item = (Sample, Charge);
+type Open = Mutex<BTreeMap<String, mpsc::Sender<Item>>>;
 
 /// Samples by session, each lane in the order of arrival.
 pub(super) struct Lanes<F> {
     open: Arc<Open>,
     take: F,
+    memory: Arc<Memory>,
     runtime: tokio::runtime::Handle,
 }
 
 impl<F, T> Lanes<F>
 where
-    F: Fn(Sample) -> T + Clone + Send + 'static,
+    F: Fn(Sample, Charge) -> T + Clone + Send + 'static,
     T: Future<Output = ()> + Send + 'static,
 {
     /// Lanes that give samples to `take`, one after the other.
-    pub(super) fn new(take: F) -> Self {
-        Self { open: Arc::default(), take, runtime: tokio::runtime::Handle::current() }
+    pub(super) fn new(memory: Arc<Memory>, take: F) -> Self {
+        Self { open: Arc::default(), take, memory, runtime: tokio::runtime::Handle::current() }
     }
 
-    /// Puts a sample on its session's lane; waits, and so holds the sender, while that is full.
+    /// Puts a sample on its session's lane; waits, and so holds the sender, while that is full or has all memory that one
+    /// lane may have.
     pub(super) fn put(&self, sample: Sample) {
         let session = sample.key_expr().as_str().split('/').nth(1).unwrap_or_default().to_owned();
-        let mut left = Some(sample);
+        let mut memory = self.memory.charge(&Peer::Lane(session.clone()));
+        let size = sample.payload().len();
+        if !memory.try_grow(size) {
+            tokio::task::block_in_place(|| self.runtime.block_on(memory.grow_when_there(size)));
+        }
+        let mut left = Some((sample, memory));
         // A lane may close between being found and being used; the next one found is a new one.
-        while let Some(sample) = left {
-            left = hand_over(&self.lane(&session), sample);
+        while let Some(item) = left {
+            left = hand_over(&self.lane(&session), item);
         }
     }
 
-    fn lane(&self, session: &str) -> mpsc::Sender<Sample> {
+    fn lane(&self, session: &str) -> mpsc::Sender<Item> {
         let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
         let shared = check_id("", session).is_err() || (open.len() >= MAX_LANES && !open.contains_key(session));
         let name = if shared { "" } else { session };
@@ -60,11 +70,11 @@ where
 async fn run<T: Future<Output = ()>>(
     open: Arc<Open>,
     name: String,
-    mut samples: mpsc::Receiver<Sample>,
-    take: impl Fn(Sample) -> T,
+    mut samples: mpsc::Receiver<Item>,
+    take: impl Fn(Sample, Charge) -> T,
 ) {
-    while let Ok(Some(sample)) = tokio::time::timeout(IDLE, samples.recv()).await {
-        take(sample).await;
+    while let Ok(Some((sample, memory))) = tokio::time::timeout(IDLE, samples.recv()).await {
+        take(sample, memory).await;
     }
     {
         let mut open = open.lock().unwrap_or_else(PoisonError::into_inner);
@@ -72,7 +82,7 @@ async fn run<T: Future<Output = ()>>(
         open.remove(&name);
     }
     // What came in between.
-    while let Some(sample) = samples.recv().await {
-        take(sample).await;
+    while let Some((sample, memory)) = samples.recv().await {
+        take(sample, memory).await;
     }
 }

@@ -7,17 +7,25 @@
 //!   whole), `.../scene/graph` (`SceneGraph`), `.../scene/objects` (`ListObjectsResponse`), `.../sensors`
 //!   (`ListSensorsResponse`), `.../pose` (`PoseEstimate`). Errors are an error reply with an `ErrorInfo`.
 //!
+//! Who may what is [`access`]'s: rules that zenoh enforces, and whose session it is.
+//!
 //! A frame that is refused has no one to be told: it is counted in the sensor's status.
 
+mod access;
 mod lanes;
 mod publish;
 mod query;
 
-use super::grpc::Api;
-use percept_service::{Error, IncomingFrame};
-use percept_wire::{convert, v1};
+use super::bounds::Charge;
+use super::grpc::{Api, ingest};
+use crate::config::Tls;
+use access::Policy;
+use percept_identity::AuthSettings;
+use percept_service::{Caller, Error, IncomingFrame, observe};
+use percept_wire::v1;
 use prost::Message;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::mpsc;
 use zenoh::sample::Sample;
 
@@ -25,10 +33,12 @@ use zenoh::sample::Sample;
 const ROOT: &str = "percept";
 /// Samples of a session that wait between the network and the decoder; beyond it the link is held.
 const BACKLOG: usize = 16;
+/// How often floods that have ended are summed up.
+const COUNTS_EVERY: Duration = Duration::from_secs(5);
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
-fn config(endpoint: &str, max_message_bytes: usize) -> Result<zenoh::Config, Failure> {
+fn config(endpoint: &str, max_message_bytes: usize, policy: &Policy, tls: &Tls) -> Result<zenoh::Config, Failure> {
     let mut config = zenoh::Config::default();
     let endpoints = serde_json::to_string(&[endpoint])?;
     for (key, value) in [
@@ -42,34 +52,64 @@ fn config(endpoint: &str, max_message_bytes: usize) -> Result<zenoh::Config, Fai
     ] {
         config.insert_json5(key, value)?;
     }
+    for (key, value) in policy.settings() {
+        config.insert_json5(key, &value)?;
+    }
+    if tls.is_on() {
+        let files = [
+            ("listen_certificate", &tls.cert_file),
+            ("listen_private_key", &tls.key_file),
+            ("root_ca_certificate", &tls.client_ca_file),
+        ];
+        for (key, file) in files.into_iter().filter(|(_, file)| !file.as_os_str().is_empty()) {
+            config.insert_json5(&format!("transport/link/tls/{key}"), &serde_json::to_string(file)?)?;
+        }
+        config.insert_json5("transport/link/tls/enable_mtls", &tls.client_cert_required.to_string())?;
+    }
     Ok(config)
 }
 
 /// Serves until the server stops. Opened before it returns its future's first await point is over.
 pub(crate) struct ZenohDoor {
     session: zenoh::Session,
+    names: Names,
+}
+
+/// The operations, in the name of those who may have sent what came for a session.
+#[derive(Clone)]
+struct Names {
+    api: Api,
+    policy: Arc<Policy>,
+}
+
+impl Names {
+    fn caller(&self, session: &str) -> Result<Caller, Error> {
+        Ok(self.api.service.caller(self.policy.context(session)?))
+    }
 }
 
 impl ZenohDoor {
     /// Opens a peer that listens on `endpoint`, e.g. `tcp/127.0.0.1:7447`.
-    pub(crate) async fn open(api: &Api, endpoint: &str) -> Result<Self, Failure> {
-        let session = zenoh::open(config(endpoint, api.service.limits().max_message_bytes)?).await?;
-        Ok(Self { session })
+    pub(crate) async fn open(api: &Api, endpoint: &str, auth: &AuthSettings, tls: &Tls) -> Result<Self, Failure> {
+        let policy = Arc::new(Policy::of(auth, endpoint)?);
+        let session = zenoh::open(config(endpoint, api.service.limits().max_message_bytes, &policy, tls)?).await?;
+        Ok(Self { session, names: Names { api: api.clone(), policy } })
     }
 
     /// Serves until the server stops.
     pub(crate) async fn serve(self, api: Api) -> Result<(), Failure> {
-        let publishers = Arc::new(publish::Publishers::new(self.session.clone(), api.clone()));
-        let lanes = lanes::Lanes::new({
-            let api = api.clone();
-            move |sample| take(api.clone(), Arc::clone(&publishers), sample)
+        let publishers = Arc::new(publish::Publishers::new(self.session.clone()));
+        let lanes = lanes::Lanes::new(Arc::clone(&api.bounds.memory), {
+            let names = self.names.clone();
+            move |sample, memory| take(names.clone(), Arc::clone(&publishers), sample, memory)
         });
         let frames = format!("{ROOT}/*/*/frame");
         let subscriber = self.session.declare_subscriber(frames).callback(move |s| lanes.put(s)).await?;
-        let queries = query::serve(&self.session, api.clone()).await?;
+        let queries = query::serve(&self.session, self.names.clone()).await?;
         let mut stopping = api.stopping.clone();
         tokio::select! {
             () = queries => {}
+            () = tell_counts(&api) => {}
             _ = stopping.wait_for(|s| *s) => {}
         }
         subscriber.undeclare().await?;
@@ -89,31 +129,56 @@ fn hand_over<T>(to: &mpsc::Sender<T>, item: T) -> Option<T> {
     }
 }
 
-/// Decodes a sample and hands it on.
-async fn take(api: Api, publishers: Arc<publish::Publishers>, sample: Sample) {
-    let key = sample.key_expr().as_str().to_owned();
-    match decode(&api, &key, &sample).await {
-        Ok(incoming) => {
-            publishers.watch(&incoming.session).await;
-            api.service.offer_frame(incoming).await;
+/// Tells how often faults came that were counted only, once their flood is over.
+async fn tell_counts(api: &Api) {
+    loop {
+        tokio::time::sleep(COUNTS_EVERY).await;
+        for (kind, untold) in api.service.faults().overdue() {
+            tracing::warn!(kind, untold, "more of the same");
         }
-        Err(error) => tracing::warn!(key, reason = error.reason, %error, "frame refused"),
     }
 }
 
-async fn decode(api: &Api, key: &str, sample: &Sample) -> Result<IncomingFrame, Error> {
+/// Decodes a sample and hands it on; its memory is given back when it is taken.
+async fn take(names: Names, publishers: Arc<publish::Publishers>, sample: Sample, memory: Charge) {
+    let key = sample.key_expr().as_str().to_owned();
+    let decoded = decode(&names, &key, &sample).await;
+    drop(sample);
+    let taken = match decoded {
+        Ok((caller, incoming)) => {
+            publishers.watch(&caller, &incoming.session).await;
+            caller.offer_frame(incoming).await
+        }
+        Err(error) => {
+            observe::frame_refused(None, error.reason);
+            Err(error)
+        }
+    };
+    if let Err(error) = taken
+        && let Some(untold) = names.api.service.faults().admit(&format!("frame {} {key}", error.reason))
+    {
+        tracing::warn!(key, reason = error.reason, untold, %error, "frame refused");
+    }
+    drop(memory);
+}
+
+async fn decode(names: &Names, key: &str, sample: &Sample) -> Result<(Caller, IncomingFrame), Error> {
     let mut chunks = key.split('/').skip(1);
     let (session, sensor) = (chunks.next().unwrap_or_default(), chunks.next().unwrap_or_default());
-    let decoded = decode_message(api, session, sensor, sample);
-    if decoded.is_err()
-        && let Ok(session) = api.service.session(session).await
-    {
-        session.rejected(&sensor.into());
+    let caller = names.caller(session)?;
+    match message_of(&names.api, session, sensor, sample) {
+        Ok(message) => {
+            let incoming = ingest::decode(&caller, "SensorsService/SendFrame", message).await?;
+            Ok((caller, incoming))
+        }
+        Err(error) => {
+            caller.rejected(session, &sensor.into()).await;
+            Err(error)
+        }
     }
-    decoded
 }
 
-fn decode_message(api: &Api, session: &str, sensor: &str, sample: &Sample) -> Result<IncomingFrame, Error> {
+fn message_of(api: &Api, session: &str, sensor: &str, sample: &Sample) -> Result<v1::SensorMessage, Error> {
     let (size, limit) = (sample.payload().len(), api.service.limits().max_message_bytes);
     if size > limit {
         let words = format!("message has {size} bytes, the limit is {limit}; send less at a time, or downsample");
@@ -132,5 +197,5 @@ fn decode_message(api: &Api, session: &str, sensor: &str, sample: &Sample) -> Re
             return Err(Error::invalid("KEY_MISMATCH", field, words));
         }
     }
-    convert::sensors::frame(&message, api.service.limits())
+    Ok(message)
 }

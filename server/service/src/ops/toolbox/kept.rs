@@ -3,9 +3,9 @@
 //! Nothing is forgotten before its time to make room: what does not fit is refused.
 
 use crate::ops::sessions::now_ns;
-use crate::{Error, Limits, Result};
+use crate::{Error, Limits, Result, observe};
 use percept_geometry::PointCloud;
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -25,18 +25,21 @@ pub struct KeptCloud {
     pub expires_ns: i64,
 }
 
-/// All that are kept.
+/// All that are kept for one owner.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptList {
     /// Oldest first.
     pub clouds: Vec<KeptCloud>,
-    /// Budget that is used, bytes.
+    /// Of the budget, what they use, bytes.
     pub used_bytes: usize,
-    /// Budget in all, bytes.
+    /// The budget of all owners together, bytes.
     pub max_bytes: usize,
 }
 
 struct Entry {
+    owner: String,
+    /// Running number.
+    number: u64,
     cloud: Arc<PointCloud>,
     size_bytes: usize,
     keep_ns: i64,
@@ -45,8 +48,8 @@ struct Entry {
 
 #[derive(Default)]
 struct Shelf {
-    /// By the number of the cloud.
-    entries: BTreeMap<u64, Entry>,
+    /// By the handle of the cloud.
+    entries: HashMap<String, Entry>,
     used_bytes: usize,
     next: u64,
 }
@@ -57,8 +60,6 @@ pub struct KeptClouds {
     max_clouds: usize,
     max_bytes: usize,
     max_s: usize,
-    /// Told apart from the handles of a server before a restart.
-    begin_ns: i64,
 }
 
 impl KeptClouds {
@@ -82,7 +83,6 @@ impl KeptClouds {
             max_clouds: limits.max_kept_clouds,
             max_bytes: limits.max_kept_bytes,
             max_s: limits.max_kept_s,
-            begin_ns: now_ns(),
         }
     }
 
@@ -91,24 +91,20 @@ impl KeptClouds {
         let mut shelf = self.shelf.lock().unwrap_or_else(PoisonError::into_inner);
         shelf.entries.retain(|_, e| e.expires_ns > now_ns);
         shelf.used_bytes = shelf.entries.values().map(|e| e.size_bytes).sum();
+        observe::kept_clouds(shelf.entries.len(), shelf.used_bytes);
         shelf
     }
 
-    fn described(&self, number: u64, e: &Entry) -> KeptCloud {
+    fn described(handle: &str, e: &Entry) -> KeptCloud {
         KeptCloud {
-            handle: format!("c-{:x}-{number:x}", self.begin_ns),
+            handle: handle.to_owned(),
             num_points: e.cloud.len(),
             size_bytes: e.size_bytes,
             expires_ns: e.expires_ns,
         }
     }
 
-    fn number(&self, handle: &str) -> Option<u64> {
-        let number = handle.strip_prefix(&format!("c-{:x}-", self.begin_ns))?;
-        u64::from_str_radix(number, 16).ok().filter(|n| format!("{n:x}") == number)
-    }
-
-    pub(crate) fn keep(&self, cloud: Arc<PointCloud>, keep_s: Option<f64>) -> Result<KeptCloud> {
+    pub(crate) fn keep(&self, owner: &str, cloud: Arc<PointCloud>, keep_s: Option<f64>) -> Result<KeptCloud> {
         let keep_s = keep_s.unwrap_or(self.max_s as f64);
         if !(keep_s > 0.0 && keep_s <= self.max_s as f64) {
             let words = format!("keep_s is {keep_s}; it must be positive and at most {}", self.max_s);
@@ -125,36 +121,51 @@ impl KeptClouds {
             );
             return Err(Error::exhausted("KEPT_CLOUDS_FULL", "", words));
         }
-        let number = shelf.next;
+        let (number, handle) = (shelf.next, new_handle()?);
         let keep_ns = (keep_s * 1e9) as i64;
-        let entry = Entry { cloud, size_bytes, keep_ns, expires_ns: now.saturating_add(keep_ns) };
-        let described = self.described(number, &entry);
-        shelf.entries.insert(number, entry);
+        let (owner, expires_ns) = (owner.to_owned(), now.saturating_add(keep_ns));
+        let entry = Entry { owner, number, cloud, size_bytes, keep_ns, expires_ns };
+        let described = Self::described(&handle, &entry);
+        shelf.entries.insert(handle, entry);
         shelf.used_bytes += size_bytes;
+        observe::kept_clouds(shelf.entries.len(), shelf.used_bytes);
         shelf.next += 1;
         Ok(described)
     }
 
-    pub(crate) fn get(&self, field: &str, handle: &str) -> Result<Arc<PointCloud>> {
+    pub(crate) fn get(&self, owner: &str, field: &str, handle: &str) -> Result<Arc<PointCloud>> {
         let now = now_ns();
         let mut shelf = self.swept(now);
-        let entry = self.number(handle).and_then(|n| shelf.entries.get_mut(&n));
+        let entry = shelf.entries.get_mut(handle).filter(|e| e.owner == owner);
         let entry = entry.ok_or_else(|| not_found(field, handle))?;
         entry.expires_ns = now.saturating_add(entry.keep_ns);
         Ok(Arc::clone(&entry.cloud))
     }
 
-    pub(crate) fn list(&self) -> KeptList {
+    pub(crate) fn list(&self, owner: &str) -> KeptList {
         let shelf = self.swept(now_ns());
-        let clouds = shelf.entries.iter().map(|(n, e)| self.described(*n, e)).collect();
-        KeptList { clouds, used_bytes: shelf.used_bytes, max_bytes: self.max_bytes }
+        let mut own: Vec<(&String, &Entry)> = shelf.entries.iter().filter(|(_, e)| e.owner == owner).collect();
+        own.sort_by_key(|(_, e)| e.number);
+        let used_bytes = own.iter().map(|(_, e)| e.size_bytes).sum();
+        let clouds = own.into_iter().map(|(handle, e)| Self::described(handle, e)).collect();
+        KeptList { clouds, used_bytes, max_bytes: self.max_bytes }
     }
 
-    pub(crate) fn forget(&self, handle: &str) -> Result<()> {
+    pub(crate) fn forget(&self, owner: &str, handle: &str) -> Result<()> {
         let mut shelf = self.swept(now_ns());
-        let found = self.number(handle).and_then(|n| shelf.entries.remove(&n));
-        found.map(|_| ()).ok_or_else(|| not_found("handle", handle))
+        if shelf.entries.get(handle).is_none_or(|e| e.owner != owner) {
+            return Err(not_found("handle", handle));
+        }
+        shelf.entries.remove(handle);
+        Ok(())
     }
+}
+
+/// 128 bits that nobody can guess: who knows a handle was told it.
+fn new_handle() -> Result<String> {
+    let mut secret = [0; 16];
+    getrandom::fill(&mut secret).map_err(Error::internal)?;
+    Ok(format!("c-{:032x}", u128::from_be_bytes(secret)))
 }
 
 fn not_found(field: &str, handle: &str) -> Error {
@@ -178,6 +189,8 @@ mod tests {
     use super::*;
     use nalgebra::Point3;
 
+    const ME: &str = "me";
+
     fn cloud(n: usize) -> Arc<PointCloud> {
         Arc::new(PointCloud::from_positions(vec![Point3::origin(); n]))
     }
@@ -189,32 +202,58 @@ mod tests {
     #[test]
     fn a_full_budget_refuses_and_forgets_nothing() {
         let kept = shelf();
-        let first = kept.keep(cloud(6), None).unwrap();
+        let first = kept.keep(ME, cloud(6), None).unwrap();
         assert_eq!(first.size_bytes, 72);
-        assert_eq!(kept.keep(cloud(5), None).unwrap_err().reason, "KEPT_CLOUDS_FULL");
-        let second = kept.keep(cloud(4), None).unwrap();
-        assert_eq!(kept.list().used_bytes, 120);
-        assert_eq!(kept.keep(cloud(0), None).unwrap_err().reason, "KEPT_CLOUDS_FULL");
-        assert_eq!(kept.get("cloud_handle", &first.handle).unwrap().len(), 6);
-        kept.forget(&second.handle).unwrap();
-        assert_eq!(kept.list().used_bytes, 72);
-        assert_eq!(kept.forget(&second.handle).unwrap_err().reason, "CLOUD_NOT_FOUND");
-        assert_ne!(kept.keep(cloud(1), None).unwrap().handle, second.handle);
+        assert_eq!(kept.keep(ME, cloud(5), None).unwrap_err().reason, "KEPT_CLOUDS_FULL");
+        let second = kept.keep(ME, cloud(4), None).unwrap();
+        assert_eq!(kept.list(ME).used_bytes, 120);
+        assert_eq!(kept.keep(ME, cloud(0), None).unwrap_err().reason, "KEPT_CLOUDS_FULL");
+        assert_eq!(kept.get(ME, "cloud_handle", &first.handle).unwrap().len(), 6);
+        kept.forget(ME, &second.handle).unwrap();
+        assert_eq!(kept.list(ME).used_bytes, 72);
+        assert_eq!(kept.forget(ME, &second.handle).unwrap_err().reason, "CLOUD_NOT_FOUND");
+        assert_ne!(kept.keep(ME, cloud(1), None).unwrap().handle, second.handle);
+    }
+
+    #[test]
+    fn the_clouds_of_others_are_as_if_they_were_not_there() {
+        let kept = shelf();
+        let mine = kept.keep(ME, cloud(6), None).unwrap();
+        assert_eq!(kept.get("you", "cloud_handle", &mine.handle).unwrap_err().reason, "CLOUD_NOT_FOUND");
+        assert_eq!(kept.forget("you", &mine.handle).unwrap_err().reason, "CLOUD_NOT_FOUND");
+        let theirs = kept.list("you");
+        assert!(theirs.clouds.is_empty() && theirs.used_bytes == 0);
+        assert!(kept.get(ME, "cloud_handle", &mine.handle).is_ok());
+        assert_eq!(kept.list(ME).clouds.len(), 1);
+    }
+
+    #[test]
+    fn handles_tell_nothing_of_one_another() {
+        let kept = KeptClouds::new(&Limits::default());
+        let handles: Vec<String> = (0..100).map(|_| kept.keep(ME, cloud(1), None).unwrap().handle).collect();
+        let bits = |h: &String| u128::from_str_radix(h.strip_prefix("c-").unwrap(), 16).unwrap();
+        // Of 128 fair coins all but one in 10^9 throws differ in 30 to 98.
+        for pair in handles.windows(2) {
+            let differing = (bits(&pair[0]) ^ bits(&pair[1])).count_ones();
+            assert!((25..=103).contains(&differing), "{pair:?}");
+        }
+        let listed: Vec<String> = kept.list(ME).clouds.into_iter().map(|c| c.handle).collect();
+        assert_eq!(listed, handles, "oldest first");
     }
 
     #[test]
     fn what_has_expired_is_gone_and_makes_room() {
         let kept = shelf();
-        let short = kept.keep(cloud(10), Some(1.0)).unwrap();
+        let short = kept.keep(ME, cloud(10), Some(1.0)).unwrap();
         drop(kept.swept(short.expires_ns - 1));
-        assert!(kept.get("cloud_handle", &short.handle).is_ok());
-        let used = kept.list().clouds[0].expires_ns;
+        assert!(kept.get(ME, "cloud_handle", &short.handle).is_ok());
+        let used = kept.list(ME).clouds[0].expires_ns;
         assert!(used >= short.expires_ns);
         drop(kept.swept(used));
-        assert_eq!(kept.get("cloud_handle", &short.handle).unwrap_err().field, "cloud_handle");
-        assert_eq!(kept.list().used_bytes, 0);
+        assert_eq!(kept.get(ME, "cloud_handle", &short.handle).unwrap_err().field, "cloud_handle");
+        assert_eq!(kept.list(ME).used_bytes, 0);
         for keep_s in [0.0, -1.0, f64::NAN, 100.1] {
-            assert_eq!(kept.keep(cloud(1), Some(keep_s)).unwrap_err().field, "keep_s");
+            assert_eq!(kept.keep(ME, cloud(1), Some(keep_s)).unwrap_err().field, "keep_s");
         }
     }
 }

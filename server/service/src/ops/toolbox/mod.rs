@@ -32,7 +32,7 @@ pub use registration::{compute_point_features, register_clouds, register_clouds_
 pub use shapes::{Boxes, NeighborhoodParams, convex_hull, find_neighbors, fit_boxes};
 pub use subsets::{Region, Sample, crop_cloud, sample_points};
 
-use crate::{Limits, Result, Service};
+use crate::{Alive, Error, ErrorCode, Limits, Result, Service};
 use percept_geometry::PointCloud;
 use percept_perception::detection::DetectionParams;
 use std::sync::Arc;
@@ -42,8 +42,11 @@ use std::time::{Duration, Instant};
 pub struct Toolbox {
     limits: Arc<Limits>,
     kept: Arc<KeptClouds>,
+    /// Whose kept clouds they are: others' are as if they were not there.
+    owner: String,
     detector: DetectionParams,
     begin: Instant,
+    alive: Alive,
 }
 
 impl Toolbox {
@@ -62,7 +65,7 @@ impl Toolbox {
     /// # Errors
     /// `CLOUD_NOT_FOUND` naming `field`.
     pub fn kept(&self, field: &str, handle: &str) -> Result<Arc<PointCloud>> {
-        self.kept.get(field, handle)
+        self.kept.get(&self.owner, field, handle)
     }
 
     /// Keeps a cloud for later requests, at most `keep_s` seconds unused.
@@ -70,12 +73,12 @@ impl Toolbox {
     /// # Errors
     /// `KEPT_CLOUDS_FULL` if the budget has no room; `OUT_OF_RANGE` naming `keep_s`.
     pub fn keep(&self, cloud: impl Into<Arc<PointCloud>>, keep_s: Option<f64>) -> Result<KeptCloud> {
-        self.kept.keep(cloud.into(), keep_s)
+        self.kept.keep(&self.owner, cloud.into(), keep_s)
     }
 
     /// The kept clouds and their budget.
     pub fn list_kept(&self) -> KeptList {
-        self.kept.list()
+        self.kept.list(&self.owner)
     }
 
     /// Forgets a kept cloud.
@@ -83,14 +86,21 @@ impl Toolbox {
     /// # Errors
     /// `CLOUD_NOT_FOUND`.
     pub fn drop_kept(&self, handle: &str) -> Result<()> {
-        self.kept.forget(handle)
+        self.kept.forget(&self.owner, handle)
     }
 
-    /// Whether there is time left.
+    /// Whether there is time left, and somebody who waits.
     ///
     /// # Errors
-    /// `COMPUTATION_TOO_LONG`.
+    /// `COMPUTATION_TOO_LONG`, `CANCELLED`.
     fn check_time(&self) -> Result<()> {
+        if !self.alive.is_wanted() {
+            return Err(Error::new(
+                ErrorCode::DeadlineExceeded,
+                "CANCELLED",
+                "the caller no longer waits for the answer",
+            ));
+        }
         let budget = budget(&self.limits);
         if self.begin.elapsed() < budget { Ok(()) } else { Err(crate::compute::too_long(budget)) }
     }
@@ -102,18 +112,22 @@ pub(crate) fn budget(limits: &Limits) -> Duration {
 }
 
 impl Service {
-    /// Runs a toolbox request's work on the pool.
+    /// Runs a toolbox request's work on the pool, with the kept clouds of `owner`.
     ///
     /// # Errors
     /// Those of the work; `COMPUTATION_TOO_LONG`.
     pub async fn toolbox<T: Send + 'static>(
         &self,
+        owner: String,
         work: impl FnOnce(&Toolbox) -> Result<T> + Send + 'static,
     ) -> Result<T> {
         let (limits, kept) = (Arc::clone(&self.limits), Arc::clone(&self.kept));
         let detector = self.default_params().detection.detector;
-        let budget = budget(&limits);
-        let work = move || work(&Toolbox { limits, kept, detector, begin: Instant::now() });
-        self.compute.request_within(budget, work).await?
+        let (budget, asker) = (budget(&limits), owner.clone());
+        let work = move |alive: &Alive| {
+            let alive = alive.clone();
+            work(&Toolbox { limits, kept, owner, detector, begin: Instant::now(), alive })
+        };
+        self.compute.request_within(&asker, budget, work).await?
     }
 }

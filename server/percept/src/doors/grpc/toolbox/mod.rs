@@ -22,9 +22,11 @@ impl Api {
         Q: prost::Message + 'static,
         A: Send + 'static,
     {
+        let caller = self.caller(&r)?;
+        caller.may("ToolboxService/*").map_err(status::grpc)?;
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let r = r.into_inner();
-        self.service.toolbox(move |t| run(t, r)).await.map(Response::new).map_err(status::grpc)
+        caller.toolbox(move |t| run(t, r)).await.map(Response::new).map_err(status::grpc)
     }
 }
 
@@ -36,8 +38,10 @@ impl v1::toolbox_service_server::ToolboxService for Api {
         &self,
         r: Request<Streaming<v1::UploadLargeCloudRequest>>,
     ) -> Answer<v1::UploadLargeCloudResponse> {
-        let upload = kept::received(r.into_inner(), self.service.limits()).await?;
-        let kept = self.service.toolbox(move |t| kept::upload_large_cloud(t, upload)).await;
+        let caller = self.caller(&r)?;
+        caller.may("ToolboxService/*").map_err(status::grpc)?;
+        let upload = kept::received(r.into_inner(), caller.limits()).await?;
+        let kept = caller.toolbox(move |t| kept::upload_large_cloud(t, upload)).await;
         kept.map(Response::new).map_err(status::grpc)
     }
 

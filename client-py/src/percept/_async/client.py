@@ -1,0 +1,115 @@
+"""AsyncClient: the front door."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import TracebackType
+
+import grpc
+
+from .._access import FilePath, access
+from .._convert import sensors as convert
+from .._options import Options, headers
+from ..types.sensors import ClockOffset
+from .bound import AsyncBound
+from .evaluation import AsyncEvaluation
+from .session import AsyncSession, AsyncSessions
+from .toolbox import AsyncToolbox
+from .transport import AsyncLink, AsyncTransport
+
+
+class AsyncClient(AsyncBound):
+    """A percept server.
+
+        async with AsyncClient("127.0.0.1:50051") as client:
+            session = await client.sessions.create("robot-7", sensors=[SensorSpec("laser", kind="lidar2d")])
+
+    Make it inside the running event loop. Failures are `PerceptError`s.
+    """
+
+    def __init__(
+        self,
+        address: str = "127.0.0.1:50051",
+        *,
+        timeout_s: float = 30.0,
+        retries: int = 5,
+        metadata: Mapping[str, str | bytes] | None = None,
+        token: str | None = None,
+        token_file: FilePath | None = None,
+        allow_insecure_token: bool = False,
+        tls: bool | None = None,
+        ca_file: FilePath | None = None,
+        cert_file: FilePath | None = None,
+        key_file: FilePath | None = None,
+        server_name: str | None = None,
+        credentials: grpc.ChannelCredentials | None = None,
+        max_message_bytes: int = 64 << 20,
+    ) -> None:
+        """`address` is host:port, or https://host:port (grpcs:// is the same) for TLS, which `tls=True` and
+        any of the files turn on, too: `ca_file` whom to trust instead of the well-known authorities,
+        `cert_file` with `key_file` (PEM) who asks, `server_name` what the server's certificate is made out
+        to if not to the address. `credentials` are gRPC's own, in place of the files.
+
+        `token` (or `token_file`, read again whenever it changes) goes along with every call; over a link
+        without TLS to another machine only with `allow_insecure_token`.
+
+        `timeout_s` bounds every call, tries included; calls that can be repeated without harm are tried again
+        up to `retries` times while the server is away or asks to come back later; `metadata` are headers of
+        every call. `with_options` changes these three for some calls."""
+        reached = access(
+            address,
+            token=token,
+            token_file=token_file,
+            allow_insecure_token=allow_insecure_token,
+            tls=tls,
+            ca_file=ca_file,
+            cert_file=cert_file,
+            key_file=key_file,
+            credentials=credentials,
+        )
+        options = Options(timeout_s=timeout_s, retries=retries, metadata=headers(metadata))
+        super().__init__(AsyncTransport(AsyncLink(reached, max_message_bytes, server_name), options))
+
+    def __repr__(self) -> str:
+        return f"AsyncClient({self._transport.link.access.target!r})"
+
+    @property
+    def sessions(self) -> AsyncSessions:
+        """The sessions of the server."""
+        return AsyncSessions(self._transport)
+
+    @property
+    def toolbox(self) -> AsyncToolbox:
+        """Perception without a session."""
+        return AsyncToolbox(self._transport)
+
+    @property
+    def evaluation(self) -> AsyncEvaluation:
+        """Metrics against ground truth."""
+        return AsyncEvaluation(self._transport)
+
+    def session(self, session_id: str) -> AsyncSession:
+        """A session by its name, without asking whether it exists."""
+        return AsyncSession(self._transport, session_id)
+
+    async def health(self) -> bool:
+        """Whether the server says that it serves, within 2 s or the client's time-out if that is shorter;
+        False if it cannot be reached."""
+        return await self._transport.serving()
+
+    async def sync_time(self) -> ClockOffset:
+        """The server's clock against this machine's; the quickest of five measurements."""
+        offsets = [await self._transport.call(convert.sync_time()) for _ in range(5)]
+        return min(offsets, key=lambda o: o.round_trip_ns)
+
+    async def close(self) -> None:
+        """Ends all calls and streams, also those of `with_options`, which share the link."""
+        await self._transport.link.close()
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()

@@ -1,0 +1,81 @@
+"""Maps: read what a session built."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pathlib
+from collections.abc import AsyncIterator, Sequence
+
+from .._convert import maps as convert
+from ..types.maps import (
+    Loop,
+    LoopVeto,
+    MapCloud,
+    MapFile,
+    MapFormat,
+    MapOptimised,
+    MapSummary,
+    OccupancyGrid,
+    Region,
+)
+from .bound import AsyncSessionBound
+
+
+def _written(file: MapFile, path: str | os.PathLike[str] | None) -> MapFile:
+    """Writes the file whole or not at all; a folder gets the suggested name."""
+    if path is None:
+        return file
+    target = pathlib.Path(path)
+    if target.is_dir():
+        target = target / file.file_name
+    part = target.with_name(f"{target.name}.part")
+    part.write_bytes(file.data)
+    part.replace(target)
+    return dataclasses.replace(file, path=target)
+
+
+class AsyncMaps(AsyncSessionBound):
+    """The live map of a session."""
+
+    async def summary(self) -> MapSummary:
+        """Sizes and version, without the content."""
+        return await self._transport.call(convert.get_summary(self.session_id))
+
+    async def occupancy(
+        self, *, region: Region | None = None, resolution_m: float | None = None
+    ) -> OccupancyGrid:
+        """The occupancy grid, whole or a region; resolution_m a multiple of the map's own."""
+        return await self._transport.chunks(convert.get_occupancy(self.session_id, region, resolution_m))
+
+    async def cloud(
+        self, *, center: Sequence[float] | None = None, radius_m: float | None = None
+    ) -> MapCloud:
+        """The fused cloud, whole or within radius_m of a point of the map."""
+        return await self._transport.chunks(convert.get_cloud(self.session_id, center, radius_m))
+
+    def loops(self, *, page_size: int = 0) -> AsyncIterator[Loop]:
+        """Loops that were found, believed or not, by number; pages are asked for as they are used."""
+        return self._transport.pages(convert.list_loops(self.session_id, page_size))
+
+    async def veto_loop(self, loop_id: int) -> LoopVeto:
+        """Takes a loop out of the map, which follows at once; allow_loop() undoes it."""
+        return await self._transport.call(convert.set_loop_veto(self.session_id, loop_id, True))
+
+    async def allow_loop(self, loop_id: int) -> LoopVeto:
+        """Lets a loop that was vetoed into the map again."""
+        return await self._transport.call(convert.set_loop_veto(self.session_id, loop_id, False))
+
+    async def optimise(self) -> MapOptimised:
+        """Solves the pose graph once more and moves every keyframe to where it belongs, now.
+
+        Corrections of millimetres wait for more while frames come in.
+        """
+        return await self._transport.call(convert.optimise(self.session_id))
+
+    async def export(
+        self, file_format: MapFormat | str, *, path: str | os.PathLike[str] | None = None
+    ) -> MapFile:
+        """The map as a file, checksum compared; with `path` (file or folder) it is written there."""
+        file = await self._transport.chunks(convert.export(self.session_id, file_format))
+        return _written(file, path)

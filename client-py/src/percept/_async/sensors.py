@@ -1,0 +1,52 @@
+"""Sensors: declare them, see their health."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .._convert import sensors as convert
+from ..types.geometry import CameraIntrinsics, Pose
+from ..types.sensors import OverloadPolicy, SensorKind, SensorSpec, SensorStatus
+from .bound import AsyncSessionBound
+
+
+class AsyncSensors(AsyncSessionBound):
+    """The sensors of a session."""
+
+    async def declare(
+        self,
+        sensor: SensorSpec | str,
+        *,
+        kind: SensorKind | str = SensorKind.UNSPECIFIED,
+        t_base_sensor: Pose | None = None,
+        intrinsics: CameraIntrinsics | None = None,
+        time_offset_s: float = 0.0,
+        overload_policy: OverloadPolicy | str = OverloadPolicy.UNSPECIFIED,
+    ) -> SensorStatus:
+        """Declares a sensor, given whole or by its name and parts."""
+        spec = _spec(sensor, kind, t_base_sensor, intrinsics, time_offset_s, overload_policy)
+        return await self._transport.call(convert.declare(self.session_id, spec))
+
+    async def list(self) -> Sequence[SensorStatus]:
+        """All sensors with what the server sees of their streams."""
+        return await self._transport.call(convert.list_sensors(self.session_id))
+
+
+def _spec(
+    sensor: SensorSpec | str,
+    kind: SensorKind | str,
+    t_base_sensor: Pose | None,
+    intrinsics: CameraIntrinsics | None,
+    time_offset_s: float,
+    overload_policy: OverloadPolicy | str,
+) -> SensorSpec:
+    if isinstance(sensor, SensorSpec):
+        return sensor
+    return SensorSpec(
+        sensor,
+        kind=kind,
+        t_base_sensor=t_base_sensor or Pose(),
+        intrinsics=intrinsics,
+        time_offset_s=time_offset_s,
+        overload_policy=overload_policy,
+    )

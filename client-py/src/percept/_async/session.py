@@ -1,0 +1,156 @@
+"""Sessions: one robot each, mapping."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
+
+from .._convert import navigation, sensors, sessions
+from .._sender import FrameSender
+from ..types.frames import SensorFrame
+from ..types.navigation import Navigation, NoPath, Path
+from ..types.sensors import SensorSpec
+from ..types.sessions import (
+    FrameResult,
+    Keyframe,
+    PoseEstimate,
+    SessionInfo,
+    SessionMode,
+    SessionState,
+    Trajectory,
+)
+from .bound import AsyncBound, AsyncSessionBound
+from .maps import AsyncMaps
+from .scene import AsyncScene
+from .sensors import AsyncSensors
+from .stream import AsyncFrameStream
+from .watch import AsyncWatch
+
+
+class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
+    """A session of a server. `send_*` sends one frame and waits until it was processed and is durable;
+    `stream()` sends many without waiting for each."""
+
+    def __repr__(self) -> str:
+        return f"AsyncSession({self.session_id!r})"
+
+    @property
+    def sensors(self) -> AsyncSensors:
+        """Its sensors."""
+        return AsyncSensors(self._transport, self.session_id)
+
+    @property
+    def map(self) -> AsyncMaps:
+        """Its live map."""
+        return AsyncMaps(self._transport, self.session_id)
+
+    @property
+    def scene(self) -> AsyncScene:
+        """Its objects and their relations."""
+        return AsyncScene(self._transport, self.session_id)
+
+    async def info(self) -> SessionInfo:
+        """The session as it is now."""
+        return await self._transport.call(sessions.get(self.session_id))
+
+    async def delete(self) -> None:
+        """Deletes the session with its map and everything stored for it. It cannot be undone."""
+        await self._transport.call(sessions.delete(self.session_id))
+
+    async def send(self, frame: SensorFrame) -> FrameResult:
+        """Sends a frame; raises if it is refused."""
+        return await self._transport.call(sensors.send(self.session_id, frame))
+
+    def stream(
+        self,
+        *,
+        max_in_flight: int = 16,
+        resume: bool = True,
+        resume_timeout_s: float = 60.0,
+        resume_buffer_bytes: int = 64 << 20,
+    ) -> AsyncFrameStream:
+        """Opens a stream of frames, at most `max_in_flight` ahead of their acknowledgements.
+
+        When the link breaks or the server restarts, the stream goes on by itself: it keeps frames until they
+        are durable, and sends those again. Up to `resume_buffer_bytes` are kept, also of what is sent while
+        the server is away; then `send` waits. It gives up with StreamBroken once nothing has moved for
+        `resume_timeout_s`. With `resume=False` it ends with what broke it, and keeps nothing."""
+        return AsyncFrameStream(
+            self._transport,
+            self.session_id,
+            max_in_flight=max_in_flight,
+            resume=resume,
+            resume_timeout_s=resume_timeout_s,
+            buffer_bytes=resume_buffer_bytes,
+        )
+
+    def watch(self, *, resume_token: int | None = None) -> AsyncWatch:
+        """Events from now on, or after a token; 0 stands before the first that the server still has."""
+        return AsyncWatch(self._transport, self.session_id, resume_token)
+
+    async def pose(self) -> PoseEstimate | None:
+        """Newest pose, None before the first frame. Lost is an answer."""
+        return await self._transport.call(sessions.pose(self.session_id))
+
+    async def trajectory(self) -> Trajectory:
+        """The trajectory so far, corrected."""
+        return await self._transport.chunks(sessions.get_trajectory(self.session_id))
+
+    def keyframes(self, *, page_size: int = 0) -> AsyncIterator[Keyframe]:
+        """Keyframes by number; pages are asked for as they are used."""
+        return self._transport.pages(sessions.keyframes(self.session_id, page_size))
+
+    async def plan(
+        self,
+        goal: Sequence[float],
+        *,
+        start: Sequence[float] | None = None,
+        params: Mapping[str, object] | None = None,
+    ) -> Path | NoPath:
+        """A path to (x, y) in metres of the map, from where the robot is or from `start`."""
+        return await self._transport.call(navigation.plan(self.session_id, goal, start, params))
+
+    async def navigate(
+        self, frame: SensorFrame, *, goal: Sequence[float], params: Mapping[str, object] | None = None
+    ) -> Navigation:
+        """One step in one call: a frame and a goal in; pose, obstacles and path out."""
+        return await self._transport.call(navigation.navigate(self.session_id, frame, goal, params))
+
+
+class AsyncSessions(AsyncBound):
+    """The sessions of a server."""
+
+    async def create(
+        self,
+        session_id: str | None = None,
+        *,
+        display_name: str = "",
+        mode: SessionMode | str = SessionMode.MAPPING,
+        sensors: Sequence[SensorSpec] = (),
+        params: Mapping[str, object] | None = None,
+        request_id: str | None = None,
+    ) -> AsyncSession:
+        """Creates a session. The same request_id gives the session of the first call; without one the call
+        is unique, yet safely repeated when the server is away. `params` is nested as default_params()."""
+        call = sessions.create(session_id, display_name, mode, sensors, params, request_id)
+        info = await self._transport.call(call)
+        return AsyncSession(self._transport, info.session_id)
+
+    async def get(self, session_id: str) -> AsyncSession:
+        """A session that exists."""
+        info = await self._transport.call(sessions.get(session_id))
+        return AsyncSession(self._transport, info.session_id)
+
+    def list(
+        self, *, state: SessionState | str | None = None, page_size: int = 0
+    ) -> AsyncIterator[SessionInfo]:
+        """Sessions by id, all or those in a state; pages are asked for as they are used. None is woken by
+        it."""
+        return self._transport.pages(sessions.list_sessions(state, page_size))
+
+    async def delete(self, session_id: str) -> None:
+        """Deletes a session with its map and everything stored for it. It cannot be undone."""
+        await self._transport.call(sessions.delete(session_id))
+
+    async def default_params(self) -> Mapping[str, object]:
+        """Every parameter with its default, nested."""
+        return await self._transport.call(sessions.default_params())

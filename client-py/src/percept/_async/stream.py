@@ -1,0 +1,299 @@
+"""Streams of frames in."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from types import TracebackType
+from typing import Any
+
+import grpc
+
+from .. import _rpc
+from .._options import backoff, link_broke
+from .._sender import FrameSender
+from .._stream_state import Connection, StreamState
+from ..errors import (
+    DeadlineExceeded,
+    FailedPrecondition,
+    PerceptError,
+    StreamBroken,
+    Unauthenticated,
+    Unavailable,
+    error_of_rpc,
+)
+from ..types.frames import SensorFrame
+from ..types.sensors import FrameAck, StreamSummary
+from . import _runtime as runtime
+from .transport import AsyncTransport
+
+
+class AsyncFrameStream(FrameSender[Awaitable[None]]):
+    """Sends frames without waiting for each.
+
+        async with session.stream() as stream:
+            async for stamp_ns, depth in camera:
+                await stream.send_depth("camera", stamp_ns=stamp_ns, depth=depth, metres_per_unit=0.001)
+        print(stream.summary)
+
+    A refused frame does not end the stream: it is an acknowledgement with a `rejection`. `send` waits while
+    the window is full, and raises what ended the stream. Leaving the block waits until all is acknowledged
+    and durable. A link that breaks is mended: see `Session.stream`.
+    """
+
+    def __init__(
+        self,
+        transport: AsyncTransport,
+        session_id: str,
+        *,
+        max_in_flight: int,
+        resume: bool,
+        resume_timeout_s: float,
+        buffer_bytes: int,
+    ) -> None:
+        self._transport = transport
+        self._timeout_s = transport.options.timeout_s
+        self._max_in_flight = max_in_flight
+        self._resume_timeout_s = resume_timeout_s
+        self._buffer_bytes = buffer_bytes
+        self._state = StreamState(session_id, resume=resume)
+        self._changed = runtime.Changed()
+        self._writing = runtime.Lock()
+        self._closing = False
+        self._cancelled = False
+        #: The link is gone, and waited for.
+        self._resuming = False
+        #: No room for more until what was sent is durable.
+        self._crowded = False
+        self._call: Any = None
+        self._task = runtime.Task(self._run, "percept-stream")
+
+    async def send(self, frame: SensorFrame) -> None:
+        """Sends a frame; waits while the window is full."""
+        state = self._state
+        # One at a time, so that the order of calls is the order of frames.
+        async with self._writing:
+            data = state.encoded(frame)
+            async with self._changed:
+                await self._wait(lambda: self._closing or self._has_room(data))
+                if self._closing:
+                    raise FailedPrecondition("the stream is closed; open another", reason="STREAM_CLOSED")
+                if state.ended:
+                    raise self._ended_early()
+                state.add(frame, data)
+                self._changed.notify_all()
+
+    async def acks(self) -> AsyncIterator[FrameAck]:
+        """Acknowledgements not yet read, in the order of sending; ends when none is outstanding.
+
+        Those that nobody reads are kept up to 4096, then the oldest go; `summary` counts them all.
+        """
+        state = self._state
+        while True:
+            async with self._changed:
+                await self._wait(lambda: bool(state.unread) or state.in_flight == 0)
+                if not state.unread:
+                    return
+                ack = state.unread.popleft()
+            yield ack
+
+    @property
+    def summary(self) -> StreamSummary:
+        """What became of the stream so far."""
+        return self._state.summary()
+
+    async def close(self) -> StreamSummary:
+        """Says that no more comes, waits for the last acknowledgement."""
+        state = self._state
+        async with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+            await self._wait(lambda: state.ended)
+        if state.in_flight or (state.error and state.unsafe):
+            raise self._ended_early()
+        return state.summary()
+
+    async def cancel(self) -> None:
+        """Ends the stream at once; frames in flight may or may not have been taken."""
+        async with self._changed:
+            self._closing = self._cancelled = True
+            self._changed.notify_all()
+        if self._call is not None:
+            self._call.cancel()
+        await self._task.join()
+
+    async def __aenter__(self) -> AsyncFrameStream:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None and not self._closing:
+            try:
+                await self.close()
+            except BaseException:
+                await self.cancel()
+                raise
+        elif kind is not None:
+            await self.cancel()
+
+    def _has_room(self, data: bytes) -> bool:
+        state = self._state
+        fits = not state.resume or state.fits(data, self._buffer_bytes)
+        if not fits and not self._crowded:
+            # What is durable is told with acknowledgements; with none under way, at a connection's end.
+            self._crowded = True
+            self._changed.notify_all()
+        # Sensors do not wait for a server that is away, as long as the buffer holds what they see.
+        return fits and (self._resuming or state.in_flight < self._max_in_flight)
+
+    async def _run(self) -> None:
+        """One connection after another, until the stream ends; work of its own."""
+        state = self._state
+        try:
+            await self._carry()
+        except PerceptError as error:
+            state.error = error
+        except runtime.Cancelled:
+            # By us, or with its channel.
+            pass
+        finally:
+            state.ended = True
+            async with self._changed:
+                self._changed.notify_all()
+
+    async def _carry(self) -> None:
+        state = self._state
+        failing_since: float | None = None
+        moved = (0, 0)
+        while await self._has_work():
+            token = self._transport.authorization
+            error = await self._connect()
+            if self._cancelled or self._transport.link.closed or (self._closing and not state.unsafe):
+                return
+            if error is None and not state.resume:
+                return
+            if error is None and not state.unsafe:
+                failing_since = None
+                continue
+            # What is answered a second time moves nothing.
+            if failing_since is None or moved != (state.answered, state.durable):
+                failing_since, waits = time.monotonic(), backoff(None)
+                moved = state.answered, state.durable
+            error = error or Unavailable("the server did not make all frames durable", reason="STREAM_ENDED")
+            renewed = isinstance(error, Unauthenticated) and self._transport.authorization != token
+            if not state.resume or not (renewed or link_broke(error)):
+                raise error
+            wait = next(waits) + (error.retry_after_s or 0.0)
+            if time.monotonic() + wait - failing_since > self._resume_timeout_s:
+                raise StreamBroken(
+                    error, sent=state.sent, durable=state.durable, tried_s=self._resume_timeout_s
+                ) from error
+            await self._pause(wait)
+
+    async def _has_work(self) -> bool:
+        """Waits until something is to be sent; False at the end."""
+        state = self._state
+        async with self._changed:
+            while not (state.unsafe or self._closing):
+                await self._changed.wait()
+            return state.unsafe and not self._cancelled
+
+    async def _connect(self) -> PerceptError | None:
+        """One connection from its beginning to its end; what broke it."""
+        state = self._state
+        async with self._changed:
+            connection = state.connect()
+            self._crowded = False
+        try:
+            self._call = self._transport.bidi(_rpc.STREAM_FRAMES, self._outgoing(connection))
+        except runtime.ChannelClosed:
+            return Unavailable("the client is closed; make another", reason="CLIENT_CLOSED")
+        try:
+            if self._cancelled:
+                self._call.cancel()
+            # Answered as soon as the server has taken the stream up; a failure shows with the first answer.
+            await self._call.initial_metadata()
+            async with self._changed:
+                self._resuming = False
+                self._changed.notify_all()
+            async for answer in self._call:
+                async with self._changed:
+                    state.answer(connection, answer)
+                    self._changed.notify_all()
+        except grpc.RpcError as cause:
+            return self._error_of(cause)
+        except Unavailable as turned_away:
+            self._call.cancel()
+            return turned_away
+        finally:
+            async with self._changed:
+                connection.closed = True
+                self._changed.notify_all()
+        if connection.complete:
+            return None
+        return Unavailable(
+            f"the server ended the stream after {state.answered} of {state.sent} acknowledgements",
+            reason="STREAM_ENDED",
+        )
+
+    async def _outgoing(self, connection: Connection) -> AsyncIterator[bytes]:
+        """What a connection sends."""
+        while True:
+            async with self._changed:
+                while not (connection.closed or self._may_write(connection) or self._is_over(connection)):
+                    await self._changed.wait()
+                if connection.closed:
+                    return
+                if not self._may_write(connection):
+                    connection.finished = True
+                    return
+                data = self._state.write(connection)
+            yield data
+
+    def _may_write(self, connection: Connection) -> bool:
+        return bool(connection.to_write) and len(connection.unanswered) < self._max_in_flight
+
+    def _is_over(self, connection: Connection) -> bool:
+        return (self._closing or self._crowded) and not connection.to_write
+
+    async def _pause(self, seconds: float) -> None:
+        """Waits before the next connection, or until the stream is cancelled."""
+        until = time.monotonic() + seconds
+        async with self._changed:
+            self._resuming = True
+            self._changed.notify_all()
+            while not self._cancelled and time.monotonic() < until:
+                await self._changed.wait(max(until - time.monotonic(), 0.0))
+
+    def _error_of(self, cause: grpc.RpcError) -> PerceptError:
+        error = error_of_rpc(cause)
+        # When a write meets the end of the call, grpc.aio may put an error of its own in place of the
+        # server's, which would have had a reason.
+        if error.code == "INTERNAL" and not error.reason:
+            return Unavailable("the server ended the stream", reason="STREAM_ENDED")
+        return error
+
+    async def _wait(self, ready: Callable[[], bool]) -> None:
+        """Waits under the lock until ready, for as long as something comes back, or the link is awaited."""
+        state = self._state
+        since, seen = time.monotonic(), (state.progress, self._resuming)
+        while not (ready() or state.error or state.ended):
+            if seen != (state.progress, self._resuming):
+                since, seen = time.monotonic(), (state.progress, self._resuming)
+            # A link that is awaited is given up in _carry, unless a connection gets no word at all.
+            patience = self._timeout_s + (self._resume_timeout_s if self._resuming else 0.0)
+            left = since + patience - time.monotonic()
+            if left <= 0:
+                message = f"no acknowledgement for {patience:g} s with {state.in_flight} frames in flight"
+                raise DeadlineExceeded(message, reason="STREAM_STALLED")
+            await self._changed.wait(left)
+        if state.error and not ready():
+            raise state.error
+
+    def _ended_early(self) -> Exception:
+        state = self._state
+        if state.error:
+            return state.error
+        message = f"the server ended the stream after {state.answered} of {state.sent} acknowledgements"
+        return Unavailable(message, reason="STREAM_ENDED")

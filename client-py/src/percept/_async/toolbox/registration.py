@@ -1,0 +1,104 @@
+"""Two clouds to a transform."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..._arrays import Array
+from ..._convert.toolbox import registration as convert
+from ..._convert.toolbox.request import Cloud
+from ...types.geometry import Pose
+from ...types.toolbox import (
+    GlobalRegistration,
+    GlobalRegistrationMethod,
+    Registration,
+    RegistrationMethod,
+    RobustKernel,
+)
+from ..bound import AsyncBound
+
+
+class AsyncRegistrationCalls(AsyncBound):
+    """How one cloud lies over another."""
+
+    async def register_clouds(
+        self,
+        source: Cloud,
+        *,
+        target: Cloud,
+        initial_guess: Pose | Array | None = None,
+        method: RegistrationMethod | str = RegistrationMethod.POINT_TO_PLANE,
+        max_distance_m: float | None = None,
+        max_iterations: int | None = None,
+        voxel_sizes_m: Sequence[float] = (),
+        kernel: RobustKernel | str = RobustKernel.NONE,
+        kernel_scale_m: float | None = None,
+        translation_tolerance_m: float | None = None,
+        rotation_tolerance_rad: float | None = None,
+        num_neighbors: int | None = None,
+        target_voxel_size_m: float | None = None,
+        color_share: float | None = None,
+        tangent_weight: float | None = None,
+        degeneracy_threshold: float | None = None,
+    ) -> Registration:
+        """Lays source over target, starting from t_target_source = initial_guess (identity).
+
+        Pairs further apart than max_distance_m (0.02) do not count. voxel_sizes_m thins both clouds, coarse
+        to fine. kernel_scale_m is where the kernel begins to bend. Normals come from num_neighbors (20)
+        points; target_voxel_size_m (1) is for vgicp, color_share (0.032) for colored, tangent_weight (0) for
+        point_to_plane.
+        """
+        call = convert.register_clouds(
+            source,
+            target,
+            initial_guess=initial_guess,
+            method=method,
+            max_distance_m=max_distance_m,
+            max_iterations=max_iterations,
+            voxel_sizes_m=voxel_sizes_m,
+            kernel=kernel,
+            kernel_scale_m=kernel_scale_m,
+            translation_tolerance_m=translation_tolerance_m,
+            rotation_tolerance_rad=rotation_tolerance_rad,
+            num_neighbors=num_neighbors,
+            target_voxel_size_m=target_voxel_size_m,
+            color_share=color_share,
+            tangent_weight=tangent_weight,
+            degeneracy_threshold=degeneracy_threshold,
+        )
+        return await self._transport.call(call)
+
+    async def register_clouds_globally(
+        self,
+        source: Cloud,
+        *,
+        target: Cloud,
+        voxel_size_m: float | None = None,
+        method: GlobalRegistrationMethod | str = GlobalRegistrationMethod.CONSISTENCY,
+        refine: bool | None = None,
+        max_iterations: int | None = None,
+        seed: int = 0,
+    ) -> GlobalRegistration:
+        """Lays source over target from anywhere, with no guess; believe it only if its outcome is FOUND.
+
+        Both clouds are thinned to voxel_size_m (0.05; 0.5 for outdoor lidars), with which all else scales.
+        max_iterations (100000) is for ransac.
+        """
+        call = convert.register_clouds_globally(
+            source,
+            target,
+            voxel_size_m=voxel_size_m,
+            method=method,
+            refine=refine,
+            max_iterations=max_iterations,
+            seed=seed,
+        )
+        return await self._transport.call(call)
+
+    async def compute_point_features(
+        self, cloud: Cloud, *, radius_m: float | None = None, max_neighbors: int | None = None
+    ) -> Array:
+        """FPFH of every point, (N, 33) float32, from neighbours within radius_m (0.25), at most
+        max_neighbors (100; 0: all); zeros for points without neighbours."""
+        call = convert.compute_point_features(cloud, radius_m=radius_m, max_neighbors=max_neighbors)
+        return await self._transport.call(call)

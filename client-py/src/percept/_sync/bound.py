@@ -1,0 +1,40 @@
+# Written by client-py/generate from _async/bound.py; change that.
+"""What all that makes calls has in common."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import TypeVar
+
+from .transport import Transport
+
+B = TypeVar("B", bound="Bound")
+
+
+class Bound:
+    """Something of a server's that is asked over a transport."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+
+    def with_options(
+        self: B,
+        *,
+        timeout_s: float | None = None,
+        retries: int | None = None,
+        metadata: Mapping[str, str | bytes] | None = None,
+    ) -> B:
+        """The same over the same link, with other options for the calls that are made from it: their
+        time-out (tries included), how often those that may be repeated are tried again, further headers."""
+        other = copy.copy(self)
+        other._transport = self._transport.with_options(timeout_s, retries, metadata)
+        return other
+
+
+class SessionBound(Bound):
+    """Something of a session's."""
+
+    def __init__(self, transport: Transport, session_id: str) -> None:
+        super().__init__(transport)
+        self.session_id = session_id

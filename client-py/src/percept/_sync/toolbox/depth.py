@@ -1,0 +1,53 @@
+# Written by client-py/generate from _async/toolbox/depth.py; change that.
+"""Depth and colour images."""
+
+from __future__ import annotations
+
+from ..._arrays import Array
+from ..._convert.toolbox import depth as convert
+from ...types.frames import EncodedImage
+from ...types.geometry import CameraIntrinsics, PointCloud
+from ..bound import Bound
+
+
+class Depth(Bound):
+    """Depth is (H, W) float32 metres, or uint16 units of metres_per_unit; colour is (H, W, 3) uint8 RGB."""
+
+    def unproject_depth(
+        self,
+        depth: Array | EncodedImage,
+        *,
+        intrinsics: CameraIntrinsics,
+        metres_per_unit: float | None = None,
+        color: Array | EncodedImage | None = None,
+        stride: int | None = None,
+        min_depth_m: float | None = None,
+        max_depth_m: float | None = None,
+    ) -> PointCloud:
+        """Depth image to cloud in the optical frame; depth from min_depth_m (0) to max_depth_m (10)."""
+        call = convert.unproject_depth(
+            depth, intrinsics, metres_per_unit, color, stride, min_depth_m, max_depth_m
+        )
+        return self._transport.call(call)
+
+    def decode_depth(self, data: bytes, *, metres_per_unit: float) -> Array:
+        """A 16-bit grey PNG to (H, W) float32 metres; 0 is no return."""
+        return self._transport.call(convert.decode_depth(data, metres_per_unit))
+
+    def encode_depth(
+        self, depth: Array, *, metres_per_unit: float | None = None, png_metres_per_unit: float = 0.001
+    ) -> bytes:
+        """A depth image to a 16-bit grey PNG of units of png_metres_per_unit."""
+        return self._transport.call(convert.encode_depth(depth, metres_per_unit, png_metres_per_unit))
+
+    def convert_depth(self, depth: Array, *, metres_per_unit: float = 0.001) -> Array:
+        """uint16 units (16UC1) to float32 metres (32FC1), or the other way round."""
+        return self._transport.call(convert.convert_depth(depth, metres_per_unit))
+
+    def decode_color(self, data: bytes) -> Array:
+        """A PNG or JPEG to (H, W, 3) uint8 RGB."""
+        return self._transport.call(convert.decode_color(data))
+
+    def encode_color(self, color: Array, *, encoding: str = "png", quality: int | None = None) -> bytes:
+        """A colour image to a PNG, or a JPEG of quality 1 to 100 (90)."""
+        return self._transport.call(convert.encode_color(color, encoding, quality))

@@ -1,1 +1,0 @@
-"""The toolbox's calls, one file a group, each for the blocking and for the asyncio client."""

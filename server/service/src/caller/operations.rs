@@ -1,0 +1,400 @@
+//! Each operation: asked for, then done. In the order of the nouns.
+
+use super::Caller;
+use super::audit::Act;
+use crate::ops::toolbox::Toolbox;
+use crate::{
+    CloudAnswer, EventLog, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved, Navigation, NewSession,
+    Page, Pending, Plan, PlanRequest, Processed, Result, SensorDeclaration, SensorStatus, Session, SessionDescription,
+    SessionState, SessionView, TrajectoryComparison, Vetoed, check_id,
+};
+use nalgebra::{Point2, Point3};
+use percept_evaluation::{
+    DetectionScore, FoundObject, PosePair, RelationScore, TrajectoryScore, TrueObject, TrueRelation,
+};
+use percept_geometry::{ObjectClass, Pose, SensorId, Stamped};
+use percept_identity::Access;
+use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, Snapshot};
+use percept_scene::{Object, SceneGraph};
+use std::sync::Arc;
+
+/// Sessions.
+impl Caller {
+    /// The parameters that a session gets where it sets none.
+    ///
+    /// # Errors
+    /// `PERMISSION_DENIED`.
+    pub fn default_params(&self) -> Result<&PipelineParams> {
+        self.may("SessionsService/GetDefaultParams")?;
+        Ok(self.service.default_params())
+    }
+
+    /// The same, for a request that does more than to ask for them, and is asked about itself.
+    pub fn params_to_fill(&self) -> &PipelineParams {
+        self.service.default_params()
+    }
+
+    /// Creates a session of the caller's tenant, durably; its id.
+    ///
+    /// # Errors
+    /// Bad ids or parameters, `SESSION_EXISTS`, limits.
+    pub async fn create_session(&self, mut new: NewSession) -> Result<String> {
+        const NAME: &str = "SessionsService/CreateSession";
+        let id = new.id.take().unwrap_or_else(crate::ops::sessions::fresh_id);
+        check_id("session_id", &id)?;
+        self.anew(NAME, &id)?;
+        new.id = Some(id.clone());
+        let act = Act::begin(&self.context, NAME, &id);
+        let created = self.service.create_session(&self.context.principal.tenant, new).await;
+        act.end(&created);
+        let created = created?;
+        // A request that is sent again gives the session of its first time, which may have another id.
+        if created != id {
+            self.may_with(NAME, &created).await?;
+        }
+        Ok(created)
+    }
+
+    /// A session to read for an operation of the table, woken if it slept.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn session(&self, operation: &'static str, id: &str) -> Result<Arc<Session>> {
+        self.may_with(operation, id).await?;
+        self.service.session(id).await
+    }
+
+    /// Everything that can be said of a session without waking it, for an operation of the table.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`; faults of the storage.
+    pub async fn describe_session(&self, operation: &'static str, id: &str) -> Result<SessionDescription> {
+        self.may_with(operation, id).await?;
+        self.service.describe_session(id).await
+    }
+
+    /// Events of a session, awake or not, for an operation of the table.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn session_events(&self, operation: &'static str, id: &str) -> Result<Arc<EventLog>> {
+        self.may_with(operation, id).await?;
+        self.service.session_events(id).await
+    }
+
+    /// Sessions that the caller may read, by id; in a state if one is given.
+    ///
+    /// # Errors
+    /// `PERMISSION_DENIED`.
+    pub async fn list_sessions(
+        &self,
+        state: Option<SessionState>,
+        size: u32,
+        token: &str,
+    ) -> Result<Page<SessionView>> {
+        self.may("SessionsService/ListSessions")?;
+        let principal = &self.context.principal;
+        let is_wanted = |view: &SessionView| {
+            view.tenant == principal.tenant
+                && principal.may(Access::Read, &view.id)
+                && state.is_none_or(|wanted| view.state == wanted)
+        };
+        Ok(self.service.list_sessions(size, token, is_wanted).await)
+    }
+
+    /// Keyframes that the map is made of, by number.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `PAGE_TOKEN_INVALID`.
+    pub async fn list_keyframes(&self, session: &str, page_size: u32, page_token: &str) -> Result<Page<KeyframeInfo>> {
+        self.may_with("SessionsService/ListKeyframes", session).await?;
+        self.service.list_keyframes(session, page_size, page_token).await
+    }
+
+    /// Deletes a session with all that is stored for it.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, faults of the storage.
+    pub async fn delete_session(&self, id: &str) -> Result<()> {
+        const NAME: &str = "SessionsService/DeleteSession";
+        self.may_with(NAME, id).await?;
+        let act = Act::begin(&self.context, NAME, id);
+        let deleted = self.service.delete_session(id).await;
+        act.end(&deleted);
+        deleted
+    }
+
+    /// The newest snapshot of a session, for an operation of the table.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn snapshot(&self, operation: &'static str, session: &str) -> Result<Arc<Snapshot>> {
+        self.may_with(operation, session).await?;
+        self.service.snapshot(session).await
+    }
+}
+
+/// Sensors.
+impl Caller {
+    /// Declares a sensor of a session, durably.
+    ///
+    /// # Errors
+    /// `SENSOR_IN_USE`, `TOO_MANY_SENSORS`, `SESSION_NOT_FOUND`.
+    pub async fn declare_sensor(&self, session: &str, declaration: SensorDeclaration) -> Result<SensorStatus> {
+        const NAME: &str = "SensorsService/DeclareSensor";
+        self.may_with(NAME, session).await?;
+        let act = Act::begin(&self.context, NAME, session);
+        let declared = self.service.declare_sensor(session, declaration).await;
+        act.end(&declared);
+        declared
+    }
+
+    /// Takes one frame and answers when it was processed and is durable.
+    ///
+    /// # Errors
+    /// What is wrong with the frame; limits; faults of the storage.
+    pub async fn send_frame(&self, incoming: IncomingFrame) -> Result<(Arc<Session>, Processed)> {
+        self.may_with("SensorsService/SendFrame", &incoming.session).await?;
+        self.service.send_frame(incoming).await
+    }
+
+    /// Takes one frame of a stream; waits for room in the session's queue. The answer comes through what is returned.
+    ///
+    /// # Errors
+    /// As [`Session::submit`]; `SESSION_NOT_FOUND`.
+    pub async fn submit(&self, incoming: IncomingFrame) -> Result<(Arc<Session>, Pending)> {
+        self.may_with("SensorsService/StreamFrames", &incoming.session).await?;
+        self.service.submit_frame(incoming).await
+    }
+
+    /// Takes a frame from a door that cannot answer.
+    ///
+    /// # Errors
+    /// Why it was not taken.
+    pub async fn offer_frame(&self, incoming: IncomingFrame) -> Result<()> {
+        self.may_with("SensorsService/StreamFrames", &incoming.session).await?;
+        self.service.offer_frame(incoming).await
+    }
+
+    /// Counts a frame that a door refused, if the caller may send to that session.
+    pub async fn rejected(&self, session: &str, sensor: &SensorId) {
+        if self.may_with("SensorsService/StreamFrames", session).await.is_ok() {
+            self.service.count_rejected(session, sensor).await;
+        }
+    }
+
+    /// Health of every sensor of a session, without waking it.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`; faults of the storage.
+    pub async fn list_sensors(&self, session: &str) -> Result<Vec<SensorStatus>> {
+        self.may_with("SensorsService/ListSensors", session).await?;
+        self.service.list_sensors(session).await
+    }
+
+    /// The server's clock, nanoseconds since the Unix epoch.
+    ///
+    /// # Errors
+    /// `PERMISSION_DENIED`.
+    pub fn clock_ns(&self) -> Result<i64> {
+        self.may("SensorsService/SyncTime")?;
+        Ok(self.service.clock_ns())
+    }
+
+    /// What runs here.
+    ///
+    /// # Errors
+    /// `PERMISSION_DENIED`.
+    pub fn server_info(&self) -> Result<crate::ServerInfo> {
+        self.may("ServerService/GetServerInfo")?;
+        Ok(self.service.server_info())
+    }
+}
+
+/// Maps.
+impl Caller {
+    /// Sizes and version of a session's map.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn map_summary(&self, session: &str) -> Result<MapSummary> {
+        self.may_with("MapsService/GetMapSummary", session).await?;
+        self.service.map_summary(session).await
+    }
+
+    /// A part of the occupancy grid.
+    ///
+    /// # Errors
+    /// As [`crate::maps::dense`]; `SESSION_NOT_FOUND`.
+    pub async fn occupancy_grid(
+        &self,
+        session: &str,
+        region: Option<(Point2<f64>, Point2<f64>)>,
+        resolution_m: Option<f64>,
+    ) -> Result<GridAnswer> {
+        self.may_with("MapsService/GetOccupancyGrid", session).await?;
+        self.service.occupancy_grid(session, region, resolution_m).await
+    }
+
+    /// The fused cloud, or the part of it around a point (m, map frame; radius m).
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn cloud(&self, session: &str, around: Option<(Point3<f64>, f64)>) -> Result<CloudAnswer> {
+        self.may_with("MapsService/GetCloud", session).await?;
+        self.service.cloud(session, around).await
+    }
+
+    /// Loops by number, those not believed included, and the version of the map that they belong to.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `PAGE_TOKEN_INVALID`.
+    pub async fn list_loops(&self, session: &str, page_size: u32, page_token: &str) -> Result<(Page<Loop>, u64)> {
+        self.may_with("MapsService/ListLoops", session).await?;
+        self.service.list_loops(session, page_size, page_token).await
+    }
+
+    /// Takes a loop out of the map, or undoes that; the map follows at once, and it is durable when this answers.
+    ///
+    /// # Errors
+    /// `LOOP_NOT_FOUND`, `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
+    pub async fn set_loop_veto(&self, session: &str, id: LoopId, vetoed: bool) -> Result<Vetoed> {
+        const NAME: &str = "MapsService/SetLoopVeto";
+        self.may_with(NAME, session).await?;
+        let act = Act::begin(&self.context, NAME, session);
+        let done = self.service.set_loop_veto(session, id, vetoed).await;
+        act.end(&done);
+        done
+    }
+
+    /// Makes the small corrections that wait for more; they are durable when this answers.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
+    pub async fn optimise_map(&self, session: &str) -> Result<Moved> {
+        self.may_with("MapsService/OptimiseMap", session).await?;
+        self.service.optimise_map(session).await
+    }
+
+    /// The map as a file.
+    ///
+    /// # Errors
+    /// `MAP_EMPTY` if nothing was mapped, `GRID_TOO_LARGE`, `SESSION_NOT_FOUND`.
+    pub async fn export_map(&self, session: &str, format: MapFormat) -> Result<MapFile> {
+        self.may_with("MapsService/ExportMap", session).await?;
+        self.service.export_map(session, format).await
+    }
+}
+
+/// Scene.
+impl Caller {
+    /// Objects by id, with the version of the map that their boxes refer to.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `PAGE_TOKEN_INVALID`.
+    pub async fn list_objects(
+        &self,
+        session: &str,
+        class: Option<ObjectClass>,
+        include_gone: bool,
+        page_size: u32,
+        page_token: &str,
+    ) -> Result<(Page<Object>, u64)> {
+        self.may_with("SceneService/ListObjects", session).await?;
+        self.service.list_objects(session, class, include_gone, page_size, page_token).await
+    }
+
+    /// One object.
+    ///
+    /// # Errors
+    /// `OBJECT_NOT_FOUND`, `SESSION_NOT_FOUND`.
+    pub async fn object(&self, session: &str, id: u64) -> Result<Object> {
+        self.may_with("SceneService/GetObject", session).await?;
+        self.service.object(session, id).await
+    }
+
+    /// Robot, objects and their relations.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn scene_graph(&self, session: &str) -> Result<SceneGraph> {
+        self.may_with("SceneService/GetSceneGraph", session).await?;
+        self.service.scene_graph(session).await
+    }
+}
+
+/// Navigation.
+impl Caller {
+    /// A path through a session's map.
+    ///
+    /// # Errors
+    /// Coordinates or parameters out of bounds, `GRID_TOO_LARGE`, `SESSION_NOT_FOUND`.
+    pub async fn plan_path(&self, session: &str, request: PlanRequest) -> Result<Plan> {
+        self.may_with("NavigationService/PlanPath", session).await?;
+        self.service.plan_path(session, request).await
+    }
+
+    /// A sensor message and a goal in; pose, obstacles and path out.
+    ///
+    /// # Errors
+    /// As [`send_frame`](Self::send_frame) and [`plan_path`](Self::plan_path).
+    pub async fn navigate(&self, incoming: IncomingFrame, request: PlanRequest) -> Result<Navigation> {
+        self.may_with("NavigationService/Navigate", &incoming.session).await?;
+        self.service.navigate(incoming, request).await
+    }
+}
+
+/// Toolbox and evaluation.
+impl Caller {
+    /// Runs a toolbox request's work on the pool, with the caller's own kept clouds.
+    ///
+    /// # Errors
+    /// Those of the work; `COMPUTATION_TOO_LONG`.
+    pub async fn toolbox<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Toolbox) -> Result<T> + Send + 'static,
+    ) -> Result<T> {
+        self.may("ToolboxService/*")?;
+        self.service.toolbox(self.owner(), work).await
+    }
+
+    /// ATE and RPE as evo computes them, drift as KITTI does; the compared poses if they are wanted.
+    ///
+    /// # Errors
+    /// `EVALUATION_INVALID`.
+    pub async fn evaluate_trajectory(
+        &self,
+        comparison: TrajectoryComparison,
+    ) -> Result<(TrajectoryScore, Vec<PosePair>)> {
+        self.may("EvaluationService/*")?;
+        self.service.evaluate_trajectory(comparison).await
+    }
+
+    /// A trajectory (ascending stamps) judged by checked motions.
+    ///
+    /// # Errors
+    /// `EVALUATION_INVALID`.
+    pub async fn evaluate_relations(
+        &self,
+        trajectory: Vec<Stamped<Pose>>,
+        relations: Vec<TrueRelation>,
+        max_gap_s: Option<f64>,
+    ) -> Result<RelationScore> {
+        self.may("EvaluationService/*")?;
+        self.service.evaluate_relations(trajectory, relations, max_gap_s).await
+    }
+
+    /// Precision and recall of boxes; a pair matches at `min_iou` (0.25 if none).
+    ///
+    /// # Errors
+    /// `EVALUATION_INVALID` for a threshold outside (0, 1].
+    pub async fn evaluate_detections(
+        &self,
+        truth: Vec<TrueObject>,
+        found: Vec<FoundObject>,
+        min_iou: Option<f64>,
+    ) -> Result<DetectionScore> {
+        self.may("EvaluationService/*")?;
+        self.service.evaluate_detections(truth, found, min_iou).await
+    }
+}

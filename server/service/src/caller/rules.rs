@@ -1,0 +1,114 @@
+//! What each operation needs: the one table, for all doors.
+//!
+//! An operation is named as its rpc is, whichever door it came through. What is in no line here is refused.
+
+use crate::{Error, Result};
+use percept_identity::Access;
+
+/// What an operation is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum About {
+    /// One session: of the caller's tenant, and fitting the pattern of a grant.
+    Session,
+    /// No session, or all that the caller may see: any grant will do.
+    Nothing,
+}
+
+/// What an operation needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Rule {
+    /// `Service/Method` of the contract, or `Service/*`.
+    pub operation: &'static str,
+    /// The least access that a grant must have.
+    pub access: Access,
+    /// What it is about.
+    pub about: About,
+    /// Whether the audit log tells when it was done, not only when it was refused.
+    pub audited: bool,
+}
+
+const fn session(operation: &'static str, access: Access) -> Rule {
+    Rule { operation, access, about: About::Session, audited: false }
+}
+
+const fn nothing(operation: &'static str, access: Access) -> Rule {
+    Rule { operation, access, about: About::Nothing, audited: false }
+}
+
+const fn audited(rule: Rule) -> Rule {
+    Rule { audited: true, ..rule }
+}
+
+use Access::{Admin, Read, Write};
+
+/// Every operation.
+#[rustfmt::skip]
+pub static RULES: &[Rule] = &[
+    audited(session("SessionsService/CreateSession", Write)),
+    session("SessionsService/GetSession", Read),
+    nothing("SessionsService/ListSessions", Read),
+    audited(session("SessionsService/DeleteSession", Admin)),
+    session("SessionsService/GetPose", Read),
+    session("SessionsService/GetTrajectory", Read),
+    session("SessionsService/ListKeyframes", Read),
+    session("SessionsService/WatchSession", Read),
+    nothing("SessionsService/GetDefaultParams", Read),
+
+    audited(session("SensorsService/DeclareSensor", Write)),
+    session("SensorsService/ListSensors", Read),
+    session("SensorsService/StreamFrames", Write),
+    session("SensorsService/SendFrame", Write),
+    nothing("SensorsService/SyncTime", Read),
+    nothing("ServerService/GetServerInfo", Read),
+
+    session("MapsService/GetMapSummary", Read),
+    session("MapsService/GetOccupancyGrid", Read),
+    session("MapsService/GetCloud", Read),
+    session("MapsService/ListLoops", Read),
+    audited(session("MapsService/SetLoopVeto", Write)),
+    session("MapsService/OptimiseMap", Write),
+    session("MapsService/ExportMap", Read),
+
+    session("SceneService/ListObjects", Read),
+    session("SceneService/GetObject", Read),
+    session("SceneService/GetSceneGraph", Read),
+
+    // A path is a question about the map; a step of a robot brings a frame.
+    session("NavigationService/PlanPath", Read),
+    session("NavigationService/Navigate", Write),
+
+    // They touch no session, but take computing time and memory for clouds, which are the caller's alone.
+    nothing("ToolboxService/*", Write),
+    nothing("EvaluationService/*", Write),
+];
+
+/// The rule of an operation; none if there is no such operation.
+pub fn rule(operation: &str) -> Option<&'static Rule> {
+    let of_all = |rule: &Rule| {
+        let service = rule.operation.strip_suffix('*');
+        service.is_some_and(|service| operation.starts_with(service) && operation.len() > service.len())
+    };
+    RULES.iter().find(|rule| rule.operation == operation || of_all(rule))
+}
+
+/// The rule of an operation of ours.
+pub(super) fn own(operation: &'static str) -> Result<&'static Rule> {
+    rule(operation).ok_or_else(|| Error::internal(format!("no rule for {operation}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_operation_has_one_rule_and_what_is_none_has_no_rule() {
+        assert_eq!(rule("ToolboxService/CropCloud").map(|r| r.access), Some(Write));
+        assert_eq!(rule("SessionsService/DeleteSession").map(|r| r.access), Some(Admin));
+        for none in ["", "ToolboxService", "ToolboxService/", "SessionsService/Delete", "SessionsService/*x"] {
+            assert_eq!(rule(none), None, "{none}");
+        }
+        for (i, a) in RULES.iter().enumerate() {
+            assert!(RULES[i + 1..].iter().all(|b| a.operation != b.operation), "{} is there twice", a.operation);
+        }
+    }
+}

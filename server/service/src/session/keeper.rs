@@ -1,0 +1,97 @@
+//! Puts sessions to sleep that nobody uses, and more of them when memory runs short; watches the storage.
+
+use super::fault::store_error;
+use super::registry::Registry;
+use super::slot::{Phase, Slot};
+use crate::{Health, Part};
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+
+/// How often sessions are looked through.
+const EVERY: Duration = Duration::from_millis(500);
+/// A session that was used more recently than this is left awake whatever memory says: it would be woken again at once.
+const RECENT_NS: i64 = 2_000_000_000;
+/// Share of the sessions in question that are put to sleep in one round when memory runs short: it takes a moment until
+/// memory that was given back can be seen.
+const SHARE: usize = 8;
+
+/// How often the storage is asked while all is well and while it is not.
+const ASK_WELL: Duration = Duration::from_secs(10);
+const ASK_ILL: Duration = Duration::from_millis(500);
+/// How long an answer may take.
+const ASK_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Tells whether the storage takes data, until the registry is gone: asked now and then, and at once when a write failed.
+pub(super) async fn watch_storage(registry: Weak<Registry>, health: Health) {
+    let (mut failures, mut is_well, mut asked) = (0, true, None::<tokio::time::Instant>);
+    loop {
+        let Some(registry) = registry.upgrade() else { return };
+        let newest = registry.root.num_failures();
+        let is_due = asked.is_none_or(|at| at.elapsed() >= if is_well { ASK_WELL } else { ASK_ILL });
+        if is_due || newest != failures {
+            failures = newest;
+            asked = Some(tokio::time::Instant::now());
+            let answer = tokio::time::timeout(ASK_PATIENCE, registry.root.probe()).await;
+            let answer = answer.unwrap_or(Err(percept_store::StoreError::Stalled { waited: ASK_PATIENCE }));
+            is_well = answer.is_ok();
+            health.report(Part::Storage, answer.map_err(|e| store_error(&e)));
+        }
+        drop(registry);
+        tokio::time::sleep(ASK_ILL).await;
+    }
+}
+
+/// Runs until the registry is gone.
+pub(super) async fn keep(registry: Weak<Registry>) {
+    loop {
+        tokio::time::sleep(EVERY).await;
+        let Some(registry) = registry.upgrade() else { return };
+        round(&registry);
+    }
+}
+
+fn round(registry: &Arc<Registry>) {
+    let now_ns = crate::ops::sessions::now_ns();
+    let idle_ns = i64::try_from(registry.limits.sleep_after_s).unwrap_or(i64::MAX).saturating_mul(1_000_000_000);
+    let mut awake: Vec<(i64, Arc<Slot>)> = Vec::new();
+    for slot in registry.slots() {
+        if let Phase::Awake(session) = slot.phase()
+            && !session.is_busy()
+        {
+            awake.push((slot.last_used_ns(), slot));
+        }
+    }
+    awake.sort_by_key(|(last_used_ns, _)| *last_used_ns);
+    let mut left = Vec::new();
+    for (last_used_ns, slot) in awake {
+        if now_ns.saturating_sub(last_used_ns) >= idle_ns {
+            registry.retire_soon(&slot);
+        } else if now_ns.saturating_sub(last_used_ns) >= RECENT_NS {
+            left.push(slot);
+        }
+    }
+    if resident_bytes().is_some_and(|bytes| bytes > budget_bytes(registry.limits.max_memory_mb)) {
+        let few = left.len().div_ceil(SHARE);
+        left.iter().take(few).for_each(|slot| registry.retire_soon(slot));
+    }
+}
+
+/// Memory that this process has, bytes; none where the system does not say.
+fn resident_bytes() -> Option<u64> {
+    let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
+    let pages: u64 = statm.split_whitespace().nth(1)?.parse().ok()?;
+    Some(pages * 4096)
+}
+
+/// The budget; half of the machine's memory if none is set.
+fn budget_bytes(max_memory_mb: usize) -> u64 {
+    static HALF: std::sync::OnceLock<u64> = std::sync::OnceLock::new();
+    if max_memory_mb > 0 {
+        return (max_memory_mb as u64) << 20;
+    }
+    *HALF.get_or_init(|| {
+        let meminfo = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+        let total = meminfo.lines().find_map(|l| l.strip_prefix("MemTotal:")?.split_whitespace().next()?.parse().ok());
+        total.map_or(u64::MAX, |kib: u64| kib * 512)
+    })
+}

@@ -1,0 +1,375 @@
+//! The root of the data: which sessions there are, and a store of its own for each.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use bytes::Bytes;
+use futures::stream::TryStreamExt;
+use object_store::local::LocalFileSystem;
+use object_store::path::Path;
+use object_store::prefix::PrefixStore;
+use object_store::{Error, ObjectStore, ObjectStoreExt, PutPayload};
+use tokio::sync::{Mutex, watch};
+use tokio::task::AbortHandle;
+
+use crate::blobs::blocking;
+use crate::catalogue::{self, CatalogueEntry, SessionPlace, check_id};
+use crate::config::{RootConfig, StoreConfig};
+use crate::directory::{self, DirectoryLock};
+use crate::error::StoreError;
+use crate::lease::Claim;
+use crate::location::Location;
+use crate::node::{Node, NodeState, random_name};
+use crate::observed::{Failures, ObservedStore};
+use crate::slate::{Place, SlateStore};
+use crate::{format, lease, migrate, trial};
+
+/// Objects that are deleted at a time.
+const DELETES_AT_ONCE: usize = 64;
+/// Name of a session's summary, below its folder.
+const SUMMARY: &str = "summary";
+
+/// All data of a server.
+///
+/// A session is created and deleted by one object each in the catalogue; all else lies in a folder of the
+/// session, in a [`SlateStore`] that only one writer at a time can hold. So a damaged session harms no other one,
+/// one that sleeps costs nothing, and several processes may share the data.
+pub struct DataRoot {
+    objects: Arc<dyn ObjectStore>,
+    directory: Option<PathBuf>,
+    fsync: bool,
+    session: StoreConfig,
+    failures: watch::Receiver<Failures>,
+    last_generation: AtomicU64,
+    shared: bool,
+    /// The catalogue is changed by one at a time.
+    changing: Mutex<()>,
+    node: Option<(Arc<Node>, AbortOnDrop)>,
+    name: String,
+    _lock: Option<DirectoryLock>,
+}
+
+impl std::fmt::Debug for DataRoot {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("DataRoot").field("directory", &self.directory).finish_non_exhaustive()
+    }
+}
+
+impl DataRoot {
+    /// Opens the data, made new if there are none; those of an older format are brought to the current one.
+    ///
+    /// # Errors
+    /// [`StoreError::DirectoryInUse`], [`StoreError::FormatTooNew`], [`StoreError::FormatUnreadable`],
+    /// [`StoreError::Full`], [`StoreError::Io`].
+    pub async fn open(config: RootConfig) -> Result<Self, StoreError> {
+        let (objects, directory, lock): (Arc<dyn ObjectStore>, _, _) = match &config.location {
+            Location::Objects(objects) | Location::Bucket(objects) => (objects.clone(), None, None),
+            Location::Directory(root) => {
+                let (files, lock) = open_directory(root.clone(), &config).await?;
+                (files, Some(root.clone()), lock)
+            }
+        };
+        let (observed, failures) = ObservedStore::new(objects);
+        let mut root = Self {
+            objects: Arc::new(observed),
+            directory,
+            fsync: config.fsync,
+            session: config.session,
+            failures,
+            last_generation: AtomicU64::new(0),
+            shared: config.shared || matches!(config.location, Location::Bucket(_)),
+            changing: Mutex::new(()),
+            node: None,
+            name: random_name(),
+            _lock: lock,
+        };
+        if let Location::Bucket(_) = &config.location {
+            trial::run(root.objects.as_ref(), &root.name).await?;
+        }
+        if format::read_or_create(root.objects.as_ref()).await? < format::CURRENT {
+            migrate::from_1(&root).await?;
+        }
+        migrate::clear_old(&root).await?;
+        if root.shared {
+            let node = Node::start(root.objects.clone(), config.address, config.clock).await?;
+            let beating = AbortOnDrop(tokio::spawn(node.clone().run()).abort_handle());
+            root.node = Some((node, beating));
+        }
+        Ok(root)
+    }
+
+    /// New data in memory, for tests.
+    ///
+    /// # Errors
+    /// None that are expected.
+    pub async fn in_memory() -> Result<Self, StoreError> {
+        Self::open(RootConfig::in_memory()).await
+    }
+
+    /// The newest entry of every id, in the order of ids.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub async fn list(&self) -> Result<Vec<CatalogueEntry>, StoreError> {
+        catalogue::list(self.objects.as_ref(), self.shared).await
+    }
+
+    /// The newest entry of one id.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub async fn entry(&self, id: &str) -> Result<Option<CatalogueEntry>, StoreError> {
+        check_id(id)?;
+        catalogue::newest(self.objects.as_ref(), id).await
+    }
+
+    /// Creates a session, durably; `record` is given back by [`DataRoot::list`].
+    ///
+    /// # Errors
+    /// [`StoreError::AlreadyExists`], [`StoreError::InvalidKey`] for an id that cannot be part of a path everywhere,
+    /// [`StoreError::Full`], [`StoreError::Io`].
+    pub async fn create(&self, id: &str, record: &[u8]) -> Result<SessionPlace, StoreError> {
+        check_id(id)?;
+        let _alone = self.changing.lock().await;
+        let number = catalogue::free_number(self.objects.as_ref(), id).await?;
+        let place = SessionPlace { id: id.to_owned(), number, generation: self.fresh_generation() };
+        catalogue::create(self.objects.as_ref(), &place, record).await?;
+        if self.shared {
+            catalogue::confirm(self.objects.as_ref(), &place).await?;
+        }
+        Ok(place)
+    }
+
+    /// Says, durably, that a session is gone. What it stored stays until [`DataRoot::purge`]. Saying it twice is no
+    /// error. Where data are shared, only the node that the session belongs to can say it; one that nobody has is
+    /// claimed for it.
+    ///
+    /// # Errors
+    /// [`StoreError::Full`], [`StoreError::Io`]; [`StoreError::Elsewhere`], [`StoreError::NodeSilent`],
+    /// [`StoreError::Fenced`].
+    pub async fn bury(&self, place: &SessionPlace) -> Result<(), StoreError> {
+        let _alone = self.changing.lock().await;
+        if let Some((node, _)) = &self.node
+            && !lease::condemn(self.objects.as_ref(), node, place).await?
+        {
+            return Ok(());
+        }
+        catalogue::bury(self.objects.as_ref(), place).await
+    }
+
+    /// Removes all that a buried session stored, then its entries in the catalogue. Can be done again after it broke
+    /// off.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub async fn purge(&self, place: &SessionPlace) -> Result<(), StoreError> {
+        self.remove_folder(&place.folder()).await?;
+        let _alone = self.changing.lock().await;
+        catalogue::forget(self.objects.as_ref(), place, self.shared).await?;
+        if let Some(directory) = self.directory.clone() {
+            let id = place.id.clone();
+            // Only if nothing is left in them: another session of this id may have come.
+            let empty =
+                move || ["sessions", "catalogue"].map(|folder| std::fs::remove_dir(directory.join(folder).join(&id)));
+            drop(blocking(empty).await?);
+        }
+        Ok(())
+    }
+
+    /// Takes a session for this node. Where data are not shared it is always ours, and asking costs nothing; else it is
+    /// to be asked before [`DataRoot::open_session`]. A claim ends with [`DataRoot::release`], or when
+    /// [`DataRoot::watch_node`] tells of another life.
+    ///
+    /// # Errors
+    /// [`StoreError::NodeSilent`], [`StoreError::Full`], [`StoreError::Io`].
+    pub async fn claim(&self, place: &SessionPlace) -> Result<Claim, StoreError> {
+        match &self.node {
+            Some((node, _)) => lease::claim(self.objects.as_ref(), node, place).await,
+            None => Ok(Claim::Ours),
+        }
+    }
+
+    /// Gives a session back after its store was closed, so that another node can take it at once.
+    ///
+    /// # Errors
+    /// [`StoreError::Full`], [`StoreError::Io`].
+    pub async fn release(&self, place: &SessionPlace) -> Result<(), StoreError> {
+        match &self.node {
+            Some((node, _)) => lease::release(self.objects.as_ref(), node, place).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Whether this node can be sure of what it claimed. Once it was not, all claims before are void; always true where
+    /// data are not shared.
+    #[must_use]
+    pub fn is_alive(&self) -> bool {
+        self.node.as_ref().is_none_or(|(node, _)| node.life().is_alive())
+    }
+
+    /// Tells when this node lost all that it claimed, and when it can claim again; `None` where data are not shared.
+    #[must_use]
+    pub fn watch_node(&self) -> Option<watch::Receiver<NodeState>> {
+        self.node.as_ref().map(|(node, _)| node.watch())
+    }
+
+    /// Ends this node's claims, to be called last: the others need not wait for it to be silent. Without it nothing is
+    /// lost but that time.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub async fn leave(&self) -> Result<(), StoreError> {
+        match &self.node {
+            Some((node, beating)) => {
+                beating.0.abort();
+                node.stop().await
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Opens a session's own store and takes its next epoch.
+    ///
+    /// # Errors
+    /// Those of [`SlateStore::open`].
+    pub async fn open_session(&self, place: &SessionPlace) -> Result<SlateStore, StoreError> {
+        self.open_folder(&place.folder()).await
+    }
+
+    pub(crate) async fn open_folder(&self, folder: &Path) -> Result<SlateStore, StoreError> {
+        let objects = Arc::new(PrefixStore::new(self.objects.clone(), folder.clone()));
+        let directory = self.directory.as_ref().filter(|_| self.fsync).map(|root| root.join(folder.as_ref()));
+        let life = self.node.as_ref().map(|(node, _)| node.life());
+        SlateStore::open_at(Place { objects, directory, life }, self.session.clone()).await
+    }
+
+    /// What was last noted of a session without waking it; `None` if nothing was.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub async fn summary(&self, place: &SessionPlace) -> Result<Option<Bytes>, StoreError> {
+        let io = |error| StoreError::from_object("read a summary", error);
+        match self.objects.get(&place.folder().join(SUMMARY)).await {
+            Ok(found) => found.bytes().await.map(Some).map_err(io),
+            Err(Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(io(error)),
+        }
+    }
+
+    /// Notes what is to be known of a session while it sleeps. Of two writers the later stands.
+    ///
+    /// # Errors
+    /// [`StoreError::Full`], [`StoreError::Io`], [`StoreError::NodeSilent`].
+    pub async fn set_summary(&self, place: &SessionPlace, summary: Bytes) -> Result<(), StoreError> {
+        if !self.is_alive() {
+            return Err(StoreError::NodeSilent);
+        }
+        let written = self.objects.put(&place.folder().join(SUMMARY), PutPayload::from(summary)).await;
+        written.map(|_| ()).map_err(|error| StoreError::from_object("write a summary", error))
+    }
+
+    /// Bytes that a session has stored.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub async fn stored_bytes(&self, place: &SessionPlace) -> Result<u64, StoreError> {
+        let listed = self.objects.list(Some(&place.folder()));
+        let sizes = listed.map_err(|error| StoreError::from_object("list a session", error));
+        sizes.try_fold(0, |sum, meta| async move { Ok(sum + meta.size) }).await
+    }
+
+    /// Tries whether data can be written, and says how that fails.
+    ///
+    /// # Errors
+    /// [`StoreError::Full`], [`StoreError::Io`].
+    pub async fn probe(&self) -> Result<(), StoreError> {
+        let written = self.objects.put(&Path::from("PROBE"), PutPayload::from_static(b"percept\n")).await;
+        written.map(|_| ()).map_err(|error| StoreError::from_object("write a probe", error))
+    }
+
+    /// The directory that the data are in, if they are in one.
+    #[must_use]
+    pub fn directory(&self) -> Option<&std::path::Path> {
+        self.directory.as_deref()
+    }
+
+    /// How many writes have failed since the data were opened.
+    #[must_use]
+    pub fn num_failures(&self) -> u64 {
+        self.failures.borrow().count
+    }
+
+    pub(crate) fn objects(&self) -> &Arc<dyn ObjectStore> {
+        &self.objects
+    }
+
+    /// Removes a folder with all that is in it.
+    pub(crate) async fn remove_folder(&self, folder: &Path) -> Result<(), StoreError> {
+        if let Some(root) = &self.directory {
+            let path = root.join(folder.as_ref());
+            let removed = blocking(move || std::fs::remove_dir_all(path)).await?;
+            return match removed {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    Err(StoreError::from_io("remove a folder", error))
+                }
+                _ => Ok(()),
+            };
+        }
+        let failed = |error| StoreError::from_object("remove a folder", error);
+        self.objects
+            .list(Some(folder))
+            .map_err(failed)
+            .try_for_each_concurrent(DELETES_AT_ONCE, |meta| async move {
+                match self.objects.delete(&meta.location).await {
+                    Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
+                    Err(error) => Err(failed(error)),
+                }
+            })
+            .await
+    }
+
+    /// A name that no generation had before: of the time, for the order, and of this process.
+    fn fresh_generation(&self) -> String {
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let now = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX);
+        let advance = |last: u64| Some(now.max(last + 1));
+        let last = self.last_generation.fetch_update(Ordering::Relaxed, Ordering::Relaxed, advance).unwrap_or(now);
+        format!("{:016x}-{}", now.max(last + 1), self.name)
+    }
+}
+
+/// Ends a task with what it belongs to.
+struct AbortOnDrop(AbortHandle);
+
+impl Drop for AbortOnDrop {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+async fn open_directory(
+    root: PathBuf,
+    config: &RootConfig,
+) -> Result<(Arc<dyn ObjectStore>, Option<DirectoryLock>), StoreError> {
+    let (prepared, fsync) = (root.clone(), config.fsync);
+    blocking(move || directory::prepare(&prepared, fsync)).await??;
+    let lock = if config.lock_directory && !config.shared {
+        Some(directory::lock(&root, config.lock_wait).await?)
+    } else {
+        None
+    };
+    if lock.is_some() {
+        let swept = root.clone();
+        let removed = blocking(move || directory::remove_staged(&swept)).await?;
+        let removed = removed.map_err(|error| StoreError::from_io("clear staged files", error))?;
+        if removed > 0 {
+            tracing::info!(removed, "removed files that a killed writer left half-written");
+        }
+    }
+    let files = LocalFileSystem::new_with_prefix(&root)
+        .map_err(|error| StoreError::from_object("open the data directory", error))?
+        .with_fsync(fsync);
+    Ok((Arc::new(files), lock))
+}
