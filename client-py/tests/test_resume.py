@@ -39,7 +39,9 @@ class Connections:
 
 
 def answer(server, message, durable):
-    reason = "STAMP_NOT_INCREASING" if message.stamp_ns in server.taken else ""
+    # As the server says it of one just before, and of one some seconds back.
+    again = ("STAMP_NOT_INCREASING", "CLOCK_SET_BACK")[message.stamp_ns % 2]
+    reason = again if message.stamp_ns in server.taken else ""
     server.taken.add(message.stamp_ns)
     return ack_of(message, durable, reason)
 

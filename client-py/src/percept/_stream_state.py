@@ -23,6 +23,9 @@ MAX_REJECTIONS = 100
 #: What a kept frame takes in memory beside its bytes, about.
 OVERHEAD_BYTES = 256
 
+#: What the server says of a frame that it may have taken in before; the second of one some seconds back.
+TAKEN_BEFORE = ("STAMP_NOT_INCREASING", "CLOCK_SET_BACK")
+
 
 @dataclasses.dataclass(eq=False)
 class Sent:
@@ -193,7 +196,7 @@ class StreamState:
     @staticmethod
     def _taken_before(sent: Sent, reason: str) -> bool:
         """Whether a refused stamp only says that the frame arrived over a connection of before."""
-        return reason == "STAMP_NOT_INCREASING" and sent.tries > 1 and sent.in_order and not sent.turned_away
+        return reason in TAKEN_BEFORE and sent.tries > 1 and sent.in_order and not sent.turned_away
 
     def summary(self) -> StreamSummary:
         """What became of the stream."""
