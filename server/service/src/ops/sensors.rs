@@ -32,6 +32,7 @@ impl Service {
                 Submitted::Taken(pending) => return Ok((session, pending)),
                 Submitted::Asleep(given_back) => frame = given_back,
             }
+            self.registry.left(&incoming.session, &session).await;
         }
     }
 
@@ -68,6 +69,7 @@ impl Service {
                 Offered::Taken => return Ok(()),
                 Offered::Asleep(given_back) => frame = given_back,
             }
+            self.registry.left(&incoming.session, &session).await;
         }
     }
 

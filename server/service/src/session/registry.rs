@@ -159,6 +159,13 @@ impl Registry {
         }
     }
 
+    /// Waits until a session whose actor has ended is no longer given out: asking again before would find the same one.
+    pub(crate) async fn left(&self, id: &str, session: &Arc<Session>) {
+        if let Ok(slot) = self.find(id) {
+            slot.until(|phase| !matches!(phase, Phase::Awake(there) if Arc::ptr_eq(there, session))).await;
+        }
+    }
+
     /// The events of a session, awake or not: watching does not keep it awake.
     ///
     /// # Errors
