@@ -38,7 +38,8 @@ struct Life<'a> {
     root: DataRoot,
     told: &'a mut Told,
     random: Random,
-    stores: HashMap<&'static str, SlateStore>,
+    /// Open ones, by generation.
+    stores: HashMap<String, SlateStore>,
 }
 
 impl Life<'_> {
@@ -47,11 +48,11 @@ impl Life<'_> {
         match (self.random.below(10), self.told.present.get(id).cloned()) {
             (_, None) => self.create(id).await,
             (0, Some(place)) => self.bury(id, &place).await,
-            (1, _) => {
-                let Some(store) = self.stores.remove(id) else { return };
+            (1, Some(place)) => {
+                let Some(store) = self.stores.remove(place.generation()) else { return };
                 let _ = tokio::time::timeout(PATIENCE, store.close()).await;
             }
-            (_, Some(place)) => self.write(id, &place).await,
+            (_, Some(place)) => self.write(&place).await,
         }
     }
 
@@ -70,14 +71,14 @@ impl Life<'_> {
 
     async fn bury(&mut self, id: &'static str, place: &SessionPlace) {
         if self.random.below(2) == 0 {
-            self.stores.remove(id);
+            self.stores.remove(place.generation());
         }
         self.told.present.remove(id);
         if self.root.bury(place).await.is_err() {
             self.told.unsure.insert(id);
             return;
         }
-        self.stores.remove(id);
+        self.stores.remove(place.generation());
         self.told.buried.insert(place.generation().to_owned());
         if self.random.below(2) == 0 {
             let _ = self.root.purge(place).await;
@@ -85,14 +86,15 @@ impl Life<'_> {
     }
 
     /// A record, or a blob and the record that names it.
-    async fn write(&mut self, id: &'static str, place: &SessionPlace) {
-        if !self.stores.contains_key(id) {
+    async fn write(&mut self, place: &SessionPlace) {
+        let generation = place.generation().to_owned();
+        if !self.stores.contains_key(&generation) {
             match tokio::time::timeout(PATIENCE, self.root.open_session(place)).await {
-                Ok(Ok(store)) => drop(self.stores.insert(id, store)),
+                Ok(Ok(store)) => drop(self.stores.insert(generation.clone(), store)),
                 _ => return,
             }
         }
-        let store = &self.stores[id];
+        let store = &self.stores[&generation];
         let name = key(if self.random.below(2) == 0 { "blob" } else { "plain" }).numbered(self.random.next()).unwrap();
         let content = Bytes::from(vec![self.random.next() as u8; 1 + self.random.below(5000) as usize]);
         let mut value = content.clone();
@@ -100,7 +102,6 @@ impl Life<'_> {
             let Ok(blob) = store.put_blob(content).await else { return };
             value = Bytes::copy_from_slice(blob.as_bytes());
         }
-        let generation = place.generation().to_owned();
         self.told.tried.entry(generation.clone()).or_default().insert(name.clone(), value.clone());
         if store.put(name.clone(), value.clone()).await.is_ok() {
             self.told.records.entry(generation).or_default().insert(name, value);
@@ -191,7 +192,6 @@ fn round(seed: u64) -> (usize, usize) {
 
 /// `PERCEPT_TORN_ROUNDS` says how many stores are tried, all at once.
 #[test]
-#[ignore = "open: where storage does a write and answers with an error, an acknowledged record may be missing afterwards"]
 fn on_bad_storage_what_was_acknowledged_is_there_and_what_was_deleted_stays_away() {
     let rounds = std::env::var("PERCEPT_TORN_ROUNDS").ok().and_then(|text| text.parse().ok()).unwrap_or(24);
     let threads: Vec<_> = (0..rounds).map(|seed| std::thread::spawn(move || round(seed))).collect();
