@@ -109,13 +109,37 @@ impl Tls {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Storage {
-    /// Directory, made if absent; one server at a time uses it.
+    /// Directory, made if absent.
     pub data_dir: PathBuf,
+    /// An object store instead of the directory: s3://bucket/prefix, shared with whatever servers name it, too, or
+    /// memory://, which is forgotten at the end. S3's keys come from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, a web
+    /// identity, or the role of the machine.
+    pub url: String,
+    /// Address of an S3 service other than Amazon's, such as https://s3.site.example:9000; empty: AWS_ENDPOINT_URL, else
+    /// Amazon's.
+    pub s3_endpoint: String,
+    /// Region of the bucket; empty: AWS_REGION, else us-east-1.
+    pub s3_region: String,
+    /// Whether s3_endpoint may be without TLS.
+    pub s3_allow_http: bool,
+    /// Whether other servers use the same directory at the same time, each of them some of the sessions.
+    pub shared: bool,
+    /// Shared only: where other servers send callers who ask them for a session of this one, such as 10.0.0.7:50051; empty:
+    /// listen.grpc.
+    pub advertise: String,
 }
 
 impl Default for Storage {
     fn default() -> Self {
-        Self { data_dir: PathBuf::from("percept-data") }
+        Self {
+            data_dir: PathBuf::from("percept-data"),
+            url: String::new(),
+            s3_endpoint: String::new(),
+            s3_region: String::new(),
+            s3_allow_http: false,
+            shared: false,
+            advertise: String::new(),
+        }
     }
 }
 
@@ -219,7 +243,7 @@ impl Config {
         check_listen(&self.listen)?;
         check_auth(&self.auth, &self.listen)?;
         check_tls(&self.tls, &self.listen)?;
-        if self.storage.data_dir.as_os_str().is_empty() {
+        if self.storage.url.is_empty() && self.storage.data_dir.as_os_str().is_empty() {
             return Err(out_of_bounds("storage.data_dir", "empty", "name a directory, such as \"percept-data\""));
         }
         if self.compute.threads > 1024 {

@@ -4,6 +4,7 @@ mod cli;
 mod config;
 mod doors;
 mod provider;
+mod storage;
 mod telemetry;
 
 use std::process::ExitCode;

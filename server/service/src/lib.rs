@@ -31,6 +31,7 @@ pub use ops::toolbox;
 pub use session::events::{Event, EventKind, EventLog};
 pub use session::fault::Fault;
 pub use session::handle::{Moved, Pending, Processed, Session, Ticket, Vetoed};
+pub use session::inspect::read_record;
 pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 pub use session::records::Counts;
 pub use session::registry::SessionView;

@@ -22,6 +22,9 @@ pub struct RootConfig {
     /// Default true. Off for directories on network file systems that do not lock; the fence of each session
     /// alone keeps the data whole then.
     pub lock_directory: bool,
+    /// Only to be read, by [`crate::DataRoot::read_session`] and what rests on it, while another process may be writing:
+    /// nothing is locked, made, brought to the current format or claimed. Default false.
+    pub read_only: bool,
     /// Several processes have these data open at once, each of them some of the sessions; see [`crate::Claim`].
     /// Default false; a bucket is always shared. The directory is not locked then.
     pub shared: bool,
@@ -61,6 +64,7 @@ impl RootConfig {
         Self {
             shared: matches!(location, Location::Bucket(_)),
             location,
+            read_only: false,
             fsync: true,
             lock_directory: true,
             address: String::new(),

@@ -40,6 +40,20 @@ pub enum StoreError {
         /// Newest number known here.
         supported: u32,
     },
+    /// Data of an older format are to be read only.
+    #[error("store: format {found} is older than {current}; start percept once on these data to bring them up to date")]
+    FormatTooOld {
+        /// Number in the data.
+        found: u32,
+        /// Number that is needed.
+        current: u32,
+    },
+    /// The catalogue has no session of this id.
+    #[error("session {id} does not exist")]
+    NoSession {
+        /// The id.
+        id: String,
+    },
     /// The `FORMAT` object does not hold a number: this is not a percept store, or it is damaged.
     #[error("store: FORMAT is not readable: {text:?}")]
     FormatUnreadable {

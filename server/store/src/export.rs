@@ -23,7 +23,7 @@ use crate::error::StoreError;
 use crate::keys::{Key, MAX_KEY_BYTES, Prefix};
 use crate::store::{Record, Store};
 
-const MAGIC: &[u8] = b"PERCEPT-STORE\n";
+pub(crate) const MAGIC: &[u8] = b"PERCEPT-STORE\n";
 const VERSION: u32 = 1;
 
 /// Records are imported in batches of about this size.
@@ -61,17 +61,13 @@ pub async fn export(
     writer: &mut (dyn AsyncWrite + Unpin + Send),
     content: BlobContent,
 ) -> Result<Carried, StoreError> {
-    let mut out = Output { writer, hash: Sha256::new() };
+    let mut out = Output::new(writer);
     let mut carried = Carried::default();
     out.write(MAGIC).await?;
     out.write(&VERSION.to_le_bytes()).await?;
     let mut records = store.scan(&Prefix::everything(), None);
     while let Some((key, value)) = records.try_next().await? {
-        out.write(b"R").await?;
-        out.write(&length(key.as_str().len())).await?;
-        out.write(&length(value.len())).await?;
-        out.write(key.as_str().as_bytes()).await?;
-        out.write(&value).await?;
+        out.record(&key, &value).await?;
         carried.num_records += 1;
     }
     let mut blobs = store.blobs();
@@ -87,7 +83,7 @@ pub async fn export(
         out.write(&bytes.unwrap_or_default()).await?;
         carried.num_blobs += 1;
     }
-    let hash: [u8; 32] = out.hash.clone().finalize().into();
+    let hash = out.hash();
     out.write(b"E").await?;
     out.write(&carried.num_records.to_le_bytes()).await?;
     out.write(&carried.num_blobs.to_le_bytes()).await?;
@@ -108,7 +104,7 @@ pub async fn import(store: &dyn Store, reader: &mut (dyn AsyncRead + Unpin + Sen
     if store.last(&Prefix::everything()).await?.is_some() {
         return Err(StoreError::NotEmpty);
     }
-    let mut input = Input { reader, hash: Sha256::new(), offset: 0 };
+    let mut input = Input::new(reader);
     if input.bytes(MAGIC.len() as u64).await? != MAGIC {
         return Err(input.malformed("not an export of percept"));
     }
@@ -119,7 +115,7 @@ pub async fn import(store: &dyn Store, reader: &mut (dyn AsyncRead + Unpin + Sen
     let mut carried = Carried::default();
     let mut batch = Batch::default();
     loop {
-        let hash: [u8; 32] = input.hash.clone().finalize().into();
+        let hash = input.hash();
         match input.array::<1>().await? {
             [b'R'] => {
                 batch.add(store, input.record().await?).await?;
@@ -151,53 +147,103 @@ pub async fn import(store: &dyn Store, reader: &mut (dyn AsyncRead + Unpin + Sen
 }
 
 /// Lengths of keys and values are bounded far below `u32::MAX` by the store's limits.
-fn length(num_bytes: usize) -> [u8; 4] {
+pub(crate) fn length(num_bytes: usize) -> [u8; 4] {
     u32::try_from(num_bytes).unwrap_or(u32::MAX).to_le_bytes()
 }
 
+/// Records on their way into a store.
 #[derive(Default)]
-struct Batch {
+pub(crate) struct Batch {
     records: Vec<Record>,
     num_bytes: usize,
 }
 
 impl Batch {
-    async fn add(&mut self, store: &dyn Store, record: Record) -> Result<(), StoreError> {
+    pub(crate) async fn add(&mut self, store: &dyn Store, record: Record) -> Result<(), StoreError> {
         self.num_bytes += record.0.as_str().len() + record.1.len();
         self.records.push(record);
         if self.num_bytes >= BATCH_BYTES { self.flush(store).await } else { Ok(()) }
     }
 
-    async fn flush(&mut self, store: &dyn Store) -> Result<(), StoreError> {
+    pub(crate) async fn flush(&mut self, store: &dyn Store) -> Result<(), StoreError> {
         self.num_bytes = 0;
         store.put_batch(std::mem::take(&mut self.records), Vec::new()).await
     }
 }
 
-struct Output<'a> {
-    writer: &'a mut (dyn AsyncWrite + Unpin + Send),
+/// What is written, and the hash of it.
+pub(crate) struct Output<'a> {
+    pub(crate) writer: &'a mut (dyn AsyncWrite + Unpin + Send),
     hash: Sha256,
 }
 
-impl Output<'_> {
-    async fn write(&mut self, bytes: &[u8]) -> Result<(), StoreError> {
+impl<'a> Output<'a> {
+    pub(crate) fn new(writer: &'a mut (dyn AsyncWrite + Unpin + Send)) -> Self {
+        Self { writer, hash: Sha256::new() }
+    }
+
+    pub(crate) fn hash(&self) -> [u8; 32] {
+        self.hash.clone().finalize().into()
+    }
+
+    pub(crate) async fn record(&mut self, key: &Key, value: &[u8]) -> Result<(), StoreError> {
+        self.write(b"R").await?;
+        self.write(&length(key.as_str().len())).await?;
+        self.write(&length(value.len())).await?;
+        self.write(key.as_str().as_bytes()).await?;
+        self.write(value).await
+    }
+
+    pub(crate) async fn blob(&mut self, id: BlobId, bytes: &[u8]) -> Result<(), StoreError> {
+        self.write(b"B").await?;
+        self.write(&(bytes.len() as u64).to_le_bytes()).await?;
+        self.write(id.as_bytes()).await?;
+        self.write(bytes).await
+    }
+
+    pub(crate) async fn write(&mut self, bytes: &[u8]) -> Result<(), StoreError> {
         self.hash.update(bytes);
         self.writer.write_all(bytes).await.map_err(|error| StoreError::from_io("write the export", error))
     }
 }
 
-struct Input<'a> {
+/// What is read, and the hash of it.
+pub(crate) struct Input<'a> {
     reader: &'a mut (dyn AsyncRead + Unpin + Send),
     hash: Sha256,
     offset: u64,
 }
 
-impl Input<'_> {
-    fn malformed(&self, reason: &'static str) -> StoreError {
+impl<'a> Input<'a> {
+    pub(crate) fn new(reader: &'a mut (dyn AsyncRead + Unpin + Send)) -> Self {
+        Self { reader, hash: Sha256::new(), offset: 0 }
+    }
+
+    pub(crate) fn hash(&self) -> [u8; 32] {
+        self.hash.clone().finalize().into()
+    }
+
+    /// An id and what comes with it, after both their lengths.
+    pub(crate) async fn text_and_bytes(&mut self, max_bytes: u64) -> Result<(String, Bytes), StoreError> {
+        let (text_length, num_bytes) = (self.u32().await?, self.u32().await?);
+        if text_length as usize > MAX_KEY_BYTES || u64::from(num_bytes) > max_bytes {
+            return Err(self.malformed("id or record too long"));
+        }
+        let text = String::from_utf8(self.bytes(u64::from(text_length)).await?);
+        let text = text.map_err(|_| self.malformed("id is not UTF-8"))?;
+        Ok((text, Bytes::from(self.bytes(u64::from(num_bytes)).await?)))
+    }
+
+    pub(crate) async fn blob(&mut self) -> Result<(BlobId, Bytes), StoreError> {
+        let (num_bytes, id) = (self.u64().await?, BlobId::from_bytes(self.array().await?));
+        Ok((id, Bytes::from(self.bytes(num_bytes).await?)))
+    }
+
+    pub(crate) fn malformed(&self, reason: &'static str) -> StoreError {
         StoreError::ExportMalformed { reason, offset: self.offset }
     }
 
-    async fn record(&mut self) -> Result<Record, StoreError> {
+    pub(crate) async fn record(&mut self) -> Result<Record, StoreError> {
         let (key_length, value_length) = (self.u32().await?, self.u32().await?);
         if key_length as usize > MAX_KEY_BYTES {
             return Err(self.malformed("key too long"));
@@ -208,15 +254,15 @@ impl Input<'_> {
         Ok((Key::parse(&key)?, Bytes::from(value)))
     }
 
-    async fn u32(&mut self) -> Result<u32, StoreError> {
+    pub(crate) async fn u32(&mut self) -> Result<u32, StoreError> {
         Ok(u32::from_le_bytes(self.array().await?))
     }
 
-    async fn u64(&mut self) -> Result<u64, StoreError> {
+    pub(crate) async fn u64(&mut self) -> Result<u64, StoreError> {
         Ok(u64::from_le_bytes(self.array().await?))
     }
 
-    async fn array<const N: usize>(&mut self) -> Result<[u8; N], StoreError> {
+    pub(crate) async fn array<const N: usize>(&mut self) -> Result<[u8; N], StoreError> {
         let mut bytes = [0; N];
         let outcome = self.reader.read_exact(&mut bytes).await;
         outcome.map_err(|error| self.explain(error))?;
@@ -224,7 +270,7 @@ impl Input<'_> {
         Ok(bytes)
     }
 
-    async fn bytes(&mut self, num_bytes: u64) -> Result<Vec<u8>, StoreError> {
+    pub(crate) async fn bytes(&mut self, num_bytes: u64) -> Result<Vec<u8>, StoreError> {
         let mut bytes = Vec::new();
         while (bytes.len() as u64) < num_bytes {
             let part = READ_BYTES.min(num_bytes - bytes.len() as u64);

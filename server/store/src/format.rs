@@ -34,7 +34,8 @@ async fn write(objects: &dyn ObjectStore, mode: PutMode) -> Result<(), object_st
     objects.put_opts(&Path::from(NAME), line, PutOptions::from(mode)).await.map(|_| ())
 }
 
-async fn read(objects: &dyn ObjectStore) -> Result<u32, StoreError> {
+/// The number of data that are there.
+pub(crate) async fn read(objects: &dyn ObjectStore) -> Result<u32, StoreError> {
     let io = |error| StoreError::from_object("read FORMAT", error);
     let bytes = objects.get(&Path::from(NAME)).await.map_err(io)?.bytes().await.map_err(io)?;
     let text = String::from_utf8_lossy(&bytes);

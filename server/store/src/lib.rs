@@ -9,7 +9,8 @@
 //! - [`SlateStore`] is its one implementation: records in SlateDB, blobs as content-addressed objects
 //!   beside it, both over `object_store`: a local directory, memory for tests, any object store that has an
 //!   atomic create.
-//! - [`keys`] says where a session keeps what; [`export`] carries a session elsewhere.
+//! - [`keys`] says where a session keeps what; [`archive`] and [`backup`] carry sessions elsewhere, [`check`] looks
+//!   whether they are whole.
 //!
 //! A directory holds `LOCK` (advisory, one process), `FORMAT` (a number in a line), `catalogue/<id>/<n>` and, for
 //! every session, `sessions/<id>/<generation>/` with `records/`, `blobs/<sha256>` and `summary`.
@@ -21,8 +22,11 @@
 //! and acknowledge after the batch. A crash in between leaves blobs that nobody names, which
 //! [`Store::collect_garbage`] removes.
 
+pub mod archive;
+pub mod backup;
 mod blobs;
 mod catalogue;
+pub mod check;
 mod clock;
 mod committer;
 mod config;
@@ -36,6 +40,7 @@ mod location;
 mod migrate;
 mod node;
 mod observed;
+mod reader;
 mod root;
 mod slate;
 mod store;
@@ -50,6 +55,7 @@ pub use keys::{Key, Prefix};
 pub use lease::Claim;
 pub use location::{Location, S3Options};
 pub use node::NodeState;
+pub use reader::SessionReader;
 pub use root::DataRoot;
 pub use slate::SlateStore;
 pub use store::{Record, Store};

@@ -23,6 +23,7 @@ use crate::lease::Claim;
 use crate::location::Location;
 use crate::node::{Node, NodeState, random_name};
 use crate::observed::{Failures, ObservedStore};
+use crate::reader::SessionReader;
 use crate::slate::{Place, SlateStore};
 use crate::{format, lease, migrate, trial};
 
@@ -62,7 +63,8 @@ impl DataRoot {
     ///
     /// # Errors
     /// [`StoreError::DirectoryInUse`], [`StoreError::FormatTooNew`], [`StoreError::FormatUnreadable`],
-    /// [`StoreError::Full`], [`StoreError::Io`].
+    /// [`StoreError::FormatTooOld`] if it is to be read only, [`StoreError::CreateNotAtomic`], [`StoreError::Full`],
+    /// [`StoreError::Io`].
     pub async fn open(config: RootConfig) -> Result<Self, StoreError> {
         let (objects, directory, lock): (Arc<dyn ObjectStore>, _, _) = match &config.location {
             Location::Objects(objects) | Location::Bucket(objects) => (objects.clone(), None, None),
@@ -72,6 +74,7 @@ impl DataRoot {
             }
         };
         let (observed, failures) = ObservedStore::new(objects);
+        let shared = config.shared || matches!(config.location, Location::Bucket(_));
         let mut root = Self {
             objects: Arc::new(observed),
             directory,
@@ -79,12 +82,21 @@ impl DataRoot {
             session: config.session,
             failures,
             last_generation: AtomicU64::new(0),
-            shared: config.shared || matches!(config.location, Location::Bucket(_)),
+            shared: shared && !config.read_only,
             changing: Mutex::new(()),
             node: None,
             name: random_name(),
             _lock: lock,
         };
+        if config.read_only {
+            let found = format::read(root.objects.as_ref()).await?;
+            let is_current = found == format::CURRENT;
+            return if is_current {
+                Ok(root)
+            } else {
+                Err(StoreError::FormatTooOld { found, current: format::CURRENT })
+            };
+        }
         if let Location::Bucket(_) = &config.location {
             trial::run(root.objects.as_ref(), &root.name).await?;
         }
@@ -131,14 +143,9 @@ impl DataRoot {
     /// [`StoreError::AlreadyExists`], [`StoreError::InvalidKey`] for an id that cannot be part of a path everywhere,
     /// [`StoreError::Full`], [`StoreError::Io`].
     pub async fn create(&self, id: &str, record: &[u8]) -> Result<SessionPlace, StoreError> {
-        check_id(id)?;
         let _alone = self.changing.lock().await;
-        let number = catalogue::free_number(self.objects.as_ref(), id).await?;
-        let place = SessionPlace { id: id.to_owned(), number, generation: self.fresh_generation() };
-        catalogue::create(self.objects.as_ref(), &place, record).await?;
-        if self.shared {
-            catalogue::confirm(self.objects.as_ref(), &place).await?;
-        }
+        let place = self.reserve(id).await?;
+        self.publish(&place, record).await?;
         Ok(place)
     }
 
@@ -236,6 +243,25 @@ impl DataRoot {
     /// Those of [`SlateStore::open`].
     pub async fn open_session(&self, place: &SessionPlace) -> Result<SlateStore, StoreError> {
         self.open_folder(&place.folder()).await
+    }
+
+    /// Reads a session as it is, without taking it from whoever writes it.
+    #[must_use]
+    pub fn read_session(&self, place: &SessionPlace) -> SessionReader {
+        SessionReader::new(Arc::new(PrefixStore::new(self.objects.clone(), place.folder())))
+    }
+
+    /// A place for a session of this id, of which the catalogue says nothing before [`DataRoot::publish`].
+    pub(crate) async fn reserve(&self, id: &str) -> Result<SessionPlace, StoreError> {
+        check_id(id)?;
+        let number = catalogue::free_number(self.objects.as_ref(), id).await?;
+        Ok(SessionPlace { id: id.to_owned(), number, generation: self.fresh_generation() })
+    }
+
+    /// Says in the catalogue that a session is there.
+    pub(crate) async fn publish(&self, place: &SessionPlace, record: &[u8]) -> Result<(), StoreError> {
+        catalogue::create(self.objects.as_ref(), place, record).await?;
+        if self.shared { catalogue::confirm(self.objects.as_ref(), place).await } else { Ok(()) }
     }
 
     pub(crate) async fn open_folder(&self, folder: &Path) -> Result<SlateStore, StoreError> {
@@ -353,7 +379,13 @@ async fn open_directory(
     root: PathBuf,
     config: &RootConfig,
 ) -> Result<(Arc<dyn ObjectStore>, Option<DirectoryLock>), StoreError> {
-    let (prepared, fsync) = (root.clone(), config.fsync);
+    let fsync = config.fsync;
+    if config.read_only {
+        let files = LocalFileSystem::new_with_prefix(&root)
+            .map_err(|error| StoreError::from_object("open the data directory", error))?;
+        return Ok((Arc::new(files), None));
+    }
+    let prepared = root.clone();
     blocking(move || directory::prepare(&prepared, fsync)).await??;
     let lock = if config.lock_directory && !config.shared {
         Some(directory::lock(&root, config.lock_wait).await?)

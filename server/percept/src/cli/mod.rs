@@ -19,6 +19,7 @@ mod report;
 mod serve;
 mod sim;
 mod slam_run;
+mod store;
 mod streams;
 
 use clap::{Parser, Subcommand};
@@ -54,6 +55,9 @@ enum Command {
     /// Make, list and revoke the keys with which callers say who they are.
     #[command(subcommand)]
     Keys(keys::KeysCommand),
+    /// Check, export, import and back up what is stored, also while a server runs.
+    #[command(subcommand)]
+    Store(store::StoreCommand),
     /// Print the configuration file with every default explained.
     Config(ConfigArgs),
     /// Ask a running server whether it serves; the exit code says so.
@@ -78,6 +82,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Eval(command) => eval::run(command),
         Command::Bench(args) => bench::run(args),
         Command::Keys(command) => keys::run(command),
+        Command::Store(command) => store::run(command),
         Command::Config(args) => config(&args),
         Command::Health(args) => health::run(&args),
     };

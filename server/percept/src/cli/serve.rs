@@ -1,6 +1,7 @@
 //! `percept serve`: opens the store and the doors, serves until asked to stop, stops gracefully.
 
 use super::Failure;
+use super::store::PlaceArgs;
 use crate::config::Config;
 use crate::doors::bounds::Bounds;
 use crate::doors::grpc::Api;
@@ -8,9 +9,10 @@ use crate::doors::identify::Gate;
 use crate::doors::listener::tls::Tls;
 use crate::doors::listener::{Listener, Protocol, Shared, files};
 use crate::doors::{grpc, rest, zenoh::ZenohDoor};
+use crate::storage;
 use percept_identity::{AuthMode, Authenticator};
 use percept_service::{About, ComputePool, ComputeThreads, Guarded, HEALTHY, Part, Service};
-use percept_store::{DataRoot, RootConfig};
+use percept_store::DataRoot;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -30,9 +32,8 @@ pub(crate) struct ServeArgs {
     /// Configuration file; `percept config` prints one with every default.
     #[arg(long, env = "PERCEPT_CONFIG")]
     config: Option<PathBuf>,
-    /// Where everything is stored.
-    #[arg(long)]
-    data_dir: Option<PathBuf>,
+    #[command(flatten)]
+    place: PlaceArgs,
     /// Address of the gRPC door, e.g. 127.0.0.1:50051; port 0 takes a free one.
     #[arg(long)]
     grpc: Option<String>,
@@ -58,9 +59,7 @@ impl ServeArgs {
         set(&mut config.listen.grpc, self.grpc);
         set(&mut config.listen.rest, self.rest);
         set(&mut config.listen.zenoh, self.zenoh);
-        if let Some(dir) = self.data_dir {
-            config.storage.data_dir = dir;
-        }
+        self.place.lay_over(&mut config.storage);
         if let Some(threads) = self.threads {
             config.compute.threads = threads;
         }
@@ -98,7 +97,7 @@ impl Running {
     pub(crate) async fn start(config: &Config) -> Result<Self, Failure> {
         let files = files::raise_limit();
         let tls = config.tls.is_on().then(|| Tls::open(&config.tls)).transpose()?;
-        let data = DataRoot::open(RootConfig::directory(&config.storage.data_dir)).await?;
+        let data = DataRoot::open(storage::root_config(config)?).await?;
         let limits = &config.limits;
         crate::telemetry::begin(&config.telemetry);
         let service = Service::open(data, compute(config)?, limits.clone(), config.params.clone()).await?;

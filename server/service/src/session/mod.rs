@@ -5,12 +5,14 @@
 //! - [`actor`] owns the pipeline of a session that is awake; [`handle`] is what callers hold of it; [`events`] tells
 //!   watchers, awake or not.
 //! - [`persist`] makes results durable, [`writer`] turns them into [`records`] and blobs ([`keyframe_codec`]), [`recover`]
-//!   reads them again. [`fault`] says which troubles pass and which set a session apart.
+//!   reads them again, [`inspect`] one by one without running anything. [`fault`] says which troubles pass and which set a
+//!   session apart.
 
 pub(crate) mod actor;
 pub(crate) mod events;
 pub(crate) mod fault;
 pub(crate) mod handle;
+pub(crate) mod inspect;
 pub(crate) mod keeper;
 pub(crate) mod keyframe_codec;
 pub(crate) mod life;

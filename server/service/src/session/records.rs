@@ -20,9 +20,15 @@ pub(crate) struct Unreadable {
     why: String,
 }
 
+impl Unreadable {
+    pub(crate) fn new(what: &str, why: impl std::fmt::Display) -> Self {
+        Self { what: what.to_owned(), why: why.to_string() }
+    }
+}
+
 /// Reads a record.
 pub(crate) fn parse<T: DeserializeOwned>(what: &str, bytes: &[u8]) -> Result<T, Unreadable> {
-    serde_json::from_slice(bytes).map_err(|e| Unreadable { what: what.to_owned(), why: e.to_string() })
+    serde_json::from_slice(bytes).map_err(|e| Unreadable::new(what, e))
 }
 
 /// Serialises a record; our own types always can.
@@ -75,7 +81,7 @@ impl MetaRecord {
     /// those that an older one did not know get their default.
     pub(crate) fn into_meta(self, defaults: &PipelineParams) -> Result<SessionMeta, Unreadable> {
         let read = |v: Value| serde_json::from_value::<SensorDeclaration>(v);
-        let unreadable = |e: serde_json::Error| Unreadable { what: "a sensor".to_owned(), why: e.to_string() };
+        let unreadable = |e: serde_json::Error| Unreadable::new("a sensor", e);
         let sensors = self.sensors.into_iter().map(read).collect::<Result<_, _>>().map_err(unreadable)?;
         Ok(SessionMeta {
             params: params_of(&self.id, self.params, defaults),

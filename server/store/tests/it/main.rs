@@ -15,6 +15,7 @@ mod migration;
 mod records;
 mod s3;
 mod small_disk;
+mod tools;
 mod torn;
 
 use std::ops::Deref;

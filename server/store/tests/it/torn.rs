@@ -58,14 +58,13 @@ impl Life<'_> {
 
     async fn create(&mut self, id: &'static str) {
         let record = self.random.next().to_le_bytes();
-        match self.root.create(id, &record).await {
-            Ok(place) => {
-                assert!(!self.told.records.contains_key(place.generation()), "a generation came twice");
-                self.told.unsure.remove(id);
-                self.told.records.insert(place.generation().to_owned(), BTreeMap::new());
-                self.told.present.insert(id, place);
-            }
-            Err(_) => drop(self.told.unsure.insert(id)),
+        // Until it is answered: the process may be killed meanwhile.
+        self.told.unsure.insert(id);
+        if let Ok(place) = self.root.create(id, &record).await {
+            assert!(!self.told.records.contains_key(place.generation()), "a generation came twice");
+            self.told.unsure.remove(id);
+            self.told.records.insert(place.generation().to_owned(), BTreeMap::new());
+            self.told.present.insert(id, place);
         }
     }
 
@@ -74,10 +73,11 @@ impl Life<'_> {
             self.stores.remove(place.generation());
         }
         self.told.present.remove(id);
+        self.told.unsure.insert(id);
         if self.root.bury(place).await.is_err() {
-            self.told.unsure.insert(id);
             return;
         }
+        self.told.unsure.remove(id);
         self.stores.remove(place.generation());
         self.told.buried.insert(place.generation().to_owned());
         if self.random.below(2) == 0 {

@@ -1,0 +1,44 @@
+//! From the configuration to the data: a directory, or a bucket that several servers share.
+
+use crate::config::{Config, Storage};
+use percept_store::{Location, RootConfig, S3Options, StoreError};
+
+/// How the server opens its data.
+///
+/// # Errors
+/// [`StoreError::InvalidLocation`].
+pub(crate) fn root_config(config: &Config) -> Result<RootConfig, StoreError> {
+    let storage = &config.storage;
+    let mut root = RootConfig::at(location(storage)?);
+    root.shared |= storage.shared;
+    root.address = match storage.advertise.as_str() {
+        "" => config.listen.grpc.clone(),
+        given => given.to_owned(),
+    };
+    Ok(root)
+}
+
+/// Where the configuration says that the data are.
+///
+/// # Errors
+/// [`StoreError::InvalidLocation`].
+pub(crate) fn location(storage: &Storage) -> Result<Location, StoreError> {
+    if storage.url.is_empty() {
+        return Ok(Location::Directory(storage.data_dir.clone()));
+    }
+    parse(&storage.url, storage)
+}
+
+/// A place written as a path or a URL; a bucket is reached as the configuration says.
+///
+/// # Errors
+/// [`StoreError::InvalidLocation`].
+pub(crate) fn parse(text: &str, storage: &Storage) -> Result<Location, StoreError> {
+    let given = |text: &String| (!text.is_empty()).then(|| text.clone());
+    let s3 = S3Options {
+        endpoint: given(&storage.s3_endpoint),
+        region: given(&storage.s3_region),
+        allow_http: storage.s3_allow_http,
+    };
+    Location::parse(text, &s3)
+}
