@@ -170,7 +170,7 @@ class Worker:
 
     def frame(self, name: Name, _: Server) -> None:
         index, patience = self.index(name), self.patience()
-        message = self.message(name, index)
+        message = robots.scan_message(name.session_id, index)
         answer = self.calls(f"{SENSORS}/SendFrame", patience, message=message)
         self.count("frame", answer, patience)
         if answer.ok:
@@ -187,7 +187,7 @@ class Worker:
         sent = []
         for _ in range(self.rng.randint(2, 6)):
             index = self.index(name)
-            call = self.calls.begin(f"{SENSORS}/SendFrame", STUCK_S, message=self.message(name, index))
+            call = self.calls.begin(f"{SENSORS}/SendFrame", STUCK_S, message=robots.scan_message(name.session_id, index))
             sent.append((index, call))
         leave = self.rng.random() < self.impatience
         for index, call in sent:
@@ -207,16 +207,6 @@ class Worker:
         for life in name.possible - {ABSENT}:
             name.sent[life].add(world.stamp(index))
         return index
-
-    def message(self, name: Name, index: int) -> sensor_pb2.SensorMessage:
-        scan = robots.scan(index)
-        body = {**scan, "ranges_m": scan["ranges_m"].tobytes()}
-        return sensor_pb2.SensorMessage(
-            session_id=name.session_id,
-            sensor_id="laser",
-            stamp_ns=world.stamp(index),
-            scan=sensor_pb2.LaserScan(**body),
-        )
 
     def took(self, name: Name, index: int) -> None:
         lives = name.possible - {ABSENT}

@@ -6,6 +6,7 @@ import functools
 import math
 
 from percept import Client, Pose, Session
+from percept.v1 import sensor_pb2
 
 from . import world
 
@@ -29,6 +30,15 @@ def laps() -> tuple[Pose, ...]:
 def scan(index: int, phase: int = 0) -> dict[str, object]:
     """What the laser sees at a place of the round; robots of other phases see other things."""
     return world.scan(laps()[(index + phase) % len(laps())])
+
+
+def scan_message(session_id: str, index: int) -> sensor_pb2.SensorMessage:
+    """The scan of that place as the contract has it."""
+    seen = scan(index)
+    body = {**seen, "ranges_m": seen["ranges_m"].tobytes()}
+    return sensor_pb2.SensorMessage(
+        session_id=session_id, sensor_id="laser", stamp_ns=world.stamp(index), scan=sensor_pb2.LaserScan(**body)
+    )
 
 
 @functools.cache

@@ -48,11 +48,12 @@ class Server:
 
     def __init__(
         self,
-        data_dir: pathlib.Path,
+        data_dir: pathlib.Path | None,
         *arguments: str,
         grpc: str = "127.0.0.1:0",
         log: pathlib.Path | None = None,
     ) -> None:
+        # None: the environment says where the data are.
         self.data_dir = data_dir
         self.log = log or data_dir.with_name(f"{data_dir.name}.log")
         self._arguments = arguments
@@ -62,7 +63,8 @@ class Server:
     def start(self) -> None:
         """Starts and waits until the doors are open."""
         command = [
-            *(binary(), "serve", "--data-dir", self.data_dir),
+            *(binary(), "serve"),
+            *(() if self.data_dir is None else ("--data-dir", self.data_dir)),
             *("--grpc", self._grpc, "--rest", "127.0.0.1:0"),
             *("--zenoh", f"tcp/127.0.0.1:{free_port()}"),
             *self._arguments,

@@ -55,6 +55,8 @@ pub struct Error {
     pub message: String,
     /// Path of the offending field; empty if none.
     pub field: String,
+    /// Where to ask instead; empty if that is no matter of where.
+    pub server: String,
 }
 
 /// What every operation answers with.
@@ -63,22 +65,30 @@ pub type Result<T> = std::result::Result<T, Error>;
 impl Error {
     /// Any code.
     pub fn new(code: ErrorCode, reason: &'static str, message: impl Into<String>) -> Self {
-        Self { code, reason, message: message.into(), field: String::new() }
+        Self { code, reason, message: message.into(), field: String::new(), server: String::new() }
     }
 
     /// Bad input in `field`.
     pub fn invalid(reason: &'static str, field: impl Into<String>, message: impl Into<String>) -> Self {
-        Self { code: ErrorCode::InvalidArgument, reason, message: message.into(), field: field.into() }
+        Self { field: field.into(), ..Self::new(ErrorCode::InvalidArgument, reason, message) }
     }
 
     /// Something named does not exist.
     pub fn not_found(reason: &'static str, field: impl Into<String>, message: impl Into<String>) -> Self {
-        Self { code: ErrorCode::NotFound, reason, message: message.into(), field: field.into() }
+        Self { field: field.into(), ..Self::new(ErrorCode::NotFound, reason, message) }
     }
 
     /// A limit was reached.
     pub fn exhausted(reason: &'static str, field: impl Into<String>, message: impl Into<String>) -> Self {
-        Self { code: ErrorCode::ResourceExhausted, reason, message: message.into(), field: field.into() }
+        Self { field: field.into(), ..Self::new(ErrorCode::ResourceExhausted, reason, message) }
+    }
+
+    /// Another of the servers that share the data has the session.
+    pub fn elsewhere(session: &str, server: &str) -> Self {
+        let which = if session.is_empty() { "the session".to_owned() } else { format!("session_id {session:?}") };
+        let words =
+            format!("{which} is in use at the server {server}; ask that one, or try again when it has ended there");
+        Self { server: server.to_owned(), ..Self::new(ErrorCode::Unavailable, "SESSION_ELSEWHERE", words) }
     }
 
     /// A fault of ours: the cause goes to the log, the caller learns only that it happened.

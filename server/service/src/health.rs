@@ -14,6 +14,8 @@ pub enum Part {
     Server,
     /// Where everything durable lives.
     Storage,
+    /// This server among those that share its data.
+    Node,
 }
 
 impl Part {
@@ -22,6 +24,7 @@ impl Part {
         match self {
             Self::Server => "server",
             Self::Storage => "storage",
+            Self::Node => "node",
         }
     }
 }

@@ -21,7 +21,7 @@ use crate::blobs;
 use crate::error::{StoreError, shortened};
 
 /// Folder of the logs.
-const FOLDER: &str = "catalogue";
+pub(crate) const FOLDER: &str = "catalogue";
 /// First words of an entry; a line, then the creator's record.
 const CREATED: &str = "percept-session created ";
 const DELETED: &str = "percept-session deleted ";
@@ -44,6 +44,12 @@ impl SessionPlace {
     #[must_use]
     pub fn id(&self) -> &str {
         &self.id
+    }
+
+    /// Number of its entry in the catalogue.
+    #[must_use]
+    pub fn number(&self) -> u64 {
+        self.number
     }
 
     /// Tells sessions apart that had the same id one after the other.
@@ -110,6 +116,12 @@ pub(crate) async fn list(objects: &dyn ObjectStore, sweep: bool) -> Result<Vec<C
         }
     }
     Ok(listed)
+}
+
+/// The number of the newest entry by id.
+pub(crate) async fn newest_numbers(objects: &dyn ObjectStore) -> Result<BTreeMap<String, u64>, StoreError> {
+    let all = numbers(objects, &Path::from(FOLDER)).await?;
+    Ok(all.into_iter().filter_map(|(id, numbers)| Some((id, *numbers.last()?))).collect())
 }
 
 /// The number that a new session of this id gets; [`StoreError::AlreadyExists`] if there is one.

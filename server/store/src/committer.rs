@@ -157,7 +157,8 @@ impl Committer {
     }
 
     async fn close(&mut self) -> Result<(), StoreError> {
-        let fenced = self.db.status().close_reason == Some(CloseReason::Fenced);
+        // Whoever may have lost the data writes nothing more.
+        let fenced = self.db.status().close_reason == Some(CloseReason::Fenced) || self.check_life().is_err();
         if self.stalled.is_none() && !fenced {
             // As a sorted table what was written is read quickly by the next opening, and the log's files can go. The log
             // has everything, so that this may fail.
@@ -166,7 +167,7 @@ impl Committer {
                 tracing::debug!("closed without a sorted table; the next opening reads the log");
             }
         }
-        let flush_type = self.stalled.is_none().then_some(FlushType::Wal);
+        let flush_type = (self.stalled.is_none() && !fenced).then_some(FlushType::Wal);
         let options = CloseOptions { flush_type };
         let closed = tokio::time::timeout(self.timeout, self.db.close_with_options(options)).await;
         match closed {

@@ -1,5 +1,6 @@
 //! The root of the data: which sessions there are, and a store of its own for each.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -183,6 +184,27 @@ impl DataRoot {
             drop(blocking(empty).await?);
         }
         Ok(())
+    }
+
+    /// Whether other nodes may have sessions of these data.
+    #[must_use]
+    pub fn is_shared(&self) -> bool {
+        self.shared
+    }
+
+    /// The number of the newest entry in the catalogue by id, whatever the entry says.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub async fn newest_numbers(&self) -> Result<BTreeMap<String, u64>, StoreError> {
+        catalogue::newest_numbers(self.objects.as_ref()).await
+    }
+
+    /// When an id was last added to the catalogue or removed, as the directory's file system tells; `None` where there is
+    /// no directory.
+    #[must_use]
+    pub fn catalogue_changed(&self) -> Option<SystemTime> {
+        std::fs::metadata(self.directory.as_ref()?.join(catalogue::FOLDER)).ok()?.modified().ok()
     }
 
     /// Takes a session for this node. Where data are not shared it is always ours, and asking costs nothing; else it is

@@ -16,6 +16,9 @@ const DOMAIN: &str = "percept";
 /// Names the request's trace in an error.
 const TRACE_ID: &str = "trace_id";
 
+/// Names the server to ask instead.
+const SERVER: &str = "server";
+
 /// When to try again what was refused for now.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 
@@ -43,8 +46,9 @@ fn codes(code: ErrorCode) -> (Code, StatusCode) {
 pub(crate) fn grpc(e: Error) -> Status {
     observe::refusal(e.reason);
     let mut details = ErrorDetails::new();
-    let metadata = trace::current().map(|t| (TRACE_ID.to_owned(), t.trace_id_hex()));
-    details.set_error_info(e.reason, DOMAIN, metadata.into_iter().collect::<HashMap<_, _>>());
+    let trace = trace::current().map(|t| (TRACE_ID.to_owned(), t.trace_id_hex()));
+    let server = (!e.server.is_empty()).then(|| (SERVER.to_owned(), e.server));
+    details.set_error_info(e.reason, DOMAIN, trace.into_iter().chain(server).collect::<HashMap<_, _>>());
     if !e.field.is_empty() {
         details.add_bad_request_violation(&e.field, &e.message);
     }

@@ -133,6 +133,7 @@ impl Caller {
         check_id("session_id", session)?;
         self.still_holds().map_err(|e| self.refused(operation, session, e))?;
         let principal = &self.context.principal;
+        self.service.registry.look_for(session).await;
         match self.service.registry.tenant(session) {
             None => return Err(crate::session::registry::not_found(session)),
             Some(tenant) if tenant == principal.tenant && principal.may(percept_identity::Access::Read, session) => {}

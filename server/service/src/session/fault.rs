@@ -54,6 +54,7 @@ impl From<StoreError> for Trouble {
     fn from(e: StoreError) -> Self {
         match &e {
             StoreError::Fenced { .. } => Self::Fenced,
+            StoreError::Elsewhere { .. } | StoreError::NodeSilent => Self::Passing(store_error(&e)),
             StoreError::Full | StoreError::Closed | StoreError::Stalled { .. } | StoreError::Io { .. } => {
                 Self::Passing(store_error(&e))
             }
@@ -92,6 +93,12 @@ pub(crate) fn store_error(e: &StoreError) -> Error {
     match e {
         StoreError::Full => Error::exhausted("STORAGE_FULL", "", "no space left where the data live; free some"),
         StoreError::Fenced { .. } => fenced(),
+        StoreError::Elsewhere { address } => Error::elsewhere("", address),
+        StoreError::NodeSilent => {
+            let words = "this server has not reached the shared storage for some seconds and left its sessions to others; \
+                         try again, or ask another server";
+            Error::new(ErrorCode::Unavailable, "NODE_SILENT", words)
+        }
         StoreError::Closed => Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again"),
         StoreError::Stalled { .. } | StoreError::Io { .. } => {
             tracing::error!(error = ?e, "storage fault");

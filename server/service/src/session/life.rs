@@ -6,15 +6,16 @@ use super::fault::{Fault, Trouble, store_error};
 use super::handle::Session;
 use super::meta::SessionMeta;
 use super::persist::Persister;
-use super::records::{Counts, MetaRecord, SummaryRecord, json, parse};
+use super::records::{Counts, MetaRecord, SummaryRecord, json};
 use super::recover::recover;
 use super::registry::Registry;
+use super::sharing::Unclaimed;
 use super::slot::{Phase, Slot};
 use super::writer::{GRACE, Writer, collect_garbage};
 use crate::{Error, Result, observe};
 use percept_geometry::Timestamp;
 use percept_scene::ObjectState;
-use percept_store::{CatalogueEntry, SessionPlace, Store};
+use percept_store::{SessionPlace, Store};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -32,10 +33,10 @@ impl Registry {
     pub(super) async fn bring_to_life(self: Arc<Self>, slot: Arc<Slot>, meta: SessionMeta) {
         let created = async {
             let record = json(&MetaRecord::of(&meta)?)?;
-            self.root.create(&slot.id, &record).await.map_err(|e| match e {
-                percept_store::StoreError::AlreadyExists { .. } => super::registry::exists(&slot.id),
-                e => store_error(&e),
-            })
+            match self.root.create(&slot.id, &record).await {
+                Err(percept_store::StoreError::AlreadyExists { .. }) => self.created_before(&meta).await,
+                created => created.map_err(|e| store_error(&e)),
+            }
         };
         match created.await {
             Ok(place) => {
@@ -76,12 +77,32 @@ impl Registry {
             _ => Ok(()),
         };
         observe::session_woken(began.elapsed(), outcome);
+        if let Phase::Gone(_) = phase {
+            self.remove(&slot);
+            slot.events.close();
+        }
         slot.set(phase);
     }
 
     async fn read(self: Arc<Self>, slot: Arc<Slot>) -> std::result::Result<Phase, Trouble> {
-        let place = slot.place.get().ok_or_else(|| Error::internal("a session without a place"))?;
-        let created = self.created(place).await?;
+        let (place, created) = match self.claim(&slot).await {
+            Ok(claimed) => claimed,
+            Err(Unclaimed::Gone) => return Ok(Phase::Gone(Ok(()))),
+            Err(Unclaimed::Trouble(trouble)) => return Err(trouble),
+        };
+        let read = self.read_claimed(&slot, &place, created).await;
+        if !matches!(read, Ok(Phase::Awake(_))) {
+            self.release(&slot).await;
+        }
+        read
+    }
+
+    async fn read_claimed(
+        self: &Arc<Self>,
+        slot: &Arc<Slot>,
+        place: &SessionPlace,
+        created: MetaRecord,
+    ) -> std::result::Result<Phase, Trouble> {
         let store: Arc<dyn Store> = Arc::new(self.root.open_session(place).await?);
         let recovered = match recover(Arc::clone(&store), &self.compute, created, &self.defaults).await {
             Ok(recovered) => recovered,
@@ -109,22 +130,14 @@ impl Registry {
         let compute = self.compute.clone();
         let (session, actor) =
             Session::start(meta, recovered.pipeline, &stamps, persister, compute, &self.limits, events);
-        tokio::spawn(Arc::clone(&self).attend(Arc::clone(&slot), Arc::clone(&session), actor, Arc::clone(&store)));
+        tokio::spawn(Arc::clone(self).attend(Arc::clone(slot), Arc::clone(&session), actor, Arc::clone(&store)));
         tokio::spawn(async move {
             if let Err(error) = collect_garbage(store.as_ref(), GRACE).await {
                 tracing::debug!(?error, "scans that nobody needs were not looked for");
             }
         });
-        self.note(&slot, &session);
+        self.note(slot, &session);
         Ok(Phase::Awake(session))
-    }
-
-    /// The record that a session was created with.
-    pub(super) async fn created(&self, place: &SessionPlace) -> std::result::Result<MetaRecord, Trouble> {
-        match self.root.entry(place.id()).await? {
-            Some(CatalogueEntry::Created { record, .. }) => Ok(parse("the catalogue entry", &record)?),
-            _ => Err(Trouble::Lasting(Fault::new("DATA_DAMAGED", "its catalogue entry cannot be read"))),
-        }
     }
 
     /// Runs a session's actor and does what its end asks for.
@@ -149,6 +162,7 @@ impl Registry {
         if let Err(error) = store.close().await {
             tracing::warn!(session = slot.id, %error, "a session's store did not close cleanly; what was acknowledged is safe");
         }
+        self.release(&slot).await;
         let next = match ending {
             Ending::Retired | Ending::Discarded => Phase::Asleep(None),
             Ending::Panicked if slot.failed(FAILURE_WINDOW_NS) >= MOST_FAILURES => {

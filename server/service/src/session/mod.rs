@@ -1,7 +1,7 @@
 //! A session: one writer, a bounded queue, snapshots for readers, records for the time after a crash.
 //!
 //! - [`registry`] knows which sessions there are and gives handles on them; [`slot`] is one session's state machine,
-//!   [`life`] holds its steps, [`keeper`] puts to sleep what nobody uses.
+//!   [`life`] holds its steps, [`keeper`] puts to sleep what nobody uses, [`sharing`] follows those who share the data.
 //! - [`actor`] owns the pipeline of a session that is awake; [`handle`] is what callers hold of it; [`events`] tells
 //!   watchers, awake or not.
 //! - [`persist`] makes results durable, [`writer`] turns them into [`records`] and blobs ([`keyframe_codec`]), [`recover`]
@@ -23,6 +23,7 @@ pub(crate) mod recover;
 pub(crate) mod refusal;
 pub(crate) mod registry;
 pub(crate) mod sensor_book;
+pub(crate) mod sharing;
 pub(crate) mod slot;
 #[cfg(test)]
 mod tests;

@@ -1,7 +1,7 @@
 //! Which sessions there are, and how to get hold of one. What becomes of them is in [`super::life`].
 
 use super::events::EventLog;
-use super::fault::{Fault, store_error};
+use super::fault::{Fault, Trouble, store_error};
 use super::handle::Session;
 use super::meta::{SensorDeclaration, SessionMeta, SessionMode};
 use super::records::{Counts, MetaRecord, SummaryRecord, parse};
@@ -28,6 +28,8 @@ pub(crate) struct Registry {
     pub(super) limits: Arc<Limits>,
     pub(super) defaults: PipelineParams,
     pub(super) waking: Semaphore,
+    /// Of the events of sessions that were there before this process.
+    first_token: u64,
     sessions: RwLock<Sessions>,
 }
 
@@ -73,33 +75,19 @@ impl Registry {
         defaults: PipelineParams,
         health: Health,
     ) -> Result<Arc<Self>> {
-        let mut sessions = Sessions::default();
-        let mut buried = Vec::new();
         // Events come far slower than one a microsecond, so that this lies above every token given before.
         let first_token = u64::try_from(crate::ops::sessions::now_ns() / 1000).unwrap_or(1).max(1);
-        let event_history = limits.event_history;
-        let events = || EventLog::starting_at(first_token, event_history);
-        for entry in root.list().await.map_err(|e| store_error(&e))? {
-            let (place, phase, known) = match entry {
-                CatalogueEntry::Deleted { place } => {
-                    buried.push(place);
-                    continue;
-                }
-                CatalogueEntry::Created { place, record } => {
-                    match parse::<MetaRecord>("the catalogue entry", &record) {
-                        Ok(record) => (place, Phase::Asleep(None), known(&record)),
-                        Err(error) => (place, unreadable(&error), Known::nothing()),
-                    }
-                }
-                CatalogueEntry::Damaged { place } => {
-                    (place, unreadable(&"its catalogue entry cannot be read"), Known::nothing())
-                }
-            };
-            sessions.insert(place, phase, known, events());
-        }
-        let sessions = RwLock::new(sessions);
         let waking = Semaphore::new(WAKES_AT_ONCE);
-        let registry = Arc::new(Self { root, compute, limits, defaults, waking, sessions });
+        let registry = Self { root, compute, limits, defaults, waking, first_token, sessions: RwLock::default() };
+        let mut buried = Vec::new();
+        for entry in registry.root.list().await.map_err(|e| store_error(&e))? {
+            match entry {
+                CatalogueEntry::Deleted { place } => buried.push(place),
+                CatalogueEntry::Created { place, record } => registry.take_in(place, &record),
+                CatalogueEntry::Damaged { place } => registry.take_in_damaged(place),
+            }
+        }
+        let registry = Arc::new(registry);
         let this = Arc::clone(&registry);
         tokio::spawn(async move {
             for place in buried {
@@ -107,17 +95,46 @@ impl Registry {
             }
         });
         tokio::spawn(super::keeper::keep(Arc::downgrade(&registry)));
-        tokio::spawn(super::keeper::watch_storage(Arc::downgrade(&registry), health));
+        tokio::spawn(super::keeper::watch_storage(Arc::downgrade(&registry), health.clone()));
+        tokio::spawn(super::sharing::follow_catalogue(Arc::downgrade(&registry)));
+        tokio::spawn(super::sharing::follow_node(Arc::downgrade(&registry), health));
         Ok(registry)
+    }
+
+    /// Makes a session known that the catalogue has, unless its id is known already.
+    pub(super) fn take_in(&self, place: SessionPlace, record: &[u8]) {
+        match parse::<MetaRecord>("the catalogue entry", record) {
+            Ok(record) => self.insert(place, Phase::Asleep(None), known(&record)),
+            Err(error) => self.insert(place, unreadable(&error), Known::nothing()),
+        }
+    }
+
+    /// The same for one whose entry cannot be read.
+    pub(super) fn take_in_damaged(&self, place: SessionPlace) {
+        self.insert(place, unreadable(&"its catalogue entry cannot be read"), Known::nothing());
+    }
+
+    fn insert(&self, place: SessionPlace, phase: Phase, known: Known) {
+        let events = EventLog::starting_at(self.first_token, self.limits.event_history);
+        let mut sessions = self.sessions.write().unwrap_or_else(PoisonError::into_inner);
+        if !sessions.by_id.contains_key(place.id()) {
+            let slot = Slot::new(place.id(), phase, known, events);
+            let _ = slot.place.set(place);
+            sessions.add(&slot);
+        }
     }
 
     pub(crate) fn defaults(&self) -> &PipelineParams {
         &self.defaults
     }
 
+    /// The slot of an id, even of a session that is being deleted.
+    pub(super) fn slot(&self, id: &str) -> Option<Arc<Slot>> {
+        self.read_sessions().by_id.get(id).cloned()
+    }
+
     fn find(&self, id: &str) -> Result<Arc<Slot>> {
-        let slot = self.read_sessions().by_id.get(id).cloned();
-        slot.filter(|slot| !slot.is_doomed()).ok_or_else(|| not_found(id))
+        self.slot(id).filter(|slot| !slot.is_doomed()).ok_or_else(|| not_found(id))
     }
 
     /// Whose a session is, if there is one.
@@ -198,7 +215,12 @@ impl Registry {
         let noted = noted.and_then(|bytes| parse::<SummaryRecord>("the summary", &bytes).ok());
         let record = match noted {
             Some(summary) => summary.meta,
-            None => self.created(place).await.map_err(|trouble| trouble.error())?,
+            None => match self.root.entry(id).await.map_err(|e| store_error(&e))? {
+                Some(CatalogueEntry::Created { place: found, record }) if found == *place => {
+                    parse("the catalogue entry", &record).map_err(|e| Trouble::from(e).error())?
+                }
+                _ => return Err(not_found(id)),
+            },
         };
         record.into_meta(&self.defaults).map_err(|e| Fault::new("DATA_DAMAGED", e.to_string()).error())
     }
@@ -222,7 +244,11 @@ impl Registry {
 
     /// Reads what is noted of a session that has not been awake since the start.
     async fn read_counts(&self, slot: &Slot) {
-        let (None, Some(place)) = (slot.known().counts, slot.place.get()) else { return };
+        let Some(place) = slot.place.get() else { return };
+        // Another server may have gathered more since.
+        if slot.known().counts.is_some() && !self.root.is_shared() {
+            return;
+        }
         let Ok(noted) = self.root.summary(place).await else { return };
         let noted = noted.and_then(|bytes| parse::<SummaryRecord>("the summary", &bytes).ok());
         slot.update_known(|known| {
@@ -414,6 +440,9 @@ impl Registry {
             retired.map_err(|trouble| trouble.error())
         });
         let ends = futures::future::join_all(ends).await;
+        if let Err(error) = self.root.leave().await {
+            tracing::warn!(%error, "other servers learn only by its silence that this one is gone");
+        }
         ends.into_iter().filter_map(Result::err).next_back().map_or(Ok(()), Err)
     }
 
@@ -432,12 +461,6 @@ enum Reserved {
 }
 
 impl Sessions {
-    fn insert(&mut self, place: SessionPlace, phase: Phase, known: Known, events: EventLog) {
-        let slot = Slot::new(place.id(), phase, known, events);
-        let _ = slot.place.set(place);
-        self.add(&slot);
-    }
-
     fn add(&mut self, slot: &Arc<Slot>) {
         let known = slot.known();
         if !known.request_id.is_empty() {

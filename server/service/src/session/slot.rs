@@ -15,7 +15,7 @@ use super::handle::Session;
 use super::records::Counts;
 use crate::{Error, Result, observe};
 use percept_store::SessionPlace;
-use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tokio::sync::watch;
 
@@ -102,6 +102,8 @@ pub(super) struct Slot {
     doomed: AtomicBool,
     /// Why the last deletion was not done.
     deletion_error: Mutex<Option<Error>>,
+    /// The life of this node in which it was last claimed; see [`super::sharing`].
+    pub(super) claimed_in: AtomicU64,
     /// When its pipeline failed, the newest last.
     failures: Mutex<Vec<i64>>,
 }
@@ -118,6 +120,7 @@ impl Slot {
             last_used_ns: AtomicI64::new(crate::ops::sessions::now_ns()),
             doomed: AtomicBool::new(false),
             deletion_error: Mutex::default(),
+            claimed_in: AtomicU64::new(0),
             failures: Mutex::default(),
         })
     }
