@@ -84,7 +84,6 @@ def stamps(client: Client, name: str) -> list[int]:
 def test_a_session_in_use_elsewhere_says_where_and_moves_when_it_ends_there(sides):
     one, two = sides
     session = robots.mapped(one.client, "robot")
-    assert eventually(lambda: two.names() == ["robot"], seconds=SEEN_S)
     # A question each moment keeps it awake.
     stop = threading.Event()
 
@@ -111,6 +110,16 @@ def test_a_session_in_use_elsewhere_says_where_and_moves_when_it_ends_there(side
     assert np.array_equal(moved.map.occupancy().cells, grid.cells)
     assert robots.send_scans(moved, 10, 20) == 10
     assert one.pose("robot").reason == "SESSION_ELSEWHERE"
+    assert two.names() == ["robot"]
+
+
+def test_what_is_created_at_one_server_is_listed_by_the_other(sides):
+    one, two = sides
+    for name in ("a", "b"):
+        one.client.sessions.create(name)
+    assert eventually(lambda: two.names() == ["a", "b"], seconds=SEEN_S)
+    two.client.sessions.delete("a")
+    assert eventually(lambda: one.names() == ["b"], seconds=SEEN_S)
 
 
 def test_a_session_is_found_at_the_other_server_at_once(sides):
