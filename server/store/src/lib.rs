@@ -44,6 +44,7 @@ mod reader;
 mod root;
 mod slate;
 mod store;
+mod ticks;
 mod trial;
 
 pub use blobs::{BlobId, GarbageReport};

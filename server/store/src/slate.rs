@@ -12,6 +12,7 @@ use futures::future::BoxFuture;
 use futures::stream::{BoxStream, StreamExt, TryStreamExt, try_unfold};
 use object_store::ObjectStore;
 use object_store::memory::InMemory;
+use object_store::path::Path;
 use slatedb::config::{
     CompactorOptions, DurabilityLevel, GarbageCollectorDirectoryOptions, GarbageCollectorOptions, ReadOptions,
     ScanOptions, Settings,
@@ -27,6 +28,7 @@ use crate::keys::{Key, Prefix, RESERVED};
 use crate::node::Life;
 use crate::observed::ObservedStore;
 use crate::store::{Record, Store};
+use crate::ticks::Ticks;
 
 /// Folder of SlateDB's own objects.
 pub(crate) const RECORDS: &str = "records";
@@ -81,13 +83,16 @@ impl SlateStore {
         let Place { objects, directory, life } = place;
         let settings = settings(&config, directory.is_some());
         let blobs = Blobs::new(objects.clone(), directory, config.max_blob_bytes);
+        let ticks = Arc::new(Ticks::after(objects.as_ref(), &Path::from(RECORDS)).await?);
         let (observed, failures) = ObservedStore::new(objects);
         // Sessions are read once, when they wake: a cache would hold what nobody reads again.
         let mut builder = Db::builder(RECORDS, Arc::new(observed)).with_settings(settings).with_db_cache_disabled();
+        builder = builder.with_system_clock(ticks.clone());
         if let Some(expected) = config.expected_epoch {
             builder = builder.with_expected_epoch(expected);
         }
         let db = builder.build().await.map_err(|error| StoreError::from_slate("open the records", 0, error))?;
+        ticks.not_before(db.manifest().last_l0_clock_tick());
         let epoch = db.manifest().writer_epoch();
         let (queue, requests) = mpsc::channel(config.queue_length.max(1));
         let timeout = config.commit_timeout;

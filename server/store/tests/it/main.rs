@@ -5,6 +5,7 @@
 
 mod blobs;
 mod catalogue;
+mod clock_back;
 mod crash;
 mod export;
 mod failing;
