@@ -69,6 +69,11 @@ def test_frames_and_requests_are_counted(own_server):
     assert grown("percept_requests_total", door="grpc", code="NOT_FOUND", **get_pose) == 1
     assert grown("percept_requests_total", door="rest", code="OK", **get_pose) == 1
     assert grown("percept_refusals_total", reason="SESSION_NOT_FOUND") == 1
+    assert grown("percept_frame_durable_seconds_count") == 12
+    assert after.sum("percept_store_backlog") == 0
+    assert grown("percept_compute_wait_seconds_count", kind="frame") >= 12
+    assert after.sum("percept_compute_waiting") == after.sum("percept_compute_running") == 0
+    assert after.sum("percept_connections", door="rest") >= 1
     assert grown("percept_keyframes") >= 1
     assert grown("percept_sessions_tracking", state="tracking") == 1
     assert after.sum("process_resident_memory_bytes") > 1e6

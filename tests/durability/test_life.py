@@ -324,3 +324,12 @@ def test_the_list_over_rest_shows_no_session_that_is_going(own_server, client):
             assert http.delete(f"/v1/sessions/{name}").status_code == 200
             listed = [s["session_id"] for s in http.get("/v1/sessions").json().get("sessions", [])]
             assert name not in listed
+
+
+def test_what_a_deleted_session_stored_is_gone_at_the_first_try(own_server, client):
+    for k in range(6):
+        session = robots.mapped(client, f"robot-{k}")
+        session.delete()
+        folder = own_server.data_dir / "sessions" / f"robot-{k}"
+        assert eventually(lambda folder=folder: not folder.exists())
+    assert "still there" not in own_server.log.read_text()

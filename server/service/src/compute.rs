@@ -6,6 +6,7 @@
 
 mod fair;
 
+use crate::observe::{self, Work};
 use crate::{Error, ErrorCode, Result};
 use fair::{Job, Line};
 use std::sync::Arc;
@@ -92,7 +93,7 @@ impl ComputePool {
         session: &str,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T> {
-        let (job, answer) = prepared(work, false);
+        let (job, answer) = prepared(Work::Frame, work);
         self.frames.push(session, job).map_err(|_| busy())?;
         answer.await.map_err(|_| Error::internal("computation panicked"))
     }
@@ -102,7 +103,7 @@ impl ComputePool {
     /// # Errors
     /// `SERVER_BUSY` if too many wait, `INTERNAL` if the work panicked.
     pub async fn query<T: Send + 'static>(&self, asker: &str, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
-        let (job, answer) = prepared(work, true);
+        let (job, answer) = prepared(Work::Request, work);
         self.queries.push(asker, job).map_err(|_| busy())?;
         answer.await.map_err(|_| Error::internal("computation panicked"))
     }
@@ -125,7 +126,7 @@ impl ComputePool {
             let _ = begun.send(());
             work(&alive)
         };
-        let (job, answer) = prepared(work, true);
+        let (job, answer) = prepared(Work::Request, work);
         self.toolbox.push(asker, job).map_err(|_| busy())?;
         // An error is a panic, which the answer tells, too.
         let _ = begins.await;
@@ -135,15 +136,15 @@ impl ComputePool {
 }
 
 /// Work as a job, and where its answer comes; nothing comes of work that panics.
-fn prepared<T: Send + 'static>(
-    work: impl FnOnce() -> T + Send + 'static,
-    may_be_left_out: bool,
-) -> (Job, oneshot::Receiver<T>) {
+fn prepared<T: Send + 'static>(kind: Work, work: impl FnOnce() -> T + Send + 'static) -> (Job, oneshot::Receiver<T>) {
     let (done, answer) = oneshot::channel();
+    let waiting = observe::compute_waiting(kind);
     let job = move || {
-        if may_be_left_out && done.is_closed() {
+        // A frame was accepted, whoever still waits for it; a question of nobody's is left out.
+        if kind == Work::Request && done.is_closed() {
             return;
         }
+        let _running = waiting.start();
         // A panic drops `done`, which the awaiting side sees; it must not take the pool down.
         if let Ok(value) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)) {
             let _ = done.send(value);
@@ -153,6 +154,7 @@ fn prepared<T: Send + 'static>(
 }
 
 fn busy() -> Error {
+    observe::shed("SERVER_BUSY");
     let words = "too many requests wait to be computed; try again, or send fewer at a time";
     Error::exhausted("SERVER_BUSY", "", words)
 }

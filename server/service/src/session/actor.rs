@@ -143,9 +143,9 @@ impl Actor {
         }
     }
 
-    async fn frame(&mut self, frame: SensorFrame, received: Instant) -> Result<Processed> {
+    async fn frame(&mut self, frame: SensorFrame, came: Instant) -> Result<Processed> {
         let (sensor, stamp, kind) = (frame.sensor.clone(), frame.stamp, frame.data.kind());
-        let (waited, began) = (received.elapsed(), Instant::now());
+        let (waited, began) = (came.elapsed(), Instant::now());
         let mut pipeline = self.pipeline.take().ok_or_else(stopped)?;
         let (pipeline, outcome) = self
             .compute
@@ -179,10 +179,12 @@ impl Actor {
         keyframes.extend(report.keyframe);
         let (frame, entry) = (Some((sensor.clone(), stamp)), report.trajectory);
         let MapChange { loops, dissolved, corrected, merged } = report.map;
-        let job = Job { frame, entry, keyframes, loops, objects, corrected, merged, dissolved, meta: None };
+        let received = Some(came);
+        let job =
+            Job { received, frame, entry, keyframes, loops, objects, corrected, merged, dissolved, ..Job::default() };
         let ticket = self.persister.submit(job).await;
         lock(&self.session.book).accepted(&sensor, stamp, ticket);
-        let latency_s = received.elapsed().as_secs_f64();
+        let latency_s = came.elapsed().as_secs_f64();
         Ok(Processed { pose: report.pose, keyframe, latency_s, ticket, is_duplicate: false })
     }
 

@@ -78,6 +78,7 @@ impl Registry {
         };
         observe::session_woken(began.elapsed(), outcome);
         if let Phase::Gone(_) = phase {
+            tracing::info!(session = slot.id, place = ?slot.place.get(), "a session was deleted elsewhere before it woke");
             self.remove(&slot);
             slot.events.close();
         }
@@ -103,6 +104,7 @@ impl Registry {
         place: &SessionPlace,
         created: MetaRecord,
     ) -> std::result::Result<Phase, Trouble> {
+        let storing = Arc::clone(&slot.storing).lock_owned().await;
         let store: Arc<dyn Store> = Arc::new(self.root.open_session(place).await?);
         let recovered = match recover(Arc::clone(&store), &self.compute, created, &self.defaults).await {
             Ok(recovered) => recovered,
@@ -130,7 +132,11 @@ impl Registry {
         let compute = self.compute.clone();
         let (session, actor) =
             Session::start(meta, recovered.pipeline, &stamps, persister, compute, &self.limits, events);
-        tokio::spawn(Arc::clone(self).attend(Arc::clone(slot), Arc::clone(&session), actor, Arc::clone(&store)));
+        let attended = Arc::clone(self).attend(Arc::clone(slot), Arc::clone(&session), actor, Arc::clone(&store));
+        tokio::spawn(async move {
+            attended.await;
+            drop(storing);
+        });
         tokio::spawn(async move {
             if let Err(error) = collect_garbage(store.as_ref(), GRACE).await {
                 tracing::debug!(?error, "scans that nobody needs were not looked for");
@@ -267,6 +273,8 @@ impl Registry {
         self.remove(&slot);
         slot.events.close();
         slot.set(Phase::Gone(Ok(())));
+        // What is still being written would be left over.
+        drop(slot.storing.lock().await);
         if let Some(place) = slot.place.get() {
             self.purge(place).await;
         }

@@ -10,7 +10,7 @@ use percept_pipeline::{KeyframeInfo, Loop, LoopId, Merged, NewKeyframe, Trajecto
 use percept_scene::Object;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
@@ -23,6 +23,8 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_
 /// What one frame, or a change of the map without one, left behind.
 #[derive(Default)]
 pub(crate) struct Job {
+    /// When the frame came.
+    pub(crate) received: Option<Instant>,
     /// Whose frame it was, and when.
     pub(crate) frame: Option<(SensorId, Timestamp)>,
     pub(crate) entry: Option<TrajectoryEntry>,
@@ -40,6 +42,8 @@ pub(crate) struct Job {
     pub(crate) dissolved: Vec<LoopId>,
     /// What is declared and set, if that changed.
     pub(crate) meta: Option<Box<SessionMeta>>,
+    /// Counted while it waits; set when it is queued.
+    pub(crate) backlog: Option<observe::Held>,
 }
 
 /// How the storage is, as a session sees it.
@@ -93,7 +97,8 @@ impl Persister {
     }
 
     /// Queues a job; waits when the backlog is full. Answers with its ticket.
-    pub(crate) async fn submit(&mut self, job: Job) -> u64 {
+    pub(crate) async fn submit(&mut self, mut job: Job) -> u64 {
+        job.backlog = Some(observe::store_backlog());
         let ticket = self.next_ticket;
         self.next_ticket += 1;
         let _ = self.jobs.send((ticket, job)).await;
@@ -160,6 +165,7 @@ async fn run(
             }
         }
         storing.send_if_modified(|s| !matches!(std::mem::take(s), Storing::Well));
+        batch.iter().filter_map(|(_, job)| job.received).for_each(|at| observe::frame_durable(at.elapsed()));
         if let Some((ticket, _)) = batch.last() {
             let _ = durable.send(*ticket);
         }

@@ -210,6 +210,8 @@ impl Registry {
         if let Some(session) = view(&slot).live {
             return Ok(session.meta());
         }
+        // Of one that is being created it can be said as soon as it is.
+        slot.until(|phase| !matches!(phase, Phase::Creating)).await;
         let place = slot.place.get().ok_or_else(|| not_found(id))?;
         let noted = self.root.summary(place).await.map_err(|e| store_error(&e))?;
         let noted = noted.and_then(|bytes| parse::<SummaryRecord>("the summary", &bytes).ok());

@@ -86,7 +86,10 @@ impl Registry {
     /// Takes in what the catalogue says of an id.
     pub(super) async fn adopt(&self, id: &str) {
         match self.root.entry(id).await {
-            Ok(Some(CatalogueEntry::Created { place, record })) => self.take_in(place, &record),
+            Ok(Some(CatalogueEntry::Created { place, record })) => {
+                tracing::info!(session = id, ?place, "a session was created elsewhere");
+                self.take_in(place, &record);
+            }
             Ok(Some(CatalogueEntry::Damaged { place })) => self.take_in_damaged(place),
             Ok(Some(CatalogueEntry::Deleted { .. }) | None) => {}
             Err(error) => tracing::warn!(session = id, %error, "its catalogue entry was not read"),
@@ -101,6 +104,7 @@ impl Registry {
             let Some(place) = slot.place.get() else { continue };
             let is_same = newest.get(&slot.id).is_some_and(|number| *number == place.number());
             if !is_same && slot.step(|phase| is_nobodys(phase).then_some(Phase::Gone(Ok(())))) {
+                tracing::info!(session = slot.id, ?place, newest = ?newest.get(&slot.id), "a session was deleted elsewhere");
                 self.remove(&slot);
                 slot.events.close();
             }

@@ -102,6 +102,8 @@ pub(super) struct Slot {
     doomed: AtomicBool,
     /// Why the last deletion was not done.
     deletion_error: Mutex<Option<Error>>,
+    /// Held by whoever has the session's store open.
+    pub(super) storing: Arc<tokio::sync::Mutex<()>>,
     /// The life of this node in which it was last claimed; see [`super::sharing`].
     pub(super) claimed_in: AtomicU64,
     /// When its pipeline failed, the newest last.
@@ -120,6 +122,7 @@ impl Slot {
             last_used_ns: AtomicI64::new(crate::ops::sessions::now_ns()),
             doomed: AtomicBool::new(false),
             deletion_error: Mutex::default(),
+            storing: Arc::default(),
             claimed_in: AtomicU64::new(0),
             failures: Mutex::default(),
         })

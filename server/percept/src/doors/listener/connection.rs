@@ -16,6 +16,7 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulConnection;
 use percept_service::Limits;
+use percept_service::observe::{self, Door};
 use std::convert::Infallible;
 use std::pin::pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -141,6 +142,10 @@ impl Connection {
     pub(super) async fn run<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, socket: S) {
         let PeerIdentity { address, certificate } = &self.identity;
         tracing::debug!(%address, ?certificate, protocol = ?self.protocol, "connected");
+        let _open = observe::connection(match self.protocol {
+            Protocol::Grpc => Door::Grpc,
+            Protocol::Rest => Door::Rest,
+        });
         let traffic = Traffic::new();
         let io = TokioIo::new(Watched { socket, traffic: Arc::clone(&traffic) });
         let (protocol, limits, stopping) =
