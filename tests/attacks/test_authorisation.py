@@ -49,7 +49,15 @@ RULES = {
     "SceneService/GetSceneGraph": (READ, True),
     "NavigationService/PlanPath": (READ, True),
     "NavigationService/Navigate": (WRITE, True),
-    "ToolboxService": (WRITE, False),
+    "ToolboxKeptCloudsService": (WRITE, False),
+    "ToolboxCloudsService": (WRITE, False),
+    "ToolboxShapesService": (WRITE, False),
+    "ToolboxSegmentationService": (WRITE, False),
+    "ToolboxRegistrationService": (WRITE, False),
+    "ToolboxDepthService": (WRITE, False),
+    "ToolboxImagesService": (WRITE, False),
+    "ToolboxPicturesService": (WRITE, False),
+    "ToolboxPipelinesService": (WRITE, False),
     "EvaluationService": (WRITE, False),
     "ServerService": (READ, False),
 }
@@ -358,7 +366,7 @@ def test_a_request_id_of_another_tenant_gives_nothing_of_theirs(site):
 
 
 def test_kept_clouds_are_their_owners_alone(site):
-    cloud = {"cloud": {"num_points": 1, "positions": "AAAAAAAAAAAAAAAA"}}
+    cloud = {"cloud": {"cloud": {"num_points": 1, "positions": "AAAAAAAAAAAAAAAA"}}}
     kept = site.http.post("/v1/toolbox/clouds", json=cloud, headers=site.headers("right"))
     handle = kept.json()["kept"]["handle"]
     for kind in ("other tenant", "wrong pattern"):
@@ -367,6 +375,23 @@ def test_kept_clouds_are_their_owners_alone(site):
         assert site.http.delete(f"/v1/toolbox/clouds/{handle}", headers=headers).status_code == 404
         assert handle not in site.http.get("/v1/toolbox/clouds", headers=headers).text
     assert site.http.get(f"/v1/toolbox/clouds/{handle}", headers=site.headers("right")).status_code == 200
+
+
+def test_a_sessions_cloud_is_worked_on_by_those_who_may_read_the_session(site):
+    site.create("fleet-cloud")
+    for session in ("fleet-cloud", "fleet-absent"):
+        body = {"cloud": {"session": {"session_id": session}}}
+
+        def reason(kind, body=body):
+            answer = site.http.post("/v1/toolbox/transform-cloud", json=body, headers=site.headers(kind))
+            return answer.json().get("reason", ALLOWED)
+
+        there = session == "fleet-cloud"
+        assert reason("right") == (ALLOWED if there else "SESSION_NOT_FOUND")
+        assert reason("other tenant") == reason("wrong pattern") == "SESSION_NOT_FOUND"
+        # Computing needs more than to read.
+        assert reason("read only") == "PERMISSION_DENIED"
+        assert reason("none") == "CREDENTIALS_MISSING"
 
 
 def test_health_answers_everybody_and_reflection_by_configuration(site):

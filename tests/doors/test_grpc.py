@@ -35,7 +35,7 @@ def test_reflection_lists_the_services(channel):
     info = channel.stream_stream("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo")
     # list_services = 7, an empty string.
     answer = next(info(iter([b"\x3a\x00"]), timeout=10))
-    for noun in ("Sessions", "Sensors", "Maps", "Scene", "Navigation", "Toolbox", "Evaluation"):
+    for noun in ("Sessions", "Sensors", "Maps", "Scene", "Navigation", "ToolboxClouds", "Evaluation"):
         assert f"percept.v1.{noun}Service".encode() in answer
 
 

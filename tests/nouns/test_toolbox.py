@@ -198,4 +198,4 @@ def test_parameters_out_of_their_bounds_are_refused_by_name(client, rng, value):
 def test_a_cloud_over_the_limit_is_refused(client):
     with pytest.raises(ResourceExhausted) as error:
         client.toolbox.downsample_voxels(np.zeros((2_000_001, 3), np.float32))
-    assert (error.value.reason, error.value.field) == ("CLOUD_TOO_LARGE", "cloud.num_points")
+    assert (error.value.reason, error.value.field) == ("CLOUD_TOO_LARGE", "cloud.cloud.num_points")

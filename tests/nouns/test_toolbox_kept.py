@@ -63,7 +63,7 @@ def test_a_kept_cloud_is_as_good_as_a_sent_one(client, rng):
     client.toolbox.drop_cloud(kept)
     with pytest.raises(NotFound) as error:
         client.toolbox.downsample_voxels(kept)
-    assert (error.value.reason, error.value.field) == ("CLOUD_NOT_FOUND", "cloud_handle")
+    assert (error.value.reason, error.value.field) == ("CLOUD_NOT_FOUND", "cloud.handle")
     with pytest.raises(NotFound):
         client.toolbox.drop_cloud(kept)
 
@@ -220,7 +220,7 @@ def test_what_goes_on_after_planes_is_said(client, rng):
             "OUT_OF_RANGE",
             "steps[1].downsample_voxels.voxel_size_m",
         ),
-        ([Step("downsample_voxels", cloud_handle="c-1")], "STEP_HAS_CLOUD", "steps[0].cloud"),
+        ([Step("downsample_voxels", keep_result=True)], "STEP_HAS_CLOUD", "steps[0].cloud"),
         ([Step("fly")], "STEP_UNKNOWN", "operation"),
         ([Step("downsample_voxels", voxel=1.0)], "PARAMS_INVALID", "voxel"),
     ],
@@ -283,26 +283,28 @@ def test_rest_keeps_lists_serves_and_drops_clouds(server, rng):
     points = rng.uniform(-1, 1, (400, 3)).astype(np.float32)
     with httpx.Client(base_url=server.rest_url, timeout=30) as http:
         cloud = {"num_points": 400, "positions": b64(points)}
-        kept = http.post("/v1/toolbox/clouds", json={"cloud": cloud}).json()["kept"]
+        sent = {"cloud": cloud}
+        kept = http.post("/v1/toolbox/clouds", json={"cloud": sent}).json()["kept"]
         listed = http.get("/v1/toolbox/clouds").json()
         assert kept["handle"] in [c["handle"] for c in listed["clouds"]]
+        by_handle = {"handle": kept["handle"]}
         small = http.post(
-            "/v1/toolbox/downsample-voxels",
-            json={"cloud_handle": kept["handle"], "voxel_size_m": 0.5, "keep_result": True},
+            "/v1/toolbox/downsample-voxels", json={"cloud": by_handle, "voxel_size_m": 0.5, "keep_result": True}
         ).json()
         assert "cloud" not in small
         answer = http.get(f"/v1/toolbox/clouds/{small['kept']['handle']}").json()["points"]
-        sent = http.post("/v1/toolbox/downsample-voxels", json={"cloud": cloud, "voxel_size_m": 0.5}).json()
-        assert answer["cloud"]["positions"] == sent["cloud"]["positions"]
+        other = http.post("/v1/toolbox/downsample-voxels", json={"cloud": sent, "voxel_size_m": 0.5}).json()
+        assert answer["cloud"]["positions"] == other["cloud"]["positions"]
         file = http.get(f"/v1/toolbox/clouds/{kept['handle']}?format=ply").json()["chunk"]
         assert base64.b64decode(file["data"]).startswith(b"ply\nformat binary_little_endian")
         assert http.delete(f"/v1/toolbox/clouds/{kept['handle']}").status_code == 200
-        gone = http.post("/v1/toolbox/downsample-voxels", json={"cloud_handle": kept["handle"]})
+        gone = http.post("/v1/toolbox/downsample-voxels", json={"cloud": by_handle})
         assert (gone.status_code, gone.json()["reason"]) == (404, "CLOUD_NOT_FOUND")
-        both = http.post("/v1/toolbox/downsample-voxels", json={"cloud": cloud, "cloud_handle": "c-1"})
-        assert (both.status_code, both.json()["reason"]) == (400, "CLOUD_AMBIGUOUS")
-        none = http.post("/v1/toolbox/downsample-voxels", json={})
-        assert (none.status_code, none.json()["field"]) == (400, "cloud")
+        both = http.post("/v1/toolbox/downsample-voxels", json={"cloud": {"cloud": cloud, "handle": "c-1"}})
+        assert (both.status_code, both.json()["reason"]) == (400, "JSON_INVALID")
+        for nothing in ({}, {"cloud": {}}):
+            none = http.post("/v1/toolbox/downsample-voxels", json=nothing)
+            assert (none.status_code, none.json()["field"]) == (400, "cloud")
 
 
 def test_asyncio_does_the_same(server, client, rng):

@@ -43,11 +43,9 @@ def headers(metadata: Mapping[str, str | bytes] | None) -> Metadata:
     return tuple((key.lower(), value) for key, value in (metadata or {}).items())
 
 
-def channel_options(max_message_bytes: int, server_name: str | None) -> list[tuple[str, int | str]]:
+def channel_options(server_name: str | None) -> list[tuple[str, int | str]]:
     """gRPC's own options."""
     options: list[tuple[str, int | str]] = [
-        ("grpc.max_send_message_length", max_message_bytes),
-        ("grpc.max_receive_message_length", max_message_bytes),
         ("grpc.keepalive_time_ms", 30_000),
         ("grpc.keepalive_timeout_ms", 10_000),
         # A server that came back is found within a second, not after minutes of backoff.

@@ -13,10 +13,15 @@ from .v1 import navigation_service_pb2 as navigation
 from .v1 import scene_service_pb2 as scene
 from .v1 import sensors_service_pb2 as sensors
 from .v1 import sessions_service_pb2 as sessions
-from .v1 import toolbox_depth_pb2 as toolbox_depth
-from .v1 import toolbox_images_pb2 as toolbox_images
-from .v1 import toolbox_pictures_pb2 as toolbox_pictures
-from .v1 import toolbox_service_pb2 as toolbox
+from .v1 import toolbox_clouds_service_pb2 as clouds
+from .v1 import toolbox_depth_service_pb2 as depth
+from .v1 import toolbox_images_service_pb2 as images
+from .v1 import toolbox_kept_clouds_service_pb2 as kept_clouds
+from .v1 import toolbox_pictures_service_pb2 as pictures
+from .v1 import toolbox_pipelines_service_pb2 as pipelines
+from .v1 import toolbox_registration_service_pb2 as registration
+from .v1 import toolbox_segmentation_service_pb2 as segmentation
+from .v1 import toolbox_shapes_service_pb2 as shapes
 
 Q = TypeVar("Q", bound=Message)
 A = TypeVar("A", bound=Message)
@@ -32,6 +37,8 @@ class Rpc(Generic[Q, A]):
     answer: type[A]
     #: Whether doing it twice is as good as once, so that it is tried again when the server is away.
     repeatable: bool = True
+    #: Whether the answer comes in parts that are read as one.
+    in_parts: bool = False
 
     @property
     def path(self) -> str:
@@ -77,134 +84,208 @@ SET_LOOP_VETO = Rpc(_M, "SetLoopVeto", maps.SetLoopVetoRequest, maps.SetLoopVeto
 _C = "SceneService"
 LIST_OBJECTS = Rpc(_C, "ListObjects", scene.ListObjectsRequest, scene.ListObjectsResponse)
 GET_OBJECT = Rpc(_C, "GetObject", scene.GetObjectRequest, scene.GetObjectResponse)
-GET_SCENE_GRAPH = Rpc(_C, "GetSceneGraph", scene.GetSceneGraphRequest, scene.GetSceneGraphResponse)
+GET_SCENE_GRAPH = Rpc(
+    _C, "GetSceneGraph", scene.GetSceneGraphRequest, scene.GetSceneGraphResponse, in_parts=True
+)
 
 _V = "NavigationService"
 PLAN_PATH = Rpc(_V, "PlanPath", navigation.PlanPathRequest, navigation.PlanPathResponse)
 NAVIGATE = Rpc(_V, "Navigate", navigation.NavigateRequest, navigation.NavigateResponse, repeatable=False)
 
-_T = "ToolboxService"
+_T = "ToolboxKeptCloudsService"
 # Uploading twice keeps two clouds.
 UPLOAD_CLOUD = Rpc(
-    _T, "UploadCloud", toolbox.UploadCloudRequest, toolbox.UploadCloudResponse, repeatable=False
+    _T, "UploadCloud", kept_clouds.UploadCloudRequest, kept_clouds.UploadCloudResponse, repeatable=False
 )
 UPLOAD_LARGE_CLOUD = Rpc(
     _T,
     "UploadLargeCloud",
-    toolbox.UploadLargeCloudRequest,
-    toolbox.UploadLargeCloudResponse,
+    kept_clouds.UploadLargeCloudRequest,
+    kept_clouds.UploadLargeCloudResponse,
     repeatable=False,
 )
-LIST_CLOUDS = Rpc(_T, "ListClouds", toolbox.ListCloudsRequest, toolbox.ListCloudsResponse)
-DOWNLOAD_CLOUD = Rpc(_T, "DownloadCloud", toolbox.DownloadCloudRequest, toolbox.DownloadCloudResponse)
-DROP_CLOUD = Rpc(_T, "DropCloud", toolbox.DropCloudRequest, toolbox.DropCloudResponse, repeatable=False)
-RUN_PIPELINE = Rpc(_T, "RunPipeline", toolbox.RunPipelineRequest, toolbox.RunPipelineResponse)
-DECODE_CLOUD = Rpc(_T, "DecodeCloud", toolbox.DecodeCloudRequest, toolbox.DecodeCloudResponse)
-ENCODE_CLOUD = Rpc(_T, "EncodeCloud", toolbox.EncodeCloudRequest, toolbox.EncodeCloudResponse)
-CONVERT_DEPTH = Rpc(_T, "ConvertDepth", toolbox.ConvertDepthRequest, toolbox.ConvertDepthResponse)
-CONVERT_COLOR = Rpc(_T, "ConvertColor", toolbox.ConvertColorRequest, toolbox.ConvertColorResponse)
-REMOVE_NON_FINITE = Rpc(
-    _T, "RemoveNonFinite", toolbox.RemoveNonFiniteRequest, toolbox.RemoveNonFiniteResponse
+LIST_CLOUDS = Rpc(
+    _T, "ListClouds", kept_clouds.ListCloudsRequest, kept_clouds.ListCloudsResponse, in_parts=True
 )
-TRANSFORM_CLOUD = Rpc(_T, "TransformCloud", toolbox.TransformCloudRequest, toolbox.TransformCloudResponse)
+DOWNLOAD_CLOUD = Rpc(_T, "DownloadCloud", kept_clouds.DownloadCloudRequest, kept_clouds.DownloadCloudResponse)
+DROP_CLOUD = Rpc(
+    _T, "DropCloud", kept_clouds.DropCloudRequest, kept_clouds.DropCloudResponse, repeatable=False
+)
+
+_T = "ToolboxCloudsService"
+DECODE_CLOUD = Rpc(_T, "DecodeCloud", clouds.DecodeCloudRequest, clouds.DecodeCloudResponse, in_parts=True)
+ENCODE_CLOUD = Rpc(_T, "EncodeCloud", clouds.EncodeCloudRequest, clouds.EncodeCloudResponse, in_parts=True)
+REMOVE_NON_FINITE = Rpc(
+    _T, "RemoveNonFinite", clouds.RemoveNonFiniteRequest, clouds.RemoveNonFiniteResponse, in_parts=True
+)
+SAMPLE_POINTS = Rpc(
+    _T, "SamplePoints", clouds.SamplePointsRequest, clouds.SamplePointsResponse, in_parts=True
+)
+CROP_CLOUD = Rpc(_T, "CropCloud", clouds.CropCloudRequest, clouds.CropCloudResponse, in_parts=True)
+TRANSFORM_CLOUD = Rpc(
+    _T, "TransformCloud", clouds.TransformCloudRequest, clouds.TransformCloudResponse, in_parts=True
+)
 REMOVE_RADIUS_OUTLIERS = Rpc(
-    _T, "RemoveRadiusOutliers", toolbox.RemoveRadiusOutliersRequest, toolbox.RemoveRadiusOutliersResponse
+    _T,
+    "RemoveRadiusOutliers",
+    clouds.RemoveRadiusOutliersRequest,
+    clouds.RemoveRadiusOutliersResponse,
+    in_parts=True,
 )
 REMOVE_STATISTICAL_OUTLIERS = Rpc(
     _T,
     "RemoveStatisticalOutliers",
-    toolbox.RemoveStatisticalOutliersRequest,
-    toolbox.RemoveStatisticalOutliersResponse,
+    clouds.RemoveStatisticalOutliersRequest,
+    clouds.RemoveStatisticalOutliersResponse,
+    in_parts=True,
 )
 DOWNSAMPLE_VOXELS = Rpc(
-    _T, "DownsampleVoxels", toolbox.DownsampleVoxelsRequest, toolbox.DownsampleVoxelsResponse
+    _T, "DownsampleVoxels", clouds.DownsampleVoxelsRequest, clouds.DownsampleVoxelsResponse, in_parts=True
 )
-GROUP_CONVEX = Rpc(_T, "GroupConvex", toolbox.GroupConvexRequest, toolbox.GroupConvexResponse)
-ESTIMATE_NORMALS = Rpc(_T, "EstimateNormals", toolbox.EstimateNormalsRequest, toolbox.EstimateNormalsResponse)
-SEGMENT_PLANES = Rpc(_T, "SegmentPlanes", toolbox.SegmentPlanesRequest, toolbox.SegmentPlanesResponse)
-CLUSTER_POINTS = Rpc(_T, "ClusterPoints", toolbox.ClusterPointsRequest, toolbox.ClusterPointsResponse)
+ESTIMATE_NORMALS = Rpc(
+    _T, "EstimateNormals", clouds.EstimateNormalsRequest, clouds.EstimateNormalsResponse, in_parts=True
+)
+
+_T = "ToolboxShapesService"
+FIND_NEIGHBORS = Rpc(
+    _T, "FindNeighbors", shapes.FindNeighborsRequest, shapes.FindNeighborsResponse, in_parts=True
+)
+COMPUTE_LOCAL_FEATURES = Rpc(
+    _T,
+    "ComputeLocalFeatures",
+    shapes.ComputeLocalFeaturesRequest,
+    shapes.ComputeLocalFeaturesResponse,
+    in_parts=True,
+)
 COMPUTE_SHAPE_FEATURES = Rpc(
-    _T, "ComputeShapeFeatures", toolbox.ComputeShapeFeaturesRequest, toolbox.ComputeShapeFeaturesResponse
+    _T, "ComputeShapeFeatures", shapes.ComputeShapeFeaturesRequest, shapes.ComputeShapeFeaturesResponse
 )
-DETECT_OBJECTS = Rpc(_T, "DetectObjects", toolbox.DetectObjectsRequest, toolbox.DetectObjectsResponse)
-REGISTER_CLOUDS = Rpc(_T, "RegisterClouds", toolbox.RegisterCloudsRequest, toolbox.RegisterCloudsResponse)
+FIT_BOXES = Rpc(_T, "FitBoxes", shapes.FitBoxesRequest, shapes.FitBoxesResponse)
+COMPUTE_CONVEX_HULL = Rpc(
+    _T, "ComputeConvexHull", shapes.ComputeConvexHullRequest, shapes.ComputeConvexHullResponse, in_parts=True
+)
+
+_T = "ToolboxSegmentationService"
+SEGMENT_PLANES = Rpc(
+    _T, "SegmentPlanes", segmentation.SegmentPlanesRequest, segmentation.SegmentPlanesResponse, in_parts=True
+)
+SEGMENT_GROUND = Rpc(
+    _T, "SegmentGround", segmentation.SegmentGroundRequest, segmentation.SegmentGroundResponse, in_parts=True
+)
+CLUSTER_POINTS = Rpc(
+    _T, "ClusterPoints", segmentation.ClusterPointsRequest, segmentation.ClusterPointsResponse, in_parts=True
+)
+GROW_REGIONS = Rpc(
+    _T, "GrowRegions", segmentation.GrowRegionsRequest, segmentation.GrowRegionsResponse, in_parts=True
+)
+COMPUTE_SUPERVOXELS = Rpc(
+    _T,
+    "ComputeSupervoxels",
+    segmentation.ComputeSupervoxelsRequest,
+    segmentation.ComputeSupervoxelsResponse,
+    in_parts=True,
+)
+GROUP_CONVEX = Rpc(
+    _T, "GroupConvex", segmentation.GroupConvexRequest, segmentation.GroupConvexResponse, in_parts=True
+)
+SEGMENT_OBJECTS = Rpc(
+    _T,
+    "SegmentObjects",
+    segmentation.SegmentObjectsRequest,
+    segmentation.SegmentObjectsResponse,
+    in_parts=True,
+)
+DETECT_OBJECTS = Rpc(
+    _T, "DetectObjects", segmentation.DetectObjectsRequest, segmentation.DetectObjectsResponse, in_parts=True
+)
+
+_T = "ToolboxRegistrationService"
+REGISTER_CLOUDS = Rpc(
+    _T, "RegisterClouds", registration.RegisterCloudsRequest, registration.RegisterCloudsResponse
+)
 REGISTER_CLOUDS_GLOBALLY = Rpc(
     _T,
     "RegisterCloudsGlobally",
-    toolbox.RegisterCloudsGloballyRequest,
-    toolbox.RegisterCloudsGloballyResponse,
+    registration.RegisterCloudsGloballyRequest,
+    registration.RegisterCloudsGloballyResponse,
 )
 COMPUTE_POINT_FEATURES = Rpc(
-    _T, "ComputePointFeatures", toolbox.ComputePointFeaturesRequest, toolbox.ComputePointFeaturesResponse
+    _T,
+    "ComputePointFeatures",
+    registration.ComputePointFeaturesRequest,
+    registration.ComputePointFeaturesResponse,
+    in_parts=True,
 )
-UNPROJECT_DEPTH = Rpc(_T, "UnprojectDepth", toolbox.UnprojectDepthRequest, toolbox.UnprojectDepthResponse)
+
+_T = "ToolboxDepthService"
+UNPROJECT_DEPTH = Rpc(
+    _T, "UnprojectDepth", depth.UnprojectDepthRequest, depth.UnprojectDepthResponse, in_parts=True
+)
+CONVERT_DEPTH = Rpc(_T, "ConvertDepth", depth.ConvertDepthRequest, depth.ConvertDepthResponse, in_parts=True)
+CONVERT_COLOR = Rpc(_T, "ConvertColor", depth.ConvertColorRequest, depth.ConvertColorResponse, in_parts=True)
+FILTER_DEPTH = Rpc(_T, "FilterDepth", depth.FilterDepthRequest, depth.FilterDepthResponse, in_parts=True)
+COMPUTE_DEPTH_NORMALS = Rpc(
+    _T,
+    "ComputeDepthNormals",
+    depth.ComputeDepthNormalsRequest,
+    depth.ComputeDepthNormalsResponse,
+    in_parts=True,
+)
+SEGMENT_DEPTH_PLANES = Rpc(
+    _T, "SegmentDepthPlanes", depth.SegmentDepthPlanesRequest, depth.SegmentDepthPlanesResponse, in_parts=True
+)
+FIND_DEPTH_EDGES = Rpc(
+    _T, "FindDepthEdges", depth.FindDepthEdgesRequest, depth.FindDepthEdgesResponse, in_parts=True
+)
+REGISTER_COLOR = Rpc(
+    _T, "RegisterColor", depth.RegisterColorRequest, depth.RegisterColorResponse, in_parts=True
+)
+
+_T = "ToolboxImagesService"
+EXTRACT_FEATURES = Rpc(
+    _T, "ExtractFeatures", images.ExtractFeaturesRequest, images.ExtractFeaturesResponse, in_parts=True
+)
+MATCH_FEATURES = Rpc(
+    _T, "MatchFeatures", images.MatchFeaturesRequest, images.MatchFeaturesResponse, in_parts=True
+)
 ESTIMATE_ESSENTIAL = Rpc(
-    _T, "EstimateEssential", toolbox_images.EstimateEssentialRequest, toolbox_images.EstimateEssentialResponse
+    _T, "EstimateEssential", images.EstimateEssentialRequest, images.EstimateEssentialResponse, in_parts=True
 )
 ESTIMATE_HOMOGRAPHY = Rpc(
     _T,
     "EstimateHomography",
-    toolbox_images.EstimateHomographyRequest,
-    toolbox_images.EstimateHomographyResponse,
+    images.EstimateHomographyRequest,
+    images.EstimateHomographyResponse,
+    in_parts=True,
 )
 ESTIMATE_TWO_VIEW = Rpc(
-    _T, "EstimateTwoView", toolbox_images.EstimateTwoViewRequest, toolbox_images.EstimateTwoViewResponse
+    _T, "EstimateTwoView", images.EstimateTwoViewRequest, images.EstimateTwoViewResponse, in_parts=True
 )
 TRIANGULATE_POINTS = Rpc(
-    _T, "TriangulatePoints", toolbox_images.TriangulatePointsRequest, toolbox_images.TriangulatePointsResponse
+    _T, "TriangulatePoints", images.TriangulatePointsRequest, images.TriangulatePointsResponse, in_parts=True
 )
-SOLVE_PNP = Rpc(_T, "SolvePnp", toolbox_images.SolvePnpRequest, toolbox_images.SolvePnpResponse)
+SOLVE_PNP = Rpc(_T, "SolvePnp", images.SolvePnpRequest, images.SolvePnpResponse, in_parts=True)
+
+_T = "ToolboxPicturesService"
 RENDER_CLOUD = Rpc(
-    _T, "RenderCloud", toolbox_pictures.RenderCloudRequest, toolbox_pictures.RenderCloudResponse
+    _T, "RenderCloud", pictures.RenderCloudRequest, pictures.RenderCloudResponse, in_parts=True
 )
 RENDER_DEPTH = Rpc(
-    _T, "RenderDepth", toolbox_pictures.RenderDepthRequest, toolbox_pictures.RenderDepthResponse
+    _T, "RenderDepth", pictures.RenderDepthRequest, pictures.RenderDepthResponse, in_parts=True
 )
-SEGMENT_GROUND = Rpc(_T, "SegmentGround", toolbox.SegmentGroundRequest, toolbox.SegmentGroundResponse)
-GROW_REGIONS = Rpc(_T, "GrowRegions", toolbox.GrowRegionsRequest, toolbox.GrowRegionsResponse)
-COMPUTE_SUPERVOXELS = Rpc(
-    _T, "ComputeSupervoxels", toolbox.ComputeSupervoxelsRequest, toolbox.ComputeSupervoxelsResponse
-)
-SEGMENT_OBJECTS = Rpc(_T, "SegmentObjects", toolbox.SegmentObjectsRequest, toolbox.SegmentObjectsResponse)
-SAMPLE_POINTS = Rpc(_T, "SamplePoints", toolbox.SamplePointsRequest, toolbox.SamplePointsResponse)
-CROP_CLOUD = Rpc(_T, "CropCloud", toolbox.CropCloudRequest, toolbox.CropCloudResponse)
-FIND_NEIGHBORS = Rpc(_T, "FindNeighbors", toolbox.FindNeighborsRequest, toolbox.FindNeighborsResponse)
-COMPUTE_LOCAL_FEATURES = Rpc(
-    _T, "ComputeLocalFeatures", toolbox.ComputeLocalFeaturesRequest, toolbox.ComputeLocalFeaturesResponse
-)
-FIT_BOXES = Rpc(_T, "FitBoxes", toolbox.FitBoxesRequest, toolbox.FitBoxesResponse)
-COMPUTE_CONVEX_HULL = Rpc(
-    _T, "ComputeConvexHull", toolbox.ComputeConvexHullRequest, toolbox.ComputeConvexHullResponse
-)
-EXTRACT_FEATURES = Rpc(
-    _T, "ExtractFeatures", toolbox_images.ExtractFeaturesRequest, toolbox_images.ExtractFeaturesResponse
-)
-MATCH_FEATURES = Rpc(
-    _T, "MatchFeatures", toolbox_images.MatchFeaturesRequest, toolbox_images.MatchFeaturesResponse
-)
-FILTER_DEPTH = Rpc(_T, "FilterDepth", toolbox_depth.FilterDepthRequest, toolbox_depth.FilterDepthResponse)
-COMPUTE_DEPTH_NORMALS = Rpc(
-    _T,
-    "ComputeDepthNormals",
-    toolbox_depth.ComputeDepthNormalsRequest,
-    toolbox_depth.ComputeDepthNormalsResponse,
-)
-SEGMENT_DEPTH_PLANES = Rpc(
-    _T,
-    "SegmentDepthPlanes",
-    toolbox_depth.SegmentDepthPlanesRequest,
-    toolbox_depth.SegmentDepthPlanesResponse,
-)
-FIND_DEPTH_EDGES = Rpc(
-    _T, "FindDepthEdges", toolbox_depth.FindDepthEdgesRequest, toolbox_depth.FindDepthEdgesResponse
-)
-REGISTER_COLOR = Rpc(
-    _T, "RegisterColor", toolbox_depth.RegisterColorRequest, toolbox_depth.RegisterColorResponse
+
+_T = "ToolboxPipelinesService"
+RUN_PIPELINE = Rpc(
+    _T, "RunPipeline", pipelines.RunPipelineRequest, pipelines.RunPipelineResponse, in_parts=True
 )
 
 _E = "EvaluationService"
 EVALUATE_TRAJECTORY = Rpc(
-    _E, "EvaluateTrajectory", evaluation.EvaluateTrajectoryRequest, evaluation.EvaluateTrajectoryResponse
+    _E,
+    "EvaluateTrajectory",
+    evaluation.EvaluateTrajectoryRequest,
+    evaluation.EvaluateTrajectoryResponse,
+    in_parts=True,
 )
 EVALUATE_RELATIONS = Rpc(
     _E, "EvaluateRelations", evaluation.EvaluateRelationsRequest, evaluation.EvaluateRelationsResponse

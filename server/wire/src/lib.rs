@@ -2,11 +2,12 @@
 //!
 //! Comes in: decoded protobuf messages. Goes out: checked domain types, or a `service::Error` that names the
 //! field. And back. One file a noun in `convert`. [`params`] lays what was sent over the defaults; [`json`]
-//! reads and writes any message as JSON. No door is known here.
+//! reads and writes any message as JSON; [`parts`] cuts large answers. No door is known here.
 
 pub mod convert;
 pub mod json;
 pub mod params;
+pub mod parts;
 
 /// Generated from `proto/percept/v1`.
 #[allow(missing_docs, clippy::all, clippy::pedantic)]

@@ -43,7 +43,6 @@ class AsyncClient(AsyncBound):
         key_file: FilePath | None = None,
         server_name: str | None = None,
         credentials: grpc.ChannelCredentials | None = None,
-        max_message_bytes: int = 64 << 20,
     ) -> None:
         """`address` is host:port, or https://host:port (grpcs:// is the same) for TLS, which `tls=True` and
         any of the files turn on, too: `ca_file` whom to trust instead of the well-known authorities,
@@ -68,7 +67,7 @@ class AsyncClient(AsyncBound):
             credentials=credentials,
         )
         options = Options(timeout_s=timeout_s, retries=retries, metadata=headers(metadata))
-        super().__init__(AsyncTransport(AsyncLink(reached, max_message_bytes, server_name), options))
+        super().__init__(AsyncTransport(AsyncLink(reached, server_name), options))
 
     def __repr__(self) -> str:
         return f"AsyncClient({self._transport.link.access.target!r})"

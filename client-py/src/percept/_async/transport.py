@@ -21,6 +21,7 @@ from .._options import (
     is_serving,
     wait_before_retry,
 )
+from .._parts import joined
 from .._rpc import A, Q, Rpc
 from ..errors import error_of_rpc
 from . import _runtime as runtime
@@ -31,10 +32,10 @@ T = TypeVar("T")
 class AsyncLink:
     """A channel to one server, shared by all that ask over it."""
 
-    def __init__(self, access: Access, max_message_bytes: int, server_name: str | None) -> None:
+    def __init__(self, access: Access, server_name: str | None) -> None:
         self.access = access
         self.closed = False
-        self.channel = runtime.open_channel(access, channel_options(max_message_bytes, server_name))
+        self.channel = runtime.open_channel(access, channel_options(server_name))
 
     async def close(self) -> None:
         """Ends all calls."""
@@ -65,7 +66,11 @@ class AsyncTransport:
         return None if token is None else token.header()
 
     async def call(self, call: Call[Q, A, T]) -> T:
-        """One answer."""
+        """One answer, in one message or in parts."""
+        if call.rpc.in_parts:
+            return await self.chunks(
+                ChunkedCall(call.rpc, call.request, lambda parts: call.read(joined(parts)))
+            )
         method = self._method("unary_unary", call.rpc)
 
         async def attempt(timeout_s: float) -> A:

@@ -44,7 +44,6 @@ class Client(Bound):
         key_file: FilePath | None = None,
         server_name: str | None = None,
         credentials: grpc.ChannelCredentials | None = None,
-        max_message_bytes: int = 64 << 20,
     ) -> None:
         """`address` is host:port, or https://host:port (grpcs:// is the same) for TLS, which `tls=True` and
         any of the files turn on, too: `ca_file` whom to trust instead of the well-known authorities,
@@ -69,7 +68,7 @@ class Client(Bound):
             credentials=credentials,
         )
         options = Options(timeout_s=timeout_s, retries=retries, metadata=headers(metadata))
-        super().__init__(Transport(Link(reached, max_message_bytes, server_name), options))
+        super().__init__(Transport(Link(reached, server_name), options))
 
     def __repr__(self) -> str:
         return f"Client({self._transport.link.access.target!r})"

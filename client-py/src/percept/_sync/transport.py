@@ -22,6 +22,7 @@ from .._options import (
     is_serving,
     wait_before_retry,
 )
+from .._parts import joined
 from .._rpc import A, Q, Rpc
 from ..errors import error_of_rpc
 from . import _runtime as runtime
@@ -32,10 +33,10 @@ T = TypeVar("T")
 class Link:
     """A channel to one server, shared by all that ask over it."""
 
-    def __init__(self, access: Access, max_message_bytes: int, server_name: str | None) -> None:
+    def __init__(self, access: Access, server_name: str | None) -> None:
         self.access = access
         self.closed = False
-        self.channel = runtime.open_channel(access, channel_options(max_message_bytes, server_name))
+        self.channel = runtime.open_channel(access, channel_options(server_name))
 
     def close(self) -> None:
         """Ends all calls."""
@@ -66,7 +67,9 @@ class Transport:
         return None if token is None else token.header()
 
     def call(self, call: Call[Q, A, T]) -> T:
-        """One answer."""
+        """One answer, in one message or in parts."""
+        if call.rpc.in_parts:
+            return self.chunks(ChunkedCall(call.rpc, call.request, lambda parts: call.read(joined(parts))))
         method = self._method("unary_unary", call.rpc)
 
         def attempt(timeout_s: float) -> A:

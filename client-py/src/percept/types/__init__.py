@@ -115,6 +115,7 @@ from .shapes import (
 )
 from .toolbox import (
     CloudColoring,
+    CloudFile,
     CloudFormat,
     CloudHandle,
     CloudView,
@@ -138,6 +139,7 @@ from .toolbox import (
     RegistrationMethod,
     RegistrationOutcome,
     RobustKernel,
+    SessionCloud,
     Shape,
     Step,
     StepResult,
@@ -151,6 +153,7 @@ __all__ = [
     "CameraIntrinsics",
     "ClockOffset",
     "CloudColoring",
+    "CloudFile",
     "CloudFormat",
     "CloudFrame",
     "CloudHandle",
@@ -248,6 +251,7 @@ __all__ = [
     "SensorKind",
     "SensorSpec",
     "SensorStatus",
+    "SessionCloud",
     "SessionEvent",
     "SessionFault",
     "SessionInfo",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -26,6 +26,17 @@ class CloudHandle(Value):
     #: Not forgotten before, nanoseconds since the Unix epoch by the server's clock; each use starts its
     #: time anew.
     expires_ns: int
+
+
+@dataclass(frozen=True)
+class SessionCloud:
+    """What a session has mapped, or the part of it within radius_m of a point of the map; toolbox calls take
+    it in place of a cloud, which then does not travel."""
+
+    session_id: str
+    #: Metres, map frame.
+    center: Sequence[float] | None = None
+    radius_m: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -57,6 +68,15 @@ class CloudFormat(Name):
     LAS = "las"
     #: LAS packed by LASzip.
     LAZ = "laz"
+
+
+@dataclass(frozen=True)
+class CloudFile:
+    """A cloud's file; toolbox calls take it, or its bytes, in place of a cloud. The format is told by the
+    content if it is not said."""
+
+    data: bytes
+    file_format: CloudFormat | str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

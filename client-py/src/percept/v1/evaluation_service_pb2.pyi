@@ -88,6 +88,8 @@ Global___EvaluateTrajectoryRequest: _TypeAlias = EvaluateTrajectoryRequest  # no
 
 @_typing.final
 class EvaluateTrajectoryResponse(_message.Message):
+    """In parts, as toolbox.proto has it."""
+
     DESCRIPTOR: _descriptor.Descriptor
 
     METRICS_FIELD_NUMBER: _builtins.int

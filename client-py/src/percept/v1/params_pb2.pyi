@@ -5,7 +5,7 @@ isort:skip_file
 
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
-from percept.v1 import toolbox_images_pb2 as _toolbox_images_pb2
+from percept.v1 import toolbox_pb2 as _toolbox_pb2
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -601,7 +601,7 @@ class KeyframeParams(_message.Message):
     """Keep about one lidar point per voxel of this edge, metres, 0.01 to 10."""
     free_range_m: _builtins.float
     """A beam without a return frees space up to here, metres, 0.1 to 1000."""
-    features: _toolbox_images_pb2.FeatureMethod.ValueType
+    features: _toolbox_pb2.FeatureMethod.ValueType
     """What depth cameras with colour know places by: orb, or sift, which is steadier and takes eight times as long for each
     keyframe. A camera without depth always uses orb: it knows places by the points that it tracks.
     """
@@ -614,7 +614,7 @@ class KeyframeParams(_message.Message):
         max_depth_m: _builtins.float | None = ...,
         voxel_size_m: _builtins.float | None = ...,
         free_range_m: _builtins.float | None = ...,
-        features: _toolbox_images_pb2.FeatureMethod.ValueType | None = ...,
+        features: _toolbox_pb2.FeatureMethod.ValueType | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad", "_depth_stride_px", b"_depth_stride_px", "_distance_m", b"_distance_m", "_features", b"_features", "_free_range_m", b"_free_range_m", "_max_depth_m", b"_max_depth_m", "_voxel_size_m", b"_voxel_size_m", "angle_rad", b"angle_rad", "depth_stride_px", b"depth_stride_px", "distance_m", b"distance_m", "features", b"features", "free_range_m", b"free_range_m", "max_depth_m", b"max_depth_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...

@@ -146,6 +146,8 @@ Global___GetSceneGraphRequest: _TypeAlias = GetSceneGraphRequest  # noqa: Y015
 
 @_typing.final
 class GetSceneGraphResponse(_message.Message):
+    """In parts, as toolbox.proto has it."""
+
     DESCRIPTOR: _descriptor.Descriptor
 
     GRAPH_FIELD_NUMBER: _builtins.int

@@ -4,6 +4,7 @@ use super::Failure;
 use percept_geometry::{Pose, SensorFrame, SensorId, SensorSpec, Stamped, Timestamp};
 use percept_service::{OverloadPolicy, SensorDeclaration};
 use percept_wire::convert::{geometry, sensors};
+use percept_wire::parts::InParts;
 use percept_wire::v1;
 use percept_wire::v1::sensors_service_client::SensorsServiceClient;
 use percept_wire::v1::sessions_service_client::SessionsServiceClient;
@@ -243,6 +244,18 @@ impl RemoteSession {
         let source = Some(v1::MapSource { source: Some(source) });
         client.optimise_map(v1::OptimiseMapRequest { source }).await?;
         Ok(())
+    }
+
+    /// Robot, objects and their relations.
+    pub(crate) async fn scene_graph(&self) -> Result<v1::SceneGraph, Failure> {
+        let mut client = v1::scene_service_client::SceneServiceClient::new(self.channel.clone());
+        let request = v1::GetSceneGraphRequest { session_id: self.id.clone() };
+        let mut parts = client.get_scene_graph(request).await?.into_inner();
+        let mut all = Vec::new();
+        while let Some(part) = parts.message().await? {
+            all.push(part);
+        }
+        Ok(v1::GetSceneGraphResponse::joined(all).graph.unwrap_or_default())
     }
 
     /// A file of the session's map.

@@ -155,9 +155,7 @@ async fn tell_objects(
 }
 
 async fn tell_graph(session: &RemoteSession, out: &Path) -> Result<(), Failure> {
-    let mut scene = v1::scene_service_client::SceneServiceClient::new(session.channel.clone());
-    let request = v1::GetSceneGraphRequest { session_id: session.id.clone() };
-    let graph = scene.get_scene_graph(request).await?.into_inner().graph.unwrap_or_default();
+    let graph = session.scene_graph().await?;
     let mut strongest: Vec<&v1::Relation> = graph.relations.iter().collect();
     strongest.sort_by(|a, b| b.strength.total_cmp(&a.strength));
     let label = |id: &str| graph.nodes.iter().find(|n| n.node_id == id).map_or(id.to_owned(), |n| n.label.clone());

@@ -254,8 +254,7 @@ async fn write_remote(dir: &Path, session: &RemoteSession) -> Result<(), Failure
     let objects = scene.list_objects(request).await?.into_inner();
     let objects = json::to_json("ListObjectsResponse", &objects)?;
     std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
-    let graph = scene.get_scene_graph(v1::GetSceneGraphRequest { session_id: session.id.clone() }).await?.into_inner();
-    let graph = json::to_json("SceneGraph", &graph.graph.unwrap_or_default())?;
+    let graph = json::to_json("SceneGraph", &session.scene_graph().await?)?;
     std::fs::write(dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
     Ok(())
 }

@@ -197,8 +197,8 @@ mod tests {
                 let operation = format!("{}/{}", service.name(), rpc.name());
                 let rule = rule(&operation).unwrap_or_else(|| panic!("no rule for {operation}"));
                 let fields = ["session_id", "source", "message"];
-                // A toolbox's source is a cloud.
-                let of_a_session = service.name() != "ToolboxService"
+                // A toolbox's source is a cloud, of a session only sometimes.
+                let of_a_session = !service.name().starts_with("Toolbox")
                     && fields.iter().any(|f| rpc.input().get_field_by_name(f).is_some());
                 assert_eq!(rule.about == About::Session, of_a_session, "{operation}");
                 named.insert(rule.operation);

@@ -2,11 +2,11 @@
 
 use super::Caller;
 use super::audit::Act;
-use crate::ops::toolbox::Toolbox;
+use crate::ops::toolbox::{SessionCloud, Toolbox};
 use crate::{
-    CloudAnswer, EventLog, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved, Navigation, NewSession,
-    Page, Pending, Plan, PlanRequest, Processed, Result, SensorDeclaration, SensorStatus, Session, SessionDescription,
-    SessionState, SessionView, TrajectoryComparison, Vetoed, check_id,
+    CloudAnswer, Error, EventLog, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved, Navigation,
+    NewSession, Page, Pending, Plan, PlanRequest, Processed, Result, SensorDeclaration, SensorStatus, Session,
+    SessionDescription, SessionState, SessionView, TrajectoryComparison, Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{
@@ -346,16 +346,31 @@ impl Caller {
 
 /// Toolbox and evaluation.
 impl Caller {
-    /// Runs a toolbox request's work on the pool, with the caller's own kept clouds.
+    /// Runs a toolbox request's work on the pool, for an operation of the table: with the caller's own kept clouds, and
+    /// those of sessions that it asks for.
     ///
     /// # Errors
-    /// Those of the work; `COMPUTATION_TOO_LONG`.
+    /// Those of the work; `COMPUTATION_TOO_LONG`; those of [`cloud`](Self::cloud), and `CLOUD_TOO_LARGE`.
     pub async fn toolbox<T: Send + 'static>(
         &self,
+        operation: &'static str,
+        wanted: Vec<SessionCloud>,
         work: impl FnOnce(&Toolbox) -> Result<T> + Send + 'static,
     ) -> Result<T> {
-        self.may("ToolboxService/*")?;
-        self.service.toolbox(self.owner(), work).await
+        self.may(operation)?;
+        let limit = self.limits().max_cloud_points;
+        let mut maps = Vec::with_capacity(wanted.len());
+        for wanted in wanted {
+            let found = self.cloud(&wanted.session, wanted.around).await;
+            let cloud = found.map_err(|e| e.within(&wanted.field))?.cloud;
+            if cloud.len() > limit {
+                let n = cloud.len();
+                let words = format!("the session's cloud has {n} points, the limit is {limit}; ask for a part of it");
+                return Err(Error::exhausted("CLOUD_TOO_LARGE", wanted.field.as_str(), words));
+            }
+            maps.push((wanted, Arc::new(cloud)));
+        }
+        self.service.toolbox(self.owner(), maps, work).await
     }
 
     /// ATE and RPE as evo computes them, drift as KITTI does; the compared poses if they are wanted.

@@ -77,8 +77,17 @@ pub static RULES: &[Rule] = &[
     session("NavigationService/PlanPath", Read),
     session("NavigationService/Navigate", Write),
 
-    // They touch no session, but take computing time and memory for clouds, which are the caller's alone.
-    nothing("ToolboxService/*", Write),
+    // They take computing time, and memory for clouds, which are the caller's alone. One that works on a session's cloud
+    // needs what MapsService/GetCloud does, too.
+    nothing("ToolboxKeptCloudsService/*", Write),
+    nothing("ToolboxCloudsService/*", Write),
+    nothing("ToolboxShapesService/*", Write),
+    nothing("ToolboxSegmentationService/*", Write),
+    nothing("ToolboxRegistrationService/*", Write),
+    nothing("ToolboxDepthService/*", Write),
+    nothing("ToolboxImagesService/*", Write),
+    nothing("ToolboxPicturesService/*", Write),
+    nothing("ToolboxPipelinesService/*", Write),
     nothing("EvaluationService/*", Write),
 ];
 
@@ -102,9 +111,16 @@ mod tests {
 
     #[test]
     fn an_operation_has_one_rule_and_what_is_none_has_no_rule() {
-        assert_eq!(rule("ToolboxService/CropCloud").map(|r| r.access), Some(Write));
+        assert_eq!(rule("ToolboxCloudsService/CropCloud").map(|r| r.access), Some(Write));
         assert_eq!(rule("SessionsService/DeleteSession").map(|r| r.access), Some(Admin));
-        for none in ["", "ToolboxService", "ToolboxService/", "SessionsService/Delete", "SessionsService/*x"] {
+        for none in [
+            "",
+            "ToolboxCloudsService",
+            "ToolboxCloudsService/",
+            "ToolboxService/CropCloud",
+            "SessionsService/Delete",
+            "SessionsService/*x",
+        ] {
             assert_eq!(rule(none), None, "{none}");
         }
         for (i, a) in RULES.iter().enumerate() {

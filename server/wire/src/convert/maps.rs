@@ -69,9 +69,9 @@ pub fn region(r: Option<&v1::Region2>) -> Result<Option<(Point2<f64>, Point2<f64
 ///
 /// # Errors
 /// A center without a positive radius.
-pub fn around(r: &v1::GetCloudRequest) -> Result<Option<(Point3<f64>, f64)>> {
-    let Some(center) = &r.center else { return Ok(None) };
-    let radius = required("radius_m", r.radius_m)?;
+pub fn around(center: Option<&v1::Vector3>, radius_m: Option<f64>) -> Result<Option<(Point3<f64>, f64)>> {
+    let Some(center) = center else { return Ok(None) };
+    let radius = required("radius_m", radius_m)?;
     if !(radius.is_finite() && radius > 0.0) {
         return Err(Error::invalid("OUT_OF_RANGE", "radius_m", format!("radius_m is {radius}; it must be positive")));
     }

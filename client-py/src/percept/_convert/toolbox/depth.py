@@ -11,7 +11,7 @@ from ...errors import InvalidArgument
 from ...types import frames
 from ...types.geometry import CameraIntrinsics, PointCloud
 from ...v1 import sensor_pb2
-from ...v1 import toolbox_service_pb2 as service
+from ...v1 import toolbox_depth_service_pb2 as depth_pb
 from .. import geometry, sensors
 from .request import floats, of
 
@@ -52,9 +52,9 @@ def unproject_depth(
     stride: int | None,
     min_depth_m: float | None,
     max_depth_m: float | None,
-) -> Call[service.UnprojectDepthRequest, service.UnprojectDepthResponse, PointCloud]:
+) -> Call[depth_pb.UnprojectDepthRequest, depth_pb.UnprojectDepthResponse, PointCloud]:
     request = of(
-        service.UnprojectDepthRequest,
+        depth_pb.UnprojectDepthRequest,
         intrinsics=intrinsics,
         stride=stride,
         min_depth_m=min_depth_m,
@@ -68,24 +68,24 @@ def unproject_depth(
 
 def decode_depth(
     data: bytes, metres_per_unit: float
-) -> Call[service.ConvertDepthRequest, service.ConvertDepthResponse, Array]:
-    request = of(service.ConvertDepthRequest, encoding="f32")
+) -> Call[depth_pb.ConvertDepthRequest, depth_pb.ConvertDepthResponse, Array]:
+    request = of(depth_pb.ConvertDepthRequest, encoding="f32")
     put_depth(request.depth, data, metres_per_unit)
     return Call(_rpc.CONVERT_DEPTH, request, lambda a: depth_image(a.depth))
 
 
 def encode_depth(
     depth: Array, metres_per_unit: float | None, units: float
-) -> Call[service.ConvertDepthRequest, service.ConvertDepthResponse, bytes]:
-    request = of(service.ConvertDepthRequest, encoding="png16", metres_per_unit=units)
+) -> Call[depth_pb.ConvertDepthRequest, depth_pb.ConvertDepthResponse, bytes]:
+    request = of(depth_pb.ConvertDepthRequest, encoding="png16", metres_per_unit=units)
     put_depth(request.depth, depth, metres_per_unit)
     return Call(_rpc.CONVERT_DEPTH, request, lambda a: a.depth.data)
 
 
 def convert_depth(
     depth: Array, metres_per_unit: float
-) -> Call[service.ConvertDepthRequest, service.ConvertDepthResponse, Array]:
-    def read(answer: service.ConvertDepthResponse) -> Array:
+) -> Call[depth_pb.ConvertDepthRequest, depth_pb.ConvertDepthResponse, Array]:
+    def read(answer: depth_pb.ConvertDepthResponse) -> Array:
         image = answer.depth
         if image.encoding == sensor_pb2.DEPTH_ENCODING_U16:
             return np.frombuffer(image.data, "<u2").reshape(image.height_px, image.width_px)
@@ -93,7 +93,7 @@ def convert_depth(
 
     units = isinstance(depth, np.ndarray) and depth.dtype.kind == "u"
     request = of(
-        service.ConvertDepthRequest,
+        depth_pb.ConvertDepthRequest,
         encoding="f32" if units else "u16",
         metres_per_unit=None if units else metres_per_unit,
     )
@@ -101,18 +101,18 @@ def convert_depth(
     return Call(_rpc.CONVERT_DEPTH, request, read)
 
 
-def decode_color(data: bytes) -> Call[service.ConvertColorRequest, service.ConvertColorResponse, Array]:
-    request = of(service.ConvertColorRequest, encoding="rgb8")
+def decode_color(data: bytes) -> Call[depth_pb.ConvertColorRequest, depth_pb.ConvertColorResponse, Array]:
+    request = of(depth_pb.ConvertColorRequest, encoding="rgb8")
     put_color(request.color, data)
     return Call(_rpc.CONVERT_COLOR, request, lambda a: color_image(a.color))
 
 
 def encode_color(
     color: Array, encoding: str, quality: int | None
-) -> Call[service.ConvertColorRequest, service.ConvertColorResponse, bytes]:
+) -> Call[depth_pb.ConvertColorRequest, depth_pb.ConvertColorResponse, bytes]:
     if encoding not in ("png", "jpeg"):
         message = f"encoding is {encoding!r}; choose png or jpeg"
         raise InvalidArgument(message, reason="ENUM_UNKNOWN", field="encoding")
-    request = of(service.ConvertColorRequest, encoding=encoding, quality=quality)
+    request = of(depth_pb.ConvertColorRequest, encoding=encoding, quality=quality)
     put_color(request.color, color)
     return Call(_rpc.CONVERT_COLOR, request, lambda a: a.color.data)

@@ -15,7 +15,7 @@ from ...errors import InvalidArgument
 from ...types.frames import EncodedImage
 from ...types.geometry import CameraIntrinsics, Pose
 from ...types.shapes import DepthPlane, DepthPlanes
-from ...v1 import toolbox_depth_pb2 as pb
+from ...v1 import toolbox_depth_service_pb2 as depth_pb
 from .. import geometry
 from .depth import color_image, depth_image, put_color, put_depth
 from .request import fill, floats, of
@@ -25,10 +25,10 @@ Image = Array | EncodedImage | bytes
 
 def filter_depth(
     depth: Image, metres_per_unit: float | None, filters: Sequence[tuple[str, Mapping[str, object]]]
-) -> Call[pb.FilterDepthRequest, pb.FilterDepthResponse, Array]:
-    request = pb.FilterDepthRequest()
+) -> Call[depth_pb.FilterDepthRequest, depth_pb.FilterDepthResponse, Array]:
+    request = depth_pb.FilterDepthRequest()
     put_depth(request.depth, depth, metres_per_unit)
-    known = list(pb.DepthFilter.DESCRIPTOR.fields_by_name)
+    known = list(depth_pb.DepthFilter.DESCRIPTOR.fields_by_name)
     for name, params in filters:
         if name not in known:
             message = f"filter is {name!r}; choose one of {', '.join(known)}"
@@ -52,19 +52,19 @@ def _with_depth(
 
 def compute_depth_normals(
     depth: Image, intrinsics: CameraIntrinsics, metres_per_unit: float | None, **fields: object
-) -> Call[pb.ComputeDepthNormalsRequest, pb.ComputeDepthNormalsResponse, Array]:
-    def read(answer: pb.ComputeDepthNormalsResponse) -> Array:
+) -> Call[depth_pb.ComputeDepthNormalsRequest, depth_pb.ComputeDepthNormalsResponse, Array]:
+    def read(answer: depth_pb.ComputeDepthNormalsResponse) -> Array:
         return floats(answer.normals, intrinsics.height_px, intrinsics.width_px, 3)
 
     given = {"intrinsics": intrinsics, **fields}
-    request = _with_depth(pb.ComputeDepthNormalsRequest, depth, metres_per_unit, given)
+    request = _with_depth(depth_pb.ComputeDepthNormalsRequest, depth, metres_per_unit, given)
     return Call(_rpc.COMPUTE_DEPTH_NORMALS, request, read)
 
 
 def segment_depth_planes(
     depth: Image, intrinsics: CameraIntrinsics, metres_per_unit: float | None, **fields: object
-) -> Call[pb.SegmentDepthPlanesRequest, pb.SegmentDepthPlanesResponse, DepthPlanes]:
-    def read(answer: pb.SegmentDepthPlanesResponse) -> DepthPlanes:
+) -> Call[depth_pb.SegmentDepthPlanesRequest, depth_pb.SegmentDepthPlanesResponse, DepthPlanes]:
+    def read(answer: depth_pb.SegmentDepthPlanesResponse) -> DepthPlanes:
         planes = tuple(
             DepthPlane(
                 plane=geometry.plane(p.plane),
@@ -78,18 +78,18 @@ def segment_depth_planes(
         return DepthPlanes(planes=planes, labels=labels)
 
     given = {"intrinsics": intrinsics, **fields}
-    request = _with_depth(pb.SegmentDepthPlanesRequest, depth, metres_per_unit, given)
+    request = _with_depth(depth_pb.SegmentDepthPlanesRequest, depth, metres_per_unit, given)
     return Call(_rpc.SEGMENT_DEPTH_PLANES, request, read)
 
 
 def find_depth_edges(
     depth: Image, intrinsics: CameraIntrinsics, metres_per_unit: float | None, **fields: object
-) -> Call[pb.FindDepthEdgesRequest, pb.FindDepthEdgesResponse, npt.NDArray[np.uint8]]:
-    def read(answer: pb.FindDepthEdgesResponse) -> npt.NDArray[np.uint8]:
+) -> Call[depth_pb.FindDepthEdgesRequest, depth_pb.FindDepthEdgesResponse, npt.NDArray[np.uint8]]:
+    def read(answer: depth_pb.FindDepthEdgesResponse) -> npt.NDArray[np.uint8]:
         return np.frombuffer(answer.edges, np.uint8).reshape(intrinsics.height_px, intrinsics.width_px)
 
     given = {"intrinsics": intrinsics, **fields}
-    request = _with_depth(pb.FindDepthEdgesRequest, depth, metres_per_unit, given)
+    request = _with_depth(depth_pb.FindDepthEdgesRequest, depth, metres_per_unit, given)
     return Call(_rpc.FIND_DEPTH_EDGES, request, read)
 
 
@@ -101,8 +101,8 @@ def register_color(
     t_color_depth: Pose | Array,
     metres_per_unit: float | None,
     max_jump_fraction: float | None,
-) -> Call[pb.RegisterColorRequest, pb.RegisterColorResponse, tuple[Array, npt.NDArray[np.bool_]]]:
-    def read(answer: pb.RegisterColorResponse) -> tuple[Array, npt.NDArray[np.bool_]]:
+) -> Call[depth_pb.RegisterColorRequest, depth_pb.RegisterColorResponse, tuple[Array, npt.NDArray[np.bool_]]]:
+    def read(answer: depth_pb.RegisterColorResponse) -> tuple[Array, npt.NDArray[np.bool_]]:
         image = color_image(answer.color)
         return image, np.frombuffer(answer.seen, np.uint8).reshape(image.shape[:2]).astype(bool)
 
@@ -112,6 +112,6 @@ def register_color(
         "t_color_depth": t_color_depth,
         "max_jump_fraction": max_jump_fraction,
     }
-    request = _with_depth(pb.RegisterColorRequest, depth, metres_per_unit, given)
+    request = _with_depth(depth_pb.RegisterColorRequest, depth, metres_per_unit, given)
     put_color(request.color, color)
     return Call(_rpc.REGISTER_COLOR, request, read)

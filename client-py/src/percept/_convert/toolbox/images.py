@@ -25,7 +25,7 @@ from ...types.images import (
     TwoViewModel,
     TwoViewOutcome,
 )
-from ...v1 import toolbox_images_pb2 as images
+from ...v1 import toolbox_images_service_pb2 as images_pb
 from .. import geometry, words
 from .depth import put_color
 from .request import floats, of, uint32s
@@ -40,10 +40,10 @@ def _float64s(data: bytes, *shape: int) -> Floats:
     return np.frombuffer(data, "<f8").reshape(shape or (-1,))
 
 
-def _ransac(value: Ransac | None) -> images.RansacParams:
+def _ransac(value: Ransac | None) -> images_pb.RansacParams:
     value = value or Ransac()
     return of(
-        images.RansacParams,
+        images_pb.RansacParams,
         threshold_px=value.threshold_px,
         confidence=value.confidence,
         max_iterations=value.max_iterations,
@@ -57,9 +57,9 @@ def estimate_essential(
     camera_a: CameraIntrinsics,
     camera_b: CameraIntrinsics | None,
     ransac: Ransac | None,
-) -> Call[images.EstimateEssentialRequest, images.EstimateEssentialResponse, EssentialEstimate]:
+) -> Call[images_pb.EstimateEssentialRequest, images_pb.EstimateEssentialResponse, EssentialEstimate]:
     request = of(
-        images.EstimateEssentialRequest,
+        images_pb.EstimateEssentialRequest,
         points_a=_packed("points_a", points_a, 2),
         points_b=_packed("points_b", points_b, 2),
         camera_a=camera_a,
@@ -69,7 +69,7 @@ def estimate_essential(
     return Call(_rpc.ESTIMATE_ESSENTIAL, request, _essential)
 
 
-def _essential(answer: images.EstimateEssentialResponse) -> EssentialEstimate:
+def _essential(answer: images_pb.EstimateEssentialResponse) -> EssentialEstimate:
     return EssentialEstimate(
         essential=np.array(answer.essential).reshape(3, 3),
         t_b_a=geometry.pose(answer.t_b_a),
@@ -82,9 +82,9 @@ def _essential(answer: images.EstimateEssentialResponse) -> EssentialEstimate:
 
 def estimate_homography(
     points_a: Array, points_b: Array, ransac: Ransac | None
-) -> Call[images.EstimateHomographyRequest, images.EstimateHomographyResponse, HomographyEstimate]:
+) -> Call[images_pb.EstimateHomographyRequest, images_pb.EstimateHomographyResponse, HomographyEstimate]:
     request = of(
-        images.EstimateHomographyRequest,
+        images_pb.EstimateHomographyRequest,
         points_a=_packed("points_a", points_a, 2),
         points_b=_packed("points_b", points_b, 2),
         ransac=_ransac(ransac),
@@ -92,7 +92,7 @@ def estimate_homography(
     return Call(_rpc.ESTIMATE_HOMOGRAPHY, request, _homography)
 
 
-def _homography(answer: images.EstimateHomographyResponse) -> HomographyEstimate:
+def _homography(answer: images_pb.EstimateHomographyResponse) -> HomographyEstimate:
     return HomographyEstimate(
         homography=np.array(answer.homography).reshape(3, 3),
         inliers=uint32s(answer.inliers),
@@ -107,11 +107,11 @@ def estimate_two_view(
     camera_a: CameraIntrinsics,
     camera_b: CameraIntrinsics | None,
     ransac: Ransac | None,
-) -> Call[images.EstimateTwoViewRequest, images.EstimateTwoViewResponse, TwoViewEstimate]:
-    def read(answer: images.EstimateTwoViewResponse) -> TwoViewEstimate:
+) -> Call[images_pb.EstimateTwoViewRequest, images_pb.EstimateTwoViewResponse, TwoViewEstimate]:
+    def read(answer: images_pb.EstimateTwoViewResponse) -> TwoViewEstimate:
         return TwoViewEstimate(
-            model=words.word(TwoViewModel, images.TwoViewModel, answer.model),
-            outcome=words.word(TwoViewOutcome, images.TwoViewOutcome, answer.outcome),
+            model=words.word(TwoViewModel, images_pb.TwoViewModel, answer.model),
+            outcome=words.word(TwoViewOutcome, images_pb.TwoViewOutcome, answer.outcome),
             essential=_essential(answer.essential),
             homography=_homography(answer.homography) if answer.HasField("homography") else None,
             gric_essential=answer.gric_essential,
@@ -119,7 +119,7 @@ def estimate_two_view(
         )
 
     request = of(
-        images.EstimateTwoViewRequest,
+        images_pb.EstimateTwoViewRequest,
         points_a=_packed("points_a", points_a, 2),
         points_b=_packed("points_b", points_b, 2),
         camera_a=camera_a,
@@ -131,8 +131,8 @@ def estimate_two_view(
 
 def triangulate_points(
     views: Sequence[PosedView],
-) -> Call[images.TriangulatePointsRequest, images.TriangulatePointsResponse, TriangulatedPoints]:
-    def read(answer: images.TriangulatePointsResponse) -> TriangulatedPoints:
+) -> Call[images_pb.TriangulatePointsRequest, images_pb.TriangulatePointsResponse, TriangulatedPoints]:
+    def read(answer: images_pb.TriangulatePointsResponse) -> TriangulatedPoints:
         return TriangulatedPoints(
             positions=_float64s(answer.positions, -1, 3),
             covariances=_float64s(answer.covariances, -1, 3, 3),
@@ -141,11 +141,11 @@ def triangulate_points(
             in_front=np.frombuffer(answer.in_front, np.uint8).astype(bool),
         )
 
-    request = images.TriangulatePointsRequest()
+    request = images_pb.TriangulatePointsRequest()
     for view in views:
         request.views.append(
             of(
-                images.PosedView,
+                images_pb.PosedView,
                 camera=view.camera,
                 t_world_camera=view.t_world_camera,
                 pixels=_packed("pixels", view.pixels, 2),
@@ -156,8 +156,8 @@ def triangulate_points(
 
 def solve_pnp(
     points: Array, pixels: Array, camera: CameraIntrinsics, ransac: Ransac | None
-) -> Call[images.SolvePnpRequest, images.SolvePnpResponse, PnpEstimate]:
-    def read(answer: images.SolvePnpResponse) -> PnpEstimate:
+) -> Call[images_pb.SolvePnpRequest, images_pb.SolvePnpResponse, PnpEstimate]:
+    def read(answer: images_pb.SolvePnpResponse) -> PnpEstimate:
         return PnpEstimate(
             t_world_camera=geometry.pose(answer.t_world_camera),
             covariance=geometry.covariance(answer.covariance),
@@ -167,7 +167,7 @@ def solve_pnp(
         )
 
     request = of(
-        images.SolvePnpRequest,
+        images_pb.SolvePnpRequest,
         points=_packed("points", points, 3),
         pixels=_packed("pixels", pixels, 2),
         camera=camera,
@@ -178,8 +178,8 @@ def solve_pnp(
 
 def extract_features(
     image: Array | EncodedImage | bytes, method: FeatureMethod | str, **fields: object
-) -> Call[images.ExtractFeaturesRequest, images.ExtractFeaturesResponse, ImageFeatures]:
-    def read(answer: images.ExtractFeaturesResponse) -> ImageFeatures:
+) -> Call[images_pb.ExtractFeaturesRequest, images_pb.ExtractFeaturesResponse, ImageFeatures]:
+    def read(answer: images_pb.ExtractFeaturesResponse) -> ImageFeatures:
         return ImageFeatures(
             points=floats(answer.points, -1, 2),
             sizes_px=floats(answer.sizes_px),
@@ -189,7 +189,7 @@ def extract_features(
             descriptors=np.frombuffer(answer.descriptors, np.uint8).reshape(-1, answer.descriptor_bytes),
         )
 
-    request = of(images.ExtractFeaturesRequest, method=method, **fields)
+    request = of(images_pb.ExtractFeaturesRequest, method=method, **fields)
     if isinstance(image, np.ndarray) and image.ndim == 2:
         image = np.repeat(checked("image", image, ("H", "W"), np.uint8)[:, :, None], 3, axis=2)
     put_color(request.image, image)
@@ -198,14 +198,14 @@ def extract_features(
 
 def match_features(
     query: Array, train: Array, ratio: float | None, mutual: bool, max_distance: float | None
-) -> Call[images.MatchFeaturesRequest, images.MatchFeaturesResponse, FeatureMatches]:
-    def read(answer: images.MatchFeaturesResponse) -> FeatureMatches:
+) -> Call[images_pb.MatchFeaturesRequest, images_pb.MatchFeaturesResponse, FeatureMatches]:
+    def read(answer: images_pb.MatchFeaturesResponse) -> FeatureMatches:
         return FeatureMatches(pairs=uint32s(answer.pairs).reshape(-1, 2), distances=floats(answer.distances))
 
     first = checked("query", query, ("K", "B"), np.uint8)
     second = checked("train", train, ("L", first.shape[1]), np.uint8)
     request = of(
-        images.MatchFeaturesRequest,
+        images_pb.MatchFeaturesRequest,
         query=first.tobytes(),
         train=second.tobytes(),
         descriptor_bytes=first.shape[1],

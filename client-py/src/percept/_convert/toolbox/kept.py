@@ -3,37 +3,46 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, TypeAlias, TypeGuard
 
 from ... import _rpc
 from ..._arrays import Array
 from ..._call import Call, ChunkedCall, StreamedCall
+from ..._parts import joined
 from ...errors import Internal, InvalidArgument
 from ...types.geometry import PointCloud
 from ...types.toolbox import (
+    CloudFile,
     CloudFormat,
     CloudHandle,
     ClusterShape,
     DecodedCloud,
     KeptClouds,
     PipelineResult,
+    SessionCloud,
     Step,
     StepAnswer,
     StepResult,
 )
-from ...v1 import toolbox_service_pb2 as service
+from ...v1 import toolbox_clouds_service_pb2 as clouds_pb
+from ...v1 import toolbox_kept_clouds_service_pb2 as kept_clouds_pb
+from ...v1 import toolbox_pb2 as shared
+from ...v1 import toolbox_pipelines_service_pb2 as pipelines_pb
 from .. import geometry, scene
 from . import regions, segmentation
 from .request import Cloud, fill, of, uint32s, with_cloud
 
+#: What goes along with an upload.
+Sent: TypeAlias = PointCloud | Array | CloudFile | bytes
 #: What is larger is uploaded in parts.
-ONE_MESSAGE_BYTES = 16 << 20
+_ONE_MESSAGE_BYTES = 16 << 20
 _PART_BYTES = 2 << 20
 _PART_POINTS = 1 << 16
 
 
-def handle(message: service.CloudHandle) -> CloudHandle:
+def handle(message: shared.CloudHandle) -> CloudHandle:
     return CloudHandle(
         handle=message.handle,
         num_points=message.num_points,
@@ -42,113 +51,131 @@ def handle(message: service.CloudHandle) -> CloudHandle:
     )
 
 
-def size_bytes(source: PointCloud | Array | bytes) -> int:
-    """What an upload carries."""
+def is_large(source: Cloud) -> TypeGuard[Sent]:
+    """Whether an upload carries more than one message should."""
+    return not isinstance(source, (CloudHandle, SessionCloud)) and _size_bytes(source) > _ONE_MESSAGE_BYTES
+
+
+def _size_bytes(source: Sent) -> int:
+    if isinstance(source, CloudFile):
+        source = source.data
     if isinstance(source, bytes):
         return len(source)
     return 31 * len(source) if isinstance(source, PointCloud) else 12 * len(source)
 
 
 def upload_cloud(
-    source: PointCloud | Array | bytes, file_format: CloudFormat | str | None, keep_s: float | None
-) -> Call[service.UploadCloudRequest, service.UploadCloudResponse, CloudHandle]:
-    request = of(service.UploadCloudRequest, keep_s=keep_s)
+    source: Cloud, file_format: CloudFormat | str | None, keep_s: float | None
+) -> Call[kept_clouds_pb.UploadCloudRequest, kept_clouds_pb.UploadCloudResponse, CloudHandle]:
     if isinstance(source, bytes):
-        request.file.CopyFrom(of(service.CloudFile, data=source, format=file_format))
-    else:
-        request.cloud.CopyFrom(geometry.cloud_to(source))
+        source = CloudFile(source, file_format)
+    request = with_cloud(kept_clouds_pb.UploadCloudRequest, source, keep_s=keep_s)
     return Call(_rpc.UPLOAD_CLOUD, request, lambda a: handle(a.kept))
 
 
 def upload_large_cloud(
-    source: PointCloud | Array | bytes, file_format: CloudFormat | str | None, keep_s: float | None
-) -> StreamedCall[service.UploadLargeCloudRequest, service.UploadLargeCloudResponse, CloudHandle]:
-    def parts() -> Iterator[service.UploadLargeCloudRequest]:
-        head: dict[str, object] = {"format": file_format, "keep_s": keep_s}
-        if isinstance(source, bytes):
-            for start in range(0, max(len(source), 1), _PART_BYTES):
-                yield of(service.UploadLargeCloudRequest, data=source[start : start + _PART_BYTES], **head)
+    source: Sent, file_format: CloudFormat | str | None, keep_s: float | None
+) -> StreamedCall[
+    kept_clouds_pb.UploadLargeCloudRequest, kept_clouds_pb.UploadLargeCloudResponse, CloudHandle
+]:
+    def parts() -> Iterator[kept_clouds_pb.UploadLargeCloudRequest]:
+        file = CloudFile(source, file_format) if isinstance(source, bytes) else source
+        if isinstance(file, CloudFile):
+            head: dict[str, object] = {"format": file.file_format, "keep_s": keep_s}
+            for start in range(0, max(len(file.data), 1), _PART_BYTES):
+                data = file.data[start : start + _PART_BYTES]
+                yield of(kept_clouds_pb.UploadLargeCloudRequest, data=data, **head)
             return
-        cloud = source if isinstance(source, PointCloud) else PointCloud(source)
+        cloud = file if isinstance(file, PointCloud) else PointCloud(file)
         for start in range(0, max(len(cloud), 1), _PART_POINTS):
             part = geometry.sliced(cloud, slice(start, start + _PART_POINTS))
-            yield of(service.UploadLargeCloudRequest, points=geometry.cloud_to(part), **head)
+            yield of(kept_clouds_pb.UploadLargeCloudRequest, points=geometry.cloud_to(part), keep_s=keep_s)
 
     return StreamedCall(_rpc.UPLOAD_LARGE_CLOUD, parts, lambda a: handle(a.kept))
 
 
-def list_clouds() -> Call[service.ListCloudsRequest, service.ListCloudsResponse, KeptClouds]:
-    def read(answer: service.ListCloudsResponse) -> KeptClouds:
+def list_clouds() -> Call[kept_clouds_pb.ListCloudsRequest, kept_clouds_pb.ListCloudsResponse, KeptClouds]:
+    def read(answer: kept_clouds_pb.ListCloudsResponse) -> KeptClouds:
         clouds = tuple(handle(c) for c in answer.clouds)
         return KeptClouds(clouds=clouds, used_bytes=answer.used_bytes, max_bytes=answer.max_bytes)
 
-    return Call(_rpc.LIST_CLOUDS, service.ListCloudsRequest(), read)
+    return Call(_rpc.LIST_CLOUDS, kept_clouds_pb.ListCloudsRequest(), read)
 
 
-def drop_cloud(kept: CloudHandle) -> Call[service.DropCloudRequest, service.DropCloudResponse, None]:
-    return Call(_rpc.DROP_CLOUD, service.DropCloudRequest(handle=kept.handle), lambda _: None)
+def drop_cloud(
+    kept: CloudHandle,
+) -> Call[kept_clouds_pb.DropCloudRequest, kept_clouds_pb.DropCloudResponse, None]:
+    return Call(_rpc.DROP_CLOUD, kept_clouds_pb.DropCloudRequest(handle=kept.handle), lambda _: None)
 
 
 def download_points(
     kept: CloudHandle,
-) -> ChunkedCall[service.DownloadCloudRequest, service.DownloadCloudResponse, PointCloud]:
-    def read(parts: list[service.DownloadCloudResponse]) -> PointCloud:
+) -> ChunkedCall[kept_clouds_pb.DownloadCloudRequest, kept_clouds_pb.DownloadCloudResponse, PointCloud]:
+    def read(parts: list[kept_clouds_pb.DownloadCloudResponse]) -> PointCloud:
         cloud = geometry.joined_cloud([p.points.cloud for p in parts])
         if not parts or cloud.num_points != parts[0].points.total_points:
             raise Internal("the cloud came incomplete; ask again", reason="ANSWER_INCOMPLETE")
         return cloud
 
-    return ChunkedCall(_rpc.DOWNLOAD_CLOUD, service.DownloadCloudRequest(handle=kept.handle), read)
+    return ChunkedCall(_rpc.DOWNLOAD_CLOUD, kept_clouds_pb.DownloadCloudRequest(handle=kept.handle), read)
 
 
 def download_file(
     kept: CloudHandle, file_format: CloudFormat | str
-) -> ChunkedCall[service.DownloadCloudRequest, service.DownloadCloudResponse, bytes]:
-    def read(parts: list[service.DownloadCloudResponse]) -> bytes:
+) -> ChunkedCall[kept_clouds_pb.DownloadCloudRequest, kept_clouds_pb.DownloadCloudResponse, bytes]:
+    def read(parts: list[kept_clouds_pb.DownloadCloudResponse]) -> bytes:
         data = b"".join(p.chunk.data for p in parts)
         if not parts or hashlib.sha256(data).hexdigest() != parts[0].chunk.header.sha256:
             raise Internal("the file differs from its checksum; ask again", reason="CHECKSUM_MISMATCH")
         return data
 
-    request = of(service.DownloadCloudRequest, handle=kept.handle, format=file_format)
+    request = of(kept_clouds_pb.DownloadCloudRequest, handle=kept.handle, format=file_format)
     return ChunkedCall(_rpc.DOWNLOAD_CLOUD, request, read)
 
 
 def decode_cloud(
     data: bytes, file_format: CloudFormat | str | None
-) -> Call[service.DecodeCloudRequest, service.DecodeCloudResponse, DecodedCloud]:
-    def read(answer: service.DecodeCloudResponse) -> DecodedCloud:
+) -> Call[clouds_pb.DecodeCloudRequest, clouds_pb.DecodeCloudResponse, DecodedCloud]:
+    def read(answer: clouds_pb.DecodeCloudResponse) -> DecodedCloud:
         return DecodedCloud(cloud=geometry.cloud(answer.cloud), origin_m=geometry.vector3(answer.origin_m))
 
-    request = service.DecodeCloudRequest(file=of(service.CloudFile, data=data, format=file_format))
+    request = clouds_pb.DecodeCloudRequest(file=of(shared.CloudFile, data=data, format=file_format))
     return Call(_rpc.DECODE_CLOUD, request, read)
 
 
 def encode_cloud(
     cloud: Cloud, file_format: CloudFormat | str, origin_m: Sequence[float] | None
-) -> Call[service.EncodeCloudRequest, service.EncodeCloudResponse, bytes]:
-    request = with_cloud(service.EncodeCloudRequest, cloud, format=file_format, origin_m=origin_m)
+) -> Call[clouds_pb.EncodeCloudRequest, clouds_pb.EncodeCloudResponse, bytes]:
+    request = with_cloud(clouds_pb.EncodeCloudRequest, cloud, format=file_format, origin_m=origin_m)
     return Call(_rpc.ENCODE_CLOUD, request, lambda a: a.file.data)
 
 
 def run_pipeline(
     cloud: Cloud, steps: Sequence[Step], send_cloud: bool, keep_result: bool
-) -> Call[service.RunPipelineRequest, service.RunPipelineResponse, PipelineResult]:
-    def read(answer: service.RunPipelineResponse) -> PipelineResult:
+) -> Call[pipelines_pb.RunPipelineRequest, pipelines_pb.RunPipelineResponse, PipelineResult]:
+    def read(answer: pipelines_pb.RunPipelineResponse) -> PipelineResult:
         return PipelineResult(
-            steps=tuple(_result(s, r) for s, r in zip(steps, answer.results, strict=True)),
+            steps=tuple(_result(s, r) for s, r in zip(steps, _whole(answer.results), strict=True)),
             cloud=geometry.cloud(answer.cloud) if answer.HasField("cloud") else None,
             kept=handle(answer.kept) if answer.HasField("kept") else None,
         )
 
-    request = with_cloud(service.RunPipelineRequest, cloud, send_cloud=send_cloud, keep_result=keep_result)
+    request = with_cloud(
+        pipelines_pb.RunPipelineRequest, cloud, send_cloud=send_cloud, keep_result=keep_result
+    )
     request.steps.extend(_step_to(step) for step in steps)
     return Call(_rpc.RUN_PIPELINE, request, read)
 
 
-def _step_to(step: Step) -> service.PipelineStep:
-    out = of(service.PipelineStep, quiet=step.quiet, remainder=step.remainder)
-    operations = [f.name for f in service.PipelineStep.DESCRIPTOR.oneofs_by_name["step"].fields]
+def _whole(results: Sequence[pipelines_pb.PipelineStepResult]) -> list[pipelines_pb.PipelineStepResult]:
+    """What a step found may have come in several parts."""
+    by_step = itertools.groupby(results, key=lambda r: r.step)
+    return [joined(list(parts)) for _, parts in by_step]
+
+
+def _step_to(step: Step) -> pipelines_pb.PipelineStep:
+    out = of(pipelines_pb.PipelineStep, quiet=step.quiet, remainder=step.remainder)
+    operations = [f.name for f in pipelines_pb.PipelineStep.DESCRIPTOR.oneofs_by_name["step"].fields]
     if step.operation not in operations:
         message = f"operation is {step.operation!r}; choose one of {', '.join(operations)}"
         raise InvalidArgument(message, reason="STEP_UNKNOWN", field="operation")
@@ -158,7 +185,7 @@ def _step_to(step: Step) -> service.PipelineStep:
     return out
 
 
-def _result(step: Step, message: service.PipelineStepResult) -> StepResult:
+def _result(step: Step, message: pipelines_pb.PipelineStepResult) -> StepResult:
     return StepResult(
         operation=step.operation,
         num_points_in=message.num_points_in,
@@ -168,7 +195,7 @@ def _result(step: Step, message: service.PipelineStepResult) -> StepResult:
     )
 
 
-def _answer(message: service.PipelineStepResult) -> StepAnswer | None:
+def _answer(message: pipelines_pb.PipelineStepResult) -> StepAnswer | None:
     readers: dict[str, Any] = {
         "indices": uint32s,
         "planes": segmentation.planes,
@@ -185,7 +212,7 @@ def _answer(message: service.PipelineStepResult) -> StepAnswer | None:
     return answer
 
 
-def _shapes(message: service.ClusterShapes) -> list[ClusterShape]:
+def _shapes(message: pipelines_pb.ClusterShapes) -> list[ClusterShape]:
     return [
         ClusterShape(
             label=c.label, features=scene.features(c.features), upright_box=geometry.box(c.upright_box)

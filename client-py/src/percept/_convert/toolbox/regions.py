@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ... import _rpc
 from ..._arrays import Array, checked
 from ..._call import Call
 from ...types import frames
 from ...types.toolbox import Clusters, Ground, GroundPatch, Supervoxels, SupportedObjects
-from ...v1 import toolbox_pictures_pb2 as pictures
-from ...v1 import toolbox_service_pb2 as service
+from ...v1 import toolbox_pictures_service_pb2 as pictures_pb
+from ...v1 import toolbox_segmentation_service_pb2 as segmentation_pb
 from .. import geometry
 from . import depth as images
-from .request import Cloud, floats, of, uint32s, with_cloud
-
-
-def _labels(data: bytes) -> npt.NDArray[np.int32]:
-    return np.frombuffer(data, "<i4")
+from .request import Cloud, floats, int32s, of, uint32s, with_cloud
 
 
 def segment_ground(
     cloud: Cloud, **fields: object
-) -> Call[service.SegmentGroundRequest, service.SegmentGroundResponse, Ground]:
-    return Call(_rpc.SEGMENT_GROUND, with_cloud(service.SegmentGroundRequest, cloud, **fields), ground)
+) -> Call[segmentation_pb.SegmentGroundRequest, segmentation_pb.SegmentGroundResponse, Ground]:
+    return Call(
+        _rpc.SEGMENT_GROUND, with_cloud(segmentation_pb.SegmentGroundRequest, cloud, **fields), ground
+    )
 
 
-def ground(answer: service.SegmentGroundResponse) -> Ground:
+def ground(answer: segmentation_pb.SegmentGroundResponse) -> Ground:
     patches = tuple(
         GroundPatch(plane=geometry.plane(p.plane), center=geometry.vector3(p.center), num_points=p.num_points)
         for p in answer.patches
@@ -37,37 +34,37 @@ def ground(answer: service.SegmentGroundResponse) -> Ground:
 
 def grow_regions(
     cloud: Cloud, **fields: object
-) -> Call[service.GrowRegionsRequest, service.GrowRegionsResponse, Clusters]:
-    return Call(_rpc.GROW_REGIONS, with_cloud(service.GrowRegionsRequest, cloud, **fields), regions)
+) -> Call[segmentation_pb.GrowRegionsRequest, segmentation_pb.GrowRegionsResponse, Clusters]:
+    return Call(_rpc.GROW_REGIONS, with_cloud(segmentation_pb.GrowRegionsRequest, cloud, **fields), regions)
 
 
-def regions(answer: service.GrowRegionsResponse) -> Clusters:
-    return Clusters(labels=_labels(answer.labels), num_clusters=answer.num_regions)
+def regions(answer: segmentation_pb.GrowRegionsResponse) -> Clusters:
+    return Clusters(labels=int32s(answer.labels), num_clusters=answer.num_regions)
 
 
 def compute_supervoxels(
     cloud: Cloud, **fields: object
-) -> Call[service.ComputeSupervoxelsRequest, service.ComputeSupervoxelsResponse, Supervoxels]:
-    def read(answer: service.ComputeSupervoxelsResponse) -> Supervoxels:
+) -> Call[segmentation_pb.ComputeSupervoxelsRequest, segmentation_pb.ComputeSupervoxelsResponse, Supervoxels]:
+    def read(answer: segmentation_pb.ComputeSupervoxelsResponse) -> Supervoxels:
         return Supervoxels(
-            labels=_labels(answer.labels),
+            labels=int32s(answer.labels),
             centers=floats(answer.centers, -1, 3),
             normals=floats(answer.normals, -1, 3),
             edges=uint32s(answer.edges).reshape(-1, 2),
         )
 
-    request = with_cloud(service.ComputeSupervoxelsRequest, cloud, **fields)
+    request = with_cloud(segmentation_pb.ComputeSupervoxelsRequest, cloud, **fields)
     return Call(_rpc.COMPUTE_SUPERVOXELS, request, read)
 
 
 def group_convex(
     parts: Supervoxels, **fields: object
-) -> Call[service.GroupConvexRequest, service.GroupConvexResponse, Clusters]:
-    def read(answer: service.GroupConvexResponse) -> Clusters:
-        return Clusters(labels=_labels(answer.labels), num_clusters=answer.num_groups)
+) -> Call[segmentation_pb.GroupConvexRequest, segmentation_pb.GroupConvexResponse, Clusters]:
+    def read(answer: segmentation_pb.GroupConvexResponse) -> Clusters:
+        return Clusters(labels=int32s(answer.labels), num_clusters=answer.num_groups)
 
     request = of(
-        service.GroupConvexRequest,
+        segmentation_pb.GroupConvexRequest,
         centers=checked("centers", parts.centers, ("M", 3), np.float32).astype("<f4").tobytes(),
         normals=checked("normals", parts.normals, ("M", 3), np.float32).astype("<f4").tobytes(),
         edges=checked("edges", parts.edges, ("E", 2), np.uint32).astype("<u4").tobytes(),
@@ -78,13 +75,15 @@ def group_convex(
 
 def segment_objects(
     cloud: Cloud, **fields: object
-) -> Call[service.SegmentObjectsRequest, service.SegmentObjectsResponse, SupportedObjects]:
-    return Call(_rpc.SEGMENT_OBJECTS, with_cloud(service.SegmentObjectsRequest, cloud, **fields), objects)
+) -> Call[segmentation_pb.SegmentObjectsRequest, segmentation_pb.SegmentObjectsResponse, SupportedObjects]:
+    return Call(
+        _rpc.SEGMENT_OBJECTS, with_cloud(segmentation_pb.SegmentObjectsRequest, cloud, **fields), objects
+    )
 
 
-def objects(answer: service.SegmentObjectsResponse) -> SupportedObjects:
+def objects(answer: segmentation_pb.SegmentObjectsResponse) -> SupportedObjects:
     return SupportedObjects(
-        labels=_labels(answer.labels),
+        labels=int32s(answer.labels),
         num_objects=answer.num_objects,
         support=geometry.plane(answer.support) if answer.HasField("support") else None,
     )
@@ -92,15 +91,15 @@ def objects(answer: service.SegmentObjectsResponse) -> SupportedObjects:
 
 def render_cloud(
     cloud: Cloud, labels: Array | None, coloring: str | None, **fields: object
-) -> Call[pictures.RenderCloudRequest, pictures.RenderCloudResponse, bytes]:
+) -> Call[pictures_pb.RenderCloudRequest, pictures_pb.RenderCloudResponse, bytes]:
     packed = None if labels is None else checked("labels", labels, ("N",), np.int32).astype("<i4").tobytes()
-    request = with_cloud(pictures.RenderCloudRequest, cloud, labels=packed, coloring=coloring, **fields)
+    request = with_cloud(pictures_pb.RenderCloudRequest, cloud, labels=packed, coloring=coloring, **fields)
     return Call(_rpc.RENDER_CLOUD, request, lambda a: a.png)
 
 
 def render_depth(
     depth: Array | frames.EncodedImage | bytes, metres_per_unit: float | None, **fields: object
-) -> Call[pictures.RenderDepthRequest, pictures.RenderDepthResponse, bytes]:
-    request = of(pictures.RenderDepthRequest, **fields)
+) -> Call[pictures_pb.RenderDepthRequest, pictures_pb.RenderDepthResponse, bytes]:
+    request = of(pictures_pb.RenderDepthRequest, **fields)
     images.put_depth(request.depth, depth, metres_per_unit)
     return Call(_rpc.RENDER_DEPTH, request, lambda a: a.png)

@@ -13,21 +13,21 @@ from ...types.toolbox import (
     Registration,
     RegistrationOutcome,
 )
-from ...v1 import toolbox_service_pb2 as service
+from ...v1 import toolbox_registration_service_pb2 as registration_pb
 from .. import geometry, words
 from .request import Cloud, of, put_cloud, with_cloud
 
 
 def register_clouds(
     source: Cloud, target: Cloud, **fields: object
-) -> Call[service.RegisterCloudsRequest, service.RegisterCloudsResponse, Registration]:
-    request = of(service.RegisterCloudsRequest, **fields)
+) -> Call[registration_pb.RegisterCloudsRequest, registration_pb.RegisterCloudsResponse, Registration]:
+    request = of(registration_pb.RegisterCloudsRequest, **fields)
     put_cloud(request, "source", source)
     put_cloud(request, "target", target)
     return Call(_rpc.REGISTER_CLOUDS, request, _registration)
 
 
-def _registration(answer: service.RegisterCloudsResponse) -> Registration:
+def _registration(answer: registration_pb.RegisterCloudsResponse) -> Registration:
     return Registration(
         t_target_source=geometry.pose(answer.t_target_source),
         fitness=answer.fitness,
@@ -35,22 +35,26 @@ def _registration(answer: service.RegisterCloudsResponse) -> Registration:
         covariance=geometry.covariance(answer.covariance),
         iterations=answer.iterations,
         converged=answer.converged,
-        outcome=words.word(RegistrationOutcome, service.RegistrationOutcome, answer.outcome),
+        outcome=words.word(RegistrationOutcome, registration_pb.RegistrationOutcome, answer.outcome),
         degenerate_axes=tuple(answer.degenerate_axes),
     )
 
 
 def register_clouds_globally(
     source: Cloud, target: Cloud, **fields: object
-) -> Call[service.RegisterCloudsGloballyRequest, service.RegisterCloudsGloballyResponse, GlobalRegistration]:
-    request = of(service.RegisterCloudsGloballyRequest, **fields)
+) -> Call[
+    registration_pb.RegisterCloudsGloballyRequest,
+    registration_pb.RegisterCloudsGloballyResponse,
+    GlobalRegistration,
+]:
+    request = of(registration_pb.RegisterCloudsGloballyRequest, **fields)
     put_cloud(request, "source", source)
     put_cloud(request, "target", target)
     return Call(_rpc.REGISTER_CLOUDS_GLOBALLY, request, _global)
 
 
-def _global(answer: service.RegisterCloudsGloballyResponse) -> GlobalRegistration:
-    outcome = words.word(GlobalRegistrationOutcome, service.GlobalRegistrationOutcome, answer.outcome)
+def _global(answer: registration_pb.RegisterCloudsGloballyResponse) -> GlobalRegistration:
+    outcome = words.word(GlobalRegistrationOutcome, registration_pb.GlobalRegistrationOutcome, answer.outcome)
     return GlobalRegistration(
         outcome=outcome,
         t_target_source=geometry.pose(answer.t_target_source),
@@ -66,10 +70,12 @@ def _global(answer: service.RegisterCloudsGloballyResponse) -> GlobalRegistratio
 
 def compute_point_features(
     cloud: Cloud, **fields: object
-) -> Call[service.ComputePointFeaturesRequest, service.ComputePointFeaturesResponse, Array]:
-    def read(answer: service.ComputePointFeaturesResponse) -> Array:
+) -> Call[registration_pb.ComputePointFeaturesRequest, registration_pb.ComputePointFeaturesResponse, Array]:
+    def read(answer: registration_pb.ComputePointFeaturesResponse) -> Array:
         return np.frombuffer(answer.features, "<f4").reshape(-1, 33)
 
     return Call(
-        _rpc.COMPUTE_POINT_FEATURES, with_cloud(service.ComputePointFeaturesRequest, cloud, **fields), read
+        _rpc.COMPUTE_POINT_FEATURES,
+        with_cloud(registration_pb.ComputePointFeaturesRequest, cloud, **fields),
+        read,
     )

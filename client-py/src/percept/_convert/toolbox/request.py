@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -13,10 +13,11 @@ from google.protobuf.message import Message
 from ..._arrays import Array
 from ...errors import InvalidArgument
 from ...types.geometry import PointCloud, Pose
-from ...types.toolbox import CloudHandle
+from ...types.toolbox import CloudFile, CloudHandle, SessionCloud
+from ...v1 import toolbox_pb2 as shared
 from .. import geometry, words
 
-Cloud: TypeAlias = PointCloud | Array | CloudHandle
+Cloud: TypeAlias = PointCloud | Array | CloudHandle | CloudFile | SessionCloud | bytes
 M = TypeVar("M", bound=Message)
 
 
@@ -28,21 +29,32 @@ def of(kind: type[M], /, **fields: object) -> M:
 
 
 def with_cloud(kind: type[M], cloud: Cloud, /, **fields: object) -> M:
-    """A request that works on a cloud, sent or kept."""
+    """A request that works on a cloud."""
     out = of(kind, **fields)
     put_cloud(out, "cloud", cloud)
     return out
 
 
 def put_cloud(out: Message, field: str, cloud: Cloud) -> None:
-    """Writes a cloud, or the handle of a kept one."""
+    """Says which cloud a field is about."""
+    fill_source(getattr(out, field), cloud)
+
+
+def fill_source(out: shared.CloudSource, cloud: Cloud) -> None:
+    """A cloud or file that goes along, or where the server has it."""
     if isinstance(cloud, CloudHandle):
-        setattr(out, f"{field}_handle", cloud.handle)
+        out.handle = cloud.handle
+    elif isinstance(cloud, SessionCloud):
+        out.session.session_id = cloud.session_id
+        fill(out.session, {"center": cloud.center, "radius_m": cloud.radius_m})
+    elif isinstance(cloud, bytes):
+        out.file.data = cloud
+    elif isinstance(cloud, CloudFile):
+        fill(out.file, {"data": cloud.data, "format": cloud.file_format})
     else:
-        message = getattr(out, field)
         # An empty cloud is present, too.
-        message.SetInParent()
-        geometry.fill_cloud(message, cloud if isinstance(cloud, PointCloud) else PointCloud(cloud))
+        out.cloud.SetInParent()
+        geometry.fill_cloud(out.cloud, cloud if isinstance(cloud, PointCloud) else PointCloud(cloud))
 
 
 def fill(out: Message, fields: Mapping[str, object]) -> None:
@@ -103,6 +115,6 @@ def floats(data: bytes, *shape: int) -> npt.NDArray[np.float32]:
     return np.frombuffer(data, "<f4").reshape(shape or (-1,))
 
 
-def uint32_array(values: Sequence[int]) -> npt.NDArray[np.uint32]:
-    """(N,) of a repeated field."""
-    return np.fromiter(values, np.uint32, len(values))
+def int32s(data: bytes) -> npt.NDArray[np.int32]:
+    """(N,) of packed bytes."""
+    return np.frombuffer(data, "<i4")

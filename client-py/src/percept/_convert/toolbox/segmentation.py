@@ -8,9 +8,10 @@ from ... import _rpc
 from ..._call import Call
 from ...types.scene import Detection
 from ...types.toolbox import ClusterMethod, Clusters, PlaneKind, PlaneSegment, Shape
-from ...v1 import toolbox_service_pb2 as service
+from ...v1 import toolbox_segmentation_service_pb2 as segmentation_pb
+from ...v1 import toolbox_shapes_service_pb2 as shapes_pb
 from .. import geometry, scene, words
-from .request import Cloud, uint32_array, with_cloud
+from .request import Cloud, int32s, with_cloud
 
 
 def segment_planes(
@@ -21,9 +22,9 @@ def segment_planes(
     min_points: int | None,
     seed: int,
     early_stop: bool | None,
-) -> Call[service.SegmentPlanesRequest, service.SegmentPlanesResponse, list[PlaneSegment]]:
+) -> Call[segmentation_pb.SegmentPlanesRequest, segmentation_pb.SegmentPlanesResponse, list[PlaneSegment]]:
     request = with_cloud(
-        service.SegmentPlanesRequest,
+        segmentation_pb.SegmentPlanesRequest,
         cloud,
         distance_m=distance_m,
         max_iterations=max_iterations,
@@ -35,14 +36,15 @@ def segment_planes(
     return Call(_rpc.SEGMENT_PLANES, request, planes)
 
 
-def planes(answer: service.SegmentPlanesResponse) -> list[PlaneSegment]:
+def planes(answer: segmentation_pb.SegmentPlanesResponse) -> list[PlaneSegment]:
+    labels = int32s(answer.labels)
     return [
         PlaneSegment(
             plane=geometry.plane(p.plane),
-            kind=words.word(PlaneKind, service.PlaneKind, p.kind),
-            indices=uint32_array(p.indices),
+            kind=words.word(PlaneKind, segmentation_pb.PlaneKind, p.kind),
+            indices=np.flatnonzero(labels == number).astype(np.uint32),
         )
-        for p in answer.planes
+        for number, p in enumerate(answer.planes)
     ]
 
 
@@ -52,9 +54,9 @@ def cluster_points(
     eps_m: float | None,
     min_points: int | None,
     eps_slope: float | None,
-) -> Call[service.ClusterPointsRequest, service.ClusterPointsResponse, Clusters]:
+) -> Call[segmentation_pb.ClusterPointsRequest, segmentation_pb.ClusterPointsResponse, Clusters]:
     request = with_cloud(
-        service.ClusterPointsRequest,
+        segmentation_pb.ClusterPointsRequest,
         cloud,
         method=method,
         eps_m=eps_m,
@@ -64,26 +66,25 @@ def cluster_points(
     return Call(_rpc.CLUSTER_POINTS, request, clusters)
 
 
-def clusters(answer: service.ClusterPointsResponse) -> Clusters:
-    labels = np.fromiter(answer.labels, np.int32, len(answer.labels))
-    return Clusters(labels=labels, num_clusters=answer.num_clusters)
+def clusters(answer: segmentation_pb.ClusterPointsResponse) -> Clusters:
+    return Clusters(labels=int32s(answer.labels), num_clusters=answer.num_clusters)
 
 
 def compute_shape_features(
     cloud: Cloud,
-) -> Call[service.ComputeShapeFeaturesRequest, service.ComputeShapeFeaturesResponse, Shape]:
-    return Call(_rpc.COMPUTE_SHAPE_FEATURES, with_cloud(service.ComputeShapeFeaturesRequest, cloud), shape)
+) -> Call[shapes_pb.ComputeShapeFeaturesRequest, shapes_pb.ComputeShapeFeaturesResponse, Shape]:
+    return Call(_rpc.COMPUTE_SHAPE_FEATURES, with_cloud(shapes_pb.ComputeShapeFeaturesRequest, cloud), shape)
 
 
-def shape(answer: service.ComputeShapeFeaturesResponse) -> Shape:
+def shape(answer: shapes_pb.ComputeShapeFeaturesResponse) -> Shape:
     return Shape(features=scene.features(answer.features), upright_box=geometry.box(answer.upright_box))
 
 
 def detect_objects(
     cloud: Cloud,
-) -> Call[service.DetectObjectsRequest, service.DetectObjectsResponse, list[Detection]]:
-    return Call(_rpc.DETECT_OBJECTS, with_cloud(service.DetectObjectsRequest, cloud), detections)
+) -> Call[segmentation_pb.DetectObjectsRequest, segmentation_pb.DetectObjectsResponse, list[Detection]]:
+    return Call(_rpc.DETECT_OBJECTS, with_cloud(segmentation_pb.DetectObjectsRequest, cloud), detections)
 
 
-def detections(answer: service.DetectObjectsResponse) -> list[Detection]:
+def detections(answer: segmentation_pb.DetectObjectsResponse) -> list[Detection]:
     return [scene.detection(d) for d in answer.detections]

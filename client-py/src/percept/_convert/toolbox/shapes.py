@@ -8,15 +8,15 @@ from ... import _rpc
 from ..._arrays import Array, checked
 from ..._call import Call
 from ...types.shapes import Boxes, ConvexHull, LocalFeatures, Neighbors
-from ...v1 import toolbox_service_pb2 as service
+from ...v1 import toolbox_shapes_service_pb2 as shapes_pb
 from .. import geometry
 from .request import Cloud, floats, uint32s, with_cloud
 
 
 def find_neighbors(
     cloud: Cloud, queries: Array | None, k: int | None, radius_m: float | None
-) -> Call[service.FindNeighborsRequest, service.FindNeighborsResponse, Neighbors]:
-    def read(answer: service.FindNeighborsResponse) -> Neighbors:
+) -> Call[shapes_pb.FindNeighborsRequest, shapes_pb.FindNeighborsResponse, Neighbors]:
+    def read(answer: shapes_pb.FindNeighborsResponse) -> Neighbors:
         return Neighbors(
             offsets=uint32s(answer.offsets),
             indices=uint32s(answer.indices),
@@ -24,14 +24,14 @@ def find_neighbors(
         )
 
     packed = None if queries is None else checked("queries", queries, ("Q", 3), np.float32).tobytes()
-    request = with_cloud(service.FindNeighborsRequest, cloud, queries=packed, k=k, radius_m=radius_m)
+    request = with_cloud(shapes_pb.FindNeighborsRequest, cloud, queries=packed, k=k, radius_m=radius_m)
     return Call(_rpc.FIND_NEIGHBORS, request, read)
 
 
 def compute_local_features(
     cloud: Cloud, k: int | None
-) -> Call[service.ComputeLocalFeaturesRequest, service.ComputeLocalFeaturesResponse, LocalFeatures]:
-    def read(answer: service.ComputeLocalFeaturesResponse) -> LocalFeatures:
+) -> Call[shapes_pb.ComputeLocalFeaturesRequest, shapes_pb.ComputeLocalFeaturesResponse, LocalFeatures]:
+    def read(answer: shapes_pb.ComputeLocalFeaturesResponse) -> LocalFeatures:
         return LocalFeatures(
             linearity=floats(answer.linearity),
             planarity=floats(answer.planarity),
@@ -40,25 +40,25 @@ def compute_local_features(
             curvature=floats(answer.curvature),
         )
 
-    request = with_cloud(service.ComputeLocalFeaturesRequest, cloud, k=k)
+    request = with_cloud(shapes_pb.ComputeLocalFeaturesRequest, cloud, k=k)
     return Call(_rpc.COMPUTE_LOCAL_FEATURES, request, read)
 
 
-def fit_boxes(cloud: Cloud) -> Call[service.FitBoxesRequest, service.FitBoxesResponse, Boxes]:
-    def read(answer: service.FitBoxesResponse) -> Boxes:
+def fit_boxes(cloud: Cloud) -> Call[shapes_pb.FitBoxesRequest, shapes_pb.FitBoxesResponse, Boxes]:
+    def read(answer: shapes_pb.FitBoxesResponse) -> Boxes:
         return Boxes(
             axis_aligned=geometry.box(answer.axis_aligned),
             upright=geometry.box(answer.upright),
             minimal=geometry.box(answer.minimal),
         )
 
-    return Call(_rpc.FIT_BOXES, with_cloud(service.FitBoxesRequest, cloud), read)
+    return Call(_rpc.FIT_BOXES, with_cloud(shapes_pb.FitBoxesRequest, cloud), read)
 
 
 def compute_convex_hull(
     cloud: Cloud,
-) -> Call[service.ComputeConvexHullRequest, service.ComputeConvexHullResponse, ConvexHull]:
-    def read(answer: service.ComputeConvexHullResponse) -> ConvexHull:
+) -> Call[shapes_pb.ComputeConvexHullRequest, shapes_pb.ComputeConvexHullResponse, ConvexHull]:
+    def read(answer: shapes_pb.ComputeConvexHullResponse) -> ConvexHull:
         return ConvexHull(
             vertices=np.frombuffer(answer.vertices, "<f8").reshape(-1, 3),
             triangles=uint32s(answer.triangles).reshape(-1, 3),
@@ -66,4 +66,4 @@ def compute_convex_hull(
             area_m2=answer.area_m2,
         )
 
-    return Call(_rpc.COMPUTE_CONVEX_HULL, with_cloud(service.ComputeConvexHullRequest, cloud), read)
+    return Call(_rpc.COMPUTE_CONVEX_HULL, with_cloud(shapes_pb.ComputeConvexHullRequest, cloud), read)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..._arrays import Array
 from ..._convert.toolbox import kept as convert
 from ..._convert.toolbox.request import Cloud
 from ...types.geometry import PointCloud
@@ -18,16 +17,15 @@ class Kept(Bound):
 
     def upload_cloud(
         self,
-        source: PointCloud | Array | bytes,
+        source: Cloud,
         *,
         file_format: CloudFormat | str | None = None,
         keep_s: float | None = None,
     ) -> CloudHandle:
-        """Keeps a cloud, or that of a file's bytes, on the server; toolbox calls take its handle in place of
-        a cloud. It is forgotten when unused for keep_s (the server's limit), and refused if the budget is
-        full. A file whose coordinates float32 would spoil is kept relative to an origin that decode_cloud
-        tells."""
-        if convert.size_bytes(source) > convert.ONE_MESSAGE_BYTES:
+        """Keeps a cloud, a file's or a session's on the server; toolbox calls take its handle in place of a
+        cloud. It is forgotten when unused for keep_s (the server's limit), and refused if the budget is full.
+        A file whose coordinates float32 would spoil is kept relative to an origin that decode_cloud tells."""
+        if convert.is_large(source):
             return self._transport.parts(convert.upload_large_cloud(source, file_format, keep_s))
         return self._transport.call(convert.upload_cloud(source, file_format, keep_s))
 

@@ -1,22 +1,25 @@
 //! `EvaluationService`.
 
-use super::{Answer, Api, check_size, status};
+use super::{Answer, Api, Streamed, check_size, status, streamed};
+use percept_wire::parts::InParts;
 use percept_wire::{convert::evaluation, v1};
 use tonic::{Request, Response};
 
 #[tonic::async_trait]
 impl v1::evaluation_service_server::EvaluationService for Api {
+    type EvaluateTrajectoryStream = Streamed<v1::EvaluateTrajectoryResponse>;
+
     async fn evaluate_trajectory(
         &self,
         r: Request<v1::EvaluateTrajectoryRequest>,
-    ) -> Answer<v1::EvaluateTrajectoryResponse> {
+    ) -> Answer<Self::EvaluateTrajectoryStream> {
         let caller = self.caller(&r)?;
         caller.may("EvaluationService/*").map_err(status::grpc)?;
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let comparison = evaluation::comparison(r.get_ref()).map_err(status::grpc)?;
         let (score, pairs) = caller.evaluate_trajectory(comparison).await.map_err(status::grpc)?;
         let (metrics, pairs) = (Some(evaluation::score_to(&score)), evaluation::pairs_to(&pairs));
-        Ok(Response::new(v1::EvaluateTrajectoryResponse { metrics, pairs }))
+        streamed(v1::EvaluateTrajectoryResponse { metrics, pairs }.parts(), |part| part)
     }
 
     async fn evaluate_relations(

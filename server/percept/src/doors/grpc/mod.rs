@@ -53,6 +53,9 @@ impl Api {
     }
 }
 
+/// What clients take that were told nothing: larger answers are streamed.
+const ANSWER_BYTES: usize = 4 << 20;
+
 type Answer<T> = Result<Response<T>, Status>;
 type Streamed<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
@@ -98,7 +101,7 @@ pub(crate) async fn serve(api: Api, listener: Listener) {
     let limit = api.service.limits().max_message_bytes.saturating_mul(2);
     macro_rules! limited {
         ($server:path) => {
-            <$server>::new(api.clone()).max_decoding_message_size(limit).max_encoding_message_size(limit)
+            <$server>::new(api.clone()).max_decoding_message_size(limit).max_encoding_message_size(ANSWER_BYTES)
         };
     }
     let mut routes = Routes::new(health_service)
@@ -107,7 +110,15 @@ pub(crate) async fn serve(api: Api, listener: Listener) {
         .add_service(limited!(v1::maps_service_server::MapsServiceServer<Api>))
         .add_service(limited!(v1::scene_service_server::SceneServiceServer<Api>))
         .add_service(limited!(v1::navigation_service_server::NavigationServiceServer<Api>))
-        .add_service(limited!(v1::toolbox_service_server::ToolboxServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_kept_clouds_service_server::ToolboxKeptCloudsServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_clouds_service_server::ToolboxCloudsServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_shapes_service_server::ToolboxShapesServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_segmentation_service_server::ToolboxSegmentationServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_registration_service_server::ToolboxRegistrationServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_depth_service_server::ToolboxDepthServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_images_service_server::ToolboxImagesServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_pictures_service_server::ToolboxPicturesServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_pipelines_service_server::ToolboxPipelinesServiceServer<Api>))
         .add_service(limited!(v1::evaluation_service_server::EvaluationServiceServer<Api>))
         .add_service(limited!(v1::server_service_server::ServerServiceServer<Api>));
     if let (true, Ok(v1), Ok(v1alpha)) = (api.listen.reflection, v1_reflection, v1alpha_reflection) {

@@ -1,11 +1,14 @@
 //! `SceneService`.
 
-use super::{Answer, Api, status};
+use super::{Answer, Api, Streamed, status, streamed};
+use percept_wire::parts::InParts;
 use percept_wire::{convert::scene, v1};
 use tonic::{Request, Response};
 
 #[tonic::async_trait]
 impl v1::scene_service_server::SceneService for Api {
+    type GetSceneGraphStream = Streamed<v1::GetSceneGraphResponse>;
+
     async fn list_objects(&self, r: Request<v1::ListObjectsRequest>) -> Answer<v1::ListObjectsResponse> {
         let caller = self.caller(&r)?;
         let r = r.get_ref();
@@ -22,9 +25,9 @@ impl v1::scene_service_server::SceneService for Api {
         Ok(Response::new(v1::GetObjectResponse { object: Some(scene::object_to(&object)) }))
     }
 
-    async fn get_scene_graph(&self, r: Request<v1::GetSceneGraphRequest>) -> Answer<v1::GetSceneGraphResponse> {
+    async fn get_scene_graph(&self, r: Request<v1::GetSceneGraphRequest>) -> Answer<Self::GetSceneGraphStream> {
         let caller = self.caller(&r)?;
         let graph = caller.scene_graph(&r.get_ref().session_id).await.map_err(status::grpc)?;
-        Ok(Response::new(v1::GetSceneGraphResponse { graph: Some(scene::graph_to(&graph)) }))
+        streamed(v1::GetSceneGraphResponse { graph: Some(scene::graph_to(&graph)) }.parts(), |part| part)
     }
 }

@@ -11,6 +11,7 @@ use futures::future::BoxFuture;
 use futures::{Stream, StreamExt};
 use percept_service::{CallContext, Error};
 use percept_wire::convert::geometry;
+use percept_wire::parts::InParts;
 use percept_wire::{json, v1};
 use prost::Message;
 use prost_reflect::MethodDescriptor;
@@ -23,7 +24,15 @@ use v1::scene_service_server::SceneService;
 use v1::sensors_service_server::SensorsService;
 use v1::server_service_server::ServerService;
 use v1::sessions_service_server::SessionsService;
-use v1::toolbox_service_server::ToolboxService;
+use v1::toolbox_clouds_service_server::ToolboxCloudsService;
+use v1::toolbox_depth_service_server::ToolboxDepthService;
+use v1::toolbox_images_service_server::ToolboxImagesService;
+use v1::toolbox_kept_clouds_service_server::ToolboxKeptCloudsService;
+use v1::toolbox_pictures_service_server::ToolboxPicturesService;
+use v1::toolbox_pipelines_service_server::ToolboxPipelinesService;
+use v1::toolbox_registration_service_server::ToolboxRegistrationService;
+use v1::toolbox_segmentation_service_server::ToolboxSegmentationService;
+use v1::toolbox_shapes_service_server::ToolboxShapesService;
 
 /// An rpc from encoded request to encoded response.
 pub(super) type Call = fn(Api, CallContext, Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>>;
@@ -148,6 +157,19 @@ macro_rules! joined {
             })
         }
         Kind::Message(call)
+    }};
+}
+
+/// A streaming rpc whose answer comes in parts.
+macro_rules! parts {
+    ($kind:ident $rpc:ident) => {{
+        fn call(api: Api, context: CallContext, request: Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>> {
+            Box::pin(async move {
+                let answer = api.$rpc(asked(context, decode(request)?)).await?;
+                Ok(InParts::joined(collect(answer.into_inner()).await?).encode_to_vec())
+            })
+        }
+        Kind::$kind(call)
     }};
 }
 
@@ -286,71 +308,71 @@ pub(super) static ROUTES: &[Route] = &[
 
     get("/v1/sessions/{session_id}/objects", "SceneService/ListObjects", SESSION, unary!(Message list_objects)),
     get("/v1/sessions/{session_id}/objects/{object_id}", "SceneService/GetObject", OBJECT, unary!(Message get_object)),
-    get("/v1/sessions/{session_id}/scene-graph", "SceneService/GetSceneGraph", SESSION, unary!(SceneGraph get_scene_graph)),
+    get("/v1/sessions/{session_id}/scene-graph", "SceneService/GetSceneGraph", SESSION, parts!(SceneGraph get_scene_graph)),
 
     post("/v1/sessions/{session_id}/plan", "NavigationService/PlanPath", SOURCE, unary!(Message plan_path)),
     post("/v1/sessions/{session_id}/navigate", "NavigationService/Navigate", MESSAGE, unary!(Message navigate)),
 
-    post("/v1/toolbox/clouds", "ToolboxService/UploadCloud", &[], unary!(Message upload_cloud)),
-    get("/v1/toolbox/clouds", "ToolboxService/ListClouds", &[], unary!(Message list_clouds)),
-    get("/v1/toolbox/clouds/{handle}", "ToolboxService/DownloadCloud", CLOUD, joined!(download_cloud, join_download)),
-    delete("/v1/toolbox/clouds/{handle}", "ToolboxService/DropCloud", CLOUD, unary!(Message drop_cloud)),
-    post("/v1/toolbox/run-pipeline", "ToolboxService/RunPipeline", &[], unary!(Message run_pipeline)),
-    post("/v1/toolbox/decode-cloud", "ToolboxService/DecodeCloud", &[], unary!(Message decode_cloud)),
-    post("/v1/toolbox/encode-cloud", "ToolboxService/EncodeCloud", &[], unary!(Message encode_cloud)),
-    post("/v1/toolbox/convert-depth", "ToolboxService/ConvertDepth", &[], unary!(Message convert_depth)),
-    post("/v1/toolbox/convert-color", "ToolboxService/ConvertColor", &[], unary!(Message convert_color)),
-    post("/v1/toolbox/remove-non-finite", "ToolboxService/RemoveNonFinite", &[], unary!(Message remove_non_finite)),
-    post("/v1/toolbox/transform-cloud", "ToolboxService/TransformCloud", &[], unary!(Message transform_cloud)),
-    post("/v1/toolbox/remove-radius-outliers", "ToolboxService/RemoveRadiusOutliers", &[], unary!(Message remove_radius_outliers)),
-    post("/v1/toolbox/remove-statistical-outliers", "ToolboxService/RemoveStatisticalOutliers", &[], unary!(Message remove_statistical_outliers)),
-    post("/v1/toolbox/downsample-voxels", "ToolboxService/DownsampleVoxels", &[], unary!(Message downsample_voxels)),
-    post("/v1/toolbox/estimate-normals", "ToolboxService/EstimateNormals", &[], unary!(Message estimate_normals)),
-    post("/v1/toolbox/segment-planes", "ToolboxService/SegmentPlanes", &[], unary!(Message segment_planes)),
-    post("/v1/toolbox/cluster-points", "ToolboxService/ClusterPoints", &[], unary!(Message cluster_points)),
-    post("/v1/toolbox/compute-shape-features", "ToolboxService/ComputeShapeFeatures", &[], unary!(Message compute_shape_features)),
-    post("/v1/toolbox/detect-objects", "ToolboxService/DetectObjects", &[], unary!(Message detect_objects)),
-    post("/v1/toolbox/register-clouds", "ToolboxService/RegisterClouds", &[], unary!(Message register_clouds)),
+    post("/v1/toolbox/clouds", "ToolboxKeptCloudsService/UploadCloud", &[], unary!(Message upload_cloud)),
+    get("/v1/toolbox/clouds", "ToolboxKeptCloudsService/ListClouds", &[], parts!(Message list_clouds)),
+    get("/v1/toolbox/clouds/{handle}", "ToolboxKeptCloudsService/DownloadCloud", CLOUD, joined!(download_cloud, join_download)),
+    delete("/v1/toolbox/clouds/{handle}", "ToolboxKeptCloudsService/DropCloud", CLOUD, unary!(Message drop_cloud)),
+    post("/v1/toolbox/run-pipeline", "ToolboxPipelinesService/RunPipeline", &[], parts!(Message run_pipeline)),
+    post("/v1/toolbox/decode-cloud", "ToolboxCloudsService/DecodeCloud", &[], parts!(Message decode_cloud)),
+    post("/v1/toolbox/encode-cloud", "ToolboxCloudsService/EncodeCloud", &[], parts!(Message encode_cloud)),
+    post("/v1/toolbox/convert-depth", "ToolboxDepthService/ConvertDepth", &[], parts!(Message convert_depth)),
+    post("/v1/toolbox/convert-color", "ToolboxDepthService/ConvertColor", &[], parts!(Message convert_color)),
+    post("/v1/toolbox/remove-non-finite", "ToolboxCloudsService/RemoveNonFinite", &[], parts!(Message remove_non_finite)),
+    post("/v1/toolbox/transform-cloud", "ToolboxCloudsService/TransformCloud", &[], parts!(Message transform_cloud)),
+    post("/v1/toolbox/remove-radius-outliers", "ToolboxCloudsService/RemoveRadiusOutliers", &[], parts!(Message remove_radius_outliers)),
+    post("/v1/toolbox/remove-statistical-outliers", "ToolboxCloudsService/RemoveStatisticalOutliers", &[], parts!(Message remove_statistical_outliers)),
+    post("/v1/toolbox/downsample-voxels", "ToolboxCloudsService/DownsampleVoxels", &[], parts!(Message downsample_voxels)),
+    post("/v1/toolbox/estimate-normals", "ToolboxCloudsService/EstimateNormals", &[], parts!(Message estimate_normals)),
+    post("/v1/toolbox/segment-planes", "ToolboxSegmentationService/SegmentPlanes", &[], parts!(Message segment_planes)),
+    post("/v1/toolbox/cluster-points", "ToolboxSegmentationService/ClusterPoints", &[], parts!(Message cluster_points)),
+    post("/v1/toolbox/compute-shape-features", "ToolboxShapesService/ComputeShapeFeatures", &[], unary!(Message compute_shape_features)),
+    post("/v1/toolbox/detect-objects", "ToolboxSegmentationService/DetectObjects", &[], parts!(Message detect_objects)),
+    post("/v1/toolbox/register-clouds", "ToolboxRegistrationService/RegisterClouds", &[], unary!(Message register_clouds)),
     post(
         "/v1/toolbox/register-clouds-globally",
-        "ToolboxService/RegisterCloudsGlobally",
+        "ToolboxRegistrationService/RegisterCloudsGlobally",
         &[],
         unary!(Message register_clouds_globally),
     ),
     post(
         "/v1/toolbox/compute-point-features",
-        "ToolboxService/ComputePointFeatures",
+        "ToolboxRegistrationService/ComputePointFeatures",
         &[],
-        unary!(Message compute_point_features),
+        parts!(Message compute_point_features),
     ),
-    post("/v1/toolbox/unproject-depth", "ToolboxService/UnprojectDepth", &[], unary!(Message unproject_depth)),
-    post("/v1/toolbox/estimate-essential", "ToolboxService/EstimateEssential", &[], unary!(Message estimate_essential)),
-    post("/v1/toolbox/estimate-homography", "ToolboxService/EstimateHomography", &[], unary!(Message estimate_homography)),
-    post("/v1/toolbox/estimate-two-view", "ToolboxService/EstimateTwoView", &[], unary!(Message estimate_two_view)),
-    post("/v1/toolbox/triangulate-points", "ToolboxService/TriangulatePoints", &[], unary!(Message triangulate_points)),
-    post("/v1/toolbox/solve-pnp", "ToolboxService/SolvePnp", &[], unary!(Message solve_pnp)),
-    post("/v1/toolbox/render-cloud", "ToolboxService/RenderCloud", &[], unary!(Message render_cloud)),
-    post("/v1/toolbox/render-depth", "ToolboxService/RenderDepth", &[], unary!(Message render_depth)),
-    post("/v1/toolbox/segment-ground", "ToolboxService/SegmentGround", &[], unary!(Message segment_ground)),
-    post("/v1/toolbox/grow-regions", "ToolboxService/GrowRegions", &[], unary!(Message grow_regions)),
-    post("/v1/toolbox/compute-supervoxels", "ToolboxService/ComputeSupervoxels", &[], unary!(Message compute_supervoxels)),
-    post("/v1/toolbox/group-convex", "ToolboxService/GroupConvex", &[], unary!(Message group_convex)),
-    post("/v1/toolbox/segment-objects", "ToolboxService/SegmentObjects", &[], unary!(Message segment_objects)),
-    post("/v1/toolbox/sample-points", "ToolboxService/SamplePoints", &[], unary!(Message sample_points)),
-    post("/v1/toolbox/crop-cloud", "ToolboxService/CropCloud", &[], unary!(Message crop_cloud)),
-    post("/v1/toolbox/find-neighbors", "ToolboxService/FindNeighbors", &[], unary!(Message find_neighbors)),
-    post("/v1/toolbox/compute-local-features", "ToolboxService/ComputeLocalFeatures", &[], unary!(Message compute_local_features)),
-    post("/v1/toolbox/fit-boxes", "ToolboxService/FitBoxes", &[], unary!(Message fit_boxes)),
-    post("/v1/toolbox/compute-convex-hull", "ToolboxService/ComputeConvexHull", &[], unary!(Message compute_convex_hull)),
-    post("/v1/toolbox/extract-features", "ToolboxService/ExtractFeatures", &[], unary!(Message extract_features)),
-    post("/v1/toolbox/match-features", "ToolboxService/MatchFeatures", &[], unary!(Message match_features)),
-    post("/v1/toolbox/filter-depth", "ToolboxService/FilterDepth", &[], unary!(Message filter_depth)),
-    post("/v1/toolbox/compute-depth-normals", "ToolboxService/ComputeDepthNormals", &[], unary!(Message compute_depth_normals)),
-    post("/v1/toolbox/segment-depth-planes", "ToolboxService/SegmentDepthPlanes", &[], unary!(Message segment_depth_planes)),
-    post("/v1/toolbox/find-depth-edges", "ToolboxService/FindDepthEdges", &[], unary!(Message find_depth_edges)),
-    post("/v1/toolbox/register-color", "ToolboxService/RegisterColor", &[], unary!(Message register_color)),
+    post("/v1/toolbox/unproject-depth", "ToolboxDepthService/UnprojectDepth", &[], parts!(Message unproject_depth)),
+    post("/v1/toolbox/estimate-essential", "ToolboxImagesService/EstimateEssential", &[], parts!(Message estimate_essential)),
+    post("/v1/toolbox/estimate-homography", "ToolboxImagesService/EstimateHomography", &[], parts!(Message estimate_homography)),
+    post("/v1/toolbox/estimate-two-view", "ToolboxImagesService/EstimateTwoView", &[], parts!(Message estimate_two_view)),
+    post("/v1/toolbox/triangulate-points", "ToolboxImagesService/TriangulatePoints", &[], parts!(Message triangulate_points)),
+    post("/v1/toolbox/solve-pnp", "ToolboxImagesService/SolvePnp", &[], parts!(Message solve_pnp)),
+    post("/v1/toolbox/render-cloud", "ToolboxPicturesService/RenderCloud", &[], parts!(Message render_cloud)),
+    post("/v1/toolbox/render-depth", "ToolboxPicturesService/RenderDepth", &[], parts!(Message render_depth)),
+    post("/v1/toolbox/segment-ground", "ToolboxSegmentationService/SegmentGround", &[], parts!(Message segment_ground)),
+    post("/v1/toolbox/grow-regions", "ToolboxSegmentationService/GrowRegions", &[], parts!(Message grow_regions)),
+    post("/v1/toolbox/compute-supervoxels", "ToolboxSegmentationService/ComputeSupervoxels", &[], parts!(Message compute_supervoxels)),
+    post("/v1/toolbox/group-convex", "ToolboxSegmentationService/GroupConvex", &[], parts!(Message group_convex)),
+    post("/v1/toolbox/segment-objects", "ToolboxSegmentationService/SegmentObjects", &[], parts!(Message segment_objects)),
+    post("/v1/toolbox/sample-points", "ToolboxCloudsService/SamplePoints", &[], parts!(Message sample_points)),
+    post("/v1/toolbox/crop-cloud", "ToolboxCloudsService/CropCloud", &[], parts!(Message crop_cloud)),
+    post("/v1/toolbox/find-neighbors", "ToolboxShapesService/FindNeighbors", &[], parts!(Message find_neighbors)),
+    post("/v1/toolbox/compute-local-features", "ToolboxShapesService/ComputeLocalFeatures", &[], parts!(Message compute_local_features)),
+    post("/v1/toolbox/fit-boxes", "ToolboxShapesService/FitBoxes", &[], unary!(Message fit_boxes)),
+    post("/v1/toolbox/compute-convex-hull", "ToolboxShapesService/ComputeConvexHull", &[], parts!(Message compute_convex_hull)),
+    post("/v1/toolbox/extract-features", "ToolboxImagesService/ExtractFeatures", &[], parts!(Message extract_features)),
+    post("/v1/toolbox/match-features", "ToolboxImagesService/MatchFeatures", &[], parts!(Message match_features)),
+    post("/v1/toolbox/filter-depth", "ToolboxDepthService/FilterDepth", &[], parts!(Message filter_depth)),
+    post("/v1/toolbox/compute-depth-normals", "ToolboxDepthService/ComputeDepthNormals", &[], parts!(Message compute_depth_normals)),
+    post("/v1/toolbox/segment-depth-planes", "ToolboxDepthService/SegmentDepthPlanes", &[], parts!(Message segment_depth_planes)),
+    post("/v1/toolbox/find-depth-edges", "ToolboxDepthService/FindDepthEdges", &[], parts!(Message find_depth_edges)),
+    post("/v1/toolbox/register-color", "ToolboxDepthService/RegisterColor", &[], parts!(Message register_color)),
 
-    post("/v1/evaluation/trajectory", "EvaluationService/EvaluateTrajectory", &[], unary!(Message evaluate_trajectory)),
+    post("/v1/evaluation/trajectory", "EvaluationService/EvaluateTrajectory", &[], parts!(Message evaluate_trajectory)),
     post("/v1/evaluation/relations", "EvaluationService/EvaluateRelations", &[], unary!(Message evaluate_relations)),
     post("/v1/evaluation/detections", "EvaluationService/EvaluateDetections", &[], unary!(Message evaluate_detections)),
 ];

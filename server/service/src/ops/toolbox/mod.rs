@@ -33,15 +33,29 @@ pub use shapes::{Boxes, NeighborhoodParams, convex_hull, find_neighbors, fit_box
 pub use subsets::{Region, Sample, crop_cloud, sample_points};
 
 use crate::{Alive, Error, ErrorCode, Limits, Result, Service};
+use nalgebra::Point3;
 use percept_geometry::PointCloud;
 use percept_perception::detection::DetectionParams;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+/// The cloud of a session's map that a request works on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionCloud {
+    /// Field of the request that names it.
+    pub field: String,
+    /// The session.
+    pub session: String,
+    /// Only the part around a point (m, map frame; radius m).
+    pub around: Option<(Point3<f64>, f64)>,
+}
+
 /// What the work of one request may use.
 pub struct Toolbox {
     limits: Arc<Limits>,
     kept: Arc<KeptClouds>,
+    /// Clouds of sessions that the request asks for.
+    maps: Vec<(SessionCloud, Arc<PointCloud>)>,
     /// Whose kept clouds they are: others' are as if they were not there.
     owner: String,
     detector: DetectionParams,
@@ -66,6 +80,16 @@ impl Toolbox {
     /// `CLOUD_NOT_FOUND` naming `field`.
     pub fn kept(&self, field: &str, handle: &str) -> Result<Arc<PointCloud>> {
         self.kept.get(&self.owner, field, handle)
+    }
+
+    /// The cloud of a session that a field of the request asks for.
+    ///
+    /// # Errors
+    /// `INTERNAL` if it was not asked for.
+    pub fn session_cloud(&self, field: &str) -> Result<Arc<PointCloud>> {
+        let found = self.maps.iter().find(|(wanted, _)| wanted.field == field);
+        let none = || Error::internal(format!("no cloud was fetched for {field}"));
+        found.map(|(_, cloud)| Arc::clone(cloud)).ok_or_else(none)
     }
 
     /// Keeps a cloud for later requests, at most `keep_s` seconds unused.
@@ -112,13 +136,14 @@ pub(crate) fn budget(limits: &Limits) -> Duration {
 }
 
 impl Service {
-    /// Runs a toolbox request's work on the pool, with the kept clouds of `owner`.
+    /// Runs a toolbox request's work on the pool, with the kept clouds of `owner` and those of sessions.
     ///
     /// # Errors
     /// Those of the work; `COMPUTATION_TOO_LONG`.
     pub async fn toolbox<T: Send + 'static>(
         &self,
         owner: String,
+        maps: Vec<(SessionCloud, Arc<PointCloud>)>,
         work: impl FnOnce(&Toolbox) -> Result<T> + Send + 'static,
     ) -> Result<T> {
         let (limits, kept) = (Arc::clone(&self.limits), Arc::clone(&self.kept));
@@ -126,7 +151,7 @@ impl Service {
         let (budget, asker) = (budget(&limits), owner.clone());
         let work = move |alive: &Alive| {
             let alive = alive.clone();
-            work(&Toolbox { limits, kept, owner, detector, begin: Instant::now(), alive })
+            work(&Toolbox { limits, kept, maps, owner, detector, begin: Instant::now(), alive })
         };
         self.compute.request_within(&asker, budget, work).await?
     }

@@ -19,6 +19,7 @@ pub mod regions;
 pub mod registration;
 pub mod segmentation;
 pub mod shapes;
+pub mod sources;
 pub mod subsets;
 
 use super::geometry;
@@ -29,26 +30,23 @@ use percept_service::toolbox::{KeptCloud, KeptList, Toolbox};
 use percept_service::{Error, Result};
 use std::sync::Arc;
 
-/// The cloud of a request: sent in `field`, or kept and named in `{field}_handle`.
+/// The cloud of a request's field.
 ///
 /// # Errors
-/// Naming the channel; `CLOUD_MISSING`, `CLOUD_AMBIGUOUS`, `CLOUD_NOT_FOUND`.
-pub fn cloud(
-    toolbox: &Toolbox,
-    field: &'static str,
-    sent: Option<&v1::PointCloud>,
-    handle: Option<&str>,
-) -> Result<Arc<PointCloud>> {
-    match (sent, handle) {
-        (Some(c), None) => geometry::cloud(c, toolbox.limits()).map(Arc::new).map_err(|e| e.within(field)),
-        (None, Some(handle)) => toolbox.kept(&format!("{field}_handle"), handle),
-        (None, None) => {
-            let words = format!("{field} is missing; send it, or the handle of a kept one as {field}_handle");
-            Err(Error::invalid("FIELD_MISSING", field, words))
+/// Naming the channel; `FIELD_MISSING`, `CLOUD_NOT_FOUND`, and those of files.
+pub fn cloud(toolbox: &Toolbox, field: &'static str, source: Option<&v1::CloudSource>) -> Result<Arc<PointCloud>> {
+    use v1::cloud_source::Source as S;
+    let within = |inner: &str| format!("{field}.{inner}");
+    match source.and_then(|s| s.source.as_ref()) {
+        Some(S::Cloud(c)) => geometry::cloud(c, toolbox.limits()).map(Arc::new).map_err(|e| e.within(&within("cloud"))),
+        Some(S::Handle(handle)) => toolbox.kept(&within("handle"), handle),
+        Some(S::File(file)) => {
+            files::decoded(Some(file), toolbox.limits()).map(|(c, _)| Arc::new(c)).map_err(|e| e.within(field))
         }
-        (Some(_), Some(_)) => {
-            let words = format!("{field} and {field}_handle are both set; send one of them");
-            Err(Error::invalid("CLOUD_AMBIGUOUS", field, words))
+        Some(S::Session(_)) => toolbox.session_cloud(&within("session")),
+        None => {
+            let words = format!("{field} is missing; send one of {field}.cloud, handle, file and session");
+            Err(Error::invalid("FIELD_MISSING", field, words))
         }
     }
 }

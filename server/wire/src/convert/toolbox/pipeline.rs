@@ -17,9 +17,9 @@ pub fn steps(r: &v1::RunPipelineRequest) -> Result<Vec<Step>> {
 
 macro_rules! bare {
     ($request:ident $(, $keep:ident)?) => {{
-        let alone = $request.cloud.is_none() && $request.cloud_handle.is_none() $(&& !$request.$keep)?;
+        let alone = $request.cloud.is_none() $(&& !$request.$keep)?;
         if !alone {
-            let words = "a step brings a cloud, a handle or keep_result; it works on what the step before left";
+            let words = "a step brings a cloud or keep_result; it works on what the step before left";
             return Err(Error::invalid("STEP_HAS_CLOUD", "cloud", words));
         }
     }};
@@ -102,22 +102,23 @@ fn remainder(value: i32) -> Result<PlaneRemainder> {
     }
 }
 
-/// What became of a step, as a message; `quiet` leaves its answer out.
-pub fn report_to(report: &StepReport, quiet: bool) -> v1::PipelineStepResult {
+/// What became of the step of that number, as a message; `quiet` leaves its answer out.
+pub fn report_to(step: usize, report: &StepReport, quiet: bool) -> v1::PipelineStepResult {
     v1::PipelineStepResult {
+        step: step as u32,
         num_points_in: report.num_points_in as u32,
         num_points_out: report.num_points_out as u32,
         elapsed_ms: report.elapsed.as_secs_f64() * 1e3,
-        answer: if quiet { None } else { found_to(&report.found) },
+        answer: if quiet { None } else { found_to(&report.found, report.num_points_in) },
     }
 }
 
-fn found_to(found: &Found) -> Option<v1::pipeline_step_result::Answer> {
+fn found_to(found: &Found, num_points: usize) -> Option<v1::pipeline_step_result::Answer> {
     use v1::pipeline_step_result::Answer as A;
     Some(match found {
         Found::Nothing => return None,
         Found::Kept(indices) => A::Indices(bytes_of_indices(indices)),
-        Found::Planes(planes) => A::Planes(v1::SegmentPlanesResponse { planes: segmentation::planes_to(planes) }),
+        Found::Planes(planes) => A::Planes(segmentation::planes_to(planes, num_points)),
         Found::Clusters(clusters) => A::Clusters(segmentation::clusters_to(clusters)),
         Found::Shape(features, upright_box) => A::Shape(segmentation::shape_to(&(*features, *upright_box))),
         Found::Shapes(shapes) => {

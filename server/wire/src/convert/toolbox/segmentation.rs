@@ -1,6 +1,6 @@
 //! Planes, clusters, shapes, objects: parameters of requests, and answers.
 
-use super::{count, set};
+use super::{bytes_of_labels, count, set};
 use crate::convert::{geometry, scene, unknown_enum};
 use crate::v1;
 use percept_geometry::OrientedBox3;
@@ -45,8 +45,8 @@ pub fn clustering(r: &v1::ClusterPointsRequest) -> Result<Clustering> {
     }
 }
 
-/// Planes as a message.
-pub fn planes_to(planes: &[TypedPlane]) -> Vec<v1::PlaneSegment> {
+/// Planes of a cloud of so many points as a message.
+pub fn planes_to(planes: &[TypedPlane], num_points: usize) -> v1::SegmentPlanesResponse {
     let kind = |kind| match kind {
         PlaneKind::Floor => v1::PlaneKind::Floor,
         PlaneKind::Wall => v1::PlaneKind::Wall,
@@ -57,15 +57,18 @@ pub fn planes_to(planes: &[TypedPlane]) -> Vec<v1::PlaneSegment> {
     let convert = |p: &TypedPlane| v1::PlaneSegment {
         plane: Some(geometry::plane_to(&p.segment.plane)),
         kind: kind(p.kind).into(),
-        indices: p.segment.inliers.iter().map(|&i| i as u32).collect(),
+        num_points: p.segment.inliers.len() as u32,
     };
-    planes.iter().map(convert).collect()
+    let mut labels = vec![None; num_points];
+    for (number, plane) in planes.iter().enumerate() {
+        plane.segment.inliers.iter().for_each(|&i| labels[i] = Some(number as u32));
+    }
+    v1::SegmentPlanesResponse { planes: planes.iter().map(convert).collect(), labels: bytes_of_labels(&labels) }
 }
 
 /// Clusters as a message.
 pub fn clusters_to(c: &Clusters) -> v1::ClusterPointsResponse {
-    let label = |l: &Option<u32>| l.map_or(-1, |l| l as i32);
-    v1::ClusterPointsResponse { labels: c.labels.iter().map(label).collect(), num_clusters: c.num_clusters as u32 }
+    v1::ClusterPointsResponse { labels: bytes_of_labels(&c.labels), num_clusters: c.num_clusters as u32 }
 }
 
 /// Shape features as a message.

@@ -8,54 +8,63 @@ use percept_wire::convert::toolbox::images::camera;
 use percept_wire::convert::toolbox::{self as convert, depth, depth_images};
 use percept_wire::v1;
 
-pub(super) fn unproject_depth(t: &Toolbox, r: v1::UnprojectDepthRequest) -> Result<v1::UnprojectDepthResponse> {
+operations! {
+    toolbox_depth_service_server::ToolboxDepthService, "ToolboxDepthService/*",
+    one {}
+    parts {
+        unproject_depth(UnprojectDepthRequest) -> UnprojectDepthResponse as UnprojectDepthStream,
+        convert_depth(ConvertDepthRequest) -> ConvertDepthResponse as ConvertDepthStream,
+        convert_color(ConvertColorRequest) -> ConvertColorResponse as ConvertColorStream,
+        filter_depth(FilterDepthRequest) -> FilterDepthResponse as FilterDepthStream,
+        compute_depth_normals(ComputeDepthNormalsRequest) -> ComputeDepthNormalsResponse as ComputeDepthNormalsStream,
+        segment_depth_planes(SegmentDepthPlanesRequest) -> SegmentDepthPlanesResponse as SegmentDepthPlanesStream,
+        find_depth_edges(FindDepthEdgesRequest) -> FindDepthEdgesResponse as FindDepthEdgesStream,
+        register_color(RegisterColorRequest) -> RegisterColorResponse as RegisterColorStream,
+    }
+}
+
+fn unproject_depth(t: &Toolbox, r: v1::UnprojectDepthRequest) -> Result<v1::UnprojectDepthResponse> {
     let (image, color, intrinsics, params) = depth::unprojection(&r, t.limits())?;
     let cloud = ops::unproject_depth(&image, color.as_ref(), &intrinsics, &params)?;
     let (cloud, kept) = convert::result(t, cloud, r.keep_result)?;
     Ok(v1::UnprojectDepthResponse { cloud, kept })
 }
 
-pub(super) fn convert_depth(t: &Toolbox, r: v1::ConvertDepthRequest) -> Result<v1::ConvertDepthResponse> {
+fn convert_depth(t: &Toolbox, r: v1::ConvertDepthRequest) -> Result<v1::ConvertDepthResponse> {
     let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
     Ok(v1::ConvertDepthResponse { depth: Some(depth::converted_depth(&image, &r)?) })
 }
 
-pub(super) fn convert_color(t: &Toolbox, r: v1::ConvertColorRequest) -> Result<v1::ConvertColorResponse> {
+fn convert_color(t: &Toolbox, r: v1::ConvertColorRequest) -> Result<v1::ConvertColorResponse> {
     let image = depth::color("color", r.color.as_ref(), t.limits())?;
     Ok(v1::ConvertColorResponse { color: Some(depth::converted_color(&image, &r)?) })
 }
 
-pub(super) fn filter_depth(t: &Toolbox, r: v1::FilterDepthRequest) -> Result<v1::FilterDepthResponse> {
+fn filter_depth(t: &Toolbox, r: v1::FilterDepthRequest) -> Result<v1::FilterDepthResponse> {
     let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
     let image = ops::filter_depth(image, &depth_images::filters(&r)?)?;
     Ok(v1::FilterDepthResponse { depth: Some(depth::depth_to(&image)) })
 }
 
-pub(super) fn compute_depth_normals(
-    t: &Toolbox,
-    r: v1::ComputeDepthNormalsRequest,
-) -> Result<v1::ComputeDepthNormalsResponse> {
+fn compute_depth_normals(t: &Toolbox, r: v1::ComputeDepthNormalsRequest) -> Result<v1::ComputeDepthNormalsResponse> {
     let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
     let rays = images::RayTable::new(&camera("intrinsics", r.intrinsics.as_ref())?)?;
     Ok(depth_images::normals_to(&images::NormalMap::of_depth(&image, &rays, &depth_images::normal_params(&r))?))
 }
 
-pub(super) fn segment_depth_planes(
-    t: &Toolbox,
-    r: v1::SegmentDepthPlanesRequest,
-) -> Result<v1::SegmentDepthPlanesResponse> {
+fn segment_depth_planes(t: &Toolbox, r: v1::SegmentDepthPlanesRequest) -> Result<v1::SegmentDepthPlanesResponse> {
     let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
     let intrinsics = camera("intrinsics", r.intrinsics.as_ref())?;
     Ok(depth_images::planes_to(&images::depth_planes(&image, &intrinsics, &depth_images::plane_params(&r))?))
 }
 
-pub(super) fn find_depth_edges(t: &Toolbox, r: v1::FindDepthEdgesRequest) -> Result<v1::FindDepthEdgesResponse> {
+fn find_depth_edges(t: &Toolbox, r: v1::FindDepthEdgesRequest) -> Result<v1::FindDepthEdgesResponse> {
     let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
     let intrinsics = camera("intrinsics", r.intrinsics.as_ref())?;
     Ok(depth_images::edges_to(&images::boundaries(&image, &intrinsics, &depth_images::edge_params(&r))?))
 }
 
-pub(super) fn register_color(t: &Toolbox, r: v1::RegisterColorRequest) -> Result<v1::RegisterColorResponse> {
+fn register_color(t: &Toolbox, r: v1::RegisterColorRequest) -> Result<v1::RegisterColorResponse> {
     let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
     let color = depth::color("color", r.color.as_ref(), t.limits())?;
     let depth_camera = camera("depth_camera", r.depth_camera.as_ref())?;

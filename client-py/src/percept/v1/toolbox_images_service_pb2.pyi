@@ -10,6 +10,7 @@ from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
+from percept.v1 import toolbox_pb2 as _toolbox_pb2
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -69,37 +70,200 @@ TWO_VIEW_OUTCOME_PLANAR: TwoViewOutcome.ValueType  # 3
 """A plane fills the images: the pose is the likelier one of two."""
 Global___TwoViewOutcome: _TypeAlias = TwoViewOutcome  # noqa: Y015
 
-class _FeatureMethod:
-    ValueType = _typing.NewType("ValueType", _builtins.int)
-    V: _TypeAlias = ValueType  # noqa: Y015
+@_typing.final
+class ExtractFeaturesRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
 
-class _FeatureMethodEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_FeatureMethod.ValueType], _builtins.type):
-    DESCRIPTOR: _descriptor.EnumDescriptor
-    FEATURE_METHOD_UNSPECIFIED: _FeatureMethod.ValueType  # 0
-    """ORB."""
-    FEATURE_METHOD_ORB: _FeatureMethod.ValueType  # 1
-    """Rublee et al. 2011: oriented FAST corners, 256 bits."""
-    FEATURE_METHOD_SIFT: _FeatureMethod.ValueType  # 2
-    """Lowe 2004: blobs in scale space, 128 numbers."""
+    IMAGE_FIELD_NUMBER: _builtins.int
+    METHOD_FIELD_NUMBER: _builtins.int
+    MAX_FEATURES_FIELD_NUMBER: _builtins.int
+    NUM_LEVELS_FIELD_NUMBER: _builtins.int
+    SCALE_FACTOR_FIELD_NUMBER: _builtins.int
+    FAST_THRESHOLD_FIELD_NUMBER: _builtins.int
+    CONTRAST_THRESHOLD_FIELD_NUMBER: _builtins.int
+    EDGE_THRESHOLD_FIELD_NUMBER: _builtins.int
+    ROOT_FIELD_NUMBER: _builtins.int
+    method: _toolbox_pb2.FeatureMethod.ValueType
+    max_features: _builtins.int
+    """1 to 100000. Absent: 1000."""
+    num_levels: _builtins.int
+    """ORB only: pyramid levels, 1 to 16. Absent: 8."""
+    scale_factor: _builtins.float
+    """ORB only: from one level to the next, 1.05 to 1.95. Absent: 1.2."""
+    fast_threshold: _builtins.int
+    """ORB only: least difference of grey between a corner and its surroundings, 1 to 254. Absent: 14."""
+    contrast_threshold: _builtins.float
+    """SIFT only: least contrast, 0 to 1. Absent: 0.04."""
+    edge_threshold: _builtins.float
+    """SIFT only: greatest ratio of curvatures, at least 1. Absent: 10."""
+    root: _builtins.bool
+    """SIFT only: Hellinger's kernel on top (RootSIFT)."""
+    @_builtins.property
+    def image(self) -> _sensor_pb2.ColorImage:
+        """Its grey is used."""
 
-class FeatureMethod(_FeatureMethod, metaclass=_FeatureMethodEnumTypeWrapper):
-    """How features are found."""
+    def __init__(
+        self,
+        *,
+        image: _sensor_pb2.ColorImage | None = ...,
+        method: _toolbox_pb2.FeatureMethod.ValueType = ...,
+        max_features: _builtins.int | None = ...,
+        num_levels: _builtins.int | None = ...,
+        scale_factor: _builtins.float | None = ...,
+        fast_threshold: _builtins.int | None = ...,
+        contrast_threshold: _builtins.float | None = ...,
+        edge_threshold: _builtins.float | None = ...,
+        root: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_contrast_threshold", b"_contrast_threshold", "_edge_threshold", b"_edge_threshold", "_fast_threshold", b"_fast_threshold", "_max_features", b"_max_features", "_num_levels", b"_num_levels", "_scale_factor", b"_scale_factor", "contrast_threshold", b"contrast_threshold", "edge_threshold", b"edge_threshold", "fast_threshold", b"fast_threshold", "image", b"image", "max_features", b"max_features", "num_levels", b"num_levels", "scale_factor", b"scale_factor"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_contrast_threshold", b"_contrast_threshold", "_edge_threshold", b"_edge_threshold", "_fast_threshold", b"_fast_threshold", "_max_features", b"_max_features", "_num_levels", b"_num_levels", "_scale_factor", b"_scale_factor", "contrast_threshold", b"contrast_threshold", "edge_threshold", b"edge_threshold", "fast_threshold", b"fast_threshold", "image", b"image", "max_features", b"max_features", "method", b"method", "num_levels", b"num_levels", "root", b"root", "scale_factor", b"scale_factor"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__contrast_threshold: _TypeAlias = _typing.Literal["contrast_threshold"]  # noqa: Y015
+    _WhichOneofArgType__contrast_threshold: _TypeAlias = _typing.Literal["_contrast_threshold", b"_contrast_threshold"]  # noqa: Y015
+    _WhichOneofReturnType__edge_threshold: _TypeAlias = _typing.Literal["edge_threshold"]  # noqa: Y015
+    _WhichOneofArgType__edge_threshold: _TypeAlias = _typing.Literal["_edge_threshold", b"_edge_threshold"]  # noqa: Y015
+    _WhichOneofReturnType__fast_threshold: _TypeAlias = _typing.Literal["fast_threshold"]  # noqa: Y015
+    _WhichOneofArgType__fast_threshold: _TypeAlias = _typing.Literal["_fast_threshold", b"_fast_threshold"]  # noqa: Y015
+    _WhichOneofReturnType__max_features: _TypeAlias = _typing.Literal["max_features"]  # noqa: Y015
+    _WhichOneofArgType__max_features: _TypeAlias = _typing.Literal["_max_features", b"_max_features"]  # noqa: Y015
+    _WhichOneofReturnType__num_levels: _TypeAlias = _typing.Literal["num_levels"]  # noqa: Y015
+    _WhichOneofArgType__num_levels: _TypeAlias = _typing.Literal["_num_levels", b"_num_levels"]  # noqa: Y015
+    _WhichOneofReturnType__scale_factor: _TypeAlias = _typing.Literal["scale_factor"]  # noqa: Y015
+    _WhichOneofArgType__scale_factor: _TypeAlias = _typing.Literal["_scale_factor", b"_scale_factor"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__contrast_threshold) -> _WhichOneofReturnType__contrast_threshold | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__edge_threshold) -> _WhichOneofReturnType__edge_threshold | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__fast_threshold) -> _WhichOneofReturnType__fast_threshold | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_features) -> _WhichOneofReturnType__max_features | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_levels) -> _WhichOneofReturnType__num_levels | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__scale_factor) -> _WhichOneofReturnType__scale_factor | None: ...
 
-FEATURE_METHOD_UNSPECIFIED: FeatureMethod.ValueType  # 0
-"""ORB."""
-FEATURE_METHOD_ORB: FeatureMethod.ValueType  # 1
-"""Rublee et al. 2011: oriented FAST corners, 256 bits."""
-FEATURE_METHOD_SIFT: FeatureMethod.ValueType  # 2
-"""Lowe 2004: blobs in scale space, 128 numbers."""
-Global___FeatureMethod: _TypeAlias = FeatureMethod  # noqa: Y015
+Global___ExtractFeaturesRequest: _TypeAlias = ExtractFeaturesRequest  # noqa: Y015
+
+@_typing.final
+class ExtractFeaturesResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    POINTS_FIELD_NUMBER: _builtins.int
+    SIZES_PX_FIELD_NUMBER: _builtins.int
+    ANGLES_RAD_FIELD_NUMBER: _builtins.int
+    RESPONSES_FIELD_NUMBER: _builtins.int
+    OCTAVES_FIELD_NUMBER: _builtins.int
+    DESCRIPTORS_FIELD_NUMBER: _builtins.int
+    DESCRIPTOR_BYTES_FIELD_NUMBER: _builtins.int
+    points: _builtins.bytes
+    """K x 2 float32: column and row, pixels."""
+    sizes_px: _builtins.bytes
+    """K float32: diameter of what was described, pixels."""
+    angles_rad: _builtins.bytes
+    """K float32: main direction from x towards y (down), radians."""
+    responses: _builtins.bytes
+    """K float32: how distinct; comparable within one image."""
+    octaves: _builtins.bytes
+    """K int32: pyramid level (ORB) or octave (SIFT)."""
+    descriptors: _builtins.bytes
+    """K x descriptor_bytes."""
+    descriptor_bytes: _builtins.int
+    """32 of bits (ORB), 128 of numbers (SIFT)."""
+    def __init__(
+        self,
+        *,
+        points: _builtins.bytes = ...,
+        sizes_px: _builtins.bytes = ...,
+        angles_rad: _builtins.bytes = ...,
+        responses: _builtins.bytes = ...,
+        octaves: _builtins.bytes = ...,
+        descriptors: _builtins.bytes = ...,
+        descriptor_bytes: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["angles_rad", b"angles_rad", "descriptor_bytes", b"descriptor_bytes", "descriptors", b"descriptors", "octaves", b"octaves", "points", b"points", "responses", b"responses", "sizes_px", b"sizes_px"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ExtractFeaturesResponse: _TypeAlias = ExtractFeaturesResponse  # noqa: Y015
+
+@_typing.final
+class MatchFeaturesRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    QUERY_FIELD_NUMBER: _builtins.int
+    TRAIN_FIELD_NUMBER: _builtins.int
+    DESCRIPTOR_BYTES_FIELD_NUMBER: _builtins.int
+    RATIO_FIELD_NUMBER: _builtins.int
+    MUTUAL_FIELD_NUMBER: _builtins.int
+    MAX_DISTANCE_FIELD_NUMBER: _builtins.int
+    query: _builtins.bytes
+    """K x descriptor_bytes, as ExtractFeatures gives them."""
+    train: _builtins.bytes
+    """L x descriptor_bytes."""
+    descriptor_bytes: _builtins.int
+    """32 (bits, Hamming's distance) or 128 (numbers, Euclid's)."""
+    ratio: _builtins.float
+    """The nearest has to be nearer than this times the second nearest; above 0, 1 takes every nearest. Absent: 0.75."""
+    mutual: _builtins.bool
+    """Keep a match only if each is the other's nearest."""
+    max_distance: _builtins.float
+    """Absent: any."""
+    def __init__(
+        self,
+        *,
+        query: _builtins.bytes = ...,
+        train: _builtins.bytes = ...,
+        descriptor_bytes: _builtins.int = ...,
+        ratio: _builtins.float | None = ...,
+        mutual: _builtins.bool = ...,
+        max_distance: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_distance", b"_max_distance", "_ratio", b"_ratio", "max_distance", b"max_distance", "ratio", b"ratio"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_distance", b"_max_distance", "_ratio", b"_ratio", "descriptor_bytes", b"descriptor_bytes", "max_distance", b"max_distance", "mutual", b"mutual", "query", b"query", "ratio", b"ratio", "train", b"train"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__max_distance: _TypeAlias = _typing.Literal["max_distance"]  # noqa: Y015
+    _WhichOneofArgType__max_distance: _TypeAlias = _typing.Literal["_max_distance", b"_max_distance"]  # noqa: Y015
+    _WhichOneofReturnType__ratio: _TypeAlias = _typing.Literal["ratio"]  # noqa: Y015
+    _WhichOneofArgType__ratio: _TypeAlias = _typing.Literal["_ratio", b"_ratio"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_distance) -> _WhichOneofReturnType__max_distance | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__ratio) -> _WhichOneofReturnType__ratio | None: ...
+
+Global___MatchFeaturesRequest: _TypeAlias = MatchFeaturesRequest  # noqa: Y015
+
+@_typing.final
+class MatchFeaturesResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PAIRS_FIELD_NUMBER: _builtins.int
+    DISTANCES_FIELD_NUMBER: _builtins.int
+    pairs: _builtins.bytes
+    """M x 2 uint32: index in query, index in train; in the order of the queries."""
+    distances: _builtins.bytes
+    """M float32: differing bits, or Euclidean."""
+    def __init__(
+        self,
+        *,
+        pairs: _builtins.bytes = ...,
+        distances: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["distances", b"distances", "pairs", b"pairs"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___MatchFeaturesResponse: _TypeAlias = MatchFeaturesResponse  # noqa: Y015
 
 @_typing.final
 class RansacParams(_message.Message):
-    """Several views of one scene: messages of the toolbox. Pixels are columns and rows of the full image; the centre of the
-    top-left pixel is (0, 0).
-
-    How a model is sought among correspondences of which some are wrong.
-    """
+    """How a model is sought among correspondences of which some are wrong."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -530,194 +694,3 @@ class SolvePnpResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___SolvePnpResponse: _TypeAlias = SolvePnpResponse  # noqa: Y015
-
-@_typing.final
-class ExtractFeaturesRequest(_message.Message):
-    DESCRIPTOR: _descriptor.Descriptor
-
-    IMAGE_FIELD_NUMBER: _builtins.int
-    METHOD_FIELD_NUMBER: _builtins.int
-    MAX_FEATURES_FIELD_NUMBER: _builtins.int
-    NUM_LEVELS_FIELD_NUMBER: _builtins.int
-    SCALE_FACTOR_FIELD_NUMBER: _builtins.int
-    FAST_THRESHOLD_FIELD_NUMBER: _builtins.int
-    CONTRAST_THRESHOLD_FIELD_NUMBER: _builtins.int
-    EDGE_THRESHOLD_FIELD_NUMBER: _builtins.int
-    ROOT_FIELD_NUMBER: _builtins.int
-    method: Global___FeatureMethod.ValueType
-    max_features: _builtins.int
-    """1 to 100000. Absent: 1000."""
-    num_levels: _builtins.int
-    """ORB only: pyramid levels, 1 to 16. Absent: 8."""
-    scale_factor: _builtins.float
-    """ORB only: from one level to the next, 1.05 to 1.95. Absent: 1.2."""
-    fast_threshold: _builtins.int
-    """ORB only: least difference of grey between a corner and its surroundings, 1 to 254. Absent: 14."""
-    contrast_threshold: _builtins.float
-    """SIFT only: least contrast, 0 to 1. Absent: 0.04."""
-    edge_threshold: _builtins.float
-    """SIFT only: greatest ratio of curvatures, at least 1. Absent: 10."""
-    root: _builtins.bool
-    """SIFT only: Hellinger's kernel on top (RootSIFT)."""
-    @_builtins.property
-    def image(self) -> _sensor_pb2.ColorImage:
-        """Its grey is used."""
-
-    def __init__(
-        self,
-        *,
-        image: _sensor_pb2.ColorImage | None = ...,
-        method: Global___FeatureMethod.ValueType = ...,
-        max_features: _builtins.int | None = ...,
-        num_levels: _builtins.int | None = ...,
-        scale_factor: _builtins.float | None = ...,
-        fast_threshold: _builtins.int | None = ...,
-        contrast_threshold: _builtins.float | None = ...,
-        edge_threshold: _builtins.float | None = ...,
-        root: _builtins.bool = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_contrast_threshold", b"_contrast_threshold", "_edge_threshold", b"_edge_threshold", "_fast_threshold", b"_fast_threshold", "_max_features", b"_max_features", "_num_levels", b"_num_levels", "_scale_factor", b"_scale_factor", "contrast_threshold", b"contrast_threshold", "edge_threshold", b"edge_threshold", "fast_threshold", b"fast_threshold", "image", b"image", "max_features", b"max_features", "num_levels", b"num_levels", "scale_factor", b"scale_factor"]  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_contrast_threshold", b"_contrast_threshold", "_edge_threshold", b"_edge_threshold", "_fast_threshold", b"_fast_threshold", "_max_features", b"_max_features", "_num_levels", b"_num_levels", "_scale_factor", b"_scale_factor", "contrast_threshold", b"contrast_threshold", "edge_threshold", b"edge_threshold", "fast_threshold", b"fast_threshold", "image", b"image", "max_features", b"max_features", "method", b"method", "num_levels", b"num_levels", "root", b"root", "scale_factor", b"scale_factor"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__contrast_threshold: _TypeAlias = _typing.Literal["contrast_threshold"]  # noqa: Y015
-    _WhichOneofArgType__contrast_threshold: _TypeAlias = _typing.Literal["_contrast_threshold", b"_contrast_threshold"]  # noqa: Y015
-    _WhichOneofReturnType__edge_threshold: _TypeAlias = _typing.Literal["edge_threshold"]  # noqa: Y015
-    _WhichOneofArgType__edge_threshold: _TypeAlias = _typing.Literal["_edge_threshold", b"_edge_threshold"]  # noqa: Y015
-    _WhichOneofReturnType__fast_threshold: _TypeAlias = _typing.Literal["fast_threshold"]  # noqa: Y015
-    _WhichOneofArgType__fast_threshold: _TypeAlias = _typing.Literal["_fast_threshold", b"_fast_threshold"]  # noqa: Y015
-    _WhichOneofReturnType__max_features: _TypeAlias = _typing.Literal["max_features"]  # noqa: Y015
-    _WhichOneofArgType__max_features: _TypeAlias = _typing.Literal["_max_features", b"_max_features"]  # noqa: Y015
-    _WhichOneofReturnType__num_levels: _TypeAlias = _typing.Literal["num_levels"]  # noqa: Y015
-    _WhichOneofArgType__num_levels: _TypeAlias = _typing.Literal["_num_levels", b"_num_levels"]  # noqa: Y015
-    _WhichOneofReturnType__scale_factor: _TypeAlias = _typing.Literal["scale_factor"]  # noqa: Y015
-    _WhichOneofArgType__scale_factor: _TypeAlias = _typing.Literal["_scale_factor", b"_scale_factor"]  # noqa: Y015
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__contrast_threshold) -> _WhichOneofReturnType__contrast_threshold | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__edge_threshold) -> _WhichOneofReturnType__edge_threshold | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__fast_threshold) -> _WhichOneofReturnType__fast_threshold | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_features) -> _WhichOneofReturnType__max_features | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_levels) -> _WhichOneofReturnType__num_levels | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__scale_factor) -> _WhichOneofReturnType__scale_factor | None: ...
-
-Global___ExtractFeaturesRequest: _TypeAlias = ExtractFeaturesRequest  # noqa: Y015
-
-@_typing.final
-class ExtractFeaturesResponse(_message.Message):
-    DESCRIPTOR: _descriptor.Descriptor
-
-    POINTS_FIELD_NUMBER: _builtins.int
-    SIZES_PX_FIELD_NUMBER: _builtins.int
-    ANGLES_RAD_FIELD_NUMBER: _builtins.int
-    RESPONSES_FIELD_NUMBER: _builtins.int
-    OCTAVES_FIELD_NUMBER: _builtins.int
-    DESCRIPTORS_FIELD_NUMBER: _builtins.int
-    DESCRIPTOR_BYTES_FIELD_NUMBER: _builtins.int
-    points: _builtins.bytes
-    """K x 2 float32: column and row, pixels."""
-    sizes_px: _builtins.bytes
-    """K float32: diameter of what was described, pixels."""
-    angles_rad: _builtins.bytes
-    """K float32: main direction from x towards y (down), radians."""
-    responses: _builtins.bytes
-    """K float32: how distinct; comparable within one image."""
-    octaves: _builtins.bytes
-    """K int32: pyramid level (ORB) or octave (SIFT)."""
-    descriptors: _builtins.bytes
-    """K x descriptor_bytes."""
-    descriptor_bytes: _builtins.int
-    """32 of bits (ORB), 128 of numbers (SIFT)."""
-    def __init__(
-        self,
-        *,
-        points: _builtins.bytes = ...,
-        sizes_px: _builtins.bytes = ...,
-        angles_rad: _builtins.bytes = ...,
-        responses: _builtins.bytes = ...,
-        octaves: _builtins.bytes = ...,
-        descriptors: _builtins.bytes = ...,
-        descriptor_bytes: _builtins.int = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["angles_rad", b"angles_rad", "descriptor_bytes", b"descriptor_bytes", "descriptors", b"descriptors", "octaves", b"octaves", "points", b"points", "responses", b"responses", "sizes_px", b"sizes_px"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
-
-Global___ExtractFeaturesResponse: _TypeAlias = ExtractFeaturesResponse  # noqa: Y015
-
-@_typing.final
-class MatchFeaturesRequest(_message.Message):
-    DESCRIPTOR: _descriptor.Descriptor
-
-    QUERY_FIELD_NUMBER: _builtins.int
-    TRAIN_FIELD_NUMBER: _builtins.int
-    DESCRIPTOR_BYTES_FIELD_NUMBER: _builtins.int
-    RATIO_FIELD_NUMBER: _builtins.int
-    MUTUAL_FIELD_NUMBER: _builtins.int
-    MAX_DISTANCE_FIELD_NUMBER: _builtins.int
-    query: _builtins.bytes
-    """K x descriptor_bytes, as ExtractFeatures gives them."""
-    train: _builtins.bytes
-    """L x descriptor_bytes."""
-    descriptor_bytes: _builtins.int
-    """32 (bits, Hamming's distance) or 128 (numbers, Euclid's)."""
-    ratio: _builtins.float
-    """The nearest has to be nearer than this times the second nearest; above 0, 1 takes every nearest. Absent: 0.75."""
-    mutual: _builtins.bool
-    """Keep a match only if each is the other's nearest."""
-    max_distance: _builtins.float
-    """Absent: any."""
-    def __init__(
-        self,
-        *,
-        query: _builtins.bytes = ...,
-        train: _builtins.bytes = ...,
-        descriptor_bytes: _builtins.int = ...,
-        ratio: _builtins.float | None = ...,
-        mutual: _builtins.bool = ...,
-        max_distance: _builtins.float | None = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_distance", b"_max_distance", "_ratio", b"_ratio", "max_distance", b"max_distance", "ratio", b"ratio"]  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_distance", b"_max_distance", "_ratio", b"_ratio", "descriptor_bytes", b"descriptor_bytes", "max_distance", b"max_distance", "mutual", b"mutual", "query", b"query", "ratio", b"ratio", "train", b"train"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__max_distance: _TypeAlias = _typing.Literal["max_distance"]  # noqa: Y015
-    _WhichOneofArgType__max_distance: _TypeAlias = _typing.Literal["_max_distance", b"_max_distance"]  # noqa: Y015
-    _WhichOneofReturnType__ratio: _TypeAlias = _typing.Literal["ratio"]  # noqa: Y015
-    _WhichOneofArgType__ratio: _TypeAlias = _typing.Literal["_ratio", b"_ratio"]  # noqa: Y015
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_distance) -> _WhichOneofReturnType__max_distance | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__ratio) -> _WhichOneofReturnType__ratio | None: ...
-
-Global___MatchFeaturesRequest: _TypeAlias = MatchFeaturesRequest  # noqa: Y015
-
-@_typing.final
-class MatchFeaturesResponse(_message.Message):
-    DESCRIPTOR: _descriptor.Descriptor
-
-    PAIRS_FIELD_NUMBER: _builtins.int
-    DISTANCES_FIELD_NUMBER: _builtins.int
-    pairs: _builtins.bytes
-    """M x 2 uint32: index in query, index in train; in the order of the queries."""
-    distances: _builtins.bytes
-    """M float32: differing bits, or Euclidean."""
-    def __init__(
-        self,
-        *,
-        pairs: _builtins.bytes = ...,
-        distances: _builtins.bytes = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["distances", b"distances", "pairs", b"pairs"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
-
-Global___MatchFeaturesResponse: _TypeAlias = MatchFeaturesResponse  # noqa: Y015

@@ -9,6 +9,7 @@ from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
 from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
+from percept.v1 import toolbox_pb2 as _toolbox_pb2
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -21,11 +22,203 @@ else:
 DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
-class MedianFilter(_message.Message):
-    """Depth images: messages of the toolbox. Depth images of answers are float32 metres; 0 is no return.
+class UnprojectDepthRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
 
-    Square median.
-    """
+    DEPTH_FIELD_NUMBER: _builtins.int
+    COLOR_FIELD_NUMBER: _builtins.int
+    INTRINSICS_FIELD_NUMBER: _builtins.int
+    STRIDE_FIELD_NUMBER: _builtins.int
+    MIN_DEPTH_M_FIELD_NUMBER: _builtins.int
+    MAX_DEPTH_M_FIELD_NUMBER: _builtins.int
+    KEEP_RESULT_FIELD_NUMBER: _builtins.int
+    stride: _builtins.int
+    """Every stride-th pixel of every stride-th row. Absent: 1."""
+    min_depth_m: _builtins.float
+    """Metres. Absent: 0."""
+    max_depth_m: _builtins.float
+    """Metres. Absent: 10."""
+    keep_result: _builtins.bool
+    """Keep the resulting cloud on the server and send its handle in place of it."""
+    @_builtins.property
+    def depth(self) -> _sensor_pb2.DepthImage: ...
+    @_builtins.property
+    def color(self) -> _sensor_pb2.ColorImage:
+        """Of the same size as the depth image. Absent: no colour."""
+
+    @_builtins.property
+    def intrinsics(self) -> _sensor_pb2.CameraIntrinsics: ...
+    def __init__(
+        self,
+        *,
+        depth: _sensor_pb2.DepthImage | None = ...,
+        color: _sensor_pb2.ColorImage | None = ...,
+        intrinsics: _sensor_pb2.CameraIntrinsics | None = ...,
+        stride: _builtins.int | None = ...,
+        min_depth_m: _builtins.float | None = ...,
+        max_depth_m: _builtins.float | None = ...,
+        keep_result: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_color", b"_color", "_max_depth_m", b"_max_depth_m", "_min_depth_m", b"_min_depth_m", "_stride", b"_stride", "color", b"color", "depth", b"depth", "intrinsics", b"intrinsics", "max_depth_m", b"max_depth_m", "min_depth_m", b"min_depth_m", "stride", b"stride"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_color", b"_color", "_max_depth_m", b"_max_depth_m", "_min_depth_m", b"_min_depth_m", "_stride", b"_stride", "color", b"color", "depth", b"depth", "intrinsics", b"intrinsics", "keep_result", b"keep_result", "max_depth_m", b"max_depth_m", "min_depth_m", b"min_depth_m", "stride", b"stride"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__color: _TypeAlias = _typing.Literal["color"]  # noqa: Y015
+    _WhichOneofArgType__color: _TypeAlias = _typing.Literal["_color", b"_color"]  # noqa: Y015
+    _WhichOneofReturnType__max_depth_m: _TypeAlias = _typing.Literal["max_depth_m"]  # noqa: Y015
+    _WhichOneofArgType__max_depth_m: _TypeAlias = _typing.Literal["_max_depth_m", b"_max_depth_m"]  # noqa: Y015
+    _WhichOneofReturnType__min_depth_m: _TypeAlias = _typing.Literal["min_depth_m"]  # noqa: Y015
+    _WhichOneofArgType__min_depth_m: _TypeAlias = _typing.Literal["_min_depth_m", b"_min_depth_m"]  # noqa: Y015
+    _WhichOneofReturnType__stride: _TypeAlias = _typing.Literal["stride"]  # noqa: Y015
+    _WhichOneofArgType__stride: _TypeAlias = _typing.Literal["_stride", b"_stride"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__color) -> _WhichOneofReturnType__color | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_depth_m) -> _WhichOneofReturnType__max_depth_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_depth_m) -> _WhichOneofReturnType__min_depth_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__stride) -> _WhichOneofReturnType__stride | None: ...
+
+Global___UnprojectDepthRequest: _TypeAlias = UnprojectDepthRequest  # noqa: Y015
+
+@_typing.final
+class UnprojectDepthResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLOUD_FIELD_NUMBER: _builtins.int
+    KEPT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def cloud(self) -> _geometry_pb2.PointCloud:
+        """Optical frame, metres."""
+
+    @_builtins.property
+    def kept(self) -> _toolbox_pb2.CloudHandle:
+        """In place of cloud, if keep_result was set."""
+
+    def __init__(
+        self,
+        *,
+        cloud: _geometry_pb2.PointCloud | None = ...,
+        kept: _toolbox_pb2.CloudHandle | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_kept", b"_kept", "cloud", b"cloud", "kept", b"kept"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__kept: _TypeAlias = _typing.Literal["kept"]  # noqa: Y015
+    _WhichOneofArgType__kept: _TypeAlias = _typing.Literal["_kept", b"_kept"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__kept) -> _WhichOneofReturnType__kept | None: ...
+
+Global___UnprojectDepthResponse: _TypeAlias = UnprojectDepthResponse  # noqa: Y015
+
+@_typing.final
+class ConvertDepthRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DEPTH_FIELD_NUMBER: _builtins.int
+    ENCODING_FIELD_NUMBER: _builtins.int
+    METRES_PER_UNIT_FIELD_NUMBER: _builtins.int
+    encoding: _sensor_pb2.DepthEncoding.ValueType
+    """UNSPECIFIED: F32."""
+    metres_per_unit: _builtins.float
+    """Of the answer, metres; for U16 and PNG16. Absent: 0.001."""
+    @_builtins.property
+    def depth(self) -> _sensor_pb2.DepthImage:
+        """A PNG16 may leave its size 0: it is the file's."""
+
+    def __init__(
+        self,
+        *,
+        depth: _sensor_pb2.DepthImage | None = ...,
+        encoding: _sensor_pb2.DepthEncoding.ValueType = ...,
+        metres_per_unit: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_metres_per_unit", b"_metres_per_unit", "depth", b"depth", "metres_per_unit", b"metres_per_unit"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_metres_per_unit", b"_metres_per_unit", "depth", b"depth", "encoding", b"encoding", "metres_per_unit", b"metres_per_unit"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__metres_per_unit: _TypeAlias = _typing.Literal["metres_per_unit"]  # noqa: Y015
+    _WhichOneofArgType__metres_per_unit: _TypeAlias = _typing.Literal["_metres_per_unit", b"_metres_per_unit"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__metres_per_unit) -> _WhichOneofReturnType__metres_per_unit | None: ...
+
+Global___ConvertDepthRequest: _TypeAlias = ConvertDepthRequest  # noqa: Y015
+
+@_typing.final
+class ConvertDepthResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DEPTH_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def depth(self) -> _sensor_pb2.DepthImage: ...
+    def __init__(
+        self,
+        *,
+        depth: _sensor_pb2.DepthImage | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["depth", b"depth"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["depth", b"depth"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ConvertDepthResponse: _TypeAlias = ConvertDepthResponse  # noqa: Y015
+
+@_typing.final
+class ConvertColorRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    COLOR_FIELD_NUMBER: _builtins.int
+    ENCODING_FIELD_NUMBER: _builtins.int
+    QUALITY_FIELD_NUMBER: _builtins.int
+    encoding: _sensor_pb2.ColorEncoding.ValueType
+    """UNSPECIFIED: RGB8."""
+    quality: _builtins.int
+    """Of a JPEG, 1 to 100. Absent: 90."""
+    @_builtins.property
+    def color(self) -> _sensor_pb2.ColorImage:
+        """A PNG or JPEG may leave its size 0: it is the file's."""
+
+    def __init__(
+        self,
+        *,
+        color: _sensor_pb2.ColorImage | None = ...,
+        encoding: _sensor_pb2.ColorEncoding.ValueType = ...,
+        quality: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_quality", b"_quality", "color", b"color", "quality", b"quality"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_quality", b"_quality", "color", b"color", "encoding", b"encoding", "quality", b"quality"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__quality: _TypeAlias = _typing.Literal["quality"]  # noqa: Y015
+    _WhichOneofArgType__quality: _TypeAlias = _typing.Literal["_quality", b"_quality"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__quality) -> _WhichOneofReturnType__quality | None: ...
+
+Global___ConvertColorRequest: _TypeAlias = ConvertColorRequest  # noqa: Y015
+
+@_typing.final
+class ConvertColorResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    COLOR_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def color(self) -> _sensor_pb2.ColorImage: ...
+    def __init__(
+        self,
+        *,
+        color: _sensor_pb2.ColorImage | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["color", b"color"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["color", b"color"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ConvertColorResponse: _TypeAlias = ConvertColorResponse  # noqa: Y015
+
+@_typing.final
+class MedianFilter(_message.Message):
+    """Square median."""
 
     DESCRIPTOR: _descriptor.Descriptor
 

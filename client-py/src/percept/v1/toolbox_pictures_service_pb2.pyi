@@ -6,8 +6,8 @@ isort:skip_file
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
-from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
+from percept.v1 import toolbox_pb2 as _toolbox_pb2
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -39,10 +39,7 @@ class _CloudViewEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_CloudView.V
     """As the camera at the origin of an optical frame: x to the right, y down, z away. With vanishing points."""
 
 class CloudView(_CloudView, metaclass=_CloudViewEnumTypeWrapper):
-    """Pictures to look at: messages of the toolbox.
-
-    From where a cloud is seen. The view fits itself to where nearly all points are.
-    """
+    """From where a cloud is seen. The view fits itself to where nearly all points are."""
 
 CLOUD_VIEW_UNSPECIFIED: CloudView.ValueType  # 0
 """TOP."""
@@ -107,7 +104,6 @@ class RenderCloudRequest(_message.Message):
     POINT_SIZE_PX_FIELD_NUMBER: _builtins.int
     SHADE_FIELD_NUMBER: _builtins.int
     BACKGROUND_FIELD_NUMBER: _builtins.int
-    CLOUD_HANDLE_FIELD_NUMBER: _builtins.int
     view: Global___CloudView.ValueType
     coloring: Global___CloudColoring.ValueType
     labels: _builtins.bytes
@@ -122,14 +118,12 @@ class RenderCloudRequest(_message.Message):
     """Darken points behind the edges of nearer ones. Absent: true."""
     background: _builtins.bytes
     """R G B where no point is. Absent: white."""
-    cloud_handle: _builtins.str
-    """Instead of cloud: a kept one's handle."""
     @_builtins.property
-    def cloud(self) -> _geometry_pb2.PointCloud: ...
+    def cloud(self) -> _toolbox_pb2.CloudSource: ...
     def __init__(
         self,
         *,
-        cloud: _geometry_pb2.PointCloud | None = ...,
+        cloud: _toolbox_pb2.CloudSource | None = ...,
         view: Global___CloudView.ValueType = ...,
         coloring: Global___CloudColoring.ValueType = ...,
         labels: _builtins.bytes | None = ...,
@@ -138,16 +132,13 @@ class RenderCloudRequest(_message.Message):
         point_size_px: _builtins.int | None = ...,
         shade: _builtins.bool | None = ...,
         background: _builtins.bytes | None = ...,
-        cloud_handle: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_background", b"_background", "_cloud_handle", b"_cloud_handle", "_height_px", b"_height_px", "_labels", b"_labels", "_point_size_px", b"_point_size_px", "_shade", b"_shade", "_width_px", b"_width_px", "background", b"background", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "height_px", b"height_px", "labels", b"labels", "point_size_px", b"point_size_px", "shade", b"shade", "width_px", b"width_px"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_background", b"_background", "_height_px", b"_height_px", "_labels", b"_labels", "_point_size_px", b"_point_size_px", "_shade", b"_shade", "_width_px", b"_width_px", "background", b"background", "cloud", b"cloud", "height_px", b"height_px", "labels", b"labels", "point_size_px", b"point_size_px", "shade", b"shade", "width_px", b"width_px"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_background", b"_background", "_cloud_handle", b"_cloud_handle", "_height_px", b"_height_px", "_labels", b"_labels", "_point_size_px", b"_point_size_px", "_shade", b"_shade", "_width_px", b"_width_px", "background", b"background", "cloud", b"cloud", "cloud_handle", b"cloud_handle", "coloring", b"coloring", "height_px", b"height_px", "labels", b"labels", "point_size_px", b"point_size_px", "shade", b"shade", "view", b"view", "width_px", b"width_px"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_background", b"_background", "_height_px", b"_height_px", "_labels", b"_labels", "_point_size_px", b"_point_size_px", "_shade", b"_shade", "_width_px", b"_width_px", "background", b"background", "cloud", b"cloud", "coloring", b"coloring", "height_px", b"height_px", "labels", b"labels", "point_size_px", b"point_size_px", "shade", b"shade", "view", b"view", "width_px", b"width_px"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__background: _TypeAlias = _typing.Literal["background"]  # noqa: Y015
     _WhichOneofArgType__background: _TypeAlias = _typing.Literal["_background", b"_background"]  # noqa: Y015
-    _WhichOneofReturnType__cloud_handle: _TypeAlias = _typing.Literal["cloud_handle"]  # noqa: Y015
-    _WhichOneofArgType__cloud_handle: _TypeAlias = _typing.Literal["_cloud_handle", b"_cloud_handle"]  # noqa: Y015
     _WhichOneofReturnType__height_px: _TypeAlias = _typing.Literal["height_px"]  # noqa: Y015
     _WhichOneofArgType__height_px: _TypeAlias = _typing.Literal["_height_px", b"_height_px"]  # noqa: Y015
     _WhichOneofReturnType__labels: _TypeAlias = _typing.Literal["labels"]  # noqa: Y015
@@ -160,8 +151,6 @@ class RenderCloudRequest(_message.Message):
     _WhichOneofArgType__width_px: _TypeAlias = _typing.Literal["_width_px", b"_width_px"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__background) -> _WhichOneofReturnType__background | None: ...
-    @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__cloud_handle) -> _WhichOneofReturnType__cloud_handle | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__height_px) -> _WhichOneofReturnType__height_px | None: ...
     @_typing.overload

@@ -1,24 +1,60 @@
-//! Kept clouds, files, pipelines: decode, call, encode.
+//! Kept clouds: decode, call, encode.
 
 use super::super::maps::sha256_hex;
-use super::status;
+use super::super::{Answer, Api, Streamed, status, streamed};
 use futures::{Stream, StreamExt};
 use percept_service::toolbox::{Toolbox, suffix};
 use percept_service::{Error, Limits, Result};
-use percept_wire::convert::toolbox::{self as convert, files, pipeline};
+use percept_wire::convert::toolbox::{self as convert, files};
 use percept_wire::convert::{geometry, maps, required};
 use percept_wire::v1;
 use std::pin::pin;
-use tonic::Status;
+use std::sync::Arc;
+use tonic::{Request, Response, Status, Streaming};
 
-pub(super) fn upload_cloud(t: &Toolbox, r: v1::UploadCloudRequest) -> Result<v1::UploadCloudResponse> {
-    use v1::upload_cloud_request::Source;
-    let (cloud, origin_m) = match required("source", r.source.as_ref())? {
-        Source::Cloud(cloud) => {
-            let cloud = geometry::cloud(cloud, t.limits()).map_err(|e| e.within("cloud"))?;
-            (cloud, v1::Vector3::default())
+const RULE: &str = "ToolboxKeptCloudsService/*";
+
+#[tonic::async_trait]
+impl v1::toolbox_kept_clouds_service_server::ToolboxKeptCloudsService for Api {
+    type ListCloudsStream = Streamed<v1::ListCloudsResponse>;
+    type DownloadCloudStream = Streamed<v1::DownloadCloudResponse>;
+
+    async fn upload_cloud(&self, r: Request<v1::UploadCloudRequest>) -> Answer<v1::UploadCloudResponse> {
+        self.toolbox(RULE, r, upload_cloud).await
+    }
+
+    async fn upload_large_cloud(
+        &self,
+        r: Request<Streaming<v1::UploadLargeCloudRequest>>,
+    ) -> Answer<v1::UploadLargeCloudResponse> {
+        let caller = self.caller(&r)?;
+        caller.may(RULE).map_err(status::grpc)?;
+        let upload = received(r.into_inner(), caller.limits()).await?;
+        let kept = caller.toolbox(RULE, vec![], move |t| upload_large_cloud(t, upload)).await;
+        kept.map(Response::new).map_err(status::grpc)
+    }
+
+    async fn list_clouds(&self, r: Request<v1::ListCloudsRequest>) -> Answer<Self::ListCloudsStream> {
+        self.toolbox_in_parts(RULE, r, |t, _| Ok(convert::kept_list_to(&t.list_kept()))).await
+    }
+
+    async fn download_cloud(&self, r: Request<v1::DownloadCloudRequest>) -> Answer<Self::DownloadCloudStream> {
+        streamed(self.toolbox(RULE, r, download_cloud).await?.into_inner(), |part| part)
+    }
+
+    async fn drop_cloud(&self, r: Request<v1::DropCloudRequest>) -> Answer<v1::DropCloudResponse> {
+        self.toolbox(RULE, r, drop_cloud).await
+    }
+}
+
+fn upload_cloud(t: &Toolbox, r: v1::UploadCloudRequest) -> Result<v1::UploadCloudResponse> {
+    use v1::cloud_source::Source;
+    let (cloud, origin_m) = match r.cloud.as_ref().and_then(|s| s.source.as_ref()) {
+        Some(Source::File(file)) => {
+            let (cloud, origin_m) = files::decoded(Some(file), t.limits()).map_err(|e| e.within("cloud"))?;
+            (Arc::new(cloud), origin_m)
         }
-        Source::File(file) => files::decoded(Some(file), t.limits())?,
+        _ => (convert::cloud(t, "cloud", r.cloud.as_ref())?, v1::Vector3::default()),
     };
     let kept = convert::kept_to(&t.keep(cloud, r.keep_s)?);
     Ok(v1::UploadCloudResponse { kept: Some(kept), origin_m: Some(origin_m) })
@@ -26,7 +62,7 @@ pub(super) fn upload_cloud(t: &Toolbox, r: v1::UploadCloudRequest) -> Result<v1:
 
 /// Parts of an upload, as they came.
 #[derive(Default)]
-pub(super) struct Upload {
+struct Upload {
     points: Vec<v1::PointCloud>,
     file: Vec<u8>,
     format: i32,
@@ -37,7 +73,7 @@ pub(super) struct Upload {
 ///
 /// # Errors
 /// `UPLOAD_TOO_LARGE`, `UPLOAD_MIXED`; `FIELD_MISSING` for a stream without a part.
-pub(super) async fn received(
+async fn received(
     parts: impl Stream<Item = std::result::Result<v1::UploadLargeCloudRequest, Status>>,
     limits: &Limits,
 ) -> std::result::Result<Upload, Status> {
@@ -70,7 +106,7 @@ pub(super) async fn received(
     Ok(upload)
 }
 
-pub(super) fn upload_large_cloud(t: &Toolbox, upload: Upload) -> Result<v1::UploadLargeCloudResponse> {
+fn upload_large_cloud(t: &Toolbox, upload: Upload) -> Result<v1::UploadLargeCloudResponse> {
     let (cloud, origin_m) = if upload.points.is_empty() {
         let file = v1::CloudFile { data: upload.file.into(), format: upload.format };
         files::decoded(Some(&file), t.limits())?
@@ -82,16 +118,12 @@ pub(super) fn upload_large_cloud(t: &Toolbox, upload: Upload) -> Result<v1::Uplo
     Ok(v1::UploadLargeCloudResponse { kept: Some(kept), origin_m: Some(origin_m) })
 }
 
-pub(super) fn list_clouds(t: &Toolbox, _: v1::ListCloudsRequest) -> Result<v1::ListCloudsResponse> {
-    Ok(convert::kept_list_to(&t.list_kept()))
-}
-
-pub(super) fn drop_cloud(t: &Toolbox, r: v1::DropCloudRequest) -> Result<v1::DropCloudResponse> {
+fn drop_cloud(t: &Toolbox, r: v1::DropCloudRequest) -> Result<v1::DropCloudResponse> {
     t.drop_kept(&r.handle)?;
     Ok(v1::DropCloudResponse {})
 }
 
-pub(super) fn download_cloud(t: &Toolbox, r: v1::DownloadCloudRequest) -> Result<Vec<v1::DownloadCloudResponse>> {
+fn download_cloud(t: &Toolbox, r: v1::DownloadCloudRequest) -> Result<Vec<v1::DownloadCloudResponse>> {
     let cloud = t.kept("handle", &r.handle)?;
     let Some(format) = files::format("format", r.format)? else {
         let total = Some(cloud.len() as u64);
@@ -111,25 +143,4 @@ pub(super) fn download_cloud(t: &Toolbox, r: v1::DownloadCloudRequest) -> Result
     };
     let part = |chunk| v1::DownloadCloudResponse { chunk: Some(chunk), points: None };
     Ok(maps::chunks_of_file(&header, &data).into_iter().map(part).collect())
-}
-
-pub(super) fn decode_cloud(t: &Toolbox, r: v1::DecodeCloudRequest) -> Result<v1::DecodeCloudResponse> {
-    let (cloud, origin_m) = files::decoded(r.file.as_ref(), t.limits())?;
-    let (cloud, kept) = convert::result(t, cloud, r.keep_result)?;
-    Ok(v1::DecodeCloudResponse { cloud, origin_m: Some(origin_m), kept })
-}
-
-pub(super) fn encode_cloud(t: &Toolbox, r: v1::EncodeCloudRequest) -> Result<v1::EncodeCloudResponse> {
-    let cloud = convert::cloud(t, "cloud", r.cloud.as_ref(), r.cloud_handle.as_deref())?;
-    Ok(v1::EncodeCloudResponse { file: Some(files::encoded(&cloud, r.origin_m, r.format)?) })
-}
-
-pub(super) fn run_pipeline(t: &Toolbox, r: v1::RunPipelineRequest) -> Result<v1::RunPipelineResponse> {
-    let steps = pipeline::steps(&r)?;
-    let cloud = convert::cloud(t, "cloud", r.cloud.as_ref(), r.cloud_handle.as_deref())?;
-    let (cloud, reports) = t.run_pipeline(cloud, &steps)?;
-    let results = reports.iter().zip(&r.steps).map(|(report, s)| pipeline::report_to(report, s.quiet)).collect();
-    let sent = r.send_cloud.then(|| geometry::cloud_to(&cloud));
-    let kept = if r.keep_result { Some(convert::kept_to(&t.keep(cloud, None)?)) } else { None };
-    Ok(v1::RunPipelineResponse { results, cloud: sent, kept })
 }
