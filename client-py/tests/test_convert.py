@@ -26,7 +26,7 @@ def full_cloud(n=5):
     rng = np.random.default_rng(n)
     return PointCloud(
         rng.normal(size=(n, 3)).astype(np.float32),
-        colors=rng.integers(0, 255, (n, 3), dtype=np.uint8),
+        colours=rng.integers(0, 255, (n, 3), dtype=np.uint8),
         intensities=rng.random(n, dtype=np.float32),
         normals=rng.normal(size=(n, 3)).astype(np.float32),
         time_offsets_s=rng.random(n, dtype=np.float32),
@@ -43,7 +43,7 @@ def test_a_cloud_in_chunks_is_joined_in_order():
     parts = [
         PointCloud(
             whole.points[a:b],
-            colors=whole.colors[a:b],
+            colours=whole.colours[a:b],
             intensities=whole.intensities[a:b],
             normals=whole.normals[a:b],
             time_offsets_s=whole.time_offsets_s[a:b],
@@ -96,15 +96,17 @@ def test_depth_keeps_its_bits():
 
 
 def test_encoded_images_are_told_by_their_first_bytes():
-    def color_of(data):
+    def colour_of(data):
         depth = np.zeros((2, 2), np.float32)
-        color = EncodedImage(data=data, width_px=2, height_px=2)
-        return sensors.frame_to("s", RgbdFrame("c", stamp_ns=1, depth=depth, color=color)).rgbd.color.encoding
+        colour = EncodedImage(data=data, width_px=2, height_px=2)
+        return sensors.frame_to(
+            "s", RgbdFrame("c", stamp_ns=1, depth=depth, colour=colour)
+        ).rgbd.colour.encoding
 
-    assert color_of(b"\x89PNG....") == sensor_pb2.COLOR_ENCODING_PNG
-    assert color_of(b"\xff\xd8\xff\xe0") == sensor_pb2.COLOR_ENCODING_JPEG
+    assert colour_of(b"\x89PNG....") == sensor_pb2.COLOUR_ENCODING_PNG
+    assert colour_of(b"\xff\xd8\xff\xe0") == sensor_pb2.COLOUR_ENCODING_JPEG
     with pytest.raises(InvalidArgument) as error:
-        color_of(b"GIF89a")
+        colour_of(b"GIF89a")
     assert error.value.reason == "FILE_INVALID"
 
 

@@ -15,7 +15,7 @@ def cloud(first: int, count: int) -> geometry_pb2.PointCloud:
     return geometry_pb2.PointCloud(
         num_points=count,
         positions=b"".join(bytes([n]) * 12 for n in numbers),
-        colors=b"".join(bytes([n]) * 3 for n in numbers),
+        colours=b"".join(bytes([n]) * 3 for n in numbers),
     )
 
 
@@ -50,7 +50,7 @@ def test_what_is_absent_stays_absent():
     assert not whole.HasField("cloud")
     bare = geometry_pb2.PointCloud(num_points=1, positions=b"x" * 12)
     whole = joined([clouds.CropCloudResponse(cloud=bare), clouds.CropCloudResponse(cloud=bare)])
-    assert not whole.cloud.HasField("colors")
+    assert not whole.cloud.HasField("colours")
     assert geometry.cloud(whole.cloud).num_points == 2
 
 

@@ -71,8 +71,8 @@ def test_depth_in_units_needs_its_scale_and_metres_do_not():
         DepthFrame("d", stamp_ns=1, depth=units)
     DepthFrame("d", stamp_ns=1, depth=units, metres_per_unit=0.001)
     DepthFrame("d", stamp_ns=1, depth=metres)
-    with pytest.raises(InvalidArgument, match="color"):
-        RgbdFrame("d", stamp_ns=1, depth=metres, color=np.zeros((4, 6), np.uint8))
+    with pytest.raises(InvalidArgument, match="colour"):
+        RgbdFrame("d", stamp_ns=1, depth=metres, colour=np.zeros((4, 6), np.uint8))
 
 
 def test_other_memory_layouts_are_copied_into_ours():

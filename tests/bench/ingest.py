@@ -79,15 +79,15 @@ def recorded_frames(count):
     size = {"width_px": 640, "height_px": 480}
     out = []
     for path in sorted(folder.glob("frame-*.depth.png"))[:count]:
-        color = path.with_name(path.name.replace(".depth.png", ".color.jpg"))
+        colour = path.with_name(path.name.replace(".depth.png", ".color.jpg"))
         depth = EncodedImage(data=path.read_bytes(), **size)
-        out.append((depth, EncodedImage(data=color.read_bytes(), **size)))
+        out.append((depth, EncodedImage(data=colour.read_bytes(), **size)))
     return out
 
 
 def rendered_frames(count):
-    color = np.full((480, 640, 3), 128, np.uint8)
-    return [(world.depth_image(pose, VGA), color) for pose in world.drive(count)]
+    colour = np.full((480, 640, 3), 128, np.uint8)
+    return [(world.depth_image(pose, VGA), colour) for pose in world.drive(count)]
 
 
 def latencies_ms(ask, stop):
@@ -120,9 +120,9 @@ def under_slam(server, client, frames):
         asker.start()
     begin = time.perf_counter()
     with session.stream(max_in_flight=16) as stream:
-        for i, (depth, color) in enumerate(frames):
+        for i, (depth, colour) in enumerate(frames):
             stream.send_rgbd(
-                "camera", stamp_ns=(i * 2 * 10**9 + 15) // 30, depth=depth, color=color, metres_per_unit=0.001
+                "camera", stamp_ns=(i * 2 * 10**9 + 15) // 30, depth=depth, colour=colour, metres_per_unit=0.001
             )
     seconds = time.perf_counter() - begin
     stop.set()

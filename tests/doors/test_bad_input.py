@@ -59,8 +59,8 @@ def depth(**changes):
     return image
 
 
-def color(**changes):
-    image = s.ColorImage(width_px=W, height_px=H, encoding=s.COLOR_ENCODING_RGB8, data=bytes(W * H * 3))
+def colour(**changes):
+    image = s.ColourImage(width_px=W, height_px=H, encoding=s.COLOUR_ENCODING_RGB8, data=bytes(W * H * 3))
     for name, value in changes.items():
         setattr(image, name, value)
     return image
@@ -172,24 +172,24 @@ CASES = {
         BAD,
     ),
     "colour of another size": (
-        of("rgbd", rgbd={"depth": depth(), "color": color(height_px=H - 1, data=bytes(W * (H - 1) * 3))}),
-        "COLOR_SIZE_MISMATCH",
-        "rgbd.color",
+        of("rgbd", rgbd={"depth": depth(), "colour": colour(height_px=H - 1, data=bytes(W * (H - 1) * 3))}),
+        "COLOUR_SIZE_MISMATCH",
+        "rgbd.colour",
         BAD,
     ),
     "truncated colour": (
-        of("rgbd", rgbd={"depth": depth(), "color": color(data=bytes(5))}),
+        of("rgbd", rgbd={"depth": depth(), "colour": colour(data=bytes(5))}),
         "SIZE_MISMATCH",
-        "rgbd.color.data",
+        "rgbd.colour.data",
         BAD,
     ),
     "colour that is no jpeg": (
-        of("rgbd", rgbd={"depth": depth(), "color": color(encoding=s.COLOR_ENCODING_JPEG)}),
+        of("rgbd", rgbd={"depth": depth(), "colour": colour(encoding=s.COLOUR_ENCODING_JPEG)}),
         "FILE_INVALID",
-        "rgbd.color.data",
+        "rgbd.colour.data",
         BAD,
     ),
-    "rgbd without colour": (of("rgbd", rgbd={"depth": depth()}), "FIELD_MISSING", "rgbd.color", BAD),
+    "rgbd without colour": (of("rgbd", rgbd={"depth": depth()}), "FIELD_MISSING", "rgbd.colour", BAD),
     "message without data": (of("depth"), "FIELD_MISSING", "data", BAD),
     "data of another kind": (
         of("depth", cloud={"num_points": 3, "positions": floats(*np.ravel(POINTS))}),
@@ -227,7 +227,7 @@ CASES = {
         "cloud.intensities",
         BAD,
     ),
-    "colours that are short": (of_cloud(POINTS, colors=bytes(8)), "SIZE_MISMATCH", "cloud.colors", BAD),
+    "colours that are short": (of_cloud(POINTS, colours=bytes(8)), "SIZE_MISMATCH", "cloud.colours", BAD),
     "scan without beams": (of_scan(ranges_m=b""), "SCAN_EMPTY", "scan.ranges_m", BAD),
     "scan of half a beam": (of_scan(ranges_m=bytes(6)), "SCAN_EMPTY", "scan.ranges_m", BAD),
     "scan of one echo and a half": (
@@ -335,7 +335,7 @@ def test_what_is_good_is_still_taken_afterwards(client):
     session = client.sessions.create(sensors=SENSORS)
     good = [
         of_depth(),
-        of("rgbd", rgbd={"depth": depth(), "color": color()}),
+        of("rgbd", rgbd={"depth": depth(), "colour": colour()}),
         of_cloud(POINTS),
         of_scan(),
         of_odometry(covariance=IDENTITY),

@@ -25,7 +25,9 @@ SIDE = (1440, 1080)
 def services():
     for module in pkgutil.iter_modules(percept.v1.__path__):
         if module.name.endswith("_service_pb2"):
-            yield from importlib.import_module(f"percept.v1.{module.name}").DESCRIPTOR.services_by_name.values()
+            yield from importlib.import_module(
+                f"percept.v1.{module.name}"
+            ).DESCRIPTOR.services_by_name.values()
 
 
 RPCS = {f"{s.name}/{m.name}": m for s in services() for m in s.methods}
@@ -41,9 +43,9 @@ class Site:
         x, y = (a.ravel() for a in np.meshgrid(np.arange(1100) / 10 - 55, np.arange(MANY // 1100) / 10 - 50))
         z = 0.2 * np.sin(x / 5) + rng.normal(0, 0.002, x.size)
         normals = np.tile(np.array([0, 0, 1], np.float32), (x.size, 1))
-        colors = rng.integers(0, 256, (x.size, 3), np.uint8)
+        colours = rng.integers(0, 256, (x.size, 3), np.uint8)
         points = np.column_stack([x, y, z]).astype(np.float32)
-        hills = PointCloud(points, normals=normals, colors=colors)
+        hills = PointCloud(points, normals=normals, colours=colours)
         ball = rng.normal(size=(120_000, 3))
         ball /= np.linalg.norm(ball, axis=1, keepdims=True)
         toolbox = client.toolbox
@@ -51,12 +53,12 @@ class Site:
         # A desk of the same many points, for what works in millimetres.
         self.desk = toolbox.upload_cloud((points * (0.01, 0.01, 0)).astype(np.float32))
         few = slice(250_000)
-        self.part = toolbox.upload_cloud(PointCloud(points[few], normals=normals[few], colors=colors[few]))
+        self.part = toolbox.upload_cloud(PointCloud(points[few], normals=normals[few], colours=colours[few]))
         self.ball = toolbox.upload_cloud(ball.astype(np.float32))
         self.few = toolbox.upload_cloud(points[::500])
         self.file = toolbox.download_file(self.hills, CloudFormat.PCD)
         self.depth = rng.uniform(1, 3, SIDE[::-1]).astype(np.float32)
-        self.color = rng.integers(0, 256, (*SIDE[::-1], 3), np.uint8)
+        self.colour = rng.integers(0, 256, (*SIDE[::-1], 3), np.uint8)
         self.session = client.sessions.create(sensors=[world.LASER, world.LIDAR])
         for i, pose in enumerate(world.drive(5)):
             self.session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
@@ -80,11 +82,17 @@ class Site:
     def depth_image(self) -> dict:
         # DEPTH_ENCODING_U16.
         units = (self.depth * 1000).astype("<u2").tobytes()
-        return {"width_px": SIDE[0], "height_px": SIDE[1], "encoding": 1, "metres_per_unit": 0.001, "data": units}
+        return {
+            "width_px": SIDE[0],
+            "height_px": SIDE[1],
+            "encoding": 1,
+            "metres_per_unit": 0.001,
+            "data": units,
+        }
 
-    def color_image(self) -> dict:
-        # COLOR_ENCODING_RGB8.
-        return {"width_px": SIDE[0], "height_px": SIDE[1], "encoding": 1, "data": self.color.tobytes()}
+    def colour_image(self) -> dict:
+        # COLOUR_ENCODING_RGB8.
+        return {"width_px": SIDE[0], "height_px": SIDE[1], "encoding": 1, "data": self.colour.tobytes()}
 
     def odometry(self) -> dict:
         self.stamp += 1
@@ -111,7 +119,9 @@ def pixels(count: int, shift: float = 0.0) -> bytes:
 
 
 def poses(count: int) -> list[dict]:
-    return [{"stamp_ns": i * 10**8, "pose": {"translation": {"x": i / 10, "y": i % 7 / 10}}} for i in range(count)]
+    return [
+        {"stamp_ns": i * 10**8, "pose": {"translation": {"x": i / 10, "y": i % 7 / 10}}} for i in range(count)
+    ]
 
 
 def views(site: Site, count: int) -> list[dict]:
@@ -141,7 +151,10 @@ REQUESTS = {
     "SessionsService/ListKeyframes": (of_session, False),
     "SessionsService/WatchSession": (of_session, False),
     "SessionsService/GetDefaultParams": (lambda s: {}, False),
-    "SensorsService/DeclareSensor": (lambda s: of_session(s) | {"spec": {"sensor_id": "imu", "kind": 6}}, False),
+    "SensorsService/DeclareSensor": (
+        lambda s: of_session(s) | {"spec": {"sensor_id": "imu", "kind": 6}},
+        False,
+    ),
     "SensorsService/ListSensors": (of_session, False),
     "SensorsService/StreamFrames": (lambda s: {"message": s.odometry()}, False),
     "SensorsService/SendFrame": (lambda s: {"message": s.odometry()}, False),
@@ -175,13 +188,16 @@ REQUESTS = {
     "ToolboxCloudsService/CropCloud": (lambda s: s.kept(s.hills) | {"range": {"max_range_m": 200}}, True),
     "ToolboxCloudsService/TransformCloud": (lambda s: s.kept(s.hills), True),
     "ToolboxCloudsService/RemoveRadiusOutliers": (lambda s: s.kept(s.part) | {"radius_m": 0.15}, True),
-    "ToolboxCloudsService/RemoveStatisticalOutliers": (lambda s: s.kept(s.part) | {"num_neighbors": 5}, True),
-    "ToolboxCloudsService/DownsampleVoxels": (lambda s: s.kept(s.part) | {"voxel_size_m": 0.05}, True),
-    "ToolboxCloudsService/EstimateNormals": (
-        lambda s: s.kept(s.part) | {"radius_m": 0.15, "max_neighbors": 5},
+    "ToolboxCloudsService/RemoveStatisticalOutliers": (
+        lambda s: s.kept(s.part) | {"num_neighbours": 5},
         True,
     ),
-    "ToolboxShapesService/FindNeighbors": (lambda s: s.kept(s.part) | {"k": 8}, True),
+    "ToolboxCloudsService/DownsampleVoxels": (lambda s: s.kept(s.part) | {"voxel_size_m": 0.05}, True),
+    "ToolboxCloudsService/EstimateNormals": (
+        lambda s: s.kept(s.part) | {"radius_m": 0.15, "max_neighbours": 5},
+        True,
+    ),
+    "ToolboxShapesService/FindNeighbours": (lambda s: s.kept(s.part) | {"k": 8}, True),
     "ToolboxShapesService/ComputeLocalFeatures": (lambda s: s.kept(s.part) | {"k": 4}, True),
     "ToolboxShapesService/ComputeShapeFeatures": (lambda s: s.kept(s.part), False),
     "ToolboxShapesService/FitBoxes": (lambda s: s.kept(s.hills), False),
@@ -195,7 +211,11 @@ REQUESTS = {
     "ToolboxSegmentationService/SegmentObjects": (lambda s: s.kept(s.desk), True),
     "ToolboxSegmentationService/DetectObjects": (lambda s: s.kept(s.few), False),
     "ToolboxRegistrationService/RegisterClouds": (
-        lambda s: {"source": {"handle": s.few.handle}, "target": {"handle": s.few.handle}, "max_distance_m": 1},
+        lambda s: {
+            "source": {"handle": s.few.handle},
+            "target": {"handle": s.few.handle},
+            "max_distance_m": 1,
+        },
         False,
     ),
     "ToolboxRegistrationService/RegisterCloudsGlobally": (
@@ -203,7 +223,7 @@ REQUESTS = {
         False,
     ),
     "ToolboxRegistrationService/ComputePointFeatures": (
-        lambda s: s.kept(s.part) | {"radius_m": 0.15, "max_neighbors": 5},
+        lambda s: s.kept(s.part) | {"radius_m": 0.15, "max_neighbours": 5},
         True,
     ),
     "ToolboxDepthService/UnprojectDepth": (
@@ -212,7 +232,7 @@ REQUESTS = {
     ),
     # DEPTH_ENCODING_F32.
     "ToolboxDepthService/ConvertDepth": (lambda s: {"depth": s.depth_image(), "encoding": 2}, True),
-    "ToolboxDepthService/ConvertColor": (lambda s: {"color": s.color_image()}, True),
+    "ToolboxDepthService/ConvertColour": (lambda s: {"colour": s.colour_image()}, True),
     "ToolboxDepthService/FilterDepth": (
         lambda s: {"depth": s.depth_image(), "filters": [{"median": {"size_px": 3}}]},
         True,
@@ -225,22 +245,30 @@ REQUESTS = {
         lambda s: {"depth": s.depth_image(), "intrinsics": s.camera()},
         True,
     ),
-    "ToolboxDepthService/FindDepthEdges": (lambda s: {"depth": s.depth_image(), "intrinsics": s.camera()}, False),
-    "ToolboxDepthService/RegisterColor": (
+    "ToolboxDepthService/FindDepthEdges": (
+        lambda s: {"depth": s.depth_image(), "intrinsics": s.camera()},
+        False,
+    ),
+    "ToolboxDepthService/RegisterColour": (
         lambda s: {
             "depth": s.depth_image(),
-            "color": s.color_image(),
+            "colour": s.colour_image(),
             "depth_camera": s.camera(),
-            "color_camera": s.camera(),
+            "colour_camera": s.camera(),
         },
         True,
     ),
     "ToolboxImagesService/ExtractFeatures": (
-        lambda s: {"image": s.color_image(), "max_features": 100_000, "fast_threshold": 5},
+        lambda s: {"image": s.colour_image(), "max_features": 100_000, "fast_threshold": 5},
         True,
     ),
     "ToolboxImagesService/MatchFeatures": (
-        lambda s: {"query": descriptors(400_000), "train": descriptors(50), "descriptor_bytes": 32, "ratio": 1.0},
+        lambda s: {
+            "query": descriptors(400_000),
+            "train": descriptors(50),
+            "descriptor_bytes": 32,
+            "ratio": 1.0,
+        },
         True,
     ),
     "ToolboxImagesService/EstimateEssential": (
@@ -264,17 +292,22 @@ REQUESTS = {
         lambda s: s.kept(s.hills) | {"width_px": 1600, "height_px": 1400, "shade": False},
         True,
     ),
-    "ToolboxPicturesService/RenderDepth": (lambda s: {"depth": s.depth_image(), "near_m": 1, "far_m": 3}, False),
+    "ToolboxPicturesService/RenderDepth": (
+        lambda s: {"depth": s.depth_image(), "near_m": 1, "far_m": 3},
+        False,
+    ),
     "ToolboxPipelinesService/RunPipeline": (
-        lambda s: s.kept(s.part)
-        | {
-            "steps": [
-                {"crop_cloud": {"range": {"max_range_m": 200}}},
-                {"segment_planes": {"distance_m": 0.3}, "remainder": 3},
-                {"cluster_points": {"eps_m": 0.12}},
-            ],
-            "send_cloud": True,
-        },
+        lambda s: (
+            s.kept(s.part)
+            | {
+                "steps": [
+                    {"crop_cloud": {"range": {"max_range_m": 200}}},
+                    {"segment_planes": {"distance_m": 0.3}, "remainder": 3},
+                    {"cluster_points": {"eps_m": 0.12}},
+                ],
+                "send_cloud": True,
+            }
+        ),
         True,
     ),
     "EvaluationService/EvaluateTrajectory": (

@@ -17,7 +17,7 @@ def drive():
 
 @pytest.fixture(scope="module")
 def images():
-    return [world.color_image(pose) for pose in drive()]
+    return [world.colour_image(pose) for pose in drive()]
 
 
 def camera_session(client, images, *others):
@@ -27,7 +27,7 @@ def camera_session(client, images, *others):
         for i, image in enumerate(images):
             if others:
                 stream.send_odometry("wheels", stamp_ns=world.stamp(i), t_odom_base=poses[i])
-            stream.send_color("eye", stamp_ns=world.stamp(i), color=image)
+            stream.send_colour("eye", stamp_ns=world.stamp(i), colour=image)
         acks = [a for a in stream.acks() if a.sensor_id == "eye"]
     assert stream.summary.rejected == 0, stream.summary.rejections
     return session, [a.result.pose for a in acks]
@@ -100,8 +100,8 @@ def test_wheels_make_lengths_metres_and_the_map_begins(on_wheels):
 def test_images_that_show_nothing_are_lost_with_the_reason_and_found_again(client, images):
     session, _ = camera_session(client, images)
 
-    def send(i, color):
-        return session.send_color("eye", stamp_ns=world.stamp(STEPS + i), color=color).pose
+    def send(i, colour):
+        return session.send_colour("eye", stamp_ns=world.stamp(STEPS + i), colour=colour).pose
 
     for i, (shade, words) in enumerate([(0, "exposure"), (255, "exposure"), (120, "texture")]):
         pose = send(i, np.full_like(images[0], shade))
@@ -116,8 +116,8 @@ def test_images_that_show_nothing_are_lost_with_the_reason_and_found_again(clien
 def test_an_image_of_another_size_and_a_stamp_from_the_past_are_refused_precisely(client, images):
     session, poses = camera_session(client, images)
     with session.stream() as stream:
-        stream.send_color("eye", stamp_ns=world.stamp(STEPS), color=images[0][:100])
-        stream.send_color("eye", stamp_ns=world.stamp(3), color=images[0])
+        stream.send_colour("eye", stamp_ns=world.stamp(STEPS), colour=images[0][:100])
+        stream.send_colour("eye", stamp_ns=world.stamp(3), colour=images[0])
     reasons = [ack.rejection.reason for ack in stream.summary.rejections]
     assert reasons == ["INTRINSICS_MISMATCH", "STAMP_NOT_INCREASING"]
     assert "320x100" in stream.summary.rejections[0].rejection.message

@@ -116,14 +116,14 @@ def test_the_cloud_lies_on_the_surfaces_of_the_room(lidar_session):
 
 def test_a_part_of_the_cloud_is_around_its_centre(lidar_session):
     centre = (1.0, 0.5, 0.5)
-    part = lidar_session.map.cloud(center=centre, radius_m=1.0).cloud.points
+    part = lidar_session.map.cloud(centre=centre, radius_m=1.0).cloud.points
     whole = lidar_session.map.cloud().cloud.points
     near = np.linalg.norm(whole - np.array(centre, np.float32), axis=1) < 1.0
     assert abs(len(part) - near.sum()) <= 2
     assert len(part) > 0
     assert np.linalg.norm(part - np.array(centre), axis=1).max() <= 1.0 + 1e-5
     with pytest.raises(InvalidArgument):
-        lidar_session.map.cloud(center=centre)
+        lidar_session.map.cloud(centre=centre)
 
 
 STARTS = {
@@ -198,16 +198,16 @@ def test_coloured_frames_make_a_coloured_map(client):
 
     spec = dataclasses.replace(world.CAMERA, kind="rgbd")
     session = client.sessions.create(sensors=[spec])
-    color = np.zeros((240, 320, 3), np.uint8)
-    color[:, :160, 0] = 200
-    color[:, 160:, 2] = 200
+    colour = np.zeros((240, 320, 3), np.uint8)
+    colour[:, :160, 0] = 200
+    colour[:, 160:, 2] = 200
     depth = world.depth_image(world.drive(1)[0])
-    session.send_rgbd("camera", stamp_ns=1, depth=depth, color=color, metres_per_unit=0.001)
+    session.send_rgbd("camera", stamp_ns=1, depth=depth, colour=colour, metres_per_unit=0.001)
     cloud = session.map.cloud().cloud
-    assert cloud.colors is not None
+    assert cloud.colours is not None
     left, right = cloud.points[:, 1] > 0.2, cloud.points[:, 1] < -0.2
-    assert cloud.colors[left].mean(0) == pytest.approx([200, 0, 0], abs=15)
-    assert cloud.colors[right].mean(0) == pytest.approx([0, 0, 200], abs=15)
+    assert cloud.colours[left].mean(0) == pytest.approx([200, 0, 0], abs=15)
+    assert cloud.colours[right].mean(0) == pytest.approx([0, 0, 200], abs=15)
 
 
 def test_a_map_without_loops_says_so(client):

@@ -17,7 +17,7 @@ def objects(lidar_session):
 def test_furniture_is_found_where_it_stands(objects):
     centres = [(low + high) / 2 for low, high in world.FURNITURE]
     start = world.drive(1)[0].translation
-    found = np.array([o.box.center + start for o in objects])
+    found = np.array([o.box.centre + start for o in objects])
     near = [np.linalg.norm(found[:, :2] - c[:2], axis=1).min() for c in centres]
     # Only the sides that the robot saw make the box.
     assert sum(d < 0.4 for d in near) >= 3, near

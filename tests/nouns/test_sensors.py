@@ -113,18 +113,18 @@ def test_every_kind_of_frame_is_taken(client):
     # Tried on a link: what each kind does to a map is another test's matter.
     session = client.sessions.create(mode="ingest_only", sensors=specs)
     pose = world.drive(1)[0]
-    depth, color = np.full((12, 16), 2000, np.uint16), np.zeros((12, 16, 3), np.uint8)
+    depth, colour = np.full((12, 16), 2000, np.uint16), np.zeros((12, 16, 3), np.uint8)
     n = 100
     points = np.random.default_rng(1).normal(size=(n, 3)).astype(np.float32)
     session.send_depth("depth", stamp_ns=1, depth=depth, metres_per_unit=0.001)
     session.send_depth("depth", stamp_ns=2, depth=depth.astype(np.float32) / 1000)
-    session.send_rgbd("rgbd", stamp_ns=1, depth=depth, color=color, metres_per_unit=0.001)
-    session.send_color("camera", stamp_ns=1, color=color)
+    session.send_rgbd("rgbd", stamp_ns=1, depth=depth, colour=colour, metres_per_unit=0.001)
+    session.send_colour("camera", stamp_ns=1, colour=colour)
     session.send_cloud(
         "lidar3d",
         stamp_ns=1,
         points=points,
-        colors=np.zeros((n, 3), np.uint8),
+        colours=np.zeros((n, 3), np.uint8),
         intensities=np.zeros(n, np.float32),
         time_offsets_s=np.linspace(-0.1, 0, n, dtype=np.float32),
     )
@@ -141,7 +141,7 @@ def test_an_encoded_image_that_lies_is_refused(client):
     session = client.sessions.create(sensors=[SensorSpec("c", kind="camera", intrinsics=small)])
     broken = EncodedImage(data=b"\xff\xd8\xff\xe0 and no more", width_px=16, height_px=12)
     with pytest.raises(InvalidArgument) as error:
-        session.send_color("c", stamp_ns=1, color=broken)
+        session.send_colour("c", stamp_ns=1, colour=broken)
     assert error.value.reason == "FILE_INVALID"
 
 

@@ -62,9 +62,9 @@ def test_normals_of_a_closed_surface_all_look_outward(client, rng):
     ball = (ball / np.linalg.norm(ball, axis=1, keepdims=True)).astype(np.float32)
     for around in (
         {"radius_m": 0.15},
-        {"radius_m": np.inf, "max_neighbors": 12},
-        {"radius_m": 0.15, "max_neighbors": 0},
-        {"radius_m": np.inf, "max_neighbors": 4, "min_neighbors": 3},
+        {"radius_m": np.inf, "max_neighbours": 12},
+        {"radius_m": 0.15, "max_neighbours": 0},
+        {"radius_m": np.inf, "max_neighbours": 4, "min_neighbours": 3},
     ):
         found = client.toolbox.estimate_normals(ball, orientation="spanning_tree", **around).normals
         defined = found.any(1)
@@ -74,9 +74,9 @@ def test_normals_of_a_closed_surface_all_look_outward(client, rng):
         seen = client.toolbox.estimate_normals(ball, viewpoint_m=(0, 0, 5), **around).normals
         assert (seen * ball).sum(1).min() < -0.8
     for bad, field in (
-        ({"radius_m": np.inf, "max_neighbors": 0}, "max_neighbors"),
-        ({"orientation": "spanning_tree", "tree_neighbors": 0}, "tree_neighbors"),
-        ({"min_neighbors": 2}, "min_neighbors"),
+        ({"radius_m": np.inf, "max_neighbours": 0}, "max_neighbours"),
+        ({"orientation": "spanning_tree", "tree_neighbours": 0}, "tree_neighbours"),
+        ({"min_neighbours": 2}, "min_neighbours"),
         ({"orientation": "sideways"}, "orientation"),
     ):
         with pytest.raises(InvalidArgument) as error:
@@ -126,7 +126,7 @@ def test_the_shape_of_a_box_is_that_of_the_box(client, rng):
     assert shape.features.volume_m3 == pytest.approx(np.prod(shape.upright_box.size_m))
     assert np.allclose(shape.features.extent_m, np.ptp(turned, axis=0), atol=1e-6)
     assert np.allclose(np.sort(shape.upright_box.size_m), np.sort(size), atol=0.03)
-    assert np.allclose(shape.upright_box.center, turn.translation, atol=0.02)
+    assert np.allclose(shape.upright_box.centre, turn.translation, atol=0.02)
 
 
 def test_registration_finds_how_the_cloud_was_moved(client):
@@ -169,7 +169,7 @@ def test_objects_are_found_in_a_cloud_of_the_room(client):
     points = world.cloud(pose, rings=64) + np.array([0, 0, world.CAMERA_HEIGHT_M], np.float32)
     found = client.toolbox.detect_objects(points)
     assert found
-    centres = np.array([d.box.center + pose.translation for d in found])
+    centres = np.array([d.box.centre + pose.translation for d in found])
     wanted = [(low + high) / 2 for low, high in world.FURNITURE]
     near = [np.linalg.norm(centres[:, :2] - w[:2], axis=1).min() for w in wanted]
     assert sum(d < 0.4 for d in near) >= 3, near

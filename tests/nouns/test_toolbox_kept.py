@@ -32,7 +32,7 @@ def coloured(rng, n):
     normals = rng.normal(size=(n, 3)).astype(np.float32)
     return PointCloud(
         rng.uniform(-1, 1, (n, 3)).astype(np.float32),
-        colors=rng.integers(0, 256, (n, 3), dtype=np.uint8),
+        colours=rng.integers(0, 256, (n, 3), dtype=np.uint8),
         intensities=rng.uniform(0, 1, n).astype(np.float32),
         normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
     )
@@ -54,7 +54,7 @@ def test_a_kept_cloud_is_as_good_as_a_sent_one(client, rng):
     assert kept.size_bytes == 3000 * 31
     for call in (
         lambda c: client.toolbox.downsample_voxels(c, voxel_size_m=0.2),
-        lambda c: client.toolbox.remove_radius_outliers(c, radius_m=0.2, min_neighbors=3),
+        lambda c: client.toolbox.remove_radius_outliers(c, radius_m=0.2, min_neighbours=3),
         lambda c: client.toolbox.cluster_points(c, eps_m=0.1),
         lambda c: client.toolbox.compute_shape_features(c),
     ):
@@ -100,7 +100,7 @@ def test_files_hold_what_went_in(client, rng, file_format):
     if not las and file_format != "xyz":
         assert np.allclose(back.intensities, cloud.intensities, atol=1e-6)
     if file_format != "kitti_bin":
-        assert np.array_equal(back.colors, cloud.colors)
+        assert np.array_equal(back.colours, cloud.colours)
     # Cut short, it is refused.
     with pytest.raises(InvalidArgument) as error:
         client.toolbox.decode_cloud(data[: len(data) // 2 + 3], **told)
@@ -246,7 +246,7 @@ def test_filters_do_as_numpy_does(client, rng):
     assert np.allclose(moved.points, cloud.points @ rotation.T + turn.translation, atol=1e-5)
     assert np.allclose(moved.normals, cloud.normals @ rotation.T, atol=1e-5)
 
-    kept = client.toolbox.remove_radius_outliers(cloud, radius_m=0.15, min_neighbors=4)
+    kept = client.toolbox.remove_radius_outliers(cloud, radius_m=0.15, min_neighbours=4)
     distances = np.linalg.norm(cloud.points[:, None] - cloud.points[None], axis=2)
     enough = (distances < 0.15).sum(1) - 1 >= 4
     assert np.array_equal(kept.indices, np.flatnonzero(enough))
@@ -263,15 +263,15 @@ def test_depth_and_colour_change_their_encoding_and_nothing_else(client, rng):
     assert png.startswith(b"\x89PNG")
     assert np.allclose(client.toolbox.decode_depth(png, metres_per_unit=0.001), metres)
     image = rng.integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    assert np.array_equal(client.toolbox.decode_color(client.toolbox.encode_color(image)), image)
+    assert np.array_equal(client.toolbox.decode_colour(client.toolbox.encode_colour(image)), image)
     smooth = np.full((32, 32, 3), (200, 100, 50), np.uint8)
-    jpeg = client.toolbox.encode_color(smooth, encoding="jpeg", quality=95)
-    assert np.abs(client.toolbox.decode_color(jpeg).astype(int) - smooth).max() <= 4
+    jpeg = client.toolbox.encode_colour(smooth, encoding="jpeg", quality=95)
+    assert np.abs(client.toolbox.decode_colour(jpeg).astype(int) - smooth).max() <= 4
     with pytest.raises(InvalidArgument) as error:
         client.toolbox.decode_depth(png[:-20], metres_per_unit=0.001)
     assert error.value.reason == "FILE_INVALID"
     with pytest.raises(InvalidArgument) as error:
-        client.toolbox.encode_color(image, encoding="jpeg", quality=101)
+        client.toolbox.encode_colour(image, encoding="jpeg", quality=101)
     assert error.value.field == "quality"
 
 

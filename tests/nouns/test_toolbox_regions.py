@@ -62,7 +62,7 @@ def test_crops_hold_what_numpy_says(client, rng):
     others = client.toolbox.crop_cloud(points, box=box, outside=True)
     assert np.array_equal(others.indices, np.flatnonzero(~inside))
     distance = np.linalg.norm(points - (0.5, 0, 0), axis=1)
-    band = client.toolbox.crop_cloud(points, range_m=(0.5, 1.5), center=(0.5, 0, 0))
+    band = client.toolbox.crop_cloud(points, range_m=(0.5, 1.5), centre=(0.5, 0, 0))
     assert np.array_equal(band.indices, np.flatnonzero((distance >= 0.5) & (distance <= 1.5)))
     # A triangle by its three half-planes.
     x, y, z = points.T
@@ -116,9 +116,9 @@ def test_two_things_that_touch_are_two(client, rng):
     # Supervoxels are not cut where the balls touch.
     assert all((part[part >= 0] == label).mean() > 0.95 for part, label in zip((first, second), most))
     patches = client.toolbox.compute_supervoxels(scene, viewpoint_m=(0, 0, 1))
-    assert len(patches.centers) == len(patches.normals) == patches.labels.max() + 1
+    assert len(patches.centres) == len(patches.normals) == patches.labels.max() + 1
     assert (patches.edges[:, 0] < patches.edges[:, 1]).all()
-    assert patches.edges.max() < len(patches.centers)
+    assert patches.edges.max() < len(patches.centres)
 
 
 def test_supervoxels_are_grouped_where_the_surface_is_convex(client, rng):
@@ -127,7 +127,7 @@ def test_supervoxels_are_grouped_where_the_surface_is_convex(client, rng):
     balls = np.vstack([half[half[:, 0] * x > 0] for half, x in zip(halves, (-1, 1))])
     parts = client.toolbox.compute_supervoxels(balls, viewpoint_m=(0, 0, 1))
     groups = client.toolbox.group_convex(parts)
-    assert len(groups.labels) == len(parts.centers)
+    assert len(groups.labels) == len(parts.centres)
     assert groups.num_clusters == 2
     of_point = groups.labels[parts.labels[parts.labels >= 0]]
     side = balls[parts.labels >= 0, 0] > 0
@@ -135,14 +135,14 @@ def test_supervoxels_are_grouped_where_the_surface_is_convex(client, rng):
     # What may bend inward by half a turn is all one.
     assert client.toolbox.group_convex(parts, concavity_tolerance_rad=3.2, max_step_m=1.0).num_clusters <= 2
     none = dataclasses.replace(
-        parts, centers=parts.centers[:0], normals=parts.normals[:0], edges=parts.edges[:0]
+        parts, centres=parts.centres[:0], normals=parts.normals[:0], edges=parts.edges[:0]
     )
     assert client.toolbox.group_convex(none).num_clusters == 0
-    wrong = np.array([[0, len(parts.centers)]], np.uint32)
+    wrong = np.array([[0, len(parts.centres)]], np.uint32)
     for bad, field in (
         ({"edges": wrong}, "edges"),
         ({"normals": parts.normals[1:]}, "normals"),
-        ({"centers": parts.centers * np.float32(np.nan)}, "centers"),
+        ({"centres": parts.centres * np.float32(np.nan)}, "centres"),
     ):
         with pytest.raises(InvalidArgument) as error:
             client.toolbox.group_convex(dataclasses.replace(parts, **bad))
@@ -152,15 +152,15 @@ def test_supervoxels_are_grouped_where_the_surface_is_convex(client, rng):
     assert error.value.field == "min_supervoxels"
 
 
-@pytest.mark.parametrize("method", ["point_to_point", "point_to_plane", "gicp", "vgicp", "colored"])
+@pytest.mark.parametrize("method", ["point_to_point", "point_to_plane", "gicp", "vgicp", "coloured"])
 def test_every_method_finds_how_the_cloud_was_moved(client, rng, method):
     points = world.cloud(world.drive(1)[0])
     # A colour that is a function of the place.
     shade = (127 + 100 * np.sin(3 * points.sum(1))).astype(np.uint8)
-    target = PointCloud(points, colors=np.repeat(shade[:, None], 3, axis=1))
+    target = PointCloud(points, colours=np.repeat(shade[:, None], 3, axis=1))
     moved = Pose.from_yaw(0.1, -0.05, 0.03, z_m=0.02)
     back = np.linalg.inv(moved.matrix)
-    source = PointCloud((points @ back[:3, :3].T + back[:3, 3]).astype(np.float32), colors=target.colors)
+    source = PointCloud((points @ back[:3, :3].T + back[:3, 3]).astype(np.float32), colours=target.colours)
     found = client.toolbox.register_clouds(
         source, target=target, method=method, max_distance_m=0.5, kernel="huber", kernel_scale_m=0.2
     )
@@ -171,10 +171,10 @@ def test_every_method_finds_how_the_cloud_was_moved(client, rng, method):
 def test_registration_says_what_it_misses(client, rng):
     points = rng.uniform(size=(500, 3)).astype(np.float32)
     for bad in (
-        {"method": "colored"},
+        {"method": "coloured"},
         {"kernel": "huber"},
-        {"color_share": 2.0, "method": "colored"},
-        {"num_neighbors": 2},
+        {"colour_share": 2.0, "method": "coloured"},
+        {"num_neighbours": 2},
         {"voxel_sizes_m": [0.1] * 17},
         {"method": "magic"},
     ):
@@ -189,9 +189,9 @@ def test_pictures_have_the_size_and_colours_that_were_asked_for(client, rng):
     floor = surface(rng, -1, 1, 5000)
     labels = (floor[:, 0] > 0).astype(np.int32)
     png = client.toolbox.render_cloud(
-        floor, view="top", coloring="label", labels=labels, width_px=320, height_px=240
+        floor, view="top", colouring="label", labels=labels, width_px=320, height_px=240
     )
-    picture = client.toolbox.decode_color(png)
+    picture = client.toolbox.decode_colour(png)
     assert picture.shape == (240, 320, 3)
     left, right = picture[120, 130].astype(int), picture[120, 190].astype(int)
     assert np.abs(left - right).max() > 40
@@ -199,7 +199,7 @@ def test_pictures_have_the_size_and_colours_that_were_asked_for(client, rng):
         assert client.toolbox.render_cloud(floor, view=view).startswith(b"\x89PNG")
     depth = np.tile(np.linspace(1, 3, 64, dtype=np.float32), (48, 1))
     depth[:8] = 0
-    drawn = client.toolbox.decode_color(client.toolbox.render_depth(depth, near_m=1.0, far_m=3.0)).astype(int)
+    drawn = client.toolbox.decode_colour(client.toolbox.render_depth(depth, near_m=1.0, far_m=3.0)).astype(int)
     assert drawn.shape == (48, 64, 3)
     assert not drawn[:8].any()
     assert drawn[20, 2, 2] > drawn[20, 2, 0]

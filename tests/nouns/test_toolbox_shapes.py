@@ -24,28 +24,28 @@ def test_neighbours_are_those_of_brute_force(client, rng):
     points = rng.uniform(0, 1, (800, 3)).astype(np.float32)
     queries = rng.uniform(-0.2, 1.2, (60, 3)).astype(np.float32)
     far = distances(queries, points)
-    found = client.toolbox.find_neighbors(points, queries=queries, k=7)
+    found = client.toolbox.find_neighbours(points, queries=queries, k=7)
     assert np.array_equal(np.diff(found.offsets.astype(int)), np.full(60, 7))
     assert np.allclose(found.distances_m.reshape(60, 7), np.sort(far, axis=1)[:, :7], atol=1e-6)
-    within = client.toolbox.find_neighbors(points, queries=queries, radius_m=0.2)
+    within = client.toolbox.find_neighbours(points, queries=queries, radius_m=0.2)
     for i in range(60):
         indices, away = within.of(i)
         assert set(indices.tolist()) == set(np.flatnonzero(far[i] <= 0.2).tolist())
         assert (np.diff(away) >= 0).all()
-    both = client.toolbox.find_neighbors(points, queries=queries, radius_m=0.2, k=3)
+    both = client.toolbox.find_neighbours(points, queries=queries, radius_m=0.2, k=3)
     counts = np.minimum((far <= 0.2).sum(1), 3)
     assert np.array_equal(np.diff(both.offsets.astype(int)), counts)
-    own = client.toolbox.find_neighbors(points, k=1)
+    own = client.toolbox.find_neighbours(points, k=1)
     assert np.array_equal(own.indices, np.arange(800))
     # More than there are: all of them.
-    assert len(client.toolbox.find_neighbors(points[:5], k=50).indices) == 25
+    assert len(client.toolbox.find_neighbours(points[:5], k=50).indices) == 25
     for bad, field in (({}, "k"), ({"k": 0}, "k"), ({"radius_m": -1.0}, "radius_m")):
         with pytest.raises(InvalidArgument) as error:
-            client.toolbox.find_neighbors(points, **bad)
+            client.toolbox.find_neighbours(points, **bad)
         assert error.value.field == field
     with pytest.raises(ResourceExhausted) as error:
-        client.toolbox.find_neighbors(np.zeros((200_000, 3), np.float32), radius_m=1.0)
-    assert error.value.reason == "NEIGHBORS_TOO_MANY"
+        client.toolbox.find_neighbours(np.zeros((200_000, 3), np.float32), radius_m=1.0)
+    assert error.value.reason == "NEIGHBOURS_TOO_MANY"
 
 
 def test_local_features_are_those_of_the_covariance(client, rng):
@@ -71,7 +71,7 @@ def test_boxes_and_hull_of_a_turned_box_are_its_own(client, rng):
     points = (np.vstack([corners, inner]) @ turn.matrix[:3, :3].T + turn.translation).astype(np.float32)
     boxes = client.toolbox.fit_boxes(points)
     assert np.allclose(boxes.minimal.size_m, size, atol=1e-4)
-    assert np.allclose(boxes.minimal.center, turn.translation, atol=1e-4)
+    assert np.allclose(boxes.minimal.centre, turn.translation, atol=1e-4)
     assert np.allclose(boxes.axis_aligned.size_m, np.ptp(points, axis=0), atol=1e-6)
     volumes = [np.prod(b.size_m) for b in (boxes.minimal, boxes.upright, boxes.axis_aligned)]
     assert volumes == sorted(volumes)
@@ -110,7 +110,7 @@ def test_depth_filters_do_what_they_are_named_for(client, rng):
     flat = np.full((120, 160), 2.0, np.float32)
     speckled = flat.copy()
     speckled[::10, ::10] = 3.0
-    for filters in ([("median", {})], [("remove_outliers", {}), ("fill_holes", {"min_neighbors": 8})]):
+    for filters in ([("median", {})], [("remove_outliers", {}), ("fill_holes", {"min_neighbours": 8})]):
         inner = client.toolbox.filter_depth(speckled, filters)[5:-5, 5:-5]
         assert np.allclose(inner, 2.0)
     noisy = flat + rng.normal(0, 0.01, flat.shape).astype(np.float32)
@@ -164,19 +164,19 @@ def test_edges_tell_who_hides_whom(client):
 def test_colours_of_another_camera_lie_where_they_belong(client):
     depth = np.full((120, 160), 2.0, np.float32)
     # The colour camera stands 0.1 m to the right: what the depth camera sees at u it sees at u - 7.5.
-    t_color_depth = Pose(np.array([-0.1, 0, 0]))
+    t_colour_depth = Pose(np.array([-0.1, 0, 0]))
     columns = np.tile(np.arange(160, dtype=np.uint8), (120, 1))
     image = np.repeat(columns[:, :, None], 3, axis=2)
-    color, seen = client.toolbox.register_color(
-        depth, image, depth_camera=CAMERA, color_camera=CAMERA, t_color_depth=t_color_depth
+    colour, seen = client.toolbox.register_colour(
+        depth, image, depth_camera=CAMERA, colour_camera=CAMERA, t_colour_depth=t_colour_depth
     )
     expected = np.arange(160) - 7.5
     assert seen[60, 10:].all()
     assert not seen[60, :7].any()
-    assert np.abs(color[60, 10:, 0].astype(float) - expected[10:]).max() <= 1
+    assert np.abs(colour[60, 10:, 0].astype(float) - expected[10:]).max() <= 1
     with pytest.raises(InvalidArgument) as error:
-        client.toolbox.register_color(
-            depth[:-1], image, depth_camera=CAMERA, color_camera=CAMERA, t_color_depth=Pose()
+        client.toolbox.register_colour(
+            depth[:-1], image, depth_camera=CAMERA, colour_camera=CAMERA, t_colour_depth=Pose()
         )
     assert error.value.reason == "SIZE_MISMATCH"
 

@@ -64,10 +64,10 @@ def test_a_cloud_is_the_same_wherever_it_comes_from(client, session, cloud):
 
 
 def test_a_part_of_a_sessions_cloud_is_what_the_map_says_is_there(client, session, cloud):
-    center = cloud.points[0]
-    there = session.map.cloud(center=center, radius_m=0.7).cloud
+    centre = cloud.points[0]
+    there = session.map.cloud(centre=centre, radius_m=0.7).cloud
     assert 0 < there.num_points < cloud.num_points
-    part = client.toolbox.remove_non_finite(SessionCloud(session.session_id, center=center, radius_m=0.7))
+    part = client.toolbox.remove_non_finite(SessionCloud(session.session_id, centre=centre, radius_m=0.7))
     assert part == there
 
 
@@ -89,8 +89,11 @@ def test_a_source_that_gives_nothing_is_refused_by_its_field(client, session):
 
     assert ask(SessionCloud("no-such-session")) == ("SESSION_NOT_FOUND", "cloud.session.session_id")
     assert ask(SessionCloud("../etc"))[1] == "cloud.session.session_id"
-    assert ask(SessionCloud(session.session_id, center=(0, 0, 0))) == ("FIELD_MISSING", "cloud.session.radius_m")
-    assert ask(SessionCloud(session.session_id, center=(0, 0, 0), radius_m=-1.0))[0] == "OUT_OF_RANGE"
+    assert ask(SessionCloud(session.session_id, centre=(0, 0, 0))) == (
+        "FIELD_MISSING",
+        "cloud.session.radius_m",
+    )
+    assert ask(SessionCloud(session.session_id, centre=(0, 0, 0), radius_m=-1.0))[0] == "OUT_OF_RANGE"
     assert ask(b"\x00\x01\x02\x03") == ("FORMAT_UNKNOWN", "cloud.file.format")
     assert ask(CloudFile(b"ply\n", "pcd"))[1].startswith("cloud.file")
     both = refusal(
@@ -115,10 +118,13 @@ def test_a_large_answer_comes_whole(client):
     rng = np.random.default_rng(8)
     cloud = PointCloud(
         rng.uniform(-9, 9, (400_000, 3)).astype(np.float32),
-        colors=rng.integers(0, 256, (400_000, 3), dtype=np.uint8),
+        colours=rng.integers(0, 256, (400_000, 3), dtype=np.uint8),
         intensities=rng.uniform(0, 1, 400_000).astype(np.float32),
     )
-    steps = [Step("remove_radius_outliers", radius_m=0.5, min_neighbors=1), Step("cluster_points", eps_m=0.05)]
+    steps = [
+        Step("remove_radius_outliers", radius_m=0.5, min_neighbours=1),
+        Step("cluster_points", eps_m=0.05),
+    ]
     whole = client.toolbox.run_pipeline(cloud, steps, send_cloud=True)
     assert whole.cloud == cloud
     assert np.array_equal(whole.steps[0].answer, np.arange(400_000))
@@ -128,6 +134,6 @@ def test_a_large_answer_comes_whole(client):
 @pytest.mark.parametrize("count", [101_376, 101_377, 205_000, 307_200])
 def test_no_point_is_lost_between_parts(client, count):
     points = np.arange(3 * count, dtype=np.float32).reshape(count, 3)
-    cloud = PointCloud(points, colors=np.full((count, 3), 7, np.uint8))
+    cloud = PointCloud(points, colours=np.full((count, 3), 7, np.uint8))
     assert client.toolbox.remove_non_finite(cloud) == cloud
     assert client.toolbox.decode_cloud(client.toolbox.encode_cloud(cloud, "pcd")).cloud == cloud

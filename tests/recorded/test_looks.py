@@ -29,18 +29,18 @@ class Recording:
         self.paths = sorted(folder.glob("frame-*.depth.png"))[:WAY]
         self.sent = 0
 
-    def _send(self, session, depth, color):
+    def _send(self, session, depth, colour):
         self.sent += 1
         stamp = self.sent * 66_666_667
         return session.send_rgbd(
-            "camera", stamp_ns=stamp, depth=depth, color=color, metres_per_unit=0.001
+            "camera", stamp_ns=stamp, depth=depth, colour=colour, metres_per_unit=0.001
         ).pose
 
     def way(self, session):
         """What is said at each frame of the way."""
         for path in self.paths:
-            color = path.with_name(path.name.replace("depth.png", "color.jpg"))
-            yield self._send(session, *(EncodedImage(data=p.read_bytes(), **SIZE) for p in (path, color)))
+            colour = path.with_name(path.name.replace("depth.png", "color.jpg"))
+            yield self._send(session, *(EncodedImage(data=p.read_bytes(), **SIZE) for p in (path, colour)))
 
     def blind(self, session):
         for _ in range(BLIND):

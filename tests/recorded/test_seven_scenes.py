@@ -40,12 +40,12 @@ def replay(folder, out, *arguments):
 def frames(folder):
     for path in sorted(folder.glob("frame-*.depth.png"))[:FRAMES]:
         number = int(path.name[6:12])
-        color = folder / f"frame-{number:06}.color.jpg"
+        colour = folder / f"frame-{number:06}.color.jpg"
         size = {"width_px": 640, "height_px": 480}
         yield (
             stamp(number),
             EncodedImage(data=path.read_bytes(), **size),
-            EncodedImage(data=color.read_bytes(), **size),
+            EncodedImage(data=colour.read_bytes(), **size),
         )
 
 
@@ -59,8 +59,8 @@ def test_a_python_stream_gives_the_trajectory_of_the_replay(client, seven_scenes
     report, expected = in_process
     session = client.sessions.create(sensors=[camera_of(seven_scenes)])
     with session.stream() as stream:
-        for stamp_ns, depth, color in frames(seven_scenes):
-            stream.send_rgbd("camera", stamp_ns=stamp_ns, depth=depth, color=color, metres_per_unit=0.001)
+        for stamp_ns, depth, colour in frames(seven_scenes):
+            stream.send_rgbd("camera", stamp_ns=stamp_ns, depth=depth, colour=colour, metres_per_unit=0.001)
     assert stream.summary.accepted == FRAMES
     assert session.map.export("trajectory_tum").data == expected
     assert report["frames"] == FRAMES

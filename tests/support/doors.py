@@ -31,8 +31,7 @@ class GrpcDoor:
     tells_why = True
 
     def __init__(self, server: Server, client: Client) -> None:
-        options = [("grpc.max_send_message_length", 256 << 20)]
-        self._channel = grpc.insecure_channel(server.grpc, options)
+        self._channel = grpc.insecure_channel(server.grpc)
         self._client = client
         self._send = self._channel.unary_unary(
             _rpc.SEND_FRAME.path,

@@ -50,8 +50,6 @@ class Calls:
 
     def __init__(self, address: str) -> None:
         options = [
-            ("grpc.max_send_message_length", 256 << 20),
-            ("grpc.max_receive_message_length", 256 << 20),
             ("grpc.use_local_subchannel_pool", 1),
             ("grpc.enable_retries", 0),
             ("grpc.initial_reconnect_backoff_ms", 100),

@@ -76,7 +76,7 @@ def depth_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS) -> np
     return np.round(z * 1000).astype(np.uint16)
 
 
-def color_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS) -> np.ndarray:
+def colour_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS) -> np.ndarray:
     """(H, W) uint8: walls and furniture of grey blocks, each of its own shade; 2 x 2 rays a pixel."""
     t_world_camera = t_world_base.matrix @ CAMERA.t_base_sensor.matrix
     u, v = np.meshgrid(np.arange(2 * camera.width_px) / 2 - 0.25, np.arange(2 * camera.height_px) / 2 - 0.25)

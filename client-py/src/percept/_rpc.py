@@ -147,8 +147,8 @@ ESTIMATE_NORMALS = Rpc(
 )
 
 _T = "ToolboxShapesService"
-FIND_NEIGHBORS = Rpc(
-    _T, "FindNeighbors", shapes.FindNeighborsRequest, shapes.FindNeighborsResponse, in_parts=True
+FIND_NEIGHBOURS = Rpc(
+    _T, "FindNeighbours", shapes.FindNeighboursRequest, shapes.FindNeighboursResponse, in_parts=True
 )
 COMPUTE_LOCAL_FEATURES = Rpc(
     _T,
@@ -222,7 +222,9 @@ UNPROJECT_DEPTH = Rpc(
     _T, "UnprojectDepth", depth.UnprojectDepthRequest, depth.UnprojectDepthResponse, in_parts=True
 )
 CONVERT_DEPTH = Rpc(_T, "ConvertDepth", depth.ConvertDepthRequest, depth.ConvertDepthResponse, in_parts=True)
-CONVERT_COLOR = Rpc(_T, "ConvertColor", depth.ConvertColorRequest, depth.ConvertColorResponse, in_parts=True)
+CONVERT_COLOUR = Rpc(
+    _T, "ConvertColour", depth.ConvertColourRequest, depth.ConvertColourResponse, in_parts=True
+)
 FILTER_DEPTH = Rpc(_T, "FilterDepth", depth.FilterDepthRequest, depth.FilterDepthResponse, in_parts=True)
 COMPUTE_DEPTH_NORMALS = Rpc(
     _T,
@@ -237,8 +239,8 @@ SEGMENT_DEPTH_PLANES = Rpc(
 FIND_DEPTH_EDGES = Rpc(
     _T, "FindDepthEdges", depth.FindDepthEdgesRequest, depth.FindDepthEdgesResponse, in_parts=True
 )
-REGISTER_COLOR = Rpc(
-    _T, "RegisterColor", depth.RegisterColorRequest, depth.RegisterColorResponse, in_parts=True
+REGISTER_COLOUR = Rpc(
+    _T, "RegisterColour", depth.RegisterColourRequest, depth.RegisterColourResponse, in_parts=True
 )
 
 _T = "ToolboxImagesService"

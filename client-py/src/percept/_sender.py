@@ -50,17 +50,19 @@ class FrameSender(abc.ABC, Generic[R]):
         *,
         stamp_ns: int,
         depth: Array | EncodedImage,
-        color: Array | EncodedImage,
+        colour: Array | EncodedImage,
         metres_per_unit: float | None = None,
     ) -> R:
         """Sends depth with its colour image: (H, W, 3) uint8 RGB, PNG or JPEG."""
         return self.send(
-            RgbdFrame(sensor_id, stamp_ns=stamp_ns, depth=depth, color=color, metres_per_unit=metres_per_unit)
+            RgbdFrame(
+                sensor_id, stamp_ns=stamp_ns, depth=depth, colour=colour, metres_per_unit=metres_per_unit
+            )
         )
 
-    def send_color(self, sensor_id: str, *, stamp_ns: int, color: Array | EncodedImage) -> R:
+    def send_colour(self, sensor_id: str, *, stamp_ns: int, colour: Array | EncodedImage) -> R:
         """Sends a camera's image: (H, W, 3) uint8 RGB, (H, W) uint8 grey, PNG or JPEG."""
-        return self.send(CameraFrame(sensor_id, stamp_ns=stamp_ns, color=color))
+        return self.send(CameraFrame(sensor_id, stamp_ns=stamp_ns, colour=colour))
 
     def send_cloud(
         self,
@@ -68,12 +70,12 @@ class FrameSender(abc.ABC, Generic[R]):
         *,
         stamp_ns: int,
         points: Array,
-        colors: Array | None = None,
+        colours: Array | None = None,
         intensities: Array | None = None,
         time_offsets_s: Array | None = None,
     ) -> R:
         """Sends a cloud in the sensor frame: points (N, 3) float32 metres, channels one entry a point."""
-        cloud = PointCloud(points, colors=colors, intensities=intensities, time_offsets_s=time_offsets_s)
+        cloud = PointCloud(points, colours=colours, intensities=intensities, time_offsets_s=time_offsets_s)
         return self.send(CloudFrame(sensor_id, stamp_ns=stamp_ns, cloud=cloud))
 
     def send_scan(

@@ -117,7 +117,7 @@ fn captures(data: &Path) -> Result<Vec<Pair>, Failure> {
                 let icp = IcpParams {
                     max_distance_m,
                     max_iterations: 50,
-                    num_neighbors: 20,
+                    num_neighbours: 20,
                     ..IcpParams::lidar(IcpMethod::Gicp)
                 };
                 let fine = RegisterParams { voxel_sizes_m: vec![0.01], icp };

@@ -47,7 +47,7 @@ impl PointCloud {
             Some(actual) if actual != expected => Err(GeometryError::ShapeMismatch { field, expected, actual }),
             _ => Ok(()),
         };
-        check("colors", self.colors.as_ref().map(Vec::len))?;
+        check("colours", self.colors.as_ref().map(Vec::len))?;
         check("intensities", self.intensities.as_ref().map(Vec::len))?;
         check("normals", self.normals.as_ref().map(Vec::len))?;
         check("time_offsets_s", self.time_offsets_s.as_ref().map(Vec::len))

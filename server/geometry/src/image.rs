@@ -89,7 +89,7 @@ impl RgbImage {
     /// # Errors
     /// `ShapeMismatch` if `data` does not hold `width * height * 3` bytes.
     pub fn new(width: usize, height: usize, data: Vec<u8>) -> Result<Self, GeometryError> {
-        check("color", width, height, 3, data.len())?;
+        check("colour", width, height, 3, data.len())?;
         Ok(Self { width, height, data })
     }
 

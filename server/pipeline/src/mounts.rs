@@ -125,7 +125,7 @@ fn offset(scan: &KeyframeScan, others: &[(Pose, Arc<KeyframeScan>)]) -> Option<P
         method: IcpMethod::PointToPlane,
         max_distance_m: 0.3,
         kernel: RobustKernel::Huber(0.05),
-        num_neighbors: 12,
+        num_neighbours: 12,
         ..IcpParams::lidar(IcpMethod::PointToPlane)
     };
     let params = RegisterParams { voxel_sizes_m: vec![0.2, 0.1], icp };

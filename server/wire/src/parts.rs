@@ -71,7 +71,7 @@ impl Divisible for Option<v1::PointCloud> {
             let piece = v1::PointCloud {
                 num_points: (end - start) as u32,
                 positions: rows(&cloud.positions, 12),
-                colors: channel(&cloud.colors, 3),
+                colours: channel(&cloud.colours, 3),
                 intensities: channel(&cloud.intensities, 4),
                 normals: channel(&cloud.normals, 12),
                 time_offsets_s: channel(&cloud.time_offsets_s, 4),
@@ -172,26 +172,26 @@ in_parts! {
     RemoveStatisticalOutliersResponse { cloud, indices }
     DownsampleVoxelsResponse { cloud }
     EstimateNormalsResponse { cloud }
-    FindNeighborsResponse { offsets, indices, distances_m }
+    FindNeighboursResponse { offsets, indices, distances_m }
     ComputeLocalFeaturesResponse { linearity, planarity, scattering, verticality, curvature }
     ComputeConvexHullResponse { vertices, triangles }
     SegmentPlanesResponse { planes, labels }
     SegmentGroundResponse { patches, indices }
     ClusterPointsResponse { labels }
     GrowRegionsResponse { labels }
-    ComputeSupervoxelsResponse { labels, centers, normals, edges }
+    ComputeSupervoxelsResponse { labels, centres, normals, edges }
     GroupConvexResponse { labels }
     SegmentObjectsResponse { labels }
     DetectObjectsResponse { detections }
     ComputePointFeaturesResponse { features }
     UnprojectDepthResponse { cloud }
     ConvertDepthResponse { depth.data }
-    ConvertColorResponse { color.data }
+    ConvertColourResponse { colour.data }
     FilterDepthResponse { depth.data }
     ComputeDepthNormalsResponse { normals }
     SegmentDepthPlanesResponse { planes, labels }
     FindDepthEdgesResponse { edges }
-    RegisterColorResponse { color.data, seen }
+    RegisterColourResponse { colour.data, seen }
     ExtractFeaturesResponse { points, sizes_px, angles_rad, responses, octaves, descriptors }
     MatchFeaturesResponse { pairs, distances }
     EstimateEssentialResponse { inliers }
@@ -284,7 +284,7 @@ mod tests {
         v1::PointCloud {
             num_points: n as u32,
             positions: bytes(12 * n),
-            colors: Some(bytes(3 * n)),
+            colours: Some(bytes(3 * n)),
             intensities: None,
             normals: Some(bytes(12 * n)),
             time_offsets_s: Some(bytes(4 * n)),
@@ -315,7 +315,7 @@ mod tests {
         let parts = there_and_back(&large, 8);
         for cloud in parts.iter().filter_map(|p| p.cloud.as_ref()) {
             assert_eq!(cloud.positions.len(), 12 * cloud.num_points as usize);
-            assert_eq!(cloud.colors.as_ref().map(Bytes::len), Some(3 * cloud.num_points as usize));
+            assert_eq!(cloud.colours.as_ref().map(Bytes::len), Some(3 * cloud.num_points as usize));
         }
         let features = v1::ComputePointFeaturesResponse { features: bytes(132 * 100_000) };
         assert!(there_and_back(&features, 8).iter().all(|p| p.features.len() % 132 == 0));

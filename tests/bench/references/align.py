@@ -31,7 +31,7 @@ def local(toolbox):
                 voxel_sizes_m=[0.25],
                 max_distance_m=1.0,
                 max_iterations=100,
-                num_neighbors=10,
+                num_neighbours=10,
             )
             off_m, off_deg = pose_error(found.t_target_source.matrix, truth)
             figures = {"off_m": off_m, "off_deg": off_deg, "iterations": found.iterations}
@@ -109,11 +109,11 @@ def colored(toolbox):
     clouds = []
     for i in (0, 1):
         cloud = toolbox.unproject_depth(
-            data.depth(i), intrinsics=camera, metres_per_unit=0.001, color=data.color(i), max_depth_m=4.0
+            data.depth(i), intrinsics=camera, metres_per_unit=0.001, colour=data.color(i), max_depth_m=4.0
         )
         clouds.append(toolbox.downsample_voxels(cloud, voxel_size_m=0.02))
     truth = redwood_pose(0, 1)
-    found = toolbox.register_clouds(clouds[1], target=clouds[0], method="colored", max_distance_m=0.06)
+    found = toolbox.register_clouds(clouds[1], target=clouds[0], method="coloured", max_distance_m=0.06)
     theirs = []
     for cloud in clouds:
         theirs.append(legacy(cloud.points))
@@ -124,7 +124,7 @@ def colored(toolbox):
     peer_m, peer_deg = pose_error(peer.transformation, truth)
     figures = {"off_m": off_m, "off_deg": off_deg, "reference_off_m": peer_m, "reference_off_deg": peer_deg}
     right = off_m < max(0.02, 1.2 * peer_m) and off_deg < max(0.5, 1.2 * peer_deg)
-    yield Finding("register_clouds colored", "redwood 0-1", "trajectory; Open3D", right, figures)
+    yield Finding("register_clouds coloured", "redwood 0-1", "trajectory; Open3D", right, figures)
 
 
 def redwood_pose(a, b):

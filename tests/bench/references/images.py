@@ -68,10 +68,10 @@ def codecs(toolbox):
     png, jpeg = (root / "depth/00000.png").read_bytes(), (root / "color/00000.jpg").read_bytes()
     off = np.abs(toolbox.decode_depth(png, metres_per_unit=0.001) - data.depth() / 1000.0).max()
     yield Finding("decode_depth", "redwood", "OpenCV", bool(off < 1e-6), {"max_off_m": float(off)})
-    off = np.abs(toolbox.decode_color(jpeg).astype(int) - data.color()).max()
+    off = np.abs(toolbox.decode_colour(jpeg).astype(int) - data.color()).max()
     # Decoders round the transform and the chroma differently.
     yield Finding("decode_color jpeg", "redwood", "OpenCV", bool(off <= 4), {"max_off": int(off)})
-    ours = toolbox.encode_color(data.color())
+    ours = toolbox.encode_colour(data.color())
     same = np.array_equal(cv2.imdecode(np.frombuffer(ours, np.uint8), 1)[..., ::-1], data.color())
     yield Finding("encode_color png", "redwood", "OpenCV", same, {})
     for path in sorted(data.folder("cloud-pcl").glob("*.pcd")):
@@ -171,12 +171,12 @@ def color_to_depth(toolbox):
     depth, color = data.depth() / 1000.0, data.color()
     t_color_depth = np.eye(4)
     t_color_depth[0, 3] = -0.05
-    found, seen = toolbox.register_color(
+    found, seen = toolbox.register_colour(
         depth.astype(np.float32),
         color,
         depth_camera=camera,
-        color_camera=camera,
-        t_color_depth=t_color_depth,
+        colour_camera=camera,
+        t_colour_depth=t_color_depth,
     )
     v, u = np.nonzero(depth)
     z = depth[v, u]

@@ -25,7 +25,7 @@ def neighbours(toolbox):
         tree = cKDTree(points.astype(float))
         radius = {"lidar": 1.0, "redwood": 0.03, "table": 0.01}[name]
         for operation, k, limit in (("knn 10", 10, None), ("radius", None, radius), ("hybrid", 8, radius)):
-            found = toolbox.find_neighbors(points, queries=queries, k=k, radius_m=limit)
+            found = toolbox.find_neighbours(points, queries=queries, k=k, radius_m=limit)
             off = np.abs(truth_distances(points, queries, found) - found.distances_m)
             wrong = sum(
                 not same_row(points, q, found.of(i)[0], expected)
@@ -71,10 +71,10 @@ def outliers(toolbox):
         cloud = legacy(points)
         radius = 1.0 if name == "lidar" else 0.02
         _, expected = cloud.remove_statistical_outlier(21, 2.0)
-        found = toolbox.remove_statistical_outliers(points, num_neighbors=20, std_ratio=2.0)
+        found = toolbox.remove_statistical_outliers(points, num_neighbours=20, std_ratio=2.0)
         yield same_indices("remove_statistical_outliers", name, found.indices, expected, len(points))
         _, expected = cloud.remove_radius_outlier(16, radius)
-        found = toolbox.remove_radius_outliers(points, radius_m=radius, min_neighbors=16)
+        found = toolbox.remove_radius_outliers(points, radius_m=radius, min_neighbours=16)
         yield same_indices("remove_radius_outliers", name, found.indices, expected, len(points))
 
 

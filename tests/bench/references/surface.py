@@ -10,8 +10,8 @@ from .points import legacy
 
 #: Neighbourhoods of normals: name, and what bounds them.
 NEIGHBOURHOODS = [
-    ("hybrid", {"radius_m": 0.1, "max_neighbors": 30}),
-    ("knn", {"max_neighbors": 20}),
+    ("hybrid", {"radius_m": 0.1, "max_neighbours": 30}),
+    ("knn", {"max_neighbours": 20}),
     ("radius", {"radius_m": 0.03}),
 ]
 
@@ -45,14 +45,14 @@ def normals(toolbox):
 
 def ours_of(params):
     """The same neighbourhood as ours names it."""
-    return {"radius_m": np.inf, "max_neighbors": 0, "min_neighbors": 3} | params
+    return {"radius_m": np.inf, "max_neighbours": 0, "min_neighbours": 3} | params
 
 
 def search(params):
     """The same neighbourhood as Open3D names it."""
     import open3d as o3d
 
-    radius, count = params.get("radius_m"), params.get("max_neighbors")
+    radius, count = params.get("radius_m"), params.get("max_neighbours")
     if radius is None:
         return o3d.geometry.KDTreeSearchParamKNN(count)
     if count is None:
@@ -65,7 +65,7 @@ def by_numpy(points, rows, params):
     from scipy.spatial import cKDTree
 
     tree = cKDTree(points.astype(float))
-    radius, count = params.get("radius_m", np.inf), params.get("max_neighbors")
+    radius, count = params.get("radius_m", np.inf), params.get("max_neighbours")
     out, clear = np.zeros((len(rows), 3)), np.zeros(len(rows), bool)
     for i, row in enumerate(rows):
         p = points[row].astype(float)
@@ -88,9 +88,9 @@ def oriented_normals(toolbox):
     for name, points in {"milk": milk, "redwood": data.indoor()[::10]}.items():
         points = np.ascontiguousarray(points)
         cloud = legacy(points)
-        cloud.estimate_normals(search({"max_neighbors": 20}))
+        cloud.estimate_normals(search({"max_neighbours": 20}))
         cloud.orient_normals_consistent_tangent_plane(12)
-        params = ours_of({"max_neighbors": 20})
+        params = ours_of({"max_neighbours": 20})
         found = toolbox.estimate_normals(points, orientation="spanning_tree", **params).normals
         ours, theirs = discord(points, found), discord(points, np.asarray(cloud.normals))
         same = float(((found * np.asarray(cloud.normals)).sum(1) > 0).mean())
@@ -149,10 +149,10 @@ def point_features(toolbox):
         normals = np.asarray(cloud.normals).astype(np.float32)
         cloud.normals = o3d.utility.Vector3dVector(normals.astype(float))
         for limit in (0, 100):
-            params = {"radius_m": radius} | ({"max_neighbors": limit} if limit else {})
+            params = {"radius_m": radius} | ({"max_neighbours": limit} if limit else {})
             expected = o3d.pipelines.registration.compute_fpfh_feature(cloud, search(params)).data.T
             with_normals = PointCloud(points, normals=normals)
-            found = toolbox.compute_point_features(with_normals, radius_m=radius, max_neighbors=limit)
+            found = toolbox.compute_point_features(with_normals, radius_m=radius, max_neighbours=limit)
             off = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1).clip(1e-9)
             figures = {
                 "points": len(points),

@@ -49,10 +49,10 @@ class AsyncMaps(AsyncSessionBound):
         return await self._transport.chunks(convert.get_occupancy(self.session_id, region, resolution_m))
 
     async def cloud(
-        self, *, center: Sequence[float] | None = None, radius_m: float | None = None
+        self, *, centre: Sequence[float] | None = None, radius_m: float | None = None
     ) -> MapCloud:
         """The fused cloud, whole or within radius_m of a point of the map."""
-        return await self._transport.chunks(convert.get_cloud(self.session_id, center, radius_m))
+        return await self._transport.chunks(convert.get_cloud(self.session_id, centre, radius_m))
 
     def loops(self, *, page_size: int = 0) -> AsyncIterator[Loop]:
         """Loops that were found, believed or not, by number; pages are asked for as they are used."""

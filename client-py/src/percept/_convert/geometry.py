@@ -138,7 +138,7 @@ def cloud(message: g.PointCloud) -> PointCloud:
 
 _CHANNELS: tuple[tuple[str, str, type, int], ...] = (
     ("points", "positions", np.float32, 3),
-    ("colors", "colors", np.uint8, 3),
+    ("colours", "colours", np.uint8, 3),
     ("intensities", "intensities", np.float32, 1),
     ("normals", "normals", np.float32, 3),
     ("time_offsets_s", "time_offsets_s", np.float32, 1),

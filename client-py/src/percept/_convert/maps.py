@@ -169,14 +169,14 @@ def get_occupancy(
 
 
 def get_cloud(
-    session_id: str, center: Sequence[float] | None, radius_m: float | None
+    session_id: str, centre: Sequence[float] | None, radius_m: float | None
 ) -> ChunkedCall[service.GetCloudRequest, service.GetCloudResponse, MapCloud]:
-    if (center is None) != (radius_m is None):
-        message = "center and radius_m belong together; give both or neither"
+    if (centre is None) != (radius_m is None):
+        message = "centre and radius_m belong together; give both or neither"
         raise InvalidArgument(message, reason="FIELD_MISSING", field="radius_m")
     request = service.GetCloudRequest(source=source(session_id), radius_m=radius_m)
-    if center is not None:
-        request.center.CopyFrom(geometry.vector3_to("center", center))
+    if centre is not None:
+        request.centre.CopyFrom(geometry.vector3_to("centre", centre))
     return ChunkedCall(_rpc.GET_CLOUD, request, lambda a: cloud([x.chunk for x in a]))
 
 

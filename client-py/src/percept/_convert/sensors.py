@@ -90,21 +90,21 @@ def fill_depth(
         out.metres_per_unit = metres_per_unit
 
 
-def fill_color(out: sensor_pb2.ColorImage, image: Array | EncodedImage) -> None:
+def fill_colour(out: sensor_pb2.ColourImage, image: Array | EncodedImage) -> None:
     """A colour image: RGB8, grey, JPEG or PNG, told by its first bytes."""
     if not isinstance(image, EncodedImage):
         grey = image.ndim == 2
-        out.encoding = sensor_pb2.COLOR_ENCODING_GRAY8 if grey else sensor_pb2.COLOR_ENCODING_RGB8
+        out.encoding = sensor_pb2.COLOUR_ENCODING_GREY8 if grey else sensor_pb2.COLOUR_ENCODING_RGB8
         out.data = image.tobytes()
         out.height_px, out.width_px = image.shape[:2]
         return
     if image.data.startswith(_PNG):
-        out.encoding = sensor_pb2.COLOR_ENCODING_PNG
+        out.encoding = sensor_pb2.COLOUR_ENCODING_PNG
     elif image.data.startswith(_JPEG):
-        out.encoding = sensor_pb2.COLOR_ENCODING_JPEG
+        out.encoding = sensor_pb2.COLOUR_ENCODING_JPEG
     else:
-        message = "color is neither a PNG nor a JPEG by its first bytes; encode it as one of them"
-        raise InvalidArgument(message, reason="FILE_INVALID", field="color")
+        message = "colour is neither a PNG nor a JPEG by its first bytes; encode it as one of them"
+        raise InvalidArgument(message, reason="FILE_INVALID", field="colour")
     out.data, out.height_px, out.width_px = image.data, image.height_px, image.width_px
 
 
@@ -125,9 +125,9 @@ def fill_frame(out: sensor_pb2.SensorMessage, session_id: str, frame: SensorFram
             fill_depth(out.depth, frame.depth, frame.metres_per_unit)
         case RgbdFrame():
             fill_depth(out.rgbd.depth, frame.depth, frame.metres_per_unit)
-            fill_color(out.rgbd.color, frame.color)
+            fill_colour(out.rgbd.colour, frame.colour)
         case CameraFrame():
-            fill_color(out.color, frame.color)
+            fill_colour(out.colour, frame.colour)
         case CloudFrame():
             geometry.fill_cloud(out.cloud, frame.cloud)
         case ScanFrame():

@@ -47,9 +47,9 @@ class Maps(SessionBound):
         """The occupancy grid, whole or a region; resolution_m a multiple of the map's own."""
         return self._transport.chunks(convert.get_occupancy(self.session_id, region, resolution_m))
 
-    def cloud(self, *, center: Sequence[float] | None = None, radius_m: float | None = None) -> MapCloud:
+    def cloud(self, *, centre: Sequence[float] | None = None, radius_m: float | None = None) -> MapCloud:
         """The fused cloud, whole or within radius_m of a point of the map."""
-        return self._transport.chunks(convert.get_cloud(self.session_id, center, radius_m))
+        return self._transport.chunks(convert.get_cloud(self.session_id, centre, radius_m))
 
     def loops(self, *, page_size: int = 0) -> Iterator[Loop]:
         """Loops that were found, believed or not, by number; pages are asked for as they are used."""

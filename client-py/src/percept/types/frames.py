@@ -34,13 +34,13 @@ def _depth(image: Array | EncodedImage, metres_per_unit: float | None) -> Array 
     return image
 
 
-def _color(image: Array | EncodedImage) -> Array | EncodedImage:
-    return image if isinstance(image, EncodedImage) else checked("color", image, ("H", "W", 3), np.uint8)
+def _colour(image: Array | EncodedImage) -> Array | EncodedImage:
+    return image if isinstance(image, EncodedImage) else checked("colour", image, ("H", "W", 3), np.uint8)
 
 
-def _color_or_grey(image: Array | EncodedImage) -> Array | EncodedImage:
+def _colour_or_grey(image: Array | EncodedImage) -> Array | EncodedImage:
     is_grey = isinstance(image, np.ndarray) and image.ndim == 2
-    return checked("color", image, ("H", "W"), np.uint8) if is_grey else _color(image)
+    return checked("colour", image, ("H", "W"), np.uint8) if is_grey else _colour(image)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,12 +63,12 @@ class RgbdFrame(Value):
     sensor_id: str
     stamp_ns: int = field(kw_only=True)
     depth: Array | EncodedImage = field(kw_only=True)
-    color: Array | EncodedImage = field(kw_only=True)
+    colour: Array | EncodedImage = field(kw_only=True)
     metres_per_unit: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "depth", _depth(self.depth, self.metres_per_unit))
-        object.__setattr__(self, "color", _color(self.color))
+        object.__setattr__(self, "colour", _colour(self.colour))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,10 +77,10 @@ class CameraFrame(Value):
 
     sensor_id: str
     stamp_ns: int = field(kw_only=True)
-    color: Array | EncodedImage = field(kw_only=True)
+    colour: Array | EncodedImage = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "color", _color_or_grey(self.color))
+        object.__setattr__(self, "colour", _colour_or_grey(self.colour))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -100,7 +100,7 @@ class OrientedBox(Value):
         object.__setattr__(self, "size_m", vector("size_m", self.size_m, 3))
 
     @property
-    def center(self) -> Floats:
+    def centre(self) -> Floats:
         """Metres, (3,)."""
         return self.t_frame_box.translation
 
@@ -145,7 +145,7 @@ class PointCloud(Value):
     #: Metres, (N, 3) float32.
     points: Array
     #: RGB, (N, 3) uint8.
-    colors: Array | None = field(default=None, kw_only=True)
+    colours: Array | None = field(default=None, kw_only=True)
     #: As the sensor gives them, (N,) float32.
     intensities: Array | None = field(default=None, kw_only=True)
     #: Unit length, zero where undefined, (N, 3) float32.
@@ -155,7 +155,7 @@ class PointCloud(Value):
 
     def __post_init__(self) -> None:
         self._check("points", ("N", 3), np.float32)
-        self._check("colors", ("N", 3), np.uint8)
+        self._check("colours", ("N", 3), np.uint8)
         self._check("intensities", ("N",), np.float32)
         self._check("normals", ("N", 3), np.float32)
         self._check("time_offsets_s", ("N",), np.float32)

@@ -12,7 +12,7 @@ from .geometry import Floats, OrientedBox, Plane
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Neighbors(Value):
+class Neighbours(Value):
     """Neighbours of Q queries, nearest first."""
 
     #: The neighbours of query i are at offsets[i] to offsets[i + 1] of the other two, (Q + 1,) uint32.
@@ -75,7 +75,7 @@ class DepthPlane(Value):
 
     plane: Plane
     #: Mean of its points, metres, (3,).
-    center: Floats
+    centre: Floats
     num_pixels: int
     rms_m: float
 

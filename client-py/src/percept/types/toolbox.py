@@ -35,7 +35,7 @@ class SessionCloud:
 
     session_id: str
     #: Metres, map frame.
-    center: Sequence[float] | None = None
+    centre: Sequence[float] | None = None
     radius_m: float | None = None
 
 
@@ -162,7 +162,7 @@ class RegistrationMethod(Name):
     #: GICP against the mean surface of the target's voxels.
     VGICP = "vgicp"
     #: Tangent planes and brightness; both clouds need colours.
-    COLORED = "colored"
+    COLOURED = "coloured"
 
 
 class RobustKernel(Name):
@@ -255,7 +255,7 @@ class GroundPatch(Value):
     #: Normal upward.
     plane: Plane
     #: Mean of its points, metres, (3,).
-    center: Floats
+    centre: Floats
     num_points: int
 
 
@@ -276,7 +276,7 @@ class Supervoxels(Value):
     #: Number of each point's patch, -1 for none, (N,) int32.
     labels: npt.NDArray[np.int32]
     #: Means of their points, metres, (M, 3) float32.
-    centers: npt.NDArray[np.float32]
+    centres: npt.NDArray[np.float32]
     #: Unit length, (M, 3) float32.
     normals: npt.NDArray[np.float32]
     #: Pairs that touch, the smaller number first, (E, 2) uint32.
@@ -305,7 +305,7 @@ class CloudView(Name):
     CAMERA = "camera"
 
 
-class CloudColoring(Name):
+class CloudColouring(Name):
     """In which colours a cloud is drawn."""
 
     OWN = "own"

@@ -259,7 +259,7 @@ class PointCloud(_message.Message):
 
     NUM_POINTS_FIELD_NUMBER: _builtins.int
     POSITIONS_FIELD_NUMBER: _builtins.int
-    COLORS_FIELD_NUMBER: _builtins.int
+    COLOURS_FIELD_NUMBER: _builtins.int
     INTENSITIES_FIELD_NUMBER: _builtins.int
     NORMALS_FIELD_NUMBER: _builtins.int
     TIME_OFFSETS_S_FIELD_NUMBER: _builtins.int
@@ -267,7 +267,7 @@ class PointCloud(_message.Message):
     """N."""
     positions: _builtins.bytes
     """N x 3 float32, metres: x y z of point 0, x y z of point 1, ...; non-finite means no return."""
-    colors: _builtins.bytes
+    colours: _builtins.bytes
     """N x 3 uint8, RGB. Absent: no colour."""
     intensities: _builtins.bytes
     """N float32, as the sensor gives them. Absent: none."""
@@ -280,17 +280,17 @@ class PointCloud(_message.Message):
         *,
         num_points: _builtins.int = ...,
         positions: _builtins.bytes = ...,
-        colors: _builtins.bytes | None = ...,
+        colours: _builtins.bytes | None = ...,
         intensities: _builtins.bytes | None = ...,
         normals: _builtins.bytes | None = ...,
         time_offsets_s: _builtins.bytes | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_colors", b"_colors", "_intensities", b"_intensities", "_normals", b"_normals", "_time_offsets_s", b"_time_offsets_s", "colors", b"colors", "intensities", b"intensities", "normals", b"normals", "time_offsets_s", b"time_offsets_s"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_colours", b"_colours", "_intensities", b"_intensities", "_normals", b"_normals", "_time_offsets_s", b"_time_offsets_s", "colours", b"colours", "intensities", b"intensities", "normals", b"normals", "time_offsets_s", b"time_offsets_s"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_colors", b"_colors", "_intensities", b"_intensities", "_normals", b"_normals", "_time_offsets_s", b"_time_offsets_s", "colors", b"colors", "intensities", b"intensities", "normals", b"normals", "num_points", b"num_points", "positions", b"positions", "time_offsets_s", b"time_offsets_s"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_colours", b"_colours", "_intensities", b"_intensities", "_normals", b"_normals", "_time_offsets_s", b"_time_offsets_s", "colours", b"colours", "intensities", b"intensities", "normals", b"normals", "num_points", b"num_points", "positions", b"positions", "time_offsets_s", b"time_offsets_s"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__colors: _TypeAlias = _typing.Literal["colors"]  # noqa: Y015
-    _WhichOneofArgType__colors: _TypeAlias = _typing.Literal["_colors", b"_colors"]  # noqa: Y015
+    _WhichOneofReturnType__colours: _TypeAlias = _typing.Literal["colours"]  # noqa: Y015
+    _WhichOneofArgType__colours: _TypeAlias = _typing.Literal["_colours", b"_colours"]  # noqa: Y015
     _WhichOneofReturnType__intensities: _TypeAlias = _typing.Literal["intensities"]  # noqa: Y015
     _WhichOneofArgType__intensities: _TypeAlias = _typing.Literal["_intensities", b"_intensities"]  # noqa: Y015
     _WhichOneofReturnType__normals: _TypeAlias = _typing.Literal["normals"]  # noqa: Y015
@@ -298,7 +298,7 @@ class PointCloud(_message.Message):
     _WhichOneofReturnType__time_offsets_s: _TypeAlias = _typing.Literal["time_offsets_s"]  # noqa: Y015
     _WhichOneofArgType__time_offsets_s: _TypeAlias = _typing.Literal["_time_offsets_s", b"_time_offsets_s"]  # noqa: Y015
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__colors) -> _WhichOneofReturnType__colors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__colours) -> _WhichOneofReturnType__colours | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__intensities) -> _WhichOneofReturnType__intensities | None: ...
     @_typing.overload

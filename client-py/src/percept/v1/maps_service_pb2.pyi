@@ -297,33 +297,33 @@ class GetCloudRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     SOURCE_FIELD_NUMBER: _builtins.int
-    CENTER_FIELD_NUMBER: _builtins.int
+    CENTRE_FIELD_NUMBER: _builtins.int
     RADIUS_M_FIELD_NUMBER: _builtins.int
     radius_m: _builtins.float
-    """Metres; required with center."""
+    """Metres; required with centre."""
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     @_builtins.property
-    def center(self) -> _geometry_pb2.Vector3:
+    def centre(self) -> _geometry_pb2.Vector3:
         """Only points within radius_m of it, map frame. Absent: all."""
 
     def __init__(
         self,
         *,
         source: _map_pb2.MapSource | None = ...,
-        center: _geometry_pb2.Vector3 | None = ...,
+        centre: _geometry_pb2.Vector3 | None = ...,
         radius_m: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_center", b"_center", "_radius_m", b"_radius_m", "center", b"center", "radius_m", b"radius_m", "source", b"source"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_radius_m", b"_radius_m", "centre", b"centre", "radius_m", b"radius_m", "source", b"source"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_center", b"_center", "_radius_m", b"_radius_m", "center", b"center", "radius_m", b"radius_m", "source", b"source"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_radius_m", b"_radius_m", "centre", b"centre", "radius_m", b"radius_m", "source", b"source"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__center: _TypeAlias = _typing.Literal["center"]  # noqa: Y015
-    _WhichOneofArgType__center: _TypeAlias = _typing.Literal["_center", b"_center"]  # noqa: Y015
+    _WhichOneofReturnType__centre: _TypeAlias = _typing.Literal["centre"]  # noqa: Y015
+    _WhichOneofArgType__centre: _TypeAlias = _typing.Literal["_centre", b"_centre"]  # noqa: Y015
     _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
     _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__center) -> _WhichOneofReturnType__center | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__centre) -> _WhichOneofReturnType__centre | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
 

@@ -140,31 +140,31 @@ DEPTH_ENCODING_PNG16: DepthEncoding.ValueType  # 3
 """A 16-bit grey PNG of units of `metres_per_unit`."""
 Global___DepthEncoding: _TypeAlias = DepthEncoding  # noqa: Y015
 
-class _ColorEncoding:
+class _ColourEncoding:
     ValueType = _typing.NewType("ValueType", _builtins.int)
     V: _TypeAlias = ValueType  # noqa: Y015
 
-class _ColorEncodingEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_ColorEncoding.ValueType], _builtins.type):
+class _ColourEncodingEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_ColourEncoding.ValueType], _builtins.type):
     DESCRIPTOR: _descriptor.EnumDescriptor
-    COLOR_ENCODING_UNSPECIFIED: _ColorEncoding.ValueType  # 0
-    COLOR_ENCODING_RGB8: _ColorEncoding.ValueType  # 1
+    COLOUR_ENCODING_UNSPECIFIED: _ColourEncoding.ValueType  # 0
+    COLOUR_ENCODING_RGB8: _ColourEncoding.ValueType  # 1
     """R G B, uint8."""
-    COLOR_ENCODING_JPEG: _ColorEncoding.ValueType  # 2
-    COLOR_ENCODING_PNG: _ColorEncoding.ValueType  # 3
-    COLOR_ENCODING_GRAY8: _ColorEncoding.ValueType  # 4
+    COLOUR_ENCODING_JPEG: _ColourEncoding.ValueType  # 2
+    COLOUR_ENCODING_PNG: _ColourEncoding.ValueType  # 3
+    COLOUR_ENCODING_GREY8: _ColourEncoding.ValueType  # 4
     """Grey, uint8."""
 
-class ColorEncoding(_ColorEncoding, metaclass=_ColorEncodingEnumTypeWrapper):
+class ColourEncoding(_ColourEncoding, metaclass=_ColourEncodingEnumTypeWrapper):
     """How the pixels of a colour image are packed."""
 
-COLOR_ENCODING_UNSPECIFIED: ColorEncoding.ValueType  # 0
-COLOR_ENCODING_RGB8: ColorEncoding.ValueType  # 1
+COLOUR_ENCODING_UNSPECIFIED: ColourEncoding.ValueType  # 0
+COLOUR_ENCODING_RGB8: ColourEncoding.ValueType  # 1
 """R G B, uint8."""
-COLOR_ENCODING_JPEG: ColorEncoding.ValueType  # 2
-COLOR_ENCODING_PNG: ColorEncoding.ValueType  # 3
-COLOR_ENCODING_GRAY8: ColorEncoding.ValueType  # 4
+COLOUR_ENCODING_JPEG: ColourEncoding.ValueType  # 2
+COLOUR_ENCODING_PNG: ColourEncoding.ValueType  # 3
+COLOUR_ENCODING_GREY8: ColourEncoding.ValueType  # 4
 """Grey, uint8."""
-Global___ColorEncoding: _TypeAlias = ColorEncoding  # noqa: Y015
+Global___ColourEncoding: _TypeAlias = ColourEncoding  # noqa: Y015
 
 @_typing.final
 class CameraIntrinsics(_message.Message):
@@ -313,7 +313,7 @@ class DepthImage(_message.Message):
 Global___DepthImage: _TypeAlias = DepthImage  # noqa: Y015
 
 @_typing.final
-class ColorImage(_message.Message):
+class ColourImage(_message.Message):
     """Colour, height x width, row-major from the top left."""
 
     DESCRIPTOR: _descriptor.Descriptor
@@ -327,7 +327,7 @@ class ColorImage(_message.Message):
     """Columns."""
     height_px: _builtins.int
     """Rows."""
-    encoding: Global___ColorEncoding.ValueType
+    encoding: Global___ColourEncoding.ValueType
     row_stride_bytes: _builtins.int
     """Bytes from one row to the next, RGB8 only. Absent: rows are packed."""
     data: _builtins.bytes
@@ -337,7 +337,7 @@ class ColorImage(_message.Message):
         *,
         width_px: _builtins.int = ...,
         height_px: _builtins.int = ...,
-        encoding: Global___ColorEncoding.ValueType = ...,
+        encoding: Global___ColourEncoding.ValueType = ...,
         row_stride_bytes: _builtins.int | None = ...,
         data: _builtins.bytes = ...,
     ) -> None: ...
@@ -349,7 +349,7 @@ class ColorImage(_message.Message):
     _WhichOneofArgType__row_stride_bytes: _TypeAlias = _typing.Literal["_row_stride_bytes", b"_row_stride_bytes"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType__row_stride_bytes) -> _WhichOneofReturnType__row_stride_bytes | None: ...
 
-Global___ColorImage: _TypeAlias = ColorImage  # noqa: Y015
+Global___ColourImage: _TypeAlias = ColourImage  # noqa: Y015
 
 @_typing.final
 class RgbdImage(_message.Message):
@@ -358,20 +358,20 @@ class RgbdImage(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     DEPTH_FIELD_NUMBER: _builtins.int
-    COLOR_FIELD_NUMBER: _builtins.int
+    COLOUR_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def depth(self) -> Global___DepthImage: ...
     @_builtins.property
-    def color(self) -> Global___ColorImage: ...
+    def colour(self) -> Global___ColourImage: ...
     def __init__(
         self,
         *,
         depth: Global___DepthImage | None = ...,
-        color: Global___ColorImage | None = ...,
+        colour: Global___ColourImage | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["color", b"color", "depth", b"depth"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["colour", b"colour", "depth", b"depth"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["color", b"color", "depth", b"depth"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["colour", b"colour", "depth", b"depth"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -512,7 +512,7 @@ class SensorMessage(_message.Message):
     STAMP_NS_FIELD_NUMBER: _builtins.int
     DEPTH_FIELD_NUMBER: _builtins.int
     RGBD_FIELD_NUMBER: _builtins.int
-    COLOR_FIELD_NUMBER: _builtins.int
+    COLOUR_FIELD_NUMBER: _builtins.int
     CLOUD_FIELD_NUMBER: _builtins.int
     SCAN_FIELD_NUMBER: _builtins.int
     IMU_FIELD_NUMBER: _builtins.int
@@ -528,7 +528,7 @@ class SensorMessage(_message.Message):
     @_builtins.property
     def rgbd(self) -> Global___RgbdImage: ...
     @_builtins.property
-    def color(self) -> Global___ColorImage: ...
+    def colour(self) -> Global___ColourImage: ...
     @_builtins.property
     def cloud(self) -> _geometry_pb2.PointCloud:
         """In the sensor frame."""
@@ -548,17 +548,17 @@ class SensorMessage(_message.Message):
         stamp_ns: _builtins.int = ...,
         depth: Global___DepthImage | None = ...,
         rgbd: Global___RgbdImage | None = ...,
-        color: Global___ColorImage | None = ...,
+        colour: Global___ColourImage | None = ...,
         cloud: _geometry_pb2.PointCloud | None = ...,
         scan: Global___LaserScan | None = ...,
         imu: Global___ImuSample | None = ...,
         odometry: Global___OdometrySample | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "color", b"color", "data", b"data", "depth", b"depth", "imu", b"imu", "odometry", b"odometry", "rgbd", b"rgbd", "scan", b"scan"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "colour", b"colour", "data", b"data", "depth", b"depth", "imu", b"imu", "odometry", b"odometry", "rgbd", b"rgbd", "scan", b"scan"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "color", b"color", "data", b"data", "depth", b"depth", "imu", b"imu", "odometry", b"odometry", "rgbd", b"rgbd", "scan", b"scan", "sensor_id", b"sensor_id", "sequence", b"sequence", "session_id", b"session_id", "stamp_ns", b"stamp_ns"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "colour", b"colour", "data", b"data", "depth", b"depth", "imu", b"imu", "odometry", b"odometry", "rgbd", b"rgbd", "scan", b"scan", "sensor_id", b"sensor_id", "sequence", b"sequence", "session_id", b"session_id", "stamp_ns", b"stamp_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType_data: _TypeAlias = _typing.Literal["depth", "rgbd", "color", "cloud", "scan", "imu", "odometry"]  # noqa: Y015
+    _WhichOneofReturnType_data: _TypeAlias = _typing.Literal["depth", "rgbd", "colour", "cloud", "scan", "imu", "odometry"]  # noqa: Y015
     _WhichOneofArgType_data: _TypeAlias = _typing.Literal["data", b"data"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType_data) -> _WhichOneofReturnType_data | None: ...
 

@@ -293,7 +293,7 @@ class RangeBand(_message.Message):
 
     DESCRIPTOR: _descriptor.Descriptor
 
-    CENTER_FIELD_NUMBER: _builtins.int
+    CENTRE_FIELD_NUMBER: _builtins.int
     MIN_RANGE_M_FIELD_NUMBER: _builtins.int
     MAX_RANGE_M_FIELD_NUMBER: _builtins.int
     min_range_m: _builtins.float
@@ -301,19 +301,19 @@ class RangeBand(_message.Message):
     max_range_m: _builtins.float
     """Metres."""
     @_builtins.property
-    def center(self) -> _geometry_pb2.Vector3:
+    def centre(self) -> _geometry_pb2.Vector3:
         """Metres. Absent: the origin."""
 
     def __init__(
         self,
         *,
-        center: _geometry_pb2.Vector3 | None = ...,
+        centre: _geometry_pb2.Vector3 | None = ...,
         min_range_m: _builtins.float | None = ...,
         max_range_m: _builtins.float = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m", "center", b"center", "min_range_m", b"min_range_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m", "centre", b"centre", "min_range_m", b"min_range_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m", "center", b"center", "max_range_m", b"max_range_m", "min_range_m", b"min_range_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m", "centre", b"centre", "max_range_m", b"max_range_m", "min_range_m", b"min_range_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__min_range_m: _TypeAlias = _typing.Literal["min_range_m"]  # noqa: Y015
     _WhichOneofArgType__min_range_m: _TypeAlias = _typing.Literal["_min_range_m", b"_min_range_m"]  # noqa: Y015
@@ -500,11 +500,11 @@ class RemoveRadiusOutliersRequest(_message.Message):
 
     CLOUD_FIELD_NUMBER: _builtins.int
     RADIUS_M_FIELD_NUMBER: _builtins.int
-    MIN_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    MIN_NEIGHBOURS_FIELD_NUMBER: _builtins.int
     KEEP_RESULT_FIELD_NUMBER: _builtins.int
     radius_m: _builtins.float
     """Metres. Absent: 0.1."""
-    min_neighbors: _builtins.int
+    min_neighbours: _builtins.int
     """Neighbours that a point has at least, itself not among them. Absent: 5."""
     keep_result: _builtins.bool
     """Keep the resulting cloud on the server and send its handle in place of it."""
@@ -515,19 +515,19 @@ class RemoveRadiusOutliersRequest(_message.Message):
         *,
         cloud: _toolbox_pb2.CloudSource | None = ...,
         radius_m: _builtins.float | None = ...,
-        min_neighbors: _builtins.int | None = ...,
+        min_neighbours: _builtins.int | None = ...,
         keep_result: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_neighbors", b"_min_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "min_neighbors", b"min_neighbors", "radius_m", b"radius_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_neighbours", b"_min_neighbours", "_radius_m", b"_radius_m", "cloud", b"cloud", "min_neighbours", b"min_neighbours", "radius_m", b"radius_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_neighbors", b"_min_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "keep_result", b"keep_result", "min_neighbors", b"min_neighbors", "radius_m", b"radius_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_neighbours", b"_min_neighbours", "_radius_m", b"_radius_m", "cloud", b"cloud", "keep_result", b"keep_result", "min_neighbours", b"min_neighbours", "radius_m", b"radius_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__min_neighbors: _TypeAlias = _typing.Literal["min_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__min_neighbors: _TypeAlias = _typing.Literal["_min_neighbors", b"_min_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__min_neighbours: _TypeAlias = _typing.Literal["min_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__min_neighbours: _TypeAlias = _typing.Literal["_min_neighbours", b"_min_neighbours"]  # noqa: Y015
     _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
     _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbors) -> _WhichOneofReturnType__min_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbours) -> _WhichOneofReturnType__min_neighbours | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
 
@@ -572,10 +572,10 @@ class RemoveStatisticalOutliersRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CLOUD_FIELD_NUMBER: _builtins.int
-    NUM_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    NUM_NEIGHBOURS_FIELD_NUMBER: _builtins.int
     STD_RATIO_FIELD_NUMBER: _builtins.int
     KEEP_RESULT_FIELD_NUMBER: _builtins.int
-    num_neighbors: _builtins.int
+    num_neighbours: _builtins.int
     """Neighbours, 1 to 1000. Absent: 20."""
     std_ratio: _builtins.float
     """Kept up to mean + std_ratio * deviation of the mean distances. Absent: 2."""
@@ -587,20 +587,20 @@ class RemoveStatisticalOutliersRequest(_message.Message):
         self,
         *,
         cloud: _toolbox_pb2.CloudSource | None = ...,
-        num_neighbors: _builtins.int | None = ...,
+        num_neighbours: _builtins.int | None = ...,
         std_ratio: _builtins.float | None = ...,
         keep_result: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_num_neighbors", b"_num_neighbors", "_std_ratio", b"_std_ratio", "cloud", b"cloud", "num_neighbors", b"num_neighbors", "std_ratio", b"std_ratio"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_num_neighbours", b"_num_neighbours", "_std_ratio", b"_std_ratio", "cloud", b"cloud", "num_neighbours", b"num_neighbours", "std_ratio", b"std_ratio"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_num_neighbors", b"_num_neighbors", "_std_ratio", b"_std_ratio", "cloud", b"cloud", "keep_result", b"keep_result", "num_neighbors", b"num_neighbors", "std_ratio", b"std_ratio"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_num_neighbours", b"_num_neighbours", "_std_ratio", b"_std_ratio", "cloud", b"cloud", "keep_result", b"keep_result", "num_neighbours", b"num_neighbours", "std_ratio", b"std_ratio"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__num_neighbors: _TypeAlias = _typing.Literal["num_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__num_neighbors: _TypeAlias = _typing.Literal["_num_neighbors", b"_num_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__num_neighbours: _TypeAlias = _typing.Literal["num_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__num_neighbours: _TypeAlias = _typing.Literal["_num_neighbours", b"_num_neighbours"]  # noqa: Y015
     _WhichOneofReturnType__std_ratio: _TypeAlias = _typing.Literal["std_ratio"]  # noqa: Y015
     _WhichOneofArgType__std_ratio: _TypeAlias = _typing.Literal["_std_ratio", b"_std_ratio"]  # noqa: Y015
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_neighbors) -> _WhichOneofReturnType__num_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_neighbours) -> _WhichOneofReturnType__num_neighbours | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__std_ratio) -> _WhichOneofReturnType__std_ratio | None: ...
 
@@ -704,20 +704,20 @@ class EstimateNormalsRequest(_message.Message):
 
     CLOUD_FIELD_NUMBER: _builtins.int
     RADIUS_M_FIELD_NUMBER: _builtins.int
-    MAX_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    MAX_NEIGHBOURS_FIELD_NUMBER: _builtins.int
     VIEWPOINT_M_FIELD_NUMBER: _builtins.int
     ORIENTATION_FIELD_NUMBER: _builtins.int
-    TREE_NEIGHBORS_FIELD_NUMBER: _builtins.int
-    MIN_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    TREE_NEIGHBOURS_FIELD_NUMBER: _builtins.int
+    MIN_NEIGHBOURS_FIELD_NUMBER: _builtins.int
     KEEP_RESULT_FIELD_NUMBER: _builtins.int
     radius_m: _builtins.float
-    """Neighbours are nearer, metres. Infinity: the max_neighbors nearest, however far. Absent: 0.1."""
-    max_neighbors: _builtins.int
+    """Neighbours are nearer, metres. Infinity: the max_neighbours nearest, however far. Absent: 0.1."""
+    max_neighbours: _builtins.int
     """Nearest neighbours used, at most, the point itself among them; 0: all within radius_m. Absent: 30."""
     orientation: Global___NormalOrientation.ValueType
-    tree_neighbors: _builtins.int
+    tree_neighbours: _builtins.int
     """SPANNING_TREE only: neighbours that a normal is compared with, 1 to 100. Absent: 12."""
-    min_neighbors: _builtins.int
+    min_neighbours: _builtins.int
     """With fewer neighbours, the point itself among them, the normal is undefined; at least 3. Absent: 5."""
     keep_result: _builtins.bool
     """Keep the resulting cloud on the server and send its handle in place of it."""
@@ -732,33 +732,33 @@ class EstimateNormalsRequest(_message.Message):
         *,
         cloud: _toolbox_pb2.CloudSource | None = ...,
         radius_m: _builtins.float | None = ...,
-        max_neighbors: _builtins.int | None = ...,
+        max_neighbours: _builtins.int | None = ...,
         viewpoint_m: _geometry_pb2.Vector3 | None = ...,
         orientation: Global___NormalOrientation.ValueType = ...,
-        tree_neighbors: _builtins.int | None = ...,
-        min_neighbors: _builtins.int | None = ...,
+        tree_neighbours: _builtins.int | None = ...,
+        min_neighbours: _builtins.int | None = ...,
         keep_result: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors", "_min_neighbors", b"_min_neighbors", "_radius_m", b"_radius_m", "_tree_neighbors", b"_tree_neighbors", "cloud", b"cloud", "max_neighbors", b"max_neighbors", "min_neighbors", b"min_neighbors", "radius_m", b"radius_m", "tree_neighbors", b"tree_neighbors", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_neighbours", b"_max_neighbours", "_min_neighbours", b"_min_neighbours", "_radius_m", b"_radius_m", "_tree_neighbours", b"_tree_neighbours", "cloud", b"cloud", "max_neighbours", b"max_neighbours", "min_neighbours", b"min_neighbours", "radius_m", b"radius_m", "tree_neighbours", b"tree_neighbours", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors", "_min_neighbors", b"_min_neighbors", "_radius_m", b"_radius_m", "_tree_neighbors", b"_tree_neighbors", "cloud", b"cloud", "keep_result", b"keep_result", "max_neighbors", b"max_neighbors", "min_neighbors", b"min_neighbors", "orientation", b"orientation", "radius_m", b"radius_m", "tree_neighbors", b"tree_neighbors", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_neighbours", b"_max_neighbours", "_min_neighbours", b"_min_neighbours", "_radius_m", b"_radius_m", "_tree_neighbours", b"_tree_neighbours", "cloud", b"cloud", "keep_result", b"keep_result", "max_neighbours", b"max_neighbours", "min_neighbours", b"min_neighbours", "orientation", b"orientation", "radius_m", b"radius_m", "tree_neighbours", b"tree_neighbours", "viewpoint_m", b"viewpoint_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__max_neighbors: _TypeAlias = _typing.Literal["max_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__max_neighbors: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors"]  # noqa: Y015
-    _WhichOneofReturnType__min_neighbors: _TypeAlias = _typing.Literal["min_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__min_neighbors: _TypeAlias = _typing.Literal["_min_neighbors", b"_min_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__max_neighbours: _TypeAlias = _typing.Literal["max_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__max_neighbours: _TypeAlias = _typing.Literal["_max_neighbours", b"_max_neighbours"]  # noqa: Y015
+    _WhichOneofReturnType__min_neighbours: _TypeAlias = _typing.Literal["min_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__min_neighbours: _TypeAlias = _typing.Literal["_min_neighbours", b"_min_neighbours"]  # noqa: Y015
     _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
     _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
-    _WhichOneofReturnType__tree_neighbors: _TypeAlias = _typing.Literal["tree_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__tree_neighbors: _TypeAlias = _typing.Literal["_tree_neighbors", b"_tree_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__tree_neighbours: _TypeAlias = _typing.Literal["tree_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__tree_neighbours: _TypeAlias = _typing.Literal["_tree_neighbours", b"_tree_neighbours"]  # noqa: Y015
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbors) -> _WhichOneofReturnType__max_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbours) -> _WhichOneofReturnType__max_neighbours | None: ...
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbors) -> _WhichOneofReturnType__min_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbours) -> _WhichOneofReturnType__min_neighbours | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__tree_neighbors) -> _WhichOneofReturnType__tree_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__tree_neighbours) -> _WhichOneofReturnType__tree_neighbours | None: ...
 
 Global___EstimateNormalsRequest: _TypeAlias = EstimateNormalsRequest  # noqa: Y015
 

@@ -17,7 +17,7 @@ from percept.v1 import sensor_pb2 as percept_dot_v1_dot_sensor__pb2
 from percept.v1 import toolbox_pb2 as percept_dot_v1_dot_toolbox__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&percept/v1/toolbox_depth_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/toolbox.proto\"\xaf\x02\n\x15UnprojectDepthRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12*\n\x05\x63olor\x18\x02 \x01(\x0b\x32\x16.percept.v1.ColorImageH\x00\x88\x01\x01\x12\x30\n\nintrinsics\x18\x03 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x13\n\x06stride\x18\x04 \x01(\rH\x01\x88\x01\x01\x12\x18\n\x0bmin_depth_m\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x18\n\x0bmax_depth_m\x18\x06 \x01(\x01H\x03\x88\x01\x01\x12\x13\n\x0bkeep_result\x18\x0f \x01(\x08\x42\x08\n\x06_colorB\t\n\x07_strideB\x0e\n\x0c_min_depth_mB\x0e\n\x0c_max_depth_m\"t\n\x16UnprojectDepthResponse\x12%\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x16.percept.v1.PointCloud\x12*\n\x04kept\x18\x0f \x01(\x0b\x32\x17.percept.v1.CloudHandleH\x00\x88\x01\x01\x42\x07\n\x05_kept\"\x9b\x01\n\x13\x43onvertDepthRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12+\n\x08\x65ncoding\x18\x02 \x01(\x0e\x32\x19.percept.v1.DepthEncoding\x12\x1c\n\x0fmetres_per_unit\x18\x03 \x01(\x01H\x00\x88\x01\x01\x42\x12\n\x10_metres_per_unit\"=\n\x14\x43onvertDepthResponse\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\"\x8b\x01\n\x13\x43onvertColorRequest\x12%\n\x05\x63olor\x18\x01 \x01(\x0b\x32\x16.percept.v1.ColorImage\x12+\n\x08\x65ncoding\x18\x02 \x01(\x0e\x32\x19.percept.v1.ColorEncoding\x12\x14\n\x07quality\x18\x03 \x01(\rH\x00\x88\x01\x01\x42\n\n\x08_quality\"=\n\x14\x43onvertColorResponse\x12%\n\x05\x63olor\x18\x01 \x01(\x0b\x32\x16.percept.v1.ColorImage\"F\n\x0cMedianFilter\x12\x14\n\x07size_px\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x14\n\x0cignore_holes\x18\x02 \x01(\x08\x42\n\n\x08_size_px\"\x89\x01\n\x0f\x42ilateralFilter\x12\x16\n\tradius_px\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x15\n\x08sigma_px\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12\x1a\n\rsigma_depth_m\x18\x03 \x01(\x01H\x02\x88\x01\x01\x42\x0c\n\n_radius_pxB\x0b\n\t_sigma_pxB\x10\n\x0e_sigma_depth_m\"\xc2\x01\n\x12\x44\x65pthOutlierFilter\x12\x14\n\x07size_px\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x12\n\x05ratio\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12#\n\x16min_deviation_fraction\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12\x1a\n\rmin_neighbors\x18\x04 \x01(\rH\x03\x88\x01\x01\x42\n\n\x08_size_pxB\x08\n\x06_ratioB\x19\n\x17_min_deviation_fractionB\x10\n\x0e_min_neighbors\"\x98\x01\n\nHoleFilter\x12\x17\n\niterations\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x1a\n\rmin_neighbors\x18\x02 \x01(\rH\x01\x88\x01\x01\x12\x1e\n\x11max_jump_fraction\x18\x03 \x01(\x01H\x02\x88\x01\x01\x42\r\n\x0b_iterationsB\x10\n\x0e_min_neighborsB\x14\n\x12_max_jump_fraction\"\xde\x01\n\x0b\x44\x65pthFilter\x12*\n\x06median\x18\x01 \x01(\x0b\x32\x18.percept.v1.MedianFilterH\x00\x12\x30\n\tbilateral\x18\x02 \x01(\x0b\x32\x1b.percept.v1.BilateralFilterH\x00\x12\x39\n\x0fremove_outliers\x18\x03 \x01(\x0b\x32\x1e.percept.v1.DepthOutlierFilterH\x00\x12,\n\nfill_holes\x18\x04 \x01(\x0b\x32\x16.percept.v1.HoleFilterH\x00\x42\x08\n\x06\x66ilter\"e\n\x12\x46ilterDepthRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12(\n\x07\x66ilters\x18\x02 \x03(\x0b\x32\x17.percept.v1.DepthFilter\"<\n\x13\x46ilterDepthResponse\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\"\x83\x02\n\x1a\x43omputeDepthNormalsRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x30\n\nintrinsics\x18\x02 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x14\n\x07step_px\x18\x03 \x01(\rH\x00\x88\x01\x01\x12\x1e\n\x11max_jump_fraction\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12\x1e\n\x11max_incidence_rad\x18\x05 \x01(\x01H\x02\x88\x01\x01\x42\n\n\x08_step_pxB\x14\n\x12_max_jump_fractionB\x14\n\x12_max_incidence_rad\".\n\x1b\x43omputeDepthNormalsResponse\x12\x0f\n\x07normals\x18\x01 \x01(\x0c\"\xca\x02\n\x19SegmentDepthPlanesRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x30\n\nintrinsics\x18\x02 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x14\n\x07\x63\x65ll_px\x18\x03 \x01(\rH\x00\x88\x01\x01\x12\x1a\n\rnoise_at_1m_m\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12\x1a\n\rmax_angle_rad\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x1b\n\x0emax_distance_m\x18\x06 \x01(\x01H\x03\x88\x01\x01\x12\x17\n\nmin_pixels\x18\x07 \x01(\rH\x04\x88\x01\x01\x42\n\n\x08_cell_pxB\x10\n\x0e_noise_at_1m_mB\x10\n\x0e_max_angle_radB\x11\n\x0f_max_distance_mB\r\n\x0b_min_pixels\"v\n\nDepthPlane\x12 \n\x05plane\x18\x01 \x01(\x0b\x32\x11.percept.v1.Plane\x12#\n\x06\x63\x65nter\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x12\n\nnum_pixels\x18\x03 \x01(\r\x12\r\n\x05rms_m\x18\x04 \x01(\x01\"T\n\x1aSegmentDepthPlanesResponse\x12&\n\x06planes\x18\x01 \x03(\x0b\x32\x16.percept.v1.DepthPlane\x12\x0e\n\x06labels\x18\x02 \x01(\x0c\"\xac\x02\n\x15\x46indDepthEdgesRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x30\n\nintrinsics\x18\x02 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x1e\n\x11min_jump_fraction\x18\x03 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\rmax_search_px\x18\x04 \x01(\rH\x01\x88\x01\x01\x12\x19\n\x0cmin_bend_rad\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x19\n\x0c\x62\x65nd_step_px\x18\x06 \x01(\rH\x03\x88\x01\x01\x42\x14\n\x12_min_jump_fractionB\x10\n\x0e_max_search_pxB\x0f\n\r_min_bend_radB\x0f\n\r_bend_step_px\"\'\n\x16\x46indDepthEdgesResponse\x12\r\n\x05\x65\x64ges\x18\x01 \x01(\x0c\"\xab\x02\n\x14RegisterColorRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x32\n\x0c\x64\x65pth_camera\x18\x02 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12%\n\x05\x63olor\x18\x03 \x01(\x0b\x32\x16.percept.v1.ColorImage\x12\x32\n\x0c\x63olor_camera\x18\x04 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\'\n\rt_color_depth\x18\x05 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x1e\n\x11max_jump_fraction\x18\x06 \x01(\x01H\x00\x88\x01\x01\x42\x14\n\x12_max_jump_fraction\"L\n\x15RegisterColorResponse\x12%\n\x05\x63olor\x18\x01 \x01(\x0b\x32\x16.percept.v1.ColorImage\x12\x0c\n\x04seen\x18\x02 \x01(\x0c\x32\xf0\x05\n\x13ToolboxDepthService\x12Y\n\x0eUnprojectDepth\x12!.percept.v1.UnprojectDepthRequest\x1a\".percept.v1.UnprojectDepthResponse0\x01\x12S\n\x0c\x43onvertDepth\x12\x1f.percept.v1.ConvertDepthRequest\x1a .percept.v1.ConvertDepthResponse0\x01\x12S\n\x0c\x43onvertColor\x12\x1f.percept.v1.ConvertColorRequest\x1a .percept.v1.ConvertColorResponse0\x01\x12P\n\x0b\x46ilterDepth\x12\x1e.percept.v1.FilterDepthRequest\x1a\x1f.percept.v1.FilterDepthResponse0\x01\x12h\n\x13\x43omputeDepthNormals\x12&.percept.v1.ComputeDepthNormalsRequest\x1a\'.percept.v1.ComputeDepthNormalsResponse0\x01\x12\x65\n\x12SegmentDepthPlanes\x12%.percept.v1.SegmentDepthPlanesRequest\x1a&.percept.v1.SegmentDepthPlanesResponse0\x01\x12Y\n\x0e\x46indDepthEdges\x12!.percept.v1.FindDepthEdgesRequest\x1a\".percept.v1.FindDepthEdgesResponse0\x01\x12V\n\rRegisterColor\x12 .percept.v1.RegisterColorRequest\x1a!.percept.v1.RegisterColorResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&percept/v1/toolbox_depth_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/toolbox.proto\"\xb2\x02\n\x15UnprojectDepthRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12,\n\x06\x63olour\x18\x02 \x01(\x0b\x32\x17.percept.v1.ColourImageH\x00\x88\x01\x01\x12\x30\n\nintrinsics\x18\x03 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x13\n\x06stride\x18\x04 \x01(\rH\x01\x88\x01\x01\x12\x18\n\x0bmin_depth_m\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x18\n\x0bmax_depth_m\x18\x06 \x01(\x01H\x03\x88\x01\x01\x12\x13\n\x0bkeep_result\x18\x0f \x01(\x08\x42\t\n\x07_colourB\t\n\x07_strideB\x0e\n\x0c_min_depth_mB\x0e\n\x0c_max_depth_m\"t\n\x16UnprojectDepthResponse\x12%\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x16.percept.v1.PointCloud\x12*\n\x04kept\x18\x0f \x01(\x0b\x32\x17.percept.v1.CloudHandleH\x00\x88\x01\x01\x42\x07\n\x05_kept\"\x9b\x01\n\x13\x43onvertDepthRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12+\n\x08\x65ncoding\x18\x02 \x01(\x0e\x32\x19.percept.v1.DepthEncoding\x12\x1c\n\x0fmetres_per_unit\x18\x03 \x01(\x01H\x00\x88\x01\x01\x42\x12\n\x10_metres_per_unit\"=\n\x14\x43onvertDepthResponse\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\"\x8f\x01\n\x14\x43onvertColourRequest\x12\'\n\x06\x63olour\x18\x01 \x01(\x0b\x32\x17.percept.v1.ColourImage\x12,\n\x08\x65ncoding\x18\x02 \x01(\x0e\x32\x1a.percept.v1.ColourEncoding\x12\x14\n\x07quality\x18\x03 \x01(\rH\x00\x88\x01\x01\x42\n\n\x08_quality\"@\n\x15\x43onvertColourResponse\x12\'\n\x06\x63olour\x18\x01 \x01(\x0b\x32\x17.percept.v1.ColourImage\"F\n\x0cMedianFilter\x12\x14\n\x07size_px\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x14\n\x0cignore_holes\x18\x02 \x01(\x08\x42\n\n\x08_size_px\"\x89\x01\n\x0f\x42ilateralFilter\x12\x16\n\tradius_px\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x15\n\x08sigma_px\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12\x1a\n\rsigma_depth_m\x18\x03 \x01(\x01H\x02\x88\x01\x01\x42\x0c\n\n_radius_pxB\x0b\n\t_sigma_pxB\x10\n\x0e_sigma_depth_m\"\xc4\x01\n\x12\x44\x65pthOutlierFilter\x12\x14\n\x07size_px\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x12\n\x05ratio\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12#\n\x16min_deviation_fraction\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12\x1b\n\x0emin_neighbours\x18\x04 \x01(\rH\x03\x88\x01\x01\x42\n\n\x08_size_pxB\x08\n\x06_ratioB\x19\n\x17_min_deviation_fractionB\x11\n\x0f_min_neighbours\"\x9a\x01\n\nHoleFilter\x12\x17\n\niterations\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x1b\n\x0emin_neighbours\x18\x02 \x01(\rH\x01\x88\x01\x01\x12\x1e\n\x11max_jump_fraction\x18\x03 \x01(\x01H\x02\x88\x01\x01\x42\r\n\x0b_iterationsB\x11\n\x0f_min_neighboursB\x14\n\x12_max_jump_fraction\"\xde\x01\n\x0b\x44\x65pthFilter\x12*\n\x06median\x18\x01 \x01(\x0b\x32\x18.percept.v1.MedianFilterH\x00\x12\x30\n\tbilateral\x18\x02 \x01(\x0b\x32\x1b.percept.v1.BilateralFilterH\x00\x12\x39\n\x0fremove_outliers\x18\x03 \x01(\x0b\x32\x1e.percept.v1.DepthOutlierFilterH\x00\x12,\n\nfill_holes\x18\x04 \x01(\x0b\x32\x16.percept.v1.HoleFilterH\x00\x42\x08\n\x06\x66ilter\"e\n\x12\x46ilterDepthRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12(\n\x07\x66ilters\x18\x02 \x03(\x0b\x32\x17.percept.v1.DepthFilter\"<\n\x13\x46ilterDepthResponse\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\"\x83\x02\n\x1a\x43omputeDepthNormalsRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x30\n\nintrinsics\x18\x02 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x14\n\x07step_px\x18\x03 \x01(\rH\x00\x88\x01\x01\x12\x1e\n\x11max_jump_fraction\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12\x1e\n\x11max_incidence_rad\x18\x05 \x01(\x01H\x02\x88\x01\x01\x42\n\n\x08_step_pxB\x14\n\x12_max_jump_fractionB\x14\n\x12_max_incidence_rad\".\n\x1b\x43omputeDepthNormalsResponse\x12\x0f\n\x07normals\x18\x01 \x01(\x0c\"\xca\x02\n\x19SegmentDepthPlanesRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x30\n\nintrinsics\x18\x02 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x14\n\x07\x63\x65ll_px\x18\x03 \x01(\rH\x00\x88\x01\x01\x12\x1a\n\rnoise_at_1m_m\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12\x1a\n\rmax_angle_rad\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x1b\n\x0emax_distance_m\x18\x06 \x01(\x01H\x03\x88\x01\x01\x12\x17\n\nmin_pixels\x18\x07 \x01(\rH\x04\x88\x01\x01\x42\n\n\x08_cell_pxB\x10\n\x0e_noise_at_1m_mB\x10\n\x0e_max_angle_radB\x11\n\x0f_max_distance_mB\r\n\x0b_min_pixels\"v\n\nDepthPlane\x12 \n\x05plane\x18\x01 \x01(\x0b\x32\x11.percept.v1.Plane\x12#\n\x06\x63\x65ntre\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x12\n\nnum_pixels\x18\x03 \x01(\r\x12\r\n\x05rms_m\x18\x04 \x01(\x01\"T\n\x1aSegmentDepthPlanesResponse\x12&\n\x06planes\x18\x01 \x03(\x0b\x32\x16.percept.v1.DepthPlane\x12\x0e\n\x06labels\x18\x02 \x01(\x0c\"\xac\x02\n\x15\x46indDepthEdgesRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x30\n\nintrinsics\x18\x02 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x1e\n\x11min_jump_fraction\x18\x03 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\rmax_search_px\x18\x04 \x01(\rH\x01\x88\x01\x01\x12\x19\n\x0cmin_bend_rad\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x19\n\x0c\x62\x65nd_step_px\x18\x06 \x01(\rH\x03\x88\x01\x01\x42\x14\n\x12_min_jump_fractionB\x10\n\x0e_max_search_pxB\x0f\n\r_min_bend_radB\x0f\n\r_bend_step_px\"\'\n\x16\x46indDepthEdgesResponse\x12\r\n\x05\x65\x64ges\x18\x01 \x01(\x0c\"\xb0\x02\n\x15RegisterColourRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x32\n\x0c\x64\x65pth_camera\x18\x02 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\'\n\x06\x63olour\x18\x03 \x01(\x0b\x32\x17.percept.v1.ColourImage\x12\x33\n\rcolour_camera\x18\x04 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12(\n\x0et_colour_depth\x18\x05 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x1e\n\x11max_jump_fraction\x18\x06 \x01(\x01H\x00\x88\x01\x01\x42\x14\n\x12_max_jump_fraction\"O\n\x16RegisterColourResponse\x12\'\n\x06\x63olour\x18\x01 \x01(\x0b\x32\x17.percept.v1.ColourImage\x12\x0c\n\x04seen\x18\x02 \x01(\x0c\x32\xf6\x05\n\x13ToolboxDepthService\x12Y\n\x0eUnprojectDepth\x12!.percept.v1.UnprojectDepthRequest\x1a\".percept.v1.UnprojectDepthResponse0\x01\x12S\n\x0c\x43onvertDepth\x12\x1f.percept.v1.ConvertDepthRequest\x1a .percept.v1.ConvertDepthResponse0\x01\x12V\n\rConvertColour\x12 .percept.v1.ConvertColourRequest\x1a!.percept.v1.ConvertColourResponse0\x01\x12P\n\x0b\x46ilterDepth\x12\x1e.percept.v1.FilterDepthRequest\x1a\x1f.percept.v1.FilterDepthResponse0\x01\x12h\n\x13\x43omputeDepthNormals\x12&.percept.v1.ComputeDepthNormalsRequest\x1a\'.percept.v1.ComputeDepthNormalsResponse0\x01\x12\x65\n\x12SegmentDepthPlanes\x12%.percept.v1.SegmentDepthPlanesRequest\x1a&.percept.v1.SegmentDepthPlanesResponse0\x01\x12Y\n\x0e\x46indDepthEdges\x12!.percept.v1.FindDepthEdgesRequest\x1a\".percept.v1.FindDepthEdgesResponse0\x01\x12Y\n\x0eRegisterColour\x12!.percept.v1.RegisterColourRequest\x1a\".percept.v1.RegisterColourResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -25,49 +25,49 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.toolbox_depth_se
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
   _globals['_UNPROJECTDEPTHREQUEST']._serialized_start=133
-  _globals['_UNPROJECTDEPTHREQUEST']._serialized_end=436
-  _globals['_UNPROJECTDEPTHRESPONSE']._serialized_start=438
-  _globals['_UNPROJECTDEPTHRESPONSE']._serialized_end=554
-  _globals['_CONVERTDEPTHREQUEST']._serialized_start=557
-  _globals['_CONVERTDEPTHREQUEST']._serialized_end=712
-  _globals['_CONVERTDEPTHRESPONSE']._serialized_start=714
-  _globals['_CONVERTDEPTHRESPONSE']._serialized_end=775
-  _globals['_CONVERTCOLORREQUEST']._serialized_start=778
-  _globals['_CONVERTCOLORREQUEST']._serialized_end=917
-  _globals['_CONVERTCOLORRESPONSE']._serialized_start=919
-  _globals['_CONVERTCOLORRESPONSE']._serialized_end=980
-  _globals['_MEDIANFILTER']._serialized_start=982
-  _globals['_MEDIANFILTER']._serialized_end=1052
-  _globals['_BILATERALFILTER']._serialized_start=1055
-  _globals['_BILATERALFILTER']._serialized_end=1192
-  _globals['_DEPTHOUTLIERFILTER']._serialized_start=1195
-  _globals['_DEPTHOUTLIERFILTER']._serialized_end=1389
-  _globals['_HOLEFILTER']._serialized_start=1392
-  _globals['_HOLEFILTER']._serialized_end=1544
-  _globals['_DEPTHFILTER']._serialized_start=1547
-  _globals['_DEPTHFILTER']._serialized_end=1769
-  _globals['_FILTERDEPTHREQUEST']._serialized_start=1771
-  _globals['_FILTERDEPTHREQUEST']._serialized_end=1872
-  _globals['_FILTERDEPTHRESPONSE']._serialized_start=1874
-  _globals['_FILTERDEPTHRESPONSE']._serialized_end=1934
-  _globals['_COMPUTEDEPTHNORMALSREQUEST']._serialized_start=1937
-  _globals['_COMPUTEDEPTHNORMALSREQUEST']._serialized_end=2196
-  _globals['_COMPUTEDEPTHNORMALSRESPONSE']._serialized_start=2198
-  _globals['_COMPUTEDEPTHNORMALSRESPONSE']._serialized_end=2244
-  _globals['_SEGMENTDEPTHPLANESREQUEST']._serialized_start=2247
-  _globals['_SEGMENTDEPTHPLANESREQUEST']._serialized_end=2577
-  _globals['_DEPTHPLANE']._serialized_start=2579
-  _globals['_DEPTHPLANE']._serialized_end=2697
-  _globals['_SEGMENTDEPTHPLANESRESPONSE']._serialized_start=2699
-  _globals['_SEGMENTDEPTHPLANESRESPONSE']._serialized_end=2783
-  _globals['_FINDDEPTHEDGESREQUEST']._serialized_start=2786
-  _globals['_FINDDEPTHEDGESREQUEST']._serialized_end=3086
-  _globals['_FINDDEPTHEDGESRESPONSE']._serialized_start=3088
-  _globals['_FINDDEPTHEDGESRESPONSE']._serialized_end=3127
-  _globals['_REGISTERCOLORREQUEST']._serialized_start=3130
-  _globals['_REGISTERCOLORREQUEST']._serialized_end=3429
-  _globals['_REGISTERCOLORRESPONSE']._serialized_start=3431
-  _globals['_REGISTERCOLORRESPONSE']._serialized_end=3507
-  _globals['_TOOLBOXDEPTHSERVICE']._serialized_start=3510
-  _globals['_TOOLBOXDEPTHSERVICE']._serialized_end=4262
+  _globals['_UNPROJECTDEPTHREQUEST']._serialized_end=439
+  _globals['_UNPROJECTDEPTHRESPONSE']._serialized_start=441
+  _globals['_UNPROJECTDEPTHRESPONSE']._serialized_end=557
+  _globals['_CONVERTDEPTHREQUEST']._serialized_start=560
+  _globals['_CONVERTDEPTHREQUEST']._serialized_end=715
+  _globals['_CONVERTDEPTHRESPONSE']._serialized_start=717
+  _globals['_CONVERTDEPTHRESPONSE']._serialized_end=778
+  _globals['_CONVERTCOLOURREQUEST']._serialized_start=781
+  _globals['_CONVERTCOLOURREQUEST']._serialized_end=924
+  _globals['_CONVERTCOLOURRESPONSE']._serialized_start=926
+  _globals['_CONVERTCOLOURRESPONSE']._serialized_end=990
+  _globals['_MEDIANFILTER']._serialized_start=992
+  _globals['_MEDIANFILTER']._serialized_end=1062
+  _globals['_BILATERALFILTER']._serialized_start=1065
+  _globals['_BILATERALFILTER']._serialized_end=1202
+  _globals['_DEPTHOUTLIERFILTER']._serialized_start=1205
+  _globals['_DEPTHOUTLIERFILTER']._serialized_end=1401
+  _globals['_HOLEFILTER']._serialized_start=1404
+  _globals['_HOLEFILTER']._serialized_end=1558
+  _globals['_DEPTHFILTER']._serialized_start=1561
+  _globals['_DEPTHFILTER']._serialized_end=1783
+  _globals['_FILTERDEPTHREQUEST']._serialized_start=1785
+  _globals['_FILTERDEPTHREQUEST']._serialized_end=1886
+  _globals['_FILTERDEPTHRESPONSE']._serialized_start=1888
+  _globals['_FILTERDEPTHRESPONSE']._serialized_end=1948
+  _globals['_COMPUTEDEPTHNORMALSREQUEST']._serialized_start=1951
+  _globals['_COMPUTEDEPTHNORMALSREQUEST']._serialized_end=2210
+  _globals['_COMPUTEDEPTHNORMALSRESPONSE']._serialized_start=2212
+  _globals['_COMPUTEDEPTHNORMALSRESPONSE']._serialized_end=2258
+  _globals['_SEGMENTDEPTHPLANESREQUEST']._serialized_start=2261
+  _globals['_SEGMENTDEPTHPLANESREQUEST']._serialized_end=2591
+  _globals['_DEPTHPLANE']._serialized_start=2593
+  _globals['_DEPTHPLANE']._serialized_end=2711
+  _globals['_SEGMENTDEPTHPLANESRESPONSE']._serialized_start=2713
+  _globals['_SEGMENTDEPTHPLANESRESPONSE']._serialized_end=2797
+  _globals['_FINDDEPTHEDGESREQUEST']._serialized_start=2800
+  _globals['_FINDDEPTHEDGESREQUEST']._serialized_end=3100
+  _globals['_FINDDEPTHEDGESRESPONSE']._serialized_start=3102
+  _globals['_FINDDEPTHEDGESRESPONSE']._serialized_end=3141
+  _globals['_REGISTERCOLOURREQUEST']._serialized_start=3144
+  _globals['_REGISTERCOLOURREQUEST']._serialized_end=3448
+  _globals['_REGISTERCOLOURRESPONSE']._serialized_start=3450
+  _globals['_REGISTERCOLOURRESPONSE']._serialized_end=3529
+  _globals['_TOOLBOXDEPTHSERVICE']._serialized_start=3532
+  _globals['_TOOLBOXDEPTHSERVICE']._serialized_end=4290
 # @@protoc_insertion_point(module_scope)

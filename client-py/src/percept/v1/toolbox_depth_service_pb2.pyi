@@ -26,7 +26,7 @@ class UnprojectDepthRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     DEPTH_FIELD_NUMBER: _builtins.int
-    COLOR_FIELD_NUMBER: _builtins.int
+    COLOUR_FIELD_NUMBER: _builtins.int
     INTRINSICS_FIELD_NUMBER: _builtins.int
     STRIDE_FIELD_NUMBER: _builtins.int
     MIN_DEPTH_M_FIELD_NUMBER: _builtins.int
@@ -43,7 +43,7 @@ class UnprojectDepthRequest(_message.Message):
     @_builtins.property
     def depth(self) -> _sensor_pb2.DepthImage: ...
     @_builtins.property
-    def color(self) -> _sensor_pb2.ColorImage:
+    def colour(self) -> _sensor_pb2.ColourImage:
         """Of the same size as the depth image. Absent: no colour."""
 
     @_builtins.property
@@ -52,19 +52,19 @@ class UnprojectDepthRequest(_message.Message):
         self,
         *,
         depth: _sensor_pb2.DepthImage | None = ...,
-        color: _sensor_pb2.ColorImage | None = ...,
+        colour: _sensor_pb2.ColourImage | None = ...,
         intrinsics: _sensor_pb2.CameraIntrinsics | None = ...,
         stride: _builtins.int | None = ...,
         min_depth_m: _builtins.float | None = ...,
         max_depth_m: _builtins.float | None = ...,
         keep_result: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_color", b"_color", "_max_depth_m", b"_max_depth_m", "_min_depth_m", b"_min_depth_m", "_stride", b"_stride", "color", b"color", "depth", b"depth", "intrinsics", b"intrinsics", "max_depth_m", b"max_depth_m", "min_depth_m", b"min_depth_m", "stride", b"stride"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_colour", b"_colour", "_max_depth_m", b"_max_depth_m", "_min_depth_m", b"_min_depth_m", "_stride", b"_stride", "colour", b"colour", "depth", b"depth", "intrinsics", b"intrinsics", "max_depth_m", b"max_depth_m", "min_depth_m", b"min_depth_m", "stride", b"stride"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_color", b"_color", "_max_depth_m", b"_max_depth_m", "_min_depth_m", b"_min_depth_m", "_stride", b"_stride", "color", b"color", "depth", b"depth", "intrinsics", b"intrinsics", "keep_result", b"keep_result", "max_depth_m", b"max_depth_m", "min_depth_m", b"min_depth_m", "stride", b"stride"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_colour", b"_colour", "_max_depth_m", b"_max_depth_m", "_min_depth_m", b"_min_depth_m", "_stride", b"_stride", "colour", b"colour", "depth", b"depth", "intrinsics", b"intrinsics", "keep_result", b"keep_result", "max_depth_m", b"max_depth_m", "min_depth_m", b"min_depth_m", "stride", b"stride"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__color: _TypeAlias = _typing.Literal["color"]  # noqa: Y015
-    _WhichOneofArgType__color: _TypeAlias = _typing.Literal["_color", b"_color"]  # noqa: Y015
+    _WhichOneofReturnType__colour: _TypeAlias = _typing.Literal["colour"]  # noqa: Y015
+    _WhichOneofArgType__colour: _TypeAlias = _typing.Literal["_colour", b"_colour"]  # noqa: Y015
     _WhichOneofReturnType__max_depth_m: _TypeAlias = _typing.Literal["max_depth_m"]  # noqa: Y015
     _WhichOneofArgType__max_depth_m: _TypeAlias = _typing.Literal["_max_depth_m", b"_max_depth_m"]  # noqa: Y015
     _WhichOneofReturnType__min_depth_m: _TypeAlias = _typing.Literal["min_depth_m"]  # noqa: Y015
@@ -72,7 +72,7 @@ class UnprojectDepthRequest(_message.Message):
     _WhichOneofReturnType__stride: _TypeAlias = _typing.Literal["stride"]  # noqa: Y015
     _WhichOneofArgType__stride: _TypeAlias = _typing.Literal["_stride", b"_stride"]  # noqa: Y015
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__color) -> _WhichOneofReturnType__color | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__colour) -> _WhichOneofReturnType__colour | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_depth_m) -> _WhichOneofReturnType__max_depth_m | None: ...
     @_typing.overload
@@ -165,56 +165,56 @@ class ConvertDepthResponse(_message.Message):
 Global___ConvertDepthResponse: _TypeAlias = ConvertDepthResponse  # noqa: Y015
 
 @_typing.final
-class ConvertColorRequest(_message.Message):
+class ConvertColourRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
-    COLOR_FIELD_NUMBER: _builtins.int
+    COLOUR_FIELD_NUMBER: _builtins.int
     ENCODING_FIELD_NUMBER: _builtins.int
     QUALITY_FIELD_NUMBER: _builtins.int
-    encoding: _sensor_pb2.ColorEncoding.ValueType
+    encoding: _sensor_pb2.ColourEncoding.ValueType
     """UNSPECIFIED: RGB8."""
     quality: _builtins.int
     """Of a JPEG, 1 to 100. Absent: 90."""
     @_builtins.property
-    def color(self) -> _sensor_pb2.ColorImage:
+    def colour(self) -> _sensor_pb2.ColourImage:
         """A PNG or JPEG may leave its size 0: it is the file's."""
 
     def __init__(
         self,
         *,
-        color: _sensor_pb2.ColorImage | None = ...,
-        encoding: _sensor_pb2.ColorEncoding.ValueType = ...,
+        colour: _sensor_pb2.ColourImage | None = ...,
+        encoding: _sensor_pb2.ColourEncoding.ValueType = ...,
         quality: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_quality", b"_quality", "color", b"color", "quality", b"quality"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_quality", b"_quality", "colour", b"colour", "quality", b"quality"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_quality", b"_quality", "color", b"color", "encoding", b"encoding", "quality", b"quality"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_quality", b"_quality", "colour", b"colour", "encoding", b"encoding", "quality", b"quality"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__quality: _TypeAlias = _typing.Literal["quality"]  # noqa: Y015
     _WhichOneofArgType__quality: _TypeAlias = _typing.Literal["_quality", b"_quality"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType__quality) -> _WhichOneofReturnType__quality | None: ...
 
-Global___ConvertColorRequest: _TypeAlias = ConvertColorRequest  # noqa: Y015
+Global___ConvertColourRequest: _TypeAlias = ConvertColourRequest  # noqa: Y015
 
 @_typing.final
-class ConvertColorResponse(_message.Message):
+class ConvertColourResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
-    COLOR_FIELD_NUMBER: _builtins.int
+    COLOUR_FIELD_NUMBER: _builtins.int
     @_builtins.property
-    def color(self) -> _sensor_pb2.ColorImage: ...
+    def colour(self) -> _sensor_pb2.ColourImage: ...
     def __init__(
         self,
         *,
-        color: _sensor_pb2.ColorImage | None = ...,
+        colour: _sensor_pb2.ColourImage | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["color", b"color"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["colour", b"colour"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["color", b"color"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["colour", b"colour"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
-Global___ConvertColorResponse: _TypeAlias = ConvertColorResponse  # noqa: Y015
+Global___ConvertColourResponse: _TypeAlias = ConvertColourResponse  # noqa: Y015
 
 @_typing.final
 class MedianFilter(_message.Message):
@@ -294,14 +294,14 @@ class DepthOutlierFilter(_message.Message):
     SIZE_PX_FIELD_NUMBER: _builtins.int
     RATIO_FIELD_NUMBER: _builtins.int
     MIN_DEVIATION_FRACTION_FIELD_NUMBER: _builtins.int
-    MIN_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    MIN_NEIGHBOURS_FIELD_NUMBER: _builtins.int
     size_px: _builtins.int
     """3 or 5. Absent: 5."""
     ratio: _builtins.float
     """Absent: 2."""
     min_deviation_fraction: _builtins.float
     """Least deviation, of the depth. Absent: 0.01."""
-    min_neighbors: _builtins.int
+    min_neighbours: _builtins.int
     """Absent: 4."""
     def __init__(
         self,
@@ -309,16 +309,16 @@ class DepthOutlierFilter(_message.Message):
         size_px: _builtins.int | None = ...,
         ratio: _builtins.float | None = ...,
         min_deviation_fraction: _builtins.float | None = ...,
-        min_neighbors: _builtins.int | None = ...,
+        min_neighbours: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_deviation_fraction", b"_min_deviation_fraction", "_min_neighbors", b"_min_neighbors", "_ratio", b"_ratio", "_size_px", b"_size_px", "min_deviation_fraction", b"min_deviation_fraction", "min_neighbors", b"min_neighbors", "ratio", b"ratio", "size_px", b"size_px"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_deviation_fraction", b"_min_deviation_fraction", "_min_neighbours", b"_min_neighbours", "_ratio", b"_ratio", "_size_px", b"_size_px", "min_deviation_fraction", b"min_deviation_fraction", "min_neighbours", b"min_neighbours", "ratio", b"ratio", "size_px", b"size_px"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_deviation_fraction", b"_min_deviation_fraction", "_min_neighbors", b"_min_neighbors", "_ratio", b"_ratio", "_size_px", b"_size_px", "min_deviation_fraction", b"min_deviation_fraction", "min_neighbors", b"min_neighbors", "ratio", b"ratio", "size_px", b"size_px"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_deviation_fraction", b"_min_deviation_fraction", "_min_neighbours", b"_min_neighbours", "_ratio", b"_ratio", "_size_px", b"_size_px", "min_deviation_fraction", b"min_deviation_fraction", "min_neighbours", b"min_neighbours", "ratio", b"ratio", "size_px", b"size_px"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__min_deviation_fraction: _TypeAlias = _typing.Literal["min_deviation_fraction"]  # noqa: Y015
     _WhichOneofArgType__min_deviation_fraction: _TypeAlias = _typing.Literal["_min_deviation_fraction", b"_min_deviation_fraction"]  # noqa: Y015
-    _WhichOneofReturnType__min_neighbors: _TypeAlias = _typing.Literal["min_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__min_neighbors: _TypeAlias = _typing.Literal["_min_neighbors", b"_min_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__min_neighbours: _TypeAlias = _typing.Literal["min_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__min_neighbours: _TypeAlias = _typing.Literal["_min_neighbours", b"_min_neighbours"]  # noqa: Y015
     _WhichOneofReturnType__ratio: _TypeAlias = _typing.Literal["ratio"]  # noqa: Y015
     _WhichOneofArgType__ratio: _TypeAlias = _typing.Literal["_ratio", b"_ratio"]  # noqa: Y015
     _WhichOneofReturnType__size_px: _TypeAlias = _typing.Literal["size_px"]  # noqa: Y015
@@ -326,7 +326,7 @@ class DepthOutlierFilter(_message.Message):
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__min_deviation_fraction) -> _WhichOneofReturnType__min_deviation_fraction | None: ...
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbors) -> _WhichOneofReturnType__min_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbours) -> _WhichOneofReturnType__min_neighbours | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__ratio) -> _WhichOneofReturnType__ratio | None: ...
     @_typing.overload
@@ -341,11 +341,11 @@ class HoleFilter(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     ITERATIONS_FIELD_NUMBER: _builtins.int
-    MIN_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    MIN_NEIGHBOURS_FIELD_NUMBER: _builtins.int
     MAX_JUMP_FRACTION_FIELD_NUMBER: _builtins.int
     iterations: _builtins.int
     """1 to 64. Absent: 1."""
-    min_neighbors: _builtins.int
+    min_neighbours: _builtins.int
     """Of the 24 about a pixel, 1 to 24. Absent: 12."""
     max_jump_fraction: _builtins.float
     """Neighbours whose depth differs by more are of two surfaces, of the depth. Absent: 0.05."""
@@ -353,25 +353,25 @@ class HoleFilter(_message.Message):
         self,
         *,
         iterations: _builtins.int | None = ...,
-        min_neighbors: _builtins.int | None = ...,
+        min_neighbours: _builtins.int | None = ...,
         max_jump_fraction: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_iterations", b"_iterations", "_max_jump_fraction", b"_max_jump_fraction", "_min_neighbors", b"_min_neighbors", "iterations", b"iterations", "max_jump_fraction", b"max_jump_fraction", "min_neighbors", b"min_neighbors"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_iterations", b"_iterations", "_max_jump_fraction", b"_max_jump_fraction", "_min_neighbours", b"_min_neighbours", "iterations", b"iterations", "max_jump_fraction", b"max_jump_fraction", "min_neighbours", b"min_neighbours"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_iterations", b"_iterations", "_max_jump_fraction", b"_max_jump_fraction", "_min_neighbors", b"_min_neighbors", "iterations", b"iterations", "max_jump_fraction", b"max_jump_fraction", "min_neighbors", b"min_neighbors"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_iterations", b"_iterations", "_max_jump_fraction", b"_max_jump_fraction", "_min_neighbours", b"_min_neighbours", "iterations", b"iterations", "max_jump_fraction", b"max_jump_fraction", "min_neighbours", b"min_neighbours"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__iterations: _TypeAlias = _typing.Literal["iterations"]  # noqa: Y015
     _WhichOneofArgType__iterations: _TypeAlias = _typing.Literal["_iterations", b"_iterations"]  # noqa: Y015
     _WhichOneofReturnType__max_jump_fraction: _TypeAlias = _typing.Literal["max_jump_fraction"]  # noqa: Y015
     _WhichOneofArgType__max_jump_fraction: _TypeAlias = _typing.Literal["_max_jump_fraction", b"_max_jump_fraction"]  # noqa: Y015
-    _WhichOneofReturnType__min_neighbors: _TypeAlias = _typing.Literal["min_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__min_neighbors: _TypeAlias = _typing.Literal["_min_neighbors", b"_min_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__min_neighbours: _TypeAlias = _typing.Literal["min_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__min_neighbours: _TypeAlias = _typing.Literal["_min_neighbours", b"_min_neighbours"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__iterations) -> _WhichOneofReturnType__iterations | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_jump_fraction) -> _WhichOneofReturnType__max_jump_fraction | None: ...
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbors) -> _WhichOneofReturnType__min_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_neighbours) -> _WhichOneofReturnType__min_neighbours | None: ...
 
 Global___HoleFilter: _TypeAlias = HoleFilter  # noqa: Y015
 
@@ -592,7 +592,7 @@ class DepthPlane(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     PLANE_FIELD_NUMBER: _builtins.int
-    CENTER_FIELD_NUMBER: _builtins.int
+    CENTRE_FIELD_NUMBER: _builtins.int
     NUM_PIXELS_FIELD_NUMBER: _builtins.int
     RMS_M_FIELD_NUMBER: _builtins.int
     num_pixels: _builtins.int
@@ -603,20 +603,20 @@ class DepthPlane(_message.Message):
         """Optical frame."""
 
     @_builtins.property
-    def center(self) -> _geometry_pb2.Vector3:
+    def centre(self) -> _geometry_pb2.Vector3:
         """Mean of its points, metres."""
 
     def __init__(
         self,
         *,
         plane: _geometry_pb2.Plane | None = ...,
-        center: _geometry_pb2.Vector3 | None = ...,
+        centre: _geometry_pb2.Vector3 | None = ...,
         num_pixels: _builtins.int = ...,
         rms_m: _builtins.float = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["center", b"center", "plane", b"plane"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["centre", b"centre", "plane", b"plane"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["center", b"center", "num_pixels", b"num_pixels", "plane", b"plane", "rms_m", b"rms_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["centre", b"centre", "num_pixels", b"num_pixels", "plane", b"plane", "rms_m", b"rms_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -724,14 +724,14 @@ class FindDepthEdgesResponse(_message.Message):
 Global___FindDepthEdgesResponse: _TypeAlias = FindDepthEdgesResponse  # noqa: Y015
 
 @_typing.final
-class RegisterColorRequest(_message.Message):
+class RegisterColourRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     DEPTH_FIELD_NUMBER: _builtins.int
     DEPTH_CAMERA_FIELD_NUMBER: _builtins.int
-    COLOR_FIELD_NUMBER: _builtins.int
-    COLOR_CAMERA_FIELD_NUMBER: _builtins.int
-    T_COLOR_DEPTH_FIELD_NUMBER: _builtins.int
+    COLOUR_FIELD_NUMBER: _builtins.int
+    COLOUR_CAMERA_FIELD_NUMBER: _builtins.int
+    T_COLOUR_DEPTH_FIELD_NUMBER: _builtins.int
     MAX_JUMP_FRACTION_FIELD_NUMBER: _builtins.int
     max_jump_fraction: _builtins.float
     """What is hidden from the colour camera by something nearer than this share of its depth has no colour. Absent: 0.05."""
@@ -740,11 +740,11 @@ class RegisterColorRequest(_message.Message):
     @_builtins.property
     def depth_camera(self) -> _sensor_pb2.CameraIntrinsics: ...
     @_builtins.property
-    def color(self) -> _sensor_pb2.ColorImage: ...
+    def colour(self) -> _sensor_pb2.ColourImage: ...
     @_builtins.property
-    def color_camera(self) -> _sensor_pb2.CameraIntrinsics: ...
+    def colour_camera(self) -> _sensor_pb2.CameraIntrinsics: ...
     @_builtins.property
-    def t_color_depth(self) -> _geometry_pb2.Pose:
+    def t_colour_depth(self) -> _geometry_pb2.Pose:
         """Optical frame of the depth camera to that of the colour camera."""
 
     def __init__(
@@ -752,43 +752,43 @@ class RegisterColorRequest(_message.Message):
         *,
         depth: _sensor_pb2.DepthImage | None = ...,
         depth_camera: _sensor_pb2.CameraIntrinsics | None = ...,
-        color: _sensor_pb2.ColorImage | None = ...,
-        color_camera: _sensor_pb2.CameraIntrinsics | None = ...,
-        t_color_depth: _geometry_pb2.Pose | None = ...,
+        colour: _sensor_pb2.ColourImage | None = ...,
+        colour_camera: _sensor_pb2.CameraIntrinsics | None = ...,
+        t_colour_depth: _geometry_pb2.Pose | None = ...,
         max_jump_fraction: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_jump_fraction", b"_max_jump_fraction", "color", b"color", "color_camera", b"color_camera", "depth", b"depth", "depth_camera", b"depth_camera", "max_jump_fraction", b"max_jump_fraction", "t_color_depth", b"t_color_depth"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_jump_fraction", b"_max_jump_fraction", "colour", b"colour", "colour_camera", b"colour_camera", "depth", b"depth", "depth_camera", b"depth_camera", "max_jump_fraction", b"max_jump_fraction", "t_colour_depth", b"t_colour_depth"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_jump_fraction", b"_max_jump_fraction", "color", b"color", "color_camera", b"color_camera", "depth", b"depth", "depth_camera", b"depth_camera", "max_jump_fraction", b"max_jump_fraction", "t_color_depth", b"t_color_depth"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_jump_fraction", b"_max_jump_fraction", "colour", b"colour", "colour_camera", b"colour_camera", "depth", b"depth", "depth_camera", b"depth_camera", "max_jump_fraction", b"max_jump_fraction", "t_colour_depth", b"t_colour_depth"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__max_jump_fraction: _TypeAlias = _typing.Literal["max_jump_fraction"]  # noqa: Y015
     _WhichOneofArgType__max_jump_fraction: _TypeAlias = _typing.Literal["_max_jump_fraction", b"_max_jump_fraction"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_jump_fraction) -> _WhichOneofReturnType__max_jump_fraction | None: ...
 
-Global___RegisterColorRequest: _TypeAlias = RegisterColorRequest  # noqa: Y015
+Global___RegisterColourRequest: _TypeAlias = RegisterColourRequest  # noqa: Y015
 
 @_typing.final
-class RegisterColorResponse(_message.Message):
+class RegisterColourResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
-    COLOR_FIELD_NUMBER: _builtins.int
+    COLOUR_FIELD_NUMBER: _builtins.int
     SEEN_FIELD_NUMBER: _builtins.int
     seen: _builtins.bytes
     """H x W uint8: 1 where the colour camera sees the point."""
     @_builtins.property
-    def color(self) -> _sensor_pb2.ColorImage:
+    def colour(self) -> _sensor_pb2.ColourImage:
         """Of the size of the depth image; black where no colour is known."""
 
     def __init__(
         self,
         *,
-        color: _sensor_pb2.ColorImage | None = ...,
+        colour: _sensor_pb2.ColourImage | None = ...,
         seen: _builtins.bytes = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["color", b"color"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["colour", b"colour"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["color", b"color", "seen", b"seen"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["colour", b"colour", "seen", b"seen"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
-Global___RegisterColorResponse: _TypeAlias = RegisterColorResponse  # noqa: Y015
+Global___RegisterColourResponse: _TypeAlias = RegisterColourResponse  # noqa: Y015

@@ -17,49 +17,49 @@ from percept.v1 import sensor_pb2 as percept_dot_v1_dot_sensor__pb2
 from percept.v1 import toolbox_pb2 as percept_dot_v1_dot_toolbox__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'percept/v1/toolbox_images_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/toolbox.proto\"\x90\x03\n\x16\x45xtractFeaturesRequest\x12%\n\x05image\x18\x01 \x01(\x0b\x32\x16.percept.v1.ColorImage\x12)\n\x06method\x18\x02 \x01(\x0e\x32\x19.percept.v1.FeatureMethod\x12\x19\n\x0cmax_features\x18\x03 \x01(\rH\x00\x88\x01\x01\x12\x17\n\nnum_levels\x18\x04 \x01(\rH\x01\x88\x01\x01\x12\x19\n\x0cscale_factor\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x1b\n\x0e\x66\x61st_threshold\x18\x06 \x01(\rH\x03\x88\x01\x01\x12\x1f\n\x12\x63ontrast_threshold\x18\x07 \x01(\x01H\x04\x88\x01\x01\x12\x1b\n\x0e\x65\x64ge_threshold\x18\x08 \x01(\x01H\x05\x88\x01\x01\x12\x0c\n\x04root\x18\t \x01(\x08\x42\x0f\n\r_max_featuresB\r\n\x0b_num_levelsB\x0f\n\r_scale_factorB\x11\n\x0f_fast_thresholdB\x15\n\x13_contrast_thresholdB\x11\n\x0f_edge_threshold\"\xa2\x01\n\x17\x45xtractFeaturesResponse\x12\x0e\n\x06points\x18\x01 \x01(\x0c\x12\x10\n\x08sizes_px\x18\x02 \x01(\x0c\x12\x12\n\nangles_rad\x18\x03 \x01(\x0c\x12\x11\n\tresponses\x18\x04 \x01(\x0c\x12\x0f\n\x07octaves\x18\x05 \x01(\x0c\x12\x13\n\x0b\x64\x65scriptors\x18\x06 \x01(\x0c\x12\x18\n\x10\x64\x65scriptor_bytes\x18\x07 \x01(\r\"\xa8\x01\n\x14MatchFeaturesRequest\x12\r\n\x05query\x18\x01 \x01(\x0c\x12\r\n\x05train\x18\x02 \x01(\x0c\x12\x18\n\x10\x64\x65scriptor_bytes\x18\x03 \x01(\r\x12\x12\n\x05ratio\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x0e\n\x06mutual\x18\x05 \x01(\x08\x12\x19\n\x0cmax_distance\x18\x06 \x01(\x01H\x01\x88\x01\x01\x42\x08\n\x06_ratioB\x0f\n\r_max_distance\"9\n\x15MatchFeaturesResponse\x12\r\n\x05pairs\x18\x01 \x01(\x0c\x12\x11\n\tdistances\x18\x02 \x01(\x0c\"\xa0\x01\n\x0cRansacParams\x12\x19\n\x0cthreshold_px\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x17\n\nconfidence\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12\x1b\n\x0emax_iterations\x18\x03 \x01(\rH\x02\x88\x01\x01\x12\x0c\n\x04seed\x18\x04 \x01(\x04\x42\x0f\n\r_threshold_pxB\r\n\x0b_confidenceB\x11\n\x0f_max_iterations\"\xda\x01\n\x18\x45stimateEssentialRequest\x12\x10\n\x08points_a\x18\x01 \x01(\x0c\x12\x10\n\x08points_b\x18\x02 \x01(\x0c\x12.\n\x08\x63\x61mera_a\x18\x03 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x33\n\x08\x63\x61mera_b\x18\x04 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsicsH\x00\x88\x01\x01\x12(\n\x06ransac\x18\x05 \x01(\x0b\x32\x18.percept.v1.RansacParamsB\x0b\n\t_camera_b\"\xa0\x01\n\x19\x45stimateEssentialResponse\x12\x11\n\tessential\x18\x01 \x03(\x01\x12\x1f\n\x05t_b_a\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x0f\n\x07inliers\x18\x03 \x01(\x0c\x12\x19\n\x11num_with_parallax\x18\x04 \x01(\r\x12\x0f\n\x07rmse_px\x18\x05 \x01(\x01\x12\x12\n\niterations\x18\x06 \x01(\r\"i\n\x19\x45stimateHomographyRequest\x12\x10\n\x08points_a\x18\x01 \x01(\x0c\x12\x10\n\x08points_b\x18\x02 \x01(\x0c\x12(\n\x06ransac\x18\x03 \x01(\x0b\x32\x18.percept.v1.RansacParams\"f\n\x1a\x45stimateHomographyResponse\x12\x12\n\nhomography\x18\x01 \x03(\x01\x12\x0f\n\x07inliers\x18\x02 \x01(\x0c\x12\x0f\n\x07rmse_px\x18\x03 \x01(\x01\x12\x12\n\niterations\x18\x04 \x01(\r\"\xd8\x01\n\x16\x45stimateTwoViewRequest\x12\x10\n\x08points_a\x18\x01 \x01(\x0c\x12\x10\n\x08points_b\x18\x02 \x01(\x0c\x12.\n\x08\x63\x61mera_a\x18\x03 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x33\n\x08\x63\x61mera_b\x18\x04 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsicsH\x00\x88\x01\x01\x12(\n\x06ransac\x18\x05 \x01(\x0b\x32\x18.percept.v1.RansacParamsB\x0b\n\t_camera_b\"\xaa\x02\n\x17\x45stimateTwoViewResponse\x12\'\n\x05model\x18\x01 \x01(\x0e\x32\x18.percept.v1.TwoViewModel\x12+\n\x07outcome\x18\x02 \x01(\x0e\x32\x1a.percept.v1.TwoViewOutcome\x12\x38\n\tessential\x18\x03 \x01(\x0b\x32%.percept.v1.EstimateEssentialResponse\x12?\n\nhomography\x18\x04 \x01(\x0b\x32&.percept.v1.EstimateHomographyResponseH\x00\x88\x01\x01\x12\x16\n\x0egric_essential\x18\x05 \x01(\x01\x12\x17\n\x0fgric_homography\x18\x06 \x01(\x01\x42\r\n\x0b_homography\"s\n\tPosedView\x12,\n\x06\x63\x61mera\x18\x01 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12(\n\x0et_world_camera\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x0e\n\x06pixels\x18\x03 \x01(\x0c\"@\n\x18TriangulatePointsRequest\x12$\n\x05views\x18\x01 \x03(\x0b\x32\x15.percept.v1.PosedView\"|\n\x19TriangulatePointsResponse\x12\x11\n\tpositions\x18\x01 \x01(\x0c\x12\x13\n\x0b\x63ovariances\x18\x02 \x01(\x0c\x12\x14\n\x0cparallax_rad\x18\x03 \x01(\x0c\x12\x0f\n\x07rmse_px\x18\x04 \x01(\x0c\x12\x10\n\x08in_front\x18\x05 \x01(\x0c\"\x89\x01\n\x0fSolvePnpRequest\x12\x0e\n\x06points\x18\x01 \x01(\x0c\x12\x0e\n\x06pixels\x18\x02 \x01(\x0c\x12,\n\x06\x63\x61mera\x18\x03 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12(\n\x06ransac\x18\x04 \x01(\x0b\x32\x18.percept.v1.RansacParams\"\x9f\x01\n\x10SolvePnpResponse\x12(\n\x0et_world_camera\x18\x01 \x01(\x0b\x32\x10.percept.v1.Pose\x12+\n\ncovariance\x18\x02 \x01(\x0b\x32\x17.percept.v1.Covariance6\x12\x0f\n\x07inliers\x18\x03 \x01(\x0c\x12\x0f\n\x07rmse_px\x18\x04 \x01(\x01\x12\x12\n\niterations\x18\x05 \x01(\r*k\n\x0cTwoViewModel\x12\x1e\n\x1aTWO_VIEW_MODEL_UNSPECIFIED\x10\x00\x12\x1c\n\x18TWO_VIEW_MODEL_ESSENTIAL\x10\x01\x12\x1d\n\x19TWO_VIEW_MODEL_HOMOGRAPHY\x10\x02*\x90\x01\n\x0eTwoViewOutcome\x12 \n\x1cTWO_VIEW_OUTCOME_UNSPECIFIED\x10\x00\x12\x19\n\x15TWO_VIEW_OUTCOME_POSE\x10\x01\x12$\n TWO_VIEW_OUTCOME_LITTLE_PARALLAX\x10\x02\x12\x1b\n\x17TWO_VIEW_OUTCOME_PLANAR\x10\x03\x32\xa2\x05\n\x14ToolboxImagesService\x12\\\n\x0f\x45xtractFeatures\x12\".percept.v1.ExtractFeaturesRequest\x1a#.percept.v1.ExtractFeaturesResponse0\x01\x12V\n\rMatchFeatures\x12 .percept.v1.MatchFeaturesRequest\x1a!.percept.v1.MatchFeaturesResponse0\x01\x12\x62\n\x11\x45stimateEssential\x12$.percept.v1.EstimateEssentialRequest\x1a%.percept.v1.EstimateEssentialResponse0\x01\x12\x65\n\x12\x45stimateHomography\x12%.percept.v1.EstimateHomographyRequest\x1a&.percept.v1.EstimateHomographyResponse0\x01\x12\\\n\x0f\x45stimateTwoView\x12\".percept.v1.EstimateTwoViewRequest\x1a#.percept.v1.EstimateTwoViewResponse0\x01\x12\x62\n\x11TriangulatePoints\x12$.percept.v1.TriangulatePointsRequest\x1a%.percept.v1.TriangulatePointsResponse0\x01\x12G\n\x08SolvePnp\x12\x1b.percept.v1.SolvePnpRequest\x1a\x1c.percept.v1.SolvePnpResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'percept/v1/toolbox_images_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/toolbox.proto\"\x91\x03\n\x16\x45xtractFeaturesRequest\x12&\n\x05image\x18\x01 \x01(\x0b\x32\x17.percept.v1.ColourImage\x12)\n\x06method\x18\x02 \x01(\x0e\x32\x19.percept.v1.FeatureMethod\x12\x19\n\x0cmax_features\x18\x03 \x01(\rH\x00\x88\x01\x01\x12\x17\n\nnum_levels\x18\x04 \x01(\rH\x01\x88\x01\x01\x12\x19\n\x0cscale_factor\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x1b\n\x0e\x66\x61st_threshold\x18\x06 \x01(\rH\x03\x88\x01\x01\x12\x1f\n\x12\x63ontrast_threshold\x18\x07 \x01(\x01H\x04\x88\x01\x01\x12\x1b\n\x0e\x65\x64ge_threshold\x18\x08 \x01(\x01H\x05\x88\x01\x01\x12\x0c\n\x04root\x18\t \x01(\x08\x42\x0f\n\r_max_featuresB\r\n\x0b_num_levelsB\x0f\n\r_scale_factorB\x11\n\x0f_fast_thresholdB\x15\n\x13_contrast_thresholdB\x11\n\x0f_edge_threshold\"\xa2\x01\n\x17\x45xtractFeaturesResponse\x12\x0e\n\x06points\x18\x01 \x01(\x0c\x12\x10\n\x08sizes_px\x18\x02 \x01(\x0c\x12\x12\n\nangles_rad\x18\x03 \x01(\x0c\x12\x11\n\tresponses\x18\x04 \x01(\x0c\x12\x0f\n\x07octaves\x18\x05 \x01(\x0c\x12\x13\n\x0b\x64\x65scriptors\x18\x06 \x01(\x0c\x12\x18\n\x10\x64\x65scriptor_bytes\x18\x07 \x01(\r\"\xa8\x01\n\x14MatchFeaturesRequest\x12\r\n\x05query\x18\x01 \x01(\x0c\x12\r\n\x05train\x18\x02 \x01(\x0c\x12\x18\n\x10\x64\x65scriptor_bytes\x18\x03 \x01(\r\x12\x12\n\x05ratio\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x0e\n\x06mutual\x18\x05 \x01(\x08\x12\x19\n\x0cmax_distance\x18\x06 \x01(\x01H\x01\x88\x01\x01\x42\x08\n\x06_ratioB\x0f\n\r_max_distance\"9\n\x15MatchFeaturesResponse\x12\r\n\x05pairs\x18\x01 \x01(\x0c\x12\x11\n\tdistances\x18\x02 \x01(\x0c\"\xa0\x01\n\x0cRansacParams\x12\x19\n\x0cthreshold_px\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x17\n\nconfidence\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12\x1b\n\x0emax_iterations\x18\x03 \x01(\rH\x02\x88\x01\x01\x12\x0c\n\x04seed\x18\x04 \x01(\x04\x42\x0f\n\r_threshold_pxB\r\n\x0b_confidenceB\x11\n\x0f_max_iterations\"\xda\x01\n\x18\x45stimateEssentialRequest\x12\x10\n\x08points_a\x18\x01 \x01(\x0c\x12\x10\n\x08points_b\x18\x02 \x01(\x0c\x12.\n\x08\x63\x61mera_a\x18\x03 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x33\n\x08\x63\x61mera_b\x18\x04 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsicsH\x00\x88\x01\x01\x12(\n\x06ransac\x18\x05 \x01(\x0b\x32\x18.percept.v1.RansacParamsB\x0b\n\t_camera_b\"\xa0\x01\n\x19\x45stimateEssentialResponse\x12\x11\n\tessential\x18\x01 \x03(\x01\x12\x1f\n\x05t_b_a\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x0f\n\x07inliers\x18\x03 \x01(\x0c\x12\x19\n\x11num_with_parallax\x18\x04 \x01(\r\x12\x0f\n\x07rmse_px\x18\x05 \x01(\x01\x12\x12\n\niterations\x18\x06 \x01(\r\"i\n\x19\x45stimateHomographyRequest\x12\x10\n\x08points_a\x18\x01 \x01(\x0c\x12\x10\n\x08points_b\x18\x02 \x01(\x0c\x12(\n\x06ransac\x18\x03 \x01(\x0b\x32\x18.percept.v1.RansacParams\"f\n\x1a\x45stimateHomographyResponse\x12\x12\n\nhomography\x18\x01 \x03(\x01\x12\x0f\n\x07inliers\x18\x02 \x01(\x0c\x12\x0f\n\x07rmse_px\x18\x03 \x01(\x01\x12\x12\n\niterations\x18\x04 \x01(\r\"\xd8\x01\n\x16\x45stimateTwoViewRequest\x12\x10\n\x08points_a\x18\x01 \x01(\x0c\x12\x10\n\x08points_b\x18\x02 \x01(\x0c\x12.\n\x08\x63\x61mera_a\x18\x03 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12\x33\n\x08\x63\x61mera_b\x18\x04 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsicsH\x00\x88\x01\x01\x12(\n\x06ransac\x18\x05 \x01(\x0b\x32\x18.percept.v1.RansacParamsB\x0b\n\t_camera_b\"\xaa\x02\n\x17\x45stimateTwoViewResponse\x12\'\n\x05model\x18\x01 \x01(\x0e\x32\x18.percept.v1.TwoViewModel\x12+\n\x07outcome\x18\x02 \x01(\x0e\x32\x1a.percept.v1.TwoViewOutcome\x12\x38\n\tessential\x18\x03 \x01(\x0b\x32%.percept.v1.EstimateEssentialResponse\x12?\n\nhomography\x18\x04 \x01(\x0b\x32&.percept.v1.EstimateHomographyResponseH\x00\x88\x01\x01\x12\x16\n\x0egric_essential\x18\x05 \x01(\x01\x12\x17\n\x0fgric_homography\x18\x06 \x01(\x01\x42\r\n\x0b_homography\"s\n\tPosedView\x12,\n\x06\x63\x61mera\x18\x01 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12(\n\x0et_world_camera\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x0e\n\x06pixels\x18\x03 \x01(\x0c\"@\n\x18TriangulatePointsRequest\x12$\n\x05views\x18\x01 \x03(\x0b\x32\x15.percept.v1.PosedView\"|\n\x19TriangulatePointsResponse\x12\x11\n\tpositions\x18\x01 \x01(\x0c\x12\x13\n\x0b\x63ovariances\x18\x02 \x01(\x0c\x12\x14\n\x0cparallax_rad\x18\x03 \x01(\x0c\x12\x0f\n\x07rmse_px\x18\x04 \x01(\x0c\x12\x10\n\x08in_front\x18\x05 \x01(\x0c\"\x89\x01\n\x0fSolvePnpRequest\x12\x0e\n\x06points\x18\x01 \x01(\x0c\x12\x0e\n\x06pixels\x18\x02 \x01(\x0c\x12,\n\x06\x63\x61mera\x18\x03 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsics\x12(\n\x06ransac\x18\x04 \x01(\x0b\x32\x18.percept.v1.RansacParams\"\x9f\x01\n\x10SolvePnpResponse\x12(\n\x0et_world_camera\x18\x01 \x01(\x0b\x32\x10.percept.v1.Pose\x12+\n\ncovariance\x18\x02 \x01(\x0b\x32\x17.percept.v1.Covariance6\x12\x0f\n\x07inliers\x18\x03 \x01(\x0c\x12\x0f\n\x07rmse_px\x18\x04 \x01(\x01\x12\x12\n\niterations\x18\x05 \x01(\r*k\n\x0cTwoViewModel\x12\x1e\n\x1aTWO_VIEW_MODEL_UNSPECIFIED\x10\x00\x12\x1c\n\x18TWO_VIEW_MODEL_ESSENTIAL\x10\x01\x12\x1d\n\x19TWO_VIEW_MODEL_HOMOGRAPHY\x10\x02*\x90\x01\n\x0eTwoViewOutcome\x12 \n\x1cTWO_VIEW_OUTCOME_UNSPECIFIED\x10\x00\x12\x19\n\x15TWO_VIEW_OUTCOME_POSE\x10\x01\x12$\n TWO_VIEW_OUTCOME_LITTLE_PARALLAX\x10\x02\x12\x1b\n\x17TWO_VIEW_OUTCOME_PLANAR\x10\x03\x32\xa2\x05\n\x14ToolboxImagesService\x12\\\n\x0f\x45xtractFeatures\x12\".percept.v1.ExtractFeaturesRequest\x1a#.percept.v1.ExtractFeaturesResponse0\x01\x12V\n\rMatchFeatures\x12 .percept.v1.MatchFeaturesRequest\x1a!.percept.v1.MatchFeaturesResponse0\x01\x12\x62\n\x11\x45stimateEssential\x12$.percept.v1.EstimateEssentialRequest\x1a%.percept.v1.EstimateEssentialResponse0\x01\x12\x65\n\x12\x45stimateHomography\x12%.percept.v1.EstimateHomographyRequest\x1a&.percept.v1.EstimateHomographyResponse0\x01\x12\\\n\x0f\x45stimateTwoView\x12\".percept.v1.EstimateTwoViewRequest\x1a#.percept.v1.EstimateTwoViewResponse0\x01\x12\x62\n\x11TriangulatePoints\x12$.percept.v1.TriangulatePointsRequest\x1a%.percept.v1.TriangulatePointsResponse0\x01\x12G\n\x08SolvePnp\x12\x1b.percept.v1.SolvePnpRequest\x1a\x1c.percept.v1.SolvePnpResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.toolbox_images_service_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_TWOVIEWMODEL']._serialized_start=2820
-  _globals['_TWOVIEWMODEL']._serialized_end=2927
-  _globals['_TWOVIEWOUTCOME']._serialized_start=2930
-  _globals['_TWOVIEWOUTCOME']._serialized_end=3074
+  _globals['_TWOVIEWMODEL']._serialized_start=2821
+  _globals['_TWOVIEWMODEL']._serialized_end=2928
+  _globals['_TWOVIEWOUTCOME']._serialized_start=2931
+  _globals['_TWOVIEWOUTCOME']._serialized_end=3075
   _globals['_EXTRACTFEATURESREQUEST']._serialized_start=134
-  _globals['_EXTRACTFEATURESREQUEST']._serialized_end=534
-  _globals['_EXTRACTFEATURESRESPONSE']._serialized_start=537
-  _globals['_EXTRACTFEATURESRESPONSE']._serialized_end=699
-  _globals['_MATCHFEATURESREQUEST']._serialized_start=702
-  _globals['_MATCHFEATURESREQUEST']._serialized_end=870
-  _globals['_MATCHFEATURESRESPONSE']._serialized_start=872
-  _globals['_MATCHFEATURESRESPONSE']._serialized_end=929
-  _globals['_RANSACPARAMS']._serialized_start=932
-  _globals['_RANSACPARAMS']._serialized_end=1092
-  _globals['_ESTIMATEESSENTIALREQUEST']._serialized_start=1095
-  _globals['_ESTIMATEESSENTIALREQUEST']._serialized_end=1313
-  _globals['_ESTIMATEESSENTIALRESPONSE']._serialized_start=1316
-  _globals['_ESTIMATEESSENTIALRESPONSE']._serialized_end=1476
-  _globals['_ESTIMATEHOMOGRAPHYREQUEST']._serialized_start=1478
-  _globals['_ESTIMATEHOMOGRAPHYREQUEST']._serialized_end=1583
-  _globals['_ESTIMATEHOMOGRAPHYRESPONSE']._serialized_start=1585
-  _globals['_ESTIMATEHOMOGRAPHYRESPONSE']._serialized_end=1687
-  _globals['_ESTIMATETWOVIEWREQUEST']._serialized_start=1690
-  _globals['_ESTIMATETWOVIEWREQUEST']._serialized_end=1906
-  _globals['_ESTIMATETWOVIEWRESPONSE']._serialized_start=1909
-  _globals['_ESTIMATETWOVIEWRESPONSE']._serialized_end=2207
-  _globals['_POSEDVIEW']._serialized_start=2209
-  _globals['_POSEDVIEW']._serialized_end=2324
-  _globals['_TRIANGULATEPOINTSREQUEST']._serialized_start=2326
-  _globals['_TRIANGULATEPOINTSREQUEST']._serialized_end=2390
-  _globals['_TRIANGULATEPOINTSRESPONSE']._serialized_start=2392
-  _globals['_TRIANGULATEPOINTSRESPONSE']._serialized_end=2516
-  _globals['_SOLVEPNPREQUEST']._serialized_start=2519
-  _globals['_SOLVEPNPREQUEST']._serialized_end=2656
-  _globals['_SOLVEPNPRESPONSE']._serialized_start=2659
-  _globals['_SOLVEPNPRESPONSE']._serialized_end=2818
-  _globals['_TOOLBOXIMAGESSERVICE']._serialized_start=3077
-  _globals['_TOOLBOXIMAGESSERVICE']._serialized_end=3751
+  _globals['_EXTRACTFEATURESREQUEST']._serialized_end=535
+  _globals['_EXTRACTFEATURESRESPONSE']._serialized_start=538
+  _globals['_EXTRACTFEATURESRESPONSE']._serialized_end=700
+  _globals['_MATCHFEATURESREQUEST']._serialized_start=703
+  _globals['_MATCHFEATURESREQUEST']._serialized_end=871
+  _globals['_MATCHFEATURESRESPONSE']._serialized_start=873
+  _globals['_MATCHFEATURESRESPONSE']._serialized_end=930
+  _globals['_RANSACPARAMS']._serialized_start=933
+  _globals['_RANSACPARAMS']._serialized_end=1093
+  _globals['_ESTIMATEESSENTIALREQUEST']._serialized_start=1096
+  _globals['_ESTIMATEESSENTIALREQUEST']._serialized_end=1314
+  _globals['_ESTIMATEESSENTIALRESPONSE']._serialized_start=1317
+  _globals['_ESTIMATEESSENTIALRESPONSE']._serialized_end=1477
+  _globals['_ESTIMATEHOMOGRAPHYREQUEST']._serialized_start=1479
+  _globals['_ESTIMATEHOMOGRAPHYREQUEST']._serialized_end=1584
+  _globals['_ESTIMATEHOMOGRAPHYRESPONSE']._serialized_start=1586
+  _globals['_ESTIMATEHOMOGRAPHYRESPONSE']._serialized_end=1688
+  _globals['_ESTIMATETWOVIEWREQUEST']._serialized_start=1691
+  _globals['_ESTIMATETWOVIEWREQUEST']._serialized_end=1907
+  _globals['_ESTIMATETWOVIEWRESPONSE']._serialized_start=1910
+  _globals['_ESTIMATETWOVIEWRESPONSE']._serialized_end=2208
+  _globals['_POSEDVIEW']._serialized_start=2210
+  _globals['_POSEDVIEW']._serialized_end=2325
+  _globals['_TRIANGULATEPOINTSREQUEST']._serialized_start=2327
+  _globals['_TRIANGULATEPOINTSREQUEST']._serialized_end=2391
+  _globals['_TRIANGULATEPOINTSRESPONSE']._serialized_start=2393
+  _globals['_TRIANGULATEPOINTSRESPONSE']._serialized_end=2517
+  _globals['_SOLVEPNPREQUEST']._serialized_start=2520
+  _globals['_SOLVEPNPREQUEST']._serialized_end=2657
+  _globals['_SOLVEPNPRESPONSE']._serialized_start=2660
+  _globals['_SOLVEPNPRESPONSE']._serialized_end=2819
+  _globals['_TOOLBOXIMAGESSERVICE']._serialized_start=3078
+  _globals['_TOOLBOXIMAGESSERVICE']._serialized_end=3752
 # @@protoc_insertion_point(module_scope)

@@ -99,13 +99,13 @@ class ExtractFeaturesRequest(_message.Message):
     root: _builtins.bool
     """SIFT only: Hellinger's kernel on top (RootSIFT)."""
     @_builtins.property
-    def image(self) -> _sensor_pb2.ColorImage:
+    def image(self) -> _sensor_pb2.ColourImage:
         """Its grey is used."""
 
     def __init__(
         self,
         *,
-        image: _sensor_pb2.ColorImage | None = ...,
+        image: _sensor_pb2.ColourImage | None = ...,
         method: _toolbox_pb2.FeatureMethod.ValueType = ...,
         max_features: _builtins.int | None = ...,
         num_levels: _builtins.int | None = ...,

@@ -16,25 +16,25 @@ from percept.v1 import sensor_pb2 as percept_dot_v1_dot_sensor__pb2
 from percept.v1 import toolbox_pb2 as percept_dot_v1_dot_toolbox__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n)percept/v1/toolbox_pictures_service.proto\x12\npercept.v1\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/toolbox.proto\"\xec\x02\n\x12RenderCloudRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\x12#\n\x04view\x18\x02 \x01(\x0e\x32\x15.percept.v1.CloudView\x12+\n\x08\x63oloring\x18\x03 \x01(\x0e\x32\x19.percept.v1.CloudColoring\x12\x13\n\x06labels\x18\x04 \x01(\x0cH\x00\x88\x01\x01\x12\x15\n\x08width_px\x18\x05 \x01(\rH\x01\x88\x01\x01\x12\x16\n\theight_px\x18\x06 \x01(\rH\x02\x88\x01\x01\x12\x1a\n\rpoint_size_px\x18\x07 \x01(\rH\x03\x88\x01\x01\x12\x12\n\x05shade\x18\x08 \x01(\x08H\x04\x88\x01\x01\x12\x17\n\nbackground\x18\t \x01(\x0cH\x05\x88\x01\x01\x42\t\n\x07_labelsB\x0b\n\t_width_pxB\x0c\n\n_height_pxB\x10\n\x0e_point_size_pxB\x08\n\x06_shadeB\r\n\x0b_background\"\"\n\x13RenderCloudResponse\x12\x0b\n\x03png\x18\x01 \x01(\x0c\"y\n\x12RenderDepthRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x13\n\x06near_m\x18\x02 \x01(\x01H\x00\x88\x01\x01\x12\x12\n\x05\x66\x61r_m\x18\x03 \x01(\x01H\x01\x88\x01\x01\x42\t\n\x07_near_mB\x08\n\x06_far_m\"\"\n\x13RenderDepthResponse\x12\x0b\n\x03png\x18\x01 \x01(\x0c*\x99\x01\n\tCloudView\x12\x1a\n\x16\x43LOUD_VIEW_UNSPECIFIED\x10\x00\x12\x12\n\x0e\x43LOUD_VIEW_TOP\x10\x01\x12\x14\n\x10\x43LOUD_VIEW_FRONT\x10\x02\x12\x13\n\x0f\x43LOUD_VIEW_SIDE\x10\x03\x12\x1a\n\x16\x43LOUD_VIEW_PERSPECTIVE\x10\x04\x12\x15\n\x11\x43LOUD_VIEW_CAMERA\x10\x05*\xb5\x01\n\rCloudColoring\x12\x1e\n\x1a\x43LOUD_COLORING_UNSPECIFIED\x10\x00\x12\x16\n\x12\x43LOUD_COLORING_OWN\x10\x01\x12\x19\n\x15\x43LOUD_COLORING_HEIGHT\x10\x02\x12\x19\n\x15\x43LOUD_COLORING_NORMAL\x10\x03\x12\x18\n\x14\x43LOUD_COLORING_LABEL\x10\x04\x12\x1c\n\x18\x43LOUD_COLORING_INTENSITY\x10\x05\x32\xbc\x01\n\x16ToolboxPicturesService\x12P\n\x0bRenderCloud\x12\x1e.percept.v1.RenderCloudRequest\x1a\x1f.percept.v1.RenderCloudResponse0\x01\x12P\n\x0bRenderDepth\x12\x1e.percept.v1.RenderDepthRequest\x1a\x1f.percept.v1.RenderDepthResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n)percept/v1/toolbox_pictures_service.proto\x12\npercept.v1\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/toolbox.proto\"\xee\x02\n\x12RenderCloudRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\x12#\n\x04view\x18\x02 \x01(\x0e\x32\x15.percept.v1.CloudView\x12-\n\tcolouring\x18\x03 \x01(\x0e\x32\x1a.percept.v1.CloudColouring\x12\x13\n\x06labels\x18\x04 \x01(\x0cH\x00\x88\x01\x01\x12\x15\n\x08width_px\x18\x05 \x01(\rH\x01\x88\x01\x01\x12\x16\n\theight_px\x18\x06 \x01(\rH\x02\x88\x01\x01\x12\x1a\n\rpoint_size_px\x18\x07 \x01(\rH\x03\x88\x01\x01\x12\x12\n\x05shade\x18\x08 \x01(\x08H\x04\x88\x01\x01\x12\x17\n\nbackground\x18\t \x01(\x0cH\x05\x88\x01\x01\x42\t\n\x07_labelsB\x0b\n\t_width_pxB\x0c\n\n_height_pxB\x10\n\x0e_point_size_pxB\x08\n\x06_shadeB\r\n\x0b_background\"\"\n\x13RenderCloudResponse\x12\x0b\n\x03png\x18\x01 \x01(\x0c\"y\n\x12RenderDepthRequest\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\x13\n\x06near_m\x18\x02 \x01(\x01H\x00\x88\x01\x01\x12\x12\n\x05\x66\x61r_m\x18\x03 \x01(\x01H\x01\x88\x01\x01\x42\t\n\x07_near_mB\x08\n\x06_far_m\"\"\n\x13RenderDepthResponse\x12\x0b\n\x03png\x18\x01 \x01(\x0c*\x99\x01\n\tCloudView\x12\x1a\n\x16\x43LOUD_VIEW_UNSPECIFIED\x10\x00\x12\x12\n\x0e\x43LOUD_VIEW_TOP\x10\x01\x12\x14\n\x10\x43LOUD_VIEW_FRONT\x10\x02\x12\x13\n\x0f\x43LOUD_VIEW_SIDE\x10\x03\x12\x1a\n\x16\x43LOUD_VIEW_PERSPECTIVE\x10\x04\x12\x15\n\x11\x43LOUD_VIEW_CAMERA\x10\x05*\xbc\x01\n\x0e\x43loudColouring\x12\x1f\n\x1b\x43LOUD_COLOURING_UNSPECIFIED\x10\x00\x12\x17\n\x13\x43LOUD_COLOURING_OWN\x10\x01\x12\x1a\n\x16\x43LOUD_COLOURING_HEIGHT\x10\x02\x12\x1a\n\x16\x43LOUD_COLOURING_NORMAL\x10\x03\x12\x19\n\x15\x43LOUD_COLOURING_LABEL\x10\x04\x12\x1d\n\x19\x43LOUD_COLOURING_INTENSITY\x10\x05\x32\xbc\x01\n\x16ToolboxPicturesService\x12P\n\x0bRenderCloud\x12\x1e.percept.v1.RenderCloudRequest\x1a\x1f.percept.v1.RenderCloudResponse0\x01\x12P\n\x0bRenderDepth\x12\x1e.percept.v1.RenderDepthRequest\x1a\x1f.percept.v1.RenderDepthResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.toolbox_pictures_service_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_CLOUDVIEW']._serialized_start=671
-  _globals['_CLOUDVIEW']._serialized_end=824
-  _globals['_CLOUDCOLORING']._serialized_start=827
-  _globals['_CLOUDCOLORING']._serialized_end=1008
+  _globals['_CLOUDVIEW']._serialized_start=673
+  _globals['_CLOUDVIEW']._serialized_end=826
+  _globals['_CLOUDCOLOURING']._serialized_start=829
+  _globals['_CLOUDCOLOURING']._serialized_end=1017
   _globals['_RENDERCLOUDREQUEST']._serialized_start=109
-  _globals['_RENDERCLOUDREQUEST']._serialized_end=473
-  _globals['_RENDERCLOUDRESPONSE']._serialized_start=475
-  _globals['_RENDERCLOUDRESPONSE']._serialized_end=509
-  _globals['_RENDERDEPTHREQUEST']._serialized_start=511
-  _globals['_RENDERDEPTHREQUEST']._serialized_end=632
-  _globals['_RENDERDEPTHRESPONSE']._serialized_start=634
-  _globals['_RENDERDEPTHRESPONSE']._serialized_end=668
-  _globals['_TOOLBOXPICTURESSERVICE']._serialized_start=1011
-  _globals['_TOOLBOXPICTURESSERVICE']._serialized_end=1199
+  _globals['_RENDERCLOUDREQUEST']._serialized_end=475
+  _globals['_RENDERCLOUDRESPONSE']._serialized_start=477
+  _globals['_RENDERCLOUDRESPONSE']._serialized_end=511
+  _globals['_RENDERDEPTHREQUEST']._serialized_start=513
+  _globals['_RENDERDEPTHREQUEST']._serialized_end=634
+  _globals['_RENDERDEPTHRESPONSE']._serialized_start=636
+  _globals['_RENDERDEPTHRESPONSE']._serialized_end=670
+  _globals['_TOOLBOXPICTURESSERVICE']._serialized_start=1020
+  _globals['_TOOLBOXPICTURESSERVICE']._serialized_end=1208
 # @@protoc_insertion_point(module_scope)

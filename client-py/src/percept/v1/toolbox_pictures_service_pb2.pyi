@@ -55,41 +55,41 @@ CLOUD_VIEW_CAMERA: CloudView.ValueType  # 5
 """As the camera at the origin of an optical frame: x to the right, y down, z away. With vanishing points."""
 Global___CloudView: _TypeAlias = CloudView  # noqa: Y015
 
-class _CloudColoring:
+class _CloudColouring:
     ValueType = _typing.NewType("ValueType", _builtins.int)
     V: _TypeAlias = ValueType  # noqa: Y015
 
-class _CloudColoringEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_CloudColoring.ValueType], _builtins.type):
+class _CloudColouringEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_CloudColouring.ValueType], _builtins.type):
     DESCRIPTOR: _descriptor.EnumDescriptor
-    CLOUD_COLORING_UNSPECIFIED: _CloudColoring.ValueType  # 0
+    CLOUD_COLOURING_UNSPECIFIED: _CloudColouring.ValueType  # 0
     """Its own colour, else its label, else its intensity, else its height."""
-    CLOUD_COLORING_OWN: _CloudColoring.ValueType  # 1
+    CLOUD_COLOURING_OWN: _CloudColouring.ValueType  # 1
     """The cloud's colours; grey without."""
-    CLOUD_COLORING_HEIGHT: _CloudColoring.ValueType  # 2
+    CLOUD_COLOURING_HEIGHT: _CloudColouring.ValueType  # 2
     """z, from the lowest (blue) to the highest (red)."""
-    CLOUD_COLORING_NORMAL: _CloudColoring.ValueType  # 3
+    CLOUD_COLOURING_NORMAL: _CloudColouring.ValueType  # 3
     """The direction of its normal; grey without."""
-    CLOUD_COLORING_LABEL: _CloudColoring.ValueType  # 4
+    CLOUD_COLOURING_LABEL: _CloudColouring.ValueType  # 4
     """Its label; grey without."""
-    CLOUD_COLORING_INTENSITY: _CloudColoring.ValueType  # 5
+    CLOUD_COLOURING_INTENSITY: _CloudColouring.ValueType  # 5
     """From the lowest (blue) to the highest (red)."""
 
-class CloudColoring(_CloudColoring, metaclass=_CloudColoringEnumTypeWrapper):
+class CloudColouring(_CloudColouring, metaclass=_CloudColouringEnumTypeWrapper):
     """In which colours a cloud is drawn."""
 
-CLOUD_COLORING_UNSPECIFIED: CloudColoring.ValueType  # 0
+CLOUD_COLOURING_UNSPECIFIED: CloudColouring.ValueType  # 0
 """Its own colour, else its label, else its intensity, else its height."""
-CLOUD_COLORING_OWN: CloudColoring.ValueType  # 1
+CLOUD_COLOURING_OWN: CloudColouring.ValueType  # 1
 """The cloud's colours; grey without."""
-CLOUD_COLORING_HEIGHT: CloudColoring.ValueType  # 2
+CLOUD_COLOURING_HEIGHT: CloudColouring.ValueType  # 2
 """z, from the lowest (blue) to the highest (red)."""
-CLOUD_COLORING_NORMAL: CloudColoring.ValueType  # 3
+CLOUD_COLOURING_NORMAL: CloudColouring.ValueType  # 3
 """The direction of its normal; grey without."""
-CLOUD_COLORING_LABEL: CloudColoring.ValueType  # 4
+CLOUD_COLOURING_LABEL: CloudColouring.ValueType  # 4
 """Its label; grey without."""
-CLOUD_COLORING_INTENSITY: CloudColoring.ValueType  # 5
+CLOUD_COLOURING_INTENSITY: CloudColouring.ValueType  # 5
 """From the lowest (blue) to the highest (red)."""
-Global___CloudColoring: _TypeAlias = CloudColoring  # noqa: Y015
+Global___CloudColouring: _TypeAlias = CloudColouring  # noqa: Y015
 
 @_typing.final
 class RenderCloudRequest(_message.Message):
@@ -97,7 +97,7 @@ class RenderCloudRequest(_message.Message):
 
     CLOUD_FIELD_NUMBER: _builtins.int
     VIEW_FIELD_NUMBER: _builtins.int
-    COLORING_FIELD_NUMBER: _builtins.int
+    COLOURING_FIELD_NUMBER: _builtins.int
     LABELS_FIELD_NUMBER: _builtins.int
     WIDTH_PX_FIELD_NUMBER: _builtins.int
     HEIGHT_PX_FIELD_NUMBER: _builtins.int
@@ -105,7 +105,7 @@ class RenderCloudRequest(_message.Message):
     SHADE_FIELD_NUMBER: _builtins.int
     BACKGROUND_FIELD_NUMBER: _builtins.int
     view: Global___CloudView.ValueType
-    coloring: Global___CloudColoring.ValueType
+    colouring: Global___CloudColouring.ValueType
     labels: _builtins.bytes
     """N int32, e.g. numbers of clusters; -1 for none. Absent: no labels."""
     width_px: _builtins.int
@@ -125,7 +125,7 @@ class RenderCloudRequest(_message.Message):
         *,
         cloud: _toolbox_pb2.CloudSource | None = ...,
         view: Global___CloudView.ValueType = ...,
-        coloring: Global___CloudColoring.ValueType = ...,
+        colouring: Global___CloudColouring.ValueType = ...,
         labels: _builtins.bytes | None = ...,
         width_px: _builtins.int | None = ...,
         height_px: _builtins.int | None = ...,
@@ -135,7 +135,7 @@ class RenderCloudRequest(_message.Message):
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_background", b"_background", "_height_px", b"_height_px", "_labels", b"_labels", "_point_size_px", b"_point_size_px", "_shade", b"_shade", "_width_px", b"_width_px", "background", b"background", "cloud", b"cloud", "height_px", b"height_px", "labels", b"labels", "point_size_px", b"point_size_px", "shade", b"shade", "width_px", b"width_px"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_background", b"_background", "_height_px", b"_height_px", "_labels", b"_labels", "_point_size_px", b"_point_size_px", "_shade", b"_shade", "_width_px", b"_width_px", "background", b"background", "cloud", b"cloud", "coloring", b"coloring", "height_px", b"height_px", "labels", b"labels", "point_size_px", b"point_size_px", "shade", b"shade", "view", b"view", "width_px", b"width_px"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_background", b"_background", "_height_px", b"_height_px", "_labels", b"_labels", "_point_size_px", b"_point_size_px", "_shade", b"_shade", "_width_px", b"_width_px", "background", b"background", "cloud", b"cloud", "colouring", b"colouring", "height_px", b"height_px", "labels", b"labels", "point_size_px", b"point_size_px", "shade", b"shade", "view", b"view", "width_px", b"width_px"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__background: _TypeAlias = _typing.Literal["background"]  # noqa: Y015
     _WhichOneofArgType__background: _TypeAlias = _typing.Literal["_background", b"_background"]  # noqa: Y015

@@ -37,7 +37,7 @@ class _RegistrationMethodEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Re
     """Segal et al. 2009: differences weighted by the surfaces of both."""
     REGISTRATION_METHOD_VGICP: _RegistrationMethod.ValueType  # 4
     """Koide et al. 2021: GICP against the mean surface of the target's voxels."""
-    REGISTRATION_METHOD_COLORED: _RegistrationMethod.ValueType  # 5
+    REGISTRATION_METHOD_COLOURED: _RegistrationMethod.ValueType  # 5
     """Park et al. 2017: tangent planes and brightness; both clouds need colours."""
 
 class RegistrationMethod(_RegistrationMethod, metaclass=_RegistrationMethodEnumTypeWrapper):
@@ -53,7 +53,7 @@ REGISTRATION_METHOD_GICP: RegistrationMethod.ValueType  # 3
 """Segal et al. 2009: differences weighted by the surfaces of both."""
 REGISTRATION_METHOD_VGICP: RegistrationMethod.ValueType  # 4
 """Koide et al. 2021: GICP against the mean surface of the target's voxels."""
-REGISTRATION_METHOD_COLORED: RegistrationMethod.ValueType  # 5
+REGISTRATION_METHOD_COLOURED: RegistrationMethod.ValueType  # 5
 """Park et al. 2017: tangent planes and brightness; both clouds need colours."""
 Global___RegistrationMethod: _TypeAlias = RegistrationMethod  # noqa: Y015
 
@@ -190,9 +190,9 @@ class RegisterCloudsRequest(_message.Message):
     KERNEL_SCALE_M_FIELD_NUMBER: _builtins.int
     TRANSLATION_TOLERANCE_M_FIELD_NUMBER: _builtins.int
     ROTATION_TOLERANCE_RAD_FIELD_NUMBER: _builtins.int
-    NUM_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    NUM_NEIGHBOURS_FIELD_NUMBER: _builtins.int
     TARGET_VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
-    COLOR_SHARE_FIELD_NUMBER: _builtins.int
+    COLOUR_SHARE_FIELD_NUMBER: _builtins.int
     TANGENT_WEIGHT_FIELD_NUMBER: _builtins.int
     DEGENERACY_THRESHOLD_FIELD_NUMBER: _builtins.int
     method: Global___RegistrationMethod.ValueType
@@ -207,12 +207,12 @@ class RegisterCloudsRequest(_message.Message):
     """Converged once a step is shorter, metres. Absent: 1e-5."""
     rotation_tolerance_rad: _builtins.float
     """Converged once a step turns less, radians. Absent: 1e-5."""
-    num_neighbors: _builtins.int
+    num_neighbours: _builtins.int
     """Normals come from so many nearest points, 3 to 1000. Absent: 20."""
     target_voxel_size_m: _builtins.float
     """VGICP only: edge of the target's voxels, metres. Absent: 1."""
-    color_share: _builtins.float
-    """COLORED only: share of the brightness in what is minimised, 0 to 1. Absent: 0.032."""
+    colour_share: _builtins.float
+    """COLOURED only: share of the brightness in what is minimised, 0 to 1. Absent: 0.032."""
     tangent_weight: _builtins.float
     """POINT_TO_PLANE only: how much the difference along the plane counts, 0 to 1. Absent: 0."""
     degeneracy_threshold: _builtins.float
@@ -245,18 +245,18 @@ class RegisterCloudsRequest(_message.Message):
         kernel_scale_m: _builtins.float | None = ...,
         translation_tolerance_m: _builtins.float | None = ...,
         rotation_tolerance_rad: _builtins.float | None = ...,
-        num_neighbors: _builtins.int | None = ...,
+        num_neighbours: _builtins.int | None = ...,
         target_voxel_size_m: _builtins.float | None = ...,
-        color_share: _builtins.float | None = ...,
+        colour_share: _builtins.float | None = ...,
         tangent_weight: _builtins.float | None = ...,
         degeneracy_threshold: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_color_share", b"_color_share", "_degeneracy_threshold", b"_degeneracy_threshold", "_kernel_scale_m", b"_kernel_scale_m", "_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_num_neighbors", b"_num_neighbors", "_rotation_tolerance_rad", b"_rotation_tolerance_rad", "_tangent_weight", b"_tangent_weight", "_target_voxel_size_m", b"_target_voxel_size_m", "_translation_tolerance_m", b"_translation_tolerance_m", "color_share", b"color_share", "degeneracy_threshold", b"degeneracy_threshold", "initial_guess", b"initial_guess", "kernel_scale_m", b"kernel_scale_m", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "num_neighbors", b"num_neighbors", "rotation_tolerance_rad", b"rotation_tolerance_rad", "source", b"source", "tangent_weight", b"tangent_weight", "target", b"target", "target_voxel_size_m", b"target_voxel_size_m", "translation_tolerance_m", b"translation_tolerance_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_colour_share", b"_colour_share", "_degeneracy_threshold", b"_degeneracy_threshold", "_kernel_scale_m", b"_kernel_scale_m", "_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_num_neighbours", b"_num_neighbours", "_rotation_tolerance_rad", b"_rotation_tolerance_rad", "_tangent_weight", b"_tangent_weight", "_target_voxel_size_m", b"_target_voxel_size_m", "_translation_tolerance_m", b"_translation_tolerance_m", "colour_share", b"colour_share", "degeneracy_threshold", b"degeneracy_threshold", "initial_guess", b"initial_guess", "kernel_scale_m", b"kernel_scale_m", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "num_neighbours", b"num_neighbours", "rotation_tolerance_rad", b"rotation_tolerance_rad", "source", b"source", "tangent_weight", b"tangent_weight", "target", b"target", "target_voxel_size_m", b"target_voxel_size_m", "translation_tolerance_m", b"translation_tolerance_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_color_share", b"_color_share", "_degeneracy_threshold", b"_degeneracy_threshold", "_kernel_scale_m", b"_kernel_scale_m", "_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_num_neighbors", b"_num_neighbors", "_rotation_tolerance_rad", b"_rotation_tolerance_rad", "_tangent_weight", b"_tangent_weight", "_target_voxel_size_m", b"_target_voxel_size_m", "_translation_tolerance_m", b"_translation_tolerance_m", "color_share", b"color_share", "degeneracy_threshold", b"degeneracy_threshold", "initial_guess", b"initial_guess", "kernel", b"kernel", "kernel_scale_m", b"kernel_scale_m", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "method", b"method", "num_neighbors", b"num_neighbors", "rotation_tolerance_rad", b"rotation_tolerance_rad", "source", b"source", "tangent_weight", b"tangent_weight", "target", b"target", "target_voxel_size_m", b"target_voxel_size_m", "translation_tolerance_m", b"translation_tolerance_m", "voxel_sizes_m", b"voxel_sizes_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_colour_share", b"_colour_share", "_degeneracy_threshold", b"_degeneracy_threshold", "_kernel_scale_m", b"_kernel_scale_m", "_max_distance_m", b"_max_distance_m", "_max_iterations", b"_max_iterations", "_num_neighbours", b"_num_neighbours", "_rotation_tolerance_rad", b"_rotation_tolerance_rad", "_tangent_weight", b"_tangent_weight", "_target_voxel_size_m", b"_target_voxel_size_m", "_translation_tolerance_m", b"_translation_tolerance_m", "colour_share", b"colour_share", "degeneracy_threshold", b"degeneracy_threshold", "initial_guess", b"initial_guess", "kernel", b"kernel", "kernel_scale_m", b"kernel_scale_m", "max_distance_m", b"max_distance_m", "max_iterations", b"max_iterations", "method", b"method", "num_neighbours", b"num_neighbours", "rotation_tolerance_rad", b"rotation_tolerance_rad", "source", b"source", "tangent_weight", b"tangent_weight", "target", b"target", "target_voxel_size_m", b"target_voxel_size_m", "translation_tolerance_m", b"translation_tolerance_m", "voxel_sizes_m", b"voxel_sizes_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__color_share: _TypeAlias = _typing.Literal["color_share"]  # noqa: Y015
-    _WhichOneofArgType__color_share: _TypeAlias = _typing.Literal["_color_share", b"_color_share"]  # noqa: Y015
+    _WhichOneofReturnType__colour_share: _TypeAlias = _typing.Literal["colour_share"]  # noqa: Y015
+    _WhichOneofArgType__colour_share: _TypeAlias = _typing.Literal["_colour_share", b"_colour_share"]  # noqa: Y015
     _WhichOneofReturnType__degeneracy_threshold: _TypeAlias = _typing.Literal["degeneracy_threshold"]  # noqa: Y015
     _WhichOneofArgType__degeneracy_threshold: _TypeAlias = _typing.Literal["_degeneracy_threshold", b"_degeneracy_threshold"]  # noqa: Y015
     _WhichOneofReturnType__kernel_scale_m: _TypeAlias = _typing.Literal["kernel_scale_m"]  # noqa: Y015
@@ -265,8 +265,8 @@ class RegisterCloudsRequest(_message.Message):
     _WhichOneofArgType__max_distance_m: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m"]  # noqa: Y015
     _WhichOneofReturnType__max_iterations: _TypeAlias = _typing.Literal["max_iterations"]  # noqa: Y015
     _WhichOneofArgType__max_iterations: _TypeAlias = _typing.Literal["_max_iterations", b"_max_iterations"]  # noqa: Y015
-    _WhichOneofReturnType__num_neighbors: _TypeAlias = _typing.Literal["num_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__num_neighbors: _TypeAlias = _typing.Literal["_num_neighbors", b"_num_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__num_neighbours: _TypeAlias = _typing.Literal["num_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__num_neighbours: _TypeAlias = _typing.Literal["_num_neighbours", b"_num_neighbours"]  # noqa: Y015
     _WhichOneofReturnType__rotation_tolerance_rad: _TypeAlias = _typing.Literal["rotation_tolerance_rad"]  # noqa: Y015
     _WhichOneofArgType__rotation_tolerance_rad: _TypeAlias = _typing.Literal["_rotation_tolerance_rad", b"_rotation_tolerance_rad"]  # noqa: Y015
     _WhichOneofReturnType__tangent_weight: _TypeAlias = _typing.Literal["tangent_weight"]  # noqa: Y015
@@ -276,7 +276,7 @@ class RegisterCloudsRequest(_message.Message):
     _WhichOneofReturnType__translation_tolerance_m: _TypeAlias = _typing.Literal["translation_tolerance_m"]  # noqa: Y015
     _WhichOneofArgType__translation_tolerance_m: _TypeAlias = _typing.Literal["_translation_tolerance_m", b"_translation_tolerance_m"]  # noqa: Y015
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__color_share) -> _WhichOneofReturnType__color_share | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__colour_share) -> _WhichOneofReturnType__colour_share | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__degeneracy_threshold) -> _WhichOneofReturnType__degeneracy_threshold | None: ...
     @_typing.overload
@@ -286,7 +286,7 @@ class RegisterCloudsRequest(_message.Message):
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_iterations) -> _WhichOneofReturnType__max_iterations | None: ...
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_neighbors) -> _WhichOneofReturnType__num_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_neighbours) -> _WhichOneofReturnType__num_neighbours | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__rotation_tolerance_rad) -> _WhichOneofReturnType__rotation_tolerance_rad | None: ...
     @_typing.overload
@@ -470,10 +470,10 @@ class ComputePointFeaturesRequest(_message.Message):
 
     CLOUD_FIELD_NUMBER: _builtins.int
     RADIUS_M_FIELD_NUMBER: _builtins.int
-    MAX_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    MAX_NEIGHBOURS_FIELD_NUMBER: _builtins.int
     radius_m: _builtins.float
     """Neighbourhood, metres; about five voxels of a thinned cloud. Absent: 0.25."""
-    max_neighbors: _builtins.int
+    max_neighbours: _builtins.int
     """Nearest neighbours used, at most, itself among them; 0: all. Absent: 100."""
     @_builtins.property
     def cloud(self) -> _toolbox_pb2.CloudSource:
@@ -484,18 +484,18 @@ class ComputePointFeaturesRequest(_message.Message):
         *,
         cloud: _toolbox_pb2.CloudSource | None = ...,
         radius_m: _builtins.float | None = ...,
-        max_neighbors: _builtins.int | None = ...,
+        max_neighbours: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_neighbours", b"_max_neighbours", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_neighbours", b"max_neighbours", "radius_m", b"radius_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_neighbors", b"max_neighbors", "radius_m", b"radius_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_neighbours", b"_max_neighbours", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_neighbours", b"max_neighbours", "radius_m", b"radius_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType__max_neighbors: _TypeAlias = _typing.Literal["max_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__max_neighbors: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__max_neighbours: _TypeAlias = _typing.Literal["max_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__max_neighbours: _TypeAlias = _typing.Literal["_max_neighbours", b"_max_neighbours"]  # noqa: Y015
     _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
     _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbors) -> _WhichOneofReturnType__max_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbours) -> _WhichOneofReturnType__max_neighbours | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
 

@@ -297,7 +297,7 @@ class GroundPatch(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     PLANE_FIELD_NUMBER: _builtins.int
-    CENTER_FIELD_NUMBER: _builtins.int
+    CENTRE_FIELD_NUMBER: _builtins.int
     NUM_POINTS_FIELD_NUMBER: _builtins.int
     num_points: _builtins.int
     @_builtins.property
@@ -305,19 +305,19 @@ class GroundPatch(_message.Message):
         """Normal upward."""
 
     @_builtins.property
-    def center(self) -> _geometry_pb2.Vector3:
+    def centre(self) -> _geometry_pb2.Vector3:
         """Mean of its points, metres."""
 
     def __init__(
         self,
         *,
         plane: _geometry_pb2.Plane | None = ...,
-        center: _geometry_pb2.Vector3 | None = ...,
+        centre: _geometry_pb2.Vector3 | None = ...,
         num_points: _builtins.int = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["center", b"center", "plane", b"plane"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["centre", b"centre", "plane", b"plane"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["center", b"center", "num_points", b"num_points", "plane", b"plane"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["centre", b"centre", "num_points", b"num_points", "plane", b"plane"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -424,12 +424,12 @@ class GrowRegionsRequest(_message.Message):
 
     CLOUD_FIELD_NUMBER: _builtins.int
     RADIUS_M_FIELD_NUMBER: _builtins.int
-    MAX_NEIGHBORS_FIELD_NUMBER: _builtins.int
+    MAX_NEIGHBOURS_FIELD_NUMBER: _builtins.int
     MAX_ANGLE_RAD_FIELD_NUMBER: _builtins.int
     MIN_POINTS_FIELD_NUMBER: _builtins.int
     radius_m: _builtins.float
     """Neighbours are nearer, metres. Absent: 0.05."""
-    max_neighbors: _builtins.int
+    max_neighbours: _builtins.int
     """Nearest ones used, at most. Absent: 30."""
     max_angle_rad: _builtins.float
     """Normals of one region turn by less from neighbour to neighbour, radians. Absent: 0.1."""
@@ -437,25 +437,25 @@ class GrowRegionsRequest(_message.Message):
     """Smaller regions are noise. Absent: 50."""
     @_builtins.property
     def cloud(self) -> _toolbox_pb2.CloudSource:
-        """Its normals are used if it has them, else estimated from radius_m and max_neighbors."""
+        """Its normals are used if it has them, else estimated from radius_m and max_neighbours."""
 
     def __init__(
         self,
         *,
         cloud: _toolbox_pb2.CloudSource | None = ...,
         radius_m: _builtins.float | None = ...,
-        max_neighbors: _builtins.int | None = ...,
+        max_neighbours: _builtins.int | None = ...,
         max_angle_rad: _builtins.float | None = ...,
         min_points: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_angle_rad", b"_max_angle_rad", "_max_neighbors", b"_max_neighbors", "_min_points", b"_min_points", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_angle_rad", b"max_angle_rad", "max_neighbors", b"max_neighbors", "min_points", b"min_points", "radius_m", b"radius_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_angle_rad", b"_max_angle_rad", "_max_neighbours", b"_max_neighbours", "_min_points", b"_min_points", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_angle_rad", b"max_angle_rad", "max_neighbours", b"max_neighbours", "min_points", b"min_points", "radius_m", b"radius_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_angle_rad", b"_max_angle_rad", "_max_neighbors", b"_max_neighbors", "_min_points", b"_min_points", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_angle_rad", b"max_angle_rad", "max_neighbors", b"max_neighbors", "min_points", b"min_points", "radius_m", b"radius_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_angle_rad", b"_max_angle_rad", "_max_neighbours", b"_max_neighbours", "_min_points", b"_min_points", "_radius_m", b"_radius_m", "cloud", b"cloud", "max_angle_rad", b"max_angle_rad", "max_neighbours", b"max_neighbours", "min_points", b"min_points", "radius_m", b"radius_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__max_angle_rad: _TypeAlias = _typing.Literal["max_angle_rad"]  # noqa: Y015
     _WhichOneofArgType__max_angle_rad: _TypeAlias = _typing.Literal["_max_angle_rad", b"_max_angle_rad"]  # noqa: Y015
-    _WhichOneofReturnType__max_neighbors: _TypeAlias = _typing.Literal["max_neighbors"]  # noqa: Y015
-    _WhichOneofArgType__max_neighbors: _TypeAlias = _typing.Literal["_max_neighbors", b"_max_neighbors"]  # noqa: Y015
+    _WhichOneofReturnType__max_neighbours: _TypeAlias = _typing.Literal["max_neighbours"]  # noqa: Y015
+    _WhichOneofArgType__max_neighbours: _TypeAlias = _typing.Literal["_max_neighbours", b"_max_neighbours"]  # noqa: Y015
     _WhichOneofReturnType__min_points: _TypeAlias = _typing.Literal["min_points"]  # noqa: Y015
     _WhichOneofArgType__min_points: _TypeAlias = _typing.Literal["_min_points", b"_min_points"]  # noqa: Y015
     _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
@@ -463,7 +463,7 @@ class GrowRegionsRequest(_message.Message):
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_angle_rad) -> _WhichOneofReturnType__max_angle_rad | None: ...
     @_typing.overload
-    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbors) -> _WhichOneofReturnType__max_neighbors | None: ...
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_neighbours) -> _WhichOneofReturnType__max_neighbours | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__min_points) -> _WhichOneofReturnType__min_points | None: ...
     @_typing.overload
@@ -564,12 +564,12 @@ class ComputeSupervoxelsResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     LABELS_FIELD_NUMBER: _builtins.int
-    CENTERS_FIELD_NUMBER: _builtins.int
+    CENTRES_FIELD_NUMBER: _builtins.int
     NORMALS_FIELD_NUMBER: _builtins.int
     EDGES_FIELD_NUMBER: _builtins.int
     labels: _builtins.bytes
     """N int32: number of each point's supervoxel, or -1."""
-    centers: _builtins.bytes
+    centres: _builtins.bytes
     """M x 3 float32: means of their points, metres."""
     normals: _builtins.bytes
     """M x 3 float32, unit length."""
@@ -579,13 +579,13 @@ class ComputeSupervoxelsResponse(_message.Message):
         self,
         *,
         labels: _builtins.bytes = ...,
-        centers: _builtins.bytes = ...,
+        centres: _builtins.bytes = ...,
         normals: _builtins.bytes = ...,
         edges: _builtins.bytes = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["centers", b"centers", "edges", b"edges", "labels", b"labels", "normals", b"normals"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["centres", b"centres", "edges", b"edges", "labels", b"labels", "normals", b"normals"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -595,14 +595,14 @@ Global___ComputeSupervoxelsResponse: _TypeAlias = ComputeSupervoxelsResponse  # 
 class GroupConvexRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
-    CENTERS_FIELD_NUMBER: _builtins.int
+    CENTRES_FIELD_NUMBER: _builtins.int
     NORMALS_FIELD_NUMBER: _builtins.int
     EDGES_FIELD_NUMBER: _builtins.int
     SEED_SIZE_M_FIELD_NUMBER: _builtins.int
     CONCAVITY_TOLERANCE_RAD_FIELD_NUMBER: _builtins.int
     MAX_STEP_M_FIELD_NUMBER: _builtins.int
     MIN_SUPERVOXELS_FIELD_NUMBER: _builtins.int
-    centers: _builtins.bytes
+    centres: _builtins.bytes
     """M x 3 float32, as of ComputeSupervoxelsResponse, metres."""
     normals: _builtins.bytes
     """M x 3 float32, unit length."""
@@ -619,7 +619,7 @@ class GroupConvexRequest(_message.Message):
     def __init__(
         self,
         *,
-        centers: _builtins.bytes = ...,
+        centres: _builtins.bytes = ...,
         normals: _builtins.bytes = ...,
         edges: _builtins.bytes = ...,
         seed_size_m: _builtins.float | None = ...,
@@ -629,7 +629,7 @@ class GroupConvexRequest(_message.Message):
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_concavity_tolerance_rad", b"_concavity_tolerance_rad", "_max_step_m", b"_max_step_m", "_min_supervoxels", b"_min_supervoxels", "_seed_size_m", b"_seed_size_m", "concavity_tolerance_rad", b"concavity_tolerance_rad", "max_step_m", b"max_step_m", "min_supervoxels", b"min_supervoxels", "seed_size_m", b"seed_size_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_concavity_tolerance_rad", b"_concavity_tolerance_rad", "_max_step_m", b"_max_step_m", "_min_supervoxels", b"_min_supervoxels", "_seed_size_m", b"_seed_size_m", "centers", b"centers", "concavity_tolerance_rad", b"concavity_tolerance_rad", "edges", b"edges", "max_step_m", b"max_step_m", "min_supervoxels", b"min_supervoxels", "normals", b"normals", "seed_size_m", b"seed_size_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_concavity_tolerance_rad", b"_concavity_tolerance_rad", "_max_step_m", b"_max_step_m", "_min_supervoxels", b"_min_supervoxels", "_seed_size_m", b"_seed_size_m", "centres", b"centres", "concavity_tolerance_rad", b"concavity_tolerance_rad", "edges", b"edges", "max_step_m", b"max_step_m", "min_supervoxels", b"min_supervoxels", "normals", b"normals", "seed_size_m", b"seed_size_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__concavity_tolerance_rad: _TypeAlias = _typing.Literal["concavity_tolerance_rad"]  # noqa: Y015
     _WhichOneofArgType__concavity_tolerance_rad: _TypeAlias = _typing.Literal["_concavity_tolerance_rad", b"_concavity_tolerance_rad"]  # noqa: Y015

@@ -17,33 +17,33 @@ from percept.v1 import object_pb2 as percept_dot_v1_dot_object__pb2
 from percept.v1 import toolbox_pb2 as percept_dot_v1_dot_toolbox__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'percept/v1/toolbox_shapes_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/object.proto\x1a\x18percept/v1/toolbox.proto\"\x9a\x01\n\x14\x46indNeighborsRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\x12\x14\n\x07queries\x18\x02 \x01(\x0cH\x00\x88\x01\x01\x12\x0e\n\x01k\x18\x03 \x01(\rH\x01\x88\x01\x01\x12\x15\n\x08radius_m\x18\x04 \x01(\x01H\x02\x88\x01\x01\x42\n\n\x08_queriesB\x04\n\x02_kB\x0b\n\t_radius_m\"N\n\x15\x46indNeighborsResponse\x12\x0f\n\x07offsets\x18\x01 \x01(\x0c\x12\x0f\n\x07indices\x18\x02 \x01(\x0c\x12\x13\n\x0b\x64istances_m\x18\x03 \x01(\x0c\"[\n\x1b\x43omputeLocalFeaturesRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\x12\x0e\n\x01k\x18\x02 \x01(\rH\x00\x88\x01\x01\x42\x04\n\x02_k\"\x80\x01\n\x1c\x43omputeLocalFeaturesResponse\x12\x11\n\tlinearity\x18\x01 \x01(\x0c\x12\x11\n\tplanarity\x18\x02 \x01(\x0c\x12\x12\n\nscattering\x18\x03 \x01(\x0c\x12\x13\n\x0bverticality\x18\x04 \x01(\x0c\x12\x11\n\tcurvature\x18\x05 \x01(\x0c\"E\n\x1b\x43omputeShapeFeaturesRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\"y\n\x1c\x43omputeShapeFeaturesResponse\x12+\n\x08\x66\x65\x61tures\x18\x01 \x01(\x0b\x32\x19.percept.v1.ShapeFeatures\x12,\n\x0bupright_box\x18\x02 \x01(\x0b\x32\x17.percept.v1.OrientedBox\"9\n\x0f\x46itBoxesRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\"\x95\x01\n\x10\x46itBoxesResponse\x12-\n\x0c\x61xis_aligned\x18\x01 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12(\n\x07upright\x18\x02 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12(\n\x07minimal\x18\x03 \x01(\x0b\x32\x17.percept.v1.OrientedBox\"B\n\x18\x43omputeConvexHullRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\"d\n\x19\x43omputeConvexHullResponse\x12\x10\n\x08vertices\x18\x01 \x01(\x0c\x12\x11\n\ttriangles\x18\x02 \x01(\x0c\x12\x11\n\tvolume_m3\x18\x03 \x01(\x01\x12\x0f\n\x07\x61rea_m2\x18\x04 \x01(\x01\x32\xf1\x03\n\x14ToolboxShapesService\x12V\n\rFindNeighbors\x12 .percept.v1.FindNeighborsRequest\x1a!.percept.v1.FindNeighborsResponse0\x01\x12k\n\x14\x43omputeLocalFeatures\x12\'.percept.v1.ComputeLocalFeaturesRequest\x1a(.percept.v1.ComputeLocalFeaturesResponse0\x01\x12i\n\x14\x43omputeShapeFeatures\x12\'.percept.v1.ComputeShapeFeaturesRequest\x1a(.percept.v1.ComputeShapeFeaturesResponse\x12\x45\n\x08\x46itBoxes\x12\x1b.percept.v1.FitBoxesRequest\x1a\x1c.percept.v1.FitBoxesResponse\x12\x62\n\x11\x43omputeConvexHull\x12$.percept.v1.ComputeConvexHullRequest\x1a%.percept.v1.ComputeConvexHullResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'percept/v1/toolbox_shapes_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/object.proto\x1a\x18percept/v1/toolbox.proto\"\x9b\x01\n\x15\x46indNeighboursRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\x12\x14\n\x07queries\x18\x02 \x01(\x0cH\x00\x88\x01\x01\x12\x0e\n\x01k\x18\x03 \x01(\rH\x01\x88\x01\x01\x12\x15\n\x08radius_m\x18\x04 \x01(\x01H\x02\x88\x01\x01\x42\n\n\x08_queriesB\x04\n\x02_kB\x0b\n\t_radius_m\"O\n\x16\x46indNeighboursResponse\x12\x0f\n\x07offsets\x18\x01 \x01(\x0c\x12\x0f\n\x07indices\x18\x02 \x01(\x0c\x12\x13\n\x0b\x64istances_m\x18\x03 \x01(\x0c\"[\n\x1b\x43omputeLocalFeaturesRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\x12\x0e\n\x01k\x18\x02 \x01(\rH\x00\x88\x01\x01\x42\x04\n\x02_k\"\x80\x01\n\x1c\x43omputeLocalFeaturesResponse\x12\x11\n\tlinearity\x18\x01 \x01(\x0c\x12\x11\n\tplanarity\x18\x02 \x01(\x0c\x12\x12\n\nscattering\x18\x03 \x01(\x0c\x12\x13\n\x0bverticality\x18\x04 \x01(\x0c\x12\x11\n\tcurvature\x18\x05 \x01(\x0c\"E\n\x1b\x43omputeShapeFeaturesRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\"y\n\x1c\x43omputeShapeFeaturesResponse\x12+\n\x08\x66\x65\x61tures\x18\x01 \x01(\x0b\x32\x19.percept.v1.ShapeFeatures\x12,\n\x0bupright_box\x18\x02 \x01(\x0b\x32\x17.percept.v1.OrientedBox\"9\n\x0f\x46itBoxesRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\"\x95\x01\n\x10\x46itBoxesResponse\x12-\n\x0c\x61xis_aligned\x18\x01 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12(\n\x07upright\x18\x02 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12(\n\x07minimal\x18\x03 \x01(\x0b\x32\x17.percept.v1.OrientedBox\"B\n\x18\x43omputeConvexHullRequest\x12&\n\x05\x63loud\x18\x01 \x01(\x0b\x32\x17.percept.v1.CloudSource\"d\n\x19\x43omputeConvexHullResponse\x12\x10\n\x08vertices\x18\x01 \x01(\x0c\x12\x11\n\ttriangles\x18\x02 \x01(\x0c\x12\x11\n\tvolume_m3\x18\x03 \x01(\x01\x12\x0f\n\x07\x61rea_m2\x18\x04 \x01(\x01\x32\xf4\x03\n\x14ToolboxShapesService\x12Y\n\x0e\x46indNeighbours\x12!.percept.v1.FindNeighboursRequest\x1a\".percept.v1.FindNeighboursResponse0\x01\x12k\n\x14\x43omputeLocalFeatures\x12\'.percept.v1.ComputeLocalFeaturesRequest\x1a(.percept.v1.ComputeLocalFeaturesResponse0\x01\x12i\n\x14\x43omputeShapeFeatures\x12\'.percept.v1.ComputeShapeFeaturesRequest\x1a(.percept.v1.ComputeShapeFeaturesResponse\x12\x45\n\x08\x46itBoxes\x12\x1b.percept.v1.FitBoxesRequest\x1a\x1c.percept.v1.FitBoxesResponse\x12\x62\n\x11\x43omputeConvexHull\x12$.percept.v1.ComputeConvexHullRequest\x1a%.percept.v1.ComputeConvexHullResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.toolbox_shapes_service_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_FINDNEIGHBORSREQUEST']._serialized_start=134
-  _globals['_FINDNEIGHBORSREQUEST']._serialized_end=288
-  _globals['_FINDNEIGHBORSRESPONSE']._serialized_start=290
-  _globals['_FINDNEIGHBORSRESPONSE']._serialized_end=368
-  _globals['_COMPUTELOCALFEATURESREQUEST']._serialized_start=370
-  _globals['_COMPUTELOCALFEATURESREQUEST']._serialized_end=461
-  _globals['_COMPUTELOCALFEATURESRESPONSE']._serialized_start=464
-  _globals['_COMPUTELOCALFEATURESRESPONSE']._serialized_end=592
-  _globals['_COMPUTESHAPEFEATURESREQUEST']._serialized_start=594
-  _globals['_COMPUTESHAPEFEATURESREQUEST']._serialized_end=663
-  _globals['_COMPUTESHAPEFEATURESRESPONSE']._serialized_start=665
-  _globals['_COMPUTESHAPEFEATURESRESPONSE']._serialized_end=786
-  _globals['_FITBOXESREQUEST']._serialized_start=788
-  _globals['_FITBOXESREQUEST']._serialized_end=845
-  _globals['_FITBOXESRESPONSE']._serialized_start=848
-  _globals['_FITBOXESRESPONSE']._serialized_end=997
-  _globals['_COMPUTECONVEXHULLREQUEST']._serialized_start=999
-  _globals['_COMPUTECONVEXHULLREQUEST']._serialized_end=1065
-  _globals['_COMPUTECONVEXHULLRESPONSE']._serialized_start=1067
-  _globals['_COMPUTECONVEXHULLRESPONSE']._serialized_end=1167
-  _globals['_TOOLBOXSHAPESSERVICE']._serialized_start=1170
-  _globals['_TOOLBOXSHAPESSERVICE']._serialized_end=1667
+  _globals['_FINDNEIGHBOURSREQUEST']._serialized_start=134
+  _globals['_FINDNEIGHBOURSREQUEST']._serialized_end=289
+  _globals['_FINDNEIGHBOURSRESPONSE']._serialized_start=291
+  _globals['_FINDNEIGHBOURSRESPONSE']._serialized_end=370
+  _globals['_COMPUTELOCALFEATURESREQUEST']._serialized_start=372
+  _globals['_COMPUTELOCALFEATURESREQUEST']._serialized_end=463
+  _globals['_COMPUTELOCALFEATURESRESPONSE']._serialized_start=466
+  _globals['_COMPUTELOCALFEATURESRESPONSE']._serialized_end=594
+  _globals['_COMPUTESHAPEFEATURESREQUEST']._serialized_start=596
+  _globals['_COMPUTESHAPEFEATURESREQUEST']._serialized_end=665
+  _globals['_COMPUTESHAPEFEATURESRESPONSE']._serialized_start=667
+  _globals['_COMPUTESHAPEFEATURESRESPONSE']._serialized_end=788
+  _globals['_FITBOXESREQUEST']._serialized_start=790
+  _globals['_FITBOXESREQUEST']._serialized_end=847
+  _globals['_FITBOXESRESPONSE']._serialized_start=850
+  _globals['_FITBOXESRESPONSE']._serialized_end=999
+  _globals['_COMPUTECONVEXHULLREQUEST']._serialized_start=1001
+  _globals['_COMPUTECONVEXHULLREQUEST']._serialized_end=1067
+  _globals['_COMPUTECONVEXHULLRESPONSE']._serialized_start=1069
+  _globals['_COMPUTECONVEXHULLRESPONSE']._serialized_end=1169
+  _globals['_TOOLBOXSHAPESSERVICE']._serialized_start=1172
+  _globals['_TOOLBOXSHAPESSERVICE']._serialized_end=1672
 # @@protoc_insertion_point(module_scope)

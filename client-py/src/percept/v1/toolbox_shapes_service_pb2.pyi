@@ -20,7 +20,7 @@ else:
 DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
-class FindNeighborsRequest(_message.Message):
+class FindNeighboursRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CLOUD_FIELD_NUMBER: _builtins.int
@@ -60,10 +60,10 @@ class FindNeighborsRequest(_message.Message):
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
 
-Global___FindNeighborsRequest: _TypeAlias = FindNeighborsRequest  # noqa: Y015
+Global___FindNeighboursRequest: _TypeAlias = FindNeighboursRequest  # noqa: Y015
 
 @_typing.final
-class FindNeighborsResponse(_message.Message):
+class FindNeighboursResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     OFFSETS_FIELD_NUMBER: _builtins.int
@@ -88,7 +88,7 @@ class FindNeighborsResponse(_message.Message):
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
-Global___FindNeighborsResponse: _TypeAlias = FindNeighborsResponse  # noqa: Y015
+Global___FindNeighboursResponse: _TypeAlias = FindNeighboursResponse  # noqa: Y015
 
 @_typing.final
 class ComputeLocalFeaturesRequest(_message.Message):

@@ -13,17 +13,17 @@ use std::path::PathBuf;
 /// `outliers_statistical file= k= ratio=`.
 pub(super) fn outliers_statistical(args: &Args) -> Result<Box<dyn Case>, BenchError> {
     let points = read_cloud(&args.required::<PathBuf>("file")?)?.positions;
-    let params = StatisticalOutlierParams { num_neighbors: args.or("k", 20)?, std_ratio: args.or("ratio", 2.0)? };
+    let params = StatisticalOutlierParams { num_neighbours: args.or("k", 20)?, std_ratio: args.or("ratio", 2.0)? };
     let items = points.len();
     let work = move || statistical_outliers(&points, &params).map_err(BenchError::new);
     Ok(timed(items, work, |kept| json!({"out_points": kept.len()})))
 }
 
-/// `outliers_radius file= radius= min_neighbors=`.
+/// `outliers_radius file= radius= min_neighbours=`.
 pub(super) fn outliers_radius(args: &Args) -> Result<Box<dyn Case>, BenchError> {
     let points = read_cloud(&args.required::<PathBuf>("file")?)?.positions;
     let params =
-        RadiusOutlierParams { radius_m: args.required("radius")?, min_neighbors: args.required("min_neighbors")? };
+        RadiusOutlierParams { radius_m: args.required("radius")?, min_neighbours: args.required("min_neighbours")? };
     let items = points.len();
     let work = move || radius_outliers(&points, &params).map_err(BenchError::new);
     Ok(timed(items, work, |kept| json!({"out_points": kept.len()})))
@@ -38,11 +38,11 @@ pub(super) fn voxels(args: &Args) -> Result<Box<dyn Case>, BenchError> {
     Ok(timed(items, work, |out| json!({"out_points": out.len()})))
 }
 
-/// `normals file= k=`, or with `radius_m= max_neighbors=`.
+/// `normals file= k=`, or with `radius_m= max_neighbours=`.
 pub(super) fn normals(args: &Args) -> Result<Box<dyn Case>, BenchError> {
     let points = read_cloud(&args.required::<PathBuf>("file")?)?.positions;
-    let max_neighbors = args.or("k", args.or("max_neighbors", 30)?)?;
-    let params = NormalParams { radius_m: args.or("radius_m", f64::INFINITY)?, max_neighbors, min_neighbors: 3 };
+    let max_neighbours = args.or("k", args.or("max_neighbours", 30)?)?;
+    let params = NormalParams { radius_m: args.or("radius_m", f64::INFINITY)?, max_neighbours, min_neighbours: 3 };
     let items = points.len();
     let work = move || estimate_normals(&points, &params, None).map_err(BenchError::new);
     Ok(timed(items, work, |normals| json!({"defined": normals.iter().filter(|n| n.norm_squared() > 0.0).count()})))

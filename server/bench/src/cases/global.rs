@@ -9,11 +9,11 @@ use percept_perception::registration::{FpfhParams, GlobalParams, compute_fpfh, r
 use serde_json::json;
 use std::path::PathBuf;
 
-/// `fpfh file= radius_m= [max_neighbors=]`: features alone; normals of 20 neighbours are computed before.
+/// `fpfh file= radius_m= [max_neighbours=]`: features alone; normals of 20 neighbours are computed before.
 pub(super) fn fpfh(args: &Args) -> Result<Box<dyn Case>, BenchError> {
     let cloud = read_cloud(&args.required::<PathBuf>("file")?)?;
-    let params = FpfhParams { radius_m: args.required("radius_m")?, max_neighbors: args.or("max_neighbors", 0)? };
-    let twenty = NormalParams { radius_m: f64::INFINITY, max_neighbors: 20, ..NormalParams::default() };
+    let params = FpfhParams { radius_m: args.required("radius_m")?, max_neighbours: args.or("max_neighbours", 0)? };
+    let twenty = NormalParams { radius_m: f64::INFINITY, max_neighbours: 20, ..NormalParams::default() };
     let normals = estimate_normals(&cloud.positions, &twenty, None).map_err(BenchError::new)?;
     let items = cloud.len();
     let work = move || compute_fpfh(&cloud.positions, &normals, &params).map_err(BenchError::new);

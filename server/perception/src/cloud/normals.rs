@@ -20,15 +20,15 @@ pub struct NormalParams {
     /// Neighbours lie within this distance, metres; about three times the spacing of points. Infinite: the nearest
     /// ones, however far.
     pub radius_m: f64,
-    /// Of them the nearest so many are used, the point itself among them, at least `min_neighbors`; 0: all of them.
-    pub max_neighbors: usize,
+    /// Of them the nearest so many are used, the point itself among them, at least `min_neighbours`; 0: all of them.
+    pub max_neighbours: usize,
     /// With fewer the normal is undefined; at least 3.
-    pub min_neighbors: usize,
+    pub min_neighbours: usize,
 }
 
 impl Default for NormalParams {
     fn default() -> Self {
-        Self { radius_m: 0.1, max_neighbors: 30, min_neighbors: 5 }
+        Self { radius_m: 0.1, max_neighbours: 30, min_neighbours: 5 }
     }
 }
 
@@ -41,14 +41,14 @@ impl NormalParams {
         if self.radius_m != f64::INFINITY {
             positive("radius_m", self.radius_m)?;
         }
-        at_least("min_neighbors", self.min_neighbors, 3, "at least 3")?;
-        match self.max_neighbors {
+        at_least("min_neighbours", self.min_neighbours, 3, "at least 3")?;
+        match self.max_neighbours {
             0 if self.radius_m == f64::INFINITY => {
-                let requirement = "at least min_neighbors if radius_m is infinite";
-                Err(GeometryError::OutOfRange { field: "max_neighbors", value: 0.0, requirement })
+                let requirement = "at least min_neighbours if radius_m is infinite";
+                Err(GeometryError::OutOfRange { field: "max_neighbours", value: 0.0, requirement })
             }
             0 => Ok(()),
-            n => at_least("max_neighbors", n, self.min_neighbors, "at least min_neighbors"),
+            n => at_least("max_neighbours", n, self.min_neighbours, "at least min_neighbours"),
         }
     }
 }
@@ -67,7 +67,7 @@ pub fn estimate_normals(
 ) -> Result<Vec<Vector3<f32>>, GeometryError> {
     params.validate()?;
     let tree = KdTree::build(points);
-    match params.max_neighbors {
+    match params.max_neighbours {
         0 => normals_within(points, &tree, params, viewpoint),
         _ => Ok(normals_of(points, &tree, params, viewpoint)),
     }
@@ -76,7 +76,7 @@ pub fn estimate_normals(
 /// Unit normals, signs arbitrary, from the `k` nearest of each point; zero where they lie on a line. `tree` is of
 /// `points`.
 pub(crate) fn nearest_normals(points: &[Point3<f32>], tree: &KdTree, k: usize) -> Vec<Vector3<f32>> {
-    let params = NormalParams { radius_m: f64::INFINITY, max_neighbors: k, min_neighbors: 0 };
+    let params = NormalParams { radius_m: f64::INFINITY, max_neighbours: k, min_neighbours: 0 };
     normals_of(points, tree, &params, None)
 }
 
@@ -86,11 +86,11 @@ fn normals_of(
     params: &NormalParams,
     viewpoint: Option<&Point3<f64>>,
 ) -> Vec<Vector3<f32>> {
-    let k = params.max_neighbors.min(tree.len());
+    let k = params.max_neighbours.min(tree.len());
     let wanted = Wanted { k, radius_m: params.radius_m as f32, what: What::Moments(points) };
     let by_task = tree.map_leaves(&wanted, |normals: &mut Vec<Vector3<f32>>, leaf, group| {
         normals.extend(tree.indices_of(leaf).iter().enumerate().map(|(i, &index)| {
-            let enough = group.count(i) >= params.min_neighbors;
+            let enough = group.count(i) >= params.min_neighbours;
             let p = &points[index as usize];
             let normal = enough.then(|| least_scatter(&scatter(group, i), p, viewpoint)).flatten();
             normal.unwrap_or_default()
@@ -110,7 +110,7 @@ fn normals_within(
     let too_many = || GeometryError::OutOfRange {
         field: "radius_m",
         value: params.radius_m,
-        requirement: "small enough for at most 1e9 neighbours in all; or give max_neighbors",
+        requirement: "small enough for at most 1e9 neighbours in all; or give max_neighbours",
     };
     let chunks = points.par_chunks(CHUNK).map_init(Vec::new, |found: &mut Vec<Neighbor>, chunk| {
         let mut normals = Vec::with_capacity(chunk.len());
@@ -121,7 +121,7 @@ fn normals_within(
             }
             let mut scatter = Scatter::new(p.cast());
             found.iter().for_each(|n| scatter.add(&points[n.index].cast()));
-            let enough = found.len() >= params.min_neighbors;
+            let enough = found.len() >= params.min_neighbours;
             normals.push(enough.then(|| least_scatter(&scatter, p, viewpoint)).flatten().unwrap_or_default());
         }
         Ok(normals)
@@ -174,7 +174,7 @@ mod tests {
 
     #[test]
     fn neighbourhoods_without_a_plane_have_no_normal() {
-        let params = NormalParams { radius_m: 1.0, max_neighbors: 30, min_neighbors: 3 };
+        let params = NormalParams { radius_m: 1.0, max_neighbours: 30, min_neighbours: 3 };
         let zero = |points: &[Point3<f32>]| {
             estimate_normals(points, &params, None).unwrap().iter().all(|n| *n == Vector3::zeros())
         };
@@ -188,13 +188,13 @@ mod tests {
     #[test]
     fn all_neighbours_within_the_radius_are_used_if_their_number_is_open() {
         let points = sphere(Vector3::zeros(), 3000);
-        let all = NormalParams { radius_m: 0.3, max_neighbors: 0, ..NormalParams::default() };
+        let all = NormalParams { radius_m: 0.3, max_neighbours: 0, ..NormalParams::default() };
         let found = estimate_normals(&points, &all, None).unwrap();
-        let most = estimate_normals(&points, &NormalParams { max_neighbors: 3000, ..all }, None).unwrap();
+        let most = estimate_normals(&points, &NormalParams { max_neighbours: 3000, ..all }, None).unwrap();
         for (a, b) in found.iter().zip(&most) {
             assert!(a.dot(b).abs() > 1.0 - 1e-6);
         }
-        let nearest = NormalParams { radius_m: f64::INFINITY, max_neighbors: 12, min_neighbors: 12 };
+        let nearest = NormalParams { radius_m: f64::INFINITY, max_neighbours: 12, min_neighbours: 12 };
         let found = estimate_normals(&points, &nearest, None).unwrap();
         assert!(found.iter().zip(&points).all(|(n, p)| n.dot(&p.coords).abs() > 0.99));
         let far = vec![Point3::new(f32::NAN, 0.0, 0.0); 3];
@@ -216,9 +216,9 @@ mod tests {
     fn parameters_out_of_bounds_are_named() {
         for (params, name) in [
             (NormalParams { radius_m: 0.0, ..Default::default() }, "radius_m"),
-            (NormalParams { min_neighbors: 2, ..Default::default() }, "min_neighbors"),
-            (NormalParams { max_neighbors: 4, ..Default::default() }, "max_neighbors"),
-            (NormalParams { max_neighbors: 0, radius_m: f64::INFINITY, ..Default::default() }, "max_neighbors"),
+            (NormalParams { min_neighbours: 2, ..Default::default() }, "min_neighbours"),
+            (NormalParams { max_neighbours: 4, ..Default::default() }, "max_neighbours"),
+            (NormalParams { max_neighbours: 0, radius_m: f64::INFINITY, ..Default::default() }, "max_neighbours"),
         ] {
             assert!(estimate_normals(&[], &params, None).unwrap_err().to_string().starts_with(name));
         }

@@ -15,12 +15,12 @@ const MAX_NEIGHBORS: usize = 100;
 #[serde(default, deny_unknown_fields)]
 pub struct SpanningTreeParams {
     /// Nearest other points that a normal is compared with, 1 to 100; more reach over gaps, and over thin walls.
-    pub tree_neighbors: usize,
+    pub tree_neighbours: usize,
 }
 
 impl Default for SpanningTreeParams {
     fn default() -> Self {
-        Self { tree_neighbors: 12 }
+        Self { tree_neighbours: 12 }
     }
 }
 
@@ -30,10 +30,10 @@ impl SpanningTreeParams {
     /// # Errors
     /// `OutOfRange` naming the field.
     pub fn validate(&self) -> Result<(), GeometryError> {
-        at_least("tree_neighbors", self.tree_neighbors, 1, "at least 1")?;
-        if self.tree_neighbors > MAX_NEIGHBORS {
-            let (value, requirement) = (self.tree_neighbors as f64, "at most 100");
-            return Err(GeometryError::OutOfRange { field: "tree_neighbors", value, requirement });
+        at_least("tree_neighbours", self.tree_neighbours, 1, "at least 1")?;
+        if self.tree_neighbours > MAX_NEIGHBORS {
+            let (value, requirement) = (self.tree_neighbours as f64, "at most 100");
+            return Err(GeometryError::OutOfRange { field: "tree_neighbours", value, requirement });
         }
         Ok(())
     }
@@ -59,7 +59,7 @@ pub fn orient_by_spanning_tree(
         return Err(GeometryError::ShapeMismatch { field: "normals", expected, actual });
     }
     let mut sides = Sides::new(points.len());
-    for edge in edges(points, normals, params.tree_neighbors) {
+    for edge in edges(points, normals, params.tree_neighbours) {
         let opposite = normals[edge.a as usize].dot(&normals[edge.b as usize]) < 0.0;
         sides.unite(edge.a, edge.b, opposite);
     }
@@ -78,8 +78,8 @@ struct Edge {
 }
 
 /// Edges between points with normals, cheapest first; some come twice.
-fn edges(points: &[Point3<f32>], normals: &[Vector3<f32>], tree_neighbors: usize) -> Vec<Edge> {
-    let neighbors = KdTree::build(points).knn_all(tree_neighbors + 1);
+fn edges(points: &[Point3<f32>], normals: &[Vector3<f32>], tree_neighbours: usize) -> Vec<Edge> {
+    let neighbors = KdTree::build(points).knn_all(tree_neighbours + 1);
     let has_normal = |i: u32| normals[i as usize] != Vector3::zeros();
     let edges_of = |a: usize| {
         let edge = move |&b: &u32| {
@@ -207,8 +207,8 @@ mod tests {
         assert_eq!(normals.iter().filter(|n| **n == Vector3::zeros()).count(), 144);
         orient_by_spanning_tree(&[], &mut [], &SpanningTreeParams::default()).unwrap();
         assert!(orient_by_spanning_tree(&points, &mut [], &SpanningTreeParams::default()).is_err());
-        for (tree_neighbors, name) in [(0, "tree_neighbors"), (101, "tree_neighbors")] {
-            let error = orient_by_spanning_tree(&[], &mut [], &SpanningTreeParams { tree_neighbors }).unwrap_err();
+        for (tree_neighbours, name) in [(0, "tree_neighbours"), (101, "tree_neighbours")] {
+            let error = orient_by_spanning_tree(&[], &mut [], &SpanningTreeParams { tree_neighbours }).unwrap_err();
             assert!(error.to_string().starts_with(name));
         }
     }
@@ -236,7 +236,7 @@ mod tests {
             reached[to as usize] = true;
         }
         let mut found = normals;
-        orient_by_spanning_tree(&points, &mut found, &SpanningTreeParams { tree_neighbors: 6 }).unwrap();
+        orient_by_spanning_tree(&points, &mut found, &SpanningTreeParams { tree_neighbours: 6 }).unwrap();
         assert!(reached.iter().all(|r| *r));
         assert_eq!(found, expected);
     }

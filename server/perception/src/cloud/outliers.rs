@@ -11,14 +11,14 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct StatisticalOutlierParams {
     /// Neighbours whose distance is averaged, the point itself not among them; at least 1.
-    pub num_neighbors: usize,
+    pub num_neighbours: usize,
     /// Standard deviations above the mean up to which a point stays.
     pub std_ratio: f64,
 }
 
 impl Default for StatisticalOutlierParams {
     fn default() -> Self {
-        Self { num_neighbors: 20, std_ratio: 2.0 }
+        Self { num_neighbours: 20, std_ratio: 2.0 }
     }
 }
 
@@ -28,14 +28,14 @@ impl StatisticalOutlierParams {
     /// # Errors
     /// `OutOfRange` naming the field.
     pub fn validate(&self) -> Result<(), GeometryError> {
-        at_least("num_neighbors", self.num_neighbors, 1, "at least 1")?;
+        at_least("num_neighbours", self.num_neighbours, 1, "at least 1")?;
         positive("std_ratio", self.std_ratio)
     }
 }
 
 /// Indices of the points whose mean distance to their nearest neighbours is not unusually large, ascending.
 ///
-/// With fewer other points than `num_neighbors` all of them are averaged; a single point stays.
+/// With fewer other points than `num_neighbours` all of them are averaged; a single point stays.
 ///
 /// Source: Rusu et al., "Towards 3D point cloud based object maps for household environments", 2008.
 ///
@@ -47,7 +47,7 @@ pub fn statistical_outliers(
 ) -> Result<Vec<usize>, GeometryError> {
     params.validate()?;
     let tree = KdTree::build(points);
-    let k = params.num_neighbors.min(tree.len().saturating_sub(1));
+    let k = params.num_neighbours.min(tree.len().saturating_sub(1));
     if k == 0 {
         return Ok((0..points.len()).filter(|&i| is_finite(&points[i])).collect());
     }
@@ -76,12 +76,12 @@ pub struct RadiusOutlierParams {
     /// Radius, metres.
     pub radius_m: f64,
     /// Other points that have to lie within it.
-    pub min_neighbors: usize,
+    pub min_neighbours: usize,
 }
 
 impl Default for RadiusOutlierParams {
     fn default() -> Self {
-        Self { radius_m: 0.1, min_neighbors: 5 }
+        Self { radius_m: 0.1, min_neighbours: 5 }
     }
 }
 
@@ -91,7 +91,7 @@ impl Default for RadiusOutlierParams {
 /// `OutOfRange` naming the parameter.
 pub fn radius_outliers(points: &[Point3<f32>], params: &RadiusOutlierParams) -> Result<Vec<usize>, GeometryError> {
     positive("radius_m", params.radius_m)?;
-    let wanted = params.min_neighbors.saturating_add(1);
+    let wanted = params.min_neighbours.saturating_add(1);
     let keep = KdTree::build(points).at_least_within(params.radius_m as f32, wanted);
     Ok((0..points.len()).filter(|&i| keep[i]).collect())
 }
@@ -126,9 +126,9 @@ mod tests {
         assert_eq!(judge(&[Point3::new(1e7, 1e7, 1e7); 50]).len(), 50);
         assert_eq!(judge(&[Point3::origin(), Point3::new(1.0, 0.0, 0.0)]), [0, 1]);
         assert!(
-            radius_outliers(&[Point3::origin()], &RadiusOutlierParams { radius_m: 0.0, min_neighbors: 0 }).is_err()
+            radius_outliers(&[Point3::origin()], &RadiusOutlierParams { radius_m: 0.0, min_neighbours: 0 }).is_err()
         );
-        let none_wanted = RadiusOutlierParams { radius_m: 0.1, min_neighbors: 0 };
+        let none_wanted = RadiusOutlierParams { radius_m: 0.1, min_neighbours: 0 };
         assert_eq!(radius_outliers(&[Point3::origin()], &none_wanted).unwrap(), [0]);
     }
 }

@@ -98,7 +98,7 @@ pub fn crop_range(
             requirement: "min_range_m or more",
         });
     }
-    finite_point("center_m", center)?;
+    finite_point("centre_m", center)?;
     let within = |i: &usize| (low_m..=high_m).contains(&(positions[*i].cast::<f64>() - center).norm());
     Ok(finite(positions).filter(within).collect())
 }

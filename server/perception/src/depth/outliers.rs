@@ -16,12 +16,12 @@ pub struct DepthOutlierParams {
     /// A return this close to the median stays however even its neighbours are: part of the depth.
     pub min_deviation_fraction: f64,
     /// A return with fewer others in its window is dropped.
-    pub min_neighbors: usize,
+    pub min_neighbours: usize,
 }
 
 impl Default for DepthOutlierParams {
     fn default() -> Self {
-        Self { size_px: 5, ratio: 2.0, min_deviation_fraction: 0.01, min_neighbors: 4 }
+        Self { size_px: 5, ratio: 2.0, min_deviation_fraction: 0.01, min_neighbours: 4 }
     }
 }
 
@@ -54,7 +54,7 @@ pub fn remove_outliers(depth: &DepthImage, params: &DepthOutlierParams) -> Resul
             let mean = sum / count as f32;
             let deviation = (squares / count as f32 - mean * mean).max(0.0).sqrt();
             let least = params.min_deviation_fraction as f32 * middle;
-            if count <= params.min_neighbors || off > least.max(params.ratio as f32 * deviation) {
+            if count <= params.min_neighbours || off > least.max(params.ratio as f32 * deviation) {
                 *pixel = 0.0;
             }
         }
@@ -69,7 +69,7 @@ pub struct FillParams {
     /// Rounds; each closes holes from their rim by one or two pixels.
     pub iterations: usize,
     /// Returns that a hole's 5 x 5 window must hold, 1 to 24.
-    pub min_neighbors: usize,
+    pub min_neighbours: usize,
     /// Returns of the window farther apart than this part of the depth are two surfaces: the hole stays, as nothing
     /// tells to which it belongs.
     pub max_jump_fraction: f64,
@@ -77,7 +77,7 @@ pub struct FillParams {
 
 impl Default for FillParams {
     fn default() -> Self {
-        Self { iterations: 1, min_neighbors: 12, max_jump_fraction: 0.05 }
+        Self { iterations: 1, min_neighbours: 12, max_jump_fraction: 0.05 }
     }
 }
 
@@ -87,7 +87,7 @@ impl Default for FillParams {
 /// `OutOfRange` naming the parameter.
 pub fn fill_holes(depth: &DepthImage, params: &FillParams) -> Result<DepthImage, GeometryError> {
     positive("max_jump_fraction", params.max_jump_fraction)?;
-    for (field, value, most) in [("iterations", params.iterations, 64), ("min_neighbors", params.min_neighbors, 24)] {
+    for (field, value, most) in [("iterations", params.iterations, 64), ("min_neighbours", params.min_neighbours, 24)] {
         if !(1..=most).contains(&value) {
             let requirement = if most == 64 { "between 1 and 64" } else { "between 1 and 24" };
             return Err(GeometryError::OutOfRange { field, value: value as f64, requirement });
@@ -119,7 +119,7 @@ fn filling(data: &[f32], (w, h): (usize, usize), u: usize, v: usize, params: &Fi
         }
     }
     let one_surface = far - near <= params.max_jump_fraction as f32 * near;
-    (count >= params.min_neighbors && one_surface).then(|| sum / count as f32)
+    (count >= params.min_neighbours && one_surface).then(|| sum / count as f32)
 }
 
 /// Depth as 16-bit units of `metres_per_unit` (16UC1), rounded; 0 where there is no return or the depth does not fit.

@@ -30,7 +30,7 @@ pub fn register_color(
     positive("max_jump_fraction", max_jump_fraction)?;
     color_camera.validate()?;
     check_size("depth", (depth_camera.width, depth_camera.height), size(depth))?;
-    check_size("color", (color_camera.width, color_camera.height), (color.width(), color.height()))?;
+    check_size("colour", (color_camera.width, color_camera.height), (color.width(), color.height()))?;
     let hits = project(depth, &RayTable::new(depth_camera)?, color_camera, t_color_depth);
     let nearest = nearest_depths(&hits, depth, depth_camera, color_camera);
     let mut pixels = vec![0; hits.len() * 3];

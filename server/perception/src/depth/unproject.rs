@@ -109,7 +109,7 @@ fn unproject_rows(
     params.validate()?;
     check_size("depth", (rays.width(), rays.height()), (w, h))?;
     if let Some(color) = color {
-        check_size("color", (rays.width(), rays.height()), (color.width(), color.height()))?;
+        check_size("colour", (rays.width(), rays.height()), (color.width(), color.height()))?;
     }
     let stride = params.stride_px;
     let room = w.div_ceil(stride) * h.div_ceil(stride);

@@ -63,7 +63,7 @@ impl Descriptor {
 
 /// Length of the mean of exp(4 i angle) over horizontal normals: directions a right angle apart count as one.
 fn squareness(points: &[Point3<f32>]) -> f64 {
-    let params = NormalParams { radius_m: 3.0 * CELL_M, max_neighbors: 30, min_neighbors: 6 };
+    let params = NormalParams { radius_m: 3.0 * CELL_M, max_neighbours: 30, min_neighbours: 6 };
     let Ok(normals) = estimate_normals(points, &params, None) else { return 0.5 };
     let (mut sum, mut count) = (Vector2::zeros(), 0.0);
     for n in normals.iter().filter(|n| n.xy().norm() > 0.8) {

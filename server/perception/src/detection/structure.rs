@@ -63,7 +63,7 @@ pub fn find_structure(points: &[Point3<f32>], params: &DetectionParams) -> Resul
     let standing = points.iter().filter(|p| floor.distance(&p.cast()) > params.floor_margin_m);
     let spacing = 2.0 * params.voxel_size_m;
     let coarse = voxel_downsample(&PointCloud::from_positions(standing.copied().collect()), spacing)?.positions;
-    let normals = NormalParams { radius_m: 2.5 * spacing, max_neighbors: 20, min_neighbors: 6 };
+    let normals = NormalParams { radius_m: 2.5 * spacing, max_neighbours: 20, min_neighbours: 6 };
     let normals = estimate_normals(&coarse, &normals, None)?;
     Ok(Structure { walls: find_walls(&coarse, &normals, &floor, spacing, params), floor })
 }

@@ -24,12 +24,12 @@ pub struct FpfhParams {
     /// Neighbourhood of a point, metres, above 0; about five voxels of a thinned cloud.
     pub radius_m: f64,
     /// Nearest neighbours used, at most, the point itself among them; 0: all.
-    pub max_neighbors: usize,
+    pub max_neighbours: usize,
 }
 
 impl Default for FpfhParams {
     fn default() -> Self {
-        Self { radius_m: 0.25, max_neighbors: 100 }
+        Self { radius_m: 0.25, max_neighbours: 100 }
     }
 }
 
@@ -58,7 +58,7 @@ pub fn compute_fpfh(
     }
     let tree = KdTree::build(positions);
     let radius = params.radius_m as f32;
-    let neighbors = match params.max_neighbors {
+    let neighbors = match params.max_neighbours {
         0 => tree.radius_all(radius, MAX_PAIRS)?,
         n => tree.hybrid_all(radius, n),
     };
@@ -150,7 +150,7 @@ mod tests {
     #[test]
     fn features_stay_when_the_cloud_is_moved_and_add_up() {
         let (positions, normals) = wavy();
-        let params = FpfhParams { radius_m: 0.35, max_neighbors: 0 };
+        let params = FpfhParams { radius_m: 0.35, max_neighbours: 0 };
         let before = compute_fpfh(&positions, &normals, &params).unwrap();
         let turn = UnitQuaternion::from_euler_angles(0.3f32, -1.1, 2.0);
         let moved: Vec<_> = positions.iter().map(|p| turn * p + Vector3::new(3.0, -2.0, 1.0)).collect();
@@ -171,7 +171,7 @@ mod tests {
     fn lonely_and_equal_points_have_zeros_and_bad_input_is_named() {
         let far = [Point3::origin(), Point3::new(10.0, 0.0, 0.0)];
         let up = [Vector3::z(); 2];
-        let params = FpfhParams { radius_m: 1.0, max_neighbors: 100 };
+        let params = FpfhParams { radius_m: 1.0, max_neighbours: 100 };
         assert_eq!(compute_fpfh(&far, &up, &params).unwrap(), vec![[0.0; FPFH_LEN]; 2]);
         assert!(compute_fpfh(&[Point3::origin(); 5], &[Vector3::z(); 5], &params).is_ok());
         assert!(compute_fpfh(&[], &[], &params).unwrap().is_empty());

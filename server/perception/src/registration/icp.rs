@@ -98,11 +98,11 @@ fn check(source: &PreparedCloud, target: &PreparedCloud, method: IcpMethod) -> R
     if method == M::Colored {
         for (name, cloud) in [("source", source), ("target", target)] {
             if cloud.brightness.len() != cloud.points.len() {
-                return missing(name, "colors");
+                return missing(name, "colours");
             }
         }
         if target.gradients.len() != target.points.len() {
-            return missing("target", "colors");
+            return missing("target", "colours");
         }
     }
     Ok(())
@@ -270,7 +270,7 @@ impl Problem<'_> {
                     f64::from(point.brightness),
                     f64::from(self.target.brightness[index]),
                 );
-                extra.add(&row, residual, weight * self.params.color_share);
+                extra.add(&row, residual, weight * self.params.colour_share);
             }
             out.num_pairs += 1;
             out.distances2 += difference.norm_squared();
@@ -295,7 +295,7 @@ impl Problem<'_> {
             return None;
         }
         let (across, along) = match self.params.method {
-            IcpMethod::Colored => (1.0 - self.params.color_share, 0.0),
+            IcpMethod::Colored => (1.0 - self.params.colour_share, 0.0),
             _ => (1.0, frame.tangent_weight),
         };
         let m = n * across;

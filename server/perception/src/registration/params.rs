@@ -44,11 +44,11 @@ pub struct IcpParams {
     /// classic method; 0.1 keeps sparse scans from sliding along ill-defined normals.
     pub tangent_weight: f64,
     /// Normals come from so many nearest points, the point itself among them, 3 to 1000.
-    pub num_neighbors: usize,
+    pub num_neighbours: usize,
     /// VGICP only: edge of the target's voxels, metres, above 0.
     pub target_voxel_size_m: f64,
     /// Coloured only: share of the brightness in what is minimised, 0 to 1 (the paper's 0.032).
-    pub color_share: f64,
+    pub colour_share: f64,
 }
 
 impl Default for IcpParams {
@@ -62,9 +62,9 @@ impl Default for IcpParams {
             kernel: RobustKernel::None,
             degeneracy_threshold: 0.002,
             tangent_weight: 0.0,
-            num_neighbors: 20,
+            num_neighbours: 20,
             target_voxel_size_m: 1.0,
-            color_share: 0.032,
+            colour_share: 0.032,
         }
     }
 }
@@ -121,7 +121,7 @@ impl IcpParams {
             // Covariances already discount what is off along the surface.
             kernel: if surfaces { RobustKernel::None } else { RobustKernel::Huber(0.2) },
             tangent_weight: 0.1,
-            num_neighbors: 10,
+            num_neighbours: 10,
             ..Self::default()
         }
     }
@@ -152,13 +152,13 @@ impl IcpParams {
                 return bad(field, value, "positive and finite", "leave it out for the default");
             }
         }
-        for (field, value) in [("tangent_weight", self.tangent_weight), ("color_share", self.color_share)] {
+        for (field, value) in [("tangent_weight", self.tangent_weight), ("colour_share", self.colour_share)] {
             if !(0.0..=1.0).contains(&value) {
                 return bad(field, value, "within 0 to 1", "leave it out for the default");
             }
         }
         for (field, value, least) in
-            [("max_iterations", self.max_iterations, 1), ("num_neighbors", self.num_neighbors, 3)]
+            [("max_iterations", self.max_iterations, 1), ("num_neighbours", self.num_neighbours, 3)]
         {
             if !(least..=1000).contains(&value) {
                 return bad(field, value as f64, "within 1 (neighbours 3) to 1000", "leave it out for the default");

@@ -36,7 +36,7 @@ impl PreparedCloud {
         params.validate()?;
         let mut out = Self::finite("source", cloud, params.method)?;
         if matches!(params.method, IcpMethod::Gicp | IcpMethod::Vgicp) && out.normals.is_empty() {
-            out.normals = nearest_normals(&out.points, &KdTree::build(&out.points), params.num_neighbors);
+            out.normals = nearest_normals(&out.points, &KdTree::build(&out.points), params.num_neighbours);
         }
         Ok(out)
     }
@@ -52,10 +52,10 @@ impl PreparedCloud {
         if params.method == IcpMethod::PointToPoint {
             out.normals.clear();
         } else if out.normals.is_empty() {
-            out.normals = nearest_normals(&out.points, &tree, params.num_neighbors);
+            out.normals = nearest_normals(&out.points, &tree, params.num_neighbours);
         }
         if params.method == IcpMethod::Colored {
-            out.gradients = gradients(&out, &tree, params.num_neighbors);
+            out.gradients = gradients(&out, &tree, params.num_neighbours);
         }
         if params.method == IcpMethod::Vgicp {
             out.voxels = Some(GaussianVoxels::new(&out.points, &out.normals, params.target_voxel_size_m));
@@ -82,7 +82,7 @@ impl PreparedCloud {
             return Err(RegistrationError::TooFewPoints { field, num_points: cloud.len(), needed: FEWEST });
         }
         let brightness = match (method, cloud.colors) {
-            (IcpMethod::Colored, None) => return Err(RegistrationError::Missing { cloud: field, channel: "colors" }),
+            (IcpMethod::Colored, None) => return Err(RegistrationError::Missing { cloud: field, channel: "colours" }),
             (IcpMethod::Colored, Some(colors)) => {
                 colors.iter().map(|c| c.iter().map(|&v| f32::from(v)).sum::<f32>() / (3.0 * 255.0)).collect()
             }

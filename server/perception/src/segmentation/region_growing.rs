@@ -18,7 +18,7 @@ pub struct RegionGrowingParams {
     /// Points at most this far apart may be one surface, metres; two to three times their spacing.
     pub radius_m: f64,
     /// Most neighbours that a point is compared with.
-    pub max_neighbors: usize,
+    pub max_neighbours: usize,
     /// Normals of neighbours on one surface differ by at most this, radians.
     pub max_angle_rad: f64,
     /// Regions with fewer points are left out; at least 1.
@@ -27,7 +27,7 @@ pub struct RegionGrowingParams {
 
 impl Default for RegionGrowingParams {
     fn default() -> Self {
-        Self { radius_m: 0.05, max_neighbors: 30, max_angle_rad: 0.1, min_points: 50 }
+        Self { radius_m: 0.05, max_neighbours: 30, max_angle_rad: 0.1, min_points: 50 }
     }
 }
 
@@ -39,7 +39,7 @@ impl RegionGrowingParams {
     pub fn validate(&self) -> Result<(), GeometryError> {
         positive("radius_m", self.radius_m)?;
         positive("max_angle_rad", self.max_angle_rad)?;
-        at_least("max_neighbors", self.max_neighbors, 1, "at least 1")?;
+        at_least("max_neighbours", self.max_neighbours, 1, "at least 1")?;
         at_least("min_points", self.min_points, 1, "at least 1")
     }
 }
@@ -67,7 +67,7 @@ pub fn grow_regions(
     let has_normal = |i: usize| is_finite(&points[i]) && normals[i].norm_squared() > 0.5;
     let edges_of = |found: &mut Vec<Neighbor>, i: usize, edges: &mut Vec<(u32, u32)>| {
         if has_normal(i) {
-            tree.hybrid_into(&points[i], params.radius_m as f32, params.max_neighbors.saturating_add(1), found);
+            tree.hybrid_into(&points[i], params.radius_m as f32, params.max_neighbours.saturating_add(1), found);
             let smooth = found.iter().filter(|n| n.index != i && normals[n.index].dot(&normals[i]).abs() >= least);
             edges.extend(smooth.map(|n| (n.index as u32, i as u32)));
         }

@@ -90,7 +90,7 @@ pub fn supervoxels(
 ) -> Result<Supervoxels, CloudError> {
     params.validate()?;
     let voxels = Voxels::new(points, params.voxel_size_m)?;
-    let around = NormalParams { radius_m: params.normal_radius_m, max_neighbors: 40, ..NormalParams::default() };
+    let around = NormalParams { radius_m: params.normal_radius_m, max_neighbours: 40, ..NormalParams::default() };
     let normals = estimate_normals(&voxels.means, &around, Some(viewpoint))?;
     let mut growth = Growth::new(&voxels, &normals, params);
     growth.run();

@@ -122,10 +122,10 @@ pub fn cloud(c: &v1::PointCloud, limits: &Limits) -> Result<PointCloud> {
         ));
     }
     let channel = |field, data: &Option<Bytes>| data.as_ref().map(|d| f32s(field, d, n)).transpose();
-    let colors = match &c.colors {
+    let colors = match &c.colours {
         Some(d) if d.len() != n * 3 => {
             let mismatch =
-                percept_geometry::GeometryError::ShapeMismatch { field: "colors", expected: n * 3, actual: d.len() };
+                percept_geometry::GeometryError::ShapeMismatch { field: "colours", expected: n * 3, actual: d.len() };
             return Err(mismatch.into());
         }
         Some(d) => Some(d.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect()),
@@ -176,7 +176,7 @@ pub fn cloud_to(c: &PointCloud) -> v1::PointCloud {
     v1::PointCloud {
         num_points: c.len() as u32,
         positions: triple_bytes(&c.positions, |p| [p.x, p.y, p.z]),
-        colors: c.colors.as_ref().map(|c| c.as_flattened().to_vec().into()),
+        colours: c.colors.as_ref().map(|c| c.as_flattened().to_vec().into()),
         intensities: c.intensities.as_ref().map(|v| f32_bytes(v.iter().copied())),
         normals: c.normals.as_ref().map(|v| triple_bytes(v, |n| [n.x, n.y, n.z])),
         time_offsets_s: c.time_offsets_s.as_ref().map(|v| f32_bytes(v.iter().copied())),
@@ -204,7 +204,7 @@ pub fn joined(parts: &[v1::PointCloud]) -> v1::PointCloud {
     v1::PointCloud {
         num_points: parts.iter().fold(0, |n, c| n.saturating_add(c.num_points)),
         positions: channel(|c| Some(&c.positions)).unwrap_or_default(),
-        colors: channel(|c| c.colors.as_ref()),
+        colours: channel(|c| c.colours.as_ref()),
         intensities: channel(|c| c.intensities.as_ref()),
         normals: channel(|c| c.normals.as_ref()),
         time_offsets_s: channel(|c| c.time_offsets_s.as_ref()),

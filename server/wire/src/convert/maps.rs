@@ -75,7 +75,7 @@ pub fn around(center: Option<&v1::Vector3>, radius_m: Option<f64>) -> Result<Opt
     if !(radius.is_finite() && radius > 0.0) {
         return Err(Error::invalid("OUT_OF_RANGE", "radius_m", format!("radius_m is {radius}; it must be positive")));
     }
-    Ok(Some((geometry::vector("center", center)?.into(), radius)))
+    Ok(Some((geometry::vector("centre", center)?.into(), radius)))
 }
 
 /// A file format.

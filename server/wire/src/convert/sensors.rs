@@ -167,7 +167,7 @@ pub fn frame(message: &v1::SensorMessage, limits: &Limits) -> Result<IncomingFra
     let data = match required("data", message.data.as_ref())? {
         Data::Depth(d) => SensorData::Depth(depth(d, limits).map_err(|e| e.within("depth"))?),
         Data::Rgbd(d) => rgbd(d, limits).map_err(|e| e.within("rgbd"))?,
-        Data::Color(c) => SensorData::Camera(color(c, limits).map_err(|e| e.within("color"))?),
+        Data::Colour(c) => SensorData::Camera(color(c, limits).map_err(|e| e.within("colour"))?),
         Data::Cloud(c) => SensorData::Cloud(geometry::cloud(c, limits).map_err(|e| e.within("cloud"))?),
         Data::Scan(s) => SensorData::Scan(scan(s, limits).map_err(|e| e.within("scan"))?),
         Data::Imu(i) => SensorData::Imu(imu(i).map_err(|e| e.within("imu"))?),
@@ -182,13 +182,13 @@ pub fn frame(message: &v1::SensorMessage, limits: &Limits) -> Result<IncomingFra
 
 fn rgbd(d: &v1::RgbdImage, limits: &Limits) -> Result<SensorData> {
     let depth = depth(&required("depth", d.depth.clone())?, limits).map_err(|e| e.within("depth"))?;
-    let color = color(&required("color", d.color.clone())?, limits).map_err(|e| e.within("color"))?;
+    let color = color(&required("colour", d.colour.clone())?, limits).map_err(|e| e.within("colour"))?;
     if (depth.width(), depth.height()) != (color.width(), color.height()) {
         return Err(Error::invalid(
-            "COLOR_SIZE_MISMATCH",
-            "color",
+            "COLOUR_SIZE_MISMATCH",
+            "colour",
             format!(
-                "color is {}x{} but depth is {}x{}; register them to one size",
+                "colour is {}x{} but depth is {}x{}; register them to one size",
                 color.width(),
                 color.height(),
                 depth.width(),
@@ -296,12 +296,12 @@ pub fn depth(d: &v1::DepthImage, limits: &Limits) -> Result<DepthImage> {
 ///
 /// # Errors
 /// Sizes that lie, files that do not decode.
-pub fn color(c: &v1::ColorImage, limits: &Limits) -> Result<RgbImage> {
-    use v1::ColorEncoding as E;
+pub fn color(c: &v1::ColourImage, limits: &Limits) -> Result<RgbImage> {
+    use v1::ColourEncoding as E;
     let (w, h) = image_size(c.width_px, c.height_px, limits)?;
     match E::try_from(c.encoding) {
         Ok(E::Rgb8) => Ok(RgbImage::new(w, h, rows(&c.data, w * 3, h, c.row_stride_bytes)?.to_vec())?),
-        Ok(E::Gray8) => {
+        Ok(E::Grey8) => {
             let gray = rows(&c.data, w, h, c.row_stride_bytes)?;
             Ok(RgbImage::new(w, h, gray.iter().flat_map(|&g| [g; 3]).collect())?)
         }
@@ -410,17 +410,17 @@ pub fn frame_to(session: &str, sequence: u64, frame: &SensorFrame) -> v1::Sensor
         row_stride_bytes: None,
         data: floats(d.data()),
     };
-    let color = |c: &RgbImage| v1::ColorImage {
+    let color = |c: &RgbImage| v1::ColourImage {
         width_px: c.width() as u32,
         height_px: c.height() as u32,
-        encoding: v1::ColorEncoding::Rgb8.into(),
+        encoding: v1::ColourEncoding::Rgb8.into(),
         row_stride_bytes: None,
         data: c.data().to_vec().into(),
     };
     let data = match &frame.data {
         SensorData::Depth(d) => Data::Depth(depth(d)),
-        SensorData::Rgbd(d, c) => Data::Rgbd(v1::RgbdImage { depth: Some(depth(d)), color: Some(color(c)) }),
-        SensorData::Camera(c) => Data::Color(color(c)),
+        SensorData::Rgbd(d, c) => Data::Rgbd(v1::RgbdImage { depth: Some(depth(d)), colour: Some(color(c)) }),
+        SensorData::Camera(c) => Data::Colour(color(c)),
         SensorData::Cloud(c) => Data::Cloud(geometry::cloud_to(c)),
         SensorData::Scan(s) => Data::Scan(v1::LaserScan {
             angle_min_rad: s.angle_min_rad,

@@ -18,14 +18,14 @@ class AsyncDepth(AsyncBound):
         *,
         intrinsics: CameraIntrinsics,
         metres_per_unit: float | None = None,
-        color: Array | EncodedImage | None = None,
+        colour: Array | EncodedImage | None = None,
         stride: int | None = None,
         min_depth_m: float | None = None,
         max_depth_m: float | None = None,
     ) -> PointCloud:
         """Depth image to cloud in the optical frame; depth from min_depth_m (0) to max_depth_m (10)."""
         call = convert.unproject_depth(
-            depth, intrinsics, metres_per_unit, color, stride, min_depth_m, max_depth_m
+            depth, intrinsics, metres_per_unit, colour, stride, min_depth_m, max_depth_m
         )
         return await self._transport.call(call)
 
@@ -43,10 +43,12 @@ class AsyncDepth(AsyncBound):
         """uint16 units (16UC1) to float32 metres (32FC1), or the other way round."""
         return await self._transport.call(convert.convert_depth(depth, metres_per_unit))
 
-    async def decode_color(self, data: bytes) -> Array:
+    async def decode_colour(self, data: bytes) -> Array:
         """A PNG or JPEG to (H, W, 3) uint8 RGB."""
-        return await self._transport.call(convert.decode_color(data))
+        return await self._transport.call(convert.decode_colour(data))
 
-    async def encode_color(self, color: Array, *, encoding: str = "png", quality: int | None = None) -> bytes:
+    async def encode_colour(
+        self, colour: Array, *, encoding: str = "png", quality: int | None = None
+    ) -> bytes:
         """A colour image to a PNG, or a JPEG of quality 1 to 100 (90)."""
-        return await self._transport.call(convert.encode_color(color, encoding, quality))
+        return await self._transport.call(convert.encode_colour(colour, encoding, quality))

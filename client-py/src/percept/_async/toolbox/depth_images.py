@@ -99,20 +99,20 @@ class AsyncDepthImages(AsyncBound):
         )
         return await self._transport.call(call)
 
-    async def register_color(
+    async def register_colour(
         self,
         depth: Array | EncodedImage | bytes,
-        color: Array | EncodedImage | bytes,
+        colour: Array | EncodedImage | bytes,
         *,
         depth_camera: CameraIntrinsics,
-        color_camera: CameraIntrinsics,
-        t_color_depth: Pose | Array,
+        colour_camera: CameraIntrinsics,
+        t_colour_depth: Pose | Array,
         metres_per_unit: float | None = None,
         max_jump_fraction: float | None = None,
     ) -> tuple[Array, npt.NDArray[np.bool_]]:
         """The colour of each depth pixel from another camera, (H, W, 3) uint8, and whether that sees it,
         (H, W) bool; hidden is what lies more than max_jump_fraction (0.05) of its depth behind."""
-        call = convert.register_color(
-            depth, depth_camera, color, color_camera, t_color_depth, metres_per_unit, max_jump_fraction
+        call = convert.register_colour(
+            depth, depth_camera, colour, colour_camera, t_colour_depth, metres_per_unit, max_jump_fraction
         )
         return await self._transport.call(call)

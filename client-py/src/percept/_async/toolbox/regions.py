@@ -8,7 +8,7 @@ from ..._arrays import Array
 from ..._convert.toolbox import regions as convert
 from ..._convert.toolbox.request import Cloud
 from ...types.frames import EncodedImage
-from ...types.toolbox import CloudColoring, CloudView, Clusters, Ground, Supervoxels, SupportedObjects
+from ...types.toolbox import CloudColouring, CloudView, Clusters, Ground, Supervoxels, SupportedObjects
 from ..bound import AsyncBound
 
 
@@ -42,7 +42,7 @@ class AsyncRegions(AsyncBound):
         cloud: Cloud,
         *,
         radius_m: float | None = None,
-        max_neighbors: int | None = None,
+        max_neighbours: int | None = None,
         max_angle_rad: float | None = None,
         min_points: int | None = None,
     ) -> Clusters:
@@ -51,7 +51,7 @@ class AsyncRegions(AsyncBound):
         call = convert.grow_regions(
             cloud,
             radius_m=radius_m,
-            max_neighbors=max_neighbors,
+            max_neighbours=max_neighbours,
             max_angle_rad=max_angle_rad,
             min_points=min_points,
         )
@@ -134,7 +134,7 @@ class AsyncRegions(AsyncBound):
         cloud: Cloud,
         *,
         view: CloudView | str = CloudView.TOP,
-        coloring: CloudColoring | str | None = None,
+        colouring: CloudColouring | str | None = None,
         labels: Array | None = None,
         width_px: int | None = None,
         height_px: int | None = None,
@@ -145,7 +145,7 @@ class AsyncRegions(AsyncBound):
         call = convert.render_cloud(
             cloud,
             labels,
-            coloring,
+            colouring,
             view=view,
             width_px=width_px,
             height_px=height_px,

@@ -35,18 +35,18 @@ class AsyncRegistrationCalls(AsyncBound):
         kernel_scale_m: float | None = None,
         translation_tolerance_m: float | None = None,
         rotation_tolerance_rad: float | None = None,
-        num_neighbors: int | None = None,
+        num_neighbours: int | None = None,
         target_voxel_size_m: float | None = None,
-        color_share: float | None = None,
+        colour_share: float | None = None,
         tangent_weight: float | None = None,
         degeneracy_threshold: float | None = None,
     ) -> Registration:
         """Lays source over target, starting from t_target_source = initial_guess (identity).
 
         Pairs further apart than max_distance_m (0.02) do not count. voxel_sizes_m thins both clouds, coarse
-        to fine. kernel_scale_m is where the kernel begins to bend. Normals come from num_neighbors (20)
-        points; target_voxel_size_m (1) is for vgicp, color_share (0.032) for colored, tangent_weight (0) for
-        point_to_plane.
+        to fine. kernel_scale_m is where the kernel begins to bend. Normals come from num_neighbours (20)
+        points; target_voxel_size_m (1) is for vgicp, colour_share (0.032) for coloured, tangent_weight (0)
+        for point_to_plane.
         """
         call = convert.register_clouds(
             source,
@@ -60,9 +60,9 @@ class AsyncRegistrationCalls(AsyncBound):
             kernel_scale_m=kernel_scale_m,
             translation_tolerance_m=translation_tolerance_m,
             rotation_tolerance_rad=rotation_tolerance_rad,
-            num_neighbors=num_neighbors,
+            num_neighbours=num_neighbours,
             target_voxel_size_m=target_voxel_size_m,
-            color_share=color_share,
+            colour_share=colour_share,
             tangent_weight=tangent_weight,
             degeneracy_threshold=degeneracy_threshold,
         )
@@ -96,9 +96,9 @@ class AsyncRegistrationCalls(AsyncBound):
         return await self._transport.call(call)
 
     async def compute_point_features(
-        self, cloud: Cloud, *, radius_m: float | None = None, max_neighbors: int | None = None
+        self, cloud: Cloud, *, radius_m: float | None = None, max_neighbours: int | None = None
     ) -> Array:
         """FPFH of every point, (N, 33) float32, from neighbours within radius_m (0.25), at most
-        max_neighbors (100; 0: all); zeros for points without neighbours."""
-        call = convert.compute_point_features(cloud, radius_m=radius_m, max_neighbors=max_neighbors)
+        max_neighbours (100; 0: all); zeros for points without neighbours."""
+        call = convert.compute_point_features(cloud, radius_m=radius_m, max_neighbours=max_neighbours)
         return await self._transport.call(call)

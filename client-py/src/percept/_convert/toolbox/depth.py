@@ -27,11 +27,11 @@ def put_depth(
     sensors.fill_depth(out, checked.depth, metres_per_unit)
 
 
-def put_color(out: sensor_pb2.ColorImage, color: Array | frames.EncodedImage | bytes) -> None:
+def put_colour(out: sensor_pb2.ColourImage, colour: Array | frames.EncodedImage | bytes) -> None:
     """Writes a colour image; the bytes of a PNG or JPEG need no size."""
-    if isinstance(color, bytes):
-        color = frames.EncodedImage(data=color, width_px=0, height_px=0)
-    sensors.fill_color(out, frames.CameraFrame("", stamp_ns=0, color=color).color)
+    if isinstance(colour, bytes):
+        colour = frames.EncodedImage(data=colour, width_px=0, height_px=0)
+    sensors.fill_colour(out, frames.CameraFrame("", stamp_ns=0, colour=colour).colour)
 
 
 def depth_image(message: sensor_pb2.DepthImage) -> Array:
@@ -39,7 +39,7 @@ def depth_image(message: sensor_pb2.DepthImage) -> Array:
     return floats(message.data, message.height_px, message.width_px)
 
 
-def color_image(message: sensor_pb2.ColorImage) -> Array:
+def colour_image(message: sensor_pb2.ColourImage) -> Array:
     """(H, W, 3) uint8."""
     return np.frombuffer(message.data, np.uint8).reshape(message.height_px, message.width_px, 3)
 
@@ -48,7 +48,7 @@ def unproject_depth(
     depth: Array | frames.EncodedImage,
     intrinsics: CameraIntrinsics,
     metres_per_unit: float | None,
-    color: Array | frames.EncodedImage | None,
+    colour: Array | frames.EncodedImage | None,
     stride: int | None,
     min_depth_m: float | None,
     max_depth_m: float | None,
@@ -61,8 +61,8 @@ def unproject_depth(
         max_depth_m=max_depth_m,
     )
     put_depth(request.depth, depth, metres_per_unit)
-    if color is not None:
-        put_color(request.color, color)
+    if colour is not None:
+        put_colour(request.colour, colour)
     return Call(_rpc.UNPROJECT_DEPTH, request, lambda a: geometry.cloud(a.cloud))
 
 
@@ -101,18 +101,18 @@ def convert_depth(
     return Call(_rpc.CONVERT_DEPTH, request, read)
 
 
-def decode_color(data: bytes) -> Call[depth_pb.ConvertColorRequest, depth_pb.ConvertColorResponse, Array]:
-    request = of(depth_pb.ConvertColorRequest, encoding="rgb8")
-    put_color(request.color, data)
-    return Call(_rpc.CONVERT_COLOR, request, lambda a: color_image(a.color))
+def decode_colour(data: bytes) -> Call[depth_pb.ConvertColourRequest, depth_pb.ConvertColourResponse, Array]:
+    request = of(depth_pb.ConvertColourRequest, encoding="rgb8")
+    put_colour(request.colour, data)
+    return Call(_rpc.CONVERT_COLOUR, request, lambda a: colour_image(a.colour))
 
 
-def encode_color(
-    color: Array, encoding: str, quality: int | None
-) -> Call[depth_pb.ConvertColorRequest, depth_pb.ConvertColorResponse, bytes]:
+def encode_colour(
+    colour: Array, encoding: str, quality: int | None
+) -> Call[depth_pb.ConvertColourRequest, depth_pb.ConvertColourResponse, bytes]:
     if encoding not in ("png", "jpeg"):
         message = f"encoding is {encoding!r}; choose png or jpeg"
         raise InvalidArgument(message, reason="ENUM_UNKNOWN", field="encoding")
-    request = of(depth_pb.ConvertColorRequest, encoding=encoding, quality=quality)
-    put_color(request.color, color)
-    return Call(_rpc.CONVERT_COLOR, request, lambda a: a.color.data)
+    request = of(depth_pb.ConvertColourRequest, encoding=encoding, quality=quality)
+    put_colour(request.colour, colour)
+    return Call(_rpc.CONVERT_COLOUR, request, lambda a: a.colour.data)

@@ -17,7 +17,7 @@ from ...types.geometry import CameraIntrinsics, Pose
 from ...types.shapes import DepthPlane, DepthPlanes
 from ...v1 import toolbox_depth_service_pb2 as depth_pb
 from .. import geometry
-from .depth import color_image, depth_image, put_color, put_depth
+from .depth import colour_image, depth_image, put_colour, put_depth
 from .request import fill, floats, of
 
 Image = Array | EncodedImage | bytes
@@ -68,7 +68,7 @@ def segment_depth_planes(
         planes = tuple(
             DepthPlane(
                 plane=geometry.plane(p.plane),
-                center=geometry.vector3(p.center),
+                centre=geometry.vector3(p.centre),
                 num_pixels=p.num_pixels,
                 rms_m=p.rms_m,
             )
@@ -93,25 +93,27 @@ def find_depth_edges(
     return Call(_rpc.FIND_DEPTH_EDGES, request, read)
 
 
-def register_color(
+def register_colour(
     depth: Image,
     depth_camera: CameraIntrinsics,
-    color: Image,
-    color_camera: CameraIntrinsics,
-    t_color_depth: Pose | Array,
+    colour: Image,
+    colour_camera: CameraIntrinsics,
+    t_colour_depth: Pose | Array,
     metres_per_unit: float | None,
     max_jump_fraction: float | None,
-) -> Call[depth_pb.RegisterColorRequest, depth_pb.RegisterColorResponse, tuple[Array, npt.NDArray[np.bool_]]]:
-    def read(answer: depth_pb.RegisterColorResponse) -> tuple[Array, npt.NDArray[np.bool_]]:
-        image = color_image(answer.color)
+) -> Call[
+    depth_pb.RegisterColourRequest, depth_pb.RegisterColourResponse, tuple[Array, npt.NDArray[np.bool_]]
+]:
+    def read(answer: depth_pb.RegisterColourResponse) -> tuple[Array, npt.NDArray[np.bool_]]:
+        image = colour_image(answer.colour)
         return image, np.frombuffer(answer.seen, np.uint8).reshape(image.shape[:2]).astype(bool)
 
     given = {
         "depth_camera": depth_camera,
-        "color_camera": color_camera,
-        "t_color_depth": t_color_depth,
+        "colour_camera": colour_camera,
+        "t_colour_depth": t_colour_depth,
         "max_jump_fraction": max_jump_fraction,
     }
-    request = _with_depth(depth_pb.RegisterColorRequest, depth, metres_per_unit, given)
-    put_color(request.color, color)
-    return Call(_rpc.REGISTER_COLOR, request, read)
+    request = _with_depth(depth_pb.RegisterColourRequest, depth, metres_per_unit, given)
+    put_colour(request.colour, colour)
+    return Call(_rpc.REGISTER_COLOUR, request, read)

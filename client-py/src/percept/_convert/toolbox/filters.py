@@ -18,7 +18,7 @@ from .request import Cloud, of, uint32s, with_cloud
 
 
 def remove_statistical_outliers(
-    cloud: Cloud, num_neighbors: int | None, std_ratio: float | None
+    cloud: Cloud, num_neighbours: int | None, std_ratio: float | None
 ) -> Call[
     clouds_pb.RemoveStatisticalOutliersRequest, clouds_pb.RemoveStatisticalOutliersResponse, FilteredCloud
 ]:
@@ -26,19 +26,19 @@ def remove_statistical_outliers(
         return FilteredCloud(cloud=geometry.cloud(answer.cloud), indices=uint32s(answer.indices))
 
     request = with_cloud(
-        clouds_pb.RemoveStatisticalOutliersRequest, cloud, num_neighbors=num_neighbors, std_ratio=std_ratio
+        clouds_pb.RemoveStatisticalOutliersRequest, cloud, num_neighbours=num_neighbours, std_ratio=std_ratio
     )
     return Call(_rpc.REMOVE_STATISTICAL_OUTLIERS, request, read)
 
 
 def remove_radius_outliers(
-    cloud: Cloud, radius_m: float | None, min_neighbors: int | None
+    cloud: Cloud, radius_m: float | None, min_neighbours: int | None
 ) -> Call[clouds_pb.RemoveRadiusOutliersRequest, clouds_pb.RemoveRadiusOutliersResponse, FilteredCloud]:
     def read(answer: clouds_pb.RemoveRadiusOutliersResponse) -> FilteredCloud:
         return FilteredCloud(cloud=geometry.cloud(answer.cloud), indices=uint32s(answer.indices))
 
     request = with_cloud(
-        clouds_pb.RemoveRadiusOutliersRequest, cloud, radius_m=radius_m, min_neighbors=min_neighbors
+        clouds_pb.RemoveRadiusOutliersRequest, cloud, radius_m=radius_m, min_neighbours=min_neighbours
     )
     return Call(_rpc.REMOVE_RADIUS_OUTLIERS, request, read)
 
@@ -91,7 +91,7 @@ def crop_cloud(
     cloud: Cloud,
     box: OrientedBox | None,
     range_m: tuple[float, float] | None,
-    center: Sequence[float] | None,
+    centre: Sequence[float] | None,
     polygon: Array | None,
     z_m: tuple[float | None, float | None],
     outside: bool,
@@ -106,7 +106,7 @@ def crop_cloud(
     request = with_cloud(clouds_pb.CropCloudRequest, cloud, box=box, outside=outside)
     if range_m is not None:
         low, high = range_m
-        band = of(clouds_pb.RangeBand, center=center, min_range_m=low, max_range_m=high)
+        band = of(clouds_pb.RangeBand, centre=centre, min_range_m=low, max_range_m=high)
         request.range.CopyFrom(band)
     if polygon is not None:
         prism = of(clouds_pb.PolygonPrism, z_min_m=z_m[0], z_max_m=z_m[1])

@@ -27,7 +27,7 @@ from ...types.images import (
 )
 from ...v1 import toolbox_images_service_pb2 as images_pb
 from .. import geometry, words
-from .depth import put_color
+from .depth import put_colour
 from .request import floats, of, uint32s
 
 
@@ -192,7 +192,7 @@ def extract_features(
     request = of(images_pb.ExtractFeaturesRequest, method=method, **fields)
     if isinstance(image, np.ndarray) and image.ndim == 2:
         image = np.repeat(checked("image", image, ("H", "W"), np.uint8)[:, :, None], 3, axis=2)
-    put_color(request.image, image)
+    put_colour(request.image, image)
     return Call(_rpc.EXTRACT_FEATURES, request, read)
 
 

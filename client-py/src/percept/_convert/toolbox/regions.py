@@ -26,7 +26,7 @@ def segment_ground(
 
 def ground(answer: segmentation_pb.SegmentGroundResponse) -> Ground:
     patches = tuple(
-        GroundPatch(plane=geometry.plane(p.plane), center=geometry.vector3(p.center), num_points=p.num_points)
+        GroundPatch(plane=geometry.plane(p.plane), centre=geometry.vector3(p.centre), num_points=p.num_points)
         for p in answer.patches
     )
     return Ground(indices=uint32s(answer.indices), patches=patches)
@@ -48,7 +48,7 @@ def compute_supervoxels(
     def read(answer: segmentation_pb.ComputeSupervoxelsResponse) -> Supervoxels:
         return Supervoxels(
             labels=int32s(answer.labels),
-            centers=floats(answer.centers, -1, 3),
+            centres=floats(answer.centres, -1, 3),
             normals=floats(answer.normals, -1, 3),
             edges=uint32s(answer.edges).reshape(-1, 2),
         )
@@ -65,7 +65,7 @@ def group_convex(
 
     request = of(
         segmentation_pb.GroupConvexRequest,
-        centers=checked("centers", parts.centers, ("M", 3), np.float32).astype("<f4").tobytes(),
+        centres=checked("centres", parts.centres, ("M", 3), np.float32).astype("<f4").tobytes(),
         normals=checked("normals", parts.normals, ("M", 3), np.float32).astype("<f4").tobytes(),
         edges=checked("edges", parts.edges, ("E", 2), np.uint32).astype("<u4").tobytes(),
         **fields,
@@ -90,10 +90,10 @@ def objects(answer: segmentation_pb.SegmentObjectsResponse) -> SupportedObjects:
 
 
 def render_cloud(
-    cloud: Cloud, labels: Array | None, coloring: str | None, **fields: object
+    cloud: Cloud, labels: Array | None, colouring: str | None, **fields: object
 ) -> Call[pictures_pb.RenderCloudRequest, pictures_pb.RenderCloudResponse, bytes]:
     packed = None if labels is None else checked("labels", labels, ("N",), np.int32).astype("<i4").tobytes()
-    request = with_cloud(pictures_pb.RenderCloudRequest, cloud, labels=packed, coloring=coloring, **fields)
+    request = with_cloud(pictures_pb.RenderCloudRequest, cloud, labels=packed, colouring=colouring, **fields)
     return Call(_rpc.RENDER_CLOUD, request, lambda a: a.png)
 
 

@@ -46,7 +46,7 @@ def fill_source(out: shared.CloudSource, cloud: Cloud) -> None:
         out.handle = cloud.handle
     elif isinstance(cloud, SessionCloud):
         out.session.session_id = cloud.session_id
-        fill(out.session, {"center": cloud.center, "radius_m": cloud.radius_m})
+        fill(out.session, {"centre": cloud.centre, "radius_m": cloud.radius_m})
     elif isinstance(cloud, bytes):
         out.file.data = cloud
     elif isinstance(cloud, CloudFile):

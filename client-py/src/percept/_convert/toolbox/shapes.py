@@ -7,25 +7,25 @@ import numpy as np
 from ... import _rpc
 from ..._arrays import Array, checked
 from ..._call import Call
-from ...types.shapes import Boxes, ConvexHull, LocalFeatures, Neighbors
+from ...types.shapes import Boxes, ConvexHull, LocalFeatures, Neighbours
 from ...v1 import toolbox_shapes_service_pb2 as shapes_pb
 from .. import geometry
 from .request import Cloud, floats, uint32s, with_cloud
 
 
-def find_neighbors(
+def find_neighbours(
     cloud: Cloud, queries: Array | None, k: int | None, radius_m: float | None
-) -> Call[shapes_pb.FindNeighborsRequest, shapes_pb.FindNeighborsResponse, Neighbors]:
-    def read(answer: shapes_pb.FindNeighborsResponse) -> Neighbors:
-        return Neighbors(
+) -> Call[shapes_pb.FindNeighboursRequest, shapes_pb.FindNeighboursResponse, Neighbours]:
+    def read(answer: shapes_pb.FindNeighboursResponse) -> Neighbours:
+        return Neighbours(
             offsets=uint32s(answer.offsets),
             indices=uint32s(answer.indices),
             distances_m=floats(answer.distances_m),
         )
 
     packed = None if queries is None else checked("queries", queries, ("Q", 3), np.float32).tobytes()
-    request = with_cloud(shapes_pb.FindNeighborsRequest, cloud, queries=packed, k=k, radius_m=radius_m)
-    return Call(_rpc.FIND_NEIGHBORS, request, read)
+    request = with_cloud(shapes_pb.FindNeighboursRequest, cloud, queries=packed, k=k, radius_m=radius_m)
+    return Call(_rpc.FIND_NEIGHBOURS, request, read)
 
 
 def compute_local_features(

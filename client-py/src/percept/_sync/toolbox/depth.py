@@ -19,14 +19,14 @@ class Depth(Bound):
         *,
         intrinsics: CameraIntrinsics,
         metres_per_unit: float | None = None,
-        color: Array | EncodedImage | None = None,
+        colour: Array | EncodedImage | None = None,
         stride: int | None = None,
         min_depth_m: float | None = None,
         max_depth_m: float | None = None,
     ) -> PointCloud:
         """Depth image to cloud in the optical frame; depth from min_depth_m (0) to max_depth_m (10)."""
         call = convert.unproject_depth(
-            depth, intrinsics, metres_per_unit, color, stride, min_depth_m, max_depth_m
+            depth, intrinsics, metres_per_unit, colour, stride, min_depth_m, max_depth_m
         )
         return self._transport.call(call)
 
@@ -44,10 +44,10 @@ class Depth(Bound):
         """uint16 units (16UC1) to float32 metres (32FC1), or the other way round."""
         return self._transport.call(convert.convert_depth(depth, metres_per_unit))
 
-    def decode_color(self, data: bytes) -> Array:
+    def decode_colour(self, data: bytes) -> Array:
         """A PNG or JPEG to (H, W, 3) uint8 RGB."""
-        return self._transport.call(convert.decode_color(data))
+        return self._transport.call(convert.decode_colour(data))
 
-    def encode_color(self, color: Array, *, encoding: str = "png", quality: int | None = None) -> bytes:
+    def encode_colour(self, colour: Array, *, encoding: str = "png", quality: int | None = None) -> bytes:
         """A colour image to a PNG, or a JPEG of quality 1 to 100 (90)."""
-        return self._transport.call(convert.encode_color(color, encoding, quality))
+        return self._transport.call(convert.encode_colour(colour, encoding, quality))

@@ -17,16 +17,16 @@ class Filters(Bound):
     """Fewer points, or points with more to say."""
 
     def remove_statistical_outliers(
-        self, cloud: Cloud, *, num_neighbors: int | None = None, std_ratio: float | None = None
+        self, cloud: Cloud, *, num_neighbours: int | None = None, std_ratio: float | None = None
     ) -> FilteredCloud:
-        """Points whose mean distance to num_neighbors (20) others is up to mean + std_ratio (2) sigma."""
-        return self._transport.call(convert.remove_statistical_outliers(cloud, num_neighbors, std_ratio))
+        """Points whose mean distance to num_neighbours (20) others is up to mean + std_ratio (2) sigma."""
+        return self._transport.call(convert.remove_statistical_outliers(cloud, num_neighbours, std_ratio))
 
     def remove_radius_outliers(
-        self, cloud: Cloud, *, radius_m: float | None = None, min_neighbors: int | None = None
+        self, cloud: Cloud, *, radius_m: float | None = None, min_neighbours: int | None = None
     ) -> FilteredCloud:
-        """Points with at least min_neighbors (5) others within radius_m (0.1)."""
-        return self._transport.call(convert.remove_radius_outliers(cloud, radius_m, min_neighbors))
+        """Points with at least min_neighbours (5) others within radius_m (0.1)."""
+        return self._transport.call(convert.remove_radius_outliers(cloud, radius_m, min_neighbours))
 
     def remove_non_finite(self, cloud: Cloud) -> PointCloud:
         """Points whose coordinates are all finite, in order."""
@@ -51,14 +51,14 @@ class Filters(Bound):
         *,
         box: OrientedBox | None = None,
         range_m: tuple[float, float] | None = None,
-        center: Sequence[float] | None = None,
+        centre: Sequence[float] | None = None,
         polygon: Array | None = None,
         z_m: tuple[float | None, float | None] = (None, None),
         outside: bool = False,
     ) -> FilteredCloud:
-        """The points in a box, at distances range_m (low, high) from center (the origin), or in a polygon
+        """The points in a box, at distances range_m (low, high) from centre (the origin), or in a polygon
         (N, 2) of the xy plane between the heights z_m: give one of them. `outside` keeps the others."""
-        call = convert.crop_cloud(cloud, box, range_m, center, polygon, z_m, outside)
+        call = convert.crop_cloud(cloud, box, range_m, centre, polygon, z_m, outside)
         return self._transport.call(call)
 
     def transform_cloud(self, cloud: Cloud, *, t_a_b: Pose | Array) -> PointCloud:
@@ -74,25 +74,25 @@ class Filters(Bound):
         cloud: Cloud,
         *,
         radius_m: float | None = None,
-        max_neighbors: int | None = None,
-        min_neighbors: int | None = None,
+        max_neighbours: int | None = None,
+        min_neighbours: int | None = None,
         viewpoint_m: Sequence[float] | None = None,
         orientation: NormalOrientation | str = NormalOrientation.VIEWPOINT,
-        tree_neighbors: int | None = None,
+        tree_neighbours: int | None = None,
     ) -> PointCloud:
         """The cloud with unit normals, zero where they are undefined.
 
-        Of at most max_neighbors (30; 0: all) within radius_m (0.1; inf: however far), itself among them, and
-        at least min_neighbors (5). They look towards the viewpoint (the origin), or to one side of the
-        surface: spanning_tree compares each with tree_neighbors (12) around; the highest point's looks up.
+        Of at most max_neighbours (30; 0: all) within radius_m (0.1; inf: however far), itself among them, and
+        at least min_neighbours (5). They look towards the viewpoint (the origin), or to one side of the
+        surface: spanning_tree compares each with tree_neighbours (12) around; the highest point's looks up.
         """
         call = convert.estimate_normals(
             cloud,
             radius_m=radius_m,
-            max_neighbors=max_neighbors,
-            min_neighbors=min_neighbors,
+            max_neighbours=max_neighbours,
+            min_neighbours=min_neighbours,
             viewpoint_m=viewpoint_m,
             orientation=orientation,
-            tree_neighbors=tree_neighbors,
+            tree_neighbours=tree_neighbours,
         )
         return self._transport.call(call)

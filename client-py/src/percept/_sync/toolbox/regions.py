@@ -9,7 +9,7 @@ from ..._arrays import Array
 from ..._convert.toolbox import regions as convert
 from ..._convert.toolbox.request import Cloud
 from ...types.frames import EncodedImage
-from ...types.toolbox import CloudColoring, CloudView, Clusters, Ground, Supervoxels, SupportedObjects
+from ...types.toolbox import CloudColouring, CloudView, Clusters, Ground, Supervoxels, SupportedObjects
 from ..bound import Bound
 
 
@@ -43,7 +43,7 @@ class Regions(Bound):
         cloud: Cloud,
         *,
         radius_m: float | None = None,
-        max_neighbors: int | None = None,
+        max_neighbours: int | None = None,
         max_angle_rad: float | None = None,
         min_points: int | None = None,
     ) -> Clusters:
@@ -52,7 +52,7 @@ class Regions(Bound):
         call = convert.grow_regions(
             cloud,
             radius_m=radius_m,
-            max_neighbors=max_neighbors,
+            max_neighbours=max_neighbours,
             max_angle_rad=max_angle_rad,
             min_points=min_points,
         )
@@ -135,7 +135,7 @@ class Regions(Bound):
         cloud: Cloud,
         *,
         view: CloudView | str = CloudView.TOP,
-        coloring: CloudColoring | str | None = None,
+        colouring: CloudColouring | str | None = None,
         labels: Array | None = None,
         width_px: int | None = None,
         height_px: int | None = None,
@@ -146,7 +146,7 @@ class Regions(Bound):
         call = convert.render_cloud(
             cloud,
             labels,
-            coloring,
+            colouring,
             view=view,
             width_px=width_px,
             height_px=height_px,

@@ -55,7 +55,7 @@ pub(crate) async fn decode(
 
 fn takes_long(message: &v1::SensorMessage) -> bool {
     use v1::sensor_message::Data;
-    let is_image = matches!(message.data, Some(Data::Depth(_) | Data::Rgbd(_) | Data::Color(_)));
+    let is_image = matches!(message.data, Some(Data::Depth(_) | Data::Rgbd(_) | Data::Colour(_)));
     is_image || message.encoded_len() > LARGE_BYTES
 }
 

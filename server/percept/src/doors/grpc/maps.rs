@@ -40,7 +40,7 @@ impl v1::maps_service_server::MapsService for Api {
         let caller = self.caller(&r)?;
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
-        let around = maps::around(r.center.as_ref(), r.radius_m).map_err(status::grpc)?;
+        let around = maps::around(r.centre.as_ref(), r.radius_m).map_err(status::grpc)?;
         let cloud = caller.cloud(session, around).await.map_err(status::grpc)?;
         let chunks = caller.compute().query(session, move || maps::cloud_chunks(&cloud)).await;
         streamed(chunks.map_err(status::grpc)?, |chunk| v1::GetCloudResponse { chunk: Some(chunk) })

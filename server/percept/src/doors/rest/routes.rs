@@ -321,7 +321,7 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/decode-cloud", "ToolboxCloudsService/DecodeCloud", &[], parts!(Message decode_cloud)),
     post("/v1/toolbox/encode-cloud", "ToolboxCloudsService/EncodeCloud", &[], parts!(Message encode_cloud)),
     post("/v1/toolbox/convert-depth", "ToolboxDepthService/ConvertDepth", &[], parts!(Message convert_depth)),
-    post("/v1/toolbox/convert-color", "ToolboxDepthService/ConvertColor", &[], parts!(Message convert_color)),
+    post("/v1/toolbox/convert-colour", "ToolboxDepthService/ConvertColour", &[], parts!(Message convert_colour)),
     post("/v1/toolbox/remove-non-finite", "ToolboxCloudsService/RemoveNonFinite", &[], parts!(Message remove_non_finite)),
     post("/v1/toolbox/transform-cloud", "ToolboxCloudsService/TransformCloud", &[], parts!(Message transform_cloud)),
     post("/v1/toolbox/remove-radius-outliers", "ToolboxCloudsService/RemoveRadiusOutliers", &[], parts!(Message remove_radius_outliers)),
@@ -360,7 +360,7 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/segment-objects", "ToolboxSegmentationService/SegmentObjects", &[], parts!(Message segment_objects)),
     post("/v1/toolbox/sample-points", "ToolboxCloudsService/SamplePoints", &[], parts!(Message sample_points)),
     post("/v1/toolbox/crop-cloud", "ToolboxCloudsService/CropCloud", &[], parts!(Message crop_cloud)),
-    post("/v1/toolbox/find-neighbors", "ToolboxShapesService/FindNeighbors", &[], parts!(Message find_neighbors)),
+    post("/v1/toolbox/find-neighbours", "ToolboxShapesService/FindNeighbours", &[], parts!(Message find_neighbours)),
     post("/v1/toolbox/compute-local-features", "ToolboxShapesService/ComputeLocalFeatures", &[], parts!(Message compute_local_features)),
     post("/v1/toolbox/fit-boxes", "ToolboxShapesService/FitBoxes", &[], unary!(Message fit_boxes)),
     post("/v1/toolbox/compute-convex-hull", "ToolboxShapesService/ComputeConvexHull", &[], parts!(Message compute_convex_hull)),
@@ -370,7 +370,7 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/compute-depth-normals", "ToolboxDepthService/ComputeDepthNormals", &[], parts!(Message compute_depth_normals)),
     post("/v1/toolbox/segment-depth-planes", "ToolboxDepthService/SegmentDepthPlanes", &[], parts!(Message segment_depth_planes)),
     post("/v1/toolbox/find-depth-edges", "ToolboxDepthService/FindDepthEdges", &[], parts!(Message find_depth_edges)),
-    post("/v1/toolbox/register-color", "ToolboxDepthService/RegisterColor", &[], parts!(Message register_color)),
+    post("/v1/toolbox/register-colour", "ToolboxDepthService/RegisterColour", &[], parts!(Message register_colour)),
 
     post("/v1/evaluation/trajectory", "EvaluationService/EvaluateTrajectory", &[], parts!(Message evaluate_trajectory)),
     post("/v1/evaluation/relations", "EvaluationService/EvaluateRelations", &[], unary!(Message evaluate_relations)),
@@ -422,13 +422,13 @@ mod tests {
         let stamp = v1::MapStamp { map_version: 3, ..Default::default() };
         let whole = join_grid(vec![chunk(0, b"ab", Some(stamp.clone())), chunk(2, b"c", None)]).chunk.unwrap();
         assert_eq!((&whole.cells[..], whole.stamp), (&b"abc"[..], Some(stamp)));
-        let cloud = |n: u32, colors: Option<&'static [u8]>| v1::GetCloudResponse {
+        let cloud = |n: u32, colours: Option<&'static [u8]>| v1::GetCloudResponse {
             chunk: Some(v1::CloudChunk {
                 total_points: (n == 1).then_some(3),
                 cloud: Some(v1::PointCloud {
                     num_points: n,
                     positions: vec![n as u8; 12 * n as usize].into(),
-                    colors: colors.map(Bytes::from_static),
+                    colours: colours.map(Bytes::from_static),
                     ..Default::default()
                 }),
                 ..Default::default()
@@ -437,7 +437,7 @@ mod tests {
         let whole = join_cloud(vec![cloud(1, Some(b"rgb")), cloud(2, Some(b"rgbrgb"))]).chunk.unwrap();
         let points = whole.cloud.unwrap();
         assert_eq!((whole.total_points, points.num_points, points.positions.len()), (Some(3), 3, 36));
-        assert_eq!(points.colors.unwrap().len(), 9);
+        assert_eq!(points.colours.unwrap().len(), 9);
         assert_eq!(points.normals, None);
     }
 }

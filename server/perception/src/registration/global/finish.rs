@@ -28,7 +28,7 @@ pub(super) fn finish(answer: GlobalResult, source: &PointCloud, target: &PointCl
         max_iterations: 50,
         translation_tolerance_m: 1e-3 * size,
         rotation_tolerance_rad: 1e-4,
-        num_neighbors: 20,
+        num_neighbours: 20,
         tangent_weight: 0.0,
         kernel: RobustKernel::Cauchy(KERNEL * size),
         ..IcpParams::lidar(IcpMethod::PointToPlane)

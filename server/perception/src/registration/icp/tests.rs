@@ -179,7 +179,7 @@ fn what_cannot_be_aligned_is_named() {
     assert!(error.to_string().starts_with("max_distance_m"));
     let plain = PointCloud::from_positions(target.positions.clone());
     let missing = register(&plain, &target, &identity, &params(IcpMethod::Colored, 0.1));
-    assert_eq!(missing, Err(RegistrationError::Missing { cloud: "source", channel: "colors" }));
+    assert_eq!(missing, Err(RegistrationError::Missing { cloud: "source", channel: "colours" }));
 }
 
 #[test]

@@ -28,8 +28,8 @@ pub fn grow_regions(cloud: &PointCloud, params: &RegionGrowingParams) -> Result<
         Some(normals) => normals,
         None => {
             params.validate()?;
-            let (radius_m, max_neighbors) = (params.radius_m, params.max_neighbors);
-            let normals = NormalParams { radius_m, max_neighbors, ..NormalParams::default() };
+            let (radius_m, max_neighbours) = (params.radius_m, params.max_neighbours);
+            let normals = NormalParams { radius_m, max_neighbours, ..NormalParams::default() };
             estimated = estimate_normals(&cloud.positions, &normals, None)?;
             &estimated
         }

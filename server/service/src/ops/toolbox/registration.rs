@@ -43,7 +43,7 @@ pub fn compute_point_features(cloud: &PointCloud, params: &FpfhParams) -> Result
     let normals = match &cloud.normals {
         Some(normals) => normals,
         None => {
-            let twenty = NormalParams { radius_m: params.radius_m, max_neighbors: 20, ..NormalParams::default() };
+            let twenty = NormalParams { radius_m: params.radius_m, max_neighbours: 20, ..NormalParams::default() };
             estimated = estimate_normals(&cloud.positions, &twenty, None)?;
             &estimated
         }

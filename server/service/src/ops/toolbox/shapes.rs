@@ -18,7 +18,7 @@ pub struct NeighborhoodParams {
 /// Neighbours of the queries, or of every point.
 ///
 /// # Errors
-/// `FIELD_MISSING` without both, `OUT_OF_RANGE`; `NEIGHBORS_TOO_MANY` if the answer would be too large.
+/// `FIELD_MISSING` without both, `OUT_OF_RANGE`; `NEIGHBOURS_TOO_MANY` if the answer would be too large.
 pub fn find_neighbors(
     cloud: &PointCloud,
     queries: Option<&[Point3<f32>]>,
@@ -29,7 +29,7 @@ pub fn find_neighbors(
     let most = limits.max_message_bytes / 5;
     let too_many = |field: &str| {
         let words = format!("there are more than {most} neighbours in all, the limit; lower {field}, or ask for fewer");
-        Error::exhausted("NEIGHBORS_TOO_MANY", field, words)
+        Error::exhausted("NEIGHBOURS_TOO_MANY", field, words)
     };
     if let Some(value) = params.radius_m.filter(|r| !(r.is_finite() && *r > 0.0)) {
         return Err(GeometryError::OutOfRange { field: "radius_m", value, requirement: "positive and finite" }.into());

@@ -17,7 +17,7 @@ pub fn unprojection(
     limits: &Limits,
 ) -> Result<(DepthImage, Option<RgbImage>, CameraIntrinsics, UnprojectParams)> {
     let depth = sensors::depth(required("depth", r.depth.as_ref())?, limits).map_err(|e| e.within("depth"))?;
-    let color = r.color.as_ref().map(|c| sensors::color(c, limits)).transpose().map_err(|e| e.within("color"))?;
+    let color = r.colour.as_ref().map(|c| sensors::color(c, limits)).transpose().map_err(|e| e.within("colour"))?;
     let intrinsics = sensors::intrinsics(required("intrinsics", r.intrinsics.as_ref())?)?;
     let mut params = UnprojectParams::default();
     set(&mut params.stride_px, count(r.stride));
@@ -44,10 +44,10 @@ pub fn depth(field: &'static str, d: Option<&v1::DepthImage>, limits: &Limits) -
 ///
 /// # Errors
 /// Those of [`sensors::color`].
-pub fn color(field: &'static str, c: Option<&v1::ColorImage>, limits: &Limits) -> Result<RgbImage> {
+pub fn color(field: &'static str, c: Option<&v1::ColourImage>, limits: &Limits) -> Result<RgbImage> {
     let c = required(field, c)?;
-    use v1::ColorEncoding as E;
-    let raw = matches!(E::try_from(c.encoding), Ok(E::Unspecified | E::Rgb8 | E::Gray8));
+    use v1::ColourEncoding as E;
+    let raw = matches!(E::try_from(c.encoding), Ok(E::Unspecified | E::Rgb8 | E::Grey8));
     if raw || (c.width_px, c.height_px) != (0, 0) {
         return sensors::color(c, limits).map_err(|e| e.within(field));
     }
@@ -103,11 +103,11 @@ pub fn converted_depth(d: &DepthImage, r: &v1::ConvertDepthRequest) -> Result<v1
 }
 
 /// A colour image as a message of RGB8.
-pub fn color_to(c: &RgbImage) -> v1::ColorImage {
-    v1::ColorImage {
+pub fn color_to(c: &RgbImage) -> v1::ColourImage {
+    v1::ColourImage {
         width_px: c.width() as u32,
         height_px: c.height() as u32,
-        encoding: v1::ColorEncoding::Rgb8.into(),
+        encoding: v1::ColourEncoding::Rgb8.into(),
         row_stride_bytes: None,
         data: c.data().to_vec().into(),
     }
@@ -117,8 +117,8 @@ pub fn color_to(c: &RgbImage) -> v1::ColorImage {
 ///
 /// # Errors
 /// `ENUM_UNKNOWN`, `OUT_OF_RANGE` naming `quality`.
-pub fn converted_color(c: &RgbImage, r: &v1::ConvertColorRequest) -> Result<v1::ColorImage> {
-    use v1::ColorEncoding as E;
+pub fn converted_color(c: &RgbImage, r: &v1::ConvertColourRequest) -> Result<v1::ColourImage> {
+    use v1::ColourEncoding as E;
     let quality = r.quality.unwrap_or(90);
     let quality = u8::try_from(quality).ok().filter(|q| (1..=100).contains(q)).ok_or_else(|| {
         Error::invalid("OUT_OF_RANGE", "quality", format!("quality is {quality}; it must be within 1 to 100"))
@@ -127,10 +127,10 @@ pub fn converted_color(c: &RgbImage, r: &v1::ConvertColorRequest) -> Result<v1::
         Ok(E::Unspecified | E::Rgb8) => return Ok(color_to(c)),
         Ok(E::Jpeg) => (E::Jpeg, images::encode_jpeg(c, quality)),
         Ok(E::Png) => (E::Png, images::encode_rgb_png(c)),
-        Ok(E::Gray8) => (E::Gray8, Ok(c.to_gray().data().to_vec())),
+        Ok(E::Grey8) => (E::Grey8, Ok(c.to_gray().data().to_vec())),
         Err(_) => return Err(unknown_enum("encoding", r.encoding)),
     };
     let (width_px, height_px) = (c.width() as u32, c.height() as u32);
     let data = data.map_err(format_error)?.into();
-    Ok(v1::ColorImage { width_px, height_px, encoding: encoding.into(), row_stride_bytes: None, data })
+    Ok(v1::ColourImage { width_px, height_px, encoding: encoding.into(), row_stride_bytes: None, data })
 }

@@ -36,12 +36,12 @@ fn filter(f: &v1::DepthFilter) -> Result<DepthFilter> {
         }
         F::RemoveOutliers(r) => {
             let mut params = DepthOutlierParams::default();
-            lay_over!(params, r: size_px, ratio, min_deviation_fraction, min_neighbors);
+            lay_over!(params, r: size_px, ratio, min_deviation_fraction, min_neighbours);
             DepthFilter::RemoveOutliers(params)
         }
         F::FillHoles(r) => {
             let mut params = FillParams::default();
-            lay_over!(params, r: iterations, min_neighbors, max_jump_fraction);
+            lay_over!(params, r: iterations, min_neighbours, max_jump_fraction);
             DepthFilter::FillHoles(params)
         }
     })
@@ -77,7 +77,7 @@ pub fn normals_to(map: &NormalMap) -> v1::ComputeDepthNormalsResponse {
 pub fn planes_to(found: &DepthPlanes) -> v1::SegmentDepthPlanesResponse {
     let planes = found.planes.iter().map(|p| v1::DepthPlane {
         plane: Some(geometry::plane_to(&p.plane)),
-        center: Some(geometry::vector_to(&p.center.coords)),
+        centre: Some(geometry::vector_to(&p.center.coords)),
         num_pixels: p.num_pixels as u32,
         rms_m: p.rms_m,
     });
@@ -98,7 +98,7 @@ pub fn edges_to(edges: &[EdgeKind]) -> v1::FindDepthEdgesResponse {
 }
 
 /// Registered colours as a message.
-pub fn registered_to(r: &RegisteredColor) -> v1::RegisterColorResponse {
+pub fn registered_to(r: &RegisteredColor) -> v1::RegisterColourResponse {
     let seen: Bytes = r.seen.iter().map(|&s| u8::from(s)).collect::<Vec<u8>>().into();
-    v1::RegisterColorResponse { color: Some(super::depth::color_to(&r.color)), seen }
+    v1::RegisterColourResponse { colour: Some(super::depth::color_to(&r.color)), seen }
 }

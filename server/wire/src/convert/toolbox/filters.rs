@@ -10,7 +10,7 @@ use percept_service::toolbox::NormalOrientation;
 /// Parameters of the outlier filter.
 pub fn outlier_params(r: &v1::RemoveStatisticalOutliersRequest) -> StatisticalOutlierParams {
     let mut params = StatisticalOutlierParams::default();
-    set(&mut params.num_neighbors, count(r.num_neighbors));
+    set(&mut params.num_neighbours, count(r.num_neighbours));
     set(&mut params.std_ratio, r.std_ratio);
     params
 }
@@ -19,7 +19,7 @@ pub fn outlier_params(r: &v1::RemoveStatisticalOutliersRequest) -> StatisticalOu
 pub fn radius_params(r: &v1::RemoveRadiusOutliersRequest) -> RadiusOutlierParams {
     let mut params = RadiusOutlierParams::default();
     set(&mut params.radius_m, r.radius_m);
-    set(&mut params.min_neighbors, count(r.min_neighbors));
+    set(&mut params.min_neighbours, count(r.min_neighbours));
     params
 }
 
@@ -31,7 +31,7 @@ pub fn voxel_size_m(r: &v1::DownsampleVoxelsRequest) -> f64 {
 /// Parameters of normals.
 pub fn normal_params(r: &v1::EstimateNormalsRequest) -> NormalParams {
     let mut params = NormalParams::default();
-    lay_over!(params, r: radius_m, max_neighbors, min_neighbors);
+    lay_over!(params, r: radius_m, max_neighbours, min_neighbours);
     params
 }
 
@@ -48,7 +48,7 @@ pub fn normal_orientation(r: &v1::EstimateNormalsRequest) -> Result<NormalOrient
         }
         Ok(O::SpanningTree) => {
             let mut params = SpanningTreeParams::default();
-            lay_over!(params, r: tree_neighbors);
+            lay_over!(params, r: tree_neighbours);
             Ok(NormalOrientation::SpanningTree(params))
         }
         Err(_) => Err(unknown_enum("orientation", r.orientation)),

@@ -11,7 +11,7 @@ use percept_service::{Error, Result};
 /// # Errors
 /// `ENUM_UNKNOWN`, `SIZE_MISMATCH` for a background that is not three bytes.
 pub fn render_params(r: &v1::RenderCloudRequest) -> Result<RenderParams> {
-    use v1::{CloudColoring as C, CloudView as V};
+    use v1::{CloudColouring as C, CloudView as V};
     let view = match V::try_from(r.view) {
         Ok(V::Unspecified | V::Top) => View::Top,
         Ok(V::Front) => View::Front,
@@ -20,14 +20,14 @@ pub fn render_params(r: &v1::RenderCloudRequest) -> Result<RenderParams> {
         Ok(V::Camera) => View::Camera,
         Err(_) => return Err(unknown_enum("view", r.view)),
     };
-    let coloring = match C::try_from(r.coloring) {
+    let coloring = match C::try_from(r.colouring) {
         Ok(C::Unspecified) => Coloring::Auto,
         Ok(C::Own) => Coloring::Own,
         Ok(C::Height) => Coloring::Height,
         Ok(C::Normal) => Coloring::Normal,
         Ok(C::Label) => Coloring::Label,
         Ok(C::Intensity) => Coloring::Intensity,
-        Err(_) => return Err(unknown_enum("coloring", r.coloring)),
+        Err(_) => return Err(unknown_enum("colouring", r.colouring)),
     };
     let mut params = RenderParams { view, coloring, ..RenderParams::default() };
     lay_over!(params, r: width_px, height_px, point_size_px, shade);

@@ -22,7 +22,7 @@ pub fn ground_params(r: &v1::SegmentGroundRequest) -> GroundParams {
 /// How regions grow.
 pub fn region_params(r: &v1::GrowRegionsRequest) -> RegionGrowingParams {
     let mut params = RegionGrowingParams::default();
-    lay_over!(params, r: radius_m, max_neighbors, max_angle_rad, min_points);
+    lay_over!(params, r: radius_m, max_neighbours, max_angle_rad, min_points);
     params
 }
 
@@ -49,11 +49,11 @@ pub fn convexity_params(r: &v1::GroupConvexRequest) -> (ConvexityParams, f64) {
 /// # Errors
 /// `SIZE_MISMATCH`, `NOT_FINITE`, `INDEX_OUT_OF_RANGE` naming the field.
 pub fn supervoxels(r: &v1::GroupConvexRequest) -> Result<Supervoxels> {
-    let count = r.centers.len() / 12;
+    let count = r.centres.len() / 12;
     let wide = |x, y, z| Vector3::new(f64::from(x), f64::from(y), f64::from(z));
-    let centers = geometry::triples("centers", &r.centers, count, wide)?;
+    let centers = geometry::triples("centres", &r.centres, count, wide)?;
     let normals = geometry::triples("normals", &r.normals, count, wide)?;
-    for (field, values) in [("centers", &centers), ("normals", &normals)] {
+    for (field, values) in [("centres", &centers), ("normals", &normals)] {
         if let Some(i) = values.iter().position(|v| !v.iter().all(|c| c.is_finite())) {
             let words = format!("{field}[{i}] is not finite; leave it out, and its edges");
             return Err(Error::invalid("NOT_FINITE", field, words));
@@ -80,7 +80,7 @@ fn edges(data: &[u8], count: usize) -> Result<Vec<(u32, u32)>> {
     match pairs.iter().position(|&(a, b)| a.max(b) as usize >= count) {
         None => Ok(pairs),
         Some(i) => {
-            let words = format!("edges[{i}] is {:?} and there are {count} centers; name two of them", pairs[i]);
+            let words = format!("edges[{i}] is {:?} and there are {count} centres; name two of them", pairs[i]);
             Err(Error::invalid("INDEX_OUT_OF_RANGE", "edges", words))
         }
     }
@@ -107,7 +107,7 @@ pub fn ground_to(g: &Ground) -> v1::SegmentGroundResponse {
     let indices: Vec<usize> = (0..g.is_ground.len()).filter(|&i| g.is_ground[i]).collect();
     let patches = g.patches.iter().map(|p| v1::GroundPatch {
         plane: Some(geometry::plane_to(&p.plane)),
-        center: Some(geometry::vector_to(&p.center.coords)),
+        centre: Some(geometry::vector_to(&p.center.coords)),
         num_points: p.num_points as u32,
     });
     v1::SegmentGroundResponse { indices: bytes_of_indices(&indices), patches: patches.collect() }
@@ -125,7 +125,7 @@ pub fn supervoxels_to(s: &Supervoxels) -> v1::ComputeSupervoxelsResponse {
     };
     v1::ComputeSupervoxelsResponse {
         labels: bytes_of_labels(&s.labels),
-        centers: floats(s.supervoxels.iter().map(|v| v.center.into()).collect()).into(),
+        centres: floats(s.supervoxels.iter().map(|v| v.center.into()).collect()).into(),
         normals: floats(s.supervoxels.iter().map(|v| v.normal.into()).collect()).into(),
         edges: s.edges.iter().flat_map(|&(a, b)| [a, b]).flat_map(u32::to_le_bytes).collect::<Vec<u8>>().into(),
     }

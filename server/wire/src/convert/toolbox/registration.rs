@@ -22,12 +22,12 @@ pub fn registration(r: &v1::RegisterCloudsRequest) -> Result<RegisterParams> {
         Ok(M::PointToPoint) => IcpMethod::PointToPoint,
         Ok(M::Gicp) => IcpMethod::Gicp,
         Ok(M::Vgicp) => IcpMethod::Vgicp,
-        Ok(M::Colored) => IcpMethod::Colored,
+        Ok(M::Coloured) => IcpMethod::Colored,
         Err(_) => return Err(unknown_enum("method", r.method)),
     };
     let mut icp = IcpParams { method, kernel: kernel(r.kernel, r.kernel_scale_m)?, ..IcpParams::default() };
     lay_over!(icp, r: max_distance_m, max_iterations, translation_tolerance_m, rotation_tolerance_rad);
-    lay_over!(icp, r: num_neighbors, target_voxel_size_m, color_share, tangent_weight, degeneracy_threshold);
+    lay_over!(icp, r: num_neighbours, target_voxel_size_m, colour_share, tangent_weight, degeneracy_threshold);
     if r.voxel_sizes_m.len() > MAX_LEVELS {
         let words = format!("voxel_sizes_m has {} entries; send at most {MAX_LEVELS}", r.voxel_sizes_m.len());
         return Err(Error::invalid("LEVELS_TOO_MANY", "voxel_sizes_m", words));
@@ -114,7 +114,7 @@ pub fn global_to(r: &GlobalResult) -> v1::RegisterCloudsGloballyResponse {
 /// Parameters of features.
 pub fn point_features(r: &v1::ComputePointFeaturesRequest) -> FpfhParams {
     let mut params = FpfhParams::default();
-    lay_over!(params, r: radius_m, max_neighbors);
+    lay_over!(params, r: radius_m, max_neighbours);
     params
 }
 

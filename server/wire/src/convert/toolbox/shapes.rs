@@ -20,7 +20,7 @@ fn uint32s(values: impl Iterator<Item = u32>) -> Bytes {
 }
 
 /// Which neighbours are wanted.
-pub fn neighborhood(r: &v1::FindNeighborsRequest) -> NeighborhoodParams {
+pub fn neighborhood(r: &v1::FindNeighboursRequest) -> NeighborhoodParams {
     NeighborhoodParams { k: count(r.k), radius_m: r.radius_m }
 }
 
@@ -28,7 +28,7 @@ pub fn neighborhood(r: &v1::FindNeighborsRequest) -> NeighborhoodParams {
 ///
 /// # Errors
 /// `SIZE_MISMATCH`.
-pub fn queries(r: &v1::FindNeighborsRequest) -> Result<Option<Vec<Point3<f32>>>> {
+pub fn queries(r: &v1::FindNeighboursRequest) -> Result<Option<Vec<Point3<f32>>>> {
     let Some(data) = &r.queries else { return Ok(None) };
     let (rows, rest) = data.as_chunks::<12>();
     if !rest.is_empty() {
@@ -40,8 +40,8 @@ pub fn queries(r: &v1::FindNeighborsRequest) -> Result<Option<Vec<Point3<f32>>>>
 }
 
 /// Neighbours as a message.
-pub fn neighbors_to(n: &Neighbors) -> v1::FindNeighborsResponse {
-    v1::FindNeighborsResponse {
+pub fn neighbors_to(n: &Neighbors) -> v1::FindNeighboursResponse {
+    v1::FindNeighboursResponse {
         offsets: uint32s(n.offsets.iter().map(|&o| o as u32)),
         indices: uint32s(n.indices.iter().copied()),
         distances_m: floats(n.distances2.iter().map(|d| d.sqrt())),

@@ -20,7 +20,7 @@ pub fn session_clouds(request: &impl Sources) -> Result<Vec<SessionCloud>> {
     for (field, source) in request.sources() {
         let Some(v1::cloud_source::Source::Session(wanted)) = source.and_then(|s| s.source.as_ref()) else { continue };
         let field = format!("{field}.session");
-        let around = maps::around(wanted.center.as_ref(), wanted.radius_m).map_err(|e| e.within(&field))?;
+        let around = maps::around(wanted.centre.as_ref(), wanted.radius_m).map_err(|e| e.within(&field))?;
         out.push(SessionCloud { field, session: wanted.session_id.clone(), around });
     }
     Ok(out)
@@ -51,7 +51,7 @@ sources! {
     RemoveStatisticalOutliersRequest { cloud }
     DownsampleVoxelsRequest { cloud }
     EstimateNormalsRequest { cloud }
-    FindNeighborsRequest { cloud }
+    FindNeighboursRequest { cloud }
     ComputeLocalFeaturesRequest { cloud }
     ComputeShapeFeaturesRequest { cloud }
     FitBoxesRequest { cloud }
@@ -69,12 +69,12 @@ sources! {
     ComputePointFeaturesRequest { cloud }
     UnprojectDepthRequest {}
     ConvertDepthRequest {}
-    ConvertColorRequest {}
+    ConvertColourRequest {}
     FilterDepthRequest {}
     ComputeDepthNormalsRequest {}
     SegmentDepthPlanesRequest {}
     FindDepthEdgesRequest {}
-    RegisterColorRequest {}
+    RegisterColourRequest {}
     ExtractFeaturesRequest {}
     MatchFeaturesRequest {}
     EstimateEssentialRequest {}

@@ -27,7 +27,7 @@ pub fn region(r: &v1::CropCloudRequest) -> Result<Region> {
     Ok(match required("region", r.region.as_ref())? {
         R::Box(b) => Region::Box(geometry::oriented_box("box", b)?),
         R::Range(band) => {
-            let center = geometry::vector("center", &band.center.unwrap_or_default()).map_err(|e| e.within("range"))?;
+            let center = geometry::vector("centre", &band.centre.unwrap_or_default()).map_err(|e| e.within("range"))?;
             Region::Range(center.into(), band.min_range_m.unwrap_or(0.0), band.max_range_m)
         }
         R::Polygon(prism) => {

@@ -14,18 +14,18 @@ operations! {
     parts {
         unproject_depth(UnprojectDepthRequest) -> UnprojectDepthResponse as UnprojectDepthStream,
         convert_depth(ConvertDepthRequest) -> ConvertDepthResponse as ConvertDepthStream,
-        convert_color(ConvertColorRequest) -> ConvertColorResponse as ConvertColorStream,
+        convert_colour(ConvertColourRequest) -> ConvertColourResponse as ConvertColourStream,
         filter_depth(FilterDepthRequest) -> FilterDepthResponse as FilterDepthStream,
         compute_depth_normals(ComputeDepthNormalsRequest) -> ComputeDepthNormalsResponse as ComputeDepthNormalsStream,
         segment_depth_planes(SegmentDepthPlanesRequest) -> SegmentDepthPlanesResponse as SegmentDepthPlanesStream,
         find_depth_edges(FindDepthEdgesRequest) -> FindDepthEdgesResponse as FindDepthEdgesStream,
-        register_color(RegisterColorRequest) -> RegisterColorResponse as RegisterColorStream,
+        register_colour(RegisterColourRequest) -> RegisterColourResponse as RegisterColourStream,
     }
 }
 
 fn unproject_depth(t: &Toolbox, r: v1::UnprojectDepthRequest) -> Result<v1::UnprojectDepthResponse> {
-    let (image, color, intrinsics, params) = depth::unprojection(&r, t.limits())?;
-    let cloud = ops::unproject_depth(&image, color.as_ref(), &intrinsics, &params)?;
+    let (image, colour, intrinsics, params) = depth::unprojection(&r, t.limits())?;
+    let cloud = ops::unproject_depth(&image, colour.as_ref(), &intrinsics, &params)?;
     let (cloud, kept) = convert::result(t, cloud, r.keep_result)?;
     Ok(v1::UnprojectDepthResponse { cloud, kept })
 }
@@ -35,9 +35,9 @@ fn convert_depth(t: &Toolbox, r: v1::ConvertDepthRequest) -> Result<v1::ConvertD
     Ok(v1::ConvertDepthResponse { depth: Some(depth::converted_depth(&image, &r)?) })
 }
 
-fn convert_color(t: &Toolbox, r: v1::ConvertColorRequest) -> Result<v1::ConvertColorResponse> {
-    let image = depth::color("color", r.color.as_ref(), t.limits())?;
-    Ok(v1::ConvertColorResponse { color: Some(depth::converted_color(&image, &r)?) })
+fn convert_colour(t: &Toolbox, r: v1::ConvertColourRequest) -> Result<v1::ConvertColourResponse> {
+    let image = depth::color("colour", r.colour.as_ref(), t.limits())?;
+    Ok(v1::ConvertColourResponse { colour: Some(depth::converted_color(&image, &r)?) })
 }
 
 fn filter_depth(t: &Toolbox, r: v1::FilterDepthRequest) -> Result<v1::FilterDepthResponse> {
@@ -64,13 +64,13 @@ fn find_depth_edges(t: &Toolbox, r: v1::FindDepthEdgesRequest) -> Result<v1::Fin
     Ok(depth_images::edges_to(&images::boundaries(&image, &intrinsics, &depth_images::edge_params(&r))?))
 }
 
-fn register_color(t: &Toolbox, r: v1::RegisterColorRequest) -> Result<v1::RegisterColorResponse> {
+fn register_colour(t: &Toolbox, r: v1::RegisterColourRequest) -> Result<v1::RegisterColourResponse> {
     let image = depth::depth("depth", r.depth.as_ref(), t.limits())?;
-    let color = depth::color("color", r.color.as_ref(), t.limits())?;
+    let colour = depth::color("colour", r.colour.as_ref(), t.limits())?;
     let depth_camera = camera("depth_camera", r.depth_camera.as_ref())?;
-    let color_camera = camera("color_camera", r.color_camera.as_ref())?;
-    let t_color_depth = geometry::pose("t_color_depth", r.t_color_depth.as_ref())?;
+    let colour_camera = camera("colour_camera", r.colour_camera.as_ref())?;
+    let t_colour_depth = geometry::pose("t_colour_depth", r.t_colour_depth.as_ref())?;
     let jump = r.max_jump_fraction.unwrap_or(0.05);
-    let found = images::register_color(&image, &depth_camera, &color, &color_camera, &t_color_depth, jump)?;
+    let found = images::register_color(&image, &depth_camera, &colour, &colour_camera, &t_colour_depth, jump)?;
     Ok(depth_images::registered_to(&found))
 }

@@ -13,13 +13,13 @@ operations! {
         fit_boxes(FitBoxesRequest) -> FitBoxesResponse,
     }
     parts {
-        find_neighbors(FindNeighborsRequest) -> FindNeighborsResponse as FindNeighborsStream,
+        find_neighbours(FindNeighboursRequest) -> FindNeighboursResponse as FindNeighboursStream,
         compute_local_features(ComputeLocalFeaturesRequest) -> ComputeLocalFeaturesResponse as ComputeLocalFeaturesStream,
         compute_convex_hull(ComputeConvexHullRequest) -> ComputeConvexHullResponse as ComputeConvexHullStream,
     }
 }
 
-fn find_neighbors(t: &Toolbox, r: v1::FindNeighborsRequest) -> Result<v1::FindNeighborsResponse> {
+fn find_neighbours(t: &Toolbox, r: v1::FindNeighboursRequest) -> Result<v1::FindNeighboursResponse> {
     let cloud = convert::cloud(t, "cloud", r.cloud.as_ref())?;
     let queries = shapes::queries(&r)?;
     let found = ops::find_neighbors(&cloud, queries.as_deref(), &shapes::neighborhood(&r), t.limits())?;
