@@ -15,6 +15,7 @@ mod pages;
 mod range;
 mod refused;
 mod routes;
+mod strict;
 mod transcode;
 
 use super::grpc::Api;

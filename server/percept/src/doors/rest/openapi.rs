@@ -7,12 +7,14 @@ use super::pages::PAGES;
 use super::routes::{Bound, Kind as Answer, Verb};
 use percept_service::caller::rules::{About, rule};
 use percept_wire::json;
-use prost_reflect::{EnumDescriptor, FieldDescriptor, Kind, MessageDescriptor};
+use prost_reflect::{EnumDescriptor, FieldDescriptor, Kind, MessageDescriptor, MethodDescriptor, OneofDescriptor};
 use serde_json::{Map, Value, json};
+use std::collections::BTreeSet;
 
 const ABOUT: &str = "Spatial perception as a service. Every message is one of `percept.v1` in its canonical JSON form, \
 with the proto's own field names: 64-bit integers are strings, bytes are base64, enums are names, absent optional fields \
-are left out, and numbers that are not finite are the strings \"NaN\", \"Infinity\" and \"-Infinity\". Bodies and \
+are left out, and numbers that are not finite are the strings \"NaN\", \"Infinity\" and \"-Infinity\". Values of other \
+kinds are refused, null as well. Bodies and \
 answers may also be `application/x-protobuf`. A stream of sensor messages needs gRPC or zenoh.";
 
 /// The document of these routes.
@@ -24,7 +26,7 @@ pub(super) fn document(routes: &[Bound]) -> Value {
         operations[bound.route.verb.name()] = operation(bound, &comments);
     }
     for page in PAGES {
-        let answer = json!({"description": page.about, "content": {page.media_type: {"schema": {"type": "string"}}}});
+        let answer = json!({"description": page.about, "content": {page.media_type: {"schema": page.schema()}}});
         let mut responses = json!({"200": answer});
         if page.path == "/readyz" || page.path == "/healthz" {
             responses["503"] = json!({"description": "Not ready; the body says why.", "content": answer["content"]});
@@ -90,10 +92,7 @@ fn operation(bound: &Bound, comments: &Comments) -> Value {
         out["requestBody"] = json!({
             "required": true,
             "description": note,
-            "content": {
-                "application/json": {"schema": reference(rpc.input().name())},
-                "application/x-protobuf": {"schema": {"type": "string", "format": "binary"}},
-            },
+            "content": {"application/json": {"schema": body(bound)}},
         });
     }
     if matches!(route.kind, Answer::File) {
@@ -102,6 +101,32 @@ fn operation(bound: &Bound, comments: &Comments) -> Value {
         out["responses"]["416"] = json!({"$ref": "#/components/responses/Problem"});
     }
     out
+}
+
+/// What a request works on: nothing can stand in for it.
+const WORKED_ON: [&str; 6] =
+    ["CloudSource", "CloudFile", "DepthImage", "ColourImage", "CameraIntrinsics", "SensorMessage"];
+
+/// The request's message with what it works on, without what the path says.
+fn body(bound: &Bound) -> Value {
+    let (input, mut more) = (bound.rpc.input(), json!({}));
+    let is_needed = |f: &FieldDescriptor| {
+        let is_optional = f.containing_oneof().is_some() || f.is_list();
+        !is_optional && f.kind().as_message().is_some_and(|m| WORKED_ON.contains(&m.name()))
+    };
+    let needed: Vec<String> = input.fields().filter(is_needed).map(|f| f.name().to_owned()).collect();
+    if !needed.is_empty() {
+        more["required"] = json!(needed);
+    }
+    for (_, field) in bound.route.fill {
+        let (mut place, mut path) = (&mut more, *field);
+        while let Some((outer, rest)) = path.split_once('.') {
+            (place, path) = (&mut place["properties"][outer], rest);
+        }
+        place["not"] = json!({"required": [path]});
+    }
+    let whole = reference(input.name());
+    if more == json!({}) { whole } else { json!({"allOf": [whole, more]}) }
 }
 
 /// The access that an rpc needs.
@@ -116,16 +141,16 @@ fn answer(bound: &Bound) -> Value {
     match bound.route.kind {
         Answer::Message(_) if bound.rpc.is_server_streaming() => json!({
             "description": "All messages of the stream, joined into one.",
-            "content": {"application/json": json, "application/x-protobuf": binary},
+            "content": {"application/json": json},
         }),
         Answer::Message(_) => json!({
             "description": "The answer.",
-            "content": {"application/json": json, "application/x-protobuf": binary},
+            "content": {"application/json": json},
         }),
         Answer::SceneGraph(_) => json!({
             "description": "The graph as JSON, or in Graphviz's DOT language.",
             "content": {
-                "application/json": json, "application/x-protobuf": binary,
+                "application/json": json,
                 "text/vnd.graphviz": {"schema": {"type": "string"}},
             },
         }),
@@ -150,7 +175,10 @@ fn parameters(bound: &Bound, comments: &Comments) -> Vec<Value> {
     let find = |path: &str| leaves.iter().find(|(p, _)| p == path).map(|(_, field)| field);
     let parameter = |place: &str, name: &str, field: Option<&FieldDescriptor>| {
         let words = field.map_or("", |f| comments.at(f.parent_message().parent_file().name(), f.path()));
-        let schema = field.map_or_else(|| json!({"type": "string"}), word);
+        let mut schema = field.map_or_else(|| json!({"type": "string"}), word);
+        if place == "path" && schema.get("pattern") == Some(&json!(ID)) {
+            schema["minLength"] = json!(1);
+        }
         json!({"name": name, "in": place, "required": place == "path", "description": words, "schema": schema})
     };
     let mut out: Vec<Value> =
@@ -186,7 +214,7 @@ fn word(field: &FieldDescriptor) -> Value {
             let names: Vec<String> = kind.values().map(|v| v.name().to_owned()).chain(short).collect();
             json!({"type": "string", "enum": names})
         }
-        kind => scalar(&kind),
+        _ => scalar(field),
     }
 }
 
@@ -198,7 +226,11 @@ fn schemas(comments: &Comments) -> Value {
     let ours = |package: &str| package == "percept.v1";
     let messages = json::pool().all_messages().filter(|m| ours(m.package_name()) && !m.is_map_entry());
     let enums = json::pool().all_enums().filter(|e| ours(e.package_name()));
-    let mut all: Map<String, Value> = messages.map(|m| (m.name().to_owned(), message(&m, comments))).collect();
+    let asked = reachable(MethodDescriptor::input);
+    let only_answered = reachable(MethodDescriptor::output).into_iter().filter(|name| !asked.contains(name));
+    let only_answered: BTreeSet<String> = only_answered.collect();
+    let described = |m: MessageDescriptor| (m.name().to_owned(), message(&m, comments, &only_answered));
+    let mut all: Map<String, Value> = messages.map(described).collect();
     all.extend(enums.map(|e| (e.name().to_owned(), enumeration(&e, comments))));
     all.insert("Problem".to_owned(), problem());
     Value::Object(all)
@@ -223,7 +255,19 @@ fn problem() -> Value {
     })
 }
 
-fn message(message: &MessageDescriptor, comments: &Comments) -> Value {
+/// Full names of the messages that requests, or answers, are made of.
+fn reachable(of: fn(&MethodDescriptor) -> MessageDescriptor) -> BTreeSet<String> {
+    let (mut found, mut ahead) = (BTreeSet::new(), vec![]);
+    ahead.extend(json::pool().services().flat_map(|s| s.methods().map(|m| of(&m)).collect::<Vec<_>>()));
+    while let Some(message) = ahead.pop() {
+        if found.insert(message.full_name().to_owned()) {
+            ahead.extend(message.fields().filter_map(|f| f.kind().as_message().cloned()));
+        }
+    }
+    found
+}
+
+fn message(message: &MessageDescriptor, comments: &Comments, only_answered: &BTreeSet<String>) -> Value {
     let properties: Map<String, Value> =
         message.fields().map(|f| (f.name().to_owned(), property(&f, comments))).collect();
     let mut words = comments.at(message.parent_file().name(), message.path()).to_owned();
@@ -231,7 +275,26 @@ fn message(message: &MessageDescriptor, comments: &Comments) -> Value {
         let fields: Vec<String> = oneof.fields().map(|f| f.name().to_owned()).collect();
         words.push_str(&format!(" At most one of {} ({}).", fields.join(", "), oneof.name()));
     }
-    json!({"type": "object", "description": words.trim(), "properties": properties})
+    let mut schema = json!({"type": "object", "description": words.trim(), "properties": properties});
+    let twice: Vec<Value> = message.oneofs().filter(|o| !o.is_synthetic()).flat_map(|o| pairs(&o)).collect();
+    if !twice.is_empty() {
+        schema["not"] = json!({"anyOf": twice});
+    }
+    if only_answered.contains(message.full_name()) {
+        // Answers hold whatever cannot be absent.
+        let held = message.fields().filter(|f| !f.supports_presence());
+        schema["required"] = held.map(|f| f.name().to_owned()).collect();
+    } else {
+        schema["additionalProperties"] = json!(false);
+    }
+    schema
+}
+
+/// Any two of a choice.
+fn pairs(choice: &OneofDescriptor) -> Vec<Value> {
+    let names: Vec<String> = choice.fields().map(|f| f.name().to_owned()).collect();
+    let of = |(i, a): (usize, &String)| names[..i].iter().map(|b| json!({"required": [a, b]})).collect::<Vec<_>>();
+    names.iter().enumerate().flat_map(of).collect()
 }
 
 fn property(field: &FieldDescriptor, comments: &Comments) -> Value {
@@ -242,12 +305,15 @@ fn property(field: &FieldDescriptor, comments: &Comments) -> Value {
         }
         Kind::Message(inner) => reference(inner.name()),
         Kind::Enum(inner) => reference(inner.name()),
-        kind => scalar(&kind),
+        _ => scalar(field),
     };
     if field.is_list() {
         schema = json!({"type": "array", "items": schema});
     }
     let words = comments.at(field.parent_message().parent_file().name(), field.path());
+    if words.contains("Infinity") && matches!(field.kind(), Kind::Double | Kind::Float) {
+        schema = json!({"anyOf": [schema, {"enum": ["NaN", "Infinity", "-Infinity"]}]});
+    }
     if !words.is_empty() {
         schema["description"] = json!(words);
     }
@@ -257,18 +323,26 @@ fn property(field: &FieldDescriptor, comments: &Comments) -> Value {
     schema
 }
 
-fn scalar(kind: &Kind) -> Value {
-    match kind {
+/// Names of sessions and sensors; empty where one is to be given.
+const ID: &str = "^[A-Za-z0-9_-]{0,64}$";
+
+fn scalar(field: &FieldDescriptor) -> Value {
+    match field.kind() {
         Kind::Bool => json!({"type": "boolean"}),
         Kind::Double => json!({"type": "number", "format": "double"}),
         Kind::Float => json!({"type": "number", "format": "float"}),
-        Kind::Int32 | Kind::Sint32 | Kind::Sfixed32 => json!({"type": "integer", "format": "int32"}),
-        Kind::Uint32 | Kind::Fixed32 => json!({"type": "integer", "format": "uint32", "minimum": 0}),
-        Kind::Int64 | Kind::Sint64 | Kind::Sfixed64 => {
-            json!({"type": "string", "format": "int64", "pattern": "^-?[0-9]+$"})
+        Kind::Int32 | Kind::Sint32 | Kind::Sfixed32 => {
+            json!({"type": "integer", "format": "int32", "minimum": i32::MIN, "maximum": i32::MAX})
         }
-        Kind::Uint64 | Kind::Fixed64 => json!({"type": "string", "format": "uint64", "pattern": "^[0-9]+$"}),
+        Kind::Uint32 | Kind::Fixed32 => {
+            json!({"type": "integer", "format": "uint32", "minimum": 0, "maximum": u32::MAX})
+        }
+        Kind::Int64 | Kind::Sint64 | Kind::Sfixed64 => {
+            json!({"type": "string", "format": "int64", "pattern": "^-?[0-9]{1,19}$"})
+        }
+        Kind::Uint64 | Kind::Fixed64 => json!({"type": "string", "format": "uint64", "pattern": "^[0-9]{1,20}$"}),
         Kind::Bytes => json!({"type": "string", "format": "byte", "contentEncoding": "base64"}),
+        Kind::String if matches!(field.name(), "session_id" | "sensor_id") => json!({"type": "string", "pattern": ID}),
         Kind::String | Kind::Enum(_) | Kind::Message(_) => json!({"type": "string"}),
     }
 }
@@ -289,7 +363,6 @@ fn enumeration(kind: &EnumDescriptor, comments: &Comments) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::BTreeSet;
 
     fn whole() -> Value {
         document(&Bound::all().unwrap())
@@ -355,6 +428,15 @@ mod tests {
         assert_eq!(field("SensorMessage/properties/depth/x-oneof"), "data");
         assert_eq!(field("Relation/properties/kind/$ref"), "#/components/schemas/RelationKind");
         assert_eq!(field("RelationKind/enum/1"), "RELATION_KIND_ON");
+        assert_eq!(field("CloudSource/not/anyOf").as_array().map(Vec::len), Some(6), "two of four cannot both be set");
+        let body = &document["paths"]["/v1/sessions/{session_id}/frames"]["post"]["requestBody"]["content"];
+        let said_by_path = &body["application/json"]["schema"]["allOf"][1]["properties"]["message"]["not"]["required"];
+        assert_eq!(*said_by_path, json!(["session_id"]));
+        let body = &document["paths"]["/v1/toolbox/register-clouds"]["post"]["requestBody"]["content"];
+        assert_eq!(body["application/json"]["schema"]["allOf"][1]["required"], json!(["source", "target"]));
+        // Answers always hold what has no presence; requests may leave it out.
+        assert!(field("SceneGraph/required").as_array().unwrap().contains(&json!("nodes")));
+        assert!(document.pointer("/components/schemas/SensorSpec/required").is_none());
         assert!(field("Vector2/properties/x/description").as_str().unwrap().contains("Metres"));
     }
 }

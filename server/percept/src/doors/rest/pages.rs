@@ -10,7 +10,7 @@ use axum::routing::get;
 use bytes::Bytes;
 use percept_service::{Readiness, observe};
 use percept_wire::convert;
-use serde_json::json;
+use serde_json::{Value, json};
 
 /// A page.
 pub(super) struct Page {
@@ -29,6 +29,24 @@ enum Content {
     Alive,
     Ready,
     Metrics,
+}
+
+impl Page {
+    /// What it holds, as OpenAPI describes it.
+    pub(super) fn schema(&self) -> Value {
+        match self.content {
+            Content::OpenApi => json!({"type": "object"}),
+            Content::Ready => json!({
+                "type": "object",
+                "required": ["ready", "reasons"],
+                "properties": {
+                    "ready": {"type": "boolean"},
+                    "reasons": {"type": "array", "items": {"$ref": "#/components/schemas/NotReadyReason"}},
+                },
+            }),
+            Content::Html(_) | Content::Alive | Content::Metrics => json!({"type": "string"}),
+        }
+    }
 }
 
 const fn page(

@@ -1,6 +1,7 @@
 //! Bodies to messages and messages to bodies: JSON as protobuf defines it, or protobuf itself.
 
 use super::refused::Refused;
+use super::strict;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
@@ -100,11 +101,14 @@ fn to_json_text(message: MessageDescriptor, bytes: &[u8]) -> Result<String, Erro
 
 fn from_json(message: &MessageDescriptor, body: &[u8]) -> Result<DynamicMessage, Error> {
     let mut text = serde_json::Deserializer::from_slice(body);
-    let read = DynamicMessage::deserialize_with_options(message.clone(), &mut text, &DeserializeOptions::new())
-        .and_then(|m| text.end().map(|()| m));
+    let read = strict::check(message, body).and_then(|()| {
+        let read = DynamicMessage::deserialize_with_options(message.clone(), &mut text, &DeserializeOptions::new())?;
+        text.end().map(|()| read)
+    });
     read.map_err(|e| {
-        let at_field = serde_json::from_slice(body).ok().and_then(|value| first_fault(message, &value));
-        let (field, what) = at_field.unwrap_or_else(|| (String::new(), e.to_string()));
+        let value = serde_json::from_slice(body).ok();
+        let fault = |value| first_fault(message, value).or_else(|| strict::first_misfit(message, value));
+        let (field, what) = value.as_ref().and_then(fault).unwrap_or_else(|| (String::new(), e.to_string()));
         let place = if field.is_empty() { "body".to_owned() } else { field.clone() };
         Error::invalid("JSON_INVALID", field, format!("{place} is not as {} has it: {what}", message.name()))
     })
