@@ -36,6 +36,7 @@ pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, Sessi
 pub use session::records::Counts;
 pub use session::registry::SessionView;
 pub use session::sensor_book::SensorStatus;
+pub use session::verdict::{StreamTrouble, Verdict};
 pub use session::slot::SessionState;
 
 use percept_geometry::SensorFrame;

@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from ..types.sensors import FrameAck, Rejection
-from ..types.sessions import FrameResult, PoseEstimate, Scale, TrackingState
+from ..types.sessions import (
+    FrameResult,
+    LostReason,
+    PoseEstimate,
+    Scale,
+    ScaleSource,
+    TrackingState,
+    WaitingFor,
+)
 from ..v1 import error_pb2, session_pb2
 from . import geometry, words
 
@@ -16,14 +24,17 @@ def pose_estimate(message: session_pb2.PoseEstimate) -> PoseEstimate:
         t_map_base=geometry.pose(message.t_map_base),
         covariance=geometry.covariance(message.covariance),
         t_odom_base=geometry.pose(message.t_odom_base),
-        lost_reason=message.lost_reason,
+        lost_reason=words.word(LostReason, session_pb2.LostReason, message.lost_reason),
+        lost_message=message.lost_message,
         inlier_ratio=message.inlier_ratio,
         rmse_m=message.rmse_m,
         degenerate_axes=tuple(message.degenerate_axes),
         map_version=message.map_version,
         scale=words.word(Scale, session_pb2.Scale, message.scale),
-        scale_source=message.scale_source,
-        waiting_for=message.waiting_for,
+        scale_source=words.word(ScaleSource, session_pb2.ScaleSource, message.scale_source),
+        scale_message=message.scale_message,
+        waiting_for=words.word(WaitingFor, session_pb2.WaitingFor, message.waiting_for),
+        waiting_message=message.waiting_message,
         relocalised=message.relocalised,
     )
 

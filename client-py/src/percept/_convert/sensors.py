@@ -25,6 +25,9 @@ from ..types.sensors import (
     SensorKind,
     SensorSpec,
     SensorStatus,
+    StreamTrouble,
+    StreamTroubleKind,
+    StreamVerdict,
 )
 from ..types.sessions import FrameResult
 from ..v1 import geometry_pb2, sensor_pb2, sensors_service_pb2
@@ -69,9 +72,16 @@ def status(message: sensor_pb2.SensorStatus) -> SensorStatus:
         gaps=message.gaps,
         rate_hz=message.rate_hz if message.HasField("rate_hz") else None,
         last_stamp_ns=message.last_stamp_ns if message.HasField("last_stamp_ns") else None,
-        verdict=message.verdict,
+        verdict=words.word(StreamVerdict, sensor_pb2.StreamVerdict, message.verdict),
+        troubles=tuple(_trouble(t) for t in message.troubles),
+        verdict_message=message.verdict_message,
         clock_offset_s=message.clock_offset_s if message.HasField("clock_offset_s") else None,
     )
+
+
+def _trouble(message: sensor_pb2.StreamTrouble) -> StreamTrouble:
+    kind = words.word(StreamTroubleKind, sensor_pb2.StreamTroubleKind, message.kind)
+    return StreamTrouble(kind=kind, message=message.message)
 
 
 def fill_depth(

@@ -58,6 +58,47 @@ class Scale(Name):
     METRIC = "metric"
 
 
+class LostReason(Name):
+    """Why a frame could not be placed; `lost_message` says what to do."""
+
+    #: Not lost.
+    UNSPECIFIED = "unspecified"
+    TOO_FEW_POINTS = "too_few_points"
+    TOO_FEW_CORRESPONDENCES = "too_few_correspondences"
+    RESIDUAL_TOO_LARGE = "residual_too_large"
+    MOTION_TOO_LARGE = "motion_too_large"
+    DEGENERATE = "degenerate"
+    TIME_GAP = "time_gap"
+    UNSUITABLE_SCAN = "unsuitable_scan"
+    NO_TEXTURE = "no_texture"
+    BAD_EXPOSURE = "bad_exposure"
+    INTRINSICS_MISMATCH = "intrinsics_mismatch"
+    #: Nothing ties this place to the map yet.
+    ADRIFT = "adrift"
+
+
+class ScaleSource(Name):
+    """What tells that lengths are metres."""
+
+    UNSPECIFIED = "unspecified"
+    NONE = "none"
+    #: It measures lengths itself.
+    SENSOR = "sensor"
+    ODOMETRY = "odometry"
+    DEPTH = "depth"
+    BASELINE = "baseline"
+
+
+class WaitingFor(Name):
+    """What an odometry that needs several frames to begin is waiting for."""
+
+    #: Nothing.
+    UNSPECIFIED = "unspecified"
+    SECOND_VIEW = "second_view"
+    PARALLAX = "parallax"
+    MATCHES = "matches"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PoseEstimate(Value):
     """Where the robot is, how sure we are, or that we are lost."""
@@ -69,8 +110,10 @@ class PoseEstimate(Value):
     covariance: Floats
     #: Continuous, never corrected.
     t_odom_base: Pose
-    #: Empty unless lost.
-    lost_reason: str
+    #: Unspecified unless lost.
+    lost_reason: LostReason
+    #: The same in words, with a remedy; empty unless lost.
+    lost_message: str
     #: Share of the frame's points that fit the local model, 0 to 1.
     inlier_ratio: float
     rmse_m: float
@@ -78,10 +121,13 @@ class PoseEstimate(Value):
     degenerate_axes: tuple[bool, ...]
     map_version: int
     scale: Scale
-    #: What tells the scale, or what would, in words.
-    scale_source: str
-    #: What an odometry that needs several frames to begin waits for; empty unless initialising.
-    waiting_for: str
+    scale_source: ScaleSource
+    #: The same in words, or what would tell the scale.
+    scale_message: str
+    #: Unspecified unless initialising.
+    waiting_for: WaitingFor
+    #: The same in words, with a remedy.
+    waiting_message: str
     #: The robot was lost, and this frame found it again.
     relocalised: bool
 

@@ -95,6 +95,132 @@ SCALE_UNKNOWN: Scale.ValueType  # 1
 SCALE_METRIC: Scale.ValueType  # 2
 Global___Scale: _TypeAlias = Scale  # noqa: Y015
 
+class _LostReason:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _LostReasonEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_LostReason.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    LOST_REASON_UNSPECIFIED: _LostReason.ValueType  # 0
+    """Not lost."""
+    LOST_REASON_TOO_FEW_POINTS: _LostReason.ValueType  # 1
+    """The frame holds too few usable measurements: the sensor is covered, too near or too far from everything."""
+    LOST_REASON_TOO_FEW_CORRESPONDENCES: _LostReason.ValueType  # 2
+    """Too little of the frame overlaps the places just seen: go back, or turn back."""
+    LOST_REASON_RESIDUAL_TOO_LARGE: _LostReason.ValueType  # 3
+    """The frame overlaps the places just seen and does not fit them: many things moved, or the robot was carried."""
+    LOST_REASON_MOTION_TOO_LARGE: _LostReason.ValueType  # 4
+    """The frame fits only with a motion that no robot of this kind makes: drive slower, or send more frames."""
+    LOST_REASON_DEGENERATE: _LostReason.ValueType  # 5
+    """The scene leaves most of the motion open, or has left an axis open for seconds: turn towards objects or corners, or
+    send wheel odometry along.
+    """
+    LOST_REASON_TIME_GAP: _LostReason.ValueType  # 6
+    """Frames were missing for too long, and this one does not fit the old place: go back to where tracking was lost."""
+    LOST_REASON_UNSUITABLE_SCAN: _LostReason.ValueType  # 7
+    """The sensor sends another kind of scan than its odometry registers."""
+    LOST_REASON_NO_TEXTURE: _LostReason.ValueType  # 8
+    """The image shows too few distinct places: turn towards things with detail, clean the lens."""
+    LOST_REASON_BAD_EXPOSURE: _LostReason.ValueType  # 9
+    """Most of the image is white or black: check exposure, light and lens cap."""
+    LOST_REASON_INTRINSICS_MISMATCH: _LostReason.ValueType  # 10
+    """The image's size is not that of the intrinsics, or these are no camera's: declare those of this resolution."""
+    LOST_REASON_ADRIFT: _LostReason.ValueType  # 11
+    """Odometry was lost for too long and started anew at a guessed pose: nothing ties this place to the map yet."""
+
+class LostReason(_LostReason, metaclass=_LostReasonEnumTypeWrapper):
+    """Why a frame could not be placed."""
+
+LOST_REASON_UNSPECIFIED: LostReason.ValueType  # 0
+"""Not lost."""
+LOST_REASON_TOO_FEW_POINTS: LostReason.ValueType  # 1
+"""The frame holds too few usable measurements: the sensor is covered, too near or too far from everything."""
+LOST_REASON_TOO_FEW_CORRESPONDENCES: LostReason.ValueType  # 2
+"""Too little of the frame overlaps the places just seen: go back, or turn back."""
+LOST_REASON_RESIDUAL_TOO_LARGE: LostReason.ValueType  # 3
+"""The frame overlaps the places just seen and does not fit them: many things moved, or the robot was carried."""
+LOST_REASON_MOTION_TOO_LARGE: LostReason.ValueType  # 4
+"""The frame fits only with a motion that no robot of this kind makes: drive slower, or send more frames."""
+LOST_REASON_DEGENERATE: LostReason.ValueType  # 5
+"""The scene leaves most of the motion open, or has left an axis open for seconds: turn towards objects or corners, or
+send wheel odometry along.
+"""
+LOST_REASON_TIME_GAP: LostReason.ValueType  # 6
+"""Frames were missing for too long, and this one does not fit the old place: go back to where tracking was lost."""
+LOST_REASON_UNSUITABLE_SCAN: LostReason.ValueType  # 7
+"""The sensor sends another kind of scan than its odometry registers."""
+LOST_REASON_NO_TEXTURE: LostReason.ValueType  # 8
+"""The image shows too few distinct places: turn towards things with detail, clean the lens."""
+LOST_REASON_BAD_EXPOSURE: LostReason.ValueType  # 9
+"""Most of the image is white or black: check exposure, light and lens cap."""
+LOST_REASON_INTRINSICS_MISMATCH: LostReason.ValueType  # 10
+"""The image's size is not that of the intrinsics, or these are no camera's: declare those of this resolution."""
+LOST_REASON_ADRIFT: LostReason.ValueType  # 11
+"""Odometry was lost for too long and started anew at a guessed pose: nothing ties this place to the map yet."""
+Global___LostReason: _TypeAlias = LostReason  # noqa: Y015
+
+class _ScaleSource:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _ScaleSourceEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_ScaleSource.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    SCALE_SOURCE_UNSPECIFIED: _ScaleSource.ValueType  # 0
+    SCALE_SOURCE_NONE: _ScaleSource.ValueType  # 1
+    """Nothing does: send wheel odometry, depth images or a second camera's images along."""
+    SCALE_SOURCE_SENSOR: _ScaleSource.ValueType  # 2
+    """The sensor itself measures lengths."""
+    SCALE_SOURCE_ODOMETRY: _ScaleSource.ValueType  # 3
+    """Wheel odometry, or what else stated the motion in metres."""
+    SCALE_SOURCE_DEPTH: _ScaleSource.ValueType  # 4
+    """Depth images of another sensor."""
+    SCALE_SOURCE_BASELINE: _ScaleSource.ValueType  # 5
+    """A second camera at a known distance."""
+
+class ScaleSource(_ScaleSource, metaclass=_ScaleSourceEnumTypeWrapper):
+    """What tells that lengths are metres."""
+
+SCALE_SOURCE_UNSPECIFIED: ScaleSource.ValueType  # 0
+SCALE_SOURCE_NONE: ScaleSource.ValueType  # 1
+"""Nothing does: send wheel odometry, depth images or a second camera's images along."""
+SCALE_SOURCE_SENSOR: ScaleSource.ValueType  # 2
+"""The sensor itself measures lengths."""
+SCALE_SOURCE_ODOMETRY: ScaleSource.ValueType  # 3
+"""Wheel odometry, or what else stated the motion in metres."""
+SCALE_SOURCE_DEPTH: ScaleSource.ValueType  # 4
+"""Depth images of another sensor."""
+SCALE_SOURCE_BASELINE: ScaleSource.ValueType  # 5
+"""A second camera at a known distance."""
+Global___ScaleSource: _TypeAlias = ScaleSource  # noqa: Y015
+
+class _WaitingFor:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _WaitingForEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_WaitingFor.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    WAITING_FOR_UNSPECIFIED: _WaitingFor.ValueType  # 0
+    """Nothing."""
+    WAITING_FOR_SECOND_VIEW: _WaitingFor.ValueType  # 1
+    """A second view; the first image came: move the camera sideways."""
+    WAITING_FOR_PARALLAX: _WaitingFor.ValueType  # 2
+    """Parallax; the camera stood, only turned, or looks at things far away: move it sideways."""
+    WAITING_FOR_MATCHES: _WaitingFor.ValueType  # 3
+    """Images that have more in common: move more slowly, towards things with detail."""
+
+class WaitingFor(_WaitingFor, metaclass=_WaitingForEnumTypeWrapper):
+    """What an odometry that needs several frames to begin is waiting for."""
+
+WAITING_FOR_UNSPECIFIED: WaitingFor.ValueType  # 0
+"""Nothing."""
+WAITING_FOR_SECOND_VIEW: WaitingFor.ValueType  # 1
+"""A second view; the first image came: move the camera sideways."""
+WAITING_FOR_PARALLAX: WaitingFor.ValueType  # 2
+"""Parallax; the camera stood, only turned, or looks at things far away: move it sideways."""
+WAITING_FOR_MATCHES: WaitingFor.ValueType  # 3
+"""Images that have more in common: move more slowly, towards things with detail."""
+Global___WaitingFor: _TypeAlias = WaitingFor  # noqa: Y015
+
 class _SessionState:
     ValueType = _typing.NewType("ValueType", _builtins.int)
     V: _TypeAlias = ValueType  # noqa: Y015
@@ -153,11 +279,14 @@ class PoseEstimate(_message.Message):
     SCALE_SOURCE_FIELD_NUMBER: _builtins.int
     WAITING_FOR_FIELD_NUMBER: _builtins.int
     RELOCALISED_FIELD_NUMBER: _builtins.int
+    LOST_MESSAGE_FIELD_NUMBER: _builtins.int
+    SCALE_MESSAGE_FIELD_NUMBER: _builtins.int
+    WAITING_MESSAGE_FIELD_NUMBER: _builtins.int
     stamp_ns: _builtins.int
     """Stamp of the frame that it belongs to."""
     state: Global___TrackingState.ValueType
-    lost_reason: _builtins.str
-    """Why tracking was lost, in words. Empty unless LOST."""
+    lost_reason: Global___LostReason.ValueType
+    """Why tracking was lost. UNSPECIFIED unless LOST."""
     inlier_ratio: _builtins.float
     """Share of the frame's points that fit the local model, 0 to 1."""
     rmse_m: _builtins.float
@@ -165,12 +294,18 @@ class PoseEstimate(_message.Message):
     map_version: _builtins.int
     """Version of the map that t_map_base refers to."""
     scale: Global___Scale.ValueType
-    scale_source: _builtins.str
-    """What tells the scale, or what would, in words."""
-    waiting_for: _builtins.str
-    """What an odometry that needs several frames to begin is waiting for, in words. Empty unless INITIALISING."""
+    scale_source: Global___ScaleSource.ValueType
+    """What tells the scale."""
+    waiting_for: Global___WaitingFor.ValueType
+    """What an odometry that needs several frames to begin is waiting for. UNSPECIFIED unless INITIALISING."""
     relocalised: _builtins.bool
     """The robot was lost, and this frame found it again."""
+    lost_message: _builtins.str
+    """`lost_reason` in words, with a remedy; they may change with any version. Empty unless LOST."""
+    scale_message: _builtins.str
+    """`scale_source` in words, or what would tell the scale."""
+    waiting_message: _builtins.str
+    """`waiting_for` in words, with a remedy. Empty if it waits for nothing."""
     @_builtins.property
     def t_map_base(self) -> _geometry_pb2.Pose:
         """Base to map."""
@@ -195,19 +330,22 @@ class PoseEstimate(_message.Message):
         t_map_base: _geometry_pb2.Pose | None = ...,
         covariance: _geometry_pb2.Covariance6 | None = ...,
         t_odom_base: _geometry_pb2.Pose | None = ...,
-        lost_reason: _builtins.str = ...,
+        lost_reason: Global___LostReason.ValueType = ...,
         inlier_ratio: _builtins.float = ...,
         rmse_m: _builtins.float = ...,
         degenerate_axes: _abc.Iterable[_builtins.bool] | None = ...,
         map_version: _builtins.int = ...,
         scale: Global___Scale.ValueType = ...,
-        scale_source: _builtins.str = ...,
-        waiting_for: _builtins.str = ...,
+        scale_source: Global___ScaleSource.ValueType = ...,
+        waiting_for: Global___WaitingFor.ValueType = ...,
         relocalised: _builtins.bool = ...,
+        lost_message: _builtins.str = ...,
+        scale_message: _builtins.str = ...,
+        waiting_message: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "inlier_ratio", b"inlier_ratio", "lost_reason", b"lost_reason", "map_version", b"map_version", "relocalised", b"relocalised", "rmse_m", b"rmse_m", "scale", b"scale", "scale_source", b"scale_source", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base", "waiting_for", b"waiting_for"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "inlier_ratio", b"inlier_ratio", "lost_message", b"lost_message", "lost_reason", b"lost_reason", "map_version", b"map_version", "relocalised", b"relocalised", "rmse_m", b"rmse_m", "scale", b"scale", "scale_message", b"scale_message", "scale_source", b"scale_source", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base", "waiting_for", b"waiting_for", "waiting_message", b"waiting_message"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -9,7 +9,9 @@ use percept_geometry::{
     CameraIntrinsics, DepthImage, Distortion, LaserScan, RgbImage, SensorData, SensorFrame, SensorId, SensorKind,
     SensorSpec, Timestamp,
 };
-use percept_service::{Error, IncomingFrame, Limits, OverloadPolicy, Result, SensorDeclaration, SensorStatus};
+use percept_service::{
+    Error, IncomingFrame, Limits, OverloadPolicy, Result, SensorDeclaration, SensorStatus, StreamTrouble, Verdict,
+};
 
 /// A sensor kind that is not UNSPECIFIED.
 ///
@@ -144,9 +146,31 @@ pub fn status_to(s: &SensorStatus) -> v1::SensorStatus {
         gaps: s.gaps,
         rate_hz: s.rate_hz,
         last_stamp_ns: s.last_stamp.map(Timestamp::nanos),
-        verdict: s.verdict(),
+        verdict: verdict_to(&s.verdict()).into(),
+        verdict_message: s.verdict().to_string(),
+        troubles: s.verdict().troubles().iter().map(trouble_to).collect(),
         clock_offset_s: s.clock_offset_s,
     }
+}
+
+fn verdict_to(verdict: &Verdict) -> v1::StreamVerdict {
+    match verdict {
+        Verdict::NoFrame => v1::StreamVerdict::NoFrame,
+        Verdict::Good => v1::StreamVerdict::Good,
+        Verdict::Troubled(_) => v1::StreamVerdict::Troubled,
+    }
+}
+
+fn trouble_to(trouble: &StreamTrouble) -> v1::StreamTrouble {
+    use v1::StreamTroubleKind as K;
+    let kind = match trouble {
+        StreamTrouble::Rejected { .. } => K::Rejected,
+        StreamTrouble::Dropped { .. } => K::Dropped,
+        StreamTrouble::Gaps { .. } => K::Gaps,
+        StreamTrouble::ClockOffset { .. } => K::ClockOffset,
+        StreamTrouble::MountOffset { .. } => K::MountOffset,
+    };
+    v1::StreamTrouble { kind: kind.into(), message: trouble.to_string() }
 }
 
 /// A sensor message, decoded and checked.

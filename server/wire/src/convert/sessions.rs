@@ -7,7 +7,7 @@ use percept_pipeline::{KeyframeInfo, PipelineParams, PoseEstimate, TrajectoryEnt
 use percept_service::{
     Error, Event, EventKind, NewSession, Processed, Result, SessionDescription, SessionMode, SessionState, SessionView,
 };
-use percept_slam::TrackingState;
+use percept_slam::{LostReason, Scale, TrackingState, Waiting};
 
 /// What a session is created with.
 ///
@@ -108,9 +108,9 @@ pub fn wanted_state(state: i32) -> Result<Option<SessionState>> {
 /// A pose as a message.
 pub fn pose_to(p: &PoseEstimate) -> v1::PoseEstimate {
     let (state, lost_reason) = match &p.state {
-        TrackingState::Initialising => (v1::TrackingState::Initialising, String::new()),
-        TrackingState::Tracking => (v1::TrackingState::Tracking, String::new()),
-        TrackingState::Lost { reason } => (v1::TrackingState::Lost, reason.to_string()),
+        TrackingState::Initialising => (v1::TrackingState::Initialising, None),
+        TrackingState::Tracking => (v1::TrackingState::Tracking, None),
+        TrackingState::Lost { reason } => (v1::TrackingState::Lost, Some(*reason)),
     };
     v1::PoseEstimate {
         stamp_ns: p.stamp.nanos(),
@@ -118,15 +118,53 @@ pub fn pose_to(p: &PoseEstimate) -> v1::PoseEstimate {
         t_map_base: Some(geometry::pose_to(&p.t_map_base)),
         covariance: Some(geometry::covariance_to(&p.covariance)),
         t_odom_base: Some(geometry::pose_to(&p.t_odom_base)),
-        lost_reason,
+        lost_reason: lost_reason.map_or(v1::LostReason::Unspecified, lost_reason_to).into(),
+        lost_message: lost_reason.map(|r| r.to_string()).unwrap_or_default(),
         inlier_ratio: p.inlier_ratio,
         rmse_m: p.rmse_m,
         degenerate_axes: p.degenerate_axes.to_vec(),
         scale: scale_to(p.scale.is_metric()).into(),
-        scale_source: p.scale.to_string(),
-        waiting_for: p.waiting.map(|w| w.to_string()).unwrap_or_default(),
+        scale_source: scale_source_to(p.scale).into(),
+        scale_message: p.scale.to_string(),
+        waiting_for: p.waiting.map_or(v1::WaitingFor::Unspecified, waiting_to).into(),
+        waiting_message: p.waiting.map(|w| w.to_string()).unwrap_or_default(),
         relocalised: p.is_relocalised,
         map_version: p.map_version,
+    }
+}
+
+fn lost_reason_to(reason: LostReason) -> v1::LostReason {
+    use v1::LostReason as R;
+    match reason {
+        LostReason::TooFewPoints => R::TooFewPoints,
+        LostReason::TooFewCorrespondences => R::TooFewCorrespondences,
+        LostReason::ResidualTooLarge => R::ResidualTooLarge,
+        LostReason::MotionTooLarge => R::MotionTooLarge,
+        LostReason::Degenerate => R::Degenerate,
+        LostReason::TimeGap => R::TimeGap,
+        LostReason::UnsuitableScan => R::UnsuitableScan,
+        LostReason::NoTexture => R::NoTexture,
+        LostReason::BadExposure => R::BadExposure,
+        LostReason::IntrinsicsMismatch => R::IntrinsicsMismatch,
+        LostReason::Adrift => R::Adrift,
+    }
+}
+
+fn scale_source_to(scale: Scale) -> v1::ScaleSource {
+    match scale {
+        Scale::Measured => v1::ScaleSource::Sensor,
+        Scale::Unknown => v1::ScaleSource::None,
+        Scale::FromOdometry => v1::ScaleSource::Odometry,
+        Scale::FromDepth => v1::ScaleSource::Depth,
+        Scale::FromBaseline => v1::ScaleSource::Baseline,
+    }
+}
+
+fn waiting_to(waiting: Waiting) -> v1::WaitingFor {
+    match waiting {
+        Waiting::SecondView => v1::WaitingFor::SecondView,
+        Waiting::NoParallax => v1::WaitingFor::Parallax,
+        Waiting::FewMatches => v1::WaitingFor::Matches,
     }
 }
 
