@@ -26,6 +26,7 @@ RULES = {
     "SessionsService/CreateSession": (WRITE, True),
     "SessionsService/GetSession": (READ, True),
     "SessionsService/ListSessions": (READ, False),
+    "SessionsService/UpdateSession": (WRITE, True),
     "SessionsService/DeleteSession": (ADMIN, True),
     "SessionsService/GetPose": (READ, True),
     "SessionsService/GetTrajectory": (READ, True),
@@ -33,7 +34,9 @@ RULES = {
     "SessionsService/WatchSession": (READ, True),
     "SessionsService/GetDefaultParams": (READ, False),
     "SensorsService/DeclareSensor": (WRITE, True),
+    "SensorsService/GetSensor": (READ, True),
     "SensorsService/ListSensors": (READ, True),
+    "SensorsService/UpdateSensor": (WRITE, True),
     "SensorsService/StreamFrames": (WRITE, True),
     "SensorsService/SendFrame": (WRITE, True),
     "SensorsService/SyncTime": (READ, False),
@@ -195,6 +198,9 @@ def request_of(method, session: str):
     fields = method.input_type.fields_by_name
     if "session_id" in fields:
         request.session_id = session
+    if "session" in fields:
+        request.session.session_id = session
+        request.session.display_name = "A"
     if "source" in fields and fields["source"].message_type.name == "MapSource":
         request.source.session_id = session
     if "message" in fields:
@@ -202,6 +208,8 @@ def request_of(method, session: str):
     if "spec" in fields:
         request.spec.sensor_id = "s"
         request.spec.kind = sensor_pb2.SENSOR_KIND_ODOMETRY
+    if "sensor_id" in fields:
+        request.sensor_id = "s"
     if "format" in fields and fields["format"].enum_type.name == "MapFormat":
         request.format = 1
     if "goal" in fields:
@@ -302,10 +310,15 @@ def test_every_route_answers_each_kind_of_caller_as_the_table_says(site):
                 site.create(session)
             concrete = path.replace("{session_id}", session).replace("{name}", "map.yaml")
             concrete = concrete.replace("{handle}", "c-0").replace("{object_id}", "1").replace("{loop_id}", "1")
+            concrete = concrete.replace("{sensor_id}", "s")
             body = {"session_id": "fleet-by-rest" if creates else session} if operation == "CreateSession" else {}
             if operation == "DeclareSensor":
                 body = {"spec": {"sensor_id": "s", "kind": "SENSOR_KIND_ODOMETRY"}}
-            sent = {"json": body} if verb == "POST" else {}
+            if operation == "UpdateSession":
+                body = {"display_name": "A"}
+            if operation == "UpdateSensor":
+                body = {"overload_policy": "OVERLOAD_POLICY_BLOCK"}
+            sent = {"json": body} if verb in ("POST", "PATCH") else {}
             with site.http.stream(verb, concrete, headers=site.headers(kind), **sent) as answer:
                 if answer.status_code < 400:
                     outcome = ALLOWED

@@ -29,6 +29,7 @@ from ._sync.watch import (
     Watch,
 )
 from .errors import (
+    Aborted,
     AlreadyExists,
     DeadlineExceeded,
     FailedPrecondition,
@@ -176,6 +177,7 @@ from .types import (
 __version__ = "0.1.0"
 
 __all__ = [
+    "Aborted",
     "AlreadyExists",
     "AsyncClient",
     "AsyncFrameStream",

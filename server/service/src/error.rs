@@ -11,6 +11,8 @@ pub enum ErrorCode {
     AlreadyExists,
     /// Right request, wrong state: do something else first.
     FailedPrecondition,
+    /// Somebody else was quicker: look again at what is there now, then try again.
+    Aborted,
     /// A limit or budget is used up.
     ResourceExhausted,
     /// Nobody, or nobody any more, that is known here: send credentials that hold.
@@ -33,6 +35,7 @@ impl ErrorCode {
             Self::NotFound => "NOT_FOUND",
             Self::AlreadyExists => "ALREADY_EXISTS",
             Self::FailedPrecondition => "FAILED_PRECONDITION",
+            Self::Aborted => "ABORTED",
             Self::ResourceExhausted => "RESOURCE_EXHAUSTED",
             Self::Unauthenticated => "UNAUTHENTICATED",
             Self::PermissionDenied => "PERMISSION_DENIED",

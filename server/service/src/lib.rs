@@ -21,6 +21,7 @@ pub use error::{Error, ErrorCode, Result, check_id};
 pub use flood::RateLimitedLog;
 pub use health::{HEALTHY, Health, Part, Readiness, Reason, Trouble};
 pub use limits::Limits;
+pub use ops::changes::{ParamChange, SensorChanges, SessionChanges};
 pub use ops::evaluation::{self, TrajectoryComparison};
 pub use ops::maps::{self, CloudAnswer, GridAnswer, MapFile, MapFormat, MapSummary};
 pub use ops::navigation::{self, Navigation, Plan, PlanRequest};

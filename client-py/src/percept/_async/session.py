@@ -52,6 +52,20 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         """The session as it is now."""
         return await self._transport.call(sessions.get(self.session_id))
 
+    async def update(
+        self,
+        *,
+        display_name: str | None = None,
+        labels: Mapping[str, str] | None = None,
+        params: Mapping[str, object] | None = None,
+        etag: str = "",
+    ) -> SessionInfo:
+        """Changes what is given, in force and durable when it returns: all labels, and of the parameters
+        those that are named, nested as default_params(); None puts one back to its default. What is fixed
+        with the creation is refused (FIELD_IMMUTABLE). With an `etag` (of `info()`), raises Aborted if the
+        session was changed since."""
+        return await self._transport.call(sessions.update(self.session_id, display_name, labels, params, etag))
+
     async def delete(self) -> None:
         """Deletes the session with its map and everything stored for it. It cannot be undone."""
         await self._transport.call(sessions.delete(self.session_id))
@@ -127,11 +141,12 @@ class AsyncSessions(AsyncBound):
         mode: SessionMode | str = SessionMode.MAPPING,
         sensors: Sequence[SensorSpec] = (),
         params: Mapping[str, object] | None = None,
+        labels: Mapping[str, str] | None = None,
         request_id: str | None = None,
     ) -> AsyncSession:
         """Creates a session. The same request_id gives the session of the first call; without one the call
         is unique, yet safely repeated when the server is away. `params` is nested as default_params()."""
-        call = sessions.create(session_id, display_name, mode, sensors, params, request_id)
+        call = sessions.create(session_id, display_name, mode, sensors, params, labels, request_id)
         info = await self._transport.call(call)
         return AsyncSession(self._transport, info.session_id)
 

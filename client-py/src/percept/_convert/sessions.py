@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import _rpc
 from .._call import Call, ChunkedCall, PagedCall
+from ..errors import InvalidArgument
 from ..types.sensors import SensorSpec
 from ..types.sessions import (
     Event,
@@ -49,6 +50,8 @@ def session_info(message: session_pb2.Session) -> SessionInfo:
         last_used_ns=message.last_used_ns,
         last_stamp_ns=message.last_stamp_ns if message.HasField("last_stamp_ns") else None,
         tenant=message.tenant,
+        labels=dict(message.labels),
+        etag=message.etag,
     )
 
 
@@ -112,6 +115,7 @@ def create(
     mode: SessionMode | str,
     specs: Sequence[SensorSpec],
     params: Mapping[str, object] | None,
+    labels: Mapping[str, str] | None,
     request_id: str | None,
 ) -> Call[service.CreateSessionRequest, service.CreateSessionResponse, SessionInfo]:
     request = service.CreateSessionRequest(
@@ -120,10 +124,37 @@ def create(
         mode=words.number("mode", session_pb2.SessionMode, mode),
         sensors=[sensors.spec_to(s) for s in specs],
         params=words.message_of("params", params_pb2.PipelineParams, params),
+        labels=labels,
         # Of our own making if need be, so that the call can be repeated when the answer got lost.
         request_id=uuid.uuid4().hex if request_id is None else request_id,
     )
     return Call(_rpc.CREATE_SESSION, request, lambda a: session_info(a.session))
+
+
+def update(
+    session_id: str,
+    display_name: str | None,
+    labels: Mapping[str, str] | None,
+    params: Mapping[str, object] | None,
+    etag: str,
+) -> Call[service.UpdateSessionRequest, service.UpdateSessionResponse, SessionInfo]:
+    request = service.UpdateSessionRequest(etag=etag)
+    changed, paths = request.session, request.update_mask.paths
+    changed.session_id = session_id
+    if display_name is not None:
+        changed.display_name = display_name
+        paths.append("display_name")
+    if labels is not None:
+        changed.labels.update(labels)
+        paths.append("labels")
+    if params is not None:
+        given, named = words.set_leaves(params)
+        changed.params.CopyFrom(words.message_of("params", params_pb2.PipelineParams, given))
+        paths.extend(f"params.{path}" for path in named)
+    if not paths:
+        message = "nothing is to change; give display_name, labels or params"
+        raise InvalidArgument(message, reason="FIELD_MISSING", field="update_mask")
+    return Call(_rpc.UPDATE_SESSION, request, lambda a: session_info(a.session))
 
 
 def get(

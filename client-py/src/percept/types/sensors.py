@@ -95,6 +95,8 @@ class SensorStatus(Value):
     troubles: tuple[StreamTrouble, ...]
     #: Verdict and troubles in words, for an operator.
     verdict_message: str
+    #: Names this state of `spec`, for `sensors.update`.
+    etag: str
     #: Seconds by which its stamps are late behind the pose sensor's, beyond time_offset_s; None until known.
     clock_offset_s: float | None
 

@@ -185,6 +185,10 @@ class SessionInfo(Value):
     last_stamp_ns: int | None
     #: Whose it is.
     tenant: str
+    #: For programs; lists are filtered by them.
+    labels: Mapping[str, str]
+    #: Names this state of what callers set, for `update`; frames do not change it.
+    etag: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -666,6 +666,7 @@ class SensorStatus(_message.Message):
     CLOCK_OFFSET_S_FIELD_NUMBER: _builtins.int
     TROUBLES_FIELD_NUMBER: _builtins.int
     VERDICT_MESSAGE_FIELD_NUMBER: _builtins.int
+    ETAG_FIELD_NUMBER: _builtins.int
     accepted: _builtins.int
     """Frames accepted since the session was created."""
     rejected: _builtins.int
@@ -685,6 +686,8 @@ class SensorStatus(_message.Message):
     """
     verdict_message: _builtins.str
     """The verdict with all troubles in words, for an operator."""
+    etag: _builtins.str
+    """Names this state of `spec`, for UpdateSensor. Opaque."""
     @_builtins.property
     def spec(self) -> Global___SensorSpec: ...
     @_builtins.property
@@ -705,10 +708,11 @@ class SensorStatus(_message.Message):
         clock_offset_s: _builtins.float | None = ...,
         troubles: _abc.Iterable[Global___StreamTrouble] | None = ...,
         verdict_message: _builtins.str = ...,
+        etag: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "clock_offset_s", b"clock_offset_s", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "spec", b"spec"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "accepted", b"accepted", "clock_offset_s", b"clock_offset_s", "dropped", b"dropped", "gaps", b"gaps", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "rejected", b"rejected", "spec", b"spec", "troubles", b"troubles", "verdict", b"verdict", "verdict_message", b"verdict_message"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "accepted", b"accepted", "clock_offset_s", b"clock_offset_s", "dropped", b"dropped", "etag", b"etag", "gaps", b"gaps", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "rejected", b"rejected", "spec", b"spec", "troubles", b"troubles", "verdict", b"verdict", "verdict_message", b"verdict_message"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__clock_offset_s: _TypeAlias = _typing.Literal["clock_offset_s"]  # noqa: Y015
     _WhichOneofArgType__clock_offset_s: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s"]  # noqa: Y015

@@ -196,7 +196,7 @@ mod tests {
             for rpc in service.methods() {
                 let operation = format!("{}/{}", service.name(), rpc.name());
                 let rule = rule(&operation).unwrap_or_else(|| panic!("no rule for {operation}"));
-                let fields = ["session_id", "source", "message"];
+                let fields = ["session_id", "source", "message", "session"];
                 // A toolbox's source is a cloud.
                 let of_a_session = service.name() != "ToolboxService"
                     && fields.iter().any(|f| rpc.input().get_field_by_name(f).is_some());

@@ -5,8 +5,8 @@ use super::audit::Act;
 use crate::ops::toolbox::Toolbox;
 use crate::{
     CloudAnswer, EventLog, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved, Navigation, NewSession,
-    Page, Pending, Plan, PlanRequest, Processed, Result, SensorDeclaration, SensorStatus, Session, SessionDescription,
-    SessionState, SessionView, TrajectoryComparison, Vetoed, check_id,
+    Page, Pending, Plan, PlanRequest, Processed, Result, SensorChanges, SensorDeclaration, SensorStatus, Session,
+    SessionChanges, SessionDescription, SessionState, SessionView, TrajectoryComparison, Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{
@@ -102,6 +102,19 @@ impl Caller {
         Ok(self.service.list_sessions(size, token, is_wanted).await)
     }
 
+    /// Changes what callers set of a session, durably.
+    ///
+    /// # Errors
+    /// As [`crate::Service::update_session`].
+    pub async fn update_session(&self, id: &str, etag: &str, changes: &SessionChanges) -> Result<SessionDescription> {
+        const NAME: &str = "SessionsService/UpdateSession";
+        self.may_with(NAME, id).await?;
+        let act = Act::begin(&self.context, NAME, id);
+        let changed = self.service.update_session(id, etag, changes).await;
+        act.end(&changed);
+        changed
+    }
+
     /// Keyframes that the map is made of, by number.
     ///
     /// # Errors
@@ -147,6 +160,34 @@ impl Caller {
         let declared = self.service.declare_sensor(session, declaration).await;
         act.end(&declared);
         declared
+    }
+
+    /// Changes the declaration of a sensor, durably.
+    ///
+    /// # Errors
+    /// As [`crate::Service::update_sensor`].
+    pub async fn update_sensor(
+        &self,
+        session: &str,
+        sensor: &SensorId,
+        etag: &str,
+        changes: &SensorChanges,
+    ) -> Result<SensorStatus> {
+        const NAME: &str = "SensorsService/UpdateSensor";
+        self.may_with(NAME, session).await?;
+        let act = Act::begin(&self.context, NAME, session);
+        let changed = self.service.update_sensor(session, sensor, etag, changes).await;
+        act.end(&changed);
+        changed
+    }
+
+    /// Health of one sensor of a session, without waking it.
+    ///
+    /// # Errors
+    /// `SENSOR_NOT_FOUND`, `SESSION_NOT_FOUND`; faults of the storage.
+    pub async fn sensor(&self, session: &str, sensor: &SensorId) -> Result<SensorStatus> {
+        self.may_with("SensorsService/GetSensor", session).await?;
+        self.service.sensor(session, sensor).await
     }
 
     /// Takes one frame and answers when it was processed and is durable.

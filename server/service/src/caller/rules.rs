@@ -47,6 +47,7 @@ pub static RULES: &[Rule] = &[
     audited(session("SessionsService/CreateSession", Write)),
     session("SessionsService/GetSession", Read),
     nothing("SessionsService/ListSessions", Read),
+    audited(session("SessionsService/UpdateSession", Write)),
     audited(session("SessionsService/DeleteSession", Admin)),
     session("SessionsService/GetPose", Read),
     session("SessionsService/GetTrajectory", Read),
@@ -55,7 +56,9 @@ pub static RULES: &[Rule] = &[
     nothing("SessionsService/GetDefaultParams", Read),
 
     audited(session("SensorsService/DeclareSensor", Write)),
+    session("SensorsService/GetSensor", Read),
     session("SensorsService/ListSensors", Read),
+    audited(session("SensorsService/UpdateSensor", Write)),
     session("SensorsService/StreamFrames", Write),
     session("SensorsService/SendFrame", Write),
     nothing("SensorsService/SyncTime", Read),

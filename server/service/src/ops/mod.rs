@@ -1,5 +1,6 @@
 //! The operations, one file a noun. A door decodes, calls one of these, encodes.
 
+pub(crate) mod changes;
 pub mod evaluation;
 pub mod maps;
 pub mod navigation;

@@ -93,6 +93,17 @@ impl Service {
         Ok(sensors.into_iter().map(|declaration| SensorStatus::unseen(declaration, None)).collect())
     }
 
+    /// Health of one sensor of a session, without waking it.
+    ///
+    /// # Errors
+    /// `SENSOR_NOT_FOUND`, `SESSION_NOT_FOUND`; faults of the storage.
+    pub async fn sensor(&self, session: &str, sensor: &SensorId) -> Result<SensorStatus> {
+        check_id("sensor_id", &sensor.0)?;
+        let mut sensors = self.list_sensors(session).await?.into_iter();
+        let found = sensors.find(|status| status.declaration.spec.id == *sensor);
+        found.ok_or_else(|| crate::session::refusal::sensor_not_found(sensor))
+    }
+
     /// The server's clock, nanoseconds since the Unix epoch.
     pub fn clock_ns(&self) -> i64 {
         super::sessions::now_ns()

@@ -1,8 +1,10 @@
 //! Create, find, list, delete sessions.
 
+use super::changes::{check_display_name, check_labels};
 use crate::session::meta::{SensorDeclaration, SessionMeta, SessionMode};
 use crate::{Error, EventLog, Result, Service, Session, SessionState, SessionView, check_id};
 use percept_pipeline::{KeyframeInfo, PipelineParams};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// What a session is created with.
@@ -12,6 +14,8 @@ pub struct NewSession {
     pub id: Option<String>,
     /// For people.
     pub display_name: String,
+    /// For programs.
+    pub labels: BTreeMap<String, String>,
     /// What it does with frames.
     pub mode: SessionMode,
     /// Sensors known already.
@@ -98,15 +102,19 @@ impl Service {
             return Err(Error::invalid("SENSOR_DECLARED_TWICE", "sensors", message));
         }
         new.params.validate().map_err(|e| super::params_error(&e))?;
+        check_display_name(&new.display_name)?;
+        check_labels(&new.labels)?;
         let meta = SessionMeta {
             id,
             tenant: tenant.to_owned(),
             display_name: new.display_name,
+            labels: new.labels,
             mode: new.mode,
             create_time_ns: now_ns(),
             request_id: new.request_id,
             params: new.params,
             sensors,
+            revision: 0,
         };
         self.registry.create(meta).await
     }

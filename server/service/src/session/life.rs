@@ -300,10 +300,12 @@ impl Registry {
     }
 
     /// Notes what a session has gathered, for the time when it sleeps.
-    fn note(&self, slot: &Slot, session: &Session) {
+    pub(super) fn note(&self, slot: &Slot, session: &Session) {
         let (meta, counts) = (session.meta(), counts(session));
         slot.update_known(|known| {
             known.display_name = meta.display_name;
+            known.labels = meta.labels;
+            known.revision = meta.revision;
             known.counts = Some(counts);
         });
     }
@@ -311,6 +313,7 @@ impl Registry {
     /// Notes it durably; a failure costs no more than older figures in a list.
     pub(super) async fn write_summary(&self, slot: &Slot, session: &Session) {
         let Some(place) = slot.place.get() else { return };
+        let _newest_last = slot.noting.lock().await;
         let written: Result<()> = async {
             let summary = SummaryRecord { meta: MetaRecord::of(&session.meta())?, counts: counts(session) };
             self.root.set_summary(place, json(&summary)?).await.map_err(|e| store_error(&e))

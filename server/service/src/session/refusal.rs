@@ -48,7 +48,7 @@ pub(super) fn check_stamp(stamp: Timestamp) -> crate::Result<()> {
     Err(Error::invalid("STAMP_IMPLAUSIBLE", "stamp_ns", words))
 }
 
-pub(super) fn sensor_not_found(id: &SensorId) -> Error {
+pub(crate) fn sensor_not_found(id: &SensorId) -> Error {
     Error::not_found(
         "SENSOR_NOT_FOUND",
         "sensor_id",

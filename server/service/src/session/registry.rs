@@ -50,6 +50,10 @@ pub struct SessionView {
     pub tenant: String,
     /// For people.
     pub display_name: String,
+    /// For programs.
+    pub labels: BTreeMap<String, String>,
+    /// Names the state of what callers set.
+    pub etag: String,
     /// What it does with frames.
     pub mode: SessionMode,
     /// Server's clock, nanoseconds since the Unix epoch.
@@ -257,6 +261,8 @@ impl Registry {
             known.counts = Some(noted.as_ref().map(|n| n.counts).unwrap_or_default());
             if let Some(noted) = noted {
                 known.display_name = noted.meta.display_name;
+                known.labels = noted.meta.labels;
+                known.revision = noted.meta.revision;
             }
         });
     }
@@ -308,6 +314,8 @@ impl Registry {
         let known = Known {
             tenant: meta.tenant.clone(),
             display_name: meta.display_name.clone(),
+            labels: meta.labels.clone(),
+            revision: meta.revision,
             request_id: meta.request_id.clone(),
             create_time_ns: meta.create_time_ns,
             is_ingest_only: meta.mode == SessionMode::IngestOnly,
@@ -341,12 +349,10 @@ impl Registry {
                 return Ok(None);
             }
             if known.as_ref().is_some_and(|s| s.last_stamp.is_some()) {
-                let message = format!(
-                    "sensor_id {:?} has sent frames already; declare the changed sensor under another name",
-                    spec.id.0
-                );
-                let error = Error::new(ErrorCode::FailedPrecondition, "SENSOR_IN_USE", message);
-                return Err(Error { field: "sensor_id".to_owned(), ..error });
+                return Err(Error {
+                    field: "sensor_id".to_owned(),
+                    ..crate::ops::changes::in_use(&spec.id, "declaration")
+                });
             }
             if known.is_none() && meta.sensors.len() >= limit {
                 let message = format!("a session has at most {limit} sensors");
@@ -374,9 +380,14 @@ impl Registry {
             async move { session.change(|meta| change(&session, meta)).await.map(|()| session) }
         });
         let session = session.await?;
+        // What lists and sleeping sessions say is this from now on, also after a restart.
         if let Ok(slot) = self.find(id) {
             let (this, session) = (Arc::clone(self), Arc::clone(&session));
-            tokio::spawn(async move { this.write_summary(&slot, &session).await });
+            let noted = tokio::spawn(async move {
+                this.note(&slot, &session);
+                this.write_summary(&slot, &session).await;
+            });
+            let _ = noted.await;
         }
         Ok(session)
     }
@@ -477,7 +488,8 @@ impl Known {
     fn nothing() -> Self {
         let tenant = super::meta::DEFAULT_TENANT.to_owned();
         let (display_name, request_id) = (String::new(), String::new());
-        Self { tenant, display_name, request_id, create_time_ns: 0, is_ingest_only: false, counts: None }
+        let (labels, revision, create_time_ns) = (BTreeMap::new(), 0, 0);
+        Self { tenant, display_name, labels, revision, request_id, create_time_ns, is_ingest_only: false, counts: None }
     }
 }
 
@@ -485,6 +497,8 @@ fn known(record: &MetaRecord) -> Known {
     Known {
         tenant: record.tenant.clone(),
         display_name: record.display_name.clone(),
+        labels: record.labels.clone(),
+        revision: record.revision,
         request_id: record.request_id.clone(),
         create_time_ns: record.create_time_ns,
         is_ingest_only: record.mode == SessionMode::IngestOnly,
@@ -501,11 +515,16 @@ fn view(slot: &Slot) -> SessionView {
         _ => None,
     };
     let counts = live.as_ref().map(|session| super::life::counts(session)).or(known.counts).unwrap_or_default();
-    let display_name = live.as_ref().map_or(known.display_name, |session| session.meta().display_name);
+    let (display_name, labels, revision) = match live.as_ref().map(|session| session.meta()) {
+        Some(meta) => (meta.display_name, meta.labels, meta.revision),
+        None => (known.display_name, known.labels, known.revision),
+    };
     SessionView {
         id: slot.id.clone(),
         tenant: known.tenant,
         display_name,
+        labels,
+        etag: super::meta::etag(known.create_time_ns, revision),
         mode: if known.is_ingest_only { SessionMode::IngestOnly } else { SessionMode::Mapping },
         create_time_ns: known.create_time_ns,
         state: phase.state(),

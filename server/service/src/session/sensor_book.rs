@@ -81,6 +81,14 @@ impl SensorBook {
         self.entries.insert(id, Entry { status, stamps: VecDeque::new(), tickets, last_sequence: 0 });
     }
 
+    /// Changes the declaration of a sensor that goes on: what was counted stays.
+    pub(crate) fn redeclare(&mut self, declaration: SensorDeclaration) {
+        match self.entries.get_mut(&declaration.spec.id).filter(|e| e.status.last_stamp.is_some()) {
+            Some(entry) => entry.status.declaration = declaration,
+            None => self.declare(declaration, None),
+        }
+    }
+
     pub(crate) fn get(&self, id: &SensorId) -> Option<&SensorStatus> {
         self.entries.get(id).map(|e| &e.status)
     }

@@ -9,6 +9,7 @@ pub mod sensors;
 pub mod server;
 pub mod sessions;
 pub mod toolbox;
+pub mod updates;
 
 use percept_service::{Error, Result};
 

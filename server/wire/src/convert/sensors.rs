@@ -112,12 +112,19 @@ pub fn declaration(s: &v1::SensorSpec) -> Result<SensorDeclaration> {
         required("intrinsics", spec.intrinsics.as_ref())?;
     }
     spec.validate()?;
-    let overload = match v1::OverloadPolicy::try_from(s.overload_policy) {
-        Ok(v1::OverloadPolicy::Block) => OverloadPolicy::Block,
-        Ok(_) => OverloadPolicy::DropOldest,
-        Err(_) => return Err(super::unknown_enum("overload_policy", s.overload_policy)),
-    };
-    Ok(SensorDeclaration { spec, overload })
+    Ok(SensorDeclaration { spec, overload: overload(s.overload_policy)? })
+}
+
+/// What happens to frames that come too fast.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`.
+pub fn overload(value: i32) -> Result<OverloadPolicy> {
+    match v1::OverloadPolicy::try_from(value) {
+        Ok(v1::OverloadPolicy::Block) => Ok(OverloadPolicy::Block),
+        Ok(_) => Ok(OverloadPolicy::DropOldest),
+        Err(_) => Err(super::unknown_enum("overload_policy", value)),
+    }
 }
 
 /// A sensor's declaration as a message.
@@ -150,6 +157,7 @@ pub fn status_to(s: &SensorStatus) -> v1::SensorStatus {
         verdict_message: s.verdict().to_string(),
         troubles: s.verdict().troubles().iter().map(trouble_to).collect(),
         clock_offset_s: s.clock_offset_s,
+        etag: s.declaration.etag(),
     }
 }
 

@@ -25,6 +25,7 @@ pub fn new_session(r: &v1::CreateSessionRequest, defaults: &PipelineParams) -> R
     Ok(NewSession {
         id: r.session_id.clone(),
         display_name: r.display_name.clone(),
+        labels: r.labels.clone().into_iter().collect(),
         mode,
         sensors: r.sensors.iter().enumerate().map(declare).collect::<Result<_>>()?,
         params: params::pipeline(r.params.as_ref(), defaults)?,
@@ -63,6 +64,8 @@ pub fn view_to(s: &SessionView) -> v1::Session {
         last_used_ns: s.last_used_ns,
         last_stamp_ns: Some(s.counts.last_stamp_ns).filter(|stamp| *stamp != 0),
         tenant: s.tenant.clone(),
+        labels: s.labels.clone().into_iter().collect(),
+        etag: s.etag.clone(),
     }
 }
 

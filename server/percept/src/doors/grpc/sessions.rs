@@ -2,7 +2,8 @@
 
 use super::{Answer, Api, Streamed, peer_of, status, streamed};
 use percept_service::{Error, ErrorCode, observe};
-use percept_wire::{convert::sessions, params, v1};
+use percept_wire::convert::{sessions, updates};
+use percept_wire::{params, v1};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response};
 
@@ -45,6 +46,14 @@ impl v1::sessions_service_server::SessionsService for Api {
         let page = caller.list_sessions(state, r.page_size, &r.page_token).await.map_err(status::grpc)?;
         let sessions = page.items.iter().map(sessions::view_to).collect();
         Ok(Response::new(v1::ListSessionsResponse { sessions, next_page_token: page.next_page_token }))
+    }
+
+    async fn update_session(&self, r: Request<v1::UpdateSessionRequest>) -> Answer<v1::UpdateSessionResponse> {
+        let caller = self.caller(&r)?;
+        let update = updates::session(r.get_ref()).map_err(status::grpc)?;
+        let changed = caller.update_session(&update.id, &update.etag, &update.changes).await.map_err(status::grpc)?;
+        let session = Some(sessions::description_to(&changed).map_err(status::grpc)?);
+        Ok(Response::new(v1::UpdateSessionResponse { session }))
     }
 
     async fn delete_session(&self, r: Request<v1::DeleteSessionRequest>) -> Answer<v1::DeleteSessionResponse> {

@@ -59,6 +59,24 @@ pub(super) fn from_query(message: MessageDescriptor, uri: &Uri, allowed: &[Strin
     Ok(request)
 }
 
+/// The paths of a mask, `name` of the query, with commas between them. Nothing else may be in the query.
+///
+/// # Errors
+/// `QUERY_INVALID`.
+pub(super) fn mask(uri: &Uri, name: &str) -> Result<Option<Vec<String>>, Refused> {
+    let pairs = pairs(uri)?;
+    if let Some((other, _)) = pairs.iter().find(|(n, _)| n != name) {
+        let message = format!("{other} is not a parameter of this request; there are: {name}");
+        return Err(Error::invalid("QUERY_INVALID", other.as_str(), message).into());
+    }
+    if pairs.len() > 1 {
+        let message = format!("{name} is given twice; give it once, with commas between the paths");
+        return Err(Error::invalid("QUERY_INVALID", name, message).into());
+    }
+    let paths = pairs.first().map(|(_, text)| text.split(',').map(|path| path.trim().to_owned()).collect());
+    Ok(paths)
+}
+
 /// The word that the query gives for the form of the answer.
 pub(super) fn form(uri: &Uri) -> Result<Option<String>, Refused> {
     Ok(pairs(uri)?.into_iter().find(|(name, _)| name == FORM).map(|(_, text)| text))

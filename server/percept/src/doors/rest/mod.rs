@@ -12,6 +12,7 @@ mod files;
 mod hosts;
 mod openapi;
 mod pages;
+mod patch;
 mod range;
 mod refused;
 mod routes;
@@ -91,6 +92,7 @@ const fn filter(verb: Verb) -> MethodFilter {
     match verb {
         Verb::Get => MethodFilter::GET,
         Verb::Post => MethodFilter::POST,
+        Verb::Patch => MethodFilter::PATCH,
         Verb::Delete => MethodFilter::DELETE,
     }
 }
@@ -113,6 +115,11 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
             is_large = transcode::is_large(&bytes);
             transcode::decode(input, format, bytes).await?
         }
+        Verb::Patch => {
+            let format = transcode::content_format(&parts.headers)?;
+            let bytes = body::read(body, &parts.headers, api.service.limits()).await?;
+            patch::request(input, route.route.body, format, bytes, &parts).await?
+        }
         Verb::Get | Verb::Delete => fields::from_query(input, &parts.uri, &route.route.query_fields(&route.rpc))?,
     };
     let names = path_parameters(&mut parts).await?;
@@ -125,6 +132,13 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
         Kind::Message(call) => {
             let output = call(api, context, request).await?;
             transcode::encode(route.rpc.output(), &parts.headers, output).await
+        }
+        Kind::Tagged(call, tag) => {
+            let output = call(api, context, request).await?;
+            let tag = tag(&output);
+            let mut response = transcode::encode(route.rpc.output(), &parts.headers, output).await?;
+            patch::tell_tag(&mut response, tag.as_deref());
+            Ok(response)
         }
         Kind::SceneGraph(call) => {
             if routes::wants_dot(&parts)? {

@@ -4,6 +4,7 @@ use super::comments::Comments;
 use super::fields;
 use super::files::FILES;
 use super::pages::PAGES;
+use super::patch::MASK;
 use super::routes::{Bound, Kind as Answer, Verb};
 use percept_service::caller::rules::{About, rule};
 use percept_wire::json;
@@ -96,6 +97,24 @@ fn operation(bound: &Bound, comments: &Comments) -> Value {
             },
         });
     }
+    if route.verb == Verb::Patch {
+        let resource = rpc.input().get_field_by_name(route.body).map(|f| f.kind());
+        let name = resource.as_ref().and_then(Kind::as_message).map(|m| m.name().to_owned()).unwrap_or_default();
+        out["requestBody"] = json!({
+            "required": true,
+            "description": format!("What changes. The path fills {}.", route.fill.iter().map(|f| f.1).collect::<Vec<_>>().join(", ")),
+            "content": {
+                "application/json": {"schema": reference(&name)},
+                "application/x-protobuf": {"schema": {"type": "string", "format": "binary"}},
+            },
+        });
+        out["responses"]["412"] = json!({"$ref": "#/components/responses/Problem"});
+    }
+    if matches!(route.kind, Answer::Tagged(..)) {
+        out["responses"]["200"]["headers"] = json!({"ETag": {
+            "schema": {"type": "string"}, "description": "The etag of what is in the answer: callers' settings, not what frames do.",
+        }});
+    }
     if matches!(route.kind, Answer::File) {
         out["responses"]["206"] = json!({"description": "The part that Range asked for."});
         out["responses"]["304"] = json!({"description": "If-None-Match holds the file's ETag."});
@@ -118,7 +137,7 @@ fn answer(bound: &Bound) -> Value {
             "description": "All messages of the stream, joined into one.",
             "content": {"application/json": json, "application/x-protobuf": binary},
         }),
-        Answer::Message(_) => json!({
+        Answer::Message(_) | Answer::Tagged(..) => json!({
             "description": "The answer.",
             "content": {"application/json": json, "application/x-protobuf": binary},
         }),
@@ -171,6 +190,13 @@ fn parameters(bound: &Bound, comments: &Comments) -> Vec<Value> {
             }),
         });
     }
+    if bound.route.verb == Verb::Patch {
+        let words = "Paths of the fields that change, with commas between them, e.g. display_name,params.planning. What is named \
+            and not in the body becomes empty, a parameter its default. Absent: what the body sets.";
+        out.push(json!({"name": MASK, "in": "query", "required": false, "description": words, "schema": {"type": "string"}}));
+        let words = "The ETag that was seen: refused with 412 if it is another one by now.";
+        out.push(json!({"name": "If-Match", "in": "header", "required": false, "description": words, "schema": {"type": "string"}}));
+    }
     if matches!(bound.route.kind, Answer::Events) {
         let words = "Token of the last event seen; goes before resume_token.";
         out.push(json!({"name": "Last-Event-ID", "in": "header", "required": false, "description": words, "schema": {"type": "string"}}));
@@ -201,6 +227,7 @@ fn schemas(comments: &Comments) -> Value {
     let mut all: Map<String, Value> = messages.map(|m| (m.name().to_owned(), message(&m, comments))).collect();
     all.extend(enums.map(|e| (e.name().to_owned(), enumeration(&e, comments))));
     all.insert("Problem".to_owned(), problem());
+    all.insert("FieldMask".to_owned(), json!({"type": "string", "description": "Paths with commas between them."}));
     Value::Object(all)
 }
 
