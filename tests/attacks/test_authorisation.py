@@ -29,6 +29,7 @@ RULES = {
     "SessionsService/UpdateSession": (WRITE, True),
     "SessionsService/DeleteSession": (ADMIN, True),
     "SessionsService/GetPose": (READ, True),
+    "SessionsService/LookupTransform": (READ, True),
     "SessionsService/GetTrajectory": (READ, True),
     "SessionsService/ListKeyframes": (READ, True),
     "SessionsService/WatchSession": (READ, True),

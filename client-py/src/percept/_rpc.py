@@ -52,6 +52,9 @@ UPDATE_SESSION = Rpc(
     _S, "UpdateSession", sessions.UpdateSessionRequest, sessions.UpdateSessionResponse, repeatable=False
 )
 GET_POSE = Rpc(_S, "GetPose", sessions.GetPoseRequest, sessions.GetPoseResponse)
+LOOKUP_TRANSFORM = Rpc(
+    _S, "LookupTransform", sessions.LookupTransformRequest, sessions.LookupTransformResponse
+)
 GET_TRAJECTORY = Rpc(_S, "GetTrajectory", sessions.GetTrajectoryRequest, sessions.GetTrajectoryResponse)
 LIST_KEYFRAMES = Rpc(_S, "ListKeyframes", sessions.ListKeyframesRequest, sessions.ListKeyframesResponse)
 WATCH_SESSION = Rpc(_S, "WatchSession", sessions.WatchSessionRequest, sessions.WatchSessionResponse)

@@ -29,6 +29,7 @@ pub use ops::pictures;
 pub use ops::server::{About, ServerInfo};
 pub use ops::sessions::{NewSession, Page, SessionDescription};
 pub use ops::toolbox;
+pub use ops::transforms::{Moving, TrajectoryRequest, Transform};
 pub use session::events::{Event, EventKind, EventLog};
 pub use session::fault::Fault;
 pub use session::handle::{Moved, Pending, Processed, Session, Ticket, Vetoed};

@@ -15,6 +15,7 @@ from ..types.sessions import (
     Event,
     Keyframe,
     MapChanged,
+    PoseAt,
     PoseEstimate,
     Resync,
     Scale,
@@ -25,6 +26,7 @@ from ..types.sessions import (
     SessionState,
     TrackingState,
     Trajectory,
+    Transform,
 )
 from ..v1 import error_pb2, params_pb2, session_pb2
 from ..v1 import sessions_service_pb2 as service
@@ -83,6 +85,7 @@ def trajectory(chunks: Sequence[service.GetTrajectoryResponse]) -> Trajectory:
         scales=tuple(words.word(Scale, session_pb2.Scale, p.scale) for p in entries),
         keyframe_ids=tuple(p.keyframe_id if p.HasField("keyframe_id") else None for p in entries),
         map_version=chunks[-1].map_version if chunks else 0,
+        next_page_token=chunks[-1].next_page_token if chunks else "",
     )
 
 
@@ -186,10 +189,39 @@ def pose(
     return Call(_rpc.GET_POSE, request, lambda a: poses.pose_estimate(a.pose) if a.HasField("pose") else None)
 
 
+def pose_at(
+    session_id: str, at_ns: int
+) -> Call[service.GetPoseRequest, service.GetPoseResponse, PoseAt]:
+    request = service.GetPoseRequest(session_id=session_id, at_ns=at_ns)
+    return Call(_rpc.GET_POSE, request, lambda a: poses.pose_at(a.pose_at))
+
+
+def transform(
+    session_id: str, target_frame: str, source_frame: str, at_ns: int | None
+) -> Call[service.LookupTransformRequest, service.LookupTransformResponse, Transform]:
+    request = service.LookupTransformRequest(
+        session_id=session_id, target_frame=target_frame, source_frame=source_frame, at_ns=at_ns
+    )
+    return Call(_rpc.LOOKUP_TRANSFORM, request, lambda a: poses.transform(a.transform))
+
+
 def get_trajectory(
     session_id: str,
+    from_ns: int | None,
+    to_ns: int | None,
+    max_poses: int,
+    page_size: int,
+    page_token: str,
 ) -> ChunkedCall[service.GetTrajectoryRequest, service.GetTrajectoryResponse, Trajectory]:
-    return ChunkedCall(_rpc.GET_TRAJECTORY, service.GetTrajectoryRequest(session_id=session_id), trajectory)
+    request = service.GetTrajectoryRequest(
+        session_id=session_id,
+        from_ns=from_ns,
+        to_ns=to_ns,
+        max_poses=max_poses,
+        page_size=page_size,
+        page_token=page_token,
+    )
+    return ChunkedCall(_rpc.GET_TRAJECTORY, request, trajectory)
 
 
 def keyframes(

@@ -13,11 +13,13 @@ from ..types.sensors import SensorSpec
 from ..types.sessions import (
     FrameResult,
     Keyframe,
+    PoseAt,
     PoseEstimate,
     SessionInfo,
     SessionMode,
     SessionState,
     Trajectory,
+    Transform,
 )
 from .bound import Bound, SessionBound
 from .maps import Maps
@@ -106,9 +108,29 @@ class Session(SessionBound, FrameSender[FrameResult]):
         """Newest pose, None before the first frame. Lost is an answer."""
         return self._transport.call(sessions.pose(self.session_id))
 
-    def trajectory(self) -> Trajectory:
-        """The trajectory so far, corrected."""
-        return self._transport.chunks(sessions.get_trajectory(self.session_id))
+    def pose_at(self, at_ns: int) -> PoseAt:
+        """Where the robot was at a time, by the session's clock: between the two frames around it. Outside
+        of the trajectory it raises InvalidArgument (before) or FailedPrecondition (after) with the range."""
+        return self._transport.call(sessions.pose_at(self.session_id, at_ns))
+
+    def transform(self, target: str, source: str, *, at_ns: int | None = None) -> Transform:
+        """Where `source` is, seen from `target`, now or at a time: map, odom, base, or a sensor's id
+        (sensors/<id> for one of such a name)."""
+        return self._transport.call(sessions.transform(self.session_id, target, source, at_ns))
+
+    def trajectory(
+        self,
+        *,
+        from_ns: int | None = None,
+        to_ns: int | None = None,
+        max_poses: int = 0,
+        page_size: int = 0,
+        page_token: str = "",
+    ) -> Trajectory:
+        """The trajectory so far, corrected, or its frames between two times, both included. `max_poses` thins
+        them evenly, `page_size` gives some at a time: the next page starts at `next_page_token`."""
+        call = sessions.get_trajectory(self.session_id, from_ns, to_ns, max_poses, page_size, page_token)
+        return self._transport.chunks(call)
 
     def keyframes(self, *, page_size: int = 0) -> Iterator[Keyframe]:
         """Keyframes by number; pages are asked for as they are used."""

@@ -98,6 +98,7 @@ from .sessions import (
     Keyframe,
     LostReason,
     MapChanged,
+    PoseAt,
     PoseEstimate,
     Resync,
     Scale,
@@ -109,6 +110,7 @@ from .sessions import (
     SessionState,
     TrackingState,
     Trajectory,
+    Transform,
     WaitingFor,
 )
 from .shapes import (
@@ -229,6 +231,7 @@ __all__ = [
     "PnpEstimate",
     "PointCloud",
     "Pose",
+    "PoseAt",
     "PoseEstimate",
     "PosePairs",
     "PosedView",
@@ -275,6 +278,7 @@ __all__ = [
     "Trajectory",
     "TrajectoryAlignment",
     "TrajectoryMetrics",
+    "Transform",
     "TriangulatedPoints",
     "TwoViewEstimate",
     "TwoViewModel",

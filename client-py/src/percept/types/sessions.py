@@ -138,6 +138,47 @@ class PoseEstimate(Value):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PoseAt(Value):
+    """Where the robot was at a time, as the map has it now: between two frames."""
+
+    #: As asked for.
+    stamp_ns: int
+    t_map_base: Pose
+    #: Continuous, never corrected; None if the scale is unknown.
+    t_odom_base: Pose | None
+    #: Lost if one of the two frames was: the pose is a guess then.
+    state: TrackingState
+    scale: Scale
+    #: Stamp of the frame before, or at, that time.
+    before_ns: int
+    #: Stamp of the frame after, or at, that time.
+    after_ns: int
+    map_version: int
+
+    @property
+    def gap_s(self) -> float:
+        """Time between the two frames: the longer, the less is known of what lies between."""
+        return (self.after_ns - self.before_ns) / 1e9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Transform(Value):
+    """Where one frame is, seen from another."""
+
+    target_frame: str
+    source_frame: str
+    #: Source coordinates to target coordinates.
+    t_target_source: Pose
+    #: None if it holds for all times: between base and sensors.
+    stamp_ns: int | None
+    #: Lost: a guess; unspecified if it holds for all times.
+    state: TrackingState
+    #: Unspecified if it holds for all times.
+    scale: Scale
+    map_version: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FrameResult(Value):
     """What an accepted frame did."""
 
@@ -207,6 +248,8 @@ class Trajectory(Value):
     #: Unknown: in a unit of its own, and not moved by corrections.
     scales: tuple[Scale, ...]
     map_version: int
+    #: Where the next page starts; empty on the last one.
+    next_page_token: str = field(default="", repr=False)
 
     @property
     def t_map_base(self) -> Floats:

@@ -352,6 +352,109 @@ class PoseEstimate(_message.Message):
 Global___PoseEstimate: _TypeAlias = PoseEstimate  # noqa: Y015
 
 @_typing.final
+class PoseAt(_message.Message):
+    """Where the robot was at a time, as the map has it now: between two frames on the shortest screw from one to the other."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STAMP_NS_FIELD_NUMBER: _builtins.int
+    T_MAP_BASE_FIELD_NUMBER: _builtins.int
+    T_ODOM_BASE_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    SCALE_FIELD_NUMBER: _builtins.int
+    BEFORE_NS_FIELD_NUMBER: _builtins.int
+    AFTER_NS_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    stamp_ns: _builtins.int
+    """As asked for."""
+    state: Global___TrackingState.ValueType
+    """LOST if one of the two frames was: the pose is a guess then."""
+    scale: Global___Scale.ValueType
+    """UNKNOWN: in a unit of its own."""
+    before_ns: _builtins.int
+    """Stamp of the frame before, or at, that time: the sensors saw nothing between this and the next."""
+    after_ns: _builtins.int
+    """Stamp of the frame after, or at, that time."""
+    map_version: _builtins.int
+    """Version of the map that t_map_base refers to."""
+    @_builtins.property
+    def t_map_base(self) -> _geometry_pb2.Pose:
+        """Base to map, with all corrections so far."""
+
+    @_builtins.property
+    def t_odom_base(self) -> _geometry_pb2.Pose:
+        """Base to odom: continuous, never corrected. Absent if the scale is UNKNOWN."""
+
+    def __init__(
+        self,
+        *,
+        stamp_ns: _builtins.int = ...,
+        t_map_base: _geometry_pb2.Pose | None = ...,
+        t_odom_base: _geometry_pb2.Pose | None = ...,
+        state: Global___TrackingState.ValueType = ...,
+        scale: Global___Scale.ValueType = ...,
+        before_ns: _builtins.int = ...,
+        after_ns: _builtins.int = ...,
+        map_version: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["after_ns", b"after_ns", "before_ns", b"before_ns", "map_version", b"map_version", "scale", b"scale", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___PoseAt: _TypeAlias = PoseAt  # noqa: Y015
+
+@_typing.final
+class Transform(_message.Message):
+    """Where one frame is, seen from another."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TARGET_FRAME_FIELD_NUMBER: _builtins.int
+    SOURCE_FRAME_FIELD_NUMBER: _builtins.int
+    T_TARGET_SOURCE_FIELD_NUMBER: _builtins.int
+    STAMP_NS_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    SCALE_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    target_frame: _builtins.str
+    """Coordinates in `target` of what is measured in `source`."""
+    source_frame: _builtins.str
+    stamp_ns: _builtins.int
+    """Time for which it holds. Absent if it holds for all times: between base and sensors."""
+    state: Global___TrackingState.ValueType
+    """LOST: a guess. UNSPECIFIED if it holds for all times."""
+    scale: Global___Scale.ValueType
+    """UNKNOWN: lengths are in a unit of their own. UNSPECIFIED if it holds for all times."""
+    map_version: _builtins.int
+    """Version of the map that it refers to."""
+    @_builtins.property
+    def t_target_source(self) -> _geometry_pb2.Pose:
+        """t_target_source: source coordinates to target coordinates."""
+
+    def __init__(
+        self,
+        *,
+        target_frame: _builtins.str = ...,
+        source_frame: _builtins.str = ...,
+        t_target_source: _geometry_pb2.Pose | None = ...,
+        stamp_ns: _builtins.int | None = ...,
+        state: Global___TrackingState.ValueType = ...,
+        scale: Global___Scale.ValueType = ...,
+        map_version: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_stamp_ns", b"_stamp_ns", "stamp_ns", b"stamp_ns", "t_target_source", b"t_target_source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_stamp_ns", b"_stamp_ns", "map_version", b"map_version", "scale", b"scale", "source_frame", b"source_frame", "stamp_ns", b"stamp_ns", "state", b"state", "t_target_source", b"t_target_source", "target_frame", b"target_frame"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__stamp_ns: _TypeAlias = _typing.Literal["stamp_ns"]  # noqa: Y015
+    _WhichOneofArgType__stamp_ns: _TypeAlias = _typing.Literal["_stamp_ns", b"_stamp_ns"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__stamp_ns) -> _WhichOneofReturnType__stamp_ns | None: ...
+
+Global___Transform: _TypeAlias = Transform  # noqa: Y015
+
+@_typing.final
 class Session(_message.Message):
     """One robot, or fixed rig, that maps."""
 

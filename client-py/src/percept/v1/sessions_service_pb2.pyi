@@ -299,17 +299,25 @@ class GetPoseRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
+    AT_NS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    at_ns: _builtins.int
+    """Session's clock, nanoseconds. Absent: the newest. Before the first frame: STAMP_BEFORE_TRAJECTORY; after the newest:
+    STAMP_AFTER_TRAJECTORY; both say the range.
+    """
     def __init__(
         self,
         *,
         session_id: _builtins.str = ...,
+        at_ns: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["session_id", b"session_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns", "session_id", b"session_id"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__at_ns: _TypeAlias = _typing.Literal["at_ns"]  # noqa: Y015
+    _WhichOneofArgType__at_ns: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__at_ns) -> _WhichOneofReturnType__at_ns | None: ...
 
 Global___GetPoseRequest: _TypeAlias = GetPoseRequest  # noqa: Y015
 
@@ -318,41 +326,132 @@ class GetPoseResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     POSE_FIELD_NUMBER: _builtins.int
+    POSE_AT_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def pose(self) -> _session_pb2.PoseEstimate:
-        """Absent before the first frame."""
+        """Absent before the first frame, and if a time was asked for."""
+
+    @_builtins.property
+    def pose_at(self) -> _session_pb2.PoseAt:
+        """If a time was asked for."""
 
     def __init__(
         self,
         *,
         pose: _session_pb2.PoseEstimate | None = ...,
+        pose_at: _session_pb2.PoseAt | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "pose", b"pose"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "_pose_at", b"_pose_at", "pose", b"pose", "pose_at", b"pose_at"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "pose", b"pose"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "_pose_at", b"_pose_at", "pose", b"pose", "pose_at", b"pose_at"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__pose: _TypeAlias = _typing.Literal["pose"]  # noqa: Y015
     _WhichOneofArgType__pose: _TypeAlias = _typing.Literal["_pose", b"_pose"]  # noqa: Y015
+    _WhichOneofReturnType__pose_at: _TypeAlias = _typing.Literal["pose_at"]  # noqa: Y015
+    _WhichOneofArgType__pose_at: _TypeAlias = _typing.Literal["_pose_at", b"_pose_at"]  # noqa: Y015
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose) -> _WhichOneofReturnType__pose | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__pose_at) -> _WhichOneofReturnType__pose_at | None: ...
 
 Global___GetPoseResponse: _TypeAlias = GetPoseResponse  # noqa: Y015
+
+@_typing.final
+class LookupTransformRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    TARGET_FRAME_FIELD_NUMBER: _builtins.int
+    SOURCE_FRAME_FIELD_NUMBER: _builtins.int
+    AT_NS_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    target_frame: _builtins.str
+    """Where to: map, odom, base, or the id of a sensor; sensors/<id> for one that has one of these names."""
+    source_frame: _builtins.str
+    """Where from, likewise."""
+    at_ns: _builtins.int
+    """Session's clock, nanoseconds. Absent: the newest. Not asked for between base and sensors, which do not move."""
+    def __init__(
+        self,
+        *,
+        session_id: _builtins.str = ...,
+        target_frame: _builtins.str = ...,
+        source_frame: _builtins.str = ...,
+        at_ns: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns", "session_id", b"session_id", "source_frame", b"source_frame", "target_frame", b"target_frame"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__at_ns: _TypeAlias = _typing.Literal["at_ns"]  # noqa: Y015
+    _WhichOneofArgType__at_ns: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__at_ns) -> _WhichOneofReturnType__at_ns | None: ...
+
+Global___LookupTransformRequest: _TypeAlias = LookupTransformRequest  # noqa: Y015
+
+@_typing.final
+class LookupTransformResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TRANSFORM_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def transform(self) -> _session_pb2.Transform: ...
+    def __init__(
+        self,
+        *,
+        transform: _session_pb2.Transform | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["transform", b"transform"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["transform", b"transform"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___LookupTransformResponse: _TypeAlias = LookupTransformResponse  # noqa: Y015
 
 @_typing.final
 class GetTrajectoryRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
+    FROM_NS_FIELD_NUMBER: _builtins.int
+    TO_NS_FIELD_NUMBER: _builtins.int
+    MAX_POSES_FIELD_NUMBER: _builtins.int
+    PAGE_SIZE_FIELD_NUMBER: _builtins.int
+    PAGE_TOKEN_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    from_ns: _builtins.int
+    """Only frames from this time on, session's clock, nanoseconds. Absent: from the first."""
+    to_ns: _builtins.int
+    """Only frames up to this time. Absent: to the newest."""
+    max_poses: _builtins.int
+    """At most this many of those, at even distances, the first and the last among them; 0: all. At least 2. Not with page_size."""
+    page_size: _builtins.int
+    """At most this many, then a token for the next ones; 0: all."""
+    page_token: _builtins.str
+    """From the answer before. Empty: from the start."""
     def __init__(
         self,
         *,
         session_id: _builtins.str = ...,
+        from_ns: _builtins.int | None = ...,
+        to_ns: _builtins.int | None = ...,
+        max_poses: _builtins.int = ...,
+        page_size: _builtins.int = ...,
+        page_token: _builtins.str = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_from_ns", b"_from_ns", "_to_ns", b"_to_ns", "from_ns", b"from_ns", "to_ns", b"to_ns"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["session_id", b"session_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_from_ns", b"_from_ns", "_to_ns", b"_to_ns", "from_ns", b"from_ns", "max_poses", b"max_poses", "page_size", b"page_size", "page_token", b"page_token", "session_id", b"session_id", "to_ns", b"to_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__from_ns: _TypeAlias = _typing.Literal["from_ns"]  # noqa: Y015
+    _WhichOneofArgType__from_ns: _TypeAlias = _typing.Literal["_from_ns", b"_from_ns"]  # noqa: Y015
+    _WhichOneofReturnType__to_ns: _TypeAlias = _typing.Literal["to_ns"]  # noqa: Y015
+    _WhichOneofArgType__to_ns: _TypeAlias = _typing.Literal["_to_ns", b"_to_ns"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__from_ns) -> _WhichOneofReturnType__from_ns | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__to_ns) -> _WhichOneofReturnType__to_ns | None: ...
 
 Global___GetTrajectoryRequest: _TypeAlias = GetTrajectoryRequest  # noqa: Y015
 
@@ -362,8 +461,11 @@ class GetTrajectoryResponse(_message.Message):
 
     MAP_VERSION_FIELD_NUMBER: _builtins.int
     POSES_FIELD_NUMBER: _builtins.int
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _builtins.int
     map_version: _builtins.int
     """Version of the map that the poses refer to."""
+    next_page_token: _builtins.str
+    """With page_size: where the next page starts. In the last message; empty there on the last page."""
     @_builtins.property
     def poses(self) -> _containers.RepeatedCompositeFieldContainer[_session_pb2.TrajectoryPose]:
         """Next poses in order of time."""
@@ -373,10 +475,11 @@ class GetTrajectoryResponse(_message.Message):
         *,
         map_version: _builtins.int = ...,
         poses: _abc.Iterable[_session_pb2.TrajectoryPose] | None = ...,
+        next_page_token: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["map_version", b"map_version", "poses", b"poses"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["map_version", b"map_version", "next_page_token", b"next_page_token", "poses", b"poses"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

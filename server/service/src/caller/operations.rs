@@ -6,15 +6,15 @@ use crate::ops::toolbox::Toolbox;
 use crate::{
     CloudAnswer, EventLog, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved, Navigation, NewSession,
     Page, Pending, Plan, PlanRequest, Processed, Result, SensorChanges, SensorDeclaration, SensorStatus, Session,
-    SessionChanges, SessionDescription, SessionState, SessionView, TrajectoryComparison, Vetoed, check_id,
+    SessionChanges, SessionDescription, SessionState, SessionView, TrajectoryComparison, TrajectoryRequest, Transform, Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{
     DetectionScore, FoundObject, PosePair, RelationScore, TrajectoryScore, TrueObject, TrueRelation,
 };
-use percept_geometry::{ObjectClass, Pose, SensorId, Stamped};
+use percept_geometry::{ObjectClass, Pose, SensorId, Stamped, Timestamp};
 use percept_identity::Access;
-use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, Snapshot};
+use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, PoseAt, Snapshot, TrajectoryEntry};
 use percept_scene::{Object, SceneGraph};
 use std::sync::Arc;
 
@@ -100,6 +100,43 @@ impl Caller {
                 && state.is_none_or(|wanted| view.state == wanted)
         };
         Ok(self.service.list_sessions(size, token, is_wanted).await)
+    }
+
+    /// Where the robot was at a time, and the version of the map that this refers to.
+    ///
+    /// # Errors
+    /// As [`crate::Service::pose_at`].
+    pub async fn pose_at(&self, session: &str, at: Timestamp) -> Result<(PoseAt, u64)> {
+        self.may_with("SessionsService/GetPose", session).await?;
+        self.service.pose_at(session, at).await
+    }
+
+    /// Where `source` is, seen from `target`, now or at a time.
+    ///
+    /// # Errors
+    /// As [`crate::Service::lookup_transform`].
+    pub async fn lookup_transform(
+        &self,
+        session: &str,
+        target: &str,
+        source: &str,
+        at: Option<Timestamp>,
+    ) -> Result<Transform> {
+        self.may_with("SessionsService/LookupTransform", session).await?;
+        self.service.lookup_transform(session, target, source, at).await
+    }
+
+    /// A part of the trajectory, corrected, in order of time: base to map, frame; and the version of the map.
+    ///
+    /// # Errors
+    /// As [`crate::Service::trajectory`].
+    pub async fn trajectory(
+        &self,
+        session: &str,
+        request: TrajectoryRequest,
+    ) -> Result<(Page<(Pose, TrajectoryEntry)>, u64)> {
+        self.may_with("SessionsService/GetTrajectory", session).await?;
+        self.service.trajectory(session, request).await
     }
 
     /// Changes what callers set of a session, durably.

@@ -50,6 +50,7 @@ pub static RULES: &[Rule] = &[
     audited(session("SessionsService/UpdateSession", Write)),
     audited(session("SessionsService/DeleteSession", Admin)),
     session("SessionsService/GetPose", Read),
+    session("SessionsService/LookupTransform", Read),
     session("SessionsService/GetTrajectory", Read),
     session("SessionsService/ListKeyframes", Read),
     session("SessionsService/WatchSession", Read),

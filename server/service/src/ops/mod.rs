@@ -10,6 +10,7 @@ mod sensors;
 pub(crate) mod server;
 pub(crate) mod sessions;
 pub mod toolbox;
+pub(crate) mod transforms;
 
 use crate::Error;
 use percept_pipeline::ParamsError;

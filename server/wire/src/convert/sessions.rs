@@ -2,10 +2,11 @@
 
 use super::{geometry, scene, sensors};
 use crate::{params, v1};
-use percept_geometry::Pose;
-use percept_pipeline::{KeyframeInfo, PipelineParams, PoseEstimate, TrajectoryEntry};
+use percept_geometry::{Pose, Timestamp};
+use percept_pipeline::{KeyframeInfo, PipelineParams, PoseAt, PoseEstimate, TrajectoryEntry};
 use percept_service::{
     Error, Event, EventKind, NewSession, Processed, Result, SessionDescription, SessionMode, SessionState, SessionView,
+    TrajectoryRequest, Transform,
 };
 use percept_slam::{LostReason, Scale, TrackingState, Waiting};
 
@@ -136,6 +137,48 @@ pub fn pose_to(p: &PoseEstimate) -> v1::PoseEstimate {
     }
 }
 
+/// A pose at a time as a message.
+pub fn pose_at_to(p: &PoseAt, map_version: u64) -> v1::PoseAt {
+    v1::PoseAt {
+        stamp_ns: p.stamp.nanos(),
+        t_map_base: Some(geometry::pose_to(&p.t_map_base)),
+        t_odom_base: p.t_odom_base.as_ref().map(geometry::pose_to),
+        state: tracked_to(p.is_tracked).into(),
+        scale: scale_to(p.is_metric).into(),
+        before_ns: p.before.nanos(),
+        after_ns: p.after.nanos(),
+        map_version,
+    }
+}
+
+/// A transform as a message.
+pub fn transform_to(r: &v1::LookupTransformRequest, t: &Transform) -> v1::Transform {
+    v1::Transform {
+        target_frame: r.target_frame.clone(),
+        source_frame: r.source_frame.clone(),
+        t_target_source: Some(geometry::pose_to(&t.t_target_source)),
+        stamp_ns: t.moving.map(|m| m.stamp.nanos()),
+        state: t.moving.map_or(v1::TrackingState::Unspecified, |m| tracked_to(m.is_tracked)).into(),
+        scale: t.moving.map_or(v1::Scale::Unspecified, |m| scale_to(m.is_metric)).into(),
+        map_version: t.map_version,
+    }
+}
+
+fn tracked_to(is_tracked: bool) -> v1::TrackingState {
+    if is_tracked { v1::TrackingState::Tracking } else { v1::TrackingState::Lost }
+}
+
+/// Which part of a trajectory is asked for.
+pub fn trajectory_request(r: &v1::GetTrajectoryRequest) -> TrajectoryRequest {
+    TrajectoryRequest {
+        from: r.from_ns.map(Timestamp),
+        to: r.to_ns.map(Timestamp),
+        max_poses: r.max_poses,
+        page_size: r.page_size,
+        page_token: r.page_token.clone(),
+    }
+}
+
 fn lost_reason_to(reason: LostReason) -> v1::LostReason {
     use v1::LostReason as R;
     match reason {
@@ -188,11 +231,10 @@ pub fn keyframe_to(k: &KeyframeInfo) -> v1::Keyframe {
 
 /// A pose of the trajectory as a message.
 pub fn trajectory_pose_to(t_map_base: &Pose, entry: &TrajectoryEntry) -> v1::TrajectoryPose {
-    let state = if entry.tracked { v1::TrackingState::Tracking } else { v1::TrackingState::Lost };
     v1::TrajectoryPose {
         stamp_ns: entry.stamp.nanos(),
         t_map_base: Some(geometry::pose_to(t_map_base)),
-        state: state.into(),
+        state: tracked_to(entry.tracked).into(),
         keyframe_id: entry.anchor.filter(|_| entry.is_keyframe).map(|k| k.0),
         scale: scale_to(entry.anchor.is_some()).into(),
     }

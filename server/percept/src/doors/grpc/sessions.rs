@@ -1,6 +1,8 @@
 //! `SessionsService`.
 
 use super::{Answer, Api, Streamed, peer_of, status, streamed};
+use percept_geometry::{Pose, Timestamp};
+use percept_pipeline::TrajectoryEntry;
 use percept_service::{Error, ErrorCode, observe};
 use percept_wire::convert::{sessions, updates};
 use percept_wire::{params, v1};
@@ -64,27 +66,50 @@ impl v1::sessions_service_server::SessionsService for Api {
 
     async fn get_pose(&self, r: Request<v1::GetPoseRequest>) -> Answer<v1::GetPoseResponse> {
         let caller = self.caller(&r)?;
-        let snapshot =
-            caller.snapshot("SessionsService/GetPose", &r.get_ref().session_id).await.map_err(status::grpc)?;
-        Ok(Response::new(v1::GetPoseResponse { pose: snapshot.pose.as_ref().map(sessions::pose_to) }))
+        let r = r.get_ref();
+        if let Some(at_ns) = r.at_ns {
+            let (pose, map_version) = caller.pose_at(&r.session_id, Timestamp(at_ns)).await.map_err(status::grpc)?;
+            let pose_at = Some(sessions::pose_at_to(&pose, map_version));
+            return Ok(Response::new(v1::GetPoseResponse { pose: None, pose_at }));
+        }
+        let snapshot = caller.snapshot("SessionsService/GetPose", &r.session_id).await.map_err(status::grpc)?;
+        let pose = snapshot.pose.as_ref().map(sessions::pose_to);
+        Ok(Response::new(v1::GetPoseResponse { pose, pose_at: None }))
+    }
+
+    async fn lookup_transform(&self, r: Request<v1::LookupTransformRequest>) -> Answer<v1::LookupTransformResponse> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        let at = r.at_ns.map(Timestamp);
+        let found = caller.lookup_transform(&r.session_id, &r.target_frame, &r.source_frame, at).await;
+        let transform = Some(sessions::transform_to(r, &found.map_err(status::grpc)?));
+        Ok(Response::new(v1::LookupTransformResponse { transform }))
     }
 
     async fn get_trajectory(&self, r: Request<v1::GetTrajectoryRequest>) -> Answer<Self::GetTrajectoryStream> {
         let caller = self.caller(&r)?;
-        let session = &r.get_ref().session_id;
-        let snapshot = caller.snapshot("SessionsService/GetTrajectory", session).await.map_err(status::grpc)?;
-        let map_version = snapshot.map_version;
+        let r = r.get_ref();
+        let request = sessions::trajectory_request(r);
+        let (part, map_version) = caller.trajectory(&r.session_id, request).await.map_err(status::grpc)?;
         let chunks = move || {
-            let poses: Vec<_> = snapshot.trajectory().map(|(t, e)| sessions::trajectory_pose_to(&t, e)).collect();
+            let pose = |(t, e): &(Pose, TrajectoryEntry)| sessions::trajectory_pose_to(t, e);
+            let message = |poses: &[_]| v1::GetTrajectoryResponse {
+                map_version,
+                poses: poses.iter().map(pose).collect(),
+                next_page_token: String::new(),
+            };
             // An empty trajectory is told by one message without poses.
-            let mut chunks: Vec<Vec<_>> = poses.chunks(POSES_PER_MESSAGE).map(<[_]>::to_vec).collect();
-            if chunks.is_empty() {
-                chunks.push(vec![]);
+            let mut messages: Vec<_> = part.items.chunks(POSES_PER_MESSAGE).map(message).collect();
+            if messages.is_empty() {
+                messages.push(message(&[]));
             }
-            chunks
+            if let Some(last) = messages.last_mut() {
+                last.next_page_token = part.next_page_token;
+            }
+            messages
         };
-        let chunks = caller.compute().query(session, chunks).await.map_err(status::grpc)?;
-        streamed(chunks, move |poses| v1::GetTrajectoryResponse { map_version, poses })
+        let messages = caller.compute().query(&r.session_id, chunks).await.map_err(status::grpc)?;
+        streamed(messages, |message| message)
     }
 
     async fn list_keyframes(&self, r: Request<v1::ListKeyframesRequest>) -> Answer<v1::ListKeyframesResponse> {

@@ -189,7 +189,9 @@ pub(super) async fn collect<T>(stream: impl Stream<Item = Result<T, Status>>) ->
 
 fn join_trajectory(parts: Vec<v1::GetTrajectoryResponse>) -> v1::GetTrajectoryResponse {
     let map_version = parts.first().map(|p| p.map_version).unwrap_or_default();
-    v1::GetTrajectoryResponse { map_version, poses: parts.into_iter().flat_map(|p| p.poses).collect() }
+    let next_page_token = parts.last().map(|p| p.next_page_token.clone()).unwrap_or_default();
+    let poses = parts.into_iter().flat_map(|p| p.poses).collect();
+    v1::GetTrajectoryResponse { map_version, poses, next_page_token }
 }
 
 fn join_grid(parts: Vec<v1::GetOccupancyGridResponse>) -> v1::GetOccupancyGridResponse {
@@ -306,6 +308,7 @@ pub(super) static ROUTES: &[Route] = &[
     patch("/v1/sessions/{session_id}", "SessionsService/UpdateSession", OF_SESSION, "session", tagged!(update_session, UpdateSessionResponse, session)),
     delete("/v1/sessions/{session_id}", "SessionsService/DeleteSession", SESSION, unary!(Message delete_session)),
     get("/v1/sessions/{session_id}/pose", "SessionsService/GetPose", SESSION, unary!(Message get_pose)),
+    get("/v1/sessions/{session_id}/transform", "SessionsService/LookupTransform", SESSION, unary!(Message lookup_transform)),
     get("/v1/sessions/{session_id}/trajectory", "SessionsService/GetTrajectory", SESSION, joined!(get_trajectory, join_trajectory)),
     get("/v1/sessions/{session_id}/keyframes", "SessionsService/ListKeyframes", SESSION, unary!(Message list_keyframes)),
     get("/v1/sessions/{session_id}/events", "SessionsService/WatchSession", SESSION, Kind::Events),
