@@ -33,6 +33,7 @@ RULES = {
     "SessionsService/GetTrajectory": (READ, True),
     "SessionsService/ListKeyframes": (READ, True),
     "SessionsService/WatchSession": (READ, True),
+    "SessionsService/WatchSessions": (READ, False),
     "SessionsService/GetDefaultParams": (READ, False),
     "SensorsService/DeclareSensor": (WRITE, True),
     "SensorsService/GetSensor": (READ, True),
@@ -256,7 +257,7 @@ def call(site: Site, rpc: str, session: str, kind: str) -> str:
             invoke(sent, metadata=metadata, timeout=30)
             return ALLOWED
         stream = invoke(sent, metadata=metadata, timeout=30)
-        if method_name == "WatchSession":
+        if method_name in ("WatchSession", "WatchSessions"):
             # Headers come when the watch has begun; events may never.
             begun = stream.initial_metadata()
             if stream.is_active() and not any(k == "grpc-status" for k, _ in begun):

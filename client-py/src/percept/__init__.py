@@ -14,6 +14,7 @@ from ._async.stream import (
     AsyncFrameStream,
 )
 from ._async.watch import (
+    AsyncFleetWatch,
     AsyncWatch,
 )
 from ._sync.client import (
@@ -26,6 +27,7 @@ from ._sync.stream import (
     FrameStream,
 )
 from ._sync.watch import (
+    FleetWatch,
     Watch,
 )
 from .errors import (
@@ -72,6 +74,8 @@ from .types import (
     FeatureMatches,
     FeatureMethod,
     FilteredCloud,
+    FleetEvent,
+    FleetEventKind,
     FrameAck,
     FrameResult,
     GlobalRegistration,
@@ -86,6 +90,7 @@ from .types import (
     KeptClouds,
     Keyframe,
     LabelledBox,
+    LifeStep,
     LocalFeatures,
     Loop,
     LoopState,
@@ -152,8 +157,10 @@ from .types import (
     SessionEvent,
     SessionFault,
     SessionInfo,
+    SessionLife,
     SessionMode,
     SessionState,
+    SessionUpdated,
     Shape,
     ShapeFeatures,
     Step,
@@ -182,6 +189,7 @@ __all__ = [
     "Aborted",
     "AlreadyExists",
     "AsyncClient",
+    "AsyncFleetWatch",
     "AsyncFrameStream",
     "AsyncSession",
     "AsyncWatch",
@@ -216,8 +224,11 @@ __all__ = [
     "FeatureMatches",
     "FeatureMethod",
     "FilteredCloud",
+    "FleetEvent",
+    "FleetEventKind",
     "FrameAck",
     "FrameResult",
+    "FleetWatch",
     "FrameStream",
     "GlobalRegistration",
     "GlobalRegistrationMethod",
@@ -233,6 +244,7 @@ __all__ = [
     "KeptClouds",
     "Keyframe",
     "LabelledBox",
+    "LifeStep",
     "LocalFeatures",
     "Loop",
     "LoopState",
@@ -304,8 +316,10 @@ __all__ = [
     "SessionEvent",
     "SessionFault",
     "SessionInfo",
+    "SessionLife",
     "SessionMode",
     "SessionState",
+    "SessionUpdated",
     "Shape",
     "ShapeFeatures",
     "Step",

@@ -58,6 +58,7 @@ LOOKUP_TRANSFORM = Rpc(
 GET_TRAJECTORY = Rpc(_S, "GetTrajectory", sessions.GetTrajectoryRequest, sessions.GetTrajectoryResponse)
 LIST_KEYFRAMES = Rpc(_S, "ListKeyframes", sessions.ListKeyframesRequest, sessions.ListKeyframesResponse)
 WATCH_SESSION = Rpc(_S, "WatchSession", sessions.WatchSessionRequest, sessions.WatchSessionResponse)
+WATCH_SESSIONS = Rpc(_S, "WatchSessions", sessions.WatchSessionsRequest, sessions.WatchSessionsResponse)
 GET_DEFAULT_PARAMS = Rpc(
     _S, "GetDefaultParams", sessions.GetDefaultParamsRequest, sessions.GetDefaultParamsResponse
 )

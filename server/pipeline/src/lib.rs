@@ -25,6 +25,8 @@ pub use lookup::{LookupError, PoseAt};
 pub use mounts::MountOffset;
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
 pub use percept_slam::{Loop, LoopId, LoopState};
-pub use pipeline::{FrameReport, MapChange, NewKeyframe, Pipeline, Restored, RestoredContent, RestoredKeyframe, may_change};
+pub use pipeline::{
+    FrameReport, MapChange, NewKeyframe, Pipeline, Restored, RestoredContent, RestoredKeyframe, may_change,
+};
 pub use sensors::check_frame;
 pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, Snapshot, TrajectoryEntry};

@@ -97,9 +97,8 @@ impl Snapshot {
         }
         let span_s = next.stamp.seconds_since(previous.stamp);
         let share = if span_s > 0.0 { stamp.seconds_since(previous.stamp) / span_s } else { 0.0 };
-        let between = |of: &dyn Fn(&TrajectoryEntry) -> Option<Pose>| {
-            Some(se3::interpolate(&of(previous)?, &of(next)?, share))
-        };
+        let between =
+            |of: &dyn Fn(&TrajectoryEntry) -> Option<Pose>| Some(se3::interpolate(&of(previous)?, &of(next)?, share));
         let t_map_base = between(&|e| self.t_map_base_of(e)).ok_or(LookupError::Empty)?;
         Ok(PoseAt {
             stamp,

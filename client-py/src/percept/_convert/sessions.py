@@ -12,8 +12,12 @@ from .._call import Call, ChunkedCall, PagedCall
 from ..errors import InvalidArgument
 from ..types.sensors import SensorSpec
 from ..types.sessions import (
+    AnyEvent,
     Event,
+    FleetEvent,
+    FleetEventKind,
     Keyframe,
+    LifeStep,
     MapChanged,
     PoseAt,
     PoseEstimate,
@@ -22,8 +26,10 @@ from ..types.sessions import (
     SessionEvent,
     SessionFault,
     SessionInfo,
+    SessionLife,
     SessionMode,
     SessionState,
+    SessionUpdated,
     TrackingState,
     Trajectory,
     Transform,
@@ -94,7 +100,40 @@ def event(message: session_pb2.SessionEvent) -> SessionEvent:
     return SessionEvent(token=message.token, stamp_ns=message.stamp_ns, event=_event(message))
 
 
-def _event(message: session_pb2.SessionEvent) -> Event | None:
+def fleet_event(message: session_pb2.FleetEvent) -> FleetEvent:
+    """An event of any session."""
+    return FleetEvent(
+        token=message.token,
+        session_id=message.session_id,
+        stamp_ns=message.stamp_ns,
+        event=_any_event(message),
+    )
+
+
+def _any_event(message: session_pb2.FleetEvent) -> AnyEvent | None:
+    match message.WhichOneof("event"):
+        case "life":
+            return SessionLife(
+                step=words.word(LifeStep, session_pb2.LifeStep, message.life.step),
+                state=words.word(SessionState, session_pb2.SessionState, message.life.state),
+            )
+        case "new_etag":
+            return SessionUpdated(etag=message.new_etag)
+        case _:
+            return _event(message)
+
+
+def watch_sessions(
+    pattern: str, kinds: Sequence[FleetEventKind | str], resume_token: int | None
+) -> service.WatchSessionsRequest:
+    return service.WatchSessionsRequest(
+        session_pattern=pattern,
+        kinds=[words.number("kinds", session_pb2.FleetEventKind, kind) for kind in kinds],
+        resume_token=resume_token,
+    )
+
+
+def _event(message: session_pb2.SessionEvent | session_pb2.FleetEvent) -> Event | None:
     match message.WhichOneof("event"):
         case "pose":
             return poses.pose_estimate(message.pose)
@@ -168,9 +207,11 @@ def get(
 
 
 def list_sessions(
-    state: SessionState | str | None, page_size: int
+    state: SessionState | str | None, pattern: str, labels: str, order_by: str, page_size: int
 ) -> PagedCall[service.ListSessionsRequest, service.ListSessionsResponse, SessionInfo]:
-    request = service.ListSessionsRequest(page_size=page_size)
+    request = service.ListSessionsRequest(
+        session_pattern=pattern, label_selector=labels, order_by=order_by, page_size=page_size
+    )
     if state is not None:
         request.state = words.number("state", session_pb2.SessionState, state)
     return PagedCall(_rpc.LIST_SESSIONS, request, lambda a: [session_info(s) for s in a.sessions])

@@ -11,6 +11,7 @@ from ..types.frames import SensorFrame
 from ..types.navigation import Navigation, NoPath, Path
 from ..types.sensors import SensorSpec
 from ..types.sessions import (
+    FleetEventKind,
     FrameResult,
     Keyframe,
     PoseAt,
@@ -26,7 +27,7 @@ from .maps import Maps
 from .scene import Scene
 from .sensors import Sensors
 from .stream import FrameStream
-from .watch import Watch
+from .watch import FleetWatch, Watch
 
 
 class Session(SessionBound, FrameSender[FrameResult]):
@@ -178,10 +179,30 @@ class Sessions(Bound):
         info = self._transport.call(sessions.get(session_id))
         return Session(self._transport, info.session_id)
 
-    def list(self, *, state: SessionState | str | None = None, page_size: int = 0) -> Iterator[SessionInfo]:
-        """Sessions by id, all or those in a state; pages are asked for as they are used. None is woken by
-        it."""
-        return self._transport.pages(sessions.list_sessions(state, page_size))
+    def list(
+        self,
+        *,
+        state: SessionState | str | None = None,
+        pattern: str = "",
+        labels: str = "",
+        order_by: str = "",
+        page_size: int = 0,
+    ) -> Iterator[SessionInfo]:
+        """Sessions, all or those in a state, whose ids fit a pattern (robot-*), with labels ("site=north",
+        or "site" for any value; several with commas). By id, or "create_time_ns" or "last_used_ns", " desc"
+        for the last ones first. Pages are asked for as they are used. None is woken by it."""
+        return self._transport.pages(sessions.list_sessions(state, pattern, labels, order_by, page_size))
+
+    def watch(
+        self,
+        pattern: str = "",
+        *,
+        kinds: Sequence[FleetEventKind | str] = (),
+        resume_token: int | None = None,
+    ) -> FleetWatch:
+        """Events of all sessions that may be read, or of those whose ids fit a pattern (robot-*), from now
+        on or after a token; of all kinds, or some."""
+        return FleetWatch(self._transport, pattern, kinds, resume_token)
 
     def delete(self, session_id: str) -> None:
         """Deletes a session with its map and everything stored for it. It cannot be undone."""

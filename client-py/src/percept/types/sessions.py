@@ -297,6 +297,65 @@ class Resync(Value):
 Event: TypeAlias = PoseEstimate | Keyframe | ObjectChange | Loop | MapChanged | Resync
 
 
+class FleetEventKind(Name):
+    """Kinds of events, for watching all sessions."""
+
+    UNSPECIFIED = "unspecified"
+    POSE = "pose"
+    KEYFRAME = "keyframe"
+    OBJECT = "object"
+    LOOP = "loop"
+    MAP = "map"
+    #: Created, woken, put to sleep, set apart, deleted.
+    LIFE = "life"
+    #: Name, labels, parameters or sensors were changed.
+    SETTINGS = "settings"
+
+
+class LifeStep(Name):
+    """A step in a session's life."""
+
+    UNSPECIFIED = "unspecified"
+    CREATED = "created"
+    #: The state is another now.
+    MOVED = "moved"
+    DELETED = "deleted"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SessionLife(Value):
+    """A session came, went, or is in another state."""
+
+    step: LifeStep
+    #: Unspecified unless moved.
+    state: SessionState
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SessionUpdated(Value):
+    """What callers set of a session was changed."""
+
+    #: The new one.
+    etag: str
+
+
+AnyEvent: TypeAlias = Event | SessionLife | SessionUpdated
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FleetEvent(Value):
+    """Something that happened in one of the sessions of a server."""
+
+    #: Give it to watch() to go on after this event.
+    token: int
+    #: Empty with a Resync that is about all sessions.
+    session_id: str
+    #: Stamp of the frame that caused it; 0 if none did.
+    stamp_ns: int
+    #: None for kinds that this client does not know.
+    event: AnyEvent | None
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SessionEvent(Value):
     """Something that happened in a session."""

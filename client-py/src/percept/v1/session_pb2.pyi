@@ -259,6 +259,66 @@ SESSION_STATE_DELETING: SessionState.ValueType  # 6
 """On its way out."""
 Global___SessionState: _TypeAlias = SessionState  # noqa: Y015
 
+class _FleetEventKind:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _FleetEventKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_FleetEventKind.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    FLEET_EVENT_KIND_UNSPECIFIED: _FleetEventKind.ValueType  # 0
+    FLEET_EVENT_KIND_POSE: _FleetEventKind.ValueType  # 1
+    """A frame was registered."""
+    FLEET_EVENT_KIND_KEYFRAME: _FleetEventKind.ValueType  # 2
+    FLEET_EVENT_KIND_OBJECT: _FleetEventKind.ValueType  # 3
+    FLEET_EVENT_KIND_LOOP: _FleetEventKind.ValueType  # 4
+    FLEET_EVENT_KIND_MAP: _FleetEventKind.ValueType  # 5
+    """A map has a new version."""
+    FLEET_EVENT_KIND_LIFE: _FleetEventKind.ValueType  # 6
+    """A session was created, woken, put to sleep, set apart, deleted."""
+    FLEET_EVENT_KIND_SETTINGS: _FleetEventKind.ValueType  # 7
+    """A session's name, labels, parameters or sensors were changed."""
+
+class FleetEventKind(_FleetEventKind, metaclass=_FleetEventKindEnumTypeWrapper):
+    """Kinds of events, for watching all sessions."""
+
+FLEET_EVENT_KIND_UNSPECIFIED: FleetEventKind.ValueType  # 0
+FLEET_EVENT_KIND_POSE: FleetEventKind.ValueType  # 1
+"""A frame was registered."""
+FLEET_EVENT_KIND_KEYFRAME: FleetEventKind.ValueType  # 2
+FLEET_EVENT_KIND_OBJECT: FleetEventKind.ValueType  # 3
+FLEET_EVENT_KIND_LOOP: FleetEventKind.ValueType  # 4
+FLEET_EVENT_KIND_MAP: FleetEventKind.ValueType  # 5
+"""A map has a new version."""
+FLEET_EVENT_KIND_LIFE: FleetEventKind.ValueType  # 6
+"""A session was created, woken, put to sleep, set apart, deleted."""
+FLEET_EVENT_KIND_SETTINGS: FleetEventKind.ValueType  # 7
+"""A session's name, labels, parameters or sensors were changed."""
+Global___FleetEventKind: _TypeAlias = FleetEventKind  # noqa: Y015
+
+class _LifeStep:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _LifeStepEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_LifeStep.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    LIFE_STEP_UNSPECIFIED: _LifeStep.ValueType  # 0
+    LIFE_STEP_CREATED: _LifeStep.ValueType  # 1
+    LIFE_STEP_MOVED: _LifeStep.ValueType  # 2
+    """`state` is another now."""
+    LIFE_STEP_DELETED: _LifeStep.ValueType  # 3
+    """It is gone for good."""
+
+class LifeStep(_LifeStep, metaclass=_LifeStepEnumTypeWrapper):
+    """A step in a session's life."""
+
+LIFE_STEP_UNSPECIFIED: LifeStep.ValueType  # 0
+LIFE_STEP_CREATED: LifeStep.ValueType  # 1
+LIFE_STEP_MOVED: LifeStep.ValueType  # 2
+"""`state` is another now."""
+LIFE_STEP_DELETED: LifeStep.ValueType  # 3
+"""It is gone for good."""
+Global___LifeStep: _TypeAlias = LifeStep  # noqa: Y015
+
 @_typing.final
 class PoseEstimate(_message.Message):
     """Where the robot is, how sure we are, or that we are lost."""
@@ -813,6 +873,99 @@ class SessionEvent(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType_event) -> _WhichOneofReturnType_event | None: ...
 
 Global___SessionEvent: _TypeAlias = SessionEvent  # noqa: Y015
+
+@_typing.final
+class SessionLife(_message.Message):
+    """A session came, went, or is in another state."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STEP_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    step: Global___LifeStep.ValueType
+    state: Global___SessionState.ValueType
+    """UNSPECIFIED unless MOVED."""
+    def __init__(
+        self,
+        *,
+        step: Global___LifeStep.ValueType = ...,
+        state: Global___SessionState.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["state", b"state", "step", b"step"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SessionLife: _TypeAlias = SessionLife  # noqa: Y015
+
+@_typing.final
+class FleetEvent(_message.Message):
+    """Something that happened in one of the sessions of a server."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TOKEN_FIELD_NUMBER: _builtins.int
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    STAMP_NS_FIELD_NUMBER: _builtins.int
+    POSE_FIELD_NUMBER: _builtins.int
+    KEYFRAME_ADDED_FIELD_NUMBER: _builtins.int
+    OBJECT_CHANGED_FIELD_NUMBER: _builtins.int
+    LOOP_CHANGED_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    LIFE_FIELD_NUMBER: _builtins.int
+    NEW_ETAG_FIELD_NUMBER: _builtins.int
+    RESYNC_FIELD_NUMBER: _builtins.int
+    token: _builtins.int
+    """Give it to WatchSessions to go on after this event. Tokens grow; those that are left out belong to events that were not
+    asked for.
+    """
+    session_id: _builtins.str
+    """Where it happened. Empty if events of unknown sessions are missing."""
+    stamp_ns: _builtins.int
+    """Stamp of the frame that caused it; 0 if none did."""
+    map_version: _builtins.int
+    """The map's new version."""
+    new_etag: _builtins.str
+    """Settings were changed: the session's new etag."""
+    @_builtins.property
+    def pose(self) -> Global___PoseEstimate: ...
+    @_builtins.property
+    def keyframe_added(self) -> Global___Keyframe: ...
+    @_builtins.property
+    def object_changed(self) -> _object_pb2.ObjectChange: ...
+    @_builtins.property
+    def loop_changed(self) -> _map_pb2.Loop: ...
+    @_builtins.property
+    def life(self) -> Global___SessionLife: ...
+    @_builtins.property
+    def resync(self) -> Global___Resync:
+        """Events were lost (a slow client, or a token too old): read the state anew, of that session, or of all."""
+
+    def __init__(
+        self,
+        *,
+        token: _builtins.int = ...,
+        session_id: _builtins.str = ...,
+        stamp_ns: _builtins.int = ...,
+        pose: Global___PoseEstimate | None = ...,
+        keyframe_added: Global___Keyframe | None = ...,
+        object_changed: _object_pb2.ObjectChange | None = ...,
+        loop_changed: _map_pb2.Loop | None = ...,
+        map_version: _builtins.int = ...,
+        life: Global___SessionLife | None = ...,
+        new_etag: _builtins.str = ...,
+        resync: Global___Resync | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["event", b"event", "keyframe_added", b"keyframe_added", "life", b"life", "loop_changed", b"loop_changed", "map_version", b"map_version", "new_etag", b"new_etag", "object_changed", b"object_changed", "pose", b"pose", "resync", b"resync"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["event", b"event", "keyframe_added", b"keyframe_added", "life", b"life", "loop_changed", b"loop_changed", "map_version", b"map_version", "new_etag", b"new_etag", "object_changed", b"object_changed", "pose", b"pose", "resync", b"resync", "session_id", b"session_id", "stamp_ns", b"stamp_ns", "token", b"token"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_event: _TypeAlias = _typing.Literal["pose", "keyframe_added", "object_changed", "loop_changed", "map_version", "life", "new_etag", "resync"]  # noqa: Y015
+    _WhichOneofArgType_event: _TypeAlias = _typing.Literal["event", b"event"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_event) -> _WhichOneofReturnType_event | None: ...
+
+Global___FleetEvent: _TypeAlias = FleetEvent  # noqa: Y015
 
 @_typing.final
 class Resync(_message.Message):

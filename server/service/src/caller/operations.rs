@@ -4,16 +4,16 @@ use super::Caller;
 use super::audit::Act;
 use crate::ops::toolbox::Toolbox;
 use crate::{
-    CloudAnswer, EventLog, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved, Navigation, NewSession,
-    Page, Pending, Plan, PlanRequest, Processed, Result, SensorChanges, SensorDeclaration, SensorStatus, Session,
-    SessionChanges, SessionDescription, SessionState, SessionView, TrajectoryComparison, TrajectoryRequest, Transform, Vetoed, check_id,
+    CloudAnswer, EventLog, FleetFilter, FleetWatch, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved,
+    Navigation, NewSession, Page, Pending, Plan, PlanRequest, Processed, Result, SensorChanges, SensorDeclaration,
+    SensorStatus, Session, SessionChanges, SessionDescription, SessionList, SessionView, TrajectoryComparison,
+    TrajectoryRequest, Transform, Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{
     DetectionScore, FoundObject, PosePair, RelationScore, TrajectoryScore, TrueObject, TrueRelation,
 };
 use percept_geometry::{ObjectClass, Pose, SensorId, Stamped, Timestamp};
-use percept_identity::Access;
 use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, PoseAt, Snapshot, TrajectoryEntry};
 use percept_scene::{Object, SceneGraph};
 use std::sync::Arc;
@@ -82,24 +82,23 @@ impl Caller {
         self.service.session_events(id).await
     }
 
-    /// Sessions that the caller may read, by id; in a state if one is given.
+    /// Sessions that fit `list`, of those that the caller may read.
+    ///
+    /// # Errors
+    /// `PERMISSION_DENIED`, `PAGE_TOKEN_INVALID`.
+    pub async fn list_sessions(&self, list: &SessionList) -> Result<Page<SessionView>> {
+        self.may("SessionsService/ListSessions")?;
+        let principal = &self.context.principal;
+        self.service.list_sessions(list, |view| crate::ops::fleet::may_see(principal, view)).await
+    }
+
+    /// Events of all sessions that the caller may read.
     ///
     /// # Errors
     /// `PERMISSION_DENIED`.
-    pub async fn list_sessions(
-        &self,
-        state: Option<SessionState>,
-        size: u32,
-        token: &str,
-    ) -> Result<Page<SessionView>> {
-        self.may("SessionsService/ListSessions")?;
-        let principal = &self.context.principal;
-        let is_wanted = |view: &SessionView| {
-            view.tenant == principal.tenant
-                && principal.may(Access::Read, &view.id)
-                && state.is_none_or(|wanted| view.state == wanted)
-        };
-        Ok(self.service.list_sessions(size, token, is_wanted).await)
+    pub fn watch_sessions(&self, filter: FleetFilter) -> Result<FleetWatch> {
+        self.may("SessionsService/WatchSessions")?;
+        Ok(FleetWatch::new(&self.service.registry.fleet, &self.context, filter))
     }
 
     /// Where the robot was at a time, and the version of the map that this refers to.

@@ -54,6 +54,7 @@ pub static RULES: &[Rule] = &[
     session("SessionsService/GetTrajectory", Read),
     session("SessionsService/ListKeyframes", Read),
     session("SessionsService/WatchSession", Read),
+    nothing("SessionsService/WatchSessions", Read),
     nothing("SessionsService/GetDefaultParams", Read),
 
     audited(session("SensorsService/DeclareSensor", Write)),

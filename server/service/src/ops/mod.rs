@@ -2,6 +2,7 @@
 
 pub(crate) mod changes;
 pub mod evaluation;
+pub(crate) mod fleet;
 pub mod maps;
 pub mod navigation;
 pub mod pictures;

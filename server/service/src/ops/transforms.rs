@@ -182,7 +182,8 @@ fn frame(field: &str, name: &str, sensors: &[SensorDeclaration]) -> Result<Frame
         return Ok(Frame::Sensor(sensor.spec.t_base_sensor));
     }
     let shown: String = name.chars().take(80).collect();
-    let known: Vec<&str> = ["map", "odom", "base"].into_iter().chain(sensors.iter().map(|s| s.spec.id.0.as_str())).collect();
+    let known: Vec<&str> =
+        ["map", "odom", "base"].into_iter().chain(sensors.iter().map(|s| s.spec.id.0.as_str())).collect();
     let words = format!("{field} is {shown:?}; the session has the frames {}", known.join(", "));
     Err(Error::not_found("FRAME_NOT_FOUND", field, words))
 }
@@ -206,9 +207,10 @@ fn t_base(frame: &Frame, place: Option<&Place>) -> Result<Pose> {
         (Frame::Map | Frame::Odom, None) => Pose::identity(),
         (Frame::Map, Some(place)) => place.t_map_base.inverse(),
         (Frame::Odom, Some(place)) => place.t_odom_base.map(|t| t.inverse()).ok_or_else(|| {
-            let words = "at that time lengths were in a unit of their own, and odom's pose was not kept; ask for map, or for \
+            let words =
+                "at that time lengths were in a unit of their own, and odom's pose was not kept; ask for map, or for \
                          a time since the scale is known"
-                .to_owned();
+                    .to_owned();
             failed("ODOM_NOT_KNOWN", "at_ns", words)
         })?,
     })
@@ -232,7 +234,8 @@ fn part_of(snapshot: &Snapshot, request: &TrajectoryRequest) -> Result<Page<(Pos
     }
     let mut range = snapshot.trajectory_between(from, to);
     if !request.page_token.is_empty() {
-        let bad = || Error::invalid("PAGE_TOKEN_INVALID", "page_token", "page_token is not one of ours; start without it");
+        let bad =
+            || Error::invalid("PAGE_TOKEN_INVALID", "page_token", "page_token is not one of ours; start without it");
         let last = Timestamp(request.page_token.parse().map_err(|_| bad())?);
         let after = snapshot.trajectory.partition_point(|e| e.stamp <= last);
         range.start = after.clamp(range.start, range.end);
@@ -379,7 +382,10 @@ mod tests {
         let reason = |request: &TrajectoryRequest| part_of(&snapshot(), request).unwrap_err().reason;
         assert_eq!(reason(&TrajectoryRequest { from: to, to: from, ..whole.clone() }), "TRAJECTORY_RANGE_INVALID");
         assert_eq!(reason(&TrajectoryRequest { max_poses: 1, ..whole.clone() }), "TRAJECTORY_RANGE_INVALID");
-        assert_eq!(reason(&TrajectoryRequest { max_poses: 3, page_size: 2, ..whole.clone() }), "TRAJECTORY_RANGE_INVALID");
+        assert_eq!(
+            reason(&TrajectoryRequest { max_poses: 3, page_size: 2, ..whole.clone() }),
+            "TRAJECTORY_RANGE_INVALID"
+        );
         assert_eq!(reason(&TrajectoryRequest { page_token: "x".to_owned(), ..whole }), "PAGE_TOKEN_INVALID");
     }
 }

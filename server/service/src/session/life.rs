@@ -299,15 +299,18 @@ impl Registry {
         }
     }
 
-    /// Notes what a session has gathered, for the time when it sleeps.
-    pub(super) fn note(&self, slot: &Slot, session: &Session) {
+    /// Notes what a session has gathered, for the time when it sleeps; whether what callers set is another than was noted.
+    pub(super) fn note(&self, slot: &Slot, session: &Session) -> bool {
         let (meta, counts) = (session.meta(), counts(session));
+        let mut is_new = false;
         slot.update_known(|known| {
+            is_new = known.revision != meta.revision;
             known.display_name = meta.display_name;
             known.labels = meta.labels;
             known.revision = meta.revision;
             known.counts = Some(counts);
         });
+        is_new
     }
 
     /// Notes it durably; a failure costs no more than older figures in a list.

@@ -12,7 +12,9 @@
 pub(crate) mod actor;
 pub(crate) mod events;
 pub(crate) mod fault;
+pub(crate) mod fleet;
 pub(crate) mod handle;
+pub(crate) mod history;
 pub(crate) mod inspect;
 pub(crate) mod keeper;
 pub(crate) mod keyframe_codec;

@@ -2,6 +2,7 @@
 
 use super::events::EventLog;
 use super::fault::{Fault, Trouble, store_error};
+use super::fleet::{FleetLink, FleetLog};
 use super::handle::Session;
 use super::meta::{SensorDeclaration, SessionMeta, SessionMode};
 use super::records::{Counts, MetaRecord, SummaryRecord, parse};
@@ -30,6 +31,8 @@ pub(crate) struct Registry {
     pub(super) waking: Semaphore,
     /// Of the events of sessions that were there before this process.
     first_token: u64,
+    /// What happens in all sessions.
+    pub(crate) fleet: Arc<FleetLog>,
     sessions: RwLock<Sessions>,
 }
 
@@ -82,7 +85,9 @@ impl Registry {
         // Events come far slower than one a microsecond, so that this lies above every token given before.
         let first_token = u64::try_from(crate::ops::sessions::now_ns() / 1000).unwrap_or(1).max(1);
         let waking = Semaphore::new(WAKES_AT_ONCE);
-        let registry = Self { root, compute, limits, defaults, waking, first_token, sessions: RwLock::default() };
+        let fleet = Arc::new(FleetLog::starting_at(first_token, limits.fleet_event_history));
+        let sessions = RwLock::default();
+        let registry = Self { root, compute, limits, defaults, waking, first_token, fleet, sessions };
         let mut buried = Vec::new();
         for entry in registry.root.list().await.map_err(|e| store_error(&e))? {
             match entry {
@@ -119,7 +124,8 @@ impl Registry {
     }
 
     fn insert(&self, place: SessionPlace, phase: Phase, known: Known) {
-        let events = EventLog::starting_at(self.first_token, self.limits.event_history);
+        let link = FleetLink::new(&self.fleet, place.id(), &known.tenant);
+        let events = EventLog::starting_at(self.first_token, self.limits.event_history).told_to(link);
         let mut sessions = self.sessions.write().unwrap_or_else(PoisonError::into_inner);
         if !sessions.by_id.contains_key(place.id()) {
             let slot = Slot::new(place.id(), phase, known, events);
@@ -231,6 +237,15 @@ impl Registry {
         record.into_meta(&self.defaults).map_err(|e| Fault::new("DATA_DAMAGED", e.to_string()).error())
     }
 
+    /// Sessions that `is_wanted`, with what is noted of them. How many there are is how many summaries are read, once after
+    /// the start; [`Self::list`] reads those of a page.
+    pub(crate) async fn list_all(&self, is_wanted: impl Fn(&SessionView) -> bool) -> Vec<SessionView> {
+        let found: Vec<Arc<Slot>> =
+            self.slots().into_iter().filter(|slot| !slot.is_doomed() && is_wanted(&view(slot))).collect();
+        futures::stream::iter(&found).for_each_concurrent(READS_AT_ONCE, |slot| self.read_counts(slot)).await;
+        found.iter().map(|slot| view(slot)).collect()
+    }
+
     /// Sessions in the order of ids, after `after`, those that `is_wanted`, at most `limit`.
     pub(crate) async fn list(
         &self,
@@ -321,7 +336,9 @@ impl Registry {
             is_ingest_only: meta.mode == SessionMode::IngestOnly,
             counts: Some(Counts::default()),
         };
-        let slot = Slot::new(&meta.id, Phase::Creating, known, EventLog::new(self.limits.event_history));
+        let link = FleetLink::new(&self.fleet, &meta.id, &meta.tenant);
+        let events = EventLog::new(self.limits.event_history).told_to(link);
+        let slot = Slot::new(&meta.id, Phase::Creating, known, events);
         sessions.add(&slot);
         Ok(Reserved::New(slot))
     }
@@ -384,7 +401,10 @@ impl Registry {
         if let Ok(slot) = self.find(id) {
             let (this, session) = (Arc::clone(self), Arc::clone(&session));
             let noted = tokio::spawn(async move {
-                this.note(&slot, &session);
+                let is_new = this.note(&slot, &session);
+                if let Some(fleet) = slot.events.fleet().filter(|_| is_new) {
+                    fleet.updated(&session.meta().etag());
+                }
                 this.write_summary(&slot, &session).await;
             });
             let _ = noted.await;
@@ -453,6 +473,7 @@ impl Registry {
             retired.map_err(|trouble| trouble.error())
         });
         let ends = futures::future::join_all(ends).await;
+        self.fleet.close();
         if let Err(error) = self.root.leave().await {
             tracing::warn!(%error, "other servers learn only by its silence that this one is gone");
         }

@@ -140,15 +140,23 @@ impl Slot {
 
     pub(super) fn set(&self, phase: Phase) {
         let now = phase.state();
+        let is_gone = matches!(phase, Phase::Gone(_));
         let before = self.phase.send_replace(phase).state();
-        observe::session_moved(Some(before), Some(now));
+        self.moved(before, now, is_gone);
+    }
+
+    fn moved(&self, from: SessionState, to: SessionState, is_gone: bool) {
+        observe::session_moved(Some(from), Some(to));
+        if let Some(fleet) = self.events.fleet() {
+            fleet.moved(from, to, is_gone);
+        }
     }
 
     /// Takes the next step if `step` gives one for the phase as it is; whether it did.
     pub(super) fn step(&self, step: impl FnOnce(&Phase) -> Option<Phase>) -> bool {
         self.phase.send_if_modified(|phase| match step(phase) {
             Some(next) => {
-                observe::session_moved(Some(phase.state()), Some(next.state()));
+                self.moved(phase.state(), next.state(), matches!(next, Phase::Gone(_)));
                 *phase = next;
                 true
             }

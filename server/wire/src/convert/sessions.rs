@@ -78,10 +78,17 @@ pub fn description_to(s: &SessionDescription) -> Result<v1::Session> {
     let view = view_to(&s.view);
     let Some((meta, statuses)) = &s.whole else { return Ok(view) };
     let params = Some(params::pipeline_to(&meta.params)?);
-    Ok(v1::Session { params, sensors: statuses.iter().map(sensors::status_to).collect(), ..view })
+    Ok(v1::Session {
+        display_name: meta.display_name.clone(),
+        labels: meta.labels.clone().into_iter().collect(),
+        etag: meta.etag(),
+        params,
+        sensors: statuses.iter().map(sensors::status_to).collect(),
+        ..view
+    })
 }
 
-fn state_to(state: SessionState) -> v1::SessionState {
+pub(super) fn state_to(state: SessionState) -> v1::SessionState {
     match state {
         SessionState::Creating => v1::SessionState::Creating,
         SessionState::Asleep => v1::SessionState::Asleep,

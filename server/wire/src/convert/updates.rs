@@ -43,7 +43,8 @@ fn unknown(path: &str, known: &str) -> Error {
 }
 
 fn nothing(known: &str) -> Error {
-    let words = format!("nothing is to change; set a field, or name what goes back to its default in update_mask: {known}");
+    let words =
+        format!("nothing is to change; set a field, or name what goes back to its default in update_mask: {known}");
     Error::invalid("FIELD_MISSING", "update_mask", words)
 }
 
@@ -206,7 +207,8 @@ mod tests {
     #[test]
     fn what_is_no_field_and_what_nobody_sets_is_refused_by_name() {
         let refused = |path: &str| asked(v1::Session::default(), &[path]).unwrap_err();
-        for path in ["", "*", "colour", "params.sparkle", "display_name.first", "labels.site", "params.", "params.plan"] {
+        for path in ["", "*", "colour", "params.sparkle", "display_name.first", "labels.site", "params.", "params.plan"]
+        {
             assert_eq!(refused(path).reason, "MASK_PATH_UNKNOWN", "{path}");
         }
         for path in ["pose", "sensors", "tenant", "num_keyframes", "etag"] {

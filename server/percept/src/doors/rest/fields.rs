@@ -9,11 +9,12 @@ use prost_reflect::{DynamicMessage, EnumDescriptor, FieldDescriptor, Kind, Messa
 /// Names in a query string that are no field: they choose the form of the answer.
 const FORM: &str = "format";
 
-/// Every scalar of a request by its dotted path.
+/// Every scalar of a request, and every list of scalars, by its dotted path.
 pub(super) fn leaves(message: &MessageDescriptor) -> Vec<(String, FieldDescriptor)> {
     let mut out = vec![];
-    for field in message.fields().filter(|f| !f.is_list() && !f.is_map()) {
+    for field in message.fields().filter(|f| !f.is_map()) {
         match field.kind() {
+            Kind::Message(_) if field.is_list() => {}
             Kind::Message(inner) => {
                 out.extend(leaves(&inner).into_iter().map(|(path, f)| (format!("{}.{path}", field.name()), f)));
             }
@@ -48,7 +49,8 @@ pub(super) fn from_query(message: MessageDescriptor, uri: &Uri, allowed: &[Strin
             let known = if allowed.is_empty() { "none".to_owned() } else { allowed.join(", ") };
             return Err(refuse(format!("{name} is not a parameter of this request; there are: {known}")).into());
         }
-        if pairs[..i].iter().any(|(earlier, _)| earlier == name) {
+        let is_list = request.descriptor().get_field_by_name(name).is_some_and(|field| field.is_list());
+        if !is_list && pairs[..i].iter().any(|(earlier, _)| earlier == name) {
             return Err(refuse(format!("{name} is given twice; give it once")).into());
         }
         // A field of that name is the request's own.
@@ -121,7 +123,10 @@ fn set(message: &mut DynamicMessage, path: &str, text: &str) -> Result<(), Strin
     match rest {
         None => {
             let value = parse(&field.kind(), text)?;
-            message.set_field(&field, value);
+            match message.get_field_mut(&field).as_list_mut() {
+                Some(list) => list.push(value),
+                None => message.set_field(&field, value),
+            }
             Ok(())
         }
         Some(rest) => set(message.get_field_mut(&field).as_message_mut().ok_or_else(unknown)?, rest, text),
@@ -199,6 +204,8 @@ mod tests {
         assert_eq!(r.resume_token, None);
         let r: v1::WatchSessionRequest = read("WatchSessionRequest", "resume_token=0").unwrap();
         assert_eq!(r.resume_token, Some(0));
+        let r: v1::WatchSessionsRequest = read("WatchSessionsRequest", "kinds=pose&kinds=life").unwrap();
+        assert_eq!(r.kinds, [1, 6]);
     }
 
     #[test]

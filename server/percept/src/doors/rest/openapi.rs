@@ -153,6 +153,11 @@ fn answer(bound: &Bound) -> Value {
                 Last-Event-ID goes on after that event. An event of type problem (ErrorInfo) ends the stream.",
             "content": {"text/event-stream": {"schema": reference("SessionEvent")}},
         }),
+        Answer::FleetEvents => json!({
+            "description": "Server-sent events: each one's data is a FleetEvent, its id the event's token. \
+                Last-Event-ID goes on after that event. An event of type problem (ErrorInfo) ends the stream.",
+            "content": {"text/event-stream": {"schema": reference("FleetEvent")}},
+        }),
         Answer::File => json!({
             "description": "The file, with ETag, Content-Digest and Repr-Digest (SHA-256) and percept-map-version.",
             "headers": {
@@ -193,11 +198,13 @@ fn parameters(bound: &Bound, comments: &Comments) -> Vec<Value> {
     if bound.route.verb == Verb::Patch {
         let words = "Paths of the fields that change, with commas between them, e.g. display_name,params.planning. What is named \
             and not in the body becomes empty, a parameter its default. Absent: what the body sets.";
-        out.push(json!({"name": MASK, "in": "query", "required": false, "description": words, "schema": {"type": "string"}}));
+        out.push(
+            json!({"name": MASK, "in": "query", "required": false, "description": words, "schema": {"type": "string"}}),
+        );
         let words = "The ETag that was seen: refused with 412 if it is another one by now.";
         out.push(json!({"name": "If-Match", "in": "header", "required": false, "description": words, "schema": {"type": "string"}}));
     }
-    if matches!(bound.route.kind, Answer::Events) {
+    if matches!(bound.route.kind, Answer::Events | Answer::FleetEvents) {
         let words = "Token of the last event seen; goes before resume_token.";
         out.push(json!({"name": "Last-Event-ID", "in": "header", "required": false, "description": words, "schema": {"type": "string"}}));
     }
@@ -206,6 +213,11 @@ fn parameters(bound: &Bound, comments: &Comments) -> Vec<Value> {
 
 /// A scalar as it stands in a path or a query.
 fn word(field: &FieldDescriptor) -> Value {
+    let one = one_word(field);
+    if field.is_list() { json!({"type": "array", "items": one}) } else { one }
+}
+
+fn one_word(field: &FieldDescriptor) -> Value {
     match field.kind() {
         Kind::Enum(kind) => {
             let short = fields::short_names(&kind);

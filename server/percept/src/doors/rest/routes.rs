@@ -63,6 +63,8 @@ pub(super) enum Kind {
     SceneGraph(Call),
     /// Server-sent events.
     Events,
+    /// The same, of all sessions.
+    FleetEvents,
     /// A file.
     File,
 }
@@ -312,6 +314,7 @@ pub(super) static ROUTES: &[Route] = &[
     get("/v1/sessions/{session_id}/trajectory", "SessionsService/GetTrajectory", SESSION, joined!(get_trajectory, join_trajectory)),
     get("/v1/sessions/{session_id}/keyframes", "SessionsService/ListKeyframes", SESSION, unary!(Message list_keyframes)),
     get("/v1/sessions/{session_id}/events", "SessionsService/WatchSession", SESSION, Kind::Events),
+    get("/v1/events", "SessionsService/WatchSessions", &[], Kind::FleetEvents),
     get("/v1/default-params", "SessionsService/GetDefaultParams", &[], unary!(Message get_default_params)),
 
     post("/v1/sessions/{session_id}/sensors", "SensorsService/DeclareSensor", SESSION, tagged!(declare_sensor, DeclareSensorResponse, sensor)),
