@@ -58,7 +58,7 @@ RULES = {
     "EvaluationService": (WRITE, False),
     "ServerService": (READ, False),
 }
-PAGES_OPEN = {"/", "/docs", "/openapi.json", "/livez", "/readyz", "/healthz"}
+PAGES_OPEN = {"/", "/docs", "/openapi.json", "/reasons", "/livez", "/readyz", "/healthz"}
 #: Sums over all sessions: for an admin of all of them, which of these kinds is the stranger at home.
 METRICS = "/metrics"
 

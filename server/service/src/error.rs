@@ -1,5 +1,7 @@
 //! The one error that operations answer with, whichever door was used.
 
+use crate::reason;
+
 /// What kind of failure: decides the gRPC status, the HTTP status and whether to try again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ErrorCode {
@@ -91,7 +93,7 @@ impl Error {
         let which = if session.is_empty() { "the session".to_owned() } else { format!("session_id {session:?}") };
         let words =
             format!("{which} is in use at the server {server}; ask that one, or try again when it has ended there");
-        Self { server: server.to_owned(), ..Self::new(ErrorCode::Unavailable, "SESSION_ELSEWHERE", words) }
+        Self { server: server.to_owned(), ..Self::new(ErrorCode::Unavailable, reason::SESSION_ELSEWHERE, words) }
     }
 
     /// A fault of ours: the cause goes to the log, the caller learns only that it happened.
@@ -112,17 +114,17 @@ impl From<percept_geometry::GeometryError> for Error {
         use percept_geometry::GeometryError as G;
         match e {
             G::ShapeMismatch { field, expected, actual } => Self::invalid(
-                "SIZE_MISMATCH",
+                reason::SIZE_MISMATCH,
                 field,
                 format!(
                     "{field} holds {actual} elements but its declared shape needs {expected}; send exactly that many"
                 ),
             ),
             G::OutOfRange { field, value, requirement } => {
-                Self::invalid("OUT_OF_RANGE", field, format!("{field} is {value}; it must be {requirement}"))
+                Self::invalid(reason::OUT_OF_RANGE, field, format!("{field} is {value}; it must be {requirement}"))
             }
             G::NotUnitQuaternion { field, norm } => Self::invalid(
-                "QUATERNION_NOT_UNIT",
+                reason::QUATERNION_NOT_UNIT,
                 field,
                 format!("{field} has a quaternion of norm {norm}; normalise it (order x, y, z, w)"),
             ),
@@ -140,7 +142,11 @@ pub fn check_id(field: &str, id: &str) -> Result<()> {
         return Ok(());
     }
     let shown: String = id.chars().take(80).collect();
-    Err(Error::invalid("ID_INVALID", field, format!("{field} is {shown:?}; use 1 to 64 characters of a-z A-Z 0-9 _ -")))
+    Err(Error::invalid(
+        reason::ID_INVALID,
+        field,
+        format!("{field} is {shown:?}; use 1 to 64 characters of a-z A-Z 0-9 _ -"),
+    ))
 }
 
 #[cfg(test)]

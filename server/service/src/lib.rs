@@ -12,6 +12,7 @@ mod health;
 mod limits;
 pub mod observe;
 mod ops;
+pub mod reason;
 mod session;
 pub mod trace;
 

@@ -7,6 +7,7 @@
 use crate::{json, v1};
 use percept_pipeline::PipelineParams;
 use percept_planning::PlanParams;
+use percept_service::reason;
 use percept_service::{Error, ParamChange, Result};
 use prost::Message;
 use prost_reflect::{DynamicMessage, EnumDescriptor, Kind, MessageDescriptor, SerializeOptions};
@@ -21,7 +22,7 @@ pub fn pipeline(sent: Option<&v1::PipelineParams>, defaults: &PipelineParams) ->
     let params = overlay("PipelineParams", sent, defaults)?;
     params
         .validate()
-        .map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", format!("params.{}", e.section), e.message))?;
+        .map_err(|e| Error::invalid(reason::PARAMETER_OUT_OF_RANGE, format!("params.{}", e.section), e.message))?;
     Ok(params)
 }
 
@@ -31,7 +32,7 @@ pub fn pipeline(sent: Option<&v1::PipelineParams>, defaults: &PipelineParams) ->
 /// `PARAMETER_OUT_OF_RANGE`.
 pub fn planning(sent: Option<&v1::PlanningParams>, defaults: &PlanParams) -> Result<PlanParams> {
     let params = overlay("PlanningParams", sent, defaults)?;
-    params.validate().map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", "params", e.to_string()))?;
+    params.validate().map_err(|e| Error::invalid(reason::PARAMETER_OUT_OF_RANGE, "params", e.to_string()))?;
     Ok(params)
 }
 
@@ -97,7 +98,7 @@ fn overlay<M: Message, P: Serialize + DeserializeOwned + Clone>(
     let mut tree = serde_json::to_value(defaults).map_err(Error::internal)?;
     lay_over(&mut tree, words(&json::descriptor(name)?, sent)?);
     serde_json::from_value(tree)
-        .map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", "params", format!("params do not fit: {e}")))
+        .map_err(|e| Error::invalid(reason::PARAMETER_OUT_OF_RANGE, "params", format!("params do not fit: {e}")))
 }
 
 /// Every enum of a tree, with its path.
@@ -132,7 +133,7 @@ fn to_word(kind: &EnumDescriptor, value: &mut Value, path: &str) -> Result<()> {
         let known: Vec<String> = kind.values().skip(1).map(|v| word(v.name())).collect();
         let field = path.rsplit('.').next().unwrap_or(path);
         let message = format!("{field}: {value} is unknown; use {}", known.join(" or "));
-        return Err(Error::invalid("PARAMETER_OUT_OF_RANGE", path, message));
+        return Err(Error::invalid(reason::PARAMETER_OUT_OF_RANGE, path, message));
     };
     *value = if name == kind.default_value().name() { Value::Null } else { Value::String(word(name)) };
     Ok(())

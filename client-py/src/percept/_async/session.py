@@ -67,7 +67,8 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         those that are named, nested as default_params(); None puts one back to its default. What is fixed
         with the creation is refused (FIELD_IMMUTABLE). With an `etag` (of `info()`), raises Aborted if the
         session was changed since."""
-        return await self._transport.call(sessions.update(self.session_id, display_name, labels, params, etag))
+        call = sessions.update(self.session_id, display_name, labels, params, etag)
+        return await self._transport.call(call)
 
     async def delete(self) -> None:
         """Deletes the session with its map and everything stored for it. It cannot be undone."""

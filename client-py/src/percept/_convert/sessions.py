@@ -230,9 +230,7 @@ def pose(
     return Call(_rpc.GET_POSE, request, lambda a: poses.pose_estimate(a.pose) if a.HasField("pose") else None)
 
 
-def pose_at(
-    session_id: str, at_ns: int
-) -> Call[service.GetPoseRequest, service.GetPoseResponse, PoseAt]:
+def pose_at(session_id: str, at_ns: int) -> Call[service.GetPoseRequest, service.GetPoseResponse, PoseAt]:
     request = service.GetPoseRequest(session_id=session_id, at_ns=at_ns)
     return Call(_rpc.GET_POSE, request, lambda a: poses.pose_at(a.pose_at))
 

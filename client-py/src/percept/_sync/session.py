@@ -68,7 +68,8 @@ class Session(SessionBound, FrameSender[FrameResult]):
         those that are named, nested as default_params(); None puts one back to its default. What is fixed
         with the creation is refused (FIELD_IMMUTABLE). With an `etag` (of `info()`), raises Aborted if the
         session was changed since."""
-        return self._transport.call(sessions.update(self.session_id, display_name, labels, params, etag))
+        call = sessions.update(self.session_id, display_name, labels, params, etag)
+        return self._transport.call(call)
 
     def delete(self) -> None:
         """Deletes the session with its map and everything stored for it. It cannot be undone."""

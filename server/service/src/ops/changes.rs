@@ -1,5 +1,6 @@
 //! Changes of sessions and sensors: what may change while a session lives, and what who holds an old copy is told.
 
+use crate::reason;
 use crate::session::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 use crate::{Error, ErrorCode, Result, SensorStatus, Service, SessionDescription, check_id};
 use percept_geometry::{CameraIntrinsics, Pose, SensorId, SensorKind};
@@ -112,13 +113,13 @@ fn check_etag(given: &str, current: &str) -> Result<()> {
     let words = format!(
         "etag is {shown:?}, but it was changed since and is {current:?} now; get it again, and change what is there now"
     );
-    let error = Error::new(ErrorCode::Aborted, "ETAG_MISMATCH", words);
+    let error = Error::new(ErrorCode::Aborted, reason::ETAG_MISMATCH, words);
     Err(Error { field: "etag".to_owned(), ..error })
 }
 
 fn immutable(field: &str, remedy: &str) -> Error {
     let words = format!("{field} cannot change once it is set; {remedy}");
-    Error::invalid("FIELD_IMMUTABLE", field, words)
+    Error::invalid(reason::FIELD_IMMUTABLE, field, words)
 }
 
 impl SessionChanges {
@@ -164,7 +165,7 @@ fn changed_params(
         slot.clone_from(value);
     }
     let params: PipelineParams = serde_json::from_value(wanted)
-        .map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", "params", format!("params do not fit: {e}")))?;
+        .map_err(|e| Error::invalid(reason::PARAMETER_OUT_OF_RANGE, "params", format!("params do not fit: {e}")))?;
     let after = tree(&params)?;
     for ParamChange { path, .. } in changes.iter().filter(|change| !may_change(&change.path)) {
         let pointer = format!("/{}", path.replace('.', "/"));
@@ -189,7 +190,7 @@ pub(crate) fn check_display_name(name: &str) -> Result<()> {
     let words = format!(
         "display_name has {count} characters, or control characters; use up to {MAX_DISPLAY_NAME_CHARS} that can be shown"
     );
-    Err(Error::invalid("DISPLAY_NAME_INVALID", "display_name", words))
+    Err(Error::invalid(reason::DISPLAY_NAME_INVALID, "display_name", words))
 }
 
 /// Checks labels: they have to fit into a selector, a query and a file name.
@@ -199,7 +200,7 @@ pub(crate) fn check_display_name(name: &str) -> Result<()> {
 pub(crate) fn check_labels(labels: &BTreeMap<String, String>) -> Result<()> {
     if labels.len() > MAX_LABELS {
         let words = format!("{} labels, the limit is {MAX_LABELS}", labels.len());
-        return Err(Error::invalid("TOO_MANY_LABELS", "labels", words));
+        return Err(Error::invalid(reason::TOO_MANY_LABELS, "labels", words));
     }
     let fine = |text: &str, more: &[u8]| {
         text.len() <= MAX_LABEL_CHARS && text.bytes().all(|b| b.is_ascii_alphanumeric() || more.contains(&b))
@@ -211,7 +212,7 @@ pub(crate) fn check_labels(labels: &BTreeMap<String, String>) -> Result<()> {
                 "label {shown:?} does not do; use up to {MAX_LABEL_CHARS} characters of a-z A-Z 0-9 _ - . and, in keys, /, \
                  in values, :"
             );
-            return Err(Error::invalid("LABELS_INVALID", "labels", words));
+            return Err(Error::invalid(reason::LABELS_INVALID, "labels", words));
         }
     }
     Ok(())
@@ -247,7 +248,7 @@ impl SensorChanges {
         let needs_intrinsics = matches!(spec.kind, SensorKind::Depth | SensorKind::Rgbd | SensorKind::Camera);
         if needs_intrinsics && spec.intrinsics.is_none() {
             let words = "intrinsics is missing; a camera needs them";
-            return Err(Error::invalid("FIELD_MISSING", "intrinsics", words));
+            return Err(Error::invalid(reason::FIELD_MISSING, "intrinsics", words));
         }
         spec.validate()?;
         if let Some(overload) = self.overload {
@@ -264,7 +265,7 @@ pub(crate) fn in_use(sensor: &SensorId, field: &str) -> Error {
          sensor under another name",
         sensor.0
     );
-    let error = Error::new(ErrorCode::FailedPrecondition, "SENSOR_IN_USE", words);
+    let error = Error::new(ErrorCode::FailedPrecondition, reason::SENSOR_IN_USE, words);
     Error { field: field.to_owned(), ..error }
 }
 

@@ -14,9 +14,10 @@ pub mod toolbox;
 pub(crate) mod transforms;
 
 use crate::Error;
+use crate::reason;
 use percept_pipeline::ParamsError;
 
 /// A parameter out of bounds.
 pub(crate) fn params_error(e: &ParamsError) -> Error {
-    Error::invalid("PARAMETER_OUT_OF_RANGE", format!("params.{}", e.section), e.message.clone())
+    Error::invalid(reason::PARAMETER_OUT_OF_RANGE, format!("params.{}", e.section), e.message.clone())
 }

@@ -1,5 +1,6 @@
 //! Declare sensors, take frames.
 
+use crate::reason;
 use crate::session::handle::{Offered, Submitted};
 use crate::session::meta::SensorDeclaration;
 use crate::{IncomingFrame, Pending, Processed, Result, SensorStatus, Service, Session, check_id};
@@ -46,7 +47,7 @@ impl Service {
         let (session, pending) = self.submit_frame(incoming).await?;
         let answer = pending.await.map_err(|_| crate::Error::internal("a frame's answer was lost"))?;
         let processed = match answer {
-            Err(e) if matches!(e.reason, "STAMP_NOT_INCREASING" | "CLOCK_SET_BACK") => {
+            Err(e) if matches!(e.reason, reason::STAMP_NOT_INCREASING | reason::CLOCK_SET_BACK) => {
                 session.taken_before(&sensor, stamp).ok_or(e)?
             }
             answer => answer?,

@@ -1,6 +1,7 @@
 //! Create, find, list, delete sessions.
 
 use super::changes::{check_display_name, check_labels};
+use crate::reason;
 use crate::session::meta::{SensorDeclaration, SessionMeta, SessionMode};
 use crate::{Error, EventLog, Result, Service, Session, SessionState, SessionView, check_id};
 use percept_identity::Pattern;
@@ -101,7 +102,11 @@ fn page_in_order(mut all: Vec<SessionView>, list: &SessionList) -> Result<Page<S
         0
     } else {
         let bad = || {
-            Error::invalid("PAGE_TOKEN_INVALID", "page_token", "page_token is not one of this list's; start without it")
+            Error::invalid(
+                reason::PAGE_TOKEN_INVALID,
+                "page_token",
+                "page_token is not one of this list's; start without it",
+            )
         };
         let (last, id) = list.page_token.split_once(':').ok_or_else(bad)?;
         let last: i64 = last.parse().map_err(|_| bad())?;
@@ -139,8 +144,9 @@ pub(crate) fn page_by_number<T: Clone>(
     let after: Option<u64> = if token.is_empty() {
         None
     } else {
-        let bad =
-            || Error::invalid("PAGE_TOKEN_INVALID", "page_token", "page_token is not one of ours; start without it");
+        let bad = || {
+            Error::invalid(reason::PAGE_TOKEN_INVALID, "page_token", "page_token is not one of ours; start without it")
+        };
         Some(token.parse().map_err(|_| bad())?)
     };
     let start = after.map_or(0, |n| items.partition_point(|i| number(i) <= n));
@@ -173,13 +179,13 @@ impl Service {
         if new.sensors.len() > self.limits.max_sensors_per_session {
             let message =
                 format!("{} sensors, the limit is {}", new.sensors.len(), self.limits.max_sensors_per_session);
-            return Err(Error::exhausted("TOO_MANY_SENSORS", "sensors", message));
+            return Err(Error::exhausted(reason::TOO_MANY_SENSORS, "sensors", message));
         }
         let mut sensors = new.sensors;
         sensors.sort_by(|a, b| a.spec.id.cmp(&b.spec.id));
         if let Some(pair) = sensors.windows(2).find(|p| p[0].spec.id == p[1].spec.id) {
             let message = format!("sensor_id {:?} is declared twice; names are unique in a session", pair[0].spec.id.0);
-            return Err(Error::invalid("SENSOR_DECLARED_TWICE", "sensors", message));
+            return Err(Error::invalid(reason::SENSOR_DECLARED_TWICE, "sensors", message));
         }
         new.params.validate().map_err(|e| super::params_error(&e))?;
         check_display_name(&new.display_name)?;

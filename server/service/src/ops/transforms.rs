@@ -1,5 +1,6 @@
 //! Where the robot was, where frames are, and parts of the trajectory.
 
+use crate::reason;
 use crate::{Error, ErrorCode, Page, Result, SensorDeclaration, Service, Session, check_id};
 use percept_geometry::{Pose, Timestamp};
 use percept_pipeline::{LookupError, PoseAt, Snapshot, TrajectoryEntry};
@@ -111,7 +112,7 @@ fn failed(reason: &'static str, field: &str, words: String) -> Error {
 
 fn empty() -> Error {
     let words = "no frame was registered yet, so that nobody knows where the robot is; send some first".to_owned();
-    failed("TRAJECTORY_EMPTY", "at_ns", words)
+    failed(reason::TRAJECTORY_EMPTY, "at_ns", words)
 }
 
 /// Where the robot was at a time.
@@ -125,7 +126,7 @@ fn pose_at(snapshot: &Snapshot, at: Timestamp) -> Result<PoseAt> {
                 first.nanos(),
                 last.nanos()
             );
-            Error::invalid("STAMP_BEFORE_TRAJECTORY", "at_ns", words)
+            Error::invalid(reason::STAMP_BEFORE_TRAJECTORY, "at_ns", words)
         }
         LookupError::After { first, last } => {
             let words = format!(
@@ -135,7 +136,7 @@ fn pose_at(snapshot: &Snapshot, at: Timestamp) -> Result<PoseAt> {
                 first.nanos(),
                 last.nanos()
             );
-            failed("STAMP_AFTER_TRAJECTORY", "at_ns", words)
+            failed(reason::STAMP_AFTER_TRAJECTORY, "at_ns", words)
         }
         LookupError::UnitsDiffer { before, after } => {
             let words = format!(
@@ -144,7 +145,7 @@ fn pose_at(snapshot: &Snapshot, at: Timestamp) -> Result<PoseAt> {
                 before.nanos(),
                 after.nanos()
             );
-            failed("SCALE_CHANGES", "at_ns", words)
+            failed(reason::SCALE_CHANGES, "at_ns", words)
         }
     })
 }
@@ -185,7 +186,7 @@ fn frame(field: &str, name: &str, sensors: &[SensorDeclaration]) -> Result<Frame
     let known: Vec<&str> =
         ["map", "odom", "base"].into_iter().chain(sensors.iter().map(|s| s.spec.id.0.as_str())).collect();
     let words = format!("{field} is {shown:?}; the session has the frames {}", known.join(", "));
-    Err(Error::not_found("FRAME_NOT_FOUND", field, words))
+    Err(Error::not_found(reason::FRAME_NOT_FOUND, field, words))
 }
 
 fn place(snapshot: &Snapshot, at: Option<Timestamp>) -> Result<Place> {
@@ -211,14 +212,14 @@ fn t_base(frame: &Frame, place: Option<&Place>) -> Result<Pose> {
                 "at that time lengths were in a unit of their own, and odom's pose was not kept; ask for map, or for \
                          a time since the scale is known"
                     .to_owned();
-            failed("ODOM_NOT_KNOWN", "at_ns", words)
+            failed(reason::ODOM_NOT_KNOWN, "at_ns", words)
         })?,
     })
 }
 
 fn part_of(snapshot: &Snapshot, request: &TrajectoryRequest) -> Result<Page<(Pose, TrajectoryEntry)>> {
     let TrajectoryRequest { from, to, max_poses, page_size, .. } = *request;
-    let invalid = |field: &str, words: String| Error::invalid("TRAJECTORY_RANGE_INVALID", field, words);
+    let invalid = |field: &str, words: String| Error::invalid(reason::TRAJECTORY_RANGE_INVALID, field, words);
     if let (Some(from), Some(to)) = (from, to)
         && from > to
     {
@@ -234,8 +235,9 @@ fn part_of(snapshot: &Snapshot, request: &TrajectoryRequest) -> Result<Page<(Pos
     }
     let mut range = snapshot.trajectory_between(from, to);
     if !request.page_token.is_empty() {
-        let bad =
-            || Error::invalid("PAGE_TOKEN_INVALID", "page_token", "page_token is not one of ours; start without it");
+        let bad = || {
+            Error::invalid(reason::PAGE_TOKEN_INVALID, "page_token", "page_token is not one of ours; start without it")
+        };
         let last = Timestamp(request.page_token.parse().map_err(|_| bad())?);
         let after = snapshot.trajectory.partition_point(|e| e.stamp <= last);
         range.start = after.clamp(range.start, range.end);

@@ -12,6 +12,7 @@ use super::registry::Registry;
 use super::sharing::Unclaimed;
 use super::slot::{Phase, Slot};
 use super::writer::{GRACE, Writer, collect_garbage};
+use crate::reason;
 use crate::{Error, Result, observe};
 use percept_geometry::Timestamp;
 use percept_scene::ObjectState;
@@ -59,7 +60,7 @@ impl Registry {
         let began = Instant::now();
         let woken = tokio::spawn(Arc::clone(&self).read(Arc::clone(&slot))).await;
         let outcome =
-            woken.unwrap_or_else(|panic| Err(Trouble::Lasting(Fault::new("NOT_RESTORABLE", panic.to_string()))));
+            woken.unwrap_or_else(|panic| Err(Trouble::Lasting(Fault::new(reason::NOT_RESTORABLE, panic.to_string()))));
         let phase = match outcome {
             Ok(phase) => phase,
             Err(Trouble::Lasting(fault)) => {
@@ -173,7 +174,7 @@ impl Registry {
             Ending::Retired | Ending::Discarded => Phase::Asleep(None),
             Ending::Panicked if slot.failed(FAILURE_WINDOW_NS) >= MOST_FAILURES => {
                 let fault = Fault::new(
-                    "PIPELINE_FAILED",
+                    reason::PIPELINE_FAILED,
                     "its pipeline failed again and again; the server's log has the cause",
                 );
                 Phase::Faulted(fault, Some(session))

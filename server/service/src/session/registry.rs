@@ -7,6 +7,7 @@ use super::handle::Session;
 use super::meta::{SensorDeclaration, SessionMeta, SessionMode};
 use super::records::{Counts, MetaRecord, SummaryRecord, parse};
 use super::slot::{Known, Phase, SessionState, Slot};
+use crate::reason;
 use crate::{ComputePool, Error, ErrorCode, Health, Limits, Result};
 use futures::stream::StreamExt;
 use percept_pipeline::PipelineParams;
@@ -234,7 +235,7 @@ impl Registry {
                 _ => return Err(not_found(id)),
             },
         };
-        record.into_meta(&self.defaults).map_err(|e| Fault::new("DATA_DAMAGED", e.to_string()).error())
+        record.into_meta(&self.defaults).map_err(|e| Fault::new(reason::DATA_DAMAGED, e.to_string()).error())
     }
 
     /// Sessions that `is_wanted`, with what is noted of them. How many there are is how many summaries are read, once after
@@ -324,7 +325,7 @@ impl Registry {
         }
         if sessions.by_id.len() >= self.limits.max_sessions {
             let message = format!("this server holds {} sessions, its limit; delete some", sessions.by_id.len());
-            return Err(Error::exhausted("TOO_MANY_SESSIONS", "", message));
+            return Err(Error::exhausted(reason::TOO_MANY_SESSIONS, "", message));
         }
         let known = Known {
             tenant: meta.tenant.clone(),
@@ -373,7 +374,7 @@ impl Registry {
             }
             if known.is_none() && meta.sensors.len() >= limit {
                 let message = format!("a session has at most {limit} sensors");
-                return Err(Error::exhausted("TOO_MANY_SENSORS", "sensor_id", message));
+                return Err(Error::exhausted(reason::TOO_MANY_SENSORS, "sensor_id", message));
             }
             meta.sensors.retain(|s| s.spec.id != spec.id);
             meta.sensors.push(declaration.clone());
@@ -557,23 +558,23 @@ fn view(slot: &Slot) -> SessionView {
 }
 
 fn unreadable(why: &dyn std::fmt::Display) -> Phase {
-    Phase::Faulted(Fault::new("DATA_DAMAGED", why.to_string()), None)
+    Phase::Faulted(Fault::new(reason::DATA_DAMAGED, why.to_string()), None)
 }
 
 pub(super) fn exists(id: &str) -> Error {
     let message = format!("session_id {id:?} exists; choose another, or use it");
     let code = ErrorCode::AlreadyExists;
-    Error { field: "session_id".to_owned(), ..Error::new(code, "SESSION_EXISTS", message) }
+    Error { field: "session_id".to_owned(), ..Error::new(code, reason::SESSION_EXISTS, message) }
 }
 
 pub(super) fn stopping() -> Error {
-    Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again")
+    Error::new(ErrorCode::Unavailable, reason::STOPPING, "the server is stopping; try again")
 }
 
 pub(crate) fn not_found(id: &str) -> Error {
     let shown: String = id.chars().take(80).collect();
     Error::not_found(
-        "SESSION_NOT_FOUND",
+        reason::SESSION_NOT_FOUND,
         "session_id",
         format!("session_id {shown:?} does not exist; create it, or list the sessions"),
     )

@@ -2,6 +2,7 @@
 
 use super::{maps, scene, sessions};
 use crate::v1;
+use percept_service::reason;
 use percept_service::{
     Error, EventKind, FleetEvent, FleetFilter, FleetGroup, FleetKind, Pattern, Result, SessionList, SessionOrder,
     SessionOrderKey,
@@ -34,7 +35,7 @@ fn pattern(text: &str) -> Result<Option<Pattern>> {
         let words = format!(
             "session_pattern is {shown:?}; write 1 to 64 characters of a-z A-Z 0-9 _ - and * for any others, e.g. robot-*"
         );
-        Error::invalid("PATTERN_INVALID", "session_pattern", words)
+        Error::invalid(reason::PATTERN_INVALID, "session_pattern", words)
     })
 }
 
@@ -54,7 +55,7 @@ fn selector(text: &str) -> Result<Vec<(String, Option<String>)>> {
         let words = format!(
             "label_selector is {shown:?}; write up to {MAX_TERMS} of key=value, or key for any value, with commas between them"
         );
-        Error::invalid("LABEL_SELECTOR_INVALID", "label_selector", words)
+        Error::invalid(reason::LABEL_SELECTOR_INVALID, "label_selector", words)
     })
 }
 
@@ -78,7 +79,7 @@ fn order(text: &str) -> Result<SessionOrder> {
             let words = format!(
                 "order_by is {shown:?}; write session_id, create_time_ns or last_used_ns, and desc behind it for the last first"
             );
-            Err(Error::invalid("ORDER_INVALID", "order_by", words))
+            Err(Error::invalid(reason::ORDER_INVALID, "order_by", words))
         }
     }
 }

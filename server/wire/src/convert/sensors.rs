@@ -9,6 +9,7 @@ use percept_geometry::{
     CameraIntrinsics, DepthImage, Distortion, LaserScan, RgbImage, SensorData, SensorFrame, SensorId, SensorKind,
     SensorSpec, Timestamp,
 };
+use percept_service::reason;
 use percept_service::{
     Error, IncomingFrame, Limits, OverloadPolicy, Result, SensorDeclaration, SensorStatus, StreamTrouble, Verdict,
 };
@@ -191,7 +192,7 @@ pub fn frame(message: &v1::SensorMessage, limits: &Limits) -> Result<IncomingFra
     percept_service::check_id("sensor_id", &message.sensor_id)?;
     if message.stamp_ns < 0 {
         return Err(Error::invalid(
-            "STAMP_NEGATIVE",
+            reason::STAMP_NEGATIVE,
             "stamp_ns",
             format!("stamp_ns is {}; send nanoseconds since the Unix epoch", message.stamp_ns),
         ));
@@ -217,7 +218,7 @@ fn rgbd(d: &v1::RgbdImage, limits: &Limits) -> Result<SensorData> {
     let color = color(&required("color", d.color.clone())?, limits).map_err(|e| e.within("color"))?;
     if (depth.width(), depth.height()) != (color.width(), color.height()) {
         return Err(Error::invalid(
-            "COLOR_SIZE_MISMATCH",
+            reason::COLOR_SIZE_MISMATCH,
             "color",
             format!(
                 "color is {}x{} but depth is {}x{}; register them to one size",
@@ -235,12 +236,16 @@ fn rgbd(d: &v1::RgbdImage, limits: &Limits) -> Result<SensorData> {
 fn image_size(width: u32, height: u32, limits: &Limits) -> Result<(usize, usize)> {
     let (w, h) = (width as usize, height as usize);
     let pixels = w.checked_mul(h).filter(|&n| n > 0).ok_or_else(|| {
-        Error::invalid("IMAGE_EMPTY", "width_px", format!("image is {width}x{height}; both sizes must be positive"))
+        Error::invalid(
+            reason::IMAGE_EMPTY,
+            "width_px",
+            format!("image is {width}x{height}; both sizes must be positive"),
+        )
     })?;
     if pixels > limits.max_image_pixels {
         let limit = limits.max_image_pixels;
         return Err(Error::exhausted(
-            "IMAGE_TOO_LARGE",
+            reason::IMAGE_TOO_LARGE,
             "width_px",
             format!("image of {width}x{height} has {pixels} pixels, the limit is {limit}; send it smaller"),
         ));
@@ -253,7 +258,7 @@ fn rows(data: &Bytes, row_bytes: usize, height: usize, stride: Option<u32>) -> R
     let stride = stride.map_or(row_bytes, |s| s as usize);
     if stride < row_bytes {
         return Err(Error::invalid(
-            "STRIDE_TOO_SMALL",
+            reason::STRIDE_TOO_SMALL,
             "row_stride_bytes",
             format!("row_stride_bytes is {stride} but a row holds {row_bytes} bytes; send at least that"),
         ));
@@ -263,7 +268,7 @@ fn rows(data: &Bytes, row_bytes: usize, height: usize, stride: Option<u32>) -> R
     let longest = stride.checked_mul(height);
     if shortest.is_none_or(|n| data.len() < n) || longest.is_none_or(|n| data.len() > n) {
         return Err(Error::invalid(
-            "SIZE_MISMATCH",
+            reason::SIZE_MISMATCH,
             "data",
             format!(
                 "data holds {} bytes but {height} rows of {stride} bytes were declared; send exactly that many",
@@ -286,7 +291,7 @@ fn decoded_size(decoded: (usize, usize), declared: (usize, usize)) -> Result<()>
         return Ok(());
     }
     Err(Error::invalid(
-        "IMAGE_SIZE_MISMATCH",
+        reason::IMAGE_SIZE_MISMATCH,
         "width_px",
         format!(
             "the file is {}x{} but {}x{} was declared; declare its true size",
@@ -350,14 +355,18 @@ fn scan(s: &v1::LaserScan, limits: &Limits) -> Result<LaserScan> {
     let beams = s.ranges_m.len() / 4;
     if beams == 0 || !s.ranges_m.len().is_multiple_of(4) {
         return Err(Error::invalid(
-            "SCAN_EMPTY",
+            reason::SCAN_EMPTY,
             "ranges_m",
             format!("ranges_m holds {} bytes; send one float32 a beam, at least one", s.ranges_m.len()),
         ));
     }
     if beams > limits.max_cloud_points {
         let limit = limits.max_cloud_points;
-        return Err(Error::exhausted("SCAN_TOO_LARGE", "ranges_m", format!("{beams} beams, the limit is {limit}")));
+        return Err(Error::exhausted(
+            reason::SCAN_TOO_LARGE,
+            "ranges_m",
+            format!("{beams} beams, the limit is {limit}"),
+        ));
     }
     let numbers = [
         ("angle_min_rad", s.angle_min_rad),
@@ -395,7 +404,7 @@ fn scan(s: &v1::LaserScan, limits: &Limits) -> Result<LaserScan> {
     if later.len() / 4 > limits.max_cloud_points {
         let (echoes, limit) = (later.len() / 4, limits.max_cloud_points);
         let message = format!("later_echoes_m has {echoes} echoes, the limit is {limit}");
-        return Err(Error::exhausted("SCAN_TOO_LARGE", "later_echoes_m", message));
+        return Err(Error::exhausted(reason::SCAN_TOO_LARGE, "later_echoes_m", message));
     }
     Ok(LaserScan {
         angle_min_rad: s.angle_min_rad,

@@ -3,6 +3,7 @@
 use super::{geometry, required, sensors};
 use crate::{params, v1};
 use percept_geometry::SensorId;
+use percept_service::reason;
 use percept_service::{Error, ParamChange, Result, SensorChanges, SessionChanges, SessionMode};
 use prost_types::FieldMask;
 
@@ -39,13 +40,13 @@ fn paths(mask: Option<&FieldMask>) -> Option<&[String]> {
 
 fn unknown(path: &str, known: &str) -> Error {
     let shown: String = path.chars().take(80).collect();
-    Error::invalid("MASK_PATH_UNKNOWN", "update_mask", format!("update_mask names {shown:?}; there are {known}"))
+    Error::invalid(reason::MASK_PATH_UNKNOWN, "update_mask", format!("update_mask names {shown:?}; there are {known}"))
 }
 
 fn nothing(known: &str) -> Error {
     let words =
         format!("nothing is to change; set a field, or name what goes back to its default in update_mask: {known}");
-    Error::invalid("FIELD_MISSING", "update_mask", words)
+    Error::invalid(reason::FIELD_MISSING, "update_mask", words)
 }
 
 /// A change of a session.
@@ -99,7 +100,7 @@ fn name(changes: &mut SessionChanges, session: &v1::Session, path: &str) -> Resu
 
 fn read_only(path: &str, remedy: &str) -> Error {
     let words = format!("update_mask names {path:?}, which the server tells and nobody sets; {remedy}");
-    Error::invalid("FIELD_READ_ONLY", path, words)
+    Error::invalid(reason::FIELD_READ_ONLY, path, words)
 }
 
 fn labels(session: &v1::Session) -> std::collections::BTreeMap<String, String> {

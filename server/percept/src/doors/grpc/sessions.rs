@@ -4,6 +4,7 @@ use super::{Answer, Api, Streamed, peer_of, status, streamed};
 use futures::{Stream, StreamExt};
 use percept_geometry::{Pose, Timestamp};
 use percept_pipeline::TrajectoryEntry;
+use percept_service::reason;
 use percept_service::{Caller, Error, ErrorCode, observe};
 use percept_wire::convert::{fleet, sessions, updates};
 use percept_wire::{params, v1};
@@ -17,7 +18,7 @@ const EVENTS_PER_READ: usize = 64;
 
 fn stopping_error() -> Error {
     let words = "the server is stopping; watch again, from the last resume token, when it is back";
-    Error::new(ErrorCode::Unavailable, "STOPPING", words)
+    Error::new(ErrorCode::Unavailable, reason::STOPPING, words)
 }
 
 impl Api {

@@ -9,6 +9,7 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::{Stream, StreamExt};
+use percept_service::reason;
 use percept_service::{CallContext, Error};
 use percept_wire::{json, v1};
 use prost::Message;
@@ -78,7 +79,7 @@ fn last_event(headers: &HeaderMap) -> Result<Option<u64>, Error> {
     let token = value.to_str().ok().and_then(|v| v.trim().parse().ok());
     let invalid = || {
         let message = format!("{LAST_EVENT_ID} is {value:?}; it must be the id of an event of this stream");
-        Error::invalid("HEADER_INVALID", LAST_EVENT_ID, message)
+        Error::invalid(reason::HEADER_INVALID, LAST_EVENT_ID, message)
     };
     token.map(Some).ok_or_else(invalid)
 }

@@ -4,6 +4,7 @@ use super::refused::Refused;
 use axum::extract::Query;
 use axum::http::Uri;
 use percept_service::Error;
+use percept_service::reason;
 use prost_reflect::{DynamicMessage, EnumDescriptor, FieldDescriptor, Kind, MessageDescriptor, ReflectMessage, Value};
 
 /// Names in a query string that are no field: they choose the form of the answer.
@@ -26,14 +27,14 @@ pub(super) fn leaves(message: &MessageDescriptor) -> Vec<(String, FieldDescripto
 
 fn pairs(uri: &Uri) -> Result<Vec<(String, String)>, Error> {
     let read = Query::<Vec<(String, String)>>::try_from_uri(uri);
-    Ok(read.map_err(|e| Error::invalid("QUERY_INVALID", "", format!("the query cannot be read: {e}")))?.0)
+    Ok(read.map_err(|e| Error::invalid(reason::QUERY_INVALID, "", format!("the query cannot be read: {e}")))?.0)
 }
 
 /// Refuses a query where the body says everything.
 pub(super) fn no_query(uri: &Uri) -> Result<(), Refused> {
     let Some((name, _)) = pairs(uri)?.into_iter().next() else { return Ok(()) };
     let message = format!("{name} stands in the query; this request says everything in its body");
-    Err(Error::invalid("QUERY_INVALID", name, message).into())
+    Err(Error::invalid(reason::QUERY_INVALID, name, message).into())
 }
 
 /// A request of the query's words; `allowed` are the dotted paths that may occur.
@@ -44,7 +45,7 @@ pub(super) fn from_query(message: MessageDescriptor, uri: &Uri, allowed: &[Strin
     let mut request = DynamicMessage::new(message);
     let pairs = pairs(uri)?;
     for (i, (name, text)) in pairs.iter().enumerate() {
-        let refuse = |words: String| Error::invalid("QUERY_INVALID", name.as_str(), words);
+        let refuse = |words: String| Error::invalid(reason::QUERY_INVALID, name.as_str(), words);
         if !allowed.iter().any(|a| a == name) {
             let known = if allowed.is_empty() { "none".to_owned() } else { allowed.join(", ") };
             return Err(refuse(format!("{name} is not a parameter of this request; there are: {known}")).into());
@@ -69,11 +70,11 @@ pub(super) fn mask(uri: &Uri, name: &str) -> Result<Option<Vec<String>>, Refused
     let pairs = pairs(uri)?;
     if let Some((other, _)) = pairs.iter().find(|(n, _)| n != name) {
         let message = format!("{other} is not a parameter of this request; there are: {name}");
-        return Err(Error::invalid("QUERY_INVALID", other.as_str(), message).into());
+        return Err(Error::invalid(reason::QUERY_INVALID, other.as_str(), message).into());
     }
     if pairs.len() > 1 {
         let message = format!("{name} is given twice; give it once, with commas between the paths");
-        return Err(Error::invalid("QUERY_INVALID", name, message).into());
+        return Err(Error::invalid(reason::QUERY_INVALID, name, message).into());
     }
     let paths = pairs.first().map(|(_, text)| text.split(',').map(|path| path.trim().to_owned()).collect());
     Ok(paths)
@@ -91,10 +92,10 @@ pub(super) fn form(uri: &Uri) -> Result<Option<String>, Refused> {
 pub(super) fn fill_from_path(message: &mut DynamicMessage, name: &str, field: &str, text: &str) -> Result<(), Refused> {
     let said = at(message, field);
     set(message, field, text)
-        .map_err(|wanted| Error::invalid("PATH_INVALID", name, not_as_wanted(name, text, &wanted)))?;
+        .map_err(|wanted| Error::invalid(reason::PATH_INVALID, name, not_as_wanted(name, text, &wanted)))?;
     if said.is_some() && said != at(message, field) {
         let message = format!("{field} in the body is not the {name} of the path; leave it out, or give the same");
-        return Err(Error::invalid("PATH_MISMATCH", field, message).into());
+        return Err(Error::invalid(reason::PATH_MISMATCH, field, message).into());
     }
     Ok(())
 }

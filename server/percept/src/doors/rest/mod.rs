@@ -32,6 +32,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodFilter, on};
 use bytes::Bytes;
 use hosts::Hosts;
+use percept_service::reason;
 use percept_service::{Error, observe};
 use refused::Refused;
 use routes::{Bound, Kind, Verb};
@@ -158,20 +159,21 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
 
 async fn path_parameters(parts: &mut Parts) -> Result<Vec<(String, String)>, Refused> {
     let params = RawPathParams::from_request_parts(parts, &()).await;
-    let params = params.map_err(|e| Error::invalid("PATH_INVALID", "", format!("the path cannot be read: {e}")))?;
+    let params =
+        params.map_err(|e| Error::invalid(reason::PATH_INVALID, "", format!("the path cannot be read: {e}")))?;
     Ok(params.iter().map(|(name, value)| (name.to_owned(), value.to_owned())).collect())
 }
 
 async fn not_found(uri: Uri) -> Refused {
     let path: String = uri.path().chars().take(200).collect();
     let message = format!("there is nothing at {path}; /openapi.json lists what there is, /docs shows it");
-    Error::not_found("ROUTE_NOT_FOUND", "", message).into()
+    Error::not_found(reason::ROUTE_NOT_FOUND, "", message).into()
 }
 
 async fn not_allowed(method: Method, uri: Uri) -> Refused {
     let path: String = uri.path().chars().take(200).collect();
     let message = format!("{method} is not served at {path}; the Allow header lists the methods that are");
-    Refused::http(StatusCode::METHOD_NOT_ALLOWED, "METHOD_NOT_ALLOWED", message)
+    Refused::http(StatusCode::METHOD_NOT_ALLOWED, reason::METHOD_NOT_ALLOWED, message)
 }
 
 /// JSON and pages only: files have strong entity tags, which compression would belie, and events must not wait.

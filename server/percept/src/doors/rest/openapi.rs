@@ -7,6 +7,7 @@ use super::pages::PAGES;
 use super::patch::MASK;
 use super::routes::{Bound, Kind as Answer, Verb};
 use percept_service::caller::rules::{About, rule};
+use percept_service::reason;
 use percept_wire::json;
 use prost_reflect::{EnumDescriptor, FieldDescriptor, Kind, MessageDescriptor};
 use serde_json::{Map, Value, json};
@@ -239,6 +240,7 @@ fn schemas(comments: &Comments) -> Value {
     let mut all: Map<String, Value> = messages.map(|m| (m.name().to_owned(), message(&m, comments))).collect();
     all.extend(enums.map(|e| (e.name().to_owned(), enumeration(&e, comments))));
     all.insert("Problem".to_owned(), problem());
+    all.insert("Reason".to_owned(), reasons());
     all.insert("FieldMask".to_owned(), json!({"type": "string", "description": "Paths with commas between them."}));
     Value::Object(all)
 }
@@ -254,12 +256,22 @@ fn problem() -> Value {
             "title": text("Words of the HTTP status."),
             "status": {"type": "integer", "description": "HTTP status."},
             "detail": text("One sentence: field, value, remedy."),
-            "reason": text("Stable, upper-case, e.g. SESSION_NOT_FOUND."),
+            "reason": reference("Reason"),
             "field": text("Path of the offending field; empty if none."),
             "code": text("Name of the gRPC code."),
             "trace_id": text("The request's trace, 32 hexadecimal digits; empty if it has none."),
         },
     })
+}
+
+/// The catalogue. Newer servers may know more.
+fn reasons() -> Value {
+    let mut words = "Why a request was refused; stable. Newer servers may say others.".to_owned();
+    for entry in reason::CATALOGUE {
+        words.push_str(&format!(" {} ({}): {}", entry.name, entry.code.name(), entry.about));
+    }
+    let names: Vec<&str> = reason::CATALOGUE.iter().map(|entry| entry.name).collect();
+    json!({"type": "string", "description": words, "examples": names})
 }
 
 fn message(message: &MessageDescriptor, comments: &Comments) -> Value {

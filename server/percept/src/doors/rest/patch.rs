@@ -8,6 +8,7 @@ use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::Response;
 use bytes::Bytes;
 use percept_service::Error;
+use percept_service::reason;
 use prost_reflect::{DynamicMessage, Kind, MessageDescriptor, Value};
 
 /// What the query may say.
@@ -62,7 +63,7 @@ fn expected(headers: &HeaderMap) -> Result<Option<String>, Error> {
 fn invalid(value: &str) -> Error {
     let shown: String = value.chars().take(80).collect();
     let words = format!("if-match is {shown:?}; it must be one entity tag in double quotes, as ETag had it, or *");
-    Error::invalid("HEADER_INVALID", "if-match", words)
+    Error::invalid(reason::HEADER_INVALID, "if-match", words)
 }
 
 /// Says the tag in `ETag`.

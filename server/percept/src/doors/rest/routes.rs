@@ -9,6 +9,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::future::BoxFuture;
 use futures::{Stream, StreamExt};
+use percept_service::reason;
 use percept_service::{CallContext, Error};
 use percept_wire::convert::geometry;
 use percept_wire::{json, v1};
@@ -240,7 +241,7 @@ pub(super) fn wants_dot(parts: &Parts) -> Result<bool, Refused> {
         Some(other) => {
             let shown: String = other.chars().take(80).collect();
             let message = format!("format is {shown:?}; it must be json or dot");
-            Err(Error::invalid("QUERY_INVALID", "format", message).into())
+            Err(Error::invalid(reason::QUERY_INVALID, "format", message).into())
         }
     }
 }
