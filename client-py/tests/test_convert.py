@@ -130,7 +130,7 @@ def test_scans_clouds_and_odometry_become_messages():
 
 def test_unknown_words_are_refused_with_those_that_are_known():
     with pytest.raises(InvalidArgument) as error:
-        sessions.create("a", "", "maping", [], None, None)
+        sessions.create("a", "", "maping", [], None, None, None)
     assert (error.value.reason, error.value.field) == ("ENUM_UNKNOWN", "mode")
     assert "mapping, ingest_only" in error.value.message
 
@@ -140,16 +140,31 @@ def test_a_newer_servers_words_read_as_unspecified():
 
 
 def test_creation_is_always_repeatable():
-    one, two = (sessions.create(None, "", "mapping", [], None, None).request for _ in range(2))
+    one, two = (sessions.create(None, "", "mapping", [], None, None, None).request for _ in range(2))
     assert one.request_id
     assert one.request_id != two.request_id
     assert not one.HasField("session_id")
-    assert sessions.create(None, "", "mapping", [], None, "mine").request.request_id == "mine"
+    assert sessions.create(None, "", "mapping", [], None, None, "mine").request.request_id == "mine"
+
+
+def test_an_update_names_what_it_changes_and_none_puts_back():
+    planning = {"robot_radius_m": 0.3, "inflation_radius_m": None}
+    params = {"planning": planning, "relations": {"contact_m": None}}
+    request = sessions.update("s", "", None, params, "tag").request
+    assert list(request.update_mask.paths) == [
+        "display_name",
+        "params.planning.robot_radius_m",
+        "params.planning.inflation_radius_m",
+        "params.relations.contact_m",
+    ]
+    assert request.session.params.planning.robot_radius_m == 0.3
+    assert not request.session.params.planning.HasField("inflation_radius_m")
+    assert (request.session.session_id, request.etag) == ("s", "tag")
 
 
 def test_unknown_parameters_are_refused():
     with pytest.raises(InvalidArgument) as error:
-        sessions.create(None, "", "mapping", [], {"no_such_group": {"x": 1}}, None)
+        sessions.create(None, "", "mapping", [], {"no_such_group": {"x": 1}}, None, None)
     assert error.value.reason == "PARAMS_INVALID"
     assert "no_such_group" in error.value.message
 

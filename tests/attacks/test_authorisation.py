@@ -26,14 +26,19 @@ RULES = {
     "SessionsService/CreateSession": (WRITE, True),
     "SessionsService/GetSession": (READ, True),
     "SessionsService/ListSessions": (READ, False),
+    "SessionsService/UpdateSession": (WRITE, True),
     "SessionsService/DeleteSession": (ADMIN, True),
     "SessionsService/GetPose": (READ, True),
+    "SessionsService/LookupTransform": (READ, True),
     "SessionsService/GetTrajectory": (READ, True),
     "SessionsService/ListKeyframes": (READ, True),
     "SessionsService/WatchSession": (READ, True),
+    "SessionsService/WatchSessions": (READ, False),
     "SessionsService/GetDefaultParams": (READ, False),
     "SensorsService/DeclareSensor": (WRITE, True),
+    "SensorsService/GetSensor": (READ, True),
     "SensorsService/ListSensors": (READ, True),
+    "SensorsService/UpdateSensor": (WRITE, True),
     "SensorsService/StreamFrames": (WRITE, True),
     "SensorsService/SendFrame": (WRITE, True),
     "SensorsService/SyncTime": (READ, False),
@@ -61,7 +66,7 @@ RULES = {
     "EvaluationService": (WRITE, False),
     "ServerService": (READ, False),
 }
-PAGES_OPEN = {"/", "/docs", "/openapi.json", "/livez", "/readyz", "/healthz"}
+PAGES_OPEN = {"/", "/docs", "/openapi.json", "/reasons", "/livez", "/readyz", "/healthz"}
 #: Sums over all sessions: for an admin of all of them, which of these kinds is the stranger at home.
 METRICS = "/metrics"
 
@@ -203,6 +208,9 @@ def request_of(method, session: str):
     fields = method.input_type.fields_by_name
     if "session_id" in fields:
         request.session_id = session
+    if "session" in fields:
+        request.session.session_id = session
+        request.session.display_name = "A"
     if "source" in fields and fields["source"].message_type.name == "MapSource":
         request.source.session_id = session
     if "message" in fields:
@@ -210,6 +218,8 @@ def request_of(method, session: str):
     if "spec" in fields:
         request.spec.sensor_id = "s"
         request.spec.kind = sensor_pb2.SENSOR_KIND_ODOMETRY
+    if "sensor_id" in fields:
+        request.sensor_id = "s"
     if "format" in fields and fields["format"].enum_type.name == "MapFormat":
         request.format = 1
     if "goal" in fields:
@@ -255,7 +265,7 @@ def call(site: Site, rpc: str, session: str, kind: str) -> str:
             invoke(sent, metadata=metadata, timeout=30)
             return ALLOWED
         stream = invoke(sent, metadata=metadata, timeout=30)
-        if method_name == "WatchSession":
+        if method_name in ("WatchSession", "WatchSessions"):
             # Headers come when the watch has begun; events may never.
             begun = stream.initial_metadata()
             if stream.is_active() and not any(k == "grpc-status" for k, _ in begun):
@@ -310,10 +320,15 @@ def test_every_route_answers_each_kind_of_caller_as_the_table_says(site):
                 site.create(session)
             concrete = path.replace("{session_id}", session).replace("{name}", "map.yaml")
             concrete = concrete.replace("{handle}", "c-0").replace("{object_id}", "1").replace("{loop_id}", "1")
+            concrete = concrete.replace("{sensor_id}", "s")
             body = {"session_id": "fleet-by-rest" if creates else session} if operation == "CreateSession" else {}
             if operation == "DeclareSensor":
                 body = {"spec": {"sensor_id": "s", "kind": "SENSOR_KIND_ODOMETRY"}}
-            sent = {"json": body} if verb == "POST" else {}
+            if operation == "UpdateSession":
+                body = {"display_name": "A"}
+            if operation == "UpdateSensor":
+                body = {"overload_policy": "OVERLOAD_POLICY_BLOCK"}
+            sent = {"json": body} if verb in ("POST", "PATCH") else {}
             with site.http.stream(verb, concrete, headers=site.headers(kind), **sent) as answer:
                 if answer.status_code < 400:
                     outcome = ALLOWED

@@ -78,7 +78,7 @@ def test_a_refused_frame_leaves_the_session_unharmed(door, client):
     assert door.send(depth_message(session, 2, poses[2])).accepted
     status = session.sensors.list()[0]
     assert (status.accepted, status.rejected) == (3, 1)
-    assert "1" in status.verdict
+    assert "1" in status.verdict_message
 
 
 def test_an_unknown_session_is_not_found(door, name):

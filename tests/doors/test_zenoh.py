@@ -55,7 +55,7 @@ def test_missing_numbers_are_counted(server, session):
         assert eventually(lambda: session.sensors.list()[0].accepted == 2)
     status = session.sensors.list()[0]
     assert status.gaps == 5
-    assert "5" in status.verdict
+    assert "5" in status.verdict_message
 
 
 def test_noise_is_counted_as_refused_and_harms_nobody(server, session):

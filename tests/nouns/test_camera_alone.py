@@ -55,11 +55,13 @@ def scaled_error_m(estimate, truth):
 def test_a_camera_alone_waits_for_parallax_then_tracks_and_says_that_scale_is_unknown(alone):
     session, poses = alone
     assert poses[0].state == "initialising"
-    assert "sideways" in poses[0].waiting_for
+    assert poses[0].waiting_for == "second_view"
+    assert "sideways" in poses[0].waiting_message
     tracked = [p for p in poses if p.state == "tracking"]
     assert len(tracked) > STEPS / 2
     assert {p.scale for p in poses} == {"unknown"}
-    assert "no map is built" in poses[-1].scale_source
+    assert poses[-1].scale_source == "none"
+    assert "no map is built" in poses[-1].scale_message
     assert session.pose() == poses[-1]
 
 
@@ -88,7 +90,8 @@ def test_wheels_make_lengths_metres_and_the_map_begins(on_wheels):
     scales = [p.scale for p in poses]
     first = scales.index("metric")
     assert scales == ["unknown"] * first + ["metric"] * (len(poses) - first)
-    assert poses[-1].scale_source == "by wheel odometry"
+    assert poses[-1].scale_source == "odometry"
+    assert poses[-1].scale_message == "by wheel odometry"
     assert session.info().num_keyframes > 0
     truth = world.truth_in_map(drive())
     # Wheels without a covariance count for a tenth of the way, here 1.5 m.
@@ -103,10 +106,11 @@ def test_images_that_show_nothing_are_lost_with_the_reason_and_found_again(clien
     def send(i, colour):
         return session.send_colour("eye", stamp_ns=world.stamp(STEPS + i), colour=colour).pose
 
-    for i, (shade, words) in enumerate([(0, "exposure"), (255, "exposure"), (120, "texture")]):
+    for i, (shade, why) in enumerate([(0, "bad_exposure"), (255, "bad_exposure"), (120, "no_texture")]):
         pose = send(i, np.full_like(images[0], shade))
         assert pose.state == "lost"
-        assert words in pose.lost_reason
+        assert pose.lost_reason == why
+        assert why.split("_")[1] in pose.lost_message
     found = send(3, images[-1])
     assert found.state == "tracking"
     assert found.relocalised

@@ -24,7 +24,8 @@ def test_a_sensor_is_declared_and_listed_as_it_was_declared(client):
     status = session.sensors.declare(world.CAMERA)
     assert status.spec == world.CAMERA
     assert (status.accepted, status.rate_hz, status.last_stamp_ns) == (0, None, None)
-    assert status.verdict
+    assert (status.verdict, status.troubles) == ("no_frame", ())
+    assert status.verdict_message
     session.sensors.declare("odom", kind="odometry")
     assert [s.spec.sensor_id for s in session.sensors.list()] == ["camera", "odom"]
 
@@ -90,6 +91,9 @@ def test_health_tells_rate_gaps_and_refusals(client):
     assert (status.accepted, status.rejected, status.dropped) == (6, 1, 0)
     assert status.rate_hz == pytest.approx(1e9 / world.FRAME_NS, rel=1e-3)
     assert status.last_stamp_ns == world.stamp(5)
+    assert status.verdict == "troubled"
+    assert [t.kind for t in status.troubles] == ["rejected"]
+    assert "1 frames refused" in status.troubles[0].message
 
 
 def test_a_frame_that_is_sent_again_is_answered_and_does_nothing_more(client):

@@ -161,7 +161,8 @@ def test_lost_is_a_state_not_an_error(client):
     assert result.pose is not None
     assert result.pose.state == "lost"
     assert result.pose.lost
-    assert result.pose.lost_reason
+    assert result.pose.lost_reason != "unspecified"
+    assert result.pose.lost_message
     assert session.pose() == result.pose
     # What a lost robot sees does not enter the map.
     assert result.keyframe_id is None

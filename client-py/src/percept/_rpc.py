@@ -54,16 +54,28 @@ LIST_SESSIONS = Rpc(_S, "ListSessions", sessions.ListSessionsRequest, sessions.L
 DELETE_SESSION = Rpc(
     _S, "DeleteSession", sessions.DeleteSessionRequest, sessions.DeleteSessionResponse, repeatable=False
 )
+# Done twice with an etag, it finds what it did itself.
+UPDATE_SESSION = Rpc(
+    _S, "UpdateSession", sessions.UpdateSessionRequest, sessions.UpdateSessionResponse, repeatable=False
+)
 GET_POSE = Rpc(_S, "GetPose", sessions.GetPoseRequest, sessions.GetPoseResponse)
+LOOKUP_TRANSFORM = Rpc(
+    _S, "LookupTransform", sessions.LookupTransformRequest, sessions.LookupTransformResponse
+)
 GET_TRAJECTORY = Rpc(_S, "GetTrajectory", sessions.GetTrajectoryRequest, sessions.GetTrajectoryResponse)
 LIST_KEYFRAMES = Rpc(_S, "ListKeyframes", sessions.ListKeyframesRequest, sessions.ListKeyframesResponse)
 WATCH_SESSION = Rpc(_S, "WatchSession", sessions.WatchSessionRequest, sessions.WatchSessionResponse)
+WATCH_SESSIONS = Rpc(_S, "WatchSessions", sessions.WatchSessionsRequest, sessions.WatchSessionsResponse)
 GET_DEFAULT_PARAMS = Rpc(
     _S, "GetDefaultParams", sessions.GetDefaultParamsRequest, sessions.GetDefaultParamsResponse
 )
 
 _N = "SensorsService"
 DECLARE_SENSOR = Rpc(_N, "DeclareSensor", sensors.DeclareSensorRequest, sensors.DeclareSensorResponse)
+GET_SENSOR = Rpc(_N, "GetSensor", sensors.GetSensorRequest, sensors.GetSensorResponse)
+UPDATE_SENSOR = Rpc(
+    _N, "UpdateSensor", sensors.UpdateSensorRequest, sensors.UpdateSensorResponse, repeatable=False
+)
 LIST_SENSORS = Rpc(_N, "ListSensors", sensors.ListSensorsRequest, sensors.ListSensorsResponse)
 STREAM_FRAMES = Rpc(
     _N, "StreamFrames", sensors.StreamFramesRequest, sensors.StreamFramesResponse, repeatable=False

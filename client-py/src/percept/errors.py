@@ -7,6 +7,7 @@ PerceptError
 ├── NotFound                what was named does not exist
 ├── AlreadyExists           it exists already, and differs
 ├── FailedPrecondition      right request, wrong state: do something else first
+├── Aborted                 somebody else was quicker: read again what is there now, then try again
 ├── ResourceExhausted       a limit is used up
 ├── Unavailable             server stopping, unreachable, or a resource gone for now: try again
 │   └── StreamBroken        a stream of frames could not be taken up again in time; says how many are safe
@@ -99,6 +100,12 @@ class FailedPrecondition(PerceptError):
     code = "FAILED_PRECONDITION"
 
 
+class Aborted(PerceptError):
+    """Somebody else was quicker: what is there is not what was seen."""
+
+    code = "ABORTED"
+
+
 class ResourceExhausted(PerceptError):
     """A limit or budget is used up."""
 
@@ -149,6 +156,7 @@ _BY_CODE: dict[str, type[PerceptError]] = {
         NotFound,
         AlreadyExists,
         FailedPrecondition,
+        Aborted,
         ResourceExhausted,
         Unavailable,
         DeadlineExceeded,

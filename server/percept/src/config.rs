@@ -409,6 +409,7 @@ fn check_limits(limits: &Limits) -> Result<(), ConfigError> {
         ("limits.max_kept_bytes", limits.max_kept_bytes, 1 << 40),
         ("limits.max_kept_s", limits.max_kept_s, 86_400),
         ("limits.event_history", limits.event_history, 1_000_000),
+        ("limits.fleet_event_history", limits.fleet_event_history, 1_000_000),
         ("limits.max_queued_computations", limits.max_queued_computations, 1_000_000),
         ("limits.max_bytes_in_flight", limits.max_bytes_in_flight, 1 << 40),
         ("limits.max_bytes_in_flight_per_peer", limits.max_bytes_in_flight_per_peer, 1 << 40),

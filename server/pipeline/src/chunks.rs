@@ -46,6 +46,18 @@ impl<T: Clone> Chunks<T> {
         }
     }
 
+    /// How many elements there are before the first for which `is_before` does not hold; it has to hold for none after that.
+    pub fn partition_point(&self, is_before: impl Fn(&T) -> bool) -> usize {
+        let full = self.full.partition_point(|chunk| chunk.last().is_some_and(&is_before));
+        let rest = self.full.get(full).map_or(&self.tail, |chunk| chunk);
+        full * CHUNK + rest.partition_point(is_before)
+    }
+
+    /// Elements of a range, oldest first.
+    pub fn range(&self, range: std::ops::Range<usize>) -> impl Iterator<Item = &T> {
+        range.map_while(|i| self.get(i))
+    }
+
     /// The newest element.
     pub fn last(&self) -> Option<&T> {
         self.len().checked_sub(1).and_then(|i| self.get(i))
@@ -70,5 +82,19 @@ mod tests {
         assert!(before.iter().copied().eq(0..1000));
         assert!(list.iter().copied().eq(0..2000));
         assert_eq!((list.get(999), list.get(1999), list.get(2000)), (Some(&999), Some(&1999), None));
+    }
+
+    #[test]
+    fn elements_are_found_by_their_order() {
+        let mut list = Chunks::default();
+        for n in 0..700 {
+            assert_eq!(list.partition_point(|&i| i < 2 * n), n);
+            list.push(2 * n);
+        }
+        for n in 0..700 {
+            assert_eq!((list.partition_point(|&i| i < 2 * n), list.partition_point(|&i| i <= 2 * n)), (n, n + 1));
+        }
+        assert!(list.range(255..258).copied().eq([510, 512, 514]));
+        assert_eq!(list.range(699..900).count(), 1);
     }
 }

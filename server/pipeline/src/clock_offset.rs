@@ -63,6 +63,12 @@ impl ClockOffsets {
         }
     }
 
+    /// The sensor's stamps are told otherwise from now on.
+    pub(crate) fn forget(&mut self, sensor: &SensorId) {
+        self.sensors.remove(sensor);
+        self.found.remove(sensor);
+    }
+
     /// Two poses tell how fast the robot turned in between; whether that gave a new estimate.
     pub(crate) fn turned(&mut self, from: Timestamp, to: Timestamp, angle: f64) -> bool {
         let dt = to.seconds_since(from);

@@ -8,6 +8,7 @@ mod clock_offset;
 mod frame_error;
 mod imu_prior;
 mod level;
+mod lookup;
 mod mounts;
 mod odometry_prior;
 mod params;
@@ -20,9 +21,12 @@ mod visibility;
 
 pub use chunks::Chunks;
 pub use frame_error::FrameError;
+pub use lookup::{LookupError, PoseAt};
 pub use mounts::MountOffset;
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
 pub use percept_slam::{Loop, LoopId, LoopState};
-pub use pipeline::{FrameReport, MapChange, NewKeyframe, Pipeline, Restored, RestoredContent, RestoredKeyframe};
+pub use pipeline::{
+    FrameReport, MapChange, NewKeyframe, Pipeline, Restored, RestoredContent, RestoredKeyframe, may_change,
+};
 pub use sensors::check_frame;
 pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, Snapshot, TrajectoryEntry};

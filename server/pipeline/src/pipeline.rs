@@ -8,10 +8,12 @@ mod register;
 mod report;
 mod restore;
 mod revising;
+mod settings;
 
 pub use report::{FrameReport, NewKeyframe};
 pub use restore::{Restored, RestoredContent, RestoredKeyframe};
 pub use revising::MapChange;
+pub use settings::may_change;
 
 use crate::clock_offset::ClockOffsets;
 use crate::imu_prior::ImuBuffer;
@@ -105,8 +107,17 @@ impl Pipeline {
         })
     }
 
-    /// Adds a sensor, or replaces its declaration.
+    /// Adds a sensor, or replaces its declaration. What waits of one whose clock or mount is another now is dropped.
     pub fn declare_sensor(&mut self, spec: SensorSpec) {
+        let is_other = |before: &SensorSpec| {
+            before.time_offset_s != spec.time_offset_s || before.t_base_sensor != spec.t_base_sensor
+        };
+        if self.sensors.spec(&spec.id).is_some_and(is_other) {
+            self.wheels.remove(&spec.id);
+            self.imus.remove(&spec.id);
+            self.clocks.forget(&spec.id);
+            self.clock_offsets = Arc::new(self.clocks.found().clone());
+        }
         self.sensors.declare(spec);
     }
 

@@ -50,6 +50,8 @@ pub struct KeyframeInfo {
     pub sensor: SensorId,
     /// Base to map, corrected.
     pub t_map_base: Pose,
+    /// Base to odom: continuous, never corrected.
+    pub t_odom_base: Pose,
     /// Points kept.
     pub num_points: usize,
     /// Set once a newer keyframe stands for this one: what it saw is gone, and it moves with that one.

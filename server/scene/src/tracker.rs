@@ -120,6 +120,16 @@ impl Tracker {
         Ok(Self { params, tracks, next_id: next_id.max(beyond) })
     }
 
+    /// Goes on with other parameters; what is followed stays.
+    ///
+    /// # Errors
+    /// `InvalidParam`; nothing was changed.
+    pub fn set_params(&mut self, params: TrackerParams) -> Result<(), SceneError> {
+        params.validate()?;
+        self.params = params;
+        Ok(())
+    }
+
     /// The number that the next object will get.
     pub fn next_id(&self) -> u64 {
         self.next_id

@@ -7,6 +7,7 @@
 mod fair;
 
 use crate::observe::{self, Work};
+use crate::reason;
 use crate::{Error, ErrorCode, Result};
 use fair::{Job, Line};
 use std::sync::Arc;
@@ -154,16 +155,16 @@ fn prepared<T: Send + 'static>(kind: Work, work: impl FnOnce() -> T + Send + 'st
 }
 
 fn busy() -> Error {
-    observe::shed("SERVER_BUSY");
+    observe::shed(reason::SERVER_BUSY);
     let words = "too many requests wait to be computed; try again, or send fewer at a time";
-    Error::exhausted("SERVER_BUSY", "", words)
+    Error::exhausted(reason::SERVER_BUSY, "", words)
 }
 
 /// The answer to a request that computes for longer than it may.
 pub(crate) fn too_long(budget: Duration) -> Error {
     let words =
         format!("the request computed for {} ms, its limit; send a smaller cloud or fewer steps", budget.as_millis());
-    Error::new(ErrorCode::DeadlineExceeded, "COMPUTATION_TOO_LONG", words)
+    Error::new(ErrorCode::DeadlineExceeded, reason::COMPUTATION_TOO_LONG, words)
 }
 
 #[cfg(test)]

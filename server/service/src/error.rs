@@ -1,5 +1,7 @@
 //! The one error that operations answer with, whichever door was used.
 
+use crate::reason;
+
 /// What kind of failure: decides the gRPC status, the HTTP status and whether to try again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ErrorCode {
@@ -11,6 +13,8 @@ pub enum ErrorCode {
     AlreadyExists,
     /// Right request, wrong state: do something else first.
     FailedPrecondition,
+    /// Somebody else was quicker: look again at what is there now, then try again.
+    Aborted,
     /// A limit or budget is used up.
     ResourceExhausted,
     /// Nobody, or nobody any more, that is known here: send credentials that hold.
@@ -33,6 +37,7 @@ impl ErrorCode {
             Self::NotFound => "NOT_FOUND",
             Self::AlreadyExists => "ALREADY_EXISTS",
             Self::FailedPrecondition => "FAILED_PRECONDITION",
+            Self::Aborted => "ABORTED",
             Self::ResourceExhausted => "RESOURCE_EXHAUSTED",
             Self::Unauthenticated => "UNAUTHENTICATED",
             Self::PermissionDenied => "PERMISSION_DENIED",
@@ -88,7 +93,7 @@ impl Error {
         let which = if session.is_empty() { "the session".to_owned() } else { format!("session_id {session:?}") };
         let words =
             format!("{which} is in use at the server {server}; ask that one, or try again when it has ended there");
-        Self { server: server.to_owned(), ..Self::new(ErrorCode::Unavailable, "SESSION_ELSEWHERE", words) }
+        Self { server: server.to_owned(), ..Self::new(ErrorCode::Unavailable, reason::SESSION_ELSEWHERE, words) }
     }
 
     /// A fault of ours: the cause goes to the log, the caller learns only that it happened.
@@ -109,17 +114,17 @@ impl From<percept_geometry::GeometryError> for Error {
         use percept_geometry::GeometryError as G;
         match e {
             G::ShapeMismatch { field, expected, actual } => Self::invalid(
-                "SIZE_MISMATCH",
+                reason::SIZE_MISMATCH,
                 field,
                 format!(
                     "{field} holds {actual} elements but its declared shape needs {expected}; send exactly that many"
                 ),
             ),
             G::OutOfRange { field, value, requirement } => {
-                Self::invalid("OUT_OF_RANGE", field, format!("{field} is {value}; it must be {requirement}"))
+                Self::invalid(reason::OUT_OF_RANGE, field, format!("{field} is {value}; it must be {requirement}"))
             }
             G::NotUnitQuaternion { field, norm } => Self::invalid(
-                "QUATERNION_NOT_UNIT",
+                reason::QUATERNION_NOT_UNIT,
                 field,
                 format!("{field} has a quaternion of norm {norm}; normalise it (order x, y, z, w)"),
             ),
@@ -137,7 +142,11 @@ pub fn check_id(field: &str, id: &str) -> Result<()> {
         return Ok(());
     }
     let shown: String = id.chars().take(80).collect();
-    Err(Error::invalid("ID_INVALID", field, format!("{field} is {shown:?}; use 1 to 64 characters of a-z A-Z 0-9 _ -")))
+    Err(Error::invalid(
+        reason::ID_INVALID,
+        field,
+        format!("{field} is {shown:?}; use 1 to 64 characters of a-z A-Z 0-9 _ -"),
+    ))
 }
 
 #[cfg(test)]

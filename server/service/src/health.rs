@@ -2,6 +2,7 @@
 //!
 //! Every part that others depend on reports how it fares ([`Health::report`]); the doors follow [`Health::watch`].
 
+use crate::reason;
 use crate::{Error, observe};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -75,7 +76,7 @@ impl Health {
     /// Of a server that is starting: not ready until [`Part::Server`] reports that it serves.
     pub fn starting() -> Self {
         let health = Self { troubles: Arc::default(), readiness: Arc::new(watch::Sender::new(Readiness::Ready)) };
-        health.report(Part::Server, Err(("STARTING", "the server is starting; ask again soon")));
+        health.report(Part::Server, Err((reason::STARTING, "the server is starting; ask again soon")));
         health
     }
 
@@ -109,7 +110,7 @@ impl Health {
 
     /// Notes that the server takes no new work any more.
     pub fn draining(&self) {
-        self.report(Part::Server, Err(("STOPPING", "the server is stopping; use another one")));
+        self.report(Part::Server, Err((reason::STOPPING, "the server is stopping; use another one")));
     }
 
     /// How it stands.

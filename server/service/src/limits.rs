@@ -38,6 +38,8 @@ pub struct Limits {
     pub max_kept_s: usize,
     /// Events kept for watchers that resume.
     pub event_history: usize,
+    /// The same for watchers of all sessions, over all of them.
+    pub fleet_event_history: usize,
     /// Time that a session stays in memory unused before it is put to sleep, seconds; the next use wakes it.
     pub sleep_after_s: usize,
     /// Memory of this process from which on sessions are put to sleep that were not used for the longest time, MiB; 0:
@@ -92,6 +94,7 @@ impl Default for Limits {
             max_kept_bytes: 1 << 30,
             max_kept_s: 600,
             event_history: 1024,
+            fleet_event_history: 8192,
             sleep_after_s: 300,
             max_memory_mb: 0,
             max_bytes_in_flight: 512 << 20,

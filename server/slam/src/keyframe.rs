@@ -81,6 +81,11 @@ impl KeyframePolicy {
         Self { params, t_odom_last: None }
     }
 
+    /// Goes on with other distances.
+    pub fn set_params(&mut self, params: KeyframeParams) {
+        self.params = params;
+    }
+
     /// Goes on from a keyframe made before a restart.
     pub fn resume(&mut self, t_odom_base_last: &Pose) {
         self.t_odom_last = Some(*t_odom_base_last);

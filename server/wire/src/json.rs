@@ -2,6 +2,7 @@
 //!
 //! Source: Protocol Buffers language guide, 'JSON mapping'. 64-bit integers are strings, bytes are base64.
 
+use percept_service::reason;
 use percept_service::{Error, Result};
 use prost::Message;
 use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor, SerializeOptions};
@@ -41,6 +42,6 @@ pub fn to_json(name: &str, message: &impl Message) -> Result<Value> {
 /// `JSON_INVALID` with what the parser found.
 pub fn from_json<M: Message + Default>(name: &str, value: Value) -> Result<M> {
     let dynamic = DynamicMessage::deserialize(descriptor(name)?, value)
-        .map_err(|e| Error::invalid("JSON_INVALID", "", format!("body is not a {name}: {e}")))?;
+        .map_err(|e| Error::invalid(reason::JSON_INVALID, "", format!("body is not a {name}: {e}")))?;
     M::decode(dynamic.encode_to_vec().as_slice()).map_err(Error::internal)
 }

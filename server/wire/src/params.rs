@@ -7,7 +7,8 @@
 use crate::{json, v1};
 use percept_pipeline::PipelineParams;
 use percept_planning::PlanParams;
-use percept_service::{Error, Result};
+use percept_service::reason;
+use percept_service::{Error, ParamChange, Result};
 use prost::Message;
 use prost_reflect::{DynamicMessage, EnumDescriptor, Kind, MessageDescriptor, SerializeOptions};
 use serde::{Serialize, de::DeserializeOwned};
@@ -21,7 +22,7 @@ pub fn pipeline(sent: Option<&v1::PipelineParams>, defaults: &PipelineParams) ->
     let params = overlay("PipelineParams", sent, defaults)?;
     params
         .validate()
-        .map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", format!("params.{}", e.section), e.message))?;
+        .map_err(|e| Error::invalid(reason::PARAMETER_OUT_OF_RANGE, format!("params.{}", e.section), e.message))?;
     Ok(params)
 }
 
@@ -31,7 +32,7 @@ pub fn pipeline(sent: Option<&v1::PipelineParams>, defaults: &PipelineParams) ->
 /// `PARAMETER_OUT_OF_RANGE`.
 pub fn planning(sent: Option<&v1::PlanningParams>, defaults: &PlanParams) -> Result<PlanParams> {
     let params = overlay("PlanningParams", sent, defaults)?;
-    params.validate().map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", "params", e.to_string()))?;
+    params.validate().map_err(|e| Error::invalid(reason::PARAMETER_OUT_OF_RANGE, "params", e.to_string()))?;
     Ok(params)
 }
 
@@ -49,6 +50,45 @@ pub fn pipeline_to(params: &PipelineParams) -> Result<v1::PipelineParams> {
     json::from_json("PipelineParams", tree)
 }
 
+/// What becomes of the parameters at and below a dotted path (empty: of all): the values that were sent, and the default of
+/// those that were not. None if there is no such path.
+///
+/// # Errors
+/// `PARAMETER_OUT_OF_RANGE` for words that are unknown.
+pub fn changes(sent: Option<&v1::PipelineParams>, below: &str) -> Result<Option<Vec<ParamChange>>> {
+    let tree = sent.map(|sent| words(&json::descriptor("PipelineParams")?, sent)).transpose()?.unwrap_or_default();
+    let mut paths = vec![];
+    leaves(&json::descriptor("PipelineParams")?, "", &mut paths);
+    let section = format!("{below}.");
+    paths.retain(|path| below.is_empty() || path == below || path.starts_with(&section));
+    let change = |path: String| {
+        let value = tree.pointer(&format!("/{}", path.replace('.', "/"))).filter(|value| !value.is_null());
+        ParamChange { value: value.cloned(), is_named: path == below, path }
+    };
+    Ok((!paths.is_empty()).then(|| paths.into_iter().map(change).collect()))
+}
+
+/// Dotted paths of all fields that hold a value.
+fn leaves(message: &MessageDescriptor, prefix: &str, out: &mut Vec<String>) {
+    for field in message.fields() {
+        let path = format!("{prefix}{}", field.name());
+        match field.kind() {
+            Kind::Message(inner) => leaves(&inner, &format!("{path}."), out),
+            _ => out.push(path),
+        }
+    }
+}
+
+/// What was sent, as the code and the configuration write it.
+fn words(descriptor: &MessageDescriptor, sent: &impl Message) -> Result<Value> {
+    let dynamic =
+        DynamicMessage::decode(descriptor.clone(), sent.encode_to_vec().as_slice()).map_err(Error::internal)?;
+    let options = SerializeOptions::new().use_proto_field_name(true).stringify_64_bit_integers(false);
+    let mut tree = dynamic.serialize_with_options(serde_json::value::Serializer, &options).map_err(Error::internal)?;
+    each_enum(descriptor, &mut tree, "params", &mut to_word)?;
+    Ok(tree)
+}
+
 fn overlay<M: Message, P: Serialize + DeserializeOwned + Clone>(
     name: &str,
     sent: Option<&M>,
@@ -56,15 +96,9 @@ fn overlay<M: Message, P: Serialize + DeserializeOwned + Clone>(
 ) -> Result<P> {
     let Some(sent) = sent else { return Ok(defaults.clone()) };
     let mut tree = serde_json::to_value(defaults).map_err(Error::internal)?;
-    let descriptor = json::descriptor(name)?;
-    let dynamic =
-        DynamicMessage::decode(descriptor.clone(), sent.encode_to_vec().as_slice()).map_err(Error::internal)?;
-    let options = SerializeOptions::new().use_proto_field_name(true).stringify_64_bit_integers(false);
-    let mut patch = dynamic.serialize_with_options(serde_json::value::Serializer, &options).map_err(Error::internal)?;
-    each_enum(&descriptor, &mut patch, "params", &mut to_word)?;
-    lay_over(&mut tree, patch);
+    lay_over(&mut tree, words(&json::descriptor(name)?, sent)?);
     serde_json::from_value(tree)
-        .map_err(|e| Error::invalid("PARAMETER_OUT_OF_RANGE", "params", format!("params do not fit: {e}")))
+        .map_err(|e| Error::invalid(reason::PARAMETER_OUT_OF_RANGE, "params", format!("params do not fit: {e}")))
 }
 
 /// Every enum of a tree, with its path.
@@ -99,7 +133,7 @@ fn to_word(kind: &EnumDescriptor, value: &mut Value, path: &str) -> Result<()> {
         let known: Vec<String> = kind.values().skip(1).map(|v| word(v.name())).collect();
         let field = path.rsplit('.').next().unwrap_or(path);
         let message = format!("{field}: {value} is unknown; use {}", known.join(" or "));
-        return Err(Error::invalid("PARAMETER_OUT_OF_RANGE", path, message));
+        return Err(Error::invalid(reason::PARAMETER_OUT_OF_RANGE, path, message));
     };
     *value = if name == kind.default_value().name() { Value::Null } else { Value::String(word(name)) };
     Ok(())

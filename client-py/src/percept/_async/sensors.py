@@ -27,6 +27,28 @@ class AsyncSensors(AsyncSessionBound):
         spec = _spec(sensor, kind, t_base_sensor, intrinsics, time_offset_s, overload_policy)
         return await self._transport.call(convert.declare(self.session_id, spec))
 
+    async def get(self, sensor_id: str) -> SensorStatus:
+        """One sensor with what the server sees of its stream."""
+        return await self._transport.call(convert.get(self.session_id, sensor_id))
+
+    async def update(
+        self,
+        sensor_id: str,
+        *,
+        t_base_sensor: Pose | None = None,
+        intrinsics: CameraIntrinsics | None = None,
+        time_offset_s: float | None = None,
+        overload_policy: OverloadPolicy | str | None = None,
+        etag: str = "",
+    ) -> SensorStatus:
+        """Changes what is given of a declaration, in force from the next frame on. The overload policy may
+        change at any time, clock and mount of wheels and IMUs, too; else they are fixed once the sensor has
+        sent a frame. With an `etag`, raises Aborted if it was changed since."""
+        call = convert.update(
+            self.session_id, sensor_id, t_base_sensor, intrinsics, time_offset_s, overload_policy, etag
+        )
+        return await self._transport.call(call)
+
     async def list(self) -> Sequence[SensorStatus]:
         """All sensors with what the server sees of their streams."""
         return await self._transport.call(convert.list_sensors(self.session_id))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import TracebackType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import grpc
 
@@ -11,34 +12,34 @@ from .. import _rpc
 from .._convert import sessions
 from .._options import backoff, wait_before_retry
 from ..errors import error_of_rpc
-from ..types.sessions import SessionEvent
+from ..types.sessions import FleetEvent, FleetEventKind, SessionEvent
 from ..v1 import sessions_service_pb2
 from . import _runtime as runtime
 from .transport import AsyncTransport
 
+E = TypeVar("E")
+W = TypeVar("W", bound="AsyncEvents[Any]")
 
-class AsyncWatch:
-    """Events of a session: `async for` within `async with`, from whose beginning on nothing is missed.
 
-    When the link breaks or the server stops it goes on by itself once the server is back, with a Resync where
-    events are missing. It ends when the session is deleted.
+class AsyncEvents(Generic[E]):
+    """A stream of events that goes on by itself: `async for` within `async with`, from whose beginning on
+    nothing is missed.
 
     `token` belongs to the newest event: watch(resume_token=token) goes on after it.
     """
 
-    def __init__(self, transport: AsyncTransport, session_id: str, resume_token: int | None) -> None:
+    def __init__(self, transport: AsyncTransport, resume_token: int | None) -> None:
         self.token = resume_token
         self._transport = transport
-        self._session_id = session_id
         self._closed = False
         self._waits = backoff(transport.options.retries)
         self._call: Any = self._subscribe()
         runtime.begun(self._call)
 
-    def __aiter__(self) -> AsyncWatch:
+    def __aiter__(self: W) -> W:
         return self
 
-    async def __anext__(self) -> SessionEvent:
+    async def __anext__(self) -> E:
         while not self._closed:
             try:
                 answer = await runtime.next_of(self._call)
@@ -47,10 +48,9 @@ class AsyncWatch:
                 continue
             if answer is runtime.EOF:
                 break
-            event = sessions.event(answer.event)
-            self.token = event.token
+            self.token = answer.event.token
             self._waits = backoff(self._transport.options.retries)
-            return event
+            return self._read(answer)
         raise StopAsyncIteration
 
     def close(self) -> None:
@@ -58,7 +58,7 @@ class AsyncWatch:
         self._closed = True
         self._call.cancel()
 
-    async def __aenter__(self) -> AsyncWatch:
+    async def __aenter__(self: W) -> W:
         # Answered as soon as the server watches: nothing that happens from now on is missed.
         await self._call.initial_metadata()
         return self
@@ -69,10 +69,10 @@ class AsyncWatch:
         self.close()
 
     def _subscribe(self) -> Any:  # noqa: ANN401
-        request = sessions_service_pb2.WatchSessionRequest(
-            session_id=self._session_id, resume_token=self.token
-        )
-        return self._transport.subscribe(_rpc.WATCH_SESSION, request)
+        raise NotImplementedError
+
+    def _read(self, answer: Any) -> E:  # noqa: ANN401
+        raise NotImplementedError
 
     async def _recover(self, cause: grpc.RpcError) -> None:
         if self._closed:
@@ -83,3 +83,49 @@ class AsyncWatch:
             raise error from cause
         await runtime.sleep(wait)
         self._call = self._subscribe()
+
+
+class AsyncWatch(AsyncEvents[SessionEvent]):
+    """Events of a session: `async for` within `async with`, from whose beginning on nothing is missed.
+
+    When the link breaks or the server stops it goes on by itself once the server is back, with a Resync where
+    events are missing. It ends when the session is deleted.
+    """
+
+    def __init__(self, transport: AsyncTransport, session_id: str, resume_token: int | None) -> None:
+        self._session_id = session_id
+        super().__init__(transport, resume_token)
+
+    def _subscribe(self) -> Any:  # noqa: ANN401
+        request = sessions_service_pb2.WatchSessionRequest(
+            session_id=self._session_id, resume_token=self.token
+        )
+        return self._transport.subscribe(_rpc.WATCH_SESSION, request)
+
+    def _read(self, answer: Any) -> SessionEvent:  # noqa: ANN401
+        return sessions.event(answer.event)
+
+
+class AsyncFleetWatch(AsyncEvents[FleetEvent]):
+    """Events of all sessions of a server: `async for` within `async with`, from whose beginning on nothing is
+    missed. It goes on by itself as a session's does."""
+
+    def __init__(
+        self,
+        transport: AsyncTransport,
+        pattern: str,
+        kinds: Sequence[FleetEventKind | str],
+        resume_token: int | None,
+    ) -> None:
+        self._wanted = sessions.watch_sessions(pattern, kinds, None)
+        super().__init__(transport, resume_token)
+
+    def _subscribe(self) -> Any:  # noqa: ANN401
+        request = sessions_service_pb2.WatchSessionsRequest()
+        request.CopyFrom(self._wanted)
+        if self.token is not None:
+            request.resume_token = self.token
+        return self._transport.subscribe(_rpc.WATCH_SESSIONS, request)
+
+    def _read(self, answer: Any) -> FleetEvent:  # noqa: ANN401
+        return sessions.fleet_event(answer.event)

@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 from ..types.sensors import FrameAck, Rejection
-from ..types.sessions import FrameResult, PoseEstimate, Scale, TrackingState
+from ..types.sessions import (
+    FrameResult,
+    LostReason,
+    PoseAt,
+    PoseEstimate,
+    Scale,
+    ScaleSource,
+    TrackingState,
+    Transform,
+    WaitingFor,
+)
 from ..v1 import error_pb2, session_pb2
 from . import geometry, words
 
@@ -16,15 +26,45 @@ def pose_estimate(message: session_pb2.PoseEstimate) -> PoseEstimate:
         t_map_base=geometry.pose(message.t_map_base),
         covariance=geometry.covariance(message.covariance),
         t_odom_base=geometry.pose(message.t_odom_base),
-        lost_reason=message.lost_reason,
+        lost_reason=words.word(LostReason, session_pb2.LostReason, message.lost_reason),
+        lost_message=message.lost_message,
         inlier_ratio=message.inlier_ratio,
         rmse_m=message.rmse_m,
         degenerate_axes=tuple(message.degenerate_axes),
         map_version=message.map_version,
         scale=words.word(Scale, session_pb2.Scale, message.scale),
-        scale_source=message.scale_source,
-        waiting_for=message.waiting_for,
+        scale_source=words.word(ScaleSource, session_pb2.ScaleSource, message.scale_source),
+        scale_message=message.scale_message,
+        waiting_for=words.word(WaitingFor, session_pb2.WaitingFor, message.waiting_for),
+        waiting_message=message.waiting_message,
         relocalised=message.relocalised,
+    )
+
+
+def pose_at(message: session_pb2.PoseAt) -> PoseAt:
+    """A pose at a time."""
+    return PoseAt(
+        stamp_ns=message.stamp_ns,
+        t_map_base=geometry.pose(message.t_map_base),
+        t_odom_base=geometry.pose(message.t_odom_base) if message.HasField("t_odom_base") else None,
+        state=words.word(TrackingState, session_pb2.TrackingState, message.state),
+        scale=words.word(Scale, session_pb2.Scale, message.scale),
+        before_ns=message.before_ns,
+        after_ns=message.after_ns,
+        map_version=message.map_version,
+    )
+
+
+def transform(message: session_pb2.Transform) -> Transform:
+    """A transform."""
+    return Transform(
+        target_frame=message.target_frame,
+        source_frame=message.source_frame,
+        t_target_source=geometry.pose(message.t_target_source),
+        stamp_ns=message.stamp_ns if message.HasField("stamp_ns") else None,
+        state=words.word(TrackingState, session_pb2.TrackingState, message.state),
+        scale=words.word(Scale, session_pb2.Scale, message.scale),
+        map_version=message.map_version,
     )
 
 

@@ -19,12 +19,16 @@ from ..types.frames import (
     ScanFrame,
     SensorFrame,
 )
+from ..types.geometry import CameraIntrinsics, Pose
 from ..types.sensors import (
     ClockOffset,
     OverloadPolicy,
     SensorKind,
     SensorSpec,
     SensorStatus,
+    StreamTrouble,
+    StreamTroubleKind,
+    StreamVerdict,
 )
 from ..types.sessions import FrameResult
 from ..v1 import geometry_pb2, sensor_pb2, sensors_service_pb2
@@ -69,9 +73,17 @@ def status(message: sensor_pb2.SensorStatus) -> SensorStatus:
         gaps=message.gaps,
         rate_hz=message.rate_hz if message.HasField("rate_hz") else None,
         last_stamp_ns=message.last_stamp_ns if message.HasField("last_stamp_ns") else None,
-        verdict=message.verdict,
+        verdict=words.word(StreamVerdict, sensor_pb2.StreamVerdict, message.verdict),
+        troubles=tuple(_trouble(t) for t in message.troubles),
+        verdict_message=message.verdict_message,
+        etag=message.etag,
         clock_offset_s=message.clock_offset_s if message.HasField("clock_offset_s") else None,
     )
+
+
+def _trouble(message: sensor_pb2.StreamTrouble) -> StreamTrouble:
+    kind = words.word(StreamTroubleKind, sensor_pb2.StreamTroubleKind, message.kind)
+    return StreamTrouble(kind=kind, message=message.message)
 
 
 def fill_depth(
@@ -181,6 +193,40 @@ def list_sensors(
 ]:
     request = sensors_service_pb2.ListSensorsRequest(session_id=session_id)
     return Call(_rpc.LIST_SENSORS, request, lambda a: [status(s) for s in a.sensors])
+
+
+def get(
+    session_id: str, sensor_id: str
+) -> Call[sensors_service_pb2.GetSensorRequest, sensors_service_pb2.GetSensorResponse, SensorStatus]:
+    request = sensors_service_pb2.GetSensorRequest(session_id=session_id, sensor_id=sensor_id)
+    return Call(_rpc.GET_SENSOR, request, lambda a: status(a.sensor))
+
+
+def update(
+    session_id: str,
+    sensor_id: str,
+    t_base_sensor: Pose | None,
+    intrinsics: CameraIntrinsics | None,
+    time_offset_s: float | None,
+    overload_policy: OverloadPolicy | str | None,
+    etag: str,
+) -> Call[sensors_service_pb2.UpdateSensorRequest, sensors_service_pb2.UpdateSensorResponse, SensorStatus]:
+    request = sensors_service_pb2.UpdateSensorRequest(session_id=session_id, etag=etag)
+    changed, paths = request.spec, request.update_mask.paths
+    changed.sensor_id = sensor_id
+    if t_base_sensor is not None:
+        changed.t_base_sensor.CopyFrom(geometry.pose_to(t_base_sensor))
+        paths.append("t_base_sensor")
+    if intrinsics is not None:
+        changed.intrinsics.CopyFrom(geometry.intrinsics_to(intrinsics))
+        paths.append("intrinsics")
+    if time_offset_s is not None:
+        changed.time_offset_s = time_offset_s
+        paths.append("time_offset_s")
+    if overload_policy is not None:
+        changed.overload_policy = words.number("overload_policy", sensor_pb2.OverloadPolicy, overload_policy)
+        paths.append("overload_policy")
+    return Call(_rpc.UPDATE_SENSOR, request, lambda a: status(a.sensor))
 
 
 def send(

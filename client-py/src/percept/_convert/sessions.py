@@ -9,21 +9,30 @@ import numpy as np
 
 from .. import _rpc
 from .._call import Call, ChunkedCall, PagedCall
+from ..errors import InvalidArgument
 from ..types.sensors import SensorSpec
 from ..types.sessions import (
+    AnyEvent,
     Event,
+    FleetEvent,
+    FleetEventKind,
     Keyframe,
+    LifeStep,
     MapChanged,
+    PoseAt,
     PoseEstimate,
     Resync,
     Scale,
     SessionEvent,
     SessionFault,
     SessionInfo,
+    SessionLife,
     SessionMode,
     SessionState,
+    SessionUpdated,
     TrackingState,
     Trajectory,
+    Transform,
 )
 from ..v1 import error_pb2, params_pb2, session_pb2
 from ..v1 import sessions_service_pb2 as service
@@ -49,6 +58,8 @@ def session_info(message: session_pb2.Session) -> SessionInfo:
         last_used_ns=message.last_used_ns,
         last_stamp_ns=message.last_stamp_ns if message.HasField("last_stamp_ns") else None,
         tenant=message.tenant,
+        labels=dict(message.labels),
+        etag=message.etag,
     )
 
 
@@ -80,6 +91,7 @@ def trajectory(chunks: Sequence[service.GetTrajectoryResponse]) -> Trajectory:
         scales=tuple(words.word(Scale, session_pb2.Scale, p.scale) for p in entries),
         keyframe_ids=tuple(p.keyframe_id if p.HasField("keyframe_id") else None for p in entries),
         map_version=chunks[-1].map_version if chunks else 0,
+        next_page_token=chunks[-1].next_page_token if chunks else "",
     )
 
 
@@ -88,7 +100,40 @@ def event(message: session_pb2.SessionEvent) -> SessionEvent:
     return SessionEvent(token=message.token, stamp_ns=message.stamp_ns, event=_event(message))
 
 
-def _event(message: session_pb2.SessionEvent) -> Event | None:
+def fleet_event(message: session_pb2.FleetEvent) -> FleetEvent:
+    """An event of any session."""
+    return FleetEvent(
+        token=message.token,
+        session_id=message.session_id,
+        stamp_ns=message.stamp_ns,
+        event=_any_event(message),
+    )
+
+
+def _any_event(message: session_pb2.FleetEvent) -> AnyEvent | None:
+    match message.WhichOneof("event"):
+        case "life":
+            return SessionLife(
+                step=words.word(LifeStep, session_pb2.LifeStep, message.life.step),
+                state=words.word(SessionState, session_pb2.SessionState, message.life.state),
+            )
+        case "new_etag":
+            return SessionUpdated(etag=message.new_etag)
+        case _:
+            return _event(message)
+
+
+def watch_sessions(
+    pattern: str, kinds: Sequence[FleetEventKind | str], resume_token: int | None
+) -> service.WatchSessionsRequest:
+    return service.WatchSessionsRequest(
+        session_pattern=pattern,
+        kinds=[words.number("kinds", session_pb2.FleetEventKind, kind) for kind in kinds],
+        resume_token=resume_token,
+    )
+
+
+def _event(message: session_pb2.SessionEvent | session_pb2.FleetEvent) -> Event | None:
     match message.WhichOneof("event"):
         case "pose":
             return poses.pose_estimate(message.pose)
@@ -112,6 +157,7 @@ def create(
     mode: SessionMode | str,
     specs: Sequence[SensorSpec],
     params: Mapping[str, object] | None,
+    labels: Mapping[str, str] | None,
     request_id: str | None,
 ) -> Call[service.CreateSessionRequest, service.CreateSessionResponse, SessionInfo]:
     request = service.CreateSessionRequest(
@@ -120,10 +166,37 @@ def create(
         mode=words.number("mode", session_pb2.SessionMode, mode),
         sensors=[sensors.spec_to(s) for s in specs],
         params=words.message_of("params", params_pb2.PipelineParams, params),
+        labels=labels,
         # Of our own making if need be, so that the call can be repeated when the answer got lost.
         request_id=uuid.uuid4().hex if request_id is None else request_id,
     )
     return Call(_rpc.CREATE_SESSION, request, lambda a: session_info(a.session))
+
+
+def update(
+    session_id: str,
+    display_name: str | None,
+    labels: Mapping[str, str] | None,
+    params: Mapping[str, object] | None,
+    etag: str,
+) -> Call[service.UpdateSessionRequest, service.UpdateSessionResponse, SessionInfo]:
+    request = service.UpdateSessionRequest(etag=etag)
+    changed, paths = request.session, request.update_mask.paths
+    changed.session_id = session_id
+    if display_name is not None:
+        changed.display_name = display_name
+        paths.append("display_name")
+    if labels is not None:
+        changed.labels.update(labels)
+        paths.append("labels")
+    if params is not None:
+        given, named = words.set_leaves(params)
+        changed.params.CopyFrom(words.message_of("params", params_pb2.PipelineParams, given))
+        paths.extend(f"params.{path}" for path in named)
+    if not paths:
+        message = "nothing is to change; give display_name, labels or params"
+        raise InvalidArgument(message, reason="FIELD_MISSING", field="update_mask")
+    return Call(_rpc.UPDATE_SESSION, request, lambda a: session_info(a.session))
 
 
 def get(
@@ -134,9 +207,11 @@ def get(
 
 
 def list_sessions(
-    state: SessionState | str | None, page_size: int
+    state: SessionState | str | None, pattern: str, labels: str, order_by: str, page_size: int
 ) -> PagedCall[service.ListSessionsRequest, service.ListSessionsResponse, SessionInfo]:
-    request = service.ListSessionsRequest(page_size=page_size)
+    request = service.ListSessionsRequest(
+        session_pattern=pattern, label_selector=labels, order_by=order_by, page_size=page_size
+    )
     if state is not None:
         request.state = words.number("state", session_pb2.SessionState, state)
     return PagedCall(_rpc.LIST_SESSIONS, request, lambda a: [session_info(s) for s in a.sessions])
@@ -155,10 +230,37 @@ def pose(
     return Call(_rpc.GET_POSE, request, lambda a: poses.pose_estimate(a.pose) if a.HasField("pose") else None)
 
 
+def pose_at(session_id: str, at_ns: int) -> Call[service.GetPoseRequest, service.GetPoseResponse, PoseAt]:
+    request = service.GetPoseRequest(session_id=session_id, at_ns=at_ns)
+    return Call(_rpc.GET_POSE, request, lambda a: poses.pose_at(a.pose_at))
+
+
+def transform(
+    session_id: str, target_frame: str, source_frame: str, at_ns: int | None
+) -> Call[service.LookupTransformRequest, service.LookupTransformResponse, Transform]:
+    request = service.LookupTransformRequest(
+        session_id=session_id, target_frame=target_frame, source_frame=source_frame, at_ns=at_ns
+    )
+    return Call(_rpc.LOOKUP_TRANSFORM, request, lambda a: poses.transform(a.transform))
+
+
 def get_trajectory(
     session_id: str,
+    from_ns: int | None,
+    to_ns: int | None,
+    max_poses: int,
+    page_size: int,
+    page_token: str,
 ) -> ChunkedCall[service.GetTrajectoryRequest, service.GetTrajectoryResponse, Trajectory]:
-    return ChunkedCall(_rpc.GET_TRAJECTORY, service.GetTrajectoryRequest(session_id=session_id), trajectory)
+    request = service.GetTrajectoryRequest(
+        session_id=session_id,
+        from_ns=from_ns,
+        to_ns=to_ns,
+        max_poses=max_poses,
+        page_size=page_size,
+        page_token=page_token,
+    )
+    return ChunkedCall(_rpc.GET_TRAJECTORY, request, trajectory)
 
 
 def keyframes(

@@ -60,6 +60,22 @@ def message_of(field: str, kind: type[M], tree: Mapping[str, object] | None) -> 
         raise InvalidArgument(message, reason="PARAMS_INVALID", field=field) from cause
 
 
+def set_leaves(tree: Mapping[str, object]) -> tuple[dict[str, object], list[str]]:
+    """The tree without what is None, and the dotted paths of all leaves, those with None included."""
+    given: dict[str, object] = {}
+    paths: list[str] = []
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            inner, below = set_leaves(value)
+            given[name] = inner
+            paths.extend(f"{name}.{path}" for path in below)
+            continue
+        paths.append(name)
+        if value is not None:
+            given[name] = value
+    return given, paths
+
+
 def _named(path: str, message: Descriptor, tree: Mapping[str, object]) -> dict[str, object]:
     """The tree with the proto's names in place of words: {'features': 'FEATURE_METHOD_SIFT'} for 'sift'."""
     named: dict[str, object] = {}

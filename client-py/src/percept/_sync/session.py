@@ -11,20 +11,23 @@ from ..types.frames import SensorFrame
 from ..types.navigation import Navigation, NoPath, Path
 from ..types.sensors import SensorSpec
 from ..types.sessions import (
+    FleetEventKind,
     FrameResult,
     Keyframe,
+    PoseAt,
     PoseEstimate,
     SessionInfo,
     SessionMode,
     SessionState,
     Trajectory,
+    Transform,
 )
 from .bound import Bound, SessionBound
 from .maps import Maps
 from .scene import Scene
 from .sensors import Sensors
 from .stream import FrameStream
-from .watch import Watch
+from .watch import FleetWatch, Watch
 
 
 class Session(SessionBound, FrameSender[FrameResult]):
@@ -52,6 +55,21 @@ class Session(SessionBound, FrameSender[FrameResult]):
     def info(self) -> SessionInfo:
         """The session as it is now."""
         return self._transport.call(sessions.get(self.session_id))
+
+    def update(
+        self,
+        *,
+        display_name: str | None = None,
+        labels: Mapping[str, str] | None = None,
+        params: Mapping[str, object] | None = None,
+        etag: str = "",
+    ) -> SessionInfo:
+        """Changes what is given, in force and durable when it returns: all labels, and of the parameters
+        those that are named, nested as default_params(); None puts one back to its default. What is fixed
+        with the creation is refused (FIELD_IMMUTABLE). With an `etag` (of `info()`), raises Aborted if the
+        session was changed since."""
+        call = sessions.update(self.session_id, display_name, labels, params, etag)
+        return self._transport.call(call)
 
     def delete(self) -> None:
         """Deletes the session with its map and everything stored for it. It cannot be undone."""
@@ -92,9 +110,29 @@ class Session(SessionBound, FrameSender[FrameResult]):
         """Newest pose, None before the first frame. Lost is an answer."""
         return self._transport.call(sessions.pose(self.session_id))
 
-    def trajectory(self) -> Trajectory:
-        """The trajectory so far, corrected."""
-        return self._transport.chunks(sessions.get_trajectory(self.session_id))
+    def pose_at(self, at_ns: int) -> PoseAt:
+        """Where the robot was at a time, by the session's clock: between the two frames around it. Outside
+        of the trajectory it raises InvalidArgument (before) or FailedPrecondition (after) with the range."""
+        return self._transport.call(sessions.pose_at(self.session_id, at_ns))
+
+    def transform(self, target: str, source: str, *, at_ns: int | None = None) -> Transform:
+        """Where `source` is, seen from `target`, now or at a time: map, odom, base, or a sensor's id
+        (sensors/<id> for one of such a name)."""
+        return self._transport.call(sessions.transform(self.session_id, target, source, at_ns))
+
+    def trajectory(
+        self,
+        *,
+        from_ns: int | None = None,
+        to_ns: int | None = None,
+        max_poses: int = 0,
+        page_size: int = 0,
+        page_token: str = "",
+    ) -> Trajectory:
+        """The trajectory so far, corrected, or its frames between two times, both included. `max_poses` thins
+        them evenly, `page_size` gives some at a time: the next page starts at `next_page_token`."""
+        call = sessions.get_trajectory(self.session_id, from_ns, to_ns, max_poses, page_size, page_token)
+        return self._transport.chunks(call)
 
     def keyframes(self, *, page_size: int = 0) -> Iterator[Keyframe]:
         """Keyframes by number; pages are asked for as they are used."""
@@ -128,11 +166,12 @@ class Sessions(Bound):
         mode: SessionMode | str = SessionMode.MAPPING,
         sensors: Sequence[SensorSpec] = (),
         params: Mapping[str, object] | None = None,
+        labels: Mapping[str, str] | None = None,
         request_id: str | None = None,
     ) -> Session:
         """Creates a session. The same request_id gives the session of the first call; without one the call
         is unique, yet safely repeated when the server is away. `params` is nested as default_params()."""
-        call = sessions.create(session_id, display_name, mode, sensors, params, request_id)
+        call = sessions.create(session_id, display_name, mode, sensors, params, labels, request_id)
         info = self._transport.call(call)
         return Session(self._transport, info.session_id)
 
@@ -141,10 +180,30 @@ class Sessions(Bound):
         info = self._transport.call(sessions.get(session_id))
         return Session(self._transport, info.session_id)
 
-    def list(self, *, state: SessionState | str | None = None, page_size: int = 0) -> Iterator[SessionInfo]:
-        """Sessions by id, all or those in a state; pages are asked for as they are used. None is woken by
-        it."""
-        return self._transport.pages(sessions.list_sessions(state, page_size))
+    def list(
+        self,
+        *,
+        state: SessionState | str | None = None,
+        pattern: str = "",
+        labels: str = "",
+        order_by: str = "",
+        page_size: int = 0,
+    ) -> Iterator[SessionInfo]:
+        """Sessions, all or those in a state, whose ids fit a pattern (robot-*), with labels ("site=north",
+        or "site" for any value; several with commas). By id, or "create_time_ns" or "last_used_ns", " desc"
+        for the last ones first. Pages are asked for as they are used. None is woken by it."""
+        return self._transport.pages(sessions.list_sessions(state, pattern, labels, order_by, page_size))
+
+    def watch(
+        self,
+        pattern: str = "",
+        *,
+        kinds: Sequence[FleetEventKind | str] = (),
+        resume_token: int | None = None,
+    ) -> FleetWatch:
+        """Events of all sessions that may be read, or of those whose ids fit a pattern (robot-*), from now
+        on or after a token; of all kinds, or some."""
+        return FleetWatch(self._transport, pattern, kinds, resume_token)
 
     def delete(self, session_id: str) -> None:
         """Deletes a session with its map and everything stored for it. It cannot be undone."""

@@ -47,6 +47,36 @@ class SensorSpec(Value):
     overload_policy: OverloadPolicy | str = field(default=OverloadPolicy.UNSPECIFIED, kw_only=True)
 
 
+class StreamVerdict(Name):
+    """How a sensor's stream fares."""
+
+    UNSPECIFIED = "unspecified"
+    NO_FRAME = "no_frame"
+    GOOD = "good"
+    #: `troubles` says what is wrong.
+    TROUBLED = "troubled"
+
+
+class StreamTroubleKind(Name):
+    """What may be wrong with a sensor's stream."""
+
+    UNSPECIFIED = "unspecified"
+    REJECTED = "rejected"
+    DROPPED = "dropped"
+    GAPS = "gaps"
+    CLOCK_OFFSET = "clock_offset"
+    MOUNT_OFFSET = "mount_offset"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StreamTrouble(Value):
+    """Something that is wrong with a sensor's stream."""
+
+    kind: StreamTroubleKind
+    #: With figures and remedy, for an operator.
+    message: str
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SensorStatus(Value):
     """What the server sees of a sensor's stream."""
@@ -60,8 +90,13 @@ class SensorStatus(Value):
     rate_hz: float | None
     #: Newest accepted frame; None before the first.
     last_stamp_ns: int | None
-    #: In words, for an operator.
-    verdict: str
+    verdict: StreamVerdict
+    #: Empty unless troubled.
+    troubles: tuple[StreamTrouble, ...]
+    #: Verdict and troubles in words, for an operator.
+    verdict_message: str
+    #: Names this state of `spec`, for `sensors.update`.
+    etag: str
     #: Seconds by which its stamps are late behind the pose sensor's, beyond time_offset_s; None until known.
     clock_offset_s: float | None
 

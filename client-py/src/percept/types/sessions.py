@@ -58,6 +58,47 @@ class Scale(Name):
     METRIC = "metric"
 
 
+class LostReason(Name):
+    """Why a frame could not be placed; `lost_message` says what to do."""
+
+    #: Not lost.
+    UNSPECIFIED = "unspecified"
+    TOO_FEW_POINTS = "too_few_points"
+    TOO_FEW_CORRESPONDENCES = "too_few_correspondences"
+    RESIDUAL_TOO_LARGE = "residual_too_large"
+    MOTION_TOO_LARGE = "motion_too_large"
+    DEGENERATE = "degenerate"
+    TIME_GAP = "time_gap"
+    UNSUITABLE_SCAN = "unsuitable_scan"
+    NO_TEXTURE = "no_texture"
+    BAD_EXPOSURE = "bad_exposure"
+    INTRINSICS_MISMATCH = "intrinsics_mismatch"
+    #: Nothing ties this place to the map yet.
+    ADRIFT = "adrift"
+
+
+class ScaleSource(Name):
+    """What tells that lengths are metres."""
+
+    UNSPECIFIED = "unspecified"
+    NONE = "none"
+    #: It measures lengths itself.
+    SENSOR = "sensor"
+    ODOMETRY = "odometry"
+    DEPTH = "depth"
+    BASELINE = "baseline"
+
+
+class WaitingFor(Name):
+    """What an odometry that needs several frames to begin is waiting for."""
+
+    #: Nothing.
+    UNSPECIFIED = "unspecified"
+    SECOND_VIEW = "second_view"
+    PARALLAX = "parallax"
+    MATCHES = "matches"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PoseEstimate(Value):
     """Where the robot is, how sure we are, or that we are lost."""
@@ -69,8 +110,10 @@ class PoseEstimate(Value):
     covariance: Floats
     #: Continuous, never corrected.
     t_odom_base: Pose
-    #: Empty unless lost.
-    lost_reason: str
+    #: Unspecified unless lost.
+    lost_reason: LostReason
+    #: The same in words, with a remedy; empty unless lost.
+    lost_message: str
     #: Share of the frame's points that fit the local model, 0 to 1.
     inlier_ratio: float
     rmse_m: float
@@ -78,10 +121,13 @@ class PoseEstimate(Value):
     degenerate_axes: tuple[bool, ...]
     map_version: int
     scale: Scale
-    #: What tells the scale, or what would, in words.
-    scale_source: str
-    #: What an odometry that needs several frames to begin waits for; empty unless initialising.
-    waiting_for: str
+    scale_source: ScaleSource
+    #: The same in words, or what would tell the scale.
+    scale_message: str
+    #: Unspecified unless initialising.
+    waiting_for: WaitingFor
+    #: The same in words, with a remedy.
+    waiting_message: str
     #: The robot was lost, and this frame found it again.
     relocalised: bool
 
@@ -89,6 +135,47 @@ class PoseEstimate(Value):
     def lost(self) -> bool:
         """Whether the pose is a mere prediction."""
         return self.state == TrackingState.LOST
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PoseAt(Value):
+    """Where the robot was at a time, as the map has it now: between two frames."""
+
+    #: As asked for.
+    stamp_ns: int
+    t_map_base: Pose
+    #: Continuous, never corrected; None if the scale is unknown.
+    t_odom_base: Pose | None
+    #: Lost if one of the two frames was: the pose is a guess then.
+    state: TrackingState
+    scale: Scale
+    #: Stamp of the frame before, or at, that time.
+    before_ns: int
+    #: Stamp of the frame after, or at, that time.
+    after_ns: int
+    map_version: int
+
+    @property
+    def gap_s(self) -> float:
+        """Time between the two frames: the longer, the less is known of what lies between."""
+        return (self.after_ns - self.before_ns) / 1e9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Transform(Value):
+    """Where one frame is, seen from another."""
+
+    target_frame: str
+    source_frame: str
+    #: Source coordinates to target coordinates.
+    t_target_source: Pose
+    #: None if it holds for all times: between base and sensors.
+    stamp_ns: int | None
+    #: Lost: a guess; unspecified if it holds for all times.
+    state: TrackingState
+    #: Unspecified if it holds for all times.
+    scale: Scale
+    map_version: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -139,6 +226,10 @@ class SessionInfo(Value):
     last_stamp_ns: int | None
     #: Whose it is.
     tenant: str
+    #: For programs; lists are filtered by them.
+    labels: Mapping[str, str]
+    #: Names this state of what callers set, for `update`; frames do not change it.
+    etag: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -157,6 +248,8 @@ class Trajectory(Value):
     #: Unknown: in a unit of its own, and not moved by corrections.
     scales: tuple[Scale, ...]
     map_version: int
+    #: Where the next page starts; empty on the last one.
+    next_page_token: str = field(default="", repr=False)
 
     @property
     def t_map_base(self) -> Floats:
@@ -202,6 +295,65 @@ class Resync(Value):
 
 
 Event: TypeAlias = PoseEstimate | Keyframe | ObjectChange | Loop | MapChanged | Resync
+
+
+class FleetEventKind(Name):
+    """Kinds of events, for watching all sessions."""
+
+    UNSPECIFIED = "unspecified"
+    POSE = "pose"
+    KEYFRAME = "keyframe"
+    OBJECT = "object"
+    LOOP = "loop"
+    MAP = "map"
+    #: Created, woken, put to sleep, set apart, deleted.
+    LIFE = "life"
+    #: Name, labels, parameters or sensors were changed.
+    SETTINGS = "settings"
+
+
+class LifeStep(Name):
+    """A step in a session's life."""
+
+    UNSPECIFIED = "unspecified"
+    CREATED = "created"
+    #: The state is another now.
+    MOVED = "moved"
+    DELETED = "deleted"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SessionLife(Value):
+    """A session came, went, or is in another state."""
+
+    step: LifeStep
+    #: Unspecified unless moved.
+    state: SessionState
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SessionUpdated(Value):
+    """What callers set of a session was changed."""
+
+    #: The new one.
+    etag: str
+
+
+AnyEvent: TypeAlias = Event | SessionLife | SessionUpdated
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FleetEvent(Value):
+    """Something that happened in one of the sessions of a server."""
+
+    #: Give it to watch() to go on after this event.
+    token: int
+    #: Empty with a Resync that is about all sessions.
+    session_id: str
+    #: Stamp of the frame that caused it; 0 if none did.
+    stamp_ns: int
+    #: None for kinds that this client does not know.
+    event: AnyEvent | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -30,7 +30,7 @@ class ErrorInfo(_message.Message):
     CODE_FIELD_NUMBER: _builtins.int
     TRACE_ID_FIELD_NUMBER: _builtins.int
     reason: _builtins.str
-    """Stable, upper-case: e.g. SENSOR_NOT_FOUND, DEPTH_SIZE_MISMATCH."""
+    """Stable, upper-case: e.g. SENSOR_NOT_FOUND, ETAG_MISMATCH. docs/reasons.md, and /reasons of the REST door, list all."""
     message: _builtins.str
     """One sentence: field, value, remedy."""
     field: _builtins.str

@@ -166,6 +166,66 @@ COLOUR_ENCODING_GREY8: ColourEncoding.ValueType  # 4
 """Grey, uint8."""
 Global___ColourEncoding: _TypeAlias = ColourEncoding  # noqa: Y015
 
+class _StreamVerdict:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _StreamVerdictEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_StreamVerdict.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    STREAM_VERDICT_UNSPECIFIED: _StreamVerdict.ValueType  # 0
+    STREAM_VERDICT_NO_FRAME: _StreamVerdict.ValueType  # 1
+    """Nothing came yet, since the session was created or woken."""
+    STREAM_VERDICT_GOOD: _StreamVerdict.ValueType  # 2
+    """Nothing is wrong."""
+    STREAM_VERDICT_TROUBLED: _StreamVerdict.ValueType  # 3
+    """`troubles` says what is wrong."""
+
+class StreamVerdict(_StreamVerdict, metaclass=_StreamVerdictEnumTypeWrapper):
+    """How a sensor's stream fares."""
+
+STREAM_VERDICT_UNSPECIFIED: StreamVerdict.ValueType  # 0
+STREAM_VERDICT_NO_FRAME: StreamVerdict.ValueType  # 1
+"""Nothing came yet, since the session was created or woken."""
+STREAM_VERDICT_GOOD: StreamVerdict.ValueType  # 2
+"""Nothing is wrong."""
+STREAM_VERDICT_TROUBLED: StreamVerdict.ValueType  # 3
+"""`troubles` says what is wrong."""
+Global___StreamVerdict: _TypeAlias = StreamVerdict  # noqa: Y015
+
+class _StreamTroubleKind:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _StreamTroubleKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_StreamTroubleKind.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    STREAM_TROUBLE_KIND_UNSPECIFIED: _StreamTroubleKind.ValueType  # 0
+    STREAM_TROUBLE_KIND_REJECTED: _StreamTroubleKind.ValueType  # 1
+    """Frames were refused as bad input: their answers say why."""
+    STREAM_TROUBLE_KIND_DROPPED: _StreamTroubleKind.ValueType  # 2
+    """Frames came faster than they are processed and were dropped: send fewer, or let the sender wait."""
+    STREAM_TROUBLE_KIND_GAPS: _StreamTroubleKind.ValueType  # 3
+    """Numbers are missing in the sender's sequence: the link loses frames."""
+    STREAM_TROUBLE_KIND_CLOCK_OFFSET: _StreamTroubleKind.ValueType  # 4
+    """Its stamps are early or late, compared with the pose sensor's: correct time_offset_s."""
+    STREAM_TROUBLE_KIND_MOUNT_OFFSET: _StreamTroubleKind.ValueType  # 5
+    """What it sees contradicts the pose sensor's map as if it were mounted elsewhere: measure both mounts."""
+
+class StreamTroubleKind(_StreamTroubleKind, metaclass=_StreamTroubleKindEnumTypeWrapper):
+    """What may be wrong with a sensor's stream."""
+
+STREAM_TROUBLE_KIND_UNSPECIFIED: StreamTroubleKind.ValueType  # 0
+STREAM_TROUBLE_KIND_REJECTED: StreamTroubleKind.ValueType  # 1
+"""Frames were refused as bad input: their answers say why."""
+STREAM_TROUBLE_KIND_DROPPED: StreamTroubleKind.ValueType  # 2
+"""Frames came faster than they are processed and were dropped: send fewer, or let the sender wait."""
+STREAM_TROUBLE_KIND_GAPS: StreamTroubleKind.ValueType  # 3
+"""Numbers are missing in the sender's sequence: the link loses frames."""
+STREAM_TROUBLE_KIND_CLOCK_OFFSET: StreamTroubleKind.ValueType  # 4
+"""Its stamps are early or late, compared with the pose sensor's: correct time_offset_s."""
+STREAM_TROUBLE_KIND_MOUNT_OFFSET: StreamTroubleKind.ValueType  # 5
+"""What it sees contradicts the pose sensor's map as if it were mounted elsewhere: measure both mounts."""
+Global___StreamTroubleKind: _TypeAlias = StreamTroubleKind  # noqa: Y015
+
 @_typing.final
 class CameraIntrinsics(_message.Message):
     """Pinhole intrinsics; the centre of the top-left pixel is (0, 0)."""
@@ -565,6 +625,31 @@ class SensorMessage(_message.Message):
 Global___SensorMessage: _TypeAlias = SensorMessage  # noqa: Y015
 
 @_typing.final
+class StreamTrouble(_message.Message):
+    """Something that is wrong with a sensor's stream."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    KIND_FIELD_NUMBER: _builtins.int
+    MESSAGE_FIELD_NUMBER: _builtins.int
+    kind: Global___StreamTroubleKind.ValueType
+    message: _builtins.str
+    """In words, with figures and remedy, for an operator."""
+    def __init__(
+        self,
+        *,
+        kind: Global___StreamTroubleKind.ValueType = ...,
+        message: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["kind", b"kind", "message", b"message"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___StreamTrouble: _TypeAlias = StreamTrouble  # noqa: Y015
+
+@_typing.final
 class SensorStatus(_message.Message):
     """What the service sees of a sensor's stream."""
 
@@ -579,6 +664,9 @@ class SensorStatus(_message.Message):
     LAST_STAMP_NS_FIELD_NUMBER: _builtins.int
     VERDICT_FIELD_NUMBER: _builtins.int
     CLOCK_OFFSET_S_FIELD_NUMBER: _builtins.int
+    TROUBLES_FIELD_NUMBER: _builtins.int
+    VERDICT_MESSAGE_FIELD_NUMBER: _builtins.int
+    ETAG_FIELD_NUMBER: _builtins.int
     accepted: _builtins.int
     """Frames accepted since the session was created."""
     rejected: _builtins.int
@@ -591,14 +679,21 @@ class SensorStatus(_message.Message):
     """Mean rate over the last 50 frames by their stamps, hertz. Absent before two frames."""
     last_stamp_ns: _builtins.int
     """Stamp of the newest accepted frame. Absent before the first."""
-    verdict: _builtins.str
-    """The verdict in words, for an operator."""
+    verdict: Global___StreamVerdict.ValueType
     clock_offset_s: _builtins.float
     """Seconds by which its stamps are late behind the pose sensor's, beyond the declared time_offset_s. IMUs and odometry,
     once the robot has turned enough to tell.
     """
+    verdict_message: _builtins.str
+    """The verdict with all troubles in words, for an operator."""
+    etag: _builtins.str
+    """Names this state of `spec`, for UpdateSensor. Opaque."""
     @_builtins.property
     def spec(self) -> Global___SensorSpec: ...
+    @_builtins.property
+    def troubles(self) -> _containers.RepeatedCompositeFieldContainer[Global___StreamTrouble]:
+        """Empty unless TROUBLED."""
+
     def __init__(
         self,
         *,
@@ -609,12 +704,15 @@ class SensorStatus(_message.Message):
         gaps: _builtins.int = ...,
         rate_hz: _builtins.float | None = ...,
         last_stamp_ns: _builtins.int | None = ...,
-        verdict: _builtins.str = ...,
+        verdict: Global___StreamVerdict.ValueType = ...,
         clock_offset_s: _builtins.float | None = ...,
+        troubles: _abc.Iterable[Global___StreamTrouble] | None = ...,
+        verdict_message: _builtins.str = ...,
+        etag: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "clock_offset_s", b"clock_offset_s", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "spec", b"spec"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "accepted", b"accepted", "clock_offset_s", b"clock_offset_s", "dropped", b"dropped", "gaps", b"gaps", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "rejected", b"rejected", "spec", b"spec", "verdict", b"verdict"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "accepted", b"accepted", "clock_offset_s", b"clock_offset_s", "dropped", b"dropped", "etag", b"etag", "gaps", b"gaps", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "rejected", b"rejected", "spec", b"spec", "troubles", b"troubles", "verdict", b"verdict", "verdict_message", b"verdict_message"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__clock_offset_s: _TypeAlias = _typing.Literal["clock_offset_s"]  # noqa: Y015
     _WhichOneofArgType__clock_offset_s: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s"]  # noqa: Y015

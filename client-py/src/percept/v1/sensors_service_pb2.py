@@ -12,37 +12,46 @@ from google.protobuf.internal import builder as _builder
 _sym_db = _symbol_database.Default()
 
 
+from google.protobuf import field_mask_pb2 as google_dot_protobuf_dot_field__mask__pb2
 from percept.v1 import sensor_pb2 as percept_dot_v1_dot_sensor__pb2
 from percept.v1 import session_pb2 as percept_dot_v1_dot_session__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n percept/v1/sensors_service.proto\x12\npercept.v1\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/session.proto\"P\n\x14\x44\x65\x63lareSensorRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12$\n\x04spec\x18\x02 \x01(\x0b\x32\x16.percept.v1.SensorSpec\"A\n\x15\x44\x65\x63lareSensorResponse\x12(\n\x06sensor\x18\x01 \x01(\x0b\x32\x18.percept.v1.SensorStatus\"(\n\x12ListSensorsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"@\n\x13ListSensorsResponse\x12)\n\x07sensors\x18\x01 \x03(\x0b\x32\x18.percept.v1.SensorStatus\"A\n\x13StreamFramesRequest\x12*\n\x07message\x18\x01 \x01(\x0b\x32\x19.percept.v1.SensorMessage\"9\n\x14StreamFramesResponse\x12!\n\x03\x61\x63k\x18\x01 \x01(\x0b\x32\x14.percept.v1.FrameAck\">\n\x10SendFrameRequest\x12*\n\x07message\x18\x01 \x01(\x0b\x32\x19.percept.v1.SensorMessage\"<\n\x11SendFrameResponse\x12\'\n\x06result\x18\x01 \x01(\x0b\x32\x17.percept.v1.FrameResult\")\n\x0fSyncTimeRequest\x12\x16\n\x0e\x63lient_send_ns\x18\x01 \x01(\x03\"=\n\x10SyncTimeResponse\x12\x16\n\x0e\x63lient_send_ns\x18\x01 \x01(\x03\x12\x11\n\tserver_ns\x18\x02 \x01(\x03\x32\x9e\x03\n\x0eSensorsService\x12T\n\rDeclareSensor\x12 .percept.v1.DeclareSensorRequest\x1a!.percept.v1.DeclareSensorResponse\x12N\n\x0bListSensors\x12\x1e.percept.v1.ListSensorsRequest\x1a\x1f.percept.v1.ListSensorsResponse\x12U\n\x0cStreamFrames\x12\x1f.percept.v1.StreamFramesRequest\x1a .percept.v1.StreamFramesResponse(\x01\x30\x01\x12H\n\tSendFrame\x12\x1c.percept.v1.SendFrameRequest\x1a\x1d.percept.v1.SendFrameResponse\x12\x45\n\x08SyncTime\x12\x1b.percept.v1.SyncTimeRequest\x1a\x1c.percept.v1.SyncTimeResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n percept/v1/sensors_service.proto\x12\npercept.v1\x1a google/protobuf/field_mask.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/session.proto\"P\n\x14\x44\x65\x63lareSensorRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12$\n\x04spec\x18\x02 \x01(\x0b\x32\x16.percept.v1.SensorSpec\"A\n\x15\x44\x65\x63lareSensorResponse\x12(\n\x06sensor\x18\x01 \x01(\x0b\x32\x18.percept.v1.SensorStatus\"9\n\x10GetSensorRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tsensor_id\x18\x02 \x01(\t\"=\n\x11GetSensorResponse\x12(\n\x06sensor\x18\x01 \x01(\x0b\x32\x18.percept.v1.SensorStatus\"\x8e\x01\n\x13UpdateSensorRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12$\n\x04spec\x18\x02 \x01(\x0b\x32\x16.percept.v1.SensorSpec\x12/\n\x0bupdate_mask\x18\x03 \x01(\x0b\x32\x1a.google.protobuf.FieldMask\x12\x0c\n\x04\x65tag\x18\x04 \x01(\t\"@\n\x14UpdateSensorResponse\x12(\n\x06sensor\x18\x01 \x01(\x0b\x32\x18.percept.v1.SensorStatus\"(\n\x12ListSensorsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"@\n\x13ListSensorsResponse\x12)\n\x07sensors\x18\x01 \x03(\x0b\x32\x18.percept.v1.SensorStatus\"A\n\x13StreamFramesRequest\x12*\n\x07message\x18\x01 \x01(\x0b\x32\x19.percept.v1.SensorMessage\"9\n\x14StreamFramesResponse\x12!\n\x03\x61\x63k\x18\x01 \x01(\x0b\x32\x14.percept.v1.FrameAck\">\n\x10SendFrameRequest\x12*\n\x07message\x18\x01 \x01(\x0b\x32\x19.percept.v1.SensorMessage\"<\n\x11SendFrameResponse\x12\'\n\x06result\x18\x01 \x01(\x0b\x32\x17.percept.v1.FrameResult\")\n\x0fSyncTimeRequest\x12\x16\n\x0e\x63lient_send_ns\x18\x01 \x01(\x03\"=\n\x10SyncTimeResponse\x12\x16\n\x0e\x63lient_send_ns\x18\x01 \x01(\x03\x12\x11\n\tserver_ns\x18\x02 \x01(\x03\x32\xbb\x04\n\x0eSensorsService\x12T\n\rDeclareSensor\x12 .percept.v1.DeclareSensorRequest\x1a!.percept.v1.DeclareSensorResponse\x12H\n\tGetSensor\x12\x1c.percept.v1.GetSensorRequest\x1a\x1d.percept.v1.GetSensorResponse\x12Q\n\x0cUpdateSensor\x12\x1f.percept.v1.UpdateSensorRequest\x1a .percept.v1.UpdateSensorResponse\x12N\n\x0bListSensors\x12\x1e.percept.v1.ListSensorsRequest\x1a\x1f.percept.v1.ListSensorsResponse\x12U\n\x0cStreamFrames\x12\x1f.percept.v1.StreamFramesRequest\x1a .percept.v1.StreamFramesResponse(\x01\x30\x01\x12H\n\tSendFrame\x12\x1c.percept.v1.SendFrameRequest\x1a\x1d.percept.v1.SendFrameResponse\x12\x45\n\x08SyncTime\x12\x1b.percept.v1.SyncTimeRequest\x1a\x1c.percept.v1.SyncTimeResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.sensors_service_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_DECLARESENSORREQUEST']._serialized_start=99
-  _globals['_DECLARESENSORREQUEST']._serialized_end=179
-  _globals['_DECLARESENSORRESPONSE']._serialized_start=181
-  _globals['_DECLARESENSORRESPONSE']._serialized_end=246
-  _globals['_LISTSENSORSREQUEST']._serialized_start=248
-  _globals['_LISTSENSORSREQUEST']._serialized_end=288
-  _globals['_LISTSENSORSRESPONSE']._serialized_start=290
-  _globals['_LISTSENSORSRESPONSE']._serialized_end=354
-  _globals['_STREAMFRAMESREQUEST']._serialized_start=356
-  _globals['_STREAMFRAMESREQUEST']._serialized_end=421
-  _globals['_STREAMFRAMESRESPONSE']._serialized_start=423
-  _globals['_STREAMFRAMESRESPONSE']._serialized_end=480
-  _globals['_SENDFRAMEREQUEST']._serialized_start=482
-  _globals['_SENDFRAMEREQUEST']._serialized_end=544
-  _globals['_SENDFRAMERESPONSE']._serialized_start=546
-  _globals['_SENDFRAMERESPONSE']._serialized_end=606
-  _globals['_SYNCTIMEREQUEST']._serialized_start=608
-  _globals['_SYNCTIMEREQUEST']._serialized_end=649
-  _globals['_SYNCTIMERESPONSE']._serialized_start=651
-  _globals['_SYNCTIMERESPONSE']._serialized_end=712
-  _globals['_SENSORSSERVICE']._serialized_start=715
-  _globals['_SENSORSSERVICE']._serialized_end=1129
+  _globals['_DECLARESENSORREQUEST']._serialized_start=133
+  _globals['_DECLARESENSORREQUEST']._serialized_end=213
+  _globals['_DECLARESENSORRESPONSE']._serialized_start=215
+  _globals['_DECLARESENSORRESPONSE']._serialized_end=280
+  _globals['_GETSENSORREQUEST']._serialized_start=282
+  _globals['_GETSENSORREQUEST']._serialized_end=339
+  _globals['_GETSENSORRESPONSE']._serialized_start=341
+  _globals['_GETSENSORRESPONSE']._serialized_end=402
+  _globals['_UPDATESENSORREQUEST']._serialized_start=405
+  _globals['_UPDATESENSORREQUEST']._serialized_end=547
+  _globals['_UPDATESENSORRESPONSE']._serialized_start=549
+  _globals['_UPDATESENSORRESPONSE']._serialized_end=613
+  _globals['_LISTSENSORSREQUEST']._serialized_start=615
+  _globals['_LISTSENSORSREQUEST']._serialized_end=655
+  _globals['_LISTSENSORSRESPONSE']._serialized_start=657
+  _globals['_LISTSENSORSRESPONSE']._serialized_end=721
+  _globals['_STREAMFRAMESREQUEST']._serialized_start=723
+  _globals['_STREAMFRAMESREQUEST']._serialized_end=788
+  _globals['_STREAMFRAMESRESPONSE']._serialized_start=790
+  _globals['_STREAMFRAMESRESPONSE']._serialized_end=847
+  _globals['_SENDFRAMEREQUEST']._serialized_start=849
+  _globals['_SENDFRAMEREQUEST']._serialized_end=911
+  _globals['_SENDFRAMERESPONSE']._serialized_start=913
+  _globals['_SENDFRAMERESPONSE']._serialized_end=973
+  _globals['_SYNCTIMEREQUEST']._serialized_start=975
+  _globals['_SYNCTIMEREQUEST']._serialized_end=1016
+  _globals['_SYNCTIMERESPONSE']._serialized_start=1018
+  _globals['_SYNCTIMERESPONSE']._serialized_end=1079
+  _globals['_SENSORSSERVICE']._serialized_start=1082
+  _globals['_SENSORSSERVICE']._serialized_end=1653
 # @@protoc_insertion_point(module_scope)

@@ -95,6 +95,132 @@ SCALE_UNKNOWN: Scale.ValueType  # 1
 SCALE_METRIC: Scale.ValueType  # 2
 Global___Scale: _TypeAlias = Scale  # noqa: Y015
 
+class _LostReason:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _LostReasonEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_LostReason.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    LOST_REASON_UNSPECIFIED: _LostReason.ValueType  # 0
+    """Not lost."""
+    LOST_REASON_TOO_FEW_POINTS: _LostReason.ValueType  # 1
+    """The frame holds too few usable measurements: the sensor is covered, too near or too far from everything."""
+    LOST_REASON_TOO_FEW_CORRESPONDENCES: _LostReason.ValueType  # 2
+    """Too little of the frame overlaps the places just seen: go back, or turn back."""
+    LOST_REASON_RESIDUAL_TOO_LARGE: _LostReason.ValueType  # 3
+    """The frame overlaps the places just seen and does not fit them: many things moved, or the robot was carried."""
+    LOST_REASON_MOTION_TOO_LARGE: _LostReason.ValueType  # 4
+    """The frame fits only with a motion that no robot of this kind makes: drive slower, or send more frames."""
+    LOST_REASON_DEGENERATE: _LostReason.ValueType  # 5
+    """The scene leaves most of the motion open, or has left an axis open for seconds: turn towards objects or corners, or
+    send wheel odometry along.
+    """
+    LOST_REASON_TIME_GAP: _LostReason.ValueType  # 6
+    """Frames were missing for too long, and this one does not fit the old place: go back to where tracking was lost."""
+    LOST_REASON_UNSUITABLE_SCAN: _LostReason.ValueType  # 7
+    """The sensor sends another kind of scan than its odometry registers."""
+    LOST_REASON_NO_TEXTURE: _LostReason.ValueType  # 8
+    """The image shows too few distinct places: turn towards things with detail, clean the lens."""
+    LOST_REASON_BAD_EXPOSURE: _LostReason.ValueType  # 9
+    """Most of the image is white or black: check exposure, light and lens cap."""
+    LOST_REASON_INTRINSICS_MISMATCH: _LostReason.ValueType  # 10
+    """The image's size is not that of the intrinsics, or these are no camera's: declare those of this resolution."""
+    LOST_REASON_ADRIFT: _LostReason.ValueType  # 11
+    """Odometry was lost for too long and started anew at a guessed pose: nothing ties this place to the map yet."""
+
+class LostReason(_LostReason, metaclass=_LostReasonEnumTypeWrapper):
+    """Why a frame could not be placed."""
+
+LOST_REASON_UNSPECIFIED: LostReason.ValueType  # 0
+"""Not lost."""
+LOST_REASON_TOO_FEW_POINTS: LostReason.ValueType  # 1
+"""The frame holds too few usable measurements: the sensor is covered, too near or too far from everything."""
+LOST_REASON_TOO_FEW_CORRESPONDENCES: LostReason.ValueType  # 2
+"""Too little of the frame overlaps the places just seen: go back, or turn back."""
+LOST_REASON_RESIDUAL_TOO_LARGE: LostReason.ValueType  # 3
+"""The frame overlaps the places just seen and does not fit them: many things moved, or the robot was carried."""
+LOST_REASON_MOTION_TOO_LARGE: LostReason.ValueType  # 4
+"""The frame fits only with a motion that no robot of this kind makes: drive slower, or send more frames."""
+LOST_REASON_DEGENERATE: LostReason.ValueType  # 5
+"""The scene leaves most of the motion open, or has left an axis open for seconds: turn towards objects or corners, or
+send wheel odometry along.
+"""
+LOST_REASON_TIME_GAP: LostReason.ValueType  # 6
+"""Frames were missing for too long, and this one does not fit the old place: go back to where tracking was lost."""
+LOST_REASON_UNSUITABLE_SCAN: LostReason.ValueType  # 7
+"""The sensor sends another kind of scan than its odometry registers."""
+LOST_REASON_NO_TEXTURE: LostReason.ValueType  # 8
+"""The image shows too few distinct places: turn towards things with detail, clean the lens."""
+LOST_REASON_BAD_EXPOSURE: LostReason.ValueType  # 9
+"""Most of the image is white or black: check exposure, light and lens cap."""
+LOST_REASON_INTRINSICS_MISMATCH: LostReason.ValueType  # 10
+"""The image's size is not that of the intrinsics, or these are no camera's: declare those of this resolution."""
+LOST_REASON_ADRIFT: LostReason.ValueType  # 11
+"""Odometry was lost for too long and started anew at a guessed pose: nothing ties this place to the map yet."""
+Global___LostReason: _TypeAlias = LostReason  # noqa: Y015
+
+class _ScaleSource:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _ScaleSourceEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_ScaleSource.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    SCALE_SOURCE_UNSPECIFIED: _ScaleSource.ValueType  # 0
+    SCALE_SOURCE_NONE: _ScaleSource.ValueType  # 1
+    """Nothing does: send wheel odometry, depth images or a second camera's images along."""
+    SCALE_SOURCE_SENSOR: _ScaleSource.ValueType  # 2
+    """The sensor itself measures lengths."""
+    SCALE_SOURCE_ODOMETRY: _ScaleSource.ValueType  # 3
+    """Wheel odometry, or what else stated the motion in metres."""
+    SCALE_SOURCE_DEPTH: _ScaleSource.ValueType  # 4
+    """Depth images of another sensor."""
+    SCALE_SOURCE_BASELINE: _ScaleSource.ValueType  # 5
+    """A second camera at a known distance."""
+
+class ScaleSource(_ScaleSource, metaclass=_ScaleSourceEnumTypeWrapper):
+    """What tells that lengths are metres."""
+
+SCALE_SOURCE_UNSPECIFIED: ScaleSource.ValueType  # 0
+SCALE_SOURCE_NONE: ScaleSource.ValueType  # 1
+"""Nothing does: send wheel odometry, depth images or a second camera's images along."""
+SCALE_SOURCE_SENSOR: ScaleSource.ValueType  # 2
+"""The sensor itself measures lengths."""
+SCALE_SOURCE_ODOMETRY: ScaleSource.ValueType  # 3
+"""Wheel odometry, or what else stated the motion in metres."""
+SCALE_SOURCE_DEPTH: ScaleSource.ValueType  # 4
+"""Depth images of another sensor."""
+SCALE_SOURCE_BASELINE: ScaleSource.ValueType  # 5
+"""A second camera at a known distance."""
+Global___ScaleSource: _TypeAlias = ScaleSource  # noqa: Y015
+
+class _WaitingFor:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _WaitingForEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_WaitingFor.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    WAITING_FOR_UNSPECIFIED: _WaitingFor.ValueType  # 0
+    """Nothing."""
+    WAITING_FOR_SECOND_VIEW: _WaitingFor.ValueType  # 1
+    """A second view; the first image came: move the camera sideways."""
+    WAITING_FOR_PARALLAX: _WaitingFor.ValueType  # 2
+    """Parallax; the camera stood, only turned, or looks at things far away: move it sideways."""
+    WAITING_FOR_MATCHES: _WaitingFor.ValueType  # 3
+    """Images that have more in common: move more slowly, towards things with detail."""
+
+class WaitingFor(_WaitingFor, metaclass=_WaitingForEnumTypeWrapper):
+    """What an odometry that needs several frames to begin is waiting for."""
+
+WAITING_FOR_UNSPECIFIED: WaitingFor.ValueType  # 0
+"""Nothing."""
+WAITING_FOR_SECOND_VIEW: WaitingFor.ValueType  # 1
+"""A second view; the first image came: move the camera sideways."""
+WAITING_FOR_PARALLAX: WaitingFor.ValueType  # 2
+"""Parallax; the camera stood, only turned, or looks at things far away: move it sideways."""
+WAITING_FOR_MATCHES: WaitingFor.ValueType  # 3
+"""Images that have more in common: move more slowly, towards things with detail."""
+Global___WaitingFor: _TypeAlias = WaitingFor  # noqa: Y015
+
 class _SessionState:
     ValueType = _typing.NewType("ValueType", _builtins.int)
     V: _TypeAlias = ValueType  # noqa: Y015
@@ -133,6 +259,66 @@ SESSION_STATE_DELETING: SessionState.ValueType  # 6
 """On its way out."""
 Global___SessionState: _TypeAlias = SessionState  # noqa: Y015
 
+class _FleetEventKind:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _FleetEventKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_FleetEventKind.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    FLEET_EVENT_KIND_UNSPECIFIED: _FleetEventKind.ValueType  # 0
+    FLEET_EVENT_KIND_POSE: _FleetEventKind.ValueType  # 1
+    """A frame was registered."""
+    FLEET_EVENT_KIND_KEYFRAME: _FleetEventKind.ValueType  # 2
+    FLEET_EVENT_KIND_OBJECT: _FleetEventKind.ValueType  # 3
+    FLEET_EVENT_KIND_LOOP: _FleetEventKind.ValueType  # 4
+    FLEET_EVENT_KIND_MAP: _FleetEventKind.ValueType  # 5
+    """A map has a new version."""
+    FLEET_EVENT_KIND_LIFE: _FleetEventKind.ValueType  # 6
+    """A session was created, woken, put to sleep, set apart, deleted."""
+    FLEET_EVENT_KIND_SETTINGS: _FleetEventKind.ValueType  # 7
+    """A session's name, labels, parameters or sensors were changed."""
+
+class FleetEventKind(_FleetEventKind, metaclass=_FleetEventKindEnumTypeWrapper):
+    """Kinds of events, for watching all sessions."""
+
+FLEET_EVENT_KIND_UNSPECIFIED: FleetEventKind.ValueType  # 0
+FLEET_EVENT_KIND_POSE: FleetEventKind.ValueType  # 1
+"""A frame was registered."""
+FLEET_EVENT_KIND_KEYFRAME: FleetEventKind.ValueType  # 2
+FLEET_EVENT_KIND_OBJECT: FleetEventKind.ValueType  # 3
+FLEET_EVENT_KIND_LOOP: FleetEventKind.ValueType  # 4
+FLEET_EVENT_KIND_MAP: FleetEventKind.ValueType  # 5
+"""A map has a new version."""
+FLEET_EVENT_KIND_LIFE: FleetEventKind.ValueType  # 6
+"""A session was created, woken, put to sleep, set apart, deleted."""
+FLEET_EVENT_KIND_SETTINGS: FleetEventKind.ValueType  # 7
+"""A session's name, labels, parameters or sensors were changed."""
+Global___FleetEventKind: _TypeAlias = FleetEventKind  # noqa: Y015
+
+class _LifeStep:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _LifeStepEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_LifeStep.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    LIFE_STEP_UNSPECIFIED: _LifeStep.ValueType  # 0
+    LIFE_STEP_CREATED: _LifeStep.ValueType  # 1
+    LIFE_STEP_MOVED: _LifeStep.ValueType  # 2
+    """`state` is another now."""
+    LIFE_STEP_DELETED: _LifeStep.ValueType  # 3
+    """It is gone for good."""
+
+class LifeStep(_LifeStep, metaclass=_LifeStepEnumTypeWrapper):
+    """A step in a session's life."""
+
+LIFE_STEP_UNSPECIFIED: LifeStep.ValueType  # 0
+LIFE_STEP_CREATED: LifeStep.ValueType  # 1
+LIFE_STEP_MOVED: LifeStep.ValueType  # 2
+"""`state` is another now."""
+LIFE_STEP_DELETED: LifeStep.ValueType  # 3
+"""It is gone for good."""
+Global___LifeStep: _TypeAlias = LifeStep  # noqa: Y015
+
 @_typing.final
 class PoseEstimate(_message.Message):
     """Where the robot is, how sure we are, or that we are lost."""
@@ -153,11 +339,14 @@ class PoseEstimate(_message.Message):
     SCALE_SOURCE_FIELD_NUMBER: _builtins.int
     WAITING_FOR_FIELD_NUMBER: _builtins.int
     RELOCALISED_FIELD_NUMBER: _builtins.int
+    LOST_MESSAGE_FIELD_NUMBER: _builtins.int
+    SCALE_MESSAGE_FIELD_NUMBER: _builtins.int
+    WAITING_MESSAGE_FIELD_NUMBER: _builtins.int
     stamp_ns: _builtins.int
     """Stamp of the frame that it belongs to."""
     state: Global___TrackingState.ValueType
-    lost_reason: _builtins.str
-    """Why tracking was lost, in words. Empty unless LOST."""
+    lost_reason: Global___LostReason.ValueType
+    """Why tracking was lost. UNSPECIFIED unless LOST."""
     inlier_ratio: _builtins.float
     """Share of the frame's points that fit the local model, 0 to 1."""
     rmse_m: _builtins.float
@@ -165,12 +354,18 @@ class PoseEstimate(_message.Message):
     map_version: _builtins.int
     """Version of the map that t_map_base refers to."""
     scale: Global___Scale.ValueType
-    scale_source: _builtins.str
-    """What tells the scale, or what would, in words."""
-    waiting_for: _builtins.str
-    """What an odometry that needs several frames to begin is waiting for, in words. Empty unless INITIALISING."""
+    scale_source: Global___ScaleSource.ValueType
+    """What tells the scale."""
+    waiting_for: Global___WaitingFor.ValueType
+    """What an odometry that needs several frames to begin is waiting for. UNSPECIFIED unless INITIALISING."""
     relocalised: _builtins.bool
     """The robot was lost, and this frame found it again."""
+    lost_message: _builtins.str
+    """`lost_reason` in words, with a remedy; they may change with any version. Empty unless LOST."""
+    scale_message: _builtins.str
+    """`scale_source` in words, or what would tell the scale."""
+    waiting_message: _builtins.str
+    """`waiting_for` in words, with a remedy. Empty if it waits for nothing."""
     @_builtins.property
     def t_map_base(self) -> _geometry_pb2.Pose:
         """Base to map."""
@@ -195,29 +390,155 @@ class PoseEstimate(_message.Message):
         t_map_base: _geometry_pb2.Pose | None = ...,
         covariance: _geometry_pb2.Covariance6 | None = ...,
         t_odom_base: _geometry_pb2.Pose | None = ...,
-        lost_reason: _builtins.str = ...,
+        lost_reason: Global___LostReason.ValueType = ...,
         inlier_ratio: _builtins.float = ...,
         rmse_m: _builtins.float = ...,
         degenerate_axes: _abc.Iterable[_builtins.bool] | None = ...,
         map_version: _builtins.int = ...,
         scale: Global___Scale.ValueType = ...,
-        scale_source: _builtins.str = ...,
-        waiting_for: _builtins.str = ...,
+        scale_source: Global___ScaleSource.ValueType = ...,
+        waiting_for: Global___WaitingFor.ValueType = ...,
         relocalised: _builtins.bool = ...,
+        lost_message: _builtins.str = ...,
+        scale_message: _builtins.str = ...,
+        waiting_message: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "inlier_ratio", b"inlier_ratio", "lost_reason", b"lost_reason", "map_version", b"map_version", "relocalised", b"relocalised", "rmse_m", b"rmse_m", "scale", b"scale", "scale_source", b"scale_source", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base", "waiting_for", b"waiting_for"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "inlier_ratio", b"inlier_ratio", "lost_message", b"lost_message", "lost_reason", b"lost_reason", "map_version", b"map_version", "relocalised", b"relocalised", "rmse_m", b"rmse_m", "scale", b"scale", "scale_message", b"scale_message", "scale_source", b"scale_source", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base", "waiting_for", b"waiting_for", "waiting_message", b"waiting_message"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___PoseEstimate: _TypeAlias = PoseEstimate  # noqa: Y015
 
 @_typing.final
+class PoseAt(_message.Message):
+    """Where the robot was at a time, as the map has it now: between two frames on the shortest screw from one to the other."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STAMP_NS_FIELD_NUMBER: _builtins.int
+    T_MAP_BASE_FIELD_NUMBER: _builtins.int
+    T_ODOM_BASE_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    SCALE_FIELD_NUMBER: _builtins.int
+    BEFORE_NS_FIELD_NUMBER: _builtins.int
+    AFTER_NS_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    stamp_ns: _builtins.int
+    """As asked for."""
+    state: Global___TrackingState.ValueType
+    """LOST if one of the two frames was: the pose is a guess then."""
+    scale: Global___Scale.ValueType
+    """UNKNOWN: in a unit of its own."""
+    before_ns: _builtins.int
+    """Stamp of the frame before, or at, that time: the sensors saw nothing between this and the next."""
+    after_ns: _builtins.int
+    """Stamp of the frame after, or at, that time."""
+    map_version: _builtins.int
+    """Version of the map that t_map_base refers to."""
+    @_builtins.property
+    def t_map_base(self) -> _geometry_pb2.Pose:
+        """Base to map, with all corrections so far."""
+
+    @_builtins.property
+    def t_odom_base(self) -> _geometry_pb2.Pose:
+        """Base to odom: continuous, never corrected. Absent if the scale is UNKNOWN."""
+
+    def __init__(
+        self,
+        *,
+        stamp_ns: _builtins.int = ...,
+        t_map_base: _geometry_pb2.Pose | None = ...,
+        t_odom_base: _geometry_pb2.Pose | None = ...,
+        state: Global___TrackingState.ValueType = ...,
+        scale: Global___Scale.ValueType = ...,
+        before_ns: _builtins.int = ...,
+        after_ns: _builtins.int = ...,
+        map_version: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["after_ns", b"after_ns", "before_ns", b"before_ns", "map_version", b"map_version", "scale", b"scale", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___PoseAt: _TypeAlias = PoseAt  # noqa: Y015
+
+@_typing.final
+class Transform(_message.Message):
+    """Where one frame is, seen from another."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TARGET_FRAME_FIELD_NUMBER: _builtins.int
+    SOURCE_FRAME_FIELD_NUMBER: _builtins.int
+    T_TARGET_SOURCE_FIELD_NUMBER: _builtins.int
+    STAMP_NS_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    SCALE_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    target_frame: _builtins.str
+    """Coordinates in `target` of what is measured in `source`."""
+    source_frame: _builtins.str
+    stamp_ns: _builtins.int
+    """Time for which it holds. Absent if it holds for all times: between base and sensors."""
+    state: Global___TrackingState.ValueType
+    """LOST: a guess. UNSPECIFIED if it holds for all times."""
+    scale: Global___Scale.ValueType
+    """UNKNOWN: lengths are in a unit of their own. UNSPECIFIED if it holds for all times."""
+    map_version: _builtins.int
+    """Version of the map that it refers to."""
+    @_builtins.property
+    def t_target_source(self) -> _geometry_pb2.Pose:
+        """t_target_source: source coordinates to target coordinates."""
+
+    def __init__(
+        self,
+        *,
+        target_frame: _builtins.str = ...,
+        source_frame: _builtins.str = ...,
+        t_target_source: _geometry_pb2.Pose | None = ...,
+        stamp_ns: _builtins.int | None = ...,
+        state: Global___TrackingState.ValueType = ...,
+        scale: Global___Scale.ValueType = ...,
+        map_version: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_stamp_ns", b"_stamp_ns", "stamp_ns", b"stamp_ns", "t_target_source", b"t_target_source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_stamp_ns", b"_stamp_ns", "map_version", b"map_version", "scale", b"scale", "source_frame", b"source_frame", "stamp_ns", b"stamp_ns", "state", b"state", "t_target_source", b"t_target_source", "target_frame", b"target_frame"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__stamp_ns: _TypeAlias = _typing.Literal["stamp_ns"]  # noqa: Y015
+    _WhichOneofArgType__stamp_ns: _TypeAlias = _typing.Literal["_stamp_ns", b"_stamp_ns"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__stamp_ns) -> _WhichOneofReturnType__stamp_ns | None: ...
+
+Global___Transform: _TypeAlias = Transform  # noqa: Y015
+
+@_typing.final
 class Session(_message.Message):
     """One robot, or fixed rig, that maps."""
 
     DESCRIPTOR: _descriptor.Descriptor
+
+    @_typing.final
+    class LabelsEntry(_message.Message):
+        DESCRIPTOR: _descriptor.Descriptor
+
+        KEY_FIELD_NUMBER: _builtins.int
+        VALUE_FIELD_NUMBER: _builtins.int
+        key: _builtins.str
+        value: _builtins.str
+        def __init__(
+            self,
+            *,
+            key: _builtins.str = ...,
+            value: _builtins.str = ...,
+        ) -> None: ...
+        _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+        def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+        _ClearFieldArgType: _TypeAlias = _typing.Literal["key", b"key", "value", b"value"]  # noqa: Y015
+        def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+        def WhichOneof(self, oneof_group: _Never) -> None: ...
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
     DISPLAY_NAME_FIELD_NUMBER: _builtins.int
@@ -235,10 +556,12 @@ class Session(_message.Message):
     LAST_USED_NS_FIELD_NUMBER: _builtins.int
     LAST_STAMP_NS_FIELD_NUMBER: _builtins.int
     TENANT_FIELD_NUMBER: _builtins.int
+    LABELS_FIELD_NUMBER: _builtins.int
+    ETAG_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     """1 to 64 characters of a-z A-Z 0-9 _ -."""
     display_name: _builtins.str
-    """For people."""
+    """For people: up to 256 characters."""
     mode: Global___SessionMode.ValueType
     create_time_ns: _builtins.int
     """Server's clock, nanoseconds since the Unix epoch."""
@@ -256,6 +579,10 @@ class Session(_message.Message):
     """Stamp of the newest frame that moved the pose, sensor's clock, nanoseconds. Absent before the first frame."""
     tenant: _builtins.str
     """Whose it is."""
+    etag: _builtins.str
+    """Names this state of what callers set: display_name, labels, params and the sensors' declarations. Frames do not change
+    it. Opaque; give it to UpdateSession to change what you have seen and nothing newer.
+    """
     @_builtins.property
     def params(self) -> _params_pb2.PipelineParams:
         """Every parameter in force. Absent in lists."""
@@ -271,6 +598,12 @@ class Session(_message.Message):
     @_builtins.property
     def fault(self) -> _error_pb2.ErrorInfo:
         """Why it is set apart: reason and message. Absent unless FAULTED."""
+
+    @_builtins.property
+    def labels(self) -> _containers.ScalarMap[_builtins.str, _builtins.str]:
+        """For programs, by which lists are filtered: at most 32. Keys have 1 to 63 characters of a-z A-Z 0-9 _ - . /, values up to 63 of
+        a-z A-Z 0-9 _ - . :
+        """
 
     def __init__(
         self,
@@ -291,10 +624,12 @@ class Session(_message.Message):
         last_used_ns: _builtins.int = ...,
         last_stamp_ns: _builtins.int | None = ...,
         tenant: _builtins.str = ...,
+        labels: _abc.Mapping[_builtins.str, _builtins.str] | None = ...,
+        etag: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "fault", b"fault", "last_stamp_ns", b"last_stamp_ns", "params", b"params", "pose", b"pose"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "fault", b"fault", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "tenant", b"tenant"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "etag", b"etag", "fault", b"fault", "labels", b"labels", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "tenant", b"tenant"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__fault: _TypeAlias = _typing.Literal["fault"]  # noqa: Y015
     _WhichOneofArgType__fault: _TypeAlias = _typing.Literal["_fault", b"_fault"]  # noqa: Y015
@@ -538,6 +873,99 @@ class SessionEvent(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType_event) -> _WhichOneofReturnType_event | None: ...
 
 Global___SessionEvent: _TypeAlias = SessionEvent  # noqa: Y015
+
+@_typing.final
+class SessionLife(_message.Message):
+    """A session came, went, or is in another state."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STEP_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    step: Global___LifeStep.ValueType
+    state: Global___SessionState.ValueType
+    """UNSPECIFIED unless MOVED."""
+    def __init__(
+        self,
+        *,
+        step: Global___LifeStep.ValueType = ...,
+        state: Global___SessionState.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["state", b"state", "step", b"step"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SessionLife: _TypeAlias = SessionLife  # noqa: Y015
+
+@_typing.final
+class FleetEvent(_message.Message):
+    """Something that happened in one of the sessions of a server."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TOKEN_FIELD_NUMBER: _builtins.int
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    STAMP_NS_FIELD_NUMBER: _builtins.int
+    POSE_FIELD_NUMBER: _builtins.int
+    KEYFRAME_ADDED_FIELD_NUMBER: _builtins.int
+    OBJECT_CHANGED_FIELD_NUMBER: _builtins.int
+    LOOP_CHANGED_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    LIFE_FIELD_NUMBER: _builtins.int
+    NEW_ETAG_FIELD_NUMBER: _builtins.int
+    RESYNC_FIELD_NUMBER: _builtins.int
+    token: _builtins.int
+    """Give it to WatchSessions to go on after this event. Tokens grow; those that are left out belong to events that were not
+    asked for.
+    """
+    session_id: _builtins.str
+    """Where it happened. Empty if events of unknown sessions are missing."""
+    stamp_ns: _builtins.int
+    """Stamp of the frame that caused it; 0 if none did."""
+    map_version: _builtins.int
+    """The map's new version."""
+    new_etag: _builtins.str
+    """Settings were changed: the session's new etag."""
+    @_builtins.property
+    def pose(self) -> Global___PoseEstimate: ...
+    @_builtins.property
+    def keyframe_added(self) -> Global___Keyframe: ...
+    @_builtins.property
+    def object_changed(self) -> _object_pb2.ObjectChange: ...
+    @_builtins.property
+    def loop_changed(self) -> _map_pb2.Loop: ...
+    @_builtins.property
+    def life(self) -> Global___SessionLife: ...
+    @_builtins.property
+    def resync(self) -> Global___Resync:
+        """Events were lost (a slow client, or a token too old): read the state anew, of that session, or of all."""
+
+    def __init__(
+        self,
+        *,
+        token: _builtins.int = ...,
+        session_id: _builtins.str = ...,
+        stamp_ns: _builtins.int = ...,
+        pose: Global___PoseEstimate | None = ...,
+        keyframe_added: Global___Keyframe | None = ...,
+        object_changed: _object_pb2.ObjectChange | None = ...,
+        loop_changed: _map_pb2.Loop | None = ...,
+        map_version: _builtins.int = ...,
+        life: Global___SessionLife | None = ...,
+        new_etag: _builtins.str = ...,
+        resync: Global___Resync | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["event", b"event", "keyframe_added", b"keyframe_added", "life", b"life", "loop_changed", b"loop_changed", "map_version", b"map_version", "new_etag", b"new_etag", "object_changed", b"object_changed", "pose", b"pose", "resync", b"resync"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["event", b"event", "keyframe_added", b"keyframe_added", "life", b"life", "loop_changed", b"loop_changed", "map_version", b"map_version", "new_etag", b"new_etag", "object_changed", b"object_changed", "pose", b"pose", "resync", b"resync", "session_id", b"session_id", "stamp_ns", b"stamp_ns", "token", b"token"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_event: _TypeAlias = _typing.Literal["pose", "keyframe_added", "object_changed", "loop_changed", "map_version", "life", "new_etag", "resync"]  # noqa: Y015
+    _WhichOneofArgType_event: _TypeAlias = _typing.Literal["event", b"event"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_event) -> _WhichOneofReturnType_event | None: ...
+
+Global___FleetEvent: _TypeAlias = FleetEvent  # noqa: Y015
 
 @_typing.final
 class Resync(_message.Message):

@@ -5,6 +5,7 @@ isort:skip_file
 
 from collections import abc as _abc
 from google.protobuf import descriptor as _descriptor
+from google.protobuf import field_mask_pb2 as _field_mask_pb2
 from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
 from percept.v1 import params_pb2 as _params_pb2
@@ -25,12 +26,33 @@ DESCRIPTOR: _descriptor.FileDescriptor
 class CreateSessionRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
+    @_typing.final
+    class LabelsEntry(_message.Message):
+        DESCRIPTOR: _descriptor.Descriptor
+
+        KEY_FIELD_NUMBER: _builtins.int
+        VALUE_FIELD_NUMBER: _builtins.int
+        key: _builtins.str
+        value: _builtins.str
+        def __init__(
+            self,
+            *,
+            key: _builtins.str = ...,
+            value: _builtins.str = ...,
+        ) -> None: ...
+        _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+        def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+        _ClearFieldArgType: _TypeAlias = _typing.Literal["key", b"key", "value", b"value"]  # noqa: Y015
+        def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+        def WhichOneof(self, oneof_group: _Never) -> None: ...
+
     SESSION_ID_FIELD_NUMBER: _builtins.int
     DISPLAY_NAME_FIELD_NUMBER: _builtins.int
     MODE_FIELD_NUMBER: _builtins.int
     SENSORS_FIELD_NUMBER: _builtins.int
     PARAMS_FIELD_NUMBER: _builtins.int
     REQUEST_ID_FIELD_NUMBER: _builtins.int
+    LABELS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     """1 to 64 characters of a-z A-Z 0-9 _ -. Absent: one is chosen."""
     display_name: _builtins.str
@@ -46,6 +68,10 @@ class CreateSessionRequest(_message.Message):
     def params(self) -> _params_pb2.PipelineParams:
         """What is set replaces the default."""
 
+    @_builtins.property
+    def labels(self) -> _containers.ScalarMap[_builtins.str, _builtins.str]:
+        """As in Session."""
+
     def __init__(
         self,
         *,
@@ -55,10 +81,11 @@ class CreateSessionRequest(_message.Message):
         sensors: _abc.Iterable[_sensor_pb2.SensorSpec] | None = ...,
         params: _params_pb2.PipelineParams | None = ...,
         request_id: _builtins.str = ...,
+        labels: _abc.Mapping[_builtins.str, _builtins.str] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_session_id", b"_session_id", "params", b"params", "session_id", b"session_id"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_session_id", b"_session_id", "display_name", b"display_name", "mode", b"mode", "params", b"params", "request_id", b"request_id", "sensors", b"sensors", "session_id", b"session_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_session_id", b"_session_id", "display_name", b"display_name", "labels", b"labels", "mode", b"mode", "params", b"params", "request_id", b"request_id", "sensors", b"sensors", "session_id", b"session_id"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__session_id: _TypeAlias = _typing.Literal["session_id"]  # noqa: Y015
     _WhichOneofArgType__session_id: _TypeAlias = _typing.Literal["_session_id", b"_session_id"]  # noqa: Y015
@@ -132,22 +159,36 @@ class ListSessionsRequest(_message.Message):
     PAGE_SIZE_FIELD_NUMBER: _builtins.int
     PAGE_TOKEN_FIELD_NUMBER: _builtins.int
     STATE_FIELD_NUMBER: _builtins.int
+    SESSION_PATTERN_FIELD_NUMBER: _builtins.int
+    LABEL_SELECTOR_FIELD_NUMBER: _builtins.int
+    ORDER_BY_FIELD_NUMBER: _builtins.int
     page_size: _builtins.int
     """At most this many; 0 means 100, 1000 at most."""
     page_token: _builtins.str
     """From the answer before. Empty: from the start."""
     state: _session_pb2.SessionState.ValueType
     """Only those in this state. UNSPECIFIED: all."""
+    session_pattern: _builtins.str
+    """Only those whose id fits, e.g. robot-*: * stands for any characters. Empty: all."""
+    label_selector: _builtins.str
+    """Only those with all of these labels: site=north, or site for any value of it; several with commas between them. Empty: all."""
+    order_by: _builtins.str
+    """session_id (the default), create_time_ns or last_used_ns, with desc behind it for the last ones first. last_used_ns
+    changes while pages are read: what is used meanwhile may be missed, or come twice.
+    """
     def __init__(
         self,
         *,
         page_size: _builtins.int = ...,
         page_token: _builtins.str = ...,
         state: _session_pb2.SessionState.ValueType = ...,
+        session_pattern: _builtins.str = ...,
+        label_selector: _builtins.str = ...,
+        order_by: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["page_size", b"page_size", "page_token", b"page_token", "state", b"state"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["label_selector", b"label_selector", "order_by", b"order_by", "page_size", b"page_size", "page_token", b"page_token", "session_pattern", b"session_pattern", "state", b"state"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -176,6 +217,62 @@ class ListSessionsResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___ListSessionsResponse: _TypeAlias = ListSessionsResponse  # noqa: Y015
+
+@_typing.final
+class UpdateSessionRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_FIELD_NUMBER: _builtins.int
+    UPDATE_MASK_FIELD_NUMBER: _builtins.int
+    ETAG_FIELD_NUMBER: _builtins.int
+    etag: _builtins.str
+    """Refused with ETAG_MISMATCH if the session has another one by now. Empty: that of `session`; if that is empty, too, whatever
+    is there is changed.
+    """
+    @_builtins.property
+    def session(self) -> _session_pb2.Session:
+        """session_id says which; of the rest counts what the mask names."""
+
+    @_builtins.property
+    def update_mask(self) -> _field_mask_pb2.FieldMask:
+        """Paths in Session: display_name, labels (all of them), params or what is below it, e.g. params.planning.robot_radius_m. What
+        is named and not set becomes empty, a parameter its default. Without a mask all that is set in `session` changes.
+        """
+
+    def __init__(
+        self,
+        *,
+        session: _session_pb2.Session | None = ...,
+        update_mask: _field_mask_pb2.FieldMask | None = ...,
+        etag: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["session", b"session", "update_mask", b"update_mask"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["etag", b"etag", "session", b"session", "update_mask", b"update_mask"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___UpdateSessionRequest: _TypeAlias = UpdateSessionRequest  # noqa: Y015
+
+@_typing.final
+class UpdateSessionResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def session(self) -> _session_pb2.Session: ...
+    def __init__(
+        self,
+        *,
+        session: _session_pb2.Session | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["session", b"session"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["session", b"session"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___UpdateSessionResponse: _TypeAlias = UpdateSessionResponse  # noqa: Y015
 
 @_typing.final
 class DeleteSessionRequest(_message.Message):
@@ -216,17 +313,25 @@ class GetPoseRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
+    AT_NS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    at_ns: _builtins.int
+    """Session's clock, nanoseconds. Absent: the newest. Before the first frame: STAMP_BEFORE_TRAJECTORY; after the newest:
+    STAMP_AFTER_TRAJECTORY; both say the range.
+    """
     def __init__(
         self,
         *,
         session_id: _builtins.str = ...,
+        at_ns: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["session_id", b"session_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns", "session_id", b"session_id"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__at_ns: _TypeAlias = _typing.Literal["at_ns"]  # noqa: Y015
+    _WhichOneofArgType__at_ns: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__at_ns) -> _WhichOneofReturnType__at_ns | None: ...
 
 Global___GetPoseRequest: _TypeAlias = GetPoseRequest  # noqa: Y015
 
@@ -235,41 +340,132 @@ class GetPoseResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     POSE_FIELD_NUMBER: _builtins.int
+    POSE_AT_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def pose(self) -> _session_pb2.PoseEstimate:
-        """Absent before the first frame."""
+        """Absent before the first frame, and if a time was asked for."""
+
+    @_builtins.property
+    def pose_at(self) -> _session_pb2.PoseAt:
+        """If a time was asked for."""
 
     def __init__(
         self,
         *,
         pose: _session_pb2.PoseEstimate | None = ...,
+        pose_at: _session_pb2.PoseAt | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "pose", b"pose"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "_pose_at", b"_pose_at", "pose", b"pose", "pose_at", b"pose_at"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "pose", b"pose"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose", b"_pose", "_pose_at", b"_pose_at", "pose", b"pose", "pose_at", b"pose_at"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__pose: _TypeAlias = _typing.Literal["pose"]  # noqa: Y015
     _WhichOneofArgType__pose: _TypeAlias = _typing.Literal["_pose", b"_pose"]  # noqa: Y015
+    _WhichOneofReturnType__pose_at: _TypeAlias = _typing.Literal["pose_at"]  # noqa: Y015
+    _WhichOneofArgType__pose_at: _TypeAlias = _typing.Literal["_pose_at", b"_pose_at"]  # noqa: Y015
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose) -> _WhichOneofReturnType__pose | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__pose_at) -> _WhichOneofReturnType__pose_at | None: ...
 
 Global___GetPoseResponse: _TypeAlias = GetPoseResponse  # noqa: Y015
+
+@_typing.final
+class LookupTransformRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    TARGET_FRAME_FIELD_NUMBER: _builtins.int
+    SOURCE_FRAME_FIELD_NUMBER: _builtins.int
+    AT_NS_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    target_frame: _builtins.str
+    """Where to: map, odom, base, or the id of a sensor; sensors/<id> for one that has one of these names."""
+    source_frame: _builtins.str
+    """Where from, likewise."""
+    at_ns: _builtins.int
+    """Session's clock, nanoseconds. Absent: the newest. Not asked for between base and sensors, which do not move."""
+    def __init__(
+        self,
+        *,
+        session_id: _builtins.str = ...,
+        target_frame: _builtins.str = ...,
+        source_frame: _builtins.str = ...,
+        at_ns: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns", "session_id", b"session_id", "source_frame", b"source_frame", "target_frame", b"target_frame"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__at_ns: _TypeAlias = _typing.Literal["at_ns"]  # noqa: Y015
+    _WhichOneofArgType__at_ns: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__at_ns) -> _WhichOneofReturnType__at_ns | None: ...
+
+Global___LookupTransformRequest: _TypeAlias = LookupTransformRequest  # noqa: Y015
+
+@_typing.final
+class LookupTransformResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TRANSFORM_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def transform(self) -> _session_pb2.Transform: ...
+    def __init__(
+        self,
+        *,
+        transform: _session_pb2.Transform | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["transform", b"transform"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["transform", b"transform"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___LookupTransformResponse: _TypeAlias = LookupTransformResponse  # noqa: Y015
 
 @_typing.final
 class GetTrajectoryRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
+    FROM_NS_FIELD_NUMBER: _builtins.int
+    TO_NS_FIELD_NUMBER: _builtins.int
+    MAX_POSES_FIELD_NUMBER: _builtins.int
+    PAGE_SIZE_FIELD_NUMBER: _builtins.int
+    PAGE_TOKEN_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    from_ns: _builtins.int
+    """Only frames from this time on, session's clock, nanoseconds. Absent: from the first."""
+    to_ns: _builtins.int
+    """Only frames up to this time. Absent: to the newest."""
+    max_poses: _builtins.int
+    """At most this many of those, at even distances, the first and the last among them; 0: all. At least 2. Not with page_size."""
+    page_size: _builtins.int
+    """At most this many, then a token for the next ones; 0: all."""
+    page_token: _builtins.str
+    """From the answer before. Empty: from the start."""
     def __init__(
         self,
         *,
         session_id: _builtins.str = ...,
+        from_ns: _builtins.int | None = ...,
+        to_ns: _builtins.int | None = ...,
+        max_poses: _builtins.int = ...,
+        page_size: _builtins.int = ...,
+        page_token: _builtins.str = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_from_ns", b"_from_ns", "_to_ns", b"_to_ns", "from_ns", b"from_ns", "to_ns", b"to_ns"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["session_id", b"session_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_from_ns", b"_from_ns", "_to_ns", b"_to_ns", "from_ns", b"from_ns", "max_poses", b"max_poses", "page_size", b"page_size", "page_token", b"page_token", "session_id", b"session_id", "to_ns", b"to_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__from_ns: _TypeAlias = _typing.Literal["from_ns"]  # noqa: Y015
+    _WhichOneofArgType__from_ns: _TypeAlias = _typing.Literal["_from_ns", b"_from_ns"]  # noqa: Y015
+    _WhichOneofReturnType__to_ns: _TypeAlias = _typing.Literal["to_ns"]  # noqa: Y015
+    _WhichOneofArgType__to_ns: _TypeAlias = _typing.Literal["_to_ns", b"_to_ns"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__from_ns) -> _WhichOneofReturnType__from_ns | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__to_ns) -> _WhichOneofReturnType__to_ns | None: ...
 
 Global___GetTrajectoryRequest: _TypeAlias = GetTrajectoryRequest  # noqa: Y015
 
@@ -279,8 +475,11 @@ class GetTrajectoryResponse(_message.Message):
 
     MAP_VERSION_FIELD_NUMBER: _builtins.int
     POSES_FIELD_NUMBER: _builtins.int
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _builtins.int
     map_version: _builtins.int
     """Version of the map that the poses refer to."""
+    next_page_token: _builtins.str
+    """With page_size: where the next page starts. In the last message; empty there on the last page."""
     @_builtins.property
     def poses(self) -> _containers.RepeatedCompositeFieldContainer[_session_pb2.TrajectoryPose]:
         """Next poses in order of time."""
@@ -290,10 +489,11 @@ class GetTrajectoryResponse(_message.Message):
         *,
         map_version: _builtins.int = ...,
         poses: _abc.Iterable[_session_pb2.TrajectoryPose] | None = ...,
+        next_page_token: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["map_version", b"map_version", "poses", b"poses"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["map_version", b"map_version", "next_page_token", b"next_page_token", "poses", b"poses"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -394,6 +594,58 @@ class WatchSessionResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___WatchSessionResponse: _TypeAlias = WatchSessionResponse  # noqa: Y015
+
+@_typing.final
+class WatchSessionsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_PATTERN_FIELD_NUMBER: _builtins.int
+    KINDS_FIELD_NUMBER: _builtins.int
+    RESUME_TOKEN_FIELD_NUMBER: _builtins.int
+    session_pattern: _builtins.str
+    """Only of sessions whose id fits, e.g. robot-*. Empty: of all."""
+    resume_token: _builtins.int
+    """Token of the last event seen. Absent: only events from now on."""
+    @_builtins.property
+    def kinds(self) -> _containers.RepeatedScalarFieldContainer[_session_pb2.FleetEventKind.ValueType]:
+        """Only of these kinds. Empty: of all."""
+
+    def __init__(
+        self,
+        *,
+        session_pattern: _builtins.str = ...,
+        kinds: _abc.Iterable[_session_pb2.FleetEventKind.ValueType] | None = ...,
+        resume_token: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_resume_token", b"_resume_token", "resume_token", b"resume_token"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_resume_token", b"_resume_token", "kinds", b"kinds", "resume_token", b"resume_token", "session_pattern", b"session_pattern"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__resume_token: _TypeAlias = _typing.Literal["resume_token"]  # noqa: Y015
+    _WhichOneofArgType__resume_token: _TypeAlias = _typing.Literal["_resume_token", b"_resume_token"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__resume_token) -> _WhichOneofReturnType__resume_token | None: ...
+
+Global___WatchSessionsRequest: _TypeAlias = WatchSessionsRequest  # noqa: Y015
+
+@_typing.final
+class WatchSessionsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    EVENT_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def event(self) -> _session_pb2.FleetEvent: ...
+    def __init__(
+        self,
+        *,
+        event: _session_pb2.FleetEvent | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["event", b"event"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["event", b"event"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___WatchSessionsResponse: _TypeAlias = WatchSessionsResponse  # noqa: Y015
 
 @_typing.final
 class GetDefaultParamsRequest(_message.Message):

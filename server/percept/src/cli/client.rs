@@ -218,7 +218,7 @@ impl RemoteSession {
 
     /// The trajectory.
     pub(crate) async fn trajectory(&self) -> Result<Vec<RemotePose>, Failure> {
-        let request = v1::GetTrajectoryRequest { session_id: self.id.clone() };
+        let request = v1::GetTrajectoryRequest { session_id: self.id.clone(), ..Default::default() };
         let mut client = SessionsServiceClient::new(self.channel.clone());
         let mut parts = client.get_trajectory(request).await?.into_inner();
         let mut out = Vec::new();

@@ -8,6 +8,7 @@ use percept_formats::dataset::{self, Dataset, OpenOptions};
 use percept_formats::{Limits as FileLimits, read_file, trajectory};
 use percept_geometry::{SensorFrame, SensorKind};
 use percept_pipeline::{LoopState, PipelineParams, Snapshot};
+use percept_service::reason;
 use percept_service::{Limits, MapFormat, maps};
 use percept_wire::{convert, json, v1};
 use std::ops::Range;
@@ -166,7 +167,7 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
     for (name, format, _) in FILES.iter().filter(|(name, ..)| *name != "cloud.pcd") {
         match maps::export(snapshot, "map", *format, &Limits::default()) {
             Ok(file) => std::fs::write(dir.join(name), file.bytes)?,
-            Err(e) if e.reason == "MAP_EMPTY" => eprintln!("percept: {name} not written: the map is empty"),
+            Err(e) if e.reason == reason::MAP_EMPTY => eprintln!("percept: {name} not written: the map is empty"),
             Err(e) => return Err(e.into()),
         }
     }

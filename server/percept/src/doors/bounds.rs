@@ -1,7 +1,7 @@
 //! What all clients together, and each alone, may take of the server: places for connections, streams and watchers, and
 //! memory for what is under way. Taken before it is used, given back by dropping.
 
-use percept_service::{Error, Limits, observe};
+use percept_service::{Error, Limits, observe, reason};
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -63,8 +63,8 @@ impl Bounds {
         self.ingest_streams.take(peer).ok_or_else(|| {
             let most = self.ingest_streams.most;
             let words = format!("{most} ingest streams are open, the limit; send several sensors on one stream");
-            observe::shed("TOO_MANY_STREAMS");
-            Error::exhausted("TOO_MANY_STREAMS", "", words)
+            observe::shed(reason::TOO_MANY_STREAMS);
+            Error::exhausted(reason::TOO_MANY_STREAMS, "", words)
         })
     }
 
@@ -76,8 +76,8 @@ impl Bounds {
         self.watchers.take(peer).ok_or_else(|| {
             let (all, one) = (self.watchers.most, self.watchers.most_per_peer);
             let words = format!("the limit of {all} watchers, or of {one} from one address, is reached; end some");
-            observe::shed("TOO_MANY_WATCHERS");
-            Error::exhausted("TOO_MANY_WATCHERS", "", words)
+            observe::shed(reason::TOO_MANY_WATCHERS);
+            Error::exhausted(reason::TOO_MANY_WATCHERS, "", words)
         })
     }
 }
@@ -216,8 +216,8 @@ impl Charge {
     pub(crate) async fn grow(&mut self, bytes: usize) -> Result<(), Error> {
         tokio::time::timeout(PATIENCE, self.grow_when_there(bytes)).await.map_err(|_| {
             let words = "the server has no memory left for what is under way; try again, or send less at a time";
-            observe::shed("MEMORY_EXHAUSTED");
-            Error::exhausted("MEMORY_EXHAUSTED", "", words)
+            observe::shed(reason::MEMORY_EXHAUSTED);
+            Error::exhausted(reason::MEMORY_EXHAUSTED, "", words)
         })
     }
 

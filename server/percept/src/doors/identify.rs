@@ -14,6 +14,7 @@ use axum::response::{IntoResponse, Response};
 use percept_identity::{
     Access, AuthMode, Authenticator, CertificateNames, Credentials, Principal, bearer, now_s, random_token,
 };
+use percept_service::reason;
 use percept_service::{CallContext, Error, ErrorCode, caller::audit, observe};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,7 +23,7 @@ use std::time::{Duration, Instant};
 const OPEN: [&str; 5] = ["/", "/healthz", "/livez", "/readyz", "/favicon.ico"];
 const OPEN_SERVICE: &str = "/grpc.health.v1.Health/";
 /// Open where `auth.open_documents` says so.
-const DOCUMENTS: [&str; 2] = ["/docs", "/openapi.json"];
+const DOCUMENTS: [&str; 3] = ["/docs", "/openapi.json", "/reasons"];
 const REFLECTION: &str = "/grpc.reflection.";
 const METRICS: &str = "/metrics";
 
@@ -79,7 +80,7 @@ impl Gate {
             return Ok(());
         }
         let words = "metrics need admin access to every session; ask for a key that has it, or set auth.open_metrics";
-        Err(Error::new(ErrorCode::PermissionDenied, "PERMISSION_DENIED", words))
+        Err(Error::new(ErrorCode::PermissionDenied, reason::PERMISSION_DENIED, words))
     }
 
     async fn identified(&self, parts: &Parts) -> Result<CallContext, Error> {
@@ -196,7 +197,7 @@ mod tests {
             for rpc in service.methods() {
                 let operation = format!("{}/{}", service.name(), rpc.name());
                 let rule = rule(&operation).unwrap_or_else(|| panic!("no rule for {operation}"));
-                let fields = ["session_id", "source", "message"];
+                let fields = ["session_id", "source", "message", "session"];
                 // A toolbox's source is a cloud, of a session only sometimes.
                 let of_a_session = !service.name().starts_with("Toolbox")
                     && fields.iter().any(|f| rpc.input().get_field_by_name(f).is_some());

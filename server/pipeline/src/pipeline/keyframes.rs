@@ -94,7 +94,8 @@ impl Pipeline {
         self.newest_keyframe_t_odom_base = t_odom_base;
         self.insert_to_come(id, &t_odom_base, &scan);
         let num_points = scan.hits.len();
-        let info = KeyframeInfo { id, stamp, sensor: sensor.clone(), t_map_base, num_points, merged: None };
+        let info =
+            KeyframeInfo { id, stamp, sensor: sensor.clone(), t_map_base, t_odom_base, num_points, merged: None };
         Arc::make_mut(&mut self.keyframes).push(info.clone());
         NewKeyframe { info, t_odom_base, after_gap: false, scan }
     }

@@ -82,18 +82,18 @@ impl Pipeline {
         let mut infos = Vec::with_capacity(restored.keyframes.len());
         for (i, k) in restored.keyframes.iter().enumerate() {
             let (id, sensor) = (KeyframeId(i as u64), k.sensor().clone());
-            let t_map_base = k.t_map_base;
+            let (t_map_base, t_odom_base) = (k.t_map_base, k.t_odom_base);
             self.policy(&sensor).resume(&k.t_odom_base);
             infos.push(match &k.content {
                 RestoredContent::Scan(scan) => {
                     self.insert(id, t_map_base, scan);
                     self.base_height_m = scan.base_height_m;
                     let (stamp, num_points) = (scan.stamp, scan.hits.len());
-                    KeyframeInfo { id, stamp, sensor, t_map_base, num_points, merged: None }
+                    KeyframeInfo { id, stamp, sensor, t_map_base, t_odom_base, num_points, merged: None }
                 }
                 RestoredContent::Merged { stamp, merged, .. } => {
                     let (stamp, merged) = (*stamp, Some(*merged));
-                    KeyframeInfo { id, stamp, sensor, t_map_base, num_points: 0, merged }
+                    KeyframeInfo { id, stamp, sensor, t_map_base, t_odom_base, num_points: 0, merged }
                 }
             });
         }

@@ -12,6 +12,7 @@ pub mod rules;
 
 pub use context::CallContext;
 
+use crate::reason;
 use crate::{ComputePool, Error, ErrorCode, Health, Limits, RateLimitedLog, Result, Service, check_id};
 use percept_identity::now_s;
 use rules::{About, Rule};
@@ -102,7 +103,7 @@ impl Caller {
             return Ok(());
         }
         let words = "the credentials have expired or were revoked; renew them";
-        Err(Error::new(ErrorCode::Unauthenticated, "CREDENTIALS_EXPIRED", words))
+        Err(Error::new(ErrorCode::Unauthenticated, reason::CREDENTIALS_EXPIRED, words))
     }
 
     fn refused(&self, operation: &str, session: &str, error: Error) -> Error {
@@ -161,5 +162,5 @@ fn denied(rule: &Rule) -> Error {
         About::Session => format!("this needs {} access to the session; ask for a key that has it", rule.access),
         About::Nothing => format!("this needs {} access; ask for a key that has it", rule.access),
     };
-    Error::new(ErrorCode::PermissionDenied, "PERMISSION_DENIED", words)
+    Error::new(ErrorCode::PermissionDenied, reason::PERMISSION_DENIED, words)
 }

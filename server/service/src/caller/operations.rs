@@ -4,17 +4,17 @@ use super::Caller;
 use super::audit::Act;
 use crate::ops::toolbox::{SessionCloud, Toolbox};
 use crate::{
-    CloudAnswer, Error, EventLog, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved, Navigation,
-    NewSession, Page, Pending, Plan, PlanRequest, Processed, Result, SensorDeclaration, SensorStatus, Session,
-    SessionDescription, SessionState, SessionView, TrajectoryComparison, Vetoed, check_id,
+    CloudAnswer, Error, EventLog, FleetFilter, FleetWatch, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved,
+    Navigation, NewSession, Page, Pending, Plan, PlanRequest, Processed, Result, SensorChanges, SensorDeclaration,
+    SensorStatus, Session, SessionChanges, SessionDescription, SessionList, SessionView, TrajectoryComparison,
+    TrajectoryRequest, Transform, Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{
     DetectionScore, FoundObject, PosePair, RelationScore, TrajectoryScore, TrueObject, TrueRelation,
 };
-use percept_geometry::{ObjectClass, Pose, SensorId, Stamped};
-use percept_identity::Access;
-use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, Snapshot};
+use percept_geometry::{ObjectClass, Pose, SensorId, Stamped, Timestamp};
+use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, PoseAt, Snapshot, TrajectoryEntry};
 use percept_scene::{Object, SceneGraph};
 use std::sync::Arc;
 
@@ -82,24 +82,73 @@ impl Caller {
         self.service.session_events(id).await
     }
 
-    /// Sessions that the caller may read, by id; in a state if one is given.
+    /// Sessions that fit `list`, of those that the caller may read.
+    ///
+    /// # Errors
+    /// `PERMISSION_DENIED`, `PAGE_TOKEN_INVALID`.
+    pub async fn list_sessions(&self, list: &SessionList) -> Result<Page<SessionView>> {
+        self.may("SessionsService/ListSessions")?;
+        let principal = &self.context.principal;
+        self.service.list_sessions(list, |view| crate::ops::fleet::may_see(principal, view)).await
+    }
+
+    /// Events of all sessions that the caller may read.
     ///
     /// # Errors
     /// `PERMISSION_DENIED`.
-    pub async fn list_sessions(
+    pub fn watch_sessions(&self, filter: FleetFilter) -> Result<FleetWatch> {
+        self.may("SessionsService/WatchSessions")?;
+        Ok(FleetWatch::new(&self.service.registry.fleet, &self.context, filter))
+    }
+
+    /// Where the robot was at a time, and the version of the map that this refers to.
+    ///
+    /// # Errors
+    /// As [`crate::Service::pose_at`].
+    pub async fn pose_at(&self, session: &str, at: Timestamp) -> Result<(PoseAt, u64)> {
+        self.may_with("SessionsService/GetPose", session).await?;
+        self.service.pose_at(session, at).await
+    }
+
+    /// Where `source` is, seen from `target`, now or at a time.
+    ///
+    /// # Errors
+    /// As [`crate::Service::lookup_transform`].
+    pub async fn lookup_transform(
         &self,
-        state: Option<SessionState>,
-        size: u32,
-        token: &str,
-    ) -> Result<Page<SessionView>> {
-        self.may("SessionsService/ListSessions")?;
-        let principal = &self.context.principal;
-        let is_wanted = |view: &SessionView| {
-            view.tenant == principal.tenant
-                && principal.may(Access::Read, &view.id)
-                && state.is_none_or(|wanted| view.state == wanted)
-        };
-        Ok(self.service.list_sessions(size, token, is_wanted).await)
+        session: &str,
+        target: &str,
+        source: &str,
+        at: Option<Timestamp>,
+    ) -> Result<Transform> {
+        self.may_with("SessionsService/LookupTransform", session).await?;
+        self.service.lookup_transform(session, target, source, at).await
+    }
+
+    /// A part of the trajectory, corrected, in order of time: base to map, frame; and the version of the map.
+    ///
+    /// # Errors
+    /// As [`crate::Service::trajectory`].
+    pub async fn trajectory(
+        &self,
+        session: &str,
+        request: TrajectoryRequest,
+    ) -> Result<(Page<(Pose, TrajectoryEntry)>, u64)> {
+        self.may_with("SessionsService/GetTrajectory", session).await?;
+        self.service.trajectory(session, request).await
+    }
+
+    /// Changes what callers set of a session, durably.
+    ///
+    /// # Errors
+    /// As [`crate::Service::update_session`].
+    pub async fn update_session(&self, id: &str, etag: &str, changes: &SessionChanges) -> Result<SessionDescription> {
+        const NAME: &str = "SessionsService/UpdateSession";
+        self.may_with(NAME, id).await?;
+        let act = Act::begin(&self.context, NAME, id);
+        let changed = self.service.update_session(id, etag, changes).await;
+        act.end(&changed);
+        changed
     }
 
     /// Keyframes that the map is made of, by number.
@@ -147,6 +196,34 @@ impl Caller {
         let declared = self.service.declare_sensor(session, declaration).await;
         act.end(&declared);
         declared
+    }
+
+    /// Changes the declaration of a sensor, durably.
+    ///
+    /// # Errors
+    /// As [`crate::Service::update_sensor`].
+    pub async fn update_sensor(
+        &self,
+        session: &str,
+        sensor: &SensorId,
+        etag: &str,
+        changes: &SensorChanges,
+    ) -> Result<SensorStatus> {
+        const NAME: &str = "SensorsService/UpdateSensor";
+        self.may_with(NAME, session).await?;
+        let act = Act::begin(&self.context, NAME, session);
+        let changed = self.service.update_sensor(session, sensor, etag, changes).await;
+        act.end(&changed);
+        changed
+    }
+
+    /// Health of one sensor of a session, without waking it.
+    ///
+    /// # Errors
+    /// `SENSOR_NOT_FOUND`, `SESSION_NOT_FOUND`; faults of the storage.
+    pub async fn sensor(&self, session: &str, sensor: &SensorId) -> Result<SensorStatus> {
+        self.may_with("SensorsService/GetSensor", session).await?;
+        self.service.sensor(session, sensor).await
     }
 
     /// Takes one frame and answers when it was processed and is durable.

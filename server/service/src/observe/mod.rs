@@ -8,6 +8,7 @@ mod families;
 mod share;
 
 use crate::SessionState;
+use crate::reason;
 use families::FAMILIES;
 use percept_geometry::SensorKind;
 use prometheus_client::collector::Collector;
@@ -340,7 +341,7 @@ pub fn prepare() {
         drop(FAMILIES.compute_wait_seconds.get_or_create(&kind));
     }
     drop(FAMILIES.wakes.get_or_create(&[("outcome", "OK")]));
-    for reason in ["STORAGE_FAULT", "STORAGE_FULL", "STORAGE_FENCED"] {
+    for reason in [reason::STORAGE_FAULT, reason::STORAGE_FULL, reason::STORAGE_FENCED] {
         drop(FAMILIES.store_faults.get_or_create(&[("reason", reason)]));
     }
     for kind in ["ingest", "watch"] {

@@ -1,6 +1,7 @@
 //! Metrics against ground truth.
 
 use super::toolbox::budget;
+use crate::reason;
 use crate::{Error, Result, Service};
 use percept_evaluation::{
     Alignment, Delta, DetectionScore, EvaluationError, FoundObject, PosePair, RelationScore, Trajectory,
@@ -103,5 +104,5 @@ fn compare(c: TrajectoryComparison) -> std::result::Result<(TrajectoryScore, Vec
 }
 
 fn evaluation_error(e: &EvaluationError) -> Error {
-    Error::invalid("EVALUATION_INVALID", "", e.to_string())
+    Error::invalid(reason::EVALUATION_INVALID, "", e.to_string())
 }

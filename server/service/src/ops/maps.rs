@@ -2,6 +2,7 @@
 
 use super::pictures;
 use super::sessions::{Page, page_by_number};
+use crate::reason;
 use crate::session::handle::{Moved, Vetoed};
 use crate::{Error, Result, Service, Session, check_id};
 use nalgebra::{Point2, Point3};
@@ -97,10 +98,11 @@ fn cells_of(grid: &OccupancyGrid, region: Option<(Point2<f64>, Point2<f64>)>) ->
     if !(min.x < max.x && min.y < max.y) {
         let message =
             format!("region from ({}, {}) to ({}, {}) is empty; min must be below max", min.x, min.y, max.x, max.y);
-        return Err(Error::invalid("REGION_EMPTY", "region", message));
+        return Err(Error::invalid(reason::REGION_EMPTY, "region", message));
     }
-    let far =
-        || Error::invalid("REGION_TOO_FAR", "region", "region lies beyond what cells can number; bring it nearer");
+    let far = || {
+        Error::invalid(reason::REGION_TOO_FAR, "region", "region lies beyond what cells can number; bring it nearer")
+    };
     let geometry = grid.geometry();
     let (a, b) = (geometry.cell(&min).ok_or_else(far)?, geometry.cell(&max).ok_or_else(far)?);
     Ok(Some((a, b)))
@@ -116,7 +118,7 @@ fn shrink_factor(
     let Some(asked) = asked_m else { return Ok(1) };
     if !(asked.is_finite() && asked > 0.0) {
         return Err(Error::invalid(
-            "OUT_OF_RANGE",
+            reason::OUT_OF_RANGE,
             "resolution_m",
             format!("resolution_m is {asked}; it must be positive"),
         ));
@@ -131,7 +133,7 @@ fn shrink_factor(
     let rounded = factor.round();
     if !(1.0..=1e4).contains(&rounded) || (factor - rounded).abs() > 1e-6 * factor {
         let message = format!("resolution_m is {asked}; the map's own is {own_m}, ask for that or a multiple of it");
-        return Err(Error::invalid("RESOLUTION_NOT_A_MULTIPLE", "resolution_m", message));
+        return Err(Error::invalid(reason::RESOLUTION_NOT_A_MULTIPLE, "resolution_m", message));
     }
     Ok(rounded as i32)
 }
@@ -139,7 +141,7 @@ fn shrink_factor(
 fn too_large(cells: f64, limits: &crate::Limits) -> Error {
     let limit = limits.max_grid_cells;
     Error::exhausted(
-        "GRID_TOO_LARGE",
+        reason::GRID_TOO_LARGE,
         "region",
         format!(
             "the answer would have {cells:.3e} cells, the limit is {limit}; ask for a smaller region or a coarser resolution"
@@ -214,7 +216,7 @@ impl Service {
         let veto = |session: Arc<Session>| async move {
             let done = session.veto(id, vetoed).await?.ok_or_else(|| {
                 let message = format!("loop_id {} does not exist in this session; list the loops", id.0);
-                Error::not_found("LOOP_NOT_FOUND", "loop_id", message)
+                Error::not_found(reason::LOOP_NOT_FOUND, "loop_id", message)
             })?;
             session.wait_durable(done.moved.ticket).await.map(|()| done)
         };
@@ -340,5 +342,5 @@ fn written(write: impl FnOnce(&mut Vec<u8>) -> std::result::Result<(), FormatErr
 }
 
 fn map_empty() -> Error {
-    Error::new(crate::ErrorCode::FailedPrecondition, "MAP_EMPTY", "the map is empty; send frames first")
+    Error::new(crate::ErrorCode::FailedPrecondition, reason::MAP_EMPTY, "the map is empty; send frames first")
 }

@@ -1,6 +1,8 @@
 //! The operations, one file a noun. A door decodes, calls one of these, encodes.
 
+pub(crate) mod changes;
 pub mod evaluation;
+pub(crate) mod fleet;
 pub mod maps;
 pub mod navigation;
 pub mod pictures;
@@ -9,11 +11,13 @@ mod sensors;
 pub(crate) mod server;
 pub(crate) mod sessions;
 pub mod toolbox;
+pub(crate) mod transforms;
 
 use crate::Error;
+use crate::reason;
 use percept_pipeline::ParamsError;
 
 /// A parameter out of bounds.
 pub(crate) fn params_error(e: &ParamsError) -> Error {
-    Error::invalid("PARAMETER_OUT_OF_RANGE", format!("params.{}", e.section), e.message.clone())
+    Error::invalid(reason::PARAMETER_OUT_OF_RANGE, format!("params.{}", e.section), e.message.clone())
 }

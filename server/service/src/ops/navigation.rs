@@ -1,5 +1,6 @@
 //! Paths through a session's map, and one call for one step of a robot.
 
+use crate::reason;
 use crate::{Error, IncomingFrame, Processed, Result, Service};
 use nalgebra::Point2;
 use percept_geometry::Timestamp;
@@ -107,14 +108,16 @@ pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Res
 
 fn plan_error(e: PlanError) -> Error {
     match e {
-        PlanError::InvalidParam { field, value, remedy } => {
-            Error::invalid("PARAMETER_OUT_OF_RANGE", format!("params.{field}"), format!("{field} is {value}; {remedy}"))
-        }
+        PlanError::InvalidParam { field, value, remedy } => Error::invalid(
+            reason::PARAMETER_OUT_OF_RANGE,
+            format!("params.{field}"),
+            format!("{field} is {value}; {remedy}"),
+        ),
         PlanError::NotFinite { field, value } => {
-            Error::invalid("OUT_OF_RANGE", field, format!("{field} is {value}; it must be finite"))
+            Error::invalid(reason::OUT_OF_RANGE, field, format!("{field} is {value}; it must be finite"))
         }
         PlanError::GridTooLarge { cells, limit } => Error::exhausted(
-            "GRID_TOO_LARGE",
+            reason::GRID_TOO_LARGE,
             "source",
             format!("the map has {cells} cells, a search looks at {limit} at most; use a coarser resolution_m"),
         ),

@@ -1,5 +1,6 @@
 //! Pictures of maps for people: occupancy, overview with trajectory, objects and path, top view of the cloud.
 
+use crate::reason;
 use crate::{Error, Result};
 use nalgebra::Point2;
 use percept_formats::{GridMap, images};
@@ -86,7 +87,7 @@ fn check_size(width: usize, height: usize) -> Result<()> {
         return Ok(());
     }
     let message = format!("a picture of {width}x{height} pixels is too large; read the grid by regions");
-    Err(Error::exhausted("PICTURE_TOO_LARGE", "format", message))
+    Err(Error::exhausted(reason::PICTURE_TOO_LARGE, "format", message))
 }
 
 fn draw_grid(grid: &GridMap, scale: usize) -> Canvas {

@@ -1,6 +1,7 @@
 //! Objects and the scene graph.
 
 use super::sessions::{Page, page_by_number};
+use crate::reason;
 use crate::{Error, Result, Service};
 use percept_geometry::ObjectClass;
 use percept_pipeline::Snapshot;
@@ -42,7 +43,7 @@ impl Service {
         let snapshot = self.snapshot(session).await?;
         snapshot.objects.iter().find(|o| o.id.0 == id).cloned().ok_or_else(|| {
             Error::not_found(
-                "OBJECT_NOT_FOUND",
+                reason::OBJECT_NOT_FOUND,
                 "object_id",
                 format!("object_id {id} does not exist in this session; list the objects"),
             )

@@ -1,5 +1,6 @@
 //! Declare sensors, take frames.
 
+use crate::reason;
 use crate::session::handle::{Offered, Submitted};
 use crate::session::meta::SensorDeclaration;
 use crate::{IncomingFrame, Pending, Processed, Result, SensorStatus, Service, Session, check_id};
@@ -46,7 +47,7 @@ impl Service {
         let (session, pending) = self.submit_frame(incoming).await?;
         let answer = pending.await.map_err(|_| crate::Error::internal("a frame's answer was lost"))?;
         let processed = match answer {
-            Err(e) if matches!(e.reason, "STAMP_NOT_INCREASING" | "CLOCK_SET_BACK") => {
+            Err(e) if matches!(e.reason, reason::STAMP_NOT_INCREASING | reason::CLOCK_SET_BACK) => {
                 session.taken_before(&sensor, stamp).ok_or(e)?
             }
             answer => answer?,
@@ -91,6 +92,17 @@ impl Service {
         }
         let sensors = self.session_meta(session).await?.sensors;
         Ok(sensors.into_iter().map(|declaration| SensorStatus::unseen(declaration, None)).collect())
+    }
+
+    /// Health of one sensor of a session, without waking it.
+    ///
+    /// # Errors
+    /// `SENSOR_NOT_FOUND`, `SESSION_NOT_FOUND`; faults of the storage.
+    pub async fn sensor(&self, session: &str, sensor: &SensorId) -> Result<SensorStatus> {
+        check_id("sensor_id", &sensor.0)?;
+        let mut sensors = self.list_sensors(session).await?.into_iter();
+        let found = sensors.find(|status| status.declaration.spec.id == *sensor);
+        found.ok_or_else(|| crate::session::refusal::sensor_not_found(sensor))
     }
 
     /// The server's clock, nanoseconds since the Unix epoch.

@@ -1,8 +1,12 @@
 //! Create, find, list, delete sessions.
 
+use super::changes::{check_display_name, check_labels};
+use crate::reason;
 use crate::session::meta::{SensorDeclaration, SessionMeta, SessionMode};
 use crate::{Error, EventLog, Result, Service, Session, SessionState, SessionView, check_id};
+use percept_identity::Pattern;
 use percept_pipeline::{KeyframeInfo, PipelineParams};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// What a session is created with.
@@ -12,6 +16,8 @@ pub struct NewSession {
     pub id: Option<String>,
     /// For people.
     pub display_name: String,
+    /// For programs.
+    pub labels: BTreeMap<String, String>,
     /// What it does with frames.
     pub mode: SessionMode,
     /// Sensors known already.
@@ -29,6 +35,89 @@ pub struct SessionDescription {
     pub view: SessionView,
     /// What it is, and its sensors; none if that cannot be read.
     pub whole: Option<(SessionMeta, Vec<crate::SensorStatus>)>,
+}
+
+/// Which sessions a list is of, and how.
+#[derive(Debug, Clone, Default)]
+pub struct SessionList {
+    /// Only those in this state.
+    pub state: Option<SessionState>,
+    /// Only those whose id fits.
+    pub pattern: Option<Pattern>,
+    /// Only those that have all of these labels, with the value if one is given.
+    pub labels: Vec<(String, Option<String>)>,
+    /// In this order.
+    pub order: SessionOrder,
+    /// Elements of a page: 0 means 100, 1000 at most.
+    pub page_size: u32,
+    /// From the page before; empty: from the start.
+    pub page_token: String,
+}
+
+/// The order of a list.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SessionOrder {
+    /// By what.
+    pub by: SessionOrderKey,
+    /// Whether the last comes first.
+    pub is_descending: bool,
+}
+
+/// By what lists are ordered; where it is the same, by id.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SessionOrderKey {
+    /// Ids, by their bytes.
+    #[default]
+    Id,
+    /// When they were created.
+    CreateTime,
+    /// When they were last used: it changes while a list is read.
+    LastUsed,
+}
+
+impl SessionList {
+    fn wants(&self, view: &SessionView) -> bool {
+        self.state.is_none_or(|state| state == view.state) && self.pattern.as_ref().is_none_or(|p| p.matches(&view.id))
+    }
+
+    fn has_labels(&self, view: &SessionView) -> bool {
+        let has = |(key, value): &(String, Option<String>)| {
+            view.labels.get(key).is_some_and(|there| value.as_ref().is_none_or(|value| value == there))
+        };
+        self.labels.iter().all(has)
+    }
+}
+
+/// Cuts a page out of all that are wanted; the token says where the page before ended: key, colon, id.
+fn page_in_order(mut all: Vec<SessionView>, list: &SessionList) -> Result<Page<SessionView>> {
+    let SessionOrder { by, is_descending } = list.order;
+    let key = |view: &SessionView| match by {
+        SessionOrderKey::Id => 0,
+        SessionOrderKey::CreateTime => view.create_time_ns,
+        SessionOrderKey::LastUsed => view.last_used_ns,
+    };
+    let compare = |a: (i64, &str), b: (i64, &str)| if is_descending { b.cmp(&a) } else { a.cmp(&b) };
+    all.sort_by(|a, b| compare((key(a), &a.id), (key(b), &b.id)));
+    let start = if list.page_token.is_empty() {
+        0
+    } else {
+        let bad = || {
+            Error::invalid(
+                reason::PAGE_TOKEN_INVALID,
+                "page_token",
+                "page_token is not one of this list's; start without it",
+            )
+        };
+        let (last, id) = list.page_token.split_once(':').ok_or_else(bad)?;
+        let last: i64 = last.parse().map_err(|_| bad())?;
+        all.partition_point(|view| compare((key(view), &view.id), (last, id)).is_le())
+    };
+    let end = (start + page_size(list.page_size)).min(all.len());
+    let is_last = end == all.len();
+    let items: Vec<SessionView> = all.drain(start..end).collect();
+    let last = items.last().filter(|_| !is_last);
+    let next_page_token = last.map(|view| format!("{}:{}", key(view), view.id)).unwrap_or_default();
+    Ok(Page { items, next_page_token })
 }
 
 /// A part of a list.
@@ -55,8 +144,9 @@ pub(crate) fn page_by_number<T: Clone>(
     let after: Option<u64> = if token.is_empty() {
         None
     } else {
-        let bad =
-            || Error::invalid("PAGE_TOKEN_INVALID", "page_token", "page_token is not one of ours; start without it");
+        let bad = || {
+            Error::invalid(reason::PAGE_TOKEN_INVALID, "page_token", "page_token is not one of ours; start without it")
+        };
         Some(token.parse().map_err(|_| bad())?)
     };
     let start = after.map_or(0, |n| items.partition_point(|i| number(i) <= n));
@@ -89,24 +179,28 @@ impl Service {
         if new.sensors.len() > self.limits.max_sensors_per_session {
             let message =
                 format!("{} sensors, the limit is {}", new.sensors.len(), self.limits.max_sensors_per_session);
-            return Err(Error::exhausted("TOO_MANY_SENSORS", "sensors", message));
+            return Err(Error::exhausted(reason::TOO_MANY_SENSORS, "sensors", message));
         }
         let mut sensors = new.sensors;
         sensors.sort_by(|a, b| a.spec.id.cmp(&b.spec.id));
         if let Some(pair) = sensors.windows(2).find(|p| p[0].spec.id == p[1].spec.id) {
             let message = format!("sensor_id {:?} is declared twice; names are unique in a session", pair[0].spec.id.0);
-            return Err(Error::invalid("SENSOR_DECLARED_TWICE", "sensors", message));
+            return Err(Error::invalid(reason::SENSOR_DECLARED_TWICE, "sensors", message));
         }
         new.params.validate().map_err(|e| super::params_error(&e))?;
+        check_display_name(&new.display_name)?;
+        check_labels(&new.labels)?;
         let meta = SessionMeta {
             id,
             tenant: tenant.to_owned(),
             display_name: new.display_name,
+            labels: new.labels,
             mode: new.mode,
             create_time_ns: now_ns(),
             request_id: new.request_id,
             params: new.params,
             sensors,
+            revision: 0,
         };
         self.registry.create(meta).await
     }
@@ -160,13 +254,25 @@ impl Service {
         self.registry.events(id)
     }
 
-    /// Sessions by id, those that `is_wanted`, without waking any.
+    /// Sessions that fit `list`, of those that `is_visible`, without waking any. By default in the order of ids; a list by
+    /// labels, or in another order, looks at all sessions for each page.
+    ///
+    /// # Errors
+    /// `PAGE_TOKEN_INVALID`.
     pub async fn list_sessions(
         &self,
-        size: u32,
-        token: &str,
-        is_wanted: impl Fn(&SessionView) -> bool,
-    ) -> Page<SessionView> {
+        list: &SessionList,
+        is_visible: impl Fn(&SessionView) -> bool,
+    ) -> Result<Page<SessionView>> {
+        let is_wanted = |view: &SessionView| is_visible(view) && list.wants(view);
+        if list.order == SessionOrder::default() && list.labels.is_empty() {
+            return Ok(self.list_by_id(list.page_size, &list.page_token, is_wanted).await);
+        }
+        let all = self.registry.list_all(is_wanted).await;
+        page_in_order(all.into_iter().filter(|view| list.has_labels(view)).collect(), list)
+    }
+
+    async fn list_by_id(&self, size: u32, token: &str, is_wanted: impl Fn(&SessionView) -> bool) -> Page<SessionView> {
         let size = page_size(size);
         let mut items = self.registry.list(token, size + 1, is_wanted).await;
         let is_last = items.len() <= size;

@@ -3,6 +3,7 @@
 use super::events::EventKind;
 use super::fault::Trouble;
 use super::handle::{Command, Moved, Processed, Session, Vetoed, lock};
+use super::meta::{SensorDeclaration, SessionMeta};
 use super::persist::{Job, Persister, Storing};
 use super::refusal::{failed, frame_error, stopped};
 use crate::{ComputePool, Result, observe};
@@ -40,6 +41,20 @@ pub(super) enum Ending {
 
 /// Time that storing what was accepted may take after the pipeline has failed.
 const LAST_PATIENCE: Duration = Duration::from_secs(10);
+
+/// Puts what was declared or set anew into force.
+fn take_settings(pipeline: &mut Pipeline, meta: &SessionMeta, declared: Option<&SensorDeclaration>) {
+    if let Some(declaration) = declared {
+        pipeline.declare_sensor(declaration.spec.clone());
+    }
+    if meta.params == *pipeline.params() {
+        return;
+    }
+    // Checked before they came here; what were refused all the same would be a fault of ours.
+    if let Err(error) = pipeline.set_params(meta.params.clone()) {
+        tracing::error!(session = meta.id, %error, "changed parameters are not in force before the session wakes again");
+    }
+}
 
 impl Actor {
     pub(super) async fn run(mut self, mut commands: mpsc::Receiver<Command>) -> Ending {
@@ -119,8 +134,10 @@ impl Actor {
                 let _ = reply.send(self.frame(*frame, received).await);
             }
             Command::Change { meta, declared, done } => {
-                if let (Some(pipeline), Some(declaration)) = (&mut self.pipeline, &declared) {
-                    pipeline.declare_sensor(declaration.spec.clone());
+                if let Some(pipeline) = &mut self.pipeline {
+                    take_settings(pipeline, &meta, declared.as_deref());
+                    *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) =
+                        Arc::new(pipeline.snapshot());
                 }
                 self.session.changed(*meta.clone(), declared.map(|d| *d));
                 let ticket = self.persister.submit(Job { meta: Some(meta), ..Job::default() }).await;

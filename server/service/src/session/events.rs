@@ -1,9 +1,8 @@
 //! Events of a session: numbered, kept for a while, handed to watchers without ever waiting for one.
 
+use super::fleet::FleetLink;
+use super::history::{History, Read};
 use percept_geometry::Timestamp;
-use std::collections::VecDeque;
-use std::sync::Mutex;
-use tokio::sync::Notify;
 
 /// What happened.
 #[derive(Debug, Clone)]
@@ -33,19 +32,11 @@ pub struct Event {
     pub kind: EventKind,
 }
 
-/// A bounded history with a wake-up for watchers: the writer never waits, a reader that falls behind the
-/// history gets one `Resync`.
+/// The events of a session; the writer never waits, a reader that falls behind gets one `Resync`.
 pub struct EventLog {
-    ring: Mutex<Ring>,
-    changed: Notify,
-}
-
-struct Ring {
-    events: VecDeque<Event>,
-    first_token: u64,
-    next_token: u64,
-    capacity: usize,
-    closed: bool,
+    history: History<(Timestamp, EventKind)>,
+    /// Those who watch all sessions are told as well.
+    fleet: Option<FleetLink>,
 }
 
 impl EventLog {
@@ -55,96 +46,57 @@ impl EventLog {
         Self::starting_at(1, capacity)
     }
 
-    /// A log whose first event gets `first_token`. Events are not stored: a session that comes back must start
-    /// above all tokens it gave before, or a watcher that resumes would miss events and not be told.
+    /// A log whose first event gets `first_token`: above all that were given before.
     pub fn starting_at(first_token: u64, capacity: usize) -> Self {
-        let (events, capacity) = (VecDeque::new(), capacity.max(1));
-        let ring = Ring { events, first_token, next_token: first_token, capacity, closed: false };
-        Self { ring: Mutex::new(ring), changed: Notify::new() }
+        Self { history: History::starting_at(first_token, capacity), fleet: None }
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Ring> {
-        self.ring.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    /// The same, which tells those who watch all sessions, too.
+    pub(super) fn told_to(self, fleet: FleetLink) -> Self {
+        Self { fleet: Some(fleet), ..self }
+    }
+
+    /// Those who watch all sessions, for what is no event of the session's own.
+    pub(super) fn fleet(&self) -> Option<&FleetLink> {
+        self.fleet.as_ref()
     }
 
     /// Appends events and wakes the watchers.
     pub fn publish(&self, stamp: Timestamp, kinds: impl IntoIterator<Item = EventKind>) {
-        let mut ring = self.lock();
-        for kind in kinds {
-            let token = ring.next_token;
-            ring.next_token += 1;
-            if ring.events.len() == ring.capacity {
-                ring.events.pop_front();
-            }
-            ring.events.push_back(Event { token, stamp, kind });
+        let kinds: Vec<EventKind> = kinds.into_iter().collect();
+        if let Some(fleet) = &self.fleet {
+            fleet.happened(stamp, &kinds);
         }
-        drop(ring);
-        self.changed.notify_waiters();
+        self.history.publish(kinds.into_iter().map(|kind| (stamp, kind)));
     }
 
     /// Forgets the history, not where it was: a watcher who resumes from before is told that events are missing.
     pub fn forget(&self) {
-        let mut ring = self.lock();
-        ring.events = VecDeque::new();
-        ring.first_token = ring.next_token;
+        self.history.forget();
     }
 
     /// No more events will come: watchers end.
     pub fn close(&self) {
-        self.lock().closed = true;
-        self.changed.notify_waiters();
+        self.history.close();
     }
 
     /// Token of the newest event, 0 if none.
     pub fn newest_token(&self) -> u64 {
-        self.lock().next_token - 1
+        self.history.newest_token()
     }
 
     /// Events after `token`, at most `limit`; waits until there is one. `None` when the log is closed and
     /// everything was read.
     pub async fn after(&self, token: u64, limit: usize) -> Option<Vec<Event>> {
-        loop {
-            let changed = self.changed.notified();
-            tokio::pin!(changed);
-            // Registered before the look, so that an event between look and wait is not missed.
-            changed.as_mut().enable();
-            {
-                let ring = self.lock();
-                if let Some(events) = ring.after(token, limit) {
-                    return Some(events);
-                }
-                if ring.closed {
-                    return None;
-                }
+        Some(match self.history.after(token, limit).await? {
+            Read::Entries(entries) => {
+                entries.into_iter().map(|(token, (stamp, kind))| Event { token, stamp, kind }).collect()
             }
-            changed.await;
-        }
-    }
-}
-
-impl Ring {
-    fn after(&self, token: u64, limit: usize) -> Option<Vec<Event>> {
-        let newest = self.next_token - 1;
-        // A token from before a restart, or none of ours: nobody knows how many events are missing.
-        if token > newest || token + 1 < self.first_token {
-            let token = if token > newest { newest } else { self.next_token - 1 - self.events.len() as u64 };
-            return Some(vec![Event { token, stamp: self.newest_stamp(), kind: EventKind::Resync(0) }]);
-        }
-        if token == newest {
-            return None;
-        }
-        let oldest = self.next_token - self.events.len() as u64;
-        if token + 1 < oldest {
-            let missed = oldest - token - 1;
-            let resync = Event { token: oldest - 1, stamp: self.newest_stamp(), kind: EventKind::Resync(missed) };
-            return Some(vec![resync]);
-        }
-        let start = (token + 1 - oldest) as usize;
-        Some(self.events.iter().skip(start).take(limit).cloned().collect())
-    }
-
-    fn newest_stamp(&self) -> Timestamp {
-        self.events.back().map(|e| e.stamp).unwrap_or_default()
+            Read::Missed { token, missed } => {
+                let stamp = self.history.newest().map(|(stamp, _)| stamp).unwrap_or_default();
+                vec![Event { token, stamp, kind: EventKind::Resync(missed) }]
+            }
+        })
     }
 }
 

@@ -1,6 +1,7 @@
 //! What is wrong with a session for good, and which faults of the storage pass.
 
 use super::records::Unreadable;
+use crate::reason;
 use crate::{Error, ErrorCode};
 use percept_store::StoreError;
 
@@ -24,7 +25,7 @@ impl Fault {
             "the session is set apart ({}): {}; read or export what is whole, then restore it from a backup or delete it",
             self.reason, self.message
         );
-        Error::new(ErrorCode::FailedPrecondition, "SESSION_FAULTED", words)
+        Error::new(ErrorCode::FailedPrecondition, reason::SESSION_FAULTED, words)
     }
 }
 
@@ -59,19 +60,19 @@ impl From<StoreError> for Trouble {
                 Self::Passing(store_error(&e))
             }
             StoreError::Corrupt { .. } | StoreError::BlobMissing { .. } | StoreError::BlobCorrupt { .. } => {
-                Self::Lasting(Fault::new("DATA_DAMAGED", e.to_string()))
+                Self::Lasting(Fault::new(reason::DATA_DAMAGED, e.to_string()))
             }
             StoreError::RecordTooLarge { .. } | StoreError::BatchTooLarge { .. } | StoreError::BlobTooLarge { .. } => {
-                Self::Lasting(Fault::new("RECORD_TOO_LARGE", e.to_string()))
+                Self::Lasting(Fault::new(reason::RECORD_TOO_LARGE, e.to_string()))
             }
-            _ => Self::Lasting(Fault::new("STORE_REFUSED", e.to_string())),
+            _ => Self::Lasting(Fault::new(reason::STORE_REFUSED, e.to_string())),
         }
     }
 }
 
 impl From<Unreadable> for Trouble {
     fn from(e: Unreadable) -> Self {
-        Self::Lasting(Fault::new("DATA_DAMAGED", e.to_string()))
+        Self::Lasting(Fault::new(reason::DATA_DAMAGED, e.to_string()))
     }
 }
 
@@ -85,25 +86,29 @@ impl From<Error> for Trouble {
 }
 
 fn fenced() -> Error {
-    Error::new(ErrorCode::Unavailable, "STORAGE_FENCED", "another server has taken over the session; talk to that one")
+    Error::new(
+        ErrorCode::Unavailable,
+        reason::STORAGE_FENCED,
+        "another server has taken over the session; talk to that one",
+    )
 }
 
 /// The storage's facts in the caller's words.
 pub(crate) fn store_error(e: &StoreError) -> Error {
     match e {
-        StoreError::Full => Error::exhausted("STORAGE_FULL", "", "no space left where the data live; free some"),
+        StoreError::Full => Error::exhausted(reason::STORAGE_FULL, "", "no space left where the data live; free some"),
         StoreError::Fenced { .. } => fenced(),
         StoreError::Elsewhere { address } => Error::elsewhere("", address),
         StoreError::NodeSilent => {
             let words = "this server has not reached the shared storage for some seconds and left its sessions to others; \
                          try again, or ask another server";
-            Error::new(ErrorCode::Unavailable, "NODE_SILENT", words)
+            Error::new(ErrorCode::Unavailable, reason::NODE_SILENT, words)
         }
-        StoreError::Closed => Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again"),
+        StoreError::Closed => Error::new(ErrorCode::Unavailable, reason::STOPPING, "the server is stopping; try again"),
         StoreError::Stalled { .. } | StoreError::Io { .. } => {
             tracing::error!(error = ?e, "storage fault");
             let words = "the storage does not take data; the server's log has the cause";
-            Error::new(ErrorCode::Unavailable, "STORAGE_FAULT", words)
+            Error::new(ErrorCode::Unavailable, reason::STORAGE_FAULT, words)
         }
         other => Error::internal(other),
     }

@@ -392,6 +392,7 @@ impl Session {
         if meta == self.meta() {
             return Ok(());
         }
+        meta.revision += 1;
         let (done, changed) = oneshot::channel();
         let meta = Box::new(meta);
         self.queue.send(Command::Change { meta, declared, done }).await.map_err(|_| stopped())?;
@@ -402,7 +403,7 @@ impl Session {
     /// What the actor does of it.
     pub(super) fn changed(&self, meta: SessionMeta, declared: Option<SensorDeclaration>) {
         if let Some(declaration) = declared {
-            lock(&self.book).declare(declaration, None);
+            lock(&self.book).redeclare(declaration);
         }
         *self.meta.write().unwrap_or_else(PoisonError::into_inner) = meta;
     }

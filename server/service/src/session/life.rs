@@ -12,6 +12,7 @@ use super::registry::Registry;
 use super::sharing::Unclaimed;
 use super::slot::{Phase, Slot};
 use super::writer::{GRACE, Writer, collect_garbage};
+use crate::reason;
 use crate::{Error, Result, observe};
 use percept_geometry::Timestamp;
 use percept_scene::ObjectState;
@@ -59,7 +60,7 @@ impl Registry {
         let began = Instant::now();
         let woken = tokio::spawn(Arc::clone(&self).read(Arc::clone(&slot))).await;
         let outcome =
-            woken.unwrap_or_else(|panic| Err(Trouble::Lasting(Fault::new("NOT_RESTORABLE", panic.to_string()))));
+            woken.unwrap_or_else(|panic| Err(Trouble::Lasting(Fault::new(reason::NOT_RESTORABLE, panic.to_string()))));
         let phase = match outcome {
             Ok(phase) => phase,
             Err(Trouble::Lasting(fault)) => {
@@ -173,7 +174,7 @@ impl Registry {
             Ending::Retired | Ending::Discarded => Phase::Asleep(None),
             Ending::Panicked if slot.failed(FAILURE_WINDOW_NS) >= MOST_FAILURES => {
                 let fault = Fault::new(
-                    "PIPELINE_FAILED",
+                    reason::PIPELINE_FAILED,
                     "its pipeline failed again and again; the server's log has the cause",
                 );
                 Phase::Faulted(fault, Some(session))
@@ -299,18 +300,24 @@ impl Registry {
         }
     }
 
-    /// Notes what a session has gathered, for the time when it sleeps.
-    fn note(&self, slot: &Slot, session: &Session) {
+    /// Notes what a session has gathered, for the time when it sleeps; whether what callers set is another than was noted.
+    pub(super) fn note(&self, slot: &Slot, session: &Session) -> bool {
         let (meta, counts) = (session.meta(), counts(session));
+        let mut is_new = false;
         slot.update_known(|known| {
+            is_new = known.revision != meta.revision;
             known.display_name = meta.display_name;
+            known.labels = meta.labels;
+            known.revision = meta.revision;
             known.counts = Some(counts);
         });
+        is_new
     }
 
     /// Notes it durably; a failure costs no more than older figures in a list.
     pub(super) async fn write_summary(&self, slot: &Slot, session: &Session) {
         let Some(place) = slot.place.get() else { return };
+        let _newest_last = slot.noting.lock().await;
         let written: Result<()> = async {
             let summary = SummaryRecord { meta: MetaRecord::of(&session.meta())?, counts: counts(session) };
             self.root.set_summary(place, json(&summary)?).await.map_err(|e| store_error(&e))

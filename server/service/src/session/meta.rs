@@ -3,6 +3,7 @@
 use percept_geometry::SensorSpec;
 use percept_pipeline::PipelineParams;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// What a session does with its frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -44,6 +45,8 @@ pub struct SessionMeta {
     pub tenant: String,
     /// For people.
     pub display_name: String,
+    /// For programs: by which lists are filtered.
+    pub labels: BTreeMap<String, String>,
     /// What it does with frames.
     pub mode: SessionMode,
     /// Server's clock, nanoseconds since the Unix epoch.
@@ -54,6 +57,31 @@ pub struct SessionMeta {
     pub params: PipelineParams,
     /// Sensors by name.
     pub sensors: Vec<SensorDeclaration>,
+    /// Grows with every change of all this.
+    pub revision: u64,
+}
+
+impl SessionMeta {
+    /// Names this state of what callers set. No other session under the same id ever has the same.
+    pub fn etag(&self) -> String {
+        etag(self.create_time_ns, self.revision)
+    }
+}
+
+/// Names a state of what callers set of a session.
+pub(crate) fn etag(create_time_ns: i64, revision: u64) -> String {
+    format!("{create_time_ns:x}-{revision}")
+}
+
+impl SensorDeclaration {
+    /// Names this declaration: the same for the same content.
+    ///
+    /// Source: FNV-1a with 64 bits (Fowler, Noll, Vo), over the record.
+    pub fn etag(&self) -> String {
+        let record = serde_json::to_vec(self).unwrap_or_default();
+        let fold = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+        format!("{:016x}", record.iter().fold(0xcbf2_9ce4_8422_2325, fold))
+    }
 }
 
 /// Tenant of sessions that nobody in particular owns.

@@ -4,6 +4,7 @@
 //!   [`life`] holds its steps, [`keeper`] puts to sleep what nobody uses, [`sharing`] follows those who share the data.
 //! - [`actor`] owns the pipeline of a session that is awake; [`handle`] is what callers hold of it; [`events`] tells
 //!   watchers, awake or not.
+//! - [`sensor_book`] counts what sensors send, [`verdict`] says how their streams fare.
 //! - [`persist`] makes results durable, [`writer`] turns them into [`records`] and blobs ([`keyframe_codec`]), [`recover`]
 //!   reads them again, [`inspect`] one by one without running anything. [`fault`] says which troubles pass and which set a
 //!   session apart.
@@ -11,7 +12,9 @@
 pub(crate) mod actor;
 pub(crate) mod events;
 pub(crate) mod fault;
+pub(crate) mod fleet;
 pub(crate) mod handle;
+pub(crate) mod history;
 pub(crate) mod inspect;
 pub(crate) mod keeper;
 pub(crate) mod keyframe_codec;
@@ -27,4 +30,5 @@ pub(crate) mod sharing;
 pub(crate) mod slot;
 #[cfg(test)]
 mod tests;
+pub(crate) mod verdict;
 pub(crate) mod writer;

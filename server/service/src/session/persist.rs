@@ -4,6 +4,7 @@ use super::fault::{Fault, Trouble};
 use super::meta::SessionMeta;
 use super::records::StateRecord;
 use super::writer::Writer;
+use crate::reason;
 use crate::{Error, observe};
 use percept_geometry::{KeyframeId, Pose, SensorId, Timestamp};
 use percept_pipeline::{KeyframeInfo, Loop, LoopId, Merged, NewKeyframe, TrajectoryEntry};
@@ -122,7 +123,7 @@ impl Persister {
             Storing::Ended(trouble) => trouble,
             Storing::Waiting(error) => Trouble::Passing(error),
             Storing::Well => {
-                Trouble::Lasting(Fault::new("STORAGE_SLOW", "the storage did not take the last frames in time"))
+                Trouble::Lasting(Fault::new(reason::STORAGE_SLOW, "the storage did not take the last frames in time"))
             }
         })
     }

@@ -48,6 +48,10 @@ pub(crate) struct MetaRecord {
     pub(crate) tenant: String,
     #[serde(default)]
     pub(crate) display_name: String,
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub(crate) labels: BTreeMap<String, String>,
+    #[serde(default)]
+    pub(crate) revision: u64,
     #[serde(default)]
     pub(crate) mode: SessionMode,
     #[serde(default)]
@@ -69,6 +73,8 @@ impl MetaRecord {
             id: meta.id.clone(),
             tenant: meta.tenant.clone(),
             display_name: meta.display_name.clone(),
+            labels: meta.labels.clone(),
+            revision: meta.revision,
             mode: meta.mode,
             create_time_ns: meta.create_time_ns,
             request_id: meta.request_id.clone(),
@@ -88,6 +94,8 @@ impl MetaRecord {
             id: self.id,
             tenant: self.tenant,
             display_name: self.display_name,
+            labels: self.labels,
+            revision: self.revision,
             mode: self.mode,
             create_time_ns: self.create_time_ns,
             request_id: self.request_id,
@@ -202,6 +210,8 @@ mod tests {
             id: "a".to_owned(),
             tenant: "site".to_owned(),
             display_name: "A".to_owned(),
+            labels: BTreeMap::from([("site".to_owned(), "north".to_owned())]),
+            revision: 3,
             mode: SessionMode::Mapping,
             create_time_ns: 7,
             request_id: String::new(),

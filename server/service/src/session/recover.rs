@@ -5,6 +5,7 @@ use super::keyframe_codec;
 use super::meta::SessionMeta;
 use super::records::{KeyframeRecord, MergedRecord, MetaRecord, StateRecord, TrajectoryRecord, parse};
 use super::writer::Stored;
+use crate::reason;
 use crate::{ComputePool, Error};
 use futures::stream::{StreamExt, TryStreamExt};
 use percept_geometry::{KeyframeId, Pose, SensorId, Timestamp};
@@ -79,7 +80,10 @@ pub(super) async fn recover(
         Ok::<_, Error>(pipeline)
     });
     let pipeline = built.await.and_then(|built| built).map_err(|e| {
-        Trouble::Lasting(Fault::new("NOT_RESTORABLE", format!("its map cannot be built from what is stored: {e}")))
+        Trouble::Lasting(Fault::new(
+            reason::NOT_RESTORABLE,
+            format!("its map cannot be built from what is stored: {e}"),
+        ))
     })?;
     let damage = damage.fault();
     Ok(Recovered { meta, pipeline, stored, damage })
@@ -105,7 +109,7 @@ impl Damage {
     fn fault(self) -> Option<Fault> {
         let first = self.first?;
         let more = if self.count > 1 { format!(", and {} more like it", self.count - 1) } else { String::new() };
-        Some(Fault::new("DATA_DAMAGED", format!("stored data are damaged: {first}{more}")))
+        Some(Fault::new(reason::DATA_DAMAGED, format!("stored data are damaged: {first}{more}")))
     }
 }
 
@@ -196,7 +200,7 @@ async fn read_keyframes(
     };
     let filled: Option<Vec<RestoredKeyframe>> =
         slots.into_iter().enumerate().map(|(i, s)| s.keyframe.or_else(|| stands_in(i, s.t_map_base))).collect();
-    filled.ok_or_else(|| Trouble::Lasting(Fault::new("DATA_DAMAGED", "none of its keyframes can be read")))
+    filled.ok_or_else(|| Trouble::Lasting(Fault::new(reason::DATA_DAMAGED, "none of its keyframes can be read")))
 }
 
 fn place_in_time(k: &RestoredKeyframe) -> (Timestamp, SensorId) {

@@ -1,11 +1,12 @@
 //! Why a frame is refused, in the caller's words.
 
+use crate::reason;
 use crate::{Error, ErrorCode};
 use percept_geometry::{SensorId, Timestamp};
 use percept_pipeline::FrameError;
 
 /// Reason of what is refused because the session has just been put to sleep; trying again wakes it.
-pub(super) const STOPPED: &str = "SESSION_STOPPED";
+pub(super) const STOPPED: &str = reason::SESSION_STOPPED;
 
 pub(super) fn stopped() -> Error {
     Error::new(ErrorCode::Unavailable, STOPPED, "the session is stopping; try again in a moment")
@@ -15,7 +16,7 @@ pub(super) fn stopped() -> Error {
 pub(super) fn failed() -> Error {
     let words = "the frame made the session fail; it goes on from what is stored, without this frame; \
                  the server's log has the cause";
-    Error::new(ErrorCode::Internal, "PIPELINE_FAILED", words)
+    Error::new(ErrorCode::Internal, reason::PIPELINE_FAILED, words)
 }
 
 /// A frame that was processed, or a change that was made, waits for the storage.
@@ -24,7 +25,7 @@ pub(super) fn not_yet_durable(cause: &Error) -> Error {
         "it was taken in but is not durable yet: {}; it will be when that is over; send it again to learn when",
         cause.message
     );
-    Error::new(ErrorCode::Unavailable, "NOT_YET_DURABLE", words)
+    Error::new(ErrorCode::Unavailable, reason::NOT_YET_DURABLE, words)
 }
 
 /// Stamps may be ahead of the server's clock by as much as this: clocks of robots that nobody has set.
@@ -45,12 +46,12 @@ pub(super) fn check_stamp(stamp: Timestamp) -> crate::Result<()> {
         stamp.nanos(),
         ahead_ns as f64 / 3.6e12
     );
-    Err(Error::invalid("STAMP_IMPLAUSIBLE", "stamp_ns", words))
+    Err(Error::invalid(reason::STAMP_IMPLAUSIBLE, "stamp_ns", words))
 }
 
-pub(super) fn sensor_not_found(id: &SensorId) -> Error {
+pub(crate) fn sensor_not_found(id: &SensorId) -> Error {
     Error::not_found(
-        "SENSOR_NOT_FOUND",
+        reason::SENSOR_NOT_FOUND,
         "sensor_id",
         format!("sensor_id {id:?} is not declared in this session; declare it first", id = id.0),
     )
@@ -64,14 +65,14 @@ fn not_increasing(stamp: Timestamp, last: Timestamp) -> Error {
     if back_s <= SET_BACK_S {
         let words =
             format!("stamp_ns is {sent}, not after the sensor's last, {newest}; send frames in order, each once");
-        return Error::invalid("STAMP_NOT_INCREASING", "stamp_ns", words);
+        return Error::invalid(reason::STAMP_NOT_INCREASING, "stamp_ns", words);
     }
     let words = format!(
         "stamp_ns is {sent}, {back_s:.1} s before the sensor's last, {newest}; if its clock was set back, declare the sensor \
          under another name with time_offset_s {:.1}, so that the session's time goes on",
         back_s + 1.0
     );
-    Error::invalid("CLOCK_SET_BACK", "stamp_ns", words)
+    Error::invalid(reason::CLOCK_SET_BACK, "stamp_ns", words)
 }
 
 /// The one table from the pipeline's facts to the caller's words.
@@ -79,7 +80,7 @@ pub(crate) fn frame_error(e: &FrameError) -> Error {
     match e {
         FrameError::UnknownSensor { sensor } => sensor_not_found(sensor),
         FrameError::KindMismatch { sensor, declared, sent } => Error::invalid(
-            "SENSOR_KIND_MISMATCH",
+            reason::SENSOR_KIND_MISMATCH,
             "data",
             format!(
                 "sensor {sensor} is declared as {declared:?} but sent {sent:?}; declare it anew or send what was declared"
@@ -87,26 +88,26 @@ pub(crate) fn frame_error(e: &FrameError) -> Error {
         ),
         FrameError::StampNotIncreasing { stamp, last, .. } => not_increasing(*stamp, *last),
         FrameError::IntrinsicsMismatch { width, height, expected_width, expected_height, .. } => Error::invalid(
-            "INTRINSICS_MISMATCH",
+            reason::INTRINSICS_MISMATCH,
             "width_px",
             format!(
                 "image is {width}x{height} but the sensor's intrinsics are for {expected_width}x{expected_height}; declare intrinsics for the images you send"
             ),
         ),
         FrameError::CloudEmpty { num_points } => Error::invalid(
-            "CLOUD_EMPTY",
+            reason::CLOUD_EMPTY,
             "cloud",
             format!("cloud has {num_points} points and none is finite; send at least one return"),
         ),
         FrameError::TimeOffsetTooLarge { seconds } => Error::invalid(
-            "TIME_OFFSET_TOO_LARGE",
+            reason::TIME_OFFSET_TOO_LARGE,
             "cloud.time_offsets_s",
             format!(
                 "cloud.time_offsets_s has {seconds}, more than 10 s from the frame's stamp; send seconds from the stamp"
             ),
         ),
         FrameError::CloudDegenerate { num_points } => Error::invalid(
-            "CLOUD_DEGENERATE",
+            reason::CLOUD_DEGENERATE,
             "cloud",
             format!("all {num_points} finite points of the cloud are equal; check the driver"),
         ),

@@ -2,10 +2,12 @@
 
 use super::events::EventLog;
 use super::fault::{Fault, Trouble, store_error};
+use super::fleet::{FleetLink, FleetLog};
 use super::handle::Session;
 use super::meta::{SensorDeclaration, SessionMeta, SessionMode};
 use super::records::{Counts, MetaRecord, SummaryRecord, parse};
 use super::slot::{Known, Phase, SessionState, Slot};
+use crate::reason;
 use crate::{ComputePool, Error, ErrorCode, Health, Limits, Result};
 use futures::stream::StreamExt;
 use percept_pipeline::PipelineParams;
@@ -30,6 +32,8 @@ pub(crate) struct Registry {
     pub(super) waking: Semaphore,
     /// Of the events of sessions that were there before this process.
     first_token: u64,
+    /// What happens in all sessions.
+    pub(crate) fleet: Arc<FleetLog>,
     sessions: RwLock<Sessions>,
 }
 
@@ -50,6 +54,10 @@ pub struct SessionView {
     pub tenant: String,
     /// For people.
     pub display_name: String,
+    /// For programs.
+    pub labels: BTreeMap<String, String>,
+    /// Names the state of what callers set.
+    pub etag: String,
     /// What it does with frames.
     pub mode: SessionMode,
     /// Server's clock, nanoseconds since the Unix epoch.
@@ -78,7 +86,9 @@ impl Registry {
         // Events come far slower than one a microsecond, so that this lies above every token given before.
         let first_token = u64::try_from(crate::ops::sessions::now_ns() / 1000).unwrap_or(1).max(1);
         let waking = Semaphore::new(WAKES_AT_ONCE);
-        let registry = Self { root, compute, limits, defaults, waking, first_token, sessions: RwLock::default() };
+        let fleet = Arc::new(FleetLog::starting_at(first_token, limits.fleet_event_history));
+        let sessions = RwLock::default();
+        let registry = Self { root, compute, limits, defaults, waking, first_token, fleet, sessions };
         let mut buried = Vec::new();
         for entry in registry.root.list().await.map_err(|e| store_error(&e))? {
             match entry {
@@ -115,7 +125,8 @@ impl Registry {
     }
 
     fn insert(&self, place: SessionPlace, phase: Phase, known: Known) {
-        let events = EventLog::starting_at(self.first_token, self.limits.event_history);
+        let link = FleetLink::new(&self.fleet, place.id(), &known.tenant);
+        let events = EventLog::starting_at(self.first_token, self.limits.event_history).told_to(link);
         let mut sessions = self.sessions.write().unwrap_or_else(PoisonError::into_inner);
         if !sessions.by_id.contains_key(place.id()) {
             let slot = Slot::new(place.id(), phase, known, events);
@@ -224,7 +235,16 @@ impl Registry {
                 _ => return Err(not_found(id)),
             },
         };
-        record.into_meta(&self.defaults).map_err(|e| Fault::new("DATA_DAMAGED", e.to_string()).error())
+        record.into_meta(&self.defaults).map_err(|e| Fault::new(reason::DATA_DAMAGED, e.to_string()).error())
+    }
+
+    /// Sessions that `is_wanted`, with what is noted of them. How many there are is how many summaries are read, once after
+    /// the start; [`Self::list`] reads those of a page.
+    pub(crate) async fn list_all(&self, is_wanted: impl Fn(&SessionView) -> bool) -> Vec<SessionView> {
+        let found: Vec<Arc<Slot>> =
+            self.slots().into_iter().filter(|slot| !slot.is_doomed() && is_wanted(&view(slot))).collect();
+        futures::stream::iter(&found).for_each_concurrent(READS_AT_ONCE, |slot| self.read_counts(slot)).await;
+        found.iter().map(|slot| view(slot)).collect()
     }
 
     /// Sessions in the order of ids, after `after`, those that `is_wanted`, at most `limit`.
@@ -257,6 +277,8 @@ impl Registry {
             known.counts = Some(noted.as_ref().map(|n| n.counts).unwrap_or_default());
             if let Some(noted) = noted {
                 known.display_name = noted.meta.display_name;
+                known.labels = noted.meta.labels;
+                known.revision = noted.meta.revision;
             }
         });
     }
@@ -303,17 +325,21 @@ impl Registry {
         }
         if sessions.by_id.len() >= self.limits.max_sessions {
             let message = format!("this server holds {} sessions, its limit; delete some", sessions.by_id.len());
-            return Err(Error::exhausted("TOO_MANY_SESSIONS", "", message));
+            return Err(Error::exhausted(reason::TOO_MANY_SESSIONS, "", message));
         }
         let known = Known {
             tenant: meta.tenant.clone(),
             display_name: meta.display_name.clone(),
+            labels: meta.labels.clone(),
+            revision: meta.revision,
             request_id: meta.request_id.clone(),
             create_time_ns: meta.create_time_ns,
             is_ingest_only: meta.mode == SessionMode::IngestOnly,
             counts: Some(Counts::default()),
         };
-        let slot = Slot::new(&meta.id, Phase::Creating, known, EventLog::new(self.limits.event_history));
+        let link = FleetLink::new(&self.fleet, &meta.id, &meta.tenant);
+        let events = EventLog::new(self.limits.event_history).told_to(link);
+        let slot = Slot::new(&meta.id, Phase::Creating, known, events);
         sessions.add(&slot);
         Ok(Reserved::New(slot))
     }
@@ -341,16 +367,14 @@ impl Registry {
                 return Ok(None);
             }
             if known.as_ref().is_some_and(|s| s.last_stamp.is_some()) {
-                let message = format!(
-                    "sensor_id {:?} has sent frames already; declare the changed sensor under another name",
-                    spec.id.0
-                );
-                let error = Error::new(ErrorCode::FailedPrecondition, "SENSOR_IN_USE", message);
-                return Err(Error { field: "sensor_id".to_owned(), ..error });
+                return Err(Error {
+                    field: "sensor_id".to_owned(),
+                    ..crate::ops::changes::in_use(&spec.id, "declaration")
+                });
             }
             if known.is_none() && meta.sensors.len() >= limit {
                 let message = format!("a session has at most {limit} sensors");
-                return Err(Error::exhausted("TOO_MANY_SENSORS", "sensor_id", message));
+                return Err(Error::exhausted(reason::TOO_MANY_SENSORS, "sensor_id", message));
             }
             meta.sensors.retain(|s| s.spec.id != spec.id);
             meta.sensors.push(declaration.clone());
@@ -374,9 +398,17 @@ impl Registry {
             async move { session.change(|meta| change(&session, meta)).await.map(|()| session) }
         });
         let session = session.await?;
+        // What lists and sleeping sessions say is this from now on, also after a restart.
         if let Ok(slot) = self.find(id) {
             let (this, session) = (Arc::clone(self), Arc::clone(&session));
-            tokio::spawn(async move { this.write_summary(&slot, &session).await });
+            let noted = tokio::spawn(async move {
+                let is_new = this.note(&slot, &session);
+                if let Some(fleet) = slot.events.fleet().filter(|_| is_new) {
+                    fleet.updated(&session.meta().etag());
+                }
+                this.write_summary(&slot, &session).await;
+            });
+            let _ = noted.await;
         }
         Ok(session)
     }
@@ -442,6 +474,7 @@ impl Registry {
             retired.map_err(|trouble| trouble.error())
         });
         let ends = futures::future::join_all(ends).await;
+        self.fleet.close();
         if let Err(error) = self.root.leave().await {
             tracing::warn!(%error, "other servers learn only by its silence that this one is gone");
         }
@@ -477,7 +510,8 @@ impl Known {
     fn nothing() -> Self {
         let tenant = super::meta::DEFAULT_TENANT.to_owned();
         let (display_name, request_id) = (String::new(), String::new());
-        Self { tenant, display_name, request_id, create_time_ns: 0, is_ingest_only: false, counts: None }
+        let (labels, revision, create_time_ns) = (BTreeMap::new(), 0, 0);
+        Self { tenant, display_name, labels, revision, request_id, create_time_ns, is_ingest_only: false, counts: None }
     }
 }
 
@@ -485,6 +519,8 @@ fn known(record: &MetaRecord) -> Known {
     Known {
         tenant: record.tenant.clone(),
         display_name: record.display_name.clone(),
+        labels: record.labels.clone(),
+        revision: record.revision,
         request_id: record.request_id.clone(),
         create_time_ns: record.create_time_ns,
         is_ingest_only: record.mode == SessionMode::IngestOnly,
@@ -501,11 +537,16 @@ fn view(slot: &Slot) -> SessionView {
         _ => None,
     };
     let counts = live.as_ref().map(|session| super::life::counts(session)).or(known.counts).unwrap_or_default();
-    let display_name = live.as_ref().map_or(known.display_name, |session| session.meta().display_name);
+    let (display_name, labels, revision) = match live.as_ref().map(|session| session.meta()) {
+        Some(meta) => (meta.display_name, meta.labels, meta.revision),
+        None => (known.display_name, known.labels, known.revision),
+    };
     SessionView {
         id: slot.id.clone(),
         tenant: known.tenant,
         display_name,
+        labels,
+        etag: super::meta::etag(known.create_time_ns, revision),
         mode: if known.is_ingest_only { SessionMode::IngestOnly } else { SessionMode::Mapping },
         create_time_ns: known.create_time_ns,
         state: phase.state(),
@@ -517,23 +558,23 @@ fn view(slot: &Slot) -> SessionView {
 }
 
 fn unreadable(why: &dyn std::fmt::Display) -> Phase {
-    Phase::Faulted(Fault::new("DATA_DAMAGED", why.to_string()), None)
+    Phase::Faulted(Fault::new(reason::DATA_DAMAGED, why.to_string()), None)
 }
 
 pub(super) fn exists(id: &str) -> Error {
     let message = format!("session_id {id:?} exists; choose another, or use it");
     let code = ErrorCode::AlreadyExists;
-    Error { field: "session_id".to_owned(), ..Error::new(code, "SESSION_EXISTS", message) }
+    Error { field: "session_id".to_owned(), ..Error::new(code, reason::SESSION_EXISTS, message) }
 }
 
 pub(super) fn stopping() -> Error {
-    Error::new(ErrorCode::Unavailable, "STOPPING", "the server is stopping; try again")
+    Error::new(ErrorCode::Unavailable, reason::STOPPING, "the server is stopping; try again")
 }
 
 pub(crate) fn not_found(id: &str) -> Error {
     let shown: String = id.chars().take(80).collect();
     Error::not_found(
-        "SESSION_NOT_FOUND",
+        reason::SESSION_NOT_FOUND,
         "session_id",
         format!("session_id {shown:?} does not exist; create it, or list the sessions"),
     )

@@ -1,6 +1,7 @@
 //! What the session sees of each sensor's stream.
 
 use super::meta::SensorDeclaration;
+use super::verdict::Verdict;
 use percept_geometry::{SensorId, Timestamp};
 use percept_pipeline::MountOffset;
 use std::collections::{BTreeMap, VecDeque};
@@ -31,9 +32,6 @@ pub struct SensorStatus {
     pub mount_offset: Option<MountOffset>,
 }
 
-/// A clock off by more than this is worth telling, seconds.
-const TELLING_OFFSET_S: f64 = 0.02;
-
 impl SensorStatus {
     /// Of a sensor that has sent nothing since the server was started.
     pub fn unseen(declaration: SensorDeclaration, last_stamp: Option<Timestamp>) -> Self {
@@ -50,35 +48,9 @@ impl SensorStatus {
         }
     }
 
-    /// The verdict in words, for an operator.
-    pub fn verdict(&self) -> String {
-        if self.accepted == 0 && self.rejected == 0 {
-            return "no frame yet".to_owned();
-        }
-        let mut troubles = Vec::new();
-        let mut note = |count: u64, what: &str| {
-            if count > 0 {
-                troubles.push(format!("{count} {what}"));
-            }
-        };
-        note(self.rejected, "frames refused as bad input");
-        note(self.dropped, "frames dropped because they came faster than they are processed");
-        note(self.gaps, "frames missing in the sender's numbering");
-        if let Some(offset) = self.clock_offset_s.filter(|o| o.abs() > TELLING_OFFSET_S) {
-            let (ms, which) = ((offset.abs() * 1e3).round(), if offset > 0.0 { "late" } else { "early" });
-            troubles.push(format!(
-                "its stamps are {ms} ms {which}, compared with the pose sensor's; declare it under a new name with time_offset_s {:.3}",
-                self.declaration.spec.time_offset_s - offset
-            ));
-        }
-        if let Some(off) = self.mount_offset {
-            let (cm, degrees) = ((off.distance_m * 100.0).round(), off.angle_rad.to_degrees().round());
-            troubles.push(format!(
-                "what it sees contradicts the pose sensor's map as if it were mounted {cm} cm and {degrees} degrees off; \
-                 measure both mounts and declare it under a new name with the right t_base_sensor"
-            ));
-        }
-        if troubles.is_empty() { "good".to_owned() } else { troubles.join("; ") }
+    /// How its stream fares.
+    pub fn verdict(&self) -> Verdict {
+        Verdict::of(self)
     }
 }
 
@@ -107,6 +79,14 @@ impl SensorBook {
         let tickets = last_stamp.map(|stamp| (stamp, 0)).into_iter().collect();
         let status = SensorStatus::unseen(declaration, last_stamp);
         self.entries.insert(id, Entry { status, stamps: VecDeque::new(), tickets, last_sequence: 0 });
+    }
+
+    /// Changes the declaration of a sensor that goes on: what was counted stays.
+    pub(crate) fn redeclare(&mut self, declaration: SensorDeclaration) {
+        match self.entries.get_mut(&declaration.spec.id).filter(|e| e.status.last_stamp.is_some()) {
+            Some(entry) => entry.status.declaration = declaration,
+            None => self.declare(declaration, None),
+        }
     }
 
     pub(crate) fn get(&self, id: &SensorId) -> Option<&SensorStatus> {

@@ -9,6 +9,7 @@ use super::meta::SessionMeta;
 use super::records::{MetaRecord, parse};
 use super::registry::Registry;
 use super::slot::{Phase, Slot};
+use crate::reason;
 use crate::{Error, Health, Part};
 use percept_store::{CatalogueEntry, Claim, SessionPlace};
 use std::sync::atomic::Ordering;
@@ -49,7 +50,7 @@ impl Registry {
                 Ok((place.clone(), parse("the catalogue entry", &record)?))
             }
             Some(CatalogueEntry::Damaged { .. }) => {
-                Err(Trouble::Lasting(Fault::new("DATA_DAMAGED", "its catalogue entry cannot be read")).into())
+                Err(Trouble::Lasting(Fault::new(reason::DATA_DAMAGED, "its catalogue entry cannot be read")).into())
             }
             _ => Err(Unclaimed::Gone),
         }

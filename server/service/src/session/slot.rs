@@ -15,6 +15,7 @@ use super::handle::Session;
 use super::records::Counts;
 use crate::{Error, Result, observe};
 use percept_store::SessionPlace;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tokio::sync::watch;
@@ -81,6 +82,8 @@ pub enum SessionState {
 pub(super) struct Known {
     pub(super) tenant: String,
     pub(super) display_name: String,
+    pub(super) labels: BTreeMap<String, String>,
+    pub(super) revision: u64,
     pub(super) request_id: String,
     pub(super) create_time_ns: i64,
     pub(super) is_ingest_only: bool,
@@ -108,6 +111,8 @@ pub(super) struct Slot {
     pub(super) claimed_in: AtomicU64,
     /// When its pipeline failed, the newest last.
     failures: Mutex<Vec<i64>>,
+    /// Held while its summary is written: the newest is written last.
+    pub(super) noting: tokio::sync::Mutex<()>,
 }
 
 impl Slot {
@@ -125,6 +130,7 @@ impl Slot {
             storing: Arc::default(),
             claimed_in: AtomicU64::new(0),
             failures: Mutex::default(),
+            noting: tokio::sync::Mutex::default(),
         })
     }
 
@@ -134,15 +140,23 @@ impl Slot {
 
     pub(super) fn set(&self, phase: Phase) {
         let now = phase.state();
+        let is_gone = matches!(phase, Phase::Gone(_));
         let before = self.phase.send_replace(phase).state();
-        observe::session_moved(Some(before), Some(now));
+        self.moved(before, now, is_gone);
+    }
+
+    fn moved(&self, from: SessionState, to: SessionState, is_gone: bool) {
+        observe::session_moved(Some(from), Some(to));
+        if let Some(fleet) = self.events.fleet() {
+            fleet.moved(from, to, is_gone);
+        }
     }
 
     /// Takes the next step if `step` gives one for the phase as it is; whether it did.
     pub(super) fn step(&self, step: impl FnOnce(&Phase) -> Option<Phase>) -> bool {
         self.phase.send_if_modified(|phase| match step(phase) {
             Some(next) => {
-                observe::session_moved(Some(phase.state()), Some(next.state()));
+                self.moved(phase.state(), next.state(), matches!(next, Phase::Gone(_)));
                 *phase = next;
                 true
             }

@@ -40,6 +40,8 @@ fn meta(id: &str) -> SessionMeta {
         id: id.to_owned(),
         tenant: DEFAULT_TENANT.to_owned(),
         display_name: String::new(),
+        labels: Default::default(),
+        revision: 0,
         mode: SessionMode::Mapping,
         create_time_ns: 1,
         request_id: String::new(),

@@ -16,7 +16,7 @@ pub mod rgbd;
 mod rhythm;
 mod uncertainty;
 
-use crate::keyframe::keyframe_scan_seen_by;
+use crate::keyframe::{KeyframeParams, keyframe_scan_seen_by};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 pub(crate) use model::{LocalModel, Match, Prediction};
@@ -225,6 +225,11 @@ impl Odometry {
     /// The newest pose, base to odom.
     pub fn t_odom_base(&self) -> &Pose {
         &self.t_odom_base
+    }
+
+    /// Changes what keyframes keep from now on.
+    pub fn set_keyframe_params(&mut self, params: KeyframeParams) {
+        self.params.keyframe = params;
     }
 
     /// What a keyframe keeps of a scan: ends of beams in base, thinned; see [`KeyframeScan`]. Of a camera's image the points

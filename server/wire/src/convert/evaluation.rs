@@ -7,6 +7,7 @@ use percept_evaluation::{
     TrueObject, TrueRelation,
 };
 use percept_geometry::{Pose, Stamped, Timestamp};
+use percept_service::reason;
 use percept_service::{Error, Result, TrajectoryComparison};
 
 fn poses(field: &'static str, poses: &[v1::StampedPose]) -> Result<Vec<Stamped<Pose>>> {
@@ -52,7 +53,7 @@ fn delta(r: &v1::EvaluateTrajectoryRequest) -> Result<Delta> {
         }
         Ok(U::Unspecified | U::Frames) => {
             let message = format!("delta: {value} is not a whole number of frames above 0");
-            Err(Error::invalid("EVALUATION_INVALID", "delta", message))
+            Err(Error::invalid(reason::EVALUATION_INVALID, "delta", message))
         }
         Ok(U::Metres) => Ok(Delta::Metres(value)),
         Ok(U::Seconds) => Ok(Delta::Seconds(value)),

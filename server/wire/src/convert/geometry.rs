@@ -4,6 +4,7 @@ use crate::v1;
 use bytes::Bytes;
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{Covariance6, OrientedBox3, Plane, PointCloud, Pose, se3};
+use percept_service::reason;
 use percept_service::{Error, Limits, Result};
 
 /// A pose; absent parts are zero and no rotation.
@@ -71,7 +72,7 @@ pub fn covariance(field: &'static str, c: &v1::Covariance6) -> Result<Covariance
     }
     if (m - m.transpose()).amax() > 1e-6 * m.amax().max(1e-12) {
         return Err(Error::invalid(
-            "COVARIANCE_NOT_SYMMETRIC",
+            reason::COVARIANCE_NOT_SYMMETRIC,
             field,
             format!("{field} is not symmetric; send the full row-major 6 x 6 matrix"),
         ));
@@ -116,7 +117,7 @@ pub fn cloud(c: &v1::PointCloud, limits: &Limits) -> Result<PointCloud> {
     let n = c.num_points as usize;
     if n > limits.max_cloud_points {
         return Err(Error::exhausted(
-            "CLOUD_TOO_LARGE",
+            reason::CLOUD_TOO_LARGE,
             "num_points",
             format!("num_points is {n}, the limit is {}; downsample or split the cloud", limits.max_cloud_points),
         ));

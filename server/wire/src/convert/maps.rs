@@ -6,6 +6,7 @@ use bytes::Bytes;
 use nalgebra::{Point2, Point3};
 use percept_geometry::{GridGeometry, Timestamp};
 use percept_pipeline::{Loop, LoopId, LoopState};
+use percept_service::reason;
 use percept_service::{CloudAnswer, Error, GridAnswer, MapFile, MapFormat, MapSummary, Result, Vetoed};
 
 /// Payload of a chunk, bytes: well under gRPC's default limit of 4 MiB.
@@ -73,7 +74,11 @@ pub fn around(center: Option<&v1::Vector3>, radius_m: Option<f64>) -> Result<Opt
     let Some(center) = center else { return Ok(None) };
     let radius = required("radius_m", radius_m)?;
     if !(radius.is_finite() && radius > 0.0) {
-        return Err(Error::invalid("OUT_OF_RANGE", "radius_m", format!("radius_m is {radius}; it must be positive")));
+        return Err(Error::invalid(
+            reason::OUT_OF_RANGE,
+            "radius_m",
+            format!("radius_m is {radius}; it must be positive"),
+        ));
     }
     Ok(Some((geometry::vector("centre", center)?.into(), radius)))
 }

@@ -1,6 +1,7 @@
 //! Protos to domain types, checked, and back. One file a noun.
 
 pub mod evaluation;
+pub mod fleet;
 pub mod geometry;
 pub mod maps;
 pub mod navigation;
@@ -9,7 +10,9 @@ pub mod sensors;
 pub mod server;
 pub mod sessions;
 pub mod toolbox;
+pub mod updates;
 
+use percept_service::reason;
 use percept_service::{Error, Result};
 
 /// The value of a field that must be there.
@@ -17,13 +20,13 @@ use percept_service::{Error, Result};
 /// # Errors
 /// `FIELD_MISSING` naming the field.
 pub fn required<T>(field: &str, value: Option<T>) -> Result<T> {
-    value.ok_or_else(|| Error::invalid("FIELD_MISSING", field, format!("{field} is missing; set it")))
+    value.ok_or_else(|| Error::invalid(reason::FIELD_MISSING, field, format!("{field} is missing; set it")))
 }
 
 /// An enum value that this version does not know, or that was left unspecified.
 pub fn unknown_enum(field: &str, value: i32) -> Error {
     Error::invalid(
-        "ENUM_UNKNOWN",
+        reason::ENUM_UNKNOWN,
         field,
         format!("{field} is {value}, which is unspecified or unknown; choose one of the contract's values"),
     )

@@ -9,7 +9,10 @@ use percept_geometry::{
     CameraIntrinsics, DepthImage, Distortion, LaserScan, RgbImage, SensorData, SensorFrame, SensorId, SensorKind,
     SensorSpec, Timestamp,
 };
-use percept_service::{Error, IncomingFrame, Limits, OverloadPolicy, Result, SensorDeclaration, SensorStatus};
+use percept_service::reason;
+use percept_service::{
+    Error, IncomingFrame, Limits, OverloadPolicy, Result, SensorDeclaration, SensorStatus, StreamTrouble, Verdict,
+};
 
 /// A sensor kind that is not UNSPECIFIED.
 ///
@@ -110,12 +113,19 @@ pub fn declaration(s: &v1::SensorSpec) -> Result<SensorDeclaration> {
         required("intrinsics", spec.intrinsics.as_ref())?;
     }
     spec.validate()?;
-    let overload = match v1::OverloadPolicy::try_from(s.overload_policy) {
-        Ok(v1::OverloadPolicy::Block) => OverloadPolicy::Block,
-        Ok(_) => OverloadPolicy::DropOldest,
-        Err(_) => return Err(super::unknown_enum("overload_policy", s.overload_policy)),
-    };
-    Ok(SensorDeclaration { spec, overload })
+    Ok(SensorDeclaration { spec, overload: overload(s.overload_policy)? })
+}
+
+/// What happens to frames that come too fast.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`.
+pub fn overload(value: i32) -> Result<OverloadPolicy> {
+    match v1::OverloadPolicy::try_from(value) {
+        Ok(v1::OverloadPolicy::Block) => Ok(OverloadPolicy::Block),
+        Ok(_) => Ok(OverloadPolicy::DropOldest),
+        Err(_) => Err(super::unknown_enum("overload_policy", value)),
+    }
 }
 
 /// A sensor's declaration as a message.
@@ -144,9 +154,32 @@ pub fn status_to(s: &SensorStatus) -> v1::SensorStatus {
         gaps: s.gaps,
         rate_hz: s.rate_hz,
         last_stamp_ns: s.last_stamp.map(Timestamp::nanos),
-        verdict: s.verdict(),
+        verdict: verdict_to(&s.verdict()).into(),
+        verdict_message: s.verdict().to_string(),
+        troubles: s.verdict().troubles().iter().map(trouble_to).collect(),
         clock_offset_s: s.clock_offset_s,
+        etag: s.declaration.etag(),
     }
+}
+
+fn verdict_to(verdict: &Verdict) -> v1::StreamVerdict {
+    match verdict {
+        Verdict::NoFrame => v1::StreamVerdict::NoFrame,
+        Verdict::Good => v1::StreamVerdict::Good,
+        Verdict::Troubled(_) => v1::StreamVerdict::Troubled,
+    }
+}
+
+fn trouble_to(trouble: &StreamTrouble) -> v1::StreamTrouble {
+    use v1::StreamTroubleKind as K;
+    let kind = match trouble {
+        StreamTrouble::Rejected { .. } => K::Rejected,
+        StreamTrouble::Dropped { .. } => K::Dropped,
+        StreamTrouble::Gaps { .. } => K::Gaps,
+        StreamTrouble::ClockOffset { .. } => K::ClockOffset,
+        StreamTrouble::MountOffset { .. } => K::MountOffset,
+    };
+    v1::StreamTrouble { kind: kind.into(), message: trouble.to_string() }
 }
 
 /// A sensor message, decoded and checked.
@@ -159,7 +192,7 @@ pub fn frame(message: &v1::SensorMessage, limits: &Limits) -> Result<IncomingFra
     percept_service::check_id("sensor_id", &message.sensor_id)?;
     if message.stamp_ns < 0 {
         return Err(Error::invalid(
-            "STAMP_NEGATIVE",
+            reason::STAMP_NEGATIVE,
             "stamp_ns",
             format!("stamp_ns is {}; send nanoseconds since the Unix epoch", message.stamp_ns),
         ));
@@ -185,7 +218,7 @@ fn rgbd(d: &v1::RgbdImage, limits: &Limits) -> Result<SensorData> {
     let color = color(&required("colour", d.colour.clone())?, limits).map_err(|e| e.within("colour"))?;
     if (depth.width(), depth.height()) != (color.width(), color.height()) {
         return Err(Error::invalid(
-            "COLOUR_SIZE_MISMATCH",
+            reason::COLOUR_SIZE_MISMATCH,
             "colour",
             format!(
                 "colour is {}x{} but depth is {}x{}; register them to one size",
@@ -203,12 +236,16 @@ fn rgbd(d: &v1::RgbdImage, limits: &Limits) -> Result<SensorData> {
 fn image_size(width: u32, height: u32, limits: &Limits) -> Result<(usize, usize)> {
     let (w, h) = (width as usize, height as usize);
     let pixels = w.checked_mul(h).filter(|&n| n > 0).ok_or_else(|| {
-        Error::invalid("IMAGE_EMPTY", "width_px", format!("image is {width}x{height}; both sizes must be positive"))
+        Error::invalid(
+            reason::IMAGE_EMPTY,
+            "width_px",
+            format!("image is {width}x{height}; both sizes must be positive"),
+        )
     })?;
     if pixels > limits.max_image_pixels {
         let limit = limits.max_image_pixels;
         return Err(Error::exhausted(
-            "IMAGE_TOO_LARGE",
+            reason::IMAGE_TOO_LARGE,
             "width_px",
             format!("image of {width}x{height} has {pixels} pixels, the limit is {limit}; send it smaller"),
         ));
@@ -221,7 +258,7 @@ fn rows(data: &Bytes, row_bytes: usize, height: usize, stride: Option<u32>) -> R
     let stride = stride.map_or(row_bytes, |s| s as usize);
     if stride < row_bytes {
         return Err(Error::invalid(
-            "STRIDE_TOO_SMALL",
+            reason::STRIDE_TOO_SMALL,
             "row_stride_bytes",
             format!("row_stride_bytes is {stride} but a row holds {row_bytes} bytes; send at least that"),
         ));
@@ -231,7 +268,7 @@ fn rows(data: &Bytes, row_bytes: usize, height: usize, stride: Option<u32>) -> R
     let longest = stride.checked_mul(height);
     if shortest.is_none_or(|n| data.len() < n) || longest.is_none_or(|n| data.len() > n) {
         return Err(Error::invalid(
-            "SIZE_MISMATCH",
+            reason::SIZE_MISMATCH,
             "data",
             format!(
                 "data holds {} bytes but {height} rows of {stride} bytes were declared; send exactly that many",
@@ -254,7 +291,7 @@ fn decoded_size(decoded: (usize, usize), declared: (usize, usize)) -> Result<()>
         return Ok(());
     }
     Err(Error::invalid(
-        "IMAGE_SIZE_MISMATCH",
+        reason::IMAGE_SIZE_MISMATCH,
         "width_px",
         format!(
             "the file is {}x{} but {}x{} was declared; declare its true size",
@@ -318,14 +355,18 @@ fn scan(s: &v1::LaserScan, limits: &Limits) -> Result<LaserScan> {
     let beams = s.ranges_m.len() / 4;
     if beams == 0 || !s.ranges_m.len().is_multiple_of(4) {
         return Err(Error::invalid(
-            "SCAN_EMPTY",
+            reason::SCAN_EMPTY,
             "ranges_m",
             format!("ranges_m holds {} bytes; send one float32 a beam, at least one", s.ranges_m.len()),
         ));
     }
     if beams > limits.max_cloud_points {
         let limit = limits.max_cloud_points;
-        return Err(Error::exhausted("SCAN_TOO_LARGE", "ranges_m", format!("{beams} beams, the limit is {limit}")));
+        return Err(Error::exhausted(
+            reason::SCAN_TOO_LARGE,
+            "ranges_m",
+            format!("{beams} beams, the limit is {limit}"),
+        ));
     }
     let numbers = [
         ("angle_min_rad", s.angle_min_rad),
@@ -363,7 +404,7 @@ fn scan(s: &v1::LaserScan, limits: &Limits) -> Result<LaserScan> {
     if later.len() / 4 > limits.max_cloud_points {
         let (echoes, limit) = (later.len() / 4, limits.max_cloud_points);
         let message = format!("later_echoes_m has {echoes} echoes, the limit is {limit}");
-        return Err(Error::exhausted("SCAN_TOO_LARGE", "later_echoes_m", message));
+        return Err(Error::exhausted(reason::SCAN_TOO_LARGE, "later_echoes_m", message));
     }
     Ok(LaserScan {
         angle_min_rad: s.angle_min_rad,

@@ -2,12 +2,13 @@
 
 use super::{geometry, scene, sensors};
 use crate::{params, v1};
-use percept_geometry::Pose;
-use percept_pipeline::{KeyframeInfo, PipelineParams, PoseEstimate, TrajectoryEntry};
+use percept_geometry::{Pose, Timestamp};
+use percept_pipeline::{KeyframeInfo, PipelineParams, PoseAt, PoseEstimate, TrajectoryEntry};
 use percept_service::{
     Error, Event, EventKind, NewSession, Processed, Result, SessionDescription, SessionMode, SessionState, SessionView,
+    TrajectoryRequest, Transform,
 };
-use percept_slam::TrackingState;
+use percept_slam::{LostReason, Scale, TrackingState, Waiting};
 
 /// What a session is created with.
 ///
@@ -25,6 +26,7 @@ pub fn new_session(r: &v1::CreateSessionRequest, defaults: &PipelineParams) -> R
     Ok(NewSession {
         id: r.session_id.clone(),
         display_name: r.display_name.clone(),
+        labels: r.labels.clone().into_iter().collect(),
         mode,
         sensors: r.sensors.iter().enumerate().map(declare).collect::<Result<_>>()?,
         params: params::pipeline(r.params.as_ref(), defaults)?,
@@ -63,6 +65,8 @@ pub fn view_to(s: &SessionView) -> v1::Session {
         last_used_ns: s.last_used_ns,
         last_stamp_ns: Some(s.counts.last_stamp_ns).filter(|stamp| *stamp != 0),
         tenant: s.tenant.clone(),
+        labels: s.labels.clone().into_iter().collect(),
+        etag: s.etag.clone(),
     }
 }
 
@@ -74,10 +78,17 @@ pub fn description_to(s: &SessionDescription) -> Result<v1::Session> {
     let view = view_to(&s.view);
     let Some((meta, statuses)) = &s.whole else { return Ok(view) };
     let params = Some(params::pipeline_to(&meta.params)?);
-    Ok(v1::Session { params, sensors: statuses.iter().map(sensors::status_to).collect(), ..view })
+    Ok(v1::Session {
+        display_name: meta.display_name.clone(),
+        labels: meta.labels.clone().into_iter().collect(),
+        etag: meta.etag(),
+        params,
+        sensors: statuses.iter().map(sensors::status_to).collect(),
+        ..view
+    })
 }
 
-fn state_to(state: SessionState) -> v1::SessionState {
+pub(super) fn state_to(state: SessionState) -> v1::SessionState {
     match state {
         SessionState::Creating => v1::SessionState::Creating,
         SessionState::Asleep => v1::SessionState::Asleep,
@@ -108,9 +119,9 @@ pub fn wanted_state(state: i32) -> Result<Option<SessionState>> {
 /// A pose as a message.
 pub fn pose_to(p: &PoseEstimate) -> v1::PoseEstimate {
     let (state, lost_reason) = match &p.state {
-        TrackingState::Initialising => (v1::TrackingState::Initialising, String::new()),
-        TrackingState::Tracking => (v1::TrackingState::Tracking, String::new()),
-        TrackingState::Lost { reason } => (v1::TrackingState::Lost, reason.to_string()),
+        TrackingState::Initialising => (v1::TrackingState::Initialising, None),
+        TrackingState::Tracking => (v1::TrackingState::Tracking, None),
+        TrackingState::Lost { reason } => (v1::TrackingState::Lost, Some(*reason)),
     };
     v1::PoseEstimate {
         stamp_ns: p.stamp.nanos(),
@@ -118,15 +129,95 @@ pub fn pose_to(p: &PoseEstimate) -> v1::PoseEstimate {
         t_map_base: Some(geometry::pose_to(&p.t_map_base)),
         covariance: Some(geometry::covariance_to(&p.covariance)),
         t_odom_base: Some(geometry::pose_to(&p.t_odom_base)),
-        lost_reason,
+        lost_reason: lost_reason.map_or(v1::LostReason::Unspecified, lost_reason_to).into(),
+        lost_message: lost_reason.map(|r| r.to_string()).unwrap_or_default(),
         inlier_ratio: p.inlier_ratio,
         rmse_m: p.rmse_m,
         degenerate_axes: p.degenerate_axes.to_vec(),
         scale: scale_to(p.scale.is_metric()).into(),
-        scale_source: p.scale.to_string(),
-        waiting_for: p.waiting.map(|w| w.to_string()).unwrap_or_default(),
+        scale_source: scale_source_to(p.scale).into(),
+        scale_message: p.scale.to_string(),
+        waiting_for: p.waiting.map_or(v1::WaitingFor::Unspecified, waiting_to).into(),
+        waiting_message: p.waiting.map(|w| w.to_string()).unwrap_or_default(),
         relocalised: p.is_relocalised,
         map_version: p.map_version,
+    }
+}
+
+/// A pose at a time as a message.
+pub fn pose_at_to(p: &PoseAt, map_version: u64) -> v1::PoseAt {
+    v1::PoseAt {
+        stamp_ns: p.stamp.nanos(),
+        t_map_base: Some(geometry::pose_to(&p.t_map_base)),
+        t_odom_base: p.t_odom_base.as_ref().map(geometry::pose_to),
+        state: tracked_to(p.is_tracked).into(),
+        scale: scale_to(p.is_metric).into(),
+        before_ns: p.before.nanos(),
+        after_ns: p.after.nanos(),
+        map_version,
+    }
+}
+
+/// A transform as a message.
+pub fn transform_to(r: &v1::LookupTransformRequest, t: &Transform) -> v1::Transform {
+    v1::Transform {
+        target_frame: r.target_frame.clone(),
+        source_frame: r.source_frame.clone(),
+        t_target_source: Some(geometry::pose_to(&t.t_target_source)),
+        stamp_ns: t.moving.map(|m| m.stamp.nanos()),
+        state: t.moving.map_or(v1::TrackingState::Unspecified, |m| tracked_to(m.is_tracked)).into(),
+        scale: t.moving.map_or(v1::Scale::Unspecified, |m| scale_to(m.is_metric)).into(),
+        map_version: t.map_version,
+    }
+}
+
+fn tracked_to(is_tracked: bool) -> v1::TrackingState {
+    if is_tracked { v1::TrackingState::Tracking } else { v1::TrackingState::Lost }
+}
+
+/// Which part of a trajectory is asked for.
+pub fn trajectory_request(r: &v1::GetTrajectoryRequest) -> TrajectoryRequest {
+    TrajectoryRequest {
+        from: r.from_ns.map(Timestamp),
+        to: r.to_ns.map(Timestamp),
+        max_poses: r.max_poses,
+        page_size: r.page_size,
+        page_token: r.page_token.clone(),
+    }
+}
+
+fn lost_reason_to(reason: LostReason) -> v1::LostReason {
+    use v1::LostReason as R;
+    match reason {
+        LostReason::TooFewPoints => R::TooFewPoints,
+        LostReason::TooFewCorrespondences => R::TooFewCorrespondences,
+        LostReason::ResidualTooLarge => R::ResidualTooLarge,
+        LostReason::MotionTooLarge => R::MotionTooLarge,
+        LostReason::Degenerate => R::Degenerate,
+        LostReason::TimeGap => R::TimeGap,
+        LostReason::UnsuitableScan => R::UnsuitableScan,
+        LostReason::NoTexture => R::NoTexture,
+        LostReason::BadExposure => R::BadExposure,
+        LostReason::IntrinsicsMismatch => R::IntrinsicsMismatch,
+        LostReason::Adrift => R::Adrift,
+    }
+}
+
+fn scale_source_to(scale: Scale) -> v1::ScaleSource {
+    match scale {
+        Scale::Measured => v1::ScaleSource::Sensor,
+        Scale::Unknown => v1::ScaleSource::None,
+        Scale::FromOdometry => v1::ScaleSource::Odometry,
+        Scale::FromDepth => v1::ScaleSource::Depth,
+        Scale::FromBaseline => v1::ScaleSource::Baseline,
+    }
+}
+
+fn waiting_to(waiting: Waiting) -> v1::WaitingFor {
+    match waiting {
+        Waiting::SecondView => v1::WaitingFor::SecondView,
+        Waiting::NoParallax => v1::WaitingFor::Parallax,
+        Waiting::FewMatches => v1::WaitingFor::Matches,
     }
 }
 
@@ -147,11 +238,10 @@ pub fn keyframe_to(k: &KeyframeInfo) -> v1::Keyframe {
 
 /// A pose of the trajectory as a message.
 pub fn trajectory_pose_to(t_map_base: &Pose, entry: &TrajectoryEntry) -> v1::TrajectoryPose {
-    let state = if entry.tracked { v1::TrackingState::Tracking } else { v1::TrackingState::Lost };
     v1::TrajectoryPose {
         stamp_ns: entry.stamp.nanos(),
         t_map_base: Some(geometry::pose_to(t_map_base)),
-        state: state.into(),
+        state: tracked_to(entry.tracked).into(),
         keyframe_id: entry.anchor.filter(|_| entry.is_keyframe).map(|k| k.0),
         scale: scale_to(entry.anchor.is_some()).into(),
     }

@@ -7,6 +7,7 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use percept_service::reason;
 use percept_service::{Error, ErrorCode};
 use percept_wire::json;
 use std::collections::BTreeSet;
@@ -34,15 +35,17 @@ pub(super) async fn guard(request: Request, next: Next) -> Response {
     // A page that a browser shows may send a few media types without asking, never this one.
     if !media.starts_with("application/grpc") || headers.contains_key(header::ORIGIN) {
         let words = "this door takes gRPC only, from no browser; send application/grpc, or use REST";
-        return refused(Error::invalid("MEDIA_TYPE_UNSUPPORTED", "", words));
+        return refused(Error::invalid(reason::MEDIA_TYPE_UNSUPPORTED, "", words));
     }
     match deadline(headers) {
         Ok(None) => next.run(request).await,
         Ok(Some(deadline)) => match tokio::time::timeout(deadline, next.run(request)).await {
             Ok(answer) => answer,
-            Err(_) => {
-                refused(Error::new(ErrorCode::DeadlineExceeded, "DEADLINE_EXCEEDED", "the call's deadline passed"))
-            }
+            Err(_) => refused(Error::new(
+                ErrorCode::DeadlineExceeded,
+                reason::DEADLINE_EXCEEDED,
+                "the call's deadline passed",
+            )),
         },
         Err(error) => refused(error),
     }
@@ -71,7 +74,7 @@ fn deadline(headers: &HeaderMap) -> Result<Option<Duration>, Error> {
     };
     let invalid = || {
         let words = format!("grpc-timeout is {value:?}; send up to eight digits and one of H, M, S, m, u, n");
-        Error::invalid("HEADER_INVALID", "grpc-timeout", words)
+        Error::invalid(reason::HEADER_INVALID, "grpc-timeout", words)
     };
     read().map(Some).ok_or_else(invalid)
 }

@@ -3,6 +3,7 @@
 use super::super::bounds::{Charge, Place};
 use super::super::listener::Held;
 use super::{Api, Streamed, check_size, status};
+use percept_service::reason;
 use percept_service::{Caller, Error, IncomingFrame, Processed, Result, Session, Ticket, observe};
 use percept_wire::{convert, v1};
 use prost::Message;
@@ -107,7 +108,7 @@ async fn read(
             () = acks.closed() => return,
             () = stopped(&mut stopping) => {
                 let words = "the server is stopping; reconnect and send what was not acknowledged as durable";
-                let _ = acks.send(Err(status::grpc(Error::new(percept_service::ErrorCode::Unavailable, "STOPPING", words)))).await;
+                let _ = acks.send(Err(status::grpc(Error::new(percept_service::ErrorCode::Unavailable, reason::STOPPING, words)))).await;
                 return;
             }
         };

@@ -19,6 +19,7 @@ use crate::config::Listen;
 use crate::telemetry::requests::Observe;
 use axum::middleware::from_fn;
 use futures::Stream;
+use percept_service::reason;
 use percept_service::{CallContext, Caller, Error, Guarded, Readiness, observe};
 use percept_wire::{json, v1};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -81,7 +82,7 @@ fn check_size(message: &impl prost::Message, api: &Api) -> Result<(), Error> {
         return Ok(());
     }
     let words = format!("message has {size} bytes, the limit is {limit}; send less at a time, or downsample");
-    Err(Error::exhausted("MESSAGE_TOO_LARGE", "", words))
+    Err(Error::exhausted(reason::MESSAGE_TOO_LARGE, "", words))
 }
 
 /// Serves until the server stops, then finishes what is under way.

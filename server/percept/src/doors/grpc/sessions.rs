@@ -1,8 +1,13 @@
 //! `SessionsService`.
 
 use super::{Answer, Api, Streamed, peer_of, status, streamed};
-use percept_service::{Error, ErrorCode, observe};
-use percept_wire::{convert::sessions, params, v1};
+use futures::{Stream, StreamExt};
+use percept_geometry::{Pose, Timestamp};
+use percept_pipeline::TrajectoryEntry;
+use percept_service::reason;
+use percept_service::{Caller, Error, ErrorCode, observe};
+use percept_wire::convert::{fleet, sessions, updates};
+use percept_wire::{params, v1};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response};
 
@@ -13,13 +18,55 @@ const EVENTS_PER_READ: usize = 64;
 
 fn stopping_error() -> Error {
     let words = "the server is stopping; watch again, from the last resume token, when it is back";
-    Error::new(ErrorCode::Unavailable, "STOPPING", words)
+    Error::new(ErrorCode::Unavailable, reason::STOPPING, words)
+}
+
+impl Api {
+    /// Events for as long as somebody watches and may, and the server runs. One read ahead at most: what a slow client
+    /// misses is told by a resync, not kept for it.
+    fn told_while_watched<T: Send + 'static>(
+        &self,
+        caller: Caller,
+        place: impl Send + 'static,
+        events: impl Stream<Item = T> + Send + 'static,
+    ) -> Streamed<T> {
+        let (out, answer) = tokio::sync::mpsc::channel(EVENTS_PER_READ);
+        let mut stopping = self.stopping.clone();
+        let open = observe::stream(observe::Stream::Watch);
+        tokio::spawn(async move {
+            let _held = (open, place);
+            let (mut ended, mut events) = (std::pin::pin!(caller.ended()), std::pin::pin!(events));
+            loop {
+                let event = tokio::select! {
+                    event = events.next() => Ok(event),
+                    _ = stopping.wait_for(|s| *s) => Err(stopping_error()),
+                    error = &mut ended => Err(error),
+                    () = out.closed() => return,
+                };
+                let sent = match event {
+                    Ok(Some(event)) => out.send(Ok(event)).await,
+                    // What was watched is gone: a true end.
+                    Ok(None) => return,
+                    // Said as an error, so that clients come back instead of taking it for the end.
+                    Err(error) => {
+                        let _ = out.send(Err(status::grpc(error))).await;
+                        return;
+                    }
+                };
+                if sent.is_err() {
+                    return;
+                }
+            }
+        });
+        Box::pin(ReceiverStream::new(answer))
+    }
 }
 
 #[tonic::async_trait]
 impl v1::sessions_service_server::SessionsService for Api {
     type GetTrajectoryStream = Streamed<v1::GetTrajectoryResponse>;
     type WatchSessionStream = Streamed<v1::WatchSessionResponse>;
+    type WatchSessionsStream = Streamed<v1::WatchSessionsResponse>;
 
     async fn create_session(&self, r: Request<v1::CreateSessionRequest>) -> Answer<v1::CreateSessionResponse> {
         let caller = self.caller(&r)?;
@@ -40,11 +87,18 @@ impl v1::sessions_service_server::SessionsService for Api {
 
     async fn list_sessions(&self, r: Request<v1::ListSessionsRequest>) -> Answer<v1::ListSessionsResponse> {
         let caller = self.caller(&r)?;
-        let r = r.get_ref();
-        let state = sessions::wanted_state(r.state).map_err(status::grpc)?;
-        let page = caller.list_sessions(state, r.page_size, &r.page_token).await.map_err(status::grpc)?;
+        let list = fleet::list(r.get_ref()).map_err(status::grpc)?;
+        let page = caller.list_sessions(&list).await.map_err(status::grpc)?;
         let sessions = page.items.iter().map(sessions::view_to).collect();
         Ok(Response::new(v1::ListSessionsResponse { sessions, next_page_token: page.next_page_token }))
+    }
+
+    async fn update_session(&self, r: Request<v1::UpdateSessionRequest>) -> Answer<v1::UpdateSessionResponse> {
+        let caller = self.caller(&r)?;
+        let update = updates::session(r.get_ref()).map_err(status::grpc)?;
+        let changed = caller.update_session(&update.id, &update.etag, &update.changes).await.map_err(status::grpc)?;
+        let session = Some(sessions::description_to(&changed).map_err(status::grpc)?);
+        Ok(Response::new(v1::UpdateSessionResponse { session }))
     }
 
     async fn delete_session(&self, r: Request<v1::DeleteSessionRequest>) -> Answer<v1::DeleteSessionResponse> {
@@ -55,27 +109,50 @@ impl v1::sessions_service_server::SessionsService for Api {
 
     async fn get_pose(&self, r: Request<v1::GetPoseRequest>) -> Answer<v1::GetPoseResponse> {
         let caller = self.caller(&r)?;
-        let snapshot =
-            caller.snapshot("SessionsService/GetPose", &r.get_ref().session_id).await.map_err(status::grpc)?;
-        Ok(Response::new(v1::GetPoseResponse { pose: snapshot.pose.as_ref().map(sessions::pose_to) }))
+        let r = r.get_ref();
+        if let Some(at_ns) = r.at_ns {
+            let (pose, map_version) = caller.pose_at(&r.session_id, Timestamp(at_ns)).await.map_err(status::grpc)?;
+            let pose_at = Some(sessions::pose_at_to(&pose, map_version));
+            return Ok(Response::new(v1::GetPoseResponse { pose: None, pose_at }));
+        }
+        let snapshot = caller.snapshot("SessionsService/GetPose", &r.session_id).await.map_err(status::grpc)?;
+        let pose = snapshot.pose.as_ref().map(sessions::pose_to);
+        Ok(Response::new(v1::GetPoseResponse { pose, pose_at: None }))
+    }
+
+    async fn lookup_transform(&self, r: Request<v1::LookupTransformRequest>) -> Answer<v1::LookupTransformResponse> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        let at = r.at_ns.map(Timestamp);
+        let found = caller.lookup_transform(&r.session_id, &r.target_frame, &r.source_frame, at).await;
+        let transform = Some(sessions::transform_to(r, &found.map_err(status::grpc)?));
+        Ok(Response::new(v1::LookupTransformResponse { transform }))
     }
 
     async fn get_trajectory(&self, r: Request<v1::GetTrajectoryRequest>) -> Answer<Self::GetTrajectoryStream> {
         let caller = self.caller(&r)?;
-        let session = &r.get_ref().session_id;
-        let snapshot = caller.snapshot("SessionsService/GetTrajectory", session).await.map_err(status::grpc)?;
-        let map_version = snapshot.map_version;
+        let r = r.get_ref();
+        let request = sessions::trajectory_request(r);
+        let (part, map_version) = caller.trajectory(&r.session_id, request).await.map_err(status::grpc)?;
         let chunks = move || {
-            let poses: Vec<_> = snapshot.trajectory().map(|(t, e)| sessions::trajectory_pose_to(&t, e)).collect();
+            let pose = |(t, e): &(Pose, TrajectoryEntry)| sessions::trajectory_pose_to(t, e);
+            let message = |poses: &[_]| v1::GetTrajectoryResponse {
+                map_version,
+                poses: poses.iter().map(pose).collect(),
+                next_page_token: String::new(),
+            };
             // An empty trajectory is told by one message without poses.
-            let mut chunks: Vec<Vec<_>> = poses.chunks(POSES_PER_MESSAGE).map(<[_]>::to_vec).collect();
-            if chunks.is_empty() {
-                chunks.push(vec![]);
+            let mut messages: Vec<_> = part.items.chunks(POSES_PER_MESSAGE).map(message).collect();
+            if messages.is_empty() {
+                messages.push(message(&[]));
             }
-            chunks
+            if let Some(last) = messages.last_mut() {
+                last.next_page_token = part.next_page_token;
+            }
+            messages
         };
-        let chunks = caller.compute().query(session, chunks).await.map_err(status::grpc)?;
-        streamed(chunks, move |poses| v1::GetTrajectoryResponse { map_version, poses })
+        let messages = caller.compute().query(&r.session_id, chunks).await.map_err(status::grpc)?;
+        streamed(messages, |message| message)
     }
 
     async fn list_keyframes(&self, r: Request<v1::ListKeyframesRequest>) -> Answer<v1::ListKeyframesResponse> {
@@ -91,42 +168,30 @@ impl v1::sessions_service_server::SessionsService for Api {
         let place = self.bounds.watcher(&peer_of(r.extensions())).map_err(status::grpc)?;
         let r = r.into_inner();
         let log = caller.session_events("SessionsService/WatchSession", &r.session_id).await.map_err(status::grpc)?;
-        let mut token = r.resume_token.unwrap_or_else(|| log.newest_token());
-        // One read ahead at most: what a slow client misses is told by a resync, not kept for it.
-        let (out, answer) = tokio::sync::mpsc::channel(EVENTS_PER_READ);
-        let mut stopping = self.stopping.clone();
-        let open = observe::stream(observe::Stream::Watch);
-        tokio::spawn(async move {
-            let _open = open;
-            let mut ended = std::pin::pin!(caller.ended());
-            let _place = place;
-            loop {
-                let events = tokio::select! {
-                    events = log.after(token, EVENTS_PER_READ) => Ok(events),
-                    _ = stopping.wait_for(|s| *s) => Err(stopping_error()),
-                    error = &mut ended => Err(error),
-                    () = out.closed() => return,
-                };
-                let events = match events {
-                    Ok(Some(events)) => events,
-                    // The session was deleted: a true end.
-                    Ok(None) => return,
-                    // Said as an error, so that clients come back instead of taking it for the end.
-                    Err(error) => {
-                        let _ = out.send(Err(status::grpc(error))).await;
-                        return;
-                    }
-                };
-                for event in events {
-                    token = event.token;
-                    let event = Some(sessions::event_to(&event));
-                    if out.send(Ok(v1::WatchSessionResponse { event })).await.is_err() {
-                        return;
-                    }
-                }
-            }
+        let token = r.resume_token.unwrap_or_else(|| log.newest_token());
+        let events = futures::stream::unfold((log, token), |(log, token)| async move {
+            let events = log.after(token, EVENTS_PER_READ).await?;
+            let token = events.last().map_or(token, |event| event.token);
+            Some((events, (log, token)))
         });
-        Ok(Response::new(Box::pin(ReceiverStream::new(answer))))
+        let told = |event| v1::WatchSessionResponse { event: Some(sessions::event_to(&event)) };
+        let events = events.flat_map(futures::stream::iter).map(told);
+        Ok(Response::new(self.told_while_watched(caller, place, events)))
+    }
+
+    async fn watch_sessions(&self, r: Request<v1::WatchSessionsRequest>) -> Answer<Self::WatchSessionsStream> {
+        let caller = self.caller(&r)?;
+        let place = self.bounds.watcher(&peer_of(r.extensions())).map_err(status::grpc)?;
+        let r = r.get_ref();
+        let watch = caller.watch_sessions(fleet::filter(r).map_err(status::grpc)?).map_err(status::grpc)?;
+        let token = r.resume_token.unwrap_or_else(|| watch.newest_token());
+        let events = futures::stream::unfold((watch, token), |(watch, token)| async move {
+            let (events, token) = watch.after(token, EVENTS_PER_READ).await?;
+            Some((events, (watch, token)))
+        });
+        let told = |event| v1::WatchSessionsResponse { event: Some(fleet::event_to(&event)) };
+        let events = events.flat_map(futures::stream::iter).map(told);
+        Ok(Response::new(self.told_while_watched(caller, place, events)))
     }
 
     async fn get_default_params(

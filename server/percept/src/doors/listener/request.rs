@@ -5,6 +5,7 @@ use crate::doors::bounds::{Charge, Memory, Peer};
 use crate::doors::status;
 use bytes::Bytes;
 use http_body::{Body, Frame, SizeHint};
+use percept_service::reason;
 use percept_service::{Error, ErrorCode, Limits};
 use std::collections::VecDeque;
 use std::pin::Pin;
@@ -176,7 +177,7 @@ impl Sender {
         let mut progress = lock(&progress);
         if is_over {
             let words = "the server is stopping and the request was not whole; send it again when it is back";
-            progress.cut(Error::new(ErrorCode::Unavailable, "STOPPING", words));
+            progress.cut(Error::new(ErrorCode::Unavailable, reason::STOPPING, words));
         } else if progress.is_late(patience, now) {
             let error = late(&progress, patience);
             progress.cut(error);
@@ -191,13 +192,13 @@ fn late(progress: &Progress, patience: Patience) -> Error {
             "no message came for {} s, the limit; open the stream again when there is one",
             patience.between_messages.as_secs()
         );
-        return Error::new(ErrorCode::Unavailable, "STREAM_IDLE", words);
+        return Error::new(ErrorCode::Unavailable, reason::STREAM_IDLE, words);
     }
     let words = format!(
         "the request stopped, or came slower than {LEAST_BYTES_PER_S} bytes a second, for {} s; send it faster, or less",
         patience.body.as_secs()
     );
-    Error::new(ErrorCode::DeadlineExceeded, "BODY_TOO_SLOW", words)
+    Error::new(ErrorCode::DeadlineExceeded, reason::BODY_TOO_SLOW, words)
 }
 
 type Growth = Pin<Box<dyn Future<Output = (Charge, Result<(), Error>)> + Send>>;

@@ -6,6 +6,7 @@ use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode, header};
 use bytes::{Bytes, BytesMut};
 use futures::StreamExt;
+use percept_service::reason;
 use percept_service::{Error, Limits};
 use std::error::Error as _;
 
@@ -26,13 +27,13 @@ pub(super) async fn read(body: Body, headers: &HeaderMap, limits: &Limits) -> Re
     let encoding = headers.get(header::CONTENT_ENCODING).map(|v| v.to_str().unwrap_or("unreadable"));
     if let Some(encoding) = encoding.filter(|e| !e.eq_ignore_ascii_case("identity")) {
         let message = format!("content-encoding is {encoding:?}; send the body as it is");
-        return Err(Refused::http(StatusCode::UNSUPPORTED_MEDIA_TYPE, "CONTENT_ENCODING_UNSUPPORTED", message));
+        return Err(Refused::http(StatusCode::UNSUPPORTED_MEDIA_TYPE, reason::CONTENT_ENCODING_UNSUPPORTED, message));
     }
     let limit = limit_of(limits);
     let too_large = |size: u64| -> Refused {
         let message =
             format!("the body has at least {size} bytes, the limit is {limit}; send less at a time, or downsample");
-        Error::exhausted("MESSAGE_TOO_LARGE", "", message).into()
+        Error::exhausted(reason::MESSAGE_TOO_LARGE, "", message).into()
     };
     let declared = headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
     if let Some(size) = declared.filter(|size| *size > limit as u64) {
@@ -58,11 +59,13 @@ fn broken(error: &axum::Error) -> Refused {
         if let Some(said) = inner.downcast_ref::<tonic::Status>() {
             let problem = status::from_grpc(said);
             return match problem.reason() {
-                "BODY_TOO_SLOW" => Refused::http(StatusCode::REQUEST_TIMEOUT, "BODY_TOO_SLOW", said.message()),
+                reason::BODY_TOO_SLOW => {
+                    Refused::http(StatusCode::REQUEST_TIMEOUT, reason::BODY_TOO_SLOW, said.message())
+                }
                 _ => problem.into(),
             };
         }
         cause = inner.source();
     }
-    Error::invalid("BODY_BROKEN", "", format!("the body ended early: {error}")).into()
+    Error::invalid(reason::BODY_BROKEN, "", format!("the body ended early: {error}")).into()
 }

@@ -1,4 +1,4 @@
-//! Live events of a session as server-sent events (HTML Living Standard, section 9.2).
+//! Live events of a session, or of all, as server-sent events (HTML Living Standard, section 9.2).
 
 use super::super::grpc::Api;
 use super::super::status;
@@ -8,10 +8,12 @@ use axum::http::HeaderMap;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
-use futures::StreamExt;
+use futures::{Stream, StreamExt};
+use percept_service::reason;
 use percept_service::{CallContext, Error};
 use percept_wire::{json, v1};
 use prost::Message;
+use serde_json::Value;
 use std::convert::Infallible;
 use std::time::Duration;
 use tonic::Status;
@@ -38,26 +40,55 @@ pub(super) async fn watch(
         request.resume_token = Some(token);
     }
     let stream = api.watch_session(routes::asked(context, request)).await?.into_inner();
-    let events = stream.map(|message| Ok::<_, Infallible>(told(message)));
-    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response())
+    let read = |message: v1::WatchSessionResponse| {
+        let event = message.event.unwrap_or_default();
+        (event.token, json::to_json("SessionEvent", &event))
+    };
+    Ok(sent(stream.map(move |message| told(message.map(read)))))
+}
+
+/// `WatchSessions`; every event's id is its token.
+///
+/// # Errors
+/// `HEADER_INVALID`, and those of the rpc.
+pub(super) async fn watch_all(
+    api: &Api,
+    context: CallContext,
+    request: Bytes,
+    headers: &HeaderMap,
+) -> Result<Response, Refused> {
+    let mut request = v1::WatchSessionsRequest::decode(request).map_err(Error::internal)?;
+    if let Some(token) = last_event(headers)? {
+        request.resume_token = Some(token);
+    }
+    let stream = api.watch_sessions(routes::asked(context, request)).await?.into_inner();
+    let read = |message: v1::WatchSessionsResponse| {
+        let event = message.event.unwrap_or_default();
+        (event.token, json::to_json("FleetEvent", &event))
+    };
+    Ok(sent(stream.map(move |message| told(message.map(read)))))
+}
+
+fn sent(events: impl Stream<Item = Event> + Send + 'static) -> Response {
+    let events = events.map(Ok::<_, Infallible>);
+    Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()
 }
 
 fn last_event(headers: &HeaderMap) -> Result<Option<u64>, Error> {
     let Some(value) = headers.get(LAST_EVENT_ID) else { return Ok(None) };
     let token = value.to_str().ok().and_then(|v| v.trim().parse().ok());
     let invalid = || {
-        let message = format!("{LAST_EVENT_ID} is {value:?}; it must be the id of an event of this session");
-        Error::invalid("HEADER_INVALID", LAST_EVENT_ID, message)
+        let message = format!("{LAST_EVENT_ID} is {value:?}; it must be the id of an event of this stream");
+        Error::invalid(reason::HEADER_INVALID, LAST_EVENT_ID, message)
     };
     token.map(Some).ok_or_else(invalid)
 }
 
-fn told(message: Result<v1::WatchSessionResponse, Status>) -> Event {
-    match message {
-        Ok(message) => {
-            let event = message.event.unwrap_or_default();
-            let data = json::to_json("SessionEvent", &event).map(|v| v.to_string()).unwrap_or_default();
-            Event::default().id(event.token.to_string()).data(data)
+/// An event, of its token and what it says.
+fn told(event: Result<(u64, Result<Value, Error>), Status>) -> Event {
+    match event {
+        Ok((token, said)) => {
+            Event::default().id(token.to_string()).data(said.map(|v| v.to_string()).unwrap_or_default())
         }
         Err(broken) => {
             let problem =

@@ -4,16 +4,18 @@ use super::refused::Refused;
 use axum::extract::Query;
 use axum::http::Uri;
 use percept_service::Error;
+use percept_service::reason;
 use prost_reflect::{DynamicMessage, EnumDescriptor, FieldDescriptor, Kind, MessageDescriptor, ReflectMessage, Value};
 
 /// Names in a query string that are no field: they choose the form of the answer.
 const FORM: &str = "format";
 
-/// Every scalar of a request by its dotted path.
+/// Every scalar of a request, and every list of scalars, by its dotted path.
 pub(super) fn leaves(message: &MessageDescriptor) -> Vec<(String, FieldDescriptor)> {
     let mut out = vec![];
-    for field in message.fields().filter(|f| !f.is_list() && !f.is_map()) {
+    for field in message.fields().filter(|f| !f.is_map()) {
         match field.kind() {
+            Kind::Message(_) if field.is_list() => {}
             Kind::Message(inner) => {
                 out.extend(leaves(&inner).into_iter().map(|(path, f)| (format!("{}.{path}", field.name()), f)));
             }
@@ -25,14 +27,14 @@ pub(super) fn leaves(message: &MessageDescriptor) -> Vec<(String, FieldDescripto
 
 fn pairs(uri: &Uri) -> Result<Vec<(String, String)>, Error> {
     let read = Query::<Vec<(String, String)>>::try_from_uri(uri);
-    Ok(read.map_err(|e| Error::invalid("QUERY_INVALID", "", format!("the query cannot be read: {e}")))?.0)
+    Ok(read.map_err(|e| Error::invalid(reason::QUERY_INVALID, "", format!("the query cannot be read: {e}")))?.0)
 }
 
 /// Refuses a query where the body says everything.
 pub(super) fn no_query(uri: &Uri) -> Result<(), Refused> {
     let Some((name, _)) = pairs(uri)?.into_iter().next() else { return Ok(()) };
     let message = format!("{name} stands in the query; this request says everything in its body");
-    Err(Error::invalid("QUERY_INVALID", name, message).into())
+    Err(Error::invalid(reason::QUERY_INVALID, name, message).into())
 }
 
 /// A request of the query's words; `allowed` are the dotted paths that may occur.
@@ -43,12 +45,13 @@ pub(super) fn from_query(message: MessageDescriptor, uri: &Uri, allowed: &[Strin
     let mut request = DynamicMessage::new(message);
     let pairs = pairs(uri)?;
     for (i, (name, text)) in pairs.iter().enumerate() {
-        let refuse = |words: String| Error::invalid("QUERY_INVALID", name.as_str(), words);
+        let refuse = |words: String| Error::invalid(reason::QUERY_INVALID, name.as_str(), words);
         if !allowed.iter().any(|a| a == name) {
             let known = if allowed.is_empty() { "none".to_owned() } else { allowed.join(", ") };
             return Err(refuse(format!("{name} is not a parameter of this request; there are: {known}")).into());
         }
-        if pairs[..i].iter().any(|(earlier, _)| earlier == name) {
+        let is_list = request.descriptor().get_field_by_name(name).is_some_and(|field| field.is_list());
+        if !is_list && pairs[..i].iter().any(|(earlier, _)| earlier == name) {
             return Err(refuse(format!("{name} is given twice; give it once")).into());
         }
         // A field of that name is the request's own.
@@ -57,6 +60,24 @@ pub(super) fn from_query(message: MessageDescriptor, uri: &Uri, allowed: &[Strin
         }
     }
     Ok(request)
+}
+
+/// The paths of a mask, `name` of the query, with commas between them. Nothing else may be in the query.
+///
+/// # Errors
+/// `QUERY_INVALID`.
+pub(super) fn mask(uri: &Uri, name: &str) -> Result<Option<Vec<String>>, Refused> {
+    let pairs = pairs(uri)?;
+    if let Some((other, _)) = pairs.iter().find(|(n, _)| n != name) {
+        let message = format!("{other} is not a parameter of this request; there are: {name}");
+        return Err(Error::invalid(reason::QUERY_INVALID, other.as_str(), message).into());
+    }
+    if pairs.len() > 1 {
+        let message = format!("{name} is given twice; give it once, with commas between the paths");
+        return Err(Error::invalid(reason::QUERY_INVALID, name, message).into());
+    }
+    let paths = pairs.first().map(|(_, text)| text.split(',').map(|path| path.trim().to_owned()).collect());
+    Ok(paths)
 }
 
 /// The word that the query gives for the form of the answer.
@@ -71,10 +92,10 @@ pub(super) fn form(uri: &Uri) -> Result<Option<String>, Refused> {
 pub(super) fn fill_from_path(message: &mut DynamicMessage, name: &str, field: &str, text: &str) -> Result<(), Refused> {
     let said = at(message, field);
     set(message, field, text)
-        .map_err(|wanted| Error::invalid("PATH_INVALID", name, not_as_wanted(name, text, &wanted)))?;
+        .map_err(|wanted| Error::invalid(reason::PATH_INVALID, name, not_as_wanted(name, text, &wanted)))?;
     if said.is_some() && said != at(message, field) {
         let message = format!("{field} in the body is not the {name} of the path; leave it out, or give the same");
-        return Err(Error::invalid("PATH_MISMATCH", field, message).into());
+        return Err(Error::invalid(reason::PATH_MISMATCH, field, message).into());
     }
     Ok(())
 }
@@ -103,7 +124,10 @@ fn set(message: &mut DynamicMessage, path: &str, text: &str) -> Result<(), Strin
     match rest {
         None => {
             let value = parse(&field.kind(), text)?;
-            message.set_field(&field, value);
+            match message.get_field_mut(&field).as_list_mut() {
+                Some(list) => list.push(value),
+                None => message.set_field(&field, value),
+            }
             Ok(())
         }
         Some(rest) => set(message.get_field_mut(&field).as_message_mut().ok_or_else(unknown)?, rest, text),
@@ -181,6 +205,8 @@ mod tests {
         assert_eq!(r.resume_token, None);
         let r: v1::WatchSessionRequest = read("WatchSessionRequest", "resume_token=0").unwrap();
         assert_eq!(r.resume_token, Some(0));
+        let r: v1::WatchSessionsRequest = read("WatchSessionsRequest", "kinds=pose&kinds=life").unwrap();
+        assert_eq!(r.kinds, [1, 6]);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use super::routes;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
+use percept_service::reason;
 use percept_service::{CallContext, Error};
 use percept_wire::v1::{self, MapFormat};
 use prost::Message;
@@ -53,7 +54,7 @@ pub(super) async fn export(
         let known: Vec<&str> = FILES.iter().map(|f| f.0).collect();
         let shown: String = name.chars().take(80).collect();
         let message = format!("name is {shown:?}; there are {}", known.join(", "));
-        return Err(Error::not_found("FILE_NOT_FOUND", "name", message).into());
+        return Err(Error::not_found(reason::FILE_NOT_FOUND, "name", message).into());
     };
     request.format = (*format).into();
     let compute = api.service.compute().clone();
@@ -120,7 +121,7 @@ fn answer(file: &File, headers: &HeaderMap) -> Result<Response, Refused> {
             }
             Asked::Unsatisfiable => {
                 let message = format!("the file has {size} bytes; ask for a range within them");
-                let refused = Refused::http(StatusCode::RANGE_NOT_SATISFIABLE, "RANGE_NOT_SATISFIABLE", message);
+                let refused = Refused::http(StatusCode::RANGE_NOT_SATISFIABLE, reason::RANGE_NOT_SATISFIABLE, message);
                 return Err(refused.with(header::CONTENT_RANGE, &format!("bytes */{size}")));
             }
         }

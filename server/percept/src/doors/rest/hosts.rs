@@ -5,6 +5,7 @@ use super::refused::Refused;
 use axum::http::request::Parts;
 use axum::http::uri::Authority;
 use axum::http::{Method, StatusCode, header};
+use percept_service::reason;
 use std::net::{IpAddr, SocketAddr};
 
 /// Paths that machines ask by whatever name; they tell nothing.
@@ -38,7 +39,7 @@ impl Hosts {
         if !self.is_ours(host) {
             let shown: String = host.chars().take(200).collect();
             let message = format!("host is {shown:?}; use the server's address, or add it to listen.allowed_hosts");
-            return Err(Refused::http(StatusCode::MISDIRECTED_REQUEST, "HOST_UNKNOWN", message));
+            return Err(Refused::http(StatusCode::MISDIRECTED_REQUEST, reason::HOST_UNKNOWN, message));
         }
         let acts = !matches!(parts.method, Method::GET | Method::HEAD | Method::OPTIONS) || path.ends_with("/events");
         match text(header::ORIGIN) {
@@ -47,7 +48,7 @@ impl Hosts {
                 let message = format!(
                     "origin is {shown:?} but the host is {host:?}; add the origin's host to listen.allowed_hosts"
                 );
-                Err(Refused::http(StatusCode::FORBIDDEN, "ORIGIN_FORBIDDEN", message))
+                Err(Refused::http(StatusCode::FORBIDDEN, reason::ORIGIN_FORBIDDEN, message))
             }
             _ => Ok(()),
         }

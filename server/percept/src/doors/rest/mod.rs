@@ -12,6 +12,7 @@ mod files;
 mod hosts;
 mod openapi;
 mod pages;
+mod patch;
 mod range;
 mod refused;
 mod routes;
@@ -32,6 +33,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodFilter, on};
 use bytes::Bytes;
 use hosts::Hosts;
+use percept_service::reason;
 use percept_service::{Error, observe};
 use refused::Refused;
 use routes::{Bound, Kind, Verb};
@@ -92,6 +94,7 @@ const fn filter(verb: Verb) -> MethodFilter {
     match verb {
         Verb::Get => MethodFilter::GET,
         Verb::Post => MethodFilter::POST,
+        Verb::Patch => MethodFilter::PATCH,
         Verb::Delete => MethodFilter::DELETE,
     }
 }
@@ -114,6 +117,11 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
             is_large = transcode::is_large(&bytes);
             transcode::decode(input, format, bytes).await?
         }
+        Verb::Patch => {
+            let format = transcode::content_format(&parts.headers)?;
+            let bytes = body::read(body, &parts.headers, api.service.limits()).await?;
+            patch::request(input, route.route.body, format, bytes, &parts).await?
+        }
         Verb::Get | Verb::Delete => fields::from_query(input, &parts.uri, &route.route.query_fields(&route.rpc))?,
     };
     let names = path_parameters(&mut parts).await?;
@@ -127,6 +135,13 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
             let output = call(api, context, request).await?;
             transcode::encode(route.rpc.output(), &parts.headers, output).await
         }
+        Kind::Tagged(call, tag) => {
+            let output = call(api, context, request).await?;
+            let tag = tag(&output);
+            let mut response = transcode::encode(route.rpc.output(), &parts.headers, output).await?;
+            patch::tell_tag(&mut response, tag.as_deref());
+            Ok(response)
+        }
         Kind::SceneGraph(call) => {
             if routes::wants_dot(&parts)? {
                 return routes::scene_as_dot(&api, context, request).await;
@@ -135,6 +150,7 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
             transcode::encode(route.rpc.output(), &parts.headers, output).await
         }
         Kind::Events => events::watch(&api, context, request, &parts.headers).await,
+        Kind::FleetEvents => events::watch_all(&api, context, request, &parts.headers).await,
         Kind::File => {
             let name = names.iter().find(|(n, _)| n == "name").map(|(_, v)| v.as_str()).unwrap_or_default();
             files::export(&api, context, request, name, &parts.headers).await
@@ -144,20 +160,21 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
 
 async fn path_parameters(parts: &mut Parts) -> Result<Vec<(String, String)>, Refused> {
     let params = RawPathParams::from_request_parts(parts, &()).await;
-    let params = params.map_err(|e| Error::invalid("PATH_INVALID", "", format!("the path cannot be read: {e}")))?;
+    let params =
+        params.map_err(|e| Error::invalid(reason::PATH_INVALID, "", format!("the path cannot be read: {e}")))?;
     Ok(params.iter().map(|(name, value)| (name.to_owned(), value.to_owned())).collect())
 }
 
 async fn not_found(uri: Uri) -> Refused {
     let path: String = uri.path().chars().take(200).collect();
     let message = format!("there is nothing at {path}; /openapi.json lists what there is, /docs shows it");
-    Error::not_found("ROUTE_NOT_FOUND", "", message).into()
+    Error::not_found(reason::ROUTE_NOT_FOUND, "", message).into()
 }
 
 async fn not_allowed(method: Method, uri: Uri) -> Refused {
     let path: String = uri.path().chars().take(200).collect();
     let message = format!("{method} is not served at {path}; the Allow header lists the methods that are");
-    Refused::http(StatusCode::METHOD_NOT_ALLOWED, "METHOD_NOT_ALLOWED", message)
+    Refused::http(StatusCode::METHOD_NOT_ALLOWED, reason::METHOD_NOT_ALLOWED, message)
 }
 
 /// JSON and pages only: files have strong entity tags, which compression would belie, and events must not wait.

@@ -4,8 +4,10 @@ use super::comments::Comments;
 use super::fields;
 use super::files::FILES;
 use super::pages::PAGES;
+use super::patch::MASK;
 use super::routes::{Bound, Kind as Answer, Verb};
 use percept_service::caller::rules::{About, rule};
+use percept_service::reason;
 use percept_wire::json;
 use prost_reflect::{EnumDescriptor, FieldDescriptor, Kind, MessageDescriptor, MethodDescriptor, OneofDescriptor};
 use serde_json::{Map, Value, json};
@@ -95,6 +97,21 @@ fn operation(bound: &Bound, comments: &Comments) -> Value {
             "content": {"application/json": {"schema": body(bound)}},
         });
     }
+    if route.verb == Verb::Patch {
+        let resource = rpc.input().get_field_by_name(route.body).map(|f| f.kind());
+        let name = resource.as_ref().and_then(Kind::as_message).map(|m| m.name().to_owned()).unwrap_or_default();
+        out["requestBody"] = json!({
+            "required": true,
+            "description": format!("What changes. The path fills {}.", route.fill.iter().map(|f| f.1).collect::<Vec<_>>().join(", ")),
+            "content": {"application/json": {"schema": reference(&name)}},
+        });
+        out["responses"]["412"] = json!({"$ref": "#/components/responses/Problem"});
+    }
+    if matches!(route.kind, Answer::Tagged(..)) {
+        out["responses"]["200"]["headers"] = json!({"ETag": {
+            "schema": {"type": "string"}, "description": "The etag of what is in the answer: callers' settings, not what frames do.",
+        }});
+    }
     if matches!(route.kind, Answer::File) {
         out["responses"]["206"] = json!({"description": "The part that Range asked for."});
         out["responses"]["304"] = json!({"description": "If-None-Match holds the file's ETag."});
@@ -143,7 +160,7 @@ fn answer(bound: &Bound) -> Value {
             "description": "All messages of the stream, joined into one.",
             "content": {"application/json": json},
         }),
-        Answer::Message(_) => json!({
+        Answer::Message(_) | Answer::Tagged(..) => json!({
             "description": "The answer.",
             "content": {"application/json": json},
         }),
@@ -158,6 +175,11 @@ fn answer(bound: &Bound) -> Value {
             "description": "Server-sent events: each one's data is a SessionEvent, its id the event's token. \
                 Last-Event-ID goes on after that event. An event of type problem (ErrorInfo) ends the stream.",
             "content": {"text/event-stream": {"schema": reference("SessionEvent")}},
+        }),
+        Answer::FleetEvents => json!({
+            "description": "Server-sent events: each one's data is a FleetEvent, its id the event's token. \
+                Last-Event-ID goes on after that event. An event of type problem (ErrorInfo) ends the stream.",
+            "content": {"text/event-stream": {"schema": reference("FleetEvent")}},
         }),
         Answer::File => json!({
             "description": "The file, with ETag, Content-Digest and Repr-Digest (SHA-256) and percept-map-version.",
@@ -199,7 +221,16 @@ fn parameters(bound: &Bound, comments: &Comments) -> Vec<Value> {
             }),
         });
     }
-    if matches!(bound.route.kind, Answer::Events) {
+    if bound.route.verb == Verb::Patch {
+        let words = "Paths of the fields that change, with commas between them, e.g. display_name,params.planning. What is named \
+            and not in the body becomes empty, a parameter its default. Absent: what the body sets.";
+        out.push(
+            json!({"name": MASK, "in": "query", "required": false, "description": words, "schema": {"type": "string"}}),
+        );
+        let words = "The ETag that was seen: refused with 412 if it is another one by now.";
+        out.push(json!({"name": "If-Match", "in": "header", "required": false, "description": words, "schema": {"type": "string"}}));
+    }
+    if matches!(bound.route.kind, Answer::Events | Answer::FleetEvents) {
         let words = "Token of the last event seen; goes before resume_token.";
         out.push(json!({"name": "Last-Event-ID", "in": "header", "required": false, "description": words, "schema": {"type": "string"}}));
     }
@@ -208,6 +239,11 @@ fn parameters(bound: &Bound, comments: &Comments) -> Vec<Value> {
 
 /// A scalar as it stands in a path or a query.
 fn word(field: &FieldDescriptor) -> Value {
+    let one = one_word(field);
+    if field.is_list() { json!({"type": "array", "items": one}) } else { one }
+}
+
+fn one_word(field: &FieldDescriptor) -> Value {
     match field.kind() {
         Kind::Enum(kind) => {
             let short = fields::short_names(&kind);
@@ -233,6 +269,8 @@ fn schemas(comments: &Comments) -> Value {
     let mut all: Map<String, Value> = messages.map(described).collect();
     all.extend(enums.map(|e| (e.name().to_owned(), enumeration(&e, comments))));
     all.insert("Problem".to_owned(), problem());
+    all.insert("Reason".to_owned(), reasons());
+    all.insert("FieldMask".to_owned(), json!({"type": "string", "description": "Paths with commas between them."}));
     Value::Object(all)
 }
 
@@ -247,12 +285,22 @@ fn problem() -> Value {
             "title": text("Words of the HTTP status."),
             "status": {"type": "integer", "description": "HTTP status."},
             "detail": text("One sentence: field, value, remedy."),
-            "reason": text("Stable, upper-case, e.g. SESSION_NOT_FOUND."),
+            "reason": reference("Reason"),
             "field": text("Path of the offending field; empty if none."),
             "code": text("Name of the gRPC code."),
             "trace_id": text("The request's trace, 32 hexadecimal digits; empty if it has none."),
         },
     })
+}
+
+/// The catalogue. Newer servers may know more.
+fn reasons() -> Value {
+    let mut words = "Why a request was refused; stable. Newer servers may say others.".to_owned();
+    for entry in reason::CATALOGUE {
+        words.push_str(&format!(" {} ({}): {}", entry.name, entry.code.name(), entry.about));
+    }
+    let names: Vec<&str> = reason::CATALOGUE.iter().map(|entry| entry.name).collect();
+    json!({"type": "string", "description": words, "examples": names})
 }
 
 /// Full names of the messages that requests, or answers, are made of.

@@ -8,7 +8,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use bytes::Bytes;
-use percept_service::{Readiness, observe};
+use percept_service::{Readiness, observe, reason};
 use percept_wire::convert;
 use serde_json::{Value, json};
 
@@ -26,6 +26,7 @@ pub(super) struct Page {
 enum Content {
     Html(&'static str),
     OpenApi,
+    Reasons,
     Alive,
     Ready,
     Metrics,
@@ -69,6 +70,7 @@ pub(super) const PAGES: &[Page] = &[
     page("/", "LivePage", "Sessions, live, in a browser", HTML, Content::Html(include_str!("live.html"))),
     page("/docs", "DocsPage", "This API, to browse and try", HTML, Content::Html(include_str!("docs.html"))),
     page("/openapi.json", "OpenApi", "This document", JSON, Content::OpenApi),
+    page("/reasons", "Reasons", "Every reason of an error, and what it means", "text/markdown; charset=utf-8", Content::Reasons),
     page("/livez", "Live", "Whether the process runs", TEXT, Content::Alive),
     page("/readyz", "Ready", "Whether requests are taken, and if not, why", JSON, Content::Ready),
     page("/healthz", "Health", "The same as /readyz", JSON, Content::Ready),
@@ -85,7 +87,7 @@ const POLICY: HeaderValue = HeaderValue::from_static(
 pub(super) fn router(api: &Api, document: Bytes) -> Router {
     let is_served = |page: &&Page| match page.content {
         Content::Metrics => api.shows_metrics,
-        _ => api.listen.docs || !matches!(page.path, "/docs" | "/openapi.json"),
+        _ => api.listen.docs || !matches!(page.path, "/docs" | "/openapi.json" | "/reasons"),
     };
     let shown = PAGES.iter().filter(is_served);
     routed(shown, api, &document)
@@ -108,6 +110,7 @@ fn answer(page: &Page, api: &Api, document: Bytes) -> Response {
     let (status, body) = match page.content {
         Content::Html(text) => (StatusCode::OK, Bytes::from_static(text.as_bytes())),
         Content::OpenApi => (StatusCode::OK, document),
+        Content::Reasons => (StatusCode::OK, Bytes::from(reason::markdown())),
         Content::Alive => (StatusCode::OK, Bytes::from_static(b"ok\n")),
         Content::Ready => readiness(&api.service.health().readiness()),
         Content::Metrics => (StatusCode::OK, Bytes::from(observe::text())),

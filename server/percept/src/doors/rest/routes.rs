@@ -9,6 +9,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::future::BoxFuture;
 use futures::{Stream, StreamExt};
+use percept_service::reason;
 use percept_service::{CallContext, Error};
 use percept_wire::convert::geometry;
 use percept_wire::parts::InParts;
@@ -37,11 +38,15 @@ use v1::toolbox_shapes_service_server::ToolboxShapesService;
 /// An rpc from encoded request to encoded response.
 pub(super) type Call = fn(Api, CallContext, Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>>;
 
+/// The tag of the resource in an encoded response.
+pub(super) type Tag = fn(&[u8]) -> Option<String>;
+
 /// HTTP methods in use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Verb {
     Get,
     Post,
+    Patch,
     Delete,
 }
 
@@ -51,6 +56,7 @@ impl Verb {
         match self {
             Self::Get => "get",
             Self::Post => "post",
+            Self::Patch => "patch",
             Self::Delete => "delete",
         }
     }
@@ -61,15 +67,19 @@ impl Verb {
 pub(super) enum Kind {
     /// The response message; of a stream, its messages joined into one.
     Message(Call),
+    /// The same, with the tag of what is in it as its entity tag.
+    Tagged(Call, Tag),
     /// The same, or Graphviz.
     SceneGraph(Call),
     /// Server-sent events.
     Events,
+    /// The same, of all sessions.
+    FleetEvents,
     /// A file.
     File,
 }
 
-/// A route. A `POST` carries the request message as its body, the others say it in the query.
+/// A route. A `POST` carries the request message as its body, a `PATCH` the resource in it, the others say it in the query.
 pub(super) struct Route {
     pub(super) verb: Verb,
     pub(super) path: &'static str,
@@ -78,6 +88,8 @@ pub(super) struct Route {
     /// Path parameters and the dotted field of the request that each one fills.
     pub(super) fill: &'static [(&'static str, &'static str)],
     pub(super) kind: Kind,
+    /// The field that the body of a `PATCH` is.
+    pub(super) body: &'static str,
 }
 
 /// A route with its rpc of the contract.
@@ -110,7 +122,7 @@ impl Route {
     /// Names that may stand in the query: the request's scalars that the path does not fill.
     pub(super) fn query_fields(&self, rpc: &MethodDescriptor) -> Vec<String> {
         let mut names = match self.kind {
-            _ if self.verb == Verb::Post => vec![],
+            _ if matches!(self.verb, Verb::Post | Verb::Patch) => vec![],
             // Its format is the file's name.
             Kind::File => vec![],
             _ => fields::leaves(&rpc.input()).into_iter().map(|(path, _)| path).collect(),
@@ -135,15 +147,32 @@ fn decode<M: Message + Default>(request: Bytes) -> Result<M, Refused> {
 }
 
 /// A unary rpc.
-macro_rules! unary {
-    ($kind:ident $rpc:ident) => {{
+macro_rules! call {
+    ($rpc:ident) => {{
         fn call(api: Api, context: CallContext, request: Bytes) -> BoxFuture<'static, Result<Vec<u8>, Refused>> {
             Box::pin(async move {
                 let answer = api.$rpc(asked(context, decode(request)?)).await?;
                 Ok(answer.into_inner().encode_to_vec())
             })
         }
-        Kind::$kind(call)
+        call
+    }};
+}
+
+/// A unary rpc of a kind.
+macro_rules! unary {
+    ($kind:ident $rpc:ident) => {
+        Kind::$kind(call!($rpc))
+    };
+}
+
+/// A unary rpc that answers with a session or a sensor.
+macro_rules! tagged {
+    ($rpc:ident, $answer:ident, $field:ident) => {{
+        fn tag(answer: &[u8]) -> Option<String> {
+            Some(v1::$answer::decode(answer).ok()?.$field?.etag)
+        }
+        Kind::Tagged(call!($rpc), tag)
     }};
 }
 
@@ -185,7 +214,9 @@ pub(super) async fn collect<T>(stream: impl Stream<Item = Result<T, Status>>) ->
 
 fn join_trajectory(parts: Vec<v1::GetTrajectoryResponse>) -> v1::GetTrajectoryResponse {
     let map_version = parts.first().map(|p| p.map_version).unwrap_or_default();
-    v1::GetTrajectoryResponse { map_version, poses: parts.into_iter().flat_map(|p| p.poses).collect() }
+    let next_page_token = parts.last().map(|p| p.next_page_token.clone()).unwrap_or_default();
+    let poses = parts.into_iter().flat_map(|p| p.poses).collect();
+    v1::GetTrajectoryResponse { map_version, poses, next_page_token }
 }
 
 fn join_grid(parts: Vec<v1::GetOccupancyGridResponse>) -> v1::GetOccupancyGridResponse {
@@ -232,7 +263,7 @@ pub(super) fn wants_dot(parts: &Parts) -> Result<bool, Refused> {
         Some(other) => {
             let shown: String = other.chars().take(80).collect();
             let message = format!("format is {shown:?}; it must be json or dot");
-            Err(Error::invalid("QUERY_INVALID", "format", message).into())
+            Err(Error::invalid(reason::QUERY_INVALID, "format", message).into())
         }
     }
 }
@@ -245,6 +276,9 @@ pub(super) async fn scene_as_dot(api: &Api, context: CallContext, request: Bytes
 }
 
 const SESSION: &[(&str, &str)] = &[("session_id", "session_id")];
+const OF_SESSION: &[(&str, &str)] = &[("session_id", "session.session_id")];
+const SENSOR: &[(&str, &str)] = &[("session_id", "session_id"), ("sensor_id", "sensor_id")];
+const OF_SENSOR: &[(&str, &str)] = &[("session_id", "session_id"), ("sensor_id", "spec.sensor_id")];
 const SOURCE: &[(&str, &str)] = &[("session_id", "source.session_id")];
 const MESSAGE: &[(&str, &str)] = &[("session_id", "message.session_id")];
 const CLOUD: &[(&str, &str)] = &[("handle", "handle")];
@@ -257,7 +291,7 @@ const fn get(
     fill: &'static [(&'static str, &'static str)],
     kind: Kind,
 ) -> Route {
-    Route { verb: Verb::Get, path, rpc, fill, kind }
+    Route { verb: Verb::Get, path, rpc, fill, kind, body: "" }
 }
 
 const fn post(
@@ -266,7 +300,7 @@ const fn post(
     fill: &'static [(&'static str, &'static str)],
     kind: Kind,
 ) -> Route {
-    Route { verb: Verb::Post, path, rpc, fill, kind }
+    Route { verb: Verb::Post, path, rpc, fill, kind, body: "" }
 }
 
 const fn delete(
@@ -275,7 +309,17 @@ const fn delete(
     fill: &'static [(&'static str, &'static str)],
     kind: Kind,
 ) -> Route {
-    Route { verb: Verb::Delete, path, rpc, fill, kind }
+    Route { verb: Verb::Delete, path, rpc, fill, kind, body: "" }
+}
+
+const fn patch(
+    path: &'static str,
+    rpc: &'static str,
+    fill: &'static [(&'static str, &'static str)],
+    body: &'static str,
+    kind: Kind,
+) -> Route {
+    Route { verb: Verb::Patch, path, rpc, fill, kind, body }
 }
 
 /// Every route that is an rpc. `StreamFrames` and `UploadLargeCloud` have none: a stream in needs gRPC, or zenoh.
@@ -283,17 +327,22 @@ const fn delete(
 pub(super) static ROUTES: &[Route] = &[
     get("/v1/server", "ServerService/GetServerInfo", &[], unary!(Message get_server_info)),
 
-    post("/v1/sessions", "SessionsService/CreateSession", &[], unary!(Message create_session)),
+    post("/v1/sessions", "SessionsService/CreateSession", &[], tagged!(create_session, CreateSessionResponse, session)),
     get("/v1/sessions", "SessionsService/ListSessions", &[], unary!(Message list_sessions)),
-    get("/v1/sessions/{session_id}", "SessionsService/GetSession", SESSION, unary!(Message get_session)),
+    get("/v1/sessions/{session_id}", "SessionsService/GetSession", SESSION, tagged!(get_session, GetSessionResponse, session)),
+    patch("/v1/sessions/{session_id}", "SessionsService/UpdateSession", OF_SESSION, "session", tagged!(update_session, UpdateSessionResponse, session)),
     delete("/v1/sessions/{session_id}", "SessionsService/DeleteSession", SESSION, unary!(Message delete_session)),
     get("/v1/sessions/{session_id}/pose", "SessionsService/GetPose", SESSION, unary!(Message get_pose)),
+    get("/v1/sessions/{session_id}/transform", "SessionsService/LookupTransform", SESSION, unary!(Message lookup_transform)),
     get("/v1/sessions/{session_id}/trajectory", "SessionsService/GetTrajectory", SESSION, joined!(get_trajectory, join_trajectory)),
     get("/v1/sessions/{session_id}/keyframes", "SessionsService/ListKeyframes", SESSION, unary!(Message list_keyframes)),
     get("/v1/sessions/{session_id}/events", "SessionsService/WatchSession", SESSION, Kind::Events),
+    get("/v1/events", "SessionsService/WatchSessions", &[], Kind::FleetEvents),
     get("/v1/default-params", "SessionsService/GetDefaultParams", &[], unary!(Message get_default_params)),
 
-    post("/v1/sessions/{session_id}/sensors", "SensorsService/DeclareSensor", SESSION, unary!(Message declare_sensor)),
+    post("/v1/sessions/{session_id}/sensors", "SensorsService/DeclareSensor", SESSION, tagged!(declare_sensor, DeclareSensorResponse, sensor)),
+    get("/v1/sessions/{session_id}/sensors/{sensor_id}", "SensorsService/GetSensor", SENSOR, tagged!(get_sensor, GetSensorResponse, sensor)),
+    patch("/v1/sessions/{session_id}/sensors/{sensor_id}", "SensorsService/UpdateSensor", OF_SENSOR, "spec", tagged!(update_sensor, UpdateSensorResponse, sensor)),
     get("/v1/sessions/{session_id}/sensors", "SensorsService/ListSensors", SESSION, unary!(Message list_sensors)),
     post("/v1/sessions/{session_id}/frames", "SensorsService/SendFrame", MESSAGE, unary!(Message send_frame)),
     get("/v1/time-sync", "SensorsService/SyncTime", &[], unary!(Message sync_time)),

@@ -6,6 +6,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use percept_service::Error;
+use percept_service::reason;
 use percept_wire::json;
 use prost::encoding::{DecodeContext, decode_key, skip_field};
 use prost_reflect::{DeserializeOptions, DynamicMessage, Kind, MessageDescriptor, SerializeOptions};
@@ -36,7 +37,7 @@ pub(super) fn content_format(headers: &HeaderMap) -> Result<Format, Refused> {
         PROTOBUF | "application/protobuf" => Ok(Format::Protobuf),
         other => {
             let message = format!("content-type is {other:?}; send application/json, or {PROTOBUF}");
-            Err(Refused::http(StatusCode::UNSUPPORTED_MEDIA_TYPE, "MEDIA_TYPE_UNSUPPORTED", message))
+            Err(Refused::http(StatusCode::UNSUPPORTED_MEDIA_TYPE, reason::MEDIA_TYPE_UNSUPPORTED, message))
         }
     }
 }
@@ -110,7 +111,7 @@ fn from_json(message: &MessageDescriptor, body: &[u8]) -> Result<DynamicMessage,
         let fault = |value| first_fault(message, value).or_else(|| strict::first_misfit(message, value));
         let (field, what) = value.as_ref().and_then(fault).unwrap_or_else(|| (String::new(), e.to_string()));
         let place = if field.is_empty() { "body".to_owned() } else { field.clone() };
-        Error::invalid("JSON_INVALID", field, format!("{place} is not as {} has it: {what}", message.name()))
+        Error::invalid(reason::JSON_INVALID, field, format!("{place} is not as {} has it: {what}", message.name()))
     })
 }
 
@@ -156,7 +157,8 @@ fn joined(outer: &str, inner: &str) -> String {
 }
 
 fn from_protobuf(message: &MessageDescriptor, body: Bytes) -> Result<DynamicMessage, Error> {
-    let invalid = |e| Error::invalid("PROTOBUF_INVALID", "", format!("body is not an encoded {}: {e}", message.name()));
+    let invalid =
+        |e| Error::invalid(reason::PROTOBUF_INVALID, "", format!("body is not an encoded {}: {e}", message.name()));
     // A frame may come as it is, without the request around it, which has field 1 and no other.
     if message.name() == "SendFrameRequest" && !only_field_one(body.clone()) {
         let bare = DynamicMessage::decode(json::descriptor("SensorMessage")?, body).map_err(invalid)?;

@@ -21,6 +21,7 @@ use super::grpc::{Api, ingest};
 use crate::config::Tls;
 use access::Policy;
 use percept_identity::AuthSettings;
+use percept_service::reason;
 use percept_service::{Caller, Error, IncomingFrame, observe};
 use percept_wire::v1;
 use prost::Message;
@@ -182,11 +183,11 @@ fn message_of(api: &Api, session: &str, sensor: &str, sample: &Sample) -> Result
     let (size, limit) = (sample.payload().len(), api.service.limits().max_message_bytes);
     if size > limit {
         let words = format!("message has {size} bytes, the limit is {limit}; send less at a time, or downsample");
-        return Err(Error::exhausted("MESSAGE_TOO_LARGE", "", words));
+        return Err(Error::exhausted(reason::MESSAGE_TOO_LARGE, "", words));
     }
     let bytes = bytes::Bytes::copy_from_slice(&sample.payload().to_bytes());
     let mut message = v1::SensorMessage::decode(bytes)
-        .map_err(|e| Error::invalid("MESSAGE_INVALID", "", format!("payload is no SensorMessage: {e}")))?;
+        .map_err(|e| Error::invalid(reason::MESSAGE_INVALID, "", format!("payload is no SensorMessage: {e}")))?;
     for (field, from_key, sent) in
         [("session_id", session, &mut message.session_id), ("sensor_id", sensor, &mut message.sensor_id)]
     {
@@ -194,7 +195,7 @@ fn message_of(api: &Api, session: &str, sensor: &str, sample: &Sample) -> Result
             *sent = from_key.to_owned();
         } else if sent != from_key {
             let words = format!("{field} is {sent:?} but the key says {from_key:?}; make them agree, or leave it out");
-            return Err(Error::invalid("KEY_MISMATCH", field, words));
+            return Err(Error::invalid(reason::KEY_MISMATCH, field, words));
         }
     }
     Ok(message)

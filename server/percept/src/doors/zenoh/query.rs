@@ -6,6 +6,7 @@ use crate::telemetry::operations::{Operation, UNKNOWN};
 use crate::telemetry::requests::Request;
 use percept_service::Error;
 use percept_service::observe::Door;
+use percept_service::reason;
 use percept_wire::{convert, v1};
 use prost::Message;
 use std::future::Future;
@@ -102,14 +103,14 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
             Some(pose) => convert::sessions::pose_to(pose).encode_to_vec(),
             None => {
                 let words = "the session has no pose yet; send frames first";
-                return Err(Error::new(percept_service::ErrorCode::FailedPrecondition, "NO_POSE_YET", words));
+                return Err(Error::new(percept_service::ErrorCode::FailedPrecondition, reason::NO_POSE_YET, words));
             }
         },
         _ => {
             let words = format!(
                 "{question:?} is no question; ask map/occupancy, map/cloud, scene/graph, scene/objects, sensors or pose"
             );
-            return Err(Error::not_found("KEY_UNKNOWN", "", words));
+            return Err(Error::not_found(reason::KEY_UNKNOWN, "", words));
         }
     })
 }
