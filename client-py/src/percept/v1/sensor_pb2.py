@@ -15,47 +15,47 @@ _sym_db = _symbol_database.Default()
 from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17percept/v1/sensor.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\"\xbe\x01\n\x10\x43\x61meraIntrinsics\x12\x10\n\x08width_px\x18\x01 \x01(\r\x12\x11\n\theight_px\x18\x02 \x01(\r\x12\r\n\x05\x66x_px\x18\x03 \x01(\x01\x12\r\n\x05\x66y_px\x18\x04 \x01(\x01\x12\r\n\x05\x63x_px\x18\x05 \x01(\x01\x12\r\n\x05\x63y_px\x18\x06 \x01(\x01\x12\x35\n\x10\x64istortion_model\x18\x07 \x01(\x0e\x32\x1b.percept.v1.DistortionModel\x12\x12\n\ndistortion\x18\x08 \x03(\x01\"\x80\x02\n\nSensorSpec\x12\x11\n\tsensor_id\x18\x01 \x01(\t\x12$\n\x04kind\x18\x02 \x01(\x0e\x32\x16.percept.v1.SensorKind\x12\'\n\rt_base_sensor\x18\x03 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x35\n\nintrinsics\x18\x04 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsicsH\x00\x88\x01\x01\x12\x15\n\rtime_offset_s\x18\x05 \x01(\x01\x12\x33\n\x0foverload_policy\x18\x06 \x01(\x0e\x32\x1a.percept.v1.OverloadPolicyB\r\n\x0b_intrinsics\"\xd2\x01\n\nDepthImage\x12\x10\n\x08width_px\x18\x01 \x01(\r\x12\x11\n\theight_px\x18\x02 \x01(\r\x12+\n\x08\x65ncoding\x18\x03 \x01(\x0e\x32\x19.percept.v1.DepthEncoding\x12\x1c\n\x0fmetres_per_unit\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x1d\n\x10row_stride_bytes\x18\x05 \x01(\rH\x01\x88\x01\x01\x12\x0c\n\x04\x64\x61ta\x18\x06 \x01(\x0c\x42\x12\n\x10_metres_per_unitB\x13\n\x11_row_stride_bytes\"\xa0\x01\n\nColorImage\x12\x10\n\x08width_px\x18\x01 \x01(\r\x12\x11\n\theight_px\x18\x02 \x01(\r\x12+\n\x08\x65ncoding\x18\x03 \x01(\x0e\x32\x19.percept.v1.ColorEncoding\x12\x1d\n\x10row_stride_bytes\x18\x04 \x01(\rH\x00\x88\x01\x01\x12\x0c\n\x04\x64\x61ta\x18\x05 \x01(\x0c\x42\x13\n\x11_row_stride_bytes\"Y\n\tRgbdImage\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12%\n\x05\x63olor\x18\x02 \x01(\x0b\x32\x16.percept.v1.ColorImage\"\xef\x01\n\tLaserScan\x12\x15\n\rangle_min_rad\x18\x01 \x01(\x01\x12\x1b\n\x13\x61ngle_increment_rad\x18\x02 \x01(\x01\x12\x13\n\x0brange_min_m\x18\x03 \x01(\x01\x12\x13\n\x0brange_max_m\x18\x04 \x01(\x01\x12\x18\n\x10time_increment_s\x18\x05 \x01(\x01\x12\x10\n\x08ranges_m\x18\x06 \x01(\x0c\x12\x18\n\x0bintensities\x18\x07 \x01(\x0cH\x00\x88\x01\x01\x12\x1b\n\x0elater_echoes_m\x18\x08 \x01(\x0cH\x01\x88\x01\x01\x42\x0e\n\x0c_intensitiesB\x11\n\x0f_later_echoes_m\"w\n\tImuSample\x12\x33\n\x16\x61ngular_velocity_radps\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x35\n\x18linear_acceleration_mps2\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3\"x\n\x0eOdometrySample\x12%\n\x0bt_odom_base\x18\x01 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x30\n\ncovariance\x18\x02 \x01(\x0b\x32\x17.percept.v1.Covariance6H\x00\x88\x01\x01\x42\r\n\x0b_covariance\"\x81\x03\n\rSensorMessage\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tsensor_id\x18\x02 \x01(\t\x12\x10\n\x08sequence\x18\x03 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x04 \x01(\x03\x12\'\n\x05\x64\x65pth\x18\n \x01(\x0b\x32\x16.percept.v1.DepthImageH\x00\x12%\n\x04rgbd\x18\x0b \x01(\x0b\x32\x15.percept.v1.RgbdImageH\x00\x12\'\n\x05\x63olor\x18\x0c \x01(\x0b\x32\x16.percept.v1.ColorImageH\x00\x12\'\n\x05\x63loud\x18\r \x01(\x0b\x32\x16.percept.v1.PointCloudH\x00\x12%\n\x04scan\x18\x0e \x01(\x0b\x32\x15.percept.v1.LaserScanH\x00\x12$\n\x03imu\x18\x0f \x01(\x0b\x32\x15.percept.v1.ImuSampleH\x00\x12.\n\x08odometry\x18\x10 \x01(\x0b\x32\x1a.percept.v1.OdometrySampleH\x00\x42\x06\n\x04\x64\x61ta\"M\n\rStreamTrouble\x12+\n\x04kind\x18\x01 \x01(\x0e\x32\x1d.percept.v1.StreamTroubleKind\x12\x0f\n\x07message\x18\x02 \x01(\t\"\xf7\x02\n\x0cSensorStatus\x12$\n\x04spec\x18\x01 \x01(\x0b\x32\x16.percept.v1.SensorSpec\x12\x10\n\x08\x61\x63\x63\x65pted\x18\x02 \x01(\x04\x12\x10\n\x08rejected\x18\x03 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\x04 \x01(\x04\x12\x0c\n\x04gaps\x18\x05 \x01(\x04\x12\x14\n\x07rate_hz\x18\x06 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\rlast_stamp_ns\x18\x07 \x01(\x03H\x01\x88\x01\x01\x12*\n\x07verdict\x18\x08 \x01(\x0e\x32\x19.percept.v1.StreamVerdict\x12\x1b\n\x0e\x63lock_offset_s\x18\t \x01(\x01H\x02\x88\x01\x01\x12+\n\x08troubles\x18\n \x03(\x0b\x32\x19.percept.v1.StreamTrouble\x12\x17\n\x0fverdict_message\x18\x0b \x01(\t\x12\x0c\n\x04\x65tag\x18\x0c \x01(\tB\n\n\x08_rate_hzB\x10\n\x0e_last_stamp_nsB\x11\n\x0f_clock_offset_s*\xcf\x01\n\nSensorKind\x12\x1b\n\x17SENSOR_KIND_UNSPECIFIED\x10\x00\x12\x15\n\x11SENSOR_KIND_DEPTH\x10\x01\x12\x14\n\x10SENSOR_KIND_RGBD\x10\x02\x12\x16\n\x12SENSOR_KIND_CAMERA\x10\x03\x12\x17\n\x13SENSOR_KIND_LIDAR3D\x10\x04\x12\x17\n\x13SENSOR_KIND_LIDAR2D\x10\x05\x12\x13\n\x0fSENSOR_KIND_IMU\x10\x06\x12\x18\n\x14SENSOR_KIND_ODOMETRY\x10\x07*\x90\x01\n\x0f\x44istortionModel\x12 \n\x1c\x44ISTORTION_MODEL_UNSPECIFIED\x10\x00\x12\x1e\n\x1a\x44ISTORTION_MODEL_PLUMB_BOB\x10\x01\x12\x1d\n\x19\x44ISTORTION_MODEL_RATIONAL\x10\x02\x12\x1c\n\x18\x44ISTORTION_MODEL_FISHEYE\x10\x03*m\n\x0eOverloadPolicy\x12\x1f\n\x1bOVERLOAD_POLICY_UNSPECIFIED\x10\x00\x12\x19\n\x15OVERLOAD_POLICY_BLOCK\x10\x01\x12\x1f\n\x1bOVERLOAD_POLICY_DROP_OLDEST\x10\x02*y\n\rDepthEncoding\x12\x1e\n\x1a\x44\x45PTH_ENCODING_UNSPECIFIED\x10\x00\x12\x16\n\x12\x44\x45PTH_ENCODING_U16\x10\x01\x12\x16\n\x12\x44\x45PTH_ENCODING_F32\x10\x02\x12\x18\n\x14\x44\x45PTH_ENCODING_PNG16\x10\x03*\x93\x01\n\rColorEncoding\x12\x1e\n\x1a\x43OLOR_ENCODING_UNSPECIFIED\x10\x00\x12\x17\n\x13\x43OLOR_ENCODING_RGB8\x10\x01\x12\x17\n\x13\x43OLOR_ENCODING_JPEG\x10\x02\x12\x16\n\x12\x43OLOR_ENCODING_PNG\x10\x03\x12\x18\n\x14\x43OLOR_ENCODING_GRAY8\x10\x04*\x82\x01\n\rStreamVerdict\x12\x1e\n\x1aSTREAM_VERDICT_UNSPECIFIED\x10\x00\x12\x1b\n\x17STREAM_VERDICT_NO_FRAME\x10\x01\x12\x17\n\x13STREAM_VERDICT_GOOD\x10\x02\x12\x1b\n\x17STREAM_VERDICT_TROUBLED\x10\x03*\xe5\x01\n\x11StreamTroubleKind\x12#\n\x1fSTREAM_TROUBLE_KIND_UNSPECIFIED\x10\x00\x12 \n\x1cSTREAM_TROUBLE_KIND_REJECTED\x10\x01\x12\x1f\n\x1bSTREAM_TROUBLE_KIND_DROPPED\x10\x02\x12\x1c\n\x18STREAM_TROUBLE_KIND_GAPS\x10\x03\x12$\n STREAM_TROUBLE_KIND_CLOCK_OFFSET\x10\x04\x12$\n STREAM_TROUBLE_KIND_MOUNT_OFFSET\x10\x05\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17percept/v1/sensor.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\"\xbe\x01\n\x10\x43\x61meraIntrinsics\x12\x10\n\x08width_px\x18\x01 \x01(\r\x12\x11\n\theight_px\x18\x02 \x01(\r\x12\r\n\x05\x66x_px\x18\x03 \x01(\x01\x12\r\n\x05\x66y_px\x18\x04 \x01(\x01\x12\r\n\x05\x63x_px\x18\x05 \x01(\x01\x12\r\n\x05\x63y_px\x18\x06 \x01(\x01\x12\x35\n\x10\x64istortion_model\x18\x07 \x01(\x0e\x32\x1b.percept.v1.DistortionModel\x12\x12\n\ndistortion\x18\x08 \x03(\x01\"\x80\x02\n\nSensorSpec\x12\x11\n\tsensor_id\x18\x01 \x01(\t\x12$\n\x04kind\x18\x02 \x01(\x0e\x32\x16.percept.v1.SensorKind\x12\'\n\rt_base_sensor\x18\x03 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x35\n\nintrinsics\x18\x04 \x01(\x0b\x32\x1c.percept.v1.CameraIntrinsicsH\x00\x88\x01\x01\x12\x15\n\rtime_offset_s\x18\x05 \x01(\x01\x12\x33\n\x0foverload_policy\x18\x06 \x01(\x0e\x32\x1a.percept.v1.OverloadPolicyB\r\n\x0b_intrinsics\"\xd2\x01\n\nDepthImage\x12\x10\n\x08width_px\x18\x01 \x01(\r\x12\x11\n\theight_px\x18\x02 \x01(\r\x12+\n\x08\x65ncoding\x18\x03 \x01(\x0e\x32\x19.percept.v1.DepthEncoding\x12\x1c\n\x0fmetres_per_unit\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x1d\n\x10row_stride_bytes\x18\x05 \x01(\rH\x01\x88\x01\x01\x12\x0c\n\x04\x64\x61ta\x18\x06 \x01(\x0c\x42\x12\n\x10_metres_per_unitB\x13\n\x11_row_stride_bytes\"\xa2\x01\n\x0b\x43olourImage\x12\x10\n\x08width_px\x18\x01 \x01(\r\x12\x11\n\theight_px\x18\x02 \x01(\r\x12,\n\x08\x65ncoding\x18\x03 \x01(\x0e\x32\x1a.percept.v1.ColourEncoding\x12\x1d\n\x10row_stride_bytes\x18\x04 \x01(\rH\x00\x88\x01\x01\x12\x0c\n\x04\x64\x61ta\x18\x05 \x01(\x0c\x42\x13\n\x11_row_stride_bytes\"[\n\tRgbdImage\x12%\n\x05\x64\x65pth\x18\x01 \x01(\x0b\x32\x16.percept.v1.DepthImage\x12\'\n\x06\x63olour\x18\x02 \x01(\x0b\x32\x17.percept.v1.ColourImage\"\xef\x01\n\tLaserScan\x12\x15\n\rangle_min_rad\x18\x01 \x01(\x01\x12\x1b\n\x13\x61ngle_increment_rad\x18\x02 \x01(\x01\x12\x13\n\x0brange_min_m\x18\x03 \x01(\x01\x12\x13\n\x0brange_max_m\x18\x04 \x01(\x01\x12\x18\n\x10time_increment_s\x18\x05 \x01(\x01\x12\x10\n\x08ranges_m\x18\x06 \x01(\x0c\x12\x18\n\x0bintensities\x18\x07 \x01(\x0cH\x00\x88\x01\x01\x12\x1b\n\x0elater_echoes_m\x18\x08 \x01(\x0cH\x01\x88\x01\x01\x42\x0e\n\x0c_intensitiesB\x11\n\x0f_later_echoes_m\"w\n\tImuSample\x12\x33\n\x16\x61ngular_velocity_radps\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x35\n\x18linear_acceleration_mps2\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3\"x\n\x0eOdometrySample\x12%\n\x0bt_odom_base\x18\x01 \x01(\x0b\x32\x10.percept.v1.Pose\x12\x30\n\ncovariance\x18\x02 \x01(\x0b\x32\x17.percept.v1.Covariance6H\x00\x88\x01\x01\x42\r\n\x0b_covariance\"\x83\x03\n\rSensorMessage\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tsensor_id\x18\x02 \x01(\t\x12\x10\n\x08sequence\x18\x03 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x04 \x01(\x03\x12\'\n\x05\x64\x65pth\x18\n \x01(\x0b\x32\x16.percept.v1.DepthImageH\x00\x12%\n\x04rgbd\x18\x0b \x01(\x0b\x32\x15.percept.v1.RgbdImageH\x00\x12)\n\x06\x63olour\x18\x0c \x01(\x0b\x32\x17.percept.v1.ColourImageH\x00\x12\'\n\x05\x63loud\x18\r \x01(\x0b\x32\x16.percept.v1.PointCloudH\x00\x12%\n\x04scan\x18\x0e \x01(\x0b\x32\x15.percept.v1.LaserScanH\x00\x12$\n\x03imu\x18\x0f \x01(\x0b\x32\x15.percept.v1.ImuSampleH\x00\x12.\n\x08odometry\x18\x10 \x01(\x0b\x32\x1a.percept.v1.OdometrySampleH\x00\x42\x06\n\x04\x64\x61ta\"M\n\rStreamTrouble\x12+\n\x04kind\x18\x01 \x01(\x0e\x32\x1d.percept.v1.StreamTroubleKind\x12\x0f\n\x07message\x18\x02 \x01(\t\"\xf7\x02\n\x0cSensorStatus\x12$\n\x04spec\x18\x01 \x01(\x0b\x32\x16.percept.v1.SensorSpec\x12\x10\n\x08\x61\x63\x63\x65pted\x18\x02 \x01(\x04\x12\x10\n\x08rejected\x18\x03 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\x04 \x01(\x04\x12\x0c\n\x04gaps\x18\x05 \x01(\x04\x12\x14\n\x07rate_hz\x18\x06 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\rlast_stamp_ns\x18\x07 \x01(\x03H\x01\x88\x01\x01\x12*\n\x07verdict\x18\x08 \x01(\x0e\x32\x19.percept.v1.StreamVerdict\x12\x1b\n\x0e\x63lock_offset_s\x18\t \x01(\x01H\x02\x88\x01\x01\x12+\n\x08troubles\x18\n \x03(\x0b\x32\x19.percept.v1.StreamTrouble\x12\x17\n\x0fverdict_message\x18\x0b \x01(\t\x12\x0c\n\x04\x65tag\x18\x0c \x01(\tB\n\n\x08_rate_hzB\x10\n\x0e_last_stamp_nsB\x11\n\x0f_clock_offset_s*\xcf\x01\n\nSensorKind\x12\x1b\n\x17SENSOR_KIND_UNSPECIFIED\x10\x00\x12\x15\n\x11SENSOR_KIND_DEPTH\x10\x01\x12\x14\n\x10SENSOR_KIND_RGBD\x10\x02\x12\x16\n\x12SENSOR_KIND_CAMERA\x10\x03\x12\x17\n\x13SENSOR_KIND_LIDAR3D\x10\x04\x12\x17\n\x13SENSOR_KIND_LIDAR2D\x10\x05\x12\x13\n\x0fSENSOR_KIND_IMU\x10\x06\x12\x18\n\x14SENSOR_KIND_ODOMETRY\x10\x07*\x90\x01\n\x0f\x44istortionModel\x12 \n\x1c\x44ISTORTION_MODEL_UNSPECIFIED\x10\x00\x12\x1e\n\x1a\x44ISTORTION_MODEL_PLUMB_BOB\x10\x01\x12\x1d\n\x19\x44ISTORTION_MODEL_RATIONAL\x10\x02\x12\x1c\n\x18\x44ISTORTION_MODEL_FISHEYE\x10\x03*m\n\x0eOverloadPolicy\x12\x1f\n\x1bOVERLOAD_POLICY_UNSPECIFIED\x10\x00\x12\x19\n\x15OVERLOAD_POLICY_BLOCK\x10\x01\x12\x1f\n\x1bOVERLOAD_POLICY_DROP_OLDEST\x10\x02*y\n\rDepthEncoding\x12\x1e\n\x1a\x44\x45PTH_ENCODING_UNSPECIFIED\x10\x00\x12\x16\n\x12\x44\x45PTH_ENCODING_U16\x10\x01\x12\x16\n\x12\x44\x45PTH_ENCODING_F32\x10\x02\x12\x18\n\x14\x44\x45PTH_ENCODING_PNG16\x10\x03*\x99\x01\n\x0e\x43olourEncoding\x12\x1f\n\x1b\x43OLOUR_ENCODING_UNSPECIFIED\x10\x00\x12\x18\n\x14\x43OLOUR_ENCODING_RGB8\x10\x01\x12\x18\n\x14\x43OLOUR_ENCODING_JPEG\x10\x02\x12\x17\n\x13\x43OLOUR_ENCODING_PNG\x10\x03\x12\x19\n\x15\x43OLOUR_ENCODING_GREY8\x10\x04*\x82\x01\n\rStreamVerdict\x12\x1e\n\x1aSTREAM_VERDICT_UNSPECIFIED\x10\x00\x12\x1b\n\x17STREAM_VERDICT_NO_FRAME\x10\x01\x12\x17\n\x13STREAM_VERDICT_GOOD\x10\x02\x12\x1b\n\x17STREAM_VERDICT_TROUBLED\x10\x03*\xe5\x01\n\x11StreamTroubleKind\x12#\n\x1fSTREAM_TROUBLE_KIND_UNSPECIFIED\x10\x00\x12 \n\x1cSTREAM_TROUBLE_KIND_REJECTED\x10\x01\x12\x1f\n\x1bSTREAM_TROUBLE_KIND_DROPPED\x10\x02\x12\x1c\n\x18STREAM_TROUBLE_KIND_GAPS\x10\x03\x12$\n STREAM_TROUBLE_KIND_CLOCK_OFFSET\x10\x04\x12$\n STREAM_TROUBLE_KIND_MOUNT_OFFSET\x10\x05\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.sensor_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_SENSORKIND']._serialized_start=2316
-  _globals['_SENSORKIND']._serialized_end=2523
-  _globals['_DISTORTIONMODEL']._serialized_start=2526
-  _globals['_DISTORTIONMODEL']._serialized_end=2670
-  _globals['_OVERLOADPOLICY']._serialized_start=2672
-  _globals['_OVERLOADPOLICY']._serialized_end=2781
-  _globals['_DEPTHENCODING']._serialized_start=2783
-  _globals['_DEPTHENCODING']._serialized_end=2904
-  _globals['_COLORENCODING']._serialized_start=2907
-  _globals['_COLORENCODING']._serialized_end=3054
-  _globals['_STREAMVERDICT']._serialized_start=3057
-  _globals['_STREAMVERDICT']._serialized_end=3187
-  _globals['_STREAMTROUBLEKIND']._serialized_start=3190
-  _globals['_STREAMTROUBLEKIND']._serialized_end=3419
+  _globals['_SENSORKIND']._serialized_start=2322
+  _globals['_SENSORKIND']._serialized_end=2529
+  _globals['_DISTORTIONMODEL']._serialized_start=2532
+  _globals['_DISTORTIONMODEL']._serialized_end=2676
+  _globals['_OVERLOADPOLICY']._serialized_start=2678
+  _globals['_OVERLOADPOLICY']._serialized_end=2787
+  _globals['_DEPTHENCODING']._serialized_start=2789
+  _globals['_DEPTHENCODING']._serialized_end=2910
+  _globals['_COLOURENCODING']._serialized_start=2913
+  _globals['_COLOURENCODING']._serialized_end=3066
+  _globals['_STREAMVERDICT']._serialized_start=3069
+  _globals['_STREAMVERDICT']._serialized_end=3199
+  _globals['_STREAMTROUBLEKIND']._serialized_start=3202
+  _globals['_STREAMTROUBLEKIND']._serialized_end=3431
   _globals['_CAMERAINTRINSICS']._serialized_start=67
   _globals['_CAMERAINTRINSICS']._serialized_end=257
   _globals['_SENSORSPEC']._serialized_start=260
   _globals['_SENSORSPEC']._serialized_end=516
   _globals['_DEPTHIMAGE']._serialized_start=519
   _globals['_DEPTHIMAGE']._serialized_end=729
-  _globals['_COLORIMAGE']._serialized_start=732
-  _globals['_COLORIMAGE']._serialized_end=892
-  _globals['_RGBDIMAGE']._serialized_start=894
-  _globals['_RGBDIMAGE']._serialized_end=983
-  _globals['_LASERSCAN']._serialized_start=986
-  _globals['_LASERSCAN']._serialized_end=1225
-  _globals['_IMUSAMPLE']._serialized_start=1227
-  _globals['_IMUSAMPLE']._serialized_end=1346
-  _globals['_ODOMETRYSAMPLE']._serialized_start=1348
-  _globals['_ODOMETRYSAMPLE']._serialized_end=1468
-  _globals['_SENSORMESSAGE']._serialized_start=1471
-  _globals['_SENSORMESSAGE']._serialized_end=1856
-  _globals['_STREAMTROUBLE']._serialized_start=1858
-  _globals['_STREAMTROUBLE']._serialized_end=1935
-  _globals['_SENSORSTATUS']._serialized_start=1938
-  _globals['_SENSORSTATUS']._serialized_end=2313
+  _globals['_COLOURIMAGE']._serialized_start=732
+  _globals['_COLOURIMAGE']._serialized_end=894
+  _globals['_RGBDIMAGE']._serialized_start=896
+  _globals['_RGBDIMAGE']._serialized_end=987
+  _globals['_LASERSCAN']._serialized_start=990
+  _globals['_LASERSCAN']._serialized_end=1229
+  _globals['_IMUSAMPLE']._serialized_start=1231
+  _globals['_IMUSAMPLE']._serialized_end=1350
+  _globals['_ODOMETRYSAMPLE']._serialized_start=1352
+  _globals['_ODOMETRYSAMPLE']._serialized_end=1472
+  _globals['_SENSORMESSAGE']._serialized_start=1475
+  _globals['_SENSORMESSAGE']._serialized_end=1862
+  _globals['_STREAMTROUBLE']._serialized_start=1864
+  _globals['_STREAMTROUBLE']._serialized_end=1941
+  _globals['_SENSORSTATUS']._serialized_start=1944
+  _globals['_SENSORSTATUS']._serialized_end=2319
 # @@protoc_insertion_point(module_scope)

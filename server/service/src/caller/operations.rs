@@ -4,10 +4,10 @@ use super::Caller;
 use super::audit::Act;
 use crate::ops::toolbox::{SessionCloud, Toolbox};
 use crate::{
-    CloudAnswer, Error, EventLog, FleetFilter, FleetWatch, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary, Moved,
-    Navigation, NewSession, Page, Pending, Plan, PlanRequest, Processed, Result, SensorChanges, SensorDeclaration,
-    SensorStatus, Session, SessionChanges, SessionDescription, SessionList, SessionView, TrajectoryComparison,
-    TrajectoryRequest, Transform, Vetoed, check_id,
+    CloudAnswer, Error, EventLog, FleetFilter, FleetWatch, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary,
+    Moved, Navigation, NewSession, Page, Pending, Plan, PlanRequest, Processed, Result, SensorChanges,
+    SensorDeclaration, SensorStatus, Session, SessionChanges, SessionDescription, SessionList, SessionView,
+    TrajectoryComparison, TrajectoryRequest, Transform, Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{

@@ -1,7 +1,7 @@
 //! What a client is told for which there is no place, in its own protocol.
 
 use super::Protocol;
-use percept_service::observe;
+use percept_service::{observe, reason};
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -19,7 +19,7 @@ const GO_AWAY: [u8; 26] = [0, 0, 0, 4, 0, 0, 0, 0, 0, 0, 0, 8, 7, 0, 0, 0, 0, 0,
 
 /// Refuses a connection. Over TLS it is only closed: agreeing on keys is what there is no room for.
 pub(super) async fn say(mut socket: TcpStream, protocol: Protocol, is_encrypted: bool) {
-    observe::shed("TOO_MANY_CONNECTIONS");
+    observe::shed(reason::TOO_MANY_CONNECTIONS);
     if is_encrypted {
         return;
     }

@@ -45,7 +45,7 @@ impl Page {
                     "reasons": {"type": "array", "items": {"$ref": "#/components/schemas/NotReadyReason"}},
                 },
             }),
-            Content::Html(_) | Content::Alive | Content::Metrics => json!({"type": "string"}),
+            Content::Html(_) | Content::Reasons | Content::Alive | Content::Metrics => json!({"type": "string"}),
         }
     }
 }
