@@ -90,6 +90,7 @@ fn name(changes: &mut SessionChanges, session: &v1::Session, path: &str) -> Resu
         ("session_id", None) => {}
         ("mode", None) => changes.mode = mode(session.mode)?,
         ("sensors", _) => return Err(read_only(path, "change sensors by UpdateSensor, and add some by DeclareSensor")),
+        ("display_name" | "labels" | "session_id" | "mode", Some(_)) => return Err(unknown(path, SETTABLE)),
         (field, _) if crate::json::descriptor("Session")?.get_field_by_name(field).is_some() => {
             return Err(read_only(path, "leave it out of the mask"));
         }
