@@ -33,7 +33,6 @@ reasons! {
     InvalidArgument {
         BODY_BROKEN: "The body ended before its length; send it whole.",
         CLOCK_SET_BACK: "The sensor's stamps lie far before its last; if its clock was set back, declare it under another name with a time_offset_s.",
-        CLOUD_AMBIGUOUS: "A request names its cloud in more than one way; name it once.",
         CLOUD_DEGENERATE: "All points of the cloud are one; check the driver.",
         CLOUD_EMPTY: "The cloud has no finite point; check the sensor.",
         COLOUR_SIZE_MISMATCH: "Depth and colour have different sizes; register them to each other first.",
@@ -142,7 +141,7 @@ reasons! {
         KEPT_CLOUDS_FULL: "No room for more kept clouds; drop some, or wait until they are forgotten.",
         MEMORY_EXHAUSTED: "Messages under way have taken all memory that they may; try again.",
         MESSAGE_TOO_LARGE: "The message is larger than limits.max_message_bytes; send less at a time.",
-        NEIGHBORS_TOO_MANY: "The answer would hold too many neighbours; ask for fewer points, or a smaller radius.",
+        NEIGHBOURS_TOO_MANY: "The answer would hold too many neighbours; ask for fewer points, or a smaller radius.",
         PICTURE_TOO_LARGE: "The picture would have too many pixels; ask for a smaller one.",
         SAMPLE_TOO_LARGE: "More points are to be sampled than the method can; ask for fewer.",
         SCAN_TOO_LARGE: "The scan has more beams than limits.max_cloud_points.",
