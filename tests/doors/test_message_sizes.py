@@ -150,12 +150,23 @@ REQUESTS = {
     "SessionsService/GetTrajectory": (of_session, False),
     "SessionsService/ListKeyframes": (of_session, False),
     "SessionsService/WatchSession": (of_session, False),
+    "SessionsService/WatchSessions": (lambda s: {}, False),
+    "SessionsService/UpdateSession": (lambda s: {"session": of_session(s) | {"display_name": "sizes"}}, False),
+    "SessionsService/LookupTransform": (
+        lambda s: of_session(s) | {"target_frame": "base", "source_frame": "laser"},
+        False,
+    ),
     "SessionsService/GetDefaultParams": (lambda s: {}, False),
     "SensorsService/DeclareSensor": (
         lambda s: of_session(s) | {"spec": {"sensor_id": "imu", "kind": 6}},
         False,
     ),
     "SensorsService/ListSensors": (of_session, False),
+    "SensorsService/GetSensor": (lambda s: of_session(s) | {"sensor_id": "laser"}, False),
+    "SensorsService/UpdateSensor": (
+        lambda s: of_session(s) | {"spec": {"sensor_id": "laser", "time_offset_s": 0.0}},
+        False,
+    ),
     "SensorsService/StreamFrames": (lambda s: {"message": s.odometry()}, False),
     "SensorsService/SendFrame": (lambda s: {"message": s.odometry()}, False),
     "SensorsService/SyncTime": (lambda s: {}, False),

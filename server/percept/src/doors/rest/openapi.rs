@@ -120,16 +120,24 @@ fn operation(bound: &Bound, comments: &Comments) -> Value {
     out
 }
 
-/// What a request works on: nothing can stand in for it.
-const WORKED_ON: [&str; 6] =
-    ["CloudSource", "CloudFile", "DepthImage", "ColourImage", "CameraIntrinsics", "SensorMessage"];
+/// What a request cannot do without where it has it, unless it is marked as optional.
+const NEEDED: [&str; 8] = [
+    "CloudSource",
+    "CloudFile",
+    "DepthImage",
+    "ColourImage",
+    "CameraIntrinsics",
+    "SensorMessage",
+    "SensorSpec",
+    "Vector2",
+];
 
-/// The request's message with what it works on, without what the path says.
+/// The request's message with what it needs, without what the path says.
 fn body(bound: &Bound) -> Value {
     let (input, mut more) = (bound.rpc.input(), json!({}));
     let is_needed = |f: &FieldDescriptor| {
         let is_optional = f.containing_oneof().is_some() || f.is_list();
-        !is_optional && f.kind().as_message().is_some_and(|m| WORKED_ON.contains(&m.name()))
+        !is_optional && f.kind().as_message().is_some_and(|m| NEEDED.contains(&m.name()))
     };
     let needed: Vec<String> = input.fields().filter(is_needed).map(|f| f.name().to_owned()).collect();
     if !needed.is_empty() {
@@ -334,6 +342,11 @@ fn message(message: &MessageDescriptor, comments: &Comments, only_answered: &BTr
         schema["required"] = held.map(|f| f.name().to_owned()).collect();
     } else {
         schema["additionalProperties"] = json!(false);
+        // A message that is a choice and nothing else is there to choose.
+        let is_choice = |o: OneofDescriptor| !o.is_synthetic() && o.fields().len() == message.fields().len();
+        if message.fields().len() > 1 && message.oneofs().any(is_choice) {
+            schema["minProperties"] = json!(1);
+        }
     }
     schema
 }
