@@ -164,7 +164,7 @@ def test_a_camera_without_scale_says_so_and_has_no_odom_in_the_past(client):
     session = client.sessions.create(sensors=[world.EYE])
     poses = [Pose.from_yaw(-0.8, 0.05 * i, 0.0) for i in range(12)]
     for i, pose in enumerate(poses):
-        session.send_color("eye", stamp_ns=world.stamp(i), color=world.color_image(pose))
+        session.send_colour("eye", stamp_ns=world.stamp(i), colour=world.colour_image(pose))
     trajectory = session.trajectory()
     assert len(trajectory) > 1
     assert session.pose_at(int(trajectory.stamps_ns[-1])).scale == "unknown"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
 import threading
@@ -45,11 +46,10 @@ def num_descriptors(pid: int) -> int:
 def disk_bytes(folder: pathlib.Path) -> int:
     """Space that a folder takes; files may go while it is counted."""
     total = 0
-    for path in folder.rglob("*"):
-        try:
-            total += path.stat().st_blocks * 512
-        except FileNotFoundError:
-            continue
+    for at, _, names in os.walk(folder):
+        for name in names:
+            with contextlib.suppress(FileNotFoundError):
+                total += os.lstat(os.path.join(at, name)).st_blocks * 512
     return total
 
 

@@ -63,6 +63,8 @@ async fn a_pipeline_that_fails_is_read_anew_and_one_that_goes_on_failing_is_set_
         let slot = registry.slots().into_iter().find(|s| s.id == "robot").unwrap();
         let store: Arc<dyn Store> = Arc::new(SlateStore::in_memory().await.unwrap());
         Arc::clone(&registry).attend(slot, Arc::clone(&session), std::future::ready(Ending::Panicked), store).await;
+        // The actor that the failed one stands for.
+        session.discard().await;
         let state = registry.view("robot").await.unwrap().state;
         if time < 3 {
             assert_eq!(state, SessionState::Asleep);
