@@ -82,6 +82,7 @@ fn name(changes: &mut SessionChanges, session: &v1::Session, path: &str) -> Resu
     match (field, below) {
         ("display_name", None) => changes.display_name = Some(session.display_name.clone()),
         ("labels", None) => changes.labels = Some(labels(session)),
+        ("params", Some("")) => return Err(unknown(path, SETTABLE)),
         ("params", below) => {
             let below = below.unwrap_or_default();
             changes.params.extend(param_changes(session, below)?.ok_or_else(|| unknown(path, SETTABLE))?);
