@@ -115,7 +115,7 @@ pub(crate) struct Storage {
     /// memory://, which is forgotten at the end. S3's keys come from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, a web
     /// identity, or the role of the machine.
     pub url: String,
-    /// Address of an S3 service other than Amazon's, such as https://s3.site.example:9000; empty: AWS_ENDPOINT_URL, else
+    /// Address of an S3 service other than Amazon's, such as `https://s3.site.example:9000`; empty: AWS_ENDPOINT_URL, else
     /// Amazon's.
     pub s3_endpoint: String,
     /// Region of the bucket; empty: AWS_REGION, else us-east-1.

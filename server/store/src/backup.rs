@@ -31,7 +31,8 @@ pub struct BackupReport {
 }
 
 /// Copies what `to` does not have yet. Sessions that are in use may go on: each is copied as of one moment. Sessions
-/// that are no longer in `from` stay in the copy; one that has the id of another is replaced.
+/// that are no longer in `from` stay in the copy, unless they go while they are copied; one that has the id of another is
+/// replaced.
 ///
 /// # Errors
 /// Those of reading and writing; what was copied until then is used by the next backup.
@@ -44,8 +45,15 @@ pub async fn backup(
     let mut report = BackupReport::default();
     for (number, (place, record)) in sessions.iter().enumerate() {
         let copy = find_or_make(to, place, record).await?;
-        copy_session(from, place, to, &copy, &mut report).await?;
-        report.num_sessions += 1;
+        let copied = copy_session(from, place, to, &copy, &mut report).await;
+        if catalogue::is_there(from.objects().as_ref(), place).await? {
+            copied?;
+            report.num_sessions += 1;
+        } else {
+            // It was deleted meanwhile: whatever was read of it need not be whole.
+            to.bury(&copy).await?;
+            to.purge(&copy).await?;
+        }
         progress(Progress { id: place.id().to_owned(), num_done: number + 1, num_sessions: sessions.len() });
     }
     Ok(report)

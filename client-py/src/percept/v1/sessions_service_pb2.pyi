@@ -380,7 +380,7 @@ class LookupTransformRequest(_message.Message):
     AT_NS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     target_frame: _builtins.str
-    """Where to: map, odom, base, or the id of a sensor; sensors/<id> for one that has one of these names."""
+    """Where to: map, odom, base, or the id of a sensor; `sensors/` and the id for one that has one of these names."""
     source_frame: _builtins.str
     """Where from, likewise."""
     at_ns: _builtins.int

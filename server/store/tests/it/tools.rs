@@ -203,3 +203,36 @@ async fn a_backup_copies_what_is_missing_and_no_more() {
     let listed = copy.list().await.unwrap();
     assert!(listed.iter().all(|entry| matches!(entry, CatalogueEntry::Created { .. })), "{listed:?}");
 }
+
+#[tokio::test]
+async fn a_session_that_is_deleted_while_it_is_copied_leaves_nothing_half_in_the_copy() {
+    let (objects, root) = filled().await;
+    let (place, _) = created(&root, "b").await.unwrap();
+    // The catalogue was read before; what the session stored goes under the copier's hands.
+    let copy = DataRoot::in_memory().await.unwrap();
+    let deleting = async {
+        root.bury(&place).await.unwrap();
+        root.purge(&place).await.unwrap();
+    };
+    let mut deleting = Some(deleting);
+    let from = DataRoot::open(RootConfig::objects(objects)).await.unwrap();
+    let (done, mut turn) = tokio::sync::mpsc::unbounded_channel();
+    let mut tell = move |_: Progress| {
+        let _ = done.send(());
+    };
+    let copying = backup(&from, &copy, &mut tell);
+    tokio::pin!(copying);
+    let report = loop {
+        tokio::select! {
+            biased;
+            // After the first session, before the second is read.
+            Some(()) = turn.recv() => if let Some(deleting) = deleting.take() { deleting.await },
+            report = &mut copying => break report,
+        }
+    };
+    let report = report.unwrap();
+    assert!(report.num_sessions >= 2, "{report:?}");
+    let checked = check(&copy, &read, &mut ignore).await.unwrap();
+    assert!(checked.iter().all(|report| report.faults.is_empty()), "{checked:?}");
+    assert!(created(&copy, "b").await.is_none() || report.num_sessions == 3);
+}
