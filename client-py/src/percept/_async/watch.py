@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Generic, TypeVar
@@ -21,7 +22,7 @@ E = TypeVar("E")
 W = TypeVar("W", bound="AsyncEvents[Any]")
 
 
-class AsyncEvents(Generic[E]):
+class AsyncEvents(ABC, Generic[E]):
     """A stream of events that goes on by itself: `async for` within `async with`, from whose beginning on
     nothing is missed.
 
@@ -68,11 +69,13 @@ class AsyncEvents(Generic[E]):
     ) -> None:
         self.close()
 
+    @abstractmethod
     def _subscribe(self) -> Any:  # noqa: ANN401
-        raise NotImplementedError
+        """Begins the call."""
 
+    @abstractmethod
     def _read(self, answer: Any) -> E:  # noqa: ANN401
-        raise NotImplementedError
+        """The event of an answer."""
 
     async def _recover(self, cause: grpc.RpcError) -> None:
         if self._closed:

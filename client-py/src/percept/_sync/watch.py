@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Generic, TypeVar
@@ -22,7 +23,7 @@ E = TypeVar("E")
 W = TypeVar("W", bound="Events[Any]")
 
 
-class Events(Generic[E]):
+class Events(ABC, Generic[E]):
     """A stream of events that goes on by itself: `for` within `with`, from whose beginning on
     nothing is missed.
 
@@ -69,11 +70,13 @@ class Events(Generic[E]):
     ) -> None:
         self.close()
 
+    @abstractmethod
     def _subscribe(self) -> Any:  # noqa: ANN401
-        raise NotImplementedError
+        """Begins the call."""
 
+    @abstractmethod
     def _read(self, answer: Any) -> E:  # noqa: ANN401
-        raise NotImplementedError
+        """The event of an answer."""
 
     def _recover(self, cause: grpc.RpcError) -> None:
         if self._closed:
