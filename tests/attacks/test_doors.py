@@ -21,6 +21,7 @@ from support import wire, world
 from support.server import STOP_S, Server, binary, eventually
 
 MIB = 1 << 20
+JSON = {"content-type": "application/json"}
 POST = "POST /v1/sessions HTTP/1.1\r\nhost: {host}\r\ncontent-type: application/json\r\ncontent-length: {length}\r\n\r\n"
 GET_POSE = "/percept.v1.SessionsService/GetPose"
 STREAM_FRAMES = "/percept.v1.SensorsService/StreamFrames"
@@ -480,3 +481,68 @@ def test_a_handshake_that_stops_ends(serve, authority):
         assert serial(server.rest, authority.ca), "others are served meanwhile"
         for sock in socks:
             wire.ends(sock)
+
+
+# What swells, and what is kept
+
+
+def test_messages_that_swell_when_they_are_read_are_refused(own_server):
+    """Empty sensors by the million, two bytes each."""
+    before = own_server.peak_rss_mb()
+    with grpc.insecure_channel(own_server.grpc) as channel:
+        create = channel.unary_unary("/percept.v1.SessionsService/CreateSession")
+        for size in (1 << 20, 8 << 20):
+            with pytest.raises(grpc.RpcError) as refused:
+                create(b"\x22\x00" * (size // 2), timeout=30)
+            assert refused.value.code() is grpc.StatusCode.INVALID_ARGUMENT
+    body = b'{"sensors":[' + b",".join([b"{}"] * (1 << 20)) + b"]}"
+    answer = httpx.post(f"{own_server.rest_url}/v1/sessions", content=body, headers=JSON, timeout=60)
+    assert (answer.status_code, answer.json()["reason"]) == (400, "MESSAGE_EXPANDS")
+    assert own_server.peak_rss_mb() < before + 150
+    assert serves(own_server)
+
+
+def test_a_mask_that_says_the_same_a_thousand_times_costs_no_more(own_server):
+    with Client(own_server.grpc) as client:
+        session = client.sessions.create()
+    before = own_server.peak_rss_mb()
+    request = sessions.UpdateSessionRequest(session={"session_id": session.session_id})
+    request.update_mask.paths.extend(["params"] * 10_000)
+    with grpc.insecure_channel(own_server.grpc) as channel:
+        update = channel.unary_unary("/percept.v1.SessionsService/UpdateSession")
+        update(request.SerializeToString(), timeout=30)
+    assert own_server.peak_rss_mb() < before + 40
+
+
+def test_whoever_asks_for_the_contract_keeps_no_memory_of_others(own_server):
+    """Reflection needs no key; large messages to it took a share of the memory for frames until it ended."""
+    # `list_services` is field 7 of a ServerReflectionRequest.
+    asked = b"\x3a\x01*"
+    # An unknown field, of 3 MiB.
+    large = asked + b"\xaa\x06\x80\x80\xc0\x01" + bytes(3 * MIB)
+    done = threading.Event()
+
+    def questions():
+        yield asked
+        yield large
+        done.wait(30)
+
+    with grpc.insecure_channel(own_server.grpc) as channel:
+        info = channel.stream_stream("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo")
+        answers = info(questions())
+        assert next(answers)
+        more = []
+        with contextlib.suppress(grpc.RpcError):
+            more = list(answers)
+        done.set()
+    assert not more, "the large one was answered"
+    assert serves(own_server)
+
+
+def test_who_watches_the_health_does_not_hold_up_the_stop(own_server):
+    with grpc.insecure_channel(own_server.grpc) as channel:
+        watch = channel.unary_stream("/grpc.health.v1.Health/Watch")(b"")
+        assert next(watch) == b"\x08\x01"
+        own_server.process.send_signal(signal.SIGTERM)
+        # Far below the time that requests under way are given.
+        assert own_server.process.wait(10) == 0

@@ -227,6 +227,28 @@ def test_creating_and_deleting_on_a_full_disk_is_refused_or_done_for_good(small_
         assert not {"old0", "old1"} & after - set(kept), "deleted, and back"
 
 
+def test_sleeping_sessions_on_a_full_disk_say_so_and_hold_nobody_up(small_disk, disk_server):
+    """Waking writes; a store that takes nothing kept each that tried for ever, and the stop with them."""
+    ballast = Ballast(small_disk)
+    with Client(disk_server.grpc, timeout_s=60, retries=0) as client:
+        for k in range(8):
+            robots.mapped(client, f"s{k}", frames=10)
+    assert disk_server.stop() == 0
+    disk_server.start()
+    ballast.fill()
+    with Client(disk_server.grpc, timeout_s=20, retries=0) as client:
+        for k in range(8):
+            with pytest.raises(PerceptError) as refused:
+                client.session(f"s{k}").map.summary()
+            assert refused.value.reason in ("STORAGE_FULL", "STORAGE_FAULT"), refused.value
+        ballast.free()
+        assert eventually(lambda: len(client.session("s7").trajectory()) == 10, seconds=20)
+        ballast.fill()
+        with pytest.raises(PerceptError):
+            client.session("s0").map.summary()
+    assert disk_server.stop() == 0
+
+
 def test_a_stop_on_a_full_disk_says_that_frames_were_given_up(small_disk, disk_server):
     ballast = Ballast(small_disk)
     with Client(disk_server.grpc, timeout_s=60, retries=0) as client:

@@ -34,6 +34,15 @@ def test_limits_in_force_are_named_as_in_the_configuration(tmp_path, monkeypatch
         own.kill()
 
 
+def test_it_says_where_its_data_are(tmp_path, server, info):
+    assert info["store"] == "file"
+    own = Server(None, "--store-url", "memory://", log=tmp_path / "log")
+    try:
+        assert httpx.get(f"{own.rest_url}/v1/server").json()["server"]["store"] == "memory"
+    finally:
+        own.kill()
+
+
 def test_time_goes_on(server):
     def uptime():
         return httpx.get(f"{server.rest_url}/v1/server").json()["server"]["uptime_s"]

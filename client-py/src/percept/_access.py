@@ -5,8 +5,9 @@ from __future__ import annotations
 import ipaddress
 import os
 import pathlib
-from dataclasses import dataclass
-from typing import Union
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Union
 
 import grpc
 
@@ -27,6 +28,30 @@ class Access:
     #: None: the link is not protected.
     credentials: grpc.ChannelCredentials | None
     token: Token | None
+    #: Whether the token may travel readably beyond this machine.
+    allow_insecure_token: bool
+
+    def at(self, server: str) -> Access | None:
+        """The same at the address that a server told of another; None if that is no address to go to, or the
+        token would travel readably."""
+        try:
+            target, by_scheme = _target(server)
+        except InvalidArgument:
+            return None
+        secure = self.credentials is not None
+        readable = self.token is not None and not (secure or self.allow_insecure_token or _loopback(target))
+        if readable or _unspecified(target) or by_scheme not in (None, secure):
+            return None
+        return replace(self, target=target)
+
+
+def accesses(address: str | Sequence[str], **said: Any) -> tuple[Access, ...]:  # noqa: ANN401
+    """One access for each server; the others are for when the first is away."""
+    addresses = [address] if isinstance(address, str) else list(address)
+    if not addresses:
+        raise InvalidArgument("address names no server; give one", reason="ADDRESS_INVALID", field="address")
+    first = access(addresses[0], **said)
+    return (first, *(replace(first, target=access(other, **said).target) for other in addresses[1:]))
 
 
 def access(
@@ -66,7 +91,9 @@ def access(
         raise InvalidArgument(message, reason="TOKEN_UNPROTECTED", field="address")
     if secure and credentials is None:
         credentials = _tls(ca_file, cert_file, key_file)
-    return Access(target=target, credentials=credentials, token=source)
+    return Access(
+        target=target, credentials=credentials, token=source, allow_insecure_token=allow_insecure_token
+    )
 
 
 def _target(address: str) -> tuple[str, bool | None]:
@@ -85,13 +112,25 @@ def _target(address: str) -> tuple[str, bool | None]:
     return host, _SCHEMES.get(scheme) if separator else None
 
 
+def _host(target: str) -> str:
+    if target.startswith(("ipv4:", "ipv6:")):
+        target = target[5:]
+    return target.rpartition("/")[2].removeprefix("dns:").rpartition(":")[0].strip("[]").lower()
+
+
+def _unspecified(target: str) -> bool:
+    """Whether that is where a server listens, and not where it is."""
+    try:
+        return ipaddress.ip_address(_host(target)).is_unspecified
+    except ValueError:
+        return False
+
+
 def _loopback(target: str) -> bool:
     """Whether what is sent there stays on this machine."""
     if target.startswith("unix:"):
         return True
-    if target.startswith(("ipv4:", "ipv6:")):
-        target = target[5:]
-    host = target.rpartition("/")[2].removeprefix("dns:").rpartition(":")[0].strip("[]").lower()
+    host = _host(target)
     if host == "localhost" or host.endswith(".localhost"):
         return True
     try:

@@ -159,7 +159,14 @@ class StreamState:
         if self.resume and refused.code == Unavailable.code:
             self.progress -= 1
             sent.turned_away = True
-            raise error_of(refused.code, refused.message, reason=refused.reason, field=refused.field)
+            raise error_of(
+                refused.code,
+                refused.message,
+                reason=refused.reason,
+                field=refused.field,
+                retry_after_s=refused.retry_after_s or None,
+                server=refused.server or None,
+            )
 
     def _make_durable(self, connection: Connection, count: int) -> None:
         while connection.durable < count and connection.not_durable:

@@ -34,8 +34,8 @@ class PerceptError(Exception):
 
     `reason` is stable and upper-case (SENSOR_NOT_FOUND), `message` says field, value and remedy, `field` is
     the path of the offending field or empty, `code` the name of the gRPC code. `retry_after_s` is how long
-    the server asks to wait before another try, `trace_id` what its operator finds the call by; None if it
-    does not say.
+    the server asks to wait before another try, `trace_id` what its operator finds the call by, `server` the
+    address of the one to ask instead (reason SESSION_ELSEWHERE); None if it does not say.
     """
 
     code = "UNKNOWN"
@@ -49,6 +49,7 @@ class PerceptError(Exception):
         code: str = "",
         retry_after_s: float | None = None,
         trace_id: str | None = None,
+        server: str | None = None,
     ) -> None:
         super().__init__(message)
         self.message = message
@@ -57,6 +58,7 @@ class PerceptError(Exception):
         self.code = code or type(self).code
         self.retry_after_s = retry_after_s
         self.trace_id = trace_id
+        self.server = server
 
     def __str__(self) -> str:
         reason = f" [{self.reason}]" if self.reason else ""
@@ -178,11 +180,18 @@ def error_of(
     field: str = "",
     retry_after_s: float | None = None,
     trace_id: str | None = None,
+    server: str | None = None,
 ) -> PerceptError:
     """The exception for the name of a gRPC code."""
     kind = _BY_CODE.get(_ALIASES.get(code, code), PerceptError)
     return kind(
-        message, reason=reason, field=field, code=code, retry_after_s=retry_after_s, trace_id=trace_id
+        message,
+        reason=reason,
+        field=field,
+        code=code,
+        retry_after_s=retry_after_s,
+        trace_id=trace_id,
+        server=server,
     )
 
 
@@ -198,6 +207,7 @@ def error_of_rpc(error: grpc.RpcError) -> PerceptError:
         field=said.field,
         retry_after_s=said.retry_after_s,
         trace_id=said.trace_id,
+        server=said.server,
     )
 
 
@@ -209,10 +219,11 @@ class _Details:
     field: str = ""
     retry_after_s: float | None = None
     trace_id: str | None = None
+    server: str | None = None
 
 
 def _details(metadata: Iterable[tuple[str, str | bytes]]) -> _Details:
-    """Reason and trace (ErrorInfo), field (first BadRequest violation), pause (RetryInfo)."""
+    """Reason, trace and server (ErrorInfo), field (first BadRequest violation), pause (RetryInfo)."""
     said = _Details()
     for key, value in metadata:
         if key != _DETAILS or not isinstance(value, bytes):
@@ -236,6 +247,7 @@ def _read(detail: any_pb2.Any, said: _Details) -> None:
     if detail.Unpack(info):
         said.reason = info.reason
         said.trace_id = info.metadata.get("trace_id") or None
+        said.server = info.metadata.get("server") or None
     elif detail.Unpack(bad) and bad.field_violations:
         said.field = bad.field_violations[0].field
     elif detail.Unpack(retry):

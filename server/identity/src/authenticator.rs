@@ -77,13 +77,17 @@ impl Authenticator {
         Ok(Arc::new(principal))
     }
 
-    /// Takes over what has changed: files of keys, keys of the provider. Call it every second or so.
-    pub async fn refresh(&self) {
+    /// Takes over keys that were made or revoked. Call it every second or so.
+    pub fn refresh_keys(&self) {
         if let Some(keys) = &self.keys
             && let Err(error) = keys.refresh()
         {
             tracing::error!(%error, "auth.keys_file is not taken; its last keys stay in force");
         }
+    }
+
+    /// The same of the provider's keys, which may take as long as the provider does.
+    pub async fn refresh_provider(&self) {
         if let Some(jwt) = &self.jwt {
             jwt.refresh().await;
         }

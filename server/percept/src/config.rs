@@ -12,7 +12,7 @@ pub(crate) use error::ConfigError;
 use origin::Origins;
 use percept_identity::{AuthMode, AuthSettings};
 use percept_pipeline::PipelineParams;
-use percept_service::Limits;
+use percept_service::{Limits, Quotas};
 use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -36,6 +36,8 @@ pub(crate) struct Config {
     pub compute: Compute,
     /// What a request may ask for at most.
     pub limits: Limits,
+    /// What a tenant may use at most.
+    pub quotas: Quotas,
     /// What is logged.
     pub log: Log,
     /// What is counted, timed and traced.
@@ -84,7 +86,7 @@ impl Default for Listen {
 }
 
 /// Encryption of the doors: TLS on gRPC, REST and, for an endpoint tls/, zenoh. Changed files are read again within seconds,
-/// or on SIGHUP; connections stay.
+/// or on SIGHUP; connections stay, except those of zenoh, which connect anew.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Tls {
@@ -253,6 +255,7 @@ impl Config {
             return Err(out_of_bounds("compute.nice", self.compute.nice, "set it between 0 and 19"));
         }
         check_limits(&self.limits)?;
+        check_quotas(&self.quotas)?;
         if let Err(problem) = crate::telemetry::filter(&self.log.level) {
             let remedy = format!("{problem}; write off, error, warn, info, debug or trace");
             return Err(quoted("log.level", &self.log.level, &remedy));
@@ -424,6 +427,7 @@ fn check_limits(limits: &Limits) -> Result<(), ConfigError> {
         ("limits.idle_timeout_s", limits.idle_timeout_s, 86_400),
         ("limits.stream_idle_timeout_s", limits.stream_idle_timeout_s, 86_400),
         ("limits.unread_timeout_s", limits.unread_timeout_s, 86_400),
+        ("limits.sleep_after_s", limits.sleep_after_s, 10 * 365 * 86_400),
     ];
     for (field, value, most) in bounds {
         if !(1..=most).contains(&value) {
@@ -431,14 +435,28 @@ fn check_limits(limits: &Limits) -> Result<(), ConfigError> {
         }
     }
     // A message of the largest size has to fit: as JSON it is a third longer.
-    let least = limits.max_message_bytes.saturating_mul(2);
+    // And half of it is for what HTTP/2 keeps of bodies before it is asked for.
+    let least = limits.max_message_bytes.saturating_mul(2).max(LEAST_IN_FLIGHT_BYTES);
     for (field, value) in [
         ("limits.max_bytes_in_flight", limits.max_bytes_in_flight),
         ("limits.max_bytes_in_flight_per_peer", limits.max_bytes_in_flight_per_peer),
     ] {
         if value < least {
-            let remedy = format!("set it to twice limits.max_message_bytes ({least}) or more");
+            let remedy = format!("set it to twice limits.max_message_bytes, {least} or more");
             return Err(out_of_bounds(field, value, remedy));
+        }
+    }
+    Ok(())
+}
+
+/// Room for a few calls at a time.
+const LEAST_IN_FLIGHT_BYTES: usize = 2 << 20;
+
+fn check_quotas(quotas: &Quotas) -> Result<(), ConfigError> {
+    let named = quotas.tenants.iter().map(|(tenant, quota)| (format!("quotas.tenants.{tenant}"), quota));
+    for (section, quota) in std::iter::once(("quotas.each".to_owned(), &quotas.each)).chain(named) {
+        if !(1..=1000).contains(&quota.weight) {
+            return Err(out_of_bounds(&format!("{section}.weight"), quota.weight, "set it between 1 and 1000"));
         }
     }
     Ok(())

@@ -6,13 +6,14 @@
 
 mod fair;
 
+use crate::admission::{Admission, Asker};
 use crate::observe::{self, Work};
 use crate::reason;
 use crate::{Error, ErrorCode, Result};
 use fair::{Job, Line};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
 /// Threads of the three kinds of work.
@@ -31,6 +32,7 @@ pub struct ComputePool {
     frames: Arc<Line>,
     queries: Arc<Line>,
     toolbox: Arc<Line>,
+    admission: Arc<Admission>,
 }
 
 /// Whether somebody still waits for a request's work.
@@ -58,31 +60,34 @@ impl ComputePool {
     pub fn new(pool: rayon::ThreadPool, max_concurrent: usize) -> Self {
         let pool = Arc::new(pool);
         let requests = Line::new(Arc::clone(&pool), max_concurrent, usize::MAX);
-        Self { frames: Line::new(pool, usize::MAX, usize::MAX), queries: Arc::clone(&requests), toolbox: requests }
+        Self {
+            frames: Line::new(pool, usize::MAX, usize::MAX),
+            queries: Arc::clone(&requests),
+            toolbox: requests,
+            admission: Arc::default(),
+        }
     }
 
     /// Each kind of work on threads of its own, with at most `max_concurrent` requests of a kind at a time and
-    /// `max_queued` waiting.
-    pub fn apart(threads: ComputeThreads, max_concurrent: usize, max_queued: usize) -> Self {
+    /// `max_queued` waiting, shared by the tenants' quotas.
+    pub fn apart(threads: ComputeThreads, max_concurrent: usize, max_queued: usize, admission: Arc<Admission>) -> Self {
         let at_a_time = threads.frames.current_num_threads();
         Self {
             frames: Line::new(Arc::new(threads.frames), at_a_time, usize::MAX),
             queries: Line::new(Arc::new(threads.queries), max_concurrent, max_queued),
             toolbox: Line::new(Arc::new(threads.toolbox), max_concurrent, max_queued),
+            admission,
         }
+    }
+
+    /// What tenants use.
+    pub(crate) fn admission(&self) -> &Arc<Admission> {
+        &self.admission
     }
 
     /// Requests that wait for their turn: of queries, of the toolbox.
     pub fn queued(&self) -> (usize, usize) {
         (self.queries.waiting(), self.toolbox.waiting())
-    }
-
-    /// Runs a session's work.
-    ///
-    /// # Errors
-    /// `INTERNAL` if the work panicked.
-    pub async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
-        self.run_for("", work).await
     }
 
     /// Runs a session's work, in fair turns with the others': who has computed least goes first.
@@ -91,20 +96,24 @@ impl ComputePool {
     /// `INTERNAL` if the work panicked.
     pub async fn run_for<T: Send + 'static>(
         &self,
-        session: &str,
+        sender: &Asker,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T> {
-        let (job, answer) = prepared(Work::Frame, work);
-        self.frames.push(session, job).map_err(|_| busy())?;
+        let (job, answer) = prepared(Work::Frame, sender, work);
+        self.frames.push(sender, job).map_err(|_| busy())?;
         answer.await.map_err(|_| Error::internal("computation panicked"))
     }
 
-    /// Runs a question's work in its turn. Who asks alike (by session, or by tenant) shares turns.
+    /// Runs a question's work in its turn. Who asks alike shares turns.
     ///
     /// # Errors
     /// `SERVER_BUSY` if too many wait, `INTERNAL` if the work panicked.
-    pub async fn query<T: Send + 'static>(&self, asker: &str, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
-        let (job, answer) = prepared(Work::Request, work);
+    pub async fn query<T: Send + 'static>(
+        &self,
+        asker: &Asker,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T> {
+        let (job, answer) = prepared(Work::Request, asker, work);
         self.queries.push(asker, job).map_err(|_| busy())?;
         answer.await.map_err(|_| Error::internal("computation panicked"))
     }
@@ -116,7 +125,7 @@ impl ComputePool {
     /// `COMPUTATION_TOO_LONG`, `SERVER_BUSY` if too many wait, `INTERNAL` if the work panicked.
     pub async fn request_within<T: Send + 'static>(
         &self,
-        asker: &str,
+        asker: &Asker,
         budget: Duration,
         work: impl FnOnce(&Alive) -> T + Send + 'static,
     ) -> Result<T> {
@@ -127,7 +136,7 @@ impl ComputePool {
             let _ = begun.send(());
             work(&alive)
         };
-        let (job, answer) = prepared(Work::Request, work);
+        let (job, answer) = prepared(Work::Request, asker, work);
         self.toolbox.push(asker, job).map_err(|_| busy())?;
         // An error is a panic, which the answer tells, too.
         let _ = begins.await;
@@ -137,17 +146,24 @@ impl ComputePool {
 }
 
 /// Work as a job, and where its answer comes; nothing comes of work that panics.
-fn prepared<T: Send + 'static>(kind: Work, work: impl FnOnce() -> T + Send + 'static) -> (Job, oneshot::Receiver<T>) {
+fn prepared<T: Send + 'static>(
+    kind: Work,
+    asker: &Asker,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> (Job, oneshot::Receiver<T>) {
     let (done, answer) = oneshot::channel();
+    let asker = asker.clone();
     let waiting = observe::compute_waiting(kind);
     let job = move || {
         // A frame was accepted, whoever still waits for it; a question of nobody's is left out.
         if kind == Work::Request && done.is_closed() {
             return;
         }
-        let _running = waiting.start();
+        let (_running, begin) = (waiting.start(), Instant::now());
         // A panic drops `done`, which the awaiting side sees; it must not take the pool down.
-        if let Ok(value) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)) {
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
+        asker.charge(begin.elapsed());
+        if let Ok(value) = outcome {
             let _ = done.send(value);
         }
     };
@@ -178,7 +194,11 @@ mod tests {
 
     fn apart(max_concurrent: usize, max_queued: usize) -> ComputePool {
         let threads = ComputeThreads { frames: pool(1), queries: pool(1), toolbox: pool(1) };
-        ComputePool::apart(threads, max_concurrent, max_queued)
+        ComputePool::apart(threads, max_concurrent, max_queued, Arc::default())
+    }
+
+    fn asker(name: &str) -> &'static Asker {
+        Box::leak(Box::new(Asker::named(name)))
     }
 
     const LONG: Duration = Duration::from_secs(600);
@@ -193,7 +213,7 @@ mod tests {
                 let _ = begun.send(());
                 let _ = until.recv();
             };
-            compute.request_within("a", LONG, work).await
+            compute.request_within(asker("a"), LONG, work).await
         });
         begins.await.unwrap();
         (end, task)
@@ -203,8 +223,8 @@ mod tests {
     async fn frames_and_questions_do_not_wait_for_the_toolbox() {
         let compute = apart(1, 8);
         let (end, task) = occupied(&compute).await;
-        assert_eq!(compute.run(|| 7).await, Ok(7));
-        assert_eq!(compute.query("a", || 8).await, Ok(8));
+        assert_eq!(compute.run_for(asker("a"), || 7).await, Ok(7));
+        assert_eq!(compute.query(asker("a"), || 8).await, Ok(8));
         drop(end);
         assert_eq!(task.await.unwrap(), Ok(()));
     }
@@ -215,10 +235,11 @@ mod tests {
         let (end, task) = occupied(&compute).await;
         let (other, ran) = (compute.clone(), Arc::new(AtomicBool::new(false)));
         let mark = Arc::clone(&ran);
-        let mut queued =
-            Box::pin(async move { other.request_within("b", LONG, move |_| mark.store(true, Ordering::SeqCst)).await });
+        let mut queued = Box::pin(async move {
+            other.request_within(asker("b"), LONG, move |_| mark.store(true, Ordering::SeqCst)).await
+        });
         assert!(futures::poll!(&mut queued).is_pending());
-        let shed = compute.request_within("c", LONG, |_| ()).await.unwrap_err();
+        let shed = compute.request_within(asker("c"), LONG, |_| ()).await.unwrap_err();
         assert_eq!((shed.reason, shed.code), ("SERVER_BUSY", ErrorCode::ResourceExhausted));
         drop(end);
         task.await.unwrap().unwrap();
@@ -232,13 +253,14 @@ mod tests {
         let (end, task) = occupied(&compute).await;
         let ran = Arc::new(AtomicBool::new(false));
         let mark = Arc::clone(&ran);
-        let mut queued = Box::pin(compute.request_within("b", LONG, move |_| mark.store(true, Ordering::SeqCst)));
+        let mut queued =
+            Box::pin(compute.request_within(asker("b"), LONG, move |_| mark.store(true, Ordering::SeqCst)));
         assert!(futures::poll!(&mut queued).is_pending());
         drop(queued);
         drop(end);
         task.await.unwrap().unwrap();
         // It would have had its turn before this one.
-        compute.request_within("c", LONG, |_| ()).await.unwrap();
+        compute.request_within(asker("c"), LONG, |_| ()).await.unwrap();
         assert!(!ran.load(Ordering::SeqCst));
     }
 
@@ -248,7 +270,7 @@ mod tests {
         let (begun, begins) = oneshot::channel();
         let (said, told) = mpsc::channel();
         let (end, until) = mpsc::channel::<()>();
-        let mut request = Box::pin(compute.request_within("a", LONG, move |alive| {
+        let mut request = Box::pin(compute.request_within(asker("a"), LONG, move |alive| {
             let _ = begun.send(alive.is_wanted());
             let _ = until.recv();
             let _ = said.send(alive.is_wanted());
@@ -256,7 +278,7 @@ mod tests {
         assert!(futures::poll!(&mut request).is_pending());
         assert!(begins.await.unwrap());
         drop(request);
-        let mut next = Box::pin(compute.request_within("b", LONG, |_| ()));
+        let mut next = Box::pin(compute.request_within(asker("b"), LONG, |_| ()));
         assert!(futures::poll!(&mut next).is_pending());
         assert_eq!(compute.queued(), (0, 1), "the place is not free while the work goes on");
         drop(end);
@@ -268,9 +290,9 @@ mod tests {
     async fn a_panic_is_an_error_and_leaves_the_place_free() {
         let compute = apart(1, 8);
         for _ in 0..3 {
-            let failed: Result<()> = compute.request_within("a", LONG, |_| panic!("on purpose")).await;
+            let failed: Result<()> = compute.request_within(asker("a"), LONG, |_| panic!("on purpose")).await;
             assert_eq!(failed.unwrap_err().code, ErrorCode::Internal);
         }
-        assert_eq!(compute.query("a", || 1).await, Ok(1));
+        assert_eq!(compute.query(asker("a"), || 1).await, Ok(1));
     }
 }

@@ -1,6 +1,7 @@
 //! The one error that operations answer with, whichever door was used.
 
 use crate::reason;
+use std::time::Duration;
 
 /// What kind of failure: decides the gRPC status, the HTTP status and whether to try again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -62,6 +63,8 @@ pub struct Error {
     pub field: String,
     /// Where to ask instead; empty if that is no matter of where.
     pub server: String,
+    /// When it may be tried again, if that is known.
+    pub retry_after: Option<Duration>,
 }
 
 /// What every operation answers with.
@@ -70,7 +73,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 impl Error {
     /// Any code.
     pub fn new(code: ErrorCode, reason: &'static str, message: impl Into<String>) -> Self {
-        Self { code, reason, message: message.into(), field: String::new(), server: String::new() }
+        Self { code, reason, message: message.into(), field: String::new(), server: String::new(), retry_after: None }
     }
 
     /// Bad input in `field`.
@@ -86,6 +89,11 @@ impl Error {
     /// A limit was reached.
     pub fn exhausted(reason: &'static str, field: impl Into<String>, message: impl Into<String>) -> Self {
         Self { field: field.into(), ..Self::new(ErrorCode::ResourceExhausted, reason, message) }
+    }
+
+    /// A rate is used up; there is room again `after` a while.
+    pub fn too_fast(reason: &'static str, message: impl Into<String>, after: Duration) -> Self {
+        Self { retry_after: Some(after), ..Self::exhausted(reason, "", message) }
     }
 
     /// Another of the servers that share the data has the session.

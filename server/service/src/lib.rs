@@ -4,6 +4,7 @@
 //! nothing of protobuf, HTTP, gRPC or zenoh. Start with [`Service`], then `ops/`, one file a noun; [`caller`] asks
 //! who may; `session/` holds the actor that owns one robot's pipeline.
 
+pub mod admission;
 pub mod caller;
 mod compute;
 mod error;
@@ -16,6 +17,7 @@ pub mod reason;
 mod session;
 pub mod trace;
 
+pub use admission::{Admission, Asker, Quota, Quotas};
 pub use caller::{CallContext, Caller, Guarded};
 pub use compute::{Alive, ComputePool, ComputeThreads};
 pub use error::{Error, ErrorCode, Result, check_id};
@@ -86,7 +88,7 @@ impl Service {
         ops::server::started();
         let (limits, health) = (Arc::new(limits), Health::starting());
         let registry = Registry::open(data, compute.clone(), Arc::clone(&limits), defaults, health.clone()).await?;
-        let kept = toolbox::KeptClouds::open(&limits);
+        let kept = toolbox::KeptClouds::open(&limits, Arc::clone(compute.admission()));
         let (faults, about) = (Arc::default(), Arc::default());
         Ok(Self { registry, compute, faults, limits, kept, health, about })
     }
@@ -107,6 +109,15 @@ impl Service {
         Self { about: Arc::new(about), ..self }
     }
 
+    /// Who asks about a session, as its tenant's quotas have it.
+    ///
+    /// # Errors
+    /// `RATE_LIMITED`.
+    pub(crate) fn asker(&self, session: &str) -> Result<Asker> {
+        let tenant = self.registry.tenant(session).unwrap_or_default();
+        self.compute.admission().asker(&tenant, session)
+    }
+
     /// Whether requests are taken; what the service depends on reports to it.
     pub fn health(&self) -> &Health {
         &self.health
@@ -115,6 +126,11 @@ impl Service {
     /// The limits in force.
     pub fn limits(&self) -> &Arc<Limits> {
         &self.limits
+    }
+
+    /// Puts other quotas of tenants into force.
+    pub fn set_quotas(&self, quotas: Quotas) {
+        self.compute.admission().set(quotas);
     }
 
     /// Stops taking frames, finishes and stores what was accepted, ends watches.

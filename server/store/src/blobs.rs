@@ -1,10 +1,10 @@
 //! Large immutable bytes, named by their SHA-256, as objects of their own.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
@@ -108,11 +108,35 @@ pub(crate) struct Blobs {
     max_bytes: usize,
     /// Storing reads, deleting writes: a blob is not deleted while it is stored again.
     gate: RwLock<()>,
+    stored: Mutex<Stored>,
 }
+
+/// What this opening has stored, in order.
+#[derive(Debug, Default)]
+struct Stored {
+    count: u64,
+    last: HashMap<BlobId, u64>,
+}
+
+/// A point in the order in which an opening stores its blobs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Mark(u64);
 
 impl Blobs {
     pub(crate) fn new(objects: Arc<dyn ObjectStore>, synced_root: Option<PathBuf>, max_bytes: usize) -> Self {
-        Self { objects, synced_root, max_bytes, gate: RwLock::new(()) }
+        Self { objects, synced_root, max_bytes, gate: RwLock::new(()), stored: Mutex::default() }
+    }
+
+    fn stored(&self) -> MutexGuard<'_, Stored> {
+        self.stored.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn mark(&self) -> Mark {
+        Mark(self.stored().count)
+    }
+
+    fn was_stored_after(&self, mark: Mark, id: BlobId) -> bool {
+        self.stored().last.get(&id).is_some_and(|number| *number > mark.0)
     }
 
     pub(crate) async fn put(&self, bytes: Bytes) -> Result<BlobId, StoreError> {
@@ -121,6 +145,12 @@ impl Blobs {
         }
         let id = hash(&bytes).await?;
         let _not_deleting = self.gate.read().await;
+        {
+            let mut stored = self.stored();
+            stored.count += 1;
+            let number = stored.count;
+            stored.last.insert(id, number);
+        }
         match self.write(id, bytes.clone(), PutMode::Create).await {
             Ok(()) => Ok(id),
             Err(Error::AlreadyExists { .. }) => self.put_again(id, bytes).await.map(|()| id),
@@ -181,27 +211,35 @@ impl Blobs {
             .boxed()
     }
 
-    pub(crate) async fn sweep(&self, live: &HashSet<BlobId>, grace: Duration) -> Result<GarbageReport, StoreError> {
-        let mut report = GarbageReport::default();
+    /// Blobs that may be garbage, with their sizes, and the others counted.
+    pub(crate) async fn candidates(
+        &self,
+        live: &HashSet<BlobId>,
+        mark: Mark,
+        grace: Duration,
+    ) -> Result<(GarbageReport, Vec<(BlobId, u64)>), StoreError> {
+        let (mut report, mut candidates) = (GarbageReport::default(), Vec::new());
         let mut blobs = self.list();
         while let Some((id, meta)) = blobs.try_next().await? {
             report.num_seen += 1;
             if live.contains(&id) {
                 report.num_live += 1;
-            } else if age(&meta) < grace || !self.delete_if_older(id, grace).await? {
+            } else if self.was_stored_after(mark, id) || age(&meta) < grace {
                 report.num_young += 1;
             } else {
-                report.num_deleted += 1;
-                report.deleted_bytes += meta.size;
+                candidates.push((id, meta.size));
             }
         }
-        Ok(report)
+        Ok((report, candidates))
     }
 
-    /// Looks again at the age once nobody is storing: the listing may be old.
-    async fn delete_if_older(&self, id: BlobId, grace: Duration) -> Result<bool, StoreError> {
+    /// Looks again once nobody is storing: the listing may be old.
+    pub(crate) async fn delete_garbage(&self, id: BlobId, mark: Mark, grace: Duration) -> Result<bool, StoreError> {
         let io = |error| StoreError::from_object("delete a blob", error);
         let _nobody_storing = self.gate.write().await;
+        if self.was_stored_after(mark, id) {
+            return Ok(false);
+        }
         match self.objects.head(&id.path()).await {
             Ok(meta) if age(&meta) < grace => return Ok(false),
             Ok(_) => {}

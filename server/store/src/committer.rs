@@ -152,7 +152,12 @@ impl Committer {
     fn explain(&self, operation: &'static str, error: slatedb::Error) -> StoreError {
         match self.db.status().close_reason {
             Some(CloseReason::Fenced) => StoreError::Fenced { epoch: self.epoch },
-            _ => StoreError::from_slate(operation, self.epoch, error),
+            // It will not write again in this opening, whatever is tried.
+            Some(reason) => {
+                tracing::error!(?reason, operation, %error, "a store has closed by itself");
+                StoreError::Closed
+            }
+            None => StoreError::from_slate(operation, self.epoch, error),
         }
     }
 
@@ -179,7 +184,7 @@ impl Committer {
 }
 
 /// Returns when a write has failed for want of space.
-async fn full(mut failures: watch::Receiver<Failures>) {
+pub(crate) async fn full(mut failures: watch::Receiver<Failures>) {
     let is_full = |failures: &Failures| failures.count > 0 && matches!(failures.last, Some(StoreError::Full));
     loop {
         if failures.changed().await.is_err() {

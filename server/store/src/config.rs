@@ -90,6 +90,9 @@ pub struct StoreConfig {
     pub memtable_bytes: usize,
     /// After this long a commit that is not durable fails as `Stalled`. Default 10 s.
     pub commit_timeout: Duration,
+    /// After this long a store that cannot be opened, because nothing can be written, fails as `Stalled` or with what was
+    /// said last. Default 60 s: a store that answers after half a minute is slow and not broken.
+    pub open_timeout: Duration,
     /// Callers that may wait for the committer before `put_batch` itself waits. Default 64.
     pub queue_length: usize,
     /// Most bytes of one record's value. Default 4 MiB.
@@ -107,6 +110,7 @@ impl Default for StoreConfig {
             flush_interval: Duration::from_millis(100),
             memtable_bytes: 2 << 20,
             commit_timeout: Duration::from_secs(10),
+            open_timeout: Duration::from_secs(60),
             queue_length: 64,
             max_record_bytes: 4 << 20,
             max_batch_bytes: 32 << 20,

@@ -48,6 +48,9 @@ pub enum StoreError {
         /// Number that is needed.
         current: u32,
     },
+    /// Data were to be read only, and there are none.
+    #[error("no data of percept are there")]
+    NoData,
     /// The catalogue has no session of this id.
     #[error("session {id} does not exist")]
     NoSession {
@@ -170,7 +173,7 @@ pub enum StoreError {
         /// The text, shortened.
         text: String,
     },
-    /// An export breaks off or does not follow the framing of [`crate::export`].
+    /// An export breaks off or does not follow the framing of [`crate::archive`].
     #[error("export: {reason} at byte {offset}")]
     ExportMalformed {
         /// What is wrong.
@@ -178,9 +181,25 @@ pub enum StoreError {
         /// Where.
         offset: u64,
     },
-    /// An import needs an empty store.
-    #[error("import: the store is not empty; import into a new directory")]
-    NotEmpty,
+    /// An export of another version than this program writes.
+    #[error(
+        "export: version {found} cannot be read, only {supported}; export again with the percept that is to read it"
+    )]
+    ExportVersion {
+        /// Number in the export.
+        found: u32,
+        /// Number that is read here.
+        supported: u32,
+    },
+    /// What went wrong with one of several sessions.
+    #[error("session {id}")]
+    InSession {
+        /// Its id.
+        id: String,
+        /// What went wrong.
+        #[source]
+        source: Box<StoreError>,
+    },
 }
 
 impl StoreError {

@@ -36,7 +36,10 @@ async fn write(objects: &dyn ObjectStore, mode: PutMode) -> Result<(), object_st
 
 /// The number of data that are there.
 pub(crate) async fn read(objects: &dyn ObjectStore) -> Result<u32, StoreError> {
-    let io = |error| StoreError::from_object("read FORMAT", error);
+    let io = |error| match error {
+        object_store::Error::NotFound { .. } => StoreError::NoData,
+        error => StoreError::from_object("read FORMAT", error),
+    };
     let bytes = objects.get(&Path::from(NAME)).await.map_err(io)?.bytes().await.map_err(io)?;
     let text = String::from_utf8_lossy(&bytes);
     match text.strip_prefix(TITLE).and_then(|rest| rest.trim_end().parse::<u32>().ok()) {

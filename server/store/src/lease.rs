@@ -105,6 +105,11 @@ pub(crate) async fn condemn(objects: &dyn ObjectStore, node: &Node, place: &Sess
     }
 }
 
+/// Whether it was decided that a session is deleted.
+pub(crate) async fn is_condemned(objects: &dyn ObjectStore, place: &SessionPlace) -> Result<bool, StoreError> {
+    Ok(newest(objects, place).await?.is_some_and(|lease| lease.state == DELETING))
+}
+
 async fn newest(objects: &dyn ObjectStore, place: &SessionPlace) -> Result<Option<Lease>, StoreError> {
     loop {
         let Some(&number) = numbers(objects, place).await?.last() else { return Ok(None) };

@@ -32,8 +32,8 @@ mod committer;
 mod config;
 mod directory;
 mod error;
-pub mod export;
 mod format;
+mod framing;
 pub mod keys;
 mod lease;
 mod location;
@@ -47,7 +47,7 @@ mod store;
 mod ticks;
 mod trial;
 
-pub use blobs::{BlobId, GarbageReport};
+pub use blobs::{BlobId, GarbageReport, Mark};
 pub use catalogue::{CatalogueEntry, SessionPlace};
 pub use clock::Clock;
 pub use config::{RootConfig, StoreConfig};

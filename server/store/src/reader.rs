@@ -16,6 +16,8 @@ use crate::store::Record;
 
 /// Objects are asked for so often before reading fails.
 const RETRIES: u32 = 3;
+/// All records are read so often before they are called damaged.
+const SCANS: usize = 4;
 
 /// A session's records and blobs as they are; see [`crate::DataRoot::read_session`].
 pub struct SessionReader {
@@ -44,11 +46,15 @@ impl SessionReader {
         if listed.map_err(|error| StoreError::from_object("list the records", error))?.is_none() {
             return Ok(Vec::new());
         }
-        match self.scan().await {
-            // The writer may have tidied up meanwhile.
-            Err(StoreError::Io { .. }) => self.scan().await,
-            outcome => outcome,
+        let mut outcome = self.scan().await;
+        for _ in 1..SCANS {
+            // The writer may have tidied up meanwhile: a file that is gone looks like damage.
+            if !matches!(outcome, Err(StoreError::Io { .. } | StoreError::Corrupt { .. })) {
+                break;
+            }
+            outcome = self.scan().await;
         }
+        outcome
     }
 
     async fn scan(&self) -> Result<Vec<Record>, StoreError> {

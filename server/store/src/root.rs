@@ -167,6 +167,18 @@ impl DataRoot {
         catalogue::bury(self.objects.as_ref(), place).await
     }
 
+    /// Whether a deletion that [`DataRoot::bury`] reported as failed will be carried out all the same, by whoever looks at
+    /// the session next. Where that cannot be read it is taken for so if data are shared.
+    pub async fn is_decided(&self, place: &SessionPlace) -> bool {
+        match &self.node {
+            Some(_) => lease::is_condemned(self.objects.as_ref(), place).await.unwrap_or(true),
+            None => matches!(
+                catalogue::newest(self.objects.as_ref(), place.id()).await,
+                Ok(Some(CatalogueEntry::Deleted { place: found })) if found == *place
+            ),
+        }
+    }
+
     /// Removes all that a buried session stored, then its entries in the catalogue. Can be done again after it broke
     /// off.
     ///
@@ -403,6 +415,9 @@ async fn open_directory(
 ) -> Result<(Arc<dyn ObjectStore>, Option<DirectoryLock>), StoreError> {
     let fsync = config.fsync;
     if config.read_only {
+        if !root.is_dir() {
+            return Err(StoreError::NoData);
+        }
         let files = LocalFileSystem::new_with_prefix(&root)
             .map_err(|error| StoreError::from_object("open the data directory", error))?;
         return Ok((Arc::new(files), None));

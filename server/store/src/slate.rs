@@ -20,8 +20,8 @@ use slatedb::config::{
 use slatedb::{Db, DbIterator, IterationOrder};
 use tokio::sync::{mpsc, oneshot};
 
-use crate::blobs::{BlobId, Blobs, GarbageReport};
-use crate::committer::{Committer, Request};
+use crate::blobs::{BlobId, Blobs, GarbageReport, Mark};
+use crate::committer::{Committer, Request, full};
 use crate::config::StoreConfig;
 use crate::error::StoreError;
 use crate::keys::{Key, Prefix, RESERVED};
@@ -39,6 +39,9 @@ const MAX_TABLES: usize = 64;
 /// Bytes that a scan asks for at once.
 const SCAN_READ_AHEAD_BYTES: usize = 256 << 10;
 
+/// Age from which on the marks of earlier openings are removed, seconds: two days.
+const FENCES_STAY_S: u64 = 2 * 86_400;
+
 /// Memory for records on their way to the disk; beyond it writers wait.
 const MAX_UNFLUSHED_BYTES: usize = 32 << 20;
 
@@ -49,6 +52,7 @@ pub struct SlateStore {
     db: Db,
     queue: mpsc::Sender<Request>,
     blobs: Blobs,
+    life: Option<Arc<Life>>,
     epoch: u64,
     max_record_bytes: usize,
     max_batch_bytes: usize,
@@ -91,15 +95,23 @@ impl SlateStore {
         if let Some(expected) = config.expected_epoch {
             builder = builder.with_expected_epoch(expected);
         }
-        let db = builder.build().await.map_err(|error| StoreError::from_slate("open the records", 0, error))?;
+        // SlateDB tries for ever to write that it is the writer now; whoever waits for it is told why it cannot.
+        let db = tokio::select! {
+            opened = builder.build() => opened.map_err(|error| StoreError::from_slate("open the records", 0, error))?,
+            () = full(failures.clone()) => return Err(StoreError::Full),
+            () = tokio::time::sleep(config.open_timeout) => {
+                let last = failures.borrow().last.clone();
+                return Err(last.unwrap_or(StoreError::Stalled { waited: config.open_timeout }));
+            }
+        };
         ticks.not_before(db.manifest().last_l0_clock_tick());
         let epoch = db.manifest().writer_epoch();
         let (queue, requests) = mpsc::channel(config.queue_length.max(1));
         let timeout = config.commit_timeout;
-        let committer = Committer { db: db.clone(), epoch, failures, timeout, life, stalled: None };
+        let committer = Committer { db: db.clone(), epoch, failures, timeout, life: life.clone(), stalled: None };
         tokio::spawn(committer.run(requests));
         let StoreConfig { max_record_bytes, max_batch_bytes, .. } = config;
-        Ok(Self { db, queue, blobs, epoch, max_record_bytes, max_batch_bytes })
+        Ok(Self { db, queue, blobs, life, epoch, max_record_bytes, max_batch_bytes })
     }
 
     fn check_sizes(&self, puts: &[Record], deletes: &[Key]) -> Result<usize, StoreError> {
@@ -209,12 +221,33 @@ impl Store for SlateStore {
     fn collect_garbage<'a>(
         &'a self,
         live: &'a HashSet<BlobId>,
+        mark: Mark,
         grace: Duration,
     ) -> BoxFuture<'a, Result<GarbageReport, StoreError>> {
         Box::pin(async move {
+            let (mut report, candidates) = self.blobs.candidates(live, mark, grace).await?;
+            if candidates.is_empty() {
+                return Ok(report);
+            }
             self.confirm_ownership().await?;
-            self.blobs.sweep(live, grace).await
+            for (id, size) in candidates {
+                // Who was stopped for long between two of them may have lost the data.
+                if self.life.as_ref().is_some_and(|life| !life.is_alive()) {
+                    return Err(StoreError::Fenced { epoch: self.epoch });
+                }
+                if self.blobs.delete_garbage(id, mark, grace).await? {
+                    report.num_deleted += 1;
+                    report.deleted_bytes += size;
+                } else {
+                    report.num_young += 1;
+                }
+            }
+            Ok(report)
         })
+    }
+
+    fn mark(&self) -> Mark {
+        self.blobs.mark()
     }
 
     fn confirm_ownership(&self) -> BoxFuture<'_, Result<(), StoreError>> {
@@ -261,6 +294,9 @@ fn settings(config: &StoreConfig, is_local: bool) -> Settings {
         wal_options: soon(60),
         manifest_options: soon(300),
         compactions_options: soon(300),
+        // One stays behind for every opening. Locks and lives keep writers of before away; none of them sleeps for days and
+        // then finds its socket, or its lock, as it was.
+        wal_fence_options: soon(FENCES_STAY_S),
         // Local directories cannot overwrite conditionally; there the lock keeps stale writers away.
         boundary_files_enabled: !is_local,
         ..GarbageCollectorOptions::default()

@@ -9,7 +9,7 @@ use futures::TryStreamExt;
 use futures::future::BoxFuture;
 use futures::stream::BoxStream;
 
-use crate::blobs::{BlobId, GarbageReport};
+use crate::blobs::{BlobId, GarbageReport, Mark};
 use crate::error::StoreError;
 use crate::keys::{Key, Prefix};
 
@@ -80,7 +80,7 @@ pub trait Store: Send + Sync + fmt::Debug {
     fn last(&self, prefix: &Prefix) -> BoxFuture<'_, Result<Option<Record>, StoreError>>;
 
     /// Stores bytes under their SHA-256; durable when it returns. Storing the same bytes again is no
-    /// error and costs little; it also makes the blob young again for [`Store::collect_garbage`].
+    /// error and costs little; it also keeps the blob from [`Store::collect_garbage`].
     ///
     /// # Errors
     /// [`StoreError::BlobTooLarge`], [`StoreError::Full`], [`StoreError::Io`].
@@ -101,11 +101,15 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// All blobs, in no order: identity and size in bytes.
     fn blobs(&self) -> BoxStream<'_, Result<(BlobId, u64), StoreError>>;
 
-    /// Deletes blobs that are neither in `live` nor younger than `grace`.
+    /// Now, in the order of this opening's `put_blob`s; for [`Store::collect_garbage`].
+    fn mark(&self) -> Mark;
+
+    /// Deletes blobs that are not in `live`, were not stored by this opening after `mark`, and are not younger than
+    /// `grace`.
     ///
-    /// `live` is collected by the caller from its records **before** the call; `grace` has to be longer
-    /// than collecting took plus the longest time between a `put_blob` and the batch that names it. Give
-    /// an hour when in doubt; below two minutes a blob may be lost that was stored again meanwhile.
+    /// The caller takes the mark first, at a time when every blob that it has stored is named by a record or never will
+    /// be, and collects `live` from its records then. Whatever it stores meanwhile stays, whatever clocks say; `grace` is
+    /// for writers of before.
     ///
     /// # Errors
     /// [`StoreError::Fenced`] before anything is deleted if this writer lost the data;
@@ -113,6 +117,7 @@ pub trait Store: Send + Sync + fmt::Debug {
     fn collect_garbage<'a>(
         &'a self,
         live: &'a HashSet<BlobId>,
+        mark: Mark,
         grace: Duration,
     ) -> BoxFuture<'a, Result<GarbageReport, StoreError>>;
 

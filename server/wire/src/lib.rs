@@ -2,9 +2,11 @@
 //!
 //! Comes in: decoded protobuf messages. Goes out: checked domain types, or a `service::Error` that names the
 //! field. And back. One file a noun in `convert`. [`params`] lays what was sent over the defaults; [`json`]
-//! reads and writes any message as JSON; [`parts`] cuts large answers. No door is known here.
+//! reads and writes any message as JSON; [`parts`] cuts large answers; [`expansion`] refuses what would swell when it is read. No door is known here.
 
+pub mod codec;
 pub mod convert;
+pub mod expansion;
 pub mod json;
 pub mod params;
 pub mod parts;

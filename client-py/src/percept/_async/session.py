@@ -26,12 +26,17 @@ from .maps import AsyncMaps
 from .scene import AsyncScene
 from .sensors import AsyncSensors
 from .stream import AsyncFrameStream
+from .transport import AsyncTransport
 from .watch import AsyncFleetWatch, AsyncWatch
 
 
 class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
     """A session of a server. `send_*` sends one frame and waits until it was processed and is durable;
     `stream()` sends many without waiting for each."""
+
+    def __init__(self, transport: AsyncTransport, session_id: str) -> None:
+        # Where it is, is a matter of its own.
+        super().__init__(transport.following(), session_id)
 
     def __repr__(self) -> str:
         return f"AsyncSession({self.session_id!r})"

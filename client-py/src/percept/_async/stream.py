@@ -184,7 +184,8 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
             renewed = isinstance(error, Unauthenticated) and self._transport.authorization != token
             if not state.resume or not (renewed or link_broke(error)):
                 raise error
-            wait = next(waits) + (error.retry_after_s or 0.0)
+            is_elsewhere = self._transport.moved(error)
+            wait = next(waits) + (0.0 if is_elsewhere else error.retry_after_s or 0.0)
             if time.monotonic() + wait - failing_since > self._resume_timeout_s:
                 raise StreamBroken(
                     error, sent=state.sent, durable=state.durable, tried_s=self._resume_timeout_s

@@ -81,6 +81,7 @@ class AsyncEvents(ABC, Generic[E]):
         if self._closed:
             return
         error = error_of_rpc(cause)
+        self._transport.moved(error)
         wait = wait_before_retry(error, self._waits)
         if wait is None or self.token is None:
             raise error from cause

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 
 import grpc
 
-from .._access import FilePath, access
+from .._access import FilePath, accesses
 from .._convert import sensors as convert
 from .._options import Options, headers
 from ..types.sensors import ClockOffset
@@ -30,7 +30,7 @@ class Client(Bound):
 
     def __init__(
         self,
-        address: str = "127.0.0.1:50051",
+        address: str | Sequence[str] = "127.0.0.1:50051",
         *,
         timeout_s: float = 30.0,
         retries: int = 5,
@@ -48,7 +48,9 @@ class Client(Bound):
         """`address` is host:port, or https://host:port (grpcs:// is the same) for TLS, which `tls=True` and
         any of the files turn on, too: `ca_file` whom to trust instead of the well-known authorities,
         `cert_file` with `key_file` (PEM) who asks, `server_name` what the server's certificate is made out
-        to if not to the address. `credentials` are gRPC's own, in place of the files.
+        to if not to the address. `credentials` are gRPC's own, in place of the files. Several addresses name
+        servers on one store: when one is away the next is asked, and a session is followed to the server that
+        has it.
 
         `token` (or `token_file`, read again whenever it changes) goes along with every call; over a link
         without TLS to another machine only with `allow_insecure_token`.
@@ -56,7 +58,7 @@ class Client(Bound):
         `timeout_s` bounds every call, tries included; calls that can be repeated without harm are tried again
         up to `retries` times while the server is away or asks to come back later; `metadata` are headers of
         every call. `with_options` changes these three for some calls."""
-        reached = access(
+        reached = accesses(
             address,
             token=token,
             token_file=token_file,

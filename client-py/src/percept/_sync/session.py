@@ -27,12 +27,17 @@ from .maps import Maps
 from .scene import Scene
 from .sensors import Sensors
 from .stream import FrameStream
+from .transport import Transport
 from .watch import FleetWatch, Watch
 
 
 class Session(SessionBound, FrameSender[FrameResult]):
     """A session of a server. `send_*` sends one frame and waits until it was processed and is durable;
     `stream()` sends many without waiting for each."""
+
+    def __init__(self, transport: Transport, session_id: str) -> None:
+        # Where it is, is a matter of its own.
+        super().__init__(transport.following(), session_id)
 
     def __repr__(self) -> str:
         return f"Session({self.session_id!r})"

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
@@ -24,32 +25,75 @@ from .._options import (
 )
 from .._parts import joined
 from .._rpc import A, Q, Rpc
-from ..errors import error_of_rpc
+from ..errors import PerceptError, Unavailable, error_of_rpc
 from . import _runtime as runtime
 
 T = TypeVar("T")
 
 
-class Link:
-    """A channel to one server, shared by all that ask over it."""
+#: A session that moves while it is asked for is followed so often at once.
+MOST_MOVES = 3
 
-    def __init__(self, access: Access, server_name: str | None) -> None:
-        self.access = access
+
+class Link:
+    """Channels to the servers of a store, mostly one, shared by all that ask over them."""
+
+    def __init__(self, accesses: tuple[Access, ...], server_name: str | None) -> None:
+        self.access = accesses[0]
         self.closed = False
-        self.channel = runtime.open_channel(access, channel_options(server_name))
+        self._known = accesses
+        self._options = channel_options(server_name)
+        self._opening = threading.Lock()
+        self._channels: dict[str, Any] = {}
+        self.channel(self.access)
+
+    def channel(self, access: Access) -> Any:  # noqa: ANN401
+        """The channel to a server; none is opened any more once the link is closed."""
+        with self._opening:
+            target = self.access.target if self.closed else access.target
+            if target not in self._channels:
+                self._channels[target] = runtime.open_channel(access, self._options)
+            return self._channels[target]
+
+    def next(self, here: Access, error: PerceptError) -> Access:
+        """Where to ask after a server answered so, or did not answer."""
+        if error.server:
+            return here.at(error.server) or here
+        if not isinstance(error, Unavailable):
+            return here
+        targets = [access.target for access in self._known]
+        at = targets.index(here.target) + 1 if here.target in targets else 0
+        return self._known[at % len(targets)]
 
     def close(self) -> None:
         """Ends all calls."""
-        self.closed = True
-        self.channel.close()
+        with self._opening:
+            self.closed = True
+            channels = list(self._channels.values())
+        for channel in channels:
+            channel.close()
 
 
 class Transport:
     """Calls over a link, made as the options say."""
 
-    def __init__(self, link: Link, options: Options) -> None:
+    def __init__(
+        self, link: Link, options: Options, *, here: Access | None = None, follows: bool = False
+    ) -> None:
         self.link = link
         self.options = options
+        self._here = here or link.access
+        self._follows = follows
+
+    def following(self) -> Transport:
+        """The same for one session, which is asked for where it was found last."""
+        return Transport(self.link, self.options, here=self._here, follows=True)
+
+    def moved(self, error: PerceptError) -> bool:
+        """Goes to where the next try of a stream is worthwhile; whether that is another server."""
+        here = self._here
+        self._here = self.link.next(here, error)
+        return self._here.target != here.target
 
     def with_options(
         self,
@@ -58,7 +102,8 @@ class Transport:
         metadata: Mapping[str, str | bytes] | None,
     ) -> Transport:
         """The same link with other options."""
-        return Transport(self.link, self.options.but(timeout_s, retries, metadata))
+        options = self.options.but(timeout_s, retries, metadata)
+        return Transport(self.link, options, here=self._here, follows=self._follows)
 
     @property
     def authorization(self) -> str | None:
@@ -70,9 +115,9 @@ class Transport:
         """One answer, in one message or in parts."""
         if call.rpc.in_parts:
             return self.chunks(ChunkedCall(call.rpc, call.request, lambda parts: call.read(joined(parts))))
-        method = self._method("unary_unary", call.rpc)
 
-        def attempt(timeout_s: float) -> A:
+        def attempt(server: Access, timeout_s: float) -> A:
+            method = self._method("unary_unary", call.rpc, server)
             answer: A = method(call.request, timeout=timeout_s, metadata=self._metadata())
             return answer
 
@@ -80,9 +125,9 @@ class Transport:
 
     def chunks(self, call: ChunkedCall[Q, A, T]) -> T:
         """An answer in chunks, tried again as a whole."""
-        method = self._method("unary_stream", call.rpc)
 
-        def attempt(timeout_s: float) -> list[A]:
+        def attempt(server: Access, timeout_s: float) -> list[A]:
+            method = self._method("unary_stream", call.rpc, server)
             answers = method(call.request, timeout=timeout_s, metadata=self._metadata())
             return [answer for answer in answers]
 
@@ -90,9 +135,9 @@ class Transport:
 
     def parts(self, call: StreamedCall[Q, A, T]) -> T:
         """A request in parts; one answer."""
-        method = self._method("stream_unary", call.rpc)
 
-        def attempt(timeout_s: float) -> A:
+        def attempt(server: Access, timeout_s: float) -> A:
+            method = self._method("stream_unary", call.rpc, server)
             answer: A = method(call.parts(), timeout=timeout_s, metadata=self._metadata())
             return answer
 
@@ -100,11 +145,11 @@ class Transport:
 
     def pages(self, call: PagedCall[Q, A, T]) -> Iterator[T]:
         """The elements of all pages, asked for as they are used."""
-        method = self._method("unary_unary", call.rpc)
         request: Any = type(call.request)()
         request.CopyFrom(call.request)
 
-        def attempt(timeout_s: float) -> Any:  # noqa: ANN401
+        def attempt(server: Access, timeout_s: float) -> Any:  # noqa: ANN401
+            method = self._method("unary_unary", call.rpc, server)
             return method(request, timeout=timeout_s, metadata=self._metadata())
 
         while True:
@@ -117,24 +162,25 @@ class Transport:
 
     def subscribe(self, rpc: Rpc[Q, A], request: Q) -> Any:  # noqa: ANN401
         """A stream of answers without an end; its failures come as grpc.RpcError."""
-        return self._method("unary_stream", rpc)(request, metadata=self._metadata())
+        return self._method("unary_stream", rpc, self._here)(request, metadata=self._metadata())
 
     def bidi(self, rpc: Rpc[Q, A], requests: Iterator[bytes]) -> Any:  # noqa: ANN401
         """A stream both ways, of requests that are bytes already; its failures come as grpc.RpcError."""
-        method = self.link.channel.stream_stream(rpc.path, response_deserializer=rpc.answer.FromString)
+        channel = self.link.channel(self._here)
+        method = channel.stream_stream(rpc.path, response_deserializer=rpc.answer.FromString)
         return method(requests, metadata=self._metadata())
 
     def serving(self) -> bool:
         """Whether the server says that it serves; False if it cannot be reached."""
-        check = self.link.channel.unary_unary(HEALTH_PATH)
+        check = self.link.channel(self._here).unary_unary(HEALTH_PATH)
         timeout_s = min(self.options.timeout_s, HEALTH_S)
         try:
             return is_serving(check(HEALTH_REQUEST, timeout=timeout_s, metadata=self._metadata()))
         except grpc.RpcError:
             return False
 
-    def _method(self, kind: str, rpc: Rpc[Q, A]) -> Any:  # noqa: ANN401
-        return getattr(self.link.channel, kind)(
+    def _method(self, kind: str, rpc: Rpc[Q, A], server: Access) -> Any:  # noqa: ANN401
+        return getattr(self.link.channel(server), kind)(
             rpc.path,
             request_serializer=rpc.request.SerializeToString,
             response_deserializer=rpc.answer.FromString,
@@ -144,15 +190,23 @@ class Transport:
         said, authorization = self.options.metadata, self.authorization
         return said if authorization is None else (*said, ("authorization", authorization))
 
-    def _tried(self, repeatable: bool, attempt: Callable[[float], T]) -> T:
+    def _tried(self, repeatable: bool, attempt: Callable[[Access, float], T]) -> T:
         """One deadline over all tries."""
         deadline = time.monotonic() + self.options.timeout_s
         waits = backoff(self.options.retries if repeatable else 0)
+        here, moves_left = self._here, MOST_MOVES
         while True:
             try:
-                return attempt(max(deadline - time.monotonic(), 0.001))
+                return attempt(here, max(deadline - time.monotonic(), 0.001))
             except grpc.RpcError as cause:
                 error = error_of_rpc(cause)
+                before, here = here, self.link.next(here, error)
+                if self._follows or not error.server:
+                    self._here = here
+                if error.server and here.target != before.target and moves_left > 0:
+                    # Nothing was done where the session is not: it is asked for elsewhere at once.
+                    moves_left -= 1
+                    continue
                 wait = wait_before_retry(error, waits)
                 if wait is None or time.monotonic() + wait > deadline:
                     raise error from cause

@@ -82,6 +82,7 @@ class Events(ABC, Generic[E]):
         if self._closed:
             return
         error = error_of_rpc(cause)
+        self._transport.moved(error)
         wait = wait_before_retry(error, self._waits)
         if wait is None or self.token is None:
             raise error from cause

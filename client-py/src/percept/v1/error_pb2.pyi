@@ -29,6 +29,8 @@ class ErrorInfo(_message.Message):
     FIELD_FIELD_NUMBER: _builtins.int
     CODE_FIELD_NUMBER: _builtins.int
     TRACE_ID_FIELD_NUMBER: _builtins.int
+    SERVER_FIELD_NUMBER: _builtins.int
+    RETRY_AFTER_S_FIELD_NUMBER: _builtins.int
     reason: _builtins.str
     """Stable, upper-case: e.g. SENSOR_NOT_FOUND, ETAG_MISMATCH. docs/reasons.md, and /reasons of the REST door, list all."""
     message: _builtins.str
@@ -39,6 +41,10 @@ class ErrorInfo(_message.Message):
     """Name of the gRPC code, e.g. INVALID_ARGUMENT."""
     trace_id: _builtins.str
     """The request's trace, 32 hexadecimal digits, by which the server's log and traces name it. Empty where there is none."""
+    server: _builtins.str
+    """Address of the server to ask instead, with reason SESSION_ELSEWHERE. Empty otherwise."""
+    retry_after_s: _builtins.float
+    """When it may be tried again, seconds; 0 where the server does not know."""
     def __init__(
         self,
         *,
@@ -47,10 +53,12 @@ class ErrorInfo(_message.Message):
         field: _builtins.str = ...,
         code: _builtins.str = ...,
         trace_id: _builtins.str = ...,
+        server: _builtins.str = ...,
+        retry_after_s: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["code", b"code", "field", b"field", "message", b"message", "reason", b"reason", "trace_id", b"trace_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["code", b"code", "field", b"field", "message", b"message", "reason", b"reason", "retry_after_s", b"retry_after_s", "server", b"server", "trace_id", b"trace_id"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -119,9 +119,12 @@ impl JwtVerifier {
                 Source::File { path, seen } => {
                     let now = stamp(path);
                     if now != *seen {
-                        *seen = now;
                         match read(path) {
-                            Ok(keys) => self.put(keys),
+                            Ok(keys) => {
+                                *seen = now;
+                                self.put(keys);
+                            }
+                            // Tried again every time: what was withdrawn in it is not in force yet.
                             Err(cause) => tracing::error!(cause, "jwks_file is not taken; its last keys stay"),
                         }
                     }

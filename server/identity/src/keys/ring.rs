@@ -22,8 +22,15 @@ struct Entry {
 pub struct KeyRing {
     path: PathBuf,
     entries: RwLock<HashMap<String, Entry>>,
+    seen: Mutex<Seen>,
+}
+
+#[derive(Default)]
+struct Seen {
     /// Of the state that was read last, whole or not.
-    seen: Mutex<Option<Stamp>>,
+    read: Option<Stamp>,
+    /// Of the state that could not be read for the moment, and was told of.
+    unreadable: Option<Stamp>,
 }
 
 impl KeyRing {
@@ -32,7 +39,7 @@ impl KeyRing {
     /// # Errors
     /// As [`KeyFile::read`].
     pub fn open(path: &Path) -> Result<Self, KeyFileError> {
-        let seen = Mutex::new(stamp(path));
+        let seen = Mutex::new(Seen { read: stamp(path), unreadable: None });
         let ring = Self { path: path.to_owned(), entries: RwLock::default(), seen };
         ring.take(KeyFile::read(path)?);
         Ok(ring)
@@ -46,12 +53,19 @@ impl KeyRing {
     pub fn refresh(&self) -> Result<(), KeyFileError> {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         let now = stamp(&self.path);
-        if *seen == now {
+        if seen.read == now {
             return Ok(());
         }
-        *seen = now;
-        self.take(KeyFile::read(&self.path)?);
-        Ok(())
+        match KeyFile::read(&self.path) {
+            // Tried again until it can be read: what was revoked in it is not in force yet.
+            Err(error @ KeyFileError::Io { .. }) if now.is_some() => {
+                if std::mem::replace(&mut seen.unreadable, now) == now { Ok(()) } else { Err(error) }
+            }
+            outcome => {
+                *seen = Seen { read: now, unreadable: None };
+                outcome.map(|file| self.take(file))
+            }
+        }
     }
 
     /// Puts new keys in force. Calls that go on under a key that has changed in any way lose their standing.

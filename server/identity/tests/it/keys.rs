@@ -70,7 +70,7 @@ async fn a_revoked_key_ends_without_a_restart_even_for_calls_under_way() {
     let server = site.open();
     let (holder, bystander) = (known(&server, &key).await.unwrap(), known(&server, &other).await.unwrap());
     KeyFile::change(&site.file, |f| f.revoke(&id, false, now_s())).unwrap();
-    server.refresh().await;
+    server.refresh_keys();
     assert_eq!(known(&server, &key).await.unwrap_err(), Reason::Revoked);
     assert!(!holder.standing.holds(now_s()));
     assert!(bystander.standing.holds(now_s()) && known(&server, &other).await.is_ok());
@@ -83,7 +83,7 @@ async fn a_key_taken_out_of_the_file_is_no_key() {
     let server = site.open();
     let holder = known(&server, &key).await.unwrap();
     KeyFile::change(&site.file, |f| Ok(std::mem::take(&mut f.keys))).unwrap();
-    server.refresh().await;
+    server.refresh_keys();
     assert_eq!(known(&server, &key).await.unwrap_err(), Reason::Invalid);
     assert!(!holder.standing.holds(now_s()));
 }
@@ -94,7 +94,7 @@ async fn new_keys_are_known_without_a_restart() {
     site.create("driver", None);
     let server = site.open();
     let (_, key) = site.create("late", None);
-    server.refresh().await;
+    server.refresh_keys();
     assert_eq!(known(&server, &key).await.unwrap().name, "late");
 }
 
@@ -104,10 +104,10 @@ async fn a_file_that_is_lost_or_broken_locks_nobody_out() {
     let (_, key) = site.create("driver", None);
     let server = site.open();
     std::fs::write(&site.file, "{").unwrap();
-    server.refresh().await;
+    server.refresh_keys();
     assert!(known(&server, &key).await.is_ok());
     std::fs::remove_file(&site.file).unwrap();
-    server.refresh().await;
+    server.refresh_keys();
     assert!(known(&server, &key).await.is_ok());
 }
 

@@ -264,10 +264,10 @@ async fn keys_of_a_file_are_read_again_when_it_changes() {
     assert!(known(old.token("EdDSA", "ed")).await && !known(new.token("EdDSA", "ed")).await);
     // Another length, so that the change shows whatever the resolution of the file's time is.
     std::fs::write(&file, format!("{} ", new.jwks())).unwrap();
-    authenticator.refresh().await;
+    authenticator.refresh_provider().await;
     assert!(!known(old.token("EdDSA", "ed")).await && known(new.token("EdDSA", "ed")).await);
     std::fs::write(&file, "broken").unwrap();
-    authenticator.refresh().await;
+    authenticator.refresh_provider().await;
     assert!(known(new.token("EdDSA", "ed")).await);
 }
 

@@ -89,10 +89,24 @@ pub(crate) fn run() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
-            eprintln!("percept: {e}");
+            eprintln!("percept: {}", with_causes(e.as_ref()));
             ExitCode::FAILURE
         }
     }
+}
+
+/// An error and what brought it about, outermost first; causes that the words before tell already are left out.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let mut words = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let told = error.to_string();
+        if !words.contains(&told) {
+            words = format!("{words}: {told}");
+        }
+        cause = error.source();
+    }
+    words
 }
 
 fn config(args: &ConfigArgs) -> Result<(), Failure> {

@@ -11,7 +11,7 @@ use crate::doors::listener::{Listener, Protocol, Shared, files};
 use crate::doors::{grpc, rest, zenoh::ZenohDoor};
 use crate::storage;
 use percept_identity::{AuthMode, Authenticator};
-use percept_service::{About, ComputePool, ComputeThreads, Guarded, HEALTHY, Part, Service};
+use percept_service::{About, Admission, ComputePool, ComputeThreads, Guarded, HEALTHY, Part, Service};
 use percept_store::DataRoot;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -23,6 +23,9 @@ use tokio::task::JoinSet;
 
 /// How far the toolbox's threads stand back behind those for sessions, as `nice` has it.
 const TOOLBOX_STANDS_BACK: i32 = 10;
+
+/// Connections to what watches the server.
+const MOST_SCRAPERS: usize = 64;
 
 /// How often files of keys are looked at.
 const REFRESH: Duration = Duration::from_secs(1);
@@ -131,7 +134,7 @@ impl Running {
             });
         }
         if !config.listen.rest.is_empty() {
-            let listener = bind("listen.rest", &config.listen.rest, Protocol::Rest, most, shared)?;
+            let listener = bind("listen.rest", &config.listen.rest, Protocol::Rest, most, shared.clone())?;
             addresses.rest = listener.address()?.to_string();
             let api = api.clone();
             doors.spawn(async move { Ok(rest::serve(api, listener).await?) });
@@ -145,13 +148,19 @@ impl Running {
             tokio::spawn(async move { tls.follow().await });
         }
         tokio::spawn(refresh(Arc::downgrade(&authenticator)));
+        tokio::spawn(refresh_provider(Arc::downgrade(&authenticator)));
         if !config.telemetry.listen.is_empty() {
-            let at = &config.telemetry.listen;
-            let listener = tokio::net::TcpListener::bind(at).await;
-            let listener = listener.map_err(|e| format!("telemetry.listen: cannot listen on {at}: {e}"))?;
-            addresses.telemetry = listener.local_addr()?.to_string();
             // Not one of the doors: it still tells how the server stands while those drain.
-            tokio::spawn(rest::serve_telemetry(api.clone(), listener));
+            let (never, stopping) = watch::channel(false);
+            let shared = Shared { tls: None, stopping, ..shared };
+            let at = &config.telemetry.listen;
+            let listener = bind("telemetry.listen", at, Protocol::Rest, MOST_SCRAPERS, shared)?;
+            addresses.telemetry = listener.address()?.to_string();
+            let api = api.clone();
+            tokio::spawn(async move {
+                let _never = never;
+                rest::serve_telemetry(api, listener).await
+            });
         }
         service.health().report(Part::Server, HEALTHY);
         let seconds = |s: usize| Duration::from_secs(s as u64);
@@ -176,11 +185,12 @@ impl Running {
         }
     }
 
-    /// Reads again what can be changed while serving: certificates, what is logged.
+    /// Reads again what can be changed while serving: certificates, what is logged, quotas.
     fn reload(&self) {
-        let logged = Config::load(self.config_file.as_deref()).map_err(|e| e.to_string());
-        if let Err(error) = logged.and_then(|config| crate::telemetry::reload(&config)) {
-            tracing::error!(%error, "the configuration in force stays");
+        let config = Config::load(self.config_file.as_deref()).map_err(|e| e.to_string());
+        match config.and_then(|config| crate::telemetry::reload(&config).map(|()| config)) {
+            Ok(config) => self.service.set_quotas(config.quotas),
+            Err(error) => tracing::error!(%error, "the configuration in force stays"),
         }
         if let Some(tls) = &self.tls
             && let Err(error) = tls.reload()
@@ -213,7 +223,16 @@ async fn refresh(authenticator: std::sync::Weak<Authenticator>) {
     loop {
         tokio::time::sleep(REFRESH).await;
         let Some(authenticator) = authenticator.upgrade() else { return };
-        authenticator.refresh().await;
+        authenticator.refresh_keys();
+    }
+}
+
+/// Takes over the provider's keys: a provider that hangs holds up nobody else.
+async fn refresh_provider(authenticator: std::sync::Weak<Authenticator>) {
+    loop {
+        tokio::time::sleep(REFRESH).await;
+        let Some(authenticator) = authenticator.upgrade() else { return };
+        authenticator.refresh_provider().await;
     }
 }
 
@@ -226,7 +245,8 @@ fn compute(config: &Config) -> Result<ComputePool, Failure> {
         toolbox: super::compute_pool(threads, (nice + TOOLBOX_STANDS_BACK).min(19))?,
     };
     let limits = &config.limits;
-    Ok(ComputePool::apart(pools, limits.max_concurrent_computations, limits.max_queued_computations))
+    let admission = Admission::new(config.quotas.clone());
+    Ok(ComputePool::apart(pools, limits.max_concurrent_computations, limits.max_queued_computations, admission))
 }
 
 /// What the program knows of itself.
@@ -240,11 +260,16 @@ fn about(config: &Config) -> About {
     About {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         commit: crate::telemetry::COMMIT.to_owned(),
-        store: "file".to_owned(),
+        store: store_kind(&config.storage).to_owned(),
         doors: doors.into_iter().filter(|(_, at)| !at.is_empty()).map(|(name, _)| name.to_owned()).collect(),
         tls: config.tls.is_on(),
         auth: auth.to_owned(),
     }
+}
+
+/// Of the place where data are.
+fn store_kind(storage: &crate::config::Storage) -> &str {
+    storage.url.split_once("://").map_or("file", |(scheme, _)| scheme)
 }
 
 fn bind(

@@ -9,7 +9,7 @@ use percept_service::read_record;
 use percept_store::archive::{export_sessions, import_sessions};
 use percept_store::backup::backup;
 use percept_store::check::{Fault, Progress, SessionReport, check};
-use percept_store::{DataRoot, Location, RootConfig, StoreError};
+use percept_store::{DataRoot, RootConfig, StoreError};
 use serde_json::json;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
@@ -120,7 +120,7 @@ pub(crate) fn run(command: StoreCommand) -> Result<(), Failure> {
 }
 
 async fn check_all(args: Check) -> Result<(), Failure> {
-    let root = open_to_read(storage::location(&args.source.storage()?)?).await?;
+    let root = open_to_read(&args.source.storage()?).await?;
     let bar = bar();
     let reports = check(&root, &read_record, &mut |progress| follow(&bar, &progress)).await?;
     bar.finish_and_clear();
@@ -140,19 +140,20 @@ async fn check_all(args: Check) -> Result<(), Failure> {
 }
 
 async fn export(args: Export) -> Result<(), Failure> {
-    let root = open_to_read(storage::location(&args.source.storage()?)?).await?;
+    let root = open_to_read(&args.source.storage()?).await?;
     let chosen = (!args.sessions.is_empty()).then_some(args.sessions.as_slice());
     let bar = bar();
     let mut told = |progress| follow(&bar, &progress);
     if args.file == Path::new("-") {
-        export_sessions(&root, chosen, &mut BufWriter::new(stream(std::io::stdout())?), &mut told).await?;
+        export_sessions(&root, chosen, &mut BufWriter::new(stream(std::io::stdout())?), &read_record, &mut told)
+            .await?;
     } else {
         // A file of this name is a whole export, or what it was before.
         let mut part = args.file.clone().into_os_string();
         part.push(".part");
         let file = tokio::fs::File::create(&part).await;
         let mut writer = BufWriter::new(file.map_err(|e| format!("cannot write {}: {e}", part.display()))?);
-        if let Err(error) = export_sessions(&root, chosen, &mut writer, &mut told).await {
+        if let Err(error) = export_sessions(&root, chosen, &mut writer, &read_record, &mut told).await {
             let _ = tokio::fs::remove_file(&part).await;
             return Err(error.into());
         }
@@ -166,7 +167,8 @@ async fn export(args: Export) -> Result<(), Failure> {
 }
 
 async fn import(args: Import) -> Result<(), Failure> {
-    let location = storage::location(&args.source.storage()?)?;
+    let storage = args.source.storage()?;
+    let location = storage::location(&storage)?;
     let file: Box<dyn AsyncRead + Unpin + Send> = if args.file == Path::new("-") {
         Box::new(stream(std::io::stdin())?)
     } else {
@@ -176,15 +178,16 @@ async fn import(args: Import) -> Result<(), Failure> {
     let root = match DataRoot::open(RootConfig::at(location.clone())).await {
         // Other sessions than those of the server are added beside it; but it alone may bring old data to the new format.
         Err(StoreError::DirectoryInUse { .. }) => {
-            open_to_read(location.clone()).await?;
+            open_to_read(&storage).await?;
             let mut config = RootConfig::at(location);
             config.lock_directory = false;
-            DataRoot::open(config).await?
+            DataRoot::open(config).await
         }
-        opened => opened?,
+        opened => opened,
     };
+    let root = root.map_err(|error| at(&place(&storage), error))?;
     let mut told = |progress: Progress| eprintln!("percept: imported {}", progress.id);
-    let done = import_sessions(&root, &mut BufReader::new(file), &read_record, &mut told).await?;
+    let done = import_sessions(&root, &mut BufReader::new(file), &mut told).await?;
     root.leave().await?;
     eprintln!("percept: {} sessions imported", done.len());
     Ok(())
@@ -192,10 +195,12 @@ async fn import(args: Import) -> Result<(), Failure> {
 
 async fn back_up(args: Backup) -> Result<(), Failure> {
     let storage = args.source.storage()?;
-    let from = open_to_read(storage::location(&storage)?).await?;
-    let to = DataRoot::open(RootConfig::at(storage::parse(&args.to, &storage)?)).await?;
+    let from = open_to_read(&storage).await?;
+    let to = DataRoot::open(RootConfig::at(storage::parse(&args.to, &storage)?)).await;
+    let to = to.map_err(|error| at(&args.to, error))?;
     let bar = bar();
-    let report = backup(&from, &to, &mut |progress| follow(&bar, &progress)).await?;
+    let report = backup(&from, &to, &read_record, &mut |progress| follow(&bar, &progress)).await;
+    let report = report.map_err(|error| at(&args.to, error))?;
     to.leave().await?;
     bar.finish_and_clear();
     println!(
@@ -205,15 +210,44 @@ async fn back_up(args: Backup) -> Result<(), Failure> {
             "records": report.num_records,
             "blobs": report.num_blobs,
             "bytes": report.num_bytes,
+            "damaged": report.damaged.iter().map(|(id, _)| id).collect::<Vec<_>>(),
         })
     );
-    Ok(())
+    for (id, faults) in &report.damaged {
+        for fault in faults {
+            eprintln!("percept: session {id}: {}", words(fault).1);
+        }
+    }
+    match report.damaged.len() {
+        0 => Ok(()),
+        n => {
+            Err(format!("{n} sessions are damaged; the copy has what can be read of them, and what it had before")
+                .into())
+        }
+    }
 }
 
-async fn open_to_read(location: Location) -> Result<DataRoot, StoreError> {
-    let mut config = RootConfig::at(location);
+async fn open_to_read(storage: &Storage) -> Result<DataRoot, Failure> {
+    let mut config = RootConfig::at(storage::location(storage)?);
     config.read_only = true;
-    DataRoot::open(config).await
+    DataRoot::open(config).await.map_err(|error| at(&place(storage), error))
+}
+
+/// As the operator wrote it.
+fn place(storage: &Storage) -> String {
+    if storage.url.is_empty() { storage.data_dir.display().to_string() } else { storage.url.clone() }
+}
+
+/// What failed, where, and what can be done.
+fn at(place: &str, error: StoreError) -> Failure {
+    let remedy = match &error {
+        StoreError::NoData => {
+            "; --data-dir, --store-url or section storage of the configuration (--config) says where the data are"
+        }
+        StoreError::Io { .. } => "; check that the place can be reached, and that this user may read and write it",
+        _ => "",
+    };
+    format!("{place}: {}{remedy}", super::with_causes(&error)).into()
 }
 
 /// Standard input or output as a file of its own.
@@ -258,10 +292,14 @@ fn as_json(report: &SessionReport) -> serde_json::Value {
 fn words(fault: &Fault) -> (&'static str, String) {
     match fault {
         Fault::CatalogueDamaged => ("CATALOGUE_DAMAGED", "its entry in the catalogue cannot be read".to_owned()),
-        Fault::Records(error) => ("RECORDS_UNREADABLE", format!("its records cannot be read: {error}")),
+        Fault::Records(error) => {
+            ("RECORDS_UNREADABLE", format!("its records cannot be read: {}", super::with_causes(error)))
+        }
         Fault::Record(key, why) => ("RECORD_DAMAGED", format!("record {key} cannot be read: {why}")),
         Fault::BlobMissing(id) => ("SCAN_MISSING", format!("scan {id} is missing")),
         Fault::BlobDamaged(id) => ("SCAN_DAMAGED", format!("scan {id} is not what its name says")),
-        Fault::Blob(id, error) => ("SCAN_UNREADABLE", format!("scan {id} cannot be read: {error}")),
+        Fault::Blob(id, error) => {
+            ("SCAN_UNREADABLE", format!("scan {id} cannot be read: {}", super::with_causes(error)))
+        }
     }
 }

@@ -54,7 +54,7 @@ pub(crate) fn grpc(e: Error) -> Status {
         details.add_bad_request_violation(&e.field, &e.message);
     }
     if is_for_now(e.code, e.reason) {
-        details.set_retry_info(Some(RETRY_AFTER));
+        details.set_retry_info(Some(e.retry_after.unwrap_or(RETRY_AFTER)));
     }
     Status::with_error_details(codes(e.code).0, e.message, details)
 }
@@ -78,7 +78,9 @@ pub(crate) fn from_grpc(status: &Status) -> Problem {
         ErrorCode::DeadlineExceeded,
     ];
     let code = table.into_iter().find(|c| codes(*c).0 == status.code()).unwrap_or(ErrorCode::Internal);
-    Problem { code, reason, message: status.message().to_owned(), field, trace_id: trace_id() }
+    let server = details.error_info().and_then(|i| i.metadata.get(SERVER)).cloned().unwrap_or_default();
+    let retry_after = details.retry_info().and_then(|retry| retry.retry_delay);
+    Problem { code, reason, message: status.message().to_owned(), field, trace_id: trace_id(), server, retry_after }
 }
 
 /// An error as REST and zenoh say it.
@@ -90,12 +92,16 @@ pub(crate) struct Problem {
     field: String,
     /// Of the request; empty outside of one.
     trace_id: String,
+    /// The server to ask instead; empty if that is no matter of where.
+    server: String,
+    retry_after: Option<Duration>,
 }
 
 impl From<Error> for Problem {
     fn from(e: Error) -> Self {
         observe::refusal(e.reason);
-        Self { code: e.code, reason: e.reason.to_owned(), message: e.message, field: e.field, trace_id: trace_id() }
+        let Error { code, reason, message, field, server, retry_after } = e;
+        Self { code, reason: reason.to_owned(), message, field, trace_id: trace_id(), server, retry_after }
     }
 }
 
@@ -123,6 +129,8 @@ impl Problem {
             field: self.field.clone(),
             code: self.code.name().to_owned(),
             trace_id: self.trace_id.clone(),
+            server: self.server.clone(),
+            retry_after_s: self.retry_after.map_or(0.0, |after| after.as_secs_f64()),
         };
         info.encode_to_vec()
     }
@@ -138,7 +146,7 @@ impl IntoResponse for Problem {
             }
             _ => codes(self.code).1,
         };
-        let body = json!({
+        let mut body = json!({
             "type": format!("urn:percept:error:{}", self.reason.to_lowercase()),
             "title": status.canonical_reason().unwrap_or("error"),
             "status": status.as_u16(),
@@ -148,10 +156,15 @@ impl IntoResponse for Problem {
             "code": self.code.name(),
             TRACE_ID: self.trace_id,
         });
+        if !self.server.is_empty() {
+            body[SERVER] = self.server.into();
+        }
         let headers = [("content-type", "application/problem+json")];
         let mut response = (status, headers, body.to_string()).into_response();
         if is_for_now(self.code, &self.reason) {
-            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(RETRY_AFTER.as_secs()));
+            // Whole seconds are all that HTTP knows.
+            let after = self.retry_after.unwrap_or(RETRY_AFTER).as_secs_f64().ceil() as u64;
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(after));
         }
         response.extensions_mut().insert(RefusedWith(self.code.name()));
         response
@@ -173,6 +186,18 @@ mod tests {
         assert!(again(Error::new(ErrorCode::Unavailable, "STOPPING", "")));
         assert!(!again(Error::exhausted("MESSAGE_TOO_LARGE", "", "")));
         assert!(!again(Error::invalid("OUT_OF_RANGE", "x", "")));
+    }
+
+    #[test]
+    fn where_and_when_to_ask_again_survive_the_way_through_grpc() {
+        let problem = from_grpc(&grpc(Error::elsewhere("robot", "two.example:50051")));
+        assert_eq!(problem.server, "two.example:50051");
+        let slow = Error::too_fast("RATE_LIMITED", "", Duration::from_millis(2500));
+        let status = grpc(slow.clone());
+        assert_eq!(status.get_details_retry_info().unwrap().retry_delay, Some(Duration::from_millis(2500)));
+        for answer in [from_grpc(&status), Problem::from(slow)] {
+            assert_eq!(answer.into_response().headers()[header::RETRY_AFTER], "3");
+        }
     }
 
     #[test]

@@ -12,6 +12,7 @@ pub mod rules;
 
 pub use context::CallContext;
 
+use crate::admission::{Held, TenantPlace, limited};
 use crate::reason;
 use crate::{ComputePool, Error, ErrorCode, Health, Limits, RateLimitedLog, Result, Service, check_id};
 use percept_identity::now_s;
@@ -21,6 +22,8 @@ use std::time::Duration;
 
 /// How often a call that goes on asks whether its credentials still hold.
 const ASKED_AGAIN: Duration = Duration::from_secs(1);
+/// A sender that is held back is asked about so often at least: quotas may change.
+const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
 /// The service as doors hold it.
 #[derive(Clone)]
@@ -32,8 +35,17 @@ impl Guarded {
         Self(service)
     }
 
-    /// Its operations, in somebody's name.
-    pub fn caller(&self, context: CallContext) -> Caller {
+    /// Its operations, in the name of somebody who makes a request.
+    ///
+    /// # Errors
+    /// `RATE_LIMITED`.
+    pub fn caller(&self, context: CallContext) -> Result<Caller> {
+        self.0.compute.admission().request(&context.principal.tenant)?;
+        Ok(self.sender(context))
+    }
+
+    /// The same for somebody whose frames come one by one, without a request: they are counted by themselves.
+    pub fn sender(&self, context: CallContext) -> Caller {
         Caller { service: self.0.clone(), context }
     }
 
@@ -76,9 +88,56 @@ impl Caller {
         self.service.limits()
     }
 
-    /// The threads on which doors decode and encode.
-    pub fn compute(&self) -> &ComputePool {
-        &self.service.compute
+    /// Encodes an answer, or does other work for a question about a session, on the threads for that.
+    ///
+    /// # Errors
+    /// `RATE_LIMITED`, `SERVER_BUSY`, `INTERNAL` if the work panicked.
+    pub async fn query<T: Send + 'static>(
+        &self,
+        session: &str,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T> {
+        let asker = self.service.compute.admission().asker(&self.context.principal.tenant, session)?;
+        self.service.compute.query(&asker, work).await
+    }
+
+    /// Decodes a frame of a session on the threads for frames.
+    ///
+    /// # Errors
+    /// `INTERNAL` if the work panicked.
+    pub async fn decode<T: Send + 'static>(
+        &self,
+        session: &str,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T> {
+        let sender = self.service.compute.admission().sender(&self.context.principal.tenant, session);
+        self.service.compute.run_for(&sender, work).await
+    }
+
+    /// Counts a frame of so many bytes before anything is done with it.
+    ///
+    /// # Errors
+    /// `RATE_LIMITED`.
+    pub fn admit_frame(&self, session: &str, num_bytes: usize) -> Result<()> {
+        let admission = self.service.compute.admission();
+        let admitted = admission.frame(&self.context.principal.tenant, session, num_bytes);
+        admitted.map_err(|wait| limited("frames", wait))
+    }
+
+    /// The same for a sender that can be held back: comes when the frame may.
+    pub async fn pace_frame(&self, session: &str, num_bytes: usize) {
+        let admission = self.service.compute.admission();
+        while let Err(wait) = admission.frame(&self.context.principal.tenant, session, num_bytes) {
+            tokio::time::sleep(wait.min(LONGEST_PAUSE)).await;
+        }
+    }
+
+    /// The caller's place for what lasts, beside the doors' bounds.
+    ///
+    /// # Errors
+    /// `TOO_MANY_STREAMS`, `TOO_MANY_WATCHERS`.
+    pub fn hold(&self, held: Held) -> Result<TenantPlace> {
+        self.service.compute.admission().hold(&self.context.principal.tenant, held)
     }
 
     /// Comes when the credentials no longer hold: watches and streams end with it.

@@ -459,7 +459,7 @@ impl Caller {
         comparison: TrajectoryComparison,
     ) -> Result<(TrajectoryScore, Vec<PosePair>)> {
         self.may("EvaluationService/*")?;
-        self.service.evaluate_trajectory(comparison).await
+        self.service.evaluate_trajectory(&self.owner(), comparison).await
     }
 
     /// A trajectory (ascending stamps) judged by checked motions.
@@ -473,7 +473,7 @@ impl Caller {
         max_gap_s: Option<f64>,
     ) -> Result<RelationScore> {
         self.may("EvaluationService/*")?;
-        self.service.evaluate_relations(trajectory, relations, max_gap_s).await
+        self.service.evaluate_relations(&self.owner(), trajectory, relations, max_gap_s).await
     }
 
     /// Precision and recall of boxes; a pair matches at `min_iou` (0.25 if none).
@@ -487,6 +487,6 @@ impl Caller {
         min_iou: Option<f64>,
     ) -> Result<DetectionScore> {
         self.may("EvaluationService/*")?;
-        self.service.evaluate_detections(truth, found, min_iou).await
+        self.service.evaluate_detections(&self.owner(), truth, found, min_iou).await
     }
 }

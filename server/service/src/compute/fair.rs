@@ -2,8 +2,9 @@
 //!
 //! Of those who wait, the one whose jobs have computed least goes first, as in start-time fair queueing (Goyal, Vin, Cheng:
 //! Start-time fair queuing, 1996) with measured instead of announced costs. Who comes back after a pause begins where the
-//! others are, so that nobody saves up turns.
+//! others are, so that nobody saves up turns. Who weighs twice as much pays half for the same time.
 
+use crate::Asker;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -36,7 +37,9 @@ struct State {
 #[derive(Default)]
 struct Party {
     jobs: VecDeque<(u64, Job)>,
+    /// Time used, by its weight.
     used: Duration,
+    weight: u32,
     running: usize,
 }
 
@@ -54,7 +57,7 @@ impl State {
     fn ended(&mut self, name: &str, cost: Duration) {
         self.running -= 1;
         if let Some(party) = self.parties.get_mut(name) {
-            party.used += cost;
+            party.used += cost / party.weight.max(1);
             party.running -= 1;
         }
         // A party without work whose turn would be due at once is like a new one.
@@ -74,7 +77,7 @@ impl Line {
     }
 
     /// Puts a job of a party in line; it runs when its turn comes.
-    pub(super) fn push(self: &Arc<Self>, party: &str, job: Job) -> Result<(), Full> {
+    pub(super) fn push(self: &Arc<Self>, asker: &Asker, job: Job) -> Result<(), Full> {
         {
             let mut state = self.lock();
             if state.running >= self.places && state.waiting >= self.max_waiting {
@@ -82,7 +85,8 @@ impl Line {
             }
             state.arrivals += 1;
             let (number, reached) = (state.arrivals, state.reached);
-            let party = state.parties.entry(party.to_owned()).or_default();
+            let party = state.parties.entry(asker.name().to_owned()).or_default();
+            party.weight = u32::try_from(asker.weight()).unwrap_or(u32::MAX);
             if party.jobs.is_empty() && party.running == 0 {
                 party.used = party.used.max(reached);
             }
@@ -167,6 +171,17 @@ mod tests {
         let order = served(&mut state, |name| if name == "heavy" { 30 } else { 10 });
         let light = order[..40].iter().filter(|n| *n == "light").count();
         assert!((28..=32).contains(&light), "{light} of 40, 30 are three quarters");
+    }
+
+    #[test]
+    fn who_weighs_more_gets_more() {
+        let mut state = State::default();
+        waiting(&mut state, "three", 100);
+        waiting(&mut state, "one", 100);
+        state.parties.get_mut("three").unwrap().weight = 3;
+        let order = served(&mut state, |_| 10);
+        let three = order[..40].iter().filter(|n| *n == "three").count();
+        assert!((28..=32).contains(&three), "{three} of 40, 30 are three quarters");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Metrics against ground truth.
 
-use super::toolbox::budget;
+use super::toolbox::{budget, tenant_of};
 use crate::reason;
 use crate::{Error, Result, Service};
 use percept_evaluation::{
@@ -41,9 +41,10 @@ impl Service {
     /// bounds.
     pub async fn evaluate_trajectory(
         &self,
+        owner: &str,
         comparison: TrajectoryComparison,
     ) -> Result<(TrajectoryScore, Vec<PosePair>)> {
-        self.evaluate(move || compare(comparison)).await
+        self.evaluate(owner, move || compare(comparison)).await
     }
 
     /// A trajectory (ascending stamps) judged by checked motions; poses are interpolated over at most `max_gap_s`
@@ -53,19 +54,22 @@ impl Service {
     /// `EVALUATION_INVALID`: stamps that decrease, a gap that is not positive, no relation that can be judged.
     pub async fn evaluate_relations(
         &self,
+        owner: &str,
         trajectory: Vec<Stamped<Pose>>,
         relations: Vec<TrueRelation>,
         max_gap_s: Option<f64>,
     ) -> Result<RelationScore> {
         let work = move || score_relations(&Trajectory::new(trajectory)?, &relations, max_gap_s.unwrap_or(2.0));
-        self.evaluate(work).await
+        self.evaluate(owner, work).await
     }
 
     async fn evaluate<T: Send + 'static>(
         &self,
+        owner: &str,
         work: impl FnOnce() -> std::result::Result<T, EvaluationError> + Send + 'static,
     ) -> Result<T> {
-        self.compute.request_within("", budget(&self.limits), |_| work()).await?.map_err(|e| evaluation_error(&e))
+        let asker = self.compute.admission().asker(tenant_of(owner), owner)?;
+        self.compute.request_within(&asker, budget(&self.limits), |_| work()).await?.map_err(|e| evaluation_error(&e))
     }
 
     /// Precision and recall of boxes; a pair matches at `min_iou` (0.25 if none).
@@ -74,12 +78,13 @@ impl Service {
     /// `EVALUATION_INVALID` for a threshold outside (0, 1].
     pub async fn evaluate_detections(
         &self,
+        owner: &str,
         truth: Vec<TrueObject>,
         found: Vec<FoundObject>,
         min_iou: Option<f64>,
     ) -> Result<DetectionScore> {
         let work = move || match_detections(&truth, &found, min_iou.unwrap_or(0.25));
-        self.evaluate(work).await
+        self.evaluate(owner, work).await
     }
 }
 

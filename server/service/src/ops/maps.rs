@@ -258,7 +258,7 @@ impl Service {
         let s = self.snapshot(session).await?;
         let (map_version, stamp, limits) = (s.map_version, stamp_of(&s), Arc::clone(&self.limits));
         let copy = move || dense(&s.layers.occupancy, region, resolution_m, &limits);
-        Ok(GridAnswer { map_version, stamp, grid: self.compute.query(session, copy).await?? })
+        Ok(GridAnswer { map_version, stamp, grid: self.compute.query(&self.asker(session)?, copy).await?? })
     }
 
     /// The fused cloud, or the part of it around a point (m, map frame; radius m).
@@ -272,7 +272,7 @@ impl Service {
             Some((center, radius)) => s.layers.cloud.points_within(&center, radius),
             None => s.layers.cloud.to_cloud(),
         };
-        Ok(CloudAnswer { map_version, stamp, cloud: self.compute.query(session, extract).await? })
+        Ok(CloudAnswer { map_version, stamp, cloud: self.compute.query(&self.asker(session)?, extract).await? })
     }
 
     /// The map as a file.
@@ -282,7 +282,7 @@ impl Service {
     pub async fn export_map(&self, session: &str, format: MapFormat) -> Result<MapFile> {
         let s = self.snapshot(session).await?;
         let (name, limits) = (session.to_owned(), self.limits.clone());
-        self.compute.query(session, move || export(&s, &name, format, &limits)).await?
+        self.compute.query(&self.asker(session)?, move || export(&s, &name, format, &limits)).await?
     }
 }
 

@@ -60,7 +60,7 @@ impl Service {
 
     async fn plan_on(&self, session: &str, snapshot: Arc<Snapshot>, request: PlanRequest) -> Result<Plan> {
         let max_cells = self.limits.max_planning_cells;
-        self.compute.query(session, move || plan(&snapshot, &request, max_cells)).await?
+        self.compute.query(&self.asker(session)?, move || plan(&snapshot, &request, max_cells)).await?
     }
 
     /// A sensor message and a goal in; pose, obstacles and path out.

@@ -56,6 +56,6 @@ impl Service {
     /// `SESSION_NOT_FOUND`.
     pub async fn scene_graph(&self, session: &str) -> Result<SceneGraph> {
         let snapshot = self.snapshot(session).await?;
-        self.compute.query(session, move || snapshot.scene_graph()).await
+        self.compute.query(&self.asker(session)?, move || snapshot.scene_graph()).await
     }
 }

@@ -45,8 +45,7 @@ impl Service {
     pub async fn send_frame(&self, incoming: IncomingFrame) -> Result<(Arc<Session>, Processed)> {
         let (sensor, stamp) = (incoming.frame.sensor.clone(), incoming.frame.stamp);
         let (session, pending) = self.submit_frame(incoming).await?;
-        let answer = pending.await.map_err(|_| crate::Error::internal("a frame's answer was lost"))?;
-        let processed = match answer {
+        let processed = match pending.answer().await {
             Err(e) if matches!(e.reason, reason::STAMP_NOT_INCREASING | reason::CLOCK_SET_BACK) => {
                 session.taken_before(&sensor, stamp).ok_or(e)?
             }

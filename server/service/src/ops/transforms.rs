@@ -100,7 +100,7 @@ impl Service {
     ) -> Result<(Page<(Pose, TrajectoryEntry)>, u64)> {
         let snapshot = self.snapshot(session).await?;
         let map_version = snapshot.map_version;
-        let part = self.compute.query(session, move || part_of(&snapshot, &request)).await??;
+        let part = self.compute.query(&self.asker(session)?, move || part_of(&snapshot, &request)).await??;
         Ok((part, map_version))
     }
 }

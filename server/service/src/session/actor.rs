@@ -6,7 +6,7 @@ use super::handle::{Command, Moved, Processed, Session, Vetoed, lock};
 use super::meta::{SensorDeclaration, SessionMeta};
 use super::persist::{Job, Persister, Storing};
 use super::refusal::{failed, frame_error, stopped};
-use crate::{ComputePool, Result, observe};
+use crate::{Asker, ComputePool, Result, observe};
 use percept_geometry::SensorFrame;
 use percept_pipeline::{FrameReport, Loop, LoopId, MapChange, Pipeline, Snapshot};
 use std::sync::{Arc, PoisonError};
@@ -58,7 +58,13 @@ fn take_settings(pipeline: &mut Pipeline, meta: &SessionMeta, declared: Option<&
 
 impl Actor {
     pub(super) async fn run(mut self, mut commands: mpsc::Receiver<Command>) -> Ending {
-        let ending = self.obey_all(&mut commands).await;
+        let mut discarded = self.session.discarded.subscribe();
+        // Whatever is being waited for, such as a storage that takes nothing.
+        let ending = tokio::select! {
+            biased;
+            _ = discarded.wait_for(|is_discarded| *is_discarded) => Ending::Discarded,
+            ending = self.obey_all(&mut commands) => ending,
+        };
         commands.close();
         if let Ending::Panicked = ending {
             let _ = self.persister.flushed(LAST_PATIENCE).await;
@@ -87,7 +93,7 @@ impl Actor {
                         return ending;
                     }
                 }
-                Ok(Some(Command::Discard)) | Ok(None) => return Ending::Discarded,
+                Ok(None) => return Ending::Discarded,
                 Ok(Some(command)) => self.obey(command).await,
                 Err(_) => {
                     let _ = self.change(|pipeline| Some(pipeline.finish_revision())).await;
@@ -113,9 +119,7 @@ impl Actor {
         }
         commands.close();
         // Whoever was quicker than the closing is served.
-        let mut is_discarded = false;
         while let Some(command) = commands.recv().await {
-            is_discarded |= matches!(command, Command::Discard);
             self.obey(command).await;
         }
         let stored = self.persister.flushed(patience).await;
@@ -123,7 +127,7 @@ impl Actor {
             tracing::error!(?trouble, "the last frames of a session were not stored");
         }
         let _ = done.send(stored);
-        Some(if is_discarded { Ending::Discarded } else { Ending::Retired })
+        Some(Ending::Retired)
     }
 
     /// Does what a command says; without a pipeline, its sender learns that the session is gone.
@@ -133,7 +137,11 @@ impl Actor {
                 drop(queued);
                 let _ = reply.send(self.frame(*frame, received).await);
             }
-            Command::Change { meta, declared, done } => {
+            Command::Change { meta: None, done, alone, .. } => {
+                let _ = done.send(self.persister.newest());
+                drop(alone);
+            }
+            Command::Change { meta: Some(meta), declared, done, alone } => {
                 if let Some(pipeline) = &mut self.pipeline {
                     take_settings(pipeline, &meta, declared.as_deref());
                     *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) =
@@ -142,6 +150,7 @@ impl Actor {
                 self.session.changed(*meta.clone(), declared.map(|d| *d));
                 let ticket = self.persister.submit(Job { meta: Some(meta), ..Job::default() }).await;
                 let _ = done.send(ticket);
+                drop(alone);
             }
             Command::Veto { id, vetoed, reply } => {
                 if let Some(answer) = self.veto(id, vetoed).await {
@@ -156,7 +165,6 @@ impl Actor {
             Command::Retire { done, .. } => {
                 let _ = done.send(Ok(()));
             }
-            Command::Discard => {}
         }
     }
 
@@ -164,9 +172,10 @@ impl Actor {
         let (sensor, stamp, kind) = (frame.sensor.clone(), frame.stamp, frame.data.kind());
         let (waited, began) = (came.elapsed(), Instant::now());
         let mut pipeline = self.pipeline.take().ok_or_else(stopped)?;
+        let sender = self.sender();
         let (pipeline, outcome) = self
             .compute
-            .run_for(self.session.id(), move || {
+            .run_for(&sender, move || {
                 let outcome = pipeline.process(&frame).map(|report| (report, pipeline.snapshot()));
                 (pipeline, outcome)
             })
@@ -203,6 +212,10 @@ impl Actor {
         lock(&self.session.book).accepted(&sensor, stamp, ticket);
         let latency_s = came.elapsed().as_secs_f64();
         Ok(Processed { pose: report.pose, keyframe, latency_s, ticket, is_duplicate: false })
+    }
+
+    fn sender(&self) -> Asker {
+        self.compute.admission().sender(self.session.tenant(), self.session.id())
     }
 
     fn publish(&self, report: &FrameReport, snapshot: Snapshot) {
@@ -242,7 +255,8 @@ impl Actor {
         change: impl FnOnce(&mut Pipeline) -> Option<MapChange> + Send + 'static,
     ) -> Option<Option<(Vec<Loop>, Moved)>> {
         let mut pipeline = self.pipeline.take()?;
-        let work = self.compute.run_for(self.session.id(), move || {
+        let sender = self.sender();
+        let work = self.compute.run_for(&sender, move || {
             let done = change(&mut pipeline);
             let snapshot = pipeline.snapshot();
             (pipeline, done, snapshot)

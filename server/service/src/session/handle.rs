@@ -14,7 +14,7 @@ use percept_pipeline::{Loop, LoopId, Pipeline, PoseEstimate, Snapshot};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::{Duration, Instant};
-use tokio::sync::{Notify, mpsc, oneshot, watch};
+use tokio::sync::{Notify, OwnedMutexGuard, mpsc, oneshot, watch};
 
 /// Running number of an accepted frame in its session; durable once [`Session::durable`] has reached it.
 pub type Ticket = u64;
@@ -35,7 +35,17 @@ pub struct Processed {
 }
 
 /// The answer to a submitted frame, when it comes.
-pub type Pending = oneshot::Receiver<Result<Processed>>;
+pub struct Pending(oneshot::Receiver<Result<Processed>>);
+
+impl Pending {
+    /// What became of the frame.
+    ///
+    /// # Errors
+    /// What is wrong with it; `SESSION_STOPPED` if the session ended before its turn came: nothing was done with it.
+    pub async fn answer(self) -> Result<Processed> {
+        self.0.await.unwrap_or_else(|_| Err(stopped()))
+    }
+}
 
 /// What became of a submitted frame so far.
 pub(crate) enum Submitted {
@@ -60,10 +70,13 @@ pub(crate) enum Command {
         reply: oneshot::Sender<Result<Processed>>,
         queued: Held,
     },
+    /// None: nothing changes, and the ticket tells when what is there is durable.
     Change {
-        meta: Box<SessionMeta>,
+        meta: Option<Box<SessionMeta>>,
         declared: Option<Box<SensorDeclaration>>,
         done: oneshot::Sender<Ticket>,
+        /// Kept until it is in force: the next change builds on this one, whoever still waits for it.
+        alone: OwnedMutexGuard<()>,
     },
     Veto {
         id: LoopId,
@@ -78,8 +91,6 @@ pub(crate) enum Command {
         patience: Duration,
         done: oneshot::Sender<std::result::Result<(), Trouble>>,
     },
-    /// End at once; what is not stored is not wanted any more.
-    Discard,
 }
 
 /// How the map moved, other than by a frame.
@@ -105,6 +116,7 @@ pub struct Vetoed {
 /// A handle on a session that is awake; queries through it never wait for ingest.
 pub struct Session {
     id: String,
+    tenant: String,
     meta: RwLock<SessionMeta>,
     pub(super) snapshot: RwLock<Arc<Snapshot>>,
     pub(super) events: Arc<EventLog>,
@@ -116,8 +128,17 @@ pub struct Session {
     /// Set if the session is only read.
     fault: OnceLock<Fault>,
     inboxes: Mutex<BTreeMap<SensorId, Arc<Inbox>>>,
-    changing: tokio::sync::Mutex<()>,
+    changing: Arc<tokio::sync::Mutex<()>>,
+    /// Set to end at once: what is not stored is not wanted any more.
+    pub(super) discarded: watch::Sender<bool>,
     queue_length: usize,
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        // Those who wait for frames find that there is no session any more.
+        lock(&self.inboxes).values().for_each(|inbox| inbox.filled.notify_one());
+    }
 }
 
 /// Frames of one sensor that waits under `DropOldest`.
@@ -184,6 +205,7 @@ impl Session {
         share.map(snapshot.keyframes.len(), snapshot.objects.len());
         Self {
             id: meta.id.clone(),
+            tenant: meta.tenant.clone(),
             meta: RwLock::new(meta),
             snapshot: RwLock::new(Arc::new(snapshot)),
             events,
@@ -194,7 +216,8 @@ impl Session {
             storing,
             fault: fault.map_or_else(OnceLock::new, OnceLock::from),
             inboxes: Mutex::default(),
-            changing: tokio::sync::Mutex::default(),
+            changing: Arc::default(),
+            discarded: watch::channel(false).0,
             queue_length: limits.queue_length.max(1),
         }
     }
@@ -202,6 +225,11 @@ impl Session {
     /// Its id.
     pub fn id(&self) -> &str {
         &self.id
+    }
+
+    /// Whose it is.
+    pub fn tenant(&self) -> &str {
+        &self.tenant
     }
 
     /// What the session was created with, and its sensors.
@@ -251,6 +279,11 @@ impl Session {
         self.queue_len() > 0 || lock(&self.inboxes).values().any(|inbox| !lock(&inbox.frames).is_empty())
     }
 
+    /// Whether what it takes in is being stored: putting it to sleep would hold up its callers for nothing otherwise.
+    pub(crate) fn is_stored_well(&self) -> bool {
+        matches!(*self.storing.borrow(), Storing::Well)
+    }
+
     /// The session is only read from now on.
     pub(super) fn set_apart(&self, fault: Fault) {
         let _ = self.fault.set(fault);
@@ -280,12 +313,12 @@ impl Session {
         let (reply, pending) = oneshot::channel();
         if self.meta.read().unwrap_or_else(PoisonError::into_inner).mode == SessionMode::IngestOnly {
             let _ = reply.send(self.count_only(&frame));
-            return Ok(Submitted::Taken(pending));
+            return Ok(Submitted::Taken(Pending(pending)));
         }
         let queued = observe::frame_queued();
         let command = Command::Frame { frame, received: Instant::now(), reply, queued };
         match self.queue.send(command).await {
-            Ok(()) => Ok(Submitted::Taken(pending)),
+            Ok(()) => Ok(Submitted::Taken(Pending(pending))),
             Err(mpsc::error::SendError(Command::Frame { frame, .. })) => Ok(Submitted::Asleep(frame)),
             Err(_) => Err(stopped()),
         }
@@ -295,6 +328,11 @@ impl Session {
     pub(crate) fn taken_before(&self, sensor: &SensorId, stamp: Timestamp) -> Option<Processed> {
         let ticket = lock(&self.book).ticket_of(sensor, stamp)?;
         Some(Processed { pose: None, keyframe: None, latency_s: 0.0, ticket, is_duplicate: true })
+    }
+
+    /// The ticket with which a frame is durable that was refused for its stamp, for it may have been taken in before.
+    pub fn ticket_of_refused(&self, sensor: &SensorId, stamp: Timestamp) -> Option<Ticket> {
+        lock(&self.book).ticket_covering(sensor, stamp)
     }
 
     /// Waits until a frame's effects survive a crash.
@@ -386,16 +424,14 @@ impl Session {
         change: impl FnOnce(&mut SessionMeta) -> Result<Option<SensorDeclaration>>,
     ) -> Result<()> {
         self.check_storing()?;
-        let _one_at_a_time = self.changing.lock().await;
+        let alone = Arc::clone(&self.changing).lock_owned().await;
         let mut meta = self.meta();
         let declared = change(&mut meta)?.map(Box::new);
-        if meta == self.meta() {
-            return Ok(());
-        }
+        let is_new = meta != self.meta();
         meta.revision += 1;
         let (done, changed) = oneshot::channel();
-        let meta = Box::new(meta);
-        self.queue.send(Command::Change { meta, declared, done }).await.map_err(|_| stopped())?;
+        let meta = is_new.then(|| Box::new(meta));
+        self.queue.send(Command::Change { meta, declared, done, alone }).await.map_err(|_| stopped())?;
         let ticket = changed.await.map_err(|_| stopped())?;
         self.wait_durable(ticket).await
     }
@@ -441,7 +477,7 @@ impl Session {
 
     /// Ends without storing anything more.
     pub(super) async fn discard(&self) {
-        let _ = self.queue.send(Command::Discard).await;
+        self.discarded.send_replace(true);
         self.queue.closed().await;
     }
 }
@@ -451,8 +487,8 @@ async fn forward(session: std::sync::Weak<Session>, inbox: Arc<Inbox>) {
     loop {
         inbox.filled.notified().await;
         loop {
-            let Some(frame) = lock(&inbox.frames).pop_front() else { break };
             let Some(session) = session.upgrade() else { return };
+            let Some(frame) = lock(&inbox.frames).pop_front() else { break };
             match session.submit(frame).await {
                 Ok(Submitted::Asleep(_)) => return,
                 Err(e) => tracing::debug!(reason = e.reason, "a waiting frame was refused"),

@@ -10,7 +10,7 @@ use std::time::Duration;
 /// How often sessions are looked through.
 const EVERY: Duration = Duration::from_millis(500);
 /// A session that was used more recently than this is left awake whatever memory says: it would be woken again at once.
-const RECENT_NS: i64 = 2_000_000_000;
+const RECENT_MS: u64 = 2_000;
 /// Share of the sessions in question that are put to sleep in one round when memory runs short: it takes a moment until
 /// memory that was given back can be seen.
 const SHARE: usize = 8;
@@ -51,22 +51,22 @@ pub(super) async fn keep(registry: Weak<Registry>) {
 }
 
 fn round(registry: &Arc<Registry>) {
-    let now_ns = crate::ops::sessions::now_ns();
-    let idle_ns = i64::try_from(registry.limits.sleep_after_s).unwrap_or(i64::MAX).saturating_mul(1_000_000_000);
-    let mut awake: Vec<(i64, Arc<Slot>)> = Vec::new();
+    let idle_ms = (registry.limits.sleep_after_s as u64).saturating_mul(1000);
+    let mut awake: Vec<(u64, Arc<Slot>)> = Vec::new();
     for slot in registry.slots() {
         if let Phase::Awake(session) = slot.phase()
             && !session.is_busy()
+            && session.is_stored_well()
         {
-            awake.push((slot.last_used_ns(), slot));
+            awake.push((slot.unused_ms(), slot));
         }
     }
-    awake.sort_by_key(|(last_used_ns, _)| *last_used_ns);
+    awake.sort_by_key(|(unused_ms, _)| std::cmp::Reverse(*unused_ms));
     let mut left = Vec::new();
-    for (last_used_ns, slot) in awake {
-        if now_ns.saturating_sub(last_used_ns) >= idle_ns {
+    for (unused_ms, slot) in awake {
+        if unused_ms >= idle_ms {
             registry.retire_soon(&slot);
-        } else if now_ns.saturating_sub(last_used_ns) >= RECENT_NS {
+        } else if unused_ms >= RECENT_MS {
             left.push(slot);
         }
     }
@@ -78,9 +78,10 @@ fn round(registry: &Arc<Registry>) {
 
 /// Memory that this process has, bytes; none where the system does not say.
 fn resident_bytes() -> Option<u64> {
-    let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
-    let pages: u64 = statm.split_whitespace().nth(1)?.parse().ok()?;
-    Some(pages * 4096)
+    // In KiB, whatever the size of a page.
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kib: u64 = status.lines().find_map(|l| l.strip_prefix("VmRSS:")?.split_whitespace().next()?.parse().ok())?;
+    Some(kib << 10)
 }
 
 /// The budget; half of the machine's memory if none is set.

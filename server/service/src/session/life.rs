@@ -84,6 +84,7 @@ impl Registry {
             slot.events.close();
         }
         slot.set(phase);
+        self.check_claim(&slot).await;
     }
 
     async fn read(self: Arc<Self>, slot: Arc<Slot>) -> std::result::Result<Phase, Trouble> {
@@ -107,6 +108,7 @@ impl Registry {
     ) -> std::result::Result<Phase, Trouble> {
         let storing = Arc::clone(&slot.storing).lock_owned().await;
         let store: Arc<dyn Store> = Arc::new(self.root.open_session(place).await?);
+        let is_another = slot.opened_as(store.epoch());
         let recovered = match recover(Arc::clone(&store), &self.compute, created, &self.defaults).await {
             Ok(recovered) => recovered,
             Err(trouble) => {
@@ -129,6 +131,8 @@ impl Registry {
             return Ok(Phase::Faulted(fault, Some(session)));
         }
         let state = stored.state.clone();
+        // Before the first frame stores its scan.
+        let mark = store.mark();
         let persister = Persister::start(Writer::new(Arc::clone(&store), stored), &state);
         let compute = self.compute.clone();
         let (session, actor) =
@@ -139,11 +143,15 @@ impl Registry {
             drop(storing);
         });
         tokio::spawn(async move {
-            if let Err(error) = collect_garbage(store.as_ref(), GRACE).await {
+            if let Err(error) = collect_garbage(store.as_ref(), mark, GRACE).await {
                 tracing::debug!(?error, "scans that nobody needs were not looked for");
             }
         });
         self.note(slot, &session);
+        if is_another {
+            // It went on elsewhere since it was here: watchers read it anew.
+            slot.events.publish(Timestamp::default(), [EventKind::Resync(0)]);
+        }
         Ok(Phase::Awake(session))
     }
 
@@ -170,6 +178,10 @@ impl Registry {
             tracing::warn!(session = slot.id, %error, "a session's store did not close cleanly; what was acknowledged is safe");
         }
         self.release(&slot).await;
+        if !matches!(ending, Ending::Retired) && !slot.is_doomed() {
+            // It goes on from what is stored, which may be less than what was told: watchers read the state anew.
+            slot.events.publish(Timestamp::default(), [EventKind::Resync(0)]);
+        }
         let next = match ending {
             Ending::Retired | Ending::Discarded => Phase::Asleep(None),
             Ending::Panicked if slot.failed(FAILURE_WINDOW_NS) >= MOST_FAILURES => {
@@ -179,11 +191,7 @@ impl Registry {
                 );
                 Phase::Faulted(fault, Some(session))
             }
-            Ending::Panicked => {
-                // It goes on from what is stored: watchers read the state anew.
-                slot.events.publish(Timestamp::default(), [EventKind::Resync(0)]);
-                Phase::Asleep(None)
-            }
+            Ending::Panicked => Phase::Asleep(None),
             Ending::Unstorable(Trouble::Lasting(fault)) => Phase::Faulted(fault, Some(session)),
             Ending::Unstorable(trouble) => Phase::Asleep(Some(trouble.error())),
         };
@@ -191,7 +199,8 @@ impl Registry {
             tracing::error!(session = slot.id, reason = fault.reason, fault.message, "session set apart");
             session.set_apart(fault.clone());
         }
-        // A deletion has its own end.
+        // A deletion has its own end; one that is not done puts the session back as it found it, and this one has ended.
+        slot.until(|phase| !matches!(phase, Phase::Deleting)).await;
         slot.step(|phase| matches!(phase, Phase::Awake(_) | Phase::Retiring(_)).then_some(next));
     }
 
@@ -259,7 +268,7 @@ impl Registry {
         }
         let before = before.unwrap_or(Phase::Asleep(None));
         let buried = match slot.place.get() {
-            Some(place) => self.root.bury(place).await,
+            Some(place) => self.bury(place).await,
             None => Ok(()),
         };
         if let Err(error) = buried {
@@ -278,6 +287,19 @@ impl Registry {
         drop(slot.storing.lock().await);
         if let Some(place) = slot.place.get() {
             self.purge(place).await;
+        }
+    }
+
+    /// Writes down that a session is gone. Once that is decided it is tried until it is written: a session must not go on,
+    /// and be gone all the same at the next start.
+    async fn bury(&self, place: &SessionPlace) -> std::result::Result<(), percept_store::StoreError> {
+        loop {
+            let Err(error) = self.root.bury(place).await else { return Ok(()) };
+            if !self.root.is_decided(place).await {
+                return Err(error);
+            }
+            tracing::warn!(session = place.id(), %error, "a deletion is not written down yet");
+            tokio::time::sleep(PURGE_PAUSE).await;
         }
     }
 

@@ -73,7 +73,8 @@ pub(super) async fn recover(
         restored.loops.retain(|l| whole.contains(&l.closure.from) && whole.contains(&l.closure.to));
     }
     let (params, sensors) = (meta.params.clone(), meta.sensors.clone());
-    let built = compute.run_for(&meta.id, move || {
+    let sender = compute.admission().sender(&meta.tenant, &meta.id);
+    let built = compute.run_for(&sender, move || {
         let mut pipeline = Pipeline::new(params).map_err(|e| crate::ops::params_error(&e))?;
         sensors.into_iter().for_each(|s| pipeline.declare_sensor(s.spec));
         pipeline.restore(restored);

@@ -42,6 +42,8 @@ struct Sessions {
     by_id: BTreeMap<String, Arc<Slot>>,
     /// Tenant and request id to session id.
     by_request: HashMap<(String, String), String>,
+    /// How many.
+    by_tenant: HashMap<String, usize>,
     is_stopping: bool,
 }
 
@@ -164,8 +166,12 @@ impl Registry {
     /// `SESSION_NOT_FOUND`, `SESSION_FAULTED`; faults of the storage.
     pub(crate) async fn get(self: &Arc<Self>, id: &str) -> Result<Arc<Session>> {
         let mut has_waited = false;
+        // The same one throughout: another of this id may be another tenant's.
+        let slot = self.find(id)?;
         loop {
-            let slot = self.find(id)?;
+            if slot.is_doomed() {
+                return Err(not_found(id));
+            }
             slot.touch();
             match slot.phase() {
                 Phase::Awake(session) | Phase::Faulted(_, Some(session)) => return Ok(session),
@@ -287,7 +293,7 @@ impl Registry {
     /// caller who leaves does not stop it.
     ///
     /// # Errors
-    /// `SESSION_EXISTS`, `TOO_MANY_SESSIONS`; faults of the storage.
+    /// `SESSION_EXISTS`, `TOO_MANY_SESSIONS` of the server or of the tenant; faults of the storage.
     pub(crate) async fn create(self: &Arc<Self>, meta: SessionMeta) -> Result<String> {
         loop {
             let slot = match self.reserve(&meta)? {
@@ -327,6 +333,11 @@ impl Registry {
             let message = format!("this server holds {} sessions, its limit; delete some", sessions.by_id.len());
             return Err(Error::exhausted(reason::TOO_MANY_SESSIONS, "", message));
         }
+        let (own, most) = (sessions.of_tenant(&meta.tenant), self.compute.admission().max_sessions(&meta.tenant));
+        if most > 0 && own >= most {
+            let message = format!("the tenant holds {own} sessions, its quota; delete some");
+            return Err(Error::exhausted(reason::TOO_MANY_SESSIONS, "", message));
+        }
         let known = Known {
             tenant: meta.tenant.clone(),
             display_name: meta.display_name.clone(),
@@ -350,6 +361,12 @@ impl Registry {
         if sessions.by_id.get(&slot.id).is_some_and(|there| Arc::ptr_eq(there, slot)) {
             sessions.by_id.remove(&slot.id);
             let known = slot.known();
+            if let Some(count) = sessions.by_tenant.get_mut(&known.tenant) {
+                *count -= 1;
+                if *count == 0 {
+                    sessions.by_tenant.remove(&known.tenant);
+                }
+            }
             sessions.by_request.remove(&(known.tenant, known.request_id));
         }
     }
@@ -362,10 +379,10 @@ impl Registry {
         let limit = self.limits.max_sensors_per_session;
         self.change(id, |session, meta| {
             let spec = &declaration.spec;
-            let known = session.sensors().into_iter().find(|s| s.declaration.spec.id == spec.id);
-            if known.as_ref().is_some_and(|s| s.declaration == declaration) {
+            if meta.sensors.contains(&declaration) {
                 return Ok(None);
             }
+            let known = session.sensors().into_iter().find(|s| s.declaration.spec.id == spec.id);
             if known.as_ref().is_some_and(|s| s.last_stamp.is_some()) {
                 return Err(Error {
                     field: "sensor_id".to_owned(),
@@ -423,12 +440,15 @@ impl Registry {
         act: impl Fn(Arc<Session>) -> F,
     ) -> Result<T> {
         const TRIES: usize = 3;
-        let mut outcome = act(self.get(id).await?).await;
+        let mut session = self.get(id).await?;
+        let mut outcome = act(Arc::clone(&session)).await;
         for _ in 1..TRIES {
             if !outcome.as_ref().is_err_and(|e| e.reason == super::refusal::STOPPED) {
                 break;
             }
-            outcome = act(self.get(id).await?).await;
+            self.left(id, &session).await;
+            session = self.get(id).await?;
+            outcome = act(Arc::clone(&session)).await;
         }
         outcome
     }
@@ -468,7 +488,10 @@ impl Registry {
         self.sessions.write().unwrap_or_else(PoisonError::into_inner).is_stopping = true;
         let slots = self.slots();
         let ends = slots.iter().map(|slot| async {
-            slot.until(Phase::is_settled).await;
+            // What is being read, created or deleted has nothing in memory that was acknowledged.
+            if tokio::time::timeout(STOP_PATIENCE, slot.until(Phase::is_settled)).await.is_err() {
+                tracing::warn!(session = slot.id, "the storage did not let a session come to rest");
+            }
             let retired = self.retire(slot, STOP_PATIENCE).await;
             slot.events.close();
             retired.map_err(|trouble| trouble.error())
@@ -496,8 +519,13 @@ enum Reserved {
 }
 
 impl Sessions {
+    fn of_tenant(&self, tenant: &str) -> usize {
+        self.by_tenant.get(tenant).copied().unwrap_or_default()
+    }
+
     fn add(&mut self, slot: &Arc<Slot>) {
         let known = slot.known();
+        *self.by_tenant.entry(known.tenant.clone()).or_default() += 1;
         if !known.request_id.is_empty() {
             self.by_request.insert((known.tenant, known.request_id), slot.id.clone());
         }

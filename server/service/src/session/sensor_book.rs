@@ -103,6 +103,12 @@ impl SensorBook {
         tickets.iter().rev().find(|(s, _)| *s == stamp).map(|(_, ticket)| *ticket)
     }
 
+    /// A ticket with which a frame of this stamp is durable if it was taken in at all: its own, or the newest of its sensor
+    /// for one of long ago.
+    pub(crate) fn ticket_covering(&self, id: &SensorId, stamp: Timestamp) -> Option<u64> {
+        self.ticket_of(id, stamp).or_else(|| Some(self.entries.get(id)?.tickets.back()?.1))
+    }
+
     pub(crate) fn accepted(&mut self, id: &SensorId, stamp: Timestamp, ticket: u64) {
         let Some(entry) = self.entries.get_mut(id) else { return };
         entry.status.accepted += 1;
@@ -135,7 +141,7 @@ impl SensorBook {
     pub(crate) fn numbered(&mut self, id: &SensorId, sequence: u64) {
         let Some(entry) = self.entries.get_mut(id).filter(|_| sequence > 0) else { return };
         if entry.last_sequence > 0 && sequence > entry.last_sequence {
-            entry.status.gaps += sequence - entry.last_sequence - 1;
+            entry.status.gaps = entry.status.gaps.saturating_add(sequence - entry.last_sequence - 1);
         }
         entry.last_sequence = sequence;
     }

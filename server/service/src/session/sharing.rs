@@ -118,18 +118,28 @@ impl Registry {
 
     /// Ends all sessions that were claimed in an earlier life of the node, without storing anything.
     async fn lose(&self, is_lost: impl Fn(u64) -> bool) {
-        for slot in self.slots() {
-            if let Phase::Awake(session) | Phase::Retiring(session) = slot.phase()
-                && is_lost(slot.claimed_in.load(Ordering::SeqCst))
-            {
-                session.discard().await;
-            }
+        let lost = self.slots().into_iter().filter(|slot| is_lost(slot.claimed_in.load(Ordering::SeqCst)));
+        let sessions = lost.filter_map(|slot| match slot.phase() {
+            Phase::Awake(session) | Phase::Retiring(session) => Some(session),
+            _ => None,
+        });
+        futures::future::join_all(sessions.map(|session| async move { session.discard().await })).await;
+    }
+
+    /// Ends a session that has just woken if its claim was lost meanwhile: [`Self::lose`] did not see it.
+    pub(super) async fn check_claim(&self, slot: &Slot) {
+        let Some(node) = self.root.watch_node() else { return };
+        let state = *node.borrow();
+        if (!state.is_alive || slot.claimed_in.load(Ordering::SeqCst) != state.life)
+            && let Phase::Awake(session) = slot.phase()
+        {
+            session.discard().await;
         }
     }
 }
 
 fn is_nobodys(phase: &Phase) -> bool {
-    matches!(phase, Phase::Asleep(_) | Phase::Faulted(_, None))
+    matches!(phase, Phase::Asleep(_) | Phase::Faulted(..))
 }
 
 /// Follows the catalogue, until the registry is gone.

@@ -18,6 +18,7 @@ use percept_store::SessionPlace;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::Instant;
 use tokio::sync::watch;
 
 /// Where a session is in its life.
@@ -99,14 +100,18 @@ pub(super) struct Slot {
     phase: watch::Sender<Phase>,
     known: Mutex<Known>,
     pub(super) events: Arc<EventLog>,
-    /// Server's clock, nanoseconds.
+    /// Server's clock, nanoseconds: what callers are told.
     last_used_ns: AtomicI64,
+    /// The same by a clock that nobody sets, milliseconds since the process began: what sleep goes by.
+    last_used_ms: AtomicU64,
     /// Somebody deletes it: nobody finds it any more.
     doomed: AtomicBool,
     /// Why the last deletion was not done.
     deletion_error: Mutex<Option<Error>>,
     /// Held by whoever has the session's store open.
     pub(super) storing: Arc<tokio::sync::Mutex<()>>,
+    /// Of its store, when it was last opened here; 0 if it was not.
+    epoch: AtomicU64,
     /// The life of this node in which it was last claimed; see [`super::sharing`].
     pub(super) claimed_in: AtomicU64,
     /// When its pipeline failed, the newest last.
@@ -125,6 +130,8 @@ impl Slot {
             known: Mutex::new(known),
             events: Arc::new(events),
             last_used_ns: AtomicI64::new(crate::ops::sessions::now_ns()),
+            last_used_ms: AtomicU64::new(uptime_ms()),
+            epoch: AtomicU64::new(0),
             doomed: AtomicBool::new(false),
             deletion_error: Mutex::default(),
             storing: Arc::default(),
@@ -182,6 +189,18 @@ impl Slot {
 
     pub(super) fn touch(&self) {
         self.last_used_ns.store(crate::ops::sessions::now_ns(), Ordering::Relaxed);
+        self.last_used_ms.store(uptime_ms(), Ordering::Relaxed);
+    }
+
+    /// How long nobody has used it, milliseconds.
+    pub(super) fn unused_ms(&self) -> u64 {
+        uptime_ms().saturating_sub(self.last_used_ms.load(Ordering::Relaxed))
+    }
+
+    /// Notes an opening of its store; whether somebody else has opened it since the last one here.
+    pub(super) fn opened_as(&self, epoch: u64) -> bool {
+        let last = self.epoch.swap(epoch, Ordering::SeqCst);
+        last != 0 && epoch != last + 1
     }
 
     pub(super) fn last_used_ns(&self) -> i64 {
@@ -217,6 +236,11 @@ impl Slot {
         failures.push(now);
         failures.len()
     }
+}
+
+fn uptime_ms() -> u64 {
+    static BEGAN: OnceLock<Instant> = OnceLock::new();
+    u64::try_from(BEGAN.get_or_init(Instant::now).elapsed().as_millis()).unwrap_or(u64::MAX)
 }
 
 impl Drop for Slot {

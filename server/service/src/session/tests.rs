@@ -69,7 +69,8 @@ async fn a_pipeline_that_fails_is_read_anew_and_one_that_goes_on_failing_is_set_
         if time < 3 {
             assert_eq!(state, SessionState::Asleep);
             let told = events.after(token, 10).await.unwrap();
-            assert!(matches!(told[..], [crate::Event { kind: EventKind::Resync(_), .. }]), "{told:?}");
+            let is_resync = |event: &crate::Event| matches!(event.kind, EventKind::Resync(_));
+            assert!(!told.is_empty() && told.iter().all(is_resync), "{told:?}");
         } else {
             assert_eq!(state, SessionState::Faulted);
         }

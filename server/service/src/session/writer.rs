@@ -10,7 +10,7 @@ use futures::stream::{StreamExt, TryStreamExt};
 use percept_geometry::{KeyframeId, KeyframeScan};
 use percept_pipeline::{NewKeyframe, TrajectoryEntry};
 use percept_scene::{Object, ObjectId};
-use percept_store::{BlobId, Record, Store, StoreError, keys};
+use percept_store::{BlobId, Mark, Record, Store, StoreError, keys};
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -123,7 +123,9 @@ impl Writer {
             return;
         }
         self.num_merged = 0;
-        if let Err(error) = collect_garbage(self.store.as_ref(), GRACE).await {
+        // Every scan that this writer has stored is named by what it has written.
+        let mark = self.store.mark();
+        if let Err(error) = collect_garbage(self.store.as_ref(), mark, GRACE).await {
             tracing::warn!(?error, "scans that nobody needs were not removed");
         }
     }
@@ -193,8 +195,8 @@ async fn put_scan(store: Arc<dyn Store>, scan: Arc<KeyframeScan>) -> Result<Blob
     Ok(id)
 }
 
-/// Removes the blobs of a session that none of its keyframes names.
-pub(super) async fn collect_garbage(store: &dyn Store, grace: Duration) -> Result<(), Trouble> {
+/// Removes the blobs of a session that none of its keyframes names, of those stored before `mark`.
+pub(super) async fn collect_garbage(store: &dyn Store, mark: Mark, grace: Duration) -> Result<(), Trouble> {
     let mut live = HashSet::new();
     for (_, bytes) in store.scan_all(&keys::keyframes()).await? {
         let record: KeyframeRecord = parse("a keyframe", &bytes)?;
@@ -202,7 +204,7 @@ pub(super) async fn collect_garbage(store: &dyn Store, grace: Duration) -> Resul
             live.insert(blob.parse()?);
         }
     }
-    let report = store.collect_garbage(&live, grace).await?;
+    let report = store.collect_garbage(&live, mark, grace).await?;
     observe::store_garbage(report.num_deleted, report.deleted_bytes);
     if report.num_deleted > 0 {
         tracing::debug!(blobs = report.num_deleted, bytes = report.deleted_bytes, "removed scans that nobody needs");

@@ -71,9 +71,10 @@ async fn garbage_is_what_is_neither_named_nor_young() {
     for id in [live, old, again] {
         make_old(&file_of(&store, id), Duration::from_secs(7200));
     }
+    let mark = store.mark();
     // Somebody is about to name this one again.
     store.put_blob(value("again")).await.unwrap();
-    let report = store.collect_garbage(&HashSet::from([live]), Duration::from_secs(3600)).await.unwrap();
+    let report = store.collect_garbage(&HashSet::from([live]), mark, Duration::from_secs(3600)).await.unwrap();
     assert_eq!((report.num_seen, report.num_live, report.num_young, report.num_deleted), (4, 1, 2, 1));
     assert_eq!(report.deleted_bytes, 3);
     for (id, stays) in [(live, true), (old, false), (young, true), (again, true)] {
@@ -89,6 +90,22 @@ async fn memory_has_the_same_blobs() {
     assert_eq!(store.put_blob(value("x")).await.unwrap(), id);
     assert_eq!(store.get_blob(id).await.unwrap(), value("x"));
     assert!(matches!(store.get_blob(BlobId::of(b"y")).await, Err(StoreError::BlobMissing { .. })));
-    let report = store.collect_garbage(&HashSet::new(), Duration::ZERO).await.unwrap();
+    let report = store.collect_garbage(&HashSet::new(), store.mark(), Duration::ZERO).await.unwrap();
     assert_eq!(report.num_deleted, 1);
+}
+
+#[tokio::test]
+async fn what_is_stored_while_garbage_is_collected_stays_whatever_the_clocks_say() {
+    let directory = tempfile::tempdir().unwrap();
+    let store = open(directory.path()).await;
+    let before = store.put_blob(value("before")).await.unwrap();
+    let mark = store.mark();
+    let after = store.put_blob(value("after")).await.unwrap();
+    // A clock that was set forward, a machine that was suspended: everything looks old.
+    for id in [before, after] {
+        make_old(&file_of(&store, id), Duration::from_secs(7200));
+    }
+    let report = store.collect_garbage(&HashSet::new(), mark, Duration::from_secs(120)).await.unwrap();
+    assert_eq!((report.num_young, report.num_deleted), (1, 1));
+    assert!(store.blob_exists(after).await.unwrap() && !store.blob_exists(before).await.unwrap());
 }

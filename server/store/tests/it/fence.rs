@@ -23,7 +23,8 @@ async fn the_older_of_two_writers_is_fenced() {
         let error = older.put(key("a"), value("too late")).await.unwrap_err();
         assert!(matches!(error, StoreError::Fenced { epoch } if epoch == older.epoch()), "{error:?}");
         assert!(matches!(older.confirm_ownership().await, Err(StoreError::Fenced { .. })));
-        let sweep = older.collect_garbage(&Default::default(), Duration::ZERO).await;
+        older.put_blob(value("garbage")).await.unwrap();
+        let sweep = older.collect_garbage(&Default::default(), older.mark(), Duration::ZERO).await;
         assert!(matches!(sweep, Err(StoreError::Fenced { .. })));
         assert!(matches!(older.close().await, Err(StoreError::Fenced { .. })));
         assert_eq!(newer.get(&key("a")).await.unwrap(), Some(value("older")));

@@ -7,7 +7,6 @@ mod blobs;
 mod catalogue;
 mod clock_back;
 mod crash;
-mod export;
 mod failing;
 mod faulty;
 mod fence;

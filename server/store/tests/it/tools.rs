@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 use std::sync::Arc;
 
+use futures::FutureExt;
 use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::{ObjectStoreExt, PutPayload};
@@ -115,19 +116,19 @@ async fn sessions_in_use_are_read_without_being_taken() {
 async fn an_import_holds_the_sessions_that_were_exported() {
     let (_, root) = filled().await;
     let mut all = Vec::new();
-    export_sessions(&root, None, &mut all, &mut ignore).await.unwrap();
+    export_sessions(&root, None, &mut all, &read, &mut ignore).await.unwrap();
     let copy = DataRoot::in_memory().await.unwrap();
-    let done = import_sessions(&copy, &mut &all[..], &read, &mut ignore).await.unwrap();
+    let done = import_sessions(&copy, &mut &all[..], &mut ignore).await.unwrap();
     assert_eq!(done, ["a", "b", "empty"]);
     assert_same(&root, &copy, &["a", "b", "empty"]).await;
-    let again = import_sessions(&copy, &mut &all[..], &read, &mut ignore).await;
+    let again = import_sessions(&copy, &mut &all[..], &mut ignore).await;
     assert!(matches!(again, Err(StoreError::AlreadyExists { id }) if id == "a"));
 
     let mut one = Vec::new();
-    export_sessions(&root, Some(&["b".to_owned()]), &mut one, &mut ignore).await.unwrap();
+    export_sessions(&root, Some(&["b".to_owned()]), &mut one, &read, &mut ignore).await.unwrap();
     let copy = DataRoot::in_memory().await.unwrap();
-    assert_eq!(import_sessions(&copy, &mut &one[..], &read, &mut ignore).await.unwrap(), ["b"]);
-    let missing = export_sessions(&root, Some(&["gone".to_owned()]), &mut Vec::new(), &mut ignore).await;
+    assert_eq!(import_sessions(&copy, &mut &one[..], &mut ignore).await.unwrap(), ["b"]);
+    let missing = export_sessions(&root, Some(&["gone".to_owned()]), &mut Vec::new(), &read, &mut ignore).await;
     assert!(matches!(missing, Err(StoreError::NoSession { id }) if id == "gone"));
 
     // Wherever it is damaged it is refused, and a session that is not whole is not there.
@@ -136,39 +137,9 @@ async fn an_import_holds_the_sessions_that_were_exported() {
         damaged[position] ^= 0x81;
         for damaged in [&damaged[..], &one[..position]] {
             let copy = DataRoot::in_memory().await.unwrap();
-            import_sessions(&copy, &mut &damaged[..], &read, &mut ignore).await.unwrap_err();
+            import_sessions(&copy, &mut &damaged[..], &mut ignore).await.unwrap_err();
             assert!(copy.list().await.unwrap().is_empty(), "byte {position}");
         }
-    }
-}
-
-#[tokio::test]
-async fn an_export_of_version_1_becomes_sessions() {
-    let old = percept_store::SlateStore::in_memory().await.unwrap();
-    let shared = old.put_blob(value("scan of both")).await.unwrap();
-    let named = value(&shared.to_string());
-    for id in ["a", "b"] {
-        let puts = vec![
-            (key(&format!("catalog/{id}")), value(&format!("record of {id}"))),
-            (key(&format!("sessions/{id}/blob/1")), named.clone()),
-            (key(&format!("sessions/{id}/state")), value(id)),
-        ];
-        old.put_batch(puts, vec![]).await.unwrap();
-    }
-    let mut bytes = Vec::new();
-    percept_store::export::export(&old, &mut bytes, percept_store::export::BlobContent::Included).await.unwrap();
-    let root = DataRoot::in_memory().await.unwrap();
-    let by_text = |_: &Key, value: &[u8]| -> Result<Vec<BlobId>, String> {
-        Ok(std::str::from_utf8(value).ok().and_then(|text| text.parse().ok()).into_iter().collect())
-    };
-    let done = import_sessions(&root, &mut &bytes[..], &by_text, &mut ignore).await.unwrap();
-    assert_eq!(done, ["a", "b"]);
-    for id in ["a", "b"] {
-        let (place, record) = created(&root, id).await.unwrap();
-        assert_eq!(record, value(&format!("record of {id}")));
-        let reader = root.read_session(&place);
-        assert_eq!(reader.records().await.unwrap(), [(key("blob/1"), named.clone()), (key("state"), value(id))]);
-        assert_eq!(reader.get_blob(shared).await.unwrap(), value("scan of both"));
     }
 }
 
@@ -177,10 +148,10 @@ async fn a_backup_copies_what_is_missing_and_no_more() {
     let (_, root) = filled().await;
     let directory = tempfile::tempdir().unwrap();
     let copy = DataRoot::open(RootConfig::directory(directory.path())).await.unwrap();
-    let report = backup(&root, &copy, &mut ignore).await.unwrap();
+    let report = backup(&root, &copy, &read, &mut ignore).await.unwrap();
     assert_eq!((report.num_sessions, report.num_records, report.num_blobs), (3, 4, 2));
     assert_same(&root, &copy, &["a", "b", "empty"]).await;
-    let report = backup(&root, &copy, &mut ignore).await.unwrap();
+    let report = backup(&root, &copy, &read, &mut ignore).await.unwrap();
     assert_eq!((report.num_sessions, report.num_records, report.num_blobs), (3, 0, 0));
 
     // One goes on while it is copied, one is replaced, one is deleted.
@@ -194,7 +165,7 @@ async fn a_backup_copies_what_is_missing_and_no_more() {
     root.purge(&b).await.unwrap();
     root.create("b", b"another").await.unwrap();
     root.bury(&created(&root, "empty").await.unwrap().0).await.unwrap();
-    let report = backup(&root, &copy, &mut ignore).await.unwrap();
+    let report = backup(&root, &copy, &read, &mut ignore).await.unwrap();
     assert_eq!((report.num_sessions, report.num_records, report.num_blobs), (2, 2, 1));
     assert_same(&root, &copy, &["a", "b"]).await;
     assert_eq!(copy.summary(&created(&copy, "a").await.unwrap().0).await.unwrap(), Some(value("summary")));
@@ -220,7 +191,7 @@ async fn a_session_that_is_deleted_while_it_is_copied_leaves_nothing_half_in_the
     let mut tell = move |_: Progress| {
         let _ = done.send(());
     };
-    let copying = backup(&from, &copy, &mut tell);
+    let copying = backup(&from, &copy, &read, &mut tell);
     tokio::pin!(copying);
     let report = loop {
         tokio::select! {
@@ -235,4 +206,76 @@ async fn a_session_that_is_deleted_while_it_is_copied_leaves_nothing_half_in_the
     let checked = check(&copy, &read, &mut ignore).await.unwrap();
     assert!(checked.iter().all(|report| report.faults.is_empty()), "{checked:?}");
     assert!(created(&copy, "b").await.is_none() || report.num_sessions == 3);
+}
+
+#[tokio::test]
+async fn a_damaged_session_keeps_no_other_from_being_copied() {
+    let (objects, root) = filled().await;
+    let copy = DataRoot::in_memory().await.unwrap();
+    backup(&root, &copy, &read, &mut ignore).await.unwrap();
+    let damage = async |path: String| objects.put(&Path::from(path), PutPayload::from_static(b"?")).await.unwrap();
+    let a = created(&root, "a").await.unwrap().0;
+    // What the copy has already stays whole there; what is new and damaged is told.
+    damage(format!("sessions/a/{}/blobs/{}", a.generation(), BlobId::of(b"scan of a"))).await;
+    let store = root.open_session(&a).await.unwrap();
+    let blob = store.put_blob(value("new scan")).await.unwrap();
+    store.put(key("blob/2"), blob.as_bytes().to_vec().into()).await.unwrap();
+    store.close().await.unwrap();
+    objects.delete(&Path::from(format!("sessions/a/{}/blobs/{blob}", a.generation()))).await.unwrap();
+    let b = created(&root, "b").await.unwrap().0;
+    let store = root.open_session(&b).await.unwrap();
+    store.put(key("y"), value("2")).await.unwrap();
+    store.close().await.unwrap();
+    damage("catalogue/empty/0000000000000000".to_owned()).await;
+
+    let report = backup(&root, &copy, &read, &mut ignore).await.unwrap();
+    assert_eq!(report.num_sessions, 1);
+    let damaged: Vec<_> = report.damaged.iter().map(|(id, _)| id.as_str()).collect();
+    assert_eq!(damaged, ["empty", "a"]);
+    let faults = &report.damaged[1].1;
+    assert!(faults.iter().any(|fault| matches!(fault, Fault::BlobMissing(id) if *id == blob)), "{faults:?}");
+    let old = created(&copy, "a").await.unwrap().0;
+    let old = copy.read_session(&old).get_blob(BlobId::of(b"scan of a")).await.unwrap();
+    assert_eq!(old, value("scan of a"));
+    let b = created(&copy, "b").await.unwrap().0;
+    let records = copy.read_session(&b).records().await.unwrap();
+    assert!(records.contains(&(key("y"), value("2"))), "{records:?}");
+    // An export of all does not leave the damaged ones out silently.
+    let refused = export_sessions(&root, None, &mut Vec::new(), &read, &mut ignore).await;
+    assert!(matches!(refused, Err(StoreError::InSession { id, .. }) if id == "empty"));
+    export_sessions(&root, Some(&["b".to_owned()]), &mut Vec::new(), &read, &mut ignore).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_session_that_gives_up_scans_while_it_is_copied_is_read_anew() {
+    let (objects, root) = filled().await;
+    let a = created(&root, "a").await.unwrap().0;
+    let scan = value("scan of a");
+    let path = Path::from(format!("sessions/a/{}/blobs/{}", a.generation(), BlobId::of(&scan)));
+    for is_export in [false, true] {
+        let calls = std::sync::atomic::AtomicUsize::new(0);
+        // Between the records and the scans that they name the scan goes; when the records are read anew it is there.
+        let read_and_meddle = |key: &Key, value: &[u8]| {
+            if value == BlobId::of(&scan).as_bytes() {
+                let is_first = calls.fetch_add(1, std::sync::atomic::Ordering::Relaxed) == 0;
+                if is_first {
+                    objects.delete(&path).now_or_never().unwrap().unwrap();
+                } else {
+                    objects.put(&path, scan.clone().into()).now_or_never().unwrap().unwrap();
+                }
+            }
+            read(key, value)
+        };
+        let copy = DataRoot::in_memory().await.unwrap();
+        if is_export {
+            let mut bytes = Vec::new();
+            export_sessions(&root, None, &mut bytes, &read_and_meddle, &mut ignore).await.unwrap();
+            import_sessions(&copy, &mut &bytes[..], &mut ignore).await.unwrap();
+        } else {
+            let report = backup(&root, &copy, &read_and_meddle, &mut ignore).await.unwrap();
+            assert!(report.damaged.is_empty(), "{report:?}");
+        }
+        assert!(calls.into_inner() >= 2);
+        assert_same(&root, &copy, &["a", "b", "empty"]).await;
+    }
 }

@@ -46,7 +46,7 @@ pub fn view_to(s: &SessionView) -> v1::Session {
         message: fault.message.clone(),
         field: String::new(),
         code: percept_service::ErrorCode::FailedPrecondition.name().to_owned(),
-        trace_id: String::new(),
+        ..v1::ErrorInfo::default()
     });
     v1::Session {
         session_id: s.id.clone(),
@@ -266,6 +266,8 @@ pub fn error_to(e: &Error) -> v1::ErrorInfo {
         code: e.code.name().to_owned(),
         // Of the stream: its sender knows it.
         trace_id: String::new(),
+        server: e.server.clone(),
+        retry_after_s: e.retry_after.map_or(0.0, |after| after.as_secs_f64()),
     }
 }
 

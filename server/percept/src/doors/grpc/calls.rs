@@ -24,8 +24,11 @@ static STREAMED: LazyLock<BTreeSet<String>> = LazyLock::new(|| {
 
 /// What requests at a path consist of.
 pub(super) fn framing(uri: &Uri) -> Framing {
-    let streams = STREAMED.contains(uri.path()) || uri.path().starts_with("/grpc.reflection.");
-    if streams { Framing::Messages } else { Framing::Message }
+    match uri.path() {
+        path if STREAMED.contains(path) => Framing::Messages,
+        path if path.starts_with("/grpc.reflection.") => Framing::Talk,
+        _ => Framing::Message,
+    }
 }
 
 /// Refuses what is no gRPC; ends a call at its deadline, and with it the work that has not begun.

@@ -2,14 +2,16 @@
 
 use super::super::bounds::{Charge, Place};
 use super::super::listener::Held;
-use super::{Api, Streamed, check_size, status};
+use super::{Api, Streamed, check_size, status, stopped};
+use percept_geometry::Timestamp;
+use percept_service::admission::TenantPlace;
 use percept_service::reason;
-use percept_service::{Caller, Error, IncomingFrame, Processed, Result, Session, Ticket, observe};
+use percept_service::{Caller, Error, IncomingFrame, Pending, Result, Session, Ticket, observe};
 use percept_wire::{convert, v1};
 use prost::Message;
 use std::collections::VecDeque;
 use std::sync::Arc;
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Status, Streaming};
 
@@ -28,7 +30,7 @@ struct Sent {
 }
 
 enum Outcome {
-    Pending { session: Arc<Session>, answer: oneshot::Receiver<Result<Processed>>, memory: Option<Charge> },
+    Pending { session: Arc<Session>, answer: Pending, memory: Option<Charge> },
     Refused(Error),
 }
 
@@ -43,7 +45,7 @@ pub(crate) async fn decode(
     let (session, sensor) = (message.session_id.clone(), message.sensor_id.clone());
     let limits = Arc::clone(caller.limits());
     let decoded = if takes_long(&message) {
-        caller.compute().run_for(&session, move || convert::sensors::frame(&message, &limits)).await.flatten()
+        caller.decode(&session, move || convert::sensors::frame(&message, &limits)).await.flatten()
     } else {
         convert::sensors::frame(&message, &limits)
     };
@@ -52,6 +54,20 @@ pub(crate) async fn decode(
         caller.rejected(&session, &sensor.as_str().into()).await;
     }
     decoded
+}
+
+/// The same for a frame by itself, which is refused if it comes too soon.
+pub(crate) async fn decode_at_once(
+    caller: &Caller,
+    operation: &'static str,
+    message: v1::SensorMessage,
+) -> Result<IncomingFrame> {
+    if let Err(refused) = caller.admit_frame(&message.session_id, message.encoded_len()) {
+        observe::frame_refused(None, refused.reason);
+        caller.rejected(&message.session_id, &message.sensor_id.as_str().into()).await;
+        return Err(refused);
+    }
+    decode(caller, operation, message).await
 }
 
 fn takes_long(message: &v1::SensorMessage) -> bool {
@@ -68,7 +84,7 @@ pub(super) fn stream(
     caller: Caller,
     requests: Streaming<v1::StreamFramesRequest>,
     held: Held,
-    place: Place,
+    place: (Place, TenantPlace),
 ) -> Streamed<v1::StreamFramesResponse> {
     let (sent, under_way) = mpsc::channel(WINDOW);
     let (acks, answer) = mpsc::channel(WINDOW);
@@ -98,8 +114,16 @@ async fn read(
     let mut stopping = api.stopping.clone();
     let mut ended = std::pin::pin!(caller.ended());
     loop {
+        // A sender that is too fast is held back: what it sends next is not read.
+        let next = async {
+            let request = requests.message().await;
+            if let Ok(Some(v1::StreamFramesRequest { message: Some(message) })) = &request {
+                caller.pace_frame(&message.session_id, message.encoded_len()).await;
+            }
+            request
+        };
         let request = tokio::select! {
-            request = requests.message() => request,
+            request = next => request,
             error = &mut ended => {
                 let _ = acks.send(Err(status::grpc(error))).await;
                 return;
@@ -181,16 +205,17 @@ async fn acknowledge(mut under_way: mpsc::Receiver<Sent>, acks: Acks) {
         let (outcome, ticket) = match sent.outcome {
             Outcome::Refused(e) => (Err(e), None),
             Outcome::Pending { session, answer, memory } => {
-                let answer = answer.await;
+                let answer = answer.answer().await;
                 drop(memory);
-                match answer {
-                    Ok(Ok(processed)) => {
-                        let ticket = (session.durable(), processed.ticket);
-                        (Ok(processed), Some(ticket))
+                let ticket = match &answer {
+                    Ok(processed) => Some(processed.ticket),
+                    // One that is sent again, because its sender does not know it to be durable: neither do we.
+                    Err(e) if matches!(e.reason, reason::STAMP_NOT_INCREASING | reason::CLOCK_SET_BACK) => {
+                        session.ticket_of_refused(&sent.sensor_id.as_str().into(), Timestamp::from_nanos(sent.stamp_ns))
                     }
-                    Ok(Err(e)) => (Err(e), None),
-                    Err(_) => (Err(Error::internal("a frame's answer was lost")), None),
-                }
+                    Err(_) => None,
+                };
+                (answer, ticket.map(|ticket| (session.durable(), ticket)))
             }
         };
         durability.waiting.push_back(ticket);
@@ -208,11 +233,11 @@ async fn acknowledge(mut under_way: mpsc::Receiver<Sent>, acks: Acks) {
             return;
         }
     }
-    let durable_count = durability.finish().await;
+    let durable_count = tokio::select! {
+        count = durability.finish() => count,
+        // Nobody is there to be told.
+        () = acks.closed() => return,
+    };
     let last = v1::FrameAck { durable_count, ..v1::FrameAck::default() };
     let _ = acks.send(Ok(v1::StreamFramesResponse { ack: Some(last) })).await;
-}
-
-async fn stopped(stopping: &mut watch::Receiver<bool>) {
-    let _ = stopping.wait_for(|s| *s).await;
 }

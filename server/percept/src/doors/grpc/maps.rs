@@ -32,7 +32,7 @@ impl v1::maps_service_server::MapsService for Api {
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let region = maps::region(r.region.as_ref()).map_err(status::grpc)?;
         let grid = caller.occupancy_grid(session, region, r.resolution_m).await.map_err(status::grpc)?;
-        let chunks = caller.compute().query(session, move || maps::grid_chunks(&grid)).await;
+        let chunks = caller.query(session, move || maps::grid_chunks(&grid)).await;
         streamed(chunks.map_err(status::grpc)?, |chunk| v1::GetOccupancyGridResponse { chunk: Some(chunk) })
     }
 
@@ -42,7 +42,7 @@ impl v1::maps_service_server::MapsService for Api {
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let around = maps::around(r.centre.as_ref(), r.radius_m).map_err(status::grpc)?;
         let cloud = caller.cloud(session, around).await.map_err(status::grpc)?;
-        let chunks = caller.compute().query(session, move || maps::cloud_chunks(&cloud)).await;
+        let chunks = caller.query(session, move || maps::cloud_chunks(&cloud)).await;
         streamed(chunks.map_err(status::grpc)?, |chunk| v1::GetCloudResponse { chunk: Some(chunk) })
     }
 
@@ -82,7 +82,7 @@ impl v1::maps_service_server::MapsService for Api {
             let sha256 = sha256_hex(&file.bytes);
             maps::file_chunks(file, sha256)
         };
-        let chunks = caller.compute().query(session, chunks).await.map_err(status::grpc)?;
+        let chunks = caller.query(session, chunks).await.map_err(status::grpc)?;
         streamed(chunks, |chunk| v1::ExportMapResponse { chunk: Some(chunk) })
     }
 }

@@ -50,7 +50,7 @@ pub(crate) struct Api {
 impl Api {
     /// The operations, in the name of who made a request.
     fn caller<T>(&self, request: &Request<T>) -> Result<Caller, Status> {
-        identify::context(request.extensions()).map(|context| self.service.caller(context)).map_err(status::grpc)
+        identify::context(request.extensions()).and_then(|context| self.service.caller(context)).map_err(status::grpc)
     }
 }
 
@@ -91,7 +91,7 @@ pub(crate) async fn serve(api: Api, listener: Listener) {
     let changes = api.service.health().watch();
     let is_ready = changes.borrow().is_ready();
     tell_health(&reporter, is_ready).await;
-    tokio::spawn(follow_health(reporter, changes, is_ready));
+    tokio::spawn(follow_health(reporter, changes, is_ready, api.stopping.clone()));
     let reflection = |v: tonic_reflection::server::Builder<'static>| {
         v.register_encoded_file_descriptor_set(percept_wire::DESCRIPTORS)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
@@ -135,14 +135,27 @@ pub(crate) async fn serve(api: Api, listener: Listener) {
 /// Tells how the server stands for each service of the contract, and for the whole, which has no name.
 async fn tell_health(reporter: &HealthReporter, is_ready: bool) {
     let status = if is_ready { ServingStatus::Serving } else { ServingStatus::NotServing };
-    let services = json::pool().services().map(|service| service.full_name().to_owned());
-    for name in services.chain([String::new()]) {
+    for name in health_names() {
         reporter.set_service_status(name, status).await;
     }
 }
 
+async fn stopped(stopping: &mut watch::Receiver<bool>) {
+    let _ = stopping.wait_for(|s| *s).await;
+}
+
+/// Of each service of the contract, and of the whole, which has none.
+fn health_names() -> impl Iterator<Item = String> {
+    json::pool().services().map(|service| service.full_name().to_owned()).chain([String::new()])
+}
+
 /// Tells every change; `told` is what was told last.
-async fn follow_health(reporter: HealthReporter, mut changes: watch::Receiver<Readiness>, mut told: bool) {
+async fn follow_health(
+    mut reporter: HealthReporter,
+    mut changes: watch::Receiver<Readiness>,
+    mut told: bool,
+    mut stopping: watch::Receiver<bool>,
+) {
     loop {
         // What changed before this task began is told, too. Telling the same again would be a change to those who watch.
         let is_ready = changes.borrow_and_update().is_ready();
@@ -150,8 +163,17 @@ async fn follow_health(reporter: HealthReporter, mut changes: watch::Receiver<Re
             tell_health(&reporter, is_ready).await;
             told = is_ready;
         }
-        if changes.changed().await.is_err() {
-            return;
+        tokio::select! {
+            changed = changes.changed() => if changed.is_err() {
+                return;
+            },
+            // Those who watch would keep their connections open; so their watches end.
+            () = stopped(&mut stopping) => {
+                for name in health_names() {
+                    reporter.clear_service_status(&name).await;
+                }
+                return;
+            }
         }
     }
 }

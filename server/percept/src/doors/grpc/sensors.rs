@@ -2,6 +2,7 @@
 
 use super::super::listener::Held;
 use super::{Answer, Api, Streamed, check_size, ingest, peer_of, status};
+use percept_service::admission;
 use percept_wire::{convert, v1};
 use tonic::{Request, Response, Streaming};
 
@@ -43,6 +44,7 @@ impl v1::sensors_service_server::SensorsService for Api {
     async fn stream_frames(&self, r: Request<Streaming<v1::StreamFramesRequest>>) -> Answer<Self::StreamFramesStream> {
         let caller = self.caller(&r)?;
         let place = self.bounds.ingest_stream(&peer_of(r.extensions())).map_err(status::grpc)?;
+        let place = (place, caller.hold(admission::Held::IngestStream).map_err(status::grpc)?);
         let held = r.extensions().get::<Held>().cloned().unwrap_or_default();
         Ok(Response::new(ingest::stream(self.clone(), caller, r.into_inner(), held, place)))
     }
@@ -51,7 +53,8 @@ impl v1::sensors_service_server::SensorsService for Api {
         let caller = self.caller(&r)?;
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let message = convert::required("message", r.into_inner().message).map_err(status::grpc)?;
-        let incoming = ingest::decode(&caller, "SensorsService/SendFrame", message).await.map_err(status::grpc)?;
+        let incoming =
+            ingest::decode_at_once(&caller, "SensorsService/SendFrame", message).await.map_err(status::grpc)?;
         let (_, processed) = caller.send_frame(incoming).await.map_err(status::grpc)?;
         Ok(Response::new(v1::SendFrameResponse { result: Some(convert::sessions::result_to(&processed)) }))
     }

@@ -5,7 +5,7 @@ use futures::{Stream, StreamExt};
 use percept_geometry::{Pose, Timestamp};
 use percept_pipeline::TrajectoryEntry;
 use percept_service::reason;
-use percept_service::{Caller, Error, ErrorCode, observe};
+use percept_service::{Caller, Error, ErrorCode, admission, observe};
 use percept_wire::convert::{fleet, sessions, updates};
 use percept_wire::{params, v1};
 use tokio_stream::wrappers::ReceiverStream;
@@ -13,6 +13,8 @@ use tonic::{Request, Response};
 
 /// Poses in one message of a trajectory.
 const POSES_PER_MESSAGE: usize = 1000;
+/// Tells a watcher, before any event, what it resumes from if the link breaks.
+const RESUME_TOKEN: &str = "percept-resume-token";
 /// Events read at a time by a watcher.
 const EVENTS_PER_READ: usize = 64;
 
@@ -151,7 +153,7 @@ impl v1::sessions_service_server::SessionsService for Api {
             }
             messages
         };
-        let messages = caller.compute().query(&r.session_id, chunks).await.map_err(status::grpc)?;
+        let messages = caller.query(&r.session_id, chunks).await.map_err(status::grpc)?;
         streamed(messages, |message| message)
     }
 
@@ -166,6 +168,7 @@ impl v1::sessions_service_server::SessionsService for Api {
     async fn watch_session(&self, r: Request<v1::WatchSessionRequest>) -> Answer<Self::WatchSessionStream> {
         let caller = self.caller(&r)?;
         let place = self.bounds.watcher(&peer_of(r.extensions())).map_err(status::grpc)?;
+        let place = (place, caller.hold(admission::Held::Watch).map_err(status::grpc)?);
         let r = r.into_inner();
         let log = caller.session_events("SessionsService/WatchSession", &r.session_id).await.map_err(status::grpc)?;
         let token = r.resume_token.unwrap_or_else(|| log.newest_token());
@@ -176,12 +179,15 @@ impl v1::sessions_service_server::SessionsService for Api {
         });
         let told = |event| v1::WatchSessionResponse { event: Some(sessions::event_to(&event)) };
         let events = events.flat_map(futures::stream::iter).map(told);
-        Ok(Response::new(self.told_while_watched(caller, place, events)))
+        let mut answer = Response::new(self.told_while_watched(caller, place, events));
+        answer.metadata_mut().insert(RESUME_TOKEN, token.into());
+        Ok(answer)
     }
 
     async fn watch_sessions(&self, r: Request<v1::WatchSessionsRequest>) -> Answer<Self::WatchSessionsStream> {
         let caller = self.caller(&r)?;
         let place = self.bounds.watcher(&peer_of(r.extensions())).map_err(status::grpc)?;
+        let place = (place, caller.hold(admission::Held::Watch).map_err(status::grpc)?);
         let r = r.get_ref();
         let watch = caller.watch_sessions(fleet::filter(r).map_err(status::grpc)?).map_err(status::grpc)?;
         let token = r.resume_token.unwrap_or_else(|| watch.newest_token());
@@ -191,7 +197,9 @@ impl v1::sessions_service_server::SessionsService for Api {
         });
         let told = |event| v1::WatchSessionsResponse { event: Some(fleet::event_to(&event)) };
         let events = events.flat_map(futures::stream::iter).map(told);
-        Ok(Response::new(self.told_while_watched(caller, place, events)))
+        let mut answer = Response::new(self.told_while_watched(caller, place, events));
+        answer.metadata_mut().insert(RESUME_TOKEN, token.into());
+        Ok(answer)
     }
 
     async fn get_default_params(

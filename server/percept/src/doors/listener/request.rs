@@ -32,6 +32,14 @@ pub(crate) enum Framing {
     Message,
     /// Any number of them, with pauses between.
     Messages,
+    /// The same, all of them small, and nothing is kept of them.
+    Talk,
+}
+
+impl Framing {
+    const fn has_pauses(self) -> bool {
+        matches!(self, Self::Messages | Self::Talk)
+    }
 }
 
 /// How long a body may keep the server waiting.
@@ -100,7 +108,8 @@ impl Progress {
     /// Length of the message under way, with its prefix, once that has come.
     fn length(&self) -> Option<usize> {
         let [_, a, b, c, d] = self.prefix;
-        (self.received >= PREFIX).then(|| PREFIX + u32::from_be_bytes([a, b, c, d]) as usize)
+        (self.received >= PREFIX && self.framing != Framing::Whole)
+            .then(|| PREFIX + u32::from_be_bytes([a, b, c, d]) as usize)
     }
 
     /// Notes a part; gives the lengths of the messages that are whole with it.
@@ -122,6 +131,11 @@ impl Progress {
             }
             self.received += now_come.len();
             part = rest;
+            if self.framing == Framing::Talk && self.length().is_some_and(|length| length > FIRST_STEP) {
+                let words = format!("a message here has at most {FIRST_STEP} bytes");
+                self.cut(Error::exhausted(reason::MESSAGE_TOO_LARGE, "", words));
+                return whole;
+            }
             if self.length() == Some(self.received) {
                 whole.push(self.received);
                 (self.received, self.began) = (0, now);
@@ -148,7 +162,7 @@ impl Progress {
         if !self.waits {
             return false;
         }
-        if self.framing == Framing::Messages && self.received == 0 {
+        if self.framing.has_pauses() && self.received == 0 {
             return now.duration_since(self.last) >= patience.between_messages;
         }
         let in_all = patience.body + Duration::from_secs(self.received as u64 / LEAST_BYTES_PER_S);
@@ -187,7 +201,7 @@ impl Sender {
 }
 
 fn late(progress: &Progress, patience: Patience) -> Error {
-    if progress.framing == Framing::Messages && progress.received == 0 {
+    if progress.framing.has_pauses() && progress.received == 0 {
         let words = format!(
             "no message came for {} s, the limit; open the stream again when there is one",
             patience.between_messages.as_secs()
@@ -242,7 +256,10 @@ impl<B> Arriving<B> {
     fn hand_out(&mut self, mut charge: Charge) -> Option<Result<Frame<Bytes>, BoxError>> {
         let (frame, whole) = self.part.take()?;
         for length in whole {
-            self.held.put(charge.split(length));
+            let taken = charge.split(length);
+            if taken.bytes() > 0 {
+                self.held.put(taken);
+            }
         }
         self.account = Account::Open(charge);
         Some(Ok(frame))

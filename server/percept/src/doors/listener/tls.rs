@@ -17,7 +17,7 @@ use tokio_rustls::server::TlsStream;
 use x509_parser::prelude::{FromDer, GeneralName, X509Certificate};
 
 /// How often the files are looked at.
-const LOOK: Duration = Duration::from_secs(5);
+pub(crate) const LOOK: Duration = Duration::from_secs(5);
 
 /// Who is at the other end of a connection; goes with every request's extensions.
 #[derive(Debug, Clone)]
@@ -85,9 +85,8 @@ impl Tls {
         }
     }
 
-    fn stamps(&self) -> Vec<Option<SystemTime>> {
-        let files = [&self.files.cert_file, &self.files.key_file, &self.files.client_ca_file];
-        files.map(|f| std::fs::metadata(f).and_then(|m| m.modified()).ok()).to_vec()
+    fn stamps(&self) -> Stamps {
+        stamps(&[&self.files.cert_file, &self.files.key_file, &self.files.client_ca_file])
     }
 
     /// Agrees on keys with a client.
@@ -105,6 +104,21 @@ impl Tls {
         let certificate = shown.map(names).transpose()?.map(Arc::new);
         Ok((stream, certificate))
     }
+}
+
+/// When files were written last; none of those that are not there.
+pub(crate) type Stamps = Vec<Option<SystemTime>>;
+
+pub(crate) fn stamps(files: &[&Path]) -> Stamps {
+    files.iter().map(|f| std::fs::metadata(f).and_then(|m| m.modified()).ok()).collect()
+}
+
+/// Whether the files hold what the doors need.
+///
+/// # Errors
+/// As [`Tls::open`].
+pub(crate) fn check(files: &config::Tls) -> Result<(), Failure> {
+    configs(files).map(|_| ())
 }
 
 /// For HTTP/1 and for HTTP/2.

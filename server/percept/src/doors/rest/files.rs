@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use percept_service::reason;
-use percept_service::{CallContext, Error};
+use percept_service::{Asker, CallContext, Error};
 use percept_wire::v1::{self, MapFormat};
 use prost::Message;
 use sha2::{Digest, Sha256};
@@ -63,7 +63,7 @@ pub(super) async fn export(
     let parts = routes::collect(api.export_map(routes::asked(context, request)).await?.into_inner()).await?;
     let (name, format, headers) = (name.to_owned(), *format, headers.clone());
     let work = move || answer(&joined(&name, format, parts)?, &headers);
-    compute.query(&session, work).await?
+    compute.query(&Asker::named(session), work).await?
 }
 
 fn joined(name: &str, format: MapFormat, parts: Vec<v1::ExportMapResponse>) -> Result<File, Error> {

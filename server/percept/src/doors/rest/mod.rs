@@ -56,8 +56,19 @@ pub(crate) async fn serve(api: Api, listener: Listener) -> std::io::Result<()> {
 }
 
 /// Serves what watches the server, apart from the door that everybody uses, until the process ends.
-pub(crate) async fn serve_telemetry(api: Api, listener: tokio::net::TcpListener) -> std::io::Result<()> {
-    axum::serve(listener, pages::telemetry(&api).fallback(not_found)).await
+///
+/// # Errors
+/// What the system says of the address.
+pub(crate) async fn serve_telemetry(api: Api, listener: Listener) -> std::io::Result<()> {
+    let address = listener.address()?;
+    let mut app = pages::telemetry(&api).fallback(not_found);
+    // What only this machine reaches, a page in its browser may reach, too; elsewhere scrapers come by any name.
+    if address.ip().is_loopback() {
+        let hosts = Hosts::new(address, &api.listen.allowed_hosts);
+        app = app.layer(from_fn(move |request: Request, next: Next| ours_only(hosts.clone(), request, next)));
+    }
+    listener.serve(app, |_| Framing::Whole).await;
+    Ok(())
 }
 
 /// Everything that the door answers.

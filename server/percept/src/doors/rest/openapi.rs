@@ -297,6 +297,7 @@ fn problem() -> Value {
             "field": text("Path of the offending field; empty if none."),
             "code": text("Name of the gRPC code."),
             "trace_id": text("The request's trace, 32 hexadecimal digits; empty if it has none."),
+            "server": text("Address (gRPC) of the server to ask instead; absent if that is no matter of where."),
         },
     })
 }

@@ -271,7 +271,7 @@ pub(super) fn wants_dot(parts: &Parts) -> Result<bool, Refused> {
 /// The scene graph in Graphviz's language.
 pub(super) async fn scene_as_dot(api: &Api, context: CallContext, request: Bytes) -> Result<Response, Refused> {
     let request: v1::GetSceneGraphRequest = decode(request)?;
-    let graph = api.service.caller(context).scene_graph(&request.session_id).await?;
+    let graph = api.service.caller(context)?.scene_graph(&request.session_id).await?;
     Ok(([(header::CONTENT_TYPE, "text/vnd.graphviz; charset=utf-8")], graph.to_dot()).into_response())
 }
 

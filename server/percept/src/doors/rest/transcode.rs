@@ -7,7 +7,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use percept_service::Error;
 use percept_service::reason;
-use percept_wire::json;
+use percept_wire::{expansion, json};
 use prost::encoding::{DecodeContext, decode_key, skip_field};
 use prost_reflect::{DeserializeOptions, DynamicMessage, Kind, MessageDescriptor, SerializeOptions};
 use serde_json::{Map, Value};
@@ -101,6 +101,7 @@ fn to_json_text(message: MessageDescriptor, bytes: &[u8]) -> Result<String, Erro
 }
 
 fn from_json(message: &MessageDescriptor, body: &[u8]) -> Result<DynamicMessage, Error> {
+    expansion::check_json(body)?;
     let mut text = serde_json::Deserializer::from_slice(body);
     let read = strict::check(message, body).and_then(|()| {
         let read = DynamicMessage::deserialize_with_options(message.clone(), &mut text, &DeserializeOptions::new())?;
@@ -159,6 +160,7 @@ fn joined(outer: &str, inner: &str) -> String {
 fn from_protobuf(message: &MessageDescriptor, body: Bytes) -> Result<DynamicMessage, Error> {
     let invalid =
         |e| Error::invalid(reason::PROTOBUF_INVALID, "", format!("body is not an encoded {}: {e}", message.name()));
+    expansion::check(message.full_name(), &body)?;
     // A frame may come as it is, without the request around it, which has field 1 and no other.
     if message.name() == "SendFrameRequest" && !only_field_one(body.clone()) {
         let bare = DynamicMessage::decode(json::descriptor("SensorMessage")?, body).map_err(invalid)?;

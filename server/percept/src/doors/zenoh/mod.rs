@@ -18,13 +18,15 @@ mod query;
 
 use super::bounds::Charge;
 use super::grpc::{Api, ingest};
+use super::listener::tls::{self, Stamps};
 use crate::config::Tls;
 use access::Policy;
 use percept_identity::AuthSettings;
 use percept_service::reason;
 use percept_service::{Caller, Error, IncomingFrame, observe};
 use percept_wire::v1;
-use prost::Message;
+use prost::{Message, Name};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc;
@@ -74,6 +76,51 @@ fn config(endpoint: &str, max_message_bytes: usize, policy: &Policy, tls: &Tls) 
 pub(crate) struct ZenohDoor {
     session: zenoh::Session,
     names: Names,
+    setup: Setup,
+    /// Of the setup's files, when the session was opened.
+    stamps: Stamps,
+}
+
+/// What a session is opened with.
+struct Setup {
+    endpoint: String,
+    max_message_bytes: usize,
+    tls: Tls,
+    users_file: PathBuf,
+}
+
+impl Setup {
+    async fn open(&self, policy: &Policy) -> Result<(zenoh::Session, Stamps), Failure> {
+        let stamps = self.stamps();
+        let config = config(&self.endpoint, self.max_message_bytes, policy, &self.tls)?;
+        Ok((zenoh::open(config).await?, stamps))
+    }
+
+    /// Zenoh reads certificates and users when it is opened, and only then.
+    fn stamps(&self) -> Stamps {
+        let Tls { cert_file, key_file, client_ca_file, .. } = &self.tls;
+        let certificates: &[&Path] = &[cert_file, key_file, client_ca_file];
+        let read = if self.endpoint.starts_with("tls/") { certificates } else { &[] };
+        tls::stamps(&[read, &[&self.users_file]].concat())
+    }
+
+    /// Comes when the files have changed, and fit each other.
+    async fn changed(&self, opened: &Stamps) {
+        loop {
+            tokio::time::sleep(tls::LOOK).await;
+            let now = self.stamps();
+            if now == *opened || (!self.users_file.as_os_str().is_empty() && !self.users_file.is_file()) {
+                continue;
+            }
+            match tls::check(&self.tls) {
+                // Files are replaced one after the other: those that do not fit are looked at again.
+                Err(error) if self.tls.is_on() => tracing::warn!(%error, "changed certificates are not used by zenoh"),
+                // Whoever replaces several has done so by the next look.
+                _ if now != self.stamps() => {}
+                _ => return,
+            }
+        }
+    }
 }
 
 /// The operations, in the name of those who may have sent what came for a session.
@@ -85,7 +132,11 @@ struct Names {
 
 impl Names {
     fn caller(&self, session: &str) -> Result<Caller, Error> {
-        Ok(self.api.service.caller(self.policy.context(session)?))
+        self.api.service.caller(self.policy.context(session)?)
+    }
+
+    fn sender(&self, session: &str) -> Result<Caller, Error> {
+        Ok(self.api.service.sender(self.policy.context(session)?))
     }
 }
 
@@ -93,12 +144,41 @@ impl ZenohDoor {
     /// Opens a peer that listens on `endpoint`, e.g. `tcp/127.0.0.1:7447`.
     pub(crate) async fn open(api: &Api, endpoint: &str, auth: &AuthSettings, tls: &Tls) -> Result<Self, Failure> {
         let policy = Arc::new(Policy::of(auth, endpoint)?);
-        let session = zenoh::open(config(endpoint, api.service.limits().max_message_bytes, &policy, tls)?).await?;
-        Ok(Self { session, names: Names { api: api.clone(), policy } })
+        let setup = Setup {
+            endpoint: endpoint.to_owned(),
+            max_message_bytes: api.service.limits().max_message_bytes,
+            tls: tls.clone(),
+            users_file: auth.zenoh_users_file.clone().into(),
+        };
+        let (session, stamps) = setup.open(&policy).await?;
+        Ok(Self { session, names: Names { api: api.clone(), policy }, setup, stamps })
     }
 
-    /// Serves until the server stops.
-    pub(crate) async fn serve(self, api: Api) -> Result<(), Failure> {
+    /// Serves until the server stops. When certificates or users have changed, the door closes and opens again: peers
+    /// connect anew by themselves.
+    pub(crate) async fn serve(mut self, api: Api) -> Result<(), Failure> {
+        let mut stopping = api.stopping.clone();
+        while self.serve_once(&api).await? {
+            tracing::info!("zenoh's certificates or users have changed: its door opens anew");
+            loop {
+                match self.setup.open(&self.names.policy).await {
+                    Ok((session, stamps)) => {
+                        (self.session, self.stamps) = (session, stamps);
+                        break;
+                    }
+                    Err(error) => tracing::error!(%error, "the zenoh door is closed: it cannot be opened anew"),
+                }
+                let pause = tokio::time::timeout(tls::LOOK, stopping.wait_for(|s| *s));
+                if pause.await.is_ok() {
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Serves until the server stops, or until what the session was opened with has changed: true.
+    async fn serve_once(&self, api: &Api) -> Result<bool, Failure> {
         let publishers = Arc::new(publish::Publishers::new(self.session.clone()));
         let lanes = lanes::Lanes::new(Arc::clone(&api.bounds.memory), {
             let names = self.names.clone();
@@ -108,13 +188,15 @@ impl ZenohDoor {
         let subscriber = self.session.declare_subscriber(frames).callback(move |s| lanes.put(s)).await?;
         let queries = query::serve(&self.session, self.names.clone()).await?;
         let mut stopping = api.stopping.clone();
-        tokio::select! {
-            () = queries => {}
-            () = tell_counts(&api) => {}
-            _ = stopping.wait_for(|s| *s) => {}
-        }
+        let has_changed = tokio::select! {
+            () = queries => false,
+            () = tell_counts(api) => false,
+            () = self.setup.changed(&self.stamps) => true,
+            _ = stopping.wait_for(|s| *s) => false,
+        };
         subscriber.undeclare().await?;
-        self.session.close().await
+        self.session.close().await?;
+        Ok(has_changed)
     }
 }
 
@@ -166,10 +248,10 @@ async fn take(names: Names, publishers: Arc<publish::Publishers>, sample: Sample
 async fn decode(names: &Names, key: &str, sample: &Sample) -> Result<(Caller, IncomingFrame), Error> {
     let mut chunks = key.split('/').skip(1);
     let (session, sensor) = (chunks.next().unwrap_or_default(), chunks.next().unwrap_or_default());
-    let caller = names.caller(session)?;
+    let caller = names.sender(session)?;
     match message_of(&names.api, session, sensor, sample) {
         Ok(message) => {
-            let incoming = ingest::decode(&caller, "SensorsService/SendFrame", message).await?;
+            let incoming = ingest::decode_at_once(&caller, "SensorsService/SendFrame", message).await?;
             Ok((caller, incoming))
         }
         Err(error) => {
@@ -186,6 +268,7 @@ fn message_of(api: &Api, session: &str, sensor: &str, sample: &Sample) -> Result
         return Err(Error::exhausted(reason::MESSAGE_TOO_LARGE, "", words));
     }
     let bytes = bytes::Bytes::copy_from_slice(&sample.payload().to_bytes());
+    percept_wire::expansion::check(&v1::SensorMessage::full_name(), &bytes)?;
     let mut message = v1::SensorMessage::decode(bytes)
         .map_err(|e| Error::invalid(reason::MESSAGE_INVALID, "", format!("payload is no SensorMessage: {e}")))?;
     for (field, from_key, sent) in

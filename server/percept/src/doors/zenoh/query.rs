@@ -78,7 +78,7 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
     Ok(match question {
         "map/occupancy" => {
             let grid = caller.occupancy_grid(id, None, None).await?;
-            caller.compute().query(id, move || convert::maps::grid_to(&grid).encode_to_vec()).await?
+            caller.query(id, move || convert::maps::grid_to(&grid).encode_to_vec()).await?
         }
         "map/cloud" => {
             let answer = caller.cloud(id, None).await?;
@@ -87,7 +87,7 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
                 total_points: Some(answer.cloud.len() as u64),
                 cloud: Some(convert::geometry::cloud_to(&answer.cloud)),
             };
-            caller.compute().query(id, move || chunk().encode_to_vec()).await?
+            caller.query(id, move || chunk().encode_to_vec()).await?
         }
         "scene/graph" => convert::scene::graph_to(&caller.scene_graph(id).await?).encode_to_vec(),
         "scene/objects" => {

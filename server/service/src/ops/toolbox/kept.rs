@@ -2,6 +2,7 @@
 //!
 //! Nothing is forgotten before its time to make room: what does not fit is refused.
 
+use crate::admission::{Admission, Quota};
 use crate::ops::sessions::now_ns;
 use crate::{Error, Limits, Result, observe};
 use percept_geometry::PointCloud;
@@ -60,12 +61,18 @@ pub struct KeptClouds {
     max_clouds: usize,
     max_bytes: usize,
     max_s: usize,
+    admission: Arc<Admission>,
+}
+
+/// The tenant of an owner: the first line of its name.
+pub(crate) fn tenant_of(owner: &str) -> &str {
+    owner.split('\n').next().unwrap_or_default()
 }
 
 impl KeptClouds {
     /// An empty shelf that forgets what has expired, asked or not.
-    pub(crate) fn open(limits: &Limits) -> Arc<Self> {
-        let kept = Arc::new(Self::new(limits));
+    pub(crate) fn open(limits: &Limits, admission: Arc<Admission>) -> Arc<Self> {
+        let kept = Arc::new(Self::new(limits, admission));
         let weak = Arc::downgrade(&kept);
         tokio::spawn(async move {
             loop {
@@ -77,12 +84,13 @@ impl KeptClouds {
         kept
     }
 
-    fn new(limits: &Limits) -> Self {
+    fn new(limits: &Limits, admission: Arc<Admission>) -> Self {
         Self {
             shelf: Mutex::default(),
             max_clouds: limits.max_kept_clouds,
             max_bytes: limits.max_kept_bytes,
             max_s: limits.max_kept_s,
+            admission,
         }
     }
 
@@ -121,6 +129,7 @@ impl KeptClouds {
             );
             return Err(Error::exhausted("KEPT_CLOUDS_FULL", "", words));
         }
+        self.check_quota(&shelf, tenant_of(owner), size_bytes)?;
         let (number, handle) = (shelf.next, new_handle()?);
         let keep_ns = (keep_s * 1e9) as i64;
         let (owner, expires_ns) = (owner.to_owned(), now.saturating_add(keep_ns));
@@ -131,6 +140,25 @@ impl KeptClouds {
         observe::kept_clouds(shelf.entries.len(), shelf.used_bytes);
         shelf.next += 1;
         Ok(described)
+    }
+
+    fn check_quota(&self, shelf: &Shelf, tenant: &str, size_bytes: usize) -> Result<()> {
+        let quotas = self.admission.quotas();
+        let Quota { max_kept_clouds, max_kept_bytes, .. } = quotas.of(tenant);
+        if max_kept_clouds + max_kept_bytes == 0 {
+            return Ok(());
+        }
+        let own = shelf.entries.values().filter(|e| tenant_of(&e.owner) == tenant);
+        let (n, used) = own.fold((0, 0), |(n, used), e| (n + 1, used + e.size_bytes));
+        let fits = |most: usize, needed: usize| most == 0 || needed <= most;
+        if fits(*max_kept_clouds, n + 1) && fits(*max_kept_bytes, used + size_bytes) {
+            return Ok(());
+        }
+        let words = format!(
+            "{n} clouds of {used} bytes are kept for the tenant and this one has {size_bytes}; its quotas are \
+             {max_kept_clouds} and {max_kept_bytes} bytes (0: any); drop clouds, or wait until they expire"
+        );
+        Err(Error::exhausted("KEPT_CLOUDS_FULL", "", words))
     }
 
     pub(crate) fn get(&self, owner: &str, field: &str, handle: &str) -> Result<Arc<PointCloud>> {
@@ -187,6 +215,7 @@ fn size_of(c: &PointCloud) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Quotas;
     use nalgebra::Point3;
 
     const ME: &str = "me";
@@ -196,7 +225,19 @@ mod tests {
     }
 
     fn shelf() -> KeptClouds {
-        KeptClouds::new(&Limits { max_kept_clouds: 2, max_kept_bytes: 120, max_kept_s: 100, ..Limits::default() })
+        let limits = Limits { max_kept_clouds: 2, max_kept_bytes: 120, max_kept_s: 100, ..Limits::default() };
+        KeptClouds::new(&limits, Arc::default())
+    }
+
+    #[test]
+    fn a_tenant_keeps_no_more_than_its_quota_whoever_of_it_asks() {
+        let each = Quota { max_kept_bytes: 100, ..Quota::default() };
+        let admission = Admission::new(Quotas { each, ..Quotas::default() });
+        let kept = KeptClouds::new(&Limits::default(), admission);
+        kept.keep("site-a\nkey-1", cloud(6), None).unwrap();
+        assert_eq!(kept.keep("site-a\nkey-2", cloud(3), None).unwrap_err().reason, "KEPT_CLOUDS_FULL");
+        kept.keep("site-a\nkey-2", cloud(2), None).unwrap();
+        kept.keep("site-b\nkey-1", cloud(8), None).unwrap();
     }
 
     #[test]
@@ -229,7 +270,7 @@ mod tests {
 
     #[test]
     fn handles_tell_nothing_of_one_another() {
-        let kept = KeptClouds::new(&Limits::default());
+        let kept = KeptClouds::new(&Limits::default(), Arc::default());
         let handles: Vec<String> = (0..100).map(|_| kept.keep(ME, cloud(1), None).unwrap().handle).collect();
         let bits = |h: &String| u128::from_str_radix(h.strip_prefix("c-").unwrap(), 16).unwrap();
         // Of 128 fair coins all but one in 10^9 throws differ in 30 to 98.

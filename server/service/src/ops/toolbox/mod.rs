@@ -24,6 +24,7 @@ pub use errors::{cloud_error, format_error, registration_error};
 pub use features::{FeatureMethod, extract_features, feature_error};
 pub use files::{CloudFormat, decode_cloud, encode_cloud, suffix};
 pub use images::{PosedView, multiview_error, triangulate_points};
+pub(crate) use kept::tenant_of;
 pub use kept::{KeptCloud, KeptClouds, KeptList};
 pub use pictures::{render_cloud, render_depth};
 pub use pipeline::{Found, PlaneRemainder, Step, StepReport};
@@ -148,7 +149,8 @@ impl Service {
     ) -> Result<T> {
         let (limits, kept) = (Arc::clone(&self.limits), Arc::clone(&self.kept));
         let detector = self.default_params().detection.detector;
-        let (budget, asker) = (budget(&limits), owner.clone());
+        let tenant = tenant_of(&owner);
+        let (budget, asker) = (budget(&limits), self.compute.admission().asker(tenant, &owner)?);
         let work = move |alive: &Alive| {
             let alive = alive.clone();
             work(&Toolbox { limits, kept, maps, owner, detector, begin: Instant::now(), alive })
