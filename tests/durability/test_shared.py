@@ -13,7 +13,7 @@ import pytest
 from percept import Client
 
 from support import raw, robots, s3, world
-from support.server import Server, eventually
+from support.server import Server, eventually, free_port
 
 #: Until the sessions of a server that says nothing any more may be another's, seconds; with room for a slow machine.
 TAKEN_OVER_S = 20.0
@@ -208,3 +208,34 @@ def test_a_directory_of_one_server_is_refused_to_another(tmp_path):
             Server(tmp_path / "data", log=tmp_path / "other.log")
     finally:
         one.kill()
+
+
+@pytest.fixture
+def reachable(tmp_path, monkeypatch):
+    """Two servers on one directory that tell where they really are."""
+    monkeypatch.setenv("PERCEPT_STORAGE_SHARED", "true")
+    monkeypatch.setenv("PERCEPT_LIMITS_SLEEP_AFTER_S", "600")
+    data = tmp_path / "data"
+    addresses = [f"127.0.0.1:{free_port()}" for _ in range(2)]
+    servers = [Server(data, grpc=a, log=tmp_path / f"{i}.log") for i, a in enumerate(addresses)]
+    yield servers
+    for server in servers:
+        server.kill()
+
+
+def test_a_client_goes_where_its_session_is_and_on_to_whoever_takes_it_over(reachable):
+    one, two = reachable
+    with Client(one.grpc) as at_one:
+        robots.mapped(at_one, "robot")
+        # Known to the first alone, and asked of the second: calls, streams and watches are led there.
+        with Client([two.grpc, one.grpc], retries=30, timeout_s=60) as client:
+            session = client.session("robot")
+            assert session.pose() is not None
+            assert robots.send_scans(session, 10, 20) == 10
+            with client.session("robot").watch() as watch:
+                assert robots.send_scans(session, 20, 22) == 2
+                assert next(iter(watch)) is not None
+            one.kill()
+            # Its owner is gone; the other takes it over when it has been silent for long enough.
+            assert robots.send_scans(session, 22, 30) == 8
+            assert len(session.trajectory()) == 30

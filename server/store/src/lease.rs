@@ -105,6 +105,18 @@ pub(crate) async fn condemn(objects: &dyn ObjectStore, node: &Node, place: &Sess
     }
 }
 
+/// Where another living node is that has a session, if one has.
+pub(crate) async fn holder(
+    objects: &dyn ObjectStore,
+    node: &Node,
+    place: &SessionPlace,
+) -> Result<Option<String>, StoreError> {
+    match newest(objects, place).await? {
+        Some(lease) if lease.state == HELD && lease.node != node.life().node => node.address_of(&lease.node).await,
+        _ => Ok(None),
+    }
+}
+
 /// Whether it was decided that a session is deleted.
 pub(crate) async fn is_condemned(objects: &dyn ObjectStore, place: &SessionPlace) -> Result<bool, StoreError> {
     Ok(newest(objects, place).await?.is_some_and(|lease| lease.state == DELETING))

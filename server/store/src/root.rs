@@ -232,6 +232,17 @@ impl DataRoot {
         }
     }
 
+    /// The address of another node that has a session now; none where data are not shared.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub async fn holder(&self, place: &SessionPlace) -> Result<Option<String>, StoreError> {
+        match &self.node {
+            Some((node, _)) => lease::holder(self.objects.as_ref(), node, place).await,
+            None => Ok(None),
+        }
+    }
+
     /// Gives a session back after its store was closed, so that another node can take it at once.
     ///
     /// # Errors

@@ -17,6 +17,10 @@ use percept_geometry::{ObjectClass, Pose, SensorId, Stamped, Timestamp};
 use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, PoseAt, Snapshot, TrajectoryEntry};
 use percept_scene::{Object, SceneGraph};
 use std::sync::Arc;
+use std::time::Duration;
+
+/// How often it is asked whether a session that is watched is another server's by now.
+const MOVES_ASKED: Duration = Duration::from_secs(5);
 
 /// Sessions.
 impl Caller {
@@ -76,10 +80,23 @@ impl Caller {
     /// Events of a session, awake or not, for an operation of the table.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`.
+    /// `SESSION_NOT_FOUND`; `SESSION_ELSEWHERE`: they are told where it is.
     pub async fn session_events(&self, operation: &'static str, id: &str) -> Result<Arc<EventLog>> {
         self.may_with(operation, id).await?;
-        self.service.session_events(id).await
+        match self.service.registry.elsewhere(id).await {
+            Some(elsewhere) => Err(elsewhere),
+            None => self.service.session_events(id).await,
+        }
+    }
+
+    /// Comes when another server has taken a session, of which nothing is told here from then on.
+    pub async fn moved(&self, id: &str) -> Error {
+        loop {
+            tokio::time::sleep(MOVES_ASKED).await;
+            if let Some(elsewhere) = self.service.registry.elsewhere(id).await {
+                return elsewhere;
+            }
+        }
     }
 
     /// Sessions that fit `list`, of those that the caller may read.

@@ -1,6 +1,7 @@
 //! A session: one writer, a bounded queue, snapshots for readers, records for the time after a crash.
 //!
-//! - [`registry`] knows which sessions there are and gives handles on them; [`slot`] is one session's state machine,
+//! - [`registry`] knows which sessions there are and gives handles on them; [`listing`] says what they are without waking
+//!   them, [`changing`] changes what is set of them. [`slot`] is one session's state machine,
 //!   [`life`] holds its steps, [`keeper`] puts to sleep what nobody uses, [`sharing`] follows those who share the data.
 //! - [`actor`] owns the pipeline of a session that is awake; [`handle`] is what callers hold of it; [`events`] tells
 //!   watchers, awake or not.
@@ -10,6 +11,7 @@
 //!   session apart.
 
 pub(crate) mod actor;
+pub(crate) mod changing;
 pub(crate) mod events;
 pub(crate) mod fault;
 pub(crate) mod fleet;
@@ -19,6 +21,7 @@ pub(crate) mod inspect;
 pub(crate) mod keeper;
 pub(crate) mod keyframe_codec;
 pub(crate) mod life;
+pub(crate) mod listing;
 pub(crate) mod meta;
 pub(crate) mod persist;
 pub(crate) mod records;

@@ -1,15 +1,14 @@
 //! Which sessions there are, and how to get hold of one. What becomes of them is in [`super::life`].
 
 use super::events::EventLog;
-use super::fault::{Fault, Trouble, store_error};
+use super::fault::{Fault, store_error};
 use super::fleet::{FleetLink, FleetLog};
 use super::handle::Session;
-use super::meta::{SensorDeclaration, SessionMeta, SessionMode};
-use super::records::{Counts, MetaRecord, SummaryRecord, parse};
-use super::slot::{Known, Phase, SessionState, Slot};
+use super::meta::{SessionMeta, SessionMode};
+use super::records::{Counts, MetaRecord, parse};
+use super::slot::{Known, Phase, Slot};
 use crate::reason;
 use crate::{ComputePool, Error, ErrorCode, Health, Limits, Result};
-use futures::stream::StreamExt;
 use percept_pipeline::PipelineParams;
 use percept_store::{CatalogueEntry, DataRoot, SessionPlace};
 use std::collections::{BTreeMap, HashMap};
@@ -19,8 +18,6 @@ use tokio::sync::Semaphore;
 
 /// Sessions that wake at a time; more wait their turn.
 const WAKES_AT_ONCE: usize = 4;
-/// Summaries read at a time for a page of a list: each read of a local file takes a thread.
-const READS_AT_ONCE: usize = 8;
 /// Time that a session may take to store its last frames when the server stops.
 const STOP_PATIENCE: Duration = Duration::from_secs(10);
 
@@ -38,42 +35,13 @@ pub(crate) struct Registry {
 }
 
 #[derive(Default)]
-struct Sessions {
-    by_id: BTreeMap<String, Arc<Slot>>,
+pub(super) struct Sessions {
+    pub(super) by_id: BTreeMap<String, Arc<Slot>>,
     /// Tenant and request id to session id.
     by_request: HashMap<(String, String), String>,
     /// How many.
     by_tenant: HashMap<String, usize>,
     is_stopping: bool,
-}
-
-/// What can be said of a session without waking it.
-#[derive(Clone)]
-pub struct SessionView {
-    /// Its id.
-    pub id: String,
-    /// Whose it is.
-    pub tenant: String,
-    /// For people.
-    pub display_name: String,
-    /// For programs.
-    pub labels: BTreeMap<String, String>,
-    /// Names the state of what callers set.
-    pub etag: String,
-    /// What it does with frames.
-    pub mode: SessionMode,
-    /// Server's clock, nanoseconds since the Unix epoch.
-    pub create_time_ns: i64,
-    /// Where it is in its life.
-    pub state: SessionState,
-    /// Why it is set apart.
-    pub fault: Option<Fault>,
-    /// What it has gathered; of one that sleeps as it was when it last fell asleep.
-    pub counts: Counts,
-    /// Server's clock, nanoseconds since the Unix epoch: when it was last used, by this process.
-    pub last_used_ns: i64,
-    /// The session, if it is in memory.
-    pub live: Option<Arc<Session>>,
 }
 
 impl Registry {
@@ -146,7 +114,7 @@ impl Registry {
         self.read_sessions().by_id.get(id).cloned()
     }
 
-    fn find(&self, id: &str) -> Result<Arc<Slot>> {
+    pub(super) fn find(&self, id: &str) -> Result<Arc<Slot>> {
         self.slot(id).filter(|slot| !slot.is_doomed()).ok_or_else(|| not_found(id))
     }
 
@@ -206,87 +174,6 @@ impl Registry {
     /// `SESSION_NOT_FOUND`.
     pub(crate) fn events(&self, id: &str) -> Result<Arc<EventLog>> {
         Ok(Arc::clone(&self.find(id)?.events))
-    }
-
-    /// What can be said of a session without waking it.
-    ///
-    /// # Errors
-    /// `SESSION_NOT_FOUND`.
-    pub(crate) async fn view(&self, id: &str) -> Result<SessionView> {
-        let slot = self.find(id)?;
-        self.read_counts(&slot).await;
-        Ok(view(&slot))
-    }
-
-    /// What a session was created with and what was changed since, without waking it.
-    ///
-    /// # Errors
-    /// `SESSION_NOT_FOUND`, `SESSION_FAULTED` if that cannot be read; faults of the storage.
-    pub(crate) async fn meta(&self, id: &str) -> Result<SessionMeta> {
-        let slot = self.find(id)?;
-        if let Some(session) = view(&slot).live {
-            return Ok(session.meta());
-        }
-        // Of one that is being created it can be said as soon as it is.
-        slot.until(|phase| !matches!(phase, Phase::Creating)).await;
-        let place = slot.place.get().ok_or_else(|| not_found(id))?;
-        let noted = self.root.summary(place).await.map_err(|e| store_error(&e))?;
-        let noted = noted.and_then(|bytes| parse::<SummaryRecord>("the summary", &bytes).ok());
-        let record = match noted {
-            Some(summary) => summary.meta,
-            None => match self.root.entry(id).await.map_err(|e| store_error(&e))? {
-                Some(CatalogueEntry::Created { place: found, record }) if found == *place => {
-                    parse("the catalogue entry", &record).map_err(|e| Trouble::from(e).error())?
-                }
-                _ => return Err(not_found(id)),
-            },
-        };
-        record.into_meta(&self.defaults).map_err(|e| Fault::new(reason::DATA_DAMAGED, e.to_string()).error())
-    }
-
-    /// Sessions that `is_wanted`, with what is noted of them. How many there are is how many summaries are read, once after
-    /// the start; [`Self::list`] reads those of a page.
-    pub(crate) async fn list_all(&self, is_wanted: impl Fn(&SessionView) -> bool) -> Vec<SessionView> {
-        let found: Vec<Arc<Slot>> =
-            self.slots().into_iter().filter(|slot| !slot.is_doomed() && is_wanted(&view(slot))).collect();
-        futures::stream::iter(&found).for_each_concurrent(READS_AT_ONCE, |slot| self.read_counts(slot)).await;
-        found.iter().map(|slot| view(slot)).collect()
-    }
-
-    /// Sessions in the order of ids, after `after`, those that `is_wanted`, at most `limit`.
-    pub(crate) async fn list(
-        &self,
-        after: &str,
-        limit: usize,
-        is_wanted: impl Fn(&SessionView) -> bool,
-    ) -> Vec<SessionView> {
-        let found: Vec<Arc<Slot>> = {
-            let sessions = self.read_sessions();
-            let from = (std::ops::Bound::Excluded(after.to_owned()), std::ops::Bound::Unbounded);
-            let slots = sessions.by_id.range(from).map(|(_, slot)| slot);
-            slots.filter(|slot| !slot.is_doomed() && is_wanted(&view(slot))).take(limit).cloned().collect()
-        };
-        futures::stream::iter(&found).for_each_concurrent(READS_AT_ONCE, |slot| self.read_counts(slot)).await;
-        found.iter().map(|slot| view(slot)).collect()
-    }
-
-    /// Reads what is noted of a session that has not been awake since the start.
-    async fn read_counts(&self, slot: &Slot) {
-        let Some(place) = slot.place.get() else { return };
-        // Another server may have gathered more since.
-        if slot.known().counts.is_some() && !self.root.is_shared() {
-            return;
-        }
-        let Ok(noted) = self.root.summary(place).await else { return };
-        let noted = noted.and_then(|bytes| parse::<SummaryRecord>("the summary", &bytes).ok());
-        slot.update_known(|known| {
-            known.counts = Some(noted.as_ref().map(|n| n.counts).unwrap_or_default());
-            if let Some(noted) = noted {
-                known.display_name = noted.meta.display_name;
-                known.labels = noted.meta.labels;
-                known.revision = noted.meta.revision;
-            }
-        });
     }
 
     /// Creates a session, durably; it sleeps until it is used. The same request id gives the session of the first call. A
@@ -371,88 +258,6 @@ impl Registry {
         }
     }
 
-    /// Declares a sensor, durably.
-    ///
-    /// # Errors
-    /// `SENSOR_IN_USE` if it has sent frames under another declaration, `TOO_MANY_SENSORS`.
-    pub(crate) async fn declare(self: &Arc<Self>, id: &str, declaration: SensorDeclaration) -> Result<Arc<Session>> {
-        let limit = self.limits.max_sensors_per_session;
-        self.change(id, |session, meta| {
-            let spec = &declaration.spec;
-            if meta.sensors.contains(&declaration) {
-                return Ok(None);
-            }
-            let known = session.sensors().into_iter().find(|s| s.declaration.spec.id == spec.id);
-            if known.as_ref().is_some_and(|s| s.last_stamp.is_some()) {
-                return Err(Error {
-                    field: "sensor_id".to_owned(),
-                    ..crate::ops::changes::in_use(&spec.id, "declaration")
-                });
-            }
-            if known.is_none() && meta.sensors.len() >= limit {
-                let message = format!("a session has at most {limit} sensors");
-                return Err(Error::exhausted(reason::TOO_MANY_SENSORS, "sensor_id", message));
-            }
-            meta.sensors.retain(|s| s.spec.id != spec.id);
-            meta.sensors.push(declaration.clone());
-            meta.sensors.sort_by(|a, b| a.spec.id.cmp(&b.spec.id));
-            Ok(Some(declaration.clone()))
-        })
-        .await
-    }
-
-    /// Changes what is declared and set of a session, durably.
-    ///
-    /// # Errors
-    /// Those of `change`; `SESSION_NOT_FOUND`, `SESSION_FAULTED`; faults of the storage.
-    pub(crate) async fn change(
-        self: &Arc<Self>,
-        id: &str,
-        change: impl Fn(&Session, &mut SessionMeta) -> Result<Option<SensorDeclaration>>,
-    ) -> Result<Arc<Session>> {
-        let session = self.awake(id, |session| {
-            let change = &change;
-            async move { session.change(|meta| change(&session, meta)).await.map(|()| session) }
-        });
-        let session = session.await?;
-        // What lists and sleeping sessions say is this from now on, also after a restart.
-        if let Ok(slot) = self.find(id) {
-            let (this, session) = (Arc::clone(self), Arc::clone(&session));
-            let noted = tokio::spawn(async move {
-                let is_new = this.note(&slot, &session);
-                if let Some(fleet) = slot.events.fleet().filter(|_| is_new) {
-                    fleet.updated(&session.meta().etag());
-                }
-                this.write_summary(&slot, &session).await;
-            });
-            let _ = noted.await;
-        }
-        Ok(session)
-    }
-
-    /// Does something with a session that is awake; once more if it has just been put to sleep.
-    ///
-    /// # Errors
-    /// Those of `get` and of what is done.
-    pub(crate) async fn awake<T, F: Future<Output = Result<T>>>(
-        self: &Arc<Self>,
-        id: &str,
-        act: impl Fn(Arc<Session>) -> F,
-    ) -> Result<T> {
-        const TRIES: usize = 3;
-        let mut session = self.get(id).await?;
-        let mut outcome = act(Arc::clone(&session)).await;
-        for _ in 1..TRIES {
-            if !outcome.as_ref().is_err_and(|e| e.reason == super::refusal::STOPPED) {
-                break;
-            }
-            self.left(id, &session).await;
-            session = self.get(id).await?;
-            outcome = act(Arc::clone(&session)).await;
-        }
-        outcome
-    }
-
     /// Deletes a session. It is gone, durably, when this returns; what it stored goes soon after. A caller who leaves does
     /// not stop it.
     ///
@@ -469,15 +274,6 @@ impl Registry {
             Phase::Gone(outcome) => outcome,
             _ => Err(slot.deletion_error().unwrap_or_else(|| Error::internal("a deletion failed without a reason"))),
         }
-    }
-
-    /// How many sessions are in each state.
-    pub(crate) fn census(&self) -> HashMap<SessionState, usize> {
-        let mut counts = HashMap::new();
-        for slot in self.slots() {
-            *counts.entry(slot.phase().state()).or_default() += 1;
-        }
-        counts
     }
 
     /// Stores what every session has taken in and ends them, all at once.
@@ -504,7 +300,7 @@ impl Registry {
         ends.into_iter().filter_map(Result::err).next_back().map_or(Ok(()), Err)
     }
 
-    fn read_sessions(&self) -> std::sync::RwLockReadGuard<'_, Sessions> {
+    pub(super) fn read_sessions(&self) -> std::sync::RwLockReadGuard<'_, Sessions> {
         self.sessions.read().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -553,35 +349,6 @@ fn known(record: &MetaRecord) -> Known {
         create_time_ns: record.create_time_ns,
         is_ingest_only: record.mode == SessionMode::IngestOnly,
         counts: None,
-    }
-}
-
-fn view(slot: &Slot) -> SessionView {
-    let (known, phase) = (slot.known(), slot.phase());
-    let live = match &phase {
-        Phase::Awake(session) | Phase::Retiring(session) | Phase::Faulted(_, Some(session)) => {
-            Some(Arc::clone(session))
-        }
-        _ => None,
-    };
-    let counts = live.as_ref().map(|session| super::life::counts(session)).or(known.counts).unwrap_or_default();
-    let (display_name, labels, revision) = match live.as_ref().map(|session| session.meta()) {
-        Some(meta) => (meta.display_name, meta.labels, meta.revision),
-        None => (known.display_name, known.labels, known.revision),
-    };
-    SessionView {
-        id: slot.id.clone(),
-        tenant: known.tenant,
-        display_name,
-        labels,
-        etag: super::meta::etag(known.create_time_ns, revision),
-        mode: if known.is_ingest_only { SessionMode::IngestOnly } else { SessionMode::Mapping },
-        create_time_ns: known.create_time_ns,
-        state: phase.state(),
-        fault: if let Phase::Faulted(fault, _) = phase { Some(fault) } else { None },
-        counts,
-        last_used_ns: slot.last_used_ns(),
-        live,
     }
 }
 

@@ -64,6 +64,21 @@ impl Registry {
         }
     }
 
+    /// Where a session is that another server has: what happens to it is told there.
+    pub(crate) async fn elsewhere(&self, id: &str) -> Option<Error> {
+        let slot = self.slot(id).filter(|_| self.root.is_shared())?;
+        if matches!(slot.phase(), Phase::Awake(_) | Phase::Retiring(_)) {
+            return None;
+        }
+        match self.root.holder(slot.place.get()?).await {
+            Ok(address) => address.map(|address| Error::elsewhere(id, &address)),
+            Err(error) => {
+                tracing::warn!(session = id, %error, "who has the session was not read");
+                None
+            }
+        }
+    }
+
     /// The session that the same request has created at another server.
     pub(super) async fn created_before(&self, meta: &SessionMeta) -> Result<SessionPlace, Error> {
         let exists = super::registry::exists(&meta.id);

@@ -31,6 +31,7 @@ impl Api {
         caller: Caller,
         place: impl Send + 'static,
         events: impl Stream<Item = T> + Send + 'static,
+        moved: impl Future<Output = Error> + Send + 'static,
     ) -> Streamed<T> {
         let (out, answer) = tokio::sync::mpsc::channel(EVENTS_PER_READ);
         let mut stopping = self.stopping.clone();
@@ -38,11 +39,13 @@ impl Api {
         tokio::spawn(async move {
             let _held = (open, place);
             let (mut ended, mut events) = (std::pin::pin!(caller.ended()), std::pin::pin!(events));
+            let mut moved = std::pin::pin!(moved);
             loop {
                 let event = tokio::select! {
                     event = events.next() => Ok(event),
                     _ = stopping.wait_for(|s| *s) => Err(stopping_error()),
                     error = &mut ended => Err(error),
+                    error = &mut moved => Err(error),
                     () = out.closed() => return,
                 };
                 let sent = match event {
@@ -177,9 +180,11 @@ impl v1::sessions_service_server::SessionsService for Api {
             let token = events.last().map_or(token, |event| event.token);
             Some((events, (log, token)))
         });
+        let (asker, session) = (caller.clone(), r.session_id);
+        let moved = async move { asker.moved(&session).await };
         let told = |event| v1::WatchSessionResponse { event: Some(sessions::event_to(&event)) };
         let events = events.flat_map(futures::stream::iter).map(told);
-        let mut answer = Response::new(self.told_while_watched(caller, place, events));
+        let mut answer = Response::new(self.told_while_watched(caller, place, events, moved));
         answer.metadata_mut().insert(RESUME_TOKEN, token.into());
         Ok(answer)
     }
@@ -197,7 +202,7 @@ impl v1::sessions_service_server::SessionsService for Api {
         });
         let told = |event| v1::WatchSessionsResponse { event: Some(fleet::event_to(&event)) };
         let events = events.flat_map(futures::stream::iter).map(told);
-        let mut answer = Response::new(self.told_while_watched(caller, place, events));
+        let mut answer = Response::new(self.told_while_watched(caller, place, events, std::future::pending()));
         answer.metadata_mut().insert(RESUME_TOKEN, token.into());
         Ok(answer)
     }
