@@ -18,6 +18,7 @@ from percept import Client
 from percept.v1 import sessions_service_pb2 as sessions
 
 from support import wire, world
+from support.pki import Authority
 from support.server import STOP_S, Server, binary, eventually
 
 MIB = 1 << 20
@@ -375,32 +376,6 @@ def test_a_hang_up_does_not_stop_it(serve):
 
 
 # TLS
-
-
-class Authority:
-    """A certificate authority in a folder, by the openssl program."""
-
-    def __init__(self, folder: pathlib.Path) -> None:
-        self.folder = folder
-        folder.mkdir()
-        self.ca = folder / "ca.pem"
-        self._run("req", "-x509", *self._new("ca"), "-days", "2", "-subj", "/CN=test authority", "-out", self.ca)
-
-    def _run(self, *arguments) -> None:
-        subprocess.run(["openssl", *map(str, arguments)], check=True, capture_output=True)
-
-    def _new(self, name: str):
-        return "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-keyout", self.folder / f"{name}.key"
-
-    def issue(self, name: str, names: str) -> tuple[pathlib.Path, pathlib.Path]:
-        """Certificate and key."""
-        request, cert = self.folder / f"{name}.csr", self.folder / f"{name}.pem"
-        self._run("req", *self._new(name), "-subj", f"/CN={name}", "-out", request)
-        extensions = self.folder / f"{name}.ext"
-        extensions.write_text(f"subjectAltName={names}\n")
-        signed = ("-CA", self.ca, "-CAkey", self.folder / "ca.key", "-CAcreateserial", "-days", "2", "-extfile", extensions)
-        self._run("x509", "-req", "-in", request, *signed, "-out", cert)
-        return cert, self.folder / f"{name}.key"
 
 
 @pytest.fixture

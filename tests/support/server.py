@@ -51,6 +51,7 @@ class Server:
         data_dir: pathlib.Path | None,
         *arguments: str,
         grpc: str = "127.0.0.1:0",
+        zenoh: str | None = None,
         log: pathlib.Path | None = None,
     ) -> None:
         # None: the environment says where the data are.
@@ -58,6 +59,8 @@ class Server:
         self.log = log or data_dir.with_name(f"{data_dir.name}.log")
         self._arguments = arguments
         self._grpc = grpc
+        # None: over TCP, at a free port; empty: closed.
+        self._zenoh = zenoh
         self.start()
 
     def start(self) -> None:
@@ -66,7 +69,7 @@ class Server:
             *(binary(), "serve"),
             *(() if self.data_dir is None else ("--data-dir", self.data_dir)),
             *("--grpc", self._grpc, "--rest", "127.0.0.1:0"),
-            *("--zenoh", f"tcp/127.0.0.1:{free_port()}"),
+            *("--zenoh", f"tcp/127.0.0.1:{free_port()}" if self._zenoh is None else self._zenoh),
             *self._arguments,
         ]
         with self.log.open("ab") as log:
