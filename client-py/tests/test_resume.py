@@ -152,6 +152,20 @@ def test_a_frame_that_is_turned_away_for_now_is_sent_again(fake, client):
     assert counts(stream.summary) == (5, 5, 0, 5)
 
 
+def test_a_frame_that_one_server_took_and_the_next_turned_away_is_not_refused(fake, client):
+    def elsewhere(server, messages, context):
+        for message in messages:
+            yield ack_of(message, 0, "SESSION_ELSEWHERE", "UNAVAILABLE")
+
+    server = Connections(breaking(acked=1, durable=1, unanswered=2), elsewhere, elsewhere, whole)
+    fake.bidi(rpc.STREAM_FRAMES, server)
+    with client.session("s").stream() as stream:
+        send(stream, range(6))
+    # The last one finds 1 and 2 in what the first had taken.
+    assert server.seen[3] == [1, 2, 3, 4, 5]
+    assert counts(stream.summary) == (6, 6, 0, 6)
+
+
 def test_frames_wait_for_the_server_and_the_sender_is_told_how_many_are_safe(fake):
     fake.bidi(rpc.STREAM_FRAMES, Connections(breaking(acked=4, durable=3), breaking(acked=0, durable=0)))
     with Client(fake.address) as client:

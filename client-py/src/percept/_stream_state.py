@@ -34,13 +34,11 @@ class Sent:
     data: bytes
     #: Whether its stamp is later than all that the stream sent before for its sensor.
     in_order: bool
-    #: On how many connections it was written.
+    #: On how many connections it may have been taken in.
     tries: int = 0
     answered: bool = False
     #: Refused whatever is tried, or durable: it need not be sent again.
     settled: bool = False
-    #: The server could not take it just then.
-    turned_away: bool = False
 
 
 class Connection:
@@ -158,7 +156,8 @@ class StreamState:
         refused = answer.ack.rejection
         if self.resume and refused.code == Unavailable.code:
             self.progress -= 1
-            sent.turned_away = True
+            # Not on this one; what became of it on one before is as open as it was.
+            sent.tries -= 1
             raise error_of(
                 refused.code,
                 refused.message,
@@ -203,7 +202,7 @@ class StreamState:
     @staticmethod
     def _taken_before(sent: Sent, reason: str) -> bool:
         """Whether a refused stamp only says that the frame arrived over a connection of before."""
-        return reason in TAKEN_BEFORE and sent.tries > 1 and sent.in_order and not sent.turned_away
+        return reason in TAKEN_BEFORE and sent.tries > 1 and sent.in_order
 
     def summary(self) -> StreamSummary:
         """What became of the stream."""
