@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import tarfile
@@ -100,6 +101,14 @@ def test_the_pod_can_neither_become_root_nor_write_but_to_its_data():
         assert container[probe]["httpGet"]["port"] == "telemetry"
 
 
+def test_the_service_answers_to_its_names_in_the_cluster():
+    by_kind = {m.values[0]["kind"]: m.values[0] for m in MANIFESTS if m.values[0]["metadata"]["name"] == "percept"}
+    (container,) = by_kind["StatefulSet"]["spec"]["template"]["spec"]["containers"]
+    settings = {variable["name"]: variable["value"] for variable in container["env"]}
+    service = by_kind["Service"]["metadata"]["name"]
+    assert service in json.loads(settings["PERCEPT_LISTEN_ALLOWED_HOSTS"])
+
+
 def test_compose_watches_the_address_that_percept_tells_at():
     compose = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
     port = compose["services"]["percept"]["environment"]["PERCEPT_TELEMETRY_LISTEN"].rsplit(":", 1)[1]
@@ -133,6 +142,40 @@ def test_packages_hold_a_program_that_runs(tmp_path):
         [tmp_path / "deb/usr/bin/percept", "config", "--check", config], capture_output=True, text=True
     )
     assert checked.returncode == 0, checked.stderr
+
+
+def test_the_unit_is_one_that_systemd_takes(tmp_path):
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("no systemd-analyze")
+    unit = tmp_path / "percept.service"
+    unit.write_text((DEPLOY / "percept.service").read_text().replace("/usr/local/bin/percept", str(binary())))
+    found = subprocess.run(["systemd-analyze", "verify", unit], capture_output=True, text=True)
+    assert (found.returncode, found.stderr) == (0, "")
+
+
+def test_an_upgrade_keeps_the_settings_and_a_purge_leaves_none(tmp_path):
+    if shutil.which("dpkg") is None or os.geteuid() != 0:
+        pytest.skip("no dpkg, or not root")
+    out, root = tmp_path / "out", tmp_path / "root"
+    (root / "var/lib/dpkg").mkdir(parents=True)
+    (root / "var/lib/dpkg/status").touch()
+    subprocess.run([DEPLOY / "package", "--binary", binary(), "--out", out], check=True, capture_output=True)
+    (package,) = out.glob("*.deb")
+
+    def dpkg(*arguments):
+        # What it depends on is not in this root, nor a shell.
+        forced = ["dpkg", f"--root={root}", "--force-script-chrootless", "--force-depends"]
+        done = subprocess.run([*forced, *arguments], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+
+    config = root / "etc/percept/percept.toml"
+    dpkg("--install", package)
+    config.write_text(config.read_text() + "# mine\n")
+    dpkg("--install", package)
+    assert config.read_text().endswith("# mine\n")
+    dpkg("--purge", "percept")
+    assert not config.exists()
+    assert not (root / "usr/bin/percept").exists()
 
 
 def test_the_script_that_tries_upgrades_sees_nothing_lost_between_a_program_and_itself():

@@ -1,5 +1,5 @@
-"""Robots stream to two servers that share a directory, and one of them goes: their streams go on at the other,
-nothing that was acknowledged is lost, and no frame is there twice.
+"""Robots stream to two servers that share a directory, and one of them goes: their streams go on at the
+other, nothing that was acknowledged is lost, and no frame is there twice.
 """
 
 from __future__ import annotations
