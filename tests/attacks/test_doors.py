@@ -19,7 +19,7 @@ from percept.v1 import sessions_service_pb2 as sessions
 
 from support import wire, world
 from support.pki import Authority
-from support.server import STOP_S, Server, binary, eventually
+from support.server import STOP_S, Server, binary, eventually, free_port
 
 MIB = 1 << 20
 JSON = {"content-type": "application/json"}
@@ -444,6 +444,29 @@ def test_new_certificates_are_used_and_connections_stay(serve, authority):
     assert serial(server.rest, authority.ca) == second
     authority.issue("server", "IP:127.0.0.1")
     assert eventually(lambda: serial(server.rest, authority.ca) != second, seconds=30)
+
+
+def test_new_certificates_are_used_over_zenoh_too(tmp_path, monkeypatch, authority):
+    cert, key = authority.issue("server", "IP:127.0.0.1")
+    monkeypatch.setenv("PERCEPT_TLS_CERT_FILE", str(cert))
+    monkeypatch.setenv("PERCEPT_TLS_KEY_FILE", str(key))
+    server = Server(tmp_path / "data", zenoh=f"tls/127.0.0.1:{free_port()}")
+    try:
+        endpoint = server.zenoh.removeprefix("tls/")
+        first = serial(endpoint, authority.ca)
+        authority.issue("server", "IP:127.0.0.1")
+        server.process.send_signal(signal.SIGHUP)
+        assert eventually(lambda: serial(server.rest, authority.ca) != first)
+
+        def is_new() -> bool:
+            # The door is closed for a moment.
+            with contextlib.suppress(OSError):
+                return serial(endpoint, authority.ca) != first
+            return False
+
+        assert eventually(is_new, seconds=30)
+    finally:
+        server.kill()
 
 
 def test_a_handshake_that_stops_ends(serve, authority):
