@@ -26,25 +26,15 @@ class Site:
     """A server that takes the tokens of a provider, whose certificate is of an authority of its own."""
 
     def __init__(self, folder, *, keys: bool = False, ca_file: object = None, **jwt: object) -> None:
+        self._keys = folder / "keys.json"
         self.authority = Authority(folder / "pki")
         self.provider = Provider(self.authority.issue("provider", "IP:127.0.0.1"))
         settings = {"issuer": self.provider.issuer, "ca_file": str(ca_file or self.authority.ca), **jwt}
         config = folder / "percept.toml"
         lines = "".join(f"{name} = {json.dumps(value)}\n" for name, value in settings.items())
-        self.key, known = "", ""
-        if keys:
-            known = f'keys_file = "{folder / "keys.json"}"\n'
-            made = [
-                binary(),
-                "keys",
-                "create",
-                "--name",
-                "op",
-                "--scope",
-                "admin",
-                *("--file", folder / "keys.json"),
-            ]
-            self.key = subprocess.run(made, capture_output=True, text=True, check=True).stdout.strip()
+        known = f'keys_file = "{self._keys}"\n' if keys else ""
+        names = ("one", "two") if keys else ()
+        self.keys = {name: self._key("create", "--name", name, "--scope", "admin") for name in names}
         config.write_text(f'[auth]\nmode = "required"\n{known}[auth.jwt]\n{lines}')
         self.server = Server(folder / "data", "--config", str(config), zenoh="")
 
@@ -65,6 +55,14 @@ class Site:
             except PerceptError as error:
                 return error.reason
             return ""
+
+    def revoke(self, name: str) -> None:
+        """Takes a key back."""
+        self._key("revoke", name)
+
+    def _key(self, verb: str, *arguments: str) -> str:
+        command = [binary(), "keys", verb, "--file", self._keys, *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
     def close(self) -> None:
         self.server.kill()
@@ -188,7 +186,7 @@ def test_a_token_that_ends_ends_the_watch(make_site):
 def test_a_provider_that_does_not_answer_holds_nobody_else_up(make_site):
     site = make_site(keys=True)
     token, answers = site.provider.token(), threading.Event()
-    assert site.asked(token) == site.asked(site.key) == ""
+    assert site.asked(token) == site.asked(site.keys["one"]) == ""
     site.provider.pages[DISCOVERY] = answers.wait
 
     def held_up() -> bool:
@@ -200,6 +198,9 @@ def test_a_provider_that_does_not_answer_holds_nobody_else_up(make_site):
     with ThreadPoolExecutor(8) as pool:
         # Asked again only some time after the last.
         assert eventually(held_up, seconds=FETCHED_S)
-        assert site.asked(token) == site.asked_by_grpc(token) == site.asked(site.key) == ""
-        assert not asking[-1].done()
+        assert site.asked(token) == site.asked_by_grpc(token) == ""
+        for name, key in site.keys.items():
+            site.revoke(name)
+            assert eventually(lambda key=key: site.asked(key) == "CREDENTIALS_REVOKED")
+        assert not asking[-1].done(), "a key that was revoked held until the provider was given up"
         answers.set()
