@@ -27,6 +27,17 @@ impl PointCloud {
         Self { positions, ..Self::default() }
     }
 
+    /// What its channels take, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        let channels = [
+            (self.colors.is_some(), 3),
+            (self.intensities.is_some(), 4),
+            (self.normals.is_some(), 12),
+            (self.time_offsets_s.is_some(), 4),
+        ];
+        self.len() * (12 + channels.iter().map(|(there, bytes)| usize::from(*there) * bytes).sum::<usize>())
+    }
+
     /// Number of points.
     pub fn len(&self) -> usize {
         self.positions.len()

@@ -31,6 +31,14 @@ pub struct KeyframeScan {
     pub features: Option<Arc<KeyframeFeatures>>,
 }
 
+impl KeyframeScan {
+    /// What it takes, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        let features = self.features.as_ref().map_or(0, |f| f.features.len() * size_of::<KeyframeFeature>());
+        size_of::<Self>() + self.hits.memory_bytes() + self.misses.len() * size_of::<Point3<f32>>() + features
+    }
+}
+
 /// How the distinct places of an image are found, and so what the bits of their descriptors mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -75,6 +75,12 @@ impl Map {
         &self.params
     }
 
+    /// What its layers and the keyframes that they are made of take, bytes; what both share is counted once.
+    pub fn memory_bytes(&self) -> usize {
+        let scans: usize = self.keyframes.values().map(|k| size_of::<MapKeyframe>() + k.scan.memory_bytes()).sum();
+        self.layers.occupancy.memory_bytes() + self.layers.cloud.memory_bytes() + scans
+    }
+
     /// The keyframes by number.
     pub fn keyframes(&self) -> &BTreeMap<KeyframeId, MapKeyframe> {
         &self.keyframes

@@ -163,6 +163,12 @@ impl Pipeline {
         self.finish_revision();
     }
 
+    /// What map, keyframes and trajectory take, bytes. What odometry and loop closing hold beside them is not counted.
+    pub fn memory_bytes(&self) -> usize {
+        let trajectory = self.trajectory.len() * size_of::<TrajectoryEntry>();
+        self.map.memory_bytes() + trajectory + self.keyframes.len() * size_of::<KeyframeInfo>()
+    }
+
     /// The state as it is now; cheap, and unaffected by what comes later.
     pub fn snapshot(&self) -> Snapshot {
         Snapshot {

@@ -114,6 +114,11 @@ impl FusedCloud {
         self.num_points
     }
 
+    /// What its voxels take, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        self.num_points * size_of::<VoxelMean>()
+    }
+
     /// Whether there is no point.
     pub fn is_empty(&self) -> bool {
         self.num_points == 0

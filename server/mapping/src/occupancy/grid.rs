@@ -166,6 +166,11 @@ impl OccupancyGrid {
         self.bounds
     }
 
+    /// What its tiles take, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        self.tiles.len() * size_of::<Tile>()
+    }
+
     /// Whether nothing is known.
     pub fn is_empty(&self) -> bool {
         self.bounds.is_none()

@@ -32,7 +32,7 @@ impl SessionShare {
         FAMILIES.objects.inc_by(moved(&mut part.objects, num_objects));
     }
 
-    /// What it holds in memory, estimated.
+    /// What its map takes in memory.
     pub fn memory(&self, bytes: usize) {
         FAMILIES.memory_bytes.inc_by(moved(&mut self.part().memory_bytes, bytes));
     }

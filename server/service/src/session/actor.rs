@@ -176,13 +176,16 @@ impl Actor {
         let (pipeline, outcome) = self
             .compute
             .run_for(&sender, move || {
-                let outcome = pipeline.process(&frame).map(|report| (report, pipeline.snapshot()));
+                let outcome = pipeline.process(&frame).map(|report| {
+                    let memory = report.keyframe.as_ref().map(|_| pipeline.memory_bytes());
+                    (report, pipeline.snapshot(), memory)
+                });
                 (pipeline, outcome)
             })
             .await
             .map_err(|_| failed())?;
         self.pipeline = Some(pipeline);
-        let (report, snapshot) = match outcome {
+        let (report, snapshot, memory) = match outcome {
             Ok(done) => done,
             Err(e) => {
                 // A frame that is sent again is no bad input.
@@ -197,6 +200,9 @@ impl Actor {
             }
         };
         observe::frame_accepted(kind, waited, began.elapsed());
+        if let Some(bytes) = memory {
+            self.session.share.memory(bytes);
+        }
         let objects_changed = !report.changes.is_empty() || !report.map.corrected.is_empty();
         let objects = objects_changed.then(|| (Arc::clone(&snapshot.objects), snapshot.next_object_id));
         self.publish(&report, snapshot);

@@ -203,6 +203,7 @@ impl Session {
         }
         let (snapshot, share) = (pipeline.snapshot(), SessionShare::default());
         share.map(snapshot.keyframes.len(), snapshot.objects.len());
+        share.memory(pipeline.memory_bytes());
         Self {
             id: meta.id.clone(),
             tenant: meta.tenant.clone(),

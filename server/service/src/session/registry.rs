@@ -236,7 +236,9 @@ impl Registry {
             counts: Some(Counts::default()),
         };
         let link = FleetLink::new(&self.fleet, &meta.id, &meta.tenant);
-        let events = EventLog::new(self.limits.event_history).told_to(link);
+        // Of a session that other servers may tell of, too, nobody resumes from a token of theirs.
+        let first = if self.root.is_shared() { self.first_token } else { 1 };
+        let events = EventLog::starting_at(first, self.limits.event_history).told_to(link);
         let slot = Slot::new(&meta.id, Phase::Creating, known, events);
         sessions.add(&slot);
         Ok(Reserved::New(slot))

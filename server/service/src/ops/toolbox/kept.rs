@@ -118,7 +118,7 @@ impl KeptClouds {
             let words = format!("keep_s is {keep_s}; it must be positive and at most {}", self.max_s);
             return Err(Error::invalid("OUT_OF_RANGE", "keep_s", words));
         }
-        let (now, size_bytes) = (now_ns(), size_of(&cloud));
+        let (now, size_bytes) = (now_ns(), cloud.memory_bytes());
         let mut shelf = self.swept(now);
         if shelf.entries.len() >= self.max_clouds || shelf.used_bytes + size_bytes > self.max_bytes {
             let (n, used) = (shelf.entries.len(), shelf.used_bytes);
@@ -200,16 +200,6 @@ fn not_found(field: &str, handle: &str) -> Error {
     let shown: String = handle.chars().take(80).collect();
     let words = format!("{field} is {shown:?}, which is not kept or has expired; upload the cloud again");
     Error::not_found("CLOUD_NOT_FOUND", field, words)
-}
-
-fn size_of(c: &PointCloud) -> usize {
-    let channels = [
-        (c.colors.is_some(), 3),
-        (c.intensities.is_some(), 4),
-        (c.normals.is_some(), 12),
-        (c.time_offsets_s.is_some(), 4),
-    ];
-    c.len() * (12 + channels.iter().map(|(there, bytes)| usize::from(*there) * bytes).sum::<usize>())
 }
 
 #[cfg(test)]
