@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import signal
 import ssl
@@ -220,3 +221,20 @@ def test_over_zenoh_a_common_name_counts_where_certificates_are_required(make_si
             reader.send_scan("laser", stamp_ns=world.stamp(9), **robots.scan(9))
         laser = session.sensors.get("laser")
         assert (laser.accepted, laser.rejected) == (3, 0)
+
+
+def test_a_certificate_that_ends_ends_what_it_was_shown_for(site):
+    soon = datetime.timedelta(seconds=3)
+    files = site.ours.issue("robot-7", valid=(-DAY, soon), file="short")
+    with site.http(files) as http, http.stream("GET", "/v1/sessions/fleet-1/events") as events:
+        assert events.status_code == 200
+        with site.http(files) as second:
+            assert second.get("/v1/sessions/fleet-1").status_code == 200
+            assert eventually(lambda: second.get("/v1/sessions/fleet-1").status_code == 401, seconds=15)
+        assert "CREDENTIALS_EXPIRED" in "".join(events.iter_text())
+
+
+def test_certificates_that_zenoh_never_sees_are_told_at_the_start(make_site):
+    # Zenoh asks every peer for a certificate or none; with none, nobody whom the rules mean can be known.
+    with pytest.raises(AssertionError, match="client_cert_required"):
+        make_site(is_required=False)
