@@ -8,8 +8,10 @@ import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
+import grpc
 import pytest
 from percept import Client
+from percept.v1 import sensors_service_pb2
 
 from support import robots, world
 from support.server import Server
@@ -87,3 +89,33 @@ def test_robots_of_a_server_that_goes_stream_on_at_the_other(pair, goes):
             session = client.session(robot.name)
             stamps = [world.stamp(i) for i in range(robot.frames)]
             assert session.trajectory().stamps_ns.tolist() == stamps
+
+
+def test_a_stream_that_turned_a_frame_away_takes_no_later_one(pair):
+    """Else the frame comes back too late: its stamp is older than what was taken meanwhile."""
+    one, two = pair
+    with Client(one.grpc) as client:
+        robots.mapped(client, "robot")
+    outcomes, acknowledged = [], threading.Semaphore(1)
+
+    def frames():
+        for i in range(10, 2000):
+            acknowledged.acquire()
+            yield sensors_service_pb2.StreamFramesRequest(message=robots.scan_message("robot", i))
+
+    with grpc.insecure_channel(two.grpc) as channel:
+        send = channel.stream_stream(
+            "/percept.v1.SensorsService/StreamFrames",
+            request_serializer=sensors_service_pb2.StreamFramesRequest.SerializeToString,
+            response_deserializer=sensors_service_pb2.StreamFramesResponse.FromString,
+        )
+        answers = send(frames(), timeout=30)
+        for answer in answers:
+            outcomes.append(answer.ack.rejection.reason)
+            if outcomes == ["SESSION_ELSEWHERE"]:
+                one.kill()
+            if outcomes[-1] == "":
+                break
+            acknowledged.release()
+        answers.cancel()
+    assert set(outcomes) == {"SESSION_ELSEWHERE"}
