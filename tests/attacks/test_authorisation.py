@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import pkgutil
 import subprocess
 
@@ -430,6 +431,18 @@ def test_a_revoked_key_ends_watches_and_calls_within_two_seconds(site):
     assert "CREDENTIALS_EXPIRED" in told
     assert waiting.get(path, headers=headers).json()["reason"] == "CREDENTIALS_REVOKED"
     waiting.close()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="files are given away by root alone")
+def test_a_file_of_keys_stays_its_owners_when_an_operator_changes_it(tmp_path):
+    # Else the server, which is no root, cannot read that a key was taken back.
+    file = tmp_path / "keys.json"
+    made = keys(file, "create", "--name", "robot-7", "--scope", READ, "--json")
+    os.chown(file, 65534, 65534)
+    file.chmod(0o640)
+    keys(file, "revoke", made["id"])
+    found = file.stat()
+    assert (found.st_uid, found.st_gid, found.st_mode & 0o777) == (65534, 65534, 0o640)
 
 
 def test_no_key_and_no_digest_is_in_the_log(site):
