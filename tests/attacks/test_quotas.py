@@ -94,10 +94,10 @@ def test_who_asks_too_often_is_told_when_to_ask_again(site):
         error = refusal(lambda: greedy.sessions.create())
         assert error.reason == "RATE_LIMITED"
         assert 0 < error.retry_after_s < 2
-        answers = [place.rest("/v1/sessions") for _ in range(40)]
-        over = [a for a in answers if a.status_code == 429]
-        assert over
-        assert all(a.json()["reason"] == "RATE_LIMITED" and int(a.headers["retry-after"]) >= 1 for a in over)
+        answers = (place.rest("/v1/sessions") for _ in range(500))
+        over = next(answer for answer in answers if answer.status_code == 429)
+        assert over.json()["reason"] == "RATE_LIMITED"
+        assert int(over.headers["retry-after"]) >= 1
         for _ in range(100):
             free.session("none").session_id  # noqa: B018
             list(free.sessions.list())

@@ -110,12 +110,13 @@ def test_a_stream_that_turned_a_frame_away_takes_no_later_one(pair):
             response_deserializer=sensors_service_pb2.StreamFramesResponse.FromString,
         )
         answers = send(frames(), timeout=30)
-        for answer in answers:
-            outcomes.append(answer.ack.rejection.reason)
-            if outcomes == ["SESSION_ELSEWHERE"]:
-                one.kill()
-            if outcomes[-1] == "":
-                break
-            acknowledged.release()
-        answers.cancel()
+        with pytest.raises(grpc.RpcError) as ended:
+            for answer in answers:
+                outcomes.append(answer.ack.rejection.reason)
+                if outcomes == ["SESSION_ELSEWHERE"]:
+                    one.kill()
+                if outcomes[-1] == "":
+                    break
+                acknowledged.release()
+    assert ended.value.code() is grpc.StatusCode.UNAVAILABLE
     assert set(outcomes) == {"SESSION_ELSEWHERE"}

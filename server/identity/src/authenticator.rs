@@ -70,7 +70,11 @@ impl Authenticator {
                 None => return Err(Refusal::invalid("no key, and auth.jwt.issuer is not set")),
             },
             (None, Some(names)) if !self.settings.certificates.is_empty() => {
-                certificates::principal(&self.settings.certificates, names)?
+                let principal = certificates::principal(&self.settings.certificates, names)?;
+                if !principal.standing.holds(now_s) {
+                    return Err(Refusal::new(Reason::Expired, "the certificate has expired since it was shown"));
+                }
+                principal
             }
             (None, _) => return Err(Refusal::new(Reason::Missing, "no credentials")),
         };

@@ -11,6 +11,8 @@ pub struct CertificateNames {
     pub dns: Vec<String>,
     /// URIs among the alternative names, such as SPIFFE ids.
     pub uris: Vec<String>,
+    /// When it ends, seconds since the Unix epoch; none: never. A connection may outlive it.
+    pub expires_s: Option<u64>,
 }
 
 impl CertificateNames {
@@ -40,7 +42,7 @@ pub(crate) fn principal(rules: &[CertificateRule], names: &CertificateNames) -> 
         name: if rule.name.is_empty() { name.to_owned() } else { rule.name.clone() },
         tenant: rule.tenant.clone(),
         grants: vec![Grant { access: rule.access, sessions: rule.sessions.clone() }],
-        standing: Standing::until(None),
+        standing: Standing::until(names.expires_s),
     })
 }
 
@@ -67,6 +69,7 @@ mod tests {
             common_name: cn.map(str::to_owned),
             dns: dns.iter().map(|n| (*n).to_owned()).collect(),
             uris: uris.iter().map(|n| (*n).to_owned()).collect(),
+            expires_s: None,
         };
         let name = |names| principal(&rules, &names).map(|p| p.name).map_err(|e| e.reason);
         assert_eq!(name(names(Some("robot-7"), &["LIFT.example"], &[])), Ok("robot-7".to_owned()));

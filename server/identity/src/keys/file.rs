@@ -1,4 +1,4 @@
-//! The file of keys: JSON, mode 0600, replaced whole.
+//! The file of keys: JSON, mode 0600 unless its owner's group may read it, replaced whole.
 
 use super::{digest, fresh, hex, unhex32};
 use crate::principal::is_name;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::{Path, PathBuf};
 
 /// The file's format.
@@ -186,6 +186,17 @@ impl KeyFile {
         let _ = fs::remove_file(beside);
         let file = OpenOptions::new().create_new(true).write(true).mode(0o600).open(beside);
         let mut file = file.map_err(io("write"))?;
+        // The server that reads it need not be who changes it: whose it was it stays.
+        if let Ok(before) = fs::metadata(path) {
+            let now = file.metadata().map_err(io("write"))?;
+            if (before.uid(), before.gid()) != (now.uid(), now.gid()) {
+                fchown(&file, Some(before.uid()), Some(before.gid())).map_err(io("keep the owner of"))?;
+            }
+            // Closed to others, whatever it was.
+            let mode = before.mode() & 0o777;
+            let kept = if mode & 0o007 == 0 { mode & 0o660 | 0o600 } else { 0o600 };
+            file.set_permissions(fs::Permissions::from_mode(kept)).map_err(io("write"))?;
+        }
         let written = file.write_all(&text).and_then(|()| file.sync_all()).and_then(|()| fs::rename(beside, path));
         written.map_err(io("write"))?;
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -9,6 +9,7 @@ use percept_wire::v1;
 use percept_wire::v1::sensors_service_client::SensorsServiceClient;
 use percept_wire::v1::sessions_service_client::SessionsServiceClient;
 use std::collections::BTreeMap;
+use std::net::IpAddr;
 use std::path::PathBuf;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -102,33 +103,41 @@ pub(crate) struct AccessArgs {
     token: TokenArgs,
     #[command(flatten)]
     tls: TlsArgs,
+    /// Send the token without encryption to another machine all the same, over a network that is trusted.
+    #[arg(long)]
+    allow_insecure_token: bool,
 }
 
-/// Connects to `http://HOST:PORT` or, with TLS, `https://HOST:PORT`; the scheme may be left out.
+/// Connects to `http://HOST:PORT` or, with TLS, `https://HOST:PORT`; the scheme may be left out, and is https where
+/// certificates are given.
 pub(crate) async fn connect(server: &str, access: &AccessArgs) -> Result<Connection, Failure> {
     let (bearer, tls) = (access.token.read()?, &access.tls);
-    let address = if server.contains("://") { server.to_owned() } else { format!("http://{server}") };
+    let has_certificates = tls.ca_file.is_some() || tls.cert.is_some();
+    let scheme = if has_certificates { "https" } else { "http" };
+    let address = if server.contains("://") { server.to_owned() } else { format!("{scheme}://{server}") };
     let is_encrypted = address.starts_with("https://");
-    if !is_encrypted && (tls.ca_file.is_some() || tls.cert.is_some()) {
+    if !is_encrypted && has_certificates {
         return Err(format!("server is {server}, which is not encrypted; write https:// to use certificates").into());
     }
     let mut endpoint = Endpoint::from_shared(address)?;
+    let host = endpoint.uri().host().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
+    let is_near = host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback());
+    if bearer.0.is_some() && !(is_encrypted || is_near || access.allow_insecure_token) {
+        let words = format!(
+            "the token would travel readably to {server}; write https://, or --allow-insecure-token if the network is trusted"
+        );
+        return Err(words.into());
+    }
     if is_encrypted {
         endpoint = endpoint.tls_config(tls.config()?)?;
     }
     let endpoint =
         endpoint.initial_stream_window_size(16 << 20).initial_connection_window_size(32 << 20).tcp_nodelay(true);
-    let channel = endpoint
-        .connect()
-        .await
-        .map_err(|e| format!("cannot reach {server}: {}; is `percept serve` running there?", with_causes(&e)))?;
+    let channel = endpoint.connect().await.map_err(|e| {
+        let scheme = if is_encrypted { "" } else { ", and is it without TLS, or else write https://" };
+        format!("cannot reach {server}: {}; is `percept serve` running there{scheme}?", super::with_causes(&e))
+    })?;
     Ok(InterceptedService::new(channel, bearer))
-}
-
-/// An error and what caused it: of a connection that fails, the cause is what helps.
-fn with_causes(error: &dyn std::error::Error) -> String {
-    let causes = std::iter::successors(error.source(), |e| e.source()).map(|e| format!(": {e}"));
-    std::iter::once(error.to_string()).chain(causes).collect()
 }
 
 /// A session on a server.

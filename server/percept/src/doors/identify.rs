@@ -138,6 +138,7 @@ fn peer(extensions: &Extensions) -> (String, Option<CertificateNames>) {
         common_name: c.common_name.clone(),
         dns: c.dns_names.clone(),
         uris: c.uris.clone(),
+        expires_s: c.expires_s,
     };
     (identity.address.to_string(), identity.certificate.as_deref().map(names))
 }

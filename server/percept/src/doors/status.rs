@@ -23,7 +23,7 @@ const SERVER: &str = "server";
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 
 /// Whether the same request may be served a little later.
-fn is_for_now(code: ErrorCode, reason: &str) -> bool {
+pub(crate) fn is_for_now(code: ErrorCode, reason: &str) -> bool {
     code == ErrorCode::Unavailable || (code == ErrorCode::ResourceExhausted && !reason.ends_with("_TOO_LARGE"))
 }
 

@@ -9,14 +9,16 @@ use percept_service::reason;
 use percept_service::{Caller, Error, IncomingFrame, Pending, Result, Session, Ticket, observe};
 use percept_wire::{convert, v1};
 use prost::Message;
-use std::collections::VecDeque;
-use std::sync::Arc;
+use std::collections::{HashMap, VecDeque};
+use std::sync::{Arc, Weak};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Status, Streaming};
 
 /// Frames under way in one stream; beyond it the reader stops reading and flow control holds the sender.
 const WINDOW: usize = 32;
+
+const OPERATION: &str = "SensorsService/StreamFrames";
 
 /// Messages above it are decoded beside the threads that serve everyone else.
 const LARGE_BYTES: usize = 256 << 10;
@@ -88,17 +90,43 @@ pub(super) fn stream(
 ) -> Streamed<v1::StreamFramesResponse> {
     let (sent, under_way) = mpsc::channel(WINDOW);
     let (acks, answer) = mpsc::channel(WINDOW);
+    let (answered, answers) = watch::channel(0);
     let open = observe::stream(observe::Stream::Ingest);
-    let reading = read(api, caller, requests, held, sent, acks.clone());
+    let order = Order { sessions: HashMap::new(), num_sent: 0, answers };
+    let reading = read(api, caller, requests, held, order, sent, acks.clone());
     tokio::spawn(async move {
         reading.await;
         drop(open);
     });
     tokio::spawn(async move {
-        acknowledge(under_way, acks).await;
+        acknowledge(under_way, answered, acks).await;
         drop(place);
     });
     Box::pin(ReceiverStream::new(answer))
+}
+
+/// Keeps a frame from overtaking another that is turned away: it could not be sent again, being older then than what its
+/// session has.
+struct Order {
+    /// Those that the stream's frames went to; one that ended has a successor of the same id.
+    sessions: HashMap<String, Weak<Session>>,
+    num_sent: u64,
+    /// Frames that were answered, as they come.
+    answers: watch::Receiver<u64>,
+}
+
+impl Order {
+    /// Before the first frame for a session that has ended and begun anew, all those before are answered. False if one of
+    /// them was turned away.
+    async fn keep(&mut self, session: &Arc<Session>) -> bool {
+        let now = Arc::downgrade(session);
+        let before = self.sessions.insert(session.id().to_owned(), Weak::clone(&now));
+        if before.is_none_or(|before| before.ptr_eq(&now)) {
+            return true;
+        }
+        let num_sent = self.num_sent;
+        self.answers.wait_for(|answered| *answered >= num_sent).await.is_ok()
+    }
 }
 
 type Acks = mpsc::Sender<std::result::Result<v1::StreamFramesResponse, Status>>;
@@ -108,6 +136,7 @@ async fn read(
     caller: Caller,
     mut requests: Streaming<v1::StreamFramesRequest>,
     held: Held,
+    mut order: Order,
     sent: mpsc::Sender<Sent>,
     acks: Acks,
 ) {
@@ -144,23 +173,37 @@ async fn read(
                 return;
             }
         };
-        let submitted = submit(&api, &caller, request.message.unwrap_or_default(), held.take()).await;
-        if sent.send(submitted).await.is_err() {
+        let message = request.message.unwrap_or_default();
+        let Some(submitted) = submit(&api, &caller, &mut order, message, held.take()).await else { return };
+        let is_turned_away = matches!(&submitted.outcome, Outcome::Refused(e) if status::is_for_now(e.code, e.reason));
+        if sent.send(submitted).await.is_err() || is_turned_away {
             return;
         }
+        order.num_sent += 1;
     }
 }
 
-async fn submit(api: &Api, caller: &Caller, message: v1::SensorMessage, memory: Option<Charge>) -> Sent {
+/// None if a frame before was turned away, so that this one is not taken.
+async fn submit(
+    api: &Api,
+    caller: &Caller,
+    order: &mut Order,
+    message: v1::SensorMessage,
+    memory: Option<Charge>,
+) -> Option<Sent> {
     let (sensor_id, sequence, stamp_ns) = (message.sensor_id.clone(), message.sequence, message.stamp_ns);
     let submitted = async {
         check_size(&message, api)?;
-        let incoming = decode(caller, "SensorsService/StreamFrames", message).await?;
+        let session = message.session_id.clone();
+        let incoming = decode(caller, OPERATION, message).await?;
+        if !order.keep(&caller.session(OPERATION, &session).await?).await {
+            return Ok(None);
+        }
         let (session, answer) = caller.submit(incoming).await?;
-        Ok(Outcome::Pending { session, answer, memory })
+        Ok(Some(Outcome::Pending { session, answer, memory }))
     };
-    let outcome = submitted.await.unwrap_or_else(Outcome::Refused);
-    Sent { sensor_id, sequence, stamp_ns, outcome }
+    let outcome = submitted.await.unwrap_or_else(|e| Some(Outcome::Refused(e)))?;
+    Some(Sent { sensor_id, sequence, stamp_ns, outcome })
 }
 
 /// Which positions of the stream wait for which ticket of which session to be durable.
@@ -199,7 +242,7 @@ impl Durability {
     }
 }
 
-async fn acknowledge(mut under_way: mpsc::Receiver<Sent>, acks: Acks) {
+async fn acknowledge(mut under_way: mpsc::Receiver<Sent>, answered: watch::Sender<u64>, acks: Acks) {
     let mut durability = Durability::default();
     while let Some(sent) = under_way.recv().await {
         let (outcome, ticket) = match sent.outcome {
@@ -232,6 +275,14 @@ async fn acknowledge(mut under_way: mpsc::Receiver<Sent>, acks: Acks) {
         if acks.send(Ok(v1::StreamFramesResponse { ack: Some(ack) })).await.is_err() {
             return;
         }
+        // What is turned away for now ends the stream, so that it can be sent again before what follows it.
+        if let Err(e) = outcome
+            && status::is_for_now(e.code, e.reason)
+        {
+            let _ = acks.send(Err(status::grpc(e))).await;
+            return;
+        }
+        answered.send_modify(|count| *count += 1);
     }
     let durable_count = tokio::select! {
         count = durability.finish() => count,

@@ -37,6 +37,8 @@ pub(crate) struct ClientCertificate {
     pub(crate) dns_names: Vec<String>,
     /// Subject alternative names: URIs.
     pub(crate) uris: Vec<String>,
+    /// When it ends, seconds since the Unix epoch.
+    pub(crate) expires_s: Option<u64>,
 }
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
@@ -165,7 +167,9 @@ fn names(certificate: &CertificateDer<'_>) -> std::io::Result<ClientCertificate>
     let invalid = |e: String| std::io::Error::new(std::io::ErrorKind::InvalidData, e);
     let (_, parsed) = X509Certificate::from_der(certificate).map_err(|e| invalid(e.to_string()))?;
     let common_name = parsed.subject().iter_common_name().next().and_then(|n| n.as_str().ok()).map(str::to_owned);
-    let mut out = ClientCertificate { common_name, dns_names: vec![], uris: vec![] };
+    // One from before 1970 has ended, too.
+    let expires_s = Some(u64::try_from(parsed.validity().not_after.timestamp()).unwrap_or_default());
+    let mut out = ClientCertificate { common_name, dns_names: vec![], uris: vec![], expires_s };
     let alternative = parsed.subject_alternative_name().map_err(|e| invalid(e.to_string()))?;
     for name in alternative.iter().flat_map(|n| &n.value.general_names) {
         match name {
@@ -192,6 +196,8 @@ mod tests {
             common_name: Some("robot-7".to_owned()),
             dns_names: vec!["robot-7.site.example".to_owned()],
             uris: vec!["spiffe://site/robot/7".to_owned()],
+            // rcgen's own: the first second of the year 4096.
+            expires_s: Some(67_090_118_400),
         };
         assert_eq!(names(certificate.der()).unwrap(), expected);
         assert!(names(&CertificateDer::from(vec![1, 2, 3])).is_err());

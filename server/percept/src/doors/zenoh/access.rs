@@ -5,6 +5,7 @@
 //! whose patterns fit; settings in which two tenants' patterns overlap cannot be said in zenoh's terms and are refused.
 
 use super::{Failure, ROOT};
+use crate::config::Tls;
 use percept_identity::{Access, AuthMode, AuthSettings, Grant, Pattern, Principal, random_token};
 use percept_service::CallContext;
 use serde_json::{Value, json};
@@ -36,7 +37,7 @@ impl Policy {
     ///
     /// # Errors
     /// What cannot be said in zenoh's terms, with the remedy.
-    pub(super) fn of(settings: &AuthSettings, endpoint: &str) -> Result<Self, Failure> {
+    pub(super) fn of(settings: &AuthSettings, endpoint: &str, tls: &Tls) -> Result<Self, Failure> {
         if settings.mode == AuthMode::None {
             return Ok(Self::Open(Arc::new(Principal::anonymous())));
         }
@@ -53,6 +54,16 @@ impl Policy {
             }),
             _ => None,
         });
+        let named: Vec<Member> = named.collect();
+        if !named.is_empty() && !tls.client_cert_required {
+            let words = "auth.certificates has rules with cn: and listen.zenoh is a tls/ endpoint, but zenoh asks for \
+                         certificates only where they are required: set tls.client_cert_required = true, or close listen.zenoh \
+                         with \"\"";
+            return Err(words.into());
+        }
+        if !named.is_empty() && !settings.zenoh_users.is_empty() {
+            tracing::warn!("zenoh asks every peer for a user as well: a certificate alone lets nobody in there");
+        }
         let members: Vec<Member> = users.chain(named).collect();
         if members.is_empty() {
             let words = format!(
@@ -200,21 +211,23 @@ mod tests {
     #[test]
     fn an_endpoint_that_knows_nobody_is_refused() {
         let keys = AuthSettings { zenoh_users: vec![], ..settings(&[]) };
-        assert!(Policy::of(&keys, "tcp/127.0.0.1:7447").is_err());
+        assert!(Policy::of(&keys, "tcp/127.0.0.1:7447", &Tls::default()).is_err());
         let sessions = Pattern::all();
         let subject = "cn:robot-7".to_owned();
         let rule =
             CertificateRule { subject, name: String::new(), tenant: "a".to_owned(), access: Access::Write, sessions };
         let named = AuthSettings { certificates: vec![rule], ..keys };
-        assert!(Policy::of(&named, "tcp/127.0.0.1:7447").is_err());
-        assert!(Policy::of(&named, "tls/127.0.0.1:7447").is_ok());
+        let required = Tls { client_cert_required: true, ..Tls::default() };
+        assert!(Policy::of(&named, "tcp/127.0.0.1:7447", &required).is_err());
+        assert!(Policy::of(&named, "tls/127.0.0.1:7447", &required).is_ok());
+        assert!(Policy::of(&named, "tls/127.0.0.1:7447", &Tls::default()).is_err());
     }
 
     #[test]
     fn tenants_whose_sessions_overlap_are_refused() {
         let two = |a, b| {
             let users = [user("a", "site-a", Access::Write, a), user("b", "site-b", Access::Write, b)];
-            Policy::of(&settings(&users), "tcp/127.0.0.1:7447")
+            Policy::of(&settings(&users), "tcp/127.0.0.1:7447", &Tls::default())
         };
         assert!(two("*", "robot-*").is_err() && two("a-*", "*-7").is_err());
         let policy = two("a-*", "b-*").ok().unwrap();
@@ -226,7 +239,7 @@ mod tests {
     #[test]
     fn zenoh_takes_the_rules_and_only_writers_may_send() {
         let users = [user("reader", "a", Access::Read, "robot-*"), user("writer", "a", Access::Write, "robot-7")];
-        let policy = Policy::of(&settings(&users), "tcp/127.0.0.1:7447").ok().unwrap();
+        let policy = Policy::of(&settings(&users), "tcp/127.0.0.1:7447", &Tls::default()).ok().unwrap();
         let mut config = zenoh::Config::default();
         for (key, value) in policy.settings() {
             config.insert_json5(key, &value).unwrap();

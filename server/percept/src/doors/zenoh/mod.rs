@@ -143,7 +143,7 @@ impl Names {
 impl ZenohDoor {
     /// Opens a peer that listens on `endpoint`, e.g. `tcp/127.0.0.1:7447`.
     pub(crate) async fn open(api: &Api, endpoint: &str, auth: &AuthSettings, tls: &Tls) -> Result<Self, Failure> {
-        let policy = Arc::new(Policy::of(auth, endpoint)?);
+        let policy = Arc::new(Policy::of(auth, endpoint, tls)?);
         let setup = Setup {
             endpoint: endpoint.to_owned(),
             max_message_bytes: api.service.limits().max_message_bytes,
