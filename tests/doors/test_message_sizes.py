@@ -10,7 +10,7 @@ import numpy as np
 import percept.v1
 import pytest
 from google.protobuf.message_factory import GetMessageClass
-from percept import CloudFormat, PointCloud
+from percept import CloudFormat, PointCloud, Step
 
 from support import world
 
@@ -64,6 +64,10 @@ class Site:
             self.session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
             self.session.send_cloud("lidar", stamp_ns=world.stamp(i) + 1, points=world.cloud(pose))
         self.stamp = world.stamp(100)
+        # A cloud of 250,000 points, sent back.
+        everything = [Step("crop_cloud", range={"max_range_m": 200}, quiet=True)]
+        self.operation = toolbox.start_pipeline(self.part, everything, send_cloud=True)
+        self.operation.wait()
 
     def kept(self, handle) -> dict:
         return {"cloud": {"handle": handle.handle}}
@@ -134,6 +138,10 @@ def views(site: Site, count: int) -> list[dict]:
 
 def of_session(site: Site) -> dict:
     return {"session_id": site.session.session_id}
+
+
+def of_operation(site: Site) -> dict:
+    return {"operation_id": site.operation.operation_id}
 
 
 def of_map(site: Site) -> dict:
@@ -321,6 +329,13 @@ REQUESTS = {
         ),
         True,
     ),
+    "OperationsService/StartOperation": (lambda s: {"optimise_map": of_map(s)}, False),
+    "OperationsService/GetOperation": (of_operation, False),
+    "OperationsService/ListOperations": (lambda s: {"page_size": 1000}, False),
+    "OperationsService/WaitOperation": (of_operation, False),
+    "OperationsService/CancelOperation": (of_operation, False),
+    "OperationsService/ReadOperationResult": (of_operation, True),
+    "OperationsService/DeleteOperation": (lambda s: {"operation_id": "none"}, False),
     "EvaluationService/EvaluateTrajectory": (
         lambda s: {"reference": poses(70_000), "estimate": poses(70_000), "return_pairs": True},
         True,

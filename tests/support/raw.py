@@ -19,6 +19,7 @@ _MODULES = {
     "SensorsService": "sensors_service_pb2",
     "MapsService": "maps_service_pb2",
     "SceneService": "scene_service_pb2",
+    "OperationsService": "operations_service_pb2",
 }
 
 

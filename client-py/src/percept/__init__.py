@@ -7,6 +7,9 @@ radians, nanoseconds; `t_a_b` maps coordinates in b to coordinates in a; arrays 
 from ._async.client import (
     AsyncClient,
 )
+from ._async.operations import (
+    AsyncOperation,
+)
 from ._async.session import (
     AsyncSession,
 )
@@ -19,6 +22,9 @@ from ._async.watch import (
 )
 from ._sync.client import (
     Client,
+)
+from ._sync.operations import (
+    Operation,
 )
 from ._sync.session import (
     Session,
@@ -116,6 +122,10 @@ from .types import (
     ObjectState,
     OccupancyGrid,
     OdometryFrame,
+    OperationFault,
+    OperationInfo,
+    OperationKind,
+    OperationState,
     OrientedBox,
     OverloadPolicy,
     Path,
@@ -193,6 +203,7 @@ __all__ = [
     "AsyncClient",
     "AsyncFleetWatch",
     "AsyncFrameStream",
+    "AsyncOperation",
     "AsyncSession",
     "AsyncWatch",
     "Boxes",
@@ -273,6 +284,11 @@ __all__ = [
     "ObjectState",
     "OccupancyGrid",
     "OdometryFrame",
+    "Operation",
+    "OperationFault",
+    "OperationInfo",
+    "OperationKind",
+    "OperationState",
     "OrientedBox",
     "OverloadPolicy",
     "Path",

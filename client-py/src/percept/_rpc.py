@@ -10,6 +10,7 @@ from google.protobuf.message import Message
 from .v1 import evaluation_service_pb2 as evaluation
 from .v1 import maps_service_pb2 as maps
 from .v1 import navigation_service_pb2 as navigation
+from .v1 import operations_service_pb2 as operations
 from .v1 import scene_service_pb2 as scene
 from .v1 import sensors_service_pb2 as sensors
 from .v1 import sessions_service_pb2 as sessions
@@ -306,4 +307,31 @@ EVALUATE_RELATIONS = Rpc(
 )
 EVALUATE_DETECTIONS = Rpc(
     _E, "EvaluateDetections", evaluation.EvaluateDetectionsRequest, evaluation.EvaluateDetectionsResponse
+)
+
+_O = "OperationsService"
+# A start carries a request id, so that it can be repeated.
+START_OPERATION = Rpc(
+    _O, "StartOperation", operations.StartOperationRequest, operations.StartOperationResponse
+)
+GET_OPERATION = Rpc(_O, "GetOperation", operations.GetOperationRequest, operations.GetOperationResponse)
+LIST_OPERATIONS = Rpc(
+    _O, "ListOperations", operations.ListOperationsRequest, operations.ListOperationsResponse
+)
+WAIT_OPERATION = Rpc(_O, "WaitOperation", operations.WaitOperationRequest, operations.WaitOperationResponse)
+CANCEL_OPERATION = Rpc(
+    _O, "CancelOperation", operations.CancelOperationRequest, operations.CancelOperationResponse
+)
+READ_OPERATION_RESULT = Rpc(
+    _O,
+    "ReadOperationResult",
+    operations.ReadOperationResultRequest,
+    operations.ReadOperationResultResponse,
+)
+DELETE_OPERATION = Rpc(
+    _O,
+    "DeleteOperation",
+    operations.DeleteOperationRequest,
+    operations.DeleteOperationResponse,
+    repeatable=False,
 )

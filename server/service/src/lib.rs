@@ -18,7 +18,7 @@ mod session;
 pub mod trace;
 
 pub use admission::{Admission, Asker, Quota, Quotas};
-pub use caller::{CallContext, Caller, Guarded};
+pub use caller::{CallContext, Caller, Guarded, OperationStart};
 pub use compute::{Alive, ComputePool, ComputeThreads};
 pub use error::{Error, ErrorCode, Result, check_id};
 pub use flood::RateLimitedLog;
@@ -29,6 +29,7 @@ pub use ops::evaluation::{self, TrajectoryComparison};
 pub use ops::fleet::{FleetFilter, FleetGroup, FleetWatch};
 pub use ops::maps::{self, CloudAnswer, GridAnswer, MapFile, MapFormat, MapSummary};
 pub use ops::navigation::{self, Navigation, Plan, PlanRequest};
+pub use ops::operations::{HowFar, NewOperation, Operation, OperationKind, OperationList, OperationState, Progress};
 pub use ops::pictures;
 pub use ops::server::{About, ServerInfo};
 pub use ops::sessions::{NewSession, Page, SessionDescription, SessionList, SessionOrder, SessionOrderKey};
@@ -70,6 +71,7 @@ pub struct Service {
     pub(crate) faults: Arc<RateLimitedLog>,
     pub(crate) limits: Arc<Limits>,
     pub(crate) kept: Arc<toolbox::KeptClouds>,
+    pub(crate) operations: Arc<ops::operations::Operations>,
     pub(crate) health: Health,
     pub(crate) about: Arc<About>,
 }
@@ -89,8 +91,9 @@ impl Service {
         let (limits, health) = (Arc::new(limits), Health::starting());
         let registry = Registry::open(data, compute.clone(), Arc::clone(&limits), defaults, health.clone()).await?;
         let kept = toolbox::KeptClouds::open(&limits, Arc::clone(compute.admission()));
+        let operations = ops::operations::Operations::open(&limits);
         let (faults, about) = (Arc::default(), Arc::default());
-        Ok(Self { registry, compute, faults, limits, kept, health, about })
+        Ok(Self { registry, compute, faults, limits, kept, operations, health, about })
     }
 
     /// The threads on which doors do what takes computing: decoding, digests, encoding.
@@ -133,11 +136,12 @@ impl Service {
         self.compute.admission().set(quotas);
     }
 
-    /// Stops taking frames, finishes and stores what was accepted, ends watches.
+    /// Stops taking frames, finishes and stores what was accepted, ends watches and operations.
     ///
     /// # Errors
     /// The fault of the storage, if something that was accepted could not be stored.
     pub async fn stop(&self) -> Result<()> {
+        self.operations.stop();
         self.registry.stop().await
     }
 }

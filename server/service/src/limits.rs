@@ -36,6 +36,23 @@ pub struct Limits {
     pub max_kept_bytes: usize,
     /// Time that a kept cloud stays unused before it is forgotten, seconds; an upload may ask for less.
     pub max_kept_s: usize,
+    /// Operations that run at a time; more wait, in turns among their owners. Each holds a place where the plain call would: fewer
+    /// than max_concurrent_computations leave room for those.
+    pub max_running_operations: usize,
+    /// The same of one owner.
+    pub max_running_operations_per_owner: usize,
+    /// Time that one operation may run, seconds.
+    pub max_operation_s: usize,
+    /// Operations that are kept, waiting, running or ended.
+    pub max_operations: usize,
+    /// The same of one owner.
+    pub max_operations_per_owner: usize,
+    /// Memory of the requests of operations under way and of the results of those that have ended, bytes.
+    pub max_operation_bytes: usize,
+    /// The same of one owner.
+    pub max_operation_bytes_per_owner: usize,
+    /// Time that an operation is kept after its end, with its result, seconds.
+    pub operation_kept_s: usize,
     /// Events kept for watchers that resume.
     pub event_history: usize,
     /// The same for watchers of all sessions, over all of them.
@@ -93,6 +110,14 @@ impl Default for Limits {
             max_kept_clouds: 256,
             max_kept_bytes: 1 << 30,
             max_kept_s: 600,
+            max_running_operations: 3,
+            max_running_operations_per_owner: 1,
+            max_operation_s: 600,
+            max_operations: 1024,
+            max_operations_per_owner: 64,
+            max_operation_bytes: 1 << 30,
+            max_operation_bytes_per_owner: 512 << 20,
+            operation_kept_s: 3600,
             event_history: 1024,
             fleet_event_history: 8192,
             sleep_after_s: 300,

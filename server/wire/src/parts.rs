@@ -1,10 +1,11 @@
 //! Answers in parts that every gRPC client takes, and joined again. `toolbox.proto` has the rule.
 
-use crate::convert::geometry;
+use crate::convert::{geometry, maps};
 use crate::v1;
 use bytes::Bytes;
 use prost::Message;
 use v1::pipeline_step_result::Answer as Found;
+use v1::read_operation_result_response::Result as Outcome;
 
 /// Bytes of lists and arrays in one part: whole rows of 12 (three float32), 72, 128 and 132 bytes, and far enough below
 /// gRPC's default limit of 4 MiB for what else the first part holds.
@@ -230,6 +231,48 @@ impl InParts for v1::RunPipelineResponse {
     }
 }
 
+/// A file's parts are its chunks.
+impl InParts for v1::ExportMapResponse {
+    fn parts(self) -> Vec<Self> {
+        let whole = self.chunk.unwrap_or_default();
+        let chunks = maps::chunks_of_file(&whole.header.unwrap_or_default(), &whole.data);
+        chunks.into_iter().map(|chunk| Self { chunk: Some(chunk) }).collect()
+    }
+
+    fn joined(parts: Vec<Self>) -> Self {
+        let mut chunks: Vec<v1::FileChunk> = parts.into_iter().filter_map(|p| p.chunk).collect();
+        let header = chunks.iter_mut().find_map(|c| c.header.take());
+        let data = Divisible::whole(chunks.into_iter().map(|c| c.data).collect());
+        Self { chunk: Some(v1::FileChunk { header, offset: 0, data }) }
+    }
+}
+
+/// What an operation found, in the parts of the plain call.
+impl InParts for v1::ReadOperationResultResponse {
+    fn parts(self) -> Vec<Self> {
+        let results = match self.result {
+            Some(Outcome::ExportMap(answer)) => answer.parts().into_iter().map(Outcome::ExportMap).collect(),
+            Some(Outcome::RunPipeline(answer)) => answer.parts().into_iter().map(Outcome::RunPipeline).collect(),
+            result => Vec::from_iter(result),
+        };
+        results.into_iter().map(|result| Self { result: Some(result) }).collect()
+    }
+
+    fn joined(parts: Vec<Self>) -> Self {
+        let (mut files, mut pipelines, mut other) = (vec![], vec![], None);
+        for result in parts.into_iter().filter_map(|p| p.result) {
+            match result {
+                Outcome::ExportMap(part) => files.push(part),
+                Outcome::RunPipeline(part) => pipelines.push(part),
+                result => other = Some(result),
+            }
+        }
+        let file = (!files.is_empty()).then(|| Outcome::ExportMap(InParts::joined(files)));
+        let pipeline = (!pipelines.is_empty()).then(|| Outcome::RunPipeline(InParts::joined(pipelines)));
+        Self { result: other.or(file).or(pipeline) }
+    }
+}
+
 /// What a step found, by the kind of its answer.
 macro_rules! by_answer {
     ($($kind:ident)+) => {
@@ -341,6 +384,25 @@ mod tests {
         let parts = there_and_back(&v1::FilterDepthResponse { depth: Some(depth) }, 4);
         assert_eq!(parts[0].depth.as_ref().map(|d| d.width_px), Some(2000));
         assert_eq!(parts[1].depth.as_ref().map(|d| d.width_px), Some(0));
+    }
+
+    #[test]
+    fn an_operations_result_has_the_parts_of_the_plain_call() {
+        let header = v1::FileHeader { size_bytes: 9_000_001, sha256: "0".repeat(64), ..Default::default() };
+        let file = v1::FileChunk { header: Some(header), offset: 0, data: bytes(9_000_001) };
+        let export = v1::ExportMapResponse { chunk: Some(file) };
+        let pipeline = v1::RunPipelineResponse { cloud: Some(cloud(200_000)), ..Default::default() };
+        let optimised = v1::OptimiseMapResponse { num_keyframes_moved: 3, map_version: 7 };
+        let of = |result| v1::ReadOperationResultResponse { result: Some(result) };
+        let parts = there_and_back(&of(Outcome::ExportMap(export.clone())), 3);
+        assert!(parts == export.parts().into_iter().map(|p| of(Outcome::ExportMap(p))).collect::<Vec<_>>());
+        let offset = |p: &v1::ReadOperationResultResponse| match &p.result {
+            Some(Outcome::ExportMap(part)) => part.chunk.as_ref().map(|c| c.offset),
+            _ => None,
+        };
+        assert_eq!(offset(&parts[2]), Some(2 << 20), "a chunk names its place");
+        there_and_back(&of(Outcome::RunPipeline(pipeline)), 3);
+        assert_eq!(there_and_back(&of(Outcome::OptimiseMap(optimised)), 1).len(), 1);
     }
 
     #[test]

@@ -13,6 +13,7 @@ from .._options import Options, headers
 from ..types.sensors import ClockOffset
 from .bound import AsyncBound
 from .evaluation import AsyncEvaluation
+from .operations import AsyncOperations
 from .session import AsyncSession, AsyncSessions
 from .toolbox import AsyncToolbox
 from .transport import AsyncLink, AsyncTransport
@@ -88,6 +89,11 @@ class AsyncClient(AsyncBound):
     def evaluation(self) -> AsyncEvaluation:
         """Metrics against ground truth."""
         return AsyncEvaluation(self._transport)
+
+    @property
+    def operations(self) -> AsyncOperations:
+        """Work of one's own that goes on at the server."""
+        return AsyncOperations(self._transport)
 
     def session(self, session_id: str) -> AsyncSession:
         """A session by its name, without asking whether it exists."""

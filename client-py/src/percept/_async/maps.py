@@ -20,6 +20,7 @@ from ..types.maps import (
     Region,
 )
 from .bound import AsyncSessionBound
+from .operations import AsyncOperation, started
 
 
 def _written(file: MapFile, path: str | os.PathLike[str] | None) -> MapFile:
@@ -79,3 +80,14 @@ class AsyncMaps(AsyncSessionBound):
         """The map as a file, checksum compared; with `path` (file or folder) it is written there."""
         file = await self._transport.chunks(convert.export(self.session_id, file_format))
         return _written(file, path)
+
+    async def start_export(
+        self, file_format: MapFormat | str, *, request_id: str | None = None
+    ) -> AsyncOperation[MapFile]:
+        """export() as an operation, which goes on whoever hangs up: wait() for it, and read its result().
+        The same request_id gives the same operation."""
+        return await started(self._transport, convert.export(self.session_id, file_format), request_id)
+
+    async def start_optimise(self, *, request_id: str | None = None) -> AsyncOperation[MapOptimised]:
+        """optimise() as an operation."""
+        return await started(self._transport, convert.optimise(self.session_id), request_id)

@@ -82,6 +82,11 @@ def loop_veto(message: service.SetLoopVetoResponse) -> LoopVeto:
     )
 
 
+def optimised(message: service.OptimiseMapResponse) -> MapOptimised:
+    """What an optimisation did."""
+    return MapOptimised(num_keyframes_moved=message.num_keyframes_moved, map_version=message.map_version)
+
+
 def _incomplete(what: str) -> Internal:
     return Internal(f"the {what} came incomplete; ask again", reason="ANSWER_INCOMPLETE")
 
@@ -151,9 +156,6 @@ def set_loop_veto(
 def optimise(
     session_id: str,
 ) -> Call[service.OptimiseMapRequest, service.OptimiseMapResponse, MapOptimised]:
-    def optimised(a: service.OptimiseMapResponse) -> MapOptimised:
-        return MapOptimised(num_keyframes_moved=a.num_keyframes_moved, map_version=a.map_version)
-
     return Call(_rpc.OPTIMISE_MAP, service.OptimiseMapRequest(source=source(session_id)), optimised)
 
 

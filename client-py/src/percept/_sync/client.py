@@ -14,6 +14,7 @@ from .._options import Options, headers
 from ..types.sensors import ClockOffset
 from .bound import Bound
 from .evaluation import Evaluation
+from .operations import Operations
 from .session import Session, Sessions
 from .toolbox import Toolbox
 from .transport import Link, Transport
@@ -89,6 +90,11 @@ class Client(Bound):
     def evaluation(self) -> Evaluation:
         """Metrics against ground truth."""
         return Evaluation(self._transport)
+
+    @property
+    def operations(self) -> Operations:
+        """Work of one's own that goes on at the server."""
+        return Operations(self._transport)
 
     def session(self, session_id: str) -> Session:
         """A session by its name, without asking whether it exists."""

@@ -21,6 +21,7 @@ from ..types.maps import (
     Region,
 )
 from .bound import SessionBound
+from .operations import Operation, started
 
 
 def _written(file: MapFile, path: str | os.PathLike[str] | None) -> MapFile:
@@ -74,3 +75,14 @@ class Maps(SessionBound):
         """The map as a file, checksum compared; with `path` (file or folder) it is written there."""
         file = self._transport.chunks(convert.export(self.session_id, file_format))
         return _written(file, path)
+
+    def start_export(
+        self, file_format: MapFormat | str, *, request_id: str | None = None
+    ) -> Operation[MapFile]:
+        """export() as an operation, which goes on whoever hangs up: wait() for it, and read its result().
+        The same request_id gives the same operation."""
+        return started(self._transport, convert.export(self.session_id, file_format), request_id)
+
+    def start_optimise(self, *, request_id: str | None = None) -> Operation[MapOptimised]:
+        """optimise() as an operation."""
+        return started(self._transport, convert.optimise(self.session_id), request_id)

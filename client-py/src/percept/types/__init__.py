@@ -64,6 +64,12 @@ from .navigation import (
     NoPathReason,
     Path,
 )
+from .operations import (
+    OperationFault,
+    OperationInfo,
+    OperationKind,
+    OperationState,
+)
 from .scene import (
     Detection,
     Object,
@@ -231,6 +237,10 @@ __all__ = [
     "ObjectState",
     "OccupancyGrid",
     "OdometryFrame",
+    "OperationFault",
+    "OperationInfo",
+    "OperationKind",
+    "OperationState",
     "OrientedBox",
     "OverloadPolicy",
     "Path",

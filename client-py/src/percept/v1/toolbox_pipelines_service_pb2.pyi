@@ -242,6 +242,7 @@ class PipelineStepResult(_message.Message):
     NUM_POINTS_IN_FIELD_NUMBER: _builtins.int
     NUM_POINTS_OUT_FIELD_NUMBER: _builtins.int
     ELAPSED_MS_FIELD_NUMBER: _builtins.int
+    OPERATION_FIELD_NUMBER: _builtins.int
     INDICES_FIELD_NUMBER: _builtins.int
     PLANES_FIELD_NUMBER: _builtins.int
     CLUSTERS_FIELD_NUMBER: _builtins.int
@@ -259,6 +260,8 @@ class PipelineStepResult(_message.Message):
     """Points that it left to the next."""
     elapsed_ms: _builtins.float
     """Time that it took on the server, milliseconds."""
+    operation: _builtins.str
+    """The step's field in PipelineStep, e.g. downsample_voxels."""
     indices: _builtins.bytes
     """Indices of the kept points, uint32 each."""
     @_builtins.property
@@ -288,6 +291,7 @@ class PipelineStepResult(_message.Message):
         num_points_in: _builtins.int = ...,
         num_points_out: _builtins.int = ...,
         elapsed_ms: _builtins.float = ...,
+        operation: _builtins.str = ...,
         indices: _builtins.bytes = ...,
         planes: _toolbox_segmentation_service_pb2.SegmentPlanesResponse | None = ...,
         clusters: _toolbox_segmentation_service_pb2.ClusterPointsResponse | None = ...,
@@ -300,7 +304,7 @@ class PipelineStepResult(_message.Message):
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["answer", b"answer", "clusters", b"clusters", "detections", b"detections", "ground", b"ground", "indices", b"indices", "objects", b"objects", "planes", b"planes", "regions", b"regions", "shape", b"shape", "shapes", b"shapes"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["answer", b"answer", "clusters", b"clusters", "detections", b"detections", "elapsed_ms", b"elapsed_ms", "ground", b"ground", "indices", b"indices", "num_points_in", b"num_points_in", "num_points_out", b"num_points_out", "objects", b"objects", "planes", b"planes", "regions", b"regions", "shape", b"shape", "shapes", b"shapes", "step", b"step"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["answer", b"answer", "clusters", b"clusters", "detections", b"detections", "elapsed_ms", b"elapsed_ms", "ground", b"ground", "indices", b"indices", "num_points_in", b"num_points_in", "num_points_out", b"num_points_out", "objects", b"objects", "operation", b"operation", "planes", b"planes", "regions", b"regions", "shape", b"shape", "shapes", b"shapes", "step", b"step"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType_answer: _TypeAlias = _typing.Literal["indices", "planes", "clusters", "shape", "shapes", "detections", "ground", "regions", "objects"]  # noqa: Y015
     _WhichOneofArgType_answer: _TypeAlias = _typing.Literal["answer", b"answer"]  # noqa: Y015

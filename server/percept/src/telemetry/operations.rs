@@ -34,7 +34,9 @@ const OTHERS: [(&str, bool); 4] = [
 static BY_PATH: LazyLock<HashMap<String, Operation>> = LazyLock::new(|| {
     let ours = json::pool().services().flat_map(|service| service.methods().collect::<Vec<_>>()).map(|method| {
         let (service, name) = (method.parent_service(), method.name());
-        let lasts = method.is_server_streaming() && (method.is_client_streaming() || name.starts_with("Watch"));
+        let is_stream = method.is_server_streaming() && (method.is_client_streaming() || name.starts_with("Watch"));
+        // Who waits is answered when somebody else is done.
+        let lasts = is_stream || name == "WaitOperation";
         // As many as the contract has, once.
         let named: &'static str = format!("{}/{name}", service.name()).leak();
         (format!("/{}/{name}", service.full_name()), Operation { name: named, lasts })
@@ -62,6 +64,7 @@ mod tests {
         assert_eq!(of_path("/percept.v1.SessionsService/GetPose"), Operation::brief("SessionsService/GetPose"));
         assert!(of_rpc("SessionsService/WatchSession").lasts);
         assert!(of_rpc("SensorsService/StreamFrames").lasts);
+        assert!(of_rpc("OperationsService/WaitOperation").lasts);
         assert!(!of_rpc("MapsService/GetCloud").lasts);
         assert_eq!(of_path("/percept.v1.SessionsService/../etc").name, UNKNOWN);
     }

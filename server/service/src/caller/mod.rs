@@ -7,10 +7,12 @@
 
 pub mod audit;
 mod context;
+mod lasting;
 mod operations;
 pub mod rules;
 
 pub use context::CallContext;
+pub use lasting::OperationStart;
 
 use crate::admission::{Held, TenantPlace, limited};
 use crate::reason;
@@ -192,7 +194,12 @@ impl Caller {
         debug_assert_eq!(rule.about, About::Session);
         check_id("session_id", session)?;
         self.still_holds().map_err(|e| self.refused(operation, session, e))?;
-        let principal = &self.context.principal;
+        self.granted(operation, session).await
+    }
+
+    /// The same for credentials that held when work was begun in their name.
+    async fn granted(&self, operation: &'static str, session: &str) -> Result<()> {
+        let (rule, principal) = (rules::own(operation)?, &self.context.principal);
         self.service.registry.look_for(session).await;
         match self.service.registry.tenant(session) {
             None => return Err(crate::session::registry::not_found(session)),

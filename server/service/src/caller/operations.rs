@@ -452,19 +452,17 @@ impl Caller {
         work: impl FnOnce(&Toolbox) -> Result<T> + Send + 'static,
     ) -> Result<T> {
         self.may(operation)?;
-        let limit = self.limits().max_cloud_points;
-        let mut maps = Vec::with_capacity(wanted.len());
-        for wanted in wanted {
-            let found = self.cloud(&wanted.session, wanted.around).await;
-            let cloud = found.map_err(|e| e.within(&wanted.field))?.cloud;
-            if cloud.len() > limit {
-                let n = cloud.len();
-                let words = format!("the session's cloud has {n} points, the limit is {limit}; ask for a part of it");
-                return Err(Error::exhausted("CLOUD_TOO_LARGE", wanted.field.as_str(), words));
-            }
-            maps.push((wanted, Arc::new(cloud)));
-        }
+        self.may_use(&wanted).await?;
+        let maps = self.service.session_clouds(wanted).await?;
         self.service.toolbox(self.owner(), maps, work).await
+    }
+
+    /// Whether these clouds of sessions may be had.
+    pub(super) async fn may_use(&self, wanted: &[SessionCloud]) -> Result<()> {
+        for wanted in wanted {
+            self.may_with("MapsService/GetCloud", &wanted.session).await.map_err(|e| e.within(&wanted.field))?;
+        }
+        Ok(())
     }
 
     /// ATE and RPE as evo computes them, drift as KITTI does; the compared poses if they are wanted.

@@ -94,6 +94,9 @@ pub static RULES: &[Rule] = &[
     nothing("ToolboxPicturesService/*", Write),
     nothing("ToolboxPipelinesService/*", Write),
     nothing("EvaluationService/*", Write),
+
+    // The caller's own alone; one that is started needs what the plain call does, too.
+    nothing("OperationsService/*", Read),
 ];
 
 /// The rule of an operation; none if there is no such operation.

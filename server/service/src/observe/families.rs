@@ -59,6 +59,11 @@ pub(super) struct Families {
     pub(super) session_faults: Counters<1>,
     pub(super) kept_clouds: Gauge,
     pub(super) kept_bytes: Gauge,
+    // Operations.
+    pub(super) operations: Gauges<1>,
+    pub(super) operations_ended: Counters<2>,
+    pub(super) operation_seconds: Times<1>,
+    pub(super) operation_bytes: Gauge,
     // Storage.
     pub(super) store_commits: Counter,
     pub(super) store_commit_seconds: Histogram,
@@ -138,6 +143,11 @@ impl Families {
             session_faults: to.plain("session_faults", "Sessions that became faulted, by reason"),
             kept_clouds: to.plain("kept_clouds", "Clouds kept for toolbox requests"),
             kept_bytes: to.plain("kept_bytes", "Memory of the clouds kept for toolbox requests"),
+
+            operations: to.plain("operations", "Operations that are kept, by state"),
+            operations_ended: to.plain("operations_ended", "Operations that ended, by kind and state"),
+            operation_seconds: to.times("operation_duration_seconds", "Time that an operation ran, by kind"),
+            operation_bytes: to.plain("operation_bytes", "Memory of operations' requests and results"),
 
             store_commits: to.plain("store_commits", "Batches made durable"),
             store_commit_seconds: to.put("store_commit_seconds", "Time until a batch was durable", times()),

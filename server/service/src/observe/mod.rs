@@ -7,8 +7,8 @@
 mod families;
 mod share;
 
-use crate::SessionState;
 use crate::reason;
+use crate::{OperationKind, OperationState, SessionState};
 use families::FAMILIES;
 use percept_geometry::SensorKind;
 use prometheus_client::collector::Collector;
@@ -233,6 +233,31 @@ pub fn kept_clouds(count: usize, bytes: usize) {
     FAMILIES.kept_bytes.set(i64::try_from(bytes).unwrap_or(i64::MAX));
 }
 
+/// An operation came into a state, or left one, or both; none stands before its start and after it was forgotten.
+pub(crate) fn operation_moved(from: Option<OperationState>, to: Option<OperationState>) {
+    let gauge = |state: OperationState| FAMILIES.operations.get_or_create_owned(&[("state", state.name())]);
+    if let Some(to) = to {
+        gauge(to).inc();
+    }
+    if let Some(from) = from {
+        gauge(from).dec();
+    }
+}
+
+/// An operation ended; `took` is how long it ran, if it did.
+pub(crate) fn operation_ended(kind: OperationKind, state: OperationState, took: Option<Duration>) {
+    let kind = ("kind", kind.name());
+    FAMILIES.operations_ended.get_or_create(&[kind, ("state", state.name())]).inc();
+    if let Some(took) = took {
+        FAMILIES.operation_seconds.get_or_create(&[kind]).observe(took.as_secs_f64());
+    }
+}
+
+/// So much memory do operations' requests and results take.
+pub(crate) fn operation_bytes(bytes: usize) {
+    FAMILIES.operation_bytes.set(i64::try_from(bytes).unwrap_or(i64::MAX));
+}
+
 /// A batch of records became durable.
 pub fn store_commit(took: Duration, bytes: usize) {
     FAMILIES.store_commits.inc();
@@ -339,6 +364,13 @@ pub fn prepare() {
         drop(FAMILIES.compute_running.get_or_create(&kind));
         drop(FAMILIES.compute_seconds.get_or_create(&kind));
         drop(FAMILIES.compute_wait_seconds.get_or_create(&kind));
+    }
+    for state in OperationState::ALL {
+        drop(FAMILIES.operations.get_or_create(&[("state", state.name())]));
+    }
+    for kind in OperationKind::ALL.map(|kind| ("kind", kind.name())) {
+        drop(FAMILIES.operations_ended.get_or_create(&[kind, ("state", OperationState::Done.name())]));
+        drop(FAMILIES.operation_seconds.get_or_create(&[kind]));
     }
     drop(FAMILIES.wakes.get_or_create(&[("outcome", "OK")]));
     for reason in [reason::STORAGE_FAULT, reason::STORAGE_FULL, reason::STORAGE_FENCED] {

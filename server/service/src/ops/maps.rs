@@ -4,9 +4,9 @@ use super::pictures;
 use super::sessions::{Page, page_by_number};
 use crate::reason;
 use crate::session::handle::{Moved, Vetoed};
-use crate::{Error, Result, Service, Session, check_id};
+use crate::{Error, Progress, Result, Service, Session, check_id};
 use nalgebra::{Point2, Point3};
-use percept_formats::{FormatError, GridMap, nav2, pcd, ply, trajectory};
+use percept_formats::{GridMap, nav2, pcd, ply, trajectory};
 use percept_geometry::{Cell, GridGeometry, PointCloud, Stamped, Timestamp};
 use percept_mapping::OccupancyGrid;
 use percept_pipeline::{Loop, LoopId, Snapshot};
@@ -200,11 +200,23 @@ impl Service {
     /// # Errors
     /// `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
     pub async fn optimise_map(&self, session: &str) -> Result<Moved> {
+        self.optimise_map_telling(session, &Progress::default()).await
+    }
+
+    /// The same, saying what is being done. What has begun is finished: a map is never left between two states.
+    ///
+    /// # Errors
+    /// As [`optimise_map`](Self::optimise_map); `OPERATION_CANCELLED`.
+    pub(crate) async fn optimise_map_telling(&self, session: &str, progress: &Progress) -> Result<Moved> {
         let settle = |session: Arc<Session>| async move {
+            progress.check()?;
+            progress.stage("optimising");
             let done = session.settle().await?;
+            progress.stage("storing");
             session.wait_durable(done.ticket).await.map(|()| done)
         };
         check_id("session_id", session)?;
+        progress.stage("waking the session");
         self.registry.awake(session, settle).await
     }
 
@@ -280,9 +292,28 @@ impl Service {
     /// # Errors
     /// `MAP_EMPTY` if nothing was mapped, `GRID_TOO_LARGE`, `SESSION_NOT_FOUND`.
     pub async fn export_map(&self, session: &str, format: MapFormat) -> Result<MapFile> {
+        self.export_map_telling(session, format, Progress::default(), Ok).await
+    }
+
+    /// The same, counting what is written, and made into an answer in the same turn.
+    ///
+    /// # Errors
+    /// As [`export_map`](Self::export_map); `OPERATION_CANCELLED`.
+    pub(crate) async fn export_map_telling<T: Send + 'static>(
+        &self,
+        session: &str,
+        format: MapFormat,
+        progress: Progress,
+        answer: impl FnOnce(MapFile) -> Result<T> + Send + 'static,
+    ) -> Result<T> {
         let s = self.snapshot(session).await?;
         let (name, limits) = (session.to_owned(), self.limits.clone());
-        self.compute.query(&self.asker(session)?, move || export(&s, &name, format, &limits)).await?
+        let work = move || {
+            let file = export_telling(&s, &name, format, &limits, &progress)?;
+            progress.stage("making the answer");
+            answer(file)
+        };
+        self.compute.query(&self.asker(session)?, work).await?
     }
 }
 
@@ -291,7 +322,19 @@ impl Service {
 /// # Errors
 /// `MAP_EMPTY`, `GRID_TOO_LARGE`.
 pub fn export(s: &Snapshot, name: &str, format: MapFormat, limits: &crate::Limits) -> Result<MapFile> {
+    export_telling(s, name, format, limits, &Progress::default())
+}
+
+fn export_telling(
+    s: &Snapshot,
+    name: &str,
+    format: MapFormat,
+    limits: &crate::Limits,
+    progress: &Progress,
+) -> Result<MapFile> {
     use MapFormat as F;
+    progress.check()?;
+    progress.stage("reading the map");
     let grid = || {
         let grid = dense(&s.layers.occupancy, None, None, limits)?;
         if grid.cells.is_empty() { Err(map_empty()) } else { Ok(grid) }
@@ -300,45 +343,69 @@ pub fn export(s: &Snapshot, name: &str, format: MapFormat, limits: &crate::Limit
         let cloud = s.layers.cloud.to_cloud();
         if cloud.is_empty() { Err(map_empty()) } else { Ok(cloud) }
     };
+    let writing = || {
+        progress.stage("writing the file");
+        progress.check()
+    };
     let (suffix, media_type, bytes) = match format {
-        F::OccupancyPng => ("png", "image/png", pictures::occupancy(&grid()?)?),
+        F::OccupancyPng => {
+            let grid = grid()?;
+            writing()?;
+            ("png", "image/png", pictures::occupancy(&grid)?)
+        }
         F::Nav2Pgm => {
             let grid = grid()?;
-            ("pgm", "image/x-portable-graymap", written(|out| nav2::write_pgm(out, &grid))?)
+            writing()?;
+            let bytes = progress.written(Some(grid.cells.len()), |out| nav2::write_pgm(out, &grid))?;
+            ("pgm", "image/x-portable-graymap", bytes)
         }
         F::Nav2Yaml => {
             let geometry = grid()?.geometry;
-            ("yaml", "application/yaml", written(|out| nav2::write_yaml(out, &geometry, "map.pgm"))?)
+            let bytes = progress.written(None, |out| nav2::write_yaml(out, &geometry, "map.pgm"))?;
+            ("yaml", "application/yaml", bytes)
         }
         F::CloudPly => {
             let cloud = cloud()?;
-            (
-                "ply",
-                "application/octet-stream",
-                written(|out| ply::write(out, &cloud, ply::Encoding::BinaryLittleEndian))?,
-            )
+            writing()?;
+            let (size, order) = (cloud.len() * bytes_of_point(&cloud, 3), ply::Encoding::BinaryLittleEndian);
+            ("ply", "application/octet-stream", progress.written(Some(size), |out| ply::write(out, &cloud, order))?)
         }
         F::CloudPcd => {
             let cloud = cloud()?;
-            ("pcd", "application/octet-stream", written(|out| pcd::write(out, &cloud))?)
+            writing()?;
+            let size = cloud.len() * bytes_of_point(&cloud, 4);
+            ("pcd", "application/octet-stream", progress.written(Some(size), |out| pcd::write(out, &cloud))?)
         }
         F::TrajectoryTum => {
             let poses: Vec<_> =
                 s.trajectory_in_one_unit().map(|(value, e)| Stamped { stamp: e.stamp, value }).collect();
-            ("tum", "text/plain", written(|out| trajectory::write_tum(out, &poses))?)
+            writing()?;
+            ("tum", "text/plain", progress.written(None, |out| trajectory::write_tum(out, &poses))?)
         }
-        F::OverviewPng => ("overview.png", "image/png", pictures::overview(&grid()?, &pictures::Overlay::of(s))?),
-        F::CloudTopPng => ("cloud.png", "image/png", pictures::cloud_top(&cloud()?)?),
+        F::OverviewPng => {
+            let grid = grid()?;
+            writing()?;
+            ("overview.png", "image/png", pictures::overview(&grid, &pictures::Overlay::of(s))?)
+        }
+        F::CloudTopPng => {
+            let cloud = cloud()?;
+            writing()?;
+            ("cloud.png", "image/png", pictures::cloud_top(&cloud)?)
+        }
     };
     let file_name = format!("{name}.{suffix}");
     Ok(MapFile { map_version: s.map_version, stamp: stamp_of(s), file_name, media_type, bytes })
 }
 
-/// What a writer of a format writes; memory does not refuse.
-fn written(write: impl FnOnce(&mut Vec<u8>) -> std::result::Result<(), FormatError>) -> Result<Vec<u8>> {
-    let mut out = Vec::new();
-    write(&mut out).map_err(Error::internal)?;
-    Ok(out)
+/// What a point takes in a binary file whose colours take so many bytes.
+fn bytes_of_point(cloud: &PointCloud, of_color: usize) -> usize {
+    let channels = [
+        (cloud.colors.is_some(), of_color),
+        (cloud.intensities.is_some(), 4),
+        (cloud.normals.is_some(), 12),
+        (cloud.time_offsets_s.is_some(), 4),
+    ];
+    12 + channels.iter().map(|(there, bytes)| usize::from(*there) * bytes).sum::<usize>()
 }
 
 fn map_empty() -> Error {

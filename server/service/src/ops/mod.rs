@@ -5,6 +5,7 @@ pub mod evaluation;
 pub(crate) mod fleet;
 pub mod maps;
 pub mod navigation;
+pub(crate) mod operations;
 pub mod pictures;
 mod scene;
 mod sensors;

@@ -26,7 +26,7 @@ pub fn list(r: &v1::ListSessionsRequest) -> Result<SessionList> {
     })
 }
 
-fn pattern(text: &str) -> Result<Option<Pattern>> {
+pub(super) fn pattern(text: &str) -> Result<Option<Pattern>> {
     if text.is_empty() {
         return Ok(None);
     }

@@ -169,8 +169,8 @@ pub fn cloud_chunks(answer: &CloudAnswer) -> Vec<v1::CloudChunk> {
     geometry::cloud_parts(&answer.cloud).into_iter().enumerate().map(chunk).collect()
 }
 
-/// A map's file in chunks. `sha256` is of the whole, lower-case hex.
-pub fn file_chunks(file: MapFile, sha256: String) -> Vec<v1::FileChunk> {
+/// A map's file as one chunk. `sha256` is of the whole, lower-case hex.
+pub fn file_to(file: MapFile, sha256: String) -> v1::FileChunk {
     let header = v1::FileHeader {
         stamp: Some(stamp_to(file.map_version, file.stamp)),
         file_name: file.file_name,
@@ -178,7 +178,7 @@ pub fn file_chunks(file: MapFile, sha256: String) -> Vec<v1::FileChunk> {
         size_bytes: file.bytes.len() as u64,
         sha256,
     };
-    chunks_of_file(&header, &Bytes::from(file.bytes))
+    v1::FileChunk { header: Some(header), offset: 0, data: file.bytes.into() }
 }
 
 /// A file in chunks; at least one, which holds the head.

@@ -5,6 +5,7 @@ pub mod fleet;
 pub mod geometry;
 pub mod maps;
 pub mod navigation;
+pub mod operations;
 pub mod scene;
 pub mod sensors;
 pub mod server;

@@ -9,6 +9,7 @@ from ..._convert.toolbox.request import Cloud
 from ...types.geometry import PointCloud
 from ...types.toolbox import CloudFormat, CloudHandle, DecodedCloud, KeptClouds, PipelineResult, Step
 from ..bound import AsyncBound
+from ..operations import AsyncOperation, started
 
 
 class AsyncKept(AsyncBound):
@@ -80,3 +81,17 @@ class AsyncKept(AsyncBound):
             ])
         """
         return await self._transport.call(convert.run_pipeline(cloud, steps, send_cloud, keep_result))
+
+    async def start_pipeline(
+        self,
+        cloud: Cloud,
+        steps: Sequence[Step],
+        *,
+        send_cloud: bool = False,
+        keep_result: bool = False,
+        request_id: str | None = None,
+    ) -> AsyncOperation[PipelineResult]:
+        """run_pipeline() as an operation, which goes on whoever hangs up: wait() for it, and read its
+        result(). The same request_id gives the same operation."""
+        call = convert.run_pipeline(cloud, steps, send_cloud, keep_result)
+        return await started(self._transport, call, request_id)

@@ -16,6 +16,7 @@ from ...types.toolbox import (
     RobustKernel,
 )
 from ..bound import AsyncBound
+from ..operations import AsyncOperation, started
 
 
 class AsyncRegistrationCalls(AsyncBound):
@@ -94,6 +95,31 @@ class AsyncRegistrationCalls(AsyncBound):
             seed=seed,
         )
         return await self._transport.call(call)
+
+    async def start_register_clouds_globally(
+        self,
+        source: Cloud,
+        *,
+        target: Cloud,
+        voxel_size_m: float | None = None,
+        method: GlobalRegistrationMethod | str = GlobalRegistrationMethod.CONSISTENCY,
+        refine: bool | None = None,
+        max_iterations: int | None = None,
+        seed: int = 0,
+        request_id: str | None = None,
+    ) -> AsyncOperation[GlobalRegistration]:
+        """register_clouds_globally() as an operation, which goes on whoever hangs up: wait() for it, and
+        read its result(). The same request_id gives the same operation."""
+        call = convert.register_clouds_globally(
+            source,
+            target,
+            voxel_size_m=voxel_size_m,
+            method=method,
+            refine=refine,
+            max_iterations=max_iterations,
+            seed=seed,
+        )
+        return await started(self._transport, call, request_id)
 
     async def compute_point_features(
         self, cloud: Cloud, *, radius_m: float | None = None, max_neighbours: int | None = None

@@ -153,18 +153,20 @@ def encode_cloud(
 def run_pipeline(
     cloud: Cloud, steps: Sequence[Step], send_cloud: bool, keep_result: bool
 ) -> Call[pipelines_pb.RunPipelineRequest, pipelines_pb.RunPipelineResponse, PipelineResult]:
-    def read(answer: pipelines_pb.RunPipelineResponse) -> PipelineResult:
-        return PipelineResult(
-            steps=tuple(_result(s, r) for s, r in zip(steps, _whole(answer.results), strict=True)),
-            cloud=geometry.cloud(answer.cloud) if answer.HasField("cloud") else None,
-            kept=handle(answer.kept) if answer.HasField("kept") else None,
-        )
-
     request = with_cloud(
         pipelines_pb.RunPipelineRequest, cloud, send_cloud=send_cloud, keep_result=keep_result
     )
     request.steps.extend(_step_to(step) for step in steps)
-    return Call(_rpc.RUN_PIPELINE, request, read)
+    return Call(_rpc.RUN_PIPELINE, request, pipeline_result)
+
+
+def pipeline_result(answer: pipelines_pb.RunPipelineResponse) -> PipelineResult:
+    """What the steps did."""
+    return PipelineResult(
+        steps=tuple(_result(r) for r in _whole(answer.results)),
+        cloud=geometry.cloud(answer.cloud) if answer.HasField("cloud") else None,
+        kept=handle(answer.kept) if answer.HasField("kept") else None,
+    )
 
 
 def _whole(results: Sequence[pipelines_pb.PipelineStepResult]) -> list[pipelines_pb.PipelineStepResult]:
@@ -185,9 +187,9 @@ def _step_to(step: Step) -> pipelines_pb.PipelineStep:
     return out
 
 
-def _result(step: Step, message: pipelines_pb.PipelineStepResult) -> StepResult:
+def _result(message: pipelines_pb.PipelineStepResult) -> StepResult:
     return StepResult(
-        operation=step.operation,
+        operation=message.operation,
         num_points_in=message.num_points_in,
         num_points_out=message.num_points_out,
         elapsed_ms=message.elapsed_ms,

@@ -50,10 +50,11 @@ def register_clouds_globally(
     request = of(registration_pb.RegisterCloudsGloballyRequest, **fields)
     put_cloud(request, "source", source)
     put_cloud(request, "target", target)
-    return Call(_rpc.REGISTER_CLOUDS_GLOBALLY, request, _global)
+    return Call(_rpc.REGISTER_CLOUDS_GLOBALLY, request, global_registration)
 
 
-def _global(answer: registration_pb.RegisterCloudsGloballyResponse) -> GlobalRegistration:
+def global_registration(answer: registration_pb.RegisterCloudsGloballyResponse) -> GlobalRegistration:
+    """A registration with no first guess."""
     outcome = words.word(GlobalRegistrationOutcome, registration_pb.GlobalRegistrationOutcome, answer.outcome)
     return GlobalRegistration(
         outcome=outcome,

@@ -10,6 +10,7 @@ from ..._convert.toolbox.request import Cloud
 from ...types.geometry import PointCloud
 from ...types.toolbox import CloudFormat, CloudHandle, DecodedCloud, KeptClouds, PipelineResult, Step
 from ..bound import Bound
+from ..operations import Operation, started
 
 
 class Kept(Bound):
@@ -79,3 +80,17 @@ class Kept(Bound):
             ])
         """
         return self._transport.call(convert.run_pipeline(cloud, steps, send_cloud, keep_result))
+
+    def start_pipeline(
+        self,
+        cloud: Cloud,
+        steps: Sequence[Step],
+        *,
+        send_cloud: bool = False,
+        keep_result: bool = False,
+        request_id: str | None = None,
+    ) -> Operation[PipelineResult]:
+        """run_pipeline() as an operation, which goes on whoever hangs up: wait() for it, and read its
+        result(). The same request_id gives the same operation."""
+        call = convert.run_pipeline(cloud, steps, send_cloud, keep_result)
+        return started(self._transport, call, request_id)

@@ -17,6 +17,7 @@ from ...types.toolbox import (
     RobustKernel,
 )
 from ..bound import Bound
+from ..operations import Operation, started
 
 
 class RegistrationCalls(Bound):
@@ -95,6 +96,31 @@ class RegistrationCalls(Bound):
             seed=seed,
         )
         return self._transport.call(call)
+
+    def start_register_clouds_globally(
+        self,
+        source: Cloud,
+        *,
+        target: Cloud,
+        voxel_size_m: float | None = None,
+        method: GlobalRegistrationMethod | str = GlobalRegistrationMethod.CONSISTENCY,
+        refine: bool | None = None,
+        max_iterations: int | None = None,
+        seed: int = 0,
+        request_id: str | None = None,
+    ) -> Operation[GlobalRegistration]:
+        """register_clouds_globally() as an operation, which goes on whoever hangs up: wait() for it, and
+        read its result(). The same request_id gives the same operation."""
+        call = convert.register_clouds_globally(
+            source,
+            target,
+            voxel_size_m=voxel_size_m,
+            method=method,
+            refine=refine,
+            max_iterations=max_iterations,
+            seed=seed,
+        )
+        return started(self._transport, call, request_id)
 
     def compute_point_features(
         self, cloud: Cloud, *, radius_m: float | None = None, max_neighbours: int | None = None

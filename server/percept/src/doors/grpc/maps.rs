@@ -1,6 +1,8 @@
 //! `MapsService`.
 
 use super::{Answer, Api, Streamed, status, streamed};
+use percept_service::{MapFile, Moved};
+use percept_wire::parts::InParts;
 use percept_wire::{convert::maps, v1};
 use sha2::{Digest, Sha256};
 use tonic::{Request, Response};
@@ -8,6 +10,16 @@ use tonic::{Request, Response};
 /// SHA-256, lower-case hex.
 pub(crate) fn sha256_hex(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+/// A file with its digest, whole.
+pub(super) fn exported(file: MapFile) -> v1::ExportMapResponse {
+    let sha256 = sha256_hex(&file.bytes);
+    v1::ExportMapResponse { chunk: Some(maps::file_to(file, sha256)) }
+}
+
+pub(super) const fn optimised(moved: &Moved) -> v1::OptimiseMapResponse {
+    v1::OptimiseMapResponse { num_keyframes_moved: moved.num_keyframes as u64, map_version: moved.map_version }
 }
 
 #[tonic::async_trait]
@@ -68,8 +80,7 @@ impl v1::maps_service_server::MapsService for Api {
         let caller = self.caller(&r)?;
         let session = maps::session_id(r.get_ref().source.as_ref()).map_err(status::grpc)?;
         let done = caller.optimise_map(session).await.map_err(status::grpc)?;
-        let num_keyframes_moved = done.num_keyframes as u64;
-        Ok(Response::new(v1::OptimiseMapResponse { num_keyframes_moved, map_version: done.map_version }))
+        Ok(Response::new(optimised(&done)))
     }
 
     async fn export_map(&self, r: Request<v1::ExportMapRequest>) -> Answer<Self::ExportMapStream> {
@@ -78,11 +89,7 @@ impl v1::maps_service_server::MapsService for Api {
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let format = maps::format(r.format).map_err(status::grpc)?;
         let file = caller.export_map(session, format).await.map_err(status::grpc)?;
-        let chunks = move || {
-            let sha256 = sha256_hex(&file.bytes);
-            maps::file_chunks(file, sha256)
-        };
-        let chunks = caller.query(session, chunks).await.map_err(status::grpc)?;
-        streamed(chunks, |chunk| v1::ExportMapResponse { chunk: Some(chunk) })
+        let parts = caller.query(session, move || exported(file).parts()).await;
+        streamed(parts.map_err(status::grpc)?, |part| part)
     }
 }

@@ -5,6 +5,7 @@ mod evaluation;
 pub(crate) mod ingest;
 mod maps;
 mod navigation;
+mod operations;
 mod scene;
 mod sensors;
 mod server;
@@ -120,6 +121,7 @@ pub(crate) async fn serve(api: Api, listener: Listener) {
         .add_service(limited!(v1::toolbox_images_service_server::ToolboxImagesServiceServer<Api>))
         .add_service(limited!(v1::toolbox_pictures_service_server::ToolboxPicturesServiceServer<Api>))
         .add_service(limited!(v1::toolbox_pipelines_service_server::ToolboxPipelinesServiceServer<Api>))
+        .add_service(limited!(v1::operations_service_server::OperationsServiceServer<Api>))
         .add_service(limited!(v1::evaluation_service_server::EvaluationServiceServer<Api>))
         .add_service(limited!(v1::server_service_server::ServerServiceServer<Api>));
     if let (true, Ok(v1), Ok(v1alpha)) = (api.listen.reflection, v1_reflection, v1alpha_reflection) {

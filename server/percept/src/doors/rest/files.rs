@@ -3,16 +3,20 @@
 use super::super::grpc::Api;
 use super::range::{self, Asked};
 use super::refused::Refused;
-use super::routes;
+use super::{routes, transcode};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use percept_service::reason;
 use percept_service::{Asker, CallContext, Error};
+use percept_wire::parts::InParts;
 use percept_wire::v1::{self, MapFormat};
 use prost::Message;
+use prost_reflect::MessageDescriptor;
 use sha2::{Digest, Sha256};
 use v1::maps_service_server::MapsService;
+use v1::operations_service_server::OperationsService;
+use v1::read_operation_result_response::Result as Outcome;
 
 /// Names of files and the formats that they are.
 pub(super) const FILES: [(&str, MapFormat); 8] = [
@@ -66,22 +70,53 @@ pub(super) async fn export(
     compute.query(&Asker::named(session), work).await?
 }
 
-fn joined(name: &str, format: MapFormat, parts: Vec<v1::ExportMapResponse>) -> Result<File, Error> {
-    let mut chunks: Vec<v1::FileChunk> = parts.into_iter().filter_map(|p| p.chunk).collect();
-    let head = chunks.iter_mut().find_map(|c| c.header.take()).unwrap_or_default();
-    let data: Vec<&[u8]> = chunks.iter().map(|c| &c.data[..]).collect();
-    let mut bytes = data.concat();
-    if format == MapFormat::Nav2Yaml {
-        bytes = with_our_image(&bytes);
+/// What an operation found: a file if it is one, unless a message is asked for; else the message.
+///
+/// # Errors
+/// `RANGE_NOT_SATISFIABLE` (416), and those of the rpc.
+pub(super) async fn result(
+    api: &Api,
+    context: CallContext,
+    request: Bytes,
+    output: MessageDescriptor,
+    headers: &HeaderMap,
+) -> Result<Response, Refused> {
+    let request = v1::ReadOperationResultRequest::decode(request).map_err(Error::internal)?;
+    let asker = Asker::named(context.principal.tenant.as_str());
+    let compute = api.service.compute().clone();
+    let stream = api.read_operation_result(routes::asked(context, request)).await?.into_inner();
+    let parts = routes::collect(stream).await?;
+    let result = compute.query(&asker, move || v1::ReadOperationResultResponse::joined(parts)).await?;
+    match result.result {
+        Some(Outcome::ExportMap(export)) if !transcode::wants_message(headers) => {
+            let (chunk, headers) = (export.chunk.unwrap_or_default(), headers.clone());
+            let name = chunk.header.as_ref().map(|h| h.file_name.clone()).unwrap_or_default();
+            compute.query(&asker, move || answer(&file(name, chunk)?, &headers)).await?
+        }
+        result => {
+            let answer = v1::ReadOperationResultResponse { result }.encode_to_vec();
+            transcode::encode(output, headers, answer).await
+        }
     }
-    // The rpc's own digest, unless the file was changed here.
-    let sha256 = match digest_of(&head.sha256) {
-        Some(digest) if format != MapFormat::Nav2Yaml => digest,
-        _ => Sha256::digest(&bytes).into(),
-    };
+}
+
+fn joined(name: &str, format: MapFormat, parts: Vec<v1::ExportMapResponse>) -> Result<File, Error> {
+    let mut whole = v1::ExportMapResponse::joined(parts).chunk.unwrap_or_default();
+    if format == MapFormat::Nav2Yaml {
+        whole.data = with_our_image(&whole.data).into();
+        // The rpc's own digest is of the file before it was changed here.
+        whole.header.get_or_insert_default().sha256.clear();
+    }
+    file(name.to_owned(), whole)
+}
+
+/// A file of its one chunk.
+fn file(name: String, chunk: v1::FileChunk) -> Result<File, Error> {
+    let (head, bytes) = (chunk.header.unwrap_or_default(), chunk.data);
+    let sha256 = digest_of(&head.sha256).unwrap_or_else(|| Sha256::digest(&bytes).into());
     let media_type = head.media_type.parse().map_err(Error::internal)?;
     let map_version = head.stamp.map(|s| s.map_version).unwrap_or_default();
-    Ok(File { name: name.to_owned(), media_type, map_version, bytes: bytes.into(), sha256 })
+    Ok(File { name, media_type, map_version, bytes, sha256 })
 }
 
 /// A digest of lower-case hex.
@@ -165,7 +200,7 @@ fn base64(bytes: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    fn file() -> File {
+    fn abc() -> File {
         let header = v1::FileHeader {
             media_type: "text/plain".to_owned(),
             stamp: Some(v1::MapStamp { map_version: 7, ..Default::default() }),
@@ -187,13 +222,13 @@ mod tests {
 
     #[test]
     fn the_tag_is_the_digest_and_a_known_file_is_not_sent_again() {
-        let response = answer(&file(), &HeaderMap::new()).unwrap();
+        let response = answer(&abc(), &HeaderMap::new()).unwrap();
         let headers = response.headers();
         assert_eq!((response.status(), &headers[header::ETAG]), (StatusCode::OK, &HeaderValue::from_static(ABC)));
         assert_eq!(headers["percept-map-version"], "7");
         assert_eq!(headers["content-digest"], "sha-256=:ungWv48Bz+pBQUDeXa4iI7ADYaOWF3qctBD/YfIAFa0=:");
         assert_eq!(headers[header::CONTENT_DISPOSITION], "attachment; filename=\"trajectory.tum\"");
-        let again = answer(&file(), &asked(header::IF_NONE_MATCH, ABC)).unwrap();
+        let again = answer(&abc(), &asked(header::IF_NONE_MATCH, ABC)).unwrap();
         assert_eq!(
             (again.status(), &again.headers()[header::ETAG]),
             (StatusCode::NOT_MODIFIED, &headers[header::ETAG])
@@ -202,18 +237,18 @@ mod tests {
 
     #[test]
     fn parts_are_sent_and_absent_ones_refused() {
-        let part = answer(&file(), &asked(header::RANGE, "bytes=1-")).unwrap();
+        let part = answer(&abc(), &asked(header::RANGE, "bytes=1-")).unwrap();
         assert_eq!(part.status(), StatusCode::PARTIAL_CONTENT);
         assert_eq!(part.headers()[header::CONTENT_RANGE], "bytes 1-2/3");
         assert_ne!(part.headers()["content-digest"], part.headers()["repr-digest"]);
-        let beyond = answer(&file(), &asked(header::RANGE, "bytes=3-")).unwrap_err().into_response();
+        let beyond = answer(&abc(), &asked(header::RANGE, "bytes=3-")).unwrap_err().into_response();
         assert_eq!(
             (beyond.status(), &beyond.headers()[header::CONTENT_RANGE]),
             (StatusCode::RANGE_NOT_SATISFIABLE, &HeaderValue::from_static("bytes */3"))
         );
         let mut other = asked(header::RANGE, "bytes=1-");
         other.insert(header::IF_RANGE, HeaderValue::from_static("\"old\""));
-        assert_eq!(answer(&file(), &other).unwrap().status(), StatusCode::OK);
+        assert_eq!(answer(&abc(), &other).unwrap().status(), StatusCode::OK);
     }
 
     #[test]

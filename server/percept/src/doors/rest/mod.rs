@@ -162,6 +162,7 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
         }
         Kind::Events => events::watch(&api, context, request, &parts.headers).await,
         Kind::FleetEvents => events::watch_all(&api, context, request, &parts.headers).await,
+        Kind::OperationResult => files::result(&api, context, request, route.rpc.output(), &parts.headers).await,
         Kind::File => {
             let name = names.iter().find(|(n, _)| n == "name").map(|(_, v)| v.as_str()).unwrap_or_default();
             files::export(&api, context, request, name, &parts.headers).await

@@ -112,7 +112,7 @@ fn operation(bound: &Bound, comments: &Comments) -> Value {
             "schema": {"type": "string"}, "description": "The etag of what is in the answer: callers' settings, not what frames do.",
         }});
     }
-    if matches!(route.kind, Answer::File) {
+    if matches!(route.kind, Answer::File | Answer::OperationResult) {
         out["responses"]["206"] = json!({"description": "The part that Range asked for."});
         out["responses"]["304"] = json!({"description": "If-None-Match holds the file's ETag."});
         out["responses"]["416"] = json!({"$ref": "#/components/responses/Problem"});
@@ -188,6 +188,11 @@ fn answer(bound: &Bound) -> Value {
             "description": "Server-sent events: each one's data is a FleetEvent, its id the event's token. \
                 Last-Event-ID goes on after that event. An event of type problem (ErrorInfo) ends the stream.",
             "content": {"text/event-stream": {"schema": reference("FleetEvent")}},
+        }),
+        Answer::OperationResult => json!({
+            "description": "The answer of the plain call. A map's file comes as it is, with ETag, Content-Digest, Repr-Digest \
+                (SHA-256) and percept-map-version, unless Accept names a message's media type.",
+            "content": {"application/json": json, "*/*": binary},
         }),
         Answer::File => json!({
             "description": "The file, with ETag, Content-Digest and Repr-Digest (SHA-256) and percept-map-version.",

@@ -21,6 +21,7 @@ use tonic::Status;
 use v1::evaluation_service_server::EvaluationService;
 use v1::maps_service_server::MapsService;
 use v1::navigation_service_server::NavigationService;
+use v1::operations_service_server::OperationsService;
 use v1::scene_service_server::SceneService;
 use v1::sensors_service_server::SensorsService;
 use v1::server_service_server::ServerService;
@@ -77,6 +78,8 @@ pub(super) enum Kind {
     FleetEvents,
     /// A file.
     File,
+    /// What an operation found: a file, or a message.
+    OperationResult,
 }
 
 /// A route. A `POST` carries the request message as its body, a `PATCH` the resource in it, the others say it in the query.
@@ -282,6 +285,7 @@ const OF_SENSOR: &[(&str, &str)] = &[("session_id", "session_id"), ("sensor_id",
 const SOURCE: &[(&str, &str)] = &[("session_id", "source.session_id")];
 const MESSAGE: &[(&str, &str)] = &[("session_id", "message.session_id")];
 const CLOUD: &[(&str, &str)] = &[("handle", "handle")];
+const OPERATION: &[(&str, &str)] = &[("operation_id", "operation_id")];
 const OBJECT: &[(&str, &str)] = &[("session_id", "session_id"), ("object_id", "object_id")];
 const LOOP: &[(&str, &str)] = &[("session_id", "source.session_id"), ("loop_id", "loop_id")];
 
@@ -420,6 +424,14 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/segment-depth-planes", "ToolboxDepthService/SegmentDepthPlanes", &[], parts!(Message segment_depth_planes)),
     post("/v1/toolbox/find-depth-edges", "ToolboxDepthService/FindDepthEdges", &[], parts!(Message find_depth_edges)),
     post("/v1/toolbox/register-colour", "ToolboxDepthService/RegisterColour", &[], parts!(Message register_colour)),
+
+    post("/v1/operations", "OperationsService/StartOperation", &[], unary!(Message start_operation)),
+    get("/v1/operations", "OperationsService/ListOperations", &[], unary!(Message list_operations)),
+    get("/v1/operations/{operation_id}", "OperationsService/GetOperation", OPERATION, unary!(Message get_operation)),
+    get("/v1/operations/{operation_id}/wait", "OperationsService/WaitOperation", OPERATION, unary!(Message wait_operation)),
+    get("/v1/operations/{operation_id}/result", "OperationsService/ReadOperationResult", OPERATION, Kind::OperationResult),
+    post("/v1/operations/{operation_id}/cancel", "OperationsService/CancelOperation", OPERATION, unary!(Message cancel_operation)),
+    delete("/v1/operations/{operation_id}", "OperationsService/DeleteOperation", OPERATION, unary!(Message delete_operation)),
 
     post("/v1/evaluation/trajectory", "EvaluationService/EvaluateTrajectory", &[], parts!(Message evaluate_trajectory)),
     post("/v1/evaluation/relations", "EvaluationService/EvaluateRelations", &[], unary!(Message evaluate_relations)),

@@ -69,6 +69,12 @@ pub(super) async fn decode(message: MessageDescriptor, format: Format, body: Byt
     Ok(apart(large, work).await??)
 }
 
+/// Whether the request asks for a message, and not for the file that could be sent.
+pub(super) fn wants_message(headers: &HeaderMap) -> bool {
+    let accepted = headers.get(header::ACCEPT).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    accepted.contains(PROTOBUF) || accepted.contains("application/json")
+}
+
 /// The answer, as the request's `Accept` prefers.
 ///
 /// # Errors

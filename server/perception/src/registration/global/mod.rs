@@ -72,6 +72,11 @@ impl std::fmt::Debug for GlobalSearch<'_> {
     }
 }
 
+impl GlobalSearch<'_> {
+    /// More are never needed: to describe the clouds, then two for each neighbourhood.
+    pub const MAX_STEPS: usize = 1 + 2 * FEATURE_RADII.len();
+}
+
 impl<'a> GlobalSearch<'a> {
     /// A search that has not begun.
     ///

@@ -29,11 +29,11 @@ pub use kept::{KeptCloud, KeptClouds, KeptList};
 pub use pictures::{render_cloud, render_depth};
 pub use pipeline::{Found, PlaneRemainder, Step, StepReport};
 pub use regions::{group_convex, grow_regions, segment_ground, segment_objects, supervoxels};
-pub use registration::{compute_point_features, register_clouds, register_clouds_globally};
+pub use registration::{compute_point_features, register_clouds};
 pub use shapes::{Boxes, NeighborhoodParams, convex_hull, find_neighbors, fit_boxes};
 pub use subsets::{Region, Sample, crop_cloud, sample_points};
 
-use crate::{Alive, Error, ErrorCode, Limits, Result, Service};
+use crate::{Alive, Error, ErrorCode, Limits, Progress, Result, Service};
 use nalgebra::Point3;
 use percept_geometry::PointCloud;
 use percept_perception::detection::DetectionParams;
@@ -61,7 +61,9 @@ pub struct Toolbox {
     owner: String,
     detector: DetectionParams,
     begin: Instant,
+    budget: Duration,
     alive: Alive,
+    progress: Progress,
 }
 
 impl Toolbox {
@@ -114,11 +116,18 @@ impl Toolbox {
         self.kept.forget(&self.owner, handle)
     }
 
-    /// Whether there is time left, and somebody who waits.
+    /// Begins a step of several, if there is time left and somebody who waits.
     ///
     /// # Errors
-    /// `COMPUTATION_TOO_LONG`, `CANCELLED`.
+    /// `COMPUTATION_TOO_LONG`, `CANCELLED`, `OPERATION_CANCELLED`.
+    fn begin_step(&self, step: usize, steps: usize, name: &str) -> Result<()> {
+        self.check_time()?;
+        self.progress.step(step, steps, name);
+        Ok(())
+    }
+
     fn check_time(&self) -> Result<()> {
+        self.progress.check()?;
         if !self.alive.is_wanted() {
             return Err(Error::new(
                 ErrorCode::DeadlineExceeded,
@@ -126,8 +135,7 @@ impl Toolbox {
                 "the caller no longer waits for the answer",
             ));
         }
-        let budget = budget(&self.limits);
-        if self.begin.elapsed() < budget { Ok(()) } else { Err(crate::compute::too_long(budget)) }
+        if self.begin.elapsed() < self.budget { Ok(()) } else { Err(crate::compute::too_long(self.budget)) }
     }
 }
 
@@ -137,6 +145,29 @@ pub(crate) fn budget(limits: &Limits) -> Duration {
 }
 
 impl Service {
+    /// What sessions have mapped, for requests that ask for it.
+    ///
+    /// # Errors
+    /// Those of [`cloud`](Self::cloud), and `CLOUD_TOO_LARGE`, naming the field.
+    pub(crate) async fn session_clouds(
+        &self,
+        wanted: Vec<SessionCloud>,
+    ) -> Result<Vec<(SessionCloud, Arc<PointCloud>)>> {
+        let limit = self.limits.max_cloud_points;
+        let mut maps = Vec::with_capacity(wanted.len());
+        for wanted in wanted {
+            let found = self.cloud(&wanted.session, wanted.around).await;
+            let cloud = found.map_err(|e| e.within(&wanted.field))?.cloud;
+            if cloud.len() > limit {
+                let n = cloud.len();
+                let words = format!("the session's cloud has {n} points, the limit is {limit}; ask for a part of it");
+                return Err(Error::exhausted("CLOUD_TOO_LARGE", wanted.field.as_str(), words));
+            }
+            maps.push((wanted, Arc::new(cloud)));
+        }
+        Ok(maps)
+    }
+
     /// Runs a toolbox request's work on the pool, with the kept clouds of `owner` and those of sessions.
     ///
     /// # Errors
@@ -147,13 +178,28 @@ impl Service {
         maps: Vec<(SessionCloud, Arc<PointCloud>)>,
         work: impl FnOnce(&Toolbox) -> Result<T> + Send + 'static,
     ) -> Result<T> {
+        self.toolbox_within(owner, maps, budget(&self.limits), Progress::default(), work).await
+    }
+
+    /// The same within a budget of its own, heard of and cancelled through `progress`.
+    ///
+    /// # Errors
+    /// Those of the work; `COMPUTATION_TOO_LONG`, `OPERATION_CANCELLED`.
+    pub(crate) async fn toolbox_within<T: Send + 'static>(
+        &self,
+        owner: String,
+        maps: Vec<(SessionCloud, Arc<PointCloud>)>,
+        budget: Duration,
+        progress: Progress,
+        work: impl FnOnce(&Toolbox) -> Result<T> + Send + 'static,
+    ) -> Result<T> {
         let (limits, kept) = (Arc::clone(&self.limits), Arc::clone(&self.kept));
         let detector = self.default_params().detection.detector;
-        let tenant = tenant_of(&owner);
-        let (budget, asker) = (budget(&limits), self.compute.admission().asker(tenant, &owner)?);
+        let asker = self.compute.admission().asker(tenant_of(&owner), &owner)?;
         let work = move |alive: &Alive| {
-            let alive = alive.clone();
-            work(&Toolbox { limits, kept, maps, owner, detector, begin: Instant::now(), alive })
+            progress.stage("reading what was sent");
+            let (begin, alive) = (Instant::now(), alive.clone());
+            work(&Toolbox { limits, kept, maps, owner, detector, begin, budget, alive, progress })
         };
         self.compute.request_within(&asker, budget, work).await?
     }

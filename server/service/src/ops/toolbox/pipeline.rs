@@ -112,6 +112,8 @@ pub enum Found {
 /// What became of a step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepReport {
+    /// The step's field in the contract.
+    pub operation: &'static str,
     /// Points that it was given.
     pub num_points_in: usize,
     /// Points that it left.
@@ -141,11 +143,12 @@ impl Toolbox {
         let mut bench = Bench { cloud, clusters: None };
         let mut reports = Vec::with_capacity(steps.len());
         for (i, step) in steps.iter().enumerate() {
-            self.check_time()?;
+            let operation = step.name();
+            self.begin_step(i, steps.len(), operation)?;
             let (begin, num_points_in) = (Instant::now(), bench.cloud.len());
-            let found = self.step(&mut bench, step).map_err(|e| e.within(&format!("steps[{i}].{}", step.name())))?;
+            let found = self.step(&mut bench, step).map_err(|e| e.within(&format!("steps[{i}].{operation}")))?;
             let (elapsed, num_points_out) = (begin.elapsed(), bench.cloud.len());
-            reports.push(StepReport { num_points_in, num_points_out, elapsed, found });
+            reports.push(StepReport { operation, num_points_in, num_points_out, elapsed, found });
         }
         Ok((bench.cloud, reports))
     }

@@ -109,6 +109,7 @@ pub fn report_to(step: usize, report: &StepReport, quiet: bool) -> v1::PipelineS
         num_points_in: report.num_points_in as u32,
         num_points_out: report.num_points_out as u32,
         elapsed_ms: report.elapsed.as_secs_f64() * 1e3,
+        operation: report.operation.to_owned(),
         answer: if quiet { None } else { found_to(&report.found, report.num_points_in) },
     }
 }

@@ -32,6 +32,9 @@ mod registration;
 mod segmentation;
 mod shapes;
 
+pub(super) use pipelines::run_pipeline;
+pub(super) use registration::register_clouds_globally;
+
 use super::{Answer, Api, Streamed, check_size, status, streamed};
 use percept_service::Result;
 use percept_service::toolbox::Toolbox;

@@ -14,7 +14,7 @@ operations! {
     }
 }
 
-fn run_pipeline(t: &Toolbox, r: v1::RunPipelineRequest) -> Result<v1::RunPipelineResponse> {
+pub(in crate::doors::grpc) fn run_pipeline(t: &Toolbox, r: v1::RunPipelineRequest) -> Result<v1::RunPipelineResponse> {
     let steps = pipeline::steps(&r)?;
     let cloud = convert::cloud(t, "cloud", r.cloud.as_ref())?;
     let (cloud, reports) = t.run_pipeline(cloud, &steps)?;

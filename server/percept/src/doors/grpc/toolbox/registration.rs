@@ -25,14 +25,14 @@ fn register_clouds(t: &Toolbox, r: v1::RegisterCloudsRequest) -> Result<v1::Regi
     Ok(registration::registration_to(&ops::register_clouds(&source, &target, &initial, &params)?))
 }
 
-fn register_clouds_globally(
+pub(in crate::doors::grpc) fn register_clouds_globally(
     t: &Toolbox,
     r: v1::RegisterCloudsGloballyRequest,
 ) -> Result<v1::RegisterCloudsGloballyResponse> {
     let source = convert::cloud(t, "source", r.source.as_ref())?;
     let target = convert::cloud(t, "target", r.target.as_ref())?;
     let params = registration::global(&r)?;
-    Ok(registration::global_to(&ops::register_clouds_globally(&source, &target, &params)?))
+    Ok(registration::global_to(&t.register_clouds_globally(&source, &target, &params)?))
 }
 
 fn compute_point_features(t: &Toolbox, r: v1::ComputePointFeaturesRequest) -> Result<v1::ComputePointFeaturesResponse> {
