@@ -10,7 +10,7 @@ import pytest
 zenoh = pytest.importorskip("zenoh")
 
 import percept.zenoh as pz  # noqa: E402
-from percept import InvalidArgument, NotFound, Unavailable  # noqa: E402
+from percept import DeadlineExceeded, Internal, InvalidArgument, NotFound, Unavailable  # noqa: E402
 from percept.v1 import error_pb2, map_pb2, sensor_pb2, session_pb2  # noqa: E402
 
 
@@ -72,6 +72,48 @@ def test_queries_are_answered_or_raise_what_the_server_says(peer):
         with pytest.raises(NotFound) as caught:
             reader.graph()
         assert (caught.value.reason, caught.value.field) == ("SESSION_NOT_FOUND", "session_id")
+
+
+def test_a_question_that_is_not_answered_in_time_is_said_to_be_late(peer):
+    server, endpoint = peer
+    held = []
+    server.declare_queryable("percept/**", held.append)
+    with (
+        pz.MapReader(endpoint, session_id="s", timeout_s=0.2) as reader,
+        pytest.raises(DeadlineExceeded, match="percept/s/map/occupancy"),
+    ):
+        reader.occupancy()
+    assert held
+
+
+def test_an_answer_of_somebody_elses_is_said_to_be_none(peer):
+    server, endpoint = peer
+
+    def answer(query):
+        reply = query.reply_err if str(query.key_expr).endswith("pose") else None
+        if reply:
+            query.reply_err(b"\xff\xff")
+        else:
+            query.reply(query.key_expr, b"\xff\xff")
+
+    server.declare_queryable("percept/**", answer)
+    with pz.MapReader(endpoint, session_id="s") as reader:
+        for ask in (reader.pose, reader.occupancy):
+            with pytest.raises(Internal) as error:
+                ask()
+            assert error.value.reason == "REPLY_INVALID"
+
+
+def test_a_publisher_leaves_the_network_even_if_its_last_question_fails(peer, monkeypatch):
+    server, endpoint = peer
+    server.declare_subscriber("percept/*/*/frame", lambda _: None)
+    publisher = pz.SensorPublisher(endpoint, session_id="s")
+    publisher.send_depth("d", stamp_ns=1, depth=np.ones((1, 1), np.float32))
+    # A key that no question can be asked by.
+    monkeypatch.setattr(publisher, "_key", lambda rest: "#")
+    with pytest.raises(zenoh.ZError):
+        publisher.close()
+    assert publisher._zenoh.is_closed()
 
 
 def test_poses_are_received_as_they_are_published(peer):

@@ -20,12 +20,12 @@ from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 import zenoh
-from google.protobuf.message import Message
+from google.protobuf.message import DecodeError, Message
 
 from ._access import FilePath, read_file
 from ._convert import maps, poses, scene, sensors, sessions
 from ._sender import FrameSender
-from .errors import DeadlineExceeded, FailedPrecondition, InvalidArgument, Unavailable, error_of
+from .errors import DeadlineExceeded, FailedPrecondition, Internal, InvalidArgument, Unavailable, error_of
 from .types.frames import SensorFrame
 from .types.maps import MapCloud, OccupancyGrid
 from .types.scene import Object, SceneGraph
@@ -35,6 +35,9 @@ from .v1 import error_pb2, map_pb2, scene_pb2, scene_service_pb2, sensors_servic
 
 T = TypeVar("T")
 M = TypeVar("M", bound=Message)
+
+#: What zenoh itself replies in place of a peer that has the question, and does not answer it in time.
+_TIMEOUT = b"Timeout"
 
 #: Results waiting for a slow reader; then the oldest go.
 MAX_UNREAD = 256
@@ -162,17 +165,19 @@ class SensorPublisher(_Peer, FrameSender[None]):
 
     def close(self) -> None:
         """Leaves the network once the server has all that was sent, or does not answer in time."""
-        if self._publishers and not self._closed:
-            # zenoh may drop what is still on its way when it closes. A question travels behind the frames:
-            # its answer says that they have arrived.
-            for _ in self._zenoh.get(
-                self._key("sensors"),
-                timeout=self._timeout_s,
-                congestion_control=zenoh.CongestionControl.BLOCK,
-            ):
-                pass
-        self._closed = True
-        super().close()
+        try:
+            if self._publishers and not self._closed:
+                # zenoh may drop what is still on its way when it closes. A question travels behind the
+                # frames: its answer says that they have arrived.
+                for _ in self._zenoh.get(
+                    self._key("sensors"),
+                    timeout=self._timeout_s,
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                ):
+                    pass
+        finally:
+            self._closed = True
+            super().close()
 
     def _declare(self, sensor_id: str) -> Any:  # noqa: ANN401
         key = self._key(f"{sensor_id}/frame")
@@ -295,10 +300,21 @@ class MapReader(_Peer):
         key = self._key(rest)
         for reply in self._zenoh.get(key, timeout=self._timeout_s):
             if reply.ok is not None:
-                return kind.FromString(reply.ok.payload.to_bytes())
-            error = error_pb2.ErrorInfo.FromString(reply.err.payload.to_bytes())
+                return self._parsed(key, kind, reply.ok.payload.to_bytes())
+            said = reply.err.payload.to_bytes()
+            if said == _TIMEOUT:
+                raise DeadlineExceeded(f"{key} was not answered for {self._timeout_s:g} s")
+            error = self._parsed(key, error_pb2.ErrorInfo, said)
             raise error_of(error.code, error.message, reason=error.reason, field=error.field)
         raise Unavailable(f"nobody answers {key}; is it percept's endpoint?", reason="NO_REPLY")
+
+    @staticmethod
+    def _parsed(key: str, kind: type[M], data: bytes) -> M:
+        try:
+            return kind.FromString(data)
+        except DecodeError as cause:
+            message = f"what answers {key} is no {kind.__name__}; is it percept's endpoint?"
+            raise Internal(message, reason="REPLY_INVALID") from cause
 
     def __enter__(self) -> MapReader:
         return self
