@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from concurrent import futures
 
 import grpc
@@ -81,6 +82,31 @@ def refuse(context, code, reason, field, message="refused", retry_s=None, metada
     context.abort(code, message)
 
 
+def elsewhere(there):
+    """A server that does not have the session, and tells who does; its pause is longer than any patience."""
+
+    def answer(request, context):
+        where = there if isinstance(there, str) else there.address
+        refuse(
+            context,
+            grpc.StatusCode.UNAVAILABLE,
+            "SESSION_ELSEWHERE",
+            "session_id",
+            retry_s=3600,
+            metadata={"server": where},
+        )
+
+    return answer
+
+
+def eventually(check, seconds=10.0):
+    """The first truthy value of `check`, asked again until time is up."""
+    deadline = time.monotonic() + seconds
+    while not (value := check()) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    return value
+
+
 def ack_of(message, durable, reason="", code="INVALID_ARGUMENT"):
     """An acknowledgement as percept sends it."""
     ack = session_pb2.FrameAck(
@@ -98,6 +124,13 @@ def ack_of(message, durable, reason="", code="INVALID_ARGUMENT"):
 
 @pytest.fixture
 def fake():
+    server = FakeServer()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def other():
     server = FakeServer()
     yield server
     server.stop()

@@ -178,6 +178,32 @@ def test_options_hold_for_what_was_made_with_them_and_for_nothing_else(fake, cli
     assert ids == [("1", None), ("2", "3"), (None, "4"), (None, None)]
 
 
+def test_a_header_takes_the_place_of_the_one_before_however_its_name_is_written(fake, client):
+    sent = []
+
+    def answer(request, context):
+        sent.append([v for k, v in context.invocation_metadata() if k == "x-request-id"])
+        return rpc.GET_POSE.answer()
+
+    fake.unary(rpc.GET_POSE, answer)
+    first = client.with_options(metadata={"X-Request-Id": "1"})
+    first.with_options(metadata={"X-Request-Id": "2"}).session("s").pose()
+    first.with_options(metadata={"X-REQUEST-ID": "3"}).session("s").pose()
+    client.with_options(metadata={"x-request-id": "4", "X-Request-Id": "5"}).session("s").pose()
+    assert sent == [["2"], ["3"], ["5"]]
+
+
+@pytest.mark.parametrize(
+    "metadata", [{"two words": "1"}, {"x": "a\nb"}, {"x": b"\xff"}, {"": "1"}, {"x": "é"}]
+)
+def test_a_header_that_cannot_be_sent_is_refused_where_it_is_given(client, metadata):
+    for give in (client.with_options, lambda **options: Client("127.0.0.1:1", **options)):
+        with pytest.raises(InvalidArgument) as error:
+            give(metadata=metadata)
+        assert (error.value.reason, error.value.field) == ("METADATA_INVALID", "metadata")
+    client.with_options(metadata={"x-bin": b"\xff\x00", "x": "a b"})
+
+
 def test_a_session_with_less_patience_shares_the_link(fake, client):
     release = threading.Event()
 

@@ -3,12 +3,14 @@
 import asyncio
 import threading
 import time
+from types import SimpleNamespace
 
 import grpc
 import numpy as np
 import pytest
-from conftest import ack_of, refuse
+from conftest import ack_of, eventually, refuse
 
+import percept
 from percept import AsyncClient, Client, NotFound, PerceptError, StreamBroken, Unauthenticated, Unavailable
 from percept import _rpc as rpc
 from percept.v1 import session_pb2
@@ -164,6 +166,146 @@ def test_a_frame_that_one_server_took_and_the_next_turned_away_is_not_refused(fa
     # The last one finds 1 and 2 in what the first had taken.
     assert server.seen[3] == [1, 2, 3, 4, 5]
     assert counts(stream.summary) == (6, 6, 0, 6)
+
+
+def turning_away(*, acked, reason, code):
+    """Takes so many in, nothing of it durable, and turns all others away."""
+
+    def script(server, messages, context):
+        for count, message in enumerate(messages):
+            yield answer(server, message, 0) if count < acked else ack_of(message, 0, reason, code)
+
+    return script
+
+
+@pytest.mark.parametrize("reason", ["STORAGE_FULL", "SERVER_BUSY", "RATE_LIMITED", "MEMORY_EXHAUSTED"])
+def test_a_full_server_drops_nothing_not_even_what_it_had_accepted(fake, client, reason):
+    """Frames that were only in its memory were told as refused, and never sent again."""
+    full = {"reason": reason, "code": "RESOURCE_EXHAUSTED"}
+    server = Connections(turning_away(acked=2, **full), turning_away(acked=0, **full), whole)
+    fake.bidi(rpc.STREAM_FRAMES, server)
+    with client.session("s").stream() as stream:
+        send(stream, range(5))
+    assert server.seen[1][0] == 0
+    assert server.seen[2] == [0, 1, 2, 3, 4]
+    assert counts(stream.summary) == (5, 5, 0, 5)
+
+
+def test_a_frame_over_a_limit_is_refused_for_good(fake, client):
+    def limited(server, messages, context):
+        for count, message in enumerate(messages, 1):
+            reason = ("", "IMAGE_TOO_LARGE", "MESSAGE_TOO_LARGE")[message.stamp_ns % 3]
+            yield ack_of(message, count, reason, "RESOURCE_EXHAUSTED")
+
+    server = Connections(limited)
+    fake.bidi(rpc.STREAM_FRAMES, server)
+    with client.session("s").stream() as stream:
+        send(stream, range(6))
+    assert server.seen == [[0, 1, 2, 3, 4, 5]]
+    assert counts(stream.summary) == (6, 2, 4, 6)
+
+
+def test_a_server_that_stays_full_ends_the_stream_with_that(fake, client):
+    fake.bidi(
+        rpc.STREAM_FRAMES,
+        Connections(turning_away(acked=1, reason="STORAGE_FULL", code="RESOURCE_EXHAUSTED")),
+    )
+    stream = client.session("s").stream(resume_timeout_s=0.3)
+    send(stream, range(3))
+    with pytest.raises(StreamBroken) as error:
+        stream.close()
+    assert (error.value.reason, error.value.sent, error.value.durable) == ("STORAGE_FULL", 3, 0)
+    assert stream.summary.rejected == 0
+
+
+def test_without_resuming_a_full_server_refuses_frames(fake, client):
+    fake.bidi(
+        rpc.STREAM_FRAMES,
+        Connections(turning_away(acked=1, reason="STORAGE_FULL", code="RESOURCE_EXHAUSTED")),
+    )
+    with client.session("s").stream(resume=False) as stream:
+        send(stream, range(3))
+    assert (stream.summary.accepted, stream.summary.rejected) == (1, 2)
+
+
+def test_a_frame_that_was_accepted_and_then_turned_away_is_known_as_accepted(fake, client):
+    """It was told as refused: the server knew its stamp, and it had been turned away once."""
+    away = turning_away(acked=0, reason="STORAGE_FAULT", code="UNAVAILABLE")
+    server = Connections(breaking(acked=2, durable=0), away, whole)
+    fake.bidi(rpc.STREAM_FRAMES, server)
+    with client.session("s").stream() as stream:
+        send(stream, range(2))
+        acks = list(stream.acks())
+    assert [seen[0] for seen in server.seen] == [0, 0, 0]
+    assert [a.accepted for a in acks] == [True, True]
+    assert counts(stream.summary) == (2, 2, 0, 2)
+
+
+def test_a_frame_whose_answer_was_lost_and_that_was_then_turned_away_is_known_as_accepted(fake, client):
+    away = turning_away(acked=0, reason="STORAGE_FAULT", code="UNAVAILABLE")
+    server = Connections(breaking(acked=0, durable=0, unanswered=1), away, whole)
+    fake.bidi(rpc.STREAM_FRAMES, server)
+    with client.session("s").stream() as stream:
+        send(stream, range(2))
+    assert counts(stream.summary) == (2, 2, 0, 2)
+
+
+def test_a_frame_that_was_only_ever_turned_away_is_refused_if_its_stamp_is_too_old_by_then(fake, client):
+    def overtaken(server, messages, context):
+        yield ack_of(next(messages), 0, "STORAGE_FAULT", "UNAVAILABLE")
+        for _ in messages:
+            pass
+
+    server = Connections(overtaken, whole)
+    # By another sender.
+    server.taken = {0}
+    fake.bidi(rpc.STREAM_FRAMES, server)
+    with client.session("s").stream(max_in_flight=1) as stream:
+        send(stream, range(2))
+    assert counts(stream.summary) == (2, 1, 1, 2)
+
+
+@pytest.mark.parametrize("renewed", [True, False])
+def test_frames_that_came_with_an_expired_token_are_sent_again_with_the_new_one(fake, tmp_path, renewed):
+    file = tmp_path / "token"
+    file.write_text("old")
+
+    def expired(server, messages, context):
+        yield answer(server, next(messages), 0)
+        message = next(messages)
+        if renewed:
+            file.write_text("renewed")
+        yield ack_of(message, 0, "CREDENTIALS_EXPIRED", "UNAUTHENTICATED")
+
+    fake.bidi(rpc.STREAM_FRAMES, Connections(expired, whole))
+    with Client(fake.address, token_file=file) as client:
+        stream = client.session("s").stream()
+        send(stream, range(3))
+        if renewed:
+            assert counts(stream.close()) == (3, 3, 0, 3)
+        else:
+            with pytest.raises(Unauthenticated):
+                stream.close()
+
+
+def test_a_stream_that_had_nothing_to_send_while_the_server_was_away_has_all_its_patience(
+    fake, client, monkeypatch
+):
+    """The time was counted from when the link broke, not from the first frame that needed it."""
+    ahead_s = [0.0]
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + ahead_s[0])
+    for module in (percept._options, percept._sync.stream):
+        monkeypatch.setattr(module, "time", clock)
+    server = Connections(breaking(acked=2, durable=2), breaking(acked=0, durable=0), whole)
+    fake.bidi(rpc.STREAM_FRAMES, server)
+    with client.session("s").stream(resume_timeout_s=30) as stream:
+        send(stream, range(2))
+        assert len(list(stream.acks())) == 2
+        assert eventually(lambda: stream._resuming)
+        ahead_s[0] = 3600.0
+        send(stream, range(2, 4))
+    assert counts(stream.summary) == (4, 4, 0, 4)
+    assert len(server.seen) == 3
 
 
 def test_frames_wait_for_the_server_and_the_sender_is_told_how_many_are_safe(fake):

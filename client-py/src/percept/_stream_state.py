@@ -12,10 +12,11 @@ import threading
 from collections import Counter, deque
 
 from ._convert import poses, sensors
-from .errors import PerceptError, Unavailable, error_of
+from .errors import PerceptError, ResourceExhausted, Unauthenticated, Unavailable, error_of
 from .types.frames import SensorFrame
 from .types.sensors import FrameAck, StreamSummary
 from .v1 import sensors_service_pb2 as service
+from .v1.error_pb2 import ErrorInfo
 
 #: Acknowledgements that nobody reads are kept up to this many, then the oldest go.
 MAX_UNREAD = 4096
@@ -34,11 +35,11 @@ class Sent:
     data: bytes
     #: Whether its stamp is later than all that the stream sent before for its sensor.
     in_order: bool
-    #: On how many connections it may have been taken in.
-    tries: int = 0
     answered: bool = False
     #: Refused whatever is tried, or durable: it need not be sent again.
     settled: bool = False
+    #: It was accepted over a connection of before, or that one ended before it was answered.
+    may_be_there: bool = False
 
 
 class Connection:
@@ -49,6 +50,8 @@ class Connection:
         self.unanswered: deque[Sent] = deque()
         self.not_durable: deque[Sent] = deque()
         self.durable = 0
+        #: The server has answered, though nothing of frames yet.
+        self.taken_up = False
         #: It ended, whoever ended it.
         self.closed = False
         #: We said that no more comes.
@@ -74,6 +77,8 @@ class StreamState:
         self.progress = 0
         self.ended = False
         self.error: PerceptError | None = None
+        #: Why the newest frame that could not be taken just then was turned away.
+        self.turned_away: PerceptError | None = None
         self.unread: deque[FrameAck] = deque(maxlen=MAX_UNREAD)
         self._kept_bytes = 0
         self._kept: deque[Sent] = deque()
@@ -123,13 +128,14 @@ class StreamState:
 
     def connect(self) -> Connection:
         """Begins a connection, with all that is not settled to be written (again)."""
+        for sent in self._connection.unanswered if self._connection else ():
+            sent.may_be_there = True
         self._connection = Connection(deque(s for s in self._kept if not s.settled))
         return self._connection
 
     def write(self, connection: Connection) -> bytes:
         """The next message of a connection."""
         sent = connection.to_write.popleft()
-        sent.tries += 1
         connection.unanswered.append(sent)
         connection.not_durable.append(sent)
         data = sent.data
@@ -140,32 +146,32 @@ class StreamState:
     def answer(self, connection: Connection, answer: service.StreamFramesResponse) -> None:
         """Takes an acknowledgement; one without an outcome only tells what became durable.
 
-        Raises Unavailable if the server turns the frame away for now, and it is to be sent again.
+        Raises why the server turns the frame away, if that is for now and it is to be sent again.
         """
         with self._lock:
             self.progress += 1
             sent = None
             if answer.ack.WhichOneof("outcome") is not None and connection.unanswered:
                 sent = connection.unanswered.popleft()
-                self._turned_away(sent, answer)
+                self._turn_away(answer.ack.rejection)
             self._make_durable(connection, answer.ack.durable_count)
             if sent is not None:
                 self._settle(sent, dataclasses.replace(poses.ack(answer.ack), durable_count=self.durable))
 
-    def _turned_away(self, sent: Sent, answer: service.StreamFramesResponse) -> None:
-        refused = answer.ack.rejection
-        if self.resume and refused.code == Unavailable.code:
-            self.progress -= 1
-            # Not on this one; what became of it on one before is as open as it was.
-            sent.tries -= 1
-            raise error_of(
-                refused.code,
-                refused.message,
-                reason=refused.reason,
-                field=refused.field,
-                retry_after_s=refused.retry_after_s or None,
-                server=refused.server or None,
-            )
+    def _turn_away(self, refused: ErrorInfo) -> None:
+        """Raises what a refusal says if it says nothing of the frame itself."""
+        if not self.resume or not _is_for_now(refused):
+            return
+        self.progress -= 1
+        self.turned_away = error_of(
+            refused.code,
+            refused.message,
+            reason=refused.reason,
+            field=refused.field,
+            retry_after_s=refused.retry_after_s or None,
+            server=refused.server or None,
+        )
+        raise self.turned_away
 
     def _make_durable(self, connection: Connection, count: int) -> None:
         while connection.durable < count and connection.not_durable:
@@ -186,6 +192,7 @@ class StreamState:
     def _settle(self, sent: Sent, ack: FrameAck) -> None:
         if ack.rejection is not None and self._taken_before(sent, ack.rejection.reason):
             ack = dataclasses.replace(ack, rejection=None)
+        sent.may_be_there = sent.may_be_there or ack.accepted
         if not sent.answered:
             sent.answered = True
             self.answered += 1
@@ -202,7 +209,7 @@ class StreamState:
     @staticmethod
     def _taken_before(sent: Sent, reason: str) -> bool:
         """Whether a refused stamp only says that the frame arrived over a connection of before."""
-        return reason in TAKEN_BEFORE and sent.tries > 1 and sent.in_order
+        return reason in TAKEN_BEFORE and sent.in_order and sent.may_be_there
 
     def summary(self) -> StreamSummary:
         """What became of the stream."""
@@ -214,3 +221,11 @@ class StreamState:
                 durable=self.durable,
                 rejections=tuple(self._rejections),
             )
+
+
+def _is_for_now(refused: ErrorInfo) -> bool:
+    """Whether the same frame may be taken later: the server is away or full, or has to know anew who asks."""
+    if refused.code == ResourceExhausted.code:
+        # A frame that is over a limit stays so.
+        return not (refused.field or refused.reason.endswith("_TOO_LARGE"))
+    return refused.code in (Unavailable.code, Unauthenticated.code)

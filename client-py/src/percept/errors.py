@@ -195,6 +195,11 @@ def error_of(
     )
 
 
+def client_closed() -> Unavailable:
+    """What a closed client raises, whatever it is asked for or had under way."""
+    return Unavailable("the client is closed; make another", reason="CLIENT_CLOSED")
+
+
 def error_of_rpc(error: grpc.RpcError) -> PerceptError:
     """The exception for a failed call, with what its google.rpc.Status details say."""
     if not isinstance(error, (grpc.Call, grpc.aio.AioRpcError)):

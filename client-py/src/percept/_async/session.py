@@ -106,9 +106,12 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
             buffer_bytes=resume_buffer_bytes,
         )
 
-    def watch(self, *, resume_token: int | None = None) -> AsyncWatch:
-        """Events from now on, or after a token; 0 stands before the first that the server still has."""
-        return AsyncWatch(self._transport, self.session_id, resume_token)
+    def watch(self, *, resume_token: int | None = None, resume_timeout_s: float = 60.0) -> AsyncWatch:
+        """Events from now on, or after a token; 0 stands before the first that the server still has.
+
+        When the link breaks or the server restarts, the watch goes on by itself, and raises what it meets
+        once it could not for `resume_timeout_s`."""
+        return AsyncWatch(self._transport, self.session_id, resume_token, resume_timeout_s)
 
     async def pose(self) -> PoseEstimate | None:
         """Newest pose, None before the first frame. Lost is an answer."""
@@ -204,10 +207,11 @@ class AsyncSessions(AsyncBound):
         *,
         kinds: Sequence[FleetEventKind | str] = (),
         resume_token: int | None = None,
+        resume_timeout_s: float = 60.0,
     ) -> AsyncFleetWatch:
         """Events of all sessions that may be read, or of those whose ids fit a pattern (robot-*), from now
-        on or after a token; of all kinds, or some."""
-        return AsyncFleetWatch(self._transport, pattern, kinds, resume_token)
+        on or after a token; of all kinds, or some. It goes on by itself as `Session.watch` does."""
+        return AsyncFleetWatch(self._transport, pattern, kinds, resume_token, resume_timeout_s)
 
     async def delete(self, session_id: str) -> None:
         """Deletes a session with its map and everything stored for it. It cannot be undone."""

@@ -10,7 +10,7 @@ from typing import Any
 import grpc
 
 from .. import _rpc
-from .._options import backoff, link_broke
+from .._options import LOOK_S, MOMENT_S, Patience, link_broke
 from .._sender import FrameSender
 from .._stream_state import Connection, StreamState
 from ..errors import (
@@ -20,6 +20,7 @@ from ..errors import (
     StreamBroken,
     Unauthenticated,
     Unavailable,
+    client_closed,
     error_of_rpc,
 )
 from ..types.frames import SensorFrame
@@ -55,6 +56,7 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
         self._timeout_s = transport.options.timeout_s
         self._max_in_flight = max_in_flight
         self._resume_timeout_s = resume_timeout_s
+        self._patience = Patience(resume_timeout_s)
         self._buffer_bytes = buffer_bytes
         self._state = StreamState(session_id, resume=resume)
         self._changed = runtime.Changed()
@@ -66,6 +68,8 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
         #: No room for more until what was sent is durable.
         self._crowded = False
         self._call: Any = None
+        #: To which the newest connection was made.
+        self._server = transport.here
         self._task = runtime.Task(self._run, "percept-stream")
 
     async def send(self, frame: SensorFrame) -> None:
@@ -134,7 +138,7 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
             except BaseException:
                 await self.cancel()
                 raise
-        elif kind is not None:
+        elif kind is not None or not self._state.ended:
             await self.cancel()
 
     def _has_room(self, data: bytes) -> bool:
@@ -155,7 +159,7 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
         except PerceptError as error:
             state.error = error
         except runtime.Cancelled:
-            # By us, or with its channel.
+            # By us, or with its loop.
             pass
         finally:
             state.ended = True
@@ -164,33 +168,43 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
 
     async def _carry(self) -> None:
         state = self._state
-        failing_since: float | None = None
-        moved = (0, 0)
+        known = (0, 0)
         while await self._has_work():
             token = self._transport.authorization
             error = await self._connect()
-            if self._cancelled or self._transport.link.closed or (self._closing and not state.unsafe):
+            if self._cancelled or (self._closing and not state.unsafe):
                 return
+            if self._transport.link.closed:
+                raise client_closed() from error
             if error is None and not state.resume:
                 return
             if error is None and not state.unsafe:
-                failing_since = None
+                self._patience.renew()
                 continue
             # What is answered a second time moves nothing.
-            if failing_since is None or moved != (state.answered, state.durable):
-                failing_since, waits = time.monotonic(), backoff(None)
-                moved = state.answered, state.durable
+            if known != (state.answered, state.durable):
+                known = state.answered, state.durable
+                self._patience.renew()
             error = error or Unavailable("the server did not make all frames durable", reason="STREAM_ENDED")
             renewed = isinstance(error, Unauthenticated) and self._transport.authorization != token
-            if not state.resume or not (renewed or link_broke(error)):
+            moved = self._transport.after(self._server, error).target != self._server.target
+            if not state.resume or not (renewed or self._may_go_on(error)):
                 raise error
-            is_elsewhere = self._transport.moved(error)
-            wait = next(waits) + (0.0 if is_elsewhere else error.retry_after_s or 0.0)
-            if time.monotonic() + wait - failing_since > self._resume_timeout_s:
+            wait = self._patience.wait(error, moved=moved)
+            if wait is None:
                 raise StreamBroken(
                     error, sent=state.sent, durable=state.durable, tried_s=self._resume_timeout_s
                 ) from error
+            if not state.unsafe:
+                # A link that is not needed may be gone for as long as it likes.
+                self._patience.renew()
             await self._pause(wait)
+
+    def _may_go_on(self, error: PerceptError) -> bool:
+        """Whether it is worthwhile to connect again."""
+        if error is self._state.turned_away:
+            return not isinstance(error, Unauthenticated)
+        return link_broke(error)
 
     async def _has_work(self) -> bool:
         """Waits until something is to be sent; False at the end."""
@@ -206,17 +220,17 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
         async with self._changed:
             connection = state.connect()
             self._crowded = False
-        try:
-            self._call = self._transport.bidi(_rpc.STREAM_FRAMES, self._outgoing(connection))
-        except runtime.ChannelClosed:
-            return Unavailable("the client is closed; make another", reason="CLIENT_CLOSED")
+        self._server = self._transport.here
+        outgoing = self._outgoing(connection)
+        self._call = self._transport.bidi(_rpc.STREAM_FRAMES, outgoing, self._server)
         try:
             if self._cancelled:
                 self._call.cancel()
             # Answered as soon as the server has taken the stream up; a failure shows with the first answer.
             await self._call.initial_metadata()
+            is_refused = await runtime.is_over(self._call, 0.0)
             async with self._changed:
-                self._resuming = False
+                self._resuming, connection.taken_up = False, not is_refused
                 self._changed.notify_all()
             async for answer in self._call:
                 async with self._changed:
@@ -224,9 +238,13 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
                     self._changed.notify_all()
         except grpc.RpcError as cause:
             return self._error_of(cause)
-        except Unavailable as turned_away:
+        except PerceptError as turned_away:
             self._call.cancel()
             return turned_away
+        except runtime.Cancelled:
+            if self._cancelled or not self._transport.link.closed or runtime.is_cancelled():
+                raise
+            return client_closed()
         finally:
             async with self._changed:
                 connection.closed = True
@@ -240,6 +258,11 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
 
     async def _outgoing(self, connection: Connection) -> AsyncIterator[bytes]:
         """What a connection sends."""
+        # In grpc.aio a refusal that meets a frame on its way loses what it says.
+        until = time.monotonic() + MOMENT_S
+        async with self._changed:
+            while not (connection.taken_up or connection.closed) and (left := until - time.monotonic()) > 0:
+                await self._changed.wait(left)
         while True:
             async with self._changed:
                 while not (connection.closed or self._may_write(connection) or self._is_over(connection)):
@@ -259,13 +282,14 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
         return (self._closing or self._crowded) and not connection.to_write
 
     async def _pause(self, seconds: float) -> None:
-        """Waits before the next connection, or until the stream is cancelled."""
+        """Waits before the next connection, or until the stream is cancelled or the client closed."""
         until = time.monotonic() + seconds
         async with self._changed:
             self._resuming = True
             self._changed.notify_all()
-            while not self._cancelled and time.monotonic() < until:
-                await self._changed.wait(max(until - time.monotonic(), 0.0))
+            while not (self._cancelled or self._transport.link.closed) and time.monotonic() < until:
+                # The link gives no word when it is closed.
+                await self._changed.wait(min(max(until - time.monotonic(), 0.0), LOOK_S))
 
     def _error_of(self, cause: grpc.RpcError) -> PerceptError:
         error = error_of_rpc(cause)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,8 +10,8 @@ import grpc
 
 from .._access import Access
 
-sleep = time.sleep
 Lock = threading.Lock
+Signal = threading.Event
 Changed = threading.Condition
 #: What a stream of answers reads at its end.
 EOF = object()
@@ -43,9 +42,20 @@ def open_channel(access: Access, options: list[tuple[str, int | str]]) -> Any:  
     return grpc.secure_channel(access.target, access.credentials, options)
 
 
-def begun(call: Any) -> None:  # noqa: ANN401
-    """Where waiting is possible: waits until the server has taken the call up."""
-    call.initial_metadata()
+def begin_now(begin: Callable[[], None]) -> None:
+    """Where waiting is possible: begins before it is asked for."""
+    begin()
+
+
+def is_cancelled() -> bool:
+    """Whether it is the running thread that was cancelled; threads are not."""
+    return False
+
+
+def is_over(call: Any, within_s: float) -> bool:  # noqa: ANN401
+    """Whether a call has ended, or does so in time."""
+    over = threading.Event()
+    return not call.add_callback(over.set) or over.wait(within_s)
 
 
 def next_of(call: Any) -> Any:  # noqa: ANN401

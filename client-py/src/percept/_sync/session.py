@@ -107,9 +107,12 @@ class Session(SessionBound, FrameSender[FrameResult]):
             buffer_bytes=resume_buffer_bytes,
         )
 
-    def watch(self, *, resume_token: int | None = None) -> Watch:
-        """Events from now on, or after a token; 0 stands before the first that the server still has."""
-        return Watch(self._transport, self.session_id, resume_token)
+    def watch(self, *, resume_token: int | None = None, resume_timeout_s: float = 60.0) -> Watch:
+        """Events from now on, or after a token; 0 stands before the first that the server still has.
+
+        When the link breaks or the server restarts, the watch goes on by itself, and raises what it meets
+        once it could not for `resume_timeout_s`."""
+        return Watch(self._transport, self.session_id, resume_token, resume_timeout_s)
 
     def pose(self) -> PoseEstimate | None:
         """Newest pose, None before the first frame. Lost is an answer."""
@@ -205,10 +208,11 @@ class Sessions(Bound):
         *,
         kinds: Sequence[FleetEventKind | str] = (),
         resume_token: int | None = None,
+        resume_timeout_s: float = 60.0,
     ) -> FleetWatch:
         """Events of all sessions that may be read, or of those whose ids fit a pattern (robot-*), from now
-        on or after a token; of all kinds, or some."""
-        return FleetWatch(self._transport, pattern, kinds, resume_token)
+        on or after a token; of all kinds, or some. It goes on by itself as `Session.watch` does."""
+        return FleetWatch(self._transport, pattern, kinds, resume_token, resume_timeout_s)
 
     def delete(self, session_id: str) -> None:
         """Deletes a session with its map and everything stored for it. It cannot be undone."""

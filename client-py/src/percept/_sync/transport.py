@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -16,23 +17,21 @@ from .._options import (
     HEALTH_PATH,
     HEALTH_REQUEST,
     HEALTH_S,
+    MOST_MOVES,
     Metadata,
     Options,
     backoff,
     channel_options,
+    is_away,
     is_serving,
     wait_before_retry,
 )
 from .._parts import joined
 from .._rpc import A, Q, Rpc
-from ..errors import PerceptError, Unavailable, error_of_rpc
+from ..errors import PerceptError, client_closed, error_of_rpc
 from . import _runtime as runtime
 
 T = TypeVar("T")
-
-
-#: A session that moves while it is asked for is followed so often at once.
-MOST_MOVES = 3
 
 
 class Link:
@@ -40,35 +39,52 @@ class Link:
 
     def __init__(self, accesses: tuple[Access, ...], server_name: str | None) -> None:
         self.access = accesses[0]
-        self.closed = False
+        #: The server that is asked for all that is nowhere in particular.
+        self.here = self.access
+        self._closed = runtime.Signal()
         self._known = accesses
         self._options = channel_options(server_name)
         self._opening = threading.Lock()
         self._channels: dict[str, Any] = {}
         self.channel(self.access)
 
+    @property
+    def closed(self) -> bool:
+        """Whether its client was closed."""
+        return self._closed.is_set()
+
     def channel(self, access: Access) -> Any:  # noqa: ANN401
-        """The channel to a server; none is opened any more once the link is closed."""
+        """The channel to a server; raises once the link is closed."""
         with self._opening:
-            target = self.access.target if self.closed else access.target
-            if target not in self._channels:
-                self._channels[target] = runtime.open_channel(access, self._options)
-            return self._channels[target]
+            if self.closed:
+                raise client_closed()
+            if access.target not in self._channels:
+                self._channels[access.target] = runtime.open_channel(access, self._options)
+            return self._channels[access.target]
+
+    def pause(self, seconds: float) -> None:
+        """Waits before another try, or until the link is closed."""
+        self._closed.wait(seconds)
 
     def next(self, here: Access, error: PerceptError) -> Access:
         """Where to ask after a server answered so, or did not answer."""
         if error.server:
             return here.at(error.server) or here
-        if not isinstance(error, Unavailable):
+        if not is_away(error):
             return here
         targets = [access.target for access in self._known]
         at = targets.index(here.target) + 1 if here.target in targets else 0
         return self._known[at % len(targets)]
 
+    def leave(self, server: Access, following: Access) -> None:
+        """Asks another server from now on, unless somebody was quicker."""
+        if self.here.target == server.target:
+            self.here = following
+
     def close(self) -> None:
         """Ends all calls."""
         with self._opening:
-            self.closed = True
+            self._closed.set()
             channels = list(self._channels.values())
         for channel in channels:
             channel.close()
@@ -78,22 +94,36 @@ class Transport:
     """Calls over a link, made as the options say."""
 
     def __init__(
-        self, link: Link, options: Options, *, here: Access | None = None, follows: bool = False
+        self, link: Link, options: Options, *, found: Access | None = None, follows: bool = False
     ) -> None:
         self.link = link
         self.options = options
-        self._here = here or link.access
+        #: The server that was told to have the session.
+        self._found = found
         self._follows = follows
 
     def following(self) -> Transport:
         """The same for one session, which is asked for where it was found last."""
-        return Transport(self.link, self.options, here=self._here, follows=True)
+        return Transport(self.link, self.options, found=self._found, follows=True)
 
-    def moved(self, error: PerceptError) -> bool:
-        """Goes to where the next try of a stream is worthwhile; whether that is another server."""
-        here = self._here
-        self._here = self.link.next(here, error)
-        return self._here.target != here.target
+    @property
+    def here(self) -> Access:
+        """The server that is asked next."""
+        return self._found or self.link.here
+
+    def after(self, server: Access, error: PerceptError) -> Access:
+        """Where to ask after a server answered so, or did not answer; later calls ask there, too."""
+        following = self.link.next(server, error)
+        # Others who share this may have gone on meanwhile, and know better.
+        if error.server:
+            # A session moves alone.
+            if self._follows and self.here.target == server.target:
+                self._found = following
+            return following
+        if self._found is not None and self._found.target == server.target:
+            self._found = following
+        self.link.leave(server, following)
+        return following
 
     def with_options(
         self,
@@ -103,7 +133,7 @@ class Transport:
     ) -> Transport:
         """The same link with other options."""
         options = self.options.but(timeout_s, retries, metadata)
-        return Transport(self.link, options, here=self._here, follows=self._follows)
+        return Transport(self.link, options, found=self._found, follows=self._follows)
 
     @property
     def authorization(self) -> str | None:
@@ -160,23 +190,30 @@ class Transport:
                 return
             request.page_token = answer.next_page_token
 
-    def subscribe(self, rpc: Rpc[Q, A], request: Q) -> Any:  # noqa: ANN401
+    def subscribe(self, rpc: Rpc[Q, A], request: Q, server: Access) -> Any:  # noqa: ANN401
         """A stream of answers without an end; its failures come as grpc.RpcError."""
-        return self._method("unary_stream", rpc, self._here)(request, metadata=self._metadata())
+        method = self._method("unary_stream", rpc, server)
+        return self._begun(lambda: method(request, metadata=self._metadata()))
 
-    def bidi(self, rpc: Rpc[Q, A], requests: Iterator[bytes]) -> Any:  # noqa: ANN401
+    def bidi(self, rpc: Rpc[Q, A], requests: Iterator[bytes], server: Access) -> Any:  # noqa: ANN401
         """A stream both ways, of requests that are bytes already; its failures come as grpc.RpcError."""
-        channel = self.link.channel(self._here)
+        channel = self.link.channel(server)
         method = channel.stream_stream(rpc.path, response_deserializer=rpc.answer.FromString)
-        return method(requests, metadata=self._metadata())
+        return self._begun(lambda: method(requests, metadata=self._metadata()))
 
     def serving(self) -> bool:
         """Whether the server says that it serves; False if it cannot be reached."""
-        check = self.link.channel(self._here).unary_unary(HEALTH_PATH)
-        timeout_s = min(self.options.timeout_s, HEALTH_S)
+
+        def attempt(server: Access, timeout_s: float) -> bytes:
+            check = self.link.channel(server).unary_unary(HEALTH_PATH)
+            answer: bytes = check(HEALTH_REQUEST, timeout=timeout_s, metadata=self._metadata())
+            return answer
+
         try:
-            return is_serving(check(HEALTH_REQUEST, timeout=timeout_s, metadata=self._metadata()))
-        except grpc.RpcError:
+            return is_serving(self._tried(False, attempt, HEALTH_S))
+        except PerceptError:
+            if self.link.closed:
+                raise
             return False
 
     def _method(self, kind: str, rpc: Rpc[Q, A], server: Access) -> Any:  # noqa: ANN401
@@ -186,28 +223,41 @@ class Transport:
             response_deserializer=rpc.answer.FromString,
         )
 
+    def _begun(self, begin: Callable[[], Any]) -> Any:  # noqa: ANN401
+        try:
+            return begin()
+        except runtime.ChannelClosed as cause:
+            if not self.link.closed:
+                raise
+            raise client_closed() from cause
+
     def _metadata(self) -> Metadata:
         said, authorization = self.options.metadata, self.authorization
         return said if authorization is None else (*said, ("authorization", authorization))
 
-    def _tried(self, repeatable: bool, attempt: Callable[[Access, float], T]) -> T:
+    def _tried(self, repeatable: bool, attempt: Callable[[Access, float], T], most_s: float = math.inf) -> T:
         """One deadline over all tries."""
-        deadline = time.monotonic() + self.options.timeout_s
+        deadline = time.monotonic() + min(self.options.timeout_s, most_s)
         waits = backoff(self.options.retries if repeatable else 0)
-        here, moves_left = self._here, MOST_MOVES
+        server, moves_left = self.here, MOST_MOVES
         while True:
             try:
-                return attempt(here, max(deadline - time.monotonic(), 0.001))
+                return attempt(server, max(deadline - time.monotonic(), 0.001))
             except grpc.RpcError as cause:
                 error = error_of_rpc(cause)
-                before, here = here, self.link.next(here, error)
-                if self._follows or not error.server:
-                    self._here = here
-                if error.server and here.target != before.target and moves_left > 0:
+                if self.link.closed and error.code == "CANCELLED":
+                    raise client_closed() from cause
+                before, server = server, self.after(server, error)
+                moved = server.target != before.target
+                if error.server and moved and moves_left > 0:
                     # Nothing was done where the session is not: it is asked for elsewhere at once.
                     moves_left -= 1
                     continue
-                wait = wait_before_retry(error, waits)
+                wait = wait_before_retry(error, waits, moved=moved)
                 if wait is None or time.monotonic() + wait > deadline:
                     raise error from cause
-            runtime.sleep(wait)
+            except (runtime.Cancelled, runtime.ChannelClosed) as cause:
+                if not self.link.closed or runtime.is_cancelled():
+                    raise
+                raise client_closed() from cause
+            self.link.pause(wait)
