@@ -169,6 +169,27 @@ def test_a_full_disk_is_refused_told_and_left_behind(small_disk, disk_server):
     assert acknowledged <= stamps, "acknowledged, and lost"
 
 
+def test_a_stream_that_resumes_loses_no_frame_to_a_full_disk(small_disk, disk_server):
+    """Frames that were accepted, and only in memory when it filled, were told as refused and dropped."""
+    ballast = Ballast(small_disk)
+    with Client(disk_server.grpc, timeout_s=60) as client:
+        session = client.sessions.create("robot", sensors=[world.LIDAR])
+        robots.send_sweeps(session, 0, 5)
+        with session.stream(max_in_flight=1) as stream:
+            ballast.fill()
+            for i in range(5, 40):
+                stream.send_cloud("lidar", stamp_ns=world.stamp(i), points=robots.sweep(i))
+            assert eventually(lambda: readiness(disk_server)[0] == 503)
+            ballast.free()
+        summary = stream.summary
+    assert (summary.sent, summary.accepted, summary.rejected, summary.durable) == (35, 35, 0, 35)
+    disk_server.kill()
+    disk_server.start()
+    with Client(disk_server.grpc) as client:
+        stamps = client.session("robot").trajectory().stamps_ns.tolist()
+    assert stamps == [world.stamp(i) for i in range(40)]
+
+
 def test_a_frame_that_was_answered_with_storage_full_is_not_stored_later(small_disk, disk_server):
     ballast = Ballast(small_disk)
     with Client(disk_server.grpc, timeout_s=60, retries=0) as client:
@@ -254,7 +275,8 @@ def test_a_stop_on_a_full_disk_says_that_frames_were_given_up(small_disk, disk_s
     with Client(disk_server.grpc, timeout_s=60, retries=0) as client:
         session = client.sessions.create("robot", sensors=[world.LIDAR])
         robots.send_sweeps(session, 0, 5)
-        stream = session.stream(max_in_flight=32)
+        # One that resumes would wait for room.
+        stream = session.stream(max_in_flight=32, resume=False)
         ballast.fill()
         with contextlib.suppress(PerceptError):
             for i in range(5, 40):

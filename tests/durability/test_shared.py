@@ -211,31 +211,30 @@ def test_a_directory_of_one_server_is_refused_to_another(tmp_path):
 
 
 @pytest.fixture
-def reachable(tmp_path, monkeypatch):
-    """Two servers on one directory that tell where they really are."""
+def known_pair(tmp_path, monkeypatch):
+    """Two servers on one store that tell of each other where they can be reached."""
     monkeypatch.setenv("PERCEPT_STORAGE_SHARED", "true")
-    monkeypatch.setenv("PERCEPT_LIMITS_SLEEP_AFTER_S", "600")
-    data = tmp_path / "data"
-    addresses = [f"127.0.0.1:{free_port()}" for _ in range(2)]
-    servers = [Server(data, grpc=a, log=tmp_path / f"{i}.log") for i, a in enumerate(addresses)]
+    servers = []
+    for name in ("one", "two"):
+        address = f"127.0.0.1:{free_port()}"
+        monkeypatch.setenv("PERCEPT_STORAGE_ADVERTISE", address)
+        servers.append(Server(tmp_path / "data", grpc=address, log=tmp_path / f"{name}.log"))
     yield servers
     for server in servers:
         server.kill()
 
 
-def test_a_client_goes_where_its_session_is_and_on_to_whoever_takes_it_over(reachable):
-    one, two = reachable
-    with Client(one.grpc) as at_one:
-        robots.mapped(at_one, "robot")
-        # Known to the first alone, and asked of the second: calls, streams and watches are led there.
-        with Client([two.grpc, one.grpc], retries=30, timeout_s=60) as client:
-            session = client.session("robot")
-            assert session.pose() is not None
-            assert robots.send_scans(session, 10, 20) == 10
-            with client.session("robot").watch() as watch:
-                assert robots.send_scans(session, 20, 22) == 2
-                assert next(iter(watch)) is not None
-            one.kill()
-            # Its owner is gone; the other takes it over when it has been silent for long enough.
-            assert robots.send_scans(session, 22, 30) == 8
-            assert len(session.trajectory()) == 30
+def test_a_client_that_knows_both_follows_its_session_and_outlives_the_server_that_had_it(known_pair):
+    one, two = known_pair
+    with Client(one.grpc) as near, Client([two.grpc, one.grpc]) as far:
+        robots.mapped(near, "robot", frames=10)
+        session = far.session("robot")
+        with session.watch(resume_token=0) as watch, session.stream(max_in_flight=4) as stream:
+            for i in range(10, 40):
+                if i == 25:
+                    one.kill()
+                stream.send_scan("laser", stamp_ns=world.stamp(i), **robots.scan(i))
+            summary = stream.close()
+            assert eventually(lambda: next(watch).stamp_ns == world.stamp(39), seconds=60)
+        assert (summary.sent, summary.accepted, summary.rejected, summary.durable) == (30, 30, 0, 30)
+        assert session.trajectory().stamps_ns.tolist() == [world.stamp(i) for i in range(40)]

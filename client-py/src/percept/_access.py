@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import os
 import pathlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Union
@@ -18,6 +19,9 @@ FilePath = Union[str, "os.PathLike[str]"]
 DEFAULT_PORT = 50051
 #: Forms of an address that say whether the link is protected.
 _SCHEMES = {"https": True, "grpcs": True, "http": False, "grpc": False}
+#: Forms that are gRPC's own.
+_GRPC_FORMS = ("unix:", "unix-abstract:", "vsock:", "dns:", "ipv4:", "ipv6:", "xds:", "google-c2p:")
+_HOST_PORT = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z._-]+):[0-9]+")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +42,9 @@ class Access:
             target, by_scheme = _target(server)
         except InvalidArgument:
             return None
+        if server.startswith(_GRPC_FORMS) or not _HOST_PORT.fullmatch(target):
+            # Sockets of this machine and resolvers of other sorts are the caller's to choose, not a server's.
+            return None
         secure = self.credentials is not None
         readable = self.token is not None and not (secure or self.allow_insecure_token or _loopback(target))
         if readable or _unspecified(target) or by_scheme not in (None, secure):
@@ -50,8 +57,13 @@ def accesses(address: str | Sequence[str], **said: Any) -> tuple[Access, ...]:  
     addresses = [address] if isinstance(address, str) else list(address)
     if not addresses:
         raise InvalidArgument("address names no server; give one", reason="ADDRESS_INVALID", field="address")
-    first = access(addresses[0], **said)
-    return (first, *(replace(first, target=access(other, **said).target) for other in addresses[1:]))
+    first, *others = (access(each, **said) for each in addresses)
+    for each, other in zip(addresses[1:], others, strict=True):
+        if (other.credentials is None) != (first.credentials is None):
+            message = f"one of {addresses[0]} and {each} asks for TLS, the other does not; write them alike"
+            raise InvalidArgument(message, reason="OPTIONS_CONFLICT", field="address")
+    targets = dict.fromkeys(each.target for each in (first, *others))
+    return tuple(replace(first, target=target) for target in targets)
 
 
 def access(
@@ -99,11 +111,13 @@ def access(
 def _target(address: str) -> tuple[str, bool | None]:
     """The address as gRPC has it, and whether its form asks for TLS (None: it does not say)."""
     scheme, separator, rest = address.partition("://")
-    if (separator and scheme not in _SCHEMES) or address.startswith(("unix:", "dns:", "ipv4:", "ipv6:")):
+    if (separator and scheme not in _SCHEMES) or address.startswith(_GRPC_FORMS):
         return address, None
     host = (rest if separator else address).rstrip("/")
-    if not host or "/" in host or "@" in host:
-        message = f"address {address!r} is not host:port or https://host:port; write it so"
+    if not host or any(c in "/@," or c.isspace() for c in host):
+        message = (
+            f"address {address!r} is not host:port or https://host:port; write it so, and several as a list"
+        )
         raise InvalidArgument(message, reason="ADDRESS_INVALID", field="address")
     if host.count(":") > 1 and not host.startswith("["):
         host = f"[{host}]"
@@ -128,8 +142,11 @@ def _unspecified(target: str) -> bool:
 
 def _loopback(target: str) -> bool:
     """Whether what is sent there stays on this machine."""
-    if target.startswith("unix:"):
+    if target.startswith(("unix:", "unix-abstract:")):
         return True
+    if re.match("dns://[^/]", target):
+        # Whom another resolver calls so is not known.
+        return False
     host = _host(target)
     if host == "localhost" or host.endswith(".localhost"):
         return True
