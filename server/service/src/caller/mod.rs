@@ -201,6 +201,7 @@ impl Caller {
     async fn granted(&self, operation: &'static str, session: &str) -> Result<()> {
         let (rule, principal) = (rules::own(operation)?, &self.context.principal);
         self.service.registry.look_for(session).await;
+        self.service.registry.decided(session).await;
         match self.service.registry.tenant(session) {
             None => return Err(crate::session::registry::not_found(session)),
             Some(tenant) if tenant == principal.tenant && principal.may(percept_identity::Access::Read, session) => {}

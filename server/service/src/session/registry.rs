@@ -118,6 +118,14 @@ impl Registry {
         self.slot(id).filter(|slot| !slot.is_doomed()).ok_or_else(|| not_found(id))
     }
 
+    /// Waits until it is decided whether a session that somebody deletes is gone: who was told so must not see it again,
+    /// not even after a crash.
+    pub(crate) async fn decided(&self, id: &str) {
+        if let Some(slot) = self.slot(id).filter(|slot| slot.is_doomed()) {
+            slot.until(|phase| matches!(phase, Phase::Gone(_)) || !slot.is_doomed()).await;
+        }
+    }
+
     /// Whose a session is, if there is one.
     pub(crate) fn tenant(&self, id: &str) -> Option<String> {
         self.find(id).ok().map(|slot| slot.known().tenant)
@@ -138,7 +146,7 @@ impl Registry {
         let slot = self.find(id)?;
         loop {
             if slot.is_doomed() {
-                return Err(not_found(id));
+                slot.until(|phase| matches!(phase, Phase::Gone(_)) || !slot.is_doomed()).await;
             }
             slot.touch();
             match slot.phase() {
@@ -266,9 +274,12 @@ impl Registry {
     /// # Errors
     /// `SESSION_NOT_FOUND`, faults of the storage.
     pub(crate) async fn delete(self: &Arc<Self>, id: &str) -> Result<()> {
-        let slot = self.find(id)?;
-        if !slot.doom() {
-            return Err(not_found(id));
+        let slot = self.slot(id).ok_or_else(|| not_found(id))?;
+        while !slot.doom() {
+            // Somebody else deletes it; that may fail.
+            if let Phase::Gone(_) = slot.until(|phase| matches!(phase, Phase::Gone(_)) || !slot.is_doomed()).await {
+                return Err(not_found(id));
+            }
         }
         tokio::spawn(Arc::clone(self).end(Arc::clone(&slot)));
         let end = slot.until(|phase| matches!(phase, Phase::Gone(_)) || !slot.is_doomed()).await;
