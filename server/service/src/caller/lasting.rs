@@ -6,7 +6,9 @@
 use super::{Caller, rules};
 use crate::ops::operations::{Work, budget};
 use crate::ops::toolbox::{SessionCloud, Toolbox};
-use crate::{MapFile, MapFormat, Moved, NewOperation, Operation, OperationKind, OperationList, Page, Progress, Result};
+use crate::{
+    MapFile, MapFormat, Moved, NewOperation, Operation, OperationKind, OperationList, Page, Progress, Result, check_id,
+};
 use bytes::Bytes;
 use futures::FutureExt;
 use percept_identity::Access;
@@ -14,19 +16,28 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 const RULE: &str = "OperationsService/*";
-/// Before a caller's deadline, so that the answer still arrives.
-const ON_THE_WAY: Duration = Duration::from_millis(250);
+/// An answer needs so long to arrive before a caller's deadline: a quarter of the time that is left, within these bounds.
+const ON_THE_WAY: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
 
 /// How an operation is started, whatever it does.
 #[derive(Debug, Clone)]
 pub struct OperationStart {
-    /// Makes the start idempotent; empty: not.
-    pub request_id: String,
-    /// Memory that the request holds until it is done.
-    pub request_bytes: usize,
+    request_id: String,
+    request_bytes: usize,
 }
 
 impl OperationStart {
+    /// `request_id` makes the start idempotent, unless it is empty; the request holds so much memory until it is done.
+    ///
+    /// # Errors
+    /// `ID_INVALID`.
+    pub fn new(request_id: String, request_bytes: usize) -> Result<Self> {
+        if !request_id.is_empty() {
+            check_id("request_id", &request_id)?;
+        }
+        Ok(Self { request_id, request_bytes })
+    }
+
     fn of(self, kind: OperationKind, session: &str, needs: Vec<(Access, String)>) -> NewOperation {
         let Self { request_id, request_bytes } = self;
         NewOperation { kind, session: session.to_owned(), request_id, request_bytes, needs }
@@ -152,7 +163,10 @@ impl Caller {
     /// `OPERATION_NOT_FOUND`, `OUT_OF_RANGE`; `CREDENTIALS_EXPIRED`.
     pub async fn wait_operation(&self, id: &str, timeout_s: Option<f64>) -> Result<Operation> {
         self.may(RULE)?;
-        let left = |deadline: Instant| deadline.saturating_duration_since(Instant::now()).saturating_sub(ON_THE_WAY);
+        let left = |deadline: Instant| {
+            let left = deadline.saturating_duration_since(Instant::now());
+            left.saturating_sub((left / 4).clamp(ON_THE_WAY[0], ON_THE_WAY[1]))
+        };
         let timeout_s = match (timeout_s, self.context.deadline.map(|d| left(d).as_secs_f64())) {
             // What is no time at all is for the operation to refuse.
             (Some(asked), Some(left)) if asked > left => Some(left),

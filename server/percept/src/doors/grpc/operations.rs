@@ -59,7 +59,7 @@ impl v1::operations_service_server::OperationsService for Api {
         caller.may(RULE).map_err(status::grpc)?;
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let r = r.into_inner();
-        let start = OperationStart { request_bytes: r.encoded_len(), request_id: r.request_id };
+        let start = OperationStart::new(r.request_id.clone(), r.encoded_len()).map_err(status::grpc)?;
         let started = match required("work", r.work).map_err(status::grpc)? {
             Work::OptimiseMap(r) => optimise_map(&caller, start, &r).await.map_err(inside("optimise_map")),
             Work::ExportMap(r) => export_map(&caller, start, &r).await.map_err(inside("export_map")),

@@ -173,11 +173,8 @@ impl Service {
     /// Starts one, or gives the one that was started with the same request id.
     ///
     /// # Errors
-    /// `TOO_MANY_OPERATIONS`, `OPERATIONS_FULL`, `STOPPING`; `ID_INVALID` of the request.
+    /// `TOO_MANY_OPERATIONS`, `OPERATIONS_FULL`, `STOPPING`.
     pub(crate) fn start_operation(&self, owner: &str, new: NewOperation, work: Work) -> Result<Operation> {
-        if !new.request_id.is_empty() {
-            crate::check_id("request_id", &new.request_id)?;
-        }
         self.operations.start(owner, new, work)
     }
 
