@@ -33,7 +33,7 @@ NORMALS = Step("estimate_normals", radius_m=0.5, max_neighbours=60, quiet=True)
 ENDLESS = [NORMALS] * 64
 
 
-def hills(n: int = 60_000) -> np.ndarray:
+def hills(n: int = 300_000) -> np.ndarray:
     rng = np.random.default_rng(5)
     x, y = rng.uniform(-5, 5, (2, n))
     return np.column_stack([x, y, np.sin(x) + rng.normal(0, 0.01, n)]).astype(np.float32)
@@ -41,7 +41,7 @@ def hills(n: int = 60_000) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def kept(client):
-    handle = client.toolbox.upload_cloud(hills())
+    handle = client.toolbox.upload_cloud(hills(60_000))
     yield handle
     client.toolbox.drop_cloud(handle)
 
@@ -198,7 +198,7 @@ def test_waiting_ends_with_the_callers_patience_and_never_in_an_error(own_server
         running = client.toolbox.start_pipeline(hills(), ENDLESS)
         assert not running.wait(0.05).has_ended
         # Shorter than what is asked for: how it stands is answered before the call's deadline.
-        waited = calls("OperationsService/WaitOperation", 4.0, operation_id=running.operation_id)
+        waited = calls("OperationsService/WaitOperation", 2.0, operation_id=running.operation_id)
         assert waited.ok, waited
         assert waited.message.operation.operation_id == running.operation_id
         with pytest.raises(DeadlineExceeded) as error:

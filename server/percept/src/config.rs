@@ -124,6 +124,11 @@ pub(crate) struct Storage {
     pub s3_region: String,
     /// Whether s3_endpoint may be without TLS.
     pub s3_allow_http: bool,
+    /// Directory on this machine where what was read from the object store, or written to it, is kept, too, so that a
+    /// session that wakes again does not fetch it; empty: none. It may be lost at any time.
+    pub cache_dir: PathBuf,
+    /// Most megabytes in cache_dir, 16 or more; what was used longest ago goes first.
+    pub cache_mb: u64,
     /// Whether other servers use the same directory at the same time, each of them some of the sessions.
     pub shared: bool,
     /// Shared only: where other servers send callers who ask them for a session of this one, such as 10.0.0.7:50051; empty:
@@ -139,6 +144,8 @@ impl Default for Storage {
             s3_endpoint: String::new(),
             s3_region: String::new(),
             s3_allow_http: false,
+            cache_dir: PathBuf::new(),
+            cache_mb: 4096,
             shared: false,
             advertise: String::new(),
         }
@@ -245,9 +252,7 @@ impl Config {
         check_listen(&self.listen)?;
         check_auth(&self.auth, &self.listen)?;
         check_tls(&self.tls, &self.listen)?;
-        if self.storage.url.is_empty() && self.storage.data_dir.as_os_str().is_empty() {
-            return Err(out_of_bounds("storage.data_dir", "empty", "name a directory, such as \"percept-data\""));
-        }
+        check_storage(&self.storage)?;
         if self.compute.threads > 1024 {
             return Err(out_of_bounds("compute.threads", self.compute.threads, "set it to 0 (one a core) up to 1024"));
         }
@@ -391,6 +396,27 @@ fn check_telemetry(config: &Config) -> Result<(), ConfigError> {
     }
     if !telemetry.metrics {
         return Err(quoted("telemetry.listen", &telemetry.listen, "set telemetry.metrics to true, or this to \"\""));
+    }
+    Ok(())
+}
+
+fn check_storage(storage: &Storage) -> Result<(), ConfigError> {
+    if storage.url.is_empty() && storage.data_dir.as_os_str().is_empty() {
+        return Err(out_of_bounds("storage.data_dir", "empty", "name a directory, such as \"percept-data\""));
+    }
+    if !storage.cache_dir.as_os_str().is_empty() && storage.url.is_empty() {
+        let directory = storage.cache_dir.display().to_string();
+        return Err(quoted(
+            "storage.cache_dir",
+            &directory,
+            "leave it empty; only an object store (storage.url) has a cache",
+        ));
+    }
+    if storage.cache_mb < 16 {
+        return Err(out_of_bounds("storage.cache_mb", storage.cache_mb, "set it to 16 or more"));
+    }
+    if storage.advertise.ends_with(":0") {
+        return Err(quoted("storage.advertise", &storage.advertise, "name the port that callers reach this server at"));
     }
     Ok(())
 }

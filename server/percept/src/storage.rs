@@ -1,7 +1,7 @@
 //! From the configuration to the data: a directory, or a bucket that several servers share.
 
 use crate::config::{Config, Storage};
-use percept_store::{Location, RootConfig, S3Options, StoreError};
+use percept_store::{CacheConfig, Location, RootConfig, S3Options, StoreError};
 
 /// How the server opens its data.
 ///
@@ -15,6 +15,11 @@ pub(crate) fn root_config(config: &Config) -> Result<RootConfig, StoreError> {
         "" => config.listen.grpc.clone(),
         given => given.to_owned(),
     };
+    let is_cached = !storage.cache_dir.as_os_str().is_empty();
+    root.cache = is_cached.then(|| CacheConfig {
+        directory: storage.cache_dir.clone(),
+        max_bytes: storage.cache_mb.saturating_mul(1 << 20),
+    });
     Ok(root)
 }
 

@@ -14,6 +14,7 @@ use object_store::{Error, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutO
 use sha2::{Digest, Sha256};
 use tokio::sync::RwLock;
 
+use crate::cache::CachedBlobs;
 use crate::directory;
 use crate::error::{StoreError, shortened};
 
@@ -106,6 +107,7 @@ pub(crate) struct Blobs {
     /// The directory, where entries found existing have to be synced by us.
     synced_root: Option<PathBuf>,
     max_bytes: usize,
+    cache: Option<CachedBlobs>,
     /// Storing reads, deleting writes: a blob is not deleted while it is stored again.
     gate: RwLock<()>,
     stored: Mutex<Stored>,
@@ -123,8 +125,13 @@ struct Stored {
 pub struct Mark(u64);
 
 impl Blobs {
-    pub(crate) fn new(objects: Arc<dyn ObjectStore>, synced_root: Option<PathBuf>, max_bytes: usize) -> Self {
-        Self { objects, synced_root, max_bytes, gate: RwLock::new(()), stored: Mutex::default() }
+    pub(crate) fn new(
+        objects: Arc<dyn ObjectStore>,
+        synced_root: Option<PathBuf>,
+        max_bytes: usize,
+        cache: Option<CachedBlobs>,
+    ) -> Self {
+        Self { objects, synced_root, max_bytes, cache, gate: RwLock::new(()), stored: Mutex::default() }
     }
 
     fn stored(&self) -> MutexGuard<'_, Stored> {
@@ -152,10 +159,14 @@ impl Blobs {
             stored.last.insert(id, number);
         }
         match self.write(id, bytes.clone(), PutMode::Create).await {
-            Ok(()) => Ok(id),
-            Err(Error::AlreadyExists { .. }) => self.put_again(id, bytes).await.map(|()| id),
-            Err(error) => Err(StoreError::from_object("write a blob", error)),
+            Ok(()) => {}
+            Err(Error::AlreadyExists { .. }) => self.put_again(id, bytes.clone()).await?,
+            Err(error) => return Err(StoreError::from_object("write a blob", error)),
         }
+        if let Some(cache) = &self.cache {
+            cache.put(id, bytes).await;
+        }
+        Ok(id)
     }
 
     /// The blob was there. A fresh one of the right size only has to be made durable; an older one is
@@ -183,6 +194,16 @@ impl Blobs {
     }
 
     pub(crate) async fn get(&self, id: BlobId) -> Result<Bytes, StoreError> {
+        let Some(cache) = &self.cache else { return self.fetch(id).await };
+        if let Some(bytes) = cache.get(id).await {
+            return Ok(bytes);
+        }
+        let bytes = self.fetch(id).await?;
+        cache.put(id, bytes.clone()).await;
+        Ok(bytes)
+    }
+
+    async fn fetch(&self, id: BlobId) -> Result<Bytes, StoreError> {
         let explain = |error| match error {
             Error::NotFound { .. } => StoreError::BlobMissing { id },
             error => StoreError::from_object("read a blob", error),
@@ -245,6 +266,9 @@ impl Blobs {
             Ok(_) => {}
             Err(Error::NotFound { .. }) => return Ok(true),
             Err(error) => return Err(io(error)),
+        }
+        if let Some(cache) = &self.cache {
+            cache.delete(id).await;
         }
         match self.objects.delete(&id.path()).await {
             Ok(()) | Err(Error::NotFound { .. }) => Ok(true),

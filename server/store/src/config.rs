@@ -7,6 +7,7 @@ use std::time::Duration;
 use object_store::ObjectStore;
 use object_store::memory::InMemory;
 
+use crate::cache::CacheConfig;
 use crate::clock::Clock;
 use crate::location::Location;
 
@@ -34,6 +35,8 @@ pub struct RootConfig {
     pub clock: Clock,
     /// How long opening waits for that lock, for a predecessor on its way out. Default 1 s.
     pub lock_wait: Duration,
+    /// Where blobs are kept on this machine, too, if the data are far away. Default none.
+    pub cache: Option<CacheConfig>,
     /// Of every session's store.
     pub session: StoreConfig,
 }
@@ -70,6 +73,7 @@ impl RootConfig {
             address: String::new(),
             clock: Clock::default(),
             lock_wait: Duration::from_secs(1),
+            cache: None,
             session: StoreConfig::default(),
         }
     }

@@ -25,6 +25,7 @@
 pub mod archive;
 pub mod backup;
 mod blobs;
+mod cache;
 mod catalogue;
 pub mod check;
 mod clock;
@@ -48,6 +49,7 @@ mod ticks;
 mod trial;
 
 pub use blobs::{BlobId, GarbageReport, Mark};
+pub use cache::CacheConfig;
 pub use catalogue::{CatalogueEntry, SessionPlace};
 pub use clock::Clock;
 pub use config::{RootConfig, StoreConfig};

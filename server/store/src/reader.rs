@@ -33,7 +33,7 @@ impl std::fmt::Debug for SessionReader {
 
 impl SessionReader {
     pub(crate) fn new(objects: Arc<dyn ObjectStore>) -> Self {
-        let blobs = Blobs::new(objects.clone(), None, usize::MAX);
+        let blobs = Blobs::new(objects.clone(), None, usize::MAX, None);
         Self { objects, blobs }
     }
 

@@ -16,6 +16,7 @@ use tokio::sync::{Mutex, watch};
 use tokio::task::AbortHandle;
 
 use crate::blobs::blocking;
+use crate::cache::{BlobCache, CachedBlobs};
 use crate::catalogue::{self, CatalogueEntry, SessionPlace, check_id};
 use crate::config::{RootConfig, StoreConfig};
 use crate::directory::{self, DirectoryLock};
@@ -43,6 +44,7 @@ pub struct DataRoot {
     directory: Option<PathBuf>,
     fsync: bool,
     session: StoreConfig,
+    cache: Option<Arc<BlobCache>>,
     failures: watch::Receiver<Failures>,
     last_generation: AtomicU64,
     shared: bool,
@@ -81,6 +83,7 @@ impl DataRoot {
             directory,
             fsync: config.fsync,
             session: config.session,
+            cache: None,
             failures,
             last_generation: AtomicU64::new(0),
             shared: shared && !config.read_only,
@@ -109,6 +112,14 @@ impl DataRoot {
             let node = Node::start(root.objects.clone(), config.address, config.clock).await?;
             let beating = AbortOnDrop(tokio::spawn(node.clone().run()).abort_handle());
             root.node = Some((node, beating));
+        }
+        if let Some(cache) = config.cache {
+            let there = |entry| match entry {
+                CatalogueEntry::Created { place, .. } => Some(folder_on_disk(&place)),
+                CatalogueEntry::Deleted { .. } | CatalogueEntry::Damaged { .. } => None,
+            };
+            let places = root.list().await?.into_iter().filter_map(there).collect();
+            root.cache = Some(BlobCache::open(cache, places).await?);
         }
         Ok(root)
     }
@@ -186,6 +197,9 @@ impl DataRoot {
     /// [`StoreError::Io`].
     pub async fn purge(&self, place: &SessionPlace) -> Result<(), StoreError> {
         self.remove_folder(&place.folder()).await?;
+        if let Some(cache) = &self.cache {
+            cache.clone().delete_folder(folder_on_disk(place)).await;
+        }
         let _alone = self.changing.lock().await;
         catalogue::forget(self.objects.as_ref(), place, self.shared).await?;
         if let Some(directory) = self.directory.clone() {
@@ -313,7 +327,10 @@ impl DataRoot {
         let objects = Arc::new(PrefixStore::new(self.objects.clone(), folder.clone()));
         let directory = self.directory.as_ref().filter(|_| self.fsync).map(|root| root.join(folder.as_ref()));
         let life = self.node.as_ref().map(|(node, _)| node.life());
-        SlateStore::open_at(Place { objects, directory, life }, self.session.clone()).await
+        let cached =
+            |cache: &Arc<BlobCache>| CachedBlobs { cache: cache.clone(), folder: PathBuf::from(folder.as_ref()) };
+        let cache = self.cache.as_ref().map(cached);
+        SlateStore::open_at(Place { objects, directory, life, cache }, self.session.clone()).await
     }
 
     /// What was last noted of a session without waking it; `None` if nothing was.
@@ -409,6 +426,11 @@ impl DataRoot {
         let last = self.last_generation.fetch_update(Ordering::Relaxed, Ordering::Relaxed, advance).unwrap_or(now);
         format!("{:016x}-{}", now.max(last + 1), self.name)
     }
+}
+
+/// Where a session's folder is below a directory.
+fn folder_on_disk(place: &SessionPlace) -> PathBuf {
+    PathBuf::from(place.folder().as_ref())
 }
 
 /// Ends a task with what it belongs to.

@@ -21,6 +21,7 @@ use slatedb::{Db, DbIterator, IterationOrder};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::blobs::{BlobId, Blobs, GarbageReport, Mark};
+use crate::cache::CachedBlobs;
 use crate::committer::{Committer, Request, full};
 use crate::config::StoreConfig;
 use crate::error::StoreError;
@@ -72,7 +73,7 @@ impl SlateStore {
     /// [`StoreError::Corrupt`], [`StoreError::Full`], [`StoreError::Io`]; [`StoreError::Fenced`] if
     /// `expected_epoch` is not the newest any more.
     pub async fn open(objects: Arc<dyn ObjectStore>, config: StoreConfig) -> Result<Self, StoreError> {
-        Self::open_at(Place { objects, directory: None, life: None }, config).await
+        Self::open_at(Place { objects, directory: None, life: None, cache: None }, config).await
     }
 
     /// A new store in memory, for tests.
@@ -84,9 +85,9 @@ impl SlateStore {
     }
 
     pub(crate) async fn open_at(place: Place, config: StoreConfig) -> Result<Self, StoreError> {
-        let Place { objects, directory, life } = place;
+        let Place { objects, directory, life, cache } = place;
         let settings = settings(&config, directory.is_some());
-        let blobs = Blobs::new(objects.clone(), directory, config.max_blob_bytes);
+        let blobs = Blobs::new(objects.clone(), directory, config.max_blob_bytes, cache);
         let ticks = Arc::new(Ticks::after(objects.as_ref(), &Path::from(RECORDS)).await?);
         let (observed, failures) = ObservedStore::new(objects);
         // Sessions are read once, when they wake: a cache would hold what nobody reads again.
@@ -279,6 +280,8 @@ pub(crate) struct Place {
     pub(crate) directory: Option<PathBuf>,
     /// Of the node that opens it, where data are shared.
     pub(crate) life: Option<Arc<Life>>,
+    /// On this machine.
+    pub(crate) cache: Option<CachedBlobs>,
 }
 
 fn settings(config: &StoreConfig, is_local: bool) -> Settings {

@@ -70,7 +70,7 @@ pub(crate) type Connection = InterceptedService<Channel, Bearer>;
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct TlsArgs {
     /// Authorities of the server's certificate, PEM; without it those of the system.
-    #[arg(long)]
+    #[arg(long, env = "PERCEPT_CA_FILE")]
     ca_file: Option<PathBuf>,
     /// Certificate to show to the server, PEM.
     #[arg(long, requires = "key")]

@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 #[derive(Debug, clap::Args)]
 pub(crate) struct HealthArgs {
     /// gRPC address of the server.
-    #[arg(long, default_value = "http://127.0.0.1:50051")]
+    #[arg(long, env = "PERCEPT_SERVER", default_value = "http://127.0.0.1:50051")]
     server: String,
     #[command(flatten)]
     access: AccessArgs,

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod blobs;
+mod cache;
 mod catalogue;
 mod clock_back;
 mod crash;

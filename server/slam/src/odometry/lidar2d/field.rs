@@ -21,7 +21,8 @@ pub(crate) struct Element {
     num: f32,
 }
 
-/// Square grids around `center`.
+/// Square grids around `center`. They are zero but near hits, and only what hits have touched is emptied again: pages
+/// that none came near are never written, and take no memory.
 #[derive(Debug)]
 pub(crate) struct Field {
     geometry: GridGeometry,
@@ -29,6 +30,10 @@ pub(crate) struct Field {
     width: i32,
     fine: Vec<u8>,
     coarse: Vec<u8>,
+    /// Cells that hits fell into.
+    hit: Vec<Cell>,
+    /// By the cell of a line element: its place among `elements` and one, or 0 if there is none.
+    places: Vec<u32>,
     elements: Vec<Element>,
     kernel: Vec<u8>,
 }
@@ -52,7 +57,9 @@ impl Field {
             width,
             fine: vec![0; cells(1)],
             coarse: vec![0; cells(BLOCK)],
-            elements: vec![Element::default(); cells(ELEMENT)],
+            hit: vec![],
+            places: vec![0; cells(ELEMENT)],
+            elements: vec![],
             kernel,
         }
     }
@@ -70,9 +77,20 @@ impl Field {
         self.center = center;
         let half = 0.5 * f64::from(self.width) * self.resolution();
         self.geometry.origin = center - Vector2::repeat(half);
-        self.fine.fill(0);
-        self.coarse.fill(0);
-        self.elements.fill(Element::default());
+        for c in std::mem::take(&mut self.hit) {
+            let (x, y) = (c.x - REACH, c.y - REACH);
+            clear(&mut self.fine, self.width, (x, c.x + REACH), (y, c.y + REACH));
+            let bounds = |low: i32, high: i32| (low / BLOCK - 1, high / BLOCK);
+            clear(&mut self.coarse, self.width / BLOCK, bounds(x, c.x + REACH), bounds(y, c.y + REACH));
+            let place = self.place(c);
+            self.places[place] = 0;
+        }
+        self.elements.clear();
+    }
+
+    /// Where the place of the line element around a cell is kept.
+    fn place(&self, c: Cell) -> usize {
+        (c.y / ELEMENT * (self.width / ELEMENT) + c.x / ELEMENT) as usize
     }
 
     /// Adds the hits of a scan taken at `t`.
@@ -84,8 +102,12 @@ impl Field {
                 continue;
             }
             self.smear(c);
-            let index = c.y / ELEMENT * (self.width / ELEMENT) + c.x / ELEMENT;
-            let e = &mut self.elements[index as usize];
+            let place = self.place(c);
+            if self.places[place] == 0 {
+                self.elements.push(Element::default());
+                self.places[place] = self.elements.len() as u32;
+            }
+            let e = &mut self.elements[self.places[place] as usize - 1];
             e.num += 1.0;
             let relative = (p - self.center).cast::<f32>();
             e.p += (relative - e.p) / e.num;
@@ -94,6 +116,11 @@ impl Field {
     }
 
     fn smear(&mut self, c: Cell) {
+        // Full likelihood is that of a hit in the cell itself, and another there adds nothing.
+        if self.fine[(c.y * self.width + c.x) as usize] == u8::MAX {
+            return;
+        }
+        self.hit.push(c);
         let side = 2 * REACH + 1;
         let blocks = self.width / BLOCK;
         for dy in -REACH..=REACH {
@@ -148,8 +175,9 @@ impl Field {
         let mut best: Option<(f64, &Element)> = None;
         for cy in (y - 1).max(0)..=(y + 1).min(cells - 1) {
             for cx in (x - 1).max(0)..=(x + 1).min(cells - 1) {
-                let e = &self.elements[(cy * cells + cx) as usize];
-                if e.num == 0.0 || e.n.cast::<f64>().dot(n) < 0.0 {
+                let place = self.places[(cy * cells + cx) as usize];
+                let Some(e) = place.checked_sub(1).map(|i| &self.elements[i as usize]) else { continue };
+                if e.n.cast::<f64>().dot(n) < 0.0 {
                     continue;
                 }
                 let d = (self.center + e.p.cast::<f64>() - p).norm_squared();
@@ -164,5 +192,30 @@ impl Field {
             let line = n.norm() > 0.6 * f64::from(e.num);
             (self.center + e.p.cast::<f64>(), if line { n.normalize() } else { Vector2::zeros() })
         })
+    }
+}
+
+/// Zeroes a rectangle, both ends included, of a grid with rows of `width`.
+fn clear(grid: &mut [u8], width: i32, (x0, x1): (i32, i32), (y0, y1): (i32, i32)) {
+    for y in y0..=y1 {
+        grid[(y * width + x0) as usize..=(y * width + x1) as usize].fill(0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_field_that_was_reset_is_like_a_new_one() {
+        let hit = |x: f64, y: f64| Hit { p: Point2::new(x, y), n: Vector2::x(), is_sparse: false };
+        let hits: Vec<Hit> =
+            (0..400).map(f64::from).map(|i| hit((i * 0.7).sin() * 6.1, (i * 1.3).cos() * 6.1)).collect();
+        let (mut field, new) = (Field::new(0.05, 5.0, Point2::origin()), Field::new(0.05, 5.0, Point2::new(1.0, 2.0)));
+        field.add(&hits, &Isometry2::new(Vector2::new(0.3, 0.2), 0.4));
+        assert!(field.fine.contains(&u8::MAX) && !field.elements.is_empty());
+        field.reset(Point2::new(1.0, 2.0));
+        assert_eq!((&field.fine, &field.coarse, &field.places), (&new.fine, &new.coarse, &new.places));
+        assert_eq!((field.geometry, field.elements.len()), (new.geometry, 0));
     }
 }
