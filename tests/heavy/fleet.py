@@ -3,8 +3,8 @@
     python heavy/fleet.py [--robots 64] [--seconds 60] [--rate-hz 10] [--sensor KIND] [--flood]
     [--overload]
 
-Each robot has a session and a stream of its own and drives a round through the room, from frames rendered
-before the start. Prints one JSON object:
+Each robot has a session and a stream of its own and drives a round through the room, from where it stands in
+it, with frames rendered before the start. Prints one JSON object:
 
 - `offered`, `accepted`, `rejected`, `durable`: frames; `lost`: accepted, and not durable once the stream has
   ended
@@ -119,14 +119,16 @@ async def robot(channel, bodies, session_id, number, begin, seconds, period_s) -
             window.release()
 
     reading = asyncio.create_task(read())
-    phase = (number * 0.618 % 1) * period_s
+    # Robots are not in step: each begins elsewhere in the round, and between the others' frames.
+    share = number * 0.618 % 1
+    phase, start = share * period_s, int(share * len(bodies))
     try:
         await asyncio.sleep(max(begin + phase - time.monotonic(), 0))
         while (now := time.monotonic()) < end and not reading.done():
             out.offered += 1
             await window.acquire()
             sent_at[out.offered] = time.monotonic()
-            data = bodies[out.offered % len(bodies)]
+            data = bodies[(out.offered + start) % len(bodies)]
             await stream.write(request(data, session_id, out.offered, out.offered * 100_000_000))
             if period_s:
                 await asyncio.sleep(max(begin + phase + out.offered * period_s - time.monotonic(), 0))

@@ -65,12 +65,13 @@ pub(crate) type Visit<'a> = [(Isometry2<f64>, &'a KeyframeScan)];
 
 /// Places scans in visits; keeps the memory of the local map.
 pub(crate) struct Visits {
-    field: Field,
+    /// None before the first.
+    field: Option<Field>,
 }
 
 impl Visits {
     pub(crate) fn new() -> Self {
-        Self { field: Field::new(CELL_M, HALF_M, Point2::origin()) }
+        Self { field: None }
     }
 
     /// Places `scan` within `window` (metres, radians) of the guess.
@@ -86,21 +87,22 @@ impl Visits {
         if scan_hits.len() < 20 || visit.is_empty() {
             return Err(Refused::TooFewHits);
         }
-        self.field.reset(Point2::from(guess.translation.vector));
+        let field = self.field.get_or_insert_with(|| Field::new(CELL_M, HALF_M, Point2::origin()));
+        field.reset(Point2::from(guess.translation.vector));
         let seen: Vec<Vec<Hit>> = visit.iter().map(|(_, s)| hits(s)).collect();
-        visit.iter().zip(&seen).for_each(|((t, _), hits)| self.field.add(hits, t));
-        let start = self.start(&scan_hits, guess, window);
+        visit.iter().zip(&seen).for_each(|((t, _), hits)| field.add(hits, t));
+        let start = start(field, &scan_hits, guess, window);
         let off = guess.inverse() * start;
         if off.translation.vector.amax() > 0.95 * window.0 || off.rotation.angle().abs() > 0.95 * window.1 {
             return Err(Refused::AtBorder);
         }
         // Hardly a prior: the measurement shall not know what was believed.
         let prediction = Prediction::within(spatial(&start), diagonal(1.0, 0.5));
-        let found = refine(&self.field, &scan_hits, &start, &prediction, strictness.min_inlier_ratio)
-            .map_err(Refused::NotRefined)?;
+        let found =
+            refine(field, &scan_hits, &start, &prediction, strictness.min_inlier_ratio).map_err(Refused::NotRefined)?;
         let views: Vec<View<'_>> =
             visit.iter().zip(&seen).map(|((t, s), hits)| View { t_map_base: *t, hits, sight: sight(s) }).collect();
-        let contradicted = contradicted(&self.field, &views, (&sight(scan), &scan_hits), &planar(&found.t_odom_base));
+        let contradicted = contradicted(field, &views, (&sight(scan), &scan_hits), &planar(&found.t_odom_base));
         if contradicted > strictness.max_contradicted {
             return Err(Refused::Contradicted(contradicted));
         }
@@ -111,15 +113,14 @@ impl Visits {
         }
         Ok(Measurement { t_from_to: found.t_odom_base, covariance, inlier_ratio: found.inlier_ratio })
     }
+}
 
-    fn start(&self, hits: &[Hit], guess: &Isometry2<f64>, window: (f64, f64)) -> Isometry2<f64> {
-        let points = sweep::thin(hits, 0.5 * CELL_M, SEARCH_POINTS);
-        let information = |half: f64| 9.0 / (half * half);
-        let prior =
-            Matrix3::from_diagonal(&[information(window.0), information(window.0), information(window.1)].into());
-        let window = Window { translation: window.0, rotation: window.1 };
-        search(&self.field, &points, guess, &prior, &window).0
-    }
+fn start(field: &Field, hits: &[Hit], guess: &Isometry2<f64>, window: (f64, f64)) -> Isometry2<f64> {
+    let points = sweep::thin(hits, 0.5 * CELL_M, SEARCH_POINTS);
+    let information = |half: f64| 9.0 / (half * half);
+    let prior = Matrix3::from_diagonal(&[information(window.0), information(window.0), information(window.1)].into());
+    let window = Window { translation: window.0, rotation: window.1 };
+    search(field, &points, guess, &prior, &window).0
 }
 
 fn hits(scan: &KeyframeScan) -> Vec<Hit> {
