@@ -1,8 +1,8 @@
 //! A g2o file as a pose graph.
 
 use crate::BenchError;
-use nalgebra::SMatrix;
 use percept_formats::g2o::{G2oEdge, G2oGraph};
+use percept_geometry::information::from_upper_triangle;
 use percept_slam::pose_graph::{Edge, Manifold, PoseGraph};
 use std::collections::BTreeMap;
 
@@ -24,11 +24,7 @@ pub fn pose_graph<R: Copy, P: Manifold<D>, const D: usize, const I: usize>(
         fixed.push(0);
     }
     let edge = |e: &G2oEdge<R, I>| -> Result<Edge<P, D>, BenchError> {
-        let mut information = SMatrix::<f64, D, D>::zeros();
-        let upper = (0..D).flat_map(|r| (r..D).map(move |c| (r, c)));
-        for ((r, c), v) in upper.zip(e.information) {
-            (information[(r, c)], information[(c, r)]) = (v, v);
-        }
+        let information = from_upper_triangle(&e.information);
         Ok(Edge { from: place(e.from)?, to: place(e.to)?, t_from_to: from_row(e.t_from_to), information })
     };
     let edges = file.edges.iter().map(edge).collect::<Result<Vec<_>, _>>()?;

@@ -101,6 +101,16 @@ pub enum FormatError {
         /// Reason as the system gave it.
         reason: String,
     },
+    /// A text with a row for each of something else has more or fewer.
+    #[error("{num_rows} rows for {num_expected} {of}; write one for each")]
+    RowsMismatch {
+        /// Rows that are there.
+        num_rows: usize,
+        /// Rows that there should be.
+        num_expected: usize,
+        /// What each row is for.
+        of: &'static str,
+    },
     /// The writer that was handed in refused.
     #[error("write: {reason}")]
     Write {

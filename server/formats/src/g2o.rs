@@ -6,6 +6,7 @@
 
 use crate::text::{Fields, Line, Lines};
 use crate::{FormatError, Limits};
+use percept_geometry::information::{from_upper_triangle, is_information, nearest_information, upper_triangle};
 use percept_geometry::{Pose, se3};
 use std::io::Write;
 
@@ -48,6 +49,16 @@ impl<P, const I: usize> Default for G2oGraph<P, I> {
     }
 }
 
+/// What becomes of an edge whose information would reward errors: graphs exist in which every third is of that kind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Indefinite {
+    /// The file is refused, with the edge's line: no poses explain it best.
+    #[default]
+    Refuse,
+    /// The nearest matrix that is positive semi-definite takes its place.
+    Project,
+}
+
 /// `[x, y, yaw]`: metres and radians.
 pub type PlanarRow = [f64; 3];
 
@@ -64,8 +75,9 @@ pub enum G2oFile {
 ///
 /// # Errors
 /// `Malformed` with the line: unknown rows, planar and spatial rows in one file, numbers that are not finite, an edge
-/// from a vertex to itself. `TooLarge` for more rows than `limits.max_points`.
-pub fn parse_g2o(bytes: &[u8], limits: &Limits) -> Result<G2oFile, FormatError> {
+/// from a vertex to itself, information that is not positive semi-definite unless that is to be projected. `TooLarge` for
+/// more rows than `limits.max_points`.
+pub fn parse_g2o(bytes: &[u8], limits: &Limits, indefinite: Indefinite) -> Result<G2oFile, FormatError> {
     let (mut planar, mut spatial) = (G2oGraph::default(), G2oGraph::default());
     let mut fixed = vec![];
     for (count, line) in Lines::new(FORMAT, bytes).contents().enumerate() {
@@ -75,10 +87,11 @@ pub fn parse_g2o(bytes: &[u8], limits: &Limits) -> Result<G2oFile, FormatError> 
         match tag {
             b"VERTEX_SE2" => planar.vertices.push((id(&line, &mut fields)?, numbers(&mut fields, "pose")?)),
             b"EDGE_SE2" => {
-                planar.edges.push(edge(&line, &mut fields, |_, fields| numbers(fields, "measurement"))?);
+                let read = |_: &Line<'_>, fields: &mut Fields<'_>| numbers(fields, "measurement");
+                planar.edges.push(edge::<_, 3, 6>(&line, &mut fields, read, indefinite)?);
             }
             b"VERTEX_SE3:QUAT" => spatial.vertices.push((id(&line, &mut fields)?, pose(&line, &mut fields)?)),
-            b"EDGE_SE3:QUAT" => spatial.edges.push(edge(&line, &mut fields, pose)?),
+            b"EDGE_SE3:QUAT" => spatial.edges.push(edge::<_, 6, 21>(&line, &mut fields, pose, indefinite)?),
             b"FIX" => {
                 fixed.push(id(&line, &mut fields)?);
                 while let Some(token) = fields.token() {
@@ -127,17 +140,28 @@ fn pose(line: &Line<'_>, fields: &mut Fields<'_>) -> Result<Pose, FormatError> {
     Ok(se3::pose_from_parts("pose", [v[0], v[1], v[2]], [3, 4, 5, 6].map(|i| v[i] / scale))?)
 }
 
-fn edge<P, const I: usize>(
+fn edge<P, const D: usize, const I: usize>(
     line: &Line<'_>,
     fields: &mut Fields<'_>,
     measurement: impl Fn(&Line<'_>, &mut Fields<'_>) -> Result<P, FormatError>,
+    indefinite: Indefinite,
 ) -> Result<G2oEdge<P, I>, FormatError> {
     let (from, to) = (id(line, fields)?, id(line, fields)?);
     if from == to {
         return Err(line.malformed("vertex", to.to_string().as_bytes(), "another vertex than the edge's first"));
     }
     let t_from_to = measurement(line, fields)?;
-    Ok(G2oEdge { from, to, t_from_to, information: numbers(fields, "information")? })
+    let mut information: [f64; I] = numbers(fields, "information")?;
+    let matrix = from_upper_triangle::<D>(&information);
+    if !is_information(&matrix) {
+        if indefinite == Indefinite::Refuse {
+            let edge = format!("of edge {from} {to}");
+            return Err(line.malformed("information", edge.as_bytes(), "a positive semi-definite matrix"));
+        }
+        let nearest = nearest_information(&matrix);
+        information.iter_mut().zip(upper_triangle(&nearest)).for_each(|(value, v)| *value = v);
+    }
+    Ok(G2oEdge { from, to, t_from_to, information })
 }
 
 /// Writes a graph so that it reads back equal.
@@ -176,13 +200,30 @@ fn write_graph<P, const I: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::SMatrix;
     use proptest::prelude::*;
 
     const SMALL: &str = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 7 1 0.5 0.1\nFIX 0\n# a remark\n\
         EDGE_SE2 0 7 1 0.5 0.1 500 0 0 500 0 5000\n";
 
+    fn upper<const D: usize, const I: usize>(matrix: &SMatrix<f64, D, D>) -> [f64; I] {
+        upper_triangle(matrix).collect::<Vec<_>>().try_into().unwrap()
+    }
+
+    #[test]
+    fn information_that_rewards_errors_is_refused_with_its_line_or_projected() {
+        let text = SMALL.replace("500 0 0 500 0 5000", "500 900 0 500 0 5000");
+        let error = read(&text).unwrap_err().to_string();
+        assert!(error.contains("line 5") && error.contains("edge 0 7"), "{error}");
+        let projected = parse_g2o(text.as_bytes(), &Limits::default(), Indefinite::Project).unwrap();
+        let G2oFile::Planar(graph) = projected else { panic!("not planar") };
+        // Eigenvalues 1400, -400 and 5000, the first two along the diagonals of x and y.
+        let expected = [700.0, 700.0, 0.0, 700.0, 0.0, 5000.0];
+        assert!(graph.edges[0].information.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+
     fn read(text: &str) -> Result<G2oFile, FormatError> {
-        parse_g2o(text.as_bytes(), &Limits::default())
+        parse_g2o(text.as_bytes(), &Limits::default(), Indefinite::Refuse)
     }
 
     #[test]
@@ -210,7 +251,7 @@ mod tests {
             assert!(error.contains(what), "{text}: {error}");
         }
         let few = Limits { max_points: 2, ..Limits::default() };
-        assert!(matches!(parse_g2o(SMALL.as_bytes(), &few), Err(FormatError::TooLarge { .. })));
+        assert!(matches!(parse_g2o(SMALL.as_bytes(), &few, Indefinite::Refuse), Err(FormatError::TooLarge { .. })));
         assert!(matches!(read(""), Ok(G2oFile::Planar(g)) if g.edges.is_empty()));
     }
 
@@ -218,9 +259,12 @@ mod tests {
         #[test]
         fn a_written_graph_reads_back(
             v in prop::collection::vec((any::<u32>(), prop::array::uniform3(-1e6..1e6f64)), 0..5),
-            e in prop::collection::vec((0..9u64, prop::array::uniform3(-9.0..9.0f64), prop::array::uniform6(-1e9..1e9f64)), 0..5),
+            e in prop::collection::vec((0..9u64, prop::array::uniform3(-9.0..9.0f64), prop::array::uniform9(-1e4..1e4f64)), 0..5),
         ) {
-            let edge = |(from, t_from_to, information)| G2oEdge { from, to: from + 1, t_from_to, information };
+            let edge = |(from, t_from_to, root): (_, _, [f64; 9])| {
+                let root = SMatrix::<f64, 3, 3>::from_row_slice(&root);
+                G2oEdge { from, to: from + 1, t_from_to, information: upper(&(root * root.transpose())) }
+            };
             let file = G2oFile::Planar(G2oGraph {
                 vertices: v.into_iter().map(|(id, p)| (u64::from(id), p)).collect(),
                 edges: e.into_iter().map(edge).collect(),
@@ -228,22 +272,23 @@ mod tests {
             });
             let mut text = vec![];
             write_g2o(&mut text, &file).unwrap();
-            prop_assert_eq!(parse_g2o(&text, &Limits::default()).unwrap(), file);
+            prop_assert_eq!(parse_g2o(&text, &Limits::default(), Indefinite::Refuse).unwrap(), file);
         }
 
         #[test]
         fn a_written_graph_in_space_reads_back(
             t in prop::array::uniform3(-1e6..1e6f64), axis in prop::array::uniform3(-3.0..3.0f64),
-            information in prop::collection::vec(-1e9..1e9f64, 21),
+            root in prop::collection::vec(-1e4..1e4f64, 36),
         ) {
             let turn = nalgebra::UnitQuaternion::from_scaled_axis(axis.into());
             let pose = Pose::from_parts(nalgebra::Vector3::from(t).into(), turn);
-            let information: [f64; 21] = information.try_into().unwrap();
+            let root = SMatrix::<f64, 6, 6>::from_row_slice(&root);
+            let information: [f64; 21] = upper(&(root * root.transpose()));
             let edges = vec![G2oEdge { from: 0, to: 1, t_from_to: pose, information }];
             let file = G2oFile::Spatial(G2oGraph { vertices: vec![(1, pose)], edges, fixed: vec![] });
             let mut text = vec![];
             write_g2o(&mut text, &file).unwrap();
-            let Ok(G2oFile::Spatial(read)) = parse_g2o(&text, &Limits::default()) else { panic!("not spatial") };
+            let Ok(G2oFile::Spatial(read)) = parse_g2o(&text, &Limits::default(), Indefinite::Refuse) else { panic!("not spatial") };
             prop_assert!((read.vertices[0].1.translation.vector - pose.translation.vector).norm() == 0.0);
             prop_assert!(read.vertices[0].1.rotation.angle_to(&pose.rotation) < 1e-12);
             prop_assert_eq!(read.edges[0].information, information);

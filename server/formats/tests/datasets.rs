@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use nalgebra::Point3;
-use percept_formats::dataset::{OpenOptions, open, open_with};
+use percept_formats::dataset::{Dataset, OpenOptions, open, open_with};
 use percept_formats::{DatasetKind, FormatError, images, kitti, pcd};
 use percept_geometry::{DepthImage, PointCloud, RgbImage, SensorData, SensorKind, SensorSpec, Timestamp};
 use std::path::Path;
@@ -147,6 +147,39 @@ fn clouds_go_by_the_numbers_in_their_names() {
         .collect();
     assert_eq!((dataset.kind, sizes), (DatasetKind::Clouds, vec![9, 10]));
     assert_eq!(open(&dir.path().join("s9.pcd")).unwrap().len(), 1);
+}
+
+#[test]
+fn clouds_have_their_stamps_from_beside_them_or_from_nobody() {
+    let cloud = pcd::encode(&PointCloud::from_positions(vec![Point3::new(0.0, 1.0, 2.0)])).unwrap();
+    let seconds = |dataset: &Dataset| dataset.stamps().iter().map(|t| t.0 as f64 * 1e-9).collect::<Vec<_>>();
+    let times: &[u8] = b"# seconds\n7.25\n7.5\n8\n";
+    let truth: &[u8] = b"3.5 0 0 0 0 0 0 1\n4 1 0 0 0 0 0 1\n4.5 2 0 0 0 0 0 1\n";
+    let clouds = [("a/1.pcd", &cloud[..]), ("a/2.pcd", &cloud), ("a/3.pcd", &cloud)];
+    let with = |others: &[(&str, &[u8])]| folder(&[&clouds[..], others].concat());
+
+    for place in ["times.txt", "a/times.txt"] {
+        let dir = with(&[(place, times)]);
+        for path in [dir.path().to_owned(), dir.path().join("a")] {
+            let dataset = open(&path).unwrap();
+            assert_eq!((seconds(&dataset), dataset.is_timed), (vec![7.25, 7.5, 8.0], true), "{place}");
+        }
+    }
+    let dataset = open(with(&[("groundtruth.tum", truth)]).path()).unwrap();
+    assert_eq!((seconds(&dataset), dataset.is_timed), (vec![3.5, 4.0, 4.5], true));
+    let reference = dataset.reference.unwrap();
+    assert_eq!((reference[2].stamp.0, reference[2].value.translation.x), (4_500_000_000, 2.0));
+    assert_eq!(dataset.reference_source.as_deref(), Some("groundtruth.tum"));
+
+    // Truth that has rows of its own is none of these clouds' clock.
+    for dir in [with(&[]), with(&[("groundtruth.tum", &truth[..18])])] {
+        let dataset = open(dir.path()).unwrap();
+        assert_eq!((seconds(&dataset), dataset.is_timed), (vec![0.0, 1.0, 2.0], false));
+    }
+    let error = open(with(&[("times.txt", &times[..15])]).path()).unwrap_err().to_string();
+    assert!(error.contains("times.txt: 1 rows for 3 clouds"), "{error}");
+    let error = open(with(&[("times.txt", b"7\n8\nlater\n")]).path()).unwrap_err().to_string();
+    assert!(error.contains("line 3"), "{error}");
 }
 
 #[test]

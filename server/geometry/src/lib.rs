@@ -11,6 +11,7 @@ pub mod camera;
 pub mod cloud;
 pub mod grid;
 pub mod image;
+pub mod information;
 pub mod keyframe;
 pub mod object;
 pub mod se3;

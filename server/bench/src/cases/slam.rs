@@ -8,6 +8,7 @@ use crate::{Args, BenchError};
 use nalgebra::Matrix4;
 use percept_evaluation::{Alignment, Delta, PosePair, absolute_error, relative_error};
 use percept_formats::g2o::G2oFile;
+use percept_formats::g2o::Indefinite;
 use percept_formats::{Limits, decode_color, parse_g2o, read_file};
 use percept_geometry::{Pose, Timestamp};
 use percept_slam::pose_graph::{Manifold, OptimiseParams, PlanarPose, PoseGraph, solve};
@@ -136,7 +137,7 @@ fn read_poses(path: &Path, numbers: usize) -> Result<Vec<Pose>, BenchError> {
 pub(super) fn graph(args: &Args) -> Result<Box<dyn Case>, BenchError> {
     let path: PathBuf = args.required("file")?;
     let bytes = read_file(&path, &Limits::default()).map_err(BenchError::new)?;
-    match parse_g2o(&bytes, &Limits::default()).map_err(BenchError::new)? {
+    match parse_g2o(&bytes, &Limits::default(), Indefinite::Refuse).map_err(BenchError::new)? {
         G2oFile::Planar(file) => {
             let (graph, has_poses) = pose_graph(&file, |[x, y, yaw]| PlanarPose { x, y, yaw })?;
             Ok(solved(graph, has_poses))

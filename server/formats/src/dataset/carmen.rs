@@ -108,6 +108,7 @@ pub(super) fn open(path: &Path, companion: Option<PathBuf>, options: &OpenOption
         reference_source: reference_source.filter(|_| reference.is_some()),
         reference,
         relations,
+        is_timed: !stamps::are_useless(&raw),
         restamped: stamps::restamped(&raw, &row_stamps),
         stamps: rows.iter().map(|&row| row_stamps[row]).collect(),
         odometry: odometry.into(),

@@ -8,7 +8,6 @@
 use super::clouds::CloudLoader;
 use super::files::{Folder, name, stem_number};
 use super::{Dataset, DatasetKind, OpenOptions};
-use crate::text::Lines;
 use crate::{FormatError, Limits, kitti, trajectory};
 use percept_geometry::{Pose, Stamped, Timestamp};
 use std::collections::BTreeMap;
@@ -41,6 +40,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference_source: poses_path.filter(|_| reference.is_some()).map(|p| name(&p)),
         reference,
         relations: None,
+        is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),
         odometry: Arc::default(),
@@ -68,9 +68,7 @@ fn stamps(folder: &Folder, numbers: &[usize], limits: &Limits) -> Result<Vec<Tim
     let Some(path) = folder.named("times", ".txt") else {
         return Ok(super::stamps::strictly_increasing(&by_rate()));
     };
-    let bytes = crate::read_file(path, limits)?;
-    let rows = Lines::new("KITTI times", &bytes).contents().map(|line| line.fields().stamp("time"));
-    let times: Vec<Timestamp> = rows.collect::<Result<_, _>>().map_err(|e| e.in_file(path))?;
+    let times = super::clouds::times(path, limits)?;
     let raw = picked(&times, numbers).into_iter().collect::<Option<Vec<_>>>().unwrap_or_else(by_rate);
     Ok(super::stamps::strictly_increasing(&raw))
 }

@@ -5,7 +5,7 @@
 //! - TUM RGB-D: `depth.txt`, `rgb.txt`, `groundtruth.txt`;
 //! - KITTI: a folder `velodyne` of `.bin` or `.pcd`, perhaps `times*.txt`, `poses*.txt`, `calib*.txt`;
 //! - CARMEN: a `.clf` or `.log`, or a folder with one, perhaps with a corrected log and a `.relations` beside it;
-//! - PCD and PLY: a file, or a folder of them.
+//! - PCD and PLY: a file, or a folder of them, perhaps with `times*.txt` or `groundtruth*.tum`.
 //!
 //! The base of a recording looks along x: a camera's base is its optical frame turned by
 //! [`SensorSpec::optical_rotation`], a lidar's is the lidar itself.
@@ -96,6 +96,8 @@ pub struct Dataset {
     pub reference_source: Option<String>,
     /// Relative poses that were checked by hand (CARMEN), at stamps of the frames.
     pub relations: Option<Vec<Relation>>,
+    /// Whether the recording, or its format, says when the frames were taken. If not, they are a second apart.
+    pub is_timed: bool,
     /// Stamps of the primary sensor's frames, strictly increasing.
     stamps: Arc<[Timestamp]>,
     /// What the file says instead, where that does not rise.

@@ -61,6 +61,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference: has_reference.then_some(reference),
         reference_source: has_reference.then(|| "pose.txt".to_owned()),
         relations: None,
+        is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),
         odometry: Arc::default(),

@@ -6,6 +6,13 @@ use std::collections::BTreeMap;
 /// Nanoseconds between rows whose stamps say nothing.
 const STEP_NS: i64 = 1_000_000_000;
 
+/// Whether at most half of the stamps differ.
+pub(super) fn are_useless(raw: &[Timestamp]) -> bool {
+    let mut sorted = raw.to_vec();
+    sorted.sort_unstable();
+    raw.len() > 1 && sorted.chunk_by(|a, b| a == b).count() * 2 <= raw.len()
+}
+
 /// Strictly increasing stamps for rows that were logged in order, but stamped with jitter.
 ///
 /// Logs exist (Intel Research Lab) in which rows follow one another as the robot moved, while stamps jump back
@@ -16,8 +23,7 @@ const STEP_NS: i64 = 1_000_000_000;
 pub(super) fn strictly_increasing(raw: &[Timestamp]) -> Vec<Timestamp> {
     let mut out = raw.to_vec();
     out.sort_unstable();
-    let num_distinct = out.chunk_by(|a, b| a == b).count();
-    if raw.len() > 1 && num_distinct * 2 <= raw.len() {
+    if are_useless(raw) {
         let row = |i| Timestamp(raw[0].0.saturating_add(i as i64 * STEP_NS));
         return (0..raw.len()).map(row).collect();
     }
@@ -29,9 +35,7 @@ pub(super) fn strictly_increasing(raw: &[Timestamp]) -> Vec<Timestamp> {
 
 /// Each delivered stamp with the raw one that it stands for, where they differ; none if the raw ones say nothing.
 pub(super) fn restamped(raw: &[Timestamp], delivered: &[Timestamp]) -> BTreeMap<Timestamp, Timestamp> {
-    let mut sorted = raw.to_vec();
-    sorted.sort_unstable();
-    if sorted.chunk_by(|a, b| a == b).count() * 2 <= raw.len() {
+    if are_useless(raw) {
         return BTreeMap::new();
     }
     delivered.iter().copied().zip(raw.iter().copied()).filter(|(a, b)| a != b).collect()

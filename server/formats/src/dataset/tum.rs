@@ -44,6 +44,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference,
         reference_source: truth_path.map(name),
         relations: None,
+        is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),
         odometry: Arc::default(),

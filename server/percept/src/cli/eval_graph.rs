@@ -2,7 +2,7 @@
 
 use super::Failure;
 use percept_bench::g2o::{numbered, pose_graph};
-use percept_formats::g2o::{G2oFile, G2oGraph};
+use percept_formats::g2o::{G2oFile, G2oGraph, Indefinite};
 use percept_formats::{Limits, parse_g2o, read_file, write_g2o};
 use percept_slam::pose_graph::{Manifold, OptimiseParams, OptimiseReport, PlanarPose, solve};
 use serde_json::json;
@@ -19,6 +19,9 @@ pub(crate) struct GraphArgs {
     /// Steps at most.
     #[arg(long, default_value_t = OptimiseParams::default().max_iterations)]
     max_iterations: usize,
+    /// Replace information that is not positive semi-definite by the nearest that is, instead of refusing the file.
+    #[arg(long)]
+    project_information: bool,
     /// Print one JSON object instead of a line.
     #[arg(long)]
     json: bool,
@@ -27,7 +30,8 @@ pub(crate) struct GraphArgs {
 pub(crate) fn run(args: &GraphArgs) -> Result<(), Failure> {
     let in_file = |e: &dyn std::fmt::Display| Failure::from(format!("{}: {e}", args.file.display()));
     let bytes = read_file(&args.file, &Limits::default())?;
-    let mut file = parse_g2o(&bytes, &Limits::default()).map_err(|e| in_file(&e))?;
+    let indefinite = if args.project_information { Indefinite::Project } else { Indefinite::Refuse };
+    let mut file = parse_g2o(&bytes, &Limits::default(), indefinite).map_err(|e| in_file(&e))?;
     let params = OptimiseParams { max_iterations: args.max_iterations, ..OptimiseParams::default() };
     let solved = match &mut file {
         G2oFile::Planar(graph) => {

@@ -62,6 +62,12 @@ pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
         let kinds = "the recording has none of the sensors asked for; leave --sensors out to see what it has";
         return Err(kinds.into());
     }
+    if !recording.is_timed && recording.len() > 1 {
+        eprintln!(
+            "percept: nothing says when these frames were taken; they are played a second apart. A times.txt beside them, a row \
+             of seconds for each, would tell how fast they come"
+        );
+    }
     match &args.server {
         None => in_process(&args, &recording),
         Some(server) => {
@@ -101,13 +107,17 @@ fn report(args: &ReplayArgs, recording: &Dataset) -> Report {
         kind: recording.kind.name().to_owned(),
         sensor: primary(recording).map(|s| format!("{:?}", s.kind).to_lowercase()).unwrap_or_default(),
         frames: n,
+        timed: recording.is_timed,
         ..Report::default()
     }
 }
 
-/// Recorded seconds of the part that was played.
+/// Recorded seconds of the part that was played; 0 if nothing tells them.
 fn recorded_s(args: &ReplayArgs, recording: &Dataset) -> f64 {
     let stamps = &recording.stamps()[part(args, recording)];
+    if !recording.is_timed {
+        return 0.0;
+    }
     match (stamps.first(), stamps.last()) {
         (Some(first), Some(last)) => last.seconds_since(*first),
         _ => 0.0,

@@ -15,6 +15,8 @@ pub(crate) struct Report {
     pub(crate) sensor: String,
     /// Frames of that sensor.
     pub(crate) frames: usize,
+    /// Whether the recording says when they were taken; if not, they are a second apart.
+    pub(crate) timed: bool,
     /// Of those, placed.
     pub(crate) tracked: usize,
     /// Frames that could not be read or were refused.

@@ -25,6 +25,7 @@ pub use start::chordal;
 
 use nalgebra::{SMatrix, SVector};
 use pattern::Pattern;
+use percept_geometry::information::is_information;
 
 /// A measured pose of one node seen from another.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -141,10 +142,9 @@ impl<P: Manifold<D>, const D: usize> PoseGraph<P, D> {
                 return bad("t_from_to", "finite");
             }
             let information = &e.information;
-            let scale = information.amax();
             let asymmetry = (information - information.transpose()).amax();
-            if !scale.is_finite() || asymmetry > 1e-9 * scale || information.diagonal().iter().any(|v| *v < 0.0) {
-                return bad("information", "finite, symmetric and not negative on its diagonal");
+            if asymmetry > 1e-9 * information.amax() || !is_information(information) {
+                return bad("information", "finite, symmetric and positive semi-definite");
             }
             let (a, b) = (root(&mut parent, e.from), root(&mut parent, e.to));
             parent[a.max(b) as usize] = a.min(b);
