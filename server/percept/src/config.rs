@@ -144,7 +144,7 @@ impl Default for Storage {
             s3_endpoint: String::new(),
             s3_region: String::new(),
             s3_allow_http: false,
-            cache_dir: PathBuf::new(),
+            cache_dir: PathBuf::from(""),
             cache_mb: 4096,
             shared: false,
             advertise: String::new(),

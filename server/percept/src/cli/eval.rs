@@ -1,6 +1,6 @@
 //! `percept eval`: metrics against ground truth.
 
-use super::{Failure, eval_graph, eval_relations, eval_sim, eval_slam, eval_trajectory};
+use super::{Failure, eval_graph, eval_relations, eval_sim, eval_slam, eval_trajectory, eval_wheels};
 
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum EvalCommand {
@@ -12,6 +12,8 @@ pub(crate) enum EvalCommand {
     Graph(eval_graph::GraphArgs),
     /// The whole pipeline in simulated sessions with loops, kidnaps and other trouble, against exact truth.
     Slam(eval_slam::SlamArgs),
+    /// A recording whose wheels lie at chosen places, beside the same with honest wheels and with none.
+    Wheels(eval_wheels::WheelsArgs),
     /// Objects found in simulated worlds: precision and recall.
     Objects(eval_sim::ObjectsArgs),
     /// Paths planned in simulated worlds, checked against the true occupancy.
@@ -24,6 +26,7 @@ pub(crate) fn run(command: EvalCommand) -> Result<(), Failure> {
         EvalCommand::Relations(args) => eval_relations::run(&args),
         EvalCommand::Graph(args) => eval_graph::run(&args),
         EvalCommand::Slam(args) => eval_slam::run(&args),
+        EvalCommand::Wheels(args) => eval_wheels::run(&args),
         EvalCommand::Objects(args) => eval_sim::objects(&args),
         EvalCommand::Planning(args) => eval_sim::planning(&args),
     }

@@ -2,6 +2,7 @@
 
 mod bench;
 mod client;
+mod corrupt;
 mod demo;
 mod eval;
 mod eval_graph;
@@ -9,6 +10,7 @@ mod eval_relations;
 mod eval_sim;
 mod eval_slam;
 mod eval_trajectory;
+mod eval_wheels;
 mod health;
 mod input;
 mod keys;
