@@ -152,7 +152,7 @@ fn clouds_go_by_the_numbers_in_their_names() {
 #[test]
 fn clouds_have_their_stamps_from_beside_them_or_from_nobody() {
     let cloud = pcd::encode(&PointCloud::from_positions(vec![Point3::new(0.0, 1.0, 2.0)])).unwrap();
-    let seconds = |dataset: &Dataset| dataset.stamps().iter().map(|t| t.0 as f64 * 1e-9).collect::<Vec<_>>();
+    let seconds = |dataset: &Dataset| dataset.stamps().iter().map(|t| t.0 as f64 / 1e9).collect::<Vec<_>>();
     let times: &[u8] = b"# seconds\n7.25\n7.5\n8\n";
     let truth: &[u8] = b"3.5 0 0 0 0 0 0 1\n4 1 0 0 0 0 0 1\n4.5 2 0 0 0 0 0 1\n";
     let clouds = [("a/1.pcd", &cloud[..]), ("a/2.pcd", &cloud), ("a/3.pcd", &cloud)];
