@@ -78,11 +78,12 @@ impl BlobCache {
     /// Opens the directory. Of what is in it stays only what lies below one of these folders.
     ///
     /// # Errors
-    /// [`StoreError::Io`], [`StoreError::Full`].
+    /// [`StoreError::CacheUnusable`].
     pub(crate) async fn open(config: CacheConfig, folders: HashSet<PathBuf>) -> Result<Arc<Self>, StoreError> {
         blocking(move || {
-            let io = |error| StoreError::from_io("open the cache of blobs", error);
-            std::fs::create_dir_all(&config.directory).map_err(io)?;
+            let directory = config.directory.clone();
+            let unusable = |error| StoreError::CacheUnusable { directory, source: Arc::new(error) };
+            std::fs::create_dir_all(&config.directory).map_err(unusable.clone())?;
             let known = Known::default();
             let cache = Self {
                 config,
@@ -90,7 +91,7 @@ impl BlobCache {
                 next_part: AtomicU64::new(0),
                 has_failed: AtomicBool::new(false),
             };
-            cache.find(&folders).map_err(io)?;
+            cache.find(&folders).map_err(unusable)?;
             Ok(Arc::new(cache))
         })
         .await?

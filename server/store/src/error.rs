@@ -63,6 +63,14 @@ pub enum StoreError {
         /// What it holds, shortened.
         text: String,
     },
+    /// The directory for copies of blobs cannot be read and written.
+    #[error("cannot keep copies of blobs in {}: {source}; name a directory that can be written, or none", directory.display())]
+    CacheUnusable {
+        /// The directory.
+        directory: PathBuf,
+        /// What the system says.
+        source: Arc<std::io::Error>,
+    },
     /// A text that names no place for data.
     #[error("data location {text:?} is not {requirement}")]
     InvalidLocation {

@@ -66,8 +66,8 @@ impl DataRoot {
     ///
     /// # Errors
     /// [`StoreError::DirectoryInUse`], [`StoreError::FormatTooNew`], [`StoreError::FormatUnreadable`],
-    /// [`StoreError::FormatTooOld`] if it is to be read only, [`StoreError::CreateNotAtomic`], [`StoreError::Full`],
-    /// [`StoreError::Io`].
+    /// [`StoreError::FormatTooOld`] if it is to be read only, [`StoreError::CreateNotAtomic`],
+    /// [`StoreError::CacheUnusable`], [`StoreError::Full`], [`StoreError::Io`].
     pub async fn open(config: RootConfig) -> Result<Self, StoreError> {
         let (objects, directory, lock): (Arc<dyn ObjectStore>, _, _) = match &config.location {
             Location::Objects(objects) | Location::Bucket(objects) => (objects.clone(), None, None),

@@ -134,3 +134,13 @@ async fn a_cache_that_cannot_be_written_is_done_without() {
     assert_eq!(store.get_blob(first).await.unwrap(), value("first"));
     assert_eq!(store.get_blob(second).await.unwrap(), value("second"));
 }
+
+#[tokio::test]
+async fn a_cache_that_cannot_be_made_is_said() {
+    let directory = tempfile::tempdir().unwrap();
+    let taken = directory.path().join("taken");
+    std::fs::write(&taken, b"a file").unwrap();
+    let error = percept_store::DataRoot::open(cached(&Arc::new(InMemory::new()), &taken, 1 << 20)).await.unwrap_err();
+    assert!(matches!(&error, StoreError::CacheUnusable { directory, .. } if *directory == taken), "{error}");
+    assert!(error.to_string().contains("name a directory that can be written"), "{error}");
+}
