@@ -71,11 +71,23 @@ fn euroc_row(line: &Line<'_>) -> Result<Stamped<Pose>, FormatError> {
 /// # Errors
 /// `Write` if the writer refuses.
 pub fn write_tum(out: &mut impl Write, trajectory: &[Stamped<Pose>]) -> Result<(), FormatError> {
-    for Stamped { stamp, value } in trajectory {
-        let t = value.translation.vector;
-        let [x, y, z, w] = se3::quaternion_xyzw(value);
-        writeln!(out, "{stamp} {:.9} {:.9} {:.9} {x:.9} {y:.9} {z:.9} {w:.9}", t.x, t.y, t.z)?;
-    }
+    trajectory.iter().try_for_each(|pose| write_tum_row(out, pose, true))
+}
+
+/// Writes one TUM row with nine decimals; a pose that is but a guess as a comment, so that no reader takes it for a measured
+/// one.
+///
+/// # Errors
+/// `Write` if the writer refuses.
+pub fn write_tum_row(
+    out: &mut impl Write,
+    Stamped { stamp, value }: &Stamped<Pose>,
+    is_measured: bool,
+) -> Result<(), FormatError> {
+    let mark = if is_measured { "" } else { "# guessed: " };
+    let t = value.translation.vector;
+    let [x, y, z, w] = se3::quaternion_xyzw(value);
+    writeln!(out, "{mark}{stamp} {:.9} {:.9} {:.9} {x:.9} {y:.9} {z:.9} {w:.9}", t.x, t.y, t.z)?;
     Ok(())
 }
 

@@ -28,6 +28,18 @@ impl<T: Clone> Chunks<T> {
         }
     }
 
+    /// Puts another element in the place of element `i`, if there is one: copies its chunk, if somebody shares it.
+    pub fn replace(&mut self, i: usize, value: T) {
+        let in_tail = i.checked_sub(self.full.len() * CHUNK);
+        let chunk = match in_tail {
+            Some(_) => &mut self.tail,
+            None => &mut Arc::make_mut(&mut self.full)[i / CHUNK],
+        };
+        if let Some(slot) = Arc::make_mut(chunk).get_mut(in_tail.unwrap_or(i % CHUNK)) {
+            *slot = value;
+        }
+    }
+
     /// Number of elements.
     pub fn len(&self) -> usize {
         self.full.len() * CHUNK + self.tail.len()

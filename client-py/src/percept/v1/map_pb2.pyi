@@ -64,7 +64,7 @@ class _MapFormatEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_MapFormat.V
     MAP_FORMAT_CLOUD_PLY: _MapFormat.ValueType  # 4
     """Coloured cloud, binary little-endian PLY."""
     MAP_FORMAT_TRAJECTORY_TUM: _MapFormat.ValueType  # 5
-    """Trajectory, TUM text (t_map_base)."""
+    """Trajectory, TUM text (t_map_base); poses of frames that were lost as comments."""
     MAP_FORMAT_OVERVIEW_PNG: _MapFormat.ValueType  # 6
     """Picture: occupancy with trajectory and objects."""
     MAP_FORMAT_CLOUD_TOP_PNG: _MapFormat.ValueType  # 7
@@ -85,7 +85,7 @@ MAP_FORMAT_NAV2_YAML: MapFormat.ValueType  # 3
 MAP_FORMAT_CLOUD_PLY: MapFormat.ValueType  # 4
 """Coloured cloud, binary little-endian PLY."""
 MAP_FORMAT_TRAJECTORY_TUM: MapFormat.ValueType  # 5
-"""Trajectory, TUM text (t_map_base)."""
+"""Trajectory, TUM text (t_map_base); poses of frames that were lost as comments."""
 MAP_FORMAT_OVERVIEW_PNG: MapFormat.ValueType  # 6
 """Picture: occupancy with trajectory and objects."""
 MAP_FORMAT_CLOUD_TOP_PNG: MapFormat.ValueType  # 7

@@ -1,6 +1,6 @@
 //! `percept eval`: metrics against ground truth.
 
-use super::{Failure, eval_graph, eval_relations, eval_sim, eval_slam, eval_trajectory, eval_wheels};
+use super::{Failure, eval_gap, eval_graph, eval_relations, eval_sim, eval_slam, eval_trajectory, eval_wheels};
 
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum EvalCommand {
@@ -14,6 +14,8 @@ pub(crate) enum EvalCommand {
     Slam(eval_slam::SlamArgs),
     /// A recording whose wheels lie at chosen places, beside the same with honest wheels and with none.
     Wheels(eval_wheels::WheelsArgs),
+    /// A recording with a part cut out, after which the robot has to find itself again.
+    Gap(eval_gap::GapArgs),
     /// Objects found in simulated worlds: precision and recall.
     Objects(eval_sim::ObjectsArgs),
     /// Paths planned in simulated worlds, checked against the true occupancy.
@@ -27,6 +29,7 @@ pub(crate) fn run(command: EvalCommand) -> Result<(), Failure> {
         EvalCommand::Graph(args) => eval_graph::run(&args),
         EvalCommand::Slam(args) => eval_slam::run(&args),
         EvalCommand::Wheels(args) => eval_wheels::run(&args),
+        EvalCommand::Gap(args) => eval_gap::run(&args),
         EvalCommand::Objects(args) => eval_sim::objects(&args),
         EvalCommand::Planning(args) => eval_sim::planning(&args),
     }

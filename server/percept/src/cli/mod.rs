@@ -5,6 +5,7 @@ mod client;
 mod corrupt;
 mod demo;
 mod eval;
+mod eval_gap;
 mod eval_graph;
 mod eval_relations;
 mod eval_sim;

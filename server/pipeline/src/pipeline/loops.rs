@@ -3,6 +3,7 @@
 
 use super::revising::Decision;
 use super::{FrameReport, MapChange, NewKeyframe, Pipeline, Restored};
+use crate::TrajectoryEntry;
 use crate::graph_worker::{Answer, Answers, GraphWorker, Question, Relocated, Sighting};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId, SensorSpec, Timestamp, se3};
 use percept_slam::loops::{LoopClosure, place_recognition};
@@ -33,6 +34,8 @@ pub(super) struct FloatingPart {
     /// Tells it from those before.
     number: u64,
     keyframes: Vec<Floating>,
+    /// Base to odom at the frames that odometry has placed in it.
+    frames: Vec<(Timestamp, Pose)>,
     /// Whether it was asked where this is, and not answered yet.
     is_asked: bool,
 }
@@ -180,6 +183,7 @@ impl Pipeline {
         if let Some(Relocated { found: Some(found), t_odom_base, .. }) = found {
             return self.join(&found, &t_odom_base, estimate, report);
         }
+        self.floating.frames.push((estimate.stamp, estimate.t_odom_base));
         let (Some(odometry), Some(frames)) = (&self.odometry, self.anchoring.frames_adrift()) else { return false };
         let is_far =
             self.floating.keyframes.last().is_none_or(|last| self.is_keyframe_away(&last.t_odom_base, estimate));
@@ -201,6 +205,8 @@ impl Pipeline {
             let keyframes = &mut self.floating.keyframes;
             if keyframes.len() == MOST_FLOATING {
                 keyframes.remove(0);
+                let first = keyframes.first().map_or(estimate.stamp, |f| f.stamp);
+                self.floating.frames.retain(|(stamp, _)| *stamp >= first);
             }
             let (stamp, sensor, t_odom_base) = (estimate.stamp, spec.id.clone(), estimate.t_odom_base);
             keyframes.push(Floating { stamp, sensor, t_odom_base, scan: Arc::new(scan) });
@@ -228,6 +234,7 @@ impl Pipeline {
         self.place_odometry(found.keyframe, &(found.t_keyframe_base * t_odom_found.inverse()));
         self.after_gap = true;
         let floating = std::mem::take(&mut self.floating.keyframes);
+        let frames = std::mem::take(&mut self.floating.frames);
         self.floating.begin_anew();
         let last = floating.len().saturating_sub(1);
         for (k, f) in floating.into_iter().enumerate() {
@@ -239,8 +246,32 @@ impl Pipeline {
             self.policy(&keyframe.info.sensor).resume(&f.t_odom_base);
             report.joined.push(keyframe);
         }
+        report.mended = self.mend(&frames, &report.joined);
         self.anchoring.found(estimate);
         true
+    }
+
+    /// Hangs frames whose odom poses are known on the keyframes before them, oldest first, that are of the same part.
+    fn mend(&mut self, frames: &[(Timestamp, Pose)], keyframes: &[NewKeyframe]) -> Vec<TrajectoryEntry> {
+        let mut mended = vec![];
+        for (stamp, t_odom_base) in frames {
+            let after = keyframes.partition_point(|k| k.info.stamp <= *stamp);
+            let Some(anchor) = after.checked_sub(1).and_then(|k| keyframes.get(k)) else { continue };
+            let i = self.trajectory.partition_point(|e| e.stamp < *stamp);
+            if self.trajectory.get(i).is_none_or(|e| e.stamp != *stamp) {
+                continue;
+            }
+            let entry = TrajectoryEntry {
+                stamp: *stamp,
+                tracked: true,
+                anchor: Some(anchor.info.id),
+                t_anchor_base: anchor.t_odom_base.inv_mul(t_odom_base),
+                is_keyframe: anchor.info.stamp == *stamp,
+            };
+            self.trajectory.replace(i, entry);
+            mended.push(entry);
+        }
+        mended
     }
 }
 

@@ -19,6 +19,9 @@ pub struct FrameReport {
     pub changes: Vec<ObjectChange>,
     /// Keyframes of a part of the map that joined it with this frame, older than `keyframe`.
     pub joined: Vec<NewKeyframe>,
+    /// Entries of the trajectory that are now known better, ascending: of frames since the robot was adrift, which hang on the
+    /// keyframes that joined.
+    pub mended: Vec<TrajectoryEntry>,
     /// What changed in the map besides.
     pub map: MapChange,
 }

@@ -2,7 +2,7 @@
 
 use crate::drive::{empty, feed, planar, simulation};
 use percept_geometry::{SensorFrame, Timestamp};
-use percept_pipeline::PipelineParams;
+use percept_pipeline::{PipelineParams, TrajectoryEntry};
 use percept_sim::{MainSensor, Scenario, SensorSuite, SimParams, Simulation, WorldParams};
 use percept_slam::{LostReason, TrackingState};
 
@@ -43,8 +43,28 @@ fn a_robot_carried_off_is_lost_and_leaves_the_map_alone_until_it_is_back() {
     assert_eq!(lost.layers.occupancy, before.layers.occupancy);
 
     let back = away.last().unwrap().stamp.nanos() + gap + 1_000_000_000;
-    feed(&mut pipeline, later(rest, back - rest[0].stamp.nanos()));
-    let found = pipeline.snapshot().pose.unwrap();
+    let (by, mut mended) = (back - rest[0].stamp.nanos(), vec![]);
+    for frame in later(rest, by) {
+        mended.extend(pipeline.process(&frame).unwrap().mended);
+    }
+    pipeline.settle();
+    let snapshot = pipeline.snapshot();
+    // What it saw before it was found again is known since, and what it saw elsewhere is not.
+    assert!(mended.len() > 10, "{}", mended.len());
+    let of_home = snapshot.trajectory().filter(|(_, e)| e.stamp.nanos() >= back);
+    let known = of_home.filter(|(_, e)| e.tracked).collect::<Vec<_>>();
+    // But for the three seconds until odometry began anew.
+    assert!(known.len() + 30 >= rest.len(), "{} of {}", known.len(), rest.len());
+    for (t_map_base, entry) in &known {
+        let truth = home.t_world_start().inverse() * home.pose_at(Timestamp::from_nanos(entry.stamp.nanos() - by));
+        let off = (truth.translation.vector - t_map_base.translation.vector).norm();
+        assert!(off < 0.15, "{}: {off}", entry.stamp);
+    }
+    let stored = |e: &TrajectoryEntry| known.iter().any(|(_, k)| *k == e);
+    assert!(mended.iter().all(stored), "what is stored is what is shown");
+    let of_elsewhere = snapshot.trajectory().filter(|(_, e)| (left + 1..back).contains(&e.stamp.nanos()));
+    assert!(of_elsewhere.filter(|(_, e)| e.tracked).count() == 0);
+    let found = snapshot.pose.unwrap();
     assert_eq!(found.state, TrackingState::Tracking);
     let truth = home.t_world_start().inverse() * home.pose_at(rest.last().unwrap().stamp);
     let off = (truth.translation.vector - found.t_map_base.translation.vector).norm();

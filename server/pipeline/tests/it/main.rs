@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod adrift;
+mod beside;
 mod camera;
 mod correction;
 mod drive;

@@ -377,10 +377,12 @@ fn export_telling(
             ("pcd", "application/octet-stream", progress.written(Some(size), |out| pcd::write(out, &cloud))?)
         }
         F::TrajectoryTum => {
-            let poses: Vec<_> =
-                s.trajectory_in_one_unit().map(|(value, e)| Stamped { stamp: e.stamp, value }).collect();
             writing()?;
-            ("tum", "text/plain", progress.written(None, |out| trajectory::write_tum(out, &poses))?)
+            let mut rows = s.trajectory_in_one_unit().map(|(value, e)| (Stamped { stamp: e.stamp, value }, e.tracked));
+            let tum = progress.written(None, |out| {
+                rows.try_for_each(|(pose, is_tracked)| trajectory::write_tum_row(out, &pose, is_tracked))
+            })?;
+            ("tum", "text/plain", tum)
         }
         F::OverviewPng => {
             let grid = grid()?;

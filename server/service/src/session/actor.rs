@@ -209,11 +209,22 @@ impl Actor {
         let keyframe = report.keyframe.as_ref().map(|k| k.info.id);
         let mut keyframes = report.joined;
         keyframes.extend(report.keyframe);
-        let (frame, entry) = (Some((sensor.clone(), stamp)), report.trajectory);
+        let (frame, entry, mended) = (Some((sensor.clone(), stamp)), report.trajectory, report.mended);
         let MapChange { loops, dissolved, corrected, merged } = report.map;
         let received = Some(came);
-        let job =
-            Job { received, frame, entry, keyframes, loops, objects, corrected, merged, dissolved, ..Job::default() };
+        let job = Job {
+            received,
+            frame,
+            entry,
+            mended,
+            keyframes,
+            loops,
+            objects,
+            corrected,
+            merged,
+            dissolved,
+            ..Job::default()
+        };
         let ticket = self.persister.submit(job).await;
         lock(&self.session.book).accepted(&sensor, stamp, ticket);
         let latency_s = came.elapsed().as_secs_f64();

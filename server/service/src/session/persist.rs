@@ -29,6 +29,8 @@ pub(crate) struct Job {
     /// Whose frame it was, and when.
     pub(crate) frame: Option<(SensorId, Timestamp)>,
     pub(crate) entry: Option<TrajectoryEntry>,
+    /// Entries of earlier frames that are now known better.
+    pub(crate) mended: Vec<TrajectoryEntry>,
     /// New keyframes, by number.
     pub(crate) keyframes: Vec<NewKeyframe>,
     /// Loops that were found or changed their state.

@@ -26,12 +26,15 @@ const TIDY_AFTER: usize = 64;
 /// Blobs that nobody names stay for so long: one may have been stored for a record that is still to come.
 pub(super) const GRACE: Duration = Duration::from_secs(120);
 
+/// Entries of the trajectory with their tickets.
+type Chunk = Vec<(u64, TrajectoryEntry)>;
+
 /// What is in the store when a session wakes, as far as the writer has to know it.
 #[derive(Default)]
 pub(crate) struct Stored {
     pub(crate) state: StateRecord,
     /// Tickets and entries at the end of the trajectory that are in no chunk.
-    pub(crate) tail: Vec<(u64, TrajectoryEntry)>,
+    pub(crate) tail: Chunk,
     pub(crate) objects: BTreeMap<ObjectId, Object>,
     /// Whether all objects are in one record, as older sessions have it.
     pub(crate) objects_in_one: bool,
@@ -58,6 +61,7 @@ impl Writer {
         let mut blobs = blobs.into_iter();
         let mut state = self.stored.state.clone();
         let mut tail = self.stored.tail.clone();
+        let mut sealed = BTreeMap::new();
         let mut num_merged = 0;
         for (ticket, job) in batch {
             for (k, blob) in job.keyframes.iter().zip(&mut blobs) {
@@ -79,11 +83,14 @@ impl Writer {
                 num_merged += 1;
             }
             job.dissolved.iter().for_each(|id| out.delete(keys::loop_closure(id.0)));
+            if !job.mended.is_empty() {
+                self.mend(&job.mended, (&mut sealed, &mut tail), &mut out).await?;
+            }
             if let Some(entry) = job.entry {
                 tail.push((*ticket, entry));
                 out.put((keys::trajectory(*ticket), json(&entry)?));
                 if tail.len() >= CHUNK {
-                    seal(&mut tail, &mut out)?;
+                    sealed.extend(seal(&mut tail, &mut out)?);
                 }
             }
             if let Some(meta) = &job.meta {
@@ -128,6 +135,41 @@ impl Writer {
         if let Err(error) = collect_garbage(self.store.as_ref(), mark, GRACE).await {
             tracing::warn!(?error, "scans that nobody needs were not removed");
         }
+    }
+
+    /// Rewrites entries of the trajectory, by their stamps: those at its end, in chunks of this batch, and in those before.
+    async fn mend(
+        &self,
+        mended: &[TrajectoryEntry],
+        (sealed, tail): (&mut BTreeMap<u64, Chunk>, &mut Chunk),
+        out: &mut Batch,
+    ) -> Result<(), Trouble> {
+        let better = |e: &mut TrajectoryEntry| {
+            let known = mended.binary_search_by_key(&e.stamp, |m| m.stamp).ok().and_then(|k| mended.get(k));
+            known.filter(|m| *m != e).map(|m| *e = *m).is_some()
+        };
+        for (ticket, entry) in tail {
+            if better(entry) {
+                out.put((keys::trajectory(*ticket), json(entry)?));
+            }
+        }
+        let mut changed = vec![];
+        for (key, bytes) in self.store.scan_all(&keys::trajectories()).await? {
+            let Some(ticket) = key.number().filter(|ticket| !sealed.contains_key(ticket)) else { continue };
+            let TrajectoryRecord::Chunk(mut entries) = parse("a part of the trajectory", &bytes)? else { continue };
+            if entries.iter_mut().filter_map(|e| better(e).then_some(())).count() > 0 {
+                changed.push((ticket, entries));
+            }
+        }
+        for (ticket, chunk) in sealed {
+            if chunk.iter_mut().filter_map(|(_, e)| better(e).then_some(())).count() > 0 {
+                changed.push((*ticket, chunk.iter().map(|(_, e)| *e).collect()));
+            }
+        }
+        for (ticket, entries) in changed {
+            out.put((keys::trajectory(ticket), json(&TrajectoryRecord::Chunk(entries))?));
+        }
+        Ok(())
     }
 
     fn changed_objects(&self, objects: &[Object], out: &mut Batch) -> Result<(), Trouble> {
@@ -175,14 +217,14 @@ impl Writer {
 }
 
 /// One record of the entries in `tail`, under the ticket of the first.
-fn seal(tail: &mut Vec<(u64, TrajectoryEntry)>, out: &mut Batch) -> Result<(), Trouble> {
+fn seal(tail: &mut Chunk, out: &mut Batch) -> Result<Option<(u64, Chunk)>, Trouble> {
     let entries = std::mem::take(tail);
-    let Some((first, _)) = entries.first() else { return Ok(()) };
+    let Some((first, _)) = entries.first() else { return Ok(None) };
     let first = *first;
     entries.iter().filter(|(ticket, _)| *ticket != first).for_each(|(ticket, _)| out.delete(keys::trajectory(*ticket)));
-    let chunk = TrajectoryRecord::Chunk(entries.into_iter().map(|(_, entry)| entry).collect());
+    let chunk = TrajectoryRecord::Chunk(entries.iter().map(|(_, entry)| *entry).collect());
     out.put((keys::trajectory(first), json(&chunk)?));
-    Ok(())
+    Ok(Some((first, entries)))
 }
 
 /// Encodes and stores what a keyframe saw, away from the threads that answer.

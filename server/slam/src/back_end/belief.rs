@@ -2,6 +2,7 @@
 //! before.
 
 use super::consensus::{AGREE, Tie, agreeing, chi2, within_drift};
+use super::solve::Effort;
 use super::{BackEnd, Loop, LoopId, LoopState};
 use crate::loops::LoopClosure;
 use percept_geometry::Covariance6;
@@ -86,7 +87,7 @@ impl BackEnd {
         let group: Vec<usize> = group.iter().map(|&g| far[g]).collect();
         let (poses, drift, misfits) = (self.poses.clone(), (self.drift, self.drift_solved), self.misfits());
         group.iter().for_each(|&k| self.loops[k].state = LoopState::Active);
-        self.solve();
+        self.solve(Effort::Thorough);
         // What was believed before has to say so itself: none of it is doubted until the group is believed.
         let holds = group.iter().all(|&k| self.misfit(k) < AGREE) && self.misfits() <= misfits + group.len() / 4;
         changed.extend(&group);

@@ -18,6 +18,7 @@ mod tests;
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use chain::{Chain, step_covariance};
 use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, se3};
+use solve::Effort;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 pub use thinning::MergedKeyframe;
@@ -107,7 +108,7 @@ impl BackEnd {
         let mut changed = self.add_loops(tied.into_iter().collect());
         // Place recognition is to know where it has to look.
         if !changed.is_empty() && self.judge(&mut changed) {
-            self.optimise(&mut changed);
+            self.optimise(Effort::Thorough, &mut changed);
         }
         let found = match keyframe.recognise {
             true => self.recognition.insert(keyframe.id, &keyframe.scan, &self.drift, &self.by_id),
@@ -118,8 +119,10 @@ impl BackEnd {
         self.since_optimised += 1;
         self.since_given += 1;
         let is_tied = self.loops.iter().any(|l| l.state == LoopState::Active);
-        if urgent || (is_tied && self.since_optimised >= LAZY) {
-            self.optimise(&mut changed);
+        if urgent {
+            self.optimise(Effort::Thorough, &mut changed);
+        } else if is_tied && self.since_optimised >= LAZY {
+            self.optimise(Effort::Routine, &mut changed);
         }
         let loops = self.loops_at(changed);
         let update = BackEndUpdate { loops, correction: self.due(), ..BackEndUpdate::default() };
@@ -145,7 +148,7 @@ impl BackEnd {
         let mut changed = vec![position];
         if state != was && (state == LoopState::Active || was == LoopState::Active) {
             self.restart();
-            self.optimise(&mut changed);
+            self.optimise(Effort::Thorough, &mut changed);
         }
         let loops = self.loops_at(changed);
         let update = BackEndUpdate { loops, correction: self.give(), ..BackEndUpdate::default() };
@@ -182,7 +185,7 @@ impl BackEnd {
     fn settled(&mut self) -> BackEndUpdate {
         let mut changed = vec![];
         if self.since_optimised > 0 && self.loops.iter().any(|l| l.state == LoopState::Active) {
-            self.optimise(&mut changed);
+            self.optimise(Effort::Thorough, &mut changed);
         }
         let loops = self.loops_at(changed);
         BackEndUpdate { loops, correction: self.give(), ..BackEndUpdate::default() }
@@ -217,7 +220,7 @@ impl BackEnd {
         self.next_loop = next_loop.max(loops.last().map_or(0, |l| l.id.0 + 1));
         self.loops = loops;
         // What loops left of the drift; the map stays as it was stored.
-        if let Some(solved) = solve::solve(&self.chain, &self.active_ties(), &self.poses) {
+        if let Some(solved) = solve::solve(&self.chain, &self.active_ties(), &self.poses, Effort::Routine) {
             self.drift = solved.covariance_of_newest;
             self.drift_solved = self.drift;
         }
@@ -309,16 +312,16 @@ impl BackEnd {
         self.poses = poses;
     }
 
-    fn optimise(&mut self, changed: &mut Vec<usize>) {
-        self.solve();
+    fn optimise(&mut self, effort: Effort, changed: &mut Vec<usize>) {
+        self.solve(effort);
         self.doubt(changed);
     }
 
-    fn solve(&mut self) {
+    fn solve(&mut self, effort: Effort) {
         self.since_optimised = 0;
         let ties = self.active_ties();
         // A graph that cannot be solved leaves the poses as they are.
-        if let Some(solved) = solve::solve(&self.chain, &ties, &self.poses) {
+        if let Some(solved) = solve::solve(&self.chain, &ties, &self.poses, effort) {
             self.drift = solved.covariance_of_newest;
             self.drift_solved = self.drift;
             self.place(solved.poses);

@@ -6,7 +6,17 @@ use crate::pose_graph::{Edge, Equations, OptimiseParams, PoseGraph, Structure, i
 use nalgebra::Matrix6;
 use percept_geometry::{Covariance6, Pose};
 
-/// Rounds of weighing and solving.
+/// How thoroughly a graph is solved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Effort {
+    /// Loops have come that the poses do not know of: all loops have their full weight at first, and lose it in rounds of
+    /// solving and weighing.
+    Thorough,
+    /// The poses explain the loops: those are weighed by how they fit, and solved once.
+    Routine,
+}
+
+/// Rounds of solving and weighing, in a thorough solution.
 const ROUNDS: usize = 3;
 /// Steps of the solver in a round.
 const STEPS: usize = 8;
@@ -19,7 +29,7 @@ pub(super) struct Solved {
 }
 
 /// Least squares over the steps, and Geman and McClure's weights on the loops: one that contradicts the rest fades out.
-pub(super) fn solve(chain: &Chain, ties: &[Tie<'_>], poses: &[Pose]) -> Option<Solved> {
+pub(super) fn solve(chain: &Chain, ties: &[Tie<'_>], poses: &[Pose], effort: Effort) -> Option<Solved> {
     let mut graph = PoseGraph::<Pose, 6> { poses: poses.to_vec(), edges: vec![], fixed: vec![0] };
     for step in chain.steps() {
         let information = information_of(&step.covariance)?;
@@ -34,13 +44,23 @@ pub(super) fn solve(chain: &Chain, ties: &[Tie<'_>], poses: &[Pose]) -> Option<S
     let params = OptimiseParams { max_iterations: STEPS, tolerance: 1e-4 };
     let structure = Structure::of(&graph).ok()?;
     let mut equations = Equations::of(&graph, &structure).ok()?;
-    for round in 0..ROUNDS {
-        equations.optimise(&mut graph, &params).ok()?;
-        if round + 1 < ROUNDS {
-            for (k, tie) in ties.iter().enumerate() {
-                let off = chi2(tie.closure, &graph.poses[tie.from as usize], &graph.poses[tie.to as usize]);
-                let weight = (AGREE / (AGREE + off)).powi(2);
-                graph.edges[steps + k].information = full[k] * weight.max(1e-6);
+    let weigh = |graph: &mut PoseGraph<Pose, 6>| {
+        for (k, tie) in ties.iter().enumerate() {
+            let off = chi2(tie.closure, &graph.poses[tie.from as usize], &graph.poses[tie.to as usize]);
+            let weight = (AGREE / (AGREE + off)).powi(2);
+            graph.edges[steps + k].information = full[k] * weight.max(1e-6);
+        }
+    };
+    match effort {
+        Effort::Routine => {
+            weigh(&mut graph);
+            equations.optimise(&mut graph, &params).ok()?;
+        }
+        Effort::Thorough => {
+            equations.optimise(&mut graph, &params).ok()?;
+            for _ in 1..ROUNDS {
+                weigh(&mut graph);
+                equations.optimise(&mut graph, &params).ok()?;
             }
         }
     }

@@ -2,13 +2,14 @@
 //!
 //! Rooms resemble each other, and one view of a corner with a picture on the wall all the more. So a place that a view was
 //! found in counts only if the views from the way, put where odometry says that they were then, lie on the surfaces that
-//! the map has there and look through none of them; and only if no other place does as well.
+//! the map has there and look through none of them; and only if no other place does as well. One view alone counts where it
+//! shows far more than a picture on a wall: see [`is_sure_alone`].
 
-use super::{MAX_IN_FRONT, MAX_SEEN_THROUGH, MIN_INLIERS, VisualPlaces};
+use super::{MAX_IN_FRONT, MAX_SEEN_THROUGH, MIN_INLIERS, Verified, VisualPlaces};
 use crate::loops::{KeyframePoses, Relocalisation};
 use crate::odometry::diagonal;
 use crate::odometry::rgbd::place::place;
-use percept_geometry::{KeyframeScan, Pose};
+use percept_geometry::{KeyframeId, KeyframeScan, Pose};
 use std::sync::Arc;
 
 /// Places that are looked at: where there are more, nothing tells them apart.
@@ -26,6 +27,34 @@ const MAX_NEAR: usize = 3;
 /// Error of odometry from then to now, metres and radians, and what a view may be off by.
 const ODOMETRY: (f64, f64) = (0.05, 0.03);
 const WINDOW: (f64, f64) = (0.2, 0.1);
+
+/// One view is enough if so many features agree on its place, in so many directions, as no single thing on a wall has, and
+/// hardly any surface contradicts. Views of a real room from 0.3 m and 20 degrees aside have 26 to 55 such features in 9 to 12
+/// directions; of another simulated house none has 12.
+const ALONE_PAIRS: usize = 25;
+const ALONE_DIRECTIONS: usize = 9;
+const ALONE_CONTRADICTS: f64 = 0.06;
+
+/// Whether a view needs no other to say where it was seen from.
+fn is_sure_alone(view: &Verified) -> bool {
+    let placed = &view.placed;
+    view.features.pairs >= ALONE_PAIRS
+        && view.features.directions >= ALONE_DIRECTIONS
+        && placed.seen_through.max(placed.in_front) <= ALONE_CONTRADICTS
+}
+
+/// A place where a view was found.
+struct Place {
+    t_map_base: Pose,
+    keyframe: KeyframeId,
+    verified: Verified,
+}
+
+impl Place {
+    fn relocalisation(&self) -> Relocalisation {
+        self.verified.relocalisation(self.keyframe)
+    }
+}
 
 /// What a view from the way says of a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,41 +82,49 @@ impl VisualPlaces {
         scan: &KeyframeScan,
         poses: &KeyframePoses,
     ) -> Option<Relocalisation> {
+        let places = self.places(scan, poses);
         let witnesses: Vec<_> = before.iter().rev().filter(|(t, _)| share(t, APART) >= 1.0).take(WITNESSES).collect();
-        if witnesses.len() < MIN_AGREE {
-            return None;
-        }
-        let agrees = |t_map_base: &Pose| {
+        // Views from the way that agree, and that are against it; none if one contradicts.
+        let words = |t_map_base: &Pose| {
             let (mut agree, mut against) = (0, 0);
             for (t_now_then, then) in &witnesses {
                 match self.ask(then, &(t_map_base * t_now_then), poses) {
                     Word::Agrees => agree += 1,
                     Word::Against => against += 1,
-                    Word::Contradicts => return false,
+                    Word::Contradicts => return None,
                     Word::Nothing => {}
                 }
             }
-            agree >= MIN_AGREE && 3 * against <= agree
+            Some((agree, against))
         };
-        let mut found = self.places(scan, poses).into_iter().filter(|(t_map_base, _)| agrees(t_map_base));
-        let (_, first) = found.next()?;
-        found.next().is_none().then_some(first)
+        if let [only] = &places[..]
+            && is_sure_alone(&only.verified)
+        {
+            return words(&only.t_map_base).filter(|(_, against)| *against == 0).map(|_| only.relocalisation());
+        }
+        let agrees = |p: &&Place| {
+            words(&p.t_map_base).is_some_and(|(agree, against)| agree >= MIN_AGREE && 3 * against <= agree)
+        };
+        let mut found = places.iter().filter(agrees);
+        let first = found.next()?;
+        found.next().is_none().then(|| first.relocalisation())
     }
 
     /// Every place where a view is found, best first, with base to map.
-    fn places(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Vec<(Pose, Relocalisation)> {
+    fn places(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Vec<Place> {
         let candidates = self.candidates(scan, MAX_PLACES, |k| poses.contains_key(&k));
-        let mut found: Vec<(Pose, Relocalisation)> = candidates
+        let mut found: Vec<Place> = candidates
             .into_iter()
-            .filter_map(|k| {
-                let found = self.found(k, scan, poses)?;
-                Some((poses.get(&k)? * found.t_keyframe_base, found))
+            .filter_map(|keyframe| {
+                let verified = self.verify(keyframe, scan, poses)?;
+                let t_map_base = poses.get(&keyframe)? * verified.placed.t_place_base;
+                Some(Place { t_map_base, keyframe, verified })
             })
             .collect();
-        found.sort_by(|a, b| b.1.inlier_ratio.total_cmp(&a.1.inlier_ratio));
-        let mut out: Vec<(Pose, Relocalisation)> = vec![];
+        found.sort_by(|a, b| b.verified.placed.inlier_ratio.total_cmp(&a.verified.placed.inlier_ratio));
+        let mut out: Vec<Place> = vec![];
         for place in found {
-            if out.iter().all(|o| share(&o.0.inv_mul(&place.0), SAME) >= 1.0) {
+            if out.iter().all(|o| share(&o.t_map_base.inv_mul(&place.t_map_base), SAME) >= 1.0) {
                 out.push(place);
             }
         }

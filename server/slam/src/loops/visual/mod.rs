@@ -17,7 +17,7 @@ use index::Index;
 use percept_geometry::{Covariance6, FeatureMethod, KeyframeFeature, KeyframeId, KeyframeScan, Pose};
 use percept_perception::features2d::{Descriptors, MatchParams, match_features};
 use rigid::{Pair, most_agree};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Odometry ties a keyframe to so many before it better than a loop could.
@@ -47,6 +47,23 @@ struct Known {
     indexed: Vec<[u64; 4]>,
 }
 
+/// A scan placed by a keyframe, by features and surfaces.
+struct Verified {
+    placed: Placed,
+    features: Agreement,
+}
+
+impl Verified {
+    fn relocalisation(&self, keyframe: KeyframeId) -> Relocalisation {
+        Relocalisation {
+            keyframe,
+            t_keyframe_base: self.placed.t_place_base,
+            covariance: self.placed.covariance,
+            inlier_ratio: self.placed.inlier_ratio,
+        }
+    }
+}
+
 /// Place recognition by features and depth.
 #[derive(Default)]
 pub(crate) struct VisualPlaces {
@@ -69,7 +86,7 @@ impl PlaceRecognition for VisualPlaces {
             .candidates(scan, MAX_CANDIDATES, |k| k.0 < newest_old)
             .into_iter()
             .filter_map(|from| {
-                let placed = self.verify(from, scan, poses)?;
+                let Verified { placed, .. } = self.verify(from, scan, poses)?;
                 Some(LoopClosure {
                     from,
                     to: id,
@@ -97,7 +114,7 @@ impl PlaceRecognition for VisualPlaces {
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
         self.candidates(scan, MAX_CANDIDATES, |k| poses.contains_key(&k))
             .into_iter()
-            .filter_map(|keyframe| self.found(keyframe, scan, poses))
+            .filter_map(|keyframe| Some(self.verify(keyframe, scan, poses)?.relocalisation(keyframe)))
             .max_by(|a, b| a.inlier_ratio.total_cmp(&b.inlier_ratio))
     }
 
@@ -157,29 +174,15 @@ impl VisualPlaces {
         out
     }
 
-    /// The scan placed by a keyframe; none unless features and surfaces agree.
-    fn found(&self, keyframe: KeyframeId, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
-        let placed = self.verify(keyframe, scan, poses)?;
-        Some(Relocalisation {
-            keyframe,
-            t_keyframe_base: placed.t_place_base,
-            covariance: placed.covariance,
-            inlier_ratio: placed.inlier_ratio,
-        })
-    }
-
     /// Where base of the scan is, seen from base at keyframe `from`; none unless features and surfaces agree.
-    fn verify(&self, from: KeyframeId, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Placed> {
+    fn verify(&self, from: KeyframeId, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Verified> {
         let known = self.known.get(&from)?;
-        let (t_from_to, covariance, inliers, share) = by_features(&known.scan, scan)?;
+        let features = by_features(&known.scan, scan)?;
+        let Agreement { t_from_to, covariance, pairs, share, .. } = features;
         if self.is_sparse {
-            return (inliers >= SPARSE_PAIRS && share >= SPARSE_SHARE).then_some(Placed {
-                t_place_base: t_from_to,
-                covariance,
-                inlier_ratio: share,
-                seen_through: 0.0,
-                in_front: 0.0,
-            });
+            let placed =
+                Placed { t_place_base: t_from_to, covariance, inlier_ratio: share, seen_through: 0.0, in_front: 0.0 };
+            return (pairs >= SPARSE_PAIRS && share >= SPARSE_SHARE).then_some(Verified { placed, features });
         }
         // Its neighbours on the way have seen more of the place, if odometry ties them to it.
         let neighbours = [from.0.wrapping_sub(1), from.0.wrapping_add(1)].map(KeyframeId);
@@ -190,15 +193,30 @@ impl VisualPlaces {
         });
         let others: Vec<(Pose, &KeyframeScan)> =
             std::iter::once((Pose::identity(), known.scan.as_ref())).chain(around).collect();
-        place(&others, scan, &t_from_to, &covariance).filter(|p| {
+        let placed = place(&others, scan, &t_from_to, &covariance).filter(|p| {
             p.inlier_ratio >= MIN_INLIERS && p.seen_through <= MAX_SEEN_THROUGH && p.in_front <= MAX_IN_FRONT
-        })
+        })?;
+        Some(Verified { placed, features })
     }
 }
 
-/// The motion that features agree on, its covariance (right perturbation in `to`'s base), how many pairs agree, and which
-/// share of all.
-fn by_features(from: &KeyframeScan, to: &KeyframeScan) -> Option<(Pose, Covariance6, usize, f64)> {
+/// What features of two views agree on.
+struct Agreement {
+    t_from_to: Pose,
+    /// Right perturbation in `to`'s base.
+    covariance: Covariance6,
+    /// Features that agree, and their share of those that were paired.
+    pairs: usize,
+    share: f64,
+    /// Directions, ten degrees wide and high, in which the later view has some of them.
+    directions: usize,
+}
+
+/// Width and height of a direction.
+const DIRECTION_RAD: f64 = 0.17;
+
+/// The motion that features agree on.
+fn by_features(from: &KeyframeScan, to: &KeyframeScan) -> Option<Agreement> {
     let (a, b) = (from.features.as_ref()?, to.features.as_ref()?);
     if a.method != b.method {
         return None;
@@ -220,8 +238,22 @@ fn by_features(from: &KeyframeScan, to: &KeyframeScan) -> Option<(Pose, Covarian
         })
         .collect();
     let (t_from_to, inliers) = most_agree(&pairs, min_pairs(a.camera.width.min(b.camera.width)))?;
-    let share = inliers.len() as f64 / pairs.len() as f64;
-    Some((t_from_to, uncertainty(&pairs, &inliers), inliers.len(), share))
+    let t_sensor_base = to.t_base_sensor.inverse();
+    let directions: BTreeSet<(i32, i32)> = inliers
+        .iter()
+        .map(|&i| {
+            let p = t_sensor_base * pairs[i].to;
+            let cell = |v: f64| (v.atan2(p.z) / DIRECTION_RAD).floor() as i32;
+            (cell(p.x), cell(p.y))
+        })
+        .collect();
+    Some(Agreement {
+        t_from_to,
+        covariance: uncertainty(&pairs, &inliers),
+        pairs: inliers.len(),
+        share: inliers.len() as f64 / pairs.len() as f64,
+        directions: directions.len(),
+    })
 }
 
 /// Fewest pairs that agree, by the narrower image. A feature looks at as many pixels in a small image as in a large one, so
