@@ -2,16 +2,19 @@
 //!
 //! [`register_global`] goes through the files in this order: [`keypoints`] thins a cloud and describes it, [`matching`]
 //! pairs what looks alike, [`consistency`] finds sets of pairs that a rigid motion allows, [`ransac`] is the older way to
-//! do so, [`verify`] lays the clouds over each other and says whether that is right,
-//! [`finish`] aligns them closely.
+//! do so, [`verify`] lays the clouds over each other and says whether that is right by the [`evidence`] of their
+//! [`patches`], [`finish`] aligns them closely, [`uncertainty`] says how far off that may be.
 
 mod consistency;
+mod evidence;
 mod finish;
 mod keypoints;
 mod matching;
 mod params;
+mod patches;
 mod ransac;
 mod rigid;
+mod uncertainty;
 mod verify;
 
 #[cfg(test)]
@@ -34,7 +37,8 @@ const FEATURE_RADII: [f64; 3] = [5.0, 8.0, 3.5];
 /// Lays `source` over `target` from anywhere. Non-finite points are left out.
 ///
 /// Hypotheses come from pairs of points with like features that agree with each other in their distances; each is
-/// refined, and judged by how much of the clouds then coincides. The answer says whether the best is to be believed.
+/// refined, and judged by what coincides then that chance would not have coincide, and by what contradicts it: surface of
+/// one cloud where the other saw something else. The answer says whether the best is to be believed.
 /// Same input, same seed, same answer.
 ///
 /// # Errors
@@ -96,11 +100,22 @@ impl<'a> GlobalSearch<'a> {
     pub fn step(&mut self) -> Option<Result<GlobalResult, RegistrationError>> {
         match self.advance() {
             Ok(false) => None,
-            Ok(true) => Some(Ok(match self.params.refine {
-                true => finish::finish(self.answer.clone(), &self.source, &self.target, self.params.voxel_size_m),
-                false => self.answer.clone(),
-            })),
+            Ok(true) => Some(Ok(if self.params.refine { self.finished() } else { self.answer.clone() })),
             Err(error) => Some(Err(error)),
+        }
+    }
+
+    /// The answer aligned closely, with how far off it may be.
+    fn finished(&self) -> GlobalResult {
+        let fine = finish::finish(self.answer.clone(), &self.source, &self.target, self.params.voxel_size_m);
+        let covariance = self.judge.as_ref().and_then(|j| j.evidence.covariance(&fine.t_target_source));
+        match covariance {
+            // What the refinement says is open stays open.
+            Some(covariance) if fine.degenerate_axes.contains(&true) => {
+                GlobalResult { covariance: fine.covariance + covariance, ..fine }
+            }
+            Some(covariance) => GlobalResult { covariance, ..fine },
+            None => fine,
         }
     }
 
@@ -125,7 +140,7 @@ impl<'a> GlobalSearch<'a> {
             GlobalMethod::Ransac => ransac::candidates(&self.pairs, &self.params),
         };
         let found = judge.best(&candidates, self.pairs.len());
-        if found.overlap >= self.answer.overlap {
+        if found.evidence >= self.answer.evidence {
             self.answer = found;
         }
         // Wider neighbourhoods tell more apart but reach over the edges of what both clouds saw: only if need be.

@@ -69,9 +69,10 @@ impl GlobalParams {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GlobalOutcome {
-    /// Much of the clouds coincides, and no other way to lay them over each other does nearly as well.
+    /// What both clouds saw coincides where chance would not have it so, and no other way to lay them over each other,
+    /// nor sliding this one along, does nearly as well.
     Found,
-    /// The best found, but not enough of the clouds coincides to be sure.
+    /// The best found, but what coincides would do so by chance, or too much contradicts it.
     Doubtful,
     /// Two different ways fit nearly as well: the place repeats itself.
     Ambiguous,
@@ -86,15 +87,21 @@ pub struct GlobalResult {
     pub outcome: GlobalOutcome,
     /// Source to target; identity if nothing was found.
     pub t_target_source: Pose,
-    /// 6x6 of the refinement, right perturbation in the source; zero without one.
+    /// 6x6, right perturbation in the source; surfaces within some 16 voxels are taken to err together. Zero without
+    /// refinement.
     pub covariance: Covariance6,
     /// Axes of the source frame, about the source's centroid (x, y, z, rotation x, y, z), that the clouds leave open, as
     /// the refinement sees it; none without one.
     pub degenerate_axes: [bool; 6],
     /// Share of the smaller cloud that coincides with the other within a voxel, 0 to 1.
     pub overlap: f64,
-    /// The same of the best way that differs from the answer.
+    /// The same of the way that differs from the answer and for which most speaks.
     pub rival_overlap: f64,
+    /// Natural logarithm of how much likelier what the clouds show is if the answer is right than if it is chance;
+    /// found from 25. Negative infinity if nothing was found.
+    pub evidence: f64,
+    /// The same of the best way that differs from the answer, the answer slid along among them.
+    pub rival_evidence: f64,
     /// Root mean square distance of the points that coincide, metres.
     pub inlier_rmse_m: f64,
     /// Pairs of points with like features.
@@ -112,6 +119,8 @@ impl GlobalResult {
             degenerate_axes: [false; 6],
             overlap: 0.0,
             rival_overlap: 0.0,
+            evidence: f64::NEG_INFINITY,
+            rival_evidence: 0.0,
             inlier_rmse_m: 0.0,
             num_pairs,
             num_agreeing: 0,

@@ -62,6 +62,104 @@ fn scenes_that_have_nothing_in_common_are_not_said_to_match() {
     }
 }
 
+/// A road between two walls with boxes along it: points of both, evenly spread, x along the road.
+fn street(seed: u64, num_boxes: usize) -> Vec<Point3<f32>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut out = Vec::new();
+    for _ in 0..60_000 {
+        out.push(Point3::new(rng.random_range(0.0..100.0), rng.random_range(-7.0..7.0), 0.0));
+        let side = if rng.random_range(0..2) == 0 { -7.0 } else { 7.0 };
+        out.push(Point3::new(rng.random_range(0.0..100.0), side, rng.random_range(0.0..8.0)));
+    }
+    for _ in 0..num_boxes {
+        let at = Vector3::new(rng.random_range(0.0..100.0), rng.random_range(-6.5..5.0f32), 0.0);
+        let size = Vector3::new(rng.random_range(0.4..5.0), rng.random_range(0.4..1.5), rng.random_range(1.0..3.0f32));
+        for _ in 0..(120.0 * size.x.max(1.0)) as usize {
+            let mut p = Vector3::from_fn(|i, _| rng.random_range(0.0..size[i]));
+            let face = rng.random_range(0..3);
+            p[face] = if rng.random_range(0..2) == 0 { 0.0 } else { size[face] };
+            out.push(Point3::from(p + at));
+        }
+    }
+    out
+}
+
+/// Two stretches of 55 m of a street of 100 m: a tenth of it in common.
+fn stretches(points: &[Point3<f32>], seed: u64) -> (PointCloud, PointCloud) {
+    let target = cut(points, |p| p.x < 55.0, &Pose::identity(), seed);
+    (cut(points, |p| p.x > 45.0, &moved(), seed + 1), target)
+}
+
+#[test]
+fn stretches_of_a_street_are_not_said_to_be_found_where_they_only_slid_along_its_walls() {
+    for seed in 0..6 {
+        let (source, target) = stretches(&street(seed, 12), seed);
+        let params = GlobalParams { voxel_size_m: 0.5, ..GlobalParams::default() };
+        let found = register_global(&source, &target, &params).unwrap();
+        let off = found.t_target_source * moved();
+        let right = off.translation.vector.norm() < 0.5 && off.rotation.angle() < 0.03;
+        assert!(right || found.outcome != GlobalOutcome::Found, "{seed}: {off} {found:?}");
+    }
+}
+
+#[test]
+fn two_bare_walls_and_a_road_do_not_say_where_along_them() {
+    let (source, target) = stretches(&street(1, 0), 1);
+    let params = GlobalParams { voxel_size_m: 0.5, ..GlobalParams::default() };
+    let found = register_global(&source, &target, &params).unwrap();
+    assert_ne!(found.outcome, GlobalOutcome::Found, "{found:?}");
+    let (source, target) = (described(&source), described(&target));
+    let evidence = evidence::Evidence::new(&source, &target, 0.5);
+    assert!(evidence.compare(&moved().inverse()).log_ratio < 5.0);
+}
+
+fn described(cloud: &PointCloud) -> Described {
+    let params = GlobalParams { voxel_size_m: 0.5, ..GlobalParams::default() };
+    Described::new("source", cloud, &params).unwrap()
+}
+
+#[test]
+fn what_one_cloud_saw_where_the_other_saw_something_else_speaks_against_a_motion() {
+    let points = street(3, 40);
+    let target = described(&cut(&points, |p| p.x < 70.0, &Pose::identity(), 1));
+    let source = described(&cut(&points, |p| p.x > 30.0, &Pose::identity(), 2));
+    let evidence = evidence::Evidence::new(&source, &target, 0.5);
+    let slid = |s: f64| evidence.compare(&Pose::translation(s, 0.0, 0.0)).log_ratio;
+    assert!(slid(0.0) > 25.0, "{}", slid(0.0));
+    for s in [-30.0, -12.0, -7.0, 7.0, 12.0] {
+        assert!(slid(s) < 0.0, "{s}: {}", slid(s));
+    }
+}
+
+#[test]
+fn the_covariance_tells_of_surfaces_that_err_as_a_whole() {
+    // Every box of the source is off by its own 2 cm: a few times what independent points would let one expect.
+    let params = GlobalParams { voxel_size_m: 0.1, ..GlobalParams::default() };
+    let (mut squares, mut count) = (0.0, 0.0);
+    for seed in 0..8 {
+        let points = scene(seed);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed + 50);
+        let mut offset = |_| Vector3::from_fn(|_, _| rng.random_range(-0.035..0.035f32));
+        let offsets: Vec<Vector3<f32>> = (0..25).map(&mut offset).collect();
+        let bent: Vec<Point3<f32>> = points
+            .iter()
+            .enumerate()
+            .map(|(i, p)| p + offsets.get(i / 700).copied().unwrap_or_else(Vector3::zeros))
+            .collect();
+        let target = cut(&points, |_| true, &Pose::identity(), 2);
+        let source = cut(&bent, |_| true, &Pose::identity(), 3);
+        let found = register_global(&source, &target, &params).unwrap();
+        assert_eq!(found.outcome, GlobalOutcome::Found);
+        let off = found.t_target_source.translation.vector;
+        for k in 0..2 {
+            squares += off[k] * off[k] / found.covariance[(k, k)];
+            count += 1.0;
+        }
+    }
+    let sigmas = (squares / count).sqrt();
+    assert!((0.2..2.0).contains(&sigmas), "{sigmas}");
+}
+
 #[test]
 fn degenerate_clouds_are_answered() {
     let params = GlobalParams { voxel_size_m: 0.1, ..GlobalParams::default() };
