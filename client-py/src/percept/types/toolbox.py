@@ -236,7 +236,7 @@ class GlobalRegistration(Value):
     covariance: Floats
     #: Share of the source that coincides with the target, 0 to 1.
     overlap: float
-    #: The same of the best way that differs from the answer.
+    #: The same of the way that differs from the answer and for which most speaks.
     rival_overlap: float
     #: Of the points that coincide, metres.
     rmse_m: float
@@ -246,6 +246,12 @@ class GlobalRegistration(Value):
     num_agreeing: int
     #: Axes (x, y, z, rotation x, y, z) that the clouds do not fix; all False without refinement.
     degenerate_axes: tuple[bool, ...]
+    #: Natural logarithm of how much likelier what the clouds show is if the answer is right than if it is
+    #: chance; 0 if there is none. FOUND takes 25.
+    evidence: float
+    #: The same of the best way that differs from the answer, the answer slid along among them. FOUND takes
+    #: no more than half of the answer's.
+    rival_evidence: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

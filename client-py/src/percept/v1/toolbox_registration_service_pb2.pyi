@@ -153,9 +153,11 @@ class _GlobalRegistrationOutcomeEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrap
     DESCRIPTOR: _descriptor.EnumDescriptor
     GLOBAL_REGISTRATION_OUTCOME_UNSPECIFIED: _GlobalRegistrationOutcome.ValueType  # 0
     GLOBAL_REGISTRATION_OUTCOME_FOUND: _GlobalRegistrationOutcome.ValueType  # 1
-    """Much of the clouds coincides, and no other way to lay them over each other does nearly as well."""
+    """What both clouds saw coincides where chance would not have it so, and no other way to lay them over each other, nor
+    sliding this one along, does nearly as well.
+    """
     GLOBAL_REGISTRATION_OUTCOME_DOUBTFUL: _GlobalRegistrationOutcome.ValueType  # 2
-    """The best found, but not enough of the clouds coincides to be sure."""
+    """The best found, but what coincides would do so by chance, or too much contradicts it."""
     GLOBAL_REGISTRATION_OUTCOME_AMBIGUOUS: _GlobalRegistrationOutcome.ValueType  # 3
     """Two different ways fit nearly as well: the place repeats itself."""
     GLOBAL_REGISTRATION_OUTCOME_NOT_FOUND: _GlobalRegistrationOutcome.ValueType  # 4
@@ -166,9 +168,11 @@ class GlobalRegistrationOutcome(_GlobalRegistrationOutcome, metaclass=_GlobalReg
 
 GLOBAL_REGISTRATION_OUTCOME_UNSPECIFIED: GlobalRegistrationOutcome.ValueType  # 0
 GLOBAL_REGISTRATION_OUTCOME_FOUND: GlobalRegistrationOutcome.ValueType  # 1
-"""Much of the clouds coincides, and no other way to lay them over each other does nearly as well."""
+"""What both clouds saw coincides where chance would not have it so, and no other way to lay them over each other, nor
+sliding this one along, does nearly as well.
+"""
 GLOBAL_REGISTRATION_OUTCOME_DOUBTFUL: GlobalRegistrationOutcome.ValueType  # 2
-"""The best found, but not enough of the clouds coincides to be sure."""
+"""The best found, but what coincides would do so by chance, or too much contradicts it."""
 GLOBAL_REGISTRATION_OUTCOME_AMBIGUOUS: GlobalRegistrationOutcome.ValueType  # 3
 """Two different ways fit nearly as well: the place repeats itself."""
 GLOBAL_REGISTRATION_OUTCOME_NOT_FOUND: GlobalRegistrationOutcome.ValueType  # 4
@@ -419,25 +423,35 @@ class RegisterCloudsGloballyResponse(_message.Message):
     NUM_PAIRS_FIELD_NUMBER: _builtins.int
     NUM_AGREEING_FIELD_NUMBER: _builtins.int
     DEGENERATE_AXES_FIELD_NUMBER: _builtins.int
+    EVIDENCE_FIELD_NUMBER: _builtins.int
+    RIVAL_EVIDENCE_FIELD_NUMBER: _builtins.int
     outcome: Global___GlobalRegistrationOutcome.ValueType
     """Use the transform only if FOUND."""
     overlap: _builtins.float
     """Share of the source that coincides with the target within a voxel, places that are not flat counting more, 0 to 1."""
     rival_overlap: _builtins.float
-    """The same of the best way that differs from the answer."""
+    """The same of the way that differs from the answer and for which most speaks."""
     rmse_m: _builtins.float
     """Of the points that coincide, metres."""
     num_pairs: _builtins.int
     """Pairs of points with like features."""
     num_agreeing: _builtins.int
     """Of these, the pairs that agree with the answer."""
+    evidence: _builtins.float
+    """Natural logarithm of how much likelier what the clouds show is if the answer is right than if it is chance; 0 if there
+    is none. FOUND takes 25.
+    """
+    rival_evidence: _builtins.float
+    """The same of the best way that differs from the answer, the answer slid along among them. FOUND takes no more than half
+    of the answer's.
+    """
     @_builtins.property
     def t_target_source(self) -> _geometry_pb2.Pose:
         """Identity if NOT_FOUND."""
 
     @_builtins.property
     def covariance(self) -> _geometry_pb2.Covariance6:
-        """Of a right perturbation in source; zero without refinement."""
+        """Of a right perturbation in source; surfaces within some 16 voxels are taken to err together. Zero without refinement."""
 
     @_builtins.property
     def degenerate_axes(self) -> _containers.RepeatedScalarFieldContainer[_builtins.bool]:
@@ -455,10 +469,12 @@ class RegisterCloudsGloballyResponse(_message.Message):
         num_pairs: _builtins.int = ...,
         num_agreeing: _builtins.int = ...,
         degenerate_axes: _abc.Iterable[_builtins.bool] | None = ...,
+        evidence: _builtins.float = ...,
+        rival_evidence: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "t_target_source", b"t_target_source"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "num_agreeing", b"num_agreeing", "num_pairs", b"num_pairs", "outcome", b"outcome", "overlap", b"overlap", "rival_overlap", b"rival_overlap", "rmse_m", b"rmse_m", "t_target_source", b"t_target_source"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "evidence", b"evidence", "num_agreeing", b"num_agreeing", "num_pairs", b"num_pairs", "outcome", b"outcome", "overlap", b"overlap", "rival_evidence", b"rival_evidence", "rival_overlap", b"rival_overlap", "rmse_m", b"rmse_m", "t_target_source", b"t_target_source"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -66,6 +66,8 @@ def global_registration(answer: registration_pb.RegisterCloudsGloballyResponse) 
         num_pairs=answer.num_pairs,
         num_agreeing=answer.num_agreeing,
         degenerate_axes=tuple(answer.degenerate_axes),
+        evidence=answer.evidence,
+        rival_evidence=answer.rival_evidence,
     )
 
 

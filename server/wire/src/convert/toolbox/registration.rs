@@ -108,6 +108,8 @@ pub fn global_to(r: &GlobalResult) -> v1::RegisterCloudsGloballyResponse {
         num_pairs: r.num_pairs as u32,
         num_agreeing: r.num_agreeing as u32,
         degenerate_axes: r.degenerate_axes.to_vec(),
+        evidence: if r.evidence.is_finite() { r.evidence } else { 0.0 },
+        rival_evidence: r.rival_evidence,
     }
 }
 
