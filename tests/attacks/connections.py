@@ -121,9 +121,7 @@ def idle_connections(target: Target) -> Tried:
         answer = raw.exchange(target.server.rest, raw.request_head("GET", "/livez", connection="close"))
         served = raw.status_of(answer)
         note = f"a new client gets {served or 'no answer'}"
-        return Tried(
-            len(one) + len(two), ended, note, [] if served in (200, 503) else ["a new client is not answered"]
-        )
+        return Tried(len(one) + len(two), ended, note, [] if served in (200, 503) else ["a new client is not answered"])
 
 
 def no_descriptors_left(target: Target) -> Tried:
@@ -268,9 +266,7 @@ def unread_watchers(target: Target) -> Tried:
             streams.append(h2)
             for _ in range(25):
                 stream = h2.open_stream("SessionsService/WatchSession")
-                h2.send(
-                    raw.frame(raw.DATA, raw.END_STREAM, stream, raw.message_prefix(len(request)) + request)
-                )
+                h2.send(raw.frame(raw.DATA, raw.END_STREAM, stream, raw.message_prefix(len(request)) + request))
         end, i = time.monotonic() + target.seconds, 0
         while time.monotonic() < end:
             session.send_scan("laser", stamp_ns=world.stamp(i), **scan(i))
@@ -322,9 +318,7 @@ def continuation_flood(target: Target) -> Tried:
     block = raw.header_block([(f"x-{k}", "a" * 100) for k in range(100)])
     piece = raw.frame(raw.CONTINUATION, 0, 1, block)
     with contextlib.suppress(OSError):
-        h2.send(
-            raw.frame(raw.HEADERS, 0, 1, raw.header_block(raw.grpc_headers("SessionsService/ListSessions")))
-        )
+        h2.send(raw.frame(raw.HEADERS, 0, 1, raw.header_block(raw.grpc_headers("SessionsService/ListSessions"))))
         for _ in range(target.many(6000)):
             h2.send(piece)
             sent += len(piece)

@@ -260,7 +260,9 @@ def call(site: Site, rpc: str, session: str, kind: str) -> str:
         (True, True): site.channel.stream_stream,
     }[streams]
     invoke = shape(
-        f"/percept.v1.{rpc}", request_serializer=lambda m: m.SerializeToString(), response_deserializer=answer.FromString
+        f"/percept.v1.{rpc}",
+        request_serializer=lambda m: m.SerializeToString(),
+        response_deserializer=answer.FromString,
     )
     sent = iter([request]) if method.client_streaming else request
     try:
@@ -549,5 +551,3 @@ def test_the_tools_call_with_a_key(site, tmp_path):
     done = subprocess.run([*drive, "--session", "fleet-sim", "--token-file", token], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "durable" in done.stdout
-
-

@@ -1,4 +1,4 @@
-"""Clients that keep the server waiting, take too much, or are not who they seem: each is ended, and the others served."""
+"""Clients that keep the server waiting, take too much, or are not who they seem: each is ended, the others served."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ from support.server import STOP_S, Server, binary, eventually, free_port
 
 MIB = 1 << 20
 JSON = {"content-type": "application/json"}
-POST = "POST /v1/sessions HTTP/1.1\r\nhost: {host}\r\ncontent-type: application/json\r\ncontent-length: {length}\r\n\r\n"
+POST = (
+    "POST /v1/sessions HTTP/1.1\r\nhost: {host}\r\ncontent-type: application/json\r\ncontent-length: {length}\r\n\r\n"
+)
 GET_POSE = "/percept.v1.SessionsService/GetPose"
 STREAM_FRAMES = "/percept.v1.SensorsService/StreamFrames"
 
@@ -110,7 +112,9 @@ def test_slow_bodies_end_with_a_reason(serve):
     for path in (GET_POSE, STREAM_FRAMES):
         with wire.http2(server.grpc) as sock:
             sock.sendall(wire.call(path, b"\0" + struct.pack(">I", 1000) + b"x" * 10))
-            ended = next(f for f in wire.frames(sock) if f[2] == 1 and (f[1] & wire.END_STREAM or f[0] == wire.RST_STREAM))
+            ended = next(
+                f for f in wire.frames(sock) if f[2] == 1 and (f[1] & wire.END_STREAM or f[0] == wire.RST_STREAM)
+            )
             assert ended
     assert serves(server)
 
@@ -164,7 +168,9 @@ def test_an_unread_answer_ends_and_gives_its_place_back(serve):
 
 def test_bodies_under_way_share_their_memory(serve):
     server = serve(
-        limits_max_message_bytes=8 * MIB, limits_max_bytes_in_flight=16 * MIB, limits_max_bytes_in_flight_per_peer=16 * MIB
+        limits_max_message_bytes=8 * MIB,
+        limits_max_bytes_in_flight=16 * MIB,
+        limits_max_bytes_in_flight_per_peer=16 * MIB,
     )
     assert serves(server)
     before, answers = server.peak_rss_mb(), []
@@ -192,7 +198,9 @@ def test_bodies_under_way_share_their_memory(serve):
 
 def test_messages_under_way_share_their_memory(serve):
     server = serve(
-        limits_max_message_bytes=8 * MIB, limits_max_bytes_in_flight=16 * MIB, limits_max_bytes_in_flight_per_peer=16 * MIB
+        limits_max_message_bytes=8 * MIB,
+        limits_max_bytes_in_flight=16 * MIB,
+        limits_max_bytes_in_flight_per_peer=16 * MIB,
     )
     assert serves(server)
     before = server.peak_rss_mb()
@@ -222,7 +230,9 @@ def test_connections_beyond_the_limit_are_refused_in_their_protocol(serve):
 
         assert eventually(refused)
         with wire.http2(server.grpc) as sock:
-            assert any(kind == wire.GOAWAY and payload[4:8] == b"\0\0\0\x0b" for kind, _, _, payload in wire.frames(sock))
+            assert any(
+                kind == wire.GOAWAY and payload[4:8] == b"\0\0\0\x0b" for kind, _, _, payload in wire.frames(sock)
+            )
     assert eventually(lambda: httpx.get(f"{server.rest_url}/livez").status_code == 200)
     assert serves(server)
 
@@ -255,7 +265,11 @@ def test_watchers_beyond_the_limit_are_told_when_to_come_back(serve):
         for _ in range(2):
             assert stack.enter_context(httpx.stream("GET", url, timeout=30)).status_code == 200
         third = httpx.get(url, timeout=30)
-        assert (third.status_code, third.json()["reason"], third.headers["retry-after"]) == (429, "TOO_MANY_WATCHERS", "1")
+        assert (third.status_code, third.json()["reason"], third.headers["retry-after"]) == (
+            429,
+            "TOO_MANY_WATCHERS",
+            "1",
+        )
         with grpc.insecure_channel(server.grpc) as channel:
             watch = channel.unary_stream("/percept.v1.SessionsService/WatchSession")
             with pytest.raises(grpc.RpcError) as refused:
@@ -272,7 +286,9 @@ def test_garbage_on_zenoh_is_told_once_and_counted(serve):
                 publisher.publish_raw("laser", b"\xff\xff" + i.to_bytes(4, "big"))
             assert eventually(lambda: session.sensors.list()[0].rejected == sent, seconds=60)
         assert eventually(lambda: "more of the same" in server.tail(), seconds=60)
-    told = [line for line in server.log.read_text(errors="replace").splitlines() if "PAYLOAD" in line or "refused" in line]
+    told = [
+        line for line in server.log.read_text(errors="replace").splitlines() if "PAYLOAD" in line or "refused" in line
+    ]
     assert 1 <= len(told) <= 20, len(told)
 
 
@@ -292,7 +308,9 @@ def test_a_page_of_elsewhere_drives_nothing(serve):
 
     def asked(method="GET", path="/v1/sessions", **headers):
         answer = httpx.request(method, root + path, headers=headers, content=b"{}" if method == "POST" else None)
-        return answer.status_code, answer.json().get("reason") if answer.headers["content-type"].endswith("json") else None
+        return answer.status_code, answer.json().get("reason") if answer.headers["content-type"].endswith(
+            "json"
+        ) else None
 
     json = {"content-type": "application/json"}
     assert asked(host="evil.example") == (421, "HOST_UNKNOWN")
@@ -308,10 +326,21 @@ def test_a_page_of_elsewhere_drives_nothing(serve):
 
 def test_the_grpc_door_takes_no_browser(serve):
     server = serve()
-    for more in ({"content_type": "text/plain"}, {"origin": "http://evil.example"}, {"content_type": "application/json"}):
+    for more in (
+        {"content_type": "text/plain"},
+        {"origin": "http://evil.example"},
+        {"content_type": "application/json"},
+    ):
         with wire.http2(server.grpc) as sock:
             body = sessions.CreateSessionRequest(session_id="stolen").SerializeToString()
-            sock.sendall(wire.call("/percept.v1.SessionsService/CreateSession", b"\0" + struct.pack(">I", len(body)) + body, end=True, **more))
+            sock.sendall(
+                wire.call(
+                    "/percept.v1.SessionsService/CreateSession",
+                    b"\0" + struct.pack(">I", len(body)) + body,
+                    end=True,
+                    **more,
+                )
+            )
             assert next(f for f in wire.frames(sock) if f[2] == 1)
     # A page cannot speak HTTP/2 unless the server agrees to it in TLS.
     with wire.connect(server.grpc) as sock:
@@ -405,7 +434,18 @@ def test_both_doors_speak_tls_and_the_tools_with_them(serve, authority):
     assert subprocess.run([*health, "--ca-file", authority.ca], capture_output=True, check=False).returncode == 0
     unknown = subprocess.run(health, capture_output=True, check=False, text=True)
     assert unknown.returncode != 0 and "certificate" in unknown.stderr.lower(), unknown.stderr
-    sim = [binary(), "sim", "--server", f"https://{server.grpc}", "--ca-file", authority.ca, "--duration-s", "1", "--rooms", "1"]
+    sim = [
+        binary(),
+        "sim",
+        "--server",
+        f"https://{server.grpc}",
+        "--ca-file",
+        authority.ca,
+        "--duration-s",
+        "1",
+        "--rooms",
+        "1",
+    ]
     done = subprocess.run(sim, capture_output=True, check=False, text=True)
     assert done.returncode == 0, done.stderr
 
@@ -413,7 +453,9 @@ def test_both_doors_speak_tls_and_the_tools_with_them(serve, authority):
 def test_clients_show_certificates_where_required(serve, authority):
     cert, key = authority.issue("server", "IP:127.0.0.1")
     client_cert, client_key = authority.issue("robot-7", "DNS:robot-7.site.example,URI:spiffe://site/robot/7")
-    server = serve(tls_cert_file=cert, tls_key_file=key, tls_client_ca_file=authority.ca, tls_client_cert_required="true")
+    server = serve(
+        tls_cert_file=cert, tls_key_file=key, tls_client_ca_file=authority.ca, tls_client_cert_required="true"
+    )
     verified = ssl.create_default_context(cafile=str(authority.ca))
     with pytest.raises(httpx.HTTPError):
         httpx.get(f"https://{server.rest}/livez", verify=verified)
@@ -435,7 +477,13 @@ def test_new_certificates_are_used_and_connections_stay(serve, authority):
         authority.issue("server", "IP:127.0.0.1")
         server.process.send_signal(signal.SIGHUP)
         assert eventually(lambda: serial(server.rest, authority.ca) != first)
-        assert connected.get("/livez").extensions["network_stream"].get_extra_info("ssl_object").getpeercert()["serialNumber"] == first
+        assert (
+            connected.get("/livez")
+            .extensions["network_stream"]
+            .get_extra_info("ssl_object")
+            .getpeercert()["serialNumber"]
+            == first
+        )
     # Without a signal, too; a file that is none leaves what was in force.
     second = serial(server.rest, authority.ca)
     cert.write_text("none")

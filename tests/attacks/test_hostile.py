@@ -26,9 +26,7 @@ def unharmed(target: Target) -> bool:
     """Whether the session goes on: a frame, a question over each door."""
     session = target.client.session("victim")
     taken = robots.send_scans(session, 20, 23) == 3
-    answer = raw.exchange(
-        target.server.rest, raw.request_head("GET", "/v1/sessions/victim/pose", connection="close")
-    )
+    answer = raw.exchange(target.server.rest, raw.request_head("GET", "/v1/sessions/victim/pose", connection="close"))
     return taken and raw.status_of(answer) == 200 and session.pose().state == "tracking"
 
 
@@ -51,9 +49,7 @@ def test_pages_of_other_sites_are_not_served(target):
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "LOCALHOST", "{}", "localhost:{port}"])
 def test_who_calls_the_server_by_its_name_is_served(own_server, host):
     port = own_server.rest.rsplit(":", 1)[1]
-    head = raw.request_head(
-        "GET", "/v1/sessions", host=host.format(own_server.rest, port=port), connection="close"
-    )
+    head = raw.request_head("GET", "/v1/sessions", host=host.format(own_server.rest, port=port), connection="close")
     assert raw.status_of(raw.exchange(own_server.rest, head)) == 200
 
 

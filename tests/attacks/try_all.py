@@ -102,9 +102,7 @@ def row(out) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="*", default=[], help="names of attacks, or parts of them")
     parser.add_argument("--seconds", type=float, default=12, help="how long the slow ones go on")
     parser.add_argument("--scale", type=float, default=1.0, help="share of the full number of connections")

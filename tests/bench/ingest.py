@@ -157,9 +157,7 @@ def main():
         report["slam_input"] = "rendered" if frames is None else "rgbd-7scenes-a"
         server = Server(pathlib.Path(folder) / "slam")
         with Client(server.grpc) as client:
-            report["under_slam"] = under_slam(
-                server, client, frames or rendered_frames(arguments.slam_frames)
-            )
+            report["under_slam"] = under_slam(server, client, frames or rendered_frames(arguments.slam_frames))
         server.stop()
     print(json.dumps(report, indent=2))
 

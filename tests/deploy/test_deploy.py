@@ -62,14 +62,14 @@ def test_the_dashboard_is_the_one_that_its_script_writes():
 def test_the_dashboard_has_what_grafana_asks_of_one():
     dashboard = json.loads((MONITORING / "grafana" / "dashboard.json").read_text())
     assert isinstance(dashboard["schemaVersion"], int)
-    assert dashboard["title"] and dashboard["uid"]  # noqa: PT018
+    assert dashboard["title"] and dashboard["uid"]
     variables = {variable["name"] for variable in dashboard["templating"]["list"]}
     taken, numbers = set(), set()
     for panel in dashboard["panels"]:
         numbers.add(panel["id"])
         assert panel["type"] in {"row", "stat", "timeseries", "table"}
         place = panel["gridPos"]
-        assert 0 <= place["x"] and place["x"] + place["w"] <= 24  # noqa: PT018
+        assert place["x"] >= 0 and place["x"] + place["w"] <= 24
         cells = {(place["x"] + x, place["y"] + y) for x in range(place["w"]) for y in range(place["h"])}
         assert not cells & taken, f"{panel['title']} lies over another panel"
         taken |= cells
@@ -129,7 +129,9 @@ def test_packages_hold_a_program_that_runs(tmp_path):
     with tarfile.open(archive) as tar:
         tar.extractall(tmp_path / "tar", filter="data")
     (program,) = (tmp_path / "tar").glob("*/bin/percept")
-    assert subprocess.run([program, "--version"], capture_output=True, text=True, check=True).stdout.startswith("percept ")
+    assert subprocess.run([program, "--version"], capture_output=True, text=True, check=True).stdout.startswith(
+        "percept "
+    )
     if shutil.which("dpkg-deb") is None:
         pytest.skip("no dpkg-deb")
     (package,) = out.glob("*.deb")

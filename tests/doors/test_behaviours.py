@@ -15,9 +15,7 @@ pytestmark = pytest.mark.parametrize("door", DOORS, indirect=True)
 
 
 def depth_message(session, index, pose):
-    frame = DepthFrame(
-        "camera", stamp_ns=world.stamp(index), depth=world.depth_image(pose), metres_per_unit=0.001
-    )
+    frame = DepthFrame("camera", stamp_ns=world.stamp(index), depth=world.depth_image(pose), metres_per_unit=0.001)
     return sensors.frame_to(session.session_id, frame, index + 1)
 
 

@@ -25,9 +25,7 @@ SIDE = (1440, 1080)
 def services():
     for module in pkgutil.iter_modules(percept.v1.__path__):
         if module.name.endswith("_service_pb2"):
-            yield from importlib.import_module(
-                f"percept.v1.{module.name}"
-            ).DESCRIPTOR.services_by_name.values()
+            yield from importlib.import_module(f"percept.v1.{module.name}").DESCRIPTOR.services_by_name.values()
 
 
 RPCS = {f"{s.name}/{m.name}": m for s in services() for m in s.methods}
@@ -123,9 +121,7 @@ def pixels(count: int, shift: float = 0.0) -> bytes:
 
 
 def poses(count: int) -> list[dict]:
-    return [
-        {"stamp_ns": i * 10**8, "pose": {"translation": {"x": i / 10, "y": i % 7 / 10}}} for i in range(count)
-    ]
+    return [{"stamp_ns": i * 10**8, "pose": {"translation": {"x": i / 10, "y": i % 7 / 10}}} for i in range(count)]
 
 
 def views(site: Site, count: int) -> list[dict]:

@@ -19,9 +19,7 @@ def http(server):
 def test_the_document_describes_what_is_served(http):
     document = http.get("/openapi.json").json()
     assert document["openapi"].startswith("3.")
-    assert {"/v1/sessions", "/v1/sessions/{session_id}/plan", "/v1/toolbox/segment-planes"} <= set(
-        document["paths"]
-    )
+    assert {"/v1/sessions", "/v1/sessions/{session_id}/plan", "/v1/toolbox/segment-planes"} <= set(document["paths"])
     assert http.get("/").headers["content-type"].startswith("text/html")
 
 

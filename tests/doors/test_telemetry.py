@@ -51,7 +51,7 @@ def test_frames_and_requests_are_counted(own_server):
     with Client(own_server.grpc) as client:
         session = drive(client, 12)
         session.pose()
-        with pytest.raises(Exception, match="unused|not"):
+        with pytest.raises(Exception, match=r"unused|not"):
             client.session("nobody").pose()
         httpx.get(f"{own_server.rest_url}/v1/sessions/{session.session_id}/pose").raise_for_status()
         # A second frame of the same stamp.
@@ -189,9 +189,7 @@ def test_a_callers_trace_is_in_answers_errors_and_log(told_server):
 @pytest.mark.parametrize("sent", [None, "", "nonsense", "00-" + "0" * 32 + "-00f067aa0ba902b7-01", TRACEPARENT.upper()])
 def test_a_request_without_a_trace_gets_one_of_its_own(server, sent):
     headers = {} if sent is None else {"traceparent": sent}
-    traces = [
-        httpx.get(f"{server.rest_url}/v1/sessions/nobody", headers=headers).json()["trace_id"] for _ in range(2)
-    ]
+    traces = [httpx.get(f"{server.rest_url}/v1/sessions/nobody", headers=headers).json()["trace_id"] for _ in range(2)]
     assert all(re.fullmatch("[0-9a-f]{32}", trace) for trace in traces)
     assert traces[0] != traces[1]
 
@@ -245,9 +243,7 @@ def test_every_metric_that_alerts_and_panels_name_exists(server):
     declared = (REPO / "server" / "service" / "src" / "observe" / "families.rs").read_text()
     families |= {f"percept_{name}" for name in re.findall(r'\bto\.\w+\("(\w+)"', declared)}
     named = set(re.findall(r"\b(?:percept|process)_[a-z_]+\b", text))
-    known = {
-        name + suffix for name in families for suffix in ("", "_total", "_bucket", "_sum", "_count")
-    }
+    known = {name + suffix for name in families for suffix in ("", "_total", "_bucket", "_sum", "_count")}
     assert named - known == set()
     assert len(named) > 30
 

@@ -100,9 +100,7 @@ def flooded(server, client, policy, count):
 
     with SensorPublisher(server.zenoh, session_id=session.session_id) as publisher:
         for i in range(count):
-            publisher.send_depth(
-                "camera", stamp_ns=world.stamp(i), depth=images[i % 8], metres_per_unit=0.001
-            )
+            publisher.send_depth("camera", stamp_ns=world.stamp(i), depth=images[i % 8], metres_per_unit=0.001)
         assert eventually(lambda: done(status()) == count, seconds=60)
     return status()
 

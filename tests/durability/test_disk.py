@@ -149,9 +149,7 @@ def test_a_full_disk_is_refused_told_and_left_behind(small_disk, disk_server):
         taken, refused, error = send_until_refused(session, 1)
         assert isinstance(error, ResourceExhausted)
         assert error.reason == "STORAGE_FULL"
-        assert eventually(lambda: readiness(disk_server)[0] == 503), (
-            "it says that it is ready while the disk is full"
-        )
+        assert eventually(lambda: readiness(disk_server)[0] == 503), "it says that it is ready while the disk is full"
         assert "full" in readiness(disk_server)[1].lower(), "it does not say why"
         assert eventually(lambda: health(disk_server) == "NOT_SERVING")
         with httpx.Client(base_url=disk_server.rest_url) as http:

@@ -80,9 +80,7 @@ def created(calls, session_id) -> None:
     assert eventually(there, seconds=20), "creating does not come through"
 
 
-def test_a_delete_that_its_caller_gave_up_never_leaks_the_old_map_into_a_new_session(
-    own_server, client, calls
-):
+def test_a_delete_that_its_caller_gave_up_never_leaks_the_old_map_into_a_new_session(own_server, client, calls):
     rng = random.Random(16)
     names = [f"r{i}" for i in range(12)]
     for name in names:
@@ -159,9 +157,7 @@ def test_a_create_that_its_caller_gave_up_is_whole_or_absent_and_stays_so(own_se
     rng = random.Random(7)
     names = [f"r{i:02}" for i in range(20)]
     for name in names:
-        answer = calls(
-            CREATE, timeout_s=rng.uniform(0.0005, 0.004), session_id=name, request_id=f"once-{name}"
-        )
+        answer = calls(CREATE, timeout_s=rng.uniform(0.0005, 0.004), session_id=name, request_id=f"once-{name}")
         assert answer.ok or answer.unheard, answer
     there = settled(lambda: ids(own_server))
     restarted(own_server)
@@ -180,9 +176,7 @@ def test_a_create_over_rest_whose_client_leaves_at_once_is_whole_or_absent(own_s
     names = [f"r{i:02}" for i in range(12)]
     for name in names:
         body = f'{{"session_id": "{name}"}}'.encode()
-        head = raw.request_head(
-            "POST", "/v1/sessions", content_type="application/json", content_length=len(body)
-        )
+        head = raw.request_head("POST", "/v1/sessions", content_type="application/json", content_length=len(body))
         raw.send_and_leave(own_server.rest, head + body)
     there = settled(lambda: ids(own_server))
     restarted(own_server)

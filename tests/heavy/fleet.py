@@ -233,19 +233,13 @@ def report(arguments, fleet, flooding, probe, cpu, pid) -> dict:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", type=int, default=64)
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--rate-hz", type=float, default=10)
     parser.add_argument("--sensor", choices=["laser", "lidar", "camera"], default="laser")
-    parser.add_argument(
-        "--overload", action="store_true", help="as fast as the server takes, to see the shares"
-    )
-    parser.add_argument(
-        "--flood", action="store_true", help="again, with one more that sends as fast as it can"
-    )
+    parser.add_argument("--overload", action="store_true", help="as fast as the server takes, to see the shares")
+    parser.add_argument("--flood", action="store_true", help="again, with one more that sends as fast as it can")
     parser.add_argument("--feeders", type=int, default=2, help="processes that play the robots")
     parser.add_argument("--config", help="configuration file for the server")
     arguments = parser.parse_args()

@@ -117,9 +117,7 @@ class Worker:
         sensors = [sensor_pb2.SensorSpec(sensor_id="laser", kind=sensor_pb2.SENSOR_KIND_LIDAR2D)]
         fields = {"session_id": name.session_id, "display_name": life, "sensors": sensors}
         patience = self.patience()
-        answer = self.calls(
-            f"{SESSIONS}/CreateSession", patience, request_id=f"{name.session_id}/{life}", **fields
-        )
+        answer = self.calls(f"{SESSIONS}/CreateSession", patience, request_id=f"{name.session_id}/{life}", **fields)
         self.count("create", answer, patience)
         if answer.ok:
             if ABSENT not in name.possible:
@@ -187,7 +185,9 @@ class Worker:
         sent = []
         for _ in range(self.rng.randint(2, 6)):
             index = self.index(name)
-            call = self.calls.begin(f"{SENSORS}/SendFrame", STUCK_S, message=robots.scan_message(name.session_id, index))
+            call = self.calls.begin(
+                f"{SENSORS}/SendFrame", STUCK_S, message=robots.scan_message(name.session_id, index)
+            )
             sent.append((index, call))
         leave = self.rng.random() < self.impatience
         for index, call in sent:

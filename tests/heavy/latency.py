@@ -52,9 +52,7 @@ def ask(address: str, what: str, until: float, results) -> None:
             time.sleep(0.02)
     p50, p99, worst = np.quantile(took, [0.5, 0.99, 1.0]) if took else [float("nan")] * 3
     named = {"p50": p50, "p99": p99, "max": worst}
-    results.put(
-        (what, {k: round(float(v), 1) for k, v in named.items()} | {"n": len(took), "failed": failed})
-    )
+    results.put((what, {k: round(float(v), 1) for k, v in named.items()} | {"n": len(took), "failed": failed}))
 
 
 def compute(address: str, until: float, results) -> None:
@@ -87,9 +85,7 @@ def part(server: Server, seconds: float, toolbox: int) -> dict:
             until = time.monotonic() + seconds + 3
             cpu, frames, begin = cpu_s(server.process.pid), _frames(session), time.monotonic()
             asking = [context.Process(target=ask, args=(server.grpc, q, until, results)) for q in QUESTIONS]
-            busy = [
-                context.Process(target=compute, args=(server.grpc, until, results)) for _ in range(toolbox)
-            ]
+            busy = [context.Process(target=compute, args=(server.grpc, until, results)) for _ in range(toolbox)]
             for process in asking + busy:
                 process.start()
             answers = [results.get(timeout=seconds + 120) for _ in asking + busy]
@@ -118,9 +114,7 @@ def _frames(session) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=30)
     parser.add_argument("--toolbox", type=int, default=4, help="callers that compute in the second part")
     parser.add_argument("--config", help="configuration file for the server")

@@ -115,9 +115,7 @@ def wake(calls: raw.Calls, names: list[str]) -> list[float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sessions", type=int, default=10_000)
     parser.add_argument("--maps", type=int, default=20, help="of them, so many with a map")
     parser.add_argument("--rooms", type=int, default=4)

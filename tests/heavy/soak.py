@@ -53,9 +53,7 @@ class Life(threading.Thread):
     def _one(self, client: Client) -> None:
         lidar = self._rng.random() < 0.3
         spec = world.LIDAR if lidar else world.LASER
-        session = client.sessions.create(
-            f"life{self._number}-{self.sessions}-{len(self.errors)}", sensors=[spec]
-        )
+        session = client.sessions.create(f"life{self._number}-{self.sessions}-{len(self.errors)}", sensors=[spec])
         with session.watch() as watch, session.stream() as stream:
             watching = threading.Thread(target=self._drain, args=(watch,), daemon=True)
             watching.start()
@@ -108,9 +106,7 @@ def plot(samples, path: str) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=120)
     parser.add_argument("--alive", type=int, default=12, help="sessions at a time")
     parser.add_argument("--asleep", type=int, default=20, help="sessions with a map that nobody uses")

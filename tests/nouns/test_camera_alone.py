@@ -71,10 +71,7 @@ def test_the_trajectory_of_a_camera_alone_is_right_but_for_its_scale(alone):
     assert set(trajectory.scales) == {"unknown"}
     assert set(trajectory.states) <= {"tracking", "lost"}
     # Without scale the poses are the camera's.
-    by_stamp = {
-        world.stamp(i): (pose.matrix @ world.EYE.t_base_sensor.matrix)[:3, 3]
-        for i, pose in enumerate(drive())
-    }
+    by_stamp = {world.stamp(i): (pose.matrix @ world.EYE.t_base_sensor.matrix)[:3, 3] for i, pose in enumerate(drive())}
     truth = np.array([by_stamp[s] for s in trajectory.stamps_ns.tolist()])
     assert scaled_error_m(trajectory.positions, truth) < 0.03
 

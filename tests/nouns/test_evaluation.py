@@ -84,9 +84,7 @@ def test_a_stretch_longer_than_the_path_has_no_error(client):
     assert metrics.rpe_rot_deg is None
     for delta, unit in ((0.5, "frames"), (0, "metres"), (-1, "seconds"), (181, "degrees")):
         with pytest.raises(InvalidArgument):
-            client.evaluation.trajectory(
-                (STAMPS, circle()), estimate=(STAMPS, circle()), delta=delta, delta_unit=unit
-            )
+            client.evaluation.trajectory((STAMPS, circle()), estimate=(STAMPS, circle()), delta=delta, delta_unit=unit)
 
 
 def test_drift_over_segments_is_that_put_in(client):
@@ -101,9 +99,7 @@ def test_drift_over_segments_is_that_put_in(client):
     assert metrics.segment_drift.rotation_deg_per_m == pytest.approx(0, abs=1e-9)
     short = client.evaluation.trajectory((STAMPS, circle()), estimate=(STAMPS, circle()))
     assert short.segment_drift is None
-    tenths = client.evaluation.trajectory(
-        (STAMPS, circle()), estimate=(STAMPS, circle()), segment_lengths_m=[1.0, 2.0]
-    )
+    tenths = client.evaluation.trajectory((STAMPS, circle()), estimate=(STAMPS, circle()), segment_lengths_m=[1.0, 2.0])
     assert tenths.segment_drift.num_segments > 0
 
 
@@ -171,9 +167,7 @@ def test_a_session_is_judged_against_truth(client, laser_session):
 def box(x, size=1.0, label="box", confidence=0.0):
     pose = Pose(np.array([x, 0.0, size / 2]))
     size_m = np.full(3, size)
-    return LabelledBox(
-        object_class=label, box=OrientedBox(t_frame_box=pose, size_m=size_m), confidence=confidence
-    )
+    return LabelledBox(object_class=label, box=OrientedBox(t_frame_box=pose, size_m=size_m), confidence=confidence)
 
 
 def test_boxes_are_matched_by_overlap_and_counted(client):

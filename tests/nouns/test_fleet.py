@@ -205,9 +205,7 @@ def test_lists_are_filtered_and_ordered_and_their_pages_join(client, fleet, page
     assert listed(client, order_by="create_time_ns desc", page_size=page_size) == fleet[::-1]
     assert listed(client, order_by="session_id desc", page_size=page_size) == sorted(fleet)[::-1]
     assert listed(client, labels="site=north", page_size=page_size) == sorted(fleet[::2])
-    assert listed(client, labels="site=north,n2", order_by="create_time_ns", page_size=page_size) == [
-        fleet[2]
-    ]
+    assert listed(client, labels="site=north,n2", order_by="create_time_ns", page_size=page_size) == [fleet[2]]
     assert listed(client, labels="site=nowhere", page_size=page_size) == []
     assert listed(client, state="asleep", page_size=page_size) == sorted(fleet)
 

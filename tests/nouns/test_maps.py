@@ -166,11 +166,7 @@ def test_a_pgm_and_its_yaml_say_what_the_grid_says(laser_session):
     pixels = np.frombuffer(pgm[-width * height :], np.uint8).reshape(height, width)[::-1]
     assert (pixels[grid.cells == 100] < 100).all()
     assert (pixels[grid.cells == 0] > 250).all()
-    yaml = dict(
-        x.split(": ", 1)
-        for x in laser_session.map.export("nav2_yaml").data.decode().splitlines()
-        if ": " in x
-    )
+    yaml = dict(x.split(": ", 1) for x in laser_session.map.export("nav2_yaml").data.decode().splitlines() if ": " in x)
     assert float(yaml["resolution"]) == pytest.approx(grid.resolution_m)
     origin = [float(v) for v in yaml["origin"].strip("[]").split(",")]
     assert np.allclose(origin[:2], grid.origin, atol=1e-5)

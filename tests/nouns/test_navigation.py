@@ -11,9 +11,7 @@ def clear_of_furniture_m(x, y):
     """Distance in the plane to the nearest true obstacle."""
     p = np.array([x, y])
     walls = np.minimum(p - world.ROOM[0][:2], world.ROOM[1][:2] - p).min()
-    boxes = [
-        np.linalg.norm(np.maximum(np.maximum(low[:2] - p, p - high[:2]), 0)) for low, high in world.FURNITURE
-    ]
+    boxes = [np.linalg.norm(np.maximum(np.maximum(low[:2] - p, p - high[:2]), 0)) for low, high in world.FURNITURE]
     return min(walls, *boxes)
 
 

@@ -89,9 +89,7 @@ def test_work_goes_on_when_its_starter_hangs_up_and_another_connection_reads_wha
         assert "stopped" in error.value.message
 
 
-@pytest.mark.parametrize(
-    "file_format", ["cloud_ply", "cloud_pcd", "trajectory_tum", "nav2_pgm", "overview_png"]
-)
+@pytest.mark.parametrize("file_format", ["cloud_ply", "cloud_pcd", "trajectory_tum", "nav2_pgm", "overview_png"])
 def test_an_exported_file_is_the_plain_calls(laser_session, client, file_format):
     operation = laser_session.map.start_export(file_format)
     file = operation.result(timeout_s=60)
@@ -102,9 +100,7 @@ def test_an_exported_file_is_the_plain_calls(laser_session, client, file_format)
     assert info.create_time_ns <= info.run_time_ns <= info.end_time_ns < info.expire_time_ns
     listed = client.operations.list(session_pattern=laser_session.session_id[:-1] + "*")
     assert operation.operation_id in [o.operation_id for o in listed]
-    assert operation.operation_id not in [
-        o.operation_id for o in client.operations.list(session_pattern="none-*")
-    ]
+    assert operation.operation_id not in [o.operation_id for o in client.operations.list(session_pattern="none-*")]
 
 
 def test_a_map_is_optimised_as_by_the_plain_call(client):
@@ -282,10 +278,7 @@ def test_rest_has_a_files_result_as_a_download_and_others_as_messages(server, la
     source = {"session_id": laser_session.session_id}
     started = httpx.post(url, json={"export_map": {"source": source, "format": "MAP_FORMAT_CLOUD_PLY"}})
     operation = started.json()["operation"]["operation_id"]
-    assert (
-        httpx.get(f"{url}/{operation}/wait", timeout=70).json()["operation"]["state"]
-        == "OPERATION_STATE_DONE"
-    )
+    assert httpx.get(f"{url}/{operation}/wait", timeout=70).json()["operation"]["state"] == "OPERATION_STATE_DONE"
     plain = laser_session.map.export("cloud_ply").data
     file = httpx.get(f"{url}/{operation}/result")
     assert file.content == plain
@@ -325,9 +318,7 @@ def create_key(file, name, tenant, scope, sessions="fleet-*"):
         "--scope",
         scope,
     ]
-    done = subprocess.run(
-        [*command, "--sessions", sessions, "--json"], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([*command, "--sessions", sessions, "--json"], capture_output=True, text=True, check=True)
     return json.loads(done.stdout)["key"]
 
 
@@ -415,9 +406,7 @@ def test_number_memory_and_time_are_bounded(small_server):
             client.toolbox.start_pipeline(hills(20_000), STEPS)
         assert error.value.reason == "OPERATIONS_FULL"
         # 240 kB as a result do not fit either.
-        failed = client.toolbox.start_pipeline(
-            large, [Step("remove_non_finite", quiet=True)], send_cloud=True
-        )
+        failed = client.toolbox.start_pipeline(large, [Step("remove_non_finite", quiet=True)], send_cloud=True)
         assert failed.wait(60).fault.reason == "OPERATIONS_FULL"
         small = [Step("downsample_voxels", voxel_size_m=1.0)]
         others = [client.toolbox.start_pipeline(large, small) for _ in range(2)]

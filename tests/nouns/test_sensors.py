@@ -62,9 +62,7 @@ def test_a_declaration_may_change_until_it_has_sent(client):
             SensorSpec(
                 "a",
                 kind="depth",
-                intrinsics=dataclasses.replace(
-                    world.INTRINSICS, distortion_model="plumb_bob", distortion=(0.1,)
-                ),
+                intrinsics=dataclasses.replace(world.INTRINSICS, distortion_model="plumb_bob", distortion=(0.1,)),
             ),
             "SIZE_MISMATCH",
             "spec.intrinsics.distortion",
@@ -111,9 +109,7 @@ def test_a_frame_that_is_sent_again_is_answered_and_does_nothing_more(client):
 def test_every_kind_of_frame_is_taken(client):
     small = CameraIntrinsics(width_px=16, height_px=12, fx_px=15, fy_px=15, cx_px=7.5, cy_px=5.5)
     kinds = ("depth", "rgbd", "camera", "lidar3d", "lidar2d", "imu", "odometry")
-    specs = [
-        SensorSpec(k, kind=k, intrinsics=small if k in ("depth", "rgbd", "camera") else None) for k in kinds
-    ]
+    specs = [SensorSpec(k, kind=k, intrinsics=small if k in ("depth", "rgbd", "camera") else None) for k in kinds]
     # Tried on a link: what each kind does to a map is another test's matter.
     session = client.sessions.create(mode="ingest_only", sensors=specs)
     pose = world.drive(1)[0]

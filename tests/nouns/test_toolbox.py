@@ -147,9 +147,7 @@ def test_registration_finds_how_the_cloud_was_moved(client):
 def test_unprojection_is_the_pinhole_model(client):
     pose = world.drive(1)[0]
     depth = world.depth_image(pose)
-    cloud = client.toolbox.unproject_depth(
-        depth, intrinsics=world.INTRINSICS, metres_per_unit=0.001, stride=4
-    )
+    cloud = client.toolbox.unproject_depth(depth, intrinsics=world.INTRINSICS, metres_per_unit=0.001, stride=4)
     k = world.INTRINSICS
     v, u = np.mgrid[0:240:4, 0:320:4]
     z = depth[::4, ::4] / 1000
@@ -158,9 +156,7 @@ def test_unprojection_is_the_pinhole_model(client):
     none = np.zeros((240, 320), np.uint16)
     empty = client.toolbox.unproject_depth(none, intrinsics=world.INTRINSICS, metres_per_unit=0.001)
     assert empty.num_points == 0
-    near = client.toolbox.unproject_depth(
-        depth, intrinsics=world.INTRINSICS, metres_per_unit=0.001, max_depth_m=3.0
-    )
+    near = client.toolbox.unproject_depth(depth, intrinsics=world.INTRINSICS, metres_per_unit=0.001, max_depth_m=3.0)
     assert near.num_points == ((depth > 0) & (depth <= 3000)).sum()
 
 

@@ -112,9 +112,7 @@ def test_a_file_of_unknown_kind_is_refused(client):
         client.toolbox.decode_cloud(b"\x00\x01\x02\x03")
     assert (error.value.reason, error.value.field) == ("FORMAT_UNKNOWN", "file.format")
     with pytest.raises(InvalidArgument) as error:
-        client.toolbox.decode_cloud(
-            client.toolbox.encode_cloud(np.zeros((3, 3), np.float32)), file_format="pcd"
-        )
+        client.toolbox.decode_cloud(client.toolbox.encode_cloud(np.zeros((3, 3), np.float32)), file_format="pcd")
     assert (error.value.reason, error.value.field) == ("FORMAT_MISMATCH", "file.format")
 
 
@@ -200,9 +198,7 @@ def test_a_pipeline_finds_what_its_steps_find_one_by_one(client, rng):
 def test_what_goes_on_after_planes_is_said(client, rng):
     cloud = table_scene(rng)
     left = {
-        remainder: client.toolbox.run_pipeline(
-            cloud, [Step("segment_planes", seed=1, remainder=remainder)]
-        ).steps[0]
+        remainder: client.toolbox.run_pipeline(cloud, [Step("segment_planes", seed=1, remainder=remainder)]).steps[0]
         for remainder in ("rest", "planes", "all")
     }
     on_plane = len(left["all"].answer[0].indices)

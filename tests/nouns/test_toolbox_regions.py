@@ -134,9 +134,7 @@ def test_supervoxels_are_grouped_where_the_surface_is_convex(client, rng):
     assert max((of_point == side).mean(), (of_point != side).mean()) > 0.95
     # What may bend inward by half a turn is all one.
     assert client.toolbox.group_convex(parts, concavity_tolerance_rad=3.2, max_step_m=1.0).num_clusters <= 2
-    none = dataclasses.replace(
-        parts, centres=parts.centres[:0], normals=parts.normals[:0], edges=parts.edges[:0]
-    )
+    none = dataclasses.replace(parts, centres=parts.centres[:0], normals=parts.normals[:0], edges=parts.edges[:0])
     assert client.toolbox.group_convex(none).num_clusters == 0
     wrong = np.array([[0, len(parts.centres)]], np.uint32)
     for bad, field in (
@@ -188,9 +186,7 @@ def test_registration_says_what_it_misses(client, rng):
 def test_pictures_have_the_size_and_colours_that_were_asked_for(client, rng):
     floor = surface(rng, -1, 1, 5000)
     labels = (floor[:, 0] > 0).astype(np.int32)
-    png = client.toolbox.render_cloud(
-        floor, view="top", colouring="label", labels=labels, width_px=320, height_px=240
-    )
+    png = client.toolbox.render_cloud(floor, view="top", colouring="label", labels=labels, width_px=320, height_px=240)
     picture = client.toolbox.decode_colour(png)
     assert picture.shape == (240, 320, 3)
     left, right = picture[120, 130].astype(int), picture[120, 190].astype(int)

@@ -96,9 +96,7 @@ def test_boxes_and_hull_of_a_turned_box_are_its_own(client, rng):
 
 def ray_grid():
     v, u = np.mgrid[0:120, 0:160]
-    return np.stack(
-        [(u - CAMERA.cx_px) / CAMERA.fx_px, (v - CAMERA.cy_px) / CAMERA.fy_px, np.ones(u.shape)], -1
-    )
+    return np.stack([(u - CAMERA.cx_px) / CAMERA.fx_px, (v - CAMERA.cy_px) / CAMERA.fy_px, np.ones(u.shape)], -1)
 
 
 def plane_depth(normal, offset):
@@ -143,9 +141,7 @@ def test_normals_and_planes_of_a_depth_image_are_metric(client):
     both = np.where(np.arange(160) < 80, depth, wall).astype(np.float32)
     found = client.toolbox.segment_depth_planes(both, intrinsics=CAMERA, min_pixels=1000)
     assert len(found.planes) == 2
-    left, right = (
-        found.planes[np.bincount(half[half >= 0]).argmax()] for half in np.split(found.labels, 2, axis=1)
-    )
+    left, right = (found.planes[np.bincount(half[half >= 0]).argmax()] for half in np.split(found.labels, 2, axis=1))
     assert abs(left.plane.normal @ normal) > 0.9999
     assert abs(abs(left.plane.offset_m) - 1.5) < 0.002
     assert abs(right.plane.normal[2]) > 0.9999

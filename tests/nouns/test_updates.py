@@ -34,9 +34,7 @@ def http(server):
 
 
 def test_name_labels_and_parameters_change_and_nothing_else_does(client, name):
-    session = client.sessions.create(
-        name, display_name="Seven", labels={"site": "north"}, sensors=[world.LASER]
-    )
+    session = client.sessions.create(name, display_name="Seven", labels={"site": "north"}, sensors=[world.LASER])
     before = session.info()
     assert dict(before.labels) == {"site": "north"}
     after = session.update(display_name="Eight", params={"planning": {"robot_radius_m": 0.31}})
@@ -59,9 +57,7 @@ def test_changes_survive_a_kill(own_server, name):
     with Client(own_server.grpc) as client:
         session = client.sessions.create(name, sensors=[world.LASER])
         send_scans(session, 0, 2)
-        changed = session.update(
-            display_name="Eight", labels={"site": "north"}, params={"detection": {"range_m": 4.5}}
-        )
+        changed = session.update(display_name="Eight", labels={"site": "north"}, params={"detection": {"range_m": 4.5}})
         sensor = session.sensors.update("laser", overload_policy="drop_oldest")
     own_server.kill()
     own_server.start()
@@ -265,9 +261,7 @@ def test_rest_patches_with_entity_tags(http, client, name):
     stale = http.patch(url, json={"display_name": "Nine"}, headers={"if-match": tag})
     assert (stale.status_code, stale.json()["reason"]) == (412, "ETAG_MISMATCH")
     assert http.patch(url, json={"display_name": "Nine"}, headers={"if-match": "*"}).status_code == 200
-    named = http.patch(f"{url}?update_mask=display_name,labels", json={"labels": {"site": "north"}}).json()[
-        "session"
-    ]
+    named = http.patch(f"{url}?update_mask=display_name,labels", json={"labels": {"site": "north"}}).json()["session"]
     assert (named["display_name"], named["labels"]) == ("", {"site": "north"})
     one = {"params": {"planning": {"robot_radius_m": 0.31}}}
     after = http.patch(url, json=one).json()["session"]

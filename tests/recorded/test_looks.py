@@ -32,9 +32,7 @@ class Recording:
     def _send(self, session, depth, colour):
         self.sent += 1
         stamp = self.sent * 66_666_667
-        return session.send_rgbd(
-            "camera", stamp_ns=stamp, depth=depth, colour=colour, metres_per_unit=0.001
-        ).pose
+        return session.send_rgbd("camera", stamp_ns=stamp, depth=depth, colour=colour, metres_per_unit=0.001).pose
 
     def way(self, session):
         """What is said at each frame of the way."""

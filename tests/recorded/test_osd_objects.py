@@ -50,9 +50,7 @@ def overlaps(found, truth):
     """For each object, the best ratio of intersection to union with something that was found."""
     objects, clusters = np.unique(truth[truth >= 2]), np.unique(found[found >= 0])
     masks = [found == c for c in clusters]
-    best = [
-        max(((m & (truth == t)).sum() / (m | (truth == t)).sum() for m in masks), default=0) for t in objects
-    ]
+    best = [max(((m & (truth == t)).sum() / (m | (truth == t)).sum() for m in masks), default=0) for t in objects]
     return np.array(best)
 
 

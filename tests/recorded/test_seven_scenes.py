@@ -26,9 +26,7 @@ def camera_of(folder):
         width_px=640, height_px=480, fx_px=k[0, 0], fy_px=k[1, 1], cx_px=k[0, 2], cy_px=k[1, 2]
     )
     base = Pose(np.zeros(3), OPTICAL)
-    return SensorSpec(
-        "camera", kind="rgbd", t_base_sensor=base, intrinsics=intrinsics, overload_policy="block"
-    )
+    return SensorSpec("camera", kind="rgbd", t_base_sensor=base, intrinsics=intrinsics, overload_policy="block")
 
 
 def replay(folder, out, *arguments):
@@ -67,9 +65,7 @@ def test_a_python_stream_gives_the_trajectory_of_the_replay(client, seven_scenes
 
 
 @pytest.mark.timeout(600)
-def test_a_replay_into_a_server_gives_the_trajectory_of_the_replay(
-    server, seven_scenes, in_process, tmp_path
-):
+def test_a_replay_into_a_server_gives_the_trajectory_of_the_replay(server, seven_scenes, in_process, tmp_path):
     _, expected = in_process
     _, streamed = replay(seven_scenes, tmp_path, "--server", server.grpc)
     assert streamed == expected

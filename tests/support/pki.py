@@ -48,9 +48,7 @@ class Authority:
         key = ec.generate_private_key(ec.SECP256R1())
         builder = _builder(_named(name), self._certificate.subject, key, valid)
         if names:
-            others = [
-                _KINDS[kind](text) for kind, _, text in (one.partition(":") for one in names.split(","))
-            ]
+            others = [_KINDS[kind](text) for kind, _, text in (one.partition(":") for one in names.split(","))]
             builder = builder.add_extension(x509.SubjectAlternativeName(others), critical=False)
         if purpose:
             builder = builder.add_extension(x509.ExtendedKeyUsage([PURPOSES[purpose]]), critical=False)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import subprocess
+import sys
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ while True:
 
 @contextlib.contextmanager
 def server() -> Iterator[str]:
-    """The address of one with an empty bucket; a process of its own, so that it does not wait for the test's threads."""
+    """The address of one with an empty bucket; a process of its own, so that it waits for no thread of the tests."""
     port = free_port()
     address = f"http://127.0.0.1:{port}"
     process = subprocess.Popen(

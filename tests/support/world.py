@@ -69,9 +69,7 @@ def depth_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS) -> np
     """(H, W) uint16 millimetres along the optical axis."""
     t_world_camera = t_world_base.matrix @ CAMERA.t_base_sensor.matrix
     u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
-    rays = np.stack(
-        [(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones(u.shape)], axis=-1
-    )
+    rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones(u.shape)], axis=-1)
     z = cast(t_world_camera[:3, 3], rays @ t_world_camera[:3, :3].T)
     return np.round(z * 1000).astype(np.uint16)
 
@@ -80,9 +78,7 @@ def colour_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS) -> n
     """(H, W) uint8: walls and furniture of grey blocks, each of its own shade; 2 x 2 rays a pixel."""
     t_world_camera = t_world_base.matrix @ CAMERA.t_base_sensor.matrix
     u, v = np.meshgrid(np.arange(2 * camera.width_px) / 2 - 0.25, np.arange(2 * camera.height_px) / 2 - 0.25)
-    rays = np.stack(
-        [(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones(u.shape)], axis=-1
-    )
+    rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones(u.shape)], axis=-1)
     rays = rays @ t_world_camera[:3, :3].T
     points = t_world_camera[:3, 3] + rays * cast(t_world_camera[:3, 3], rays)[..., None]
     shade = (_shade(points, 0.15) + _shade(points, 0.04)) / 2

@@ -38,9 +38,7 @@ def local(toolbox):
             peer = small_gicp(source, target, theirs)
             if peer is not None:
                 figures["reference_off_m"], figures["reference_off_deg"] = pose_error(peer, truth)
-                figures["to_reference_m"], figures["to_reference_deg"] = pose_error(
-                    found.t_target_source.matrix, peer
-                )
+                figures["to_reference_m"], figures["to_reference_deg"] = pose_error(found.t_target_source.matrix, peer)
             right = off_m < metres and off_deg < degrees
             if method in ("point_to_point", "point_to_plane"):
                 thinned = [toolbox.downsample_voxels(c, voxel_size_m=0.25).points for c in (source, target)]

@@ -39,9 +39,7 @@ def depth_to_cloud(toolbox):
     tight = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
     for model, coefficients in LENSES.items():
         camera = CameraIntrinsics(**PINHOLE, distortion_model=model, distortion=coefficients)
-        found = toolbox.unproject_depth(
-            depth, intrinsics=camera, metres_per_unit=0.001, max_depth_m=60.0
-        ).points
+        found = toolbox.unproject_depth(depth, intrinsics=camera, metres_per_unit=0.001, max_depth_m=60.0).points
         d = np.array(coefficients)
         if model == "fisheye":
             rays = cv2.fisheye.undistortPoints(pixels, K, d, criteria=tight)

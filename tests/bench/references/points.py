@@ -118,9 +118,7 @@ def subsets(toolbox):
     for low, high in ((1.0, 2.0), (0.0, 1.5)):
         found = toolbox.crop_cloud(points, range_m=(low, high)).indices
         away = np.linalg.norm(points.astype(float), axis=1)
-        yield same_indices_numpy(
-            "crop_cloud range", found, np.flatnonzero((away >= low) & (away <= high)), away
-        )
+        yield same_indices_numpy("crop_cloud range", found, np.flatnonzero((away >= low) & (away <= high)), away)
     yield from crops(toolbox, points)
     with_nan = points.copy()
     with_nan[::7, 1] = np.nan
@@ -128,9 +126,7 @@ def subsets(toolbox):
     same = np.array_equal(kept, with_nan[np.isfinite(with_nan).all(1)])
     yield Finding("remove_non_finite", "redwood", "numpy", same, {"kept": len(kept)})
     every = toolbox.sample_points(points, every=9).indices
-    yield Finding(
-        "sample_points every", "redwood", "numpy", np.array_equal(every, np.arange(0, len(points), 9)), {}
-    )
+    yield Finding("sample_points every", "redwood", "numpy", np.array_equal(every, np.arange(0, len(points), 9)), {})
     yield farthest(toolbox, points)
 
 

@@ -148,9 +148,7 @@ def known_views(toolbox, a, b, truth):
     theirs = (rays[:3] / rays[3]).T
     usable = (found.rmse_px < 1.0) & found.in_front & (found.parallax_rad > np.radians(1))
     away = np.linalg.norm(found.positions - theirs, axis=1)[usable] / theirs[usable, 2]
-    ours_px, theirs_px = (
-        reprojection(p[usable], truth, a[usable], b[usable]) for p in (found.positions, theirs)
-    )
+    ours_px, theirs_px = (reprojection(p[usable], truth, a[usable], b[usable]) for p in (found.positions, theirs))
     figures = {"points": int(usable.sum()), "median_off_of_depth": float(np.median(away))}
     figures |= {"rmse_px": ours_px, "reference_rmse_px": theirs_px}
     right = ours_px <= theirs_px + 1e-6 and figures["median_off_of_depth"] < 0.02
