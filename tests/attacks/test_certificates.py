@@ -54,14 +54,14 @@ class Site:
         keys = folder / "keys.json"
         made = [binary(), "keys", "create", "--file", keys, "--name", "op", "--scope", "admin", "--json"]
         self.key = json.loads(subprocess.run(made, capture_output=True, check=True).stdout)["key"]
-        config = folder / "percept.toml"
-        config.write_text(
+        self.config = folder / "percept.toml"
+        self.config.write_text(
             f'[auth]\nmode = "required"\nkeys_file = "{keys}"\n{rules}{settings}'
             f'[tls]\ncert_file = "{cert}"\nkey_file = "{key}"\nclient_ca_file = "{self.ours.ca}"\n'
             f"client_cert_required = {str(is_required).lower()}\n"
         )
         endpoint = zenoh and f"{zenoh}/127.0.0.1:{free_port()}"
-        self.server = Server(folder / "data", "--config", str(config), zenoh=endpoint)
+        self.server = Server(folder / "data", "--config", str(self.config), zenoh=endpoint)
 
     def certificates(self) -> dict:
         """Files (certificate, key) by kind; None: no certificate is shown."""
@@ -80,6 +80,13 @@ class Site:
             "not valid yet": issue("robot-7", valid=(DAY, 2 * DAY), file="early"),
             "made for servers": issue("robot-7", purpose="server", file="server-robot"),
         }
+
+    def replace(self, old: str, new: str) -> None:
+        """Changes the configuration, and has it read again."""
+        text = self.config.read_text()
+        assert old in text
+        self.config.write_text(text.replace(old, new))
+        self.server.process.send_signal(signal.SIGHUP)
 
     def client(self, files, **options) -> Client:
         cert, key = files or (None, None)
@@ -188,6 +195,54 @@ def test_a_new_authority_holds_for_new_connections_and_old_ones_stay(make_site):
         assert over_grpc(site, old) == over_rest(site, old) == ("not let in", "not let in")
         assert grpc.session("fleet-1").info()
         assert rest.get("/v1/sessions/fleet-1").status_code == 200
+
+
+def test_rules_are_read_again_and_who_lost_one_is_not_let_go_on(make_site):
+    site = make_site(zenoh="")
+    robot, stranger = site.ours.issue("robot-7"), site.ours.issue("robot-8")
+    with site.operator() as operator:
+        operator.sessions.create("fleet-1", sensors=[world.LASER])
+    assert over_grpc(site, robot) == ("", "")
+    with site.http(robot) as http, http.stream("GET", "/v1/sessions/fleet-1/events") as events:
+        # What cannot be read changes nothing.
+        site.replace('"cn:robot-7"', '"robot-7"')
+        assert eventually(lambda: "the configuration in force stays" in site.server.tail())
+        assert over_rest(site, robot) == ("", "")
+        site.replace('"robot-7"', '"cn:robot-8"')
+        assert eventually(lambda: over_rest(site, stranger) == ("", ""))
+        assert over_grpc(site, robot) == over_rest(site, robot) == ("CREDENTIALS_WITHOUT_GRANT",) * 2
+        assert "were revoked" in "".join(events.iter_text())
+    # What only a restart brings is said.
+    site.replace("[tls]", "[limits]\nmax_sessions = 7\n[tls]")
+    assert eventually(lambda: "in force after a restart only" in site.server.tail())
+
+
+def test_rules_that_are_read_again_hold_for_zenoh(make_site):
+    site = make_site(is_required=True)
+    robot, stranger, operator_files = site.ours.issue("robot-7"), site.ours.issue("robot-8"), site.ours.issue("op")
+    site.replace('"cn:depot"', '"cn:op"')
+    site.replace('"depot-*"', '"*"')
+
+    def answers(files) -> bool:
+        try:
+            with site.peer(files, timeout_s=2.0) as peer:
+                return peer.pose().state == "tracking"
+        except Unavailable:
+            return False
+
+    with Client(
+        f"https://{site.server.grpc}", ca_file=site.ours.ca, cert_file=operator_files[0], key_file=operator_files[1]
+    ) as operator:
+        eventually(lambda: operator.sessions.create("fleet-1", sensors=[world.LASER]))
+        with by_zenoh.SensorPublisher(site.server.zenoh, session_id="fleet-1", **site.shown(robot)) as publisher:
+            for i in range(3):
+                publisher.send_scan("laser", stamp_ns=world.stamp(i), **robots.scan(i))
+        assert eventually(lambda: len(operator.session("fleet-1").trajectory()) == 3)
+    assert answers(robot)
+    assert not answers(stranger)
+    site.replace('"cn:robot-7"', '"cn:robot-8"')
+    assert eventually(lambda: answers(stranger), seconds=30)
+    assert not answers(robot)
 
 
 def test_over_zenoh_a_common_name_counts_where_certificates_are_required(make_site):

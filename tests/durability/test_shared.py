@@ -1,5 +1,5 @@
-"""Two servers share a store, each of them some of the sessions: whoever asks the wrong one is told where to go, and what
-one of them leaves behind the other answers for.
+"""Two servers share a store, each of them some of the sessions: whoever asks the wrong one is told where to go, and
+what one of them leaves behind the other answers for.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def test_a_request_sent_again_to_the_other_server_is_the_same_session(sides):
 def test_a_directory_of_one_server_is_refused_to_another(tmp_path):
     one = Server(tmp_path / "data")
     try:
-        with pytest.raises(AssertionError, match="in use|another"):
+        with pytest.raises(AssertionError, match=r"in use|another"):
             Server(tmp_path / "data", log=tmp_path / "other.log")
     finally:
         one.kill()
@@ -216,9 +216,7 @@ def known_pair(tmp_path, monkeypatch):
     monkeypatch.setenv("PERCEPT_STORAGE_SHARED", "true")
     servers = []
     for name in ("one", "two"):
-        address = f"127.0.0.1:{free_port()}"
-        monkeypatch.setenv("PERCEPT_STORAGE_ADVERTISE", address)
-        servers.append(Server(tmp_path / "data", grpc=address, log=tmp_path / f"{name}.log"))
+        servers.append(Server(tmp_path / "data", log=tmp_path / f"{name}.log"))
     yield servers
     for server in servers:
         server.kill()

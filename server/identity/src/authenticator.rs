@@ -1,10 +1,13 @@
 //! From credentials to a principal.
 
+use crate::certificates::Rules;
 use crate::jwt::JwtVerifier;
 use crate::keys::PREFIX;
-use crate::{AuthMode, AuthSettings, CertificateNames, FetchKeys, KeyRing, Principal, Reason, Refusal, certificates};
+use crate::{
+    AuthMode, AuthSettings, CertificateNames, CertificateRule, FetchKeys, KeyRing, Principal, Reason, Refusal,
+};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
 
 /// The remedy where there is no file of keys.
 const MAKE: &str = "; `percept keys create --file FILE --name NAME --scope admin` makes one with a key in it";
@@ -23,6 +26,7 @@ pub struct Authenticator {
     settings: AuthSettings,
     keys: Option<KeyRing>,
     jwt: Option<JwtVerifier>,
+    certificates: RwLock<Rules>,
     anonymous: Arc<Principal>,
 }
 
@@ -39,15 +43,18 @@ impl Authenticator {
             KeyRing::open(path).map_err(|e| format!("auth.keys_file: {e}{remedy}"))
         });
         let jwt = (required && !settings.jwt.issuer.is_empty()).then(|| JwtVerifier::open(&settings.jwt, fetch));
+        let mut certificates = Rules::default();
+        certificates.replace(&settings.certificates);
         Ok(Self {
             settings: settings.clone(),
+            certificates: RwLock::new(certificates),
             keys: keys.transpose()?,
             jwt: jwt.transpose().map_err(|e| format!("auth.{e}"))?,
             anonymous: Arc::new(Principal::anonymous()),
         })
     }
 
-    /// What it was opened with.
+    /// What it was opened with; the rules for certificates may be others by now.
     pub fn settings(&self) -> &AuthSettings {
         &self.settings
     }
@@ -69,8 +76,8 @@ impl Authenticator {
                 Some(jwt) => jwt.authenticate(token, now_s).await?,
                 None => return Err(Refusal::invalid("no key, and auth.jwt.issuer is not set")),
             },
-            (None, Some(names)) if !self.settings.certificates.is_empty() => {
-                let principal = certificates::principal(&self.settings.certificates, names)?;
+            (None, Some(names)) if !self.rules().is_empty() => {
+                let principal = self.rules().principal(names)?;
                 if !principal.standing.holds(now_s) {
                     return Err(Refusal::new(Reason::Expired, "the certificate has expired since it was shown"));
                 }
@@ -79,6 +86,15 @@ impl Authenticator {
             (None, _) => return Err(Refusal::new(Reason::Missing, "no credentials")),
         };
         Ok(Arc::new(principal))
+    }
+
+    fn rules(&self) -> std::sync::RwLockReadGuard<'_, Rules> {
+        self.certificates.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Puts other rules for certificates in force; calls that go on under one that is gone lose their standing.
+    pub fn set_certificates(&self, rules: &[CertificateRule]) {
+        self.certificates.write().unwrap_or_else(PoisonError::into_inner).replace(rules);
     }
 
     /// Takes over keys that were made or revoked. Call it every second or so.

@@ -62,14 +62,20 @@ pub struct Grant {
 /// Whether credentials still hold: asked again by calls that go on for long.
 #[derive(Debug, Default)]
 pub struct Standing {
-    revoked: AtomicBool,
+    /// Shared by all that a rule lets in.
+    revoked: Arc<AtomicBool>,
     expires_s: Option<u64>,
 }
 
 impl Standing {
     /// Until `expires_s` (seconds since the Unix epoch; none: for good), or until revoked.
     pub fn until(expires_s: Option<u64>) -> Arc<Self> {
-        Arc::new(Self { revoked: AtomicBool::new(false), expires_s })
+        Self::under(&Arc::default(), expires_s)
+    }
+
+    /// The same, under something that is revoked for many at once.
+    pub(crate) fn under(revoked: &Arc<AtomicBool>, expires_s: Option<u64>) -> Arc<Self> {
+        Arc::new(Self { revoked: Arc::clone(revoked), expires_s })
     }
 
     pub(crate) fn revoke(&self) {

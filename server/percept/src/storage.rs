@@ -2,19 +2,23 @@
 
 use crate::config::{Config, Storage};
 use percept_store::{CacheConfig, Location, RootConfig, S3Options, StoreError};
+use std::net::SocketAddr;
 
-/// How the server opens its data.
+/// How the server opens its data; `grpc` is where it listens, if it does.
 ///
 /// # Errors
 /// [`StoreError::InvalidLocation`].
-pub(crate) fn root_config(config: &Config) -> Result<RootConfig, StoreError> {
+pub(crate) fn root_config(config: &Config, grpc: Option<SocketAddr>) -> Result<RootConfig, StoreError> {
     let storage = &config.storage;
     let mut root = RootConfig::at(location(storage)?);
     root.shared |= storage.shared;
     root.address = match storage.advertise.as_str() {
-        "" => config.listen.grpc.clone(),
+        "" => grpc.map(|at| at.to_string()).unwrap_or_default(),
         given => given.to_owned(),
     };
+    if root.shared && storage.advertise.is_empty() && grpc.is_none_or(|at| at.ip().is_unspecified()) {
+        tracing::warn!(address = root.address, "other servers send nobody here: set storage.advertise");
+    }
     let is_cached = !storage.cache_dir.as_os_str().is_empty();
     root.cache = is_cached.then(|| CacheConfig {
         directory: storage.cache_dir.clone(),

@@ -43,6 +43,7 @@ pub use session::handle::{Moved, Pending, Processed, Session, Ticket, Vetoed};
 pub use session::inspect::read_record;
 pub use session::listing::SessionView;
 pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
+pub use session::persist::Durable;
 pub use session::records::Counts;
 pub use session::sensor_book::SensorStatus;
 pub use session::slot::SessionState;

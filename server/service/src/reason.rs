@@ -165,7 +165,7 @@ reasons! {
         CREDENTIALS_INVALID: "The key, token or certificate is not one of this server's.",
         CREDENTIALS_MISSING: "The request says nobody's name; send a key or token, or a certificate.",
         CREDENTIALS_NOT_YET_VALID: "The token holds only from a later time on; check the clocks.",
-        CREDENTIALS_REVOKED: "The key was revoked; ask for another one.",
+        CREDENTIALS_REVOKED: "The key, or the rule for the certificate, was revoked; ask for another one.",
         CREDENTIALS_WITHOUT_GRANT: "The credentials are good, and grant nothing here; ask for access.",
     }
     PermissionDenied {

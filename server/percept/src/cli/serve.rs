@@ -8,15 +8,16 @@ use crate::doors::grpc::Api;
 use crate::doors::identify::Gate;
 use crate::doors::listener::tls::Tls;
 use crate::doors::listener::{Listener, Protocol, Shared, files};
-use crate::doors::{grpc, rest, zenoh::ZenohDoor};
+use crate::doors::{grpc, rest, zenoh, zenoh::ZenohDoor};
 use crate::storage;
-use percept_identity::{AuthMode, Authenticator};
+use percept_identity::{AuthMode, AuthSettings, Authenticator};
 use percept_service::{About, Admission, ComputePool, ComputeThreads, Guarded, HEALTHY, Part, Service};
 use percept_store::DataRoot;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::net::TcpSocket;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -54,8 +55,9 @@ pub(crate) struct ServeArgs {
 }
 
 impl ServeArgs {
-    fn config(self) -> Result<Config, Failure> {
-        let mut config = Config::load(self.config.as_deref())?;
+    /// Lays the flags over what was read.
+    fn config(self, read: &Config) -> Result<Config, Failure> {
+        let mut config = read.clone();
         let set = |slot: &mut String, flag: Option<String>| {
             if let Some(value) = flag {
                 *slot = value;
@@ -88,8 +90,13 @@ pub(crate) struct Running {
     pub(crate) addresses: Addresses,
     service: Service,
     tls: Option<Arc<Tls>>,
+    authenticator: Arc<Authenticator>,
+    /// To the zenoh door.
+    auth: watch::Sender<AuthSettings>,
     /// Read again when a signal asks for it.
     config_file: Option<PathBuf>,
+    /// As read when the server began, without flags.
+    read: Config,
     /// First the server is no longer ready, then it takes nothing more.
     stop: watch::Sender<bool>,
     notice: Duration,
@@ -102,7 +109,11 @@ impl Running {
     pub(crate) async fn start(config: &Config) -> Result<Self, Failure> {
         let files = files::raise_limit();
         let tls = config.tls.is_on().then(|| Tls::open(&config.tls)).transpose()?;
-        let data = DataRoot::open(storage::root_config(config)?).await?;
+        // The address that others are told has to be known before the data are opened.
+        let socket =
+            (!config.listen.grpc.is_empty()).then(|| reserve("listen.grpc", &config.listen.grpc)).transpose()?;
+        let address = socket.as_ref().and_then(|s| s.local_addr().ok());
+        let data = DataRoot::open(storage::root_config(config, address)?).await?;
         let limits = &config.limits;
         crate::telemetry::begin(&config.telemetry);
         let service = Service::open(data, compute(config)?, limits.clone(), config.params.clone()).await?;
@@ -122,12 +133,13 @@ impl Running {
         let gate = Gate::new(Arc::clone(&authenticator));
         let shows_metrics = config.telemetry.metrics && config.telemetry.listen.is_empty();
         let api = Api { service: Guarded::new(service.clone()), gate, listen, bounds, stopping, shows_metrics };
+        let (auth, asked) = watch::channel(config.auth.clone());
         let mut addresses = Addresses::default();
         let mut doors: JoinSet<Result<(), Failure>> = JoinSet::new();
         let open = [&config.listen.grpc, &config.listen.rest].into_iter().filter(|address| !address.is_empty());
         let most = files::max_connections(limits.max_connections, files, open.count());
-        if !config.listen.grpc.is_empty() {
-            let listener = bind("listen.grpc", &config.listen.grpc, Protocol::Grpc, most, shared.clone())?;
+        if let Some(socket) = socket {
+            let listener = Listener::open(socket, Protocol::Grpc, most, shared.clone())?;
             addresses.grpc = listener.address()?.to_string();
             let api = api.clone();
             doors.spawn(async move {
@@ -142,7 +154,7 @@ impl Running {
             doors.spawn(async move { Ok(rest::serve(api, listener).await?) });
         }
         if !config.listen.zenoh.is_empty() {
-            let door = ZenohDoor::open(&api, &config.listen.zenoh, &config.auth, &config.tls).await?;
+            let door = ZenohDoor::open(&api, &config.listen.zenoh, asked, &config.tls).await?;
             addresses.zenoh = config.listen.zenoh.clone();
             doors.spawn(door.serve(api.clone()));
         }
@@ -167,7 +179,8 @@ impl Running {
         service.health().report(Part::Server, HEALTHY);
         let seconds = |s: usize| Duration::from_secs(s as u64);
         let (notice, drain) = (seconds(config.listen.notice_s), seconds(config.listen.drain_s));
-        Ok(Self { addresses, service, tls, config_file: None, stop, notice, drain, doors })
+        let (config_file, read) = (None, config.clone());
+        Ok(Self { addresses, service, tls, authenticator, auth, config_file, read, stop, notice, drain, doors })
     }
 
     /// Serves until a signal, or until a door fails.
@@ -187,18 +200,35 @@ impl Running {
         }
     }
 
-    /// Reads again what can be changed while serving: certificates, what is logged, quotas.
+    /// Reads again what can be changed while serving: certificates and the rules for them, what is logged, quotas.
     fn reload(&self) {
-        let config = Config::load(self.config_file.as_deref()).map_err(|e| e.to_string());
-        match config.and_then(|config| crate::telemetry::reload(&config).map(|()| config)) {
-            Ok(config) => self.service.set_quotas(config.quotas),
-            Err(error) => tracing::error!(%error, "the configuration in force stays"),
+        if let Err(error) = self.take_configuration() {
+            tracing::error!(%error, "the configuration in force stays");
         }
         if let Some(tls) = &self.tls
             && let Err(error) = tls.reload()
         {
             tracing::error!(%error, "the certificates in force stay");
         }
+    }
+
+    fn take_configuration(&self) -> Result<(), Failure> {
+        let config = Config::load(self.config_file.as_deref())?;
+        let rules = &config.auth.certificates;
+        let auth = AuthSettings { certificates: rules.clone(), ..self.auth.borrow().clone() };
+        zenoh::check(&auth, &self.addresses.zenoh, &self.read.tls)?;
+        crate::telemetry::reload(&config)?;
+        self.service.set_quotas(config.quotas.clone());
+        self.authenticator.set_certificates(rules);
+        self.auth.send_if_modified(|now| {
+            let is_changed = *now != auth;
+            *now = auth;
+            is_changed
+        });
+        for section in waits_for_restart(&self.read, &config) {
+            tracing::warn!(section, "changed, and in force after a restart only");
+        }
+        Ok(())
     }
 
     /// Says that it is no longer ready, refuses new work, finishes what is under way, stores it, closes.
@@ -218,6 +248,26 @@ impl Running {
         crate::telemetry::end().await;
         stopped.map_err(|e| format!("not all that was accepted is stored: {e}").into())
     }
+}
+
+/// Sections in which more has changed than can be taken while serving.
+fn waits_for_restart(before: &Config, now: &Config) -> Vec<&'static str> {
+    let certificates = before.auth.certificates.clone();
+    let auth = AuthSettings { certificates, ..now.auth.clone() };
+    let log = crate::config::Log { level: before.log.level.clone(), ..now.log.clone() };
+    let telemetry = crate::config::Telemetry { access_log: before.telemetry.access_log, ..now.telemetry.clone() };
+    let changed = [
+        ("listen", before.listen != now.listen),
+        ("auth", before.auth != auth),
+        ("tls", before.tls != now.tls),
+        ("storage", before.storage != now.storage),
+        ("compute", before.compute != now.compute),
+        ("limits", before.limits != now.limits),
+        ("log", before.log != log),
+        ("telemetry", before.telemetry != telemetry),
+        ("params", before.params != now.params),
+    ];
+    changed.into_iter().filter(|(_, is_changed)| *is_changed).map(|(section, _)| section).collect()
 }
 
 /// Takes over keys that were made or revoked.
@@ -282,8 +332,11 @@ fn bind(
     max_connections: usize,
     shared: Shared,
 ) -> Result<Listener, Failure> {
-    Listener::bind(address, protocol, max_connections, shared)
-        .map_err(|e| format!("{field}: cannot listen on {address}: {e}").into())
+    Ok(Listener::open(reserve(field, address)?, protocol, max_connections, shared)?)
+}
+
+fn reserve(field: &str, address: &str) -> Result<TcpSocket, Failure> {
+    Listener::reserve(address).map_err(|e| format!("{field}: cannot listen on {address}: {e}").into())
 }
 
 /// What a signal asks for.
@@ -348,13 +401,14 @@ fn keep_pages_small() {
 
 pub(crate) fn run(args: ServeArgs) -> Result<(), Failure> {
     let config_file = args.config.clone();
-    let config = args.config()?;
+    let read = Config::load(config_file.as_deref())?;
+    let config = args.config(&read)?;
     crate::telemetry::init(&config.log.level, config.log.format);
     keep_pages_small();
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
         let mut signals = Signals::listen()?;
-        let mut running = Running { config_file, ..Running::start(&config).await? };
+        let mut running = Running { config_file, read, ..Running::start(&config).await? };
         println!("{}", serde_json::to_string(&running.addresses)?);
         tracing::info!(
             grpc = running.addresses.grpc,

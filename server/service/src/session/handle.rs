@@ -4,7 +4,7 @@ use super::actor::{Actor, Ending};
 use super::events::EventLog;
 use super::fault::{Fault, Trouble};
 use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
-use super::persist::{Persister, Storing};
+use super::persist::{Durable, Persister, Storing};
 use super::refusal::{check_stamp, frame_error, not_yet_durable, sensor_not_found, stopped};
 use super::sensor_book::{SensorBook, SensorStatus};
 use crate::observe::{self, Held, SessionShare};
@@ -123,7 +123,7 @@ pub struct Session {
     pub(super) book: Mutex<SensorBook>,
     pub(super) share: SessionShare,
     queue: mpsc::Sender<Command>,
-    durable: watch::Receiver<Ticket>,
+    durable: Durable,
     storing: watch::Receiver<Storing>,
     /// Set if the session is only read.
     fault: OnceLock<Fault>,
@@ -183,7 +183,7 @@ impl Session {
         events: Arc<EventLog>,
     ) -> Arc<Self> {
         let (queue, _) = mpsc::channel(1);
-        let nothing = (watch::channel(0).1, watch::channel(Storing::Well).1);
+        let nothing = (Durable::nothing(), watch::channel(Storing::Well).1);
         Arc::new(Self::over(meta, pipeline, last_stamps, queue, nothing, Some(fault), limits, events))
     }
 
@@ -192,7 +192,7 @@ impl Session {
         pipeline: &Pipeline,
         last_stamps: &BTreeMap<SensorId, Timestamp>,
         queue: mpsc::Sender<Command>,
-        (durable, storing): (watch::Receiver<Ticket>, watch::Receiver<Storing>),
+        (durable, storing): (Durable, watch::Receiver<Storing>),
         fault: Option<Fault>,
         limits: &Limits,
         events: Arc<EventLog>,
@@ -260,8 +260,8 @@ impl Session {
         self.queue.max_capacity() - self.queue.capacity()
     }
 
-    /// The newest ticket whose effects survive a crash, as it grows.
-    pub fn durable(&self) -> watch::Receiver<Ticket> {
+    /// Up to which ticket the effects of frames survive a crash.
+    pub fn durable(&self) -> Durable {
         self.durable.clone()
     }
 
@@ -345,7 +345,7 @@ impl Session {
         let (mut durable, mut storing) = (self.durable.clone(), self.storing.clone());
         tokio::select! {
             biased;
-            reached = durable.wait_for(|d| *d >= ticket) => reached.map(|_| ()).map_err(|_| stopped()),
+            is_reached = durable.reach(ticket) => if is_reached { Ok(()) } else { Err(stopped()) },
             failed = storing.wait_for(|s| !matches!(s, Storing::Well)) => Err(match failed.as_deref() {
                 Ok(Storing::Waiting(cause)) => not_yet_durable(cause),
                 Ok(Storing::Ended(trouble)) => trouble.error(),

@@ -6,7 +6,7 @@ use super::{Api, Streamed, check_size, status, stopped};
 use percept_geometry::Timestamp;
 use percept_service::admission::TenantPlace;
 use percept_service::reason;
-use percept_service::{Caller, Error, IncomingFrame, Pending, Result, Session, Ticket, observe};
+use percept_service::{Caller, Durable, Error, IncomingFrame, Pending, Result, Session, Ticket, observe};
 use percept_wire::{convert, v1};
 use prost::Message;
 use std::collections::{HashMap, VecDeque};
@@ -210,14 +210,14 @@ async fn submit(
 #[derive(Default)]
 struct Durability {
     /// Positions in order; a refused message waits for nothing.
-    waiting: VecDeque<Option<(watch::Receiver<Ticket>, Ticket)>>,
+    waiting: VecDeque<Option<(Durable, Ticket)>>,
     count: u64,
 }
 
 impl Durability {
     fn advance(&mut self) -> u64 {
         while let Some(front) = self.waiting.front() {
-            if front.as_ref().is_some_and(|(durable, ticket)| *durable.borrow() < *ticket) {
+            if front.as_ref().is_some_and(|(durable, ticket)| !durable.has(*ticket)) {
                 break;
             }
             self.waiting.pop_front();
@@ -228,10 +228,13 @@ impl Durability {
 
     /// Waits until everything is durable, or can no longer become so.
     async fn finish(&mut self) -> u64 {
+        // The newest first: what comes before it is durable with it.
+        for (durable, ticket) in self.waiting.iter_mut().rev().flatten().take(1) {
+            let _ = durable.reach(*ticket).await;
+        }
         while let Some(front) = self.waiting.front_mut() {
             if let Some((durable, ticket)) = front {
-                let wanted = *ticket;
-                if durable.wait_for(|d| *d >= wanted).await.is_err() {
+                if !durable.reach(*ticket).await {
                     return self.count;
                 }
             }

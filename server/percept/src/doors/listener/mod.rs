@@ -78,21 +78,29 @@ pub(crate) struct Listener {
 }
 
 impl Listener {
-    /// Takes an address.
+    /// Takes an address. Whoever calls is refused until [`Self::open`].
     ///
     /// # Errors
     /// What the system says.
-    pub(crate) fn bind(
-        address: &str,
-        protocol: Protocol,
-        max_connections: usize,
-        shared: Shared,
-    ) -> std::io::Result<Self> {
+    pub(crate) fn reserve(address: &str) -> std::io::Result<TcpSocket> {
         let address: SocketAddr = address.parse().map_err(|e| Error::new(ErrorKind::InvalidInput, e))?;
         let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
         socket.set_reuseaddr(true)?;
         socket.set_send_buffer_size(SEND_BUFFER_BYTES)?;
         socket.bind(address)?;
+        Ok(socket)
+    }
+
+    /// Lets callers come to an address that was taken.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub(crate) fn open(
+        socket: TcpSocket,
+        protocol: Protocol,
+        max_connections: usize,
+        shared: Shared,
+    ) -> std::io::Result<Self> {
         let places = Places::new(max_connections, shared.limits.max_connections_per_peer);
         Ok(Self { listener: socket.listen(BACKLOG)?, protocol, places, shared })
     }

@@ -29,7 +29,7 @@ use prost::{Message, Name};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use zenoh::sample::Sample;
 
 /// First chunk of every key.
@@ -79,6 +79,8 @@ pub(crate) struct ZenohDoor {
     setup: Setup,
     /// Of the setup's files, when the session was opened.
     stamps: Stamps,
+    /// Who may call; other rules for certificates come while the server runs.
+    auth: watch::Receiver<AuthSettings>,
 }
 
 /// What a session is opened with.
@@ -140,27 +142,46 @@ impl Names {
     }
 }
 
+/// Whether rules can be said in zenoh's terms.
+///
+/// # Errors
+/// What cannot, with the remedy.
+pub(crate) fn check(auth: &AuthSettings, endpoint: &str, tls: &Tls) -> Result<(), Failure> {
+    if endpoint.is_empty() { Ok(()) } else { Policy::of(auth, endpoint, tls).map(|_| ()) }
+}
+
 impl ZenohDoor {
     /// Opens a peer that listens on `endpoint`, e.g. `tcp/127.0.0.1:7447`.
-    pub(crate) async fn open(api: &Api, endpoint: &str, auth: &AuthSettings, tls: &Tls) -> Result<Self, Failure> {
-        let policy = Arc::new(Policy::of(auth, endpoint, tls)?);
+    pub(crate) async fn open(
+        api: &Api,
+        endpoint: &str,
+        mut auth: watch::Receiver<AuthSettings>,
+        tls: &Tls,
+    ) -> Result<Self, Failure> {
+        let settings = auth.borrow_and_update().clone();
+        let policy = Arc::new(Policy::of(&settings, endpoint, tls)?);
         let setup = Setup {
             endpoint: endpoint.to_owned(),
             max_message_bytes: api.service.limits().max_message_bytes,
             tls: tls.clone(),
-            users_file: auth.zenoh_users_file.clone().into(),
+            users_file: settings.zenoh_users_file.clone().into(),
         };
         let (session, stamps) = setup.open(&policy).await?;
-        Ok(Self { session, names: Names { api: api.clone(), policy }, setup, stamps })
+        Ok(Self { session, names: Names { api: api.clone(), policy }, setup, stamps, auth })
     }
 
-    /// Serves until the server stops. When certificates or users have changed, the door closes and opens again: peers
-    /// connect anew by themselves.
+    /// Serves until the server stops. When certificates, users or rules have changed, the door closes and opens again:
+    /// peers connect anew by themselves.
     pub(crate) async fn serve(mut self, api: Api) -> Result<(), Failure> {
         let mut stopping = api.stopping.clone();
         while self.serve_once(&api).await? {
-            tracing::info!("zenoh's certificates or users have changed: its door opens anew");
+            tracing::info!("zenoh's certificates, users or rules have changed: its door opens anew");
             loop {
+                let settings = self.auth.borrow_and_update().clone();
+                match Policy::of(&settings, &self.setup.endpoint, &self.setup.tls) {
+                    Ok(policy) => self.names.policy = Arc::new(policy),
+                    Err(error) => tracing::error!(%error, "the rules in force at the zenoh door stay"),
+                }
                 match self.setup.open(&self.names.policy).await {
                     Ok((session, stamps)) => {
                         (self.session, self.stamps) = (session, stamps);
@@ -178,7 +199,7 @@ impl ZenohDoor {
     }
 
     /// Serves until the server stops, or until what the session was opened with has changed: true.
-    async fn serve_once(&self, api: &Api) -> Result<bool, Failure> {
+    async fn serve_once(&mut self, api: &Api) -> Result<bool, Failure> {
         let publishers = Arc::new(publish::Publishers::new(self.session.clone()));
         let lanes = lanes::Lanes::new(Arc::clone(&api.bounds.memory), {
             let names = self.names.clone();
@@ -192,6 +213,7 @@ impl ZenohDoor {
             () = queries => false,
             () = tell_counts(api) => false,
             () = self.setup.changed(&self.stamps) => true,
+            Ok(()) = self.auth.changed() => true,
             _ = stopping.wait_for(|s| *s) => false,
         };
         subscriber.undeclare().await?;
