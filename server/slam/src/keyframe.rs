@@ -3,6 +3,7 @@
 mod features;
 
 use crate::downsample::Thinner;
+use crate::odometry::deskew::Sweep;
 use crate::odometry::rgbd::ColorCamera;
 use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
 use crate::{ParamError, check_range};
@@ -130,7 +131,7 @@ pub(crate) fn keyframe_scan_seen_by(
     let (hits, misses) = match scan {
         Scan::Depth(s) => (depth_hits(params, s), vec![]),
         Scan::Cloud(s) => (cloud_hits(params, s, velocity), vec![]),
-        Scan::Planar(s) => planar_ends(params, s),
+        Scan::Planar(s) => planar_ends(params, s, velocity),
         // What a camera saw is known only with its map: see `Odometry::keyframe_scan`.
         Scan::Image(_) => (PointCloud::default(), vec![]),
     };
@@ -195,14 +196,17 @@ fn cloud_hits(params: &KeyframeParams, s: &CloudScan, velocity: &nalgebra::Vecto
     hits.select(&keep)
 }
 
-fn planar_ends(params: &KeyframeParams, s: &PlanarScan) -> (PointCloud, Vec<Point3<f32>>) {
+fn planar_ends(
+    params: &KeyframeParams,
+    s: &PlanarScan,
+    velocity: &nalgebra::Vector6<f64>,
+) -> (PointCloud, Vec<Point3<f32>>) {
+    let sweep = Sweep::new(s, velocity);
     let (mut hits, mut misses) = (vec![], vec![]);
     for (i, beam) in s.scan.echoes() {
-        let (sin, cos) = s.scan.angle(i).sin_cos();
-        let end = |r: f64| (s.t_base_sensor * Point3::new(r * cos, r * sin, 0.0)).cast();
         match beam {
-            Beam::Hit(r) => hits.push(end(f64::from(r))),
-            Beam::Free(r) => misses.push(end(f64::from(r).min(params.free_range_m))),
+            Beam::Hit(r) => hits.push(sweep.end(i, f64::from(r)).cast()),
+            Beam::Free(r) => misses.push(sweep.end(i, f64::from(r).min(params.free_range_m)).cast()),
             Beam::Invalid => {}
         }
     }

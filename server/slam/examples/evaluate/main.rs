@@ -3,7 +3,7 @@
 //! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person] [--sift]`,
 //! `rgbd-sizes WIDTHxHEIGHT SEED SEED ...`, `looks DIR` (as `rgbd`), `unrelated DIR DIR ...` (images),
 //! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
-//! `lidar-sim spinning|rosette [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`.
+//! `lidar-sim spinning|rosette [name=value ...]`, `planar-sim [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`.
 
 mod camera;
 mod depth;
@@ -41,6 +41,7 @@ fn main() -> Result<(), Failure> {
         "kitti-pair" => kitti_pair(path),
         "submaps" => places::submaps(path, args.get(3).map(Path::new)),
         "lidar-sim" => simulated::lidar(&args[2..]),
+        "planar-sim" => simulated::planar(&args[2..]),
         "carmen" => {
             let relations = args.get(3).filter(|a| !a.starts_with("--")).map(Path::new);
             carmen(path, relations, !args.iter().any(|a| a == "--no-prior"))

@@ -1,11 +1,13 @@
-//! 3D lidars of the simulator: `lidar-sim PATTERN [seconds=S] [seed=S] [hand=SWING] [rooms=N] [...]`.
+//! Lidars of the simulator: `lidar-sim PATTERN [seconds=S] [seed=S] [hand=SWING] [rooms=N] [...]`, and
+//! `planar-sim [seconds=S] [seed=S] [rooms=N] [speed=V] [turn=W] [frozen=1]`, whose beams are taken while the robot moves on.
 
 use super::{Run, measure, read::Failure};
+use nalgebra::Point3;
 use percept_geometry::{Pose, SensorData};
 use percept_sim::{
-    HandheldParams, Lidar3dParams, RobotParams, ScanPattern, SensorSuite, SimParams, Simulation, WorldParams,
+    HandheldParams, Lidar2dParams, Lidar3dParams, RobotParams, ScanPattern, SensorSuite, SimParams, Simulation, WorldParams,
 };
-use percept_slam::{CloudScan, OdometryKind, Scan};
+use percept_slam::{CloudScan, KeyframeParams, OdometryKind, PlanarScan, Scan, keyframe::keyframe_scan};
 use std::sync::Arc;
 
 /// `name=value` among the arguments.
@@ -89,5 +91,59 @@ pub(crate) fn lidar(args: &[String]) -> Result<(), Failure> {
     run.report();
     measure::report(&truth, &estimate);
     measure::consistency(&truth, &run.estimates);
+    Ok(())
+}
+
+/// A planar lidar alone: errors of the trajectory, and how far the ends of beams that keyframes keep are from the surface in
+/// their direction, beside the same of scans as they came.
+pub(crate) fn planar(args: &[String]) -> Result<(), Failure> {
+    let value = |name, default| option(args, name).unwrap_or(default);
+    let lidar2d = Lidar2dParams { motion_distortion: option(args, "frozen").is_none(), ..Lidar2dParams::default() };
+    let simulation = Simulation::new(SimParams {
+        world: WorldParams {
+            seed: value("seed", 1.0) as u64,
+            rooms: value("rooms", 4.0) as usize,
+            person: false,
+            ..WorldParams::default()
+        },
+        robot: RobotParams {
+            speed_m_per_s: value("speed", 1.0),
+            turn_rate_rad_per_s: value("turn", std::f64::consts::FRAC_PI_2),
+            ..RobotParams::default()
+        },
+        sensors: SensorSuite { lidar2d: Some(lidar2d), ..SensorSuite::none() },
+        duration_s: Some(value("seconds", 60.0)),
+        ..SimParams::default()
+    })?;
+    let t_base_sensor = simulation.sensors().first().map_or_else(Pose::identity, |s| s.t_base_sensor);
+    let mut run = Run::new(OdometryKind::Lidar2d);
+    let (mut truth, mut kept_off, mut raw_off) = (vec![], vec![], vec![]);
+    for frame in simulation.frames() {
+        let SensorData::Scan(laser) = frame.frame.data else { continue };
+        let scan = Scan::Planar(PlanarScan { scan: Arc::new(laser), t_base_sensor });
+        let (stamp, sensor) = (frame.frame.stamp, frame.frame.sensor);
+        run.step(stamp, &scan, None);
+        truth.push(frame.t_world_base);
+        let t_world_sensor = frame.t_world_base * t_base_sensor;
+        let origin = Point3::from(t_world_sensor.translation.vector);
+        let off = |p: &Point3<f32>| {
+            let end = frame.t_world_base * p.cast::<f64>() - origin;
+            let hit = simulation.world().cast(&origin, &end.normalize(), frame.measured_s, 20.0)?;
+            Some((hit.distance - end.norm()).abs())
+        };
+        let kept = run.odometry.keyframe_scan(stamp, &sensor, &scan);
+        kept_off.extend(kept.hits.positions.iter().filter_map(off));
+        let still = nalgebra::Vector6::zeros();
+        let raw = keyframe_scan(&KeyframeParams::default(), stamp, &sensor, &scan, &still);
+        raw_off.extend(raw.hits.positions.iter().filter_map(off));
+    }
+    let estimate: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base).collect();
+    run.report();
+    measure::report(&truth, &estimate);
+    for (name, mut off) in [("kept", kept_off), ("as they came", raw_off)] {
+        off.sort_by(f64::total_cmp);
+        let at = |share: f64| off.get((off.len() as f64 * share) as usize).copied().unwrap_or(0.0);
+        println!("ends of beams, {name}: off by {:.4} m (p50), {:.4} (p90), {:.4} (p99)", at(0.5), at(0.9), at(0.99));
+    }
     Ok(())
 }

@@ -1,5 +1,6 @@
-//! Clouds to base, with the motion during the sweep undone.
+//! Clouds and planar scans to base, with the motion during the sweep undone.
 
+use crate::scan::PlanarScan;
 use nalgebra::{Matrix3, Point3, Vector3, Vector6};
 use percept_geometry::{PointCloud, Pose, se3};
 use rayon::prelude::*;
@@ -36,6 +37,29 @@ pub(crate) fn to_base(cloud: &PointCloud, t_base_sensor: &Pose, velocity: &Vecto
         .zip(offsets.par_iter())
         .map(|(p, &t)| apply(&instants[nearest(t)], p))
         .collect()
+}
+
+/// A planar scan whose beams were taken one after the other while base moved on at a constant velocity.
+pub(crate) struct Sweep<'a> {
+    scan: &'a PlanarScan,
+    velocity: &'a Vector6<f64>,
+    is_moving: bool,
+}
+
+impl<'a> Sweep<'a> {
+    /// `velocity` is base's in base, m/s and rad/s.
+    pub(crate) fn new(scan: &'a PlanarScan, velocity: &'a Vector6<f64>) -> Self {
+        let is_moving = scan.scan.time_increment_s != 0.0 && velocity.norm() > 0.0;
+        Self { scan, velocity, is_moving }
+    }
+
+    /// The end of a beam at a range (metres), in base as it was when the first beam was taken.
+    pub(crate) fn end(&self, beam: usize, range: f64) -> Point3<f64> {
+        let s = &self.scan.scan;
+        let (sin, cos) = s.angle(beam).sin_cos();
+        let p = self.scan.t_base_sensor * Point3::new(range * cos, range * sin, 0.0);
+        if self.is_moving { se3::exp(&(self.velocity * (beam as f64 * s.time_increment_s))) * p } else { p }
+    }
 }
 
 #[cfg(test)]

@@ -74,6 +74,8 @@ pub struct Odometry {
     t_odom_base: Pose,
     last_stamp: Option<Timestamp>,
     velocity: Option<Vector6<f64>>,
+    /// What the newest frame's sweep was undone with.
+    sweep_velocity: Vector6<f64>,
     limits: MotionLimits,
     uncertainty: Uncertainty,
     /// Of the newest estimate.
@@ -116,6 +118,7 @@ impl Odometry {
             t_odom_base: Pose::identity(),
             last_stamp: None,
             velocity: None,
+            sweep_velocity: Vector6::zeros(),
             limits,
             uncertainty: Uncertainty::default(),
             covariance: Covariance6::zeros(),
@@ -155,6 +158,7 @@ impl Odometry {
             }
             _ => self.velocity(),
         };
+        self.sweep_velocity = sweep_velocity;
         if let Err(reason) = self.model.prepare(scan, &sweep_velocity) {
             return self.lost(stamp, dt, &prediction, reason);
         }
@@ -236,7 +240,9 @@ impl Odometry {
     /// of its map that it shows, once lengths are metres, and nothing before.
     pub fn keyframe_scan(&self, stamp: Timestamp, sensor: &SensorId, scan: &Scan) -> KeyframeScan {
         let color = self.model.color_camera();
-        let mut kept = keyframe_scan_seen_by(&self.params.keyframe, stamp, sensor, scan, &self.velocity(), color);
+        // Of a planar scan the motion that it was placed with; a cloud's method may have found a better one since.
+        let velocity = if matches!(scan, Scan::Planar(_)) { self.sweep_velocity } else { self.velocity() };
+        let mut kept = keyframe_scan_seen_by(&self.params.keyframe, stamp, sensor, scan, &velocity, color);
         if let Scan::Image(image) = scan {
             kept.hits = self.model.sparse_points(&image.t_base_sensor);
             kept.features = self.model.features(&image.t_base_sensor).map(Arc::new);

@@ -153,6 +153,7 @@ impl Odometry {
         if self.model.prepare(scan, &velocity).is_err() {
             return found;
         }
+        self.sweep_velocity = velocity;
         let covariance = diagonal(0.05, 0.02);
         let again = Prediction { is_measured: true, ..Prediction::within(found.t_odom_base, covariance) };
         self.try_from(dt, &again).unwrap_or(found)

@@ -95,17 +95,21 @@ impl Room {
         Scan::Cloud(CloudScan { cloud: Arc::new(cloud), t_base_sensor })
     }
 
-    /// 270 degrees in half degrees.
+    /// 270 degrees in half degrees, all beams at once.
     pub(crate) fn scan(&self, t_world_base: &Pose, noise: &mut Noise) -> Scan {
+        self.sweep(|_| *t_world_base, 0.0, noise)
+    }
+
+    /// The same, beam after beam: where base is so many seconds after the first one.
+    pub(crate) fn sweep(&self, t_world_base: impl Fn(f64) -> Pose, time_increment_s: f64, noise: &mut Noise) -> Scan {
         let t_base_sensor = lidar_mount();
-        let t = t_world_base * t_base_sensor;
-        let origin = Point3::from(t.translation.vector);
         let (angle_min_rad, angle_increment_rad) = (-135f64.to_radians(), 0.5f64.to_radians());
         let ranges_m = (0..541)
             .map(|i| {
+                let t = t_world_base(f64::from(i) * time_increment_s) * t_base_sensor;
                 let a = angle_min_rad + f64::from(i) * angle_increment_rad;
-                let r = self.range(&origin, &(t.rotation * Vector3::new(a.cos(), a.sin(), 0.0)));
-                (r + 0.01 * noise.next()) as f32
+                let direction = t.rotation * Vector3::new(a.cos(), a.sin(), 0.0);
+                (self.range(&Point3::from(t.translation.vector), &direction) + 0.01 * noise.next()) as f32
             })
             .collect();
         let scan = LaserScan {
@@ -113,12 +117,22 @@ impl Room {
             angle_increment_rad,
             range_min_m: 0.05,
             range_max_m: 20.0,
-            time_increment_s: 0.0,
+            time_increment_s,
             ranges_m,
             intensities: None,
             later_echoes_m: vec![],
         };
         Scan::Planar(PlanarScan { scan: Arc::new(scan), t_base_sensor })
+    }
+
+    /// How far a point is from the nearest surface that a planar lidar at its height can see, metres.
+    pub(crate) fn distance(&self, p: &Point3<f64>) -> f64 {
+        let beside = |(min, max): &(Vector3<f64>, Vector3<f64>)| {
+            let outside = (0..2).map(|k| (min[k] - p[k]).max(p[k] - max[k]));
+            let inside = outside.clone().fold(f64::NEG_INFINITY, f64::max);
+            if inside < 0.0 { -inside } else { outside.map(|d| d.max(0.0).powi(2)).sum::<f64>().sqrt() }
+        };
+        self.boxes.iter().filter(|b| b.0.z <= p.z && p.z <= b.1.z).map(beside).fold(beside(&self.walls), f64::min)
     }
 }
 
@@ -147,7 +161,12 @@ impl Noise {
 
 /// A drive through the room from rest to rest: pose of base at frame `i` of `n`.
 pub(crate) fn drive(i: usize, n: usize) -> Pose {
-    let s = std::f64::consts::TAU * i as f64 / n as f64;
+    drive_at(i as f64 / n as f64)
+}
+
+/// The same after a share of it.
+pub(crate) fn drive_at(share: f64) -> Pose {
+    let s = std::f64::consts::TAU * share;
     let a = s - s.sin();
     se3::from_xy_yaw(0.7 * a.sin() - 0.6, 0.5 * (1.0 - a.cos()) - 0.4, 0.8 * (2.0 * a).sin())
 }

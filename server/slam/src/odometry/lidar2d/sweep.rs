@@ -1,9 +1,10 @@
 //! A planar scan made ready: points in base's plane with the normals of the surfaces they lie on.
 
+use crate::odometry::deskew::Sweep;
 use crate::scan::PlanarScan;
 use nalgebra::{Point2, Point3, Vector2, Vector6};
 use percept_geometry::cloud::Beam;
-use percept_geometry::{Pose, se3};
+use percept_geometry::Pose;
 
 /// A hit in base's plane; the normal is zero where neighbours make no line.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,23 +25,16 @@ const SPARSE: (f64, f64) = (3.0, 0.15);
 
 /// Hits within `max_range`, in beam order, later echoes behind them, with the sweep's motion undone.
 pub(crate) fn hits(scan: &PlanarScan, max_range: f64, velocity: &Vector6<f64>) -> Vec<Hit> {
-    let s = &scan.scan;
-    let moving = s.time_increment_s != 0.0 && velocity.norm() > 0.0;
+    let sweep = Sweep::new(scan, velocity);
     let mut points: Vec<Point2<f64>> = vec![];
-    for (i, beam) in s.echoes() {
-        let Beam::Hit(r) = beam else { continue };
-        let r = f64::from(r);
-        if r > max_range {
-            continue;
+    for (i, beam) in scan.scan.echoes() {
+        if let Beam::Hit(r) = beam
+            && f64::from(r) <= max_range
+        {
+            points.push(sweep.end(i, f64::from(r)).xy());
         }
-        let (sin, cos) = s.angle(i).sin_cos();
-        let mut p = scan.t_base_sensor * Point3::new(r * cos, r * sin, 0.0);
-        if moving {
-            p = se3::exp(&(velocity * (i as f64 * s.time_increment_s))) * p;
-        }
-        points.push(p.xy());
     }
-    with_normals(points, &scan.t_base_sensor, s.angle_increment_rad.abs())
+    with_normals(points, &scan.t_base_sensor, scan.scan.angle_increment_rad.abs())
 }
 
 /// Hits of a keyframe again: points in base, in beam order.
