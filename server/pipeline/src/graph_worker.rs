@@ -61,6 +61,8 @@ pub(crate) enum Answer {
 /// Where a robot was at a sighting; none unless that is certain.
 pub(crate) struct Relocated {
     pub(crate) found: Option<Relocalisation>,
+    /// Whether the search goes on when it is asked again.
+    pub(crate) is_unfinished: bool,
     /// Base to odom at the sighting.
     pub(crate) t_odom_base: Pose,
     pub(crate) part: u64,
@@ -243,7 +245,8 @@ fn work(back_end: &mut BackEnd, questions: Vec<Question>) -> Answers {
         }
         Question::Relocalise(Sighting { before, scan, t_odom_base, part }) => {
             let found = back_end.relocalise(&before, &scan);
-            Answer::Relocalised(Relocated { found, t_odom_base, part })
+            let is_unfinished = back_end.is_unfinished();
+            Answer::Relocalised(Relocated { found, is_unfinished, t_odom_base, part })
         }
     };
     let answers = questions.into_iter().map(&mut answer).collect();

@@ -38,6 +38,8 @@ pub(super) struct FloatingPart {
     frames: Vec<(Timestamp, Pose)>,
     /// Whether it was asked where this is, and not answered yet.
     is_asked: bool,
+    /// Whether the answer was that the search goes on.
+    is_unfinished: bool,
 }
 
 impl FloatingPart {
@@ -52,8 +54,8 @@ impl Pipeline {
     pub(super) fn prepare_graph(&mut self, kind: OdometryKind) {
         if self.graph.is_none() && self.params.slam.back_end.enabled {
             let params = self.params.slam.back_end.clone();
-            let back_end = place_recognition(kind).map(|r| BackEnd::new(params, r));
-            self.graph = back_end.map(|b| GraphWorker::new(b, self.executor.clone()));
+            let recognition = place_recognition(kind, &self.params.slam.odometry);
+            self.graph = recognition.map(|r| GraphWorker::new(BackEnd::new(params, r), self.executor.clone()));
         }
     }
 
@@ -95,6 +97,7 @@ impl Pipeline {
                 Answer::Relocalised(relocated) => {
                     if relocated.part == self.floating.number {
                         self.floating.is_asked = false;
+                        self.floating.is_unfinished = relocated.is_unfinished;
                         self.relocated = Some(relocated);
                     }
                 }
@@ -187,7 +190,8 @@ impl Pipeline {
         let (Some(odometry), Some(frames)) = (&self.odometry, self.anchoring.frames_adrift()) else { return false };
         let is_far =
             self.floating.keyframes.last().is_none_or(|last| self.is_keyframe_away(&last.t_odom_base, estimate));
-        let asks = !self.floating.is_asked && (is_far || frames.is_multiple_of(LOOK_EVERY));
+        let is_due = is_far || self.floating.is_unfinished || frames.is_multiple_of(LOOK_EVERY);
+        let asks = is_due && !self.floating.is_asked;
         if !is_far && !asks {
             return false;
         }

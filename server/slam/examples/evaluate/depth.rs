@@ -76,7 +76,7 @@ pub(crate) fn simulated(seed: u64, args: &[String]) -> Result<(), Failure> {
     }
     let mut run = Run::with(OdometryKind::Rgbd, params);
     let mut policy = KeyframePolicy::new(OdometryParams::default().keyframe);
-    let mut places = place_recognition(OdometryKind::Rgbd).ok_or("no place recognition")?;
+    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()).ok_or("no place recognition")?;
     let (mut truth, mut estimate, mut keyframes) = (vec![], vec![], KeyframePoses::new());
     let mut tally = Tally::default();
     for f in simulation.frames() {

@@ -4,7 +4,7 @@ use percept_geometry::{KeyframeId, Pose};
 use percept_slam::loops::place_recognition;
 use percept_slam::{
     BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, KeyframeParams, KeyframePolicy, LoopState, Odometry,
-    OdometryEstimate, OdometryKind, Scan,
+    OdometryEstimate, OdometryKind, OdometryParams, Scan,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ impl Mapping {
     pub(crate) fn new(kind: OdometryKind) -> Option<Self> {
         Some(Self {
             policy: KeyframePolicy::new(KeyframeParams::default()),
-            back_end: BackEnd::new(BackEndParams::default(), place_recognition(kind)?),
+            back_end: BackEnd::new(BackEndParams::default(), place_recognition(kind, &OdometryParams::default())?),
             t_odom_keyframe: vec![],
             merged: BTreeMap::new(),
             frames: vec![],

@@ -4,7 +4,7 @@ use super::read::Failure;
 use percept_geometry::{CameraIntrinsics, Covariance6, KeyframeId, KeyframeScan, Pose, SensorData, Timestamp};
 use percept_sim::{DepthCameraParams, SensorSuite, SimParams, Simulation};
 use percept_slam::loops::{KeyframePoses, PlaceRecognition, Relocalisation, place_recognition};
-use percept_slam::{DepthScan, KeyframeParams, KeyframePolicy, OdometryKind, Scan, keyframe};
+use percept_slam::{DepthScan, KeyframeParams, KeyframePolicy, OdometryKind, OdometryParams, Scan, keyframe};
 use std::sync::Arc;
 
 /// Off by more is a wrong place, metres and degrees.
@@ -28,11 +28,11 @@ pub(crate) fn compare(args: &[String]) -> Result<(), Failure> {
         let away = Pose::translation(1000.0, 0.0, 0.0);
         let elsewhere: Views = drive(&camera, seed + 100, 7)?.into_iter().map(|(t, s)| (away * t, s)).collect();
         let mut tallies: [Tally; 6] = Default::default();
-        let (places, poses) = taken_in(&there)?;
+        let (mut places, poses) = taken_in(&there)?;
         ask(&*places, &poses, &again, &mut tallies[0]);
-        ask_driven(&*places, &poses, &again, &mut tallies[1]);
+        ask_driven(&mut *places, &poses, &again, &mut tallies[1]);
         ask(&*places, &poses, &elsewhere, &mut tallies[2]);
-        ask_driven(&*places, &poses, &elsewhere, &mut tallies[3]);
+        ask_driven(&mut *places, &poses, &elsewhere, &mut tallies[3]);
         let (half, half_poses) = taken_in(&there[..there.len() / 2])?;
         ask(&*half, &half_poses, &again[again.len() / 2..], &mut tallies[4]);
         close(places, poses, &again, &mut tallies[5]);
@@ -88,7 +88,7 @@ fn drive(camera: &DepthCameraParams, world: u64, noise: u64) -> Result<Views, Fa
 }
 
 fn taken_in(views: &[(Pose, Arc<KeyframeScan>)]) -> Result<(Box<dyn PlaceRecognition>, KeyframePoses), Failure> {
-    let mut places = place_recognition(OdometryKind::Rgbd).ok_or("no place recognition")?;
+    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()).ok_or("no place recognition")?;
     let mut poses = KeyframePoses::new();
     for (k, (t, scan)) in views.iter().enumerate() {
         poses.insert(KeyframeId(k as u64), *t);
@@ -105,7 +105,7 @@ fn ask(places: &dyn PlaceRecognition, poses: &KeyframePoses, asked: &[(Pose, Arc
 }
 
 fn ask_driven(
-    places: &dyn PlaceRecognition,
+    places: &mut dyn PlaceRecognition,
     poses: &KeyframePoses,
     asked: &[(Pose, Arc<KeyframeScan>)],
     tally: &mut Tally,

@@ -160,6 +160,11 @@ impl BackEnd {
         &self.loops
     }
 
+    /// Number of the next loop.
+    pub fn next_loop(&self) -> u64 {
+        self.next_loop
+    }
+
     /// Where keyframes are believed to be, base to map.
     pub fn poses(&self) -> &KeyframePoses {
         &self.by_id
@@ -172,8 +177,13 @@ impl BackEnd {
 
     /// Where a scan is with no guess; none unless that is certain. `before` is what was seen since the robot was lost,
     /// oldest first, with base then seen from base now.
-    pub fn relocalise(&self, before: &[(Pose, Arc<KeyframeScan>)], scan: &KeyframeScan) -> Option<Relocalisation> {
+    pub fn relocalise(&mut self, before: &[(Pose, Arc<KeyframeScan>)], scan: &KeyframeScan) -> Option<Relocalisation> {
         self.recognition.relocalise_driven(before, scan, &self.by_id)
+    }
+
+    /// Whether the newest search for a robot has not ended yet: it goes on when it is asked for again.
+    pub fn is_unfinished(&self) -> bool {
+        self.recognition.is_unfinished()
     }
 
     /// Optimises once more and moves every keyframe to where it is believed to be, however little that is.

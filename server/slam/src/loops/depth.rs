@@ -55,7 +55,7 @@ impl PlaceRecognition for DepthPlaces {
     }
 
     fn relocalise_driven(
-        &self,
+        &mut self,
         before: &[(Pose, Arc<KeyframeScan>)],
         scan: &KeyframeScan,
         poses: &KeyframePoses,

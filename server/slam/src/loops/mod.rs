@@ -8,7 +8,7 @@ pub(crate) mod planar;
 pub(crate) mod spatial;
 mod visual;
 
-use crate::odometry::OdometryKind;
+use crate::odometry::{OdometryKind, OdometryParams};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -72,9 +72,10 @@ pub trait PlaceRecognition: Send {
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation>;
 
     /// The same for a robot that has driven since it was lost: `before` is what it saw on the way, oldest first, with base
-    /// then seen from base now. Methods that are certain by one scan need no more.
+    /// then seen from base now. Methods that are certain by one scan need no more; one that takes long goes on with
+    /// the next call, and says so by [`Self::is_unfinished`].
     fn relocalise_driven(
-        &self,
+        &mut self,
         _before: &[(Pose, Arc<KeyframeScan>)],
         scan: &KeyframeScan,
         poses: &KeyframePoses,
@@ -82,14 +83,19 @@ pub trait PlaceRecognition: Send {
         self.relocalise(scan, poses)
     }
 
+    /// Whether the newest search for a robot that has driven has not ended yet.
+    fn is_unfinished(&self) -> bool {
+        false
+    }
+
     /// A keyframe has left the graph.
     fn forget(&mut self, id: KeyframeId);
 }
 
 /// Place recognition for the frames that an odometry registers; none where there is none yet.
-pub fn place_recognition(kind: OdometryKind) -> Option<Box<dyn PlaceRecognition>> {
+pub fn place_recognition(kind: OdometryKind, params: &OdometryParams) -> Option<Box<dyn PlaceRecognition>> {
     match kind {
-        OdometryKind::Lidar2d => Some(Box::new(planar::PlanarPlaces::new())),
+        OdometryKind::Lidar2d => Some(Box::new(planar::PlanarPlaces::new(params.lidar2d.max_range_m))),
         OdometryKind::Rgbd => Some(Box::new(depth::DepthPlaces::default())),
         OdometryKind::Lidar3d => Some(Box::new(spatial::SpatialRecognition::default())),
         // A camera's own map closes its loops, too, for its points and their scale; these move what the session has built.

@@ -62,7 +62,7 @@ fn views_of_seven_scenes_are_placed_by_features_of_either_method_and_never_wrong
         (read::pose_3x4(&read::numbers(&file(".pose.txt")).unwrap()).unwrap(), Arc::new(kept))
     };
     for method in [FeatureMethod::Orb, FeatureMethod::Sift] {
-        let mut places = place_recognition(OdometryKind::Rgbd).unwrap();
+        let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()).unwrap();
         let mut poses = KeyframePoses::new();
         for i in (0..400).step_by(50) {
             let (pose, kept) = view(i, method);

@@ -46,7 +46,7 @@ fn keep_with(features: FeatureMethod, scan: &Scan) -> Arc<KeyframeScan> {
 }
 
 fn taken_in(keyframes: &[(Pose, Arc<KeyframeScan>)]) -> (Box<dyn PlaceRecognition>, KeyframePoses) {
-    let mut places = place_recognition(OdometryKind::Rgbd).unwrap();
+    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()).unwrap();
     let mut poses = KeyframePoses::new();
     for (k, (t, scan)) in keyframes.iter().enumerate() {
         poses.insert(KeyframeId(k as u64), *t);
@@ -87,7 +87,7 @@ fn way(views: &[(Pose, Arc<KeyframeScan>)]) -> (Views, Pose, Arc<KeyframeScan>) 
 
 #[test]
 fn a_lost_camera_is_placed_by_one_view_that_shows_much_or_by_several_that_agree() {
-    let (places, poses) = taken_in(&drive(2, 1, 1.0, 12.0));
+    let (mut places, poses) = taken_in(&drive(2, 1, 1.0, 12.0));
     let asked = drive(2, 7, 0.8, 11.0);
     let (mut alone, mut found) = (0, 0);
     for views in asked.windows(4) {
@@ -105,7 +105,7 @@ fn a_lost_camera_is_placed_by_one_view_that_shows_much_or_by_several_that_agree(
 
 #[test]
 fn a_way_that_does_not_fit_where_a_view_does_places_nothing() {
-    let (places, poses) = taken_in(&drive(2, 1, 1.0, 12.0));
+    let (mut places, poses) = taken_in(&drive(2, 1, 1.0, 12.0));
     for views in drive(2, 7, 0.8, 11.0).windows(4) {
         let (before, _, scan) = way(views);
         // The same views, but turned by half a right angle more on the way than was driven.
@@ -120,7 +120,7 @@ fn of_two_rooms_that_are_alike_neither_is_claimed() {
     let keyframes = drive(2, 1, 1.0, 8.0);
     let twin = se3::from_xy_yaw(30.0, 5.0, 1.0);
     let again: Vec<_> = drive(2, 3, 1.0, 8.0).into_iter().map(|(t, s)| (twin * t, s)).collect();
-    let (places, poses) = taken_in(&[keyframes, again].concat());
+    let (mut places, poses) = taken_in(&[keyframes, again].concat());
     for views in drive(2, 7, 0.8, 8.0).windows(4) {
         let (before, _, scan) = way(views);
         assert_eq!(places.relocalise_driven(&before, &scan, &poses), None);
@@ -129,7 +129,7 @@ fn of_two_rooms_that_are_alike_neither_is_claimed() {
 
 #[test]
 fn another_house_is_not_taken_for_this_one() {
-    let (places, poses) = taken_in(&drive(2, 1, 1.0, 8.0));
+    let (mut places, poses) = taken_in(&drive(2, 1, 1.0, 8.0));
     for (_, scan) in [5, 11, 12, 13].into_iter().flat_map(|house| drive(house, 1, 1.0, 8.0)) {
         assert_eq!(places.relocalise(&scan, &poses), None);
         assert_eq!(places.relocalise_driven(&[], &scan, &poses), None);
@@ -192,7 +192,7 @@ fn drive_with(width: usize, height: usize, world: u64, noise: u64) -> Views {
 #[test]
 fn small_images_are_recognised_as_large_ones_are() {
     for (width, height) in [(240, 180), (320, 240), (424, 240)] {
-        let (places, poses) = taken_in(&drive_with(width, height, 2, 1));
+        let (mut places, poses) = taken_in(&drive_with(width, height, 2, 1));
         let asked = drive_with(width, height, 2, 7);
         let mut found = 0;
         for views in asked.windows(4) {
@@ -241,7 +241,7 @@ fn bare_drive(world: u64, noise: u64, seconds: f64) -> Views {
 
 #[test]
 fn depth_without_colour_is_found_by_what_it_saw_on_its_way_and_not_in_another_house() {
-    let (places, poses) = taken_in(&bare_drive(2, 1, 45.0));
+    let (mut places, poses) = taken_in(&bare_drive(2, 1, 45.0));
     let (mut found, asked) = (0, bare_drive(2, 7, 34.0));
     for views in asked.windows(12).step_by(6) {
         let (before, truth, scan) = way(views);

@@ -3,88 +3,298 @@
 //! Rooms resemble each other, and one view of them all the more. So the query is a local map of some metres; every place
 //! in which it fits nearly as well as in the best one is looked at; what was seen on the way has to agree with each place,
 //! view by view, and only if it does in the best one and in no other is that claimed.
+//!
+//! That takes too long for one question: it is done in steps of counted work, one a question. The search is made for a view
+//! from the way; where it finds that view, the robot is as far from there as odometry says, and the newest view has to agree.
 
 use super::measure::{Measurement, Refused, Strictness, Visits};
-use super::pyramid::Pyramid;
-use super::{CELL_M, Kept, MIN_SCORE_LOST, NEAR_M, QUERY_M, ends, length, optima, spread_out, visit};
+use super::pyramid::{Fit, Outcome, Pyramid, Search};
+use super::{CELL_M, Kept, MIN_SCORE_LOST, NEAR_M, QUERY_M, RIVAL, ends, length, spread_out, visit};
 use crate::loops::{KeyframePoses, Relocalisation};
 use crate::odometry::lidar2d::planar;
 use nalgebra::Isometry2;
-use percept_geometry::{KeyframeId, KeyframeScan};
+use percept_geometry::{KeyframeId, KeyframeScan, Pose, Timestamp};
 use std::collections::BTreeMap;
+use std::hash::{Hash, Hasher};
+use std::sync::Arc;
 
 /// Places that may fit nearly alike: where there are more, nothing tells them apart.
 const MAX_PLACES: usize = 4;
-/// Views from the way that a place is checked with, besides the newest one.
+/// Views from the way that a place is checked with, besides the one that is searched for.
 const WITNESSES: usize = 5;
 /// Where a view is expected by odometry, it is measured to be: metres and radians.
 const WINDOW: (f64, f64) = (0.3, 0.06);
+/// Driving since the robot was lost before it is found again: one view resembles too many, metres.
+const FOUND_AFTER_M: f64 = 1.5;
+/// Work for one question, in nodes of the search: a node is a microsecond or two, so this is some 40 ms.
+const WORK: usize = 24_000;
+/// Questions after which a search is given up, and begun anew with what has been seen by then.
+const MOST_STEPS: usize = 16;
+/// What drawing a point of the map takes, and measuring a view, in nodes.
+const POINTS_A_NODE: usize = 16;
+const NODES_A_VIEW: usize = 4_000;
 
-/// What a lost robot has seen: views from the way, oldest first, with base then seen from base now.
-pub(super) struct Lost<'a> {
-    pub(super) before: Vec<(Isometry2<f64>, &'a KeyframeScan)>,
-    pub(super) scan: &'a KeyframeScan,
+/// A view from the way, and where its base is seen from the base of the view that is searched for.
+type Seen = (Isometry2<f64>, Arc<KeyframeScan>);
+
+/// Finds a robot that is lost.
+pub(super) struct Relocaliser {
+    max_range_m: f64,
+    visits: Visits,
+    /// The map as it was drawn for keyframes at these poses, by their hash.
+    drawn: Option<(u64, Pyramid)>,
+    attempt: Option<Attempt>,
 }
 
-impl Lost<'_> {
-    /// The way since the robot was lost, metres.
-    pub(super) fn way_m(&self) -> f64 {
-        let here = Isometry2::identity();
-        let stations: Vec<&Isometry2<f64>> = self.before.iter().map(|(t, _)| t).chain([&here]).collect();
-        stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum()
+/// A search that goes on from question to question, in the map as it was when it began: where that has been moved since, views
+/// do not fit where they are expected.
+struct Attempt {
+    /// When the view was taken that is searched for.
+    stamp: Timestamp,
+    /// What was seen on the way, oldest first, that view included.
+    seen: Vec<Seen>,
+    steps: usize,
+    stage: Stage,
+}
+
+enum Stage {
+    Searching(Search),
+    Verifying(Verifying),
+}
+
+/// Places that are looked at, best first.
+struct Verifying {
+    places: Vec<Fit>,
+    /// The place that is looked at, and where it was measured to be.
+    place: usize,
+    measured: Option<Isometry2<f64>>,
+    /// Views that were measured there, and what they said.
+    views: usize,
+    agree: usize,
+    against: usize,
+    /// Where the best place was verified.
+    best: Option<Isometry2<f64>>,
+}
+
+impl Relocaliser {
+    pub(super) fn new(max_range_m: f64) -> Self {
+        Self { max_range_m, visits: Visits::new(max_range_m), drawn: None, attempt: None }
     }
 
-    /// The only place among the keyframes where all of it fits.
-    pub(super) fn find(&self, kept: &BTreeMap<KeyframeId, Kept>, poses: &KeyframePoses) -> Option<Relocalisation> {
-        let known: BTreeMap<KeyframeId, Isometry2<f64>> =
-            poses.iter().filter(|(id, _)| kept.contains_key(id)).map(|(id, t)| (*id, planar(t))).collect();
-        let points: Vec<_> = known.iter().flat_map(|(id, t)| ends(&kept[id].scan).map(move |p| t * p)).collect();
-        let near = self.before.iter().rev().filter(|(t, _)| t.translation.vector.norm() < QUERY_M);
-        let on_the_way = near.flat_map(|(t, s)| ends(s).map(move |p| t * p));
-        let query = spread_out(ends(self.scan).chain(on_the_way).collect());
-        let pyramid = Pyramid::new(CELL_M, &points)?;
-        let places = optima(&pyramid, &query, &pyramid.everywhere(), MIN_SCORE_LOST, MAX_PLACES)?;
-        let mut map = KnownMap { kept, known, visits: Visits::new() };
-        let mut verified = places.iter().map(|fit| self.verify(&fit.t, &mut map));
-        let best = verified.next().flatten()?;
-        verified.all(|other| other.is_none()).then_some(best)
+    /// Whether a search has begun and not ended.
+    pub(super) fn is_unfinished(&self) -> bool {
+        self.attempt.is_some()
     }
 
-    /// What the newest view measures at a place, if what was seen on the way agrees.
-    fn verify(&self, t_map_base: &Isometry2<f64>, map: &mut KnownMap<'_>) -> Option<Relocalisation> {
-        let (keyframe, found) = map.measure(self.scan, t_map_base, &Strictness::LOST)?;
-        let found = found.ok()?;
-        let t_map_base = map.known[&keyframe] * planar(&found.t_from_to);
-        let (mut agree, mut against) = (0, 0);
-        for (t_now_then, scan) in self.before.iter().step_by(self.before.len().div_ceil(WITNESSES).max(1)) {
-            match map.measure(scan, &(t_map_base * t_now_then), &Strictness::FAR) {
-                Some((_, Ok(_))) => agree += 1,
-                Some((_, Err(Refused::Contradicted(_)))) => return None,
-                // A view that leaves something open says nothing.
-                Some((_, Err(Refused::Open(..)))) | None => {}
-                Some((_, Err(_))) => against += 1,
+    /// Where a single view fits, and nowhere else. Takes as long as it takes.
+    pub(super) fn find_view(
+        mut self,
+        scan: &KeyframeScan,
+        kept: &BTreeMap<KeyframeId, Kept>,
+        poses: &KeyframePoses,
+    ) -> Option<Relocalisation> {
+        self.draw(&KnownMap::of(kept, poses))?;
+        self.begin(scan.stamp, vec![(Isometry2::identity(), Arc::new(scan.clone()))]);
+        loop {
+            let found = self.find(&[], scan, kept, poses);
+            if found.is_some() || !self.is_unfinished() {
+                return found;
             }
         }
-        (3 * against <= agree).then_some(Relocalisation {
+    }
+
+    /// The only place among the keyframes where all fits that was seen since the robot was lost, `before` with base then seen
+    /// from base now, oldest first, and now. None where that is not certain, or not known yet.
+    pub(super) fn find(
+        &mut self,
+        before: &[(Pose, Arc<KeyframeScan>)],
+        scan: &KeyframeScan,
+        kept: &BTreeMap<KeyframeId, Kept>,
+        poses: &KeyframePoses,
+    ) -> Option<Relocalisation> {
+        let map = KnownMap::of(kept, poses);
+        let anchor = |stamp: Timestamp| match before.iter().rev().find(|(_, s)| s.stamp == stamp) {
+            Some((t, _)) => Some(planar(t)),
+            None => (scan.stamp == stamp).then(Isometry2::identity),
+        };
+        // Odometry that begins anew forgets what was before.
+        self.attempt.take_if(|attempt| anchor(attempt.stamp).is_none());
+        let mut work = WORK;
+        if self.attempt.is_none() {
+            let (t_now_newest, newest) = before.last().map(|(t, s)| (planar(t), s.stamp))?;
+            if way_m(before) < FOUND_AFTER_M {
+                return None;
+            }
+            let t_newest_now = t_now_newest.inverse();
+            let seen = before.iter().map(|(t, s)| (t_newest_now * planar(t), Arc::clone(s)));
+            let seen = seen.chain([(t_newest_now, Arc::new(scan.clone()))]).collect();
+            work = work.saturating_sub(self.draw(&map)? / POINTS_A_NODE);
+            self.begin(newest, seen);
+        }
+        let attempt = self.attempt.as_mut()?;
+        let t_now_anchor = anchor(attempt.stamp)?;
+        let (_, pyramid) = self.drawn.as_ref()?;
+        let t_map_anchor = match attempt.go_on(pyramid, &map, &mut self.visits, work) {
+            Progress::Unfinished => return None,
+            Progress::Nowhere => {
+                self.attempt = None;
+                return None;
+            }
+            Progress::At(t) => t,
+        };
+        self.attempt = None;
+        self.drawn = None;
+        let t_map_base = t_map_anchor * t_now_anchor.inverse();
+        let (keyframe, found) = map.measure(&mut self.visits, scan, &t_map_base, &Strictness::LOST)?;
+        let found = found.ok()?;
+        Some(Relocalisation {
             keyframe,
             t_keyframe_base: found.t_from_to,
             covariance: found.covariance,
             inlier_ratio: found.inlier_ratio,
         })
     }
+
+    /// Draws the map, if it is not drawn as it is; of how many points. None if there is nothing.
+    fn draw(&mut self, map: &KnownMap<'_>) -> Option<usize> {
+        let hash = map.hash();
+        if self.drawn.as_ref().is_some_and(|(of, _)| *of == hash) {
+            return Some(0);
+        }
+        let ends_of = |(id, t): (&KeyframeId, &Isometry2<f64>)| {
+            let t = *t;
+            ends(&map.kept[id].scan, self.max_range_m).map(move |p| t * p)
+        };
+        let points: Vec<_> = map.known.iter().flat_map(ends_of).collect();
+        self.drawn = Pyramid::new(CELL_M, &points).map(|pyramid| (hash, pyramid));
+        self.drawn.as_ref().map(|_| points.len())
+    }
+
+    /// Begins a search for the view of this stamp by what was seen around it.
+    fn begin(&mut self, stamp: Timestamp, seen: Vec<Seen>) {
+        let Some((_, pyramid)) = &self.drawn else { return };
+        let near = seen.iter().rev().filter(|(t, _)| t.translation.vector.norm() < QUERY_M);
+        let query = spread_out(near.flat_map(|(t, s)| ends(s, self.max_range_m).map(move |p| t * p)).collect());
+        let search = pyramid.begin(&query, &pyramid.everywhere(), MIN_SCORE_LOST, (RIVAL, MAX_PLACES));
+        self.attempt = Some(Attempt { stamp, seen, steps: 0, stage: Stage::Searching(search) });
+    }
+}
+
+/// What a search has come to.
+enum Progress {
+    Unfinished,
+    /// There is no place that is certain.
+    Nowhere,
+    /// Base at the view that is searched for, in the map.
+    At(Isometry2<f64>),
+}
+
+impl Attempt {
+    /// Goes on for so much work.
+    fn go_on(&mut self, pyramid: &Pyramid, map: &KnownMap<'_>, visits: &mut Visits, mut work: usize) -> Progress {
+        self.steps += 1;
+        if let Stage::Searching(search) = &mut self.stage {
+            match pyramid.go_on(search, &mut work) {
+                Some(Outcome::Found(places)) => self.stage = Stage::Verifying(Verifying::of(places)),
+                Some(Outcome::Undecided) => return Progress::Nowhere,
+                None if self.steps == MOST_STEPS => return Progress::Nowhere,
+                None => {}
+            }
+        }
+        if let Stage::Verifying(verifying) = &mut self.stage {
+            for _ in 0..work.div_ceil(NODES_A_VIEW) {
+                let progress = verifying.step(self.stamp, &self.seen, map, visits);
+                if !matches!(progress, Progress::Unfinished) {
+                    return progress;
+                }
+            }
+        }
+        Progress::Unfinished
+    }
+}
+
+impl Verifying {
+    fn of(places: Vec<Fit>) -> Self {
+        Self { places, place: 0, measured: None, views: 0, agree: 0, against: 0, best: None }
+    }
+
+    /// Measures one view.
+    fn step(&mut self, stamp: Timestamp, seen: &[Seen], map: &KnownMap<'_>, visits: &mut Visits) -> Progress {
+        let Some(fit) = self.places.get(self.place) else {
+            return self.best.map_or(Progress::Nowhere, Progress::At);
+        };
+        let Some(t_map_anchor) = self.measured else {
+            let Some((_, scan)) = seen.iter().find(|(_, s)| s.stamp == stamp) else { return Progress::Nowhere };
+            return match map.measure(visits, scan, &fit.t, &Strictness::LOST) {
+                Some((keyframe, Ok(found))) => {
+                    self.measured = Some(map.known[&keyframe] * planar(&found.t_from_to));
+                    Progress::Unfinished
+                }
+                _ => self.decided(None),
+            };
+        };
+        let witnesses = seen.iter().filter(|(_, s)| s.stamp != stamp);
+        let every = (seen.len() - 1).div_ceil(WITNESSES).max(1);
+        let Some((t, scan)) = witnesses.step_by(every).nth(self.views) else {
+            let agrees = 3 * self.against <= self.agree;
+            return self.decided(agrees.then_some(t_map_anchor));
+        };
+        self.views += 1;
+        match map.measure(visits, scan, &(t_map_anchor * t), &Strictness::FAR) {
+            Some((_, Ok(_))) => self.agree += 1,
+            Some((_, Err(Refused::Contradicted(_)))) => return self.decided(None),
+            // A view that leaves something open says nothing.
+            Some((_, Err(Refused::Open(..)))) | None => {}
+            Some((_, Err(_))) => self.against += 1,
+        }
+        Progress::Unfinished
+    }
+
+    /// Goes on to the next place. The best one has to be verified, and no other may be.
+    fn decided(&mut self, measured: Option<Isometry2<f64>>) -> Progress {
+        if measured.is_some() != (self.place == 0) {
+            return Progress::Nowhere;
+        }
+        self.best = self.best.or(measured);
+        self.place += 1;
+        (self.measured, self.views, self.agree, self.against) = (None, 0, 0, 0);
+        Progress::Unfinished
+    }
+}
+
+/// The way since the robot was lost until now, metres.
+fn way_m(before: &[(Pose, Arc<KeyframeScan>)]) -> f64 {
+    let here = Pose::identity();
+    let stations: Vec<&Pose> = before.iter().map(|(t, _)| t).chain([&here]).collect();
+    stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum()
 }
 
 /// Keyframes where they are believed to be.
 struct KnownMap<'a> {
     kept: &'a BTreeMap<KeyframeId, Kept>,
     known: BTreeMap<KeyframeId, Isometry2<f64>>,
-    visits: Visits,
 }
 
-impl KnownMap<'_> {
+impl<'a> KnownMap<'a> {
+    fn of(kept: &'a BTreeMap<KeyframeId, Kept>, poses: &KeyframePoses) -> Self {
+        let known = poses.iter().filter(|(id, _)| kept.contains_key(id)).map(|(id, t)| (*id, planar(t))).collect();
+        Self { kept, known }
+    }
+
+    /// Differs where the keyframes or their poses differ.
+    fn hash(&self) -> u64 {
+        let mut hasher = rustc_hash::FxHasher::default();
+        for (id, t) in &self.known {
+            let v = [t.translation.x, t.translation.y, t.rotation.angle()];
+            (id.0, v.map(f64::to_bits)).hash(&mut hasher);
+        }
+        hasher.finish()
+    }
+
     /// A view measured from the nearest keyframe; none if there is none around.
     fn measure(
-        &mut self,
+        &self,
+        visits: &mut Visits,
         scan: &KeyframeScan,
         t_map_base: &Isometry2<f64>,
         strictness: &Strictness,
@@ -94,6 +304,6 @@ impl KnownMap<'_> {
         let (&keyframe, t) = nearest.filter(|p| cost(p.1) < 2.0 * NEAR_M)?;
         let visit = visit(self.kept, keyframe, KeyframeId(u64::MAX), &self.known);
         let guess = t.inverse() * t_map_base;
-        Some((keyframe, self.visits.measure(&visit, scan, &guess, WINDOW, strictness)))
+        Some((keyframe, visits.measure(&visit, scan, &guess, WINDOW, strictness)))
     }
 }

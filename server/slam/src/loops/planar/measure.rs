@@ -11,12 +11,10 @@ use crate::odometry::{Prediction, diagonal};
 use nalgebra::{Isometry2, Matrix3, Point2};
 use percept_geometry::{Covariance6, KeyframeScan, Pose};
 
-/// Farther hits are not used, metres.
-pub(crate) const MAX_RANGE_M: f64 = 25.0;
 /// Cell of a local map, metres.
 const CELL_M: f64 = 0.05;
-/// A local map's half width, metres.
-const HALF_M: f64 = 25.0;
+/// A local map's least half width, metres: a visit's length and the windows that it is searched in.
+const HALF_M: f64 = 10.0;
 /// What a measurement may be off beyond its noise: the local map's own errors, metres and radians.
 const FLOOR: (f64, f64) = (0.01, 0.003);
 /// A match may leave so much open before it counts as open, metres and radians.
@@ -65,13 +63,15 @@ pub(crate) type Visit<'a> = [(Isometry2<f64>, &'a KeyframeScan)];
 
 /// Places scans in visits; keeps the memory of the local map.
 pub(crate) struct Visits {
+    /// Farther hits are not used, metres.
+    max_range_m: f64,
     /// None before the first.
     field: Option<Field>,
 }
 
 impl Visits {
-    pub(crate) fn new() -> Self {
-        Self { field: None }
+    pub(crate) fn new(max_range_m: f64) -> Self {
+        Self { max_range_m, field: None }
     }
 
     /// Places `scan` within `window` (metres, radians) of the guess.
@@ -83,13 +83,14 @@ impl Visits {
         window: (f64, f64),
         strictness: &Strictness,
     ) -> Result<Measurement, Refused> {
-        let scan_hits = hits(scan);
+        let scan_hits = hits(scan, self.max_range_m);
         if scan_hits.len() < 20 || visit.is_empty() {
             return Err(Refused::TooFewHits);
         }
-        let field = self.field.get_or_insert_with(|| Field::new(CELL_M, HALF_M, Point2::origin()));
+        let half = self.max_range_m.max(HALF_M);
+        let field = self.field.get_or_insert_with(|| Field::new(CELL_M, half, Point2::origin()));
         field.reset(Point2::from(guess.translation.vector));
-        let seen: Vec<Vec<Hit>> = visit.iter().map(|(_, s)| hits(s)).collect();
+        let seen: Vec<Vec<Hit>> = visit.iter().map(|(_, s)| hits(s, self.max_range_m)).collect();
         visit.iter().zip(&seen).for_each(|((t, _), hits)| field.add(hits, t));
         let start = start(field, &scan_hits, guess, window);
         let off = guess.inverse() * start;
@@ -123,10 +124,10 @@ fn start(field: &Field, hits: &[Hit], guess: &Isometry2<f64>, window: (f64, f64)
     search(field, &points, guess, &prior, &window).0
 }
 
-fn hits(scan: &KeyframeScan) -> Vec<Hit> {
+fn hits(scan: &KeyframeScan, max_range: f64) -> Vec<Hit> {
     let origin = scan.t_base_sensor.translation.vector.xy();
     let mut hits = sweep::from_points(&scan.hits.positions, &scan.t_base_sensor);
-    hits.retain(|h| (h.p.coords - origin).norm() < MAX_RANGE_M);
+    hits.retain(|h| (h.p.coords - origin).norm() < max_range);
     hits
 }
 

@@ -18,11 +18,11 @@ mod tests;
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::lidar2d::planar;
 use links::Links;
-use lost::Lost;
+use lost::Relocaliser;
 use measure::{Measurement, Strictness, Visits};
 use nalgebra::{Isometry2, Point2};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
-use pyramid::{Fit, PATIENCE, Pyramid, Region, Search};
+use pyramid::{Fit, Outcome, PATIENCE, Pyramid, Region};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -56,8 +56,6 @@ const CELL_M: f64 = 0.1;
 /// Least score of a large search, and of one without a guess.
 const MIN_SCORE: f64 = 0.55;
 const MIN_SCORE_LOST: f64 = 0.6;
-/// Driving since the robot was lost before it is found again: one view resembles too many, metres.
-const FOUND_AFTER_M: f64 = 1.5;
 /// Another optimum this good, as a share of the best one's score, leaves the match open.
 const RIVAL: f64 = 0.85;
 
@@ -70,9 +68,13 @@ struct Kept {
 
 /// Places seen by a planar lidar.
 pub(crate) struct PlanarPlaces {
+    /// Farther hits are not used, metres.
+    max_range_m: f64,
     kept: BTreeMap<KeyframeId, Kept>,
     links: Links,
     visits: Visits,
+    /// The search for a robot that is lost, which goes on from question to question.
+    relocaliser: Relocaliser,
     /// Where the robot had driven to at the last search of a large window, and of all the map.
     searched_m: f64,
     searched_all_m: f64,
@@ -82,25 +84,21 @@ pub(crate) struct PlanarPlaces {
     travelled_m: f64,
 }
 
-impl Default for PlanarPlaces {
-    fn default() -> Self {
+impl PlanarPlaces {
+    /// Nothing seen yet. Hits farther than `max_range_m` are not used.
+    pub(crate) fn new(max_range_m: f64) -> Self {
         Self {
+            max_range_m,
             kept: BTreeMap::new(),
             links: Links::default(),
-            visits: Visits::new(),
+            visits: Visits::new(max_range_m),
+            relocaliser: Relocaliser::new(max_range_m),
             searched_m: 0.0,
             searched_all_m: 0.0,
             last_drift: (0.0, 0.0),
             missed_m: 0.0,
             travelled_m: 0.0,
         }
-    }
-}
-
-impl PlanarPlaces {
-    /// Nothing seen yet.
-    pub(crate) fn new() -> Self {
-        Self::default()
     }
 
     /// Takes the keyframe in; how far the robot has driven.
@@ -177,7 +175,7 @@ impl PlanarPlaces {
             .filter(|o| {
                 everywhere || (o.t_map_base.translation.vector - here.translation.vector).norm() < translation + 5.0
             })
-            .flat_map(|o| ends(&self.kept[&o.id].scan).map(|p| o.t_map_base * p))
+            .flat_map(|o| ends(&self.kept[&o.id].scan, self.max_range_m).map(|p| o.t_map_base * p))
             .collect();
         let pyramid = Pyramid::new(CELL_M, &points)?;
         let region = match everywhere {
@@ -198,7 +196,7 @@ impl PlanarPlaces {
         let recent = self.kept.iter().rev().take_while(|(_, k)| travelled_m - k.travelled_m < QUERY_M);
         let points = recent
             .filter_map(|(id, k)| Some((reach.poses.get(id)?, k)))
-            .flat_map(|(t, k)| ends(&k.scan).map(move |p| here.inverse() * t * p))
+            .flat_map(|(t, k)| ends(&k.scan, self.max_range_m).map(move |p| here.inverse() * t * p))
             .collect();
         spread_out(points)
     }
@@ -255,17 +253,20 @@ impl PlaceRecognition for PlanarPlaces {
     }
 
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
-        Lost { before: vec![], scan }.find(&self.kept, poses)
+        Relocaliser::new(self.max_range_m).find_view(scan, &self.kept, poses)
     }
 
     fn relocalise_driven(
-        &self,
+        &mut self,
         before: &[(Pose, Arc<KeyframeScan>)],
         scan: &KeyframeScan,
         poses: &KeyframePoses,
     ) -> Option<Relocalisation> {
-        let lost = Lost { before: before.iter().map(|(t, s)| (planar(t), s.as_ref())).collect(), scan };
-        if lost.way_m() < FOUND_AFTER_M { None } else { lost.find(&self.kept, poses) }
+        self.relocaliser.find(before, scan, &self.kept, poses)
+    }
+
+    fn is_unfinished(&self) -> bool {
+        self.relocaliser.is_unfinished()
     }
 
     fn forget(&mut self, id: KeyframeId) {
@@ -351,15 +352,10 @@ pub(super) fn optima(
     min_score: f64,
     most: usize,
 ) -> Option<Vec<Fit>> {
-    let mut found: Vec<Fit> = vec![];
-    let mut patience = PATIENCE;
-    loop {
-        let least = found.first().map_or(min_score, |best| RIVAL * best.score);
-        match pyramid.search(query, region, least, &found, &mut patience) {
-            Search::Found(fit) if found.len() < most => found.push(fit),
-            Search::Nothing => return (!found.is_empty()).then_some(found),
-            Search::Found(_) | Search::GivenUp => return None,
-        }
+    let mut search = pyramid.begin(query, region, min_score, (RIVAL, most));
+    match pyramid.go_on(&mut search, &mut PATIENCE.clone())? {
+        Outcome::Found(found) => (!found.is_empty()).then_some(found),
+        Outcome::Undecided => None,
     }
 }
 
@@ -382,14 +378,14 @@ fn visit<'a>(
         .collect()
 }
 
-/// Ends of a keyframe's beams in base.
-fn ends(scan: &KeyframeScan) -> impl Iterator<Item = Point2<f64>> + '_ {
+/// Ends of a keyframe's beams in base, up to a range in metres.
+fn ends(scan: &KeyframeScan, max_range: f64) -> impl Iterator<Item = Point2<f64>> + '_ {
     let origin = scan.t_base_sensor.translation.vector.xy();
     scan.hits
         .positions
         .iter()
         .map(|p| p.cast::<f64>().xy())
-        .filter(move |p| (p.coords - origin).norm() < measure::MAX_RANGE_M)
+        .filter(move |p| (p.coords - origin).norm() < max_range)
 }
 
 /// At most [`QUERY_POINTS`] points, one a cell, evenly taken.

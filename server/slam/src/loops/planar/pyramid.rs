@@ -20,8 +20,10 @@ const SIGMA: f64 = 1.2;
 const MAX_LEVER_M: f64 = 12.0;
 /// A pose nearer than this to another one is the same optimum, metres and radians.
 const SAME: (f64, f64) = (1.0, 0.35);
-/// Nodes that a search and those for its rivals may visit: so many fit nearly alike only where the map says nothing.
+/// Nodes that a search may visit: so many fit nearly alike only where the map says nothing.
 pub(crate) const PATIENCE: usize = 200_000;
+/// A coarsest node is one sum, any other leads to four: so many of the former count as one.
+const ROOTS_A_NODE: usize = 4;
 /// Points summed up before a node is looked at again whether it can still be good enough.
 const CHUNK: usize = 16;
 /// Fine cells at most along an edge: larger maps are cut off.
@@ -90,11 +92,12 @@ pub(crate) struct Region {
     pub(crate) rotation: f64,
 }
 
-/// A pose and its score, the mean likelihood, 0 to 1.
+/// A pose and how well the query fits there: the sum of its points' likelihoods, 0 to 255 each.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Fit {
     pub(crate) t: Isometry2<f64>,
-    pub(crate) score: f64,
+    #[cfg(test)]
+    sum: u32,
 }
 
 impl Fit {
@@ -105,13 +108,29 @@ impl Fit {
     }
 }
 
-/// What a search found.
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Search {
-    Found(Fit),
-    Nothing,
+/// What a search came to.
+#[derive(Debug, Clone)]
+pub(crate) enum Outcome {
+    /// The best pose and all others that are nearly as good, best first; none is good where it is empty.
+    Found(Vec<Fit>),
     /// Too many poses fit nearly alike.
-    GivenUp,
+    Undecided,
+}
+
+/// A search for the best pose and all that are nearly as good, which can be left and gone on with.
+#[derive(Debug)]
+pub(crate) struct Search {
+    grid: Shifts,
+    /// What a pose has to be above, as a sum over the query.
+    least: u32,
+    /// A pose this good, as a share of the best one's score, is nearly as good.
+    rival: f64,
+    /// So many poses at most.
+    most: usize,
+    /// The next angle whose coarsest nodes have not been looked at.
+    next_angle: i32,
+    open: BinaryHeap<Node>,
+    found: Vec<Fit>,
 }
 
 /// All shifts of `2^level` cells from (x, y) on at one angle. Ordered by what is looked at first: the best, then the
@@ -156,57 +175,82 @@ impl Pyramid {
         Region { center, translation: half.amax(), rotation: std::f64::consts::PI }
     }
 
-    /// The best pose that scores more than `min_score`, and is another optimum than `besides`. Takes what it visits from
-    /// `patience`.
-    pub(crate) fn search(
+    /// Begins a search for what scores more than `min_score`.
+    pub(crate) fn begin(
         &self,
         query: &[Point2<f64>],
         region: &Region,
         min_score: f64,
-        besides: &[Fit],
-        patience: &mut usize,
+        (rival, most): (f64, usize),
     ) -> Search {
         let grid = Shifts::new(self, query, region);
-        let worth = 255.0 * query.len().max(1) as f64;
-        let least = (min_score * worth) as u32;
-        let mut open: BinaryHeap<Node> = self.roots(&grid, least).into();
-        // The best bound comes first: the first pose that comes is the best.
-        while let Some(node) = open.pop() {
-            if *patience == 0 {
-                return Search::GivenUp;
+        let perfect = 255.0 * query.len().max(1) as f64;
+        let (least, next_angle) = ((min_score * perfect) as u32, -grid.num_angles);
+        Search { grid, least, rival, most, next_angle, open: BinaryHeap::new(), found: vec![] }
+    }
+
+    /// Goes on with a search until it has visited about so many nodes, which are counted down; what it came to, if that is
+    /// known by then.
+    pub(crate) fn go_on(&self, search: &mut Search, nodes: &mut usize) -> Option<Outcome> {
+        let coarsest = search.grid.num_coarsest() / ROOTS_A_NODE + 1;
+        while search.next_angle <= search.grid.num_angles {
+            if *nodes < coarsest {
+                return None;
             }
-            *patience -= 1;
-            if besides.iter().any(|other| grid.is_known(&node, other)) {
+            let (first, left) = (search.next_angle, (search.grid.num_angles - search.next_angle + 1) as usize);
+            let angles = left.min(*nodes / coarsest);
+            *nodes -= angles * coarsest;
+            search.next_angle = first + angles as i32;
+            let (grid, least) = (&search.grid, search.least);
+            let roots = (first..search.next_angle).into_par_iter().flat_map_iter(|a| self.roots(grid, a, least));
+            search.open.extend(roots.collect::<Vec<_>>());
+        }
+        // The best bound comes first: the first pose that comes is the best.
+        while let Some(node) = search.open.pop() {
+            if node.sum <= search.least || search.found.iter().any(|other| search.grid.is_known(&node, other)) {
                 continue;
             }
+            if *nodes == 0 {
+                search.open.push(node);
+                return None;
+            }
+            *nodes -= 1;
             if node.level.0 == 0 {
-                return Search::Found(Fit { t: grid.pose(&node), score: f64::from(node.sum) / worth });
+                if search.found.len() == search.most {
+                    return Some(Outcome::Undecided);
+                }
+                if search.found.is_empty() {
+                    search.least = (search.rival * f64::from(node.sum)) as u32;
+                }
+                search.found.push(Fit {
+                    t: search.grid.pose(&node),
+                    #[cfg(test)]
+                    sum: node.sum,
+                });
+                continue;
             }
             let level = node.level.0 - 1;
             let half = 1 << level;
             for (dx, dy) in [(0, 0), (half, 0), (0, half), (half, half)] {
                 let (x, y) = (node.x + dx, node.y + dy);
-                if x <= grid.reach && y <= grid.reach {
-                    let sum = self.sum(grid.cells(node.angle), (x, y), level, least);
-                    open.extend((sum > least).then_some(Node { sum, level: Reverse(level), angle: node.angle, x, y }));
+                if x <= search.grid.reach && y <= search.grid.reach {
+                    let sum = self.sum(search.grid.cells(node.angle), (x, y), level, search.least);
+                    let child = Node { sum, level: Reverse(level), angle: node.angle, x, y };
+                    search.open.extend((sum > search.least).then_some(child));
                 }
             }
         }
-        Search::Nothing
+        Some(Outcome::Found(std::mem::take(&mut search.found)))
     }
 
-    /// The coarsest nodes above `least`.
-    fn roots(&self, grid: &Shifts, least: u32) -> Vec<Node> {
-        let side = 1usize << DEPTH;
-        let of_angle = |angle: i32| {
-            let shifts = move || (-grid.reach..=grid.reach).step_by(side);
-            let at = move |(x, y)| {
-                let sum = self.sum(grid.cells(angle), (x, y), DEPTH, least);
-                (sum > least).then_some(Node { sum, level: Reverse(DEPTH), angle, x, y })
-            };
-            shifts().flat_map(move |y| shifts().map(move |x| (x, y))).filter_map(at)
+    /// The coarsest nodes above `least` at an angle.
+    fn roots(&self, grid: &Shifts, angle: i32, least: u32) -> impl Iterator<Item = Node> {
+        let shifts = || (-grid.reach..=grid.reach).step_by(1 << DEPTH);
+        let at = |(x, y)| {
+            let sum = self.sum(grid.cells(angle), (x, y), DEPTH, least);
+            (sum > least).then_some(Node { sum, level: Reverse(DEPTH), angle, x, y })
         };
-        (-grid.num_angles..=grid.num_angles).into_par_iter().flat_map_iter(of_angle).collect()
+        shifts().flat_map(|y| shifts().map(move |x| (x, y))).filter_map(at).collect::<Vec<_>>().into_iter()
     }
 
     /// Sum of the bounds at a shift; not more than `least` if it is not above it.
@@ -232,6 +276,7 @@ impl Pyramid {
 }
 
 /// The poses of a search, by numbers: angles and shifts in fine cells.
+#[derive(Debug)]
 struct Shifts {
     center: Isometry2<f64>,
     resolution: f64,
@@ -256,6 +301,11 @@ impl Shifts {
         };
         let rotated = (-num_angles..=num_angles).into_par_iter().map(turned).collect();
         Self { center: region.center, resolution, num_angles, angle_step, reach, rotated }
+    }
+
+    /// Coarsest nodes of an angle.
+    fn num_coarsest(&self) -> usize {
+        (((2 * self.reach) >> DEPTH) as usize + 1).pow(2)
     }
 
     fn cells(&self, angle: i32) -> &[(i32, i32)] {
@@ -290,6 +340,10 @@ fn smear(fine: &mut Level, geometry: &GridGeometry, kernel: &[(i32, i32, u8)], p
     if c.x < REACH || c.y < REACH || c.x + REACH >= fine.width || c.y + REACH >= fine.height {
         return;
     }
+    // Full likelihood is that of a point in the cell itself, and another there adds nothing.
+    if fine.cells[(c.y * fine.width + c.x) as usize] == u8::MAX {
+        return;
+    }
     for &(dx, dy, value) in kernel {
         let cell = &mut fine.cells[((c.y + dy) * fine.width + c.x + dx) as usize];
         *cell = value.max(*cell);
@@ -309,20 +363,38 @@ mod tests {
         points
     }
 
+    /// The best pose and its rivals, a tenth of the work at a time.
+    fn sought(pyramid: &Pyramid, query: &[Point2<f64>], region: &Region, min_score: f64, rival: f64) -> Vec<Fit> {
+        let mut search = pyramid.begin(query, region, min_score, (rival, 3));
+        let found = (0..1000).find_map(|_| pyramid.go_on(&mut search, &mut (PATIENCE / 100)));
+        let Some(Outcome::Found(found)) = found else { panic!("{found:?}") };
+        found
+    }
+
     #[test]
     fn points_are_found_wherever_they_are() {
         let t_map_query = Isometry2::new(Vector2::new(3.0, 1.5), 2.5);
         let query: Vec<_> = map().iter().step_by(2).map(|p| t_map_query.inverse() * p).collect();
         let pyramid = Pyramid::new(0.1, &map()).unwrap();
-        let Search::Found(found) = pyramid.search(&query, &pyramid.everywhere(), 0.5, &[], &mut PATIENCE.clone())
-        else {
-            panic!("not found")
-        };
-        let off = found.t.inverse() * t_map_query;
+        let found = sought(&pyramid, &query, &pyramid.everywhere(), 0.5, 0.8);
+        assert_eq!(found.len(), 1, "{found:?}");
+        let off = found[0].t.inverse() * t_map_query;
         assert!(off.translation.vector.norm() < 0.15 && off.rotation.angle().abs() < 0.02, "{off}");
-        assert!(found.score > 0.8);
-        let rival = pyramid.search(&query, &pyramid.everywhere(), 0.8 * found.score, &[found], &mut PATIENCE.clone());
-        assert!(matches!(rival, Search::Nothing));
+        assert!(f64::from(found[0].sum) > 0.8 * 255.0 * query.len() as f64);
+    }
+
+    #[test]
+    fn a_search_that_is_left_and_gone_on_with_finds_the_same() {
+        let query: Vec<_> = map().iter().step_by(3).map(|p| Isometry2::new(Vector2::new(1.0, -2.0), 1.0) * p).collect();
+        let pyramid = Pyramid::new(0.1, &map()).unwrap();
+        let region = pyramid.everywhere();
+        let mut at_once = pyramid.begin(&query, &region, 0.3, (0.5, 10));
+        let Some(Outcome::Found(all)) = pyramid.go_on(&mut at_once, &mut usize::MAX.clone()) else { panic!("not found") };
+        let mut in_steps = pyramid.begin(&query, &region, 0.3, (0.5, 10));
+        let steps = (1..).find_map(|k| pyramid.go_on(&mut in_steps, &mut 50).map(|found| (k, found)));
+        let Some((steps, Outcome::Found(found))) = steps else { panic!("not found") };
+        assert!(steps > 10 && all.len() == found.len(), "{steps}");
+        assert!(all.iter().zip(&found).all(|(a, b)| a.t == b.t && a.sum == b.sum));
     }
 
     #[test]
@@ -330,9 +402,7 @@ mod tests {
         let query: Vec<_> = map().iter().step_by(5).map(|p| Isometry2::new(Vector2::new(0.3, -0.2), 0.1) * p).collect();
         let pyramid = Pyramid::new(0.1, &map()).unwrap();
         let region = Region { center: Isometry2::identity(), translation: 0.8, rotation: 0.2 };
-        let Search::Found(found) = pyramid.search(&query, &region, 0.0, &[], &mut PATIENCE.clone()) else {
-            panic!("not found")
-        };
+        let found = sought(&pyramid, &query, &region, 0.0, 1.0)[0];
         let mut best = 0u32;
         let lever = query.iter().map(|p| p.coords.norm()).fold(1.0, f64::max).min(MAX_LEVER_M);
         let n = (region.rotation * lever / 0.1).ceil() as i32;
@@ -343,6 +413,6 @@ mod tests {
                 best = best.max(pyramid.sum(&cells, (x, y), 0, 0));
             }
         }
-        assert_eq!((found.score * 255.0 * query.len() as f64).round() as u32, best);
+        assert_eq!(found.sum, best);
     }
 }

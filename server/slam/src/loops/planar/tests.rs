@@ -59,7 +59,8 @@ impl Building {
             }
         }
         Arc::new(KeyframeScan {
-            stamp: Timestamp(0),
+            // Another one for every scan.
+            stamp: Timestamp((noise.0 >> 1) as i64),
             sensor: "laser".into(),
             t_base_sensor: Pose::identity(),
             base_height_m: 0.0,
@@ -108,7 +109,7 @@ struct Drive {
 impl Drive {
     fn new(seed: u64) -> Self {
         Self {
-            places: PlanarPlaces::new(),
+            places: PlanarPlaces::new(25.0),
             poses: KeyframePoses::new(),
             truth: vec![],
             drift: Covariance6::identity() * 1e-4,
@@ -142,14 +143,18 @@ impl Drive {
 
     /// Asks with views from a way, the last of them the newest.
     fn relocalise_views(
-        &self,
+        &mut self,
         way: &[Isometry2<f64>],
         mut views: Vec<Arc<KeyframeScan>>,
     ) -> Option<crate::loops::Relocalisation> {
         let scan = views.pop()?;
         let from_now = way.last()?.inverse();
         let before: Vec<_> = way.iter().zip(views).map(|(t, view)| (spatial(&(from_now * t)), view)).collect();
-        self.places.relocalise_driven(&before, &scan, &self.poses)
+        let mut found = self.places.relocalise_driven(&before, &scan, &self.poses);
+        while found.is_none() && self.places.is_unfinished() {
+            found = self.places.relocalise_driven(&before, &scan, &self.poses);
+        }
+        found
     }
 
     fn relocalise_driven(
@@ -189,6 +194,19 @@ fn in_a_corridor_without_features_nothing_is_tied_along_it() {
     let slip = Isometry2::translation(0.01, 0.0);
     let found = drive.along(&corridor, &route(&[[0.0, 0.0], [25.0, 0.0], [0.0, 0.0]]), &slip);
     assert!(found.is_empty(), "{found:?}");
+}
+
+#[test]
+fn what_lies_beyond_the_range_that_was_set_closes_no_loops() {
+    // The ends of the corridor tell where one is in it, and are never nearer than 6 m.
+    let corridor = Building::default().cuboid(-8.0, -1.0, 16.0, 2.0);
+    let way = route(&[[-2.0, 0.0], [2.0, 0.0], [-2.0, 0.0], [2.0, 0.0], [-2.0, 0.0], [2.0, 0.0]]);
+    let found = |max_range_m| {
+        let mut drive = Drive { places: PlanarPlaces::new(max_range_m), ..Drive::new(8) };
+        drive.along(&corridor, &way, &Isometry2::translation(0.005, 0.0)).len()
+    };
+    assert!(found(25.0) > 5, "{}", found(25.0));
+    assert_eq!(found(4.0), 0);
 }
 
 #[test]

@@ -317,7 +317,7 @@ impl PlaceRecognition for SpatialRecognition {
     }
 
     fn relocalise_driven(
-        &self,
+        &mut self,
         before: &[(Pose, Arc<KeyframeScan>)],
         scan: &KeyframeScan,
         poses: &KeyframePoses,

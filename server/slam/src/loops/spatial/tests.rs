@@ -123,7 +123,7 @@ fn a_robot_that_drove_is_found_by_what_it_saw_on_the_way_and_not_before() {
         recognition.insert(id, &seen_from(&here, &t), &Covariance6::zeros(), &poses);
     }
     let drive = |k: usize| se3::from_xy_yaw(2.0 - 1.5 * k as f64, 1.0, 2.0);
-    let find = |world: &[Point3<f32>], last: usize| {
+    let mut find = |world: &[Point3<f32>], last: usize| {
         let seen = |k: usize| (drive(last).inverse() * drive(k), seen_from(world, &drive(k)));
         let before: Vec<_> = (0..last).map(seen).collect();
         recognition.relocalise_driven(&before, &seen_from(world, &drive(last)), &poses)

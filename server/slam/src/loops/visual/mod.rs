@@ -119,7 +119,7 @@ impl PlaceRecognition for VisualPlaces {
     }
 
     fn relocalise_driven(
-        &self,
+        &mut self,
         before: &[(Pose, Arc<KeyframeScan>)],
         scan: &KeyframeScan,
         poses: &KeyframePoses,
