@@ -90,10 +90,10 @@ fn factorise_any<const D: usize, const P: usize>(pattern: &Pattern, values: &mut
     true
 }
 
-/// Runs a body for 0, 1 .. up to `$d`, at most 6, without a loop: the compiler would put neighbouring columns into a
+/// Runs a body for 0, 1 .. up to `$d`, at most 7, without a loop: the compiler would put neighbouring columns into a
 /// vector, gathered from afar, instead of each column's own numbers.
 macro_rules! unrolled {
-    ($i:ident < $d:ident $body:block) => { unrolled! { $i < $d $body 0 1 2 3 4 5 } };
+    ($i:ident < $d:ident $body:block) => { unrolled! { $i < $d $body 0 1 2 3 4 5 6 } };
     ($i:ident < $d:ident $body:block $($n:literal)*) => {
         $(if $n < $d {
             const $i: usize = $n;
@@ -105,6 +105,7 @@ macro_rules! unrolled {
 /// `y -= a * b^T`.
 #[inline(always)]
 fn subtract_product<const D: usize, const P: usize>(y: &mut Block<D, P>, a: &Block<D, P>, b: &Block<D, P>) {
+    const { assert!(D <= 7, "columns beyond would be left as they are") };
     unrolled! { C < D {
         let mut column = y[C];
         for k in 0..D {

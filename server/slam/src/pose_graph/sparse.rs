@@ -125,6 +125,7 @@ mod tests {
             prop_assert!(apart::<2>(20, &pairs, &numbers, damping) < 1e-9);
             prop_assert!(apart::<3>(20, &pairs, &numbers, damping) < 1e-9);
             prop_assert!(apart::<6>(20, &pairs, &numbers, damping) < 1e-9);
+            prop_assert!(apart::<7>(20, &pairs, &numbers, damping) < 1e-9);
         }
     }
 
