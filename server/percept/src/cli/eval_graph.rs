@@ -51,12 +51,17 @@ pub(crate) fn run(args: &GraphArgs) -> Result<(), Failure> {
             "{}",
             json!({
                 "poses": nodes, "edges": edges, "chi2_start": finite(report.chi2_start), "chi2": finite(report.chi2),
-                "iterations": report.iterations, "converged": report.converged, "ms": ms,
+                "iterations": report.iterations, "converged": report.converged, "certified": report.is_certified,
+                "ms": ms,
             })
         );
     } else {
-        let OptimiseReport { chi2_start, chi2, iterations, converged } = report;
-        let end = if converged { "converged" } else { "not converged" };
+        let OptimiseReport { chi2_start, chi2, iterations, .. } = report;
+        let end = match (report.is_certified, report.converged) {
+            (true, _) => "converged, proven to be the least",
+            (_, true) => "converged",
+            _ => "not converged",
+        };
         println!(
             "{nodes} poses, {edges} edges: chi2 {chi2_start:.6} to {chi2:.6}, {iterations} steps, {ms:.1} ms, {end}"
         );

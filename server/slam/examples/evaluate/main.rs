@@ -3,10 +3,12 @@
 //! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person] [--sift]`,
 //! `rgbd-sizes WIDTHxHEIGHT SEED SEED ...`, `looks DIR` (as `rgbd`), `unrelated DIR DIR ...` (images),
 //! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
-//! `lidar-sim spinning|rosette [name=value ...]`, `planar-sim [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`.
+//! `lidar-sim spinning|rosette [name=value ...]`, `planar-sim [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`,
+//! `graph FILE [name=value ...]`.
 
 mod camera;
 mod depth;
+mod graphs;
 mod looks;
 mod mapping;
 mod measure;
@@ -40,6 +42,7 @@ fn main() -> Result<(), Failure> {
         "kitti-tracking" => kitti_tracking(path),
         "kitti-pair" => kitti_pair(path),
         "submaps" => places::submaps(path, args.get(3).map(Path::new)),
+        "graph" => graphs::compare(path, &args[3..]),
         "lidar-sim" => simulated::lidar(&args[2..]),
         "planar-sim" => simulated::planar(&args[2..]),
         "carmen" => {

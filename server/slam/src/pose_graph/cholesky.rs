@@ -34,6 +34,7 @@ fn blocks_mut<const D: usize, const P: usize>(values: &mut [f64]) -> &mut [Block
 pub(super) fn factorise<const D: usize>(pattern: &Pattern, values: &mut [f64], local: &mut [u32]) -> bool {
     match D {
         6 => factorise_6(pattern, values, local),
+        4 => factorise_4(pattern, values, local),
         3 => factorise_3(pattern, values, local),
         _ => factorise_any::<D, D>(pattern, values, local),
     }
@@ -42,6 +43,12 @@ pub(super) fn factorise<const D: usize>(pattern: &Pattern, values: &mut [f64], l
 by_processor! { [avx512]
     fn factorise_6(pattern: &Pattern, values: &mut [f64], local: &mut [u32]) -> bool {
         factorise_any::<6, 8>(pattern, values, local)
+    }
+}
+
+by_processor! {
+    fn factorise_4(pattern: &Pattern, values: &mut [f64], local: &mut [u32]) -> bool {
+        factorise_any::<4, 4>(pattern, values, local)
     }
 }
 

@@ -28,7 +28,7 @@ impl<const D: usize> Equations<'_, D> {
         let place = self.unknowns.place.get(node as usize);
         let place = place.ok_or(PoseGraphError::NoSuchNode { field: "node".to_owned(), node, num_nodes })?;
         let Some(place) = *place else { return Ok(SMatrix::zeros()) };
-        self.fill(graph);
+        self.fill(graph, &graph.poses);
         self.factorise(0.0)?;
         Ok(self.solver.inverse_of(place))
     }

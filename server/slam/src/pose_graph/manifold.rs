@@ -1,5 +1,7 @@
 //! Poses in the plane and in space as the pose graph sees them: composition, small steps, errors with derivatives.
 
+use super::Edge;
+use super::certificate::Minorant;
 use nalgebra::{
     Matrix3, Matrix6, Quaternion, Rotation3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
 };
@@ -20,6 +22,10 @@ pub struct Linearised<const D: usize> {
 
 /// A group of poses with `D` degrees of freedom.
 pub trait Manifold<const D: usize>: Copy + PartialEq + Debug + Send + Sync + 'static {
+    /// Leading numbers of a step that shift the pose. While all others are held, errors are linear in them.
+    const SHIFTS: usize;
+    /// Whether poses turn about z alone.
+    const IS_PLANAR: bool;
     /// The pose of a frame in itself.
     fn identity() -> Self;
     /// `self` times `other`.
@@ -32,6 +38,14 @@ pub trait Manifold<const D: usize>: Copy + PartialEq + Debug + Send + Sync + 'st
     fn error(measured: &Self, from: &Self, to: &Self) -> SVector<f64, D>;
     /// Error and derivatives by [`Manifold::step`].
     fn linearise(measured: &Self, from: &Self, to: &Self) -> Linearised<D>;
+    /// What bounds an edge's chi2 from below and meets it at these poses; none if that is not known.
+    fn minorant(_edge: &Edge<Self, D>, _from: &Self, _to: &Self) -> Option<Minorant> {
+        None
+    }
+    /// Information of a planar edge in space (as of [`Pose`]), where it may turn about every axis; none if it may anyway.
+    fn lifted_information(_information: &SMatrix<f64, D, D>) -> Option<Matrix6<f64>> {
+        None
+    }
     /// Its rotation in space.
     fn rotation(&self) -> Matrix3<f64>;
     /// Its position in space, metres.
@@ -56,6 +70,9 @@ pub struct PlanarPose {
 }
 
 impl Manifold<3> for PlanarPose {
+    const SHIFTS: usize = 2;
+    const IS_PLANAR: bool = true;
+
     fn identity() -> Self {
         Self { x: 0.0, y: 0.0, yaw: 0.0 }
     }
@@ -114,6 +131,46 @@ impl Manifold<3> for PlanarPose {
         Linearised { error, from: by_from, to: by_to }
     }
 
+    fn minorant(edge: &Edge<Self, 3>, from: &Self, to: &Self) -> Option<Minorant> {
+        let information = &edge.information;
+        let (shifts, turn) = (least_of_shifts(information), information[(2, 2)]);
+        // So much of it is that of a length and an angle alone, which do not mix.
+        let mixes = information[(0, 2)] != 0.0 || information[(1, 2)] != 0.0;
+        let scale = Vector3::new(shifts, shifts, turn).map(|i| 1.0 / i.sqrt());
+        let scaled = || Matrix3::from_fn(|r, c| information[(r, c)] * scale[r] * scale[c]);
+        let share = if mixes { scaled().symmetric_eigenvalues().min() } else { 1.0 };
+        if share.is_nan() || share.min(shifts).min(turn) <= 0.0 {
+            return None;
+        }
+        let (shifts, turn) = (shifts * share, turn * share);
+        let error = Self::error(&edge.t_from_to, from, to);
+        let rest = information * error - error.component_mul(&Vector3::new(shifts, shifts, turn));
+        // The tangent of the rest moves the angle that is best. The square of an angle lies above the multiple of 1 - cos
+        // that touches it.
+        let best = -rest[2] / turn;
+        let angle = (error[2] - best).abs();
+        let slope = if angle < 1e-6 { 1.0 } else { angle / angle.sin() };
+        if angle.max(best.abs()) >= std::f64::consts::PI {
+            return None;
+        }
+        let about_z = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 0.0)) * (turn * slope * 0.5);
+        let turns = Self { x: 0.0, y: 0.0, yaw: best }.rotation() * about_z;
+        Some(Minorant::of(&edge.t_from_to, &turns, shifts, &Vector3::new(rest.x, rest.y, 0.0)))
+    }
+
+    fn lifted_information(information: &SMatrix<f64, 3, 3>) -> Option<Matrix6<f64>> {
+        // x, y and the quaternion's z, half the angle.
+        const AXES: [usize; 3] = [0, 1, 5];
+        let mut lifted = Matrix6::zeros();
+        for (r, c) in (0..3).flat_map(|r| (0..3).map(move |c| (r, c))) {
+            let halves = f64::from(1 << (u8::from(r == 2) + u8::from(c == 2)));
+            lifted[(AXES[r], AXES[c])] = information[(r, c)] * halves;
+        }
+        let turn = information[(2, 2)] * 2.0;
+        lifted.view_mut((2, 2), (3, 3)).set_diagonal(&Vector3::new(least_of_shifts(information), turn, turn));
+        Some(lifted)
+    }
+
     fn rotation(&self) -> Matrix3<f64> {
         let (s, c) = self.yaw.sin_cos();
         Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
@@ -136,6 +193,18 @@ impl Manifold<3> for PlanarPose {
     }
 }
 
+/// Least information of a planar error's shifts in any direction.
+fn least_of_shifts(information: &Matrix3<f64>) -> f64 {
+    let (xx, xy, yy) = (information[(0, 0)], information[(0, 1)], information[(1, 1)]);
+    (xx + yy) * 0.5 - ((xx - yy) * 0.5).hypot(xy)
+}
+
+/// The least eigenvalue; most matrices of information are diagonal.
+fn least_eigenvalue(m: &Matrix3<f64>) -> f64 {
+    let is_diagonal = m[(0, 1)] == 0.0 && m[(0, 2)] == 0.0 && m[(1, 2)] == 0.0;
+    if is_diagonal { m.diagonal().min() } else { m.symmetric_eigenvalues().min() }
+}
+
 /// The quaternion with a positive real part: of the two that turn alike, the one that g2o's error uses.
 fn positive(q: &UnitQuaternion<f64>) -> Quaternion<f64> {
     let q = q.into_inner();
@@ -143,6 +212,9 @@ fn positive(q: &UnitQuaternion<f64>) -> Quaternion<f64> {
 }
 
 impl Manifold<6> for Pose {
+    const SHIFTS: usize = 3;
+    const IS_PLANAR: bool = false;
+
     fn identity() -> Self {
         Pose::identity()
     }
@@ -182,6 +254,20 @@ impl Manifold<6> for Pose {
         by_from.fixed_view_mut::<3, 3>(0, 3).copy_from(&(unturn * skew(&moved.translation.vector)));
         by_from.fixed_view_mut::<3, 3>(3, 3).copy_from(&(half(-1.0) * -unturn));
         Linearised { error, from: by_from, to: by_to }
+    }
+
+    fn minorant(edge: &Edge<Self, 6>, from: &Self, to: &Self) -> Option<Minorant> {
+        let information = &edge.information;
+        if information.fixed_view::<3, 3>(0, 3).amax() > 0.0 {
+            return None;
+        }
+        // Squares of a quaternion's vector part are linear in the rotation.
+        let turns = information.fixed_view::<3, 3>(3, 3);
+        let turns = (Matrix3::identity() * (turns.trace() * 0.5) - turns) * 0.25;
+        let shifts = information.fixed_view::<3, 3>(0, 0).into_owned();
+        let least = least_eigenvalue(&shifts);
+        let off = Self::error(&edge.t_from_to, from, to).fixed_rows::<3>(0).into_owned();
+        Some(Minorant::of(&edge.t_from_to, &turns, least, &(shifts * off - off * least)))
     }
 
     fn rotation(&self) -> Matrix3<f64> {

@@ -2,10 +2,13 @@
 //!
 //! Comes in: a [`PoseGraph`] of poses in the plane ([`PlanarPose`]) or in space. [`chordal`] finds poses from the
 //! measurements alone, [`optimise()`] improves those that are there, [`solve`] does what a user wants: from whichever start
-//! is better. Errors and their weights are g2o's, so that chi2 can be compared.
+//! is better, and a planar graph from others as long as nothing proves that no poses are better. Errors and their weights
+//! are g2o's, so that chi2 can be compared.
 
+mod certificate;
 mod cholesky;
 mod covariance;
+mod lifted;
 mod manifold;
 mod normal;
 mod optimise;
@@ -16,6 +19,7 @@ mod start;
 #[cfg(test)]
 mod tests;
 
+pub use certificate::Minorant;
 pub use covariance::covariance_of;
 pub(crate) use manifold::information_of;
 pub use manifold::{Linearised, Manifold, PlanarPose};
@@ -26,6 +30,11 @@ pub use start::chordal;
 use nalgebra::{SMatrix, SVector};
 use pattern::Pattern;
 use percept_geometry::information::is_information;
+
+/// Lifts into space at most.
+const MOST_LIFTS: u64 = 4;
+/// Minima whose chi2 differ by less than this share are one that was not reached exactly.
+const SAME: f64 = 1e-5;
 
 /// A measured pose of one node seen from another.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -212,7 +221,9 @@ impl Structure {
 /// Optimises from the graph's poses or from [`chordal`]'s, whichever explain the measurements better; `has_poses` is
 /// false if the graph's say nothing.
 ///
-/// A start that is far off ends in a minimum that is not the least one: the measurements alone often know better.
+/// A start that is far off ends in a minimum that is not the least one: the measurements alone often know better. Where
+/// nothing proves that the minimum is the least, a planar graph with one fixed node is optimised again from where space
+/// leads to, and the best is kept; this takes some 50 times as long. `max_iterations` is of each optimisation.
 ///
 /// # Errors
 /// As [`PoseGraph::validate`]; `NotSolvable`.
@@ -228,6 +239,41 @@ pub fn solve<P: Manifold<D>, const D: usize>(
     if graph.chi2_of(&found) < given {
         graph.poses = found;
     }
-    let report = Equations::of(graph, &structure)?.optimise(graph, params)?;
-    Ok(OptimiseReport { chi2_start: if has_poses { given } else { report.chi2_start }, ..report })
+    let mut equations = Equations::of(graph, &structure)?;
+    let report = equations.optimise(graph, params)?;
+    let is_certified = report.converged && certificate::is_certified(graph, &structure);
+    let chi2_start = if has_poses { given } else { report.chi2_start };
+    let report = OptimiseReport { chi2_start, is_certified, ..report };
+    match is_certified || !report.converged {
+        true => Ok(report),
+        false => leave_minimum(graph, &structure, &mut equations, params, report),
+    }
+}
+
+/// Optimises again from where space leads to, as long as that lowers chi2 and nothing proves that no poses are better.
+fn leave_minimum<P: Manifold<D>, const D: usize>(
+    graph: &mut PoseGraph<P, D>,
+    structure: &Structure,
+    equations: &mut Equations<'_, D>,
+    params: &OptimiseParams,
+    mut report: OptimiseReport,
+) -> Result<OptimiseReport, PoseGraphError> {
+    for seed in 0..MOST_LIFTS {
+        let before = report.chi2;
+        for poses in lifted::from_space(graph, structure, seed)? {
+            let best = std::mem::replace(&mut graph.poses, poses);
+            let OptimiseReport { chi2, iterations, converged, .. } = equations.optimise(graph, params)?;
+            report.iterations += iterations;
+            if chi2 < report.chi2 {
+                let is_certified = converged && certificate::is_certified(graph, structure);
+                report = OptimiseReport { chi2, converged, is_certified, ..report };
+            } else {
+                graph.poses = best;
+            }
+        }
+        if report.is_certified || report.chi2 > (1.0 - SAME) * before {
+            break;
+        }
+    }
+    Ok(report)
 }

@@ -47,37 +47,35 @@ impl<'a, const D: usize> Equations<'a, D> {
         self.solver.factorise(&self.blocks, damping)
     }
 
-    /// Gradient of what the errors at `next` have beyond those that the linear system expects after this step there.
-    pub(super) fn bend<P: Manifold<D>>(
-        &self,
+    /// Poses with the same rotations, and positions where chi2 is least with these: one linear system, as the errors are
+    /// linear in the shifts. The equations are those of that system afterwards.
+    pub(super) fn with_best_positions<P: Manifold<D>>(
+        &mut self,
         graph: &PoseGraph<P, D>,
-        next: &[P],
-        step: &[SVector<f64, D>],
-    ) -> Vec<SVector<f64, D>> {
-        let mut bend = vec![SVector::zeros(); step.len()];
-        for (edge, target) in graph.edges.iter().zip(&self.targets) {
-            let (from, to) = (edge.from as usize, edge.to as usize);
-            let l = P::linearise(&edge.t_from_to, &graph.poses[from], &graph.poses[to]);
-            let ends = [(target.from, l.from), (target.to, l.to)];
-            let mut beyond = P::error(&edge.t_from_to, &next[from], &next[to]) - l.error;
-            for ((place, _), by_end) in ends.iter().filter_map(|(t, m)| t.zip(Some(m))) {
-                beyond += by_end * step[place];
-            }
-            let weighted = edge.information * beyond;
-            for ((place, _), by_end) in ends.iter().filter_map(|(t, m)| t.zip(Some(m))) {
-                bend[place] += by_end.transpose() * weighted;
-            }
+        poses: &[P],
+    ) -> Result<Vec<P>, NotSolvable> {
+        self.fill(graph, poses);
+        for block in &mut self.blocks {
+            *block = SMatrix::from_fn(|r, c| if r.max(c) < P::SHIFTS { block[(r, c)] } else { 0.0 });
         }
-        bend
+        let pattern = self.solver.pattern();
+        for (place, gradient) in (0..).zip(&mut self.gradient) {
+            let block = &mut self.blocks[pattern.diagonal(place)];
+            (P::SHIFTS..D).for_each(|r| (block[(r, r)], gradient[r]) = (1.0, 0.0));
+        }
+        self.factorise(0.0)?;
+        let mut step = self.gradient.clone();
+        self.solver.solve(&mut step);
+        Ok(self.unknowns.moved(poses, &step))
     }
 
-    /// Linearises at the graph's poses.
-    pub(super) fn fill<P: Manifold<D>>(&mut self, graph: &PoseGraph<P, D>) {
+    /// Linearises at these poses instead of the graph's.
+    pub(super) fn fill<P: Manifold<D>>(&mut self, graph: &PoseGraph<P, D>, poses: &[P]) {
         self.blocks.iter_mut().for_each(|b| *b = SMatrix::zeros());
         self.gradient.iter_mut().for_each(|g| *g = SVector::zeros());
         for (edge, target) in graph.edges.iter().zip(&self.targets) {
             let (from, to) = (edge.from as usize, edge.to as usize);
-            let l = P::linearise(&edge.t_from_to, &graph.poses[from], &graph.poses[to]);
+            let l = P::linearise(&edge.t_from_to, &poses[from], &poses[to]);
             let weighted_from = l.from.transpose() * edge.information;
             let weighted_to = l.to.transpose() * edge.information;
             if let Some((place, block)) = target.from {

@@ -4,8 +4,11 @@ use super::{Equations, Manifold, PoseGraph, PoseGraphError, Structure};
 
 /// Damping beyond this: no step leads down.
 const MOST_DAMPING: f64 = 1e6;
-/// Damping after a first step that was taken back; less than a hundredth of it is none.
-const FIRST_DAMPING: f64 = 1e-6;
+/// Damping after a first step that was taken back; less than a hundredth of it is none. The slowest motions of graphs of
+/// some thousand poses weigh 1e-8 of the diagonal: more damping would hold them.
+const FIRST_DAMPING: f64 = 1e-9;
+/// Positions are found anew after steps that keep less than this share of what they promise.
+const WORST_GAIN: f64 = 0.25;
 /// Errors of this many standard deviations are none: they are in the last digits of the poses.
 const NO_ERROR: f64 = 1e-10;
 
@@ -35,15 +38,20 @@ pub struct OptimiseReport {
     pub iterations: usize,
     /// Whether it ended because nothing more was to be gained.
     pub converged: bool,
+    /// Whether it is proven that no poses have a lower chi2. False says nothing: there may be no proof, and only
+    /// [`solve`](super::solve) looks for one.
+    pub is_certified: bool,
 }
 
-/// Moves the poses to where chi2 is least, from where they are. Steps start as Gauss-Newton's; where one leads up, it is
-/// bent by how the errors curve along it, and damped, by shares of the diagonal, if that leads up, too.
+/// Moves the poses to where chi2 is least, from where they are. Steps start as Gauss-Newton's; where one leads up, or
+/// hardly down, positions are found anew for the rotations that it leads to, and where that does not help, it is damped, by
+/// shares of the diagonal.
 ///
 /// Source: Marquardt 1963; the damping's schedule by gain is that of Madsen, Nielsen and Tingleff, "Methods for
-/// non-linear least squares problems", 2004. Bent steps: Transtrum and Sethna, "Improvements to the Levenberg-Marquardt
-/// algorithm for nonlinear least-squares minimization", 2012; the second derivative along a step is taken from the
-/// errors at its end, which are known by then, and no limit is put on it, as only what leads lower is taken.
+/// non-linear least squares problems", 2004. Errors are linear in positions, so that those are a function of the
+/// rotations: Golub and Pereyra, "Separable nonlinear least squares: the variable projection method and its
+/// applications", 2003; after a step of all, as Ruhe and Wedin compare it, "Algorithms for separable nonlinear
+/// least squares problems", 1980. A part of the map that turns as a whole would swell in a straight step.
 ///
 /// # Errors
 /// As [`PoseGraph::validate`]; `NotSolvable` if even a damped system cannot be solved.
@@ -63,11 +71,11 @@ impl<const D: usize> Equations<'_, D> {
         params: &OptimiseParams,
     ) -> Result<OptimiseReport, PoseGraphError> {
         let chi2 = graph.chi2();
-        let mut report = OptimiseReport { chi2_start: chi2, chi2, iterations: 0, converged: true };
+        let mut report = OptimiseReport { chi2_start: chi2, chi2, iterations: 0, converged: true, is_certified: false };
         if self.unknowns.nodes.is_empty() || graph.edges.is_empty() {
             return Ok(report);
         }
-        self.fill(graph);
+        self.fill(graph, &graph.poses);
         let (mut damping, mut growth) = (0.0, 2.0);
         let nothing = NO_ERROR.powi(2) * graph.edges.len() as f64;
         report.converged = chi2 <= nothing;
@@ -82,12 +90,13 @@ impl<const D: usize> Equations<'_, D> {
                     damping = relaxed(damping, lowered / step.promised.max(f64::MIN_POSITIVE));
                     (graph.poses, report.chi2, growth) = (step.poses, step.chi2, 2.0);
                     if !report.converged {
-                        self.fill(graph);
+                        self.fill(graph, &graph.poses);
                     }
                 }
                 // What is left to gain is lost in the last digits.
                 Some(step) if step.promised <= params.tolerance * report.chi2 => report.converged = true,
                 _ => {
+                    self.fill(graph, &graph.poses);
                     damping = (damping * growth).max(FIRST_DAMPING);
                     growth *= 2.0;
                     if damping > MOST_DAMPING {
@@ -122,27 +131,21 @@ struct Step<P> {
 }
 
 impl<P> Step<P> {
-    /// From the graph's poses, whose chi2 is `before`, by the equations last factorised.
+    /// From the graph's poses, whose chi2 is `before`, by the equations last factorised; they may be others afterwards.
     fn of<const D: usize>(graph: &PoseGraph<P, D>, equations: &mut Equations<'_, D>, before: f64) -> Self
     where
         P: Manifold<D>,
     {
-        let unknowns = equations.unknowns;
         let mut step = equations.gradient.clone();
         equations.solver.solve(&mut step);
-        let promised = equations.gradient.iter().zip(&step).map(|(g, d)| g.dot(d)).sum();
-        let mut poses = unknowns.moved(&graph.poses, &step);
-        let mut chi2 = graph.chi2_of(&poses);
-        if chi2 > before {
-            let mut bend = equations.bend(graph, &poses, &step);
-            equations.solver.solve(&mut bend);
-            step.iter_mut().zip(&bend).for_each(|(s, b)| *s += b);
-            let bent = unknowns.moved(&graph.poses, &step);
-            let chi2_bent = graph.chi2_of(&bent);
-            if chi2_bent < chi2 {
-                (poses, chi2) = (bent, chi2_bent);
-            }
+        let promised: f64 = equations.gradient.iter().zip(&step).map(|(g, d)| g.dot(d)).sum();
+        let poses = equations.unknowns.moved(&graph.poses, &step);
+        let straight = Self { chi2: graph.chi2_of(&poses), poses, promised };
+        if straight.chi2 <= before - WORST_GAIN * promised {
+            return straight;
         }
-        Self { poses, chi2, promised }
+        let better = equations.with_best_positions(graph, &straight.poses);
+        let better = better.map(|poses| Self { chi2: graph.chi2_of(&poses), poses, promised });
+        better.ok().filter(|b| b.chi2 < straight.chi2).unwrap_or(straight)
     }
 }

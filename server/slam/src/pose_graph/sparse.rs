@@ -25,6 +25,11 @@ impl<'a, const D: usize> Solver<'a, D> {
         Ok(Self { pattern, factor, local: vec![0; pattern.len()], rhs: vec![0.0; pattern.len() * stride(D)] })
     }
 
+    /// Its pattern.
+    pub(super) fn pattern(&self) -> &'a Pattern {
+        self.pattern
+    }
+
     /// Factorises the matrix of these blocks (by their index), its diagonal multiplied by `1 + damping`.
     pub(super) fn factorise(&mut self, blocks: &[SMatrix<f64, D, D>], damping: f64) -> Result<(), NotSolvable> {
         let (stride, size) = (stride(D), stride(D) * D);
@@ -124,6 +129,7 @@ mod tests {
             prop_assert!(apart::<1>(20, &pairs, &numbers, damping) < 1e-9);
             prop_assert!(apart::<2>(20, &pairs, &numbers, damping) < 1e-9);
             prop_assert!(apart::<3>(20, &pairs, &numbers, damping) < 1e-9);
+            prop_assert!(apart::<4>(20, &pairs, &numbers, damping) < 1e-9);
             prop_assert!(apart::<6>(20, &pairs, &numbers, damping) < 1e-9);
             prop_assert!(apart::<7>(20, &pairs, &numbers, damping) < 1e-9);
         }

@@ -73,6 +73,9 @@ fn parts(s: &Similarity) -> SVector<f64, 7> {
 }
 
 impl Manifold<7> for Similarity {
+    const SHIFTS: usize = 3;
+    const IS_PLANAR: bool = false;
+
     fn identity() -> Self {
         Self { rotation: UnitQuaternion::identity(), translation: Vector3::zeros(), scale: 1.0 }
     }
