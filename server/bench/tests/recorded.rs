@@ -1,6 +1,7 @@
 //! Features and depth operations on recorded images, judged by known warps and by plain references; skipped where the
 //! data are absent (`PERCEPT_DATA`, or `shared/data` beside the repository).
-#![allow(clippy::unwrap_used, clippy::panic)]
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "all of it is tests")]
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use percept_formats::images::decode_gray16;
@@ -13,7 +14,7 @@ use percept_perception::depth::{
 use percept_perception::features2d::{
     FeatureMatch, Features, MatchParams, Orb, OrbParams, Sift, SiftParams, match_features,
 };
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const W: usize = 640;
 const H: usize = 480;
@@ -26,16 +27,19 @@ const SIFT: (f64, f64, f64) = (0.505, 0.865, 310.0);
 /// leaves after smoothing, over 5 pixels in one and 7 by 7 in the other.
 const NORMALS: (f64, f64) = (3.0, 9.0);
 
-/// A file of the recorded frames, if it is there.
-fn recorded(frame: usize, end: &str) -> Option<Vec<u8>> {
-    let by_default = || Path::new(&std::env::var("CARGO_MANIFEST_DIR").unwrap()).join("../../../shared/data");
-    let root = std::env::var_os("PERCEPT_DATA").map_or_else(by_default, PathBuf::from);
-    let path = root.join("rgbd-7scenes-a").join(format!("frame-{frame:06}.{end}"));
-    if !path.exists() {
-        eprintln!("skipped: {} is absent", path.display());
-        return None;
-    }
-    Some(read_file(&path, &Limits::default()).unwrap())
+percept_recorded::tests! {
+    orb_finds_again_what_it_found: "rgbd-7scenes-a";
+    sift_finds_again_what_it_found: "rgbd-7scenes-a";
+    points_of_recorded_depth_are_those_of_the_pinhole: "rgbd-7scenes-a";
+    medians_of_recorded_depth_are_those_of_sorted_windows: "rgbd-7scenes-a";
+    bilateral_of_recorded_depth_is_the_weighted_mean: "rgbd-7scenes-a";
+    normals_of_smoothed_recorded_depth_are_those_of_planes_fitted: "rgbd-7scenes-a";
+}
+
+/// A file of the recorded frames.
+fn recorded(data: &Path, frame: usize, end: &str) -> Vec<u8> {
+    let path = data.join("rgbd-7scenes-a").join(format!("frame-{frame:06}.{end}"));
+    read_file(&path, &Limits::default()).unwrap()
 }
 
 /// Pixels of the first image to pixels of the second: a turn by 25 degrees and a shrink to 0.8 about the centre.
@@ -65,10 +69,10 @@ fn warped(image: &GrayImage) -> GrayImage {
 }
 
 /// Means over five frames: share of keypoints found again within 3 pixels, share of matches that are right within 3.
-fn quality(extract: impl Fn(&GrayImage) -> Features) -> Option<(f64, f64, f64)> {
+fn quality(data: &Path, extract: impl Fn(&GrayImage) -> Features) -> (f64, f64, f64) {
     let mut sums = Vector3::zeros();
     for frame in [0, 100, 200, 300, 398] {
-        let image = decode_color(&recorded(frame, "color.jpg")?, &Limits::default()).unwrap().to_gray();
+        let image = decode_color(&recorded(data, frame, "color.jpg"), &Limits::default()).unwrap().to_gray();
         let (a, b) = (extract(&image), extract(&warped(&image)));
         let at = |f: &Features, i: usize| Vector2::new(f64::from(f.keypoints[i].u), f64::from(f.keypoints[i].v));
         let moved: Vec<Vector2<f64>> = (0..a.keypoints.len()).map(|i| warp(at(&a, i))).collect();
@@ -82,43 +86,37 @@ fn quality(extract: impl Fn(&GrayImage) -> Features) -> Option<(f64, f64, f64)> 
         let inliers = matches.iter().filter(right).count() as f64 / matches.len() as f64;
         sums += Vector3::new(repeated, inliers, matches.len() as f64) / 5.0;
     }
-    Some((sums.x, sums.y, sums.z))
+    (sums.x, sums.y, sums.z)
 }
 
-#[test]
-fn orb_finds_again_what_it_found() {
+fn orb_finds_again_what_it_found(data: &Path) {
     let orb = Orb::new(OrbParams::default()).unwrap();
-    let Some((repeated, inliers, matches)) = quality(|image| orb.extract(image).unwrap()) else { return };
+    let (repeated, inliers, matches) = quality(data, |image| orb.extract(image).unwrap());
     eprintln!("ORB: repeatability {repeated:.3}, inlier ratio {inliers:.3}, {matches:.0} matches");
     assert!(repeated > ORB.0 && inliers > ORB.1 && matches > ORB.2, "{repeated} {inliers} {matches}");
 }
 
-#[test]
-fn sift_finds_again_what_it_found() {
+fn sift_finds_again_what_it_found(data: &Path) {
     let extract = |image: &GrayImage| {
         let params = SiftParams { max_features: 1000, ..SiftParams::default() };
         Sift::new(params).unwrap().extract(image).unwrap()
     };
-    let Some((repeated, inliers, matches)) = quality(extract) else { return };
+    let (repeated, inliers, matches) = quality(data, extract);
     eprintln!("SIFT: repeatability {repeated:.3}, inlier ratio {inliers:.3}, {matches:.0} matches");
     assert!(repeated > SIFT.0 && inliers > SIFT.1 && matches > SIFT.2, "{repeated} {inliers} {matches}");
 }
 
 /// Millimetres of two frames.
-fn depths() -> Option<Vec<Vec<u16>>> {
-    [0, 200]
-        .iter()
-        .map(|&f| Some(decode_gray16(&recorded(f, "depth.png")?, &Limits::default()).unwrap().data))
-        .collect()
+fn depths(data: &Path) -> [Vec<u16>; 2] {
+    [0, 200].map(|frame| decode_gray16(&recorded(data, frame, "depth.png"), &Limits::default()).unwrap().data)
 }
 
 fn camera() -> CameraIntrinsics {
     CameraIntrinsics::pinhole(W, H, 585.0, 585.0, 320.0, 240.0)
 }
 
-#[test]
-fn points_of_recorded_depth_are_those_of_the_pinhole() {
-    for units in depths().unwrap_or_default() {
+fn points_of_recorded_depth_are_those_of_the_pinhole(data: &Path) {
+    for units in depths(data) {
         let params = UnprojectParams { min_depth_m: 0.0, max_depth_m: 2.5, ..UnprojectParams::default() };
         let cloud = unproject_units(&units, 0.001, None, &RayTable::new(&camera()).unwrap(), &params).unwrap();
         // 65535 is far beyond the bound.
@@ -132,9 +130,8 @@ fn points_of_recorded_depth_are_those_of_the_pinhole() {
     }
 }
 
-#[test]
-fn medians_of_recorded_depth_are_those_of_sorted_windows() {
-    for units in depths().unwrap_or_default() {
+fn medians_of_recorded_depth_are_those_of_sorted_windows(data: &Path) {
+    for units in depths(data) {
         let found = median_units(&units, W, H, &MedianParams::default()).unwrap();
         for i in (0..W * H).step_by(7) {
             let near = |x: usize, k: usize, n: usize| (x + k).saturating_sub(2).min(n - 1);
@@ -146,9 +143,8 @@ fn medians_of_recorded_depth_are_those_of_sorted_windows() {
     }
 }
 
-#[test]
-fn bilateral_of_recorded_depth_is_the_weighted_mean() {
-    for units in depths().unwrap_or_default() {
+fn bilateral_of_recorded_depth_is_the_weighted_mean(data: &Path) {
+    for units in depths(data) {
         let depth = DepthImage::from_u16(W, H, &units, 0.001).unwrap();
         let found = bilateral(&depth, &BilateralParams::default()).unwrap();
         for i in (0..W * H).step_by(5) {
@@ -182,9 +178,8 @@ fn plane_normal(points: &dyn Fn(usize, usize) -> Option<Vector3<f64>>, u: usize,
     (window.len() >= 40).then(|| if n.dot(&centre) > 0.0 { -n } else { n })
 }
 
-#[test]
-fn normals_of_smoothed_recorded_depth_are_those_of_planes_fitted() {
-    for units in depths().unwrap_or_default() {
+fn normals_of_smoothed_recorded_depth_are_those_of_planes_fitted(data: &Path) {
+    for units in depths(data) {
         let depth = DepthImage::from_u16(W, H, &units, 0.001).unwrap();
         let depth = bilateral(&depth, &BilateralParams { radius_px: 5, ..BilateralParams::default() }).unwrap();
         let map = NormalMap::of_depth(&depth, &RayTable::new(&camera()).unwrap(), &NormalMapParams::default()).unwrap();

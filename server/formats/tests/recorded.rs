@@ -1,21 +1,26 @@
 //! Recorded data, read and compared with what is known of it; skipped where it is absent.
-#![allow(clippy::unwrap_used, clippy::panic)]
 
-use percept_formats::dataset::{OpenOptions, open, open_with};
+#![allow(clippy::unwrap_used, clippy::panic, reason = "all of it is tests")]
+
+use percept_formats::dataset::open;
 use percept_formats::{Dataset, DatasetKind, Limits, nav2, pcd, ply, read_file, trajectory};
 use percept_geometry::cloud::is_finite;
 use percept_geometry::{SensorData, SensorFrame, SensorKind, se3};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// A folder of the recorded data, if it is there.
-fn recorded(name: &str) -> Option<PathBuf> {
-    let by_default = || Path::new(&std::env::var("CARGO_MANIFEST_DIR").unwrap()).join("../../../shared/data");
-    let path = std::env::var_os("PERCEPT_DATA").map_or_else(by_default, PathBuf::from).join(name);
-    if !path.exists() {
-        eprintln!("skipped: {} is absent", path.display());
-        return None;
-    }
-    Some(path)
+percept_recorded::tests! {
+    seven_scenes: "rgbd-7scenes-a";
+    seven_scenes_poses_fit_the_depth: "rgbd-7scenes-a";
+    kitti_pcd_with_poses_in_the_lidar_frame: "lidar-kitti-tracking-0000";
+    kitti_bin_with_gaps_and_poses_of_the_camera: "lidar-kitti-odometry-00";
+    carmen_intel: "lidar2d-intel";
+    carmen_csail: "lidar2d-csail";
+    carmen_corrected_logs: "lidar2d-corrected";
+    labelled_clouds: "cloud-osd-labelled";
+    clouds_of_every_version_and_encoding: "cloud-pcl";
+    ply_of_a_lidar: "registration-small-gicp";
+    maps_of_nav2: "planning-ros-maps";
+    trajectories: "trajectory-evo", "rgbd-open3d-redwood/trajectory.log";
 }
 
 fn frames(dataset: &Dataset) -> Vec<SensorFrame> {
@@ -26,9 +31,8 @@ fn assert_increasing(dataset: &Dataset) {
     assert!(dataset.stamps().windows(2).all(|w| w[0] < w[1]));
 }
 
-#[test]
-fn seven_scenes() {
-    let Some(path) = recorded("rgbd-7scenes-a") else { return };
+fn seven_scenes(data: &Path) {
+    let path = data.join("rgbd-7scenes-a");
     let dataset = open(&path).unwrap();
     assert_eq!((dataset.kind, dataset.len(), dataset.name.as_str()), (DatasetKind::SevenScenes, 200, "rgbd-7scenes-a"));
     assert_increasing(&dataset);
@@ -55,9 +59,8 @@ fn seven_scenes() {
 }
 
 /// The base looks along x: the reference warps frame 0 into frame 20 only in the right convention.
-#[test]
-fn seven_scenes_poses_fit_the_depth() {
-    let Some(path) = recorded("rgbd-7scenes-a") else { return };
+fn seven_scenes_poses_fit_the_depth(data: &Path) {
+    let path = data.join("rgbd-7scenes-a");
     let dataset = open(&path).unwrap();
     let intrinsics = dataset.sensors[0].intrinsics.unwrap();
     let depth = |i: usize| match dataset.frames(Some(i..i + 1)).next().unwrap().unwrap().data {
@@ -85,9 +88,8 @@ fn seven_scenes_poses_fit_the_depth() {
     assert!(differences.len() > 1000 && median < 0.01, "{} {median}", differences.len());
 }
 
-#[test]
-fn kitti_pcd_with_poses_in_the_lidar_frame() {
-    let Some(path) = recorded("lidar-kitti-tracking-0000") else { return };
+fn kitti_pcd_with_poses_in_the_lidar_frame(data: &Path) {
+    let path = data.join("lidar-kitti-tracking-0000");
     let dataset = open(&path).unwrap();
     assert_eq!((dataset.kind, dataset.len()), (DatasetKind::Kitti, 24));
     assert!((dataset.duration_s() - 2.3).abs() < 1e-9);
@@ -100,9 +102,8 @@ fn kitti_pcd_with_poses_in_the_lidar_frame() {
     assert!((end.norm() - 7.43).abs() < 0.1 && end.x > 7.0, "{end}");
 }
 
-#[test]
-fn kitti_bin_with_gaps_and_poses_of_the_camera() {
-    let Some(path) = recorded("lidar-kitti-odometry-00") else { return };
+fn kitti_bin_with_gaps_and_poses_of_the_camera(data: &Path) {
+    let path = data.join("lidar-kitti-odometry-00");
     let dataset = open(&path).unwrap();
     let clouds: Vec<usize> = frames(&dataset)
         .into_iter()
@@ -121,9 +122,8 @@ fn kitti_bin_with_gaps_and_poses_of_the_camera() {
     assert!((9.0..10.5).contains(&dataset.stamps()[4].as_secs_f64()));
 }
 
-#[test]
-fn carmen_intel() {
-    let Some(path) = recorded("lidar2d-intel") else { return };
+fn carmen_intel(data: &Path) {
+    let path = data.join("lidar2d-intel");
     let dataset = open(&path).unwrap();
     assert_eq!((dataset.kind, dataset.len()), (DatasetKind::Carmen, 13_631));
     assert_eq!(dataset.num_odometry_samples(), 13_631 + 26_915);
@@ -165,19 +165,20 @@ fn carmen_intel() {
     assert!(errors.len() > 50 && mean < 0.15, "{} {mean}", errors.len());
 }
 
-#[test]
-fn carmen_csail_and_corrected_logs() {
-    if let Some(path) = recorded("lidar2d-csail") {
-        let dataset = open(&path).unwrap();
-        assert_eq!((dataset.len(), dataset.num_odometry_samples()), (1988, 1988));
-        assert_increasing(&dataset);
-        assert!((dataset.duration_s() - 424.0).abs() < 1.0, "{}", dataset.duration_s());
-        let SensorData::Scan(scan) = dataset.frames(Some(0..1)).nth(1).unwrap().unwrap().data else { panic!() };
-        assert_eq!(scan.ranges_m.len(), 361);
-        assert!((scan.angle(360) - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
-        assert!(dataset.reference.as_ref().unwrap().len() > 350, "{:?}", dataset.reference.map(|r| r.len()));
-    }
-    let Some(path) = recorded("lidar2d-corrected") else { return };
+fn carmen_csail(data: &Path) {
+    let path = data.join("lidar2d-csail");
+    let dataset = open(&path).unwrap();
+    assert_eq!((dataset.len(), dataset.num_odometry_samples()), (1988, 1988));
+    assert_increasing(&dataset);
+    assert!((dataset.duration_s() - 424.0).abs() < 1.0, "{}", dataset.duration_s());
+    let SensorData::Scan(scan) = dataset.frames(Some(0..1)).nth(1).unwrap().unwrap().data else { panic!() };
+    assert_eq!(scan.ranges_m.len(), 361);
+    assert!((scan.angle(360) - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    assert!(dataset.reference.as_ref().unwrap().len() > 350, "{:?}", dataset.reference.map(|r| r.len()));
+}
+
+fn carmen_corrected_logs(data: &Path) {
+    let path = data.join("lidar2d-corrected");
     for (file, len, beams) in [("freiburg-101-corrected.log", 292, 360), ("orebro-corrected.log", 237, 181)] {
         let dataset = open(&path.join(file)).unwrap();
         assert_eq!((dataset.len(), dataset.num_odometry_samples(), dataset.sensors.len()), (len, 0, 1));
@@ -194,9 +195,8 @@ fn carmen_csail_and_corrected_logs() {
     }
 }
 
-#[test]
-fn labelled_clouds() {
-    let Some(path) = recorded("cloud-osd-labelled") else { return };
+fn labelled_clouds(data: &Path) {
+    let path = data.join("cloud-osd-labelled");
     for file in ["learn0.pcd", "learn40.pcd"] {
         let pcd = pcd::decode(&read_file(&path.join(file), &Limits::default()).unwrap(), &Limits::default()).unwrap();
         assert_eq!((pcd.width, pcd.height, pcd.cloud.len()), (640, 480, 307_200));
@@ -216,9 +216,8 @@ fn labelled_clouds() {
     assert_eq!((dataset.kind, dataset.len()), (DatasetKind::Clouds, 6));
 }
 
-#[test]
-fn clouds_of_every_version_and_encoding() {
-    let Some(path) = recorded("cloud-pcl") else { return };
+fn clouds_of_every_version_and_encoding(data: &Path) {
+    let path = data.join("cloud-pcl");
     for (file, points) in [("bun0.pcd", 397), ("bun4.pcd", 361), ("cturtle.pcd", 167_198), ("milk.pcd", 12_575)] {
         let bytes = read_file(&path.join(file), &Limits::default()).unwrap();
         let pcd = pcd::decode(&bytes, &Limits::default()).unwrap();
@@ -239,9 +238,8 @@ fn clouds_of_every_version_and_encoding() {
     }
 }
 
-#[test]
-fn ply_of_a_lidar() {
-    let Some(path) = recorded("registration-small-gicp") else { return };
+fn ply_of_a_lidar(data: &Path) {
+    let path = data.join("registration-small-gicp");
     for (file, points) in [("source.ply", 69_792), ("target.ply", 69_088)] {
         let cloud = ply::decode(&read_file(&path.join(file), &Limits::default()).unwrap(), &Limits::default()).unwrap();
         assert_eq!(cloud.len(), points);
@@ -250,9 +248,8 @@ fn ply_of_a_lidar() {
     assert_eq!(open(&path).unwrap().len(), 2);
 }
 
-#[test]
-fn maps_of_nav2() {
-    let Some(path) = recorded("planning-ros-maps") else { return };
+fn maps_of_nav2(data: &Path) {
+    let path = data.join("planning-ros-maps");
     for file in ["depot.yaml", "depot_keepout.yaml", "tb3_sandbox.yaml"] {
         let map = nav2::read(&path.join(file), &Limits::default()).unwrap();
         assert_eq!(map.cells.len(), map.width * map.height);
@@ -263,34 +260,13 @@ fn maps_of_nav2() {
     }
 }
 
-#[test]
-fn trajectories() {
-    let Some(path) = recorded("trajectory-evo") else { return };
+fn trajectories(data: &Path) {
+    let path = data.join("trajectory-evo");
     let read = |file: &str| trajectory::parse_tum(&read_file(&path.join(file), &Limits::default()).unwrap()).unwrap();
     for file in ["V102.txt", "fr2_desk_ORB.txt", "fr2_desk_groundtruth.txt", "freiburg1_xyz-groundtruth.txt"] {
         assert!(read(file).len() > 100, "{file}");
     }
     assert_eq!(read("V102.txt")[0].stamp.0, 1_403_715_529_112_143_517);
-    let Some(path) = recorded("rgbd-open3d-redwood/trajectory.log") else { return };
+    let path = data.join("rgbd-open3d-redwood/trajectory.log");
     assert_eq!(trajectory::parse_redwood(&read_file(&path, &Limits::default()).unwrap()).unwrap().len(), 5);
-}
-
-/// Prints what decoding costs: `cargo test --release -p percept-formats --test recorded -- --ignored --nocapture`.
-#[test]
-#[ignore = "prints times"]
-fn times() {
-    for (name, range) in [("rgbd-7scenes-a", 0..50), ("lidar-kitti-tracking-0000", 0..24), ("cloud-pcl", 2..7)] {
-        let Some(path) = recorded(name) else { continue };
-        for depth_only in [false, true] {
-            let dataset = open_with(&path, &OpenOptions { depth_only, ..OpenOptions::default() }).unwrap();
-            let start = std::time::Instant::now();
-            assert_eq!(dataset.frames(Some(range.clone())).filter(|f| f.is_ok()).count(), range.len());
-            let each_ms = start.elapsed().as_secs_f64() * 1e3 / range.len() as f64;
-            println!("{name}: {each_ms:.2} ms a frame, depth_only {depth_only}");
-        }
-    }
-    let Some(path) = recorded("lidar2d-intel") else { return };
-    let start = std::time::Instant::now();
-    let dataset = open(&path).unwrap();
-    println!("lidar2d-intel: opened in {:?}, reference {}", start.elapsed(), dataset.reference.unwrap().len());
 }

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each crate looks only at crates before it.
-const ORDER: [&str; 16] = [
+const ORDER: [&str; 17] = [
     "geometry",
     "sim",
     "evaluation",
@@ -18,6 +18,7 @@ const ORDER: [&str; 16] = [
     "scene",
     "planning",
     "pipeline",
+    "recorded",
     "formats",
     "bench",
     "store",

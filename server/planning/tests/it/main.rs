@@ -1,11 +1,11 @@
-//! Planning against brute force, closed forms and published optima.
+//! Planning against brute force and closed forms.
 
 // Helpers of tests may fail as tests do.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod clearance;
 mod ends;
-mod movingai;
+mod search;
 mod worlds;
 
 use nalgebra::Point2;

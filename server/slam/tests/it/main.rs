@@ -1,11 +1,10 @@
-//! Odometry against closed-form rooms and recorded data.
+//! Odometry against closed-form rooms.
 
 #![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests, not only the tests themselves.
 
 mod lidar2d;
 mod lidar3d;
 mod mono;
-mod recorded;
 mod rgbd;
 mod room;
 mod states;

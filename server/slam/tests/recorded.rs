@@ -1,9 +1,11 @@
-//! Recorded data, skipped when absent; bounds are those that a user is promised.
+//! Odometry on recorded data, skipped when absent; bounds are those that a user is promised.
 
-#[path = "../../examples/evaluate/measure.rs"]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "all of it is tests")]
+
+#[path = "../examples/evaluate/measure.rs"]
 #[allow(dead_code)]
 mod measure;
-#[path = "../../examples/evaluate/read.rs"]
+#[path = "../examples/evaluate/read.rs"]
 #[allow(dead_code)]
 mod read;
 
@@ -13,21 +15,20 @@ use percept_slam::{
     CloudScan, DepthScan, ImageScan, KeyframeParams, Odometry, OdometryKind, OdometryParams, PlanarScan, Scale, Scan,
     keyframe,
 };
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The folder of a set: `$PERCEPT_DATA`, else `shared/data` beside the repository.
-fn data(set: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PERCEPT_DATA").map(PathBuf::from).or_else(|| {
-        let crate_dir = PathBuf::from(std::env::var("CARGO_MANIFEST_DIR").unwrap());
-        crate_dir.ancestors().map(|a| a.join("shared/data")).find(|p| p.is_dir())
-    })?;
-    Some(root.join(set)).filter(|p| p.exists())
+percept_recorded::tests! {
+    seven_scenes_is_tracked_to_two_and_a_half_centimetres: "rgbd-7scenes-a";
+    views_of_seven_scenes_are_placed_by_features_of_either_method_and_never_wrongly: "rgbd-7scenes-a";
+    seven_scenes_is_tracked_by_its_colour_images_alone: "rgbd-7scenes-a";
+    a_drive_of_seven_metres_ends_within_six_centimetres: "lidar-kitti-tracking-0000";
+    two_scans_half_a_metre_apart_agree_with_the_truth: "lidar-kitti-odometry-00";
+    the_intel_lab_comes_out_far_better_than_its_wheels: "lidar2d-intel";
 }
 
-#[test]
-fn seven_scenes_is_tracked_to_two_and_a_half_centimetres() {
-    let Some(dir) = data("rgbd-7scenes-a") else { return };
+fn seven_scenes_is_tracked_to_two_and_a_half_centimetres(data: &Path) {
+    let dir = data.join("rgbd-7scenes-a");
     let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
     let intrinsics = CameraIntrinsics::pinhole(640, 480, 585.0, 585.0, 320.0, 240.0);
     let (mut truth, mut estimate) = (vec![], vec![]);
@@ -47,9 +48,8 @@ fn seven_scenes_is_tracked_to_two_and_a_half_centimetres() {
     assert!(rmse < 0.025, "{rmse}");
 }
 
-#[test]
-fn views_of_seven_scenes_are_placed_by_features_of_either_method_and_never_wrongly() {
-    let Some(dir) = data("rgbd-7scenes-a") else { return };
+fn views_of_seven_scenes_are_placed_by_features_of_either_method_and_never_wrongly(data: &Path) {
+    let dir = data.join("rgbd-7scenes-a");
     let intrinsics = CameraIntrinsics::pinhole(640, 480, 585.0, 585.0, 320.0, 240.0);
     let view = |i: usize, features| {
         let name = dir.join(format!("frame-{i:06}"));
@@ -82,9 +82,8 @@ fn views_of_seven_scenes_are_placed_by_features_of_either_method_and_never_wrong
     }
 }
 
-#[test]
-fn seven_scenes_is_tracked_by_its_colour_images_alone() {
-    let Some(dir) = data("rgbd-7scenes-a") else { return };
+fn seven_scenes_is_tracked_by_its_colour_images_alone(data: &Path) {
+    let dir = data.join("rgbd-7scenes-a");
     let mut odometry = Odometry::new(OdometryKind::Mono, OdometryParams::default());
     let intrinsics = CameraIntrinsics::pinhole(640, 480, 585.0, 585.0, 320.0, 240.0);
     let (mut truth, mut estimate) = (vec![], vec![]);
@@ -107,9 +106,8 @@ fn seven_scenes_is_tracked_by_its_colour_images_alone() {
     assert!(rmse < 0.07, "{rmse}");
 }
 
-#[test]
-fn a_drive_of_seven_metres_ends_within_six_centimetres() {
-    let Some(dir) = data("lidar-kitti-tracking-0000") else { return };
+fn a_drive_of_seven_metres_ends_within_six_centimetres(data: &Path) {
+    let dir = data.join("lidar-kitti-tracking-0000");
     let truth = read::poses_3x4(&dir.join("poses_reference_gicp.txt")).unwrap();
     let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());
     let mut last = Pose::identity();
@@ -124,9 +122,8 @@ fn a_drive_of_seven_metres_ends_within_six_centimetres() {
     assert!(off.translation.vector.norm() < 0.06 && off.rotation.angle() < 0.005, "{off}");
 }
 
-#[test]
-fn two_scans_half_a_metre_apart_agree_with_the_truth() {
-    let Some(dir) = data("lidar-kitti-odometry-00") else { return };
+fn two_scans_half_a_metre_apart_agree_with_the_truth(data: &Path) {
+    let dir = data.join("lidar-kitti-odometry-00");
     let poses = read::poses_3x4(&dir.join("poses_00.txt")).unwrap();
     let tr = read::pose_3x4(&read::numbers(&dir.join("calib_Tr.txt")).unwrap()).unwrap();
     let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());
@@ -142,9 +139,8 @@ fn two_scans_half_a_metre_apart_agree_with_the_truth() {
     assert!(off.translation.vector.norm() < 0.02 && off.rotation.angle().to_degrees() < 0.06, "{off}");
 }
 
-#[test]
-fn the_intel_lab_comes_out_far_better_than_its_wheels() {
-    let Some(dir) = data("lidar2d-intel") else { return };
+fn the_intel_lab_comes_out_far_better_than_its_wheels(data: &Path) {
+    let dir = data.join("lidar2d-intel");
     let log = read::carmen(&dir.join("intel.clf"), 80.0).unwrap();
     let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
     let mut estimate = vec![];

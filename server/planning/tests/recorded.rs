@@ -1,13 +1,13 @@
 //! Published optimal lengths (Sturtevant, "Benchmarks for grid-based pathfinding", 2012); skipped where the data is not.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "all of it is tests")]
+
 use percept_geometry::Cell;
 use percept_planning::{GridPath, shortest_path};
 use std::path::{Path, PathBuf};
 
-fn folder() -> Option<PathBuf> {
-    let data = std::env::var_os("PERCEPT_DATA").map(PathBuf::from);
-    let beside = Path::new(&std::env::var("CARGO_MANIFEST_DIR").unwrap()).ancestors().nth(3)?.join("shared/data");
-    Some(data.unwrap_or(beside).join("planning-movingai")).filter(|p| p.is_dir())
+percept_recorded::tests! {
+    optimal_lengths_of_the_moving_ai_scenarios_are_met: "planning-movingai";
 }
 
 struct Map {
@@ -23,9 +23,8 @@ fn read_map(path: &Path) -> Map {
     Map { blocked, width: rows[0].len(), height: rows.len() }
 }
 
-#[test]
-fn optimal_lengths_of_the_moving_ai_scenarios_are_met() {
-    let Some(folder) = folder() else { return eprintln!("skipped: no data") };
+fn optimal_lengths_of_the_moving_ai_scenarios_are_met(data: &Path) {
+    let folder = data.join("planning-movingai");
     let mut maps: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
     maps.retain(|p| p.extension().is_some_and(|e| e == "map"));
     maps.sort();
@@ -55,18 +54,4 @@ fn optimal_lengths_of_the_moving_ai_scenarios_are_met() {
         }
     }
     assert!(checked >= 25);
-}
-
-#[test]
-fn a_path_is_refused_where_ends_are_blocked_or_outside() {
-    let blocked = [false, true, false, false];
-    let free = Cell::new(0, 0);
-    for goal in [Cell::new(1, 0), Cell::new(2, 0), Cell::new(0, -1)] {
-        let found = shortest_path(&blocked, 2, 2, free, goal, 10);
-        assert_eq!(found, GridPath::Unreachable { expansions: 0 });
-    }
-    // No cutting of corners: around, not across.
-    let GridPath::Found { cost, .. } = shortest_path(&blocked, 2, 2, free, Cell::new(1, 1), 10) else { panic!() };
-    assert_eq!(cost, 2.0);
-    assert_eq!(shortest_path(&blocked, 3, 2, free, free, 10), GridPath::Unreachable { expansions: 0 });
 }
