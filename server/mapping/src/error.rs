@@ -1,5 +1,6 @@
 //! Why a map could not do what was asked.
 
+use crate::SubmapId;
 use percept_geometry::{GeometryError, KeyframeId, KeyframeScan, Pose};
 
 /// Facts about a refused request; the map is as it was before.
@@ -23,6 +24,26 @@ pub enum MappingError {
     DuplicateKeyframe {
         /// The number.
         id: KeyframeId,
+    },
+    /// Keyframes enter in the order of their numbers.
+    #[error("keyframe {} comes after {}", .id.0, .newest.0)]
+    KeyframeNotNewest {
+        /// The number.
+        id: KeyframeId,
+        /// The newest in the map.
+        newest: KeyframeId,
+    },
+    /// There is no submap of this id.
+    #[error("submap {} of run {} of robot {} is not in the map", .id.number, .id.run, .id.robot)]
+    NoSubmap {
+        /// The id.
+        id: SubmapId,
+    },
+    /// What a submap holds is out of memory, and the store does not give it back.
+    #[error("what submap {} of run {} of robot {} holds is lost", .id.number, .id.run, .id.robot)]
+    SubmapLost {
+        /// The id.
+        id: SubmapId,
     },
     /// A scan's channels do not fit its points, or its height is not finite.
     #[error(transparent)]

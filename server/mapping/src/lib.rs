@@ -1,20 +1,29 @@
 //! Keyframes with poses in, map layers out.
 //!
 //! Comes in: [`KeyframeScan`](percept_geometry::KeyframeScan)s with their `t_map_base`, and
-//! [`Correction`](percept_geometry::Correction)s of those poses. Goes out: [`MapLayers`], an immutable picture
-//! that is cheap to clone (layers share what did not change): a 2D [`OccupancyGrid`] and a [`FusedCloud`].
-//! No pose is estimated here, and nothing is read or written outside memory. Start with [`Map`].
+//! [`Correction`](percept_geometry::Correction)s of those poses. Goes out: [`MapLayers`], an immutable picture that is
+//! cheap to clone: a 2D [`OccupancyMap`] and a [`CloudMap`], each composed of what [`Submap`]s hold where it is read.
+//! No pose is estimated here, and nothing is read or written outside memory: submaps that are to leave it go to the caller's
+//! [`MapStore`]. Start with [`Map`]; what a layer is stands in [`Layer`].
 
+mod bytes;
 pub mod cloud;
+mod composed;
 mod error;
+mod layer;
 mod layers;
 pub mod map;
 pub mod occupancy;
-mod revision;
+mod store;
+mod submap;
 
-pub use cloud::{CloudParams, FusedCloud};
+pub use bytes::{Damaged, Reader};
+pub use cloud::{CloudMap, CloudParams, CloudTile, FusedCloud};
+pub use composed::Composed;
 pub use error::MappingError;
-pub use layers::MapLayers;
-pub use map::{CorrectionReport, Map, MapKeyframe, MapParams};
-pub use occupancy::{DenseGrid, OccupancyGrid, OccupancyParams};
-pub use revision::Revision;
+pub use layer::{Layer, Placement, TileKey};
+pub use layers::{LayerBoxes, MapLayers, SubmapLayers};
+pub use map::{CorrectionReport, Map, MapEntry, MapKeyframe, MapParams};
+pub use occupancy::{DenseGrid, Occupancy, OccupancyGrid, OccupancyMap, OccupancyParams, OccupancyTile};
+pub use store::{BlobId, MapMemory, MapStore};
+pub use submap::{Submap, SubmapId};

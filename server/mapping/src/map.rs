@@ -1,8 +1,20 @@
-//! The map of one session: keyframes where they are believed to be, and the layers built from them.
+//! The map of one session: keyframes where they are believed to be, in submaps that hold what was seen.
 
-use crate::error::check_keyframe;
-use crate::{CloudParams, MapLayers, MappingError, OccupancyParams, Revision};
-use percept_geometry::{Correction, KeyframeId, KeyframeScan, Pose};
+mod correct;
+mod division;
+mod rebuild;
+mod working_set;
+
+use crate::error::{check_keyframe, check_pose};
+use crate::layers::LayersUpdate;
+use crate::store::MapStore;
+use crate::submap::{Fetched, Slot, Submap, SubmapId};
+use crate::{CloudParams, MapLayers, MappingError, OccupancyParams, SubmapLayers};
+pub use correct::CorrectionReport;
+use division::Division;
+pub use division::MapEntry;
+use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId};
+use rebuild::Rebuild;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -26,48 +38,87 @@ impl MapParams {
         self.occupancy.validate()?;
         self.cloud.validate()
     }
+
+    /// How far keyframes may lie off from where their submap's layers have them before those are built anew, metres,
+    /// measured where the keyframe's beams end: a quarter of a cell, which is what rounding to cells errs by on average.
+    pub fn tolerance_m(&self) -> f64 {
+        0.25 * self.occupancy.resolution_m
+    }
 }
 
 /// A keyframe of the map.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct MapKeyframe {
     /// Where it is believed to have been.
     pub t_map_base: Pose,
-    /// What it saw.
-    pub scan: Arc<KeyframeScan>,
+    /// Sensor.
+    pub sensor: SensorId,
+    submap: SubmapId,
+    /// Points and misses.
+    size: usize,
+    /// How far its beams reach that say something, metres.
+    reach_m: f64,
+    /// None while it is out of memory.
+    scan: Option<Arc<KeyframeScan>>,
 }
 
-/// What a correction did.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct CorrectionReport {
-    /// Keyframes that have another pose now.
-    pub num_moved: usize,
-    /// Keyframes named by the correction that this map does not hold.
-    pub num_unknown: usize,
-}
-
-/// Keyframes with their poses, and the layers that follow from them.
+/// Keyframes with their poses, in submaps whose layers make up the map's.
 ///
-/// The layers are always what integrating the keyframes in the order of their numbers gives, at the poses they have
-/// now: a correction therefore leaves the same bytes as if the poses had been known from the start, and undoing it
-/// restores the bytes from before. After a restart, the map is rebuilt by inserting its keyframes again.
-/// Adding the newest keyframe costs one keyframe's work; a correction, or a keyframe out of order, costs all of them:
-/// who cannot wait for that has the corrected map built beside this one, a little at a time ([`Map::begin_revision`]).
-/// Cloning is cheap.
-#[derive(Debug, Clone)]
+/// Keyframes enter in the order of their numbers. Each submap's layers are what integrating its keyframes in that order
+/// gives. A correction moves submaps as a whole, at once; whatever its layers then do not fit exactly is built anew beside what
+/// is shown, a little at a time ([`Map::advance`]), first where keyframes are off by more than [`MapParams::tolerance_m`]. Once
+/// nothing is left to build, the map is the one that its keyframes give when they are inserted where they are now: so a map
+/// that is restored is the map that was stored. Adding a keyframe costs one keyframe's work, however large the map.
+#[derive(Debug)]
 pub struct Map {
     params: MapParams,
+    robot: u32,
+    run: u32,
+    division: Division,
     keyframes: BTreeMap<KeyframeId, MapKeyframe>,
-    layers: MapLayers,
+    /// What those scans take that are in memory.
+    scan_bytes: usize,
+    /// In the order in which they were begun.
+    submaps: Vec<Submap>,
+    /// Of the submap that is being filled.
+    active: Option<Arc<SubmapLayers>>,
+    rebuild: Rebuild,
+    shown: MapLayers,
+    store: Option<Arc<dyn MapStore>>,
+    fetched: Arc<Fetched>,
+    max_bytes: usize,
 }
 
 impl Map {
-    /// An empty map, version 0.
+    /// An empty map, version 0, of the first run of the first robot.
     ///
     /// # Errors
     /// `InvalidParam`.
     pub fn new(params: MapParams) -> Result<Self, MappingError> {
-        Ok(Self { params, keyframes: BTreeMap::new(), layers: MapLayers::empty(&params)? })
+        Self::of_run(params, 0, 0)
+    }
+
+    /// An empty map, version 0, whose submaps belong to a run of a robot.
+    ///
+    /// # Errors
+    /// `InvalidParam`.
+    pub fn of_run(params: MapParams, robot: u32, run: u32) -> Result<Self, MappingError> {
+        params.validate()?;
+        Ok(Self {
+            params,
+            robot,
+            run,
+            division: Division::default(),
+            keyframes: BTreeMap::new(),
+            scan_bytes: 0,
+            submaps: vec![],
+            active: None,
+            rebuild: Rebuild::default(),
+            shown: MapLayers::empty(&params),
+            store: None,
+            fetched: Arc::default(),
+            max_bytes: usize::MAX,
+        })
     }
 
     /// Parameters.
@@ -75,83 +126,116 @@ impl Map {
         &self.params
     }
 
-    /// What its layers and the keyframes that they are made of take, bytes; what both share is counted once.
-    pub fn memory_bytes(&self) -> usize {
-        let scans: usize = self.keyframes.values().map(|k| size_of::<MapKeyframe>() + k.scan.memory_bytes()).sum();
-        self.layers.occupancy.memory_bytes() + self.layers.cloud.memory_bytes() + scans
-    }
-
     /// The keyframes by number.
     pub fn keyframes(&self) -> &BTreeMap<KeyframeId, MapKeyframe> {
         &self.keyframes
     }
 
-    /// The layers as they are now: an immutable clone that shares their storage.
-    pub fn layers(&self) -> MapLayers {
-        self.layers.clone()
+    /// What a keyframe saw; none if there is no such keyframe, or if its scan is out of memory and cannot be had again.
+    pub fn scan(&self, id: KeyframeId) -> Option<Arc<KeyframeScan>> {
+        let keyframe = self.keyframes.get(&id)?;
+        keyframe.scan.clone().or_else(|| self.store.as_ref()?.scan(id))
     }
 
-    /// Adds a keyframe.
+    /// The submaps, in the order in which they were begun.
+    pub fn submaps(&self) -> &[Submap] {
+        &self.submaps
+    }
+
+    /// The layers as they are now: an immutable picture that shares their storage.
+    pub fn layers(&self) -> MapLayers {
+        self.shown.clone()
+    }
+
+    /// Rises with every change of the map.
+    pub fn version(&self) -> u64 {
+        self.shown.version
+    }
+
+    /// Adds a keyframe, newer than all there are.
     ///
     /// # Errors
-    /// `DuplicateKeyframe`, `PoseNotFinite`, `Scan`; the map is unchanged then.
-    pub fn insert(&mut self, id: KeyframeId, t_map_base: Pose, scan: Arc<KeyframeScan>) -> Result<(), MappingError> {
+    /// `DuplicateKeyframe`, `KeyframeNotNewest`, `PoseNotFinite`, `Scan`; the map is unchanged then.
+    pub fn insert(&mut self, id: KeyframeId, entry: &MapEntry, scan: Arc<KeyframeScan>) -> Result<(), MappingError> {
+        let t_map_base = entry.t_map_base;
         check_keyframe(&t_map_base, &scan)?;
+        check_pose(&entry.t_odom_base)?;
         if self.keyframes.contains_key(&id) {
             return Err(MappingError::DuplicateKeyframe { id });
         }
-        let newest = self.keyframes.last_key_value().is_none_or(|(last, _)| *last < id);
-        let keyframe = MapKeyframe { t_map_base, scan };
-        if newest {
-            self.layers.add(&self.layers.prepare(&self.params, &keyframe));
-            self.layers.version += 1;
-            self.keyframes.insert(id, keyframe);
-        } else {
-            let mut revision = self.begin_revision(&Correction::default(), &[])?;
-            revision.insert(id, t_map_base, keyframe.scan)?;
-            self.adopt(revision);
+        if let Some((newest, _)) = self.keyframes.last_key_value().filter(|(newest, _)| **newest > id) {
+            return Err(MappingError::KeyframeNotNewest { id, newest: *newest });
         }
+        let number = self.division.next(entry);
+        let submap_id = SubmapId { robot: self.robot, run: self.run, number };
+        let version = self.shown.version + 1;
+        if self.submaps.last().is_none_or(|s| s.id != submap_id) {
+            self.freeze(version);
+            self.submaps.push(Submap::new(submap_id));
+        }
+        let Some(submap) = self.submaps.last_mut() else { return Ok(()) };
+        let t_submap_base = submap.t_map_submap.inverse() * t_map_base;
+        let update = LayersUpdate::new(&self.params, &t_submap_base, &scan);
+        let touched = update.touched(&self.params);
+        let layers = self.active.get_or_insert_with(|| Arc::new(SubmapLayers::new(&self.params)));
+        Arc::make_mut(layers).add(&update);
+        submap.slot = Arc::new(Slot::new(&self.params, Arc::clone(layers)));
+        submap.boxes = submap.boxes.joined(&touched);
+        submap.add_keyframe(id, t_submap_base);
+        self.scan_bytes += scan.memory_bytes();
+        let keyframe = MapKeyframe {
+            t_map_base,
+            sensor: scan.sensor.clone(),
+            submap: submap_id,
+            size: scan.hits.len() + scan.misses.len(),
+            reach_m: self.params.reach_of(&scan),
+            scan: Some(scan),
+        };
+        self.shown.touch(version, &submap.in_map(&touched, self.params.margin_m()), true);
+        self.keyframes.insert(id, keyframe);
+        self.rebuild.take_in(submap_id, id, &t_map_base);
+        self.show(version);
+        self.hold_to_budget();
         Ok(())
     }
 
-    /// Moves keyframes to their corrected poses, and the layers with them. Nothing changes, nor does the version,
-    /// if no keyframe of this map gets another pose.
-    ///
-    /// # Errors
-    /// `PoseNotFinite`; the map is unchanged then.
-    pub fn apply(&mut self, correction: &Correction) -> Result<CorrectionReport, MappingError> {
-        self.revise(correction, &[])
+    /// Notes a keyframe that was in the map and is not any more, in its turn: those after it belong to the submaps that they
+    /// belonged to when it was there.
+    pub fn skip(&mut self, entry: &MapEntry) {
+        self.division.next(entry);
     }
 
-    /// Moves keyframes and takes others out in one step: the layers are as if those had never been. Numbers that the map
-    /// does not hold are left out.
-    ///
-    /// # Errors
-    /// `PoseNotFinite`; the map is unchanged then.
-    pub fn revise(&mut self, correction: &Correction, gone: &[KeyframeId]) -> Result<CorrectionReport, MappingError> {
-        let revision = self.begin_revision(correction, gone)?;
-        let report = *revision.report();
-        if revision.changes_anything() {
-            self.adopt(revision);
-        }
-        Ok(report)
+    /// Nothing will be added to the submap that is being filled, if there is one. What is seen of it stays the same.
+    fn freeze(&mut self, version: u64) {
+        let Some(mut layers) = self.active.take() else { return };
+        let Some(submap) = self.submaps.last_mut() else { return };
+        Arc::make_mut(&mut layers).freeze();
+        submap.slot = Arc::new(Slot::new(&self.params, layers));
+        submap.is_frozen = true;
+        self.shown.lay_under(version, &submap.boxes_in_map(self.params.margin_m()));
     }
 
-    /// The map as it will be with keyframes moved and others taken out, still to be built. Numbers that the map does not
-    /// hold are left out.
-    ///
-    /// # Errors
-    /// `PoseNotFinite`.
-    pub fn begin_revision(&self, correction: &Correction, gone: &[KeyframeId]) -> Result<Revision, MappingError> {
-        Revision::new(self.params, self.keyframes.clone(), correction, gone)
+    /// Shows what there is now.
+    fn show(&mut self, version: u64) {
+        let margin = self.params.margin_m();
+        self.shown.set(version, &Arc::new(self.submaps.iter().map(|s| s.part(margin)).collect()));
     }
 
-    /// Becomes what a revision of this map has built; what is missing of it is built first. Keyframes that came since the
-    /// revision began and were not given to it keep their poses.
-    pub fn adopt(&mut self, mut revision: Revision) {
-        revision.carry_over(&self.keyframes);
-        let version = self.layers.version + 1;
-        (self.keyframes, self.layers) = revision.finish();
-        self.layers.version = version;
+    fn position(&self, id: SubmapId) -> Option<usize> {
+        self.submaps.iter().position(|s| s.id == id)
+    }
+}
+
+impl MapParams {
+    /// What cells and voxels that do not lie on the map's may reach beyond their submap's box, metres.
+    fn margin_m(&self) -> f64 {
+        self.occupancy.resolution_m.max(self.cloud.voxel_size_m)
+    }
+
+    /// How far from base a scan says something that is kept, metres.
+    fn reach_of(&self, scan: &KeyframeScan) -> f64 {
+        let ranges = scan.hits.positions.iter().chain(&scan.misses).map(|p| f64::from(p.coords.norm()));
+        let most = self.occupancy.range_max_m.max(self.cloud.range_max_m);
+        ranges.filter(|r| r.is_finite()).fold(0.0, f64::max).min(most)
     }
 }

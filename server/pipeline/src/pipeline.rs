@@ -27,7 +27,7 @@ use crate::sensors::{Sensors, scan_of};
 use crate::{Chunks, FrameError, KeyframeInfo, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
 use nalgebra::{Unit, Vector3};
 use percept_geometry::{Correction, Pose, SensorData, SensorFrame, SensorId, SensorSpec, Timestamp};
-use percept_mapping::Map;
+use percept_mapping::{Map, MapMemory, MapStore, Submap};
 use percept_perception::detection::Detector;
 use percept_scene::{Object, Tracker};
 use percept_slam::{KeyframePolicy, Loop, Odometry};
@@ -57,7 +57,6 @@ pub struct Pipeline {
     after_gap: bool,
     keyframe_policies: BTreeMap<SensorId, KeyframePolicy>,
     map: Map,
-    revising: revising::Revising,
     detector: Detector,
     tracker: Tracker,
     /// Odom to map: found level at the first keyframe, moved by corrections.
@@ -98,7 +97,6 @@ impl Pipeline {
             after_gap: false,
             keyframe_policies: BTreeMap::new(),
             map: Map::new(params.map).map_err(|e| failed("map", e))?,
-            revising: revising::Revising::default(),
             detector: Detector::new(params.detection.detector).map_err(|e| failed("detection.detector", e))?,
             tracker: Tracker::new(params.tracker.clone()).map_err(|e| failed("tracker", e))?,
             base_height_m: 0.0,
@@ -157,7 +155,7 @@ impl Pipeline {
         }
         let Some(mut scan) = scan_of(&spec, &frame.data) else { return Ok(nothing) };
         let mut change = self.take_answers(stamp);
-        change.extend(self.build_on());
+        self.build_on();
         let mut report = if self.sensors.is_pose_sensor(&frame.sensor, &self.params.slam.pose_sensor, stamp) {
             if !self.is_metric() {
                 self.scale_hints.see_image(stamp, &mut scan);
@@ -179,20 +177,35 @@ impl Pipeline {
         // Where the newest keyframe goes, odom goes.
         let newest = self.keyframes.last().and_then(|k| Some((decision.poses.get(&k.id)?, k.t_odom_base)));
         decision.t_map_odom = newest.map(|(t_map_base, t_odom_base)| t_map_base * t_odom_base.inverse());
-        self.decide(decision);
+        self.decide(decision, &mut MapChange::default());
         self.finish_revision();
     }
 
     /// What map, keyframes and trajectory take, bytes. What odometry and loop closing hold beside them is not counted.
     pub fn memory_bytes(&self) -> usize {
         let trajectory = self.trajectory.len() * size_of::<TrajectoryEntry>();
-        self.map.memory_bytes() + trajectory + self.keyframes.len() * size_of::<KeyframeInfo>()
+        self.map.memory().total() + trajectory + self.keyframes.len() * size_of::<KeyframeInfo>()
+    }
+
+    /// What the map takes, by part.
+    pub fn map_memory(&self) -> MapMemory {
+        self.map.memory()
+    }
+
+    /// Sets where submaps go that are not in memory, and how many bytes the map may take before they do.
+    pub fn set_map_store(&mut self, store: Arc<dyn MapStore>, max_bytes: usize) {
+        self.map.set_store(store, max_bytes);
+    }
+
+    /// The submaps that the map is made of, in the order in which they were begun.
+    pub fn submaps(&self) -> &[Submap] {
+        self.map.submaps()
     }
 
     /// The state as it is now; cheap, and unaffected by what comes later.
     pub fn snapshot(&self) -> Snapshot {
         Snapshot {
-            map_version: self.map.layers().version,
+            map_version: self.map.version(),
             pose: self.pose.clone(),
             trajectory: self.trajectory.clone(),
             keyframes: Arc::clone(&self.keyframes),

@@ -1,6 +1,6 @@
 //! A map and two poses in; a path, or the reason for none, out.
 //!
-//! Comes in: an [`OccupancyGrid`](percept_mapping::OccupancyGrid) (or a [`DenseGrid`](percept_mapping::DenseGrid) cut
+//! Comes in: an [`Occupancy`](percept_mapping::Occupancy) (or a [`DenseGrid`](percept_mapping::DenseGrid) cut
 //! from one), start and goal in its frame. Goes out: [`PlanOutcome`]: waypoints with their cost and clearance, or a
 //! [`NoPathReason`]. The robot is a disc; nothing here follows the path. Start with [`plan()`].
 

@@ -6,7 +6,7 @@ use crate::smooth::{resample, shorten, smooth};
 use crate::{GridPath, PlanError, PlanParams};
 use nalgebra::Point2;
 use percept_geometry::Cell;
-use percept_mapping::{DenseGrid, MappingError, OccupancyGrid};
+use percept_mapping::{DenseGrid, MappingError, Occupancy};
 
 /// A point of a path and the heading towards the next.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,7 +71,7 @@ pub enum PlanOutcome {
 /// # Errors
 /// As [`plan_dense`]; `GridTooLarge` also if the rectangle around the known cells is larger than `max_cells`.
 pub fn plan(
-    grid: &OccupancyGrid,
+    grid: &impl Occupancy,
     start: Point2<f64>,
     goal: Point2<f64>,
     params: &PlanParams,

@@ -1,5 +1,6 @@
-//! The fused cloud, in blocks that snapshots share.
+//! The fused cloud of a submap, in blocks that copies share.
 
+use super::free::FreeSpace;
 use super::range_image::RangeImage;
 use super::update::{BLOCK, BlockKey, VoxelMean, corner};
 use super::{CloudParams, CloudUpdate};
@@ -12,20 +13,23 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Voxels of a block, ascending by slot; never empty in the map.
-type Block = Vec<VoxelMean>;
+pub(super) type Block = Vec<VoxelMean>;
 
 /// Colour given to voxels without one in a cloud that has colours.
-const NO_COLOR: [u8; 3] = [128; 3];
+pub(super) const NO_COLOR: [u8; 3] = [128; 3];
 
-/// One mean point and colour a voxel, in the map frame, unbounded.
+/// One mean point and colour a voxel, in one frame, unbounded: what a submap holds of the cloud.
+/// [`CloudMap`](super::CloudMap) lays those of all submaps over each other.
 ///
 /// A voxel's weight is the number of keyframes that saw it (at most `max_weight`), less `carve_weight` for each
-/// that saw through it; at zero it vanishes, so that who walked by leaves no lasting smear. Cloning costs one
-/// reference; a clone never sees later changes. Order of points: by block, then by voxel, always the same.
+/// that saw through it; at zero it vanishes, so that who walked by leaves no lasting smear. Where there was nothing to see
+/// through counts as well: earlier submaps may hold something there. Cloning costs two references; a clone never sees later changes. Order of points: by block, then by voxel, always the same.
 #[derive(Debug, Clone)]
 pub struct FusedCloud {
     params: CloudParams,
-    blocks: Arc<BTreeMap<BlockKey, Arc<Block>>>,
+    pub(super) blocks: Arc<BTreeMap<BlockKey, Arc<Block>>>,
+    pub(super) free: FreeSpace,
+    extent: Aabb3,
     num_points: usize,
 }
 
@@ -36,7 +40,18 @@ impl FusedCloud {
     /// `InvalidParam`.
     pub fn new(params: CloudParams) -> Result<Self, MappingError> {
         params.validate()?;
-        Ok(Self { params, blocks: Arc::default(), num_points: 0 })
+        Ok(Self::empty(params))
+    }
+
+    pub(super) fn empty(params: CloudParams) -> Self {
+        Self { params, blocks: Arc::default(), free: FreeSpace::default(), extent: Aabb3::empty(), num_points: 0 }
+    }
+
+    pub(super) fn of_blocks(params: CloudParams, blocks: BTreeMap<BlockKey, Arc<Block>>, free: FreeSpace) -> Self {
+        let num_points = blocks.values().map(|b| b.len()).sum();
+        let mut extent = Aabb3::empty();
+        blocks.keys().for_each(|key| grow(&mut extent, *key, params.voxel_size_m));
+        Self { params, blocks: Arc::new(blocks), free, extent, num_points }
     }
 
     /// Parameters.
@@ -56,17 +71,19 @@ impl FusedCloud {
 
     /// Adds an update made with this cloud's parameters: carves first, then folds in.
     pub fn apply(&mut self, update: &CloudUpdate) {
-        self.carve(&update.ranges);
+        self.carve_seen(&update.ranges);
+        self.free.add(&update.free);
         let blocks = Arc::make_mut(&mut self.blocks);
         for (key, seen) in &update.blocks {
             let known: &[VoxelMean] = blocks.get(key).map_or(&[], |b| b);
             let merged = merge(known, seen, self.params.max_weight);
+            grow(&mut self.extent, *key, self.params.voxel_size_m);
             self.num_points += merged.len() - known.len();
             blocks.insert(*key, Arc::new(merged));
         }
     }
 
-    fn carve(&mut self, ranges: &RangeImage) {
+    fn carve_seen(&mut self, ranges: &RangeImage) {
         let reach = ranges.max_range().min(self.params.range_max_m);
         let edge = f64::from(BLOCK) * self.params.voxel_size_m;
         let near = |key: &BlockKey| {
@@ -116,7 +133,12 @@ impl FusedCloud {
 
     /// What its voxels take, bytes.
     pub fn memory_bytes(&self) -> usize {
-        self.num_points * size_of::<VoxelMean>()
+        self.num_points * size_of::<VoxelMean>() + self.free.memory_bytes()
+    }
+
+    /// A box around all blocks that ever were.
+    pub(super) fn extent(&self) -> &Aabb3 {
+        &self.extent
     }
 
     /// Whether there is no point.
@@ -174,12 +196,18 @@ impl FusedCloud {
 /// Equal in every voxel.
 impl PartialEq for FusedCloud {
     fn eq(&self, other: &Self) -> bool {
-        self.params == other.params && self.blocks == other.blocks
+        self.params == other.params && self.blocks == other.blocks && self.free == other.free
     }
 }
 
+fn grow(extent: &mut Aabb3, key: BlockKey, voxel_size_m: f64) {
+    let low = corner(key, 0, voxel_size_m);
+    extent.grow(&low);
+    extent.grow(&(low + nalgebra::Vector3::repeat(f64::from(BLOCK) * voxel_size_m)));
+}
+
 /// Two blocks ascending by slot become one; where both have a voxel, its mean is weighted by keyframes.
-fn merge(known: &[VoxelMean], seen: &[VoxelMean], max_weight: f32) -> Block {
+pub(super) fn merge(known: &[VoxelMean], seen: &[VoxelMean], max_weight: f32) -> Block {
     let mut out = Vec::with_capacity(known.len() + seen.len());
     let (mut a, mut b) = (known.iter().peekable(), seen.iter().peekable());
     while let (Some(x), Some(y)) = (a.peek(), b.peek()) {
@@ -198,7 +226,7 @@ fn merge(known: &[VoxelMean], seen: &[VoxelMean], max_weight: f32) -> Block {
     out
 }
 
-fn fold(known: &VoxelMean, seen: &VoxelMean, max_weight: f32) -> VoxelMean {
+pub(super) fn fold(known: &VoxelMean, seen: &VoxelMean, max_weight: f32) -> VoxelMean {
     let share = seen.weight / (known.weight + seen.weight);
     let mix = |a: [f32; 3], b: [f32; 3]| std::array::from_fn(|i| a[i] + (b[i] - a[i]) * share);
     let color = match (known.colored, seen.colored) {

@@ -140,6 +140,22 @@ impl RangeImage {
         self.max_range
     }
 
+    /// Shows each beam: its unit direction, and the length of the shortest among it and those in the bins around it.
+    pub(super) fn visit_beams(&self, mut visit: impl FnMut(&Vector3<f64>, f64)) {
+        for (y, row) in self.rows.iter().enumerate() {
+            for (x, beam) in row.iter().enumerate().filter(|(_, b)| b.0.is_finite()) {
+                let around = self.around(y, x).filter_map(|(y, x)| self.rows[y].get(x));
+                visit(&beam.1.cast(), around.map(|b| f64::from(b.0)).fold(f64::INFINITY, f64::min));
+            }
+        }
+    }
+
+    /// A bin and those beside it.
+    fn around(&self, row: usize, column: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let rows = row.saturating_sub(1)..=(row + 1).min(ROWS - 1);
+        rows.flat_map(move |y| [COLUMNS - 1, 0, 1].map(|dx| (y, (column + dx) % COLUMNS)))
+    }
+
     /// Whether a beam passed within half a voxel of `p` and ended well behind it, while no beam beside it ended
     /// near `p` or before.
     pub(super) fn sees_through(&self, p: &Point3<f64>, params: &CloudParams) -> bool {
@@ -155,9 +171,7 @@ impl RangeImage {
         if !range.is_finite() || f64::from(range) < behind || !passes {
             return false;
         }
-        let rows = row.saturating_sub(1)..=(row + 1).min(ROWS - 1);
-        rows.flat_map(|y| [COLUMNS - 1, 0, 1].map(|dx| (y, (column + dx) % COLUMNS)))
-            .all(|(y, x)| self.rows[y].get(x).is_none_or(|b| f64::from(b.0) >= behind))
+        self.around(row, column).all(|(y, x)| self.rows[y].get(x).is_none_or(|b| f64::from(b.0) >= behind))
     }
 }
 

@@ -1,6 +1,7 @@
 //! One keyframe as means by voxel, and as what it saw through.
 
 use super::CloudParams;
+use super::free::{Seen, seen_through};
 use super::range_image::RangeImage;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{KeyframeScan, Pose, Voxel};
@@ -13,7 +14,7 @@ pub(super) type BlockKey = (i32, i32, i32);
 
 /// The mean point of a voxel.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct VoxelMean {
+pub struct VoxelMean {
     /// Place in the block: `(z * BLOCK + y) * BLOCK + x`.
     pub(super) slot: u16,
     /// Whether `color` means anything.
@@ -33,6 +34,8 @@ pub struct CloudUpdate {
     /// Ascending by block; in a block ascending by slot.
     pub(super) blocks: Vec<(BlockKey, Vec<VoxelMean>)>,
     pub(super) ranges: RangeImage,
+    /// Voxels that were seen through, ascending by block.
+    pub(super) free: Vec<(BlockKey, Seen)>,
 }
 
 impl CloudUpdate {
@@ -65,7 +68,9 @@ impl CloudUpdate {
         let carves = params.carve_weight > 0.0;
         let misses = scan.misses.iter().map(|p| t_map_base * p.cast::<f64>());
         let ends = in_map.iter().copied().chain(misses).take(if carves { usize::MAX } else { 0 });
-        Self { blocks, ranges: RangeImage::new(sensor, ends) }
+        let ranges = RangeImage::new(sensor, ends);
+        let free = seen_through(&ranges, params, scan.planar);
+        Self { blocks, ranges, free }
     }
 }
 
@@ -95,7 +100,8 @@ fn mean_of(
     }
 }
 
-fn locate(v: Voxel) -> (BlockKey, u16) {
+/// Block of a voxel, and its place there.
+pub(super) fn locate(v: Voxel) -> (BlockKey, u16) {
     let slot = (v.z.rem_euclid(BLOCK) * BLOCK + v.y.rem_euclid(BLOCK)) * BLOCK + v.x.rem_euclid(BLOCK);
     ((v.x.div_euclid(BLOCK), v.y.div_euclid(BLOCK), v.z.div_euclid(BLOCK)), slot as u16)
 }

@@ -1,71 +1,29 @@
-//! The unbounded grid of log-odds, in tiles that snapshots share.
+//! The unbounded grid of evidence, in tiles that copies share.
 
-use super::update::{Heights, Mark};
+use super::evidence::Evidence;
+use super::read::{Occupancy, TILE, Visit, locate, overlap};
+use super::tile::EvidenceTile;
+use super::update::Mark;
 use super::{DenseGrid, OccupancyParams, ScanUpdate};
 use crate::MappingError;
 use crate::error::check_keyframe;
 use nalgebra::Point2;
 use percept_geometry::{Cell, GridGeometry, KeyframeScan, Pose};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Edge of a tile, cells.
-const TILE: i32 = 64;
-
-const TILE_CELLS: usize = (TILE * TILE) as usize;
-
-/// A tile, row-major `TILE x TILE`.
-#[derive(Debug, Clone)]
-struct Tile {
-    /// NaN where nothing was ever seen.
-    log_odds: [f32; TILE_CELLS],
-    /// The heights at which something was hit here and not freed since, and those at which beams passed: evidence
-    /// counts for its own heights. The floor seen under a table does not free its top, nor do the beams of a planar
-    /// lidar; and what was free for these can still be hit at another height.
-    standing: [Heights; TILE_CELLS],
-    passed: [Heights; TILE_CELLS],
-}
-
-impl Tile {
-    fn update(&mut self, slot: usize, mark: Mark, planar: bool, params: &OccupancyParams) {
-        let (standing, passed) = (&mut self.standing[slot], &mut self.passed[slot]);
-        let value = &mut self.log_odds[slot];
-        let before = if value.is_nan() { 0.0 } else { *value };
-        let after = match mark {
-            Mark::Unseen => return,
-            Mark::Free(heights) => {
-                *passed = passed.joined(heights);
-                // A planar beam may pass between the legs of what other sensors saw whole.
-                let blind = if planar { !standing.within(heights) } else { !standing.meet(heights) };
-                if *standing != Heights::NONE && blind {
-                    return;
-                }
-                before + params.free_log_odds
-            }
-            Mark::Hit(heights) => {
-                let news = !passed.meet(heights);
-                *standing = standing.joined(heights);
-                *passed = passed.without(heights);
-                params.hit_log_odds + if news { before.max(params.free_log_odds) } else { before }
-            }
-        };
-        *value = after.clamp(params.min_log_odds, params.max_log_odds);
-        if *value <= 0.0 {
-            *standing = Heights::NONE;
-        }
-    }
-}
-
-/// Unbounded 2D occupancy in the map frame: log-odds by cell, unknown where no beam has been.
+/// Unbounded 2D occupancy in one frame: what was seen in each cell, unknown where no beam has been. It is what a submap
+/// holds of the floor; [`OccupancyMap`](super::OccupancyMap) lays those of all submaps over each other.
 ///
-/// Cell (0, 0) has its lower-left corner at the geometry's origin: (0, 0) for maps built here, the rectangle's
+/// Cell (0, 0) has its lower-left corner at the geometry's origin: (0, 0) for grids built here, the rectangle's
 /// for imported ones. Cloning costs one reference; a clone never sees later changes.
 /// Source: Moravec and Elfes, "High resolution maps from wide angle sonar", 1985; clamping as in Yguel et al. 2007.
 #[derive(Debug, Clone)]
 pub struct OccupancyGrid {
     params: OccupancyParams,
     geometry: GridGeometry,
-    tiles: Arc<BTreeMap<(i32, i32), Arc<Tile>>>,
+    pub(super) tiles: Arc<BTreeMap<(i32, i32), Arc<EvidenceTile>>>,
     bounds: Option<(Cell, Cell)>,
 }
 
@@ -95,7 +53,8 @@ impl OccupancyGrid {
             let p = f64::from(value) / 100.0;
             let log_odds = ((p / (1.0 - p)).ln() as f32).clamp(params.min_log_odds, params.max_log_odds);
             let (key, slot) = locate(cell);
-            Arc::make_mut(tiles.entry(key).or_insert_with(unknown_tile)).log_odds[slot] = log_odds;
+            let tile = Arc::make_mut(tiles.entry(key).or_default());
+            tile.cells(&params)[slot] = Evidence { log_odds, ..Evidence::none(&params) };
             grow(&mut grid.bounds, cell);
         }
         Ok(grid)
@@ -104,11 +63,6 @@ impl OccupancyGrid {
     /// Parameters.
     pub fn params(&self) -> &OccupancyParams {
         &self.params
-    }
-
-    /// The only world-to-cell arithmetic of this grid.
-    pub fn geometry(&self) -> &GridGeometry {
-        &self.geometry
     }
 
     /// Adds what a keyframe saw from `t_map_base`: see [`ScanUpdate::new`].
@@ -138,136 +92,72 @@ impl OccupancyGrid {
             if (y0..y1).all(|y| row(y).iter().all(|m| *m == Mark::Unseen)) {
                 continue;
             }
-            let tile = Arc::make_mut(tiles.entry(key).or_insert_with(unknown_tile));
+            let cells = Arc::make_mut(tiles.entry(key).or_default()).cells(&self.params);
             for y in y0..y1 {
                 for (x, mark) in (x0..x1).zip(row(y)).filter(|(_, m)| **m != Mark::Unseen) {
                     let cell = Cell::new(update.min.x + x as i32, update.min.y + y as i32);
-                    let slot = locate(cell).1;
-                    tile.update(slot, *mark, update.planar, &self.params);
+                    cells[locate(cell).1].add(*mark, update.planar, &self.params);
                     grow(&mut self.bounds, cell);
                 }
             }
         }
     }
 
-    /// Log-odds of a cell; none where nothing was seen.
-    pub fn log_odds(&self, cell: Cell) -> Option<f32> {
-        let (key, slot) = locate(cell);
-        self.tiles.get(&key).map(|tile| tile.log_odds[slot]).filter(|v| !v.is_nan())
-    }
-
-    /// Probability that a cell is occupied; none where nothing was seen.
-    pub fn probability(&self, cell: Cell) -> Option<f64> {
-        self.log_odds(cell).map(probability)
-    }
-
-    /// Smallest and largest column and row with a known cell, both included; none if all is unknown.
-    pub fn bounds(&self) -> Option<(Cell, Cell)> {
-        self.bounds
+    /// Takes less memory from now on, and more time if another keyframe is added.
+    pub fn pack(&mut self) {
+        let params = self.params;
+        let tiles: Vec<_> = self.tiles.iter().map(|(key, tile)| (*key, Arc::clone(tile))).collect();
+        let packed = tiles.into_par_iter().map(|(key, tile)| (key, Arc::new(tile.packed(&params))));
+        self.tiles = Arc::new(packed.collect::<Vec<_>>().into_iter().collect());
     }
 
     /// What its tiles take, bytes.
     pub fn memory_bytes(&self) -> usize {
-        self.tiles.len() * size_of::<Tile>()
+        self.tiles.values().map(|t| t.memory_bytes()).sum()
     }
 
-    /// Whether nothing is known.
-    pub fn is_empty(&self) -> bool {
-        self.bounds.is_none()
-    }
-
-    /// Number of known cells.
-    pub fn num_known(&self) -> usize {
-        self.tiles.values().map(|t| t.log_odds.iter().filter(|v| !v.is_nan()).count()).sum()
-    }
-
-    /// All that is known, as a rectangle of ROS values (0 x 0 if nothing is).
-    ///
-    /// # Errors
-    /// `RegionTooLarge` if it has more than `max_cells` cells.
-    pub fn dense(&self, max_cells: usize) -> Result<DenseGrid, MappingError> {
-        match self.bounds {
-            Some((min, max)) => self.region(min, max, max_cells),
-            None => Ok(DenseGrid { geometry: self.geometry, width: 0, height: 0, cells: Vec::new() }),
-        }
-    }
-
-    /// The rectangle from cell `min` to cell `max`, both included.
-    ///
-    /// # Errors
-    /// `RegionEmpty`, or `RegionTooLarge` if it has more than `max_cells` cells.
-    pub fn region(&self, min: Cell, max: Cell, max_cells: usize) -> Result<DenseGrid, MappingError> {
-        let size = |a: i32, b: i32| u64::try_from(i64::from(b) - i64::from(a) + 1).unwrap_or(0);
-        let (width, height) = (size(min.x, max.x), size(min.y, max.y));
-        if width == 0 || height == 0 {
-            return Err(MappingError::RegionEmpty);
-        }
-        let cells = width.saturating_mul(height);
-        if cells > max_cells as u64 {
-            return Err(MappingError::RegionTooLarge { cells, limit: max_cells as u64 });
-        }
-        let (width, height) = (width as usize, height as usize);
-        let mut out = vec![-1i8; width * height];
-        let (low, high) = (locate(min).0, locate(max).0);
-        let inside = |key: &(i32, i32)| key.0 >= low.0 && key.0 <= high.0 && key.1 >= low.1 && key.1 <= high.1;
-        for (key, tile) in self.tiles.iter().filter(|(key, _)| inside(key)) {
-            let (x0, x1) = overlap(key.0, min.x, width);
-            let (y0, y1) = overlap(key.1, min.y, height);
-            for y in y0..y1 {
-                for x in x0..x1 {
-                    let value = tile.log_odds[locate(Cell::new(min.x + x as i32, min.y + y as i32)).1];
-                    if !value.is_nan() {
-                        out[y * width + x] = (100.0 * probability(value)).round() as i8;
-                    }
-                }
+    /// From tiles of these parameters.
+    pub(super) fn of_tiles(params: OccupancyParams, tiles: BTreeMap<(i32, i32), Arc<EvidenceTile>>) -> Self {
+        let geometry = GridGeometry::new(params.resolution_m, Point2::origin());
+        let mut bounds = None;
+        for (key, tile) in &tiles {
+            for slot in (0..(TILE * TILE) as usize).filter(|slot| tile.at(*slot).is_some_and(|e| !e.log_odds.is_nan()))
+            {
+                let (x, y) = ((slot as i32) % TILE, (slot as i32) / TILE);
+                grow(&mut bounds, Cell::new(key.0 * TILE + x, key.1 * TILE + y));
             }
         }
-        let geometry = GridGeometry::new(self.geometry.resolution_m, self.geometry.corner(min));
-        Ok(DenseGrid { geometry, width, height, cells: out })
+        Self { params, geometry, tiles: Arc::new(tiles), bounds }
+    }
+}
+
+impl Occupancy for OccupancyGrid {
+    fn geometry(&self) -> GridGeometry {
+        self.geometry
+    }
+
+    fn bounds(&self) -> Option<(Cell, Cell)> {
+        self.bounds
+    }
+
+    fn visit(&self, low: (i32, i32), high: (i32, i32), visit: Visit<'_>) {
+        let inside = |key: &(i32, i32)| key.0 >= low.0 && key.0 <= high.0 && key.1 >= low.1 && key.1 <= high.1;
+        for (key, tile) in self.tiles.iter().filter(|(key, _)| inside(key)) {
+            visit(*key, &|slot| tile.at(slot).map_or(f32::NAN, |e| e.log_odds));
+        }
     }
 }
 
 /// Equal in geometry and in the bytes of every cell.
 impl PartialEq for OccupancyGrid {
     fn eq(&self, other: &Self) -> bool {
-        let same = |a: &Tile, b: &Tile| {
-            let cells = a.log_odds.iter().zip(&b.log_odds);
-            cells.map(|(x, y)| (x.to_bits(), y.to_bits())).all(|(x, y)| x == y)
-                && a.standing == b.standing
-                && a.passed == b.passed
-        };
         self.geometry == other.geometry
             && self.tiles.len() == other.tiles.len()
-            && self.tiles.iter().zip(other.tiles.iter()).all(|((ka, a), (kb, b))| ka == kb && same(a, b))
+            && self.tiles.iter().zip(other.tiles.iter()).all(|((ka, a), (kb, b))| ka == kb && a.same_cells(b))
     }
 }
 
-fn probability(log_odds: f32) -> f64 {
-    1.0 / (1.0 + (-f64::from(log_odds)).exp())
-}
-
-fn unknown_tile() -> Arc<Tile> {
-    Arc::new(Tile {
-        log_odds: [f32::NAN; TILE_CELLS],
-        standing: [Heights::NONE; TILE_CELLS],
-        passed: [Heights::NONE; TILE_CELLS],
-    })
-}
-
-/// Tile of a cell, and its place there.
-fn locate(cell: Cell) -> ((i32, i32), usize) {
-    let slot = cell.y.rem_euclid(TILE) * TILE + cell.x.rem_euclid(TILE);
-    ((cell.x.div_euclid(TILE), cell.y.div_euclid(TILE)), slot as usize)
-}
-
-/// The part of a window of `size` cells from `min` that lies in a tile, along one axis, as window indices.
-fn overlap(tile: i32, min: i32, size: usize) -> (usize, usize) {
-    let start = i64::from(tile) * i64::from(TILE) - i64::from(min);
-    let end = start + i64::from(TILE);
-    (start.clamp(0, size as i64) as usize, end.clamp(0, size as i64) as usize)
-}
-
-fn grow(bounds: &mut Option<(Cell, Cell)>, cell: Cell) {
+pub(super) fn grow(bounds: &mut Option<(Cell, Cell)>, cell: Cell) {
     let (min, max) = bounds.get_or_insert((cell, cell));
     *min = Cell::new(min.x.min(cell.x), min.y.min(cell.y));
     *max = Cell::new(max.x.max(cell.x), max.y.max(cell.y));

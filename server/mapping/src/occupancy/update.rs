@@ -84,6 +84,20 @@ impl Heights {
         self.0 & !other.0 == 0
     }
 
+    /// The heights that are in both.
+    pub(super) fn shared(self, other: Self) -> Self {
+        Self(self.0 & other.0)
+    }
+
+    /// As bits, the lowest height first.
+    pub(super) fn bits(self) -> u64 {
+        self.0
+    }
+
+    pub(super) fn of_bits(bits: u64) -> Self {
+        Self(bits)
+    }
+
     /// Whether they share a height.
     pub(super) fn meet(self, other: Self) -> bool {
         self.0 & other.0 != 0

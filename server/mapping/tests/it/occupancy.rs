@@ -2,7 +2,7 @@ use crate::scans::{planar, room, spatial};
 use nalgebra::{Point2, Point3};
 use percept_geometry::grid::walk;
 use percept_geometry::{Cell, GridGeometry, KeyframeScan, Pose, se3};
-use percept_mapping::{DenseGrid, MappingError, OccupancyGrid, OccupancyParams};
+use percept_mapping::{DenseGrid, MappingError, Occupancy, OccupancyGrid, OccupancyParams};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -218,7 +218,7 @@ fn regions_are_bounded_and_faults_named() {
     assert_eq!(grid.region(b, a, 99), Err(MappingError::RegionEmpty));
     let all = (Cell::new(i32::MIN, i32::MIN), Cell::new(i32::MAX, i32::MAX));
     assert!(matches!(grid.region(all.0, all.1, 1 << 30), Err(MappingError::RegionTooLarge { .. })));
-    let geometry = *grid.geometry();
+    let geometry = grid.geometry();
     assert!(matches!(DenseGrid::new(geometry, 2, 2, vec![0; 3]), Err(MappingError::GridShape { cells: 3, .. })));
     assert!(matches!(DenseGrid::new(geometry, 1, 2, vec![0, 101]), Err(MappingError::CellValue { index: 1, .. })));
 }

@@ -52,3 +52,61 @@ fn pillar(d: [f64; 3], x: f64, height: f64) -> Option<f64> {
     let t = (b - root.sqrt()) / a;
     (root >= 0.0 && t > 0.0 && height + t * d[2] <= 1.7).then_some(t)
 }
+
+/// An upright block: smallest and largest corner, metres.
+pub(crate) type Block = ([f64; 3], [f64; 3]);
+
+/// What a sensor 0.5 m above base sees at `t_map_base` in a square room of half width 7 m with the floor at z = 0, and of
+/// blocks in it: rings of beams all around, two degrees apart and denser below.
+pub(crate) fn seen(t_map_base: &Pose, blocks: &[Block]) -> KeyframeScan {
+    let sensor = (t_map_base * Point3::new(0.0, 0.0, 0.5)).coords;
+    let rings = (-12..=4).map(|i| f64::from(i) * 0.03 + 0.004);
+    let mut hits = Vec::new();
+    for elevation in rings {
+        for column in 0..360 {
+            let azimuth = f64::from(column) * std::f64::consts::TAU / 360.0;
+            let d = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];
+            let room = ([-7.0, -7.0, 0.0], [7.0, 7.0, 2.5]);
+            let far = leave(&sensor.into(), &d, &room);
+            let t = blocks.iter().filter_map(|b| enter(&sensor.into(), &d, b)).fold(far, f64::min);
+            let p = Point3::from(sensor + t * nalgebra::Vector3::from(d));
+            hits.push((t_map_base.inverse() * p).cast::<f32>());
+        }
+    }
+    spatial(0.5, hits)
+}
+
+/// The same by a planar lidar 0.2 m above the floor.
+pub(crate) fn seen_planar(t_map_base: &Pose, blocks: &[Block]) -> KeyframeScan {
+    let mut scan = planar(&[], &[]);
+    scan.t_base_sensor.translation.vector.z = 0.2;
+    let sensor = (t_map_base * Point3::new(0.0, 0.0, 0.2)).coords;
+    for column in 0..720 {
+        let azimuth = f64::from(column) * std::f64::consts::TAU / 720.0;
+        let d = [azimuth.cos(), azimuth.sin(), 0.0];
+        let far = leave(&sensor.into(), &d, &([-7.0, -7.0, 0.0], [7.0, 7.0, 2.5]));
+        let t = blocks.iter().filter_map(|b| enter(&sensor.into(), &d, b)).fold(far, f64::min);
+        let p = Point3::from(sensor + t * nalgebra::Vector3::from(d));
+        scan.hits.positions.push((t_map_base.inverse() * p).cast::<f32>());
+    }
+    scan
+}
+
+fn slabs(from: &[f64; 3], d: &[f64; 3], (min, max): &Block) -> (f64, f64) {
+    let mut range = (f64::NEG_INFINITY, f64::INFINITY);
+    for i in 0..3 {
+        let along = if d[i].abs() < 1e-12 { 1e-12 } else { d[i] };
+        let (a, b) = ((min[i] - from[i]) / along, (max[i] - from[i]) / along);
+        range = (range.0.max(a.min(b)), range.1.min(a.max(b)));
+    }
+    range
+}
+
+fn leave(from: &[f64; 3], d: &[f64; 3], block: &Block) -> f64 {
+    slabs(from, d, block).1
+}
+
+fn enter(from: &[f64; 3], d: &[f64; 3], block: &Block) -> Option<f64> {
+    let (a, b) = slabs(from, d, block);
+    (a > 0.0 && a < b).then_some(a)
+}

@@ -4,6 +4,7 @@ use super::{FrameReport, NewKeyframe, Pipeline};
 use crate::level::level;
 use crate::{KeyframeInfo, TrajectoryEntry};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorKind, SensorSpec, Timestamp, se3};
+use percept_mapping::MapEntry;
 use percept_slam::{KeyframePolicy, Odometry, Scan, keyframe};
 use std::sync::Arc;
 
@@ -90,9 +91,8 @@ impl Pipeline {
     ) -> NewKeyframe {
         let id = KeyframeId(self.keyframes.len() as u64);
         let t_map_base = self.t_map_odom * t_odom_base;
-        self.insert(id, t_map_base, &scan);
+        self.insert(id, &MapEntry { t_map_base, t_odom_base, after_gap: self.after_gap }, &scan);
         self.newest_keyframe_t_odom_base = t_odom_base;
-        self.insert_to_come(id, &t_odom_base, &scan);
         let num_points = scan.hits.len();
         let info =
             KeyframeInfo { id, stamp, sensor: sensor.clone(), t_map_base, t_odom_base, num_points, merged: None };
@@ -101,8 +101,8 @@ impl Pipeline {
     }
 
     /// Adds a keyframe to the map layers. Poses and scans are our own: a refusal is a fault of ours.
-    pub(super) fn insert(&mut self, id: KeyframeId, t_map_base: Pose, scan: &Arc<KeyframeScan>) {
-        if let Err(error) = self.map.insert(id, t_map_base, Arc::clone(scan)) {
+    pub(super) fn insert(&mut self, id: KeyframeId, entry: &MapEntry, scan: &Arc<KeyframeScan>) {
+        if let Err(error) = self.map.insert(id, entry, Arc::clone(scan)) {
             debug_assert!(false, "{error}");
         }
     }

@@ -114,7 +114,7 @@ impl Pipeline {
     fn follow(&mut self, newest: Option<KeyframeId>, update: BackEndUpdate, change: &mut MapChange) {
         let BackEndUpdate { loops, correction, t_map_odom, merged, dissolved } = update;
         let poses = correction.into_iter().flat_map(|c| c.t_map_base).collect();
-        self.decide(Decision { poses, t_map_odom, newest, merged });
+        self.decide(Decision { poses, t_map_odom, newest, merged }, change);
         change.loops.extend(loops);
         change.dissolved.extend(dissolved);
     }

@@ -4,7 +4,8 @@ use super::{FrameReport, Pipeline};
 use crate::imu_prior::joined;
 use crate::level::by_gravity;
 use crate::{Chunks, KeyframeInfo, PoseEstimate, TrajectoryEntry};
-use percept_geometry::{KeyframeScan, Pose, SensorId, SensorSpec, Timestamp};
+use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorSpec, Timestamp};
+use percept_mapping::MapKeyframe;
 use percept_slam::{LostReason, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState};
 use std::sync::Arc;
 
@@ -181,21 +182,23 @@ impl Pipeline {
     /// Keyframes of a sensor around a place, with their odom poses, oldest first.
     pub(super) fn keyframes_near(&self, sensor: &SensorId, t_odom_base: &Pose) -> Vec<(Pose, Arc<KeyframeScan>)> {
         let here = (self.t_map_odom * t_odom_base).translation.vector;
-        let of_sensor = self.map.keyframes().iter().filter(|(_, k)| k.scan.sensor == *sensor);
+        let of_sensor = self.map.keyframes().iter().filter(|(_, k)| k.sensor == *sensor);
         let mut by_distance: Vec<_> =
             of_sensor.map(|(id, k)| ((k.t_map_base.translation.vector - here).norm(), *id, k)).collect();
         by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
         by_distance.truncate(NUM_RECENT);
         by_distance.sort_by_key(|(_, id, _)| *id);
         let t_odom_map = self.t_map_odom.inverse();
-        by_distance.into_iter().map(|(_, _, k)| (t_odom_map * k.t_map_base, Arc::clone(&k.scan))).collect()
+        let seen = |(_, id, k): (f64, KeyframeId, &MapKeyframe)| Some((t_odom_map * k.t_map_base, self.map.scan(id)?));
+        by_distance.into_iter().filter_map(seen).collect()
     }
 
     /// The newest keyframes of a sensor with their odom poses, oldest first: what odometry starts again from.
     pub(super) fn recent_keyframes(&self, sensor: &SensorId) -> Vec<(Pose, Arc<KeyframeScan>)> {
         let t_odom_map = self.t_map_odom.inverse();
-        let of_sensor = self.map.keyframes().values().filter(|k| k.scan.sensor == *sensor);
-        let newest = of_sensor.rev().take(NUM_RECENT).map(|k| (t_odom_map * k.t_map_base, Arc::clone(&k.scan)));
+        let of_sensor = self.map.keyframes().iter().filter(|(_, k)| k.sensor == *sensor);
+        let seen = |(id, k): (&KeyframeId, &MapKeyframe)| Some((t_odom_map * k.t_map_base, self.map.scan(*id)?));
+        let newest = of_sensor.rev().take(NUM_RECENT).filter_map(seen);
         let mut recent: Vec<_> = newest.collect();
         recent.reverse();
         recent
@@ -215,7 +218,7 @@ impl Pipeline {
             scale: estimate.scale,
             waiting: estimate.waiting,
             is_relocalised: was_lost && estimate.state.is_tracking(),
-            map_version: self.map.layers().version,
+            map_version: self.map.version(),
         }
     }
 }

@@ -4,6 +4,7 @@ use super::{Pipeline, merging};
 use crate::recovery::Anchoring;
 use crate::{KeyframeInfo, Merged, PoseEstimate, TrajectoryEntry};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorKind, Timestamp};
+use percept_mapping::MapEntry;
 use percept_scene::{Object, Tracker};
 use percept_slam::{Loop, Odometry, OdometryKind, Scale, TrackingState};
 use std::collections::BTreeMap;
@@ -83,15 +84,17 @@ impl Pipeline {
         for (i, k) in restored.keyframes.iter().enumerate() {
             let (id, sensor) = (KeyframeId(i as u64), k.sensor().clone());
             let (t_map_base, t_odom_base) = (k.t_map_base, k.t_odom_base);
+            let entry = MapEntry { t_map_base, t_odom_base, after_gap: k.after_gap };
             self.policy(&sensor).resume(&k.t_odom_base);
             infos.push(match &k.content {
                 RestoredContent::Scan(scan) => {
-                    self.insert(id, t_map_base, scan);
+                    self.insert(id, &entry, scan);
                     self.base_height_m = scan.base_height_m;
                     let (stamp, num_points) = (scan.stamp, scan.hits.len());
                     KeyframeInfo { id, stamp, sensor, t_map_base, t_odom_base, num_points, merged: None }
                 }
                 RestoredContent::Merged { stamp, merged, .. } => {
+                    self.map.skip(&entry);
                     let (stamp, merged) = (*stamp, Some(*merged));
                     KeyframeInfo { id, stamp, sensor, t_map_base, t_odom_base, num_points: 0, merged }
                 }
@@ -142,7 +145,7 @@ impl Pipeline {
             scale: if kind == OdometryKind::Mono { Scale::Unknown } else { Scale::Measured },
             waiting: None,
             is_relocalised: false,
-            map_version: self.map.layers().version,
+            map_version: self.map.version(),
         });
     }
 }

@@ -7,6 +7,7 @@ use percept_geometry::sensor::ImuSample;
 use percept_geometry::{
     CameraIntrinsics, Pose, RgbImage, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp,
 };
+use percept_mapping::Occupancy;
 use percept_pipeline::{FrameError, FrameReport, Pipeline, PipelineParams, PoseEstimate};
 use percept_sim::{SensorSuite, Simulation};
 use percept_slam::{LostReason, Scale, TrackingState, Waiting};

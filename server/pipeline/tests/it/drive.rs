@@ -1,6 +1,7 @@
 //! Short simulated drives, shared by the tests.
 
 use percept_geometry::{KeyframeScan, Pose, SensorFrame};
+use percept_mapping::Occupancy;
 use percept_pipeline::{Pipeline, PipelineParams};
 use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
 use std::sync::Arc;

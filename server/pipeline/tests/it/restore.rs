@@ -1,7 +1,10 @@
 //! A session that was stored and brought back goes on as if nothing had happened.
 
-use crate::drive::{empty, feed, planar};
-use percept_pipeline::{Merged, PipelineParams, Restored, RestoredContent, RestoredKeyframe};
+use crate::drive::{empty, feed, planar, simulation};
+use percept_geometry::{KeyframeScan, se3};
+use percept_pipeline::{KeyframeInfo, Merged, PipelineParams, Restored, RestoredContent, RestoredKeyframe};
+use percept_sim::SensorSuite;
+use std::sync::Arc;
 
 #[test]
 fn a_restored_session_has_its_map_and_goes_on_tracking() {
@@ -36,6 +39,28 @@ fn a_restored_session_has_its_map_and_goes_on_tracking() {
     let truth = simulation.t_world_start().inverse() * simulation.pose_at(pose.stamp);
     let off = (truth.translation.vector - pose.t_map_base.translation.vector).norm();
     assert!(off < 0.08, "{off}");
+}
+
+#[test]
+fn a_session_that_loops_have_corrected_comes_back_with_the_map_that_it_had() {
+    let simulation = simulation(SensorSuite::only_lidar2d(), 60.0);
+    let mut before = empty(&simulation, PipelineParams::default());
+    let stored = feed(&mut before, simulation.frames().map(|f| f.frame));
+    before.settle();
+    let old = before.snapshot();
+    let t_map_odom = old.keyframes[0].t_map_base * old.keyframes[0].t_odom_base.inverse();
+    let moved = |k: &KeyframeInfo| se3::log(&(t_map_odom * k.t_odom_base).inv_mul(&k.t_map_base)).norm();
+    let most = old.keyframes.iter().map(moved).fold(0.0, f64::max);
+    assert!(most > 1e-3 && before.submaps().len() > 1, "{most} {}", before.submaps().len());
+    let keyframe = |(info, stored): (&KeyframeInfo, &(_, _, Arc<KeyframeScan>))| {
+        let content = RestoredContent::Scan(Arc::clone(&stored.2));
+        RestoredKeyframe { t_map_base: info.t_map_base, t_odom_base: info.t_odom_base, after_gap: false, content }
+    };
+    let keyframes = old.keyframes.iter().zip(&stored.keyframes).map(keyframe).collect();
+    let mut after = empty(&simulation, PipelineParams::default());
+    after.restore(Restored { keyframes, trajectory: stored.trajectory, ..Restored::default() });
+    let new = after.snapshot();
+    assert_eq!((&old.layers.occupancy, &old.layers.cloud), (&new.layers.occupancy, &new.layers.cloud));
 }
 
 #[test]

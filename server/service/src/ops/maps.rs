@@ -8,7 +8,7 @@ use crate::{Error, Progress, Result, Service, Session, check_id};
 use nalgebra::{Point2, Point3};
 use percept_formats::{GridMap, nav2, pcd, ply, trajectory};
 use percept_geometry::{Cell, GridGeometry, PointCloud, Stamped, Timestamp};
-use percept_mapping::OccupancyGrid;
+use percept_mapping::Occupancy;
 use percept_pipeline::{Loop, LoopId, Snapshot};
 use std::sync::Arc;
 
@@ -92,7 +92,7 @@ fn stamp_of(snapshot: &Snapshot) -> Timestamp {
 }
 
 /// Lower-left and upper-right cell of all that was mapped, or of the part of it that lies in a region.
-fn cells_of(grid: &OccupancyGrid, region: Option<(Point2<f64>, Point2<f64>)>) -> Result<Option<(Cell, Cell)>> {
+fn cells_of(grid: &impl Occupancy, region: Option<(Point2<f64>, Point2<f64>)>) -> Result<Option<(Cell, Cell)>> {
     let Some(bounds) = grid.bounds() else { return Ok(None) };
     let Some((min, max)) = region else { return Ok(Some(bounds)) };
     if !(min.x < max.x && min.y < max.y) {
@@ -154,7 +154,7 @@ fn too_large(cells: f64, limits: &crate::Limits) -> Error {
 /// # Errors
 /// `GRID_TOO_LARGE`, `REGION_EMPTY`, `RESOLUTION_NOT_A_MULTIPLE`.
 pub fn dense(
-    grid: &OccupancyGrid,
+    grid: &impl Occupancy,
     region: Option<(Point2<f64>, Point2<f64>)>,
     resolution_m: Option<f64>,
     limits: &crate::Limits,
@@ -242,19 +242,23 @@ impl Service {
     /// `SESSION_NOT_FOUND`.
     pub async fn map_summary(&self, session: &str) -> Result<MapSummary> {
         let s = self.snapshot(session).await?;
-        let grid = &s.layers.occupancy;
-        let occupancy = grid.bounds().map(|(a, b)| {
-            let geometry = GridGeometry::new(grid.geometry().resolution_m, grid.geometry().corner(a));
-            (geometry, (b.x - a.x + 1) as usize, (b.y - a.y + 1) as usize)
-        });
-        Ok(MapSummary {
-            map_version: s.map_version,
-            stamp: stamp_of(&s),
-            occupancy,
-            num_points: s.layers.cloud.len(),
-            voxel_size_m: s.params.map.cloud.voxel_size_m,
-            num_keyframes: s.living_keyframes().count(),
-        })
+        // Sizes are known once the map is composed, which may take a while after a correction.
+        let measure = move || {
+            let grid = &s.layers.occupancy;
+            let occupancy = grid.bounds().map(|(a, b)| {
+                let geometry = GridGeometry::new(grid.geometry().resolution_m, grid.geometry().corner(a));
+                (geometry, (b.x - a.x + 1) as usize, (b.y - a.y + 1) as usize)
+            });
+            MapSummary {
+                map_version: s.map_version,
+                stamp: stamp_of(&s),
+                occupancy,
+                num_points: s.layers.cloud.len(),
+                voxel_size_m: s.params.map.cloud.voxel_size_m,
+                num_keyframes: s.living_keyframes().count(),
+            }
+        };
+        self.compute.query(&self.asker(session)?, measure).await
     }
 
     /// A part of the occupancy grid.

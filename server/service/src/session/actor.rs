@@ -285,6 +285,10 @@ impl Actor {
         let num_keyframes = change.corrected.len();
         let is_same = change.loops.is_empty() && change.corrected.is_empty() && change.merged.is_empty();
         if is_same {
+            // No keyframe moved, but parts of the map may have been built anew.
+            if map_version != self.session.snapshot().map_version {
+                self.publish(&FrameReport::default(), snapshot);
+            }
             return Some(Some((vec![], Moved { num_keyframes, map_version, ticket: self.persister.newest() })));
         }
         let report = FrameReport { map: change, ..FrameReport::default() };

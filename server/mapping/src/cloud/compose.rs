@@ -1,0 +1,300 @@
+//! The cloud of the whole map: submaps' clouds laid over each other, each carving what it saw through.
+
+use super::free::{Count, FreeSpace, count_at};
+use super::fused::{Block, NO_COLOR, merge};
+use super::update::{BLOCK, BlockKey, VoxelMean, corner, locate};
+use super::{CloudParams, CloudUpdate, FusedCloud};
+use crate::bytes::{Damaged, Reader, put_f32, put_i32, put_u16, put_u32, put_u64};
+use crate::composed::Composed;
+use crate::layer::{Layer, Placement, TileKey, moved};
+use crate::layers::{LayerBoxes, SubmapLayers};
+use nalgebra::{Point3, Vector3};
+use percept_geometry::{Aabb3, KeyframeScan, PointCloud, Pose, Voxel};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Edge of a tile of the map, blocks.
+const TILE_BLOCKS: i32 = 8;
+/// Blocks of a stored part; bounds what damaged bytes may ask for.
+const MAX_BLOCKS: usize = 1 << 24;
+
+/// One mean point and colour a voxel of the whole map, unbounded. Order of points: by tile, then by block, then by voxel,
+/// always the same.
+///
+/// Each submap's voxels are moved with it and fall into the map's; before that, what it saw through loses weight by how
+/// many of its keyframes did (see [`CloudParams::carve_weight`]), unless something of its own stands there.
+pub type CloudMap = Composed<FusedCloud>;
+
+/// A tile of the map: a column of all heights.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CloudTile {
+    /// Map frame, metres.
+    pub positions: Vec<Point3<f32>>,
+    /// One a point, grey where a point has none; empty if no point has one.
+    pub colors: Vec<[u8; 3]>,
+}
+
+/// A tile while it is composed: voxels of the map by block, none empty.
+type Under = BTreeMap<BlockKey, Block>;
+
+impl Layer for FusedCloud {
+    type Params = CloudParams;
+    type Update = CloudUpdate;
+    type Under = Under;
+    type Tile = CloudTile;
+
+    fn new(params: &CloudParams) -> Self {
+        Self::empty(*params)
+    }
+
+    fn prepare(params: &CloudParams, t_submap_base: &Pose, scan: &KeyframeScan) -> CloudUpdate {
+        CloudUpdate::new(params, t_submap_base, scan)
+    }
+
+    fn touched(params: &CloudParams, update: &CloudUpdate) -> Aabb3 {
+        let edge = f64::from(BLOCK) * params.voxel_size_m;
+        let mut out = Aabb3::empty();
+        for key in update.blocks.iter().map(|b| b.0).chain(update.free.iter().map(|b| b.0)) {
+            // A little inside, so that the box does not reach into the block beside.
+            let low = corner(key, 0, params.voxel_size_m);
+            out.grow(&(low + Vector3::repeat(1e-6 * edge)));
+            out.grow(&(low + Vector3::repeat((1.0 - 1e-6) * edge)));
+        }
+        out
+    }
+
+    fn add(&mut self, update: &CloudUpdate) {
+        self.apply(update);
+    }
+
+    fn freeze(&mut self) {}
+
+    fn tile_edge_m(params: &CloudParams) -> f64 {
+        f64::from(TILE_BLOCKS * BLOCK) * params.voxel_size_m
+    }
+
+    fn unknown(_: &CloudParams, _: TileKey) -> Under {
+        Under::new()
+    }
+
+    fn overlay(&self, params: &CloudParams, place: &Placement, tile: TileKey, under: &mut Under) {
+        if params.carve_weight > 0.0 {
+            self.carve(params, place, under);
+        }
+        for (key, voxels) in self.voxels_in(params, place, tile) {
+            let known = under.entry(key).or_default();
+            *known = merge(known, &voxels, params.max_weight);
+        }
+    }
+
+    fn finish(params: &CloudParams, _: TileKey, under: &Under) -> Option<CloudTile> {
+        let voxels = || under.iter().flat_map(|(key, block)| block.iter().map(|v| (*key, v)));
+        let positions = voxels().map(|(key, v)| position(params, key, v).cast::<f32>()).collect::<Vec<_>>();
+        let color = |v: &VoxelMean| if v.colored { v.color.map(|c| c.round() as u8) } else { NO_COLOR };
+        let is_colored = voxels().any(|(_, v)| v.colored);
+        let colors = if is_colored { voxels().map(|(_, v)| color(v)).collect() } else { vec![] };
+        (!positions.is_empty()).then_some(CloudTile { positions, colors })
+    }
+
+    fn memory_bytes(&self) -> usize {
+        self.memory_bytes()
+    }
+
+    fn tile_bytes(tile: &CloudTile) -> usize {
+        size_of_val(&tile.positions[..]) + size_of_val(&tile.colors[..])
+    }
+
+    fn under_bytes(under: &Under) -> usize {
+        under.values().map(|block| size_of::<BlockKey>() + size_of_val(&block[..])).sum()
+    }
+
+    fn encode(&self, out: &mut Vec<u8>) {
+        put_u32(out, self.blocks.len() as u32);
+        for (key, block) in self.blocks.iter() {
+            put_key(out, *key);
+            put_u16(out, block.len() as u16);
+            for v in block.iter() {
+                put_u16(out, v.slot | u16::from(v.colored) << 15);
+                [v.weight].iter().chain(&v.offset).chain(&v.color).for_each(|n| put_f32(out, *n));
+            }
+        }
+        put_u32(out, self.free.blocks.len() as u32);
+        for (key, count) in self.free.blocks.iter() {
+            put_key(out, *key);
+            count.as_flattened().iter().for_each(|word| put_u64(out, *word));
+        }
+    }
+
+    fn decode(params: &CloudParams, from: &mut Reader<'_>) -> Result<Self, Damaged> {
+        let (mut blocks, mut free) = (BTreeMap::new(), BTreeMap::new());
+        for _ in 0..from.count(MAX_BLOCKS)? {
+            let key = take_key(from)?;
+            let block: Result<Block, Damaged> = (0..from.u16()?).map(|_| take_voxel(from)).collect();
+            blocks.insert(key, Arc::new(block?));
+        }
+        for _ in 0..from.count(MAX_BLOCKS)? {
+            let key = take_key(from)?;
+            let mut count = Count::default();
+            for word in count.as_flattened_mut() {
+                *word = from.u64()?;
+            }
+            free.insert(key, Arc::new(count));
+        }
+        Ok(Self::of_blocks(*params, blocks, FreeSpace { blocks: Arc::new(free) }))
+    }
+
+    fn of(layers: &SubmapLayers) -> &Self {
+        &layers.cloud
+    }
+
+    fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
+        &boxes.cloud
+    }
+}
+
+impl FusedCloud {
+    /// Takes weight from what this submap saw through.
+    fn carve(&self, params: &CloudParams, place: &Placement, under: &mut Under) {
+        let t_submap_map = place.t_map_submap.inverse();
+        let mut at: Option<(BlockKey, Option<&Arc<Count>>)> = None;
+        under.retain(|key, block| {
+            block.retain_mut(|v| {
+                let own = if place.is_aligned() {
+                    Some((*key, v.slot))
+                } else {
+                    Voxel::containing(&(t_submap_map * position(params, *key, v)), params.voxel_size_m).map(locate)
+                };
+                let Some((key, slot)) = own else { return true };
+                let count = match at {
+                    Some((last, found)) if last == key => found,
+                    _ => at.insert((key, self.free.blocks.get(&key))).1,
+                };
+                let Some(passes) = count.map(|c| count_at(c, slot)).filter(|n| *n > 0) else { return true };
+                if self.blocks.get(&key).is_some_and(|b| b.binary_search_by_key(&slot, |s| s.slot).is_ok()) {
+                    return true;
+                }
+                v.weight -= f32::from(passes) * params.carve_weight;
+                v.weight > 0.0
+            });
+            !block.is_empty()
+        });
+    }
+
+    /// This submap's voxels as voxels of a tile of the map, ascending by block and slot.
+    fn voxels_in(&self, params: &CloudParams, place: &Placement, tile: TileKey) -> Vec<(BlockKey, Block)> {
+        let (x0, y0) = (tile.0 * TILE_BLOCKS, tile.1 * TILE_BLOCKS);
+        let (xs, ys) = (x0..x0 + TILE_BLOCKS, y0..y0 + TILE_BLOCKS);
+        if place.is_aligned() {
+            let rows = self.blocks.range((xs.start, i32::MIN, i32::MIN)..(xs.end, i32::MIN, i32::MIN));
+            return rows.filter(|(key, _)| ys.contains(&key.1)).map(|(k, b)| (*k, Block::clone(b))).collect();
+        }
+        let edge = f64::from(BLOCK) * params.voxel_size_m;
+        if self.extent().is_empty() {
+            return vec![];
+        }
+        let heights = moved(&place.t_map_submap, self.extent());
+        let low = Point3::new(f64::from(xs.start) * edge, f64::from(ys.start) * edge, heights.min.z);
+        let high = Point3::new(f64::from(xs.end) * edge, f64::from(ys.end) * edge, heights.max.z);
+        let column = moved(&place.t_map_submap.inverse(), &Aabb3 { min: low, max: high });
+        // A mean rounded to f32 may stick out of its voxel a little.
+        let index = |v: f64, aside: f64| (v / edge + aside).floor() as i32;
+        let (from, to) = (column.min.map(|v| index(v, -1e-3)), column.max.map(|v| index(v, 1e-3)));
+        let near = |key: &BlockKey| (from.y..=to.y).contains(&key.1) && (from.z..=to.z).contains(&key.2);
+        let mut found: Vec<(BlockKey, VoxelMean)> = Vec::new();
+        let rows = self.blocks.range((from.x, i32::MIN, i32::MIN)..=(to.x, i32::MAX, i32::MAX));
+        for (key, v) in rows.filter(|(key, _)| near(key)).flat_map(|(key, b)| b.iter().map(move |v| (*key, v))) {
+            let p = place.t_map_submap * position(params, key, v);
+            let Some((block, slot)) = Voxel::containing(&p, params.voxel_size_m).map(locate) else { continue };
+            if xs.contains(&block.0) && ys.contains(&block.1) {
+                let offset = (p - corner(block, slot, params.voxel_size_m)).cast::<f32>().into();
+                found.push((block, VoxelMean { slot, offset, ..*v }));
+            }
+        }
+        // Stable: those that fall into one voxel are folded in the order of the submap's.
+        found.sort_by_key(|(key, v)| (*key, v.slot));
+        let mut out: Vec<(BlockKey, Block)> = Vec::new();
+        for (key, v) in found {
+            match out.last_mut().filter(|(last, _)| *last == key) {
+                None => out.push((key, vec![v])),
+                Some((_, block)) => match block.last_mut().filter(|last| last.slot == v.slot) {
+                    // Halves of one surface: together they weigh no more than either.
+                    Some(last) => {
+                        *last =
+                            VoxelMean { weight: last.weight.max(v.weight), ..super::fused::fold(last, &v, f32::MAX) }
+                    }
+                    None => block.push(v),
+                },
+            }
+        }
+        out
+    }
+}
+
+impl CloudMap {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.tiles(self.tile_keys()).iter().map(|(_, t)| t.positions.len()).sum()
+    }
+
+    /// Whether there is no point.
+    pub fn is_empty(&self) -> bool {
+        self.tile_keys().all(|key| self.tile(key).is_none())
+    }
+
+    /// The box around all points; empty if there is none.
+    pub fn bounds(&self) -> Aabb3 {
+        let tiles = self.tiles(self.tile_keys());
+        Aabb3::of(tiles.iter().flat_map(|(_, t)| &t.positions))
+    }
+
+    /// All points, with colours if any has one (grey where it has none). Copies.
+    pub fn to_cloud(&self) -> PointCloud {
+        collect(self.tiles(self.tile_keys()), |_| true)
+    }
+
+    /// The points within `radius_m` of `center`, as [`CloudMap::to_cloud`] gives them.
+    pub fn points_within(&self, center: &Point3<f64>, radius_m: f64) -> PointCloud {
+        let edge = FusedCloud::tile_edge_m(self.params());
+        // A float beyond the range of i32 becomes the nearest that is in it.
+        let tile = |v: f64| (v / edge).floor() as i32;
+        let low = (tile(center.x - radius_m), tile(center.y - radius_m));
+        let high = (tile(center.x + radius_m), tile(center.y + radius_m));
+        collect(self.tiles(self.tile_keys_within(low, high)), |p| (p.cast::<f64>() - center).norm() <= radius_m)
+    }
+}
+
+fn collect(tiles: Vec<(TileKey, Arc<CloudTile>)>, wanted: impl Fn(&Point3<f32>) -> bool) -> PointCloud {
+    let (mut positions, mut colors, mut any) = (Vec::new(), Vec::new(), false);
+    for (_, tile) in &tiles {
+        for (i, p) in tile.positions.iter().enumerate().filter(|(_, p)| wanted(p)) {
+            positions.push(*p);
+            colors.push(tile.colors.get(i).copied().unwrap_or(NO_COLOR));
+        }
+        any |= !tile.colors.is_empty();
+    }
+    PointCloud { colors: any.then_some(colors), ..PointCloud::from_positions(positions) }
+}
+
+fn position(params: &CloudParams, key: BlockKey, v: &VoxelMean) -> Point3<f64> {
+    corner(key, v.slot, params.voxel_size_m) + Vector3::from(v.offset).cast::<f64>()
+}
+
+fn put_key(out: &mut Vec<u8>, key: BlockKey) {
+    [key.0, key.1, key.2].iter().for_each(|v| put_i32(out, *v));
+}
+
+fn take_key(from: &mut Reader<'_>) -> Result<BlockKey, Damaged> {
+    Ok((from.i32()?, from.i32()?, from.i32()?))
+}
+
+fn take_voxel(from: &mut Reader<'_>) -> Result<VoxelMean, Damaged> {
+    let slot = from.u16()?;
+    let mut numbers = [0.0; 7];
+    for n in &mut numbers {
+        *n = from.f32()?;
+    }
+    let [weight, x, y, z, r, g, b] = numbers;
+    let (colored, slot) = (slot >> 15 == 1, slot & 0x7fff);
+    let is_sound = i32::from(slot) < BLOCK.pow(3) && numbers.iter().all(|n| n.is_finite());
+    is_sound.then_some(VoxelMean { slot, colored, weight, offset: [x, y, z], color: [r, g, b] }).ok_or(Damaged)
+}

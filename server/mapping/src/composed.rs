@@ -1,0 +1,234 @@
+//! A layer of the whole map, composed of the submaps' parts where and when it is read.
+
+use crate::layer::{Layer, Placement, TileKey, tiles_of};
+use crate::layers::LayerBoxes;
+use crate::submap::{Slot, SubmapId};
+use nalgebra::Point2;
+use percept_geometry::Aabb3;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A submap as readers see it.
+#[derive(Debug, Clone)]
+pub(crate) struct Part {
+    pub(crate) id: SubmapId,
+    pub(crate) place: Placement,
+    /// Map frame.
+    pub(crate) boxes: LayerBoxes,
+    pub(crate) slot: Arc<Slot>,
+    pub(crate) is_frozen: bool,
+}
+
+/// When a tile changed last: versions of the map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Changed {
+    at_all: u64,
+    /// By anything but the submap that is being filled.
+    under_active: u64,
+}
+
+/// A layer of the map at one moment, immutable; cloning costs some references.
+///
+/// Nothing is composed before it is read. Composed tiles are kept, and shared with the moments before and after as long
+/// as no submap under them has changed or moved: also while those submaps are out of memory.
+#[derive(Clone)]
+pub struct Composed<L: Layer> {
+    params: L::Params,
+    version: u64,
+    parts: Arc<Vec<Part>>,
+    changed: Arc<BTreeMap<TileKey, Changed>>,
+    kept: Arc<Kept<L>>,
+}
+
+/// Composed tiles, shared by all moments of a map.
+struct Kept<L: Layer> {
+    tiles: Mutex<BTreeMap<TileKey, KeptTile<L>>>,
+}
+
+struct KeptTile<L: Layer> {
+    version: u64,
+    tile: Option<Arc<L::Tile>>,
+    /// What lies under the submap that is being filled, and its version.
+    under: Option<(u64, Arc<L::Under>)>,
+}
+
+impl<L: Layer> KeptTile<L> {
+    fn bytes(&self) -> usize {
+        let (tile, under) =
+            (self.tile.as_ref().map(|t| L::tile_bytes(t)), self.under.as_ref().map(|u| L::under_bytes(&u.1)));
+        size_of::<Self>() + tile.unwrap_or(0) + under.unwrap_or(0)
+    }
+}
+
+impl<L: Layer> Kept<L> {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<TileKey, KeptTile<L>>> {
+        // Each entry is whole whoever stopped where.
+        self.tiles.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<L: Layer> Composed<L> {
+    pub(crate) fn new(params: &L::Params) -> Self {
+        let kept = Arc::new(Kept { tiles: Mutex::default() });
+        Self { params: *params, version: 0, parts: Arc::default(), changed: Arc::default(), kept }
+    }
+
+    /// The map's version.
+    pub fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// Parameters.
+    pub fn params(&self) -> &L::Params {
+        &self.params
+    }
+
+    /// Tiles that may be other ones than at an earlier version, in order.
+    pub fn changed_since(&self, version: u64) -> impl Iterator<Item = TileKey> {
+        self.changed.iter().filter(move |(_, c)| c.at_all > version).map(|(key, _)| *key)
+    }
+
+    /// Tiles in which something may be known, in order.
+    pub fn tile_keys(&self) -> impl Iterator<Item = TileKey> {
+        self.changed_since(0)
+    }
+
+    /// Those of them from `low` to `high`, both included.
+    pub fn tile_keys_within(&self, low: TileKey, high: TileKey) -> impl Iterator<Item = TileKey> {
+        let columns = if low <= high { Some(self.changed.range(low..=high)) } else { None };
+        columns.into_iter().flatten().map(|(key, _)| *key).filter(move |key| (low.1..=high.1).contains(&key.1))
+    }
+
+    /// A composed tile; none if nothing is known of it.
+    pub fn tile(&self, key: TileKey) -> Option<Arc<L::Tile>> {
+        let changed = *self.changed.get(&key)?;
+        let mut under = None;
+        if let Some(kept) = self.kept.lock().get(&key) {
+            if kept.version == changed.at_all {
+                return kept.tile.clone();
+            }
+            under = kept.under.clone().filter(|u| u.0 == changed.under_active).map(|u| u.1);
+        }
+        let edge = L::tile_edge_m(&self.params);
+        let over_tile = |p: &&Part| {
+            tiles_of(edge, L::bounds(&p.boxes))
+                .is_some_and(|(low, high)| (low.0..=high.0).contains(&key.0) && (low.1..=high.1).contains(&key.1))
+        };
+        let active = self.parts.last().filter(|p| !p.is_frozen && over_tile(p));
+        let mut is_whole = true;
+        let frozen = under.unwrap_or_else(|| {
+            let mut under = L::unknown(&self.params, key);
+            let frozen = self.parts.iter().filter(|p| p.is_frozen).filter(over_tile);
+            frozen.for_each(|p| is_whole &= self.overlay(p, key, &mut under));
+            Arc::new(under)
+        });
+        let tile = match active {
+            None => L::finish(&self.params, key, &frozen),
+            Some(active) => {
+                let mut all = L::Under::clone(&frozen);
+                is_whole &= self.overlay(active, key, &mut all);
+                L::finish(&self.params, key, &all)
+            }
+        };
+        let tile = tile.map(Arc::new);
+        let mut tiles = self.kept.lock();
+        // What is missing may be had the next time.
+        if is_whole && tiles.get(&key).is_none_or(|k| k.version < changed.at_all) {
+            let under = active.map(|_| (changed.under_active, frozen));
+            tiles.insert(key, KeptTile { version: changed.at_all, tile: tile.clone(), under });
+        }
+        tile
+    }
+
+    /// Whether the part could be had.
+    fn overlay(&self, part: &Part, key: TileKey, under: &mut L::Under) -> bool {
+        let layers = part.slot.get();
+        if let Some(layers) = &layers {
+            L::of(layers).overlay(&self.params, &part.place, key, under);
+        }
+        layers.is_some()
+    }
+
+    /// Composed tiles of some keys in the given order, those of which nothing is known left out. Work runs on the current
+    /// rayon pool.
+    pub fn tiles(&self, keys: impl Iterator<Item = TileKey>) -> Vec<(TileKey, Arc<L::Tile>)> {
+        let keys: Vec<TileKey> = keys.collect();
+        let tiles: Vec<_> = keys.par_iter().map(|key| Some((*key, self.tile(*key)?))).collect();
+        tiles.into_iter().flatten().collect()
+    }
+
+    /// Submaps that could not be read when they were needed: what they hold is missing here.
+    pub fn missing(&self) -> Vec<SubmapId> {
+        self.parts.iter().filter(|p| p.slot.is_lost()).map(|p| p.id).collect()
+    }
+
+    /// What the kept tiles take, bytes.
+    pub(crate) fn kept_bytes(&self) -> usize {
+        self.kept.lock().values().map(KeptTile::bytes).sum()
+    }
+
+    /// Gives up kept tiles until the rest takes no more than so many bytes, those that are farthest from a place first.
+    pub(crate) fn forget_beyond(&self, here: Point2<f64>, max_bytes: usize) {
+        let edge = L::tile_edge_m(&self.params);
+        let distance = |key: &TileKey| {
+            let center = Point2::new(f64::from(key.0) + 0.5, f64::from(key.1) + 0.5) * edge;
+            (center - here).norm()
+        };
+        let mut tiles = self.kept.lock();
+        let mut by_distance: Vec<(f64, TileKey, usize)> =
+            tiles.iter().map(|(key, kept)| (distance(key), *key, kept.bytes())).collect();
+        by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut bytes: usize = by_distance.iter().map(|b| b.2).sum();
+        while let Some((_, key, of_tile)) = by_distance.pop().filter(|_| bytes > max_bytes) {
+            tiles.remove(&key);
+            bytes -= of_tile;
+        }
+    }
+
+    /// Notes that something changed within a box of the map.
+    pub(crate) fn touch(&mut self, version: u64, b: &Aabb3, by_active: bool) {
+        let Some((low, high)) = tiles_of(L::tile_edge_m(&self.params), b) else { return };
+        let changed = Arc::make_mut(&mut self.changed);
+        for key in (low.0..=high.0).flat_map(|x| (low.1..=high.1).map(move |y| (x, y))) {
+            let entry = changed.entry(key).or_default();
+            entry.at_all = version;
+            if !by_active {
+                entry.under_active = version;
+            }
+        }
+    }
+
+    /// Notes that what was being filled within a box of the map lies under what is filled from now on: tiles stay as they
+    /// are.
+    pub(crate) fn lay_under(&mut self, version: u64, b: &Aabb3) {
+        let Some((low, high)) = tiles_of(L::tile_edge_m(&self.params), b) else { return };
+        let mut tiles = self.kept.lock();
+        let changed = Arc::make_mut(&mut self.changed);
+        for key in (low.0..=high.0).flat_map(|x| (low.1..=high.1).map(move |y| (x, y))) {
+            changed.entry(key).or_default().under_active = version;
+            tiles.entry(key).and_modify(|k| k.under = None);
+        }
+    }
+
+    /// The next moment.
+    pub(crate) fn set(&mut self, version: u64, parts: &Arc<Vec<Part>>) {
+        (self.version, self.parts) = (version, Arc::clone(parts));
+    }
+}
+
+/// The same tiles.
+impl<L: Layer> PartialEq for Composed<L> {
+    fn eq(&self, other: &Self) -> bool {
+        let known = |c: &Self| c.tiles(c.tile_keys());
+        let (a, b) = (known(self), known(other));
+        a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| a.0 == b.0 && *a.1 == *b.1)
+    }
+}
+
+impl<L: Layer> std::fmt::Debug for Composed<L> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (version, submaps, tiles) = (self.version, self.parts.len(), self.changed.len());
+        write!(f, "Composed {{ version: {version}, submaps: {submaps}, tiles: {tiles} }}")
+    }
+}

@@ -1,0 +1,173 @@
+//! Submaps whose layers are built anew beside what is shown, one after the other, a little at a time.
+
+use super::Map;
+use crate::layers::{LayerBoxes, LayersUpdate};
+use crate::submap::{Slot, SubmapId};
+use crate::{Submap, SubmapLayers};
+use percept_geometry::{KeyframeId, KeyframeScan, Pose};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// Keyframes prepared at once: bounds the memory that takes.
+const CHUNK: usize = 8;
+
+/// How well a submap's layers show what its keyframes saw where these are now.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Fit {
+    /// As if they had been there when it was filled.
+    Exact,
+    /// To within the tolerance, but for lying askew on the map's cells.
+    Near,
+    /// Not even that, or some of its keyframes are gone.
+    Bent,
+}
+
+/// What is to be built anew.
+#[derive(Debug, Default)]
+pub(super) struct Rebuild {
+    bent: BTreeSet<SubmapId>,
+    /// These can wait.
+    near: BTreeSet<SubmapId>,
+    under_way: Option<UnderWay>,
+}
+
+/// A submap that is being built.
+#[derive(Debug)]
+struct UnderWay {
+    id: SubmapId,
+    /// Still to be integrated, at the poses that they had in the map when this was begun.
+    left: Vec<(KeyframeId, Pose)>,
+    /// Integrated: base to the submap's new frame.
+    keyframes: BTreeMap<KeyframeId, Pose>,
+    boxes: LayerBoxes,
+    layers: SubmapLayers,
+}
+
+impl Rebuild {
+    /// A submap lies elsewhere now, or its keyframes do. One that fits well enough is not fetched from where it was stored to.
+    pub(super) fn heed(&mut self, id: SubmapId, fit: Fit, is_loaded: bool) {
+        if fit == Fit::Exact {
+            return self.forget(id);
+        }
+        self.unqueue(id);
+        // One that is under way is looked at again when it is built: so it gets built, however often it is moved meanwhile.
+        if self.under_way.as_ref().is_some_and(|u| u.id == id) {
+            return;
+        }
+        match fit {
+            Fit::Bent => self.bent.insert(id),
+            _ => is_loaded && self.near.insert(id),
+        };
+    }
+
+    /// The submap that is being filled takes in a keyframe.
+    pub(super) fn take_in(&mut self, submap: SubmapId, id: KeyframeId, t_map_base: &Pose) {
+        if let Some(under_way) = self.under_way.as_mut().filter(|u| u.id == submap) {
+            under_way.left.push((id, *t_map_base));
+        }
+    }
+
+    fn unqueue(&mut self, id: SubmapId) {
+        self.bent.remove(&id);
+        self.near.remove(&id);
+    }
+
+    pub(super) fn forget(&mut self, id: SubmapId) {
+        self.unqueue(id);
+        self.under_way.take_if(|u| u.id == id);
+    }
+
+    /// The newest first: the robot is there.
+    fn next(&mut self) -> Option<SubmapId> {
+        self.bent.pop_last().or_else(|| self.near.pop_last())
+    }
+
+    fn is_idle(&self) -> bool {
+        self.bent.is_empty() && self.near.is_empty() && self.under_way.is_none()
+    }
+}
+
+impl Map {
+    /// Whether submaps are waiting to be built anew: until then they are shown as they were, where that fits best.
+    pub fn is_rebuilding(&self) -> bool {
+        !self.rebuild.is_idle()
+    }
+
+    /// Builds on by keyframes of about so many points and misses together, by one at least; whether nothing is left to do. A
+    /// submap is shown once it is whole. What comes of it does not depend on the steps.
+    pub fn advance(&mut self, num_points: usize) -> bool {
+        let mut left = num_points.max(1);
+        while left > 0 && self.begin_next() {
+            let Some(mut under_way) = self.rebuild.under_way.take() else { break };
+            let mut num_due = 0;
+            while num_due < CHUNK.min(under_way.left.len()) && left > 0 {
+                let size = self.keyframes.get(&under_way.left[num_due].0).map_or(1, |k| k.size.max(1));
+                left = left.saturating_sub(size);
+                num_due += 1;
+            }
+            let rest = under_way.left.split_off(num_due);
+            let due = std::mem::replace(&mut under_way.left, rest);
+            let scans: Vec<Option<Arc<KeyframeScan>>> = due.iter().map(|(id, _)| self.scan(*id)).collect();
+            let prepared = due.par_iter().zip(scans);
+            let updates: Vec<Option<LayersUpdate>> =
+                prepared.map(|((_, pose), scan)| Some(LayersUpdate::new(&self.params, pose, &*scan?))).collect();
+            for ((id, pose), update) in due.into_iter().zip(updates) {
+                // A scan that cannot be had any more is missing from what is built, and its submap is not built at all.
+                let Some(update) = update else {
+                    under_way.left.clear();
+                    under_way.keyframes.clear();
+                    break;
+                };
+                under_way.boxes = under_way.boxes.joined(&update.touched(&self.params));
+                under_way.layers.add(&update);
+                under_way.keyframes.insert(id, pose);
+            }
+            if under_way.left.is_empty() {
+                self.replace(under_way);
+            } else {
+                self.rebuild.under_way = Some(under_way);
+            }
+        }
+        self.rebuild.is_idle()
+    }
+
+    /// Whether there is one under way.
+    fn begin_next(&mut self) -> bool {
+        while self.rebuild.under_way.is_none() {
+            let Some(id) = self.rebuild.next() else { return false };
+            let Some(submap) = self.position(id).map(|k| &self.submaps[k]) else { continue };
+            let living = |id: &KeyframeId| Some((*id, self.keyframes.get(id)?.t_map_base));
+            let left: Vec<_> = submap.keyframes().keys().filter_map(living).collect();
+            let (boxes, layers) = (LayerBoxes::empty(), SubmapLayers::new(&self.params));
+            self.rebuild.under_way = Some(UnderWay { id, left, keyframes: BTreeMap::new(), boxes, layers });
+        }
+        true
+    }
+
+    /// Shows a submap that was built anew: its frame is the map's again.
+    fn replace(&mut self, built: UnderWay) {
+        let UnderWay { id, keyframes, boxes, mut layers, .. } = built;
+        let Some(k) = self.position(id).filter(|_| !keyframes.is_empty()) else { return };
+        let is_active = !self.submaps[k].is_frozen;
+        if !is_active {
+            layers.freeze();
+        }
+        let layers = Arc::new(layers);
+        if is_active {
+            self.active = Some(Arc::clone(&layers));
+        }
+        let (version, margin) = (self.shown.version + 1, self.params.margin_m());
+        self.shown.touch(version, &self.submaps[k].boxes_in_map(margin), is_active);
+        let mut submap = Submap::new(id);
+        (submap.boxes, submap.is_frozen) = (boxes, !is_active);
+        submap.slot = Arc::new(Slot::new(&self.params, layers));
+        keyframes.into_iter().for_each(|(id, t_map_base)| submap.add_keyframe(id, t_map_base));
+        self.submaps[k] = submap;
+        // Its keyframes may have moved since this was begun.
+        self.lay(k);
+        self.shown.touch(version, &self.submaps[k].boxes_in_map(margin), is_active);
+        self.show(version);
+        self.hold_to_budget();
+    }
+}
