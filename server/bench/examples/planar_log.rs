@@ -88,11 +88,8 @@ fn main() -> Result<(), Failure> {
     let answers = pool.install(|| run(&mut pipeline, &recording, &harder))?;
     pipeline.settle();
     let snapshot = pipeline.snapshot();
-    let in_map: Vec<Stamped<_>> = snapshot
-        .trajectory()
-        .filter(|(_, e)| e.tracked)
-        .map(|(value, e)| Stamped { stamp: e.stamp, value })
-        .collect();
+    let in_map: Vec<Stamped<_>> =
+        snapshot.trajectory().filter(|(_, e)| e.tracked).map(|(value, e)| Stamped { stamp: e.stamp, value }).collect();
     let num = answers.len().max(1) as f64;
     let lost: Vec<f64> = answers.iter().filter(|a| !a.is_placed).map(|a| a.ms).collect();
     let begins = |is: &dyn Fn(&Answer) -> bool| answers.windows(2).filter(|w| !is(&w[0]) && is(&w[1])).count();

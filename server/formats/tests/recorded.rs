@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "all of it is tests")]
 
-use percept_formats::dataset::open;
+use percept_formats::dataset::{OpenOptions, open, open_with};
 use percept_formats::{Dataset, DatasetKind, Limits, nav2, pcd, ply, read_file, trajectory};
 use percept_geometry::cloud::is_finite;
 use percept_geometry::{SensorData, SensorFrame, SensorKind, se3};

@@ -5,7 +5,8 @@ use super::{Run, measure, read::Failure};
 use nalgebra::Point3;
 use percept_geometry::{Pose, SensorData};
 use percept_sim::{
-    HandheldParams, Lidar2dParams, Lidar3dParams, RobotParams, ScanPattern, SensorSuite, SimParams, Simulation, WorldParams,
+    HandheldParams, Lidar2dParams, Lidar3dParams, RobotParams, ScanPattern, SensorSuite, SimParams, Simulation,
+    WorldParams,
 };
 use percept_slam::{CloudScan, KeyframeParams, OdometryKind, PlanarScan, Scan, keyframe::keyframe_scan};
 use std::sync::Arc;

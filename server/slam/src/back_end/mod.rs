@@ -29,8 +29,10 @@ pub use types::{BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, Loo
 const GAP: (f64, f64) = (10.0, 3.0);
 /// What a stored map knows of keyframes whose neighbours were merged: metres, metres a metre, radians.
 const MERGED: (f64, f64, f64) = (0.03, 0.02, 0.02);
-/// Keyframes between optimisations that change next to nothing.
+/// Keyframes between optimisations that change next to nothing: so many, or this share of all, as corrections that small
+/// wait for more (see [`TURNS`]), and a solution costs more the more there are.
 const LAZY: usize = 10;
+const LAZY_SHARE: f64 = 0.05;
 /// Displacements (metres and radians) and the share of all keyframes that must have come since the last correction before
 /// one is made for them: less than the first is left, the last does not wait.
 const TURNS: [((f64, f64), f64); 3] = [((0.003, 0.001), 0.25), ((0.02, 0.005), 0.1), ((0.25, 0.05), 0.0)];
@@ -121,7 +123,7 @@ impl BackEnd {
         let is_tied = self.loops.iter().any(|l| l.state == LoopState::Active);
         if urgent {
             self.optimise(Effort::Thorough, &mut changed);
-        } else if is_tied && self.since_optimised >= LAZY {
+        } else if is_tied && self.since_optimised as f64 >= (LAZY_SHARE * self.chain.len() as f64).max(LAZY as f64) {
             self.optimise(Effort::Routine, &mut changed);
         }
         let loops = self.loops_at(changed);

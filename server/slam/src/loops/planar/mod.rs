@@ -381,11 +381,7 @@ fn visit<'a>(
 /// Ends of a keyframe's beams in base, up to a range in metres.
 fn ends(scan: &KeyframeScan, max_range: f64) -> impl Iterator<Item = Point2<f64>> + '_ {
     let origin = scan.t_base_sensor.translation.vector.xy();
-    scan.hits
-        .positions
-        .iter()
-        .map(|p| p.cast::<f64>().xy())
-        .filter(move |p| (p.coords - origin).norm() < max_range)
+    scan.hits.positions.iter().map(|p| p.cast::<f64>().xy()).filter(move |p| (p.coords - origin).norm() < max_range)
 }
 
 /// At most [`QUERY_POINTS`] points, one a cell, evenly taken.

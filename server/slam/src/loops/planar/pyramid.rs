@@ -389,7 +389,9 @@ mod tests {
         let pyramid = Pyramid::new(0.1, &map()).unwrap();
         let region = pyramid.everywhere();
         let mut at_once = pyramid.begin(&query, &region, 0.3, (0.5, 10));
-        let Some(Outcome::Found(all)) = pyramid.go_on(&mut at_once, &mut usize::MAX.clone()) else { panic!("not found") };
+        let Some(Outcome::Found(all)) = pyramid.go_on(&mut at_once, &mut usize::MAX.clone()) else {
+            panic!("not found")
+        };
         let mut in_steps = pyramid.begin(&query, &region, 0.3, (0.5, 10));
         let steps = (1..).find_map(|k| pyramid.go_on(&mut in_steps, &mut 50).map(|found| (k, found)));
         let Some((steps, Outcome::Found(found))) = steps else { panic!("not found") };

@@ -3,8 +3,8 @@
 use crate::odometry::deskew::Sweep;
 use crate::scan::PlanarScan;
 use nalgebra::{Point2, Point3, Vector2, Vector6};
-use percept_geometry::cloud::Beam;
 use percept_geometry::Pose;
+use percept_geometry::cloud::Beam;
 
 /// A hit in base's plane; the normal is zero where neighbours make no line.
 #[derive(Debug, Clone, Copy, PartialEq)]
