@@ -135,6 +135,7 @@ fn try_pair(pair: &Pair, kind: &Kind, rng: &mut ChaCha8Rng, score: &mut Score, t
         json!({"pair": pair.name, "true_overlap": pair.overlap, "outcome": format!("{:?}", found.outcome), "right": right,
             "wrong": wrong, "off_m": off_m, "off_deg": off_deg, "sigma_m": sigma_m, "along_m": along_m,
             "open": found.degenerate_axes, "overlap": found.overlap, "rival": found.rival_overlap,
+            "evidence": found.evidence, "rival_evidence": found.rival_evidence,
             "pairs": found.num_pairs, "agreeing": found.num_agreeing, "ms": ms})
     );
     Ok(())

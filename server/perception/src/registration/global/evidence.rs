@@ -17,7 +17,7 @@ use super::keypoints::Described;
 use super::patches::{Patches, Sight};
 use super::uncertainty;
 use crate::cloud::symmetric_eigen3;
-use nalgebra::{Matrix3, Translation3, Vector3};
+use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use percept_geometry::{Covariance6, Pose};
 use rayon::prelude::*;
 
@@ -151,16 +151,37 @@ impl Evidence {
         forth.chain(self.target.sights(&self.source, &back, &patches.target)).collect()
     }
 
+    /// The motion turned either way about the two directions that most of what coincides faces, at the middle of that.
+    pub(super) fn turned(&self, t_target_source: &Pose, radians: f64) -> Vec<Pose> {
+        let sum = |(sum, num): (Vector3<f64>, f64), p: Vector3<f64>| (sum + p, num + 1.0);
+        let coincides = self.coinciding(t_target_source).map(|(at, _)| at.coords.cast::<f64>());
+        let (sum, num) = coincides.fold((Vector3::zeros(), 0.0), sum);
+        let middle = Translation3::from(sum / f64::max(num, 1.0));
+        let about = |axis: &Vector3<f64>, angle: f64| {
+            let turn = UnitQuaternion::from_scaled_axis(axis * angle);
+            middle * turn * middle.inverse() * t_target_source
+        };
+        let directions = self.directions(t_target_source);
+        directions[1..].iter().flat_map(|axis| [about(axis, radians), about(axis, -radians)]).collect()
+    }
+
+    /// Where the source's points come to lie that coincide with the target, and that one's normal there.
+    fn coinciding(&self, t_target_source: &Pose) -> impl Iterator<Item = (Point3<f32>, Vector3<f32>)> {
+        let all = (0..self.source.len()).flat_map(|patch| self.source.of(patch));
+        let t_target_source = *t_target_source;
+        all.filter_map(move |(p, n)| {
+            let at = (t_target_source * p.cast::<f64>()).cast();
+            let faces = (t_target_source.rotation * n.cast::<f64>()).cast();
+            Some((at, *self.target.normal(self.target.partner(&at, &faces)?)))
+        })
+    }
+
     /// Directions in the target's frame, the one first that least of what coincides faces.
     fn directions(&self, t_target_source: &Pose) -> [Vector3<f64>; 3] {
         let mut facing = Matrix3::zeros();
-        for (p, n) in (0..self.source.len()).flat_map(|patch| self.source.of(patch)) {
-            let at = (t_target_source * p.cast::<f64>()).cast();
-            let n = (t_target_source.rotation * n.cast::<f64>()).cast();
-            if let Some(j) = self.target.partner(&at, &n) {
-                let n = self.target.normal(j).cast::<f64>();
-                facing += n * n.transpose();
-            }
+        for (_, n) in self.coinciding(t_target_source) {
+            let n = n.cast::<f64>();
+            facing += n * n.transpose();
         }
         symmetric_eigen3(&facing).vectors
     }

@@ -11,9 +11,10 @@ const REACH: f64 = 2.0;
 /// A kernel much narrower than the reach: with plain squares there is a second minimum about a degree off, where the
 /// rings of one scan come to lie on those of the other.
 const KERNEL: f64 = 0.2;
-/// The refinement may move the answer by so many voxels (turns: about 3 degrees), or it went elsewhere.
-const MOST: f64 = 1.0;
-const MOST_RAD: f64 = 0.05;
+/// The refinement may move the answer by so many voxels and radians, or it went elsewhere; more for one that is believed,
+/// where more has to speak for it then.
+const MOST: (f64, f64) = (1.0, 0.05);
+const MOST_BELIEVED: (f64, f64) = (4.0, 0.1);
 
 /// The answer aligned by planes on voxels half as large, unless that leads away from it.
 pub(super) fn finish(answer: GlobalResult, source: &PointCloud, target: &PointCloud, size: f64) -> GlobalResult {
@@ -40,7 +41,8 @@ pub(super) fn finish(answer: GlobalResult, source: &PointCloud, target: &PointCl
     let center = Point3::from(sum / source.len().max(1) as f64);
     let moved = (found.t_target_source * center - answer.t_target_source * center).norm();
     let turned = found.t_target_source.rotation.angle_to(&answer.t_target_source.rotation);
-    if moved > MOST * size || turned > MOST_RAD {
+    let most = if answer.outcome == GlobalOutcome::Found { MOST_BELIEVED } else { MOST };
+    if moved > most.0 * size || turned > most.1 {
         return answer;
     }
     GlobalResult {

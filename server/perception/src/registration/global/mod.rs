@@ -107,7 +107,11 @@ impl<'a> GlobalSearch<'a> {
 
     /// The answer aligned closely, with how far off it may be.
     fn finished(&self) -> GlobalResult {
-        let fine = finish::finish(self.answer.clone(), &self.source, &self.target, self.params.voxel_size_m);
+        let finish = |answer| finish::finish(answer, &self.source, &self.target, self.params.voxel_size_m);
+        let fine = match &self.judge {
+            Some(judge) if self.answer.outcome == GlobalOutcome::Found => judge.confirmed(&self.answer, finish),
+            _ => finish(self.answer.clone()),
+        };
         let covariance = self.judge.as_ref().and_then(|j| j.evidence.covariance(&fine.t_target_source));
         match covariance {
             // What the refinement says is open stays open.

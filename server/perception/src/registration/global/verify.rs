@@ -24,8 +24,22 @@ const BELIEVED: f64 = 25.0;
 const RIVAL: f64 = 0.5;
 /// An answer may be moved along to where more speaks for it so often.
 const MOVES: usize = 2;
+/// Below so much overlap, the close alignment is made from poses turned by so many radians as well.
+const LITTLE_OVERLAP: f64 = 0.3;
+const TURN: f64 = 0.026;
 /// Candidates that are refined.
 const REFINED: usize = 3;
+
+/// Whether to believe an answer, by what speaks for it and for its rival, nats.
+fn outcome(evidence: f64, of_rival: f64) -> GlobalOutcome {
+    if evidence < BELIEVED {
+        GlobalOutcome::Doubtful
+    } else if of_rival > RIVAL * evidence {
+        GlobalOutcome::Ambiguous
+    } else {
+        GlobalOutcome::Found
+    }
+}
 
 /// A candidate after its refinement.
 #[derive(Clone)]
@@ -105,6 +119,41 @@ impl Judge {
         (best, compared)
     }
 
+    /// What was found, once it is aligned closely: where the truth is, more speaks for that than before, and what speaks for a
+    /// slide along walls goes with the last voxel.
+    ///
+    /// Little overlap may coincide nearly as well a degree or two off: from there, too.
+    pub(super) fn confirmed(
+        &self,
+        found: &GlobalResult,
+        finish: impl Fn(GlobalResult) -> GlobalResult,
+    ) -> GlobalResult {
+        let compare = |fine: GlobalResult| (self.evidence.compare(&fine.t_target_source), fine);
+        let (mut compared, mut fine) = compare(finish(found.clone()));
+        if found.overlap < LITTLE_OVERLAP {
+            for t_target_source in self.evidence.turned(&found.t_target_source, TURN) {
+                let (other, of_other) = compare(finish(GlobalResult { t_target_source, ..found.clone() }));
+                if other.log_ratio > compared.log_ratio {
+                    (compared, fine) = (other, of_other);
+                }
+            }
+        }
+        if compared.log_ratio < found.evidence && !self.is_near(&found.t_target_source, &fine.t_target_source) {
+            return found.clone();
+        }
+        let slid = compared.rival.map_or(0.0, |r| r.0).max(found.rival_evidence);
+        let outcome = outcome(compared.log_ratio, slid);
+        GlobalResult { outcome, evidence: compared.log_ratio, rival_evidence: slid, ..fine }
+    }
+
+    /// Whether a refinement stayed where it was, within a voxel at the source's middle.
+    fn is_near(&self, before: &Pose, after: &Pose) -> bool {
+        let positions = &self.source.cloud.positions;
+        let sum: Vector3<f64> = positions.iter().map(|p| p.coords.cast::<f64>()).sum();
+        let center = Point3::from(sum / positions.len().max(1) as f64);
+        (before * center - after * center).norm() < self.size
+    }
+
     /// The candidate refined, if that was asked for.
     fn refined(&self, candidate: &Candidate) -> Refined {
         let (mut t_target_source, mut covariance) = (candidate.t_target_source, Covariance6::zeros());
@@ -147,13 +196,7 @@ impl Judge {
     fn result(&self, best: &Refined, compared: &Compared, other: Option<&Refined>, num_pairs: usize) -> GlobalResult {
         let other = other.map(|r| (r.support, r.t_target_source));
         let rival = other.into_iter().chain(compared.rival).max_by(|a, b| a.0.total_cmp(&b.0));
-        let outcome = if compared.log_ratio < BELIEVED {
-            GlobalOutcome::Doubtful
-        } else if rival.is_some_and(|r| r.0 > RIVAL * compared.log_ratio) {
-            GlobalOutcome::Ambiguous
-        } else {
-            GlobalOutcome::Found
-        };
+        let outcome = outcome(compared.log_ratio, rival.map_or(0.0, |r| r.0));
         let (overlap, inlier_rmse_m) = self.overlap(&best.t_target_source);
         GlobalResult {
             outcome,
