@@ -2,7 +2,7 @@
 //! [--no-loops] [--first N] [--frames CSV]`.
 //!
 //! `--max-range` cuts what the lidar sees, and `--blind` covers it from a share of the log on for so many seconds: scans come,
-//! without a return. Printed are the frames that were placed when they came, those in the map at the end, how often the robot
+//! without a return; frames of cameras and 3D lidars do not come. Printed are the frames that were placed when they came, those in the map at the end, how often the robot
 //! was lost, how far the trajectory is off, and the processor time of a frame on one thread, of those while lost apart.
 
 use percept_evaluation::{ErrorStatistics, Trajectory, TrueRelation, score_relations};
@@ -45,13 +45,16 @@ impl Harder {
 
     /// The frame as it arrives; none if it does not.
     fn pass(&self, mut frame: SensorFrame, since_start_s: f64, whole_s: f64) -> Option<SensorFrame> {
+        let is_blind = self.blind.is_some_and(|(share, seconds)| {
+            let since = since_start_s - share * whole_s;
+            (0.0..seconds).contains(&since)
+        });
         match &mut frame.data {
             SensorData::Odometry(_) if !self.with_odometry => return None,
+            SensorData::Depth(_) | SensorData::Rgbd(..) | SensorData::Camera(_) | SensorData::Cloud(_) if is_blind => {
+                return None;
+            }
             SensorData::Scan(scan) => {
-                let is_blind = self.blind.is_some_and(|(share, seconds)| {
-                    let since = since_start_s - share * whole_s;
-                    (0.0..seconds).contains(&since)
-                });
                 let cut = |r: &mut f32| {
                     if is_blind || *r > self.max_range_m {
                         *r = f32::INFINITY;

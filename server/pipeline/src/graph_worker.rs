@@ -2,8 +2,8 @@
 //!
 //! What is asked of it is answered at a later frame, the first that is [`delay_s`] of the session's time younger than the
 //! frame at which the work was begun. So what comes of the same frames is the same, however fast the machine is; where the work
-//! takes longer than that, the frame waits for it. One batch of questions is worked on at a time, and the next holds all that
-//! was asked meanwhile.
+//! takes longer than that, the frame waits for it. One batch of questions is worked on at a time, and the next holds what
+//! was asked meanwhile, or some of it.
 
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, Timestamp};
 use percept_slam::{BackEnd, BackEndKeyframe, BackEndUpdate, Loop, Relocalisation};
@@ -24,6 +24,9 @@ const DELAY_S: f64 = 0.3;
 /// keyframes); and if it is only looked at.
 const DELAY_OF_SOLVING_S: f64 = 0.001;
 const DELAY_OF_LOOKING_S: f64 = 0.0001;
+/// Questions in a batch, at most: of a part of the map that joins, all keyframes come at once, and take a tenth of a second
+/// each where loops close by them.
+const MOST_QUESTIONS: usize = 8;
 
 fn delay_s(num_keyframes: usize, questions: &[Question]) -> f64 {
     let is_solved = questions.iter().any(|q| matches!(q, Question::Keyframe(_)));
@@ -59,6 +62,7 @@ pub(crate) enum Answer {
 }
 
 /// Where a robot was at a sighting; none unless that is certain.
+#[derive(Debug)]
 pub(crate) struct Relocated {
     pub(crate) found: Option<Relocalisation>,
     /// Whether the search goes on when it is asked again.
@@ -129,8 +133,9 @@ impl GraphWorker {
     /// All answers that are still to come, and the back end at rest.
     pub(crate) fn finish(&mut self) -> (Answers, Option<&mut BackEnd>) {
         let mut all = self.wait().unwrap_or_default();
-        self.begin(Timestamp(0));
-        if let Some(rest) = self.wait() {
+        while !self.questions.is_empty() {
+            self.begin(Timestamp(0));
+            let Some(rest) = self.wait() else { break };
             all.answers.extend(rest.answers);
             all.loops = rest.loops.or(all.loops);
         }
@@ -140,14 +145,16 @@ impl GraphWorker {
         }
     }
 
-    /// Begins a batch of all that was asked, if the back end is at rest.
+    /// Begins a batch of what was asked first, if the back end is at rest.
     fn begin(&mut self, stamp: Timestamp) {
         if self.questions.is_empty() || !self.is_at_rest() {
             return;
         }
         let State::AtRest(back_end) = std::mem::replace(&mut self.state, State::Moving) else { return };
-        let due = stamp.plus_seconds(delay_s(back_end.poses().len(), &self.questions));
-        let batch = Arc::new(Batch::new(back_end, std::mem::take(&mut self.questions)));
+        let rest = self.questions.split_off(MOST_QUESTIONS.min(self.questions.len()));
+        let questions = std::mem::replace(&mut self.questions, rest);
+        let due = stamp.plus_seconds(delay_s(back_end.poses().len(), &questions));
+        let batch = Arc::new(Batch::new(back_end, questions));
         if let Some(executor) = &self.executor {
             let batch = Arc::clone(&batch);
             executor.spawn(Box::new(move || batch.run()));

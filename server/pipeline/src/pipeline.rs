@@ -1,5 +1,6 @@
 //! One robot's state and the path of a frame through it.
 
+mod atlas;
 mod keyframes;
 mod loops;
 mod merging;
@@ -51,6 +52,8 @@ pub struct Pipeline {
     graph: Option<GraphWorker>,
     loops: Arc<Vec<Loop>>,
     floating: loops::FloatingPart,
+    /// Parts of the map that hang on nothing and wait to be recognised in it.
+    atlas: atlas::Atlas,
     /// Where the robot was found to be at an earlier frame, until a frame makes use of it.
     relocated: Option<Relocated>,
     /// Whether nothing measured ties the next keyframe to the one before.
@@ -93,6 +96,7 @@ impl Pipeline {
             graph: None,
             loops: Arc::default(),
             floating: loops::FloatingPart::default(),
+            atlas: atlas::Atlas::default(),
             relocated: None,
             after_gap: false,
             keyframe_policies: BTreeMap::new(),

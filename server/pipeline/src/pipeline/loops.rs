@@ -1,51 +1,34 @@
 //! Loops close: keyframes go to the back end, corrections come back and move what hangs on them; a robot that was lost
 //! is found again among the keyframes.
 
+use super::atlas::{Part, PartKeyframe, Search};
 use super::revising::Decision;
 use super::{FrameReport, MapChange, NewKeyframe, Pipeline, Restored};
-use crate::TrajectoryEntry;
 use crate::graph_worker::{Answer, Answers, GraphWorker, Question, Relocated, Sighting};
-use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId, SensorSpec, Timestamp, se3};
+use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, SensorSpec, Timestamp};
 use percept_slam::loops::{LoopClosure, place_recognition};
 use percept_slam::{
-    BackEnd, BackEndKeyframe, BackEndUpdate, LoopId, OdometryEstimate, OdometryKind, Relocalisation, Scan,
+    BackEnd, BackEndKeyframe, BackEndUpdate, LoopId, Odometry, OdometryEstimate, OdometryKind, Relocalisation, Scan,
 };
 use std::sync::Arc;
 
 /// While adrift, every so many frames are looked for in the whole map, besides those that would be keyframes.
 const LOOK_EVERY: u32 = 10;
-/// What odometry may drift while a robot is adrift: metres and radians a metre, radians a radian.
-const DRIFTS: (f64, f64, f64) = (0.03, 0.01, 0.02);
 /// Keyframes of a part of the map that hangs on nothing yet; when there are more, the oldest are given up.
 const MOST_FLOATING: usize = 500;
 
-/// A keyframe of a part of the map that hangs on nothing yet.
-#[derive(Debug, Clone)]
-struct Floating {
-    stamp: Timestamp,
-    sensor: SensorId,
-    t_odom_base: Pose,
-    scan: Arc<KeyframeScan>,
-}
-
-/// A part of the map that hangs on nothing yet: what a robot has seen since it is adrift.
+/// The part of the map that a robot gathers since it is adrift: `t_part_base` is base to odom.
 #[derive(Debug, Default)]
 pub(super) struct FloatingPart {
-    /// Tells it from those before.
-    number: u64,
-    keyframes: Vec<Floating>,
-    /// Base to odom at the frames that odometry has placed in it.
-    frames: Vec<(Timestamp, Pose)>,
-    /// Whether it was asked where this is, and not answered yet.
-    is_asked: bool,
-    /// Whether the answer was that the search goes on.
-    is_unfinished: bool,
+    pub(super) part: Part,
+    search: Search,
 }
 
 impl FloatingPart {
     /// What was gathered hangs on nothing any more.
-    pub(super) fn begin_anew(&mut self) {
-        *self = Self { number: self.number + 1, ..Self::default() };
+    pub(super) fn begin_anew(&mut self) -> Part {
+        let next = Part { number: self.part.number + 1, ..Part::default() };
+        std::mem::replace(self, Self { part: next, search: Search::default() }).part
     }
 }
 
@@ -59,16 +42,38 @@ impl Pipeline {
         }
     }
 
+    /// The back end forgets all keyframes and loops.
+    pub(super) fn begin_graph_anew(&mut self, kind: OdometryKind) {
+        let Some(next_loop) = self.graph.take().and_then(|mut g| g.finish().1.map(|b| b.next_loop())) else { return };
+        self.loops = Arc::default();
+        self.prepare_graph(kind);
+        if let Some(back_end) = self.graph.as_mut().and_then(|g| g.finish().1) {
+            back_end.resume(std::iter::empty(), vec![], next_loop);
+        }
+    }
+
     /// Hands a keyframe that is in the map to the back end; what follows from that comes with a later frame. `tied` is how it
     /// is known to lie to another one.
     pub(super) fn close_loops(&mut self, keyframe: &mut NewKeyframe, recognise: bool, tied: Option<LoopClosure>) {
+        let covariance = self.odometry.as_ref().map(Odometry::covariance).unwrap_or_default();
+        self.close_loops_of(keyframe, covariance, recognise, tied);
+    }
+
+    /// The same for a keyframe of another time: `covariance` is odometry's then.
+    pub(super) fn close_loops_of(
+        &mut self,
+        keyframe: &mut NewKeyframe,
+        covariance: Covariance6,
+        recognise: bool,
+        tied: Option<LoopClosure>,
+    ) {
         let Some(graph) = &mut self.graph else { return };
         keyframe.after_gap = std::mem::take(&mut self.after_gap);
         let node = BackEndKeyframe {
             id: keyframe.info.id,
             t_map_base: keyframe.info.t_map_base,
             t_odom_base: keyframe.t_odom_base,
-            covariance: self.odometry.as_ref().map(percept_slam::Odometry::covariance).unwrap_or_default(),
+            covariance,
             scan: Arc::clone(&keyframe.scan),
             recognise,
             after_gap: keyframe.after_gap,
@@ -95,10 +100,11 @@ impl Pipeline {
             match answer {
                 Answer::Update(newest, update) => self.follow(Some(newest), *update, &mut change),
                 Answer::Relocalised(relocated) => {
-                    if relocated.part == self.floating.number {
-                        self.floating.is_asked = false;
-                        self.floating.is_unfinished = relocated.is_unfinished;
+                    if relocated.part == self.floating.part.number {
+                        self.floating.search = Search { is_asked: false, is_unfinished: relocated.is_unfinished };
                         self.relocated = Some(relocated);
+                    } else {
+                        self.atlas.hear(relocated);
                     }
                 }
             }
@@ -167,9 +173,10 @@ impl Pipeline {
     }
 
     /// A frame of a robot that is adrift: it goes into a part of the map of its own, which joins the map once one of its
-    /// frames is found there. Whether that happened with this one.
+    /// frames is found there, or becomes the map. Whether one of these happened with this one.
     pub(super) fn look_around(
         &mut self,
+        kind: OdometryKind,
         spec: &SensorSpec,
         scan: &Scan,
         estimate: &OdometryEstimate,
@@ -179,41 +186,52 @@ impl Pipeline {
             return false;
         }
         if !estimate.state.is_tracking() {
-            self.floating.begin_anew();
+            self.set_gathered_aside();
         }
-        let part = self.floating.number;
+        let part = self.floating.part.number;
         let found = self.relocated.take().filter(|r| r.part == part);
         if let Some(Relocated { found: Some(found), t_odom_base, .. }) = found {
             return self.join(&found, &t_odom_base, estimate, report);
         }
-        self.floating.frames.push((estimate.stamp, estimate.t_odom_base));
+        let search = &self.floating.search;
+        // While a search is on, it may be found.
+        if !search.is_asked && !search.is_unfinished && self.take_over(kind, estimate, report) {
+            return true;
+        }
+        self.floating.part.frames.push((estimate.stamp, estimate.t_odom_base));
         let (Some(odometry), Some(frames)) = (&self.odometry, self.anchoring.frames_adrift()) else { return false };
-        let is_far =
-            self.floating.keyframes.last().is_none_or(|last| self.is_keyframe_away(&last.t_odom_base, estimate));
-        let is_due = is_far || self.floating.is_unfinished || frames.is_multiple_of(LOOK_EVERY);
-        let asks = is_due && !self.floating.is_asked;
+        let FloatingPart { part: gathered, search } = &self.floating;
+        let is_far = gathered.keyframes.last().is_none_or(|last| self.is_keyframe_away(&last.t_part_base, estimate));
+        let is_due = is_far || search.is_unfinished || frames.is_multiple_of(LOOK_EVERY);
+        let asks = is_due && !search.is_asked;
         if !is_far && !asks {
             return false;
         }
         let mut scan = odometry.keyframe_scan(estimate.stamp, &spec.id, scan);
         scan.base_height_m = self.base_height_m;
+        let FloatingPart { part: gathered, search } = &mut self.floating;
         if let Some(graph) = self.graph.as_mut().filter(|_| asks) {
-            let seen_from = |f: &Floating| (estimate.t_odom_base.inv_mul(&f.t_odom_base), Arc::clone(&f.scan));
-            let before = self.floating.keyframes.iter().map(seen_from).collect();
+            let seen_from = |f: &PartKeyframe| (estimate.t_odom_base.inv_mul(&f.t_part_base), Arc::clone(&f.scan));
+            let before = gathered.keyframes.iter().map(seen_from).collect();
             let t_odom_base = estimate.t_odom_base;
             let sighting = Sighting { before, scan: scan.clone(), t_odom_base, part };
             graph.ask(Question::Relocalise(sighting), estimate.stamp);
-            self.floating.is_asked = true;
+            search.is_asked = true;
         }
         if is_far {
-            let keyframes = &mut self.floating.keyframes;
-            if keyframes.len() == MOST_FLOATING {
-                keyframes.remove(0);
-                let first = keyframes.first().map_or(estimate.stamp, |f| f.stamp);
-                self.floating.frames.retain(|(stamp, _)| *stamp >= first);
+            if gathered.keyframes.len() == MOST_FLOATING {
+                gathered.keyframes.remove(0);
+                let first = gathered.keyframes.first().map_or(estimate.stamp, |f| f.stamp);
+                gathered.frames.retain(|(stamp, _)| *stamp >= first);
             }
-            let (stamp, sensor, t_odom_base) = (estimate.stamp, spec.id.clone(), estimate.t_odom_base);
-            keyframes.push(Floating { stamp, sensor, t_odom_base, scan: Arc::new(scan) });
+            gathered.keyframes.push(PartKeyframe {
+                id: None,
+                stamp: estimate.stamp,
+                sensor: spec.id.clone(),
+                t_part_base: estimate.t_odom_base,
+                covariance: estimate.covariance,
+                scan: Arc::new(scan),
+            });
         }
         false
     }
@@ -236,59 +254,9 @@ impl Pipeline {
             return false;
         }
         self.place_odometry(found.keyframe, &(found.t_keyframe_base * t_odom_found.inverse()));
-        self.after_gap = true;
-        let floating = std::mem::take(&mut self.floating.keyframes);
-        let frames = std::mem::take(&mut self.floating.frames);
-        self.floating.begin_anew();
-        let last = floating.len().saturating_sub(1);
-        for (k, f) in floating.into_iter().enumerate() {
-            let t_found_then = t_odom_found.inv_mul(&f.t_odom_base);
-            let mut keyframe = self.enter(f.stamp, &f.sensor, f.t_odom_base, f.scan);
-            // The first is tied at once, so that the others are not looked for everywhere; the last, as it was found.
-            let tied = (k == 0 || k == last).then(|| tie(found, keyframe.info.id, &t_found_then));
-            self.close_loops(&mut keyframe, true, tied);
-            self.policy(&keyframe.info.sensor).resume(&f.t_odom_base);
-            report.joined.push(keyframe);
-        }
-        report.mended = self.mend(&frames, &report.joined);
+        let gathered = self.floating.begin_anew();
+        self.enter_part(gathered, &Pose::identity(), Some((found, t_odom_found)), report);
         self.anchoring.found(estimate);
         true
-    }
-
-    /// Hangs frames whose odom poses are known on the keyframes before them, oldest first, that are of the same part.
-    fn mend(&mut self, frames: &[(Timestamp, Pose)], keyframes: &[NewKeyframe]) -> Vec<TrajectoryEntry> {
-        let mut mended = vec![];
-        for (stamp, t_odom_base) in frames {
-            let after = keyframes.partition_point(|k| k.info.stamp <= *stamp);
-            let Some(anchor) = after.checked_sub(1).and_then(|k| keyframes.get(k)) else { continue };
-            let i = self.trajectory.partition_point(|e| e.stamp < *stamp);
-            if self.trajectory.get(i).is_none_or(|e| e.stamp != *stamp) {
-                continue;
-            }
-            let entry = TrajectoryEntry {
-                stamp: *stamp,
-                tracked: true,
-                anchor: Some(anchor.info.id),
-                t_anchor_base: anchor.t_odom_base.inv_mul(t_odom_base),
-                is_keyframe: anchor.info.stamp == *stamp,
-            };
-            self.trajectory.replace(i, entry);
-            mended.push(entry);
-        }
-        mended
-    }
-}
-
-/// What ties a keyframe to the place where the robot was found to be, `t_found_then` away by odometry.
-fn tie(found: &Relocalisation, to: KeyframeId, t_found_then: &Pose) -> LoopClosure {
-    let (way, turn) = (t_found_then.translation.vector.norm(), t_found_then.rotation.angle());
-    let [t, r] = [DRIFTS.0 * way, DRIFTS.1 * way + DRIFTS.2 * turn].map(|sigma| sigma * sigma);
-    let odometry = Covariance6::from_diagonal(&[t, t, t, r, r, r].into());
-    LoopClosure {
-        from: found.keyframe,
-        to,
-        t_from_to: found.t_keyframe_base * t_found_then,
-        covariance: se3::compose_covariance(&found.covariance, t_found_then, &odometry),
-        inlier_ratio: found.inlier_ratio,
     }
 }

@@ -1,5 +1,6 @@
 //! A frame moves the pose: odometry places it, and what is known of the map says whether that is to be believed.
 
+use super::atlas::tie_over_join;
 use super::{FrameReport, Pipeline};
 use crate::imu_prior::joined;
 use crate::level::by_gravity;
@@ -70,10 +71,12 @@ impl Pipeline {
             (estimate, tracked) = self.recover(kind, spec, scan, estimate, &mut report);
         }
         let t_odom_base = estimate.t_odom_base;
+        let before_join = if tracked { self.join_waiting(&mut report) } else { None };
         if tracked && self.policy(&spec.id).consider(&t_odom_base) {
             let kept = self.kept_of(spec, stamp, scan, true);
             let mut keyframe = self.add_keyframe(spec, kept, t_odom_base);
-            self.close_loops(&mut keyframe, true, None);
+            let tied = before_join.map(|before| tie_over_join(&before, &keyframe.info));
+            self.close_loops(&mut keyframe, true, tied);
             report.changes = self.observe(&keyframe);
             report.keyframe = Some(keyframe);
         }
@@ -81,6 +84,9 @@ impl Pipeline {
         self.pose = Some(pose.clone());
         report.trajectory = self.extend_trajectory(spec, stamp, tracked, &pose.t_map_base, report.keyframe.as_ref());
         report.pose = Some(pose);
+        if tracked {
+            self.look_for_parts(stamp, &spec.id, report.keyframe.is_some());
+        }
         report
     }
 
@@ -88,7 +94,7 @@ impl Pipeline {
     fn answer_without_scale(&mut self, stamp: Timestamp, estimate: &OdometryEstimate, has_wheels: bool) -> FrameReport {
         self.anchoring.judge_without_scale(estimate, has_wheels);
         // The camera's map has begun anew: what was gathered in the one before hangs on nothing any more.
-        self.floating.begin_anew();
+        drop(self.floating.begin_anew());
         // Before anything hangs on it the map is turned upright.
         if self.trajectory.is_empty()
             && self.keyframes.is_empty()
@@ -156,7 +162,7 @@ impl Pipeline {
         report: &mut FrameReport,
     ) -> (OdometryEstimate, bool) {
         if self.graph.is_some() {
-            if self.look_around(spec, scan, &estimate, report) {
+            if self.look_around(kind, spec, scan, &estimate, report) {
                 return (OdometryEstimate { state: TrackingState::Tracking, ..estimate }, true);
             }
         } else {

@@ -17,10 +17,10 @@ pub struct FrameReport {
     pub keyframe: Option<NewKeyframe>,
     /// What it changed about objects.
     pub changes: Vec<ObjectChange>,
-    /// Keyframes of a part of the map that joined it with this frame, older than `keyframe`.
+    /// Keyframes of a part of the map that joined it with this frame, or became it; older than `keyframe`.
     pub joined: Vec<NewKeyframe>,
     /// Entries of the trajectory that are now known better, ascending: of frames since the robot was adrift, which hang on the
-    /// keyframes that joined.
+    /// keyframes that joined, and of frames in what is not the map any more, which are not tracked.
     pub mended: Vec<TrajectoryEntry>,
     /// What changed in the map besides.
     pub map: MapChange,

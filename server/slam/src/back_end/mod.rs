@@ -106,6 +106,7 @@ impl BackEnd {
     pub fn insert(&mut self, keyframe: &BackEndKeyframe) -> BackEndUpdate {
         let tied = keyframe.tied.clone().map(|tied| self.measured_from_who_stands_in(tied));
         let t_map_base = self.place_of(keyframe, tied.as_ref());
+        let is_placed = keyframe.after_gap && tied.is_some();
         self.extend(keyframe, &t_map_base);
         let mut changed = self.add_loops(tied.into_iter().collect());
         // Place recognition is to know where it has to look.
@@ -127,7 +128,15 @@ impl BackEnd {
             self.optimise(Effort::Routine, &mut changed);
         }
         let loops = self.loops_at(changed);
-        let update = BackEndUpdate { loops, correction: self.due(), ..BackEndUpdate::default() };
+        let mut correction = self.due();
+        if let Some(given) = self.given.last().filter(|_| is_placed) {
+            // The map may have been corrected since it was put there.
+            let moved = &mut correction.get_or_insert_with(Correction::default).t_map_base;
+            if moved.last().is_none_or(|(id, _)| *id != keyframe.id) {
+                moved.push((keyframe.id, *given));
+            }
+        }
+        let update = BackEndUpdate { loops, correction, ..BackEndUpdate::default() };
         let update = if self.chain.len() < self.thin_at { update } else { self.thin(update) };
         self.told(update)
     }
