@@ -13,7 +13,7 @@ import pytest
 from percept import Client
 
 from support import raw, robots, s3, world
-from support.server import Server, eventually, free_port
+from support.server import Server, eventually
 
 #: Until the sessions of a server that says nothing any more may be another's, seconds; with room for a slow machine.
 TAKEN_OVER_S = 20.0

@@ -214,6 +214,7 @@ impl Pipeline {
             trajectory: self.trajectory.clone(),
             keyframes: Arc::clone(&self.keyframes),
             layers: self.map.layers(),
+            map_memory: self.map.memory(),
             clock_offsets: Arc::clone(&self.clock_offsets),
             mount_offsets: self.mounts.told(),
             loops: Arc::clone(&self.loops),

@@ -2,7 +2,7 @@
 
 use crate::{Chunks, MountOffset, PipelineParams};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
-use percept_mapping::MapLayers;
+use percept_mapping::{MapLayers, MapMemory};
 use percept_scene::{Object, SceneGraph};
 use percept_slam::{Loop, Scale, TrackingState, Waiting};
 use serde::{Deserialize, Serialize};
@@ -95,6 +95,8 @@ pub struct Snapshot {
     pub keyframes: Arc<Vec<KeyframeInfo>>,
     /// Occupancy and cloud.
     pub layers: MapLayers,
+    /// What the map takes in memory.
+    pub map_memory: MapMemory,
     /// Seconds by which sensors' stamps are late behind the pose sensor's, beyond their declared `time_offset_s`: IMUs and
     /// wheels, once the robot has turned enough to tell.
     pub clock_offsets: Arc<BTreeMap<SensorId, f64>>,

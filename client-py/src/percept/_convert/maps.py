@@ -18,6 +18,7 @@ from ..types.maps import (
     MapCloud,
     MapFile,
     MapFormat,
+    MapMemory,
     MapOptimised,
     MapStamp,
     MapSummary,
@@ -58,6 +59,12 @@ def summary(message: service.GetMapSummaryResponse) -> MapSummary:
         num_points=message.num_points,
         voxel_size_m=message.voxel_size_m,
         num_keyframes=message.num_keyframes,
+        memory=MapMemory(
+            scans_bytes=message.memory.scans_bytes,
+            submaps_bytes=message.memory.submaps_bytes,
+            composed_bytes=message.memory.composed_bytes,
+        ),
+        missing_submaps=tuple(message.missing_submaps),
     )
 
 

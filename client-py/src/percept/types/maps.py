@@ -123,6 +123,18 @@ class MapCloud(Value):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapMemory(Value):
+    """What a map takes in memory, bytes, by part."""
+
+    #: What keyframes saw.
+    scans_bytes: int
+    #: Layers of submaps.
+    submaps_bytes: int
+    #: Tiles of the whole map, composed of these.
+    composed_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MapSummary(Value):
     """Sizes of a map."""
 
@@ -132,6 +144,11 @@ class MapSummary(Value):
     num_points: int
     voxel_size_m: float
     num_keyframes: int
+    #: What the map takes in memory; limits.max_map_mb of the server bounds it.
+    memory: MapMemory
+    #: Submaps (robot/run/number) that were out of memory and could not be read again: what they hold is
+    #: missing from what is composed, until the session sleeps and wakes.
+    missing_submaps: tuple[str, ...]
 
 
 class MapFormat(Name):

@@ -203,6 +203,8 @@ class GetMapSummaryResponse(_message.Message):
     NUM_POINTS_FIELD_NUMBER: _builtins.int
     VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
     NUM_KEYFRAMES_FIELD_NUMBER: _builtins.int
+    MEMORY_FIELD_NUMBER: _builtins.int
+    MISSING_SUBMAPS_FIELD_NUMBER: _builtins.int
     num_points: _builtins.int
     """Points of the fused cloud."""
     voxel_size_m: _builtins.float
@@ -214,6 +216,16 @@ class GetMapSummaryResponse(_message.Message):
     def occupancy(self) -> _map_pb2.GridGeometry:
         """Whole grid. Absent while nothing was mapped."""
 
+    @_builtins.property
+    def memory(self) -> Global___MapMemory:
+        """What the map takes in memory; limits.max_map_mb of the server bounds it."""
+
+    @_builtins.property
+    def missing_submaps(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Submaps (robot/run/number) that were out of memory and could not be read again when they were needed: what they hold is
+        missing from what is composed, until the session sleeps and wakes.
+        """
+
     def __init__(
         self,
         *,
@@ -222,16 +234,48 @@ class GetMapSummaryResponse(_message.Message):
         num_points: _builtins.int = ...,
         voxel_size_m: _builtins.float = ...,
         num_keyframes: _builtins.int = ...,
+        memory: Global___MapMemory | None = ...,
+        missing_submaps: _abc.Iterable[_builtins.str] | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_occupancy", b"_occupancy", "occupancy", b"occupancy", "stamp", b"stamp"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_occupancy", b"_occupancy", "memory", b"memory", "occupancy", b"occupancy", "stamp", b"stamp"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_occupancy", b"_occupancy", "num_keyframes", b"num_keyframes", "num_points", b"num_points", "occupancy", b"occupancy", "stamp", b"stamp", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_occupancy", b"_occupancy", "memory", b"memory", "missing_submaps", b"missing_submaps", "num_keyframes", b"num_keyframes", "num_points", b"num_points", "occupancy", b"occupancy", "stamp", b"stamp", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__occupancy: _TypeAlias = _typing.Literal["occupancy"]  # noqa: Y015
     _WhichOneofArgType__occupancy: _TypeAlias = _typing.Literal["_occupancy", b"_occupancy"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType__occupancy) -> _WhichOneofReturnType__occupancy | None: ...
 
 Global___GetMapSummaryResponse: _TypeAlias = GetMapSummaryResponse  # noqa: Y015
+
+@_typing.final
+class MapMemory(_message.Message):
+    """What a map takes in memory, bytes, by part."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SCANS_BYTES_FIELD_NUMBER: _builtins.int
+    SUBMAPS_BYTES_FIELD_NUMBER: _builtins.int
+    COMPOSED_BYTES_FIELD_NUMBER: _builtins.int
+    scans_bytes: _builtins.int
+    """What keyframes saw."""
+    submaps_bytes: _builtins.int
+    """Layers of submaps."""
+    composed_bytes: _builtins.int
+    """Tiles of the whole map, composed of these."""
+    def __init__(
+        self,
+        *,
+        scans_bytes: _builtins.int = ...,
+        submaps_bytes: _builtins.int = ...,
+        composed_bytes: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["composed_bytes", b"composed_bytes", "scans_bytes", b"scans_bytes", "submaps_bytes", b"submaps_bytes"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___MapMemory: _TypeAlias = MapMemory  # noqa: Y015
 
 @_typing.final
 class GetOccupancyGridRequest(_message.Message):

@@ -8,7 +8,7 @@ use crate::{Error, Progress, Result, Service, Session, check_id};
 use nalgebra::{Point2, Point3};
 use percept_formats::{GridMap, nav2, pcd, ply, trajectory};
 use percept_geometry::{Cell, GridGeometry, PointCloud, Stamped, Timestamp};
-use percept_mapping::Occupancy;
+use percept_mapping::{MapMemory, Occupancy, SubmapId};
 use percept_pipeline::{Loop, LoopId, Snapshot};
 use std::sync::Arc;
 
@@ -49,6 +49,10 @@ pub struct MapSummary {
     pub voxel_size_m: f64,
     /// Keyframes in it.
     pub num_keyframes: usize,
+    /// What it takes in memory.
+    pub memory: MapMemory,
+    /// Submaps that could not be read when they were needed.
+    pub missing_submaps: Vec<SubmapId>,
 }
 
 /// Files that a map can be read as.
@@ -256,6 +260,8 @@ impl Service {
                 num_points: s.layers.cloud.len(),
                 voxel_size_m: s.params.map.cloud.voxel_size_m,
                 num_keyframes: s.living_keyframes().count(),
+                memory: s.map_memory,
+                missing_submaps: s.layers.missing(),
             }
         };
         self.compute.query(&self.asker(session)?, measure).await

@@ -6,6 +6,7 @@ use super::fault::{Fault, Trouble};
 use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 use super::persist::{Durable, Persister, Storing};
 use super::refusal::{check_stamp, frame_error, not_yet_durable, sensor_not_found, stopped};
+use super::scratch::Scratch;
 use super::sensor_book::{SensorBook, SensorStatus};
 use crate::observe::{self, Held, SessionShare};
 use crate::{ComputePool, Limits, Result};
@@ -125,6 +126,7 @@ pub struct Session {
     queue: mpsc::Sender<Command>,
     durable: Durable,
     storing: watch::Receiver<Storing>,
+    scratch: Arc<Scratch>,
     /// Set if the session is only read.
     fault: OnceLock<Fault>,
     inboxes: Mutex<BTreeMap<SensorId, Arc<Inbox>>>,
@@ -157,7 +159,7 @@ impl Session {
         meta: SessionMeta,
         mut pipeline: Pipeline,
         last_stamps: &BTreeMap<SensorId, Timestamp>,
-        persister: Persister,
+        (persister, scratch): (Persister, Arc<Scratch>),
         compute: ComputePool,
         limits: &Limits,
         events: Arc<EventLog>,
@@ -166,9 +168,8 @@ impl Session {
             pipeline.declare_sensor(declaration.spec.clone());
         }
         let (queue, commands) = mpsc::channel(limits.queue_length.max(1));
-        let (durable, storing) = (persister.durable(), persister.storing());
-        let session =
-            Arc::new(Self::over(meta, &pipeline, last_stamps, queue, (durable, storing), None, limits, events));
+        let kept = (persister.durable(), persister.storing(), scratch);
+        let session = Arc::new(Self::over(meta, &pipeline, last_stamps, queue, kept, None, limits, events));
         let actor = Actor { session: Arc::clone(&session), pipeline: Some(pipeline), persister, compute };
         (session, actor.run(commands))
     }
@@ -183,7 +184,7 @@ impl Session {
         events: Arc<EventLog>,
     ) -> Arc<Self> {
         let (queue, _) = mpsc::channel(1);
-        let nothing = (Durable::nothing(), watch::channel(Storing::Well).1);
+        let nothing = (Durable::nothing(), watch::channel(Storing::Well).1, Scratch::in_directory(None));
         Arc::new(Self::over(meta, pipeline, last_stamps, queue, nothing, Some(fault), limits, events))
     }
 
@@ -192,7 +193,7 @@ impl Session {
         pipeline: &Pipeline,
         last_stamps: &BTreeMap<SensorId, Timestamp>,
         queue: mpsc::Sender<Command>,
-        (durable, storing): (Durable, watch::Receiver<Storing>),
+        (durable, storing, scratch): (Durable, watch::Receiver<Storing>, Arc<Scratch>),
         fault: Option<Fault>,
         limits: &Limits,
         events: Arc<EventLog>,
@@ -215,6 +216,7 @@ impl Session {
             queue,
             durable,
             storing,
+            scratch,
             fault: fault.map_or_else(OnceLock::new, OnceLock::from),
             inboxes: Mutex::default(),
             changing: Arc::default(),
@@ -295,7 +297,8 @@ impl Session {
         if let Some(fault) = self.fault.get() {
             return Err(fault.error());
         }
-        self.storing.borrow().error().map_or(Ok(()), Err)
+        let error = self.storing.borrow().error();
+        error.or_else(|| self.scratch.error()).map_or(Ok(()), Err)
     }
 
     /// Waits for room in the queue, then hands the frame over. The answer comes through what is returned. A session that

@@ -9,6 +9,7 @@ use super::persist::Persister;
 use super::records::{Counts, MetaRecord, SummaryRecord, json};
 use super::recover::recover;
 use super::registry::Registry;
+use super::scratch::Scratch;
 use super::sharing::Unclaimed;
 use super::slot::{Phase, Slot};
 use super::writer::{GRACE, Writer, collect_garbage};
@@ -109,14 +110,15 @@ impl Registry {
         let storing = Arc::clone(&slot.storing).lock_owned().await;
         let store: Arc<dyn Store> = Arc::new(self.root.open_session(place).await?);
         let is_another = slot.opened_as(store.epoch());
-        let recovered = match recover(Arc::clone(&store), &self.compute, created, &self.defaults).await {
+        let room = (Scratch::in_directory(self.root.directory()), self.limits.max_map_mb << 20);
+        let recovered = match recover(Arc::clone(&store), &self.compute, created, &self.defaults, room).await {
             Ok(recovered) => recovered,
             Err(trouble) => {
                 let _ = store.close().await;
                 return Err(trouble);
             }
         };
-        let (meta, stored) = (recovered.meta, recovered.stored);
+        let (meta, stored, scratch) = (recovered.meta, recovered.stored, recovered.scratch);
         let stamps = stored.state.last_stamps.clone();
         let events = Arc::clone(&slot.events);
         if let Some(fault) = recovered.damage {
@@ -136,7 +138,7 @@ impl Registry {
         let persister = Persister::start(Writer::new(Arc::clone(&store), stored), &state);
         let compute = self.compute.clone();
         let (session, actor) =
-            Session::start(meta, recovered.pipeline, &stamps, persister, compute, &self.limits, events);
+            Session::start(meta, recovered.pipeline, &stamps, (persister, scratch), compute, &self.limits, events);
         let attended = Arc::clone(self).attend(Arc::clone(slot), Arc::clone(&session), actor, Arc::clone(&store));
         tokio::spawn(async move {
             attended.await;

@@ -8,7 +8,7 @@
 //! - [`sensor_book`] counts what sensors send, [`verdict`] says how their streams fare.
 //! - [`persist`] makes results durable, [`writer`] turns them into [`records`] and blobs ([`keyframe_codec`]), [`recover`]
 //!   reads them again, [`inspect`] one by one without running anything. [`fault`] says which troubles pass and which set a
-//!   session apart.
+//!   session apart. [`scratch`] takes what of the map does not fit into memory.
 
 pub(crate) mod actor;
 pub(crate) mod changing;
@@ -28,6 +28,7 @@ pub(crate) mod records;
 pub(crate) mod recover;
 pub(crate) mod refusal;
 pub(crate) mod registry;
+pub(crate) mod scratch;
 pub(crate) mod sensor_book;
 pub(crate) mod sharing;
 pub(crate) mod slot;

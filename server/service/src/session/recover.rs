@@ -4,6 +4,7 @@ use super::fault::{Fault, Trouble};
 use super::keyframe_codec;
 use super::meta::SessionMeta;
 use super::records::{KeyframeRecord, MergedRecord, MetaRecord, StateRecord, TrajectoryRecord, parse};
+use super::scratch::Scratch;
 use super::writer::Stored;
 use crate::reason;
 use crate::{ComputePool, Error};
@@ -25,11 +26,13 @@ pub(super) struct Recovered {
     pub(super) meta: SessionMeta,
     pub(super) pipeline: Pipeline,
     pub(super) stored: Stored,
+    pub(super) scratch: Arc<Scratch>,
     /// What is missing of it, if it is not whole: it is not to be written then.
     pub(super) damage: Option<Fault>,
 }
 
-/// Reads a session. What is damaged is left out and told; `created` is its record in the catalogue.
+/// Reads a session. What is damaged is left out and told; `created` is its record in the catalogue; beyond the given bytes
+/// its map goes to the scratch file.
 ///
 /// # Errors
 /// [`Trouble::Passing`] for faults of the storage, [`Trouble::Lasting`] if nothing of it can be read.
@@ -38,6 +41,7 @@ pub(super) async fn recover(
     compute: &ComputePool,
     created: MetaRecord,
     defaults: &PipelineParams,
+    (scratch, max_map_bytes): (Arc<Scratch>, usize),
 ) -> Result<Recovered, Trouble> {
     let mut damage = Damage::default();
     let meta = match store.get(&keys::meta()).await? {
@@ -75,11 +79,13 @@ pub(super) async fn recover(
     let (params, sensors) = (meta.params.clone(), meta.sensors.clone());
     let sender = compute.admission().sender(&meta.tenant, &meta.id);
     let executor = compute.beside_frames(&sender);
+    let map_store = Arc::clone(&scratch);
     let built = compute.run_for(&sender, move || {
         let mut pipeline = Pipeline::new(params).map_err(|e| crate::ops::params_error(&e))?;
         if let Some(executor) = executor {
             pipeline.work_beside_frames(executor);
         }
+        pipeline.set_map_store(map_store, max_map_bytes);
         sensors.into_iter().for_each(|s| pipeline.declare_sensor(s.spec));
         pipeline.restore(restored);
         Ok::<_, Error>(pipeline)
@@ -91,7 +97,7 @@ pub(super) async fn recover(
         ))
     })?;
     let damage = damage.fault();
-    Ok(Recovered { meta, pipeline, stored, damage })
+    Ok(Recovered { meta, pipeline, stored, scratch, damage })
 }
 
 /// What was found to be damaged.

@@ -7,6 +7,7 @@ use super::persist::Job;
 use super::records::{MetaRecord, json};
 use super::recover::recover;
 use super::registry::Registry;
+use super::scratch::Scratch;
 use super::slot::SessionState;
 use super::writer::{Stored, Writer};
 use crate::{ComputePool, EventKind, Health, Limits};
@@ -156,7 +157,8 @@ async fn forty_thousand_objects_are_stored_and_read_again() {
     assert_eq!(store.scan_all(&keys::objects()).await.unwrap().len(), 39_990);
     let created = MetaRecord::of(&meta("a")).unwrap();
     let recovered =
-        recover(store, &compute(), created, &PipelineParams::default()).await.map_err(|t: Trouble| t.error());
+        recover(store, &compute(), created, &PipelineParams::default(), (Scratch::in_directory(None), 1 << 30)).await;
+    let recovered = recovered.map_err(|t: Trouble| t.error());
     let recovered = recovered.unwrap();
     assert!(recovered.damage.is_none());
     assert_eq!(recovered.pipeline.snapshot().objects.len(), 39_990);

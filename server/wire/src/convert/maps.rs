@@ -124,6 +124,12 @@ pub fn summary_to(s: &MapSummary) -> v1::GetMapSummaryResponse {
         num_points: s.num_points as u64,
         voxel_size_m: s.voxel_size_m,
         num_keyframes: s.num_keyframes as u64,
+        memory: Some(v1::MapMemory {
+            scans_bytes: s.memory.scans as u64,
+            submaps_bytes: s.memory.layers as u64,
+            composed_bytes: s.memory.tiles as u64,
+        }),
+        missing_submaps: s.missing_submaps.iter().map(|id| format!("{}/{}/{}", id.robot, id.run, id.number)).collect(),
     }
 }
 

@@ -1,0 +1,154 @@
+//! A file on the local disk for what of a session's map does not fit into memory. It has no name in its directory and is gone
+//! with the session: keyframes are stored elsewhere, and all of it can be built of them again.
+
+use crate::{Error, ErrorCode, reason};
+use percept_geometry::{KeyframeId, KeyframeScan};
+use percept_mapping::{BlobId, MapStore};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, ErrorKind};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// After a failure frames are refused for so long; then one may try again.
+const REFUSED: Duration = Duration::from_secs(1);
+
+/// Where submaps lie that are out of memory.
+#[derive(Debug)]
+pub(crate) struct Scratch {
+    directory: PathBuf,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// Made when something is put first.
+    file: Option<Arc<File>>,
+    /// Offset and length of what is in it.
+    places: BTreeMap<BlobId, (u64, usize)>,
+    end: u64,
+    failed: Option<(Instant, Error)>,
+}
+
+impl Scratch {
+    /// In a directory; none takes the system's for what is temporary.
+    pub(super) fn in_directory(directory: Option<&Path>) -> Arc<Self> {
+        let directory = directory.map_or_else(std::env::temp_dir, Path::to_owned);
+        Arc::new(Self { directory, state: Mutex::default() })
+    }
+
+    /// Why no more of the map can be put out of memory, if that failed a moment ago.
+    pub(super) fn error(&self) -> Option<Error> {
+        let state = self.lock();
+        let (at, error) = state.failed.as_ref()?;
+        (at.elapsed() < REFUSED).then(|| error.clone())
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // Each entry is whole whoever stopped where.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn write(&self, state: &mut State, bytes: &[u8]) -> io::Result<()> {
+        let file = match &state.file {
+            Some(file) => Arc::clone(file),
+            None => Arc::clone(state.file.insert(Arc::new(tempfile::tempfile_in(&self.directory)?))),
+        };
+        file.write_all_at(bytes, state.end)
+    }
+}
+
+impl MapStore for Scratch {
+    fn put(&self, bytes: &[u8]) -> Option<BlobId> {
+        let id = BlobId(*percept_store::BlobId::of(bytes).as_bytes());
+        let mut state = self.lock();
+        if state.places.contains_key(&id) {
+            return Some(id);
+        }
+        if let Err(error) = self.write(&mut state, bytes) {
+            let is_new = state.failed.is_none();
+            if is_new {
+                tracing::warn!(directory = %self.directory.display(), %error, "a map does not fit into memory, nor on the disk");
+            }
+            state.failed = Some((Instant::now(), refusal(&self.directory, &error)));
+            return None;
+        }
+        let place = (state.end, bytes.len());
+        state.end += bytes.len() as u64;
+        state.places.insert(id, place);
+        state.failed = None;
+        Some(id)
+    }
+
+    fn get(&self, id: &BlobId) -> Option<Vec<u8>> {
+        let (file, (offset, length)) = {
+            let state = self.lock();
+            (Arc::clone(state.file.as_ref()?), *state.places.get(id)?)
+        };
+        let mut bytes = vec![0; length];
+        let read = file.read_exact_at(&mut bytes, offset);
+        let is_whole = read.is_ok() && percept_store::BlobId::of(&bytes).as_bytes() == &id.0;
+        if !is_whole {
+            tracing::error!(directory = %self.directory.display(), "a part of a map that was out of memory is damaged");
+        }
+        is_whole.then_some(bytes)
+    }
+
+    /// Scans stay: loop closing reads them.
+    fn has_scan(&self, _: KeyframeId) -> bool {
+        false
+    }
+
+    fn scan(&self, _: KeyframeId) -> Option<Arc<KeyframeScan>> {
+        None
+    }
+}
+
+fn refusal(directory: &Path, error: &io::Error) -> Error {
+    let full = matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded);
+    let at = directory.display();
+    let words = format!(
+        "the map is larger than limits.max_map_mb, and what does not fit cannot be put into a file in {at}: {error}"
+    );
+    match full {
+        true => Error::exhausted(reason::STORAGE_FULL, "", format!("{words}; free some space")),
+        false => Error::new(ErrorCode::Unavailable, reason::STORAGE_FAULT, words),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_put_is_had_again_and_leaves_no_name() {
+        let directory = tempfile::tempdir().unwrap();
+        let scratch = Scratch::in_directory(Some(directory.path()));
+        let (a, b) = (scratch.put(&[1; 1000]).unwrap(), scratch.put(&[2; 10]).unwrap());
+        assert_eq!(scratch.put(&[1; 1000]), Some(a));
+        assert_eq!((scratch.get(&a).unwrap(), scratch.get(&b).unwrap()), (vec![1; 1000], vec![2; 10]));
+        assert_eq!((scratch.get(&BlobId([7; 32])), scratch.lock().end), (None, 1010));
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn what_is_damaged_is_not_given_back() {
+        let scratch = Scratch::in_directory(None);
+        let id = scratch.put(&[1; 100]).unwrap();
+        scratch.lock().file.as_ref().unwrap().write_all_at(&[9], 50).unwrap();
+        assert_eq!(scratch.get(&id), None);
+    }
+
+    #[test]
+    fn what_cannot_be_put_refuses_frames_for_a_while() {
+        let directory = tempfile::tempdir().unwrap();
+        let scratch = Scratch::in_directory(Some(&directory.path().join("gone")));
+        assert!(scratch.error().is_none());
+        assert_eq!(scratch.put(&[1; 100]), None);
+        assert!(scratch.error().unwrap().to_string().contains("limits.max_map_mb"));
+        std::fs::create_dir(directory.path().join("gone")).unwrap();
+        assert!(scratch.put(&[1; 100]).is_some() && scratch.error().is_none());
+    }
+}
