@@ -155,7 +155,7 @@ impl Pipeline {
             .filter_map(|k| Some(MergedKeyframe { id: k.id?, into: first, t_into_base: t_first_map? * k.t_part_base }));
         let merged: Vec<MergedKeyframe> = merged.collect();
         self.enter_part(gathered, &Pose::identity(), None, report);
-        self.decide(Decision { merged, ..Decision::default() });
+        self.decide(Decision { merged, ..Decision::default() }, &mut report.map);
         self.forget_frames(&old.frames, report);
         self.atlas.wait(old);
         self.atlas.found = None;
@@ -165,15 +165,18 @@ impl Pipeline {
 
     /// The map as a part, with the frames that were placed in it.
     fn map_as_part(&self, number: u64) -> Part {
-        let of = |(id, k): (&KeyframeId, &percept_mapping::MapKeyframe)| PartKeyframe {
-            id: Some(*id),
-            stamp: k.scan.stamp,
-            sensor: k.scan.sensor.clone(),
-            t_part_base: k.t_map_base,
-            covariance: Covariance6::zeros(),
-            scan: Arc::clone(&k.scan),
+        let of = |(id, k): (&KeyframeId, &percept_mapping::MapKeyframe)| {
+            let scan = self.map.scan(*id)?;
+            Some(PartKeyframe {
+                id: Some(*id),
+                stamp: scan.stamp,
+                sensor: k.sensor.clone(),
+                t_part_base: k.t_map_base,
+                covariance: Covariance6::zeros(),
+                scan,
+            })
         };
-        let mut keyframes: Vec<PartKeyframe> = self.map.keyframes().iter().map(of).collect();
+        let mut keyframes: Vec<PartKeyframe> = self.map.keyframes().iter().filter_map(of).collect();
         keyframes.sort_by_key(|k| k.stamp);
         let placed = |entry: &TrajectoryEntry| {
             let anchor = self.keyframes.get(entry.anchor.filter(|_| entry.tracked)?.0 as usize)?;
@@ -223,7 +226,7 @@ impl Pipeline {
             }));
             report.joined.push(keyframe);
         }
-        self.decide(Decision { merged, ..Decision::default() });
+        self.decide(Decision { merged, ..Decision::default() }, &mut report.map);
         let frames = part.frames.iter().map(|(stamp, t_part_base)| (*stamp, t_odom_part * t_part_base));
         let mended = self.mend(frames, &report.joined[joined..]);
         report.mended.extend(mended);

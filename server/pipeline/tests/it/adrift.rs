@@ -2,6 +2,7 @@
 
 use crate::drive::{empty, feed, planar, simulation};
 use percept_geometry::{KeyframeId, Pose, SensorFrame, Timestamp};
+use percept_mapping::Occupancy as _;
 use percept_pipeline::{
     FrameReport, Loop, LoopId, Pipeline, PipelineParams, Restored, RestoredContent, RestoredKeyframe, TrajectoryEntry,
 };
