@@ -16,14 +16,14 @@ fn street(seed: u32) -> Vec<Point3<f32>> {
         let (x, y, yaw) = (80.0 * next() - 40.0, 80.0 * next() - 40.0, 6.0 * next());
         let (w, d, h) = (1.0 + 7.0 * next(), 1.0 + 5.0 * next(), 1.0 + 6.0 * next());
         let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, yaw);
-        for _ in 0..400 {
+        for _ in 0..1600 {
             let (s, z) = (4.0 * next(), h * next());
             let f = s.fract() - 0.5;
             let side = [(f * w, 0.5 * d), (f * w, -0.5 * d), (0.5 * w, f * d), (-0.5 * w, f * d)][s as usize % 4];
             points.push((turn * Point3::new(side.0, side.1, z) + Vector3::new(x, y, 0.0)).cast());
         }
     }
-    for _ in 0..4000 {
+    for _ in 0..16_000 {
         points.push(Point3::new(90.0 * next() - 45.0, 90.0 * next() - 45.0, 0.02 * next()).cast());
     }
     points
@@ -35,7 +35,7 @@ fn seen_from(points: &[Point3<f32>], t_world_base: &Pose) -> Arc<KeyframeScan> {
     // A lidar 1.5 m above the floor does not see what is behind something else.
     let direction = |p: &Point3<f64>| {
         let (up, turn) = ((p.z - 1.5).atan2(p.xy().coords.norm()), p.y.atan2(p.x));
-        ((up * 29.0).floor() as i32, (turn * 29.0).floor() as i32)
+        ((up * 58.0).floor() as i32, (turn * 58.0).floor() as i32)
     };
     let mut nearest = std::collections::BTreeMap::new();
     for p in &near {
