@@ -27,6 +27,10 @@ const BESIDE_STANDS_BACK: i32 = 2;
 /// How far the toolbox's threads stand back behind those for sessions, as `nice` has it.
 const TOOLBOX_STANDS_BACK: i32 = 10;
 
+/// Threads that wait for files. Each keeps memory of its own, half a megabyte or more, and once there it stays: work goes round
+/// all of them. With 512, a machine that was short of time for an hour had 300, and 150 MB for them.
+const MOST_FILE_THREADS: usize = 32;
+
 /// Connections to what watches the server.
 const MOST_SCRAPERS: usize = 64;
 
@@ -387,7 +391,8 @@ impl Signals {
 
 /// The runtime of the doors.
 pub(crate) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
-    Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
+    let mut builder = tokio::runtime::Builder::new_multi_thread();
+    Ok(builder.max_blocking_threads(MOST_FILE_THREADS).enable_all().build()?)
 }
 
 /// A session's grids are large and written here and there: in pages of 2 MB, thirty sessions with a laser held 290 MB
