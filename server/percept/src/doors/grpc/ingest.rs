@@ -233,10 +233,10 @@ impl Durability {
             let _ = durable.reach(*ticket).await;
         }
         while let Some(front) = self.waiting.front_mut() {
-            if let Some((durable, ticket)) = front {
-                if !durable.reach(*ticket).await {
-                    return self.count;
-                }
+            if let Some((durable, ticket)) = front
+                && !durable.reach(*ticket).await
+            {
+                return self.count;
             }
             self.waiting.pop_front();
             self.count += 1;
