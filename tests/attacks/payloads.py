@@ -114,8 +114,9 @@ def gzip_bombs(target: Target) -> Tried:
         for at in range(0, len(payload), 1 << 14):
             h2.send(raw.frame(raw.DATA, 0, stream, payload[at : at + (1 << 14)]))
         h2.send(raw.frame(raw.DATA, raw.END_STREAM, stream))
-    h2.socket.settimeout(1.0)
-    answered = [kind for kind, _, s, _ in h2.frames(200) if s == stream]
+    # To find out what it would be takes a slow machine more than a second.
+    h2.socket.settimeout(10.0)
+    answered = any(s == stream for _, _, s, _ in h2.frames(200))
     h2.close()
     out.sent, out.ended = out.sent + 1, out.ended + bool(answered)
     out.note += f", gRPC {'answered' if answered else 'silent'}"
