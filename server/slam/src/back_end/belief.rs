@@ -11,6 +11,8 @@ use percept_geometry::Covariance6;
 const PATIENCE: u32 = 60;
 /// Standard deviations of drift that a loop may ask for; more takes twice as many that agree.
 const LIKELY_DRIFT: f64 = 4.0;
+/// Misfit from which a new loop is solved for at once: what one of a hundred good ones exceeds in six dimensions.
+const MISFITS: f64 = 16.8;
 /// The newest pose is known badly if its variance is so many times that of the last solution and of a loop together.
 const GROWN: f64 = 4.0;
 /// Squared standard deviations of misfit from which a loop that was believed is so no longer: its weight is next to nothing.
@@ -49,7 +51,7 @@ impl BackEnd {
             let off = chi2(tie.closure, &self.poses[from as usize], &self.poses[to as usize]);
             if off < AGREE {
                 self.loops[k].state = LoopState::Active;
-                urgent |= off > 6.0 || self.is_news(k);
+                urgent |= off > MISFITS || self.is_news(k);
                 changed.push(k);
             } else if to + PATIENCE < now {
                 self.loops[k].state = LoopState::Rejected;
