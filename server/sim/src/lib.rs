@@ -1,7 +1,7 @@
 //! Worlds, robots and noisy sensors with exact truth, for demos and every crate's tests.
 //!
-//! Comes in: [`SimParams`], a few numbers and a seed. Goes out: [`SimFrame`]s, sensor messages in stamp
-//! order, each with the true pose; beside them the truth: objects, occupancy, distance to surfaces.
+//! Comes in: [`SimParams`], a few numbers and a seed. Goes out: [`SimFrame`]s, sensor messages in the
+//! order in which they are complete, each with the true pose; beside them the truth: objects, occupancy, distance to surfaces.
 //! It knows nothing of perception, and reads no clock: the same parameters give the same bytes,
 //! whatever the number of threads.
 //! Start with [`Simulation`]; a world alone is [`World::generate`]. What SLAM is measured on, kidnaps and other

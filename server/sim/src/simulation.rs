@@ -159,13 +159,14 @@ impl Simulation {
             .collect()
     }
 
-    /// All messages in stamp order, made as they are asked for.
+    /// All messages in the order in which they are complete, made as they are asked for: see [`Frames`].
     pub fn frames(&self) -> Frames {
         let specs = self.sensors();
         let sources = specs
             .into_iter()
             .map(|spec| Source {
                 rate_hz: self.params.sensors.rate_hz(spec.kind),
+                lasts_s: self.params.sensors.lasts_s(spec.kind),
                 id: spec.id,
                 kind: spec.kind,
                 next: 0,
@@ -189,6 +190,8 @@ struct Source {
     id: SensorId,
     kind: SensorKind,
     rate_hz: f64,
+    /// From a message's stamp to when it is sent: a sweep is complete with its last point.
+    lasts_s: f64,
     next: u64,
     /// A message that arrives after the next one.
     late: Option<SimFrame>,
@@ -203,10 +206,14 @@ impl Source {
     fn next_s(&self) -> f64 {
         self.next as f64 / self.rate_hz
     }
+
+    fn sent_s(&self) -> f64 {
+        self.next_s() + self.lasts_s
+    }
 }
 
-/// The messages of a simulation in the order of measurement, but for those that arrive late; at equal times in the
-/// order of the sensors.
+/// The messages of a simulation in the order in which they are complete, but for those that arrive late: a sweep follows
+/// what was measured while it lasted. At equal times in the order of the sensors.
 #[derive(Debug, Clone)]
 pub struct Frames {
     simulation: Simulation,
@@ -242,7 +249,7 @@ impl Frames {
             SensorKind::Lidar3d => sensors.lidar3d.as_ref().map(|p| Ok(sweep(p, &scene, frame, t_s))),
             SensorKind::Lidar2d => sensors.lidar2d.as_ref().map(|p| Ok(scan(p, &scene, frame, t_s))),
             SensorKind::Odometry => wheels.as_mut().map(|w| Ok(w.sample(&scene, frame, t_s))),
-            SensorKind::Imu => imu.as_ref().map(|i| Ok(i.sample(&scene, frame, t_s))),
+            SensorKind::Imu => imu.as_mut().map(|i| Ok(i.sample(&scene, frame, t_s))),
         }
     }
 }
@@ -264,12 +271,11 @@ impl Frames {
     /// The next message to be measured; none at the end. The inner none is one that gets lost.
     fn advance(&mut self) -> Option<Option<SimFrame>> {
         // `min_by` keeps the first of equals: the order of the sensors.
-        let by_time = |a: &(usize, &Source), b: &(usize, &Source)| a.1.next_s().total_cmp(&b.1.next_s());
-        let (index, source) = self.sources.iter().enumerate().min_by(by_time)?;
+        let by_time = |a: &(usize, &Source), b: &(usize, &Source)| a.1.sent_s().total_cmp(&b.1.sent_s());
+        let end_s = self.simulation.duration_s();
+        let due = self.sources.iter().enumerate().filter(|(_, s)| s.next_s() < end_s);
+        let (index, source) = due.min_by(by_time)?;
         let t_s = source.next_s();
-        if t_s >= self.simulation.duration_s() {
-            return None;
-        }
         let (sensor, kind, frame) = (source.id.clone(), source.kind, source.next);
         self.sources[index].next += 1;
         let transport = self.transport(kind, frame);

@@ -1,13 +1,10 @@
 //! A drive in time: along the path, but for the times when the robot stands still or is carried away.
 
-use super::{RobotPath, RobotState};
+use super::{Motion, RobotPath, RobotState};
 use crate::Disturbances;
 use nalgebra::Vector3;
 use percept_geometry::Pose;
 use std::sync::Arc;
-
-/// Step of the differences that give a carried sensor's motion: of a 2 Hz wave they are right to 1e-4.
-const DIFFERENCE_S: f64 = 1e-3;
 
 /// From `from_s` on the robot is at `path_s` of its path, and stays there or goes on.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,9 +65,13 @@ impl Drive {
         self.state_at(t_s).t_world_base
     }
 
+    fn leg_at(&self, t_s: f64) -> &Leg {
+        &self.legs[self.legs.partition_point(|l| l.from_s <= t_s).max(1) - 1]
+    }
+
     /// Pose and motion. A robot that is being carried is said to stand where it was taken.
     pub(crate) fn state_at(&self, t_s: f64) -> RobotState {
-        let leg = &self.legs[self.legs.partition_point(|l| l.from_s <= t_s).max(1) - 1];
+        let leg = self.leg_at(t_s);
         let path_s = if leg.moves { leg.path_s + t_s - leg.from_s } else { leg.path_s };
         let state = self.path.state_at(path_s);
         if leg.moves {
@@ -79,17 +80,19 @@ impl Drive {
         RobotState { speed_m_per_s: 0.0, yaw_rate_rad_per_s: 0.0, acceleration_m_per_s2: Vector3::zeros(), ..state }
     }
 
-    /// What an inertial sensor fixed to base above its origin feels: turn rate (rad/s) and specific force without
-    /// gravity (m/s^2), both in the sensor's axes, which are base's.
+    /// What an inertial sensor fixed to base feels: turn rate (rad/s) and acceleration without gravity (m/s^2), both in
+    /// the sensor's axes.
     pub(crate) fn inertial_at(&self, t_s: f64, t_base_sensor: &Pose) -> (Vector3<f64>, Vector3<f64>) {
-        if !self.path.is_carried() {
-            let state = self.state_at(t_s);
-            return (Vector3::new(0.0, 0.0, state.yaw_rate_rad_per_s), state.acceleration_m_per_s2);
+        let leg = self.leg_at(t_s);
+        if !leg.moves {
+            return (Vector3::zeros(), Vector3::zeros());
         }
-        let [before, now, after] = [-DIFFERENCE_S, 0.0, DIFFERENCE_S].map(|dt| self.pose_at(t_s + dt) * t_base_sensor);
-        let turn_rate = (before.rotation.inverse() * after.rotation).scaled_axis() / (2.0 * DIFFERENCE_S);
-        let [a, b, c] = [before, now, after].map(|t| t.translation.vector);
-        (turn_rate, now.rotation.inverse() * ((a - b * 2.0 + c) / DIFFERENCE_S.powi(2)))
+        let path_s = leg.path_s + t_s - leg.from_s;
+        let r_world_base = self.path.pose_at(path_s).rotation;
+        let base = self.path.motion_at(path_s);
+        let (r, p) = (t_base_sensor.rotation, t_base_sensor.translation.vector);
+        let sensor = base.carrying(&r_world_base, &r, &p, &Motion::fixed());
+        (sensor.turn_rate, (r_world_base * r).inverse() * sensor.acceleration)
     }
 
     /// What the wheels turned between two times: without the way on which somebody carried the robot.

@@ -1,5 +1,7 @@
 //! A sensor head carried by hand: it sways with the steps, tilts, and is swung from side to side.
 
+use super::jet::Jet;
+use super::motion::Motion;
 use crate::{SimError, check};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use percept_geometry::Pose;
@@ -47,16 +49,46 @@ impl HandheldParams {
 
     /// Head to the place on the floor where the carrier walks, `t_s` seconds after the start.
     pub(crate) fn t_walker_base(&self, t_s: f64) -> Pose {
-        let x = (t_s / EASE_IN_S).clamp(0.0, 1.0);
+        let (sway, [roll, pitch, yaw]) = self.waves(t_s);
+        let rotation = UnitQuaternion::from_euler_angles(roll.value, pitch.value, yaw.value);
+        Pose::from_parts(Translation3::from(sway.map(|s| s.value)), rotation)
+    }
+
+    /// How the head moves there: turn rate and its change in the head's axes, velocity and acceleration in the walker's.
+    pub(crate) fn motion_in_walker(&self, t_s: f64) -> Motion {
+        let (sway, [roll, pitch, yaw]) = self.waves(t_s);
+        // Rates of roll, pitch and yaw (turned about z first) in the axes of the head.
+        let (d_roll, d_pitch, d_yaw) = (roll.derivative(), pitch.derivative(), yaw.derivative());
+        let turning = [
+            d_roll - d_yaw * pitch.sin(),
+            d_pitch * roll.cos() + d_yaw * roll.sin() * pitch.cos(),
+            d_yaw * roll.cos() * pitch.cos() - d_pitch * roll.sin(),
+        ];
+        let [x, y, z] = turning;
+        Motion {
+            turn_rate: Vector3::new(x.value, y.value, z.value),
+            turn_acceleration: Vector3::new(x.rate, y.rate, z.rate),
+            velocity: sway.map(|s| s.rate),
+            acceleration: sway.map(|s| s.bend),
+        }
+    }
+
+    /// Where the head is on the walker's axes, metres, and its roll, pitch and yaw.
+    fn waves(&self, t_s: f64) -> (Vector3<Jet>, [Jet; 3]) {
+        let t = Jet::time(t_s);
         // Third derivative and below are continuous: inertial sensors see no jumps.
-        let ease = x.powi(4) * (35.0 - 84.0 * x + 70.0 * x * x - 20.0 * x.powi(3));
-        let wave = |hz: f64, phase: f64| ease * (TAU * hz * t_s + phase).sin();
-        let sway = Vector3::new(0.3 * wave(STEP_HZ, 0.5), wave(0.5 * STEP_HZ, 0.0), wave(STEP_HZ, 1.0)) * self.sway_m;
-        let rotation = UnitQuaternion::from_euler_angles(
-            self.tilt_rad * wave(TILT_HZ[0], 0.3),
-            self.tilt_rad * wave(TILT_HZ[1], 1.7),
-            self.swing_rad * wave(SWING_HZ, 0.0),
+        let ease = (t * (1.0 / EASE_IN_S)).eased();
+        let wave = |hz: f64, phase: f64| ease * (t * (TAU * hz) + Jet::constant(phase)).sin();
+        let sway = Vector3::new(
+            wave(STEP_HZ, 0.5) * (0.3 * self.sway_m),
+            wave(0.5 * STEP_HZ, 0.0) * self.sway_m,
+            wave(STEP_HZ, 1.0) * self.sway_m + Jet::constant(self.height_m),
         );
-        Pose::from_parts(Translation3::from(sway + Vector3::new(0.0, 0.0, self.height_m)), rotation)
+        let angles = [
+            wave(TILT_HZ[0], 0.3) * self.tilt_rad,
+            wave(TILT_HZ[1], 1.7) * self.tilt_rad,
+            wave(SWING_HZ, 0.0) * self.swing_rad,
+        ];
+        (sway, angles)
     }
 }

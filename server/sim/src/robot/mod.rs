@@ -2,10 +2,13 @@
 
 mod drive;
 mod hand;
+mod jet;
+mod motion;
 pub(crate) mod route;
 
 pub(crate) use drive::Drive;
 pub use hand::HandheldParams;
+pub(crate) use motion::Motion;
 
 use crate::world::World;
 use crate::{SimError, check};
@@ -149,9 +152,13 @@ impl RobotPath {
         self.state_at(t_s).t_world_base
     }
 
-    /// Whether base is carried by hand.
-    pub(crate) fn is_carried(&self) -> bool {
-        self.hand.is_some()
+    /// How base moves in the world at `t_s` seconds after the start: exact derivatives of [`Self::pose_at`].
+    pub(crate) fn motion_at(&self, t_s: f64) -> Motion {
+        let lane = self.lane_motion_at(t_s);
+        let Some(hand) = self.hand else { return lane };
+        let (r_world_lane, t_walker_base) = (self.lane_state_at(t_s).t_world_base.rotation, hand.t_walker_base(t_s));
+        let p = t_walker_base.translation.vector;
+        lane.carrying(&r_world_lane, &t_walker_base.rotation, &p, &hand.motion_in_walker(t_s))
     }
 
     /// Pose of base, and motion on the lane of the robot or of whoever carries base, at `t_s` seconds after the start;
@@ -162,12 +169,38 @@ impl RobotPath {
         RobotState { t_world_base, ..lane }
     }
 
-    fn lane_state_at(&self, t_s: f64) -> RobotState {
+    /// The knots around a time, the time since the first, and how long it is turned there.
+    fn between(&self, t_s: f64) -> (&Knot, &Knot, f64, f64) {
         let t = t_s.rem_euclid(self.lap_duration_s());
         let i = self.knots.partition_point(|k| k.t_s <= t).clamp(1, self.knots.len() - 1) - 1;
         let (a, b) = (&self.knots[i], &self.knots[i + 1]);
-        let turning = self.turn_duration(a.turn);
-        let since = t - a.t_s;
+        (a, b, t - a.t_s, self.turn_duration(a.turn))
+    }
+
+    fn lane_motion_at(&self, t_s: f64) -> Motion {
+        let (a, b, since, turning) = self.between(t_s);
+        let about_z = |v: f64| Vector3::new(0.0, 0.0, v);
+        if since < turning {
+            let (rate, change) = self.turning_rates(a, since);
+            return Motion { turn_rate: about_z(rate), turn_acceleration: about_z(change), ..Motion::fixed() };
+        }
+        let (since, lasts) = (since - turning, b.t_s - a.t_s - turning);
+        let length = 0.5 * (a.speed + b.speed) * lasts;
+        let along_lane = (b.speed - a.speed) / lasts;
+        let f = ((a.speed + 0.5 * along_lane * since) * since / length).clamp(0.0, 1.0);
+        let (df, ddf) = ((a.speed + along_lane * since) / length, along_lane / length);
+        let (slope, bend) = hermite_derivatives(a, b, length, f);
+        let in_world = |v: Vector2<f64>| Vector3::new(v.x, v.y, 0.0);
+        Motion {
+            turn_rate: about_z((b.heading - a.heading) * df),
+            turn_acceleration: about_z((b.heading - a.heading) * ddf),
+            velocity: in_world(slope * df),
+            acceleration: in_world(bend * (df * df) + slope * ddf),
+        }
+    }
+
+    fn lane_state_at(&self, t_s: f64) -> RobotState {
+        let (a, b, since, turning) = self.between(t_s);
         if since < turning {
             return self.turning_state(a, since);
         }
@@ -207,6 +240,19 @@ impl RobotPath {
         }
     }
 
+    /// Turn rate and its change while turning on the spot.
+    fn turning_rates(&self, knot: &Knot, since: f64) -> (f64, f64) {
+        let (ramp, total) = (self.ramp(knot.turn), self.turn_duration(knot.turn));
+        let change = self.turn_acceleration;
+        if since < ramp {
+            (change * since, change)
+        } else if since < total - ramp {
+            (change * ramp, 0.0)
+        } else {
+            (change * (total - since), -change)
+        }
+    }
+
     fn ramp(&self, turn: f64) -> f64 {
         (self.turn_rate / self.turn_acceleration).min((turn / self.turn_acceleration).sqrt())
     }
@@ -227,6 +273,16 @@ fn hermite(a: &Knot, b: &Knot, length: f64, f: f64) -> Point2<f64> {
             + b.position.coords * (3.0 * f2 - 2.0 * f3)
             + tangent(b) * (f3 - f2),
     )
+}
+
+/// First and second derivative of [`hermite`] by `f`, metres.
+fn hermite_derivatives(a: &Knot, b: &Knot, length: f64, f: f64) -> (Vector2<f64>, Vector2<f64>) {
+    let tangent = |k: &Knot| Vector2::new(k.heading.cos(), k.heading.sin()) * length;
+    let (chord, f2) = (b.position - a.position, f * f);
+    let slope =
+        chord * (6.0 * f - 6.0 * f2) + tangent(a) * (3.0 * f2 - 4.0 * f + 1.0) + tangent(b) * (3.0 * f2 - 2.0 * f);
+    let bend = chord * (6.0 - 12.0 * f) + tangent(a) * (6.0 * f - 4.0) + tangent(b) * (6.0 * f - 2.0);
+    (slope, bend)
 }
 
 /// Direction of travel at each point of a closed line and, last, at the first point again; continuous.

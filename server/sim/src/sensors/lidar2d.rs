@@ -72,6 +72,11 @@ impl Lidar2dParams {
         check("height_m", self.height_m, 0.05, 2.5, "between 0.05 and 2.5")
     }
 
+    /// Seconds from the first beam to the last while it turns.
+    pub(crate) fn sweep_s(&self) -> f64 {
+        self.fov_rad / TAU / self.rate_hz
+    }
+
     /// Angle between beams, radians: a full turn has no beam twice.
     pub fn angle_increment_rad(&self) -> f64 {
         let full = self.fov_rad > TAU - 1e-6;

@@ -126,6 +126,16 @@ impl SensorSuite {
         out
     }
 
+    /// Seconds from the first point of a message of this kind to its last.
+    pub(crate) fn lasts_s(&self, kind: SensorKind) -> f64 {
+        match kind {
+            SensorKind::Lidar3d => self.lidar3d.as_ref().filter(|p| p.motion_distortion).map(|p| 1.0 / p.rate_hz),
+            SensorKind::Lidar2d => self.lidar2d.as_ref().filter(|p| p.motion_distortion).map(Lidar2dParams::sweep_s),
+            _ => None,
+        }
+        .unwrap_or(0.0)
+    }
+
     /// Messages a second of the sensor of this kind; 0 if there is none.
     pub(crate) fn rate_hz(&self, kind: SensorKind) -> f64 {
         match kind {

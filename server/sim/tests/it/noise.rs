@@ -1,11 +1,12 @@
 //! Sensors err as much as they say, and not more.
 
 use crate::sim_params;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use percept_geometry::sensor::ImuSample;
 use percept_geometry::{SensorData, se3};
 use percept_sim::{
-    DepthCameraParams, ImuParams, Lidar2dParams, Lidar3dParams, OdometryParams, ScanPattern, SensorSuite, SimParams,
-    Simulation,
+    DepthCameraParams, HandheldParams, ImuParams, Lidar2dParams, Lidar3dParams, OdometryParams, ScanPattern,
+    SensorSuite, SimParams, Simulation,
 };
 
 fn simulation(sensors: SensorSuite, seconds: f64) -> Simulation {
@@ -191,27 +192,82 @@ fn odometry_errs_as_its_covariance_says_and_drifts() {
     assert!((0.02..15.0).contains(&metres), "{metres}");
 }
 
-#[test]
-fn an_imu_without_faults_adds_up_to_the_heading() {
-    let params = ImuParams {
+/// An inertial sensor without faults.
+fn ideal_imu(rate_hz: f64) -> ImuParams {
+    ImuParams {
+        rate_hz,
         gyro_noise_rad_per_s: 0.0,
         gyro_bias_rad_per_s: 0.0,
+        gyro_walk_rad_per_s: 0.0,
         accel_noise_m_per_s2: 0.0,
         accel_bias_m_per_s2: 0.0,
-        ..ImuParams::default()
-    };
-    let sim = simulation(SensorSuite { imu: Some(params), ..SensorSuite::none() }, 30.0);
-    let (mut yaw, mut speed, mut last) = (0.0, 0.0, None);
-    for f in sim.frames() {
-        let SensorData::Imu(sample) = f.frame.data else { panic!("imu") };
-        assert_eq!(sample.linear_acceleration.z, 9.81);
-        yaw += 0.01 * sample.angular_velocity.z;
-        speed += 0.01 * sample.linear_acceleration.x;
-        last = Some(f);
+        accel_walk_m_per_s2: 0.0,
     }
-    let end = last.unwrap();
-    let truth = se3::yaw(&(sim.t_world_start().inverse() * end.t_world_base));
-    assert!(se3::wrap_angle(yaw - truth).abs() < 0.02, "{yaw} {truth}");
-    let truth = sim.path().state_at(sim.seconds_at(end.frame.stamp)).speed_m_per_s;
-    assert!((speed - truth).abs() < 0.05, "{speed} {truth}");
+}
+
+#[test]
+fn an_imu_without_faults_adds_up_to_the_pose() {
+    let carried = HandheldParams { swing_rad: 1.3, ..HandheldParams::default() };
+    for hand in [None, Some(carried)] {
+        let mut params = sim_params(2);
+        params.robot.handheld = hand;
+        params.sensors = SensorSuite { imu: Some(ideal_imu(1000.0)), ..SensorSuite::none() };
+        let sim = Simulation::new(SimParams { duration_s: Some(10.0), ..params }).unwrap();
+        let t_base_imu = sim.sensors()[0].t_base_sensor;
+        let start = sim.t_world_start() * t_base_imu;
+        let (mut r, mut p, mut v) = (start.rotation, start.translation.vector, Vector3::zeros());
+        let mut before: Option<ImuSample> = None;
+        for f in sim.frames() {
+            let SensorData::Imu(now) = f.frame.data else { panic!("imu") };
+            if let Some(last) = before {
+                // Trapezoids: the lane's acceleration jumps where its pieces meet, which leaves a millimetre a second; a force
+                // that is wrong by as little as 0.01 m/s^2 leaves half a metre.
+                let turn = (last.angular_velocity + now.angular_velocity) * 0.5e-3;
+                let next = r * UnitQuaternion::from_scaled_axis(turn);
+                let force = (r * last.linear_acceleration + next * now.linear_acceleration) * 0.5;
+                let a = force - Vector3::z() * 9.81;
+                p += v * 1e-3 + a * 0.5e-6;
+                v += a * 1e-3;
+                r = next;
+            }
+            before = Some(now);
+            let truth = f.t_world_base * t_base_imu;
+            assert!(r.angle_to(&truth.rotation) < 2e-3, "{} rad", r.angle_to(&truth.rotation));
+            assert!((p - truth.translation.vector).norm() < 0.05, "{}", (p - truth.translation.vector).norm());
+        }
+    }
+}
+
+#[test]
+fn an_imu_errs_as_it_says() {
+    let said = ImuParams { gyro_bias_rad_per_s: 0.0, accel_bias_m_per_s2: 0.0, ..ImuParams::default() };
+    let samples = |imu| {
+        let sensors = SensorSuite { imu: Some(imu), ..SensorSuite::none() };
+        let of = |f: percept_sim::SimFrame| match f.frame.data {
+            SensorData::Imu(sample) => sample,
+            _ => panic!("imu"),
+        };
+        simulation(sensors, 200.0).frames().map(of).collect::<Vec<_>>()
+    };
+    let truth = samples(ideal_imu(said.rate_hz));
+    let off: Vec<[Vector3<f64>; 2]> = samples(said.clone())
+        .iter()
+        .zip(&truth)
+        .map(|(a, b)| [a.angular_velocity - b.angular_velocity, a.linear_acceleration - b.linear_acceleration])
+        .collect();
+    let noise = [said.gyro_noise_rad_per_s, said.accel_noise_m_per_s2];
+    let walk = [said.gyro_walk_rad_per_s, said.accel_walk_m_per_s2];
+    for k in 0..2 {
+        // What differs between neighbours is noise; what is left of a second's mean is the walk.
+        let n = (3 * (off.len() - 1)) as f64;
+        let between: f64 = off.windows(2).map(|w| (w[1][k] - w[0][k]).norm_squared()).sum();
+        assert!(((between / (2.0 * n)).sqrt() / noise[k] - 1.0).abs() < 0.02);
+        let means: Vec<Vector3<f64>> =
+            off.chunks(100).map(|c| c.iter().map(|o| o[k]).sum::<Vector3<f64>>() / 100.0).collect();
+        let apart: f64 = means.windows(11).map(|w| (w[10] - w[0]).norm_squared()).sum::<f64>();
+        let sigma = (apart / (3 * (means.len() - 10)) as f64).sqrt();
+        // Ten seconds of walk, and the noise of two means of a hundred samples.
+        let expected = (10.0 * walk[k] * walk[k] + 0.02 * noise[k] * noise[k]).sqrt();
+        assert!((0.6..1.5).contains(&(sigma / expected)), "{sigma} {expected}");
+    }
 }
