@@ -24,6 +24,8 @@ pub struct Degeneracy {
     good: Matrix6<f64>,
     /// Projector on the degenerate directions, in scaled coordinates at the centroid.
     bad: Matrix6<f64>,
+    /// The same in metric coordinates of the source frame.
+    bad_metric: Matrix6<f64>,
 }
 
 impl Degeneracy {
@@ -41,6 +43,7 @@ impl Degeneracy {
                 num_directions: 6,
                 good: Matrix6::zeros(),
                 bad: Matrix6::identity(),
+                bad_metric: Matrix6::identity(),
             };
         }
         let eigen = SymmetricEigen::new(h);
@@ -52,6 +55,7 @@ impl Degeneracy {
             num_directions: 0,
             good: Matrix6::zeros(),
             bad: Matrix6::zeros(),
+            bad_metric: Matrix6::zeros(),
         };
         for k in order {
             let v = eigen.eigenvectors.column(k).into_owned();
@@ -66,7 +70,9 @@ impl Degeneracy {
         }
         out.axes = out.axes_in(&Matrix3::identity());
         // Back from scaled to metric coordinates: P' H P keeps the information of good directions only.
-        out.good = s * out.good * scaling(spread_m.max(1e-6)) * shift(&-centroid);
+        let back = scaling(spread_m.max(1e-6)) * shift(&-centroid);
+        out.good = s * out.good * back;
+        out.bad_metric = s * out.bad * back;
         out
     }
 
@@ -78,6 +84,17 @@ impl Degeneracy {
         };
         let (t, r) = (block(0), block(3));
         [t.x, t.y, t.z, r.x, r.y, r.z].map(|share| share > 0.5)
+    }
+
+    /// How much of each translation, in axes of the source frame, lies in degenerate directions: a projector if they hold
+    /// no turning.
+    pub fn open_translations(&self) -> Matrix3<f64> {
+        self.bad.fixed_view::<3, 3>(0, 0).into_owned()
+    }
+
+    /// A perturbation's share in directions that are not degenerate, and its share in those that are. They add up to it.
+    pub fn parts(&self) -> (Matrix6<f64>, Matrix6<f64>) {
+        (Matrix6::identity() - self.bad_metric, self.bad_metric)
     }
 
     /// Information `h` with what it claims about degenerate directions faded out.
@@ -146,6 +163,21 @@ mod tests {
     fn a_corridor_leaves_its_length_open() {
         let d = Degeneracy::of(&planes(&[Vector3::y(), -Vector3::y(), -Vector3::z()]), &Vector3::zeros(), 2.0, 0.01);
         assert_eq!(d.axes, [true, false, false, false, false, false]);
+    }
+
+    #[test]
+    fn parts_split_what_is_fixed_from_what_is_open() {
+        let centroid = Vector3::new(0.5, 0.2, 0.0);
+        let h = planes(&[Vector3::y(), -Vector3::y(), -Vector3::z()]);
+        let d = Degeneracy::of(&h, &centroid, 2.0, 0.01);
+        let (fixed, open) = d.parts();
+        assert!((fixed + open - Matrix6::identity()).norm() < 1e-12);
+        let along = Vector6::new(1.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        assert!((open * along - along).norm() < 1e-9 && (fixed * along).norm() < 1e-9);
+        assert!((d.open_translations() - Matrix3::from_diagonal(&Vector3::x())).norm() < 1e-9);
+        // Nothing is lost of what the planes tell.
+        let hessian = h.hessian();
+        assert!((fixed.transpose() * hessian * fixed - hessian).norm() < 1e-9 * hessian.norm());
     }
 
     #[test]
