@@ -3,6 +3,7 @@
 mod features;
 
 use crate::downsample::Thinner;
+use crate::inertial::Curve;
 use crate::odometry::deskew::Sweep;
 use crate::odometry::rgbd::ColorCamera;
 use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
@@ -106,6 +107,15 @@ impl KeyframePolicy {
     }
 }
 
+/// How base moved while a scan was taken.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct SweepMotion {
+    /// Base's, m/s and rad/s, on top of the curve if there is one.
+    pub(crate) velocity: nalgebra::Vector6<f64>,
+    /// As an IMU felt it.
+    pub(crate) curve: Option<Arc<Curve>>,
+}
+
 /// What a keyframe keeps of its scan: ends of beams in base, thinned, and free beams of a planar scan.
 ///
 /// `velocity` is base's (m/s, rad/s) for undoing the motion during a lidar's sweep.
@@ -116,7 +126,8 @@ pub fn keyframe_scan(
     scan: &Scan,
     velocity: &nalgebra::Vector6<f64>,
 ) -> KeyframeScan {
-    keyframe_scan_seen_by(params, stamp, sensor, scan, velocity, None)
+    let motion = SweepMotion { velocity: *velocity, curve: None };
+    keyframe_scan_seen_by(params, stamp, sensor, scan, &motion, None)
 }
 
 /// The same, with the colour camera where an odometry has found it to be.
@@ -125,13 +136,13 @@ pub(crate) fn keyframe_scan_seen_by(
     stamp: Timestamp,
     sensor: &SensorId,
     scan: &Scan,
-    velocity: &nalgebra::Vector6<f64>,
+    motion: &SweepMotion,
     color: Option<ColorCamera>,
 ) -> KeyframeScan {
     let (hits, misses) = match scan {
         Scan::Depth(s) => (depth_hits(params, s), vec![]),
-        Scan::Cloud(s) => (cloud_hits(params, s, velocity), vec![]),
-        Scan::Planar(s) => planar_ends(params, s, velocity),
+        Scan::Cloud(s) => (cloud_hits(params, s, motion), vec![]),
+        Scan::Planar(s) => planar_ends(params, s, &motion.velocity),
         // What a camera saw is known only with its map: see `Odometry::keyframe_scan`.
         Scan::Image(_) => (PointCloud::default(), vec![]),
     };
@@ -175,8 +186,9 @@ fn depth_hits(params: &KeyframeParams, s: &DepthScan) -> PointCloud {
     hits
 }
 
-fn cloud_hits(params: &KeyframeParams, s: &CloudScan, velocity: &nalgebra::Vector6<f64>) -> PointCloud {
-    let in_base = crate::odometry::deskew::to_base(&s.cloud, &s.t_base_sensor, velocity);
+fn cloud_hits(params: &KeyframeParams, s: &CloudScan, motion: &SweepMotion) -> PointCloud {
+    let curve = motion.curve.as_deref();
+    let in_base = crate::odometry::deskew::to_base(&s.cloud, &s.t_base_sensor, &motion.velocity, curve);
     let is_usable = |&i: &u32| {
         let p = &in_base[i as usize];
         cloud::is_finite(&s.cloud.positions[i as usize]) && Voxel::containing(&p.cast(), params.voxel_size_m).is_some()

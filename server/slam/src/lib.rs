@@ -1,6 +1,6 @@
 //! Frames in, poses out: odometry for depth cameras, 3D lidars and planar lidars, and keyframes.
 //!
-//! Comes in: a [`Scan`] with its stamp, and what wheels say if there are any. Goes out: the pose of base
+//! Comes in: a [`Scan`] with its stamp, and what wheels and an IMU say if there are any. Goes out: the pose of base
 //! in the drifting frame `odom` with its covariance, and the [`TrackingState`]. Lost is a state, not a
 //! wrong pose. Then keyframes in, loops and corrected poses out ([`BackEnd`]). No map layers, no I/O, no clock live here.
 //!
@@ -8,6 +8,7 @@
 
 pub mod back_end;
 mod downsample;
+mod inertial;
 pub mod keyframe;
 pub mod loops;
 pub mod odometry;
@@ -16,6 +17,7 @@ pub mod scan;
 pub mod tracking;
 
 pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe};
+pub use inertial::ImuBuffer;
 pub use keyframe::{KeyframeParams, KeyframePolicy};
 pub use loops::{LoopClosure, Relocalisation};
 pub use odometry::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams};

@@ -83,6 +83,14 @@ impl Scan {
         }
     }
 
+    /// Seconds from the stamp to the first point and to the last one.
+    pub(crate) fn sweep_s(&self) -> (f64, f64) {
+        let Self::Cloud(s) = self else { return (0.0, 0.0) };
+        let finite = s.cloud.time_offsets_s.iter().flatten().filter(|t| t.is_finite());
+        let (first, last) = finite.fold((f32::MAX, f32::MIN), |(a, b), &t| (a.min(t), b.max(t)));
+        if first <= last { (f64::from(first), f64::from(last)) } else { (0.0, 0.0) }
+    }
+
     /// Sensor to base.
     pub fn t_base_sensor(&self) -> &Pose {
         match self {

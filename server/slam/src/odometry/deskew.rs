@@ -1,5 +1,6 @@
 //! Clouds and planar scans to base, with the motion during the sweep undone.
 
+use crate::inertial::Curve;
 use crate::scan::PlanarScan;
 use nalgebra::{Matrix3, Point3, Vector3, Vector6};
 use percept_geometry::{PointCloud, Pose, se3};
@@ -7,29 +8,39 @@ use rayon::prelude::*;
 
 /// Poses are computed for so many instants of a sweep: 100 ms in steps of 0.8 ms, 1 mm at 1.2 m/s.
 const NUM_INSTANTS: usize = 128;
+/// And where an IMU felt the motion, which may turn by 3 rad/s: 0.6 mrad.
+const NUM_FELT_INSTANTS: usize = 512;
 
-/// Points of `cloud` in base at the message's stamp, assuming base's constant `velocity` (m/s, rad/s).
+/// Points of `cloud` in base at the message's stamp, assuming base's constant `velocity` (m/s, rad/s),
+/// on top of the motion that an IMU felt if it did.
 ///
 /// Points without a return stay non-finite. Source: Vizzo et al., "KISS-ICP", 2023, section III-A.
-pub(crate) fn to_base(cloud: &PointCloud, t_base_sensor: &Pose, velocity: &Vector6<f64>) -> Vec<Point3<f32>> {
+pub(crate) fn to_base(
+    cloud: &PointCloud,
+    t_base_sensor: &Pose,
+    velocity: &Vector6<f64>,
+    curve: Option<&Curve>,
+) -> Vec<Point3<f32>> {
     let offsets = cloud.time_offsets_s.as_ref().filter(|o| o.len() == cloud.len());
     let (min, max) = offsets.map_or((0.0, 0.0), |o| {
         o.iter().filter(|t| t.is_finite()).fold((0f32, 0f32), |(a, b), &t| (a.min(t), b.max(t)))
     });
     let at = |time: f64| {
-        let t = se3::exp(&(velocity * time)) * t_base_sensor;
+        let felt = curve.map_or_else(Pose::identity, |c| c.at(time));
+        let t = se3::exp(&(velocity * time)) * felt * t_base_sensor;
         (*t.rotation.to_rotation_matrix().matrix(), t.translation.vector)
     };
     let apply = |(r, t): &(Matrix3<f64>, Vector3<f64>), p: &Point3<f32>| {
         Point3::from((r * p.coords.cast::<f64>() + t).cast::<f32>())
     };
-    let Some(offsets) = offsets.filter(|_| max > min && velocity.norm() > 0.0) else {
+    let Some(offsets) = offsets.filter(|_| max > min && (curve.is_some() || velocity.norm() > 0.0)) else {
         let still = at(0.0);
         return cloud.positions.par_iter().with_min_len(4096).map(|p| apply(&still, p)).collect();
     };
-    let step = (max - min) / (NUM_INSTANTS - 1) as f32;
-    let instants: Vec<_> = (0..NUM_INSTANTS).map(|i| at(f64::from(min + step * i as f32))).collect();
-    let nearest = |t: f32| (((t - min) / step).round() as usize).min(NUM_INSTANTS - 1);
+    let num = if curve.is_some() { NUM_FELT_INSTANTS } else { NUM_INSTANTS };
+    let step = (max - min) / (num - 1) as f32;
+    let instants: Vec<_> = (0..num).map(|i| at(f64::from(min + step * i as f32))).collect();
+    let nearest = |t: f32| (((t - min) / step).round() as usize).min(num - 1);
     cloud
         .positions
         .par_iter()
@@ -75,7 +86,7 @@ mod tests {
         let positions =
             offsets.iter().map(|&t| (se3::exp(&(velocity * f64::from(t))).inverse() * fixed).cast::<f32>()).collect();
         let cloud = PointCloud { positions, time_offsets_s: Some(offsets.to_vec()), ..PointCloud::default() };
-        for p in to_base(&cloud, &Pose::identity(), &velocity) {
+        for p in to_base(&cloud, &Pose::identity(), &velocity, None) {
             // Half a step of the instants at 2 m/s and 1 rad/s over 6 m.
             assert!((p.cast::<f64>() - fixed).norm() < 0.005);
         }

@@ -1,7 +1,7 @@
 //! Odometry: scans of one sensor in, the pose of base in the drifting frame `odom` out.
 //!
 //! Every kind registers frame to local model, never frame to frame. What they share is here: the
-//! prediction (wheels, else constant velocity), being lost and starting again, and the covariance.
+//! prediction (wheels, an IMU, else constant velocity), being lost and starting again, and the covariance.
 //! Start with [`Odometry::register`]; the methods are [`rgbd`], [`lidar3d`], [`lidar2d`] and [`mono`], which keeps a map and
 //! a state of its own: what the others share supposes that lengths are known.
 
@@ -16,11 +16,12 @@ pub mod rgbd;
 mod rhythm;
 mod uncertainty;
 
-use crate::keyframe::{KeyframeParams, keyframe_scan_seen_by};
+use crate::inertial::{GyroCheck, ImuBuffer, Inertial, PlacedFrame};
+use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 pub(crate) use model::{LocalModel, Match, Prediction};
-use nalgebra::Vector6;
+use nalgebra::{Vector3, Vector6};
 use params::MotionLimits;
 pub use params::{OdometryKind, OdometryParams, TrackingParams};
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
@@ -40,6 +41,13 @@ pub struct MotionPrior {
     /// Of that motion, right perturbation in base now. With standard deviations above 100 m the translation is open, and
     /// prediction takes it from the velocity.
     pub covariance: Covariance6,
+}
+
+impl MotionPrior {
+    /// Whether it says how far base moved, not only how it turned.
+    pub(crate) fn tells_the_way(&self) -> bool {
+        (0..3).all(|i| self.covariance[(i, i)] <= UNKNOWN_VARIANCE)
+    }
 }
 
 /// Where base is, how sure that is, and how the frame fitted.
@@ -76,6 +84,8 @@ pub struct Odometry {
     velocity: Option<Vector6<f64>>,
     /// What the newest frame's sweep was undone with.
     sweep_velocity: Vector6<f64>,
+    inertial: Inertial,
+    gyro: GyroCheck,
     limits: MotionLimits,
     uncertainty: Uncertainty,
     /// Of the newest estimate.
@@ -119,6 +129,8 @@ impl Odometry {
             last_stamp: None,
             velocity: None,
             sweep_velocity: Vector6::zeros(),
+            inertial: Inertial::default(),
+            gyro: GyroCheck::default(),
             limits,
             uncertainty: Uncertainty::default(),
             covariance: Covariance6::zeros(),
@@ -136,21 +148,45 @@ impl Odometry {
     /// A frame that cannot be placed gives `Lost` with the prediction as pose; the next frames are tried
     /// against the same model until `restart_after_frames` of them are lost.
     pub fn register(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) -> OdometryEstimate {
+        self.register_with_imu(stamp, scan, prior, None)
+    }
+
+    /// The same with the samples of an IMU, those up to the sweep's end if there are: they predict the motion where `prior`
+    /// leaves the translation open, and undo a sweep's motion, however quick. It takes a second of placed frames until they
+    /// do; those that are wrong never do. Planar scans and images of a camera alone make no use of them beyond `prior`.
+    pub fn register_with_imu(
+        &mut self,
+        stamp: Timestamp,
+        scan: &Scan,
+        prior: Option<&MotionPrior>,
+        imu: Option<&ImuBuffer>,
+    ) -> OdometryEstimate {
         let estimate = match self.model.as_mono().map(|mono| mono.track(stamp, scan, prior)) {
             Some(estimate) => self.follow(estimate),
-            None => self.register_frame(stamp, scan, prior),
+            None => self.register_frame(stamp, scan, prior, imu),
         };
         self.covariance = estimate.covariance;
         estimate
     }
 
-    fn register_frame(&mut self, stamp: Timestamp, scan: &Scan, prior: Option<&MotionPrior>) -> OdometryEstimate {
+    fn register_frame(
+        &mut self,
+        stamp: Timestamp,
+        scan: &Scan,
+        prior: Option<&MotionPrior>,
+        imu: Option<&ImuBuffer>,
+    ) -> OdometryEstimate {
         let stamped = self.last_stamp.map_or(0.0, |last| stamp.seconds_since(last).max(0.0));
         self.rhythm.tick(stamped);
         let dt = self.rhythm.elapsed(stamped);
         let t_odom_before = self.t_odom_base;
-        let prediction = self.predict(dt, prior);
+        // Wheels tell the way better than inertia does.
+        let imu = imu.filter(|_| !self.limits.is_planar && !prior.is_some_and(MotionPrior::tells_the_way));
+        let turned = prior.filter(|p| !p.tells_the_way()).map(|p| p.t_prev_now.rotation);
+        let prior = prior.filter(|p| p.tells_the_way() || self.gyro.is_believed());
+        let prediction = self.predict_with_imu(stamp, dt, scan, prior, imu);
         self.last_stamp = Some(stamp);
+        self.model.follow_curve(prediction.inertial.as_ref().map(|e| Arc::clone(&e.curve)));
         // The sweep is undone with what is known of this step's motion.
         let sweep_velocity = match prior {
             Some(_) if dt > 0.0 && dt <= self.params.tracking.max_gap_s => {
@@ -167,11 +203,20 @@ impl Odometry {
         }
         let found = self.place_or_search(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found));
         if let Ok(found) = &found {
-            self.uncertainty.filled_in(&found.degenerate_axes, prediction.is_measured, dt);
+            match &prediction.inertial {
+                Some(e) => self.uncertainty.carried(&found.degenerate_axes, &e.pose_covariance().diagonal()),
+                None => self.uncertainty.filled_in(&found.degenerate_axes, prediction.is_measured, dt),
+            }
         }
         let is_guessed = self.uncertainty.guessed().contains(&true);
         match found.and_then(|found| if is_guessed { Err(LostReason::Degenerate) } else { Ok(found) }) {
             Ok(found) => {
+                if let Some(turned) = turned.filter(|_| self.num_lost == 0) {
+                    let assumed = self.predict(dt, None).t_odom_base.rotation;
+                    let (before, now) = (self.t_odom_base.rotation, found.t_odom_base.rotation);
+                    self.gyro.compare(&(before * turned), &assumed, &now);
+                }
+                let found = self.fuse(stamp, dt, found, imu);
                 if self.num_lost == 0 {
                     self.rhythm.observe(stamped, &(t_odom_before.inverse() * found.t_odom_base));
                 }
@@ -182,6 +227,39 @@ impl Odometry {
                 self.start(stamp, &prediction)
             }
             Err(reason) => self.lost(stamp, dt, &prediction, reason),
+        }
+    }
+
+    /// Where the IMU expects the frame, if it is believed; else as wheels, gyro and velocity say.
+    fn predict_with_imu(
+        &mut self,
+        stamp: Timestamp,
+        dt: f64,
+        scan: &Scan,
+        prior: Option<&MotionPrior>,
+        imu: Option<&ImuBuffer>,
+    ) -> Prediction {
+        let expected = self.inertial.expect(imu, self.last_stamp, stamp, scan.sweep_s()).cloned();
+        let Some(expected) = expected else { return self.predict(dt, prior) };
+        Prediction {
+            t_odom_base: expected.t_odom_base,
+            covariance: expected.pose_covariance(),
+            is_measured: true,
+            inertial: Some(expected),
+            ..self.predict(dt, None)
+        }
+    }
+
+    /// What the frame's place tells of the IMU, and what that tells of the place.
+    fn fuse(&mut self, stamp: Timestamp, dt: f64, found: Match, imu: Option<&ImuBuffer>) -> Match {
+        let Some(seen) = self.model.seen() else { return found };
+        let assumed = self.predict(dt, None).t_odom_base;
+        let way = found.t_odom_base.translation.vector - self.t_odom_base.translation.vector;
+        let velocity = if dt > 1e-4 { way / dt } else { Vector3::zeros() };
+        let frame = PlacedFrame { stamp, seen: &seen, assumed: &assumed, velocity };
+        match self.inertial.placed(imu, &frame) {
+            Some(t_odom_base) => Match { t_odom_base, ..found },
+            None => found,
         }
     }
 
@@ -240,9 +318,13 @@ impl Odometry {
     /// of its map that it shows, once lengths are metres, and nothing before.
     pub fn keyframe_scan(&self, stamp: Timestamp, sensor: &SensorId, scan: &Scan) -> KeyframeScan {
         let color = self.model.color_camera();
-        // Of a planar scan the motion that it was placed with; a cloud's method may have found a better one since.
-        let velocity = if matches!(scan, Scan::Planar(_)) { self.sweep_velocity } else { self.velocity() };
-        let mut kept = keyframe_scan_seen_by(&self.params.keyframe, stamp, sensor, scan, &velocity, color);
+        let motion = match (self.model.sweep_curve(), scan) {
+            (Some((curve, velocity)), _) => SweepMotion { velocity, curve: Some(curve) },
+            // Of a planar scan the motion that it was placed with; a cloud's method may have found a better one since.
+            (None, Scan::Planar(_)) => SweepMotion { velocity: self.sweep_velocity, curve: None },
+            (None, _) => SweepMotion { velocity: self.velocity(), curve: None },
+        };
+        let mut kept = keyframe_scan_seen_by(&self.params.keyframe, stamp, sensor, scan, &motion, color);
         if let Scan::Image(image) = scan {
             kept.hits = self.model.sparse_points(&image.t_base_sensor);
             kept.features = self.model.features(&image.t_base_sensor).map(Arc::new);
@@ -263,6 +345,7 @@ impl Odometry {
         self.t_odom_base = *t_odom_base_last;
         self.last_stamp = Some(stamp);
         self.velocity = None;
+        self.inertial.forget();
         (self.num_lost, self.unplaced_s) = (0, 0.0);
     }
 
@@ -285,7 +368,11 @@ impl Odometry {
         };
         self.velocity = self.model.sweep_velocity().or_else(|| usable.then(from_steps));
         self.model.integrate(&found.t_odom_base);
-        self.t_odom_base = self.model.refine(&found.t_odom_base).unwrap_or(found.t_odom_base);
+        self.t_odom_base = found.t_odom_base;
+        if let Some(refined) = self.model.refine(&found.t_odom_base) {
+            self.inertial.follow(&(refined * found.t_odom_base.inverse()));
+            self.t_odom_base = refined;
+        }
         OdometryEstimate {
             stamp,
             t_odom_base: self.t_odom_base,
@@ -304,6 +391,7 @@ impl Odometry {
     fn start(&mut self, stamp: Timestamp, prediction: &Prediction) -> OdometryEstimate {
         let first = self.num_lost == 0;
         if !first {
+            self.inertial.lost();
             self.advance(prediction);
             // How it moved before it was lost says nothing about how it moves now.
             self.velocity = None;
@@ -319,6 +407,7 @@ impl Odometry {
         self.after_silence = self.is_after_silence(dt);
         self.num_lost += 1;
         self.unplaced_s += dt;
+        self.inertial.lost();
         self.advance(prediction);
         // A guess of constant velocity is worth less with every second.
         let gap = dt > self.params.tracking.max_gap_s;

@@ -1,6 +1,7 @@
 //! What a method brings: a local model that frames are placed in.
 
 use super::{mono, rgbd};
+use crate::inertial::{Curve, Expected, Registration};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use nalgebra::Vector6;
@@ -19,12 +20,14 @@ pub(crate) struct Prediction {
     pub(crate) elapsed_s: f64,
     /// Where base was then, base to odom, if that was the frame before.
     pub(crate) t_odom_before: Option<Pose>,
+    /// What an IMU expects, if that is the prediction.
+    pub(crate) inertial: Option<Expected>,
 }
 
 impl Prediction {
     /// Near a pose, whatever was before.
     pub(crate) fn within(t_odom_base: Pose, covariance: Covariance6) -> Self {
-        Self { t_odom_base, covariance, is_measured: false, elapsed_s: 0.0, t_odom_before: None }
+        Self { t_odom_base, covariance, is_measured: false, elapsed_s: 0.0, t_odom_before: None, inertial: None }
     }
 }
 
@@ -42,6 +45,8 @@ pub(crate) struct Match {
 
 /// What a method brings: a local model that frames are placed in and then added to.
 pub(crate) trait LocalModel: Send {
+    /// How base moves while the frames to come are taken, as an IMU felt it; none where none did.
+    fn follow_curve(&mut self, _curve: Option<Arc<Curve>>) {}
     /// Makes `scan` the current frame. `velocity` is base's (m/s, rad/s), for undoing sweeps.
     fn prepare(&mut self, scan: &Scan, velocity: &Vector6<f64>) -> Result<(), LostReason>;
     /// Whether there is nothing to register against.
@@ -54,6 +59,15 @@ pub(crate) trait LocalModel: Send {
     }
     /// Base's velocity (m/s, rad/s) while the current frame was taken, where placing it has found that too.
     fn sweep_velocity(&self) -> Option<Vector6<f64>> {
+        None
+    }
+    /// How base moved while the current frame was taken, where an IMU felt it: that, and the velocity (m/s, rad/s) by which
+    /// placing the frame corrected it.
+    fn sweep_curve(&self) -> Option<(Arc<Curve>, Vector6<f64>)> {
+        None
+    }
+    /// What placing the current frame told by itself, of base, without what was predicted; none where a method does not know.
+    fn seen(&self) -> Option<Registration> {
         None
     }
     /// Adds the current frame at its pose.

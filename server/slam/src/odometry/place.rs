@@ -55,6 +55,7 @@ impl Odometry {
             is_measured: false,
             elapsed_s: self.unplaced_s + dt,
             t_odom_before: self.is_tracking().then_some(self.t_odom_base),
+            inertial: None,
         }
     }
 

@@ -61,6 +61,21 @@ impl Uncertainty {
         }
     }
 
+    /// Along the axes of base that are `open` inertia carried the pose on, by now to these variances, m^2 and rad^2.
+    pub(crate) fn carried(&mut self, open: &[bool; 6], variances: &Vector6<f64>) {
+        for k in 0..6 {
+            let (velocity, way) = (&mut self.unknown_velocity[k], &mut self.unknown_way[k]);
+            if !open[k] {
+                (*velocity, *way) = (0.0, 0.0);
+                continue;
+            }
+            // What it has led to so far is counted; what the velocity is, the IMU knows best.
+            let before = if *velocity > 0.0 { *way } else { variances[k].sqrt() };
+            (*velocity, *way) = (f64::MIN_POSITIVE, variances[k].sqrt());
+            self.model[(k, k)] += (variances[k] - before * before).max(0.0);
+        }
+    }
+
     /// Axes of base along which the pose has become a guess: nothing has measured them for seconds.
     pub(crate) fn guessed(&self) -> [bool; 6] {
         std::array::from_fn(|k| self.unknown_way[k] > if k < 3 { GUESSED.0 } else { GUESSED.1 })

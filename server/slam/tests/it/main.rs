@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests, not only the tests themselves.
 
+mod inertial;
 mod lidar2d;
 mod lidar3d;
 mod mono;

@@ -8,6 +8,7 @@
 
 use super::sweep::{Motion, Sweep};
 use super::voxels::{Gaussian, Levels, Shape};
+use crate::inertial::Registration;
 use crate::odometry::{Match, Prediction};
 use crate::tracking::LostReason;
 use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
@@ -24,6 +25,8 @@ const POINTS_PER_MEASUREMENT: f64 = 10.0;
 const DEGENERATE: f64 = 0.004;
 /// A wall whose voxels are tilted by noise seems to fix motion along it: so many times what noise alone brings.
 const TILTED: f64 = 4.0;
+/// A plane faces a direction if its normal is within 60 degrees of it.
+const FACING: f64 = 0.5;
 /// How fast the velocity during a sweep may differ from what was expected: m/s and rad/s a second of sweep, and at
 /// least. Hands and feet do this; how much less a robot does is learned ([`agility`]).
 const ACCELERATION: (f64, f64) = (4.0, 8.0);
@@ -72,16 +75,24 @@ struct Equations {
     pose: NormalEquations,
     /// Mean variance of the planes' tilts, rad^2.
     tilt: f64,
-    hessian: Matrix12,
-    gradient: Vector12,
+    all: Told,
+    /// Of the planes that face an open direction.
+    facing: Told,
 }
 
+/// Places the sweep: the pose, and the motion during the sweep.
 pub(crate) fn align(problem: &Problem<'_>) -> Result<(Match, State), LostReason> {
+    align_and_tell(problem).map(|(found, state, _)| (found, state))
+}
+
+/// The same, and what the sweep told of the pose by itself.
+pub(crate) fn align_and_tell(problem: &Problem<'_>) -> Result<(Match, State, Registration), LostReason> {
     let prior = prior(problem).ok_or(LostReason::Degenerate)?;
     let (centroid, spread) = extent(&problem.sweep.at_stamp(&problem.velocity));
     let mut state = State { t_odom_base: problem.prediction.t_odom_base, velocity: problem.velocity };
     let mut iterations = 0;
     let mut last = None;
+    let mut open = None;
     let size = problem.map.size();
     // Coarse voxels while the error may exceed a fine one; then fine ones, narrowing.
     let finest = 0.08 * size;
@@ -92,19 +103,25 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<(Match, State), LostReason>
     for (coarse, stride, start, end, rounds) in stages {
         let mut scale = start;
         for _ in 0..rounds {
-            let e = equations(problem, coarse, stride, &state, scale);
+            let e = equations(problem, coarse, stride, &state, scale, open.as_ref());
             let needed = problem.min_overlap * (problem.sweep.len() / stride) as f64;
             if (e.pose.num_residuals as f64) < needed.max(30.0) {
                 return Err(LostReason::TooFewCorrespondences);
             }
             let degeneracy = Degeneracy::of(&e.pose, &centroid, spread, DEGENERATE + TILTED * e.tilt);
             let expected = expected(problem, &prior, &state);
-            let (step, information) = solve(&e, &degeneracy, &expected, stride).ok_or(LostReason::Degenerate)?;
+            let share = stride as f64 / POINTS_PER_MEASUREMENT;
+            let told = match problem.prediction.inertial {
+                Some(_) => told_beside_inertia(&e, &degeneracy, share),
+                None => told(&e, &degeneracy, share),
+            };
+            open = problem.prediction.inertial.as_ref().map(|_| degeneracy.open_translations());
+            let (step, information) = solve(&told, &expected).ok_or(LostReason::Degenerate)?;
             let (moved, faster) = (step.fixed_rows::<6>(0).into_owned(), step.fixed_rows::<6>(6).into_owned());
             state.t_odom_base *= se3::exp(&moved);
             state.velocity += faster;
             iterations += 1;
-            last = Some((e.pose, degeneracy, information));
+            last = Some((e.pose, degeneracy, information, told.after(&step), expected));
             let at_points = |v: &Vector6<f64>| v.fixed_rows::<3>(0).norm() + spread * v.fixed_rows::<3>(3).norm();
             let duration = problem.sweep.instants().duration();
             let change = at_points(&moved) + 0.5 * duration * at_points(&faster);
@@ -114,9 +131,10 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<(Match, State), LostReason>
             scale = (scale * 0.6).max(end);
         }
     }
-    let Some((e, degeneracy, information)) = last else { return Err(LostReason::TooFewPoints) };
+    let Some((e, degeneracy, information, told, expected)) = last else { return Err(LostReason::TooFewPoints) };
     let found = judge(problem, &state, &e, &degeneracy, &information, iterations)?;
-    Ok((found, state))
+    let seen = told.of_pose(&state, &expected).ok_or(LostReason::Degenerate)?;
+    Ok((found, state, seen))
 }
 
 /// How far the velocity of a sweep was from what was expected `elapsed` seconds before, as a share of what hands do.
@@ -127,6 +145,9 @@ pub(crate) fn agility(elapsed: f64, change: &Vector6<f64>) -> f64 {
 
 /// Information of the prediction and of the expected velocity.
 fn prior(problem: &Problem<'_>) -> Option<Matrix12> {
+    if let Some(inertial) = &problem.prediction.inertial {
+        return inertial.covariance.try_inverse();
+    }
     let elapsed = problem.elapsed();
     let information = |(rate, least): (f64, f64)| 1.0 / (problem.agility * (rate * elapsed + least)).powi(2);
     let moving = information((ACCELERATION.0, LEAST_CHANGE.0));
@@ -147,6 +168,10 @@ fn expected(problem: &Problem<'_>, prior: &Matrix12, state: &State) -> (Matrix12
     off.fixed_rows_mut::<6>(0).copy_from(&se3::log(&problem.prediction.t_odom_base.inv_mul(&state.t_odom_base)));
     off.fixed_rows_mut::<6>(6).copy_from(&(state.velocity - problem.velocity));
     let (mut h, mut g) = (*prior, prior * off);
+    if problem.prediction.inertial.is_some() {
+        // The velocity is what is left of a motion that was felt, and its errors are part of the prior.
+        return (h, g);
+    }
     for (from, sigma) in [(0, REST.0), (3, REST.1)] {
         let fast2 = problem.velocity.fixed_rows::<3>(from).norm_squared();
         let information = 1.0 / (sigma * sigma + fast2);
@@ -179,50 +204,57 @@ fn expected(problem: &Problem<'_>, prior: &Matrix12, state: &State) -> (Matrix12
 /// Sums over the sweep, group by group: a point taken `t` seconds after the stamp moves with the velocity `t` times as
 /// it does with the pose. Source: Dellenbach et al., "CT-ICP", 2022 (a sweep's begin and end are both estimated); we
 /// take pose and velocity, and let the sweeps be discontinuous.
-fn equations(problem: &Problem<'_>, coarse: bool, stride: usize, state: &State, scale: f64) -> Equations {
+fn equations(
+    problem: &Problem<'_>,
+    coarse: bool,
+    stride: usize,
+    state: &State,
+    scale: f64,
+    open: Option<&Matrix3<f64>>,
+) -> Equations {
     let sweep = problem.sweep;
     let motions = sweep.instants().motions(&state.velocity);
     let t = Motion::of(&state.t_odom_base);
     let kernel = RobustKernel::GemanMcClure(3.0 * scale);
     let clock = problem.map.clock();
     let of_group = |g: usize| {
-        let (mut e, mut tilt) = (NormalEquations::default(), 0.0);
+        let (mut e, mut facing, mut tilt) = (NormalEquations::default(), NormalEquations::default(), 0.0);
         let (first, points) = sweep.group(g);
         for p in points.iter().skip(first.next_multiple_of(stride) - first).step_by(stride) {
             let p = motions[g].apply(p);
             let moved = Point3::from(t.rotation * p.coords + t.translation);
             let voxel = if coarse { problem.map.coarse(&moved) } else { problem.map.at(&moved) };
             if let Some(voxel) = voxel {
-                add(&mut e, voxel, &t.rotation, &p.coords, &moved, &kernel, (scale, voxel.stale(&clock)));
+                let width = (scale, voxel.stale(&clock));
+                add(&mut e, voxel, &t.rotation, &p.coords, &moved, &kernel, width);
                 tilt += voxel.tilt;
+                if open.is_some_and(|open| faces(voxel, &t.rotation, open)) {
+                    add(&mut facing, voxel, &t.rotation, &p.coords, &moved, &kernel, width);
+                }
             }
         }
-        (e, tilt)
+        (e, facing, tilt)
     };
-    let parts: Vec<(NormalEquations, f64)> =
+    let parts: Vec<(NormalEquations, NormalEquations, f64)> =
         (0..motions.len()).into_par_iter().with_min_len(GROUPS).map(of_group).collect();
-    let mut out = Equations {
-        pose: NormalEquations::default(),
-        tilt: 0.0,
-        hessian: Matrix12::zeros(),
-        gradient: Vector12::zeros(),
-    };
-    for ((part, tilt), &time) in parts.iter().zip(sweep.instants().times()) {
+    let mut out =
+        Equations { pose: NormalEquations::default(), tilt: 0.0, all: Told::nothing(), facing: Told::nothing() };
+    for ((part, facing, tilt), &time) in parts.iter().zip(sweep.instants().times()) {
         out.pose.merge(part);
         out.tilt += tilt;
-        let (h, g) = (part.hessian(), part.gradient());
-        for (i, factor) in [1.0, time].into_iter().enumerate() {
-            for (j, other) in [1.0, time].into_iter().enumerate() {
-                let mut block = out.hessian.fixed_view_mut::<6, 6>(6 * i, 6 * j);
-                block += h * (factor * other);
-            }
-            let mut block = out.gradient.fixed_rows_mut::<6>(6 * i);
-            block += g * factor;
+        out.all.add(part, time);
+        if facing.num_residuals > 0 {
+            out.facing.add(facing, time);
         }
     }
     // A scatter adds three residuals: the mean is a little too small, which is the safe side of nothing much.
     out.tilt /= out.pose.num_residuals.max(1) as f64;
     out
+}
+
+/// Whether a plane looks along what is open: no noise tilts a wall so far.
+fn faces(voxel: &Gaussian, r: &Matrix3<f64>, open: &Matrix3<f64>) -> bool {
+    matches!(voxel.shape, Shape::Plane(normal, _) if (open * r.tr_mul(&normal)).norm() > FACING)
 }
 
 fn add(
@@ -263,23 +295,81 @@ fn add_scatter(
     }
 }
 
-fn solve(
-    e: &Equations,
-    degeneracy: &Degeneracy,
-    expected: &(Matrix12, Vector12),
-    stride: usize,
-) -> Option<(Vector12, Matrix12)> {
-    let share = stride as f64 / POINTS_PER_MEASUREMENT;
-    let (mut h, mut g) = *expected;
-    for i in [0, 6] {
-        for j in [0, 6] {
-            let kept = degeneracy.keep_good(&e.hessian.fixed_view::<6, 6>(i, j).into_owned());
-            let mut block = h.fixed_view_mut::<6, 6>(i, j);
-            block += kept * share;
-        }
-        let mut block = g.fixed_rows_mut::<6>(i);
-        block += degeneracy.keep_good_gradient(&e.gradient.fixed_rows::<6>(i).into_owned()) * share;
+/// What points tell of pose and velocity.
+struct Told {
+    information: Matrix12,
+    gradient: Vector12,
+}
+
+/// What the points tell, without the directions that they leave open.
+fn told(e: &Equations, degeneracy: &Degeneracy, share: f64) -> Told {
+    e.all.each(|h| degeneracy.keep_good(h) * share, |g| degeneracy.keep_good_gradient(g) * share)
+}
+
+/// The same for one whom inertia carries on where the scene is open. What walls seem to tell of the way along them is left
+/// out altogether: it comes back from a map that was made where the prediction was, time and again, and would pass for
+/// knowledge. What few planes tell that face the open direction, as the end of a corridor does, is kept.
+fn told_beside_inertia(e: &Equations, degeneracy: &Degeneracy, share: f64) -> Told {
+    if degeneracy.num_directions == 0 {
+        return e.all.each(|h| h * share, |g| g * share);
     }
+    let (fixed, open) = degeneracy.parts();
+    let part = |told: &Told, p: &Matrix6<f64>| told.each(|h| p.transpose() * h * p * share, |g| p.tr_mul(g) * share);
+    let (most, rest) = (part(&e.all, &fixed), part(&e.facing, &open));
+    Told { information: most.information + rest.information, gradient: most.gradient + rest.gradient }
+}
+
+impl Told {
+    fn nothing() -> Self {
+        Self { information: Matrix12::zeros(), gradient: Vector12::zeros() }
+    }
+
+    /// Adds what points tell that were taken `time` seconds after the stamp.
+    fn add(&mut self, points: &NormalEquations, time: f64) {
+        let (h, g) = (points.hessian(), points.gradient());
+        for (i, factor) in [1.0, time].into_iter().enumerate() {
+            for (j, other) in [1.0, time].into_iter().enumerate() {
+                let mut block = self.information.fixed_view_mut::<6, 6>(6 * i, 6 * j);
+                block += h * (factor * other);
+            }
+            let mut block = self.gradient.fixed_rows_mut::<6>(6 * i);
+            block += g * factor;
+        }
+    }
+
+    /// The same with its blocks of pose and velocity changed alike.
+    fn each(&self, h: impl Fn(&Matrix6<f64>) -> Matrix6<f64>, g: impl Fn(&Vector6<f64>) -> Vector6<f64>) -> Self {
+        let mut out = Self::nothing();
+        for i in [0, 6] {
+            for j in [0, 6] {
+                let block = h(&self.information.fixed_view::<6, 6>(i, j).into_owned());
+                out.information.fixed_view_mut::<6, 6>(i, j).copy_from(&block);
+            }
+            out.gradient.fixed_rows_mut::<6>(i).copy_from(&g(&self.gradient.fixed_rows::<6>(i).into_owned()));
+        }
+        out
+    }
+
+    /// The same around the state after a step.
+    fn after(self, step: &Vector12) -> Self {
+        Self { gradient: self.gradient + self.information * step, ..self }
+    }
+
+    /// Of the pose alone, whatever the velocity, of which only what was expected is known besides.
+    fn of_pose(&self, state: &State, (h, g): &(Matrix12, Vector12)) -> Option<Registration> {
+        let block = |m: &Matrix12, i: usize, j: usize| m.fixed_view::<6, 6>(i, j).into_owned();
+        let (hp, hpv) = (block(&self.information, 0, 0), block(&self.information, 0, 6));
+        let velocity = (block(&self.information, 6, 6) + block(h, 6, 6)).cholesky()?;
+        let pulled = self.gradient.fixed_rows::<6>(6) + g.fixed_rows::<6>(6);
+        let information = hp - hpv * velocity.solve(&hpv.transpose());
+        let gradient = self.gradient.fixed_rows::<6>(0) - hpv * velocity.solve(&pulled);
+        let information = (information + information.transpose()) * 0.5;
+        Some(Registration { t_odom_found: state.t_odom_base, information, gradient })
+    }
+}
+
+fn solve(told: &Told, expected: &(Matrix12, Vector12)) -> Option<(Vector12, Matrix12)> {
+    let (h, g) = (expected.0 + told.information, expected.1 + told.gradient);
     let step = -h.cholesky()?.solve(&g);
     step.iter().all(|x| x.is_finite()).then_some((step, h))
 }

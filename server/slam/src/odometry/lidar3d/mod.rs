@@ -10,11 +10,12 @@ pub(crate) mod sweep;
 pub(crate) mod voxels;
 
 use crate::downsample::Thinner;
+use crate::inertial::{Curve, Registration};
 use crate::odometry::{LocalModel, Match, Prediction, deskew};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
-use align::{Problem, agility, align};
+use align::{Problem, agility, align_and_tell};
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeScan, Pose, cloud};
 use serde::{Deserialize, Serialize};
@@ -127,6 +128,10 @@ pub(crate) struct Lidar3d {
     /// Base's velocity during the current sweep, m/s and rad/s: as expected, and as last found.
     expected_velocity: Vector6<f64>,
     velocity: Vector6<f64>,
+    /// How base moves during sweeps as an IMU feels it: velocities are what is left of that then.
+    curve: Option<Arc<Curve>>,
+    /// What placing the current sweep told by itself.
+    seen: Option<Registration>,
     /// Seconds in which it may have changed from the one to the other.
     elapsed: f64,
     reach: f64,
@@ -156,6 +161,8 @@ impl Lidar3d {
             sparse: Sweep::default(),
             expected_velocity: Vector6::zeros(),
             velocity: Vector6::zeros(),
+            curve: None,
+            seen: None,
             elapsed: 0.0,
             reach: 0.0,
             usual_range: 1.0,
@@ -291,11 +298,16 @@ impl LocalModel for Lidar3d {
             return Err(LostReason::TooFewPoints);
         }
         let offsets = scan.cloud.time_offsets_s.as_deref().filter(|o| self.params.deskew && o.len() == positions.len());
-        let instants = Instants::new(offsets);
+        if offsets.is_none() {
+            self.curve = None;
+        }
+        let curve = self.curve.as_deref();
+        let instants = Instants::felt(offsets, curve);
         let still = Vector6::zeros();
-        self.expected_velocity = if offsets.is_some() { *velocity } else { still };
+        self.expected_velocity = if offsets.is_some() && curve.is_none() { *velocity } else { still };
         self.velocity = self.expected_velocity;
-        let in_base = deskew::to_base(&scan.cloud, &scan.t_base_sensor, &self.expected_velocity);
+        self.seen = None;
+        let in_base = deskew::to_base(&scan.cloud, &scan.t_base_sensor, &self.expected_velocity, curve);
         self.adapt(&in_base, &usable);
         let size = self.map.as_ref().map_or(1.0, Levels::size);
         let dense = self.thinner.even(&in_base, &usable, DENSE * size);
@@ -330,7 +342,9 @@ impl LocalModel for Lidar3d {
             min_overlap: self.params.min_overlap_ratio,
             min_inlier_ratio: self.params.min_inlier_ratio,
         };
-        let (found, state) = align(&problem)?;
+        self.seen = None;
+        let (found, state, seen) = align_and_tell(&problem)?;
+        self.seen = Some(seen);
         self.elapsed = problem.elapsed();
         let sigma = |from: usize| (from..from + 3).map(|k| found.covariance[(k, k)]).sum::<f64>().sqrt();
         self.sigma = sigma(0) + self.usual_range * sigma(3);
@@ -343,7 +357,7 @@ impl LocalModel for Lidar3d {
     }
 
     fn integrate(&mut self, t_odom_base: &Pose) {
-        if self.dense.instants().duration() > 0.0 {
+        if self.dense.instants().duration() > 0.0 && self.curve.is_none() {
             // One sweep that was placed wrongly must not open the door for the next.
             let most2 = QUICKENS.powi(2) * self.agility2;
             let now2 = agility(self.elapsed, &(self.velocity - self.expected_velocity)).powi(2).min(most2);
@@ -363,7 +377,20 @@ impl LocalModel for Lidar3d {
     }
 
     fn sweep_velocity(&self) -> Option<Vector6<f64>> {
-        (self.dense.instants().duration() > 0.0).then_some(self.velocity)
+        let instants = self.dense.instants();
+        (instants.duration() > 0.0).then(|| instants.mean_velocity(&self.velocity))
+    }
+
+    fn follow_curve(&mut self, curve: Option<Arc<Curve>>) {
+        self.curve = curve;
+    }
+
+    fn sweep_curve(&self) -> Option<(Arc<Curve>, Vector6<f64>)> {
+        self.curve.clone().map(|curve| (curve, self.velocity))
+    }
+
+    fn seen(&self) -> Option<Registration> {
+        self.seen.clone()
     }
 
     fn clear(&mut self) {

@@ -1,10 +1,13 @@
 //! The points of a sweep, each where base was at its own time, in groups of nearly equal time.
 
+use crate::inertial::Curve;
 use nalgebra::{Matrix3, Point3, Vector3, Vector6};
 use percept_geometry::{Pose, se3};
 
 /// Groups of a sweep: of 100 ms each lasts 1.6 ms, in which a hand turns by 3 mrad at 2 rad/s.
 const NUM_GROUPS: usize = 64;
+/// And where an IMU felt the motion, quick turns included: 0.4 ms, 1 mrad at 3 rad/s.
+const NUM_FELT_GROUPS: usize = 256;
 
 /// Rotation and translation of a rigid motion, ready to be applied to many points.
 #[derive(Debug, Clone, Copy)]
@@ -30,24 +33,38 @@ pub(crate) struct Instants {
     first: f32,
     step: f32,
     times: Vec<f64>,
+    /// Base at each of them, seen from base at the stamp, where an IMU felt it.
+    felt: Option<Vec<Pose>>,
 }
 
 impl Instants {
     /// Of these offsets from the stamp; where there are none, all groups are at the stamp.
     pub(crate) fn new(offsets: Option<&[f32]>) -> Self {
+        Self::of(offsets, NUM_GROUPS)
+    }
+
+    /// The same with the motion that an IMU felt, if it did.
+    pub(crate) fn felt(offsets: Option<&[f32]>, curve: Option<&Curve>) -> Self {
+        let Some(curve) = curve else { return Self::new(offsets) };
+        let instants = Self::of(offsets, NUM_FELT_GROUPS);
+        let felt = instants.times.iter().map(|&t| curve.at(t)).collect();
+        Self { felt: Some(felt), ..instants }
+    }
+
+    fn of(offsets: Option<&[f32]>, num: usize) -> Self {
         let range = offsets
             .map(|o| o.iter().filter(|t| t.is_finite()).fold((f32::MAX, f32::MIN), |(a, b), &t| (a.min(t), b.max(t))));
         match range {
             Some((first, last)) if last > first => {
-                let step = (last - first) / (NUM_GROUPS - 1) as f32;
-                let times = (0..NUM_GROUPS).map(|i| f64::from(first + step * i as f32)).collect();
-                Self { first, step, times }
+                let step = (last - first) / (num - 1) as f32;
+                let times = (0..num).map(|i| f64::from(first + step * i as f32)).collect();
+                Self { first, step, times, felt: None }
             }
             // All at one time, which need not be the stamp.
             Some((first, last)) if last == first => {
-                Self { first, step: 1.0, times: vec![f64::from(first); NUM_GROUPS] }
+                Self { first, step: 1.0, times: vec![f64::from(first); num], felt: None }
             }
-            _ => Self { first: 0.0, step: 1.0, times: vec![0.0; NUM_GROUPS] },
+            _ => Self { first: 0.0, step: 1.0, times: vec![0.0; num], felt: None },
         }
     }
 
@@ -75,9 +92,21 @@ impl Instants {
         self.times.first().zip(self.times.last()).map_or(0.0, |(a, b)| 0.5 * (a + b))
     }
 
-    /// What brings points to base at the stamp, group by group, if base moves at constant `velocity`.
+    /// What brings points to base at the stamp, group by group, if base moves at constant `velocity`, on top of what an IMU
+    /// felt if it did.
     pub(crate) fn motions(&self, velocity: &Vector6<f64>) -> Vec<Motion> {
-        self.times.iter().map(|&t| Motion::of(&se3::exp(&(velocity * t)))).collect()
+        let at = |t: f64| se3::exp(&(velocity * t));
+        match &self.felt {
+            Some(felt) => self.times.iter().zip(felt).map(|(&t, felt)| Motion::of(&(at(t) * felt))).collect(),
+            None => self.times.iter().map(|&t| Motion::of(&at(t))).collect(),
+        }
+    }
+
+    /// Base's mean velocity from the first point to the last, in its axes at the first, m/s and rad/s.
+    pub(crate) fn mean_velocity(&self, velocity: &Vector6<f64>) -> Vector6<f64> {
+        let (Some(felt), true) = (&self.felt, self.duration() > 0.0) else { return *velocity };
+        let at = |k: usize| se3::exp(&(velocity * self.times[k])) * felt[k];
+        se3::log(&at(0).inv_mul(&at(felt.len() - 1))) / self.duration()
     }
 }
 
@@ -102,7 +131,7 @@ impl Sweep {
     ) -> Self {
         let motion = Motion::of(t_base_sensor);
         // Groups are work for threads, too: without times they are equal shares.
-        let share = |k: usize| k * NUM_GROUPS / indices.len();
+        let share = |k: usize| k * instants.times.len() / indices.len();
         let group = |k: usize, i: u32| offsets.map_or_else(|| share(k), |o| instants.group(o[i as usize]));
         let mut starts = vec![0u32; instants.times.len() + 1];
         for (k, &i) in indices.iter().enumerate() {

@@ -15,6 +15,7 @@ pub(crate) mod place;
 mod surfels;
 mod window;
 
+use crate::inertial::Registration;
 use crate::odometry::{LocalModel, Match, Prediction};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
@@ -143,6 +144,8 @@ pub(crate) struct Rgbd {
     moving: Moving,
     /// Of the newest placement, right perturbation in the camera.
     placement: Covariance6,
+    /// What it told by itself, of base.
+    seen: Option<Registration>,
 }
 
 impl Rgbd {
@@ -161,6 +164,7 @@ impl Rgbd {
             window: Window::default(),
             moving: Moving::default(),
             placement: Covariance6::zeros(),
+            seen: None,
         }
     }
 
@@ -284,7 +288,7 @@ impl Rgbd {
 impl LocalModel for Rgbd {
     fn prepare(&mut self, scan: &Scan, _velocity: &Vector6<f64>) -> Result<(), LostReason> {
         let Scan::Depth(scan) = scan else { return Err(LostReason::UnsuitableScan) };
-        self.viewed = false;
+        (self.viewed, self.seen) = (false, None);
         self.moving = Moving::default();
         self.t_base_camera = scan.t_base_sensor;
         let depth = (self.params.min_depth_m as f32, self.params.max_depth_m as f32);
@@ -301,7 +305,7 @@ impl LocalModel for Rgbd {
     fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason> {
         let Some(camera) = self.preparer.pinhole else { return Err(LostReason::TooFewPoints) };
         self.surfels.render(&camera, &(prediction.t_odom_base * self.t_base_camera), &mut self.view);
-        self.viewed = true;
+        (self.viewed, self.seen) = (true, None);
         // The prediction's covariance in the camera: exp(xi_base) t_base_camera = t_base_camera exp(xi_camera).
         let ad = se3::adjoint(&self.t_base_camera.inverse());
         let covariance = ad * prediction.covariance * ad.transpose();
@@ -314,11 +318,17 @@ impl LocalModel for Rgbd {
         }
         self.placement = found.covariance;
         let back = se3::adjoint(&self.t_base_camera);
-        Ok(Match {
+        let found = Match {
             t_odom_base: found.t_odom_base * self.t_base_camera.inverse(),
             covariance: back * found.covariance * back.transpose(),
             ..found
-        })
+        };
+        self.seen = by_itself(&found, prediction);
+        Ok(found)
+    }
+
+    fn seen(&self) -> Option<Registration> {
+        self.seen.clone()
     }
 
     fn is_certain(&self, found: &Match) -> bool {
@@ -372,6 +382,16 @@ impl LocalModel for Rgbd {
     fn seed(&mut self, _t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)]) {
         self.pending = recent.iter().filter(|(_, k)| !k.planar).cloned().collect();
     }
+}
+
+/// What a frame told without what was predicted: the information that is there less the prediction's, and the pull against
+/// which it held the pose. Where it told nothing rounding may leave less than nothing, which is cut off.
+fn by_itself(found: &Match, prediction: &Prediction) -> Option<Registration> {
+    let prior = prediction.covariance.try_inverse()?;
+    let mut told = (found.covariance.try_inverse()? - prior).symmetric_eigen();
+    told.eigenvalues.iter_mut().for_each(|v| *v = v.max(0.0));
+    let pull = se3::log(&prediction.t_odom_base.inv_mul(&found.t_odom_base));
+    Some(Registration { t_odom_found: found.t_odom_base, information: told.recompose(), gradient: -(prior * pull) })
 }
 
 mod seed {
