@@ -19,7 +19,6 @@ pub use settings::may_change;
 
 use crate::clock_offset::ClockOffsets;
 use crate::graph_worker::{Executor, GraphWorker, Relocated};
-use crate::imu_prior::ImuBuffer;
 use crate::mounts::Mounts;
 use crate::odometry_prior::OdometryBuffer;
 use crate::recovery::Anchoring;
@@ -31,9 +30,12 @@ use percept_geometry::{Correction, Pose, SensorData, SensorFrame, SensorId, Sens
 use percept_mapping::{Map, MapMemory, MapStore, Submap};
 use percept_perception::detection::Detector;
 use percept_scene::{Object, Tracker};
-use percept_slam::{KeyframePolicy, Loop, Odometry};
+use percept_slam::{ImuBuffer, KeyframePolicy, Loop, Odometry};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+
+/// Offsets of an IMU's clock below this are what finding them is good to, seconds.
+const CLOCK_IS_OFF_S: f64 = 0.01;
 
 /// One robot's SLAM, maps, objects. A single writer; readers use [`Pipeline::snapshot`].
 pub struct Pipeline {
@@ -153,7 +155,10 @@ impl Pipeline {
             return Ok(nothing);
         }
         if let SensorData::Imu(sample) = &frame.data {
-            self.imus.entry(spec.id.clone()).or_default().push(stamp, sample, &spec.t_base_sensor);
+            // Where its clock was found to be off, its samples are taken for when they were felt.
+            let late = self.clock_offsets.get(&spec.id).copied().filter(|late| late.abs() > CLOCK_IS_OFF_S);
+            let felt = stamp.plus_seconds(-late.unwrap_or(0.0));
+            self.imus.entry(spec.id.clone()).or_default().push(felt, sample, &spec.t_base_sensor);
             self.clocks.saw(&spec.id, stamp, sample.angular_velocity.norm());
             return Ok(nothing);
         }

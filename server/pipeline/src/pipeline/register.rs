@@ -35,8 +35,10 @@ impl Pipeline {
     pub(super) fn register(&mut self, spec: &SensorSpec, stamp: Timestamp, scan: &Scan) -> FrameReport {
         let since = self.last_registered;
         let wheels = since.and_then(|last| self.wheels.values().find_map(|w| w.between(last, stamp)));
-        let turn = since.and_then(|last| self.imus.values().find_map(|i| i.between(last, stamp)));
-        let prior = joined(wheels.clone(), turn);
+        // Of several IMUs the first by name that covers the stretch.
+        let felt = since.and_then(|last| self.imus.values().find_map(|i| Some((i, i.between(last, stamp)?))));
+        let imu = felt.as_ref().map(|f| f.0).or_else(|| self.imus.values().next());
+        let prior = joined(wheels.clone(), felt.as_ref().map(|f| f.1.clone()));
         let kind = match scan {
             Scan::Depth(_) => OdometryKind::Rgbd,
             Scan::Cloud(_) => OdometryKind::Lidar3d,
@@ -45,7 +47,7 @@ impl Pipeline {
         };
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.slam.odometry.clone()));
         let (t_odom_last, was_tracking) = (*odometry.t_odom_base(), odometry.is_tracking());
-        let mut estimate = odometry.register(stamp, scan, prior.as_ref());
+        let mut estimate = odometry.register_with_imu(stamp, scan, prior.as_ref(), imu);
         let moved = odometry.take_moved();
         if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking()) {
             let turn = t_odom_last.rotation.inverse() * estimate.t_odom_base.rotation;
