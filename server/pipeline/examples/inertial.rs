@@ -143,7 +143,7 @@ fn spoilt(mut frame: SensorFrame, t_s: f64, wrong: &str) -> Option<SensorFrame> 
             (sample.angular_velocity, sample.linear_acceleration) =
                 (r * sample.angular_velocity, r * sample.linear_acceleration);
         }
-        "late" => frame.stamp = frame.stamp.plus_seconds(0.03),
+        "late" => frame.stamp = frame.stamp.plus_seconds(0.1),
         "jump" if t_s > 20.0 => {
             sample.angular_velocity += Vector3::new(0.05, -0.03, 0.04);
             sample.linear_acceleration += Vector3::new(0.5, 0.3, -0.4);

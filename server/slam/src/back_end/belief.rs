@@ -11,8 +11,9 @@ use percept_geometry::Covariance6;
 const PATIENCE: u32 = 60;
 /// Standard deviations of drift that a loop may ask for; more takes twice as many that agree.
 const LIKELY_DRIFT: f64 = 4.0;
-/// Misfit from which a new loop is solved for at once: what one of a hundred good ones exceeds in six dimensions.
-const MISFITS: f64 = 16.8;
+/// Misfits from which a new loop is solved for at once, and from which the poses do not know of it: half of the good ones exceed
+/// the one in six dimensions, one of a hundred the other.
+const MISFITS: (f64, f64) = (6.0, 16.8);
 /// The newest pose is known badly if its variance is so many times that of the last solution and of a loop together.
 const GROWN: f64 = 4.0;
 /// Squared standard deviations of misfit from which a loop that was believed is so no longer: its weight is next to nothing.
@@ -37,11 +38,11 @@ impl BackEnd {
         (first..self.loops.len()).collect()
     }
 
-    /// Decides about pending loops; whether the graph should be optimised now.
-    pub(super) fn judge(&mut self, changed: &mut Vec<usize>) -> bool {
+    /// Decides about pending loops; how thoroughly the graph should be optimised now, if it should.
+    pub(super) fn judge(&mut self, changed: &mut Vec<usize>) -> Option<Effort> {
         let now = self.chain.len() as u32;
         let mut far = vec![];
-        let mut urgent = false;
+        let mut urgent = None;
         for k in 0..self.loops.len() {
             if self.loops[k].state != LoopState::Pending {
                 continue;
@@ -51,7 +52,10 @@ impl BackEnd {
             let off = chi2(tie.closure, &self.poses[from as usize], &self.poses[to as usize]);
             if off < AGREE {
                 self.loops[k].state = LoopState::Active;
-                urgent |= off > MISFITS || self.is_news(k);
+                let is_unknown = off > MISFITS.1 || self.is_news(k);
+                let effort =
+                    if is_unknown { Some(Effort::Thorough) } else { (off > MISFITS.0).then_some(Effort::Routine) };
+                urgent = urgent.max(effort);
                 changed.push(k);
             } else if to + PATIENCE < now {
                 self.loops[k].state = LoopState::Rejected;
@@ -63,7 +67,8 @@ impl BackEnd {
         if far.is_empty() {
             return urgent;
         }
-        self.try_group(&far, changed) || urgent
+        let is_group_believed = self.try_group(&far, changed);
+        if is_group_believed { Some(Effort::Thorough) } else { urgent }
     }
 
     /// Whether a loop at the newest keyframe tells where the robot is that has long been unsure of it.

@@ -110,8 +110,9 @@ impl BackEnd {
         self.extend(keyframe, &t_map_base);
         let mut changed = self.add_loops(tied.into_iter().collect());
         // Place recognition is to know where it has to look.
-        if !changed.is_empty() && self.judge(&mut changed) {
-            self.optimise(Effort::Thorough, &mut changed);
+        let urgent = if changed.is_empty() { None } else { self.judge(&mut changed) };
+        if let Some(effort) = urgent {
+            self.optimise(effort, &mut changed);
         }
         let found = match keyframe.recognise {
             true => self.recognition.insert(keyframe.id, &keyframe.scan, &self.drift, &self.by_id),
@@ -122,8 +123,8 @@ impl BackEnd {
         self.since_optimised += 1;
         self.since_given += 1;
         let is_tied = self.loops.iter().any(|l| l.state == LoopState::Active);
-        if urgent {
-            self.optimise(Effort::Thorough, &mut changed);
+        if let Some(effort) = urgent {
+            self.optimise(effort, &mut changed);
         } else if is_tied && self.since_optimised as f64 >= (LAZY_SHARE * self.chain.len() as f64).max(LAZY as f64) {
             self.optimise(Effort::Routine, &mut changed);
         }

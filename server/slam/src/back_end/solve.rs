@@ -7,13 +7,13 @@ use nalgebra::Matrix6;
 use percept_geometry::{Covariance6, Pose};
 
 /// How thoroughly a graph is solved.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Effort {
+    /// The poses explain the loops: those are weighed by how they fit, and solved once.
+    Routine,
     /// Loops have come that the poses do not know of: all loops have their full weight at first, and lose it in rounds of
     /// solving and weighing.
     Thorough,
-    /// The poses explain the loops: those are weighed by how they fit, and solved once.
-    Routine,
 }
 
 /// Rounds of solving and weighing, in a thorough solution.

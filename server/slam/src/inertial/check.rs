@@ -5,8 +5,11 @@ use nalgebra::UnitQuaternion;
 /// Weight of the newest frame in running means, and frames after which they say something.
 const NEWEST: f64 = 0.1;
 const ENOUGH: usize = 5;
-/// A gyro is wrong if it is off by so many times what a constant rate is, and this angle, radians: what registrations err.
-const WORSE: (f64, f64) = (1.5, 0.005);
+/// Turns by less than this tell nothing, radians: all predict those.
+const TURNS: f64 = 0.02;
+/// A gyro is believed if it is off by no more than this share of what a constant rate is, and this angle, radians, to which
+/// registrations are good: one whose clock is late by a frame does about as well as a constant rate.
+const BETTER: (f64, f64) = (0.8, 0.003);
 
 /// How far both were off, radians.
 #[derive(Debug, Clone, Default)]
@@ -17,22 +20,26 @@ pub(crate) struct GyroCheck {
 }
 
 impl GyroCheck {
-    /// A frame was placed with rotation `now`, to which the gyro had led to `felt` and a constant rate to `assumed`.
+    /// Turns since the frame before: as the gyro felt it, at a constant rate, and as the frame was placed.
     pub(crate) fn compare(
         &mut self,
         felt: &UnitQuaternion<f64>,
         assumed: &UnitQuaternion<f64>,
         now: &UnitQuaternion<f64>,
     ) {
+        if felt.angle().max(now.angle()) < TURNS {
+            return;
+        }
         self.num += 1;
         let weight = NEWEST.max(1.0 / self.num as f64);
         self.gyro += weight * (felt.angle_to(now) - self.gyro);
         self.assumed += weight * (assumed.angle_to(now) - self.assumed);
     }
 
-    /// Whether its turns are worth being a prior. One that was wrong may come back: it is compared on.
+    /// Whether its turns are worth being a prior: until they have shown that they are not. One that was wrong may come back: it
+    /// is compared on.
     pub(crate) fn is_believed(&self) -> bool {
-        self.num < ENOUGH || self.gyro <= WORSE.0 * self.assumed + WORSE.1
+        self.num < ENOUGH || self.gyro <= BETTER.0 * self.assumed + BETTER.1
     }
 }
 

@@ -31,16 +31,14 @@ const NEWEST: f64 = 0.05;
 const PROVEN: usize = 5;
 /// Weight of a frame that surprises more than those before.
 const STARTLED: f64 = 0.3;
-/// A radian counts as so many metres: points lie metres away.
-const RADIAN_M: f64 = 2.0;
-/// Predictions that are off by no more than this are not told apart, metres.
-const SLACK_M: f64 = 0.003;
+/// Predictions that are off by no more than this are not told apart, metres and radians.
+const SLACK: (f64, f64) = (0.003, 0.0015);
 /// An IMU that was not believed has to be so much better than constant velocity before it is again.
 const BETTER: f64 = 0.8;
 /// Squared error of a prediction in standard deviations, by axis, at which what is known of the IMU is dropped.
 const ABSURD: f64 = 400.0;
-/// And at which it is not believed: predictions are off by three standard deviations time and again.
-const INCONSISTENT: f64 = 9.0;
+/// And at which it is not believed: predictions are off by two standard deviations time and again.
+const INCONSISTENT: f64 = 4.0;
 /// The most by which errors of predictions widen what is said of them, in variance.
 const WIDEST: f64 = 1e4;
 /// Turning rates are good to this share, in a sweep: see the share of a turn in preintegration.
@@ -78,6 +76,26 @@ pub(crate) struct PlacedFrame<'a> {
     pub(crate) stamp: Timestamp,
 }
 
+/// Running means of how far predictions were off, metres and radians: a force that is felt in another direction spoils the one
+/// and leaves the other as it is.
+#[derive(Debug, Clone, Copy, Default)]
+struct Errors {
+    position: f64,
+    rotation: f64,
+}
+
+impl Errors {
+    fn add(&mut self, off: &Vector6<f64>, weight: f64) {
+        self.position += weight * (off.fixed_rows::<3>(0).norm() - self.position);
+        self.rotation += weight * (off.fixed_rows::<3>(3).norm() - self.rotation);
+    }
+
+    /// Whether neither is worse than so many times the other's.
+    fn within(&self, share: f64, other: &Self) -> bool {
+        self.position <= share * other.position + SLACK.0 && self.rotation <= share * other.rotation + SLACK.1
+    }
+}
+
 /// The state of the fusion.
 #[derive(Debug, Default)]
 pub(crate) struct Inertial {
@@ -88,8 +106,8 @@ pub(crate) struct Inertial {
     /// What was expected of the current frame, believed or not.
     expected: Option<Expected>,
     is_believed: bool,
-    /// Running means of how far predictions were off, metres: of the IMU, and of constant velocity.
-    off_by: (f64, f64),
+    /// How far predictions were off: the IMU's, and those of constant velocity.
+    off_by: (Errors, Errors),
     num_compared: usize,
     /// Running mean of the squared error in standard deviations, by axis.
     surprise: f64,
@@ -228,21 +246,19 @@ impl Inertial {
         // To where the frame alone would be placed, without what was expected of it; along what it leaves open it says nothing.
         let spread = seen.information.pseudo_inverse(1e-6).unwrap_or_else(|_| Matrix6::zeros());
         let off_by = |t: &Pose| spread * (seen.information * off(t, &seen.t_odom_found) - seen.gradient);
-        let metres = |d: Vector6<f64>| d.fixed_rows::<3>(0).norm() + RADIAN_M * d.fixed_rows::<3>(3).norm();
         let d = off_by(&expected.t_odom_base);
-        let now = (metres(d), metres(off_by(frame.assumed)));
         let weight = NEWEST.max(1.0 / (self.num_compared + 1) as f64);
-        self.off_by.0 += weight * (now.0 - self.off_by.0);
-        self.off_by.1 += weight * (now.1 - self.off_by.1);
+        self.off_by.0.add(&d, weight);
+        self.off_by.1.add(&off_by(frame.assumed), weight);
         let widened = self.surprise.clamp(1.0, WIDEST);
         let total = expected.pose_covariance() / widened + spread;
         let squared = total.cholesky().map_or(0.0, |c| d.dot(&c.solve(&d)) / 6.0);
         let weight = if squared > self.surprise { STARTLED } else { NEWEST };
         self.surprise += weight * (squared.min(1e6) - self.surprise);
         self.num_compared += 1;
-        let bar = if self.is_believed { self.off_by.1 } else { BETTER * self.off_by.1 };
+        let share = if self.is_believed { 1.0 } else { BETTER };
         if self.num_compared >= PROVEN {
-            self.is_believed = self.off_by.0 <= bar + SLACK_M && self.surprise <= INCONSISTENT;
+            self.is_believed = self.off_by.0.within(share, &self.off_by.1) && self.surprise <= INCONSISTENT;
         }
     }
 

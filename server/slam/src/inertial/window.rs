@@ -8,7 +8,7 @@
 //! Matthies, Sukhatme, "Sliding window filter with application to planetary landing", 2010 (fixed lag, marginalisation).
 
 use super::preintegration::{DIRECTION, Gravity, NavState, Preintegrated, STATE, off};
-use nalgebra::{Cholesky, Const, Matrix6, SMatrix, SVector, Vector6};
+use nalgebra::{Cholesky, Const, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 use percept_geometry::Pose;
 use std::collections::VecDeque;
 
@@ -37,6 +37,14 @@ impl Registration {
     #[cfg(test)]
     pub(super) fn at(t_odom_found: Pose, information: Matrix6<f64>) -> Self {
         Self { t_odom_found, information, gradient: Vector6::zeros() }
+    }
+
+    /// Where the frame is by itself, whatever it was placed with; what it leaves open stays as it was found.
+    pub(crate) fn alone(&self) -> Pose {
+        let spread = self.information.pseudo_inverse(1e-6).unwrap_or_else(|_| Matrix6::zeros());
+        let d = -spread * self.gradient;
+        let (p, r) = (Vector3::new(d[0], d[1], d[2]), Vector3::new(d[3], d[4], d[5]));
+        self.t_odom_found * Pose::from_parts(p.into(), UnitQuaternion::from_scaled_axis(r))
     }
 
     /// The same with as much variance added along each direction.

@@ -21,7 +21,7 @@ use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 pub(crate) use model::{LocalModel, Match, Prediction};
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use params::MotionLimits;
 pub use params::{OdometryKind, OdometryParams, TrackingParams};
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
@@ -211,10 +211,13 @@ impl Odometry {
         let is_guessed = self.uncertainty.guessed().contains(&true);
         match found.and_then(|found| if is_guessed { Err(LostReason::Degenerate) } else { Ok(found) }) {
             Ok(found) => {
-                if let Some(turned) = turned.filter(|_| self.num_lost == 0) {
+                // What inertia led to is no proof of the gyro, which is a part of it.
+                if let Some(turned) = turned.filter(|_| self.num_lost == 0 && prediction.inertial.is_none()) {
                     let assumed = self.predict(dt, None).t_odom_base.rotation;
-                    let (before, now) = (self.t_odom_base.rotation, found.t_odom_base.rotation);
-                    self.gyro.compare(&(before * turned), &assumed, &now);
+                    // A frame lies near where it was expected: with a wrong turn it looks as if that were right.
+                    let alone = self.model.seen().map_or(found.t_odom_base, |seen| seen.alone());
+                    let since = |now: &UnitQuaternion<f64>| self.t_odom_base.rotation.inverse() * now;
+                    self.gyro.compare(&turned, &since(&assumed), &since(&alone.rotation));
                 }
                 let found = self.fuse(stamp, dt, found, imu);
                 if self.num_lost == 0 {
