@@ -20,7 +20,7 @@ pub(crate) struct DemoArgs {
     /// World and noise; the same seed gives the same day.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Rooms of the world, 1 to 64.
+    /// Rooms of the world, 1 to 256.
     #[arg(long, default_value_t = 4)]
     rooms: usize,
     /// Folder for pictures and results.

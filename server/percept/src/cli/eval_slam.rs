@@ -63,7 +63,7 @@ pub(crate) struct SlamArgs {
     /// Length of the session, minutes.
     #[arg(long, default_value_t = 10.0)]
     minutes: f64,
-    /// Rooms of the world, 1 to 64; a lap takes 30 to 40 s a room.
+    /// Rooms of the world, 1 to 256; a lap takes 30 to 40 s a room.
     #[arg(long, default_value_t = 6)]
     rooms: usize,
     /// World and noise.

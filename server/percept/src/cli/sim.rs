@@ -38,7 +38,7 @@ pub(crate) struct SimArgs {
     /// World and noise; the same seed gives the same bytes.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Rooms of the world, 1 to 64.
+    /// Rooms of the world, 1 to 256.
     #[arg(long, default_value_t = 4)]
     rooms: usize,
     /// Laps through all rooms.

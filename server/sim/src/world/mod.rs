@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 pub struct WorldParams {
     /// Seed of layout, furniture and person.
     pub seed: u64,
-    /// Rooms, 1 to 64, in a grid that is as square as it can be; doors join all neighbours.
+    /// Rooms, 1 to 256, in a grid that is as square as it can be; doors join all neighbours.
     pub rooms: usize,
     /// Smallest width and depth of a room, metres, 4.2 to 12.
     pub room_min_m: f64,
@@ -61,7 +61,7 @@ impl WorldParams {
     /// # Errors
     /// `OutOfRange` naming the field.
     pub fn validate(&self) -> Result<(), SimError> {
-        check("rooms", self.rooms as f64, 1.0, 64.0, "between 1 and 64")?;
+        check("rooms", self.rooms as f64, 1.0, 256.0, "between 1 and 256")?;
         check("room_min_m", self.room_min_m, 4.2, 12.0, "between 4.2 and 12")?;
         check("room_max_m", self.room_max_m, self.room_min_m, 12.0, "between room_min_m and 12")?;
         check("furniture_per_m2", self.furniture_per_m2, 0.0, 1.0, "between 0 and 1")?;

@@ -195,10 +195,10 @@ fn figures_out_of_bounds_are_named() {
         SimError::OutOfRange { field, .. } => field,
     };
     assert_eq!(refused(WorldParams { rooms: 0, ..world_params(1, 1) }), "rooms");
-    assert_eq!(refused(WorldParams { rooms: 65, ..world_params(1, 1) }), "rooms");
+    assert_eq!(refused(WorldParams { rooms: 257, ..world_params(1, 1) }), "rooms");
     assert_eq!(refused(WorldParams { room_min_m: f64::NAN, ..world_params(1, 1) }), "room_min_m");
     assert_eq!(refused(WorldParams { furniture_per_m2: 1.1, ..world_params(1, 1) }), "furniture_per_m2");
-    assert!(World::generate(&WorldParams { rooms: 64, person: false, ..world_params(1, 1) }).is_ok());
+    assert!(World::generate(&WorldParams { rooms: 256, person: false, ..world_params(1, 1) }).is_ok());
     assert!(matches!(world(1, 1).occupancy(1e-6, (0.1, 1.8)), Err(SimError::OutOfRange { .. })));
     let robot = RobotParams { turn_rate_rad_per_s: 0.0, ..RobotParams::default() };
     assert!(RobotPath::new(&world(1, 1), &robot).is_err());
