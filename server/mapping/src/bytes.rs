@@ -22,6 +22,10 @@ impl<'a> Reader<'a> {
         Ok(*head)
     }
 
+    pub(crate) fn u8(&mut self) -> Result<u8, Damaged> {
+        self.take().map(u8::from_le_bytes)
+    }
+
     pub(crate) fn u16(&mut self) -> Result<u16, Damaged> {
         self.take().map(u16::from_le_bytes)
     }
@@ -46,6 +50,11 @@ impl<'a> Reader<'a> {
     pub(crate) fn count(&mut self, limit: usize) -> Result<usize, Damaged> {
         let count = self.u32()? as usize;
         if count <= limit && count <= self.rest.len() { Ok(count) } else { Err(Damaged) }
+    }
+
+    /// Bytes that are left.
+    pub(crate) fn len(&self) -> usize {
+        self.rest.len()
     }
 
     pub(crate) fn is_at_end(&self) -> bool {

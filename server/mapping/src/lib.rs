@@ -15,6 +15,7 @@ mod layers;
 pub mod map;
 pub mod occupancy;
 mod store;
+mod stored_scan;
 mod submap;
 
 pub use bytes::{Damaged, Reader};

@@ -13,7 +13,7 @@ use crate::{CloudParams, MapLayers, MappingError, OccupancyParams, SubmapLayers}
 pub use correct::CorrectionReport;
 use division::Division;
 pub use division::MapEntry;
-use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId};
+use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose, SensorId};
 use rebuild::Rebuild;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -58,8 +58,7 @@ pub struct MapKeyframe {
     size: usize,
     /// How far its beams reach that say something, metres.
     reach_m: f64,
-    /// None while it is out of memory.
-    scan: Option<Arc<KeyframeScan>>,
+    scan: KeptScan,
 }
 
 /// Keyframes with their poses, in submaps whose layers make up the map's.
@@ -133,8 +132,12 @@ impl Map {
 
     /// What a keyframe saw; none if there is no such keyframe, or if its scan is out of memory and cannot be had again.
     pub fn scan(&self, id: KeyframeId) -> Option<Arc<KeyframeScan>> {
-        let keyframe = self.keyframes.get(&id)?;
-        keyframe.scan.clone().or_else(|| self.store.as_ref()?.scan(id))
+        self.keyframes.get(&id)?.scan.get()
+    }
+
+    /// What a keyframe saw, for who needs it now and then: it goes out of memory with the map's.
+    pub fn kept_scan(&self, id: KeyframeId) -> Option<&KeptScan> {
+        self.keyframes.get(&id).map(|k| &k.scan)
     }
 
     /// The submaps, in the order in which they were begun.
@@ -182,16 +185,16 @@ impl Map {
         submap.slot = Arc::new(Slot::new(&self.params, Arc::clone(layers)));
         submap.boxes = submap.boxes.joined(&touched);
         submap.add_keyframe(id, t_submap_base);
-        self.scan_bytes += scan.memory_bytes();
         let keyframe = MapKeyframe {
             t_map_base,
             sensor: scan.sensor.clone(),
             submap: submap_id,
             size: scan.hits.len() + scan.misses.len(),
             reach_m: self.params.reach_of(&scan),
-            scan: Some(scan),
+            scan: scan.into(),
         };
         self.shown.touch(version, &submap.in_map(&touched, self.params.margin_m()), true);
+        self.scan_bytes += keyframe.scan.memory_bytes();
         self.keyframes.insert(id, keyframe);
         self.rebuild.take_in(submap_id, id, &t_map_base);
         self.show(version);

@@ -1,8 +1,6 @@
 //! Where submaps go that are not in memory, and what memory there is.
 
-use percept_geometry::{KeyframeId, KeyframeScan};
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 
 /// Name of stored bytes: what the store makes of them, a digest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -14,10 +12,6 @@ pub trait MapStore: std::fmt::Debug + Send + Sync {
     fn put(&self, bytes: &[u8]) -> Option<BlobId>;
     /// The bytes of a name, whole; none if they are gone or damaged.
     fn get(&self, id: &BlobId) -> Option<Vec<u8>>;
-    /// Whether a keyframe's scan is kept and can be had again.
-    fn has_scan(&self, id: KeyframeId) -> bool;
-    /// A keyframe's scan; none if it cannot be had.
-    fn scan(&self, id: KeyframeId) -> Option<Arc<KeyframeScan>>;
 }
 
 /// What a map takes in memory, by part, bytes.

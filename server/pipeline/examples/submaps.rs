@@ -99,11 +99,9 @@ impl MapStore for Shelf {
     fn get(&self, id: &BlobId) -> Option<Vec<u8>> {
         self.blobs.lock().ok()?.get(id).cloned()
     }
+}
 
-    fn has_scan(&self, id: KeyframeId) -> bool {
-        self.scans.lock().is_ok_and(|scans| scans.contains_key(&id))
-    }
-
+impl Shelf {
     fn scan(&self, id: KeyframeId) -> Option<Arc<KeyframeScan>> {
         self.scans.lock().ok()?.get(&id).cloned()
     }

@@ -67,7 +67,7 @@ fn views_of_seven_scenes_are_placed_by_features_of_either_method_and_never_wrong
         for i in (0..400).step_by(50) {
             let (pose, kept) = view(i, method);
             poses.insert(KeyframeId(i as u64), pose);
-            places.insert(KeyframeId(i as u64), &kept, &Covariance6::identity(), &poses);
+            places.insert(KeyframeId(i as u64), &(&kept).into(), &Covariance6::identity(), &poses);
         }
         let mut found = 0;
         for i in (20..400).step_by(100) {

@@ -45,7 +45,7 @@ impl Map {
             }
         }
         for keyframe in gone.iter().filter_map(|id| self.keyframes.remove(id)) {
-            self.scan_bytes -= keyframe.scan.map_or(0, |scan| scan.memory_bytes());
+            self.scan_bytes -= keyframe.scan.memory_bytes();
             concerned.insert(keyframe.submap);
         }
         if concerned.is_empty() {

@@ -3,6 +3,7 @@
 use super::{Map, MapKeyframe};
 use crate::MappingError;
 use crate::store::{MapMemory, MapStore};
+use crate::stored_scan::store_scan;
 use crate::submap::{Fetched, Submap, SubmapId};
 use std::sync::Arc;
 
@@ -29,7 +30,7 @@ impl Map {
         }
     }
 
-    /// Takes a frozen submap's layers out of memory, and its keyframes' scans as far as the store has them. Whether the
+    /// Takes a frozen submap's layers out of memory, and its keyframes' scans. Whether the
     /// layers are out: not if it is being filled, nor if the store does not take them. The map stays whole.
     ///
     /// # Errors
@@ -91,12 +92,10 @@ impl Map {
         }
         let mut freed = submap.slot.evict(&store, &self.fetched);
         for id in submap.keyframes().keys() {
-            let Some(keyframe) = self.keyframes.get_mut(id).filter(|k| k.scan.is_some()) else { continue };
-            if store.has_scan(*id) {
-                let bytes = keyframe.scan.take().map_or(0, |scan| scan.memory_bytes());
-                self.scan_bytes -= bytes;
-                freed += bytes;
-            }
+            let Some(keyframe) = self.keyframes.get(id) else { continue };
+            let bytes = keyframe.scan.evict(|scan| store_scan(&store, scan));
+            self.scan_bytes -= bytes;
+            freed += bytes;
         }
         freed
     }

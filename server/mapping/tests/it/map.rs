@@ -394,7 +394,6 @@ fn what_changes_nothing_keeps_the_version_and_what_is_refused_keeps_the_map() {
 #[derive(Debug, Default)]
 struct Shelf {
     blobs: Mutex<BTreeMap<BlobId, Vec<u8>>>,
-    scans: Vec<Arc<KeyframeScan>>,
     is_full: bool,
 }
 
@@ -411,23 +410,11 @@ impl MapStore for Shelf {
     fn get(&self, id: &BlobId) -> Option<Vec<u8>> {
         self.blobs.lock().unwrap().get(id).cloned()
     }
-
-    fn has_scan(&self, id: KeyframeId) -> bool {
-        (id.0 as usize) < self.scans.len()
-    }
-
-    fn scan(&self, id: KeyframeId) -> Option<Arc<KeyframeScan>> {
-        self.scans.get(id.0 as usize).cloned()
-    }
-}
-
-fn shelf() -> Arc<Shelf> {
-    Arc::new(Shelf { scans: scans(), ..Shelf::default() })
 }
 
 #[test]
 fn a_map_within_a_budget_is_the_map_without_and_takes_no_more_than_it() {
-    let (scans, shelf) = (scans(), shelf());
+    let (scans, shelf) = (scans(), Arc::<Shelf>::default());
     let free = built(&scans, |i| drifted(i, 0.004));
     let budget = free.memory().total() / 3;
     let mut map = Map::new(MapParams::default()).unwrap();
@@ -449,7 +436,7 @@ fn a_map_within_a_budget_is_the_map_without_and_takes_no_more_than_it() {
 
 #[test]
 fn composed_tiles_stay_while_their_submaps_are_out_of_memory_and_what_is_lost_is_named() {
-    let (scans, shelf) = (scans(), shelf());
+    let (scans, shelf) = (scans(), Arc::<Shelf>::default());
     let mut map = built(&scans, drive);
     map.set_store(Arc::clone(&shelf) as Arc<dyn MapStore>, usize::MAX);
     let whole = map.layers().occupancy.dense(1 << 20).unwrap();

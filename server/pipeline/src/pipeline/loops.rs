@@ -74,7 +74,7 @@ impl Pipeline {
             t_map_base: keyframe.info.t_map_base,
             t_odom_base: keyframe.t_odom_base,
             covariance,
-            scan: Arc::clone(&keyframe.scan),
+            scan: self.map.kept_scan(keyframe.info.id).cloned().unwrap_or_else(|| (&keyframe.scan).into()),
             recognise,
             after_gap: keyframe.after_gap,
             tied,
@@ -156,13 +156,13 @@ impl Pipeline {
         self.prepare_graph(kind);
         let Some(back_end) = self.graph.as_mut().and_then(|g| g.finish().1) else { return };
         let keyframes = restored.keyframes.iter().enumerate().filter_map(|(i, k)| {
-            let scan = k.scan()?;
+            let (id, scan) = (KeyframeId(i as u64), k.scan()?);
             Some(BackEndKeyframe {
-                id: KeyframeId(i as u64),
+                id,
                 t_map_base: k.t_map_base,
                 t_odom_base: k.t_odom_base,
                 covariance: Covariance6::zeros(),
-                scan: Arc::clone(scan),
+                scan: self.map.kept_scan(id).cloned().unwrap_or_else(|| scan.into()),
                 recognise: scan.sensor == *pose_sensor,
                 after_gap: k.after_gap,
                 tied: None,

@@ -8,6 +8,7 @@ mod beside;
 mod camera;
 mod correction;
 mod drive;
+mod memory;
 mod mounts;
 mod refusal;
 mod restore;

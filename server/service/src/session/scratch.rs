@@ -2,7 +2,6 @@
 //! with the session: keyframes are stored elsewhere, and all of it can be built of them again.
 
 use crate::{Error, ErrorCode, reason};
-use percept_geometry::{KeyframeId, KeyframeScan};
 use percept_mapping::{BlobId, MapStore};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -15,7 +14,7 @@ use std::time::{Duration, Instant};
 /// After a failure frames are refused for so long; then one may try again.
 const REFUSED: Duration = Duration::from_secs(1);
 
-/// Where submaps lie that are out of memory.
+/// Where submaps lie that are out of memory, and scans.
 #[derive(Debug)]
 pub(crate) struct Scratch {
     directory: PathBuf,
@@ -94,15 +93,6 @@ impl MapStore for Scratch {
             tracing::error!(directory = %self.directory.display(), "a part of a map that was out of memory is damaged");
         }
         is_whole.then_some(bytes)
-    }
-
-    /// Scans stay: loop closing reads them.
-    fn has_scan(&self, _: KeyframeId) -> bool {
-        false
-    }
-
-    fn scan(&self, _: KeyframeId) -> Option<Arc<KeyframeScan>> {
-        None
     }
 }
 

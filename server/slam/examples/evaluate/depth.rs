@@ -99,7 +99,7 @@ pub(crate) fn simulated(seed: u64, args: &[String]) -> Result<(), Failure> {
             let id = KeyframeId(keyframes.len() as u64);
             keyframes.insert(id, f.t_world_base);
             let start = Instant::now();
-            let loops = places.insert(id, &kept, &Covariance6::identity(), &keyframes);
+            let loops = places.insert(id, &kept.into(), &Covariance6::identity(), &keyframes);
             tally.keyframe(start.elapsed().as_secs_f64() * 1e3);
             for l in loops {
                 let expected = keyframes[&l.from].inverse() * keyframes[&l.to];

@@ -135,7 +135,7 @@ fn found(views: &[View], method: usize) {
         let mut poses = KeyframePoses::new();
         for (i, v) in views.iter().enumerate().step_by(every) {
             poses.insert(KeyframeId(i as u64), v.t_world_camera);
-            places.insert(KeyframeId(i as u64), &v.kept[method], &Covariance6::identity(), &poses);
+            places.insert(KeyframeId(i as u64), &(&v.kept[method]).into(), &Covariance6::identity(), &poses);
         }
         let (mut asked, mut right, mut wrong) = (0, 0, 0);
         for (_, v) in views.iter().enumerate().filter(|(i, _)| i % every != 0) {
@@ -153,7 +153,7 @@ fn found(views: &[View], method: usize) {
     for (i, v) in views.iter().enumerate() {
         let id = KeyframeId(i as u64);
         poses.insert(id, v.t_world_camera);
-        for l in places.insert(id, &v.kept[method], &Covariance6::identity(), &poses) {
+        for l in places.insert(id, &(&v.kept[method]).into(), &Covariance6::identity(), &poses) {
             if is_right(&v.t_world_camera.inv_mul(&(poses[&l.from] * l.t_from_to))) { right += 1 } else { wrong += 1 }
         }
     }

@@ -52,7 +52,7 @@ impl Mapping {
             t_map_base: e.t_odom_base,
             t_odom_base: e.t_odom_base,
             covariance: e.covariance,
-            scan: kept,
+            scan: kept.into(),
             recognise: true,
             after_gap: false,
             tied: None,

@@ -26,7 +26,7 @@ fn relocalise(place: &[Point3<f32>], lost: &KeyframeScan) -> Option<Relocalisati
     poses.insert(KeyframeId(1), Pose::translation(1000.0, 0.0, 0.0));
     let scan = Arc::new(seen(place, &Pose::identity()));
     for id in [KeyframeId(0), KeyframeId(1)] {
-        recognition.insert(id, &scan, &Covariance6::zeros(), &poses);
+        recognition.insert(id, &(&scan).into(), &Covariance6::zeros(), &poses);
     }
     recognition.relocalise(lost, &poses)
 }

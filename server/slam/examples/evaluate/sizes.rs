@@ -92,7 +92,7 @@ fn taken_in(views: &[(Pose, Arc<KeyframeScan>)]) -> Result<(Box<dyn PlaceRecogni
     let mut poses = KeyframePoses::new();
     for (k, (t, scan)) in views.iter().enumerate() {
         poses.insert(KeyframeId(k as u64), *t);
-        places.insert(KeyframeId(k as u64), scan, &Covariance6::identity(), &poses);
+        places.insert(KeyframeId(k as u64), &scan.into(), &Covariance6::identity(), &poses);
     }
     Ok((places, poses))
 }
@@ -123,7 +123,7 @@ fn close(mut places: Box<dyn PlaceRecognition>, mut poses: KeyframePoses, again:
         let id = KeyframeId(poses.len() as u64);
         poses.insert(id, *truth);
         tally.asked += 1;
-        for l in places.insert(id, scan, &Covariance6::identity(), &poses) {
+        for l in places.insert(id, &scan.into(), &Covariance6::identity(), &poses) {
             tally.add_off(&(poses[&l.from].inv_mul(truth).inv_mul(&l.t_from_to)));
         }
     }

@@ -307,7 +307,8 @@ impl BackEnd {
 
     fn push(&mut self, keyframe: &BackEndKeyframe, t_prev_node: &Pose, step: &Covariance6) {
         self.last = Some((keyframe.t_odom_base, keyframe.covariance));
-        self.chain.push(keyframe.id, View::of(&keyframe.scan), *t_prev_node, step);
+        let view = keyframe.scan.get().map_or_else(View::unknown, |scan| View::of(&scan));
+        self.chain.push(keyframe.id, view, *t_prev_node, step);
     }
 
     /// Poses by odometry alone, as long as nothing but that ties keyframes to each other: where some were merged, what tied

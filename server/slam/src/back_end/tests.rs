@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::loops::LoopClosure;
-use percept_geometry::{PointCloud, SensorId, Timestamp};
+use percept_geometry::{KeptScan, PointCloud, SensorId, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
@@ -16,15 +16,9 @@ struct Script {
 }
 
 impl PlaceRecognition for Script {
-    fn restore(&mut self, _: KeyframeId, _: &Arc<KeyframeScan>, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
+    fn restore(&mut self, _: KeyframeId, _: &KeptScan, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
 
-    fn insert(
-        &mut self,
-        id: KeyframeId,
-        _: &Arc<KeyframeScan>,
-        drift: &Covariance6,
-        _: &KeyframePoses,
-    ) -> Vec<LoopClosure> {
+    fn insert(&mut self, id: KeyframeId, _: &KeptScan, drift: &Covariance6, _: &KeyframePoses) -> Vec<LoopClosure> {
         self.asked.lock().unwrap().insert(id.0, drift[(0, 0)].max(drift[(1, 1)]).sqrt());
         self.loops.remove(&id.0).unwrap_or_default()
     }
@@ -107,7 +101,7 @@ fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceR
             t_map_base: map[k],
             t_odom_base,
             covariance,
-            scan: Arc::clone(&scan),
+            scan: (&scan).into(),
             recognise: true,
             after_gap: false,
             tied: None,
@@ -239,15 +233,9 @@ struct Rounds {
 }
 
 impl PlaceRecognition for Rounds {
-    fn restore(&mut self, _: KeyframeId, _: &Arc<KeyframeScan>, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
+    fn restore(&mut self, _: KeyframeId, _: &KeptScan, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
 
-    fn insert(
-        &mut self,
-        id: KeyframeId,
-        _: &Arc<KeyframeScan>,
-        _: &Covariance6,
-        _: &KeyframePoses,
-    ) -> Vec<LoopClosure> {
+    fn insert(&mut self, id: KeyframeId, _: &KeptScan, _: &Covariance6, _: &KeyframePoses) -> Vec<LoopClosure> {
         self.known.insert(id.0);
         let to = id.0;
         let old = self.known.iter().rev().copied().find(|k| k + ROUND <= to && (to - k).is_multiple_of(ROUND));
@@ -328,7 +316,7 @@ fn a_gap_stays_one_after_a_restart() {
         t_map_base: truth[k],
         t_odom_base: at(k),
         covariance: Covariance6::identity() * 1e-6 * k as f64,
-        scan: Arc::clone(&scan),
+        scan: (&scan).into(),
         recognise: true,
         after_gap: k == gap,
         tied: None,
@@ -371,7 +359,7 @@ fn after_a_gap_one_measurement_tells_where_places_are_to_be_looked_for() {
                 t_map_base: truth[k as usize],
                 t_odom_base: truth[k as usize],
                 covariance: Covariance6::identity() * 1e-6 * k as f64,
-                scan: Arc::clone(&scan),
+                scan: (&scan).into(),
                 recognise: true,
                 after_gap: k == gap,
                 tied: tied.clone().filter(|_| k == gap),

@@ -40,6 +40,11 @@ pub(super) struct View {
 }
 
 impl View {
+    /// Of a keyframe whose scan cannot be had: nobody else sees the same.
+    pub(super) fn unknown() -> Self {
+        Self { sensor: SensorId(String::new()), around: false }
+    }
+
     pub(super) fn of(scan: &KeyframeScan) -> Self {
         let origin = scan.t_base_sensor.translation.vector.xy().cast::<f32>();
         let sector = |p: &nalgebra::Point3<f32>| {

@@ -3,9 +3,8 @@
 use super::MergedKeyframe;
 use crate::loops::LoopClosure;
 use crate::{ParamError, check_range};
-use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose};
+use percept_geometry::{Correction, Covariance6, KeptScan, KeyframeId, Pose};
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 
 /// Parameters of the back end.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -77,7 +76,7 @@ pub struct BackEndKeyframe {
     /// Of that since the start, right perturbation in base.
     pub covariance: Covariance6,
     /// What it saw.
-    pub scan: Arc<KeyframeScan>,
+    pub scan: KeptScan,
     /// Whether loops are looked for from here.
     pub recognise: bool,
     /// Whether nothing measured ties it to the keyframe before: the robot was lost in between.

@@ -8,7 +8,7 @@
 use super::spatial::Seen;
 use super::visual::VisualPlaces;
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
-use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
+use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose};
 use std::sync::Arc;
 
 /// Place recognition of a depth camera. Keyframes with colour and without are not compared with each other.
@@ -22,11 +22,11 @@ impl PlaceRecognition for DepthPlaces {
     fn insert(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        scan: &KeptScan,
         drift: &Covariance6,
         poses: &KeyframePoses,
     ) -> Vec<LoopClosure> {
-        if scan.features.is_some() {
+        if has_features(scan) {
             return self.by_looks.insert(id, scan, drift, poses);
         }
         self.by_shape.keep(id, scan, poses);
@@ -36,12 +36,12 @@ impl PlaceRecognition for DepthPlaces {
     fn restore(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        scan: &KeptScan,
         drift: &Covariance6,
         poses: &KeyframePoses,
         ties: &[KeyframeId],
     ) {
-        if scan.features.is_some() {
+        if has_features(scan) {
             self.by_looks.restore(id, scan, drift, poses, ties);
         } else {
             self.by_shape.keep(id, scan, poses);
@@ -70,4 +70,8 @@ impl PlaceRecognition for DepthPlaces {
         self.by_looks.forget(id);
         self.by_shape.forget(id);
     }
+}
+
+fn has_features(scan: &KeptScan) -> bool {
+    scan.get().is_some_and(|s| s.features.is_some())
 }

@@ -9,7 +9,7 @@ pub(crate) mod spatial;
 mod visual;
 
 use crate::odometry::{OdometryKind, OdometryParams};
-use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose};
+use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -53,7 +53,7 @@ pub trait PlaceRecognition: Send {
     fn insert(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        scan: &KeptScan,
         drift: &Covariance6,
         poses: &KeyframePoses,
     ) -> Vec<LoopClosure>;
@@ -62,7 +62,7 @@ pub trait PlaceRecognition: Send {
     fn restore(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        scan: &KeptScan,
         drift: &Covariance6,
         poses: &KeyframePoses,
         ties: &[KeyframeId],

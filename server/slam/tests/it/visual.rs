@@ -50,7 +50,7 @@ fn taken_in(keyframes: &[(Pose, Arc<KeyframeScan>)]) -> (Box<dyn PlaceRecognitio
     let mut poses = KeyframePoses::new();
     for (k, (t, scan)) in keyframes.iter().enumerate() {
         poses.insert(KeyframeId(k as u64), *t);
-        places.insert(KeyframeId(k as u64), scan, &Covariance6::identity(), &poses);
+        places.insert(KeyframeId(k as u64), &scan.into(), &Covariance6::identity(), &poses);
     }
     (places, poses)
 }
@@ -145,7 +145,7 @@ fn coming_back_closes_a_loop_where_it_is() {
     for (truth, scan) in &again {
         let id = KeyframeId(poses.len() as u64);
         poses.insert(id, *truth);
-        for l in places.insert(id, scan, &Covariance6::identity(), &poses) {
+        for l in places.insert(id, &scan.into(), &Covariance6::identity(), &poses) {
             let off = se3::log(&((poses[&l.from].inverse() * truth).inverse() * l.t_from_to));
             assert!(off.norm() < 0.05 && l.from.0 < there.len() as u64, "{l:?}");
             found += 1;
@@ -168,7 +168,7 @@ fn a_way_back_is_recognised_by_sift_and_not_by_features_of_another_method() {
     let mut found = 0;
     for (k, (truth, scan)) in (20u64..).zip(&again) {
         let scan = keep_with(FeatureMethod::Sift, scan);
-        for l in places.insert(KeyframeId(k), &scan, &Covariance6::identity(), &poses) {
+        for l in places.insert(KeyframeId(k), &scan.into(), &Covariance6::identity(), &poses) {
             let off = se3::log(&((poses[&l.from].inverse() * truth).inverse() * l.t_from_to));
             assert!(off.norm() < 0.05, "{l:?}");
             found += 1;
@@ -219,7 +219,7 @@ fn a_way_back_closes_loops_with_small_images() {
     let mut found = 0;
     // Between there and back more keyframes than count as recent; what they show does not matter.
     for (k, (truth, scan)) in (20u64..).zip(&drive_with(240, 180, 2, 9)) {
-        for l in places.insert(KeyframeId(k), scan, &Covariance6::identity(), &poses) {
+        for l in places.insert(KeyframeId(k), &scan.into(), &Covariance6::identity(), &poses) {
             let off = se3::log(&((poses[&l.from].inverse() * truth).inverse() * l.t_from_to));
             assert!(off.norm() < 0.05, "{l:?}");
             found += 1;

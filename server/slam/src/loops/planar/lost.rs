@@ -162,8 +162,8 @@ impl Relocaliser {
             return Some(0);
         }
         let ends_of = |(id, t): (&KeyframeId, &Isometry2<f64>)| {
-            let t = *t;
-            ends(&map.kept[id].scan, self.max_range_m).map(move |p| t * p)
+            let scan = map.kept[id].scan.get();
+            scan.map_or(vec![], |scan| ends(&scan, self.max_range_m).map(|p| t * p).collect())
         };
         let points: Vec<_> = map.known.iter().flat_map(ends_of).collect();
         self.drawn = Pyramid::new(CELL_M, &points).map(|pyramid| (hash, pyramid));

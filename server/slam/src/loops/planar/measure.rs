@@ -10,6 +10,7 @@ use crate::odometry::lidar2d::sweep::{self, Hit};
 use crate::odometry::{Prediction, diagonal};
 use nalgebra::{Isometry2, Matrix3, Point2};
 use percept_geometry::{Covariance6, KeyframeScan, Pose};
+use std::sync::Arc;
 
 /// Cell of a local map, metres.
 const CELL_M: f64 = 0.05;
@@ -59,7 +60,7 @@ pub(crate) enum Refused {
 }
 
 /// Keyframes with their poses in the base of the one that they are gathered around.
-pub(crate) type Visit<'a> = [(Isometry2<f64>, &'a KeyframeScan)];
+pub(crate) type Visit = [(Isometry2<f64>, Arc<KeyframeScan>)];
 
 /// Places scans in visits; keeps the memory of the local map.
 pub(crate) struct Visits {
@@ -77,7 +78,7 @@ impl Visits {
     /// Places `scan` within `window` (metres, radians) of the guess.
     pub(crate) fn measure(
         &mut self,
-        visit: &Visit<'_>,
+        visit: &Visit,
         scan: &KeyframeScan,
         guess: &Isometry2<f64>,
         window: (f64, f64),

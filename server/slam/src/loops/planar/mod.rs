@@ -21,7 +21,7 @@ use links::Links;
 use lost::Relocaliser;
 use measure::{Measurement, Strictness, Visits};
 use nalgebra::{Isometry2, Point2};
-use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
+use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
 use pyramid::{Fit, Outcome, PATIENCE, Pyramid, Region};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -61,7 +61,7 @@ const RIVAL: f64 = 0.85;
 
 /// A keyframe taken in.
 struct Kept {
-    scan: Arc<KeyframeScan>,
+    scan: KeptScan,
     /// Driven until here, metres.
     travelled_m: f64,
 }
@@ -102,7 +102,7 @@ impl PlanarPlaces {
     }
 
     /// Takes the keyframe in; how far the robot has driven.
-    fn keep(&mut self, id: KeyframeId, scan: &Arc<KeyframeScan>, drift: &Covariance6, poses: &KeyframePoses) -> f64 {
+    fn keep(&mut self, id: KeyframeId, scan: &KeptScan, drift: &Covariance6, poses: &KeyframePoses) -> f64 {
         let spread = |c: &Covariance6| (c[(0, 0)].max(c[(1, 1)]).max(0.0).sqrt(), c[(5, 5)].max(0.0).sqrt());
         let drift = spread(drift);
         let mut travelled_m = 0.0;
@@ -158,7 +158,7 @@ impl PlanarPlaces {
         strictness: &Strictness,
         poses: &BTreeMap<KeyframeId, Isometry2<f64>>,
     ) -> Option<Measurement> {
-        let scan = self.kept.get(&id)?.scan.clone();
+        let scan = self.kept.get(&id)?.scan.get()?;
         let visit = visit(&self.kept, candidate, id, poses);
         let t_map_candidate = poses.get(&candidate)?;
         let guess = t_map_candidate.inverse() * t_map_base;
@@ -175,7 +175,7 @@ impl PlanarPlaces {
             .filter(|o| {
                 everywhere || (o.t_map_base.translation.vector - here.translation.vector).norm() < translation + 5.0
             })
-            .flat_map(|o| ends(&self.kept[&o.id].scan, self.max_range_m).map(|p| o.t_map_base * p))
+            .flat_map(|o| self.ends_of(&self.kept[&o.id], &o.t_map_base))
             .collect();
         let pyramid = Pyramid::new(CELL_M, &points)?;
         let region = match everywhere {
@@ -189,6 +189,11 @@ impl PlanarPlaces {
         Some(closure(candidate, id, &m))
     }
 
+    /// Ends of a keyframe's beams where its base is taken to by a motion.
+    fn ends_of(&self, kept: &Kept, t: &Isometry2<f64>) -> Vec<Point2<f64>> {
+        kept.scan.get().map_or(vec![], |scan| ends(&scan, self.max_range_m).map(|p| t * p).collect())
+    }
+
     /// Points of the newest keyframes in the newest one's base.
     fn query(&self, id: KeyframeId, reach: &Reach) -> Vec<Point2<f64>> {
         let travelled_m = self.kept[&id].travelled_m;
@@ -196,7 +201,7 @@ impl PlanarPlaces {
         let recent = self.kept.iter().rev().take_while(|(_, k)| travelled_m - k.travelled_m < QUERY_M);
         let points = recent
             .filter_map(|(id, k)| Some((reach.poses.get(id)?, k)))
-            .flat_map(|(t, k)| ends(&k.scan, self.max_range_m).map(move |p| here.inverse() * t * p))
+            .flat_map(|(t, k)| self.ends_of(k, &(here.inverse() * t)))
             .collect();
         spread_out(points)
     }
@@ -206,7 +211,7 @@ impl PlaceRecognition for PlanarPlaces {
     fn insert(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        scan: &KeptScan,
         drift: &Covariance6,
         poses: &KeyframePoses,
     ) -> Vec<LoopClosure> {
@@ -243,7 +248,7 @@ impl PlaceRecognition for PlanarPlaces {
     fn restore(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        scan: &KeptScan,
         drift: &Covariance6,
         poses: &KeyframePoses,
         ties: &[KeyframeId],
@@ -360,12 +365,12 @@ pub(super) fn optima(
 }
 
 /// Keyframes around a candidate in time, with their poses in the candidate's base.
-fn visit<'a>(
-    kept: &'a BTreeMap<KeyframeId, Kept>,
+fn visit(
+    kept: &BTreeMap<KeyframeId, Kept>,
     candidate: KeyframeId,
     newest: KeyframeId,
     poses: &BTreeMap<KeyframeId, Isometry2<f64>>,
-) -> Vec<(Isometry2<f64>, &'a KeyframeScan)> {
+) -> Vec<(Isometry2<f64>, Arc<KeyframeScan>)> {
     const HALF_M: f64 = 4.0;
     let (Some(t_map_candidate), Some(at)) = (poses.get(&candidate), kept.get(&candidate)) else { return vec![] };
     let end = kept.get(&newest).map_or(f64::INFINITY, |k| k.travelled_m - 0.5 * RECENT_M);
@@ -374,7 +379,7 @@ fn visit<'a>(
     let after = kept.range(candidate..).take_while(|(_, k)| belongs(k));
     before
         .chain(after)
-        .filter_map(|(id, k)| Some((t_map_candidate.inverse() * poses.get(id)?, k.scan.as_ref())))
+        .filter_map(|(id, k)| Some((t_map_candidate.inverse() * poses.get(id)?, k.scan.get()?)))
         .collect()
 }
 

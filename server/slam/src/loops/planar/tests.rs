@@ -129,7 +129,7 @@ impl Drive {
             self.truth.push(*t);
             self.poses.insert(id, believed);
             let scan = building.scan(t, &mut self.noise);
-            found.extend(self.places.insert(id, &scan, &self.drift, &self.poses));
+            found.extend(self.places.insert(id, &scan.into(), &self.drift, &self.poses));
         }
         found
     }

@@ -24,7 +24,7 @@ mod tests;
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::diagonal;
 use local_map::{LocalMap, Surface};
-use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
+use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
 use percept_perception::registration::{GlobalResult, register_global};
 use registering::{Registering, Step, Views};
 pub(super) use seen::Seen;
@@ -105,8 +105,8 @@ impl SpatialRecognition {
 
     /// Adds a keyframe to the stretch that is being gathered. With the `drift` so far, a map that this closes is compared with
     /// earlier ones.
-    fn take(&mut self, id: KeyframeId, scan: &Arc<KeyframeScan>, drift: Option<&Covariance6>, poses: &KeyframePoses) {
-        let Some(travel) = self.seen.keep(id, scan, poses) else { return };
+    fn take(&mut self, id: KeyframeId, kept: &KeptScan, drift: Option<&Covariance6>, poses: &KeyframePoses) {
+        let (Some(scan), Some(travel)) = (kept.get(), self.seen.keep(id, kept, poses)) else { return };
         let t_map_base = poses[&id];
         if !self.recent.is_empty()
             && (travel - self.closed_at > 0.5 * self.stretch() || self.since_closed >= MOST_KEYFRAMES / 2)
@@ -114,7 +114,7 @@ impl SpatialRecognition {
             self.close(drift, poses);
         }
         self.since_closed += 1;
-        self.recent.push_back(Gathered { id, scan: Arc::clone(scan), t_map_base, travel });
+        self.recent.push_back(Gathered { id, scan, t_map_base, travel });
     }
 
     /// Makes a local map of the last stretch, and drops the keyframes that the next one will not need.
@@ -205,8 +205,8 @@ impl SpatialRecognition {
         let Views { t_map_anchor, keyframes } = self.views(to, poses)?;
         let others = keyframes.iter().filter(|v| v.0 != to.anchor);
         let others: Vec<_> = others.map(|(_, scan, t)| (t_map_anchor.inv_mul(t), &**scan)).collect();
-        let scan = &self.seen.kept.get(&to.anchor)?.scan;
-        let stretch = Stretch::new(&others, scan, Some(walls::leveling(&t_map_anchor)));
+        let scan = self.seen.kept.get(&to.anchor)?.scan.get()?;
+        let stretch = Stretch::new(&others, &scan, Some(walls::leveling(&t_map_anchor)));
         let heading = (se3::yaw(&t_map_anchor), most_turn);
         let found = stretch.find(&self.seen.kept, &self.visit(from.anchor, to.anchor, poses)?, heading)?;
         Some(LoopClosure {
@@ -228,7 +228,7 @@ impl SpatialRecognition {
 
     /// What is left of a local map's keyframes, where they are believed to be.
     fn views(&self, map: &LocalMap, poses: &KeyframePoses) -> Option<Views> {
-        let view = |id: &KeyframeId| Some((*id, Arc::clone(&self.seen.kept.get(id)?.scan), *poses.get(id)?));
+        let view = |id: &KeyframeId| Some((*id, self.seen.kept.get(id)?.scan.get()?, *poses.get(id)?));
         let keyframes = map.keyframes.iter().filter_map(view).collect();
         Some(Views { t_map_anchor: *poses.get(&map.anchor)?, keyframes })
     }
@@ -273,7 +273,7 @@ impl PlaceRecognition for SpatialRecognition {
     fn insert(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        scan: &KeptScan,
         drift: &Covariance6,
         poses: &KeyframePoses,
     ) -> Vec<LoopClosure> {
@@ -288,7 +288,7 @@ impl PlaceRecognition for SpatialRecognition {
     fn restore(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        scan: &KeptScan,
         _drift: &Covariance6,
         poses: &KeyframePoses,
         _ties: &[KeyframeId],

@@ -24,7 +24,7 @@ impl SpatialRecognition {
         let travel = self.seen.kept.get(&id)?.travel;
         let sigma = (0..3).map(|k| drift[(k, k)].max(0.0)).fold(0.0, f64::max).sqrt();
         let turning = (3..6).map(|k| drift[(k, k)].max(0.0)).fold(0.0, f64::max).sqrt();
-        let reach = reach(range(&self.seen.kept.get(&id)?.scan));
+        let reach = reach(range(&*self.seen.kept.get(&id)?.scan.get()?));
         if BRIDGED * sigma > reach.0 || BRIDGED * turning > reach.1 {
             return None;
         }
@@ -57,10 +57,10 @@ impl SpatialRecognition {
         t_map_base: &Pose,
         poses: &KeyframePoses,
     ) -> Option<LoopClosure> {
-        let to = self.seen.kept.get(&id)?;
+        let scan = self.seen.kept.get(&id)?.scan.get()?;
         let visit = self.visit(earlier, id, poses)?;
         let place = Neighbourhood::new(&self.seen.kept, &visit, &[*t_map_base]);
-        let found = place.measure(&to.scan, t_map_base, &STRICTNESS).ok()?;
+        let found = place.measure(&scan, t_map_base, &STRICTNESS).ok()?;
         let (from, t_from_to) = place.seen_from(&found.t_odom_base)?;
         Some(LoopClosure { from, to: id, t_from_to, covariance: found.covariance, inlier_ratio: found.inlier_ratio })
     }

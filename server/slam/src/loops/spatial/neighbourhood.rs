@@ -11,6 +11,7 @@ use crate::odometry::{Match, Prediction, diagonal};
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// Keyframes taken from around each place that a scan is expected at, and those that it is compared with.
 const AROUND: usize = 6;
@@ -50,11 +51,11 @@ pub(super) enum Refused {
 }
 
 /// Keyframes of the map around some poses.
-pub(super) struct Neighbourhood<'a> {
+pub(super) struct Neighbourhood {
     surface: Levels,
     voxel_m: f64,
     /// With where they are believed to be, base to map.
-    views: BTreeMap<KeyframeId, (Pose, &'a KeyframeScan, Sight)>,
+    views: BTreeMap<KeyframeId, (Pose, Sight)>,
 }
 
 /// How far a scan may be from where it is expected, metres and radians, where the lidar sees so far.
@@ -67,26 +68,21 @@ fn length(t: &Pose) -> f64 {
     t.translation.vector.norm() + 0.5 * t.rotation.angle()
 }
 
-impl<'a> Neighbourhood<'a> {
+impl Neighbourhood {
     /// Of the keyframes nearest to these poses (base to map).
-    pub(super) fn new(
-        kept: &'a BTreeMap<KeyframeId, Kept>,
-        poses: &BTreeMap<KeyframeId, Pose>,
-        places: &[Pose],
-    ) -> Self {
+    pub(super) fn new(kept: &BTreeMap<KeyframeId, Kept>, poses: &BTreeMap<KeyframeId, Pose>, places: &[Pose]) -> Self {
         let ids: BTreeSet<KeyframeId> =
             places.iter().flat_map(|t| nearest(poses, t, AROUND)).filter(|id| kept.contains_key(id)).collect();
-        let scans: Vec<(KeyframeId, Pose, &KeyframeScan)> =
-            ids.iter().map(|id| (*id, poses[id], kept[id].scan.as_ref())).collect();
-        let voxel_m = voxel_for(scans.iter().map(|s| range(s.2)).fold(0.0, f64::max));
+        let scans: Vec<(KeyframeId, Pose, Arc<KeyframeScan>)> =
+            ids.iter().filter_map(|id| Some((*id, poses[id], kept[id].scan.get()?))).collect();
+        let voxel_m = voxel_for(scans.iter().map(|s| range(&s.2)).fold(0.0, f64::max));
         let mut surface = Levels::new(VOXELS * voxel_m);
-        let points = |(_, t, scan): &(KeyframeId, Pose, &'a KeyframeScan)| {
-            let t = *t;
+        fn points((_, t, scan): &(KeyframeId, Pose, Arc<KeyframeScan>)) -> impl Iterator<Item = Point3<f64>> + '_ {
             scan.hits.positions.iter().step_by(EVERY).map(move |p| t * p.cast::<f64>())
-        };
+        }
         surface.insert(&scans.iter().flat_map(points).collect::<Vec<Point3<f64>>>());
-        let view = |(id, t, scan): (KeyframeId, Pose, &'a KeyframeScan)| {
-            (id, (t, scan, Sight::new(&scan.hits.positions, &scan.t_base_sensor)))
+        let view = |(id, t, scan): (KeyframeId, Pose, Arc<KeyframeScan>)| {
+            (id, (t, Sight::new(&scan.hits.positions, &scan.t_base_sensor)))
         };
         Self { surface, voxel_m, views: scans.into_iter().map(view).collect() }
     }
@@ -125,7 +121,7 @@ impl<'a> Neighbourhood<'a> {
 
     /// The keyframe nearest to a pose, and base seen from it.
     pub(super) fn seen_from(&self, t_map_base: &Pose) -> Option<(KeyframeId, Pose)> {
-        let from = |(id, (t, ..)): (&KeyframeId, &(Pose, &KeyframeScan, Sight))| (*id, t.inv_mul(t_map_base));
+        let from = |(id, (t, _)): (&KeyframeId, &(Pose, Sight))| (*id, t.inv_mul(t_map_base));
         self.views.iter().map(from).min_by(|a, b| length(&a.1).total_cmp(&length(&b.1)))
     }
 
@@ -163,7 +159,7 @@ impl<'a> Neighbourhood<'a> {
         let own = Sight::new(&scan.hits.positions, &scan.t_base_sensor);
         let poses = self.views.iter().map(|(id, v)| (*id, v.0)).collect();
         own.contradicted(nearest(&poses, t_map_base, COMPARED).into_iter().map(|id| {
-            let (t_map_view, _, sight) = &self.views[&id];
+            let (t_map_view, sight) = &self.views[&id];
             (sight, t_map_base.inv_mul(t_map_view))
         }))
     }

@@ -4,7 +4,7 @@ use super::stretch::Stretch;
 use super::walls;
 use crate::loops::{KeyframePoses, Relocalisation};
 use nalgebra::{Point2, Vector3};
-use percept_geometry::{KeyframeId, KeyframeScan, Pose};
+use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use std::sync::Arc;
 /// What a keyframe saw.
 #[derive(Debug)]
 pub(super) struct Kept {
-    pub(super) scan: Arc<KeyframeScan>,
+    pub(super) scan: KeptScan,
     /// What stands upright, seen from above: in base turned level, its x axis kept.
     pub(super) walls: Vec<Point2<f32>>,
     /// Length of the way up to it, metres.
@@ -29,18 +29,14 @@ pub(in crate::loops) struct Seen {
 
 impl Seen {
     /// Takes a keyframe in; answers with the length of the way up to it, metres, none for what was not seen in space.
-    pub(in crate::loops) fn keep(
-        &mut self,
-        id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
-        poses: &KeyframePoses,
-    ) -> Option<f64> {
+    pub(in crate::loops) fn keep(&mut self, id: KeyframeId, kept: &KeptScan, poses: &KeyframePoses) -> Option<f64> {
+        let scan = kept.get()?;
         let t_map_base = poses.get(&id).filter(|_| !scan.planar)?;
         let here = t_map_base.translation.vector;
         let travel = self.newest.map_or(0.0, |(there, travel)| travel + (there - here).norm());
         self.newest = Some((here, travel));
-        let walls = walls::of(scan, &walls::leveling(t_map_base));
-        self.kept.insert(id, Kept { scan: Arc::clone(scan), walls, travel });
+        let walls = walls::of(&scan, &walls::leveling(t_map_base));
+        self.kept.insert(id, Kept { scan: kept.clone(), walls, travel });
         Some(travel)
     }
 

@@ -56,7 +56,7 @@ fn a_scan_is_placed_with_no_guess_and_another_street_is_not() {
     for (i, x) in [0.0, 1.0, 12.0, 24.0].into_iter().enumerate() {
         let (id, t) = (KeyframeId(i as u64), se3::from_xy_yaw(x, 0.0, 0.0));
         poses.insert(id, t);
-        recognition.insert(id, &seen_from(&here, &t), &Covariance6::zeros(), &poses);
+        recognition.insert(id, &seen_from(&here, &t).into(), &Covariance6::zeros(), &poses);
     }
     let truth = se3::from_xy_yaw(4.0, 3.0, 2.0);
     let found = recognition.relocalise(&seen_from(&here, &truth), &poses).unwrap();
@@ -80,7 +80,7 @@ fn coming_back_closes_a_loop_and_the_neighbourhood_does_not() {
         let drifted = Pose::translation(2.0 * i as f64 / 24.0, 0.0, 0.0) * at(i);
         poses.insert(KeyframeId(i), drifted);
         let drift = diagonal(0.5, 0.02);
-        found.extend(recognition.insert(KeyframeId(i), &seen_from(&world, &at(i)), &drift, &poses));
+        found.extend(recognition.insert(KeyframeId(i), &seen_from(&world, &at(i)).into(), &drift, &poses));
     }
     assert!(!found.is_empty());
     for l in found {
@@ -103,7 +103,7 @@ fn nothing_is_measured_in_what_merging_left_of_a_visit() {
             if i == 24 {
                 merged.iter().for_each(|id| recognition.forget(KeyframeId(*id)));
             }
-            recognition.take(KeyframeId(i), &seen_from(&world, &at), None, &poses);
+            recognition.take(KeyframeId(i), &seen_from(&world, &at).into(), None, &poses);
         }
         recognition.near(KeyframeId(24), &diagonal(0.1, 0.01), &poses)
     };
@@ -120,7 +120,7 @@ fn a_robot_that_drove_is_found_by_what_it_saw_on_the_way_and_not_before() {
     for i in 0..16 {
         let (id, t) = (KeyframeId(i), se3::from_xy_yaw(2.0 * i as f64 - 15.0, 0.0, 0.1 * i as f64));
         poses.insert(id, t);
-        recognition.insert(id, &seen_from(&here, &t), &Covariance6::zeros(), &poses);
+        recognition.insert(id, &seen_from(&here, &t).into(), &Covariance6::zeros(), &poses);
     }
     let drive = |k: usize| se3::from_xy_yaw(2.0 - 1.5 * k as f64, 1.0, 2.0);
     let mut find = |world: &[Point3<f32>], last: usize| {

@@ -9,7 +9,7 @@ use super::{MAX_IN_FRONT, MAX_SEEN_THROUGH, MIN_INLIERS, Verified, VisualPlaces}
 use crate::loops::{KeyframePoses, Relocalisation};
 use crate::odometry::diagonal;
 use crate::odometry::rgbd::place::place;
-use percept_geometry::{KeyframeId, KeyframeScan, Pose};
+use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose};
 use std::sync::Arc;
 
 /// Places that are looked at: where there are more, nothing tells them apart.
@@ -134,6 +134,7 @@ impl VisualPlaces {
     /// What a view says, if base was at `t_map_then`.
     fn ask(&self, then: &KeyframeScan, t_map_then: &Pose, poses: &KeyframePoses) -> Word {
         let others = self.around(t_map_then, poses);
+        let others: Vec<(Pose, &KeyframeScan)> = others.iter().map(|(t, s)| (*t, s.as_ref())).collect();
         if others.is_empty() {
             return Word::Nothing;
         }
@@ -147,17 +148,17 @@ impl VisualPlaces {
     }
 
     /// Keyframes that look from near a place, with their base seen from there, nearest first.
-    fn around(&self, t_map_base: &Pose, poses: &KeyframePoses) -> Vec<(Pose, &KeyframeScan)> {
-        let mut near: Vec<(f64, Pose, &KeyframeScan)> = self
+    fn around(&self, t_map_base: &Pose, poses: &KeyframePoses) -> Vec<(Pose, Arc<KeyframeScan>)> {
+        let mut near: Vec<(f64, Pose, &KeptScan)> = self
             .known
             .iter()
             .filter_map(|(id, known)| {
                 let t_base_other = t_map_base.inv_mul(poses.get(id)?);
                 let far = share(&t_base_other, NEAR);
-                (far < 1.0).then_some((far, t_base_other, known.scan.as_ref()))
+                (far < 1.0).then_some((far, t_base_other, &known.scan))
             })
             .collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        near.into_iter().take(MAX_NEAR).map(|(_, t, scan)| (t, scan)).collect()
+        near.into_iter().take(MAX_NEAR).filter_map(|(_, t, scan)| Some((t, scan.get()?))).collect()
     }
 }

@@ -14,7 +14,7 @@ use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::rgbd::place::{Placed, place};
 use alike::Alike;
 use index::Index;
-use percept_geometry::{Covariance6, FeatureMethod, KeyframeFeature, KeyframeId, KeyframeScan, Pose};
+use percept_geometry::{Covariance6, FeatureMethod, KeptScan, KeyframeFeature, KeyframeId, KeyframeScan, Pose};
 use percept_perception::features2d::{Descriptors, MatchParams, match_features};
 use rigid::{Pair, most_agree};
 use std::collections::{BTreeMap, BTreeSet};
@@ -43,7 +43,8 @@ const MAX_IN_FRONT: f64 = 0.25;
 
 /// A keyframe that can be recognised.
 struct Known {
-    scan: Arc<KeyframeScan>,
+    scan: KeptScan,
+    method: FeatureMethod,
     indexed: Vec<[u64; 4]>,
 }
 
@@ -77,16 +78,17 @@ impl PlaceRecognition for VisualPlaces {
     fn insert(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        kept: &KeptScan,
         _drift: &Covariance6,
         poses: &KeyframePoses,
     ) -> Vec<LoopClosure> {
+        let Some(scan) = kept.get() else { return vec![] };
         let newest_old = id.0.saturating_sub(RECENT);
         let loops = self
-            .candidates(scan, MAX_CANDIDATES, |k| k.0 < newest_old)
+            .candidates(&scan, MAX_CANDIDATES, |k| k.0 < newest_old)
             .into_iter()
             .filter_map(|from| {
-                let Verified { placed, .. } = self.verify(from, scan, poses)?;
+                let Verified { placed, .. } = self.verify(from, &scan, poses)?;
                 Some(LoopClosure {
                     from,
                     to: id,
@@ -96,14 +98,14 @@ impl PlaceRecognition for VisualPlaces {
                 })
             })
             .collect();
-        self.remember(id, scan);
+        self.remember(id, kept);
         loops
     }
 
     fn restore(
         &mut self,
         id: KeyframeId,
-        scan: &Arc<KeyframeScan>,
+        scan: &KeptScan,
         _drift: &Covariance6,
         _poses: &KeyframePoses,
         _ties: &[KeyframeId],
@@ -141,14 +143,15 @@ impl VisualPlaces {
         Self { is_sparse: true, ..Self::default() }
     }
 
-    fn remember(&mut self, id: KeyframeId, scan: &Arc<KeyframeScan>) {
-        let indexed = descriptors(scan, MAX_INDEXED);
+    fn remember(&mut self, id: KeyframeId, kept: &KeptScan) {
+        let Some(scan) = kept.get() else { return };
+        let (Some(method), indexed) = (method(&scan), descriptors(&scan, MAX_INDEXED)) else { return };
         if indexed.is_empty() {
             return;
         }
         self.forget(id);
         self.index.insert(id, &indexed);
-        self.known.insert(id, Known { scan: Arc::clone(scan), indexed });
+        self.known.insert(id, Known { scan: kept.clone(), method, indexed });
         // Of very many, every second of the older half goes: places stay covered, more thinly.
         if self.known.len() > MAX_KEYFRAMES {
             let old: Vec<KeyframeId> = self.known.keys().copied().take(MAX_KEYFRAMES / 2).step_by(2).collect();
@@ -159,7 +162,7 @@ impl VisualPlaces {
     /// At most so many keyframes that look most alike, not next to each other; best first.
     fn candidates(&self, scan: &KeyframeScan, most: usize, allowed: impl Fn(KeyframeId) -> bool) -> Vec<KeyframeId> {
         let Some(method) = method(scan) else { return vec![] };
-        let same = |id: KeyframeId| self.known.get(&id).filter(|k| self::method(&k.scan) == Some(method));
+        let same = |id: KeyframeId| self.known.get(&id).filter(|k| k.method == method);
         let entry = |(id, i)| same(id)?.indexed.get(usize::from(i));
         let votes = self.index.votes(&descriptors(scan, MAX_INDEXED), Alike::of(method).vote, entry);
         let mut ranked: Vec<(u32, KeyframeId)> =
@@ -176,8 +179,8 @@ impl VisualPlaces {
 
     /// Where base of the scan is, seen from base at keyframe `from`; none unless features and surfaces agree.
     fn verify(&self, from: KeyframeId, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Verified> {
-        let known = self.known.get(&from)?;
-        let features = by_features(&known.scan, scan)?;
+        let known = self.known.get(&from)?.scan.get()?;
+        let features = by_features(&known, scan)?;
         let Agreement { t_from_to, covariance, pairs, share, .. } = features;
         if self.is_sparse {
             let placed =
@@ -189,10 +192,11 @@ impl VisualPlaces {
         let around = neighbours.iter().filter_map(|k| {
             let t_from_other = poses.get(&from)?.inverse() * poses.get(k)?;
             let near = t_from_other.translation.vector.norm() < 1.0 && t_from_other.rotation.angle() < 1.0;
-            near.then_some((t_from_other, self.known.get(k)?.scan.as_ref()))
+            if near { Some((t_from_other, self.known.get(k)?.scan.get()?)) } else { None }
         });
-        let others: Vec<(Pose, &KeyframeScan)> =
-            std::iter::once((Pose::identity(), known.scan.as_ref())).chain(around).collect();
+        let others: Vec<(Pose, Arc<KeyframeScan>)> =
+            std::iter::once((Pose::identity(), Arc::clone(&known))).chain(around).collect();
+        let others: Vec<(Pose, &KeyframeScan)> = others.iter().map(|(t, s)| (*t, s.as_ref())).collect();
         let placed = place(&others, scan, &t_from_to, &covariance).filter(|p| {
             p.inlier_ratio >= MIN_INLIERS && p.seen_through <= MAX_SEEN_THROUGH && p.in_front <= MAX_IN_FRONT
         })?;
