@@ -28,8 +28,10 @@ const WINDOW: (f64, f64) = (0.3, 0.06);
 const FOUND_AFTER_M: f64 = 1.5;
 /// Work for one question, in nodes of the search: a node is a microsecond or two, so this is some 40 ms.
 const WORK: usize = 24_000;
-/// Questions after which a search is given up, and begun anew with what has been seen by then.
+/// Questions after which a search is given up, and begun anew with what has been seen by then; of them so many at least
+/// beyond those that the coarsest nodes take, which there are more of in a larger map.
 const MOST_STEPS: usize = 16;
+const STEPS_BEYOND: usize = 8;
 /// What drawing a point of the map takes, and measuring a view, in nodes.
 const POINTS_A_NODE: usize = 16;
 const NODES_A_VIEW: usize = 4_000;
@@ -197,7 +199,9 @@ impl Attempt {
             match pyramid.go_on(search, &mut work) {
                 Some(Outcome::Found(places)) => self.stage = Stage::Verifying(Verifying::of(places)),
                 Some(Outcome::Undecided) => return Progress::Nowhere,
-                None if self.steps == MOST_STEPS => return Progress::Nowhere,
+                None if self.steps >= MOST_STEPS.max(search.num_roots() / WORK + STEPS_BEYOND) => {
+                    return Progress::Nowhere;
+                }
                 None => {}
             }
         }

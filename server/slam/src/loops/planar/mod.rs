@@ -22,7 +22,7 @@ use lost::Relocaliser;
 use measure::{Measurement, Strictness, Visits};
 use nalgebra::{Isometry2, Point2};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
-use pyramid::{Fit, Outcome, PATIENCE, Pyramid, Region};
+use pyramid::{Fit, Outcome, PATIENCE, PATIENCE_BEYOND, Pyramid, Region};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -358,7 +358,8 @@ pub(super) fn optima(
     most: usize,
 ) -> Option<Vec<Fit>> {
     let mut search = pyramid.begin(query, region, min_score, (RIVAL, most));
-    match pyramid.go_on(&mut search, &mut PATIENCE.clone())? {
+    let mut nodes = PATIENCE.max(search.num_roots() + PATIENCE_BEYOND);
+    match pyramid.go_on(&mut search, &mut nodes)? {
         Outcome::Found(found) => (!found.is_empty()).then_some(found),
         Outcome::Undecided => None,
     }

@@ -20,8 +20,10 @@ const SIGMA: f64 = 1.2;
 const MAX_LEVER_M: f64 = 12.0;
 /// A pose nearer than this to another one is the same optimum, metres and radians.
 const SAME: (f64, f64) = (1.0, 0.35);
-/// Nodes that a search may visit: so many fit nearly alike only where the map says nothing.
+/// Nodes that a search may visit: so many fit nearly alike only where the map says nothing. Of them so many at least beyond the
+/// coarsest ones, which there are more of in a larger map.
 pub(crate) const PATIENCE: usize = 200_000;
+pub(crate) const PATIENCE_BEYOND: usize = 100_000;
 /// A coarsest node is one sum, any other leads to four: so many of the former count as one.
 const ROOTS_A_NODE: usize = 4;
 /// Points summed up before a node is looked at again whether it can still be good enough.
@@ -129,8 +131,48 @@ pub(crate) struct Search {
     most: usize,
     /// The next angle whose coarsest nodes have not been looked at.
     next_angle: i32,
-    open: BinaryHeap<Node>,
+    open: Open,
     found: Vec<Fit>,
+}
+
+/// Nodes to be looked at, by how good they can be: a heap for every few sums, each small enough to be quick.
+#[derive(Debug, Default)]
+struct Open {
+    heaps: Vec<BinaryHeap<Node>>,
+    /// No heap beyond it holds anything.
+    end: usize,
+}
+
+impl Open {
+    /// Sums of a heap, as a power of two.
+    const SUMS: u32 = 5;
+
+    fn push(&mut self, node: Node) {
+        let at = (node.sum >> Self::SUMS) as usize;
+        if self.heaps.len() <= at {
+            self.heaps.resize_with(at + 1, BinaryHeap::new);
+        }
+        self.heaps[at].push(node);
+        self.end = self.end.max(at + 1);
+    }
+
+    /// The greatest.
+    fn pop(&mut self) -> Option<Node> {
+        while let Some(last) = self.end.checked_sub(1) {
+            match self.heaps[last].pop() {
+                Some(node) => return Some(node),
+                None => self.end = last,
+            }
+        }
+        None
+    }
+}
+
+impl Search {
+    /// What looking at all coarsest nodes takes, in nodes.
+    pub(crate) fn num_roots(&self) -> usize {
+        (2 * self.grid.num_angles + 1) as usize * self.grid.num_coarsest_as_nodes()
+    }
 }
 
 /// All shifts of `2^level` cells from (x, y) on at one angle. Ordered by what is looked at first: the best, then the
@@ -186,13 +228,13 @@ impl Pyramid {
         let grid = Shifts::new(self, query, region);
         let perfect = 255.0 * query.len().max(1) as f64;
         let (least, next_angle) = ((min_score * perfect) as u32, -grid.num_angles);
-        Search { grid, least, rival, most, next_angle, open: BinaryHeap::new(), found: vec![] }
+        Search { grid, least, rival, most, next_angle, open: Open::default(), found: vec![] }
     }
 
     /// Goes on with a search until it has visited about so many nodes, which are counted down; what it came to, if that is
     /// known by then.
     pub(crate) fn go_on(&self, search: &mut Search, nodes: &mut usize) -> Option<Outcome> {
-        let coarsest = search.grid.num_coarsest() / ROOTS_A_NODE + 1;
+        let coarsest = search.grid.num_coarsest_as_nodes();
         while search.next_angle <= search.grid.num_angles {
             if *nodes < coarsest {
                 return None;
@@ -203,7 +245,7 @@ impl Pyramid {
             search.next_angle = first + angles as i32;
             let (grid, least) = (&search.grid, search.least);
             let roots = (first..search.next_angle).into_par_iter().flat_map_iter(|a| self.roots(grid, a, least));
-            search.open.extend(roots.collect::<Vec<_>>());
+            roots.collect::<Vec<_>>().into_iter().for_each(|root| search.open.push(root));
         }
         // The best bound comes first: the first pose that comes is the best.
         while let Some(node) = search.open.pop() {
@@ -236,7 +278,9 @@ impl Pyramid {
                 if x <= search.grid.reach && y <= search.grid.reach {
                     let sum = self.sum(search.grid.cells(node.angle), (x, y), level, search.least);
                     let child = Node { sum, level: Reverse(level), angle: node.angle, x, y };
-                    search.open.extend((sum > search.least).then_some(child));
+                    if sum > search.least {
+                        search.open.push(child);
+                    }
                 }
             }
         }
@@ -303,9 +347,9 @@ impl Shifts {
         Self { center: region.center, resolution, num_angles, angle_step, reach, rotated }
     }
 
-    /// Coarsest nodes of an angle.
-    fn num_coarsest(&self) -> usize {
-        (((2 * self.reach) >> DEPTH) as usize + 1).pow(2)
+    /// What looking at the coarsest nodes of an angle takes, in nodes.
+    fn num_coarsest_as_nodes(&self) -> usize {
+        (((2 * self.reach) >> DEPTH) as usize + 1).pow(2) / ROOTS_A_NODE + 1
     }
 
     fn cells(&self, angle: i32) -> &[(i32, i32)] {

@@ -319,3 +319,20 @@ fn a_robot_that_circles_in_one_room_is_found_in_it() {
     }
     assert!(num_found >= 6, "{num_found} of 8");
 }
+
+#[test]
+fn a_place_is_found_in_a_map_as_large_as_a_building() {
+    // One corner to be recognised, and walls without end in one direction 150 m away.
+    let corner = |i: i32| {
+        let along = 0.05 * f64::from(i);
+        [Point2::new(along, 0.0), Point2::new(0.0, 0.6 * along), Point2::new(5.0 + 0.1 * along, 2.0)]
+    };
+    let known: Vec<Point2<f64>> = (0..160).flat_map(corner).collect();
+    let far = (0..400).map(|i| Point2::new(150.0, 130.0 + 0.05 * f64::from(i)));
+    let pyramid = Pyramid::new(CELL_M, &known.iter().copied().chain(far).collect::<Vec<_>>()).unwrap();
+    let t_map_query = Isometry2::new(Vector2::new(3.0, 1.5), 2.5);
+    let query = spread_out(known.iter().map(|p| t_map_query.inverse() * p).collect());
+    let found = only_optimum(&pyramid, &query, &pyramid.everywhere(), MIN_SCORE_LOST).unwrap();
+    let off = t_map_query.inverse() * found.t;
+    assert!(off.translation.vector.norm() < 0.15 && off.rotation.angle().abs() < 0.03, "{off}");
+}
