@@ -5,31 +5,25 @@
 //! [`Pipeline::process`].
 
 mod chunks;
-mod clock_offset;
 mod frame_error;
-mod graph_worker;
-mod imu_prior;
-mod level;
+mod frontend;
 mod lookup;
-mod mounts;
-mod odometry_prior;
+mod map_graph;
 mod params;
 mod pipeline;
 mod recovery;
-mod scale_hints;
-mod sensors;
 mod snapshot;
 mod visibility;
 
 pub use chunks::Chunks;
 pub use frame_error::FrameError;
-pub use graph_worker::Executor;
+pub use frontend::extrinsics::MountOffset;
+pub use frontend::sensors::check_frame;
 pub use lookup::{LookupError, PoseAt};
-pub use mounts::MountOffset;
+pub use map_graph::worker::Executor;
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
 pub use percept_slam::{Loop, LoopId, LoopState};
 pub use pipeline::{
     FrameReport, MapChange, NewKeyframe, Pipeline, Restored, RestoredContent, RestoredKeyframe, may_change,
 };
-pub use sensors::check_frame;
 pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, Snapshot, TrajectoryEntry};

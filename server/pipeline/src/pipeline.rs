@@ -17,13 +17,13 @@ use revising::Decision;
 pub use revising::MapChange;
 pub use settings::may_change;
 
-use crate::clock_offset::ClockOffsets;
-use crate::graph_worker::{Executor, GraphWorker, Relocated};
-use crate::mounts::Mounts;
-use crate::odometry_prior::OdometryBuffer;
+use crate::frontend::clock_offset::ClockOffsets;
+use crate::frontend::extrinsics::ExtrinsicsCheck;
+use crate::frontend::odometry_prior::OdometryBuffer;
+use crate::frontend::scale_hints::ScaleHints;
+use crate::frontend::sensors::{Sensors, scan_of};
+use crate::map_graph::worker::{Executor, GraphWorker, Relocated};
 use crate::recovery::Anchoring;
-use crate::scale_hints::ScaleHints;
-use crate::sensors::{Sensors, scan_of};
 use crate::{Chunks, FrameError, KeyframeInfo, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
 use nalgebra::{Unit, Vector3};
 use percept_geometry::{Correction, Pose, SensorData, SensorFrame, SensorId, SensorSpec, Timestamp};
@@ -46,7 +46,7 @@ pub struct Pipeline {
     imus: BTreeMap<SensorId, ImuBuffer>,
     clocks: ClockOffsets,
     clock_offsets: Arc<BTreeMap<SensorId, f64>>,
-    mounts: Mounts,
+    extrinsics: ExtrinsicsCheck,
     odometry: Option<Odometry>,
     scale_hints: ScaleHints,
     anchoring: Anchoring,
@@ -90,7 +90,7 @@ impl Pipeline {
             imus: BTreeMap::new(),
             clocks: ClockOffsets::default(),
             clock_offsets: Arc::default(),
-            mounts: Mounts::default(),
+            extrinsics: ExtrinsicsCheck::default(),
             odometry: None,
             scale_hints: ScaleHints::default(),
             anchoring: Anchoring::default(),
@@ -221,7 +221,7 @@ impl Pipeline {
             layers: self.map.layers(),
             map_memory: self.map.memory(),
             clock_offsets: Arc::clone(&self.clock_offsets),
-            mount_offsets: self.mounts.told(),
+            mount_offsets: self.extrinsics.told(),
             loops: Arc::clone(&self.loops),
             objects: Arc::clone(&self.objects),
             next_object_id: self.tracker.next_id(),

@@ -9,7 +9,7 @@
 
 use super::revising::Decision;
 use super::{FrameReport, NewKeyframe, Pipeline};
-use crate::graph_worker::{Question, Relocated, Sighting};
+use crate::map_graph::worker::{Question, Relocated, Sighting};
 use crate::{KeyframeInfo, TrajectoryEntry};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId, Timestamp, se3};
 use percept_slam::loops::LoopClosure;

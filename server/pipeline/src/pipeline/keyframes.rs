@@ -1,7 +1,7 @@
 //! Frames that stay: they enter the map, and the trajectory hangs on them.
 
 use super::{FrameReport, NewKeyframe, Pipeline};
-use crate::level::level;
+use crate::map_graph::level::level;
 use crate::{KeyframeInfo, TrajectoryEntry};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorKind, SensorSpec, Timestamp, se3};
 use percept_mapping::MapEntry;
@@ -27,7 +27,7 @@ impl Pipeline {
         }
         let mut report = FrameReport::default();
         let kept = self.kept_of(spec, stamp, scan, false);
-        self.check_mount(&kept, &t_odom_base);
+        self.check_extrinsics(&kept, &t_odom_base);
         let mut keyframe = self.add_keyframe(spec, kept, t_odom_base);
         self.close_loops(&mut keyframe, false, None);
         report.changes = self.observe(&keyframe);
@@ -36,15 +36,15 @@ impl Pipeline {
     }
 
     /// Compares what a second sensor sees with what the pose sensor saw around here.
-    fn check_mount(&mut self, scan: &KeyframeScan, t_odom_base: &Pose) {
+    fn check_extrinsics(&mut self, scan: &KeyframeScan, t_odom_base: &Pose) {
         let Some(pose_sensor) = self.sensors.pose_sensor().cloned() else { return };
         let is_camera = self.sensors.spec(&pose_sensor).is_none_or(|s| s.kind == SensorKind::Camera);
-        if is_camera || !self.mounts.is_due(&scan.sensor) {
+        if is_camera || !self.extrinsics.is_due(&scan.sensor) {
             return;
         }
         let near = self.keyframes_near(&pose_sensor, t_odom_base);
         let from_here = near.into_iter().map(|(t, k)| (t_odom_base.inv_mul(&t), k));
-        self.mounts.measure(scan, &from_here.collect::<Vec<_>>());
+        self.extrinsics.measure(scan, &from_here.collect::<Vec<_>>());
     }
 
     pub(super) fn policy(&mut self, sensor: &SensorId) -> &mut KeyframePolicy {

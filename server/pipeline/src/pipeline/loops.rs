@@ -4,7 +4,7 @@
 use super::atlas::{Part, PartKeyframe, Search};
 use super::revising::Decision;
 use super::{FrameReport, MapChange, NewKeyframe, Pipeline, Restored};
-use crate::graph_worker::{Answer, Answers, GraphWorker, Question, Relocated, Sighting};
+use crate::map_graph::worker::{Answer, Answers, GraphWorker, Question, Relocated, Sighting};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, SensorSpec, Timestamp};
 use percept_slam::loops::{LoopClosure, place_recognition};
 use percept_slam::{

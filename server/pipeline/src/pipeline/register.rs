@@ -2,8 +2,8 @@
 
 use super::atlas::tie_over_join;
 use super::{FrameReport, Pipeline};
-use crate::imu_prior::joined;
-use crate::level::by_gravity;
+use crate::frontend::imu_prior::joined;
+use crate::map_graph::level::by_gravity;
 use crate::{Chunks, KeyframeInfo, PoseEstimate, TrajectoryEntry};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorSpec, Timestamp};
 use percept_mapping::MapKeyframe;

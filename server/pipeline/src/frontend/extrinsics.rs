@@ -1,4 +1,4 @@
-//! Whether a second sensor is mounted as declared: what it sees, against the map that the pose sensor made.
+//! The extrinsics check: a second sensor is mounted as declared if what it sees fits the map that the pose sensor made.
 //!
 //! Each of its keyframes is laid over what the pose sensor saw around. If most of it fits once it is moved, by the same
 //! amount again and again, its mount is off by that.
@@ -44,14 +44,14 @@ struct Measured {
     keyframes: u32,
 }
 
-/// Mounts of the sensors that do not move the pose.
+/// Extrinsics of the sensors that do not move the pose, as measured.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Mounts {
+pub(crate) struct ExtrinsicsCheck {
     measured: BTreeMap<SensorId, Measured>,
     told: Arc<BTreeMap<SensorId, MountOffset>>,
 }
 
-impl Mounts {
+impl ExtrinsicsCheck {
     /// Mounts that are off.
     pub(crate) fn told(&self) -> Arc<BTreeMap<SensorId, MountOffset>> {
         Arc::clone(&self.told)
