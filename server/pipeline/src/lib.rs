@@ -12,6 +12,7 @@ mod map_graph;
 mod params;
 mod pipeline;
 mod recovery;
+mod scene;
 mod snapshot;
 mod visibility;
 

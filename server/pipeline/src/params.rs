@@ -17,6 +17,13 @@ pub struct ParamsError {
     pub message: String,
 }
 
+impl ParamsError {
+    /// What went wrong in a section.
+    pub(crate) fn of(section: &'static str, e: impl std::fmt::Display) -> Self {
+        Self { section, message: e.to_string() }
+    }
+}
+
 /// How poses are found.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -72,7 +79,7 @@ impl PipelineParams {
     /// The first that is out of bounds.
     pub fn validate(&self) -> Result<(), ParamsError> {
         fn named<E: std::fmt::Display>(section: &'static str) -> impl Fn(E) -> ParamsError {
-            move |e| ParamsError { section, message: e.to_string() }
+            move |e| ParamsError::of(section, e)
         }
         self.slam.odometry.validate().map_err(named("slam.odometry"))?;
         self.slam.back_end.validate().map_err(named("slam.back_end"))?;

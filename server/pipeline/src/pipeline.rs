@@ -4,7 +4,6 @@ mod atlas;
 mod keyframes;
 mod loops;
 mod merging;
-mod objects;
 mod register;
 mod report;
 mod restore;
@@ -24,12 +23,11 @@ use crate::frontend::scale_hints::ScaleHints;
 use crate::frontend::sensors::{Sensors, scan_of};
 use crate::map_graph::worker::{Executor, GraphWorker, Relocated};
 use crate::recovery::Anchoring;
+use crate::scene::Scene;
 use crate::{Chunks, FrameError, KeyframeInfo, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
 use nalgebra::{Unit, Vector3};
 use percept_geometry::{Correction, Pose, SensorData, SensorFrame, SensorId, SensorSpec, Timestamp};
 use percept_mapping::{Map, MapMemory, MapStore, Submap};
-use percept_perception::detection::Detector;
-use percept_scene::{Object, Tracker};
 use percept_slam::{ImuBuffer, KeyframePolicy, Loop, Odometry};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -62,15 +60,13 @@ pub struct Pipeline {
     after_gap: bool,
     keyframe_policies: BTreeMap<SensorId, KeyframePolicy>,
     map: Map,
-    detector: Detector,
-    tracker: Tracker,
+    scene: Scene,
     /// Odom to map: found level at the first keyframe, moved by corrections.
     t_map_odom: Pose,
     pose: Option<PoseEstimate>,
     last_registered: Option<Timestamp>,
     trajectory: Chunks<TrajectoryEntry>,
     keyframes: Arc<Vec<KeyframeInfo>>,
-    objects: Arc<Vec<Object>>,
     /// Height of base above the floor, found with the level.
     base_height_m: f64,
     /// Odom pose of the newest keyframe: corrections are seen relative to it.
@@ -102,9 +98,8 @@ impl Pipeline {
             relocated: None,
             after_gap: false,
             keyframe_policies: BTreeMap::new(),
-            map: Map::new(params.map).map_err(|e| failed("map", e))?,
-            detector: Detector::new(params.detection.detector).map_err(|e| failed("detection.detector", e))?,
-            tracker: Tracker::new(params.tracker.clone()).map_err(|e| failed("tracker", e))?,
+            map: Map::new(params.map).map_err(|e| ParamsError::of("map", e))?,
+            scene: Scene::new(&params)?,
             base_height_m: 0.0,
             params: Arc::new(params),
             t_map_odom: Pose::identity(),
@@ -112,7 +107,6 @@ impl Pipeline {
             last_registered: None,
             trajectory: Chunks::default(),
             keyframes: Arc::default(),
-            objects: Arc::default(),
             newest_keyframe_t_odom_base: Pose::identity(),
         })
     }
@@ -223,8 +217,8 @@ impl Pipeline {
             clock_offsets: Arc::clone(&self.clock_offsets),
             mount_offsets: self.extrinsics.told(),
             loops: Arc::clone(&self.loops),
-            objects: Arc::clone(&self.objects),
-            next_object_id: self.tracker.next_id(),
+            objects: self.scene.objects(),
+            next_object_id: self.scene.next_object_id(),
             params: Arc::clone(&self.params),
         }
     }
@@ -238,8 +232,4 @@ impl Pipeline {
     pub fn sensor(&self, id: &SensorId) -> Option<&SensorSpec> {
         self.sensors.spec(id)
     }
-}
-
-fn failed(section: &'static str, e: impl std::fmt::Display) -> ParamsError {
-    ParamsError { section, message: e.to_string() }
 }

@@ -5,6 +5,7 @@ use crate::map_graph::level::level;
 use crate::{KeyframeInfo, TrajectoryEntry};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorKind, SensorSpec, Timestamp, se3};
 use percept_mapping::MapEntry;
+use percept_scene::ObjectChange;
 use percept_slam::{KeyframePolicy, Odometry, Scan, keyframe};
 use std::sync::Arc;
 
@@ -30,9 +31,14 @@ impl Pipeline {
         self.check_extrinsics(&kept, &t_odom_base);
         let mut keyframe = self.add_keyframe(spec, kept, t_odom_base);
         self.close_loops(&mut keyframe, false, None);
-        report.changes = self.observe(&keyframe);
+        report.changes = self.observe(spec, &keyframe);
         report.keyframe = Some(keyframe);
         Some(report)
+    }
+
+    /// Looks for objects in the map around a new keyframe.
+    pub(super) fn observe(&mut self, spec: &SensorSpec, keyframe: &NewKeyframe) -> Vec<ObjectChange> {
+        self.scene.observe(&self.map.layers(), keyframe, spec.kind == SensorKind::Camera)
     }
 
     /// Compares what a second sensor sees with what the pose sensor saw around here.

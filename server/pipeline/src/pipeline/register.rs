@@ -79,7 +79,7 @@ impl Pipeline {
             let mut keyframe = self.add_keyframe(spec, kept, t_odom_base);
             let tied = before_join.map(|before| tie_over_join(&before, &keyframe.info));
             self.close_loops(&mut keyframe, true, tied);
-            report.changes = self.observe(&keyframe);
+            report.changes = self.observe(spec, &keyframe);
             report.keyframe = Some(keyframe);
         }
         let pose = self.pose_of(stamp, &estimate);

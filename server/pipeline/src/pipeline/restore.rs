@@ -5,7 +5,7 @@ use crate::recovery::Anchoring;
 use crate::{KeyframeInfo, Merged, PoseEstimate, TrajectoryEntry};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, SensorKind, Timestamp};
 use percept_mapping::MapEntry;
-use percept_scene::{Object, Tracker};
+use percept_scene::Object;
 use percept_slam::{Loop, Odometry, OdometryKind, Scale, TrackingState};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -103,10 +103,7 @@ impl Pipeline {
         merging::carry(&mut infos);
         self.keyframes = Arc::new(infos);
         restored.trajectory.iter().for_each(|e| self.trajectory.push(*e));
-        if let Ok(tracker) = Tracker::restore(self.params.tracker.clone(), &restored.objects, restored.next_object_id) {
-            self.tracker = tracker;
-        }
-        self.objects = Arc::new(self.tracker.objects());
+        self.scene.restore(&self.params, &restored.objects, restored.next_object_id);
         self.restore_odometry(&restored);
     }
 

@@ -92,7 +92,7 @@ impl Pipeline {
             debug_assert!(false, "{error}");
         }
         change.corrected.extend(poses);
-        self.move_objects(&moved);
+        self.scene.follow(&self.keyframes, &moved);
         self.restamp();
     }
 

@@ -2,7 +2,6 @@
 
 use super::Pipeline;
 use crate::{ParamsError, PipelineParams, SlamParams};
-use percept_perception::detection::Detector;
 use percept_slam::{KeyframeParams, OdometryParams};
 use std::sync::Arc;
 
@@ -46,9 +45,7 @@ impl Pipeline {
             let message = "a parameter that is fixed once a session is there was changed".to_owned();
             return Err(ParamsError { section: "map or slam", message });
         }
-        let detector = Detector::new(params.detection.detector).map_err(|e| super::failed("detection.detector", e))?;
-        self.tracker.set_params(params.tracker.clone()).map_err(|e| super::failed("tracker", e))?;
-        self.detector = detector;
+        self.scene.set_params(&params)?;
         let keyframe = &params.slam.odometry.keyframe;
         self.keyframe_policies.values_mut().for_each(|policy| policy.set_params(keyframe.clone()));
         if let Some(odometry) = &mut self.odometry {
