@@ -11,20 +11,18 @@ mod lookup;
 mod map_graph;
 mod params;
 mod pipeline;
-mod recovery;
+mod restored;
 mod scene;
 mod snapshot;
 mod visibility;
 
 pub use chunks::Chunks;
 pub use frame_error::FrameError;
-pub use frontend::extrinsics::MountOffset;
-pub use frontend::sensors::check_frame;
+pub use frontend::{MountOffset, check_frame};
 pub use lookup::{LookupError, PoseAt};
-pub use map_graph::worker::Executor;
+pub use map_graph::{Executor, MapChange, NewKeyframe};
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
 pub use percept_slam::{Loop, LoopId, LoopState};
-pub use pipeline::{
-    FrameReport, MapChange, NewKeyframe, Pipeline, Restored, RestoredContent, RestoredKeyframe, may_change,
-};
+pub use pipeline::{FrameReport, Pipeline, may_change};
+pub use restored::{Restored, RestoredContent, RestoredKeyframe};
 pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, Snapshot, TrajectoryEntry};

@@ -1,76 +1,39 @@
-//! One robot's state and the path of a frame through it.
+//! One robot's front end, map graph and scene, and the path of a frame through them.
 
-mod atlas;
-mod keyframes;
-mod loops;
-mod merging;
-mod register;
 mod report;
 mod restore;
-mod revising;
+mod revise;
 mod settings;
+#[cfg(test)]
+mod tests;
 
-pub use report::{FrameReport, NewKeyframe};
-pub use restore::{Restored, RestoredContent, RestoredKeyframe};
-use revising::Decision;
-pub use revising::MapChange;
+pub use report::FrameReport;
 pub use settings::may_change;
 
-use crate::frontend::clock_offset::ClockOffsets;
-use crate::frontend::extrinsics::ExtrinsicsCheck;
-use crate::frontend::odometry_prior::OdometryBuffer;
-use crate::frontend::scale_hints::ScaleHints;
-use crate::frontend::sensors::{Sensors, scan_of};
-use crate::map_graph::worker::{Executor, GraphWorker, Relocated};
-use crate::recovery::Anchoring;
+use crate::frontend::{Frontend, Keyframe, Registered, Unanchored, View};
+use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
 use crate::scene::Scene;
-use crate::{Chunks, FrameError, KeyframeInfo, ParamsError, PipelineParams, PoseEstimate, Snapshot, TrajectoryEntry};
-use nalgebra::{Unit, Vector3};
-use percept_geometry::{Correction, Pose, SensorData, SensorFrame, SensorId, SensorSpec, Timestamp};
-use percept_mapping::{Map, MapMemory, MapStore, Submap};
-use percept_slam::{ImuBuffer, KeyframePolicy, Loop, Odometry};
-use std::collections::BTreeMap;
+use crate::{
+    Executor, FrameError, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, PoseEstimate, Snapshot,
+    TrajectoryEntry,
+};
+use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec};
+use percept_mapping::{MapMemory, MapStore, Submap};
+use percept_scene::ObjectChange;
+use percept_slam::{OdometryEstimate, OdometryKind};
 use std::sync::Arc;
-
-/// Offsets of an IMU's clock below this are what finding them is good to, seconds.
-const CLOCK_IS_OFF_S: f64 = 0.01;
 
 /// One robot's SLAM, maps, objects. A single writer; readers use [`Pipeline::snapshot`].
 pub struct Pipeline {
     params: Arc<PipelineParams>,
-    sensors: Sensors,
-    /// By sensor; of several the first by name that covers a stretch is believed.
-    wheels: BTreeMap<SensorId, OdometryBuffer>,
-    imus: BTreeMap<SensorId, ImuBuffer>,
-    clocks: ClockOffsets,
-    clock_offsets: Arc<BTreeMap<SensorId, f64>>,
-    extrinsics: ExtrinsicsCheck,
-    odometry: Option<Odometry>,
-    scale_hints: ScaleHints,
-    anchoring: Anchoring,
-    executor: Option<Arc<dyn Executor>>,
-    graph: Option<GraphWorker>,
-    loops: Arc<Vec<Loop>>,
-    floating: loops::FloatingPart,
-    /// Parts of the map that hang on nothing and wait to be recognised in it.
-    atlas: atlas::Atlas,
-    /// Where the robot was found to be at an earlier frame, until a frame makes use of it.
-    relocated: Option<Relocated>,
-    /// Whether nothing measured ties the next keyframe to the one before.
-    after_gap: bool,
-    keyframe_policies: BTreeMap<SensorId, KeyframePolicy>,
-    map: Map,
+    /// Sensors, odometry, and what that is worth.
+    frontend: Frontend,
+    /// All poses in the map.
+    map_graph: MapGraph,
+    /// Objects.
     scene: Scene,
-    /// Odom to map: found level at the first keyframe, moved by corrections.
-    t_map_odom: Pose,
+    /// Where the robot is now.
     pose: Option<PoseEstimate>,
-    last_registered: Option<Timestamp>,
-    trajectory: Chunks<TrajectoryEntry>,
-    keyframes: Arc<Vec<KeyframeInfo>>,
-    /// Height of base above the floor, found with the level.
-    base_height_m: f64,
-    /// Odom pose of the newest keyframe: corrections are seen relative to it.
-    newest_keyframe_t_odom_base: Pose,
 }
 
 impl Pipeline {
@@ -81,57 +44,23 @@ impl Pipeline {
     pub fn new(params: PipelineParams) -> Result<Self, ParamsError> {
         params.validate()?;
         Ok(Self {
-            sensors: Sensors::default(),
-            wheels: BTreeMap::new(),
-            imus: BTreeMap::new(),
-            clocks: ClockOffsets::default(),
-            clock_offsets: Arc::default(),
-            extrinsics: ExtrinsicsCheck::default(),
-            odometry: None,
-            scale_hints: ScaleHints::default(),
-            anchoring: Anchoring::default(),
-            executor: None,
-            graph: None,
-            loops: Arc::default(),
-            floating: loops::FloatingPart::default(),
-            atlas: atlas::Atlas::default(),
-            relocated: None,
-            after_gap: false,
-            keyframe_policies: BTreeMap::new(),
-            map: Map::new(params.map).map_err(|e| ParamsError::of("map", e))?,
+            frontend: Frontend::new(params.slam.clone()),
+            map_graph: MapGraph::new(&params)?,
             scene: Scene::new(&params)?,
-            base_height_m: 0.0,
-            params: Arc::new(params),
-            t_map_odom: Pose::identity(),
             pose: None,
-            last_registered: None,
-            trajectory: Chunks::default(),
-            keyframes: Arc::default(),
-            newest_keyframe_t_odom_base: Pose::identity(),
+            params: Arc::new(params),
         })
     }
 
     /// Recognises places and solves the graph beside frames, on threads of the executor's; without one, frames do it when
     /// they need what comes of it, which is the same.
     pub fn work_beside_frames(&mut self, executor: Arc<dyn Executor>) {
-        if let Some(graph) = &mut self.graph {
-            graph.set_executor(Arc::clone(&executor));
-        }
-        self.executor = Some(executor);
+        self.map_graph.set_executor(executor);
     }
 
-    /// Adds a sensor, or replaces its declaration. What waits of one whose clock or mount is another now is dropped.
+    /// Adds a sensor, or replaces its declaration. What waits of one whose clock or extrinsics are others now is dropped.
     pub fn declare_sensor(&mut self, spec: SensorSpec) {
-        let is_other = |before: &SensorSpec| {
-            before.time_offset_s != spec.time_offset_s || before.t_base_sensor != spec.t_base_sensor
-        };
-        if self.sensors.spec(&spec.id).is_some_and(is_other) {
-            self.wheels.remove(&spec.id);
-            self.imus.remove(&spec.id);
-            self.clocks.forget(&spec.id);
-            self.clock_offsets = Arc::new(self.clocks.found().clone());
-        }
-        self.sensors.declare(spec);
+        self.frontend.declare_sensor(spec);
     }
 
     /// Takes one frame in. Parallel work runs on the current rayon pool.
@@ -139,97 +68,172 @@ impl Pipeline {
     /// # Errors
     /// Bad input, by variant; nothing was changed.
     pub fn process(&mut self, frame: &SensorFrame) -> Result<FrameReport, FrameError> {
-        let (spec, stamp) = self.sensors.admit(frame)?;
-        let nothing = FrameReport::default();
-        if let SensorData::Odometry(sample) = &frame.data {
-            if let Some((before, angle)) = self.wheels.entry(spec.id.clone()).or_default().push(stamp, sample) {
-                let dt = stamp.seconds_since(before);
-                self.clocks.saw(&spec.id, before.plus_seconds(0.5 * dt), angle / dt);
-            }
-            return Ok(nothing);
-        }
-        if let SensorData::Imu(sample) = &frame.data {
-            // Where its clock was found to be off, its samples are taken for when they were felt.
-            let late = self.clock_offsets.get(&spec.id).copied().filter(|late| late.abs() > CLOCK_IS_OFF_S);
-            let felt = stamp.plus_seconds(-late.unwrap_or(0.0));
-            self.imus.entry(spec.id.clone()).or_default().push(felt, sample, &spec.t_base_sensor);
-            self.clocks.saw(&spec.id, stamp, sample.angular_velocity.norm());
-            return Ok(nothing);
-        }
-        let Some(mut scan) = scan_of(&spec, &frame.data) else { return Ok(nothing) };
-        let mut change = self.take_answers(stamp);
-        self.build_on();
-        let mut report = if self.sensors.is_pose_sensor(&frame.sensor, &self.params.slam.pose_sensor, stamp) {
-            if !self.is_metric() {
-                self.scale_hints.see_image(stamp, &mut scan);
-            }
-            self.register(&spec, stamp, &scan)
-        } else {
-            self.tell_scale(stamp, &scan);
-            self.map_only(&spec, stamp, &scan).unwrap_or(nothing)
-        };
-        change.extend(std::mem::take(&mut report.map));
-        Ok(FrameReport { map: change, ..report })
+        let Some(view) = self.frontend.take(frame)? else { return Ok(FrameReport::default()) };
+        let mut map = self.revise(|graph, update| graph.take_answers(view.stamp, update));
+        self.map_graph.build_on();
+        let report =
+            if view.is_of_pose_sensor { self.follow(&view) } else { self.look_beside(&view).unwrap_or_default() };
+        map.extend(report.map);
+        Ok(FrameReport { map, ..report })
     }
 
-    /// Moves keyframes, and all that hangs on them: trajectory, map layers, objects, and where the robot is now.
-    /// Corrections for keyframes that do not exist are ignored.
-    pub fn apply(&mut self, correction: &Correction) {
-        self.finish_revision();
-        let mut decision = Decision { poses: correction.t_map_base.iter().copied().collect(), ..Decision::default() };
-        // Where the newest keyframe goes, odom goes.
-        let newest = self.keyframes.last().and_then(|k| Some((decision.poses.get(&k.id)?, k.t_odom_base)));
-        decision.t_map_odom = newest.map(|(t_map_base, t_odom_base)| t_map_base * t_odom_base.inverse());
-        self.decide(decision, &mut MapChange::default());
-        self.finish_revision();
+    /// A view that moves the pose.
+    fn follow(&mut self, view: &View) -> FrameReport {
+        let (stamp, sensor) = (view.stamp, &view.spec.id);
+        let is_mapped = |t_odom_base: &Pose| self.map_graph.is_mapped(sensor, t_odom_base);
+        let Registered { mut estimate, kind, moved } = self.frontend.register(view, is_mapped);
+        self.map_graph.prepare(kind);
+        self.map_graph.move_without_scale(&moved);
+        let mut update = MapUpdate::default();
+        if !estimate.scale.is_metric() {
+            self.map_graph.wait_for_scale(|| self.frontend.up(stamp), &estimate.t_odom_base);
+        } else if let Some(unanchored) = self.frontend.tracking().unanchored() {
+            estimate = self.relocalise(view, kind, unanchored, estimate, &mut update);
+        }
+        let is_anchored = self.frontend.tracking().is_anchored();
+        let before_joined = if is_anchored { self.join_waiting(&mut update) } else { None };
+        self.move_objects(&update.moved);
+        let keyframe = if is_anchored { self.frontend.keyframe(view, &estimate) } else { None };
+        let (keyframe, changes) = keyframe.map(|k| self.add(k, before_joined.as_ref())).unzip();
+
+        estimate.state = self.frontend.tracking().told(&estimate);
+        let pose = self.pose_of(&estimate);
+        self.pose = Some(pose.clone());
+        let trajectory = self.extend_trajectory(sensor, &pose, is_anchored, keyframe.as_ref());
+        if is_anchored {
+            self.map_graph.look_for_parts(stamp, sensor, keyframe.is_some());
+        }
+        let MapUpdate { change: map, joined, mended, .. } = update;
+        let changes = changes.unwrap_or_default();
+        FrameReport { pose: Some(pose), trajectory, keyframe, changes, joined, mended, map }
+    }
+
+    /// A view of another sensor: seen from where the pose sensor says the robot is, it adds to the map.
+    fn look_beside(&mut self, view: &View) -> Option<FrameReport> {
+        let pose = self.pose.as_ref().filter(|p| !p.state.is_lost() && p.scale.is_metric())?;
+        let keyframe = self.frontend.keyframe_beside(view, pose.stamp)?;
+        let near = |sensor: &SensorId, t_odom_base: &Pose| self.map_graph.keyframes_near(sensor, t_odom_base);
+        self.frontend.check_extrinsics(&keyframe, near);
+        let (keyframe, changes) = self.add(keyframe, None);
+        Some(FrameReport { keyframe: Some(keyframe), changes, ..FrameReport::default() })
+    }
+
+    /// A view of a robot that nothing anchors in the map: the estimate as it is, or as it is in the map where the robot was found.
+    fn relocalise(
+        &mut self,
+        view: &View,
+        kind: OdometryKind,
+        unanchored: Unanchored,
+        estimate: OdometryEstimate,
+        update: &mut MapUpdate,
+    ) -> OdometryEstimate {
+        let frontend = &self.frontend;
+        let unanchored = UnanchoredView {
+            unanchored,
+            kind,
+            sensor: &view.spec.id,
+            pose_sensor: frontend.pose_sensor(),
+            scan: &view.scan,
+            estimate: &estimate,
+            usual_inlier_ratio: frontend.usual_inlier_ratio(),
+            kept: &|| frontend.kept_of(view),
+        };
+        let Some(found) = self.map_graph.relocalise(&unanchored, update) else { return estimate };
+        update.joined.iter().for_each(|k| self.frontend.go_on_from(&k.info.sensor, &k.t_odom_base));
+        self.frontend.found(found)
+    }
+
+    /// Lets a part that waited join, if it was found; the robot's keyframe before, which its way goes on from, and with a
+    /// keyframe at once.
+    fn join_waiting(&mut self, update: &mut MapUpdate) -> Option<KeyframeInfo> {
+        let before = self.map_graph.join_waiting(self.frontend.pose_sensor(), update)?;
+        self.frontend.forget_keyframes();
+        Some(before)
+    }
+
+    /// Puts a keyframe into the map, and looks for objects around it.
+    fn add(&mut self, keyframe: Keyframe, before_joined: Option<&KeyframeInfo>) -> (NewKeyframe, Vec<ObjectChange>) {
+        let is_sparse = keyframe.kind == SensorKind::Camera;
+        let stamp = keyframe.scan.stamp;
+        let keyframe = self.map_graph.add(keyframe, || self.frontend.up(stamp), before_joined);
+        let changes = self.scene.observe(&self.map_graph.map().layers(), &keyframe, is_sparse);
+        (keyframe, changes)
+    }
+
+    fn extend_trajectory(
+        &mut self,
+        sensor: &SensorId,
+        pose: &PoseEstimate,
+        is_anchored: bool,
+        keyframe: Option<&NewKeyframe>,
+    ) -> Option<TrajectoryEntry> {
+        if pose.scale.is_metric() {
+            self.map_graph.extend_trajectory(sensor, (pose.stamp, &pose.t_map_base, is_anchored), keyframe)
+        } else {
+            self.map_graph.extend_without_scale((pose.stamp, &pose.t_map_base, pose.state.is_tracking()))
+        }
+    }
+
+    fn pose_of(&self, estimate: &OdometryEstimate) -> PoseEstimate {
+        let was_lost = self.pose.as_ref().is_some_and(|p| p.state.is_lost());
+        PoseEstimate {
+            stamp: estimate.stamp,
+            state: estimate.state,
+            t_map_base: self.map_graph.t_map_odom() * estimate.t_odom_base,
+            t_odom_base: estimate.t_odom_base,
+            covariance: estimate.covariance,
+            inlier_ratio: estimate.inlier_ratio,
+            rmse_m: estimate.rmse_m,
+            degenerate_axes: estimate.degenerate_axes,
+            scale: estimate.scale,
+            waiting: estimate.waiting,
+            is_relocalised: was_lost && estimate.state.is_tracking(),
+            map_version: self.map_graph.map().version(),
+        }
     }
 
     /// What map, keyframes and trajectory take, bytes. What odometry and loop closing hold beside them is not counted.
     pub fn memory_bytes(&self) -> usize {
-        let trajectory = self.trajectory.len() * size_of::<TrajectoryEntry>();
-        self.map.memory().total() + trajectory + self.keyframes.len() * size_of::<KeyframeInfo>()
+        let trajectory = self.map_graph.trajectory().len() * size_of::<TrajectoryEntry>();
+        self.map_memory().total() + trajectory + self.map_graph.keyframes().len() * size_of::<KeyframeInfo>()
     }
 
     /// What the map takes, by part.
     pub fn map_memory(&self) -> MapMemory {
-        self.map.memory()
+        self.map_graph.map().memory()
     }
 
     /// Sets where submaps go that are not in memory, and how many bytes the map may take before they do.
     pub fn set_map_store(&mut self, store: Arc<dyn MapStore>, max_bytes: usize) {
-        self.map.set_store(store, max_bytes);
+        self.map_graph.set_store(store, max_bytes);
     }
 
     /// The submaps that the map is made of, in the order in which they were begun.
     pub fn submaps(&self) -> &[Submap] {
-        self.map.submaps()
-    }
-
-    /// The state as it is now; cheap, and unaffected by what comes later.
-    pub fn snapshot(&self) -> Snapshot {
-        Snapshot {
-            map_version: self.map.version(),
-            pose: self.pose.clone(),
-            trajectory: self.trajectory.clone(),
-            keyframes: Arc::clone(&self.keyframes),
-            layers: self.map.layers(),
-            map_memory: self.map.memory(),
-            clock_offsets: Arc::clone(&self.clock_offsets),
-            mount_offsets: self.extrinsics.told(),
-            loops: Arc::clone(&self.loops),
-            objects: self.scene.objects(),
-            next_object_id: self.scene.next_object_id(),
-            params: Arc::clone(&self.params),
-        }
-    }
-
-    /// The direction against gravity in base, if an IMU was at rest just before a stamp.
-    fn up(&self, stamp: Timestamp) -> Option<Unit<Vector3<f64>>> {
-        self.imus.values().find_map(|i| i.up(stamp))
+        self.map_graph.map().submaps()
     }
 
     /// The declaration of a sensor.
     pub fn sensor(&self, id: &SensorId) -> Option<&SensorSpec> {
-        self.sensors.spec(id)
+        self.frontend.sensor(id)
+    }
+
+    /// The state as it is now; cheap, and unaffected by what comes later.
+    pub fn snapshot(&self) -> Snapshot {
+        let (graph, map) = (&self.map_graph, self.map_graph.map());
+        Snapshot {
+            map_version: map.version(),
+            pose: self.pose.clone(),
+            trajectory: graph.trajectory().shared(),
+            keyframes: graph.keyframes().shared(),
+            layers: map.layers(),
+            map_memory: map.memory(),
+            clock_offsets: self.frontend.clock_offsets(),
+            mount_offsets: self.frontend.mount_offsets(),
+            loops: graph.loops(),
+            objects: self.scene.objects(),
+            next_object_id: self.scene.next_object_id(),
+            params: Arc::clone(&self.params),
+        }
     }
 }

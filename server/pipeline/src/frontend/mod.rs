@@ -1,8 +1,188 @@
-//! One robot: its sensors, and what they say of its motion.
+//! One robot: sensor frames in; its pose in odom, whether that is anchored in the map, and keyframes out.
+//!
+//! The front end knows no pose in the map. What it has to know of the map it asks by functions that it is handed.
+//! Start with [`Frontend::take`] and [`Frontend::register`].
 
-pub(crate) mod clock_offset;
-pub(crate) mod extrinsics;
-pub(crate) mod imu_prior;
-pub(crate) mod odometry_prior;
-pub(crate) mod scale_hints;
-pub(crate) mod sensors;
+mod clock_offset;
+mod extrinsics;
+mod imu_prior;
+mod keyframes;
+mod motion;
+mod odometry_prior;
+mod resume;
+mod scale_hints;
+mod sensors;
+mod tracking;
+mod view;
+
+pub use extrinsics::MountOffset;
+pub use sensors::check_frame;
+pub(crate) use tracking::{Tracking, Unanchored};
+pub(crate) use view::{Found, Keyframe, Registered, View};
+
+use crate::{FrameError, SlamParams};
+use extrinsics::ExtrinsicsCheck;
+use motion::{MotionSensors, Prior};
+use nalgebra::{Unit, Vector3};
+use percept_geometry::{Pose, SensorFrame, SensorId, SensorSpec, Timestamp};
+use percept_slam::{KeyframePolicy, Odometry, OdometryEstimate, OdometryKind, Scan};
+use scale_hints::ScaleHints;
+use sensors::{Sensors, scan_of};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// One robot's sensors, priors, odometry, and what that is worth.
+pub(crate) struct Frontend {
+    params: SlamParams,
+    sensors: Sensors,
+    motion: MotionSensors,
+    odometry: Option<Odometry>,
+    scale_hints: ScaleHints,
+    tracking: Tracking,
+    /// Whether the newest pose is in metres.
+    is_metric: bool,
+    /// Running mean of the inlier ratio of frames that were anchored in the map; 0 before the first.
+    usual_inlier_ratio: f64,
+    extrinsics: ExtrinsicsCheck,
+    keyframe_policies: BTreeMap<SensorId, KeyframePolicy>,
+    last_registered: Option<Timestamp>,
+}
+
+impl Frontend {
+    /// Without sensors. Validate `params` first.
+    pub(crate) fn new(params: SlamParams) -> Self {
+        Self {
+            params,
+            sensors: Sensors::default(),
+            motion: MotionSensors::default(),
+            odometry: None,
+            scale_hints: ScaleHints::default(),
+            tracking: Tracking::default(),
+            is_metric: false,
+            usual_inlier_ratio: 0.0,
+            extrinsics: ExtrinsicsCheck::default(),
+            keyframe_policies: BTreeMap::new(),
+            last_registered: None,
+        }
+    }
+
+    /// Makes keyframes by other parameters from now on; others hold for a session's life.
+    pub(crate) fn set_params(&mut self, params: SlamParams) {
+        let keyframe = &params.odometry.keyframe;
+        self.keyframe_policies.values_mut().for_each(|policy| policy.set_params(keyframe.clone()));
+        if let Some(odometry) = &mut self.odometry {
+            odometry.set_keyframe_params(keyframe.clone());
+        }
+        self.params = params;
+    }
+
+    /// Adds a sensor, or replaces its declaration. What waits of one whose clock or extrinsics are others now is dropped.
+    pub(crate) fn declare_sensor(&mut self, spec: SensorSpec) {
+        let is_other = |before: &SensorSpec| {
+            before.time_offset_s != spec.time_offset_s || before.t_base_sensor != spec.t_base_sensor
+        };
+        if self.sensors.spec(&spec.id).is_some_and(is_other) {
+            self.motion.forget(&spec.id);
+        }
+        self.sensors.declare(spec);
+    }
+
+    /// The declaration of a sensor.
+    pub(crate) fn sensor(&self, id: &SensorId) -> Option<&SensorSpec> {
+        self.sensors.spec(id)
+    }
+
+    /// The sensor that moves the pose, once it is chosen.
+    pub(crate) fn pose_sensor(&self) -> Option<&SensorId> {
+        self.sensors.pose_sensor()
+    }
+
+    /// Takes a frame in; none for wheels and IMUs, whose samples wait for the frames that they are priors of.
+    ///
+    /// # Errors
+    /// Bad input, by variant; nothing was changed.
+    pub(crate) fn take(&mut self, frame: &SensorFrame) -> Result<Option<View>, FrameError> {
+        let (spec, stamp) = self.sensors.admit(frame)?;
+        self.motion.take(&spec, stamp, &frame.data);
+        let Some(mut scan) = scan_of(&spec, &frame.data) else { return Ok(None) };
+        let is_of_pose_sensor = self.sensors.is_pose_sensor(&frame.sensor, &self.params.pose_sensor, stamp);
+        if is_of_pose_sensor && !self.is_metric {
+            self.scale_hints.see_image(stamp, &mut scan);
+        } else if !is_of_pose_sensor {
+            self.tell_scale(stamp, &scan);
+        }
+        Ok(Some(View { spec, stamp, scan, is_of_pose_sensor }))
+    }
+
+    /// A frame of another sensor tells a camera its scale, perhaps.
+    fn tell_scale(&mut self, stamp: Timestamp, scan: &Scan) {
+        if self.is_metric {
+            self.scale_hints.clear();
+        } else if let (Some(hint), Some(odometry)) = (self.scale_hints.see_other(stamp, scan), &mut self.odometry) {
+            odometry.tell_scale(&hint);
+        }
+    }
+
+    /// Places a view that moves the pose, and steps on with what that is worth. `is_mapped`: whether the robot has been before
+    /// where odometry believes to be.
+    pub(crate) fn register(&mut self, view: &View, is_mapped: impl Fn(&Pose) -> bool) -> Registered {
+        let (stamp, since) = (view.stamp, self.last_registered);
+        let Prior { motion, has_wheels, imu } = self.motion.prior(since, stamp);
+        let kind = match &view.scan {
+            Scan::Depth(_) => OdometryKind::Rgbd,
+            Scan::Cloud(_) => OdometryKind::Lidar3d,
+            Scan::Planar(_) => OdometryKind::Lidar2d,
+            Scan::Image(_) => OdometryKind::Mono,
+        };
+        let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.odometry.clone()));
+        let (t_odom_last, was_tracking) = (*odometry.t_odom_base(), odometry.is_tracking());
+        let estimate = odometry.register_with_imu(stamp, &view.scan, motion.as_ref(), imu);
+        let moved = odometry.take_moved();
+        if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking()) {
+            let turn = t_odom_last.rotation.inverse() * estimate.t_odom_base.rotation;
+            self.motion.learn(last, stamp, &turn);
+        }
+        self.last_registered = Some(stamp);
+        self.is_metric = estimate.scale.is_metric();
+        self.tracking.step(&estimate, has_wheels, || is_mapped(&estimate.t_odom_base));
+        if self.tracking.is_anchored() && estimate.state.is_tracking() {
+            self.usual_inlier_ratio += 0.1 * (estimate.inlier_ratio - self.usual_inlier_ratio);
+        }
+        Registered { estimate, kind, moved }
+    }
+
+    /// How the newest pose hangs on the map.
+    pub(crate) fn tracking(&self) -> &Tracking {
+        &self.tracking
+    }
+
+    /// How well frames that were anchored in the map usually fitted: share of their points, 0 before the first.
+    pub(crate) fn usual_inlier_ratio(&self) -> f64 {
+        self.usual_inlier_ratio
+    }
+
+    /// Goes on in the map where the robot was found.
+    pub(crate) fn found(&mut self, found: Found) -> OdometryEstimate {
+        if let Some(odometry) = found.odometry {
+            self.odometry = Some(odometry);
+        }
+        self.tracking.found(&found.estimate);
+        self.is_metric = found.estimate.scale.is_metric();
+        found.estimate
+    }
+
+    /// The direction against gravity in base, if an IMU was at rest just before a stamp.
+    pub(crate) fn up(&self, stamp: Timestamp) -> Option<Unit<Vector3<f64>>> {
+        self.motion.up(stamp)
+    }
+
+    /// Seconds by which sensors' stamps are late behind the pose sensor's, as far as that is known.
+    pub(crate) fn clock_offsets(&self) -> Arc<BTreeMap<SensorId, f64>> {
+        self.motion.clock_offsets()
+    }
+
+    /// Sensors that are not mounted as declared, by how far.
+    pub(crate) fn mount_offsets(&self) -> Arc<BTreeMap<SensorId, MountOffset>> {
+        self.extrinsics.told()
+    }
+}

@@ -1,10 +1,7 @@
 //! What a frame did.
 
-use super::MapChange;
-use crate::{KeyframeInfo, PoseEstimate, TrajectoryEntry};
-use percept_geometry::{KeyframeScan, Pose};
+use crate::{MapChange, NewKeyframe, PoseEstimate, TrajectoryEntry};
 use percept_scene::ObjectChange;
-use std::sync::Arc;
 
 /// What a frame did.
 #[derive(Debug, Clone, Default)]
@@ -19,22 +16,9 @@ pub struct FrameReport {
     pub changes: Vec<ObjectChange>,
     /// Keyframes of a part of the map that joined it with this frame, or became it; older than `keyframe`.
     pub joined: Vec<NewKeyframe>,
-    /// Entries of the trajectory that are now known better, ascending: of frames since the robot was adrift, which hang on the
+    /// Entries of the trajectory that are now known better, ascending: of frames since the robot was unanchored, which hang on the
     /// keyframes that joined, and of frames in what is not the map any more, which are not tracked.
     pub mended: Vec<TrajectoryEntry>,
     /// What changed in the map besides.
     pub map: MapChange,
-}
-
-/// A keyframe as it is stored.
-#[derive(Debug, Clone)]
-pub struct NewKeyframe {
-    /// Number, stamp, sensor, pose in the map.
-    pub info: KeyframeInfo,
-    /// Base to odom at the keyframe.
-    pub t_odom_base: Pose,
-    /// Whether nothing measured ties it to the keyframe before: the robot was lost in between.
-    pub after_gap: bool,
-    /// What it saw.
-    pub scan: Arc<KeyframeScan>,
 }

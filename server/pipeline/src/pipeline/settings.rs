@@ -46,11 +46,8 @@ impl Pipeline {
             return Err(ParamsError { section: "map or slam", message });
         }
         self.scene.set_params(&params)?;
-        let keyframe = &params.slam.odometry.keyframe;
-        self.keyframe_policies.values_mut().for_each(|policy| policy.set_params(keyframe.clone()));
-        if let Some(odometry) = &mut self.odometry {
-            odometry.set_keyframe_params(keyframe.clone());
-        }
+        self.frontend.set_params(params.slam.clone());
+        self.map_graph.set_params(params.slam.clone());
         self.params = Arc::new(params);
         Ok(())
     }

@@ -3,12 +3,12 @@
 // Helpers of tests may fail like tests.
 #![allow(clippy::unwrap_used)]
 
-mod adrift;
 mod beside;
 mod camera;
 mod correction;
 mod drive;
+mod extrinsics;
 mod memory;
-mod mounts;
 mod refusal;
 mod restore;
+mod unanchored;

@@ -97,7 +97,7 @@ fn wheels_carry_the_map_through_a_blackout() {
 }
 
 #[test]
-fn a_robot_that_is_adrift_in_the_dark_is_told_of_the_dark() {
+fn an_unanchored_robot_in_the_dark_is_told_of_the_dark() {
     let home = simulation(SensorSuite::only_lidar2d(), 14.0);
     let frames: Vec<_> = home.frames().map(|f| f.frame).collect();
     let mut pipeline = empty(&home, PipelineParams::default());

@@ -1,10 +1,13 @@
 //! The map that is shown is whole at every frame, whatever was corrected.
 
 use super::*;
-use crate::PipelineParams;
-use percept_geometry::{Cell, SensorFrame, se3};
+use crate::MapChange;
+use crate::map_graph::Decision;
+use percept_geometry::{Cell, Correction, KeyframeId, se3};
 use percept_mapping::{Occupancy, OccupancyGrid};
 use percept_sim::{SensorSuite, SimParams, Simulation};
+use percept_slam::MergedKeyframe;
+use std::collections::BTreeMap;
 
 /// A pipeline in the middle of a drive, and the rest of the drive.
 fn driven() -> (Pipeline, Vec<SensorFrame>) {
@@ -22,6 +25,14 @@ fn driven() -> (Pipeline, Vec<SensorFrame>) {
     (pipeline, rest)
 }
 
+fn decide(pipeline: &mut Pipeline, decision: Decision) -> MapChange {
+    pipeline.revise(|graph, update| graph.decide(decision, update))
+}
+
+fn newest_keyframe(pipeline: &Pipeline) -> &KeyframeInfo {
+    pipeline.map_graph.keyframes().last().expect("driven")
+}
+
 /// Walls that are shown in their cell or beside while submaps are bent as much as here, and once they are built anew, percent:
 /// where a bend puts one keyframe's wall into what another saw free, a submap's sum may decide otherwise than each in turn.
 const BENT: usize = 85;
@@ -31,11 +42,11 @@ const BUILT: usize = 98;
 fn check_whole(pipeline: &Pipeline, percent: usize) {
     let shown = pipeline.snapshot();
     let living: Vec<_> = shown.living_keyframes().map(|k| (k.id, k.t_map_base)).collect();
-    let of_map: Vec<_> = pipeline.map.keyframes().iter().map(|(id, k)| (*id, k.t_map_base)).collect();
+    let of_map: Vec<_> = pipeline.map_graph.map().keyframes().iter().map(|(id, k)| (*id, k.t_map_base)).collect();
     assert_eq!(living, of_map);
     let mut grid = OccupancyGrid::new(pipeline.params.map.occupancy).expect("valid");
     for (id, t_map_base) in living {
-        grid.integrate(&t_map_base, &pipeline.map.scan(id).expect("kept")).expect("sound");
+        grid.integrate(&t_map_base, &pipeline.map_graph.map().scan(id).expect("kept")).expect("sound");
     }
     let occupied = |grid: &dyn Fn(Cell) -> Option<f64>, c: Cell| grid(c).is_some_and(|p| p >= 0.6);
     let (min, max) = grid.bounds().expect("driven");
@@ -53,9 +64,10 @@ fn check_whole(pipeline: &Pipeline, percent: usize) {
     assert!(there * 100 >= walls.len() * percent, "{there} of {}", walls.len());
     let pose = shown.pose.expect("driven");
     assert_eq!((pose.map_version, shown.map_version), (shown.layers.version, shown.layers.version));
-    let off = se3::log(&(pose.t_map_base.inverse() * pipeline.t_map_odom * pose.t_odom_base)).norm();
-    let newest = shown.keyframes.last().expect("driven").t_map_base;
-    let seam = se3::log(&(newest.inverse() * pipeline.t_map_odom * pipeline.newest_keyframe_t_odom_base)).norm();
+    let off = se3::log(&(pose.t_map_base.inverse() * pipeline.map_graph.t_map_odom() * pose.t_odom_base)).norm();
+    let newest = newest_keyframe(pipeline);
+    let seam = newest.t_map_base.inverse() * pipeline.map_graph.t_map_odom() * newest.t_odom_base;
+    let seam = se3::log(&seam).norm();
     assert!(off < 1e-9 && seam < 1e-9, "{off} {seam}");
 }
 
@@ -64,14 +76,14 @@ fn bent(pipeline: &Pipeline, yaw: f64) -> Correction {
     let bend = |(k, info): (usize, &KeyframeInfo)| {
         (info.id, info.t_map_base * se3::from_xy_yaw(0.001 * k as f64, 0.0, yaw * k as f64))
     };
-    Correction { t_map_base: pipeline.keyframes.iter().enumerate().map(bend).collect() }
+    Correction { t_map_base: pipeline.map_graph.keyframes().iter().enumerate().map(bend).collect() }
 }
 
 /// A correction of all keyframes, as the back end decides it.
 fn moved(pipeline: &Pipeline, correction: &Correction, merged: Vec<MergedKeyframe>) -> Decision {
     let poses: BTreeMap<KeyframeId, Pose> = correction.t_map_base.iter().copied().collect();
     let (newest, t_map_base) = poses.last_key_value().map(|(id, pose)| (*id, *pose)).expect("some");
-    let t_map_odom = Some(t_map_base * pipeline.newest_keyframe_t_odom_base.inverse());
+    let t_map_odom = Some(t_map_base * newest_keyframe(pipeline).t_odom_base.inverse());
     Decision { poses, t_map_odom, newest: Some(newest), merged }
 }
 
@@ -83,9 +95,9 @@ fn what_is_decided_is_shown_at_once_and_frames_go_on_from_there_while_bent_subma
     let correction = bent(&pipeline, -0.002);
     let merged =
         MergedKeyframe { id: KeyframeId(3), into: KeyframeId(4), t_into_base: se3::from_xy_yaw(-0.2, 0.0, 0.0) };
-    let t_decided = correction.t_map_base.last().expect("some").1 * pipeline.newest_keyframe_t_odom_base.inverse();
-    let mut change = MapChange::default();
-    pipeline.decide(moved(&pipeline, &correction, vec![merged]), &mut change);
+    let t_decided = correction.t_map_base.last().expect("some").1 * newest_keyframe(&pipeline).t_odom_base.inverse();
+    let decision = moved(&pipeline, &correction, vec![merged]);
+    let change = decide(&mut pipeline, decision);
     check_whole(&pipeline, BENT);
     assert!(pipeline.is_revising() && change.merged.len() == 1);
     let shown = pipeline.snapshot();
@@ -110,16 +122,16 @@ fn what_is_decided_is_shown_at_once_and_frames_go_on_from_there_while_bent_subma
 #[test]
 fn keyframes_that_came_while_a_correction_was_thought_out_move_with_odom() {
     let (mut pipeline, _) = driven();
-    let count = pipeline.keyframes.len();
+    let count = pipeline.map_graph.keyframes().len();
     let mut correction = bent(&pipeline, 0.002);
     correction.t_map_base.truncate(count - 5);
     let (newest, t_map_base) = *correction.t_map_base.last().expect("some");
-    let t_map_odom = t_map_base * pipeline.keyframes[newest.0 as usize].t_odom_base.inverse();
+    let t_map_odom = t_map_base * pipeline.map_graph.keyframes()[newest.0 as usize].t_odom_base.inverse();
     let poses = correction.t_map_base.iter().copied().collect();
     let decision = Decision { poses, t_map_odom: Some(t_map_odom), newest: Some(newest), merged: vec![] };
-    pipeline.decide(decision, &mut MapChange::default());
+    decide(&mut pipeline, decision);
     check_whole(&pipeline, BENT);
-    for k in &pipeline.keyframes[count - 5..] {
+    for k in &pipeline.map_graph.keyframes()[count - 5..] {
         assert_eq!(k.t_map_base, t_map_odom * k.t_odom_base, "{:?}", k.id);
     }
 }
@@ -127,12 +139,11 @@ fn keyframes_that_came_while_a_correction_was_thought_out_move_with_odom() {
 #[test]
 fn who_is_moved_twice_is_where_it_was_moved_last() {
     let (mut pipeline, _) = driven();
-    let mut change = MapChange::default();
     let decision = moved(&pipeline, &bent(&pipeline, 0.002), vec![]);
-    pipeline.decide(decision, &mut change);
+    let mut change = decide(&mut pipeline, decision);
     let again = bent(&pipeline, 0.003);
     let decision = moved(&pipeline, &again, vec![]);
-    pipeline.decide(decision, &mut change);
+    change.extend(decide(&mut pipeline, decision));
     assert_eq!(change.corrected.into_iter().collect::<Vec<_>>(), again.t_map_base);
     assert!(pipeline.settle().corrected.is_empty() && !pipeline.is_revising());
     check_whole(&pipeline, BUILT);
@@ -143,8 +154,8 @@ fn odometry_that_goes_on_elsewhere_does_so_from_the_keyframe_as_it_is_now() {
     let (mut pipeline, _) = driven();
     let correction = bent(&pipeline, 0.002);
     let decision = moved(&pipeline, &correction, vec![]);
-    pipeline.decide(decision, &mut MapChange::default());
+    decide(&mut pipeline, decision);
     let t_keyframe_odom = se3::from_xy_yaw(1.0, 2.0, 0.3);
-    pipeline.place_odometry(KeyframeId(7), &t_keyframe_odom);
-    assert_eq!(pipeline.t_map_odom, correction.t_map_base[7].1 * t_keyframe_odom);
+    pipeline.map_graph.place_odometry(KeyframeId(7), &t_keyframe_odom);
+    assert_eq!(pipeline.map_graph.t_map_odom(), correction.t_map_base[7].1 * t_keyframe_odom);
 }

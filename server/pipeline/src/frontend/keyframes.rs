@@ -1,0 +1,85 @@
+//! Which frames stay, and what is kept of them.
+
+use super::{Frontend, Keyframe, View};
+use percept_geometry::{KeyframeScan, Pose, SensorId, SensorKind, Timestamp, se3};
+use percept_slam::{KeyframePolicy, OdometryEstimate, Scan, keyframe};
+use std::sync::Arc;
+
+/// Frames of other sensors this long after the newest pose, or before it, are not placed: the robot may be anywhere, seconds.
+const MOST_APART_S: f64 = 0.5;
+
+impl Frontend {
+    /// The keyframe that a view of the pose sensor becomes, if it lies far enough from the one before.
+    pub(crate) fn keyframe(&mut self, view: &View, estimate: &OdometryEstimate) -> Option<Keyframe> {
+        let t_odom_base = estimate.t_odom_base;
+        self.policy(&view.spec.id).consider(&t_odom_base).then(|| Keyframe {
+            kind: view.spec.kind,
+            scan: self.kept_of(view),
+            t_odom_base,
+            covariance: estimate.covariance,
+            is_of_pose_sensor: true,
+        })
+    }
+
+    /// The keyframe that a view of another sensor becomes, if it lies far enough from the one before: seen from where the pose
+    /// sensor says the robot is, whose newest pose has the stamp `newest`.
+    pub(crate) fn keyframe_beside(&mut self, view: &View, newest: Timestamp) -> Option<Keyframe> {
+        let ahead = view.stamp.seconds_since(newest);
+        if matches!(view.scan, Scan::Image(_)) || ahead.abs() > MOST_APART_S {
+            return None;
+        }
+        let odometry = self.odometry.as_ref()?;
+        let (velocity, covariance) = (odometry.velocity(), odometry.covariance());
+        let t_odom_base = odometry.t_odom_base() * se3::exp(&(velocity * ahead));
+        if !self.policy(&view.spec.id).consider(&t_odom_base) {
+            return None;
+        }
+        let params = &self.params.odometry.keyframe;
+        let scan = keyframe::keyframe_scan(params, view.stamp, &view.spec.id, &view.scan, &velocity);
+        Some(Keyframe { kind: view.spec.kind, scan, t_odom_base, covariance, is_of_pose_sensor: false })
+    }
+
+    /// What is kept of a view of the pose sensor: odometry knows more of it than the scan says.
+    pub(crate) fn kept_of(&self, view: &View) -> KeyframeScan {
+        let (stamp, sensor) = (view.stamp, &view.spec.id);
+        match &self.odometry {
+            Some(odometry) => odometry.keyframe_scan(stamp, sensor, &view.scan),
+            None => {
+                let params = &self.params.odometry.keyframe;
+                keyframe::keyframe_scan(params, stamp, sensor, &view.scan, &Default::default())
+            }
+        }
+    }
+
+    /// Compares what a second sensor sees with what the pose sensor saw around here; `near` are its keyframes around a place in
+    /// odom, with their `t_odom_base`.
+    pub(crate) fn check_extrinsics(
+        &mut self,
+        keyframe: &Keyframe,
+        near: impl Fn(&SensorId, &Pose) -> Vec<(Pose, Arc<KeyframeScan>)>,
+    ) {
+        let Some(pose_sensor) = self.sensors.pose_sensor().cloned() else { return };
+        let is_camera = self.sensors.spec(&pose_sensor).is_none_or(|s| s.kind == SensorKind::Camera);
+        if is_camera || !self.extrinsics.is_due(&keyframe.scan.sensor) {
+            return;
+        }
+        let near = near(&pose_sensor, &keyframe.t_odom_base);
+        let from_here = near.into_iter().map(|(t, k)| (keyframe.t_odom_base.inv_mul(&t), k));
+        self.extrinsics.measure(&keyframe.scan, &from_here.collect::<Vec<_>>());
+    }
+
+    /// The next keyframe of a sensor has to lie away from this one.
+    pub(crate) fn go_on_from(&mut self, sensor: &SensorId, t_odom_base: &Pose) {
+        self.policy(sensor).resume(t_odom_base);
+    }
+
+    /// The next frame of each sensor becomes a keyframe.
+    pub(crate) fn forget_keyframes(&mut self) {
+        self.keyframe_policies.clear();
+    }
+
+    fn policy(&mut self, sensor: &SensorId) -> &mut KeyframePolicy {
+        let params = &self.params.odometry.keyframe;
+        self.keyframe_policies.entry(sensor.clone()).or_insert_with(|| KeyframePolicy::new(params.clone()))
+    }
+}

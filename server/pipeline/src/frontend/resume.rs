@@ -1,0 +1,44 @@
+//! The front end goes on from what was stored.
+
+use super::{Frontend, Tracking};
+use percept_geometry::{KeyframeScan, Pose, SensorId, SensorKind, Timestamp};
+use percept_slam::{Odometry, OdometryKind};
+use std::sync::Arc;
+
+impl Frontend {
+    /// The newest stamp of a sensor, its own clock: frames up to it were taken in before.
+    pub(crate) fn set_last_stamp(&mut self, sensor: &SensorId, stamp: Timestamp) {
+        self.sensors.set_last_stamp(sensor, stamp);
+    }
+
+    /// Takes up odometry of a sensor at a pose, with `recent` keyframes and their `t_odom_base`, oldest first, as its local
+    /// model; none if the sensor cannot move the pose.
+    pub(crate) fn resume(
+        &mut self,
+        sensor: &SensorId,
+        (t_odom_base, stamp): (Pose, Timestamp),
+        recent: &[(Pose, Arc<KeyframeScan>)],
+    ) -> Option<OdometryKind> {
+        let kind = odometry_kind(self.sensors.spec(sensor)?.kind)?;
+        let mut odometry = Odometry::new(kind, self.params.odometry.clone());
+        odometry.seed(&t_odom_base, recent, stamp);
+        self.odometry = Some(odometry);
+        self.tracking = Tracking::resumed(t_odom_base, stamp);
+        self.last_registered = Some(stamp);
+        // A camera's own map is not stored: it begins anew.
+        self.is_metric = kind != OdometryKind::Mono;
+        self.sensors.set_pose_sensor(sensor.clone());
+        Some(kind)
+    }
+}
+
+/// The method for a kind of sensor; none for kinds that cannot carry the pose.
+fn odometry_kind(kind: SensorKind) -> Option<OdometryKind> {
+    match kind {
+        SensorKind::Depth | SensorKind::Rgbd => Some(OdometryKind::Rgbd),
+        SensorKind::Lidar3d => Some(OdometryKind::Lidar3d),
+        SensorKind::Lidar2d => Some(OdometryKind::Lidar2d),
+        SensorKind::Camera => Some(OdometryKind::Mono),
+        SensorKind::Imu | SensorKind::Odometry => None,
+    }
+}

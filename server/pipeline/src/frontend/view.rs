@@ -1,0 +1,42 @@
+//! What goes through the front end: what a sensor saw, where odometry has placed it, and the keyframe that it becomes.
+
+use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorKind, SensorSpec, Timestamp};
+use percept_slam::{Odometry, OdometryEstimate, OdometryKind, Scan};
+
+/// What a sensor saw of its surroundings.
+pub(crate) struct View {
+    pub(crate) spec: SensorSpec,
+    /// Session's clock.
+    pub(crate) stamp: Timestamp,
+    pub(crate) scan: Scan,
+    /// Whether it moves the pose.
+    pub(crate) is_of_pose_sensor: bool,
+}
+
+/// A frame that odometry has placed, if it could.
+pub(crate) struct Registered {
+    /// Its state is what odometry measured; [`super::Tracking::told`] is what is said of it.
+    pub(crate) estimate: OdometryEstimate,
+    pub(crate) kind: OdometryKind,
+    /// How the past moved with it, in a camera's own map: stamps, ascending, and old to new odom near them.
+    pub(crate) moved: Vec<(Timestamp, Pose)>,
+}
+
+/// A frame that stays.
+pub(crate) struct Keyframe {
+    pub(crate) kind: SensorKind,
+    pub(crate) scan: KeyframeScan,
+    pub(crate) t_odom_base: Pose,
+    /// Odometry's since the start.
+    pub(crate) covariance: Covariance6,
+    /// Whether its sensor moves the pose: loops are looked for from it.
+    pub(crate) is_of_pose_sensor: bool,
+}
+
+/// A robot that was found again.
+pub(crate) struct Found {
+    /// Tracking.
+    pub(crate) estimate: OdometryEstimate,
+    /// What to go on with, if not with the odometry that there is.
+    pub(crate) odometry: Option<Odometry>,
+}

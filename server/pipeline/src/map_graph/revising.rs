@@ -1,0 +1,72 @@
+//! What is decided about the map is shown at once: keyframes, trajectory and submaps move together, and what hangs on them is
+//! told by how much. Submaps that do not fit their keyframes or the map's cells any more are built anew afterwards, a little
+//! with every frame.
+
+use super::{MapGraph, MapUpdate};
+use percept_geometry::{Correction, KeyframeId, Pose};
+use percept_slam::MergedKeyframe;
+use std::collections::BTreeMap;
+
+/// Points of keyframes that submaps are built anew from with each frame: 4 to 9 ms on one core of a planar lidar's, and one
+/// keyframe at least (`examples/submaps.rs`). Counted, not timed, so that the same input gives the same answers.
+const POINTS_A_FRAME: usize = 2_000;
+
+/// What was decided.
+#[derive(Debug, Default)]
+pub(crate) struct Decision {
+    /// Keyframes that move, base to map.
+    pub(crate) poses: BTreeMap<KeyframeId, Pose>,
+    /// Odom to map from then on; none if it stays.
+    pub(crate) t_map_odom: Option<Pose>,
+    /// The newest keyframe that was thought of: later ones move with odom.
+    pub(crate) newest: Option<KeyframeId>,
+    /// Keyframes that others stand for from then on.
+    pub(crate) merged: Vec<MergedKeyframe>,
+}
+
+impl MapGraph {
+    /// Odometry goes on from another place in the map, seen from a keyframe of it.
+    pub(crate) fn place_odometry(&mut self, keyframe: KeyframeId, t_keyframe_odom: &Pose) {
+        if let Some(info) = self.keyframes.of(keyframe) {
+            self.t_map_odom = info.t_map_base * t_keyframe_odom;
+        }
+    }
+
+    /// Moves everything to where it was decided to be.
+    pub(crate) fn decide(&mut self, decision: Decision, update: &mut MapUpdate) {
+        let Decision { mut poses, t_map_odom, newest, merged } = decision;
+        if poses.is_empty() && merged.is_empty() {
+            return;
+        }
+        poses.retain(|id, _| self.keyframes.of(*id).is_some());
+        if let Some(t_map_odom) = t_map_odom {
+            self.t_map_odom = t_map_odom;
+            let later = newest.map_or(self.keyframes.len(), |id| id.0 as usize + 1);
+            let later = self.keyframes.iter().skip(later);
+            poses.extend(later.map(|k| (k.id, t_map_odom * k.t_odom_base)));
+        }
+        poses.retain(|id, _| merged.iter().all(|m| m.id != *id));
+        let (moved, changed) = self.keyframes.revise(&poses, &merged);
+        let correction = Correction { t_map_base: poses.iter().map(|(id, pose)| (*id, *pose)).collect() };
+        let gone: Vec<KeyframeId> = merged.iter().map(|m| m.id).collect();
+        if let Err(error) = self.map.correct(&correction, &gone) {
+            // Poses are our own; a map that refuses them keeps its old state.
+            debug_assert!(false, "{error}");
+        }
+        update.change.merged.extend(changed);
+        update.change.corrected.extend(poses);
+        update.moved.push(moved);
+    }
+
+    /// Builds on at submaps that are to be built anew.
+    pub(crate) fn build_on(&mut self) {
+        if self.map.is_rebuilding() {
+            self.map.advance(POINTS_A_FRAME);
+        }
+    }
+
+    /// Whether something is being decided about the map, or submaps are still to be built anew.
+    pub(crate) fn is_revising(&self) -> bool {
+        self.map.is_rebuilding() || self.constraints.is_working()
+    }
+}
