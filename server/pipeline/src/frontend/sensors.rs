@@ -126,6 +126,7 @@ impl Sensors {
             return chosen == id;
         }
         if !wanted.is_empty() {
+            self.pose_sensor = (id.0 == wanted).then(|| id.clone());
             return id.0 == wanted;
         }
         let rank = |id: &SensorId| self.entries.get(id).and_then(|e| rank(e.spec.kind));

@@ -37,3 +37,14 @@ fn a_camera_turned_on_its_mount_is_told_and_by_how_much() {
         }
     }
 }
+
+#[test]
+fn it_is_told_as_well_where_the_session_names_the_sensor_that_moves_the_pose() {
+    let simulation = drive(SensorSuite::only_lidar2d(), 0.2);
+    let mut params = PipelineParams::default();
+    params.slam.pose_sensor = "scan".to_owned();
+    let mut pipeline = empty(&simulation, params);
+    simulation.frames().for_each(|timed| drop(pipeline.process(&timed.frame).unwrap()));
+    let told: Vec<_> = pipeline.snapshot().mount_offsets.values().copied().collect();
+    assert!(told.len() == 1 && (told[0].angle_rad - 0.2).abs() < 0.04, "{told:?}");
+}
