@@ -101,7 +101,7 @@ impl Pipeline {
         self.pose = Some(pose.clone());
         let trajectory = self.extend_trajectory(sensor, &pose, is_anchored, keyframe.as_ref());
         if is_anchored {
-            self.map_graph.look_for_parts(stamp, sensor, keyframe.is_some());
+            self.map_graph.look_for_parts(stamp, sensor, keyframe.as_ref().map(|k| k.info.id));
         }
         let MapUpdate { change: map, joined, mended, .. } = update;
         let changes = changes.unwrap_or_default();

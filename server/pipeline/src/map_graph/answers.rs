@@ -25,10 +25,7 @@ impl MapGraph {
         for answer in answers.answers {
             match answer {
                 Answer::Update(newest, found) => self.follow(Some(newest), *found, update),
-                Answer::Relocalised(relocated) if self.relocaliser.asked(&relocated) => {
-                    self.relocaliser.hear(relocated);
-                }
-                Answer::Relocalised(relocated) => self.atlas.hear(relocated),
+                Answer::Relocalised(relocated) => self.relocaliser.hear(relocated),
             }
         }
     }

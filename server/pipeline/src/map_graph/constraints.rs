@@ -25,11 +25,15 @@ impl Constraints {
 
     /// Makes the back end for the kind of sensor that moves the pose, unless there is one.
     pub(super) fn prepare(&mut self, params: &SlamParams, kind: OdometryKind) {
-        if self.worker.is_none() && params.back_end.enabled {
-            let recognition = place_recognition(kind, &params.odometry);
-            let back_end = recognition.map(|r| BackEnd::new(params.back_end.clone(), r));
-            self.worker = back_end.map(|b| GraphWorker::new(b, self.executor.clone()));
+        if self.worker.is_none() {
+            self.worker = self.worker(params, kind);
         }
+    }
+
+    /// A back end that knows nothing yet; none if loops are not wanted, or cannot be found by what this kind sees.
+    pub(super) fn worker(&self, params: &SlamParams, kind: OdometryKind) -> Option<GraphWorker> {
+        let recognition = place_recognition(kind, &params.odometry).filter(|_| params.back_end.enabled)?;
+        Some(GraphWorker::new(BackEnd::new(params.back_end.clone(), recognition), self.executor.clone()))
     }
 
     /// Forgets all keyframes and loops; those that were known.

@@ -1,6 +1,7 @@
 //! Parts of the map that hung on nothing join it, or become it: their keyframes enter, and their frames hang on these.
 
 use super::add::Link;
+use super::atlas::Recognised;
 use super::part::{Part, PartKeyframe};
 use super::revising::Decision;
 use super::{MapGraph, MapUpdate};
@@ -29,23 +30,23 @@ impl MapGraph {
             return false;
         }
         self.place_odometry(found.keyframe, &(found.t_keyframe_base * t_odom_found.inverse()));
+        self.atlas.begin_anew();
         let gathered = self.relocaliser.begin_anew();
         self.enter_part(gathered, &Pose::identity(), Some((found, t_odom_found)), pose_sensor, update);
         true
     }
 
-    /// Puts a part that waited where a keyframe of it was found, if one was. The robot's keyframe before those that have joined:
-    /// its way goes on from there, and with a keyframe at once.
+    /// Puts a part that waited where the robot was recognised in it, if it was. The robot's keyframe before those that have
+    /// joined: its way goes on from there, and with a keyframe at once.
     pub(crate) fn join_waiting(
         &mut self,
         pose_sensor: Option<&SensorId>,
         update: &mut MapUpdate,
     ) -> Option<KeyframeInfo> {
-        let (part, found, t_part_found) = self.atlas.take_found()?;
+        let Recognised { part, found, t_part_found } = self.take_recognised()?;
         let before = self.keyframes.last()?.clone();
-        let t_map_keyframe = self.keyframes.of(found.keyframe)?.t_map_base;
-        let t_map_part = t_map_keyframe * found.t_keyframe_base * t_part_found.inverse();
-        let t_odom_part = self.t_map_odom.inverse() * t_map_part;
+        let t_map_found = self.keyframes.of(found.keyframe)?.t_map_base * found.t_keyframe_base;
+        let t_odom_part = self.t_map_odom.inverse() * t_map_found * t_part_found.inverse();
         self.enter_part(part, &t_odom_part, Some((&found, &t_part_found)), pose_sensor, update);
         Some(before)
     }
@@ -79,8 +80,7 @@ impl MapGraph {
         self.decide(Decision { merged, ..Decision::default() }, update);
         update.mended.extend(self.trajectory.forget(&old.frames));
         update.mended.sort_by_key(|e| e.stamp);
-        self.atlas.wait(old);
-        self.atlas.forget_found();
+        self.set_aside(old, kind, pose_sensor);
         true
     }
 

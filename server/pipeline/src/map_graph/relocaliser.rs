@@ -54,15 +54,13 @@ impl Relocaliser {
         std::mem::replace(&mut self.part, next)
     }
 
-    /// Whether an answer is about what the robot sees now.
-    pub(super) fn asked(&self, relocated: &Relocated) -> bool {
-        relocated.part == self.part.number
-    }
-
     /// An answer to where the robot is.
     pub(super) fn hear(&mut self, relocated: Relocated) {
-        self.search = Search { is_asked: false, is_unfinished: relocated.is_unfinished };
-        self.answer = Some(relocated);
+        // What was asked before it was lost again says nothing about where it is now.
+        if relocated.part == self.part.number {
+            self.search = Search { is_asked: false, is_unfinished: relocated.is_unfinished };
+            self.answer = Some(relocated);
+        }
     }
 
     /// Where the robot was found to be, and base to odom then; once.
@@ -139,7 +137,7 @@ impl MapGraph {
         if !state.is_tracking() {
             // Odometry has begun anew: what was gathered hangs on nothing any more, and waits.
             let gathered = self.relocaliser.begin_anew();
-            self.atlas.wait(gathered);
+            self.set_aside(gathered, view.kind, view.pose_sensor);
         }
         if let Some((found, t_odom_found)) = self.relocaliser.take_found() {
             return self.join(&found, &t_odom_found, view.pose_sensor, update);
