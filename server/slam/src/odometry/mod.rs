@@ -6,12 +6,12 @@
 //! a state of its own: what the others share supposes that lengths are known.
 
 pub(crate) mod deskew;
+mod hypotheses;
 pub mod lidar2d;
 pub mod lidar3d;
 mod model;
 pub mod mono;
 mod params;
-mod place;
 pub mod rgbd;
 mod rhythm;
 mod uncertainty;
@@ -20,12 +20,12 @@ use crate::inertial::{GyroCheck, ImuBuffer, Inertial, PlacedFrame};
 use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
+use hypotheses::UNKNOWN_VARIANCE;
 pub(crate) use model::{LocalModel, Match, Prediction};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use params::MotionLimits;
 pub use params::{OdometryKind, OdometryParams, TrackingParams};
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
-use place::UNKNOWN_VARIANCE;
 use rhythm::Rhythm;
 use std::sync::Arc;
 use uncertainty::Uncertainty;

@@ -1,6 +1,6 @@
 //! The neighbourhood of a new view: adjusted together, and cleared of what is wrong or superfluous.
 
-use super::adjust::{Bundle, Observation, Step};
+use super::bundle_adjustment::{Bundle, Observation, Step};
 use super::frame::{Lens, sigma};
 use super::map::{Map, PointId, ViewId};
 use super::pose::CHI2;

@@ -4,11 +4,11 @@
 //! **Source:** Strasdat, Montiel and Davison, "Scale drift-aware large scale monocular SLAM", 2010.
 
 use super::frame::{Frame, Lens};
-use super::grow;
 use super::map::{Map, PointId, ViewId};
 use super::places::Places;
 use super::search::FAR_BITS;
 use super::similarity::Similarity;
+use super::triangulation;
 use crate::pose_graph::{Edge, Manifold, OptimiseParams, PoseGraph, optimise};
 use nalgebra::{Point3, SMatrix, SVector, Vector2};
 use percept_perception::features2d::{Descriptors, MatchParams, match_features};
@@ -199,7 +199,7 @@ fn find_place(map: &Map, newest: ViewId, old: ViewId, s: &Similarity, lens: &Len
             continue;
         }
         visible += 1;
-        if let Some(f) = grow::find(&view.frame, &t_camera_map, p, lens, RADIUS_PX, &mut near) {
+        if let Some(f) = triangulation::find(&view.frame, &t_camera_map, p, lens, RADIUS_PX, &mut near) {
             found.entry(f).or_insert(id);
         }
     }
@@ -270,6 +270,6 @@ fn join(map: &mut Map, found: &Loop, lens: &Lens) {
     let place: Vec<PointId> = found.found.iter().map(|&(p, _)| p).collect();
     let around: Vec<ViewId> = map.covisible(found.newest).into_iter().take(10).map(|(v, _)| v).collect();
     for view in around {
-        grow::fuse_into(map, view, &place, lens, 4.0);
+        triangulation::fuse_into(map, view, &place, lens, 4.0);
     }
 }

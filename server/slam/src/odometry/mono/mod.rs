@@ -2,7 +2,7 @@
 //!
 //! An image becomes ORB features at undistorted pixels ([`frame`]); two images with parallax start the map ([`start`]);
 //! every further one is placed among the map's points ([`tracker`], [`search`], [`pose`]), and now and then one becomes a
-//! view that adds points ([`grow`]) and is adjusted with its neighbours ([`local`], [`adjust`]).
+//! view that adds points ([`triangulation`]) and is adjusted with its neighbours ([`local`], [`bundle_adjustment`]).
 //!
 //! One camera does not know how large things are: poses are in a unit of the map's own (the median depth of the first
 //! view) until the scale is taken from elsewhere ([`scale`]). The estimate says which: [`Scale`].
@@ -11,9 +11,9 @@
 //! 2015. We depart from it in doing all in turn in one thread, in places found by sampled bits instead of a trained
 //! vocabulary, and in the two-view choice by Torr's criterion.
 
-mod adjust;
+mod atlas;
+mod bundle_adjustment;
 mod frame;
-mod grow;
 mod local;
 mod loops;
 mod map;
@@ -21,16 +21,17 @@ mod places;
 mod pose;
 mod scale;
 mod search;
-mod shelf;
 mod similarity;
 mod start;
 mod tracker;
+mod triangulation;
 
 use crate::odometry::uncertainty::Uncertainty;
 use crate::odometry::{LocalModel, Match, MotionPrior, OdometryEstimate, Prediction, UNKNOWN_VARIANCE, diagonal};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
+use atlas::Atlas;
 use frame::Lens;
 use map::ViewId;
 use nalgebra::{Point2, Translation3, Vector6};
@@ -41,7 +42,6 @@ use percept_geometry::{
 use pose::PlacedCamera;
 use scale::Scaling;
 use serde::{Deserialize, Serialize};
-use shelf::Shelf;
 use std::sync::Arc;
 use tracker::{Outcome, Tracker};
 
@@ -95,7 +95,7 @@ pub(crate) struct Mono {
     moved: Vec<(Timestamp, Pose)>,
     scaling: Scaling,
     /// Maps that were left because nothing fitted them.
-    shelf: Shelf,
+    atlas: Atlas,
     /// Base to odom in metres, by priors since the last pose in metres, and whether they told the way of every frame since.
     reckoned: (Pose, bool),
     uncertainty: Uncertainty,
@@ -116,7 +116,7 @@ impl Mono {
             moved: vec![],
             t_odom_base: Pose::identity(),
             scaling: Scaling::default(),
-            shelf: Shelf::default(),
+            atlas: Atlas::default(),
             reckoned: (Pose::identity(), true),
             uncertainty: Uncertainty::default(),
             num_lost: 0,
@@ -141,7 +141,7 @@ impl Mono {
         let hint = prior.map(|p| self.scaling.hint(p, &scan.t_base_sensor, motion.as_ref()));
         let turn = hint.or(motion).map_or(0.0, |m| m.rotation.angle());
         let views_before = self.tracker.newest;
-        let spare = (!self.shelf.is_empty()).then(|| frame.clone());
+        let spare = (!self.atlas.is_empty()).then(|| frame.clone());
         let outcome = self.tracker.track(stamp, frame, &lens, hint.as_ref());
         if !self.tracker.has_map() {
             self.scaling = Scaling::default();
@@ -233,7 +233,7 @@ impl Mono {
         }
         let lens = Lens::of(k);
         self.tracker.clear();
-        self.shelf = Shelf::default();
+        self.atlas = Atlas::default();
         self.lens = Some((*k, lens));
         Ok(lens)
     }
@@ -357,7 +357,7 @@ impl LocalModel for Mono {
 
     fn clear(&mut self) {
         self.tracker.clear();
-        self.shelf = Shelf::default();
+        self.atlas = Atlas::default();
     }
 
     fn seed(&mut self, t_odom_base_last: &Pose, _: &[(Pose, Arc<KeyframeScan>)]) {

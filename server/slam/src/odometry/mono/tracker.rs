@@ -7,7 +7,7 @@ use super::places::Places;
 use super::pose::{self, PlacedCamera};
 use super::scale::KnownSteps;
 use super::start::{Reference, TwoViews};
-use super::{MonoParams, grow, loops, search};
+use super::{MonoParams, loops, search, triangulation};
 use crate::tracking::{LostReason, Waiting};
 use nalgebra::{Point2, Point3, Translation3, Vector2};
 use percept_geometry::{Pose, Timestamp};
@@ -292,8 +292,8 @@ impl Tracker {
         self.newest = Some(id);
         self.since_view = 0;
         local::cull_points(&mut self.map, id);
-        grow::grow(&mut self.map, id, lens);
-        grow::fuse(&mut self.map, id, lens);
+        triangulation::triangulate(&mut self.map, id, lens);
+        triangulation::fuse(&mut self.map, id, lens);
         let known = self.is_metric.then_some(&self.known);
         local::adjust(&mut self.map, id, lens, known);
         for (gone, descriptors) in local::cull_views(&mut self.map, id) {

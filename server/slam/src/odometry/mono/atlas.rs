@@ -14,7 +14,7 @@ use percept_geometry::{Pose, Timestamp};
 const MAX_MAPS: usize = 4;
 
 /// A map and what makes odom poses of its own.
-pub(super) struct Shelved {
+pub(super) struct InactiveMap {
     pub(super) tracker: Tracker,
     pub(super) scaling: Scaling,
     /// Base to odom when its first view was taken.
@@ -23,18 +23,18 @@ pub(super) struct Shelved {
 
 /// The maps, and whose turn it is: a search in all of them would make one image cost as much as many.
 #[derive(Default)]
-pub(super) struct Shelf {
-    maps: Vec<Shelved>,
+pub(super) struct Atlas {
+    maps: Vec<InactiveMap>,
     turn: usize,
 }
 
-impl Shelf {
+impl Atlas {
     pub(super) fn is_empty(&self) -> bool {
         self.maps.is_empty()
     }
 
     /// Keeps a map, unless it is too young to be found in again.
-    pub(super) fn put(&mut self, map: Shelved) {
+    pub(super) fn put(&mut self, map: InactiveMap) {
         if !map.tracker.has_map() || map.tracker.is_young() {
             return;
         }
@@ -48,7 +48,7 @@ impl Shelf {
     }
 
     /// The map whose turn it is, if the image fits it: taken out, with the image placed in it.
-    pub(super) fn find(&mut self, stamp: Timestamp, frame: Frame, lens: &Lens) -> Option<(Shelved, PlacedCamera)> {
+    pub(super) fn find(&mut self, stamp: Timestamp, frame: Frame, lens: &Lens) -> Option<(InactiveMap, PlacedCamera)> {
         if self.maps.is_empty() {
             return None;
         }
@@ -70,26 +70,26 @@ impl Mono {
     /// on it when it recognises the place, and an image that fits the old map brings that back. A map in a unit of its own
     /// that no wheels lead out of is all there is, and stays.
     pub(super) fn give_up(&mut self) {
-        let is_tied = self.scaling.scale().is_metric() || self.reckoned.1 || !self.shelf.is_empty();
+        let is_tied = self.scaling.scale().is_metric() || self.reckoned.1 || !self.atlas.is_empty();
         if self.num_lost < self.restart_after || !is_tied {
             return;
         }
-        self.shelve();
+        self.set_aside();
         self.t_odom_base = self.reckoned.0;
     }
 
     /// Puts the map away and begins anew.
-    fn shelve(&mut self) {
+    fn set_aside(&mut self) {
         let tracker = std::mem::replace(&mut self.tracker, Tracker::new(&self.params));
         let mut scaling = std::mem::take(&mut self.scaling);
         scaling.interrupt();
-        self.shelf.put(Shelved { tracker, scaling, t_odom_start: self.t_odom_start });
+        self.atlas.put(InactiveMap { tracker, scaling, t_odom_start: self.t_odom_start });
     }
 
     /// An image that does not fit the map may fit one that was left: that is gone on with.
     pub(super) fn take_back(&mut self, stamp: Timestamp, frame: Frame, lens: &Lens) -> Option<PlacedCamera> {
-        let (found, placed) = self.shelf.find(stamp, frame, lens)?;
-        self.shelve();
+        let (found, placed) = self.atlas.find(stamp, frame, lens)?;
+        self.set_aside();
         (self.tracker, self.scaling, self.t_odom_start) = (found.tracker, found.scaling, found.t_odom_start);
         self.reference = None;
         Some(placed)

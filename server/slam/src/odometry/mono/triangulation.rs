@@ -24,7 +24,7 @@ struct NewPoint {
 }
 
 /// Triangulates what the view and its neighbours show and no point explains; returns the new points.
-pub(super) fn grow(map: &mut Map, id: ViewId, lens: &Lens) -> Vec<PointId> {
+pub(super) fn triangulate(map: &mut Map, id: ViewId, lens: &Lens) -> Vec<PointId> {
     let neighbours: Vec<ViewId> = map.covisible(id).into_iter().take(NEIGHBOURS).map(|(v, _)| v).collect();
     let mut out = vec![];
     for other in neighbours {
