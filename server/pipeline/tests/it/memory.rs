@@ -1,6 +1,6 @@
 //! A session whose map does not fit into memory is the same session.
 
-use crate::drive::{empty, feed, planar};
+use crate::drive::{empty, planar};
 use percept_geometry::SensorFrame;
 use percept_mapping::{BlobId, MapStore};
 use percept_pipeline::{Pipeline, PipelineParams};
@@ -34,7 +34,10 @@ fn driven(frames: &[SensorFrame], store: Option<Arc<Shelf>>) -> Pipeline {
     if let Some(store) = store {
         pipeline.set_map_store(store, 1);
     }
-    feed(&mut pipeline, frames.iter().cloned());
+    for frame in frames {
+        // A report that is kept would hold its keyframe's scan in memory.
+        pipeline.process(frame).unwrap();
+    }
     pipeline.settle();
     pipeline
 }
