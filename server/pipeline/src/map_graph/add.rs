@@ -116,7 +116,7 @@ impl MapGraph {
             scan: self.map.kept_scan(keyframe.info.id).cloned().unwrap_or_else(|| (&keyframe.scan).into()),
             recognise,
             after_gap: link.after_gap,
-            tied: link.constraint,
+            constraint: link.constraint,
         };
         self.constraints.ask(Question::Keyframe(node), keyframe.info.stamp);
     }

@@ -108,7 +108,7 @@ impl MapGraph {
             scan: (&k.scan).into(),
             recognise: pose_sensor.is_none_or(|s| *s == k.sensor),
             after_gap: false,
-            tied: None,
+            constraint: None,
         });
         worker.ask(Question::Restore(known.collect()), last);
         self.atlas.wait(part, worker);

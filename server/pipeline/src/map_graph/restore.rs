@@ -81,7 +81,7 @@ impl MapGraph {
                 scan: self.map.kept_scan(id).cloned().unwrap_or_else(|| scan.into()),
                 recognise: scan.sensor == *pose_sensor,
                 after_gap: k.after_gap,
-                tied: None,
+                constraint: None,
             })
         });
         back_end.resume(keyframes, restored.loops.clone(), restored.next_loop_id);

@@ -55,7 +55,7 @@ impl Mapping {
             scan: kept.into(),
             recognise: true,
             after_gap: false,
-            tied: None,
+            constraint: None,
         };
         let start = Instant::now();
         let update = self.back_end.insert(&keyframe);

@@ -1,6 +1,6 @@
 //! Keyframes in the order of their making, and how sure the way from each to the next is.
 
-use super::thinning::View;
+use super::culling::View;
 use percept_geometry::{Covariance6, KeyframeId, Pose, se3};
 use std::collections::BTreeMap;
 

@@ -1,15 +1,15 @@
 //! The back end: keyframes and loops in, corrected keyframe poses out.
 //!
 //! Every keyframe is tied to the one before it by odometry, and to older ones by the loops that [`PlaceRecognition`] finds.
-//! Loops that move the map are believed only as groups that agree ([`consensus`]), and only if what was believed before
+//! Loops that move the map are believed only as groups that agree ([`consistency`]), and only if what was believed before
 //! still holds with them; the rest are weighed down by how badly they fit. Start with [`BackEnd::insert`].
 
-mod belief;
+mod acceptance;
 mod chain;
-mod consensus;
+mod consistency;
+mod culling;
 mod shrink;
 mod solve;
-mod thinning;
 mod types;
 
 #[cfg(test)]
@@ -17,12 +17,12 @@ mod tests;
 
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use chain::{Chain, step_covariance};
+pub use culling::MergedKeyframe;
+use culling::View;
 use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, se3};
 use solve::Effort;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-pub use thinning::MergedKeyframe;
-use thinning::View;
 pub use types::{BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState};
 
 /// What is known of the way over a gap: standard deviations, metres and radians.
@@ -65,7 +65,7 @@ pub struct BackEnd {
     since_optimised: usize,
     since_given: usize,
     /// Keyframes from which on old ones are merged into newer ones.
-    thin_at: usize,
+    cull_at: usize,
 }
 
 impl std::fmt::Debug for BackEnd {
@@ -97,18 +97,18 @@ impl BackEnd {
             drift_solved: Covariance6::zeros(),
             since_optimised: 0,
             since_given: 0,
-            thin_at: thinning::FEWEST,
+            cull_at: culling::FEWEST,
         }
     }
 
     /// Takes a keyframe in. The first one stays where the map has put it. What is answered follows from the keyframes, and
     /// from vetoes and settling among them, whenever it is asked.
     pub fn insert(&mut self, keyframe: &BackEndKeyframe) -> BackEndUpdate {
-        let tied = keyframe.tied.clone().map(|tied| self.measured_from_who_stands_in(tied));
-        let t_map_base = self.place_of(keyframe, tied.as_ref());
-        let is_placed = keyframe.after_gap && tied.is_some();
+        let constraint = keyframe.constraint.clone().map(|constraint| self.measured_from_who_stands_in(constraint));
+        let t_map_base = self.place_of(keyframe, constraint.as_ref());
+        let is_placed = keyframe.after_gap && constraint.is_some();
         self.extend(keyframe, &t_map_base);
-        let mut changed = self.add_loops(tied.into_iter().collect());
+        let mut changed = self.add_loops(constraint.into_iter().collect());
         // Place recognition is to know where it has to look.
         let urgent = if changed.is_empty() { None } else { self.judge(&mut changed) };
         if let Some(effort) = urgent {
@@ -122,10 +122,12 @@ impl BackEnd {
         let urgent = self.judge(&mut changed);
         self.since_optimised += 1;
         self.since_given += 1;
-        let is_tied = self.loops.iter().any(|l| l.state == LoopState::Active);
+        let is_constrained = self.loops.iter().any(|l| l.state == LoopState::Active);
         if let Some(effort) = urgent {
             self.optimise(effort, &mut changed);
-        } else if is_tied && self.since_optimised as f64 >= (LAZY_SHARE * self.chain.len() as f64).max(LAZY as f64) {
+        } else if is_constrained
+            && self.since_optimised as f64 >= (LAZY_SHARE * self.chain.len() as f64).max(LAZY as f64)
+        {
             self.optimise(Effort::Routine, &mut changed);
         }
         let loops = self.loops_at(changed);
@@ -138,7 +140,7 @@ impl BackEnd {
             }
         }
         let update = BackEndUpdate { loops, correction, ..BackEndUpdate::default() };
-        let update = if self.chain.len() < self.thin_at { update } else { self.thin(update) };
+        let update = if self.chain.len() < self.cull_at { update } else { self.cull(update) };
         self.told(update)
     }
 
@@ -215,9 +217,9 @@ impl BackEnd {
 
     /// Goes on with stored keyframes and loops: all poses are those of the map. `next_loop` is the next loop's number.
     pub fn resume(&mut self, keyframes: impl Iterator<Item = BackEndKeyframe>, loops: Vec<Loop>, next_loop: u64) {
-        let mut ties: BTreeMap<KeyframeId, Vec<KeyframeId>> = BTreeMap::new();
+        let mut constraints: BTreeMap<KeyframeId, Vec<KeyframeId>> = BTreeMap::new();
         for l in loops.iter().filter(|l| l.state == LoopState::Active) {
-            ties.entry(l.closure.to).or_default().push(l.closure.from);
+            constraints.entry(l.closure.to).or_default().push(l.closure.from);
         }
         for keyframe in keyframes {
             let t_map_base = keyframe.t_map_base;
@@ -235,26 +237,26 @@ impl BackEnd {
             self.by_id.insert(keyframe.id, t_map_base);
             self.t_map_odom = t_map_base * keyframe.t_odom_base.inverse();
             if keyframe.recognise {
-                let ties = ties.get(&keyframe.id).map_or(&[][..], Vec::as_slice);
-                self.recognition.restore(keyframe.id, &keyframe.scan, &self.drift, &self.by_id, ties);
+                let constraints = constraints.get(&keyframe.id).map_or(&[][..], Vec::as_slice);
+                self.recognition.restore(keyframe.id, &keyframe.scan, &self.drift, &self.by_id, constraints);
             }
         }
         self.next_loop = next_loop.max(loops.last().map_or(0, |l| l.id.0 + 1));
         self.loops = loops;
         // What loops left of the drift; the map stays as it was stored.
-        if let Some(solved) = solve::solve(&self.chain, &self.active_ties(), &self.poses, Effort::Routine) {
+        if let Some(solved) = solve::solve(&self.chain, &self.active_constraints(), &self.poses, Effort::Routine) {
             self.drift = solved.covariance_of_newest;
             self.drift_solved = self.drift;
         }
     }
 
     /// Base to map at a new keyframe, as the map has it.
-    fn place_of(&mut self, keyframe: &BackEndKeyframe, tied: Option<&LoopClosure>) -> Pose {
-        let found = |tied: &LoopClosure| {
-            let from = self.chain.index(tied.from)?;
-            Some(self.given[from as usize] * tied.t_from_to)
+    fn place_of(&mut self, keyframe: &BackEndKeyframe, constraint: Option<&LoopClosure>) -> Pose {
+        let found = |constraint: &LoopClosure| {
+            let from = self.chain.index(constraint.from)?;
+            Some(self.given[from as usize] * constraint.t_from_to)
         };
-        let t_map_base = match tied.filter(|_| keyframe.after_gap).and_then(found) {
+        let t_map_base = match constraint.filter(|_| keyframe.after_gap).and_then(found) {
             Some(found) => found,
             None if keyframe.after_gap || self.last.is_none() => keyframe.t_map_base,
             None => return self.t_map_odom * keyframe.t_odom_base,
@@ -263,11 +265,11 @@ impl BackEnd {
         t_map_base
     }
 
-    fn measured_from_who_stands_in(&self, mut tied: LoopClosure) -> LoopClosure {
-        while let Some((into, t_into_base)) = self.stand_ins.get(&tied.from) {
-            (tied.from, tied.t_from_to) = (*into, t_into_base * tied.t_from_to);
+    fn measured_from_who_stands_in(&self, mut constraint: LoopClosure) -> LoopClosure {
+        while let Some((into, t_into_base)) = self.stand_ins.get(&constraint.from) {
+            (constraint.from, constraint.t_from_to) = (*into, t_into_base * constraint.t_from_to);
         }
-        tied
+        constraint
     }
 
     fn extend(&mut self, keyframe: &BackEndKeyframe, t_map_base: &Pose) {
@@ -342,9 +344,9 @@ impl BackEnd {
 
     fn solve(&mut self, effort: Effort) {
         self.since_optimised = 0;
-        let ties = self.active_ties();
+        let constraints = self.active_constraints();
         // A graph that cannot be solved leaves the poses as they are.
-        if let Some(solved) = solve::solve(&self.chain, &ties, &self.poses, effort) {
+        if let Some(solved) = solve::solve(&self.chain, &constraints, &self.poses, effort) {
             self.drift = solved.covariance_of_newest;
             self.drift_solved = self.drift;
             self.place(solved.poses);

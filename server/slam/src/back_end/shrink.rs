@@ -1,19 +1,19 @@
 //! The graph stays bounded: keyframes that newer ones stand for leave it, and loops move to what stands for their ends.
 
-use super::thinning::{self, Moves};
+use super::culling::{self, Moves};
 use super::{BackEnd, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe, chain};
 use std::collections::BTreeSet;
 
 impl BackEnd {
     /// Merges old keyframes into newer ones that see the same. Everything is moved to where it is believed to be before.
-    pub(super) fn thin(&mut self, mut update: BackEndUpdate) -> BackEndUpdate {
+    pub(super) fn cull(&mut self, mut update: BackEndUpdate) -> BackEndUpdate {
         let settled = self.settled();
         if let Some(correction) = settled.correction {
             update.correction = Some(correction.after(update.correction.take()));
         }
         update.loops.retain(|l| settled.loops.iter().all(|s| s.id != l.id));
         update.loops.extend(settled.loops);
-        let merges = thinning::redundant(&self.chain, &self.poses, &self.active_ties(), &self.pending_ends());
+        let merges = culling::redundant(&self.chain, &self.poses, &self.active_constraints(), &self.pending_ends());
         let moves = Moves::new(&merges, self.chain.len());
         let id = |k: u32| self.chain.nodes()[k as usize].id;
         let merged =
@@ -33,7 +33,7 @@ impl BackEnd {
         update.loops.retain(|l| !moved.contains(&l.id) && dissolved.binary_search(&l.id).is_err());
         update.loops.extend(self.loops.iter().filter(|l| moved.contains(&l.id)).cloned());
         update.dissolved = dissolved;
-        self.thin_at = thinning::FEWEST.max((thinning::GROWTH * self.chain.len() as f64) as usize);
+        self.cull_at = culling::FEWEST.max((culling::GROWTH * self.chain.len() as f64) as usize);
         update
     }
 
@@ -61,8 +61,7 @@ impl BackEnd {
         });
         let active = |l: &&mut Loop| l.state == LoopState::Active;
         let ends = |l: &mut Loop| (l.closure.from, l.closure.to, l.closure.covariance.trace());
-        let mut stay =
-            thinning::surest(&self.loops.iter_mut().filter(active).map(ends).collect::<Vec<_>>()).into_iter();
+        let mut stay = culling::surest(&self.loops.iter_mut().filter(active).map(ends).collect::<Vec<_>>()).into_iter();
         self.loops.retain(|l| {
             let stays = l.state != LoopState::Active || stay.next().unwrap_or(true);
             if !stays {

@@ -1,7 +1,7 @@
 //! The graph of a chain and its loops, solved robustly.
 
 use super::chain::Chain;
-use super::consensus::{AGREE, Tie, chi2};
+use super::consistency::{AGREE, Constraint, chi2};
 use crate::pose_graph::{Edge, Equations, OptimiseParams, PoseGraph, Structure, information_of};
 use nalgebra::Matrix6;
 use percept_geometry::{Covariance6, Pose};
@@ -29,24 +29,30 @@ pub(super) struct Solved {
 }
 
 /// Least squares over the steps, and Geman and McClure's weights on the loops: one that contradicts the rest fades out.
-pub(super) fn solve(chain: &Chain, ties: &[Tie<'_>], poses: &[Pose], effort: Effort) -> Option<Solved> {
+pub(super) fn solve(chain: &Chain, constraints: &[Constraint<'_>], poses: &[Pose], effort: Effort) -> Option<Solved> {
     let mut graph = PoseGraph::<Pose, 6> { poses: poses.to_vec(), edges: vec![], fixed: vec![0] };
     for step in chain.steps() {
         let information = information_of(&step.covariance)?;
         graph.edges.push(Edge { from: step.from, to: step.to, t_from_to: step.t_from_to, information });
     }
     let steps = graph.edges.len();
-    for tie in ties {
-        let information = information_of(&tie.closure.covariance)?;
-        graph.edges.push(Edge { from: tie.from, to: tie.to, t_from_to: tie.closure.t_from_to, information });
+    for constraint in constraints {
+        let information = information_of(&constraint.closure.covariance)?;
+        graph.edges.push(Edge {
+            from: constraint.from,
+            to: constraint.to,
+            t_from_to: constraint.closure.t_from_to,
+            information,
+        });
     }
     let full: Vec<Matrix6<f64>> = graph.edges[steps..].iter().map(|e| e.information).collect();
     let params = OptimiseParams { max_iterations: STEPS, tolerance: 1e-4 };
     let structure = Structure::of(&graph).ok()?;
     let mut equations = Equations::of(&graph, &structure).ok()?;
     let weigh = |graph: &mut PoseGraph<Pose, 6>| {
-        for (k, tie) in ties.iter().enumerate() {
-            let off = chi2(tie.closure, &graph.poses[tie.from as usize], &graph.poses[tie.to as usize]);
+        for (k, constraint) in constraints.iter().enumerate() {
+            let off =
+                chi2(constraint.closure, &graph.poses[constraint.from as usize], &graph.poses[constraint.to as usize]);
             let weight = (AGREE / (AGREE + off)).powi(2);
             graph.edges[steps + k].information = full[k] * weight.max(1e-6);
         }

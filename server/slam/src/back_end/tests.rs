@@ -104,7 +104,7 @@ fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceR
             scan: (&scan).into(),
             recognise: true,
             after_gap: false,
-            tied: None,
+            constraint: None,
         };
         let update = back_end.insert(&keyframe);
         if let Some(t_given_odom) = update.t_map_odom {
@@ -260,7 +260,7 @@ fn a_robot_that_stays_needs_no_more_keyframes_and_its_map_stays_true() {
         Box::new(Rounds { rng, truth: truth.clone(), known })
     };
     let (back_end, map) = drive_along(&mut ChaCha8Rng::seed_from_u64(6), &truth, rounds(7));
-    assert!(back_end.poses().len() < 2 * thinning::FEWEST, "{} keyframes", back_end.poses().len());
+    assert!(back_end.poses().len() < 2 * culling::FEWEST, "{} keyframes", back_end.poses().len());
     assert!(back_end.loops().len() < 4 * back_end.poses().len(), "{} loops", back_end.loops().len());
     assert!(rmse(&map) < 0.2, "{}", rmse(&map));
     let newest = &map[map.len() - 100..];
@@ -319,7 +319,7 @@ fn a_gap_stays_one_after_a_restart() {
         scan: (&scan).into(),
         recognise: true,
         after_gap: k == gap,
-        tied: None,
+        constraint: None,
     };
     let loops = (gap..truth.len()).step_by(4).enumerate().map(|(i, k)| Loop {
         id: LoopId(i as u64),
@@ -337,8 +337,8 @@ fn a_gap_stays_one_after_a_restart() {
     // Undone, it is what it was; and a number is not given twice.
     assert_eq!(back_end.veto(LoopId(3), false).unwrap().loops[0].state, LoopState::Active);
     let (last, new) = (truth.len() - 1, truth.len() as u64);
-    let tied = Some(measured(50, new, truth[50].inverse() * truth[last]));
-    let again = back_end.insert(&BackEndKeyframe { id: KeyframeId(new), tied, ..node(last) });
+    let constraint = Some(measured(50, new, truth[50].inverse() * truth[last]));
+    let again = back_end.insert(&BackEndKeyframe { id: KeyframeId(new), constraint, ..node(last) });
     assert_eq!(again.loops[0].id, LoopId(next + 5));
 }
 
@@ -346,12 +346,14 @@ fn a_gap_stays_one_after_a_restart() {
 fn after_a_gap_one_measurement_tells_where_places_are_to_be_looked_for() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let (truth, scan, gap) = (truth(), scan(), 100);
-    let tie = true_loop(&mut rng, &truth, 20, gap);
+    let constraint = true_loop(&mut rng, &truth, 20, gap);
     // Told with the keyframe itself where a lost robot was found, or found by place recognition just after the gap.
-    for (tied, found) in [(Some(tie.clone()), BTreeMap::new()), (None, BTreeMap::from([(gap, vec![tie])]))] {
+    for (constraint, found) in
+        [(Some(constraint.clone()), BTreeMap::new()), (None, BTreeMap::from([(gap, vec![constraint])]))]
+    {
         let recognition = Script { loops: found, ..Script::default() };
         let asked = Arc::clone(&recognition.asked);
-        let (first, is_told) = (if tied.is_some() { gap } else { gap + 1 }, tied.is_some());
+        let (first, is_told) = (if constraint.is_some() { gap } else { gap + 1 }, constraint.is_some());
         let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(recognition));
         for k in 0..gap + 3 {
             let keyframe = BackEndKeyframe {
@@ -362,7 +364,7 @@ fn after_a_gap_one_measurement_tells_where_places_are_to_be_looked_for() {
                 scan: (&scan).into(),
                 recognise: true,
                 after_gap: k == gap,
-                tied: tied.clone().filter(|_| k == gap),
+                constraint: constraint.clone().filter(|_| k == gap),
             };
             back_end.insert(&keyframe);
         }

@@ -83,7 +83,7 @@ pub struct BackEndKeyframe {
     pub after_gap: bool,
     /// How the caller has found it to lie to an earlier one: as surely a loop as those that place recognition finds. If
     /// another keyframe has come to stand for that one, it is measured from there.
-    pub tied: Option<LoopClosure>,
+    pub constraint: Option<LoopClosure>,
 }
 
 /// What a keyframe, or a veto, changed.

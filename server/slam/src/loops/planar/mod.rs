@@ -2,27 +2,28 @@
 //!
 //! A visit is a run of neighbouring keyframes; its points make a local map. While drift is small, a keyframe is measured
 //! against the visits around it: a search of the cells in reach, then point-to-line refinement ([`measure`]). Once drift
-//! is large, the newest keyframes together are searched for in all that was seen in reach ([`pyramid`]), and a pose counts
+//! is large, the newest keyframes together are searched for in all that was seen in reach ([`branch_and_bound`]),
+//! and a pose counts
 //! only if no other one fits nearly as well; now and then all of the map is searched. A robot that is lost is found by all
-//! that it has seen since ([`lost`]). Every match has to explain what was seen, and nothing that one view shows may stand
+//! that it has seen since ([`relocaliser`]). Every match has to explain what was seen, and nothing that one view shows may stand
 //! where the other looked through ([`crate::odometry::lidar2d::sight`]).
 
+pub(super) mod branch_and_bound;
 mod links;
-mod lost;
 mod measure;
-pub(super) mod pyramid;
+mod relocaliser;
 
 #[cfg(test)]
 mod tests;
 
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::lidar2d::planar;
+use branch_and_bound::{Fit, Outcome, PATIENCE, PATIENCE_BEYOND, Pyramid, Region};
 use links::Links;
-use lost::Relocaliser;
 use measure::{Measurement, Strictness, Visits};
 use nalgebra::{Isometry2, Point2};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
-use pyramid::{Fit, Outcome, PATIENCE, PATIENCE_BEYOND, Pyramid, Region};
+use relocaliser::Relocaliser;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

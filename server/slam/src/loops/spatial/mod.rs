@@ -1,21 +1,21 @@
-//! Places that a 3D lidar has seen before: local maps, recognised from above, laid over each other in space.
+//! Places that a 3D lidar has seen before: submaps, recognised from above, laid over each other in space.
 //!
-//! Keyframes of a stretch of the way are gathered into a [`LocalMap`]; its picture from above is looked for among those
-//! of earlier maps ([`retrieve`]). The stretch is searched for, with no first guess, in what looks alike or lies near
-//! ([`stretch`]); where too little stands upright for that, surfaces that look alike are registered
-//! ([`percept_perception::registration::register_global`]). How long a stretch is, and how fine the pictures are, follows
+//! Keyframes of some metres of the path are gathered into a [`Submap`]; its picture from above is looked for among those
+//! of earlier maps ([`retrieve`]). Its query is searched for, with no first guess, in what looks alike or lies near
+//! ([`query`]); where too little stands upright for that, surfaces that look alike are registered
+//! ([`percept_perception::registration::register_global`]). How long a submap is, and how fine the pictures are, follows
 //! from how far the lidar sees: 20 m in streets, 3 m in rooms.
 //!
 //! Source: Gupta et al., "Effectively detecting loop closures using point cloud density maps", ICRA 2024 (MapClosures). We
 //! verify in space, with no use of the picture's alignment: where the floor is not level, that is wrong.
 
-mod local_map;
-mod near;
-mod neighbourhood;
+mod local_search;
+mod query;
 mod registering;
 mod retrieve;
 mod seen;
-mod stretch;
+mod submap;
+mod target;
 mod walls;
 
 #[cfg(test)]
@@ -23,22 +23,22 @@ mod tests;
 
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::diagonal;
-use local_map::{LocalMap, Surface};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
 use percept_perception::registration::{GlobalResult, register_global};
+use query::Query;
 use registering::{Registering, Step, Views};
 pub(super) use seen::Seen;
 use std::collections::VecDeque;
 use std::f64::consts::PI;
 use std::sync::Arc;
-use stretch::Stretch;
+use submap::{Submap, Surface};
 
-/// Length of a local map's stretch, and the least and most of it (m); a new map begins each half of it.
+/// Length of a submap, and the least and most of it (m); a new map begins each half of it.
 const STRETCH_PER_RANGE: f64 = 0.6;
 const STRETCH: (f64, f64) = (2.0, 20.0);
 /// Turning on the spot makes keyframes without travel: so many close a map, too.
 const MOST_KEYFRAMES: usize = 60;
-/// A map is compared with those that began so many stretches before it.
+/// A map is compared with those that began so many of its lengths before it.
 const APART: f64 = 2.5;
 /// A loop that tells of more drift than so many standard deviations is of another place that looks the same.
 const LIKELY: f64 = 3.0;
@@ -49,13 +49,13 @@ const UNTOLD_TURN: (f64, f64) = (0.2, 0.01);
 const COMPARED: usize = 100;
 const WAITING: usize = 8;
 const PATIENCE: usize = 3;
-/// Local maps kept; beyond, the oldest of a place that was mapped again goes first.
+/// submaps kept; beyond, the oldest of a place that was mapped again goes first.
 const MOST_MAPS: usize = 400;
-/// Candidates by looks for a local map, and for a scan with no guess.
+/// Candidates by looks for a submap, and for a scan with no guess.
 const ALIKE: usize = 2;
 const LOST_ALIKE: usize = 3;
 
-/// A keyframe of the stretch that is being gathered.
+/// A keyframe of the submap that is being gathered.
 #[derive(Debug, Clone)]
 struct Gathered {
     id: KeyframeId,
@@ -65,7 +65,7 @@ struct Gathered {
     travel: f64,
 }
 
-/// Two local maps that may show one place, by number.
+/// Two submaps that may show one place, by number.
 #[derive(Debug, Clone, Copy)]
 struct Waiting {
     earlier: u64,
@@ -81,7 +81,7 @@ struct Waiting {
 #[derive(Debug, Default)]
 pub(crate) struct SpatialRecognition {
     seen: Seen,
-    maps: Vec<LocalMap>,
+    maps: Vec<Submap>,
     recent: VecDeque<Gathered>,
     /// Travel at which the last map was closed.
     closed_at: f64,
@@ -96,20 +96,20 @@ pub(crate) struct SpatialRecognition {
 }
 
 impl SpatialRecognition {
-    /// Length of a stretch, metres, by how far the newest keyframes see.
-    fn stretch(&self) -> f64 {
-        let ranges: Vec<f64> = self.recent.iter().rev().take(5).map(|g| local_map::range(&g.scan)).collect();
+    /// Length of a submap, metres, by how far the newest keyframes see.
+    fn submap_length_m(&self) -> f64 {
+        let ranges: Vec<f64> = self.recent.iter().rev().take(5).map(|g| submap::range(&g.scan)).collect();
         let usual = ranges.iter().copied().fold(0.0, f64::max);
         (STRETCH_PER_RANGE * usual).clamp(STRETCH.0, STRETCH.1)
     }
 
-    /// Adds a keyframe to the stretch that is being gathered. With the `drift` so far, a map that this closes is compared with
+    /// Adds a keyframe to the submap that is being gathered. With the `drift` so far, a map that this closes is compared with
     /// earlier ones.
     fn take(&mut self, id: KeyframeId, kept: &KeptScan, drift: Option<&Covariance6>, poses: &KeyframePoses) {
         let (Some(scan), Some(travel)) = (kept.get(), self.seen.keep(id, kept, poses)) else { return };
         let t_map_base = poses[&id];
         if !self.recent.is_empty()
-            && (travel - self.closed_at > 0.5 * self.stretch() || self.since_closed >= MOST_KEYFRAMES / 2)
+            && (travel - self.closed_at > 0.5 * self.submap_length_m() || self.since_closed >= MOST_KEYFRAMES / 2)
         {
             self.close(drift, poses);
         }
@@ -117,22 +117,22 @@ impl SpatialRecognition {
         self.recent.push_back(Gathered { id, scan, t_map_base, travel });
     }
 
-    /// Makes a local map of the last stretch, and drops the keyframes that the next one will not need.
+    /// Makes a submap of the last metres, and drops the keyframes that the next one will not need.
     fn close(&mut self, drift: Option<&Covariance6>, poses: &KeyframePoses) {
-        let stretch = self.stretch();
+        let length_m = self.submap_length_m();
         let Some(end) = self.recent.back().map(|g| g.travel) else { return };
-        while self.recent.len() > MOST_KEYFRAMES || self.recent.front().is_some_and(|g| end - g.travel > stretch) {
+        while self.recent.len() > MOST_KEYFRAMES || self.recent.front().is_some_and(|g| end - g.travel > length_m) {
             self.recent.pop_front();
         }
         // Where the back end has moved keyframes meanwhile, the map is gathered as now believed.
         let keyframes: Vec<_> =
             self.recent.iter().map(|g| (g.id, &*g.scan, poses.get(&g.id).copied().unwrap_or(g.t_map_base))).collect();
-        let made = LocalMap::gather(self.next_map, &keyframes, end, stretch);
+        let made = Submap::gather(self.next_map, &keyframes, end, length_m);
         (self.closed_at, self.since_closed) = (end, 0);
         let Some(map) = made else { return };
         self.next_map += 1;
         // Where the way is tied to what was seen before, there is nothing to look for.
-        if let Some(drift) = drift.filter(|_| end - self.tied_at > stretch) {
+        if let Some(drift) = drift.filter(|_| end - self.tied_at > length_m) {
             self.propose(&map, drift, poses);
         }
         self.maps.push(map);
@@ -140,16 +140,16 @@ impl SpatialRecognition {
     }
 
     /// Queues the earlier maps that may show the same place.
-    fn propose(&mut self, map: &LocalMap, drift: &Covariance6, poses: &KeyframePoses) {
-        let position = |m: &LocalMap| poses.get(&m.anchor).map(|t| t.translation.vector);
+    fn propose(&mut self, map: &Submap, drift: &Covariance6, poses: &KeyframePoses) {
+        let position = |m: &Submap| poses.get(&m.anchor).map(|t| t.translation.vector);
         let Some(here) = position(map) else { return };
         let sigma = (0..3).map(|k| drift[(k, k)].max(0.0)).sum::<f64>().sqrt();
-        let mut near: Vec<(f64, &LocalMap)> = self
+        let mut near: Vec<(f64, &Submap)> = self
             .maps
             .iter()
-            .filter(|m| map.travel - m.travel > APART * map.stretch)
+            .filter(|m| map.travel - m.travel > APART * map.length_m)
             .filter_map(|m| Some(((position(m)? - here).norm(), m)))
-            .filter(|(d, m)| *d < 4.0 * sigma + UNTOLD_DRIFT * (map.travel - m.travel) + map.stretch + m.stretch)
+            .filter(|(d, m)| *d < 4.0 * sigma + UNTOLD_DRIFT * (map.travel - m.travel) + map.length_m + m.length_m)
             .collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         near.truncate(COMPARED);
@@ -157,11 +157,11 @@ impl SpatialRecognition {
         let most_turn = |travel: f64| (4.0 * turning + UNTOLD_TURN.0 + UNTOLD_TURN.1 * (map.travel - travel)).min(PI);
         let candidates = near.iter().map(|(_, m)| (most_turn(m.travel), *m));
         let looks = retrieve::most_alike(map, candidates, ALIKE, retrieve::FEWEST);
-        let pair = |m: &LocalMap| Waiting {
+        let pair = |m: &Submap| Waiting {
             earlier: m.number,
             later: map.number,
             alike: looks.contains(&m.number),
-            most_way: LIKELY * sigma + UNTOLD_DRIFT * (map.travel - m.travel) + 0.1 * map.stretch,
+            most_way: LIKELY * sigma + UNTOLD_DRIFT * (map.travel - m.travel) + 0.1 * map.length_m,
             most_turn: most_turn(m.travel),
         };
         // Those that look alike, the most alike first, and the nearest one, whatever it looks like.
@@ -200,15 +200,15 @@ impl SpatialRecognition {
         None
     }
 
-    /// The later map's stretch searched for in the earlier visit, from above.
-    fn overlaid(&self, from: &LocalMap, to: &LocalMap, most_turn: f64, poses: &KeyframePoses) -> Option<LoopClosure> {
+    /// The later submap searched for in the earlier visit, from above.
+    fn overlaid(&self, from: &Submap, to: &Submap, most_turn: f64, poses: &KeyframePoses) -> Option<LoopClosure> {
         let Views { t_map_anchor, keyframes } = self.views(to, poses)?;
         let others = keyframes.iter().filter(|v| v.0 != to.anchor);
         let others: Vec<_> = others.map(|(_, scan, t)| (t_map_anchor.inv_mul(t), &**scan)).collect();
         let scan = self.seen.kept.get(&to.anchor)?.scan.get()?;
-        let stretch = Stretch::new(&others, &scan, Some(walls::leveling(&t_map_anchor)));
+        let query = Query::new(&others, &scan, Some(walls::leveling(&t_map_anchor)));
         let heading = (se3::yaw(&t_map_anchor), most_turn);
-        let found = stretch.find(&self.seen.kept, &self.visit(from.anchor, to.anchor, poses)?, heading)?;
+        let found = query.find(&self.seen.kept, &self.visit(from.anchor, to.anchor, poses)?, heading)?;
         Some(LoopClosure {
             from: found.keyframe,
             to: to.anchor,
@@ -226,14 +226,14 @@ impl SpatialRecognition {
         likely(found, pair, poses)
     }
 
-    /// What is left of a local map's keyframes, where they are believed to be.
-    fn views(&self, map: &LocalMap, poses: &KeyframePoses) -> Option<Views> {
+    /// What is left of a submap's keyframes, where they are believed to be.
+    fn views(&self, map: &Submap, poses: &KeyframePoses) -> Option<Views> {
         let view = |id: &KeyframeId| Some((*id, self.seen.kept.get(id)?.scan.get()?, *poses.get(id)?));
         let keyframes = map.keyframes.iter().filter_map(view).collect();
         Some(Views { t_map_anchor: *poses.get(&map.anchor)?, keyframes })
     }
 
-    fn map(&self, number: u64) -> Option<&LocalMap> {
+    fn map(&self, number: u64) -> Option<&Submap> {
         self.maps.binary_search_by_key(&number, |m| m.number).ok().map(|i| &self.maps[i])
     }
 
@@ -244,7 +244,7 @@ impl SpatialRecognition {
         }
         let at: Vec<_> = self.maps.iter().map(|m| poses.get(&m.anchor).map(|t| t.translation.vector)).collect();
         let again = |i: usize| {
-            let half = 0.5 * self.maps[i].stretch;
+            let half = 0.5 * self.maps[i].length_m;
             at[i].is_none_or(|p| at[i + 1..].iter().flatten().any(|q| (q - p).norm() < half))
         };
         let oldest = (0..self.maps.len() / 2).find(|&i| again(i)).unwrap_or(0);
@@ -299,7 +299,7 @@ impl PlaceRecognition for SpatialRecognition {
     fn relocalise(&self, scan: &KeyframeScan, poses: &KeyframePoses) -> Option<Relocalisation> {
         let here = Pose::identity();
         let alone = [(KeyframeId(u64::MAX), scan, here)];
-        let (lost, surface) = (LocalMap::gather(u64::MAX, &alone, 0.0, 0.0)?, Surface::around(&here, &alone)?);
+        let (lost, surface) = (Submap::gather(u64::MAX, &alone, 0.0, 0.0)?, Surface::around(&here, &alone)?);
         // Surfaces decide, and being lost is worth their time: even maps that hardly look alike are tried.
         let alike = retrieve::most_alike(&lost, self.maps.iter().map(|m| (PI, m)), LOST_ALIKE, 0);
         let found = alike.iter().filter_map(|&number| {

@@ -1,13 +1,13 @@
-//! Local maps registered a step a keyframe: all at once takes up to a second, and no frame shall wait for that.
+//! submaps registered a step a keyframe: all at once takes up to a second, and no frame shall wait for that.
 
-use super::local_map::{Placed, Surface};
+use super::submap::{Placed, Surface};
 use nalgebra::Translation3;
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
 use percept_perception::registration::{GlobalOutcome, GlobalParams, GlobalResult, GlobalSearch};
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// What a local map's keyframes saw, and where they are believed to be, base to map.
+/// What a submap's keyframes saw, and where they are believed to be, base to map.
 #[derive(Debug)]
 pub(super) struct Views {
     /// Base to map at the keyframe that the map is tied by.
@@ -22,7 +22,7 @@ impl Views {
     }
 }
 
-/// The later of two local maps being laid over the earlier one.
+/// The later of two submaps being laid over the earlier one.
 #[derive(Debug)]
 pub(super) struct Registering {
     from: Views,

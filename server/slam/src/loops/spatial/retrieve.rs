@@ -1,6 +1,6 @@
-//! Which local maps look alike from above.
+//! Which submaps look alike from above.
 
-use super::local_map::LocalMap;
+use super::submap::Submap;
 use nalgebra::{Point2, Vector2};
 use percept_perception::features2d::{MatchParams, match_features};
 use std::f64::consts::PI;
@@ -18,8 +18,8 @@ pub(super) const FEWEST: usize = 5;
 /// Numbers of the maps that look most like `map`, at most `count`, the likest first; with at least so many keypoints in
 /// agreement. Each other one comes with the most that the pictures may be turned to each other, radians.
 pub(super) fn most_alike<'a>(
-    map: &LocalMap,
-    others: impl Iterator<Item = (f64, &'a LocalMap)>,
+    map: &Submap,
+    others: impl Iterator<Item = (f64, &'a Submap)>,
     count: usize,
     least: usize,
 ) -> Vec<u64> {
@@ -31,13 +31,13 @@ pub(super) fn most_alike<'a>(
 }
 
 /// How many keypoints of two pictures one turn and shift brings together.
-fn agreeing(a: &LocalMap, b: &LocalMap, most_turn: f64) -> usize {
+fn agreeing(a: &Submap, b: &Submap, most_turn: f64) -> usize {
     if a.voxel_m != b.voxel_m {
         return 0;
     }
     let params = MatchParams { ratio: 1.0, mutual: true, max_distance: Some(MOST_BITS) };
     let Ok(matches) = match_features(&a.features.descriptors, &b.features.descriptors, &params) else { return 0 };
-    let place = |map: &LocalMap, i: u32| {
+    let place = |map: &Submap, i: u32| {
         let k = &map.features.keypoints[i as usize];
         Point2::new(f64::from(k.u), f64::from(k.v))
     };

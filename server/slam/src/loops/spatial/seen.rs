@@ -1,6 +1,6 @@
 //! Keyframes among which a lost robot is looked for.
 
-use super::stretch::Stretch;
+use super::query::Query;
 use super::walls;
 use crate::loops::{KeyframePoses, Relocalisation};
 use nalgebra::{Point2, Vector3};
@@ -53,8 +53,8 @@ impl Seen {
         poses: &KeyframePoses,
     ) -> Option<Relocalisation> {
         let before: Vec<_> = before.iter().map(|(t, s)| (*t, s.as_ref())).collect();
-        let stretch = Stretch::new(&before, scan, None);
-        if stretch.is_long() { stretch.find(&self.kept, &self.known(poses), (0.0, PI)) } else { None }
+        let query = Query::new(&before, scan, None);
+        if query.is_long() { query.find(&self.kept, &self.known(poses), (0.0, PI)) } else { None }
     }
 
     /// Where the keyframes are believed to be, base to map.

@@ -1,6 +1,6 @@
 //! What stands upright, seen from above: the part of a scan that looks the same wherever it was taken from.
 
-use super::local_map::{range, voxel_for};
+use super::submap::{range, voxel_for};
 use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
 use percept_geometry::{KeyframeScan, Pose, se3};
 use rustc_hash::FxHashMap;

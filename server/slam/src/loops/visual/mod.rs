@@ -3,11 +3,11 @@
 //! Candidates by binary features, ORB's or SIFT's ([`index`], [`alike`]), the motion by their points ([`rigid`]), then
 //! the whole surface ([`crate::odometry::rgbd::place`]): enough of it fits and none of it contradicts. Without colour
 //! there are no features: see [`super::depth`]. A camera without depth has the points of its features alone: so many more of
-//! these have to agree. A robot that may be anywhere is placed by several views ([`lost`]).
+//! these have to agree. A robot that may be anywhere is placed by several views ([`relocalise`]).
 
 mod alike;
 mod index;
-mod lost;
+mod relocalise;
 mod rigid;
 
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};

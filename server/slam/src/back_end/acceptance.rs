@@ -1,7 +1,7 @@
 //! Which loops are believed: those that fit the map, and groups that agree with each other and with what was believed
 //! before.
 
-use super::consensus::{AGREE, Tie, agreeing, chi2, within_drift};
+use super::consistency::{AGREE, Constraint, agreeing, chi2, within_drift};
 use super::solve::Effort;
 use super::{BackEnd, Loop, LoopId, LoopState};
 use crate::loops::LoopClosure;
@@ -11,8 +11,8 @@ use percept_geometry::Covariance6;
 const PATIENCE: u32 = 60;
 /// Standard deviations of drift that a loop may ask for; more takes twice as many that agree.
 const LIKELY_DRIFT: f64 = 4.0;
-/// Misfits from which a new loop is solved for at once, and from which the poses do not know of it: half of the good ones exceed
-/// the one in six dimensions, one of a hundred the other.
+/// Misfits from which a new loop is solved for at once, and from which the poses do not know of it: half of the good ones
+/// exceed the one in six dimensions, one of a hundred the other.
 const MISFITS: (f64, f64) = (6.0, 16.8);
 /// The newest pose is known badly if its variance is so many times that of the last solution and of a loop together.
 const GROWN: f64 = 4.0;
@@ -47,9 +47,9 @@ impl BackEnd {
             if self.loops[k].state != LoopState::Pending {
                 continue;
             }
-            let Some(tie) = self.tie(k) else { continue };
-            let (from, to) = (tie.from, tie.to);
-            let off = chi2(tie.closure, &self.poses[from as usize], &self.poses[to as usize]);
+            let Some(constraint) = self.constraint(k) else { continue };
+            let (from, to) = (constraint.from, constraint.to);
+            let off = chi2(constraint.closure, &self.poses[from as usize], &self.poses[to as usize]);
             if off < AGREE {
                 self.loops[k].state = LoopState::Active;
                 let is_unknown = off > MISFITS.1 || self.is_news(k);
@@ -84,9 +84,9 @@ impl BackEnd {
 
     /// Believes the largest group of far loops that agree, if they are enough and the map still holds with them.
     fn try_group(&mut self, far: &[usize], changed: &mut Vec<usize>) -> bool {
-        let ties: Vec<Tie<'_>> = far.iter().filter_map(|&k| self.tie(k)).collect();
-        let group = agreeing(&ties, &self.chain, &self.poses);
-        let likely = group.iter().all(|&g| within_drift(&ties[g], &self.chain, &self.poses, LIKELY_DRIFT));
+        let constraints: Vec<Constraint<'_>> = far.iter().filter_map(|&k| self.constraint(k)).collect();
+        let group = agreeing(&constraints, &self.chain, &self.poses);
+        let likely = group.iter().all(|&g| within_drift(&constraints[g], &self.chain, &self.poses, LIKELY_DRIFT));
         let enough = self.params.min_agreeing * if likely { 1 } else { 2 };
         if group.len() < enough {
             return false;
@@ -125,27 +125,27 @@ impl BackEnd {
         changed.into_iter().map(|k| self.loops[k].clone()).collect()
     }
 
-    pub(super) fn active_ties(&self) -> Vec<Tie<'_>> {
+    pub(super) fn active_constraints(&self) -> Vec<Constraint<'_>> {
         let active = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Active);
-        active.filter_map(|k| self.tie(k)).collect()
+        active.filter_map(|k| self.constraint(k)).collect()
     }
 
     /// Nodes that loops wait at.
     pub(super) fn pending_ends(&self) -> Vec<u32> {
         let pending = (0..self.loops.len()).filter(|&k| self.loops[k].state == LoopState::Pending);
-        let mut ends: Vec<u32> = pending.filter_map(|k| self.tie(k)).flat_map(|t| [t.from, t.to]).collect();
+        let mut ends: Vec<u32> = pending.filter_map(|k| self.constraint(k)).flat_map(|t| [t.from, t.to]).collect();
         ends.sort_unstable();
         ends
     }
 
-    pub(super) fn tie(&self, k: usize) -> Option<Tie<'_>> {
+    pub(super) fn constraint(&self, k: usize) -> Option<Constraint<'_>> {
         let closure = &self.loops[k].closure;
-        Some(Tie { from: self.chain.index(closure.from)?, to: self.chain.index(closure.to)?, closure })
+        Some(Constraint { from: self.chain.index(closure.from)?, to: self.chain.index(closure.to)?, closure })
     }
 
     /// How badly a loop fits the poses, squared standard deviations.
     pub(super) fn misfit(&self, k: usize) -> f64 {
-        self.tie(k).map_or(0.0, |t| chi2(t.closure, &self.poses[t.from as usize], &self.poses[t.to as usize]))
+        self.constraint(k).map_or(0.0, |t| chi2(t.closure, &self.poses[t.from as usize], &self.poses[t.to as usize]))
     }
 
     /// Loops that are believed and do not fit.

@@ -1,4 +1,4 @@
-//! What the keyframes of a stretch saw, in one cloud, with a picture of it from above.
+//! What the keyframes of a submap saw, in one cloud, with a picture of it from above.
 
 use nalgebra::{Point3, Translation3};
 use percept_geometry::{GrayImage, KeyframeId, KeyframeScan, PointCloud, Pose};
@@ -23,7 +23,7 @@ pub(super) type Placed<'a> = (KeyframeId, &'a KeyframeScan, Pose);
 
 /// A part of the way as one thing: it holds no points, as the keyframes do.
 #[derive(Debug, Clone)]
-pub(super) struct LocalMap {
+pub(super) struct Submap {
     /// Ascending in the order of making.
     pub(super) number: u64,
     /// The keyframe in the middle, to which loops are tied.
@@ -34,21 +34,21 @@ pub(super) struct LocalMap {
     pub(super) voxel_m: f64,
     /// Of the picture from above.
     pub(super) features: Features,
-    /// Length of the way up to its end, and of its own stretch, metres.
+    /// Length of the way up to its end, and its own length, metres.
     pub(super) travel: f64,
-    pub(super) stretch: f64,
+    pub(super) length_m: f64,
 }
 
-impl LocalMap {
+impl Submap {
     /// Of keyframes; none where they saw too little.
-    pub(super) fn gather(number: u64, keyframes: &[Placed<'_>], travel: f64, stretch: f64) -> Option<Self> {
+    pub(super) fn gather(number: u64, keyframes: &[Placed<'_>], travel: f64, length_m: f64) -> Option<Self> {
         let (anchor, _, t_map_anchor) = keyframes.get(keyframes.len() / 2)?;
         let Surface { cloud, voxel_m, usual_range } = Surface::around(t_map_anchor, keyframes)?;
         let width = ((2.0 * REACH * usual_range / voxel_m).ceil() as usize).clamp(64, MOST_PIXELS);
         let orb = Orb::new(OrbParams { max_features: FEATURES, num_levels: 1, ..OrbParams::default() }).ok()?;
         let features = orb.extract(&from_above(&cloud.positions, voxel_m, width)?).ok()?;
         let keyframes = keyframes.iter().map(|k| k.0).collect();
-        Some(Self { number, anchor: *anchor, keyframes, voxel_m, features, travel, stretch })
+        Some(Self { number, anchor: *anchor, keyframes, voxel_m, features, travel, length_m })
     }
 }
 
@@ -67,10 +67,10 @@ impl Surface {
     pub(super) fn around(t_map_here: &Pose, keyframes: &[Placed<'_>]) -> Option<Self> {
         let usual_range = keyframes.iter().map(|(_, scan, _)| range(scan)).fold(0.0, f64::max);
         let voxel_m = voxel_for(usual_range);
-        let t_local_map = Translation3::from(-t_map_here.translation.vector);
+        let t_submap_map = Translation3::from(-t_map_here.translation.vector);
         let points = keyframes.iter().flat_map(|(_, scan, t_map_base)| {
-            let t_local_base = t_local_map * t_map_base;
-            scan.hits.positions.iter().map(move |p| (t_local_base * p.cast::<f64>()).cast::<f32>())
+            let t_submap_base = t_submap_map * t_map_base;
+            scan.hits.positions.iter().map(move |p| (t_submap_base * p.cast::<f64>()).cast::<f32>())
         });
         let all = PointCloud::from_positions(points.collect());
         let cloud = voxel_downsample(&all, 0.5 * voxel_m).ok()?;

@@ -1,13 +1,13 @@
 //! Loops where the map is believed to be known: a keyframe measured in what an earlier visit to the place saw.
 
-use super::local_map::range;
-use super::neighbourhood::{Neighbourhood, Strictness, reach};
+use super::submap::range;
+use super::target::{Strictness, Target, reach};
 use super::{APART, SpatialRecognition};
 use crate::loops::{KeyframePoses, LoopClosure};
 use percept_geometry::{Covariance6, KeyframeId, Pose};
 use std::collections::BTreeMap;
 
-/// Earlier keyframes within so many stretches are the same place.
+/// Earlier keyframes within so many lengths of a submap are the same place.
 const NEAR: f64 = 0.5;
 /// The drift that such a measurement can bridge, standard deviations: beyond it another place may fit.
 const BRIDGED: f64 = 2.0;
@@ -20,7 +20,7 @@ impl SpatialRecognition {
     /// The newest keyframe measured in one of the earlier visits to where it is believed to be, in turn.
     pub(super) fn near(&mut self, id: KeyframeId, drift: &Covariance6, poses: &KeyframePoses) -> Option<LoopClosure> {
         let t_map_base = *poses.get(&id)?;
-        let stretch = self.stretch();
+        let length_m = self.submap_length_m();
         let travel = self.seen.kept.get(&id)?.travel;
         let sigma = (0..3).map(|k| drift[(k, k)].max(0.0)).fold(0.0, f64::max).sqrt();
         let turning = (3..6).map(|k| drift[(k, k)].max(0.0)).fold(0.0, f64::max).sqrt();
@@ -31,12 +31,12 @@ impl SpatialRecognition {
         let away = |t: &Pose| (t.translation.vector - t_map_base.translation.vector).norm();
         let mut visits: Vec<(f64, KeyframeId)> = vec![];
         for (other, kept) in &self.seen.kept {
-            if travel - kept.travel < APART * stretch {
+            if travel - kept.travel < APART * length_m {
                 break;
             }
-            let Some(distance) = poses.get(other).map(away).filter(|d| *d < NEAR * stretch) else { continue };
+            let Some(distance) = poses.get(other).map(away).filter(|d| *d < NEAR * length_m) else { continue };
             match visits.last_mut() {
-                Some((nearest, last)) if kept.travel - self.seen.kept[last].travel < stretch => {
+                Some((nearest, last)) if kept.travel - self.seen.kept[last].travel < length_m => {
                     if distance < *nearest {
                         (*nearest, *last) = (distance, *other);
                     }
@@ -59,7 +59,7 @@ impl SpatialRecognition {
     ) -> Option<LoopClosure> {
         let scan = self.seen.kept.get(&id)?.scan.get()?;
         let visit = self.visit(earlier, id, poses)?;
-        let place = Neighbourhood::new(&self.seen.kept, &visit, &[*t_map_base]);
+        let place = Target::new(&self.seen.kept, &visit, &[*t_map_base]);
         let found = place.measure(&scan, t_map_base, &STRICTNESS).ok()?;
         let (from, t_from_to) = place.seen_from(&found.t_odom_base)?;
         Some(LoopClosure { from, to: id, t_from_to, covariance: found.covariance, inlier_ratio: found.inlier_ratio })
@@ -73,12 +73,12 @@ impl SpatialRecognition {
         poses: &KeyframePoses,
     ) -> Option<BTreeMap<KeyframeId, Pose>> {
         let (at, end) = (self.seen.kept.get(&earlier)?.travel, self.seen.kept.get(&later)?.travel);
-        let stretch = self.stretch();
+        let length_m = self.submap_length_m();
         let around = self
             .seen
             .kept
             .iter()
-            .filter(|(_, k)| (k.travel - at).abs() < stretch && end - k.travel > 0.5 * APART * stretch);
+            .filter(|(_, k)| (k.travel - at).abs() < length_m && end - k.travel > 0.5 * APART * length_m);
         Some(around.filter_map(|(id, _)| Some((*id, *poses.get(id)?))).collect())
     }
 }

@@ -1,7 +1,7 @@
 //! A part of the map as one surface, and whether scans fit into it.
 
-use super::local_map::{range, voxel_for};
 use super::seen::Kept;
+use super::submap::{range, voxel_for};
 use crate::downsample::Thinner;
 use crate::odometry::lidar3d::align::{Problem, align};
 use crate::odometry::lidar3d::sight::{Contradiction, Sight};
@@ -51,7 +51,7 @@ pub(super) enum Refused {
 }
 
 /// Keyframes of the map around some poses.
-pub(super) struct Neighbourhood {
+pub(super) struct Target {
     surface: Levels,
     voxel_m: f64,
     /// With where they are believed to be, base to map.
@@ -68,7 +68,7 @@ fn length(t: &Pose) -> f64 {
     t.translation.vector.norm() + 0.5 * t.rotation.angle()
 }
 
-impl Neighbourhood {
+impl Target {
     /// Of the keyframes nearest to these poses (base to map).
     pub(super) fn new(kept: &BTreeMap<KeyframeId, Kept>, poses: &BTreeMap<KeyframeId, Pose>, places: &[Pose]) -> Self {
         let ids: BTreeSet<KeyframeId> =

@@ -18,7 +18,7 @@ pub(super) const NEIGHBOURS: u64 = 20;
 
 /// A closure with the indices of its nodes.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Tie<'a> {
+pub(super) struct Constraint<'a> {
     pub(super) from: u32,
     pub(super) to: u32,
     pub(super) closure: &'a LoopClosure,
@@ -38,20 +38,20 @@ fn mahalanobis(error: &Vector6<f64>, covariance: &Covariance6) -> f64 {
 }
 
 /// Whether the drift since `from` explains what a closure wants to move, within `sigmas`.
-pub(super) fn within_drift(tie: &Tie<'_>, chain: &Chain, poses: &[Pose], sigmas: f64) -> bool {
-    let found = poses[tie.from as usize].inv_mul(&poses[tie.to as usize]);
-    let off = error(&tie.closure.t_from_to, &found);
+pub(super) fn within_drift(constraint: &Constraint<'_>, chain: &Chain, poses: &[Pose], sigmas: f64) -> bool {
+    let found = poses[constraint.from as usize].inv_mul(&poses[constraint.to as usize]);
+    let off = error(&constraint.closure.t_from_to, &found);
     // The lever is what the way spans: at most the whole of it.
-    let span = (tie.from..=tie.to)
-        .map(|k| (poses[k as usize].translation.vector - poses[tie.to as usize].translation.vector).norm());
-    let (var_t, var_r) = chain.drift(tie.from, tie.to, 0.5 * span.fold(0.0, f64::max));
+    let span = (constraint.from..=constraint.to)
+        .map(|k| (poses[k as usize].translation.vector - poses[constraint.to as usize].translation.vector).norm());
+    let (var_t, var_r) = chain.drift(constraint.from, constraint.to, 0.5 * span.fold(0.0, f64::max));
     let limit = |var: f64, own: f64| sigmas * (var + own).sqrt();
-    let own = |k: usize| (k..k + 3).map(|i| tie.closure.covariance[(i, i)]).fold(0.0, f64::max);
+    let own = |k: usize| (k..k + 3).map(|i| constraint.closure.covariance[(i, i)]).fold(0.0, f64::max);
     off.fixed_rows::<3>(0).norm() <= limit(var_t, own(0)) && off.fixed_rows::<3>(3).norm() <= limit(var_r, own(3))
 }
 
 /// Whether two closures say the same: around the ring of both and the ways between their ends nothing is left over.
-fn agree(a: &Tie<'_>, b: &Tie<'_>, chain: &Chain, poses: &[Pose]) -> bool {
+fn agree(a: &Constraint<'_>, b: &Constraint<'_>, chain: &Chain, poses: &[Pose]) -> bool {
     let way = |i: u32, j: u32| poses[i as usize].inv_mul(&poses[j as usize]);
     let (t_b_a, t_a_b) = (way(b.from, a.from), way(a.to, b.to));
     let said_by_a = t_b_a * a.closure.t_from_to * t_a_b;
@@ -64,18 +64,18 @@ fn agree(a: &Tie<'_>, b: &Tie<'_>, chain: &Chain, poses: &[Pose]) -> bool {
     mahalanobis(&off, &(own + Covariance6::from_diagonal(&ways))) < AGREE
 }
 
-/// The largest set found in which all agree with each other: places in `ties`, ascending. Ties that end at the same node
-/// count once.
-pub(super) fn agreeing(ties: &[Tie<'_>], chain: &Chain, poses: &[Pose]) -> Vec<usize> {
-    let n = ties.len();
+/// The largest set found in which all agree with each other: places in `constraints`, ascending. Those that end at the same
+/// node count once.
+pub(super) fn agreeing(constraints: &[Constraint<'_>], chain: &Chain, poses: &[Pose]) -> Vec<usize> {
+    let n = constraints.len();
     let mut friends = vec![vec![false; n]; n];
     for i in 0..n {
         for j in 0..i {
             // Two matches of one scan share its mistakes: neither confirms the other.
-            let (a, b) = (ties[i].closure, ties[j].closure);
+            let (a, b) = (constraints[i].closure, constraints[j].closure);
             let apart = (a.to.0.abs_diff(b.to.0), a.from.0.abs_diff(b.from.0));
             let near = apart.0 > 0 && apart.0 <= NEIGHBOURS && apart.1 <= NEIGHBOURS;
-            let both = near && agree(&ties[i], &ties[j], chain, poses);
+            let both = near && agree(&constraints[i], &constraints[j], chain, poses);
             (friends[i][j], friends[j][i]) = (both, both);
         }
     }

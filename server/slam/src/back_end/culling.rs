@@ -9,7 +9,7 @@
 //! again instead of adding to them); we keep the newer view, so that the map follows what changes.
 
 use super::chain::{Chain, Step};
-use super::consensus::{NEIGHBOURS, Tie};
+use super::consistency::{Constraint, NEIGHBOURS};
 use crate::odometry::diagonal;
 use nalgebra::Vector3;
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId, se3};
@@ -82,10 +82,10 @@ pub(super) struct Merge {
 ///
 /// At each place the oldest stays, too: the newer ones keep to where it is. Were every round measured from the round before
 /// alone, the map would wander.
-pub(super) fn redundant(chain: &Chain, poses: &[Pose], ties: &[Tie<'_>], busy: &[u32]) -> Vec<Merge> {
+pub(super) fn redundant(chain: &Chain, poses: &[Pose], constraints: &[Constraint<'_>], busy: &[u32]) -> Vec<Merge> {
     let nodes = chain.nodes();
     let Some(newest) = nodes.last().map(|n| n.id.0) else { return vec![] };
-    let by_ends = ties_by_ends(ties);
+    let by_ends = constraints_by_ends(constraints);
     let mut first = Places::default();
     for k in 0..nodes.len() {
         let known = first.around(&poses[k]).any(|n| sees_the_same(chain, poses, n as usize, k));
@@ -154,25 +154,32 @@ fn tilt(off: &Pose) -> f64 {
     (off.rotation * Vector3::z()).z.clamp(-1.0, 1.0).acos()
 }
 
-/// Numbers of keyframes that loops tie, both ways round, with the place of the loop; ascending.
-fn ties_by_ends<'a>(ties: &'a [Tie<'a>]) -> Vec<(u64, u64, &'a Tie<'a>)> {
-    let ends = |t: &'a Tie<'a>| (t.closure.from.0, t.closure.to.0);
-    let mut out: Vec<_> = ties.iter().flat_map(|t| [(ends(t).0, ends(t).1, t), (ends(t).1, ends(t).0, t)]).collect();
+/// Numbers of keyframes between which there are constraints, both ways round, with the place of the loop; ascending.
+fn constraints_by_ends<'a>(constraints: &'a [Constraint<'a>]) -> Vec<(u64, u64, &'a Constraint<'a>)> {
+    let ends = |t: &'a Constraint<'a>| (t.closure.from.0, t.closure.to.0);
+    let mut out: Vec<_> =
+        constraints.iter().flat_map(|t| [(ends(t).0, ends(t).1, t), (ends(t).1, ends(t).0, t)]).collect();
     out.sort_by_key(|&(a, b, _)| (a, b));
     out
 }
 
 /// `gone` into `into`, if a loop near both says how they lie to each other.
-fn merge(chain: &Chain, poses: &[Pose], ties: &[(u64, u64, &Tie<'_>)], gone: u32, into: u32) -> Option<Merge> {
+fn merge(
+    chain: &Chain,
+    poses: &[Pose],
+    constraints: &[(u64, u64, &Constraint<'_>)],
+    gone: u32,
+    into: u32,
+) -> Option<Merge> {
     let id = |k: u32| chain.nodes()[k as usize].id.0;
     let (low, high) = (id(gone).saturating_sub(NEIGHBOURS), id(gone) + NEIGHBOURS);
-    let first = ties.partition_point(|t| t.0 < low);
-    let near = ties[first..].iter().take_while(|t| t.0 <= high).filter(|t| t.1.abs_diff(id(into)) <= NEIGHBOURS);
-    let variances = near.filter_map(|&(a, b, tie)| {
+    let first = constraints.partition_point(|t| t.0 < low);
+    let near = constraints[first..].iter().take_while(|t| t.0 <= high).filter(|t| t.1.abs_diff(id(into)) <= NEIGHBOURS);
+    let variances = near.filter_map(|&(a, b, constraint)| {
         let (a, b) = (chain.index(KeyframeId(a))?, chain.index(KeyframeId(b))?);
         let arm = |i: u32, j: u32| poses[i as usize].inv_mul(&poses[j as usize]).translation.vector.norm();
         let ways = [chain.drift(gone, a, arm(gone, a)), chain.drift(into, b, arm(into, b))];
-        let own = |k: usize| (k..k + 3).map(|i| tie.closure.covariance[(i, i)]).fold(0.0, f64::max);
+        let own = |k: usize| (k..k + 3).map(|i| constraint.closure.covariance[(i, i)]).fold(0.0, f64::max);
         Some((own(0) + ways[0].0 + ways[1].0, own(3) + ways[0].1 + ways[1].1))
     });
     let (var_t, var_r) = variances.min_by(|a, b| a.0.total_cmp(&b.0))?;

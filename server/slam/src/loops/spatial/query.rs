@@ -5,13 +5,13 @@
 //! the best one is looked at in space; what was seen on the way has to agree with each place, view by view, and only if it
 //! does in the best one and in no other is that claimed.
 
-use super::local_map::{range, voxel_for};
-use super::neighbourhood::{Neighbourhood, Refused, Strictness};
 use super::seen::Kept;
+use super::submap::{range, voxel_for};
+use super::target::{Refused, Strictness, Target};
 use super::walls;
 use crate::loops::Relocalisation;
+use crate::loops::planar::branch_and_bound::{Fit, Pyramid, Region};
 use crate::loops::planar::optima;
-use crate::loops::planar::pyramid::{Fit, Pyramid, Region};
 use nalgebra::{Isometry2, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, se3};
 use rustc_hash::FxHashSet;
@@ -37,8 +37,8 @@ const CELL: f64 = 0.1;
 const NEWEST: Strictness = Strictness { min_inlier_ratio: 0.75, max_contradicted: 0.04 };
 const WITNESS: Strictness = Strictness { min_inlier_ratio: 0.65, max_contradicted: 0.06 };
 
-/// Views of a stretch of the way.
-pub(super) struct Stretch<'a> {
+/// Views from some metres of the path, searched for together.
+pub(super) struct Query<'a> {
     /// Oldest first, with base then seen from base now.
     before: &'a [(Pose, &'a KeyframeScan)],
     scan: &'a KeyframeScan,
@@ -47,7 +47,7 @@ pub(super) struct Stretch<'a> {
     usual_range: f64,
 }
 
-impl<'a> Stretch<'a> {
+impl<'a> Query<'a> {
     pub(super) fn new(
         before: &'a [(Pose, &'a KeyframeScan)],
         scan: &'a KeyframeScan,
@@ -122,7 +122,7 @@ impl<'a> Stretch<'a> {
         let witnesses: Vec<&(Pose, &KeyframeScan)> =
             self.before.iter().step_by(self.before.len().div_ceil(WITNESSES).max(1)).collect();
         let places: Vec<Pose> = std::iter::once(guess).chain(witnesses.iter().map(|(t, _)| guess * t)).collect();
-        let around = Neighbourhood::new(kept, poses, &places);
+        let around = Target::new(kept, poses, &places);
         let found = around.measure(self.scan, &guess, &NEWEST).ok()?;
         let (mut agree, mut against) = (0, 0);
         for (t_now_then, scan) in witnesses {
