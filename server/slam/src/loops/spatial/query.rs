@@ -2,8 +2,8 @@
 //!
 //! Rooms resemble each other, and one view of them all the more. So what stands upright along the way is laid over what
 //! does in the map, seen from above ([`crate::loops::planar::branch_and_bound`]); every place in which it fits nearly as
-//! well as in the best one is looked at in space; what was seen on the way has to agree with each place, view by view, and only if it
-//! does in the best one and in no other is that claimed.
+//! well as in the best one is looked at in space; what was seen on the way has to agree with each place, view by
+//! view, and only if it does in the best one and in no other is that claimed.
 
 use super::seen::Kept;
 use super::submap::{range, voxel_for};
