@@ -293,7 +293,7 @@ pub(super) struct Factor {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::buffer::ImuBuffer;
     use super::*;
     use percept_geometry::Timestamp;
@@ -307,7 +307,7 @@ mod tests {
     }
 
     /// Standard normal numbers, by Box and Muller.
-    fn gauss(rng: &mut impl Rng) -> Vector3<f64> {
+    pub(in crate::inertial) fn gauss(rng: &mut impl Rng) -> Vector3<f64> {
         let mut one = || {
             let (a, b): (f64, f64) =
                 (rng.random_range(f64::EPSILON..1.0), rng.random_range(0.0..std::f64::consts::TAU));

@@ -269,25 +269,17 @@ fn pass(
 mod tests {
     use super::super::buffer::{ImuBuffer, Noise};
     use super::*;
+    use crate::inertial::preintegration::tests::gauss;
     use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
     use percept_geometry::Timestamp;
     use percept_geometry::sensor::ImuSample;
-    use rand::{Rng, RngExt, SeedableRng};
+    use rand::{Rng, SeedableRng};
 
     const NOISE: Noise = Noise { rate: 2e-4, force: 2e-3 };
     const HZ: f64 = 200.0;
 
     fn at(s: f64) -> Timestamp {
         Timestamp::from_secs_f64(s)
-    }
-
-    fn gauss(rng: &mut impl Rng) -> Vector3<f64> {
-        let mut one = || {
-            let (a, b): (f64, f64) =
-                (rng.random_range(f64::EPSILON..1.0), rng.random_range(0.0..std::f64::consts::TAU));
-            (-2.0 * a.ln()).sqrt() * b.cos()
-        };
-        Vector3::from_fn(|_, _| one())
     }
 
     /// A hand's pose, in closed form: it is swung, tilted and swayed.
