@@ -5,7 +5,8 @@ use super::range_image::RangeImage;
 use super::update::{BlockKey, locate};
 use nalgebra::Vector3;
 use percept_geometry::Voxel;
-use std::collections::{BTreeMap, HashMap};
+use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Voxels of a block, 64 a word by slot.
@@ -87,7 +88,7 @@ pub(super) fn seen_through(ranges: &RangeImage, params: &CloudParams, planar: bo
 #[derive(Default)]
 struct Marks {
     blocks: Vec<(BlockKey, Seen)>,
-    index: HashMap<BlockKey, usize>,
+    index: FxHashMap<BlockKey, usize>,
     last: Option<(BlockKey, usize)>,
 }
 

@@ -83,6 +83,11 @@ impl Rebuild {
         self.bent.pop_last().or_else(|| self.near.pop_last())
     }
 
+    /// Submaps that wait, those under way left out.
+    fn waiting(&self) -> impl Iterator<Item = &SubmapId> {
+        self.bent.iter().chain(&self.near)
+    }
+
     fn is_idle(&self) -> bool {
         self.bent.is_empty() && self.near.is_empty() && self.under_way.is_none()
     }
@@ -92,6 +97,13 @@ impl Map {
     /// Whether submaps are waiting to be built anew: until then they are shown as they were, where that fits best.
     pub fn is_rebuilding(&self) -> bool {
         !self.rebuild.is_idle()
+    }
+
+    /// Keyframes that submaps are still to be built anew from.
+    pub fn num_to_rebuild(&self) -> usize {
+        let of = |id: &SubmapId| self.position(*id).map_or(0, |k| self.submaps[k].keyframes().len());
+        let under_way = self.rebuild.under_way.as_ref().map_or(0, |u| u.left.len());
+        self.rebuild.waiting().map(of).sum::<usize>() + under_way
     }
 
     /// Builds on by keyframes of about so many points and misses together, by one at least; whether nothing is left to do. A
