@@ -37,11 +37,13 @@ impl Voxel {
     }
 
     /// The voxel of edge `size` (m) that holds `p`; none if `p` is not finite or out of the range of `i32`.
+    #[inline]
     pub fn containing(p: &Point3<f64>, size: f64) -> Option<Self> {
         Some(Self { x: index(p.x / size)?, y: index(p.y / size)?, z: index(p.z / size)? })
     }
 
     /// Centre of the voxel of edge `size` (m).
+    #[inline]
     pub fn center(self, size: f64) -> Point3<f64> {
         Point3::new(
             (f64::from(self.x) + 0.5) * size,

@@ -70,9 +70,9 @@ impl Pipeline {
     pub fn process(&mut self, frame: &SensorFrame) -> Result<FrameReport, FrameError> {
         let Some(view) = self.frontend.take(frame)? else { return Ok(FrameReport::default()) };
         let mut map = self.revise(|graph, update| graph.take_answers(view.stamp, update));
-        self.map_graph.build_on();
         let report =
             if view.is_of_pose_sensor { self.follow(&view) } else { self.look_beside(&view).unwrap_or_default() };
+        self.map_graph.build_on(report.keyframe.is_some());
         map.extend(report.map);
         Ok(FrameReport { map, ..report })
     }

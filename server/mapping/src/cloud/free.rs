@@ -66,16 +66,18 @@ pub(super) fn seen_through(ranges: &RangeImage, params: &CloudParams, planar: bo
         let reach = reach.min(params.range_max_m);
         let first = params.range_min_m.max(0.5 * voxel);
         let steps = ((reach - first) / voxel).floor();
+        // In voxels, so that a step is one long and nothing is divided: these are the most steps that a keyframe takes.
+        let start = (ranges.sensor() + direction * first) / voxel;
         for step in 0..if steps >= 0.0 { steps as usize + 1 } else { 0 } {
-            let p = ranges.sensor() + direction * (first + step as f64 * voxel);
-            let Some(v) = Voxel::containing(&p, voxel) else { return };
-            let off = p - v.center(voxel);
-            let aside = if planar { off.xy().norm() } else { off.norm() };
-            if aside > 0.5 * voxel {
+            let p = start + direction * step as f64;
+            let Some(v) = Voxel::containing(&p, 1.0) else { return };
+            let off = p - v.center(1.0);
+            let aside2 = if planar { off.xy().norm_squared() } else { off.norm_squared() };
+            if aside2 > 0.25 {
                 continue;
             }
             free.mark(v);
-            if planar && off.z.abs() > 0.25 * voxel {
+            if planar && off.z.abs() > 0.25 {
                 free.mark(Voxel { z: v.z.saturating_add(off.z.signum() as i32), ..v });
             }
         }

@@ -59,6 +59,8 @@ pub(crate) struct MapGraph {
     relocaliser: Relocaliser,
     /// Parts of the map that hang on nothing and wait to be recognised in it.
     atlas: Atlas,
+    /// Whether submaps were not built on with the newest frame, although some wait.
+    has_stood_back: bool,
 }
 
 impl MapGraph {
@@ -77,6 +79,7 @@ impl MapGraph {
             constraints: Constraints::default(),
             relocaliser: Relocaliser::default(),
             atlas: Atlas::default(),
+            has_stood_back: false,
         })
     }
 

@@ -61,9 +61,11 @@ impl MapGraph {
         update.moved.push(moved);
     }
 
-    /// Builds on at submaps that are to be built anew.
-    pub(crate) fn build_on(&mut self) {
-        if self.map.is_rebuilding() {
+    /// Builds on at submaps that are to be built anew: not in a frame that became a keyframe, which takes as long already, unless
+    /// the frame before did.
+    pub(crate) fn build_on(&mut self, is_keyframe: bool) {
+        self.has_stood_back = is_keyframe && !self.has_stood_back;
+        if self.map.is_rebuilding() && !self.has_stood_back {
             let waiting = self.map.num_to_rebuild().min(MANY);
             self.map.advance(POINTS_A_FRAME * waiting / MANY);
         }
