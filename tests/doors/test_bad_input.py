@@ -276,6 +276,14 @@ CASES = {
         BAD,
     ),
     "infinite turn": (of_imu(INF), "OUT_OF_RANGE", "imu.angular_velocity_radps", BAD),
+    "turn in degrees": (of_imu(180.0), "OUT_OF_RANGE", "imu.angular_velocity_radps", BAD),
+    "turn that no gyro measures": (of_imu(-1e200), "OUT_OF_RANGE", "imu.angular_velocity_radps", BAD),
+    "wheels that are nowhere": (
+        of_odometry(translation=(1e200, 0.0, 0.0)),
+        "OUT_OF_RANGE",
+        "odometry.t_odom_base.translation",
+        BAD,
+    ),
     "unknown sensor": (
         of("nobody", depth=depth()),
         "SENSOR_NOT_FOUND",

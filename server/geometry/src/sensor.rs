@@ -76,6 +76,13 @@ impl SensorSpec {
             (_, Some(intrinsics)) => intrinsics.validate()?,
             _ => {}
         }
+        // Nothing that a robot carries is farther away.
+        check(
+            "t_base_sensor.translation",
+            &self.t_base_sensor.translation.vector,
+            1e4,
+            "at most 10 km from base; send metres",
+        )?;
         if !self.time_offset_s.is_finite() {
             return Err(GeometryError::OutOfRange {
                 field: "time_offset_s",
@@ -84,6 +91,14 @@ impl SensorSpec {
             });
         }
         Ok(())
+    }
+}
+
+/// Refuses what has a component beyond `most`, or not finite.
+fn check(field: &'static str, v: &Vector3<f64>, most: f64, requirement: &'static str) -> Result<(), GeometryError> {
+    match v.iter().find(|c| !(c.abs() <= most)) {
+        Some(&value) => Err(GeometryError::OutOfRange { field, value, requirement }),
+        None => Ok(()),
     }
 }
 
@@ -96,6 +111,23 @@ pub struct ImuSample {
     pub linear_acceleration: Vector3<f64>,
 }
 
+impl ImuSample {
+    /// Checks that a sensor may have measured it: no gyro's range reaches 100 rad/s (ST LSM6DSV320X, the widest on sale: 70), and
+    /// no accelerometer's on a robot 5,000 m/s^2 (the same: 3,138). One sample beyond turns the robot over.
+    ///
+    /// # Errors
+    /// `OutOfRange` naming the field.
+    pub fn validate(&self) -> Result<(), GeometryError> {
+        check(
+            "imu.angular_velocity_radps",
+            &self.angular_velocity,
+            100.0,
+            "within 100 rad/s; send rad/s, not degrees/s",
+        )?;
+        check("imu.linear_acceleration_mps2", &self.linear_acceleration, 5000.0, "within 5000 m/s^2; send m/s^2")
+    }
+}
+
 /// One odometry sample: the pose of base in the odometry's own drifting frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OdometrySample {
@@ -103,6 +135,17 @@ pub struct OdometrySample {
     pub t_odom_base: Pose,
     /// Covariance of the step since the sample before, in base, if the source knows it.
     pub covariance: Option<Covariance6>,
+}
+
+impl OdometrySample {
+    /// Checks that a robot may have got there: 100,000 km from where it began lies nothing.
+    ///
+    /// # Errors
+    /// `OutOfRange` naming the field.
+    pub fn validate(&self) -> Result<(), GeometryError> {
+        let there = &self.t_odom_base.translation.vector;
+        check("odometry.t_odom_base.translation", there, 1e8, "within 100,000 km; send metres")
+    }
 }
 
 /// What a sensor sent.

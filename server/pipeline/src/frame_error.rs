@@ -63,4 +63,7 @@ pub enum FrameError {
         /// As sent.
         seconds: f32,
     },
+    /// A number that no sensor of that kind can have measured.
+    #[error(transparent)]
+    Implausible(percept_geometry::GeometryError),
 }

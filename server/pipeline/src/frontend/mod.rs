@@ -24,7 +24,7 @@ use crate::{FrameError, SlamParams};
 use extrinsics::ExtrinsicsCheck;
 use motion::{MotionSensors, Prior};
 use nalgebra::{Unit, Vector3};
-use percept_geometry::{Pose, SensorFrame, SensorId, SensorSpec, Timestamp};
+use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp};
 use percept_slam::{KeyframePolicy, Odometry, OdometryEstimate, OdometryKind, Scan};
 use scale_hints::ScaleHints;
 use sensors::{Sensors, scan_of};
@@ -83,6 +83,9 @@ impl Frontend {
         };
         if self.sensors.spec(&spec.id).is_some_and(is_other) {
             self.motion.forget(&spec.id);
+            if let Some(odometry) = self.odometry.as_mut().filter(|_| spec.kind == SensorKind::Imu) {
+                odometry.forget_imu();
+            }
         }
         self.sensors.declare(spec);
     }

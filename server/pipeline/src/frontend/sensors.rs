@@ -42,6 +42,8 @@ pub fn check_frame(spec: &SensorSpec, last: Option<Timestamp>, frame: &SensorFra
     }
     match &frame.data {
         SensorData::Cloud(c) => check_cloud(c),
+        SensorData::Imu(sample) => sample.validate().map_err(FrameError::Implausible),
+        SensorData::Odometry(sample) => sample.validate().map_err(FrameError::Implausible),
         _ => Ok(()),
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::reason;
 use crate::{Error, ErrorCode};
-use percept_geometry::{SensorId, Timestamp};
+use percept_geometry::{SensorId, SensorKind, Timestamp};
 use percept_pipeline::FrameError;
 
 /// Reason of what is refused because the session has just been put to sleep; trying again wakes it.
@@ -75,6 +75,11 @@ fn not_increasing(stamp: Timestamp, last: Timestamp) -> Error {
     Error::invalid(reason::CLOCK_SET_BACK, "stamp_ns", words)
 }
 
+/// A kind of sensor as the contract spells it.
+fn word(kind: SensorKind) -> String {
+    format!("{kind:?}").to_lowercase()
+}
+
 /// The one table from the pipeline's facts to the caller's words.
 pub(crate) fn frame_error(e: &FrameError) -> Error {
     match e {
@@ -83,7 +88,9 @@ pub(crate) fn frame_error(e: &FrameError) -> Error {
             reason::SENSOR_KIND_MISMATCH,
             "data",
             format!(
-                "sensor {sensor} is declared as {declared:?} but sent {sent:?}; declare it anew or send what was declared"
+                "sensor {sensor} is declared as {} but sent {}; declare it anew or send what was declared",
+                word(*declared),
+                word(*sent)
             ),
         ),
         FrameError::StampNotIncreasing { stamp, last, .. } => not_increasing(*stamp, *last),
@@ -106,6 +113,7 @@ pub(crate) fn frame_error(e: &FrameError) -> Error {
                 "cloud.time_offsets_s has {seconds}, more than 10 s from the frame's stamp; send seconds from the stamp"
             ),
         ),
+        FrameError::Implausible(e) => e.clone().into(),
         FrameError::CloudDegenerate { num_points } => Error::invalid(
             reason::CLOUD_DEGENERATE,
             "cloud",

@@ -17,8 +17,8 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use std::f64::consts::{PI, TAU};
 
 /// Keyframes from which on older ones are merged. A robot that drove rounds in one room took 6.0 s of computing for 6,000
-/// frames with 400 and 4.8 s with 200; Intel and CSAIL were off by the same, within what another order of answers changes.
-pub(super) const FEWEST: usize = 200;
+/// frames with 400 and 4.8 s with 250 or less; Intel and CSAIL were off by the same, within what another order of answers changes.
+pub(super) const FEWEST: usize = 250;
 /// How much more than were left the last time there must be until it is done again.
 pub(super) const GROWTH: f64 = 1.4;
 /// The newest keyframes are left alone: what they belong to is still being measured.

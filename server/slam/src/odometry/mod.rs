@@ -33,6 +33,9 @@ use uncertainty::Uncertainty;
 /// What a measurement left open counts up to this variance, m^2.
 const MAX_LEFT_OPEN: f64 = 0.25;
 
+/// So long inertia leads while no frame is placed, seconds: an accelerometer that is off by 0.05 m/s^2 is off by 0.6 m then.
+const COASTS_S: f64 = 5.0;
+
 /// What another source (wheels, an IMU) says about the motion since the frame before.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionPrior {
@@ -243,6 +246,7 @@ impl Odometry {
         imu: Option<&ImuBuffer>,
     ) -> Prediction {
         let expected = self.inertial.expect(imu, self.last_stamp, stamp, scan.sweep_s()).cloned();
+        let expected = expected.filter(|e| self.is_possible(dt, &e.t_odom_base));
         let Some(expected) = expected else { return self.predict(dt, prior) };
         Prediction {
             t_odom_base: expected.t_odom_base,
@@ -251,6 +255,12 @@ impl Odometry {
             inertial: Some(expected),
             ..self.predict(dt, None)
         }
+    }
+
+    /// Whether the robot can have got there since the frame before: inertia alone runs away once a velocity is wrong.
+    fn is_possible(&self, dt: f64, t_odom_base: &Pose) -> bool {
+        let way = (t_odom_base.translation.vector - self.t_odom_base.translation.vector).norm();
+        way <= self.limits.speed * dt.max(self.params.tracking.max_gap_s)
     }
 
     /// What the frame's place tells of the IMU, and what that tells of the place.
@@ -290,6 +300,12 @@ impl Odometry {
         if let Some(mono) = self.model.as_mono() {
             mono.tell_scale(hint);
         }
+    }
+
+    /// What was learned of an IMU does not hold any more: it is mounted otherwise, or another one. It has to prove itself again.
+    pub fn forget_imu(&mut self) {
+        self.inertial.forget();
+        self.gyro = GyroCheck::default();
     }
 
     /// Whether the newest frame was placed.
@@ -410,7 +426,10 @@ impl Odometry {
         self.after_silence = self.is_after_silence(dt);
         self.num_lost += 1;
         self.unplaced_s += dt;
-        self.inertial.lost();
+        match self.unplaced_s <= COASTS_S {
+            true => self.inertial.lost(),
+            false => self.inertial.forget(),
+        }
         self.advance(prediction);
         // A guess of constant velocity is worth less with every second.
         let gap = dt > self.params.tracking.max_gap_s;
