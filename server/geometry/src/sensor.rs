@@ -96,7 +96,7 @@ impl SensorSpec {
 
 /// Refuses what has a component beyond `most`, or not finite.
 fn check(field: &'static str, v: &Vector3<f64>, most: f64, requirement: &'static str) -> Result<(), GeometryError> {
-    match v.iter().find(|c| !(c.abs() <= most)) {
+    match v.iter().find(|c| c.is_nan() || c.abs() > most) {
         Some(&value) => Err(GeometryError::OutOfRange { field, value, requirement }),
         None => Ok(()),
     }

@@ -305,7 +305,7 @@ impl Odometry {
     /// What was learned of an IMU does not hold any more: it is mounted otherwise, or another one. It has to prove itself again.
     pub fn forget_imu(&mut self) {
         self.inertial.forget();
-        self.gyro = GyroCheck::default();
+        self.gyro = GyroCheck::on_trial();
     }
 
     /// Whether the newest frame was placed.
