@@ -58,9 +58,18 @@ def _status_kb(pid: int, name: str) -> int:
     return int(next(x for x in text.splitlines() if x.startswith(name)).split()[1])
 
 
+def come_first() -> None:
+    """Lets all threads of this process but the first come before others: what it starts later does not."""
+    for thread in map(int, os.listdir("/proc/self/task")):
+        if thread != os.getpid():
+            with contextlib.suppress(PermissionError, ProcessLookupError):
+                os.setpriority(os.PRIO_PROCESS, thread, -15)
+
+
 class PoseProbe:
     """Another client that asks for a pose over and over; `with PoseProbe(...) as probe: ...;
-    probe.quantiles()`.
+    probe.quantiles()`. Where that is allowed it comes before all else on the machine: it stands for a client
+    with a computer of its own, and what it waits for is the server.
     """
 
     def __init__(self, address: str, session_id: str, pause_s: float = 0.005) -> None:
@@ -100,6 +109,9 @@ class PoseProbe:
     def _run(self) -> None:
         with Client(self._address, timeout_s=10, retries=0) as client:
             session = client.session(self._session_id)
+            with contextlib.suppress(PerceptError):
+                session.pose()
+            come_first()
             while not self._stop.is_set():
                 begin = time.perf_counter()
                 try:
