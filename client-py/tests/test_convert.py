@@ -8,6 +8,7 @@ from percept import (
     CloudFrame,
     DepthFrame,
     EncodedImage,
+    ImuFrame,
     Internal,
     InvalidArgument,
     OdometryFrame,
@@ -245,3 +246,20 @@ def test_events_are_told_apart():
     assert sessions.event(session_pb2.SessionEvent(token=5)).event is None
     event = session_pb2.SessionEvent(token=6, map_version=2)
     assert sessions.event(event).event.map_version == 2
+
+
+@pytest.mark.parametrize("stamp_ns", [1.5, 2.0, "7", None, 2**63])
+def test_a_stamp_that_is_no_whole_number_of_64_bits_is_refused(stamp_ns):
+    felt = {"angular_velocity_radps": (0, 0, 0), "linear_acceleration_mps2": (0, 0, 9.81)}
+    frame = ImuFrame("i", stamp_ns=stamp_ns, **felt)
+    with pytest.raises(InvalidArgument) as error:
+        sensors.frame_to("s", frame)
+    assert (error.value.reason, error.value.field) == ("STAMP_INVALID", "stamp_ns")
+    assert "time.time_ns()" in str(error.value)
+
+
+def test_a_stamp_of_numpy_is_taken():
+    frame = ImuFrame(
+        "i", stamp_ns=np.int64(7), angular_velocity_radps=(0, 0, 0), linear_acceleration_mps2=(0, 0, 9.81)
+    )
+    assert sensors.frame_to("s", frame).stamp_ns == 7

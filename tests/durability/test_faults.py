@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import time
 
 import httpx
 import pytest
@@ -224,6 +225,22 @@ def test_a_clock_that_is_set_back_is_answered_with_a_remedy_that_works(client):
     assert session.pose().stamp_ns > before.stamp_ns
     truth = world.truth_in_map(list(robots.laps()))[13]
     assert world.position_error_m(session.pose().t_map_base, truth) < 0.1
+
+
+def test_a_stamp_that_leaps_ahead_is_refused_and_the_sensor_lives_on(client):
+    """One sample is stamped half an hour ahead; a clock that always was ahead, and a pause, are no slips."""
+    session = client.sessions.create("robot", sensors=[world.LASER])
+    now_ns = time.time_ns()
+    follow(session, 0, 4, start_ns=now_ns)
+    refused = refusal(lambda: follow(session, 4, 5, start_ns=now_ns + 1800 * 10**9))
+    assert refused.reason == "STAMP_IMPLAUSIBLE"
+    assert "1800 s" in refused.message
+    follow(session, 4, 8, start_ns=now_ns + 4 * world.FRAME_NS)
+    assert len(session.trajectory()) == 8
+    ahead = client.sessions.create("ahead", sensors=[world.LASER])
+    follow(ahead, 0, 4, start_ns=now_ns + 1800 * 10**9)
+    follow(ahead, 4, 8, start_ns=now_ns + 1830 * 10**9)
+    assert len(ahead.trajectory()) == 8
 
 
 def test_time_that_stands_still_is_taken_once_and_goes_on(client):

@@ -16,7 +16,7 @@ from percept import (
     SensorSpec,
 )
 
-from support import world
+from support import robots, world
 
 
 def test_a_sensor_is_declared_and_listed_as_it_was_declared(client):
@@ -92,6 +92,70 @@ def test_health_tells_rate_gaps_and_refusals(client):
     assert status.verdict == "troubled"
     assert [t.kind for t in status.troubles] == ["rejected"]
     assert "1 frames refused" in status.troubles[0].message
+
+
+GRAVITY = (0.0, 0.0, 9.81)
+TURNING = (0.0, 0.0, np.radians(2.0) * 1e9 / world.FRAME_NS)
+
+
+@pytest.mark.parametrize(
+    ("rate", "force", "delay_ns", "kinds", "words"),
+    [
+        (TURNING, GRAVITY, 0, [], "good"),
+        (TURNING, (0.0, 0.0, 1.0), 0, ["force_unlike_gravity"], "in g; multiply by 9.81"),
+        (TURNING, (0.0, 0.0, 0.0), 0, ["force_unlike_gravity"], "send the raw reading"),
+        (tuple(np.degrees(TURNING)), GRAVITY, 0, ["turns_unlike"], "in degrees; send rad/s"),
+        ((TURNING[2], 0.0, 0.0), GRAVITY, 0, ["turns_unlike"], "by 90 degrees"),
+        ((0.0, 0.0, -TURNING[2]), GRAVITY, 0, ["turns_unlike"], "by 180 degrees"),
+        (TURNING, GRAVITY, -2 * 10**9, ["samples_missing"], "before the frames"),
+    ],
+    ids=["right", "g", "no_gravity", "degrees", "on_its_side", "upside_down", "late"],
+)
+def test_what_is_wrong_with_an_imu_is_said(client, rate, force, delay_ns, kinds, words):
+    session = client.sessions.create(sensors=[world.LASER, SensorSpec("imu", kind="imu")])
+    every_ns, steps = world.FRAME_NS // 10, 60
+    with session.stream() as stream:
+        for i in range(10 * steps):
+            stamp_ns = world.stamp(0) + 3 * 10**9 + i * every_ns
+            stream.send_imu(
+                "imu",
+                stamp_ns=stamp_ns + delay_ns,
+                angular_velocity_radps=rate,
+                linear_acceleration_mps2=force,
+            )
+            if i % 10 == 0:
+                stream.send_scan("laser", stamp_ns=stamp_ns, **robots.scan(i // 10))
+    assert stream.summary.rejected == 0
+    laser, imu = sorted(session.sensors.list(), key=lambda s: s.spec.sensor_id, reverse=True)
+    assert (laser.verdict, [t.kind for t in imu.troubles]) == ("good", kinds)
+    assert words in imu.verdict_message
+    pose, truth = session.pose(), world.truth_in_map(list(robots.laps()))[steps - 1]
+    assert pose.state == "tracking"
+    assert world.position_error_m(pose.t_map_base, truth) < 0.1
+
+
+def test_an_imu_alone_is_told_that_no_pose_comes_of_it(client):
+    session = client.sessions.create(sensors=[SensorSpec("imu", kind="imu")])
+
+    def sample(stamp_ns):
+        session.send_imu("imu", stamp_ns=stamp_ns, angular_velocity_radps=TURNING, linear_acceleration_mps2=GRAVITY)
+        return next(s for s in session.sensors.list() if s.spec.sensor_id == "imu")
+
+    alone = sample(1)
+    assert [t.kind for t in alone.troubles] == ["no_pose"]
+    assert "declare a lidar" in alone.verdict_message
+    session.sensors.declare(world.LASER)
+    assert sample(2).verdict == "good"
+
+
+@pytest.mark.parametrize("wanted", ["imu", "nobody"])
+def test_a_pose_sensor_that_cannot_be_is_said(client, wanted):
+    sensors = [world.LASER, SensorSpec("imu", kind="imu")]
+    session = client.sessions.create(sensors=sensors, params={"slam": {"pose_sensor": wanted}})
+    assert session.send_scan("laser", stamp_ns=1, **robots.scan(0)).pose is None
+    (status,) = [s for s in session.sensors.list() if s.spec.sensor_id == "laser"]
+    assert [t.kind for t in status.troubles] == ["no_pose"]
+    assert "pose_sensor" in status.verdict_message
 
 
 def test_a_frame_that_is_sent_again_is_answered_and_does_nothing_more(client):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -46,6 +47,21 @@ def vector(field: str, value: object, length: int) -> npt.NDArray[np.float64]:
         message = f"{field} must be {length} numbers, not {value!r}"
         raise InvalidArgument(message, reason="ARRAY_INVALID", field=field)
     return array
+
+
+def stamp(value: object) -> int:
+    """Nanoseconds of a stamp: a whole number, of Python's or of NumPy's."""
+    try:
+        stamp_ns = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        stamp_ns = None
+    if stamp_ns is None or not -(2**63) <= stamp_ns < 2**63:
+        message = (
+            f"stamp_ns must be a whole number of nanoseconds of 64 bits, not {value!r}; "
+            "send e.g. time.time_ns(), or round(seconds * 1e9)"
+        )
+        raise InvalidArgument(message, reason="STAMP_INVALID", field="stamp_ns")
+    return stamp_ns
 
 
 def same_length(field: str, array: Array | None, length: int) -> None:

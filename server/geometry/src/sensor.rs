@@ -43,6 +43,13 @@ pub enum SensorKind {
     Odometry,
 }
 
+impl SensorKind {
+    /// Whether it sees what a pose can be found by; the others only say how the robot moved.
+    pub fn can_move_the_pose(self) -> bool {
+        !matches!(self, Self::Imu | Self::Odometry)
+    }
+}
+
 /// A sensor of a session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SensorSpec {

@@ -1,11 +1,12 @@
 //! A list that grows at the end and is cheap to share: snapshots keep the old one while the writer appends.
 
+use std::ops::Index;
 use std::sync::Arc;
 
 const CHUNK: usize = 256;
 
 /// An append-only list in shared chunks: cloning copies pointers, appending copies at most one chunk.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Chunks<T> {
     full: Arc<Vec<Arc<Vec<T>>>>,
     tail: Arc<Vec<T>>,
@@ -28,14 +29,19 @@ impl<T: Clone> Chunks<T> {
         }
     }
 
-    /// Puts another element in the place of element `i`, if there is one: copies its chunk, if somebody shares it.
-    pub fn replace(&mut self, i: usize, value: T) {
+    /// Element `i`, if there is one, to be changed: copies its chunk, if somebody shares it.
+    pub fn get_mut(&mut self, i: usize) -> Option<&mut T> {
         let in_tail = i.checked_sub(self.full.len() * CHUNK);
         let chunk = match in_tail {
             Some(_) => &mut self.tail,
             None => &mut Arc::make_mut(&mut self.full)[i / CHUNK],
         };
-        if let Some(slot) = Arc::make_mut(chunk).get_mut(in_tail.unwrap_or(i % CHUNK)) {
+        Arc::make_mut(chunk).get_mut(in_tail.unwrap_or(i % CHUNK))
+    }
+
+    /// Puts another element in the place of element `i`, if there is one.
+    pub fn replace(&mut self, i: usize, value: T) {
+        if let Some(slot) = self.get_mut(i) {
             *slot = value;
         }
     }
@@ -76,8 +82,27 @@ impl<T: Clone> Chunks<T> {
     }
 
     /// All elements, oldest first.
-    pub fn iter(&self) -> impl Iterator<Item = &T> {
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = &T> {
         self.full.iter().flat_map(|c| c.iter()).chain(self.tail.iter())
+    }
+}
+
+impl<T: Clone> Index<usize> for Chunks<T> {
+    type Output = T;
+
+    fn index(&self, i: usize) -> &T {
+        match self.full.get(i / CHUNK) {
+            Some(chunk) => &chunk[i % CHUNK],
+            None => &self.tail[i - self.full.len() * CHUNK],
+        }
+    }
+}
+
+impl<T: Clone> FromIterator<T> for Chunks<T> {
+    fn from_iter<I: IntoIterator<Item = T>>(items: I) -> Self {
+        let mut out = Self::default();
+        items.into_iter().for_each(|item| out.push(item));
+        out
     }
 }
 
@@ -94,6 +119,19 @@ mod tests {
         assert!(before.iter().copied().eq(0..1000));
         assert!(list.iter().copied().eq(0..2000));
         assert_eq!((list.get(999), list.get(1999), list.get(2000)), (Some(&999), Some(&1999), None));
+        assert_eq!((list[0], list[1999]), (0, 1999));
+        assert!(list.iter().rev().copied().eq((0..2000).rev()));
+    }
+
+    #[test]
+    fn a_clone_does_not_see_what_is_changed_later() {
+        let mut list: Chunks<i32> = (0..600).collect();
+        let before = list.clone();
+        for i in [0, 300, 599] {
+            *list.get_mut(i).unwrap() = -1;
+        }
+        assert!(list.get_mut(600).is_none() && before.iter().copied().eq(0..600));
+        assert_eq!(list.iter().filter(|i| **i == -1).count(), 3);
     }
 
     #[test]

@@ -22,7 +22,7 @@ pub use frontend::{MountOffset, check_frame};
 pub use lookup::{LookupError, PoseAt};
 pub use map_graph::{Executor, MapChange, NewKeyframe};
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
-pub use percept_slam::{Loop, LoopId, LoopState};
+pub use percept_slam::{ImuFault, Loop, LoopId, LoopState};
 pub use pipeline::{FrameReport, Pipeline, may_change};
 pub use restored::{Restored, RestoredContent, RestoredKeyframe};
 pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, Snapshot, TrajectoryEntry};

@@ -118,7 +118,6 @@ mod tests {
     use crate::{Chunks, KeyframeInfo, Pipeline, PipelineParams};
     use nalgebra::{Isometry3, Vector3};
     use percept_geometry::{KeyframeId, SensorId};
-    use std::sync::Arc;
 
     fn pose(x: f64, yaw: f64) -> Pose {
         Isometry3::new(Vector3::new(x, 0.0, 0.0), Vector3::z() * yaw)
@@ -136,7 +135,7 @@ mod tests {
             num_points: 1,
             merged: None,
         };
-        snapshot.keyframes = Arc::new(vec![keyframe]);
+        snapshot.keyframes = [keyframe].into_iter().collect();
         let mut trajectory = Chunks::default();
         for (s, anchor, t_anchor_base, tracked) in [
             (1, None, pose(0.5, 0.0), true),

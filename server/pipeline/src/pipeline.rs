@@ -230,6 +230,7 @@ impl Pipeline {
             map_memory: map.memory(),
             clock_offsets: self.frontend.clock_offsets(),
             mount_offsets: self.frontend.mount_offsets(),
+            imu_faults: self.frontend.imu_faults(),
             loops: graph.loops(),
             objects: self.scene.objects(),
             next_object_id: self.scene.next_object_id(),

@@ -1,7 +1,7 @@
 //! The scene: objects that are looked for in the map around new keyframes, followed through time, and moved with the map.
 
 use crate::visibility::RangeImage;
-use crate::{DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams};
+use crate::{Chunks, DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams};
 use percept_geometry::{KeyframeId, Pose, Timestamp};
 use percept_mapping::MapLayers;
 use percept_perception::detection::Detector;
@@ -90,7 +90,7 @@ impl Scene {
     }
 
     /// Keyframes moved, by `t_new_old` in the map: each object follows the one nearest in time to when it was last seen.
-    pub(crate) fn follow(&mut self, keyframes: &[KeyframeInfo], t_new_old: &BTreeMap<KeyframeId, Pose>) {
+    pub(crate) fn follow(&mut self, keyframes: &Chunks<KeyframeInfo>, t_new_old: &BTreeMap<KeyframeId, Pose>) {
         let nearest = |stamp: Timestamp| {
             let after = keyframes.partition_point(|k| k.stamp < stamp);
             let around = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|i| keyframes.get(i));

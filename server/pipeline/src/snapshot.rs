@@ -4,7 +4,7 @@ use crate::{Chunks, MountOffset, PipelineParams};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
 use percept_mapping::{MapLayers, MapMemory};
 use percept_scene::{Object, SceneGraph};
-use percept_slam::{Loop, Scale, TrackingState, Waiting};
+use percept_slam::{ImuFault, Loop, Scale, TrackingState, Waiting};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -92,7 +92,7 @@ pub struct Snapshot {
     /// Every registered frame.
     pub trajectory: Chunks<TrajectoryEntry>,
     /// All keyframes by number, merged ones too: trajectories hang on them.
-    pub keyframes: Arc<Vec<KeyframeInfo>>,
+    pub keyframes: Chunks<KeyframeInfo>,
     /// Occupancy and cloud.
     pub layers: MapLayers,
     /// What the map takes in memory.
@@ -102,6 +102,8 @@ pub struct Snapshot {
     pub clock_offsets: Arc<BTreeMap<SensorId, f64>>,
     /// Sensors whose mount is not as declared, by how far.
     pub mount_offsets: Arc<BTreeMap<SensorId, MountOffset>>,
+    /// IMUs with which something is wrong, and what.
+    pub imu_faults: Arc<BTreeMap<SensorId, Vec<ImuFault>>>,
     /// Loops in the order of finding, those not believed included.
     pub loops: Arc<Vec<Loop>>,
     /// Confirmed objects by id, those gone included.

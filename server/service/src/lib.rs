@@ -45,7 +45,7 @@ pub use session::listing::SessionView;
 pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 pub use session::persist::Durable;
 pub use session::records::Counts;
-pub use session::sensor_book::SensorStatus;
+pub use session::sensor_book::{NoPose, SensorStatus};
 pub use session::slot::SessionState;
 pub use session::verdict::{StreamTrouble, Verdict};
 

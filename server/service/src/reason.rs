@@ -32,7 +32,7 @@ macro_rules! reasons {
 reasons! {
     InvalidArgument {
         BODY_BROKEN: "The body ended before its length; send it whole.",
-        CLOCK_SET_BACK: "The sensor's stamps lie far before its last; if its clock was set back, declare it under another name with a time_offset_s.",
+        CLOCK_SET_BACK: "The sensor's stamps lie far before its last; if that one was wrong, declare the sensor under another name; if the robot's clock was set back, all its sensors, with a time_offset_s.",
         CLOUD_DEGENERATE: "All points of the cloud are one; check the driver.",
         CLOUD_EMPTY: "The cloud has no finite point; check the sensor.",
         COLOUR_SIZE_MISMATCH: "Depth and colour have different sizes; register them to each other first.",
@@ -90,7 +90,7 @@ reasons! {
         SENSOR_KIND_MISMATCH: "The frame is not of the kind that the sensor was declared with.",
         SIZE_MISMATCH: "An array is not as long as its declared shape.",
         STAMP_BEFORE_TRAJECTORY: "The time lies before the first frame; the message says the range.",
-        STAMP_IMPLAUSIBLE: "The stamp lies hours in the future; set the clocks, and send nanoseconds since 1970.",
+        STAMP_IMPLAUSIBLE: "The stamp lies hours in the future, or leaps there; set the clocks, and send nanoseconds since 1970.",
         STAMP_NEGATIVE: "The stamp is negative; send nanoseconds since 1970.",
         STAMP_NOT_INCREASING: "The stamp is not after the sensor's last; send frames in order, each once.",
         STEP_HAS_CLOUD: "A step of a toolbox pipeline names a cloud; only the first input does.",

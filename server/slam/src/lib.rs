@@ -17,7 +17,7 @@ pub mod scan;
 pub mod tracking;
 
 pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe};
-pub use inertial::ImuBuffer;
+pub use inertial::{ImuBuffer, ImuFault};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
 pub use loops::{LoopClosure, Relocalisation};
 pub use odometry::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams};

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from .. import _rpc
-from .._arrays import Array
+from .._arrays import Array, stamp
 from .._call import Call
 from ..errors import InvalidArgument
 from ..types.frames import (
@@ -131,7 +131,7 @@ def fill_frame(out: sensor_pb2.SensorMessage, session_id: str, frame: SensorFram
     """Writes a frame where it will be sent from: an image put into one message after another is copied
     each time."""
     out.session_id, out.sensor_id = session_id, frame.sensor_id
-    out.stamp_ns, out.sequence = frame.stamp_ns, sequence
+    out.stamp_ns, out.sequence = stamp(frame.stamp_ns), sequence
     match frame:
         case DepthFrame():
             fill_depth(out.depth, frame.depth, frame.metres_per_unit)

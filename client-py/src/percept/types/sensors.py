@@ -66,6 +66,16 @@ class StreamTroubleKind(Name):
     GAPS = "gaps"
     CLOCK_OFFSET = "clock_offset"
     MOUNT_OFFSET = "mount_offset"
+    #: An IMU is not used: its samples do not cover the time between frames.
+    SAMPLES_MISSING = "samples_missing"
+    #: An IMU's forces are not used: their mean is not as large as gravity.
+    FORCE_UNLIKE_GRAVITY = "force_unlike_gravity"
+    #: An IMU is not used: it turns otherwise than the robot.
+    TURNS_UNLIKE = "turns_unlike"
+    #: An IMU is not used: frames are predicted better without it.
+    MISLEADING = "misleading"
+    #: No pose comes of the session's sensors.
+    NO_POSE = "no_pose"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

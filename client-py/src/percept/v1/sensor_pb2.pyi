@@ -209,6 +209,16 @@ class _StreamTroubleKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Str
     """Its stamps are early or late, compared with the pose sensor's: correct time_offset_s."""
     STREAM_TROUBLE_KIND_MOUNT_OFFSET: _StreamTroubleKind.ValueType  # 5
     """What it sees contradicts the pose sensor's map as if it were mounted elsewhere: measure both mounts."""
+    STREAM_TROUBLE_KIND_SAMPLES_MISSING: _StreamTroubleKind.ValueType  # 6
+    """An IMU is not used: its samples do not cover the time between frames, because they are too few or come too late."""
+    STREAM_TROUBLE_KIND_FORCE_UNLIKE_GRAVITY: _StreamTroubleKind.ValueType  # 7
+    """An IMU's forces are not used: their mean is not as large as gravity. Another unit, or gravity was taken out."""
+    STREAM_TROUBLE_KIND_TURNS_UNLIKE: _StreamTroubleKind.ValueType  # 8
+    """An IMU is not used: it turns otherwise than the robot. Another mount, unit or time."""
+    STREAM_TROUBLE_KIND_MISLEADING: _StreamTroubleKind.ValueType  # 9
+    """An IMU is not used: frames are predicted better without it."""
+    STREAM_TROUBLE_KIND_NO_POSE: _StreamTroubleKind.ValueType  # 10
+    """No pose comes of the session: no sensor that sees is declared, or not the one that `pose_sensor` names."""
 
 class StreamTroubleKind(_StreamTroubleKind, metaclass=_StreamTroubleKindEnumTypeWrapper):
     """What may be wrong with a sensor's stream."""
@@ -224,6 +234,16 @@ STREAM_TROUBLE_KIND_CLOCK_OFFSET: StreamTroubleKind.ValueType  # 4
 """Its stamps are early or late, compared with the pose sensor's: correct time_offset_s."""
 STREAM_TROUBLE_KIND_MOUNT_OFFSET: StreamTroubleKind.ValueType  # 5
 """What it sees contradicts the pose sensor's map as if it were mounted elsewhere: measure both mounts."""
+STREAM_TROUBLE_KIND_SAMPLES_MISSING: StreamTroubleKind.ValueType  # 6
+"""An IMU is not used: its samples do not cover the time between frames, because they are too few or come too late."""
+STREAM_TROUBLE_KIND_FORCE_UNLIKE_GRAVITY: StreamTroubleKind.ValueType  # 7
+"""An IMU's forces are not used: their mean is not as large as gravity. Another unit, or gravity was taken out."""
+STREAM_TROUBLE_KIND_TURNS_UNLIKE: StreamTroubleKind.ValueType  # 8
+"""An IMU is not used: it turns otherwise than the robot. Another mount, unit or time."""
+STREAM_TROUBLE_KIND_MISLEADING: StreamTroubleKind.ValueType  # 9
+"""An IMU is not used: frames are predicted better without it."""
+STREAM_TROUBLE_KIND_NO_POSE: StreamTroubleKind.ValueType  # 10
+"""No pose comes of the session: no sensor that sees is declared, or not the one that `pose_sensor` names."""
 Global___StreamTroubleKind: _TypeAlias = StreamTroubleKind  # noqa: Y015
 
 @_typing.final

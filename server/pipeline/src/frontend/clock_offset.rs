@@ -9,9 +9,11 @@ use std::collections::{BTreeMap, VecDeque};
 /// Turning that is kept, seconds.
 const WINDOW_S: f64 = 20.0;
 /// Largest offset that is looked for, seconds.
-const REACH_S: f64 = 0.3;
-/// Steps of the search, seconds.
-const STEP_S: f64 = 0.01;
+const REACH_S: f64 = 1.2;
+/// Steps of the search and of the one around what that finds, seconds: turning of robots and hands varies more slowly.
+const STEPS_S: (f64, f64) = (0.04, 0.01);
+/// A second shift at which both agree by more than this share of the best: who swings to and fro is like itself a swing later.
+const RIVAL: f64 = 0.9;
 /// Poses between two estimates.
 const EVERY: usize = 50;
 /// Turning has to vary by this much to tell anything, rad/s; and both have to agree so well.
@@ -99,18 +101,34 @@ impl ClockOffsets {
 
 /// Seconds by which `rates` are late behind `poses`.
 fn offset(poses: &Rates, rates: &Rates) -> Option<f64> {
-    let steps = (REACH_S / STEP_S).round() as i32;
-    let scores: Vec<f64> =
-        (-steps..=steps).map(|k| agreement(poses, rates, f64::from(k) * STEP_S).unwrap_or(-1.0)).collect();
-    let (best, score) = scores.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    if score < LEAST.1 || best == 0 || best + 1 == scores.len() {
+    let score = |late: f64| agreement(poses, rates, late).unwrap_or(-1.0);
+    let steps = (REACH_S / STEPS_S.0).round() as i32;
+    let coarse: Vec<f64> = (-steps..=steps).map(|k| score(f64::from(k) * STEPS_S.0)).collect();
+    let at = alone(&coarse)?;
+    let around = (at as f64 - f64::from(steps)) * STEPS_S.0;
+    let n = (STEPS_S.0 / STEPS_S.1).round() as i32;
+    let fine: Vec<f64> = (-n..=n).map(|k| score(around + f64::from(k) * STEPS_S.1)).collect();
+    let (best, most) = fine.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    if most < LEAST.1 || best == 0 || best + 1 == fine.len() {
         return None;
     }
     // The parabola through the best and its neighbours.
-    let (a, b, c) = (scores[best - 1], score, scores[best + 1]);
+    let (a, b, c) = (fine[best - 1], most, fine[best + 1]);
     let bend = a - 2.0 * b + c;
     let between = if bend < -1e-12 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-    Some((best as f64 + between - f64::from(steps)) * STEP_S)
+    Some(around + (best as f64 + between - f64::from(n)) * STEPS_S.1)
+}
+
+/// The best of scores in a row if none beyond its own hill comes near it, the ends included, behind which more may lie.
+fn alone(scores: &[f64]) -> Option<usize> {
+    let (best, most) = scores.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let is_top = |k: usize| {
+        let before = k.checked_sub(1).and_then(|k| scores.get(k)).is_none_or(|s| *s <= scores[k]);
+        before && scores.get(k + 1).is_none_or(|s| *s <= scores[k])
+    };
+    let is_inside = best > 0 && best + 1 < scores.len();
+    let rivals = (0..scores.len()).any(|k| k != best && is_top(k) && scores[k] > RIVAL * most);
+    (is_inside && !rivals).then_some(best)
 }
 
 /// Correlation of the two if `rates` came `late` seconds later.
@@ -163,10 +181,16 @@ mod tests {
 
     #[test]
     fn a_late_and_an_early_clock_are_found_to_milliseconds() {
-        for late in [-0.12, 0.0, 0.035, 0.2] {
+        for late in [-0.12, 0.0, 0.035, 0.2, 0.9] {
             let found = estimate(late, rate, angle).unwrap();
             assert!((found - late).abs() < 0.004, "{late}: {found}");
         }
+    }
+
+    #[test]
+    fn who_swings_to_and_fro_tells_nothing_since_any_swing_is_like_the_next() {
+        let swing = |t: f64| (5.0 * t).sin();
+        assert_eq!(estimate(1.0, |t| swing(t).abs(), |t| -(5.0 * t).cos() / 5.0), None);
     }
 
     #[test]

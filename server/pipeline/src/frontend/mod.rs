@@ -25,7 +25,7 @@ use extrinsics::ExtrinsicsCheck;
 use motion::{MotionSensors, Prior};
 use nalgebra::{Unit, Vector3};
 use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp};
-use percept_slam::{KeyframePolicy, Odometry, OdometryEstimate, OdometryKind, Scan};
+use percept_slam::{ImuFault, KeyframePolicy, Odometry, OdometryEstimate, OdometryKind, Scan};
 use scale_hints::ScaleHints;
 use sensors::{Sensors, scan_of};
 use std::collections::BTreeMap;
@@ -130,6 +130,11 @@ impl Frontend {
     /// where odometry believes to be.
     pub(crate) fn register(&mut self, view: &View, is_mapped: impl Fn(&Pose) -> bool) -> Registered {
         let (stamp, since) = (view.stamp, self.last_registered);
+        if self.motion.choose_imu(stamp)
+            && let Some(odometry) = &mut self.odometry
+        {
+            odometry.forget_imu();
+        }
         let Prior { motion, has_wheels, imu } = self.motion.prior(since, stamp);
         let kind = match &view.scan {
             Scan::Depth(_) => OdometryKind::Rgbd,
@@ -140,10 +145,10 @@ impl Frontend {
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.odometry.clone()));
         let (t_odom_last, was_tracking) = (*odometry.t_odom_base(), odometry.is_tracking());
         let estimate = odometry.register_with_imu(stamp, &view.scan, motion.as_ref(), imu);
-        let moved = odometry.take_moved();
+        let (moved, num_unbelieved) = (odometry.take_moved(), odometry.num_imu_unbelieved());
         if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking()) {
             let turn = t_odom_last.rotation.inverse() * estimate.t_odom_base.rotation;
-            self.motion.learn(last, stamp, &turn);
+            self.motion.learn((last, stamp), &turn, kind == OdometryKind::Lidar2d, num_unbelieved);
         }
         self.last_registered = Some(stamp);
         self.is_metric = estimate.scale.is_metric();
@@ -182,6 +187,11 @@ impl Frontend {
     /// Seconds by which sensors' stamps are late behind the pose sensor's, as far as that is known.
     pub(crate) fn clock_offsets(&self) -> Arc<BTreeMap<SensorId, f64>> {
         self.motion.clock_offsets()
+    }
+
+    /// What is wrong with IMUs, as far as that is known.
+    pub(crate) fn imu_faults(&self) -> Arc<BTreeMap<SensorId, Vec<ImuFault>>> {
+        self.motion.imu_faults()
     }
 
     /// Sensors that are not mounted as declared, by how far.

@@ -5,18 +5,27 @@ use super::imu_prior::joined;
 use super::odometry_prior::OdometryBuffer;
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use percept_geometry::{SensorData, SensorId, SensorSpec, Timestamp};
-use percept_slam::{ImuBuffer, MotionPrior};
+use percept_slam::{ImuBuffer, ImuFault, MotionPrior};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Offsets of an IMU's clock below this are what finding them is good to, seconds.
 const CLOCK_IS_OFF_S: f64 = 0.01;
 
-/// Samples of wheels and IMUs. Of several the first by name that covers a stretch is believed.
+/// An IMU that has sent nothing for so long gives way to another one, seconds.
+const SILENT_S: f64 = 1.0;
+/// Frames between two looks at what is wrong with IMUs.
+const LOOK_EVERY: u32 = 10;
+
+/// Samples of wheels and IMUs. Of several wheels the first by name that covers a stretch is believed; of several IMUs one is
+/// used until it falls silent, or something is wrong with it and not with another one.
 #[derive(Default)]
 pub(super) struct MotionSensors {
     wheels: BTreeMap<SensorId, OdometryBuffer>,
     imus: BTreeMap<SensorId, ImuBuffer>,
+    used_imu: Option<SensorId>,
+    imu_faults: Arc<BTreeMap<SensorId, Vec<ImuFault>>>,
+    num_learned: u32,
     clocks: ClockOffsets,
     clock_offsets: Arc<BTreeMap<SensorId, f64>>,
 }
@@ -26,7 +35,7 @@ pub(super) struct Prior<'a> {
     pub(super) motion: Option<MotionPrior>,
     /// Whether wheels say something of it.
     pub(super) has_wheels: bool,
-    /// The first by name that covers it, or the first.
+    /// The one in use.
     pub(super) imu: Option<&'a ImuBuffer>,
 }
 
@@ -55,21 +64,57 @@ impl MotionSensors {
     pub(super) fn forget(&mut self, sensor: &SensorId) {
         self.wheels.remove(sensor);
         self.imus.remove(sensor);
+        if self.imu_faults.contains_key(sensor) {
+            Arc::make_mut(&mut self.imu_faults).remove(sensor);
+        }
         self.clocks.forget(sensor);
         self.clock_offsets = Arc::new(self.clocks.found().clone());
     }
 
-    /// What wheels and IMUs say of the motion from one frame, if there was one before, to another.
-    pub(super) fn prior(&self, from: Option<Timestamp>, to: Timestamp) -> Prior<'_> {
-        let wheels = from.and_then(|from| self.wheels.values().find_map(|w| w.between(from, to)));
-        let felt = from.and_then(|from| self.imus.values().find_map(|i| Some((i, i.between(from, to)?))));
-        let imu = felt.as_ref().map(|(imu, _)| *imu).or_else(|| self.imus.values().next());
-        Prior { has_wheels: wheels.is_some(), motion: joined(wheels, felt.map(|(_, turn)| turn)), imu }
+    /// Chooses the IMU for a frame; whether that is another one than before.
+    pub(super) fn choose_imu(&mut self, stamp: Timestamp) -> bool {
+        let rank = |(id, imu): &(&SensorId, &ImuBuffer)| {
+            let is_silent = imu.newest().is_none_or(|newest| stamp.seconds_since(newest) > SILENT_S);
+            let num_faults = self.imu_faults.get(*id).map_or(0, Vec::len);
+            (is_silent, imu.spoils_turns(), !imu.has_proven_turns(), num_faults, self.used_imu.as_ref() != Some(id))
+        };
+        let best = self.imus.iter().min_by_key(rank).map(|(id, _)| id);
+        if best == self.used_imu.as_ref() {
+            return false;
+        }
+        let was_used = self.used_imu.is_some();
+        self.used_imu = best.cloned();
+        was_used
     }
 
-    /// A turn that was measured otherwise tells a gyro's bias, and how far clocks are off.
-    pub(super) fn learn(&mut self, from: Timestamp, to: Timestamp, turn: &UnitQuaternion<f64>) {
-        self.imus.values_mut().for_each(|i| i.learn(from, to, turn));
+    /// What wheels and the chosen IMU say of the motion from one frame, if there was one before, to another.
+    pub(super) fn prior(&self, from: Option<Timestamp>, to: Timestamp) -> Prior<'_> {
+        let wheels = from.and_then(|from| self.wheels.values().find_map(|w| w.between(from, to)));
+        let imu = self.used_imu.as_ref().and_then(|id| self.imus.get(id));
+        // Where wheels tell the turn, too, nothing is lost by waiting until the gyro has shown to be right.
+        let is_welcome = |i: &&ImuBuffer| if wheels.is_some() { i.has_proven_turns() } else { !i.spoils_turns() };
+        let turn = imu.filter(is_welcome).zip(from).and_then(|(i, from)| i.between(from, to));
+        Prior { has_wheels: wheels.is_some(), motion: joined(wheels, turn), imu }
+    }
+
+    /// A turn that was measured otherwise tells a gyro's bias, what is wrong with it, and how far clocks are off. `is_planar`:
+    /// about base's z alone. `num_unbelieved`: for how many frames in a row the IMU in use was of no use.
+    pub(super) fn learn(
+        &mut self,
+        (from, to): (Timestamp, Timestamp),
+        turn: &UnitQuaternion<f64>,
+        is_planar: bool,
+        num_unbelieved: u32,
+    ) {
+        self.imus.values_mut().for_each(|i| i.learn(from, to, turn, is_planar));
+        if let Some(imu) = self.used_imu.as_ref().and_then(|id| self.imus.get_mut(id)) {
+            imu.note_unbelieved(num_unbelieved);
+        }
+        self.num_learned = self.num_learned.wrapping_add(1);
+        if self.num_learned.is_multiple_of(LOOK_EVERY) && !self.imus.is_empty() {
+            let faults = self.imus.iter().map(|(id, imu)| (id.clone(), imu.faults()));
+            self.imu_faults = Arc::new(faults.filter(|(_, faults)| !faults.is_empty()).collect());
+        }
         if self.clocks.turned(from, to, turn.angle()) {
             self.clock_offsets = Arc::new(self.clocks.found().clone());
         }
@@ -77,7 +122,13 @@ impl MotionSensors {
 
     /// The direction against gravity in base, if an IMU was at rest just before a stamp.
     pub(super) fn up(&self, stamp: Timestamp) -> Option<Unit<Vector3<f64>>> {
-        self.imus.values().find_map(|i| i.up(stamp))
+        let used = self.used_imu.as_ref().and_then(|id| self.imus.get(id));
+        used.into_iter().chain(self.imus.values()).find_map(|i| i.up(stamp))
+    }
+
+    /// What is wrong with IMUs, as far as that is known.
+    pub(super) fn imu_faults(&self) -> Arc<BTreeMap<SensorId, Vec<ImuFault>>> {
+        Arc::clone(&self.imu_faults)
     }
 
     /// Seconds by which sensors' stamps are late behind the pose sensor's, as far as that is known.

@@ -1,35 +1,35 @@
 //! The keyframes by number, and where they are in the map. Those that newer ones stand for keep their number and their place,
 //! relative to those.
 
-use crate::{KeyframeInfo, Merged};
+use crate::{Chunks, KeyframeInfo, Merged};
 use percept_geometry::{KeyframeId, Pose};
 use percept_slam::MergedKeyframe;
 use std::collections::BTreeMap;
 use std::ops::Deref;
-use std::sync::Arc;
 
 /// All keyframes by number, merged ones too: trajectories hang on them.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Keyframes(Arc<Vec<KeyframeInfo>>);
+pub(crate) struct Keyframes(Chunks<KeyframeInfo>);
 
 impl Deref for Keyframes {
-    type Target = [KeyframeInfo];
+    type Target = Chunks<KeyframeInfo>;
 
-    fn deref(&self) -> &[KeyframeInfo] {
+    fn deref(&self) -> &Chunks<KeyframeInfo> {
         &self.0
     }
 }
 
 impl Keyframes {
     /// As they were stored; merged ones are put where those are that stand for them.
-    pub(super) fn restored(mut infos: Vec<KeyframeInfo>) -> Self {
-        carry(&mut infos);
-        Self(Arc::new(infos))
+    pub(super) fn restored(infos: Vec<KeyframeInfo>) -> Self {
+        let mut keyframes = Self(infos.into_iter().collect());
+        keyframes.carry();
+        keyframes
     }
 
     /// As they are now, for readers.
-    pub(crate) fn shared(&self) -> Arc<Vec<KeyframeInfo>> {
-        Arc::clone(&self.0)
+    pub(crate) fn shared(&self) -> Chunks<KeyframeInfo> {
+        self.0.clone()
     }
 
     /// A keyframe, if there is one of this number.
@@ -44,7 +44,7 @@ impl Keyframes {
 
     /// Adds one, whose number is [`Self::next_id`].
     pub(super) fn push(&mut self, info: KeyframeInfo) {
-        Arc::make_mut(&mut self.0).push(info);
+        self.0.push(info);
     }
 
     /// Puts keyframes where they are from now on, and lets newer ones stand for merged ones. By what each was moved in the map,
@@ -54,56 +54,68 @@ impl Keyframes {
         t_map_base: &BTreeMap<KeyframeId, Pose>,
         merged: &[MergedKeyframe],
     ) -> (BTreeMap<KeyframeId, Pose>, Vec<(KeyframeInfo, Merged)>) {
-        let infos = Arc::make_mut(&mut self.0);
-        let changed = merge(infos, merged);
+        let changed = self.merge(merged);
         let mut moved: BTreeMap<KeyframeId, Pose> = BTreeMap::new();
         for (id, t_map_base) in t_map_base {
-            let Some(info) = infos.get_mut(id.0 as usize) else { continue };
+            let Some(info) = self.0.get_mut(id.0 as usize) else { continue };
             moved.insert(*id, t_map_base * info.t_map_base.inverse());
             info.t_map_base = *t_map_base;
         }
-        moved.extend(carry(infos));
-        (moved, changed.into_iter().filter_map(|k| Some((infos[k].clone(), infos[k].merged?))).collect())
+        moved.extend(self.carry());
+        let changed = changed.into_iter().filter_map(|k| Some((self.0[k].clone(), self.0[k].merged?)));
+        (moved, changed.collect())
     }
-}
 
-/// Puts merged keyframes where those are that stand for them; what each of them was moved by, in the map.
-fn carry(keyframes: &mut [KeyframeInfo]) -> Vec<(KeyframeId, Pose)> {
-    let mut moved = vec![];
-    for k in 0..keyframes.len() {
-        let Some(merged) = keyframes[k].merged else { continue };
-        let Some(into) = keyframes.get(merged.into.0 as usize).map(|i| i.t_map_base) else { continue };
-        let (t_map_base, before) = (into * merged.t_into_base, keyframes[k].t_map_base);
-        if t_map_base != before {
-            keyframes[k].t_map_base = t_map_base;
-            moved.push((keyframes[k].id, t_map_base * before.inverse()));
+    /// Puts merged keyframes where those are that stand for them; what each of them was moved by, in the map.
+    fn carry(&mut self) -> Vec<(KeyframeId, Pose)> {
+        let carried = |k: &KeyframeInfo| {
+            let merged = k.merged?;
+            let t_map_base = self.of(merged.into)?.t_map_base * merged.t_into_base;
+            (t_map_base != k.t_map_base).then_some((k.id, t_map_base))
+        };
+        let to: Vec<(KeyframeId, Pose)> = self.0.iter().filter_map(carried).collect();
+        let mut moved = vec![];
+        for (id, t_map_base) in to {
+            let Some(info) = self.0.get_mut(id.0 as usize) else { continue };
+            moved.push((id, t_map_base * info.t_map_base.inverse()));
+            info.t_map_base = t_map_base;
         }
+        moved
     }
-    moved
-}
 
-/// Notes which keyframes are merged into which; those that were merged into one that is now merged itself follow. The
-/// numbers of all whose entry changed.
-fn merge(keyframes: &mut [KeyframeInfo], merged: &[MergedKeyframe]) -> Vec<usize> {
-    for m in merged {
-        if let Some(info) = keyframes.get_mut(m.id.0 as usize) {
-            info.merged = Some(Merged { into: m.into, t_into_base: m.t_into_base });
-            info.num_points = 0;
+    /// Notes which keyframes are merged into which; those that were merged into one that is now merged itself follow. The
+    /// numbers of all whose entry changed.
+    fn merge(&mut self, merged: &[MergedKeyframe]) -> Vec<usize> {
+        if merged.is_empty() {
+            return vec![];
         }
-    }
-    let mut changed: Vec<usize> = merged.iter().map(|m| m.id.0 as usize).collect();
-    for k in 0..keyframes.len() {
-        let Some(mut merged) = keyframes[k].merged else { continue };
-        // Newer keyframes stand for older ones, so this ends at one that is alive.
-        while let Some(next) = keyframes.get(merged.into.0 as usize).and_then(|i| i.merged) {
-            merged = Merged { into: next.into, t_into_base: next.t_into_base * merged.t_into_base };
+        for m in merged {
+            if let Some(info) = self.0.get_mut(m.id.0 as usize) {
+                info.merged = Some(Merged { into: m.into, t_into_base: m.t_into_base });
+                info.num_points = 0;
+            }
+        }
+        let mut changed: Vec<usize> = merged.iter().map(|m| m.id.0 as usize).collect();
+        let follow = |(k, info): (usize, &KeyframeInfo)| {
+            let before = info.merged?;
+            let mut merged = before;
+            // Newer keyframes stand for older ones, so this ends at one that is alive.
+            while let Some(next) = self.of(merged.into).and_then(|i| i.merged) {
+                merged = Merged { into: next.into, t_into_base: next.t_into_base * merged.t_into_base };
+            }
+            (merged.into != before.into).then_some((k, merged))
+        };
+        let following: Vec<(usize, Merged)> = self.0.iter().enumerate().filter_map(follow).collect();
+        for (k, merged) in following {
             changed.push(k);
+            if let Some(info) = self.0.get_mut(k) {
+                info.merged = Some(merged);
+            }
         }
-        keyframes[k].merged = Some(merged);
+        changed.sort_unstable();
+        changed.dedup();
+        changed
     }
-    changed.sort_unstable();
-    changed.dedup();
-    changed
 }
 
 #[cfg(test)]

@@ -281,7 +281,7 @@ mod tests {
             num_points: 1,
             merged: None,
         };
-        snapshot.keyframes = Arc::new(vec![keyframe]);
+        snapshot.keyframes = [keyframe].into_iter().collect();
         let mut trajectory = Chunks::default();
         for s in 1..=10 {
             let (stamp, t_anchor_base) = (Timestamp(s * 1_000_000_000), pose(s as f64 - 1.0, 0.0));

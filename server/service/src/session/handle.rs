@@ -248,13 +248,17 @@ impl Session {
     /// Health of every sensor, by name.
     pub fn sensors(&self) -> Vec<SensorStatus> {
         let snapshot = self.snapshot();
-        let with_offsets = |s: &SensorStatus| {
+        let book = lock(&self.book);
+        let is_to_place = self.meta().mode != SessionMode::IngestOnly;
+        let no_pose = book.no_pose(&snapshot.params.slam.pose_sensor).filter(|_| is_to_place);
+        let with_findings = |s: &SensorStatus| {
             let id = &s.declaration.spec.id;
             let clock_offset_s = snapshot.clock_offsets.get(id).copied();
             let mount_offset = snapshot.mount_offsets.get(id).copied();
-            SensorStatus { clock_offset_s, mount_offset, ..s.clone() }
+            let imu_faults = snapshot.imu_faults.get(id).cloned().unwrap_or_default();
+            SensorStatus { clock_offset_s, mount_offset, imu_faults, no_pose, ..s.clone() }
         };
-        lock(&self.book).all().map(with_offsets).collect()
+        book.all().map(with_findings).collect()
     }
 
     /// Frames waiting.
@@ -310,7 +314,9 @@ impl Session {
     pub(crate) async fn submit(&self, frame: Box<SensorFrame>) -> Result<Submitted> {
         self.check_storing()?;
         self.check_sensor(&frame.sensor)?;
-        if let Err(implausible) = check_stamp(frame.stamp) {
+        // Not within the condition, whose lock would be held while the refusal is counted.
+        let before_ns = lock(&self.book).ahead_ns(&frame.sensor);
+        if let Err(implausible) = check_stamp(frame.stamp, before_ns) {
             self.rejected(&frame.sensor);
             return Err(implausible);
         }

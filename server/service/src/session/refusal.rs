@@ -33,19 +33,36 @@ const MOST_AHEAD_NS: i64 = 3600 * 1_000_000_000;
 /// 2026-01-01: a server whose clock is behind this has not been told the time, and judges nobody's.
 const CLOCK_IS_SET_NS: i64 = 1_767_225_600 * 1_000_000_000;
 
-/// Refuses stamps from the future: a sensor's stamps have to grow, so that one of them would end it.
-pub(super) fn check_stamp(stamp: Timestamp) -> crate::Result<()> {
-    let now_ns = crate::ops::sessions::now_ns();
-    let ahead_ns = stamp.nanos().saturating_sub(now_ns);
-    if now_ns < CLOCK_IS_SET_NS || ahead_ns <= MOST_AHEAD_NS {
+/// A sensor's stamps that leap ahead of the server's clock by more than this, which they were not before, are a slip.
+const MOST_LEAP_NS: i64 = 60 * 1_000_000_000;
+
+/// How far a stamp is ahead of the server's clock, nanoseconds; negative behind it.
+pub(super) fn ahead_ns(stamp: Timestamp) -> i64 {
+    stamp.nanos().saturating_sub(crate::ops::sessions::now_ns())
+}
+
+/// Refuses stamps from the future: a sensor's stamps have to grow, so that one of them would end it. `before_ns`: how far its
+/// last was ahead of the server's clock when it came.
+pub(super) fn check_stamp(stamp: Timestamp, before_ns: Option<i64>) -> crate::Result<()> {
+    let ahead_ns = ahead_ns(stamp);
+    let leap_ns = before_ns.map_or(0, |before_ns| ahead_ns.saturating_sub(before_ns));
+    let is_slip = ahead_ns > MOST_LEAP_NS && leap_ns > MOST_LEAP_NS;
+    let is_told_the_time = crate::ops::sessions::now_ns() >= CLOCK_IS_SET_NS;
+    if !is_told_the_time || (ahead_ns <= MOST_AHEAD_NS && !is_slip) {
         return Ok(());
     }
-    let words = format!(
-        "stamp_ns is {}, {:.1} hours ahead of the server's clock; at most one is allowed; send nanoseconds since 1970, and \
-         set the clocks (SyncTime measures their offset)",
-        stamp.nanos(),
-        ahead_ns as f64 / 3.6e12
-    );
+    let (sent, ahead_s, leap_s) = (stamp.nanos(), ahead_ns as f64 / 1e9, leap_ns as f64 / 1e9);
+    let words = match ahead_ns <= MOST_AHEAD_NS {
+        true => format!(
+            "stamp_ns is {sent}, {ahead_s:.0} s ahead of the server's clock, {leap_s:.0} s more than the sensor's last was; \
+             send the time of measuring; if the sensor's clock was set, declare it under another name"
+        ),
+        false => format!(
+            "stamp_ns is {sent}, {:.1} hours ahead of the server's clock; at most one is allowed; send nanoseconds since \
+             1970, and set the clocks (SyncTime measures their offset)",
+            ahead_s / 3600.0
+        ),
+    };
     Err(Error::invalid(reason::STAMP_IMPLAUSIBLE, "stamp_ns", words))
 }
 
@@ -68,8 +85,9 @@ fn not_increasing(stamp: Timestamp, last: Timestamp) -> Error {
         return Error::invalid(reason::STAMP_NOT_INCREASING, "stamp_ns", words);
     }
     let words = format!(
-        "stamp_ns is {sent}, {back_s:.1} s before the sensor's last, {newest}; if its clock was set back, declare the sensor \
-         under another name with time_offset_s {:.1}, so that the session's time goes on",
+        "stamp_ns is {sent}, {back_s:.1} s before the sensor's last, {newest}; if that one was wrong, declare the sensor under \
+         another name; if the robot's clock was set back, declare each of its sensors under another name with time_offset_s \
+         {:.1}, so that the session's time goes on",
         back_s + 1.0
     );
     Error::invalid(reason::CLOCK_SET_BACK, "stamp_ns", words)

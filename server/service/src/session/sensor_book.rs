@@ -1,9 +1,10 @@
 //! What the session sees of each sensor's stream.
 
 use super::meta::SensorDeclaration;
+use super::refusal::ahead_ns;
 use super::verdict::Verdict;
 use percept_geometry::{SensorId, Timestamp};
-use percept_pipeline::MountOffset;
+use percept_pipeline::{ImuFault, MountOffset};
 use std::collections::{BTreeMap, VecDeque};
 
 /// Stamps kept to tell the rate.
@@ -30,6 +31,19 @@ pub struct SensorStatus {
     pub clock_offset_s: Option<f64>,
     /// How far its mount is off, if what it sees contradicts the pose sensor's map.
     pub mount_offset: Option<MountOffset>,
+    /// What is wrong with an IMU, as far as the frames that it went with tell.
+    pub imu_faults: Vec<ImuFault>,
+    /// Why the session cannot have a pose, as far as its sensors tell.
+    pub no_pose: Option<NoPose>,
+}
+
+/// Why a session cannot have a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NoPose {
+    /// No sensor is declared that sees anything.
+    NothingSees,
+    /// The one that is to move the pose is not declared, or sees nothing.
+    WantedIsAbsent,
 }
 
 impl SensorStatus {
@@ -45,6 +59,8 @@ impl SensorStatus {
             last_stamp,
             clock_offset_s: None,
             mount_offset: None,
+            imu_faults: Vec::new(),
+            no_pose: None,
         }
     }
 
@@ -64,6 +80,8 @@ struct Entry {
     /// The newest frames, oldest first.
     tickets: VecDeque<(Timestamp, u64)>,
     last_sequence: u64,
+    /// How far the newest stamp was ahead of the server's clock when it was taken in, nanoseconds.
+    ahead_ns: Option<i64>,
 }
 
 /// All sensors of a session.
@@ -78,7 +96,7 @@ impl SensorBook {
         // What was taken in before a restart is durable.
         let tickets = last_stamp.map(|stamp| (stamp, 0)).into_iter().collect();
         let status = SensorStatus::unseen(declaration, last_stamp);
-        self.entries.insert(id, Entry { status, stamps: VecDeque::new(), tickets, last_sequence: 0 });
+        self.entries.insert(id, Entry { status, stamps: VecDeque::new(), tickets, last_sequence: 0, ahead_ns: None });
     }
 
     /// Changes the declaration of a sensor that goes on: what was counted stays.
@@ -97,6 +115,21 @@ impl SensorBook {
         self.entries.values().map(|e| &e.status)
     }
 
+    /// How far a sensor's newest stamp was ahead of the server's clock when it was taken in, nanoseconds.
+    pub(crate) fn ahead_ns(&self, id: &SensorId) -> Option<i64> {
+        self.entries.get(id)?.ahead_ns
+    }
+
+    /// Why there cannot be a pose, if `wanted` (empty for any) is to move it.
+    pub(crate) fn no_pose(&self, wanted: &str) -> Option<NoPose> {
+        let sees = |s: &SensorStatus| s.declaration.spec.kind.can_move_the_pose();
+        if !wanted.is_empty() {
+            let is_there = self.get(&SensorId(wanted.to_owned())).is_some_and(sees);
+            return (!is_there).then_some(NoPose::WantedIsAbsent);
+        }
+        (!self.all().any(sees)).then_some(NoPose::NothingSees)
+    }
+
     /// The ticket of a frame that was taken in not long ago.
     pub(crate) fn ticket_of(&self, id: &SensorId, stamp: Timestamp) -> Option<u64> {
         let tickets = &self.entries.get(id)?.tickets;
@@ -113,6 +146,7 @@ impl SensorBook {
         let Some(entry) = self.entries.get_mut(id) else { return };
         entry.status.accepted += 1;
         entry.status.last_stamp = Some(stamp);
+        entry.ahead_ns = Some(ahead_ns(stamp));
         entry.tickets.push_back((stamp, ticket));
         if entry.tickets.len() > TICKETS {
             entry.tickets.pop_front();

@@ -3,6 +3,7 @@
 //! At rest the accelerometer says which way is up; the gyro's bias is learned from the frames that were placed.
 
 use super::GRAVITY;
+use super::faults::{ImuCheck, ImuFault};
 use crate::odometry::MotionPrior;
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use percept_geometry::sensor::ImuSample;
@@ -70,6 +71,7 @@ pub struct ImuBuffer {
     interval_s: f64,
     /// The newest sample as the sensor gave it, and for how many samples in a row each number has been the same.
     last: Option<([f64; 6], [u32; 6])>,
+    check: ImuCheck,
 }
 
 impl ImuBuffer {
@@ -78,6 +80,8 @@ impl ImuBuffer {
         if self.readings.back().is_some_and(|r| r.stamp >= stamp) {
             return;
         }
+        let since = self.readings.back().map_or(0.0, |r| stamp.seconds_since(r.stamp));
+        self.check.felt(sample.linear_acceleration.norm(), since);
         self.p_base_imu = t_base_sensor.translation.vector;
         let run = self.note_repeats(sample);
         let reading = Reading {
@@ -153,7 +157,7 @@ impl ImuBuffer {
     }
 
     /// Stamp of the newest sample.
-    pub(crate) fn newest(&self) -> Option<Timestamp> {
+    pub fn newest(&self) -> Option<Timestamp> {
         self.readings.back().map(|r| r.stamp)
     }
 
@@ -185,10 +189,37 @@ impl ImuBuffer {
         })
     }
 
-    /// Learns the bias from a turn that was measured otherwise.
-    pub fn learn(&mut self, from: Timestamp, to: Timestamp, r_prev_now: &UnitQuaternion<f64>) {
+    /// What is wrong with the IMU, as far as that is known; empty if nothing is.
+    pub fn faults(&self) -> Vec<ImuFault> {
+        self.check.faults()
+    }
+
+    /// Whether the turns that it feels are known to be of no use.
+    pub fn spoils_turns(&self) -> bool {
+        self.check.spoils_turns()
+    }
+
+    /// Whether the turns that it feels have shown to be those of the robot.
+    pub fn has_proven_turns(&self) -> bool {
+        self.check.has_proven_turns()
+    }
+
+    /// An odometry that was given the samples made no use of them in so many frames in a row.
+    pub fn note_unbelieved(&mut self, num_frames: u32) {
+        self.check.num_unbelieved = num_frames;
+    }
+
+    /// Learns the bias from a turn that was measured otherwise, and whether samples agree with it. `is_planar`: it was
+    /// measured about base's z alone.
+    pub fn learn(&mut self, from: Timestamp, to: Timestamp, r_prev_now: &UnitQuaternion<f64>, is_planar: bool) {
         let dt = to.seconds_since(from);
-        let Some((_, mean)) = self.turn(from, to).filter(|_| dt > 1e-3) else { return };
+        let Some((_, mean)) = self.turn(from, to).filter(|_| dt > 1e-3) else {
+            if let Some(newest) = self.newest() {
+                self.check.uncovered(to.seconds_since(newest).max(0.0));
+            }
+            return;
+        };
+        self.check.turned(&((mean - self.bias) * dt), r_prev_now, is_planar);
         let off = mean - r_prev_now.scaled_axis() / dt;
         // A frame placed wrongly, or a fast turn with a scale error: no bias.
         if off.norm() > 0.2 {
@@ -326,7 +357,7 @@ mod tests {
             imu.push(at(0.01 * f64::from(i)), &sample(turning + bias), &Pose::identity());
             if i > 0 && i % 10 == 0 {
                 let r = UnitQuaternion::from_scaled_axis(turning * 0.1);
-                imu.learn(at(0.01 * f64::from(i - 10)), at(0.01 * f64::from(i)), &r);
+                imu.learn(at(0.01 * f64::from(i - 10)), at(0.01 * f64::from(i)), &r, false);
             }
         }
         let turn = imu.between(at(8.0), at(9.0)).unwrap().t_prev_now.rotation.scaled_axis();

@@ -17,16 +17,9 @@ pub(crate) struct GyroCheck {
     gyro: f64,
     assumed: f64,
     num: usize,
-    /// Whether it has to prove itself first.
-    is_on_trial: bool,
 }
 
 impl GyroCheck {
-    /// Of a gyro that another one was before: as far as is known it is mounted wrongly.
-    pub(crate) fn on_trial() -> Self {
-        Self { is_on_trial: true, ..Self::default() }
-    }
-
     /// Turns since the frame before: as the gyro felt it, at a constant rate, and as the frame was placed.
     pub(crate) fn compare(
         &mut self,
@@ -43,13 +36,15 @@ impl GyroCheck {
         self.assumed += weight * (assumed.angle_to(now) - self.assumed);
     }
 
-    /// Whether its turns are worth being a prior: until they have shown that they are not, or once they have shown that they are,
-    /// if it is on trial. One that was wrong may come back: it is compared on.
+    /// Whether it has not yet shown what it is worth.
+    pub(crate) fn is_on_trial(&self) -> bool {
+        self.num < ENOUGH
+    }
+
+    /// Whether its turns are worth being a prior: once they have shown that they are. One that was wrong may come back: it is
+    /// compared on. Believed at once, one that is mounted otherwise spoils the first frames of the map for good.
     pub(crate) fn is_believed(&self) -> bool {
-        if self.num < ENOUGH {
-            return !self.is_on_trial;
-        }
-        self.gyro <= BETTER.0 * self.assumed + BETTER.1
+        !self.is_on_trial() && self.gyro <= BETTER.0 * self.assumed + BETTER.1
     }
 }
 
@@ -71,6 +66,6 @@ mod tests {
             noisy.compare(&turn(Vector3::new(0.02, 0.02, 1.02), angle), &assumed, &now);
         }
         assert!(!wrong.is_believed() && noisy.is_believed());
-        assert!(GyroCheck::default().is_believed() && !GyroCheck::on_trial().is_believed());
+        assert!(!GyroCheck::default().is_believed() && GyroCheck::default().is_on_trial());
     }
 }

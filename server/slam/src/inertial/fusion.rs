@@ -22,7 +22,7 @@ const VELOCITY: (f64, f64) = (0.3, 0.2);
 const ACCEL_BIAS: f64 = 0.2;
 /// Forces that differ from gravity by more than this share of it tell no direction: the body is shaken, or they are in another
 /// unit than m/s^2. Those that differ less tell it to this angle, radians, and as much as they differ.
-const SHAKEN: f64 = 0.3;
+pub(super) const SHAKEN: f64 = 0.3;
 const DIRECTION: f64 = 0.05;
 /// What registrations of frames in a row have in common, because they share a local model, metres and radians.
 const IN_COMMON: (f64, f64) = (0.003, 0.001);
@@ -111,6 +111,8 @@ pub(crate) struct Inertial {
     num_compared: usize,
     /// Running mean of the squared error in standard deviations, by axis.
     surprise: f64,
+    /// Placed frames in a row in which samples led worse than constant velocity did, whatever was forgotten in between.
+    num_unbelieved: u32,
 }
 
 impl Inertial {
@@ -126,7 +128,7 @@ impl Inertial {
         (self.motion, self.expected) = (None, None);
         let (imu, from) = (imu?, from?);
         if self.p_base_imu != imu.p_base_imu() {
-            *self = Self { p_base_imu: imu.p_base_imu(), ..Self::default() };
+            *self = Self { p_base_imu: imu.p_base_imu(), num_unbelieved: self.num_unbelieved, ..Self::default() };
         }
         let readings = imu.sound_stretch(from, to)?;
         let (gyro_bias, accel_bias) = match &self.window {
@@ -175,10 +177,11 @@ impl Inertial {
     /// The current frame was placed. Where base is by all that is known, if the IMU is believed.
     pub(crate) fn placed(&mut self, imu: Option<&ImuBuffer>, frame: &PlacedFrame<'_>) -> Option<Pose> {
         let Some(imu) = imu else {
-            self.forget();
+            *self = Self::default();
             return None;
         };
         let was_believed = self.is_believed && self.expected.is_some();
+        self.num_unbelieved = if self.is_believed { 0 } else { self.num_unbelieved.saturating_add(1) };
         let (t, r) = (IN_COMMON.0 * IN_COMMON.0, IN_COMMON.1 * IN_COMMON.1);
         let floor = Matrix6::from_diagonal(&Vector6::new(t, t, t, r, r, r));
         let seen = frame.seen.blurred(&floor);
@@ -226,7 +229,13 @@ impl Inertial {
 
     /// The pose jumped: nothing leads from what was known to what will be.
     pub(crate) fn forget(&mut self) {
-        *self = Self { p_base_imu: self.p_base_imu, ..Self::default() };
+        let (p_base_imu, num_unbelieved) = (self.p_base_imu, self.num_unbelieved);
+        *self = Self { p_base_imu, num_unbelieved, ..Self::default() };
+    }
+
+    /// For how many frames in a row the IMU has been of no use.
+    pub(crate) fn num_unbelieved(&self) -> u32 {
+        self.num_unbelieved
     }
 
     /// A frame's place as the body's.

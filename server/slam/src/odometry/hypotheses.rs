@@ -15,6 +15,9 @@ const POOR: f64 = 0.7;
 /// Wheels that differ so much from the velocity before, in one frame, are doubted: metres and radians.
 const SUDDEN: (f64, f64) = (0.15, 0.15);
 
+/// Turns of a gyro and of the motion before that differ by less lead to the same place, radians.
+const ALIKE: f64 = 0.01;
+
 /// A prior whose position has a larger variance than this leaves the translation open, m^2.
 pub(super) const UNKNOWN_VARIANCE: f64 = 1e4;
 
@@ -97,6 +100,28 @@ impl Odometry {
         match (measured, self.place(dt, &assumed)) {
             (Ok(a), Ok(b)) => Ok(if b.inlier_ratio > 1.02 * a.inlier_ratio { b } else { a }),
             (measured, assumed) => measured.or_else(|reason| assumed.map_err(|_| reason)),
+        }
+    }
+
+    /// A gyro of which nothing is known yet may be the only one that leads to the frame, or be mounted otherwise: its turn is tried
+    /// beside the motion before, and wins if it fits better.
+    pub(super) fn place_or_try_gyro(
+        &mut self,
+        dt: f64,
+        prediction: &Prediction,
+        gyro: &MotionPrior,
+        found: Result<Match, LostReason>,
+    ) -> Result<Match, LostReason> {
+        let led = self.predict(dt, Some(gyro));
+        if led.t_odom_base.rotation.angle_to(&prediction.t_odom_base.rotation) < ALIKE {
+            return found;
+        }
+        match (found, self.place(dt, &led)) {
+            (Err(_), Ok(b)) => Ok(b),
+            (Ok(a), Ok(b)) if b.inlier_ratio > 1.02 * a.inlier_ratio => Ok(b),
+            // The model's view of the winner is what its frame is fused with.
+            (Ok(_), _) => self.place(dt, prediction),
+            (Err(reason), Err(_)) => Err(reason),
         }
     }
 

@@ -186,6 +186,7 @@ impl Odometry {
         // Wheels tell the way better than inertia does.
         let imu = imu.filter(|_| !self.limits.is_planar && !prior.is_some_and(MotionPrior::tells_the_way));
         let turned = prior.filter(|p| !p.tells_the_way()).map(|p| p.t_prev_now.rotation);
+        let on_trial = prior.filter(|p| !p.tells_the_way() && self.gyro.is_on_trial());
         let prior = prior.filter(|p| p.tells_the_way() || self.gyro.is_believed());
         let prediction = self.predict_with_imu(stamp, dt, scan, prior, imu);
         self.last_stamp = Some(stamp);
@@ -204,7 +205,12 @@ impl Odometry {
         if self.model.is_empty() {
             return self.start(stamp, &prediction);
         }
-        let found = self.place_or_search(dt, &prediction).map(|found| self.sharpen(dt, scan, &sweep_velocity, found));
+        let found = self.place_or_search(dt, &prediction);
+        let found = match on_trial.filter(|_| prediction.inertial.is_none()) {
+            Some(gyro) => self.place_or_try_gyro(dt, &prediction, gyro, found),
+            None => found,
+        };
+        let found = found.map(|found| self.sharpen(dt, scan, &sweep_velocity, found));
         if let Ok(found) = &found {
             match &prediction.inertial {
                 Some(e) => self.uncertainty.carried(&found.degenerate_axes, &e.pose_covariance().diagonal()),
@@ -304,8 +310,13 @@ impl Odometry {
 
     /// What was learned of an IMU does not hold any more: it is mounted otherwise, or another one. It has to prove itself again.
     pub fn forget_imu(&mut self) {
-        self.inertial.forget();
-        self.gyro = GyroCheck::on_trial();
+        self.inertial = Inertial::default();
+        self.gyro = GyroCheck::default();
+    }
+
+    /// In how many placed frames in a row the IMU that it was given predicted worse than constant velocity did.
+    pub fn num_imu_unbelieved(&self) -> u32 {
+        self.inertial.num_unbelieved()
     }
 
     /// Whether the newest frame was placed.

@@ -69,7 +69,7 @@ fn followed_over_a_restart(simulation: &Simulation, imu: Option<&Spoil>, restart
                 let before = *odometry.t_odom_base();
                 let e = odometry.register_with_imu(f.frame.stamp, &scan, prior.as_ref(), imu.map(|_| &buffer));
                 if let Some(last) = last.filter(|_| e.state.is_tracking()) {
-                    buffer.learn(last, f.frame.stamp, &(before.rotation.inverse() * e.t_odom_base.rotation));
+                    buffer.learn(last, f.frame.stamp, &(before.rotation.inverse() * e.t_odom_base.rotation), false);
                 }
                 last = Some(f.frame.stamp);
                 if off.len() % 4 == 0 {

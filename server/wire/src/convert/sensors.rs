@@ -9,6 +9,7 @@ use percept_geometry::{
     CameraIntrinsics, DepthImage, Distortion, LaserScan, RgbImage, SensorData, SensorFrame, SensorId, SensorKind,
     SensorSpec, Timestamp,
 };
+use percept_pipeline::ImuFault;
 use percept_service::reason;
 use percept_service::{
     Error, IncomingFrame, Limits, OverloadPolicy, Result, SensorDeclaration, SensorStatus, StreamTrouble, Verdict,
@@ -178,6 +179,15 @@ fn trouble_to(trouble: &StreamTrouble) -> v1::StreamTrouble {
         StreamTrouble::Gaps { .. } => K::Gaps,
         StreamTrouble::ClockOffset { .. } => K::ClockOffset,
         StreamTrouble::MountOffset { .. } => K::MountOffset,
+        StreamTrouble::Imu { fault, .. } => match fault {
+            ImuFault::Uncovered { .. } => K::SamplesMissing,
+            ImuFault::ForceUnlikeGravity { .. } => K::ForceUnlikeGravity,
+            ImuFault::TurnsScaled { .. } | ImuFault::TurnsAboutOtherAxes { .. } | ImuFault::TurnsUnlike { .. } => {
+                K::TurnsUnlike
+            }
+            ImuFault::Misleading => K::Misleading,
+        },
+        StreamTrouble::NoPose(_) => K::NoPose,
     };
     v1::StreamTrouble { kind: kind.into(), message: trouble.to_string() }
 }
