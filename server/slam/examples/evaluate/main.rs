@@ -2,7 +2,7 @@
 //!
 //! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person] [--sift]`,
 //! `rgbd-sizes WIDTHxHEIGHT SEED SEED ...`, `looks DIR` (as `rgbd`), `unrelated DIR DIR ...` (images),
-//! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
+//! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `handheld DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
 //! `lidar-sim spinning|rosette [name=value ...]`, `planar-sim [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`,
 //! `graph FILE [name=value ...]`.
 
@@ -41,6 +41,7 @@ fn main() -> Result<(), Failure> {
         "mono-sim" => camera::simulated(&args[2..]),
         "kitti-tracking" => kitti_tracking(path),
         "kitti-pair" => kitti_pair(path),
+        "handheld" => handheld(path),
         "submaps" => places::submaps(path, args.get(3).map(Path::new)),
         "graph" => graphs::compare(path, &args[3..]),
         "lidar-sim" => simulated::lidar(&args[2..]),
@@ -164,6 +165,34 @@ fn kitti_tracking(dir: &Path) -> Result<(), Failure> {
         let d = a.inverse() * b;
         println!("end off by {:.4} m, {:.3} deg", d.translation.vector.norm(), d.rotation.angle().to_degrees());
     }
+    Ok(())
+}
+
+/// Clouds, and a `groundtruth.tum` whose rows are theirs in order.
+fn handheld(dir: &Path) -> Result<(), Failure> {
+    let mut files: Vec<_> =
+        std::fs::read_dir(dir.join("clouds"))?.map(|f| Ok(f?.path())).collect::<Result<_, Failure>>()?;
+    files.sort();
+    let rows = std::fs::read_to_string(dir.join("groundtruth.tum"))?;
+    let rows = rows.lines().filter(|l| !l.starts_with('#') && !l.trim().is_empty());
+    let (mut run, mut truth) = (Run::new(OdometryKind::Lidar3d), vec![]);
+    for (file, row) in files.iter().zip(rows) {
+        let n: Vec<f64> = row.split_whitespace().map(str::parse).collect::<Result<_, _>>()?;
+        let [stamp, x, y, z, qx, qy, qz, qw] = n[..] else { return Err(format!("{row}: not eight numbers").into()) };
+        truth.push(Pose::from_parts(
+            nalgebra::Translation3::new(x, y, z),
+            nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(qw, qx, qy, qz)),
+        ));
+        let cloud = Arc::new(read::pcd_xyzi(file)?);
+        run.step(
+            Timestamp::from_secs_f64(stamp),
+            &Scan::Cloud(CloudScan { cloud, t_base_sensor: Pose::identity() }),
+            None,
+        );
+    }
+    let estimate: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base).collect();
+    run.report();
+    measure::report(&truth, &estimate);
     Ok(())
 }
 

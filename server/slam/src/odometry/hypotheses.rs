@@ -64,7 +64,7 @@ impl Odometry {
 
     /// Places a frame; a planar scan that fits nowhere near is looked for wherever a robot can be by now, and is believed to be
     /// where it fits as scans usually do.
-    pub(super) fn place_or_search(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+    pub(super) fn place_or_search(&self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
         let found = self.place_or_doubt(dt, prediction);
         let is_poor = !found.as_ref().is_ok_and(|m| m.inlier_ratio >= POOR * self.usual_inlier_ratio);
         let reach_s = self.unplaced_s + dt;
@@ -86,7 +86,7 @@ impl Odometry {
 
     /// Wheels that slip or lag shall not lose what the scan alone can place: where they fail, or say what the motion
     /// before does not lead to, that is tried as well, and wins if it fits better.
-    fn place_or_doubt(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+    fn place_or_doubt(&self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
         let measured = self.place(dt, prediction);
         if !prediction.is_measured || !self.limits.is_planar {
             return measured;
@@ -106,7 +106,7 @@ impl Odometry {
     /// A gyro of which nothing is known yet may be the only one that leads to the frame, or be mounted otherwise: its turn is tried
     /// beside the motion before, and wins if it fits better.
     pub(super) fn place_or_try_gyro(
-        &mut self,
+        &self,
         dt: f64,
         prediction: &Prediction,
         gyro: &MotionPrior,
@@ -119,14 +119,12 @@ impl Odometry {
         match (found, self.place(dt, &led)) {
             (Err(_), Ok(b)) => Ok(b),
             (Ok(a), Ok(b)) if b.inlier_ratio > 1.02 * a.inlier_ratio => Ok(b),
-            // The model's view of the winner is what its frame is fused with.
-            (Ok(_), _) => self.place(dt, prediction),
-            (Err(reason), Err(_)) => Err(reason),
+            (found, _) => found,
         }
     }
 
     /// Tries the prediction and, if that fails or fits worse than usual, the last pose; the better is taken.
-    pub(super) fn place(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+    pub(super) fn place(&self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
         let predicted = self.try_from(dt, prediction);
         let sound = |m: &Match| m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio;
         let t_still_predicted = self.t_odom_base.inverse() * prediction.t_odom_base;
@@ -143,13 +141,9 @@ impl Odometry {
             false => Err(LostReason::ResidualTooLarge),
         });
         match (predicted, still) {
-            (Ok(a), Ok(b)) if b.inlier_ratio <= 1.02 * a.inlier_ratio => {
-                // The model's view of the winner is what its frame is fused with.
-                self.try_from(dt, prediction).or(Ok(a))
-            }
-            (_, Ok(b)) => Ok(b),
-            (Ok(_), Err(_)) => self.try_from(dt, prediction),
-            (Err(reason), Err(_)) => Err(self.with_gap(dt, reason)),
+            (Ok(a), Ok(b)) => Ok(if b.inlier_ratio > 1.02 * a.inlier_ratio { b } else { a }),
+            (Err(_), Ok(b)) => Ok(b),
+            (predicted, Err(_)) => predicted.map_err(|reason| self.with_gap(dt, reason)),
         }
     }
 
@@ -185,7 +179,7 @@ impl Odometry {
         self.try_from(dt, &again).unwrap_or(found)
     }
 
-    fn try_from(&mut self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+    fn try_from(&self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
         let found = self.model.register(prediction)?;
         self.plausible(dt, found)
     }
@@ -225,7 +219,7 @@ impl Odometry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::odometry::{LocalModel, OdometryKind, OdometryParams};
+    use crate::odometry::{Found, LocalModel, OdometryKind, OdometryParams};
     use crate::scan::CloudScan;
     use percept_geometry::{KeyframeScan, PointCloud, Timestamp};
     use std::sync::Arc;
@@ -245,7 +239,7 @@ mod tests {
         fn is_empty(&self) -> bool {
             self.is_empty
         }
-        fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason> {
+        fn register(&self, prediction: &Prediction) -> Result<Match, LostReason> {
             let is_before = prediction.t_odom_base.translation.vector.norm() < 0.01;
             Ok(Match {
                 t_odom_base: prediction.t_odom_base,
@@ -254,6 +248,8 @@ mod tests {
                 rmse_m: 0.001,
                 iterations: 1,
                 degenerate_axes: [is_before && self.is_open_ahead, false, false, false, false, false],
+                told: None,
+                found: Found::PoseAlone,
             })
         }
         fn is_certain(&self, _: &Match) -> bool {

@@ -21,7 +21,7 @@ use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use hypotheses::UNKNOWN_VARIANCE;
-pub(crate) use model::{LocalModel, Match, Prediction};
+pub(crate) use model::{Found, LocalModel, Match, Prediction};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use params::MotionLimits;
 pub use params::{OdometryKind, OdometryParams, TrackingParams};
@@ -220,11 +220,12 @@ impl Odometry {
         let is_guessed = self.uncertainty.guessed().contains(&true);
         match found.and_then(|found| if is_guessed { Err(LostReason::Degenerate) } else { Ok(found) }) {
             Ok(found) => {
+                self.model.believe(&found, &prediction.t_odom_base);
                 // What inertia led to is no proof of the gyro, which is a part of it.
                 if let Some(turned) = turned.filter(|_| self.num_lost == 0 && prediction.inertial.is_none()) {
                     let assumed = self.predict(dt, None).t_odom_base.rotation;
                     // A frame lies near where it was expected: with a wrong turn it looks as if that were right.
-                    let alone = self.model.seen().map_or(found.t_odom_base, |seen| seen.alone());
+                    let alone = found.told.as_ref().map_or(found.t_odom_base, |told| told.alone());
                     let since = |now: &UnitQuaternion<f64>| self.t_odom_base.rotation.inverse() * now;
                     self.gyro.compare(&turned, &since(&assumed), &since(&alone.rotation));
                 }
@@ -271,11 +272,11 @@ impl Odometry {
 
     /// What the frame's place tells of the IMU, and what that tells of the place.
     fn fuse(&mut self, stamp: Timestamp, dt: f64, found: Match, imu: Option<&ImuBuffer>) -> Match {
-        let Some(seen) = self.model.seen() else { return found };
+        let Some(seen) = &found.told else { return found };
         let assumed = self.predict(dt, None).t_odom_base;
         let way = found.t_odom_base.translation.vector - self.t_odom_base.translation.vector;
         let velocity = if dt > 1e-4 { way / dt } else { Vector3::zeros() };
-        let frame = PlacedFrame { stamp, seen: &seen, assumed: &assumed, velocity };
+        let frame = PlacedFrame { stamp, seen, assumed: &assumed, velocity };
         match self.inertial.placed(imu, &frame) {
             Some(t_odom_base) => Match { t_odom_base, ..found },
             None => found,

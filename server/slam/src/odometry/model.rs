@@ -1,6 +1,6 @@
 //! What a method brings: a local model that frames are placed in.
 
-use super::{mono, rgbd};
+use super::{lidar3d, mono, rgbd};
 use crate::inertial::{Curve, Expected, Registration};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
@@ -31,7 +31,7 @@ impl Prediction {
     }
 }
 
-/// A frame placed in the local model.
+/// A frame placed in the local model: one of several tries, perhaps, of which one is believed.
 #[derive(Debug, Clone)]
 pub(crate) struct Match {
     pub(crate) t_odom_base: Pose,
@@ -41,6 +41,22 @@ pub(crate) struct Match {
     pub(crate) rmse_m: f64,
     pub(crate) iterations: usize,
     pub(crate) degenerate_axes: [bool; 6],
+    /// What it told by itself, of base, without what was predicted; none where a method does not know.
+    pub(crate) told: Option<Registration>,
+    /// What the method found beside the pose.
+    pub(crate) found: Found,
+}
+
+/// What a method finds beside the pose, and needs again when the frame goes into its model.
+#[derive(Debug, Clone, Default)]
+pub(crate) enum Found {
+    /// Nothing.
+    #[default]
+    PoseAlone,
+    /// How base moved during a sweep, and how that was found.
+    Sweep(lidar3d::SweepFound),
+    /// The model as it was seen from where a depth image was expected, and what moves in that.
+    View(Arc<rgbd::ViewFound>),
 }
 
 /// What a method brings: a local model that frames are placed in and then added to.
@@ -51,23 +67,23 @@ pub(crate) trait LocalModel: Send {
     fn prepare(&mut self, scan: &Scan, velocity: &Vector6<f64>) -> Result<(), LostReason>;
     /// Whether there is nothing to register against.
     fn is_empty(&self) -> bool;
-    /// Places the current frame.
-    fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason>;
+    /// Places the current frame. Changes nothing: of several tries only the one that is believed reaches the model, by
+    /// [`LocalModel::believe`].
+    fn register(&self, prediction: &Prediction) -> Result<Match, LostReason>;
+    /// The current frame lies there, and was expected at a pose in odom: what that teaches the method, before the frame is
+    /// added.
+    fn believe(&mut self, _placed: &Match, _t_odom_expected: &Pose) {}
     /// Whether the current frame, placed after a time without any, fits so well that it can hardly be elsewhere.
-    fn is_certain(&self, _found: &Match) -> bool {
+    fn is_certain(&self, _placed: &Match) -> bool {
         true
     }
-    /// Base's velocity (m/s, rad/s) while the current frame was taken, where placing it has found that too.
+    /// Base's velocity (m/s, rad/s) while the current frame was taken, where placing frames finds that too.
     fn sweep_velocity(&self) -> Option<Vector6<f64>> {
         None
     }
     /// How base moved while the current frame was taken, where an IMU felt it: that, and the velocity (m/s, rad/s) by which
     /// placing the frame corrected it.
     fn sweep_curve(&self) -> Option<(Arc<Curve>, Vector6<f64>)> {
-        None
-    }
-    /// What placing the current frame told by itself, of base, without what was predicted; none where a method does not know.
-    fn seen(&self) -> Option<Registration> {
         None
     }
     /// Adds the current frame at its pose.

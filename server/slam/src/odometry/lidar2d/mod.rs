@@ -181,7 +181,7 @@ impl LocalModel for Lidar2d {
         self.kept.is_empty()
     }
 
-    fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason> {
+    fn register(&self, prediction: &Prediction) -> Result<Match, LostReason> {
         let center = planar(&prediction.t_odom_base);
         let c = &prediction.covariance;
         let variances = [c[(0, 0)].max(c[(1, 1)]), c[(5, 5)]].map(|v| v.max(1e-6));

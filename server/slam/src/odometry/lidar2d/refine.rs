@@ -5,7 +5,7 @@
 
 use super::field::Field;
 use super::sweep::Hit;
-use crate::odometry::{Match, Prediction};
+use crate::odometry::{Found, Match, Prediction};
 use crate::tracking::LostReason;
 use nalgebra::{Isometry2, Matrix3, Point2, Vector2, Vector3};
 use percept_geometry::{Covariance6, Pose, se3};
@@ -92,6 +92,8 @@ pub(crate) fn refine(
         iterations,
         // z, roll and pitch are assumed, not measured, and not open either.
         degenerate_axes: [axes[0], axes[1], false, false, false, axes[5]],
+        told: None,
+        found: Found::PoseAlone,
     })
 }
 

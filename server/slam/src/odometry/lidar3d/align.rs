@@ -9,7 +9,7 @@
 use super::sweep::{Motion, Sweep};
 use super::voxels::{Gaussian, Levels, Shape};
 use crate::inertial::Registration;
-use crate::odometry::{Match, Prediction};
+use crate::odometry::{Found, Match, Prediction};
 use crate::tracking::LostReason;
 use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
 use percept_geometry::{Pose, se3};
@@ -398,6 +398,8 @@ fn judge(
         rmse_m: e.rmse(),
         iterations,
         degenerate_axes: degeneracy.axes,
+        told: None,
+        found: Found::PoseAlone,
     })
 }
 

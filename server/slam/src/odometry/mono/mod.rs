@@ -349,7 +349,7 @@ impl LocalModel for Mono {
         !self.tracker.has_map()
     }
 
-    fn register(&mut self, _: &Prediction) -> Result<Match, LostReason> {
+    fn register(&self, _: &Prediction) -> Result<Match, LostReason> {
         Err(LostReason::UnsuitableScan)
     }
 

@@ -8,7 +8,7 @@ use super::frame::{Frame, Rigid32, Vertex};
 use super::noise::sigma;
 use super::photometric::Photometric;
 use super::surfels::{View, pixel};
-use crate::odometry::Match;
+use crate::odometry::{Found, Match};
 use crate::tracking::LostReason;
 use nalgebra::{Matrix3, Matrix6, Vector6};
 use percept_geometry::{CameraIntrinsics, Covariance6, Pose, se3};
@@ -203,6 +203,8 @@ fn judge(
         rmse_m: e.rmse() * noise,
         iterations,
         degenerate_axes: open_axes(problem, degeneracy, &covariance),
+        told: None,
+        found: Found::PoseAlone,
     })
 }
 

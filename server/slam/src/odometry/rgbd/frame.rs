@@ -50,18 +50,6 @@ impl Frame {
         out
     }
 
-    /// Makes what was marked as moving valid again.
-    pub(crate) fn unmark(&mut self) {
-        let marked = self.vertices.iter_mut().filter(|v| v.p.z < 0.0);
-        if marked.fold(0, |n, v| {
-            v.p *= -1.0;
-            n + 1
-        }) > 0
-        {
-            self.measure();
-        }
-    }
-
     /// Counts the valid vertices and where they are.
     pub(crate) fn measure(&mut self) {
         let (mut n, mut range, mut sum, mut squares) = (0usize, 0f64, Vector3::zeros(), 0f64);

@@ -16,7 +16,7 @@ mod surfels;
 mod window;
 
 use crate::inertial::Registration;
-use crate::odometry::{LocalModel, Match, Prediction};
+use crate::odometry::{Found, LocalModel, Match, Prediction};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
@@ -129,23 +129,27 @@ type Pending = (Pose, Arc<KeyframeScan>);
 pub(crate) struct Rgbd {
     params: RgbdParams,
     preparer: Preparer,
-    frame: Frame,
+    frame: Arc<Frame>,
     surfels: Surfels,
-    view: View,
-    /// Whether `view` was rendered for the frame that is to be fused.
-    viewed: bool,
+    /// How the current frame was placed, once that is believed.
+    placed: Option<Arc<ViewFound>>,
     t_base_camera: Pose,
     registration: ColorRegistration,
     /// Where colour was last compared with depth.
     t_odom_compared: Option<Pose>,
     pending: Vec<Pending>,
     window: Window,
-    /// What moves by itself in the current frame.
+}
+
+/// The model as it was seen from where a frame was expected, and the frame in it.
+#[derive(Debug)]
+pub(crate) struct ViewFound {
+    view: View,
+    /// With what moves by itself marked as not valid.
+    frame: Arc<Frame>,
     moving: Moving,
-    /// Of the newest placement, right perturbation in the camera.
-    placement: Covariance6,
-    /// What it told by itself, of base.
-    seen: Option<Registration>,
+    /// Of where the frame was placed, right perturbation in the camera.
+    covariance: Covariance6,
 }
 
 impl Rgbd {
@@ -153,18 +157,14 @@ impl Rgbd {
         Self {
             params,
             preparer: Preparer::default(),
-            frame: Frame::default(),
+            frame: Arc::default(),
             surfels: Surfels::default(),
-            view: View::default(),
-            viewed: false,
+            placed: None,
             t_base_camera: Pose::identity(),
             registration: ColorRegistration::default(),
             t_odom_compared: None,
             pending: vec![],
             window: Window::default(),
-            moving: Moving::default(),
-            placement: Covariance6::zeros(),
-            seen: None,
         }
     }
 
@@ -199,60 +199,74 @@ impl Rgbd {
 
     /// Whether the frame was found from hardly any prediction and contradicts the model there: with enough freedom the
     /// surfaces of one place fit another's.
-    fn is_guesswork(&self, camera: &CameraIntrinsics, prediction: &Covariance6, t_odom_camera: &Pose) -> bool {
+    fn is_guesswork(
+        &self,
+        camera: &CameraIntrinsics,
+        view: &View,
+        prediction: &Covariance6,
+        t_odom_camera: &Pose,
+    ) -> bool {
         let is_unsure = (0..3).any(|k| prediction[(k, k)] > SURE_M * SURE_M);
-        let t_view_camera = self.view.t_odom_view.inv_mul(t_odom_camera);
+        let t_view_camera = view.t_odom_view.inv_mul(t_odom_camera);
         is_unsure && {
-            let (wrong, all) = moving::contradictions(&self.frame, &self.view, camera, &t_view_camera);
+            let (wrong, all) = moving::contradictions(&self.frame, view, camera, &t_view_camera);
             wrong as f64 > MAX_WRONG * all as f64
         }
     }
 
-    /// Where the frame is by what keeps still in it, `found` by all of it.
+    /// Where the frame is by what keeps still in it, `found` by all of it; and the frame with what moves marked.
     ///
     /// What moves may have taken the pose along, and then the room seems to move. So it is sought twice, as seen from the
     /// pose found and from the prediction, and the pose is taken by which less of the frame contradicts the model.
     fn without_moving(
-        &mut self,
+        &self,
         camera: &CameraIntrinsics,
+        view: &View,
         covariance: Covariance6,
         found: Match,
-    ) -> Result<Match, LostReason> {
-        if !self.mark(camera, &found.t_odom_base).is_any {
-            return Ok(found);
+    ) -> Result<(Match, Arc<Frame>, Moving), LostReason> {
+        let marked = |t_odom_camera: &Pose| {
+            let t_view_camera = view.t_odom_view.inv_mul(t_odom_camera);
+            let marked = moving::mark(&self.frame, view, camera, &t_view_camera);
+            marked.map(|(frame, moving)| (Arc::new(frame), moving))
+        };
+        let unmarked = || (Arc::clone(&self.frame), Moving::default());
+        if marked(&found.t_odom_base).is_none() {
+            let (frame, moving) = unmarked();
+            return Ok((found, frame, moving));
         }
         let mut best: Option<(usize, Match)> = None;
-        for start in [self.view.t_odom_view, found.t_odom_base] {
-            self.mark(camera, &start);
-            let Ok(first) = self.align(camera, covariance) else { continue };
-            self.mark(camera, &first.t_odom_base);
-            let Ok(second) = self.align(camera, covariance) else { continue };
-            let t_view_camera = self.view.t_odom_view.inv_mul(&second.t_odom_base);
-            let (wrong, _) = moving::contradictions(&self.frame, &self.view, camera, &t_view_camera);
+        for start in [view.t_odom_view, found.t_odom_base] {
+            let (still, _) = marked(&start).unwrap_or_else(unmarked);
+            let Ok(first) = self.align(camera, &still, view, covariance) else { continue };
+            let (still, _) = marked(&first.t_odom_base).unwrap_or_else(unmarked);
+            let Ok(second) = self.align(camera, &still, view, covariance) else { continue };
+            let t_view_camera = view.t_odom_view.inv_mul(&second.t_odom_base);
+            let (wrong, _) = moving::contradictions(&self.frame, view, camera, &t_view_camera);
             if best.as_ref().is_none_or(|b| 2 * wrong < b.0) {
                 best = Some((wrong, second));
             }
         }
         let (_, best) = best.ok_or(LostReason::ResidualTooLarge)?;
-        self.mark(camera, &best.t_odom_base);
-        Ok(best)
+        let (frame, moving) = marked(&best.t_odom_base).unwrap_or_else(unmarked);
+        Ok((best, frame, moving))
     }
 
-    fn mark(&mut self, camera: &CameraIntrinsics, t_odom_camera: &Pose) -> &Moving {
-        let t_view_camera = self.view.t_odom_view.inv_mul(t_odom_camera);
-        self.moving = moving::mark(&mut self.frame, &self.view, camera, &t_view_camera);
-        &self.moving
-    }
-
-    /// Places what is valid of the frame in the view, with the camera's covariance of the prediction.
-    fn align(&self, camera: &CameraIntrinsics, covariance: Covariance6) -> Result<Match, LostReason> {
+    /// Places what is valid of a frame in the view, with the camera's covariance of the prediction.
+    fn align(
+        &self,
+        camera: &CameraIntrinsics,
+        frame: &Frame,
+        view: &View,
+        covariance: Covariance6,
+    ) -> Result<Match, LostReason> {
         align(&Problem {
-            frame: &self.frame,
-            view: &self.view,
+            frame,
+            view,
             camera,
             start: Pose::identity(),
-            photometric: Some(self.photometric(camera))
-                .filter(|_| self.is_lit() && self.view.textured.len() > MIN_POINTS),
+            photometric: Some(self.photometric(camera, view))
+                .filter(|_| self.is_lit() && view.textured.len() > MIN_POINTS),
             covariance,
             r_base_camera: *self.t_base_camera.rotation.to_rotation_matrix().matrix(),
             requirements: Requirements {
@@ -266,9 +280,9 @@ impl Rgbd {
     }
 
     /// The brightness of the model's view against the frame's.
-    fn photometric(&self, camera: &CameraIntrinsics) -> Photometric<'_> {
+    fn photometric<'a>(&'a self, camera: &CameraIntrinsics, view: &'a View) -> Photometric<'a> {
         let color = self.registration.camera(camera);
-        Photometric { intensity: &self.frame.intensity, color, points: &self.view.textured }
+        Photometric { intensity: &self.frame.intensity, color, points: &view.textured }
     }
 
     /// Whether the frame came with an image that shows something.
@@ -288,11 +302,10 @@ impl Rgbd {
 impl LocalModel for Rgbd {
     fn prepare(&mut self, scan: &Scan, _velocity: &Vector6<f64>) -> Result<(), LostReason> {
         let Scan::Depth(scan) = scan else { return Err(LostReason::UnsuitableScan) };
-        (self.viewed, self.seen) = (false, None);
-        self.moving = Moving::default();
+        self.placed = None;
         self.t_base_camera = scan.t_base_sensor;
         let depth = (self.params.min_depth_m as f32, self.params.max_depth_m as f32);
-        self.preparer.prepare(scan, self.params.max_width_px, depth, &mut self.frame);
+        self.preparer.prepare(scan, self.params.max_width_px, depth, Arc::make_mut(&mut self.frame));
         self.plant();
         let needed = self.params.min_valid_ratio * self.frame.vertices.len() as f64;
         if (self.frame.num_valid as f64) < needed.max(200.0) { Err(LostReason::TooFewPoints) } else { Ok(()) }
@@ -302,42 +315,44 @@ impl LocalModel for Rgbd {
         self.surfels.is_empty()
     }
 
-    fn register(&mut self, prediction: &Prediction) -> Result<Match, LostReason> {
+    fn register(&self, prediction: &Prediction) -> Result<Match, LostReason> {
         let Some(camera) = self.preparer.pinhole else { return Err(LostReason::TooFewPoints) };
-        self.surfels.render(&camera, &(prediction.t_odom_base * self.t_base_camera), &mut self.view);
-        (self.viewed, self.seen) = (true, None);
+        let mut view = View::default();
+        self.surfels.render(&camera, &(prediction.t_odom_base * self.t_base_camera), &mut view);
         // The prediction's covariance in the camera: exp(xi_base) t_base_camera = t_base_camera exp(xi_camera).
         let ad = se3::adjoint(&self.t_base_camera.inverse());
         let covariance = ad * prediction.covariance * ad.transpose();
-        self.frame.unmark();
-        self.moving = Moving::default();
-        let found = self.align(&camera, covariance)?;
-        let found = self.without_moving(&camera, covariance, found)?;
-        if self.moving.share > MAX_MOVING || self.is_guesswork(&camera, &prediction.covariance, &found.t_odom_base) {
+        let placed = self.align(&camera, &self.frame, &view, covariance)?;
+        let (placed, frame, moving) = self.without_moving(&camera, &view, covariance, placed)?;
+        let is_guesswork = || self.is_guesswork(&camera, &view, &prediction.covariance, &placed.t_odom_base);
+        if moving.share > MAX_MOVING || is_guesswork() {
             return Err(LostReason::ResidualTooLarge);
         }
-        self.placement = found.covariance;
         let back = se3::adjoint(&self.t_base_camera);
-        let found = Match {
-            t_odom_base: found.t_odom_base * self.t_base_camera.inverse(),
-            covariance: back * found.covariance * back.transpose(),
-            ..found
+        let found = ViewFound { view, frame, moving, covariance: placed.covariance };
+        let placed = Match {
+            t_odom_base: placed.t_odom_base * self.t_base_camera.inverse(),
+            covariance: back * placed.covariance * back.transpose(),
+            found: Found::View(Arc::new(found)),
+            ..placed
         };
-        self.seen = by_itself(&found, prediction);
-        Ok(found)
+        Ok(Match { told: by_itself(&placed, prediction), ..placed })
     }
 
-    fn seen(&self) -> Option<Registration> {
-        self.seen.clone()
+    fn believe(&mut self, placed: &Match, _t_odom_expected: &Pose) {
+        if let Found::View(found) = &placed.found {
+            self.placed = Some(Arc::clone(found));
+        }
     }
 
-    fn is_certain(&self, found: &Match) -> bool {
-        let Some(camera) = self.preparer.pinhole else { return false };
-        let t_view_camera = self.view.t_odom_view.inv_mul(&(found.t_odom_base * self.t_base_camera));
-        let (wrong, all) = moving::contradictions(&self.frame, &self.view, &camera, &t_view_camera);
-        let valid = self.frame.num_valid as f64;
+    fn is_certain(&self, placed: &Match) -> bool {
+        let (Some(camera), Found::View(found)) = (self.preparer.pinhole, &placed.found) else { return false };
+        let ViewFound { view, frame, .. } = &**found;
+        let t_view_camera = view.t_odom_view.inv_mul(&(placed.t_odom_base * self.t_base_camera));
+        let (wrong, all) = moving::contradictions(frame, view, &camera, &t_view_camera);
+        let valid = frame.num_valid as f64;
         // Bare surfaces of one room fit another's, as they are and turned about.
-        let looks_alike = || self.photometric(&camera).correlation(&self.frame, &camera, &t_view_camera);
+        let looks_alike = || self.photometric(&camera, view).correlation(frame, &camera, &t_view_camera);
         all as f64 > MIN_MET * valid
             && (wrong as f64) < MAX_WRONG_AFTER_GAP * all as f64
             && (!self.is_lit() || looks_alike().is_some_and(|c| c > MIN_ALIKE))
@@ -348,19 +363,22 @@ impl LocalModel for Rgbd {
         let t_odom_camera = t_odom_base * self.t_base_camera;
         self.compare_color(&t_odom_camera);
         let Some(camera) = self.preparer.pinhole else { return };
-        let view = self.viewed.then_some((&self.view, &camera));
         let color = self.registration.camera(&camera);
-        if self.viewed {
-            self.surfels.cover(&self.view, &self.moving.covered);
+        let placed = self.placed.as_deref();
+        if let Some(placed) = placed {
+            self.surfels.cover(&placed.view, &placed.moving.covered);
         }
-        self.surfels.fuse(&self.frame, &t_odom_camera, view, &color, &limits);
+        let frame = placed.map_or(&self.frame, |placed| &placed.frame);
+        self.surfels.fuse(frame, &t_odom_camera, placed.map(|p| (&p.view, &camera)), &color, &limits);
     }
 
     fn refine(&mut self, t_odom_base: &Pose) -> Option<Pose> {
         let camera = self.preparer.pinhole?;
         let t_odom_camera = t_odom_base * self.t_base_camera;
         let color = self.registration.camera(&camera);
-        let placed = Placed { frame: &self.frame, camera: &camera, color, t_odom_camera, covariance: self.placement };
+        let found = self.placed.as_deref()?;
+        let placed =
+            Placed { frame: &found.frame, camera: &camera, color, t_odom_camera, covariance: found.covariance };
         let moved = self.window.consider(&placed);
         self.surfels.follow(&moved);
         self.surfels.anchor_to(self.window.newest());
@@ -376,7 +394,7 @@ impl LocalModel for Rgbd {
         self.surfels.clear();
         self.pending.clear();
         self.window.clear();
-        self.viewed = false;
+        self.placed = None;
     }
 
     fn seed(&mut self, _t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)]) {

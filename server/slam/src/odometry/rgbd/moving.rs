@@ -24,17 +24,19 @@ const REACH: f32 = 0.5;
 /// What was found to move.
 #[derive(Debug, Default)]
 pub(crate) struct Moving {
-    /// Whether anything was.
-    pub(crate) is_any: bool,
     /// Pixels of the view in front of whose surfaces something stands.
     pub(crate) covered: Vec<u32>,
     /// Share of the frame's valid vertices.
     pub(crate) share: f64,
 }
 
-/// Marks what moves in the frame, seen from `t_view_camera`, as not valid; what was marked before is looked at anew.
-pub(crate) fn mark(frame: &mut Frame, view: &View, camera: &CameraIntrinsics, t_view_camera: &Pose) -> Moving {
-    frame.unmark();
+/// The frame, seen from `t_view_camera`, with what moves in it marked as not valid; none if nothing does.
+pub(crate) fn mark(
+    frame: &Frame,
+    view: &View,
+    camera: &CameraIntrinsics,
+    t_view_camera: &Pose,
+) -> Option<(Frame, Moving)> {
     let t = Rigid32::from(t_view_camera);
     let meets: Vec<Meeting> = frame.vertices.iter().map(|v| meet(v, view, camera, &t)).collect();
     let mut gone = vec![false; view.vertices.len()];
@@ -50,7 +52,7 @@ pub(crate) fn mark(frame: &mut Frame, view: &View, camera: &CameraIntrinsics, t_
     only_dense(&mut seeds, frame.width);
     let count = |s: &[bool]| s.iter().filter(|s| **s).count();
     if FEWEST * (count(&seeds) + count(&gone)) < seeds.len() {
-        return Moving::default();
+        return None;
     }
     // What was seen through has gone, and the rest of it went, too: what lies on it now is what moves.
     let in_front = seeds.iter().zip(&meets).filter(|(seed, _)| **seed).filter_map(|(_, m)| m.pixel());
@@ -63,10 +65,11 @@ pub(crate) fn mark(frame: &mut Frame, view: &View, camera: &CameraIntrinsics, t_
     }
     let keeps_still = |m: &Meeting| matches!(*m, Meeting::On(at) if view.is_established(at) && !gone[at]);
     grow(&mut seeds, &frame.vertices, frame.width, |i| !keeps_still(&meets[i]));
-    let before = frame.num_valid;
-    frame.vertices.iter_mut().zip(&seeds).filter(|(_, s)| **s).for_each(|(v, _)| v.p *= -1.0);
-    frame.measure();
-    Moving { is_any: true, covered, share: 1.0 - frame.num_valid as f64 / before.max(1) as f64 }
+    let mut marked = frame.clone();
+    marked.vertices.iter_mut().zip(&seeds).filter(|(_, s)| **s).for_each(|(v, _)| v.p *= -1.0);
+    marked.measure();
+    let share = 1.0 - marked.num_valid as f64 / frame.num_valid.max(1) as f64;
+    Some((marked, Moving { covered, share }))
 }
 
 /// How a vertex lies to what the model has at its pixel of the view.
