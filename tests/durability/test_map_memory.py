@@ -14,8 +14,8 @@ from support.server import Server, binary
 DRIVE = ("--duration-s", "240", "--sensors", "lidar2d", "--rooms", "4", "--seed", "5")
 
 
-def driven(folder, monkeypatch, max_map_mb: int):
-    monkeypatch.setenv("PERCEPT_LIMITS_MAX_MAP_MB", str(max_map_mb))
+def driven(folder, monkeypatch, max_session_memory_mb: int):
+    monkeypatch.setenv("PERCEPT_LIMITS_MAX_SESSION_MEMORY_MB", str(max_session_memory_mb))
     server = Server(folder / "data")
     try:
         command = [binary(), "sim", "--server", server.grpc, "--session", "robot", *DRIVE]

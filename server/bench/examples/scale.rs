@@ -142,14 +142,15 @@ struct Shelf {
     file: File,
     /// Offset and length by name, and the end.
     places: Mutex<(Vec<(u64, usize)>, u64)>,
+    max_bytes: usize,
 }
 
 impl Shelf {
-    fn new() -> Result<Self, Failure> {
+    fn new(max_bytes: usize) -> Result<Self, Failure> {
         let path = std::env::temp_dir().join(format!("percept-scale-{}", std::process::id()));
         let file = File::options().read(true).write(true).create_new(true).open(&path)?;
         std::fs::remove_file(&path)?;
-        Ok(Self { file, places: Mutex::default() })
+        Ok(Self { file, max_bytes, places: Mutex::default() })
     }
 }
 
@@ -171,6 +172,10 @@ impl MapStore for Shelf {
         let mut bytes = vec![0; length];
         self.file.read_exact_at(&mut bytes, offset).ok()?;
         Some(bytes)
+    }
+
+    fn max_bytes(&self) -> usize {
+        self.max_bytes
     }
 }
 
@@ -215,7 +220,7 @@ fn run(args: &Args) -> Result<(), Failure> {
         num_keyframes: Arc::clone(&num_keyframes),
     }));
     if let Some(megabytes) = args.budget_mb {
-        pipeline.set_map_store(Arc::new(Shelf::new()?), megabytes * 1_000_000);
+        pipeline.set_map_store(Arc::new(Shelf::new(megabytes * 1_000_000)?));
     }
     simulation.sensors().into_iter().for_each(|s| pipeline.declare_sensor(s));
     let mut session = Session {
@@ -318,10 +323,10 @@ impl Session {
         self.first_batch += batches.len();
         let took = batches.iter().map(|b| b.0).sum::<f64>();
         let worst = batches.iter().copied().fold((0.0, 0), |a, b| if b.0 > a.0 { b } else { a });
-        let (snapshot, memory) = (self.pipeline.snapshot(), self.pipeline.map_memory());
+        let (snapshot, memory) = (self.pipeline.snapshot(), self.pipeline.memory());
         let [found, active, wrong] = self.loops(&snapshot);
         println!(
-            "{tenth:2}: frame ms p50 {:.1} p99 {:.1} worst {:.1} ({:.1} {:.1} {:.1}); beside: {:.0} ms in {} batches, worst {:.0} at {} keyframes; MB {:.0}: scans {:.1} layers {:.1} tiles {:.1}; keyframes {} submaps {}; loops {found} active {active} false {wrong}; ATE {:.3} m, worst {:.3}",
+            "{tenth:2}: frame ms p50 {:.1} p99 {:.1} worst {:.1} ({:.1} {:.1} {:.1}); beside: {:.0} ms in {} batches, worst {:.0} at {} keyframes; MB {:.0}: scans {:.1} layers {:.1} tiles {:.1} places {:.1} graph {:.1} odometry {:.1}; keyframes {} submaps {}; loops {found} active {active} false {wrong}; ATE {:.3} m, worst {:.3}",
             computed(0.5),
             computed(0.99),
             computed(1.0),
@@ -333,9 +338,12 @@ impl Session {
             worst.0,
             worst.1,
             rss_mb(),
-            memory.scans as f64 / 1e6,
-            memory.layers as f64 / 1e6,
-            memory.tiles as f64 / 1e6,
+            memory.map.scans as f64 / 1e6,
+            memory.map.layers as f64 / 1e6,
+            memory.map.tiles as f64 / 1e6,
+            memory.places as f64 / 1e6,
+            memory.graph as f64 / 1e6,
+            memory.odometry as f64 / 1e6,
             snapshot.living_keyframes().count(),
             self.pipeline.submaps().len(),
             self.error(&snapshot).0,

@@ -85,7 +85,8 @@ pub struct Map {
     shown: MapLayers,
     store: Option<Arc<dyn MapStore>>,
     fetched: Arc<Fetched>,
-    max_bytes: usize,
+    /// What the caller keeps beside the map.
+    beside_bytes: usize,
 }
 
 impl Map {
@@ -116,7 +117,7 @@ impl Map {
             shown: MapLayers::empty(&params),
             store: None,
             fetched: Arc::default(),
-            max_bytes: usize::MAX,
+            beside_bytes: 0,
         })
     }
 

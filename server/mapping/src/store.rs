@@ -12,6 +12,8 @@ pub trait MapStore: std::fmt::Debug + Send + Sync {
     fn put(&self, bytes: &[u8]) -> Option<BlobId>;
     /// The bytes of a name, whole; none if they are gone or damaged.
     fn get(&self, id: &BlobId) -> Option<Vec<u8>>;
+    /// Bytes that the map, and what the caller keeps beside it, may take in memory now. May change: others need memory, too.
+    fn max_bytes(&self) -> usize;
 }
 
 /// What a map takes in memory, by part, bytes.

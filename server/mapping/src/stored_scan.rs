@@ -125,6 +125,10 @@ mod tests {
         fn get(&self, _: &BlobId) -> Option<Vec<u8>> {
             self.0.lock().unwrap().last().cloned()
         }
+
+        fn max_bytes(&self) -> usize {
+            usize::MAX
+        }
     }
 
     fn scan(has_channels: bool) -> KeyframeScan {

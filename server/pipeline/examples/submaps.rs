@@ -15,6 +15,7 @@ use percept_pipeline::{Executor, Pipeline, PipelineParams, Snapshot};
 use percept_scene::{Object, ObjectState};
 use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
 use std::collections::{BTreeMap, HashSet};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 type Failure = Box<dyn std::error::Error>;
@@ -66,8 +67,8 @@ fn measure() -> Result<(), Failure> {
             let params = SimParams { world, sensors, duration_s: Some(seconds), seed, ..SimParams::default() };
             let simulation = Simulation::new(params)?;
             if let Some(megabytes) = arg(6) {
-                let bytes = megabytes.parse::<usize>()? * 1_000_000;
-                run.pipeline.set_map_store(Arc::clone(&run.shelf) as Arc<dyn MapStore>, bytes);
+                run.shelf.max_bytes.store(megabytes.parse::<usize>()? * 1_000_000, Ordering::Relaxed);
+                run.pipeline.set_map_store(Arc::clone(&run.shelf) as Arc<dyn MapStore>);
             }
             simulation.sensors().into_iter().for_each(|s| run.pipeline.declare_sensor(s));
             simulation.frames().for_each(|f| run.frame(&f.frame));
@@ -85,6 +86,7 @@ fn measure() -> Result<(), Failure> {
 struct Shelf {
     blobs: Mutex<BTreeMap<BlobId, Vec<u8>>>,
     scans: Mutex<BTreeMap<KeyframeId, Arc<KeyframeScan>>>,
+    max_bytes: AtomicUsize,
 }
 
 impl MapStore for Shelf {
@@ -98,6 +100,10 @@ impl MapStore for Shelf {
 
     fn get(&self, id: &BlobId) -> Option<Vec<u8>> {
         self.blobs.lock().ok()?.get(id).cloned()
+    }
+
+    fn max_bytes(&self) -> usize {
+        self.max_bytes.load(Ordering::Relaxed)
     }
 }
 
@@ -143,7 +149,7 @@ impl Run {
             scans.extend(report.keyframe.iter().chain(&report.joined).map(|k| (k.info.id, Arc::clone(&k.scan))));
         }
         if report.keyframe.is_some() {
-            self.most_bytes = self.most_bytes.max(self.pipeline.map_memory().total());
+            self.most_bytes = self.most_bytes.max(self.pipeline.memory().map.total());
         }
         if report.map.corrected.is_empty() {
             return;
@@ -225,7 +231,7 @@ impl Run {
         self.milliseconds.sort_by(f64::total_cmp);
         let at =
             |q: f64| self.milliseconds.get(((self.milliseconds.len() - 1) as f64 * q) as usize).copied().unwrap_or(0.0);
-        let (snapshot, memory) = (self.pipeline.snapshot(), self.pipeline.map_memory());
+        let (snapshot, memory) = (self.pipeline.snapshot(), self.pipeline.memory().map);
         println!(
             "{} frames, ms p50 {:.1} p99 {:.1} max {:.1}; {} keyframes in {} submaps, {} corrections; MB: scans {:.1} layers {:.1} tiles {:.1}, at most {:.1} together",
             self.milliseconds.len(),

@@ -25,4 +25,4 @@ pub use params::{DetectionSettings, ParamsError, PipelineParams, SlamParams};
 pub use percept_slam::{ImuFault, Loop, LoopId, LoopState};
 pub use pipeline::{FrameReport, Pipeline, may_change};
 pub use restored::{Restored, RestoredContent, RestoredKeyframe};
-pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, Snapshot, TrajectoryEntry};
+pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, SessionMemory, Snapshot, TrajectoryEntry};

@@ -14,11 +14,11 @@ use crate::frontend::{Frontend, Keyframe, Registered, Unanchored, View};
 use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
 use crate::scene::Scene;
 use crate::{
-    Executor, FrameError, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, PoseEstimate, Snapshot,
-    TrajectoryEntry,
+    Executor, FrameError, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, PoseEstimate, SessionMemory,
+    Snapshot, TrajectoryEntry,
 };
 use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec};
-use percept_mapping::{MapMemory, MapStore, Submap};
+use percept_mapping::{MapStore, Submap};
 use percept_scene::ObjectChange;
 use percept_slam::{OdometryEstimate, OdometryKind};
 use std::sync::Arc;
@@ -34,6 +34,8 @@ pub struct Pipeline {
     scene: Scene,
     /// Where the robot is now.
     pose: Option<PoseEstimate>,
+    /// As counted at the newest keyframe; the map counts itself.
+    memory: SessionMemory,
 }
 
 impl Pipeline {
@@ -48,6 +50,7 @@ impl Pipeline {
             map_graph: MapGraph::new(&params)?,
             scene: Scene::new(&params)?,
             pose: None,
+            memory: SessionMemory::default(),
             params: Arc::new(params),
         })
     }
@@ -156,8 +159,13 @@ impl Pipeline {
         let is_sparse = keyframe.kind == SensorKind::Camera;
         let stamp = keyframe.scan.stamp;
         let keyframe = self.map_graph.add(keyframe, || self.frontend.up(stamp), before_joined);
+        self.count_memory();
         let changes = self.scene.observe(&self.map_graph.map().layers(), &keyframe, is_sparse);
         (keyframe, changes)
+    }
+
+    fn count_memory(&mut self) {
+        self.memory = self.map_graph.take_memory(self.frontend.memory_bytes());
     }
 
     fn extend_trajectory(
@@ -192,20 +200,14 @@ impl Pipeline {
         }
     }
 
-    /// What map, keyframes and trajectory take, bytes. What odometry and loop closing hold beside them is not counted.
-    pub fn memory_bytes(&self) -> usize {
-        let trajectory = self.map_graph.trajectory().len() * size_of::<TrajectoryEntry>();
-        self.map_memory().total() + trajectory + self.map_graph.keyframes().len() * size_of::<KeyframeInfo>()
+    /// What is kept in memory, by part: of the map now, of the rest as counted at the newest keyframe.
+    pub fn memory(&self) -> SessionMemory {
+        SessionMemory { map: self.map_graph.map().memory(), ..self.memory }
     }
 
-    /// What the map takes, by part.
-    pub fn map_memory(&self) -> MapMemory {
-        self.map_graph.map().memory()
-    }
-
-    /// Sets where submaps go that are not in memory, and how many bytes the map may take before they do.
-    pub fn set_map_store(&mut self, store: Arc<dyn MapStore>, max_bytes: usize) {
-        self.map_graph.set_store(store, max_bytes);
+    /// Sets where submaps go that are not in memory, which says how many bytes all of [`Self::memory`] may take before they do.
+    pub fn set_map_store(&mut self, store: Arc<dyn MapStore>) {
+        self.map_graph.set_store(store);
     }
 
     /// The submaps that the map is made of, in the order in which they were begun.
@@ -227,7 +229,7 @@ impl Pipeline {
             trajectory: graph.trajectory().shared(),
             keyframes: graph.keyframes().shared(),
             layers: map.layers(),
-            map_memory: map.memory(),
+            memory: self.memory(),
             clock_offsets: self.frontend.clock_offsets(),
             mount_offsets: self.frontend.mount_offsets(),
             imu_faults: self.frontend.imu_faults(),

@@ -82,6 +82,26 @@ pub struct TrajectoryEntry {
     pub is_keyframe: bool,
 }
 
+/// What a session takes in memory, by part, bytes, about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SessionMemory {
+    /// What keyframes saw, submaps' layers, composed tiles.
+    pub map: MapMemory,
+    /// What places are known by.
+    pub places: usize,
+    /// Keyframes, what ties them, and trajectory.
+    pub graph: usize,
+    /// The local model that frames are placed in.
+    pub odometry: usize,
+}
+
+impl SessionMemory {
+    /// All of it.
+    pub fn total(&self) -> usize {
+        self.map.total() + self.places + self.graph + self.odometry
+    }
+}
+
 /// A session's state at one moment. Shares what did not change with the ones before.
 #[derive(Debug, Clone)]
 pub struct Snapshot {
@@ -95,8 +115,8 @@ pub struct Snapshot {
     pub keyframes: Chunks<KeyframeInfo>,
     /// Occupancy and cloud.
     pub layers: MapLayers,
-    /// What the map takes in memory.
-    pub map_memory: MapMemory,
+    /// What the session takes in memory.
+    pub memory: SessionMemory,
     /// Seconds by which sensors' stamps are late behind the pose sensor's, beyond their declared `time_offset_s`: IMUs and
     /// wheels, once the robot has turned enough to tell.
     pub clock_offsets: Arc<BTreeMap<SensorId, f64>>,

@@ -60,11 +60,12 @@ pub struct Limits {
     /// Time that a session stays in memory unused before it is put to sleep, seconds; the next use wakes it.
     pub sleep_after_s: usize,
     /// Memory of this process from which on sessions are put to sleep that were not used for the longest time, MiB; 0:
-    /// half of the machine's.
+    /// half of the machine's. Where all are in use each has to do with less, until it is enough.
     pub max_memory_mb: usize,
-    /// Memory of one session's map, MiB: what keyframes saw, submaps, and what is composed of them. Beyond it submaps far from
-    /// the robot go to a file in the data directory, or where the system has temporary files, and come back when needed.
-    pub max_map_mb: usize,
+    /// Memory of one session, MiB: what keyframes saw, submaps, what is composed of them, places, graph, local model. Beyond it
+    /// submaps far from the robot go to a file in the data directory, or where the system has temporary files, and come back when
+    /// needed. What is not of the map stays, and so does the submap that the robot is in.
+    pub max_session_memory_mb: usize,
     /// Memory of messages and bodies under way, bytes, in all, and half as much for what HTTP/2 keeps of them; beyond it
     /// they are refused.
     pub max_bytes_in_flight: usize,
@@ -125,7 +126,7 @@ impl Default for Limits {
             fleet_event_history: 8192,
             sleep_after_s: 300,
             max_memory_mb: 0,
-            max_map_mb: 256,
+            max_session_memory_mb: 256,
             max_bytes_in_flight: 512 << 20,
             max_bytes_in_flight_per_peer: 256 << 20,
             max_connections: 2048,

@@ -16,7 +16,9 @@ pub mod pose_graph;
 pub mod scan;
 pub mod tracking;
 
-pub use back_end::{BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe};
+pub use back_end::{
+    BackEnd, BackEndKeyframe, BackEndMemory, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe,
+};
 pub use inertial::{ImuBuffer, ImuFault};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
 pub use loops::{LoopClosure, Relocalisation};

@@ -12,8 +12,8 @@ mod read;
 use percept_geometry::{CameraIntrinsics, Covariance6, FeatureMethod, KeyframeId, Pose, Timestamp};
 use percept_slam::loops::{KeyframePoses, place_recognition};
 use percept_slam::{
-    CloudScan, DepthScan, ImageScan, KeyframeParams, Odometry, OdometryKind, OdometryParams, PlanarScan, Scale, Scan,
-    keyframe,
+    BackEndParams, CloudScan, DepthScan, ImageScan, KeyframeParams, Odometry, OdometryKind, OdometryParams, PlanarScan,
+    Scale, Scan, keyframe,
 };
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -62,7 +62,8 @@ fn views_of_seven_scenes_are_placed_by_features_of_either_method_and_never_wrong
         (read::pose_3x4(&read::numbers(&file(".pose.txt")).unwrap()).unwrap(), Arc::new(kept))
     };
     for method in [FeatureMethod::Orb, FeatureMethod::Sift] {
-        let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()).unwrap();
+        let mut places =
+            place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default()).unwrap();
         let mut poses = KeyframePoses::new();
         for i in (0..400).step_by(50) {
             let (pose, kept) = view(i, method);

@@ -63,6 +63,9 @@ def summary(message: service.GetMapSummaryResponse) -> MapSummary:
             scans_bytes=message.memory.scans_bytes,
             submaps_bytes=message.memory.submaps_bytes,
             composed_bytes=message.memory.composed_bytes,
+            places_bytes=message.memory.places_bytes,
+            graph_bytes=message.memory.graph_bytes,
+            odometry_bytes=message.memory.odometry_bytes,
         ),
         missing_submaps=tuple(message.missing_submaps),
     )

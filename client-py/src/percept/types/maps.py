@@ -124,7 +124,7 @@ class MapCloud(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MapMemory(Value):
-    """What a map takes in memory, bytes, by part."""
+    """What a session takes in memory, bytes, by part, about."""
 
     #: What keyframes saw.
     scans_bytes: int
@@ -132,6 +132,12 @@ class MapMemory(Value):
     submaps_bytes: int
     #: Tiles of the whole map, composed of these.
     composed_bytes: int
+    #: What places are known by, to find loops and a lost robot.
+    places_bytes: int
+    #: Keyframes, what ties them, and the trajectory.
+    graph_bytes: int
+    #: The local model that frames are placed in.
+    odometry_bytes: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -144,7 +150,7 @@ class MapSummary(Value):
     num_points: int
     voxel_size_m: float
     num_keyframes: int
-    #: What the map takes in memory; limits.max_map_mb of the server bounds it.
+    #: What the session takes in memory; limits.max_session_memory_mb of the server bounds it.
     memory: MapMemory
     #: Submaps (robot/run/number) that were out of memory and could not be read again: what they hold is
     #: missing from what is composed, until the session sleeps and wakes.

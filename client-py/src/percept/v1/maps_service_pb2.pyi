@@ -218,7 +218,7 @@ class GetMapSummaryResponse(_message.Message):
 
     @_builtins.property
     def memory(self) -> Global___MapMemory:
-        """What the map takes in memory; limits.max_map_mb of the server bounds it."""
+        """What the session takes in memory; limits.max_session_memory_mb of the server bounds it."""
 
     @_builtins.property
     def missing_submaps(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
@@ -249,29 +249,43 @@ Global___GetMapSummaryResponse: _TypeAlias = GetMapSummaryResponse  # noqa: Y015
 
 @_typing.final
 class MapMemory(_message.Message):
-    """What a map takes in memory, bytes, by part."""
+    """What a session takes in memory, bytes, by part, about. Scans and submaps that are far from the robot go out of memory where the
+    sum is more than the server allows.
+    """
 
     DESCRIPTOR: _descriptor.Descriptor
 
     SCANS_BYTES_FIELD_NUMBER: _builtins.int
     SUBMAPS_BYTES_FIELD_NUMBER: _builtins.int
     COMPOSED_BYTES_FIELD_NUMBER: _builtins.int
+    PLACES_BYTES_FIELD_NUMBER: _builtins.int
+    GRAPH_BYTES_FIELD_NUMBER: _builtins.int
+    ODOMETRY_BYTES_FIELD_NUMBER: _builtins.int
     scans_bytes: _builtins.int
     """What keyframes saw."""
     submaps_bytes: _builtins.int
     """Layers of submaps."""
     composed_bytes: _builtins.int
     """Tiles of the whole map, composed of these."""
+    places_bytes: _builtins.int
+    """What places are known by, to find loops and a lost robot."""
+    graph_bytes: _builtins.int
+    """Keyframes, what ties them, and the trajectory."""
+    odometry_bytes: _builtins.int
+    """The local model that frames are placed in."""
     def __init__(
         self,
         *,
         scans_bytes: _builtins.int = ...,
         submaps_bytes: _builtins.int = ...,
         composed_bytes: _builtins.int = ...,
+        places_bytes: _builtins.int = ...,
+        graph_bytes: _builtins.int = ...,
+        odometry_bytes: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["composed_bytes", b"composed_bytes", "scans_bytes", b"scans_bytes", "submaps_bytes", b"submaps_bytes"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["composed_bytes", b"composed_bytes", "graph_bytes", b"graph_bytes", "odometry_bytes", b"odometry_bytes", "places_bytes", b"places_bytes", "scans_bytes", b"scans_bytes", "submaps_bytes", b"submaps_bytes"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

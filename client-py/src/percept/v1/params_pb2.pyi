@@ -118,26 +118,46 @@ class BackEndParams(_message.Message):
 
     ENABLED_FIELD_NUMBER: _builtins.int
     MIN_AGREEING_FIELD_NUMBER: _builtins.int
+    MAX_VISUAL_KEYFRAMES_FIELD_NUMBER: _builtins.int
+    MAX_PLACE_SUBMAPS_FIELD_NUMBER: _builtins.int
     enabled: _builtins.bool
     """Whether loops are looked for."""
     min_agreeing: _builtins.int
     """A loop that moves the map is believed once so many keyframes say the same, 1 to 20."""
+    max_visual_keyframes: _builtins.int
+    """Keyframes by whose features a depth camera or a camera knows places, at most, 100 to 100000: some 20 kB each. Beyond,
+    every second of the older half goes, so that places stay covered more thinly.
+    """
+    max_place_submaps: _builtins.int
+    """Submaps by whose looks a 3D lidar knows places, at most, 10 to 10000: some 30 kB each. Beyond, the oldest goes of a place
+    that was mapped again, and else the oldest of all.
+    """
     def __init__(
         self,
         *,
         enabled: _builtins.bool | None = ...,
         min_agreeing: _builtins.int | None = ...,
+        max_visual_keyframes: _builtins.int | None = ...,
+        max_place_submaps: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_min_agreeing", b"_min_agreeing", "enabled", b"enabled", "min_agreeing", b"min_agreeing"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_max_place_submaps", b"_max_place_submaps", "_max_visual_keyframes", b"_max_visual_keyframes", "_min_agreeing", b"_min_agreeing", "enabled", b"enabled", "max_place_submaps", b"max_place_submaps", "max_visual_keyframes", b"max_visual_keyframes", "min_agreeing", b"min_agreeing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_min_agreeing", b"_min_agreeing", "enabled", b"enabled", "min_agreeing", b"min_agreeing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_max_place_submaps", b"_max_place_submaps", "_max_visual_keyframes", b"_max_visual_keyframes", "_min_agreeing", b"_min_agreeing", "enabled", b"enabled", "max_place_submaps", b"max_place_submaps", "max_visual_keyframes", b"max_visual_keyframes", "min_agreeing", b"min_agreeing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__enabled: _TypeAlias = _typing.Literal["enabled"]  # noqa: Y015
     _WhichOneofArgType__enabled: _TypeAlias = _typing.Literal["_enabled", b"_enabled"]  # noqa: Y015
+    _WhichOneofReturnType__max_place_submaps: _TypeAlias = _typing.Literal["max_place_submaps"]  # noqa: Y015
+    _WhichOneofArgType__max_place_submaps: _TypeAlias = _typing.Literal["_max_place_submaps", b"_max_place_submaps"]  # noqa: Y015
+    _WhichOneofReturnType__max_visual_keyframes: _TypeAlias = _typing.Literal["max_visual_keyframes"]  # noqa: Y015
+    _WhichOneofArgType__max_visual_keyframes: _TypeAlias = _typing.Literal["_max_visual_keyframes", b"_max_visual_keyframes"]  # noqa: Y015
     _WhichOneofReturnType__min_agreeing: _TypeAlias = _typing.Literal["min_agreeing"]  # noqa: Y015
     _WhichOneofArgType__min_agreeing: _TypeAlias = _typing.Literal["_min_agreeing", b"_min_agreeing"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__enabled) -> _WhichOneofReturnType__enabled | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_place_submaps) -> _WhichOneofReturnType__max_place_submaps | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_visual_keyframes) -> _WhichOneofReturnType__max_visual_keyframes | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__min_agreeing) -> _WhichOneofReturnType__min_agreeing | None: ...
 

@@ -14,11 +14,22 @@ fn share(max_bytes: usize) -> usize {
 }
 
 impl Map {
-    /// Sets where submaps go that are not in memory, and how many bytes the map may take before they do.
-    pub fn set_store(&mut self, store: Arc<dyn MapStore>, max_bytes: usize) {
-        (self.store, self.max_bytes) = (Some(store), max_bytes);
-        self.fetched = Arc::new(Fetched::new(share(max_bytes)));
+    /// Sets where submaps go that are not in memory, which says how many bytes the map may take before they do.
+    pub fn set_store(&mut self, store: Arc<dyn MapStore>) {
+        self.fetched = Arc::new(Fetched::new(share(store.max_bytes())));
+        self.store = Some(store);
         self.hold_to_budget();
+    }
+
+    /// Bytes that the caller keeps beside the map, and that count towards its budget.
+    pub fn set_beside(&mut self, bytes: usize) {
+        self.beside_bytes = bytes;
+    }
+
+    /// Bytes that the map may take.
+    fn room(&self) -> usize {
+        let most = self.store.as_ref().map_or(usize::MAX, |store| store.max_bytes());
+        most.saturating_sub(self.beside_bytes)
     }
 
     /// What the map takes in memory.
@@ -64,9 +75,10 @@ impl Map {
             return;
         }
         let Some(here) = self.keyframes.values().next_back().map(|k| k.t_map_base.translation.vector) else { return };
-        self.shown.forget_beyond(here.xy().into(), share(self.max_bytes));
+        let room = self.room();
+        self.shown.forget_beyond(here.xy().into(), share(room));
         let mut taken = self.memory().total();
-        if taken <= self.max_bytes {
+        if taken <= room {
             return;
         }
         let distance = |s: &Submap| {
@@ -78,7 +90,7 @@ impl Map {
         by_distance.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         for (_, k) in by_distance {
             taken = taken.saturating_sub(self.evict_at(k));
-            if taken <= self.max_bytes {
+            if taken <= room {
                 return;
             }
         }

@@ -395,6 +395,8 @@ fn what_changes_nothing_keeps_the_version_and_what_is_refused_keeps_the_map() {
 struct Shelf {
     blobs: Mutex<BTreeMap<BlobId, Vec<u8>>>,
     is_full: bool,
+    /// None: any number.
+    max_bytes: Option<usize>,
 }
 
 impl MapStore for Shelf {
@@ -410,15 +412,21 @@ impl MapStore for Shelf {
     fn get(&self, id: &BlobId) -> Option<Vec<u8>> {
         self.blobs.lock().unwrap().get(id).cloned()
     }
+
+    fn max_bytes(&self) -> usize {
+        self.max_bytes.unwrap_or(usize::MAX)
+    }
 }
 
 #[test]
 fn a_map_within_a_budget_is_the_map_without_and_takes_no_more_than_it() {
-    let (scans, shelf) = (scans(), Arc::<Shelf>::default());
+    let scans = scans();
     let free = built(&scans, |i| drifted(i, 0.004));
     let budget = free.memory().total() / 3;
     let mut map = Map::new(MapParams::default()).unwrap();
-    map.set_store(Arc::clone(&shelf) as Arc<dyn MapStore>, budget);
+    // What is kept beside the map counts, too.
+    map.set_store(Arc::new(Shelf { max_bytes: Some(budget + 1000), ..Shelf::default() }));
+    map.set_beside(1000);
     for (i, scan) in scans.iter().enumerate() {
         map.insert(id(i), &MapEntry::at(drifted(i, 0.004)), Arc::clone(scan)).unwrap();
         // The newest submap alone takes some of it.
@@ -438,7 +446,7 @@ fn a_map_within_a_budget_is_the_map_without_and_takes_no_more_than_it() {
 fn composed_tiles_stay_while_their_submaps_are_out_of_memory_and_what_is_lost_is_named() {
     let (scans, shelf) = (scans(), Arc::<Shelf>::default());
     let mut map = built(&scans, drive);
-    map.set_store(Arc::clone(&shelf) as Arc<dyn MapStore>, usize::MAX);
+    map.set_store(Arc::clone(&shelf) as Arc<dyn MapStore>);
     let whole = map.layers().occupancy.dense(1 << 20).unwrap();
     let first = map.submaps()[0].id();
     assert_eq!(map.evict(first), Ok(true));
@@ -473,7 +481,7 @@ fn a_store_that_takes_nothing_leaves_the_map_as_it_is() {
     let scans = scans();
     let mut map = built(&scans, drive);
     let before = map.layers().occupancy.dense(1 << 20).unwrap();
-    map.set_store(Arc::new(Shelf { is_full: true, ..Shelf::default() }), 1);
+    map.set_store(Arc::new(Shelf { is_full: true, max_bytes: Some(1), ..Shelf::default() }));
     assert!(map.submaps().iter().all(|s| s.is_loaded()));
     assert_eq!(map.layers().occupancy.dense(1 << 20).unwrap(), before);
 }

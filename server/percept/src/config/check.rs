@@ -216,7 +216,7 @@ fn check_limits(limits: &Limits) -> Result<(), ConfigError> {
         ("limits.stream_idle_timeout_s", limits.stream_idle_timeout_s, 86_400),
         ("limits.unread_timeout_s", limits.unread_timeout_s, 86_400),
         ("limits.sleep_after_s", limits.sleep_after_s, 10 * 365 * 86_400),
-        ("limits.max_map_mb", limits.max_map_mb, 1 << 20),
+        ("limits.max_session_memory_mb", limits.max_session_memory_mb, 1 << 20),
     ];
     for (field, value, most) in bounds {
         if !(1..=most).contains(&value) {

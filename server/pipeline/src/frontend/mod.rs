@@ -49,6 +49,11 @@ pub(crate) struct Frontend {
 }
 
 impl Frontend {
+    /// Bytes that odometry takes, about.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.odometry.as_ref().map_or(0, Odometry::memory_bytes)
+    }
+
     /// Without sensors. Validate `params` first.
     pub(crate) fn new(params: SlamParams) -> Self {
         Self {

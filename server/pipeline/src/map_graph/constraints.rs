@@ -4,7 +4,7 @@ use super::worker::{Answers, Executor, GraphWorker, Question};
 use crate::SlamParams;
 use percept_geometry::Timestamp;
 use percept_slam::loops::place_recognition;
-use percept_slam::{BackEnd, Loop, OdometryKind};
+use percept_slam::{BackEnd, BackEndMemory, Loop, OdometryKind};
 use std::sync::Arc;
 
 /// The back end, once a kind of sensor whose loops can be found moves the pose and loops are wanted.
@@ -13,6 +13,7 @@ pub(super) struct Constraints {
     executor: Option<Arc<dyn Executor>>,
     worker: Option<GraphWorker>,
     loops: Arc<Vec<Loop>>,
+    memory: BackEndMemory,
 }
 
 impl Constraints {
@@ -32,7 +33,8 @@ impl Constraints {
 
     /// A back end that knows nothing yet; none if loops are not wanted, or cannot be found by what this kind sees.
     pub(super) fn worker(&self, params: &SlamParams, kind: OdometryKind) -> Option<GraphWorker> {
-        let recognition = place_recognition(kind, &params.odometry).filter(|_| params.back_end.enabled)?;
+        let recognition = place_recognition(kind, &params.odometry, &params.back_end);
+        let recognition = recognition.filter(|_| params.back_end.enabled)?;
         Some(GraphWorker::new(BackEnd::new(params.back_end.clone(), recognition), self.executor.clone()))
     }
 
@@ -81,6 +83,9 @@ impl Constraints {
     }
 
     fn note(&mut self, answers: &Answers) {
+        if !answers.answers.is_empty() {
+            self.memory = answers.memory;
+        }
         if let Some(loops) = &answers.loops {
             self.loops = Arc::clone(loops);
         }
@@ -89,6 +94,11 @@ impl Constraints {
     /// The back end, with nothing left to be answered.
     pub(super) fn at_rest(&mut self) -> Option<&mut BackEnd> {
         self.worker.as_mut()?.finish().1
+    }
+
+    /// What the back end took when it last answered.
+    pub(super) fn memory(&self) -> BackEndMemory {
+        self.memory
     }
 
     /// Loops in the order of finding, those not believed included.

@@ -27,7 +27,7 @@ pub(crate) use update::MapUpdate;
 pub use update::{MapChange, NewKeyframe};
 pub use worker::Executor;
 
-use crate::{KeyframeInfo, ParamsError, PipelineParams, SlamParams, TrajectoryEntry};
+use crate::{KeyframeInfo, ParamsError, PipelineParams, SessionMemory, SlamParams, TrajectoryEntry};
 use atlas::Atlas;
 use constraints::Constraints;
 use keyframes::Keyframes;
@@ -103,9 +103,19 @@ impl MapGraph {
         &self.map
     }
 
-    /// Sets where submaps go that are not in memory, and how many bytes the map may take before they do.
-    pub(crate) fn set_store(&mut self, store: Arc<dyn MapStore>, max_bytes: usize) {
-        self.map.set_store(store, max_bytes);
+    /// Sets where submaps go that are not in memory.
+    pub(crate) fn set_store(&mut self, store: Arc<dyn MapStore>) {
+        self.map.set_store(store);
+    }
+
+    /// What all of it takes in memory; `odometry` bytes are kept beside it, and count towards the budget.
+    pub(crate) fn take_memory(&mut self, odometry: usize) -> SessionMemory {
+        let back_end = self.constraints.memory();
+        let trajectory = self.trajectory.len() * size_of::<TrajectoryEntry>();
+        let keyframes = self.keyframes.len() * size_of::<KeyframeInfo>();
+        let (places, graph) = (back_end.places, back_end.graph + trajectory + keyframes);
+        self.map.set_beside(places + graph + odometry);
+        SessionMemory { map: self.map.memory(), places, graph, odometry }
     }
 
     /// All keyframes by number.

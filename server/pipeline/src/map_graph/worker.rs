@@ -6,7 +6,7 @@
 //! was asked meanwhile, or some of it.
 
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, Timestamp};
-use percept_slam::{BackEnd, BackEndKeyframe, BackEndUpdate, Loop, Relocalisation};
+use percept_slam::{BackEnd, BackEndKeyframe, BackEndMemory, BackEndUpdate, Loop, Relocalisation};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -80,6 +80,8 @@ pub(crate) struct Relocated {
 pub(crate) struct Answers {
     pub(crate) answers: Vec<Answer>,
     pub(crate) loops: Option<Arc<Vec<Loop>>>,
+    /// What the back end took after them.
+    pub(crate) memory: BackEndMemory,
 }
 
 /// A back end, at work or at rest.
@@ -141,6 +143,7 @@ impl GraphWorker {
             let Some(rest) = self.wait() else { break };
             all.answers.extend(rest.answers);
             all.loops = rest.loops.or(all.loops);
+            all.memory = rest.memory;
         }
         match &mut self.state {
             State::AtRest(back_end) => (all, Some(back_end)),
@@ -264,5 +267,6 @@ fn work(back_end: &mut BackEnd, questions: Vec<Question>) -> Answers {
         }
     };
     let answers = questions.into_iter().filter_map(&mut answer).collect();
-    Answers { answers, loops: loops_changed.then(|| Arc::new(back_end.loops().to_vec())) }
+    let loops = loops_changed.then(|| Arc::new(back_end.loops().to_vec()));
+    Answers { answers, loops, memory: back_end.memory() }
 }

@@ -18,6 +18,7 @@ impl Pipeline {
         if let Some(end) = end {
             self.resume(&end, &restored);
         }
+        self.count_memory();
     }
 
     /// Takes up odometry where the trajectory ends, with the last keyframes as the local model.

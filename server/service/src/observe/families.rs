@@ -136,7 +136,7 @@ impl Families {
             lost_seconds: to.plain("lost_seconds", "Time that robots sent frames while lost, by their stamps"),
             keyframes: to.plain("keyframes", "Keyframes of all awake sessions"),
             objects: to.plain("objects", "Objects of all awake sessions"),
-            memory_bytes: to.plain("sessions_memory_bytes", "Memory of the maps of all awake sessions: layers, keyframes, trajectories"),
+            memory_bytes: to.plain("sessions_memory_bytes", "Memory of all awake sessions: layers, scans, places, graphs, trajectories, local models"),
             sleeps: to.plain("session_sleeps", "Sessions put to sleep"),
             wakes: to.plain("session_wakes", "Sessions woken, by outcome"),
             wake_seconds: to.put("session_wake_seconds", "Time that waking a session took", times()),

@@ -8,8 +8,8 @@ use crate::{Error, Progress, Result, Service, Session, check_id};
 use nalgebra::{Point2, Point3};
 use percept_formats::{GridMap, nav2, pcd, ply, trajectory};
 use percept_geometry::{Cell, GridGeometry, PointCloud, Stamped, Timestamp};
-use percept_mapping::{MapMemory, Occupancy, SubmapId};
-use percept_pipeline::{Loop, LoopId, Snapshot};
+use percept_mapping::{Occupancy, SubmapId};
+use percept_pipeline::{Loop, LoopId, SessionMemory, Snapshot};
 use std::sync::Arc;
 
 /// A part of the occupancy grid, dense.
@@ -50,7 +50,7 @@ pub struct MapSummary {
     /// Keyframes in it.
     pub num_keyframes: usize,
     /// What it takes in memory.
-    pub memory: MapMemory,
+    pub memory: SessionMemory,
     /// Submaps that could not be read when they were needed.
     pub missing_submaps: Vec<SubmapId>,
 }
@@ -260,7 +260,7 @@ impl Service {
                 num_points: s.layers.cloud.len(),
                 voxel_size_m: s.params.map.cloud.voxel_size_m,
                 num_keyframes: s.living_keyframes().count(),
-                memory: s.map_memory,
+                memory: s.memory,
                 missing_submaps: s.layers.missing(),
             }
         };

@@ -177,7 +177,7 @@ impl Actor {
             .compute
             .run_for(&sender, move || {
                 let outcome = pipeline.process(&frame).map(|report| {
-                    let memory = report.keyframe.as_ref().map(|_| pipeline.memory_bytes());
+                    let memory = report.keyframe.as_ref().map(|_| pipeline.memory().total());
                     (report, pipeline.snapshot(), memory)
                 });
                 (pipeline, outcome)

@@ -184,7 +184,8 @@ impl Session {
         events: Arc<EventLog>,
     ) -> Arc<Self> {
         let (queue, _) = mpsc::channel(1);
-        let nothing = (Durable::nothing(), watch::channel(Storing::Well).1, Scratch::in_directory(None));
+        let nothing =
+            (Durable::nothing(), watch::channel(Storing::Well).1, Scratch::in_directory(None, &Arc::default()));
         Arc::new(Self::over(meta, pipeline, last_stamps, queue, nothing, Some(fault), limits, events))
     }
 
@@ -204,7 +205,7 @@ impl Session {
         }
         let (snapshot, share) = (pipeline.snapshot(), SessionShare::default());
         share.map(snapshot.keyframes.len(), snapshot.objects.len());
-        share.memory(pipeline.memory_bytes());
+        share.memory(pipeline.memory().total());
         Self {
             id: meta.id.clone(),
             tenant: meta.tenant.clone(),

@@ -4,6 +4,7 @@ use super::fault::store_error;
 use super::registry::Registry;
 use super::slot::{Phase, Slot};
 use crate::{Health, Part};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
@@ -14,6 +15,11 @@ const RECENT_MS: u64 = 2_000;
 /// Share of the sessions in question that are put to sleep in one round when memory runs short: it takes a moment until
 /// memory that was given back can be seen.
 const SHARE: usize = 8;
+
+/// The least that a session is left with, bytes: the submap around the robot, and what is composed of it.
+const LEAST_ROOM: usize = 4 << 20;
+/// Below this share of the budget sessions get more again.
+const ROOMY: f64 = 0.8;
 
 /// How often the storage is asked while all is well and while it is not.
 const ASK_WELL: Duration = Duration::from_secs(10);
@@ -70,9 +76,24 @@ fn round(registry: &Arc<Registry>) {
             left.push(slot);
         }
     }
-    if resident_bytes().is_some_and(|bytes| bytes > budget_bytes(registry.limits.max_memory_mb)) {
+    let Some(resident) = resident_bytes() else { return };
+    let budget = budget_bytes(registry.limits.max_memory_mb);
+    if resident > budget {
         let few = left.len().div_ceil(SHARE);
         left.iter().take(few).for_each(|slot| registry.retire_soon(slot));
+    }
+    let most = registry.limits.max_session_memory_mb << 20;
+    let room = registry.room.load(Ordering::Relaxed);
+    registry.room.store(next_room(room, most, !left.is_empty(), resident as f64 / budget as f64), Ordering::Relaxed);
+}
+
+/// Bytes that each session may take from now on, where `room` is what each may now and `most` is the most: less while more than
+/// the process' budget is `used`, a share, and nobody can sleep instead; more again once much of it is free.
+fn next_room(room: usize, most: usize, can_sleep: bool, used: f64) -> usize {
+    match used {
+        used if used > 1.0 && !can_sleep => (room - room / 8).max(LEAST_ROOM).min(most),
+        used if used < ROOMY => (room + room / 8 + 1).min(most),
+        _ => room,
     }
 }
 
@@ -95,4 +116,22 @@ fn budget_bytes(max_memory_mb: usize) -> u64 {
         let total = meminfo.lines().find_map(|l| l.strip_prefix("MemTotal:")?.split_whitespace().next()?.parse().ok());
         total.map_or(u64::MAX, |kib: u64| kib * 512)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sessions_make_do_with_less_while_memory_is_short_and_nobody_can_sleep() {
+        let most = 256 << 20;
+        let run =
+            |room: usize, can_sleep: bool, used: f64| (0..200).fold(room, |r, _| next_room(r, most, can_sleep, used));
+        assert_eq!(run(most, false, 1.1), LEAST_ROOM);
+        assert_eq!(run(most, true, 1.1), most, "who sleeps gives back more");
+        assert_eq!(run(LEAST_ROOM, false, 0.9), LEAST_ROOM, "not to and fro");
+        assert_eq!(run(LEAST_ROOM, false, 0.5), most);
+        // One that was told to take less keeps to it.
+        assert_eq!(next_room(1 << 20, 1 << 20, false, 2.0), 1 << 20);
+    }
 }

@@ -110,8 +110,8 @@ impl Registry {
         let storing = Arc::clone(&slot.storing).lock_owned().await;
         let store: Arc<dyn Store> = Arc::new(self.root.open_session(place).await?);
         let is_another = slot.opened_as(store.epoch());
-        let room = (Scratch::in_directory(self.root.directory()), self.limits.max_map_mb << 20);
-        let recovered = match recover(Arc::clone(&store), &self.compute, created, &self.defaults, room).await {
+        let scratch = Scratch::in_directory(self.root.directory(), &self.room);
+        let recovered = match recover(Arc::clone(&store), &self.compute, created, &self.defaults, scratch).await {
             Ok(recovered) => recovered,
             Err(trouble) => {
                 let _ = store.close().await;

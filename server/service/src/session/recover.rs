@@ -31,8 +31,8 @@ pub(super) struct Recovered {
     pub(super) damage: Option<Fault>,
 }
 
-/// Reads a session. What is damaged is left out and told; `created` is its record in the catalogue; beyond the given bytes
-/// its map goes to the scratch file.
+/// Reads a session. What is damaged is left out and told; `created` is its record in the catalogue; what of
+/// its map has no room in memory goes to the scratch file.
 ///
 /// # Errors
 /// [`Trouble::Passing`] for faults of the storage, [`Trouble::Lasting`] if nothing of it can be read.
@@ -41,7 +41,7 @@ pub(super) async fn recover(
     compute: &ComputePool,
     created: MetaRecord,
     defaults: &PipelineParams,
-    (scratch, max_map_bytes): (Arc<Scratch>, usize),
+    scratch: Arc<Scratch>,
 ) -> Result<Recovered, Trouble> {
     let mut damage = Damage::default();
     let meta = match store.get(&keys::meta()).await? {
@@ -85,7 +85,7 @@ pub(super) async fn recover(
         if let Some(executor) = executor {
             pipeline.work_beside_frames(executor);
         }
-        pipeline.set_map_store(map_store, max_map_bytes);
+        pipeline.set_map_store(map_store);
         sensors.into_iter().for_each(|s| pipeline.declare_sensor(s.spec));
         pipeline.restore(restored);
         Ok::<_, Error>(pipeline)

@@ -12,6 +12,7 @@ use crate::{ComputePool, Error, ErrorCode, Health, Limits, Result};
 use percept_pipeline::PipelineParams;
 use percept_store::{CatalogueEntry, DataRoot, SessionPlace};
 use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 use tokio::sync::Semaphore;
@@ -29,6 +30,8 @@ pub(crate) struct Registry {
     pub(super) waking: Semaphore,
     /// Of the events of sessions that were there before this process.
     first_token: u64,
+    /// Bytes that each session may take now.
+    pub(super) room: Arc<AtomicUsize>,
     /// What happens in all sessions.
     pub(crate) fleet: Arc<FleetLog>,
     sessions: RwLock<Sessions>,
@@ -58,7 +61,8 @@ impl Registry {
         let waking = Semaphore::new(WAKES_AT_ONCE);
         let fleet = Arc::new(FleetLog::starting_at(first_token, limits.fleet_event_history));
         let sessions = RwLock::default();
-        let registry = Self { root, compute, limits, defaults, waking, first_token, fleet, sessions };
+        let room = Arc::new(AtomicUsize::new(limits.max_session_memory_mb << 20));
+        let registry = Self { root, compute, limits, defaults, waking, first_token, room, fleet, sessions };
         let mut buried = Vec::new();
         for entry in registry.root.list().await.map_err(|e| store_error(&e))? {
             match entry {

@@ -8,6 +8,7 @@ use std::fs::File;
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -18,6 +19,8 @@ const REFUSED: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(crate) struct Scratch {
     directory: PathBuf,
+    /// Bytes that each session may take in memory now.
+    room: Arc<AtomicUsize>,
     state: Mutex<State>,
 }
 
@@ -32,10 +35,10 @@ struct State {
 }
 
 impl Scratch {
-    /// In a directory; none takes the system's for what is temporary.
-    pub(super) fn in_directory(directory: Option<&Path>) -> Arc<Self> {
+    /// In a directory; none takes the system's for what is temporary. `room`: bytes that each session may take in memory.
+    pub(super) fn in_directory(directory: Option<&Path>, room: &Arc<AtomicUsize>) -> Arc<Self> {
         let directory = directory.map_or_else(std::env::temp_dir, Path::to_owned);
-        Arc::new(Self { directory, state: Mutex::default() })
+        Arc::new(Self { directory, room: Arc::clone(room), state: Mutex::default() })
     }
 
     /// Why no more of the map can be put out of memory, if that failed a moment ago.
@@ -81,6 +84,10 @@ impl MapStore for Scratch {
         Some(id)
     }
 
+    fn max_bytes(&self) -> usize {
+        self.room.load(Ordering::Relaxed)
+    }
+
     fn get(&self, id: &BlobId) -> Option<Vec<u8>> {
         let (file, (offset, length)) = {
             let state = self.lock();
@@ -100,7 +107,7 @@ fn refusal(directory: &Path, error: &io::Error) -> Error {
     let full = matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded);
     let at = directory.display();
     let words = format!(
-        "the map is larger than limits.max_map_mb, and what does not fit cannot be put into a file in {at}: {error}"
+        "the map is larger than limits.max_session_memory_mb, and what does not fit cannot be put into a file in {at}: {error}"
     );
     match full {
         true => Error::exhausted(reason::STORAGE_FULL, "", format!("{words}; free some space")),
@@ -112,10 +119,14 @@ fn refusal(directory: &Path, error: &io::Error) -> Error {
 mod tests {
     use super::*;
 
+    fn room() -> Arc<AtomicUsize> {
+        Arc::new(AtomicUsize::new(1 << 20))
+    }
+
     #[test]
     fn what_is_put_is_had_again_and_leaves_no_name() {
         let directory = tempfile::tempdir().unwrap();
-        let scratch = Scratch::in_directory(Some(directory.path()));
+        let scratch = Scratch::in_directory(Some(directory.path()), &room());
         let (a, b) = (scratch.put(&[1; 1000]).unwrap(), scratch.put(&[2; 10]).unwrap());
         assert_eq!(scratch.put(&[1; 1000]), Some(a));
         assert_eq!((scratch.get(&a).unwrap(), scratch.get(&b).unwrap()), (vec![1; 1000], vec![2; 10]));
@@ -125,7 +136,7 @@ mod tests {
 
     #[test]
     fn what_is_damaged_is_not_given_back() {
-        let scratch = Scratch::in_directory(None);
+        let scratch = Scratch::in_directory(None, &room());
         let id = scratch.put(&[1; 100]).unwrap();
         scratch.lock().file.as_ref().unwrap().write_all_at(&[9], 50).unwrap();
         assert_eq!(scratch.get(&id), None);
@@ -134,10 +145,10 @@ mod tests {
     #[test]
     fn what_cannot_be_put_refuses_frames_for_a_while() {
         let directory = tempfile::tempdir().unwrap();
-        let scratch = Scratch::in_directory(Some(&directory.path().join("gone")));
+        let scratch = Scratch::in_directory(Some(&directory.path().join("gone")), &room());
         assert!(scratch.error().is_none());
         assert_eq!(scratch.put(&[1; 100]), None);
-        assert!(scratch.error().unwrap().to_string().contains("limits.max_map_mb"));
+        assert!(scratch.error().unwrap().to_string().contains("limits.max_session_memory_mb"));
         std::fs::create_dir(directory.path().join("gone")).unwrap();
         assert!(scratch.put(&[1; 100]).is_some() && scratch.error().is_none());
     }

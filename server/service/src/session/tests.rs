@@ -17,6 +17,7 @@ use percept_pipeline::PipelineParams;
 use percept_scene::{Object, ObjectId, ObjectState};
 use percept_store::{DataRoot, RootConfig, SlateStore, Store, keys};
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
 
 fn compute() -> ComputePool {
@@ -156,8 +157,8 @@ async fn forty_thousand_objects_are_stored_and_read_again() {
     writer.write(&[(2, job(&objects))]).await.unwrap();
     assert_eq!(store.scan_all(&keys::objects()).await.unwrap().len(), 39_990);
     let created = MetaRecord::of(&meta("a")).unwrap();
-    let recovered =
-        recover(store, &compute(), created, &PipelineParams::default(), (Scratch::in_directory(None), 1 << 30)).await;
+    let scratch = Scratch::in_directory(None, &Arc::new(AtomicUsize::new(1 << 30)));
+    let recovered = recover(store, &compute(), created, &PipelineParams::default(), scratch).await;
     let recovered = recovered.map_err(|t: Trouble| t.error());
     let recovered = recovered.unwrap();
     assert!(recovered.damage.is_none());

@@ -6,7 +6,7 @@ use percept_geometry::{
 };
 use percept_sim::{DepthCameraParams, SensorSuite, SimParams, Simulation};
 use percept_slam::loops::{KeyframePoses, place_recognition};
-use percept_slam::{DepthScan, KeyframePolicy, OdometryKind, OdometryParams, Scan};
+use percept_slam::{BackEndParams, DepthScan, KeyframePolicy, OdometryKind, OdometryParams, Scan};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -76,7 +76,8 @@ pub(crate) fn simulated(seed: u64, args: &[String]) -> Result<(), Failure> {
     }
     let mut run = Run::with(OdometryKind::Rgbd, params);
     let mut policy = KeyframePolicy::new(OdometryParams::default().keyframe);
-    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()).ok_or("no place recognition")?;
+    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default())
+        .ok_or("no place recognition")?;
     let (mut truth, mut estimate, mut keyframes) = (vec![], vec![], KeyframePoses::new());
     let mut tally = Tally::default();
     for f in simulation.frames() {

@@ -8,7 +8,7 @@ use percept_perception::features2d::{
     Descriptors, MatchParams, Orb, OrbParams, Sift, SiftParams, binary_sift, match_features,
 };
 use percept_slam::loops::{KeyframePoses, place_recognition};
-use percept_slam::{DepthScan, OdometryKind, OdometryParams, Scan};
+use percept_slam::{BackEndParams, DepthScan, OdometryKind, OdometryParams, Scan};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -131,7 +131,11 @@ fn matches(a: &View, b: &View, kind: usize, ratio: f64) -> Option<(usize, usize)
 /// Places: every second view is in the map, the others ask where they are; and loops, each view after those before.
 fn found(views: &[View], method: usize) {
     for every in [2, 4, 8] {
-        let Some(mut places) = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()) else { return };
+        let Some(mut places) =
+            place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default())
+        else {
+            return;
+        };
         let mut poses = KeyframePoses::new();
         for (i, v) in views.iter().enumerate().step_by(every) {
             poses.insert(KeyframeId(i as u64), v.t_world_camera);
@@ -147,7 +151,10 @@ fn found(views: &[View], method: usize) {
         }
         println!("{}: map of every {every}th view: {asked} asked, {right} found, {wrong} wrong", KINDS[method]);
     }
-    let Some(mut places) = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()) else { return };
+    let Some(mut places) = place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default())
+    else {
+        return;
+    };
     let mut poses = KeyframePoses::new();
     let (mut right, mut wrong) = (0, 0);
     for (i, v) in views.iter().enumerate() {

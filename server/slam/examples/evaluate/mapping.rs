@@ -26,7 +26,10 @@ impl Mapping {
     pub(crate) fn new(kind: OdometryKind) -> Option<Self> {
         Some(Self {
             policy: KeyframePolicy::new(KeyframeParams::default()),
-            back_end: BackEnd::new(BackEndParams::default(), place_recognition(kind, &OdometryParams::default())?),
+            back_end: BackEnd::new(
+                BackEndParams::default(),
+                place_recognition(kind, &OdometryParams::default(), &BackEndParams::default())?,
+            ),
             t_odom_keyframe: vec![],
             merged: BTreeMap::new(),
             frames: vec![],

@@ -5,7 +5,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, PointCloud, Pose, Timestamp};
 use percept_slam::keyframe::keyframe_scan;
 use percept_slam::loops::{KeyframePoses, Relocalisation, place_recognition};
-use percept_slam::{CloudScan, KeyframeParams, OdometryKind, OdometryParams, Scan};
+use percept_slam::{BackEndParams, CloudScan, KeyframeParams, OdometryKind, OdometryParams, Scan};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -19,7 +19,8 @@ fn seen(points: &[Point3<f32>], t: &Pose) -> KeyframeScan {
 
 /// Where `lost` is in a map that holds nothing but `place`.
 fn relocalise(place: &[Point3<f32>], lost: &KeyframeScan) -> Option<Relocalisation> {
-    let mut recognition = place_recognition(OdometryKind::Lidar3d, &OdometryParams::default())?;
+    let mut recognition =
+        place_recognition(OdometryKind::Lidar3d, &OdometryParams::default(), &BackEndParams::default())?;
     let mut poses = KeyframePoses::new();
     poses.insert(KeyframeId(0), Pose::identity());
     // A keyframe far away ends the first one's local map.

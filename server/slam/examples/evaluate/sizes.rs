@@ -4,7 +4,9 @@ use super::read::Failure;
 use percept_geometry::{CameraIntrinsics, Covariance6, KeyframeId, KeyframeScan, Pose, SensorData, Timestamp};
 use percept_sim::{DepthCameraParams, SensorSuite, SimParams, Simulation};
 use percept_slam::loops::{KeyframePoses, PlaceRecognition, Relocalisation, place_recognition};
-use percept_slam::{DepthScan, KeyframeParams, KeyframePolicy, OdometryKind, OdometryParams, Scan, keyframe};
+use percept_slam::{
+    BackEndParams, DepthScan, KeyframeParams, KeyframePolicy, OdometryKind, OdometryParams, Scan, keyframe,
+};
 use std::sync::Arc;
 
 /// Off by more is a wrong place, metres and degrees.
@@ -88,7 +90,8 @@ fn drive(camera: &DepthCameraParams, world: u64, noise: u64) -> Result<Views, Fa
 }
 
 fn taken_in(views: &[(Pose, Arc<KeyframeScan>)]) -> Result<(Box<dyn PlaceRecognition>, KeyframePoses), Failure> {
-    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()).ok_or("no place recognition")?;
+    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default())
+        .ok_or("no place recognition")?;
     let mut poses = KeyframePoses::new();
     for (k, (t, scan)) in views.iter().enumerate() {
         poses.insert(KeyframeId(k as u64), *t);

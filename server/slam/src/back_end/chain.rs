@@ -55,6 +55,12 @@ impl Chain {
         self.nodes.len()
     }
 
+    /// Bytes, about.
+    pub(super) fn memory_bytes(&self) -> usize {
+        let nodes = self.nodes.capacity() * (size_of::<Node>() + size_of::<(KeyframeId, u32)>());
+        nodes + self.steps.capacity() * size_of::<Step>()
+    }
+
     pub(super) fn nodes(&self) -> &[Node] {
         &self.nodes
     }

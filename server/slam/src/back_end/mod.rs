@@ -23,7 +23,7 @@ use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, 
 use solve::Effort;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-pub use types::{BackEndKeyframe, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState};
+pub use types::{BackEndKeyframe, BackEndMemory, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState};
 
 /// What is known of the way over a gap: standard deviations, metres and radians.
 const GAP: (f64, f64) = (10.0, 3.0);
@@ -177,6 +177,16 @@ impl BackEnd {
     /// Number of the next loop.
     pub fn next_loop(&self) -> u64 {
         self.next_loop
+    }
+
+    /// What is kept of places and of the graph, bytes, about; scans are the map's.
+    pub fn memory(&self) -> BackEndMemory {
+        let poses = self.poses.capacity() + self.given.capacity() + self.by_id.len() + self.stand_ins.len();
+        let loops = self.loops.capacity() * size_of::<Loop>();
+        BackEndMemory {
+            places: self.recognition.memory_bytes(),
+            graph: self.chain.memory_bytes() + poses * size_of::<(KeyframeId, Pose)>() + loops,
+        }
     }
 
     /// Where keyframes are believed to be, base to map.

@@ -14,11 +14,17 @@ pub struct BackEndParams {
     pub enabled: bool,
     /// A loop that moves the map is believed once so many keyframes say the same, 1 to 20.
     pub min_agreeing: usize,
+    /// Keyframes by whose features a depth camera or a camera knows places, at most, 100 to 100000: some 20 kB each. Beyond,
+    /// every second of the older half goes, so that places stay covered more thinly.
+    pub max_visual_keyframes: usize,
+    /// Submaps by whose looks a 3D lidar knows places, at most, 10 to 10000: some 30 kB each. Beyond, the oldest goes of a place
+    /// that was mapped again, and else the oldest of all.
+    pub max_place_submaps: usize,
 }
 
 impl Default for BackEndParams {
     fn default() -> Self {
-        Self { enabled: true, min_agreeing: 2 }
+        Self { enabled: true, min_agreeing: 2, max_visual_keyframes: 4096, max_place_submaps: 400 }
     }
 }
 
@@ -29,8 +35,21 @@ impl BackEndParams {
     /// [`ParamError`] with field, value and remedy.
     pub fn validate(&self) -> Result<(), ParamError> {
         let least = self.min_agreeing as f64;
-        check_range("min_agreeing", least, (1.0, 20.0), "within 1 to 20", "use 2")
+        check_range("min_agreeing", least, (1.0, 20.0), "within 1 to 20", "use 2")?;
+        let (keyframes, submaps) = (self.max_visual_keyframes as f64, self.max_place_submaps as f64);
+        let bounds = "within 100 to 100000";
+        check_range("max_visual_keyframes", keyframes, (100.0, 1e5), bounds, "use 4096")?;
+        check_range("max_place_submaps", submaps, (10.0, 1e4), "within 10 to 10000", "use 400")
     }
+}
+
+/// What a back end keeps, bytes, about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct BackEndMemory {
+    /// What places are known by.
+    pub places: usize,
+    /// Keyframes and what ties them.
+    pub graph: usize,
 }
 
 /// Number of a loop in its session, counted from 0 in the order of finding.

@@ -12,10 +12,16 @@ use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose};
 use std::sync::Arc;
 
 /// Place recognition of a depth camera. Keyframes with colour and without are not compared with each other.
-#[derive(Default)]
 pub(super) struct DepthPlaces {
     by_looks: VisualPlaces,
     by_shape: Seen,
+}
+
+impl DepthPlaces {
+    /// Nothing seen yet. Of keyframes with colour at most so many are known.
+    pub(super) fn new(max_keyframes: usize) -> Self {
+        Self { by_looks: VisualPlaces::new(max_keyframes), by_shape: Seen::default() }
+    }
 }
 
 impl PlaceRecognition for DepthPlaces {
@@ -69,6 +75,10 @@ impl PlaceRecognition for DepthPlaces {
     fn forget(&mut self, id: KeyframeId) {
         self.by_looks.forget(id);
         self.by_shape.forget(id);
+    }
+
+    fn memory_bytes(&self) -> usize {
+        self.by_looks.memory_bytes() + self.by_shape.memory_bytes()
     }
 }
 

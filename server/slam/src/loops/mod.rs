@@ -8,6 +8,7 @@ pub(crate) mod planar;
 pub(crate) mod spatial;
 mod visual;
 
+use crate::BackEndParams;
 use crate::odometry::{OdometryKind, OdometryParams};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose};
 use serde::{Deserialize, Serialize};
@@ -90,15 +91,23 @@ pub trait PlaceRecognition: Send {
 
     /// A keyframe has left the graph.
     fn forget(&mut self, id: KeyframeId);
+
+    /// What it keeps, bytes, about; the scans are the caller's.
+    fn memory_bytes(&self) -> usize;
 }
 
 /// Place recognition for the frames that an odometry registers; none where there is none yet.
-pub fn place_recognition(kind: OdometryKind, params: &OdometryParams) -> Option<Box<dyn PlaceRecognition>> {
+pub fn place_recognition(
+    kind: OdometryKind,
+    params: &OdometryParams,
+    back_end: &BackEndParams,
+) -> Option<Box<dyn PlaceRecognition>> {
+    let (keyframes, submaps) = (back_end.max_visual_keyframes, back_end.max_place_submaps);
     match kind {
         OdometryKind::Lidar2d => Some(Box::new(planar::PlanarPlaces::new(params.lidar2d.max_range_m))),
-        OdometryKind::Rgbd => Some(Box::new(depth::DepthPlaces::default())),
-        OdometryKind::Lidar3d => Some(Box::new(spatial::SpatialRecognition::default())),
+        OdometryKind::Rgbd => Some(Box::new(depth::DepthPlaces::new(keyframes))),
+        OdometryKind::Lidar3d => Some(Box::new(spatial::SpatialRecognition::new(submaps))),
         // A camera's own map closes its loops, too, for its points and their scale; these move what the session has built.
-        OdometryKind::Mono => Some(Box::new(visual::VisualPlaces::of_sparse_points())),
+        OdometryKind::Mono => Some(Box::new(visual::VisualPlaces::of_sparse_points(keyframes))),
     }
 }

@@ -258,6 +258,9 @@ mod tests {
         fn integrate(&mut self, _: &Pose) {
             self.is_empty = false;
         }
+        fn memory_bytes(&self) -> usize {
+            0
+        }
         fn clear(&mut self) {}
         fn seed(&mut self, _: &Pose, _: &[(Pose, Arc<KeyframeScan>)]) {}
     }

@@ -340,6 +340,11 @@ impl Odometry {
         &self.t_odom_base
     }
 
+    /// Bytes that the local model takes, about.
+    pub fn memory_bytes(&self) -> usize {
+        self.model.memory_bytes()
+    }
+
     /// Changes what keyframes keep from now on.
     pub fn set_keyframe_params(&mut self, params: KeyframeParams) {
         self.params.keyframe = params;

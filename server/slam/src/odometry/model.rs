@@ -97,6 +97,8 @@ pub(crate) trait LocalModel: Send {
     fn color_camera(&self) -> Option<rgbd::ColorCamera> {
         None
     }
+    /// Bytes that the model takes, about.
+    fn memory_bytes(&self) -> usize;
     /// Forgets the model.
     fn clear(&mut self);
     /// Starts the model from keyframes with their `t_odom_base`, oldest first.

@@ -6,8 +6,8 @@ use percept_geometry::{
 use percept_sim::{DepthCameraParams, SensorSuite, SimParams, Simulation};
 use percept_slam::loops::{KeyframePoses, PlaceRecognition, place_recognition};
 use percept_slam::{
-    DepthScan, KeyframeParams, LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, Scan, TrackingState,
-    keyframe,
+    BackEndParams, DepthScan, KeyframeParams, LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, Scan,
+    TrackingState, keyframe,
 };
 use std::sync::Arc;
 
@@ -46,7 +46,8 @@ fn keep_with(features: FeatureMethod, scan: &Scan) -> Arc<KeyframeScan> {
 }
 
 fn taken_in(keyframes: &[(Pose, Arc<KeyframeScan>)]) -> (Box<dyn PlaceRecognition>, KeyframePoses) {
-    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default()).unwrap();
+    let mut places =
+        place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default()).unwrap();
     let mut poses = KeyframePoses::new();
     for (k, (t, scan)) in keyframes.iter().enumerate() {
         poses.insert(KeyframeId(k as u64), *t);

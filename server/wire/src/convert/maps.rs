@@ -125,9 +125,12 @@ pub fn summary_to(s: &MapSummary) -> v1::GetMapSummaryResponse {
         voxel_size_m: s.voxel_size_m,
         num_keyframes: s.num_keyframes as u64,
         memory: Some(v1::MapMemory {
-            scans_bytes: s.memory.scans as u64,
-            submaps_bytes: s.memory.layers as u64,
-            composed_bytes: s.memory.tiles as u64,
+            scans_bytes: s.memory.map.scans as u64,
+            submaps_bytes: s.memory.map.layers as u64,
+            composed_bytes: s.memory.map.tiles as u64,
+            places_bytes: s.memory.places as u64,
+            graph_bytes: s.memory.graph as u64,
+            odometry_bytes: s.memory.odometry as u64,
         }),
         missing_submaps: s.missing_submaps.iter().map(|id| format!("{}/{}/{}", id.robot, id.run, id.number)).collect(),
     }

@@ -187,6 +187,11 @@ struct Node {
 }
 
 impl Pyramid {
+    /// Bytes.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.levels.iter().map(|l| l.cells.len()).sum()
+    }
+
     /// Of the points of a map; none if there are no points.
     pub(crate) fn new(resolution: f64, points: &[Point2<f64>]) -> Option<Self> {
         let first = *points.first()?;

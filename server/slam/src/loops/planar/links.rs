@@ -23,6 +23,12 @@ impl Links {
         }
     }
 
+    /// Bytes, about.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let links: usize = self.of.values().map(Vec::capacity).sum();
+        self.of.len() * size_of::<(KeyframeId, Vec<(KeyframeId, u64)>)>() + links * size_of::<(KeyframeId, u64)>()
+    }
+
     /// Takes a keyframe out; those that it tied stay tied.
     pub(crate) fn remove(&mut self, id: KeyframeId) {
         let Some(links) = self.of.remove(&id) else { return };

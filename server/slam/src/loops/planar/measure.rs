@@ -75,6 +75,11 @@ impl Visits {
         Self { max_range_m, field: None }
     }
 
+    /// Bytes, about.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.field.as_ref().map_or(0, Field::memory_bytes)
+    }
+
     /// Places `scan` within `window` (metres, radians) of the guess.
     pub(crate) fn measure(
         &mut self,

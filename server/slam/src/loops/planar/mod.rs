@@ -279,6 +279,11 @@ impl PlaceRecognition for PlanarPlaces {
         self.kept.remove(&id);
         self.links.remove(id);
     }
+
+    fn memory_bytes(&self) -> usize {
+        let kept = self.kept.len() * size_of::<(KeyframeId, Kept)>();
+        kept + self.links.memory_bytes() + self.visits.memory_bytes() + self.relocaliser.memory_bytes()
+    }
 }
 
 /// An older keyframe, where it is believed to be and how well that is known from the newest one.

@@ -83,6 +83,11 @@ impl Relocaliser {
         Self { max_range_m, visits: Visits::new(max_range_m), drawn: None, attempt: None }
     }
 
+    /// Bytes, about: the map as it is drawn, and the memory of measuring.
+    pub(super) fn memory_bytes(&self) -> usize {
+        self.visits.memory_bytes() + self.drawn.as_ref().map_or(0, |(_, pyramid)| pyramid.memory_bytes())
+    }
+
     /// Whether a search has begun and not ended.
     pub(super) fn is_unfinished(&self) -> bool {
         self.attempt.is_some()

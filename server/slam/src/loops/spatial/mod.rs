@@ -49,8 +49,6 @@ const UNTOLD_TURN: (f64, f64) = (0.2, 0.01);
 const COMPARED: usize = 100;
 const WAITING: usize = 8;
 const PATIENCE: usize = 3;
-/// submaps kept; beyond, the oldest of a place that was mapped again goes first.
-const MOST_MAPS: usize = 400;
 /// Candidates by looks for a submap, and for a scan with no guess.
 const ALIKE: usize = 2;
 const LOST_ALIKE: usize = 3;
@@ -82,6 +80,8 @@ struct Waiting {
 pub(crate) struct SpatialRecognition {
     seen: Seen,
     maps: Vec<Submap>,
+    /// So many of these at most: beyond, the oldest of a place that was mapped again goes first.
+    max_maps: usize,
     recent: VecDeque<Gathered>,
     /// Travel at which the last map was closed.
     closed_at: f64,
@@ -96,6 +96,11 @@ pub(crate) struct SpatialRecognition {
 }
 
 impl SpatialRecognition {
+    /// Nothing seen yet. At most so many submaps are known.
+    pub(crate) fn new(max_maps: usize) -> Self {
+        Self { max_maps, ..Self::default() }
+    }
+
     /// Length of a submap, metres, by how far the newest keyframes see.
     fn submap_length_m(&self) -> f64 {
         let ranges: Vec<f64> = self.recent.iter().rev().take(5).map(|g| submap::range(&g.scan)).collect();
@@ -239,7 +244,7 @@ impl SpatialRecognition {
 
     /// Drops a map where there are too many: the oldest that a newer one lies beside, else the oldest.
     fn bound_memory(&mut self, poses: &KeyframePoses) {
-        if self.maps.len() <= MOST_MAPS {
+        if self.maps.len() <= self.max_maps {
             return;
         }
         let at: Vec<_> = self.maps.iter().map(|m| poses.get(&m.anchor).map(|t| t.translation.vector)).collect();
@@ -328,5 +333,11 @@ impl PlaceRecognition for SpatialRecognition {
     fn forget(&mut self, id: KeyframeId) {
         self.seen.forget(id);
         self.maps.retain(|m| m.anchor != id);
+    }
+
+    fn memory_bytes(&self) -> usize {
+        let maps: usize = self.maps.iter().map(Submap::memory_bytes).sum();
+        let recent: usize = self.recent.iter().map(|g| g.scan.memory_bytes()).sum();
+        self.seen.memory_bytes() + maps + recent
     }
 }

@@ -40,6 +40,12 @@ impl Seen {
         Some(travel)
     }
 
+    /// Bytes beside the scans, about.
+    pub(in crate::loops) fn memory_bytes(&self) -> usize {
+        let walls: usize = self.kept.values().map(|k| k.walls.capacity()).sum();
+        self.kept.len() * size_of::<(KeyframeId, Kept)>() + walls * size_of::<Point2<f32>>()
+    }
+
     /// A keyframe has left the graph.
     pub(in crate::loops) fn forget(&mut self, id: KeyframeId) {
         self.kept.remove(&id);

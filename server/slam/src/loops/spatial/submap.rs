@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Translation3};
 use percept_geometry::{GrayImage, KeyframeId, KeyframeScan, PointCloud, Pose};
 use percept_perception::cloud::voxel_downsample;
-use percept_perception::features2d::{Features, Orb, OrbParams};
+use percept_perception::features2d::{Features, Keypoint, Orb, OrbParams};
 use rustc_hash::FxHashSet;
 
 /// Pixels and voxels are this share of the usual range, rounded to a power of two so that maps can be compared, and
@@ -60,6 +60,15 @@ pub(super) struct Surface {
     pub(super) voxel_m: f64,
     /// How far the lidar sees, metres.
     usual_range: f64,
+}
+
+impl Submap {
+    /// Bytes, about.
+    pub(super) fn memory_bytes(&self) -> usize {
+        // Descriptors have 256 bits.
+        let features = self.features.keypoints.len() * (size_of::<Keypoint>() + 32);
+        size_of::<Self>() + self.keyframes.capacity() * size_of::<KeyframeId>() + features
+    }
 }
 
 impl Surface {

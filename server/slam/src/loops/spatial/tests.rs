@@ -51,7 +51,7 @@ fn seen_from(points: &[Point3<f32>], t_world_base: &Pose) -> Arc<KeyframeScan> {
 #[test]
 fn a_scan_is_placed_with_no_guess_and_another_street_is_not() {
     let (here, elsewhere) = (street(1), street(2));
-    let mut recognition = SpatialRecognition::default();
+    let mut recognition = SpatialRecognition::new(400);
     let mut poses = KeyframePoses::new();
     for (i, x) in [0.0, 1.0, 12.0, 24.0].into_iter().enumerate() {
         let (id, t) = (KeyframeId(i as u64), se3::from_xy_yaw(x, 0.0, 0.0));
@@ -68,7 +68,7 @@ fn a_scan_is_placed_with_no_guess_and_another_street_is_not() {
 #[test]
 fn coming_back_closes_a_loop_and_the_neighbourhood_does_not() {
     let world = street(3);
-    let mut recognition = SpatialRecognition::default();
+    let mut recognition = SpatialRecognition::new(400);
     let mut poses = KeyframePoses::new();
     let mut found = vec![];
     // Out and back on a circle of 120 m; odometry has drifted by 2 m at its end.
@@ -94,7 +94,7 @@ fn coming_back_closes_a_loop_and_the_neighbourhood_does_not() {
 fn nothing_is_measured_in_what_merging_left_of_a_visit() {
     let world = street(3);
     let loops_with = |merged: &[u64]| {
-        let mut recognition = SpatialRecognition::default();
+        let mut recognition = SpatialRecognition::new(400);
         let mut poses = KeyframePoses::new();
         for i in 0..25 {
             let a = std::f64::consts::TAU * i as f64 / 24.0;
@@ -115,7 +115,7 @@ fn nothing_is_measured_in_what_merging_left_of_a_visit() {
 #[test]
 fn a_robot_that_drove_is_found_by_what_it_saw_on_the_way_and_not_before() {
     let (here, elsewhere) = (street(5), street(6));
-    let mut recognition = SpatialRecognition::default();
+    let mut recognition = SpatialRecognition::new(400);
     let mut poses = KeyframePoses::new();
     for i in 0..16 {
         let (id, t) = (KeyframeId(i), se3::from_xy_yaw(2.0 * i as f64 - 15.0, 0.0, 0.1 * i as f64));

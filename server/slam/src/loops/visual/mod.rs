@@ -24,10 +24,9 @@ use std::sync::Arc;
 const RECENT: u64 = 8;
 /// Keyframes that are looked at closely for each new one: bounds the time.
 const MAX_CANDIDATES: usize = 3;
-/// Keyframes kept for recognition: bounds memory, about 60 kB each.
-const MAX_KEYFRAMES: usize = 4096;
 /// Features of a keyframe that are indexed.
 const MAX_INDEXED: usize = 250;
+const _: () = assert!(MAX_INDEXED <= index::MOST_FEATURES);
 /// Fewest features alike of a candidate.
 const MIN_VOTES: u32 = 12;
 /// Fewest pairs of features that agree on a motion, in images so many pixels wide and more; see [`min_pairs`].
@@ -66,8 +65,9 @@ impl Verified {
 }
 
 /// Place recognition by features and depth.
-#[derive(Default)]
 pub(crate) struct VisualPlaces {
+    /// At most so many keyframes are known.
+    max_keyframes: usize,
     known: BTreeMap<KeyframeId, Known>,
     index: Index,
     /// Whether scans hold the features' points alone, no surfaces.
@@ -135,12 +135,23 @@ impl PlaceRecognition for VisualPlaces {
             self.index.remove(id, &known.indexed);
         }
     }
+
+    fn memory_bytes(&self) -> usize {
+        let indexed: usize = self.known.values().map(|k| k.indexed.capacity()).sum();
+        let known = self.known.len() * size_of::<(KeyframeId, Known)>() + indexed * size_of::<[u64; 4]>();
+        known + self.index.memory_bytes()
+    }
 }
 
 impl VisualPlaces {
+    /// Nothing seen yet. At most so many keyframes are known.
+    pub(crate) fn new(max_keyframes: usize) -> Self {
+        Self { max_keyframes, known: BTreeMap::new(), index: Index::default(), is_sparse: false }
+    }
+
     /// For a camera without depth, whose scans hold the points of its own map.
-    pub(crate) fn of_sparse_points() -> Self {
-        Self { is_sparse: true, ..Self::default() }
+    pub(crate) fn of_sparse_points(max_keyframes: usize) -> Self {
+        Self { is_sparse: true, ..Self::new(max_keyframes) }
     }
 
     fn remember(&mut self, id: KeyframeId, kept: &KeptScan) {
@@ -153,8 +164,8 @@ impl VisualPlaces {
         self.index.insert(id, &indexed);
         self.known.insert(id, Known { scan: kept.clone(), method, indexed });
         // Of very many, every second of the older half goes: places stay covered, more thinly.
-        if self.known.len() > MAX_KEYFRAMES {
-            let old: Vec<KeyframeId> = self.known.keys().copied().take(MAX_KEYFRAMES / 2).step_by(2).collect();
+        if self.known.len() > self.max_keyframes {
+            let old: Vec<KeyframeId> = self.known.keys().copied().take(self.max_keyframes / 2).step_by(2).collect();
             old.into_iter().for_each(|k| self.forget(k));
         }
     }
@@ -163,7 +174,7 @@ impl VisualPlaces {
     fn candidates(&self, scan: &KeyframeScan, most: usize, allowed: impl Fn(KeyframeId) -> bool) -> Vec<KeyframeId> {
         let Some(method) = method(scan) else { return vec![] };
         let same = |id: KeyframeId| self.known.get(&id).filter(|k| k.method == method);
-        let entry = |(id, i)| same(id)?.indexed.get(usize::from(i));
+        let entry = |id: KeyframeId, i: usize| same(id)?.indexed.get(i);
         let votes = self.index.votes(&descriptors(scan, MAX_INDEXED), Alike::of(method).vote, entry);
         let mut ranked: Vec<(u32, KeyframeId)> =
             votes.into_iter().filter(|v| v.1 >= MIN_VOTES && allowed(v.0)).map(|(id, n)| (n, id)).collect();

@@ -36,6 +36,8 @@ pub(crate) struct Field {
     places: Vec<u32>,
     elements: Vec<Element>,
     kernel: Vec<u8>,
+    /// The rows that hits have ever touched, from and up to: what was written once stays in memory.
+    touched: (i32, i32),
 }
 
 impl Field {
@@ -61,7 +63,18 @@ impl Field {
             places: vec![0; cells(ELEMENT)],
             elements: vec![],
             kernel,
+            touched: (i32::MAX, i32::MIN),
         }
+    }
+
+    /// Bytes that have been written, about.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let rows = self.touched.1.saturating_sub(self.touched.0).max(0) as usize;
+        let (block, element) = (BLOCK as usize, ELEMENT as usize);
+        let grids =
+            rows * self.width as usize * (element * element * block * block + element * element + 4 * block * block)
+                / (element * element * block * block);
+        grids + self.hit.capacity() * size_of::<Cell>() + self.elements.capacity() * size_of::<Element>()
     }
 
     pub(crate) fn center(&self) -> Point2<f64> {
@@ -121,6 +134,7 @@ impl Field {
             return;
         }
         self.hit.push(c);
+        self.touched = (self.touched.0.min(c.y - REACH), self.touched.1.max(c.y + REACH + 1));
         let side = 2 * REACH + 1;
         let blocks = self.width / BLOCK;
         for dy in -REACH..=REACH {

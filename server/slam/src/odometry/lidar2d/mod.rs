@@ -218,6 +218,11 @@ impl LocalModel for Lidar2d {
         found.inlier_ratio >= AFTER_GAP.0 && against <= AFTER_GAP.1
     }
 
+    fn memory_bytes(&self) -> usize {
+        let hits: usize = self.kept.iter().map(|k| k.hits.capacity()).sum();
+        self.field.memory_bytes() + self.kept.len() * size_of::<Kept>() + hits * size_of::<Hit>()
+    }
+
     fn clear(&mut self) {
         self.kept.clear();
         let center = self.last.map_or_else(Point2::origin, |t| Point2::from(t.translation.vector));

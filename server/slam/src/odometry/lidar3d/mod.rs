@@ -404,6 +404,12 @@ impl LocalModel for Lidar3d {
         self.curve.clone().map(|curve| (curve, self.velocity))
     }
 
+    fn memory_bytes(&self) -> usize {
+        let kept: usize = self.kept.iter().map(|k| size_of::<Kept>() + k.sight.memory_bytes()).sum();
+        let sweeps = (self.dense.len() + self.sparse.len()) * size_of::<Point3<f32>>();
+        self.map.as_ref().map_or(0, Levels::memory_bytes) + kept + sweeps
+    }
+
     fn clear(&mut self) {
         if let Some(size) = self.map.as_ref().map(Levels::size) {
             self.start_maps(size);

@@ -52,6 +52,11 @@ impl Contradiction {
 }
 
 impl Sight {
+    /// Bytes.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.points.capacity() * size_of::<Point3<f32>>() + self.ranges.capacity() * size_of::<f32>()
+    }
+
     /// Of ends of beams in base.
     pub(crate) fn new(ends: &[Point3<f32>], t_base_sensor: &Pose) -> Self {
         let t_sensor_base = t_base_sensor.inverse();

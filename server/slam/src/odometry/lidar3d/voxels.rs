@@ -284,6 +284,13 @@ const DRIFT: f64 = 6.0;
 const LEVELS: [f64; 3] = [1.0, 2.0, 4.0];
 
 impl Levels {
+    /// Bytes, about.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let voxels = |m: &GaussianMap| m.voxels.capacity() * size_of::<Gaussian>();
+        let index = |m: &GaussianMap| m.index.capacity() * (size_of::<(Key, u32)>() + 1);
+        self.maps.iter().map(|m| voxels(m) + index(m)).sum()
+    }
+
     pub(crate) fn new(size: f64) -> Self {
         Self { maps: LEVELS.iter().map(|scale| GaussianMap::new(scale * size)).collect() }
     }

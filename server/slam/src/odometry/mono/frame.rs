@@ -85,6 +85,11 @@ pub(super) struct Frame {
 }
 
 impl Frame {
+    /// Bytes, about: of each feature place, octave, look and point.
+    pub(super) fn memory_bytes(&self) -> usize {
+        self.len() * (size_of::<Vector2<f64>>() + size_of::<[u64; 4]>() + size_of::<Option<PointId>>() + 1)
+    }
+
     pub(super) fn len(&self) -> usize {
         self.pixels.len()
     }

@@ -74,6 +74,13 @@ pub(super) struct Map {
 }
 
 impl Map {
+    /// Bytes, about.
+    pub(super) fn memory_bytes(&self) -> usize {
+        let views: usize = self.views.values().map(|v| size_of::<View>() + v.frame.memory_bytes()).sum();
+        let seen: usize = self.points.values().map(|p| p.seen_by.capacity()).sum();
+        views + self.points.len() * size_of::<(PointId, MapPoint)>() + seen * size_of::<(ViewId, u32)>()
+    }
+
     pub(super) fn add_view(&mut self, stamp: Timestamp, t_camera_map: Pose, frame: Frame) -> ViewId {
         let id = ViewId(self.next_view);
         self.next_view += 1;

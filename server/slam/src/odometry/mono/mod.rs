@@ -355,6 +355,10 @@ impl LocalModel for Mono {
 
     fn integrate(&mut self, _: &Pose) {}
 
+    fn memory_bytes(&self) -> usize {
+        self.tracker.map.memory_bytes()
+    }
+
     fn clear(&mut self) {
         self.tracker.clear();
         self.atlas = Atlas::default();

@@ -50,6 +50,11 @@ impl Frame {
         out
     }
 
+    /// Bytes.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.vertices.capacity() * size_of::<Vertex>()
+    }
+
     /// Counts the valid vertices and where they are.
     pub(crate) fn measure(&mut self) {
         let (mut n, mut range, mut sum, mut squares) = (0usize, 0f64, Vector3::zeros(), 0f64);

@@ -390,6 +390,11 @@ impl LocalModel for Rgbd {
         Some(self.registration.camera(&camera).enlarged(self.preparer.factor as f32))
     }
 
+    fn memory_bytes(&self) -> usize {
+        let frame = self.frame.memory_bytes();
+        self.surfels.memory_bytes() + self.window.memory_bytes() + 2 * frame
+    }
+
     fn clear(&mut self) {
         self.surfels.clear();
         self.pending.clear();

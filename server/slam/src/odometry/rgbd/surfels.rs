@@ -63,6 +63,13 @@ pub(crate) struct FusionLimits {
 }
 
 impl View {
+    /// Bytes, about.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let pixels = self.index.capacity() * (size_of::<u32>() + 2 * size_of::<f32>());
+        let points = (self.textured.capacity() + self.lights.capacity()) * size_of::<TexturedPoint>();
+        self.vertices.capacity() * size_of::<Vertex>() + pixels + points
+    }
+
     /// A view that is a frame of its own: nothing is fused with it.
     pub(crate) fn of(t_odom_view: Pose, vertices: Vec<Vertex>, textured: Vec<TexturedPoint>) -> Self {
         Self { t_odom_view, vertices, textured, ..Self::default() }
@@ -124,6 +131,11 @@ pub(crate) struct Surfels {
 }
 
 impl Surfels {
+    /// Bytes.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.surfels.capacity() * size_of::<Surfel>()
+    }
+
     pub(crate) fn is_empty(&self) -> bool {
         self.surfels.is_empty()
     }

@@ -72,6 +72,12 @@ pub(crate) struct Placed<'a> {
 pub(crate) type Moved = (u32, Pose);
 
 impl Window {
+    /// Bytes, about.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let views: usize = self.kept.iter().map(|k| k.view.memory_bytes()).sum();
+        views + self.pairs.capacity() * size_of::<Pair>()
+    }
+
     pub(crate) fn clear(&mut self) {
         self.kept.clear();
         self.pairs.clear();
