@@ -56,7 +56,7 @@ fn a_session_that_keeps_no_scan_in_memory_closes_the_same_loops_and_has_the_same
     assert!(*shelf.num_fetched.lock().unwrap() > 0, "loops were measured in what is out of memory");
     let (free, bounded) = (free.snapshot(), bounded.snapshot());
     // Places, graph and local model are the same, whatever of the map is in memory.
-    let beside = |s: &Snapshot| (s.memory.places, s.memory.graph, s.memory.odometry);
+    let beside = |s: &percept_pipeline::Snapshot| (s.memory.places, s.memory.graph, s.memory.odometry);
     assert_eq!(beside(&free), beside(&bounded));
     assert!(free.memory.places > 0 && free.memory.graph > 0 && free.memory.odometry > 100_000, "{:?}", free.memory);
     assert!(free.loops.len() > 3);
