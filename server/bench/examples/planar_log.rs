@@ -1,5 +1,5 @@
 //! A planar log through the whole pipeline, made harder: `planar_log PATH [--max-range M] [--blind SHARE,SECONDS] [--no-odometry]
-//! [--no-loops] [--first N] [--frames CSV]`.
+//! [--no-loops] [--first N] [--frames CSV] [--trajectory CSV]`.
 //!
 //! `--max-range` cuts what the lidar sees, and `--blind` covers it from a share of the log on for so many seconds: scans come,
 //! without a return; frames of cameras and 3D lidars do not come. Printed are the frames that were placed when they came, those in the map at the end, how often the robot
@@ -7,7 +7,7 @@
 
 use percept_evaluation::{ErrorStatistics, Trajectory, TrueRelation, score_relations};
 use percept_formats::dataset::{self, Dataset};
-use percept_geometry::{SensorData, SensorFrame, SensorKind, Stamped};
+use percept_geometry::{Pose, SensorData, SensorFrame, SensorKind, Stamped, se3};
 use percept_pipeline::{Pipeline, PipelineParams};
 use percept_slam::{LostReason, TrackingState};
 use std::error::Error;
@@ -91,7 +91,7 @@ fn main() -> Result<(), Failure> {
     let answers = pool.install(|| run(&mut pipeline, &recording, &harder))?;
     pipeline.settle();
     let snapshot = pipeline.snapshot();
-    let in_map: Vec<Stamped<_>> =
+    let in_map: Vec<Stamped<Pose>> =
         snapshot.trajectory().filter(|(_, e)| e.tracked).map(|(value, e)| Stamped { stamp: e.stamp, value }).collect();
     let num = answers.len().max(1) as f64;
     let lost: Vec<f64> = answers.iter().filter(|a| !a.is_placed).map(|a| a.ms).collect();
@@ -118,6 +118,9 @@ fn main() -> Result<(), Failure> {
         }
         file.flush()?;
     }
+    if let Some(out) = args.iter().position(|a| a == "--trajectory").and_then(|i| args.get(i + 1)) {
+        write_trajectory(Path::new(out), &in_map)?;
+    }
     let relations = relations(&recording);
     if !relations.is_empty() {
         let score = score_relations(&Trajectory::new(in_map)?, &relations, 2.0)?;
@@ -131,6 +134,16 @@ fn main() -> Result<(), Failure> {
         );
     }
     Ok(())
+}
+
+/// A line a pose: stamp in seconds, x and y in metres, yaw in radians.
+fn write_trajectory(out: &Path, poses: &[Stamped<Pose>]) -> Result<(), Failure> {
+    let mut file = std::io::BufWriter::new(std::fs::File::create(out)?);
+    for Stamped { stamp, value } in poses {
+        let t = value.translation;
+        writeln!(file, "{:.6},{:.4},{:.4},{:.5}", stamp.as_secs_f64(), t.x, t.y, se3::yaw(value))?;
+    }
+    Ok(file.flush()?)
 }
 
 fn run(pipeline: &mut Pipeline, recording: &Dataset, harder: &Harder) -> Result<Vec<Answer>, Failure> {
@@ -174,7 +187,7 @@ fn relations(recording: &Dataset) -> Vec<TrueRelation> {
             .collect();
     }
     let Some(reference) = &recording.reference else { return vec![] };
-    let between = |(a, b): (&Stamped<percept_geometry::Pose>, &Stamped<percept_geometry::Pose>)| TrueRelation {
+    let between = |(a, b): (&Stamped<Pose>, &Stamped<Pose>)| TrueRelation {
         stamp_1: a.stamp,
         stamp_2: b.stamp,
         t_1_2: a.value.inv_mul(&b.value),

@@ -169,7 +169,7 @@ impl PlanarPlaces {
     /// Searches for the newest keyframes together in what was seen within the window, or everywhere.
     fn far(&mut self, id: KeyframeId, here: &Isometry2<f64>, reach: &Reach, everywhere: bool) -> Option<LoopClosure> {
         let query = self.query(id, reach);
-        let (translation, rotation) = reach.largest(here);
+        let (translation, rotation) = reach.largest(here, true);
         let points: Vec<Point2<f64>> = reach
             .old
             .iter()
@@ -179,12 +179,17 @@ impl PlanarPlaces {
             .flat_map(|o| self.ends_of(&self.kept[&o.id], &o.t_map_base))
             .collect();
         let pyramid = Pyramid::new(CELL_M, &points)?;
-        let region = match everywhere {
-            true => pyramid.everywhere(),
-            false => Region { center: *here, translation, rotation },
-        };
-        let min_score = if everywhere { MIN_SCORE_LOST } else { MIN_SCORE };
-        let best = only_optimum(&pyramid, &query, &region, min_score)?;
+        let within = |(translation, rotation)| Region { center: *here, translation, rotation };
+        let best = match everywhere {
+            true => only_optimum(&pyramid, &query, &pyramid.everywhere(), MIN_SCORE_LOST),
+            false => {
+                // As far as drift leads first: in a window that doubt has widened, too much may fit for a search to decide.
+                let doubted = (translation, rotation);
+                let mut windows = vec![reach.largest(here, false), doubted];
+                windows.dedup();
+                windows.into_iter().find_map(|window| only_optimum(&pyramid, &query, &within(window), MIN_SCORE))
+            }
+        }?;
         let candidate = reach.nearest(&best)?;
         let m = self.measure(id, candidate, &best.t, (0.3, 0.06), &Strictness::FAR, &reach.poses)?;
         Some(closure(candidate, id, &m))
@@ -292,6 +297,9 @@ struct Old {
     t_map_base: Isometry2<f64>,
     window_m: f64,
     window_rad: f64,
+    /// The same as drift alone has it, without doubt.
+    drift_m: f64,
+    drift_rad: f64,
 }
 
 /// What there is to be found again from a keyframe.
@@ -312,9 +320,16 @@ impl Reach {
             .map(|(other, t)| {
                 let d = distances.get(other).copied().unwrap_or(1e4);
                 let sigma = |(a, b, c): (f64, f64, f64)| a + b * d.sqrt() + c * d;
-                let window_m = (0.2 + 3.0 * doubt * sigma(DRIFT_M)).min(LARGEST_M);
-                let window_rad = (3.0 * doubt * sigma(DRIFT_RAD)).min(std::f64::consts::PI);
-                Old { id: *other, t_map_base: *t, window_m, window_rad }
+                let window_m = |doubt: f64| (0.2 + 3.0 * doubt * sigma(DRIFT_M)).min(LARGEST_M);
+                let window_rad = |doubt: f64| (3.0 * doubt * sigma(DRIFT_RAD)).min(std::f64::consts::PI);
+                Old {
+                    id: *other,
+                    t_map_base: *t,
+                    window_m: window_m(doubt),
+                    window_rad: window_rad(doubt),
+                    drift_m: window_m(1.0),
+                    drift_rad: window_rad(1.0),
+                }
             })
             .collect();
         Self { old, poses }
@@ -330,8 +345,10 @@ impl Reach {
         self.old.iter().filter(move |o| distance(o) < o.window_m + NEAR_M)
     }
 
-    fn largest(&self, here: &Isometry2<f64>) -> (f64, f64) {
-        self.around(here).fold((0.0, 0.0), |(m, rad), o| (o.window_m.max(m), o.window_rad.max(rad)))
+    /// The widest of their windows, metres and radians.
+    fn largest(&self, here: &Isometry2<f64>, with_doubt: bool) -> (f64, f64) {
+        let window = |o: &Old| if with_doubt { (o.window_m, o.window_rad) } else { (o.drift_m, o.drift_rad) };
+        self.around(here).map(window).fold((0.0, 0.0), |(m, rad), (o_m, o_rad)| (o_m.max(m), o_rad.max(rad)))
     }
 
     /// Whether one of them is not surely where it is believed to be.
