@@ -16,6 +16,10 @@ struct Script {
 }
 
 impl PlaceRecognition for Script {
+    fn memory_bytes(&self) -> usize {
+        0
+    }
+
     fn restore(&mut self, _: KeyframeId, _: &KeptScan, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
 
     fn insert(&mut self, id: KeyframeId, _: &KeptScan, drift: &Covariance6, _: &KeyframePoses) -> Vec<LoopClosure> {
@@ -233,6 +237,10 @@ struct Rounds {
 }
 
 impl PlaceRecognition for Rounds {
+    fn memory_bytes(&self) -> usize {
+        0
+    }
+
     fn restore(&mut self, _: KeyframeId, _: &KeptScan, _: &Covariance6, _: &KeyframePoses, _: &[KeyframeId]) {}
 
     fn insert(&mut self, id: KeyframeId, _: &KeptScan, _: &Covariance6, _: &KeyframePoses) -> Vec<LoopClosure> {
