@@ -29,10 +29,12 @@ pub struct DepthCameraParams {
     pub depth: bool,
     /// Height of the camera over the floor, metres, 0.05 to 2.5.
     pub height_m: f64,
-    /// How far ahead of the robot's middle the camera sits, metres, -0.2 to 0.2.
+    /// How far from the robot's middle the camera sits, in the direction in which it looks, metres, -0.2 to 0.2.
     pub forward_m: f64,
     /// How far the camera looks down, radians, -1 to 1.
     pub pitch_rad: f64,
+    /// Where it looks, radians from ahead to the left, -3.2 to 3.2.
+    pub yaw_rad: f64,
     /// Nearest depth measured, metres.
     pub range_min_m: f64,
     /// Farthest depth measured, metres.
@@ -61,6 +63,7 @@ impl Default for DepthCameraParams {
             height_m: 0.6,
             forward_m: 0.1,
             pitch_rad: 0.12,
+            yaw_rad: 0.0,
             range_min_m: 0.4,
             range_max_m: 8.0,
             noise_scale: 1.0,
@@ -103,7 +106,7 @@ impl DepthCameraParams {
 
     /// Camera's optical frame to base.
     pub fn t_base_sensor(&self) -> Pose {
-        let mut t = mount(self.forward_m, self.height_m, self.pitch_rad);
+        let mut t = mount(self.forward_m, self.height_m, self.pitch_rad, self.yaw_rad);
         t.rotation *= SensorSpec::optical_rotation();
         t
     }
@@ -126,6 +129,7 @@ impl DepthCameraParams {
         check("height_m", self.height_m, 0.05, 2.5, "between 0.05 and 2.5")?;
         check("forward_m", self.forward_m, -0.2, 0.2, "between -0.2 and 0.2")?;
         check("pitch_rad", self.pitch_rad, -1.0, 1.0, "between -1 and 1")?;
+        check("yaw_rad", self.yaw_rad, -3.2, 3.2, "between -3.2 and 3.2")?;
         check("range_min_m", self.range_min_m, 0.0, 100.0, "between 0 and 100")?;
         check("range_max_m", self.range_max_m, self.range_min_m, 1000.0, "between range_min_m and 1000")?;
         check("noise_scale", self.noise_scale, 0.0, 100.0, "between 0 and 100")?;

@@ -68,7 +68,7 @@ impl ImuParams {
 
 /// Sensor to base.
 pub(crate) fn t_base_sensor() -> Pose {
-    mount(0.0, HEIGHT_M, 0.0)
+    mount(0.0, HEIGHT_M, 0.0, 0.0)
 }
 
 /// The sensor with the errors that this one has.

@@ -33,6 +33,10 @@ pub struct Lidar2dParams {
     pub motion_distortion: bool,
     /// Height over the floor, metres, 0.05 to 2.5.
     pub height_m: f64,
+    /// How far from the robot's middle it sits, in the direction in which it looks, metres, -0.5 to 0.5.
+    pub forward_m: f64,
+    /// Where it looks, radians from ahead to the left, -3.2 to 3.2.
+    pub yaw_rad: f64,
 }
 
 impl Default for Lidar2dParams {
@@ -47,6 +51,8 @@ impl Default for Lidar2dParams {
             dropout_rate: 0.005,
             motion_distortion: false,
             height_m: 0.3,
+            forward_m: 0.0,
+            yaw_rad: 0.0,
         }
     }
 }
@@ -54,7 +60,7 @@ impl Default for Lidar2dParams {
 impl Lidar2dParams {
     /// Sensor to base.
     pub fn t_base_sensor(&self) -> Pose {
-        mount(0.0, self.height_m, 0.0)
+        mount(self.forward_m, self.height_m, 0.0, self.yaw_rad)
     }
 
     /// Checks bounds.
@@ -69,7 +75,9 @@ impl Lidar2dParams {
         check("range_max_m", self.range_max_m, self.range_min_m, 1000.0, "between range_min_m and 1000")?;
         check("range_noise_m", self.range_noise_m, 0.0, 1.0, "between 0 and 1")?;
         check_share("dropout_rate", self.dropout_rate)?;
-        check("height_m", self.height_m, 0.05, 2.5, "between 0.05 and 2.5")
+        check("height_m", self.height_m, 0.05, 2.5, "between 0.05 and 2.5")?;
+        check("forward_m", self.forward_m, -0.5, 0.5, "between -0.5 and 0.5")?;
+        check("yaw_rad", self.yaw_rad, -3.2, 3.2, "between -3.2 and 3.2")
     }
 
     /// Seconds from the first beam to the last while it turns.

@@ -79,7 +79,7 @@ impl Default for Lidar3dParams {
 impl Lidar3dParams {
     /// Sensor to base.
     pub fn t_base_sensor(&self) -> Pose {
-        mount(0.0, self.height_m, 0.0)
+        mount(0.0, self.height_m, 0.0, 0.0)
     }
 
     /// Checks bounds.

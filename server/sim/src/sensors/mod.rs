@@ -23,7 +23,7 @@ use crate::robot::Drive;
 use crate::world::World;
 use crate::{SimError, check};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
-use percept_geometry::{Pose, SensorId, SensorKind, SensorSpec};
+use percept_geometry::{Pose, SensorId, SensorKind, SensorSpec, se3};
 use serde::{Deserialize, Serialize};
 
 /// Which sensors the robot carries; none where it carries no such sensor.
@@ -157,9 +157,13 @@ pub(crate) struct Scene<'a> {
     pub(crate) seed: u64,
 }
 
-/// A place on the robot, `forward` and `up` of base (m), looking down by `pitch` (rad).
-pub(crate) fn mount(forward: f64, up: f64, pitch: f64) -> Pose {
-    Pose::from_parts(Translation3::new(forward, 0.0, up), UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch))
+/// A place on the robot, `forward` and `up` (m), looking down by `pitch` (rad), all of that turned by `yaw` (rad) to the left.
+pub(crate) fn mount(forward: f64, up: f64, pitch: f64, yaw: f64) -> Pose {
+    let ahead = Pose::from_parts(
+        Translation3::new(forward, 0.0, up),
+        UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch),
+    );
+    se3::from_xy_yaw(0.0, 0.0, yaw) * ahead
 }
 
 /// Bounds that every sensor shares.

@@ -148,7 +148,7 @@ mod tests {
             let camera = CameraIntrinsics::pinhole(80, 60, 65.0, 65.0, 39.5, 29.5);
             for k in 0..6 {
                 let t = f64::from(k) / 6.0 * path.lap_duration_s();
-                let mut t_base_optical = crate::sensors::mount(0.1, 0.6, 0.12);
+                let mut t_base_optical = crate::sensors::mount(0.1, 0.6, 0.12, 0.0);
                 t_base_optical.rotation *= SensorSpec::optical_rotation();
                 let pose = path.pose_at(t) * t_base_optical;
                 let view = world.view(t);
