@@ -4,7 +4,7 @@ use super::{Match, MotionPrior, Odometry, Prediction, diagonal};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use nalgebra::Vector6;
-use percept_geometry::{Pose, se3};
+use percept_geometry::{Covariance6, Pose, se3};
 
 /// A frame whose inlier ratio falls below this share of the usual one is tried from the last pose too.
 const DOUBTFUL: f64 = 0.9;
@@ -22,14 +22,18 @@ const ALIKE: f64 = 0.01;
 pub(super) const UNKNOWN_VARIANCE: f64 = 1e4;
 
 impl Odometry {
-    /// The motion prior if there is one; what it leaves open, as a gyro does the translation, from constant velocity.
+    /// The motion prior if there is one; what it leaves open, as a gyro does the translation, from constant velocity. Of a prior that
+    /// tells a part of the way each axis is taken from where it is known.
     pub(super) fn predict(&self, dt: f64, prior: Option<&MotionPrior>) -> Prediction {
         let constant = self.constant_velocity(dt);
         let Some(prior) = prior else { return constant };
         let covariance = prior.covariance + self.limits.prior_floor();
-        if (0..3).all(|i| covariance[(i, i)] <= UNKNOWN_VARIANCE) {
-            let t_odom_base = self.t_odom_base * prior.t_prev_now;
-            return Prediction { t_odom_base, covariance, is_measured: true, ..constant };
+        let t_odom_base = self.t_odom_base * prior.t_prev_now;
+        if prior.tells_the_way() {
+            return Prediction { t_odom_base, covariance, is_measured: true, measured: [true; 6], ..constant };
+        }
+        if !prior.is_turn_only() {
+            return fused(constant, &t_odom_base, &covariance);
         }
         let way = self.t_odom_base.inv_mul(&constant.t_odom_base).translation;
         let mut both = constant.covariance;
@@ -56,6 +60,7 @@ impl Odometry {
             t_odom_base: self.t_odom_base * t_now_next,
             covariance,
             is_measured: false,
+            measured: [false; 6],
             elapsed_s: self.unplaced_s + dt,
             t_odom_before: self.is_tracking().then_some(self.t_odom_base),
             inertial: None,
@@ -175,7 +180,8 @@ impl Odometry {
         }
         self.sweep_velocity = velocity;
         let covariance = diagonal(0.05, 0.02);
-        let again = Prediction { is_measured: true, ..Prediction::within(found.t_odom_base, covariance) };
+        let near = Prediction::within(found.t_odom_base, covariance);
+        let again = Prediction { is_measured: true, measured: [true; 6], ..near };
         self.try_from(dt, &again).unwrap_or(found)
     }
 
@@ -214,6 +220,19 @@ impl Odometry {
         // Meanwhile somebody may have carried the robot to a place that resembles the old one.
         if self.is_after_gap(dt) && !self.model.is_certain(&found) { Err(LostReason::TimeGap) } else { Ok(found) }
     }
+}
+
+/// Constant velocity and what was measured along some axes, each by its information.
+fn fused(constant: Prediction, t_odom_measured: &Pose, covariance: &Covariance6) -> Prediction {
+    let both = || -> Option<(Pose, Covariance6)> {
+        let (a, b) = (constant.covariance.try_inverse()?, covariance.try_inverse()?);
+        let fused = (a + b).try_inverse()?;
+        let off = se3::log(&constant.t_odom_base.inv_mul(t_odom_measured));
+        Some((constant.t_odom_base * se3::exp(&(fused * b * off)), (fused + fused.transpose()) * 0.5))
+    };
+    let Some((t_odom_base, fused)) = both() else { return constant };
+    let measured = std::array::from_fn(|k| covariance[(k, k)] <= UNKNOWN_VARIANCE);
+    Prediction { t_odom_base, covariance: fused, measured, ..constant }
 }
 
 #[cfg(test)]
@@ -278,6 +297,22 @@ mod tests {
         let estimate = odometry.register(Timestamp::from_secs_f64(2.5), &scan, Some(&drive));
         assert!(estimate.state.is_tracking());
         estimate.t_odom_base.translation.x
+    }
+
+    #[test]
+    fn what_a_prior_leaves_open_of_the_way_is_taken_from_the_velocity() {
+        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+        odometry.velocity = Some(Vector6::new(1.0, 0.0, 0.0, 0.0, 0.0, 0.0));
+        odometry.last_stamp = Some(Timestamp::default());
+        let mut covariance = diagonal(0.002, 0.002);
+        covariance[(0, 0)] = 1e6;
+        let prior = MotionPrior { t_prev_now: se3::from_xy_yaw(7.0, 0.05, 0.1), covariance };
+        let predicted = odometry.predict(0.1, Some(&prior));
+        let t = predicted.t_odom_base;
+        assert!((t.translation.x - 0.1).abs() < 0.01 && (t.translation.y - 0.05).abs() < 0.01, "{t}");
+        assert!((se3::yaw(&t) - 0.1).abs() < 0.01);
+        assert!(!predicted.is_measured && predicted.measured == [false, true, true, true, true, true]);
+        assert!(predicted.covariance[(0, 0)] > 1e-4 && predicted.covariance[(1, 1)] < 1e-5);
     }
 
     #[test]

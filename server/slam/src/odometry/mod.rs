@@ -41,8 +41,8 @@ const COASTS_S: f64 = 5.0;
 pub struct MotionPrior {
     /// Base now, seen from base at the frame before.
     pub t_prev_now: Pose,
-    /// Of that motion, right perturbation in base now. With standard deviations above 100 m the translation is open, and
-    /// prediction takes it from the velocity.
+    /// Of that motion, right perturbation in base now. Axes with standard deviations above 100 m are open, and prediction takes
+    /// them from the velocity.
     pub covariance: Covariance6,
 }
 
@@ -50,6 +50,11 @@ impl MotionPrior {
     /// Whether it says how far base moved, not only how it turned.
     pub(crate) fn tells_the_way(&self) -> bool {
         (0..3).all(|i| self.covariance[(i, i)] <= UNKNOWN_VARIANCE)
+    }
+
+    /// Whether it says nothing but how base turned, as a gyro does.
+    pub(crate) fn is_turn_only(&self) -> bool {
+        (0..3).all(|i| self.covariance[(i, i)] > UNKNOWN_VARIANCE)
     }
 }
 
@@ -185,9 +190,9 @@ impl Odometry {
         let t_odom_before = self.t_odom_base;
         // Wheels tell the way better than inertia does.
         let imu = imu.filter(|_| !self.limits.is_planar && !prior.is_some_and(MotionPrior::tells_the_way));
-        let turned = prior.filter(|p| !p.tells_the_way()).map(|p| p.t_prev_now.rotation);
-        let on_trial = prior.filter(|p| !p.tells_the_way() && self.gyro.is_on_trial());
-        let prior = prior.filter(|p| p.tells_the_way() || self.gyro.is_believed());
+        let turned = prior.filter(|p| p.is_turn_only()).map(|p| p.t_prev_now.rotation);
+        let on_trial = prior.filter(|p| p.is_turn_only() && self.gyro.is_on_trial());
+        let prior = prior.filter(|p| !p.is_turn_only() || self.gyro.is_believed());
         let prediction = self.predict_with_imu(stamp, dt, scan, prior, imu);
         self.last_stamp = Some(stamp);
         self.model.follow_curve(prediction.inertial.as_ref().map(|e| Arc::clone(&e.curve)));
@@ -214,7 +219,7 @@ impl Odometry {
         if let Ok(found) = &found {
             match &prediction.inertial {
                 Some(e) => self.uncertainty.carried(&found.degenerate_axes, &e.pose_covariance().diagonal()),
-                None => self.uncertainty.filled_in(&found.degenerate_axes, prediction.is_measured, dt),
+                None => self.uncertainty.filled_in(&found.degenerate_axes, &prediction.measured, dt),
             }
         }
         let is_guessed = self.uncertainty.guessed().contains(&true);
@@ -259,6 +264,7 @@ impl Odometry {
             t_odom_base: expected.t_odom_base,
             covariance: expected.pose_covariance(),
             is_measured: true,
+            measured: [true; 6],
             inertial: Some(expected),
             ..self.predict(dt, None)
         }

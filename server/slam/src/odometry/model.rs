@@ -14,8 +14,10 @@ pub(crate) struct Prediction {
     pub(crate) t_odom_base: Pose,
     /// Right perturbation in base.
     pub(crate) covariance: Covariance6,
-    /// Whether it was measured (by wheels, an IMU), not assumed.
+    /// Whether it was measured (by wheels, an IMU, another sensor), not assumed.
     pub(crate) is_measured: bool,
+    /// The same for each axis of base.
+    pub(crate) measured: [bool; 6],
     /// Seconds since the newest frame that was placed; 0 where there is none.
     pub(crate) elapsed_s: f64,
     /// Where base was then, base to odom, if that was the frame before.
@@ -27,7 +29,15 @@ pub(crate) struct Prediction {
 impl Prediction {
     /// Near a pose, whatever was before.
     pub(crate) fn within(t_odom_base: Pose, covariance: Covariance6) -> Self {
-        Self { t_odom_base, covariance, is_measured: false, elapsed_s: 0.0, t_odom_before: None, inertial: None }
+        Self {
+            t_odom_base,
+            covariance,
+            is_measured: false,
+            measured: [false; 6],
+            elapsed_s: 0.0,
+            t_odom_before: None,
+            inertial: None,
+        }
     }
 }
 

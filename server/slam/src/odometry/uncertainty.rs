@@ -44,11 +44,11 @@ impl Uncertainty {
     }
 
     /// Along the axes of base that are `open` the frame that follows was put where a prediction was, `dt` seconds after the
-    /// one before: by wheels if that `is_measured`, else by a velocity that was never seen.
-    pub(crate) fn filled_in(&mut self, open: &[bool; 6], is_measured: bool, dt: f64) {
+    /// one before: by wheels where that is `measured`, else by a velocity that was never seen.
+    pub(crate) fn filled_in(&mut self, open: &[bool; 6], measured: &[bool; 6], dt: f64) {
         for (k, &open) in open.iter().enumerate() {
             let (velocity, way) = (&mut self.unknown_velocity[k], &mut self.unknown_way[k]);
-            if !open || is_measured {
+            if !open || measured[k] {
                 (*velocity, *way) = (0.0, 0.0);
                 continue;
             }
@@ -147,14 +147,14 @@ mod tests {
         let mut u = Uncertainty::default();
         let open = [true, false, false, false, false, false];
         for _ in 0..250 {
-            u.filled_in(&open, false, 0.1);
+            u.filled_in(&open, FIXED, 0.1);
             u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), &open);
         }
         // The velocity's standard deviation is a square root of time: two thirds of 0.3 t^1.5 after 25 s.
         let (along, across) = (u.covariance()[(0, 0)].sqrt(), u.covariance()[(1, 1)].sqrt());
         assert!((along - 25.0).abs() < 0.5 && across < 0.02, "{along} {across}");
         assert_eq!(u.guessed(), open);
-        u.filled_in(FIXED, false, 0.1);
+        u.filled_in(FIXED, FIXED, 0.1);
         assert_eq!(u.guessed(), *FIXED);
         let fixed = u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), FIXED)[(0, 0)].sqrt();
         assert!((fixed - along).abs() < 0.01, "{fixed}");
@@ -165,7 +165,7 @@ mod tests {
         let mut u = Uncertainty::default();
         for _ in 0..100 {
             for open in [[true, false, false, false, false, false], *FIXED] {
-                u.filled_in(&open, false, 0.1);
+                u.filled_in(&open, FIXED, 0.1);
                 u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), &open);
             }
         }
