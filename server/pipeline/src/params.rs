@@ -34,6 +34,42 @@ pub struct SlamParams {
     pub odometry: OdometryParams,
     /// Loops, and the corrections that follow from them.
     pub back_end: BackEndParams,
+    /// Lidars and depth cameras beside the sensor that moves the pose.
+    pub second_sensors: SecondSensorParams,
+}
+
+/// Lidars and depth cameras beside the sensor that moves the pose.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SecondSensorParams {
+    /// Whether each of their frames is registered: that places them more exactly, helps the pose where its sensor sees too little, and
+    /// leads while that is silent. A frame takes as much time as it would if that sensor moved the pose; without, frames are placed
+    /// where the pose sensor says the robot is, which costs nothing.
+    pub enabled: bool,
+    /// While the pose sensor sees well, a frame is left out until base has moved so far since the last one, metres, 0 to 10. Less:
+    /// more exact at once where the pose sensor fails, and slower.
+    pub distance_m: f64,
+    /// Or has turned so far, radians, 0 to pi.
+    pub angle_rad: f64,
+}
+
+impl Default for SecondSensorParams {
+    fn default() -> Self {
+        Self { enabled: true, distance_m: 0.15, angle_rad: 0.1 }
+    }
+}
+
+impl SecondSensorParams {
+    fn validate(&self) -> Result<(), ParamsError> {
+        let pi = std::f64::consts::PI;
+        for (field, value, most) in [("distance_m", self.distance_m, 10.0), ("angle_rad", self.angle_rad, pi)] {
+            if !(0.0..=most).contains(&value) {
+                let message = format!("{field} is {value}; set it between 0 and {most:.2}");
+                return Err(ParamsError { section: "slam.second_sensors", message });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// What is looked for, and where.
@@ -83,6 +119,7 @@ impl PipelineParams {
         }
         self.slam.odometry.validate().map_err(named("slam.odometry"))?;
         self.slam.back_end.validate().map_err(named("slam.back_end"))?;
+        self.slam.second_sensors.validate()?;
         self.map.validate().map_err(named("map"))?;
         self.detection.detector.validate().map_err(named("detection.detector"))?;
         if !(1.0..=50.0).contains(&self.detection.range_m) {

@@ -79,8 +79,7 @@ impl Pipeline {
     pub fn process(&mut self, frame: &SensorFrame) -> Result<FrameReport, FrameError> {
         let Some(view) = self.frontend.take(frame)? else { return Ok(FrameReport::default()) };
         let mut map = self.revise(|graph, update| graph.take_answers(view.stamp, update));
-        let report =
-            if view.is_of_pose_sensor { self.follow(&view) } else { self.look_beside(&view).unwrap_or_default() };
+        let report = if view.is_of_pose_sensor { self.follow(&view) } else { self.look_beside(&view) };
         self.map_graph.build_on(report.keyframe.is_some());
         map.extend(report.map);
         Ok(FrameReport { map, ..report })
@@ -89,8 +88,11 @@ impl Pipeline {
     /// A view that moves the pose.
     fn follow(&mut self, view: &View) -> FrameReport {
         let (stamp, sensor) = (view.stamp, &view.spec.id);
+        if view.has_taken_over {
+            self.frontend.hand_over(view, &self.map_graph.recent_keyframes(sensor));
+        }
         let is_mapped = |t_odom_base: &Pose| self.map_graph.is_mapped(sensor, t_odom_base);
-        let Registered { mut estimate, kind, moved } = self.frontend.register(view, is_mapped);
+        let Registered { mut estimate, kind, led_by, moved } = self.frontend.register(view, is_mapped);
         self.map_graph.prepare(kind);
         self.map_graph.move_without_scale(&moved);
         let mut update = MapUpdate::default();
@@ -102,11 +104,13 @@ impl Pipeline {
         let is_anchored = self.frontend.tracking().is_anchored();
         let before_joined = if is_anchored { self.join_waiting(&mut update) } else { None };
         self.move_objects(&update.moved);
-        let keyframe = if is_anchored { self.frontend.keyframe(view, &estimate) } else { None };
+        // What it has not seen it adds nothing to the map by.
+        let is_keyframe_due = is_anchored && led_by.is_none();
+        let keyframe = if is_keyframe_due { self.frontend.keyframe(view, &estimate) } else { None };
         let (keyframe, changes) = keyframe.map(|k| self.add(k, before_joined.as_ref())).unzip();
 
         estimate.state = self.frontend.tracking().told(&estimate);
-        let pose = self.pose_of(&estimate);
+        let pose = PoseEstimate { led_by, ..self.pose_of(&estimate) };
         self.pose = Some(pose.clone());
         let trajectory = self.extend_trajectory(sensor, &pose, is_anchored, keyframe.as_ref());
         if is_anchored {
@@ -117,14 +121,33 @@ impl Pipeline {
         FrameReport { pose: Some(pose), trajectory, keyframe, changes, joined, mended, map }
     }
 
-    /// A view of another sensor: seen from where the pose sensor says the robot is, it adds to the map.
-    fn look_beside(&mut self, view: &View) -> Option<FrameReport> {
+    /// A view of a second sensor adds to the map, and leads while the pose sensor is silent.
+    fn look_beside(&mut self, view: &View) -> FrameReport {
+        if self.frontend.register_second(view) {
+            return FrameReport::default();
+        }
+        let led = self.frontend.lead(view).map(|estimate| self.go_on(view, &estimate)).unwrap_or_default();
+        let (keyframe, changes) = self.keyframe_beside(view).unzip();
+        FrameReport { keyframe, changes: changes.unwrap_or_default(), ..led }
+    }
+
+    /// The pose goes on by a second sensor.
+    fn go_on(&mut self, view: &View, estimate: &OdometryEstimate) -> FrameReport {
+        let pose = PoseEstimate { led_by: Some(view.spec.id.clone()), ..self.pose_of(estimate) };
+        self.pose = Some(pose.clone());
+        // A trajectory hangs on keyframes of the sensor that moves the pose.
+        let trajectory =
+            self.frontend.pose_sensor().cloned().and_then(|s| self.extend_trajectory(&s, &pose, true, None));
+        FrameReport { pose: Some(pose), trajectory, ..FrameReport::default() }
+    }
+
+    /// Puts a view of a second sensor into the map, if it lies far enough from the one before.
+    fn keyframe_beside(&mut self, view: &View) -> Option<(NewKeyframe, Vec<ObjectChange>)> {
         let pose = self.pose.as_ref().filter(|p| !p.state.is_lost() && p.scale.is_metric())?;
-        let keyframe = self.frontend.keyframe_beside(view, pose.stamp)?;
+        let keyframe = self.frontend.keyframe_beside(view, (pose.stamp, pose.covariance))?;
         let near = |sensor: &SensorId, t_odom_base: &Pose| self.map_graph.keyframes_near(sensor, t_odom_base);
         self.frontend.check_extrinsics(&keyframe, near);
-        let (keyframe, changes) = self.add(keyframe, None);
-        Some(FrameReport { keyframe: Some(keyframe), changes, ..FrameReport::default() })
+        Some(self.add(keyframe, None))
     }
 
     /// A view of a robot that nothing anchors in the map: the estimate as it is, or as it is in the map where the robot was found.
@@ -202,6 +225,7 @@ impl Pipeline {
             scale: estimate.scale,
             waiting: estimate.waiting,
             is_relocalised: was_lost && estimate.state.is_tracking(),
+            led_by: None,
             map_version: self.map_graph.map().version(),
         }
     }

@@ -35,6 +35,8 @@ pub struct PoseEstimate {
     pub waiting: Option<Waiting>,
     /// Whether the robot was lost and this frame found it again.
     pub is_relocalised: bool,
+    /// The second sensor that measured this pose, because the pose sensor is silent or sees nothing.
+    pub led_by: Option<SensorId>,
     /// Version of the map that `t_map_base` refers to.
     pub map_version: u64,
 }

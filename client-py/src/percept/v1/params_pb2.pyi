@@ -83,6 +83,7 @@ class SlamParams(_message.Message):
     POSE_SENSOR_FIELD_NUMBER: _builtins.int
     ODOMETRY_FIELD_NUMBER: _builtins.int
     BACK_END_FIELD_NUMBER: _builtins.int
+    SECOND_SENSORS_FIELD_NUMBER: _builtins.int
     pose_sensor: _builtins.str
     """Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd or depth, camera)."""
     @_builtins.property
@@ -93,22 +94,73 @@ class SlamParams(_message.Message):
     def back_end(self) -> Global___BackEndParams:
         """Loops, and the corrections that follow from them."""
 
+    @_builtins.property
+    def second_sensors(self) -> Global___SecondSensorParams:
+        """Lidars and depth cameras beside the sensor that moves the pose."""
+
     def __init__(
         self,
         *,
         pose_sensor: _builtins.str | None = ...,
         odometry: Global___OdometryParams | None = ...,
         back_end: Global___BackEndParams | None = ...,
+        second_sensors: Global___SecondSensorParams | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "odometry", b"odometry", "pose_sensor", b"pose_sensor"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "odometry", b"odometry", "pose_sensor", b"pose_sensor", "second_sensors", b"second_sensors"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "odometry", b"odometry", "pose_sensor", b"pose_sensor"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "odometry", b"odometry", "pose_sensor", b"pose_sensor", "second_sensors", b"second_sensors"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__pose_sensor: _TypeAlias = _typing.Literal["pose_sensor"]  # noqa: Y015
     _WhichOneofArgType__pose_sensor: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose_sensor) -> _WhichOneofReturnType__pose_sensor | None: ...
 
 Global___SlamParams: _TypeAlias = SlamParams  # noqa: Y015
+
+@_typing.final
+class SecondSensorParams(_message.Message):
+    """Lidars and depth cameras beside the sensor that moves the pose."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ENABLED_FIELD_NUMBER: _builtins.int
+    DISTANCE_M_FIELD_NUMBER: _builtins.int
+    ANGLE_RAD_FIELD_NUMBER: _builtins.int
+    enabled: _builtins.bool
+    """Whether each of their frames is registered: that places them more exactly, helps the pose where its sensor sees too little,
+    and leads while that is silent. A frame takes as much time as it would if that sensor moved the pose; without, frames are
+    placed where the pose sensor says the robot is, which costs nothing.
+    """
+    distance_m: _builtins.float
+    """While the pose sensor sees well, a frame is left out until base has moved so far since the last one, metres, 0 to 10. Less:
+    more exact at once where the pose sensor fails, and slower.
+    """
+    angle_rad: _builtins.float
+    """Or has turned so far, radians, 0 to pi."""
+    def __init__(
+        self,
+        *,
+        enabled: _builtins.bool | None = ...,
+        distance_m: _builtins.float | None = ...,
+        angle_rad: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad", "_distance_m", b"_distance_m", "_enabled", b"_enabled", "angle_rad", b"angle_rad", "distance_m", b"distance_m", "enabled", b"enabled"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad", "_distance_m", b"_distance_m", "_enabled", b"_enabled", "angle_rad", b"angle_rad", "distance_m", b"distance_m", "enabled", b"enabled"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__angle_rad: _TypeAlias = _typing.Literal["angle_rad"]  # noqa: Y015
+    _WhichOneofArgType__angle_rad: _TypeAlias = _typing.Literal["_angle_rad", b"_angle_rad"]  # noqa: Y015
+    _WhichOneofReturnType__distance_m: _TypeAlias = _typing.Literal["distance_m"]  # noqa: Y015
+    _WhichOneofArgType__distance_m: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m"]  # noqa: Y015
+    _WhichOneofReturnType__enabled: _TypeAlias = _typing.Literal["enabled"]  # noqa: Y015
+    _WhichOneofArgType__enabled: _TypeAlias = _typing.Literal["_enabled", b"_enabled"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__angle_rad) -> _WhichOneofReturnType__angle_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__distance_m) -> _WhichOneofReturnType__distance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__enabled) -> _WhichOneofReturnType__enabled | None: ...
+
+Global___SecondSensorParams: _TypeAlias = SecondSensorParams  # noqa: Y015
 
 @_typing.final
 class BackEndParams(_message.Message):

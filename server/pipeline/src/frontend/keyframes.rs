@@ -1,7 +1,7 @@
 //! Which frames stay, and what is kept of them.
 
 use super::{Frontend, Keyframe, View};
-use percept_geometry::{KeyframeScan, Pose, SensorId, SensorKind, Timestamp, se3};
+use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, SensorKind, Timestamp, se3};
 use percept_slam::{KeyframePolicy, OdometryEstimate, Scan, keyframe};
 use std::sync::Arc;
 
@@ -21,21 +21,28 @@ impl Frontend {
         })
     }
 
-    /// The keyframe that a view of another sensor becomes, if it lies far enough from the one before: seen from where the pose
-    /// sensor says the robot is, whose newest pose has the stamp `newest`.
-    pub(crate) fn keyframe_beside(&mut self, view: &View, newest: Timestamp) -> Option<Keyframe> {
+    /// The keyframe that a view of a second sensor becomes, if it lies far enough from the one before: where that sensor's own motion
+    /// places it, if it is registered, else where the pose sensor says the robot is. The newest pose has this stamp and covariance.
+    pub(crate) fn keyframe_beside(
+        &mut self,
+        view: &View,
+        (newest, covariance): (Timestamp, Covariance6),
+    ) -> Option<Keyframe> {
         let ahead = view.stamp.seconds_since(newest);
         if matches!(view.scan, Scan::Image(_)) || ahead.abs() > MOST_APART_S {
             return None;
         }
         let odometry = self.odometry.as_ref()?;
-        let (velocity, covariance) = (odometry.velocity(), odometry.covariance());
-        let t_odom_base = odometry.t_odom_base() * se3::exp(&(velocity * ahead));
-        if !self.policy(&view.spec.id).consider(&t_odom_base) {
+        let (velocity, sensor) = (odometry.velocity(), &view.spec.id);
+        let placed = self.second.place(sensor, view.stamp);
+        let t_odom_base = placed.unwrap_or_else(|| odometry.t_odom_base() * se3::exp(&(velocity * ahead)));
+        if !self.policy(sensor).consider(&t_odom_base) {
             return None;
         }
         let params = &self.params.odometry.keyframe;
-        let scan = keyframe::keyframe_scan(params, view.stamp, &view.spec.id, &view.scan, &velocity);
+        let as_seen = self.second.keyframe_scan(sensor, view.stamp, &view.scan);
+        let led_on = || keyframe::keyframe_scan(params, view.stamp, sensor, &view.scan, &velocity);
+        let scan = as_seen.unwrap_or_else(led_on);
         Some(Keyframe { kind: view.spec.kind, scan, t_odom_base, covariance, is_of_pose_sensor: false })
     }
 

@@ -7,10 +7,12 @@ mod clock_offset;
 mod extrinsics;
 mod imu_prior;
 mod keyframes;
+mod leading;
 mod motion;
 mod odometry_prior;
 mod resume;
 mod scale_hints;
+mod second;
 mod sensors;
 mod tracking;
 mod view;
@@ -27,6 +29,7 @@ use nalgebra::{Unit, Vector3};
 use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp};
 use percept_slam::{ImuFault, KeyframePolicy, Odometry, OdometryEstimate, OdometryKind, Scan};
 use scale_hints::ScaleHints;
+use second::SecondSensors;
 use sensors::{Sensors, scan_of};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -37,6 +40,7 @@ pub(crate) struct Frontend {
     sensors: Sensors,
     motion: MotionSensors,
     odometry: Option<Odometry>,
+    second: SecondSensors,
     scale_hints: ScaleHints,
     tracking: Tracking,
     /// Whether the newest pose is in metres.
@@ -51,7 +55,7 @@ pub(crate) struct Frontend {
 impl Frontend {
     /// Bytes that odometry takes, about.
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.odometry.as_ref().map_or(0, Odometry::memory_bytes)
+        self.odometry.as_ref().map_or(0, Odometry::memory_bytes) + self.second.memory_bytes()
     }
 
     /// Without sensors. Validate `params` first.
@@ -61,6 +65,7 @@ impl Frontend {
             sensors: Sensors::default(),
             motion: MotionSensors::default(),
             odometry: None,
+            second: SecondSensors::default(),
             scale_hints: ScaleHints::default(),
             tracking: Tracking::default(),
             is_metric: false,
@@ -78,6 +83,7 @@ impl Frontend {
         if let Some(odometry) = &mut self.odometry {
             odometry.set_keyframe_params(keyframe.clone());
         }
+        self.second.set_keyframe_params(keyframe);
         self.params = params;
     }
 
@@ -91,6 +97,9 @@ impl Frontend {
             if let Some(odometry) = self.odometry.as_mut().filter(|_| spec.kind == SensorKind::Imu) {
                 odometry.forget_imu();
             }
+        }
+        if self.sensors.spec(&spec.id).is_some_and(|before| *before != spec) {
+            self.second.forget(&spec.id);
         }
         self.sensors.declare(spec);
     }
@@ -113,13 +122,15 @@ impl Frontend {
         let (spec, stamp) = self.sensors.admit(frame)?;
         self.motion.take(&spec, stamp, &frame.data);
         let Some(mut scan) = scan_of(&spec, &frame.data) else { return Ok(None) };
+        let before = self.sensors.pose_sensor().cloned();
         let is_of_pose_sensor = self.sensors.is_pose_sensor(&frame.sensor, &self.params.pose_sensor, stamp);
+        let has_taken_over = is_of_pose_sensor && before.is_some_and(|before| before != frame.sensor);
         if is_of_pose_sensor && !self.is_metric {
             self.scale_hints.see_image(stamp, &mut scan);
         } else if !is_of_pose_sensor {
             self.tell_scale(stamp, &scan);
         }
-        Ok(Some(View { spec, stamp, scan, is_of_pose_sensor }))
+        Ok(Some(View { spec, stamp, scan, is_of_pose_sensor, has_taken_over }))
     }
 
     /// A frame of another sensor tells a camera its scale, perhaps.
@@ -140,13 +151,12 @@ impl Frontend {
         {
             odometry.forget_imu();
         }
-        let Prior { motion, has_wheels, imu } = self.motion.prior(since, stamp);
-        let kind = match &view.scan {
-            Scan::Depth(_) => OdometryKind::Rgbd,
-            Scan::Cloud(_) => OdometryKind::Lidar3d,
-            Scan::Planar(_) => OdometryKind::Lidar2d,
-            Scan::Image(_) => OdometryKind::Mono,
-        };
+        let kind = kind_of(&view.scan);
+        let led = self.led(kind, stamp);
+        // What sees well needs no help, and what is a little off in every step would drag its map along.
+        let needs_help = !self.second.is_pose_known();
+        let second = led.as_ref().filter(|_| needs_help).and_then(|led| self.second.motion_to(led));
+        let Prior { motion, has_wheels, imu } = self.motion.prior(since, stamp, second);
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.odometry.clone()));
         let (t_odom_last, was_tracking) = (*odometry.t_odom_base(), odometry.is_tracking());
         let estimate = odometry.register_with_imu(stamp, &view.scan, motion.as_ref(), imu);
@@ -157,11 +167,12 @@ impl Frontend {
         }
         self.last_registered = Some(stamp);
         self.is_metric = estimate.scale.is_metric();
+        let (estimate, led_by) = self.with_stand_in(estimate, kind, led);
         self.tracking.step(&estimate, has_wheels, || is_mapped(&estimate.t_odom_base));
-        if self.tracking.is_anchored() && estimate.state.is_tracking() {
+        if self.tracking.is_anchored() && led_by.is_none() && estimate.state.is_tracking() {
             self.usual_inlier_ratio += 0.1 * (estimate.inlier_ratio - self.usual_inlier_ratio);
         }
-        Registered { estimate, kind, moved }
+        Registered { estimate, kind, led_by, moved }
     }
 
     /// How the newest pose hangs on the map.
@@ -180,6 +191,7 @@ impl Frontend {
             self.odometry = Some(odometry);
         }
         self.tracking.found(&found.estimate);
+        self.second.pose_jumped();
         self.is_metric = found.estimate.scale.is_metric();
         found.estimate
     }
@@ -202,5 +214,15 @@ impl Frontend {
     /// Sensors that are not mounted as declared, by how far.
     pub(crate) fn mount_offsets(&self) -> Arc<BTreeMap<SensorId, MountOffset>> {
         self.extrinsics.told()
+    }
+}
+
+/// The method for what a scan shows.
+fn kind_of(scan: &Scan) -> OdometryKind {
+    match scan {
+        Scan::Depth(_) => OdometryKind::Rgbd,
+        Scan::Cloud(_) => OdometryKind::Lidar3d,
+        Scan::Planar(_) => OdometryKind::Lidar2d,
+        Scan::Image(_) => OdometryKind::Mono,
     }
 }

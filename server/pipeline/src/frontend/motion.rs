@@ -3,6 +3,7 @@
 use super::clock_offset::ClockOffsets;
 use super::imu_prior::joined;
 use super::odometry_prior::OdometryBuffer;
+use super::second::fused;
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use percept_geometry::{SensorData, SensorId, SensorSpec, Timestamp};
 use percept_slam::{ImuBuffer, ImuFault, MotionPrior};
@@ -87,14 +88,17 @@ impl MotionSensors {
         was_used
     }
 
-    /// What wheels and the chosen IMU say of the motion from one frame, if there was one before, to another.
-    pub(super) fn prior(&self, from: Option<Timestamp>, to: Timestamp) -> Prior<'_> {
+    /// What wheels, a second sensor and the chosen IMU say of the motion from one frame, if there was one before, to another.
+    pub(super) fn prior(&self, from: Option<Timestamp>, to: Timestamp, second: Option<MotionPrior>) -> Prior<'_> {
         let wheels = from.and_then(|from| self.wheels.values().find_map(|w| w.between(from, to)));
         let imu = self.used_imu.as_ref().and_then(|id| self.imus.get(id));
-        // Where wheels tell the turn, too, nothing is lost by waiting until the gyro has shown to be right.
-        let is_welcome = |i: &&ImuBuffer| if wheels.is_some() { i.has_proven_turns() } else { !i.spoils_turns() };
+        // Where others tell the turn, too, nothing is lost by waiting until the gyro has shown to be right.
+        let is_told = wheels.is_some() || second.is_some();
+        let is_welcome = |i: &&ImuBuffer| if is_told { i.has_proven_turns() } else { !i.spoils_turns() };
         let turn = imu.filter(is_welcome).zip(from).and_then(|(i, from)| i.between(from, to));
-        Prior { has_wheels: wheels.is_some(), motion: joined(wheels, turn), imu }
+        let has_wheels = wheels.is_some();
+        let motion = if second.is_some() { fused(turn, fused(wheels, second)) } else { joined(wheels, turn) };
+        Prior { has_wheels, motion, imu }
     }
 
     /// A turn that was measured otherwise tells a gyro's bias, what is wrong with it, and how far clocks are off. `is_planar`:

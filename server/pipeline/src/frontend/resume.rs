@@ -33,7 +33,7 @@ impl Frontend {
 }
 
 /// The method for a kind of sensor; none for kinds that cannot carry the pose.
-fn odometry_kind(kind: SensorKind) -> Option<OdometryKind> {
+pub(super) fn odometry_kind(kind: SensorKind) -> Option<OdometryKind> {
     match kind {
         SensorKind::Depth | SensorKind::Rgbd => Some(OdometryKind::Rgbd),
         SensorKind::Lidar3d => Some(OdometryKind::Lidar3d),

@@ -1,6 +1,6 @@
 //! What goes through the front end: what a sensor saw, where odometry has placed it, and the keyframe that it becomes.
 
-use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorKind, SensorSpec, Timestamp};
+use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, SensorKind, SensorSpec, Timestamp};
 use percept_slam::{Odometry, OdometryEstimate, OdometryKind, Scan};
 
 /// What a sensor saw of its surroundings.
@@ -11,6 +11,8 @@ pub(crate) struct View {
     pub(crate) scan: Scan,
     /// Whether it moves the pose.
     pub(crate) is_of_pose_sensor: bool,
+    /// Whether another sensor did before.
+    pub(crate) has_taken_over: bool,
 }
 
 /// A frame that odometry has placed, if it could.
@@ -18,6 +20,8 @@ pub(crate) struct Registered {
     /// Its state is what odometry measured; [`super::Tracking::told`] is what is said of it.
     pub(crate) estimate: OdometryEstimate,
     pub(crate) kind: OdometryKind,
+    /// The second sensor that measured it in the pose sensor's place.
+    pub(crate) led_by: Option<SensorId>,
     /// How the past moved with it, in a camera's own map: stamps, ascending, and old to new odom near them.
     pub(crate) moved: Vec<(Timestamp, Pose)>,
 }

@@ -172,13 +172,17 @@ impl MapGraph {
         Some((self.t_map_odom.inverse() * keyframe.t_map_base, self.map.scan(id)?))
     }
 
-    /// Adds a frame to the trajectory: on its keyframe, if it is one, else on the newest of the sensor that moves the pose.
+    /// Adds a frame to the trajectory: on its keyframe, if it is one, else on the newest of the sensor that moves the pose. One that is
+    /// older than the newest entry is left out, as a pose sensor's is that comes late while a second sensor leads.
     pub(crate) fn extend_trajectory(
         &mut self,
         sensor: &SensorId,
         frame: (Timestamp, &Pose, bool),
         keyframe: Option<&NewKeyframe>,
     ) -> Option<TrajectoryEntry> {
+        if self.trajectory.newest().is_some_and(|newest| newest >= frame.0) {
+            return None;
+        }
         let anchor = match keyframe {
             Some(k) => &k.info,
             None => self.keyframes.iter().rev().find(|k| k.sensor == *sensor)?,

@@ -30,6 +30,11 @@ impl Trajectory {
         self.0.clone()
     }
 
+    /// The newest stamp.
+    pub(super) fn newest(&self) -> Option<Timestamp> {
+        self.0.last().map(|entry| entry.stamp)
+    }
+
     /// Hangs a frame on a keyframe.
     pub(super) fn push(
         &mut self,

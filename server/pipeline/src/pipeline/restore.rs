@@ -39,6 +39,7 @@ impl Pipeline {
             scale: if kind == OdometryKind::Mono { Scale::Unknown } else { Scale::Measured },
             waiting: None,
             is_relocalised: false,
+            led_by: None,
             map_version: self.map_graph.map().version(),
         });
     }

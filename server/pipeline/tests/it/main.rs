@@ -12,4 +12,5 @@ mod imu;
 mod memory;
 mod refusal;
 mod restore;
+mod second;
 mod unanchored;
