@@ -20,7 +20,7 @@ pub use chunks::Chunks;
 pub use frame_error::FrameError;
 pub use frontend::{MountOffset, check_frame};
 pub use lookup::{LookupError, PoseAt};
-pub use map_graph::{Executor, MapChange, NewKeyframe, Pending};
+pub use map_graph::{Executor, MapChange, NewKeyframe};
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SecondSensorParams, SlamParams};
 pub use percept_slam::{ImuFault, Loop, LoopId, LoopState};
 pub use pipeline::{FrameReport, Pipeline, may_change};

@@ -14,7 +14,7 @@ use crate::frontend::{Frontend, Keyframe, Registered, Unanchored, View};
 use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
 use crate::scene::Scene;
 use crate::{
-    Executor, FrameError, KeyframeInfo, NewKeyframe, ParamsError, Pending, PipelineParams, PoseEstimate, SessionMemory,
+    Executor, FrameError, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, PoseEstimate, SessionMemory,
     Snapshot, TrajectoryEntry,
 };
 use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec};
@@ -64,12 +64,6 @@ impl Pipeline {
     /// Adds a sensor, or replaces its declaration. What waits of one whose clock or extrinsics are others now is dropped.
     pub fn declare_sensor(&mut self, spec: SensorSpec) {
         self.frontend.declare_sensor(spec);
-    }
-
-    /// Work beside frames that this frame would wait for: wait for it where no thread is held.
-    pub fn pending(&self, frame: &SensorFrame) -> Option<Pending> {
-        let is_view = !matches!(frame.data.kind(), SensorKind::Imu | SensorKind::Odometry);
-        if is_view { self.map_graph.pending(frame.stamp) } else { None }
     }
 
     /// Takes one frame in. Parallel work runs on the current rayon pool.

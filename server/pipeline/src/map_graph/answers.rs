@@ -1,7 +1,7 @@
 //! What the back end has found is heeded: corrections, loops, merged keyframes, and where an unanchored part lies.
 
 use super::revising::Decision;
-use super::worker::{Answer, Answers, Pending};
+use super::worker::{Answer, Answers};
 use super::{MapGraph, MapUpdate};
 use percept_geometry::{Correction, KeyframeId, Timestamp};
 use percept_slam::{BackEnd, BackEndUpdate, LoopId};
@@ -12,11 +12,6 @@ impl MapGraph {
         if let Some(answers) = self.constraints.answers_at(stamp) {
             self.heed(answers, update);
         }
-    }
-
-    /// What a frame would wait for that came now.
-    pub(crate) fn pending(&self, stamp: Timestamp) -> Option<Pending> {
-        self.constraints.pending(stamp)
     }
 
     /// All that the back end was asked is answered, and what follows from that is decided.

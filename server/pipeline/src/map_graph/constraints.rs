@@ -1,6 +1,6 @@
 //! The back end as the map graph has it: constraints, place index, optimisation and culling, at work beside the frames.
 
-use super::worker::{Answers, Executor, GraphWorker, Pending, Question};
+use super::worker::{Answers, Executor, GraphWorker, Question};
 use crate::SlamParams;
 use percept_geometry::Timestamp;
 use percept_slam::loops::place_recognition;
@@ -73,11 +73,6 @@ impl Constraints {
         let answers = self.worker.as_mut()?.answers_at(stamp)?;
         self.note(&answers);
         Some(answers)
-    }
-
-    /// What a frame would wait for that came now.
-    pub(super) fn pending(&self, stamp: Timestamp) -> Option<Pending> {
-        self.worker.as_ref()?.pending(stamp)
     }
 
     /// All answers that are still to come.

@@ -25,7 +25,7 @@ pub(crate) use restore::End;
 pub(crate) use revising::Decision;
 pub(crate) use update::MapUpdate;
 pub use update::{MapChange, NewKeyframe};
-pub use worker::{Executor, Pending};
+pub use worker::Executor;
 
 use crate::{KeyframeInfo, ParamsError, PipelineParams, SessionMemory, SlamParams, TrajectoryEntry};
 use atlas::Atlas;

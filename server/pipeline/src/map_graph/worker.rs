@@ -135,14 +135,6 @@ impl GraphWorker {
         answers
     }
 
-    /// What a frame would wait for that came now: work that somebody is at. Work that nobody has begun the frame would do itself.
-    pub(crate) fn pending(&self, stamp: Timestamp) -> Option<Pending> {
-        match &self.state {
-            State::AtWork { batch, due } if *due <= stamp && batch.is_running() => Some(Pending(Arc::clone(batch))),
-            _ => None,
-        }
-    }
-
     /// All answers that are still to come, and the back end at rest.
     pub(crate) fn finish(&mut self) -> (Answers, Option<&mut BackEnd>) {
         let mut all = self.wait().unwrap_or_default();
@@ -185,23 +177,6 @@ impl GraphWorker {
     }
 }
 
-/// Work beside frames that a frame needs the answers of, and that somebody is at.
-pub struct Pending(Arc<Batch>);
-
-impl Pending {
-    /// Calls back once the work has ended, at once if it has.
-    pub fn when_done(self, then: Box<dyn FnOnce() + Send>) {
-        let mut stage = self.0.lock();
-        match &mut *stage {
-            Stage::Running(waiting) => waiting.push(then),
-            _ => {
-                drop(stage);
-                then();
-            }
-        }
-    }
-}
-
 /// Questions being worked on, by whoever comes first: the executor, or the frame that needs the answers.
 struct Batch {
     stage: Mutex<Stage>,
@@ -210,8 +185,7 @@ struct Batch {
 
 enum Stage {
     Waiting(Box<BackEnd>, Vec<Question>),
-    /// With whom to tell when it has ended.
-    Running(Vec<Box<dyn FnOnce() + Send>>),
+    Running,
     Done(Box<BackEnd>, Answers),
     /// The work panicked.
     Failed(Box<dyn Any + Send>),
@@ -232,12 +206,12 @@ impl Batch {
     fn run(&self) {
         let (mut back_end, questions) = {
             let mut stage = self.lock();
-            if !matches!(*stage, Stage::Waiting(..)) {
-                return;
-            }
-            match std::mem::replace(&mut *stage, Stage::Running(vec![])) {
+            match std::mem::replace(&mut *stage, Stage::Running) {
                 Stage::Waiting(back_end, questions) => (back_end, questions),
-                _ => return,
+                other => {
+                    *stage = other;
+                    return;
+                }
             }
         };
         // A panic is the session's to bear, not the thread's.
@@ -245,22 +219,11 @@ impl Batch {
             let answers = work(&mut back_end, questions);
             (back_end, answers)
         }));
-        self.end(match done {
+        *self.lock() = match done {
             Ok((back_end, answers)) => Stage::Done(back_end, answers),
             Err(panic) => Stage::Failed(panic),
-        });
-    }
-
-    fn end(&self, stage: Stage) {
-        let before = std::mem::replace(&mut *self.lock(), stage);
+        };
         self.changed.notify_all();
-        if let Stage::Running(waiting) = before {
-            waiting.into_iter().for_each(|then| then());
-        }
-    }
-
-    fn is_running(&self) -> bool {
-        matches!(*self.lock(), Stage::Running(_))
     }
 
     /// What came of it, once; does the work if nobody has begun it.
@@ -278,7 +241,7 @@ impl Batch {
                     resume_unwind(panic)
                 }
                 Stage::Over => resume_unwind(Box::new("the back end had failed before")),
-                other @ (Stage::Waiting(..) | Stage::Running(_)) => *stage = other,
+                other @ (Stage::Waiting(..) | Stage::Running) => *stage = other,
             }
             stage = self.changed.wait(stage).unwrap_or_else(PoisonError::into_inner);
         }
@@ -306,46 +269,4 @@ fn work(back_end: &mut BackEnd, questions: Vec<Question>) -> Answers {
     let answers = questions.into_iter().filter_map(&mut answer).collect();
     let loops = loops_changed.then(|| Arc::new(back_end.loops().to_vec()));
     Answers { answers, loops, memory: back_end.memory() }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use percept_slam::loops::place_recognition;
-    use percept_slam::{BackEndParams, OdometryKind, OdometryParams};
-    use std::sync::atomic::{AtomicUsize, Ordering};
-
-    fn worker() -> GraphWorker {
-        let params = BackEndParams::default();
-        let places = place_recognition(OdometryKind::Lidar2d, &OdometryParams::default(), &params).unwrap();
-        GraphWorker::new(BackEnd::new(params, places), None)
-    }
-
-    #[test]
-    fn only_work_that_somebody_is_at_is_waited_for_and_its_end_is_told_once() {
-        let mut worker = worker();
-        worker.ask(Question::Restore(vec![]), Timestamp(0));
-        let (early, late) = (Timestamp(1_000_000), Timestamp(1_000_000_000));
-        assert!(worker.pending(late).is_none(), "the frame would do it itself");
-        let State::AtWork { batch, .. } = &worker.state else { panic!("at work") };
-        let Stage::Waiting(back_end, _) = std::mem::replace(&mut *batch.lock(), Stage::Running(vec![])) else {
-            panic!("waiting")
-        };
-        assert!(worker.pending(early).is_none(), "not due yet");
-        let told = Arc::new(AtomicUsize::new(0));
-        let tell = || {
-            let told = Arc::clone(&told);
-            Box::new(move || {
-                told.fetch_add(1, Ordering::Relaxed);
-            })
-        };
-        let (first, second) = (worker.pending(late).unwrap(), worker.pending(late).unwrap());
-        first.when_done(tell());
-        assert_eq!(told.load(Ordering::Relaxed), 0);
-        batch.end(Stage::Done(back_end, Answers::default()));
-        assert_eq!(told.load(Ordering::Relaxed), 1);
-        second.when_done(tell());
-        assert_eq!(told.load(Ordering::Relaxed), 2);
-        assert!(worker.pending(late).is_none() && worker.answers_at(late).is_some());
-    }
 }

@@ -171,12 +171,6 @@ impl Actor {
     async fn frame(&mut self, frame: SensorFrame, came: Instant) -> Result<Processed> {
         let (sensor, stamp, kind) = (frame.sensor.clone(), frame.stamp, frame.data.kind());
         let (waited, began) = (came.elapsed(), Instant::now());
-        // A thread for frames that waited for work of lower priority would keep other sessions' frames waiting.
-        if let Some(pending) = self.pipeline.as_ref().and_then(|pipeline| pipeline.pending(&frame)) {
-            let (done, ended) = oneshot::channel();
-            pending.when_done(Box::new(move || drop(done)));
-            let _: std::result::Result<(), _> = ended.await;
-        }
         let mut pipeline = self.pipeline.take().ok_or_else(stopped)?;
         let sender = self.sender();
         let (pipeline, outcome) = self
