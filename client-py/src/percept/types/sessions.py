@@ -130,7 +130,8 @@ class PoseEstimate(Value):
     waiting_message: str
     #: The robot was lost, and this frame found it again.
     relocalised: bool
-    #: The second sensor that measured this pose, because the one that moves it is silent or sees nothing; None if that one did.
+    #: The second sensor that measured this pose, because the one that moves it is silent or sees nothing;
+    #: None if that one did.
     led_by: str | None
 
     @property
