@@ -93,9 +93,9 @@ const LEAST_AGILITY: f64 = 0.15;
 /// The most by which a sweep's change of velocity counts more than those of late.
 const QUICKENS: f64 = 2.0;
 /// How fast the mean of how far predictions were off rises and falls. `evaluate handheld` on the recording of 55 quick steps:
-/// 0.0130 m if it rises by 0.2, 0.0123 by 0.3, 0.0114 by 0.4 to 1; streets do not tell. A simulated rosette scatters by more
-/// than it tells.
-const OFF_RATES: (f64, f64) = (0.45, 0.2);
+/// 0.0130 m if it rises by 0.2, 0.0123 by 0.3 and a third, 0.0114 by 0.4 to 1; streets do not tell. Above a third simulated rosettes
+/// and an IMU that is mounted wrongly do worse.
+const OFF_RATES: (f64, f64) = (0.33, 0.2);
 /// Spacing of the points that go into the map, and of those that are registered, voxels.
 const DENSE: f64 = 0.2;
 const SPARSE: f64 = 0.7;
