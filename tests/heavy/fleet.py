@@ -215,6 +215,7 @@ def report(arguments, fleet, flooding, probe, cpu, pid) -> dict:
         "frames_per_s": round(total / arguments.seconds, 1),
         "ack_ms": {f"p{q}": round(float(np.quantile(acks, q / 100)), 1) for q in (50, 99)},
         "pose_ms": probe.quantiles(),
+        "pose_p99_ms_by_tenth": probe.p99_by_tenth(),
         "server_cores": round(cpu / arguments.seconds, 2),
         "server_cpu_ms_per_frame": round(cpu_ms, 3),
         "robots_per_core": round(1000 / cpu_ms / arguments.rate_hz, 1),

@@ -106,6 +106,11 @@ class PoseProbe:
         named = {"p50": p50, "p99": p99, "max": worst}
         return {k: round(float(v), 2) for k, v in named.items()} | {"n": len(values), "failed": self.failed}
 
+    def p99_by_tenth(self) -> list[float]:
+        """Milliseconds at p99 in each tenth of the answers, in order: whether it is a burst or always."""
+        parts = np.array_split(list(self._ms), 10)
+        return [round(float(np.quantile(part, 0.99)), 2) for part in parts if len(part)]
+
     def _run(self) -> None:
         with Client(self._address, timeout_s=10, retries=0) as client:
             session = client.session(self._session_id)

@@ -21,6 +21,11 @@ pub struct Degeneracy {
     pub axes: [bool; 6],
     /// Number of degenerate directions.
     pub num_directions: usize,
+    /// In columns, in the eigenvalues' order: directions in scaled coordinates at the centroid, orthonormal.
+    directions: Matrix6<f64>,
+    /// From scaled coordinates at the centroid to metric ones of the source frame, and back.
+    to_metric: Matrix6<f64>,
+    to_scaled: Matrix6<f64>,
     good: Matrix6<f64>,
     /// Projector on the degenerate directions, in scaled coordinates at the centroid.
     bad: Matrix6<f64>,
@@ -36,44 +41,56 @@ impl Degeneracy {
         let s = shift(centroid) * scaling(1.0 / spread_m.max(1e-6));
         let hessian = equations.hessian();
         let h = s.transpose() * hessian * s / hessian.fixed_view::<3, 3>(0, 0).trace();
+        let back = scaling(spread_m.max(1e-6)) * shift(&-centroid);
+        let mut out = Self {
+            eigenvalues: Vector6::zeros(),
+            axes: [true; 6],
+            num_directions: 6,
+            directions: Matrix6::identity(),
+            to_metric: s,
+            to_scaled: back,
+            good: Matrix6::zeros(),
+            bad: Matrix6::identity(),
+            bad_metric: Matrix6::identity(),
+        };
         if !h.iter().all(|x| x.is_finite()) || equations.num_residuals == 0 {
-            return Self {
-                eigenvalues: Vector6::zeros(),
-                axes: [true; 6],
-                num_directions: 6,
-                good: Matrix6::zeros(),
-                bad: Matrix6::identity(),
-                bad_metric: Matrix6::identity(),
-            };
+            return out;
         }
         let eigen = SymmetricEigen::new(h);
         let mut order = [0, 1, 2, 3, 4, 5];
         order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-        let mut out = Self {
-            eigenvalues: Vector6::from_fn(|i, _| eigen.eigenvalues[order[i]].max(0.0)),
-            axes: [false; 6],
-            num_directions: 0,
-            good: Matrix6::zeros(),
-            bad: Matrix6::zeros(),
-            bad_metric: Matrix6::zeros(),
-        };
-        for k in order {
-            let v = eigen.eigenvectors.column(k).into_owned();
+        for (k, &from) in order.iter().enumerate() {
+            out.directions.set_column(k, &eigen.eigenvectors.column(from));
+        }
+        out.with_eigenvalues(Vector6::from_fn(|i, _| eigen.eigenvalues[order[i]].max(0.0)), threshold)
+    }
+
+    /// The same directions with other eigenvalues, in the same order: where less than all residuals count for some.
+    pub fn with_eigenvalues(mut self, eigenvalues: Vector6<f64>, threshold: f64) -> Self {
+        (self.eigenvalues, self.num_directions) = (eigenvalues, 0);
+        (self.good, self.bad) = (Matrix6::zeros(), Matrix6::zeros());
+        for k in 0..6 {
+            let v = self.directions.column(k).into_owned();
             // Below the threshold the information fades with the square, rather than ending at it: a pose
             // must not jump when a direction passes by.
-            let share = (eigen.eigenvalues[k] / threshold.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-            out.good += v * v.transpose() * share;
+            let share = (eigenvalues[k] / threshold.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            self.good += v * v.transpose() * share;
             if share < 1.0 {
-                out.num_directions += 1;
-                out.bad += v * v.transpose();
+                self.num_directions += 1;
+                self.bad += v * v.transpose();
             }
         }
-        out.axes = out.axes_in(&Matrix3::identity());
+        self.axes = self.axes_in(&Matrix3::identity());
         // Back from scaled to metric coordinates: P' H P keeps the information of good directions only.
-        let back = scaling(spread_m.max(1e-6)) * shift(&-centroid);
-        out.good = s * out.good * back;
-        out.bad_metric = s * out.bad * back;
-        out
+        self.bad_metric = self.to_metric * self.bad * self.to_scaled;
+        self.good = self.to_metric * self.good * self.to_scaled;
+        self
+    }
+
+    /// The direction of an eigenvalue as a perturbation of the source frame, metres and radians, that moves the points by
+    /// a metre, about.
+    pub fn direction(&self, k: usize) -> Vector6<f64> {
+        self.to_metric * self.directions.column(k)
     }
 
     /// The axes that lie more than half in degenerate directions, in a frame turned by `r_frame_source`.

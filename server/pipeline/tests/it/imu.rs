@@ -119,7 +119,7 @@ fn what_is_wrong_with_an_imu_in_the_hand_is_said() {
 #[test]
 fn of_two_imus_the_one_that_is_right_is_used_whatever_its_name() {
     // So quick that without an IMU the turns of a sweep are followed badly.
-    let simulation = hand(Lidar3dParams { columns: 360, ..Lidar3dParams::default() }, 1.3, 20.0);
+    let simulation = hand(Lidar3dParams { columns: 360, ..Lidar3dParams::default() }, 2.6, 20.0);
     let without = off(&simulation, &driven(&simulation, &[]));
     let with = off(&simulation, &driven(&simulation, &[("imu", &as_it_is)]));
     let on_its_side = UnitQuaternion::from_scaled_axis(Vector3::x() * FRAC_PI_2);

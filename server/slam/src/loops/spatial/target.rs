@@ -4,9 +4,9 @@ use super::seen::Kept;
 use super::submap::{range, voxel_for};
 use crate::downsample::Thinner;
 use crate::odometry::lidar3d::align::{Problem, align};
+use crate::odometry::lidar3d::levels::Levels;
 use crate::odometry::lidar3d::sight::{Contradiction, Sight};
 use crate::odometry::lidar3d::sweep::{Instants, Sweep};
-use crate::odometry::lidar3d::voxels::Levels;
 use crate::odometry::{Match, Prediction, diagonal};
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
@@ -80,7 +80,7 @@ impl Target {
         fn points((_, t, scan): &(KeyframeId, Pose, Arc<KeyframeScan>)) -> impl Iterator<Item = Point3<f64>> + '_ {
             scan.hits.positions.iter().step_by(EVERY).map(move |p| t * p.cast::<f64>())
         }
-        surface.insert(&scans.iter().flat_map(points).collect::<Vec<Point3<f64>>>());
+        surface.insert(&scans.iter().flat_map(points).collect::<Vec<Point3<f64>>>(), None);
         let view = |(id, t, scan): (KeyframeId, Pose, Arc<KeyframeScan>)| {
             (id, (t, Sight::new(&scan.hits.positions, &scan.t_base_sensor)))
         };

@@ -6,14 +6,15 @@
 //! 2021 (one Gaussian a voxel). We narrow the kernel from the expected error to the surfaces' noise while
 //! iterating, and leave degenerate directions to the prediction (Zhang, Kaess, Singh 2016).
 
+use super::levels::Levels;
+use super::meeting::{Meeting, Weak};
 use super::sweep::{Motion, Sweep};
-use super::voxels::{Gaussian, Levels, Shape};
+use super::voxels::Shape;
 use crate::inertial::Registration;
 use crate::odometry::{Found, Match, Prediction};
 use crate::tracking::LostReason;
 use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
 use percept_geometry::{Pose, se3};
-use percept_perception::registration::factors::{point_to_plane, point_to_point};
 use percept_perception::registration::{Degeneracy, NormalEquations, RobustKernel};
 use rayon::prelude::*;
 
@@ -25,8 +26,6 @@ const POINTS_PER_MEASUREMENT: f64 = 10.0;
 const DEGENERATE: f64 = 0.004;
 /// A wall whose voxels are tilted by noise seems to fix motion along it: so many times what noise alone brings.
 const TILTED: f64 = 4.0;
-/// A plane faces a direction if its normal is within 60 degrees of it.
-const FACING: f64 = 0.5;
 /// How fast the velocity during a sweep may differ from what was expected: m/s and rad/s a second of sweep, and at
 /// least. Hands and feet do this; how much less a robot does is learned ([`agility`]).
 const ACCELERATION: (f64, f64) = (4.0, 8.0);
@@ -78,6 +77,22 @@ struct Equations {
     all: Told,
     /// Of the planes that face an open direction.
     facing: Told,
+    /// Of each direction that was weak, what planes tell that face it, 1/m^2.
+    weak: Vector6<f64>,
+}
+
+impl Equations {
+    /// Which directions are open, if of those that are told weakly only what planes tell counts that face them. Planes that
+    /// face elsewhere tell a little each, by normals that are off: all by the same where rings graze walls, and then along with
+    /// the robot. Source: Tuna et al., "X-ICP", 2022 (contributions by their alignment with the direction).
+    fn well_told(&self, degeneracy: Degeneracy, weak: &Weak, threshold: f64) -> Degeneracy {
+        let all = self.pose.hessian().fixed_view::<3, 3>(0, 0).trace();
+        let mut eigenvalues = degeneracy.eigenvalues;
+        for (value, told) in eigenvalues.iter_mut().zip(&self.weak).take(weak.len()) {
+            *value = value.min(told / all);
+        }
+        degeneracy.with_eigenvalues(eigenvalues, threshold)
+    }
 }
 
 /// Places the sweep: the pose, and the motion during the sweep.
@@ -92,7 +107,7 @@ pub(crate) fn align_and_tell(problem: &Problem<'_>) -> Result<(Match, State, Reg
     let mut state = State { t_odom_base: problem.prediction.t_odom_base, velocity: problem.velocity };
     let mut iterations = 0;
     let mut last = None;
-    let mut open = None;
+    let (mut open, mut weak) = (None, Weak::default());
     let size = problem.map.size();
     // Coarse voxels while the error may exceed a fine one; then fine ones, narrowing.
     let finest = 0.08 * size;
@@ -103,12 +118,17 @@ pub(crate) fn align_and_tell(problem: &Problem<'_>) -> Result<(Match, State, Reg
     for (coarse, stride, start, end, rounds) in stages {
         let mut scale = start;
         for _ in 0..rounds {
-            let e = equations(problem, coarse, stride, &state, scale, open.as_ref());
+            let e = equations(problem, coarse, stride, &state, scale, (open.as_ref(), &weak));
             let needed = problem.min_overlap * (problem.sweep.len() / stride) as f64;
             if (e.pose.num_residuals as f64) < needed.max(30.0) {
                 return Err(LostReason::TooFewCorrespondences);
             }
-            let degeneracy = Degeneracy::of(&e.pose, &centroid, spread, DEGENERATE + TILTED * e.tilt);
+            let threshold = DEGENERATE + TILTED * e.tilt;
+            let degeneracy = Degeneracy::of(&e.pose, &centroid, spread, threshold);
+            let now_weak = Weak::of(&degeneracy);
+            let is_looked_at = now_weak.len() <= weak.len();
+            let degeneracy = e.well_told(degeneracy, &weak, threshold);
+            weak = now_weak;
             let expected = expected(problem, &prior, &state);
             let share = stride as f64 / POINTS_PER_MEASUREMENT;
             let told = match problem.prediction.inertial {
@@ -125,7 +145,7 @@ pub(crate) fn align_and_tell(problem: &Problem<'_>) -> Result<(Match, State, Reg
             let at_points = |v: &Vector6<f64>| v.fixed_rows::<3>(0).norm() + spread * v.fixed_rows::<3>(3).norm();
             let duration = problem.sweep.instants().duration();
             let change = at_points(&moved) + 0.5 * duration * at_points(&faster);
-            if change < 0.1 * scale.min(0.02 * size) && scale <= end {
+            if change < 0.1 * scale.min(0.02 * size) && scale <= end && is_looked_at {
                 break;
             }
             scale = (scale * 0.6).max(end);
@@ -210,7 +230,7 @@ fn equations(
     stride: usize,
     state: &State,
     scale: f64,
-    open: Option<&Matrix3<f64>>,
+    (open, weak): (Option<&Matrix3<f64>>, &Weak),
 ) -> Equations {
     let sweep = problem.sweep;
     let motions = sweep.instants().motions(&state.velocity);
@@ -219,29 +239,37 @@ fn equations(
     let clock = problem.map.clock();
     let of_group = |g: usize| {
         let (mut e, mut facing, mut tilt) = (NormalEquations::default(), NormalEquations::default(), 0.0);
+        let mut told = Vector6::zeros();
         let (first, points) = sweep.group(g);
         for p in points.iter().skip(first.next_multiple_of(stride) - first).step_by(stride) {
             let p = motions[g].apply(p);
             let moved = Point3::from(t.rotation * p.coords + t.translation);
             let voxel = if coarse { problem.map.coarse(&moved) } else { problem.map.at(&moved) };
-            if let Some(voxel) = voxel {
-                let width = (scale, voxel.stale(&clock));
-                add(&mut e, voxel, &t.rotation, &p.coords, &moved, &kernel, width);
-                tilt += voxel.tilt;
-                if open.is_some_and(|open| faces(voxel, &t.rotation, open)) {
-                    add(&mut facing, voxel, &t.rotation, &p.coords, &moved, &kernel, width);
-                }
+            let Some(voxel) = voxel else { continue };
+            let stale = voxel.stale(&clock);
+            let met = Meeting { voxel, r: &t.rotation, p: &p.coords, moved: &moved, kernel: &kernel, scale, stale };
+            met.add_to(&mut e);
+            met.tell(weak, &mut told);
+            tilt += voxel.tilt;
+            if open.is_some_and(|open| met.faces(open)) {
+                met.add_to(&mut facing);
             }
         }
-        (e, facing, tilt)
+        (e, facing, tilt, told)
     };
-    let parts: Vec<(NormalEquations, NormalEquations, f64)> =
+    let parts: Vec<(NormalEquations, NormalEquations, f64, Vector6<f64>)> =
         (0..motions.len()).into_par_iter().with_min_len(GROUPS).map(of_group).collect();
-    let mut out =
-        Equations { pose: NormalEquations::default(), tilt: 0.0, all: Told::nothing(), facing: Told::nothing() };
-    for ((part, facing, tilt), &time) in parts.iter().zip(sweep.instants().times()) {
+    let mut out = Equations {
+        pose: NormalEquations::default(),
+        tilt: 0.0,
+        all: Told::nothing(),
+        facing: Told::nothing(),
+        weak: Vector6::zeros(),
+    };
+    for ((part, facing, tilt, told), &time) in parts.iter().zip(sweep.instants().times()) {
         out.pose.merge(part);
         out.tilt += tilt;
+        out.weak += told;
         out.all.add(part, time);
         if facing.num_residuals > 0 {
             out.facing.add(facing, time);
@@ -250,49 +278,6 @@ fn equations(
     // A scatter adds three residuals: the mean is a little too small, which is the safe side of nothing much.
     out.tilt /= out.pose.num_residuals.max(1) as f64;
     out
-}
-
-/// Whether a plane looks along what is open: no noise tilts a wall so far.
-fn faces(voxel: &Gaussian, r: &Matrix3<f64>, open: &Matrix3<f64>) -> bool {
-    matches!(voxel.shape, Shape::Plane(normal, _) if (open * r.tr_mul(&normal)).norm() > FACING)
-}
-
-fn add(
-    e: &mut NormalEquations,
-    voxel: &Gaussian,
-    r: &Matrix3<f64>,
-    p: &Vector3<f64>,
-    moved: &Point3<f64>,
-    kernel: &RobustKernel,
-    (scale, stale): (f64, f64),
-) {
-    match voxel.shape {
-        Shape::Plane(normal, variance) => {
-            let (residual, j) = point_to_plane::residual(r, p, &moved.coords, &voxel.mean.coords, &normal);
-            e.add(&j, residual, kernel.weight(residual) / (variance + stale + 0.25 * scale * scale));
-        }
-        Shape::Scatter(information) => add_scatter(e, r, p, moved, &voxel.mean, &information, (scale, stale)),
-        Shape::Unknown => {}
-    }
-}
-
-/// Offsets from the mean count by their axes' own information; cross terms are left out.
-fn add_scatter(
-    e: &mut NormalEquations,
-    r: &Matrix3<f64>,
-    p: &Vector3<f64>,
-    moved: &Point3<f64>,
-    mean: &Point3<f64>,
-    information: &Matrix3<f64>,
-    (scale, stale): (f64, f64),
-) {
-    let d = moved - mean;
-    let distance2 = d.dot(&(information * d));
-    let weight = 0.25 / (1.0 + distance2).powi(2);
-    let rows = point_to_point::residuals(r, p, &moved.coords, &mean.coords);
-    for (i, (residual, j)) in rows.into_iter().enumerate() {
-        e.add(&j, residual, weight / (1.0 / information[(i, i)] + stale + 0.25 * scale * scale));
-    }
 }
 
 /// What points tell of pose and velocity.

@@ -1,10 +1,12 @@
 //! 3D lidars: each sweep is placed in a local map of voxels with a Gaussian each.
 //!
 //! The same defaults serve a room and a street: the voxel's size is learned from the first sweep. Sweep to
-//! thinned points (here and [`sweep`]), map ([`voxels`]), points to map ([`mod@align`]), which finds the motion during
+//! thinned points (here and [`sweep`]), map ([`levels`] of [`voxels`]), points to map ([`mod@align`]), which finds the motion during
 //! the sweep along with the pose.
 
 pub(crate) mod align;
+pub(crate) mod levels;
+mod meeting;
 pub(crate) mod sight;
 pub(crate) mod sweep;
 pub(crate) mod voxels;
@@ -16,6 +18,7 @@ use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
 use align::{Problem, agility, align_and_tell};
+use levels::Levels;
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeScan, Pose, cloud};
 use serde::{Deserialize, Serialize};
@@ -23,7 +26,6 @@ use sight::{Contradiction, Sight};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use sweep::{Instants, Motion, Sweep};
-use voxels::Levels;
 
 /// Parameters of 3D lidar odometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -199,7 +201,7 @@ impl Lidar3d {
             let kept = self.thinner.even(points, usable, DENSE * size);
             let kept: Vec<Point3<f64>> = kept.iter().map(|&i| points[i as usize].cast()).collect();
             let mut map = Levels::new(size);
-            map.insert(&kept);
+            map.insert(&kept, None);
             let planar = map.planar_share(&kept);
             if planar > best.0 {
                 best = (planar, size);
@@ -237,12 +239,13 @@ impl Lidar3d {
         self.map = Some(Levels::new(size));
     }
 
-    fn insert(&mut self, points: &[Point3<f32>], t_odom_base: &Pose) {
+    fn insert(&mut self, points: &[Point3<f32>], t_base_sensor: &Pose, t_odom_base: &Pose) {
         let motion = Motion::of(t_odom_base);
         let moved: Vec<Point3<f64>> = points.iter().map(|p| motion.apply(p)).collect();
         if let Some(map) = &mut self.map {
             // The points count as old as the map that they were placed in: what is new is off by as much as the sweep is.
-            let new = map.insert(&moved);
+            let seen_from = t_odom_base * Point3::from(t_base_sensor.translation.vector);
+            let new = map.insert(&moved, Some(seen_from));
             map.renewed(new, self.sigma);
         }
     }
@@ -376,8 +379,8 @@ impl LocalModel for Lidar3d {
             self.agility2 += if now2 > self.agility2 { 0.5 } else { 0.1 } * (now2 - self.agility2);
         }
         let points = self.dense.at_stamp(&self.velocity);
-        self.insert(&points, t_odom_base);
         let t_base_sensor = self.t_base_sensor;
+        self.insert(&points, &t_base_sensor, t_odom_base);
         self.keep(&points, &t_base_sensor, t_odom_base);
         self.trim(t_odom_base);
     }
@@ -430,7 +433,7 @@ impl LocalModel for Lidar3d {
             self.adapt(&newest.hits.positions, &all);
         }
         for (t_odom_base, scan) in scans {
-            self.insert(&scan.hits.positions, t_odom_base);
+            self.insert(&scan.hits.positions, &scan.t_base_sensor, t_odom_base);
             self.keep(&scan.hits.positions, &scan.t_base_sensor, t_odom_base);
         }
     }

@@ -31,8 +31,8 @@ pub(crate) enum Shape {
     Unknown,
     /// A plane with unit normal and thickness variance (m^2).
     Plane(Vector3<f64>, f64),
-    /// No plane: information matrix of a point's offset from the mean, 1/m^2.
-    Scatter(Matrix3<f64>),
+    /// No plane: the axes of the points' scatter, unit vectors in columns, and the variances along them, m^2.
+    Scatter(Matrix3<f64>, Vector3<f64>),
 }
 
 /// Points of a voxel as a Gaussian.
@@ -62,10 +62,17 @@ const NOTICED: f64 = 0.075;
 const MOST_DRIFT: f64 = 0.125;
 
 /// A plane's variance across it is less than this share of that along it.
-const FLAT: f64 = 0.08;
+pub(super) const FLAT: f64 = 0.08;
+
+/// A plane is wider than what ranges' noise makes of a line: three standard deviations, squared. Of 4, 9 and 16 none is
+/// better on every recording.
+const RIBBON: f64 = 9.0;
+
+/// So many voxels tell how thick planes are.
+const THICKNESS_OF: usize = 2000;
 
 /// Least variance that a plane is given, m^2: voxels' planes differ from each other.
-fn floor(size: f64) -> f64 {
+pub(crate) fn floor(size: f64) -> f64 {
     (0.02 * size).powi(2)
 }
 
@@ -116,7 +123,8 @@ impl Gaussian {
         (clock.sigma * (clock.way - self.seen)).min(MOST_DRIFT * clock.size).powi(2)
     }
 
-    fn describe(&mut self, size: f64) {
+    /// `ranges`: of the newest sweep, if it was one.
+    fn describe(&mut self, size: f64, ranges: Option<&Ranges>) {
         self.dirty = false;
         self.shape = Shape::Unknown;
         if self.num < MIN_POINTS {
@@ -125,16 +133,18 @@ impl Gaussian {
         let c = self.scatter / (self.num - 1.0);
         let c = (c + c.transpose()) * 0.5;
         let (values, normal) = smallest(&c);
-        // A line (one ring of the lidar) fixes no plane.
-        if values[1] < 0.04 * values[2] || values[2] < 1e-4 * size * size {
+        // A line (one ring of the lidar) fixes no plane, though noise makes a ribbon of it along the beam.
+        let smeared = ranges.map_or(0.0, |r| RIBBON * r.within(&self.mean, &normal));
+        if values[1] < (0.04 * values[2]).max(smeared) || values[2] < 1e-4 * size * size {
             return;
         }
         self.tilt = values[0].max(0.0) / (self.num * values[1]);
         self.shape = if values[0] < FLAT * values[1] {
             Shape::Plane(normal, values[0].max(0.0) + floor(size))
         } else {
-            let soft = c + Matrix3::identity() * (0.1 * size).powi(2);
-            soft.try_inverse().map_or(Shape::Unknown, Shape::Scatter)
+            let eigen = c.symmetric_eigen();
+            let soft = (0.1 * size).powi(2);
+            Shape::Scatter(eigen.eigenvectors, eigen.eigenvalues.map(|v| v.max(0.0) + soft))
         };
     }
 }
@@ -164,6 +174,23 @@ fn smallest(a: &Matrix3<f64>) -> ([f64; 3], Vector3<f64>) {
     ([low, 3.0 * q - high - low, high], normal)
 }
 
+/// From where a sweep's points were seen, and how noisy their ranges are.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ranges {
+    pub(super) origin: Point3<f64>,
+    /// Square metres.
+    pub(super) variance: f64,
+}
+
+impl Ranges {
+    /// What of the ranges' variance lies within a plane through a point, m^2.
+    fn within(&self, p: &Point3<f64>, normal: &Vector3<f64>) -> f64 {
+        let beam = p - self.origin;
+        let across = beam.dot(normal) / beam.norm().max(1e-9);
+        self.variance * (1.0 - across * across)
+    }
+}
+
 /// A map of Gaussians in odom.
 #[derive(Debug, Default)]
 pub(crate) struct GaussianMap {
@@ -171,7 +198,7 @@ pub(crate) struct GaussianMap {
     inverse: f64,
     index: FxHashMap<Key, u32>,
     voxels: Vec<Gaussian>,
-    clock: Clock,
+    pub(super) clock: Clock,
 }
 
 /// What the odometry's drift goes by.
@@ -187,7 +214,12 @@ pub(crate) struct Clock {
 
 impl GaussianMap {
     pub(crate) fn new(size: f64) -> Self {
-        Self { size, inverse: 1.0 / size, ..Self::default() }
+        Self::beginning(size, Clock::default())
+    }
+
+    /// An empty one, at this time.
+    pub(crate) fn beginning(size: f64, clock: Clock) -> Self {
+        Self { size, inverse: 1.0 / size, clock, ..Self::default() }
     }
 
     pub(crate) fn size(&self) -> f64 {
@@ -198,8 +230,25 @@ impl GaussianMap {
         self.voxels.is_empty()
     }
 
+    /// Bytes, about.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.voxels.capacity() * size_of::<Gaussian>() + self.index.capacity() * (size_of::<(Key, u32)>() + 1)
+    }
+
+    /// How thick the planes are: median variance across them, m^2; none if they are few.
+    pub(crate) fn thickness(&self) -> Option<f64> {
+        let thick = |v: &Gaussian| match v.shape {
+            Shape::Plane(_, variance) => Some(variance - floor(self.size)),
+            _ => None,
+        };
+        let step = (self.voxels.len() / THICKNESS_OF).max(1);
+        let mut all: Vec<f64> = self.voxels.iter().step_by(step).filter_map(thick).collect();
+        let middle = all.len() / 2;
+        (middle >= 10).then(|| *all.select_nth_unstable_by(middle, f64::total_cmp).1)
+    }
+
     /// Adds points of odom and brings the shapes up to date. Answers with the share that lies where nothing was.
-    pub(crate) fn insert(&mut self, points: impl Iterator<Item = Point3<f64>>) -> f64 {
+    pub(crate) fn insert(&mut self, points: impl Iterator<Item = Point3<f64>>, ranges: Option<&Ranges>) -> f64 {
         let (before, mut new, mut all) = (self.voxels.len(), 0u32, 0u32);
         for p in points {
             let k = key(&p, self.inverse);
@@ -215,13 +264,13 @@ impl GaussianMap {
             all += 1;
         }
         let size = self.size;
-        self.voxels.par_iter_mut().with_min_len(1024).filter(|v| v.dirty).for_each(|v| v.describe(size));
+        self.voxels.par_iter_mut().with_min_len(1024).filter(|v| v.dirty).for_each(|v| v.describe(size, ranges));
         f64::from(new) / f64::from(all.max(1))
     }
 
     /// The same points in voxels of twice the size.
-    fn doubled(&self) -> Self {
-        let mut out = Self { clock: self.clock, ..Self::new(2.0 * self.size) };
+    pub(crate) fn doubled(&self) -> Self {
+        let mut out = Self::beginning(2.0 * self.size, self.clock);
         for v in &self.voxels {
             let k = key(&v.mean, out.inverse);
             match out.index.entry(k) {
@@ -232,7 +281,7 @@ impl GaussianMap {
                 }
             }
         }
-        out.voxels.iter_mut().for_each(|v| v.describe(out.size));
+        out.voxels.iter_mut().for_each(|v| v.describe(out.size, None));
         out
     }
 
@@ -243,20 +292,28 @@ impl GaussianMap {
         self.index.extend(self.voxels.iter().enumerate().map(|(i, v)| (v.key, i as u32)));
     }
 
+    /// The voxel at `p`, if it is described.
+    #[inline]
+    pub(crate) fn own(&self, p: &Point3<f64>) -> Option<&Gaussian> {
+        self.described(key(p, self.inverse))
+    }
+
+    #[inline]
+    fn described(&self, key: Key) -> Option<&Gaussian> {
+        let v = &self.voxels[*self.index.get(&key)? as usize];
+        (v.shape != Shape::Unknown).then_some(v)
+    }
+
     /// The described voxel at `p`, else the described face neighbour with the nearest mean.
     #[inline]
     pub(crate) fn at(&self, p: &Point3<f64>) -> Option<&Gaussian> {
         let k = key(p, self.inverse);
-        let described = |k: Key| {
-            let v = &self.voxels[*self.index.get(&k)? as usize];
-            (v.shape != Shape::Unknown).then_some(v)
-        };
-        if let Some(v) = described(k) {
+        if let Some(v) = self.described(k) {
             return Some(v);
         }
         let mut best: Option<(f64, &Gaussian)> = None;
         for side in 0..6 {
-            if let Some(v) = described(neighbour(k, side / 2, side % 2 == 1)) {
+            if let Some(v) = self.described(neighbour(k, side / 2, side % 2 == 1)) {
                 let d = (v.mean - p).norm_squared();
                 if best.is_none_or(|b| d < b.0) {
                     best = Some((d, v));
@@ -264,110 +321,6 @@ impl GaussianMap {
             }
         }
         best.filter(|b| b.0 < self.size * self.size).map(|b| b.1)
-    }
-}
-
-/// The same points in voxels of several sizes: a point meets the finest that is a plane.
-///
-/// Near the sensor, and where much was seen, that is a small voxel; far away, between sparse rings and with coarse
-/// ranges it is a large one. So no size has to be right for all of a scene.
-#[derive(Debug, Default)]
-pub(crate) struct Levels {
-    maps: Vec<GaussianMap>,
-}
-
-/// Standard deviation of the coarsest ranges, metres.
-const COARSE_RANGES: f64 = 0.04;
-/// Drift while the whole view becomes new, standard deviations with which a sweep is placed.
-const DRIFT: f64 = 6.0;
-/// Sizes of the levels, in voxels of the finest.
-const LEVELS: [f64; 3] = [1.0, 2.0, 4.0];
-
-impl Levels {
-    /// Bytes, about.
-    pub(crate) fn memory_bytes(&self) -> usize {
-        let voxels = |m: &GaussianMap| m.voxels.capacity() * size_of::<Gaussian>();
-        let index = |m: &GaussianMap| m.index.capacity() * (size_of::<(Key, u32)>() + 1);
-        self.maps.iter().map(|m| voxels(m) + index(m)).sum()
-    }
-
-    pub(crate) fn new(size: f64) -> Self {
-        Self { maps: LEVELS.iter().map(|scale| GaussianMap::new(scale * size)).collect() }
-    }
-
-    /// Of the finest voxels, metres.
-    pub(crate) fn size(&self) -> f64 {
-        self.maps.first().map_or(1.0, GaussianMap::size)
-    }
-
-    pub(crate) fn is_empty(&self) -> bool {
-        self.maps.iter().all(GaussianMap::is_empty)
-    }
-
-    /// Adds points of odom; answers with the share that lies in finest voxels where nothing was.
-    pub(crate) fn insert(&mut self, points: &[Point3<f64>]) -> f64 {
-        // The finest level comes last.
-        self.maps.iter_mut().rev().fold(1.0, |_, map| map.insert(points.iter().copied()))
-    }
-
-    pub(crate) fn clock(&self) -> Clock {
-        self.maps.first().map_or_else(Clock::default, |m| m.clock)
-    }
-
-    /// This share of the view was new, and it was placed with such a standard deviation, metres.
-    pub(crate) fn renewed(&mut self, share: f64, sigma: f64) {
-        let clock = Clock { way: self.clock().way + share, sigma: DRIFT * sigma, size: self.size() };
-        self.maps.iter_mut().for_each(|m| m.clock = clock);
-    }
-
-    /// Share of some points that meet planes.
-    pub(crate) fn planar_share(&self, points: &[Point3<f64>]) -> f64 {
-        let planar = |p: &&Point3<f64>| self.at(p).is_some_and(|v| matches!(v.shape, Shape::Plane(..)));
-        points.iter().filter(planar).count() as f64 / points.len().max(1) as f64
-    }
-
-    pub(crate) fn remove_far_from(&mut self, center: &Point3<f64>, radius: f64) {
-        for map in &mut self.maps {
-            map.remove_far_from(center, radius);
-        }
-    }
-
-    /// The finest plane at `p`, else what else is there. A large voxel's plane has to be as thin as a small one's, or as
-    /// coarse ranges make it: what is thicker bends, or is two surfaces.
-    #[inline]
-    pub(crate) fn at(&self, p: &Point3<f64>) -> Option<&Gaussian> {
-        let mut other = None;
-        let thin = (FLAT * self.size().powi(2) / 12.0).max(COARSE_RANGES.powi(2));
-        for map in &self.maps {
-            let found = map.at(p);
-            if found.is_some_and(|v| matches!(v.shape, Shape::Plane(_, variance) if variance < thin + floor(map.size)))
-            {
-                return found;
-            }
-            other = other.or(found);
-        }
-        other
-    }
-
-    /// Voxels of twice the size: the finest level goes, and the coarsest is gathered into a coarser one.
-    pub(crate) fn double(&mut self) {
-        if let Some(coarser) = self.maps.last().map(GaussianMap::doubled) {
-            self.maps.push(coarser);
-            self.maps.remove(0);
-        }
-    }
-
-    /// Voxels of half the size: the coarsest level goes, and a finer one begins, empty: it is filled by what is seen next.
-    pub(crate) fn halve(&mut self) {
-        let finer = GaussianMap { clock: self.clock(), ..GaussianMap::new(0.5 * self.size()) };
-        self.maps.insert(0, finer);
-        self.maps.pop();
-    }
-
-    /// What the coarsest level has at `p`.
-    #[inline]
-    pub(crate) fn coarse(&self, p: &Point3<f64>) -> Option<&Gaussian> {
-        self.maps.last()?.at(p)
     }
 }
 
@@ -392,12 +345,55 @@ mod tests {
     fn a_patch_is_a_plane_and_a_ring_is_not() {
         let mut map = GaussianMap::new(1.0);
         let grid = |i: usize| Point3::new(0.1 * (i % 9) as f64 + 0.05, 0.1 * (i / 9) as f64 + 0.05, 0.5);
-        map.insert((0..81).map(grid));
+        map.insert((0..81).map(grid), None);
         let Shape::Plane(n, variance) = map.at(&Point3::new(0.5, 0.5, 0.4)).unwrap().shape else { panic!() };
         assert!(n.z.abs() > 1.0 - 1e-9 && (variance - 4e-4).abs() < 1e-9);
         let mut line = GaussianMap::new(1.0);
-        line.insert((0..9).map(grid));
+        line.insert((0..9).map(grid), None);
         assert!(line.at(&Point3::new(0.5, 0.05, 0.5)).is_none());
+    }
+
+    /// Nine points on each of some lines of a floor, `apart` metres apart along x, ranges off by `noise` from the origin.
+    fn rings(lines: i32, apart: f64, noise: f64) -> GaussianMap {
+        let mut map = GaussianMap::new(1.0);
+        let origin = Point3::new(-6.0, 0.5, 2.5);
+        let at = |line: i32, i: i32| {
+            let p = Point3::new(0.2 + apart * f64::from(line), 0.1 + 0.1 * f64::from(i % 9), 0.5);
+            p + (p - origin).normalize() * (noise * (1.7 * f64::from(i)).sin())
+        };
+        let points = (0..lines).flat_map(|line| (0..90).map(move |i| at(line, i)));
+        map.insert(points, Some(&Ranges { origin, variance: 0.02f64.powi(2) }));
+        map
+    }
+
+    #[test]
+    fn noise_along_the_beam_makes_no_plane_of_one_ring() {
+        let middle = Point3::new(0.4, 0.5, 0.5);
+        // 3 cm of noise in the mean: a ribbon that is tilted by 18 degrees, as the beams are.
+        assert!(rings(1, 0.0, 0.04).at(&middle).is_none());
+        let two = rings(2, 0.5, 0.04);
+        let Shape::Plane(normal, _) = two.at(&middle).unwrap().shape else { panic!() };
+        assert!(normal.z.abs() > 0.99, "{normal}");
+    }
+
+    #[test]
+    fn an_edge_tells_across_it_whichever_way_it_runs() {
+        // A floor and a wall meet in the voxel's middle, along x and along the diagonal.
+        for along in [Vector3::x(), Vector3::new(1.0, 1.0, 0.0).normalize()] {
+            let across = Vector3::z().cross(&along);
+            let mut map = GaussianMap::new(1.0);
+            let (middle, side) = (Vector3::repeat(0.5), |i: i32| 0.04 * f64::from(i));
+            let all = (-9..=9).flat_map(|i| (0..=6).map(move |k| (i, k)));
+            let points = all.flat_map(|(i, k)| {
+                let on = middle + along * side(i);
+                [on + across * side(k), on + Vector3::z() * side(k)].map(Point3::from)
+            });
+            map.insert(points, None);
+            let Shape::Scatter(axes, variances) = map.at(&Point3::from(middle)).unwrap().shape else { panic!() };
+            let told = |v: &Vector3<f64>| (0..3).map(|k| axes.column(k).dot(v).powi(2) / variances[k]).sum::<f64>();
+            assert!(told(&across) > 2.0 * told(&along), "{} {}", told(&along), told(&across));
+            assert!((told(&along) - 1.0 / (0.01 + side(1).powi(2) * 30.0)).abs() < 0.5, "{}", told(&along));
+        }
     }
 
     #[test]
@@ -406,8 +402,8 @@ mod tests {
             .map(|i| Point3::from(Vector3::from_fn(|k, _| 3.0 * (f64::from(i * (k as i32 + 3)) * 0.37).sin())))
             .collect();
         let (mut small, mut large) = (GaussianMap::new(0.5), GaussianMap::new(1.0));
-        small.insert(points.iter().copied());
-        large.insert(points.iter().copied());
+        small.insert(points.iter().copied(), None);
+        large.insert(points.iter().copied(), None);
         let doubled = small.doubled();
         assert_eq!(doubled.voxels.len(), large.voxels.len());
         for v in &large.voxels {
