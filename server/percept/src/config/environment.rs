@@ -10,6 +10,9 @@ use std::ffi::OsString;
 const OTHER: [&str; 6] =
     ["PERCEPT_BIN", "PERCEPT_CI_CACHE", "PERCEPT_CONFIG", "PERCEPT_DATA", "PERCEPT_TOKEN", "PERCEPT_TOKEN_FILE"];
 
+/// Variables that were called otherwise before.
+const RENAMED: [(&str, &str); 1] = [("PERCEPT_LIMITS_MAX_MAP_MB", "PERCEPT_LIMITS_MAX_SESSION_MEMORY_MB")];
+
 /// Kubernetes and Docker describe a service called `percept` by variables that begin so; no section is called so.
 const LINKS: [&str; 2] = ["PERCEPT_PORT", "PERCEPT_SERVICE_"];
 
@@ -84,22 +87,11 @@ fn value_like(default: &Value, text: &str) -> Result<Value, String> {
     }
 }
 
+/// What a variable is called now, or the known one that is written most alike.
 fn nearest<'a>(name: &str, known: impl Iterator<Item = &'a String>) -> Option<String> {
-    let (distance, best) = known.map(|k| (edits(name, k), k)).min()?;
-    (distance <= name.len() / 4).then(|| best.clone())
-}
-
-/// Levenshtein's distance in bytes.
-fn edits(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.bytes().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.bytes().enumerate() {
-            let replaced = diagonal + usize::from(x != y);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
-        }
+    if let Some((_, now)) = RENAMED.iter().find(|(before, _)| *before == name) {
+        return Some((*now).to_owned());
     }
-    row[b.len()]
+    let (distance, best) = known.map(|k| (strsim::levenshtein(name, k), k)).min()?;
+    (distance <= name.len() / 4).then(|| best.clone())
 }

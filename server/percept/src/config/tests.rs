@@ -128,6 +128,11 @@ fn complaints_name_place_field_value_and_remedy() {
         "unknown variable PERCEPT_LISTEN_GRCP, perhaps meant: PERCEPT_LISTEN_GRPC",
     );
     said(
+        "",
+        &[("PERCEPT_LIMITS_MAX_MAP_MB", "512")],
+        "unknown variable PERCEPT_LIMITS_MAX_MAP_MB, perhaps meant: PERCEPT_LIMITS_MAX_SESSION_MEMORY_MB",
+    );
+    said(
         "[listen]\nrest = \"localhost\"\n",
         &[],
         "percept.toml:2: listen.rest is \"localhost\"; write IP address and port",

@@ -17,7 +17,7 @@ pub(crate) struct Levels {
 /// Standard deviation of ranges where nothing is known of them, metres.
 const COARSE_RANGES: f64 = 0.04;
 /// How thick a large voxel's plane may be, times the thickness (a variance) of the finest ones. `evaluate handheld` and
-/// `kitti-pair` on the recordings: 5 times 0.0118 m and 9.9 mm, 8 times 0.0120 and 9.7.
+/// `kitti-tracking` (the end) on the recordings: 5 times 0.0118 m and 9.9 mm, 8 times 0.0120 and 9.7.
 const THIN: f64 = 5.0;
 /// Drift while the whole view becomes new, standard deviations with which a sweep is placed.
 const DRIFT: f64 = 6.0;
