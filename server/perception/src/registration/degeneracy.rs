@@ -65,7 +65,8 @@ impl Degeneracy {
         out.with_eigenvalues(Vector6::from_fn(|i, _| eigen.eigenvalues[order[i]].max(0.0)), threshold)
     }
 
-    /// The same directions with other eigenvalues, in the same order: where less than all residuals count for some.
+    /// The same directions with other eigenvalues, in the same order, which need not ascend: where less than all residuals
+    /// count for some.
     pub fn with_eigenvalues(mut self, eigenvalues: Vector6<f64>, threshold: f64) -> Self {
         (self.eigenvalues, self.num_directions) = (eigenvalues, 0);
         (self.good, self.bad) = (Matrix6::zeros(), Matrix6::zeros());
@@ -180,6 +181,19 @@ mod tests {
     fn a_corridor_leaves_its_length_open() {
         let d = Degeneracy::of(&planes(&[Vector3::y(), -Vector3::y(), -Vector3::z()]), &Vector3::zeros(), 2.0, 0.01);
         assert_eq!(d.axes, [true, false, false, false, false, false]);
+    }
+
+    #[test]
+    fn a_direction_that_counts_for_less_is_open_like_one_that_nothing_tells() {
+        let walls = planes(&[Vector3::x(), Vector3::y(), Vector3::y(), Vector3::z(), Vector3::z()]);
+        let d = Degeneracy::of(&walls, &Vector3::from_element(0.7), 2.0, 0.01);
+        let along =
+            |d: &Degeneracy, k: usize| d.direction(k).dot(&(d.keep_good(&Matrix6::identity()) * d.direction(k)));
+        assert_eq!(d.num_directions, 0);
+        let less =
+            d.clone().with_eigenvalues(Vector6::from_fn(|i, _| if i == 0 { 0.0 } else { d.eigenvalues[i] }), 0.01);
+        assert_eq!(less.num_directions, 1);
+        assert!(along(&less, 0) < 1e-9 && (along(&less, 1) - along(&d, 1)).abs() < 1e-9);
     }
 
     #[test]
