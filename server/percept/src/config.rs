@@ -158,8 +158,8 @@ impl Default for Storage {
 pub(crate) struct Compute {
     /// Threads that compute, 0 to 1024; 0: one for each core.
     pub threads: usize,
-    /// How far those that process frames stand back behind the ones that answer, 0 to 19, as `nice` has it; those that
-    /// recognise places and solve pose graphs two more, those of the toolbox ten more.
+    /// How far those that process frames, and those that write data, stand back behind the ones that answer, 0 to 19, as
+    /// `nice` has it; those that recognise places and solve pose graphs two more, those of the toolbox ten more.
     pub nice: i32,
 }
 

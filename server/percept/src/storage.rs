@@ -3,6 +3,44 @@
 use crate::config::{Config, Storage};
 use percept_store::{CacheConfig, Location, RootConfig, S3Options, StoreError};
 use std::net::SocketAddr;
+use tokio::runtime::{Builder, Handle, Runtime};
+
+/// The threads that write and keep data in order.
+///
+/// All sessions of a fleet fill their tables, and clear their logs away, in the same second: on the doors' threads questions
+/// waited for that, up to 150 ms.
+pub(crate) struct StorageThreads(Option<Runtime>);
+
+impl StorageThreads {
+    /// Two of them, as much behind the doors as the threads for frames.
+    ///
+    /// # Errors
+    /// The system gives no threads.
+    pub(crate) fn start(nice: i32, most_file_threads: usize) -> std::io::Result<Self> {
+        let mut builder = Builder::new_multi_thread();
+        builder.worker_threads(2).max_blocking_threads(most_file_threads).thread_name("storage").enable_all();
+        // On Linux the priority is the thread's own; where it cannot be lowered, nothing is lost.
+        builder.on_thread_start(move || {
+            // Not `nice`, which adds: a thread begins where the one stands that starts it.
+            let _ = rustix::process::setpriority_process(None, nice);
+        });
+        Ok(Self(Some(builder.build()?)))
+    }
+
+    /// By which a store is given these threads.
+    pub(crate) fn handle(&self) -> Option<Handle> {
+        self.0.as_ref().map(|runtime| runtime.handle().clone())
+    }
+}
+
+impl Drop for StorageThreads {
+    fn drop(&mut self) {
+        // Stores are closed before; what a second signal left is not waited for.
+        if let Some(runtime) = self.0.take() {
+            runtime.shutdown_background();
+        }
+    }
+}
 
 /// How the server opens its data; `grpc` is where it listens, if it does.
 ///

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use object_store::ObjectStore;
 use object_store::memory::InMemory;
+use tokio::runtime::Handle;
 
 use crate::cache::CacheConfig;
 use crate::clock::Clock;
@@ -105,6 +106,9 @@ pub struct StoreConfig {
     pub max_batch_bytes: usize,
     /// Most bytes of one blob. Default 1 GiB.
     pub max_blob_bytes: usize,
+    /// The runtime, with time and blocking threads, on which records are committed, sorted, merged and cleared away; it has to
+    /// outlive the store. Default `None`: the one that opens the store.
+    pub runtime: Option<Handle>,
 }
 
 impl Default for StoreConfig {
@@ -119,6 +123,7 @@ impl Default for StoreConfig {
             max_record_bytes: 4 << 20,
             max_batch_bytes: 32 << 20,
             max_blob_bytes: 1 << 30,
+            runtime: None,
         }
     }
 }

@@ -18,7 +18,9 @@ use slatedb::config::{
     ScanOptions, Settings,
 };
 use slatedb::{Db, DbIterator, IterationOrder};
+use tokio::runtime::Handle;
 use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinSet;
 
 use crate::blobs::{BlobId, Blobs, GarbageReport, Mark};
 use crate::cache::CachedBlobs;
@@ -96,9 +98,16 @@ impl SlateStore {
         if let Some(expected) = config.expected_epoch {
             builder = builder.with_expected_epoch(expected);
         }
+        // SlateDB's tasks stay on the runtime that it is built on.
+        let runtime = config.runtime.unwrap_or_else(Handle::current);
+        let mut opening = JoinSet::new();
+        opening.spawn_on(builder.build(), &runtime);
         // SlateDB tries for ever to write that it is the writer now; whoever waits for it is told why it cannot.
         let db = tokio::select! {
-            opened = builder.build() => opened.map_err(|error| StoreError::from_slate("open the records", 0, error))?,
+            opened = opening.join_next() => match opened {
+                Some(Ok(opened)) => opened.map_err(|error| StoreError::from_slate("open the records", 0, error))?,
+                Some(Err(_)) | None => return Err(StoreError::Closed),
+            },
             () = full(failures.clone()) => return Err(StoreError::Full),
             () = tokio::time::sleep(config.open_timeout) => {
                 let last = failures.borrow().last.clone();
@@ -110,7 +119,7 @@ impl SlateStore {
         let (queue, requests) = mpsc::channel(config.queue_length.max(1));
         let timeout = config.commit_timeout;
         let committer = Committer { db: db.clone(), epoch, failures, timeout, life: life.clone(), stalled: None };
-        tokio::spawn(committer.run(requests));
+        runtime.spawn(committer.run(requests));
         let StoreConfig { max_record_bytes, max_batch_bytes, .. } = config;
         Ok(Self { db, queue, blobs, life, epoch, max_record_bytes, max_batch_bytes })
     }

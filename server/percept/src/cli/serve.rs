@@ -9,7 +9,7 @@ use crate::doors::identify::Gate;
 use crate::doors::listener::tls::Tls;
 use crate::doors::listener::{Listener, Protocol, Shared, files};
 use crate::doors::{grpc, rest, zenoh, zenoh::ZenohDoor};
-use crate::storage;
+use crate::storage::{self, StorageThreads};
 use percept_identity::{AuthMode, AuthSettings, Authenticator};
 use percept_service::{About, Admission, ComputePool, ComputeThreads, Guarded, HEALTHY, Part, Service};
 use percept_store::DataRoot;
@@ -106,6 +106,8 @@ pub(crate) struct Running {
     notice: Duration,
     drain: Duration,
     doors: JoinSet<Result<(), Failure>>,
+    /// The last to go.
+    _storage_threads: StorageThreads,
 }
 
 impl Running {
@@ -117,7 +119,10 @@ impl Running {
         let socket =
             (!config.listen.grpc.is_empty()).then(|| reserve("listen.grpc", &config.listen.grpc)).transpose()?;
         let address = socket.as_ref().and_then(|s| s.local_addr().ok());
-        let data = DataRoot::open(storage::root_config(config, address)?).await?;
+        let storage_threads = StorageThreads::start(config.compute.nice, MOST_FILE_THREADS)?;
+        let mut root = storage::root_config(config, address)?;
+        root.session.runtime = storage_threads.handle();
+        let data = DataRoot::open(root).await?;
         let limits = &config.limits;
         crate::telemetry::begin(&config.telemetry);
         let service = Service::open(data, compute(config)?, limits.clone(), config.params.clone()).await?;
@@ -184,7 +189,20 @@ impl Running {
         let seconds = |s: usize| Duration::from_secs(s as u64);
         let (notice, drain) = (seconds(config.listen.notice_s), seconds(config.listen.drain_s));
         let (config_file, read) = (None, config.clone());
-        Ok(Self { addresses, service, tls, authenticator, auth, config_file, read, stop, notice, drain, doors })
+        Ok(Self {
+            addresses,
+            service,
+            tls,
+            authenticator,
+            auth,
+            config_file,
+            read,
+            stop,
+            notice,
+            drain,
+            doors,
+            _storage_threads: storage_threads,
+        })
     }
 
     /// Serves until a signal, or until a door fails.
