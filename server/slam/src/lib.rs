@@ -22,7 +22,9 @@ pub use back_end::{
 pub use inertial::{ImuBuffer, ImuFault};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
 pub use loops::{LoopClosure, Relocalisation};
-pub use odometry::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams};
+pub use odometry::{
+    Growth, MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryNoise, OdometryParams, way_m,
+};
 pub use scan::{CloudScan, DepthScan, ImageScan, PlanarScan, Scan, SecondCamera};
 pub use tracking::{LostReason, Scale, TrackingState, Waiting};
 

@@ -4,7 +4,7 @@ use super::worker::{Answers, Executor, GraphWorker, Question};
 use crate::SlamParams;
 use percept_geometry::Timestamp;
 use percept_slam::loops::place_recognition;
-use percept_slam::{BackEnd, BackEndMemory, Loop, OdometryKind};
+use percept_slam::{BackEnd, BackEndMemory, Loop, OdometryKind, OdometryNoise};
 use std::sync::Arc;
 
 /// The back end, once a kind of sensor whose loops can be found moves the pose and loops are wanted.
@@ -35,7 +35,10 @@ impl Constraints {
     pub(super) fn worker(&self, params: &SlamParams, kind: OdometryKind) -> Option<GraphWorker> {
         let recognition = place_recognition(kind, &params.odometry, &params.back_end);
         let recognition = recognition.filter(|_| params.back_end.enabled)?;
-        Some(GraphWorker::new(BackEnd::new(params.back_end.clone(), recognition), self.executor.clone()))
+        Some(GraphWorker::new(
+            BackEnd::new(params.back_end.clone(), OdometryNoise::of(kind), recognition),
+            self.executor.clone(),
+        ))
     }
 
     /// Forgets all keyframes and loops; those that were known.

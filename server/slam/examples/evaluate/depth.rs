@@ -110,6 +110,8 @@ pub(crate) fn simulated(seed: u64, args: &[String]) -> Result<(), Failure> {
     }
     run.report();
     measure::report(&truth, &estimate);
+    measure::drift(&truth, &estimate);
+    measure::consistency(&truth, &run.estimates);
     if has("--loops") {
         tally.report();
     }

@@ -4,7 +4,7 @@ use percept_geometry::{KeyframeId, Pose};
 use percept_slam::loops::place_recognition;
 use percept_slam::{
     BackEnd, BackEndKeyframe, BackEndParams, BackEndUpdate, KeyframeParams, KeyframePolicy, LoopState, Odometry,
-    OdometryEstimate, OdometryKind, OdometryParams, Scan,
+    OdometryEstimate, OdometryKind, OdometryNoise, OdometryParams, Scan,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,6 +28,7 @@ impl Mapping {
             policy: KeyframePolicy::new(KeyframeParams::default()),
             back_end: BackEnd::new(
                 BackEndParams::default(),
+                OdometryNoise::of(kind),
                 place_recognition(kind, &OdometryParams::default(), &BackEndParams::default())?,
             ),
             t_odom_keyframe: vec![],

@@ -72,6 +72,41 @@ pub(crate) fn report(truth: &[Pose], estimate: &[Pose]) {
     );
 }
 
+/// How far odometry alone is off after ways of several lengths: what `noise.rs` of the odometry is made of.
+///
+/// Pairs of poses that are so far apart along the truth's way; for each length their number, how far the truth turned in between in
+/// the mean, and of both errors root mean square, median and what one of twenty exceeds.
+pub(crate) fn drift(truth: &[Pose], estimate: &[Pose]) {
+    let mut way = vec![(0.0, 0.0)];
+    for pair in truth.windows(2) {
+        let step = pair[0].inverse() * pair[1];
+        let (m, rad) = way[way.len() - 1];
+        way.push((m + step.translation.vector.norm(), rad + step.rotation.angle()));
+    }
+    println!("   way m  pairs turn rad | off m: rms median p95 | off mrad: rms median p95");
+    for length in [0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0] {
+        let (mut metres, mut radians, mut turned) = (vec![], vec![], 0.0);
+        for i in 0..truth.len() {
+            let j = way.partition_point(|w| w.0 < way[i].0 + length);
+            let (Some(a), Some(b)) = (truth.get(j), estimate.get(j)) else { break };
+            let off = (truth[i].inverse() * a).inverse() * (estimate[i].inverse() * b);
+            metres.push(off.translation.vector.norm());
+            radians.push(1e3 * off.rotation.angle());
+            turned += way[j].1 - way[i].1;
+        }
+        if metres.len() < 5 {
+            break;
+        }
+        let of = |errors: &mut Vec<f64>| {
+            errors.sort_by(f64::total_cmp);
+            let at = |share: f64| errors[((errors.len() - 1) as f64 * share) as usize];
+            format!("{:.4} {:.4} {:.4}", rmse(errors), at(0.5), at(0.95))
+        };
+        let pairs = metres.len();
+        println!("{length:8.1} {pairs:6} {:8.2} | {} | {}", turned / pairs as f64, of(&mut metres), of(&mut radians));
+    }
+}
+
 /// Errors since the first frame beside those that the estimates tell of: root mean squares of positions and turns.
 pub(crate) fn consistency(truth: &[Pose], estimates: &[OdometryEstimate]) {
     let Some((first, start)) = truth.first().zip(estimates.first()) else { return };

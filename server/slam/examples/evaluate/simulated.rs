@@ -91,6 +91,7 @@ pub(crate) fn lidar(args: &[String]) -> Result<(), Failure> {
     let estimate: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base).collect();
     run.report();
     measure::report(&truth, &estimate);
+    measure::drift(&truth, &estimate);
     measure::consistency(&truth, &run.estimates);
     Ok(())
 }
@@ -141,6 +142,8 @@ pub(crate) fn planar(args: &[String]) -> Result<(), Failure> {
     let estimate: Vec<Pose> = run.estimates.iter().map(|e| e.t_odom_base).collect();
     run.report();
     measure::report(&truth, &estimate);
+    measure::drift(&truth, &estimate);
+    measure::consistency(&truth, &run.estimates);
     for (name, mut off) in [("kept", kept_off), ("as they came", raw_off)] {
         off.sort_by(f64::total_cmp);
         let at = |share: f64| off.get((off.len() as f64 * share) as usize).copied().unwrap_or(0.0);

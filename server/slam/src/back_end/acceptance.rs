@@ -67,8 +67,28 @@ impl BackEnd {
         if far.is_empty() {
             return urgent;
         }
-        let is_group_believed = self.try_group(&far, changed);
+        let is_group_believed = self.try_groups(far, changed);
         if is_group_believed { Some(Effort::Thorough) } else { urgent }
+    }
+
+    /// Believes the largest group of far loops that agree, if they are enough and the map still holds with them, else the
+    /// largest of the others: rooms that resemble each other keep no right ones waiting.
+    fn try_groups(&mut self, mut far: Vec<usize>, changed: &mut Vec<usize>) -> bool {
+        while far.len() >= self.params.min_agreeing {
+            let constraints: Vec<Constraint<'_>> = far.iter().filter_map(|&k| self.constraint(k)).collect();
+            let group = agreeing(&constraints, &self.chain, &self.poses);
+            let likely = group.iter().all(|&g| within_drift(&constraints[g], &self.chain, &self.poses, LIKELY_DRIFT));
+            let enough = self.params.min_agreeing * if likely { 1 } else { 2 };
+            let group: Vec<usize> = group.iter().map(|&g| far[g]).collect();
+            if group.len() >= enough && self.try_group(&group, changed) {
+                return true;
+            }
+            if group.len() < self.params.min_agreeing {
+                return false;
+            }
+            far.retain(|k| !group.contains(k));
+        }
+        false
     }
 
     /// Whether a loop at the newest keyframe tells where the robot is that has long been unsure of it.
@@ -82,22 +102,14 @@ impl BackEnd {
         self.chain.nodes().last().is_some_and(|n| n.id == closure.to) && (has_grown(0) || has_grown(3))
     }
 
-    /// Believes the largest group of far loops that agree, if they are enough and the map still holds with them.
-    fn try_group(&mut self, far: &[usize], changed: &mut Vec<usize>) -> bool {
-        let constraints: Vec<Constraint<'_>> = far.iter().filter_map(|&k| self.constraint(k)).collect();
-        let group = agreeing(&constraints, &self.chain, &self.poses);
-        let likely = group.iter().all(|&g| within_drift(&constraints[g], &self.chain, &self.poses, LIKELY_DRIFT));
-        let enough = self.params.min_agreeing * if likely { 1 } else { 2 };
-        if group.len() < enough {
-            return false;
-        }
-        let group: Vec<usize> = group.iter().map(|&g| far[g]).collect();
+    /// Believes a group of loops, if the map still holds with them.
+    fn try_group(&mut self, group: &[usize], changed: &mut Vec<usize>) -> bool {
         let (poses, drift, misfits) = (self.poses.clone(), (self.drift, self.drift_solved), self.misfits());
         group.iter().for_each(|&k| self.loops[k].state = LoopState::Active);
         self.solve(Effort::Thorough);
         // What was believed before has to say so itself: none of it is doubted until the group is believed.
         let holds = group.iter().all(|&k| self.misfit(k) < AGREE) && self.misfits() <= misfits + group.len() / 4;
-        changed.extend(&group);
+        changed.extend(group);
         if holds {
             self.doubt(changed);
         } else {

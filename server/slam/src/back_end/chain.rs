@@ -1,6 +1,8 @@
 //! Keyframes in the order of their making, and how sure the way from each to the next is.
 
 use super::culling::View;
+use crate::odometry::{OdometryNoise, way_m};
+use nalgebra::Vector6;
 use percept_geometry::{Covariance6, KeyframeId, Pose, se3};
 use std::collections::BTreeMap;
 
@@ -29,28 +31,21 @@ pub(super) struct Step {
 }
 
 /// The nodes; their indices are those of the pose graph.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(super) struct Chain {
+    noise: OdometryNoise,
     nodes: Vec<Node>,
     /// From each node to the next, until nodes are merged.
     steps: Vec<Step>,
     index: BTreeMap<KeyframeId, u32>,
 }
 
-/// Least error of a step, whatever the registration says of itself: metres and radians, then shares of the way and of the
-/// turn. Registrations are surer of themselves than they are right: neighbouring scans share their errors.
-const FLOOR: (f64, f64) = (0.005, 0.002);
-const SHARES: (f64, f64) = (0.01, 0.01);
-
-/// What a step's covariance is at least.
-fn floor_of(t_prev_node: &Pose) -> (f64, f64) {
-    let (way, turn) = (t_prev_node.translation.vector.norm(), t_prev_node.rotation.angle());
-    let sigma_t = FLOOR.0 + SHARES.0 * way;
-    let sigma_r = FLOOR.1 + SHARES.1 * turn;
-    (sigma_t * sigma_t, sigma_r * sigma_r)
-}
-
 impl Chain {
+    /// No nodes; steps will be those of an odometry with this noise.
+    pub(super) fn new(noise: OdometryNoise) -> Self {
+        Self { noise, nodes: vec![], steps: vec![], index: BTreeMap::new() }
+    }
+
     pub(super) fn len(&self) -> usize {
         self.nodes.len()
     }
@@ -80,9 +75,7 @@ impl Chain {
 
     /// Adds a node; `measured` is what the odometry says of its step, zero if that is not known.
     pub(super) fn push(&mut self, id: KeyframeId, view: View, t_prev_node: Pose, measured: &Covariance6) {
-        let (var_t, var_r) = floor_of(&t_prev_node);
-        let floor = Covariance6::from_diagonal(&[var_t, var_t, var_t, var_r, var_r, var_r].into());
-        let step = measured + floor;
+        let step = self.at_least_noise(&t_prev_node, measured);
         let mean = |k: usize| (k..k + 3).map(|i| step[(i, i)]).sum::<f64>() / 3.0;
         let before = self.nodes.last().map_or((0.0, 0.0), |n| n.sums);
         let sums = (before.0 + mean(0), before.1 + mean(3));
@@ -92,6 +85,19 @@ impl Chain {
         }
         self.index.insert(id, to);
         self.nodes.push(Node { id, t_prev_node, step, view, sums });
+    }
+
+    /// A step's covariance with what registration adds at its ends, and not less than the noise of the way: what odometry says
+    /// of itself does not know that neighbouring scans share their errors, or is not known.
+    fn at_least_noise(&self, t_prev_node: &Pose, measured: &Covariance6) -> Covariance6 {
+        let (sigma_m, sigma_rad) =
+            self.noise.after(way_m(t_prev_node.translation.vector.norm(), t_prev_node.rotation.angle()));
+        let at_once = (self.noise.position.at_once, self.noise.rotation.at_once);
+        let added = Vector6::from_fn(|k, _| {
+            let (sigma, once) = if k < 3 { (sigma_m, at_once.0) } else { (sigma_rad, at_once.1) };
+            (sigma * sigma - measured[(k, k)]).max(once * once)
+        });
+        measured + Covariance6::from_diagonal(&added)
     }
 
     /// Keeps the nodes that `number` gives a new index; `steps` are between those already.
@@ -136,17 +142,20 @@ pub(super) fn step_covariance(before: &Covariance6, t_before_now: &Pose, now: &C
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::odometry::OdometryKind;
 
     #[test]
     fn drift_is_that_of_the_way_between() {
-        let mut chain = Chain::default();
+        let noise = OdometryNoise::of(OdometryKind::Lidar3d);
+        let mut chain = Chain::new(noise);
         let view = View { sensor: "lidar".into(), around: true };
         for k in 0..10 {
             chain.push(KeyframeId(k), view.clone(), se3::from_xy_yaw(0.5, 0.0, 0.0), &Covariance6::zeros());
         }
         let (t, r) = chain.drift(2, 7, 0.0);
         let (back_t, back_r) = chain.drift(7, 2, 0.0);
-        assert!((t - 5.0 * 0.01 * 0.01).abs() < 1e-12 && (r - 5.0 * 0.002 * 0.002).abs() < 1e-12);
+        let step = noise.after(0.5);
+        assert!((t - 5.0 * step.0.powi(2)).abs() < 1e-12 && (r - 5.0 * step.1.powi(2)).abs() < 1e-12);
         assert!((t, r) == (back_t, back_r));
         assert!((chain.drift(2, 7, 10.0).0 - t - 100.0 * r).abs() < 1e-12);
     }

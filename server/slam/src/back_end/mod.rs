@@ -16,6 +16,7 @@ mod types;
 mod tests;
 
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::odometry::OdometryNoise;
 use chain::{Chain, step_covariance};
 pub use culling::MergedKeyframe;
 use culling::View;
@@ -27,8 +28,6 @@ pub use types::{BackEndKeyframe, BackEndMemory, BackEndParams, BackEndUpdate, Lo
 
 /// What is known of the way over a gap: standard deviations, metres and radians.
 const GAP: (f64, f64) = (10.0, 3.0);
-/// What a stored map knows of keyframes whose neighbours were merged: metres, metres a metre, radians.
-const MERGED: (f64, f64, f64) = (0.03, 0.02, 0.02);
 /// Keyframes between optimisations that change next to nothing: so many, or this share of all, as corrections that small
 /// wait for more (see [`TURNS`]), and a solution costs more the more there are.
 const LAZY: usize = 10;
@@ -78,12 +77,12 @@ impl std::fmt::Debug for BackEnd {
 }
 
 impl BackEnd {
-    /// A back end without keyframes. Validate `params` first.
-    pub fn new(params: BackEndParams, recognition: Box<dyn PlaceRecognition>) -> Self {
+    /// A back end without keyframes, whose steps come from an odometry of this noise. Validate `params` first.
+    pub fn new(params: BackEndParams, noise: OdometryNoise, recognition: Box<dyn PlaceRecognition>) -> Self {
         Self {
             params,
             recognition,
-            chain: Chain::default(),
+            chain: Chain::new(noise),
             poses: vec![],
             by_id: KeyframePoses::new(),
             given: vec![],
@@ -309,9 +308,7 @@ impl BackEnd {
 
     /// Adds a keyframe whose neighbour was merged: how it lies to the one before is known from the map alone.
     fn extend_over(&mut self, keyframe: &BackEndKeyframe, t_prev_node: &Pose) {
-        let way = t_prev_node.translation.vector.norm();
-        let step = crate::odometry::diagonal(MERGED.0 + MERGED.1 * way, MERGED.2);
-        self.push(keyframe, t_prev_node, &step);
+        self.push(keyframe, t_prev_node, &Covariance6::zeros());
         let pose = self.poses.last().map_or(*t_prev_node, |last| last * t_prev_node);
         self.poses.push(pose);
         self.given.push(pose);

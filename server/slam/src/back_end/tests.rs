@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::loops::LoopClosure;
+use crate::odometry::OdometryKind;
 use percept_geometry::{KeptScan, PointCloud, SensorId, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -87,7 +88,7 @@ fn drive(rng: &mut ChaCha8Rng, loops: BTreeMap<u64, Vec<LoopClosure>>) -> (BackE
 
 fn drive_along(rng: &mut ChaCha8Rng, truth: &[Pose], recognition: Box<dyn PlaceRecognition>) -> (BackEnd, Vec<Pose>) {
     let scan = scan();
-    let mut back_end = BackEnd::new(BackEndParams::default(), recognition);
+    let mut back_end = BackEnd::new(BackEndParams::default(), OdometryNoise::of(OdometryKind::Lidar2d), recognition);
     let mut merged: BTreeMap<KeyframeId, MergedKeyframe> = BTreeMap::new();
     let mut told: BTreeMap<LoopId, Loop> = BTreeMap::new();
     let (mut t_odom_base, mut t_map_odom) = (Pose::identity(), Pose::identity());
@@ -301,10 +302,15 @@ fn a_group_that_contradicts_what_is_believed_takes_nothing_of_it_along() {
         }
         let (_, undisturbed) = drive(&mut ChaCha8Rng::seed_from_u64(200 + seed), true_ones);
         let (back_end, map) = drive(&mut ChaCha8Rng::seed_from_u64(200 + seed), loops);
+        let mut waiting = 0;
         for l in back_end.loops() {
             let right = is_true.contains(&l.closure.to.0);
-            assert_eq!(l.state == LoopState::Active, right, "seed {seed}: {} to {}", l.closure.from.0, l.closure.to.0);
+            let is_decided_right = if right { l.state != LoopState::Rejected } else { l.state != LoopState::Active };
+            assert!(is_decided_right, "seed {seed}: {} to {}", l.closure.from.0, l.closure.to.0);
+            waiting += usize::from(right && l.state == LoopState::Pending);
         }
+        // One that is off by four standard deviations may wait for others.
+        assert!(waiting <= 1, "seed {seed}: {waiting}");
         let (with, without) = (rmse(&map), rmse(&undisturbed));
         assert!(with < 0.005 + 1.2 * without, "seed {seed}: {with} {without}");
     }
@@ -335,7 +341,8 @@ fn a_gap_stays_one_after_a_restart() {
         state: LoopState::Active,
     });
     let loops: Vec<Loop> = loops.collect();
-    let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(Script::default()));
+    let mut back_end =
+        BackEnd::new(BackEndParams::default(), OdometryNoise::of(OdometryKind::Lidar2d), Box::new(Script::default()));
     let next = loops.len() as u64;
     back_end.resume((0..truth.len()).map(node), loops.clone(), next + 5);
     let vetoed = back_end.veto(LoopId(3), true).unwrap();
@@ -362,7 +369,8 @@ fn after_a_gap_one_measurement_tells_where_places_are_to_be_looked_for() {
         let recognition = Script { loops: found, ..Script::default() };
         let asked = Arc::clone(&recognition.asked);
         let (first, is_told) = (if constraint.is_some() { gap } else { gap + 1 }, constraint.is_some());
-        let mut back_end = BackEnd::new(BackEndParams::default(), Box::new(recognition));
+        let mut back_end =
+            BackEnd::new(BackEndParams::default(), OdometryNoise::of(OdometryKind::Lidar2d), Box::new(recognition));
         for k in 0..gap + 3 {
             let keyframe = BackEndKeyframe {
                 id: KeyframeId(k),

@@ -11,6 +11,7 @@ pub mod lidar2d;
 pub mod lidar3d;
 mod model;
 pub mod mono;
+mod noise;
 mod params;
 pub mod rgbd;
 mod rhythm;
@@ -23,6 +24,7 @@ use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use hypotheses::UNKNOWN_VARIANCE;
 pub(crate) use model::{Found, LocalModel, Match, Prediction};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
+pub use noise::{Growth, OdometryNoise, way_m};
 use params::MotionLimits;
 pub use params::{OdometryKind, OdometryParams, TrackingParams};
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
@@ -140,7 +142,7 @@ impl Odometry {
             inertial: Inertial::default(),
             gyro: GyroCheck::default(),
             limits,
-            uncertainty: Uncertainty::default(),
+            uncertainty: Uncertainty::new(kind),
             covariance: Covariance6::zeros(),
             rhythm: Rhythm::default(),
             left_open: Covariance6::zeros(),

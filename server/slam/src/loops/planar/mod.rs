@@ -18,6 +18,7 @@ mod tests;
 
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::lidar2d::planar;
+use crate::odometry::{OdometryKind, OdometryNoise, way_m};
 use branch_and_bound::{Fit, Outcome, PATIENCE, PATIENCE_BEYOND, Pyramid, Region};
 use links::Links;
 use measure::{Measurement, Strictness, Visits};
@@ -33,10 +34,13 @@ const RECENT_M: f64 = 10.0;
 const NEAR_M: f64 = 3.0;
 /// Visits that one keyframe is measured against, at most.
 const MAX_VISITS: usize = 3;
-/// Uncertainty after a way of d metres: a + b sqrt(d) + c d, metres and radians. Odometry that was off by less than half of
-/// this in every log we have.
-const DRIFT_M: (f64, f64, f64) = (0.05, 0.03, 0.005);
-const DRIFT_RAD: (f64, f64, f64) = (0.01, 0.004, 0.0003);
+/// Windows reach so many standard deviations of drift; a place that is not found where it should be widens them ([`DOUBT_M`]). With
+/// six, a lidar that sees 5.5 or 6 m closes a tenth or two thirds of the loops (`planar_log lidar2d-intel --max-range`): in
+/// a window that wide too much fits.
+const SIGMAS: f64 = 3.0;
+/// And so much farther, metres and radians: keyframes are not where their
+/// neighbours are.
+const MARGIN: (f64, f64) = (0.2, 0.03);
 /// A window this small is searched in one visit's map, metres.
 const SMALL_M: f64 = 1.2;
 /// Windows are not larger than this, metres.
@@ -45,8 +49,9 @@ const LARGEST_M: f64 = 15.0;
 const DOUBT_M: f64 = 3.0;
 /// A closed loop is as unsure as so much driving, metres.
 const TIE_M: f64 = 0.3;
-/// Driving between searches of a large window, and of all the map, metres.
-const SEARCH_EVERY_M: f64 = 1.5;
+/// Driving between searches of a large window, metres: at first, and at most, as it doubles with each that finds nothing; and
+/// between those of all the map.
+const SEARCH_EVERY_M: (f64, f64) = (1.5, 6.0);
 const SEARCH_ALL_EVERY_M: f64 = 10.0;
 /// Keyframes of the last metres make the query of a large search.
 const QUERY_M: f64 = 5.0;
@@ -71,6 +76,7 @@ struct Kept {
 pub(crate) struct PlanarPlaces {
     /// Farther hits are not used, metres.
     max_range_m: f64,
+    noise: OdometryNoise,
     kept: BTreeMap<KeyframeId, Kept>,
     links: Links,
     visits: Visits,
@@ -78,6 +84,8 @@ pub(crate) struct PlanarPlaces {
     relocaliser: Relocaliser,
     /// Where the robot had driven to at the last search of a large window, and of all the map.
     searched_m: f64,
+    /// Driving from there to the next.
+    search_every_m: f64,
     searched_all_m: f64,
     last_drift: (f64, f64),
     /// Driven past known places since the last tie, metres.
@@ -90,11 +98,13 @@ impl PlanarPlaces {
     pub(crate) fn new(max_range_m: f64) -> Self {
         Self {
             max_range_m,
+            noise: OdometryNoise::of(OdometryKind::Lidar2d),
             kept: BTreeMap::new(),
             links: Links::default(),
             visits: Visits::new(max_range_m),
             relocaliser: Relocaliser::new(max_range_m),
             searched_m: 0.0,
+            search_every_m: SEARCH_EVERY_M.0,
             searched_all_m: 0.0,
             last_drift: (0.0, 0.0),
             missed_m: 0.0,
@@ -113,8 +123,8 @@ impl PlanarPlaces {
                 _ => 0.0,
             };
             // A lost stretch adds more than its length.
-            let sudden = (drift.0 - self.last_drift.0 - 0.05 * step - 0.05).max(0.0) / DRIFT_M.2;
-            self.links.tie(last, id, step + sudden.min(1e4));
+            let sudden = (drift.0 - self.last_drift.0 - 0.05 * step - 0.05).max(0.0);
+            self.links.tie(last, id, step + self.noise.position.way_of(sudden).min(1e4));
             travelled_m = kept.travelled_m + step;
         }
         self.last_drift = drift;
@@ -224,7 +234,7 @@ impl PlaceRecognition for PlanarPlaces {
         let travelled_m = self.keep(id, scan, drift, poses);
         let Some(here) = poses.get(&id).map(planar) else { return vec![] };
         let doubt = 1.0 + self.missed_m / DOUBT_M;
-        let reach = Reach::of(id, &self.kept, &self.links, doubt, poses);
+        let reach = Reach::of(id, &self.kept, &self.links, (&self.noise, doubt), poses);
         let mut closures = self.near(id, &here, &reach);
         let step = travelled_m - self.travelled_m;
         self.travelled_m = travelled_m;
@@ -232,9 +242,11 @@ impl PlaceRecognition for PlanarPlaces {
             self.missed_m += step;
         }
         let is_tied = !closures.is_empty();
-        if !is_tied && travelled_m - self.searched_m >= SEARCH_EVERY_M && reach.is_far(&here) {
+        if !is_tied && travelled_m - self.searched_m >= self.search_every_m && reach.is_far(&here) {
             let everywhere = travelled_m - self.searched_all_m >= SEARCH_ALL_EVERY_M;
             self.searched_m = travelled_m;
+            // What was not found is hardly found a step farther; the views have to become others.
+            self.search_every_m = (2.0 * self.search_every_m).min(SEARCH_EVERY_M.1);
             closures.extend(self.far(id, &here, &reach, false));
             if everywhere && closures.is_empty() {
                 self.searched_all_m = travelled_m;
@@ -246,6 +258,7 @@ impl PlaceRecognition for PlanarPlaces {
         }
         if !closures.is_empty() {
             self.searched_all_m = travelled_m;
+            self.search_every_m = SEARCH_EVERY_M.0;
             self.missed_m = 0.0;
         }
         closures
@@ -309,7 +322,13 @@ struct Reach {
 }
 
 impl Reach {
-    fn of(id: KeyframeId, kept: &BTreeMap<KeyframeId, Kept>, links: &Links, doubt: f64, poses: &KeyframePoses) -> Self {
+    fn of(
+        id: KeyframeId,
+        kept: &BTreeMap<KeyframeId, Kept>,
+        links: &Links,
+        (noise, doubt): (&OdometryNoise, f64),
+        poses: &KeyframePoses,
+    ) -> Self {
         let poses: BTreeMap<KeyframeId, Isometry2<f64>> =
             poses.iter().filter(|(id, _)| kept.contains_key(id)).map(|(id, t)| (*id, planar(t))).collect();
         let distances = links.distances(id);
@@ -319,9 +338,9 @@ impl Reach {
             .filter(|(other, _)| **other != id && travelled_m - kept[other].travelled_m > RECENT_M)
             .map(|(other, t)| {
                 let d = distances.get(other).copied().unwrap_or(1e4);
-                let sigma = |(a, b, c): (f64, f64, f64)| a + b * d.sqrt() + c * d;
-                let window_m = |doubt: f64| (0.2 + 3.0 * doubt * sigma(DRIFT_M)).min(LARGEST_M);
-                let window_rad = |doubt: f64| (3.0 * doubt * sigma(DRIFT_RAD)).min(std::f64::consts::PI);
+                let (sigma_m, sigma_rad) = noise.after(d);
+                let window_m = |doubt: f64| (MARGIN.0 + SIGMAS * doubt * sigma_m).min(LARGEST_M);
+                let window_rad = |doubt: f64| (MARGIN.1 + SIGMAS * doubt * sigma_rad).min(std::f64::consts::PI);
                 Old {
                     id: *other,
                     t_map_base: *t,
@@ -424,7 +443,7 @@ fn spread_out(points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
 
 /// Metres, with a radian for half a metre.
 fn length(t: &Isometry2<f64>) -> f64 {
-    t.translation.vector.norm() + 0.5 * t.rotation.angle().abs()
+    way_m(t.translation.vector.norm(), t.rotation.angle())
 }
 
 fn closure(from: KeyframeId, to: KeyframeId, m: &Measurement) -> LoopClosure {

@@ -172,7 +172,7 @@ const ROUND: [[f64; 2]; 5] = [[3.0, 2.0], [19.0, 2.5], [19.5, 11.0], [4.0, 11.0]
 #[test]
 fn a_round_through_the_office_closes_with_a_centimetre() {
     let mut drive = Drive::new(1);
-    let (office, slip) = (Building::office(), Isometry2::new(Vector2::new(0.004, 0.003), 0.002));
+    let (office, slip) = (Building::office(), Isometry2::new(Vector2::new(0.003, 0.002), 0.001));
     let found = drive.along(&office, &route(&[&ROUND[..], &ROUND[1..3]].concat()), &slip);
     let believed = planar(&drive.poses[&KeyframeId(drive.truth.len() as u64 - 1)]);
     let drifted = drive.truth.last().unwrap().inverse() * believed;

@@ -22,7 +22,7 @@ mod walls;
 mod tests;
 
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
-use crate::odometry::diagonal;
+use crate::odometry::{Growth, OdometryKind, OdometryNoise, diagonal};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
 use percept_perception::registration::{GlobalResult, register_global};
 use query::Query;
@@ -42,9 +42,8 @@ const MOST_KEYFRAMES: usize = 60;
 const APART: f64 = 2.5;
 /// A loop that tells of more drift than so many standard deviations is of another place that looks the same.
 const LIKELY: f64 = 3.0;
-/// Drift beyond what odometry says, as a share of the travel between; and turning, radians and radians a metre.
-const UNTOLD_DRIFT: f64 = 0.03;
-const UNTOLD_TURN: (f64, f64) = (0.2, 0.01);
+/// Turning beyond what drift explains, radians: maps are gathered over ways that drift themselves.
+const UNTOLD_TURN: f64 = 0.2;
 /// Maps whose pictures are compared with a new one, the nearest first; pairs waiting for a search; keyframes between two.
 const COMPARED: usize = 100;
 const WAITING: usize = 8;
@@ -149,24 +148,27 @@ impl SpatialRecognition {
         let position = |m: &Submap| poses.get(&m.anchor).map(|t| t.translation.vector);
         let Some(here) = position(map) else { return };
         let sigma = (0..3).map(|k| drift[(k, k)].max(0.0)).sum::<f64>().sqrt();
+        // The graph's errors are independent of each other; what adds up it does not know.
+        let noise = OdometryNoise::of(OdometryKind::Lidar3d);
+        let adds_up = |growth: Growth, travel: f64| growth.per_m * (map.travel - travel);
         let mut near: Vec<(f64, &Submap)> = self
             .maps
             .iter()
             .filter(|m| map.travel - m.travel > APART * map.length_m)
             .filter_map(|m| Some(((position(m)? - here).norm(), m)))
-            .filter(|(d, m)| *d < 4.0 * sigma + UNTOLD_DRIFT * (map.travel - m.travel) + map.length_m + m.length_m)
+            .filter(|(d, m)| *d < 4.0 * (sigma + adds_up(noise.position, m.travel)) + map.length_m + m.length_m)
             .collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         near.truncate(COMPARED);
         let turning = (3..6).map(|k| drift[(k, k)].max(0.0)).sum::<f64>().sqrt();
-        let most_turn = |travel: f64| (4.0 * turning + UNTOLD_TURN.0 + UNTOLD_TURN.1 * (map.travel - travel)).min(PI);
+        let most_turn = |travel: f64| (4.0 * (turning + adds_up(noise.rotation, travel)) + UNTOLD_TURN).min(PI);
         let candidates = near.iter().map(|(_, m)| (most_turn(m.travel), *m));
         let looks = retrieve::most_alike(map, candidates, ALIKE, retrieve::FEWEST);
         let pair = |m: &Submap| Waiting {
             earlier: m.number,
             later: map.number,
             alike: looks.contains(&m.number),
-            most_way: LIKELY * sigma + UNTOLD_DRIFT * (map.travel - m.travel) + 0.1 * map.length_m,
+            most_way: LIKELY * (sigma + adds_up(noise.position, m.travel)) + 0.1 * map.length_m,
             most_turn: most_turn(m.travel),
         };
         // Those that look alike, the most alike first, and the nearest one, whatever it looks like.

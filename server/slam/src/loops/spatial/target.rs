@@ -7,7 +7,7 @@ use crate::odometry::lidar3d::align::{Problem, align};
 use crate::odometry::lidar3d::levels::Levels;
 use crate::odometry::lidar3d::sight::{Contradiction, Sight};
 use crate::odometry::lidar3d::sweep::{Instants, Sweep};
-use crate::odometry::{Match, Prediction, diagonal};
+use crate::odometry::{Match, Prediction, diagonal, way_m};
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
 use std::collections::{BTreeMap, BTreeSet};
@@ -65,7 +65,7 @@ pub(super) fn reach(range: f64) -> (f64, f64) {
 
 /// Metres, with a radian for half a metre.
 fn length(t: &Pose) -> f64 {
-    t.translation.vector.norm() + 0.5 * t.rotation.angle()
+    way_m(t.translation.vector.norm(), t.rotation.angle())
 }
 
 impl Target {

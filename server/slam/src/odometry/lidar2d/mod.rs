@@ -9,7 +9,7 @@ pub(crate) mod search;
 pub(crate) mod sight;
 pub(crate) mod sweep;
 
-use crate::odometry::{LocalModel, Match, Prediction};
+use crate::odometry::{LocalModel, Match, Prediction, way_m};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
@@ -158,7 +158,7 @@ impl Lidar2d {
     fn travel(&mut self, t: &Isometry2<f64>) {
         if let Some(last) = &self.last {
             let d = last.inverse() * t;
-            self.travelled += d.translation.vector.norm() + 0.5 * d.rotation.angle().abs();
+            self.travelled += way_m(d.translation.vector.norm(), d.rotation.angle());
         }
         self.last = Some(*t);
     }

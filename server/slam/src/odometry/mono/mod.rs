@@ -118,7 +118,7 @@ impl Mono {
             scaling: Scaling::default(),
             atlas: Atlas::default(),
             reckoned: (Pose::identity(), true),
-            uncertainty: Uncertainty::default(),
+            uncertainty: Uncertainty::new(crate::OdometryKind::Mono),
             num_lost: 0,
             restart_after,
         }

@@ -8,6 +8,7 @@ use super::color_camera::ColorCamera;
 use super::frame::{Frame, Rigid32, Vertex};
 use super::noise::sigma;
 use super::photometric::{MIN_CONTRAST, TexturedPoint};
+use crate::odometry::way_m;
 use nalgebra::Vector3;
 use percept_geometry::{CameraIntrinsics, Pose};
 use rayon::prelude::*;
@@ -345,7 +346,7 @@ impl Surfels {
     fn travel(&mut self, t_odom_camera: &Pose) {
         if let Some(last) = self.last_pose {
             let t_last_now = last.inverse() * t_odom_camera;
-            self.travelled += (t_last_now.translation.vector.norm() + 0.5 * t_last_now.rotation.angle()) as f32;
+            self.travelled += way_m(t_last_now.translation.vector.norm(), t_last_now.rotation.angle()) as f32;
         }
         self.last_pose = Some(*t_odom_camera);
     }
