@@ -37,8 +37,13 @@ pub fn run(tests: &[Test]) -> ExitCode {
 
 /// The folder of the recorded data: `PERCEPT_DATA`, else `shared/data` beside the repository.
 fn folder() -> PathBuf {
-    let by_default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let by_default = || package().join("../../../shared/data");
     std::env::var_os("PERCEPT_DATA").map_or_else(by_default, PathBuf::from)
+}
+
+/// The package that is being tested. Asked when it runs: what was built in one checkout may be run in another.
+fn package() -> PathBuf {
+    std::env::var_os("CARGO_MANIFEST_DIR").map_or_else(|| env!("CARGO_MANIFEST_DIR").into(), PathBuf::from)
 }
 
 fn trial(test: &Test, data: PathBuf) -> Trial {
@@ -62,8 +67,7 @@ mod tests {
 
     #[test]
     fn a_test_whose_data_are_absent_is_ignored_and_says_what_is_missing() {
-        let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let completion = completed(here, &["src", "no-such-set"], |_| panic!("has to be skipped"));
+        let completion = completed(&package(), &["src", "no-such-set"], |_| panic!("has to be skipped"));
         let Completion::Ignored { reason: Some(reason) } = completion else { panic!("it was run") };
         assert!(reason.starts_with("skipped: ") && reason.ends_with("no-such-set is absent"), "{reason}");
     }
@@ -71,8 +75,7 @@ mod tests {
     #[test]
     fn a_test_whose_data_are_there_runs() {
         let mut has_run = false;
-        let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let completion = completed(here, &["src", "Cargo.toml"], |data| has_run = data.join("src").is_dir());
+        let completion = completed(&package(), &["src", "Cargo.toml"], |data| has_run = data.join("src").is_dir());
         assert!(has_run && matches!(completion, Completion::Completed));
     }
 }

@@ -117,6 +117,18 @@ fn what_was_acknowledged_survives_a_drop_without_close() {
 }
 
 #[tokio::test]
+async fn records_are_written_on_the_runtime_that_is_given() {
+    let apart = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+    let config = StoreConfig { runtime: Some(apart.handle().clone()), ..StoreConfig::default() };
+    let store = SlateStore::open(Arc::new(InMemory::new()), config).await.unwrap();
+    store.put(key("a"), value("1")).await.unwrap();
+    assert_eq!(store.get(&key("a")).await.unwrap(), Some(value("1")));
+    // Nobody else writes.
+    apart.shutdown_background();
+    assert!(matches!(store.put(key("b"), value("2")).await, Err(StoreError::Closed)));
+}
+
+#[tokio::test]
 async fn a_closed_store_says_so() {
     let objects: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
     let store = SlateStore::open(objects.clone(), StoreConfig::default()).await.unwrap();
