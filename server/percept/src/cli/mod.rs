@@ -25,7 +25,8 @@ mod slam_run;
 mod store;
 mod streams;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -96,6 +97,19 @@ pub(crate) fn run() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Variables of the environment that options of any command read, whichever runs.
+pub(crate) fn variables() -> BTreeSet<String> {
+    fn gather(command: &clap::Command, found: &mut BTreeSet<String>) {
+        found.extend(
+            command.get_arguments().filter_map(clap::Arg::get_env).filter_map(|v| v.to_str()).map(str::to_owned),
+        );
+        command.get_subcommands().for_each(|below| gather(below, found));
+    }
+    let mut found = BTreeSet::new();
+    gather(&Cli::command(), &mut found);
+    found
 }
 
 /// An error and what brought it about, outermost first; causes that the words before tell already are left out.

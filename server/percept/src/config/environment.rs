@@ -6,9 +6,8 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 
-/// Read by the program, its tests and its gate for other purposes.
-const OTHER: [&str; 6] =
-    ["PERCEPT_BIN", "PERCEPT_CI_CACHE", "PERCEPT_CONFIG", "PERCEPT_DATA", "PERCEPT_TOKEN", "PERCEPT_TOKEN_FILE"];
+/// Read by the tests and the gate. What options of the commands read, they say themselves: [`crate::cli::variables`].
+const OTHER: [&str; 3] = ["PERCEPT_BIN", "PERCEPT_CI_CACHE", "PERCEPT_DATA"];
 
 /// Variables that were called otherwise before.
 const RENAMED: [(&str, &str); 1] = [("PERCEPT_LIMITS_MAX_MAP_MB", "PERCEPT_LIMITS_MAX_SESSION_MEMORY_MB")];
@@ -26,6 +25,8 @@ pub(super) fn lay_over(
     origins: &mut Origins,
 ) -> Result<(), ConfigError> {
     let known = names();
+    // One environment may serve several commands, such as that of a container: its server and its health check.
+    let options = crate::cli::variables();
     // Sorted, so that of several mistakes always the same is told.
     let ours: BTreeMap<String, OsString> = variables
         .filter_map(|(name, value)| name.into_string().ok().map(|name| (name, value)))
@@ -34,6 +35,9 @@ pub(super) fn lay_over(
         .collect();
     for (name, value) in ours {
         let Some(field) = known.get(&name) else {
+            if options.contains(&name) {
+                continue;
+            }
             let nearest = nearest(&name, known.keys());
             return Err(ConfigError::UnknownVariable { name, nearest });
         };

@@ -97,6 +97,17 @@ fn variables_of_other_purposes_are_let_be() {
 }
 
 #[test]
+fn the_server_starts_beside_variables_that_options_of_other_commands_read() {
+    let options = crate::cli::variables();
+    // Of `health`, as the image's health check is told about TLS.
+    assert!(["PERCEPT_SERVER", "PERCEPT_CA_FILE", "PERCEPT_TOKEN"].iter().all(|name| options.contains(*name)));
+    let settings = names();
+    for option in options.iter().filter(|name| !settings.contains_key(*name)) {
+        assert_eq!(load("", &[(option, "x")]), Ok(Config::default()), "{option}");
+    }
+}
+
+#[test]
 fn complaints_name_place_field_value_and_remedy() {
     let said = |text: &str, pairs: &[(&str, &str)], expected: &str| {
         let complaint = complaint(text, pairs);

@@ -1,0 +1,64 @@
+"""What an operator is told before a server listens and while its files change: settings that cannot be meant, keys and
+certificates that will not do, and who else may read what is written."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import signal
+import subprocess
+
+import httpx
+import pytest
+from percept import Client, Unauthenticated
+
+from support.pki import DAY, Authority
+from support.prometheus import Metrics, read
+from support.server import Server, binary, eventually, free_port
+
+CLOSED = '[listen]\ngrpc = "127.0.0.1:0"\nrest = "127.0.0.1:0"\nzenoh = ""\n'
+REQUIRED = '[auth]\nmode = "required"\n'
+EXPIRY = "percept_tls_certificate_expiry_timestamp_seconds"
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Starts a server with a configuration file of this text."""
+    servers = []
+
+    def start(text: str, **options) -> Server:
+        config = tmp_path / "percept.toml"
+        config.write_text(text)
+        servers.append(Server(tmp_path / "started", "--config", str(config), **{"zenoh": "", **options}))
+        return servers[-1]
+
+    yield start
+    for server in servers:
+        server.kill()
+
+
+@pytest.fixture
+def authority(tmp_path):
+    return Authority(tmp_path / "pki")
+
+
+def run(*command, **options) -> subprocess.CompletedProcess:
+    return subprocess.run([binary(), *command], capture_output=True, text=True, timeout=30, check=False, **options)
+
+
+def key(file) -> str:
+    made = run("keys", "create", "--file", file, "--name", "op", "--scope", "admin", "--json")
+    return json.loads(made.stdout)["key"]
+
+
+def secured(files) -> str:
+    return f'[tls]\ncert_file = "{files[0]}"\nkey_file = "{files[1]}"\n'
+
+
+def test_the_server_and_its_health_check_share_an_environment(start, authority, monkeypatch):
+    monkeypatch.setenv("PERCEPT_CA_FILE", str(authority.ca))
+    monkeypatch.setenv("PERCEPT_SERVER", "https://127.0.0.1:1")
+    server = start(secured(authority.issue("server", "IP:127.0.0.1")))
+    monkeypatch.setenv("PERCEPT_SERVER", f"https://{server.grpc}")
+    assert run("health").stdout == "serving\n"
