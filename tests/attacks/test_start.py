@@ -62,3 +62,12 @@ def test_the_server_and_its_health_check_share_an_environment(start, authority, 
     server = start(secured(authority.issue("server", "IP:127.0.0.1")))
     monkeypatch.setenv("PERCEPT_SERVER", f"https://{server.grpc}")
     assert run("health").stdout == "serving\n"
+
+
+def test_metrics_that_are_open_by_intent_are_served_apart_without_a_key(start, tmp_path):
+    key(tmp_path / "keys.json")
+    known = f'{REQUIRED}keys_file = "{tmp_path / "keys.json"}"\nopen_metrics = true\n'
+    server = start(f'{known}[telemetry]\nlisten = "0.0.0.0:0"\n')
+    port = server.doors["telemetry"].rsplit(":", 1)[1]
+    assert Metrics(f"http://127.0.0.1:{port}").sum("percept_ready") == 1
+    assert httpx.get(f"{server.rest_url}/metrics").status_code in (401, 404)

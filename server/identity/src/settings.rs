@@ -29,6 +29,7 @@ pub struct AuthSettings {
     /// Serve the OpenAPI document, /docs and gRPC reflection without credentials. They hold nothing of yours.
     pub open_documents: bool,
     /// Serve /metrics without credentials. Otherwise it needs admin access to every session, since it sums up what all tenants do.
+    /// A telemetry.listen beyond this machine asks nobody who they are, and needs it to be true.
     pub open_metrics: bool,
     /// Clients by the names in their certificates. An entry has subject ("cn:", "dns:" or "uri:" and a name), name
     /// (for the log; the subject's if absent), tenant, access (read, write or admin) and sessions (ids, with * for

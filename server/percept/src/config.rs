@@ -204,7 +204,8 @@ pub(crate) struct Telemetry {
     /// Whether `GET /metrics` answers Prometheus.
     pub metrics: bool,
     /// IP address and port at which /metrics, /livez and /readyz are served apart from the REST door, which then has no
-    /// /metrics; empty: /metrics is served at the REST door.
+    /// /metrics; empty: /metrics is served at the REST door. It asks nobody who they are and speaks no TLS: it is for a
+    /// network of monitoring, and beyond this machine auth.open_metrics has to be true.
     pub listen: String,
     /// Share of requests that get a line in the log, at target access, 0 to 1.
     pub access_log: f64,

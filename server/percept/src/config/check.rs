@@ -151,6 +151,14 @@ fn check_telemetry(config: &Config) -> Result<(), ConfigError> {
     if !telemetry.metrics {
         return Err(quoted("telemetry.listen", &telemetry.listen, "set telemetry.metrics to true, or this to \"\""));
     }
+    let auth = &config.auth;
+    let is_open = auth.open_metrics || (auth.mode == AuthMode::None && auth.allow_anonymous_beyond_loopback);
+    if !is_open && !is_loopback(&telemetry.listen) {
+        let remedy = "which others can reach, and metrics are served there without TLS to whoever asks: set \
+                      auth.open_metrics = true if that network is for monitoring alone, listen on 127.0.0.1, or leave it \
+                      \"\" to serve them at the REST door, by its TLS and its keys";
+        return Err(quoted("telemetry.listen", &telemetry.listen, remedy));
+    }
     Ok(())
 }
 

@@ -180,6 +180,20 @@ fn nobody_is_let_in_from_beyond_this_machine_unless_it_is_said_in_so_many_words(
 }
 
 #[test]
+fn metrics_are_shown_beyond_this_machine_only_if_it_is_said_in_so_many_words() {
+    let apart = "[telemetry]\nlisten = \"0.0.0.0:9464\"\n";
+    let required = [("PERCEPT_AUTH_MODE", "required"), ("PERCEPT_AUTH_KEYS_FILE", "keys.json")];
+    for settings in [&[][..], &required] {
+        let refused = complaint(apart, settings);
+        assert!(refused.starts_with("percept.toml:2: telemetry.listen is \"0.0.0.0:9464\"; "), "{refused}");
+        assert!(refused.contains("set auth.open_metrics = true"), "{refused}");
+        assert!(load(apart, &[settings, &[("PERCEPT_AUTH_OPEN_METRICS", "true")]].concat()).is_ok());
+        assert!(load("[telemetry]\nlisten = \"127.0.0.1:9464\"\n", settings).is_ok());
+    }
+    assert!(load(apart, &[("PERCEPT_AUTH_ALLOW_ANONYMOUS_BEYOND_LOOPBACK", "true")]).is_ok());
+}
+
+#[test]
 fn who_may_call_is_read_from_file_and_environment() {
     let text = "[auth]\nmode = \"required\"\n[[auth.certificates]]\nsubject = \"cn:robot-7\"\naccess = \"write\"\nsessions = \"robot-7*\"\n";
     let config = load(text, &[]).unwrap();
