@@ -14,6 +14,7 @@ pub(super) fn all(config: &Config) -> Result<(), ConfigError> {
     check_listen(&config.listen)?;
     check_auth(&config.auth, &config.listen)?;
     check_tls(&config.tls, &config.listen)?;
+    check_certificates(&config.auth, &config.tls)?;
     check_storage(&config.storage)?;
     if config.compute.threads > 1024 {
         return Err(out_of_bounds("compute.threads", config.compute.threads, "set it to 0 (one a core) up to 1024"));
@@ -112,6 +113,17 @@ fn check_tls(tls: &Tls, listen: &Listen) -> Result<(), ConfigError> {
         return Err(out_of_bounds("tls.cert_file", "empty", "listen.zenoh is a tls/ endpoint; name a certificate"));
     }
     Ok(())
+}
+
+/// Clients show certificates only where they are asked for one.
+fn check_certificates(auth: &AuthSettings, tls: &Tls) -> Result<(), ConfigError> {
+    if auth.mode == AuthMode::None || auth.certificates.is_empty() || !tls.client_ca_file.as_os_str().is_empty() {
+        return Ok(());
+    }
+    let subjects: Vec<&str> = auth.certificates.iter().map(|rule| rule.subject.as_str()).collect();
+    let remedy = "but no client is asked for a certificate: set tls.client_ca_file to the authorities (PEM) of the clients' \
+                  certificates, or take the rules out";
+    Err(out_of_bounds("auth.certificates", format!("for {}", subjects.join(", ")), remedy))
 }
 
 /// Whether only this machine can reach an address, or endpoint of zenoh.

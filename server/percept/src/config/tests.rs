@@ -194,8 +194,21 @@ fn metrics_are_shown_beyond_this_machine_only_if_it_is_said_in_so_many_words() {
 }
 
 #[test]
+fn rules_for_certificates_that_no_client_is_asked_for_are_refused() {
+    let rule = "[auth]\nmode = \"required\"\n[[auth.certificates]]\nsubject = \"cn:robot-7\"\naccess = \"write\"\n";
+    let tls = "[tls]\ncert_file = \"a\"\nkey_file = \"b\"\n";
+    for text in [rule.to_owned(), format!("{rule}{tls}")] {
+        let refused = complaint(&text, &[]);
+        assert!(refused.contains("auth.certificates is for cn:robot-7; "), "{refused}");
+        assert!(refused.contains("set tls.client_ca_file"), "{refused}");
+    }
+    assert!(load(&format!("{rule}{tls}client_ca_file = \"c\"\n"), &[]).is_ok());
+}
+
+#[test]
 fn who_may_call_is_read_from_file_and_environment() {
-    let text = "[auth]\nmode = \"required\"\n[[auth.certificates]]\nsubject = \"cn:robot-7\"\naccess = \"write\"\nsessions = \"robot-7*\"\n";
+    let text = "[auth]\nmode = \"required\"\n[[auth.certificates]]\nsubject = \"cn:robot-7\"\naccess = \"write\"\n\
+                sessions = \"robot-7*\"\n[tls]\ncert_file = \"a\"\nkey_file = \"b\"\nclient_ca_file = \"c\"\n";
     let config = load(text, &[]).unwrap();
     assert_eq!(config.auth.certificates[0].tenant, "default");
     let entry = r#"[{"subject": "dns:x", "tenant": "a", "access": "read"}]"#;
