@@ -56,6 +56,59 @@ def secured(files) -> str:
     return f'[tls]\ncert_file = "{files[0]}"\nkey_file = "{files[1]}"\n'
 
 
+UNUSABLE = {
+    "no file of keys": (CLOSED, 'keys_file = "absent.json"\n', "auth.keys_file: "),
+    "no file of the provider's keys": (
+        CLOSED,
+        '[auth.jwt]\nissuer = "https://id"\njwks_file = "absent.json"\n',
+        "auth.jwt.jwks_file is absent.json, which cannot be used: ",
+    ),
+    "a provider's keys that are none": (
+        CLOSED,
+        '[auth.jwt]\nissuer = "https://id"\njwks_file = "percept.toml"\n',
+        "auth.jwt.jwks_file is percept.toml, which cannot be used: the keys are no JWKS",
+    ),
+    "zenoh, where nobody could be known": (
+        CLOSED.replace('zenoh = ""', 'zenoh = "tcp/127.0.0.1:{port}"'),
+        'keys_file = "keys.json"\n',
+        "auth.zenoh_users",
+    ),
+    "no file of zenoh's users": (
+        CLOSED.replace('zenoh = ""', 'zenoh = "tcp/127.0.0.1:{port}"'),
+        'zenoh_users_file = "absent"\n[[auth.zenoh_users]]\nuser = "a"\naccess = "read"\n',
+        "auth.zenoh_users_file is absent, which cannot be read: ",
+    ),
+    "no certificate": (
+        CLOSED,
+        'keys_file = "keys.json"\n[tls]\ncert_file = "absent.pem"\nkey_file = "absent.key"\n',
+        "tls.cert_file is absent.pem, which cannot be used: ",
+    ),
+    "rules for certificates that no client is asked for": (
+        CLOSED,
+        'keys_file = "keys.json"\n[[auth.certificates]]\nsubject = "cn:robot-7"\naccess = "write"\n',
+        "set tls.client_ca_file",
+    ),
+    "metrics for everybody": (
+        CLOSED,
+        'keys_file = "keys.json"\n[telemetry]\nlisten = "0.0.0.0:0"\n',
+        "set auth.open_metrics = true",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNUSABLE)
+def test_the_check_of_a_configuration_refuses_what_the_server_refuses(tmp_path, case):
+    listen, rest, told = UNUSABLE[case]
+    key(tmp_path / "keys.json")
+    (tmp_path / "percept.toml").write_text(listen.replace("{port}", str(free_port())) + REQUIRED + rest)
+    served = run("serve", "--config", "percept.toml", "--data-dir", "data", cwd=tmp_path)
+    checked = run("config", "--check", "percept.toml", cwd=tmp_path)
+    assert (served.returncode, checked.returncode) == (1, 1), checked.stdout
+    assert told in served.stderr
+    assert checked.stderr.splitlines()[-1] == served.stderr.splitlines()[-1]
+    assert not (tmp_path / "data").exists(), "what is refused leaves nothing behind"
+
+
 def test_the_server_and_its_health_check_share_an_environment(start, authority, monkeypatch):
     monkeypatch.setenv("PERCEPT_CA_FILE", str(authority.ca))
     monkeypatch.setenv("PERCEPT_SERVER", "https://127.0.0.1:1")

@@ -17,6 +17,7 @@ mod input;
 mod keys;
 mod local;
 mod plot;
+mod prepare;
 mod replay;
 mod report;
 mod serve;
@@ -70,7 +71,8 @@ enum Command {
 
 #[derive(Debug, clap::Args)]
 struct ConfigArgs {
-    /// Check this file (and the environment) instead, and print what is in force.
+    /// Check this file, the environment and the files that they name instead, as `serve` does before it listens, and
+    /// print what is in force.
     #[arg(long)]
     check: Option<PathBuf>,
 }
@@ -129,7 +131,13 @@ fn with_causes(error: &dyn std::error::Error) -> String {
 fn config(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.check {
         None => print!("{}", crate::config::TEMPLATE),
-        Some(file) => print!("{}", toml::to_string_pretty(&crate::config::Config::load(Some(file))?)?),
+        Some(file) => {
+            let config = crate::config::Config::load(Some(file))?;
+            // What `serve` warns of at its start is told here, too.
+            crate::telemetry::init("warn", crate::config::LogFormat::Text);
+            prepare::prepare(&config)?;
+            print!("{}", toml::to_string_pretty(&config)?);
+        }
     }
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `percept serve`: opens the store and the doors, serves until asked to stop, stops gracefully.
 
 use super::Failure;
+use super::prepare::Prepared;
 use super::store::PlaceArgs;
 use crate::config::Config;
 use crate::doors::bounds::Bounds;
@@ -114,7 +115,7 @@ impl Running {
     /// Opens store and doors.
     pub(crate) async fn start(config: &Config) -> Result<Self, Failure> {
         let files = files::raise_limit();
-        let tls = config.tls.is_on().then(|| Tls::open(&config.tls)).transpose()?;
+        let Prepared { tls, authenticator } = super::prepare::prepare(config)?;
         // The address that others are told has to be known before the data are opened.
         let socket =
             (!config.listen.grpc.is_empty()).then(|| reserve("listen.grpc", &config.listen.grpc)).transpose()?;
@@ -138,7 +139,6 @@ impl Running {
             faults: Arc::clone(service.faults()),
         };
         let listen = Arc::new(config.listen.clone());
-        let authenticator = Arc::new(Authenticator::open(&config.auth, crate::provider::keys(&config.auth.jwt))?);
         let gate = Gate::new(Arc::clone(&authenticator));
         let shows_metrics = config.telemetry.metrics && config.telemetry.listen.is_empty();
         let api = Api { service: Guarded::new(service.clone()), gate, listen, bounds, stopping, shows_metrics };

@@ -61,9 +61,6 @@ impl Policy {
                          with \"\"";
             return Err(words.into());
         }
-        if !named.is_empty() && !settings.zenoh_users.is_empty() {
-            tracing::warn!("zenoh asks every peer for a user as well: a certificate alone lets nobody in there");
-        }
         let members: Vec<Member> = users.chain(named).collect();
         if members.is_empty() {
             let words = format!(
@@ -86,13 +83,20 @@ impl Policy {
                 return Err(words.into());
             }
         }
-        for rule in settings.certificates.iter().filter(|c| !c.subject.starts_with("cn:")) {
-            tracing::warn!(
-                subject = rule.subject,
-                "zenoh knows certificates by cn: alone; this one has no access there"
-            );
-        }
         Ok(Self::Members { members, users_file: settings.zenoh_users_file.clone() })
+    }
+
+    /// Says which of the rules lets nobody in.
+    pub(super) fn warn(&self, settings: &AuthSettings) {
+        let Self::Members { members, .. } = self else { return };
+        let has_names = members.iter().any(|m| matches!(m.known, Known::CommonName(_)));
+        if has_names && !settings.zenoh_users.is_empty() {
+            tracing::warn!("zenoh asks every peer for a user as well: a certificate alone lets nobody in there");
+        }
+        for rule in settings.certificates.iter().filter(|c| !c.subject.starts_with("cn:")) {
+            let subject = &rule.subject;
+            tracing::warn!(subject, "zenoh knows certificates by cn: alone; this one has no access there");
+        }
     }
 
     /// In whose name a sample or query about a session is taken. Zenoh has refused what its sender may not do; what

@@ -142,12 +142,24 @@ impl Names {
     }
 }
 
-/// Whether rules can be said in zenoh's terms.
+/// Whether rules can be said in zenoh's terms, and its users be read; warns of rules that let nobody in.
 ///
 /// # Errors
 /// What cannot, with the remedy.
 pub(crate) fn check(auth: &AuthSettings, endpoint: &str, tls: &Tls) -> Result<(), Failure> {
-    if endpoint.is_empty() { Ok(()) } else { Policy::of(auth, endpoint, tls).map(|_| ()) }
+    if endpoint.is_empty() {
+        return Ok(());
+    }
+    let policy = Policy::of(auth, endpoint, tls)?;
+    if let Policy::Members { users_file, .. } = &policy
+        && !users_file.is_empty()
+        && let Err(error) = std::fs::File::open(users_file)
+    {
+        let words = "give the file of user:password lines, or close listen.zenoh with \"\"";
+        return Err(format!("auth.zenoh_users_file is {users_file}, which cannot be read: {error}; {words}").into());
+    }
+    policy.warn(auth);
+    Ok(())
 }
 
 impl ZenohDoor {
