@@ -124,3 +124,13 @@ def test_metrics_that_are_open_by_intent_are_served_apart_without_a_key(start, t
     port = server.doors["telemetry"].rsplit(":", 1)[1]
     assert Metrics(f"http://127.0.0.1:{port}").sum("percept_ready") == 1
     assert httpx.get(f"{server.rest_url}/metrics").status_code in (401, 404)
+
+
+@pytest.mark.parametrize("is_secured", [False, True])
+def test_keys_that_would_travel_readably_are_warned_of(start, authority, tmp_path, is_secured):
+    key(tmp_path / "keys.json")
+    tls = secured(authority.issue("server", "IP:127.0.0.1")) if is_secured else ""
+    server = start(f'{REQUIRED}keys_file = "{tmp_path / "keys.json"}"\n{tls}', grpc="0.0.0.0:0")
+    warned = [line for line in server.log.read_text().splitlines() if "travel readably" in line]
+    assert len(warned) == (0 if is_secured else 1), server.tail()
+    assert all("WARN" in line and "listen.grpc" in line and "tls.cert_file" in line for line in warned)

@@ -9,6 +9,7 @@ mod environment;
 mod error;
 mod origin;
 
+pub(crate) use check::is_loopback;
 pub(crate) use error::ConfigError;
 use origin::Origins;
 use percept_identity::AuthSettings;

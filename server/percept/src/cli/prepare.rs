@@ -2,10 +2,10 @@
 //! used, and the doors can be what the settings want. `serve` and `config --check` ask the same.
 
 use super::Failure;
-use crate::config::Config;
+use crate::config::{Config, is_loopback};
 use crate::doors::listener::tls::Tls;
 use crate::doors::zenoh;
-use percept_identity::Authenticator;
+use percept_identity::{AuthMode, Authenticator};
 use std::sync::Arc;
 
 /// What was read.
@@ -15,7 +15,7 @@ pub(super) struct Prepared {
     pub(super) authenticator: Arc<Authenticator>,
 }
 
-/// Reads certificates, keys and rules.
+/// Reads certificates, keys and rules; warns of what may be meant otherwise.
 ///
 /// # Errors
 /// Field, value and remedy of the first thing that does not hold.
@@ -24,5 +24,23 @@ pub(super) fn prepare(config: &Config) -> Result<Prepared, Failure> {
     let tls = config.tls.is_on().then(|| Tls::open(&config.tls)).transpose()?;
     let authenticator = Authenticator::open(&config.auth, crate::provider::keys(&config.auth.jwt))?;
     zenoh::check(&config.auth, &config.listen.zenoh, &config.tls)?;
+    warn_of_open_keys(config);
     Ok(Prepared { tls, authenticator: Arc::new(authenticator) })
+}
+
+/// Whoever listens on the wire then has them.
+fn warn_of_open_keys(config: &Config) {
+    if config.auth.mode == AuthMode::None || config.tls.is_on() {
+        return;
+    }
+    for (field, address) in [("listen.grpc", &config.listen.grpc), ("listen.rest", &config.listen.rest)] {
+        if !address.is_empty() && !is_loopback(address) {
+            tracing::warn!(
+                field,
+                address,
+                "keys and tokens travel readably to this door: set tls.cert_file and tls.key_file, or listen on 127.0.0.1 \
+                 behind a proxy that encrypts"
+            );
+        }
+    }
 }

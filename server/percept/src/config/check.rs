@@ -127,7 +127,7 @@ fn check_certificates(auth: &AuthSettings, tls: &Tls) -> Result<(), ConfigError>
 }
 
 /// Whether only this machine can reach an address, or endpoint of zenoh.
-fn is_loopback(address: &str) -> bool {
+pub(crate) fn is_loopback(address: &str) -> bool {
     let address = address.split_once('/').map_or(address, |(_, address)| address);
     match address.parse::<SocketAddr>() {
         Ok(address) => address.ip().to_canonical().is_loopback(),
