@@ -134,3 +134,34 @@ def test_keys_that_would_travel_readably_are_warned_of(start, authority, tmp_pat
     warned = [line for line in server.log.read_text().splitlines() if "travel readably" in line]
     assert len(warned) == (0 if is_secured else 1), server.tail()
     assert all("WARN" in line and "listen.grpc" in line and "tls.cert_file" in line for line in warned)
+
+
+@pytest.mark.parametrize(
+    ("valid", "told"), [((-2 * DAY, -DAY), "has expired"), ((DAY, 2 * DAY), "is not valid yet")], ids=["old", "early"]
+)
+def test_a_certificate_that_does_not_hold_is_warned_of_at_the_start_and_when_it_comes(start, authority, valid, told):
+    files = authority.issue("bad", "IP:127.0.0.1", valid=valid)
+    server = start(secured(files))
+
+    def warnings() -> list[str]:
+        return [line for line in server.log.read_text().splitlines() if "WARN" in line and told in line]
+
+    assert len(warnings()) == 1 and "CN=bad" in warnings()[0], server.tail()
+    authority.issue("good", "IP:127.0.0.1", file="bad")
+    server.process.send_signal(signal.SIGHUP)
+    assert eventually(lambda: re.search(r"INFO .*in force.*CN=good", server.log.read_text())), server.tail()
+    authority.issue("worse", "IP:127.0.0.1", valid=valid, file="bad")
+    server.process.send_signal(signal.SIGHUP)
+    assert eventually(lambda: len(warnings()) == 2), server.tail()
+    assert "CN=worse" in warnings()[1]
+
+
+def test_metrics_tell_when_the_certificate_ends(start, authority):
+    server = start(secured(authority.issue("server", "IP:127.0.0.1", valid=(-DAY, 30 * DAY))))
+    series = read(httpx.get(f"https://{server.rest}/metrics", verify=False).text)
+    at_s, now_s = series[EXPIRY, frozenset()], series["process_start_time_seconds", frozenset()]
+    assert 29.9 < (at_s - now_s) / 86400 < 30.1
+
+
+def test_without_tls_no_metric_tells_of_a_certificate(server):
+    assert (EXPIRY, frozenset()) not in Metrics(server.rest_url).series

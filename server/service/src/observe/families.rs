@@ -26,6 +26,8 @@ pub(super) struct Families {
     // The server.
     pub(super) ready: Gauge,
     pub(super) troubles: Gauges<2>,
+    /// No series where there is no certificate.
+    pub(super) certificate_expiry: Gauges<0>,
     // Requests.
     pub(super) requests: Counters<3>,
     pub(super) request_seconds: Times<2>,
@@ -110,6 +112,7 @@ impl Families {
         let families = Self {
             ready: to.plain("ready", "Whether requests are taken, 1 or 0, as /readyz has it"),
             troubles: to.plain("trouble", "What keeps the server from its work: 1 by part and reason, 0 once it is over"),
+            certificate_expiry: to.plain("tls_certificate_expiry_timestamp_seconds", "When the first of tls.cert_file's certificates ends, since the Unix epoch; absent without TLS"),
 
             requests: to.plain("requests", "Requests answered, by door, operation and code"),
             request_seconds: to.times("request_duration_seconds", "Time from a request to the end of its answer; streams that last are left out"),

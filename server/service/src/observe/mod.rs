@@ -118,6 +118,11 @@ pub(crate) fn trouble(part: &'static str, reason: &'static str, is_there: bool) 
     FAMILIES.troubles.get_or_create(&[("part", part), ("reason", reason)]).set(i64::from(is_there));
 }
 
+/// Until when the server's certificate holds, seconds since the Unix epoch.
+pub fn certificate_expiry(at_s: i64) {
+    FAMILIES.certificate_expiry.get_or_create(&[]).set(at_s);
+}
+
 /// A request was answered. `took` is none for streams that last: their time says nothing.
 pub fn request(door: Door, operation: &'static str, code: &'static str, took: Option<Duration>, bytes: u64) {
     let (door, operation) = (("door", door.name()), ("operation", operation));

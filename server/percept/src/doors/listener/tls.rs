@@ -3,6 +3,7 @@
 
 use super::Protocol;
 use crate::config;
+use percept_service::observe;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::server::WebPkiClientVerifier;
@@ -14,7 +15,7 @@ use std::time::{Duration, SystemTime};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
-use x509_parser::prelude::{FromDer, GeneralName, X509Certificate};
+use x509_parser::prelude::{ASN1Time, FromDer, GeneralName, X509Certificate};
 
 /// How often the files are looked at.
 pub(crate) const LOOK: Duration = Duration::from_secs(5);
@@ -44,6 +45,8 @@ pub(crate) struct ClientCertificate {
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 /// For HTTP/1 and for HTTP/2.
 type Configs = [Arc<ServerConfig>; 2];
+/// The server's certificate and those between it and its authority.
+type Chain = Vec<CertificateDer<'static>>;
 
 /// The server's side of TLS.
 pub(crate) struct Tls {
@@ -57,7 +60,9 @@ impl Tls {
     /// # Errors
     /// Naming field, file and what is wrong with it.
     pub(crate) fn open(files: &config::Tls) -> Result<Arc<Self>, Failure> {
-        Ok(Arc::new(Self { files: files.clone(), current: RwLock::new(configs(files)?) }))
+        let (configs, chain) = configs(files)?;
+        tell(&chain);
+        Ok(Arc::new(Self { files: files.clone(), current: RwLock::new(configs) }))
     }
 
     /// Reads the files again. Files that are wrong leave what was in force.
@@ -65,9 +70,9 @@ impl Tls {
     /// # Errors
     /// As [`open`](Self::open).
     pub(crate) fn reload(&self) -> Result<(), Failure> {
-        let new = configs(&self.files)?;
+        let (new, chain) = configs(&self.files)?;
         *self.current.write().unwrap_or_else(PoisonError::into_inner) = new;
-        tracing::info!("the certificates were read again");
+        tell(&chain);
         Ok(())
     }
 
@@ -123,8 +128,32 @@ pub(crate) fn check(files: &config::Tls) -> Result<(), Failure> {
     configs(files).map(|_| ())
 }
 
-/// For HTTP/1 and for HTTP/2.
-fn configs(files: &config::Tls) -> Result<Configs, Failure> {
+/// Says whose certificates are used from now on, and until when. One that does not hold now is used all the same, and warned
+/// of: the server's clock may be the one that is wrong.
+fn tell(chain: &Chain) {
+    let (now, mut first_end) = (ASN1Time::now(), None);
+    for certificate in chain {
+        let Ok((_, parsed)) = X509Certificate::from_der(certificate) else {
+            tracing::warn!("a certificate of tls.cert_file cannot be read: how long it holds is not known");
+            continue;
+        };
+        let (subject, holds) = (parsed.subject().to_string(), parsed.validity());
+        let (from, until) = (holds.not_before, holds.not_after);
+        if until < now {
+            tracing::warn!(subject, %until, "this certificate of tls.cert_file has expired, clients refuse it: renew it");
+        } else if now < from {
+            let words = "this certificate of tls.cert_file is not valid yet, clients refuse it: look at the clock, or give another";
+            tracing::warn!(subject, %from, "{words}");
+        } else {
+            tracing::info!(subject, %until, "a certificate of tls.cert_file is in force");
+        }
+        first_end = first_end.into_iter().chain([until.timestamp()]).min();
+    }
+    first_end.into_iter().for_each(observe::certificate_expiry);
+}
+
+/// For HTTP/1 and for HTTP/2, with the certificates in them.
+fn configs(files: &config::Tls) -> Result<(Configs, Chain), Failure> {
     let chain = certificates("tls.cert_file", &files.cert_file)?;
     let key = PrivateKeyDer::from_pem_file(&files.key_file).map_err(|e| wrong("tls.key_file", &files.key_file, e))?;
     let provider = Arc::new(rustls::crypto::ring::default_provider());
@@ -140,16 +169,16 @@ fn configs(files: &config::Tls) -> Result<Configs, Failure> {
         let verifier = if files.client_cert_required { verifier } else { verifier.allow_unauthenticated() };
         builder.with_client_cert_verifier(verifier.build()?)
     };
-    let rest = builder.with_single_cert(chain, key).map_err(|e| wrong("tls.key_file", &files.key_file, e))?;
+    let rest = builder.with_single_cert(chain.clone(), key).map_err(|e| wrong("tls.key_file", &files.key_file, e))?;
     let speaking = |protocol: &[u8]| {
         let mut config = rest.clone();
         config.alpn_protocols = vec![protocol.to_vec()];
         Arc::new(config)
     };
-    Ok([speaking(b"http/1.1"), speaking(b"h2")])
+    Ok(([speaking(b"http/1.1"), speaking(b"h2")], chain))
 }
 
-fn certificates(field: &str, path: &Path) -> Result<Vec<CertificateDer<'static>>, Failure> {
+fn certificates(field: &str, path: &Path) -> Result<Chain, Failure> {
     let read: Result<Vec<_>, _> = CertificateDer::pem_file_iter(path).and_then(Iterator::collect);
     let certificates = read.map_err(|e| wrong(field, path, e))?;
     if certificates.is_empty() {
