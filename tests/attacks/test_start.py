@@ -165,3 +165,11 @@ def test_metrics_tell_when_the_certificate_ends(start, authority):
 
 def test_without_tls_no_metric_tells_of_a_certificate(server):
     assert (EXPIRY, frozenset()) not in Metrics(server.rest_url).series
+
+
+def test_what_a_changed_configuration_brings_is_told(start, tmp_path):
+    server = start("")
+    (tmp_path / "percept.toml").write_text('[log]\nlevel = "percept=debug,info"\n[quotas.each]\nweight = 2\n')
+    server.process.send_signal(signal.SIGHUP)
+    told = r'INFO .*the configuration was read again.*taken="quotas, log.level"'
+    assert eventually(lambda: re.search(told, server.log.read_text())), server.tail()

@@ -18,6 +18,7 @@ mod keys;
 mod local;
 mod plot;
 mod prepare;
+mod reload;
 mod replay;
 mod report;
 mod serve;

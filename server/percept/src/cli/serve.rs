@@ -2,6 +2,7 @@
 
 use super::Failure;
 use super::prepare::Prepared;
+use super::reload::{applied, waits_for_restart};
 use super::store::PlaceArgs;
 use crate::config::Config;
 use crate::doors::bounds::Bounds;
@@ -102,6 +103,8 @@ pub(crate) struct Running {
     config_file: Option<PathBuf>,
     /// As read when the server began, without flags.
     read: Config,
+    /// As read last.
+    taken: Config,
     /// First the server is no longer ready, then it takes nothing more.
     stop: watch::Sender<bool>,
     notice: Duration,
@@ -188,7 +191,7 @@ impl Running {
         service.health().report(Part::Server, HEALTHY);
         let seconds = |s: usize| Duration::from_secs(s as u64);
         let (notice, drain) = (seconds(config.listen.notice_s), seconds(config.listen.drain_s));
-        let (config_file, read) = (None, config.clone());
+        let (config_file, read, taken) = (None, config.clone(), config.clone());
         Ok(Self {
             addresses,
             service,
@@ -197,6 +200,7 @@ impl Running {
             auth,
             config_file,
             read,
+            taken,
             stop,
             notice,
             drain,
@@ -223,7 +227,7 @@ impl Running {
     }
 
     /// Reads again what can be changed while serving: certificates and the rules for them, what is logged, quotas.
-    fn reload(&self) {
+    fn reload(&mut self) {
         if let Err(error) = self.take_configuration() {
             tracing::error!(%error, "the configuration in force stays");
         }
@@ -234,7 +238,7 @@ impl Running {
         }
     }
 
-    fn take_configuration(&self) -> Result<(), Failure> {
+    fn take_configuration(&mut self) -> Result<(), Failure> {
         let config = Config::load(self.config_file.as_deref())?;
         let rules = &config.auth.certificates;
         let auth = AuthSettings { certificates: rules.clone(), ..self.auth.borrow().clone() };
@@ -247,9 +251,12 @@ impl Running {
             *now = auth;
             is_changed
         });
+        let taken = applied(&self.taken, &config).join(", ");
+        tracing::info!(taken, "the configuration was read again; taken is what differs and is in force now");
         for section in waits_for_restart(&self.read, &config) {
             tracing::warn!(section, "changed, and in force after a restart only");
         }
+        self.taken = config;
         Ok(())
     }
 
@@ -270,26 +277,6 @@ impl Running {
         crate::telemetry::end().await;
         stopped.map_err(|e| format!("not all that was accepted is stored: {e}").into())
     }
-}
-
-/// Sections in which more has changed than can be taken while serving.
-fn waits_for_restart(before: &Config, now: &Config) -> Vec<&'static str> {
-    let certificates = before.auth.certificates.clone();
-    let auth = AuthSettings { certificates, ..now.auth.clone() };
-    let log = crate::config::Log { level: before.log.level.clone(), ..now.log.clone() };
-    let telemetry = crate::config::Telemetry { access_log: before.telemetry.access_log, ..now.telemetry.clone() };
-    let changed = [
-        ("listen", before.listen != now.listen),
-        ("auth", before.auth != auth),
-        ("tls", before.tls != now.tls),
-        ("storage", before.storage != now.storage),
-        ("compute", before.compute != now.compute),
-        ("limits", before.limits != now.limits),
-        ("log", before.log != log),
-        ("telemetry", before.telemetry != telemetry),
-        ("params", before.params != now.params),
-    ];
-    changed.into_iter().filter(|(_, is_changed)| *is_changed).map(|(section, _)| section).collect()
 }
 
 /// Takes over keys that were made or revoked.
@@ -431,7 +418,8 @@ pub(crate) fn run(args: ServeArgs) -> Result<(), Failure> {
     let runtime = runtime()?;
     let outcome = runtime.block_on(async {
         let mut signals = Signals::listen()?;
-        let mut running = Running { config_file, read, ..Running::start(&config).await? };
+        let taken = read.clone();
+        let mut running = Running { config_file, read, taken, ..Running::start(&config).await? };
         println!("{}", serde_json::to_string(&running.addresses)?);
         tracing::info!(
             grpc = running.addresses.grpc,
