@@ -167,6 +167,27 @@ def test_without_tls_no_metric_tells_of_a_certificate(server):
     assert (EXPIRY, frozenset()) not in Metrics(server.rest_url).series
 
 
+def test_tools_say_what_to_do_where_one_side_speaks_tls_and_the_other_does_not(start, authority, own_server):
+    server = start(secured(authority.issue("server", "IP:127.0.0.1")))
+    plain = run("health", "--server", f"http://{server.grpc}").stderr
+    assert "https://" in plain and "code:" not in plain, plain
+    drive = run("sim", "--server", server.grpc, "--duration-s", "1", "--rooms", "1").stderr
+    assert "https://" in drive and "code:" not in drive, drive
+    unknown = run("health", "--server", f"https://{server.grpc}").stderr
+    assert "--ca-file" in unknown, unknown
+    secure = run("health", "--server", f"https://{own_server.grpc}", "--ca-file", authority.ca).stderr
+    assert "write http://" in secure, secure
+
+
+def test_the_hint_how_to_revoke_a_new_key_works_as_it_is_written(tmp_path):
+    file = tmp_path / "keys.json"
+    made = run("keys", "create", "--file", file, "--name", "op", "--scope", "read")
+    hint = re.search(r"`percept (.*)`", made.stderr)[1]
+    revoked = run(*shlex.split(hint))
+    assert (revoked.returncode, revoked.stderr) == (0, "")
+    assert "revoked" in run("keys", "list", "--file", file).stdout
+
+
 def test_what_a_changed_configuration_brings_is_told(start, tmp_path):
     server = start("")
     (tmp_path / "percept.toml").write_text('[log]\nlevel = "percept=debug,info"\n[quotas.each]\nweight = 2\n')

@@ -134,10 +134,36 @@ pub(crate) async fn connect(server: &str, access: &AccessArgs) -> Result<Connect
     let endpoint =
         endpoint.initial_stream_window_size(16 << 20).initial_connection_window_size(32 << 20).tcp_nodelay(true);
     let channel = endpoint.connect().await.map_err(|e| {
-        let scheme = if is_encrypted { "" } else { ", and is it without TLS, or else write https://" };
-        format!("cannot reach {server}: {}; is `percept serve` running there{scheme}?", super::with_causes(&e))
+        let causes = super::with_causes(&e);
+        let remedy = remedy(&causes, is_encrypted);
+        format!("cannot reach {server}: {causes}; {remedy}")
     })?;
     Ok(InterceptedService::new(channel, bearer))
+}
+
+/// What to do, by the words in which rustls says what went wrong: its errors come wrapped, and have no type here.
+fn remedy(causes: &str, is_encrypted: bool) -> &'static str {
+    match causes {
+        _ if !is_encrypted => "is `percept serve` running there, and is it without TLS, or else write https://?",
+        _ if causes.contains("InvalidContentType") => {
+            "that port does not speak TLS: write http://, and give no certificates, or set tls.cert_file of the server"
+        }
+        _ if causes.contains("UnknownIssuer") => "name the file with the authority of its certificate by --ca-file",
+        _ if causes.contains("CertificateRequired") => "show a certificate by --cert and --key",
+        _ => "is `percept serve` running there?",
+    }
+}
+
+/// The words for a connection that broke under a call; none for any other error. A server that speaks TLS breaks one that
+/// comes without at the first call, not before.
+pub(crate) fn lost(error: &(dyn std::error::Error + Send + Sync + 'static)) -> Option<String> {
+    let transport = error.downcast_ref::<Status>().and_then(|status| std::error::Error::source(status))?;
+    transport.downcast_ref::<tonic::transport::Error>()?;
+    Some(format!(
+        "the connection to the server broke: {}; is it still running, and where it speaks TLS, is its address written with \
+         https://?",
+        super::with_causes(transport)
+    ))
 }
 
 /// A session on a server.

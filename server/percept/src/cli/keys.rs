@@ -18,7 +18,7 @@ pub(crate) enum KeysCommand {
 
 #[derive(Debug, Args)]
 pub(crate) struct Place {
-    /// File of keys, made if absent; the server's auth.keys_file.
+    /// File of keys, the server's auth.keys_file; `create` makes it if it is absent.
     #[arg(long, env = "PERCEPT_AUTH_KEYS_FILE")]
     file: PathBuf,
 }
@@ -85,7 +85,8 @@ fn create(args: Create) -> Result<(), Failure> {
         println!("{}", json!({"id": record.id, "key": key, "expires_s": record.expires_s}));
     } else {
         println!("{key}");
-        eprintln!("percept: this key is shown once; revoke it with `percept keys revoke {}`", record.id);
+        let (file, id) = (args.place.file.display(), &record.id);
+        eprintln!("percept: this key is shown once; revoke it with `percept keys revoke --file {file} {id}`");
     }
     Ok(())
 }

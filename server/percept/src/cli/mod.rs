@@ -96,7 +96,7 @@ pub(crate) fn run() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
-            eprintln!("percept: {}", with_causes(e.as_ref()));
+            eprintln!("percept: {}", client::lost(e.as_ref()).unwrap_or_else(|| with_causes(e.as_ref())));
             ExitCode::FAILURE
         }
     }
