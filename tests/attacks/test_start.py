@@ -194,3 +194,13 @@ def test_what_a_changed_configuration_brings_is_told(start, tmp_path):
     server.process.send_signal(signal.SIGHUP)
     told = r'INFO .*the configuration was read again.*taken="quotas, log.level"'
     assert eventually(lambda: re.search(told, server.log.read_text())), server.tail()
+
+
+def test_new_data_and_exports_are_their_owners_alone(own_server, tmp_path):
+    assert own_server.data_dir.stat().st_mode & 0o777 == 0o700
+    with Client(own_server.grpc) as client:
+        client.sessions.create("robot-7")
+    for verb, to in (("export", "out.percept"), ("backup", "copy")):
+        done = run("store", verb, "--data-dir", own_server.data_dir, tmp_path / to)
+        assert done.returncode == 0, done.stderr
+        assert (tmp_path / to).stat().st_mode & 0o077 == 0, to

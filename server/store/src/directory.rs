@@ -1,6 +1,7 @@
 //! A local directory made ready: created, locked, cleared of what a crash left half-written.
 
-use std::fs::{File, TryLockError};
+use std::fs::{DirBuilder, File, TryLockError};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -14,11 +15,15 @@ pub(crate) struct DirectoryLock {
     _file: File,
 }
 
-/// Makes the directory and syncs its entry.
+/// Makes the directory, which is then its owner's alone, and syncs its entry. One that is there keeps its mode.
 pub(crate) fn prepare(root: &Path, fsync: bool) -> Result<(), StoreError> {
     let io = |error| StoreError::from_io("prepare the data directory", error);
     let existed = root.exists();
-    std::fs::create_dir_all(root).map_err(io)?;
+    if let Some(parent) = root.parent() {
+        std::fs::create_dir_all(parent).map_err(io)?;
+    }
+    // What is inside follows the umask: nobody else gets that far.
+    DirBuilder::new().recursive(true).mode(0o700).create(root).map_err(io)?;
     if fsync {
         sync(root).map_err(io)?;
         if let (false, Some(parent)) = (existed, root.canonicalize().map_err(io)?.parent()) {
@@ -74,6 +79,20 @@ fn is_staged(name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt;
+
+    #[test]
+    fn a_new_directory_is_its_owners_alone_and_one_that_is_there_keeps_its_mode() {
+        let base = tempfile::tempdir().unwrap();
+        let mode = |at: &Path| std::fs::metadata(at).unwrap().permissions().mode() & 0o777;
+        let new = base.path().join("below/data");
+        prepare(&new, false).unwrap();
+        assert_eq!(mode(&new), 0o700);
+        std::fs::set_permissions(&new, Permissions::from_mode(0o750)).unwrap();
+        prepare(&new, false).unwrap();
+        assert_eq!(mode(&new), 0o750);
+    }
 
     #[test]
     fn only_staged_files_are_removed() {

@@ -151,7 +151,8 @@ async fn export(args: Export) -> Result<(), Failure> {
         // A file of this name is a whole export, or what it was before.
         let mut part = args.file.clone().into_os_string();
         part.push(".part");
-        let file = tokio::fs::File::create(&part).await;
+        // It shows what the maps do: for whoever exports it alone.
+        let file = tokio::fs::OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&part).await;
         let mut writer = BufWriter::new(file.map_err(|e| format!("cannot write {}: {e}", part.display()))?);
         if let Err(error) = export_sessions(&root, chosen, &mut writer, &read_record, &mut told).await {
             let _ = tokio::fs::remove_file(&part).await;
