@@ -56,6 +56,9 @@ def secured(files) -> str:
     return f'[tls]\ncert_file = "{files[0]}"\nkey_file = "{files[1]}"\n'
 
 
+# Before it listens
+
+
 UNUSABLE = {
     "no file of keys": (CLOSED, 'keys_file = "absent.json"\n', "auth.keys_file: "),
     "no file of the provider's keys": (
@@ -136,6 +139,9 @@ def test_keys_that_would_travel_readably_are_warned_of(start, authority, tmp_pat
     assert all("WARN" in line and "listen.grpc" in line and "tls.cert_file" in line for line in warned)
 
 
+# Certificates
+
+
 @pytest.mark.parametrize(
     ("valid", "told"), [((-2 * DAY, -DAY), "has expired"), ((DAY, 2 * DAY), "is not valid yet")], ids=["old", "early"]
 )
@@ -167,6 +173,9 @@ def test_without_tls_no_metric_tells_of_a_certificate(server):
     assert (EXPIRY, frozenset()) not in Metrics(server.rest_url).series
 
 
+# The tools
+
+
 def test_tools_say_what_to_do_where_one_side_speaks_tls_and_the_other_does_not(start, authority, own_server):
     server = start(secured(authority.issue("server", "IP:127.0.0.1")))
     plain = run("health", "--server", f"http://{server.grpc}").stderr
@@ -188,12 +197,41 @@ def test_the_hint_how_to_revoke_a_new_key_works_as_it_is_written(tmp_path):
     assert "revoked" in run("keys", "list", "--file", file).stdout
 
 
+# While it runs
+
+
 def test_what_a_changed_configuration_brings_is_told(start, tmp_path):
     server = start("")
     (tmp_path / "percept.toml").write_text('[log]\nlevel = "percept=debug,info"\n[quotas.each]\nweight = 2\n')
     server.process.send_signal(signal.SIGHUP)
     told = r'INFO .*the configuration was read again.*taken="quotas, log.level"'
     assert eventually(lambda: re.search(told, server.log.read_text())), server.tail()
+
+
+def test_a_provider_file_that_is_broken_is_told_once(start, tmp_path):
+    file, jwks = tmp_path / "keys.json", tmp_path / "jwks.json"
+    key(file)
+    point = {"kty": "OKP", "crv": "Ed25519", "kid": "a", "x": "11qYAYKxCrfVS_7TyWQHOg7hcvPapiMlrwIaaPcHURo"}
+    jwks.write_text(json.dumps({"keys": [point]}))
+    provider = f'[auth.jwt]\nissuer = "https://id"\njwks_file = "{jwks}"\n'
+    server = start(f'{REQUIRED}keys_file = "{file}"\n{provider}')
+    jwks.write_text("broken")
+
+    def is_known(token: str) -> bool:
+        with Client(server.grpc, token=token, retries=0) as client:
+            try:
+                return list(client.sessions.list()) == []
+            except Unauthenticated:
+                return False
+
+    # Both files are looked at once a second: new keys that are known one after the other tell the rounds.
+    for _ in range(4):
+        made = key(file)
+        assert eventually(lambda made=made: is_known(made))
+    assert server.log.read_text().count("auth.jwt.jwks_file is not taken") == 1, server.tail()
+
+
+# What others on the machine may read
 
 
 def test_new_data_and_exports_are_their_owners_alone(own_server, tmp_path):

@@ -102,14 +102,15 @@ fn default_tenant() -> String {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JwtSettings {
-    /// The provider, as its tokens name it (iss), an https URL. Empty: tokens are not taken.
+    /// The provider, as its tokens name it (iss). An https URL (on this machine http, too), unless jwks_file or jwks_url
+    /// says where its keys are. Empty: tokens are not taken.
     pub issuer: String,
     /// This service, as tokens name it (aud).
     pub audience: String,
     /// File with the provider's public keys (JWKS). It is read again when it changes.
     pub jwks_file: String,
-    /// Where those keys are fetched from if there is no file; empty: the issuer's /.well-known/openid-configuration
-    /// tells.
+    /// Where those keys are fetched from if there is no file, by https (on this machine http, too); empty: the issuer's
+    /// /.well-known/openid-configuration tells.
     pub jwks_url: String,
     /// File with the certificates (PEM) that the provider's is checked by; empty: those of this system.
     pub ca_file: String,

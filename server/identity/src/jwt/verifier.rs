@@ -20,9 +20,21 @@ const FETCH_PAUSE: Duration = Duration::from_secs(10);
 /// Keys older than this are fetched again, so that one that the provider has taken back ends here, too.
 const MAX_AGE: Duration = Duration::from_secs(600);
 
+/// What tells one state of the file from another.
+type Stamp = (SystemTime, u64);
+
 enum Source {
-    File { path: PathBuf, seen: Option<(SystemTime, u64)> },
-    Fetched { fetch: FetchKeys, tried: Option<Instant>, got: Option<Instant> },
+    File {
+        path: PathBuf,
+        seen: Option<Stamp>,
+        /// The state of the file that was not taken, and why: told once.
+        told: Option<(Option<Stamp>, String)>,
+    },
+    Fetched {
+        fetch: FetchKeys,
+        tried: Option<Instant>,
+        got: Option<Instant>,
+    },
 }
 
 /// Checks tokens of one issuer.
@@ -46,7 +58,7 @@ impl JwtVerifier {
             let path = PathBuf::from(&settings.jwks_file);
             let seen = stamp(&path);
             let keys = read(&path)?;
-            (Source::File { path, seen }, keys)
+            (Source::File { path, seen, told: None }, keys)
         };
         Ok(Self {
             settings: settings.clone(),
@@ -116,16 +128,23 @@ impl JwtVerifier {
         let old = {
             let mut source = self.source.lock().await;
             match &mut *source {
-                Source::File { path, seen } => {
+                Source::File { path, seen, told } => {
                     let now = stamp(path);
                     if now != *seen {
                         match read(path) {
                             Ok(keys) => {
-                                *seen = now;
+                                (*seen, *told) = (now, None);
                                 self.put(keys);
                             }
                             // Tried again every time: what was withdrawn in it is not in force yet.
-                            Err(cause) => tracing::error!(cause, "jwks_file is not taken; its last keys stay"),
+                            Err(cause) => {
+                                let why = Some((now, cause));
+                                if *told != why {
+                                    *told = why;
+                                    let cause = told.as_ref().map(|(_, cause)| cause.as_str());
+                                    tracing::error!(cause, "auth.jwt.jwks_file is not taken; its last keys stay");
+                                }
+                            }
                         }
                     }
                     false
@@ -139,17 +158,20 @@ impl JwtVerifier {
     }
 }
 
-fn stamp(path: &PathBuf) -> Option<(SystemTime, u64)> {
+fn stamp(path: &PathBuf) -> Option<Stamp> {
     let meta = fs::metadata(path).ok()?;
     Some((meta.modified().ok()?, meta.len()))
 }
 
 fn read(path: &PathBuf) -> Result<KeySet, String> {
-    let shown = path.display();
-    let text = fs::read_to_string(path).map_err(|e| format!("cannot read jwt.jwks_file {shown}: {e}"))?;
-    let keys = KeySet::parse(&text).map_err(|e| format!("jwt.jwks_file {shown}: {e}"))?;
+    let wrong = |problem: String| {
+        let shown = path.display();
+        format!("jwt.jwks_file is {shown}, which cannot be used: {problem}; give the provider's public keys (JWKS)")
+    };
+    let text = fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
+    let keys = KeySet::parse(&text).map_err(wrong)?;
     if keys.is_empty() {
-        return Err(format!("jwt.jwks_file {shown} holds no public key for signatures"));
+        return Err(wrong("it holds no public key for signatures".to_owned()));
     }
     Ok(keys)
 }
