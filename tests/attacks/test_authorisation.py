@@ -366,6 +366,12 @@ def test_another_tenants_session_is_answered_as_one_that_does_not_exist(site):
     assert there.json()["detail"].replace("secret", "absent") == absent.json()["detail"]
 
 
+def test_who_may_too_little_is_told_what_is_missing_and_for_which_session(site):
+    site.create("fleet-named")
+    told = site.http.delete("/v1/sessions/fleet-named", headers=site.headers("read only")).json()["detail"]
+    assert "admin" in told and "fleet-named" in told
+
+
 def test_lists_show_what_the_caller_may_read(site):
     site.create("fleet-listed")
 

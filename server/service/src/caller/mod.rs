@@ -182,7 +182,7 @@ impl Caller {
         if self.context.principal.may_somewhere(rule.access) {
             return Ok(());
         }
-        Err(self.refused(operation, "", denied(rule)))
+        Err(self.refused(operation, "", denied(rule, "")))
     }
 
     /// Whether an operation may be done with a session that exists. Doors ask it before work of their own, too.
@@ -210,7 +210,7 @@ impl Caller {
         if principal.may(rule.access, session) {
             return Ok(());
         }
-        Err(self.refused(operation, session, denied(rule)))
+        Err(self.refused(operation, session, denied(rule, session)))
     }
 
     /// Whether a session may be created. Says nothing about whether there is one.
@@ -220,13 +220,15 @@ impl Caller {
         if self.context.principal.may(rule.access, session) {
             return Ok(());
         }
-        Err(self.refused(operation, session, denied(rule)))
+        Err(self.refused(operation, session, denied(rule, session)))
     }
 }
 
-fn denied(rule: &Rule) -> Error {
+fn denied(rule: &Rule, session: &str) -> Error {
     let words = match rule.about {
-        About::Session => format!("this needs {} access to the session; ask for a key that has it", rule.access),
+        About::Session => {
+            format!("this needs {} access to the session {session:?}; ask for a key that has it", rule.access)
+        }
         About::Nothing => format!("this needs {} access; ask for a key that has it", rule.access),
     };
     Error::new(ErrorCode::PermissionDenied, reason::PERMISSION_DENIED, words)
