@@ -9,6 +9,9 @@ use serde::Serialize;
 /// How long a fault lasts, seconds; a stream that stops does so for five times as long.
 const LASTS_S: f64 = 2.0;
 const STOPS_S: f64 = 10.0;
+/// Wheels that slip in a turn report so many radians within a second that were not turned: 14 degrees, as in an office log.
+const SLIPS_S: f64 = 1.0;
+const SLIPS_RAD: f64 = 0.245;
 /// A wheel that spins makes so many metres of way that was not driven.
 const SPINS_M: f64 = 1.0;
 /// A mount is off by so many metres, ahead and to the left as much.
@@ -26,6 +29,8 @@ pub(crate) enum Corruption {
     HalfTurn,
     /// Twice the turning is reported, for two seconds.
     DoubleTurn,
+    /// Fourteen degrees more than were turned are reported within a second of a turn.
+    Slip,
     /// A metre is reported within two seconds that was not driven: wheels spin.
     Spin,
     /// Nothing is reported for ten seconds.
@@ -53,7 +58,7 @@ pub(crate) fn places(samples: &[(Timestamp, Pose)], kind: Corruption, count: usi
         let end = samples.partition_point(|s| s.0.seconds_since(samples[from].0) <= lasts);
         let part = &samples[from..end];
         let steps = part.windows(2).map(|pair| pair[0].1.inv_mul(&pair[1].1));
-        let is_turn = matches!(kind, Corruption::HalfTurn | Corruption::DoubleTurn);
+        let is_turn = matches!(kind, Corruption::HalfTurn | Corruption::DoubleTurn | Corruption::Slip);
         let is_whole = samples.last().is_some_and(|last| last.0.seconds_since(samples[from].0) > 2.0 * lasts);
         is_whole && (!is_turn || steps.map(|step| step.rotation.angle()).sum::<f64>() >= TURNS_RAD)
     };
@@ -75,7 +80,11 @@ pub(crate) fn places(samples: &[(Timestamp, Pose)], kind: Corruption, count: usi
 }
 
 fn lasts_s(kind: Corruption) -> f64 {
-    if kind == Corruption::Stop { STOPS_S } else { LASTS_S }
+    match kind {
+        Corruption::Stop => STOPS_S,
+        Corruption::Slip => SLIPS_S,
+        _ => LASTS_S,
+    }
 }
 
 /// Spoils the odometry among frames as they pass.
@@ -127,6 +136,10 @@ impl Corrupted {
         match self.kind {
             Corruption::HalfTurn => turned(0.5),
             Corruption::DoubleTurn => turned(2.0),
+            Corruption::Slip => {
+                let turning = se3::yaw(step).signum();
+                step * se3::from_xy_yaw(0.0, 0.0, turning * SLIPS_RAD * seconds / SLIPS_S)
+            }
             Corruption::Spin => step * se3::from_xy_yaw(SPINS_M * seconds / LASTS_S, 0.0, 0.0),
             Corruption::Stop => *step,
             Corruption::Mount => {
@@ -182,6 +195,7 @@ mod tests {
         let turned = |kind| last(&passed(kind, begin.clone())).rotation.inverse() * last(&honest).rotation;
         assert!((turned(Corruption::HalfTurn).angle() - 0.5).abs() < 1e-6);
         assert!((turned(Corruption::DoubleTurn).angle() - 1.0).abs() < 1e-6);
+        assert!((turned(Corruption::Slip).angle() - SLIPS_RAD).abs() < 1e-6);
 
         let way = |samples: &[(Timestamp, Pose)]| {
             samples.windows(2).map(|pair| pair[0].1.inv_mul(&pair[1].1).translation.vector.norm()).sum::<f64>()

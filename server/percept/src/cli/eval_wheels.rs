@@ -2,6 +2,7 @@
 
 use super::corrupt::{Corrupted, Corruption, places, samples};
 use super::{Failure, local};
+use clap::ValueEnum;
 use percept_evaluation::{Trajectory, TrueRelation, score_relations};
 use percept_formats::dataset::{self, Dataset};
 use percept_geometry::{Pose, SensorData, SensorFrame, SensorKind, Stamped, Timestamp};
@@ -77,7 +78,7 @@ pub(crate) fn run(args: &WheelsArgs) -> Result<(), Failure> {
         None => PipelineParams::default(),
     };
     let pool = super::compute_pool(0, 0)?;
-    let every = [Corruption::HalfTurn, Corruption::DoubleTurn, Corruption::Spin, Corruption::Stop, Corruption::Mount];
+    let every = Corruption::value_variants();
     let faults = if args.faults.is_empty() { every.to_vec() } else { args.faults.clone() };
     let runs = [Wheels::Honest, Wheels::None].into_iter().chain(faults.into_iter().map(Wheels::Lying));
     if !args.json {

@@ -1,7 +1,7 @@
 //! Which loops are believed: those that fit the map, and groups that agree with each other and with what was believed
 //! before.
 
-use super::consistency::{AGREE, Constraint, agreeing, chi2, within_drift};
+use super::consistency::{AGREE, Constraint, NEIGHBOURS, agreeing, chi2, within_drift};
 use super::solve::Effort;
 use super::{BackEnd, Loop, LoopId, LoopState};
 use crate::loops::LoopClosure;
@@ -91,7 +91,7 @@ impl BackEnd {
         false
     }
 
-    /// Whether a loop at the newest keyframe tells where the robot is that has long been unsure of it.
+    /// Whether a loop at one of the newest keyframes tells where the robot is that has long been unsure of it.
     fn is_news(&self, k: usize) -> bool {
         let closure = &self.loops[k].closure;
         let variance = |c: &Covariance6, from: usize| (from..from + 3).map(|i| c[(i, i)]).sum::<f64>();
@@ -99,7 +99,9 @@ impl BackEnd {
             let known = variance(&closure.covariance, from) + variance(&self.drift_solved, from);
             variance(&self.drift, from) > GROWN * known
         };
-        self.chain.nodes().last().is_some_and(|n| n.id == closure.to) && (has_grown(0) || has_grown(3))
+        let newest = self.chain.len() as u64;
+        let is_new = self.chain.index(closure.to).is_some_and(|to| u64::from(to) + NEIGHBOURS >= newest);
+        is_new && (has_grown(0) || has_grown(3))
     }
 
     /// Believes a group of loops, if the map still holds with them.

@@ -46,11 +46,11 @@ pub struct Relocalisation {
     pub inlier_ratio: f64,
 }
 
-/// What a kind of sensor brings to find places again. Deterministic. `insert` takes a time that does not grow with the number
-/// of keyframes, but for a planar lidar's search of all the map, which goes by its area and is made every ten metres.
+/// What a kind of sensor brings to find places again. Deterministic. `insert` takes a time that hardly grows with the number
+/// of keyframes: what takes long goes on with the next ones.
 pub trait PlaceRecognition: Send {
     /// Takes a keyframe in, with the covariance of its pose since the start (right perturbation in base), and answers with
-    /// the loops that it closes.
+    /// loops that it closes, or that one shortly before it does.
     fn insert(
         &mut self,
         id: KeyframeId,

@@ -24,10 +24,14 @@ const SAME: (f64, f64) = (1.0, 0.35);
 /// (`planar_log lidar2d-intel --max-range 5.5 --no-odometry`) searches of 15 m take up to 520,000, and with 200,000 no loop is
 /// closed any more once the robot has been lost. Of them so many at least beyond the coarsest ones, which there are more of
 /// in a larger map.
-pub(crate) const PATIENCE: usize = 600_000;
-pub(crate) const PATIENCE_BEYOND: usize = 300_000;
+const PATIENCE: usize = 600_000;
+const PATIENCE_BEYOND: usize = 300_000;
 /// A coarsest node is one sum, any other leads to four: so many of the former count as one.
 const ROOTS_A_NODE: usize = 4;
+/// Another optimum this good, as a share of the best one's score, leaves a match open.
+pub(crate) const RIVAL: f64 = 0.85;
+/// Points of a query, at most: the rest is not looked at.
+const MOST_POINTS: usize = 256;
 /// Points summed up before a node is looked at again whether it can still be good enough.
 const CHUNK: usize = 16;
 /// Fine cells at most along an edge: larger maps are cut off.
@@ -175,17 +179,37 @@ impl Search {
     pub(crate) fn num_roots(&self) -> usize {
         (2 * self.grid.num_angles + 1) as usize * self.grid.num_coarsest_as_nodes()
     }
+
+    /// Nodes after which it is given up.
+    pub(crate) fn patience(&self) -> usize {
+        PATIENCE.max(self.num_roots() + PATIENCE_BEYOND)
+    }
+
+    /// Bytes, about.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let open: usize = self.open.heaps.iter().map(BinaryHeap::capacity).sum();
+        let rotated: usize = self.grid.rotated.iter().map(Vec::capacity).sum();
+        open * size_of::<Node>() + rotated * size_of::<(i32, i32)>()
+    }
 }
 
 /// All shifts of `2^level` cells from (x, y) on at one angle. Ordered by what is looked at first: the best, then the
 /// finest; the rest makes the order total.
+/// Ten bytes, as a search may leave millions of them open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Node {
-    sum: u32,
-    level: Reverse<u32>,
-    angle: i32,
-    x: i32,
-    y: i32,
+    sum: u16,
+    level: Reverse<u8>,
+    angle: i16,
+    x: i16,
+    y: i16,
+}
+
+impl Node {
+    /// Points of a query have to be so few that the sum holds their likelihoods, and angles and shifts as few as a search has.
+    fn new(sum: u32, level: u32, angle: i32, (x, y): (i32, i32)) -> Self {
+        Self { sum: sum as u16, level: Reverse(level as u8), angle: angle as i16, x: x as i16, y: y as i16 }
+    }
 }
 
 impl Pyramid {
@@ -224,7 +248,7 @@ impl Pyramid {
         Region { center, translation: half.amax(), rotation: std::f64::consts::PI }
     }
 
-    /// Begins a search for what scores more than `min_score`.
+    /// Begins a search for what scores more than `min_score`, by the first [`MOST_POINTS`] points of the query.
     pub(crate) fn begin(
         &self,
         query: &[Point2<f64>],
@@ -232,10 +256,28 @@ impl Pyramid {
         min_score: f64,
         (rival, most): (f64, usize),
     ) -> Search {
+        let query = &query[..query.len().min(MOST_POINTS)];
         let grid = Shifts::new(self, query, region);
         let perfect = 255.0 * query.len().max(1) as f64;
         let (least, next_angle) = ((min_score * perfect) as u32, -grid.num_angles);
         Search { grid, least, rival, most, next_angle, open: Open::default(), found: vec![] }
+    }
+
+    /// The best pose and all others that are nearly as good, best first; none if that is bad, if they are more than `most`, or
+    /// if it takes too long to know.
+    pub(crate) fn optima(
+        &self,
+        query: &[Point2<f64>],
+        region: &Region,
+        min_score: f64,
+        most: (f64, usize),
+    ) -> Option<Vec<Fit>> {
+        let mut search = self.begin(query, region, min_score, most);
+        let mut nodes = search.patience();
+        match self.go_on(&mut search, &mut nodes)? {
+            Outcome::Found(found) => (!found.is_empty()).then_some(found),
+            Outcome::Undecided => None,
+        }
     }
 
     /// Goes on with a search until it has visited about so many nodes, which are counted down; what it came to, if that is
@@ -256,7 +298,9 @@ impl Pyramid {
         }
         // The best bound comes first: the first pose that comes is the best.
         while let Some(node) = search.open.pop() {
-            if node.sum <= search.least || search.found.iter().any(|other| search.grid.is_known(&node, other)) {
+            if u32::from(node.sum) <= search.least
+                || search.found.iter().any(|other| search.grid.is_known(&node, other))
+            {
                 continue;
             }
             if *nodes == 0 {
@@ -274,19 +318,18 @@ impl Pyramid {
                 search.found.push(Fit {
                     t: search.grid.pose(&node),
                     #[cfg(test)]
-                    sum: node.sum,
+                    sum: node.sum.into(),
                 });
                 continue;
             }
-            let level = node.level.0 - 1;
+            let level = u32::from(node.level.0) - 1;
             let half = 1 << level;
             for (dx, dy) in [(0, 0), (half, 0), (0, half), (half, half)] {
-                let (x, y) = (node.x + dx, node.y + dy);
+                let (angle, x, y) = (i32::from(node.angle), i32::from(node.x) + dx, i32::from(node.y) + dy);
                 if x <= search.grid.reach && y <= search.grid.reach {
-                    let sum = self.sum(search.grid.cells(node.angle), (x, y), level, search.least);
-                    let child = Node { sum, level: Reverse(level), angle: node.angle, x, y };
+                    let sum = self.sum(search.grid.cells(angle), (x, y), level, search.least);
                     if sum > search.least {
-                        search.open.push(child);
+                        search.open.push(Node::new(sum, level, angle, (x, y)));
                     }
                 }
             }
@@ -299,7 +342,7 @@ impl Pyramid {
         let shifts = || (-grid.reach..=grid.reach).step_by(1 << DEPTH);
         let at = |(x, y)| {
             let sum = self.sum(grid.cells(angle), (x, y), DEPTH, least);
-            (sum > least).then_some(Node { sum, level: Reverse(DEPTH), angle, x, y })
+            (sum > least).then(|| Node::new(sum, DEPTH, angle, (x, y)))
         };
         shifts().flat_map(|y| shifts().map(move |x| (x, y))).filter_map(at).collect::<Vec<_>>().into_iter()
     }
@@ -372,7 +415,7 @@ impl Shifts {
 
     /// Whether all poses of a node are the same optimum as another fit.
     fn is_known(&self, n: &Node, other: &Fit) -> bool {
-        let last = ((1 << n.level.0) - 1) as f64 * self.resolution;
+        let last = f64::from((1 << n.level.0) - 1) * self.resolution;
         let half = Vector2::repeat(0.5 * last);
         let first = self.pose(n);
         let middle = Isometry2::new(first.translation.vector + half, first.rotation.angle());

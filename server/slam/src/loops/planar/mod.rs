@@ -2,13 +2,13 @@
 //!
 //! A visit is a run of neighbouring keyframes; its points make a local map. While drift is small, a keyframe is measured
 //! against the visits around it: a search of the cells in reach, then point-to-line refinement ([`measure`]). Once drift
-//! is large, the newest keyframes together are searched for in all that was seen in reach ([`branch_and_bound`]),
-//! and a pose counts
-//! only if no other one fits nearly as well; now and then all of the map is searched. A robot that is lost is found by all
+//! is large, the newest keyframes together are searched for in all that was seen in reach ([`global_search`], by
+//! [`branch_and_bound`]), and a pose counts only if no other one fits nearly as well; now and then all of the map is searched. A robot that is lost is found by all
 //! that it has seen since ([`relocaliser`]). Every match has to explain what was seen, and nothing that one view shows may stand
 //! where the other looked through ([`crate::odometry::lidar2d::sight`]).
 
 pub(super) mod branch_and_bound;
+mod global_search;
 mod links;
 mod measure;
 mod relocaliser;
@@ -19,7 +19,8 @@ mod tests;
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::lidar2d::planar;
 use crate::odometry::{OdometryKind, OdometryNoise, way_m};
-use branch_and_bound::{Fit, Outcome, PATIENCE, PATIENCE_BEYOND, Pyramid, Region};
+use branch_and_bound::Region;
+use global_search::{Extent, GlobalSearch, Progress, View};
 use links::Links;
 use measure::{Measurement, Strictness, Visits};
 use nalgebra::{Isometry2, Point2};
@@ -55,6 +56,8 @@ const SEARCH_EVERY_M: (f64, f64) = (1.5, 6.0);
 const SEARCH_ALL_EVERY_M: f64 = 10.0;
 /// Keyframes of the last metres make the query of a large search.
 const QUERY_M: f64 = 5.0;
+/// Keyframes of the query so far apart are measured where it was found: nearer ones see the same.
+const VIEWS_EVERY_M: f64 = 1.5;
 /// Points of a query.
 const QUERY_POINTS: usize = 150;
 /// Cell of a large search, metres.
@@ -62,14 +65,18 @@ const CELL_M: f64 = 0.1;
 /// Least score of a large search, and of one without a guess.
 const MIN_SCORE: f64 = 0.55;
 const MIN_SCORE_LOST: f64 = 0.6;
-/// Another optimum this good, as a share of the best one's score, leaves the match open.
-const RIVAL: f64 = 0.85;
-
 /// A keyframe taken in.
 struct Kept {
     scan: KeptScan,
     /// Driven until here, metres.
     travelled_m: f64,
+}
+
+impl Kept {
+    /// Ends of its beams in its base, up to a range in metres.
+    fn ends(&self, max_range_m: f64) -> Vec<Point2<f64>> {
+        self.scan.get().map_or(vec![], |scan| ends(&scan, max_range_m).collect())
+    }
 }
 
 /// Places seen by a planar lidar.
@@ -82,6 +89,8 @@ pub(crate) struct PlanarPlaces {
     visits: Visits,
     /// The search for a robot that is lost, which goes on from question to question.
     relocaliser: Relocaliser,
+    /// The search of a large window, which goes on from keyframe to keyframe.
+    global_search: Option<GlobalSearch>,
     /// Where the robot had driven to at the last search of a large window, and of all the map.
     searched_m: f64,
     /// Driving from there to the next.
@@ -103,6 +112,7 @@ impl PlanarPlaces {
             links: Links::default(),
             visits: Visits::new(max_range_m),
             relocaliser: Relocaliser::new(max_range_m),
+            global_search: None,
             searched_m: 0.0,
             search_every_m: SEARCH_EVERY_M.0,
             searched_all_m: 0.0,
@@ -133,7 +143,7 @@ impl PlanarPlaces {
     }
 
     /// Ties to the visits around the believed place, nearest first.
-    fn near(&mut self, id: KeyframeId, here: &Isometry2<f64>, reach: &Reach) -> Vec<LoopClosure> {
+    fn local_search(&mut self, id: KeyframeId, here: &Isometry2<f64>, reach: &Reach) -> Vec<LoopClosure> {
         let mut candidates: Vec<(f64, KeyframeId)> = reach
             .old
             .iter()
@@ -176,38 +186,78 @@ impl PlanarPlaces {
         self.visits.measure(&visit, &scan, &guess, window, strictness).ok()
     }
 
-    /// Searches for the newest keyframes together in what was seen within the window, or everywhere.
-    fn far(&mut self, id: KeyframeId, here: &Isometry2<f64>, reach: &Reach, everywhere: bool) -> Option<LoopClosure> {
-        let query = self.query(id, reach);
-        let (translation, rotation) = reach.largest(here, true);
-        let points: Vec<Point2<f64>> = reach
-            .old
-            .iter()
-            .filter(|o| {
-                everywhere || (o.t_map_base.translation.vector - here.translation.vector).norm() < translation + 5.0
-            })
-            .flat_map(|o| self.ends_of(&self.kept[&o.id], &o.t_map_base))
-            .collect();
-        let pyramid = Pyramid::new(CELL_M, &points)?;
-        let within = |(translation, rotation)| Region { center: *here, translation, rotation };
-        let best = match everywhere {
-            true => only_optimum(&pyramid, &query, &pyramid.everywhere(), MIN_SCORE_LOST),
-            false => {
-                // As far as drift leads first: in a window that doubt has widened, too much may fit for a search to decide.
-                let doubted = (translation, rotation);
-                let mut windows = vec![reach.largest(here, false), doubted];
-                windows.dedup();
-                windows.into_iter().find_map(|window| only_optimum(&pyramid, &query, &within(window), MIN_SCORE))
-            }
-        }?;
-        let candidate = reach.nearest(&best)?;
-        let m = self.measure(id, candidate, &best.t, (0.3, 0.06), &Strictness::FAR, &reach.poses)?;
-        Some(closure(candidate, id, &m))
+    /// Begins the search of a large window where it is time for one, and goes on with it: the loops that it ends with.
+    fn global_search(
+        &mut self,
+        id: KeyframeId,
+        here: &Isometry2<f64>,
+        reach: &Reach,
+        travelled_m: f64,
+    ) -> Vec<LoopClosure> {
+        if self.global_search.is_none() && travelled_m - self.searched_m >= self.search_every_m && reach.is_far(here) {
+            self.searched_m = travelled_m;
+            // What was not found is hardly found a step farther; the views have to become others.
+            self.search_every_m = (2.0 * self.search_every_m).min(SEARCH_EVERY_M.1);
+            self.global_search = Some(self.begin_global_search(id, here, reach, false));
+        }
+        let Some(search) = &mut self.global_search else { return vec![] };
+        let Progress::Ended(loops) = search.go_on(&self.kept, &mut self.visits, self.max_range_m) else {
+            return vec![];
+        };
+        let is_next =
+            loops.is_empty() && !search.is_everywhere() && travelled_m - self.searched_all_m >= SEARCH_ALL_EVERY_M;
+        self.global_search = None;
+        if is_next {
+            self.searched_all_m = travelled_m;
+            self.global_search = Some(self.begin_global_search(id, here, reach, true));
+        }
+        loops.into_iter().filter(|l| self.kept.contains_key(&l.to)).collect()
     }
 
-    /// Ends of a keyframe's beams where its base is taken to by a motion.
-    fn ends_of(&self, kept: &Kept, t: &Isometry2<f64>) -> Vec<Point2<f64>> {
-        kept.scan.get().map_or(vec![], |scan| ends(&scan, self.max_range_m).map(|p| t * p).collect())
+    /// A search for the newest keyframes together in what was seen within the window, or everywhere.
+    fn begin_global_search(
+        &self,
+        id: KeyframeId,
+        here: &Isometry2<f64>,
+        reach: &Reach,
+        everywhere: bool,
+    ) -> GlobalSearch {
+        let (translation, rotation) = reach.largest(here, true);
+        let is_there =
+            |o: &&Old| (o.t_map_base.translation.vector - here.translation.vector).norm() < translation + 5.0;
+        let known = reach.old.iter().filter(|o| everywhere || is_there(o)).map(|o| (o.id, o.t_map_base)).collect();
+        let extent = match everywhere {
+            true => Extent::Everywhere,
+            false => {
+                // As far as drift leads first: in a window that doubt has widened, too much may fit for a search to decide.
+                let mut windows = vec![reach.largest(here, false), (translation, rotation)];
+                windows.dedup();
+                let region = |(translation, rotation)| Region { center: *here, translation, rotation };
+                Extent::Windows(windows.into_iter().map(region).collect())
+            }
+        };
+        GlobalSearch::new(self.views(id, here, reach), self.query(id, reach), known, extent)
+    }
+
+    /// Keyframes of the query that loops are measured by, newest first.
+    fn views(&self, id: KeyframeId, here: &Isometry2<f64>, reach: &Reach) -> Vec<View> {
+        let travelled_m = self.kept[&id].travelled_m;
+        let mut views: Vec<View> = vec![];
+        let mut next_m = 0.0;
+        for (id, kept) in self.kept.range(..=id).rev() {
+            let back_m = travelled_m - kept.travelled_m;
+            if back_m >= QUERY_M {
+                break;
+            }
+            if back_m < next_m {
+                continue;
+            }
+            if let (Some(t), Some(scan)) = (reach.poses.get(id), kept.scan.get()) {
+                views.push(View { id: *id, t_anchor_base: here.inverse() * t, scan });
+                next_m = back_m + VIEWS_EVERY_M;
+            }
+        }
+        views
     }
 
     /// Points of the newest keyframes in the newest one's base.
@@ -217,7 +267,10 @@ impl PlanarPlaces {
         let recent = self.kept.iter().rev().take_while(|(_, k)| travelled_m - k.travelled_m < QUERY_M);
         let points = recent
             .filter_map(|(id, k)| Some((reach.poses.get(id)?, k)))
-            .flat_map(|(t, k)| self.ends_of(k, &(here.inverse() * t)))
+            .flat_map(|(t, k)| {
+                let t_here_then = here.inverse() * t;
+                k.ends(self.max_range_m).into_iter().map(move |p| t_here_then * p)
+            })
             .collect();
         spread_out(points)
     }
@@ -235,26 +288,19 @@ impl PlaceRecognition for PlanarPlaces {
         let Some(here) = poses.get(&id).map(planar) else { return vec![] };
         let doubt = 1.0 + self.missed_m / DOUBT_M;
         let reach = Reach::of(id, &self.kept, &self.links, (&self.noise, doubt), poses);
-        let mut closures = self.near(id, &here, &reach);
+        let mut closures = self.local_search(id, &here, &reach);
         let step = travelled_m - self.travelled_m;
         self.travelled_m = travelled_m;
         if reach.is_known(&here) {
             self.missed_m += step;
         }
-        let is_tied = !closures.is_empty();
-        if !is_tied && travelled_m - self.searched_m >= self.search_every_m && reach.is_far(&here) {
-            let everywhere = travelled_m - self.searched_all_m >= SEARCH_ALL_EVERY_M;
-            self.searched_m = travelled_m;
-            // What was not found is hardly found a step farther; the views have to become others.
-            self.search_every_m = (2.0 * self.search_every_m).min(SEARCH_EVERY_M.1);
-            closures.extend(self.far(id, &here, &reach, false));
-            if everywhere && closures.is_empty() {
-                self.searched_all_m = travelled_m;
-                closures.extend(self.far(id, &here, &reach, true));
-            }
+        if closures.is_empty() {
+            closures.extend(self.global_search(id, &here, &reach, travelled_m));
+        } else {
+            self.global_search = None;
         }
         for c in &closures {
-            self.links.tie(c.from, id, TIE_M);
+            self.links.tie(c.from, c.to, TIE_M);
         }
         if !closures.is_empty() {
             self.searched_all_m = travelled_m;
@@ -300,7 +346,9 @@ impl PlaceRecognition for PlanarPlaces {
 
     fn memory_bytes(&self) -> usize {
         let kept = self.kept.len() * size_of::<(KeyframeId, Kept)>();
-        kept + self.links.memory_bytes() + self.visits.memory_bytes() + self.relocaliser.memory_bytes()
+        let searches =
+            self.relocaliser.memory_bytes() + self.global_search.as_ref().map_or(0, GlobalSearch::memory_bytes);
+        kept + self.links.memory_bytes() + self.visits.memory_bytes() + searches
     }
 }
 
@@ -378,32 +426,6 @@ impl Reach {
     /// Whether the robot is believed to pass through a known place.
     fn is_known(&self, here: &Isometry2<f64>) -> bool {
         self.old.iter().any(|o| length(&(o.t_map_base.inverse() * here)) < NEAR_M)
-    }
-
-    fn nearest(&self, fit: &Fit) -> Option<KeyframeId> {
-        let cost = |o: &Old| length(&(o.t_map_base.inverse() * fit.t));
-        self.old.iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).filter(|o| cost(o) < 2.0 * NEAR_M).map(|o| o.id)
-    }
-}
-
-/// The best pose, unless it is bad or another one is nearly as good.
-fn only_optimum(pyramid: &Pyramid, query: &[Point2<f64>], region: &Region, min_score: f64) -> Option<Fit> {
-    optima(pyramid, query, region, min_score, 1)?.pop()
-}
-
-/// The best pose and all others that are nearly as good, best first; none if that is bad, or if they are more than `most`.
-pub(super) fn optima(
-    pyramid: &Pyramid,
-    query: &[Point2<f64>],
-    region: &Region,
-    min_score: f64,
-    most: usize,
-) -> Option<Vec<Fit>> {
-    let mut search = pyramid.begin(query, region, min_score, (RIVAL, most));
-    let mut nodes = PATIENCE.max(search.num_roots() + PATIENCE_BEYOND);
-    match pyramid.go_on(&mut search, &mut nodes)? {
-        Outcome::Found(found) => (!found.is_empty()).then_some(found),
-        Outcome::Undecided => None,
     }
 }
 

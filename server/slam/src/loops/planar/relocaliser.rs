@@ -7,9 +7,9 @@
 //! That takes too long for one question: it is done in steps of counted work, one a question. The search is made for a view
 //! from the way; where it finds that view, the robot is as far from there as odometry says, and the newest view has to agree.
 
-use super::branch_and_bound::{Fit, Outcome, Pyramid, Search};
+use super::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Search};
 use super::measure::{Measurement, Refused, Strictness, Visits};
-use super::{CELL_M, Kept, MIN_SCORE_LOST, NEAR_M, QUERY_M, RIVAL, ends, length, spread_out, visit};
+use super::{CELL_M, Kept, MIN_SCORE_LOST, NEAR_M, QUERY_M, ends, length, spread_out, visit};
 use crate::loops::{KeyframePoses, Relocalisation};
 use crate::odometry::lidar2d::planar;
 use nalgebra::Isometry2;

@@ -1,5 +1,6 @@
 //! Loops in a building drawn by walls, scanned by casting rays.
 
+use super::branch_and_bound::Pyramid;
 use super::*;
 use nalgebra::{Point3, Vector2};
 use percept_geometry::{PointCloud, Timestamp};
@@ -253,6 +254,32 @@ fn a_place_that_was_missed_for_long_is_looked_for_where_drift_leads_first() {
 }
 
 #[test]
+fn where_the_newest_view_leaves_something_open_those_before_tell_the_place() {
+    // A corridor that is bare but for a few metres with alcoves and pillars, seen by a lidar that reaches 4 m.
+    let alcove = |b: Building, x: f64, side: f64, width: f64, depth: f64| {
+        let (edge, back, end) = (side, side * (1.0 + depth), x + width);
+        b.walls(&[[x, edge, x, back], [x, back, end, back], [end, back, end, edge]])
+    };
+    let left = [[-5.0, 1.0, 10.0, 1.0], [10.7, 1.0, 12.5, 1.0], [13.9, 1.0, 14.6, 1.0], [15.1, 1.0, 45.0, 1.0]];
+    let right = [[-5.0, -1.0, 11.2, -1.0], [13.1, -1.0, 45.0, -1.0]];
+    let corridor = Building::default().walls(&left).walls(&right).cuboid(14.1, -0.9, 0.3, 0.4);
+    let corridor = alcove(alcove(corridor, 10.0, 1.0, 0.7, 1.0), 12.5, 1.0, 1.4, 1.6);
+    let corridor = alcove(alcove(corridor, 14.6, 1.0, 0.5, 0.6), 11.2, -1.0, 1.9, 1.2);
+    let mut drive = Drive { places: PlanarPlaces::new(4.0), ..Drive::new(5) };
+    let still = Isometry2::identity();
+    drive.along(&corridor, &route(&[[0.0, 0.0], [40.0, 0.0]]), &still);
+    drive.along(&Building::default(), &route(&[[60.0, 60.0], [80.0, 60.0]]), &still);
+    // Back, a metre off, and not searched for before all that can be seen is bare again.
+    drive.drift = Covariance6::identity() * 4.0;
+    drive.places.searched_m = f64::INFINITY;
+    drive.along(&corridor, &route(&[[10.0, 0.0], [10.5, 0.0]]), &Isometry2::translation(1.0, 0.0));
+    assert_eq!(drive.along(&corridor, &route(&[[10.5, 0.0], [17.5, 0.0]]), &still), []);
+    drive.places.searched_m = 0.0;
+    let found = drive.along(&corridor, &route(&[[17.5, 0.0], [20.0, 0.0]]), &still);
+    assert!(!found.is_empty() && found.iter().all(|c| drive.error(c).0 < 0.1), "{found:?}");
+}
+
+#[test]
 fn a_kidnapped_robot_is_found_where_it_has_been_and_nowhere_else() {
     let mut drive = Drive::new(4);
     let office = Building::office();
@@ -351,7 +378,8 @@ fn a_place_is_found_in_a_map_as_large_as_a_building() {
     let pyramid = Pyramid::new(CELL_M, &known.iter().copied().chain(far).collect::<Vec<_>>()).unwrap();
     let t_map_query = Isometry2::new(Vector2::new(3.0, 1.5), 2.5);
     let query = spread_out(known.iter().map(|p| t_map_query.inverse() * p).collect());
-    let found = only_optimum(&pyramid, &query, &pyramid.everywhere(), MIN_SCORE_LOST).unwrap();
+    let found = pyramid.optima(&query, &pyramid.everywhere(), MIN_SCORE_LOST, (branch_and_bound::RIVAL, 1)).unwrap();
+    let found = found[0];
     let off = t_map_query.inverse() * found.t;
     assert!(off.translation.vector.norm() < 0.15 && off.rotation.angle().abs() < 0.03, "{off}");
 }

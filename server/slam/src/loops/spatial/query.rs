@@ -10,8 +10,7 @@ use super::submap::{range, voxel_for};
 use super::target::{Refused, Strictness, Target};
 use super::walls;
 use crate::loops::Relocalisation;
-use crate::loops::planar::branch_and_bound::{Fit, Pyramid, Region};
-use crate::loops::planar::optima;
+use crate::loops::planar::branch_and_bound::{Fit, Pyramid, RIVAL, Region};
 use nalgebra::{Isometry2, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, se3};
 use rustc_hash::FxHashSet;
@@ -84,7 +83,7 @@ impl<'a> Query<'a> {
         let everywhere = pyramid.everywhere();
         let center = Isometry2::new(everywhere.center.translation.vector, heading.0);
         let region = Region { center, rotation: heading.1, ..everywhere };
-        let places = optima(&pyramid, &query, &region, MIN_SCORE, MAX_PLACES);
+        let places = pyramid.optima(&query, &region, MIN_SCORE, (RIVAL, MAX_PLACES));
         let mut verified = places?.into_iter().map(|fit| self.verify(&fit, scale, kept, known));
         let best = verified.next().flatten()?;
         verified.all(|other| other.is_none()).then_some(best)
