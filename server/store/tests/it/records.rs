@@ -1,4 +1,5 @@
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::Bytes;
 use futures::TryStreamExt;
@@ -123,8 +124,9 @@ async fn records_are_written_on_the_runtime_that_is_given() {
     let store = SlateStore::open(Arc::new(InMemory::new()), config).await.unwrap();
     store.put(key("a"), value("1")).await.unwrap();
     assert_eq!(store.get(&key("a")).await.unwrap(), Some(value("1")));
-    // Nobody else writes.
-    apart.shutdown_background();
+    // Nobody else writes. A runtime is down only once its threads are: waited for where blocking is allowed.
+    let down = std::thread::spawn(move || apart.shutdown_timeout(Duration::from_secs(60)));
+    tokio::task::spawn_blocking(move || down.join()).await.unwrap().unwrap();
     assert!(matches!(store.put(key("b"), value("2")).await, Err(StoreError::Closed)));
 }
 
