@@ -3,7 +3,8 @@
 //!
 //! `--max-range` cuts what the lidar sees, and `--blind` covers it from a share of the log on for so many seconds: scans come,
 //! without a return; frames of cameras and 3D lidars do not come. Printed are the frames that were placed when they came, those in the map at the end, how often the robot
-//! was lost, how far the trajectory is off, and the processor time of a frame on one thread, of those while lost apart.
+//! was lost, how far the trajectory is off, and the processor time of a frame on one thread, of those while lost apart. `--frames` writes
+//! each frame as it was answered: number, stamp in seconds, x, y, yaw, milliseconds, whether it was placed, state.
 
 use percept_evaluation::{ErrorStatistics, Trajectory, TrueRelation, score_relations};
 use percept_formats::dataset::{self, Dataset};
@@ -74,6 +75,8 @@ struct Answer {
     state: TrackingState,
     is_placed: bool,
     ms: f64,
+    /// When it was taken, and base to map as it was answered.
+    at: Stamped<Pose>,
 }
 
 fn main() -> Result<(), Failure> {
@@ -114,7 +117,13 @@ fn main() -> Result<(), Failure> {
     if let Some(out) = args.iter().position(|a| a == "--frames").and_then(|i| args.get(i + 1)) {
         let mut file = std::io::BufWriter::new(std::fs::File::create(out)?);
         for (i, a) in answers.iter().enumerate() {
-            writeln!(file, "{i},{:?},{},{:.2}", a.state, a.is_placed, a.ms)?;
+            let (stamp_s, t) = (a.at.stamp.as_secs_f64(), a.at.value.translation);
+            let yaw = se3::yaw(&a.at.value);
+            writeln!(
+                file,
+                "{i},{stamp_s:.6},{:.4},{:.4},{yaw:.5},{:.2},{},{:?}",
+                t.x, t.y, a.ms, a.is_placed, a.state
+            )?;
         }
         file.flush()?;
     }
@@ -160,7 +169,8 @@ fn run(pipeline: &mut Pipeline, recording: &Dataset, harder: &Harder) -> Result<
         let ms = processor_ms() - before;
         let Some(pose) = report.pose else { continue };
         let is_placed = report.trajectory.is_some_and(|t| t.tracked);
-        answers.push(Answer { state: pose.state, is_placed, ms });
+        let at = Stamped { stamp: frame.stamp, value: pose.t_map_base };
+        answers.push(Answer { state: pose.state, is_placed, ms, at });
     }
     Ok(answers)
 }

@@ -9,7 +9,7 @@ use super::GRAVITY;
 use super::buffer::ImuBuffer;
 use super::curve::Curve;
 use super::preintegration::{Gravity, NavState, Preintegrated, STATE, off};
-use super::window::{BOTH, Registration, Window};
+use super::window::{BOTH, PoseFactor, Window};
 use nalgebra::{Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 use percept_geometry::{Covariance6, Pose, Timestamp, se3};
 use std::sync::Arc;
@@ -68,7 +68,7 @@ impl Expected {
 /// A frame that was placed.
 pub(crate) struct PlacedFrame<'a> {
     /// What placing it told by itself, of base.
-    pub(crate) seen: &'a Registration,
+    pub(crate) seen: &'a PoseFactor,
     /// Where constant velocity led.
     pub(crate) assumed: &'a Pose,
     /// The velocity of the step from the frame before, in odom, m/s.
@@ -239,10 +239,10 @@ impl Inertial {
     }
 
     /// A frame's place as the body's.
-    fn of_body(&self, seen: &Registration) -> Registration {
+    fn of_body(&self, seen: &PoseFactor) -> PoseFactor {
         let t_base_body = self.t_base_body();
         let ad = se3::adjoint(&t_base_body);
-        Registration {
+        PoseFactor {
             t_odom_found: seen.t_odom_found * t_base_body,
             information: ad.transpose() * seen.information * ad,
             gradient: ad.transpose() * seen.gradient,
@@ -250,7 +250,7 @@ impl Inertial {
     }
 
     /// Compares what was expected, and what constant velocity led to, with where the frame is.
-    fn compare(&mut self, frame: &PlacedFrame<'_>, seen: &Registration) {
+    fn compare(&mut self, frame: &PlacedFrame<'_>, seen: &PoseFactor) {
         let Some(expected) = &self.expected else { return };
         // To where the frame alone would be placed, without what was expected of it; along what it leaves open it says nothing.
         let spread = seen.information.pseudo_inverse(1e-6).unwrap_or_else(|_| Matrix6::zeros());

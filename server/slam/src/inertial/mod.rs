@@ -19,7 +19,7 @@ pub(crate) use check::GyroCheck;
 pub(crate) use curve::Curve;
 pub use faults::ImuFault;
 pub(crate) use fusion::{Expected, Inertial, PlacedFrame};
-pub(crate) use window::Registration;
+pub(crate) use window::PoseFactor;
 
 /// Standard gravity rounded as is usual in robotics, m/s^2.
 pub(crate) const GRAVITY: f64 = 9.81;

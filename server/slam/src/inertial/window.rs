@@ -26,13 +26,13 @@ type Gradient = SVector<f64, BOTH>;
 /// `gradient . d + d . information . d / 2`, where d leads from `t_odom_found` to the pose (position in its axes, then rotation).
 /// Open directions have no information.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Registration {
+pub(crate) struct PoseFactor {
     pub(crate) t_odom_found: Pose,
     pub(crate) information: Matrix6<f64>,
     pub(crate) gradient: Vector6<f64>,
 }
 
-impl Registration {
+impl PoseFactor {
     /// A pose with its information.
     #[cfg(test)]
     pub(super) fn at(t_odom_found: Pose, information: Matrix6<f64>) -> Self {
@@ -85,7 +85,7 @@ pub(crate) struct Window {
     /// Of each state but the oldest: from the state before.
     motions: VecDeque<Preintegrated>,
     /// Of each state.
-    registrations: VecDeque<Option<Registration>>,
+    registrations: VecDeque<Option<PoseFactor>>,
     gravity: Gravity,
 }
 
@@ -128,7 +128,7 @@ impl Window {
     }
 
     /// Adds a state and smooths; the oldest one leaves when there are too many. Whether that could be solved.
-    pub(crate) fn add(&mut self, motion: Preintegrated, registration: Option<Registration>) -> bool {
+    pub(crate) fn add(&mut self, motion: Preintegrated, registration: Option<PoseFactor>) -> bool {
         let state = motion.predict(self.newest(), &self.gravity);
         self.states.push_back(state);
         self.motions.push_back(motion);
@@ -368,7 +368,7 @@ mod tests {
         let (mut square, mut count) = (0.0, 0);
         for k in 1..100 {
             let (from, to) = (0.1 * f64::from(k - 1), 0.1 * f64::from(k));
-            assert!(w.add(motion(&h, &w, from, to), Some(Registration::at(placed(to, &mut rng), information()))));
+            assert!(w.add(motion(&h, &w, from, to), Some(PoseFactor::at(placed(to, &mut rng), information()))));
             if k > 50 {
                 square += (w.newest().t_odom_body.translation.vector - truth(to).translation.vector).norm_squared();
                 count += 3;
@@ -400,7 +400,7 @@ mod tests {
             let seen = if k > 60 { keep * information() * keep } else { information() };
             // What is said along it is wrong, too.
             let t = if k > 60 { Pose::translation(5.0, 0.0, 0.0) * t } else { t };
-            assert!(w.add(motion(&h, &w, from, to), Some(Registration::at(t, seen))));
+            assert!(w.add(motion(&h, &w, from, to), Some(PoseFactor::at(t, seen))));
         }
         let off = w.newest().t_odom_body.translation.vector - truth(9.9).translation.vector;
         let c = w.covariance().unwrap().fixed_view::<3, 3>(0, 0).into_owned();
@@ -462,7 +462,7 @@ mod tests {
         let mut w = begin(&h, 0.05);
         for k in 1..6 {
             let (from, to) = (0.1 * f64::from(k - 1), 0.1 * f64::from(k));
-            w.add(motion(&h, &w, from, to), Some(Registration::at(placed(to, &mut rng), information())));
+            w.add(motion(&h, &w, from, to), Some(PoseFactor::at(placed(to, &mut rng), information())));
         }
         let (dense_h, dense_g) = dense(&w);
         let (eliminated, (information, gradient)) = w.eliminate().unwrap();
@@ -494,8 +494,8 @@ mod tests {
             }
             let seen = if k < 20 { p } else { t * p };
             let (ma, mb) = (motion(&h, &a, from, to), motion(&h, &b, from, to));
-            a.add(ma, Some(Registration::at(p, information())));
-            b.add(mb, Some(Registration::at(seen, information())));
+            a.add(ma, Some(PoseFactor::at(p, information())));
+            b.add(mb, Some(PoseFactor::at(seen, information())));
         }
         let off = (t * a.newest().t_odom_body).inverse() * b.newest().t_odom_body;
         assert!(off.translation.vector.norm() < 1e-5 && off.rotation.angle() < 1e-5, "{off}");

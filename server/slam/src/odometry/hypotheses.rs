@@ -1,6 +1,6 @@
 //! A frame finds its place in the local model: where it is expected, the tries, and which of them is believed.
 
-use super::{Match, MotionPrior, Odometry, Prediction, diagonal};
+use super::{MotionPrior, Odometry, Prediction, Registration, diagonal};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use nalgebra::Vector6;
@@ -69,7 +69,7 @@ impl Odometry {
 
     /// Places a frame; a planar scan that fits nowhere near is looked for wherever a robot can be by now, and is believed to be
     /// where it fits as scans usually do.
-    pub(super) fn place_or_search(&self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+    pub(super) fn place_or_search(&self, dt: f64, prediction: &Prediction) -> Result<Registration, LostReason> {
         let found = self.place_or_doubt(dt, prediction);
         let is_poor = !found.as_ref().is_ok_and(|m| m.inlier_ratio >= POOR * self.usual_inlier_ratio);
         let reach_s = self.unplaced_s + dt;
@@ -80,7 +80,7 @@ impl Odometry {
         let (way, turn) = (self.limits.speed * reach_s, self.limits.turn_rate * reach_s);
         let covariance = diagonal(way / 3.0, turn / 3.0);
         let wide = Prediction::within(self.t_odom_base, covariance);
-        let can_be = |m: &Match| {
+        let can_be = |m: &Registration| {
             let off = self.t_odom_base.inv_mul(&m.t_odom_base);
             m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio
                 && off.translation.vector.norm() <= way + 0.1
@@ -91,7 +91,7 @@ impl Odometry {
 
     /// Wheels that slip or lag shall not lose what the scan alone can place: where they fail, or say what the motion
     /// before does not lead to, that is tried as well, and wins if it fits better.
-    fn place_or_doubt(&self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+    fn place_or_doubt(&self, dt: f64, prediction: &Prediction) -> Result<Registration, LostReason> {
         let measured = self.place(dt, prediction);
         if !prediction.is_measured || !self.limits.is_planar {
             return measured;
@@ -115,8 +115,8 @@ impl Odometry {
         dt: f64,
         prediction: &Prediction,
         gyro: &MotionPrior,
-        found: Result<Match, LostReason>,
-    ) -> Result<Match, LostReason> {
+        found: Result<Registration, LostReason>,
+    ) -> Result<Registration, LostReason> {
         let led = self.predict(dt, Some(gyro));
         if led.t_odom_base.rotation.angle_to(&prediction.t_odom_base.rotation) < ALIKE {
             return found;
@@ -129,9 +129,9 @@ impl Odometry {
     }
 
     /// Tries the prediction and, if that fails or fits worse than usual, the last pose; the better is taken.
-    pub(super) fn place(&self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+    pub(super) fn place(&self, dt: f64, prediction: &Prediction) -> Result<Registration, LostReason> {
         let predicted = self.try_from(dt, prediction);
-        let sound = |m: &Match| m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio;
+        let sound = |m: &Registration| m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio;
         let t_still_predicted = self.t_odom_base.inverse() * prediction.t_odom_base;
         if predicted.as_ref().is_ok_and(sound) || se3::log(&t_still_predicted).norm() < 1e-3 {
             return predicted.map_err(|reason| self.with_gap(dt, reason));
@@ -154,7 +154,7 @@ impl Odometry {
 
     /// Whether a place found elsewhere than wheels say is believed rather than they: a frame fits anywhere along a wall. It has
     /// to fit as well as frames usually do, contradict nothing, and show the motion that it denies.
-    fn may_deny(&self, prediction: &Prediction, found: &Match) -> bool {
+    fn may_deny(&self, prediction: &Prediction, found: &Registration) -> bool {
         if !prediction.is_measured || self.limits.is_planar {
             return true;
         }
@@ -164,7 +164,13 @@ impl Odometry {
     }
 
     /// Undoes the sweep's motion again where it was other than assumed, and places the scan once more.
-    pub(super) fn sharpen(&mut self, dt: f64, scan: &Scan, assumed: &Vector6<f64>, found: Match) -> Match {
+    pub(super) fn sharpen(
+        &mut self,
+        dt: f64,
+        scan: &Scan,
+        assumed: &Vector6<f64>,
+        found: Registration,
+    ) -> Registration {
         if self.model.sweep_velocity().is_some() || !scan.is_sweep() || dt < 1e-3 || dt > self.params.tracking.max_gap_s
         {
             return found;
@@ -185,7 +191,7 @@ impl Odometry {
         self.try_from(dt, &again).unwrap_or(found)
     }
 
-    fn try_from(&self, dt: f64, prediction: &Prediction) -> Result<Match, LostReason> {
+    fn try_from(&self, dt: f64, prediction: &Prediction) -> Result<Registration, LostReason> {
         let found = self.model.register(prediction)?;
         self.plausible(dt, found)
     }
@@ -209,7 +215,7 @@ impl Odometry {
         if dt > self.params.tracking.max_gap_s { LostReason::TimeGap } else { reason }
     }
 
-    fn plausible(&self, dt: f64, found: Match) -> Result<Match, LostReason> {
+    fn plausible(&self, dt: f64, found: Registration) -> Result<Registration, LostReason> {
         let t_last_now = self.t_odom_base.inverse() * found.t_odom_base;
         // The constants allow for stamps that jitter.
         let too_far = t_last_now.translation.vector.norm() > self.limits.speed * dt.max(0.05) + 0.1;
@@ -258,9 +264,9 @@ mod tests {
         fn is_empty(&self) -> bool {
             self.is_empty
         }
-        fn register(&self, prediction: &Prediction) -> Result<Match, LostReason> {
+        fn register(&self, prediction: &Prediction) -> Result<Registration, LostReason> {
             let is_before = prediction.t_odom_base.translation.vector.norm() < 0.01;
-            Ok(Match {
+            Ok(Registration {
                 t_odom_base: prediction.t_odom_base,
                 covariance: diagonal(0.001, 0.001),
                 inlier_ratio: if is_before { self.inlier_ratio_before } else { 0.4 },
@@ -271,7 +277,7 @@ mod tests {
                 found: Found::PoseAlone,
             })
         }
-        fn is_certain(&self, _: &Match) -> bool {
+        fn is_certain(&self, _: &Registration) -> bool {
             self.is_certain
         }
         fn integrate(&mut self, _: &Pose) {

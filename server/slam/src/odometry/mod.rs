@@ -22,7 +22,7 @@ use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use hypotheses::UNKNOWN_VARIANCE;
-pub(crate) use model::{Found, LocalModel, Match, Prediction};
+pub(crate) use model::{Found, LocalModel, Prediction, Registration};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
 pub use noise::{Growth, OdometryNoise, way_m};
 use params::MotionLimits;
@@ -279,14 +279,14 @@ impl Odometry {
     }
 
     /// What the frame's place tells of the IMU, and what that tells of the place.
-    fn fuse(&mut self, stamp: Timestamp, dt: f64, found: Match, imu: Option<&ImuBuffer>) -> Match {
+    fn fuse(&mut self, stamp: Timestamp, dt: f64, found: Registration, imu: Option<&ImuBuffer>) -> Registration {
         let Some(seen) = &found.told else { return found };
         let assumed = self.predict(dt, None).t_odom_base;
         let way = found.t_odom_base.translation.vector - self.t_odom_base.translation.vector;
         let velocity = if dt > 1e-4 { way / dt } else { Vector3::zeros() };
         let frame = PlacedFrame { stamp, seen, assumed: &assumed, velocity };
         match self.inertial.placed(imu, &frame) {
-            Some(t_odom_base) => Match { t_odom_base, ..found },
+            Some(t_odom_base) => Registration { t_odom_base, ..found },
             None => found,
         }
     }
@@ -393,7 +393,7 @@ impl Odometry {
         (self.num_lost, self.unplaced_s) = (0, 0.0);
     }
 
-    fn tracked(&mut self, stamp: Timestamp, dt: f64, found: Match) -> OdometryEstimate {
+    fn tracked(&mut self, stamp: Timestamp, dt: f64, found: Registration) -> OdometryEstimate {
         let t_last_now = self.t_odom_base.inverse() * found.t_odom_base;
         let covariance = self.uncertainty.measured(&t_last_now, &found.covariance, &found.degenerate_axes);
         if self.limits.is_planar {

@@ -1,7 +1,7 @@
 //! What a method brings: a local model that frames are placed in.
 
 use super::{lidar3d, mono, rgbd};
-use crate::inertial::{Curve, Expected, Registration};
+use crate::inertial::{Curve, Expected, PoseFactor};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use nalgebra::Vector6;
@@ -43,7 +43,7 @@ impl Prediction {
 
 /// A frame placed in the local model: one of several tries, perhaps, of which one is believed.
 #[derive(Debug, Clone)]
-pub(crate) struct Match {
+pub(crate) struct Registration {
     pub(crate) t_odom_base: Pose,
     /// Of this measurement against the model, right perturbation in base.
     pub(crate) covariance: Covariance6,
@@ -52,7 +52,7 @@ pub(crate) struct Match {
     pub(crate) iterations: usize,
     pub(crate) degenerate_axes: [bool; 6],
     /// What it told by itself, of base, without what was predicted; none where a method does not know.
-    pub(crate) told: Option<Registration>,
+    pub(crate) told: Option<PoseFactor>,
     /// What the method found beside the pose.
     pub(crate) found: Found,
 }
@@ -79,12 +79,12 @@ pub(crate) trait LocalModel: Send {
     fn is_empty(&self) -> bool;
     /// Places the current frame. Changes nothing: of several tries only the one that is believed reaches the model, by
     /// [`LocalModel::believe`].
-    fn register(&self, prediction: &Prediction) -> Result<Match, LostReason>;
+    fn register(&self, prediction: &Prediction) -> Result<Registration, LostReason>;
     /// The current frame lies there, and was expected at a pose in odom: what that teaches the method, before the frame is
     /// added.
-    fn believe(&mut self, _placed: &Match, _t_odom_expected: &Pose) {}
+    fn believe(&mut self, _placed: &Registration, _t_odom_expected: &Pose) {}
     /// Whether the current frame, placed after a time without any, fits so well that it can hardly be elsewhere.
-    fn is_certain(&self, _placed: &Match) -> bool {
+    fn is_certain(&self, _placed: &Registration) -> bool {
         true
     }
     /// Base's velocity (m/s, rad/s) while the current frame was taken, where placing frames finds that too.

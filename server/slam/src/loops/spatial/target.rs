@@ -7,7 +7,7 @@ use crate::odometry::lidar3d::align::{Problem, align};
 use crate::odometry::lidar3d::levels::Levels;
 use crate::odometry::lidar3d::sight::{Contradiction, Sight};
 use crate::odometry::lidar3d::sweep::{Instants, Sweep};
-use crate::odometry::{Match, Prediction, diagonal, way_m};
+use crate::odometry::{Prediction, Registration, diagonal, way_m};
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
 use std::collections::{BTreeMap, BTreeSet};
@@ -93,7 +93,7 @@ impl Target {
         scan: &KeyframeScan,
         t_map_base: &Pose,
         strictness: &Strictness,
-    ) -> Result<Match, Refused> {
+    ) -> Result<Registration, Refused> {
         let found = self.place(scan, t_map_base).ok_or(Refused::Misfit)?;
         let off = t_map_base.inv_mul(&found.t_odom_base);
         let (metres, radians) = (MOST_MOVED * EXPECTED.0 * self.voxel_m, MOST_MOVED * EXPECTED.1);
@@ -114,7 +114,7 @@ impl Target {
             true => Err(Refused::Open),
             false => {
                 let covariance = found.covariance + diagonal(FLOOR.0 * self.voxel_m, FLOOR.1);
-                Ok(Match { covariance, ..found })
+                Ok(Registration { covariance, ..found })
             }
         }
     }
@@ -125,7 +125,7 @@ impl Target {
         self.views.iter().map(from).min_by(|a, b| length(&a.1).total_cmp(&length(&b.1)))
     }
 
-    fn place(&self, scan: &KeyframeScan, t_map_base: &Pose) -> Option<Match> {
+    fn place(&self, scan: &KeyframeScan, t_map_base: &Pose) -> Option<Registration> {
         let points = &scan.hits.positions;
         let mut thinner = Thinner::default();
         let all: Vec<u32> = (0..points.len() as u32).collect();

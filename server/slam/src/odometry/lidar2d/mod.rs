@@ -9,7 +9,7 @@ pub(crate) mod search;
 pub(crate) mod sight;
 pub(crate) mod sweep;
 
-use crate::odometry::{LocalModel, Match, Prediction, way_m};
+use crate::odometry::{LocalModel, Prediction, Registration, way_m};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
@@ -181,7 +181,7 @@ impl LocalModel for Lidar2d {
         self.kept.is_empty()
     }
 
-    fn register(&self, prediction: &Prediction) -> Result<Match, LostReason> {
+    fn register(&self, prediction: &Prediction) -> Result<Registration, LostReason> {
         let center = planar(&prediction.t_odom_base);
         let c = &prediction.covariance;
         let variances = [c[(0, 0)].max(c[(1, 1)]), c[(5, 5)]].map(|v| v.max(1e-6));
@@ -211,7 +211,7 @@ impl LocalModel for Lidar2d {
         }
     }
 
-    fn is_certain(&self, found: &Match) -> bool {
+    fn is_certain(&self, found: &Registration) -> bool {
         let t = planar(&found.t_odom_base);
         let own = Sight::new(self.hits.iter().map(|h| h.p), &self.t_base_sensor);
         let against = contradicted(&self.field, &self.views_around(&t), (&own, &self.hits), &t);

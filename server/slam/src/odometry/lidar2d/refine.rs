@@ -5,7 +5,7 @@
 
 use super::field::Field;
 use super::sweep::Hit;
-use crate::odometry::{Found, Match, Prediction};
+use crate::odometry::{Found, Prediction, Registration};
 use crate::tracking::LostReason;
 use nalgebra::{Isometry2, Matrix3, Point2, Vector2, Vector3};
 use percept_geometry::{Covariance6, Pose, se3};
@@ -36,7 +36,7 @@ pub(crate) fn refine(
     start: &Isometry2<f64>,
     prediction: &Prediction,
     min_inlier_ratio: f64,
-) -> Result<Match, LostReason> {
+) -> Result<Registration, LostReason> {
     let (centroid, spread) = extent(hits);
     // What is open here is where wheels say; without them the search has seen more than an assumed velocity knows.
     let held = if prediction.is_measured { super::planar(&prediction.t_odom_base) } else { *start };
@@ -84,7 +84,7 @@ pub(crate) fn refine(
     }
     let covariance = information.try_inverse().ok_or(LostReason::Degenerate)?;
     let axes = degeneracy.axes;
-    Ok(Match {
+    Ok(Registration {
         t_odom_base: se3::from_xy_yaw(t.translation.x, t.translation.y, t.rotation.angle()),
         covariance: spatial_covariance(&covariance),
         inlier_ratio,

@@ -10,8 +10,8 @@ use super::levels::Levels;
 use super::meeting::{Meeting, Weak};
 use super::sweep::{Motion, Sweep};
 use super::voxels::Shape;
-use crate::inertial::Registration;
-use crate::odometry::{Found, Match, Prediction};
+use crate::inertial::PoseFactor;
+use crate::odometry::{Found, Prediction, Registration};
 use crate::tracking::LostReason;
 use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, SVector, Vector3, Vector6};
 use percept_geometry::{Pose, se3};
@@ -96,12 +96,12 @@ impl Equations {
 }
 
 /// Places the sweep: the pose, and the motion during the sweep.
-pub(crate) fn align(problem: &Problem<'_>) -> Result<(Match, State), LostReason> {
+pub(crate) fn align(problem: &Problem<'_>) -> Result<(Registration, State), LostReason> {
     align_and_tell(problem).map(|(found, state, _)| (found, state))
 }
 
 /// The same, and what the sweep told of the pose by itself.
-pub(crate) fn align_and_tell(problem: &Problem<'_>) -> Result<(Match, State, Registration), LostReason> {
+pub(crate) fn align_and_tell(problem: &Problem<'_>) -> Result<(Registration, State, PoseFactor), LostReason> {
     let prior = prior(problem).ok_or(LostReason::Degenerate)?;
     let (centroid, spread) = extent(&problem.sweep.at_stamp(&problem.velocity));
     let mut state = State { t_odom_base: problem.prediction.t_odom_base, velocity: problem.velocity };
@@ -341,7 +341,7 @@ impl Told {
     }
 
     /// Of the pose alone, whatever the velocity, of which only what was expected is known besides.
-    fn of_pose(&self, state: &State, (h, g): &(Matrix12, Vector12)) -> Option<Registration> {
+    fn of_pose(&self, state: &State, (h, g): &(Matrix12, Vector12)) -> Option<PoseFactor> {
         let block = |m: &Matrix12, i: usize, j: usize| m.fixed_view::<6, 6>(i, j).into_owned();
         let (hp, hpv) = (block(&self.information, 0, 0), block(&self.information, 0, 6));
         let velocity = (block(&self.information, 6, 6) + block(h, 6, 6)).cholesky()?;
@@ -349,7 +349,7 @@ impl Told {
         let information = hp - hpv * velocity.solve(&hpv.transpose());
         let gradient = self.gradient.fixed_rows::<6>(0) - hpv * velocity.solve(&pulled);
         let information = (information + information.transpose()) * 0.5;
-        Some(Registration { t_odom_found: state.t_odom_base, information, gradient })
+        Some(PoseFactor { t_odom_found: state.t_odom_base, information, gradient })
     }
 }
 
@@ -366,7 +366,7 @@ fn judge(
     degeneracy: &Degeneracy,
     information: &Matrix12,
     iterations: usize,
-) -> Result<Match, LostReason> {
+) -> Result<Registration, LostReason> {
     let (overlap, close) = fit(problem, state);
     if close < problem.min_inlier_ratio * overlap {
         return Err(LostReason::ResidualTooLarge);
@@ -376,7 +376,7 @@ fn judge(
     }
     let covariance = information.cholesky().ok_or(LostReason::Degenerate)?.inverse();
     let covariance: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
-    Ok(Match {
+    Ok(Registration {
         t_odom_base: state.t_odom_base,
         covariance: (covariance + covariance.transpose()) * 0.5,
         inlier_ratio: close,

@@ -13,7 +13,7 @@ pub(crate) mod voxels;
 
 use crate::downsample::Thinner;
 use crate::inertial::Curve;
-use crate::odometry::{Found, LocalModel, Match, Prediction, deskew};
+use crate::odometry::{Found, LocalModel, Prediction, Registration, deskew};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
@@ -339,7 +339,7 @@ impl LocalModel for Lidar3d {
         self.map.as_ref().is_none_or(Levels::is_empty)
     }
 
-    fn register(&self, prediction: &Prediction) -> Result<Match, LostReason> {
+    fn register(&self, prediction: &Prediction) -> Result<Registration, LostReason> {
         let Some(map) = &self.map else { return Err(LostReason::TooFewCorrespondences) };
         let size = map.size();
         let expected_error = self.deviation2.map_or(2.0 * size, |d| 3.0 * d.sqrt()).max(0.1 * size);
@@ -356,10 +356,10 @@ impl LocalModel for Lidar3d {
         };
         let (placed, state, told) = align_and_tell(&problem)?;
         let found = SweepFound { velocity: state.velocity, elapsed: problem.elapsed() };
-        Ok(Match { told: Some(told), found: Found::Sweep(found), ..placed })
+        Ok(Registration { told: Some(told), found: Found::Sweep(found), ..placed })
     }
 
-    fn believe(&mut self, placed: &Match, t_odom_expected: &Pose) {
+    fn believe(&mut self, placed: &Registration, t_odom_expected: &Pose) {
         let Found::Sweep(found) = &placed.found else { return };
         (self.velocity, self.elapsed) = (found.velocity, found.elapsed);
         let sigma = |from: usize| (from..from + 3).map(|k| placed.covariance[(k, k)]).sum::<f64>().sqrt();
@@ -385,7 +385,7 @@ impl LocalModel for Lidar3d {
         self.trim(t_odom_base);
     }
 
-    fn is_certain(&self, placed: &Match) -> bool {
+    fn is_certain(&self, placed: &Registration) -> bool {
         let velocity = match &placed.found {
             Found::Sweep(found) => found.velocity,
             _ => self.velocity,

@@ -27,7 +27,9 @@ mod tracker;
 mod triangulation;
 
 use crate::odometry::uncertainty::Uncertainty;
-use crate::odometry::{LocalModel, Match, MotionPrior, OdometryEstimate, Prediction, UNKNOWN_VARIANCE, diagonal};
+use crate::odometry::{
+    LocalModel, MotionPrior, OdometryEstimate, Prediction, Registration, UNKNOWN_VARIANCE, diagonal,
+};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
@@ -349,7 +351,7 @@ impl LocalModel for Mono {
         !self.tracker.has_map()
     }
 
-    fn register(&self, _: &Prediction) -> Result<Match, LostReason> {
+    fn register(&self, _: &Prediction) -> Result<Registration, LostReason> {
         Err(LostReason::UnsuitableScan)
     }
 

@@ -8,7 +8,7 @@ use super::frame::{Frame, Rigid32, Vertex};
 use super::noise::sigma;
 use super::photometric::Photometric;
 use super::surfels::{View, pixel};
-use crate::odometry::{Found, Match};
+use crate::odometry::{Found, Registration};
 use crate::tracking::LostReason;
 use nalgebra::{Matrix3, Matrix6, Vector6};
 use percept_geometry::{CameraIntrinsics, Covariance6, Pose, se3};
@@ -66,7 +66,7 @@ pub(crate) struct Problem<'a> {
 }
 
 /// Places the frame: `t_odom_base` of the result is the camera's pose in odom, covariance in the camera.
-pub(crate) fn align(problem: &Problem<'_>) -> Result<Match, LostReason> {
+pub(crate) fn align(problem: &Problem<'_>) -> Result<Registration, LostReason> {
     let Some(prior) = problem.covariance.try_inverse() else { return Err(LostReason::Degenerate) };
     let mut t_view_camera = problem.start;
     let (mut scale, mut light_scale) = (3.0, 3.0);
@@ -179,7 +179,7 @@ fn judge(
     degeneracy: &Degeneracy,
     information: &Matrix6<f64>,
     iterations: usize,
-) -> Result<Match, LostReason> {
+) -> Result<Registration, LostReason> {
     let r = &problem.requirements;
     // Of the points that met the model, the share that Tukey's kernel kept, about three quarters for a fit.
     let inlier_ratio = e.weight / e.num_residuals.max(1) as f64;
@@ -196,7 +196,7 @@ fn judge(
     }
     let covariance = information.try_inverse().ok_or(LostReason::Degenerate)?;
     let noise = f64::from(sigma(problem.frame.mean_range as f32));
-    Ok(Match {
+    Ok(Registration {
         t_odom_base: problem.view.t_odom_view * t_view_camera,
         covariance,
         inlier_ratio: e.num_residuals as f64 / problem.frame.num_valid.max(1) as f64,

@@ -15,8 +15,8 @@ pub(crate) mod place;
 mod surfels;
 mod window;
 
-use crate::inertial::Registration;
-use crate::odometry::{Found, LocalModel, Match, Prediction};
+use crate::inertial::PoseFactor;
+use crate::odometry::{Found, LocalModel, Prediction, Registration};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
@@ -223,8 +223,8 @@ impl Rgbd {
         camera: &CameraIntrinsics,
         view: &View,
         covariance: Covariance6,
-        found: Match,
-    ) -> Result<(Match, Arc<Frame>, Moving), LostReason> {
+        found: Registration,
+    ) -> Result<(Registration, Arc<Frame>, Moving), LostReason> {
         let marked = |t_odom_camera: &Pose| {
             let t_view_camera = view.t_odom_view.inv_mul(t_odom_camera);
             let marked = moving::mark(&self.frame, view, camera, &t_view_camera);
@@ -235,7 +235,7 @@ impl Rgbd {
             let (frame, moving) = unmarked();
             return Ok((found, frame, moving));
         }
-        let mut best: Option<(usize, Match)> = None;
+        let mut best: Option<(usize, Registration)> = None;
         for start in [view.t_odom_view, found.t_odom_base] {
             let (still, _) = marked(&start).unwrap_or_else(unmarked);
             let Ok(first) = self.align(camera, &still, view, covariance) else { continue };
@@ -259,7 +259,7 @@ impl Rgbd {
         frame: &Frame,
         view: &View,
         covariance: Covariance6,
-    ) -> Result<Match, LostReason> {
+    ) -> Result<Registration, LostReason> {
         align(&Problem {
             frame,
             view,
@@ -315,7 +315,7 @@ impl LocalModel for Rgbd {
         self.surfels.is_empty()
     }
 
-    fn register(&self, prediction: &Prediction) -> Result<Match, LostReason> {
+    fn register(&self, prediction: &Prediction) -> Result<Registration, LostReason> {
         let Some(camera) = self.preparer.pinhole else { return Err(LostReason::TooFewPoints) };
         let mut view = View::default();
         self.surfels.render(&camera, &(prediction.t_odom_base * self.t_base_camera), &mut view);
@@ -330,22 +330,22 @@ impl LocalModel for Rgbd {
         }
         let back = se3::adjoint(&self.t_base_camera);
         let found = ViewFound { view, frame, moving, covariance: placed.covariance };
-        let placed = Match {
+        let placed = Registration {
             t_odom_base: placed.t_odom_base * self.t_base_camera.inverse(),
             covariance: back * placed.covariance * back.transpose(),
             found: Found::View(Arc::new(found)),
             ..placed
         };
-        Ok(Match { told: by_itself(&placed, prediction), ..placed })
+        Ok(Registration { told: by_itself(&placed, prediction), ..placed })
     }
 
-    fn believe(&mut self, placed: &Match, _t_odom_expected: &Pose) {
+    fn believe(&mut self, placed: &Registration, _t_odom_expected: &Pose) {
         if let Found::View(found) = &placed.found {
             self.placed = Some(Arc::clone(found));
         }
     }
 
-    fn is_certain(&self, placed: &Match) -> bool {
+    fn is_certain(&self, placed: &Registration) -> bool {
         let (Some(camera), Found::View(found)) = (self.preparer.pinhole, &placed.found) else { return false };
         let ViewFound { view, frame, .. } = &**found;
         let t_view_camera = view.t_odom_view.inv_mul(&(placed.t_odom_base * self.t_base_camera));
@@ -409,12 +409,12 @@ impl LocalModel for Rgbd {
 
 /// What a frame told without what was predicted: the information that is there less the prediction's, and the pull against
 /// which it held the pose. Where it told nothing rounding may leave less than nothing, which is cut off.
-fn by_itself(found: &Match, prediction: &Prediction) -> Option<Registration> {
+fn by_itself(found: &Registration, prediction: &Prediction) -> Option<PoseFactor> {
     let prior = prediction.covariance.try_inverse()?;
     let mut told = (found.covariance.try_inverse()? - prior).symmetric_eigen();
     told.eigenvalues.iter_mut().for_each(|v| *v = v.max(0.0));
     let pull = se3::log(&prediction.t_odom_base.inv_mul(&found.t_odom_base));
-    Some(Registration { t_odom_found: found.t_odom_base, information: told.recompose(), gradient: -(prior * pull) })
+    Some(PoseFactor { t_odom_found: found.t_odom_base, information: told.recompose(), gradient: -(prior * pull) })
 }
 
 mod seed {

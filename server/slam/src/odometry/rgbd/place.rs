@@ -5,7 +5,7 @@ use super::frame::Frame;
 use super::noise::sigma;
 use super::surfels::{Surfels, View, pixel};
 use super::{frame::Rigid32, seed};
-use crate::odometry::Match;
+use crate::odometry::Registration;
 use nalgebra::Matrix3;
 use percept_geometry::{CameraIntrinsics, Covariance6, KeyframeScan, Pose, se3};
 
@@ -69,7 +69,13 @@ pub(crate) fn place(
 }
 
 /// Renders at the pose found and counts what agrees with it and what does not.
-fn judged(surfels: &Surfels, frame: &Frame, camera: &CameraIntrinsics, scan: &KeyframeScan, found: Match) -> Placed {
+fn judged(
+    surfels: &Surfels,
+    frame: &Frame,
+    camera: &CameraIntrinsics,
+    scan: &KeyframeScan,
+    found: Registration,
+) -> Placed {
     let mut view = View::default();
     surfels.render(camera, &found.t_odom_base, &mut view);
     let identity = Rigid32::from(&Pose::identity());
