@@ -169,7 +169,7 @@ fn run(pipeline: &mut Pipeline, recording: &Dataset, harder: &Harder) -> Result<
         let ms = processor_ms() - before;
         let Some(pose) = report.pose else { continue };
         let is_placed = report.trajectory.is_some_and(|t| t.tracked);
-        let at = Stamped { stamp: frame.stamp, value: pose.t_map_base };
+        let at = Stamped { stamp: pose.stamp, value: pose.t_map_base };
         answers.push(Answer { state: pose.state, is_placed, ms, at });
     }
     Ok(answers)

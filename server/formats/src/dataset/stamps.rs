@@ -6,6 +6,11 @@ use std::collections::BTreeMap;
 /// Nanoseconds between rows whose stamps say nothing.
 const STEP_NS: i64 = 1_000_000_000;
 
+/// A stamp so far from those of the rows around it is not jitter, nanoseconds: Intel Research Lab's is a second at most.
+const JITTER_NS: u64 = 5_000_000_000;
+/// Rows on each side that a stamp is compared with.
+const AROUND: usize = 3;
+
 /// Whether at most half of the stamps differ.
 pub(super) fn are_useless(raw: &[Timestamp]) -> bool {
     let mut sorted = raw.to_vec();
@@ -18,10 +23,11 @@ pub(super) fn are_useless(raw: &[Timestamp]) -> bool {
 /// Logs exist (Intel Research Lab) in which rows follow one another as the robot moved, while stamps jump back
 /// by up to a second. So the rows stay where they are, and the stamps are sorted and dealt out again: stamps
 /// that rise are kept, and if every stamp is within J of the truth, so is every one of the result (sorting
-/// never enlarges the largest error). Equal ones are parted by a nanosecond. If at most half of the stamps
+/// never enlarges the largest error). Stamps that are none, as zeros among others (Freiburg, building 101), are taken from
+/// the row before: sorted, they would shift all others. Equal ones are parted by a nanosecond. If at most half of the stamps
 /// differ, they are useless, and rows are a second apart from the first stamp on.
 pub(super) fn strictly_increasing(raw: &[Timestamp]) -> Vec<Timestamp> {
-    let mut out = raw.to_vec();
+    let mut out = without_outliers(raw);
     out.sort_unstable();
     if are_useless(raw) {
         let row = |i| Timestamp(raw[0].0.saturating_add(i as i64 * STEP_NS));
@@ -29,6 +35,25 @@ pub(super) fn strictly_increasing(raw: &[Timestamp]) -> Vec<Timestamp> {
     }
     for i in 1..out.len() {
         out[i] = out[i].max(Timestamp(out[i - 1].0.saturating_add(1)));
+    }
+    out
+}
+
+/// The stamps, those that are far from the median of the rows around them as that of the row before. The first and the last
+/// may be apart from the others, where they are in order: there may have been a pause.
+fn without_outliers(raw: &[Timestamp]) -> Vec<Timestamp> {
+    let mut out: Vec<Timestamp> = Vec::with_capacity(raw.len());
+    for (i, &stamp) in raw.iter().enumerate() {
+        let mut around = raw[i.saturating_sub(AROUND)..raw.len().min(i + AROUND + 1)].to_vec();
+        around.sort_unstable();
+        let median = around[around.len() / 2];
+        let is_far = stamp.0.abs_diff(median.0) > JITTER_NS;
+        let is_in_order = match (i, raw.len() - 1 - i) {
+            (0, _) => stamp <= median,
+            (_, 0) => stamp >= median,
+            _ => false,
+        };
+        out.push(if is_far && !is_in_order { out.last().copied().unwrap_or(median) } else { stamp });
     }
     out
 }
@@ -57,6 +82,20 @@ mod tests {
         assert_eq!(repaired(&[10, 20, 35, 36]), [10, 20, 35, 36]);
         assert_eq!(repaired(&[0, 100, 60, 200, 200]), [0, 60, 100, 200, 201]);
         assert_eq!(repaired(&[5, 5, 5]), [5, 5 + STEP_NS, 5 + 2 * STEP_NS]);
+    }
+
+    #[test]
+    fn rows_without_a_stamp_shift_no_others() {
+        let s = |rows: &[i64]| rows.iter().map(|t| t * 1_000_000_000).collect::<Vec<i64>>();
+        let raw = s(&[150, 151, 152, 0, 153, 154, 0, 0, 155, 900, 901, 902]);
+        let found = repaired(&raw);
+        for (i, &t) in raw.iter().enumerate().filter(|(_, t)| **t > 0) {
+            assert_eq!(found[i], t, "row {i}");
+        }
+        assert!((152_000_000_000..153_000_000_000).contains(&found[3]));
+        // A pause is no outlier, whether before the second row or the last.
+        let pauses = s(&[0, 150, 151, 152, 153, 300]);
+        assert_eq!(repaired(&pauses), pauses);
     }
 
     #[test]
