@@ -7,8 +7,9 @@
 //! keyframe, so that none waits for it: meanwhile the robot drives on.
 
 use super::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Region, Search};
-use super::measure::{Measurement, Refused, Strictness, Visits};
-use super::{CELL_M, Kept, MIN_SCORE, MIN_SCORE_LOST, NEAR_M, closure, length, visit};
+use super::known_map::{KnownMap, MAX_PLACES, NODES_A_VIEW, POINTS_A_NODE};
+use super::measure::{Refused, Strictness, Visits};
+use super::{CELL_M, Kept, MIN_SCORE, MIN_SCORE_LOST, closure};
 use crate::loops::LoopClosure;
 use nalgebra::{Isometry2, Point2};
 use percept_geometry::{KeyframeId, KeyframeScan};
@@ -18,14 +19,8 @@ use std::sync::Arc;
 /// Work for one keyframe, in nodes of the search: a node is a microsecond or two, so this is some 60 ms. Keyframes of a robot that
 /// drives quickly are a third of a second apart.
 const WORK: usize = 40_000;
-/// What drawing a point of the map takes, fetching a scan whose points are drawn, and measuring a view, in nodes.
-const POINTS_A_NODE: usize = 16;
+/// What fetching a scan whose points are drawn takes, in nodes.
 const NODES_A_SCAN: usize = 50;
-const NODES_A_VIEW: usize = 4_000;
-/// Places that may fit nearly alike: where there are more, nothing tells them apart.
-const MAX_PLACES: usize = 4;
-/// Where a view is expected, it is measured to be: metres and radians.
-const WINDOW: (f64, f64) = (0.3, 0.06);
 
 /// How far is searched.
 #[derive(Debug, Clone)]
@@ -168,8 +163,9 @@ impl GlobalSearch {
             self.stage = Stage::Verifying(Verifying::of(places));
         }
         let Stage::Verifying(verifying) = &mut self.stage else { return Progress::Unfinished };
+        let map = KnownMap::as_then(kept, &self.known);
         for _ in 0..work.div_ceil(NODES_A_VIEW) {
-            if let Some(loops) = verifying.step(&self.views, kept, &self.known, visits) {
+            if let Some(loops) = verifying.step(&self.views, &map, visits) {
                 return Progress::Ended(loops);
             }
         }
@@ -183,20 +179,14 @@ impl Verifying {
     }
 
     /// Measures one view; the loops, once all is measured.
-    fn step(
-        &mut self,
-        views: &[View],
-        kept: &BTreeMap<KeyframeId, Kept>,
-        known: &BTreeMap<KeyframeId, Isometry2<f64>>,
-        visits: &mut Visits,
-    ) -> Option<Vec<LoopClosure>> {
+    fn step(&mut self, views: &[View], map: &KnownMap<'_>, visits: &mut Visits) -> Option<Vec<LoopClosure>> {
         let Some(fit) = self.places.front() else { return Some(self.best.take().unwrap_or_default()) };
         let Some(view) = views.get(self.views) else {
             let agrees = 3 * self.against <= self.agree.len();
             return self.decided(agrees);
         };
         self.views += 1;
-        match measured(view, &(fit.t * view.t_anchor_base), kept, known, visits) {
+        match map.measure(visits, &view.scan, &(fit.t * view.t_anchor_base), &Strictness::FAR) {
             Some((candidate, Ok(found))) => self.agree.push(closure(candidate, view.id, &found)),
             Some((_, Err(Refused::Contradicted(_)))) => return self.decided(false),
             // A view that leaves something open says nothing.
@@ -219,20 +209,4 @@ impl Verifying {
         (self.views, self.against) = (0, 0);
         None
     }
-}
-
-/// A view measured from the nearest keyframe; none if there is none around.
-fn measured(
-    view: &View,
-    t_map_base: &Isometry2<f64>,
-    kept: &BTreeMap<KeyframeId, Kept>,
-    known: &BTreeMap<KeyframeId, Isometry2<f64>>,
-    visits: &mut Visits,
-) -> Option<(KeyframeId, Result<Measurement, Refused>)> {
-    let cost = |t: &Isometry2<f64>| length(&(t.inverse() * t_map_base));
-    let there = known.iter().filter(|(id, _)| kept.contains_key(id));
-    let (&candidate, t) = there.min_by(|a, b| cost(a.1).total_cmp(&cost(b.1))).filter(|p| cost(p.1) < 2.0 * NEAR_M)?;
-    let around = visit(kept, candidate, view.id, known);
-    let guess = t.inverse() * t_map_base;
-    Some((candidate, visits.measure(&around, &view.scan, &guess, WINDOW, &Strictness::FAR)))
 }

@@ -9,6 +9,7 @@
 
 pub(super) mod branch_and_bound;
 mod global_search;
+mod known_map;
 mod links;
 mod measure;
 mod relocaliser;

@@ -8,22 +8,18 @@
 //! from the way; where it finds that view, the robot is as far from there as odometry says, and the newest view has to agree.
 
 use super::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Search};
-use super::measure::{Measurement, Refused, Strictness, Visits};
-use super::{CELL_M, Kept, MIN_SCORE_LOST, NEAR_M, QUERY_M, ends, length, spread_out, visit};
+use super::known_map::{KnownMap, MAX_PLACES, NODES_A_VIEW, POINTS_A_NODE};
+use super::measure::{Refused, Strictness, Visits};
+use super::{CELL_M, Kept, MIN_SCORE_LOST, QUERY_M, ends, spread_out};
 use crate::loops::{KeyframePoses, Relocalisation};
 use crate::odometry::lidar2d::planar;
 use nalgebra::Isometry2;
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, Timestamp};
 use std::collections::BTreeMap;
-use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
-/// Places that may fit nearly alike: where there are more, nothing tells them apart.
-const MAX_PLACES: usize = 4;
 /// Views from the way that a place is checked with, besides the one that is searched for.
 const WITNESSES: usize = 5;
-/// Where a view is expected by odometry, it is measured to be: metres and radians.
-const WINDOW: (f64, f64) = (0.3, 0.06);
 /// Driving since the robot was lost before it is found again: one view resembles too many, metres.
 const FOUND_AFTER_M: f64 = 1.5;
 /// Work for one question, in nodes of the search: a node is a microsecond or two, so this is some 40 ms.
@@ -32,9 +28,6 @@ const WORK: usize = 24_000;
 /// beyond those that the coarsest nodes take, which there are more of in a larger map.
 const MOST_STEPS: usize = 16;
 const STEPS_BEYOND: usize = 8;
-/// What drawing a point of the map takes, and measuring a view, in nodes.
-const POINTS_A_NODE: usize = 16;
-const NODES_A_VIEW: usize = 4_000;
 
 /// A view from the way, and where its base is seen from the base of the view that is searched for.
 type Seen = (Isometry2<f64>, Arc<KeyframeScan>);
@@ -276,43 +269,4 @@ fn way_m(before: &[(Pose, Arc<KeyframeScan>)]) -> f64 {
     let here = Pose::identity();
     let stations: Vec<&Pose> = before.iter().map(|(t, _)| t).chain([&here]).collect();
     stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum()
-}
-
-/// Keyframes where they are believed to be.
-struct KnownMap<'a> {
-    kept: &'a BTreeMap<KeyframeId, Kept>,
-    known: BTreeMap<KeyframeId, Isometry2<f64>>,
-}
-
-impl<'a> KnownMap<'a> {
-    fn of(kept: &'a BTreeMap<KeyframeId, Kept>, poses: &KeyframePoses) -> Self {
-        let known = poses.iter().filter(|(id, _)| kept.contains_key(id)).map(|(id, t)| (*id, planar(t))).collect();
-        Self { kept, known }
-    }
-
-    /// Differs where the keyframes or their poses differ.
-    fn hash(&self) -> u64 {
-        let mut hasher = rustc_hash::FxHasher::default();
-        for (id, t) in &self.known {
-            let v = [t.translation.x, t.translation.y, t.rotation.angle()];
-            (id.0, v.map(f64::to_bits)).hash(&mut hasher);
-        }
-        hasher.finish()
-    }
-
-    /// A view measured from the nearest keyframe; none if there is none around.
-    fn measure(
-        &self,
-        visits: &mut Visits,
-        scan: &KeyframeScan,
-        t_map_base: &Isometry2<f64>,
-        strictness: &Strictness,
-    ) -> Option<(KeyframeId, Result<Measurement, Refused>)> {
-        let cost = |t: &Isometry2<f64>| length(&(t.inverse() * t_map_base));
-        let nearest = self.known.iter().min_by(|a, b| cost(a.1).total_cmp(&cost(b.1)));
-        let (&keyframe, t) = nearest.filter(|p| cost(p.1) < 2.0 * NEAR_M)?;
-        let visit = visit(self.kept, keyframe, KeyframeId(u64::MAX), &self.known);
-        let guess = t.inverse() * t_map_base;
-        Some((keyframe, visits.measure(&visit, scan, &guess, WINDOW, strictness)))
-    }
 }
