@@ -95,27 +95,28 @@ pub(crate) fn check_id(id: &str) -> Result<(), StoreError> {
     Err(StoreError::InvalidKey { segment: shortened(id), requirement: "1 to 256 characters of a-z A-Z 0-9 _ -" })
 }
 
-/// Every id's newest entry. With `sweep`, entries that say `purged` for long enough are removed.
-pub(crate) async fn list(objects: &dyn ObjectStore, sweep: bool) -> Result<Vec<CatalogueEntry>, StoreError> {
+/// Tells every id's newest entry, in the order of ids, as it is read: their records together may be large. With `sweep`, entries
+/// that say `purged` for long enough are removed.
+pub(crate) async fn for_each(
+    objects: &dyn ObjectStore,
+    sweep: bool,
+    mut tell: impl FnMut(CatalogueEntry),
+) -> Result<(), StoreError> {
     let newest = numbers(objects, &Path::from(FOLDER)).await?;
     let reads = newest.into_iter().filter_map(|(id, numbers)| Some((id, numbers.last().copied()?)));
-    let entries: Vec<_> =
-        futures::stream::iter(reads.map(|(id, number)| async move { read(objects, &id, number).await }))
-            .buffered(READS_AT_ONCE)
-            .try_collect()
-            .await?;
-    let mut listed = Vec::with_capacity(entries.len());
-    for found in entries.into_iter().flatten() {
-        match found.content {
-            Content::Entry(entry) => listed.push(entry),
-            Content::Purged if sweep && blobs::age(&found.meta) > PURGED_STAYS => {
-                let deleted = objects.delete(&found.meta.location).await;
+    let mut entries = futures::stream::iter(reads.map(|(id, number)| async move { read(objects, &id, number).await }))
+        .buffered(READS_AT_ONCE);
+    while let Some(found) = entries.try_next().await? {
+        match found.map(|found| (found.content, found.meta)) {
+            Some((Content::Entry(entry), _)) => tell(entry),
+            Some((Content::Purged, meta)) if sweep && blobs::age(&meta) > PURGED_STAYS => {
+                let deleted = objects.delete(&meta.location).await;
                 unless_missing(deleted).map_err(|error| StoreError::from_object("delete a catalogue entry", error))?;
             }
-            Content::Purged => {}
+            Some((Content::Purged, _)) | None => {}
         }
     }
-    Ok(listed)
+    Ok(())
 }
 
 /// The number of the newest entry by id.

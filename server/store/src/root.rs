@@ -137,7 +137,17 @@ impl DataRoot {
     /// # Errors
     /// [`StoreError::Io`].
     pub async fn list(&self) -> Result<Vec<CatalogueEntry>, StoreError> {
-        catalogue::list(self.objects.as_ref(), self.shared).await
+        let mut listed = vec![];
+        self.for_each(|entry| listed.push(entry)).await?;
+        Ok(listed)
+    }
+
+    /// Tells the newest entry of every id, in the order of ids, one after the other as they are read.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub async fn for_each(&self, tell: impl FnMut(CatalogueEntry)) -> Result<(), StoreError> {
+        catalogue::for_each(self.objects.as_ref(), self.shared, tell).await
     }
 
     /// The newest entry of one id.

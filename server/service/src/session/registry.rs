@@ -64,13 +64,12 @@ impl Registry {
         let room = Arc::new(AtomicUsize::new(limits.max_session_memory_mb << 20));
         let registry = Self { root, compute, limits, defaults, waking, first_token, room, fleet, sessions };
         let mut buried = Vec::new();
-        for entry in registry.root.list().await.map_err(|e| store_error(&e))? {
-            match entry {
-                CatalogueEntry::Deleted { place } => buried.push(place),
-                CatalogueEntry::Created { place, record } => registry.take_in(place, &record),
-                CatalogueEntry::Damaged { place } => registry.take_in_damaged(place),
-            }
-        }
+        let take_in = |entry| match entry {
+            CatalogueEntry::Deleted { place } => buried.push(place),
+            CatalogueEntry::Created { place, record } => registry.take_in(place, &record),
+            CatalogueEntry::Damaged { place } => registry.take_in_damaged(place),
+        };
+        registry.root.for_each(take_in).await.map_err(|e| store_error(&e))?;
         let registry = Arc::new(registry);
         let this = Arc::clone(&registry);
         tokio::spawn(async move {
