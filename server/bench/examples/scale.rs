@@ -115,9 +115,12 @@ fn rss_mb() -> f64 {
     text.split_whitespace().nth(1).and_then(|pages| pages.parse::<f64>().ok()).unwrap_or(0.0) * 4096.0 / 1e6
 }
 
-/// Does what is done beside frames, on a thread of its own, and counts its time.
+/// Does what is done beside frames, on threads of its own, and counts its time. Frames come here faster than a robot's, so that
+/// they would do it themselves before a thread has woken: it has begun when it is told to, while a thread is free.
 struct Beside {
     pool: rayon::ThreadPool,
+    /// Batches that are not done.
+    open: Arc<AtomicUsize>,
     /// What each batch took, milliseconds, and how many keyframes there were.
     batches: Arc<Mutex<Vec<(f64, usize)>>>,
     num_keyframes: Arc<AtomicUsize>,
@@ -126,13 +129,21 @@ struct Beside {
 impl Executor for Beside {
     fn spawn(&self, work: Box<dyn FnOnce() + Send>) {
         let (batches, num_keyframes) = (Arc::clone(&self.batches), Arc::clone(&self.num_keyframes));
+        let (begun, begins) = std::sync::mpsc::sync_channel(1);
+        let open = Arc::clone(&self.open);
+        let is_free = open.fetch_add(1, Ordering::Relaxed) < self.pool.current_num_threads();
         self.pool.spawn(move || {
+            let _ = begun.send(());
             let start = cpu_ms();
             work();
+            open.fetch_sub(1, Ordering::Relaxed);
             if let Ok(mut batches) = batches.lock() {
                 batches.push((cpu_ms() - start, num_keyframes.load(Ordering::Relaxed)));
             }
         });
+        if is_free {
+            let _ = begins.recv();
+        }
     }
 }
 
@@ -215,7 +226,9 @@ fn run(args: &Args) -> Result<(), Failure> {
     let mut pipeline = Pipeline::new(params)?;
     let (batches, num_keyframes) = (Arc::default(), Arc::default());
     pipeline.work_beside_frames(Arc::new(Beside {
-        pool: rayon::ThreadPoolBuilder::new().num_threads(1).build()?,
+        // One for the graph, one for objects.
+        pool: rayon::ThreadPoolBuilder::new().num_threads(2).build()?,
+        open: Arc::default(),
         batches: Arc::clone(&batches),
         num_keyframes: Arc::clone(&num_keyframes),
     }));

@@ -4,6 +4,7 @@
 //! that the caller runs it in, and threads for what runs beside the frames from its [`Executor`]. Start with
 //! [`Pipeline::process`].
 
+mod beside;
 mod chunks;
 mod frame_error;
 mod frontend;
@@ -16,11 +17,12 @@ mod scene;
 mod snapshot;
 mod visibility;
 
+pub use beside::Executor;
 pub use chunks::Chunks;
 pub use frame_error::FrameError;
 pub use frontend::{MountOffset, check_frame};
 pub use lookup::{LookupError, PoseAt};
-pub use map_graph::{Executor, MapChange, NewKeyframe};
+pub use map_graph::{MapChange, NewKeyframe};
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SecondSensorParams, SlamParams};
 pub use percept_slam::{ImuFault, Loop, LoopId, LoopState};
 pub use pipeline::{FrameReport, Pipeline, may_change};

@@ -19,7 +19,6 @@ use crate::{
 };
 use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec};
 use percept_mapping::{MapStore, Submap};
-use percept_scene::ObjectChange;
 use percept_slam::{OdometryEstimate, OdometryKind};
 use std::sync::Arc;
 
@@ -55,9 +54,10 @@ impl Pipeline {
         })
     }
 
-    /// Recognises places and solves the graph beside frames, on threads of the executor's; without one, frames do it when
-    /// they need what comes of it, which is the same.
+    /// Recognises places, solves the graph and looks for objects beside frames, on threads of the executor's; without one,
+    /// frames do it when they need what comes of it, which is the same.
     pub fn work_beside_frames(&mut self, executor: Arc<dyn Executor>) {
+        self.scene.set_executor(Arc::clone(&executor));
         self.map_graph.set_executor(executor);
     }
 
@@ -72,7 +72,7 @@ impl Pipeline {
     /// Bad input, by variant; nothing was changed.
     pub fn process(&mut self, frame: &SensorFrame) -> Result<FrameReport, FrameError> {
         let Some(view) = self.frontend.take(frame)? else { return Ok(FrameReport::default()) };
-        let mut map = self.revise(|graph, update| graph.take_answers(view.stamp, update));
+        let mut map = self.revise(Some(view.stamp), |graph, update| graph.take_answers(view.stamp, update));
         let report = if view.is_of_pose_sensor { self.follow(&view) } else { self.look_beside(&view) };
         self.map_graph.build_on(report.keyframe.is_some());
         map.extend(report.map);
@@ -101,7 +101,7 @@ impl Pipeline {
         // What it has not seen it adds nothing to the map by.
         let is_keyframe_due = is_anchored && led_by.is_none();
         let keyframe = if is_keyframe_due { self.frontend.keyframe(view, &estimate) } else { None };
-        let (keyframe, changes) = keyframe.map(|k| self.add(k, before_joined.as_ref())).unzip();
+        let keyframe = keyframe.map(|k| self.add(k, before_joined.as_ref()));
 
         estimate.state = self.frontend.tracking().told(&estimate);
         let pose = PoseEstimate { led_by, ..self.pose_of(&estimate) };
@@ -111,8 +111,7 @@ impl Pipeline {
             self.map_graph.look_for_parts(stamp, sensor, keyframe.as_ref().map(|k| k.info.id));
         }
         let MapUpdate { change: map, joined, mended, .. } = update;
-        let changes = changes.unwrap_or_default();
-        FrameReport { pose: Some(pose), trajectory, keyframe, changes, joined, mended, map }
+        FrameReport { pose: Some(pose), trajectory, keyframe, joined, mended, map }
     }
 
     /// A view of a second sensor adds to the map, and leads while the pose sensor is silent.
@@ -121,8 +120,7 @@ impl Pipeline {
             return FrameReport::default();
         }
         let led = self.frontend.lead(view).map(|estimate| self.go_on(view, &estimate)).unwrap_or_default();
-        let (keyframe, changes) = self.keyframe_beside(view).unzip();
-        FrameReport { keyframe, changes: changes.unwrap_or_default(), ..led }
+        FrameReport { keyframe: self.keyframe_beside(view), ..led }
     }
 
     /// The pose goes on by a second sensor.
@@ -136,7 +134,7 @@ impl Pipeline {
     }
 
     /// Puts a view of a second sensor into the map, if it lies far enough from the one before.
-    fn keyframe_beside(&mut self, view: &View) -> Option<(NewKeyframe, Vec<ObjectChange>)> {
+    fn keyframe_beside(&mut self, view: &View) -> Option<NewKeyframe> {
         let pose = self.pose.as_ref().filter(|p| !p.state.is_lost() && p.scale.is_metric())?;
         let keyframe = self.frontend.keyframe_beside(view, (pose.stamp, pose.covariance))?;
         let near = |sensor: &SensorId, t_odom_base: &Pose| self.map_graph.keyframes_near(sensor, t_odom_base);
@@ -177,14 +175,14 @@ impl Pipeline {
         Some(before)
     }
 
-    /// Puts a keyframe into the map, and looks for objects around it.
-    fn add(&mut self, keyframe: Keyframe, before_joined: Option<&KeyframeInfo>) -> (NewKeyframe, Vec<ObjectChange>) {
+    /// Puts a keyframe into the map, and has objects looked for around it.
+    fn add(&mut self, keyframe: Keyframe, before_joined: Option<&KeyframeInfo>) -> NewKeyframe {
         let is_sparse = keyframe.kind == SensorKind::Camera;
         let stamp = keyframe.scan.stamp;
         let keyframe = self.map_graph.add(keyframe, || self.frontend.up(stamp), before_joined);
         self.count_memory();
-        let changes = self.scene.observe(&self.map_graph.map().layers(), &keyframe, is_sparse);
-        (keyframe, changes)
+        self.scene.look_around(self.map_graph.map().layers(), &keyframe, is_sparse);
+        keyframe
     }
 
     fn count_memory(&mut self) {

@@ -1,23 +1,52 @@
 //! The scene: objects that are looked for in the map around new keyframes, followed through time, and moved with the map.
+//!
+//! They are looked for beside the frames. What was found enters at the first frame that is [`DELAY_S`] younger than the
+//! keyframe, moved by what the keyframe was moved by meanwhile.
 
+use crate::beside::{Executor, Task};
 use crate::visibility::RangeImage;
 use crate::{Chunks, DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams};
+use nalgebra::Point3;
 use percept_geometry::{KeyframeId, Pose, Timestamp};
 use percept_mapping::MapLayers;
-use percept_perception::detection::Detector;
+use percept_perception::detection::{Detection, Detector};
+use percept_scene::overlap::upright;
 use percept_scene::{Object, ObjectChange, Observation, Tracker, Visibility};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
+/// What was found around a keyframe is taken in so many seconds after it. A search takes 0.05 to 0.1 s on one core around a 3D
+/// lidar in rooms (`scale lidar3d`), so that frames of a busy server do not wait either; objects are told that much later.
+const DELAY_S: f64 = 0.5;
 /// Objects this near to the edge of the searched part of the map may be cut by it, metres.
 const SEARCH_EDGE_M: f64 = 1.5;
 
 /// Detector, tracker, objects.
 pub(crate) struct Scene {
     settings: DetectionSettings,
-    detector: Detector,
+    detector: Arc<Detector>,
+    executor: Option<Arc<dyn Executor>>,
+    /// Begun and not taken in, oldest first.
+    searches: VecDeque<Search>,
     tracker: Tracker,
     objects: Arc<Vec<Object>>,
+}
+
+/// A search for objects around a keyframe.
+struct Search {
+    keyframe: KeyframeId,
+    stamp: Timestamp,
+    /// Base to map when it was begun.
+    t_map_base: Pose,
+    range_m: f64,
+    task: Task<Found>,
+}
+
+/// What came of a search.
+struct Found {
+    /// In the map as it was when the search was begun.
+    observations: Vec<Observation>,
+    ranges: RangeImage,
 }
 
 impl Scene {
@@ -29,6 +58,8 @@ impl Scene {
         Ok(Self {
             settings: params.detection.clone(),
             detector: detector(&params.detection)?,
+            executor: None,
+            searches: VecDeque::new(),
             tracker: Tracker::new(params.tracker.clone()).map_err(|e| ParamsError::of("tracker", e))?,
             objects: Arc::default(),
         })
@@ -63,30 +94,71 @@ impl Scene {
         self.objects = Arc::new(self.tracker.objects());
     }
 
-    /// Looks for objects in the map around a new keyframe. `is_sparse`: its sensor sees too little for that, a camera alone.
-    pub(crate) fn observe(&mut self, layers: &MapLayers, keyframe: &NewKeyframe, is_sparse: bool) -> Vec<ObjectChange> {
+    /// Looks for objects beside frames, on threads of the executor's.
+    pub(crate) fn set_executor(&mut self, executor: Arc<dyn Executor>) {
+        self.executor = Some(executor);
+    }
+
+    /// Begins to look for objects in the map around a new keyframe. `is_sparse`: its sensor sees too little for that, a camera
+    /// alone.
+    pub(crate) fn look_around(&mut self, layers: MapLayers, keyframe: &NewKeyframe, is_sparse: bool) {
         if !self.settings.enabled || keyframe.scan.planar || is_sparse {
-            return vec![];
+            return;
         }
-        let center = nalgebra::Point3::from(keyframe.info.t_map_base.translation.vector);
-        let cloud = layers.cloud.points_within(&center, self.settings.range_m);
-        // The fused cloud is sound by construction; a detector that refuses it finds nothing.
-        let found = self.detector.detect(&cloud).unwrap_or_default();
-        let observations: Vec<Observation> = found
-            .iter()
-            .map(|d| Observation { class: d.class, confidence: d.confidence, bbox: d.bbox, num_points: d.num_points })
-            .collect();
-        let range_image = RangeImage::new(&keyframe.info.t_map_base, &keyframe.scan);
-        let stamp = keyframe.info.stamp;
+        let (t_map_base, range_m) = (keyframe.info.t_map_base, self.settings.range_m);
+        let (detector, cloud, scan) = (Arc::clone(&self.detector), layers.cloud, Arc::clone(&keyframe.scan));
+        let task = Task::begin(self.executor.as_ref(), move || {
+            let around = cloud.points_within(&t_map_base.translation.vector.into(), range_m);
+            // The fused cloud is sound by construction; a detector that refuses it finds nothing.
+            let found = detector.detect(&around).unwrap_or_default();
+            let observation = |d: &Detection| Observation {
+                class: d.class,
+                confidence: d.confidence,
+                bbox: d.bbox,
+                num_points: d.num_points,
+            };
+            Found { observations: found.iter().map(observation).collect(), ranges: RangeImage::new(&scan) }
+        });
+        let (keyframe, stamp) = (keyframe.info.id, keyframe.info.stamp);
+        self.searches.push_back(Search { keyframe, stamp, t_map_base, range_m, task });
+    }
+
+    /// Whether something is being looked for.
+    pub(crate) fn is_looking(&self) -> bool {
+        !self.searches.is_empty()
+    }
+
+    /// Takes in what was found and is due at a frame; all that was begun, if there is none. `keyframes` are where they are now.
+    pub(crate) fn take_found(
+        &mut self,
+        frame: Option<Timestamp>,
+        keyframes: &Chunks<KeyframeInfo>,
+    ) -> Vec<ObjectChange> {
+        let mut changes = vec![];
+        let is_due = |s: &mut Search| frame.is_none_or(|now| now >= s.stamp.plus_seconds(DELAY_S));
+        while let Some(search) = self.searches.pop_front_if(is_due) {
+            changes.extend(self.take_in(&search, keyframes));
+            self.objects = Arc::new(self.tracker.objects());
+        }
+        changes
+    }
+
+    fn take_in(&mut self, search: &Search, keyframes: &Chunks<KeyframeInfo>) -> Vec<ObjectChange> {
+        let Found { mut observations, ranges } = search.task.finished();
+        let keyframe = usize::try_from(search.keyframe.0).ok().and_then(|i| keyframes.get(i));
+        let t_map_base = keyframe.map_or(search.t_map_base, |k| k.t_map_base);
+        if t_map_base != search.t_map_base {
+            let t_new_old = t_map_base * search.t_map_base.inverse();
+            observations.iter_mut().for_each(|o| o.bbox = upright(&o.bbox.transformed(&t_new_old)));
+        }
+        let center = Point3::from(t_map_base.translation.vector);
         // The detector sees all of the map around the robot: what it does not find there is no thing of its own.
-        let searched_m = self.settings.range_m - SEARCH_EDGE_M;
-        let changes = self.tracker.update(stamp, &observations, &|b| match range_image.visibility(b) {
+        let searched_m = search.range_m - SEARCH_EDGE_M;
+        self.tracker.update(search.stamp, &observations, &|b| match ranges.visibility(&t_map_base, b) {
             Visibility::SeenThrough => Visibility::SeenThrough,
             _ if (b.center() - center).norm() < searched_m => Visibility::Refuted,
             unsure => unsure,
-        });
-        self.objects = Arc::new(self.tracker.objects());
-        changes
+        })
     }
 
     /// Keyframes moved, by `t_new_old` in the map: each object follows the one nearest in time to when it was last seen.
@@ -102,6 +174,6 @@ impl Scene {
     }
 }
 
-fn detector(settings: &DetectionSettings) -> Result<Detector, ParamsError> {
-    Detector::new(settings.detector).map_err(|e| ParamsError::of("detection.detector", e))
+fn detector(settings: &DetectionSettings) -> Result<Arc<Detector>, ParamsError> {
+    Detector::new(settings.detector).map(Arc::new).map_err(|e| ParamsError::of("detection.detector", e))
 }

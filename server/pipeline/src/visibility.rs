@@ -14,13 +14,13 @@ const SHARE: f64 = 0.6;
 
 /// Nearest range in every direction around the sensor.
 pub(crate) struct RangeImage {
-    t_sensor_map: Pose,
+    t_base_sensor: Pose,
     /// ROWS x COLUMNS, metres; infinite where nothing was measured.
     nearest: Vec<f32>,
 }
 
 impl RangeImage {
-    pub(crate) fn new(t_map_base: &Pose, scan: &KeyframeScan) -> Self {
+    pub(crate) fn new(scan: &KeyframeScan) -> Self {
         let t_sensor_base = scan.t_base_sensor.inverse();
         let mut nearest = vec![f32::INFINITY; ROWS * COLUMNS];
         for p in &scan.hits.positions {
@@ -29,15 +29,16 @@ impl RangeImage {
                 nearest[i] = nearest[i].min(q.coords.norm() as f32);
             }
         }
-        Self { t_sensor_map: (t_map_base * scan.t_base_sensor).inverse(), nearest }
+        Self { t_base_sensor: scan.t_base_sensor, nearest }
     }
 
-    /// Whether surfaces were measured behind most of the box.
-    pub(crate) fn visibility(&self, bbox: &OrientedBox3) -> Visibility {
+    /// Whether surfaces were measured behind most of a box in the map, by a robot at `t_map_base`.
+    pub(crate) fn visibility(&self, t_map_base: &Pose, bbox: &OrientedBox3) -> Visibility {
+        let t_sensor_map = (t_map_base * self.t_base_sensor).inverse();
         let (mut through, mut hit, mut total) = (0.0, 0.0, 0.0);
         for p in sample_points(bbox) {
             total += 1.0;
-            let q = self.t_sensor_map * p;
+            let q = t_sensor_map * p;
             let range = q.coords.norm() as f32;
             let Some(i) = bin(&q) else { continue };
             match self.nearest[i] {

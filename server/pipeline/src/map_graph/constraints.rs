@@ -1,7 +1,7 @@
 //! The back end as the map graph has it: constraints, place index, optimisation and culling, at work beside the frames.
 
-use super::worker::{Answers, Executor, GraphWorker, Question};
-use crate::SlamParams;
+use super::worker::{Answers, GraphWorker, Question};
+use crate::{Executor, SlamParams};
 use percept_geometry::Timestamp;
 use percept_slam::loops::place_recognition;
 use percept_slam::{BackEnd, BackEndMemory, Loop, OdometryKind, OdometryNoise};

@@ -25,9 +25,8 @@ pub(crate) use restore::End;
 pub(crate) use revising::Decision;
 pub(crate) use update::MapUpdate;
 pub use update::{MapChange, NewKeyframe};
-pub use worker::Executor;
 
-use crate::{KeyframeInfo, ParamsError, PipelineParams, SessionMemory, SlamParams, TrajectoryEntry};
+use crate::{Executor, KeyframeInfo, ParamsError, PipelineParams, SessionMemory, SlamParams, TrajectoryEntry};
 use atlas::Atlas;
 use constraints::Constraints;
 use keyframes::Keyframes;

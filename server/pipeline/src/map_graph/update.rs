@@ -2,6 +2,7 @@
 
 use crate::{KeyframeInfo, Merged, TrajectoryEntry};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
+use percept_scene::ObjectChange;
 use percept_slam::{Loop, LoopId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -30,6 +31,8 @@ pub struct MapChange {
     pub corrected: BTreeMap<KeyframeId, Pose>,
     /// Keyframes that others stand for from now on, or through yet others than before.
     pub merged: Vec<(KeyframeInfo, Merged)>,
+    /// What changed about objects, but for where they are by corrections.
+    pub objects: Vec<ObjectChange>,
 }
 
 impl MapChange {
@@ -40,6 +43,7 @@ impl MapChange {
         // Who moved twice is where it moved last.
         self.corrected.extend(later.corrected);
         self.merged.extend(later.merged);
+        self.objects.extend(later.objects);
     }
 }
 

@@ -1,21 +1,13 @@
 //! The back end works beside the frames, so that no frame waits for places to be recognised or for the graph to be solved.
 //!
 //! What is asked of it is answered at a later frame, the first that is [`delay_s`] of the session's time younger than the
-//! frame at which the work was begun. So what comes of the same frames is the same, however fast the machine is; where the work
-//! takes longer than that, the frame waits for it. One batch of questions is worked on at a time, and the next holds what
+//! frame at which the work was begun; where the work takes longer than that, the frame waits for it. One batch of questions is worked on at a time, and the next holds what
 //! was asked meanwhile, or some of it.
 
+use crate::beside::{Executor, Task};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, Timestamp};
 use percept_slam::{BackEnd, BackEndKeyframe, BackEndMemory, BackEndUpdate, Loop, Relocalisation};
-use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-
-/// Runs work beside frames, in the order of being told to.
-pub trait Executor: Send + Sync {
-    /// Runs it some time. It may be dropped instead: whoever needs it does it then.
-    fn spawn(&self, work: Box<dyn FnOnce() + Send>);
-}
+use std::sync::Arc;
 
 /// A batch's answers are taken in so many seconds after it was begun: a batch of a few keyframes takes up to a tenth of that
 /// in a small map, so that frames of a busy server do not wait either.
@@ -95,7 +87,7 @@ pub(crate) struct GraphWorker {
 enum State {
     AtRest(Box<BackEnd>),
     AtWork {
-        batch: Arc<Batch>,
+        batch: Task<(Box<BackEnd>, Answers)>,
         /// When its answers are taken in.
         due: Timestamp,
     },
@@ -156,15 +148,14 @@ impl GraphWorker {
         if self.questions.is_empty() || !self.is_at_rest() {
             return;
         }
-        let State::AtRest(back_end) = std::mem::replace(&mut self.state, State::Moving) else { return };
+        let State::AtRest(mut back_end) = std::mem::replace(&mut self.state, State::Moving) else { return };
         let rest = self.questions.split_off(MOST_QUESTIONS.min(self.questions.len()));
         let questions = std::mem::replace(&mut self.questions, rest);
         let due = stamp.plus_seconds(delay_s(back_end.poses().len(), &questions));
-        let batch = Arc::new(Batch::new(back_end, questions));
-        if let Some(executor) = &self.executor {
-            let batch = Arc::clone(&batch);
-            executor.spawn(Box::new(move || batch.run()));
-        }
+        let batch = Task::begin(self.executor.as_ref(), move || {
+            let answers = work(&mut back_end, questions);
+            (back_end, answers)
+        });
         self.state = State::AtWork { batch, due };
     }
 
@@ -174,77 +165,6 @@ impl GraphWorker {
         let (back_end, answers) = batch.finished();
         self.state = State::AtRest(back_end);
         Some(answers)
-    }
-}
-
-/// Questions being worked on, by whoever comes first: the executor, or the frame that needs the answers.
-struct Batch {
-    stage: Mutex<Stage>,
-    changed: Condvar,
-}
-
-enum Stage {
-    Waiting(Box<BackEnd>, Vec<Question>),
-    Running,
-    Done(Box<BackEnd>, Answers),
-    /// The work panicked.
-    Failed(Box<dyn Any + Send>),
-    /// The answers were fetched.
-    Over,
-}
-
-impl Batch {
-    fn new(back_end: Box<BackEnd>, questions: Vec<Question>) -> Self {
-        Self { stage: Mutex::new(Stage::Waiting(back_end, questions)), changed: Condvar::new() }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Stage> {
-        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Does the work, unless somebody has begun it.
-    fn run(&self) {
-        let (mut back_end, questions) = {
-            let mut stage = self.lock();
-            match std::mem::replace(&mut *stage, Stage::Running) {
-                Stage::Waiting(back_end, questions) => (back_end, questions),
-                other => {
-                    *stage = other;
-                    return;
-                }
-            }
-        };
-        // A panic is the session's to bear, not the thread's.
-        let done = catch_unwind(AssertUnwindSafe(|| {
-            let answers = work(&mut back_end, questions);
-            (back_end, answers)
-        }));
-        *self.lock() = match done {
-            Ok((back_end, answers)) => Stage::Done(back_end, answers),
-            Err(panic) => Stage::Failed(panic),
-        };
-        self.changed.notify_all();
-    }
-
-    /// What came of it, once; does the work if nobody has begun it.
-    ///
-    /// # Panics
-    /// As the work did.
-    fn finished(&self) -> (Box<BackEnd>, Answers) {
-        self.run();
-        let mut stage = self.lock();
-        loop {
-            match std::mem::replace(&mut *stage, Stage::Over) {
-                Stage::Done(back_end, answers) => return (back_end, answers),
-                Stage::Failed(panic) => {
-                    drop(stage);
-                    resume_unwind(panic)
-                }
-                Stage::Over => resume_unwind(Box::new("the back end had failed before")),
-                other @ (Stage::Waiting(..) | Stage::Running) => *stage = other,
-            }
-            stage = self.changed.wait(stage).unwrap_or_else(PoisonError::into_inner);
-        }
     }
 }
 

@@ -1,7 +1,6 @@
 //! What a frame did.
 
 use crate::{MapChange, NewKeyframe, PoseEstimate, TrajectoryEntry};
-use percept_scene::ObjectChange;
 
 /// What a frame did.
 #[derive(Debug, Clone, Default)]
@@ -12,13 +11,11 @@ pub struct FrameReport {
     pub trajectory: Option<TrajectoryEntry>,
     /// Set if it became a keyframe.
     pub keyframe: Option<NewKeyframe>,
-    /// What it changed about objects.
-    pub changes: Vec<ObjectChange>,
     /// Keyframes of a part of the map that joined it with this frame, or became it; older than `keyframe`.
     pub joined: Vec<NewKeyframe>,
     /// Entries of the trajectory that are now known better, ascending: of frames since the robot was unanchored, which hang on the
     /// keyframes that joined, and of frames in what is not the map any more, which are not tracked.
     pub mended: Vec<TrajectoryEntry>,
-    /// What changed in the map besides.
+    /// What changed besides, by what was begun at frames before.
     pub map: MapChange,
 }

@@ -26,7 +26,7 @@ fn driven() -> (Pipeline, Vec<SensorFrame>) {
 }
 
 fn decide(pipeline: &mut Pipeline, decision: Decision) -> MapChange {
-    pipeline.revise(|graph, update| graph.decide(decision, update))
+    pipeline.revise(None, |graph, update| graph.decide(decision, update))
 }
 
 fn newest_keyframe(pipeline: &Pipeline) -> &KeyframeInfo {

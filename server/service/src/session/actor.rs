@@ -203,14 +203,14 @@ impl Actor {
         if let Some(bytes) = memory {
             self.session.share.memory(bytes);
         }
-        let objects_changed = !report.changes.is_empty() || !report.map.corrected.is_empty();
+        let objects_changed = !report.map.objects.is_empty() || !report.map.corrected.is_empty();
         let objects = objects_changed.then(|| (Arc::clone(&snapshot.objects), snapshot.next_object_id));
         self.publish(&report, snapshot);
         let keyframe = report.keyframe.as_ref().map(|k| k.info.id);
         let mut keyframes = report.joined;
         keyframes.extend(report.keyframe);
         let (frame, entry, mended) = (Some((sensor.clone(), stamp)), report.trajectory, report.mended);
-        let MapChange { loops, dissolved, corrected, merged } = report.map;
+        let MapChange { loops, dissolved, corrected, merged, .. } = report.map;
         let received = Some(came);
         let job = Job {
             received,
@@ -249,7 +249,7 @@ impl Actor {
         let loops = report.map.loops.iter().map(|l| EventKind::Loop(Box::new(l.clone())));
         let objects = self.session.snapshot().objects.clone();
         let now = |id| objects.iter().find(|o| o.id == id).copied();
-        let changes = report.changes.iter().map(|c| EventKind::Object(Box::new((*c, now(c.id)))));
+        let changes = report.map.objects.iter().map(|c| EventKind::Object(Box::new((*c, now(c.id)))));
         let map = (version != before).then_some(EventKind::MapVersion(version));
         self.session.events.publish(stamp, pose.chain(keyframes).chain(loops).chain(changes).chain(map));
     }
@@ -283,17 +283,21 @@ impl Actor {
         let Some(change) = done else { return Some(None) };
         let (map_version, objects) = (snapshot.map_version, (Arc::clone(&snapshot.objects), snapshot.next_object_id));
         let num_keyframes = change.corrected.len();
-        let is_same = change.loops.is_empty() && change.corrected.is_empty() && change.merged.is_empty();
+        let is_same = change.loops.is_empty()
+            && change.corrected.is_empty()
+            && change.merged.is_empty()
+            && change.objects.is_empty();
         if is_same {
-            // No keyframe moved, but parts of the map may have been built anew.
-            if map_version != self.session.snapshot().map_version {
+            // No keyframe moved, but parts of the map may have been built anew, and objects seen again.
+            let shown = self.session.snapshot();
+            if map_version != shown.map_version || !Arc::ptr_eq(&snapshot.objects, &shown.objects) {
                 self.publish(&FrameReport::default(), snapshot);
             }
             return Some(Some((vec![], Moved { num_keyframes, map_version, ticket: self.persister.newest() })));
         }
         let report = FrameReport { map: change, ..FrameReport::default() };
         self.publish(&report, snapshot);
-        let MapChange { loops, dissolved, corrected, merged } = report.map.clone();
+        let MapChange { loops, dissolved, corrected, merged, .. } = report.map.clone();
         let job = Job { loops, dissolved, corrected, merged, objects: Some(objects), ..Job::default() };
         let ticket = self.persister.submit(job).await;
         Some(Some((report.map.loops, Moved { num_keyframes, map_version, ticket })))
