@@ -16,6 +16,7 @@
 use super::keypoints::Described;
 use super::patches::{Patches, Sight};
 use super::uncertainty;
+use super::verify::TURNS;
 use crate::cloud::symmetric_eigen3;
 use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use percept_geometry::{Covariance6, Pose};
@@ -146,13 +147,14 @@ impl Evidence {
     }
 
     fn sights(&self, t_target_source: &Pose, patches: &Chosen) -> Vec<Sight> {
-        let forth = self.source.sights(&self.target, t_target_source, &patches.source);
-        let back = t_target_source.inverse();
-        forth.chain(self.target.sights(&self.source, &back, &patches.target)).collect()
+        let mut out = Vec::with_capacity(patches.source.len() + patches.target.len());
+        self.source.sights(&self.target, t_target_source, &patches.source, &mut out);
+        self.target.sights(&self.source, &t_target_source.inverse(), &patches.target, &mut out);
+        out
     }
 
     /// The motion turned either way about the two directions that most of what coincides faces, at the middle of that.
-    pub(super) fn turned(&self, t_target_source: &Pose, radians: f64) -> Vec<Pose> {
+    pub(super) fn turned(&self, t_target_source: &Pose, radians: f64) -> [Pose; TURNS] {
         let sum = |(sum, num): (Vector3<f64>, f64), p: Vector3<f64>| (sum + p, num + 1.0);
         let coincides = self.coinciding(t_target_source).map(|(at, _)| at.coords.cast::<f64>());
         let (sum, num) = coincides.fold((Vector3::zeros(), 0.0), sum);
@@ -161,8 +163,8 @@ impl Evidence {
             let turn = UnitQuaternion::from_scaled_axis(axis * angle);
             middle * turn * middle.inverse() * t_target_source
         };
-        let directions = self.directions(t_target_source);
-        directions[1..].iter().flat_map(|axis| [about(axis, radians), about(axis, -radians)]).collect()
+        let [_, a, b] = self.directions(t_target_source);
+        [about(&a, radians), about(&a, -radians), about(&b, radians), about(&b, -radians)]
     }
 
     /// Where the source's points come to lie that coincide with the target, and that one's normal there.

@@ -27,7 +27,7 @@ use keypoints::{Described, Keys};
 use matching::Pair;
 use percept_geometry::{PointCloud, Pose};
 use std::borrow::Cow;
-use verify::Judge;
+use verify::{Confirming, Judge, Refined};
 
 /// Fewer pairs than this are never believed.
 const FEWEST_PAIRS: usize = 6;
@@ -56,18 +56,38 @@ pub fn register_global(
     }
 }
 
-/// [`register_global`] in steps, for who has little time at once: at most seven.
+/// [`register_global`] in steps, for who has little time at once: at most [`GlobalSearch::MAX_STEPS`].
 pub struct GlobalSearch<'a> {
     params: GlobalParams,
     source: Cow<'a, PointCloud>,
     target: Cow<'a, PointCloud>,
     /// Both clouds described, from the first step on.
     judge: Option<Judge>,
-    /// The neighbourhood that comes next, and the source's features of it.
+    /// Of the neighbourhood that is being tried.
     radius: usize,
-    of_source: Option<Keys>,
+    next: Stage,
     pairs: Vec<Pair>,
     answer: GlobalResult,
+}
+
+/// What the next step does.
+enum Stage {
+    /// Describes both clouds.
+    Describe,
+    /// Finds what is particular in the source, for a neighbourhood.
+    Source,
+    /// The same in the target, and what looks alike in both.
+    Target(Keys),
+    /// Finds motions that pairs agree on.
+    Agree,
+    /// Refines the likeliest of these.
+    Refine(Vec<Candidate>),
+    /// Says which of them it is, and whether to believe it.
+    Judge(Vec<Refined>),
+    /// Aligns the answer closely.
+    Finish,
+    /// Says whether to believe it still, or tries another close alignment first.
+    Confirm(Confirming),
 }
 
 impl std::fmt::Debug for GlobalSearch<'_> {
@@ -77,8 +97,8 @@ impl std::fmt::Debug for GlobalSearch<'_> {
 }
 
 impl GlobalSearch<'_> {
-    /// More are never needed: to describe the clouds, then two for each neighbourhood.
-    pub const MAX_STEPS: usize = 1 + 2 * FEATURE_RADII.len();
+    /// More are never needed: to describe the clouds, five for each neighbourhood, to finish and to confirm.
+    pub const MAX_STEPS: usize = 3 + 5 * FEATURE_RADII.len() + verify::TURNS;
 }
 
 impl<'a> GlobalSearch<'a> {
@@ -93,63 +113,89 @@ impl<'a> GlobalSearch<'a> {
     ) -> Result<Self, RegistrationError> {
         params.validate()?;
         let (params, answer) = (params.clone(), GlobalResult::nothing(0));
-        Ok(Self { params, source, target, judge: None, radius: 0, of_source: None, pairs: vec![], answer })
+        Ok(Self { params, source, target, judge: None, radius: 0, next: Stage::Describe, pairs: vec![], answer })
     }
 
     /// Goes on for one step; answers as [`register_global`] does once that was the last.
     pub fn step(&mut self) -> Option<Result<GlobalResult, RegistrationError>> {
         match self.advance() {
-            Ok(false) => None,
-            Ok(true) => Some(Ok(if self.params.refine { self.finished() } else { self.answer.clone() })),
+            Ok(Some(next)) => {
+                self.next = next;
+                None
+            }
+            Ok(None) => Some(Ok(self.answer.clone())),
             Err(error) => Some(Err(error)),
         }
     }
 
-    /// The answer aligned closely, with how far off it may be.
-    fn finished(&self) -> GlobalResult {
-        let finish = |answer| finish::finish(answer, &self.source, &self.target, self.params.voxel_size_m);
-        let fine = match &self.judge {
-            Some(judge) if self.answer.outcome == GlobalOutcome::Found => judge.confirmed(&self.answer, finish),
-            _ => finish(self.answer.clone()),
-        };
-        let covariance = self.judge.as_ref().and_then(|j| j.evidence.covariance(&fine.t_target_source));
-        match covariance {
-            // What the refinement says is open stays open.
-            Some(covariance) if fine.degenerate_axes.contains(&true) => {
-                GlobalResult { covariance: fine.covariance + covariance, ..fine }
-            }
-            Some(covariance) => GlobalResult { covariance, ..fine },
-            None => fine,
-        }
-    }
-
-    /// Whether there is nothing more to try.
-    fn advance(&mut self) -> Result<bool, RegistrationError> {
+    /// One step; what comes next, if anything does.
+    fn advance(&mut self) -> Result<Option<Stage>, RegistrationError> {
         let Some(judge) = &self.judge else {
             let (source, target) = rayon::join(
                 || Described::new("source", &self.source, &self.params),
                 || Described::new("target", &self.target, &self.params),
             );
             self.judge = Some(Judge::new(source?, target?, &self.params)?);
-            return Ok(false);
+            return Ok(Some(Stage::Source));
         };
-        let Some(&radius) = FEATURE_RADII.get(self.radius) else { return Ok(true) };
-        let Some(of_source) = self.of_source.take() else {
-            self.of_source = Some(judge.source.keys(radius));
-            return Ok(false);
-        };
-        self.pairs.extend(matching::pairs(&of_source, &judge.target.keys(radius)));
-        let candidates = match self.params.method {
-            GlobalMethod::Consistency => consistency::candidates(&self.pairs, &self.params),
-            GlobalMethod::Ransac => ransac::candidates(&self.pairs, &self.params),
-        };
-        let found = judge.best(&candidates, self.pairs.len());
-        if found.evidence >= self.answer.evidence {
-            self.answer = found;
+        let radius = FEATURE_RADII[self.radius];
+        Ok(match std::mem::replace(&mut self.next, Stage::Finish) {
+            Stage::Describe | Stage::Source => Some(Stage::Target(judge.source.keys(radius))),
+            Stage::Target(of_source) => {
+                self.pairs.extend(matching::pairs(&of_source, &judge.target.keys(radius)));
+                Some(Stage::Agree)
+            }
+            Stage::Agree => Some(Stage::Refine(match self.params.method {
+                GlobalMethod::Consistency => consistency::candidates(&self.pairs, &self.params),
+                GlobalMethod::Ransac => ransac::candidates(&self.pairs, &self.params),
+            })),
+            Stage::Refine(candidates) => Some(Stage::Judge(judge.refine(&candidates))),
+            Stage::Judge(refined) => {
+                let found = judge.judged(&refined, self.pairs.len());
+                if found.evidence >= self.answer.evidence {
+                    self.answer = found;
+                }
+                // Wider neighbourhoods tell more apart but reach over the edges of what both clouds saw: only if need be.
+                if self.answer.outcome != GlobalOutcome::Found && self.radius + 1 < FEATURE_RADII.len() {
+                    self.radius += 1;
+                    Some(Stage::Source)
+                } else {
+                    self.params.refine.then_some(Stage::Finish)
+                }
+            }
+            Stage::Finish if self.answer.outcome == GlobalOutcome::Found => {
+                Some(Stage::Confirm(judge.confirming(&self.answer, |answer| self.aligned(answer))))
+            }
+            Stage::Finish => {
+                self.answer = measured(judge, self.aligned(self.answer.clone()));
+                None
+            }
+            Stage::Confirm(confirming) => {
+                match judge.confirm(&self.answer, confirming, |answer| self.aligned(answer)) {
+                    Ok(answer) => {
+                        self.answer = measured(judge, answer);
+                        None
+                    }
+                    Err(goes_on) => Some(Stage::Confirm(goes_on)),
+                }
+            }
+        })
+    }
+
+    fn aligned(&self, answer: GlobalResult) -> GlobalResult {
+        finish::finish(answer, &self.source, &self.target, self.params.voxel_size_m)
+    }
+}
+
+/// The answer with how far off it may be.
+fn measured(judge: &Judge, fine: GlobalResult) -> GlobalResult {
+    match judge.evidence.covariance(&fine.t_target_source) {
+        // What the refinement says is open stays open.
+        Some(covariance) if fine.degenerate_axes.contains(&true) => {
+            GlobalResult { covariance: fine.covariance + covariance, ..fine }
         }
-        // Wider neighbourhoods tell more apart but reach over the edges of what both clouds saw: only if need be.
-        self.radius += 1;
-        Ok(self.answer.outcome == GlobalOutcome::Found || self.radius == FEATURE_RADII.len())
+        Some(covariance) => GlobalResult { covariance, ..fine },
+        None => fine,
     }
 }
 

@@ -1,7 +1,7 @@
 //! A cloud as patches of surface, and the space that it shows something of.
 
 use super::keypoints::Described;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use percept_geometry::Pose;
 use rustc_hash::{FxHashMap, FxHashSet};
 
@@ -33,10 +33,11 @@ pub(super) struct Patches {
     normals: Vec<Vector3<f32>>,
     /// First of each patch's `members`, and their end.
     starts: Vec<u32>,
-    members: Vec<u32>,
+    /// Looked-up points of all patches with their normals.
+    members: Vec<(Point3<f32>, Vector3<f32>)>,
     /// Nearest point to each voxel's middle, where one is near.
     nearest: FxHashMap<u64, u32>,
-    seen: FxHashSet<u64>,
+    seen: Cells,
     size: f32,
 }
 
@@ -46,16 +47,15 @@ impl Patches {
         let points = cloud.cloud.positions.clone();
         let normals = cloud.cloud.normals.clone().unwrap_or_else(|| vec![Vector3::zeros(); points.len()]);
         let (starts, members) = grouped(&points, &normals, (PATCH * size) as f32);
+        let members = members.into_iter().map(|i| (points[i as usize], normals[i as usize])).collect();
         let size = size as f32;
         let coarse = (SEEN as f32) * size;
-        let mut seen = FxHashSet::default();
+        let mut seen = Cells::default();
         // Where what was seen ends, the space beside it is not known to be empty.
         let inside = points.iter().zip(&cloud.inside).filter(|(_, inside)| **inside);
         let occupied: FxHashSet<[i32; 3]> = inside.map(|(p, _)| cell(p, coarse)).collect();
         for at in occupied {
-            around(1).for_each(|d| {
-                seen.insert(key(std::array::from_fn(|k| at[k] + d[k])));
-            });
+            around(1).for_each(|d| seen.insert(std::array::from_fn(|k| at[k] + d[k])));
         }
         let nearest = nearest(&points, size);
         Self { points, normals, starts, members, nearest, seen, size }
@@ -72,6 +72,7 @@ impl Patches {
     }
 
     /// Index of the point that coincides with one of another cloud, both in this one's frame.
+    #[inline(always)]
     pub(super) fn partner(&self, p: &Point3<f32>, normal: &Vector3<f32>) -> Option<usize> {
         let j = *self.nearest.get(&key(cell(p, self.size)))? as usize;
         let near = (p - self.points[j]).norm_squared() <= (COINCIDE * self.size).powi(2);
@@ -79,46 +80,101 @@ impl Patches {
     }
 
     /// The looked-up points of a patch with their normals.
-    pub(super) fn of(&self, patch: usize) -> impl Iterator<Item = (&Point3<f32>, &Vector3<f32>)> {
-        let range = self.starts[patch] as usize..self.starts[patch + 1] as usize;
-        self.members[range].iter().map(|&i| (&self.points[i as usize], &self.normals[i as usize]))
+    #[inline]
+    pub(super) fn of(&self, patch: usize) -> &[(Point3<f32>, Vector3<f32>)] {
+        &self.members[self.starts[patch] as usize..self.starts[patch + 1] as usize]
     }
 
     pub(super) fn normal(&self, point: usize) -> &Vector3<f32> {
         &self.normals[point]
     }
 
-    /// What `other` shows where some patches of this cloud come to lie.
-    pub(super) fn sights<'a>(
-        &'a self,
-        other: &'a Self,
-        t_other_self: &Pose,
-        patches: &'a [u32],
-    ) -> impl Iterator<Item = Sight> + 'a {
+    /// Adds to `out` what `other` shows where some patches of this cloud come to lie.
+    pub(super) fn sights(&self, other: &Self, t_other_self: &Pose, patches: &[u32], out: &mut Vec<Sight>) {
         let r = t_other_self.rotation.to_rotation_matrix().matrix().cast::<f32>();
         let t = t_other_self.translation.vector.cast::<f32>();
+        look(self, other, &r, &t, patches, out);
+    }
+}
+
+percept_geometry::by_processor! {
+    fn look(
+        own: &Patches,
+        other: &Patches,
+        r: &Matrix3<f32>,
+        t: &Vector3<f32>,
+        patches: &[u32],
+        out: &mut Vec<Sight>,
+    ) {
+        // Plain loops: what a closure of an iterator's does is not compiled for the processor.
         let coarse = SEEN as f32 * other.size;
-        patches.iter().map(move |&patch| {
+        for &patch in patches {
             let (mut all, mut seen, mut same) = (0, 0, 0);
-            for (p, n) in self.of(patch as usize) {
+            for (p, n) in own.of(patch as usize) {
                 let p = Point3::from(r * p.coords + t);
                 all += 1;
-                if other.seen.contains(&key(cell(&p, coarse))) {
+                if other.seen.contains(cell(&p, coarse)) {
                     seen += 1;
                     same += usize::from(other.partner(&p, &(r * n)).is_some());
                 }
                 // Most displaced patches lie far from all that was seen: three points tell.
                 if all == FEWEST_POINTS && seen == 0 {
-                    return Sight::Unseen;
+                    break;
                 }
             }
-            match (2 * seen >= all, 2 * same >= seen) {
+            out.push(match (2 * seen >= all, 2 * same >= seen) {
                 (false, _) => Sight::Unseen,
                 (true, true) => Sight::Same,
                 (true, false) => Sight::Other,
-            }
-        })
+            });
+        }
     }
+}
+
+/// A set of cells, a bit each, in cubes of 16 to the side: cells that are asked for lie near each other, and most of them far
+/// from all.
+#[derive(Default)]
+struct Cells {
+    /// Cubes that hold a cell, and the box of these.
+    cubes: FxHashMap<u64, u32>,
+    low: [i32; 3],
+    high: [i32; 3],
+    bits: Vec<[u64; 64]>,
+}
+
+impl Cells {
+    fn insert(&mut self, at: [i32; 3]) {
+        let cube = at.map(|v| v >> 4);
+        let is_first = self.bits.is_empty();
+        let i = *self.cubes.entry(key(cube)).or_insert(self.bits.len() as u32) as usize;
+        if i == self.bits.len() {
+            self.bits.push([0; 64]);
+            self.low = std::array::from_fn(|k| if is_first { cube[k] } else { cube[k].min(self.low[k]) });
+            self.high = std::array::from_fn(|k| if is_first { cube[k] } else { cube[k].max(self.high[k]) });
+        }
+        let (word, bit) = place(at);
+        self.bits[i][word] |= 1 << bit;
+    }
+
+    #[inline(always)]
+    fn contains(&self, at: [i32; 3]) -> bool {
+        let cube = at.map(|v| v >> 4);
+        let is_beyond = |k: usize| cube[k] < self.low[k] || cube[k] > self.high[k];
+        if is_beyond(0) || is_beyond(1) || is_beyond(2) {
+            return false;
+        }
+        let Some(&i) = self.cubes.get(&key(cube)) else { return false };
+        let (word, bit) = place(at);
+        self.bits[i as usize][word] >> bit & 1 == 1
+    }
+}
+
+/// Word and bit of a cell in its cube.
+#[inline]
+fn place(at: [i32; 3]) -> (usize, u32) {
+    let [x, y, z] = at.map(|v| v as u32 & 15);
+    let number = (x << 4 | y) << 4 | z;
+    ((number >> 6) as usize, number & 63)
 }
 
 /// Points by the cell of `edge` metres that they lie in and the axis that they face most; first members, then all.
@@ -172,11 +228,13 @@ fn around(reach: i32) -> impl Iterator<Item = [i32; 3]> {
     line.clone().flat_map(move |x| (-reach..=reach).flat_map(move |y| (-reach..=reach).map(move |z| [x, y, z])))
 }
 
+#[inline(always)]
 fn cell(p: &Point3<f32>, edge: f32) -> [i32; 3] {
-    [p.x, p.y, p.z].map(|v| (v / edge).floor() as i32)
+    [(p.x / edge).floor() as i32, (p.y / edge).floor() as i32, (p.z / edge).floor() as i32]
 }
 
 /// A cell in one number: 21 bits a coordinate. Clouds of more than a million cells across would meet themselves.
+#[inline]
 fn key([x, y, z]: [i32; 3]) -> u64 {
     const MASK: u64 = (1 << 21) - 1;
     (x as u64 & MASK) << 42 | (y as u64 & MASK) << 21 | (z as u64 & MASK)

@@ -11,6 +11,7 @@ use crate::search::KdTree;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Covariance6, Pose};
 use rayon::prelude::*;
+use std::collections::VecDeque;
 
 /// Points that are looked up for an overlap, about.
 const SAMPLE: usize = 1500;
@@ -27,6 +28,8 @@ const MOVES: usize = 2;
 /// Below so much overlap, the close alignment is made from poses turned by so many radians as well.
 const LITTLE_OVERLAP: f64 = 0.3;
 const TURN: f64 = 0.026;
+/// Poses turned so: either way about two axes.
+pub(super) const TURNS: usize = 4;
 /// Candidates that are refined.
 const REFINED: usize = 3;
 
@@ -43,7 +46,7 @@ fn outcome(evidence: f64, of_rival: f64) -> GlobalOutcome {
 
 /// A candidate after its refinement.
 #[derive(Clone)]
-struct Refined {
+pub(super) struct Refined {
     t_target_source: Pose,
     covariance: Covariance6,
     /// About what speaks for it, nats.
@@ -58,6 +61,14 @@ impl Refined {
         // The centres of rotation differ from the origin: compare generously.
         d.rotation.angle() < 0.15 && d.translation.vector.norm() < 20.0 * size
     }
+}
+
+/// What was found being aligned closely.
+pub(super) struct Confirming {
+    compared: Compared,
+    fine: GlobalResult,
+    /// Where to align it from besides.
+    rest: VecDeque<Pose>,
 }
 
 /// Both clouds, ready to be laid over each other.
@@ -89,15 +100,19 @@ impl Judge {
         Ok(Self { tree: KdTree::build(&target.cloud.positions), evidence, source, target, icp, prepared, size })
     }
 
-    /// The candidate that most speaks for, and whether to believe it.
-    pub(super) fn best(&self, candidates: &[Candidate], num_pairs: usize) -> GlobalResult {
-        // Refinement costs most: the likeliest few.
+    /// The likeliest few candidates refined, which costs most; those that most speaks for first.
+    pub(super) fn refine(&self, candidates: &[Candidate]) -> Vec<Refined> {
         let mut ranked: Vec<(f64, &Candidate)> =
             candidates.iter().map(|c| (self.evidence.roughly(&c.t_target_source), c)).collect();
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut refined: Vec<Refined> = ranked.iter().take(REFINED).map(|(_, c)| self.refined(c)).collect();
         // Stable: of equals, the earlier candidate stays first.
         refined.sort_by(|a, b| b.support.total_cmp(&a.support));
+        refined
+    }
+
+    /// The refined candidate that most speaks for, and whether to believe it.
+    pub(super) fn judged(&self, refined: &[Refined], num_pairs: usize) -> GlobalResult {
         let Some(first) = refined.first() else { return GlobalResult::nothing(num_pairs) };
         let (best, compared) = self.settled(first.clone());
         let other = refined.iter().find(|r| !r.is_like(&best, self.size));
@@ -119,31 +134,39 @@ impl Judge {
         (best, compared)
     }
 
-    /// What was found, once it is aligned closely: where the truth is, more speaks for that than before, and what speaks for a
-    /// slide along walls goes with the last voxel.
-    ///
-    /// Little overlap may coincide nearly as well a degree or two off: from there, too.
-    pub(super) fn confirmed(
+    /// What was found, aligned closely. Little overlap may coincide nearly as well a degree or two off: from there is to be tried,
+    /// too.
+    pub(super) fn confirming(&self, found: &GlobalResult, finish: impl Fn(GlobalResult) -> GlobalResult) -> Confirming {
+        let fine = finish(found.clone());
+        let compared = self.evidence.compare(&fine.t_target_source);
+        let is_little = found.overlap < LITTLE_OVERLAP;
+        let turned = is_little.then(|| self.evidence.turned(&found.t_target_source, TURN));
+        Confirming { compared, fine, rest: turned.into_iter().flatten().collect() }
+    }
+
+    /// What was found, once it is aligned closely, if nothing is left to be tried: where the truth is, more speaks for that than
+    /// before, and what speaks for a slide along walls goes with the last voxel.
+    pub(super) fn confirm(
         &self,
         found: &GlobalResult,
+        mut c: Confirming,
         finish: impl Fn(GlobalResult) -> GlobalResult,
-    ) -> GlobalResult {
-        let compare = |fine: GlobalResult| (self.evidence.compare(&fine.t_target_source), fine);
-        let (mut compared, mut fine) = compare(finish(found.clone()));
-        if found.overlap < LITTLE_OVERLAP {
-            for t_target_source in self.evidence.turned(&found.t_target_source, TURN) {
-                let (other, of_other) = compare(finish(GlobalResult { t_target_source, ..found.clone() }));
-                if other.log_ratio > compared.log_ratio {
-                    (compared, fine) = (other, of_other);
-                }
+    ) -> Result<GlobalResult, Confirming> {
+        if let Some(t_target_source) = c.rest.pop_front() {
+            let fine = finish(GlobalResult { t_target_source, ..found.clone() });
+            let compared = self.evidence.compare(&fine.t_target_source);
+            if compared.log_ratio > c.compared.log_ratio {
+                (c.compared, c.fine) = (compared, fine);
             }
+            return Err(c);
         }
+        let Confirming { compared, fine, .. } = c;
         if compared.log_ratio < found.evidence && !self.is_near(&found.t_target_source, &fine.t_target_source) {
-            return found.clone();
+            return Ok(found.clone());
         }
         let slid = compared.rival.map_or(0.0, |r| r.0).max(found.rival_evidence);
         let outcome = outcome(compared.log_ratio, slid);
-        GlobalResult { outcome, evidence: compared.log_ratio, rival_evidence: slid, ..fine }
+        Ok(GlobalResult { outcome, evidence: compared.log_ratio, rival_evidence: slid, ..fine })
     }
 
     /// Whether a refinement stayed where it was, within a voxel at the source's middle.
