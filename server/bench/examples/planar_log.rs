@@ -1,5 +1,5 @@
 //! A planar log through the whole pipeline, made harder: `planar_log PATH [--max-range M] [--blind SHARE,SECONDS] [--no-odometry]
-//! [--no-loops] [--first N] [--frames CSV] [--trajectory CSV]`.
+//! [--no-loops] [--first N] [--every N] [--frames CSV] [--trajectory CSV]`.
 //!
 //! `--max-range` cuts what the lidar sees, and `--blind` covers it from a share of the log on for so many seconds: scans come,
 //! without a return; frames of cameras and 3D lidars do not come. Printed are the frames that were placed when they came, those in the map at the end, how often the robot
@@ -27,6 +27,8 @@ struct Harder {
     blind: Option<(f64, f64)>,
     with_odometry: bool,
     first: usize,
+    /// Of so many scans one comes.
+    every: usize,
 }
 
 impl Harder {
@@ -41,6 +43,7 @@ impl Harder {
             blind: blind.transpose()?,
             with_odometry: !args.iter().any(|a| a == "--no-odometry"),
             first: value("--first").map_or(Ok(usize::MAX), |v| v.parse())?,
+            every: value("--every").map_or(Ok(1), |v| v.parse::<usize>())?.max(1),
         })
     }
 
@@ -160,8 +163,15 @@ fn run(pipeline: &mut Pipeline, recording: &Dataset, harder: &Harder) -> Result<
     let Some(start) = recording.stamps().first() else { return Ok(answers) };
     let whole_s = recording.duration_s();
     let range = 0..harder.first.min(recording.len());
+    let mut num_scans = 0;
     for frame in recording.frames(Some(range)) {
         let frame = frame?;
+        if matches!(frame.data, SensorData::Scan(_)) {
+            num_scans += 1;
+            if (num_scans - 1) % harder.every != 0 {
+                continue;
+            }
+        }
         let since_s = frame.stamp.seconds_since(*start);
         let Some(frame) = harder.pass(frame, since_s, whole_s) else { continue };
         let before = processor_ms();

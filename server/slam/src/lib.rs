@@ -11,6 +11,7 @@ mod downsample;
 mod inertial;
 pub mod keyframe;
 pub mod loops;
+mod matching;
 pub mod odometry;
 pub mod pose_graph;
 pub mod scan;

@@ -13,4 +13,5 @@ mod memory;
 mod refusal;
 mod restore;
 mod second;
+mod sparse;
 mod unanchored;

@@ -12,6 +12,12 @@ const DOUBTFUL: f64 = 0.9;
 /// A planar scan that fits worse than this share of how scans usually do is looked for farther away.
 const POOR: f64 = 0.7;
 
+/// Scans that come so rarely, seconds, are looked for wherever a robot can have driven since, up to so many metres.
+const SPARSE_S: f64 = 0.5;
+const SPARSE_M: f64 = 4.0;
+/// Two searches have come to one place if they are no farther apart, metres and radians.
+const SAME: (f64, f64) = (0.3, 0.1);
+
 /// Wheels that differ so much from the velocity before, in one frame, are doubted: metres and radians.
 const SUDDEN: (f64, f64) = (0.15, 0.15);
 
@@ -68,18 +74,26 @@ impl Odometry {
     }
 
     /// Places a frame; a planar scan that fits nowhere near is looked for wherever a robot can be by now, and is believed to be
-    /// where it fits as scans usually do.
+    /// where it fits as scans usually do. So is one that comes long after the one before, if nothing measured the way: near
+    /// where it was expected it may fit as well, along a wall.
     pub(super) fn place_or_search(&self, dt: f64, prediction: &Prediction) -> Result<Registration, LostReason> {
         let found = self.place_or_doubt(dt, prediction);
-        let is_poor = !found.as_ref().is_ok_and(|m| m.inlier_ratio >= POOR * self.usual_inlier_ratio);
-        let reach_s = self.unplaced_s + dt;
-        if !is_poor || !self.limits.is_planar || reach_s > self.params.tracking.max_gap_s {
+        if !self.limits.is_planar {
             return found;
         }
+        let is_poor = !found.as_ref().is_ok_and(|m| m.inlier_ratio >= POOR * self.usual_inlier_ratio);
+        let reach_s = self.unplaced_s + dt;
         // Faster than the motion before leads to, as robots that begin to turn on the spot are.
         let (way, turn) = (self.limits.speed * reach_s, self.limits.turn_rate * reach_s);
-        let covariance = diagonal(way / 3.0, turn / 3.0);
-        let wide = Prediction::within(self.t_odom_base, covariance);
+        if dt >= SPARSE_S && (is_poor || !prediction.is_measured) {
+            let mut places = self.model.search(&self.t_odom_base, way.min(SPARSE_M), turn);
+            places.retain(|m| m.inlier_ratio >= POOR * self.usual_inlier_ratio);
+            return self.only_place(&places, found);
+        }
+        if !is_poor || reach_s > self.params.tracking.max_gap_s {
+            return found;
+        }
+        let wide = Prediction::within(self.t_odom_base, diagonal(way / 3.0, turn / 3.0));
         let can_be = |m: &Registration| {
             let off = self.t_odom_base.inv_mul(&m.t_odom_base);
             m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio
@@ -87,6 +101,25 @@ impl Odometry {
                 && off.rotation.angle() <= turn + 0.1
         };
         self.model.register(&wide).ok().filter(can_be).map_or(found, Ok)
+    }
+
+    /// The only place that a search has come to; if there is none, what was found where the frame was expected, and of several as
+    /// well, if that is the best of them.
+    fn only_place(
+        &self,
+        places: &[Registration],
+        found: Result<Registration, LostReason>,
+    ) -> Result<Registration, LostReason> {
+        let is_same = |a: &Registration, b: &Registration| {
+            let off = a.t_odom_base.inv_mul(&b.t_odom_base);
+            off.translation.vector.norm() < SAME.0 && off.rotation.angle() < SAME.1
+        };
+        match (places, found) {
+            ([only], _) => Ok(only.clone()),
+            (places, Ok(found)) if places.first().is_none_or(|best| is_same(best, &found)) => Ok(found),
+            (_, Ok(_)) => Err(LostReason::TimeGap),
+            (_, Err(reason)) => Err(reason),
+        }
     }
 
     /// Wheels that slip or lag shall not lose what the scan alone can place: where they fail, or say what the motion

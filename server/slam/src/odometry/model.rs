@@ -80,6 +80,11 @@ pub(crate) trait LocalModel: Send {
     /// Places the current frame. Changes nothing: of several tries only the one that is believed reaches the model, by
     /// [`LocalModel::believe`].
     fn register(&self, prediction: &Prediction) -> Result<Registration, LostReason>;
+    /// Looks for the current frame wherever base can be within a way (m) and a turn (rad) of a pose in odom: all places where it
+    /// is certain, the best first. None where a method cannot.
+    fn search(&self, _t_odom_base: &Pose, _way: f64, _turn: f64) -> Vec<Registration> {
+        vec![]
+    }
     /// The current frame lies there, and was expected at a pose in odom: what that teaches the method, before the frame is
     /// added.
     fn believe(&mut self, _placed: &Registration, _t_odom_expected: &Pose) {}

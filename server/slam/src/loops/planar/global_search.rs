@@ -6,11 +6,11 @@
 //! Where rooms resemble each other such a search takes half a second and more. It is done in steps of counted work, one a
 //! keyframe, so that none waits for it: meanwhile the robot drives on.
 
-use super::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Region, Search};
 use super::known_map::{KnownMap, MAX_PLACES, NODES_A_VIEW, POINTS_A_NODE};
 use super::measure::{Refused, Strictness, Visits};
 use super::{CELL_M, Kept, MIN_SCORE, MIN_SCORE_LOST, closure};
 use crate::loops::LoopClosure;
+use crate::matching::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Region, Search};
 use nalgebra::{Isometry2, Point2};
 use percept_geometry::{KeyframeId, KeyframeScan};
 use std::collections::{BTreeMap, VecDeque};

@@ -1,12 +1,12 @@
 //! A scan measured against the local map of a visit, and whether what both saw agrees.
 
 use super::spatial;
-use crate::odometry::lidar2d::field::Field;
+use crate::matching::field::{Field, Hit};
+use crate::matching::search::{Window, search};
+use crate::matching::sight::{Sight, View, contradicted};
 use crate::odometry::lidar2d::planar;
 use crate::odometry::lidar2d::refine::refine;
-use crate::odometry::lidar2d::search::{Window, search};
-use crate::odometry::lidar2d::sight::{Sight, View, contradicted};
-use crate::odometry::lidar2d::sweep::{self, Hit};
+use crate::odometry::lidar2d::sweep;
 use crate::odometry::{Prediction, diagonal};
 use nalgebra::{Isometry2, Matrix3, Point2};
 use percept_geometry::{Covariance6, KeyframeScan, Pose};

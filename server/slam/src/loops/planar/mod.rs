@@ -3,11 +3,10 @@
 //! A visit is a run of neighbouring keyframes; its points make a local map. While drift is small, a keyframe is measured
 //! against the visits around it: a search of the cells in reach, then point-to-line refinement ([`measure`]). Once drift
 //! is large, the newest keyframes together are searched for in all that was seen in reach ([`global_search`], by
-//! [`branch_and_bound`]), and a pose counts only if no other one fits nearly as well; now and then all of the map is searched. A robot that is lost is found by all
+//! [`crate::matching::branch_and_bound`]), and a pose counts only if no other one fits nearly as well; now and then all of the map is searched. A robot that is lost is found by all
 //! that it has seen since ([`relocaliser`]). Every match has to explain what was seen, and nothing that one view shows may stand
-//! where the other looked through ([`crate::odometry::lidar2d::sight`]).
+//! where the other looked through ([`crate::matching::sight`]).
 
-pub(super) mod branch_and_bound;
 mod global_search;
 mod known_map;
 mod links;
@@ -18,9 +17,9 @@ mod relocaliser;
 mod tests;
 
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::matching::branch_and_bound::Region;
 use crate::odometry::lidar2d::planar;
 use crate::odometry::{OdometryKind, OdometryNoise, way_m};
-use branch_and_bound::Region;
 use global_search::{Extent, GlobalSearch, Progress, View};
 use links::Links;
 use measure::{Measurement, Strictness, Visits};

@@ -7,11 +7,11 @@
 //! That takes too long for one question: it is done in steps of counted work, one a question. The search is made for a view
 //! from the way; where it finds that view, the robot is as far from there as odometry says, and the newest view has to agree.
 
-use super::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Search};
 use super::known_map::{KnownMap, MAX_PLACES, NODES_A_VIEW, POINTS_A_NODE};
 use super::measure::{Refused, Strictness, Visits};
 use super::{CELL_M, Kept, MIN_SCORE_LOST, QUERY_M, ends, spread_out};
 use crate::loops::{KeyframePoses, Relocalisation};
+use crate::matching::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Search};
 use crate::odometry::lidar2d::planar;
 use nalgebra::Isometry2;
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, Timestamp};

@@ -1,7 +1,7 @@
 //! Loops in a building drawn by walls, scanned by casting rays.
 
-use super::branch_and_bound::Pyramid;
 use super::*;
+use crate::matching::branch_and_bound::{self, Pyramid};
 use nalgebra::{Point3, Vector2};
 use percept_geometry::{PointCloud, Timestamp};
 

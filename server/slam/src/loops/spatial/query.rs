@@ -1,7 +1,7 @@
 //! What was seen along some metres of the way, searched for with no guess in the map or a part of it.
 //!
 //! Rooms resemble each other, and one view of them all the more. So what stands upright along the way is laid over what
-//! does in the map, seen from above ([`crate::loops::planar::branch_and_bound`]); every place in which it fits nearly as
+//! does in the map, seen from above ([`crate::matching::branch_and_bound`]); every place in which it fits nearly as
 //! well as in the best one is looked at in space; what was seen on the way has to agree with each place, view by
 //! view, and only if it does in the best one and in no other is that claimed.
 
@@ -10,7 +10,7 @@ use super::submap::{range, voxel_for};
 use super::target::{Refused, Strictness, Target};
 use super::walls;
 use crate::loops::Relocalisation;
-use crate::loops::planar::branch_and_bound::{Fit, Pyramid, RIVAL, Region};
+use crate::matching::branch_and_bound::{Fit, Pyramid, RIVAL, Region};
 use nalgebra::{Isometry2, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, se3};
 use rustc_hash::FxHashSet;

@@ -1,4 +1,4 @@
-//! submaps registered a step a keyframe: all at once takes up to a second, and no frame shall wait for that.
+//! Submaps registered a step a keyframe: all at once takes seconds, and no frame shall wait for that.
 
 use super::submap::{Placed, Surface};
 use nalgebra::Translation3;

@@ -1,27 +1,25 @@
 //! Planar lidars: each scan is searched for, then refined, in a local map of recent keyframe scans.
 //!
-//! Scan to hits with normals ([`sweep`]), map on grids ([`field`]), search ([`mod@search`]), point-to-line
+//! Scan to hits with normals ([`sweep`]), map on grids ([`crate::matching::field`]), search ([`crate::matching::search`]), point-to-line
 //! refinement ([`refine`]). The robot moves in the plane: z, roll and pitch of odom stay zero.
 
-pub(crate) mod field;
 pub(crate) mod refine;
-pub(crate) mod search;
-pub(crate) mod sight;
 pub(crate) mod sweep;
 
-use crate::odometry::{LocalModel, Prediction, Registration, way_m};
+use crate::matching::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Region};
+use crate::matching::field::{Field, Hit};
+use crate::matching::search::{Window, search};
+use crate::matching::sight::{Sight, View, contradicted};
+use crate::odometry::{LocalModel, Prediction, Registration, diagonal, way_m};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};
-use field::Field;
 use nalgebra::{Isometry2, Matrix3, Point2, Vector2, Vector6};
 use percept_geometry::{KeyframeScan, Pose, se3};
-use search::{Window, search};
 use serde::{Deserialize, Serialize};
-use sight::{Sight, View, contradicted};
 use std::collections::VecDeque;
+use std::f64::consts::PI;
 use std::sync::Arc;
-use sweep::Hit;
 
 /// Parameters of planar lidar odometry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -102,6 +100,12 @@ const AFTER_GAP: (f64, f64) = (0.42, 0.07);
 const COMPARED_M: f64 = 5.0;
 const COMPARED: usize = 12;
 
+/// What a scan's hits score at least where it is searched for far away, a share; and places that may fit nearly alike.
+const LEAST_SCORE: f64 = 0.4;
+const MOST_RIVALS: usize = 4;
+/// Nodes that such a search may visit, a microsecond or so each.
+const SEARCH_NODES: usize = 300_000;
+
 /// The local map of a planar lidar and its current scan.
 pub(crate) struct Lidar2d {
     params: Lidar2dParams,
@@ -169,6 +173,11 @@ pub(crate) fn planar(t: &Pose) -> Isometry2<f64> {
     Isometry2::new(Vector2::new(t.translation.x, t.translation.y), se3::yaw(t))
 }
 
+/// A pose in the plane as one in space.
+fn lifted(t: &Isometry2<f64>) -> Pose {
+    se3::from_xy_yaw(t.translation.x, t.translation.y, t.rotation.angle())
+}
+
 impl LocalModel for Lidar2d {
     fn prepare(&mut self, scan: &Scan, velocity: &Vector6<f64>) -> Result<(), LostReason> {
         let Scan::Planar(scan) = scan else { return Err(LostReason::UnsuitableScan) };
@@ -194,6 +203,25 @@ impl LocalModel for Lidar2d {
         let points = sweep::thin(&self.hits, 0.5 * self.params.resolution_m, SEARCH_POINTS);
         let (start, _) = search(&self.field, &points, &center, &prior, &window);
         refine::refine(&self.field, &self.hits, &start, prediction, self.params.min_inlier_ratio)
+    }
+
+    fn search(&self, t_odom_base: &Pose, way: f64, turn: f64) -> Vec<Registration> {
+        let center = planar(t_odom_base);
+        let reach = way + 2.0 * self.params.max_range_m;
+        let is_near = |k: &&Kept| (k.t_odom_base.translation.vector - center.translation.vector).norm() < reach;
+        let known = self.kept.iter().filter(is_near).flat_map(|k| k.hits.iter().map(|h| k.t_odom_base * h.p));
+        let Some(pyramid) = Pyramid::new(self.params.resolution_m, &known.collect::<Vec<_>>()) else { return vec![] };
+        let query = sweep::thin(&self.hits, 0.5 * self.params.resolution_m, SEARCH_POINTS);
+        let region = Region { center, translation: way, rotation: turn.min(PI) };
+        let place = |fit: Fit| {
+            let wide = Prediction::within(lifted(&fit.t), diagonal(way / 3.0, turn / 3.0));
+            refine::refine(&self.field, &self.hits, &fit.t, &wide, self.params.min_inlier_ratio).ok()
+        };
+        let mut search = pyramid.begin(&query, &region, LEAST_SCORE, (RIVAL, MOST_RIVALS));
+        let mut nodes = search.num_roots() + SEARCH_NODES;
+        // Where too many places fit nearly alike, none is certain.
+        let Some(Outcome::Found(fits)) = pyramid.go_on(&mut search, &mut nodes) else { return vec![] };
+        fits.into_iter().filter_map(place).filter(|found| self.is_certain(found)).collect()
     }
 
     fn integrate(&mut self, t_odom_base: &Pose) {

@@ -3,8 +3,7 @@
 //! Source: Censi, "An ICP variant using a point-to-line metric", 2008; the lines are means over the scans
 //! of the local map. Degenerate directions (a corridor's length) are left to what wheels say, else to the search.
 
-use super::field::Field;
-use super::sweep::Hit;
+use crate::matching::field::{Field, Hit};
 use crate::odometry::{Found, Prediction, Registration};
 use crate::tracking::LostReason;
 use nalgebra::{Isometry2, Matrix3, Point2, Vector2, Vector3};

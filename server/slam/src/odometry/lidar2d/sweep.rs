@@ -1,19 +1,11 @@
 //! A planar scan made ready: points in base's plane with the normals of the surfaces they lie on.
 
+use crate::matching::field::Hit;
 use crate::odometry::deskew::Sweep;
 use crate::scan::PlanarScan;
 use nalgebra::{Point2, Point3, Vector2, Vector6};
 use percept_geometry::Pose;
 use percept_geometry::cloud::Beam;
-
-/// A hit in base's plane; the normal is zero where neighbours make no line.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Hit {
-    pub(crate) p: Point2<f64>,
-    pub(crate) n: Vector2<f64>,
-    /// Whether it lies where a wall that is met by few beams would be met: elsewhere by the next scan.
-    pub(crate) is_sparse: bool,
-}
 
 /// A normal is fitted to neighbours up to so far to each side, metres: the noise of ranges is a centimetre.
 const SIDE_M: f64 = 0.15;

@@ -3,8 +3,7 @@
 //! Places that look alike agree in the surfaces that both views show; what tells them apart is a surface of one that the
 //! other looked through.
 
-use super::field::Field;
-use super::sweep::Hit;
+use super::field::{Field, Hit};
 use nalgebra::{Isometry2, Point2, Vector2};
 use std::f64::consts::TAU;
 

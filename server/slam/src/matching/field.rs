@@ -1,8 +1,16 @@
 //! The local map on grids: a likelihood field to search in and line elements to refine on.
 
-use super::sweep::Hit;
 use nalgebra::{Isometry2, Point2, Vector2};
 use percept_geometry::{Cell, GridGeometry};
+
+/// A hit in base's plane; the normal is zero where neighbours make no line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Hit {
+    pub(crate) p: Point2<f64>,
+    pub(crate) n: Vector2<f64>,
+    /// Whether it lies where a wall that is met by few beams would be met: elsewhere by the next scan.
+    pub(crate) is_sparse: bool,
+}
 
 /// Fine cells along the edge of a coarse one.
 pub(crate) const BLOCK: i32 = 4;
