@@ -27,6 +27,7 @@ use keypoints::{Described, Keys};
 use matching::Pair;
 use percept_geometry::{PointCloud, Pose};
 use std::borrow::Cow;
+use std::ops::ControlFlow;
 use verify::{Confirming, Judge, Refined};
 
 /// Fewer pairs than this are never believed.
@@ -172,11 +173,11 @@ impl<'a> GlobalSearch<'a> {
             }
             Stage::Confirm(confirming) => {
                 match judge.confirm(&self.answer, confirming, |answer| self.aligned(answer)) {
-                    Ok(answer) => {
+                    ControlFlow::Break(answer) => {
                         self.answer = measured(judge, answer);
                         None
                     }
-                    Err(goes_on) => Some(Stage::Confirm(goes_on)),
+                    ControlFlow::Continue(confirming) => Some(Stage::Confirm(confirming)),
                 }
             }
         })

@@ -12,6 +12,7 @@ use nalgebra::{Point3, Vector3};
 use percept_geometry::{Covariance6, Pose};
 use rayon::prelude::*;
 use std::collections::VecDeque;
+use std::ops::ControlFlow;
 
 /// Points that are looked up for an overlap, about.
 const SAMPLE: usize = 1500;
@@ -151,22 +152,22 @@ impl Judge {
         found: &GlobalResult,
         mut c: Confirming,
         finish: impl Fn(GlobalResult) -> GlobalResult,
-    ) -> Result<GlobalResult, Confirming> {
+    ) -> ControlFlow<GlobalResult, Confirming> {
         if let Some(t_target_source) = c.rest.pop_front() {
             let fine = finish(GlobalResult { t_target_source, ..found.clone() });
             let compared = self.evidence.compare(&fine.t_target_source);
             if compared.log_ratio > c.compared.log_ratio {
                 (c.compared, c.fine) = (compared, fine);
             }
-            return Err(c);
+            return ControlFlow::Continue(c);
         }
         let Confirming { compared, fine, .. } = c;
         if compared.log_ratio < found.evidence && !self.is_near(&found.t_target_source, &fine.t_target_source) {
-            return Ok(found.clone());
+            return ControlFlow::Break(found.clone());
         }
         let slid = compared.rival.map_or(0.0, |r| r.0).max(found.rival_evidence);
         let outcome = outcome(compared.log_ratio, slid);
-        Ok(GlobalResult { outcome, evidence: compared.log_ratio, rival_evidence: slid, ..fine })
+        ControlFlow::Break(GlobalResult { outcome, evidence: compared.log_ratio, rival_evidence: slid, ..fine })
     }
 
     /// Whether a refinement stayed where it was, within a voxel at the source's middle.
