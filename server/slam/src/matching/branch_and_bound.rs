@@ -37,7 +37,7 @@ pub(crate) const RIVAL: f64 = 0.85;
 const MOST_POINTS: usize = 256;
 /// Points summed up before a node is looked at again whether it can still be good enough.
 const CHUNK: usize = 16;
-/// Fine cells at most along an edge: larger maps are cut off.
+/// Fine cells at most along an edge, which take 90 MB if all of them are wanted: of larger maps, cells are larger.
 const MAX_CELLS: f64 = 8192.0;
 
 /// One level: upper bounds for shifts within a cell.
@@ -221,13 +221,16 @@ impl Pyramid {
         self.levels.iter().map(|l| l.cells.len()).sum()
     }
 
-    /// Of the points of a map; none if there are no points.
+    /// Of the points of a map, with cells of so many metres, or of twice as many as often as it takes for the map to have no more than
+    /// [`MAX_CELLS`] along an edge; none if there are no points.
     pub(crate) fn new(resolution: f64, points: &[Point2<f64>]) -> Option<Self> {
         let first = *points.first()?;
         let (lo, hi) = points.iter().fold((first, first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
         // Bounds look one coarsest cell ahead: a margin of it keeps them true at the border.
         let margin = f64::from(1 << DEPTH) + f64::from(REACH);
-        let cells = |lo: f64, hi: f64| (((hi - lo) / resolution).ceil() + 2.0 * margin).min(MAX_CELLS) as i32 + 1;
+        let times_too_large = (hi - lo).amax() / resolution / (MAX_CELLS - 2.0 * margin);
+        let resolution = resolution * times_too_large.log2().ceil().max(0.0).exp2();
+        let cells = |lo: f64, hi: f64| (((hi - lo) / resolution).ceil() + 2.0 * margin) as i32 + 1;
         let geometry = GridGeometry::new(resolution, lo - Vector2::repeat(margin * resolution));
         let (width, height) = (cells(lo.x, hi.x), cells(lo.y, hi.y));
         let mut fine = Level { width, height, cells: vec![0; (width * height) as usize] };

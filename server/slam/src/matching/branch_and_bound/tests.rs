@@ -32,6 +32,19 @@ fn points_are_found_wherever_they_are() {
 }
 
 #[test]
+fn points_are_found_at_the_end_of_a_map_larger_than_the_most_cells() {
+    let away = Vector2::new(2000.0, 1000.0);
+    let there: Vec<_> = map().iter().map(|p| p + away).collect();
+    let pyramid = Pyramid::new(0.1, &[&map()[..50], &there].concat()).unwrap();
+    assert!(f64::from(pyramid.levels[0].width) <= MAX_CELLS + 1.0 && pyramid.geometry.resolution_m == 0.4);
+    let t_map_query = Isometry2::new(Vector2::new(3.0, 1.5) + away, 2.5);
+    let query: Vec<_> = there.iter().step_by(2).map(|p| t_map_query.inverse() * p).collect();
+    let region = Region { center: Isometry2::translation(2005.0, 1004.0), translation: 15.0, rotation: 3.0 };
+    let off = sought(&pyramid, &query, &region, 0.5, 0.95)[0].t.inverse() * t_map_query;
+    assert!(off.translation.vector.norm() < 0.6 && off.rotation.angle().abs() < 0.1, "{off}");
+}
+
+#[test]
 fn a_search_that_is_left_and_gone_on_with_finds_the_same() {
     let query: Vec<_> = map().iter().step_by(3).map(|p| Isometry2::new(Vector2::new(1.0, -2.0), 1.0) * p).collect();
     let pyramid = Pyramid::new(0.1, &map()).unwrap();
