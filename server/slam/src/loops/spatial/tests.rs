@@ -3,6 +3,7 @@ use crate::keyframe::{KeyframeParams, keyframe_scan};
 use crate::{CloudScan, Scan};
 use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
 use percept_geometry::{PointCloud, Timestamp, se3};
+use percept_perception::registration::GlobalSearch;
 
 /// A street of boxes that no other place resembles: the same numbers give the same street.
 fn street(seed: u32) -> Vec<Point3<f32>> {
@@ -147,7 +148,7 @@ fn surfaces_registered_step_by_step_lie_as_the_world_has_it() {
     // Odometry has drifted by more than what is searched from above: surfaces need no guess.
     let (truth_to, to) = seen(10, 0.0, 1.2, se3::from_xy_yaw(9.0, -5.0, 0.4));
     let mut registering = Registering::new(from, to);
-    let found = (0..8).find_map(|_| match registering.step() {
+    let found = (0..=GlobalSearch::MAX_STEPS).find_map(|_| match registering.step() {
         Step::GoesOn => None,
         Step::Done(found) => Some(found),
     });
