@@ -81,9 +81,9 @@ pub(crate) trait LocalModel: Send {
     /// [`LocalModel::believe`].
     fn register(&self, prediction: &Prediction) -> Result<Registration, LostReason>;
     /// Looks for the current frame wherever base can be within a way (m) and a turn (rad) of a pose in odom: all places where it
-    /// is certain, the best first. None where a method cannot.
-    fn search(&self, _t_odom_base: &Pose, _way: f64, _turn: f64) -> Vec<Registration> {
-        vec![]
+    /// is certain, the best first. None where too many fit nearly alike, or a method cannot look.
+    fn search(&self, _t_odom_base: &Pose, _way: f64, _turn: f64) -> Option<Vec<Registration>> {
+        None
     }
     /// The current frame lies there, and was expected at a pose in odom: what that teaches the method, before the frame is
     /// added.

@@ -205,12 +205,14 @@ impl LocalModel for Lidar2d {
         refine::refine(&self.field, &self.hits, &start, prediction, self.params.min_inlier_ratio)
     }
 
-    fn search(&self, t_odom_base: &Pose, way: f64, turn: f64) -> Vec<Registration> {
+    fn search(&self, t_odom_base: &Pose, way: f64, turn: f64) -> Option<Vec<Registration>> {
         let center = planar(t_odom_base);
         let reach = way + 2.0 * self.params.max_range_m;
         let is_near = |k: &&Kept| (k.t_odom_base.translation.vector - center.translation.vector).norm() < reach;
         let known = self.kept.iter().filter(is_near).flat_map(|k| k.hits.iter().map(|h| k.t_odom_base * h.p));
-        let Some(pyramid) = Pyramid::new(self.params.resolution_m, &known.collect::<Vec<_>>()) else { return vec![] };
+        let Some(pyramid) = Pyramid::new(self.params.resolution_m, &known.collect::<Vec<_>>()) else {
+            return Some(vec![]);
+        };
         let query = sweep::thin(&self.hits, 0.5 * self.params.resolution_m, SEARCH_POINTS);
         let region = Region { center, translation: way, rotation: turn.min(PI) };
         let place = |fit: Fit| {
@@ -219,9 +221,12 @@ impl LocalModel for Lidar2d {
         };
         let mut search = pyramid.begin(&query, &region, LEAST_SCORE, (RIVAL, MOST_RIVALS));
         let mut nodes = search.num_roots() + SEARCH_NODES;
-        // Where too many places fit nearly alike, none is certain.
-        let Some(Outcome::Found(fits)) = pyramid.go_on(&mut search, &mut nodes) else { return vec![] };
-        fits.into_iter().filter_map(place).filter(|found| self.is_certain(found)).collect()
+        match pyramid.go_on(&mut search, &mut nodes)? {
+            Outcome::Found(fits) => {
+                Some(fits.into_iter().filter_map(place).filter(|found| self.is_certain(found)).collect())
+            }
+            Outcome::Undecided => None,
+        }
     }
 
     fn integrate(&mut self, t_odom_base: &Pose) {
