@@ -588,7 +588,8 @@ def test_whoever_asks_for_the_contract_keeps_no_memory_of_others(own_server):
 def test_who_watches_the_health_does_not_hold_up_the_stop(own_server):
     with grpc.insecure_channel(own_server.grpc) as channel:
         watch = channel.unary_stream("/grpc.health.v1.Health/Watch")(b"")
-        assert next(watch) == b"\x08\x01"
+        # The door opens a moment before the server says of itself that it serves.
+        assert b"\x08\x01" in watch
         own_server.process.send_signal(signal.SIGTERM)
         # Far below the time that requests under way are given.
         assert own_server.process.wait(10) == 0
