@@ -373,6 +373,7 @@ mod tests {
         assert!((driven(Doorway { is_open_ahead: true, ..slipped() }) - 0.5).abs() < 1e-9);
         assert!((driven(Doorway { is_certain: false, ..slipped() }) - 0.5).abs() < 1e-9);
     }
+
     #[test]
     fn a_scan_that_comes_late_and_fits_in_too_many_places_is_lost_and_not_where_it_was_expected() {
         let model = Doorway { inlier_ratio_before: 0.8, is_open_ahead: false, is_certain: true, is_empty: true };
