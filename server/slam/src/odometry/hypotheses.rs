@@ -244,7 +244,9 @@ impl Odometry {
     /// Lost frames in a row after which the local model starts anew.
     pub(super) fn patience(&self, dt: f64) -> usize {
         let most = self.params.tracking.restart_after_frames;
-        if self.limits.is_planar && dt >= SPARSE_S {
+        // All of them have to come late: a lidar that pauses once while it is lost is tried as others are.
+        let since_placed_s = self.unplaced_s + dt;
+        if self.limits.is_planar && dt >= SPARSE_S && since_placed_s >= SPARSE_S * (self.num_lost + 1) as f64 {
             return most.min(SPARSE_FRAMES);
         }
         if self.is_after_silence(dt) { most.min(self.limits.frames_after_silence) } else { most }
@@ -392,5 +394,14 @@ mod tests {
             assert_eq!(state, TrackingState::Lost { reason: LostReason::Degenerate }, "{k}");
         }
         assert_eq!(at(2.7 + 0.8 * SPARSE_FRAMES as f64, None), TrackingState::Initialising);
+    }
+
+    #[test]
+    fn a_lidar_that_pauses_once_while_it_is_lost_keeps_its_local_map() {
+        let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+        (odometry.num_lost, odometry.unplaced_s) = (3, 0.3);
+        assert_eq!(odometry.patience(0.6), OdometryParams::default().tracking.restart_after_frames);
+        (odometry.num_lost, odometry.unplaced_s) = (2, 1.2);
+        assert_eq!(odometry.patience(0.6), SPARSE_FRAMES);
     }
 }
