@@ -13,6 +13,7 @@ install() {
 
 need_compiler() {
   command -v cc >/dev/null || install gcc libc6-dev
+  command -v make >/dev/null || install make
   if ! command -v cargo >/dev/null; then
     [ -x "$HOME/.cargo/bin/cargo" ] || { echo "please install Rust first: https://rustup.rs" >&2; return 1; }
     export PATH="$HOME/.cargo/bin:$PATH"

@@ -9,6 +9,7 @@ use prometheus_client::metrics::counter::ConstCounter;
 use prometheus_client::metrics::gauge::ConstGauge;
 use std::fmt;
 use std::fs;
+use tikv_jemalloc_ctl::{epoch, stats};
 
 /// Clock ticks of `/proc/self/stat` in a second: `USER_HZ`, which is 100 at the kernel's border whatever runs behind it.
 const TICKS_PER_SECOND: f64 = 100.0;
@@ -65,6 +66,10 @@ impl Collector for Process {
         if let Some(resident) = fs::read_to_string("/proc/self/status").ok().and_then(|text| resident_bytes(&text)) {
             gauge("process_resident_memory_bytes", "Resident memory", resident as f64)?;
         }
+        if let Some(allocated) = allocated_bytes() {
+            let help = "Memory that is in use; what is resident beyond it, the allocator keeps for the next";
+            gauge("percept_allocated_memory_bytes", help, allocated as f64)?;
+        }
         let Some(stat) = stat() else { return Ok(()) };
         gauge("process_threads", "Threads", stat.threads as f64)?;
         let cpu = ConstCounter::new(stat.cpu_ticks as f64 / TICKS_PER_SECOND);
@@ -93,6 +98,12 @@ fn open_files() -> Option<usize> {
 fn resident_bytes(status: &str) -> Option<u64> {
     let kib = status.lines().find_map(|l| l.strip_prefix("VmRSS:"))?.split_whitespace().next()?;
     kib.parse::<u64>().ok()?.checked_mul(1024)
+}
+
+fn allocated_bytes() -> Option<usize> {
+    // The statistics are those of the last epoch.
+    epoch::advance().ok()?;
+    stats::allocated::read().ok()
 }
 
 fn max_files(limits: &str) -> Option<u64> {
