@@ -49,7 +49,7 @@ impl Odometry {
         let mut both = constant.covariance;
         both.fixed_view_mut::<3, 3>(3, 3).copy_from(&covariance.fixed_view::<3, 3>(3, 3));
         let t_odom_base = self.t_odom_base * Pose::from_parts(way, prior.t_prev_now.rotation);
-        Prediction { t_odom_base, covariance: both, ..constant }
+        Prediction { t_odom_base, covariance: both, is_turn_felt: true, ..constant }
     }
 
     /// Constant velocity while frames are near in time.
@@ -71,6 +71,7 @@ impl Odometry {
             covariance,
             is_measured: false,
             measured: [false; 6],
+            is_turn_felt: false,
             elapsed_s: self.unplaced_s + dt,
             t_odom_before: self.is_tracking().then_some(self.t_odom_base),
             inertial: None,
@@ -168,7 +169,8 @@ impl Odometry {
         }
     }
 
-    /// Tries the prediction and, if that fails or fits worse than usual, the last pose; the better is taken.
+    /// Tries the prediction and, if that fails or fits worse than usual, where base was before, turned as a gyro felt it if one did;
+    /// the better is taken.
     pub(super) fn place(&self, dt: f64, prediction: &Prediction) -> Result<Registration, LostReason> {
         let predicted = self.try_from(dt, prediction);
         let sound = |m: &Registration| m.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio;
@@ -180,7 +182,9 @@ impl Odometry {
         if prediction.is_measured && !self.limits.is_planar && self.is_after_gap(dt) {
             return predicted.map_err(|reason| self.with_gap(dt, reason));
         }
-        let still = self.try_from(dt, &Prediction { t_odom_base: self.t_odom_base, ..prediction.clone() });
+        let turned = if prediction.is_turn_felt { prediction.t_odom_base.rotation } else { self.t_odom_base.rotation };
+        let t_odom_still = Pose::from_parts(self.t_odom_base.translation, turned);
+        let still = self.try_from(dt, &Prediction { t_odom_base: t_odom_still, ..prediction.clone() });
         let still = still.and_then(|m| match self.may_deny(prediction, &m) {
             true => Ok(m),
             false => Err(LostReason::ResidualTooLarge),
@@ -292,6 +296,7 @@ mod tests {
     use crate::odometry::{Found, LocalModel, OdometryKind, OdometryParams};
     use crate::scan::CloudScan;
     use crate::tracking::TrackingState;
+    use nalgebra::{UnitQuaternion, Vector3};
     use percept_geometry::{KeyframeScan, PointCloud, Timestamp};
     use std::sync::Arc;
 
@@ -311,7 +316,7 @@ mod tests {
             self.is_empty
         }
         fn register(&self, prediction: &Prediction) -> Result<Registration, LostReason> {
-            let is_before = prediction.t_odom_base.translation.vector.norm() < 0.01;
+            let is_before = se3::log(&prediction.t_odom_base).norm() < 0.01;
             Ok(Registration {
                 t_odom_base: prediction.t_odom_base,
                 covariance: diagonal(0.001, 0.001),
@@ -374,6 +379,34 @@ mod tests {
         // It fits anywhere along the wall, or contradicts what was seen: the robot was left behind by the whole step.
         assert!((driven(Doorway { is_open_ahead: true, ..slipped() }) - 0.5).abs() < 1e-9);
         assert!((driven(Doorway { is_certain: false, ..slipped() }) - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_turn_that_a_believed_gyro_felt_is_not_denied_by_what_fits_without_it() {
+        let model = Doorway { inlier_ratio_before: 0.8, is_open_ahead: false, is_certain: true, is_empty: true };
+        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+        odometry.model = Box::new(model);
+        let turn = |angle: f64| UnitQuaternion::from_scaled_axis(Vector3::z() * angle);
+        for k in 0..10 {
+            let now = turn(0.1 * f64::from(k));
+            odometry.gyro.compare(&now, &turn(0.0), &now);
+        }
+        let scan = Scan::Cloud(CloudScan { cloud: Arc::new(PointCloud::default()), t_base_sensor: Pose::identity() });
+        let felt = |angle: f64| {
+            let mut covariance = diagonal(0.01, 0.002);
+            (0..3).for_each(|k| covariance[(k, k)] = 1e6);
+            MotionPrior { t_prev_now: Pose::from_parts(Vector3::zeros().into(), turn(angle)), covariance }
+        };
+        let mut yaw_at = |s: f64, angle: f64| {
+            let estimate = odometry.register(Timestamp::from_secs_f64(s), &scan, Some(&felt(angle)));
+            assert!(estimate.state.is_tracking() || s == 0.0);
+            se3::yaw(&estimate.t_odom_base)
+        };
+        for k in 0..20 {
+            yaw_at(0.1 * f64::from(k), 0.0);
+        }
+        // A wall fits better as it was seen before; the robot looks at the next one, which is hardly known.
+        assert!((yaw_at(2.0, 0.3) - 0.3).abs() < 1e-3);
     }
 
     #[test]

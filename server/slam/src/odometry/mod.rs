@@ -267,6 +267,7 @@ impl Odometry {
             covariance: expected.pose_covariance(),
             is_measured: true,
             measured: [true; 6],
+            is_turn_felt: true,
             inertial: Some(expected),
             ..self.predict(dt, None)
         }

@@ -18,6 +18,8 @@ pub(crate) struct Prediction {
     pub(crate) is_measured: bool,
     /// The same for each axis of base.
     pub(crate) measured: [bool; 6],
+    /// Whether the rotation is that which a gyro felt: unlike wheels and constant velocity it does not slip.
+    pub(crate) is_turn_felt: bool,
     /// Seconds since the newest frame that was placed; 0 where there is none.
     pub(crate) elapsed_s: f64,
     /// Where base was then, base to odom, if that was the frame before.
@@ -34,6 +36,7 @@ impl Prediction {
             covariance,
             is_measured: false,
             measured: [false; 6],
+            is_turn_felt: false,
             elapsed_s: 0.0,
             t_odom_before: None,
             inertial: None,
