@@ -35,15 +35,10 @@ const STARTLED: f64 = 0.3;
 const SLACK: (f64, f64) = (0.003, 0.0015);
 /// An IMU that was not believed has to be so much better than constant velocity before it is again.
 const BETTER: f64 = 0.8;
-/// And one that is so much better leads although it is surer of itself than it should be: what is expected is widened by that.
-const MUCH_BETTER: f64 = 0.5;
 /// Squared error of a prediction in standard deviations, by axis, at which what is known of the IMU is dropped.
 const ABSURD: f64 = 400.0;
 /// And at which it is not believed: predictions are off by two standard deviations time and again.
 const INCONSISTENT: f64 = 4.0;
-/// Frames in a row that contradict an IMU which is believed, and count for the less: one frame is placed wrongly more often than a
-/// gyro that was right is wrong at once. From the next on it is the IMU that is doubted.
-const OUTLIERS: u32 = 2;
 /// The most by which errors of predictions widen what is said of them, in variance.
 const WIDEST: f64 = 1e4;
 /// Turning rates are good to this share, in a sweep: see the share of a turn in preintegration.
@@ -116,8 +111,6 @@ pub(crate) struct Inertial {
     num_compared: usize,
     /// Running mean of the squared error in standard deviations, by axis.
     surprise: f64,
-    /// Placed frames in a row that were too far from where they were expected.
-    num_outlying: u32,
     /// Placed frames in a row in which samples led worse than constant velocity did, whatever was forgotten in between.
     num_unbelieved: u32,
 }
@@ -192,8 +185,7 @@ impl Inertial {
         let (t, r) = (IN_COMMON.0 * IN_COMMON.0, IN_COMMON.1 * IN_COMMON.1);
         let floor = Matrix6::from_diagonal(&Vector6::new(t, t, t, r, r, r));
         let seen = frame.seen.blurred(&floor);
-        let doubt = self.compare(frame, &seen);
-        let seen = PoseFactor { information: seen.information / doubt, gradient: seen.gradient / doubt, ..seen };
+        self.compare(frame, &seen);
         let registration = self.of_body(&seen);
         let t_body_base = self.t_base_body().inverse();
         let Some(motion) = self.motion.take() else {
@@ -257,34 +249,26 @@ impl Inertial {
         }
     }
 
-    /// Compares what was expected, and what constant velocity led to, with where the frame is. By how much the frame's variance
-    /// grows because it is an outlier; 1 if it is none.
-    fn compare(&mut self, frame: &PlacedFrame<'_>, seen: &PoseFactor) -> f64 {
-        let Some(expected) = &self.expected else { return 1.0 };
+    /// Compares what was expected, and what constant velocity led to, with where the frame is.
+    fn compare(&mut self, frame: &PlacedFrame<'_>, seen: &PoseFactor) {
+        let Some(expected) = &self.expected else { return };
         // To where the frame alone would be placed, without what was expected of it; along what it leaves open it says nothing.
         let spread = seen.information.pseudo_inverse(1e-6).unwrap_or_else(|_| Matrix6::zeros());
         let off_by = |t: &Pose| spread * (seen.information * off(t, &seen.t_odom_found) - seen.gradient);
         let d = off_by(&expected.t_odom_base);
-        let assumed = off_by(frame.assumed);
+        let weight = NEWEST.max(1.0 / (self.num_compared + 1) as f64);
+        self.off_by.0.add(&d, weight);
+        self.off_by.1.add(&off_by(frame.assumed), weight);
         let widened = self.surprise.clamp(1.0, WIDEST);
         let total = expected.pose_covariance() / widened + spread;
         let squared = total.cholesky().map_or(0.0, |c| d.dot(&c.solve(&d)) / 6.0);
-        self.num_outlying = if squared > INCONSISTENT { self.num_outlying.saturating_add(1) } else { 0 };
-        if self.is_believed && (1..=OUTLIERS).contains(&self.num_outlying) {
-            return squared.min(1e6);
-        }
-        let weight = NEWEST.max(1.0 / (self.num_compared + 1) as f64);
-        self.off_by.0.add(&d, weight);
-        self.off_by.1.add(&assumed, weight);
         let weight = if squared > self.surprise { STARTLED } else { NEWEST };
         self.surprise += weight * (squared.min(1e6) - self.surprise);
         self.num_compared += 1;
         let share = if self.is_believed { 1.0 } else { BETTER };
         if self.num_compared >= PROVEN {
-            let is_sound = self.surprise <= INCONSISTENT || self.off_by.0.within(MUCH_BETTER, &self.off_by.1);
-            self.is_believed = self.off_by.0.within(share, &self.off_by.1) && is_sound;
+            self.is_believed = self.off_by.0.within(share, &self.off_by.1) && self.surprise <= INCONSISTENT;
         }
-        1.0
     }
 
     /// After a gap: what is known of biases and gravity stays, the velocity is that of the step.
