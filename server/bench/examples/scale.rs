@@ -289,6 +289,17 @@ impl Session {
         if report.keyframe.is_some() {
             self.num_keyframes.store(self.pipeline.snapshot().living_keyframes().count(), Ordering::Relaxed);
         }
+        if computed > 24.0 {
+            eprintln!(
+                "SLOW {computed:.1} keyframe {} corrected {} merged {} objects {} loops {} rebuilding {}",
+                report.keyframe.is_some(),
+                report.map.corrected.len(),
+                report.map.merged.len(),
+                report.map.objects.len(),
+                report.map.loops.len(),
+                self.pipeline.is_revising()
+            );
+        }
         self.note_correction(&before, &report, computed);
         Some((report, computed, clock))
     }

@@ -24,7 +24,7 @@ pub use composed::Composed;
 pub use error::MappingError;
 pub use layer::{Layer, Placement, TileKey};
 pub use layers::{LayerBoxes, MapLayers, SubmapLayers};
-pub use map::{CorrectionReport, Map, MapEntry, MapKeyframe, MapParams};
+pub use map::{CorrectionReport, Map, MapEntry, MapKeyframe, MapParams, RebuildStep, RebuildStepDone};
 pub use occupancy::{DenseGrid, Occupancy, OccupancyGrid, OccupancyMap, OccupancyParams, OccupancyTile};
 pub use store::{BlobId, MapMemory, MapStore};
 pub use submap::{Submap, SubmapId};

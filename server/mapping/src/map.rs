@@ -15,6 +15,7 @@ use division::Division;
 pub use division::MapEntry;
 use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose, SensorId};
 use rebuild::Rebuild;
+pub use rebuild::{RebuildStep, RebuildStepDone};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -74,7 +74,7 @@ impl Pipeline {
         let Some(view) = self.frontend.take(frame)? else { return Ok(FrameReport::default()) };
         let mut map = self.revise(Some(view.stamp), |graph, update| graph.take_answers(view.stamp, update));
         let report = if view.is_of_pose_sensor { self.follow(&view) } else { self.look_beside(&view) };
-        self.map_graph.build_on(report.keyframe.is_some());
+        self.map_graph.build_on();
         map.extend(report.map);
         Ok(FrameReport { map, ..report })
     }

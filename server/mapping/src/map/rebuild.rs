@@ -1,10 +1,10 @@
-//! Submaps whose layers are built anew beside what is shown, one after the other, a little at a time.
+//! Submaps whose layers are built anew beside what is shown, one after the other, a little at a time, on any thread.
 
-use super::Map;
+use super::{Map, MapKeyframe};
 use crate::layers::{LayerBoxes, LayersUpdate};
 use crate::submap::{Slot, SubmapId};
-use crate::{Submap, SubmapLayers};
-use percept_geometry::{KeyframeId, KeyframeScan, Pose};
+use crate::{MapParams, Submap, SubmapLayers};
+use percept_geometry::{KeptScan, KeyframeId, Pose};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -38,10 +38,54 @@ struct UnderWay {
     id: SubmapId,
     /// Still to be integrated, at the poses that they had in the map when this was begun.
     left: Vec<(KeyframeId, Pose)>,
+    /// None while a step is worked on.
+    built: Option<Built>,
+}
+
+/// What is built of a submap.
+#[derive(Debug)]
+struct Built {
     /// Integrated: base to the submap's new frame.
     keyframes: BTreeMap<KeyframeId, Pose>,
     boxes: LayerBoxes,
     layers: SubmapLayers,
+}
+
+/// Some keyframes by which a submap is built on: work for any thread, whatever becomes of the map meanwhile.
+#[derive(Debug)]
+pub struct RebuildStep {
+    params: MapParams,
+    id: SubmapId,
+    due: Vec<(KeyframeId, Pose, Option<KeptScan>)>,
+    built: Built,
+}
+
+/// A step that was worked on.
+#[derive(Debug)]
+pub struct RebuildStepDone {
+    id: SubmapId,
+    /// None if a scan cannot be had any more: what is built would miss it, so the submap stays as it is.
+    built: Option<Built>,
+}
+
+impl RebuildStep {
+    /// Works on it. Parallel work runs on the current rayon pool.
+    pub fn run(self) -> RebuildStepDone {
+        let Self { params, id, due, mut built } = self;
+        let update = |(_, pose, scan): &(KeyframeId, Pose, Option<KeptScan>)| {
+            Some(LayersUpdate::new(&params, pose, &*scan.as_ref()?.get()?))
+        };
+        let updates: Option<Vec<LayersUpdate>> = due.par_iter().map(update).collect();
+        let built = updates.map(|updates| {
+            for ((id, pose, _), update) in due.iter().zip(updates) {
+                built.boxes = built.boxes.joined(&update.touched(&params));
+                built.layers.add(&update);
+                built.keyframes.insert(*id, *pose);
+            }
+            built
+        });
+        RebuildStepDone { id, built }
+    }
 }
 
 impl Rebuild {
@@ -110,38 +154,49 @@ impl Map {
     /// submap is shown once it is whole. What comes of it does not depend on the steps.
     pub fn advance(&mut self, num_points: usize) -> bool {
         let mut left = num_points.max(1);
-        while left > 0 && self.begin_next() {
-            let Some(mut under_way) = self.rebuild.under_way.take() else { break };
-            let mut num_due = 0;
-            while num_due < CHUNK.min(under_way.left.len()) && left > 0 {
-                let size = self.keyframes.get(&under_way.left[num_due].0).map_or(1, |k| k.size.max(1));
-                left = left.saturating_sub(size);
-                num_due += 1;
-            }
-            let rest = under_way.left.split_off(num_due);
-            let due = std::mem::replace(&mut under_way.left, rest);
-            let scans: Vec<Option<Arc<KeyframeScan>>> = due.iter().map(|(id, _)| self.scan(*id)).collect();
-            let prepared = due.par_iter().zip(scans);
-            let updates: Vec<Option<LayersUpdate>> =
-                prepared.map(|((_, pose), scan)| Some(LayersUpdate::new(&self.params, pose, &*scan?))).collect();
-            for ((id, pose), update) in due.into_iter().zip(updates) {
-                // A scan that cannot be had any more is missing from what is built, and its submap is not built at all.
-                let Some(update) = update else {
-                    under_way.left.clear();
-                    under_way.keyframes.clear();
-                    break;
-                };
-                under_way.boxes = under_way.boxes.joined(&update.touched(&self.params));
-                under_way.layers.add(&update);
-                under_way.keyframes.insert(id, pose);
-            }
-            if under_way.left.is_empty() {
-                self.replace(under_way);
-            } else {
-                self.rebuild.under_way = Some(under_way);
-            }
+        while let Some(step) = self.step(&mut left) {
+            self.take_step(step.run());
         }
         self.rebuild.is_idle()
+    }
+
+    /// The next step, of keyframes of about so many points and misses together, of one at least; none if nothing is left to do, or
+    /// the step before was not taken in. Nothing else is built on until this one is ([`Map::take_step`]).
+    pub fn next_step(&mut self, num_points: usize) -> Option<RebuildStep> {
+        self.step(&mut num_points.max(1))
+    }
+
+    /// A step of at most so many points and misses, which are then left out of that number.
+    fn step(&mut self, left: &mut usize) -> Option<RebuildStep> {
+        if *left == 0 || !self.begin_next() {
+            return None;
+        }
+        let under_way = self.rebuild.under_way.as_mut()?;
+        let built = under_way.built.take()?;
+        let mut num_due = 0;
+        while num_due < CHUNK.min(under_way.left.len()) && *left > 0 {
+            let size = self.keyframes.get(&under_way.left[num_due].0).map_or(1, |k| k.size.max(1));
+            *left = left.saturating_sub(size);
+            num_due += 1;
+        }
+        let due = under_way.left.drain(..num_due);
+        let scan = |(id, pose)| (id, pose, self.keyframes.get(&id).map(|k: &MapKeyframe| k.scan.clone()));
+        Some(RebuildStep { params: self.params, id: under_way.id, due: due.map(scan).collect(), built })
+    }
+
+    /// Takes in what came of a step. A submap that is whole by it is shown.
+    pub fn take_step(&mut self, done: RebuildStepDone) {
+        let Some(mut under_way) = self.rebuild.under_way.take_if(|u| u.id == done.id && u.built.is_none()) else {
+            return;
+        };
+        match done.built {
+            Some(built) if under_way.left.is_empty() => self.replace(done.id, built),
+            Some(built) => {
+                under_way.built = Some(built);
+                self.rebuild.under_way = Some(under_way);
+            }
+            None => {}
+        }
     }
 
     /// Whether there is one under way.
@@ -152,14 +207,15 @@ impl Map {
             let living = |id: &KeyframeId| Some((*id, self.keyframes.get(id)?.t_map_base));
             let left: Vec<_> = submap.keyframes().keys().filter_map(living).collect();
             let (boxes, layers) = (LayerBoxes::empty(), SubmapLayers::new(&self.params));
-            self.rebuild.under_way = Some(UnderWay { id, left, keyframes: BTreeMap::new(), boxes, layers });
+            let built = Some(Built { keyframes: BTreeMap::new(), boxes, layers });
+            self.rebuild.under_way = Some(UnderWay { id, left, built });
         }
         true
     }
 
     /// Shows a submap that was built anew: its frame is the map's again.
-    fn replace(&mut self, built: UnderWay) {
-        let UnderWay { id, keyframes, boxes, mut layers, .. } = built;
+    fn replace(&mut self, id: SubmapId, built: Built) {
+        let Built { keyframes, boxes, mut layers } = built;
         let Some(k) = self.position(id).filter(|_| !keyframes.is_empty()) else { return };
         let is_active = !self.submaps[k].is_frozen;
         if !is_active {

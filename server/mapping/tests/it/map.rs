@@ -1,7 +1,8 @@
 use crate::scans::{Block, planar, seen, seen_planar};
 use percept_geometry::{Cell, Correction, KeyframeId, KeyframeScan, Pose, se3};
 use percept_mapping::{
-    BlobId, FusedCloud, Map, MapEntry, MapLayers, MapParams, MapStore, MappingError, Occupancy, OccupancyGrid, SubmapId,
+    BlobId, FusedCloud, Map, MapEntry, MapLayers, MapParams, MapStore, MappingError, Occupancy, OccupancyGrid,
+    RebuildStep, SubmapId,
 };
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -152,9 +153,11 @@ fn a_map_that_moves_as_a_whole_is_bent_nowhere_and_undoing_it_restores_the_bytes
 }
 
 /// A drive by drifting odometry with a gap in it, corrected and culled as it goes while submaps are being built anew, all of
-/// one and the first of another among them: the map, and what is known of each keyframe, with whether it was culled.
-fn driven(scans: &[Arc<KeyframeScan>]) -> (Map, Vec<(MapEntry, bool)>) {
+/// one and the first of another among them: the map, and what is known of each keyframe, with whether it was culled. Steps
+/// of building are `beside` what else is done with the map, or between.
+fn driven(scans: &[Arc<KeyframeScan>], beside: bool) -> (Map, Vec<(MapEntry, bool)>) {
     let mut map = Map::new(MapParams::default()).unwrap();
+    let mut step = None;
     let mut entries: Vec<(MapEntry, bool)> = vec![];
     let mut t_map_odom = Pose::identity();
     for (i, scan) in scans.iter().enumerate() {
@@ -162,7 +165,13 @@ fn driven(scans: &[Arc<KeyframeScan>]) -> (Map, Vec<(MapEntry, bool)>) {
         let entry = MapEntry { t_map_base: t_map_odom * t_odom_base, t_odom_base, after_gap: i == 25 };
         map.insert(id(i), &entry, Arc::clone(scan)).unwrap();
         entries.push((entry, false));
-        map.advance(3_000);
+        if beside {
+            step.take().into_iter().for_each(|step: RebuildStep| map.take_step(step.run()));
+            step = map.next_step(3_000);
+            assert!(map.next_step(1).is_none(), "one after the other");
+        } else {
+            map.advance(3_000);
+        }
         if i % 10 != 9 && i != NUM - 2 {
             continue;
         }
@@ -181,14 +190,22 @@ fn driven(scans: &[Arc<KeyframeScan>]) -> (Map, Vec<(MapEntry, bool)>) {
         let moved = entries.iter().enumerate().map(|(k, (entry, _))| (id(k), entry.t_map_base)).collect();
         map.correct(&Correction { t_map_base: moved }, &gone.into_iter().map(id).collect::<Vec<_>>()).unwrap();
     }
+    assert_eq!(step.is_some(), beside, "something is being built at the end");
+    step.into_iter().for_each(|step| map.take_step(step.run()));
     (map, entries)
 }
 
 #[test]
 fn a_map_that_is_restored_from_its_keyframes_is_the_map_that_was_stored() {
     let scans = scans();
-    let (mut map, entries) = driven(&scans);
-    assert!(map.is_rebuilding() && entries.iter().any(|e| e.1));
+    for beside in [false, true] {
+        let (map, entries) = driven(&scans, beside);
+        assert!(map.is_rebuilding() && entries.iter().any(|e| e.1));
+        is_restored(map, &entries, &scans);
+    }
+}
+
+fn is_restored(mut map: Map, entries: &[(MapEntry, bool)], scans: &[Arc<KeyframeScan>]) {
     while !map.advance(usize::MAX) {}
     let mut restored = Map::new(MapParams::default()).unwrap();
     for (i, (entry, is_gone)) in entries.iter().enumerate() {

@@ -43,6 +43,7 @@ impl MapGraph {
     /// Decides what is still to be decided about the map, and builds all that is to be built anew.
     pub(crate) fn finish_revision(&mut self, update: &mut MapUpdate) {
         self.finish_answers(update);
+        self.take_step();
         while !self.map.advance(usize::MAX) {}
     }
 

@@ -26,12 +26,13 @@ pub(crate) use revising::Decision;
 pub(crate) use update::MapUpdate;
 pub use update::{MapChange, NewKeyframe};
 
+use crate::beside::Task;
 use crate::{Executor, KeyframeInfo, ParamsError, PipelineParams, SessionMemory, SlamParams, TrajectoryEntry};
 use atlas::Atlas;
 use constraints::Constraints;
 use keyframes::Keyframes;
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, SensorId, Timestamp};
-use percept_mapping::{Map, MapKeyframe, MapStore};
+use percept_mapping::{Map, MapKeyframe, MapStore, RebuildStepDone};
 use percept_slam::{Loop, OdometryKind};
 use relocaliser::Relocaliser;
 use std::sync::Arc;
@@ -58,8 +59,9 @@ pub(crate) struct MapGraph {
     relocaliser: Relocaliser,
     /// Parts of the map that hang on nothing and wait to be recognised in it.
     atlas: Atlas,
-    /// Whether submaps were not built on with the newest frame, although some wait.
-    has_stood_back: bool,
+    /// By what a submap is being built on.
+    step: Option<Task<RebuildStepDone>>,
+    executor: Option<Arc<dyn Executor>>,
 }
 
 impl MapGraph {
@@ -78,7 +80,8 @@ impl MapGraph {
             constraints: Constraints::default(),
             relocaliser: Relocaliser::default(),
             atlas: Atlas::default(),
-            has_stood_back: false,
+            step: None,
+            executor: None,
         })
     }
 
@@ -89,7 +92,8 @@ impl MapGraph {
 
     /// Works beside frames, on threads of the executor's.
     pub(crate) fn set_executor(&mut self, executor: Arc<dyn Executor>) {
-        self.constraints.set_executor(executor);
+        self.constraints.set_executor(Arc::clone(&executor));
+        self.executor = Some(executor);
     }
 
     /// Makes the back end for the kind of sensor that moves the pose, if loops are wanted and can be found.

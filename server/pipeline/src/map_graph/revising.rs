@@ -1,14 +1,15 @@
 //! What is decided about the map is shown at once: keyframes, trajectory and submaps move together, and what hangs on them is
 //! told by how much. Submaps that do not fit their keyframes or the map's cells any more are built anew afterwards, a little
-//! with every frame.
+//! from each frame to the next, beside them.
 
 use super::{MapGraph, MapUpdate};
+use crate::beside::Task;
 use percept_geometry::{Correction, KeyframeId, Pose};
 use percept_slam::MergedKeyframe;
 use std::collections::BTreeMap;
 
-/// Points of keyframes that submaps are built anew from with each frame, at most: 4 to 9 ms on one core of a planar lidar's, and
-/// one keyframe at least (`examples/submaps.rs`). Counted, not timed, so that the same input gives the same answers.
+/// Points of keyframes that submaps are built anew from until the next frame, at most: 4 to 9 ms on one core of a planar lidar's,
+/// and one keyframe at least (`examples/submaps.rs`). Counted, not timed, so that the same input gives the same answers.
 const POINTS_A_FRAME: usize = 2_000;
 /// Keyframes that have to wait for that; with fewer it is as much less. Robots of a fleet that set out together would
 /// else do all at once what they have time for. Merging leaves a hundred or so waiting: so many that a planar robot builds
@@ -62,13 +63,20 @@ impl MapGraph {
         update.moved.push(moved);
     }
 
-    /// Builds on at submaps that are to be built anew: not in a frame that became a keyframe, which takes as long already, unless
-    /// the frame before did.
-    pub(crate) fn build_on(&mut self, is_keyframe: bool) {
-        self.has_stood_back = is_keyframe && !self.has_stood_back;
-        if self.map.is_rebuilding() && !self.has_stood_back {
+    /// Takes in by what submaps were built on since the frame before, and begins to build on until the next.
+    pub(crate) fn build_on(&mut self) {
+        self.take_step();
+        if self.map.is_rebuilding() {
             let waiting = self.map.num_to_rebuild().min(MANY);
-            self.map.advance(POINTS_A_FRAME * waiting / MANY);
+            let step = self.map.next_step(POINTS_A_FRAME * waiting / MANY);
+            self.step = step.map(|step| Task::begin(self.executor.as_ref(), || step.run()));
+        }
+    }
+
+    /// Takes in by what submaps were built on, if they were.
+    pub(super) fn take_step(&mut self) {
+        if let Some(step) = self.step.take() {
+            self.map.take_step(step.finished());
         }
     }
 
