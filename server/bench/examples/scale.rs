@@ -20,6 +20,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
+/// The server's: with the system's, memory that was given back stays with the process.
+#[global_allocator]
+static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
+
 type Failure = Box<dyn std::error::Error>;
 
 /// A loop is right if it is this near to the truth, metres and radians.
@@ -288,17 +292,6 @@ impl Session {
         let computed = cpu_ms() - start;
         if report.keyframe.is_some() {
             self.num_keyframes.store(self.pipeline.snapshot().living_keyframes().count(), Ordering::Relaxed);
-        }
-        if computed > 24.0 {
-            eprintln!(
-                "SLOW {computed:.1} keyframe {} corrected {} merged {} objects {} loops {} rebuilding {}",
-                report.keyframe.is_some(),
-                report.map.corrected.len(),
-                report.map.merged.len(),
-                report.map.objects.len(),
-                report.map.loops.len(),
-                self.pipeline.is_revising()
-            );
         }
         self.note_correction(&before, &report, computed);
         Some((report, computed, clock))

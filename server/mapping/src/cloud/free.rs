@@ -68,22 +68,40 @@ pub(super) fn seen_through(ranges: &RangeImage, params: &CloudParams, planar: bo
         let steps = ((reach - first) / voxel).floor();
         // In voxels, so that a step is one long and nothing is divided: these are the most steps that a keyframe takes.
         let start = (ranges.sensor() + direction * first) / voxel;
-        for step in 0..if steps >= 0.0 { steps as usize + 1 } else { 0 } {
-            let p = start + direction * step as f64;
-            let Some(v) = Voxel::containing(&p, 1.0) else { return };
-            let off = p - v.center(1.0);
-            let aside2 = if planar { off.xy().norm_squared() } else { off.norm_squared() };
-            if aside2 > 0.25 {
-                continue;
+        let num = if steps >= 0.0 { steps as u32 + 1 } else { return };
+        let ends = [start, start + direction * f64::from(num)];
+        if !ends.iter().all(|p| p.iter().all(|v| v.abs() < MOST_VOXELS)) {
+            return;
+        }
+        // Which voxel is in the upper half of a number then, and where in it in the lower: adding is all that a step takes.
+        let fixed = |v: f64| (v * FIXED) as i64;
+        let [mut x, mut y, mut z] = [start.x, start.y, start.z].map(fixed);
+        let (dx, dy, dz) = (fixed(direction.x), fixed(direction.y), fixed(direction.z));
+        for _ in 0..num {
+            let [off_x, off_y, off_z] = [x, y, z].map(from_center);
+            let aside2 = off_x * off_x + off_y * off_y + if planar { 0.0 } else { off_z * off_z };
+            if aside2 <= 0.25 {
+                let v = Voxel { x: (x >> 32) as i32, y: (y >> 32) as i32, z: (z >> 32) as i32 };
+                free.mark(v);
+                if planar && off_z.abs() > 0.25 {
+                    free.mark(Voxel { z: v.z.saturating_add(off_z.signum() as i32), ..v });
+                }
             }
-            free.mark(v);
-            if planar && off.z.abs() > 0.25 {
-                free.mark(Voxel { z: v.z.saturating_add(off.z.signum() as i32), ..v });
-            }
+            (x, y, z) = (x + dx, y + dy, z + dz);
         }
     });
     free.blocks.sort_unstable_by_key(|b| b.0);
     free.blocks
+}
+
+/// Voxels are numbered by what an `i32` holds, less a margin for rounding.
+const MOST_VOXELS: f64 = (1u64 << 31) as f64 - 1.0;
+/// Parts of a voxel that are told apart.
+const FIXED: f64 = (1u64 << 32) as f64;
+
+/// How far a number of such parts lies from the centre of its voxel, in voxels.
+fn from_center(v: i64) -> f32 {
+    (v as i32).wrapping_sub(i32::MIN) as f32 * (1.0 / FIXED as f32)
 }
 
 /// Voxels that one keyframe saw through, while they are gathered.
@@ -112,6 +130,71 @@ impl Marks {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Point3;
+    use std::collections::BTreeSet;
+
+    /// As [`seen_through`] says it, step by step.
+    fn plainly(ranges: &RangeImage, params: &CloudParams, planar: bool) -> BTreeSet<Voxel> {
+        let (voxel, mut free) = (params.voxel_size_m, BTreeSet::new());
+        ranges.visit_beams(|direction, shortest_around| {
+            let reach = (shortest_around - params.margin(0.0)) / (1.0 + 2.0 * params.carve_margin_ratio);
+            let reach = reach.min(params.range_max_m);
+            let mut r = params.range_min_m.max(0.5 * voxel);
+            while r <= reach {
+                let p = ranges.sensor() + direction * r;
+                let Some(v) = Voxel::containing(&p, voxel) else { return };
+                let off = (p - v.center(voxel)) / voxel;
+                if (if planar { off.xy().norm() } else { off.norm() }) <= 0.5 {
+                    free.insert(v);
+                    if planar && off.z.abs() > 0.25 {
+                        free.insert(Voxel { z: v.z + off.z.signum() as i32, ..v });
+                    }
+                }
+                r += voxel;
+            }
+        });
+        free
+    }
+
+    #[test]
+    fn what_is_seen_through_is_what_beams_pass_step_by_step() {
+        let params = CloudParams::default();
+        for (sensor, rows, planar) in [
+            (Point3::new(0.31, -0.2, 1.0), -8..=8, false),
+            (Point3::new(-7_312.4, 4_021.7, -12.3), -8..=8, false),
+            (Point3::new(3.3, -90.2, 0.2001), 0..=0, true),
+        ] {
+            let ends = rows.flat_map(|row| {
+                (0..700).map(move |i| {
+                    let (azimuth, elevation) = (f64::from(i) * 0.009, f64::from(row) * 0.03);
+                    let range = 4.0 + 3.0 * (3.0 * azimuth).sin();
+                    let (c, s) = (elevation.cos() * range, elevation.sin() * range);
+                    sensor + Vector3::new(c * azimuth.cos(), c * azimuth.sin(), s)
+                })
+            });
+            let ranges = RangeImage::new(sensor, ends);
+            let mut ours = BTreeSet::new();
+            for ((bx, by, bz), seen) in seen_through(&ranges, &params, planar) {
+                for slot in (0..512).filter(|slot| seen[slot / 64] >> (slot % 64) & 1 == 1).map(|slot| slot as i32) {
+                    let (x, y, z) = (slot % 8, slot / 8 % 8, slot / 64);
+                    ours.insert(Voxel { x: 8 * bx + x, y: 8 * by + y, z: 8 * bz + z });
+                }
+            }
+            let plain = plainly(&ranges, &params, planar);
+            let other = ours.symmetric_difference(&plain).count();
+            assert!(plain.len() > 10_000 && other * 2_000 < plain.len(), "{other} of {}", plain.len());
+        }
+    }
+
+    #[test]
+    fn who_stands_where_no_voxel_has_a_number_sees_through_nothing() {
+        for far in [1e8, 1e300] {
+            let sensor = Point3::new(far + 0.02, 0.02, 0.02);
+            let ranges = RangeImage::new(sensor, [sensor + Vector3::new(0.0, 4.0, 0.0)].into_iter());
+            let seen = seen_through(&ranges, &CloudParams::default(), false);
+            assert_eq!(seen.is_empty(), far > 1.1e8, "{far}");
+        }
+    }
 
     #[test]
     fn keyframes_are_counted_up_to_the_most_and_each_voxel_by_itself() {
