@@ -1,7 +1,8 @@
 //! Figures of a pipeline with an IMU and without one: `inertial CASE [name=value ...]`.
 //!
 //! Cases: `spinning`, `rosette`, `rgbd` (carried by hand with quick turns, up to 180 degrees a second), `corridor` (a spinning
-//! lidar on wheels that say nothing, 60 m without features), `corridor-rosette`, `corridor-rgbd`.
+//! lidar on wheels that say nothing, 60 m without features), `corridor-rosette`, `corridor-rgbd`, `planar` (a planar lidar
+//! whose beams are taken one after the other, on a robot that turns abruptly: `turn`, rad/s, and `accel`, rad/s2).
 //! Values: `seed`, `seconds`, `imu` (0 leaves it out), `rate` (of the IMU, Hz), `swing` (rad), `rooms`, `speed`, and
 //! `wrong` (`gaps`, `saturated`, `mount`, `late`, `jump`, `g`: what is the matter with the IMU).
 
@@ -98,6 +99,7 @@ fn session(case: &str, value: &impl Fn(&str, f64) -> f64) -> Result<SimParams, F
         "corridor" => (MainSensor::Lidar3d, 130.0),
         "corridor-rosette" => (MainSensor::Rosette, 130.0),
         "corridor-rgbd" => (MainSensor::Rgbd, 130.0),
+        "planar" => (MainSensor::Lidar2d, 300.0),
         "corridor-planar" => (MainSensor::Lidar2d, 130.0),
         other => return Err(format!("unknown case {other}").into()),
     };
@@ -110,10 +112,16 @@ fn session(case: &str, value: &impl Fn(&str, f64) -> f64) -> Result<SimParams, F
         lidar.columns = value("columns", lidar.columns as f64) as usize;
         lidar.rosette_points = value("points", lidar.rosette_points as f64) as usize;
     }
+    if let Some(lidar) = params.sensors.lidar2d.as_mut().filter(|_| case == "planar") {
+        lidar.motion_distortion = true;
+    }
     params.robot.speed_m_per_s = value("speed", 0.6);
     // Sessions begin at rest; a robot that drives off with its first frame is what simulators make.
     params.disturbances.pauses = vec![Pause { at_s: 0.0, lasts_s: value("rest", 3.0) }];
-    if scenario == Scenario::Loops {
+    if case == "planar" {
+        params.robot.turn_rate_rad_per_s = value("turn", 2.5);
+        params.robot.turn_acceleration_rad_per_s2 = value("accel", 8.0);
+    } else if scenario == Scenario::Loops {
         // Swung at 0.37 Hz: 1.3 rad make 3 rad/s, and the walker's own turning comes on top.
         let hand = HandheldParams { swing_rad: value("swing", 1.3), ..HandheldParams::default() };
         params.robot.handheld = Some(hand);

@@ -85,7 +85,14 @@ impl Scan {
 
     /// Seconds from the stamp to the first point and to the last one.
     pub(crate) fn sweep_s(&self) -> (f64, f64) {
-        let Self::Cloud(s) = self else { return (0.0, 0.0) };
+        let s = match self {
+            Self::Cloud(s) => s,
+            Self::Planar(s) => {
+                let last = s.scan.ranges_m.len().saturating_sub(1) as f64 * s.scan.time_increment_s;
+                return (last.min(0.0), last.max(0.0));
+            }
+            Self::Depth(_) | Self::Image(_) => return (0.0, 0.0),
+        };
         let finite = s.cloud.time_offsets_s.iter().flatten().filter(|t| t.is_finite());
         let (first, last) = finite.fold((f32::MAX, f32::MIN), |(a, b), &t| (a.min(t), b.max(t)));
         if first <= last { (f64::from(first), f64::from(last)) } else { (0.0, 0.0) }

@@ -207,19 +207,23 @@ impl Odometry {
         (0..6).all(is_seen) && found.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio && self.model.is_certain(found)
     }
 
-    /// Undoes the sweep's motion again where it was other than assumed, and places the scan once more.
+    /// Undoes the sweep's motion again where it was other than assumed, and places the scan once more. A turn about z that was
+    /// felt (rad/s) stays.
     pub(super) fn sharpen(
         &mut self,
         dt: f64,
         scan: &Scan,
-        assumed: &Vector6<f64>,
+        (assumed, felt_rate): (&Vector6<f64>, Option<f64>),
         found: Registration,
     ) -> Registration {
         if self.model.sweep_velocity().is_some() || !scan.is_sweep() || dt < 1e-3 || dt > self.params.tracking.max_gap_s
         {
             return found;
         }
-        let velocity = se3::log(&(self.t_odom_base.inverse() * found.t_odom_base)) / dt;
+        let mut velocity = se3::log(&(self.t_odom_base.inverse() * found.t_odom_base)) / dt;
+        if let Some(rate) = felt_rate {
+            velocity[5] = rate;
+        }
         // Over a sweep of 0.1 s: 1 cm, or 5 mrad.
         let off = velocity - assumed;
         if off.fixed_rows::<3>(0).norm() < 0.1 && off.fixed_rows::<3>(3).norm() < 0.05 {

@@ -163,7 +163,8 @@ impl Odometry {
 
     /// The same with the samples of an IMU, those up to the sweep's end if there are: they predict the motion where `prior`
     /// leaves the translation open, and undo a sweep's motion, however quick. It takes a second of placed frames until they
-    /// do; those that are wrong never do. Planar scans and images of a camera alone make no use of them beyond `prior`.
+    /// do; those that are wrong never do. Planar scans make use of the turn that was felt while they were taken, images of a
+    /// camera alone of nothing beyond `prior`.
     pub fn register_with_imu(
         &mut self,
         stamp: Timestamp,
@@ -190,6 +191,7 @@ impl Odometry {
         self.rhythm.tick(stamped);
         let dt = self.rhythm.elapsed(stamped);
         let t_odom_before = self.t_odom_base;
+        let felt_rate = self.turn_rate_during(stamp, scan, imu);
         // Wheels tell the way better than inertia does.
         let imu = imu.filter(|_| !self.limits.is_planar && !prior.is_some_and(MotionPrior::tells_the_way));
         let turned = prior.filter(|p| p.is_turn_only()).map(|p| p.t_prev_now.rotation);
@@ -199,12 +201,15 @@ impl Odometry {
         self.last_stamp = Some(stamp);
         self.model.follow_curve(prediction.inertial.as_ref().map(|e| Arc::clone(&e.curve)));
         // The sweep is undone with what is known of this step's motion.
-        let sweep_velocity = match prior {
+        let mut sweep_velocity = match prior {
             Some(_) if dt > 0.0 && dt <= self.params.tracking.max_gap_s => {
                 se3::log(&self.t_odom_base.inv_mul(&prediction.t_odom_base)) / dt
             }
             _ => self.velocity(),
         };
+        if let Some(rate) = felt_rate {
+            sweep_velocity[5] = rate;
+        }
         self.sweep_velocity = sweep_velocity;
         if let Err(reason) = self.model.prepare(scan, &sweep_velocity) {
             return self.lost(stamp, dt, &prediction, reason);
@@ -217,7 +222,7 @@ impl Odometry {
             Some(gyro) => self.place_or_try_gyro(dt, &prediction, gyro, found),
             None => found,
         };
-        let found = found.map(|found| self.sharpen(dt, scan, &sweep_velocity, found));
+        let found = found.map(|found| self.sharpen(dt, scan, (&sweep_velocity, felt_rate), found));
         if let Ok(found) = &found {
             match &prediction.inertial {
                 Some(e) => self.uncertainty.carried(&found.degenerate_axes, &e.pose_covariance().diagonal()),
@@ -248,6 +253,15 @@ impl Odometry {
             }
             Err(reason) => self.lost(stamp, dt, &prediction, reason),
         }
+    }
+
+    /// How fast a robot in the plane turned while a scan was taken, rad/s, as a gyro felt it that has shown to be right: the
+    /// robot may have turned otherwise between the scans.
+    fn turn_rate_during(&self, stamp: Timestamp, scan: &Scan, imu: Option<&ImuBuffer>) -> Option<f64> {
+        let (first, last) = scan.sweep_s();
+        let imu = imu.filter(|imu| self.limits.is_planar && last > first && imu.has_proven_turns())?;
+        let turn = imu.between(stamp.plus_seconds(first), stamp.plus_seconds(last))?.t_prev_now.rotation;
+        Some(turn.scaled_axis().z / (last - first))
     }
 
     /// Where the IMU expects the frame, if it is believed; else as wheels, gyro and velocity say.

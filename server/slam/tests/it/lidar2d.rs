@@ -1,8 +1,10 @@
 use crate::room::{Noise, Room, drive, drive_at};
 use nalgebra::Vector3;
-use percept_geometry::{Covariance6, KeyframeScan, Pose, Timestamp, se3};
+use percept_geometry::{Covariance6, KeyframeScan, Pose, Timestamp, se3, sensor::ImuSample};
 use percept_slam::keyframe::{KeyframeParams, keyframe_scan};
-use percept_slam::{LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, PlanarScan, Scan, TrackingState};
+use percept_slam::{
+    ImuBuffer, LostReason, MotionPrior, Odometry, OdometryKind, OdometryParams, PlanarScan, Scan, TrackingState,
+};
 use std::sync::Arc;
 
 #[test]
@@ -19,19 +21,34 @@ fn a_drive_through_the_room_is_followed_to_a_centimetre_without_wheels() {
     }
 }
 
-/// A drive of 12 s, up to 0.75 m/s and 96 degrees a second, seen by ten sweeps a second: the largest error of the pose (m, rad),
-/// and the mean distances from the room's surfaces of the points that keyframes keep, and of the same as they came, metres.
-fn swept(time_increment_s: f64) -> ((f64, f64), (f64, f64)) {
+/// A drive of 12 s, up to 0.75 m/s and 96 degrees a second and on top of that, from 3 s on, `wobble` (rad) to and fro 0.8 times a second, seen
+/// by ten sweeps a second, with a gyro or without: the largest error of the pose (m, rad), and the mean distances from the
+/// room's surfaces of the points that keyframes keep, and of the same as they came, metres.
+fn swept(time_increment_s: f64, wobble: f64, has_gyro: bool) -> ((f64, f64), (f64, f64)) {
     let (room, mut noise) = (Room::furnished(), Noise(4));
     let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
-    let at = |seconds: f64| drive_at(seconds / 12.0);
+    // A gyro that has not shown to be right is not believed, so it begins smoothly.
+    let turned = |seconds: f64| wobble * (5.0 * (seconds - 3.0).max(0.0)).sin();
+    let at = |seconds: f64| drive_at(seconds / 12.0) * se3::from_xy_yaw(0.0, 0.0, turned(seconds));
+    let mut imu = ImuBuffer::default();
     let (mut metres, mut radians) = (0f64, 0f64);
     let (mut kept_off, mut raw_off) = (0.0, 0.0);
     for i in 0..120 {
         let (second, t) = (0.1 * f64::from(i), at(0.1 * f64::from(i)));
         let scan = room.sweep(|after| at(second + after), time_increment_s, &mut noise);
-        let (stamp, laser) = (Timestamp::from_secs_f64(second), "laser".into());
-        let e = odometry.register(stamp, &scan, None);
+        let (stamp, before) = (Timestamp::from_secs_f64(second), Timestamp::from_secs_f64(second - 0.1));
+        let laser = "laser".into();
+        // Samples have come until the sweep's end.
+        for k in 0..if has_gyro { 20 } else { 0 } {
+            let felt = second + 0.005 * f64::from(k + 1);
+            let rate = se3::log(&at(felt - 0.001).inv_mul(&at(felt + 0.001))).fixed_rows::<3>(3) / 0.002;
+            let sample = ImuSample { angular_velocity: rate, linear_acceleration: 9.81 * Vector3::z() };
+            imu.push(Timestamp::from_secs_f64(felt), &sample, &Pose::identity());
+        }
+        let prior = imu.between(before, stamp);
+        let last = *odometry.t_odom_base();
+        let e = odometry.register_with_imu(stamp, &scan, prior.as_ref(), has_gyro.then_some(&imu));
+        imu.learn(before, stamp, &(last.rotation.inverse() * e.t_odom_base.rotation), true);
         let off = se3::log(&((at(0.0).inverse() * t).inverse() * e.t_odom_base));
         (metres, radians) = (metres.max(off.fixed_rows::<3>(0).norm()), radians.max(off[5].abs()));
         let mean = |kept: &KeyframeScan| {
@@ -47,13 +64,23 @@ fn swept(time_increment_s: f64) -> ((f64, f64), (f64, f64)) {
 
 #[test]
 fn what_a_sweep_saw_on_the_move_is_kept_where_it_was() {
-    let ((metres, radians), (kept, raw)) = swept(0.1 / 720.0);
+    let ((metres, radians), (kept, raw)) = swept(0.1 / 720.0, 0.0, false);
     assert!(raw > 0.02 && kept < 0.5 * raw, "{kept} of {raw}");
     // A sweep turns faster or slower than the step before it.
     assert!(metres < 0.03 && radians < 0.02, "{metres} {radians}");
     // A centimetre of noise.
-    let ((metres, radians), (kept, raw)) = swept(0.0);
+    let ((metres, radians), (kept, raw)) = swept(0.0, 0.0, false);
     assert!(kept < 0.01 && kept == raw && metres < 0.015 && radians < 0.005, "{kept} {raw} {metres} {radians}");
+}
+
+#[test]
+fn a_robot_that_turns_to_and_fro_keeps_what_it_saw_where_it_was_by_its_gyro() {
+    // Up to 3 rad/s, and otherwise in each sweep than from the sweep before.
+    let ((without, _), (kept_without, raw)) = swept(0.1 / 720.0, 0.6, false);
+    let ((metres, radians), (kept, _)) = swept(0.1 / 720.0, 0.6, true);
+    // A centimetre of noise.
+    assert!(kept < 0.01 && raw > 0.05 && kept_without > 0.03, "{kept} {kept_without} of {raw}");
+    assert!(metres < 0.04 && radians < 0.015 && without > 0.2, "{metres} {radians}, {without} without");
 }
 
 #[test]
