@@ -6,6 +6,7 @@
 
 pub mod admission;
 pub mod caller;
+mod clock;
 mod compute;
 mod error;
 mod flood;
@@ -36,10 +37,11 @@ pub use ops::sessions::{NewSession, Page, SessionDescription, SessionList, Sessi
 pub use ops::toolbox;
 pub use ops::transforms::{Moving, TrajectoryRequest, Transform};
 pub use percept_identity::Pattern;
+pub use session::command::{Moved, Pending, Processed, Ticket, Vetoed};
 pub use session::events::{Event, EventKind, EventLog};
 pub use session::fault::Fault;
 pub use session::fleet::{FleetEvent, FleetKind, FleetLog};
-pub use session::handle::{Moved, Pending, Processed, Session, Ticket, Vetoed};
+pub use session::handle::Session;
 pub use session::inspect::read_record;
 pub use session::listing::SessionView;
 pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};

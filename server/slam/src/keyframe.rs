@@ -2,9 +2,9 @@
 
 mod features;
 
+use crate::deskew::Sweep;
 use crate::downsample::Thinner;
 use crate::inertial::Curve;
-use crate::odometry::deskew::Sweep;
 use crate::odometry::rgbd::ColorCamera;
 use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
 use crate::{ParamError, check_range};
@@ -188,7 +188,7 @@ fn depth_hits(params: &KeyframeParams, s: &DepthScan) -> PointCloud {
 
 fn cloud_hits(params: &KeyframeParams, s: &CloudScan, motion: &SweepMotion) -> PointCloud {
     let curve = motion.curve.as_deref();
-    let in_base = crate::odometry::deskew::to_base(&s.cloud, &s.t_base_sensor, &motion.velocity, curve);
+    let in_base = crate::deskew::to_base(&s.cloud, &s.t_base_sensor, &motion.velocity, curve);
     let is_usable = |&i: &u32| {
         let p = &in_base[i as usize];
         cloud::is_finite(&s.cloud.positions[i as usize]) && Voxel::containing(&p.cast(), params.voxel_size_m).is_some()

@@ -7,11 +7,13 @@
 //! Start with [`odometry::Odometry::register`]; each sensor's method is a folder of [`odometry`].
 
 pub mod back_end;
+mod deskew;
 mod downsample;
 mod inertial;
 pub mod keyframe;
 pub mod loops;
 mod matching;
+mod motion_prior;
 pub mod odometry;
 pub mod pose_graph;
 pub mod scan;
@@ -23,9 +25,8 @@ pub use back_end::{
 pub use inertial::{ImuBuffer, ImuFault};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
 pub use loops::{LoopClosure, Relocalisation};
-pub use odometry::{
-    Growth, MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryNoise, OdometryParams, way_m,
-};
+pub use motion_prior::MotionPrior;
+pub use odometry::{Growth, Odometry, OdometryEstimate, OdometryKind, OdometryNoise, OdometryParams, way_m};
 pub use scan::{CloudScan, DepthScan, ImageScan, PlanarScan, Scan, SecondCamera};
 pub use tracking::{LostReason, Scale, TrackingState, Waiting};
 

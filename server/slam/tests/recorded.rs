@@ -63,7 +63,8 @@ fn views_of_seven_scenes_are_placed_by_features_of_either_method_and_never_wrong
     };
     for method in [FeatureMethod::Orb, FeatureMethod::Sift] {
         let mut places =
-            place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default()).unwrap();
+            place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), BackEndParams::default().place_limits())
+                .unwrap();
         let mut poses = KeyframePoses::new();
         for i in (0..400).step_by(50) {
             let (pose, kept) = view(i, method);

@@ -19,7 +19,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt};
 
-use crate::blobs::BlobId;
+use crate::blob_id::BlobId;
 use crate::catalogue::{CatalogueEntry, SessionPlace};
 use crate::check::{Progress, RecordReader};
 use crate::error::StoreError;

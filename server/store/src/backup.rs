@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::archive::READS;
-use crate::blobs::BlobId;
+use crate::blob_id::BlobId;
 use crate::catalogue::{self, CatalogueEntry, SessionPlace};
 use crate::check::{Fault, Progress, RecordReader};
 use crate::error::StoreError;

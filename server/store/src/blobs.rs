@@ -1,9 +1,7 @@
 //! Large immutable bytes, named by their SHA-256, as objects of their own.
 
 use std::collections::{HashMap, HashSet};
-use std::fmt;
 use std::path::PathBuf;
-use std::str::FromStr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
@@ -11,12 +9,13 @@ use bytes::Bytes;
 use futures::stream::{BoxStream, StreamExt, TryStreamExt};
 use object_store::path::Path;
 use object_store::{Error, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload};
-use sha2::{Digest, Sha256};
 use tokio::sync::RwLock;
 
+use crate::blob_id::BlobId;
 use crate::cache::CachedBlobs;
 use crate::directory;
-use crate::error::{StoreError, shortened};
+use crate::error::StoreError;
+use crate::threads::blocking;
 
 /// A blob stored again is made young again if it is older than this.
 const REFRESH_AGE: Duration = Duration::from_secs(60);
@@ -27,62 +26,8 @@ const HASH_INLINE_BYTES: usize = 128 << 10;
 /// Folder of the blobs.
 pub(crate) const FOLDER: &str = "blobs";
 
-/// Identity of a blob: the SHA-256 of its bytes, written as 64 lower-case hexadecimal digits.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct BlobId([u8; 32]);
-
-impl BlobId {
-    /// The identity that these bytes have.
-    #[must_use]
-    pub fn of(bytes: &[u8]) -> Self {
-        Self(Sha256::digest(bytes).into())
-    }
-
-    /// From the hash itself.
-    #[must_use]
-    pub fn from_bytes(hash: [u8; 32]) -> Self {
-        Self(hash)
-    }
-
-    /// The hash itself.
-    #[must_use]
-    pub fn as_bytes(&self) -> &[u8; 32] {
-        &self.0
-    }
-
-    fn path(&self) -> Path {
-        Path::from(format!("{FOLDER}/{self}"))
-    }
-}
-
-impl fmt::Display for BlobId {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(formatter, "{byte:02x}"))
-    }
-}
-
-impl fmt::Debug for BlobId {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "BlobId({self})")
-    }
-}
-
-impl FromStr for BlobId {
-    type Err = StoreError;
-
-    fn from_str(text: &str) -> Result<Self, StoreError> {
-        let invalid = || StoreError::InvalidBlobId { text: shortened(text) };
-        let is_digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
-        if text.len() != 64 || !text.bytes().all(is_digit) {
-            return Err(invalid());
-        }
-        let mut hash = [0; 32];
-        for (byte, digits) in hash.iter_mut().zip(text.as_bytes().chunks(2)) {
-            let digits = std::str::from_utf8(digits).map_err(|_| invalid())?;
-            *byte = u8::from_str_radix(digits, 16).map_err(|_| invalid())?;
-        }
-        Ok(Self(hash))
-    }
+fn path(id: BlobId) -> Path {
+    Path::from(format!("{FOLDER}/{id}"))
 }
 
 /// What a collection of garbage did.
@@ -173,7 +118,7 @@ impl Blobs {
     /// replaced by the same bytes, which makes it young and mends it if it was damaged.
     async fn put_again(&self, id: BlobId, bytes: Bytes) -> Result<(), StoreError> {
         let io = |error| StoreError::from_object("write a blob", error);
-        let is_fresh = match self.objects.head(&id.path()).await {
+        let is_fresh = match self.objects.head(&path(id)).await {
             Ok(meta) => meta.size == bytes.len() as u64 && age(&meta) < REFRESH_AGE,
             Err(Error::NotFound { .. }) => false,
             Err(error) => return Err(io(error)),
@@ -190,7 +135,7 @@ impl Blobs {
     }
 
     async fn write(&self, id: BlobId, bytes: Bytes, mode: PutMode) -> Result<(), Error> {
-        self.objects.put_opts(&id.path(), PutPayload::from(bytes), PutOptions::from(mode)).await.map(|_| ())
+        self.objects.put_opts(&path(id), PutPayload::from(bytes), PutOptions::from(mode)).await.map(|_| ())
     }
 
     pub(crate) async fn get(&self, id: BlobId) -> Result<Bytes, StoreError> {
@@ -208,12 +153,12 @@ impl Blobs {
             Error::NotFound { .. } => StoreError::BlobMissing { id },
             error => StoreError::from_object("read a blob", error),
         };
-        let bytes = self.objects.get(&id.path()).await.map_err(explain)?.bytes().await.map_err(explain)?;
+        let bytes = self.objects.get(&path(id)).await.map_err(explain)?.bytes().await.map_err(explain)?;
         if hash(&bytes).await? == id { Ok(bytes) } else { Err(StoreError::BlobCorrupt { id }) }
     }
 
     pub(crate) async fn exists(&self, id: BlobId) -> Result<bool, StoreError> {
-        match self.objects.head(&id.path()).await {
+        match self.objects.head(&path(id)).await {
             Ok(_) => Ok(true),
             Err(Error::NotFound { .. }) => Ok(false),
             Err(error) => Err(StoreError::from_object("look for a blob", error)),
@@ -261,7 +206,7 @@ impl Blobs {
         if self.was_stored_after(mark, id) {
             return Ok(false);
         }
-        match self.objects.head(&id.path()).await {
+        match self.objects.head(&path(id)).await {
             Ok(meta) if age(&meta) < grace => return Ok(false),
             Ok(_) => {}
             Err(Error::NotFound { .. }) => return Ok(true),
@@ -270,7 +215,7 @@ impl Blobs {
         if let Some(cache) = &self.cache {
             cache.delete(id).await;
         }
-        match self.objects.delete(&id.path()).await {
+        match self.objects.delete(&path(id)).await {
             Ok(()) | Err(Error::NotFound { .. }) => Ok(true),
             Err(error) => Err(io(error)),
         }
@@ -288,13 +233,6 @@ async fn hash(bytes: &Bytes) -> Result<BlobId, StoreError> {
     }
     let bytes = bytes.clone();
     blocking(move || BlobId::of(&bytes)).await
-}
-
-/// Runs work that would hold up the async threads.
-pub(crate) async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, StoreError> {
-    tokio::task::spawn_blocking(work)
-        .await
-        .map_err(|error| StoreError::Io { operation: "run a blocking task", source: Arc::new(error) })
 }
 
 #[cfg(test)]

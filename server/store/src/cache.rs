@@ -13,8 +13,9 @@ use std::time::SystemTime;
 
 use bytes::Bytes;
 
-use crate::blobs::{BlobId, blocking};
+use crate::blob_id::BlobId;
 use crate::error::StoreError;
+use crate::threads::blocking;
 
 /// Where blobs are kept on this machine's disk, and how many bytes of them.
 #[derive(Debug, Clone)]

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use crate::blobs::BlobId;
+use crate::blob_id::BlobId;
 use crate::catalogue::{CatalogueEntry, SessionPlace};
 use crate::error::StoreError;
 use crate::keys::Key;

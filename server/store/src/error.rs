@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::blobs::BlobId;
+use crate::blob_id::{BlobId, InvalidBlobId};
 
 /// Why a call to the store failed.
 ///
@@ -175,12 +175,9 @@ pub enum StoreError {
         /// The blob asked for.
         id: BlobId,
     },
-    /// A text is not 64 lower-case hexadecimal digits.
-    #[error("blob id {text:?} is not 64 lower-case hexadecimal digits")]
-    InvalidBlobId {
-        /// The text, shortened.
-        text: String,
-    },
+    /// A text names no blob.
+    #[error(transparent)]
+    InvalidBlobId(#[from] InvalidBlobId),
     /// An export breaks off or does not follow the framing of [`crate::archive`].
     #[error("export: {reason} at byte {offset}")]
     ExportMalformed {

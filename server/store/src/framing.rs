@@ -4,7 +4,7 @@ use bytes::Bytes;
 use sha2::{Digest, Sha256};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
-use crate::blobs::BlobId;
+use crate::blob_id::BlobId;
 use crate::error::StoreError;
 use crate::keys::{Key, MAX_KEY_BYTES};
 use crate::store::{Record, Store};

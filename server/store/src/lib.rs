@@ -24,6 +24,7 @@
 
 pub mod archive;
 pub mod backup;
+mod blob_id;
 mod blobs;
 mod cache;
 mod catalogue;
@@ -45,10 +46,12 @@ mod reader;
 mod root;
 mod slate;
 mod store;
+mod threads;
 mod ticks;
 mod trial;
 
-pub use blobs::{BlobId, GarbageReport, Mark};
+pub use blob_id::{BlobId, InvalidBlobId};
+pub use blobs::{GarbageReport, Mark};
 pub use cache::CacheConfig;
 pub use catalogue::{CatalogueEntry, SessionPlace};
 pub use clock::Clock;

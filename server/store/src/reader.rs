@@ -8,7 +8,8 @@ use object_store::path::Path;
 use slatedb::config::{DbReaderOptions, ScanOptions};
 use slatedb::{DbReader, DbReaderMode};
 
-use crate::blobs::{BlobId, Blobs};
+use crate::blob_id::BlobId;
+use crate::blobs::Blobs;
 use crate::error::StoreError;
 use crate::keys::{Key, RESERVED};
 use crate::slate::RECORDS;

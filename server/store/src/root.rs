@@ -15,7 +15,6 @@ use object_store::{Error, ObjectStore, ObjectStoreExt, PutPayload};
 use tokio::sync::{Mutex, watch};
 use tokio::task::AbortHandle;
 
-use crate::blobs::blocking;
 use crate::cache::{BlobCache, CachedBlobs};
 use crate::catalogue::{self, CatalogueEntry, SessionPlace, check_id};
 use crate::config::{RootConfig, StoreConfig};
@@ -27,6 +26,7 @@ use crate::node::{Node, NodeState, random_name};
 use crate::observed::{Failures, ObservedStore};
 use crate::reader::SessionReader;
 use crate::slate::{Place, SlateStore};
+use crate::threads::blocking;
 use crate::{format, lease, migrate, trial};
 
 /// Objects that are deleted at a time.

@@ -22,7 +22,8 @@ use tokio::runtime::Handle;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 
-use crate::blobs::{BlobId, Blobs, GarbageReport, Mark};
+use crate::blob_id::BlobId;
+use crate::blobs::{Blobs, GarbageReport, Mark};
 use crate::cache::CachedBlobs;
 use crate::committer::{Committer, Request, full};
 use crate::config::StoreConfig;

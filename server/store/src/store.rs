@@ -9,7 +9,8 @@ use futures::TryStreamExt;
 use futures::future::BoxFuture;
 use futures::stream::BoxStream;
 
-use crate::blobs::{BlobId, GarbageReport, Mark};
+use crate::blob_id::BlobId;
+use crate::blobs::{GarbageReport, Mark};
 use crate::error::StoreError;
 use crate::keys::{Key, Prefix};
 

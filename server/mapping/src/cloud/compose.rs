@@ -1,8 +1,8 @@
 //! The cloud of the whole map: submaps' clouds laid over each other, each carving what it saw through.
 
+use super::block::{BLOCK, BlockKey, VoxelMean, corner, locate};
 use super::free::{Count, FreeSpace, count_at};
 use super::fused::{Block, NO_COLOR, merge};
-use super::update::{BLOCK, BlockKey, VoxelMean, corner, locate};
 use super::{CloudParams, CloudUpdate, FusedCloud};
 use crate::bytes::{Damaged, Reader, put_f32, put_i32, put_u16, put_u32, put_u64};
 use crate::composed::Composed;

@@ -1,8 +1,8 @@
 //! What the keyframes of one submap saw through: how often, by voxel.
 
 use super::CloudParams;
+use super::block::{BlockKey, locate};
 use super::range_image::RangeImage;
-use super::update::{BlockKey, locate};
 use nalgebra::Vector3;
 use percept_geometry::Voxel;
 use rustc_hash::FxHashMap;

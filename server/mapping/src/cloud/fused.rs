@@ -1,8 +1,8 @@
 //! The fused cloud of a submap, in blocks that copies share.
 
+use super::block::{BLOCK, BlockKey, VoxelMean, corner};
 use super::free::FreeSpace;
 use super::range_image::RangeImage;
-use super::update::{BLOCK, BlockKey, VoxelMean, corner};
 use super::{CloudParams, CloudUpdate};
 use crate::MappingError;
 use crate::error::check_keyframe;

@@ -4,6 +4,7 @@
 //! through); adding it to the [`FusedCloud`] of its submap first carves what it saw through, then folds in what it saw.
 //! [`CloudMap`] is the cloud of the whole map, in which each submap carves those before it.
 
+mod block;
 mod compose;
 mod free;
 mod fused;

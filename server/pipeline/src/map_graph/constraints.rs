@@ -33,7 +33,7 @@ impl Constraints {
 
     /// A back end that knows nothing yet; none if loops are not wanted, or cannot be found by what this kind sees.
     pub(super) fn worker(&self, params: &SlamParams, kind: OdometryKind) -> Option<GraphWorker> {
-        let recognition = place_recognition(kind, &params.odometry, &params.back_end);
+        let recognition = place_recognition(kind, &params.odometry, params.back_end.place_limits());
         let recognition = recognition.filter(|_| params.back_end.enabled)?;
         Some(GraphWorker::new(
             BackEnd::new(params.back_end.clone(), OdometryNoise::of(kind), recognition),

@@ -3,7 +3,7 @@
 use super::pictures;
 use super::sessions::{Page, page_by_number};
 use crate::reason;
-use crate::session::handle::{Moved, Vetoed};
+use crate::session::command::{Moved, Vetoed};
 use crate::{Error, Progress, Result, Service, Session, check_id};
 use nalgebra::{Point2, Point3};
 use percept_formats::{GridMap, nav2, pcd, ply, trajectory};

@@ -1,7 +1,7 @@
 //! Declare sensors, take frames.
 
 use crate::reason;
-use crate::session::handle::{Offered, Submitted};
+use crate::session::command::{Offered, Submitted};
 use crate::session::meta::SensorDeclaration;
 use crate::{IncomingFrame, Pending, Processed, Result, SensorStatus, Service, Session, check_id};
 use percept_geometry::SensorId;
@@ -106,6 +106,6 @@ impl Service {
 
     /// The server's clock, nanoseconds since the Unix epoch.
     pub fn clock_ns(&self) -> i64 {
-        super::sessions::now_ns()
+        crate::clock::now_ns()
     }
 }

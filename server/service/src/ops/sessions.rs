@@ -1,6 +1,7 @@
 //! Create, find, list, delete sessions.
 
 use super::changes::{check_display_name, check_labels};
+use crate::clock::now_ns;
 use crate::reason;
 use crate::session::meta::{SensorDeclaration, SessionMeta, SessionMode};
 use crate::{Error, EventLog, Result, Service, Session, SessionState, SessionView, check_id};
@@ -305,12 +306,6 @@ impl Service {
     pub fn count_sessions(&self) -> std::collections::HashMap<SessionState, usize> {
         self.registry.census()
     }
-}
-
-/// Nanoseconds since the Unix epoch by the server's clock.
-pub(crate) fn now_ns() -> i64 {
-    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
-    i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
 }
 
 /// An id that no other session of this server has: the time, and a counter for calls within a tick.

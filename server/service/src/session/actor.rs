@@ -1,14 +1,18 @@
 //! The actor: takes frames from a bounded queue, one at a time, and publishes what they did.
 
-use super::events::EventKind;
+use super::command::{Command, Moved, Processed, Vetoed};
+use super::events::{EventKind, EventLog};
 use super::fault::Trouble;
-use super::handle::{Command, Moved, Processed, Session, Vetoed, lock};
+use super::handle::{Session, lock};
+use super::job::Job;
 use super::meta::{SensorDeclaration, SessionMeta};
-use super::persist::{Job, Persister, Storing};
+use super::persist::{Persister, Storing};
 use super::refusal::{failed, frame_error, stopped};
-use crate::{Asker, ComputePool, Result, observe};
-use percept_geometry::SensorFrame;
+use super::scratch::Scratch;
+use crate::{Asker, ComputePool, Limits, Result, observe};
+use percept_geometry::{SensorFrame, SensorId, Timestamp};
 use percept_pipeline::{FrameReport, Loop, LoopId, MapChange, Pipeline, Snapshot};
+use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
@@ -54,6 +58,26 @@ fn take_settings(pipeline: &mut Pipeline, meta: &SessionMeta, declared: Option<&
     if let Err(error) = pipeline.set_params(meta.params.clone()) {
         tracing::error!(session = meta.id, %error, "changed parameters are not in force before the session wakes again");
     }
+}
+
+/// A handle and the actor behind it, over a pipeline that may have been restored. The caller runs the actor.
+pub(super) fn start(
+    meta: SessionMeta,
+    mut pipeline: Pipeline,
+    last_stamps: &BTreeMap<SensorId, Timestamp>,
+    (persister, scratch): (Persister, Arc<Scratch>),
+    compute: ComputePool,
+    limits: &Limits,
+    events: Arc<EventLog>,
+) -> (Arc<Session>, impl Future<Output = Ending> + Send + 'static) {
+    for declaration in &meta.sensors {
+        pipeline.declare_sensor(declaration.spec.clone());
+    }
+    let (queue, commands) = mpsc::channel(limits.queue_length.max(1));
+    let kept = (persister.durable(), persister.storing(), scratch);
+    let session = Arc::new(Session::over(meta, &pipeline, last_stamps, queue, kept, None, limits, events));
+    let actor = Actor { session: Arc::clone(&session), pipeline: Some(pipeline), persister, compute };
+    (session, actor.run(commands))
 }
 
 impl Actor {

@@ -1,118 +1,21 @@
 //! The handle on a running session: doors put frames and commands into its actor's queue, and read what it published.
 
-use super::actor::{Actor, Ending};
+use super::command::{Command, Moved, Offered, Pending, Processed, Submitted, Ticket, Vetoed};
 use super::events::EventLog;
 use super::fault::{Fault, Trouble};
 use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
-use super::persist::{Durable, Persister, Storing};
+use super::persist::{Durable, Storing};
 use super::refusal::{check_stamp, frame_error, not_yet_durable, sensor_not_found, stopped};
 use super::scratch::Scratch;
 use super::sensor_book::{SensorBook, SensorStatus};
-use crate::observe::{self, Held, SessionShare};
-use crate::{ComputePool, Limits, Result};
-use percept_geometry::{KeyframeId, SensorFrame, SensorId, Timestamp};
-use percept_pipeline::{Loop, LoopId, Pipeline, PoseEstimate, Snapshot};
+use crate::observe::{self, SessionShare};
+use crate::{Limits, Result};
+use percept_geometry::{SensorFrame, SensorId, Timestamp};
+use percept_pipeline::{LoopId, Pipeline, Snapshot};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::{Duration, Instant};
-use tokio::sync::{Notify, OwnedMutexGuard, mpsc, oneshot, watch};
-
-/// Running number of an accepted frame in its session; durable once [`Session::durable`] has reached it.
-pub type Ticket = u64;
-
-/// What an accepted frame did.
-#[derive(Debug, Clone)]
-pub struct Processed {
-    /// Pose after it; none for sensors that do not move the pose.
-    pub pose: Option<PoseEstimate>,
-    /// Set if it became a keyframe.
-    pub keyframe: Option<KeyframeId>,
-    /// Time in queue and pipeline, seconds.
-    pub latency_s: f64,
-    /// Its number.
-    pub ticket: Ticket,
-    /// The frame had been taken in before; nothing was done with it this time.
-    pub is_duplicate: bool,
-}
-
-/// The answer to a submitted frame, when it comes.
-pub struct Pending(oneshot::Receiver<Result<Processed>>);
-
-impl Pending {
-    /// What became of the frame.
-    ///
-    /// # Errors
-    /// What is wrong with it; `SESSION_STOPPED` if the session ended before its turn came: nothing was done with it.
-    pub async fn answer(self) -> Result<Processed> {
-        self.0.await.unwrap_or_else(|_| Err(stopped()))
-    }
-}
-
-/// What became of a submitted frame so far.
-pub(crate) enum Submitted {
-    /// It waits its turn.
-    Taken(Pending),
-    /// The session has just been put to sleep: wake it and submit again.
-    Asleep(Box<SensorFrame>),
-}
-
-/// What became of an offered frame.
-pub(crate) enum Offered {
-    /// It waits its turn, or will be dropped and counted.
-    Taken,
-    /// The session has just been put to sleep: wake it and offer again.
-    Asleep(Box<SensorFrame>),
-}
-
-pub(crate) enum Command {
-    Frame {
-        frame: Box<SensorFrame>,
-        received: Instant,
-        reply: oneshot::Sender<Result<Processed>>,
-        queued: Held,
-    },
-    /// None: nothing changes, and the ticket tells when what is there is durable.
-    Change {
-        meta: Option<Box<SessionMeta>>,
-        declared: Option<Box<SensorDeclaration>>,
-        done: oneshot::Sender<Ticket>,
-        /// Kept until it is in force: the next change builds on this one, whoever still waits for it.
-        alone: OwnedMutexGuard<()>,
-    },
-    Veto {
-        id: LoopId,
-        vetoed: bool,
-        reply: oneshot::Sender<Option<Vetoed>>,
-    },
-    Settle {
-        reply: oneshot::Sender<Moved>,
-    },
-    /// Store everything, then end; go on if it cannot be stored.
-    Retire {
-        patience: Duration,
-        done: oneshot::Sender<std::result::Result<(), Trouble>>,
-    },
-}
-
-/// How the map moved, other than by a frame.
-#[derive(Debug, Clone, Copy)]
-pub struct Moved {
-    /// Keyframes that moved.
-    pub num_keyframes: usize,
-    /// Version of the map with it.
-    pub map_version: u64,
-    /// Durable once [`Session::durable`] has reached it.
-    pub ticket: Ticket,
-}
-
-/// What a veto did.
-#[derive(Debug, Clone)]
-pub struct Vetoed {
-    /// The loop, with its new state.
-    pub changed: Loop,
-    /// The map that followed.
-    pub moved: Moved,
-}
+use tokio::sync::{Notify, mpsc, oneshot, watch};
 
 /// A handle on a session that is awake; queries through it never wait for ingest.
 pub struct Session {
@@ -154,26 +57,6 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 impl Session {
-    /// A handle and the actor behind it, over a pipeline that may have been restored. The caller runs the actor.
-    pub(super) fn start(
-        meta: SessionMeta,
-        mut pipeline: Pipeline,
-        last_stamps: &BTreeMap<SensorId, Timestamp>,
-        (persister, scratch): (Persister, Arc<Scratch>),
-        compute: ComputePool,
-        limits: &Limits,
-        events: Arc<EventLog>,
-    ) -> (Arc<Self>, impl Future<Output = Ending> + Send + 'static) {
-        for declaration in &meta.sensors {
-            pipeline.declare_sensor(declaration.spec.clone());
-        }
-        let (queue, commands) = mpsc::channel(limits.queue_length.max(1));
-        let kept = (persister.durable(), persister.storing(), scratch);
-        let session = Arc::new(Self::over(meta, &pipeline, last_stamps, queue, kept, None, limits, events));
-        let actor = Actor { session: Arc::clone(&session), pipeline: Some(pipeline), persister, compute };
-        (session, actor.run(commands))
-    }
-
     /// A handle on a session that is damaged: it can be read, and nothing else.
     pub(super) fn read_only(
         meta: SessionMeta,
@@ -189,7 +72,7 @@ impl Session {
         Arc::new(Self::over(meta, pipeline, last_stamps, queue, nothing, Some(fault), limits, events))
     }
 
-    fn over(
+    pub(super) fn over(
         meta: SessionMeta,
         pipeline: &Pipeline,
         last_stamps: &BTreeMap<SensorId, Timestamp>,

@@ -1,6 +1,6 @@
 //! The steps of a session's life, each a task of its own that no caller can break off.
 
-use super::actor::Ending;
+use super::actor::{Ending, start};
 use super::events::EventKind;
 use super::fault::{Fault, Trouble, store_error};
 use super::handle::Session;
@@ -138,7 +138,7 @@ impl Registry {
         let persister = Persister::start(Writer::new(Arc::clone(&store), stored), &state);
         let compute = self.compute.clone();
         let (session, actor) =
-            Session::start(meta, recovered.pipeline, &stamps, (persister, scratch), compute, &self.limits, events);
+            start(meta, recovered.pipeline, &stamps, (persister, scratch), compute, &self.limits, events);
         let attended = Arc::clone(self).attend(Arc::clone(slot), Arc::clone(&session), actor, Arc::clone(&store));
         tokio::spawn(async move {
             attended.await;

@@ -12,12 +12,14 @@
 
 pub(crate) mod actor;
 pub(crate) mod changing;
+pub(crate) mod command;
 pub(crate) mod events;
 pub(crate) mod fault;
 pub(crate) mod fleet;
 pub(crate) mod handle;
 pub(crate) mod history;
 pub(crate) mod inspect;
+pub(crate) mod job;
 pub(crate) mod keeper;
 pub(crate) mod keyframe_codec;
 pub(crate) mod life;

@@ -38,7 +38,7 @@ const MOST_LEAP_NS: i64 = 60 * 1_000_000_000;
 
 /// How far a stamp is ahead of the server's clock, nanoseconds; negative behind it.
 pub(super) fn ahead_ns(stamp: Timestamp) -> i64 {
-    stamp.nanos().saturating_sub(crate::ops::sessions::now_ns())
+    stamp.nanos().saturating_sub(crate::clock::now_ns())
 }
 
 /// Refuses stamps from the future: a sensor's stamps have to grow, so that one of them would end it. `before_ns`: how far its
@@ -47,7 +47,7 @@ pub(super) fn check_stamp(stamp: Timestamp, before_ns: Option<i64>) -> crate::Re
     let ahead_ns = ahead_ns(stamp);
     let leap_ns = before_ns.map_or(0, |before_ns| ahead_ns.saturating_sub(before_ns));
     let is_slip = ahead_ns > MOST_LEAP_NS && leap_ns > MOST_LEAP_NS;
-    let is_told_the_time = crate::ops::sessions::now_ns() >= CLOCK_IS_SET_NS;
+    let is_told_the_time = crate::clock::now_ns() >= CLOCK_IS_SET_NS;
     if !is_told_the_time || (ahead_ns <= MOST_AHEAD_NS && !is_slip) {
         return Ok(());
     }

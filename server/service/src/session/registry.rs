@@ -57,7 +57,7 @@ impl Registry {
         health: Health,
     ) -> Result<Arc<Self>> {
         // Events come far slower than one a microsecond, so that this lies above every token given before.
-        let first_token = u64::try_from(crate::ops::sessions::now_ns() / 1000).unwrap_or(1).max(1);
+        let first_token = u64::try_from(crate::clock::now_ns() / 1000).unwrap_or(1).max(1);
         let waking = Semaphore::new(WAKES_AT_ONCE);
         let fleet = Arc::new(FleetLog::starting_at(first_token, limits.fleet_event_history));
         let sessions = RwLock::default();

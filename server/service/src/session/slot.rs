@@ -129,7 +129,7 @@ impl Slot {
             phase: watch::channel(phase).0,
             known: Mutex::new(known),
             events: Arc::new(events),
-            last_used_ns: AtomicI64::new(crate::ops::sessions::now_ns()),
+            last_used_ns: AtomicI64::new(crate::clock::now_ns()),
             last_used_ms: AtomicU64::new(uptime_ms()),
             epoch: AtomicU64::new(0),
             doomed: AtomicBool::new(false),
@@ -188,7 +188,7 @@ impl Slot {
     }
 
     pub(super) fn touch(&self) {
-        self.last_used_ns.store(crate::ops::sessions::now_ns(), Ordering::Relaxed);
+        self.last_used_ns.store(crate::clock::now_ns(), Ordering::Relaxed);
         self.last_used_ms.store(uptime_ms(), Ordering::Relaxed);
     }
 
@@ -230,7 +230,7 @@ impl Slot {
 
     /// Notes that the pipeline failed; how often it did within `window_ns`.
     pub(super) fn failed(&self, window_ns: i64) -> usize {
-        let now = crate::ops::sessions::now_ns();
+        let now = crate::clock::now_ns();
         let mut failures = self.failures.lock().unwrap_or_else(PoisonError::into_inner);
         failures.retain(|at| now - at < window_ns);
         failures.push(now);

@@ -2,8 +2,8 @@
 
 use super::actor::Ending;
 use super::fault::Trouble;
+use super::job::Job;
 use super::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
-use super::persist::Job;
 use super::records::{MetaRecord, json};
 use super::recover::recover;
 use super::registry::Registry;

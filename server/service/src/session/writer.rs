@@ -1,8 +1,8 @@
 //! Turns what frames did into records and blobs: blobs first, then one batch of records that names them.
 
 use super::fault::Trouble;
+use super::job::Job;
 use super::keyframe_codec;
-use super::persist::Job;
 use super::records::{KeyframeRecord, MergedRecord, MetaRecord, StateRecord, TrajectoryRecord, json, parse};
 use crate::observe;
 use bytes::Bytes;
@@ -243,7 +243,7 @@ pub(super) async fn collect_garbage(store: &dyn Store, mark: Mark, grace: Durati
     for (_, bytes) in store.scan_all(&keys::keyframes()).await? {
         let record: KeyframeRecord = parse("a keyframe", &bytes)?;
         if let Some(blob) = record.blob {
-            live.insert(blob.parse()?);
+            live.insert(blob.parse().map_err(StoreError::from)?);
         }
     }
     let report = store.collect_garbage(&live, mark, grace).await?;

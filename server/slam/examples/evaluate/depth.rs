@@ -76,8 +76,9 @@ pub(crate) fn simulated(seed: u64, args: &[String]) -> Result<(), Failure> {
     }
     let mut run = Run::with(OdometryKind::Rgbd, params);
     let mut policy = KeyframePolicy::new(OdometryParams::default().keyframe);
-    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default())
-        .ok_or("no place recognition")?;
+    let mut places =
+        place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), BackEndParams::default().place_limits())
+            .ok_or("no place recognition")?;
     let (mut truth, mut estimate, mut keyframes) = (vec![], vec![], KeyframePoses::new());
     let mut tally = Tally::default();
     for f in simulation.frames() {

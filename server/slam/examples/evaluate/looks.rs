@@ -132,7 +132,7 @@ fn matches(a: &View, b: &View, kind: usize, ratio: f64) -> Option<(usize, usize)
 fn found(views: &[View], method: usize) {
     for every in [2, 4, 8] {
         let Some(mut places) =
-            place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default())
+            place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), BackEndParams::default().place_limits())
         else {
             return;
         };
@@ -151,7 +151,8 @@ fn found(views: &[View], method: usize) {
         }
         println!("{}: map of every {every}th view: {asked} asked, {right} found, {wrong} wrong", KINDS[method]);
     }
-    let Some(mut places) = place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default())
+    let Some(mut places) =
+        place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), BackEndParams::default().place_limits())
     else {
         return;
     };

@@ -29,7 +29,7 @@ impl Mapping {
             back_end: BackEnd::new(
                 BackEndParams::default(),
                 OdometryNoise::of(kind),
-                place_recognition(kind, &OdometryParams::default(), &BackEndParams::default())?,
+                place_recognition(kind, &OdometryParams::default(), BackEndParams::default().place_limits())?,
             ),
             t_odom_keyframe: vec![],
             merged: BTreeMap::new(),

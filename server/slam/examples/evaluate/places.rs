@@ -20,7 +20,7 @@ fn seen(points: &[Point3<f32>], t: &Pose) -> KeyframeScan {
 /// Where `lost` is in a map that holds nothing but `place`.
 fn relocalise(place: &[Point3<f32>], lost: &KeyframeScan) -> Option<Relocalisation> {
     let mut recognition =
-        place_recognition(OdometryKind::Lidar3d, &OdometryParams::default(), &BackEndParams::default())?;
+        place_recognition(OdometryKind::Lidar3d, &OdometryParams::default(), BackEndParams::default().place_limits())?;
     let mut poses = KeyframePoses::new();
     poses.insert(KeyframeId(0), Pose::identity());
     // A keyframe far away ends the first one's local map.

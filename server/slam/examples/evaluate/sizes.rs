@@ -90,8 +90,9 @@ fn drive(camera: &DepthCameraParams, world: u64, noise: u64) -> Result<Views, Fa
 }
 
 fn taken_in(views: &[(Pose, Arc<KeyframeScan>)]) -> Result<(Box<dyn PlaceRecognition>, KeyframePoses), Failure> {
-    let mut places = place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default())
-        .ok_or("no place recognition")?;
+    let mut places =
+        place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), BackEndParams::default().place_limits())
+            .ok_or("no place recognition")?;
     let mut poses = KeyframePoses::new();
     for (k, (t, scan)) in views.iter().enumerate() {
         poses.insert(KeyframeId(k as u64), *t);

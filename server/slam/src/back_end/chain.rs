@@ -1,10 +1,40 @@
 //! Keyframes in the order of their making, and how sure the way from each to the next is.
 
-use super::culling::View;
 use crate::odometry::{OdometryNoise, way_m};
 use nalgebra::Vector6;
-use percept_geometry::{Covariance6, KeyframeId, Pose, se3};
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId, se3};
 use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
+
+/// A keyframe sees around if its points lie in so many of the sectors around it.
+const SECTORS: usize = 16;
+const AROUND: u32 = 14;
+
+/// What a keyframe sees, as far as it matters for what another one sees, too.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct View {
+    pub(super) sensor: SensorId,
+    /// All around, so that turning shows nothing else.
+    pub(super) around: bool,
+}
+
+impl View {
+    /// Of a keyframe whose scan cannot be had: nobody else sees the same.
+    pub(super) fn unknown() -> Self {
+        Self { sensor: SensorId(String::new()), around: false }
+    }
+
+    pub(super) fn of(scan: &KeyframeScan) -> Self {
+        let origin = scan.t_base_sensor.translation.vector.xy().cast::<f32>();
+        let sector = |p: &nalgebra::Point3<f32>| {
+            let d = p.coords.xy() - origin;
+            let turn = (f64::from(d.y).atan2(f64::from(d.x)) + PI) / TAU;
+            1u32 << ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
+        };
+        let seen = scan.hits.positions.iter().fold(0, |seen, p| seen | sector(p));
+        Self { sensor: scan.sensor.clone(), around: seen.count_ones() >= AROUND }
+    }
+}
 
 /// A keyframe of the graph.
 #[derive(Debug, Clone)]

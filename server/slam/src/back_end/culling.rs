@@ -12,9 +12,8 @@ use super::chain::{Chain, Step};
 use super::consistency::{Constraint, NEIGHBOURS};
 use crate::odometry::diagonal;
 use nalgebra::Vector3;
-use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId, se3};
+use percept_geometry::{Covariance6, KeyframeId, Pose, se3};
 use rustc_hash::{FxHashMap, FxHashSet};
-use std::f64::consts::{PI, TAU};
 
 /// Keyframes from which on older ones are merged. A robot that drove rounds in one room took 6.0 s of computing for 6,000
 /// frames with 400, and 4.8 s with 250 and with 200. ATE with 400, 250, 200: Intel 0.061 0.062 0.060 m, CSAIL 0.079 0.077
@@ -27,48 +26,8 @@ const RECENT: u64 = 60;
 /// Two keyframes this near see the same, metres, and radians for a sensor that does not see around.
 const NEAR_M: f64 = 0.5;
 const NEAR_RAD: f64 = 0.35;
-/// A keyframe sees around if its points lie in so many of the sectors around it.
-const SECTORS: usize = 16;
-const AROUND: u32 = 14;
 /// Most loops of a keyframe, the surest.
 const MOST_LOOPS: u32 = 12;
-
-/// What a keyframe sees, as far as it matters for what another one sees, too.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct View {
-    pub(super) sensor: SensorId,
-    /// All around, so that turning shows nothing else.
-    pub(super) around: bool,
-}
-
-impl View {
-    /// Of a keyframe whose scan cannot be had: nobody else sees the same.
-    pub(super) fn unknown() -> Self {
-        Self { sensor: SensorId(String::new()), around: false }
-    }
-
-    pub(super) fn of(scan: &KeyframeScan) -> Self {
-        let origin = scan.t_base_sensor.translation.vector.xy().cast::<f32>();
-        let sector = |p: &nalgebra::Point3<f32>| {
-            let d = p.coords.xy() - origin;
-            let turn = (f64::from(d.y).atan2(f64::from(d.x)) + PI) / TAU;
-            1u32 << ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
-        };
-        let seen = scan.hits.positions.iter().fold(0, |seen, p| seen | sector(p));
-        Self { sensor: scan.sensor.clone(), around: seen.count_ones() >= AROUND }
-    }
-}
-
-/// A keyframe that another one stands for from now on.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MergedKeyframe {
-    /// The one that is gone.
-    pub id: KeyframeId,
-    /// The one that stands for it.
-    pub into: KeyframeId,
-    /// Base at `id`, seen from base at `into`.
-    pub t_into_base: Pose,
-}
 
 /// A node that another one stands for, by index.
 #[derive(Debug, Clone)]

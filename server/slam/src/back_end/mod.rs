@@ -17,14 +17,14 @@ mod tests;
 
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::OdometryNoise;
-use chain::{Chain, step_covariance};
-pub use culling::MergedKeyframe;
-use culling::View;
+use chain::{Chain, View, step_covariance};
 use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, se3};
 use solve::Effort;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-pub use types::{BackEndKeyframe, BackEndMemory, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState};
+pub use types::{
+    BackEndKeyframe, BackEndMemory, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe,
+};
 
 /// What is known of the way over a gap: standard deviations, metres and radians.
 const GAP: (f64, f64) = (10.0, 3.0);

@@ -1,7 +1,6 @@
 //! What the back end is given, and what it answers.
 
-use super::MergedKeyframe;
-use crate::loops::LoopClosure;
+use crate::loops::{LoopClosure, PlaceLimits};
 use crate::{ParamError, check_range};
 use percept_geometry::{Correction, Covariance6, KeptScan, KeyframeId, Pose};
 use serde::{Deserialize, Serialize};
@@ -29,6 +28,11 @@ impl Default for BackEndParams {
 }
 
 impl BackEndParams {
+    /// By how much places are known, at most.
+    pub fn place_limits(&self) -> PlaceLimits {
+        PlaceLimits { keyframes: self.max_visual_keyframes, submaps: self.max_place_submaps }
+    }
+
     /// Checks every field.
     ///
     /// # Errors
@@ -118,4 +122,15 @@ pub struct BackEndUpdate {
     pub merged: Vec<MergedKeyframe>,
     /// Loops that went with them.
     pub dissolved: Vec<LoopId>,
+}
+
+/// A keyframe that another one stands for from now on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MergedKeyframe {
+    /// The one that is gone.
+    pub id: KeyframeId,
+    /// The one that stands for it.
+    pub into: KeyframeId,
+    /// Base at `id`, seen from base at `into`.
+    pub t_into_base: Pose,
 }

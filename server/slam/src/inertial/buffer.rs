@@ -4,7 +4,7 @@
 
 use super::GRAVITY;
 use super::faults::{ImuCheck, ImuFault};
-use crate::odometry::MotionPrior;
+use crate::motion_prior::MotionPrior;
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use percept_geometry::sensor::ImuSample;
 use percept_geometry::{Covariance6, Pose, Timestamp};

@@ -5,8 +5,11 @@
 //! observations and the singular value decomposition", 1988).
 
 use super::GRAVITY;
-use super::fusion::SHAKEN;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+/// Forces that differ from gravity by more than this share of it tell no direction: the body is shaken, or they are in another
+/// unit than m/s^2.
+pub(super) const SHAKEN: f64 = 0.3;
 
 /// Forces are averaged over so many seconds, and say something after so many.
 const FORCE_S: (f64, f64) = (5.0, 2.0);

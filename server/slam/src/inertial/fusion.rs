@@ -8,6 +8,7 @@
 use super::GRAVITY;
 use super::buffer::ImuBuffer;
 use super::curve::Curve;
+use super::faults::SHAKEN;
 use super::preintegration::{Gravity, NavState, Preintegrated, STATE, off};
 use super::window::{BOTH, PoseFactor, Window};
 use nalgebra::{Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
@@ -20,9 +21,7 @@ const POSITION: f64 = 0.01;
 const ROTATION: f64 = 0.005;
 const VELOCITY: (f64, f64) = (0.3, 0.2);
 const ACCEL_BIAS: f64 = 0.2;
-/// Forces that differ from gravity by more than this share of it tell no direction: the body is shaken, or they are in another
-/// unit than m/s^2. Those that differ less tell it to this angle, radians, and as much as they differ.
-pub(super) const SHAKEN: f64 = 0.3;
+/// Forces that differ from gravity by less than [`SHAKEN`] tell its direction to this angle, radians, and as much as they differ.
 const DIRECTION: f64 = 0.05;
 /// What registrations of frames in a row have in common, because they share a local model, metres and radians.
 const IN_COMMON: (f64, f64) = (0.003, 0.001);

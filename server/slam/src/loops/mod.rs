@@ -8,7 +8,6 @@ pub(crate) mod planar;
 pub(crate) mod spatial;
 mod visual;
 
-use crate::BackEndParams;
 use crate::odometry::{OdometryKind, OdometryParams};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose};
 use serde::{Deserialize, Serialize};
@@ -96,13 +95,22 @@ pub trait PlaceRecognition: Send {
     fn memory_bytes(&self) -> usize;
 }
 
+/// By how much places are known, at most.
+#[derive(Debug, Clone, Copy)]
+pub struct PlaceLimits {
+    /// Keyframes of a depth camera or a camera.
+    pub keyframes: usize,
+    /// Submaps of a 3D lidar.
+    pub submaps: usize,
+}
+
 /// Place recognition for the frames that an odometry registers; none where there is none yet.
 pub fn place_recognition(
     kind: OdometryKind,
     params: &OdometryParams,
-    back_end: &BackEndParams,
+    limits: PlaceLimits,
 ) -> Option<Box<dyn PlaceRecognition>> {
-    let (keyframes, submaps) = (back_end.max_visual_keyframes, back_end.max_place_submaps);
+    let PlaceLimits { keyframes, submaps } = limits;
     match kind {
         OdometryKind::Lidar2d => Some(Box::new(planar::PlanarPlaces::new(params.lidar2d.max_range_m))),
         OdometryKind::Rgbd => Some(Box::new(depth::DepthPlaces::new(keyframes))),

@@ -1,6 +1,7 @@
 //! A frame finds its place in the local model: where it is expected, the tries, and which of them is believed.
 
-use super::{MotionPrior, Odometry, Prediction, Registration, diagonal};
+use super::{Odometry, Prediction, Registration, diagonal};
+use crate::motion_prior::{MotionPrior, UNKNOWN_VARIANCE};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use nalgebra::Vector6;
@@ -27,9 +28,6 @@ const SUDDEN: (f64, f64) = (0.15, 0.15);
 
 /// Turns of a gyro and of the motion before that differ by less lead to the same place, radians.
 const ALIKE: f64 = 0.01;
-
-/// A prior whose position has a larger variance than this leaves the translation open, m^2.
-pub(super) const UNKNOWN_VARIANCE: f64 = 1e4;
 
 impl Odometry {
     /// The motion prior if there is one; what it leaves open, as a gyro does the translation, from constant velocity. Of a prior that

@@ -5,7 +5,6 @@
 //! Start with [`Odometry::register`]; the methods are [`rgbd`], [`lidar3d`], [`lidar2d`] and [`mono`], which keeps a map and
 //! a state of its own: what the others share supposes that lengths are known.
 
-pub(crate) mod deskew;
 mod hypotheses;
 pub mod lidar2d;
 pub mod lidar3d;
@@ -19,9 +18,9 @@ mod uncertainty;
 
 use crate::inertial::{GyroCheck, ImuBuffer, Inertial, PlacedFrame};
 use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
+use crate::motion_prior::MotionPrior;
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
-use hypotheses::UNKNOWN_VARIANCE;
 pub(crate) use model::{Found, LocalModel, Prediction, Registration};
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
 pub use noise::{Growth, OdometryNoise, way_m};
@@ -37,28 +36,6 @@ const MAX_LEFT_OPEN: f64 = 0.25;
 
 /// So long inertia leads while no frame is placed, seconds: an accelerometer that is off by 0.05 m/s^2 is off by 0.6 m then.
 const COASTS_S: f64 = 5.0;
-
-/// What another source (wheels, an IMU) says about the motion since the frame before.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MotionPrior {
-    /// Base now, seen from base at the frame before.
-    pub t_prev_now: Pose,
-    /// Of that motion, right perturbation in base now. Axes with standard deviations above 100 m are open, and prediction takes
-    /// them from the velocity.
-    pub covariance: Covariance6,
-}
-
-impl MotionPrior {
-    /// Whether it says how far base moved, not only how it turned.
-    pub(crate) fn tells_the_way(&self) -> bool {
-        (0..3).all(|i| self.covariance[(i, i)] <= UNKNOWN_VARIANCE)
-    }
-
-    /// Whether it says nothing but how base turned, as a gyro does.
-    pub(crate) fn is_turn_only(&self) -> bool {
-        (0..3).all(|i| self.covariance[(i, i)] > UNKNOWN_VARIANCE)
-    }
-}
 
 /// Where base is, how sure that is, and how the frame fitted.
 #[derive(Debug, Clone, PartialEq)]

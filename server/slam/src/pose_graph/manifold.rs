@@ -1,7 +1,7 @@
 //! Poses in the plane and in space as the pose graph sees them: composition, small steps, errors with derivatives.
 
 use super::Edge;
-use super::certificate::Minorant;
+use super::minorant::Minorant;
 use nalgebra::{
     Matrix3, Matrix6, Quaternion, Rotation3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
 };
@@ -155,7 +155,12 @@ impl Manifold<3> for PlanarPose {
         }
         let about_z = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 0.0)) * (turn * slope * 0.5);
         let turns = Self { x: 0.0, y: 0.0, yaw: best }.rotation() * about_z;
-        Some(Minorant::of(&edge.t_from_to, &turns, shifts, &Vector3::new(rest.x, rest.y, 0.0)))
+        Some(Minorant::of(
+            (edge.t_from_to.rotation(), edge.t_from_to.position()),
+            &turns,
+            shifts,
+            &Vector3::new(rest.x, rest.y, 0.0),
+        ))
     }
 
     fn lifted_information(information: &SMatrix<f64, 3, 3>) -> Option<Matrix6<f64>> {
@@ -267,7 +272,12 @@ impl Manifold<6> for Pose {
         let shifts = information.fixed_view::<3, 3>(0, 0).into_owned();
         let least = least_eigenvalue(&shifts);
         let off = Self::error(&edge.t_from_to, from, to).fixed_rows::<3>(0).into_owned();
-        Some(Minorant::of(&edge.t_from_to, &turns, least, &(shifts * off - off * least)))
+        Some(Minorant::of(
+            (edge.t_from_to.rotation(), edge.t_from_to.position()),
+            &turns,
+            least,
+            &(shifts * off - off * least),
+        ))
     }
 
     fn rotation(&self) -> Matrix3<f64> {

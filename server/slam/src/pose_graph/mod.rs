@@ -10,6 +10,7 @@ mod cholesky;
 mod covariance;
 mod lifted;
 mod manifold;
+mod minorant;
 mod normal;
 mod optimise;
 mod pattern;
@@ -19,10 +20,10 @@ mod start;
 #[cfg(test)]
 mod tests;
 
-pub use certificate::Minorant;
 pub use covariance::covariance_of;
 pub(crate) use manifold::information_of;
 pub use manifold::{Linearised, Manifold, PlanarPose};
+pub use minorant::Minorant;
 pub(crate) use normal::Equations;
 pub use optimise::{OptimiseParams, OptimiseReport, optimise};
 pub use start::chordal;
@@ -97,8 +98,8 @@ pub enum PoseGraphError {
     NotSolvable,
 }
 
-impl From<sparse::NotSolvable> for PoseGraphError {
-    fn from(_: sparse::NotSolvable) -> Self {
+impl From<pattern::NotSolvable> for PoseGraphError {
+    fn from(_: pattern::NotSolvable) -> Self {
         Self::NotSolvable
     }
 }

@@ -1,6 +1,7 @@
 //! The normal equations of a pose graph at its poses.
 
-use super::sparse::{NotSolvable, Solver};
+use super::pattern::NotSolvable;
+use super::sparse::Solver;
 use super::{Manifold, PoseGraph, PoseGraphError, Structure, Unknowns};
 use nalgebra::{SMatrix, SVector};
 

@@ -1,10 +1,13 @@
 //! Where the blocks of a sparse symmetric matrix and of its factor are, found once for all systems of one graph.
 
-use super::sparse::NotSolvable;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::SymbolicSparseColMatRef;
 use faer::sparse::linalg::amd;
 use std::ops::Range;
+
+/// The system cannot be solved: not positive definite, or too large for the memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct NotSolvable;
 
 /// Columns that are worked on together at most: each block of an earlier column is then read once for so many.
 const WIDEST: usize = 4;

@@ -1,12 +1,8 @@
 //! Symmetric positive definite systems of small dense blocks, by sparse Cholesky.
 
 use super::cholesky::{climb, factorise, stride, substitute};
-use super::pattern::Pattern;
+use super::pattern::{NotSolvable, Pattern};
 use nalgebra::SMatrix;
-
-/// The system cannot be solved: not positive definite, or too large for the memory.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct NotSolvable;
 
 /// Solves systems of one pattern again and again.
 pub(super) struct Solver<'a, const D: usize> {

@@ -1,7 +1,8 @@
 //! Poses to start from, found from the measurements alone.
 
+use super::pattern::NotSolvable;
 use super::pattern::Pattern;
-use super::sparse::{NotSolvable, Solver};
+use super::sparse::Solver;
 use super::{Manifold, PoseGraph, PoseGraphError, Structure, Unknowns};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 

@@ -47,7 +47,8 @@ fn keep_with(features: FeatureMethod, scan: &Scan) -> Arc<KeyframeScan> {
 
 fn taken_in(keyframes: &[(Pose, Arc<KeyframeScan>)]) -> (Box<dyn PlaceRecognition>, KeyframePoses) {
     let mut places =
-        place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), &BackEndParams::default()).unwrap();
+        place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), BackEndParams::default().place_limits())
+            .unwrap();
     let mut poses = KeyframePoses::new();
     for (k, (t, scan)) in keyframes.iter().enumerate() {
         poses.insert(KeyframeId(k as u64), *t);

@@ -9,7 +9,7 @@ mod shelf;
 pub use progress::{HowFar, Progress};
 pub(crate) use shelf::Operations;
 
-use super::sessions::{Page, now_ns, page_by_number};
+use super::sessions::{Page, page_by_number};
 use crate::{Error, Limits, Result, Service, reason};
 use bytes::Bytes;
 use futures::future::BoxFuture;

@@ -1,7 +1,8 @@
 //! The operations of a server: whose they are, whose turn it is, and when they are forgotten.
 
 use super::progress::{Progress, cancelled};
-use super::{NewOperation, Operation, OperationState, Work, now_ns};
+use super::{NewOperation, Operation, OperationState, Work};
+use crate::clock::now_ns;
 use crate::{Error, ErrorCode, Limits, Result, observe, reason};
 use bytes::Bytes;
 use percept_identity::Access;

@@ -3,7 +3,7 @@
 //! Nothing is forgotten before its time to make room: what does not fit is refused.
 
 use crate::admission::{Admission, Quota};
-use crate::ops::sessions::now_ns;
+use crate::clock::now_ns;
 use crate::{Error, Limits, Result, observe};
 use percept_geometry::PointCloud;
 use std::collections::HashMap;

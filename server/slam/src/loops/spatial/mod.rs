@@ -9,6 +9,7 @@
 //! Source: Gupta et al., "Effectively detecting loop closures using point cloud density maps", ICRA 2024 (MapClosures). We
 //! verify in space, with no use of the picture's alignment: where the floor is not level, that is wrong.
 
+mod kept;
 mod local_search;
 mod query;
 mod registering;

@@ -5,7 +5,7 @@
 //! well as in the best one is looked at in space; what was seen on the way has to agree with each place, view by
 //! view, and only if it does in the best one and in no other is that claimed.
 
-use super::seen::Kept;
+use super::kept::Kept;
 use super::submap::{range, voxel_for};
 use super::target::{Refused, Strictness, Target};
 use super::walls;

@@ -1,5 +1,6 @@
 //! Keyframes among which a lost robot is looked for.
 
+use super::kept::Kept;
 use super::query::Query;
 use super::walls;
 use crate::loops::{KeyframePoses, Relocalisation};
@@ -8,16 +9,6 @@ use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::Arc;
-
-/// What a keyframe saw.
-#[derive(Debug)]
-pub(super) struct Kept {
-    pub(super) scan: KeptScan,
-    /// What stands upright, seen from above: in base turned level, its x axis kept.
-    pub(super) walls: Vec<Point2<f32>>,
-    /// Length of the way up to it, metres.
-    pub(super) travel: f64,
-}
 
 /// All keyframes that a sensor has seen in space.
 #[derive(Debug, Default)]

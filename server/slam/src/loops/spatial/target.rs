@@ -1,6 +1,6 @@
 //! A part of the map as one surface, and whether scans fit into it.
 
-use super::seen::Kept;
+use super::kept::Kept;
 use super::submap::{range, voxel_for};
 use crate::downsample::Thinner;
 use crate::odometry::lidar3d::align::{Problem, align};

@@ -1,7 +1,7 @@
 //! A planar scan made ready: points in base's plane with the normals of the surfaces they lie on.
 
+use crate::deskew::Sweep;
 use crate::matching::field::Hit;
-use crate::odometry::deskew::Sweep;
 use crate::scan::PlanarScan;
 use nalgebra::{Point2, Point3, Vector2, Vector6};
 use percept_geometry::Pose;

@@ -11,9 +11,10 @@ pub(crate) mod sight;
 pub(crate) mod sweep;
 pub(crate) mod voxels;
 
+use crate::deskew;
 use crate::downsample::Thinner;
 use crate::inertial::Curve;
-use crate::odometry::{Found, LocalModel, Prediction, Registration, deskew};
+use crate::odometry::{Found, LocalModel, Prediction, Registration};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use crate::{ParamError, check_range};

@@ -7,7 +7,7 @@ use super::pose::PlacedCamera;
 use super::scale::Scaling;
 use super::tracker::Tracker;
 use super::{Mono, knows_way};
-use crate::odometry::MotionPrior;
+use crate::motion_prior::MotionPrior;
 use percept_geometry::{Pose, Timestamp};
 
 /// Maps kept at most; the smallest goes first.

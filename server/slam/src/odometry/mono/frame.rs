@@ -1,10 +1,13 @@
 //! One image as the tracker sees it: ORB features at undistorted pixels, in a grid for search by place.
 
-use super::map::PointId;
 use crate::tracking::LostReason;
 use nalgebra::{Point3, Vector2};
 use percept_geometry::{CameraIntrinsics, RgbImage};
 use percept_perception::features2d::{Descriptors, Orb, OrbParams};
+
+/// Number of a point, in the order of creation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) struct PointId(pub(super) u32);
 
 /// From one pyramid level to the next: ORB's usual factor.
 pub(super) const SCALE_FACTOR: f64 = 1.2;

@@ -1,10 +1,10 @@
 //! The neighbourhood of a new view: adjusted together, and cleared of what is wrong or superfluous.
 
 use super::bundle_adjustment::{Bundle, Observation, Step};
-use super::frame::{Lens, sigma};
-use super::map::{Map, PointId, ViewId};
+use super::frame::{Lens, PointId, sigma};
+use super::known_steps::KnownSteps;
+use super::map::{Map, ViewId};
 use super::pose::CHI2;
-use super::scale::KnownSteps;
 use nalgebra::Matrix3;
 use percept_geometry::Pose;
 use std::collections::BTreeMap;

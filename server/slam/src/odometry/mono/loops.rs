@@ -3,8 +3,8 @@
 //!
 //! **Source:** Strasdat, Montiel and Davison, "Scale drift-aware large scale monocular SLAM", 2010.
 
-use super::frame::{Frame, Lens};
-use super::map::{Map, PointId, ViewId};
+use super::frame::{Frame, Lens, PointId};
+use super::map::{Map, ViewId};
 use super::places::Places;
 use super::search::FAR_BITS;
 use super::similarity::Similarity;

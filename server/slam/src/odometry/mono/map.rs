@@ -2,7 +2,7 @@
 //!
 //! Lengths are in the map's own unit until a scale is known. Poses are `t_camera_map`: map to camera.
 
-use super::frame::{Frame, NUM_LEVELS, SCALE_FACTOR, hamming, sigma};
+use super::frame::{Frame, NUM_LEVELS, PointId, SCALE_FACTOR, hamming, sigma};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Pose, Timestamp};
 use std::collections::BTreeMap;
@@ -10,10 +10,6 @@ use std::collections::BTreeMap;
 /// Number of a view, in the order of creation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct ViewId(pub(super) u32);
-
-/// Number of a point, in the order of creation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(super) struct PointId(pub(super) u32);
 
 /// A keyframe of the camera.
 #[derive(Debug, Clone)]

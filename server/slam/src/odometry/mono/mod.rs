@@ -14,6 +14,7 @@
 mod atlas;
 mod bundle_adjustment;
 mod frame;
+mod known_steps;
 mod local;
 mod loops;
 mod map;
@@ -26,10 +27,9 @@ mod start;
 mod tracker;
 mod triangulation;
 
+use crate::motion_prior::{MotionPrior, UNKNOWN_VARIANCE};
 use crate::odometry::uncertainty::Uncertainty;
-use crate::odometry::{
-    LocalModel, MotionPrior, OdometryEstimate, Prediction, Registration, UNKNOWN_VARIANCE, diagonal,
-};
+use crate::odometry::{LocalModel, OdometryEstimate, Prediction, Registration, diagonal};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};

@@ -4,15 +4,15 @@
 //! metres, and what wheels say between views stays in the adjustment, so that the scale does not drift.
 
 use super::frame::{self, Lens};
+use super::known_steps::KnownStep;
 use super::knows_way;
 use super::map::ViewId;
 use super::tracker::Tracker;
-use crate::odometry::MotionPrior;
+use crate::motion_prior::MotionPrior;
 use crate::scan::{ImageScan, SecondCamera};
 use crate::tracking::Scale;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Covariance6, DepthImage, Pose, se3};
-use std::collections::BTreeMap;
 
 /// The median is believed when its relative standard error is below this.
 const SURE: f64 = 0.04;
@@ -24,32 +24,6 @@ const MIN_WAY_M: f64 = 0.3;
 /// Points of one image with depth, and images of a second camera, that are needed.
 const MIN_DEPTHS: usize = 30;
 const MIN_SECONDS: usize = 6;
-
-/// How the camera moved from one view to another by another source.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct KnownStep {
-    /// Metres.
-    pub(super) t_a_b: Pose,
-    /// Of its translation, each axis, square metres.
-    pub(super) variance: f64,
-}
-
-/// Steps by the views that they join.
-#[derive(Debug, Clone, Default)]
-pub(super) struct KnownSteps(pub(super) BTreeMap<(ViewId, ViewId), KnownStep>);
-
-impl KnownSteps {
-    /// A view goes: the step to it and the one from it become one.
-    pub(super) fn bridge(&mut self, gone: ViewId) {
-        let to = self.0.iter().find(|((_, b), _)| *b == gone).map(|(&k, &s)| (k, s));
-        let from = self.0.iter().find(|((a, _), _)| *a == gone).map(|(&k, &s)| (k, s));
-        self.0.retain(|&(a, b), _| a != gone && b != gone);
-        if let (Some(((a, _), first)), Some(((_, b), second))) = (to, from) {
-            let step = KnownStep { t_a_b: first.t_a_b * second.t_a_b, variance: first.variance + second.variance };
-            self.0.insert((a, b), step);
-        }
-    }
-}
 
 /// What is known of the scale.
 #[derive(Debug, Clone)]
@@ -197,7 +171,9 @@ fn agreed(ratios: &mut [f64], needed: usize) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::known_steps::KnownSteps;
     use super::*;
+    use std::collections::BTreeMap;
 
     #[test]
     fn a_median_counts_only_when_the_ratios_agree() {

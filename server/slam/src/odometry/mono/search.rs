@@ -1,7 +1,7 @@
 //! Which feature of an image shows which map point: search by place and look.
 
-use super::frame::{Frame, Lens, NUM_LEVELS, SCALE_FACTOR, hamming, sigma};
-use super::map::{Map, PointId};
+use super::frame::{Frame, Lens, NUM_LEVELS, PointId, SCALE_FACTOR, hamming, sigma};
+use super::map::Map;
 use super::pose::Sighting;
 use nalgebra::Point3;
 use percept_geometry::Pose;

@@ -1,11 +1,11 @@
 //! Images in, camera poses in the map's unit out: starts the map, follows it, adds to it, finds itself again.
 
-use super::frame::{Frame, Lens};
+use super::frame::{Frame, Lens, PointId};
+use super::known_steps::KnownSteps;
 use super::local;
-use super::map::{Map, PointId, ViewId};
+use super::map::{Map, ViewId};
 use super::places::Places;
 use super::pose::{self, PlacedCamera};
-use super::scale::KnownSteps;
 use super::start::{Reference, TwoViews};
 use super::{MonoParams, loops, search, triangulation};
 use crate::tracking::{LostReason, Waiting};

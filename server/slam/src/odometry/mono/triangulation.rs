@@ -1,7 +1,7 @@
 //! New points: what two views show, but no point of the map explains; and points that are one, made one.
 
-use super::frame::{Frame, Lens, hamming, sigma};
-use super::map::{Map, PointId, ViewId};
+use super::frame::{Frame, Lens, PointId, hamming, sigma};
+use super::map::{Map, ViewId};
 use super::search::{FAR_BITS, NEAR_BITS, scales_agree};
 use super::start::{Ray, meet};
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};

@@ -4,10 +4,10 @@
 //! 3.5. We weight by the depth's noise, use Tukey's kernel, and leave degenerate directions to the
 //! prediction (Zhang, Kaess, Singh 2016).
 
-use super::frame::{Frame, Rigid32, Vertex};
+use super::frame::{Frame, Rigid32, Vertex, pixel};
 use super::noise::sigma;
 use super::photometric::Photometric;
-use super::surfels::{View, pixel};
+use super::surfels::View;
 use crate::odometry::{Found, Registration};
 use crate::tracking::LostReason;
 use nalgebra::{Matrix3, Matrix6, Vector6};

@@ -261,6 +261,15 @@ impl Rigid32 {
     }
 }
 
+/// The pixel that a point of the view falls on.
+#[inline]
+pub(crate) fn pixel(camera: &CameraIntrinsics, p: &Vector3<f32>) -> Option<usize> {
+    let u = camera.fx as f32 * p.x / p.z + camera.cx as f32 + 0.5;
+    let v = camera.fy as f32 * p.y / p.z + camera.cy as f32 + 0.5;
+    let inside = p.z > 0.1 && u >= 0.0 && v >= 0.0 && u < camera.width as f32 && v < camera.height as f32;
+    inside.then(|| v as usize * camera.width + u as usize)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -7,9 +7,9 @@
 //! Source: Palazzolo et al., "ReFusion: 3D reconstruction in dynamic environments for RGB-D cameras exploiting residuals",
 //! 2019, section III.C (residuals as seeds, flood fill in depth, registration again).
 
-use super::frame::{Frame, Rigid32, Vertex};
+use super::frame::{Frame, Rigid32, Vertex, pixel};
 use super::noise::sigma;
-use super::surfels::{View, pixel};
+use super::surfels::View;
 use percept_geometry::{CameraIntrinsics, Pose};
 use std::collections::VecDeque;
 

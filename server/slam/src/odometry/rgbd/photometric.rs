@@ -5,10 +5,9 @@
 //! live image, whose gradient is sharp, and use those alone that have texture around them.
 
 use super::color_camera::ColorCamera;
-use super::frame::{Frame, Rigid32};
+use super::frame::{Frame, Rigid32, pixel};
 use super::intensity::Intensity;
 use super::noise::sigma;
-use super::surfels::pixel;
 use nalgebra::Vector3;
 use percept_geometry::{CameraIntrinsics, Pose};
 use percept_perception::registration::{NormalEquations, accumulate};

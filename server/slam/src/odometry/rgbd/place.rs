@@ -1,9 +1,9 @@
 //! Whether two keyframes show one place: dense alignment of one to the surfaces of others, and what speaks against it.
 
 use super::align::{LEVELS, Problem, Requirements, align};
-use super::frame::Frame;
+use super::frame::{Frame, pixel};
 use super::noise::sigma;
-use super::surfels::{Surfels, View, pixel};
+use super::surfels::{Surfels, View};
 use super::{frame::Rigid32, seed};
 use crate::odometry::Registration;
 use nalgebra::Matrix3;

@@ -5,7 +5,7 @@
 //! since taking the nearest would pull the surface towards the camera by its noise.
 
 use super::color_camera::ColorCamera;
-use super::frame::{Frame, Rigid32, Vertex};
+use super::frame::{Frame, Rigid32, Vertex, pixel};
 use super::noise::sigma;
 use super::photometric::{MIN_CONTRAST, TexturedPoint};
 use crate::odometry::way_m;
@@ -368,15 +368,6 @@ impl Surfels {
         let k = count.min(ages.len() - 1);
         *ages.select_nth_unstable_by(k, f32::total_cmp).1
     }
-}
-
-/// The pixel that a point of the view falls on.
-#[inline]
-pub(crate) fn pixel(camera: &CameraIntrinsics, p: &Vector3<f32>) -> Option<usize> {
-    let u = camera.fx as f32 * p.x / p.z + camera.cx as f32 + 0.5;
-    let v = camera.fy as f32 * p.y / p.z + camera.cy as f32 + 0.5;
-    let inside = p.z > 0.1 && u >= 0.0 && v >= 0.0 && u < camera.width as f32 && v < camera.height as f32;
-    inside.then(|| v as usize * camera.width + u as usize)
 }
 
 /// Weight of one measurement at depth `z`: 1 at one metre, by the inverse variance.
