@@ -114,6 +114,9 @@ impl<L: Layer> Composed<L> {
         let over_tile = |p: &&Part| {
             tiles_of(edge, L::bounds(&p.boxes))
                 .is_some_and(|(low, high)| (low.0..=high.0).contains(&key.0) && (low.1..=high.1).contains(&key.1))
+                && p.slot
+                    .footprints()
+                    .is_none_or(|f| L::footprint_of(f).reaches(edge, &p.place, L::bounds(&p.boxes), key))
         };
         let active = self.parts.last().filter(|p| !p.is_frozen && over_tile(p));
         let mut is_whole = true;

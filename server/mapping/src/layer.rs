@@ -1,7 +1,7 @@
 //! What a layer of the map is: what it takes, how submaps' parts of it are laid over each other, stored and versioned.
 
 use crate::bytes::{Damaged, Reader};
-use crate::layers::{LayerBoxes, SubmapLayers};
+use crate::layers::{LayerBoxes, LayerFootprints, SubmapLayers};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, KeyframeScan, Pose};
 
@@ -47,6 +47,8 @@ pub trait Layer: Clone + Send + Sync + Sized + 'static {
     fn tile_bytes(tile: &Self::Tile) -> usize;
     /// What a tile takes while parts are laid over each other, bytes.
     fn under_bytes(under: &Self::Under) -> usize;
+    /// Where the part says anything: tiles of its own frame.
+    fn footprint(&self, params: &Self::Params) -> Footprint;
     /// The part as bytes; the same part always gives the same.
     fn encode(&self, out: &mut Vec<u8>);
     /// The part from its bytes.
@@ -59,10 +61,49 @@ pub trait Layer: Clone + Send + Sync + Sized + 'static {
     fn of(layers: &SubmapLayers) -> &Self;
     /// Its box among those of a submap's parts.
     fn bounds(boxes: &LayerBoxes) -> &Aabb3;
+    /// Where it says anything, among where those of a submap do.
+    fn footprint_of(footprints: &LayerFootprints) -> &Footprint;
 }
 
 /// Column and row of a tile of the map: square in x and y, of all heights.
 pub type TileKey = (i32, i32);
+
+/// Tiles of a submap's frame in which its part says anything: a box around them says little, as a robot sees far through doors.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Footprint(Vec<TileKey>);
+
+impl Footprint {
+    /// Of tiles in any order.
+    pub(crate) fn of(mut tiles: Vec<TileKey>) -> Self {
+        tiles.sort_unstable();
+        tiles.dedup();
+        Self(tiles)
+    }
+
+    /// Whether the part may say anything about a tile of the map. It and the floor lie within `bounds`, map frame.
+    pub(crate) fn reaches(&self, edge_m: f64, place: &Placement, bounds: &Aabb3, tile: TileKey) -> bool {
+        if place.is_aligned() {
+            return self.0.binary_search(&tile).is_ok();
+        }
+        // Means of voxels may stick out of their tile by what rounding errs.
+        let margin = 1e-3;
+        let at = |k: i32| f64::from(k) * edge_m;
+        let (low, high) = (bounds.min.z.min(place.floor_z_m) - margin, bounds.max.z.max(place.floor_z_m) + margin);
+        let column = Aabb3 {
+            min: Point3::new(at(tile.0) - margin, at(tile.1) - margin, low),
+            max: Point3::new(at(tile.0) + edge_m + margin, at(tile.1) + edge_m + margin, high),
+        };
+        let Some((first, last)) = tiles_of(edge_m, &moved(&place.t_map_submap.inverse(), &column)) else {
+            return false;
+        };
+        let columns = self.0.partition_point(|t| t.0 < first.0)..self.0.partition_point(|t| t.0 <= last.0);
+        self.0[columns].iter().any(|t| (first.1..=last.1).contains(&t.1))
+    }
+
+    pub(crate) fn memory_bytes(&self) -> usize {
+        size_of_val(&self.0[..])
+    }
+}
 
 /// Where a submap lies in the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -114,4 +155,43 @@ pub(crate) fn tiles_of(edge_m: f64, b: &Aabb3) -> Option<(TileKey, TileKey)> {
     // A float beyond the range of i32 becomes the nearest that is in it.
     let tile = |v: f64| (v / edge_m).floor() as i32;
     Some(((tile(b.min.x), tile(b.min.y)), (tile(b.max.x), tile(b.max.y))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+    use percept_geometry::se3;
+
+    #[test]
+    fn a_part_reaches_every_tile_of_the_map_that_what_it_says_comes_to_lie_in() {
+        let (edge, mut far) = (3.2, 0);
+        for i in 0..400 {
+            let spread = |m: u32| f64::from((i as u32).wrapping_mul(m) >> 16) / 65536.0 - 0.5;
+            let turn =
+                Vector3::new(0.02 * spread(668_265_263), 0.02 * spread(374_761_393), 6.0 * spread(1_103_515_245));
+            let shift = Vector3::new(9.0 * spread(2_654_435_761), 9.0 * spread(2_246_822_519), spread(3_266_489_917));
+            let t_map_submap = Pose::from_parts(shift.into(), nalgebra::UnitQuaternion::from_scaled_axis(turn));
+            let place = Placement { t_map_submap, floor_z_m: 0.1 };
+            // Something at some height in one tile of the submap.
+            let p = Point3::new(40.0 * spread(2_147_483_647), 40.0 * spread(97_531), 6.0 * spread(19_260_817) + 3.0);
+            let tile = |p: &Point3<f64>| ((p.x / edge).floor() as i32, (p.y / edge).floor() as i32);
+            let footprint = Footprint::of(vec![tile(&p), tile(&p)]);
+            let mut bounds = Aabb3::empty();
+            bounds.grow(&(t_map_submap * p));
+            let lands = tile(&(t_map_submap * p));
+            assert!(footprint.reaches(edge, &place, &bounds, lands), "{i}");
+            far += usize::from(!footprint.reaches(edge, &place, &bounds, (lands.0 + 2, lands.1 - 1)));
+            let aligned = Placement { t_map_submap: Pose::identity(), floor_z_m: 0.0 };
+            assert!(footprint.reaches(edge, &aligned, &bounds, tile(&p)));
+            assert!(!footprint.reaches(edge, &aligned, &bounds, (tile(&p).0, tile(&p).1 + 1)));
+        }
+        assert!(far > 350, "{far}");
+        assert!(!Footprint::of(vec![]).reaches(
+            edge,
+            &Placement { t_map_submap: se3::from_xy_yaw(0.1, 0.0, 0.0), floor_z_m: 0.0 },
+            &Aabb3::empty(),
+            (0, 0)
+        ));
+    }
 }

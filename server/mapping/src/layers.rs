@@ -2,7 +2,7 @@
 
 use crate::bytes::{Damaged, Reader};
 use crate::composed::Part;
-use crate::layer::Layer;
+use crate::layer::{Footprint, Layer};
 use crate::{CloudMap, FusedCloud, MapParams, OccupancyGrid, OccupancyMap, SubmapId};
 use nalgebra::Point2;
 use percept_geometry::{Aabb3, KeyframeScan, Pose};
@@ -34,6 +34,19 @@ pub struct SubmapLayers {
 pub struct LayerBoxes {
     pub(crate) occupancy: Aabb3,
     pub(crate) cloud: Aabb3,
+}
+
+/// Where each layer of a submap says anything.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LayerFootprints {
+    pub(crate) occupancy: Footprint,
+    pub(crate) cloud: Footprint,
+}
+
+impl LayerFootprints {
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.occupancy.memory_bytes() + self.cloud.memory_bytes()
+    }
 }
 
 /// What one keyframe says about every layer.
@@ -71,6 +84,13 @@ impl SubmapLayers {
     pub(crate) fn freeze(&mut self) {
         self.occupancy.freeze();
         self.cloud.freeze();
+    }
+
+    pub(crate) fn footprints(&self, params: &MapParams) -> LayerFootprints {
+        LayerFootprints {
+            occupancy: self.occupancy.footprint(&params.occupancy),
+            cloud: self.cloud.footprint(&params.cloud),
+        }
     }
 
     pub(crate) fn memory_bytes(&self) -> usize {

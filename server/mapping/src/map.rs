@@ -215,7 +215,7 @@ impl Map {
         let Some(mut layers) = self.active.take() else { return };
         let Some(submap) = self.submaps.last_mut() else { return };
         Arc::make_mut(&mut layers).freeze();
-        submap.slot = Arc::new(Slot::new(&self.params, layers));
+        submap.slot = Arc::new(Slot::frozen(&self.params, layers));
         submap.is_frozen = true;
         self.shown.lay_under(version, &submap.boxes_in_map(self.params.margin_m()));
     }

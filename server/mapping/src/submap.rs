@@ -3,7 +3,7 @@
 use crate::MapParams;
 use crate::composed::Part;
 use crate::layer::{Placement, moved};
-use crate::layers::{LayerBoxes, SubmapLayers};
+use crate::layers::{LayerBoxes, LayerFootprints, SubmapLayers};
 use crate::store::{BlobId, MapStore};
 use nalgebra::{UnitQuaternion, Vector3};
 use percept_geometry::{KeyframeId, Pose, se3};
@@ -138,6 +138,8 @@ pub(crate) fn best_fit(pairs: &[(Pose, Pose)]) -> Pose {
 #[derive(Debug, Default)]
 pub(crate) struct Slot {
     params: MapParams,
+    /// Where the layers say anything, if nothing is added to them any more.
+    footprints: Option<LayerFootprints>,
     held: RwLock<Held>,
 }
 
@@ -161,7 +163,17 @@ impl Slot {
     pub(crate) fn new(params: &MapParams, layers: Arc<SubmapLayers>) -> Self {
         let bytes = layers.memory_bytes();
         let held = Held { layers: Some(layers), bytes, ..Held::default() };
-        Self { params: *params, held: RwLock::new(held) }
+        Self { params: *params, footprints: None, held: RwLock::new(held) }
+    }
+
+    /// Of layers to which nothing is added any more.
+    pub(crate) fn frozen(params: &MapParams, layers: Arc<SubmapLayers>) -> Self {
+        Self { footprints: Some(layers.footprints(params)), ..Self::new(params, layers) }
+    }
+
+    /// Where the layers say anything, as far as that is settled.
+    pub(crate) fn footprints(&self) -> Option<&LayerFootprints> {
+        self.footprints.as_ref()
     }
 
     fn read<T>(&self, look: impl FnOnce(&Held) -> T) -> T {
@@ -202,7 +214,8 @@ impl Slot {
 
     /// What it takes in memory, bytes.
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.read(|held| if held.layers.is_some() { held.bytes } else { 0 })
+        let footprints = self.footprints.as_ref().map_or(0, LayerFootprints::memory_bytes);
+        footprints + self.read(|held| if held.layers.is_some() { held.bytes } else { 0 })
     }
 
     /// Stores what it holds, if it is not stored, and gives up the memory: how many bytes, none if the store does not take it.

@@ -5,7 +5,7 @@
 //! `apart TRIES`: clouds of different places, `mirrored TRIES`: a place and its mirror image: nothing may be found;
 //! `cuts PAIRS`: recorded submaps cut until 0.1 to 0.5 of the smaller overlaps;
 //! `streets PAIRS`: two stretches of a simulated street between parallel walls, with the same overlaps.
-//! `--seed N` draws others.
+//! `--seed N` draws others; `--only N` tries one of `cuts` or `streets` alone, as it comes among all.
 //!
 //! Every source is first moved by a random rotation and up to 20 m (indoor 2 m). Right: within 0.1 m at the cloud's centre
 //! (indoor 0.02 m) and 0.5 degrees of the truth. Wrong and said to be found: off by more than a voxel or 2 degrees. Of
@@ -172,6 +172,15 @@ fn main() -> Result<(), Failure> {
     let data = Path::new(data);
     let seed = number_after(sets, "--seed")?.unwrap_or(0);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let only = number_after(sets, "--only")?;
+    // Those that are left out draw their motion all the same.
+    let chosen = |pairs: u64, rng: &mut ChaCha8Rng| match only {
+        Some(only) => {
+            (0..only).for_each(|_| drop(random_pose(rng, LIDAR.moved_m)));
+            only as usize..only as usize + 1
+        }
+        None => 0..pairs as usize,
+    };
     let folder = data.join("lidar-kitti-07-submaps");
     if sets.iter().any(|s| s == "submaps") {
         let mut score = Score::default();
@@ -216,14 +225,14 @@ fn main() -> Result<(), Failure> {
     if let Some(pairs) = number_after(sets, "cuts")? {
         let maps = recorded::read_submaps(&folder)?;
         let mut score = Score::default();
-        for index in 0..pairs as usize {
+        for index in chosen(pairs, &mut rng) {
             try_pair(&cuts::pair(&maps, seed, index)?, &LIDAR, &mut rng, &mut score, true)?;
         }
         report("cuts", score);
     }
     if let Some(pairs) = number_after(sets, "streets")? {
         let mut score = Score::default();
-        for index in 0..pairs as usize {
+        for index in chosen(pairs, &mut rng) {
             try_pair(&streets::pair(seed, index)?, &LIDAR, &mut rng, &mut score, true)?;
         }
         report("streets", score);

@@ -6,8 +6,8 @@ use super::fused::{Block, NO_COLOR, merge};
 use super::{CloudParams, CloudUpdate, FusedCloud};
 use crate::bytes::{Damaged, Reader, put_f32, put_i32, put_u16, put_u32, put_u64};
 use crate::composed::Composed;
-use crate::layer::{Layer, Placement, TileKey, moved};
-use crate::layers::{LayerBoxes, SubmapLayers};
+use crate::layer::{Footprint, Layer, Placement, TileKey, moved};
+use crate::layers::{LayerBoxes, LayerFootprints, SubmapLayers};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Aabb3, KeyframeScan, PointCloud, Pose, Voxel};
 use std::collections::BTreeMap;
@@ -108,6 +108,11 @@ impl Layer for FusedCloud {
         under.values().map(|block| size_of::<BlockKey>() + size_of_val(&block[..])).sum()
     }
 
+    fn footprint(&self, _: &CloudParams) -> Footprint {
+        let blocks = self.blocks.keys().chain(self.free.blocks.keys());
+        Footprint::of(blocks.map(|(x, y, _)| (x.div_euclid(TILE_BLOCKS), y.div_euclid(TILE_BLOCKS))).collect())
+    }
+
     fn encode(&self, out: &mut Vec<u8>) {
         put_u32(out, self.blocks.len() as u32);
         for (key, block) in self.blocks.iter() {
@@ -126,20 +131,29 @@ impl Layer for FusedCloud {
     }
 
     fn decode(params: &CloudParams, from: &mut Reader<'_>) -> Result<Self, Damaged> {
-        let (mut blocks, mut free) = (BTreeMap::new(), BTreeMap::new());
+        // They come in order, of which a tree is built at once.
+        let (mut blocks, mut free) = (vec![], vec![]);
         for _ in 0..from.count(MAX_BLOCKS)? {
-            let key = take_key(from)?;
-            let block: Result<Block, Damaged> = (0..from.u16()?).map(|_| take_voxel(from)).collect();
-            blocks.insert(key, Arc::new(block?));
+            let (key, num_voxels) = (take_key(from)?, usize::from(from.u16()?));
+            if num_voxels > from.len() {
+                return Err(Damaged);
+            }
+            let mut block = Block::with_capacity(num_voxels);
+            for _ in 0..num_voxels {
+                block.push(take_voxel(from)?);
+            }
+            blocks.push((key, Arc::new(block)));
         }
+        let blocks = BTreeMap::from_iter(blocks);
         for _ in 0..from.count(MAX_BLOCKS)? {
             let key = take_key(from)?;
             let mut count = Count::default();
             for word in count.as_flattened_mut() {
                 *word = from.u64()?;
             }
-            free.insert(key, Arc::new(count));
+            free.push((key, Arc::new(count)));
         }
+        let free = BTreeMap::from_iter(free);
         Ok(Self::of_blocks(*params, blocks, FreeSpace { blocks: Arc::new(free) }))
     }
 
@@ -149,6 +163,10 @@ impl Layer for FusedCloud {
 
     fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
         &boxes.cloud
+    }
+
+    fn footprint_of(footprints: &LayerFootprints) -> &Footprint {
+        &footprints.cloud
     }
 }
 

@@ -229,7 +229,8 @@ impl Map {
         self.shown.touch(version, &self.submaps[k].boxes_in_map(margin), is_active);
         let mut submap = Submap::new(id);
         (submap.boxes, submap.is_frozen) = (boxes, !is_active);
-        submap.slot = Arc::new(Slot::new(&self.params, layers));
+        let slot = if is_active { Slot::new } else { Slot::frozen };
+        submap.slot = Arc::new(slot(&self.params, layers));
         keyframes.into_iter().for_each(|(id, t_map_base)| submap.add_keyframe(id, t_map_base));
         self.submaps[k] = submap;
         // Its keyframes may have moved since this was begun.

@@ -7,8 +7,8 @@ use super::tile::EvidenceTile;
 use super::{OccupancyGrid, OccupancyParams, ScanUpdate};
 use crate::bytes::{Damaged, Reader, put_i32, put_u32};
 use crate::composed::Composed;
-use crate::layer::{Layer, Placement, TileKey};
-use crate::layers::{LayerBoxes, SubmapLayers};
+use crate::layer::{Footprint, Layer, Placement, TileKey};
+use crate::layers::{LayerBoxes, LayerFootprints, SubmapLayers};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, Cell, GridGeometry, KeyframeScan, Pose};
 use std::collections::BTreeMap;
@@ -129,6 +129,10 @@ impl Layer for OccupancyGrid {
         size_of_val(&under[..])
     }
 
+    fn footprint(&self, _: &OccupancyParams) -> Footprint {
+        Footprint::of(self.tiles.keys().copied().collect())
+    }
+
     fn encode(&self, out: &mut Vec<u8>) {
         put_u32(out, self.tiles.len() as u32);
         for (key, tile) in self.tiles.iter() {
@@ -153,6 +157,10 @@ impl Layer for OccupancyGrid {
 
     fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
         &boxes.occupancy
+    }
+
+    fn footprint_of(footprints: &LayerFootprints) -> &Footprint {
+        &footprints.occupancy
     }
 }
 

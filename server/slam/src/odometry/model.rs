@@ -1,11 +1,11 @@
 //! What a method brings: a local model that frames are placed in.
 
-use super::{lidar3d, mono, rgbd};
+use super::{lidar3d, rgbd};
 use crate::inertial::{Curve, Expected, PoseFactor};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use nalgebra::Vector6;
-use percept_geometry::{Covariance6, KeyframeFeatures, KeyframeScan, PointCloud, Pose, Timestamp};
+use percept_geometry::{Covariance6, KeyframeScan, Pose};
 use std::sync::Arc;
 
 /// Where base is expected before the scan is looked at.
@@ -121,20 +121,4 @@ pub(crate) trait LocalModel: Send {
     fn clear(&mut self);
     /// Starts the model from keyframes with their `t_odom_base`, oldest first.
     fn seed(&mut self, t_odom_base_last: &Pose, recent: &[(Pose, Arc<KeyframeScan>)]);
-    /// A method with a map and a state of its own, whose lengths may be in no known unit, does all here.
-    fn as_mono(&mut self) -> Option<&mut mono::Mono> {
-        None
-    }
-    /// The map's points that its last frame shows, in base, metres; none where lengths are not metres.
-    fn sparse_points(&self, _t_base_sensor: &Pose) -> PointCloud {
-        PointCloud::default()
-    }
-    /// What the last frame shows of these points, as a keyframe keeps it.
-    fn features(&self, _t_base_sensor: &Pose) -> Option<KeyframeFeatures> {
-        None
-    }
-    /// Stamps and `t_odom_base` of the frames that such a method keeps.
-    fn views(&self, _t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {
-        vec![]
-    }
 }

@@ -74,11 +74,12 @@ impl SpatialRecognition {
     ) -> Option<BTreeMap<KeyframeId, Pose>> {
         let (at, end) = (self.seen.kept.get(&earlier)?.travel, self.seen.kept.get(&later)?.travel);
         let length_m = self.submap_length_m();
-        let around = self
-            .seen
-            .kept
-            .iter()
-            .filter(|(_, k)| (k.travel - at).abs() < length_m && end - k.travel > 0.5 * APART * length_m);
+        // The way grows from keyframe to keyframe.
+        let kept = &self.seen.kept;
+        let first = kept.range(..earlier).rev().take_while(|(_, k)| at - k.travel < length_m).last();
+        let around = kept
+            .range(first.map_or(earlier, |(id, _)| *id)..)
+            .take_while(|(_, k)| k.travel - at < length_m && end - k.travel > 0.5 * APART * length_m);
         Some(around.filter_map(|(id, _)| Some((*id, *poses.get(id)?))).collect())
     }
 }

@@ -29,22 +29,20 @@ mod triangulation;
 
 use crate::motion_prior::{MotionPrior, UNKNOWN_VARIANCE};
 use crate::odometry::uncertainty::Uncertainty;
-use crate::odometry::{LocalModel, OdometryEstimate, Prediction, Registration, diagonal};
+use crate::odometry::{OdometryEstimate, diagonal};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
 use crate::{ParamError, check_range};
 use atlas::Atlas;
 use frame::Lens;
 use map::ViewId;
-use nalgebra::{Point2, Translation3, Vector6};
+use nalgebra::{Point2, Translation3};
 use percept_geometry::{
-    CameraIntrinsics, Covariance6, FeatureMethod, KeyframeFeature, KeyframeFeatures, KeyframeScan, PointCloud, Pose,
-    Timestamp, se3,
+    CameraIntrinsics, Covariance6, FeatureMethod, KeyframeFeature, KeyframeFeatures, PointCloud, Pose, Timestamp, se3,
 };
 use pose::PlacedCamera;
 use scale::Scaling;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 use tracker::{Outcome, Tracker};
 
 /// Images farther apart than this in time need not overlap, seconds.
@@ -325,53 +323,22 @@ impl Mono {
             waiting,
         }
     }
-}
 
-/// Whether a prior tells the translation: a gyro's does not.
-fn knows_way(prior: &MotionPrior) -> bool {
-    (0..3).all(|i| prior.covariance[(i, i)] <= UNKNOWN_VARIANCE)
-}
-
-/// An image that shares too little with those before may have come too late (`since`, seconds), or from a camera that
-/// turned too fast (`turn`, as a share of the image's width).
-fn why(reason: LostReason, since: f64, turn: f64) -> LostReason {
-    match reason {
-        LostReason::TooFewCorrespondences | LostReason::Degenerate if since > GAP_S => LostReason::TimeGap,
-        LostReason::TooFewCorrespondences | LostReason::Degenerate if turn > FAST_TURN => LostReason::MotionTooLarge,
-        other => other,
-    }
-}
-
-impl LocalModel for Mono {
-    fn prepare(&mut self, _: &Scan, _: &Vector6<f64>) -> Result<(), LostReason> {
-        Err(LostReason::UnsuitableScan)
-    }
-
-    fn is_empty(&self) -> bool {
-        !self.tracker.has_map()
-    }
-
-    fn register(&self, _: &Prediction) -> Result<Registration, LostReason> {
-        Err(LostReason::UnsuitableScan)
-    }
-
-    fn integrate(&mut self, _: &Pose) {}
-
-    fn memory_bytes(&self) -> usize {
+    /// Bytes that the map takes, about.
+    pub(super) fn memory_bytes(&self) -> usize {
         self.tracker.map.memory_bytes()
     }
 
-    fn clear(&mut self) {
+    /// Forgets the map; base is there in odom.
+    pub(super) fn begin_at(&mut self, t_odom_base: &Pose) {
         self.tracker.clear();
         self.atlas = Atlas::default();
-    }
-
-    fn seed(&mut self, t_odom_base_last: &Pose, _: &[(Pose, Arc<KeyframeScan>)]) {
-        self.t_odom_base = *t_odom_base_last;
+        self.t_odom_base = *t_odom_base;
         self.reckoned = (self.t_odom_base, true);
     }
 
-    fn sparse_points(&self, t_base_sensor: &Pose) -> PointCloud {
+    /// The map's points that the last image shows, in base, metres; none where lengths are not metres.
+    pub(super) fn sparse_points(&self, t_base_sensor: &Pose) -> PointCloud {
         if !self.scaling.scale().is_metric() {
             return PointCloud::default();
         }
@@ -379,7 +346,8 @@ impl LocalModel for Mono {
         PointCloud::from_positions(points.map(|p| (t_base_sensor * p).cast()).collect())
     }
 
-    fn features(&self, t_base_sensor: &Pose) -> Option<KeyframeFeatures> {
+    /// What the last image shows of these points, as a keyframe keeps it.
+    pub(super) fn features(&self, t_base_sensor: &Pose) -> Option<KeyframeFeatures> {
         let (_, lens) = self.lens.as_ref().filter(|_| self.scaling.scale().is_metric())?;
         let known = self.tracker.features_in_camera().into_iter().map(|(pixel, descriptor, p)| KeyframeFeature {
             descriptor,
@@ -395,12 +363,24 @@ impl LocalModel for Mono {
         Some(KeyframeFeatures { method, camera, features: known.into_iter().step_by(step).collect() })
     }
 
-    fn views(&self, t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {
+    /// Stamps and `t_odom_base` of the images that are kept.
+    pub(super) fn views(&self, t_base_sensor: &Pose) -> Vec<(Timestamp, Pose)> {
         let views = self.tracker.map.views.values();
         views.map(|v| (v.stamp, self.to_odom(&v.t_camera_map, t_base_sensor))).collect()
     }
+}
 
-    fn as_mono(&mut self) -> Option<&mut Mono> {
-        Some(self)
+/// Whether a prior tells the translation: a gyro's does not.
+fn knows_way(prior: &MotionPrior) -> bool {
+    (0..3).all(|i| prior.covariance[(i, i)] <= UNKNOWN_VARIANCE)
+}
+
+/// An image that shares too little with those before may have come too late (`since`, seconds), or from a camera that
+/// turned too fast (`turn`, as a share of the image's width).
+fn why(reason: LostReason, since: f64, turn: f64) -> LostReason {
+    match reason {
+        LostReason::TooFewCorrespondences | LostReason::Degenerate if since > GAP_S => LostReason::TimeGap,
+        LostReason::TooFewCorrespondences | LostReason::Degenerate if turn > FAST_TURN => LostReason::MotionTooLarge,
+        other => other,
     }
 }

@@ -1,7 +1,8 @@
 //! A frame finds its place in the local model: where it is expected, the tries, and which of them is believed.
 
-use super::{Odometry, Prediction, Registration, diagonal};
+use super::LocalOdometry;
 use crate::motion_prior::{MotionPrior, UNKNOWN_VARIANCE};
+use crate::odometry::{Prediction, Registration, diagonal};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use nalgebra::Vector6;
@@ -29,7 +30,7 @@ const SUDDEN: (f64, f64) = (0.15, 0.15);
 /// Turns of a gyro and of the motion before that differ by less lead to the same place, radians.
 const ALIKE: f64 = 0.01;
 
-impl Odometry {
+impl LocalOdometry {
     /// The motion prior if there is one; what it leaves open, as a gyro does the translation, from constant velocity. Of a prior that
     /// tells a part of the way each axis is taken from where it is known.
     pub(super) fn predict(&self, dt: f64, prior: Option<&MotionPrior>) -> Prediction {
@@ -345,22 +346,25 @@ mod tests {
 
     /// Where the robot is said to be along x, in metres, when wheels say that it drove half a metre.
     fn driven(model: Doorway) -> f64 {
-        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
-        odometry.model = Box::new(model);
+        let mut odometry = LocalOdometry::new(OdometryKind::Rgbd, Box::new(model), OdometryParams::default());
         let scan = Scan::Cloud(CloudScan { cloud: Arc::new(PointCloud::default()), t_base_sensor: Pose::identity() });
         let stay = MotionPrior { t_prev_now: Pose::identity(), covariance: diagonal(0.002, 0.002) };
         for k in 0..20 {
-            odometry.register(Timestamp::from_secs_f64(0.1 * f64::from(k)), &scan, Some(&stay));
+            odometry.register(Timestamp::from_secs_f64(0.1 * f64::from(k)), &scan, Some(&stay), None);
         }
         let drive = MotionPrior { t_prev_now: se3::from_xy_yaw(0.5, 0.0, 0.1), covariance: diagonal(0.005, 0.005) };
-        let estimate = odometry.register(Timestamp::from_secs_f64(2.5), &scan, Some(&drive));
+        let estimate = odometry.register(Timestamp::from_secs_f64(2.5), &scan, Some(&drive), None);
         assert!(estimate.state.is_tracking());
         estimate.t_odom_base.translation.x
     }
 
     #[test]
     fn what_a_prior_leaves_open_of_the_way_is_taken_from_the_velocity() {
-        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+        let mut odometry = LocalOdometry::new(
+            OdometryKind::Rgbd,
+            Box::new(crate::odometry::rgbd::Rgbd::new(Default::default())),
+            OdometryParams::default(),
+        );
         odometry.velocity = Some(Vector6::new(1.0, 0.0, 0.0, 0.0, 0.0, 0.0));
         odometry.last_stamp = Some(Timestamp::default());
         let mut covariance = diagonal(0.002, 0.002);
@@ -386,8 +390,7 @@ mod tests {
     #[test]
     fn a_turn_that_a_believed_gyro_felt_is_not_denied_by_what_fits_without_it() {
         let model = Doorway { inlier_ratio_before: 0.8, is_open_ahead: false, is_certain: true, is_empty: true };
-        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
-        odometry.model = Box::new(model);
+        let mut odometry = LocalOdometry::new(OdometryKind::Rgbd, Box::new(model), OdometryParams::default());
         let turn = |angle: f64| UnitQuaternion::from_scaled_axis(Vector3::z() * angle);
         for k in 0..10 {
             let now = turn(0.1 * f64::from(k));
@@ -400,7 +403,7 @@ mod tests {
             MotionPrior { t_prev_now: Pose::from_parts(Vector3::zeros().into(), turn(angle)), covariance }
         };
         let mut yaw_at = |s: f64, angle: f64| {
-            let estimate = odometry.register(Timestamp::from_secs_f64(s), &scan, Some(&felt(angle)));
+            let estimate = odometry.register(Timestamp::from_secs_f64(s), &scan, Some(&felt(angle)), None);
             assert!(estimate.state.is_tracking() || s == 0.0);
             se3::yaw(&estimate.t_odom_base)
         };
@@ -414,11 +417,11 @@ mod tests {
     #[test]
     fn a_scan_that_comes_late_and_fits_in_too_many_places_is_lost_and_not_where_it_was_expected() {
         let model = Doorway { inlier_ratio_before: 0.8, is_open_ahead: false, is_certain: true, is_empty: true };
-        let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
-        odometry.model = Box::new(model);
+        let mut odometry = LocalOdometry::new(OdometryKind::Lidar2d, Box::new(model), OdometryParams::default());
         let scan = Scan::Cloud(CloudScan { cloud: Arc::new(PointCloud::default()), t_base_sensor: Pose::identity() });
-        let mut at =
-            |s: f64, prior: Option<&MotionPrior>| odometry.register(Timestamp::from_secs_f64(s), &scan, prior).state;
+        let mut at = |s: f64, prior: Option<&MotionPrior>| {
+            odometry.register(Timestamp::from_secs_f64(s), &scan, prior, None).state
+        };
         for k in 0..20 {
             at(0.1 * f64::from(k), None);
         }
@@ -433,7 +436,11 @@ mod tests {
 
     #[test]
     fn a_lidar_that_pauses_once_while_it_is_lost_keeps_its_local_map() {
-        let mut odometry = Odometry::new(OdometryKind::Lidar2d, OdometryParams::default());
+        let mut odometry = LocalOdometry::new(
+            OdometryKind::Lidar2d,
+            Box::new(crate::odometry::lidar2d::Lidar2d::new(Default::default())),
+            OdometryParams::default(),
+        );
         (odometry.num_lost, odometry.unplaced_s) = (3, 0.3);
         assert_eq!(odometry.patience(0.6), OdometryParams::default().tracking.restart_after_frames);
         (odometry.num_lost, odometry.unplaced_s) = (2, 1.2);
