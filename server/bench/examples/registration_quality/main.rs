@@ -176,7 +176,9 @@ fn main() -> Result<(), Failure> {
     // Those that are left out draw their motion all the same.
     let chosen = |pairs: u64, rng: &mut ChaCha8Rng| match only {
         Some(only) => {
-            (0..only).for_each(|_| drop(random_pose(rng, LIDAR.moved_m)));
+            (0..only).for_each(|_| {
+                random_pose(rng, LIDAR.moved_m);
+            });
             only as usize..only as usize + 1
         }
         None => 0..pairs as usize,

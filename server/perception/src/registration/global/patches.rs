@@ -229,7 +229,7 @@ fn around(reach: i32) -> impl Iterator<Item = [i32; 3]> {
 }
 
 #[inline(always)]
-fn cell(p: &Point3<f32>, edge: f32) -> [i32; 3] {
+pub(super) fn cell(p: &Point3<f32>, edge: f32) -> [i32; 3] {
     [(p.x / edge).floor() as i32, (p.y / edge).floor() as i32, (p.z / edge).floor() as i32]
 }
 

@@ -110,7 +110,7 @@ fn two_bare_walls_and_a_road_do_not_say_where_along_them() {
     assert_ne!(found.outcome, GlobalOutcome::Found, "{found:?}");
     let (source, target) = (described(&source), described(&target));
     let evidence = evidence::Evidence::new(&source, &target, 0.5);
-    assert!(evidence.compare(&moved().inverse()).log_ratio < 5.0);
+    assert!(evidence.compare(&moved().inverse()).of.log_ratio < 5.0);
 }
 
 fn described(cloud: &PointCloud) -> Described {
@@ -124,11 +124,45 @@ fn what_one_cloud_saw_where_the_other_saw_something_else_speaks_against_a_motion
     let target = described(&cut(&points, |p| p.x < 70.0, &Pose::identity(), 1));
     let source = described(&cut(&points, |p| p.x > 30.0, &Pose::identity(), 2));
     let evidence = evidence::Evidence::new(&source, &target, 0.5);
-    let slid = |s: f64| evidence.compare(&Pose::translation(s, 0.0, 0.0)).log_ratio;
+    let slid = |s: f64| evidence.compare(&Pose::translation(s, 0.0, 0.0)).of.log_ratio;
     assert!(slid(0.0) > 25.0, "{}", slid(0.0));
     for s in [-30.0, -12.0, -7.0, 7.0, 12.0] {
         assert!(slid(s) < 0.0, "{s}: {}", slid(s));
     }
+}
+
+/// Boxes of so many sizes between two corners, by their surfaces.
+fn boxes(seed: u64, num: usize, low: Vector3<f32>, high: Vector3<f32>) -> Vec<Point3<f32>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut out = Vec::new();
+    for _ in 0..num {
+        let size = Vector3::from_fn(|_, _| rng.random_range(0.6..1.8f32));
+        let at = Vector3::from_fn(|k, _| rng.random_range(low[k]..high[k] - size[k]));
+        for _ in 0..600 {
+            let mut p = Vector3::from_fn(|k, _| rng.random_range(0.0..size[k]));
+            let face = rng.random_range(0..3);
+            p[face] = if rng.random_range(0..2) == 0 { 0.0 } else { size[face] };
+            out.push(Point3::from(p + at));
+        }
+    }
+    out
+}
+
+#[test]
+fn that_one_thing_is_in_both_clouds_is_no_proof_of_one_place() {
+    // Such as the same model of a car, in two streets that show nothing else of each other.
+    let thing = boxes(5, 14, Vector3::new(0.5, 0.5, 0.5), Vector3::new(7.5, 7.5, 4.0));
+    let beside = |seed, x: f32| boxes(seed, 30, Vector3::new(x, -20.0, 0.5), Vector3::new(x + 30.0, 20.0, 4.0));
+    let (here, there) = ([thing.clone(), beside(6, -50.0)].concat(), [thing, beside(7, 30.0)].concat());
+    let whole = |points: &[Point3<f32>], seed| described(&cut(points, |_| true, &Pose::identity(), seed));
+    let of = |source: &[Point3<f32>], target: &[Point3<f32>]| {
+        let evidence = evidence::Evidence::new(&whole(source, 1), &whole(target, 2), 0.5);
+        evidence.compare(&Pose::identity()).of
+    };
+    let shared = of(&here, &there);
+    assert!(shared.log_ratio > 25.0 && shared.evidence < 12.0, "{shared:?}");
+    let same = of(&here, &here);
+    assert!(same.evidence > 60.0, "{same:?}");
 }
 
 #[test]

@@ -124,10 +124,12 @@ impl Judge {
     fn settled(&self, mut best: Refined) -> (Refined, Compared) {
         let mut compared = self.evidence.compare(&best.t_target_source);
         for _ in 0..MOVES {
-            let Some((_, t_target_source)) = compared.rival.filter(|r| r.0 > compared.log_ratio) else { break };
+            let Some((_, t_target_source)) = compared.rival.filter(|r| r.0.log_ratio > compared.of.log_ratio) else {
+                break;
+            };
             let moved = self.refined(&Candidate { t_target_source, num_pairs: best.num_pairs });
             let of_moved = self.evidence.compare(&moved.t_target_source);
-            if of_moved.log_ratio <= compared.log_ratio {
+            if of_moved.of.log_ratio <= compared.of.log_ratio {
                 break;
             }
             (best, compared) = (moved, of_moved);
@@ -156,18 +158,18 @@ impl Judge {
         if let Some(t_target_source) = c.rest.pop_front() {
             let fine = finish(GlobalResult { t_target_source, ..found.clone() });
             let compared = self.evidence.compare(&fine.t_target_source);
-            if compared.log_ratio > c.compared.log_ratio {
+            if compared.of.log_ratio > c.compared.of.log_ratio {
                 (c.compared, c.fine) = (compared, fine);
             }
             return ControlFlow::Continue(c);
         }
         let Confirming { compared, fine, .. } = c;
-        if compared.log_ratio < found.evidence && !self.is_near(&found.t_target_source, &fine.t_target_source) {
+        if compared.of.evidence < found.evidence && !self.is_near(&found.t_target_source, &fine.t_target_source) {
             return ControlFlow::Break(found.clone());
         }
-        let slid = compared.rival.map_or(0.0, |r| r.0).max(found.rival_evidence);
-        let outcome = outcome(compared.log_ratio, slid);
-        ControlFlow::Break(GlobalResult { outcome, evidence: compared.log_ratio, rival_evidence: slid, ..fine })
+        let slid = compared.rival.map_or(0.0, |r| r.0.evidence).max(found.rival_evidence);
+        let outcome = outcome(compared.of.evidence, slid);
+        ControlFlow::Break(GlobalResult { outcome, evidence: compared.of.evidence, rival_evidence: slid, ..fine })
     }
 
     /// Whether a refinement stayed where it was, within a voxel at the source's middle.
@@ -219,8 +221,9 @@ impl Judge {
 
     fn result(&self, best: &Refined, compared: &Compared, other: Option<&Refined>, num_pairs: usize) -> GlobalResult {
         let other = other.map(|r| (r.support, r.t_target_source));
-        let rival = other.into_iter().chain(compared.rival).max_by(|a, b| a.0.total_cmp(&b.0));
-        let outcome = outcome(compared.log_ratio, rival.map_or(0.0, |r| r.0));
+        let slid = compared.rival.map(|(support, t)| (support.evidence, t));
+        let rival = other.into_iter().chain(slid).max_by(|a, b| a.0.total_cmp(&b.0));
+        let outcome = outcome(compared.of.evidence, rival.map_or(0.0, |r| r.0));
         let (overlap, inlier_rmse_m) = self.overlap(&best.t_target_source);
         GlobalResult {
             outcome,
@@ -229,7 +232,7 @@ impl Judge {
             degenerate_axes: [false; 6],
             overlap,
             rival_overlap: rival.map_or(0.0, |(_, t)| self.overlap(&t).0),
-            evidence: compared.log_ratio,
+            evidence: compared.of.evidence,
             rival_evidence: rival.map_or(0.0, |r| r.0),
             inlier_rmse_m,
             num_pairs,
