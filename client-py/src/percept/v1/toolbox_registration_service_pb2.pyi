@@ -439,7 +439,7 @@ class RegisterCloudsGloballyResponse(_message.Message):
     """Of these, the pairs that agree with the answer."""
     evidence: _builtins.float
     """Natural logarithm of how much likelier what the clouds show is if the answer is right than if it is chance; 0 if there
-    is none. FOUND takes 25.
+    is none. What lies within 16 voxels may be one thing that comes again elsewhere, and says 8 at most. FOUND takes 25.
     """
     rival_evidence: _builtins.float
     """The same of the best way that differs from the answer, the answer slid along among them. FOUND takes no more than half

@@ -98,7 +98,8 @@ pub struct GlobalResult {
     /// The same of the way that differs from the answer and for which most speaks.
     pub rival_overlap: f64,
     /// Natural logarithm of how much likelier what the clouds show is if the answer is right than if it is chance;
-    /// found from 25. Negative infinity if nothing was found.
+    /// found from 25. What lies within 16 voxels may be one thing that comes again elsewhere, and says 8 at most. Negative
+    /// infinity if nothing was found.
     pub evidence: f64,
     /// The same of the best way that differs from the answer, the answer slid along among them.
     pub rival_evidence: f64,
