@@ -1,8 +1,8 @@
 //! A layer of the whole map, composed of the submaps' parts where and when it is read.
 
 use crate::layer::{Layer, Placement, TileKey, tiles_of};
-use crate::layers::LayerBoxes;
-use crate::submap::{Slot, SubmapId};
+use crate::layers::{LayerBoxes, LayerSlots};
+use crate::submap::SubmapId;
 use nalgebra::Point2;
 use percept_geometry::Aabb3;
 use rayon::prelude::*;
@@ -16,7 +16,7 @@ pub(crate) struct Part {
     pub(crate) place: Placement,
     /// Map frame.
     pub(crate) boxes: LayerBoxes,
-    pub(crate) slot: Arc<Slot>,
+    pub(crate) slots: Arc<LayerSlots>,
     pub(crate) is_frozen: bool,
 }
 
@@ -114,9 +114,9 @@ impl<L: Layer> Composed<L> {
         let over_tile = |p: &&Part| {
             tiles_of(edge, L::bounds(&p.boxes))
                 .is_some_and(|(low, high)| (low.0..=high.0).contains(&key.0) && (low.1..=high.1).contains(&key.1))
-                && p.slot
-                    .footprints()
-                    .is_none_or(|f| L::footprint_of(f).reaches(edge, &p.place, L::bounds(&p.boxes), key))
+                && L::slot(&p.slots)
+                    .footprint()
+                    .is_none_or(|footprint| footprint.reaches(edge, &p.place, L::bounds(&p.boxes), key))
         };
         let active = self.parts.last().filter(|p| !p.is_frozen && over_tile(p));
         let mut is_whole = true;
@@ -146,11 +146,11 @@ impl<L: Layer> Composed<L> {
 
     /// Whether the part could be had.
     fn overlay(&self, part: &Part, key: TileKey, under: &mut L::Under) -> bool {
-        let layers = part.slot.get();
-        if let Some(layers) = &layers {
-            L::of(layers).overlay(&self.params, &part.place, key, under);
+        let layer = L::slot(&part.slots).get();
+        if let Some(layer) = &layer {
+            layer.overlay(&self.params, &part.place, key, under);
         }
-        layers.is_some()
+        layer.is_some()
     }
 
     /// Composed tiles of some keys in the given order, those of which nothing is known left out. Work runs on the current
@@ -163,7 +163,7 @@ impl<L: Layer> Composed<L> {
 
     /// Submaps that could not be read when they were needed: what they hold is missing here.
     pub fn missing(&self) -> Vec<SubmapId> {
-        self.parts.iter().filter(|p| p.slot.is_lost()).map(|p| p.id).collect()
+        self.parts.iter().filter(|p| L::slot(&p.slots).is_lost()).map(|p| p.id).collect()
     }
 
     /// What the kept tiles take, bytes.

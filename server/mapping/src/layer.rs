@@ -1,9 +1,11 @@
 //! What a layer of the map is: what it takes, how submaps' parts of it are laid over each other, stored and versioned.
 
 use crate::bytes::{Damaged, Reader};
-use crate::layers::{LayerBoxes, LayerFootprints, SubmapLayers};
+use crate::layer_slot::LayerSlot;
+use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, KeyframeScan, Pose};
+use std::sync::Arc;
 
 /// A layer: what it holds of one submap, and how such parts become one.
 ///
@@ -57,12 +59,10 @@ pub trait Layer: Clone + Send + Sync + Sized + 'static {
     /// `Damaged`.
     fn decode(params: &Self::Params, from: &mut Reader<'_>) -> Result<Self, Damaged>;
 
-    /// This layer's part among those of a submap.
-    fn of(layers: &SubmapLayers) -> &Self;
+    /// This layer's slot among those of a submap.
+    fn slot(slots: &LayerSlots) -> &Arc<LayerSlot<Self>>;
     /// Its box among those of a submap's parts.
     fn bounds(boxes: &LayerBoxes) -> &Aabb3;
-    /// Where it says anything, among where those of a submap do.
-    fn footprint_of(footprints: &LayerFootprints) -> &Footprint;
 }
 
 /// Column and row of a tile of the map: square in x and y, of all heights.

@@ -1,15 +1,13 @@
 //! Which layers a map has: a further one is a line in each list here.
 
-use crate::bytes::{Damaged, Reader};
 use crate::composed::Part;
-use crate::layer::{Footprint, Layer};
+use crate::layer::Layer;
+use crate::layer_slot::{Evictable, Fetched, LayerSlot};
+use crate::store::MapStore;
 use crate::{CloudMap, FusedCloud, MapParams, OccupancyGrid, OccupancyMap, SubmapId};
 use nalgebra::Point2;
 use percept_geometry::{Aabb3, KeyframeScan, Pose};
 use std::sync::Arc;
-
-/// First bytes of a stored submap; the number is that of the layout.
-const MAGIC: &[u8; 4] = b"PSM1";
 
 /// The layers of the whole map at one moment, immutable; cloning costs a few references.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,16 +34,58 @@ pub struct LayerBoxes {
     pub(crate) cloud: Aabb3,
 }
 
-/// Where each layer of a submap says anything.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct LayerFootprints {
-    pub(crate) occupancy: Footprint,
-    pub(crate) cloud: Footprint,
+/// The layers of a submap, each in memory or to be had from the store.
+#[derive(Debug)]
+pub struct LayerSlots {
+    pub(crate) occupancy: Arc<LayerSlot<OccupancyGrid>>,
+    pub(crate) cloud: Arc<LayerSlot<FusedCloud>>,
 }
 
-impl LayerFootprints {
+impl LayerSlots {
+    /// Of layers that are being filled.
+    pub(crate) fn new(params: &MapParams, layers: &SubmapLayers) -> Self {
+        Self::of(params, layers, false)
+    }
+
+    /// Of layers to which nothing is added any more.
+    pub(crate) fn frozen(params: &MapParams, layers: &SubmapLayers) -> Self {
+        Self::of(params, layers, true)
+    }
+
+    fn of(params: &MapParams, layers: &SubmapLayers, is_frozen: bool) -> Self {
+        Self {
+            occupancy: Arc::new(LayerSlot::new(&params.occupancy, &layers.occupancy, is_frozen)),
+            cloud: Arc::new(LayerSlot::new(&params.cloud, &layers.cloud, is_frozen)),
+        }
+    }
+
+    fn all(&self) -> [&dyn Evictable; 2] {
+        [&*self.occupancy, &*self.cloud]
+    }
+
+    /// Fetches what is out of memory; whether all is there then.
+    pub(crate) fn load(&self) -> bool {
+        let (occupancy, cloud) = (self.occupancy.get(), self.cloud.get());
+        occupancy.is_some() && cloud.is_some()
+    }
+
+    pub(crate) fn is_loaded(&self) -> bool {
+        self.all().iter().all(|slot| slot.is_loaded())
+    }
+
+    /// Whether one of them could not be had when it was wanted.
+    pub(crate) fn is_lost(&self) -> bool {
+        self.occupancy.is_lost() || self.cloud.is_lost()
+    }
+
+    /// What they take in memory, bytes.
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.occupancy.memory_bytes() + self.cloud.memory_bytes()
+        self.all().iter().map(|slot| slot.memory_bytes()).sum()
+    }
+
+    /// Stores what is not stored, and gives up the memory: how many bytes, none of what the store does not take.
+    pub(crate) fn evict(&self, store: &Arc<dyn MapStore>, fetched: &Arc<Fetched>) -> usize {
+        self.occupancy.evict(store, fetched) + self.cloud.evict(store, fetched)
     }
 }
 
@@ -84,31 +124,6 @@ impl SubmapLayers {
     pub(crate) fn freeze(&mut self) {
         self.occupancy.freeze();
         self.cloud.freeze();
-    }
-
-    pub(crate) fn footprints(&self, params: &MapParams) -> LayerFootprints {
-        LayerFootprints {
-            occupancy: self.occupancy.footprint(&params.occupancy),
-            cloud: self.cloud.footprint(&params.cloud),
-        }
-    }
-
-    pub(crate) fn memory_bytes(&self) -> usize {
-        Layer::memory_bytes(&self.occupancy) + Layer::memory_bytes(&self.cloud)
-    }
-
-    pub(crate) fn encode(&self) -> Vec<u8> {
-        let mut out = MAGIC.to_vec();
-        self.occupancy.encode(&mut out);
-        self.cloud.encode(&mut out);
-        out
-    }
-
-    pub(crate) fn decode(params: &MapParams, bytes: &[u8]) -> Result<Self, Damaged> {
-        let mut from = Reader::new(bytes.strip_prefix(MAGIC).ok_or(Damaged)?);
-        let occupancy = Layer::decode(&params.occupancy, &mut from)?;
-        let cloud = Layer::decode(&params.cloud, &mut from)?;
-        if from.is_at_end() { Ok(Self { occupancy, cloud }) } else { Err(Damaged) }
     }
 }
 
@@ -168,6 +183,9 @@ impl MapLayers {
 
     /// Submaps that could not be read when they were needed: what they hold is missing.
     pub fn missing(&self) -> Vec<SubmapId> {
-        self.occupancy.missing()
+        let mut missing = [self.occupancy.missing(), self.cloud.missing()].concat();
+        missing.sort_unstable();
+        missing.dedup();
+        missing
     }
 }

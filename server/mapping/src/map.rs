@@ -6,9 +6,10 @@ mod rebuild;
 mod working_set;
 
 use crate::error::{check_keyframe, check_pose};
-use crate::layers::LayersUpdate;
+use crate::layer_slot::Fetched;
+use crate::layers::{LayerSlots, LayersUpdate};
 use crate::store::MapStore;
-use crate::submap::{Fetched, Slot, Submap, SubmapId};
+use crate::submap::{Submap, SubmapId};
 use crate::{CloudParams, MapLayers, MappingError, OccupancyParams, SubmapLayers};
 pub use correct::CorrectionReport;
 use division::Division;
@@ -176,7 +177,7 @@ impl Map {
         let version = self.shown.version + 1;
         if self.submaps.last().is_none_or(|s| s.id != submap_id) {
             self.freeze(version);
-            self.submaps.push(Submap::new(submap_id));
+            self.submaps.push(Submap::new(submap_id, &self.params));
         }
         let Some(submap) = self.submaps.last_mut() else { return Ok(()) };
         let t_submap_base = submap.t_map_submap.inverse() * t_map_base;
@@ -184,7 +185,7 @@ impl Map {
         let touched = update.touched(&self.params);
         let layers = self.active.get_or_insert_with(|| Arc::new(SubmapLayers::new(&self.params)));
         Arc::make_mut(layers).add(&update);
-        submap.slot = Arc::new(Slot::new(&self.params, Arc::clone(layers)));
+        submap.slots = Arc::new(LayerSlots::new(&self.params, layers));
         submap.boxes = submap.boxes.joined(&touched);
         submap.add_keyframe(id, t_submap_base);
         let keyframe = MapKeyframe {
@@ -215,7 +216,7 @@ impl Map {
         let Some(mut layers) = self.active.take() else { return };
         let Some(submap) = self.submaps.last_mut() else { return };
         Arc::make_mut(&mut layers).freeze();
-        submap.slot = Arc::new(Slot::frozen(&self.params, layers));
+        submap.slots = Arc::new(LayerSlots::frozen(&self.params, &layers));
         submap.is_frozen = true;
         self.shown.lay_under(version, &submap.boxes_in_map(self.params.margin_m()));
     }

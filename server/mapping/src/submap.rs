@@ -3,13 +3,12 @@
 use crate::MapParams;
 use crate::composed::Part;
 use crate::layer::{Placement, moved};
-use crate::layers::{LayerBoxes, LayerFootprints, SubmapLayers};
-use crate::store::{BlobId, MapStore};
+use crate::layers::{LayerBoxes, LayerSlots, SubmapLayers};
 use nalgebra::{UnitQuaternion, Vector3};
 use percept_geometry::{KeyframeId, Pose, se3};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, PoisonError, RwLock, Weak};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Which submap, among those of all robots and all their runs. Says neither where nor when it was made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
@@ -37,11 +36,11 @@ pub struct Submap {
     /// Of its layers, submap's frame.
     pub(crate) boxes: LayerBoxes,
     pub(crate) is_frozen: bool,
-    pub(crate) slot: Arc<Slot>,
+    pub(crate) slots: Arc<LayerSlots>,
 }
 
 impl Submap {
-    pub(crate) fn new(id: SubmapId) -> Self {
+    pub(crate) fn new(id: SubmapId, params: &MapParams) -> Self {
         Self {
             id,
             t_map_submap: Pose::identity(),
@@ -49,7 +48,7 @@ impl Submap {
             height_m: 0.0,
             boxes: LayerBoxes::empty(),
             is_frozen: false,
-            slot: Arc::default(),
+            slots: Arc::new(LayerSlots::new(params, &SubmapLayers::new(params))),
         }
     }
 
@@ -75,7 +74,7 @@ impl Submap {
 
     /// Whether its layers are in memory.
     pub fn is_loaded(&self) -> bool {
-        self.slot.is_loaded()
+        self.slots.is_loaded()
     }
 
     /// Its layers hold a further keyframe.
@@ -112,7 +111,7 @@ impl Submap {
 
     pub(crate) fn part(&self, margin_m: f64) -> Part {
         let (place, boxes) = (self.place(), self.boxes_in_map(margin_m));
-        Part { id: self.id, place, boxes, slot: Arc::clone(&self.slot), is_frozen: self.is_frozen }
+        Part { id: self.id, place, boxes, slots: Arc::clone(&self.slots), is_frozen: self.is_frozen }
     }
 }
 
@@ -132,130 +131,4 @@ pub(crate) fn best_fit(pairs: &[(Pose, Pose)]) -> Pose {
     let t_a_b = Pose::from_parts(translation.into(), rotation);
     // Rounding alone moves nothing: aligned frames stay aligned.
     if se3::log(&t_a_b).norm() < 1e-9 { Pose::identity() } else { t_a_b }
-}
-
-/// What a submap holds, in memory or to be had from the store. Shared by all moments that show it.
-#[derive(Debug, Default)]
-pub(crate) struct Slot {
-    params: MapParams,
-    /// Where the layers say anything, if nothing is added to them any more.
-    footprints: Option<LayerFootprints>,
-    held: RwLock<Held>,
-}
-
-#[derive(Debug, Default, Clone)]
-struct Held {
-    layers: Option<Arc<SubmapLayers>>,
-    bytes: usize,
-    stored: Option<Stored>,
-    /// Whether it could not be had when it was wanted.
-    is_lost: bool,
-}
-
-#[derive(Debug, Clone)]
-struct Stored {
-    id: BlobId,
-    store: Arc<dyn MapStore>,
-    fetched: Arc<Fetched>,
-}
-
-impl Slot {
-    pub(crate) fn new(params: &MapParams, layers: Arc<SubmapLayers>) -> Self {
-        let bytes = layers.memory_bytes();
-        let held = Held { layers: Some(layers), bytes, ..Held::default() };
-        Self { params: *params, footprints: None, held: RwLock::new(held) }
-    }
-
-    /// Of layers to which nothing is added any more.
-    pub(crate) fn frozen(params: &MapParams, layers: Arc<SubmapLayers>) -> Self {
-        Self { footprints: Some(layers.footprints(params)), ..Self::new(params, layers) }
-    }
-
-    /// Where the layers say anything, as far as that is settled.
-    pub(crate) fn footprints(&self) -> Option<&LayerFootprints> {
-        self.footprints.as_ref()
-    }
-
-    fn read<T>(&self, look: impl FnOnce(&Held) -> T) -> T {
-        look(&self.held.read().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    fn write<T>(&self, change: impl FnOnce(&mut Held) -> T) -> T {
-        change(&mut self.held.write().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    /// What the submap holds, fetched if need be; none if that fails.
-    pub(crate) fn get(self: &Arc<Self>) -> Option<Arc<SubmapLayers>> {
-        let held = self.read(Held::clone);
-        if held.layers.is_some() {
-            return held.layers;
-        }
-        let stored = held.stored?;
-        let bytes = stored.store.get(&stored.id);
-        let layers = bytes.and_then(|b| SubmapLayers::decode(&self.params, &b).ok()).map(Arc::new);
-        self.write(|held| {
-            held.is_lost = layers.is_none();
-            held.bytes = layers.as_ref().map_or(0, |l| l.memory_bytes());
-            held.layers.clone_from(&layers);
-        });
-        if layers.is_some() {
-            stored.fetched.note(self);
-        }
-        layers
-    }
-
-    pub(crate) fn is_loaded(&self) -> bool {
-        self.read(|held| held.layers.is_some())
-    }
-
-    pub(crate) fn is_lost(&self) -> bool {
-        self.read(|held| held.is_lost)
-    }
-
-    /// What it takes in memory, bytes.
-    pub(crate) fn memory_bytes(&self) -> usize {
-        let footprints = self.footprints.as_ref().map_or(0, LayerFootprints::memory_bytes);
-        footprints + self.read(|held| if held.layers.is_some() { held.bytes } else { 0 })
-    }
-
-    /// Stores what it holds, if it is not stored, and gives up the memory: how many bytes, none if the store does not take it.
-    pub(crate) fn evict(&self, store: &Arc<dyn MapStore>, fetched: &Arc<Fetched>) -> usize {
-        let held = self.read(Held::clone);
-        let Some(layers) = held.layers else { return 0 };
-        let keep = || {
-            Some(Stored { id: store.put(&layers.encode())?, store: Arc::clone(store), fetched: Arc::clone(fetched) })
-        };
-        let Some(stored) = held.stored.or_else(keep) else { return 0 };
-        self.write(|held| held.stored = Some(stored));
-        self.release()
-    }
-
-    /// Gives up the memory of what is stored: how many bytes.
-    fn release(&self) -> usize {
-        self.write(|held| if held.stored.is_some() && held.layers.take().is_some() { held.bytes } else { 0 })
-    }
-}
-
-/// Submaps that readers have fetched from the store, in that order: beyond so many bytes the earliest goes, so that a look at
-/// the whole map does not take the whole map into memory.
-#[derive(Debug, Default)]
-pub(crate) struct Fetched {
-    max_bytes: usize,
-    slots: Mutex<VecDeque<Weak<Slot>>>,
-}
-
-impl Fetched {
-    pub(crate) fn new(max_bytes: usize) -> Self {
-        Self { max_bytes, slots: Mutex::default() }
-    }
-
-    fn note(&self, slot: &Arc<Slot>) {
-        let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
-        slots.retain(|s| s.upgrade().is_some_and(|s| s.is_loaded() && !Arc::ptr_eq(&s, slot)));
-        slots.push_back(Arc::downgrade(slot));
-        let mut bytes: usize = slots.iter().filter_map(Weak::upgrade).map(|s| s.memory_bytes()).sum();
-        while bytes > self.max_bytes && slots.len() > 1 {
-            bytes -= slots.pop_front().and_then(|s| s.upgrade()).map_or(0, |s| s.release());
-        }
-    }
 }

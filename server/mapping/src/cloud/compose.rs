@@ -7,7 +7,8 @@ use super::{CloudParams, CloudUpdate, FusedCloud};
 use crate::bytes::{Damaged, Reader, put_f32, put_i32, put_u16, put_u32, put_u64};
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey, moved};
-use crate::layers::{LayerBoxes, LayerFootprints, SubmapLayers};
+use crate::layer_slot::LayerSlot;
+use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Aabb3, KeyframeScan, PointCloud, Pose, Voxel};
 use std::collections::BTreeMap;
@@ -157,16 +158,12 @@ impl Layer for FusedCloud {
         Ok(Self::of_blocks(*params, blocks, FreeSpace { blocks: Arc::new(free) }))
     }
 
-    fn of(layers: &SubmapLayers) -> &Self {
-        &layers.cloud
+    fn slot(slots: &LayerSlots) -> &Arc<LayerSlot<Self>> {
+        &slots.cloud
     }
 
     fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
         &boxes.cloud
-    }
-
-    fn footprint_of(footprints: &LayerFootprints) -> &Footprint {
-        &footprints.cloud
     }
 }
 

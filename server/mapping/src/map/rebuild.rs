@@ -1,8 +1,8 @@
 //! Submaps whose layers are built anew beside what is shown, one after the other, a little at a time, on any thread.
 
 use super::{Map, MapKeyframe};
-use crate::layers::{LayerBoxes, LayersUpdate};
-use crate::submap::{Slot, SubmapId};
+use crate::layers::{LayerBoxes, LayerSlots, LayersUpdate};
+use crate::submap::SubmapId;
 use crate::{MapParams, Submap, SubmapLayers};
 use percept_geometry::{KeptScan, KeyframeId, Pose};
 use rayon::prelude::*;
@@ -227,10 +227,10 @@ impl Map {
         }
         let (version, margin) = (self.shown.version + 1, self.params.margin_m());
         self.shown.touch(version, &self.submaps[k].boxes_in_map(margin), is_active);
-        let mut submap = Submap::new(id);
+        let mut submap = Submap::new(id, &self.params);
         (submap.boxes, submap.is_frozen) = (boxes, !is_active);
-        let slot = if is_active { Slot::new } else { Slot::frozen };
-        submap.slot = Arc::new(slot(&self.params, layers));
+        let slots = if is_active { LayerSlots::new } else { LayerSlots::frozen };
+        submap.slots = Arc::new(slots(&self.params, &layers));
         keyframes.into_iter().for_each(|(id, t_map_base)| submap.add_keyframe(id, t_map_base));
         self.submaps[k] = submap;
         // Its keyframes may have moved since this was begun.

@@ -2,9 +2,10 @@
 
 use super::{Map, MapKeyframe};
 use crate::MappingError;
+use crate::layer_slot::Fetched;
 use crate::store::{MapMemory, MapStore};
 use crate::stored_scan::store_scan;
-use crate::submap::{Fetched, Submap, SubmapId};
+use crate::submap::{Submap, SubmapId};
 use std::sync::Arc;
 
 /// What composed tiles may take of a budget, and what submaps may that readers have fetched: a quarter each. The rest is for
@@ -36,7 +37,7 @@ impl Map {
     pub fn memory(&self) -> MapMemory {
         MapMemory {
             scans: self.scan_bytes + self.keyframes.len() * size_of::<MapKeyframe>(),
-            layers: self.submaps.iter().map(|s| s.slot.memory_bytes()).sum(),
+            layers: self.submaps.iter().map(|s| s.slots.memory_bytes()).sum(),
             tiles: self.shown.kept_bytes(),
         }
     }
@@ -58,8 +59,10 @@ impl Map {
     /// `NoSubmap`; `SubmapLost` if they are gone or damaged: the rest of the map works without.
     pub fn load(&mut self, id: SubmapId) -> Result<(), MappingError> {
         let k = self.position(id).ok_or(MappingError::NoSubmap { id })?;
-        let was_lost = self.submaps[k].slot.is_lost();
-        self.submaps[k].slot.get().ok_or(MappingError::SubmapLost { id })?;
+        let was_lost = self.submaps[k].slots.is_lost();
+        if !self.submaps[k].slots.load() {
+            return Err(MappingError::SubmapLost { id });
+        }
         if was_lost {
             let version = self.shown.version + 1;
             self.shown.touch(version, &self.submaps[k].boxes_in_map(self.params.margin_m()), false);
@@ -102,7 +105,7 @@ impl Map {
         if !submap.is_frozen {
             return 0;
         }
-        let mut freed = submap.slot.evict(&store, &self.fetched);
+        let mut freed = submap.slots.evict(&store, &self.fetched);
         for id in submap.keyframes().keys() {
             let Some(keyframe) = self.keyframes.get(id) else { continue };
             let bytes = keyframe.scan.evict(|scan| store_scan(&store, scan));

@@ -8,7 +8,8 @@ use super::{OccupancyGrid, OccupancyParams, ScanUpdate};
 use crate::bytes::{Damaged, Reader, put_i32, put_u32};
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey};
-use crate::layers::{LayerBoxes, LayerFootprints, SubmapLayers};
+use crate::layer_slot::LayerSlot;
+use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, Cell, GridGeometry, KeyframeScan, Pose};
 use std::collections::BTreeMap;
@@ -151,16 +152,12 @@ impl Layer for OccupancyGrid {
         Ok(Self::of_tiles(*params, tiles))
     }
 
-    fn of(layers: &SubmapLayers) -> &Self {
-        &layers.occupancy
+    fn slot(slots: &LayerSlots) -> &Arc<LayerSlot<Self>> {
+        &slots.occupancy
     }
 
     fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
         &boxes.occupancy
-    }
-
-    fn footprint_of(footprints: &LayerFootprints) -> &Footprint {
-        &footprints.occupancy
     }
 }
 

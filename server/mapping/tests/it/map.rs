@@ -486,11 +486,21 @@ fn composed_tiles_stay_while_their_submaps_are_out_of_memory_and_what_is_lost_is
     *shelf.blobs.lock().unwrap() = kept;
     // There again, also for who reads without asking for that.
     assert_ne!(part.occupancy.dense(1 << 20).unwrap(), without);
+    assert!(part.cloud.len() > 1000);
     assert!(map.layers().missing().is_empty());
     assert_eq!(map.load(first), Ok(()));
     map.correct(&correction(drive), &[]).unwrap();
     assert_eq!(map.layers().occupancy.dense(1 << 20).unwrap(), whole);
     assert!(map.load(SubmapId { robot: 7, run: 0, number: 0 }).is_err());
+    // Who reads the grid fetches no cloud.
+    assert_eq!(map.evict(first), Ok(true));
+    let moved = map.submaps()[0].keyframes().keys().map(|id| (*id, shift * drive(id.0 as usize))).collect();
+    map.correct(&Correction { t_map_base: moved }, &[]).unwrap();
+    let before = map.memory().layers;
+    assert!(map.layers().occupancy.num_known() > 1000);
+    let grid = map.memory().layers - before;
+    assert!(map.layers().cloud.len() > 1000);
+    assert!(0 < grid && grid < map.memory().layers - before, "{grid}");
 }
 
 #[test]
