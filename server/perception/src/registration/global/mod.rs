@@ -28,7 +28,7 @@ use matching::Pair;
 use percept_geometry::{PointCloud, Pose};
 use std::borrow::Cow;
 use std::ops::ControlFlow;
-use verify::{Confirming, Judge, Refined};
+use verify::{Confirming, Judge, Judged, Refined};
 
 /// Fewer pairs than this are never believed.
 const FEWEST_PAIRS: usize = 6;
@@ -68,7 +68,7 @@ pub struct GlobalSearch<'a> {
     radius: usize,
     next: Stage,
     pairs: Vec<Pair>,
-    answer: GlobalResult,
+    best: Judged,
 }
 
 /// What the next step does.
@@ -113,8 +113,8 @@ impl<'a> GlobalSearch<'a> {
         params: &GlobalParams,
     ) -> Result<Self, RegistrationError> {
         params.validate()?;
-        let (params, answer) = (params.clone(), GlobalResult::nothing(0));
-        Ok(Self { params, source, target, judge: None, radius: 0, next: Stage::Describe, pairs: vec![], answer })
+        let (params, best) = (params.clone(), Judged::nothing(0));
+        Ok(Self { params, source, target, judge: None, radius: 0, next: Stage::Describe, pairs: vec![], best })
     }
 
     /// Goes on for one step; answers as [`register_global`] does once that was the last.
@@ -124,7 +124,7 @@ impl<'a> GlobalSearch<'a> {
                 self.next = next;
                 None
             }
-            Ok(None) => Some(Ok(self.answer.clone())),
+            Ok(None) => Some(Ok(self.best.answer.clone())),
             Err(error) => Some(Err(error)),
         }
     }
@@ -153,33 +153,31 @@ impl<'a> GlobalSearch<'a> {
             Stage::Refine(candidates) => Some(Stage::Judge(judge.refine(&candidates))),
             Stage::Judge(refined) => {
                 let found = judge.judged(&refined, self.pairs.len());
-                if found.evidence >= self.answer.evidence {
-                    self.answer = found;
+                if found.answer.evidence >= self.best.answer.evidence {
+                    self.best = found;
                 }
                 // Wider neighbourhoods tell more apart but reach over the edges of what both clouds saw: only if need be.
-                if self.answer.outcome != GlobalOutcome::Found && self.radius + 1 < FEATURE_RADII.len() {
+                if self.best.answer.outcome != GlobalOutcome::Found && self.radius + 1 < FEATURE_RADII.len() {
                     self.radius += 1;
                     Some(Stage::Source)
                 } else {
                     self.params.refine.then_some(Stage::Finish)
                 }
             }
-            Stage::Finish if self.answer.outcome == GlobalOutcome::Found => {
-                Some(Stage::Confirm(judge.confirming(&self.answer, |answer| self.aligned(answer))))
+            Stage::Finish if self.best.answer.outcome == GlobalOutcome::Found => {
+                Some(Stage::Confirm(judge.confirming(&self.best, |answer| self.aligned(answer))))
             }
             Stage::Finish => {
-                self.answer = measured(judge, self.aligned(self.answer.clone()));
+                self.best.answer = measured(judge, self.aligned(self.best.answer.clone()));
                 None
             }
-            Stage::Confirm(confirming) => {
-                match judge.confirm(&self.answer, confirming, |answer| self.aligned(answer)) {
-                    ControlFlow::Break(answer) => {
-                        self.answer = measured(judge, answer);
-                        None
-                    }
-                    ControlFlow::Continue(confirming) => Some(Stage::Confirm(confirming)),
+            Stage::Confirm(confirming) => match judge.confirm(&self.best, confirming, |answer| self.aligned(answer)) {
+                ControlFlow::Break(answer) => {
+                    self.best.answer = measured(judge, answer);
+                    None
                 }
-            }
+                ControlFlow::Continue(confirming) => Some(Stage::Confirm(confirming)),
+            },
         })
     }
 

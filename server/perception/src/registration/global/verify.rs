@@ -64,6 +64,19 @@ impl Refined {
     }
 }
 
+/// An answer, and what speaks for it, things that say much included, nats.
+#[derive(Clone)]
+pub(super) struct Judged {
+    pub(super) answer: GlobalResult,
+    pub(super) log_ratio: f64,
+}
+
+impl Judged {
+    pub(super) fn nothing(num_pairs: usize) -> Self {
+        Self { answer: GlobalResult::nothing(num_pairs), log_ratio: f64::NEG_INFINITY }
+    }
+}
+
 /// What was found being aligned closely.
 pub(super) struct Confirming {
     compared: Compared,
@@ -113,11 +126,11 @@ impl Judge {
     }
 
     /// The refined candidate that most speaks for, and whether to believe it.
-    pub(super) fn judged(&self, refined: &[Refined], num_pairs: usize) -> GlobalResult {
-        let Some(first) = refined.first() else { return GlobalResult::nothing(num_pairs) };
+    pub(super) fn judged(&self, refined: &[Refined], num_pairs: usize) -> Judged {
+        let Some(first) = refined.first() else { return Judged::nothing(num_pairs) };
         let (best, compared) = self.settled(first.clone());
         let other = refined.iter().find(|r| !r.is_like(&best, self.size));
-        self.result(&best, &compared, other, num_pairs)
+        Judged { answer: self.result(&best, &compared, other, num_pairs), log_ratio: compared.of.log_ratio }
     }
 
     /// A candidate moved along while more speaks for that, with what speaks for it and for its like.
@@ -139,7 +152,11 @@ impl Judge {
 
     /// What was found, aligned closely. Little overlap may coincide nearly as well a degree or two off: from there is to be tried,
     /// too.
-    pub(super) fn confirming(&self, found: &GlobalResult, finish: impl Fn(GlobalResult) -> GlobalResult) -> Confirming {
+    pub(super) fn confirming(
+        &self,
+        Judged { answer: found, .. }: &Judged,
+        finish: impl Fn(GlobalResult) -> GlobalResult,
+    ) -> Confirming {
         let fine = finish(found.clone());
         let compared = self.evidence.compare(&fine.t_target_source);
         let is_little = found.overlap < LITTLE_OVERLAP;
@@ -151,7 +168,7 @@ impl Judge {
     /// before, and what speaks for a slide along walls goes with the last voxel.
     pub(super) fn confirm(
         &self,
-        found: &GlobalResult,
+        Judged { answer: found, log_ratio }: &Judged,
         mut c: Confirming,
         finish: impl Fn(GlobalResult) -> GlobalResult,
     ) -> ControlFlow<GlobalResult, Confirming> {
@@ -164,7 +181,7 @@ impl Judge {
             return ControlFlow::Continue(c);
         }
         let Confirming { compared, fine, .. } = c;
-        if compared.of.evidence < found.evidence && !self.is_near(&found.t_target_source, &fine.t_target_source) {
+        if compared.of.log_ratio < *log_ratio && !self.is_near(&found.t_target_source, &fine.t_target_source) {
             return ControlFlow::Break(found.clone());
         }
         let slid = compared.rival.map_or(0.0, |r| r.0.evidence).max(found.rival_evidence);
