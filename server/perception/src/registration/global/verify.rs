@@ -20,7 +20,8 @@ const SAMPLE: usize = 1500;
 const FLAT_WEIGHT: f32 = 0.02;
 /// Evidence from which an answer is believed, nats. Of 1e4 motions that are tried or compared, one that is chance reaches
 /// `ln(1e4) = 9`, and a thousandth of a false alarm a search is 16; patches that touch are not quite independent.
-/// `registration_quality streets 100` reaches 13 with a wrong answer, `cuts 70` 1.
+/// Of 1,000 `cuts` and 500 `streets` of `registration_quality` a wrong answer reaches 24.6 with a rival of less than half; of
+/// 500 `cuts` 10 of 218 right ones have 25 to 30.
 const BELIEVED: f64 = 25.0;
 /// A different way that has this share of the answer's evidence makes it ambiguous.
 const RIVAL: f64 = 0.5;
