@@ -5,5 +5,6 @@
 
 mod cloud;
 mod map;
+mod memory;
 mod occupancy;
 mod scans;
