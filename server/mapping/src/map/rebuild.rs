@@ -56,7 +56,7 @@ struct Built {
 pub struct RebuildStep {
     params: MapParams,
     id: SubmapId,
-    due: Vec<(KeyframeId, Pose, Option<KeptScan>)>,
+    due: Vec<(KeyframeId, Pose, KeptScan)>,
     built: Built,
 }
 
@@ -72,9 +72,8 @@ impl RebuildStep {
     /// Works on it. Parallel work runs on the current rayon pool.
     pub fn run(self) -> RebuildStepDone {
         let Self { params, id, due, mut built } = self;
-        let update = |(_, pose, scan): &(KeyframeId, Pose, Option<KeptScan>)| {
-            Some(LayersUpdate::new(&params, pose, &*scan.as_ref()?.get()?))
-        };
+        let update =
+            |(_, pose, scan): &(KeyframeId, Pose, KeptScan)| Some(LayersUpdate::new(&params, pose, &*scan.get()?));
         let updates: Option<Vec<LayersUpdate>> = due.par_iter().map(update).collect();
         let built = updates.map(|updates| {
             for ((id, pose, _), update) in due.iter().zip(updates) {
@@ -179,9 +178,10 @@ impl Map {
             *left = left.saturating_sub(size);
             num_due += 1;
         }
-        let due = under_way.left.drain(..num_due);
-        let scan = |(id, pose)| (id, pose, self.keyframes.get(&id).map(|k: &MapKeyframe| k.scan.clone()));
-        Some(RebuildStep { params: self.params, id: under_way.id, due: due.map(scan).collect(), built })
+        // Those that have left the map meanwhile are left out.
+        let living = |(id, pose)| self.keyframes.get(&id).map(|k: &MapKeyframe| (id, pose, k.scan.clone()));
+        let due = under_way.left.drain(..num_due).filter_map(living).collect();
+        Some(RebuildStep { params: self.params, id: under_way.id, due, built })
     }
 
     /// Takes in what came of a step. A submap that is whole by it is shown.

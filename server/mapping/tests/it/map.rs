@@ -245,6 +245,28 @@ fn a_submap_that_is_moved_while_it_is_built_anew_gets_built() {
 }
 
 #[test]
+fn a_submap_that_loses_keyframes_while_it_is_built_anew_gets_built_without_them() {
+    let scans = scans();
+    let mut map = built(&scans, |i| drifted(i, 0.004));
+    map.correct(&correction(drive), &[]).unwrap();
+    map.advance(1);
+    let last = |s: &percept_mapping::Submap| *s.keyframes().keys().next_back().unwrap();
+    let gone: Vec<KeyframeId> = map.submaps().iter().map(last).collect();
+    map.correct(&Correction::default(), &gone).unwrap();
+    while !map.advance(usize::MAX) {}
+    let mut direct = Map::new(MapParams::default()).unwrap();
+    for (i, scan) in scans.iter().enumerate() {
+        let entry = MapEntry { t_odom_base: drifted(i, 0.004), ..MapEntry::at(drive(i)) };
+        match gone.contains(&id(i)) {
+            true => direct.skip(&entry),
+            false => direct.insert(id(i), &entry, Arc::clone(scan)).unwrap(),
+        }
+    }
+    assert_eq!(map.layers().occupancy, direct.layers().occupancy);
+    assert_eq!(map.layers().cloud, direct.layers().cloud);
+}
+
+#[test]
 fn what_is_built_anew_does_not_depend_on_the_steps_nor_on_the_threads() {
     let scans = scans();
     let on = |threads: usize, step: usize| {
