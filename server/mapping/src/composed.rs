@@ -53,6 +53,31 @@ struct KeptTile<L: Layer> {
     under: Option<(u64, Arc<L::Under>)>,
 }
 
+/// Tiles that are composed together lie within a square of so many along an edge: a submap that reaches over several of them is
+/// fetched once for all. What they hold until they are done is in memory beside the budget.
+const TOGETHER: i32 = 8;
+
+/// A tile that is wanted.
+enum Begun<L: Layer> {
+    /// It is kept; none if nothing is known of it.
+    Kept(Option<Arc<L::Tile>>),
+    Open(Composing<L>),
+}
+
+/// A tile that is being composed.
+struct Composing<L: Layer> {
+    /// Which one of those that are wanted.
+    at: usize,
+    key: TileKey,
+    changed: Changed,
+    /// What lies under the submap that is being filled, if that is kept.
+    under: Option<Arc<L::Under>>,
+    /// The same while it is gathered.
+    frozen: L::Under,
+    /// Whether no part is missing.
+    is_whole: bool,
+}
+
 impl<L: Layer> KeptTile<L> {
     fn bytes(&self) -> usize {
         let (tile, under) =
@@ -102,35 +127,91 @@ impl<L: Layer> Composed<L> {
 
     /// A composed tile; none if nothing is known of it.
     pub fn tile(&self, key: TileKey) -> Option<Arc<L::Tile>> {
-        let changed = *self.changed.get(&key)?;
+        self.compose(&[key]).pop().flatten()
+    }
+
+    /// Composed tiles of some keys in the given order, those of which nothing is known left out. Work runs on the current
+    /// rayon pool.
+    pub fn tiles(&self, keys: impl Iterator<Item = TileKey>) -> Vec<(TileKey, Arc<L::Tile>)> {
+        let mut keys: Vec<(usize, TileKey)> = keys.enumerate().collect();
+        let square = |key: &(usize, TileKey)| (key.1.0.div_euclid(TOGETHER), key.1.1.div_euclid(TOGETHER));
+        keys.sort_by_key(square);
+        let mut found = Vec::with_capacity(keys.len());
+        for together in keys.chunk_by(|a, b| square(a) == square(b)) {
+            let wanted: Vec<TileKey> = together.iter().map(|(_, key)| *key).collect();
+            let tiles = together.iter().zip(self.compose(&wanted));
+            found.extend(tiles.filter_map(|(at, tile)| Some((*at, tile?))));
+        }
+        found.sort_by_key(|((at, _), _)| *at);
+        found.into_iter().map(|((_, key), tile)| (key, tile)).collect()
+    }
+
+    /// Tiles of some keys, one a key. Those that are not kept are composed submap by submap, so that each is fetched once.
+    fn compose(&self, keys: &[TileKey]) -> Vec<Option<Arc<L::Tile>>> {
+        let begun: Vec<Begun<L>> = keys.iter().map(|key| self.begin(*key)).collect();
+        let mut composing: Vec<Composing<L>> = vec![];
+        let mut tiles = vec![None; keys.len()];
+        for (at, begun) in begun.into_iter().enumerate() {
+            match begun {
+                Begun::Kept(tile) => tiles[at] = tile,
+                Begun::Open(tile) => composing.push(Composing { at, ..tile }),
+            }
+        }
+        for part in self.parts.iter().filter(|p| p.is_frozen) {
+            let is_under = |t: &&mut Composing<L>| t.under.is_none() && self.is_over(part, t.key);
+            let over: Vec<_> = composing.iter_mut().filter(is_under).collect();
+            if over.is_empty() {
+                continue;
+            }
+            let layer = L::slot(&part.slots).get();
+            over.into_par_iter().for_each(|tile| match &layer {
+                Some(layer) => layer.overlay(&self.params, &part.place, tile.key, &mut tile.frozen),
+                None => tile.is_whole = false,
+            });
+        }
+        let finished: Vec<_> = composing.into_par_iter().map(|tile| (tile.at, self.finish(tile))).collect();
+        finished.into_iter().for_each(|(at, tile)| tiles[at] = tile);
+        tiles
+    }
+
+    /// A tile as it is kept, or what is kept of it.
+    fn begin(&self, key: TileKey) -> Begun<L> {
+        let Some(&changed) = self.changed.get(&key) else { return Begun::Kept(None) };
         let mut under = None;
         if let Some(kept) = self.kept.lock().get(&key) {
             if kept.version == changed.at_all {
-                return kept.tile.clone();
+                return Begun::Kept(kept.tile.clone());
             }
             under = kept.under.clone().filter(|u| u.0 == changed.under_active).map(|u| u.1);
         }
+        let frozen = L::unknown(&self.params, key);
+        Begun::Open(Composing { at: 0, key, changed, under, frozen, is_whole: true })
+    }
+
+    /// Whether a part may say anything in a tile.
+    fn is_over(&self, part: &Part, key: TileKey) -> bool {
         let edge = L::tile_edge_m(&self.params);
-        let over_tile = |p: &&Part| {
-            tiles_of(edge, L::bounds(&p.boxes))
-                .is_some_and(|(low, high)| (low.0..=high.0).contains(&key.0) && (low.1..=high.1).contains(&key.1))
-                && L::slot(&p.slots)
-                    .footprint()
-                    .is_none_or(|footprint| footprint.reaches(edge, &p.place, L::bounds(&p.boxes), key))
-        };
-        let active = self.parts.last().filter(|p| !p.is_frozen && over_tile(p));
-        let mut is_whole = true;
-        let frozen = under.unwrap_or_else(|| {
-            let mut under = L::unknown(&self.params, key);
-            let frozen = self.parts.iter().filter(|p| p.is_frozen).filter(over_tile);
-            frozen.for_each(|p| is_whole &= self.overlay(p, key, &mut under));
-            Arc::new(under)
-        });
+        let bounds = L::bounds(&part.boxes);
+        let is_within =
+            |(low, high): (TileKey, TileKey)| (low.0..=high.0).contains(&key.0) && (low.1..=high.1).contains(&key.1);
+        let footprint = L::slot(&part.slots).footprint();
+        tiles_of(edge, bounds).is_some_and(is_within)
+            && footprint.is_none_or(|footprint| footprint.reaches(edge, &part.place, bounds, key))
+    }
+
+    /// Lays the submap that is being filled over a tile, and keeps it.
+    fn finish(&self, tile: Composing<L>) -> Option<Arc<L::Tile>> {
+        let Composing { key, changed, under, frozen, mut is_whole, .. } = tile;
+        let under = under.unwrap_or_else(|| Arc::new(frozen));
+        let active = self.parts.last().filter(|p| !p.is_frozen && self.is_over(p, key));
         let tile = match active {
-            None => L::finish(&self.params, key, &frozen),
+            None => L::finish(&self.params, key, &under),
             Some(active) => {
-                let mut all = L::Under::clone(&frozen);
-                is_whole &= self.overlay(active, key, &mut all);
+                let mut all = L::Under::clone(&under);
+                match L::slot(&active.slots).get() {
+                    Some(layer) => layer.overlay(&self.params, &active.place, key, &mut all),
+                    None => is_whole = false,
+                }
                 L::finish(&self.params, key, &all)
             }
         };
@@ -138,27 +219,10 @@ impl<L: Layer> Composed<L> {
         let mut tiles = self.kept.lock();
         // What is missing may be had the next time.
         if is_whole && tiles.get(&key).is_none_or(|k| k.version < changed.at_all) {
-            let under = active.map(|_| (changed.under_active, frozen));
+            let under = active.map(|_| (changed.under_active, under));
             tiles.insert(key, KeptTile { version: changed.at_all, tile: tile.clone(), under });
         }
         tile
-    }
-
-    /// Whether the part could be had.
-    fn overlay(&self, part: &Part, key: TileKey, under: &mut L::Under) -> bool {
-        let layer = L::slot(&part.slots).get();
-        if let Some(layer) = &layer {
-            layer.overlay(&self.params, &part.place, key, under);
-        }
-        layer.is_some()
-    }
-
-    /// Composed tiles of some keys in the given order, those of which nothing is known left out. Work runs on the current
-    /// rayon pool.
-    pub fn tiles(&self, keys: impl Iterator<Item = TileKey>) -> Vec<(TileKey, Arc<L::Tile>)> {
-        let keys: Vec<TileKey> = keys.collect();
-        let tiles: Vec<_> = keys.par_iter().map(|key| Some((*key, self.tile(*key)?))).collect();
-        tiles.into_iter().flatten().collect()
     }
 
     /// Submaps that could not be read when they were needed: what they hold is missing here.
