@@ -1,8 +1,8 @@
 //! Branch and bound: where in a map a set of points fits best, without a good guess.
 //!
 //! Source: Hess et al., "Real-time loop closure in 2D LIDAR SLAM", 2016, section V. Each level bounds the one below
-//! from above, so that the result is that of trying every pose. Levels are stored at their own spacing, which takes a
-//! third of the finest one's memory in all, for bounds that look a little farther than needed.
+//! from above, so that the result is that of trying every pose. Levels are stored at a quarter of their own spacing: bounds look
+//! a quarter farther than they need to, for 2.3 times the finest one's memory besides it.
 
 #[cfg(test)]
 mod tests;
@@ -15,6 +15,9 @@ use std::collections::BinaryHeap;
 
 /// Levels above the finest: a cell of the coarsest is 32 fine ones wide.
 const DEPTH: u32 = 5;
+/// Cells of a level are so many times smaller than what it bounds, as a power of two. The finer they are, the closer the bounds, and the
+/// more memory they take: a search of the Freiburg 101 log for one view visits 500,000 nodes in the median with 0, 194,000 with 2.
+const FINER: u32 = 2;
 /// Reach of a point's likelihood, fine cells.
 const REACH: i32 = 2;
 /// Standard deviation of a point, fine cells.
@@ -37,11 +40,11 @@ pub(crate) const RIVAL: f64 = 0.85;
 const MOST_POINTS: usize = 256;
 /// Points summed up before a node is looked at again whether it can still be good enough.
 const CHUNK: usize = 16;
-/// Fine cells at most along an edge, which take 90 MB if all of them are wanted: of larger maps, cells are larger.
+/// Fine cells at most along an edge, which take 220 MB if all of them are wanted: of larger maps, cells are larger.
 const MAX_CELLS: f64 = 8192.0;
 
 /// One level: upper bounds for shifts within a cell.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Level {
     width: i32,
     height: i32,
@@ -72,16 +75,18 @@ impl Level {
         Self { width, height, cells }
     }
 
-    /// Each cell the largest of itself and its next ones: what a shift by less than a cell can reach.
-    fn reaching(&self) -> Self {
+    /// Each cell the largest of `width` from itself on, along both axes.
+    fn reaching(&self, width: usize) -> Self {
         let (w, h) = (self.width as usize, self.height as usize);
-        let mut cells = self.cells.clone();
-        for row in cells.chunks_exact_mut(w) {
-            (1..w).for_each(|x| row[x - 1] = row[x - 1].max(row[x]));
+        let mut rows = self.cells.clone();
+        for (row, from) in rows.chunks_exact_mut(w).zip(self.cells.chunks_exact(w)) {
+            for ahead in 1..width.min(w) {
+                row.iter_mut().zip(&from[ahead..]).for_each(|(a, &b)| *a = b.max(*a));
+            }
         }
-        for y in 1..h {
-            let (above, below) = cells.split_at_mut(y * w);
-            above[(y - 1) * w..].iter_mut().zip(&below[..w]).for_each(|(a, &b)| *a = b.max(*a));
+        let mut cells = rows.clone();
+        for ahead in 1..width.min(h) {
+            cells.iter_mut().zip(&rows[ahead * w..]).for_each(|(a, &b)| *a = b.max(*a));
         }
         Self { cells, ..*self }
     }
@@ -236,12 +241,15 @@ impl Pyramid {
         let mut fine = Level { width, height, cells: vec![0; (width * height) as usize] };
         let kernel = kernel();
         points.iter().for_each(|p| smear(&mut fine, &geometry, &kernel, p));
+        let mut plain = fine.clone();
         let mut levels = vec![fine];
-        let mut plain: Option<Level> = None;
-        for _ in 0..DEPTH {
-            let next = plain.as_ref().unwrap_or(&levels[0]).halved();
-            levels.push(next.reaching());
-            plain = Some(next);
+        for level in 1..=DEPTH {
+            // Where cells are larger than the finest, a shift may begin anywhere within one.
+            let (cells, more) = if level > FINER { (1 << FINER, 1) } else { (1 << level, 0) };
+            if level > FINER {
+                plain = plain.halved();
+            }
+            levels.push(plain.reaching(cells + more));
         }
         Some(Self { geometry, levels })
     }
@@ -357,6 +365,7 @@ impl Pyramid {
     #[inline]
     fn sum(&self, cells: &[(i32, i32)], (dx, dy): (i32, i32), level: u32, least: u32) -> u32 {
         let l = &self.levels[level as usize];
+        let level = level.saturating_sub(FINER);
         let mut sum = 0;
         let mut left = cells.len();
         for chunk in cells.chunks(CHUNK) {
