@@ -84,7 +84,7 @@ impl Atlas {
             let Answer::Relocalised(relocated) = answer else { continue };
             // Nobody is there who asked, where the robot was lost since.
             let by = self.asked_by.take();
-            self.search = Search { is_asked: false, is_unfinished: relocated.is_unfinished && by.is_some() };
+            (self.search.is_asked, self.search.is_unfinished) = (false, relocated.is_unfinished && by.is_some());
             if let Some(by) = by.filter(|_| relocated.found.is_some()) {
                 self.found = Some((relocated, by));
             } else if !self.search.is_unfinished {

@@ -32,6 +32,8 @@ pub(super) struct Part {
 pub(super) struct Search {
     /// Whether the answer is still to come.
     pub(super) is_asked: bool,
+    /// When it was asked last.
+    pub(super) asked_at: Option<Timestamp>,
     /// Whether the answer was that the search goes on.
     pub(super) is_unfinished: bool,
 }

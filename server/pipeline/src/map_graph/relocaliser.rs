@@ -12,8 +12,8 @@ use percept_geometry::{KeyframeScan, Pose, SensorId};
 use percept_slam::{KeyframeParams, Odometry, OdometryEstimate, OdometryKind, Relocalisation, Scan, TrackingState};
 use std::sync::Arc;
 
-/// Every so many frames are looked for in the whole map, besides those that would be keyframes.
-const LOOK_EVERY: u32 = 10;
+/// Frames so far apart are looked for in the whole map, besides those that would be keyframes, seconds.
+const LOOK_EVERY_S: f64 = 0.3;
 /// Keyframes of a part of the map that hangs on nothing yet; when there are more, the oldest are given up.
 const MOST_GATHERED: usize = 500;
 /// Without place recognition, every so many frames are tried against the old keyframes: the model has to be built each time.
@@ -58,7 +58,7 @@ impl Relocaliser {
     pub(super) fn hear(&mut self, relocated: Relocated) {
         // What was asked before it was lost again says nothing about where it is now.
         if relocated.part == self.part.number {
-            self.search = Search { is_asked: false, is_unfinished: relocated.is_unfinished };
+            (self.search.is_asked, self.search.is_unfinished) = (false, relocated.is_unfinished);
             self.answer = Some(relocated);
         }
     }
@@ -80,7 +80,9 @@ impl Relocaliser {
         self.part.frames.push((estimate.stamp, estimate.t_odom_base));
         let is_far = |last: &PartKeyframe| is_keyframe_away(params, &last.t_part_base, &estimate.t_odom_base);
         let is_far = self.part.keyframes.last().is_none_or(is_far);
-        let is_due = is_far || self.search.is_unfinished || view.unanchored.num_frames.is_multiple_of(LOOK_EVERY);
+        let is_due = is_far
+            || self.search.is_unfinished
+            || self.search.asked_at.is_none_or(|then| estimate.stamp.seconds_since(then).abs() >= LOOK_EVERY_S);
         let asks = is_due && !self.search.is_asked;
         if !is_far && !asks {
             return None;
@@ -92,7 +94,9 @@ impl Relocaliser {
             let before = self.part.keyframes.iter().map(seen_from).collect();
             Sighting { before, scan: scan.clone(), t_odom_base: estimate.t_odom_base, part: self.part.number }
         });
-        self.search.is_asked |= asks;
+        if asks {
+            (self.search.is_asked, self.search.asked_at) = (true, Some(estimate.stamp));
+        }
         if is_far {
             self.keep(view, scan);
         }

@@ -209,6 +209,11 @@ impl BackEnd {
         self.recognition.is_unfinished()
     }
 
+    /// Whether a search for a robot goes on in steps of counted work, one a question; else a question is all of it.
+    pub fn relocalises_in_steps(&self) -> bool {
+        self.recognition.relocalises_in_steps()
+    }
+
     /// Optimises once more and moves every keyframe to where it is believed to be, however little that is.
     pub fn settle(&mut self) -> BackEndUpdate {
         let update = self.settled();

@@ -88,6 +88,11 @@ pub trait PlaceRecognition: Send {
         false
     }
 
+    /// Whether a search for a robot that has driven goes on in steps of counted work, one a call.
+    fn relocalises_in_steps(&self) -> bool {
+        false
+    }
+
     /// A keyframe has left the graph.
     fn forget(&mut self, id: KeyframeId);
 

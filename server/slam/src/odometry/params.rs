@@ -126,6 +126,9 @@ pub(super) struct MotionLimits {
     prior: (f64, f64),
 }
 
+/// See [`MotionLimits::frames_after_silence`]: what is in the way for a moment is gone by the third.
+const FRAMES_AFTER_SILENCE: usize = 3;
+
 impl MotionLimits {
     pub(super) fn of(kind: OdometryKind, params: &TrackingParams) -> Self {
         let (speed, turn_rate, acceleration, turn_acceleration, smoothing) = match kind {
@@ -139,12 +142,8 @@ impl MotionLimits {
             acceleration: params.acceleration_mps2.unwrap_or(acceleration),
             turn_acceleration: params.turn_acceleration_radps2.unwrap_or(turn_acceleration),
             smoothing,
-            // A camera's features find a place again in a second; a lidar has to drive for that, and comes back sooner.
-            frames_after_silence: match kind {
-                OdometryKind::Rgbd => 5,
-                OdometryKind::Lidar3d => 10,
-                OdometryKind::Lidar2d | OdometryKind::Mono => usize::MAX,
-            },
+            // A place is found again within a second, so that a local model is not clung to. A camera's own map is all that it has.
+            frames_after_silence: if kind == OdometryKind::Mono { usize::MAX } else { FRAMES_AFTER_SILENCE },
             is_planar: kind == OdometryKind::Lidar2d,
             // Wheels that are a hundredth off are so in every frame, while a 3D lidar's errors against its map average
             // out: were each step believed to the millimetre, they would drag the map along.

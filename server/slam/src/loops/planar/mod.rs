@@ -339,6 +339,10 @@ impl PlaceRecognition for PlanarPlaces {
         self.relocaliser.is_unfinished()
     }
 
+    fn relocalises_in_steps(&self) -> bool {
+        true
+    }
+
     fn forget(&mut self, id: KeyframeId) {
         self.kept.remove(&id);
         self.links.remove(id);

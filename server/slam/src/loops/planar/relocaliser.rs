@@ -20,8 +20,6 @@ use std::sync::Arc;
 
 /// Views from the way that a place is checked with, besides the one that is searched for.
 const WITNESSES: usize = 5;
-/// Driving since the robot was lost before it is found again: one view resembles too many, metres.
-const FOUND_AFTER_M: f64 = 1.5;
 /// Work for one question, in nodes of the search: a node is a microsecond or two, so this is some 40 ms.
 const WORK: usize = 24_000;
 /// Questions after which a search is given up, and begun anew with what has been seen by then; of them so many at least
@@ -121,15 +119,13 @@ impl Relocaliser {
         self.attempt.take_if(|attempt| anchor(attempt.stamp).is_none());
         let mut work = WORK;
         if self.attempt.is_none() {
-            let (t_now_newest, newest) = before.last().map(|(t, s)| (planar(t), s.stamp))?;
-            if way_m(before) < FOUND_AFTER_M {
-                return None;
-            }
-            let t_newest_now = t_now_newest.inverse();
-            let seen = before.iter().map(|(t, s)| (t_newest_now * planar(t), Arc::clone(s)));
-            let seen = seen.chain([(t_newest_now, Arc::new(scan.clone()))]).collect();
+            // The newest view that is kept, so that it is known when the search ends: the first of all is kept itself.
+            let newest = before.last().map_or((Isometry2::identity(), scan.stamp), |(t, s)| (planar(t), s.stamp));
+            let t_newest_now = newest.0.inverse();
+            let way = before.iter().map(|(t, s)| (t_newest_now * planar(t), Arc::clone(s)));
+            let seen = way.chain([(t_newest_now, Arc::new(scan.clone()))]).collect();
             work = work.saturating_sub(self.draw(&map)? / POINTS_A_NODE);
-            self.begin(newest, seen);
+            self.begin(newest.1, seen);
         }
         let attempt = self.attempt.as_mut()?;
         let t_now_anchor = anchor(attempt.stamp)?;
@@ -262,11 +258,4 @@ impl Verifying {
         (self.measured, self.views, self.agree, self.against) = (None, 0, 0, 0);
         Progress::Unfinished
     }
-}
-
-/// The way since the robot was lost until now, metres.
-fn way_m(before: &[(Pose, Arc<KeyframeScan>)]) -> f64 {
-    let here = Pose::identity();
-    let stations: Vec<&Pose> = before.iter().map(|(t, _)| t).chain([&here]).collect();
-    stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum()
 }

@@ -26,7 +26,7 @@ use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::{Growth, OdometryKind, OdometryNoise, diagonal};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
 use percept_perception::registration::{GlobalResult, register_global};
-use query::Query;
+use query::{MAX_PLACES_AHEAD, Query};
 use registering::{Registering, Step, Views};
 pub(super) use seen::Seen;
 use std::collections::VecDeque;
@@ -216,7 +216,8 @@ impl SpatialRecognition {
         let scan = self.seen.kept.get(&to.anchor)?.scan.get()?;
         let query = Query::new(&others, &scan, Some(walls::leveling(&t_map_anchor)));
         let heading = (se3::yaw(&t_map_anchor), most_turn);
-        let found = query.find(&self.seen.kept, &self.visit(from.anchor, to.anchor, poses)?, heading)?;
+        let found =
+            query.find(&self.seen.kept, &self.visit(from.anchor, to.anchor, poses)?, heading, MAX_PLACES_AHEAD)?;
         Some(LoopClosure {
             from: found.keyframe,
             to: to.anchor,
