@@ -39,6 +39,9 @@ impl Strictness {
     pub(crate) const FAR: Self = Self { min_inlier_ratio: 0.6, max_contradicted: 0.12 };
     /// It may be anywhere.
     pub(crate) const LOST: Self = Self { min_inlier_ratio: 0.7, max_contradicted: 0.1 };
+    /// It may be anywhere, and no other view says so: a room that was never seen resembles those that were. With what is asked for in
+    /// [`Self::LOST`], one of nine simulated robots that saw a second room first was said to be in the first.
+    pub(crate) const ALONE: Self = Self { min_inlier_ratio: 0.9, max_contradicted: 0.02 };
 }
 
 /// A scan placed in a visit.

@@ -20,6 +20,8 @@ use std::sync::Arc;
 
 /// Views from the way that a place is checked with, besides the one that is searched for.
 const WITNESSES: usize = 5;
+/// A robot that has driven less since it was lost is found only by a view that is sure alone, metres.
+const SURE_AFTER_M: f64 = 1.5;
 /// Work for one question, in nodes of the search: a node is a microsecond or two, so this is some 40 ms.
 const WORK: usize = 24_000;
 /// Questions after which a search is given up, and begun anew with what has been seen by then; of them so many at least
@@ -46,6 +48,8 @@ struct Attempt {
     stamp: Timestamp,
     /// What was seen on the way, oldest first, that view included.
     seen: Vec<Seen>,
+    /// What the view has to bring.
+    strictness: Strictness,
     steps: usize,
     stage: Stage,
 }
@@ -92,7 +96,7 @@ impl Relocaliser {
         poses: &KeyframePoses,
     ) -> Option<Relocalisation> {
         self.draw(&KnownMap::of(kept, poses))?;
-        self.begin(scan.stamp, vec![(Isometry2::identity(), Arc::new(scan.clone()))]);
+        self.begin(scan.stamp, vec![(Isometry2::identity(), Arc::new(scan.clone()))], Strictness::LOST);
         loop {
             let found = self.find(&[], scan, kept, poses);
             if found.is_some() || !self.is_unfinished() {
@@ -125,7 +129,8 @@ impl Relocaliser {
             let way = before.iter().map(|(t, s)| (t_newest_now * planar(t), Arc::clone(s)));
             let seen = way.chain([(t_newest_now, Arc::new(scan.clone()))]).collect();
             work = work.saturating_sub(self.draw(&map)? / POINTS_A_NODE);
-            self.begin(newest.1, seen);
+            let is_far = way_m(before) >= SURE_AFTER_M;
+            self.begin(newest.1, seen, if is_far { Strictness::LOST } else { Strictness::ALONE });
         }
         let attempt = self.attempt.as_mut()?;
         let t_now_anchor = anchor(attempt.stamp)?;
@@ -167,12 +172,12 @@ impl Relocaliser {
     }
 
     /// Begins a search for the view of this stamp by what was seen around it.
-    fn begin(&mut self, stamp: Timestamp, seen: Vec<Seen>) {
+    fn begin(&mut self, stamp: Timestamp, seen: Vec<Seen>, strictness: Strictness) {
         let Some((_, pyramid)) = &self.drawn else { return };
         let near = seen.iter().rev().filter(|(t, _)| t.translation.vector.norm() < QUERY_M);
         let query = spread_out(near.flat_map(|(t, s)| ends(s, self.max_range_m).map(move |p| t * p)).collect());
         let search = pyramid.begin(&query, &pyramid.everywhere(), MIN_SCORE_LOST, (RIVAL, MAX_PLACES));
-        self.attempt = Some(Attempt { stamp, seen, steps: 0, stage: Stage::Searching(search) });
+        self.attempt = Some(Attempt { stamp, seen, strictness, steps: 0, stage: Stage::Searching(search) });
     }
 }
 
@@ -201,7 +206,7 @@ impl Attempt {
         }
         if let Stage::Verifying(verifying) = &mut self.stage {
             for _ in 0..work.div_ceil(NODES_A_VIEW) {
-                let progress = verifying.step(self.stamp, &self.seen, map, visits);
+                let progress = verifying.step(self.stamp, (&self.seen, &self.strictness), map, visits);
                 if !matches!(progress, Progress::Unfinished) {
                     return progress;
                 }
@@ -217,13 +222,21 @@ impl Verifying {
     }
 
     /// Measures one view.
-    fn step(&mut self, stamp: Timestamp, seen: &[Seen], map: &KnownMap<'_>, visits: &mut Visits) -> Progress {
+    fn step(
+        &mut self,
+        stamp: Timestamp,
+        (seen, strictness): (&[Seen], &Strictness),
+        map: &KnownMap<'_>,
+        visits: &mut Visits,
+    ) -> Progress {
         let Some(fit) = self.places.get(self.place) else {
             return self.best.map_or(Progress::Nowhere, Progress::At);
         };
         let Some(t_map_anchor) = self.measured else {
             let Some((_, scan)) = seen.iter().find(|(_, s)| s.stamp == stamp) else { return Progress::Nowhere };
-            return match map.measure(visits, scan, &fit.t, &Strictness::LOST) {
+            // Another place need not be as sure to leave it open which.
+            let strictness = if self.place == 0 { strictness } else { &Strictness::LOST };
+            return match map.measure(visits, scan, &fit.t, strictness) {
                 Some((keyframe, Ok(found))) => {
                     self.measured = Some(map.known[&keyframe] * planar(&found.t_from_to));
                     Progress::Unfinished
@@ -258,4 +271,11 @@ impl Verifying {
         (self.measured, self.views, self.agree, self.against) = (None, 0, 0, 0);
         Progress::Unfinished
     }
+}
+
+/// The way since the robot was lost until now, metres.
+fn way_m(before: &[(Pose, Arc<KeyframeScan>)]) -> f64 {
+    let here = Pose::identity();
+    let stations: Vec<&Pose> = before.iter().map(|(t, _)| t).chain([&here]).collect();
+    stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum()
 }
