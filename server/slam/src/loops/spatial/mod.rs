@@ -26,7 +26,7 @@ use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::odometry::{Growth, OdometryKind, OdometryNoise, diagonal};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
 use percept_perception::registration::{GlobalResult, register_global};
-use query::{MAX_PLACES_AHEAD, Query};
+use query::{ALONG_THE_WAY, Query};
 use registering::{Registering, Step, Views};
 pub(super) use seen::Seen;
 use std::collections::VecDeque;
@@ -217,7 +217,7 @@ impl SpatialRecognition {
         let query = Query::new(&others, &scan, Some(walls::leveling(&t_map_anchor)));
         let heading = (se3::yaw(&t_map_anchor), most_turn);
         let found =
-            query.find(&self.seen.kept, &self.visit(from.anchor, to.anchor, poses)?, heading, MAX_PLACES_AHEAD)?;
+            query.find(&self.seen.kept, &self.visit(from.anchor, to.anchor, poses)?, heading, &ALONG_THE_WAY)?;
         Some(LoopClosure {
             from: found.keyframe,
             to: to.anchor,

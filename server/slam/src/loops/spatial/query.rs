@@ -21,7 +21,7 @@ use std::f64::consts::TAU;
 /// to a dozen places of six simulated rooms (`percept eval slam --sensor lidar3d --scenario kidnap`), and in space in one: with 4, the
 /// robot is found after 5 s in the median, with 12 or 24 after 0.4. Each takes some 10 ms. What sees less tells fewer apart.
 const MAX_PLACES: usize = 24;
-pub(super) const MAX_PLACES_AHEAD: usize = 4;
+const MAX_PLACES_AHEAD: usize = 4;
 /// Least share of the walls that lies on those of the map.
 const MIN_SCORE: f64 = 0.6;
 /// Views from the way that a place is checked with, besides the newest one.
@@ -43,7 +43,20 @@ const FEWEST_POINTS: usize = 30;
 const CELL: f64 = 0.1;
 /// What the newest view has to bring, and those before.
 const NEWEST: Strictness = Strictness { min_inlier_ratio: 0.75, max_contradicted: 0.04 };
+/// The same where there is no way to speak for it, as for a planar lidar.
+const ALONE: Strictness = Strictness { min_inlier_ratio: 0.9, max_contradicted: 0.02 };
+/// What is asked of views along which loops are looked for, or of which enough were taken since the robot was lost.
+pub(super) const ALONG_THE_WAY: Wanted = Wanted { most: MAX_PLACES_AHEAD, best: NEWEST };
 const WITNESS: Strictness = Strictness { min_inlier_ratio: 0.65, max_contradicted: 0.06 };
+
+/// What a place has to bring to be the one.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Wanted {
+    /// Places that may fit nearly alike from above.
+    most: usize,
+    /// What the newest view has to bring in the best one.
+    best: Strictness,
+}
 
 /// Views from some metres of the path, searched for together.
 pub(super) struct Query<'a> {
@@ -65,13 +78,15 @@ impl<'a> Query<'a> {
         Self { before, scan, r_level_base, usual_range }
     }
 
-    /// Places that are looked at for a lost robot, by what it has seen; none if that is too little: it resembles too many.
-    pub(super) fn most_places(&self) -> Option<usize> {
-        if self.sees_all_around() {
-            return Some(MAX_PLACES);
-        }
+    /// What a lost robot is found by; none if it has seen too little: that resembles too many places.
+    pub(super) fn wanted(&self) -> Option<Wanted> {
         let is_long = self.way_m() >= (FOUND_AFTER * self.usual_range).clamp(FOUND_AFTER_M.0, FOUND_AFTER_M.1);
-        is_long.then_some(MAX_PLACES_AHEAD)
+        match (self.sees_all_around(), is_long) {
+            (true, true) => Some(Wanted { most: MAX_PLACES, best: NEWEST }),
+            (true, false) => Some(Wanted { most: MAX_PLACES, best: ALONE }),
+            (false, true) => Some(ALONG_THE_WAY),
+            (false, false) => None,
+        }
     }
 
     fn way_m(&self) -> f64 {
@@ -103,13 +118,13 @@ impl<'a> Query<'a> {
     }
 
     /// The only place among the known keyframes (base to map) where all of it fits, base now turned from the direction
-    /// `heading.0` by `heading.1` at most, radians; of `most` places that fit nearly alike from above.
+    /// `heading.0` by `heading.1` at most, radians.
     pub(super) fn find(
         &self,
         kept: &BTreeMap<KeyframeId, Kept>,
         known: &BTreeMap<KeyframeId, Pose>,
         heading: (f64, f64),
-        most: usize,
+        wanted: &Wanted,
     ) -> Option<Relocalisation> {
         let scale = CELL / voxel_for(self.usual_range);
         let walls = known.iter().filter_map(|(id, t)| Some((t, &kept.get(id)?.walls)));
@@ -122,10 +137,10 @@ impl<'a> Query<'a> {
         let everywhere = pyramid.everywhere();
         let center = Isometry2::new(everywhere.center.translation.vector, heading.0);
         let region = Region { center, rotation: heading.1, ..everywhere };
-        let places = pyramid.optima(&query, &region, MIN_SCORE, (RIVAL, most));
-        let mut verified = places?.into_iter().map(|fit| self.verify(&fit, scale, kept, known));
-        let best = verified.next().flatten()?;
-        verified.all(|other| other.is_none()).then_some(best)
+        let places = pyramid.optima(&query, &region, MIN_SCORE, (RIVAL, wanted.most));
+        let mut places = places?.into_iter();
+        let best = self.verify(&places.next()?, scale, kept, known, &wanted.best)?;
+        places.all(|other| self.verify(&other, scale, kept, known, &NEWEST).is_none()).then_some(best)
     }
 
     /// What stands upright along the newest part of the way, from above, base now level.
@@ -151,13 +166,14 @@ impl<'a> Query<'a> {
         scale: f64,
         kept: &BTreeMap<KeyframeId, Kept>,
         poses: &BTreeMap<KeyframeId, Pose>,
+        newest: &Strictness,
     ) -> Option<Relocalisation> {
         let guess = self.upright(fit, scale, poses)?;
         let witnesses: Vec<&(Pose, &KeyframeScan)> =
             self.before.iter().step_by(self.before.len().div_ceil(WITNESSES).max(1)).collect();
         let places: Vec<Pose> = std::iter::once(guess).chain(witnesses.iter().map(|(t, _)| guess * t)).collect();
         let around = Target::new(kept, poses, &places);
-        let found = around.measure(self.scan, &guess, &NEWEST).ok()?;
+        let found = around.measure(self.scan, &guess, newest).ok()?;
         let (mut agree, mut against) = (0, 0);
         for (t_now_then, scan) in witnesses {
             match around.measure(scan, &(found.t_odom_base * t_now_then), &WITNESS) {

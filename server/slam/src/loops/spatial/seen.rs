@@ -51,7 +51,7 @@ impl Seen {
     ) -> Option<Relocalisation> {
         let before: Vec<_> = before.iter().map(|(t, s)| (*t, s.as_ref())).collect();
         let query = Query::new(&before, scan, None);
-        query.find(&self.kept, &self.known(poses), (0.0, PI), query.most_places()?)
+        query.find(&self.kept, &self.known(poses), (0.0, PI), &query.wanted()?)
     }
 
     /// Where the keyframes are believed to be, base to map.
