@@ -282,8 +282,9 @@ class TrackingParams(_message.Message):
     ACCELERATION_MPS2_FIELD_NUMBER: _builtins.int
     TURN_ACCELERATION_RADPS2_FIELD_NUMBER: _builtins.int
     restart_after_frames: _builtins.int
-    """After so many lost frames in a row the local model starts anew at the predicted pose, 1 to 10000. Planar
-    scans that come half a second apart or later are given 3 at most.
+    """After so many lost frames in a row the local model starts anew at the predicted pose, 1 to 10000. Frames
+    after a gap (max_gap_s), and planar scans that come half a second apart or later, are given 3 at most; those of a
+    camera without depth always all.
     """
     max_gap_s: _builtins.float
     """A gap between frames longer than this ends the constant-velocity prediction, seconds, 0.05 to 60."""

@@ -12,7 +12,8 @@ use percept_geometry::{KeyframeScan, Pose, SensorId};
 use percept_slam::{KeyframeParams, Odometry, OdometryEstimate, OdometryKind, Relocalisation, Scan, TrackingState};
 use std::sync::Arc;
 
-/// Frames so far apart are looked for in the whole map, besides those that would be keyframes, seconds.
+/// Frames so far apart are looked for in the whole map, besides those that would be keyframes, seconds: a look of a 3D
+/// lidar takes up to so long.
 const LOOK_EVERY_S: f64 = 0.3;
 /// Keyframes of a part of the map that hangs on nothing yet; when there are more, the oldest are given up.
 const MOST_GATHERED: usize = 500;

@@ -19,7 +19,7 @@ const DELAY_OF_SOLVING_S: f64 = 0.0003;
 const DELAY_OF_LOOKING_S: f64 = 0.0001;
 /// Where a robot is that was lost is told as soon as it is known: it is nowhere until then. One step of a search that goes on with
 /// the next frame is done by the next frame of a lidar at 10 Hz (`percept eval slam --scenario kidnap`: found after 0.6 s in
-/// the median, 3.1 with the delay of other questions); a look of a 3D lidar or a depth camera takes a tenth of a second or two.
+/// the mean, 3.1 with the delay of other questions); a look of a 3D lidar or a depth camera takes a tenth of a second or two.
 const DELAY_OF_STEP_S: f64 = 0.08;
 const DELAY_OF_RELOCALISING_S: f64 = 0.2;
 /// Questions in a batch, at most: of a part of the map that joins, all keyframes come at once, and take a tenth of a second

@@ -57,8 +57,9 @@ impl OdometryParams {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackingParams {
-    /// After so many lost frames in a row the local model starts anew at the predicted pose, 1 to 10000; after 3 at most where a
-    /// planar scan comes 0.5 s or more after the one before.
+    /// After so many lost frames in a row the local model starts anew at the predicted pose, 1 to 10000; after 3 at most if
+    /// frames were missing before them (`max_gap_s`), or if they are planar scans that come 0.5 s or more apart. A camera
+    /// without depth is always given all.
     pub restart_after_frames: usize,
     /// A gap between frames longer than this ends the constant-velocity prediction, seconds, 0.05 to 60.
     pub max_gap_s: f64,

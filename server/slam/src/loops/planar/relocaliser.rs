@@ -96,7 +96,7 @@ impl Relocaliser {
         poses: &KeyframePoses,
     ) -> Option<Relocalisation> {
         self.draw(&KnownMap::of(kept, poses))?;
-        self.begin(scan.stamp, vec![(Isometry2::identity(), Arc::new(scan.clone()))], Strictness::LOST);
+        self.begin(scan.stamp, vec![(Isometry2::identity(), Arc::new(scan.clone()))], Strictness::ALONE);
         loop {
             let found = self.find(&[], scan, kept, poses);
             if found.is_some() || !self.is_unfinished() {
