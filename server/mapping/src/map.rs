@@ -241,7 +241,7 @@ impl MapParams {
     /// How far from base a scan says something that is kept, metres.
     fn reach_of(&self, scan: &KeyframeScan) -> f64 {
         let ranges = scan.hits.positions.iter().chain(&scan.misses).map(|p| f64::from(p.coords.norm()));
-        let most = self.occupancy.range_max_m.max(self.cloud.range_max_m);
+        let most = self.occupancy.range_max().max(self.cloud.range_max());
         ranges.filter(|r| r.is_finite()).fold(0.0, f64::max).min(most)
     }
 }

@@ -25,6 +25,7 @@ pub struct VoxelMean {
 }
 
 /// Block of a voxel, and its place there.
+#[inline]
 pub(super) fn locate(v: Voxel) -> (BlockKey, u16) {
     let slot = (v.z.rem_euclid(BLOCK) * BLOCK + v.y.rem_euclid(BLOCK)) * BLOCK + v.x.rem_euclid(BLOCK);
     ((v.x.div_euclid(BLOCK), v.y.div_euclid(BLOCK), v.z.div_euclid(BLOCK)), slot as u16)

@@ -2,7 +2,7 @@
 
 use super::CloudParams;
 use super::block::{BlockKey, locate};
-use super::range_image::RangeImage;
+use super::range_image::{BIN_RAD, RangeImage};
 use nalgebra::Vector3;
 use percept_geometry::Voxel;
 use rustc_hash::FxHashMap;
@@ -63,7 +63,7 @@ pub(super) fn seen_through(ranges: &RangeImage, params: &CloudParams, planar: bo
         // As far as beams end well behind. What is in a voxel may lie twice as far from the beam as a point of which
         // `sees_through` says that it was seen through, so grazing beams need twice the margin.
         let reach = (shortest_around - params.margin(0.0)) / (1.0 + 2.0 * params.carve_margin_ratio);
-        let reach = reach.min(params.range_max_m);
+        let reach = reach.min(farthest_seen_through(params));
         let first = params.range_min_m.max(0.5 * voxel);
         let steps = ((reach - first) / voxel).floor();
         // In voxels, so that a step is one long and nothing is divided: these are the most steps that a keyframe takes.
@@ -80,18 +80,25 @@ pub(super) fn seen_through(ranges: &RangeImage, params: &CloudParams, planar: bo
         for _ in 0..num {
             let [off_x, off_y, off_z] = [x, y, z].map(from_center);
             let aside2 = off_x * off_x + off_y * off_y + if planar { 0.0 } else { off_z * off_z };
-            if aside2 <= 0.25 {
-                let v = Voxel { x: (x >> 32) as i32, y: (y >> 32) as i32, z: (z >> 32) as i32 };
-                free.mark(v);
-                if planar && off_z.abs() > 0.25 {
-                    free.mark(Voxel { z: v.z.saturating_add(off_z.signum() as i32), ..v });
-                }
+            // No branch: whether a beam passes the inner half of a voxel cannot be foretold.
+            let passes = aside2 <= 0.25;
+            let v = Voxel { x: (x >> 32) as i32, y: (y >> 32) as i32, z: (z >> 32) as i32 };
+            free.mark(v, passes);
+            if planar && passes && off_z.abs() > 0.25 {
+                free.mark(Voxel { z: v.z.saturating_add(off_z.signum() as i32), ..v }, true);
             }
             (x, y, z) = (x + dx, y + dy, z + dz);
         }
     });
+    free.blocks.retain(|(_, seen)| seen.iter().any(|bits| *bits != 0));
     free.blocks.sort_unstable_by_key(|b| b.0);
     free.blocks
+}
+
+/// Where neighbouring beams are two voxels apart, metres: farther out they pass by most voxels, so that what has gone would lose
+/// some of its points only, at the cost of steps that grow with range.
+fn farthest_seen_through(params: &CloudParams) -> f64 {
+    params.range_max().min(2.0 * params.voxel_size_m / BIN_RAD)
 }
 
 /// Voxels are numbered by what an `i32` holds, less a margin for rounding.
@@ -107,23 +114,32 @@ fn from_center(v: i64) -> f32 {
 /// Voxels that one keyframe saw through, while they are gathered.
 #[derive(Default)]
 struct Marks {
+    /// The one that is marked in; there are none that nothing was marked in only after all is.
     blocks: Vec<(BlockKey, Seen)>,
     index: FxHashMap<BlockKey, usize>,
     last: Option<(BlockKey, usize)>,
 }
 
 impl Marks {
-    fn mark(&mut self, v: Voxel) {
+    /// Marks a voxel, if so.
+    #[inline]
+    fn mark(&mut self, v: Voxel, if_so: bool) {
         let (key, slot) = locate(v);
         let at = match self.last {
             Some((known, at)) if known == key => at,
-            _ => *self.index.entry(key).or_insert_with(|| {
-                self.blocks.push((key, Seen::default()));
-                self.blocks.len() - 1
-            }),
+            _ => self.open(key),
         };
+        self.blocks[at].1[usize::from(slot / 64)] |= u64::from(if_so) << (slot % 64);
+    }
+
+    #[cold]
+    fn open(&mut self, key: BlockKey) -> usize {
+        let at = *self.index.entry(key).or_insert_with(|| {
+            self.blocks.push((key, Seen::default()));
+            self.blocks.len() - 1
+        });
         self.last = Some((key, at));
-        self.blocks[at].1[usize::from(slot / 64)] |= 1 << (slot % 64);
+        at
     }
 }
 
@@ -138,7 +154,7 @@ mod tests {
         let (voxel, mut free) = (params.voxel_size_m, BTreeSet::new());
         ranges.visit_beams(|direction, shortest_around| {
             let reach = (shortest_around - params.margin(0.0)) / (1.0 + 2.0 * params.carve_margin_ratio);
-            let reach = reach.min(params.range_max_m);
+            let reach = reach.min(farthest_seen_through(params));
             let mut r = params.range_min_m.max(0.5 * voxel);
             while r <= reach {
                 let p = ranges.sensor() + direction * r;

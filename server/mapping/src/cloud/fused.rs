@@ -84,7 +84,7 @@ impl FusedCloud {
     }
 
     fn carve_seen(&mut self, ranges: &RangeImage) {
-        let reach = ranges.max_range().min(self.params.range_max_m);
+        let reach = ranges.max_range().min(self.params.range_max());
         let edge = f64::from(BLOCK) * self.params.voxel_size_m;
         let near = |key: &BlockKey| {
             let center = corner(*key, 0, self.params.voxel_size_m) + nalgebra::Vector3::repeat(0.5 * edge);

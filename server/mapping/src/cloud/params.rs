@@ -1,7 +1,7 @@
 //! What can be tuned about the fused cloud.
 
-use crate::MappingError;
 use crate::error::check;
+use crate::{MappingError, OccupancyParams};
 use serde::{Deserialize, Serialize};
 
 /// Parameters of [`FusedCloud`](crate::FusedCloud).
@@ -12,8 +12,8 @@ pub struct CloudParams {
     pub voxel_size_m: f64,
     /// Returns nearer than this to the sensor are left out, metres.
     pub range_min_m: f64,
-    /// Returns beyond this are left out, metres; at most 100000 voxels.
-    pub range_max_m: f64,
+    /// Returns beyond this are left out, metres; at most 100000 voxels. None: as far as the sensor sees, to 30 m at most.
+    pub range_max_m: Option<f64>,
     /// Keyframes that a voxel remembers: the weight at which its mean becomes a moving one; 1 to 10000.
     pub max_weight: f32,
     /// Weight that a voxel loses when a keyframe sees through it; 0 keeps everything for ever.
@@ -30,7 +30,7 @@ impl Default for CloudParams {
         Self {
             voxel_size_m: 0.05,
             range_min_m: 0.1,
-            range_max_m: 10.0,
+            range_max_m: None,
             max_weight: 20.0,
             carve_weight: 6.0,
             carve_margin_m: 0.15,
@@ -40,6 +40,11 @@ impl Default for CloudParams {
 }
 
 impl CloudParams {
+    /// Returns beyond this are left out, metres. Where it is not set, the grid's [`OccupancyParams::USUAL_RANGE_M`].
+    pub fn range_max(&self) -> f64 {
+        self.range_max_m.unwrap_or(OccupancyParams::USUAL_RANGE_M)
+    }
+
     /// Checks every field.
     ///
     /// # Errors
@@ -47,8 +52,12 @@ impl CloudParams {
     pub fn validate(&self) -> Result<(), MappingError> {
         check("voxel_size_m", self.voxel_size_m, 0.001, 10.0, "choose 0.001 to 10")?;
         check("range_min_m", self.range_min_m, 0.0, 1e3, "choose 0 to 1000")?;
-        check("range_max_m", self.range_max_m, self.range_min_m, 1e4, "choose range_min_m to 10000")?;
-        check("range_max_m", self.range_max_m, 0.0, 1e5 * self.voxel_size_m, "choose at most 100000 voxels")?;
+        let range_max = self.range_max();
+        if self.range_max_m.is_none() && self.range_min_m > range_max {
+            return check("range_min_m", self.range_min_m, 0.0, range_max, "choose less, or a range_max_m");
+        }
+        check("range_max_m", range_max, self.range_min_m, 1e4, "choose range_min_m to 10000")?;
+        check("range_max_m", range_max, 0.0, 1e5 * self.voxel_size_m, "choose at most 100000 voxels")?;
         check("max_weight", self.max_weight.into(), 1.0, 1e4, "choose 1 to 10000")?;
         check("carve_weight", self.carve_weight.into(), 0.0, 1e4, "choose 0 to 10000")?;
         check("carve_margin_m", self.carve_margin_m, 0.0, 100.0, "choose 0 to 100")?;

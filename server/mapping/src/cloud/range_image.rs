@@ -6,6 +6,8 @@ use std::f64::consts::{PI, TAU};
 
 const COLUMNS: usize = 720;
 const ROWS: usize = 360;
+/// From a bin to the next, radians.
+pub(super) const BIN_RAD: f64 = TAU / COLUMNS as f64;
 /// Edge of a window of which the longest beam is known, bins.
 const WINDOW: usize = 4;
 

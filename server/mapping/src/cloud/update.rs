@@ -27,7 +27,7 @@ impl CloudUpdate {
         let mut keys: Vec<(BlockKey, u16, u32)> = Vec::with_capacity(in_map.len());
         for (i, p) in in_map.iter().enumerate() {
             let range = (p - sensor).norm();
-            if !(range >= params.range_min_m && range <= params.range_max_m) {
+            if !(range >= params.range_min_m && range <= params.range_max()) {
                 continue;
             }
             if let Some(voxel) = Voxel::containing(p, params.voxel_size_m) {

@@ -4,10 +4,12 @@
 //! [`OccupancyGrid`] of its submap. [`OccupancyMap`] is the grid of the whole map, which lays those of the submaps over each
 //! other; [`Occupancy`] reads either. [`DenseGrid`] is the rectangle of ROS values that leaves the crate.
 
+mod columns;
 mod compose;
 mod dense;
 mod evidence;
 mod grid;
+mod ground;
 mod params;
 mod read;
 mod tile;

@@ -1,13 +1,11 @@
 //! One keyframe as marks on cells: which it saw free, which it hit, each once.
 
 use super::OccupancyParams;
+use super::columns::Columns;
+use super::ground::Ground;
 use nalgebra::{Point2, Point3};
 use percept_geometry::grid::walk;
 use percept_geometry::{Cell, GridGeometry, KeyframeScan, Pose};
-use std::f64::consts::{PI, TAU};
-
-/// A beam that goes deeper than this below the band's bottom looks down a drop (stairs, a pit), metres.
-const DROP_M: f64 = 0.2;
 
 /// What one keyframe says about the cells around its sensor: a square window of marks, as far as it saw.
 ///
@@ -55,7 +53,7 @@ impl Heights {
     pub(super) const NONE: Self = Self(0);
 
     /// One height above the floor, metres; none outside of the band.
-    fn at(params: &OccupancyParams, height: f64) -> Self {
+    pub(super) fn at(params: &OccupancyParams, height: f64) -> Self {
         let share = Self::share(params, height);
         if (0.0..1.0).contains(&share) { Self(1 << (share * 64.0) as u32) } else { Self::NONE }
     }
@@ -108,10 +106,12 @@ impl ScanUpdate {
     /// The marks of a scan taken at `t_map_base`.
     ///
     /// **Planar scans**: each return within `range_max_m` marks its own end and frees the cells before it; misses
-    /// and returns beyond only free. **Others**: heights are taken along the map's z, from the floor under base. Returns in the
-    /// band mark their ends. In each azimuth column seen from the sensor, the cells up to the nearest of them are
+    /// and returns beyond only free. **Others**: heights are taken along the map's z, from the [`Ground`] that the scan
+    /// shows, which goes on from the floor under base. Returns in the band mark their ends, unless the ground there is in more doubt
+    /// than they are high. In each azimuth column seen from the sensor, the cells up to the nearest of them are
     /// free, or without one, up to the farthest floor return, far return or end of a miss (each only as far as its
-    /// beam stays in the band). Free cells hold the heights at which the beams of the column pass there, so
+    /// beam stays in the band); behind it, those between ground and ground that were seen over it. Where the ground drops, its edge
+    /// is marked. Free cells hold the heights at which the beams of the column pass there, so
     /// that looking under a table does not free its top. Points that are not finite, or beyond the range
     /// of the indices, say nothing.
     pub fn new(params: &OccupancyParams, geometry: &GridGeometry, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
@@ -119,7 +119,7 @@ impl ScanUpdate {
         let in_map = |p: &Point3<f32>| t_map_base * p.cast::<f64>();
         let ends = scan.hits.positions.iter().chain(&scan.misses);
         let ranges = ends.map(|p| (in_map(p) - sensor).xy().norm()).filter(|r| r.is_finite());
-        let half = (ranges.fold(0.0, f64::max).min(params.range_max_m) / geometry.resolution_m).ceil() as i32 + 1;
+        let half = (ranges.fold(0.0, f64::max).min(params.range_max()) / geometry.resolution_m).ceil() as i32 + 1;
         let min = geometry.cell(&sensor.xy()).and_then(|c| {
             c.x.checked_add(half).and(c.y.checked_add(half))?;
             Some(Cell::new(c.x.checked_sub(half)?, c.y.checked_sub(half)?))
@@ -133,7 +133,11 @@ impl ScanUpdate {
         if scan.planar {
             frame.mark_beams(&mut update, &scan.hits.positions, &scan.misses, in_map);
         } else {
-            frame.mark_columns(&mut update, &scan.hits.positions, &scan.misses, in_map);
+            let hits: Vec<Point3<f64>> = scan.hits.positions.iter().map(in_map).collect();
+            let misses: Vec<Point3<f64>> = scan.misses.iter().map(in_map).collect();
+            let up = t_map_base * nalgebra::Vector3::z();
+            let ground = Ground::new(params, &sensor, (frame.floor_z, &up), &hits);
+            Columns::new(&frame, &ground).mark(&mut update, &hits, &misses);
         }
         update
     }
@@ -150,36 +154,13 @@ impl ScanUpdate {
 }
 
 /// Where the beams start, and how to read their ends.
-struct Frame<'a> {
-    params: &'a OccupancyParams,
-    geometry: &'a GridGeometry,
-    sensor: Point3<f64>,
-    floor_z: f64,
-}
-
-/// What is known of an azimuth column: ends (m, map) and their horizontal ranges from the sensor (m), and how steep
-/// its beams are. One set of slopes does for all ranges: beams that end early leave the band there, or end at the
-/// obstacle that bounds the column.
-#[derive(Clone)]
-struct Column {
-    nearest_obstacle: f64,
-    obstacle: Point2<f64>,
-    farthest_free: f64,
-    free: Point2<f64>,
-    /// Rise over run of each beam, no two in the same bin.
-    slopes: Vec<f32>,
-    taken: u64,
-}
-
-impl Column {
-    /// Adds a beam unless there is one much like it: 64 bins from 45 degrees down to 45 degrees up.
-    fn include(&mut self, slope: f64) {
-        let bin = ((slope.clamp(-1.0, 1.0) + 1.0) * 31.99) as u32;
-        if slope.is_finite() && self.taken & (1 << bin) == 0 {
-            self.taken |= 1 << bin;
-            self.slopes.push(slope as f32);
-        }
-    }
+pub(super) struct Frame<'a> {
+    pub(super) params: &'a OccupancyParams,
+    pub(super) geometry: &'a GridGeometry,
+    /// Map frame, metres.
+    pub(super) sensor: Point3<f64>,
+    /// Height of the floor under base in the map, metres.
+    pub(super) floor_z: f64,
 }
 
 impl Frame<'_> {
@@ -195,7 +176,7 @@ impl Frame<'_> {
         for p in hits {
             let end = in_map(p).xy();
             let range = (end - self.sensor.xy()).norm();
-            if range > self.params.range_max_m {
+            if range > self.params.range_max() {
                 self.free_towards(update, &end, range, passed);
             } else if range >= self.params.range_min_m {
                 self.hit_at(update, &end, heights);
@@ -208,104 +189,14 @@ impl Frame<'_> {
         }
     }
 
-    fn mark_columns(
-        &self,
-        update: &mut ScanUpdate,
-        hits: &[Point3<f32>],
-        misses: &[Point3<f32>],
-        in_map: impl Fn(&Point3<f32>) -> Point3<f64>,
-    ) {
-        // As many columns as cells on the circle of the largest range, so that no cell is skipped.
-        let count = (TAU * self.params.range_max_m / self.geometry.resolution_m).ceil().max(360.0) as usize;
-        let none = Column {
-            nearest_obstacle: f64::INFINITY,
-            obstacle: Point2::origin(),
-            farthest_free: 0.0,
-            free: Point2::origin(),
-            slopes: Vec::new(),
-            taken: 0,
-        };
-        let mut columns = vec![none; count];
-        for p in hits {
-            self.read_return(update, &mut columns, &in_map(p));
-        }
-        for p in misses {
-            self.read_free(&mut columns, &in_map(p));
-        }
-        for column in &columns {
-            if column.nearest_obstacle.is_finite() {
-                self.free_before(update, &column.obstacle, |cell| self.passed(cell, &column.slopes));
-            } else if column.farthest_free > 0.0 {
-                let passed = |cell| self.passed(cell, &column.slopes);
-                self.free_towards(update, &column.free, column.farthest_free, passed);
-            }
-        }
-    }
-
-    fn read_return(&self, update: &mut ScanUpdate, columns: &mut [Column], p: &Point3<f64>) {
-        let range = (p.xy() - self.sensor.xy()).norm();
-        let height = p.z - self.floor_z;
-        if !(range >= self.params.range_min_m && range > 0.0 && range.is_finite() && height.is_finite()) {
-            return;
-        }
-        self.column(columns, p).include((p.z - self.sensor.z) / range);
-        if height > self.params.band_max_m && range <= self.params.range_max_m {
-            return;
-        }
-        if height < self.params.band_min_m || range > self.params.range_max_m {
-            return self.read_free(columns, p);
-        }
-        self.hit_at(update, &p.xy(), Heights::at(self.params, height));
-        let column = self.column(columns, p);
-        if range < column.nearest_obstacle {
-            (column.nearest_obstacle, column.obstacle) = (range, p.xy());
-        }
-    }
-
-    /// A beam that met nothing in the band on its way to `end`: free as far as it is over the floor and below the
-    /// band's top.
-    fn read_free(&self, columns: &mut [Column], end: &Point3<f64>) {
-        let (h0, h1) = (self.sensor.z - self.floor_z, end.z - self.floor_z);
-        let slope = (h1 - h0) / (end.xy() - self.sensor.xy()).norm();
-        let (bottom, top) = (self.params.band_min_m - DROP_M, self.params.band_max_m);
-        let share = match h1 {
-            h if h > top => ((top - h0).max(0.0) / (h1 - h0)).max(0.0),
-            h if h < bottom => ((h0 - bottom).max(0.0) / (h0 - h1)).max(0.0),
-            _ => 1.0,
-        };
-        let end = self.sensor.xy() + (end.xy() - self.sensor.xy()) * share;
-        let range = (end - self.sensor.xy()).norm();
-        if !(range.is_finite() && range > 0.0) {
-            return;
-        }
-        let column = self.column(columns, &Point3::new(end.x, end.y, 0.0));
-        column.include(slope);
-        if range > column.farthest_free {
-            (column.farthest_free, column.free) = (range, end);
-        }
-    }
-
-    fn column<'c>(&self, columns: &'c mut [Column], p: &Point3<f64>) -> &'c mut Column {
-        let azimuth = (p.y - self.sensor.y).atan2(p.x - self.sensor.x);
-        let last = columns.len() - 1;
-        &mut columns[(((azimuth + PI) / TAU * (last + 1) as f64) as usize).min(last)]
-    }
-
-    fn hit_at(&self, update: &mut ScanUpdate, end: &Point2<f64>, heights: Heights) {
+    pub(super) fn hit_at(&self, update: &mut ScanUpdate, end: &Point2<f64>, heights: Heights) {
         if let Some(cell) = self.geometry.cell(end) {
             update.mark(cell, Mark::Hit(heights));
         }
     }
 
-    /// What a column says of a free cell: the heights at which its beams pass there.
-    fn passed(&self, cell: Cell, slopes: &[f32]) -> Mark {
-        let range = (self.geometry.center(cell) - self.sensor.xy()).norm();
-        let at = |slope: &f32| Heights::at(self.params, self.sensor.z - self.floor_z + f64::from(*slope) * range);
-        Mark::Free(slopes.iter().map(at).fold(Heights::NONE, Heights::joined))
-    }
-
     /// Frees the cells from the sensor to `end`, without that of `end` itself.
-    fn free_before(&self, update: &mut ScanUpdate, end: &Point2<f64>, passed: impl Fn(Cell) -> Mark) {
+    pub(super) fn free_before(&self, update: &mut ScanUpdate, end: &Point2<f64>, passed: impl Fn(Cell) -> Mark) {
         let last = self.geometry.cell(end);
         walk(self.geometry, &self.sensor.xy(), end, |cell| {
             if Some(cell) != last {
@@ -314,10 +205,27 @@ impl Frame<'_> {
         });
     }
 
+    /// Frees the cells from one place to another, both included.
+    pub(super) fn free_between(
+        &self,
+        update: &mut ScanUpdate,
+        from: &Point2<f64>,
+        to: &Point2<f64>,
+        passed: impl Fn(Cell) -> Mark,
+    ) {
+        walk(self.geometry, from, to, |cell| update.mark(cell, passed(cell)));
+    }
+
     /// Frees the cells towards `end`, at most as far as the largest range.
-    fn free_towards(&self, update: &mut ScanUpdate, end: &Point2<f64>, range: f64, passed: impl Fn(Cell) -> Mark) {
+    pub(super) fn free_towards(
+        &self,
+        update: &mut ScanUpdate,
+        end: &Point2<f64>,
+        range: f64,
+        passed: impl Fn(Cell) -> Mark,
+    ) {
         if range.is_finite() {
-            let share = (self.params.range_max_m / range).min(1.0);
+            let share = (self.params.range_max() / range).min(1.0);
             let end = self.sensor.xy() + (end - self.sensor.xy()) * if range > 0.0 { share } else { 0.0 };
             walk(self.geometry, &self.sensor.xy(), &end, |cell| update.mark(cell, passed(cell)));
         }

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod cloud;
+mod ground;
 mod map;
 mod memory;
 mod occupancy;

@@ -23,8 +23,8 @@ fn brute_force(t_map_base: &Pose, hits: &[[f32; 2]], misses: &[[f32; 2]]) -> BTr
         if returned && range < p.range_min_m {
             continue;
         }
-        let marks = returned && range <= p.range_max_m;
-        let end = if range > p.range_max_m { origin + (end - origin) * (p.range_max_m / range) } else { end };
+        let marks = returned && range <= p.range_max();
+        let end = if range > p.range_max() { origin + (end - origin) * (p.range_max() / range) } else { end };
         walk(&g, &origin, &end, |c| {
             if marks && Some(c) == g.cell(&end) {
                 hit.insert(c)
@@ -61,16 +61,16 @@ proptest! {
     }
 
     #[test]
-    fn beams_beyond_the_largest_range_only_free(angle in -3.1..3.1f32, range in 10.01..50.0f32) {
+    fn beams_beyond_the_largest_range_only_free(angle in -3.1..3.1f32, range in 30.01..50.0f32) {
         let mut grid = grid();
         grid.integrate(&Pose::identity(), &planar(&[[range * angle.cos(), range * angle.sin()]], &[])).unwrap();
         let (min, max) = grid.bounds().unwrap();
         let dense = grid.dense(1_000_000).unwrap();
         prop_assert!(dense.cells.iter().all(|v| *v < 50));
         let reach = [min.x, min.y, max.x, max.y].map(|v| f64::from(v) * 0.1).iter().fold(0.0f64, |a, v| a.max(v.abs()));
-        prop_assert!(reach <= 10.0 + 0.1);
-        prop_assert!(grid.log_odds(Cell::new((9.9 * angle.cos() * 10.0).floor() as i32,
-            (9.9 * angle.sin() * 10.0).floor() as i32)).is_some());
+        prop_assert!(reach <= 30.0 + 0.1);
+        prop_assert!(grid.log_odds(Cell::new((29.9 * angle.cos() * 10.0).floor() as i32,
+            (29.9 * angle.sin() * 10.0).floor() as i32)).is_some());
     }
 }
 
@@ -195,7 +195,8 @@ fn an_imported_rectangle_comes_back_cell_for_cell() {
     let geometry = GridGeometry::new(0.05, Point2::new(-10.23, 4.71));
     let cells: Vec<i8> = (0..130 * 70).map(|i| [-1, 12, 50, 97, 80, 100, 0][(i * i + i / 7) % 7]).collect();
     let dense = DenseGrid::new(geometry, 130, 70, cells.clone()).unwrap();
-    let grid = OccupancyGrid::from_dense(&dense, OccupancyParams { range_max_m: 5.0, ..Default::default() }).unwrap();
+    let grid =
+        OccupancyGrid::from_dense(&dense, OccupancyParams { range_max_m: Some(5.0), ..Default::default() }).unwrap();
     let (min, max) = grid.bounds().unwrap();
     assert_eq!((min, max), (Cell::new(0, 0), Cell::new(129, 69)));
     let back = grid.dense(1_000_000).unwrap();

@@ -1,0 +1,252 @@
+//! A drive through streets, and what its grid is worth: `outdoors PATH [--set KEY=VALUE]... [--out PICTURE.png] [--every N]`.
+//!
+//! PATH is a recording of a 3D lidar; KITTI's labels (`label_02.txt`, `calib.txt`) beside it are boxes that the grid has to show. Printed
+//! are how wide the map is; of the known cells within a metre of the driven way how many are occupied, which it drove over; how many of
+//! fifty goals on that way are reached from its start; how many labelled things that stand within 30 m the grid shows; and the
+//! processor time of a scan on one thread, map and objects included.
+
+use nalgebra::{Point2, Point3};
+use percept_formats::dataset;
+use percept_geometry::{Cell, Pose, SensorData};
+use percept_mapping::{DenseGrid, Occupancy};
+use percept_pipeline::{Pipeline, PipelineParams};
+use percept_planning::{PlanOutcome, plan_dense};
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::path::Path;
+
+type Failure = Box<dyn Error + Send + Sync>;
+
+/// Cells from this on are occupied, per cent: what planning takes.
+const OCCUPIED: i8 = 60;
+/// Goals along the way.
+const GOALS: usize = 50;
+/// Labelled things farther than this from the way are not asked for, metres, and those that move farther than this are not there.
+const NEAR_M: f64 = 30.0;
+const STANDS_M: f64 = 0.7;
+
+/// A labelled thing in the lidar's frame: the middle of its foot, its heading, length and width.
+struct Label {
+    frame: usize,
+    track: i64,
+    class: String,
+    at: Point3<f64>,
+    yaw: f64,
+    size: (f64, f64),
+}
+
+fn main() -> Result<(), Failure> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let path = args.first().ok_or("usage: outdoors PATH [--set KEY=VALUE]... [--out PICTURE.png] [--every N]")?;
+    let after = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
+    let every: usize = after("--every").map_or(Ok(1), |v| v.parse())?;
+    let mut tree = serde_json::to_value(PipelineParams::default())?;
+    for (i, _) in args.iter().enumerate().filter(|(_, a)| *a == "--set") {
+        let (key, value) = args.get(i + 1).and_then(|a| a.split_once('=')).ok_or("--set: write KEY=VALUE")?;
+        let slot = tree.pointer_mut(&format!("/{}", key.replace('.', "/"))).ok_or("--set: no such parameter")?;
+        *slot = serde_json::from_str(value).unwrap_or_else(|_| value.into());
+    }
+    let recording = dataset::open(Path::new(path.as_str()))?;
+    let mut pipeline = Pipeline::new(serde_json::from_value(tree)?)?;
+    recording.sensors.iter().for_each(|s| pipeline.declare_sensor(s.clone()));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    let (ms, t_map_frames) = pool.install(|| -> Result<_, Failure> {
+        let (mut ms, mut poses) = (vec![], BTreeMap::new());
+        for (number, frame) in recording.frames(None).enumerate().filter(|(n, _)| n % every.max(1) == 0) {
+            let frame = frame?;
+            let is_cloud = matches!(frame.data, SensorData::Cloud(_));
+            let before = processor_ms();
+            let report = pipeline.process(&frame)?;
+            if is_cloud {
+                ms.push(processor_ms() - before);
+                poses.extend(report.pose.map(|p| (number, p.t_map_base)));
+            }
+        }
+        Ok((ms, poses))
+    })?;
+    pipeline.settle();
+    let snapshot = pipeline.snapshot();
+    let way: Vec<Point2<f64>> = snapshot.trajectory().map(|(t, _)| t.translation.vector.xy().into()).collect();
+    let grid = snapshot.layers.occupancy.dense(100_000_000)?;
+    let resolution = grid.geometry.resolution_m;
+    let length: f64 = way.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    println!(
+        "{path}: {} scans, {length:.1} m; {} keyframes; map of {:.1} m x {:.1} m, cells of {resolution} m",
+        ms.len(),
+        snapshot.keyframes.len(),
+        grid.width as f64 * resolution,
+        grid.height as f64 * resolution
+    );
+    println!("  ms of processor time a scan: {}", times(ms));
+    let (known, occupied) = beside(&grid, &way, 1.0);
+    println!(
+        "  within 1 m of the way {known} cells known, {:.2} % occupied",
+        100.0 * occupied as f64 / known.max(1) as f64
+    );
+    let (num_known, num_occupied) = (
+        grid.cells.iter().filter(|c| **c >= 0).count() as f64 * resolution * resolution,
+        grid.cells.iter().filter(|c| **c >= OCCUPIED).count() as f64 * resolution * resolution,
+    );
+    println!("  known {num_known:.0} square metres, of which {num_occupied:.0} occupied");
+    let mut reasons: BTreeMap<String, usize> = BTreeMap::new();
+    for i in 1..=GOALS {
+        let goal = way[(way.len() - 1) * i / GOALS];
+        let said = match plan_dense(&grid, way[0], goal, &snapshot.params.planning)? {
+            PlanOutcome::Path(_) => "reached".to_owned(),
+            PlanOutcome::NoPath { reason } => {
+                println!("  not reached: {:.1} {:.1}, {reason:?}", goal.x, goal.y);
+                format!("{reason:?}")
+            }
+        };
+        *reasons.entry(said).or_default() += 1;
+    }
+    println!("  goals on the way: {reasons:?}");
+    let labels = labels(Path::new(path.as_str()))?;
+    if !labels.is_empty() {
+        for (class, (shown, all, missed)) in shown(&grid, &labels, &t_map_frames, &way) {
+            println!(
+                "  {class}: {shown} of {all} shown{}",
+                if missed.is_empty() { String::new() } else { format!(", not {missed:?}") }
+            );
+        }
+    }
+    if let Some(out) = after("--out") {
+        picture(&grid, &way, Path::new(out))?;
+    }
+    Ok(())
+}
+
+/// Known cells within a distance of the way, and those of them that are occupied.
+fn beside(grid: &DenseGrid, way: &[Point2<f64>], within_m: f64) -> (usize, usize) {
+    let mut near = vec![false; grid.cells.len()];
+    let reach = (within_m / grid.geometry.resolution_m).ceil() as i32;
+    for p in way {
+        let Some(cell) = grid.geometry.cell(p) else { continue };
+        for (dx, dy) in (-reach..=reach).flat_map(|dx| (-reach..=reach).map(move |dy| (dx, dy))) {
+            let c = Cell::new(cell.x + dx, cell.y + dy);
+            if let Some(i) = grid.index(c).filter(|_| (grid.geometry.center(c) - p).norm() <= within_m) {
+                near[i] = true;
+            }
+        }
+    }
+    let cells = || grid.cells.iter().zip(&near).filter(|(c, near)| **near && **c >= 0);
+    (cells().count(), cells().filter(|(c, _)| **c >= OCCUPIED).count())
+}
+
+/// By class how many tracks that stand the grid shows, of how many, and which not: those with three occupied cells in their box.
+fn shown(
+    grid: &DenseGrid,
+    labels: &[Label],
+    t_map_frames: &BTreeMap<usize, Pose>,
+    way: &[Point2<f64>],
+) -> BTreeMap<String, (usize, usize, Vec<i64>)> {
+    let mut tracks: BTreeMap<i64, Vec<(&Label, Point3<f64>, f64)>> = BTreeMap::new();
+    for label in labels {
+        if let Some(t) = t_map_frames.get(&label.frame) {
+            let yaw = label.yaw + percept_geometry::se3::yaw(t);
+            tracks.entry(label.track).or_default().push((label, t * label.at, yaw));
+        }
+    }
+    let mut out: BTreeMap<String, (usize, usize, Vec<i64>)> = BTreeMap::new();
+    for (track, seen) in tracks {
+        let spread = seen.iter().map(|s| (s.1 - seen[0].1).xy().norm()).fold(0.0, f64::max);
+        let nearest = |p: &Point3<f64>| way.iter().map(|w| (p.xy() - w).norm()).fold(f64::INFINITY, f64::min);
+        let Some((label, at, yaw)) = seen.iter().min_by(|a, b| nearest(&a.1).total_cmp(&nearest(&b.1))) else {
+            continue;
+        };
+        if spread > STANDS_M || nearest(at) > NEAR_M {
+            continue;
+        }
+        let (sin, cos) = yaw.sin_cos();
+        let inside = |p: Point2<f64>| {
+            let d = p - at.xy();
+            let (along, across) = (d.x * cos + d.y * sin, d.y * cos - d.x * sin);
+            along.abs() <= 0.5 * label.size.0 + 0.1 && across.abs() <= 0.5 * label.size.1 + 0.1
+        };
+        let occupied = grid.cells.iter().enumerate().filter(|(_, c)| **c >= OCCUPIED).filter(|(i, _)| {
+            let cell = Cell::new((i % grid.width) as i32, (i / grid.width) as i32);
+            inside(grid.geometry.center(cell))
+        });
+        let is_shown = occupied.count() >= 3;
+        let entry = out.entry(label.class.clone()).or_default();
+        entry.0 += usize::from(is_shown);
+        entry.1 += 1;
+        if !is_shown {
+            entry.2.push(track);
+        }
+    }
+    out
+}
+
+/// Labels of KITTI's tracking benchmark in the lidar's frame; none where there are none.
+fn labels(folder: &Path) -> Result<Vec<Label>, Failure> {
+    let (Ok(text), Ok(calibration)) =
+        (std::fs::read_to_string(folder.join("label_02.txt")), std::fs::read_to_string(folder.join("calib.txt")))
+    else {
+        return Ok(vec![]);
+    };
+    let numbers = |names: [&str; 2]| -> Result<Vec<f64>, Failure> {
+        let line =
+            calibration.lines().find(|l| names.iter().any(|n| l.starts_with(n))).ok_or("calib.txt lacks a line")?;
+        Ok(line.split_whitespace().skip(1).map(str::parse).collect::<Result<_, _>>()?)
+    };
+    let (r, t) = (numbers(["R_rect", "R0_rect"])?, numbers(["Tr_velo_cam", "Tr_velo_to_cam"])?);
+    let rect = nalgebra::Matrix3::from_row_slice(&r[..9]);
+    let turn = nalgebra::Matrix3::new(t[0], t[1], t[2], t[4], t[5], t[6], t[8], t[9], t[10]);
+    let shift = nalgebra::Vector3::new(t[3], t[7], t[11]);
+    let to_lidar = |p: nalgebra::Vector3<f64>| Point3::from(turn.transpose() * (rect.transpose() * p - shift));
+    // Frames are counted from the first scan of the folder, labels from that of the drive.
+    let mut first = usize::MAX;
+    for entry in std::fs::read_dir(folder.join("velodyne"))? {
+        let name = entry?.file_name();
+        let number = Path::new(&name).file_stem().and_then(|s| s.to_str()?.parse().ok());
+        first = first.min(number.unwrap_or(usize::MAX));
+    }
+    let mut out = vec![];
+    for line in text.lines() {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        if words.len() < 17 || words[2] == "DontCare" {
+            continue;
+        }
+        let number = |i: usize| words[i].parse::<f64>();
+        let at = to_lidar(nalgebra::Vector3::new(number(13)?, number(14)?, number(15)?));
+        let heading = number(16)?;
+        let ahead =
+            to_lidar(nalgebra::Vector3::new(number(13)? + heading.cos(), number(14)?, number(15)? - heading.sin()));
+        let yaw = (ahead.y - at.y).atan2(ahead.x - at.x);
+        let (width, length) = (number(11)?, number(12)?);
+        let frame = words[0].parse::<usize>()?;
+        let Some(frame) = frame.checked_sub(if first == usize::MAX { 0 } else { first }) else { continue };
+        out.push(Label { frame, track: words[1].parse()?, class: words[2].into(), at, yaw, size: (length, width) });
+    }
+    Ok(out)
+}
+
+/// The grid, north up: white free, black occupied, the way red.
+fn picture(grid: &DenseGrid, way: &[Point2<f64>], out: &Path) -> Result<(), Failure> {
+    let mut pixels = vec![[128u8; 3]; grid.width * grid.height];
+    for (i, &c) in grid.cells.iter().enumerate().filter(|(_, c)| **c >= 0) {
+        let at = (grid.height - 1 - i / grid.width) * grid.width + i % grid.width;
+        pixels[at] = [255 - (f32::from(c) * 2.55) as u8; 3];
+    }
+    for cell in way.iter().filter_map(|p| grid.geometry.cell(p)) {
+        if let Some(i) = grid.index(cell) {
+            pixels[(grid.height - 1 - i / grid.width) * grid.width + i % grid.width] = [255, 0, 0];
+        }
+    }
+    let image = percept_geometry::RgbImage::new(grid.width, grid.height, pixels.concat())?;
+    Ok(std::fs::write(out, percept_formats::images::encode_rgb_png(&image)?)?)
+}
+
+/// Of this thread so far, milliseconds.
+fn processor_ms() -> f64 {
+    let t = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    t.tv_sec as f64 * 1e3 + t.tv_nsec as f64 * 1e-6
+}
+
+fn times(mut ms: Vec<f64>) -> String {
+    ms.sort_by(f64::total_cmp);
+    let at = |q: f64| ms.get((ms.len().saturating_sub(1) as f64 * q) as usize).copied().unwrap_or(0.0);
+    let mean = ms.iter().sum::<f64>() / ms.len().max(1) as f64;
+    format!("mean {mean:.1}  p50 {:.1}  p99 {:.1}  max {:.1}", at(0.5), at(0.99), at(1.0))
+}
