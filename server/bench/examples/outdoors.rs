@@ -35,6 +35,9 @@ struct Label {
     size: (f64, f64),
 }
 
+/// A label, and where its foot is in the map and how it is turned there.
+type Placed<'a> = (&'a Label, Point3<f64>, f64);
+
 fn main() -> Result<(), Failure> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let path = args.first().ok_or("usage: outdoors PATH [--set KEY=VALUE]... [--out PICTURE.png] [--every N]")?;
@@ -140,7 +143,7 @@ fn shown(
     t_map_frames: &BTreeMap<usize, Pose>,
     way: &[Point2<f64>],
 ) -> BTreeMap<String, (usize, usize, Vec<i64>)> {
-    let mut tracks: BTreeMap<i64, Vec<(&Label, Point3<f64>, f64)>> = BTreeMap::new();
+    let mut tracks: BTreeMap<i64, Vec<Placed<'_>>> = BTreeMap::new();
     for label in labels {
         if let Some(t) = t_map_frames.get(&label.frame) {
             let yaw = label.yaw + percept_geometry::se3::yaw(t);

@@ -788,13 +788,15 @@ class OccupancyParams(_message.Message):
     range_min_m: _builtins.float
     """Returns nearer than this to the sensor, horizontally, say nothing, metres."""
     range_max_m: _builtins.float
-    """Returns beyond this only free the cells up to it, metres; at most 1000 cells."""
+    """Returns beyond this only free the cells up to it, metres; at most 1000 cells. Absent: as far as the sensor
+    sees, to 30 m or 1000 cells at most.
+    """
     band_min_m: _builtins.float
-    """Returns lower than this above the floor are floor: they free, and mark nothing, metres. Not for planar
-    scans.
+    """Returns lower than this above the ground, which may rise and fall, are ground: they free, and mark nothing,
+    metres. Not for planar scans.
     """
     band_max_m: _builtins.float
-    """Returns higher than this above the floor pass over the robot: they say nothing, metres. Not for planar
+    """Returns higher than this above the ground pass over the robot: they say nothing, metres. Not for planar
     scans.
     """
     def __init__(
@@ -871,7 +873,9 @@ class CloudParams(_message.Message):
     range_min_m: _builtins.float
     """Returns nearer than this to the sensor are left out, metres."""
     range_max_m: _builtins.float
-    """Returns beyond this are left out, metres; at most 100000 voxels."""
+    """Returns beyond this are left out, metres; at most 100000 voxels. Absent: as far as the sensor sees, to 30 m
+    at most.
+    """
     max_weight: _builtins.float
     """Keyframes that a voxel remembers: the weight at which its mean becomes a moving one; 1 to 10000."""
     carve_weight: _builtins.float

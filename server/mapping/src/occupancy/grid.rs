@@ -1,9 +1,9 @@
 //! The unbounded grid of evidence, in tiles that copies share.
 
 use super::evidence::Evidence;
+use super::marks::Mark;
 use super::read::{Occupancy, TILE, Visit, locate, overlap};
 use super::tile::EvidenceTile;
-use super::update::Mark;
 use super::{DenseGrid, OccupancyParams, ScanUpdate};
 use crate::MappingError;
 use crate::error::check_keyframe;

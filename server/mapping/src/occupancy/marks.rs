@@ -1,0 +1,168 @@
+//! Marks on cells: how one keyframe's are gathered, each cell once, with the heights that they are about.
+
+use super::OccupancyParams;
+use nalgebra::{Point2, Point3};
+use percept_geometry::grid::walk;
+use percept_geometry::{Cell, GridGeometry};
+
+/// What one keyframe says about the cells around its sensor: a square window of marks, as far as it saw.
+///
+/// Depends on the pose and the scan alone, so that many keyframes can be worked on at once.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScanUpdate {
+    pub(super) min: Cell,
+    pub(super) width: usize,
+    /// Whether the beams lie in one plane and say nothing about other heights.
+    pub(super) planar: bool,
+    /// Row-major `width x width`.
+    pub(super) marks: Vec<Mark>,
+}
+
+/// What a keyframe says about a cell, and at which heights.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Mark {
+    /// Not seen.
+    Unseen,
+    /// Beams passed at these heights, none ended here.
+    Free(Heights),
+    /// Beams ended here, at these heights.
+    Hit(Heights),
+}
+
+impl Mark {
+    /// Both marks of one keyframe: a hit outweighs, heights of a kind join.
+    fn joined(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Hit(a), Self::Hit(b)) => Self::Hit(a.joined(b)),
+            (Self::Free(a), Self::Free(b)) => Self::Free(a.joined(b)),
+            (Self::Hit(_), _) | (_, Self::Unseen) => self,
+            _ => other,
+        }
+    }
+}
+
+/// A set of heights: a bit for each 64th of the band, the lowest first. Sampled beams leave gaps between them, in
+/// which the edge of a table may stand unseen; an interval would not know.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Heights(u64);
+
+impl Heights {
+    /// No height.
+    pub(super) const NONE: Self = Self(0);
+
+    /// One height above the floor, metres; none outside of the band.
+    pub(super) fn at(params: &OccupancyParams, height: f64) -> Self {
+        let share = Self::share(params, height);
+        if (0.0..1.0).contains(&share) { Self(1 << (share * 64.0) as u32) } else { Self::NONE }
+    }
+
+    /// The height of a planar scan, which speaks for the band wherever it lies.
+    pub(super) fn of_plane(params: &OccupancyParams, height: f64) -> Self {
+        Self(1 << (Self::share(params, height).clamp(0.0, 0.999) * 64.0) as u32)
+    }
+
+    fn share(params: &OccupancyParams, height: f64) -> f64 {
+        (height - params.band_min_m) / (params.band_max_m - params.band_min_m)
+    }
+
+    /// The heights of both.
+    pub(super) fn joined(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// These heights but not the others.
+    pub(super) fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// Whether the other holds all of these.
+    pub(super) fn within(self, other: Self) -> bool {
+        self.0 & !other.0 == 0
+    }
+
+    /// The heights that are in both.
+    pub(super) fn shared(self, other: Self) -> Self {
+        Self(self.0 & other.0)
+    }
+
+    /// As bits, the lowest height first.
+    pub(super) fn bits(self) -> u64 {
+        self.0
+    }
+
+    pub(super) fn of_bits(bits: u64) -> Self {
+        Self(bits)
+    }
+
+    /// Whether they share a height.
+    pub(super) fn meet(self, other: Self) -> bool {
+        self.0 & other.0 != 0
+    }
+}
+
+impl ScanUpdate {
+    /// Adds a mark, if the cell is in the window.
+    fn mark(&mut self, cell: Cell, mark: Mark) {
+        let (x, y) = (i64::from(cell.x) - i64::from(self.min.x), i64::from(cell.y) - i64::from(self.min.y));
+        let side = self.width as i64;
+        if x < 0 || y < 0 || x >= side || y >= side {
+            return;
+        }
+        let slot = &mut self.marks[y as usize * self.width + x as usize];
+        *slot = slot.joined(mark);
+    }
+}
+
+/// Where the beams start, and how to read their ends.
+pub(super) struct Frame<'a> {
+    pub(super) params: &'a OccupancyParams,
+    pub(super) geometry: &'a GridGeometry,
+    /// Map frame, metres.
+    pub(super) sensor: Point3<f64>,
+    /// Height of the floor under base in the map, metres.
+    pub(super) floor_z: f64,
+}
+
+impl Frame<'_> {
+    pub(super) fn hit_at(&self, update: &mut ScanUpdate, end: &Point2<f64>, heights: Heights) {
+        if let Some(cell) = self.geometry.cell(end) {
+            update.mark(cell, Mark::Hit(heights));
+        }
+    }
+
+    /// Frees the cells from the sensor to `end`, without that of `end` itself.
+    pub(super) fn free_before(&self, update: &mut ScanUpdate, end: &Point2<f64>, passed: impl Fn(Cell) -> Mark) {
+        let last = self.geometry.cell(end);
+        walk(self.geometry, &self.sensor.xy(), end, |cell| {
+            if Some(cell) != last {
+                update.mark(cell, passed(cell));
+            }
+        });
+    }
+
+    /// Frees the cells from one place to another, both included.
+    pub(super) fn free_between(
+        &self,
+        update: &mut ScanUpdate,
+        from: &Point2<f64>,
+        to: &Point2<f64>,
+        passed: impl Fn(Cell) -> Mark,
+    ) {
+        walk(self.geometry, from, to, |cell| update.mark(cell, passed(cell)));
+    }
+
+    /// Frees the cells towards `end`, at most as far as the largest range.
+    pub(super) fn free_towards(
+        &self,
+        update: &mut ScanUpdate,
+        end: &Point2<f64>,
+        range: f64,
+        passed: impl Fn(Cell) -> Mark,
+    ) {
+        if range.is_finite() {
+            let share = (self.params.range_max() / range).min(1.0);
+            let end = self.sensor.xy() + (end - self.sensor.xy()) * if range > 0.0 { share } else { 0.0 };
+            walk(self.geometry, &self.sensor.xy(), &end, |cell| update.mark(cell, passed(cell)));
+        }
+    }
+}
