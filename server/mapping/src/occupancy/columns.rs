@@ -181,9 +181,8 @@ impl<'a> Columns<'a> {
         &mut self.columns[(((azimuth + PI) / TAU * (last + 1) as f64) as usize).min(last)]
     }
 
-    /// What a column says of a free cell: the heights at which those of its beams (in order) pass there
-    /// that count. `hint` is the first beam that did in
-    /// the cell before.
+    /// What a column says of a free cell: the heights at which those of its beams (in order) pass there that count. `hint` is the
+    /// first beam that did in the cell before.
     fn passed(
         &self,
         cell: Cell,
