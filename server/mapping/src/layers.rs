@@ -97,10 +97,11 @@ pub(crate) struct LayersUpdate {
 
 impl LayersUpdate {
     pub(crate) fn new(params: &MapParams, t_submap_base: &Pose, scan: &KeyframeScan) -> Self {
-        Self {
-            occupancy: OccupancyGrid::prepare(&params.occupancy, t_submap_base, scan),
-            cloud: <FusedCloud as Layer>::prepare(&params.cloud, t_submap_base, scan),
-        }
+        let (occupancy, cloud) = rayon::join(
+            || OccupancyGrid::prepare(&params.occupancy, t_submap_base, scan),
+            || <FusedCloud as Layer>::prepare(&params.cloud, t_submap_base, scan),
+        );
+        Self { occupancy, cloud }
     }
 
     pub(crate) fn touched(&self, params: &MapParams) -> LayerBoxes {
@@ -117,8 +118,7 @@ impl SubmapLayers {
     }
 
     pub(crate) fn add(&mut self, update: &LayersUpdate) {
-        self.occupancy.add(&update.occupancy);
-        self.cloud.add(&update.cloud);
+        rayon::join(|| self.occupancy.add(&update.occupancy), || self.cloud.add(&update.cloud));
     }
 
     pub(crate) fn freeze(&mut self) {

@@ -95,10 +95,10 @@ pub(super) fn seen_through(ranges: &RangeImage, params: &CloudParams, planar: bo
     free.blocks
 }
 
-/// Where neighbouring beams are two voxels apart, metres: farther out they pass by most voxels, so that what has gone would lose
-/// some of its points only, at the cost of steps that grow with range.
+/// Where neighbouring beams are a voxel apart, metres: farther out they pass by most voxels, so that what has gone would lose some of
+/// its points only, at the cost of steps that grow with range.
 fn farthest_seen_through(params: &CloudParams) -> f64 {
-    params.range_max().min(2.0 * params.voxel_size_m / BIN_RAD)
+    params.range_max().min(params.voxel_size_m / BIN_RAD)
 }
 
 /// Voxels are numbered by what an `i32` holds, less a margin for rounding.
