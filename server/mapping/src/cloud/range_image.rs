@@ -142,6 +142,11 @@ impl RangeImage {
         self.max_range
     }
 
+    /// Bins that a beam went into.
+    pub(super) fn num_beams(&self) -> usize {
+        self.rows.iter().flatten().filter(|b| b.0.is_finite()).count()
+    }
+
     /// Shows each beam: its unit direction, and the length of the shortest among it and those in the bins around it.
     pub(super) fn visit_beams(&self, mut visit: impl FnMut(&Vector3<f64>, f64)) {
         for (y, row) in self.rows.iter().enumerate() {
