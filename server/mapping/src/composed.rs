@@ -109,6 +109,11 @@ impl<L: Layer> Composed<L> {
         &self.params
     }
 
+    /// The version at which a tile changed last; 0 if nothing was ever known of it.
+    pub fn changed_at(&self, key: TileKey) -> u64 {
+        self.changed.get(&key).map_or(0, |c| c.at_all)
+    }
+
     /// Tiles that may be other ones than at an earlier version, in order.
     pub fn changed_since(&self, version: u64) -> impl Iterator<Item = TileKey> {
         self.changed.iter().filter(move |(_, c)| c.at_all > version).map(|(key, _)| *key)

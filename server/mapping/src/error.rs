@@ -48,6 +48,9 @@ pub enum MappingError {
     /// A scan's channels do not fit its points, or its height is not finite.
     #[error(transparent)]
     Scan(#[from] GeometryError),
+    /// A point is not finite, or so far out that no cell there has a number.
+    #[error("point is not finite, or farther out than cells have numbers")]
+    PointTooFar,
     /// A dense grid of this size was asked for.
     #[error("region of {cells} cells is larger than the limit of {limit}")]
     RegionTooLarge {

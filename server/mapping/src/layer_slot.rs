@@ -93,9 +93,10 @@ impl<L: Layer> LayerSlot<L> {
         self.read(|held| held.is_lost)
     }
 
-    /// Stores what it holds, if it is not stored, and gives up the memory: how many bytes, none if the store does not take it.
+    /// Stores what it holds, if it is not stored, and gives up the memory: how many bytes, none if the store does not take it. A
+    /// layer that holds nothing stays: there is nothing to store of it, and nothing that could be lost.
     pub(crate) fn evict(&self, store: &Arc<dyn MapStore>, fetched: &Arc<Fetched>) -> usize {
-        let (layer, stored) = self.read(|held| (held.layer.clone(), held.stored.clone()));
+        let (layer, stored) = self.read(|held| (held.layer.clone().filter(|_| held.bytes > 0), held.stored.clone()));
         let Some(layer) = layer else { return 0 };
         let keep = || {
             let id = store.put(&Self::encode(&layer))?;

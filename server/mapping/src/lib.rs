@@ -6,9 +6,11 @@
 //! No pose is estimated here, and nothing is read or written outside memory: submaps that are to leave it go to the caller's
 //! [`MapStore`]. Start with [`Map`]; what a layer is stands in [`Layer`].
 
+mod blocks;
 mod bytes;
 pub mod cloud;
 mod composed;
+pub mod distance;
 mod error;
 mod layer;
 mod layer_slot;
@@ -18,6 +20,7 @@ pub mod occupancy;
 mod store;
 mod stored_scan;
 mod submap;
+pub mod voxels;
 
 pub use bytes::{Damaged, Reader};
 pub use cloud::{CloudMap, CloudParams, CloudTile, FusedCloud};
@@ -30,3 +33,4 @@ pub use map::{CorrectionReport, Map, MapEntry, MapKeyframe, MapParams, RebuildSt
 pub use occupancy::{DenseGrid, Occupancy, OccupancyGrid, OccupancyMap, OccupancyParams, OccupancyTile};
 pub use store::{BlobId, MapMemory, MapStore};
 pub use submap::{Submap, SubmapId};
+pub use voxels::{VoxelGrid, VoxelMap, VoxelParams, VoxelTile};

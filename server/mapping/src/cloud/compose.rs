@@ -4,9 +4,10 @@ use super::block::{BLOCK, BlockKey, VoxelMean, corner, locate};
 use super::free::{Count, FreeSpace, count_at};
 use super::fused::{Block, NO_COLOR, merge};
 use super::{CloudParams, CloudUpdate, FusedCloud};
+use crate::blocks::block_box;
 use crate::bytes::{Damaged, Reader, put_f32, put_i32, put_u16, put_u32, put_u64};
 use crate::composed::Composed;
-use crate::layer::{Footprint, Layer, Placement, TileKey, moved};
+use crate::layer::{Footprint, Layer, Placement, TileKey, joined, moved};
 use crate::layer_slot::LayerSlot;
 use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point3, Vector3};
@@ -53,15 +54,8 @@ impl Layer for FusedCloud {
     }
 
     fn touched(params: &CloudParams, update: &CloudUpdate) -> Aabb3 {
-        let edge = f64::from(BLOCK) * params.voxel_size_m;
-        let mut out = Aabb3::empty();
-        for key in update.blocks.iter().map(|b| b.0).chain(update.free.iter().map(|b| b.0)) {
-            // A little inside, so that the box does not reach into the block beside.
-            let low = corner(key, 0, params.voxel_size_m);
-            out.grow(&(low + Vector3::repeat(1e-6 * edge)));
-            out.grow(&(low + Vector3::repeat((1.0 - 1e-6) * edge)));
-        }
-        out
+        let keys = update.blocks.iter().map(|b| b.0).chain(update.free.iter().map(|b| b.0));
+        keys.fold(Aabb3::empty(), |out, key| joined(&out, &block_box(key, params.voxel_size_m)))
     }
 
     fn add(&mut self, update: &CloudUpdate) {

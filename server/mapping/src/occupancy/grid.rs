@@ -60,6 +60,9 @@ impl OccupancyGrid {
         Ok(grid)
     }
 
+    /// Edge of a tile of the map, cells.
+    pub(crate) const TILE_CELLS: i32 = TILE;
+
     /// Parameters.
     pub fn params(&self) -> &OccupancyParams {
         &self.params

@@ -4,8 +4,10 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod cloud;
+mod distance;
 mod ground;
 mod map;
 mod memory;
 mod occupancy;
 mod scans;
+mod voxels;

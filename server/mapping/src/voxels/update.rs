@@ -1,0 +1,79 @@
+//! One keyframe as the voxels that its beams passed, and those in which they ended.
+
+use super::VoxelParams;
+use super::block::Bits;
+use super::rays::Rays;
+use crate::blocks::{BlockKey, locate};
+use nalgebra::Point3;
+use percept_geometry::{KeyframeScan, Pose, Voxel};
+
+/// What one keyframe says about voxels: each is passed or hit once, however many beams did. Depends on the pose and the scan alone.
+#[derive(Debug, Clone, Default)]
+pub struct VoxelUpdate {
+    /// Passed and hit, ascending by block; what was hit was not passed.
+    pub(super) blocks: Vec<(BlockKey, Bits, Bits)>,
+}
+
+impl VoxelUpdate {
+    /// The beams of a scan taken at `t_map_base`. Returns beyond the range free the voxels up to it. Those that are nearer than the
+    /// range begins, or not finite, are left out; so is everything if the sensor stands where no voxel has a number.
+    ///
+    /// Source: each voxel that a beam passes, as in Amanatides and Woo, "A fast voxel traversal algorithm", 1987; hits before
+    /// passes, and each voxel once a scan, as in Hornung et al., "OctoMap", 2013.
+    pub fn new(params: &VoxelParams, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
+        if !params.enabled {
+            return Self::default();
+        }
+        let size = params.voxel_size_m;
+        let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
+        let (range_min, range_max) = (params.range_min_m, params.range_max());
+        let mut hits: Vec<Voxel> = Vec::with_capacity(scan.hits.len());
+        let mut ends: Vec<Point3<f64>> = Vec::with_capacity(scan.hits.len() + scan.misses.len());
+        for p in &scan.hits.positions {
+            let p = t_map_base * p.cast::<f64>();
+            let range = (p - sensor).norm();
+            if range >= range_min && range <= range_max {
+                if let Some(voxel) = Voxel::containing(&p, size) {
+                    hits.push(voxel);
+                    ends.push(p);
+                }
+            } else if range.is_finite() && range > range_max {
+                ends.push(sensor + (p - sensor) * (range_max / range));
+            }
+        }
+        for p in &scan.misses {
+            let p = t_map_base * p.cast::<f64>();
+            let range = (p - sensor).norm();
+            if range.is_finite() && range > 0.0 {
+                ends.push(sensor + (p - sensor) * (range_max / range).min(1.0));
+            }
+        }
+        let Some(mut rays) = Rays::new(sensor / size, ends.iter().map(|p| p / size)) else { return Self::default() };
+        for end in &ends {
+            rays.pass(&(end / size));
+        }
+        Self::of(rays.passed(), &hits)
+    }
+
+    fn of(mut free: Vec<(BlockKey, Bits)>, hits: &[Voxel]) -> Self {
+        let mut located: Vec<(BlockKey, u16)> = hits.iter().map(|v| locate(*v)).collect();
+        located.sort_unstable();
+        located.dedup();
+        free.sort_unstable_by_key(|b| b.0);
+        let mut blocks: Vec<(BlockKey, Bits, Bits)> = Vec::with_capacity(free.len());
+        let mut passed = free.into_iter().peekable();
+        for group in located.chunk_by(|a, b| a.0 == b.0) {
+            let key = group[0].0;
+            while let Some((k, bits)) = passed.next_if(|b| b.0 < key) {
+                blocks.push((k, bits, Bits::default()));
+            }
+            let mut hit = Bits::default();
+            group.iter().for_each(|(_, slot)| hit[usize::from(slot / 64)] |= 1 << (slot % 64));
+            let mut free = passed.next_if(|b| b.0 == key).map(|b| b.1).unwrap_or_default();
+            free.iter_mut().zip(&hit).for_each(|(f, h)| *f &= !h);
+            blocks.push((key, free, hit));
+        }
+        blocks.extend(passed.map(|(k, bits)| (k, bits, Bits::default())));
+        Self { blocks }
+    }
+}
