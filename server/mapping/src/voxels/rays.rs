@@ -55,8 +55,17 @@ impl Rays {
     /// border along each of the others, and where those are is added up, not compared.
     pub(super) fn pass(&mut self, end: &Point3<f64>) {
         let end = end - nalgebra::Vector3::from(self.low.map(f64::from));
+        // Which axis that is has to be known beforehand, for cells to be kept in registers.
+        match (end - self.sensor).iamax() {
+            0 => self.pass_along::<0>(&end),
+            1 => self.pass_along::<1>(&end),
+            _ => self.pass_along::<2>(&end),
+        }
+    }
+
+    fn pass_along<const MAIN: usize>(&mut self, end: &Point3<f64>) {
         let along = end - self.sensor;
-        let main = along.iamax();
+        let main = MAIN;
         let [u, v] = [(main + 1) % 3, (main + 2) % 3];
         let (from, to) = (self.sensor[main].floor() as i64, end[main].floor() as i64);
         let step: i64 = if along[main] < 0.0 { -1 } else { 1 };
