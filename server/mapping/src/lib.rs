@@ -33,4 +33,4 @@ pub use map::{CorrectionReport, Map, MapEntry, MapKeyframe, MapParams, RebuildSt
 pub use occupancy::{DenseGrid, Occupancy, OccupancyGrid, OccupancyMap, OccupancyParams, OccupancyTile};
 pub use store::{BlobId, MapMemory, MapStore};
 pub use submap::{Submap, SubmapId};
-pub use voxels::{VoxelGrid, VoxelMap, VoxelParams, VoxelTile};
+pub use voxels::{VoxelBlock, VoxelGrid, VoxelMap, VoxelParams, VoxelTile};

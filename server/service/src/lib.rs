@@ -28,6 +28,7 @@ pub use limits::Limits;
 pub use ops::changes::{ParamChange, SensorChanges, SessionChanges};
 pub use ops::evaluation::{self, TrajectoryComparison};
 pub use ops::fleet::{FleetFilter, FleetGroup, FleetWatch};
+pub use ops::layers;
 pub use ops::maps::{self, CloudAnswer, GridAnswer, MapFile, MapFormat, MapSummary};
 pub use ops::navigation::{self, Navigation, Plan, PlanRequest};
 pub use ops::operations::{HowFar, NewOperation, Operation, OperationKind, OperationList, OperationState, Progress};

@@ -120,6 +120,7 @@ reasons! {
     }
     FailedPrecondition {
         DATA_DAMAGED: "Stored data of the session are damaged; what is whole can be read. Restore it from a backup.",
+        LAYER_OFF: "The session does not keep this layer of the map; create one whose parameters enable it.",
         MAP_EMPTY: "Nothing was mapped yet; send frames first.",
         NO_POSE_YET: "No frame was registered yet; send frames first.",
         NOT_RESTORABLE: "The session's map cannot be built from what is stored; the server's log has the cause.",
@@ -154,6 +155,7 @@ reasons! {
         SCAN_TOO_LARGE: "The scan has more beams than limits.max_cloud_points.",
         SERVER_BUSY: "As many requests wait to be computed as may; try again.",
         TOO_MANY_OPERATIONS: "As many operations are kept as may; delete some that have ended, or wait.",
+        TOO_MANY_QUERIES: "More points, rays or boxes than are answered at a time; ask in several.",
         TOO_MANY_SENSORS: "The session has as many sensors as it may.",
         TOO_MANY_SESSIONS: "The server, or the tenant, holds as many sessions as it may; delete some.",
         TOO_MANY_STREAMS: "As many ingest streams are open as may; close some, or try again.",

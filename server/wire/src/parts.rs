@@ -205,6 +205,11 @@ in_parts! {
     ClusterShapes { clusters }
     EvaluateTrajectoryResponse { pairs }
     GetSceneGraphResponse { graph.nodes, graph.relations }
+    GetVoxelsResponse { blocks }
+    QueryPointsResponse { points }
+    CastRaysResponse { rays }
+    CheckBoxesResponse { boxes }
+    GetChangesResponse { regions }
 }
 
 impl InParts for v1::RunPipelineResponse {

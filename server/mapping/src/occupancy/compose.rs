@@ -165,6 +165,14 @@ fn geometry(params: &OccupancyParams) -> GridGeometry {
     GridGeometry::new(params.resolution_m, Point2::origin())
 }
 
+impl OccupancyMap {
+    /// Log-odds of being occupied at a point of the map; none where nothing was seen, or no cell has a number.
+    pub fn log_odds_at(&self, p: &Point2<f64>) -> Option<f32> {
+        let (key, slot) = locate(geometry(self.params()).cell(p)?);
+        self.tile(key).map(|t| t.log_odds[slot]).filter(|v| !v.is_nan())
+    }
+}
+
 impl Occupancy for OccupancyMap {
     fn geometry(&self) -> GridGeometry {
         geometry(self.params())

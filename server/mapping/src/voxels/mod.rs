@@ -14,5 +14,5 @@ mod update;
 pub use compose::{VoxelMap, VoxelTile};
 pub use grid::VoxelGrid;
 pub use params::VoxelParams;
-pub use read::{MAX_RAY_VOXELS, RayHit, VoxelReader, VoxelState};
+pub use read::{MAX_RAY_VOXELS, RayHit, VoxelBlock, VoxelReader, VoxelState};
 pub use update::VoxelUpdate;

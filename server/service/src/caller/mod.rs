@@ -8,6 +8,7 @@
 pub mod audit;
 mod context;
 mod lasting;
+mod layers;
 mod operations;
 pub mod rules;
 

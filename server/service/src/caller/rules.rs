@@ -74,6 +74,12 @@ pub static RULES: &[Rule] = &[
     session("MapsService/OptimiseMap", Write),
     session("MapsService/ExportMap", Read),
 
+    session("LayersService/GetVoxels", Read),
+    session("LayersService/QueryPoints", Read),
+    session("LayersService/CastRays", Read),
+    session("LayersService/CheckBoxes", Read),
+    session("LayersService/GetChanges", Read),
+
     session("SceneService/ListObjects", Read),
     session("SceneService/GetObject", Read),
     session("SceneService/GetSceneGraph", Read),

@@ -91,7 +91,7 @@ pub struct MapFile {
     pub bytes: Vec<u8>,
 }
 
-fn stamp_of(snapshot: &Snapshot) -> Timestamp {
+pub(super) fn stamp_of(snapshot: &Snapshot) -> Timestamp {
     snapshot.pose.as_ref().map(|p| p.stamp).unwrap_or_default()
 }
 

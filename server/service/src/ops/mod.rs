@@ -3,6 +3,7 @@
 pub(crate) mod changes;
 pub mod evaluation;
 pub(crate) mod fleet;
+pub mod layers;
 pub mod maps;
 pub mod navigation;
 pub(crate) mod operations;

@@ -3,6 +3,7 @@
 pub mod evaluation;
 pub mod fleet;
 pub mod geometry;
+pub mod layers;
 pub mod maps;
 pub mod navigation;
 pub mod operations;

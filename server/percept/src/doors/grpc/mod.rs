@@ -3,6 +3,7 @@
 mod calls;
 mod evaluation;
 pub(crate) mod ingest;
+mod layers;
 mod maps;
 mod navigation;
 mod operations;
@@ -110,6 +111,7 @@ pub(crate) async fn serve(api: Api, listener: Listener) {
         .add_service(limited!(v1::sessions_service_server::SessionsServiceServer<Api>))
         .add_service(limited!(v1::sensors_service_server::SensorsServiceServer<Api>))
         .add_service(limited!(v1::maps_service_server::MapsServiceServer<Api>))
+        .add_service(limited!(v1::layers_service_server::LayersServiceServer<Api>))
         .add_service(limited!(v1::scene_service_server::SceneServiceServer<Api>))
         .add_service(limited!(v1::navigation_service_server::NavigationServiceServer<Api>))
         .add_service(limited!(v1::toolbox_kept_clouds_service_server::ToolboxKeptCloudsServiceServer<Api>))

@@ -19,6 +19,7 @@ use prost_reflect::MethodDescriptor;
 use std::pin::pin;
 use tonic::Status;
 use v1::evaluation_service_server::EvaluationService;
+use v1::layers_service_server::LayersService;
 use v1::maps_service_server::MapsService;
 use v1::navigation_service_server::NavigationService;
 use v1::operations_service_server::OperationsService;
@@ -358,6 +359,12 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/sessions/{session_id}/map/loops/{loop_id}/veto", "MapsService/SetLoopVeto", LOOP, unary!(Message set_loop_veto)),
     post("/v1/sessions/{session_id}/map/optimise", "MapsService/OptimiseMap", SOURCE, unary!(Message optimise_map)),
     get("/v1/sessions/{session_id}/map/files/{name}", "MapsService/ExportMap", SOURCE, Kind::File),
+
+    get("/v1/sessions/{session_id}/map/voxels", "LayersService/GetVoxels", SOURCE, parts!(Message get_voxels)),
+    post("/v1/sessions/{session_id}/map/points", "LayersService/QueryPoints", SOURCE, parts!(Message query_points)),
+    post("/v1/sessions/{session_id}/map/rays", "LayersService/CastRays", SOURCE, parts!(Message cast_rays)),
+    post("/v1/sessions/{session_id}/map/boxes", "LayersService/CheckBoxes", SOURCE, parts!(Message check_boxes)),
+    get("/v1/sessions/{session_id}/map/changes", "LayersService/GetChanges", SOURCE, parts!(Message get_changes)),
 
     get("/v1/sessions/{session_id}/objects", "SceneService/ListObjects", SESSION, unary!(Message list_objects)),
     get("/v1/sessions/{session_id}/objects/{object_id}", "SceneService/GetObject", OBJECT, unary!(Message get_object)),
