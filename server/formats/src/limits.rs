@@ -7,7 +7,7 @@ use std::path::Path;
 /// Largest sizes that a decoder accepts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Points of one cloud.
+    /// Points of one cloud, or nodes of one octree.
     pub max_points: u64,
     /// Pixels (or cells) of one image.
     pub max_pixels: u64,
@@ -26,6 +26,11 @@ impl Limits {
     /// `count` as a length, if it is within `max_points`.
     pub(crate) fn points(&self, count: u64) -> Result<usize, FormatError> {
         check("num_points", count, self.max_points)
+    }
+
+    /// `count` nodes as a length, if it is within `max_points`.
+    pub(crate) fn nodes(&self, count: u64) -> Result<usize, FormatError> {
+        check("num_nodes", count, self.max_points)
     }
 
     /// `width * height` as a length, if it is within `max_pixels`.
