@@ -1,13 +1,15 @@
-//! PLY point clouds: ascii and binary of both byte orders in; binary little-endian or ascii out.
+//! PLY point clouds: ascii and binary of both byte orders, in and out; triangle meshes out.
 //!
 //! Source: Turk, "The PLY polygon file format", 1994. Read are the vertices with `x y z`, colour
 //! (`red green blue`), intensity and normals; other properties and elements, lists included, are stepped over.
 
 mod header;
+mod mesh;
 mod read;
 mod write;
 
 pub use header::Encoding;
+pub use mesh::{encode_mesh, write_mesh};
 pub use read::decode;
 pub(crate) use read::{encoding, rows};
 pub use write::{encode, write};
@@ -19,7 +21,7 @@ mod tests {
     use super::*;
     use crate::Limits;
     use nalgebra::{Point3, Vector3};
-    use percept_geometry::PointCloud;
+    use percept_geometry::{PointCloud, TriangleMesh};
     use proptest::prelude::*;
 
     fn cloud(n: usize, seed: u32) -> PointCloud {
@@ -119,6 +121,38 @@ mod tests {
         assert!(matches!(error, crate::FormatError::Truncated { needed: 228_000_000, available: 0, .. }), "{error}");
         let error = decode(text(u64::MAX).as_bytes(), &Limits::default()).unwrap_err();
         assert!(matches!(error, crate::FormatError::TooLarge { field: "num_points", .. }), "{error}");
+    }
+
+    fn tetrahedron() -> TriangleMesh {
+        let positions =
+            [[0.0, 0.0, 0.0], [1.5, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1e-9]].map(Point3::from).to_vec();
+        let (normals, colors) = (vec![Vector3::z(); 4], vec![[1, 2, 3], [4, 5, 6], [7, 8, 9], [255, 0, 10]]);
+        TriangleMesh::new(positions, normals, colors, vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]).unwrap()
+    }
+
+    #[test]
+    fn a_mesh_is_its_vertices_and_then_its_faces() {
+        let mesh = tetrahedron();
+        for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian] {
+            let bytes = encode_mesh(&mesh, encoding).unwrap();
+            let cloud = decode(&bytes, &Limits::default()).unwrap();
+            assert_eq!(cloud.positions, mesh.positions);
+            assert_eq!((cloud.normals, cloud.colors), (Some(mesh.normals.clone()), Some(mesh.colors.clone())));
+            let last: &[u8] = match encoding {
+                Encoding::Ascii => b"\n3 1 2 3\n",
+                Encoding::BinaryLittleEndian => &[3, 1, 0, 0, 0, 2, 0, 0, 0, 3, 0, 0, 0],
+                Encoding::BinaryBigEndian => &[3, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 3],
+            };
+            assert!(bytes.ends_with(last), "{encoding:?}");
+        }
+        let bare = TriangleMesh { normals: vec![], colors: vec![], ..mesh.clone() };
+        let text = String::from_utf8(encode_mesh(&bare, Encoding::Ascii).unwrap()).unwrap();
+        assert!(
+            text.ends_with("end_header\n0 0 0\n1.5 0 0\n0 1 0\n0 0 -0.000000001\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n")
+        );
+        let empty = encode_mesh(&TriangleMesh::default(), Encoding::Ascii).unwrap();
+        assert!(String::from_utf8(empty).unwrap().contains("element vertex 0\n"));
+        assert!(encode_mesh(&TriangleMesh { triangles: vec![[4; 3]], ..mesh }, Encoding::Ascii).is_err());
     }
 
     #[test]

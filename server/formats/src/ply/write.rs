@@ -24,12 +24,7 @@ pub fn encode(cloud: &PointCloud, encoding: Encoding) -> Result<Vec<u8>, FormatE
 /// `Geometry` if a channel has another length than the positions; `Write` if the writer refuses.
 pub fn write(out: &mut impl Write, cloud: &PointCloud, encoding: Encoding) -> Result<(), FormatError> {
     cloud.validate()?;
-    let name = match encoding {
-        Encoding::Ascii => "ascii",
-        Encoding::BinaryLittleEndian => "binary_little_endian",
-        Encoding::BinaryBigEndian => "binary_big_endian",
-    };
-    write!(out, "ply\nformat {name} 1.0\nelement vertex {}\n", cloud.len())?;
+    write!(out, "ply\nformat {} 1.0\nelement vertex {}\n", encoding_name(encoding), cloud.len())?;
     write_properties(out, "float", &["x", "y", "z"])?;
     if cloud.colors.is_some() {
         write_properties(out, "uchar", &["red", "green", "blue"])?;
@@ -53,24 +48,34 @@ pub fn write(out: &mut impl Write, cloud: &PointCloud, encoding: Encoding) -> Re
     Ok(())
 }
 
-fn write_properties(out: &mut impl Write, kind: &str, names: &[&str]) -> Result<(), FormatError> {
+pub(super) fn encoding_name(encoding: Encoding) -> &'static str {
+    match encoding {
+        Encoding::Ascii => "ascii",
+        Encoding::BinaryLittleEndian => "binary_little_endian",
+        Encoding::BinaryBigEndian => "binary_big_endian",
+    }
+}
+
+pub(super) fn write_properties(out: &mut impl Write, kind: &str, names: &[&str]) -> Result<(), FormatError> {
     for name in names {
         writeln!(out, "property {kind} {name}")?;
     }
     Ok(())
 }
 
-fn append_row(row: &mut Vec<u8>, cloud: &PointCloud, i: usize, encoding: Encoding) {
-    let floats = |row: &mut Vec<u8>, values: &[f32]| {
-        for v in values {
-            match encoding {
-                Encoding::Ascii => row.extend(format!("{v} ").bytes()),
-                Encoding::BinaryLittleEndian => row.extend(v.to_le_bytes()),
-                Encoding::BinaryBigEndian => row.extend(v.to_be_bytes()),
-            }
+/// Numbers as they stand in a row, each followed by a space if it is a text.
+pub(super) fn append_floats(row: &mut Vec<u8>, values: &[f32], encoding: Encoding) {
+    for v in values {
+        match encoding {
+            Encoding::Ascii => row.extend(format!("{v} ").bytes()),
+            Encoding::BinaryLittleEndian => row.extend(v.to_le_bytes()),
+            Encoding::BinaryBigEndian => row.extend(v.to_be_bytes()),
         }
-    };
-    floats(row, cloud.positions[i].coords.as_slice());
+    }
+}
+
+fn append_row(row: &mut Vec<u8>, cloud: &PointCloud, i: usize, encoding: Encoding) {
+    append_floats(row, cloud.positions[i].coords.as_slice(), encoding);
     if let Some(colors) = &cloud.colors {
         match encoding {
             Encoding::Ascii => colors[i].iter().for_each(|c| row.extend(format!("{c} ").bytes())),
@@ -78,13 +83,13 @@ fn append_row(row: &mut Vec<u8>, cloud: &PointCloud, i: usize, encoding: Encodin
         }
     }
     if let Some(intensities) = &cloud.intensities {
-        floats(row, &intensities[i..=i]);
+        append_floats(row, &intensities[i..=i], encoding);
     }
     if let Some(normals) = &cloud.normals {
-        floats(row, normals[i].as_slice());
+        append_floats(row, normals[i].as_slice(), encoding);
     }
     if let Some(times) = &cloud.time_offsets_s {
-        floats(row, &times[i..=i]);
+        append_floats(row, &times[i..=i], encoding);
     }
     if encoding == Encoding::Ascii {
         row.pop();
