@@ -23,6 +23,21 @@ pub struct Gray16 {
     pub data: Vec<u16>,
 }
 
+/// A PNG as shades of its channels.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Shades {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    /// The largest value of a sample.
+    pub(crate) white: u16,
+    /// Samples of a pixel.
+    pub(crate) channels: usize,
+    /// Whether the last channel is opacity.
+    pub(crate) has_alpha: bool,
+    /// `H x W x channels` samples, row-major.
+    pub(crate) data: Vec<u16>,
+}
+
 fn image_error(format: &'static str) -> impl Fn(image::ImageError) -> FormatError {
     move |error| FormatError::Image { format, reason: error.to_string() }
 }
@@ -90,6 +105,21 @@ pub fn decode_gray16(bytes: &[u8], limits: &Limits) -> Result<Gray16, FormatErro
             supported: "grey of 8 or 16 bits",
         }),
     }
+}
+
+/// A PNG of any colour type, grey or not, with all of its channels.
+pub(crate) fn decode_png_shades(bytes: &[u8], limits: &Limits) -> Result<Shades, FormatError> {
+    let (decoder, width, height) = open_png(bytes, limits)?;
+    let color_type = decoder.color_type();
+    let (channels, has_alpha) = (usize::from(color_type.channel_count()), color_type.has_alpha());
+    let has_two_bytes = usize::from(color_type.bytes_per_pixel()) == 2 * channels;
+    let samples = pixels(decoder, "PNG", limits)?;
+    let (white, data) = if has_two_bytes {
+        (u16::MAX, samples.as_chunks::<2>().0.iter().map(|&b| u16::from_ne_bytes(b)).collect())
+    } else {
+        (255, samples.into_iter().map(u16::from).collect())
+    };
+    Ok(Shades { width, height, white, channels, has_alpha, data })
 }
 
 /// A depth image from a 16-bit grey PNG; 0 and 65535 are 'no return'.
@@ -230,6 +260,11 @@ pub fn encode_rgb_png(image: &RgbImage) -> Result<Vec<u8>, FormatError> {
 /// `Image` if the image has no pixels.
 pub fn encode_gray_png(image: &GrayImage) -> Result<Vec<u8>, FormatError> {
     encode_png(image.width(), image.height(), ExtendedColorType::L8, image.data())
+}
+
+/// An 8-bit PNG of pairs of grey and opacity.
+pub(crate) fn encode_png_la8(width: usize, height: usize, pairs: &[u8]) -> Result<Vec<u8>, FormatError> {
+    encode_png(width, height, ExtendedColorType::La8, pairs)
 }
 
 /// A 16-bit grey PNG of a depth image, rounded to units of `metres_per_unit`; what exceeds 65534 units

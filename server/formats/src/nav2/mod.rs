@@ -1,9 +1,10 @@
 //! Occupancy grids as nav2's and ROS 1's `map_server` keep them: an image and a YAML file beside it.
 //!
-//! Source: the documentation of nav2's map server. Pixels are darker where occupied; the image's first row
-//! is the one with the largest y.
+//! Source: the documentation of nav2's map server, and for rounding and transparency what its `map_io` does. Pixels are
+//! darker where occupied; the image's first row is the one with the largest y.
 
 mod image;
+mod turned;
 mod yaml;
 
 use crate::{FormatError, Limits};
@@ -11,8 +12,8 @@ use nalgebra::Point2;
 use percept_geometry::GridGeometry;
 use std::path::Path;
 
-pub use image::{decode, write_pgm};
-pub use yaml::{parse_yaml, write_yaml};
+pub use image::{ImageKind, decode, encode_image, write_pgm};
+pub use yaml::{parse_yaml, write_yaml, write_yaml_of};
 
 const FORMAT: &str = "nav2 map";
 
@@ -34,7 +35,7 @@ pub struct GridMap {
 pub enum Mode {
     /// Free, occupied or unknown.
     Trinary,
-    /// Unknown becomes a share between 1 and 99.
+    /// Between the thresholds a share from 0 to 100; transparent is unknown.
     Scale,
     /// The pixel's value is the cell's; above 100 is unknown.
     Raw,
@@ -49,6 +50,8 @@ pub struct MapYaml {
     pub resolution_m: f64,
     /// Lower-left corner of the map, metres.
     pub origin: Point2<f64>,
+    /// How far the map is turned about that corner, radians, counter-clockwise.
+    pub yaw_rad: f64,
     /// Whether light means occupied.
     pub negate: bool,
     /// Occupancy above this is occupied, 0..1.
@@ -70,57 +73,4 @@ pub fn read(yaml_path: &Path, limits: &Limits) -> Result<GridMap, FormatError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn round_trip(map: &GridMap) -> GridMap {
-        let (mut image, mut yaml) = (vec![], vec![]);
-        write_pgm(&mut image, map).unwrap();
-        write_yaml(&mut yaml, &map.geometry, "map.pgm").unwrap();
-        decode(&parse_yaml(&yaml).unwrap(), &image, &Limits::default()).unwrap()
-    }
-
-    #[test]
-    fn a_map_survives_and_its_first_image_row_is_the_highest_y() {
-        let geometry = GridGeometry::new(0.05, Point2::new(-1.23456789, 2.5e-7));
-        let map = GridMap { geometry, width: 3, height: 2, cells: vec![0, 100, -1, -1, -1, 0] };
-        assert_eq!(round_trip(&map), map);
-        let mut image = vec![];
-        write_pgm(&mut image, &map).unwrap();
-        assert!(image.ends_with(&[205, 205, 254, 254, 0, 205]));
-        let graded = GridMap { cells: vec![10, 70, 50, -1, 25, 65], ..map };
-        assert_eq!(round_trip(&graded).cells, [0, 100, -1, -1, 0, 100]);
-    }
-
-    #[test]
-    fn pixels_mean_what_map_server_says() {
-        let yaml = |text: &str| {
-            parse_yaml(
-                format!("image: \"a b.pgm\" # x\nresolution: 0.1\norigin:\n  - -1\n  - 2.5\n  - 0\n{text}").as_bytes(),
-            )
-            .unwrap()
-        };
-        let image = b"P5 4 1 255 \x00\xcd\xfe\x80";
-        let cells = |text: &str| decode(&yaml(text), image, &Limits::default()).unwrap().cells;
-        assert_eq!(yaml("").image, "a b.pgm");
-        assert_eq!(yaml("").origin, Point2::new(-1.0, 2.5));
-        assert_eq!(cells("free_thresh: 0.196\n"), [100, -1, 0, -1]);
-        assert_eq!(cells("free_thresh: 0.25\n"), [100, 0, 0, -1]);
-        assert_eq!(cells("negate: 1\nfree_thresh: 0.196\n"), [0, 100, 100, -1]);
-        assert_eq!(cells("mode: raw\n"), [0, -1, -1, -1]);
-        assert_eq!(cells("mode: scale\nfree_thresh: 0.196\n"), [100, 1, 0, 66]);
-    }
-
-    #[test]
-    fn bad_yaml_is_named() {
-        let error = |text: &str| parse_yaml(text.as_bytes()).unwrap_err().to_string();
-        assert_eq!(error("image: a\norigin: [0, 0, 0]\n"), "nav2 map: resolution is missing");
-        assert_eq!(
-            error("image: a\nresolution: five\n"),
-            "nav2 map, line 2: resolution is 'five', expected a finite number"
-        );
-        assert!(error("image: a\nresolution: 0.1\norigin: [0, 0, 1.57]\n").contains("yaw"));
-        assert!(error("image: a\nresolution: 0.1\norigin: [0, 0]\n").contains("[x, y, yaw]"));
-        assert!(error("image: a\nresolution: -0.1\norigin: [0, 0, 0]\n").contains("positive"));
-    }
-}
+mod tests;
