@@ -11,6 +11,7 @@ mod clouds;
 pub mod dataset;
 mod error;
 pub mod g2o;
+pub mod geotiff;
 pub mod gltf;
 pub mod images;
 pub mod kitti;

@@ -1,6 +1,6 @@
 //! Occupancy grids of nav2: the YAML, a zero byte, the PGM or PNG.
 #![no_main]
-use percept_formats::{Limits, nav2, pgm};
+use percept_formats::{Limits, geotiff, nav2, pgm};
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let limits = Limits { max_pixels: 1 << 20, ..Limits::default() };
@@ -10,6 +10,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
         if let Ok(map) = nav2::decode(&yaml, &bytes[(end + 1).min(bytes.len())..], &limits) {
             assert_eq!(map.cells.len(), map.width * map.height);
             assert!(map.cells.iter().all(|c| (-1..=100).contains(c)));
+            assert!(geotiff::encode(&map, "map").is_ok() != map.cells.is_empty());
         }
     }
 });

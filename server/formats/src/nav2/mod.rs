@@ -13,6 +13,7 @@ use percept_geometry::GridGeometry;
 use std::path::Path;
 
 pub use image::{ImageKind, decode, encode_image, write_pgm};
+pub(crate) use image::{check_cells, rows_from_above};
 pub use yaml::{parse_yaml, write_yaml, write_yaml_of};
 
 const FORMAT: &str = "nav2 map";
