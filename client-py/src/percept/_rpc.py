@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 from google.protobuf.message import Message
 
 from .v1 import evaluation_service_pb2 as evaluation
+from .v1 import layers_service_pb2 as layers
 from .v1 import maps_service_pb2 as maps
 from .v1 import navigation_service_pb2 as navigation
 from .v1 import operations_service_pb2 as operations
@@ -93,6 +94,13 @@ EXPORT_MAP = Rpc(_M, "ExportMap", maps.ExportMapRequest, maps.ExportMapResponse)
 LIST_LOOPS = Rpc(_M, "ListLoops", maps.ListLoopsRequest, maps.ListLoopsResponse)
 OPTIMISE_MAP = Rpc(_M, "OptimiseMap", maps.OptimiseMapRequest, maps.OptimiseMapResponse)
 SET_LOOP_VETO = Rpc(_M, "SetLoopVeto", maps.SetLoopVetoRequest, maps.SetLoopVetoResponse)
+
+_Y = "LayersService"
+GET_VOXELS = Rpc(_Y, "GetVoxels", layers.GetVoxelsRequest, layers.GetVoxelsResponse, in_parts=True)
+QUERY_POINTS = Rpc(_Y, "QueryPoints", layers.QueryPointsRequest, layers.QueryPointsResponse, in_parts=True)
+CAST_RAYS = Rpc(_Y, "CastRays", layers.CastRaysRequest, layers.CastRaysResponse, in_parts=True)
+CHECK_BOXES = Rpc(_Y, "CheckBoxes", layers.CheckBoxesRequest, layers.CheckBoxesResponse, in_parts=True)
+GET_CHANGES = Rpc(_Y, "GetChanges", layers.GetChangesRequest, layers.GetChangesResponse, in_parts=True)
 
 _C = "SceneService"
 LIST_OBJECTS = Rpc(_C, "ListObjects", scene.ListObjectsRequest, scene.ListObjectsResponse)

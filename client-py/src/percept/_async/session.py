@@ -22,6 +22,7 @@ from ..types.sessions import (
     Transform,
 )
 from .bound import AsyncBound, AsyncSessionBound
+from .layers import AsyncSpace
 from .maps import AsyncMaps
 from .scene import AsyncScene
 from .sensors import AsyncSensors
@@ -50,6 +51,11 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
     def map(self) -> AsyncMaps:
         """Its live map."""
         return AsyncMaps(self._transport, self.session_id)
+
+    @property
+    def space(self) -> AsyncSpace:
+        """The space that the map is of: points, rays, boxes, voxels."""
+        return AsyncSpace(self._transport, self.session_id)
 
     @property
     def scene(self) -> AsyncScene:

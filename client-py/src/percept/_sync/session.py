@@ -23,6 +23,7 @@ from ..types.sessions import (
     Transform,
 )
 from .bound import Bound, SessionBound
+from .layers import Space
 from .maps import Maps
 from .scene import Scene
 from .sensors import Sensors
@@ -51,6 +52,11 @@ class Session(SessionBound, FrameSender[FrameResult]):
     def map(self) -> Maps:
         """Its live map."""
         return Maps(self._transport, self.session_id)
+
+    @property
+    def space(self) -> Space:
+        """The space that the map is of: points, rays, boxes, voxels."""
+        return Space(self._transport, self.session_id)
 
     @property
     def scene(self) -> Scene:

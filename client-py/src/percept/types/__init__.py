@@ -44,6 +44,15 @@ from .images import (
     TwoViewModel,
     TwoViewOutcome,
 )
+from .layers import (
+    BoxAnswers,
+    MapChanges,
+    MapLayer,
+    PointAnswers,
+    RayAnswers,
+    SpaceState,
+    Voxels,
+)
 from .maps import (
     GridGeometry,
     Loop,
@@ -168,6 +177,7 @@ from .toolbox import (
 )
 
 __all__ = [
+    "BoxAnswers",
     "Boxes",
     "CameraFrame",
     "CameraIntrinsics",
@@ -220,12 +230,14 @@ __all__ = [
     "LoopVeto",
     "LostReason",
     "MapChanged",
+    "MapChanges",
     "MapCloud",
     "MapFile",
     "MapFormat",
+    "MapLayer",
+    "MapMemory",
     "MapOptimised",
     "MapStamp",
-    "MapMemory",
     "MapSummary",
     "Navigation",
     "Neighbours",
@@ -252,6 +264,7 @@ __all__ = [
     "PlaneRemainder",
     "PlaneSegment",
     "PnpEstimate",
+    "PointAnswers",
     "PointCloud",
     "Pose",
     "PoseAt",
@@ -259,6 +272,7 @@ __all__ = [
     "PosePairs",
     "PosedView",
     "Ransac",
+    "RayAnswers",
     "Region",
     "Registration",
     "RegistrationMethod",
@@ -292,6 +306,7 @@ __all__ = [
     "SessionUpdated",
     "Shape",
     "ShapeFeatures",
+    "SpaceState",
     "Step",
     "StepResult",
     "StreamSummary",
@@ -309,5 +324,6 @@ __all__ = [
     "TwoViewEstimate",
     "TwoViewModel",
     "TwoViewOutcome",
+    "Voxels",
     "WaitingFor",
 ]

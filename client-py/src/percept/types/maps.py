@@ -165,6 +165,20 @@ class MapFormat(Name):
     NAV2_YAML = "nav2_yaml"
     CLOUD_PLY = "cloud_ply"
     CLOUD_PCD = "cloud_pcd"
+    #: The same, LAS 1.4.
+    CLOUD_LAS = "cloud_las"
+    #: The same, LAZ.
+    CLOUD_LAZ = "cloud_laz"
+    #: The same as points of a binary glTF 2.0, y up.
+    CLOUD_GLB = "cloud_glb"
+    #: Voxels as OctoMap's binary octree: free or occupied.
+    VOXELS_BT = "voxels_bt"
+    #: Voxels as OctoMap's octree with log-odds.
+    VOXELS_OT = "voxels_ot"
+    #: Occupancy as GeoTIFF in local coordinates: 0 to 100 percent, 255 unknown.
+    OCCUPANCY_TIFF = "occupancy_tiff"
+    #: World file that says where OCCUPANCY_PNG lies.
+    OCCUPANCY_PGW = "occupancy_pgw"
     TRAJECTORY_TUM = "trajectory_tum"
     OVERVIEW_PNG = "overview_png"
     CLOUD_TOP_PNG = "cloud_top_png"

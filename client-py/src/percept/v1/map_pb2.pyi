@@ -71,6 +71,20 @@ class _MapFormatEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_MapFormat.V
     """Picture: top view of the cloud."""
     MAP_FORMAT_CLOUD_PCD: _MapFormat.ValueType  # 8
     """Coloured cloud, binary PCD."""
+    MAP_FORMAT_CLOUD_LAS: _MapFormat.ValueType  # 9
+    """Coloured cloud, LAS 1.4."""
+    MAP_FORMAT_CLOUD_LAZ: _MapFormat.ValueType  # 10
+    """The same compressed: LAZ."""
+    MAP_FORMAT_CLOUD_GLB: _MapFormat.ValueType  # 11
+    """Coloured cloud as points of a binary glTF 2.0, y up."""
+    MAP_FORMAT_VOXELS_BT: _MapFormat.ValueType  # 12
+    """Voxels as OctoMap's binary octree: free or occupied."""
+    MAP_FORMAT_VOXELS_OT: _MapFormat.ValueType  # 13
+    """Voxels as OctoMap's octree with log-odds."""
+    MAP_FORMAT_OCCUPANCY_TIFF: _MapFormat.ValueType  # 14
+    """Occupancy as GeoTIFF in local coordinates: 0 to 100 percent, 255 unknown."""
+    MAP_FORMAT_OCCUPANCY_PGW: _MapFormat.ValueType  # 15
+    """World file that says where OCCUPANCY_PNG lies."""
 
 class MapFormat(_MapFormat, metaclass=_MapFormatEnumTypeWrapper):
     """Files that a map can be read as."""
@@ -92,6 +106,20 @@ MAP_FORMAT_CLOUD_TOP_PNG: MapFormat.ValueType  # 7
 """Picture: top view of the cloud."""
 MAP_FORMAT_CLOUD_PCD: MapFormat.ValueType  # 8
 """Coloured cloud, binary PCD."""
+MAP_FORMAT_CLOUD_LAS: MapFormat.ValueType  # 9
+"""Coloured cloud, LAS 1.4."""
+MAP_FORMAT_CLOUD_LAZ: MapFormat.ValueType  # 10
+"""The same compressed: LAZ."""
+MAP_FORMAT_CLOUD_GLB: MapFormat.ValueType  # 11
+"""Coloured cloud as points of a binary glTF 2.0, y up."""
+MAP_FORMAT_VOXELS_BT: MapFormat.ValueType  # 12
+"""Voxels as OctoMap's binary octree: free or occupied."""
+MAP_FORMAT_VOXELS_OT: MapFormat.ValueType  # 13
+"""Voxels as OctoMap's octree with log-odds."""
+MAP_FORMAT_OCCUPANCY_TIFF: MapFormat.ValueType  # 14
+"""Occupancy as GeoTIFF in local coordinates: 0 to 100 percent, 255 unknown."""
+MAP_FORMAT_OCCUPANCY_PGW: MapFormat.ValueType  # 15
+"""World file that says where OCCUPANCY_PNG lies."""
 Global___MapFormat: _TypeAlias = MapFormat  # noqa: Y015
 
 @_typing.final

@@ -734,6 +734,7 @@ class MapParams(_message.Message):
 
     OCCUPANCY_FIELD_NUMBER: _builtins.int
     CLOUD_FIELD_NUMBER: _builtins.int
+    VOXELS_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def occupancy(self) -> Global___OccupancyParams:
         """The 2D grid."""
@@ -742,15 +743,20 @@ class MapParams(_message.Message):
     def cloud(self) -> Global___CloudParams:
         """The fused cloud."""
 
+    @_builtins.property
+    def voxels(self) -> Global___VoxelParams:
+        """Occupancy in three dimensions."""
+
     def __init__(
         self,
         *,
         occupancy: Global___OccupancyParams | None = ...,
         cloud: Global___CloudParams | None = ...,
+        voxels: Global___VoxelParams | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "occupancy", b"occupancy"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "occupancy", b"occupancy", "voxels", b"voxels"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "occupancy", b"occupancy"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "occupancy", b"occupancy", "voxels", b"voxels"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -931,6 +937,91 @@ class CloudParams(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
 
 Global___CloudParams: _TypeAlias = CloudParams  # noqa: Y015
+
+@_typing.final
+class VoxelParams(_message.Message):
+    """Parameters of VoxelGrid(super::VoxelGrid)."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ENABLED_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    HIT_LOG_ODDS_FIELD_NUMBER: _builtins.int
+    FREE_LOG_ODDS_FIELD_NUMBER: _builtins.int
+    MIN_LOG_ODDS_FIELD_NUMBER: _builtins.int
+    MAX_LOG_ODDS_FIELD_NUMBER: _builtins.int
+    RANGE_MIN_M_FIELD_NUMBER: _builtins.int
+    RANGE_MAX_M_FIELD_NUMBER: _builtins.int
+    enabled: _builtins.bool
+    """Whether the map has this layer: if not, it takes nothing."""
+    voxel_size_m: _builtins.float
+    """Edge of a voxel, metres; 0.01 to 10."""
+    hit_log_odds: _builtins.float
+    """Log-odds added to a voxel in which a beam ended; 0.05 to 6, in steps of 0.05 like all log-odds here. Default:
+    probability 0.7 (Hornung et al., "OctoMap", 2013).
+    """
+    free_log_odds: _builtins.float
+    """Log-odds added to a voxel that a beam passed; -6 to -0.05. Default: probability 0.4 (OctoMap)."""
+    min_log_odds: _builtins.float
+    """Smallest log-odds that a voxel keeps; -6 to -0.05. Default: probability 0.12 (OctoMap)."""
+    max_log_odds: _builtins.float
+    """Largest log-odds that a voxel keeps; 0.05 to 6. Default: probability 0.97 (OctoMap)."""
+    range_min_m: _builtins.float
+    """Returns nearer than this to the sensor say nothing, metres."""
+    range_max_m: _builtins.float
+    """Returns beyond this only free the voxels up to it, metres; at most 640 voxels. Absent: as far as the sensor
+    sees, to 30 m or 640 voxels at most.
+    """
+    def __init__(
+        self,
+        *,
+        enabled: _builtins.bool | None = ...,
+        voxel_size_m: _builtins.float | None = ...,
+        hit_log_odds: _builtins.float | None = ...,
+        free_log_odds: _builtins.float | None = ...,
+        min_log_odds: _builtins.float | None = ...,
+        max_log_odds: _builtins.float | None = ...,
+        range_min_m: _builtins.float | None = ...,
+        range_max_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_free_log_odds", b"_free_log_odds", "_hit_log_odds", b"_hit_log_odds", "_max_log_odds", b"_max_log_odds", "_min_log_odds", b"_min_log_odds", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_voxel_size_m", b"_voxel_size_m", "enabled", b"enabled", "free_log_odds", b"free_log_odds", "hit_log_odds", b"hit_log_odds", "max_log_odds", b"max_log_odds", "min_log_odds", b"min_log_odds", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_free_log_odds", b"_free_log_odds", "_hit_log_odds", b"_hit_log_odds", "_max_log_odds", b"_max_log_odds", "_min_log_odds", b"_min_log_odds", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_voxel_size_m", b"_voxel_size_m", "enabled", b"enabled", "free_log_odds", b"free_log_odds", "hit_log_odds", b"hit_log_odds", "max_log_odds", b"max_log_odds", "min_log_odds", b"min_log_odds", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__enabled: _TypeAlias = _typing.Literal["enabled"]  # noqa: Y015
+    _WhichOneofArgType__enabled: _TypeAlias = _typing.Literal["_enabled", b"_enabled"]  # noqa: Y015
+    _WhichOneofReturnType__free_log_odds: _TypeAlias = _typing.Literal["free_log_odds"]  # noqa: Y015
+    _WhichOneofArgType__free_log_odds: _TypeAlias = _typing.Literal["_free_log_odds", b"_free_log_odds"]  # noqa: Y015
+    _WhichOneofReturnType__hit_log_odds: _TypeAlias = _typing.Literal["hit_log_odds"]  # noqa: Y015
+    _WhichOneofArgType__hit_log_odds: _TypeAlias = _typing.Literal["_hit_log_odds", b"_hit_log_odds"]  # noqa: Y015
+    _WhichOneofReturnType__max_log_odds: _TypeAlias = _typing.Literal["max_log_odds"]  # noqa: Y015
+    _WhichOneofArgType__max_log_odds: _TypeAlias = _typing.Literal["_max_log_odds", b"_max_log_odds"]  # noqa: Y015
+    _WhichOneofReturnType__min_log_odds: _TypeAlias = _typing.Literal["min_log_odds"]  # noqa: Y015
+    _WhichOneofArgType__min_log_odds: _TypeAlias = _typing.Literal["_min_log_odds", b"_min_log_odds"]  # noqa: Y015
+    _WhichOneofReturnType__range_max_m: _TypeAlias = _typing.Literal["range_max_m"]  # noqa: Y015
+    _WhichOneofArgType__range_max_m: _TypeAlias = _typing.Literal["_range_max_m", b"_range_max_m"]  # noqa: Y015
+    _WhichOneofReturnType__range_min_m: _TypeAlias = _typing.Literal["range_min_m"]  # noqa: Y015
+    _WhichOneofArgType__range_min_m: _TypeAlias = _typing.Literal["_range_min_m", b"_range_min_m"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__enabled) -> _WhichOneofReturnType__enabled | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__free_log_odds) -> _WhichOneofReturnType__free_log_odds | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__hit_log_odds) -> _WhichOneofReturnType__hit_log_odds | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_log_odds) -> _WhichOneofReturnType__max_log_odds | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_log_odds) -> _WhichOneofReturnType__min_log_odds | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_max_m) -> _WhichOneofReturnType__range_max_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_min_m) -> _WhichOneofReturnType__range_min_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
+
+Global___VoxelParams: _TypeAlias = VoxelParams  # noqa: Y015
 
 @_typing.final
 class DetectionSettings(_message.Message):

@@ -246,7 +246,7 @@ fn changed<L: Layer>(layer: &Composed<L>, since_version: u64) -> Vec<(Point2<f64
     layer.changed_since(since_version).map(|(x, y)| (corner(x, y), corner(x + 1, y + 1))).collect()
 }
 
-fn need_voxels(layers: &MapLayers) -> Result<()> {
+pub(super) fn need_voxels(layers: &MapLayers) -> Result<()> {
     if layers.voxels.params().enabled {
         return Ok(());
     }
@@ -267,7 +267,7 @@ fn too_far(field: &str) -> Error {
     Error::invalid(reason::REGION_TOO_FAR, field, message)
 }
 
-fn too_many_voxels(e: &MappingError) -> Error {
+pub(super) fn too_many_voxels(e: &MappingError) -> Error {
     let MappingError::RegionTooLarge { cells, limit } = e else { return Error::internal(e) };
     let message =
         format!("the answer would have {cells} voxels and more, the limit is {limit}; ask for a smaller region");

@@ -6,8 +6,8 @@ use crate::reason;
 use crate::session::command::{Moved, Vetoed};
 use crate::{Error, Progress, Result, Service, Session, check_id};
 use nalgebra::{Point2, Point3};
-use percept_formats::{GridMap, nav2, pcd, ply, trajectory};
-use percept_geometry::{Cell, GridGeometry, PointCloud, Stamped, Timestamp};
+use percept_formats::{GridMap, OctreeLeaf, OctreeMap, geotiff, gltf, las, nav2, octomap, pcd, ply, trajectory};
+use percept_geometry::{Aabb3, Cell, GridGeometry, PointCloud, Stamped, Timestamp, Voxel};
 use percept_mapping::{Occupancy, SubmapId};
 use percept_pipeline::{Loop, LoopId, SessionMemory, Snapshot};
 use std::sync::Arc;
@@ -68,6 +68,20 @@ pub enum MapFormat {
     CloudPly,
     /// Cloud, binary PCD.
     CloudPcd,
+    /// Cloud, LAS.
+    CloudLas,
+    /// Cloud, LAZ.
+    CloudLaz,
+    /// Cloud, binary glTF.
+    CloudGlb,
+    /// Voxels, free or occupied, as OctoMap has them.
+    VoxelsBt,
+    /// Voxels with log-odds, as OctoMap has them.
+    VoxelsOt,
+    /// Occupancy, GeoTIFF.
+    OccupancyTiff,
+    /// Where the picture of the occupancy lies.
+    OccupancyPgw,
     /// Trajectory, TUM text.
     TrajectoryTum,
     /// Occupancy with trajectory and objects.
@@ -386,6 +400,34 @@ fn export_telling(
             let size = cloud.len() * bytes_of_point(&cloud, 4);
             ("pcd", "application/octet-stream", progress.written(Some(size), |out| pcd::write(out, &cloud))?)
         }
+        F::CloudLas | F::CloudLaz => {
+            let cloud = cloud()?;
+            writing()?;
+            let packed = format == F::CloudLaz;
+            let bytes = las::encode(&cloud, [0.0; 3], packed).map_err(Error::internal)?;
+            (if packed { "laz" } else { "las" }, "application/vnd.las", bytes)
+        }
+        F::CloudGlb => {
+            let cloud = cloud()?;
+            writing()?;
+            ("glb", "model/gltf-binary", gltf::encode_cloud(&cloud, "map").map_err(Error::internal)?)
+        }
+        F::VoxelsBt | F::VoxelsOt => {
+            let (octree, is_binary) = (octree(s)?, format == F::VoxelsBt);
+            writing()?;
+            let encoding = if is_binary { octomap::Encoding::Binary } else { octomap::Encoding::Full };
+            let bytes = octomap::encode(&octree, encoding);
+            (if is_binary { "bt" } else { "ot" }, "application/octet-stream", bytes)
+        }
+        F::OccupancyTiff => {
+            let grid = grid()?;
+            writing()?;
+            ("tif", "image/tiff", geotiff::encode(&grid, "map").map_err(Error::internal)?)
+        }
+        F::OccupancyPgw => {
+            let grid = grid()?;
+            ("pgw", "text/plain", geotiff::world_file(&grid.geometry, grid.height).into_bytes())
+        }
         F::TrajectoryTum => {
             writing()?;
             let mut rows = s.trajectory_in_one_unit().map(|(value, e)| (Stamped { stamp: e.stamp, value }, e.tracked));
@@ -407,6 +449,30 @@ fn export_telling(
     };
     let file_name = format!("{name}.{suffix}");
     Ok(MapFile { map_version: s.map_version, stamp: stamp_of(s), file_name, media_type, bytes })
+}
+
+/// Voxels of an octree: what one file may hold.
+const MAX_OCTREE_VOXELS: usize = 16 << 20;
+
+/// The voxels of the map as OctoMap has them.
+fn octree(s: &Snapshot) -> Result<OctreeMap> {
+    let voxels = &s.layers.voxels;
+    super::layers::need_voxels(&s.layers)?;
+    let known = voxels.within(&Aabb3 { min: [-1e9; 3].into(), max: [1e9; 3].into() }, MAX_OCTREE_VOXELS);
+    let known = known.map_err(|e| super::layers::too_many_voxels(&e))?;
+    if known.is_empty() {
+        return Err(map_empty());
+    }
+    // What is as likely free as occupied is free here, and occupied there.
+    let leaf = |(v, log_odds): &(Voxel, f32)| {
+        OctreeLeaf::of_voxel(*v, if *log_odds == 0.0 { -f32::EPSILON } else { *log_odds })
+    };
+    let leaves: Option<Vec<OctreeLeaf>> = known.iter().map(leaf).collect();
+    let leaves = leaves.ok_or_else(|| {
+        let message = "the map reaches beyond the 32768 voxels around its origin that OctoMap's keys number; export a coarser one";
+        Error::exhausted(reason::GRID_TOO_LARGE, "format", message)
+    })?;
+    OctreeMap::new(voxels.params().voxel_size_m, leaves).map_err(Error::internal)
 }
 
 /// What a point takes in a binary file whose colours take so many bytes.

@@ -19,12 +19,19 @@ use v1::operations_service_server::OperationsService;
 use v1::read_operation_result_response::Result as Outcome;
 
 /// Names of files and the formats that they are.
-pub(super) const FILES: [(&str, MapFormat); 8] = [
+pub(super) const FILES: [(&str, MapFormat); 15] = [
     ("occupancy.png", MapFormat::OccupancyPng),
     ("map.pgm", MapFormat::Nav2Pgm),
     ("map.yaml", MapFormat::Nav2Yaml),
     ("cloud.ply", MapFormat::CloudPly),
     ("cloud.pcd", MapFormat::CloudPcd),
+    ("cloud.las", MapFormat::CloudLas),
+    ("cloud.laz", MapFormat::CloudLaz),
+    ("cloud.glb", MapFormat::CloudGlb),
+    ("voxels.bt", MapFormat::VoxelsBt),
+    ("voxels.ot", MapFormat::VoxelsOt),
+    ("occupancy.tif", MapFormat::OccupancyTiff),
+    ("occupancy.pgw", MapFormat::OccupancyPgw),
     ("trajectory.tum", MapFormat::TrajectoryTum),
     ("overview.png", MapFormat::OverviewPng),
     ("cloud.png", MapFormat::CloudTopPng),

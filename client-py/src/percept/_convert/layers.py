@@ -1,0 +1,172 @@
+"""Questions about space, and their answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .. import _rpc
+from .._call import Call
+from ..errors import InvalidArgument
+from ..types.geometry import OrientedBox
+from ..types.layers import (
+    BoxAnswers,
+    MapChanges,
+    MapLayer,
+    PointAnswers,
+    RayAnswers,
+    SpaceState,
+    Voxels,
+)
+from ..types.maps import Region
+from ..v1 import geometry_pb2
+from ..v1 import layers_service_pb2 as service
+from . import geometry, maps, words
+
+
+def _state(number: int) -> SpaceState:
+    return words.word(SpaceState, service.SpaceState, number)
+
+
+def _layer(number: int) -> MapLayer:
+    return words.word(MapLayer, service.MapLayer, number)
+
+
+def _rows(field: str, value: object, columns: int = 3) -> list[list[float]]:
+    """(N, columns) numbers as lists."""
+    try:
+        rows = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        rows = np.empty(0)
+    if rows.ndim != 2 or rows.shape[1] != columns:
+        message = f"{field} has the shape {rows.shape}; give (N, {columns}) numbers"
+        raise InvalidArgument(message, reason="SIZE_MISMATCH", field=field)
+    found: list[list[float]] = rows.tolist()
+    return found
+
+
+def _vectors(field: str, value: object) -> list[geometry_pb2.Vector3]:
+    return [geometry_pb2.Vector3(x=x, y=y, z=z) for x, y, z in _rows(field, value)]
+
+
+def _triples(vectors: Sequence[geometry_pb2.Vector3]) -> list[tuple[float, float, float]]:
+    return [(v.x, v.y, v.z) for v in vectors]
+
+
+def voxels(message: service.GetVoxelsResponse) -> Voxels:
+    """Voxels of their blocks."""
+    keys = np.array([(b.x, b.y, b.z) for b in message.blocks], np.int32).reshape(-1, 3)
+    cells = np.frombuffer(b"".join(b.cells for b in message.blocks), np.int8)
+    return Voxels(
+        keys=keys,
+        cells=cells.reshape(-1, 8, 8, 8),
+        voxel_size_m=message.voxel_size_m,
+        stamp=maps.stamp(message.stamp),
+    )
+
+
+def points(message: service.QueryPointsResponse) -> PointAnswers:
+    """What is at points."""
+    return PointAnswers(
+        states=tuple(_state(p.state) for p in message.points),
+        distances_m=np.array([p.distance_m for p in message.points], np.float64),
+        gradients=np.array(_triples([p.gradient for p in message.points]), np.float64).reshape(-1, 3),
+        max_distance_m=message.max_distance_m,
+        layer=_layer(message.layer),
+        stamp=maps.stamp(message.stamp),
+    )
+
+
+def rays(message: service.CastRaysResponse) -> RayAnswers:
+    """Where rays ended."""
+    return RayAnswers(
+        states=tuple(_state(r.state) for r in message.rays),
+        distances_m=np.array([r.distance_m for r in message.rays], np.float64),
+        points=np.array(_triples([r.point for r in message.rays]), np.float64).reshape(-1, 3),
+        stamp=maps.stamp(message.stamp),
+    )
+
+
+def boxes(message: service.CheckBoxesResponse) -> BoxAnswers:
+    """What is in boxes."""
+    counts = [(b.num_occupied, b.num_free, b.num_unknown) for b in message.boxes]
+    return BoxAnswers(
+        states=tuple(_state(b.state) for b in message.boxes),
+        counts=np.array(counts, np.int64).reshape(-1, 3),
+        stamp=maps.stamp(message.stamp),
+    )
+
+
+def changes(message: service.GetChangesResponse) -> MapChanges:
+    """Where the map changed."""
+    return MapChanges(
+        regions=tuple(Region(r.min.x, r.min.y, r.max.x, r.max.y) for r in message.regions),
+        layer=_layer(message.layer),
+        stamp=maps.stamp(message.stamp),
+    )
+
+
+def get_voxels(
+    session_id: str,
+    low: Sequence[float] | None,
+    high: Sequence[float] | None,
+    occupied_only: bool,
+    since_version: int,
+) -> Call[service.GetVoxelsRequest, service.GetVoxelsResponse, Voxels]:
+    if (low is None) != (high is None):
+        message = "low and high belong together; give both or neither"
+        raise InvalidArgument(message, reason="FIELD_MISSING", field="region")
+    request = service.GetVoxelsRequest(
+        source=maps.source(session_id), occupied_only=occupied_only, since_version=since_version
+    )
+    if low is not None and high is not None:
+        corners = geometry.vector3_to("region.min", low), geometry.vector3_to("region.max", high)
+        request.region.CopyFrom(service.Box3(min=corners[0], max=corners[1]))
+    return Call(_rpc.GET_VOXELS, request, voxels)
+
+
+def query_points(
+    session_id: str, positions: object, layer: MapLayer | str
+) -> Call[service.QueryPointsRequest, service.QueryPointsResponse, PointAnswers]:
+    request = service.QueryPointsRequest(
+        source=maps.source(session_id),
+        points=_vectors("points", positions),
+        layer=words.number("layer", service.MapLayer, layer),
+    )
+    return Call(_rpc.QUERY_POINTS, request, points)
+
+
+def cast_rays(
+    session_id: str, origins: object, directions: object, max_range_m: float, unknown_ends: bool
+) -> Call[service.CastRaysRequest, service.CastRaysResponse, RayAnswers]:
+    starts, ways = _vectors("origins", origins), _vectors("directions", directions)
+    if len(starts) == 1:
+        starts = starts * len(ways)
+    if len(starts) != len(ways):
+        message = f"there are {len(starts)} origins and {len(ways)} directions; give as many, or one origin"
+        raise InvalidArgument(message, reason="SIZE_MISMATCH", field="directions")
+    both = zip(starts, ways, strict=True)
+    asked = [service.SpaceRay(origin=o, direction=d, max_range_m=max_range_m) for o, d in both]
+    request = service.CastRaysRequest(source=maps.source(session_id), rays=asked, unknown_ends=unknown_ends)
+    return Call(_rpc.CAST_RAYS, request, rays)
+
+
+def check_boxes(
+    session_id: str, asked: Sequence[OrientedBox]
+) -> Call[service.CheckBoxesRequest, service.CheckBoxesResponse, BoxAnswers]:
+    request = service.CheckBoxesRequest(
+        source=maps.source(session_id), boxes=[geometry.box_to(b) for b in asked]
+    )
+    return Call(_rpc.CHECK_BOXES, request, boxes)
+
+
+def get_changes(
+    session_id: str, since_version: int, layer: MapLayer | str
+) -> Call[service.GetChangesRequest, service.GetChangesResponse, MapChanges]:
+    request = service.GetChangesRequest(
+        source=maps.source(session_id),
+        layer=words.number("layer", service.MapLayer, layer),
+        since_version=since_version,
+    )
+    return Call(_rpc.GET_CHANGES, request, changes)

@@ -1,0 +1,109 @@
+"""Space: what is at points, in boxes, along rays, in voxels, and where the map changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ._value import Name, Value
+from .geometry import Floats
+from .maps import MapStamp, Region
+
+
+class MapLayer(Name):
+    """A part of the map that can be asked."""
+
+    #: Voxels where the session has them, the grid otherwise.
+    UNSPECIFIED = "unspecified"
+    #: The 2D grid: heights do not count.
+    OCCUPANCY = "occupancy"
+    #: Occupancy in three dimensions.
+    VOXELS = "voxels"
+    #: The fused cloud; changes() only.
+    CLOUD = "cloud"
+
+
+class SpaceState(Name):
+    """What is at a place."""
+
+    UNSPECIFIED = "unspecified"
+    #: No beam has been there.
+    UNKNOWN = "unknown"
+    #: More likely free than not.
+    FREE = "free"
+    #: More likely occupied than not.
+    OCCUPIED = "occupied"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Voxels(Value):
+    """Occupancy in three dimensions: blocks of 8 x 8 x 8 voxels of which something is known."""
+
+    #: Numbers of the blocks along x, y, z, ascending, (N, 3): a block's lowest corner is 8 voxels times it.
+    keys: npt.NDArray[np.int32]
+    #: -1 unknown, 0 to 100 percent occupied, (N, 8, 8, 8) in the order z, y, x.
+    cells: npt.NDArray[np.int8]
+    #: Edge of a voxel, metres.
+    voxel_size_m: float
+    stamp: MapStamp
+
+    def centres(self, *, occupied: bool = True) -> Floats:
+        """Centres of the occupied voxels, or of the free ones, metres, map frame, (M, 3)."""
+        wanted = self.cells > 50 if occupied else (self.cells >= 0) & (self.cells <= 50)
+        block, z, y, x = np.nonzero(wanted)
+        indices = 8 * self.keys[block] + np.stack([x, y, z], axis=1)
+        return (indices + 0.5) * self.voxel_size_m
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PointAnswers(Value):
+    """What is at points, in their order."""
+
+    states: tuple[SpaceState, ...]
+    #: To the surface of the nearest occupied cell or voxel, metres; negative inside of one, (N,).
+    distances_m: Floats
+    #: Direction in which the distance grows, and how fast; zero where nothing is near, (N, 3).
+    gradients: Floats
+    #: Nothing is told to be farther, metres.
+    max_distance_m: float
+    #: The layer that was asked.
+    layer: MapLayer
+    stamp: MapStamp
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RayAnswers(Value):
+    """Where rays ended, in their order."""
+
+    #: OCCUPIED or, if asked for, UNKNOWN: what ended a ray. FREE: nothing within its range.
+    states: tuple[SpaceState, ...]
+    #: From the origin to where it ended, metres, (N,).
+    distances_m: Floats
+    #: Where it ended, metres, map frame, (N, 3).
+    points: Floats
+    stamp: MapStamp
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BoxAnswers(Value):
+    """What is in boxes, in their order."""
+
+    #: OCCUPIED if any voxel is; else UNKNOWN if any is; else FREE.
+    states: tuple[SpaceState, ...]
+    #: Voxels that are occupied, free, unknown, (N, 3).
+    counts: npt.NDArray[np.int64]
+    stamp: MapStamp
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapChanges(Value):
+    """Where the map changed since a version."""
+
+    #: Squares in which something may be otherwise than at that version.
+    regions: tuple[Region, ...]
+    #: The layer that was asked.
+    layer: MapLayer
+    #: Its map_version is the next question's since_version.
+    stamp: MapStamp

@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from percept import (
+    FailedPrecondition,
+    InvalidArgument,
+    OrientedBox,
+    Pose,
+    ResourceExhausted,
+    SpaceState,
+)
+
+from support import world
+
+UNKNOWN, FREE, OCCUPIED = SpaceState.UNKNOWN, SpaceState.FREE, SpaceState.OCCUPIED
+
+
+def at(x, y, z):
+    return [*world.to_map(x, y), z]
+
+
+def test_points_are_free_occupied_or_unknown_and_know_how_far_the_next_wall_is(lidar_session):
+    where = [at(0, 0, 1.0), at(2.98, 0.6, 1.0), at(1.6, 1.0, 0.3), at(0, 0, 9.0), at(2.2, 0.4, 1.5), at(0, 0, 0.5)]
+    found = lidar_session.space.points(where)
+    assert (found.layer, found.stamp.stamp_ns) == ("voxels", world.stamp(world.LIDAR_LAST))
+    assert found.states[:4] == (FREE, OCCUPIED, UNKNOWN, UNKNOWN)
+    assert found.distances_m[3] == found.max_distance_m > 1.8
+    # The wall at x = 3 lies 0.8 m away; the next thing to the point in the middle is the floor.
+    assert abs(found.distances_m[4] - 0.8) < 0.1
+    assert found.gradients[4][0] < -0.8
+    assert abs(found.distances_m[5] - 0.5) < 0.1
+    assert found.gradients[5][2] > 0.8
+
+
+def test_points_of_a_planar_map_are_asked_of_the_grid(laser_session):
+    found = laser_session.space.points([at(0, 0, 1.0), at(2.3, 0.2, 0.0), at(3.5, 0, 0)])
+    assert (found.layer, found.states[0], found.states[2]) == ("occupancy", FREE, UNKNOWN)
+    assert abs(found.distances_m[1] - 0.7) < 0.1
+    assert found.gradients[1][2] == 0
+    assert laser_session.space.points(np.empty((0, 3))).states == ()
+
+
+def test_rays_end_where_the_world_says(lidar_session):
+    origin = np.array([-0.5, 0.2, 1.2])
+    angles = np.linspace(-np.pi, np.pi, 90, endpoint=False)
+    ways = np.stack([np.cos(angles), np.sin(angles), np.full(90, -0.1)], axis=1)
+    true = world.cast(origin, ways) * np.linalg.norm(ways, axis=1)
+    found = lidar_session.space.rays([at(*origin)], ways * 3.0, max_range_m=10.0)
+    assert set(found.states) == {OCCUPIED}
+    off = np.abs(found.distances_m - true)
+    assert np.median(off) < 0.06
+    assert np.quantile(off, 0.9) < 0.3
+    walked = np.linalg.norm(found.points - np.array(at(*origin)), axis=1)
+    assert np.allclose(walked, found.distances_m)
+    short = lidar_session.space.rays([at(*origin)], ways, max_range_m=0.5)
+    assert set(short.states) == {FREE}
+    assert np.all(short.distances_m == 0.5)
+    up = lidar_session.space.rays([at(0, 0, 3.5)], [[0, 0, 1]], max_range_m=2.0, unknown_ends=True)
+    assert (up.states, up.distances_m[0]) == ((UNKNOWN,), 0.0)
+
+
+def box(x, y, z, size):
+    return OrientedBox(t_frame_box=Pose(np.array(at(x, y, z))), size_m=np.full(3, size))
+
+
+def test_boxes_are_free_where_nothing_stands(lidar_session):
+    found = lidar_session.space.boxes([box(0, 0, 1.0, 0.4), box(3.0, 0, 1.0, 0.4), box(0, 0, 9, 0.4), box(0, 0, 1, 0)])
+    assert found.states == (FREE, OCCUPIED, UNKNOWN, FREE)
+    assert (found.counts[0].tolist(), found.counts[3].tolist()) == ([0, 64, 0], [0, 1, 0])
+
+
+def test_voxels_come_whole_in_a_box_and_by_what_changed(lidar_session):
+    space = lidar_session.space
+    whole = space.voxels()
+    assert whole.voxel_size_m == 0.1
+    walls = whole.centres()
+    assert len(walls) > 2000
+    # What is occupied lies where the world has a surface: floor, ceiling, walls or furniture.
+    near = (walls[:, 2] < 0.1) | (walls[:, 2] > 2.4)
+    first = np.array([*world.to_map(0, 0), 0.0])
+    for low, high in [world.ROOM, *world.FURNITURE]:
+        p = walls - first
+        inside = np.all((p > low - 0.1) & (p < high + 0.1), axis=1)
+        near |= inside & np.any((np.abs(p - low) < 0.1) | (np.abs(p - high) < 0.1), axis=1)
+    assert near.mean() > 0.97
+    part = space.voxels(low=at(-1, -1, 0.5), high=at(1, 1, 1.5), occupied_only=False)
+    assert 20 * 20 * 10 * 0.8 < (part.cells >= 0).sum() <= 20 * 20 * 10
+    assert (space.voxels(occupied_only=True).cells > 50).sum() == len(walls)
+    changes = space.changes()
+    assert changes.layer == "voxels"
+    assert len(changes.regions) >= 1
+    later = changes.stamp.map_version
+    assert space.changes(later).regions == ()
+    assert space.voxels(since_version=later).cells.size == 0
+    assert len(space.changes(layer="cloud").regions) >= 1
+
+
+def test_what_cannot_be_answered_is_refused_with_field_and_remedy(lidar_session, laser_session):
+    space = lidar_session.space
+    for ask, error, reason, field in [
+        (lambda: laser_session.space.voxels(), FailedPrecondition, "LAYER_OFF", "layer"),
+        (lambda: laser_session.space.boxes([box(0, 0, 1, 1)]), FailedPrecondition, "LAYER_OFF", "layer"),
+        (lambda: laser_session.map.export("voxels_bt"), FailedPrecondition, "LAYER_OFF", "layer"),
+        (lambda: space.points([[0, 0, 0], [0, float("nan"), 0]]), InvalidArgument, "OUT_OF_RANGE", "points[1]"),
+        (lambda: space.points([[1e300, 0, 0]]), InvalidArgument, "REGION_TOO_FAR", "points[0]"),
+        (lambda: space.points([0, 1, 2]), InvalidArgument, "SIZE_MISMATCH", "points"),
+        (lambda: space.points(np.zeros((100_001, 3))), ResourceExhausted, "TOO_MANY_QUERIES", "points"),
+        (lambda: space.points([[0, 0, 0]], layer="cloud"), InvalidArgument, "ENUM_UNKNOWN", "layer"),
+        (lambda: space.rays([[0, 0, 1]], [[0, 0, 0]], max_range_m=1), InvalidArgument, "OUT_OF_RANGE", "rays[0].direction"),
+        (lambda: space.rays([[0, 0, 1]], [[1, 0, 0]], max_range_m=1e9), InvalidArgument, "OUT_OF_RANGE", "rays[0].max_range_m"),
+        (lambda: space.rays([[0, 0, 1]], [[1, 0, 0]], max_range_m=float("nan")), InvalidArgument, "OUT_OF_RANGE", "rays[0].max_range_m"),
+        (lambda: space.boxes([box(0, 0, 1, 1e6)]), ResourceExhausted, "GRID_TOO_LARGE", "boxes"),
+        (lambda: space.boxes([box(0, 0, 1, -1)]), InvalidArgument, "OUT_OF_RANGE", "boxes[0]"),
+        (lambda: space.voxels(low=[1, 1, 1], high=[0, 2, 2]), InvalidArgument, "REGION_EMPTY", "region"),
+    ]:
+        with pytest.raises(error) as refused:
+            ask()
+        assert (refused.value.reason, refused.value.field) == (reason, field)
+
+
+def test_the_rest_door_answers_the_same(http, lidar_session):
+    def asked(path, body=None):
+        url = f"/v1/sessions/{lidar_session.session_id}/map/{path}"
+        return (http.get(url) if body is None else http.post(url, json=body)).json()
+
+    x, y, z = at(2.2, 0.4, 1.5)
+    point = asked("points", {"points": [{"x": x, "y": y, "z": z}]})
+    ours = lidar_session.space.points([[x, y, z]])
+    assert point["points"][0]["state"] == "SPACE_STATE_FREE"
+    assert point["points"][0]["distance_m"] == ours.distances_m[0]
+    ray = asked("rays", {"rays": [{"origin": {"x": x, "y": y, "z": z}, "direction": {"x": 1}, "max_range_m": 5}]})
+    assert abs(ray["rays"][0]["distance_m"] - 0.8) < 0.11
+    assert len(asked("voxels")["blocks"]) == len(lidar_session.space.voxels().keys)
+    assert asked("changes")["regions"]
+    assert asked("boxes", {"boxes": []})["stamp"]["frame_id"] == "map"
+    assert asked("rays", {"rays": [{"origin": {"x": x}}]})["field"] == "rays[0].direction"
