@@ -12,6 +12,7 @@ pub mod cloud;
 mod composed;
 pub mod distance;
 mod error;
+mod ground;
 mod layer;
 mod layer_slot;
 mod layers;

@@ -1,7 +1,7 @@
 //! What a scan in space says of the floor around: by columns of azimuth, over the ground.
 
-use super::ground::{Ground, Patch};
 use super::marks::{Frame, Heights, Mark, ScanUpdate};
+use crate::ground::{Ground, Patch};
 use nalgebra::{Point2, Point3};
 use percept_geometry::Cell;
 use std::f64::consts::{PI, TAU};

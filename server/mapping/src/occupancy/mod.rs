@@ -9,7 +9,6 @@ mod compose;
 mod dense;
 mod evidence;
 mod grid;
-mod ground;
 mod marks;
 mod params;
 mod read;

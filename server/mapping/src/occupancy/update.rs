@@ -2,8 +2,8 @@
 
 use super::OccupancyParams;
 use super::columns::Columns;
-use super::ground::Ground;
 use super::marks::{Frame, Heights, Mark, ScanUpdate};
+use crate::ground::{Ground, GroundParams};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Cell, GridGeometry, KeyframeScan, Pose};
 
@@ -41,7 +41,9 @@ impl ScanUpdate {
             let hits: Vec<Point3<f64>> = scan.hits.positions.iter().map(in_map).collect();
             let misses: Vec<Point3<f64>> = scan.misses.iter().map(in_map).collect();
             let up = t_map_base * Vector3::z();
-            let ground = Ground::new(params, &sensor, (frame.floor_z, &up), &hits);
+            let (range_min_m, range_max_m) = (params.range_min_m, params.range_max());
+            let of = GroundParams { range_min_m, range_max_m, clearance_m: params.band_max_m };
+            let ground = Ground::new(&of, &sensor, (frame.floor_z, &up), &hits);
             Columns::new(&frame, &ground).mark(&mut update, &hits, &misses);
         }
         update

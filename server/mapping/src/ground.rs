@@ -7,7 +7,6 @@
 //! Source: followed along rays as in Himmelsbach, von Hundelshausen and Wuensche, "Fast segmentation of 3D point clouds for
 //! ground vehicles", 2010; the neighbouring rays speak as well here, and doubt grows with distance.
 
-use super::OccupancyParams;
 use nalgebra::{Point3, Vector2, Vector3};
 use std::f64::consts::{PI, TAU};
 
@@ -42,8 +41,18 @@ const LOWER_M: f64 = 0.2;
 /// Points that say so at least: single ones are mirrored beams.
 const LOWER_POINTS: u32 = 3;
 
+/// Of which returns the ground is made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct GroundParams {
+    /// Returns nearer to the sensor than this, or farther, are none, horizontally, metres.
+    pub(crate) range_min_m: f64,
+    pub(crate) range_max_m: f64,
+    /// What is this far above the lowest around hangs over it, metres.
+    pub(crate) clearance_m: f64,
+}
+
 /// The ground of a scan, in the map's frame.
-pub(super) struct Ground {
+pub(crate) struct Ground {
     /// The ring of each tenth of [`RING_M`] of range, and how many there are.
     ring_at: Vec<u16>,
     rings: usize,
@@ -53,22 +62,22 @@ pub(super) struct Ground {
 
 /// What is known of the ground in a patch.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Patch {
+pub(crate) struct Patch {
     /// Height, and the range at which it is that, metres; how it goes on outward.
     z: f64,
     range: f64,
     slope: f64,
     /// What it may be off by, metres.
-    pub(super) doubt: f64,
+    pub(crate) doubt: f64,
     /// Whether ground was seen there.
-    pub(super) is_seen: bool,
+    pub(crate) is_seen: bool,
     /// Whether there is none where it ought to be.
-    pub(super) is_drop: bool,
+    pub(crate) is_drop: bool,
 }
 
 impl Patch {
     /// Height of the ground at a range, metres.
-    pub(super) fn z_at(&self, range: f64) -> f64 {
+    pub(crate) fn z_at(&self, range: f64) -> f64 {
         self.z + self.slope * (range - self.range)
     }
 }
@@ -130,14 +139,14 @@ impl Ground {
     /// Of points in the map's frame, seen from `sensor` by a robot that stands at height `floor_z` (m) below it, its base upright
     /// along `up`. Who stands on a slope leans with it, and who holds a sensor in the hand as he likes: so ground goes on from there
     /// level or as base lies, whichever it is followed farther by.
-    pub(super) fn new(
-        params: &OccupancyParams,
+    pub(crate) fn new(
+        params: &GroundParams,
         sensor: &Point3<f64>,
         (floor_z, up): (f64, &Vector3<f64>),
         points: &[Point3<f64>],
     ) -> Self {
         let farthest = points.iter().map(|p| (p - sensor).xy().norm()).filter(|r| r.is_finite()).fold(0.0, f64::max);
-        let rings = ring_of(farthest.min(params.range_max())) + 1;
+        let rings = ring_of(farthest.min(params.range_max_m)) + 1;
         let seen = look(sensor, rings, params, points);
         let level = follow(&seen, rings, floor_z, &Vector2::zeros());
         let rise = -up.xy() / up.z.max(1e-3);
@@ -149,7 +158,7 @@ impl Ground {
     }
 
     /// The ground in a direction (radians, from -pi to pi) at a range, metres; beyond what was seen, as the last of it goes on.
-    pub(super) fn at(&self, azimuth: f64, range: f64) -> &Patch {
+    pub(crate) fn at(&self, azimuth: f64, range: f64) -> &Patch {
         let ring =
             self.ring_at.get((range * (10.0 / RING_M)) as usize).map_or(self.rings - 1, |ring| usize::from(*ring));
         &self.patches[ring * SECTORS + sector_of(azimuth)]
@@ -174,12 +183,12 @@ fn middle_of(ring: usize) -> f64 {
     if rest < 0.0 { ring * RING_M } else { even * (1.0 + RING_SHARE).powf(rest) }
 }
 
-fn look(sensor: &Point3<f64>, rings: usize, params: &OccupancyParams, points: &[Point3<f64>]) -> Vec<Seen> {
+fn look(sensor: &Point3<f64>, rings: usize, params: &GroundParams, points: &[Point3<f64>]) -> Vec<Seen> {
     let mut seen = vec![Seen::NOTHING; rings * SECTORS];
     let place = |p: &Point3<f64>| {
         let d = p - sensor;
         let range = d.xy().norm();
-        let is_near = range >= params.range_min_m && range <= params.range_max() && p.z.is_finite();
+        let is_near = range >= params.range_min_m && range <= params.range_max_m && p.z.is_finite();
         let patch = ring_of(range) * SECTORS + sector_of(d.y.atan2(d.x));
         (is_near && patch < rings * SECTORS).then_some((patch as u32, range as f32))
     };
@@ -194,7 +203,7 @@ fn look(sensor: &Point3<f64>, rings: usize, params: &OccupancyParams, points: &[
             seen.sum_z += p.z;
             seen.sum_range += f64::from(*range);
         }
-        if above <= params.band_max_m as f32 {
+        if above <= params.clearance_m as f32 {
             seen.highest = seen.highest.max(p.z as f32);
         }
     }
