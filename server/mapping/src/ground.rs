@@ -58,7 +58,31 @@ pub(crate) struct Ground {
     rings: usize,
     /// Ring by ring.
     patches: Vec<Patch>,
+    /// One a point.
+    places: Vec<Place>,
 }
+
+/// Where a point lies as the sensor sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Place {
+    /// Radians, from -pi to pi.
+    pub(crate) azimuth: f32,
+    /// Horizontally, metres; NaN of a point that is not finite.
+    pub(crate) range: f32,
+    patch: u32,
+}
+
+impl Place {
+    /// Of a point that is no return.
+    pub(crate) fn of(sensor: &Point3<f64>, p: &Point3<f64>) -> Self {
+        let d = p - sensor;
+        let range = if p.z.is_finite() { d.xy().norm() as f32 } else { f32::NAN };
+        Self { azimuth: d.y.atan2(d.x) as f32, range, patch: NO_PATCH }
+    }
+}
+
+/// Of a point that lies in no patch.
+const NO_PATCH: u32 = u32::MAX;
 
 /// What is known of the ground in a patch.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -147,14 +171,14 @@ impl Ground {
     ) -> Self {
         let farthest = points.iter().map(|p| (p - sensor).xy().norm()).filter(|r| r.is_finite()).fold(0.0, f64::max);
         let rings = ring_of(farthest.min(params.range_max_m)) + 1;
-        let seen = look(sensor, rings, params, points);
+        let (places, seen) = look(sensor, rings, params, points);
         let level = follow(&seen, rings, floor_z, &Vector2::zeros());
         let rise = -up.xy() / up.z.max(1e-3);
         let leans = (LEVEL..MAX_SLOPE).contains(&rise.norm()).then(|| follow(&seen, rings, floor_z, &rise));
         let num = |patches: &[Patch]| patches.iter().filter(|p| p.is_seen).count();
         let patches = leans.filter(|p| num(p) > num(&level)).unwrap_or(level);
         let ring_at = (0..).map(|i| ring_of((f64::from(i) + 0.5) * 0.1 * RING_M)).take_while(|ring| *ring < rings);
-        Self { ring_at: ring_at.map(|ring| ring as u16).collect(), rings, patches }
+        Self { ring_at: ring_at.map(|ring| ring as u16).collect(), rings, patches, places }
     }
 
     /// The ground in a direction (radians, from -pi to pi) at a range, metres; beyond what was seen, as the last of it goes on.
@@ -162,6 +186,18 @@ impl Ground {
         let ring =
             self.ring_at.get((range * (10.0 / RING_M)) as usize).map_or(self.rings - 1, |ring| usize::from(*ring));
         &self.patches[ring * SECTORS + sector_of(azimuth)]
+    }
+}
+
+impl Ground {
+    /// Where each point lies.
+    pub(crate) fn places(&self) -> &[Place] {
+        &self.places
+    }
+
+    /// The ground where a point lies; none of one out of range.
+    pub(crate) fn under(&self, place: &Place) -> Option<&Patch> {
+        self.patches.get(place.patch as usize)
     }
 }
 
@@ -183,19 +219,21 @@ fn middle_of(ring: usize) -> f64 {
     if rest < 0.0 { ring * RING_M } else { even * (1.0 + RING_SHARE).powf(rest) }
 }
 
-fn look(sensor: &Point3<f64>, rings: usize, params: &GroundParams, points: &[Point3<f64>]) -> Vec<Seen> {
+fn look(sensor: &Point3<f64>, rings: usize, params: &GroundParams, points: &[Point3<f64>]) -> (Vec<Place>, Vec<Seen>) {
     let mut seen = vec![Seen::NOTHING; rings * SECTORS];
     let place = |p: &Point3<f64>| {
         let d = p - sensor;
-        let range = d.xy().norm();
+        let (range, azimuth) = (d.xy().norm(), d.y.atan2(d.x));
         let is_near = range >= params.range_min_m && range <= params.range_max_m && p.z.is_finite();
-        let patch = ring_of(range) * SECTORS + sector_of(d.y.atan2(d.x));
-        (is_near && patch < rings * SECTORS).then_some((patch as u32, range as f32))
+        let patch = if is_near { ring_of(range) * SECTORS + sector_of(azimuth) } else { seen.len() };
+        let patch = if patch < seen.len() { patch as u32 } else { NO_PATCH };
+        let range = if p.z.is_finite() { range as f32 } else { f32::NAN };
+        Place { azimuth: azimuth as f32, range, patch }
     };
-    let places: Vec<(u32, f32)> = points.iter().map(|p| place(p).unwrap_or((u32::MAX, 0.0))).collect();
-    let within = || points.iter().zip(&places).filter(|(_, (patch, _))| *patch != u32::MAX);
-    within().for_each(|(p, (patch, _))| seen[*patch as usize].add(p.z as f32));
-    for (p, (patch, range)) in within() {
+    let places: Vec<Place> = points.iter().map(place).collect();
+    let within = || points.iter().zip(&places).filter(|(_, place)| place.patch != NO_PATCH);
+    within().for_each(|(p, place)| seen[place.patch as usize].add(p.z as f32));
+    for (p, Place { range, patch, .. }) in within() {
         let seen = &mut seen[*patch as usize];
         let above = p.z as f32 - seen.low();
         if above.abs() <= THICK_M as f32 {
@@ -207,7 +245,7 @@ fn look(sensor: &Point3<f64>, rings: usize, params: &GroundParams, points: &[Poi
             seen.highest = seen.highest.max(p.z as f32);
         }
     }
-    seen
+    (places, seen)
 }
 
 /// The ground, ring by ring, from a height and how it rises along x and y there.

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 /// A layer: what it holds of one submap, and how such parts become one.
 ///
-/// A further layer is a file that implements this, and its line in each list of `layers.rs`. A part is filled keyframe by
+/// A further layer is a file that implements this, and its line in the list of `layers.rs`. A part is filled keyframe by
 /// keyframe in the submap's own frame, then frozen. The map's is composed of the parts, tile by tile, in the order in which
 /// the submaps were begun: each part is laid over what those before it have left, so it has to hold what it saw free as
 /// well as what it hit.
@@ -34,6 +34,10 @@ pub trait Layer: Clone + Send + Sync + Sized + 'static {
     /// Nothing will be added any more.
     fn freeze(&mut self);
 
+    /// Edge of a cell or voxel, metres; 0 of a layer that is off.
+    fn cell_m(params: &Self::Params) -> f64;
+    /// How far from a sensor it keeps what was seen, metres; 0 of a layer that is off.
+    fn range_max_m(params: &Self::Params) -> f64;
     /// Edge of a tile of the map, metres.
     fn tile_edge_m(params: &Self::Params) -> f64;
     /// A tile of which nothing is known.

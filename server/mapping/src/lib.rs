@@ -2,7 +2,7 @@
 //!
 //! Comes in: [`KeyframeScan`](percept_geometry::KeyframeScan)s with their `t_map_base`, and
 //! [`Correction`](percept_geometry::Correction)s of those poses. Goes out: [`MapLayers`], an immutable picture that is
-//! cheap to clone: a 2D [`OccupancyMap`] and a [`CloudMap`], each composed of what [`Submap`]s hold where it is read.
+//! cheap to clone: a 2D [`OccupancyMap`], a [`CloudMap`], and if wanted a [`HeightMap`], each composed of what [`Submap`]s hold where it is read.
 //! No pose is estimated here, and nothing is read or written outside memory: submaps that are to leave it go to the caller's
 //! [`MapStore`]. Start with [`Map`]; what a layer is stands in [`Layer`].
 
@@ -13,6 +13,7 @@ mod composed;
 pub mod distance;
 mod error;
 mod ground;
+pub mod height;
 mod layer;
 mod layer_slot;
 mod layers;
@@ -27,6 +28,7 @@ pub use bytes::{Damaged, Reader};
 pub use cloud::{CloudMap, CloudParams, CloudTile, FusedCloud};
 pub use composed::Composed;
 pub use error::MappingError;
+pub use height::{DenseHeights, HeightCell, HeightGrid, HeightMap, HeightParams, HeightTile, Storey, Traversability};
 pub use layer::{Footprint, Layer, Placement, TileKey};
 pub use layer_slot::LayerSlot;
 pub use layers::{LayerBoxes, LayerSlots, MapLayers, SubmapLayers};

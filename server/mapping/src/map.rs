@@ -10,7 +10,7 @@ use crate::layer_slot::Fetched;
 use crate::layers::{LayerSlots, LayersUpdate};
 use crate::store::MapStore;
 use crate::submap::{Submap, SubmapId};
-use crate::{CloudParams, MapLayers, MappingError, OccupancyParams, SubmapLayers, VoxelParams};
+use crate::{CloudParams, HeightParams, MapLayers, MappingError, OccupancyParams, SubmapLayers, VoxelParams};
 pub use correct::CorrectionReport;
 use division::Division;
 pub use division::MapEntry;
@@ -31,19 +31,11 @@ pub struct MapParams {
     pub cloud: CloudParams,
     /// Occupancy in three dimensions.
     pub voxels: VoxelParams,
+    /// Heights of the ground, and where a robot can drive.
+    pub height: HeightParams,
 }
 
 impl MapParams {
-    /// Checks every field.
-    ///
-    /// # Errors
-    /// `InvalidParam` naming field, value and remedy.
-    pub fn validate(&self) -> Result<(), MappingError> {
-        self.occupancy.validate()?;
-        self.cloud.validate()?;
-        self.voxels.validate()
-    }
-
     /// How far keyframes may lie off from where their submap's layers have them before those are built anew, metres,
     /// measured where the keyframe's beams end: a quarter of a cell, which is what rounding to cells errs by on average.
     pub fn tolerance_m(&self) -> f64 {
@@ -236,17 +228,9 @@ impl Map {
 }
 
 impl MapParams {
-    /// What cells and voxels that do not lie on the map's may reach beyond their submap's box, metres.
-    fn margin_m(&self) -> f64 {
-        let voxels = if self.voxels.enabled { self.voxels.voxel_size_m } else { 0.0 };
-        self.occupancy.resolution_m.max(self.cloud.voxel_size_m).max(voxels)
-    }
-
     /// How far from base a scan says something that is kept, metres.
     fn reach_of(&self, scan: &KeyframeScan) -> f64 {
         let ranges = scan.hits.positions.iter().chain(&scan.misses).map(|p| f64::from(p.coords.norm()));
-        let voxels = if self.voxels.enabled { self.voxels.range_max() } else { 0.0 };
-        let most = self.occupancy.range_max().max(self.cloud.range_max()).max(voxels);
-        ranges.filter(|r| r.is_finite()).fold(0.0, f64::max).min(most)
+        ranges.filter(|r| r.is_finite()).fold(0.0, f64::max).min(self.range_max_m())
     }
 }

@@ -64,6 +64,14 @@ impl Layer for FusedCloud {
 
     fn freeze(&mut self) {}
 
+    fn cell_m(params: &CloudParams) -> f64 {
+        params.voxel_size_m
+    }
+
+    fn range_max_m(params: &CloudParams) -> f64 {
+        params.range_max()
+    }
+
     fn tile_edge_m(params: &CloudParams) -> f64 {
         f64::from(TILE_BLOCKS * BLOCK) * params.voxel_size_m
     }

@@ -80,6 +80,14 @@ impl Layer for OccupancyGrid {
         self.pack();
     }
 
+    fn cell_m(params: &OccupancyParams) -> f64 {
+        params.resolution_m
+    }
+
+    fn range_max_m(params: &OccupancyParams) -> f64 {
+        params.range_max()
+    }
+
     fn tile_edge_m(params: &OccupancyParams) -> f64 {
         f64::from(TILE) * params.resolution_m
     }

@@ -21,3 +21,4 @@ pub use grid::OccupancyGrid;
 pub use marks::ScanUpdate;
 pub use params::OccupancyParams;
 pub use read::{Occupancy, Visit};
+pub(crate) use read::{TILE, locate, overlap};

@@ -5,7 +5,7 @@ use crate::MappingError;
 use percept_geometry::{Cell, GridGeometry};
 
 /// Edge of a tile, cells.
-pub(super) const TILE: i32 = 64;
+pub(crate) const TILE: i32 = 64;
 
 /// Is shown a tile's column and row, and the log-odds of its cells by slot.
 pub type Visit<'a> = &'a mut dyn FnMut((i32, i32), &dyn Fn(usize) -> f32);
@@ -99,13 +99,13 @@ fn probability(log_odds: f32) -> f64 {
 }
 
 /// Tile of a cell, and its place there.
-pub(super) fn locate(cell: Cell) -> ((i32, i32), usize) {
+pub(crate) fn locate(cell: Cell) -> ((i32, i32), usize) {
     let slot = cell.y.rem_euclid(TILE) * TILE + cell.x.rem_euclid(TILE);
     ((cell.x.div_euclid(TILE), cell.y.div_euclid(TILE)), slot as usize)
 }
 
 /// The part of a window of `size` cells from `min` that lies in a tile, along one axis, as window indices.
-pub(super) fn overlap(tile: i32, min: i32, size: usize) -> (usize, usize) {
+pub(crate) fn overlap(tile: i32, min: i32, size: usize) -> (usize, usize) {
     let start = i64::from(tile) * i64::from(TILE) - i64::from(min);
     let end = start + i64::from(TILE);
     (start.clamp(0, size as i64) as usize, end.clamp(0, size as i64) as usize)

@@ -84,6 +84,14 @@ impl Layer for VoxelGrid {
 
     fn freeze(&mut self) {}
 
+    fn cell_m(params: &VoxelParams) -> f64 {
+        if params.enabled { params.voxel_size_m } else { 0.0 }
+    }
+
+    fn range_max_m(params: &VoxelParams) -> f64 {
+        if params.enabled { params.range_max() } else { 0.0 }
+    }
+
     fn tile_edge_m(params: &VoxelParams) -> f64 {
         f64::from(TILE_BLOCKS * BLOCK) * params.voxel_size_m
     }

@@ -6,7 +6,7 @@ use percept_geometry::{KeyframeScan, Pose};
 use percept_mapping::{Occupancy, OccupancyGrid, OccupancyParams};
 
 /// What a lidar of 64 rings, `height` (m) above the ground at (`x`, 0), sees of a surface: where each beam goes below it, to 25 m.
-fn seen(x: f64, height: f64, surface: impl Fn(f64, f64) -> f64) -> (Pose, KeyframeScan) {
+pub(crate) fn seen(x: f64, height: f64, surface: impl Fn(f64, f64) -> f64) -> (Pose, KeyframeScan) {
     // As a robot stands there.
     let rise = (surface(x + 0.2, 0.0) - surface(x - 0.2, 0.0)) / 0.4;
     let pitch = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -rise.atan());

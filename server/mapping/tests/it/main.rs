@@ -6,6 +6,7 @@
 mod cloud;
 mod distance;
 mod ground;
+mod height;
 mod map;
 mod memory;
 mod occupancy;

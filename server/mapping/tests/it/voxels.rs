@@ -87,7 +87,7 @@ fn what_has_gone_is_free_after_it_was_seen_through() {
     let things: [Block; 1] = [([2.0, -0.5, 0.0], [3.0, 0.5, 1.5])];
     let at = |i: usize| se3::from_xy_yaw(0.02 * i as f64, 0.0, 0.0);
     let mut map = Map::new(params()).unwrap();
-    let mut insert = |map: &mut Map, i: usize, things: &[Block]| {
+    let insert = |map: &mut Map, i: usize, things: &[Block]| {
         map.insert(id(i), &MapEntry::at(at(i)), Arc::new(seen(&at(i), things))).unwrap();
     };
     (0..5).for_each(|i| insert(&mut map, i, &things));
