@@ -3,6 +3,7 @@
 //! Source: Turk, "The PLY polygon file format", 1994. Read are the vertices with `x y z`, colour
 //! (`red green blue`), intensity and normals; other properties and elements, lists included, are stepped over.
 
+mod cursor;
 mod header;
 mod mesh;
 mod read;

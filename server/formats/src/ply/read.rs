@@ -1,11 +1,12 @@
 //! The body: vertices into a cloud.
 
 use super::FORMAT;
+use super::cursor::Cursor;
 use super::header::{Element, Encoding, Header, Property};
 use crate::layout::{Colors, Column, Layout, Rows, color_value, unit_or_zero};
 use crate::scalar::Scalar;
 use crate::text::Lines;
-use crate::{FormatError, Limits, Place};
+use crate::{FormatError, Limits};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::PointCloud;
 
@@ -202,56 +203,6 @@ fn read_binary(
     cloud.cloud = layout.empty_cloud(count);
     layout.append(body, count, &mut cloud.cloud);
     Ok(())
-}
-
-/// A place in a binary body.
-struct Cursor<'a> {
-    bytes: &'a [u8],
-    offset: usize,
-    big_endian: bool,
-}
-
-impl<'a> Cursor<'a> {
-    fn take(&mut self, needed: u64, field: &'static str) -> Result<&'a [u8], FormatError> {
-        let rest = &self.bytes[self.offset..];
-        match usize::try_from(needed).ok().and_then(|n| rest.get(..n)) {
-            Some(taken) => {
-                self.offset += taken.len();
-                Ok(taken)
-            }
-            None => Err(FormatError::Truncated { format: FORMAT, field, needed, available: rest.len() as u64 }),
-        }
-    }
-
-    /// One element with lists; `visit` gets the scalar properties, by their index.
-    fn visit(&mut self, element: &Element, mut visit: impl FnMut(usize, f64)) -> Result<(), FormatError> {
-        for (i, property) in element.properties.iter().enumerate() {
-            match property.list_length {
-                None => {
-                    let bytes = self.take(property.scalar.size() as u64, "property")?;
-                    visit(i, property.scalar.read(bytes, self.big_endian));
-                }
-                Some(length) => {
-                    let at = self.offset as u64;
-                    let bytes = self.take(length.size() as u64, "list length")?;
-                    let n = length.read(bytes, self.big_endian);
-                    if !(n >= 0.0 && n.fract() == 0.0) {
-                        let found = n.to_string();
-                        let field = format!("length of list {}", property.name);
-                        return Err(FormatError::malformed(
-                            FORMAT,
-                            Place::Byte(at),
-                            field,
-                            found.as_bytes(),
-                            "a count",
-                        ));
-                    }
-                    self.take((n as u64).saturating_mul(property.scalar.size() as u64), "list")?;
-                }
-            }
-        }
-        Ok(())
-    }
 }
 
 fn read_ascii(
