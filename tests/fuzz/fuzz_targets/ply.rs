@@ -1,4 +1,4 @@
-//! PLY clouds.
+//! PLY clouds and meshes.
 #![no_main]
 use percept_formats::{Limits, ply};
 
@@ -9,5 +9,12 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
             let again = ply::encode(&cloud, encoding).unwrap();
             assert_eq!(ply::decode(&again, &Limits::default()).unwrap().len(), cloud.len());
         }
+    }
+    let limits = Limits { max_points: 1 << 20, ..Limits::default() };
+    if let Ok(mesh) = ply::decode_mesh(bytes, &limits) {
+        assert!(mesh.triangles.len() <= bytes.len());
+        let again = ply::encode_mesh(&mesh, ply::Encoding::BinaryLittleEndian).unwrap();
+        let again = ply::decode_mesh(&again, &limits).unwrap();
+        assert_eq!((again.positions, again.triangles), (mesh.positions, mesh.triangles));
     }
 });

@@ -1,7 +1,8 @@
 //! A binary body, element by element.
 
 use super::FORMAT;
-use super::header::Element;
+use super::header::{Element, Property};
+use crate::scalar::Scalar;
 use crate::{FormatError, Place};
 
 /// A place in a binary body.
@@ -32,24 +33,29 @@ impl<'a> Cursor<'a> {
                     visit(i, property.scalar.read(bytes, self.big_endian));
                 }
                 Some(length) => {
-                    let at = self.offset as u64;
-                    let bytes = self.take(length.size() as u64, "list length")?;
-                    let n = length.read(bytes, self.big_endian);
-                    if !(n >= 0.0 && n.fract() == 0.0) {
-                        let found = n.to_string();
-                        let field = format!("length of list {}", property.name);
-                        return Err(FormatError::malformed(
-                            FORMAT,
-                            Place::Byte(at),
-                            field,
-                            found.as_bytes(),
-                            "a count",
-                        ));
-                    }
-                    self.take((n as u64).saturating_mul(property.scalar.size() as u64), "list")?;
+                    self.list(property, length)?;
                 }
             }
         }
         Ok(())
+    }
+
+    /// The items of a list whose length is kept as `length`.
+    pub(super) fn list(&mut self, property: &Property, length: Scalar) -> Result<&'a [u8], FormatError> {
+        let at = self.offset as u64;
+        let n = length.read(self.take(length.size() as u64, "list length")?, self.big_endian);
+        if !(n >= 0.0 && n.fract() == 0.0) {
+            let (field, found) = (format!("length of list {}", property.name), n.to_string());
+            return Err(FormatError::malformed(FORMAT, Place::Byte(at), field, found.as_bytes(), "a count"));
+        }
+        self.take((n as u64).saturating_mul(property.scalar.size() as u64), "list")
+    }
+
+    /// Steps over all elements of a kind.
+    pub(super) fn skip(&mut self, element: &Element) -> Result<(), FormatError> {
+        match element.stride() {
+            Some(stride) => self.take(element.count.saturating_mul(stride as u64), "skipped element").map(|_| ()),
+            None => (0..element.count).try_for_each(|_| self.visit(element, |_, _| {})),
+        }
     }
 }

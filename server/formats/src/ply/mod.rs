@@ -1,14 +1,16 @@
-//! PLY point clouds: ascii and binary of both byte orders, in and out; triangle meshes out.
+//! PLY point clouds and triangle meshes: ascii and binary of both byte orders, in and out.
 //!
 //! Source: Turk, "The PLY polygon file format", 1994. Read are the vertices with `x y z`, colour
 //! (`red green blue`), intensity and normals; other properties and elements, lists included, are stepped over.
 
 mod cursor;
+mod faces;
 mod header;
 mod mesh;
 mod read;
 mod write;
 
+pub use faces::decode_mesh;
 pub use header::Encoding;
 pub use mesh::{encode_mesh, write_mesh};
 pub use read::decode;

@@ -174,18 +174,7 @@ fn read_binary(
 ) -> Result<(), FormatError> {
     let big_endian = header.encoding == Encoding::BinaryBigEndian;
     let mut cursor = Cursor { bytes, offset: header.body_offset, big_endian };
-    for element in before.iter().filter(|e| !e.properties.is_empty()) {
-        match element.stride() {
-            Some(stride) => {
-                cursor.take(element.count.saturating_mul(stride as u64), "element before the vertices")?;
-            }
-            None => {
-                for _ in 0..element.count {
-                    cursor.visit(element, |_, _| {})?;
-                }
-            }
-        }
-    }
+    before.iter().try_for_each(|element| cursor.skip(element))?;
     let mut v: Vertex = [0.0; NUM_SLOTS];
     let Some(stride) = vertex.stride() else {
         for _ in 0..count {
