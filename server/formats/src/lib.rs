@@ -1,6 +1,6 @@
 //! Outside files and messages: bytes in, geometry types out, and back.
 //!
-//! Comes in: the bytes of point clouds, images, grids, trajectories and logs, or the path of a recording.
+//! Comes in: the bytes of point clouds, meshes, octrees, images, grids, trajectories and logs, or the path of a recording.
 //! Goes out: checked geometry types, or a [`FormatError`] that names the place and the value.
 //! Sizes are compared with [`Limits`] and with the bytes that are there before memory is taken; no input panics.
 //! No perception happens here, and only [`dataset`] and [`read_file`] touch the file system.
