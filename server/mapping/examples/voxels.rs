@@ -4,7 +4,7 @@
 //! a line `x y z occupied` a known voxel, by its indices. One thread.
 
 // A tool for developers may fail loudly.
-#![allow(clippy::unwrap_used, clippy::expect_used)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use nalgebra::Point3;
 use percept_geometry::{Aabb3, KeyframeScan, PointCloud, Pose, SensorId, Timestamp};

@@ -59,6 +59,22 @@ pub enum MappingError {
         /// Cells allowed.
         limit: u64,
     },
+    /// A depth image reaches into so many blocks of voxels.
+    #[error(
+        "depth image touches {blocks} blocks of voxels, the limit is {limit}: choose larger voxels or a shorter range"
+    )]
+    TooManyBlocks {
+        /// Blocks that it touches.
+        blocks: usize,
+        /// Blocks allowed.
+        limit: usize,
+    },
+    /// The surface has more triangles than were allowed.
+    #[error("surface has more than {limit} triangles: name a smaller region, or allow more")]
+    MeshTooLarge {
+        /// Triangles allowed.
+        limit: usize,
+    },
     /// A region whose minimum exceeds its maximum.
     #[error("region is empty: its minimum exceeds its maximum")]
     RegionEmpty,

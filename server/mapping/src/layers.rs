@@ -5,7 +5,7 @@ use crate::distance::DistanceCache;
 use crate::layer::{Layer, joined};
 use crate::layer_slot::{Evictable, Fetched, LayerSlot};
 use crate::store::MapStore;
-use crate::{FusedCloud, HeightGrid, MapParams, MappingError, OccupancyGrid, SubmapId, VoxelGrid};
+use crate::{FusedCloud, HeightGrid, MapParams, MappingError, OccupancyGrid, SubmapId, SurfaceGrid, VoxelGrid};
 use nalgebra::Point2;
 use percept_geometry::{Aabb3, KeyframeScan, Pose};
 use std::sync::Arc;
@@ -244,4 +244,6 @@ layers! {
     voxels: VoxelGrid,
     /// Ground, what stands on it, where a robot can drive; of nothing unless it is enabled.
     height: HeightGrid,
+    /// Distances to the surface, and its mesh; of nothing unless it is enabled.
+    surface: SurfaceGrid,
 }

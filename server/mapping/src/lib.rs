@@ -2,7 +2,8 @@
 //!
 //! Comes in: [`KeyframeScan`](percept_geometry::KeyframeScan)s with their `t_map_base`, and
 //! [`Correction`](percept_geometry::Correction)s of those poses. Goes out: [`MapLayers`], an immutable picture that is
-//! cheap to clone: a 2D [`OccupancyMap`], a [`CloudMap`], and if wanted a [`HeightMap`], each composed of what [`Submap`]s hold where it is read.
+//! cheap to clone: a 2D [`OccupancyMap`], a [`CloudMap`], and if wanted a [`VoxelMap`], a [`HeightMap`] and a [`SurfaceMap`], each
+//! composed of what [`Submap`]s hold where it is read.
 //! No pose is estimated here, and nothing is read or written outside memory: submaps that are to leave it go to the caller's
 //! [`MapStore`]. Start with [`Map`]; what a layer is stands in [`Layer`].
 
@@ -22,6 +23,7 @@ pub mod occupancy;
 mod store;
 mod stored_scan;
 mod submap;
+pub mod surface;
 pub mod voxels;
 
 pub use bytes::{Damaged, Reader};
@@ -36,4 +38,5 @@ pub use map::{CorrectionReport, Map, MapEntry, MapKeyframe, MapParams, RebuildSt
 pub use occupancy::{DenseGrid, Occupancy, OccupancyGrid, OccupancyMap, OccupancyParams, OccupancyTile};
 pub use store::{BlobId, MapMemory, MapStore};
 pub use submap::{Submap, SubmapId};
+pub use surface::{MeshData, MeshOptions, SurfaceGrid, SurfaceMap, SurfaceParams, SurfaceTile};
 pub use voxels::{VoxelBlock, VoxelGrid, VoxelMap, VoxelParams, VoxelTile};

@@ -10,7 +10,9 @@ use crate::layer_slot::Fetched;
 use crate::layers::{LayerSlots, LayersUpdate};
 use crate::store::MapStore;
 use crate::submap::{Submap, SubmapId};
-use crate::{CloudParams, HeightParams, MapLayers, MappingError, OccupancyParams, SubmapLayers, VoxelParams};
+use crate::{
+    CloudParams, HeightParams, MapLayers, MappingError, OccupancyParams, SubmapLayers, SurfaceParams, VoxelParams,
+};
 pub use correct::CorrectionReport;
 use division::Division;
 pub use division::MapEntry;
@@ -33,13 +35,17 @@ pub struct MapParams {
     pub voxels: VoxelParams,
     /// Heights of the ground, and where a robot can drive.
     pub height: HeightParams,
+    /// The surface, as signed distances.
+    pub surface: SurfaceParams,
 }
 
 impl MapParams {
     /// How far keyframes may lie off from where their submap's layers have them before those are built anew, metres,
-    /// measured where the keyframe's beams end: a quarter of a cell, which is what rounding to cells errs by on average.
+    /// measured where the keyframe's beams end: a quarter of a cell, which is what rounding to cells errs by on average; of a
+    /// voxel of the surface where these are smaller.
     pub fn tolerance_m(&self) -> f64 {
-        0.25 * self.occupancy.resolution_m
+        let cell = self.occupancy.resolution_m;
+        0.25 * if self.surface.enabled { cell.min(self.surface.voxel_size_m) } else { cell }
     }
 }
 

@@ -6,13 +6,13 @@ pub(super) use crate::blocks::{BLOCK, BlockKey, corner, locate};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VoxelMean {
     /// Place in the block: `(z * BLOCK + y) * BLOCK + x`.
-    pub(super) slot: u16,
+    pub(crate) slot: u16,
     /// Whether `color` means anything.
-    pub(super) colored: bool,
+    pub(crate) colored: bool,
     /// Keyframes that saw it, less those that saw through it.
-    pub(super) weight: f32,
+    pub(crate) weight: f32,
     /// Mean position from the voxel's smallest corner, metres: small, so that f32 is exact far from the origin.
-    pub(super) offset: [f32; 3],
+    pub(crate) offset: [f32; 3],
     /// Mean colour, 0..=255.
-    pub(super) color: [f32; 3],
+    pub(crate) color: [f32; 3],
 }

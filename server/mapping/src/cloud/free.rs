@@ -13,21 +13,21 @@ use std::sync::Arc;
 const WORDS: usize = 8;
 
 /// Voxels of a block that one keyframe saw through, a bit each.
-pub(super) type Seen = [u64; WORDS];
+pub(crate) type Seen = [u64; WORDS];
 
 /// How many keyframes saw through each voxel of a block, at most 7: three binary digits, the lowest first. So many
 /// take any weight of the defaults away.
-pub(super) type Count = [[u64; WORDS]; 3];
+pub(crate) type Count = [[u64; WORDS]; 3];
 
 /// What a submap saw through, by block.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct FreeSpace {
-    pub(super) blocks: Arc<BTreeMap<BlockKey, Arc<Count>>>,
+pub(crate) struct FreeSpace {
+    pub(crate) blocks: Arc<BTreeMap<BlockKey, Arc<Count>>>,
 }
 
 impl FreeSpace {
     /// Counts what one more keyframe saw through.
-    pub(super) fn add(&mut self, seen: &[(BlockKey, Seen)]) {
+    pub(crate) fn add(&mut self, seen: &[(BlockKey, Seen)]) {
         let blocks = Arc::make_mut(&mut self.blocks);
         for (key, bits) in seen {
             let count = Arc::make_mut(blocks.entry(*key).or_default());
@@ -41,13 +41,13 @@ impl FreeSpace {
         }
     }
 
-    pub(super) fn memory_bytes(&self) -> usize {
+    pub(crate) fn memory_bytes(&self) -> usize {
         self.blocks.len() * (size_of::<Count>() + size_of::<BlockKey>())
     }
 }
 
 /// How often a voxel of a block was seen through.
-pub(super) fn count_at(count: &Count, slot: u16) -> u8 {
+pub(crate) fn count_at(count: &Count, slot: u16) -> u8 {
     let (word, bit) = (usize::from(slot / 64), slot % 64);
     (0..3).map(|digit| ((count[digit][word] >> bit & 1) as u8) << digit).sum()
 }
@@ -91,9 +91,7 @@ pub(super) fn seen_through(ranges: &RangeImage, params: &CloudParams, planar: bo
             (x, y, z) = (x + dx, y + dy, z + dz);
         }
     });
-    free.blocks.retain(|(_, seen)| seen.iter().any(|bits| *bits != 0));
-    free.blocks.sort_unstable_by_key(|b| b.0);
-    free.blocks
+    free.into_blocks()
 }
 
 /// Beams of a camera are two voxels apart there, those of a lidar that looks around are one, metres: farther out they pass by most
@@ -118,7 +116,7 @@ fn from_center(v: i64) -> f32 {
 
 /// Voxels that one keyframe saw through, while they are gathered.
 #[derive(Default)]
-struct Marks {
+pub(crate) struct Marks {
     /// The one that is marked in; there are none that nothing was marked in only after all is.
     blocks: Vec<(BlockKey, Seen)>,
     index: FxHashMap<BlockKey, usize>,
@@ -128,13 +126,20 @@ struct Marks {
 impl Marks {
     /// Marks a voxel, if so.
     #[inline]
-    fn mark(&mut self, v: Voxel, if_so: bool) {
+    pub(crate) fn mark(&mut self, v: Voxel, if_so: bool) {
         let (key, slot) = locate(v);
         let at = match self.last {
             Some((known, at)) if known == key => at,
             _ => self.open(key),
         };
         self.blocks[at].1[usize::from(slot / 64)] |= u64::from(if_so) << (slot % 64);
+    }
+
+    /// Blocks in which something was marked, ascending.
+    pub(crate) fn into_blocks(mut self) -> Vec<(BlockKey, Seen)> {
+        self.blocks.retain(|(_, seen)| seen.iter().any(|bits| *bits != 0));
+        self.blocks.sort_unstable_by_key(|b| b.0);
+        self.blocks
     }
 
     #[cold]

@@ -4,12 +4,12 @@
 //! through); adding it to the [`FusedCloud`] of its submap first carves what it saw through, then folds in what it saw.
 //! [`CloudMap`] is the cloud of the whole map, in which each submap carves those before it.
 
-mod block;
+pub(crate) mod block;
 mod compose;
-mod free;
+pub(crate) mod free;
 mod fused;
 mod params;
-mod range_image;
+pub(crate) mod range_image;
 mod update;
 
 pub use compose::{CloudMap, CloudTile};

@@ -7,13 +7,13 @@ use std::f64::consts::{PI, TAU};
 const COLUMNS: usize = 720;
 const ROWS: usize = 360;
 /// From a bin to the next, radians.
-pub(super) const BIN_RAD: f64 = TAU / COLUMNS as f64;
+pub(crate) const BIN_RAD: f64 = TAU / COLUMNS as f64;
 /// Edge of a window of which the longest beam is known, bins.
 const WINDOW: usize = 4;
 
 /// The shortest beam in each half degree of azimuth and elevation around the sensor, along the map's axes.
 #[derive(Debug, Clone)]
-pub(super) struct RangeImage {
+pub(crate) struct RangeImage {
     sensor: Point3<f64>,
     max_range: f64,
     /// Rows of `COLUMNS`, empty where no beam went: a planar scan fills few.
@@ -70,7 +70,7 @@ type Bin = (f32, Vector3<f32>);
 
 impl RangeImage {
     /// From the ends of beams in the map frame, returns and misses alike; ends that are not finite are left out.
-    pub(super) fn new(sensor: Point3<f64>, ends: impl Iterator<Item = Point3<f64>>) -> Self {
+    pub(crate) fn new(sensor: Point3<f64>, ends: impl Iterator<Item = Point3<f64>>) -> Self {
         let view = View { axis: Vector3::z(), half_angle: 0.0, elevations: (0.0, 0.0) };
         let mut out = Self { sensor, max_range: 0.0, rows: Vec::new(), longest: Vec::new(), view };
         for end in ends {
@@ -133,7 +133,7 @@ impl RangeImage {
     }
 
     /// Where the beams start, map frame.
-    pub(super) fn sensor(&self) -> &Point3<f64> {
+    pub(crate) fn sensor(&self) -> &Point3<f64> {
         &self.sensor
     }
 
@@ -148,7 +148,7 @@ impl RangeImage {
     }
 
     /// Shows each beam: its unit direction, and the length of the shortest among it and those in the bins around it.
-    pub(super) fn visit_beams(&self, mut visit: impl FnMut(&Vector3<f64>, f64)) {
+    pub(crate) fn visit_beams(&self, mut visit: impl FnMut(&Vector3<f64>, f64)) {
         for (y, row) in self.rows.iter().enumerate() {
             for (x, beam) in row.iter().enumerate().filter(|(_, b)| b.0.is_finite()) {
                 let around = self.around(y, x).filter_map(|(y, x)| self.rows[y].get(x));

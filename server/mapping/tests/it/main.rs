@@ -11,4 +11,5 @@ mod map;
 mod memory;
 mod occupancy;
 mod scans;
+mod surface;
 mod voxels;

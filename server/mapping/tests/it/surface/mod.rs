@@ -1,0 +1,6 @@
+//! The surface against closed forms.
+
+mod grid;
+mod map;
+mod scenes;
+mod stored;
