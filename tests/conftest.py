@@ -68,7 +68,8 @@ def laser_session(client):
 @pytest.fixture(scope="session")
 def lidar_session(client):
     """A session that has seen the room with a 3D lidar. Read only."""
-    session = client.sessions.create(sensors=[world.LIDAR], params={"map": {"voxels": {"enabled": True}}})
+    layers = {name: {"enabled": True} for name in ("voxels", "height", "surface")}
+    session = client.sessions.create(sensors=[world.LIDAR], params={"map": layers})
     with session.stream() as stream:
         for i, pose in enumerate(world.lidar_drive()):
             stream.send_cloud("lidar", stamp_ns=world.stamp(i), points=world.cloud(pose))

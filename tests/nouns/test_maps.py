@@ -139,6 +139,8 @@ STARTS = {
     "voxels_ot": b"# Octomap OcTree file",
     "occupancy_tiff": b"II*\0",
     "occupancy_pgw": b"0.1\n",
+    "mesh_ply": b"ply\nformat binary_little_endian",
+    "mesh_glb": b"glTF",
     "trajectory_tum": b"",
     "overview_png": b"\x89PNG",
     "cloud_top_png": b"\x89PNG",

@@ -7,6 +7,7 @@ from percept import (
     InvalidArgument,
     OrientedBox,
     Pose,
+    Region,
     ResourceExhausted,
     SpaceState,
 )
@@ -96,11 +97,58 @@ def test_voxels_come_whole_in_a_box_and_by_what_changed(lidar_session):
     assert len(space.changes(layer="cloud").regions) >= 1
 
 
+def test_the_ground_is_where_the_floor_is_and_furniture_stands_on_it(lidar_session):
+    heights = lidar_session.space.heights()
+    assert heights.resolution_m == 0.1
+    assert heights.ground_m.shape == heights.traversability.shape
+
+    def cell(x, y):
+        column, row = ((np.array(world.to_map(x, y)) - heights.origin) / 0.1).astype(int)
+        return row, column
+
+    for x, y in [(0, 0.5), (-1.0, 1.0), (0.5, 0.8)]:
+        assert abs(heights.ground_m[cell(x, y)]) < 0.03
+        assert heights.slope_rad[cell(x, y)] < 0.05
+        assert heights.traversability[cell(x, y)] > 0.8
+    # The table's edge stands 0.75 m above the floor.
+    assert np.nanmax(heights.top_m[cell(1.25, 1.0)[0] - 1 : cell(1.25, 1.0)[0] + 2]) > 0.6
+    part = lidar_session.space.heights(region=Region(0, 0, 1, 1))
+    assert part.ground_m.shape == (11, 11)
+    nearest = lidar_session.space.heights(storey="nearest", near_z_m=9.0)
+    assert np.isnan(nearest.ground_m).all()
+
+
+def test_the_surface_is_a_mesh_along_the_walls(lidar_session):
+    mesh = lidar_session.space.mesh()
+    assert len(mesh.triangles) > 5000
+    assert len(mesh.positions) == len(mesh.normals) == len(mesh.colours)
+    assert mesh.triangles.max() < len(mesh.positions)
+    p = mesh.positions - np.array([*world.to_map(0, 0), 0.0])
+    off = np.min(np.abs(np.stack([p - bound for bound in world.ROOM])).reshape(-1, len(p), 3).min(axis=2), axis=0)
+    for low, high in world.FURNITURE:
+        gap = np.maximum(np.maximum(low - p, p - high), 0)
+        outside = np.linalg.norm(gap, axis=1)
+        inside = np.minimum(p - low, high - p).min(axis=1)
+        off = np.minimum(off, np.where(outside > 0, outside, np.abs(inside)))
+    assert np.median(off) < 0.01
+    assert np.quantile(off, 0.95) < 0.05
+    part = lidar_session.space.mesh(low=at(2.5, -1, 0.5), high=at(3.5, 1, 2.0))
+    assert 100 < len(part.triangles) < len(mesh.triangles) / 2
+    wall = part.normals[np.abs(part.positions[:, 0] - at(3, 0, 0)[0]) < 0.02]
+    assert np.median(wall[:, 0]) < -0.95
+    with pytest.raises(ResourceExhausted) as refused:
+        lidar_session.space.mesh(max_triangles=10)
+    assert refused.value.reason == "MESH_TOO_LARGE"
+
+
 def test_what_cannot_be_answered_is_refused_with_field_and_remedy(lidar_session, laser_session):
     space = lidar_session.space
     for ask, error, reason, field in [
         (lambda: laser_session.space.voxels(), FailedPrecondition, "LAYER_OFF", "layer"),
         (lambda: laser_session.space.boxes([box(0, 0, 1, 1)]), FailedPrecondition, "LAYER_OFF", "layer"),
+        (lambda: laser_session.space.heights(), FailedPrecondition, "LAYER_OFF", "layer"),
+        (lambda: laser_session.space.mesh(), FailedPrecondition, "LAYER_OFF", "layer"),
+        (lambda: laser_session.space.changes(layer="surface"), FailedPrecondition, "LAYER_OFF", "layer"),
         (lambda: laser_session.map.export("voxels_bt"), FailedPrecondition, "LAYER_OFF", "layer"),
         (lambda: space.points([[0, 0, 0], [0, float("nan"), 0]]), InvalidArgument, "OUT_OF_RANGE", "points[1]"),
         (lambda: space.points([[1e300, 0, 0]]), InvalidArgument, "REGION_TOO_FAR", "points[0]"),

@@ -100,6 +100,8 @@ GET_VOXELS = Rpc(_Y, "GetVoxels", layers.GetVoxelsRequest, layers.GetVoxelsRespo
 QUERY_POINTS = Rpc(_Y, "QueryPoints", layers.QueryPointsRequest, layers.QueryPointsResponse, in_parts=True)
 CAST_RAYS = Rpc(_Y, "CastRays", layers.CastRaysRequest, layers.CastRaysResponse, in_parts=True)
 CHECK_BOXES = Rpc(_Y, "CheckBoxes", layers.CheckBoxesRequest, layers.CheckBoxesResponse, in_parts=True)
+GET_HEIGHTS = Rpc(_Y, "GetHeights", layers.GetHeightsRequest, layers.GetHeightsResponse, in_parts=True)
+GET_MESH = Rpc(_Y, "GetMesh", layers.GetMeshRequest, layers.GetMeshResponse, in_parts=True)
 GET_CHANGES = Rpc(_Y, "GetChanges", layers.GetChangesRequest, layers.GetChangesResponse, in_parts=True)
 
 _C = "SceneService"

@@ -146,6 +146,7 @@ reasons! {
         IMAGE_TOO_LARGE: "The image has more pixels than limits.max_image_pixels; shrink it.",
         KEPT_CLOUDS_FULL: "No room for more kept clouds; drop some, or wait until they are forgotten.",
         MEMORY_EXHAUSTED: "Messages under way have taken all memory that they may; try again.",
+        MESH_TOO_LARGE: "The surface has more triangles than are answered at a time; ask for a region.",
         MESSAGE_TOO_LARGE: "The message is larger than limits.max_message_bytes; send less at a time.",
         NEIGHBOURS_TOO_MANY: "The answer would hold too many neighbours; ask for fewer points, or a smaller radius.",
         OPERATIONS_FULL: "No room for the operation's request or result; delete operations that have ended, or wait until they are forgotten.",

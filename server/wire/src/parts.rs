@@ -137,7 +137,7 @@ macro_rules! in_parts {
             fn parts(mut self) -> Vec<Self> {
                 let taken = ($(there!(self, $outer $(. $inner)?).map(std::mem::take),)+);
                 let mut cut = Cut { parts: vec![self], room: PART_BYTES };
-                in_parts!(@add cut, taken, [0 1 2 3 4 5], $([$outer $(. $inner)?])+);
+                in_parts!(@add cut, taken, [0 1 2 3 4 5 6 7 8], $([$outer $(. $inner)?])+);
                 cut.parts
             }
 
@@ -209,6 +209,8 @@ in_parts! {
     QueryPointsResponse { points }
     CastRaysResponse { rays }
     CheckBoxesResponse { boxes }
+    GetHeightsResponse { ground_m, sigma_m, top_m, slope_rad, step_m, roughness_m, traversability, is_drop }
+    GetMeshResponse { positions, normals, colours, triangles }
     GetChangesResponse { regions }
 }
 

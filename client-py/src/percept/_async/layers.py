@@ -6,7 +6,18 @@ from collections.abc import Sequence
 
 from .._convert import layers as convert
 from ..types.geometry import OrientedBox
-from ..types.layers import BoxAnswers, MapChanges, MapLayer, PointAnswers, RayAnswers, Voxels
+from ..types.layers import (
+    BoxAnswers,
+    Heights,
+    MapChanges,
+    MapLayer,
+    Mesh,
+    PointAnswers,
+    RayAnswers,
+    Storey,
+    Voxels,
+)
+from ..types.maps import Region
 from .bound import AsyncSessionBound
 
 
@@ -15,6 +26,7 @@ class AsyncSpace(AsyncSessionBound):
 
     Rays, boxes and voxels need a session that keeps voxels: create it with
     params={"map": {"voxels": {"enabled": True}}}. Points and changes are answered by the grid otherwise.
+    heights() needs {"height": {"enabled": True}} in the same place, mesh() {"surface": {"enabled": True}}.
     """
 
     async def voxels(
@@ -45,6 +57,29 @@ class AsyncSpace(AsyncSessionBound):
     async def boxes(self, boxes: Sequence[OrientedBox]) -> BoxAnswers:
         """Whether boxes (t_frame_box: box to map) are free."""
         return await self._transport.call(convert.check_boxes(self.session_id, boxes))
+
+    async def heights(
+        self,
+        *,
+        region: Region | None = None,
+        storey: Storey | str = Storey.LOWEST,
+        near_z_m: float = 0.0,
+        near_within_m: float = 0.0,
+    ) -> Heights:
+        """How high the ground is, and where a robot can drive. Storey "nearest" is that whose ground is
+        nearest to near_z_m, within near_within_m (0: 1.5)."""
+        call = convert.get_heights(self.session_id, region, storey, near_z_m, near_within_m)
+        return await self._transport.call(call)
+
+    async def mesh(
+        self,
+        *,
+        low: Sequence[float] | None = None,
+        high: Sequence[float] | None = None,
+        max_triangles: int = 0,
+    ) -> Mesh:
+        """The surface as triangles: those with a corner in the box from low to high, or all."""
+        return await self._transport.call(convert.get_mesh(self.session_id, low, high, max_triangles))
 
     async def changes(
         self, since_version: int = 0, *, layer: MapLayer | str = MapLayer.UNSPECIFIED

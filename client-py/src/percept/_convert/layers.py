@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from .. import _rpc
 from .._call import Call
@@ -12,11 +13,14 @@ from ..errors import InvalidArgument
 from ..types.geometry import OrientedBox
 from ..types.layers import (
     BoxAnswers,
+    Heights,
     MapChanges,
     MapLayer,
+    Mesh,
     PointAnswers,
     RayAnswers,
     SpaceState,
+    Storey,
     Voxels,
 )
 from ..types.maps import Region
@@ -98,12 +102,57 @@ def boxes(message: service.CheckBoxesResponse) -> BoxAnswers:
     )
 
 
+def heights(message: service.GetHeightsResponse) -> Heights:
+    """Heights of a region."""
+    where = message.geometry
+    shape = (where.height, where.width)
+
+    def floats(data: bytes) -> npt.NDArray[np.float32]:
+        return np.frombuffer(data, "<f4").reshape(shape)
+
+    return Heights(
+        ground_m=floats(message.ground_m),
+        sigma_m=floats(message.sigma_m),
+        top_m=floats(message.top_m),
+        slope_rad=floats(message.slope_rad),
+        step_m=floats(message.step_m),
+        roughness_m=floats(message.roughness_m),
+        traversability=floats(message.traversability),
+        is_drop=np.frombuffer(message.is_drop, np.uint8).reshape(shape) > 0,
+        resolution_m=where.resolution_m,
+        origin=geometry.vector2(where.origin),
+        stamp=maps.stamp(message.stamp),
+    )
+
+
+def mesh(message: service.GetMeshResponse) -> Mesh:
+    """A surface."""
+    return Mesh(
+        positions=np.frombuffer(message.positions, "<f4").reshape(-1, 3),
+        normals=np.frombuffer(message.normals, "<f4").reshape(-1, 3),
+        colours=np.frombuffer(message.colours, np.uint8).reshape(-1, 3),
+        triangles=np.frombuffer(message.triangles, "<u4").reshape(-1, 3),
+        stamp=maps.stamp(message.stamp),
+    )
+
+
 def changes(message: service.GetChangesResponse) -> MapChanges:
     """Where the map changed."""
     return MapChanges(
         regions=tuple(Region(r.min.x, r.min.y, r.max.x, r.max.y) for r in message.regions),
         layer=_layer(message.layer),
         stamp=maps.stamp(message.stamp),
+    )
+
+
+def _box(low: Sequence[float] | None, high: Sequence[float] | None) -> service.Box3 | None:
+    if (low is None) != (high is None):
+        message = "low and high belong together; give both or neither"
+        raise InvalidArgument(message, reason="FIELD_MISSING", field="region")
+    if low is None or high is None:
+        return None
+    return service.Box3(
+        min=geometry.vector3_to("region.min", low), max=geometry.vector3_to("region.max", high)
     )
 
 
@@ -114,15 +163,12 @@ def get_voxels(
     occupied_only: bool,
     since_version: int,
 ) -> Call[service.GetVoxelsRequest, service.GetVoxelsResponse, Voxels]:
-    if (low is None) != (high is None):
-        message = "low and high belong together; give both or neither"
-        raise InvalidArgument(message, reason="FIELD_MISSING", field="region")
     request = service.GetVoxelsRequest(
-        source=maps.source(session_id), occupied_only=occupied_only, since_version=since_version
+        source=maps.source(session_id),
+        region=_box(low, high),
+        occupied_only=occupied_only,
+        since_version=since_version,
     )
-    if low is not None and high is not None:
-        corners = geometry.vector3_to("region.min", low), geometry.vector3_to("region.max", high)
-        request.region.CopyFrom(service.Box3(min=corners[0], max=corners[1]))
     return Call(_rpc.GET_VOXELS, request, voxels)
 
 
@@ -159,6 +205,28 @@ def check_boxes(
         source=maps.source(session_id), boxes=[geometry.box_to(b) for b in asked]
     )
     return Call(_rpc.CHECK_BOXES, request, boxes)
+
+
+def get_heights(
+    session_id: str, region: Region | None, storey: Storey | str, near_z_m: float, near_within_m: float
+) -> Call[service.GetHeightsRequest, service.GetHeightsResponse, Heights]:
+    request = service.GetHeightsRequest(
+        source=maps.source(session_id),
+        region=maps.region_to(region),
+        storey=words.number("storey", service.Storey, storey),
+        near_z_m=near_z_m,
+        near_within_m=near_within_m,
+    )
+    return Call(_rpc.GET_HEIGHTS, request, heights)
+
+
+def get_mesh(
+    session_id: str, low: Sequence[float] | None, high: Sequence[float] | None, max_triangles: int
+) -> Call[service.GetMeshRequest, service.GetMeshResponse, Mesh]:
+    request = service.GetMeshRequest(
+        source=maps.source(session_id), region=_box(low, high), max_triangles=max_triangles
+    )
+    return Call(_rpc.GET_MESH, request, mesh)
 
 
 def get_changes(

@@ -35,6 +35,15 @@ def source(session_id: str) -> map_pb2.MapSource:
     return map_pb2.MapSource(session_id=session_id)
 
 
+def region_to(region: Region | None) -> map_pb2.Region2 | None:
+    """A region as a message."""
+    if region is None:
+        return None
+    low = geometry.vector2_to("region.min", (region.min_x_m, region.min_y_m))
+    high = geometry.vector2_to("region.max", (region.max_x_m, region.max_y_m))
+    return map_pb2.Region2(min=low, max=high)
+
+
 def stamp(message: map_pb2.MapStamp) -> MapStamp:
     """From which state of the map."""
     return MapStamp(map_version=message.map_version, stamp_ns=message.stamp_ns, frame_id=message.frame_id)
@@ -172,11 +181,9 @@ def optimise(
 def get_occupancy(
     session_id: str, region: Region | None, resolution_m: float | None
 ) -> ChunkedCall[service.GetOccupancyGridRequest, service.GetOccupancyGridResponse, OccupancyGrid]:
-    request = service.GetOccupancyGridRequest(source=source(session_id), resolution_m=resolution_m)
-    if region is not None:
-        low = geometry.vector2_to("region.min", (region.min_x_m, region.min_y_m))
-        high = geometry.vector2_to("region.max", (region.max_x_m, region.max_y_m))
-        request.region.CopyFrom(map_pb2.Region2(min=low, max=high))
+    request = service.GetOccupancyGridRequest(
+        source=source(session_id), region=region_to(region), resolution_m=resolution_m
+    )
     return ChunkedCall(_rpc.GET_OCCUPANCY_GRID, request, lambda a: occupancy([x.chunk for x in a]))
 
 

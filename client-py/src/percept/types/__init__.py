@@ -46,11 +46,14 @@ from .images import (
 )
 from .layers import (
     BoxAnswers,
+    Heights,
     MapChanges,
     MapLayer,
+    Mesh,
     PointAnswers,
     RayAnswers,
     SpaceState,
+    Storey,
     Voxels,
 )
 from .maps import (
@@ -217,6 +220,7 @@ __all__ = [
     "GridGeometry",
     "Ground",
     "GroundPatch",
+    "Heights",
     "HomographyEstimate",
     "ImageFeatures",
     "ImuFrame",
@@ -239,6 +243,7 @@ __all__ = [
     "MapOptimised",
     "MapStamp",
     "MapSummary",
+    "Mesh",
     "Navigation",
     "Neighbours",
     "NoPath",
@@ -309,6 +314,7 @@ __all__ = [
     "SpaceState",
     "Step",
     "StepResult",
+    "Storey",
     "StreamSummary",
     "StreamTrouble",
     "StreamTroubleKind",

@@ -23,6 +23,21 @@ class MapLayer(Name):
     VOXELS = "voxels"
     #: The fused cloud; changes() only.
     CLOUD = "cloud"
+    #: Heights of the ground; changes() only.
+    HEIGHT = "height"
+    #: The surface; changes() only.
+    SURFACE = "surface"
+
+
+class Storey(Name):
+    """Which storey is read where there are several above each other."""
+
+    #: The lowest.
+    UNSPECIFIED = "unspecified"
+    LOWEST = "lowest"
+    HIGHEST = "highest"
+    #: That whose ground is nearest to a height.
+    NEAREST = "nearest"
 
 
 class SpaceState(Name):
@@ -94,6 +109,49 @@ class BoxAnswers(Value):
     states: tuple[SpaceState, ...]
     #: Voxels that are occupied, free, unknown, (N, 3).
     counts: npt.NDArray[np.int64]
+    stamp: MapStamp
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Heights(Value):
+    """How high the ground is, and where a robot can drive: (H, W) arrays, row 0 at the smallest y, NaN where
+    nothing is known."""
+
+    #: Height of the ground, map frame, metres.
+    ground_m: npt.NDArray[np.float32]
+    #: Its standard deviation, metres.
+    sigma_m: npt.NDArray[np.float32]
+    #: Highest of what stands on it and is no higher than the robot, map frame, metres.
+    top_m: npt.NDArray[np.float32]
+    #: Slope over the robot's footprint, radians.
+    slope_rad: npt.NDArray[np.float32]
+    #: Largest step within it, metres.
+    step_m: npt.NDArray[np.float32]
+    #: Standard deviation of the ground from a plane within it, metres.
+    roughness_m: npt.NDArray[np.float32]
+    #: 0, not passable, to 1, flat.
+    traversability: npt.NDArray[np.float32]
+    #: Whether a drop was seen instead of ground.
+    is_drop: npt.NDArray[np.bool_]
+    #: Edge of a cell, metres.
+    resolution_m: float
+    #: Lower-left corner of cell (0, 0), metres, (2,).
+    origin: Floats
+    stamp: MapStamp
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Mesh(Value):
+    """A surface as triangles."""
+
+    #: Metres, map frame, (V, 3).
+    positions: npt.NDArray[np.float32]
+    #: Of unit length, towards where the surface was seen from; zero where undefined, (V, 3).
+    normals: npt.NDArray[np.float32]
+    #: RGB; grey where the surface has none, (V, 3).
+    colours: npt.NDArray[np.uint8]
+    #: Numbers of vertices, counter-clockwise as seen, (T, 3).
+    triangles: npt.NDArray[np.uint32]
     stamp: MapStamp
 
 

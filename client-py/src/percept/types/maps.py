@@ -179,6 +179,10 @@ class MapFormat(Name):
     OCCUPANCY_TIFF = "occupancy_tiff"
     #: World file that says where OCCUPANCY_PNG lies.
     OCCUPANCY_PGW = "occupancy_pgw"
+    #: Surface as a coloured mesh, binary little-endian PLY.
+    MESH_PLY = "mesh_ply"
+    #: The same, binary glTF 2.0, y up.
+    MESH_GLB = "mesh_glb"
     TRAJECTORY_TUM = "trajectory_tum"
     OVERVIEW_PNG = "overview_png"
     CLOUD_TOP_PNG = "cloud_top_png"

@@ -35,6 +35,10 @@ class _MapLayerEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_MapLayer.Val
     """Occupancy in three dimensions."""
     MAP_LAYER_CLOUD: _MapLayer.ValueType  # 3
     """The fused cloud; GetChanges only."""
+    MAP_LAYER_HEIGHT: _MapLayer.ValueType  # 4
+    """Heights of the ground; GetChanges only."""
+    MAP_LAYER_SURFACE: _MapLayer.ValueType  # 5
+    """The surface; GetChanges only."""
 
 class MapLayer(_MapLayer, metaclass=_MapLayerEnumTypeWrapper):
     """A part of the map that can be asked."""
@@ -47,6 +51,10 @@ MAP_LAYER_VOXELS: MapLayer.ValueType  # 2
 """Occupancy in three dimensions."""
 MAP_LAYER_CLOUD: MapLayer.ValueType  # 3
 """The fused cloud; GetChanges only."""
+MAP_LAYER_HEIGHT: MapLayer.ValueType  # 4
+"""Heights of the ground; GetChanges only."""
+MAP_LAYER_SURFACE: MapLayer.ValueType  # 5
+"""The surface; GetChanges only."""
 Global___MapLayer: _TypeAlias = MapLayer  # noqa: Y015
 
 class _SpaceState:
@@ -74,6 +82,30 @@ SPACE_STATE_FREE: SpaceState.ValueType  # 2
 SPACE_STATE_OCCUPIED: SpaceState.ValueType  # 3
 """More likely occupied than not."""
 Global___SpaceState: _TypeAlias = SpaceState  # noqa: Y015
+
+class _Storey:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _StoreyEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Storey.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    STOREY_UNSPECIFIED: _Storey.ValueType  # 0
+    """The lowest."""
+    STOREY_LOWEST: _Storey.ValueType  # 1
+    STOREY_HIGHEST: _Storey.ValueType  # 2
+    STOREY_NEAREST: _Storey.ValueType  # 3
+    """That whose ground is nearest to near_z_m, and not farther from it than near_within_m."""
+
+class Storey(_Storey, metaclass=_StoreyEnumTypeWrapper):
+    """Which storey is read where there are several above each other."""
+
+STOREY_UNSPECIFIED: Storey.ValueType  # 0
+"""The lowest."""
+STOREY_LOWEST: Storey.ValueType  # 1
+STOREY_HIGHEST: Storey.ValueType  # 2
+STOREY_NEAREST: Storey.ValueType  # 3
+"""That whose ground is nearest to near_z_m, and not farther from it than near_within_m."""
+Global___Storey: _TypeAlias = Storey  # noqa: Y015
 
 @_typing.final
 class GetVoxelsRequest(_message.Message):
@@ -509,6 +541,179 @@ class BoxAnswer(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___BoxAnswer: _TypeAlias = BoxAnswer  # noqa: Y015
+
+@_typing.final
+class GetHeightsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    REGION_FIELD_NUMBER: _builtins.int
+    STOREY_FIELD_NUMBER: _builtins.int
+    NEAR_Z_M_FIELD_NUMBER: _builtins.int
+    NEAR_WITHIN_M_FIELD_NUMBER: _builtins.int
+    storey: Global___Storey.ValueType
+    near_z_m: _builtins.float
+    """Metres, map frame; NEAREST only."""
+    near_within_m: _builtins.float
+    """Metres; NEAREST only. 0: 1.5."""
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def region(self) -> _map_pb2.Region2:
+        """Absent: all that was mapped."""
+
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        region: _map_pb2.Region2 | None = ...,
+        storey: Global___Storey.ValueType = ...,
+        near_z_m: _builtins.float = ...,
+        near_within_m: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "region", b"region", "source", b"source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "near_within_m", b"near_within_m", "near_z_m", b"near_z_m", "region", b"region", "source", b"source", "storey", b"storey"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__region: _TypeAlias = _typing.Literal["region"]  # noqa: Y015
+    _WhichOneofArgType__region: _TypeAlias = _typing.Literal["_region", b"_region"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__region) -> _WhichOneofReturnType__region | None: ...
+
+Global___GetHeightsRequest: _TypeAlias = GetHeightsRequest  # noqa: Y015
+
+@_typing.final
+class GetHeightsResponse(_message.Message):
+    """Arrays are row-major, row 0 at the smallest y, one element a cell, floats little-endian; NaN where nothing is known."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STAMP_FIELD_NUMBER: _builtins.int
+    GEOMETRY_FIELD_NUMBER: _builtins.int
+    GROUND_M_FIELD_NUMBER: _builtins.int
+    SIGMA_M_FIELD_NUMBER: _builtins.int
+    TOP_M_FIELD_NUMBER: _builtins.int
+    SLOPE_RAD_FIELD_NUMBER: _builtins.int
+    STEP_M_FIELD_NUMBER: _builtins.int
+    ROUGHNESS_M_FIELD_NUMBER: _builtins.int
+    TRAVERSABILITY_FIELD_NUMBER: _builtins.int
+    IS_DROP_FIELD_NUMBER: _builtins.int
+    ground_m: _builtins.bytes
+    """Height of the ground, map frame, metres, float32."""
+    sigma_m: _builtins.bytes
+    """Its standard deviation, metres, float32."""
+    top_m: _builtins.bytes
+    """Highest of what stands on the ground and is no higher than the robot, map frame, metres, float32."""
+    slope_rad: _builtins.bytes
+    """Slope over the robot's footprint, radians, float32."""
+    step_m: _builtins.bytes
+    """Largest step within it, metres, float32."""
+    roughness_m: _builtins.bytes
+    """Standard deviation of the ground from a plane within it, metres, float32."""
+    traversability: _builtins.bytes
+    """0, not passable, to 1, flat, float32."""
+    is_drop: _builtins.bytes
+    """1 where a drop was seen instead of ground, uint8."""
+    @_builtins.property
+    def stamp(self) -> _map_pb2.MapStamp:
+        """First part only."""
+
+    @_builtins.property
+    def geometry(self) -> _map_pb2.GridGeometry:
+        """First part only. Absent while nothing was mapped."""
+
+    def __init__(
+        self,
+        *,
+        stamp: _map_pb2.MapStamp | None = ...,
+        geometry: _map_pb2.GridGeometry | None = ...,
+        ground_m: _builtins.bytes = ...,
+        sigma_m: _builtins.bytes = ...,
+        top_m: _builtins.bytes = ...,
+        slope_rad: _builtins.bytes = ...,
+        step_m: _builtins.bytes = ...,
+        roughness_m: _builtins.bytes = ...,
+        traversability: _builtins.bytes = ...,
+        is_drop: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_geometry", b"_geometry", "geometry", b"geometry", "stamp", b"stamp"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_geometry", b"_geometry", "geometry", b"geometry", "ground_m", b"ground_m", "is_drop", b"is_drop", "roughness_m", b"roughness_m", "sigma_m", b"sigma_m", "slope_rad", b"slope_rad", "stamp", b"stamp", "step_m", b"step_m", "top_m", b"top_m", "traversability", b"traversability"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__geometry: _TypeAlias = _typing.Literal["geometry"]  # noqa: Y015
+    _WhichOneofArgType__geometry: _TypeAlias = _typing.Literal["_geometry", b"_geometry"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__geometry) -> _WhichOneofReturnType__geometry | None: ...
+
+Global___GetHeightsResponse: _TypeAlias = GetHeightsResponse  # noqa: Y015
+
+@_typing.final
+class GetMeshRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    REGION_FIELD_NUMBER: _builtins.int
+    MAX_TRIANGLES_FIELD_NUMBER: _builtins.int
+    max_triangles: _builtins.int
+    """Refused beyond; 0: the server's limit."""
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def region(self) -> Global___Box3:
+        """Triangles with a corner in it, map frame. Absent: all."""
+
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        region: Global___Box3 | None = ...,
+        max_triangles: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "region", b"region", "source", b"source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "max_triangles", b"max_triangles", "region", b"region", "source", b"source"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__region: _TypeAlias = _typing.Literal["region"]  # noqa: Y015
+    _WhichOneofArgType__region: _TypeAlias = _typing.Literal["_region", b"_region"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__region) -> _WhichOneofReturnType__region | None: ...
+
+Global___GetMeshRequest: _TypeAlias = GetMeshRequest  # noqa: Y015
+
+@_typing.final
+class GetMeshResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STAMP_FIELD_NUMBER: _builtins.int
+    POSITIONS_FIELD_NUMBER: _builtins.int
+    NORMALS_FIELD_NUMBER: _builtins.int
+    COLOURS_FIELD_NUMBER: _builtins.int
+    TRIANGLES_FIELD_NUMBER: _builtins.int
+    positions: _builtins.bytes
+    """V x 3 float32, little-endian, metres, map frame."""
+    normals: _builtins.bytes
+    """V x 3 float32, of unit length, towards where the surface was seen from; zero where undefined."""
+    colours: _builtins.bytes
+    """V x 3 uint8, RGB; grey where the surface has no colour."""
+    triangles: _builtins.bytes
+    """T x 3 uint32, little-endian: numbers of vertices, counter-clockwise as seen."""
+    @_builtins.property
+    def stamp(self) -> _map_pb2.MapStamp:
+        """First part only."""
+
+    def __init__(
+        self,
+        *,
+        stamp: _map_pb2.MapStamp | None = ...,
+        positions: _builtins.bytes = ...,
+        normals: _builtins.bytes = ...,
+        colours: _builtins.bytes = ...,
+        triangles: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["stamp", b"stamp"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["colours", b"colours", "normals", b"normals", "positions", b"positions", "stamp", b"stamp", "triangles", b"triangles"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___GetMeshResponse: _TypeAlias = GetMeshResponse  # noqa: Y015
 
 @_typing.final
 class GetChangesRequest(_message.Message):

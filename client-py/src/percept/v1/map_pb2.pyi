@@ -85,6 +85,10 @@ class _MapFormatEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_MapFormat.V
     """Occupancy as GeoTIFF in local coordinates: 0 to 100 percent, 255 unknown."""
     MAP_FORMAT_OCCUPANCY_PGW: _MapFormat.ValueType  # 15
     """World file that says where OCCUPANCY_PNG lies."""
+    MAP_FORMAT_MESH_PLY: _MapFormat.ValueType  # 16
+    """Surface as a coloured mesh, binary little-endian PLY."""
+    MAP_FORMAT_MESH_GLB: _MapFormat.ValueType  # 17
+    """Surface as a coloured mesh, binary glTF 2.0, y up."""
 
 class MapFormat(_MapFormat, metaclass=_MapFormatEnumTypeWrapper):
     """Files that a map can be read as."""
@@ -120,6 +124,10 @@ MAP_FORMAT_OCCUPANCY_TIFF: MapFormat.ValueType  # 14
 """Occupancy as GeoTIFF in local coordinates: 0 to 100 percent, 255 unknown."""
 MAP_FORMAT_OCCUPANCY_PGW: MapFormat.ValueType  # 15
 """World file that says where OCCUPANCY_PNG lies."""
+MAP_FORMAT_MESH_PLY: MapFormat.ValueType  # 16
+"""Surface as a coloured mesh, binary little-endian PLY."""
+MAP_FORMAT_MESH_GLB: MapFormat.ValueType  # 17
+"""Surface as a coloured mesh, binary glTF 2.0, y up."""
 Global___MapFormat: _TypeAlias = MapFormat  # noqa: Y015
 
 @_typing.final

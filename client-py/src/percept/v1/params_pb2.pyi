@@ -735,6 +735,8 @@ class MapParams(_message.Message):
     OCCUPANCY_FIELD_NUMBER: _builtins.int
     CLOUD_FIELD_NUMBER: _builtins.int
     VOXELS_FIELD_NUMBER: _builtins.int
+    HEIGHT_FIELD_NUMBER: _builtins.int
+    SURFACE_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def occupancy(self) -> Global___OccupancyParams:
         """The 2D grid."""
@@ -747,16 +749,26 @@ class MapParams(_message.Message):
     def voxels(self) -> Global___VoxelParams:
         """Occupancy in three dimensions."""
 
+    @_builtins.property
+    def height(self) -> Global___HeightParams:
+        """Heights of the ground, and where a robot can drive."""
+
+    @_builtins.property
+    def surface(self) -> Global___SurfaceParams:
+        """The surface, as signed distances."""
+
     def __init__(
         self,
         *,
         occupancy: Global___OccupancyParams | None = ...,
         cloud: Global___CloudParams | None = ...,
         voxels: Global___VoxelParams | None = ...,
+        height: Global___HeightParams | None = ...,
+        surface: Global___SurfaceParams | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "occupancy", b"occupancy", "voxels", b"voxels"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "height", b"height", "occupancy", b"occupancy", "surface", b"surface", "voxels", b"voxels"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "occupancy", b"occupancy", "voxels", b"voxels"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "height", b"height", "occupancy", b"occupancy", "surface", b"surface", "voxels", b"voxels"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -1022,6 +1034,206 @@ class VoxelParams(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
 
 Global___VoxelParams: _TypeAlias = VoxelParams  # noqa: Y015
+
+@_typing.final
+class HeightParams(_message.Message):
+    """Parameters of HeightGrid(crate::HeightGrid) and of what is computed of it."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ENABLED_FIELD_NUMBER: _builtins.int
+    RESOLUTION_M_FIELD_NUMBER: _builtins.int
+    RANGE_MIN_M_FIELD_NUMBER: _builtins.int
+    RANGE_MAX_M_FIELD_NUMBER: _builtins.int
+    CLEARANCE_M_FIELD_NUMBER: _builtins.int
+    RANGE_SIGMA_M_FIELD_NUMBER: _builtins.int
+    ANGLE_SIGMA_RAD_FIELD_NUMBER: _builtins.int
+    FOOTPRINT_M_FIELD_NUMBER: _builtins.int
+    MAX_SLOPE_RAD_FIELD_NUMBER: _builtins.int
+    MAX_STEP_M_FIELD_NUMBER: _builtins.int
+    MAX_ROUGHNESS_M_FIELD_NUMBER: _builtins.int
+    enabled: _builtins.bool
+    """Whether heights are kept. If not, the layer stays empty and costs nothing."""
+    resolution_m: _builtins.float
+    """Edge of a cell, metres; 0.01 to 10."""
+    range_min_m: _builtins.float
+    """Returns nearer than this to the sensor, horizontally, say nothing, metres."""
+    range_max_m: _builtins.float
+    """Returns beyond this only show that nothing stands before it, metres; at most 1000 cells. Absent: as far as the
+    sensor sees, to 30 m or 1000 cells at most.
+    """
+    clearance_m: _builtins.float
+    """The robot's height: what is lower above the ground stands in its way, what is higher hangs over it, and grounds
+    that are so far apart belong to two storeys, metres; 0.3 to 10.
+    """
+    range_sigma_m: _builtins.float
+    """Standard deviation of a range, metres; 0.001 to 1. Default: a lidar's of 2010 to 2020 (data sheets of HDL-64E
+    and VLP-16).
+    """
+    angle_sigma_rad: _builtins.float
+    """Standard deviation of a beam's direction, radians; 0 to 0.1. Default: half the divergence of a VLP-16's beam, 3
+    mrad.
+    """
+    footprint_m: _builtins.float
+    """Diameter of what the robot stands on, over which slope, step and roughness are told, metres; at least 3 and at
+    most 21 cells.
+    """
+    max_slope_rad: _builtins.float
+    """Steepest slope that can be driven, radians; above 0, at most 1.5. Default: 10 degrees. Wheelchair ramps rise by
+    1 in 12, 0.083 rad (2010 ADA Standards, 405.2).
+    """
+    max_step_m: _builtins.float
+    """Highest step that can be driven, metres; above 0, at most 10. Default: 0.1, which a kerb of 0.12 exceeds.
+    Indoors, thresholds are 13 mm at most (2010 ADA Standards, 303.3).
+    """
+    max_roughness_m: _builtins.float
+    """Largest deviation of the ground from a plane, root mean square, metres; above 0, at most 10. Default: that of
+    Wermelinger et al. 2016.
+    """
+    def __init__(
+        self,
+        *,
+        enabled: _builtins.bool | None = ...,
+        resolution_m: _builtins.float | None = ...,
+        range_min_m: _builtins.float | None = ...,
+        range_max_m: _builtins.float | None = ...,
+        clearance_m: _builtins.float | None = ...,
+        range_sigma_m: _builtins.float | None = ...,
+        angle_sigma_rad: _builtins.float | None = ...,
+        footprint_m: _builtins.float | None = ...,
+        max_slope_rad: _builtins.float | None = ...,
+        max_step_m: _builtins.float | None = ...,
+        max_roughness_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_angle_sigma_rad", b"_angle_sigma_rad", "_clearance_m", b"_clearance_m", "_enabled", b"_enabled", "_footprint_m", b"_footprint_m", "_max_roughness_m", b"_max_roughness_m", "_max_slope_rad", b"_max_slope_rad", "_max_step_m", b"_max_step_m", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_range_sigma_m", b"_range_sigma_m", "_resolution_m", b"_resolution_m", "angle_sigma_rad", b"angle_sigma_rad", "clearance_m", b"clearance_m", "enabled", b"enabled", "footprint_m", b"footprint_m", "max_roughness_m", b"max_roughness_m", "max_slope_rad", b"max_slope_rad", "max_step_m", b"max_step_m", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "range_sigma_m", b"range_sigma_m", "resolution_m", b"resolution_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_angle_sigma_rad", b"_angle_sigma_rad", "_clearance_m", b"_clearance_m", "_enabled", b"_enabled", "_footprint_m", b"_footprint_m", "_max_roughness_m", b"_max_roughness_m", "_max_slope_rad", b"_max_slope_rad", "_max_step_m", b"_max_step_m", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_range_sigma_m", b"_range_sigma_m", "_resolution_m", b"_resolution_m", "angle_sigma_rad", b"angle_sigma_rad", "clearance_m", b"clearance_m", "enabled", b"enabled", "footprint_m", b"footprint_m", "max_roughness_m", b"max_roughness_m", "max_slope_rad", b"max_slope_rad", "max_step_m", b"max_step_m", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "range_sigma_m", b"range_sigma_m", "resolution_m", b"resolution_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__angle_sigma_rad: _TypeAlias = _typing.Literal["angle_sigma_rad"]  # noqa: Y015
+    _WhichOneofArgType__angle_sigma_rad: _TypeAlias = _typing.Literal["_angle_sigma_rad", b"_angle_sigma_rad"]  # noqa: Y015
+    _WhichOneofReturnType__clearance_m: _TypeAlias = _typing.Literal["clearance_m"]  # noqa: Y015
+    _WhichOneofArgType__clearance_m: _TypeAlias = _typing.Literal["_clearance_m", b"_clearance_m"]  # noqa: Y015
+    _WhichOneofReturnType__enabled: _TypeAlias = _typing.Literal["enabled"]  # noqa: Y015
+    _WhichOneofArgType__enabled: _TypeAlias = _typing.Literal["_enabled", b"_enabled"]  # noqa: Y015
+    _WhichOneofReturnType__footprint_m: _TypeAlias = _typing.Literal["footprint_m"]  # noqa: Y015
+    _WhichOneofArgType__footprint_m: _TypeAlias = _typing.Literal["_footprint_m", b"_footprint_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_roughness_m: _TypeAlias = _typing.Literal["max_roughness_m"]  # noqa: Y015
+    _WhichOneofArgType__max_roughness_m: _TypeAlias = _typing.Literal["_max_roughness_m", b"_max_roughness_m"]  # noqa: Y015
+    _WhichOneofReturnType__max_slope_rad: _TypeAlias = _typing.Literal["max_slope_rad"]  # noqa: Y015
+    _WhichOneofArgType__max_slope_rad: _TypeAlias = _typing.Literal["_max_slope_rad", b"_max_slope_rad"]  # noqa: Y015
+    _WhichOneofReturnType__max_step_m: _TypeAlias = _typing.Literal["max_step_m"]  # noqa: Y015
+    _WhichOneofArgType__max_step_m: _TypeAlias = _typing.Literal["_max_step_m", b"_max_step_m"]  # noqa: Y015
+    _WhichOneofReturnType__range_max_m: _TypeAlias = _typing.Literal["range_max_m"]  # noqa: Y015
+    _WhichOneofArgType__range_max_m: _TypeAlias = _typing.Literal["_range_max_m", b"_range_max_m"]  # noqa: Y015
+    _WhichOneofReturnType__range_min_m: _TypeAlias = _typing.Literal["range_min_m"]  # noqa: Y015
+    _WhichOneofArgType__range_min_m: _TypeAlias = _typing.Literal["_range_min_m", b"_range_min_m"]  # noqa: Y015
+    _WhichOneofReturnType__range_sigma_m: _TypeAlias = _typing.Literal["range_sigma_m"]  # noqa: Y015
+    _WhichOneofArgType__range_sigma_m: _TypeAlias = _typing.Literal["_range_sigma_m", b"_range_sigma_m"]  # noqa: Y015
+    _WhichOneofReturnType__resolution_m: _TypeAlias = _typing.Literal["resolution_m"]  # noqa: Y015
+    _WhichOneofArgType__resolution_m: _TypeAlias = _typing.Literal["_resolution_m", b"_resolution_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__angle_sigma_rad) -> _WhichOneofReturnType__angle_sigma_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__clearance_m) -> _WhichOneofReturnType__clearance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__enabled) -> _WhichOneofReturnType__enabled | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__footprint_m) -> _WhichOneofReturnType__footprint_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_roughness_m) -> _WhichOneofReturnType__max_roughness_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_slope_rad) -> _WhichOneofReturnType__max_slope_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_step_m) -> _WhichOneofReturnType__max_step_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_max_m) -> _WhichOneofReturnType__range_max_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_min_m) -> _WhichOneofReturnType__range_min_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_sigma_m) -> _WhichOneofReturnType__range_sigma_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__resolution_m) -> _WhichOneofReturnType__resolution_m | None: ...
+
+Global___HeightParams: _TypeAlias = HeightParams  # noqa: Y015
+
+@_typing.final
+class SurfaceParams(_message.Message):
+    """Parameters of SurfaceGrid(crate::SurfaceGrid)."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ENABLED_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    TRUNCATION_M_FIELD_NUMBER: _builtins.int
+    RANGE_MIN_M_FIELD_NUMBER: _builtins.int
+    RANGE_MAX_M_FIELD_NUMBER: _builtins.int
+    MAX_WEIGHT_FIELD_NUMBER: _builtins.int
+    CARVE_FIELD_NUMBER: _builtins.int
+    enabled: _builtins.bool
+    """Whether keyframes enter this layer; it takes no time and no memory if not."""
+    voxel_size_m: _builtins.float
+    """Edge of a voxel, metres; 0.002 to 1. Details of less than two voxels are lost, and memory grows with its inverse
+    square.
+    """
+    truncation_m: _builtins.float
+    """Distance from the surface up to which voxels hold it, metres; 2 to 16 voxels. What is thinner than this cannot
+    be seen from both sides. Absent: 4 voxels.
+    """
+    range_min_m: _builtins.float
+    """Returns nearer than this to the sensor are left out, metres."""
+    range_max_m: _builtins.float
+    """Returns beyond this only show that what lies before it is free, metres; above `range_min_m`, at most 10000
+    voxels. Absent: as far as the sensor sees, to 30 m or 10000 voxels at most.
+    """
+    max_weight: _builtins.float
+    """Looks that a voxel remembers: the weight at which its mean becomes a moving one; 1 to 255."""
+    carve: _builtins.bool
+    """Whether a surface goes that was seen through: three looks take the largest weight away."""
+    def __init__(
+        self,
+        *,
+        enabled: _builtins.bool | None = ...,
+        voxel_size_m: _builtins.float | None = ...,
+        truncation_m: _builtins.float | None = ...,
+        range_min_m: _builtins.float | None = ...,
+        range_max_m: _builtins.float | None = ...,
+        max_weight: _builtins.float | None = ...,
+        carve: _builtins.bool | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_carve", b"_carve", "_enabled", b"_enabled", "_max_weight", b"_max_weight", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_truncation_m", b"_truncation_m", "_voxel_size_m", b"_voxel_size_m", "carve", b"carve", "enabled", b"enabled", "max_weight", b"max_weight", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "truncation_m", b"truncation_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_carve", b"_carve", "_enabled", b"_enabled", "_max_weight", b"_max_weight", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_truncation_m", b"_truncation_m", "_voxel_size_m", b"_voxel_size_m", "carve", b"carve", "enabled", b"enabled", "max_weight", b"max_weight", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "truncation_m", b"truncation_m", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__carve: _TypeAlias = _typing.Literal["carve"]  # noqa: Y015
+    _WhichOneofArgType__carve: _TypeAlias = _typing.Literal["_carve", b"_carve"]  # noqa: Y015
+    _WhichOneofReturnType__enabled: _TypeAlias = _typing.Literal["enabled"]  # noqa: Y015
+    _WhichOneofArgType__enabled: _TypeAlias = _typing.Literal["_enabled", b"_enabled"]  # noqa: Y015
+    _WhichOneofReturnType__max_weight: _TypeAlias = _typing.Literal["max_weight"]  # noqa: Y015
+    _WhichOneofArgType__max_weight: _TypeAlias = _typing.Literal["_max_weight", b"_max_weight"]  # noqa: Y015
+    _WhichOneofReturnType__range_max_m: _TypeAlias = _typing.Literal["range_max_m"]  # noqa: Y015
+    _WhichOneofArgType__range_max_m: _TypeAlias = _typing.Literal["_range_max_m", b"_range_max_m"]  # noqa: Y015
+    _WhichOneofReturnType__range_min_m: _TypeAlias = _typing.Literal["range_min_m"]  # noqa: Y015
+    _WhichOneofArgType__range_min_m: _TypeAlias = _typing.Literal["_range_min_m", b"_range_min_m"]  # noqa: Y015
+    _WhichOneofReturnType__truncation_m: _TypeAlias = _typing.Literal["truncation_m"]  # noqa: Y015
+    _WhichOneofArgType__truncation_m: _TypeAlias = _typing.Literal["_truncation_m", b"_truncation_m"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__carve) -> _WhichOneofReturnType__carve | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__enabled) -> _WhichOneofReturnType__enabled | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_weight) -> _WhichOneofReturnType__max_weight | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_max_m) -> _WhichOneofReturnType__range_max_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_min_m) -> _WhichOneofReturnType__range_min_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__truncation_m) -> _WhichOneofReturnType__truncation_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
+
+Global___SurfaceParams: _TypeAlias = SurfaceParams  # noqa: Y015
 
 @_typing.final
 class DetectionSettings(_message.Message):

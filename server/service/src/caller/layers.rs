@@ -2,9 +2,12 @@
 
 use super::Caller;
 use crate::Result;
-use crate::layers::{BoxAnswer, ChangeAnswer, MapLayer, OfMap, PointAnswers, RayAnswer, SpaceRay, VoxelAnswer};
-use nalgebra::Point3;
-use percept_geometry::{Aabb3, OrientedBox3};
+use crate::layers::{
+    BoxAnswer, ChangeAnswer, HeightAnswer, MapLayer, OfMap, PointAnswers, RayAnswer, SpaceRay, VoxelAnswer,
+};
+use nalgebra::{Point2, Point3};
+use percept_geometry::{Aabb3, OrientedBox3, TriangleMesh};
+use percept_mapping::height::Storey;
 
 impl Caller {
     /// The voxels within a box of the map, or all.
@@ -57,6 +60,34 @@ impl Caller {
     pub async fn check_boxes(&self, session: &str, boxes: Vec<OrientedBox3>) -> Result<OfMap<Vec<BoxAnswer>>> {
         self.may_with("LayersService/CheckBoxes", session).await?;
         self.service.check_boxes(session, boxes).await
+    }
+
+    /// How high the ground is, and where a robot can drive.
+    ///
+    /// # Errors
+    /// `LAYER_OFF`, `GRID_TOO_LARGE`, `REGION_EMPTY`, `REGION_TOO_FAR`, `SESSION_NOT_FOUND`.
+    pub async fn heights(
+        &self,
+        session: &str,
+        region: Option<(Point2<f64>, Point2<f64>)>,
+        storey: Storey,
+    ) -> Result<OfMap<HeightAnswer>> {
+        self.may_with("LayersService/GetHeights", session).await?;
+        self.service.heights(session, region, storey).await
+    }
+
+    /// The surface as triangles.
+    ///
+    /// # Errors
+    /// `LAYER_OFF`, `MESH_TOO_LARGE`, `SESSION_NOT_FOUND`.
+    pub async fn mesh(
+        &self,
+        session: &str,
+        region: Option<Aabb3>,
+        max_triangles: Option<usize>,
+    ) -> Result<OfMap<TriangleMesh>> {
+        self.may_with("LayersService/GetMesh", session).await?;
+        self.service.mesh(session, region, max_triangles).await
     }
 
     /// Where a layer changed after a version.

@@ -78,6 +78,8 @@ pub static RULES: &[Rule] = &[
     session("LayersService/QueryPoints", Read),
     session("LayersService/CastRays", Read),
     session("LayersService/CheckBoxes", Read),
+    session("LayersService/GetHeights", Read),
+    session("LayersService/GetMesh", Read),
     session("LayersService/GetChanges", Read),
 
     session("SceneService/ListObjects", Read),

@@ -1,12 +1,13 @@
 //! Questions about space: what is at points, in boxes, along rays, in voxels, and where the map changed.
 
-use super::maps::stamp_of;
+use super::maps::{cells_of, stamp_of};
 use crate::reason;
 use crate::{Error, ErrorCode, Result, Service};
 use nalgebra::{Point2, Point3, Unit, Vector3};
-use percept_geometry::{Aabb3, OrientedBox3, Timestamp, Voxel};
+use percept_geometry::{Aabb3, OrientedBox3, Timestamp, TriangleMesh, Voxel};
+use percept_mapping::height::{DenseHeights, Storey, Traversability};
 use percept_mapping::voxels::{MAX_RAY_VOXELS, VoxelReader, VoxelState};
-use percept_mapping::{Composed, Layer, MapLayers, MappingError, VoxelBlock};
+use percept_mapping::{Composed, Layer, MapLayers, MappingError, MeshOptions, VoxelBlock};
 use percept_pipeline::Snapshot;
 
 /// Points or rays of one question.
@@ -24,6 +25,10 @@ pub enum MapLayer {
     Voxels,
     /// The fused cloud.
     Cloud,
+    /// Heights of the ground.
+    Height,
+    /// The surface.
+    Surface,
 }
 
 /// An answer of one state of the map.
@@ -110,6 +115,9 @@ pub struct ChangeAnswer {
     pub regions: Vec<(Point2<f64>, Point2<f64>)>,
 }
 
+/// Heights of a region, and where a robot can drive in it; none if nothing was mapped.
+pub type HeightAnswer = Option<(DenseHeights, Traversability)>;
+
 impl Service {
     async fn of_map<T: Send + 'static>(
         &self,
@@ -154,8 +162,8 @@ impl Service {
     ) -> Result<OfMap<PointAnswers>> {
         at_most("points", points.len(), MAX_QUERIES)?;
         self.of_map(session, move |s| match layer {
-            Some(MapLayer::Cloud) => {
-                let message = "layer CLOUD knows no free space; ask OCCUPANCY or VOXELS";
+            Some(MapLayer::Cloud | MapLayer::Height | MapLayer::Surface) => {
+                let message = "layer knows no free space; ask OCCUPANCY or VOXELS";
                 Err(Error::invalid(reason::ENUM_UNKNOWN, "layer", message))
             }
             None if !s.layers.voxels.params().enabled => in_grid(&s.layers, &points),
@@ -212,6 +220,41 @@ impl Service {
         .await
     }
 
+    /// How high the ground is in a region of the map (its corners), or everywhere, and where a robot can drive.
+    ///
+    /// # Errors
+    /// `LAYER_OFF`, `GRID_TOO_LARGE`, `REGION_EMPTY`, `REGION_TOO_FAR`, `SESSION_NOT_FOUND`.
+    pub async fn heights(
+        &self,
+        session: &str,
+        region: Option<(Point2<f64>, Point2<f64>)>,
+        storey: Storey,
+    ) -> Result<OfMap<HeightAnswer>> {
+        let limit = self.limits.max_grid_cells;
+        self.of_map(session, move |s| {
+            let heights = &s.layers.height;
+            need(heights.params().enabled, "heights", "height")?;
+            let Some((min, max)) = cells_of(heights.geometry(), heights.bounds(), region)? else { return Ok(None) };
+            let found = heights.region(min, max, storey, limit);
+            let found = found.and_then(|h| Ok((h, heights.traversability(min, max, storey, limit)?)));
+            found.map(Some).map_err(|e| too_many_voxels(&e))
+        })
+        .await
+    }
+
+    /// The surface within a box of the map, or all, as triangles.
+    ///
+    /// # Errors
+    /// `LAYER_OFF`, `MESH_TOO_LARGE`, `SESSION_NOT_FOUND`.
+    pub async fn mesh(
+        &self,
+        session: &str,
+        region: Option<Aabb3>,
+        max_triangles: Option<usize>,
+    ) -> Result<OfMap<TriangleMesh>> {
+        self.of_map(session, move |s| mesh_of(&s.layers, region, max_triangles)).await
+    }
+
     /// Where a layer changed after a version.
     ///
     /// # Errors
@@ -229,6 +272,14 @@ impl Service {
             let regions = match layer {
                 MapLayer::Occupancy => changed(&layers.occupancy, since_version),
                 MapLayer::Cloud => changed(&layers.cloud, since_version),
+                MapLayer::Height => {
+                    need(layers.height.params().enabled, "heights", "height")?;
+                    changed(&layers.height, since_version)
+                }
+                MapLayer::Surface => {
+                    need(layers.surface.params().enabled, "surface", "surface")?;
+                    changed(&layers.surface, since_version)
+                }
                 MapLayer::Voxels => {
                     need_voxels(layers)?;
                     changed(&layers.voxels, since_version)
@@ -247,11 +298,31 @@ fn changed<L: Layer>(layer: &Composed<L>, since_version: u64) -> Vec<(Point2<f64
 }
 
 pub(super) fn need_voxels(layers: &MapLayers) -> Result<()> {
-    if layers.voxels.params().enabled {
+    need(layers.voxels.params().enabled, "voxels", "voxels")
+}
+
+fn need(is_there: bool, what: &str, params: &str) -> Result<()> {
+    if is_there {
         return Ok(());
     }
-    let message = "the session keeps no voxels; create one with params.map.voxels.enabled, or ask the grid";
+    let message = format!("the session keeps no {what}; create one with params.map.{params}.enabled");
     Err(Error { field: "layer".to_owned(), ..Error::new(ErrorCode::FailedPrecondition, reason::LAYER_OFF, message) })
+}
+
+/// The surface of a map as triangles.
+pub(super) fn mesh_of(layers: &MapLayers, region: Option<Aabb3>, max_triangles: Option<usize>) -> Result<TriangleMesh> {
+    need(layers.surface.params().enabled, "surface", "surface")?;
+    let most = MeshOptions::default().max_triangles;
+    let max_triangles = max_triangles.map_or(most, |n| n.min(most));
+    let mesh = layers.surface.mesh(&MeshOptions { region, max_triangles, ..MeshOptions::default() });
+    let mesh = mesh.map_err(|e| match e {
+        MappingError::MeshTooLarge { limit } => {
+            let message = format!("the mesh has more than {limit} triangles; ask for a region");
+            Error::exhausted(reason::MESH_TOO_LARGE, "region", message)
+        }
+        e => Error::internal(e),
+    })?;
+    TriangleMesh::new(mesh.positions, mesh.normals, mesh.colors, mesh.triangles).map_err(Error::internal)
 }
 
 fn at_most(field: &str, num: usize, limit: usize) -> Result<()> {

@@ -82,6 +82,10 @@ pub enum MapFormat {
     OccupancyTiff,
     /// Where the picture of the occupancy lies.
     OccupancyPgw,
+    /// Surface, binary little-endian PLY.
+    MeshPly,
+    /// Surface, binary glTF.
+    MeshGlb,
     /// Trajectory, TUM text.
     TrajectoryTum,
     /// Occupancy with trajectory and objects.
@@ -110,8 +114,12 @@ pub(super) fn stamp_of(snapshot: &Snapshot) -> Timestamp {
 }
 
 /// Lower-left and upper-right cell of all that was mapped, or of the part of it that lies in a region.
-fn cells_of(grid: &impl Occupancy, region: Option<(Point2<f64>, Point2<f64>)>) -> Result<Option<(Cell, Cell)>> {
-    let Some(bounds) = grid.bounds() else { return Ok(None) };
+pub(super) fn cells_of(
+    geometry: GridGeometry,
+    bounds: Option<(Cell, Cell)>,
+    region: Option<(Point2<f64>, Point2<f64>)>,
+) -> Result<Option<(Cell, Cell)>> {
+    let Some(bounds) = bounds else { return Ok(None) };
     let Some((min, max)) = region else { return Ok(Some(bounds)) };
     if !(min.x < max.x && min.y < max.y) {
         let message =
@@ -121,7 +129,6 @@ fn cells_of(grid: &impl Occupancy, region: Option<(Point2<f64>, Point2<f64>)>) -
     let far = || {
         Error::invalid(reason::REGION_TOO_FAR, "region", "region lies beyond what cells can number; bring it nearer")
     };
-    let geometry = grid.geometry();
     let (a, b) = (geometry.cell(&min).ok_or_else(far)?, geometry.cell(&max).ok_or_else(far)?);
     Ok(Some((a, b)))
 }
@@ -180,7 +187,7 @@ pub fn dense(
     let own = grid.geometry();
     let factor = shrink_factor(own.resolution_m, resolution_m, limits, region)?;
     let resolution = own.resolution_m * f64::from(factor);
-    let Some((a, b)) = cells_of(grid, region)? else {
+    let Some((a, b)) = cells_of(own, grid.bounds(), region)? else {
         return Ok(GridMap { geometry: GridGeometry::new(resolution, own.origin), width: 0, height: 0, cells: vec![] });
     };
     let (ax, ay) = (a.x.div_euclid(factor), a.y.div_euclid(factor));
@@ -427,6 +434,19 @@ fn export_telling(
         F::OccupancyPgw => {
             let grid = grid()?;
             ("pgw", "text/plain", geotiff::world_file(&grid.geometry, grid.height).into_bytes())
+        }
+        F::MeshPly | F::MeshGlb => {
+            let mesh = super::layers::mesh_of(&s.layers, None, None)?;
+            if mesh.is_empty() {
+                return Err(map_empty());
+            }
+            writing()?;
+            if format == F::MeshGlb {
+                ("mesh.glb", "model/gltf-binary", gltf::encode_mesh(&mesh, "map").map_err(Error::internal)?)
+            } else {
+                let bytes = ply::encode_mesh(&mesh, ply::Encoding::BinaryLittleEndian).map_err(Error::internal)?;
+                ("mesh.ply", "application/octet-stream", bytes)
+            }
         }
         F::TrajectoryTum => {
             writing()?;

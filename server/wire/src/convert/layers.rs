@@ -2,11 +2,13 @@
 
 use super::{geometry, maps, required};
 use crate::v1;
+use bytes::Bytes;
 use nalgebra::{Point2, Point3};
-use percept_geometry::{Aabb3, OrientedBox3};
+use percept_geometry::{Aabb3, OrientedBox3, TriangleMesh};
+use percept_mapping::height::Storey;
 use percept_mapping::voxels::VoxelState;
 use percept_service::layers::{
-    BoxAnswer, ChangeAnswer, MapLayer, OfMap, PointAnswers, RayAnswer, SpaceRay, VoxelAnswer,
+    BoxAnswer, ChangeAnswer, HeightAnswer, MapLayer, OfMap, PointAnswers, RayAnswer, SpaceRay, VoxelAnswer,
 };
 use percept_service::reason;
 use percept_service::{Error, Result};
@@ -21,6 +23,8 @@ pub fn layer(value: i32) -> Result<Option<MapLayer>> {
         Ok(v1::MapLayer::Occupancy) => Some(MapLayer::Occupancy),
         Ok(v1::MapLayer::Voxels) => Some(MapLayer::Voxels),
         Ok(v1::MapLayer::Cloud) => Some(MapLayer::Cloud),
+        Ok(v1::MapLayer::Height) => Some(MapLayer::Height),
+        Ok(v1::MapLayer::Surface) => Some(MapLayer::Surface),
         Err(_) => return Err(super::unknown_enum("layer", value)),
     })
 }
@@ -30,6 +34,8 @@ fn layer_to(layer: MapLayer) -> i32 {
         MapLayer::Occupancy => v1::MapLayer::Occupancy,
         MapLayer::Voxels => v1::MapLayer::Voxels,
         MapLayer::Cloud => v1::MapLayer::Cloud,
+        MapLayer::Height => v1::MapLayer::Height,
+        MapLayer::Surface => v1::MapLayer::Surface,
     }
     .into()
 }
@@ -150,6 +156,67 @@ pub fn boxes_to(found: &OfMap<Vec<BoxAnswer>>) -> v1::CheckBoxesResponse {
     };
     let stamp = Some(maps::stamp_to(found.map_version, found.stamp));
     v1::CheckBoxesResponse { stamp, boxes: found.answer.iter().map(answer).collect() }
+}
+
+/// Ground that is this much higher or lower than asked for is another storey's, metres, unless said otherwise: half a storey.
+const NEAR_WITHIN_M: f64 = 1.5;
+
+/// Which storey is asked for.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`; `OUT_OF_RANGE` for what is not finite, or below 0.
+pub fn storey(r: &v1::GetHeightsRequest) -> Result<Storey> {
+    Ok(match v1::Storey::try_from(r.storey) {
+        Ok(v1::Storey::Unspecified | v1::Storey::Lowest) => Storey::Lowest,
+        Ok(v1::Storey::Highest) => Storey::Highest,
+        Ok(v1::Storey::Nearest) => {
+            let finite = |field: &str, value: f64, low: f64| {
+                let message = format!("{field} is {value}; it must be finite and at least {low}");
+                let is_sound = value.is_finite() && value >= low;
+                if is_sound { Ok(value) } else { Err(Error::invalid(reason::OUT_OF_RANGE, field, message)) }
+            };
+            let within_m = finite("near_within_m", r.near_within_m, 0.0)?;
+            let within_m = if within_m == 0.0 { NEAR_WITHIN_M } else { within_m };
+            Storey::Near { z_m: finite("near_z_m", r.near_z_m, f64::MIN)?, within_m }
+        }
+        Err(_) => return Err(super::unknown_enum("storey", r.storey)),
+    })
+}
+
+/// Heights as a message.
+pub fn heights_to(found: &OfMap<HeightAnswer>) -> v1::GetHeightsResponse {
+    let stamp = Some(maps::stamp_to(found.map_version, found.stamp));
+    let Some((h, t)) = &found.answer else { return v1::GetHeightsResponse { stamp, ..Default::default() } };
+    v1::GetHeightsResponse {
+        stamp,
+        geometry: Some(maps::grid_geometry_to(&h.geometry, h.width, h.height)),
+        ground_m: floats(&h.ground_m),
+        sigma_m: floats(&h.sigma_m),
+        top_m: floats(&h.top_m),
+        slope_rad: floats(&t.slope_rad),
+        step_m: floats(&t.step_m),
+        roughness_m: floats(&t.roughness_m),
+        traversability: floats(&t.traversability),
+        is_drop: h.is_drop.iter().map(|d| u8::from(*d)).collect::<Vec<u8>>().into(),
+    }
+}
+
+fn floats(values: &[f32]) -> Bytes {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>().into()
+}
+
+/// A surface as a message.
+pub fn mesh_to(found: &OfMap<TriangleMesh>) -> v1::GetMeshResponse {
+    let mesh = &found.answer;
+    let positions: Vec<f32> = mesh.positions.iter().flat_map(|p| [p.x, p.y, p.z]).collect();
+    let normals: Vec<f32> = mesh.normals.iter().flat_map(|n| [n.x, n.y, n.z]).collect();
+    v1::GetMeshResponse {
+        stamp: Some(maps::stamp_to(found.map_version, found.stamp)),
+        positions: floats(&positions),
+        normals: floats(&normals),
+        colours: mesh.colors.as_flattened().to_vec().into(),
+        triangles: mesh.triangles.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>().into(),
+    }
 }
 
 /// Where a layer changed, as a message.

@@ -102,6 +102,8 @@ pub fn format(value: i32) -> Result<MapFormat> {
         Ok(F::VoxelsOt) => MapFormat::VoxelsOt,
         Ok(F::OccupancyTiff) => MapFormat::OccupancyTiff,
         Ok(F::OccupancyPgw) => MapFormat::OccupancyPgw,
+        Ok(F::MeshPly) => MapFormat::MeshPly,
+        Ok(F::MeshGlb) => MapFormat::MeshGlb,
         Ok(F::TrajectoryTum) => MapFormat::TrajectoryTum,
         Ok(F::OverviewPng) => MapFormat::OverviewPng,
         Ok(F::CloudTopPng) => MapFormat::CloudTopPng,
@@ -114,7 +116,8 @@ pub fn stamp_to(map_version: u64, stamp: Timestamp) -> v1::MapStamp {
     v1::MapStamp { map_version, stamp_ns: stamp.nanos(), frame_id: "map".to_owned() }
 }
 
-fn grid_geometry_to(g: &GridGeometry, width: usize, height: usize) -> v1::GridGeometry {
+/// Where a grid lies, as a message.
+pub(super) fn grid_geometry_to(g: &GridGeometry, width: usize, height: usize) -> v1::GridGeometry {
     v1::GridGeometry {
         resolution_m: g.resolution_m,
         origin: Some(v1::Vector2 { x: g.origin.x, y: g.origin.y }),

@@ -24,6 +24,8 @@ impl v1::layers_service_server::LayersService for Api {
     type QueryPointsStream = Streamed<v1::QueryPointsResponse>;
     type CastRaysStream = Streamed<v1::CastRaysResponse>;
     type CheckBoxesStream = Streamed<v1::CheckBoxesResponse>;
+    type GetHeightsStream = Streamed<v1::GetHeightsResponse>;
+    type GetMeshStream = Streamed<v1::GetMeshResponse>;
     type GetChangesStream = Streamed<v1::GetChangesResponse>;
 
     async fn get_voxels(&self, r: Request<v1::GetVoxelsRequest>) -> Answer<Self::GetVoxelsStream> {
@@ -54,6 +56,22 @@ impl v1::layers_service_server::LayersService for Api {
         let session = session_of(r.source.as_ref())?;
         let boxes = layers::boxes(&r.boxes).map_err(status::grpc)?;
         in_parts!(caller, session, caller.check_boxes(session, boxes), layers::boxes_to)
+    }
+
+    async fn get_heights(&self, r: Request<v1::GetHeightsRequest>) -> Answer<Self::GetHeightsStream> {
+        let (caller, r) = (self.caller(&r)?, r.get_ref());
+        let session = session_of(r.source.as_ref())?;
+        let region = maps::region(r.region.as_ref()).map_err(status::grpc)?;
+        let storey = layers::storey(r).map_err(status::grpc)?;
+        in_parts!(caller, session, caller.heights(session, region, storey), layers::heights_to)
+    }
+
+    async fn get_mesh(&self, r: Request<v1::GetMeshRequest>) -> Answer<Self::GetMeshStream> {
+        let (caller, r) = (self.caller(&r)?, r.get_ref());
+        let session = session_of(r.source.as_ref())?;
+        let region = layers::box3(r.region.as_ref()).map_err(status::grpc)?;
+        let max_triangles = usize::try_from(r.max_triangles).ok().filter(|n| *n > 0);
+        in_parts!(caller, session, caller.mesh(session, region, max_triangles), layers::mesh_to)
     }
 
     async fn get_changes(&self, r: Request<v1::GetChangesRequest>) -> Answer<Self::GetChangesStream> {

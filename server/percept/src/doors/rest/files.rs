@@ -19,7 +19,7 @@ use v1::operations_service_server::OperationsService;
 use v1::read_operation_result_response::Result as Outcome;
 
 /// Names of files and the formats that they are.
-pub(super) const FILES: [(&str, MapFormat); 15] = [
+pub(super) const FILES: [(&str, MapFormat); 17] = [
     ("occupancy.png", MapFormat::OccupancyPng),
     ("map.pgm", MapFormat::Nav2Pgm),
     ("map.yaml", MapFormat::Nav2Yaml),
@@ -32,6 +32,8 @@ pub(super) const FILES: [(&str, MapFormat); 15] = [
     ("voxels.ot", MapFormat::VoxelsOt),
     ("occupancy.tif", MapFormat::OccupancyTiff),
     ("occupancy.pgw", MapFormat::OccupancyPgw),
+    ("mesh.ply", MapFormat::MeshPly),
+    ("mesh.glb", MapFormat::MeshGlb),
     ("trajectory.tum", MapFormat::TrajectoryTum),
     ("overview.png", MapFormat::OverviewPng),
     ("cloud.png", MapFormat::CloudTopPng),

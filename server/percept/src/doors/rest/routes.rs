@@ -364,6 +364,8 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/sessions/{session_id}/map/points", "LayersService/QueryPoints", SOURCE, parts!(Message query_points)),
     post("/v1/sessions/{session_id}/map/rays", "LayersService/CastRays", SOURCE, parts!(Message cast_rays)),
     post("/v1/sessions/{session_id}/map/boxes", "LayersService/CheckBoxes", SOURCE, parts!(Message check_boxes)),
+    get("/v1/sessions/{session_id}/map/heights", "LayersService/GetHeights", SOURCE, parts!(Message get_heights)),
+    get("/v1/sessions/{session_id}/map/mesh", "LayersService/GetMesh", SOURCE, parts!(Message get_mesh)),
     get("/v1/sessions/{session_id}/map/changes", "LayersService/GetChanges", SOURCE, parts!(Message get_changes)),
 
     get("/v1/sessions/{session_id}/objects", "SceneService/ListObjects", SESSION, unary!(Message list_objects)),
