@@ -1,8 +1,9 @@
 //! A* on a grid of cells with eight neighbours.
 
+use crate::bits::BitLines;
+use crate::queue::{BucketQueue, DIAGONAL, Entry, ONE, octile};
 use percept_geometry::Cell;
-use std::cmp::Ordering;
-use std::collections::{BTreeSet, BinaryHeap, VecDeque};
+use std::collections::{BTreeSet, VecDeque};
 
 /// Outcome of a search on a grid.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,80 +39,139 @@ pub struct SearchGrid<'a> {
     pub height: usize,
 }
 
-/// The shortest path over free cells: eight neighbours, a diagonal step costs sqrt 2 and needs both cells beside it free.
-///
-/// `blocked` is row-major `height x width`; outside is blocked, and so is all of it if its length does not fit.
-pub fn shortest_path(
-    blocked: &[bool],
-    width: usize,
-    height: usize,
-    start: Cell,
-    goal: Cell,
-    max_expansions: usize,
-) -> GridPath {
-    search(&SearchGrid { blocked, factors: &[], width, height }, start, goal, max_expansions)
-}
-
 /// The cheapest path; a step costs its length times the mean factor of its two cells.
 ///
 /// Source: Hart, Nilsson and Raphael, "A formal basis for the heuristic determination of minimum cost paths", 1968. The
-/// octile distance never exceeds a step's cost (factors are at least 1), so the first time a cell is expanded its cost is
-/// final. Ties go to the cell farther from the start, then to the smaller index: the same input gives the same path.
+/// octile distance never exceeds a step's cost (factors are at least 1). The open list is in order up to an eighth of a
+/// cell, and a cell whose cost falls after it was expanded is expanded again; the search ends when nothing that is open can
+/// lead to a cheaper way. The same input gives the same path. Costs are kept in 2^-30 cells, the one given back is summed
+/// anew in f64. Infinite factors are as good as blocked.
 pub fn search(grid: &SearchGrid<'_>, start: Cell, goal: Cell, max_expansions: usize) -> GridPath {
-    let (Some(start), Some(goal)) = (grid.free_index(start), grid.free_index(goal)) else {
+    let (Some(first), Some(last)) = (grid.free_index(start), grid.free_index(goal)) else {
         return GridPath::Unreachable { expansions: 0 };
     };
-    let mut costs = vec![f64::INFINITY; grid.blocked.len()];
-    let mut steps = vec![NO_STEP; grid.blocked.len()];
-    let mut open = BinaryHeap::new();
+    let bits = BitLines::rows(grid.blocked, grid.width, grid.height);
+    let width = grid.width as u32;
+    let (goal_x, goal_y) = (last as u32 % width, last as u32 / width);
+    let estimate = |x: u32, y: u32| octile(x.abs_diff(goal_x), y.abs_diff(goal_y));
+    // Cost so far plus one; 0 where none was found: fresh zeros cost nothing until they are touched.
+    let mut costs = vec![0u64; grid.blocked.len()];
+    let mut open = BucketQueue::new(estimate(first as u32 % width, first as u32 / width), grid.spread());
+    costs[first] = 1;
+    open.push(0, Entry { cost: 0, index: first as u32, step: NO_STEP });
     let mut expansions = 0;
-    costs[start] = 0.0;
-    open.push(Open { estimate: grid.octile(start, goal), cost: 0.0, index: start as u32 });
-    while let Some(Open { cost, index, .. }) = open.pop() {
-        let index = index as usize;
-        if cost > costs[index] {
-            continue; // A cheaper way here was found after this entry was made.
+    let mut best = u64::MAX;
+    while let Some(Entry { cost, index: at, step }) = open.pop(best) {
+        let (x, y, index) = (at % width, at / width, at as usize);
+        // A cheaper way here was found after this entry was made, or a way to the goal that is as cheap as this may become.
+        if cost + 1 != costs[index] || (best != u64::MAX && cost + estimate(x, y) >= best) {
+            continue;
         }
-        if index == goal {
-            return GridPath::Found { cells: grid.trace(&steps, goal), cost, expansions };
+        if index == last {
+            best = cost;
+            continue;
         }
         if expansions == max_expansions {
             return GridPath::SearchLimit;
         }
         expansions += 1;
-        for (step, next, length) in grid.neighbors(index) {
-            let next_cost = cost + length * grid.mean_factor(index, next);
-            if next_cost < costs[next] {
-                costs[next] = next_cost;
-                steps[next] = step;
-                let estimate = next_cost + grid.octile(next, goal);
-                open.push(Open { estimate, cost: next_cost, index: next as u32 });
+        let came_by = if grid.factors.is_empty() { step } else { NO_STEP };
+        let mut steps = worthwhile_steps(&bits, x as usize, y as usize, came_by);
+        while steps != 0 {
+            let step = steps.trailing_zeros() as usize;
+            steps &= steps - 1;
+            let (x, y) = (x.wrapping_add_signed(STEPS[step].0), y.wrapping_add_signed(STEPS[step].1));
+            let next = (y * width + x) as usize;
+            let next_cost = cost.saturating_add(grid.step_cost(index, next, step));
+            if next_cost < costs[next].wrapping_sub(1) {
+                costs[next] = next_cost + 1;
+                let entry = Entry { cost: next_cost, index: next as u32, step: step as u8 };
+                open.push(next_cost.saturating_add(estimate(x, y)), entry);
             }
         }
     }
-    GridPath::Unreachable { expansions }
+    if best == u64::MAX {
+        return GridPath::Unreachable { expansions };
+    }
+    let cells = grid.trace(&bits, &costs, last);
+    GridPath::Found { cost: grid.cost_of(&cells), cells, expansions }
 }
 
 /// Whether a cell that `wanted` accepts can be reached from `start`: nearest first, stops at the first one.
 pub(crate) fn reaches(grid: &SearchGrid<'_>, start: Cell, wanted: impl Fn(Cell) -> bool) -> bool {
-    let mut queue: VecDeque<usize> = grid.free_index(start).into_iter().collect();
-    let mut seen: BTreeSet<usize> = queue.iter().copied().collect();
+    let Some(first) = grid.free_index(start) else { return false };
+    let bits = BitLines::rows(grid.blocked, grid.width, grid.height);
+    let mut queue = VecDeque::from([first]);
+    let mut seen = BTreeSet::from([first]);
     while let Some(index) = queue.pop_front() {
         if wanted(grid.cell(index)) {
             return true;
         }
-        queue.extend(grid.neighbors(index).map(|(_, next, _)| next).filter(|next| seen.insert(*next)));
+        queue.extend(grid.neighbors(&bits, index).map(|(_, next)| next).filter(|next| seen.insert(*next)));
     }
     false
 }
 
-/// The eight steps: four along the axes, then the diagonals.
-const STEPS: [(i32, i32); 8] = [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)];
+/// The eight steps: four along the axes, then the diagonals; diagonal `4 + i` lies between straight steps `i` and `i + 1`.
+pub(crate) const STEPS: [(i32, i32); 8] = [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)];
 
-const NO_STEP: u8 = u8::MAX;
+/// No step: where a search begins.
+const NO_STEP: u8 = 8;
+
+/// Steps that may be taken from a free cell that was reached by a step, as bits in the order of [`STEPS`]. Left out are
+/// those that, where all cells cost the same, lead to cells that the one before reaches by a shorter way.
+#[inline]
+fn worthwhile_steps(bits: &BitLines, x: usize, y: usize, came_by: u8) -> u32 {
+    let y = y as isize;
+    let around = bits.three(y - 1, x) | bits.three(y, x) << 3 | bits.three(y + 1, x) << 6;
+    u32::from(WORTHWHILE[usize::from(came_by)][around as usize])
+}
+
+/// The cell at this offset as a bit of the nine around.
+const fn around_bit((dx, dy): (i32, i32)) -> usize {
+    1 << (3 * (dy + 1) + dx + 1)
+}
+
+/// For each step by which a cell is reached and each pattern of blocked cells around it: the steps to take.
+static WORTHWHILE: [[u8; 512]; 9] = {
+    let mut out = [[0; 512]; 9];
+    let mut came_by = 0;
+    while came_by < 9 {
+        let mut around = 0;
+        while around < 512 {
+            let mut step = 0;
+            while step < 8 {
+                if is_open(around, step) && !(came_by < 8 && is_detour(around, came_by, step)) {
+                    out[came_by][around] |= 1 << step;
+                }
+                step += 1;
+            }
+            around += 1;
+        }
+        came_by += 1;
+    }
+    out
+};
+
+const fn is_open(around: usize, step: usize) -> bool {
+    let (dx, dy) = STEPS[step];
+    around & (around_bit((dx, dy)) | (around_bit((dx, 0)) | around_bit((0, dy))) & !around_bit((0, 0))) == 0
+}
+
+/// Whether the cell before, one step back, reaches the cell of the next step without the middle one and shorter.
+const fn is_detour(around: usize, came_by: usize, step: usize) -> bool {
+    let ((bx, by), (dx, dy)) = (STEPS[came_by], STEPS[step]);
+    let forward = bx * dx + by * dy;
+    if bx != 0 && by != 0 {
+        // The cells beside a diagonal step are free: only on, or to a side of it, is a way through the middle as short.
+        return forward < 0 || (dx != 0 && dy != 0 && forward == 0);
+    }
+    // After a straight step: back is never worthwhile, to the side only if the cell beside the one before is blocked.
+    forward < 0 || (forward == 0 && around & around_bit((dx - bx, dy - by)) == 0)
+}
 
 impl SearchGrid<'_> {
-    fn free_index(&self, cell: Cell) -> Option<usize> {
+    pub(crate) fn free_index(&self, cell: Cell) -> Option<usize> {
         let (x, y) = (usize::try_from(cell.x).ok()?, usize::try_from(cell.y).ok()?);
         let sound = self.width.checked_mul(self.height) == Some(self.blocked.len())
             && (self.factors.is_empty() || self.factors.len() == self.blocked.len())
@@ -123,82 +183,64 @@ impl SearchGrid<'_> {
         (!self.blocked[index]).then_some(index)
     }
 
-    fn cell(&self, index: usize) -> Cell {
+    pub(crate) fn cell(&self, index: usize) -> Cell {
         Cell::new((index % self.width) as i32, (index / self.width) as i32)
     }
 
-    fn neighbors(&self, index: usize) -> impl Iterator<Item = (u8, usize, f64)> {
-        let (x, y) = (index % self.width, index / self.width);
-        let mut straight = [None; 4];
-        for (slot, (dx, dy)) in straight.iter_mut().zip(STEPS) {
-            *slot = self.free_offset(x, y, dx, dy);
-        }
-        (0..8u8).filter_map(move |step| {
-            let i = usize::from(step);
-            if i < 4 {
-                return straight[i].map(|next| (step, next, 1.0));
-            }
-            // Diagonal i lies between straight steps i - 4 and i - 3.
-            straight[i - 4].and(straight[(i - 3) % 4])?;
-            let (dx, dy) = STEPS[i];
-            self.free_offset(x, y, dx, dy).map(|next| (step, next, std::f64::consts::SQRT_2))
+    /// Steps from a free cell and the cells they lead to.
+    fn neighbors(&self, bits: &BitLines, index: usize) -> impl Iterator<Item = (usize, usize)> + use<'_> {
+        let open = worthwhile_steps(bits, index % self.width, index / self.width, NO_STEP);
+        (0..8).filter(move |step| open >> step & 1 == 1).map(move |step| {
+            let (dx, dy) = STEPS[step];
+            (step, index.wrapping_add_signed(dy as isize * self.width as isize + dx as isize))
         })
     }
 
-    fn free_offset(&self, x: usize, y: usize, dx: i32, dy: i32) -> Option<usize> {
-        let (x, y) = (x.checked_add_signed(dx as isize)?, y.checked_add_signed(dy as isize)?);
-        let index = (x < self.width && y < self.height).then(|| y * self.width + x)?;
-        (!self.blocked[index]).then_some(index)
+    fn step_cost(&self, a: usize, b: usize, step: usize) -> u64 {
+        let length = if step < 4 { ONE } else { DIAGONAL };
+        if self.factors.is_empty() { length } else { (length as f64 * self.mean_factor(a, b)) as u64 }
     }
 
     fn mean_factor(&self, a: usize, b: usize) -> f64 {
         if self.factors.is_empty() { 1.0 } else { 0.5 * (f64::from(self.factors[a]) + f64::from(self.factors[b])) }
     }
 
-    fn octile(&self, a: usize, b: usize) -> f64 {
-        let dx = (a % self.width).abs_diff(b % self.width);
-        let dy = (a / self.width).abs_diff(b / self.width);
-        // Less a rounding of sums, so that the estimate stays below the cost.
-        (dx.max(dy) as f64 + (std::f64::consts::SQRT_2 - 1.0) * dx.min(dy) as f64) * (1.0 - 1e-12)
+    /// How much a step may raise the estimate.
+    fn spread(&self) -> u64 {
+        let most = self.factors.iter().filter(|f| f.is_finite()).fold(1.0f32, |most, f| most.max(*f));
+        // A step away from the goal costs its length twice.
+        (DIAGONAL as f64 * (f64::from(most) + 1.0)) as u64 + 1
     }
 
-    fn trace(&self, steps: &[u8], goal: usize) -> Vec<Cell> {
-        let mut cell = self.cell(goal);
-        let mut out = vec![cell];
-        let step_into = |cell: Cell| usize::from(steps[cell.y as usize * self.width + cell.x as usize]);
-        while let Some((dx, dy)) = STEPS.get(step_into(cell)) {
-            cell = Cell::new(cell.x - dx, cell.y - dy);
-            out.push(cell);
+    /// Back from the goal along cells whose cost and step give exactly the next one's cost.
+    fn trace(&self, bits: &BitLines, costs: &[u64], goal: usize) -> Vec<Cell> {
+        let mut out = vec![self.cell(goal)];
+        let mut at = goal;
+        while costs[at] != 1 {
+            let leads_here = |(step, from): &(usize, usize)| {
+                costs[*from] != 0 && costs[*from].saturating_add(self.step_cost(*from, at, *step)) == costs[at]
+            };
+            let Some((_, from)) = self.neighbors(bits, at).find(leads_here) else { break };
+            out.push(self.cell(from));
+            at = from;
         }
         out.reverse();
         out
     }
-}
 
-/// An entry of the open list; the greatest is expanded first.
-struct Open {
-    estimate: f64,
-    cost: f64,
-    index: u32,
-}
-
-impl Ord for Open {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let by_estimate = other.estimate.total_cmp(&self.estimate);
-        by_estimate.then(self.cost.total_cmp(&other.cost)).then(other.index.cmp(&self.index))
+    pub(crate) fn cost_of(&self, cells: &[Cell]) -> f64 {
+        let index = |c: Cell| c.y as usize * self.width + c.x as usize;
+        let (mut weighted, mut straight, mut diagonal) = (0.0, 0u32, 0u32);
+        for pair in cells.windows(2) {
+            let is_diagonal = pair[0].x != pair[1].x && pair[0].y != pair[1].y;
+            if self.factors.is_empty() {
+                diagonal += u32::from(is_diagonal);
+                straight += u32::from(!is_diagonal);
+            } else {
+                let length = if is_diagonal { std::f64::consts::SQRT_2 } else { 1.0 };
+                weighted += length * self.mean_factor(index(pair[0]), index(pair[1]));
+            }
+        }
+        weighted + f64::from(straight) + std::f64::consts::SQRT_2 * f64::from(diagonal)
     }
 }
-
-impl PartialOrd for Open {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Open {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Open {}

@@ -5,15 +5,19 @@
 //! [`NoPathReason`]. The robot is a disc; nothing here follows the path. Start with [`plan()`].
 
 pub mod astar;
+mod bits;
 pub mod costmap;
 mod distance;
+mod jump;
 mod params;
 mod plan;
+mod queue;
 pub mod smooth;
 
-pub use astar::{GridPath, shortest_path};
+pub use astar::{GridPath, SearchGrid};
 pub use costmap::Costmap;
 pub use distance::clearance_in_cells;
+pub use jump::shortest_path;
 pub use params::PlanParams;
 pub use plan::{NoPathReason, Path, PlanOutcome, Waypoint, plan, plan_dense};
 
