@@ -107,9 +107,20 @@ pub(crate) fn reaches(grid: &SearchGrid<'_>, start: Cell, wanted: impl Fn(Cell) 
         if wanted(grid.cell(index)) {
             return true;
         }
-        queue.extend(grid.neighbors(&bits, index).map(|(_, next)| next).filter(|next| seen.insert(*next)));
+        queue.extend(neighbors_of(grid, &bits, index).filter(|next| seen.insert(*next)));
     }
     false
+}
+
+/// Cells that a step leads to from a free cell.
+pub(crate) fn neighbors_of(
+    grid: &SearchGrid<'_>,
+    bits: &BitLines,
+    index: usize,
+) -> impl Iterator<Item = usize> + use<> {
+    let (open, width) = (worthwhile_steps(bits, index % grid.width, index / grid.width, NO_STEP), grid.width as isize);
+    let offset = move |(dx, dy): (i32, i32)| dy as isize * width + dx as isize;
+    (0..8).filter(move |step| open >> step & 1 == 1).map(move |step| index.wrapping_add_signed(offset(STEPS[step])))
 }
 
 /// The eight steps: four along the axes, then the diagonals; diagonal `4 + i` lies between straight steps `i` and `i + 1`.
@@ -187,15 +198,6 @@ impl SearchGrid<'_> {
         Cell::new((index % self.width) as i32, (index / self.width) as i32)
     }
 
-    /// Steps from a free cell and the cells they lead to.
-    fn neighbors(&self, bits: &BitLines, index: usize) -> impl Iterator<Item = (usize, usize)> + use<'_> {
-        let open = worthwhile_steps(bits, index % self.width, index / self.width, NO_STEP);
-        (0..8).filter(move |step| open >> step & 1 == 1).map(move |step| {
-            let (dx, dy) = STEPS[step];
-            (step, index.wrapping_add_signed(dy as isize * self.width as isize + dx as isize))
-        })
-    }
-
     fn step_cost(&self, a: usize, b: usize, step: usize) -> u64 {
         let length = if step < 4 { ONE } else { DIAGONAL };
         if self.factors.is_empty() { length } else { (length as f64 * self.mean_factor(a, b)) as u64 }
@@ -217,10 +219,12 @@ impl SearchGrid<'_> {
         let mut out = vec![self.cell(goal)];
         let mut at = goal;
         while costs[at] != 1 {
-            let leads_here = |(step, from): &(usize, usize)| {
-                costs[*from] != 0 && costs[*from].saturating_add(self.step_cost(*from, at, *step)) == costs[at]
+            let leads_here = |from: &usize| {
+                let is_straight = from % self.width == at % self.width || from / self.width == at / self.width;
+                let cost = self.step_cost(*from, at, if is_straight { 0 } else { 4 });
+                costs[*from] != 0 && costs[*from].saturating_add(cost) == costs[at]
             };
-            let Some((_, from)) = self.neighbors(bits, at).find(leads_here) else { break };
+            let Some(from) = neighbors_of(self, bits, at).find(leads_here) else { break };
             out.push(self.cell(from));
             at = from;
         }

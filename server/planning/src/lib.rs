@@ -12,14 +12,17 @@ mod jump;
 mod params;
 mod plan;
 mod queue;
+mod request;
 pub mod smooth;
+pub mod theta;
 
 pub use astar::{GridPath, SearchGrid};
 pub use costmap::Costmap;
 pub use distance::clearance_in_cells;
 pub use jump::shortest_path;
 pub use params::PlanParams;
-pub use plan::{NoPathReason, Path, PlanOutcome, Waypoint, plan, plan_dense};
+pub use plan::{NoPathReason, Path, PlanOutcome, Waypoint, plan, plan_dense, plan_over, plan_path};
+pub use request::{Goal, PathRequest, Planner, Pose2};
 
 /// Why planning could not be tried: the facts.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -3,7 +3,8 @@
 use crate::astar::{SearchGrid, reaches, search};
 use crate::costmap::{CellState, Costmap};
 use crate::smooth::{resample, shorten, smooth};
-use crate::{GridPath, PlanError, PlanParams};
+use crate::theta::any_angle;
+use crate::{GridPath, PathRequest, PlanError, PlanParams, Planner};
 use nalgebra::Point2;
 use percept_geometry::Cell;
 use percept_mapping::{DenseGrid, MappingError, Occupancy};
@@ -76,69 +77,86 @@ pub fn plan(
     goal: Point2<f64>,
     params: &PlanParams,
 ) -> Result<PlanOutcome, PlanError> {
-    check_request(&start, &goal, params)?;
-    let dense = grid.dense(params.max_cells).map_err(|error| match error {
+    plan_over(grid, &PathRequest::new(start, goal, params))
+}
+
+/// Plans over all that a grid knows; see [`plan_path`].
+///
+/// # Errors
+/// As [`plan_path`]; `GridTooLarge` also if the rectangle around the known cells is larger than `max_cells`.
+pub fn plan_over(grid: &impl Occupancy, request: &PathRequest<'_>) -> Result<PlanOutcome, PlanError> {
+    request.validate()?;
+    let dense = grid.dense(request.params.max_cells).map_err(|error| match error {
         MappingError::RegionTooLarge { cells, limit } => PlanError::GridTooLarge { cells, limit },
         other => PlanError::Map(other),
     })?;
-    plan_dense(&dense, start, goal, params)
+    plan_path(&dense, request)
 }
 
 /// The cheapest path of the robot's disc from `start` to `goal` (map frame, metres) over a rectangle of the map, shortened
 /// and smoothed without coming nearer to obstacles than `robot_radius_m`.
 ///
 /// # Errors
-/// `InvalidParam`, `NotFinite`, `GridTooLarge`, `Map` for a grid whose values or shape are not sound.
+/// As [`plan_path`].
 pub fn plan_dense(
     grid: &DenseGrid,
     start: Point2<f64>,
     goal: Point2<f64>,
     params: &PlanParams,
 ) -> Result<PlanOutcome, PlanError> {
-    check_request(&start, &goal, params)?;
+    plan_path(grid, &PathRequest::new(start, goal, params))
+}
+
+/// A path over a rectangle of the map, as it is asked for.
+///
+/// # Errors
+/// `InvalidParam`, `NotFinite`, `GridTooLarge`, `Map` for a grid whose values or shape are not sound.
+pub fn plan_path(grid: &DenseGrid, request: &PathRequest<'_>) -> Result<PlanOutcome, PlanError> {
+    request.validate()?;
     grid.validate().map_err(PlanError::Map)?;
+    let params = request.params;
     if grid.cells.len() > params.max_cells {
         return Err(PlanError::GridTooLarge { cells: grid.cells.len() as u64, limit: params.max_cells as u64 });
     }
-    let costmap = Costmap::new(grid, &start, params);
-    Ok(match route(&costmap, grid, start, goal, params) {
+    let costmap = Costmap::new(grid, &request.start.position, params);
+    Ok(match route(&costmap, grid, request) {
         Ok(path) => PlanOutcome::Path(path),
         Err(reason) => PlanOutcome::NoPath { reason },
     })
 }
 
-fn check_request(start: &Point2<f64>, goal: &Point2<f64>, params: &PlanParams) -> Result<(), PlanError> {
-    params.validate()?;
-    for (field, point) in [("start", start), ("goal", goal)] {
-        if let Some(&value) = point.iter().find(|v| !v.is_finite()) {
-            return Err(PlanError::NotFinite { field, value });
-        }
-    }
-    Ok(())
-}
-
-fn route(
-    costmap: &Costmap,
-    grid: &DenseGrid,
-    start: Point2<f64>,
-    goal: Point2<f64>,
-    params: &PlanParams,
-) -> Result<Path, NoPathReason> {
+fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Result<Path, NoPathReason> {
+    let PathRequest { params, planner, .. } = *request;
+    let (start, goal) = (request.start.position, request.goal.position);
     let from = check_start(costmap, grid, &start, params)?;
     let to = check_goal(costmap, &goal, params)?;
     let blocked = costmap.blocked(&start);
     let (width, height) = (costmap.width(), costmap.height());
     let search_grid = SearchGrid { blocked: &blocked, factors: costmap.factors(), width, height };
-    let (cells, expansions) = match search(&search_grid, from, to, params.max_expansions) {
-        GridPath::Found { cells, expansions, .. } => (cells, expansions),
+    let path_through = |cells: &[Cell], expansions: usize| {
+        let mut raw = vec![start];
+        raw.extend(cells.iter().map(|c| costmap.geometry().center(*c)));
+        raw.push(goal);
+        let points = if params.smooth { smoothed(costmap, &raw, params) } else { raw };
+        path_of(costmap, points, expansions)
+    };
+    let by_cells = match search(&search_grid, from, to, params.max_expansions) {
+        GridPath::Found { cells, expansions, .. } => path_through(&cells, expansions),
         GridPath::SearchLimit => return Err(NoPathReason::SearchLimit),
         GridPath::Unreachable { .. } => return Err(unreachable(costmap, &search_grid, from)),
     };
-    let mut raw = vec![start];
-    raw.extend(cells.iter().map(|c| costmap.geometry().center(*c)));
-    raw.push(goal);
-    let points = if params.smooth { smoothed(costmap, &raw, params) } else { raw };
-    Ok(path_of(costmap, points, expansions))
+    if planner == Planner::Grid {
+        return Ok(by_cells);
+    }
+    let left = params.max_expansions.saturating_sub(by_cells.expansions);
+    match any_angle(costmap, &blocked, (from, to), params.robot_radius_m, left) {
+        GridPath::Found { cells, expansions, .. } => {
+            let path = path_through(&cells, by_cells.expansions + expansions);
+            Ok(if path.cost < by_cells.cost { path } else { Path { expansions: path.expansions, ..by_cells } })
+        }
+        // What A* found is a path all the same.
+        _ => Ok(by_cells),
+    }
 }
 
 fn check_start(

@@ -33,7 +33,7 @@ impl Random {
     }
 }
 
-fn world(seed: u64) -> (DenseGrid, [Point2<f64>; 2]) {
+pub(crate) fn world(seed: u64) -> (DenseGrid, [Point2<f64>; 2]) {
     let mut random = Random(seed.wrapping_mul(0x9E3779B97F4A7C15) + 1);
     let (width, height) = (50, 40);
     let mut grid = hall(width, height);
