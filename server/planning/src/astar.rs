@@ -198,7 +198,7 @@ impl SearchGrid<'_> {
         Cell::new((index % self.width) as i32, (index / self.width) as i32)
     }
 
-    fn step_cost(&self, a: usize, b: usize, step: usize) -> u64 {
+    pub(crate) fn step_cost(&self, a: usize, b: usize, step: usize) -> u64 {
         let length = if step < 4 { ONE } else { DIAGONAL };
         if self.factors.is_empty() { length } else { (length as f64 * self.mean_factor(a, b)) as u64 }
     }
@@ -208,7 +208,7 @@ impl SearchGrid<'_> {
     }
 
     /// How much a step may raise the estimate.
-    fn spread(&self) -> u64 {
+    pub(crate) fn spread(&self) -> u64 {
         let most = self.factors.iter().filter(|f| f.is_finite()).fold(1.0f32, |most, f| most.max(*f));
         // A step away from the goal costs its length twice.
         (DIAGONAL as f64 * (f64::from(most) + 1.0)) as u64 + 1

@@ -112,6 +112,16 @@ impl Costmap {
         &self.factors
     }
 
+    /// Of each cell, what is there.
+    pub(crate) fn states(&self) -> &[CellState] {
+        &self.state
+    }
+
+    /// Of each cell, as [`Costmap::clearance_m`].
+    pub(crate) fn clearances(&self) -> &[f32] {
+        &self.clearance
+    }
+
     /// Whether the robot's disc fits with its centre on this cell's centre; not outside.
     ///
     /// Then it fits between such cells too, as long as no corner is cut. Along a straight step, obstacles' corners are
@@ -190,7 +200,7 @@ impl Costmap {
         if length == 0.0 { 0.0 } else { length * sum / samples }
     }
 
-    fn is_rim(&self, index: usize) -> bool {
+    pub(crate) fn is_rim(&self, index: usize) -> bool {
         let (x, y) = (index % self.width, index / self.width);
         x == 0 || y == 0 || x + 1 == self.width || y + 1 == self.height
     }
@@ -248,7 +258,7 @@ fn segment_to_square(a: &Point2<f64>, b: &Point2<f64>, low: &Point2<f64>, edge: 
 }
 
 /// Whether the segment passes through the square: slabs of Kay and Kajiya 1986.
-fn crosses(a: &Point2<f64>, along: &Vector2<f64>, low: &Point2<f64>, high: &Point2<f64>) -> bool {
+pub(crate) fn crosses(a: &Point2<f64>, along: &Vector2<f64>, low: &Point2<f64>, high: &Point2<f64>) -> bool {
     let (mut enter, mut leave) = (0.0f64, 1.0f64);
     for i in 0..2 {
         if along[i] == 0.0 {

@@ -4,24 +4,34 @@
 //! from one), start and goal in its frame. Goes out: [`PlanOutcome`]: waypoints with their cost and clearance, or a
 //! [`NoPathReason`]. The robot is a disc; nothing here follows the path. Start with [`plan()`].
 
+mod answer;
 pub mod astar;
 mod bits;
 pub mod costmap;
 mod distance;
+mod ends;
+mod fit;
+mod flood;
+mod footprint;
+mod hybrid;
 mod jump;
 mod params;
 mod plan;
 mod queue;
 mod request;
 pub mod smooth;
+pub mod steering;
 pub mod theta;
 
+pub use answer::{NoPathReason, Path, PlanOutcome, Waypoint};
 pub use astar::{GridPath, SearchGrid};
 pub use costmap::Costmap;
 pub use distance::clearance_in_cells;
+pub use footprint::Footprint;
+pub use hybrid::HybridParams;
 pub use jump::shortest_path;
 pub use params::PlanParams;
-pub use plan::{NoPathReason, Path, PlanOutcome, Waypoint, plan, plan_dense, plan_over, plan_path};
+pub use plan::{plan, plan_dense, plan_over, plan_path};
 pub use request::{Goal, PathRequest, Planner, Pose2};
 
 /// Why planning could not be tried: the facts.

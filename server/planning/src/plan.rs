@@ -1,71 +1,17 @@
 //! From start to goal: check the ends, search, smooth, check again.
 
+use crate::answer::{NoPathReason, Path, PlanOutcome};
 use crate::astar::{SearchGrid, reaches, search};
-use crate::costmap::{CellState, Costmap};
+use crate::costmap::Costmap;
+use crate::ends::{check_goal, check_goal_pose, check_start, check_start_pose};
+use crate::fit::Fit;
+use crate::hybrid::{DrivingCost, Hybrid, HybridPath, Limits, closed_cells, shortcut};
 use crate::smooth::{resample, shorten, smooth};
 use crate::theta::any_angle;
-use crate::{GridPath, PathRequest, PlanError, PlanParams, Planner};
+use crate::{Footprint, GridPath, HybridParams, PathRequest, PlanError, PlanParams, Planner};
 use nalgebra::Point2;
 use percept_geometry::Cell;
 use percept_mapping::{DenseGrid, MappingError, Occupancy};
-
-/// A point of a path and the heading towards the next.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Waypoint {
-    /// Map frame, metres.
-    pub position: Point2<f64>,
-    /// Direction to the next waypoint, (-pi, pi]; the last keeps that of the one before, 0 if the path has no length.
-    pub yaw_rad: f64,
-}
-
-/// A path that the robot can drive.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Path {
-    /// From exactly the start to exactly the goal; straight in between.
-    pub waypoints: Vec<Waypoint>,
-    /// Length, metres.
-    pub length_m: f64,
-    /// Length, with metres near obstacles counted more: what the search kept small.
-    pub cost: f64,
-    /// Smallest distance of the robot's centre from an obstacle (or from unknown cells, unless allowed) along the way,
-    /// metres, exact; none if the map has no obstacle.
-    pub min_clearance_m: Option<f64>,
-    /// Cells that the search expanded.
-    pub expansions: usize,
-}
-
-/// Why there is no path.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NoPathReason {
-    /// The start is beyond what the map covers.
-    StartOutsideMap,
-    /// The start is in an obstacle, or so near to some that the robot cannot get free.
-    StartOccupied,
-    /// The start is in unknown space, and so is all within `start_tolerance_m`.
-    StartUnknown,
-    /// The goal is beyond what the map covers.
-    GoalOutsideMap,
-    /// The goal, or the centre of its cell, is in an obstacle or nearer to one than the robot's radius.
-    GoalOccupied,
-    /// The same for unknown space, where that is not allowed.
-    GoalUnknown,
-    /// Start and goal are free, and no way of the robot's width joins them.
-    Unreachable,
-    /// The search ended at `max_expansions`: there may be a path.
-    SearchLimit,
-}
-
-/// The answer to a question for a path.
-#[derive(Debug, Clone, PartialEq)]
-pub enum PlanOutcome {
-    /// There it is.
-    Path(Path),
-    /// There is none.
-    NoPath {
-        /// Why.
-        reason: NoPathReason,
-    },
-}
 
 /// Plans over all that a grid knows; see [`plan_dense`].
 ///
@@ -118,11 +64,49 @@ pub fn plan_path(grid: &DenseGrid, request: &PathRequest<'_>) -> Result<PlanOutc
     if grid.cells.len() > params.max_cells {
         return Err(PlanError::GridTooLarge { cells: grid.cells.len() as u64, limit: params.max_cells as u64 });
     }
-    let costmap = Costmap::new(grid, &request.start.position, params);
-    Ok(match route(&costmap, grid, request) {
+    let footprint = request.footprint();
+    let radius = match request.planner {
+        // The base keeps off by what the footprint needs whatever its heading.
+        Planner::Hybrid(_) => footprint.inscribed_radius_m(),
+        _ => footprint.circumscribed_radius_m(),
+    };
+    let inflation_radius_m = params.inflation_radius_m.max(radius);
+    let params = PlanParams { robot_radius_m: radius, inflation_radius_m, ..*params };
+    let request = PathRequest { params: &params, ..*request };
+    let costmap = Costmap::new(grid, &request.start.position, &params);
+    let found = match request.planner {
+        Planner::Hybrid(hybrid) => steer(&costmap, grid, &request, hybrid, &footprint),
+        _ => route(&costmap, grid, &request),
+    };
+    Ok(match found {
         Ok(path) => PlanOutcome::Path(path),
         Err(reason) => PlanOutcome::NoPath { reason },
     })
+}
+
+/// A path that can be steered.
+fn steer(
+    costmap: &Costmap,
+    grid: &DenseGrid,
+    request: &PathRequest<'_>,
+    hybrid: HybridParams,
+    footprint: &Footprint,
+) -> Result<Path, NoPathReason> {
+    let PathRequest { start, goal, params, .. } = *request;
+    let fit = Fit::new(costmap, footprint);
+    check_start_pose(&fit, costmap, grid, &start, params)?;
+    check_goal_pose(&fit, costmap, &goal)?;
+    let limits = Limits { max_expansions: params.max_expansions, stop: request.stop };
+    let closed = closed_cells(costmap, footprint.inscribed_radius_m());
+    let search = Hybrid::new(costmap, &fit, &closed, goal, hybrid);
+    let (arcs, expansions) = match search.search(&start, &limits) {
+        HybridPath::Found { arcs, expansions, .. } => (arcs, expansions),
+        HybridPath::Exhausted { .. } | HybridPath::Apart => return Err(NoPathReason::Unreachable),
+        HybridPath::Stopped { .. } => return Err(NoPathReason::SearchLimit),
+    };
+    let cost = DrivingCost { costmap, params: hybrid };
+    let arcs = if params.smooth { shortcut(&cost, &fit, arcs) } else { arcs };
+    Ok(Path::of_arcs(&cost, (&start, goal.position), &arcs, params.waypoint_spacing_m, expansions))
 }
 
 fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Result<Path, NoPathReason> {
@@ -138,7 +122,7 @@ fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Resu
         raw.extend(cells.iter().map(|c| costmap.geometry().center(*c)));
         raw.push(goal);
         let points = if params.smooth { smoothed(costmap, &raw, params) } else { raw };
-        path_of(costmap, points, expansions)
+        Path::of_legs(costmap, points, expansions)
     };
     let by_cells = match search(&search_grid, from, to, params.max_expansions) {
         GridPath::Found { cells, expansions, .. } => path_through(&cells, expansions),
@@ -159,45 +143,6 @@ fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Resu
     }
 }
 
-fn check_start(
-    costmap: &Costmap,
-    grid: &DenseGrid,
-    start: &Point2<f64>,
-    params: &PlanParams,
-) -> Result<Cell, NoPathReason> {
-    let cell = costmap.cell(start).ok_or(NoPathReason::StartOutsideMap)?;
-    match costmap.state(cell) {
-        Some(CellState::Free) => {}
-        Some(CellState::Unknown) => return Err(NoPathReason::StartUnknown),
-        _ => return Err(NoPathReason::StartOccupied),
-    }
-    let seen = |c: Cell| grid.value(Cell::new(c.x - 1, c.y - 1)).flatten().is_some();
-    let near = |c: Cell| (costmap.geometry().center(c) - start).norm() <= params.start_tolerance_m;
-    let known = seen(cell) || costmap.cells_within(start, params.start_tolerance_m).any(|c| near(c) && seen(c));
-    if known || params.allow_unknown { Ok(cell) } else { Err(NoPathReason::StartUnknown) }
-}
-
-fn check_goal(costmap: &Costmap, goal: &Point2<f64>, params: &PlanParams) -> Result<Cell, NoPathReason> {
-    let cell = costmap.cell(goal).ok_or(NoPathReason::GoalOutsideMap)?;
-    match costmap.state(cell) {
-        Some(CellState::Free) => {}
-        Some(CellState::Unknown) => return Err(NoPathReason::GoalUnknown),
-        _ => return Err(NoPathReason::GoalOccupied),
-    }
-    let center = costmap.geometry().center(cell);
-    let radius = params.robot_radius_m;
-    if costmap.fits(cell) && costmap.segment_clearance(&center, goal, radius) >= radius * (1.0 - 1e-6) {
-        return Ok(cell);
-    }
-    let reach = radius + costmap.geometry().resolution_m;
-    let occupied = |c: Cell| {
-        let near = (costmap.geometry().center(c) - center).norm() <= reach;
-        near && costmap.state(c) == Some(CellState::Occupied)
-    };
-    let any = costmap.cells_within(goal, reach).any(occupied);
-    Err(if any { NoPathReason::GoalOccupied } else { NoPathReason::GoalUnknown })
-}
-
 /// Unreachable, or rather a start so hemmed in that no place the robot fits in can be reached from it.
 fn unreachable(costmap: &Costmap, grid: &SearchGrid<'_>, from: Cell) -> NoPathReason {
     if reaches(grid, from, |c| costmap.fits(c)) { NoPathReason::Unreachable } else { NoPathReason::StartOccupied }
@@ -207,27 +152,4 @@ fn smoothed(costmap: &Costmap, raw: &[Point2<f64>], params: &PlanParams) -> Vec<
     let radius = params.robot_radius_m;
     let short = shorten(costmap, raw, radius);
     smooth(costmap, &resample(&short, params.waypoint_spacing_m), radius)
-}
-
-fn path_of(costmap: &Costmap, mut points: Vec<Point2<f64>>, expansions: usize) -> Path {
-    let (first, last) = (points[0], points[points.len() - 1]);
-    points.dedup_by(|b, a| a == b);
-    if points.len() == 1 {
-        points = vec![first, last];
-    }
-    let mut nearest = f64::INFINITY;
-    let (mut length, mut cost) = (0.0, 0.0);
-    let mut waypoints: Vec<Waypoint> = Vec::with_capacity(points.len());
-    for leg in points.windows(2) {
-        let along = leg[1] - leg[0];
-        length += along.norm();
-        cost += costmap.segment_cost(&leg[0], &leg[1]);
-        nearest = costmap.segment_clearance(&leg[0], &leg[1], nearest);
-        let yaw_rad = percept_geometry::se3::wrap_angle(along.y.atan2(along.x));
-        waypoints.push(Waypoint { position: leg[0], yaw_rad });
-    }
-    let yaw_rad = waypoints.last().map_or(0.0, |w| w.yaw_rad);
-    waypoints.push(Waypoint { position: last, yaw_rad });
-    let min_clearance_m = nearest.is_finite().then_some(nearest);
-    Path { waypoints, length_m: length, cost, min_clearance_m, expansions }
 }

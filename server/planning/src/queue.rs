@@ -76,4 +76,9 @@ impl BucketQueue {
         }
         None
     }
+
+    /// All entries with an estimate below this were taken.
+    pub(crate) fn emptied_below(&self) -> u64 {
+        if self.len == 0 { u64::MAX } else { self.current << self.shift }
+    }
 }

@@ -1,7 +1,8 @@
 //! What a path is asked for.
 
-use crate::{PlanError, PlanParams};
+use crate::{Footprint, HybridParams, PlanError, PlanParams};
 use nalgebra::Point2;
+use std::borrow::Cow;
 
 /// A position and a heading in the plane, map frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,10 +30,13 @@ pub enum Planner {
     Grid,
     /// Lazy Theta*: legs at any angle, where they cost less than what `Grid` finds. Headings are not looked at.
     AnyAngle,
+    /// Hybrid A*: for a robot that steers, and for a footprint that only fits in some headings. Start and goal headings are
+    /// met.
+    Hybrid(HybridParams),
 }
 
 /// A question for a path; [`PathRequest::new`] sets what is not asked for.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 pub struct PathRequest<'a> {
     /// Where from.
     pub start: Pose2,
@@ -42,13 +46,32 @@ pub struct PathRequest<'a> {
     pub params: &'a PlanParams,
     /// How.
     pub planner: Planner,
+    /// What the robot covers; none: a disc of `params.robot_radius_m`. By `Grid` and `AnyAngle` it is planned for as the
+    /// smallest disc around the base that holds it.
+    pub footprint: Option<&'a Footprint>,
+    /// Asked from time to time while [`Planner::Hybrid`] searches, say for a deadline: once it is true, the search ends with
+    /// the best path found so far, if any.
+    pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
 
 impl<'a> PathRequest<'a> {
     /// From position to position (map frame, metres), whatever the headings, by [`Planner::Grid`].
     pub fn new(start: Point2<f64>, goal: Point2<f64>, params: &'a PlanParams) -> Self {
         let start = Pose2 { position: start, yaw_rad: 0.0 };
-        Self { start, goal: Goal { position: goal, yaw_rad: None }, params, planner: Planner::default() }
+        Self {
+            start,
+            goal: Goal { position: goal, yaw_rad: None },
+            params,
+            planner: Planner::default(),
+            footprint: None,
+            stop: None,
+        }
+    }
+
+    /// What the robot covers.
+    pub fn footprint(&self) -> Cow<'a, Footprint> {
+        let disc = || Cow::Owned(Footprint::Disc { radius_m: self.params.robot_radius_m });
+        self.footprint.map_or_else(disc, Cow::Borrowed)
     }
 
     /// Checks all that is asked.
@@ -57,6 +80,10 @@ impl<'a> PathRequest<'a> {
     /// `InvalidParam`, `NotFinite`.
     pub fn validate(&self) -> Result<(), PlanError> {
         self.params.validate()?;
+        self.footprint.map_or(Ok(()), Footprint::validate)?;
+        if let Planner::Hybrid(hybrid) = self.planner {
+            hybrid.validate()?;
+        }
         let finite = |field, value: f64| {
             if value.is_finite() { Ok(()) } else { Err(PlanError::NotFinite { field, value }) }
         };

@@ -4,9 +4,12 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod any_angle;
+mod checker;
 mod clearance;
 mod ends;
 mod search;
+mod steer;
+mod steering;
 mod worlds;
 
 use nalgebra::Point2;
