@@ -1,6 +1,6 @@
 //! Clearance to cost.
 
-use crate::{PlanParams, distance::clearance_in_cells};
+use crate::{Mask, PlanParams, Zone, distance::clearance_in_cells};
 use nalgebra::{Point2, Vector2};
 use percept_geometry::{Cell, GridGeometry};
 use percept_mapping::DenseGrid;
@@ -14,6 +14,8 @@ pub enum CellState {
     Occupied,
     /// Never seen, and not allowed.
     Unknown,
+    /// In a keep-out zone, and else free.
+    KeepOut,
 }
 
 /// For each cell of a map: what is there, how far the nearest obstacle is, what passing costs.
@@ -28,14 +30,28 @@ pub struct Costmap {
     state: Vec<CellState>,
     /// From a cell's centre to the nearest obstacle's edge, metres.
     clearance: Vec<f32>,
-    /// Cost of a metre: 1, or more near obstacles.
+    /// Cost of a metre: 1, or more near obstacles and in speed zones.
     factors: Vec<f32>,
+    /// Share of full speed that is allowed; empty if it is 1 everywhere.
+    speeds: Vec<f32>,
     params: PlanParams,
 }
 
 impl Costmap {
     /// From a sound grid and sound parameters. Unknown cells within `start_tolerance_m` of `start` are free.
     pub fn new(grid: &DenseGrid, start: &Point2<f64>, params: &PlanParams) -> Self {
+        Self::with_zones(grid, start, params, &[], &[])
+    }
+
+    /// As [`Costmap::new`], with sound zones and masks over it: keep-out cells are obstacles, and in speed zones a metre
+    /// costs as much more as it takes longer.
+    pub fn with_zones(
+        grid: &DenseGrid,
+        start: &Point2<f64>,
+        params: &PlanParams,
+        zones: &[Zone],
+        masks: &[Mask<'_>],
+    ) -> Self {
         let (width, height) = (grid.width + 2, grid.height + 2);
         let geometry = GridGeometry::new(grid.geometry.resolution_m, grid.geometry.corner(Cell::new(-1, -1)));
         let mut state = vec![if params.allow_unknown { CellState::Free } else { CellState::Unknown }; width * height];
@@ -49,8 +65,9 @@ impl Costmap {
                 };
             }
         }
-        let empty = Self { geometry, width, height, state, clearance: vec![], factors: vec![], params: *params };
-        empty.freed_around(start).measured()
+        let (clearance, factors, speeds) = (vec![], vec![], vec![]);
+        let empty = Self { geometry, width, height, state, clearance, factors, speeds, params: *params };
+        empty.freed_around(start).zoned(zones, masks, params.occupied_probability).measured()
     }
 
     fn freed_around(mut self, start: &Point2<f64>) -> Self {
@@ -72,6 +89,7 @@ impl Costmap {
         self.clearance = clearance_in_cells(&obstacle, self.width, self.height);
         self.clearance.iter_mut().for_each(|c| *c *= resolution);
         self.factors = self.clearance.iter().map(|c| self.params.factor(f64::from(*c)) as f32).collect();
+        self.factors.iter_mut().zip(&self.speeds).for_each(|(factor, speed)| *factor /= speed);
         self
     }
 
@@ -110,6 +128,27 @@ impl Costmap {
     /// Cost of a metre in each cell, at least 1.
     pub fn factors(&self) -> &[f32] {
         &self.factors
+    }
+
+    pub(crate) fn set_state(&mut self, index: usize, state: CellState) {
+        self.state[index] = state;
+    }
+
+    /// The lowest of several limits holds.
+    pub(crate) fn limit_speed(&mut self, index: usize, share: f32) {
+        self.speeds.resize(self.state.len(), 1.0);
+        self.speeds[index] = self.speeds[index].min(share);
+    }
+
+    /// Lowest allowed share of full speed on the straight line between two points, at samples half a cell apart.
+    pub(crate) fn slowest_between(&self, a: &Point2<f64>, b: &Point2<f64>) -> f64 {
+        if self.speeds.is_empty() {
+            return 1.0;
+        }
+        let samples = ((b - a).norm() / (0.5 * self.geometry.resolution_m)).ceil().max(1.0);
+        let at = |i: f64| self.geometry.cell(&(a + (b - a) * (i / samples))).and_then(|c| self.index(c));
+        let shares = (0..=samples as usize).filter_map(|i| at(i as f64)).map(|i| f64::from(self.speeds[i]));
+        shares.fold(1.0, f64::min)
     }
 
     /// Of each cell, what is there.

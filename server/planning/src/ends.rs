@@ -1,5 +1,6 @@
 //! Whether a path may begin and end where it is to.
 
+use crate::blocking::Refusal;
 use crate::costmap::CellState;
 use crate::fit::Fit;
 use crate::{Costmap, Goal, NoPathReason, PlanParams, Pose2};
@@ -13,39 +14,41 @@ pub(crate) fn check_start(
     grid: &DenseGrid,
     start: &Point2<f64>,
     params: &PlanParams,
-) -> Result<Cell, NoPathReason> {
+) -> Result<Cell, Refusal> {
     let cell = costmap.cell(start).ok_or(NoPathReason::StartOutsideMap)?;
     match costmap.state(cell) {
         Some(CellState::Free) => {}
-        Some(CellState::Unknown) => return Err(NoPathReason::StartUnknown),
-        _ => return Err(NoPathReason::StartOccupied),
+        Some(CellState::Unknown) => return Err(NoPathReason::StartUnknown.into()),
+        Some(CellState::KeepOut) => return Err(NoPathReason::StartInKeepOut.into()),
+        _ => return Err(NoPathReason::StartOccupied.into()),
     }
     let seen = |c: Cell| grid.value(Cell::new(c.x - 1, c.y - 1)).flatten().is_some();
     let near = |c: Cell| (costmap.geometry().center(c) - start).norm() <= params.start_tolerance_m;
     let known = seen(cell) || costmap.cells_within(start, params.start_tolerance_m).any(|c| near(c) && seen(c));
-    if known || params.allow_unknown { Ok(cell) } else { Err(NoPathReason::StartUnknown) }
+    if known || params.allow_unknown { Ok(cell) } else { Err(NoPathReason::StartUnknown.into()) }
 }
 
-/// The goal's cell, if the robot's disc fits there.
-pub(crate) fn check_goal(costmap: &Costmap, goal: &Point2<f64>, params: &PlanParams) -> Result<Cell, NoPathReason> {
+/// The goal's cell, if it is free.
+fn check_goal_cell(costmap: &Costmap, goal: &Point2<f64>) -> Result<Cell, Refusal> {
     let cell = costmap.cell(goal).ok_or(NoPathReason::GoalOutsideMap)?;
     match costmap.state(cell) {
-        Some(CellState::Free) => {}
-        Some(CellState::Unknown) => return Err(NoPathReason::GoalUnknown),
-        _ => return Err(NoPathReason::GoalOccupied),
+        Some(CellState::Free) => Ok(cell),
+        Some(CellState::Unknown) => Err(NoPathReason::GoalUnknown.into()),
+        Some(CellState::KeepOut) => Err(NoPathReason::GoalInKeepOut.into()),
+        _ => Err(NoPathReason::GoalOccupied.into()),
     }
+}
+
+/// The goal's cell, if the robot's disc fits there and on its centre.
+pub(crate) fn check_goal(costmap: &Costmap, goal: &Point2<f64>, params: &PlanParams) -> Result<Cell, Refusal> {
+    let cell = check_goal_cell(costmap, goal)?;
     let center = costmap.geometry().center(cell);
     let radius = params.robot_radius_m;
     if costmap.fits(cell) && costmap.segment_clearance(&center, goal, radius) >= radius * (1.0 - 1e-6) {
         return Ok(cell);
     }
-    let reach = radius + costmap.geometry().resolution_m;
-    let occupied = |c: Cell| {
-        let near = (costmap.geometry().center(c) - center).norm() <= reach;
-        near && costmap.state(c) == Some(CellState::Occupied)
-    };
-    let any = costmap.cells_within(goal, reach).any(occupied);
-    Err(if any { NoPathReason::GoalOccupied } else { NoPathReason::GoalUnknown })
+    let blocking = costmap.blocking_at(goal, radius + costmap.geometry().resolution_m);
+    Err(Refusal { reason: NoPathReason::GoalDoesNotFit, blocking })
 }
 
 /// As [`check_start`], for a footprint.
@@ -55,26 +58,29 @@ pub(crate) fn check_start_pose(
     grid: &DenseGrid,
     start: &Pose2,
     params: &PlanParams,
-) -> Result<(), NoPathReason> {
+) -> Result<(), Refusal> {
     check_start(costmap, grid, &start.position, params)?;
-    if fit.is_clear(start) { Ok(()) } else { Err(NoPathReason::StartOccupied) }
+    let Some(obstacle) = fit.obstacle_within(start, 0.0) else { return Ok(()) };
+    let blocking = costmap.blocking(&start.position, obstacle);
+    Err(Refusal { reason: NoPathReason::StartDoesNotFit, blocking })
 }
 
 /// As [`check_goal`], for a footprint; without a heading, for the largest disc that it holds.
-pub(crate) fn check_goal_pose(fit: &Fit<'_>, costmap: &Costmap, goal: &Goal) -> Result<(), NoPathReason> {
-    let cell = costmap.cell(&goal.position).ok_or(NoPathReason::GoalOutsideMap)?;
-    match costmap.state(cell) {
-        Some(CellState::Free) => {}
-        Some(CellState::Unknown) => return Err(NoPathReason::GoalUnknown),
-        _ => return Err(NoPathReason::GoalOccupied),
-    }
+pub(crate) fn check_goal_pose(fit: &Fit<'_>, costmap: &Costmap, goal: &Goal, inscribed: f64) -> Result<(), Refusal> {
+    check_goal_cell(costmap, &goal.position)?;
     let blocking = match goal.yaw_rad {
-        Some(yaw_rad) => fit.obstacle_within(&Pose2 { position: goal.position, yaw_rad }, 0.0),
-        None => return Ok(()),
+        Some(yaw_rad) => {
+            let obstacle = fit.obstacle_within(&Pose2 { position: goal.position, yaw_rad }, 0.0);
+            obstacle.and_then(|cell| costmap.blocking(&goal.position, cell))
+        }
+        None => {
+            let clearance = costmap.segment_clearance(&goal.position, &goal.position, inscribed);
+            let fits = clearance >= inscribed * (1.0 - 1e-6);
+            if fits { None } else { costmap.blocking_at(&goal.position, inscribed) }
+        }
     };
-    match blocking.and_then(|cell| costmap.state(cell)) {
+    match blocking {
         None => Ok(()),
-        Some(CellState::Unknown) => Err(NoPathReason::GoalUnknown),
-        Some(_) => Err(NoPathReason::GoalOccupied),
+        blocking => Err(Refusal { reason: NoPathReason::GoalDoesNotFit, blocking }),
     }
 }

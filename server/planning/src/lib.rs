@@ -1,12 +1,15 @@
 //! A map and two poses in; a path, or the reason for none, out.
 //!
 //! Comes in: an [`Occupancy`](percept_mapping::Occupancy) (or a [`DenseGrid`](percept_mapping::DenseGrid) cut
-//! from one), start and goal in its frame. Goes out: [`PlanOutcome`]: waypoints with their cost and clearance, or a
-//! [`NoPathReason`]. The robot is a disc; nothing here follows the path. Start with [`plan()`].
+//! from one), and a [`PathRequest`] in its frame: two ends, a footprint, zones, and by which [`Planner`]. Goes out:
+//! [`PlanOutcome`]: waypoints with their times, cost and clearance, or a [`NoPathReason`] and what is in the way. Nothing
+//! here follows the path, or watches a clock. Start with [`plan()`] for a disc from point to point, with [`plan_path`] for
+//! all else.
 
 mod answer;
 pub mod astar;
 mod bits;
+mod blocking;
 pub mod costmap;
 mod distance;
 mod ends;
@@ -20,12 +23,14 @@ mod plan;
 mod queue;
 mod request;
 pub mod smooth;
+mod speed;
 pub mod steering;
 pub mod theta;
+mod zones;
 
-pub use answer::{NoPathReason, Path, PlanOutcome, Waypoint};
+pub use answer::{Blocking, CostParts, NoPathReason, Path, PlanOutcome, Waypoint};
 pub use astar::{GridPath, SearchGrid};
-pub use costmap::Costmap;
+pub use costmap::{CellState, Costmap};
 pub use distance::clearance_in_cells;
 pub use footprint::Footprint;
 pub use hybrid::HybridParams;
@@ -33,6 +38,8 @@ pub use jump::shortest_path;
 pub use params::PlanParams;
 pub use plan::{plan, plan_dense, plan_over, plan_path};
 pub use request::{Goal, PathRequest, Planner, Pose2};
+pub use speed::SpeedLimits;
+pub use zones::{Mask, MaskKind, Zone, ZoneKind};
 
 /// Why planning could not be tried: the facts.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -2,6 +2,7 @@
 
 use crate::answer::{NoPathReason, Path, PlanOutcome};
 use crate::astar::{SearchGrid, reaches, search};
+use crate::blocking::{Refusal, first_blocking};
 use crate::costmap::Costmap;
 use crate::ends::{check_goal, check_goal_pose, check_start, check_start_pose};
 use crate::fit::Fit;
@@ -73,14 +74,15 @@ pub fn plan_path(grid: &DenseGrid, request: &PathRequest<'_>) -> Result<PlanOutc
     let inflation_radius_m = params.inflation_radius_m.max(radius);
     let params = PlanParams { robot_radius_m: radius, inflation_radius_m, ..*params };
     let request = PathRequest { params: &params, ..*request };
-    let costmap = Costmap::new(grid, &request.start.position, &params);
+    let PathRequest { zones, masks, .. } = request;
+    let costmap = Costmap::with_zones(grid, &request.start.position, &params, zones, masks);
     let found = match request.planner {
         Planner::Hybrid(hybrid) => steer(&costmap, grid, &request, hybrid, &footprint),
         _ => route(&costmap, grid, &request),
     };
     Ok(match found {
         Ok(path) => PlanOutcome::Path(path),
-        Err(reason) => PlanOutcome::NoPath { reason },
+        Err(Refusal { reason, blocking }) => PlanOutcome::NoPath { reason, blocking },
     })
 }
 
@@ -91,25 +93,33 @@ fn steer(
     request: &PathRequest<'_>,
     hybrid: HybridParams,
     footprint: &Footprint,
-) -> Result<Path, NoPathReason> {
+) -> Result<Path, Refusal> {
     let PathRequest { start, goal, params, .. } = *request;
+    let inscribed = footprint.inscribed_radius_m();
     let fit = Fit::new(costmap, footprint);
     check_start_pose(&fit, costmap, grid, &start, params)?;
-    check_goal_pose(&fit, costmap, &goal)?;
+    check_goal_pose(&fit, costmap, &goal, inscribed)?;
     let limits = Limits { max_expansions: params.max_expansions, stop: request.stop };
-    let closed = closed_cells(costmap, footprint.inscribed_radius_m());
+    let closed = closed_cells(costmap, inscribed);
     let search = Hybrid::new(costmap, &fit, &closed, goal, hybrid);
-    let (arcs, expansions) = match search.search(&start, &limits) {
-        HybridPath::Found { arcs, expansions, .. } => (arcs, expansions),
-        HybridPath::Exhausted { .. } | HybridPath::Apart => return Err(NoPathReason::Unreachable),
-        HybridPath::Stopped { .. } => return Err(NoPathReason::SearchLimit),
+    let (arcs, bound, is_final, expansions) = match search.search(&start, &limits) {
+        HybridPath::Found { arcs, bound, is_final, expansions } => (arcs, bound, is_final, expansions),
+        HybridPath::Exhausted => return Err(NoPathReason::NotSteerable.into()),
+        HybridPath::Apart => {
+            let blocking = costmap.cell(&start.position).zip(costmap.cell(&goal.position));
+            let blocking = blocking.and_then(|ends| first_blocking(costmap, &closed, ends, inscribed));
+            return Err(Refusal { reason: NoPathReason::Unreachable, blocking });
+        }
+        HybridPath::Stopped { by_caller: true } => return Err(NoPathReason::Stopped.into()),
+        HybridPath::Stopped { by_caller: false } => return Err(NoPathReason::SearchLimit.into()),
     };
     let cost = DrivingCost { costmap, params: hybrid };
     let arcs = if params.smooth { shortcut(&cost, &fit, arcs) } else { arcs };
-    Ok(Path::of_arcs(&cost, (&start, goal.position), &arcs, params.waypoint_spacing_m, expansions))
+    let path = Path::of_arcs(&cost, (&start, goal.position), &arcs, params.waypoint_spacing_m, &request.speed);
+    Ok(Path { bound: Some(bound), is_final, expansions, ..path })
 }
 
-fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Result<Path, NoPathReason> {
+fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Result<Path, Refusal> {
     let PathRequest { params, planner, .. } = *request;
     let (start, goal) = (request.start.position, request.goal.position);
     let from = check_start(costmap, grid, &start, params)?;
@@ -122,12 +132,12 @@ fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Resu
         raw.extend(cells.iter().map(|c| costmap.geometry().center(*c)));
         raw.push(goal);
         let points = if params.smooth { smoothed(costmap, &raw, params) } else { raw };
-        Path::of_legs(costmap, points, expansions)
+        Path::of_legs(costmap, points, &request.speed, expansions)
     };
     let by_cells = match search(&search_grid, from, to, params.max_expansions) {
         GridPath::Found { cells, expansions, .. } => path_through(&cells, expansions),
-        GridPath::SearchLimit => return Err(NoPathReason::SearchLimit),
-        GridPath::Unreachable { .. } => return Err(unreachable(costmap, &search_grid, from)),
+        GridPath::SearchLimit => return Err(NoPathReason::SearchLimit.into()),
+        GridPath::Unreachable { .. } => return Err(unreachable(costmap, &search_grid, (from, to), params)),
     };
     if planner == Planner::Grid {
         return Ok(by_cells);
@@ -144,8 +154,14 @@ fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Resu
 }
 
 /// Unreachable, or rather a start so hemmed in that no place the robot fits in can be reached from it.
-fn unreachable(costmap: &Costmap, grid: &SearchGrid<'_>, from: Cell) -> NoPathReason {
-    if reaches(grid, from, |c| costmap.fits(c)) { NoPathReason::Unreachable } else { NoPathReason::StartOccupied }
+fn unreachable(costmap: &Costmap, grid: &SearchGrid<'_>, ends: (Cell, Cell), params: &PlanParams) -> Refusal {
+    let radius = params.robot_radius_m;
+    if reaches(grid, ends.0, |c| costmap.fits(c)) {
+        let blocking = first_blocking(costmap, grid.blocked, ends, radius);
+        return Refusal { reason: NoPathReason::Unreachable, blocking };
+    }
+    let blocking = costmap.blocking_at(&costmap.geometry().center(ends.0), radius);
+    Refusal { reason: NoPathReason::StartDoesNotFit, blocking }
 }
 
 fn smoothed(costmap: &Costmap, raw: &[Point2<f64>], params: &PlanParams) -> Vec<Point2<f64>> {

@@ -1,6 +1,6 @@
 //! What a path is asked for.
 
-use crate::{Footprint, HybridParams, PlanError, PlanParams};
+use crate::{Footprint, HybridParams, Mask, PlanError, PlanParams, SpeedLimits, Zone};
 use nalgebra::Point2;
 use std::borrow::Cow;
 
@@ -49,6 +49,12 @@ pub struct PathRequest<'a> {
     /// What the robot covers; none: a disc of `params.robot_radius_m`. By `Grid` and `AnyAngle` it is planned for as the
     /// smallest disc around the base that holds it.
     pub footprint: Option<&'a Footprint>,
+    /// Where the robot may not be, or not be fast.
+    pub zones: &'a [Zone],
+    /// The same as grids.
+    pub masks: &'a [Mask<'a>],
+    /// For the path's duration.
+    pub speed: SpeedLimits,
     /// Asked from time to time while [`Planner::Hybrid`] searches, say for a deadline: once it is true, the search ends with
     /// the best path found so far, if any.
     pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
@@ -64,6 +70,9 @@ impl<'a> PathRequest<'a> {
             params,
             planner: Planner::default(),
             footprint: None,
+            zones: &[],
+            masks: &[],
+            speed: SpeedLimits::default(),
             stop: None,
         }
     }
@@ -77,10 +86,13 @@ impl<'a> PathRequest<'a> {
     /// Checks all that is asked.
     ///
     /// # Errors
-    /// `InvalidParam`, `NotFinite`.
+    /// `InvalidParam`, `NotFinite`, `Map` for a mask that is not sound.
     pub fn validate(&self) -> Result<(), PlanError> {
         self.params.validate()?;
         self.footprint.map_or(Ok(()), Footprint::validate)?;
+        self.zones.iter().try_for_each(Zone::validate)?;
+        self.masks.iter().try_for_each(|mask| mask.grid.validate().map_err(PlanError::Map))?;
+        self.speed.validate()?;
         if let Planner::Hybrid(hybrid) = self.planner {
             hybrid.validate()?;
         }

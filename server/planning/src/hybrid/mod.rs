@@ -32,10 +32,12 @@ pub(crate) enum HybridPath {
         arcs: Arcs,
         /// Its cost over the least estimate of what was left open; at least 1.
         bound: f64,
+        /// Whether the search came to its end.
+        is_final: bool,
         expansions: usize,
     },
     /// All that can be driven to was looked at.
-    Exhausted { expansions: usize },
+    Exhausted,
     /// Not even the way over cells, for the largest disc that the footprint holds.
     Apart,
     /// The limit of expansions was reached, or the caller's stop, before a way was found.
@@ -143,7 +145,7 @@ impl<'a> Hybrid<'a> {
         }
         let (mut expansions, mut since_curve) = (0, usize::MAX);
         let mut best: Option<Finish> = None;
-        let mut least = f64::INFINITY;
+        let (mut least, mut is_final) = (f64::INFINITY, true);
         self.reach(*start, 0.0, None);
         while let Some(Open { estimate, node }) = self.open.pop() {
             let at = self.nodes[node as usize];
@@ -157,6 +159,7 @@ impl<'a> Hybrid<'a> {
             let stopped = expansions % 64 == 63 && limits.stop.is_some_and(|stop| stop());
             if stopped || expansions >= limits.max_expansions {
                 if best.is_some() {
+                    is_final = false;
                     break;
                 }
                 return HybridPath::Stopped { by_caller: stopped };
@@ -173,9 +176,9 @@ impl<'a> Hybrid<'a> {
                 self.follow(node, self.arcs[i]);
             }
         }
-        let Some(best) = best else { return HybridPath::Exhausted { expansions } };
+        let Some(best) = best else { return HybridPath::Exhausted };
         let bound = (best.cost / least).max(1.0);
-        HybridPath::Found { arcs: self.trace(&best), bound, expansions }
+        HybridPath::Found { arcs: self.trace(&best), bound, is_final, expansions }
     }
 
     fn follow(&mut self, from: u32, arc: Arc) {

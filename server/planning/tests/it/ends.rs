@@ -36,8 +36,8 @@ fn each_bad_end_is_told_apart() {
     assert_eq!(reason(&grid, free, block, &params), NoPathReason::GoalOccupied);
     assert_eq!(reason(&grid, unseen, free, &params), NoPathReason::StartUnknown);
     assert_eq!(reason(&grid, free, unseen, &params), NoPathReason::GoalUnknown);
-    assert_eq!(reason(&grid, free, [3.15, 2.5], &params), NoPathReason::GoalOccupied, "0.15 m from the block");
-    assert_eq!(reason(&grid, free, [1.6, 4.0], &params), NoPathReason::GoalUnknown, "0.1 m from the unknown");
+    assert_eq!(reason(&grid, free, [3.15, 2.5], &params), NoPathReason::GoalDoesNotFit, "0.15 m from the block");
+    assert_eq!(reason(&grid, free, [1.6, 4.0], &params), NoPathReason::GoalDoesNotFit, "0.1 m from the unknown");
     let brave = PlanParams { allow_unknown: true, ..params };
     assert!(path(&grid, unseen, free, &brave).length_m >= 3.0);
     assert!(path(&grid, free, unseen, &brave).length_m >= 3.0);
@@ -58,7 +58,7 @@ fn a_closed_room_is_unreachable_and_a_door_lets_in_who_fits() {
             PlanOutcome::Path(p) => {
                 assert!(fits && p.min_clearance_m.unwrap() >= radius - 1e-6, "{door} {radius} {p:?}")
             }
-            PlanOutcome::NoPath { reason } => {
+            PlanOutcome::NoPath { reason, .. } => {
                 assert!(!fits, "{door} {radius}");
                 assert_eq!(reason, NoPathReason::Unreachable);
             }
@@ -73,7 +73,7 @@ fn a_robot_that_stands_too_near_a_wall_gets_away_without_going_nearer() {
     let found = path(&grid, start, [4.0, 2.5], &PlanParams::default());
     assert!((found.min_clearance_m.unwrap() - 0.15).abs() < 1e-9, "{:?}", found.min_clearance_m);
     let strict = PlanParams { start_tolerance_m: 0.0, ..PlanParams::default() };
-    assert_eq!(reason(&grid, [0.15, 2.5], [4.0, 2.5], &strict), NoPathReason::StartOccupied);
+    assert_eq!(reason(&grid, [0.15, 2.5], [4.0, 2.5], &strict), NoPathReason::StartDoesNotFit);
 }
 
 #[test]
@@ -144,5 +144,5 @@ fn a_grid_with_negative_coordinates_and_another_origin_plans_in_the_map_frame() 
     assert!((found.length_m - 18f64.sqrt()).abs() < 0.01);
     let empty = OccupancyGrid::new(OccupancyParams::default()).unwrap();
     let outcome = plan(&empty, a, b, &PlanParams::default()).unwrap();
-    assert_eq!(outcome, PlanOutcome::NoPath { reason: NoPathReason::StartOutsideMap });
+    assert_eq!(outcome, PlanOutcome::NoPath { reason: NoPathReason::StartOutsideMap, blocking: None });
 }

@@ -3,6 +3,7 @@
 // Helpers of tests may fail as tests do.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+mod answers;
 mod any_angle;
 mod checker;
 mod clearance;
@@ -39,13 +40,13 @@ pub(crate) fn hall(width: usize, height: usize) -> DenseGrid {
 pub(crate) fn path(grid: &DenseGrid, start: [f64; 2], goal: [f64; 2], params: &PlanParams) -> Path {
     match plan_dense(grid, Point2::from(start), Point2::from(goal), params).unwrap() {
         PlanOutcome::Path(path) => path,
-        PlanOutcome::NoPath { reason } => panic!("no path: {reason:?}"),
+        PlanOutcome::NoPath { reason, .. } => panic!("no path: {reason:?}"),
     }
 }
 
 pub(crate) fn reason(grid: &DenseGrid, start: [f64; 2], goal: [f64; 2], params: &PlanParams) -> NoPathReason {
     match plan_dense(grid, Point2::from(start), Point2::from(goal), params).unwrap() {
         PlanOutcome::Path(path) => panic!("a path: {path:?}"),
-        PlanOutcome::NoPath { reason } => reason,
+        PlanOutcome::NoPath { reason, .. } => reason,
     }
 }

@@ -82,7 +82,7 @@ fn paths_in_a_hundred_worlds_clear_every_obstacle_and_are_found_if_there_is_one(
     for seed in 0..100 {
         let (grid, ends) = world(seed);
         match plan_dense(&grid, ends[0], ends[1], &params).unwrap() {
-            PlanOutcome::NoPath { reason } => {
+            PlanOutcome::NoPath { reason, .. } => {
                 none += 1;
                 assert_eq!(reason, NoPathReason::Unreachable, "world {seed}");
                 assert!(!joined(&grid, &ends, needed), "world {seed}");

@@ -1,0 +1,123 @@
+//! Areas in which a robot may not be, or not be fast.
+
+use crate::costmap::{CellState, crosses};
+use crate::footprint::contains;
+use crate::{Costmap, PlanError};
+use nalgebra::{Point2, Vector2};
+use percept_geometry::Cell;
+use percept_mapping::DenseGrid;
+
+/// What holds in a zone.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ZoneKind {
+    /// An obstacle: no part of the robot may enter.
+    KeepOut,
+    /// The base drives no faster there, and a metre counts as more in proportion.
+    SpeedLimit {
+        /// Share of `SpeedLimits::max_speed_mps`, above 0 and at most 1.
+        share: f64,
+    },
+}
+
+/// An area of the map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Zone {
+    /// Corners in order, map frame, metres; three or more. A cell is in it that it touches (`KeepOut`), or whose centre it
+    /// holds (`SpeedLimit`).
+    pub polygon: Vec<Point2<f64>>,
+    /// What holds there.
+    pub kind: ZoneKind,
+}
+
+/// What the values of a mask mean, as in nav2's costmap filters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MaskKind {
+    /// Cells at or above `occupied_probability` are keep-out; others are not.
+    KeepOut,
+    /// 1 to 100: per cent of `SpeedLimits::max_speed_mps`. 0 and unknown: no limit.
+    SpeedLimit,
+}
+
+/// Zones as a grid of values, in the map frame: its cells need not lie on those of the map.
+#[derive(Debug, Clone, Copy)]
+pub struct Mask<'a> {
+    /// Values, 0 to 100 or -1.
+    pub grid: &'a DenseGrid,
+    /// Their meaning.
+    pub kind: MaskKind,
+}
+
+/// Slower than this share of full speed is refused: a zone that none should enter is a keep-out zone.
+const LEAST_SHARE: f64 = 0.01;
+
+impl Zone {
+    /// Checks the polygon and the share.
+    ///
+    /// # Errors
+    /// `InvalidParam`: `zones.polygon` (number of corners, or the coordinate that is not finite), `zones.share`.
+    pub fn validate(&self) -> Result<(), PlanError> {
+        let refuse = |field, value, remedy| Err(PlanError::InvalidParam { field, value, remedy });
+        if self.polygon.len() < 3 || self.polygon.len() > 10_000 {
+            return refuse("zones.polygon", self.polygon.len() as f64, "give 3 to 10000 corners");
+        }
+        if let Some(bad) = self.polygon.iter().flat_map(|c| c.iter()).find(|v| !v.is_finite()) {
+            return refuse("zones.polygon", *bad, "give finite coordinates in metres");
+        }
+        match self.kind {
+            ZoneKind::SpeedLimit { share } if !(LEAST_SHARE..=1.0).contains(&share) => {
+                refuse("zones.share", share, "choose 0.01 to 1")
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Costmap {
+    /// Before clearances are measured. The rim stays as it is.
+    pub(crate) fn zoned(mut self, zones: &[Zone], masks: &[Mask<'_>], occupied_probability: f64) -> Self {
+        for zone in zones {
+            let corners = &zone.polygon;
+            let low = corners.iter().fold(corners[0], |low, c| low.inf(c));
+            let high = corners.iter().fold(corners[0], |high, c| high.sup(c));
+            let middle = nalgebra::center(&low, &high);
+            let size = Vector2::repeat(self.geometry().resolution_m);
+            let touches = |low: Point2<f64>| {
+                let edge = |i: usize| (corners[i], corners[(i + 1) % corners.len()] - corners[i]);
+                (0..corners.len()).map(edge).any(|(a, along)| crosses(&a, &along, &low, &(low + size)))
+            };
+            for cell in self.cells_within(&middle, 0.5 * (high - low).amax() + size.x) {
+                let is_inside = contains(corners, &self.geometry().center(cell));
+                match zone.kind {
+                    ZoneKind::KeepOut if is_inside || touches(self.geometry().corner(cell)) => self.keep_out(cell),
+                    ZoneKind::SpeedLimit { share } if is_inside => self.slow_down(cell, share),
+                    _ => {}
+                }
+            }
+        }
+        for mask in masks {
+            for index in 0..self.states().len() {
+                let cell = Cell::new((index % self.width()) as i32, (index / self.width()) as i32);
+                let there = mask.grid.geometry.cell(&self.geometry().center(cell));
+                let Some(Some(value)) = there.and_then(|c| mask.grid.value(c)) else { continue };
+                match mask.kind {
+                    MaskKind::KeepOut if f64::from(value) >= 100.0 * occupied_probability => self.keep_out(cell),
+                    MaskKind::SpeedLimit if value > 0 => self.slow_down(cell, f64::from(value) / 100.0),
+                    _ => {}
+                }
+            }
+        }
+        self
+    }
+
+    fn keep_out(&mut self, cell: Cell) {
+        let index = self.at(cell);
+        if !self.is_rim(index) && self.states()[index] == CellState::Free {
+            self.set_state(index, CellState::KeepOut);
+        }
+    }
+
+    fn slow_down(&mut self, cell: Cell, share: f64) {
+        let index = self.at(cell);
+        self.limit_speed(index, share as f32);
+    }
+}
