@@ -5,7 +5,7 @@ use crate::footprint::contains;
 use crate::steering::Arc;
 use crate::{Footprint, Pose2};
 use nalgebra::{Point2, Vector2};
-use percept_geometry::Cell;
+use percept_geometry::{Cell, se3::wrap_angle};
 
 /// A footprint over a costmap. Obstacles are the squares of cells that are not free; touching one is no overlap.
 #[derive(Debug, Clone)]
@@ -17,11 +17,46 @@ pub(crate) struct Fit<'a> {
     circumscribed: f64,
 }
 
-/// Overlaps of less than this are rounding, metres.
-const ROUNDING: f64 = 1e-9;
+/// Overlaps of less than this are rounding, of stored clearances among others, metres.
+const ROUNDING: f64 = 1e-6;
 
 /// Between the poses that are looked at, a part of the robot may enter an obstacle by so much, metres.
 const SLIT: f64 = 5e-4;
+
+/// Poses looked at for the first that overlaps, at most.
+const MOST_STEPS: f64 = 1e5;
+
+/// A way from a pose.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Motion {
+    /// On an arc.
+    Arc(Arc),
+    /// Straight to a pose, turning evenly by the shorter way.
+    Straight(Pose2),
+}
+
+impl Motion {
+    /// The pose after this share of the way.
+    fn at(&self, from: &Pose2, share: f64) -> Pose2 {
+        match self {
+            Self::Arc(arc) => arc.after(from, arc.length * share),
+            Self::Straight(to) => Pose2 {
+                position: from.position + (to.position - from.position) * share,
+                yaw_rad: from.yaw_rad + wrap_angle(to.yaw_rad - from.yaw_rad) * share,
+            },
+        }
+    }
+
+    /// No point within this radius around the base moves more, metres.
+    fn farthest_move(&self, from: &Pose2, radius: f64) -> f64 {
+        match self {
+            Self::Arc(arc) => arc.length.abs() * (1.0 + arc.curvature.abs() * radius),
+            Self::Straight(to) => {
+                (to.position - from.position).norm() + wrap_angle(to.yaw_rad - from.yaw_rad).abs() * radius
+            }
+        }
+    }
+}
 
 impl<'a> Fit<'a> {
     pub(crate) fn new(costmap: &'a Costmap, footprint: &'a Footprint) -> Self {
@@ -39,27 +74,35 @@ impl<'a> Fit<'a> {
         self.is_clear_by(pose, 0.0)
     }
 
-    /// Whether nothing is touched on an arc's way from a pose, but for [`SLIT`].
+    /// Whether nothing is overlapped on the way from a pose, but for [`SLIT`].
     ///
     /// Between two poses no point of the robot moves more than it does from the pose in their middle: if that is clear by
     /// as much, so is all between; else each half is looked at.
-    pub(crate) fn is_drivable(&self, from: &Pose2, arc: &Arc) -> bool {
-        self.is_clear(&arc.after(from, arc.length)) && self.is_span_drivable(from, arc, 0.0, arc.length)
+    pub(crate) fn is_drivable(&self, from: &Pose2, motion: &Motion) -> bool {
+        let moves = 0.5 * motion.farthest_move(from, self.circumscribed);
+        self.is_clear(&motion.at(from, 1.0)) && self.is_span_drivable(from, motion, (0.0, 1.0), moves)
     }
 
-    fn is_span_drivable(&self, from: &Pose2, arc: &Arc, begin: f64, end: f64) -> bool {
+    fn is_span_drivable(&self, from: &Pose2, motion: &Motion, (begin, end): (f64, f64), moves: f64) -> bool {
         let middle = 0.5 * (begin + end);
-        let moves = 0.5 * (end - begin).abs() * (1.0 + arc.curvature.abs() * self.circumscribed);
-        let pose = arc.after(from, middle);
+        let pose = motion.at(from, middle);
         if self.is_clear_by(&pose, moves) {
             return true;
         }
-        if moves <= SLIT {
-            return self.is_clear(&pose);
-        }
         self.is_clear(&pose)
-            && self.is_span_drivable(from, arc, begin, middle)
-            && self.is_span_drivable(from, arc, middle, end)
+            && (moves <= SLIT
+                || self.is_span_drivable(from, motion, (begin, middle), 0.5 * moves)
+                    && self.is_span_drivable(from, motion, (middle, end), 0.5 * moves))
+    }
+
+    /// The first pose on the way that overlaps an obstacle, to [`SLIT`]; none if [`Fit::is_drivable`].
+    pub(crate) fn first_overlap(&self, from: &Pose2, motion: &Motion) -> Option<Pose2> {
+        if self.is_drivable(from, motion) {
+            return None;
+        }
+        let steps = (motion.farthest_move(from, self.circumscribed) / SLIT).ceil().clamp(1.0, MOST_STEPS);
+        let mut poses = (0..=steps as usize).map(|i| motion.at(from, i as f64 / steps));
+        poses.find(|pose| !self.is_clear(pose))
     }
 
     /// Whether the footprint is at least `margin` from every obstacle; with a margin, may say no where it is up to sqrt 2

@@ -26,6 +26,7 @@ pub mod smooth;
 mod speed;
 pub mod steering;
 pub mod theta;
+mod validate;
 mod zones;
 
 pub use answer::{Blocking, CostParts, NoPathReason, Path, PlanOutcome, Waypoint};
@@ -39,6 +40,7 @@ pub use params::PlanParams;
 pub use plan::{plan, plan_dense, plan_over, plan_path};
 pub use request::{Goal, PathRequest, Planner, Pose2};
 pub use speed::SpeedLimits;
+pub use validate::{Misfit, MisfitReason, validate_path};
 pub use zones::{Mask, MaskKind, Zone, ZoneKind};
 
 /// Why planning could not be tried: the facts.

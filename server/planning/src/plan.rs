@@ -59,18 +59,11 @@ pub fn plan_dense(
 /// # Errors
 /// `InvalidParam`, `NotFinite`, `GridTooLarge`, `Map` for a grid whose values or shape are not sound.
 pub fn plan_path(grid: &DenseGrid, request: &PathRequest<'_>) -> Result<PlanOutcome, PlanError> {
-    request.validate()?;
-    grid.validate().map_err(PlanError::Map)?;
+    request.check_grid(grid)?;
     let params = request.params;
-    if grid.cells.len() > params.max_cells {
-        return Err(PlanError::GridTooLarge { cells: grid.cells.len() as u64, limit: params.max_cells as u64 });
-    }
-    let footprint = request.footprint();
-    let radius = match request.planner {
-        // The base keeps off by what the footprint needs whatever its heading.
-        Planner::Hybrid(_) => footprint.inscribed_radius_m(),
-        _ => footprint.circumscribed_radius_m(),
-    };
+    let footprint = request.planned_footprint();
+    // The base keeps off by what the footprint needs whatever its heading.
+    let radius = footprint.inscribed_radius_m();
     let inflation_radius_m = params.inflation_radius_m.max(radius);
     let params = PlanParams { robot_radius_m: radius, inflation_radius_m, ..*params };
     let request = PathRequest { params: &params, ..*request };

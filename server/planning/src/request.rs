@@ -2,6 +2,7 @@
 
 use crate::{Footprint, HybridParams, Mask, PlanError, PlanParams, SpeedLimits, Zone};
 use nalgebra::Point2;
+use percept_mapping::DenseGrid;
 use std::borrow::Cow;
 
 /// A position and a heading in the plane, map frame.
@@ -81,6 +82,26 @@ impl<'a> PathRequest<'a> {
     pub fn footprint(&self) -> Cow<'a, Footprint> {
         let disc = || Cow::Owned(Footprint::Disc { radius_m: self.params.robot_radius_m });
         self.footprint.map_or_else(disc, Cow::Borrowed)
+    }
+
+    /// What is planned for: the footprint if its heading counts, else the smallest disc that holds it.
+    pub(crate) fn planned_footprint(&self) -> Cow<'a, Footprint> {
+        let footprint = self.footprint();
+        match self.planner {
+            Planner::Hybrid(_) => footprint,
+            _ => Cow::Owned(Footprint::Disc { radius_m: footprint.circumscribed_radius_m() }),
+        }
+    }
+
+    /// Checks all that is asked, and the map.
+    ///
+    /// # Errors
+    /// As [`PathRequest::validate`]; `Map`, `GridTooLarge`.
+    pub(crate) fn check_grid(&self, grid: &DenseGrid) -> Result<(), PlanError> {
+        self.validate()?;
+        grid.validate().map_err(PlanError::Map)?;
+        let (cells, limit) = (grid.cells.len() as u64, self.params.max_cells as u64);
+        if cells > limit { Err(PlanError::GridTooLarge { cells, limit }) } else { Ok(()) }
     }
 
     /// Checks all that is asked.

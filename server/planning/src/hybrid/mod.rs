@@ -11,7 +11,7 @@ pub use params::HybridParams;
 pub(crate) use {cost::DrivingCost, shortcut::shortcut};
 
 use crate::astar::SearchGrid;
-use crate::fit::Fit;
+use crate::fit::{Fit, Motion};
 use crate::flood::Flood;
 use crate::steering::{Arc, Curve, each_curve};
 use crate::{Costmap, Goal, Pose2};
@@ -189,7 +189,7 @@ impl<'a> Hybrid<'a> {
         {
             return;
         }
-        if !self.estimate_over_cells(&to).is_finite() || !self.fit.is_drivable(&pose, &arc) {
+        if !self.estimate_over_cells(&to).is_finite() || !self.fit.is_drivable(&pose, &Motion::Arc(arc)) {
             return;
         }
         let before = came.map(|(_, arc)| arc);
@@ -229,7 +229,7 @@ impl<'a> Hybrid<'a> {
             }
             let arcs: Arcs = curve.arcs(&at.pose).collect();
             let cost = self.cost.of_arcs(&arcs, before);
-            if is_better(cost) && arcs.iter().all(|(from, arc)| self.fit.is_drivable(from, arc)) {
+            if is_better(cost) && arcs.iter().all(|(from, arc)| self.fit.is_drivable(from, &Motion::Arc(*arc))) {
                 *best = Some(Finish { cost: at.cost + cost, node, curve });
             }
         }

@@ -2,7 +2,7 @@
 
 use super::{Arcs, DrivingCost};
 use crate::Pose2;
-use crate::fit::Fit;
+use crate::fit::{Fit, Motion};
 use crate::steering::{Arc, Curve, each_curve};
 
 /// A shortcut has to save this share of what it replaces: less is not worth a new curve.
@@ -64,7 +64,7 @@ fn best_curve(cost: &DrivingCost<'_>, fit: &Fit<'_>, path: &[(Pose2, Arc)], begi
         }
         let arcs: Arcs = curve.arcs(&from).collect();
         let price = whole(&arcs);
-        if price < limit && arcs.iter().all(|(from, arc)| fit.is_drivable(from, arc)) {
+        if price < limit && arcs.iter().all(|(from, arc)| fit.is_drivable(from, &Motion::Arc(*arc))) {
             best = Some((price, arcs));
         }
     }

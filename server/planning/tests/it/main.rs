@@ -11,6 +11,7 @@ mod ends;
 mod search;
 mod steer;
 mod steering;
+mod validate;
 mod worlds;
 
 use nalgebra::Point2;
