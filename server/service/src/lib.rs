@@ -30,7 +30,7 @@ pub use ops::evaluation::{self, TrajectoryComparison};
 pub use ops::fleet::{FleetFilter, FleetGroup, FleetWatch};
 pub use ops::layers;
 pub use ops::maps::{self, CloudAnswer, GridAnswer, MapFile, MapFormat, MapSummary};
-pub use ops::navigation::{self, Navigation, Plan, PlanRequest};
+pub use ops::navigation::{self, Navigation, PathCheck, PathOptions, Plan, PlanRequest};
 pub use ops::operations::{HowFar, NewOperation, Operation, OperationKind, OperationList, OperationState, Progress};
 pub use ops::pictures;
 pub use ops::server::{About, ServerInfo};

@@ -88,6 +88,7 @@ pub static RULES: &[Rule] = &[
 
     // A path is a question about the map; a step of a robot brings a frame.
     session("NavigationService/PlanPath", Read),
+    session("NavigationService/ValidatePath", Read),
     session("NavigationService/Navigate", Write),
 
     // They take computing time, and memory for clouds, which are the caller's alone. One that works on a session's cloud
@@ -101,6 +102,7 @@ pub static RULES: &[Rule] = &[
     nothing("ToolboxImagesService/*", Write),
     nothing("ToolboxPicturesService/*", Write),
     nothing("ToolboxPipelinesService/*", Write),
+    nothing("ToolboxPlanningService/*", Write),
     nothing("EvaluationService/*", Write),
 
     // The caller's own alone; one that is started needs what the plain call does, too.

@@ -325,7 +325,7 @@ pub(super) fn mesh_of(layers: &MapLayers, region: Option<Aabb3>, max_triangles: 
     TriangleMesh::new(mesh.positions, mesh.normals, mesh.colors, mesh.triangles).map_err(Error::internal)
 }
 
-fn at_most(field: &str, num: usize, limit: usize) -> Result<()> {
+pub(super) fn at_most(field: &str, num: usize, limit: usize) -> Result<()> {
     if num <= limit {
         return Ok(());
     }

@@ -1,14 +1,21 @@
 //! Paths through a session's map, and one call for one step of a robot.
 
+use super::layers::at_most;
+use super::maps::stamp_of;
 use crate::reason;
 use crate::{Error, IncomingFrame, Processed, Result, Service};
-use nalgebra::Point2;
-use percept_geometry::Timestamp;
+use nalgebra::{Point2, Point3, Vector3};
+use percept_geometry::{Timestamp, se3};
+use percept_mapping::{DenseGrid, MappingError, Occupancy};
 use percept_pipeline::{PoseEstimate, Snapshot};
-use percept_planning::{PlanError, PlanOutcome, PlanParams};
-use percept_scene::{Object, ObjectState};
+use percept_planning::{
+    Blocking, Footprint, Goal, Misfit, MisfitReason, PathRequest, PlanError, PlanOutcome, PlanParams, Planner, Pose2,
+    SpeedLimits, Zone,
+};
+use percept_scene::{Object, ObjectId, ObjectState};
 use percept_slam::TrackingState;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// Objects within this distance of the robot are obstacles in the answer to [`Service::navigate`], metres.
 const OBSTACLE_RANGE_M: f64 = 5.0;
@@ -22,6 +29,63 @@ pub struct PlanRequest {
     pub goal: Point2<f64>,
     /// How; none: as the session is set.
     pub params: Option<PlanParams>,
+    /// What else is asked.
+    pub options: PathOptions,
+}
+
+/// What is asked of a path beside its ends and the session's parameters.
+#[derive(Debug, Clone, Default)]
+pub struct PathOptions {
+    /// How it is searched.
+    pub planner: Planner,
+    /// Heading to begin with, radians; none: the robot's where the path starts where it is, else 0.
+    pub start_yaw_rad: Option<f64>,
+    /// Heading to end with, radians; none: any.
+    pub goal_yaw_rad: Option<f64>,
+    /// What the robot covers; none: a disc of `robot_radius_m`.
+    pub footprint: Option<Footprint>,
+    /// Where it may not be, or not be fast.
+    pub zones: Vec<Zone>,
+    /// For times along the path.
+    pub speed: SpeedLimits,
+    /// The search ends with the best path so far after this; none: when it is done.
+    pub deadline: Option<Duration>,
+}
+
+/// A path's first place that the robot cannot drive, and of which state of the map that is true.
+#[derive(Debug, Clone)]
+pub struct PathCheck {
+    /// None: all of it can be driven.
+    pub misfit: Option<Misfit>,
+    /// The object that stands in the way, if one is known.
+    pub object: Option<ObjectId>,
+    /// Version of the map.
+    pub map_version: u64,
+    /// Stamp of the newest frame in it.
+    pub stamp: Timestamp,
+}
+
+impl PathOptions {
+    /// The whole question. `stop` is asked while a search with a deadline goes on.
+    fn request<'a>(
+        &'a self,
+        (start, yaw_rad): (Point2<f64>, f64),
+        goal: Point2<f64>,
+        params: &'a PlanParams,
+        stop: Option<&'a (dyn Fn() -> bool + Sync)>,
+    ) -> PathRequest<'a> {
+        PathRequest {
+            start: Pose2 { position: start, yaw_rad: self.start_yaw_rad.unwrap_or(yaw_rad) },
+            goal: Goal { position: goal, yaw_rad: self.goal_yaw_rad },
+            params,
+            planner: self.planner,
+            footprint: self.footprint.as_ref(),
+            zones: &self.zones,
+            masks: &[],
+            speed: self.speed,
+            stop,
+        }
+    }
 }
 
 /// A path, or why there is none.
@@ -29,6 +93,8 @@ pub struct PlanRequest {
 pub struct Plan {
     /// The planner's answer; none if no start was given and the robot does not know where it is.
     pub outcome: Option<PlanOutcome>,
+    /// The object that stands in the way, if there is no path and one is known.
+    pub object: Option<ObjectId>,
     /// Version of the map that was searched.
     pub map_version: u64,
     /// Stamp of the newest frame in it.
@@ -63,6 +129,35 @@ impl Service {
         self.compute.query(&self.asker(session)?, move || plan(&snapshot, &request, max_cells)).await?
     }
 
+    /// The first place of a path that the robot cannot drive, as the map is now.
+    ///
+    /// # Errors
+    /// As [`Service::plan_path`]; `TOO_MANY_QUERIES`.
+    pub async fn validate_path(
+        &self,
+        session: &str,
+        poses: Vec<Pose2>,
+        params: Option<PlanParams>,
+        options: PathOptions,
+    ) -> Result<PathCheck> {
+        at_most("poses", poses.len(), MAX_POSES)?;
+        let snapshot = self.snapshot(session).await?;
+        let max_cells = self.limits.max_planning_cells;
+        let work = move || {
+            let mut params = params.unwrap_or(snapshot.params.planning);
+            params.max_cells = params.max_cells.min(max_cells);
+            let grid = dense(&snapshot, params.max_cells)?;
+            let misfit = misfit(&grid, &poses, &params, &options)?;
+            let blocking = misfit.as_ref().and_then(|m| match &m.reason {
+                MisfitReason::Blocked(blocking) => Some(blocking),
+                _ => None,
+            });
+            let object = blocking.and_then(|b| object_at(&snapshot, b));
+            Ok(PathCheck { misfit, object, map_version: snapshot.map_version, stamp: stamp_of(&snapshot) })
+        };
+        self.compute.query(&self.asker(session)?, work).await?
+    }
+
     /// A sensor message and a goal in; pose, obstacles and path out.
     ///
     /// # Errors
@@ -92,27 +187,82 @@ fn near(snapshot: &Snapshot, pose: &PoseEstimate) -> Vec<Object> {
 /// # Errors
 /// Coordinates or parameters out of bounds, `GRID_TOO_LARGE`.
 pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Result<Plan> {
-    let stamp = snapshot.pose.as_ref().map(|p| p.stamp).unwrap_or_default();
-    let map_version = snapshot.map_version;
+    let (stamp, map_version) = (stamp_of(snapshot), snapshot.map_version);
     let is_known = |p: &&PoseEstimate| !matches!(p.state, TrackingState::Lost { .. }) && p.scale.is_metric();
     let known = snapshot.pose.as_ref().filter(is_known);
-    let robot = known.map(|p| Point2::from(p.t_map_base.translation.vector.xy()));
-    let Some(start) = request.start.or(robot) else {
-        return Ok(Plan { outcome: None, map_version, stamp });
+    let robot = known.map(|p| (Point2::from(p.t_map_base.translation.vector.xy()), se3::yaw(&p.t_map_base)));
+    let Some(start) = request.start.map(|start| (start, 0.0)).or(robot) else {
+        return Ok(Plan { outcome: None, object: None, map_version, stamp });
     };
     let mut params = request.params.unwrap_or(snapshot.params.planning);
     params.max_cells = params.max_cells.min(max_cells);
-    let outcome = percept_planning::plan(&snapshot.layers.occupancy, start, request.goal, &params);
-    Ok(Plan { outcome: Some(outcome.map_err(plan_error)?), map_version, stamp })
+    let grid = dense(snapshot, params.max_cells)?;
+    let outcome = on_grid(&grid, start, request.goal, &params, &request.options)?;
+    let object = match &outcome {
+        PlanOutcome::NoPath { blocking: Some(blocking), .. } => object_at(snapshot, blocking),
+        _ => None,
+    };
+    Ok(Plan { outcome: Some(outcome), object, map_version, stamp })
+}
+
+/// Plans on a grid, from a position and a heading.
+///
+/// # Errors
+/// Coordinates or parameters out of bounds, `GRID_TOO_LARGE`.
+pub fn on_grid(
+    grid: &DenseGrid,
+    start: (Point2<f64>, f64),
+    goal: Point2<f64>,
+    params: &PlanParams,
+    options: &PathOptions,
+) -> Result<PlanOutcome> {
+    let begun = Instant::now();
+    let stop = options.deadline.map(|deadline| move || begun.elapsed() >= deadline);
+    let stop = stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync));
+    percept_planning::plan_path(grid, &options.request(start, goal, params, stop)).map_err(plan_error)
+}
+
+/// The first place of a path on a grid that does not fit.
+///
+/// # Errors
+/// As [`on_grid`]; `TOO_MANY_QUERIES`.
+pub fn misfit(grid: &DenseGrid, poses: &[Pose2], params: &PlanParams, options: &PathOptions) -> Result<Option<Misfit>> {
+    at_most("poses", poses.len(), MAX_POSES)?;
+    let nowhere = Point2::origin();
+    let request = options.request((nowhere, 0.0), nowhere, params, None);
+    percept_planning::validate_path(grid, poses, &request).map_err(plan_error)
+}
+
+fn dense(snapshot: &Snapshot, max_cells: usize) -> Result<DenseGrid> {
+    snapshot.layers.occupancy.dense(max_cells).map_err(|e| match e {
+        MappingError::RegionTooLarge { cells, limit } => plan_error(PlanError::GridTooLarge { cells, limit }),
+        e => Error::internal(e),
+    })
+}
+
+/// Poses of a path that is checked.
+const MAX_POSES: usize = 100_000;
+/// An object's box ends so far from cells that it fills, metres: a cell of 0.1 m to each side.
+const BESIDE_M: f64 = 0.1;
+
+/// The object that stands where something blocks.
+fn object_at(snapshot: &Snapshot, blocking: &Blocking) -> Option<ObjectId> {
+    let holds = |o: &&Object| {
+        let mut bbox = o.bbox;
+        bbox.size += Vector3::repeat(2.0 * BESIDE_M);
+        let p = &blocking.obstacle;
+        o.state != ObjectState::Gone && bbox.contains(&Point3::new(p.x, p.y, bbox.center().z))
+    };
+    let volume = |o: &&Object| o.bbox.volume();
+    let found = snapshot.objects.iter().filter(holds);
+    found.min_by(|a, b| volume(a).total_cmp(&volume(b))).map(|o| o.id)
 }
 
 fn plan_error(e: PlanError) -> Error {
     match e {
-        PlanError::InvalidParam { field, value, remedy } => Error::invalid(
-            reason::PARAMETER_OUT_OF_RANGE,
-            format!("params.{field}"),
-            format!("{field} is {value}; {remedy}"),
-        ),
+        PlanError::InvalidParam { field, value, remedy } => {
+            Error::invalid(reason::PARAMETER_OUT_OF_RANGE, place_of(field), format!("{field} is {value}; {remedy}"))
+        }
         PlanError::NotFinite { field, value } => {
             Error::invalid(reason::OUT_OF_RANGE, field, format!("{field} is {value}; it must be finite"))
         }
@@ -122,5 +272,16 @@ fn plan_error(e: PlanError) -> Error {
             format!("the map has {cells} cells, a search looks at {limit} at most; use a coarser resolution_m"),
         ),
         PlanError::Map(e) => Error::internal(e),
+    }
+}
+
+/// Where a field of the planner's stands in a request.
+fn place_of(field: &str) -> String {
+    match field.split_once('.') {
+        None => format!("params.{field}"),
+        Some(("hybrid", rest)) => format!("options.steering.{rest}"),
+        Some(("footprint", _)) => "options.footprint".to_owned(),
+        Some(("zones", "share")) => "options.zones.speed_share".to_owned(),
+        Some(_) => format!("options.{field}"),
     }
 }

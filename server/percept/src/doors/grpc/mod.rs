@@ -123,6 +123,7 @@ pub(crate) async fn serve(api: Api, listener: Listener) {
         .add_service(limited!(v1::toolbox_images_service_server::ToolboxImagesServiceServer<Api>))
         .add_service(limited!(v1::toolbox_pictures_service_server::ToolboxPicturesServiceServer<Api>))
         .add_service(limited!(v1::toolbox_pipelines_service_server::ToolboxPipelinesServiceServer<Api>))
+        .add_service(limited!(v1::toolbox_planning_service_server::ToolboxPlanningServiceServer<Api>))
         .add_service(limited!(v1::operations_service_server::OperationsServiceServer<Api>))
         .add_service(limited!(v1::evaluation_service_server::EvaluationServiceServer<Api>))
         .add_service(limited!(v1::server_service_server::ServerServiceServer<Api>));

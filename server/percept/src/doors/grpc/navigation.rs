@@ -11,9 +11,23 @@ impl v1::navigation_service_server::NavigationService for Api {
         let r = r.get_ref();
         let session = convert::maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let params = caller.snapshot("NavigationService/PlanPath", session).await.map_err(status::grpc)?.params.clone();
-        let request = navigation::request(r.start.as_ref(), r.goal.as_ref(), r.params.as_ref(), &params);
+        let request =
+            navigation::request(r.start.as_ref(), r.goal.as_ref(), r.params.as_ref(), r.options.as_ref(), &params);
         let plan = caller.plan_path(session, request.map_err(status::grpc)?).await.map_err(status::grpc)?;
         Ok(Response::new(navigation::plan_to(&plan)))
+    }
+
+    async fn validate_path(&self, r: Request<v1::ValidatePathRequest>) -> Answer<v1::ValidatePathResponse> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        let session = convert::maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
+        let snapshot = caller.snapshot("NavigationService/ValidatePath", session).await.map_err(status::grpc)?;
+        let params = percept_wire::params::planning(r.params.as_ref(), &snapshot.params.planning);
+        let poses = navigation::poses(&r.poses).map_err(status::grpc)?;
+        let options = navigation::options(r.options.as_ref()).map_err(status::grpc)?;
+        let params = Some(params.map_err(status::grpc)?);
+        let check = caller.validate_path(session, poses, params, options).await.map_err(status::grpc)?;
+        Ok(Response::new(navigation::check_to(&check)))
     }
 
     async fn navigate(&self, r: Request<v1::NavigateRequest>) -> Answer<v1::NavigateResponse> {
@@ -30,7 +44,8 @@ impl v1::navigation_service_server::NavigationService for Api {
             .map_err(status::grpc)?
             .params
             .clone();
-        let request = navigation::request(None, r.goal.as_ref(), r.params.as_ref(), &params).map_err(status::grpc)?;
+        let request = navigation::request(None, r.goal.as_ref(), r.params.as_ref(), r.options.as_ref(), &params);
+        let request = request.map_err(status::grpc)?;
         let answer = caller.navigate(incoming, request).await.map_err(status::grpc)?;
         Ok(Response::new(navigation::navigation_to(&answer)))
     }

@@ -33,6 +33,7 @@ use v1::toolbox_images_service_server::ToolboxImagesService;
 use v1::toolbox_kept_clouds_service_server::ToolboxKeptCloudsService;
 use v1::toolbox_pictures_service_server::ToolboxPicturesService;
 use v1::toolbox_pipelines_service_server::ToolboxPipelinesService;
+use v1::toolbox_planning_service_server::ToolboxPlanningService;
 use v1::toolbox_registration_service_server::ToolboxRegistrationService;
 use v1::toolbox_segmentation_service_server::ToolboxSegmentationService;
 use v1::toolbox_shapes_service_server::ToolboxShapesService;
@@ -373,6 +374,7 @@ pub(super) static ROUTES: &[Route] = &[
     get("/v1/sessions/{session_id}/scene-graph", "SceneService/GetSceneGraph", SESSION, parts!(SceneGraph get_scene_graph)),
 
     post("/v1/sessions/{session_id}/plan", "NavigationService/PlanPath", SOURCE, unary!(Message plan_path)),
+    post("/v1/sessions/{session_id}/validate-path", "NavigationService/ValidatePath", SOURCE, unary!(Message validate_path)),
     post("/v1/sessions/{session_id}/navigate", "NavigationService/Navigate", MESSAGE, unary!(Message navigate)),
 
     post("/v1/toolbox/clouds", "ToolboxKeptCloudsService/UploadCloud", &[], unary!(Message upload_cloud)),
@@ -380,6 +382,8 @@ pub(super) static ROUTES: &[Route] = &[
     get("/v1/toolbox/clouds/{handle}", "ToolboxKeptCloudsService/DownloadCloud", CLOUD, joined!(download_cloud, join_download)),
     delete("/v1/toolbox/clouds/{handle}", "ToolboxKeptCloudsService/DropCloud", CLOUD, unary!(Message drop_cloud)),
     post("/v1/toolbox/run-pipeline", "ToolboxPipelinesService/RunPipeline", &[], parts!(Message run_pipeline)),
+    post("/v1/toolbox/plan-on-map", "ToolboxPlanningService/PlanOnMap", &[], unary!(Message plan_on_map)),
+    post("/v1/toolbox/validate-on-map", "ToolboxPlanningService/ValidateOnMap", &[], unary!(Message validate_on_map)),
     post("/v1/toolbox/decode-cloud", "ToolboxCloudsService/DecodeCloud", &[], parts!(Message decode_cloud)),
     post("/v1/toolbox/encode-cloud", "ToolboxCloudsService/EncodeCloud", &[], parts!(Message encode_cloud)),
     post("/v1/toolbox/convert-depth", "ToolboxDepthService/ConvertDepth", &[], parts!(Message convert_depth)),

@@ -62,6 +62,8 @@ sources! {
     GrowRegionsRequest { cloud }
     ComputeSupervoxelsRequest { cloud }
     GroupConvexRequest {}
+    PlanOnMapRequest {}
+    ValidateOnMapRequest {}
     SegmentObjectsRequest { cloud }
     DetectObjectsRequest { cloud }
     RegisterCloudsRequest { source, target }

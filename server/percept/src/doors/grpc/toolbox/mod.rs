@@ -28,6 +28,7 @@ mod images;
 mod kept_clouds;
 mod pictures;
 mod pipelines;
+mod planning;
 mod registration;
 mod segmentation;
 mod shapes;

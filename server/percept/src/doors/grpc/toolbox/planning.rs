@@ -1,0 +1,36 @@
+//! Paths through maps that come with the question: decode, call, encode.
+
+use percept_planning::PlanParams;
+use percept_service::toolbox::Toolbox;
+use percept_service::{Result, navigation as ops};
+use percept_wire::convert::{geometry, navigation, required};
+use percept_wire::{params, v1};
+
+operations! {
+    toolbox_planning_service_server::ToolboxPlanningService, "ToolboxPlanningService/*",
+    one {
+        plan_on_map(PlanOnMapRequest) -> PlanOnMapResponse,
+        validate_on_map(ValidateOnMapRequest) -> ValidateOnMapResponse,
+    }
+    parts {}
+}
+
+fn params_of(t: &Toolbox, sent: Option<&v1::PlanningParams>) -> Result<PlanParams> {
+    let params = params::planning(sent, &PlanParams::default())?;
+    Ok(PlanParams { max_cells: params.max_cells.min(t.limits().max_planning_cells), ..params })
+}
+
+fn plan_on_map(t: &Toolbox, r: v1::PlanOnMapRequest) -> Result<v1::PlanOnMapResponse> {
+    let grid = navigation::given_map(r.map.as_ref(), t.limits())?;
+    let start = geometry::point2("start", &required("start", r.start)?)?;
+    let goal = geometry::point2("goal", &required("goal", r.goal)?)?;
+    let (params, options) = (params_of(t, r.params.as_ref())?, navigation::options(r.options.as_ref())?);
+    Ok(navigation::on_map_to(&ops::on_grid(&grid, (start, 0.0), goal, &params, &options)?))
+}
+
+fn validate_on_map(t: &Toolbox, r: v1::ValidateOnMapRequest) -> Result<v1::ValidateOnMapResponse> {
+    let grid = navigation::given_map(r.map.as_ref(), t.limits())?;
+    let (params, options) = (params_of(t, r.params.as_ref())?, navigation::options(r.options.as_ref())?);
+    let misfit = ops::misfit(&grid, &navigation::poses(&r.poses)?, &params, &options)?;
+    Ok(v1::ValidateOnMapResponse { misfit: misfit.map(|m| navigation::misfit_to(&m, None)) })
+}
