@@ -6,7 +6,7 @@ use crate::blocking::{Refusal, first_blocking};
 use crate::costmap::Costmap;
 use crate::ends::{check_goal, check_goal_pose, check_start, check_start_pose};
 use crate::fit::Fit;
-use crate::hybrid::{DrivingCost, Hybrid, HybridPath, Limits, closed_cells, shortcut};
+use crate::hybrid::{CELL_SHARES, DrivingCost, Hybrid, HybridPath, Limits, closed_cells, shortcut};
 use crate::smooth::{resample, shorten, smooth};
 use crate::theta::any_angle;
 use crate::{Footprint, GridPath, HybridParams, PathRequest, PlanError, PlanParams, Planner};
@@ -92,12 +92,18 @@ fn steer(
     let fit = Fit::new(costmap, footprint);
     check_start_pose(&fit, costmap, grid, &start, params)?;
     check_goal_pose(&fit, costmap, &goal, inscribed)?;
-    let limits = Limits { max_expansions: params.max_expansions, stop: request.stop };
     let closed = closed_cells(costmap, inscribed);
-    let search = Hybrid::new(costmap, &fit, &closed, goal, hybrid);
-    let (arcs, bound, is_final, expansions) = match search.search(&start, &limits) {
-        HybridPath::Found { arcs, bound, is_final, expansions } => (arcs, bound, is_final, expansions),
-        HybridPath::Exhausted => return Err(NoPathReason::NotSteerable.into()),
+    let mut spent = 0;
+    let mut found = HybridPath::Exhausted { expansions: 0 };
+    for cell_share in CELL_SHARES {
+        let HybridPath::Exhausted { expansions } = found else { break };
+        spent += expansions;
+        let limits = Limits { max_expansions: params.max_expansions.saturating_sub(spent), stop: request.stop };
+        found = Hybrid::new(costmap, &fit, &closed, goal, hybrid, cell_share).search(&start, &limits);
+    }
+    let (arcs, bound, is_final, expansions) = match found {
+        HybridPath::Found { arcs, bound, is_final, expansions } => (arcs, bound, is_final, spent + expansions),
+        HybridPath::Exhausted { .. } => return Err(NoPathReason::NotSteerable.into()),
         HybridPath::Apart => {
             let blocking = costmap.cell(&start.position).zip(costmap.cell(&goal.position));
             let blocking = blocking.and_then(|ends| first_blocking(costmap, &closed, ends, inscribed));

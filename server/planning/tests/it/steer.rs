@@ -129,9 +129,10 @@ fn the_caller_can_stop_the_search_and_the_same_question_has_the_same_answer() {
         asked.fetch_add(1, Ordering::Relaxed);
         true
     };
-    // Walled in but for a gap that is too narrow.
+    // Two walls 0.4 m apart, with gaps of 0.4 m that do not face each other: wide enough for the disc within the robot.
     let mut closed = grid.clone();
     (0..80).filter(|y| !(38..42).contains(y)).for_each(|y| closed.cells[y * 80 + 35] = 100);
+    (0..80).filter(|y| !(50..54).contains(y)).for_each(|y| closed.cells[y * 80 + 40] = 100);
     let (params, footprint) = (PlanParams { start_tolerance_m: 0.0, ..PlanParams::default() }, polygon(&BOX));
     let request = PathRequest {
         start,
