@@ -4,7 +4,7 @@
 //! from one), and a [`PathRequest`] in its frame: two ends, a footprint, zones, and by which [`Planner`]. Goes out:
 //! [`PlanOutcome`]: waypoints with their times, cost and clearance, or a [`NoPathReason`] and what is in the way. Nothing
 //! here follows the path, or watches a clock. Start with [`plan()`] for a disc from point to point, with [`plan_path`] for
-//! all else.
+//! all else; where to go to see more is [`frontiers`].
 
 mod answer;
 pub mod astar;
@@ -16,6 +16,7 @@ mod ends;
 mod fit;
 mod flood;
 mod footprint;
+mod frontier;
 mod hybrid;
 mod jump;
 mod params;
@@ -34,6 +35,7 @@ pub use astar::{GridPath, SearchGrid};
 pub use costmap::{CellState, Costmap};
 pub use distance::clearance_in_cells;
 pub use footprint::Footprint;
+pub use frontier::{Frontier, frontiers};
 pub use hybrid::HybridParams;
 pub use jump::shortest_path;
 pub use params::PlanParams;

@@ -8,6 +8,7 @@ mod any_angle;
 mod checker;
 mod clearance;
 mod ends;
+mod frontier;
 mod search;
 mod steer;
 mod steering;
