@@ -9,7 +9,7 @@ use crate::MappingError;
 use crate::blocks::{BLOCK, BlockKey, corner};
 use crate::error::check_pose;
 use nalgebra::{Point3, Vector3};
-use percept_geometry::{CameraIntrinsics, DepthImage, Distortion, GeometryError, Pose, RgbImage};
+use percept_geometry::{CameraIntrinsics, DepthImage, Distortion, GeometryError, Pose, RgbImage, by_processor};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -48,8 +48,10 @@ impl SurfaceGrid {
             return Err(MappingError::TooManyBlocks { blocks: keys.len(), limit: MAX_BLOCKS_OF_IMAGE });
         }
         let margin = [params.carve_margin(0.0) as f32, CARVE_MARGIN_RATIO as f32];
+        let shortest = if params.carve { shortest_around(depth) } else { vec![] };
         let view = View {
             depth: depth.data(),
+            shortest: &shortest,
             color: color.map(RgbImage::data),
             width: depth.width() as f32,
             height: depth.height() as f32,
@@ -107,6 +109,45 @@ impl SurfaceGrid {
     }
 }
 
+/// The least depth of each pixel and the eight around it: 0 beside one without a return.
+fn shortest_around(depth: &DepthImage) -> Vec<f32> {
+    let (width, height) = (depth.width(), depth.height());
+    let mut out = Vec::with_capacity(width * height);
+    let mut column = vec![0.0f32; width];
+    for v in 0..height {
+        let row = |v: usize| &depth.data()[v * width..][..width];
+        least_of(row(v.saturating_sub(1)), row(v), row((v + 1).min(height - 1)), &mut column);
+        let last = out.len();
+        out.extend_from_slice(&column);
+        let (left, right) = (&column[..width - 1], &column[1..]);
+        let out: &mut [f32] = &mut out[last..];
+        least_beside(&mut out[1..], left);
+        least_beside(&mut out[..width - 1], right);
+    }
+    out
+}
+
+by_processor! {
+    [avx512]
+    /// The least of three rows, column by column.
+    fn least_of(a: &[f32], b: &[f32], c: &[f32], out: &mut [f32]) {
+        for (((a, b), c), out) in a.iter().zip(b).zip(c).zip(out) {
+            let least = if *a < *b { *a } else { *b };
+            *out = if *c < least { *c } else { least };
+        }
+    }
+}
+
+by_processor! {
+    [avx512]
+    /// Lowers to what stands beside.
+    fn least_beside(out: &mut [f32], beside: &[f32]) {
+        for (out, beside) in out.iter_mut().zip(beside) {
+            *out = if *beside < *out { *beside } else { *out };
+        }
+    }
+}
+
 /// A block in the camera's frame.
 fn placed(t_camera_submap: &Pose, key: BlockKey, voxel: f64) -> Placed {
     let first: Point3<f64> = t_camera_submap * (corner(key, 0, voxel) + Vector3::repeat(0.5 * voxel));
@@ -127,4 +168,24 @@ fn check_images(depth: &DepthImage, color: Option<&RgbImage>, camera: &CameraInt
     same("depth rows", camera.height, depth.height())?;
     same("colour columns", camera.width, color.map_or(camera.width, RgbImage::width))?;
     same("colour rows", camera.height, color.map_or(camera.height, RgbImage::height))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_shortest_around_a_pixel_is_the_least_of_nine() {
+        for (width, height) in [(1usize, 1usize), (1, 5), (7, 1), (37, 11)] {
+            let data: Vec<f32> = (0..width * height).map(|i| 1.0 + (i * 7919 % 101) as f32).collect();
+            let depth = DepthImage::new(width, height, data).unwrap();
+            let found = shortest_around(&depth);
+            for (i, found) in found.iter().enumerate() {
+                let (u, v) = (i % width, i / width);
+                let rows = v.saturating_sub(1)..=(v + 1).min(height - 1);
+                let around = rows.flat_map(|v| (u.saturating_sub(1)..=(u + 1).min(width - 1)).map(move |u| (u, v)));
+                assert_eq!(*found, around.map(|(u, v)| depth.at(u, v)).fold(f32::INFINITY, f32::min));
+            }
+        }
+    }
 }

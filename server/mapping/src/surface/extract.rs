@@ -8,7 +8,7 @@ use crate::blocks::BlockKey;
 use nalgebra::{Point3, Vector3};
 
 /// A block and those around it: `3 x 3 x 3`, its own in the middle. Beyond the seven after it they serve normals alone.
-pub(super) struct Neighborhood<'a> {
+struct Neighborhood<'a> {
     blocks: [Option<&'a SurfaceBlock>; 27],
     /// Below this, as stored, a voxel is unknown.
     min_weight: u16,
@@ -20,13 +20,30 @@ const REACH: usize = 9;
 const NONE: u32 = u32::MAX;
 
 impl<'a> Neighborhood<'a> {
-    /// Of a block by key, as `find` has blocks; `min_weight` in looks.
-    pub(super) fn new(key: BlockKey, min_weight: f32, find: impl Fn(BlockKey) -> Option<&'a SurfaceBlock>) -> Self {
-        let blocks = std::array::from_fn(|i| {
-            let step = |i: usize| (i % 3) as i32 - 1;
-            find((key.0 + step(i), key.1 + step(i / 3), key.2 + step(i / 9)))
-        });
-        Self { blocks, min_weight: (min_weight * UNIT).clamp(1.0, 65535.0).ceil() as u16 }
+    /// A block by key and the seven after it, as `find` has them; `min_weight` in looks.
+    fn after(key: BlockKey, min_weight: f32, find: &impl Fn(BlockKey) -> Option<&'a SurfaceBlock>) -> Self {
+        let mut near = Self { blocks: [None; 27], min_weight: (min_weight * UNIT).clamp(1.0, 65535.0).ceil() as u16 };
+        near.fill(key, find, |step| step >= 0);
+        near
+    }
+
+    /// The rest of them.
+    fn complete(&mut self, key: BlockKey, find: &impl Fn(BlockKey) -> Option<&'a SurfaceBlock>) {
+        self.fill(key, find, |_| true);
+    }
+
+    fn fill(
+        &mut self,
+        key: BlockKey,
+        find: &impl Fn(BlockKey) -> Option<&'a SurfaceBlock>,
+        is_wanted: impl Fn(i32) -> bool,
+    ) {
+        for (i, block) in self.blocks.iter_mut().enumerate() {
+            let [x, y, z] = [i, i / 3, i / 9].map(|i| (i % 3) as i32 - 1);
+            if block.is_none() && [x, y, z].into_iter().all(&is_wanted) {
+                *block = find((key.0 + x, key.1 + y, key.2 + z));
+            }
+        }
     }
 
     /// Block and slot of a voxel, counted from the first of the middle block, -8 to 15.
@@ -47,67 +64,112 @@ impl<'a> Neighborhood<'a> {
     /// How the distance grows around a voxel, along each axis: between its neighbours, or from one to it where the other is
     /// unknown.
     fn gradient(&self, v: [i32; 3]) -> Vector3<f32> {
+        let is_inner = v.iter().all(|i| (1..7).contains(i));
+        let Some(block) = self.blocks[13].filter(|_| is_inner) else { return self.gradient_across(v) };
+        let slot = ((v[2] * 8 + v[1]) * 8 + v[0]) as usize;
+        let own = f32::from(block.distance[slot]);
+        let along = |step: usize| {
+            let at = |slot: usize| (f32::from(block.distance[slot]), block.weight[slot] >= self.min_weight);
+            slope(own, at(slot - step), at(slot + step))
+        };
+        Vector3::new(along(1), along(8), along(64))
+    }
+
+    /// The same across blocks.
+    fn gradient_across(&self, v: [i32; 3]) -> Vector3<f32> {
         let Some(own) = self.distance(v) else { return Vector3::zeros() };
         let along = |axis: usize| {
             let at = |step: i32| {
                 let mut beside = v;
                 beside[axis] += step;
-                self.distance(beside)
+                self.distance(beside).map_or((0.0, false), |distance| (distance, true))
             };
-            match (at(-1), at(1)) {
-                (Some(low), Some(high)) => 0.5 * (high - low),
-                (Some(low), None) => own - low,
-                (None, Some(high)) => high - own,
-                (None, None) => 0.0,
-            }
+            slope(own, at(-1), at(1))
         };
         Vector3::new(along(0), along(1), along(2))
     }
 
-    /// For each row of voxels along x that the cubes of the block reach, a bit a voxel: behind the surface, and known.
-    fn rows(&self) -> [[(u16, u16); REACH]; REACH] {
-        std::array::from_fn(|z| {
-            std::array::from_fn(|y| {
+    /// For each row of voxels along x that the cubes of the block reach, a bit a voxel.
+    fn rows(&self) -> [[Row; REACH]; REACH] {
+        let mut rows = [[Row::default(); REACH]; REACH];
+        for (z, plane) in rows.iter_mut().enumerate() {
+            for (y, row) in plane.iter_mut().enumerate() {
                 let start = (z % 8 * 8 + y % 8) * 8;
                 let at = ((z / 8 + 1) * 3 + y / 8 + 1) * 3 + 1;
-                let (mut behind, mut known) = (0, 0);
-                for (block, from, num) in [(self.blocks[at], 0, 8), (self.blocks[at + 1], 8, 1)] {
-                    let Some(block) = block else { continue };
-                    let (distance, weight) = (&block.distance[start..start + num], &block.weight[start..start + num]);
-                    for i in 0..num {
-                        behind |= u16::from(distance[i] < 0) << (from + i);
-                        known |= u16::from(weight[i] >= self.min_weight) << (from + i);
+                if let Some(block) = self.blocks[at] {
+                    let channels = block.distance[start..start + 8].iter().zip(&block.weight[start..start + 8]);
+                    for (i, (distance, weight)) in channels.enumerate() {
+                        row.behind |= (*distance as u16 >> 15) << i;
+                        row.known |= u16::from(*weight >= self.min_weight) << i;
                     }
                 }
-                (behind, known)
-            })
-        })
+                if let Some(block) = self.blocks[at + 1] {
+                    row.behind |= (block.distance[start] as u16 >> 15) << 8;
+                    row.known |= u16::from(block.weight[start] >= self.min_weight) << 8;
+                }
+            }
+        }
+        rows
     }
 }
 
-/// The triangles of the cubes whose lowest corners are the voxels of a block: those of which all eight corners are known.
-pub(super) fn extract(key: BlockKey, near: &Neighborhood<'_>, voxel_size_m: f64) -> Piece {
+/// How distance grows between two voxels beside one, each with whether it is known.
+fn slope(own: f32, low: (f32, bool), high: (f32, bool)) -> f32 {
+    match (low.1, high.1) {
+        (true, true) => 0.5 * (high.0 - low.0),
+        (true, false) => own - low.0,
+        (false, true) => high.0 - own,
+        (false, false) => 0.0,
+    }
+}
+
+/// Nine voxels, a bit each.
+#[derive(Debug, Clone, Copy, Default)]
+struct Row {
+    /// Whether it lies behind the surface.
+    behind: u16,
+    known: u16,
+}
+
+/// Which cubes between four rows the surface passes, of those that are known: a bit each.
+fn crossed(four: &[Row; 4]) -> u16 {
+    let both = |bits: u16| bits & bits >> 1;
+    let all = |bits: fn(&Row) -> u16| four.iter().fold(0xff, |all, row| all & both(bits(row)));
+    all(|row| row.known) & !all(|row| row.behind) & !all(|row| !row.behind)
+}
+
+/// The triangles of the cubes whose lowest corners are the voxels of a block, as `find` has blocks: those cubes of which all eight
+/// corners are known, with a weight of `min_weight` looks at least.
+pub(super) fn extract<'a>(
+    key: BlockKey,
+    min_weight: f32,
+    voxel_size_m: f64,
+    find: &impl Fn(BlockKey) -> Option<&'a SurfaceBlock>,
+) -> Piece {
     let mut out = Piece::default();
+    let mut near = Neighborhood::after(key, min_weight, find);
     let rows = near.rows();
-    let mut vertices: Option<Box<[u32; REACH * REACH * REACH * 3]>> = None;
+    let four = |z: usize, y: usize| [rows[z][y], rows[z][y + 1], rows[z + 1][y], rows[z + 1][y + 1]];
+    if (0..64).all(|i| crossed(&four(i / 8, i % 8)) == 0) {
+        return out;
+    }
+    near.complete(key, find);
+    let near = &near;
+    let mut vertices = Box::new([NONE; REACH * REACH * REACH * 3]);
     for (z, y) in (0..8).flat_map(|z| (0..8).map(move |y| (z, y))) {
-        let four = [rows[z][y], rows[z][y + 1], rows[z + 1][y], rows[z + 1][y + 1]];
-        let both = |bits: u16| bits & bits >> 1;
-        let known = four.iter().fold(0xff, |all, row| all & both(row.1));
-        let behind = four.iter().fold(0xff, |all, row| all & both(row.0));
-        let before = four.iter().fold(0xff, |all, row| all & both(!row.0));
-        let mut crossed = known & !behind & !before;
+        let four = four(z, y);
+        let mut crossed = crossed(&four);
         while crossed != 0 {
             let x = crossed.trailing_zeros() as usize;
             crossed &= crossed - 1;
-            let case = four.iter().enumerate().fold(0, |case, (i, row)| case | usize::from(row.0 >> x & 3) << (2 * i));
-            let vertices = vertices.get_or_insert_with(|| Box::new([NONE; REACH * REACH * REACH * 3]));
+            let corners = four.iter().enumerate();
+            let case = corners.fold(0, |case, (i, row)| case | usize::from(row.behind >> x & 3) << (2 * i));
             let mut number = [NONE; EDGES];
             for triangle in &CASES[case] {
                 let corners = triangle.map(|edge| {
                     let number = &mut number[usize::from(edge)];
                     if *number == NONE {
-                        *number = vertex(key, near, voxel_size_m, [x, y, z], edge, vertices, &mut out);
+                        *number = vertex(key, near, voxel_size_m, [x, y, z], edge, &mut vertices, &mut out);
                     }
                     *number
                 });

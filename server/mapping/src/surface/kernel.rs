@@ -7,6 +7,9 @@ use percept_geometry::by_processor;
 pub(super) struct View<'a> {
     /// `H x W`.
     pub(super) depth: &'a [f32],
+    /// `H x W`: the least depth of each pixel and those around it. Only what all of them look past was seen through: at the border of
+    /// what stands before something, half a pixel decides what a voxel's pixel sees.
+    pub(super) shortest: &'a [f32],
     /// `H x W x 3`, of the same camera.
     pub(super) color: Option<&'a [u8]>,
     pub(super) width: f32,
@@ -72,6 +75,17 @@ by_processor! {
                 Some(layer) => layer,
                 None => return,
             };
+            let mut may_be_through = 0u32;
+            for i in 0..LAYER {
+                let is_behind = (distance[i] < 0) & (depths[i] - sdfs[i] > view.margin[0] + view.margin[1] * sdfs[i]);
+                may_be_through |= u32::from(is_behind);
+            }
+            let mut shortest = depths;
+            if may_be_through != 0 {
+                for (shortest, at) in shortest.iter_mut().zip(&at) {
+                    *shortest = view.shortest.get(*at as usize).copied().unwrap_or(0.0);
+                }
+            }
             let per_truncation = 1.0 / view.truncation;
             let mut shares = [0.0f32; LAYER];
             let mut is_colored = 0u32;
@@ -83,7 +97,7 @@ by_processor! {
                 let (old, known) = (f32::from(distance[i]), f32::from(weight[i]));
                 let sum = known + UNIT;
                 let mean = (old * known + seen * UNIT) / sum;
-                let is_through = (old < 0.0) & (sdf > view.margin[0] + view.margin[1] * z);
+                let is_through = (old < 0.0) & (shortest[i] - z > view.margin[0] + view.margin[1] * z);
                 let left = known - view.loss;
                 let (carved, left) = if left > 0.0 { (old, left) } else { (ONE, UNIT) };
                 let (next, heavier) = if is_through { (carved, left) } else { (mean, sum.min(view.max_weight)) };
@@ -139,7 +153,8 @@ mod tests {
             if depth < f64::from(view.near) || sdf < -truncation {
                 continue;
             }
-            if block.distance[slot] < 0 && sdf > f64::from(view.margin[0]) + f64::from(view.margin[1]) * z {
+            let shortest = f64::from(view.shortest[pixel]) - z;
+            if block.distance[slot] < 0 && shortest > f64::from(view.margin[0]) + f64::from(view.margin[1]) * z {
                 block.carve(slot, 1.0, view.max_weight / UNIT);
                 continue;
             }
@@ -167,8 +182,10 @@ mod tests {
             let depth: Vec<f32> =
                 (0..width * height).map(|i| if i % 29 == 0 { 0.0 } else { (wall + 0.05 * spread()) as f32 }).collect();
             let color: Vec<u8> = (0..3 * width * height).map(|_| (255.0 * spread()) as u8).collect();
+            let shortest: Vec<f32> = depth.iter().enumerate().map(|(i, d)| if i % 3 == 0 { 0.0 } else { *d }).collect();
             let view = View {
                 depth: &depth,
+                shortest: &shortest,
                 color: Some(&color),
                 width: width as f32,
                 height: height as f32,

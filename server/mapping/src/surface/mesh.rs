@@ -1,7 +1,7 @@
 //! The surface as triangles.
 
 use super::block::SurfaceBlock;
-use super::extract::{Neighborhood, extract};
+use super::extract::extract;
 use super::layer::TILE_BLOCKS;
 use super::piece::{GridEdge, Piece, weld};
 use super::tile::{Around, SurfaceTile};
@@ -205,7 +205,7 @@ fn pieces_of<'a>(
     let chunks = keys.par_chunks(Budget::STEP).map(|chunk| {
         let mut pieces = vec![];
         for key in chunk {
-            let piece = extract(*key, &Neighborhood::new(*key, min_weight, find), voxel_size_m);
+            let piece = extract(*key, min_weight, voxel_size_m, find);
             if !piece.mesh.triangles.is_empty() {
                 pieces.push(piece);
             }
