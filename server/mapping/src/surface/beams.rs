@@ -37,7 +37,23 @@ const MOST_VOXELS: f64 = (1u64 << 30) as f64;
 
 /// Shows where a beam crosses layers of voxels from `near` to `far` along it, in order. All lengths in voxels; the direction is
 /// of length 1. Nothing is shown of a beam that leaves the numbers that voxels have.
+#[inline]
 pub(super) fn crossings(
+    sensor: &Point3<f64>,
+    direction: &Vector3<f64>,
+    range: (f64, f64),
+    visit: impl FnMut(&Crossing),
+) {
+    // Once for each axis, so that what is at which place in memory is known.
+    match direction.iamax() {
+        0 => across::<0>(sensor, direction, range, visit),
+        1 => across::<1>(sensor, direction, range, visit),
+        _ => across::<2>(sensor, direction, range, visit),
+    }
+}
+
+#[inline(always)]
+fn across<const AXIS: usize>(
     sensor: &Point3<f64>,
     direction: &Vector3<f64>,
     (near, far): (f64, f64),
@@ -50,17 +66,18 @@ pub(super) fn crossings(
     if !(near <= far && from.iter().chain(to.iter()).all(|v| v.abs() < MOST_VOXELS)) {
         return;
     }
-    let axis = direction.iamax();
-    let (low, high) = (from[axis].min(to[axis]).ceil() as i32, from[axis].max(to[axis]).floor() as i32);
-    let is_forward = direction[axis] > 0.0;
-    let [b, c] = [(axis + 1) % 3, (axis + 2) % 3];
-    let per_layer = 1.0 / direction[axis];
-    for k in 0..=high.wrapping_sub(low) {
+    let (a, b) = (from[AXIS], to[AXIS]);
+    let (low, high) = (-floor(-a.min(b)), floor(a.max(b)));
+    let is_forward = direction[AXIS] > 0.0;
+    let [b, c] = [(AXIS + 1) % 3, (AXIS + 2) % 3];
+    let per_layer = 1.0 / direction[AXIS];
+    for k in 0..=high - low {
         let layer = if is_forward { low + k } else { high - k };
-        let along = (f64::from(layer) - origin[axis]) * per_layer;
+        let along = (f64::from(layer) - origin[AXIS]) * per_layer;
         let (at_b, at_c) = (origin[b] + direction[b] * along, origin[c] + direction[c] * along);
         let mut voxel = [layer; 3];
         (voxel[b], voxel[c]) = (floor(at_b), floor(at_c));
-        visit(&Crossing { axis, voxel, beyond: [at_b - f64::from(voxel[b]), at_c - f64::from(voxel[c])], along });
+        let beyond = [at_b - f64::from(voxel[b]), at_c - f64::from(voxel[c])];
+        visit(&Crossing { axis: AXIS, voxel, beyond, along });
     }
 }

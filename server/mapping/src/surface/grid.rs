@@ -78,7 +78,7 @@ impl SurfaceGrid {
                 let is_through = |slot: usize| {
                     seen[slot / 64] >> (slot % 64) & 1 == 1
                         && block.distance[slot] < 0
-                        && own.is_none_or(|own| own.weight[slot] <= 0.0)
+                        && !own.is_some_and(|own| own.says_anything_of(slot))
                 };
                 let gone: Vec<usize> = (0..super::block::VOXELS).filter(|slot| is_through(*slot)).collect();
                 if !gone.is_empty() {

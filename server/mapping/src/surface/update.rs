@@ -15,9 +15,9 @@ use rustc_hash::FxHashMap;
 const FULL_WEIGHT_RANGE_M: f64 = 2.0;
 /// The least that a look counts.
 const LEAST_WEIGHT: f64 = 1.0 / 16.0;
-/// Blocks that a keyframe may touch: what its later points add beyond is left out. 0.4 GB while it is worked on; a room's
-/// keyframe at 5 cm touches some hundreds.
-const MAX_BLOCKS_OF_SCAN: usize = 1 << 16;
+/// Blocks that a keyframe may touch: what its later points add beyond is left out. A third of a gigabyte while it is worked on; a
+/// room's keyframe at 5 cm touches some hundreds.
+const MAX_BLOCKS_OF_SCAN: usize = 1 << 15;
 
 /// What one keyframe says about the surface. Depends on the pose and the scan alone, so that many keyframes can be worked on at
 /// once.
@@ -34,15 +34,19 @@ pub struct SurfaceUpdate {
 /// Sums over the beams that pass the voxels of a block.
 #[derive(Debug, Clone)]
 pub(super) struct Sums {
-    pub(super) weight: [f32; VOXELS],
-    distance: [f32; VOXELS],
-    color: Option<Box<[[f32; VOXELS]; 3]>>,
+    /// Weight, weighted distance, weighted red, green, blue: together, as they are added to together.
+    voxels: [[f32; 5]; VOXELS],
+    is_colored: bool,
 }
 
 impl Sums {
     fn empty(is_colored: bool) -> Self {
-        let color = is_colored.then(|| Box::new([[0.0; VOXELS]; 3]));
-        Self { weight: [0.0; VOXELS], distance: [0.0; VOXELS], color }
+        Self { voxels: [[0.0; 5]; VOXELS], is_colored }
+    }
+
+    /// Whether a beam passed a voxel.
+    pub(super) fn says_anything_of(&self, slot: usize) -> bool {
+        self.voxels[slot][0] > 0.0
     }
 
     /// What the keyframe says of each voxel, by slot.
@@ -54,10 +58,10 @@ impl Sums {
     ) -> impl Iterator<Item = (usize, Observation)> {
         let center = corner(key, 0, params.voxel_size_m) + Vector3::repeat(4.0 * params.voxel_size_m);
         let look = (FULL_WEIGHT_RANGE_M / (center - sensor).norm()).powi(2).clamp(LEAST_WEIGHT, 1.0) as f32;
-        (0..VOXELS).filter(|slot| self.weight[*slot] > 0.0).map(move |slot| {
-            let sum = self.weight[slot];
-            let color = self.color.as_ref().map(|c| [0, 1, 2].map(|channel| c[channel][slot] / sum));
-            (slot, Observation { distance: self.distance[slot] / sum, weight: sum.min(1.0) * look, color })
+        (0..VOXELS).filter(|slot| self.says_anything_of(*slot)).map(move |slot| {
+            let [sum, distance, red, green, blue] = self.voxels[slot];
+            let color = self.is_colored.then(|| [red, green, blue].map(|channel| channel / sum));
+            (slot, Observation { distance: distance / sum, weight: sum.min(1.0) * look, color })
         })
     }
 }
@@ -81,8 +85,8 @@ impl SurfaceUpdate {
         let ends: Vec<Point3<f64>> = scan.hits.positions.iter().map(|p| t_submap_base * p.cast::<f64>()).collect();
         let mut band = Band::new(params, sensor, scan.hits.colors.is_some());
         for (i, end) in ends.iter().enumerate() {
-            let color = scan.hits.colors.as_ref().and_then(|c| c.get(i)).copied();
-            band.add(end, color);
+            let color = scan.hits.colors.as_ref().and_then(|c| c.get(i)).copied().unwrap_or_default();
+            band.add(end, color.map(f32::from));
         }
         let mut free = vec![];
         if params.carve {
@@ -97,7 +101,7 @@ impl SurfaceUpdate {
 /// that graze what is round pass far behind its surface beside few that pass before it, and would push it outward. Source: the
 /// linear weight of Bylow et al., "Real-time camera tracking and 3D reconstruction using signed distance functions", 2013.
 fn behind(distance: f64, voxel: f64) -> f64 {
-    if distance >= -voxel { 1.0 } else { (1.0 + distance) / (1.0 - voxel) }
+    ((1.0 + distance) / (1.0 - voxel)).min(1.0)
 }
 
 /// The voxels around returns, while they are gathered.
@@ -123,7 +127,7 @@ impl<'a> Band<'a> {
     }
 
     /// Adds a beam that ended at `end`.
-    fn add(&mut self, end: &Point3<f64>, color: Option<[u8; 3]>) {
+    fn add(&mut self, end: &Point3<f64>, color: [f32; 3]) {
         let beam = end - self.sensor;
         let range_m = beam.norm();
         if !(range_m >= self.params.range_min_m.max(1e-6) && range_m <= self.params.range_max()) {
@@ -152,7 +156,7 @@ impl<'a> Band<'a> {
     }
 
     #[inline]
-    fn put(&mut self, voxel: Voxel, distance: f32, weight: f32, color: Option<[u8; 3]>) {
+    fn put(&mut self, voxel: Voxel, distance: f32, weight: f32, color: [f32; 3]) {
         let (key, slot) = locate(voxel);
         let at = match self.latest[corner_of(key)] {
             Some((known, at)) if known == key => at,
@@ -161,13 +165,10 @@ impl<'a> Band<'a> {
                 None => return,
             },
         };
-        let (sums, slot) = (&mut self.blocks[at].1, usize::from(slot));
-        sums.weight[slot] += weight;
-        sums.distance[slot] += weight * distance;
-        if let (Some(sums), Some(color)) = (&mut sums.color, color) {
-            for (channel, value) in sums.iter_mut().zip(color) {
-                channel[slot] += weight * f32::from(value);
-            }
+        let sums = &mut self.blocks[at].1.voxels[usize::from(slot)];
+        let [red, green, blue] = color;
+        for (sum, value) in sums.iter_mut().zip([1.0, distance, red, green, blue]) {
+            *sum += weight * value;
         }
     }
 
