@@ -96,7 +96,7 @@ fn main() -> Result<(), Failure> {
         let goal = way[(way.len() - 1) * i / GOALS];
         let said = match plan_dense(&grid, way[0], goal, &snapshot.params.planning)? {
             PlanOutcome::Path(_) => "reached".to_owned(),
-            PlanOutcome::NoPath { reason } => {
+            PlanOutcome::NoPath { reason, .. } => {
                 println!("  not reached: {:.1} {:.1}, {reason:?}", goal.x, goal.y);
                 format!("{reason:?}")
             }

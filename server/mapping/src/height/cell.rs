@@ -15,9 +15,12 @@ const LEAST_VARIANCE: f32 = 2.5e-5;
 /// occupancy grid's 0.6, -0.4 and 3.5.
 const HIT: u8 = 3;
 const PASS: u8 = 2;
+/// What stands where beams passed before has to be seen twice: so counts the first return there. Those who go by leave nothing.
+const NEWS: u8 = 1;
 const MOST_EVIDENCE: u8 = 18;
-/// Keyframes that saw a drop count to this.
-const MOST_DROPS: u8 = 3;
+/// A drop outweighs ground that fewer keyframes saw, or so many; and they count to one more.
+const MOST_AGAINST_DROP: u16 = 3;
+const MOST_DROPS: u8 = 4;
 
 /// What is known of a cell, in one frame. Equal in every bit.
 #[derive(Debug, Clone, Copy)]
@@ -95,6 +98,16 @@ impl Cell {
         self.num > 0 || self.drops > 0 || !self.standing.is_empty() || !self.overhang.is_nan()
     }
 
+    /// Whether there is a drop where ground ought to be: single beams end below the ground, mirrored, where it was seen before and after.
+    pub(super) fn is_drop(&self) -> bool {
+        u16::from(self.drops) > self.num.min(MOST_AGAINST_DROP)
+    }
+
+    /// The highest of what stands here, metres; NaN for none.
+    pub(super) fn standing_top(&self) -> f32 {
+        if self.evidence >= HIT { self.top } else { f32::NAN }
+    }
+
     /// Whether they lie on one storey.
     pub(super) fn is_level_with(&self, z: f32, params: &HeightParams) -> bool {
         f64::from((self.z - z).abs()) < params.clearance_m
@@ -169,7 +182,8 @@ impl Cell {
         // NaN gives way.
         self.overhang = self.overhang.min(seen.overhang);
         if !seen.standing.is_empty() {
-            self.stand(seen.standing, seen.top, HIT, pass, params);
+            let is_news = self.standing.is_empty() && pass.once.meets(seen.standing);
+            self.stand(seen.standing, seen.top, if is_news { NEWS } else { HIT }, pass, params);
         } else {
             self.pass(passed);
         }

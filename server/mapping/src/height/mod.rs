@@ -9,7 +9,8 @@
 //! 0.3 m above: kerbs, treads and low platforms are ground that is higher. Keyframes are fused as a Kalman filter of one height does it,
 //! each with a variance that grows with range. Two heights that differ by more than noise are never mixed: ground that is
 //! found elsewhere takes weight from what was known until it replaces it.
-//! **What stands** on it up to the robot's clearance vanishes once beams passed at its height often enough.
+//! **What stands** on it up to the robot's clearance vanishes once beams passed at its height often enough, and counts only when it was seen
+//! twice where they had passed before.
 //! **Drops** are where the ground that goes on is not there: a beam went under it, and ended deeper. What was seen down there is
 //! ground at its own height; what lies hidden behind the edge, up to a metre, is known as a drop and has none.
 //! **Storeys**: a submap holds one ground a cell. The map holds up to four, sorted by height, that differ by the robot's clearance
@@ -25,6 +26,7 @@ mod cell;
 mod compose;
 mod dense;
 mod grid;
+mod look;
 mod params;
 mod storeys;
 mod tile;

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 /// Parameters of [`HeightGrid`](crate::HeightGrid) and of what is computed of it.
 ///
-/// What a robot drives over is by default what a wheelchair of class C does, the one for outdoors, as EN 12184 asks: slopes of
-/// 10 degrees, obstacles of 0.1 m. A robot's data sheet says more: 10 mm for a TurtleBot3.
+/// What a robot drives over is by default what an electric wheelchair for outdoors has to, one of class C of EN 12184:2014: slopes of 10
+/// degrees, obstacles of 0.1 m. For a robot, its data sheet says more.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HeightParams {
@@ -34,9 +34,10 @@ pub struct HeightParams {
     /// rad (2010 ADA Standards, 405.2).
     pub max_slope_rad: f64,
     /// Highest step that can be driven, metres; above 0, at most 10. Default: 0.1, which a kerb of 0.12 exceeds. Indoors, thresholds are
-    /// 13 mm at most (2010 ADA Standards, 303.3).
+    /// 13 mm at most (2010 ADA Standards, 404.2.5).
     pub max_step_m: f64,
-    /// Largest deviation of the ground from a plane, root mean square, metres; above 0, at most 10. Default: that of Wermelinger et al. 2016.
+    /// Largest standard deviation of the ground from a plane, metres; above 0, at most 10. Default: the critical value in the
+    /// configuration of Wermelinger's traversability_estimation.
     pub max_roughness_m: f64,
 }
 

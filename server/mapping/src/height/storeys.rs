@@ -70,10 +70,10 @@ impl HeightCell {
             ground_m: seen(cell.z),
             sigma_m: seen(cell.variance.sqrt()),
             level_m: cell.z,
-            top_m: cell.top,
+            top_m: cell.standing_top(),
             overhang_m: cell.overhang,
             num_keyframes: cell.num,
-            is_drop: cell.drops > 0,
+            is_drop: cell.is_drop(),
         }
     }
 }

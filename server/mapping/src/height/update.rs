@@ -3,26 +3,17 @@
 use super::HeightParams;
 use super::beams::{Beams, Window};
 use super::bits::Bits;
-use super::cell::Cell;
+use super::look::{DEEP_M, Look};
 use super::tile::{BLOCK, NUM_BLOCKS, Seen, block_of};
-use crate::ground::{Ground, Patch, Place};
+use crate::ground::{Ground, Place};
 use crate::layer::TileKey;
 use crate::occupancy::{TILE, locate, overlap};
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::grid::walk;
-use percept_geometry::{Aabb3, Cell as At, GridGeometry, KeyframeScan, Pose};
+use percept_geometry::{Aabb3, Cell as At, GridGeometry, KeyframeScan, Pose, Voxel};
 
-/// What is so far above the lowest return of a cell is its ground, metres, as in `ground.rs`; what is higher stands on it.
-const THICK_M: f64 = 0.1;
-/// What is flat and no higher above the ground around is ground that is higher, metres: two treads. It takes so many returns.
-const CLIMB_M: f64 = 0.3;
-const CLIMB_RETURNS: u32 = 3;
-/// Ground is not so much deeper than where it goes on, metres, but for a drop.
-const DEEP_M: f64 = 0.2;
 /// What hides behind the edge of a drop is known as one so far, metres.
 const HIDDEN_M: f64 = 1.0;
-/// Standard deviation that returns of one keyframe share, metres: what its pose errs by.
-const SHARED_SIGMA_M: f64 = 0.01;
 
 /// What one keyframe says about heights. Depends on the pose and the scan alone, so that many keyframes can be worked on at once.
 #[derive(Debug, Clone)]
@@ -31,21 +22,6 @@ pub struct HeightUpdate {
     pub(super) tiles: Vec<(TileKey, Seen)>,
     /// Around all that it says.
     pub(super) bounds: Aabb3,
-}
-
-/// What is gathered of a cell.
-#[derive(Clone, Copy)]
-struct Look {
-    /// Lowest return that may be ground; where the ground ought to be.
-    lowest: f64,
-    expected: f64,
-    num: u32,
-    sum_z: f64,
-    sum_variance: f64,
-    standing: Bits,
-    top: f64,
-    overhang: f64,
-    is_drop: bool,
 }
 
 /// Cells around the sensor: which of what is gathered belongs to each.
@@ -95,7 +71,7 @@ impl Gathered {
     fn new(params: &HeightParams, sensor: &Point3<f64>, range: f64) -> Option<Self> {
         let geometry = GridGeometry::new(params.resolution_m, Point2::origin());
         let half = (range / params.resolution_m).ceil() as i32 + BLOCK;
-        let center = geometry.cell(&sensor.xy())?;
+        let center = Voxel::containing(sensor, params.resolution_m)?;
         let first = |c: i32| Some(c.checked_sub(half)?.div_euclid(BLOCK) * BLOCK);
         let min = At::new(first(center.x)?, first(center.y)?);
         let width = 2 * (half + BLOCK);
@@ -133,11 +109,8 @@ impl Gathered {
                 continue;
             };
             *of_point = look;
-            let height = p.z - expected;
-            let is_ground = height < CLIMB_M - patch.doubt && (height > -DEEP_M || patch.is_drop);
-            let look = &mut self.looks[look as usize];
-            look.lowest = if is_ground { look.lowest.min(p.z) } else { look.lowest };
-            if patch.is_drop && height < -DEEP_M {
+            self.looks[look as usize].lower(p.z, expected, patch);
+            if patch.is_drop && p.z - expected < -DEEP_M {
                 self.mark_drop(sensor, p, expected);
             }
         }
@@ -229,76 +202,5 @@ impl HeightUpdate {
         if !(seen.cells.is_empty() && seen.passes.is_empty()) {
             self.tiles.push((key, seen));
         }
-    }
-}
-
-impl Look {
-    fn unseen(expected: f64) -> Self {
-        Self {
-            lowest: f64::INFINITY,
-            expected,
-            num: 0,
-            sum_z: 0.0,
-            sum_variance: 0.0,
-            standing: Bits::NONE,
-            top: f64::NAN,
-            overhang: f64::NAN,
-            is_drop: false,
-        }
-    }
-
-    /// Adds a return, when it is known which is the lowest.
-    fn add(
-        &mut self,
-        params: &HeightParams,
-        sensor: &Point3<f64>,
-        p: &Point3<f64>,
-        (place, patch): (&Place, &Patch),
-        per_m: f64,
-    ) {
-        let range = f64::from(place.range);
-        let expected = patch.z_at(range);
-        let has_ground = self.lowest.is_finite();
-        let (foot, thick) = if has_ground { (self.lowest, THICK_M) } else { (expected, THICK_M + patch.doubt) };
-        if has_ground && p.z - foot <= thick {
-            if p.z >= foot {
-                self.num += 1;
-                self.sum_z += p.z;
-                self.sum_variance += params.height_variance(range, sensor.z - p.z);
-            }
-        } else if p.z - foot > params.clearance_m {
-            self.overhang = self.overhang.min(p.z);
-        } else if p.z - foot > thick {
-            self.standing = self.standing.joined(Bits::at(p.z, per_m));
-            self.top = self.top.max(p.z);
-        }
-    }
-
-    /// Decides what is ground, when all returns are known.
-    fn settle(&mut self, per_m: f64) {
-        if self.num == 0 {
-            return;
-        }
-        let mean = self.sum_z / f64::from(self.num);
-        if mean - self.expected > THICK_M && (!self.standing.is_empty() || self.num < CLIMB_RETURNS) {
-            // The face of something, or too little to tell.
-            self.standing = self.standing.joined(Bits::at(self.lowest, per_m));
-            self.top = self.top.max(self.lowest);
-            self.num = 0;
-        }
-        self.is_drop &= self.num == 0;
-    }
-
-    fn cell(&self) -> Cell {
-        let mut cell = Cell::unknown(self.expected as f32);
-        if self.num > 0 {
-            let num = f64::from(self.num);
-            cell.z = (self.sum_z / num) as f32;
-            cell.variance = (self.sum_variance / (num * num) + SHARED_SIGMA_M * SHARED_SIGMA_M) as f32;
-            cell.num = 1;
-        }
-        cell.drops = u8::from(self.is_drop);
-        (cell.standing, cell.top, cell.overhang) = (self.standing, self.top as f32, self.overhang as f32);
-        cell
     }
 }

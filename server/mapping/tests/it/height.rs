@@ -248,6 +248,18 @@ fn a_box_that_is_taken_away_returns_to_ground_in_one_submap_and_across_two() {
 }
 
 #[test]
+fn who_goes_by_leaves_nothing_and_who_stays_is_seen_the_second_time() {
+    let (gone, there) = (looks(&[0.0, 0.5], 1.2, |_, _| 0.0), looks(&[0.0, 0.5], 1.2, with_box));
+    let mut map = mapped(&gone);
+    let stands = |map: &Map| all(map).top_m.iter().filter(|t| !t.is_nan()).count();
+    add(&mut map, &there[..1], false);
+    let first = stands(&map);
+    add(&mut map, &there[1..], false);
+    add(&mut map, &there[..1], false);
+    assert!(first <= 2 && stands(&map) > 10, "{first} {}", stands(&map));
+}
+
+#[test]
 fn what_stands_stays_while_the_ground_beside_and_under_it_is_seen() {
     // A table's top 0.7 m high, seen first; then only the ground under it. Its edges are those of blocks of cells: beams are known to
     // have passed by block.
