@@ -69,6 +69,8 @@ def laser_session(client):
 def lidar_session(client):
     """A session that has seen the room with a 3D lidar. Read only."""
     layers = {name: {"enabled": True} for name in ("voxels", "height", "surface")}
+    # Its rings are 0.12 m apart on the walls.
+    layers["surface"]["voxel_size_m"] = 0.1
     session = client.sessions.create(sensors=[world.LIDAR], params={"map": layers})
     with session.stream() as stream:
         for i, pose in enumerate(world.lidar_drive()):

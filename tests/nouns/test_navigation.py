@@ -2,7 +2,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from percept import InvalidArgument, NoPath, NotFound, Path, ScanFrame
+from percept import (
+    GridMap,
+    InvalidArgument,
+    NoPath,
+    NotFound,
+    Path,
+    PathOptions,
+    ScanFrame,
+    SpeedLimits,
+    Steering,
+    Zone,
+)
 
 from support import world
 
@@ -49,10 +60,10 @@ def test_headings_look_at_the_next_waypoint(laser_session):
 @pytest.mark.parametrize(
     ("goal", "start", "reasons"),
     [
-        ((2.95, 0.0), None, {"goal_occupied"}),
+        ((2.95, 0.0), None, {"goal_occupied", "goal_does_not_fit"}),
         ((50.0, 0.0), None, {"goal_outside_map"}),
         ((1.6, 1.0), None, {"goal_unknown", "goal_occupied"}),
-        ((1.0, 0.0), (2.95, 0.0), {"start_occupied"}),
+        ((1.0, 0.0), (2.95, 0.0), {"start_occupied", "start_does_not_fit"}),
         ((1.0, 0.0), (-50.0, 0.0), {"start_outside_map"}),
     ],
 )
@@ -67,6 +78,123 @@ def test_no_path_is_an_answer_with_its_reason(laser_session, goal, start, reason
 def test_a_robot_that_does_not_know_where_it_is_needs_a_start(client):
     session = client.sessions.create(sensors=[world.LASER])
     assert session.plan((1.0, 0.0)).reason == "lost"
+
+
+CAR = [(0.45, 0.2), (-0.25, 0.2), (-0.25, -0.2), (0.45, -0.2)]
+
+
+def corridor(gap_m=1.0):
+    """Two rooms of 4 m x 4 m, and a door of some width between them; cells of 0.05 m."""
+    cells = np.zeros((80, 160), np.int8)
+    cells[[0, -1], :] = cells[:, [0, -1]] = 100
+    cells[:, 80] = 100
+    half = round(gap_m / 0.05 / 2)
+    cells[40 - half : 40 + half, 80] = 0
+    return GridMap(cells=cells, resolution_m=0.05, origin=(-1.0, 2.0))
+
+
+def covered(pose, corners):
+    """Points all over a footprint at a pose."""
+    x, y, yaw = pose
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    px, py = np.meshgrid(np.arange(low[0], high[0] + 1e-9, 0.02), np.arange(low[1], high[1] + 1e-9, 0.02))
+    return np.stack([x + px * np.cos(yaw) - py * np.sin(yaw), y + px * np.sin(yaw) + py * np.cos(yaw)], -1)
+
+
+def test_a_car_steers_through_a_door_and_covers_nothing(client):
+    grid = corridor()
+    steering = Steering(turning_radius_m=0.7)
+    options = PathOptions(planner="hybrid", start_yaw_rad=0.0, goal_yaw_rad=np.pi, footprint=CAR, steering=steering)
+    path = client.toolbox.plan_on_map(grid, (0.5, 3.0), (5.5, 4.5), options=options)
+    assert isinstance(path, Path), path
+    assert np.allclose(path.waypoints[0], [0.5, 3.0, 0.0], atol=1e-6)
+    assert np.allclose(path.waypoints[-1, :2], [5.5, 4.5])
+    assert abs(np.angle(np.exp(1j * (path.waypoints[-1, 2] - np.pi)))) < 0.05
+    for pose in path.waypoints:
+        cell = np.floor((covered(pose, CAR) - np.array(grid.origin)) / 0.05).astype(int)
+        assert not grid.cells[cell[..., 1], cell[..., 0]].any()
+    turns = np.angle(np.exp(1j * np.diff(path.waypoints[:, 2])))
+    steps = np.linalg.norm(np.diff(path.waypoints[:, :2], axis=0), axis=1)
+    assert (np.abs(turns) <= steps / 0.7 * 1.1 + 1e-3).all()
+    assert path.is_final
+    assert client.toolbox.validate_on_map(grid, path, options=options) is None
+    narrow = client.toolbox.plan_on_map(corridor(0.3), (0.5, 3.0), (5.5, 4.5), options=options)
+    assert narrow.reason in ("unreachable", "not_steerable")
+    assert narrow.reason != "unreachable" or abs(narrow.blocking.obstacle[0] - 3.0) < 0.2
+
+
+def test_zones_are_kept_out_of_or_slow_the_robot(client):
+    grid = corridor()
+    ends = (0.0, 4.0), (6.0, 4.0)
+    free = client.toolbox.plan_on_map(grid, *ends)
+    slow = Zone(polygon=[(1, 2), (5, 2), (5, 6), (1, 6)], speed_share=0.25)
+    slowed = client.toolbox.plan_on_map(grid, *ends, options=PathOptions(zones=[slow]))
+    assert slowed.duration_s > 2 * free.duration_s > 2 * free.length_m / 0.5
+    fast = PathOptions(speed=SpeedLimits(max_speed_mps=2.0))
+    assert client.toolbox.plan_on_map(grid, *ends, options=fast).duration_s < 0.6 * free.duration_s
+    assert np.all(np.diff(free.times_s) > 0)
+    assert free.times_s[-1] == free.duration_s
+    shut = Zone(polygon=[(2.9, 3), (3.1, 3), (3.1, 5), (2.9, 5)])
+    closed = client.toolbox.plan_on_map(grid, *ends, options=PathOptions(zones=[shut]))
+    assert (closed.reason, closed.blocking.state) == ("unreachable", "keep_out")
+    inside = client.toolbox.plan_on_map(grid, ends[0], (3.0, 4.0), options=PathOptions(zones=[shut]))
+    assert inside.reason == "goal_in_keep_out"
+    misfit = client.toolbox.validate_on_map(grid, free, options=PathOptions(zones=[shut]))
+    assert (misfit.reason, misfit.blocking.state) == ("blocked", "keep_out")
+    assert abs(misfit.pose[0] - 2.9) < 0.5
+
+
+def test_a_nav2_map_is_planned_in_from_its_files(client, laser_session, tmp_path):
+    laser_session.map.export("nav2_yaml", path=tmp_path / "map.yaml")
+    laser_session.map.export("nav2_pgm", path=tmp_path / "map.pgm")
+    goal, start = world.to_map(2.4, 0.0), world.to_map(-2.0, 1.0)
+    ours = laser_session.plan(goal, start=start)
+    theirs = client.toolbox.plan_on_map(tmp_path / "map.yaml", start, goal)
+    assert theirs.length_m == pytest.approx(ours.length_m, rel=0.03)
+    assert theirs.stamp is None
+    assert client.toolbox.validate_on_map(tmp_path / "map.yaml", theirs) is None
+    (tmp_path / "map.pgm").write_bytes(b"P5\n9999999 9999999\n255\n")
+    with pytest.raises(InvalidArgument) as refused:
+        client.toolbox.plan_on_map(tmp_path / "map.yaml", start, goal)
+    assert (refused.value.reason, refused.value.field) == ("FILE_INVALID", "map.nav2.image")
+
+
+def test_a_path_is_checked_against_the_map_as_it_is_now(laser_session):
+    path = laser_session.plan(world.to_map(2.4, 0.0), options=PathOptions(planner="any_angle"))
+    assert laser_session.validate_path(path) is None
+    through = [[*world.to_map(0.0, 1.0), 0.0], [*world.to_map(1.6, 1.0), 0.0]]
+    misfit = laser_session.validate_path(through)
+    assert (misfit.pose_index, misfit.reason) == (0, "blocked")
+    assert abs(misfit.pose[0] - world.to_map(1.2, 1.0)[0]) < 0.4
+    outside = laser_session.validate_path([[90.0, 0, 0]])
+    assert (outside.pose_index, outside.reason, outside.blocking) == (0, "outside_map", None)
+    assert laser_session.validate_path(np.empty((0, 3))) is None
+
+
+def test_what_is_no_question_is_refused_with_its_field(client, laser_session):
+    grid, ends = corridor(), ((0.0, 4.0), (6.0, 4.0))
+
+    def refused(given=grid, **options):
+        with pytest.raises(InvalidArgument) as error:
+            client.toolbox.plan_on_map(given, *ends, options=PathOptions(**options))
+        return error.value.reason, error.value.field
+
+    bow_tie = [(0.3, 0.3), (-0.3, -0.3), (0.3, -0.3), (-0.3, 0.3)]
+    assert refused(footprint=bow_tie, planner="hybrid") == ("PARAMETER_OUT_OF_RANGE", "options.footprint")
+    assert refused(footprint=[(0, 0), (1, 1)], planner="hybrid") == ("PARAMETER_OUT_OF_RANGE", "options.footprint")
+    assert refused(footprint=[(float("nan"), 0)] * 3)[1] == "options.footprint"
+    assert refused(zones=[Zone(polygon=[(0, 0), (1, 1)])])[1] == "options.zones.polygon"
+    assert refused(zones=[Zone(polygon=[(0, 0), (1, 1), (1, 0)], speed_share=0.0)])[1] == "options.zones.speed_share"
+    assert refused(speed=SpeedLimits(max_speed_mps=-1))[1] == "options.speed.max_speed_mps"
+    hybrid = {"planner": "hybrid", "steering": Steering(turning_radius_m=0.0)}
+    assert refused(**hybrid)[1] == "options.steering.turning_radius_m"
+    assert refused(planner="hybrid", goal_yaw_rad=float("nan"))[1] == "goal.yaw_rad"
+    wrong = GridMap(cells=np.full((4, 4), 101, np.int8), resolution_m=0.05)
+    assert refused(wrong) == ("OUT_OF_RANGE", "map.grid.cells")
+    assert refused(GridMap(cells=grid.cells, resolution_m=0.0))[1] == "map.grid.geometry.resolution_m"
+    with pytest.raises(InvalidArgument) as error:
+        laser_session.validate_path([[0, 0, float("inf")]])
+    assert error.value.field == "poses[0]"
 
 
 def test_goals_that_are_no_numbers_are_refused(laser_session):

@@ -21,6 +21,7 @@ from .v1 import toolbox_images_service_pb2 as images
 from .v1 import toolbox_kept_clouds_service_pb2 as kept_clouds
 from .v1 import toolbox_pictures_service_pb2 as pictures
 from .v1 import toolbox_pipelines_service_pb2 as pipelines
+from .v1 import toolbox_planning_service_pb2 as planning
 from .v1 import toolbox_registration_service_pb2 as registration
 from .v1 import toolbox_segmentation_service_pb2 as segmentation
 from .v1 import toolbox_shapes_service_pb2 as shapes
@@ -113,6 +114,9 @@ GET_SCENE_GRAPH = Rpc(
 
 _V = "NavigationService"
 PLAN_PATH = Rpc(_V, "PlanPath", navigation.PlanPathRequest, navigation.PlanPathResponse)
+VALIDATE_PATH = Rpc(
+    _V, "ValidatePath", navigation.ValidatePathRequest, navigation.ValidatePathResponse
+)
 NAVIGATE = Rpc(_V, "Navigate", navigation.NavigateRequest, navigation.NavigateResponse, repeatable=False)
 
 _T = "ToolboxKeptCloudsService"
@@ -345,3 +349,7 @@ DELETE_OPERATION = Rpc(
     operations.DeleteOperationResponse,
     repeatable=False,
 )
+
+_L = "ToolboxPlanningService"
+PLAN_ON_MAP = Rpc(_L, "PlanOnMap", planning.PlanOnMapRequest, planning.PlanOnMapResponse)
+VALIDATE_ON_MAP = Rpc(_L, "ValidateOnMap", planning.ValidateOnMapRequest, planning.ValidateOnMapResponse)

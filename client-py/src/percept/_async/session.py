@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
 from .._convert import navigation, sensors, sessions
 from .._sender import FrameSender
 from ..types.frames import SensorFrame
-from ..types.navigation import Navigation, NoPath, Path
+from ..types.navigation import Misfit, Navigation, NoPath, Path, PathOptions
 from ..types.sensors import SensorSpec
 from ..types.sessions import (
     FleetEventKind,
@@ -157,15 +157,34 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         *,
         start: Sequence[float] | None = None,
         params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
     ) -> Path | NoPath:
-        """A path to (x, y) in metres of the map, from where the robot is or from `start`."""
-        return await self._transport.call(navigation.plan(self.session_id, goal, start, params))
+        """A path to (x, y) in metres of the map, from where the robot is or from `start`. Options say by
+        which planner, with which footprint and headings, around which zones."""
+        return await self._transport.call(navigation.plan(self.session_id, goal, start, params, options))
+
+    async def validate_path(
+        self,
+        path: Path | object,
+        *,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> Misfit | None:
+        """The first place of a path, or of (N, 3) poses (x m, y m, yaw rad), that the robot cannot drive as
+        the map is now; None if all of it can be driven."""
+        return await self._transport.call(navigation.validate(self.session_id, path, params, options))
 
     async def navigate(
-        self, frame: SensorFrame, *, goal: Sequence[float], params: Mapping[str, object] | None = None
+        self,
+        frame: SensorFrame,
+        *,
+        goal: Sequence[float],
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
     ) -> Navigation:
         """One step in one call: a frame and a goal in; pose, obstacles and path out."""
-        return await self._transport.call(navigation.navigate(self.session_id, frame, goal, params))
+        call = navigation.navigate(self.session_id, frame, goal, params, options)
+        return await self._transport.call(call)
 
 
 class AsyncSessions(AsyncBound):

@@ -2,36 +2,125 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .. import _rpc
 from .._call import Call
+from ..errors import InvalidArgument
 from ..types.frames import SensorFrame
-from ..types.navigation import Navigation, NoPath, NoPathReason, Path
-from ..v1 import map_pb2, params_pb2, path_pb2
+from ..types.maps import MapStamp
+from ..types.navigation import (
+    Blocking,
+    BlockingState,
+    Misfit,
+    MisfitReason,
+    Navigation,
+    NoPath,
+    NoPathReason,
+    Path,
+    PathOptions,
+    Zone,
+)
+from ..v1 import geometry_pb2, params_pb2, path_pb2
 from ..v1 import navigation_service_pb2 as service
 from . import geometry, maps, poses, scene, sensors, words
 
 
-def path(message: path_pb2.Path, stamp: map_pb2.MapStamp) -> Path:
+def path(message: path_pb2.Path, stamp: MapStamp | None) -> Path:
     """A path."""
-    waypoints = np.array([(p.x_m, p.y_m, p.yaw_rad) for p in message.waypoints], dtype=np.float64)
+    points = message.waypoints
+    waypoints = np.array([(p.x_m, p.y_m, p.yaw_rad) for p in points], dtype=np.float64)
+    clearances = [p.clearance_m if p.HasField("clearance_m") else np.inf for p in points]
     return Path(
         waypoints=waypoints.reshape(-1, 3),
         length_m=message.length_m,
         cost=message.cost,
         min_clearance_m=message.min_clearance_m,
-        stamp=maps.stamp(stamp),
+        clearances_m=np.array(clearances, np.float64),
+        times_s=np.array([p.time_s for p in points], np.float64),
+        is_reverse=np.array([p.is_reverse for p in points], bool),
+        clearance_cost=message.clearance_cost,
+        steering_cost=message.steering_cost,
+        duration_s=message.duration_s,
+        bound=message.bound if message.HasField("bound") else None,
+        is_final=message.is_final,
+        stamp=stamp,
     )
 
 
+def _blocking(message: path_pb2.Blocking) -> Blocking:
+    return Blocking(
+        position=geometry.vector2(message.position),
+        obstacle=geometry.vector2(message.obstacle),
+        state=words.word(BlockingState, path_pb2.BlockingState, message.state),
+        object_id=message.object_id if message.HasField("object_id") else None,
+    )
+
+
+def no_path(message: path_pb2.NoPath, stamp: MapStamp | None) -> NoPath:
+    """Why there is no path."""
+    return NoPath(
+        reason=words.word(NoPathReason, path_pb2.NoPathReason, message.reason),
+        detail=message.detail,
+        blocking=_blocking(message.blocking) if message.HasField("blocking") else None,
+        stamp=stamp,
+    )
+
+
+def misfit(message: path_pb2.Misfit) -> Misfit:
+    """Where a path does not fit."""
+    pose = message.pose
+    return Misfit(
+        pose_index=message.pose_index,
+        pose=np.array([pose.x_m, pose.y_m, pose.yaw_rad]),
+        reason=words.word(MisfitReason, path_pb2.MisfitReason, message.reason),
+        blocking=_blocking(message.blocking) if message.HasField("blocking") else None,
+    )
+
+
+def _corners(field: str, points: Sequence[Sequence[float]]) -> list[geometry_pb2.Vector2]:
+    return [geometry.vector2_to(field, p) for p in points]
+
+
+def _zone(zone: Zone) -> path_pb2.Zone:
+    polygon = _corners("zones.polygon", zone.polygon)
+    if zone.speed_share is None:
+        return path_pb2.Zone(polygon=polygon, keep_out=True)
+    return path_pb2.Zone(polygon=polygon, speed_share=zone.speed_share)
+
+
+def options_to(options: PathOptions | None) -> path_pb2.PathOptions | None:
+    """Options as a message."""
+    if options is None:
+        return None
+    speed, steering = options.speed, options.steering
+    return path_pb2.PathOptions(
+        planner=words.number("planner", path_pb2.Planner, options.planner),
+        start_yaw_rad=options.start_yaw_rad,
+        goal_yaw_rad=options.goal_yaw_rad,
+        footprint=_corners("footprint", options.footprint),
+        zones=[_zone(z) for z in options.zones],
+        speed=None if speed is None else path_pb2.SpeedLimits(**dataclasses.asdict(speed)),
+        steering=None if steering is None else path_pb2.SteeringOptions(**dataclasses.asdict(steering)),
+        deadline_ms=options.deadline_ms,
+    )
+
+
+def poses_to(poses: object) -> list[geometry_pb2.Pose2]:
+    """(N, 3) poses, or a path's, as messages."""
+    rows = np.asarray(poses.waypoints if isinstance(poses, Path) else poses, np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        message = f"poses has the shape {rows.shape}; give (N, 3): x m, y m, yaw rad"
+        raise InvalidArgument(message, reason="SIZE_MISMATCH", field="poses")
+    return [geometry_pb2.Pose2(x_m=x, y_m=y, yaw_rad=yaw) for x, y, yaw in rows.tolist()]
+
+
 def _outcome(answer: service.PlanPathResponse | service.NavigateResponse) -> Path | NoPath:
-    if answer.HasField("path"):
-        return path(answer.path, answer.stamp)
-    reason = words.word(NoPathReason, path_pb2.NoPathReason, answer.no_path.reason)
-    return NoPath(reason=reason, detail=answer.no_path.detail, stamp=maps.stamp(answer.stamp))
+    stamp = maps.stamp(answer.stamp)
+    return path(answer.path, stamp) if answer.HasField("path") else no_path(answer.no_path, stamp)
 
 
 def _navigation(answer: service.NavigateResponse) -> Navigation:
@@ -49,22 +138,41 @@ def plan(
     goal: Sequence[float],
     start: Sequence[float] | None,
     params: Mapping[str, object] | None,
+    options: PathOptions | None,
 ) -> Call[service.PlanPathRequest, service.PlanPathResponse, Path | NoPath]:
     request = service.PlanPathRequest(
         source=maps.source(session_id),
         start=None if start is None else geometry.vector2_to("start", start),
         goal=geometry.vector2_to("goal", goal),
         params=words.message_of("params", params_pb2.PlanningParams, params),
+        options=options_to(options),
     )
     return Call(_rpc.PLAN_PATH, request, _outcome)
 
 
+def validate(
+    session_id: str, poses: object, params: Mapping[str, object] | None, options: PathOptions | None
+) -> Call[service.ValidatePathRequest, service.ValidatePathResponse, Misfit | None]:
+    request = service.ValidatePathRequest(
+        source=maps.source(session_id),
+        poses=poses_to(poses),
+        params=words.message_of("params", params_pb2.PlanningParams, params),
+        options=options_to(options),
+    )
+    return Call(_rpc.VALIDATE_PATH, request, lambda a: misfit(a.misfit) if a.HasField("misfit") else None)
+
+
 def navigate(
-    session_id: str, frame: SensorFrame, goal: Sequence[float], params: Mapping[str, object] | None
+    session_id: str,
+    frame: SensorFrame,
+    goal: Sequence[float],
+    params: Mapping[str, object] | None,
+    options: PathOptions | None,
 ) -> Call[service.NavigateRequest, service.NavigateResponse, Navigation]:
     request = service.NavigateRequest(
         goal=geometry.vector2_to("goal", goal),
         params=words.message_of("params", params_pb2.PlanningParams, params),
+        options=options_to(options),
     )
     sensors.fill_frame(request.message, session_id, frame)
     return Call(_rpc.NAVIGATE, request, _navigation)

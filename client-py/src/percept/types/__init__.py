@@ -72,10 +72,20 @@ from .maps import (
     Region,
 )
 from .navigation import (
+    Blocking,
+    BlockingState,
+    GridMap,
+    Misfit,
+    MisfitReason,
     Navigation,
     NoPath,
     NoPathReason,
     Path,
+    PathOptions,
+    Planner,
+    SpeedLimits,
+    Steering,
+    Zone,
 )
 from .operations import (
     OperationFault,
@@ -180,6 +190,8 @@ from .toolbox import (
 )
 
 __all__ = [
+    "Blocking",
+    "BlockingState",
     "BoxAnswers",
     "Boxes",
     "CameraFrame",
@@ -218,6 +230,7 @@ __all__ = [
     "GlobalRegistrationMethod",
     "GlobalRegistrationOutcome",
     "GridGeometry",
+    "GridMap",
     "Ground",
     "GroundPatch",
     "Heights",
@@ -244,6 +257,8 @@ __all__ = [
     "MapStamp",
     "MapSummary",
     "Mesh",
+    "Misfit",
+    "MisfitReason",
     "Navigation",
     "Neighbours",
     "NoPath",
@@ -263,11 +278,13 @@ __all__ = [
     "OrientedBox",
     "OverloadPolicy",
     "Path",
+    "PathOptions",
     "PipelineResult",
     "Plane",
     "PlaneKind",
     "PlaneRemainder",
     "PlaneSegment",
+    "Planner",
     "PnpEstimate",
     "PointAnswers",
     "PointCloud",
@@ -312,6 +329,8 @@ __all__ = [
     "Shape",
     "ShapeFeatures",
     "SpaceState",
+    "SpeedLimits",
+    "Steering",
     "Step",
     "StepResult",
     "Storey",
@@ -332,4 +351,5 @@ __all__ = [
     "TwoViewOutcome",
     "Voxels",
     "WaitingFor",
+    "Zone",
 ]

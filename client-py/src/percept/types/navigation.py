@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
 
 from ._value import Name, Value
 from .geometry import Floats
@@ -12,18 +16,116 @@ from .sessions import FrameResult, PoseEstimate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GridMap(Value):
+    """A map that comes with a question."""
+
+    #: (H, W) int8, row 0 at the smallest y: -1 unknown, 0 to 100 percent occupied.
+    cells: npt.NDArray[np.int8]
+    #: Edge of a cell, metres.
+    resolution_m: float
+    #: Lower-left corner of cell (0, 0), metres.
+    origin: Sequence[float] = (0.0, 0.0)
+
+
+class Planner(Name):
+    """How a path is searched."""
+
+    #: GRID.
+    UNSPECIFIED = "unspecified"
+    #: A* over cells, shortened and smoothed: for a robot that turns on the spot.
+    GRID = "grid"
+    #: Lazy Theta*: legs at any angle, where they cost less.
+    ANY_ANGLE = "any_angle"
+    #: Hybrid A*: for a robot that steers, and for a footprint that only fits in some headings.
+    HYBRID = "hybrid"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Zone(Value):
+    """An area of the map: keep-out, or one in which the robot drives no faster than a share of its speed."""
+
+    #: Corners in order, map frame, metres, (N, 2), at least 3.
+    polygon: Sequence[Sequence[float]]
+    #: Above 0 and at most 1; None: no part of the robot may enter.
+    speed_share: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SpeedLimits(Value):
+    """How fast a robot may drive."""
+
+    max_speed_mps: float = 0.5
+    max_accel_mps2: float = 1.0
+    max_turn_rate_radps: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Steering(Value):
+    """How a robot steers; None is the server's default."""
+
+    #: Least radius that the base drives, metres.
+    turning_radius_m: float | None = None
+    allow_reverse: bool | None = None
+    #: Cost of a metre backwards in metres forwards.
+    reverse_cost: float | None = None
+    #: Cost of a change between forwards and backwards, metres.
+    direction_change_cost_m: float | None = None
+    #: Cost of a metre on the tightest arc in metres straight.
+    turning_cost: float | None = None
+    #: By how much of the least cost the search may stop above it, before shortcuts.
+    tolerance: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PathOptions(Value):
+    """What is asked of a path beside its ends."""
+
+    planner: Planner | str = Planner.GRID
+    #: Heading to begin with, radians; None: the robot's where the path starts where it is, else 0.
+    #: HYBRID only.
+    start_yaw_rad: float | None = None
+    #: Heading to end with, radians; None: any. HYBRID only.
+    goal_yaw_rad: float | None = None
+    #: Corners of what the robot covers, in base, metres, (N, 2); empty: a disc of robot_radius_m.
+    footprint: Sequence[Sequence[float]] = ()
+    zones: Sequence[Zone] = ()
+    #: For times along the path.
+    speed: SpeedLimits | None = None
+    #: For HYBRID.
+    steering: Steering | None = None
+    #: HYBRID ends with the best path so far after so many milliseconds; 0: when it is done.
+    deadline_ms: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Path(Value):
-    """A path that keeps the robot's radius clear. True where NoPath is False."""
+    """A path that keeps the robot clear. True where NoPath is False."""
 
     #: From start to goal, map frame: x m, y m, yaw rad, (N, 3) float64.
     waypoints: Floats
     length_m: float
-    #: Length weighted by the cost of being close to obstacles, metres.
+    #: What the search kept small, metres: length, and more near obstacles, in speed zones, for turning.
     cost: float
     #: Smallest distance to an obstacle, metres.
     min_clearance_m: float
-    #: State of the map that was searched.
-    stamp: MapStamp
+    #: Of each waypoint to the nearest obstacle, metres; infinite if there is none, (N,).
+    clearances_m: Floats
+    #: When each waypoint is reached, seconds after the first, (N,).
+    times_s: Floats
+    #: Whether the robot drives backwards to the next waypoint, (N,).
+    is_reverse: npt.NDArray[np.bool_]
+    #: Of the cost: what is near obstacles and in speed zones.
+    clearance_cost: float
+    #: Of the cost: turning, driving backwards, changing direction.
+    steering_cost: float
+    #: From rest to rest, seconds.
+    duration_s: float
+    #: HYBRID: the cost before shortcuts is at most so many times the least one that was left possible.
+    bound: float | None
+    #: False: the search was ended before it was done, with this as the best so far.
+    is_final: bool
+    #: State of the map that was searched; None of a map that came with the question.
+    stamp: MapStamp | None
 
     def __bool__(self) -> bool:
         return True
@@ -42,6 +144,39 @@ class NoPathReason(Name):
     UNREACHABLE = "unreachable"
     SEARCH_LIMIT = "search_limit"
     LOST = "lost"
+    #: The start is free, and the robot does not fit there.
+    START_DOES_NOT_FIT = "start_does_not_fit"
+    START_IN_KEEP_OUT = "start_in_keep_out"
+    #: The goal is free, and the robot does not fit there.
+    GOAL_DOES_NOT_FIT = "goal_does_not_fit"
+    GOAL_IN_KEEP_OUT = "goal_in_keep_out"
+    #: A way is wide enough, but not for this footprint and turning radius.
+    NOT_STEERABLE = "not_steerable"
+    #: deadline_ms was over before there was a path.
+    DEADLINE = "deadline"
+
+
+class BlockingState(Name):
+    """What blocks a cell."""
+
+    UNSPECIFIED = "unspecified"
+    OCCUPIED = "occupied"
+    UNKNOWN = "unknown"
+    KEEP_OUT = "keep_out"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Blocking(Value):
+    """What stands in the way."""
+
+    #: Where the robot does not fit, map frame, metres, (2,).
+    position: Floats
+    #: Centre of the cell that blocks it, (2,).
+    obstacle: Floats
+    #: What is there.
+    state: BlockingState
+    #: The object that stands there, if one is known.
+    object_id: int | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -50,11 +185,40 @@ class NoPath(Value):
 
     reason: NoPathReason
     detail: str
-    #: State of the map that was searched.
-    stamp: MapStamp
+    #: Of an end where the robot does not fit: what is too near. Of "unreachable": the first place that
+    #: blocks the way which crosses least of such places.
+    blocking: Blocking | None
+    #: State of the map that was searched; None of a map that came with the question.
+    stamp: MapStamp | None
 
     def __bool__(self) -> bool:
         return False
+
+
+class MisfitReason(Name):
+    """Why a place of a path does not fit."""
+
+    UNSPECIFIED = "unspecified"
+    OUTSIDE_MAP = "outside_map"
+    #: The footprint overlaps something.
+    BLOCKED = "blocked"
+    #: No arc as wide as the turning radius leads to the next pose; HYBRID only.
+    NOT_STEERABLE = "not_steerable"
+    #: The next pose is behind, and driving backwards is not allowed; HYBRID only.
+    BACKWARDS = "backwards"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Misfit(Value):
+    """The first place of a path that the robot cannot drive."""
+
+    #: Number of the pose that does not fit, or of the one before the motion that does not.
+    pose_index: int
+    #: Where the robot is then: x m, y m, yaw rad, (3,).
+    pose: Floats
+    reason: MisfitReason
+    #: Of "blocked".
+    blocking: Blocking | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -21,7 +21,7 @@ from percept.v1 import sensor_pb2 as percept_dot_v1_dot_sensor__pb2
 from percept.v1 import session_pb2 as percept_dot_v1_dot_session__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#percept/v1/navigation_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/object.proto\x1a\x17percept/v1/params.proto\x1a\x15percept/v1/path.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/session.proto\"\xba\x01\n\x0fPlanPathRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2H\x00\x88\x01\x01\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x04 \x01(\x0b\x32\x1a.percept.v1.PlanningParamsB\x08\n\x06_start\"\x8b\x01\n\x10PlanPathResponse\x12 \n\x04path\x18\x01 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x02 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x03 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcome\"\x8c\x01\n\x0fNavigateRequest\x12*\n\x07message\x18\x01 \x01(\x0b\x32\x19.percept.v1.SensorMessage\x12!\n\x04goal\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\"\x90\x02\n\x10NavigateResponse\x12&\n\x05\x66rame\x18\x01 \x01(\x0b\x32\x17.percept.v1.FrameResult\x12+\n\x04pose\x18\x02 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x01\x88\x01\x01\x12%\n\tobstacles\x18\x03 \x03(\x0b\x32\x12.percept.v1.Object\x12 \n\x04path\x18\x04 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x05 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x06 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcomeB\x07\n\x05_pose2\xa1\x01\n\x11NavigationService\x12\x45\n\x08PlanPath\x12\x1b.percept.v1.PlanPathRequest\x1a\x1c.percept.v1.PlanPathResponse\x12\x45\n\x08Navigate\x12\x1b.percept.v1.NavigateRequest\x1a\x1c.percept.v1.NavigateResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#percept/v1/navigation_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/object.proto\x1a\x17percept/v1/params.proto\x1a\x15percept/v1/path.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/session.proto\"\xe4\x01\n\x0fPlanPathRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2H\x00\x88\x01\x01\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x04 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x05 \x01(\x0b\x32\x17.percept.v1.PathOptionsB\x08\n\x06_start\"\xb4\x01\n\x13ValidatePathRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12 \n\x05poses\x18\x02 \x03(\x0b\x32\x11.percept.v1.Pose2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"o\n\x14ValidatePathResponse\x12\'\n\x06misfit\x18\x01 \x01(\x0b\x32\x12.percept.v1.MisfitH\x00\x88\x01\x01\x12#\n\x05stamp\x18\x02 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07_misfit\"\x8b\x01\n\x10PlanPathResponse\x12 \n\x04path\x18\x01 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x02 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x03 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcome\"\xb6\x01\n\x0fNavigateRequest\x12*\n\x07message\x18\x01 \x01(\x0b\x32\x19.percept.v1.SensorMessage\x12!\n\x04goal\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"\x90\x02\n\x10NavigateResponse\x12&\n\x05\x66rame\x18\x01 \x01(\x0b\x32\x17.percept.v1.FrameResult\x12+\n\x04pose\x18\x02 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x01\x88\x01\x01\x12%\n\tobstacles\x18\x03 \x03(\x0b\x32\x12.percept.v1.Object\x12 \n\x04path\x18\x04 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x05 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x06 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcomeB\x07\n\x05_pose2\xf4\x01\n\x11NavigationService\x12\x45\n\x08PlanPath\x12\x1b.percept.v1.PlanPathRequest\x1a\x1c.percept.v1.PlanPathResponse\x12Q\n\x0cValidatePath\x12\x1f.percept.v1.ValidatePathRequest\x1a .percept.v1.ValidatePathResponse\x12\x45\n\x08Navigate\x12\x1b.percept.v1.NavigateRequest\x1a\x1c.percept.v1.NavigateResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -29,13 +29,17 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.navigation_servi
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
   _globals['_PLANPATHREQUEST']._serialized_start=225
-  _globals['_PLANPATHREQUEST']._serialized_end=411
-  _globals['_PLANPATHRESPONSE']._serialized_start=414
-  _globals['_PLANPATHRESPONSE']._serialized_end=553
-  _globals['_NAVIGATEREQUEST']._serialized_start=556
-  _globals['_NAVIGATEREQUEST']._serialized_end=696
-  _globals['_NAVIGATERESPONSE']._serialized_start=699
-  _globals['_NAVIGATERESPONSE']._serialized_end=971
-  _globals['_NAVIGATIONSERVICE']._serialized_start=974
-  _globals['_NAVIGATIONSERVICE']._serialized_end=1135
+  _globals['_PLANPATHREQUEST']._serialized_end=453
+  _globals['_VALIDATEPATHREQUEST']._serialized_start=456
+  _globals['_VALIDATEPATHREQUEST']._serialized_end=636
+  _globals['_VALIDATEPATHRESPONSE']._serialized_start=638
+  _globals['_VALIDATEPATHRESPONSE']._serialized_end=749
+  _globals['_PLANPATHRESPONSE']._serialized_start=752
+  _globals['_PLANPATHRESPONSE']._serialized_end=891
+  _globals['_NAVIGATEREQUEST']._serialized_start=894
+  _globals['_NAVIGATEREQUEST']._serialized_end=1076
+  _globals['_NAVIGATERESPONSE']._serialized_start=1079
+  _globals['_NAVIGATERESPONSE']._serialized_end=1351
+  _globals['_NAVIGATIONSERVICE']._serialized_start=1354
+  _globals['_NAVIGATIONSERVICE']._serialized_end=1598
 # @@protoc_insertion_point(module_scope)

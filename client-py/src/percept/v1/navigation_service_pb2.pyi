@@ -33,6 +33,7 @@ class PlanPathRequest(_message.Message):
     START_FIELD_NUMBER: _builtins.int
     GOAL_FIELD_NUMBER: _builtins.int
     PARAMS_FIELD_NUMBER: _builtins.int
+    OPTIONS_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     @_builtins.property
@@ -47,6 +48,8 @@ class PlanPathRequest(_message.Message):
     def params(self) -> _params_pb2.PlanningParams:
         """What is set replaces the session's."""
 
+    @_builtins.property
+    def options(self) -> _path_pb2.PathOptions: ...
     def __init__(
         self,
         *,
@@ -54,16 +57,83 @@ class PlanPathRequest(_message.Message):
         start: _geometry_pb2.Vector2 | None = ...,
         goal: _geometry_pb2.Vector2 | None = ...,
         params: _params_pb2.PlanningParams | None = ...,
+        options: _path_pb2.PathOptions | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "goal", b"goal", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "goal", b"goal", "options", b"options", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "goal", b"goal", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "goal", b"goal", "options", b"options", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__start: _TypeAlias = _typing.Literal["start"]  # noqa: Y015
     _WhichOneofArgType__start: _TypeAlias = _typing.Literal["_start", b"_start"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType__start) -> _WhichOneofReturnType__start | None: ...
 
 Global___PlanPathRequest: _TypeAlias = PlanPathRequest  # noqa: Y015
+
+@_typing.final
+class ValidatePathRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    POSES_FIELD_NUMBER: _builtins.int
+    PARAMS_FIELD_NUMBER: _builtins.int
+    OPTIONS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def poses(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Pose2]:
+        """Map frame; at most 100000."""
+
+    @_builtins.property
+    def params(self) -> _params_pb2.PlanningParams:
+        """What is set replaces the session's."""
+
+    @_builtins.property
+    def options(self) -> _path_pb2.PathOptions: ...
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        poses: _abc.Iterable[_geometry_pb2.Pose2] | None = ...,
+        params: _params_pb2.PlanningParams | None = ...,
+        options: _path_pb2.PathOptions | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["options", b"options", "params", b"params", "source", b"source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["options", b"options", "params", b"params", "poses", b"poses", "source", b"source"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ValidatePathRequest: _TypeAlias = ValidatePathRequest  # noqa: Y015
+
+@_typing.final
+class ValidatePathResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MISFIT_FIELD_NUMBER: _builtins.int
+    STAMP_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def misfit(self) -> _path_pb2.Misfit:
+        """Absent: all of it can be driven."""
+
+    @_builtins.property
+    def stamp(self) -> _map_pb2.MapStamp:
+        """State of the map that was looked at."""
+
+    def __init__(
+        self,
+        *,
+        misfit: _path_pb2.Misfit | None = ...,
+        stamp: _map_pb2.MapStamp | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_misfit", b"_misfit", "misfit", b"misfit", "stamp", b"stamp"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_misfit", b"_misfit", "misfit", b"misfit", "stamp", b"stamp"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__misfit: _TypeAlias = _typing.Literal["misfit"]  # noqa: Y015
+    _WhichOneofArgType__misfit: _TypeAlias = _typing.Literal["_misfit", b"_misfit"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__misfit) -> _WhichOneofReturnType__misfit | None: ...
+
+Global___ValidatePathResponse: _TypeAlias = ValidatePathResponse  # noqa: Y015
 
 @_typing.final
 class PlanPathResponse(_message.Message):
@@ -104,6 +174,7 @@ class NavigateRequest(_message.Message):
     MESSAGE_FIELD_NUMBER: _builtins.int
     GOAL_FIELD_NUMBER: _builtins.int
     PARAMS_FIELD_NUMBER: _builtins.int
+    OPTIONS_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def message(self) -> _sensor_pb2.SensorMessage: ...
     @_builtins.property
@@ -114,16 +185,19 @@ class NavigateRequest(_message.Message):
     def params(self) -> _params_pb2.PlanningParams:
         """What is set replaces the session's."""
 
+    @_builtins.property
+    def options(self) -> _path_pb2.PathOptions: ...
     def __init__(
         self,
         *,
         message: _sensor_pb2.SensorMessage | None = ...,
         goal: _geometry_pb2.Vector2 | None = ...,
         params: _params_pb2.PlanningParams | None = ...,
+        options: _path_pb2.PathOptions | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["goal", b"goal", "message", b"message", "params", b"params"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["goal", b"goal", "message", b"message", "options", b"options", "params", b"params"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["goal", b"goal", "message", b"message", "params", b"params"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["goal", b"goal", "message", b"message", "options", b"options", "params", b"params"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -39,6 +39,16 @@ class _NoPathReasonEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_NoPathRe
     """The search was stopped at its limit."""
     NO_PATH_REASON_LOST: _NoPathReason.ValueType  # 9
     """No start was given and the robot does not know where it is."""
+    NO_PATH_REASON_START_DOES_NOT_FIT: _NoPathReason.ValueType  # 10
+    """The start is free, and the robot does not fit there."""
+    NO_PATH_REASON_START_IN_KEEP_OUT: _NoPathReason.ValueType  # 11
+    NO_PATH_REASON_GOAL_DOES_NOT_FIT: _NoPathReason.ValueType  # 12
+    """The goal is free, and the robot does not fit there."""
+    NO_PATH_REASON_GOAL_IN_KEEP_OUT: _NoPathReason.ValueType  # 13
+    NO_PATH_REASON_NOT_STEERABLE: _NoPathReason.ValueType  # 14
+    """A way is wide enough, but not for this footprint and turning radius."""
+    NO_PATH_REASON_DEADLINE: _NoPathReason.ValueType  # 15
+    """deadline_ms was over before there was a path."""
 
 class NoPathReason(_NoPathReason, metaclass=_NoPathReasonEnumTypeWrapper):
     """Why there is no path."""
@@ -56,11 +66,341 @@ NO_PATH_REASON_SEARCH_LIMIT: NoPathReason.ValueType  # 8
 """The search was stopped at its limit."""
 NO_PATH_REASON_LOST: NoPathReason.ValueType  # 9
 """No start was given and the robot does not know where it is."""
+NO_PATH_REASON_START_DOES_NOT_FIT: NoPathReason.ValueType  # 10
+"""The start is free, and the robot does not fit there."""
+NO_PATH_REASON_START_IN_KEEP_OUT: NoPathReason.ValueType  # 11
+NO_PATH_REASON_GOAL_DOES_NOT_FIT: NoPathReason.ValueType  # 12
+"""The goal is free, and the robot does not fit there."""
+NO_PATH_REASON_GOAL_IN_KEEP_OUT: NoPathReason.ValueType  # 13
+NO_PATH_REASON_NOT_STEERABLE: NoPathReason.ValueType  # 14
+"""A way is wide enough, but not for this footprint and turning radius."""
+NO_PATH_REASON_DEADLINE: NoPathReason.ValueType  # 15
+"""deadline_ms was over before there was a path."""
 Global___NoPathReason: _TypeAlias = NoPathReason  # noqa: Y015
+
+class _Planner:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _PlannerEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Planner.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    PLANNER_UNSPECIFIED: _Planner.ValueType  # 0
+    """GRID."""
+    PLANNER_GRID: _Planner.ValueType  # 1
+    """A* over cells, shortened and smoothed: for a robot that turns on the spot. Headings are not looked at."""
+    PLANNER_ANY_ANGLE: _Planner.ValueType  # 2
+    """Lazy Theta*: legs at any angle, where they cost less."""
+    PLANNER_HYBRID: _Planner.ValueType  # 3
+    """Hybrid A*: for a robot that steers, and for a footprint that only fits in some headings. Start and goal headings are met."""
+
+class Planner(_Planner, metaclass=_PlannerEnumTypeWrapper):
+    """How a path is searched."""
+
+PLANNER_UNSPECIFIED: Planner.ValueType  # 0
+"""GRID."""
+PLANNER_GRID: Planner.ValueType  # 1
+"""A* over cells, shortened and smoothed: for a robot that turns on the spot. Headings are not looked at."""
+PLANNER_ANY_ANGLE: Planner.ValueType  # 2
+"""Lazy Theta*: legs at any angle, where they cost less."""
+PLANNER_HYBRID: Planner.ValueType  # 3
+"""Hybrid A*: for a robot that steers, and for a footprint that only fits in some headings. Start and goal headings are met."""
+Global___Planner: _TypeAlias = Planner  # noqa: Y015
+
+class _BlockingState:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _BlockingStateEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_BlockingState.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    BLOCKING_STATE_UNSPECIFIED: _BlockingState.ValueType  # 0
+    BLOCKING_STATE_OCCUPIED: _BlockingState.ValueType  # 1
+    BLOCKING_STATE_UNKNOWN: _BlockingState.ValueType  # 2
+    BLOCKING_STATE_KEEP_OUT: _BlockingState.ValueType  # 3
+
+class BlockingState(_BlockingState, metaclass=_BlockingStateEnumTypeWrapper):
+    """What blocks a cell."""
+
+BLOCKING_STATE_UNSPECIFIED: BlockingState.ValueType  # 0
+BLOCKING_STATE_OCCUPIED: BlockingState.ValueType  # 1
+BLOCKING_STATE_UNKNOWN: BlockingState.ValueType  # 2
+BLOCKING_STATE_KEEP_OUT: BlockingState.ValueType  # 3
+Global___BlockingState: _TypeAlias = BlockingState  # noqa: Y015
+
+class _MisfitReason:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _MisfitReasonEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_MisfitReason.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    MISFIT_REASON_UNSPECIFIED: _MisfitReason.ValueType  # 0
+    MISFIT_REASON_OUTSIDE_MAP: _MisfitReason.ValueType  # 1
+    MISFIT_REASON_BLOCKED: _MisfitReason.ValueType  # 2
+    """The footprint overlaps something: `blocking` says what."""
+    MISFIT_REASON_NOT_STEERABLE: _MisfitReason.ValueType  # 3
+    """No arc as wide as the turning radius leads to the next pose; HYBRID only."""
+    MISFIT_REASON_BACKWARDS: _MisfitReason.ValueType  # 4
+    """The next pose is behind, and driving backwards is not allowed; HYBRID only."""
+
+class MisfitReason(_MisfitReason, metaclass=_MisfitReasonEnumTypeWrapper):
+    """Why a place of a path does not fit."""
+
+MISFIT_REASON_UNSPECIFIED: MisfitReason.ValueType  # 0
+MISFIT_REASON_OUTSIDE_MAP: MisfitReason.ValueType  # 1
+MISFIT_REASON_BLOCKED: MisfitReason.ValueType  # 2
+"""The footprint overlaps something: `blocking` says what."""
+MISFIT_REASON_NOT_STEERABLE: MisfitReason.ValueType  # 3
+"""No arc as wide as the turning radius leads to the next pose; HYBRID only."""
+MISFIT_REASON_BACKWARDS: MisfitReason.ValueType  # 4
+"""The next pose is behind, and driving backwards is not allowed; HYBRID only."""
+Global___MisfitReason: _TypeAlias = MisfitReason  # noqa: Y015
+
+@_typing.final
+class PathOptions(_message.Message):
+    """What is asked of a path beside its ends."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PLANNER_FIELD_NUMBER: _builtins.int
+    START_YAW_RAD_FIELD_NUMBER: _builtins.int
+    GOAL_YAW_RAD_FIELD_NUMBER: _builtins.int
+    FOOTPRINT_FIELD_NUMBER: _builtins.int
+    ZONES_FIELD_NUMBER: _builtins.int
+    SPEED_FIELD_NUMBER: _builtins.int
+    STEERING_FIELD_NUMBER: _builtins.int
+    DEADLINE_MS_FIELD_NUMBER: _builtins.int
+    planner: Global___Planner.ValueType
+    start_yaw_rad: _builtins.float
+    """Heading to begin with, radians. Absent: the robot's where the path starts where it is, else 0. HYBRID only."""
+    goal_yaw_rad: _builtins.float
+    """Heading to end with, radians. Absent: any. HYBRID only."""
+    deadline_ms: _builtins.int
+    """HYBRID ends with the best path so far after so many milliseconds. 0: when it is done."""
+    @_builtins.property
+    def footprint(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector2]:
+        """Corners of what the robot covers, in order, in base, metres; 3 to 64. Empty: a disc of params.robot_radius_m. By GRID and
+        ANY_ANGLE it is planned for as the smallest disc around the base that holds it.
+        """
+
+    @_builtins.property
+    def zones(self) -> _containers.RepeatedCompositeFieldContainer[Global___Zone]:
+        """At most 1000."""
+
+    @_builtins.property
+    def speed(self) -> Global___SpeedLimits:
+        """For times along the path. Absent: 0.5 m/s, 1 m/s^2, 1 rad/s."""
+
+    @_builtins.property
+    def steering(self) -> Global___SteeringOptions:
+        """For HYBRID. Absent fields: the defaults."""
+
+    def __init__(
+        self,
+        *,
+        planner: Global___Planner.ValueType = ...,
+        start_yaw_rad: _builtins.float | None = ...,
+        goal_yaw_rad: _builtins.float | None = ...,
+        footprint: _abc.Iterable[_geometry_pb2.Vector2] | None = ...,
+        zones: _abc.Iterable[Global___Zone] | None = ...,
+        speed: Global___SpeedLimits | None = ...,
+        steering: Global___SteeringOptions | None = ...,
+        deadline_ms: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "goal_yaw_rad", b"goal_yaw_rad", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "deadline_ms", b"deadline_ms", "footprint", b"footprint", "goal_yaw_rad", b"goal_yaw_rad", "planner", b"planner", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering", "zones", b"zones"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__goal_yaw_rad: _TypeAlias = _typing.Literal["goal_yaw_rad"]  # noqa: Y015
+    _WhichOneofArgType__goal_yaw_rad: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad"]  # noqa: Y015
+    _WhichOneofReturnType__speed: _TypeAlias = _typing.Literal["speed"]  # noqa: Y015
+    _WhichOneofArgType__speed: _TypeAlias = _typing.Literal["_speed", b"_speed"]  # noqa: Y015
+    _WhichOneofReturnType__start_yaw_rad: _TypeAlias = _typing.Literal["start_yaw_rad"]  # noqa: Y015
+    _WhichOneofArgType__start_yaw_rad: _TypeAlias = _typing.Literal["_start_yaw_rad", b"_start_yaw_rad"]  # noqa: Y015
+    _WhichOneofReturnType__steering: _TypeAlias = _typing.Literal["steering"]  # noqa: Y015
+    _WhichOneofArgType__steering: _TypeAlias = _typing.Literal["_steering", b"_steering"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__goal_yaw_rad) -> _WhichOneofReturnType__goal_yaw_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__speed) -> _WhichOneofReturnType__speed | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__start_yaw_rad) -> _WhichOneofReturnType__start_yaw_rad | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__steering) -> _WhichOneofReturnType__steering | None: ...
+
+Global___PathOptions: _TypeAlias = PathOptions  # noqa: Y015
+
+@_typing.final
+class Zone(_message.Message):
+    """An area of the map."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    POLYGON_FIELD_NUMBER: _builtins.int
+    KEEP_OUT_FIELD_NUMBER: _builtins.int
+    SPEED_SHARE_FIELD_NUMBER: _builtins.int
+    keep_out: _builtins.bool
+    """True: no part of the robot may enter."""
+    speed_share: _builtins.float
+    """The base drives no faster than this share of max_speed_mps, above 0 and at most 1."""
+    @_builtins.property
+    def polygon(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector2]:
+        """Corners in order, map frame, metres; 3 to 1000."""
+
+    def __init__(
+        self,
+        *,
+        polygon: _abc.Iterable[_geometry_pb2.Vector2] | None = ...,
+        keep_out: _builtins.bool = ...,
+        speed_share: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["keep_out", b"keep_out", "kind", b"kind", "speed_share", b"speed_share"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["keep_out", b"keep_out", "kind", b"kind", "polygon", b"polygon", "speed_share", b"speed_share"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_kind: _TypeAlias = _typing.Literal["keep_out", "speed_share"]  # noqa: Y015
+    _WhichOneofArgType_kind: _TypeAlias = _typing.Literal["kind", b"kind"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_kind) -> _WhichOneofReturnType_kind | None: ...
+
+Global___Zone: _TypeAlias = Zone  # noqa: Y015
+
+@_typing.final
+class SpeedLimits(_message.Message):
+    """How fast a robot may drive; each 0.001 to 100."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MAX_SPEED_MPS_FIELD_NUMBER: _builtins.int
+    MAX_ACCEL_MPS2_FIELD_NUMBER: _builtins.int
+    MAX_TURN_RATE_RADPS_FIELD_NUMBER: _builtins.int
+    max_speed_mps: _builtins.float
+    max_accel_mps2: _builtins.float
+    max_turn_rate_radps: _builtins.float
+    def __init__(
+        self,
+        *,
+        max_speed_mps: _builtins.float = ...,
+        max_accel_mps2: _builtins.float = ...,
+        max_turn_rate_radps: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["max_accel_mps2", b"max_accel_mps2", "max_speed_mps", b"max_speed_mps", "max_turn_rate_radps", b"max_turn_rate_radps"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SpeedLimits: _TypeAlias = SpeedLimits  # noqa: Y015
+
+@_typing.final
+class SteeringOptions(_message.Message):
+    """How a robot steers."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TURNING_RADIUS_M_FIELD_NUMBER: _builtins.int
+    ALLOW_REVERSE_FIELD_NUMBER: _builtins.int
+    REVERSE_COST_FIELD_NUMBER: _builtins.int
+    DIRECTION_CHANGE_COST_M_FIELD_NUMBER: _builtins.int
+    TURNING_COST_FIELD_NUMBER: _builtins.int
+    TOLERANCE_FIELD_NUMBER: _builtins.int
+    turning_radius_m: _builtins.float
+    """Least radius that the base drives, metres; 0.01 to 100. Default: 0.8."""
+    allow_reverse: _builtins.bool
+    """Default: true."""
+    reverse_cost: _builtins.float
+    """Cost of a metre backwards in metres forwards; 1 to 100. Default: 2."""
+    direction_change_cost_m: _builtins.float
+    """Cost of a change between forwards and backwards, metres; 0 to 100. Default: 0.3."""
+    turning_cost: _builtins.float
+    """Cost of a metre on the tightest arc in metres straight; 1 to 100. Default: 1.2."""
+    tolerance: _builtins.float
+    """By how much of the least cost the search may stop above it, before shortcuts; 0 to 10. Default: 0.5."""
+    def __init__(
+        self,
+        *,
+        turning_radius_m: _builtins.float | None = ...,
+        allow_reverse: _builtins.bool | None = ...,
+        reverse_cost: _builtins.float | None = ...,
+        direction_change_cost_m: _builtins.float | None = ...,
+        turning_cost: _builtins.float | None = ...,
+        tolerance: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_allow_reverse", b"_allow_reverse", "_direction_change_cost_m", b"_direction_change_cost_m", "_reverse_cost", b"_reverse_cost", "_tolerance", b"_tolerance", "_turning_cost", b"_turning_cost", "_turning_radius_m", b"_turning_radius_m", "allow_reverse", b"allow_reverse", "direction_change_cost_m", b"direction_change_cost_m", "reverse_cost", b"reverse_cost", "tolerance", b"tolerance", "turning_cost", b"turning_cost", "turning_radius_m", b"turning_radius_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_allow_reverse", b"_allow_reverse", "_direction_change_cost_m", b"_direction_change_cost_m", "_reverse_cost", b"_reverse_cost", "_tolerance", b"_tolerance", "_turning_cost", b"_turning_cost", "_turning_radius_m", b"_turning_radius_m", "allow_reverse", b"allow_reverse", "direction_change_cost_m", b"direction_change_cost_m", "reverse_cost", b"reverse_cost", "tolerance", b"tolerance", "turning_cost", b"turning_cost", "turning_radius_m", b"turning_radius_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__allow_reverse: _TypeAlias = _typing.Literal["allow_reverse"]  # noqa: Y015
+    _WhichOneofArgType__allow_reverse: _TypeAlias = _typing.Literal["_allow_reverse", b"_allow_reverse"]  # noqa: Y015
+    _WhichOneofReturnType__direction_change_cost_m: _TypeAlias = _typing.Literal["direction_change_cost_m"]  # noqa: Y015
+    _WhichOneofArgType__direction_change_cost_m: _TypeAlias = _typing.Literal["_direction_change_cost_m", b"_direction_change_cost_m"]  # noqa: Y015
+    _WhichOneofReturnType__reverse_cost: _TypeAlias = _typing.Literal["reverse_cost"]  # noqa: Y015
+    _WhichOneofArgType__reverse_cost: _TypeAlias = _typing.Literal["_reverse_cost", b"_reverse_cost"]  # noqa: Y015
+    _WhichOneofReturnType__tolerance: _TypeAlias = _typing.Literal["tolerance"]  # noqa: Y015
+    _WhichOneofArgType__tolerance: _TypeAlias = _typing.Literal["_tolerance", b"_tolerance"]  # noqa: Y015
+    _WhichOneofReturnType__turning_cost: _TypeAlias = _typing.Literal["turning_cost"]  # noqa: Y015
+    _WhichOneofArgType__turning_cost: _TypeAlias = _typing.Literal["_turning_cost", b"_turning_cost"]  # noqa: Y015
+    _WhichOneofReturnType__turning_radius_m: _TypeAlias = _typing.Literal["turning_radius_m"]  # noqa: Y015
+    _WhichOneofArgType__turning_radius_m: _TypeAlias = _typing.Literal["_turning_radius_m", b"_turning_radius_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__allow_reverse) -> _WhichOneofReturnType__allow_reverse | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__direction_change_cost_m) -> _WhichOneofReturnType__direction_change_cost_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__reverse_cost) -> _WhichOneofReturnType__reverse_cost | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__tolerance) -> _WhichOneofReturnType__tolerance | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__turning_cost) -> _WhichOneofReturnType__turning_cost | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__turning_radius_m) -> _WhichOneofReturnType__turning_radius_m | None: ...
+
+Global___SteeringOptions: _TypeAlias = SteeringOptions  # noqa: Y015
+
+@_typing.final
+class Waypoint(_message.Message):
+    """A point of a path."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    X_M_FIELD_NUMBER: _builtins.int
+    Y_M_FIELD_NUMBER: _builtins.int
+    YAW_RAD_FIELD_NUMBER: _builtins.int
+    IS_REVERSE_FIELD_NUMBER: _builtins.int
+    CLEARANCE_M_FIELD_NUMBER: _builtins.int
+    TIME_S_FIELD_NUMBER: _builtins.int
+    x_m: _builtins.float
+    """Metres, map frame."""
+    y_m: _builtins.float
+    """Metres, map frame."""
+    yaw_rad: _builtins.float
+    """Where the robot looks, radians; on straight legs, to the next waypoint."""
+    is_reverse: _builtins.bool
+    """Whether it drives backwards to the next waypoint."""
+    clearance_m: _builtins.float
+    """From the base to the nearest obstacle, metres, or a cell's diagonal less. Absent if there is none."""
+    time_s: _builtins.float
+    """When it is reached, seconds after the first."""
+    def __init__(
+        self,
+        *,
+        x_m: _builtins.float = ...,
+        y_m: _builtins.float = ...,
+        yaw_rad: _builtins.float = ...,
+        is_reverse: _builtins.bool = ...,
+        clearance_m: _builtins.float | None = ...,
+        time_s: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_clearance_m", b"_clearance_m", "clearance_m", b"clearance_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_clearance_m", b"_clearance_m", "clearance_m", b"clearance_m", "is_reverse", b"is_reverse", "time_s", b"time_s", "x_m", b"x_m", "y_m", b"y_m", "yaw_rad", b"yaw_rad"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__clearance_m: _TypeAlias = _typing.Literal["clearance_m"]  # noqa: Y015
+    _WhichOneofArgType__clearance_m: _TypeAlias = _typing.Literal["_clearance_m", b"_clearance_m"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__clearance_m) -> _WhichOneofReturnType__clearance_m | None: ...
+
+Global___Waypoint: _TypeAlias = Waypoint  # noqa: Y015
 
 @_typing.final
 class Path(_message.Message):
-    """A path that keeps the robot's radius clear."""
+    """A path that keeps the robot clear."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -68,33 +408,98 @@ class Path(_message.Message):
     LENGTH_M_FIELD_NUMBER: _builtins.int
     COST_FIELD_NUMBER: _builtins.int
     MIN_CLEARANCE_M_FIELD_NUMBER: _builtins.int
+    CLEARANCE_COST_FIELD_NUMBER: _builtins.int
+    STEERING_COST_FIELD_NUMBER: _builtins.int
+    DURATION_S_FIELD_NUMBER: _builtins.int
+    BOUND_FIELD_NUMBER: _builtins.int
+    IS_FINAL_FIELD_NUMBER: _builtins.int
     length_m: _builtins.float
     """Metres."""
     cost: _builtins.float
-    """Length weighted by the cost of being close to obstacles, metres."""
+    """What the search kept small, metres: length, and more near obstacles, in speed zones, for turning and driving backwards."""
     min_clearance_m: _builtins.float
     """Smallest distance from the path to an obstacle, metres. Absent if the map has none."""
+    clearance_cost: _builtins.float
+    """Of the cost: what is near obstacles and in speed zones."""
+    steering_cost: _builtins.float
+    """Of the cost: turning, driving backwards, changing direction."""
+    duration_s: _builtins.float
+    """From rest to rest, seconds."""
+    bound: _builtins.float
+    """HYBRID: its cost before shortcuts is at most so many times the least one that was left possible."""
+    is_final: _builtins.bool
+    """False: the search was ended before it was done, with this as the best so far."""
     @_builtins.property
-    def waypoints(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Pose2]:
-        """From start to goal, map frame; each heading looks at the next waypoint."""
+    def waypoints(self) -> _containers.RepeatedCompositeFieldContainer[Global___Waypoint]:
+        """From start to goal."""
 
     def __init__(
         self,
         *,
-        waypoints: _abc.Iterable[_geometry_pb2.Pose2] | None = ...,
+        waypoints: _abc.Iterable[Global___Waypoint] | None = ...,
         length_m: _builtins.float = ...,
         cost: _builtins.float = ...,
         min_clearance_m: _builtins.float | None = ...,
+        clearance_cost: _builtins.float = ...,
+        steering_cost: _builtins.float = ...,
+        duration_s: _builtins.float = ...,
+        bound: _builtins.float | None = ...,
+        is_final: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m", "min_clearance_m", b"min_clearance_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_bound", b"_bound", "_min_clearance_m", b"_min_clearance_m", "bound", b"bound", "min_clearance_m", b"min_clearance_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m", "cost", b"cost", "length_m", b"length_m", "min_clearance_m", b"min_clearance_m", "waypoints", b"waypoints"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_bound", b"_bound", "_min_clearance_m", b"_min_clearance_m", "bound", b"bound", "clearance_cost", b"clearance_cost", "cost", b"cost", "duration_s", b"duration_s", "is_final", b"is_final", "length_m", b"length_m", "min_clearance_m", b"min_clearance_m", "steering_cost", b"steering_cost", "waypoints", b"waypoints"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__bound: _TypeAlias = _typing.Literal["bound"]  # noqa: Y015
+    _WhichOneofArgType__bound: _TypeAlias = _typing.Literal["_bound", b"_bound"]  # noqa: Y015
     _WhichOneofReturnType__min_clearance_m: _TypeAlias = _typing.Literal["min_clearance_m"]  # noqa: Y015
     _WhichOneofArgType__min_clearance_m: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__bound) -> _WhichOneofReturnType__bound | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__min_clearance_m) -> _WhichOneofReturnType__min_clearance_m | None: ...
 
 Global___Path: _TypeAlias = Path  # noqa: Y015
+
+@_typing.final
+class Blocking(_message.Message):
+    """What stands in the way."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    POSITION_FIELD_NUMBER: _builtins.int
+    OBSTACLE_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    OBJECT_ID_FIELD_NUMBER: _builtins.int
+    state: Global___BlockingState.ValueType
+    """What is there."""
+    object_id: _builtins.int
+    """The object that stands there, if one is known."""
+    @_builtins.property
+    def position(self) -> _geometry_pb2.Vector2:
+        """Where the robot does not fit, map frame, metres."""
+
+    @_builtins.property
+    def obstacle(self) -> _geometry_pb2.Vector2:
+        """Centre of the cell that blocks it."""
+
+    def __init__(
+        self,
+        *,
+        position: _geometry_pb2.Vector2 | None = ...,
+        obstacle: _geometry_pb2.Vector2 | None = ...,
+        state: Global___BlockingState.ValueType = ...,
+        object_id: _builtins.int | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_object_id", b"_object_id", "object_id", b"object_id", "obstacle", b"obstacle", "position", b"position"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_object_id", b"_object_id", "object_id", b"object_id", "obstacle", b"obstacle", "position", b"position", "state", b"state"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__object_id: _TypeAlias = _typing.Literal["object_id"]  # noqa: Y015
+    _WhichOneofArgType__object_id: _TypeAlias = _typing.Literal["_object_id", b"_object_id"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__object_id) -> _WhichOneofReturnType__object_id | None: ...
+
+Global___Blocking: _TypeAlias = Blocking  # noqa: Y015
 
 @_typing.final
 class NoPath(_message.Message):
@@ -104,19 +509,66 @@ class NoPath(_message.Message):
 
     REASON_FIELD_NUMBER: _builtins.int
     DETAIL_FIELD_NUMBER: _builtins.int
+    BLOCKING_FIELD_NUMBER: _builtins.int
     reason: Global___NoPathReason.ValueType
     detail: _builtins.str
     """In words."""
+    @_builtins.property
+    def blocking(self) -> Global___Blocking:
+        """Of an end where the robot does not fit: what is too near. Of UNREACHABLE: the first place that blocks the way which crosses
+        least of such places.
+        """
+
     def __init__(
         self,
         *,
         reason: Global___NoPathReason.ValueType = ...,
         detail: _builtins.str = ...,
+        blocking: Global___Blocking | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_blocking", b"_blocking", "blocking", b"blocking"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["detail", b"detail", "reason", b"reason"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_blocking", b"_blocking", "blocking", b"blocking", "detail", b"detail", "reason", b"reason"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__blocking: _TypeAlias = _typing.Literal["blocking"]  # noqa: Y015
+    _WhichOneofArgType__blocking: _TypeAlias = _typing.Literal["_blocking", b"_blocking"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__blocking) -> _WhichOneofReturnType__blocking | None: ...
 
 Global___NoPath: _TypeAlias = NoPath  # noqa: Y015
+
+@_typing.final
+class Misfit(_message.Message):
+    """The first place of a path that the robot cannot drive."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    POSE_INDEX_FIELD_NUMBER: _builtins.int
+    POSE_FIELD_NUMBER: _builtins.int
+    REASON_FIELD_NUMBER: _builtins.int
+    BLOCKING_FIELD_NUMBER: _builtins.int
+    pose_index: _builtins.int
+    """Number of the pose that does not fit, or of the one before the motion that does not."""
+    reason: Global___MisfitReason.ValueType
+    @_builtins.property
+    def pose(self) -> _geometry_pb2.Pose2:
+        """Where the robot is then, map frame."""
+
+    @_builtins.property
+    def blocking(self) -> Global___Blocking: ...
+    def __init__(
+        self,
+        *,
+        pose_index: _builtins.int = ...,
+        pose: _geometry_pb2.Pose2 | None = ...,
+        reason: Global___MisfitReason.ValueType = ...,
+        blocking: Global___Blocking | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_blocking", b"_blocking", "blocking", b"blocking", "pose", b"pose"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_blocking", b"_blocking", "blocking", b"blocking", "pose", b"pose", "pose_index", b"pose_index", "reason", b"reason"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__blocking: _TypeAlias = _typing.Literal["blocking"]  # noqa: Y015
+    _WhichOneofArgType__blocking: _TypeAlias = _typing.Literal["_blocking", b"_blocking"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__blocking) -> _WhichOneofReturnType__blocking | None: ...
+
+Global___Misfit: _TypeAlias = Misfit  # noqa: Y015

@@ -3,7 +3,8 @@ server's defaults, which the contract names.
 
 One file a group: kept clouds, files and pipelines; filters, sampling and
 normals; neighbours, boxes and hulls; planes, clusters, shapes and objects; ground, smooth regions, convex
-parts and pictures; registration; depth and colour images; features and several views of one scene.
+parts and pictures; registration; depth and colour images; features and several views of one scene; paths
+on maps that come along.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from .depth_images import AsyncDepthImages
 from .filters import AsyncFilters
 from .images import AsyncImages
 from .kept import AsyncKept
+from .planning import AsyncPlanning
 from .regions import AsyncRegions
 from .registration import AsyncRegistrationCalls
 from .segmentation import AsyncSegmentation
@@ -29,5 +31,6 @@ class AsyncToolbox(
     AsyncDepth,
     AsyncDepthImages,
     AsyncImages,
+    AsyncPlanning,
 ):
     """A cloud is a PointCloud, its points as (N, 3) float32 metres, or the handle of a kept one."""

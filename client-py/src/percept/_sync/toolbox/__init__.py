@@ -4,7 +4,8 @@ server's defaults, which the contract names.
 
 One file a group: kept clouds, files and pipelines; filters, sampling and
 normals; neighbours, boxes and hulls; planes, clusters, shapes and objects; ground, smooth regions, convex
-parts and pictures; registration; depth and colour images; features and several views of one scene.
+parts and pictures; registration; depth and colour images; features and several views of one scene; paths
+on maps that come along.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from .depth_images import DepthImages
 from .filters import Filters
 from .images import Images
 from .kept import Kept
+from .planning import Planning
 from .regions import Regions
 from .registration import RegistrationCalls
 from .segmentation import Segmentation
@@ -30,5 +32,6 @@ class Toolbox(
     Depth,
     DepthImages,
     Images,
+    Planning,
 ):
     """A cloud is a PointCloud, its points as (N, 3) float32 metres, or the handle of a kept one."""

@@ -1,0 +1,37 @@
+"""Paths through maps that come with the question."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from ..._convert.toolbox import planning as convert
+from ..._convert.toolbox.planning import Map
+from ...types.navigation import Misfit, NoPath, Path, PathOptions
+from ..bound import AsyncBound
+
+
+class AsyncPlanning(AsyncBound):
+    """A map is a GridMap, the grid of a session, or the path of a nav2 map's yaml file."""
+
+    async def plan_on_map(
+        self,
+        given: Map,
+        start: Sequence[float],
+        goal: Sequence[float],
+        *,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> Path | NoPath:
+        """A path from (x, y) to (x, y), metres, frame of the map; no session is needed."""
+        return await self._transport.call(convert.plan_on_map(given, start, goal, params, options))
+
+    async def validate_on_map(
+        self,
+        given: Map,
+        path: Path | object,
+        *,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> Misfit | None:
+        """The first place of a path, or of (N, 3) poses, that the robot cannot drive; None if there is none."""
+        return await self._transport.call(convert.validate_on_map(given, path, params, options))

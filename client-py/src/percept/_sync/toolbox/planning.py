@@ -1,0 +1,38 @@
+# Written by client-py/generate from _async/toolbox/planning.py; change that.
+"""Paths through maps that come with the question."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from ..._convert.toolbox import planning as convert
+from ..._convert.toolbox.planning import Map
+from ...types.navigation import Misfit, NoPath, Path, PathOptions
+from ..bound import Bound
+
+
+class Planning(Bound):
+    """A map is a GridMap, the grid of a session, or the path of a nav2 map's yaml file."""
+
+    def plan_on_map(
+        self,
+        given: Map,
+        start: Sequence[float],
+        goal: Sequence[float],
+        *,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> Path | NoPath:
+        """A path from (x, y) to (x, y), metres, frame of the map; no session is needed."""
+        return self._transport.call(convert.plan_on_map(given, start, goal, params, options))
+
+    def validate_on_map(
+        self,
+        given: Map,
+        path: Path | object,
+        *,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> Misfit | None:
+        """The first place of a path, or of (N, 3) poses, that the robot cannot drive; None if there is none."""
+        return self._transport.call(convert.validate_on_map(given, path, params, options))
