@@ -4,14 +4,17 @@ use super::HeightParams;
 use super::bits::Bits;
 use super::tile::BLOCK;
 use crate::ground::{Ground, Place};
-use nalgebra::Point3;
+use nalgebra::{Point2, Point3};
+use percept_geometry::GridGeometry;
 use std::f32::consts::{PI, TAU};
 
 /// Slopes of beams, from 45 degrees down to 45 degrees up, in so many bins: some 0.4 degrees, the distance of a lidar's rings.
 /// Steeper beams end or rise out of reach near the sensor.
 const SLOPES: usize = 256;
 /// A beam this far under the ground is over none, metres.
-const UNDER_M: f32 = 0.2;
+const UNDER_M: f64 = 0.2;
+/// Heights along beams are counted in so small a part of a bin: a tenth of a millimetre at most for bins of 0.4 m.
+const FRACTION: i32 = 4096;
 
 /// The beams of a scan by direction. Of those that are much alike the shortest counts.
 pub(super) struct Beams {
@@ -64,14 +67,15 @@ impl Beams {
     ) -> Vec<(Bits, f32)> {
         let block = f64::from(BLOCK) * params.resolution_m;
         let mut out = vec![(Bits::NONE, 0.0); window.width * window.width];
+        let blocks = GridGeometry::new(block, Point2::origin());
         let steps = (range / block).ceil() as usize;
-        let per_m = (1.0 / Bits::bin_m(params)) as f32;
-        let (mut at, mut heights) = (vec![usize::MAX; steps], vec![0f32; steps]);
-        let mut bits = vec![0u32; steps];
-        // Counted from a whole turn of bins under the sensor, so that heights stay small and rounding down is cutting off.
-        let turn = f64::from(u32::BITS) / f64::from(per_m);
-        let zero = ((sensor.z / turn).floor() - 64.0) * turn;
-        let (from, clearance) = ((sensor.z - zero) as f32, params.clearance_m as f32);
+        let (mut at, mut heights) = (vec![usize::MAX; steps], vec![0.0; steps]);
+        let (mut lowest, mut bits) = (vec![0; steps], vec![0u32; steps]);
+        // Counted from a whole turn of bins near the sensor, in fractions of a bin, so that rounding down is shifting.
+        let turn = f64::from(u32::BITS) * Bits::bin_m(params);
+        let zero = (sensor.z / turn).floor() * turn;
+        let fixed = |z: f64| (z / Bits::bin_m(params) * f64::from(FRACTION)) as i32;
+        let (from, span) = (fixed(sensor.z - zero), fixed(params.clearance_m + UNDER_M) as u32);
         for column in 0..self.num_columns {
             let beams = &self.beams[column * SLOPES..(column + 1) * SLOPES];
             let longest = beams.iter().fold(0.0, |most: f32, beam| most.max(beam.0));
@@ -80,26 +84,31 @@ impl Beams {
             let (sin, cos) = azimuth.sin_cos();
             for step in 0..last {
                 let r = (step as f64 + 0.5) * block;
-                let (x, y) = ((sensor.x + cos * r) / block, (sensor.y + sin * r) / block);
-                let (x, y) = (x.floor() as i64 - i64::from(window.min.0), y.floor() as i64 - i64::from(window.min.1));
-                let is_within = (0..window.width as i64).contains(&x) && (0..window.width as i64).contains(&y);
-                at[step] = if is_within { y as usize * window.width + x as usize } else { usize::MAX };
-                heights[step] = (ground.at(azimuth, r).z_at(r) - zero) as f32;
+                let p = Point2::new(sensor.x + cos * r, sensor.y + sin * r);
+                let index = |i: i32, min: i32| usize::try_from(i64::from(i) - i64::from(min)).ok();
+                let (x, y) =
+                    blocks.cell(&p).map_or((None, None), |c| (index(c.x, window.min.0), index(c.y, window.min.1)));
+                at[step] = match (x, y) {
+                    (Some(x), Some(y)) if x < window.width && y < window.width => y * window.width + x,
+                    _ => usize::MAX,
+                };
+                heights[step] = ground.at(azimuth, r).z_at(r);
+                lowest[step] = fixed(heights[step] - UNDER_M - zero);
             }
             bits[..last].fill(0);
             for (far, slope) in beams.iter().filter(|beam| beam.0 > 0.0) {
                 let end = steps_before(*far, block as f32).min(last);
-                for step in 0..end {
-                    let z = from + slope * (step as f32 + 0.5) * block as f32;
-                    let above = z - heights[step];
-                    if above < clearance && above > -UNDER_M {
-                        bits[step] |= 1 << ((z * per_m) as i32 & 31);
-                    }
+                let rise = fixed(f64::from(*slope) * block);
+                let mut z = from.wrapping_add(rise / 2);
+                for (bits, lowest) in bits[..end].iter_mut().zip(&lowest) {
+                    let is_over = z.wrapping_sub(*lowest) as u32 <= span;
+                    *bits |= u32::from(is_over) << ((z >> FRACTION.trailing_zeros()) & 31);
+                    z = z.wrapping_add(rise);
                 }
             }
             for step in (0..last).filter(|step| bits[*step] != 0) {
                 if let Some(passed) = out.get_mut(at[step]) {
-                    *passed = (passed.0.joined(Bits(bits[step])), (f64::from(heights[step]) + zero) as f32);
+                    *passed = (passed.0.joined(Bits(bits[step])), heights[step] as f32);
                 }
             }
         }

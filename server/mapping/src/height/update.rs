@@ -155,21 +155,22 @@ impl Gathered {
             let (x0, x1) = overlap(key.0, self.min.x, self.width);
             let (y0, y1) = overlap(key.1, self.min.y, self.width);
             let mut seen = Seen { cells: vec![], passes: vec![] };
+            let slot = |x: usize, y: usize| locate(At::new(self.min.x + x as i32, self.min.y + y as i32)).1;
             for y in y0..y1 {
-                for x in x0..x1 {
-                    let slot = || locate(At::new(self.min.x + x as i32, self.min.y + y as i32)).1;
-                    if let Some(look) = self.looks.get(self.of_cell[y * self.width + x] as usize) {
-                        let cell = look.cell();
-                        if cell.is_known() {
-                            seen.cells.push((slot() as u16, cell));
-                        }
+                let row = (x0..x1).zip(&self.of_cell[y * self.width + x0..y * self.width + x1]);
+                for (x, look) in row.filter(|(_, look)| **look != u32::MAX) {
+                    let cell = self.looks[*look as usize].cell();
+                    if cell.is_known() {
+                        seen.cells.push((slot(x, y) as u16, cell));
                     }
-                    if x % edge == 0 && y % edge == 0 {
-                        let (bits, z) = passed[y / edge * blocks.width + x / edge];
-                        if !bits.is_empty() {
-                            seen.passes.push((block_of(slot()) as u16, bits, z));
-                        }
-                    }
+                }
+            }
+            // Windows and tiles begin and end with blocks.
+            for y in y0 / edge..y1 / edge {
+                let row =
+                    (x0 / edge..x1 / edge).zip(&passed[y * blocks.width + x0 / edge..y * blocks.width + x1 / edge]);
+                for (x, (bits, z)) in row.filter(|(_, (bits, _))| !bits.is_empty()) {
+                    seen.passes.push((block_of(slot(x * edge, y * edge)) as u16, *bits, *z));
                 }
             }
             update.take(key, seen, self.geometry.resolution_m);
