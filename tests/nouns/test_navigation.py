@@ -136,7 +136,9 @@ def test_zones_are_kept_out_of_or_slow_the_robot(client):
     assert free.times_s[-1] == free.duration_s
     shut = Zone(polygon=[(2.9, 3), (3.1, 3), (3.1, 5), (2.9, 5)])
     closed = client.toolbox.plan_on_map(grid, *ends, options=PathOptions(zones=[shut]))
-    assert (closed.reason, closed.blocking.state) == ("unreachable", "keep_out")
+    # Through the thin wall is less of a way than through the zone.
+    assert closed.reason == "unreachable"
+    assert abs(closed.blocking.obstacle[0] - 3.0) < 0.2
     inside = client.toolbox.plan_on_map(grid, ends[0], (3.0, 4.0), options=PathOptions(zones=[shut]))
     assert inside.reason == "goal_in_keep_out"
     misfit = client.toolbox.validate_on_map(grid, free, options=PathOptions(zones=[shut]))
@@ -150,6 +152,7 @@ def test_a_nav2_map_is_planned_in_from_its_files(client, laser_session, tmp_path
     goal, start = world.to_map(2.4, 0.0), world.to_map(-2.0, 1.0)
     ours = laser_session.plan(goal, start=start)
     theirs = client.toolbox.plan_on_map(tmp_path / "map.yaml", start, goal)
+    assert theirs, theirs
     assert theirs.length_m == pytest.approx(ours.length_m, rel=0.03)
     assert theirs.stamp is None
     assert client.toolbox.validate_on_map(tmp_path / "map.yaml", theirs) is None

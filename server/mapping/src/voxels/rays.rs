@@ -10,6 +10,8 @@ const MAX_BLOCKS: usize = 164;
 const FARTHEST: f64 = 1e9;
 /// Parts of a voxel that are told apart.
 const FIXED: f64 = (1u64 << 32) as f64;
+/// Blocks that are kept side by side, whether a beam passes them or not: 16 MB. Of more, those that any passes are looked up.
+const MAX_DENSE: usize = 1 << 15;
 const NONE: u32 = u32::MAX;
 
 /// Voxels that were passed, a byte each while they are gathered: a byte is written, where a bit would have to be read before.
@@ -18,10 +20,11 @@ pub(super) struct Rays {
     sensor: Point3<f64>,
     low: [i32; 3],
     size: [usize; 3],
-    /// Place of each block among `passed`, row by row.
-    places: Vec<u32>,
-    keys: Vec<usize>,
-    passed: Vec<[u8; VOXELS]>,
+    /// What each number of a voxel along each axis adds to its place: blocks row by row, then voxels of a block.
+    offsets: [Vec<usize>; 3],
+    /// Which of `passed` is each block's; empty if all are there.
+    blocks: Vec<u32>,
+    passed: Vec<u8>,
 }
 
 impl Rays {
@@ -45,8 +48,17 @@ impl Rays {
         }
         let low = [low.x * BLOCK, low.y * BLOCK, low.z * BLOCK];
         let sensor = sensor - nalgebra::Vector3::from(low.map(f64::from));
-        let places = vec![NONE; size.iter().product()];
-        Some(Self { sensor, low, size, places, keys: vec![], passed: vec![] })
+        let edge = BLOCK as usize;
+        let (mut blocks_apart, mut apart) = (VOXELS, 1);
+        let offsets = std::array::from_fn(|axis| {
+            let offsets = (0..size[axis] * edge).map(|i| i / edge * blocks_apart + i % edge * apart).collect();
+            (blocks_apart, apart) = (blocks_apart * size[axis], apart * edge);
+            offsets
+        });
+        let num: usize = size.iter().product();
+        let (blocks, passed) =
+            if num <= MAX_DENSE { (vec![], vec![0; num * VOXELS]) } else { (vec![NONE; num], vec![]) };
+        Some(Self { sensor, low, size, offsets, blocks, passed })
     }
 
     /// Passes all voxels from the sensor to an end (in voxels), that of the end included.
@@ -55,18 +67,20 @@ impl Rays {
     /// border along each of the others, and where those are is added up, not compared.
     pub(super) fn pass(&mut self, end: &Point3<f64>) {
         let end = end - nalgebra::Vector3::from(self.low.map(f64::from));
-        // Which axis that is has to be known beforehand, for cells to be kept in registers.
-        match (end - self.sensor).iamax() {
-            0 => self.pass_along::<0>(&end),
-            1 => self.pass_along::<1>(&end),
-            _ => self.pass_along::<2>(&end),
+        // Which axis that is has to be known beforehand, for places to be kept in registers.
+        match ((end - self.sensor).iamax(), self.blocks.is_empty()) {
+            (0, true) => self.pass_along::<0, true>(&end),
+            (1, true) => self.pass_along::<1, true>(&end),
+            (_, true) => self.pass_along::<2, true>(&end),
+            (0, false) => self.pass_along::<0, false>(&end),
+            (1, false) => self.pass_along::<1, false>(&end),
+            (_, false) => self.pass_along::<2, false>(&end),
         }
     }
 
-    fn pass_along<const MAIN: usize>(&mut self, end: &Point3<f64>) {
+    fn pass_along<const MAIN: usize, const DENSE: bool>(&mut self, end: &Point3<f64>) {
         let along = end - self.sensor;
-        let main = MAIN;
-        let [u, v] = [(main + 1) % 3, (main + 2) % 3];
+        let [main, u, v] = [MAIN, (MAIN + 1) % 3, (MAIN + 2) % 3];
         let (from, to) = (self.sensor[main].floor() as i64, end[main].floor() as i64);
         let step: i64 = if along[main] < 0.0 { -1 } else { 1 };
         let fixed = |x: f64| (x * FIXED) as i64;
@@ -79,62 +93,66 @@ impl Rays {
         let (mut next_u, mut next_v) = (at(u), at(v));
         let (mut now_u, mut now_v) = (fixed(self.sensor[u]), fixed(self.sensor[v]));
         let (end_u, end_v) = (fixed(end[u]), fixed(end[v]));
-        let mut cell = [0i64; 3];
+        let Self { offsets, blocks, passed, .. } = self;
+        let (in_main, in_u, in_v) = (&offsets[main], &offsets[u], &offsets[v]);
+        // Rounding may only err by a voxel, for which there is a rim.
+        let place = |offsets: &[usize], at: i64| offsets.get((at >> 32) as usize).copied().unwrap_or_default();
+        let mut mark = |at: usize| {
+            if DENSE {
+                if let Some(voxel) = passed.get_mut(at) {
+                    *voxel = 1;
+                }
+                return;
+            }
+            let Some(block) = blocks.get_mut(at / VOXELS) else { return };
+            if *block == NONE {
+                *block = (passed.len() / VOXELS) as u32;
+                passed.resize(passed.len() + VOXELS, 0);
+            }
+            passed[*block as usize * VOXELS + at % VOXELS] = 1;
+        };
+        let (mut from_u, mut from_v) = (place(in_u, now_u), place(in_v, now_v));
         let layers = (to - from).abs();
         for layer in 0..=layers {
             if layer == layers {
                 (next_u, next_v) = (end_u, end_v);
             }
-            cell[main] = from + step * layer;
-            let (u0, v0, u1, v1) = (now_u >> 32, now_v >> 32, next_u >> 32, next_v >> 32);
-            (cell[u], cell[v]) = (u0, v0);
-            self.mark(cell);
-            if (u0, v0) != (u1, v1) {
-                if u0 != u1 && v0 != v1 {
-                    (cell[u], cell[v]) =
-                        if crosses_first((now_u, next_u), (now_v, next_v)) { (u1, v0) } else { (u0, v1) };
-                    self.mark(cell);
+            let here = in_main.get((from + step * layer) as usize).copied().unwrap_or_default();
+            let (to_u, to_v) = (place(in_u, next_u), place(in_v, next_v));
+            mark(here + from_u + from_v);
+            if (from_u, from_v) != (to_u, to_v) {
+                if from_u != to_u && from_v != to_v {
+                    let first = crosses_first((now_u, next_u), (now_v, next_v));
+                    mark(here + if first { to_u + from_v } else { from_u + to_v });
                 }
-                (cell[u], cell[v]) = (u1, v1);
-                self.mark(cell);
+                mark(here + to_u + to_v);
             }
-            (now_u, now_v) = (next_u, next_v);
+            (now_u, now_v, from_u, from_v) = (next_u, next_v, to_u, to_v);
             (next_u, next_v) = (next_u + du, next_v + dv);
         }
-    }
-
-    #[inline]
-    fn mark(&mut self, cell: [i64; 3]) {
-        // Rounding may only err by a voxel, for which there is a rim; a number that is negative all the same is too large then.
-        let [x, y, z] = cell.map(|v| v as usize);
-        let place = ((z / 8) * self.size[1] + y / 8) * self.size[0] + x / 8;
-        let Some(&block) = self.places.get(place) else { return };
-        let block = if block == NONE { self.open(place) } else { block };
-        self.passed[block as usize][(z % 8) * 64 + (y % 8) * 8 + x % 8] = 1;
-    }
-
-    #[cold]
-    fn open(&mut self, place: usize) -> u32 {
-        let block = self.passed.len() as u32;
-        self.passed.push([0; VOXELS]);
-        self.keys.push(place);
-        self.places[place] = block;
-        block
     }
 
     /// All that were passed, by block, in no order.
     pub(super) fn passed(&self) -> Vec<(BlockKey, Bits)> {
         let low = self.low.map(|v| v / BLOCK);
-        let of = |(place, bytes): (&usize, &[u8; VOXELS])| {
-            let (x, y, z) =
-                (place % self.size[0], place / self.size[0] % self.size[1], place / self.size[0] / self.size[1]);
-            let mut bits = Bits::default();
-            for (word, bytes) in bits.iter_mut().zip(bytes.chunks_exact(64)) {
-                *word = bytes.iter().enumerate().fold(0, |w, (i, b)| w | u64::from(*b) << i);
-            }
-            ((low[0] + x as i32, low[1] + y as i32, low[2] + z as i32), bits)
+        let [width, height, _] = self.size;
+        let key = |i: usize| {
+            (low[0] + (i % width) as i32, low[1] + (i / width % height) as i32, low[2] + (i / width / height) as i32)
         };
-        self.keys.iter().zip(&self.passed).map(of).collect()
+        let of = |i: usize, voxels: &[u8]| {
+            let mut bits = Bits::default();
+            for (word, voxels) in bits.iter_mut().zip(voxels.chunks_exact(64)) {
+                *word = voxels.iter().enumerate().fold(0, |w, (i, b)| w | u64::from(*b) << i);
+            }
+            (key(i), bits)
+        };
+        if self.blocks.is_empty() {
+            let any = |voxels: &[u8]| voxels.iter().fold(0, |any, v| any | v) != 0;
+            let all = self.passed.chunks_exact(VOXELS).enumerate();
+            return all.filter(|(_, voxels)| any(voxels)).map(|(i, voxels)| of(i, voxels)).collect();
+        }
+        let there = self.blocks.iter().enumerate().filter(|(_, block)| **block != NONE);
+        there.map(|(i, block)| of(i, &self.passed[*block as usize * VOXELS..][..VOXELS])).collect()
     }
 }
 
@@ -186,6 +204,8 @@ mod tests {
             let mut along =
                 nalgebra::Vector3::new(spread(i, 2_246_822_519), spread(i, 3_266_489_917), spread(i, 668_265_263));
             along *= 200.0 * spread(i, 374_761_393).abs();
+            // Some go so far that blocks are looked up.
+            along *= if i % 5 == 0 { 4.0 } else { 1.0 };
             // Some go along an axis, or nowhere.
             (0..3).filter(|a| i % 16 == *a as u32 || i % 17 == *a as u32 || i % 64 == 0).for_each(|a| along[a] = 0.0);
             let to = from + along;

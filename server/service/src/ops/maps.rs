@@ -385,7 +385,7 @@ fn export_telling(
             ("png", "image/png", pictures::occupancy(&grid)?)
         }
         F::Nav2Pgm => {
-            let grid = grid()?;
+            let grid = decided(grid()?, s.params.planning.occupied_probability);
             writing()?;
             let bytes = progress.written(Some(grid.cells.len()), |out| nav2::write_pgm(out, &grid))?;
             ("pgm", "image/x-portable-graymap", bytes)
@@ -469,6 +469,14 @@ fn export_telling(
     };
     let file_name = format!("{name}.{suffix}");
     Ok(MapFile { map_version: s.map_version, stamp: stamp_of(s), file_name, media_type, bytes })
+}
+
+/// What paths are planned in: cells below the planner's threshold are free, the others occupied. nav2's files know these two words,
+/// and would call a cell that was seen free once unknown.
+fn decided(mut grid: GridMap, occupied_probability: f64) -> GridMap {
+    let limit = 100.0 * occupied_probability;
+    grid.cells.iter_mut().filter(|c| **c >= 0).for_each(|c| *c = if f64::from(*c) >= limit { 100 } else { 0 });
+    grid
 }
 
 /// Voxels of an octree: what one file may hold.
