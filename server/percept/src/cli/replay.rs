@@ -174,11 +174,14 @@ pub(crate) const FILES: [(&str, MapFormat, v1::MapFormat); 8] = [
 /// Writes trajectory, maps, cloud, objects and scene graph of a snapshot.
 pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failure> {
     std::fs::create_dir_all(dir)?;
-    let voxels = ("voxels.bt", MapFormat::VoxelsBt, v1::MapFormat::VoxelsBt);
-    for (name, format, _) in FILES.iter().filter(|(name, ..)| *name != "cloud.pcd").chain([&voxels]) {
+    let of_layers = [
+        ("voxels.bt", MapFormat::VoxelsBt, v1::MapFormat::VoxelsBt),
+        ("mesh.ply", MapFormat::MeshPly, v1::MapFormat::MeshPly),
+    ];
+    for (name, format, _) in FILES.iter().filter(|(name, ..)| *name != "cloud.pcd").chain(&of_layers) {
         match maps::export(snapshot, "map", *format, &Limits::default()) {
             Ok(file) => std::fs::write(dir.join(name), file.bytes)?,
-            // Who did not ask for voxels does not miss them.
+            // Who did not ask for a layer does not miss it.
             Err(e) if e.reason == reason::LAYER_OFF => {}
             Err(e) if e.reason == reason::MAP_EMPTY => eprintln!("percept: {name} not written: the map is empty"),
             Err(e) => return Err(e.into()),

@@ -205,7 +205,7 @@ impl Service {
             need_voxels(&s.layers)?;
             let size = s.layers.voxels.params().voxel_size_m;
             let voxels: f64 = boxes.iter().map(|b| (around(b).size() / size).add_scalar(2.0).product()).sum();
-            if !(voxels <= MAX_BOX_VOXELS) {
+            if voxels.is_nan() || voxels > MAX_BOX_VOXELS {
                 let message = format!(
                     "the boxes hold some {voxels:.3e} voxels, the limit is {MAX_BOX_VOXELS:.0e}; ask for fewer or smaller ones"
                 );
