@@ -154,6 +154,10 @@ def test_the_surface_is_a_mesh_along_the_walls(lidar_session):
 
 def test_what_cannot_be_answered_is_refused_with_field_and_remedy(lidar_session, laser_session):
     space = lidar_session.space
+
+    def ray(way=(1, 0, 0), range_m=1.0):
+        return space.rays([[0, 0, 1]], [way], max_range_m=range_m)
+
     for ask, error, reason, field in [
         (lambda: laser_session.space.voxels(), FailedPrecondition, "LAYER_OFF", "layer"),
         (lambda: laser_session.space.boxes([box(0, 0, 1, 1)]), FailedPrecondition, "LAYER_OFF", "layer"),
@@ -166,9 +170,9 @@ def test_what_cannot_be_answered_is_refused_with_field_and_remedy(lidar_session,
         (lambda: space.points([0, 1, 2]), InvalidArgument, "SIZE_MISMATCH", "points"),
         (lambda: space.points(np.zeros((100_001, 3))), ResourceExhausted, "TOO_MANY_QUERIES", "points"),
         (lambda: space.points([[0, 0, 0]], layer="cloud"), InvalidArgument, "ENUM_UNKNOWN", "layer"),
-        (lambda: space.rays([[0, 0, 1]], [[0, 0, 0]], max_range_m=1), InvalidArgument, "OUT_OF_RANGE", "rays[0].direction"),
-        (lambda: space.rays([[0, 0, 1]], [[1, 0, 0]], max_range_m=1e9), InvalidArgument, "OUT_OF_RANGE", "rays[0].max_range_m"),
-        (lambda: space.rays([[0, 0, 1]], [[1, 0, 0]], max_range_m=float("nan")), InvalidArgument, "OUT_OF_RANGE", "rays[0].max_range_m"),
+        (lambda: ray((0, 0, 0)), InvalidArgument, "OUT_OF_RANGE", "rays[0].direction"),
+        (lambda: ray(range_m=1e9), InvalidArgument, "OUT_OF_RANGE", "rays[0].max_range_m"),
+        (lambda: ray(range_m=float("nan")), InvalidArgument, "OUT_OF_RANGE", "rays[0].max_range_m"),
         (lambda: space.boxes([box(0, 0, 1, 1e6)]), ResourceExhausted, "GRID_TOO_LARGE", "boxes"),
         (lambda: space.boxes([box(0, 0, 1, -1)]), InvalidArgument, "OUT_OF_RANGE", "boxes[0]"),
         (lambda: space.voxels(low=[1, 1, 1], high=[0, 2, 2]), InvalidArgument, "REGION_EMPTY", "region"),

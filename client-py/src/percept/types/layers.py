@@ -69,7 +69,7 @@ class Voxels(Value):
         wanted = self.cells > 50 if occupied else (self.cells >= 0) & (self.cells <= 50)
         block, z, y, x = np.nonzero(wanted)
         indices = 8 * self.keys[block] + np.stack([x, y, z], axis=1)
-        return (indices + 0.5) * self.voxel_size_m
+        return (indices.astype(np.float64) + 0.5) * self.voxel_size_m
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

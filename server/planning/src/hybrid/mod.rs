@@ -1,7 +1,7 @@
 //! Hybrid A*: paths that a robot can steer, with a footprint that turns with it.
 //!
 //! Comes in: a costmap, a footprint, two poses and how the robot steers. Goes out: arcs one after the other. Start with
-//! [`Hybrid::search`]; [`shortcut`] makes its answer shorter.
+//! [`Hybrid::search`]; [`shortcut()`] makes its answer shorter.
 
 mod cost;
 mod params;

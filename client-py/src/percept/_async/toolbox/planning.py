@@ -33,5 +33,5 @@ class AsyncPlanning(AsyncBound):
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Misfit | None:
-        """The first place of a path, or of (N, 3) poses, that the robot cannot drive; None if there is none."""
+        """The first place of a path, or of (N, 3) poses, that the robot cannot drive; None if all fits."""
         return await self._transport.call(convert.validate_on_map(given, path, params, options))

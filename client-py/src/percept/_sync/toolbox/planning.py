@@ -34,5 +34,5 @@ class Planning(Bound):
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Misfit | None:
-        """The first place of a path, or of (N, 3) poses, that the robot cannot drive; None if there is none."""
+        """The first place of a path, or of (N, 3) poses, that the robot cannot drive; None if all fits."""
         return self._transport.call(convert.validate_on_map(given, path, params, options))
