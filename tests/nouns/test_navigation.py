@@ -174,6 +174,36 @@ def test_a_path_is_checked_against_the_map_as_it_is_now(laser_session):
     assert laser_session.validate_path(np.empty((0, 3))) is None
 
 
+def test_a_watched_path_is_told_again_when_the_map_breaks_it(client):
+    session = client.sessions.create(sensors=[world.LASER])
+    poses = world.drive(40)
+    for i, pose in enumerate(poses[:2]):
+        session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
+    goal = world.to_map(1.0, 0.0)
+    with session.watch_path(goal) as watch:
+        first = next(watch)
+        assert (first.change, bool(first.outcome), first.misfit) == ("first", True, None)
+        # A board of 1.2 m stands across the way now.
+        for i, pose in enumerate(poses[2:], 2):
+            scan = world.scan(pose)
+            (x, y), yaw = pose.translation[:2], np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0])
+            way = yaw + scan["angle_min_rad"] + np.arange(len(scan["ranges_m"])) * scan["angle_increment_rad"]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                board = (0.4 - x) / np.cos(way)
+                hits = (board > 0) & (np.abs(y + board * np.sin(way)) < 0.6)
+            scan["ranges_m"] = np.where(hits, np.fmin(scan["ranges_m"], board), scan["ranges_m"]).astype(np.float32)
+            session.send_scan("laser", stamp_ns=world.stamp(i), **scan)
+        told = next(watch)
+        assert told.change == "blocked"
+        assert told.misfit.reason == "blocked"
+        assert told.stamp.map_version > first.stamp.map_version
+        assert not told.outcome or session.validate_path(told.outcome) is None
+    with pytest.raises(InvalidArgument), session.watch_path((float("nan"), 0.0)) as watch:
+        next(watch)
+    with pytest.raises(NotFound), client.session("nobody").watch_path((0.0, 0.0)) as watch:
+        next(watch)
+
+
 def test_what_is_no_question_is_refused_with_its_field(client, laser_session):
     grid, ends = corridor(), ((0.0, 4.0), (6.0, 4.0))
 

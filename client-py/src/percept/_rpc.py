@@ -115,6 +115,7 @@ GET_SCENE_GRAPH = Rpc(
 _V = "NavigationService"
 PLAN_PATH = Rpc(_V, "PlanPath", navigation.PlanPathRequest, navigation.PlanPathResponse)
 VALIDATE_PATH = Rpc(_V, "ValidatePath", navigation.ValidatePathRequest, navigation.ValidatePathResponse)
+WATCH_PATH = Rpc(_V, "WatchPath", navigation.WatchPathRequest, navigation.WatchPathResponse)
 NAVIGATE = Rpc(_V, "Navigate", navigation.NavigateRequest, navigation.NavigateResponse, repeatable=False)
 
 _T = "ToolboxKeptCloudsService"

@@ -32,6 +32,7 @@ pub use ops::layers;
 pub use ops::maps::{self, CloudAnswer, GridAnswer, MapFile, MapFormat, MapSummary};
 pub use ops::navigation::{self, Navigation, PathCheck, PathOptions, Plan, PlanRequest};
 pub use ops::operations::{HowFar, NewOperation, Operation, OperationKind, OperationList, OperationState, Progress};
+pub use ops::path_watch::{PathChange, PathUpdate, PathWatch};
 pub use ops::pictures;
 pub use ops::server::{About, ServerInfo};
 pub use ops::sessions::{NewSession, Page, SessionDescription, SessionList, SessionOrder, SessionOrderKey};

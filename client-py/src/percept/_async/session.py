@@ -28,7 +28,7 @@ from .scene import AsyncScene
 from .sensors import AsyncSensors
 from .stream import AsyncFrameStream
 from .transport import AsyncTransport
-from .watch import AsyncFleetWatch, AsyncWatch
+from .watch import AsyncFleetWatch, AsyncPathWatch, AsyncWatch
 
 
 class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
@@ -162,6 +162,19 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         """A path to (x, y) in metres of the map, from where the robot is or from `start`. Options say by
         which planner, with which footprint and headings, around which zones."""
         return await self._transport.call(navigation.plan(self.session_id, goal, start, params, options))
+
+    def watch_path(
+        self,
+        goal: Sequence[float],
+        *,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+        resume_timeout_s: float = 60.0,
+    ) -> AsyncPathWatch:
+        """A path from where the robot is, kept: told at once, and again when the map breaks it or a clearly
+        better one opens. It goes on by itself as `watch` does."""
+        request = navigation.watch_request(self.session_id, goal, params, options)
+        return AsyncPathWatch(self._transport, request, resume_timeout_s)
 
     async def validate_path(
         self,

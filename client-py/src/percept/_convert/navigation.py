@@ -21,7 +21,9 @@ from ..types.navigation import (
     NoPath,
     NoPathReason,
     Path,
+    PathChange,
     PathOptions,
+    PathUpdate,
     Zone,
 )
 from ..v1 import geometry_pb2, params_pb2, path_pb2
@@ -118,9 +120,36 @@ def poses_to(poses: object) -> list[geometry_pb2.Pose2]:
     return [geometry_pb2.Pose2(x_m=x, y_m=y, yaw_rad=yaw) for x, y, yaw in rows.tolist()]
 
 
-def _outcome(answer: service.PlanPathResponse | service.NavigateResponse) -> Path | NoPath:
+def _outcome(
+    answer: service.PlanPathResponse | service.NavigateResponse | service.WatchPathResponse,
+) -> Path | NoPath:
     stamp = maps.stamp(answer.stamp)
     return path(answer.path, stamp) if answer.HasField("path") else no_path(answer.no_path, stamp)
+
+
+def update(answer: service.WatchPathResponse) -> PathUpdate:
+    """What is told of a watched path."""
+    return PathUpdate(
+        change=words.word(PathChange, service.PathChange, answer.change),
+        outcome=_outcome(answer),
+        misfit=misfit(answer.misfit) if answer.HasField("misfit") else None,
+        stamp=maps.stamp(answer.stamp),
+    )
+
+
+def watch_request(
+    session_id: str,
+    goal: Sequence[float],
+    params: Mapping[str, object] | None,
+    options: PathOptions | None,
+) -> service.WatchPathRequest:
+    """A watch's question."""
+    return service.WatchPathRequest(
+        source=maps.source(session_id),
+        goal=geometry.vector2_to("goal", goal),
+        params=words.message_of("params", params_pb2.PlanningParams, params),
+        options=options_to(options),
+    )
 
 
 def _navigation(answer: service.NavigateResponse) -> Navigation:

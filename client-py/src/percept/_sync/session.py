@@ -29,7 +29,7 @@ from .scene import Scene
 from .sensors import Sensors
 from .stream import FrameStream
 from .transport import Transport
-from .watch import FleetWatch, Watch
+from .watch import FleetWatch, PathWatch, Watch
 
 
 class Session(SessionBound, FrameSender[FrameResult]):
@@ -163,6 +163,19 @@ class Session(SessionBound, FrameSender[FrameResult]):
         """A path to (x, y) in metres of the map, from where the robot is or from `start`. Options say by
         which planner, with which footprint and headings, around which zones."""
         return self._transport.call(navigation.plan(self.session_id, goal, start, params, options))
+
+    def watch_path(
+        self,
+        goal: Sequence[float],
+        *,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+        resume_timeout_s: float = 60.0,
+    ) -> PathWatch:
+        """A path from where the robot is, kept: told at once, and again when the map breaks it or a clearly
+        better one opens. It goes on by itself as `watch` does."""
+        request = navigation.watch_request(self.session_id, goal, params, options)
+        return PathWatch(self._transport, request, resume_timeout_s)
 
     def validate_path(
         self,

@@ -13,11 +13,12 @@ import grpc
 
 from .. import _rpc
 from .._access import Access
-from .._convert import sessions
+from .._convert import navigation, sessions
 from .._options import LOOK_S, MOMENT_S, MOST_MOVES, Patience, backoff, link_broke, wait_before_retry
 from ..errors import PerceptError, Unauthenticated, client_closed, error_of_rpc
+from ..types.navigation import PathUpdate
 from ..types.sessions import FleetEvent, FleetEventKind, SessionEvent
-from ..v1 import sessions_service_pb2
+from ..v1 import navigation_service_pb2, sessions_service_pb2
 from . import _runtime as runtime
 from .transport import Transport
 
@@ -60,7 +61,7 @@ class Events(ABC, Generic[E]):
             elif answer is runtime.EOF:
                 break
             else:
-                self.token = answer.event.token
+                self.token = self._token_of(answer)
                 self._patience.renew()
                 return self._read(answer)
         raise StopIteration
@@ -86,6 +87,11 @@ class Events(ABC, Generic[E]):
     @abstractmethod
     def _call_from(self, token: int | None, server: Access) -> Any:  # noqa: ANN401
         """A call that watches from a token on."""
+
+    def _token_of(self, answer: Any) -> int:  # noqa: ANN401
+        """What a call goes on from after that answer."""
+        token: int = answer.event.token
+        return token
 
     @abstractmethod
     def _read(self, answer: Any) -> E:  # noqa: ANN401
@@ -207,6 +213,33 @@ class Watch(Events[SessionEvent]):
 
     def _read(self, answer: Any) -> SessionEvent:  # noqa: ANN401
         return sessions.event(answer.event)
+
+
+class PathWatch(Events[PathUpdate]):
+    """A path that is kept: `for` within `with`. The first answer comes at once, others when the
+    map breaks the path or a clearly better one opens.
+
+    When the link breaks it goes on by itself, beginning with what holds then. It ends when the session is
+    deleted, or it was closed.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        request: navigation_service_pb2.WatchPathRequest,
+        resume_timeout_s: float,
+    ) -> None:
+        self._wanted = request
+        super().__init__(transport, None, resume_timeout_s)
+
+    def _call_from(self, token: int | None, server: Access) -> Any:  # noqa: ANN401
+        return self._transport.subscribe(_rpc.WATCH_PATH, self._wanted, server)
+
+    def _token_of(self, answer: Any) -> int:  # noqa: ANN401
+        return 0
+
+    def _read(self, answer: Any) -> PathUpdate:  # noqa: ANN401
+        return navigation.update(answer)
 
 
 class FleetWatch(Events[FleetEvent]):

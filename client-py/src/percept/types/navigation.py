@@ -221,6 +221,34 @@ class Misfit(Value):
     blocking: Blocking | None
 
 
+class PathChange(Name):
+    """Why a watched path is told."""
+
+    UNSPECIFIED = "unspecified"
+    #: It is the first answer.
+    FIRST = "first"
+    #: What was told before cannot be driven any more.
+    BLOCKED = "blocked"
+    #: Another way costs clearly less, by a fifth, than what is left of the path that was told.
+    BETTER = "better"
+    #: There was no path, and there is one now.
+    OPENED = "opened"
+    #: There is still none, for another reason.
+    OTHER_REASON = "other_reason"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PathUpdate(Value):
+    """What is told of a watched path."""
+
+    change: PathChange
+    outcome: Path | NoPath
+    #: Of "blocked": where the path that was told before does not fit.
+    misfit: Misfit | None
+    #: State of the map that was searched.
+    stamp: MapStamp
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Navigation(Value):
     """The answer to one step: a frame and a goal in, pose, obstacles and path out."""

@@ -7,6 +7,7 @@ from collections import abc as _abc
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import map_pb2 as _map_pb2
 from percept.v1 import object_pb2 as _object_pb2
@@ -24,6 +25,40 @@ else:
     from typing_extensions import TypeAlias as _TypeAlias, Never as _Never
 
 DESCRIPTOR: _descriptor.FileDescriptor
+
+class _PathChange:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _PathChangeEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_PathChange.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    PATH_CHANGE_UNSPECIFIED: _PathChange.ValueType  # 0
+    PATH_CHANGE_FIRST: _PathChange.ValueType  # 1
+    """It is the first answer."""
+    PATH_CHANGE_BLOCKED: _PathChange.ValueType  # 2
+    """What was told before cannot be driven any more: `misfit` says where."""
+    PATH_CHANGE_BETTER: _PathChange.ValueType  # 3
+    """Another way costs clearly less, by a fifth, than what is left of the path that was told."""
+    PATH_CHANGE_OPENED: _PathChange.ValueType  # 4
+    """There was no path, and there is one now."""
+    PATH_CHANGE_OTHER_REASON: _PathChange.ValueType  # 5
+    """There is still none, for another reason."""
+
+class PathChange(_PathChange, metaclass=_PathChangeEnumTypeWrapper):
+    """Why a path is told."""
+
+PATH_CHANGE_UNSPECIFIED: PathChange.ValueType  # 0
+PATH_CHANGE_FIRST: PathChange.ValueType  # 1
+"""It is the first answer."""
+PATH_CHANGE_BLOCKED: PathChange.ValueType  # 2
+"""What was told before cannot be driven any more: `misfit` says where."""
+PATH_CHANGE_BETTER: PathChange.ValueType  # 3
+"""Another way costs clearly less, by a fifth, than what is left of the path that was told."""
+PATH_CHANGE_OPENED: PathChange.ValueType  # 4
+"""There was no path, and there is one now."""
+PATH_CHANGE_OTHER_REASON: PathChange.ValueType  # 5
+"""There is still none, for another reason."""
+Global___PathChange: _TypeAlias = PathChange  # noqa: Y015
 
 @_typing.final
 class PlanPathRequest(_message.Message):
@@ -166,6 +201,88 @@ class PlanPathResponse(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType_outcome) -> _WhichOneofReturnType_outcome | None: ...
 
 Global___PlanPathResponse: _TypeAlias = PlanPathResponse  # noqa: Y015
+
+@_typing.final
+class WatchPathRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    GOAL_FIELD_NUMBER: _builtins.int
+    PARAMS_FIELD_NUMBER: _builtins.int
+    OPTIONS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def goal(self) -> _geometry_pb2.Vector2:
+        """Metres, map frame."""
+
+    @_builtins.property
+    def params(self) -> _params_pb2.PlanningParams:
+        """What is set replaces the session's."""
+
+    @_builtins.property
+    def options(self) -> _path_pb2.PathOptions: ...
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        goal: _geometry_pb2.Vector2 | None = ...,
+        params: _params_pb2.PlanningParams | None = ...,
+        options: _path_pb2.PathOptions | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["goal", b"goal", "options", b"options", "params", b"params", "source", b"source"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["goal", b"goal", "options", b"options", "params", b"params", "source", b"source"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___WatchPathRequest: _TypeAlias = WatchPathRequest  # noqa: Y015
+
+@_typing.final
+class WatchPathResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CHANGE_FIELD_NUMBER: _builtins.int
+    PATH_FIELD_NUMBER: _builtins.int
+    NO_PATH_FIELD_NUMBER: _builtins.int
+    MISFIT_FIELD_NUMBER: _builtins.int
+    STAMP_FIELD_NUMBER: _builtins.int
+    change: Global___PathChange.ValueType
+    @_builtins.property
+    def path(self) -> _path_pb2.Path: ...
+    @_builtins.property
+    def no_path(self) -> _path_pb2.NoPath: ...
+    @_builtins.property
+    def misfit(self) -> _path_pb2.Misfit:
+        """BLOCKED only: where the path that was told before does not fit."""
+
+    @_builtins.property
+    def stamp(self) -> _map_pb2.MapStamp:
+        """State of the map that was searched."""
+
+    def __init__(
+        self,
+        *,
+        change: Global___PathChange.ValueType = ...,
+        path: _path_pb2.Path | None = ...,
+        no_path: _path_pb2.NoPath | None = ...,
+        misfit: _path_pb2.Misfit | None = ...,
+        stamp: _map_pb2.MapStamp | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_misfit", b"_misfit", "misfit", b"misfit", "no_path", b"no_path", "outcome", b"outcome", "path", b"path", "stamp", b"stamp"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_misfit", b"_misfit", "change", b"change", "misfit", b"misfit", "no_path", b"no_path", "outcome", b"outcome", "path", b"path", "stamp", b"stamp"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__misfit: _TypeAlias = _typing.Literal["misfit"]  # noqa: Y015
+    _WhichOneofArgType__misfit: _TypeAlias = _typing.Literal["_misfit", b"_misfit"]  # noqa: Y015
+    _WhichOneofReturnType_outcome: _TypeAlias = _typing.Literal["path", "no_path"]  # noqa: Y015
+    _WhichOneofArgType_outcome: _TypeAlias = _typing.Literal["outcome", b"outcome"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__misfit) -> _WhichOneofReturnType__misfit | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_outcome) -> _WhichOneofReturnType_outcome | None: ...
+
+Global___WatchPathResponse: _TypeAlias = WatchPathResponse  # noqa: Y015
 
 @_typing.final
 class NavigateRequest(_message.Message):

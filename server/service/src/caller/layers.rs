@@ -4,7 +4,7 @@ use super::Caller;
 use crate::layers::{
     BoxAnswer, ChangeAnswer, HeightAnswer, MapLayer, OfMap, PointAnswers, RayAnswer, SpaceRay, VoxelAnswer,
 };
-use crate::{PathCheck, PathOptions, Result};
+use crate::{PathCheck, PathOptions, PathUpdate, PathWatch, Result};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, OrientedBox3, TriangleMesh};
 use percept_mapping::height::Storey;
@@ -24,6 +24,15 @@ impl Caller {
     ) -> Result<PathCheck> {
         self.may_with("NavigationService/ValidatePath", session).await?;
         self.service.validate_path(session, poses, params, options).await
+    }
+
+    /// Looks at a watched path as the map is now.
+    ///
+    /// # Errors
+    /// As for planning.
+    pub async fn look_at_path(&self, session: &str, watch: PathWatch) -> Result<(PathWatch, Option<PathUpdate>)> {
+        self.may_with("NavigationService/WatchPath", session).await?;
+        self.service.look_at_path(session, watch).await
     }
 
     /// The voxels within a box of the map, or all.

@@ -89,6 +89,7 @@ pub static RULES: &[Rule] = &[
     // A path is a question about the map; a step of a robot brings a frame.
     session("NavigationService/PlanPath", Read),
     session("NavigationService/ValidatePath", Read),
+    session("NavigationService/WatchPath", Read),
     session("NavigationService/Navigate", Write),
 
     // They take computing time, and memory for clouds, which are the caller's alone. One that works on a session's cloud

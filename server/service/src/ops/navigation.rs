@@ -143,18 +143,7 @@ impl Service {
         at_most("poses", poses.len(), MAX_POSES)?;
         let snapshot = self.snapshot(session).await?;
         let max_cells = self.limits.max_planning_cells;
-        let work = move || {
-            let mut params = params.unwrap_or(snapshot.params.planning);
-            params.max_cells = params.max_cells.min(max_cells);
-            let grid = dense(&snapshot, params.max_cells)?;
-            let misfit = misfit(&grid, &poses, &params, &options)?;
-            let blocking = misfit.as_ref().and_then(|m| match &m.reason {
-                MisfitReason::Blocked(blocking) => Some(blocking),
-                _ => None,
-            });
-            let object = blocking.and_then(|b| object_at(&snapshot, b));
-            Ok(PathCheck { misfit, object, map_version: snapshot.map_version, stamp: stamp_of(&snapshot) })
-        };
+        let work = move || misfit_on(&snapshot, &poses, params, &options, max_cells);
         self.compute.query(&self.asker(session)?, work).await?
     }
 
@@ -203,6 +192,28 @@ pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Res
         _ => None,
     };
     Ok(Plan { outcome: Some(outcome), object, map_version, stamp })
+}
+
+/// The first place of a path that does not fit on a snapshot.
+///
+/// # Errors
+/// As [`plan`]; `TOO_MANY_QUERIES`.
+pub(super) fn misfit_on(
+    snapshot: &Snapshot,
+    poses: &[Pose2],
+    params: Option<PlanParams>,
+    options: &PathOptions,
+    max_cells: usize,
+) -> Result<PathCheck> {
+    let mut params = params.unwrap_or(snapshot.params.planning);
+    params.max_cells = params.max_cells.min(max_cells);
+    let misfit = misfit(&dense(snapshot, params.max_cells)?, poses, &params, options)?;
+    let blocking = misfit.as_ref().and_then(|m| match &m.reason {
+        MisfitReason::Blocked(blocking) => Some(blocking),
+        _ => None,
+    });
+    let object = blocking.and_then(|b| object_at(snapshot, b));
+    Ok(PathCheck { misfit, object, map_version: snapshot.map_version, stamp: stamp_of(snapshot) })
 }
 
 /// Plans on a grid, from a position and a heading.

@@ -13,7 +13,9 @@ use percept_planning::{
 };
 use percept_scene::ObjectId;
 use percept_service::reason;
-use percept_service::{Error, Limits, Navigation, PathCheck, PathOptions, Plan, PlanRequest, Result};
+use percept_service::{
+    Error, Limits, Navigation, PathChange, PathCheck, PathOptions, PathUpdate, Plan, PlanRequest, Result,
+};
 use std::time::Duration;
 
 /// Corners of a footprint, zones of a request, corners of a zone.
@@ -292,6 +294,25 @@ pub fn plan_to(plan: &Plan) -> v1::PlanPathResponse {
     use v1::plan_path_response::Outcome;
     let outcome = planned_to(plan).map_or_else(Outcome::NoPath, Outcome::Path);
     v1::PlanPathResponse { outcome: Some(outcome), stamp: Some(maps::stamp_to(plan.map_version, plan.stamp)) }
+}
+
+/// What is told of a watched path, as a message.
+pub fn update_to(update: &PathUpdate) -> v1::WatchPathResponse {
+    use v1::watch_path_response::Outcome;
+    let (change, check) = match &update.change {
+        PathChange::First => (v1::PathChange::First, None),
+        PathChange::Blocked(check) => (v1::PathChange::Blocked, Some(check)),
+        PathChange::Better => (v1::PathChange::Better, None),
+        PathChange::Opened => (v1::PathChange::Opened, None),
+        PathChange::OtherReason => (v1::PathChange::OtherReason, None),
+    };
+    let misfit = check.and_then(|c| Some(misfit_to(c.misfit.as_ref()?, c.object)));
+    v1::WatchPathResponse {
+        change: change.into(),
+        outcome: Some(planned_to(&update.plan).map_or_else(Outcome::NoPath, Outcome::Path)),
+        misfit,
+        stamp: Some(maps::stamp_to(update.plan.map_version, update.plan.stamp)),
+    }
 }
 
 /// The answer to one step as a message.

@@ -1,11 +1,76 @@
 //! `NavigationService`.
 
-use super::{Answer, Api, check_size, ingest, status};
+use super::sessions::RESUME_TOKEN;
+use super::{Answer, Api, Streamed, check_size, ingest, peer_of, status};
+use futures::StreamExt;
+use percept_service::{Caller, ErrorCode, EventLog, PathUpdate, PathWatch, admission};
 use percept_wire::{convert, convert::navigation, v1};
+use std::sync::Arc;
 use tonic::{Request, Response};
+
+const WATCH_PATH: &str = "NavigationService/WatchPath";
+/// Events that are stepped over at a time: a path is looked at once for all of them.
+const EVENTS_PER_LOOK: usize = 64;
+
+/// A watched path between two looks.
+struct Watched {
+    caller: Caller,
+    session: String,
+    log: Arc<EventLog>,
+    token: u64,
+    watch: PathWatch,
+}
+
+impl Watched {
+    /// What is told next, when something is; none when the session is gone, or may not be read any more.
+    async fn next(mut self) -> Option<(PathUpdate, Self)> {
+        loop {
+            let events = self.log.after(self.token, EVENTS_PER_LOOK).await?;
+            self.token = events.last().map_or(self.token, |event| event.token);
+            match self.caller.look_at_path(&self.session, self.watch.clone()).await {
+                Ok((watch, update)) => {
+                    self.watch = watch;
+                    if let Some(update) = update {
+                        return Some((update, self));
+                    }
+                }
+                Err(e) if e.code == ErrorCode::NotFound => return None,
+                // A server that is busy looks when the next event comes.
+                Err(_) => {}
+            }
+        }
+    }
+}
 
 #[tonic::async_trait]
 impl v1::navigation_service_server::NavigationService for Api {
+    type WatchPathStream = Streamed<v1::WatchPathResponse>;
+
+    async fn watch_path(&self, r: Request<v1::WatchPathRequest>) -> Answer<Self::WatchPathStream> {
+        let caller = self.caller(&r)?;
+        let place = self.bounds.watcher(&peer_of(r.extensions())).map_err(status::grpc)?;
+        let place = (place, caller.hold(admission::Held::Watch).map_err(status::grpc)?);
+        let r = r.into_inner();
+        let session = convert::maps::session_id(r.source.as_ref()).map_err(status::grpc)?.to_owned();
+        let params = caller.snapshot(WATCH_PATH, &session).await.map_err(status::grpc)?.params.clone();
+        let request = navigation::request(None, r.goal.as_ref(), r.params.as_ref(), r.options.as_ref(), &params);
+        let watch = PathWatch::new(request.map_err(status::grpc)?);
+        let log = caller.session_events(WATCH_PATH, &session).await.map_err(status::grpc)?;
+        // Questions that cannot be answered are refused at once, and not when the first frame comes.
+        let token = log.newest_token();
+        let (watch, first) = caller.look_at_path(&session, watch).await.map_err(status::grpc)?;
+        let watched = Watched { caller: caller.clone(), session: session.clone(), log, token, watch };
+        let later = futures::stream::unfold(watched, Watched::next);
+        let updates = futures::stream::iter(first).chain(later);
+        let asker = caller.clone();
+        let moved = async move { asker.moved(&session).await };
+        let told = |update| navigation::update_to(&update);
+        let mut answer = Response::new(self.told_while_watched(caller, place, updates.map(told), moved));
+        // A watch that is taken up again begins with what holds then.
+        answer.metadata_mut().insert(RESUME_TOKEN, 0.into());
+        Ok(answer)
+    }
+
     async fn plan_path(&self, r: Request<v1::PlanPathRequest>) -> Answer<v1::PlanPathResponse> {
         let caller = self.caller(&r)?;
         let r = r.get_ref();

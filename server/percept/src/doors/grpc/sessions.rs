@@ -14,7 +14,7 @@ use tonic::{Request, Response};
 /// Poses in one message of a trajectory.
 const POSES_PER_MESSAGE: usize = 1000;
 /// Tells a watcher, before any event, what it resumes from if the link breaks.
-const RESUME_TOKEN: &str = "percept-resume-token";
+pub(super) const RESUME_TOKEN: &str = "percept-resume-token";
 /// Events read at a time by a watcher.
 const EVENTS_PER_READ: usize = 64;
 
@@ -26,7 +26,7 @@ fn stopping_error() -> Error {
 impl Api {
     /// Events for as long as somebody watches and may, and the server runs. One read ahead at most: what a slow client
     /// misses is told by a resync, not kept for it.
-    fn told_while_watched<T: Send + 'static>(
+    pub(super) fn told_while_watched<T: Send + 'static>(
         &self,
         caller: Caller,
         place: impl Send + 'static,
