@@ -53,7 +53,10 @@ RULES = {
     "SceneService/ListObjects": (READ, True),
     "SceneService/GetObject": (READ, True),
     "SceneService/GetSceneGraph": (READ, True),
+    "LayersService": (READ, True),
     "NavigationService/PlanPath": (READ, True),
+    "NavigationService/ValidatePath": (READ, True),
+    "NavigationService/WatchPath": (READ, True),
     "NavigationService/Navigate": (WRITE, True),
     "ToolboxKeptCloudsService": (WRITE, False),
     "ToolboxCloudsService": (WRITE, False),
@@ -64,6 +67,7 @@ RULES = {
     "ToolboxImagesService": (WRITE, False),
     "ToolboxPicturesService": (WRITE, False),
     "ToolboxPipelinesService": (WRITE, False),
+    "ToolboxPlanningService": (WRITE, False),
     "EvaluationService": (WRITE, False),
     # Of others' there is nothing to see; what may be started, test_operations.py tries.
     "OperationsService": (READ, False),
@@ -270,7 +274,7 @@ def call(site: Site, rpc: str, session: str, kind: str) -> str:
             invoke(sent, metadata=metadata, timeout=30)
             return ALLOWED
         stream = invoke(sent, metadata=metadata, timeout=30)
-        if method_name in ("WatchSession", "WatchSessions"):
+        if method_name.startswith("Watch"):
             # Headers come when the watch has begun; events may never.
             begun = stream.initial_metadata()
             if stream.is_active() and not any(k == "grpc-status" for k, _ in begun):

@@ -189,6 +189,15 @@ REQUESTS = {
     "SceneService/ListObjects": (of_session, False),
     "SceneService/GetObject": (of_session, False),
     "SceneService/GetSceneGraph": (of_session, False),
+    "LayersService/GetVoxels": (of_map, False),
+    "LayersService/QueryPoints": (lambda s: of_map(s) | {"points": [{"x": 0.5}] * 1000}, False),
+    "LayersService/CastRays": (of_map, False),
+    "LayersService/CheckBoxes": (of_map, False),
+    "LayersService/GetHeights": (of_map, False),
+    "LayersService/GetMesh": (of_map, False),
+    "LayersService/GetChanges": (of_map, False),
+    "NavigationService/ValidatePath": (lambda s: of_map(s) | {"poses": [{"x_m": 0.5}]}, False),
+    "NavigationService/WatchPath": (lambda s: of_map(s) | {"goal": {"x": 0.5}}, False),
     "NavigationService/PlanPath": (lambda s: of_map(s) | {"goal": {"x": 0.5}}, False),
     "NavigationService/Navigate": (lambda s: {"message": s.odometry(), "goal": {"x": 0.5}}, False),
     "ToolboxKeptCloudsService/UploadCloud": (lambda s: {"cloud": {"file": {"data": s.file}}}, False),
@@ -273,6 +282,8 @@ REQUESTS = {
         },
         True,
     ),
+    "ToolboxPlanningService/PlanOnMap": (lambda s: {"start": {}, "goal": {"x": 0.5}}, False),
+    "ToolboxPlanningService/ValidateOnMap": (lambda s: {"poses": [{"x_m": 0.5}]}, False),
     "ToolboxImagesService/ExtractFeatures": (
         lambda s: {"image": s.colour_image(), "max_features": 100_000, "fast_threshold": 5},
         True,
@@ -357,7 +368,7 @@ def answer(site: Site, rpc: str, fields: dict) -> tuple[str, int]:
         answers = call(sent, timeout=120)
         if not method.server_streaming:
             return "OK", len(answers)
-        if rpc.startswith("SessionsService/Watch"):
+        if "/Watch" in rpc:
             answers.initial_metadata()
             answers.cancel()
             return "OK", 0

@@ -7,7 +7,7 @@ pub mod layers;
 pub mod maps;
 pub mod navigation;
 pub(crate) mod operations;
-pub mod path_watch;
+pub(crate) mod path_watch;
 pub mod pictures;
 mod scene;
 mod sensors;

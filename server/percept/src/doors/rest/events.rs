@@ -17,6 +17,7 @@ use serde_json::Value;
 use std::convert::Infallible;
 use std::time::Duration;
 use tonic::Status;
+use v1::navigation_service_server::NavigationService;
 use v1::sessions_service_server::SessionsService;
 
 /// A comment is sent when nothing happened for this long, so that proxies keep the connection.
@@ -65,6 +66,19 @@ pub(super) async fn watch_all(
     let read = |message: v1::WatchSessionsResponse| {
         let event = message.event.unwrap_or_default();
         (event.token, json::to_json("FleetEvent", &event))
+    };
+    Ok(sent(stream.map(move |message| told(message.map(read)))))
+}
+
+/// `WatchPath`; events are numbered by the version of the map.
+///
+/// # Errors
+/// Those of the rpc.
+pub(super) async fn watch_path(api: &Api, context: CallContext, request: Bytes) -> Result<Response, Refused> {
+    let request = v1::WatchPathRequest::decode(request).map_err(Error::internal)?;
+    let stream = api.watch_path(routes::asked(context, request)).await?.into_inner();
+    let read = |message: v1::WatchPathResponse| {
+        (message.stamp.as_ref().map_or(0, |s| s.map_version), json::to_json("WatchPathResponse", &message))
     };
     Ok(sent(stream.map(move |message| told(message.map(read)))))
 }

@@ -161,6 +161,7 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
             transcode::encode(route.rpc.output(), &parts.headers, output).await
         }
         Kind::Events => events::watch(&api, context, request, &parts.headers).await,
+        Kind::PathEvents => events::watch_path(&api, context, request).await,
         Kind::FleetEvents => events::watch_all(&api, context, request, &parts.headers).await,
         Kind::OperationResult => files::result(&api, context, request, route.rpc.output(), &parts.headers).await,
         Kind::File => {

@@ -184,6 +184,11 @@ fn answer(bound: &Bound) -> Value {
                 Last-Event-ID goes on after that event. An event of type problem (ErrorInfo) ends the stream.",
             "content": {"text/event-stream": {"schema": reference("SessionEvent")}},
         }),
+        Answer::PathEvents => json!({
+            "description": "Server-sent events: each one's data is a WatchPathResponse, its id the map's version. \
+                An event of type problem (ErrorInfo) ends the stream.",
+            "content": {"text/event-stream": {"schema": reference("WatchPathResponse")}},
+        }),
         Answer::FleetEvents => json!({
             "description": "Server-sent events: each one's data is a FleetEvent, its id the event's token. \
                 Last-Event-ID goes on after that event. An event of type problem (ErrorInfo) ends the stream.",

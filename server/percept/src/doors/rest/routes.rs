@@ -78,6 +78,8 @@ pub(super) enum Kind {
     Events,
     /// The same, of all sessions.
     FleetEvents,
+    /// What is told of a path that is watched, as server-sent events.
+    PathEvents,
     /// A file.
     File,
     /// What an operation found: a file, or a message.
@@ -374,6 +376,7 @@ pub(super) static ROUTES: &[Route] = &[
     get("/v1/sessions/{session_id}/scene-graph", "SceneService/GetSceneGraph", SESSION, parts!(SceneGraph get_scene_graph)),
 
     post("/v1/sessions/{session_id}/plan", "NavigationService/PlanPath", SOURCE, unary!(Message plan_path)),
+    get("/v1/sessions/{session_id}/watch-path", "NavigationService/WatchPath", SOURCE, Kind::PathEvents),
     post("/v1/sessions/{session_id}/validate-path", "NavigationService/ValidatePath", SOURCE, unary!(Message validate_path)),
     post("/v1/sessions/{session_id}/navigate", "NavigationService/Navigate", MESSAGE, unary!(Message navigate)),
 
