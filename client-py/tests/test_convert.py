@@ -226,7 +226,7 @@ def test_absent_parts_of_a_result_are_none():
 
 
 def test_a_path_is_true_and_no_path_is_false():
-    call = navigation.plan("s", (1.0, 2.0), None, None)
+    call = navigation.plan("s", (1.0, 2.0), None, None, None)
     found = navigation_service_pb2.PlanPathResponse(
         path=path_pb2.Path(waypoints=[{"x_m": 1.0, "y_m": 2.0, "yaw_rad": 0.5}], length_m=1.0)
     )
