@@ -93,7 +93,7 @@ def test_paths_are_planned_with_the_radius_that_was_set(client):
     assert session.plan(goal).waypoints.shape[0] > 0
     session.update(params={"planning": {"robot_radius_m": 3.0, "inflation_radius_m": 3.0}})
     refused = session.plan(goal)
-    assert refused.reason in ("start_occupied", "goal_occupied", "unreachable")
+    assert refused.reason in ("start_does_not_fit", "goal_does_not_fit", "unreachable")
 
 
 @pytest.mark.parametrize(
