@@ -9,7 +9,7 @@ use percept_formats::{Limits as FileLimits, read_file, trajectory};
 use percept_geometry::{SensorFrame, SensorKind};
 use percept_pipeline::{LoopState, PipelineParams, Snapshot};
 use percept_service::reason;
-use percept_service::{Limits, MapFormat, maps};
+use percept_service::{Limits, MapFormat, map_files};
 use percept_wire::{convert, json, v1};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -179,7 +179,7 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
         ("mesh.ply", MapFormat::MeshPly, v1::MapFormat::MeshPly),
     ];
     for (name, format, _) in FILES.iter().filter(|(name, ..)| *name != "cloud.pcd").chain(&of_layers) {
-        match maps::export(snapshot, "map", *format, &Limits::default()) {
+        match map_files::export(snapshot, "map", *format, &Limits::default()) {
             Ok(file) => std::fs::write(dir.join(name), file.bytes)?,
             // Who did not ask for a layer does not miss it.
             Err(e) if e.reason == reason::LAYER_OFF => {}

@@ -1,40 +1,15 @@
 //! Questions about space, in the name of a caller.
 
 use super::Caller;
+use crate::Result;
 use crate::layers::{
     BoxAnswer, ChangeAnswer, HeightAnswer, MapLayer, OfMap, PointAnswers, RayAnswer, SpaceRay, VoxelAnswer,
 };
-use crate::{PathCheck, PathOptions, PathUpdate, PathWatch, Result};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, OrientedBox3, TriangleMesh};
 use percept_mapping::height::Storey;
-use percept_planning::{PlanParams, Pose2};
 
 impl Caller {
-    /// The first place of a path that the robot cannot drive, as the map is now.
-    ///
-    /// # Errors
-    /// As for planning; `TOO_MANY_QUERIES`.
-    pub async fn validate_path(
-        &self,
-        session: &str,
-        poses: Vec<Pose2>,
-        params: Option<PlanParams>,
-        options: PathOptions,
-    ) -> Result<PathCheck> {
-        self.may_with("NavigationService/ValidatePath", session).await?;
-        self.service.validate_path(session, poses, params, options).await
-    }
-
-    /// Looks at a watched path as the map is now.
-    ///
-    /// # Errors
-    /// As for planning.
-    pub async fn look_at_path(&self, session: &str, watch: PathWatch) -> Result<(PathWatch, Option<PathUpdate>)> {
-        self.may_with("NavigationService/WatchPath", session).await?;
-        self.service.look_at_path(session, watch).await
-    }
-
     /// The voxels within a box of the map, or all.
     ///
     /// # Errors

@@ -5,9 +5,9 @@ use super::audit::Act;
 use crate::ops::toolbox::{SessionCloud, Toolbox};
 use crate::{
     CloudAnswer, Error, EventLog, FleetFilter, FleetWatch, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary,
-    Moved, Navigation, NewSession, Page, Pending, Plan, PlanRequest, Processed, Result, SensorChanges,
-    SensorDeclaration, SensorStatus, Session, SessionChanges, SessionDescription, SessionList, SessionView,
-    TrajectoryComparison, TrajectoryRequest, Transform, Vetoed, check_id,
+    Moved, NewSession, Page, Pending, Processed, Result, SensorChanges, SensorDeclaration, SensorStatus, Session,
+    SessionChanges, SessionDescription, SessionList, SessionView, TrajectoryComparison, TrajectoryRequest, Transform,
+    Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{
@@ -414,27 +414,6 @@ impl Caller {
     pub async fn scene_graph(&self, session: &str) -> Result<SceneGraph> {
         self.may_with("SceneService/GetSceneGraph", session).await?;
         self.service.scene_graph(session).await
-    }
-}
-
-/// Navigation.
-impl Caller {
-    /// A path through a session's map.
-    ///
-    /// # Errors
-    /// Coordinates or parameters out of bounds, `GRID_TOO_LARGE`, `SESSION_NOT_FOUND`.
-    pub async fn plan_path(&self, session: &str, request: PlanRequest) -> Result<Plan> {
-        self.may_with("NavigationService/PlanPath", session).await?;
-        self.service.plan_path(session, request).await
-    }
-
-    /// A sensor message and a goal in; pose, obstacles and path out.
-    ///
-    /// # Errors
-    /// As [`send_frame`](Self::send_frame) and [`plan_path`](Self::plan_path).
-    pub async fn navigate(&self, incoming: IncomingFrame, request: PlanRequest) -> Result<Navigation> {
-        self.may_with("NavigationService/Navigate", &incoming.session).await?;
-        self.service.navigate(incoming, request).await
     }
 }
 

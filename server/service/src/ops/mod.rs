@@ -4,6 +4,7 @@ pub(crate) mod changes;
 pub mod evaluation;
 pub(crate) mod fleet;
 pub mod layers;
+pub mod map_files;
 pub mod maps;
 pub mod navigation;
 pub(crate) mod operations;

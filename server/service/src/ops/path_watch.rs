@@ -56,8 +56,12 @@ impl PathWatch {
 
     /// Whether there is nothing new to look at.
     fn is_up_to_date(&self, snapshot: &Snapshot) -> bool {
-        let due = stamp(snapshot).0.saturating_sub(self.looked_for.0) >= LOOKED_FOR_EVERY_NS;
-        self.looked_at == Some(snapshot.map_version) && !due
+        self.looked_at == Some(snapshot.map_version) && !self.is_due(snapshot)
+    }
+
+    /// Whether a better way is to be looked for.
+    fn is_due(&self, snapshot: &Snapshot) -> bool {
+        stamp(snapshot).0.saturating_sub(self.looked_for.0) >= LOOKED_FOR_EVERY_NS
     }
 
     /// Looks at the path as the map is now; none if there is nothing to tell.
@@ -71,7 +75,7 @@ impl PathWatch {
         if self.is_up_to_date(snapshot) {
             return Ok(None);
         }
-        let due = stamp(snapshot).0.saturating_sub(self.looked_for.0) >= LOOKED_FOR_EVERY_NS;
+        let due = self.is_due(snapshot);
         self.looked_at = Some(snapshot.map_version);
         let Some(PlanOutcome::Path(path)) = &told.outcome else {
             let reason = reason_of(told);

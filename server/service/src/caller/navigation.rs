@@ -1,0 +1,49 @@
+//! Paths, in the name of a caller.
+
+use super::Caller;
+use crate::{IncomingFrame, Navigation, PathCheck, PathOptions, PathUpdate, PathWatch, Plan, PlanRequest, Result};
+use percept_planning::{PlanParams, Pose2};
+
+impl Caller {
+    /// A path through a session's map.
+    ///
+    /// # Errors
+    /// Coordinates or parameters out of bounds, `GRID_TOO_LARGE`, `SESSION_NOT_FOUND`.
+    pub async fn plan_path(&self, session: &str, request: PlanRequest) -> Result<Plan> {
+        self.may_with("NavigationService/PlanPath", session).await?;
+        self.service.plan_path(session, request).await
+    }
+
+    /// A sensor message and a goal in; pose, obstacles and path out.
+    ///
+    /// # Errors
+    /// As [`send_frame`](Self::send_frame) and [`plan_path`](Self::plan_path).
+    pub async fn navigate(&self, incoming: IncomingFrame, request: PlanRequest) -> Result<Navigation> {
+        self.may_with("NavigationService/Navigate", &incoming.session).await?;
+        self.service.navigate(incoming, request).await
+    }
+
+    /// The first place of a path that the robot cannot drive, as the map is now.
+    ///
+    /// # Errors
+    /// As for planning; `TOO_MANY_QUERIES`.
+    pub async fn validate_path(
+        &self,
+        session: &str,
+        poses: Vec<Pose2>,
+        params: Option<PlanParams>,
+        options: PathOptions,
+    ) -> Result<PathCheck> {
+        self.may_with("NavigationService/ValidatePath", session).await?;
+        self.service.validate_path(session, poses, params, options).await
+    }
+
+    /// Looks at a watched path as the map is now.
+    ///
+    /// # Errors
+    /// As for planning.
+    pub async fn look_at_path(&self, session: &str, watch: PathWatch) -> Result<(PathWatch, Option<PathUpdate>)> {
+        self.may_with("NavigationService/WatchPath", session).await?;
+        self.service.look_at_path(session, watch).await
+    }
+}
