@@ -49,6 +49,7 @@ RULES = {
     "MapsService/ListLoops": (READ, True),
     "MapsService/SetLoopVeto": (WRITE, True),
     "MapsService/OptimiseMap": (WRITE, True),
+    "MapsService/ImportMap": (WRITE, True),
     "MapsService/ExportMap": (READ, True),
     "SceneService/ListObjects": (READ, True),
     "SceneService/GetObject": (READ, True),

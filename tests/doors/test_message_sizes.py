@@ -186,6 +186,7 @@ REQUESTS = {
     "MapsService/ListLoops": (of_map, False),
     "MapsService/SetLoopVeto": (of_map, False),
     "MapsService/OptimiseMap": (of_map, False),
+    "MapsService/ImportMap": (of_map, False),
     "SceneService/ListObjects": (of_session, False),
     "SceneService/GetObject": (of_session, False),
     "SceneService/GetSceneGraph": (of_session, False),

@@ -93,6 +93,7 @@ GET_OCCUPANCY_GRID = Rpc(_M, "GetOccupancyGrid", maps.GetOccupancyGridRequest, m
 GET_CLOUD = Rpc(_M, "GetCloud", maps.GetCloudRequest, maps.GetCloudResponse)
 EXPORT_MAP = Rpc(_M, "ExportMap", maps.ExportMapRequest, maps.ExportMapResponse)
 LIST_LOOPS = Rpc(_M, "ListLoops", maps.ListLoopsRequest, maps.ListLoopsResponse)
+IMPORT_MAP = Rpc(_M, "ImportMap", maps.ImportMapRequest, maps.ImportMapResponse)
 OPTIMISE_MAP = Rpc(_M, "OptimiseMap", maps.OptimiseMapRequest, maps.OptimiseMapResponse)
 SET_LOOP_VETO = Rpc(_M, "SetLoopVeto", maps.SetLoopVetoRequest, maps.SetLoopVetoResponse)
 

@@ -28,9 +28,10 @@ from ._sender import FrameSender
 from .errors import DeadlineExceeded, FailedPrecondition, Internal, InvalidArgument, Unavailable, error_of
 from .types.frames import SensorFrame
 from .types.maps import MapCloud, OccupancyGrid
+from .types.poses import PoseEstimate
 from .types.scene import Object, SceneGraph
 from .types.sensors import SensorStatus
-from .types.sessions import PoseEstimate, SessionEvent
+from .types.sessions import SessionEvent
 from .v1 import error_pb2, map_pb2, scene_pb2, scene_service_pb2, sensors_service_pb2, session_pb2
 
 T = TypeVar("T")

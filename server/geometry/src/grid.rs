@@ -110,6 +110,14 @@ impl GridGeometry {
 /// Source: Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", 1987. Empty if an end
 /// is not finite or beyond the range of the indices.
 pub fn walk(geometry: &GridGeometry, a: &Point2<f64>, b: &Point2<f64>, mut visit: impl FnMut(Cell)) {
+    walk_while(geometry, a, b, |cell| {
+        visit(cell);
+        true
+    });
+}
+
+/// Cells as [`walk`] visits them, up to the first for which `visit` returns false.
+pub fn walk_while(geometry: &GridGeometry, a: &Point2<f64>, b: &Point2<f64>, mut visit: impl FnMut(Cell) -> bool) {
     let (Some(start), Some(end)) = (geometry.cell(a), geometry.cell(b)) else { return };
     let direction = b - a;
     let axis = |p: f64, origin: f64, d: f64, cell: i32| {
@@ -124,7 +132,9 @@ pub fn walk(geometry: &GridGeometry, a: &Point2<f64>, b: &Point2<f64>, mut visit
     let (step_x, step_y) = (if direction.x > 0.0 { 1 } else { -1 }, if direction.y > 0.0 { 1 } else { -1 });
     let (mut left_x, mut left_y) = (start.x.abs_diff(end.x), start.y.abs_diff(end.y));
     let mut cell = start;
-    visit(cell);
+    if !visit(cell) {
+        return;
+    }
     // Counting the steps down ends exactly in the cell of `b`, whatever the rounding of t.
     while left_x + left_y > 0 {
         if left_y == 0 || (left_x > 0 && t_x < t_y) {
@@ -136,7 +146,9 @@ pub fn walk(geometry: &GridGeometry, a: &Point2<f64>, b: &Point2<f64>, mut visit
             t_y += dt_y;
             left_y -= 1;
         }
-        visit(cell);
+        if !visit(cell) {
+            return;
+        }
     }
 }
 

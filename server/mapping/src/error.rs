@@ -51,6 +51,9 @@ pub enum MappingError {
     /// A point is not finite, or so far out that no cell there has a number.
     #[error("point is not finite, or farther out than cells have numbers")]
     PointTooFar,
+    /// A map that was given shows no place from which it could be looked at.
+    #[error("nothing of the map is known to be free: there is no place to look at it from")]
+    NothingFree,
     /// A dense grid of this size was asked for.
     #[error("region of {cells} cells is larger than the limit of {limit}")]
     RegionTooLarge {

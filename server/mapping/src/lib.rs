@@ -13,6 +13,7 @@ pub mod cloud;
 mod composed;
 pub mod distance;
 mod error;
+pub mod given;
 mod ground;
 pub mod height;
 mod layer;

@@ -25,6 +25,6 @@ pub use lookup::{LookupError, PoseAt};
 pub use map_graph::{MapChange, NewKeyframe};
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SecondSensorParams, SlamParams};
 pub use percept_slam::{ImuFault, Loop, LoopId, LoopState};
-pub use pipeline::{FrameReport, Pipeline, may_change};
+pub use pipeline::{FrameReport, NotEmpty, Pipeline, may_change};
 pub use restored::{Restored, RestoredContent, RestoredKeyframe};
 pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, SessionMemory, Snapshot, TrajectoryEntry};

@@ -1,5 +1,6 @@
 //! One robot's front end, map graph and scene, and the path of a frame through them.
 
+mod given;
 mod report;
 mod restore;
 mod revise;
@@ -7,6 +8,7 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
+pub use given::NotEmpty;
 pub use report::FrameReport;
 pub use settings::may_change;
 
@@ -33,6 +35,8 @@ pub struct Pipeline {
     scene: Scene,
     /// Where the robot is now.
     pose: Option<PoseEstimate>,
+    /// Where the robot starts in a map that was given, base to map, if that was told; until it does.
+    start: Option<Pose>,
     /// As counted at the newest keyframe; the map counts itself.
     memory: SessionMemory,
 }
@@ -49,6 +53,7 @@ impl Pipeline {
             map_graph: MapGraph::new(&params)?,
             scene: Scene::new(&params)?,
             pose: None,
+            start: None,
             memory: SessionMemory::default(),
             params: Arc::new(params),
         })
@@ -84,6 +89,9 @@ impl Pipeline {
         let (stamp, sensor) = (view.stamp, &view.spec.id);
         if view.has_taken_over {
             self.frontend.hand_over(view, &self.map_graph.recent_keyframes(sensor));
+        }
+        if self.pose.is_none() {
+            self.come_into_given(view);
         }
         let is_mapped = |t_odom_base: &Pose| self.map_graph.is_mapped(sensor, t_odom_base);
         let Registered { mut estimate, kind, led_by, moved } = self.frontend.register(view, is_mapped);

@@ -30,6 +30,7 @@ pub use ops::evaluation::{self, TrajectoryComparison};
 pub use ops::fleet::{FleetFilter, FleetGroup, FleetWatch};
 pub use ops::layers;
 pub use ops::map_files::{self, MapFile, MapFormat};
+pub use ops::map_import::{GivenMap, ImportOptions, ImportedMap};
 pub use ops::maps::{self, CloudAnswer, GridAnswer, MapSummary};
 pub use ops::navigation::{self, Navigation, PathCheck, PathOptions, Plan, PlanRequest};
 pub use ops::operations::{HowFar, NewOperation, Operation, OperationKind, OperationList, OperationState, Progress};
@@ -39,9 +40,11 @@ pub use ops::server::{About, ServerInfo};
 pub use ops::sessions::{NewSession, Page, SessionDescription, SessionList, SessionOrder, SessionOrderKey};
 pub use ops::toolbox;
 pub use ops::transforms::{Moving, TrajectoryRequest, Transform};
+pub use ops::zones::SessionZone;
 pub use percept_identity::Pattern;
 pub use session::command::{Moved, Pending, Processed, Ticket, Vetoed};
-pub use session::events::{Event, EventKind, EventLog};
+pub use session::event::{Event, EventKind};
+pub use session::events::EventLog;
 pub use session::fault::Fault;
 pub use session::fleet::{FleetEvent, FleetKind, FleetLog};
 pub use session::handle::Session;
@@ -51,7 +54,7 @@ pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, Sessi
 pub use session::persist::Durable;
 pub use session::records::Counts;
 pub use session::sensor_book::{NoPose, SensorStatus};
-pub use session::slot::SessionState;
+pub use session::state::SessionState;
 pub use session::verdict::{StreamTrouble, Verdict};
 
 use percept_geometry::SensorFrame;
@@ -95,7 +98,8 @@ impl Service {
     ) -> Result<Self> {
         ops::server::started();
         let (limits, health) = (Arc::new(limits), Health::starting());
-        let registry = Registry::open(data, compute.clone(), Arc::clone(&limits), defaults, health.clone()).await?;
+        let registry =
+            session::open::open(data, compute.clone(), Arc::clone(&limits), defaults, health.clone()).await?;
         let kept = toolbox::KeptClouds::open(&limits, Arc::clone(compute.admission()));
         let operations = ops::operations::Operations::open(&limits);
         let (faults, about) = (Arc::default(), Arc::default());

@@ -7,20 +7,10 @@ from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
 from .._convert import navigation, sensors, sessions
 from .._sender import FrameSender
 from ..types.frames import SensorFrame
-from ..types.navigation import Misfit, Navigation, NoPath, Path, PathOptions
+from ..types.navigation import Misfit, Navigation, NoPath, Path, PathOptions, Zone
+from ..types.poses import FrameResult, PoseAt, PoseEstimate, Transform
 from ..types.sensors import SensorSpec
-from ..types.sessions import (
-    FleetEventKind,
-    FrameResult,
-    Keyframe,
-    PoseAt,
-    PoseEstimate,
-    SessionInfo,
-    SessionMode,
-    SessionState,
-    Trajectory,
-    Transform,
-)
+from ..types.sessions import FleetEventKind, Keyframe, SessionInfo, SessionMode, SessionState, Trajectory
 from .bound import AsyncBound, AsyncSessionBound
 from .layers import AsyncSpace
 from .maps import AsyncMaps
@@ -72,13 +62,15 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         display_name: str | None = None,
         labels: Mapping[str, str] | None = None,
         params: Mapping[str, object] | None = None,
+        zones: Sequence[Zone] | None = None,
         etag: str = "",
     ) -> SessionInfo:
-        """Changes what is given, in force and durable when it returns: all labels, and of the parameters
+        """Changes what is given, in force and durable when it returns: all labels, all zones (which every
+        path through the session's map keeps to from then on), and of the parameters
         those that are named, nested as default_params(); None puts one back to its default. What is fixed
         with the creation is refused (FIELD_IMMUTABLE). With an `etag` (of `info()`), raises Aborted if the
         session was changed since."""
-        call = sessions.update(self.session_id, display_name, labels, params, etag)
+        call = sessions.update(self.session_id, display_name, labels, params, zones, etag)
         return await self._transport.call(call)
 
     async def delete(self) -> None:

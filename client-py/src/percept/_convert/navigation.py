@@ -87,11 +87,18 @@ def _corners(field: str, points: Sequence[Sequence[float]]) -> list[geometry_pb2
     return [geometry.vector2_to(field, p) for p in points]
 
 
-def _zone(zone: Zone) -> path_pb2.Zone:
+def zone_to(zone: Zone) -> path_pb2.Zone:
+    """A zone as a message."""
     polygon = _corners("zones.polygon", zone.polygon)
     if zone.speed_share is None:
-        return path_pb2.Zone(polygon=polygon, keep_out=True)
-    return path_pb2.Zone(polygon=polygon, speed_share=zone.speed_share)
+        return path_pb2.Zone(polygon=polygon, keep_out=True, name=zone.name)
+    return path_pb2.Zone(polygon=polygon, speed_share=zone.speed_share, name=zone.name)
+
+
+def zone(message: path_pb2.Zone) -> Zone:
+    """A zone of a message."""
+    share = message.speed_share if message.WhichOneof("kind") == "speed_share" else None
+    return Zone(polygon=[(p.x, p.y) for p in message.polygon], speed_share=share, name=message.name)
 
 
 def options_to(options: PathOptions | None) -> path_pb2.PathOptions | None:
@@ -104,10 +111,11 @@ def options_to(options: PathOptions | None) -> path_pb2.PathOptions | None:
         start_yaw_rad=options.start_yaw_rad,
         goal_yaw_rad=options.goal_yaw_rad,
         footprint=_corners("footprint", options.footprint),
-        zones=[_zone(z) for z in options.zones],
+        zones=[zone_to(z) for z in options.zones],
         speed=None if speed is None else path_pb2.SpeedLimits(**dataclasses.asdict(speed)),
         steering=None if steering is None else path_pb2.SteeringOptions(**dataclasses.asdict(steering)),
         deadline_ms=options.deadline_ms,
+        ignore_session_zones=options.ignore_session_zones,
     )
 
 

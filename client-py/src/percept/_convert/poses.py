@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from ..types.sensors import FrameAck, Rejection
-from ..types.sessions import (
+from ..types.poses import (
     FrameResult,
     LostReason,
     PoseAt,
@@ -14,6 +13,7 @@ from ..types.sessions import (
     Transform,
     WaitingFor,
 )
+from ..types.sensors import FrameAck, Rejection
 from ..v1 import error_pb2, session_pb2
 from . import geometry, words
 

@@ -20,6 +20,7 @@ from ..types.frames import (
     SensorFrame,
 )
 from ..types.geometry import CameraIntrinsics, Pose
+from ..types.poses import FrameResult
 from ..types.sensors import (
     ClockOffset,
     OverloadPolicy,
@@ -30,7 +31,6 @@ from ..types.sensors import (
     StreamTroubleKind,
     StreamVerdict,
 )
-from ..types.sessions import FrameResult
 from ..v1 import geometry_pb2, sensor_pb2, sensors_service_pb2
 from . import geometry, poses, words
 

@@ -10,6 +10,8 @@ import numpy as np
 from .. import _rpc
 from .._call import Call, ChunkedCall, PagedCall
 from ..errors import InvalidArgument
+from ..types.navigation import Zone
+from ..types.poses import PoseAt, PoseEstimate, Scale, TrackingState, Transform
 from ..types.sensors import SensorSpec
 from ..types.sessions import (
     AnyEvent,
@@ -19,10 +21,7 @@ from ..types.sessions import (
     Keyframe,
     LifeStep,
     MapChanged,
-    PoseAt,
-    PoseEstimate,
     Resync,
-    Scale,
     SessionEvent,
     SessionFault,
     SessionInfo,
@@ -30,13 +29,11 @@ from ..types.sessions import (
     SessionMode,
     SessionState,
     SessionUpdated,
-    TrackingState,
     Trajectory,
-    Transform,
 )
 from ..v1 import error_pb2, params_pb2, session_pb2
 from ..v1 import sessions_service_pb2 as service
-from . import geometry, maps, poses, scene, sensors, words
+from . import geometry, maps, navigation, poses, scene, sensors, words
 
 
 def session_info(message: session_pb2.Session) -> SessionInfo:
@@ -60,6 +57,7 @@ def session_info(message: session_pb2.Session) -> SessionInfo:
         tenant=message.tenant,
         labels=dict(message.labels),
         etag=message.etag,
+        zones=tuple(navigation.zone(z) for z in message.zones),
     )
 
 
@@ -178,6 +176,7 @@ def update(
     display_name: str | None,
     labels: Mapping[str, str] | None,
     params: Mapping[str, object] | None,
+    zones: Sequence[Zone] | None,
     etag: str,
 ) -> Call[service.UpdateSessionRequest, service.UpdateSessionResponse, SessionInfo]:
     request = service.UpdateSessionRequest(etag=etag)
@@ -189,12 +188,15 @@ def update(
     if labels is not None:
         changed.labels.update(labels)
         paths.append("labels")
+    if zones is not None:
+        changed.zones.extend(navigation.zone_to(z) for z in zones)
+        paths.append("zones")
     if params is not None:
         given, named = words.set_leaves(params)
         changed.params.CopyFrom(words.message_of("params", params_pb2.PipelineParams, given))
         paths.extend(f"params.{path}" for path in named)
     if not paths:
-        message = "nothing is to change; give display_name, labels or params"
+        message = "nothing is to change; give display_name, labels, zones or params"
         raise InvalidArgument(message, reason="FIELD_MISSING", field="update_mask")
     return Call(_rpc.UPDATE_SESSION, request, lambda a: session_info(a.session))
 

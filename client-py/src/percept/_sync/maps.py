@@ -8,13 +8,18 @@ import os
 import pathlib
 from collections.abc import Iterator, Sequence
 
+from .._arrays import Array
+from .._convert import map_import as convert_import
 from .._convert import maps as convert
+from .._convert.map_import import Importable
+from ..types.geometry import Pose
 from ..types.maps import (
     Loop,
     LoopVeto,
     MapCloud,
     MapFile,
     MapFormat,
+    MapImported,
     MapOptimised,
     MapSummary,
     OccupancyGrid,
@@ -70,6 +75,26 @@ class Maps(SessionBound):
         Corrections of millimetres wait for more while frames come in.
         """
         return self._transport.call(convert.optimise(self.session_id))
+
+    def import_map(
+        self,
+        given: Importable,
+        *,
+        start: Pose | Array | None = None,
+        sensor_height_m: float | None = None,
+        voxel_size_m: float | None = None,
+    ) -> MapImported:
+        """Begins this session, which must be empty, with a map that comes from elsewhere.
+
+        given: cells (`OccupancyGrid`, `GridMap`), points (a cloud, a handle, another session's), or a file:
+        nav2's yaml with its image beside it, OctoMap's .bt or .ot, a cloud (PLY, PCD, LAS, ...), z up.
+        Declare the robot's sensors first: a planar lidar is found in a floor plan, a 3D one in voxels and
+        points. start: base to map, a pose or its (4, 4) matrix, where that is known; a robot with another
+        sensor needs it. sensor_height_m: above the ground, as declared if left out. voxel_size_m: of the
+        voxels by which points hide each other, 0.1 if left out.
+        """
+        call = convert_import.import_map(self.session_id, given, start, sensor_height_m, voxel_size_m)
+        return self._transport.call(call)
 
     def export(self, file_format: MapFormat | str, *, path: str | os.PathLike[str] | None = None) -> MapFile:
         """The map as a file, checksum compared; with `path` (file or folder) it is written there."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from ._value import Name, Value
 from .geometry import Floats, PointCloud, Pose
+from .sensors import SensorKind
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -71,6 +72,22 @@ class MapOptimised(Value):
     num_keyframes_moved: int
     #: Of the map with it.
     map_version: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapImported(Value):
+    """What became of a map that was given."""
+
+    #: Views that it was made into.
+    num_keyframes: int
+    #: Share of its occupied cells, or of its points, that they show, 0 to 1; inside of walls nothing is seen.
+    occupied_share: float
+    #: Share of its free cells that they show, 0 to 1.
+    free_share: float
+    #: Of the map with it.
+    map_version: int
+    #: The kind of sensor that is found in it: of a robot with another one, tell where it starts.
+    found_by: SensorKind
 
 
 @dataclass(frozen=True, eq=False, repr=False)

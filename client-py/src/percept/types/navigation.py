@@ -11,8 +11,8 @@ import numpy.typing as npt
 from ._value import Name, Value
 from .geometry import Floats
 from .maps import MapStamp
+from .poses import FrameResult, PoseEstimate
 from .scene import Object
-from .sessions import FrameResult, PoseEstimate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -48,6 +48,8 @@ class Zone(Value):
     polygon: Sequence[Sequence[float]]
     #: Above 0 and at most 1; None: no part of the robot may enter.
     speed_share: float | None = None
+    #: For people, of zones that are stored with a session.
+    name: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -95,6 +97,8 @@ class PathOptions(Value):
     steering: Steering | None = None
     #: HYBRID ends with the best path so far after so many milliseconds; 0: when it is done.
     deadline_ms: int = 0
+    #: True: the zones that are stored with the session do not count.
+    ignore_session_zones: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

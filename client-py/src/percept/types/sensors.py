@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from ._value import Name, Value
 from .geometry import CameraIntrinsics, Pose
-from .sessions import FrameResult
+from .poses import FrameResult
 
 
 class SensorKind(Name):

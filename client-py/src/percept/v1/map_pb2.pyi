@@ -449,3 +449,55 @@ class FileHeader(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___FileHeader: _TypeAlias = FileHeader  # noqa: Y015
+
+@_typing.final
+class GridMap(_message.Message):
+    """Occupancy as nav_msgs/OccupancyGrid has it."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    GEOMETRY_FIELD_NUMBER: _builtins.int
+    CELLS_FIELD_NUMBER: _builtins.int
+    cells: _builtins.bytes
+    """height * width int8, row 0 at the smallest y: -1 unknown, 0 to 100 percent occupied."""
+    @_builtins.property
+    def geometry(self) -> Global___GridGeometry: ...
+    def __init__(
+        self,
+        *,
+        geometry: Global___GridGeometry | None = ...,
+        cells: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["geometry", b"geometry"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cells", b"cells", "geometry", b"geometry"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___GridMap: _TypeAlias = GridMap  # noqa: Y015
+
+@_typing.final
+class Nav2Map(_message.Message):
+    """The two files of nav2's map server."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    YAML_FIELD_NUMBER: _builtins.int
+    IMAGE_FIELD_NUMBER: _builtins.int
+    yaml: _builtins.bytes
+    """The description; the image that it names is the one sent here."""
+    image: _builtins.bytes
+    """PGM or PNG."""
+    def __init__(
+        self,
+        *,
+        yaml: _builtins.bytes = ...,
+        image: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["image", b"image", "yaml", b"yaml"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Nav2Map: _TypeAlias = Nav2Map  # noqa: Y015

@@ -9,6 +9,8 @@ from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
 from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import map_pb2 as _map_pb2
+from percept.v1 import sensor_pb2 as _sensor_pb2
+from percept.v1 import toolbox_pb2 as _toolbox_pb2
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -19,6 +21,105 @@ else:
     from typing_extensions import TypeAlias as _TypeAlias, Never as _Never
 
 DESCRIPTOR: _descriptor.FileDescriptor
+
+@_typing.final
+class ImportMapRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    GRID_FIELD_NUMBER: _builtins.int
+    NAV2_FIELD_NUMBER: _builtins.int
+    OCTOMAP_FIELD_NUMBER: _builtins.int
+    CLOUD_FIELD_NUMBER: _builtins.int
+    START_FIELD_NUMBER: _builtins.int
+    SENSOR_HEIGHT_M_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    octomap: _builtins.bytes
+    """A .bt or .ot file. Seen as by a lidar in space."""
+    sensor_height_m: _builtins.float
+    """Height of the sensor above the ground, metres. 0: as the sensors that are declared, else 0.3 for a planar lidar, 1 for others."""
+    voxel_size_m: _builtins.float
+    """Edge of the voxels by which points hide each other, metres. 0: 0.1."""
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def grid(self) -> _map_pb2.GridMap:
+        """Seen as by a planar lidar: 65 percent and more is occupied, up to 25 is free."""
+
+    @_builtins.property
+    def nav2(self) -> _map_pb2.Nav2Map:
+        """The same from files."""
+
+    @_builtins.property
+    def cloud(self) -> _toolbox_pb2.CloudSource:
+        """Points, z up; seen as by a lidar in space, from the ground that they show."""
+
+    @_builtins.property
+    def start(self) -> _geometry_pb2.Pose:
+        """Base to map, where the robot starts, if that is known: else it is looked for."""
+
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        grid: _map_pb2.GridMap | None = ...,
+        nav2: _map_pb2.Nav2Map | None = ...,
+        octomap: _builtins.bytes = ...,
+        cloud: _toolbox_pb2.CloudSource | None = ...,
+        start: _geometry_pb2.Pose | None = ...,
+        sensor_height_m: _builtins.float = ...,
+        voxel_size_m: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "cloud", b"cloud", "grid", b"grid", "map", b"map", "nav2", b"nav2", "octomap", b"octomap", "source", b"source", "start", b"start"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "cloud", b"cloud", "grid", b"grid", "map", b"map", "nav2", b"nav2", "octomap", b"octomap", "sensor_height_m", b"sensor_height_m", "source", b"source", "start", b"start", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__start: _TypeAlias = _typing.Literal["start"]  # noqa: Y015
+    _WhichOneofArgType__start: _TypeAlias = _typing.Literal["_start", b"_start"]  # noqa: Y015
+    _WhichOneofReturnType_map: _TypeAlias = _typing.Literal["grid", "nav2", "octomap", "cloud"]  # noqa: Y015
+    _WhichOneofArgType_map: _TypeAlias = _typing.Literal["map", b"map"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__start) -> _WhichOneofReturnType__start | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_map) -> _WhichOneofReturnType_map | None: ...
+
+Global___ImportMapRequest: _TypeAlias = ImportMapRequest  # noqa: Y015
+
+@_typing.final
+class ImportMapResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NUM_KEYFRAMES_FIELD_NUMBER: _builtins.int
+    OCCUPIED_SHARE_FIELD_NUMBER: _builtins.int
+    FREE_SHARE_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    FOUND_BY_FIELD_NUMBER: _builtins.int
+    num_keyframes: _builtins.int
+    """Views that the map was made into."""
+    occupied_share: _builtins.float
+    """Share of what is occupied that they show, 0 to 1; what lies inside of walls is not seen."""
+    free_share: _builtins.float
+    """Share of what is free that they show, 0 to 1."""
+    map_version: _builtins.int
+    """Of the map with it."""
+    found_by: _sensor_pb2.SensorKind.ValueType
+    """The kind of sensor that is found in it."""
+    def __init__(
+        self,
+        *,
+        num_keyframes: _builtins.int = ...,
+        occupied_share: _builtins.float = ...,
+        free_share: _builtins.float = ...,
+        map_version: _builtins.int = ...,
+        found_by: _sensor_pb2.SensorKind.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["found_by", b"found_by", "free_share", b"free_share", "map_version", b"map_version", "num_keyframes", b"num_keyframes", "occupied_share", b"occupied_share"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ImportMapResponse: _TypeAlias = ImportMapResponse  # noqa: Y015
 
 @_typing.final
 class OptimiseMapRequest(_message.Message):

@@ -15,37 +15,37 @@ _sym_db = _symbol_database.Default()
 from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x15percept/v1/path.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\"\xe3\x02\n\x0bPathOptions\x12$\n\x07planner\x18\x01 \x01(\x0e\x32\x13.percept.v1.Planner\x12\x1a\n\rstart_yaw_rad\x18\x02 \x01(\x01H\x00\x88\x01\x01\x12\x19\n\x0cgoal_yaw_rad\x18\x03 \x01(\x01H\x01\x88\x01\x01\x12&\n\tfootprint\x18\x04 \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x1f\n\x05zones\x18\x05 \x03(\x0b\x32\x10.percept.v1.Zone\x12+\n\x05speed\x18\x06 \x01(\x0b\x32\x17.percept.v1.SpeedLimitsH\x02\x88\x01\x01\x12\x32\n\x08steering\x18\x07 \x01(\x0b\x32\x1b.percept.v1.SteeringOptionsH\x03\x88\x01\x01\x12\x13\n\x0b\x64\x65\x61\x64line_ms\x18\x08 \x01(\rB\x10\n\x0e_start_yaw_radB\x0f\n\r_goal_yaw_radB\x08\n\x06_speedB\x0b\n\t_steering\"_\n\x04Zone\x12$\n\x07polygon\x18\x01 \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x12\n\x08keep_out\x18\x02 \x01(\x08H\x00\x12\x15\n\x0bspeed_share\x18\x03 \x01(\x01H\x00\x42\x06\n\x04kind\"Y\n\x0bSpeedLimits\x12\x15\n\rmax_speed_mps\x18\x01 \x01(\x01\x12\x16\n\x0emax_accel_mps2\x18\x02 \x01(\x01\x12\x1b\n\x13max_turn_rate_radps\x18\x03 \x01(\x01\"\xb3\x02\n\x0fSteeringOptions\x12\x1d\n\x10turning_radius_m\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\rallow_reverse\x18\x02 \x01(\x08H\x01\x88\x01\x01\x12\x19\n\x0creverse_cost\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12$\n\x17\x64irection_change_cost_m\x18\x04 \x01(\x01H\x03\x88\x01\x01\x12\x19\n\x0cturning_cost\x18\x05 \x01(\x01H\x04\x88\x01\x01\x12\x16\n\ttolerance\x18\x06 \x01(\x01H\x05\x88\x01\x01\x42\x13\n\x11_turning_radius_mB\x10\n\x0e_allow_reverseB\x0f\n\r_reverse_costB\x1a\n\x18_direction_change_cost_mB\x0f\n\r_turning_costB\x0c\n\n_tolerance\"\x83\x01\n\x08Waypoint\x12\x0b\n\x03x_m\x18\x01 \x01(\x01\x12\x0b\n\x03y_m\x18\x02 \x01(\x01\x12\x0f\n\x07yaw_rad\x18\x03 \x01(\x01\x12\x12\n\nis_reverse\x18\x04 \x01(\x08\x12\x18\n\x0b\x63learance_m\x18\x05 \x01(\x01H\x00\x88\x01\x01\x12\x0e\n\x06time_s\x18\x06 \x01(\x01\x42\x0e\n\x0c_clearance_m\"\xf4\x01\n\x04Path\x12\'\n\twaypoints\x18\x01 \x03(\x0b\x32\x14.percept.v1.Waypoint\x12\x10\n\x08length_m\x18\x02 \x01(\x01\x12\x0c\n\x04\x63ost\x18\x03 \x01(\x01\x12\x1c\n\x0fmin_clearance_m\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x16\n\x0e\x63learance_cost\x18\x05 \x01(\x01\x12\x15\n\rsteering_cost\x18\x06 \x01(\x01\x12\x12\n\nduration_s\x18\x07 \x01(\x01\x12\x12\n\x05\x62ound\x18\x08 \x01(\x01H\x01\x88\x01\x01\x12\x10\n\x08is_final\x18\t \x01(\x08\x42\x12\n\x10_min_clearance_mB\x08\n\x06_bound\"\xa8\x01\n\x08\x42locking\x12%\n\x08position\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector2\x12%\n\x08obstacle\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12(\n\x05state\x18\x03 \x01(\x0e\x32\x19.percept.v1.BlockingState\x12\x16\n\tobject_id\x18\x04 \x01(\x04H\x00\x88\x01\x01\x42\x0c\n\n_object_id\"|\n\x06NoPath\x12(\n\x06reason\x18\x01 \x01(\x0e\x32\x18.percept.v1.NoPathReason\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12+\n\x08\x62locking\x18\x03 \x01(\x0b\x32\x14.percept.v1.BlockingH\x00\x88\x01\x01\x42\x0b\n\t_blocking\"\xa1\x01\n\x06Misfit\x12\x12\n\npose_index\x18\x01 \x01(\r\x12\x1f\n\x04pose\x18\x02 \x01(\x0b\x32\x11.percept.v1.Pose2\x12(\n\x06reason\x18\x03 \x01(\x0e\x32\x18.percept.v1.MisfitReason\x12+\n\x08\x62locking\x18\x04 \x01(\x0b\x32\x14.percept.v1.BlockingH\x00\x88\x01\x01\x42\x0b\n\t_blocking*\xb2\x04\n\x0cNoPathReason\x12\x1e\n\x1aNO_PATH_REASON_UNSPECIFIED\x10\x00\x12$\n NO_PATH_REASON_START_OUTSIDE_MAP\x10\x01\x12!\n\x1dNO_PATH_REASON_START_OCCUPIED\x10\x02\x12 \n\x1cNO_PATH_REASON_START_UNKNOWN\x10\x03\x12#\n\x1fNO_PATH_REASON_GOAL_OUTSIDE_MAP\x10\x04\x12 \n\x1cNO_PATH_REASON_GOAL_OCCUPIED\x10\x05\x12\x1f\n\x1bNO_PATH_REASON_GOAL_UNKNOWN\x10\x06\x12\x1e\n\x1aNO_PATH_REASON_UNREACHABLE\x10\x07\x12\x1f\n\x1bNO_PATH_REASON_SEARCH_LIMIT\x10\x08\x12\x17\n\x13NO_PATH_REASON_LOST\x10\t\x12%\n!NO_PATH_REASON_START_DOES_NOT_FIT\x10\n\x12$\n NO_PATH_REASON_START_IN_KEEP_OUT\x10\x0b\x12$\n NO_PATH_REASON_GOAL_DOES_NOT_FIT\x10\x0c\x12#\n\x1fNO_PATH_REASON_GOAL_IN_KEEP_OUT\x10\r\x12 \n\x1cNO_PATH_REASON_NOT_STEERABLE\x10\x0e\x12\x1b\n\x17NO_PATH_REASON_DEADLINE\x10\x0f*_\n\x07Planner\x12\x17\n\x13PLANNER_UNSPECIFIED\x10\x00\x12\x10\n\x0cPLANNER_GRID\x10\x01\x12\x15\n\x11PLANNER_ANY_ANGLE\x10\x02\x12\x12\n\x0ePLANNER_HYBRID\x10\x03*\x85\x01\n\rBlockingState\x12\x1e\n\x1a\x42LOCKING_STATE_UNSPECIFIED\x10\x00\x12\x1b\n\x17\x42LOCKING_STATE_OCCUPIED\x10\x01\x12\x1a\n\x16\x42LOCKING_STATE_UNKNOWN\x10\x02\x12\x1b\n\x17\x42LOCKING_STATE_KEEP_OUT\x10\x03*\xa5\x01\n\x0cMisfitReason\x12\x1d\n\x19MISFIT_REASON_UNSPECIFIED\x10\x00\x12\x1d\n\x19MISFIT_REASON_OUTSIDE_MAP\x10\x01\x12\x19\n\x15MISFIT_REASON_BLOCKED\x10\x02\x12\x1f\n\x1bMISFIT_REASON_NOT_STEERABLE\x10\x03\x12\x1b\n\x17MISFIT_REASON_BACKWARDS\x10\x04\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x15percept/v1/path.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\"\x81\x03\n\x0bPathOptions\x12$\n\x07planner\x18\x01 \x01(\x0e\x32\x13.percept.v1.Planner\x12\x1a\n\rstart_yaw_rad\x18\x02 \x01(\x01H\x00\x88\x01\x01\x12\x19\n\x0cgoal_yaw_rad\x18\x03 \x01(\x01H\x01\x88\x01\x01\x12&\n\tfootprint\x18\x04 \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x1f\n\x05zones\x18\x05 \x03(\x0b\x32\x10.percept.v1.Zone\x12+\n\x05speed\x18\x06 \x01(\x0b\x32\x17.percept.v1.SpeedLimitsH\x02\x88\x01\x01\x12\x32\n\x08steering\x18\x07 \x01(\x0b\x32\x1b.percept.v1.SteeringOptionsH\x03\x88\x01\x01\x12\x13\n\x0b\x64\x65\x61\x64line_ms\x18\x08 \x01(\r\x12\x1c\n\x14ignore_session_zones\x18\t \x01(\x08\x42\x10\n\x0e_start_yaw_radB\x0f\n\r_goal_yaw_radB\x08\n\x06_speedB\x0b\n\t_steering\"m\n\x04Zone\x12$\n\x07polygon\x18\x01 \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x12\n\x08keep_out\x18\x02 \x01(\x08H\x00\x12\x15\n\x0bspeed_share\x18\x03 \x01(\x01H\x00\x12\x0c\n\x04name\x18\x04 \x01(\tB\x06\n\x04kind\"Y\n\x0bSpeedLimits\x12\x15\n\rmax_speed_mps\x18\x01 \x01(\x01\x12\x16\n\x0emax_accel_mps2\x18\x02 \x01(\x01\x12\x1b\n\x13max_turn_rate_radps\x18\x03 \x01(\x01\"\xb3\x02\n\x0fSteeringOptions\x12\x1d\n\x10turning_radius_m\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\rallow_reverse\x18\x02 \x01(\x08H\x01\x88\x01\x01\x12\x19\n\x0creverse_cost\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12$\n\x17\x64irection_change_cost_m\x18\x04 \x01(\x01H\x03\x88\x01\x01\x12\x19\n\x0cturning_cost\x18\x05 \x01(\x01H\x04\x88\x01\x01\x12\x16\n\ttolerance\x18\x06 \x01(\x01H\x05\x88\x01\x01\x42\x13\n\x11_turning_radius_mB\x10\n\x0e_allow_reverseB\x0f\n\r_reverse_costB\x1a\n\x18_direction_change_cost_mB\x0f\n\r_turning_costB\x0c\n\n_tolerance\"\x83\x01\n\x08Waypoint\x12\x0b\n\x03x_m\x18\x01 \x01(\x01\x12\x0b\n\x03y_m\x18\x02 \x01(\x01\x12\x0f\n\x07yaw_rad\x18\x03 \x01(\x01\x12\x12\n\nis_reverse\x18\x04 \x01(\x08\x12\x18\n\x0b\x63learance_m\x18\x05 \x01(\x01H\x00\x88\x01\x01\x12\x0e\n\x06time_s\x18\x06 \x01(\x01\x42\x0e\n\x0c_clearance_m\"\xf4\x01\n\x04Path\x12\'\n\twaypoints\x18\x01 \x03(\x0b\x32\x14.percept.v1.Waypoint\x12\x10\n\x08length_m\x18\x02 \x01(\x01\x12\x0c\n\x04\x63ost\x18\x03 \x01(\x01\x12\x1c\n\x0fmin_clearance_m\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x16\n\x0e\x63learance_cost\x18\x05 \x01(\x01\x12\x15\n\rsteering_cost\x18\x06 \x01(\x01\x12\x12\n\nduration_s\x18\x07 \x01(\x01\x12\x12\n\x05\x62ound\x18\x08 \x01(\x01H\x01\x88\x01\x01\x12\x10\n\x08is_final\x18\t \x01(\x08\x42\x12\n\x10_min_clearance_mB\x08\n\x06_bound\"\xa8\x01\n\x08\x42locking\x12%\n\x08position\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector2\x12%\n\x08obstacle\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12(\n\x05state\x18\x03 \x01(\x0e\x32\x19.percept.v1.BlockingState\x12\x16\n\tobject_id\x18\x04 \x01(\x04H\x00\x88\x01\x01\x42\x0c\n\n_object_id\"|\n\x06NoPath\x12(\n\x06reason\x18\x01 \x01(\x0e\x32\x18.percept.v1.NoPathReason\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12+\n\x08\x62locking\x18\x03 \x01(\x0b\x32\x14.percept.v1.BlockingH\x00\x88\x01\x01\x42\x0b\n\t_blocking\"\xa1\x01\n\x06Misfit\x12\x12\n\npose_index\x18\x01 \x01(\r\x12\x1f\n\x04pose\x18\x02 \x01(\x0b\x32\x11.percept.v1.Pose2\x12(\n\x06reason\x18\x03 \x01(\x0e\x32\x18.percept.v1.MisfitReason\x12+\n\x08\x62locking\x18\x04 \x01(\x0b\x32\x14.percept.v1.BlockingH\x00\x88\x01\x01\x42\x0b\n\t_blocking*\xb2\x04\n\x0cNoPathReason\x12\x1e\n\x1aNO_PATH_REASON_UNSPECIFIED\x10\x00\x12$\n NO_PATH_REASON_START_OUTSIDE_MAP\x10\x01\x12!\n\x1dNO_PATH_REASON_START_OCCUPIED\x10\x02\x12 \n\x1cNO_PATH_REASON_START_UNKNOWN\x10\x03\x12#\n\x1fNO_PATH_REASON_GOAL_OUTSIDE_MAP\x10\x04\x12 \n\x1cNO_PATH_REASON_GOAL_OCCUPIED\x10\x05\x12\x1f\n\x1bNO_PATH_REASON_GOAL_UNKNOWN\x10\x06\x12\x1e\n\x1aNO_PATH_REASON_UNREACHABLE\x10\x07\x12\x1f\n\x1bNO_PATH_REASON_SEARCH_LIMIT\x10\x08\x12\x17\n\x13NO_PATH_REASON_LOST\x10\t\x12%\n!NO_PATH_REASON_START_DOES_NOT_FIT\x10\n\x12$\n NO_PATH_REASON_START_IN_KEEP_OUT\x10\x0b\x12$\n NO_PATH_REASON_GOAL_DOES_NOT_FIT\x10\x0c\x12#\n\x1fNO_PATH_REASON_GOAL_IN_KEEP_OUT\x10\r\x12 \n\x1cNO_PATH_REASON_NOT_STEERABLE\x10\x0e\x12\x1b\n\x17NO_PATH_REASON_DEADLINE\x10\x0f*_\n\x07Planner\x12\x17\n\x13PLANNER_UNSPECIFIED\x10\x00\x12\x10\n\x0cPLANNER_GRID\x10\x01\x12\x15\n\x11PLANNER_ANY_ANGLE\x10\x02\x12\x12\n\x0ePLANNER_HYBRID\x10\x03*\x85\x01\n\rBlockingState\x12\x1e\n\x1a\x42LOCKING_STATE_UNSPECIFIED\x10\x00\x12\x1b\n\x17\x42LOCKING_STATE_OCCUPIED\x10\x01\x12\x1a\n\x16\x42LOCKING_STATE_UNKNOWN\x10\x02\x12\x1b\n\x17\x42LOCKING_STATE_KEEP_OUT\x10\x03*\xa5\x01\n\x0cMisfitReason\x12\x1d\n\x19MISFIT_REASON_UNSPECIFIED\x10\x00\x12\x1d\n\x19MISFIT_REASON_OUTSIDE_MAP\x10\x01\x12\x19\n\x15MISFIT_REASON_BLOCKED\x10\x02\x12\x1f\n\x1bMISFIT_REASON_NOT_STEERABLE\x10\x03\x12\x1b\n\x17MISFIT_REASON_BACKWARDS\x10\x04\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.path_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_NOPATHREASON']._serialized_start=1763
-  _globals['_NOPATHREASON']._serialized_end=2325
-  _globals['_PLANNER']._serialized_start=2327
-  _globals['_PLANNER']._serialized_end=2422
-  _globals['_BLOCKINGSTATE']._serialized_start=2425
-  _globals['_BLOCKINGSTATE']._serialized_end=2558
-  _globals['_MISFITREASON']._serialized_start=2561
-  _globals['_MISFITREASON']._serialized_end=2726
+  _globals['_NOPATHREASON']._serialized_start=1807
+  _globals['_NOPATHREASON']._serialized_end=2369
+  _globals['_PLANNER']._serialized_start=2371
+  _globals['_PLANNER']._serialized_end=2466
+  _globals['_BLOCKINGSTATE']._serialized_start=2469
+  _globals['_BLOCKINGSTATE']._serialized_end=2602
+  _globals['_MISFITREASON']._serialized_start=2605
+  _globals['_MISFITREASON']._serialized_end=2770
   _globals['_PATHOPTIONS']._serialized_start=65
-  _globals['_PATHOPTIONS']._serialized_end=420
-  _globals['_ZONE']._serialized_start=422
-  _globals['_ZONE']._serialized_end=517
-  _globals['_SPEEDLIMITS']._serialized_start=519
-  _globals['_SPEEDLIMITS']._serialized_end=608
-  _globals['_STEERINGOPTIONS']._serialized_start=611
-  _globals['_STEERINGOPTIONS']._serialized_end=918
-  _globals['_WAYPOINT']._serialized_start=921
-  _globals['_WAYPOINT']._serialized_end=1052
-  _globals['_PATH']._serialized_start=1055
-  _globals['_PATH']._serialized_end=1299
-  _globals['_BLOCKING']._serialized_start=1302
-  _globals['_BLOCKING']._serialized_end=1470
-  _globals['_NOPATH']._serialized_start=1472
-  _globals['_NOPATH']._serialized_end=1596
-  _globals['_MISFIT']._serialized_start=1599
-  _globals['_MISFIT']._serialized_end=1760
+  _globals['_PATHOPTIONS']._serialized_end=450
+  _globals['_ZONE']._serialized_start=452
+  _globals['_ZONE']._serialized_end=561
+  _globals['_SPEEDLIMITS']._serialized_start=563
+  _globals['_SPEEDLIMITS']._serialized_end=652
+  _globals['_STEERINGOPTIONS']._serialized_start=655
+  _globals['_STEERINGOPTIONS']._serialized_end=962
+  _globals['_WAYPOINT']._serialized_start=965
+  _globals['_WAYPOINT']._serialized_end=1096
+  _globals['_PATH']._serialized_start=1099
+  _globals['_PATH']._serialized_end=1343
+  _globals['_BLOCKING']._serialized_start=1346
+  _globals['_BLOCKING']._serialized_end=1514
+  _globals['_NOPATH']._serialized_start=1516
+  _globals['_NOPATH']._serialized_end=1640
+  _globals['_MISFIT']._serialized_start=1643
+  _globals['_MISFIT']._serialized_end=1804
 # @@protoc_insertion_point(module_scope)

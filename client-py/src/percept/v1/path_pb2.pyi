@@ -168,6 +168,7 @@ class PathOptions(_message.Message):
     SPEED_FIELD_NUMBER: _builtins.int
     STEERING_FIELD_NUMBER: _builtins.int
     DEADLINE_MS_FIELD_NUMBER: _builtins.int
+    IGNORE_SESSION_ZONES_FIELD_NUMBER: _builtins.int
     planner: Global___Planner.ValueType
     start_yaw_rad: _builtins.float
     """Heading to begin with, radians. Absent: the robot's where the path starts where it is, else 0. HYBRID only."""
@@ -175,6 +176,8 @@ class PathOptions(_message.Message):
     """Heading to end with, radians. Absent: any. HYBRID only."""
     deadline_ms: _builtins.int
     """HYBRID ends with the best path so far after so many milliseconds. 0: when it is done."""
+    ignore_session_zones: _builtins.bool
+    """True: the zones of the session do not count."""
     @_builtins.property
     def footprint(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector2]:
         """Corners of what the robot covers, in order, in base, metres; 3 to 64. Empty: a disc of params.robot_radius_m. By GRID and
@@ -183,7 +186,7 @@ class PathOptions(_message.Message):
 
     @_builtins.property
     def zones(self) -> _containers.RepeatedCompositeFieldContainer[Global___Zone]:
-        """At most 1000."""
+        """Besides those of the session; at most 1000."""
 
     @_builtins.property
     def speed(self) -> Global___SpeedLimits:
@@ -204,10 +207,11 @@ class PathOptions(_message.Message):
         speed: Global___SpeedLimits | None = ...,
         steering: Global___SteeringOptions | None = ...,
         deadline_ms: _builtins.int = ...,
+        ignore_session_zones: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "goal_yaw_rad", b"goal_yaw_rad", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "deadline_ms", b"deadline_ms", "footprint", b"footprint", "goal_yaw_rad", b"goal_yaw_rad", "planner", b"planner", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering", "zones", b"zones"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "deadline_ms", b"deadline_ms", "footprint", b"footprint", "goal_yaw_rad", b"goal_yaw_rad", "ignore_session_zones", b"ignore_session_zones", "planner", b"planner", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering", "zones", b"zones"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__goal_yaw_rad: _TypeAlias = _typing.Literal["goal_yaw_rad"]  # noqa: Y015
     _WhichOneofArgType__goal_yaw_rad: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad"]  # noqa: Y015
@@ -237,10 +241,13 @@ class Zone(_message.Message):
     POLYGON_FIELD_NUMBER: _builtins.int
     KEEP_OUT_FIELD_NUMBER: _builtins.int
     SPEED_SHARE_FIELD_NUMBER: _builtins.int
+    NAME_FIELD_NUMBER: _builtins.int
     keep_out: _builtins.bool
     """True: no part of the robot may enter."""
     speed_share: _builtins.float
     """The base drives no faster than this share of max_speed_mps, above 0 and at most 1."""
+    name: _builtins.str
+    """For people: up to 64 characters. Of zones that are stored."""
     @_builtins.property
     def polygon(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector2]:
         """Corners in order, map frame, metres; 3 to 1000."""
@@ -251,10 +258,11 @@ class Zone(_message.Message):
         polygon: _abc.Iterable[_geometry_pb2.Vector2] | None = ...,
         keep_out: _builtins.bool = ...,
         speed_share: _builtins.float = ...,
+        name: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["keep_out", b"keep_out", "kind", b"kind", "speed_share", b"speed_share"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["keep_out", b"keep_out", "kind", b"kind", "polygon", b"polygon", "speed_share", b"speed_share"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["keep_out", b"keep_out", "kind", b"kind", "name", b"name", "polygon", b"polygon", "speed_share", b"speed_share"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType_kind: _TypeAlias = _typing.Literal["keep_out", "speed_share"]  # noqa: Y015
     _WhichOneofArgType_kind: _TypeAlias = _typing.Literal["kind", b"kind"]  # noqa: Y015

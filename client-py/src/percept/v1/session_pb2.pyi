@@ -13,6 +13,7 @@ from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import map_pb2 as _map_pb2
 from percept.v1 import object_pb2 as _object_pb2
 from percept.v1 import params_pb2 as _params_pb2
+from percept.v1 import path_pb2 as _path_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
 import builtins as _builtins
 import sys
@@ -562,6 +563,7 @@ class Session(_message.Message):
     TENANT_FIELD_NUMBER: _builtins.int
     LABELS_FIELD_NUMBER: _builtins.int
     ETAG_FIELD_NUMBER: _builtins.int
+    ZONES_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     """1 to 64 characters of a-z A-Z 0-9 _ -."""
     display_name: _builtins.str
@@ -584,7 +586,7 @@ class Session(_message.Message):
     tenant: _builtins.str
     """Whose it is."""
     etag: _builtins.str
-    """Names this state of what callers set: display_name, labels, params and the sensors' declarations. Frames do not change
+    """Names this state of what callers set: display_name, labels, zones, params and the sensors' declarations. Frames do not change
     it. Opaque; give it to UpdateSession to change what you have seen and nothing newer.
     """
     @_builtins.property
@@ -609,6 +611,10 @@ class Session(_message.Message):
         a-z A-Z 0-9 _ - . :
         """
 
+    @_builtins.property
+    def zones(self) -> _containers.RepeatedCompositeFieldContainer[_path_pb2.Zone]:
+        """Areas that every path through the session's map keeps to; at most 1000. Absent in lists, and while the session is read only."""
+
     def __init__(
         self,
         *,
@@ -630,10 +636,11 @@ class Session(_message.Message):
         tenant: _builtins.str = ...,
         labels: _abc.Mapping[_builtins.str, _builtins.str] | None = ...,
         etag: _builtins.str = ...,
+        zones: _abc.Iterable[_path_pb2.Zone] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "fault", b"fault", "last_stamp_ns", b"last_stamp_ns", "params", b"params", "pose", b"pose"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "etag", b"etag", "fault", b"fault", "labels", b"labels", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "tenant", b"tenant"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "etag", b"etag", "fault", b"fault", "labels", b"labels", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "tenant", b"tenant", "zones", b"zones"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__fault: _TypeAlias = _typing.Literal["fault"]  # noqa: Y015
     _WhichOneofArgType__fault: _TypeAlias = _typing.Literal["_fault", b"_fault"]  # noqa: Y015

@@ -235,7 +235,7 @@ class UpdateSessionRequest(_message.Message):
 
     @_builtins.property
     def update_mask(self) -> _field_mask_pb2.FieldMask:
-        """Paths in Session: display_name, labels (all of them), params or what is below it, e.g. params.planning.robot_radius_m. What
+        """Paths in Session: display_name, labels (all of them), zones (all of them), params or what is below it, e.g. params.planning.robot_radius_m. What
         is named and not set becomes empty, a parameter its default. Without a mask all that is set in `session` changes.
         """
 

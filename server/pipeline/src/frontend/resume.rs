@@ -1,6 +1,6 @@
 //! The front end goes on from what was stored.
 
-use super::{Frontend, Tracking};
+use super::{Frontend, Tracking, View};
 use percept_geometry::{KeyframeScan, Pose, SensorId, SensorKind, Timestamp};
 use percept_slam::{Odometry, OdometryKind};
 use std::sync::Arc;
@@ -29,6 +29,21 @@ impl Frontend {
         self.is_metric = kind != OdometryKind::Mono;
         self.sensors.set_pose_sensor(sensor.clone());
         Some(kind)
+    }
+
+    /// The robot is somewhere in a map that was there before it: it is lost until it is found.
+    pub(crate) fn wait_to_be_found(&mut self) {
+        self.tracking = Tracking::lost_in_given();
+    }
+
+    /// Begins at a pose that was told, with what the sensor is to see there as the local model, if anything: else the pose is believed.
+    pub(crate) fn start_at(&mut self, view: &View, t_odom_base: &Pose, near: &[(Pose, Arc<KeyframeScan>)]) {
+        let mut odometry = Odometry::new(view.kind(), self.params.odometry.clone());
+        odometry.seed(t_odom_base, near, view.stamp);
+        self.odometry = Some(odometry);
+        if near.is_empty() {
+            self.tracking = Tracking::Initialising;
+        }
     }
 }
 

@@ -52,6 +52,11 @@ impl Tracking {
         Self::Anchored { last: AnchoredFrame { t_odom_base, stamp } }
     }
 
+    /// Before the first frame of a robot that comes into a map which was there before it.
+    pub(crate) fn lost_in_given() -> Self {
+        Self::Lost { last: AnchoredFrame { t_odom_base: Pose::identity(), stamp: Timestamp::default() } }
+    }
+
     /// Takes the state after a frame. `has_wheels`: whether wheels measured the motion since the frame before. `is_mapped`:
     /// whether the robot has been before where odometry believes to be.
     pub(crate) fn step(&mut self, estimate: &OdometryEstimate, has_wheels: bool, is_mapped: impl Fn() -> bool) {

@@ -15,6 +15,13 @@ pub(crate) struct View {
     pub(crate) has_taken_over: bool,
 }
 
+impl View {
+    /// The method that places it.
+    pub(crate) fn kind(&self) -> OdometryKind {
+        super::kind_of(&self.scan)
+    }
+}
+
 /// A frame that odometry has placed, if it could.
 pub(crate) struct Registered {
     /// Its state is what odometry measured; [`super::Tracking::told`] is what is said of it.

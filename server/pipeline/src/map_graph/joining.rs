@@ -10,6 +10,7 @@ use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, se3};
 use percept_mapping::MapKeyframe;
 use percept_slam::loops::LoopClosure;
 use percept_slam::{MergedKeyframe, OdometryKind, Relocalisation};
+use std::sync::Arc;
 
 /// A part becomes the map once it has so many times its keyframes, and so many at least: a robot that was carried off for a
 /// while comes back to the map that it had.
@@ -29,6 +30,7 @@ impl MapGraph {
         if self.keyframes.of(found.keyframe).is_none() {
             return false;
         }
+        self.learn_height(found.keyframe, &found.t_keyframe_base);
         self.place_odometry(found.keyframe, &(found.t_keyframe_base * t_odom_found.inverse()));
         self.atlas.begin_anew();
         let gathered = self.relocaliser.begin_anew();
@@ -59,7 +61,7 @@ impl MapGraph {
         update: &mut MapUpdate,
     ) -> bool {
         let least = TAKES_OVER.1.max(TAKES_OVER.0 * self.map.keyframes().len());
-        if self.relocaliser.gathered_without_search().is_none_or(|gathered| gathered < least) {
+        if self.is_given() || self.relocaliser.gathered_without_search().is_none_or(|gathered| gathered < least) {
             return false;
         }
         self.finish_revision(update);
@@ -117,7 +119,11 @@ impl MapGraph {
         let is_of_pose = |sensor: &SensorId| pose_sensor.is_none_or(|s| s == sensor);
         for (k, f) in part.keyframes.into_iter().enumerate() {
             let after_gap = k == 0;
-            let mut keyframe = self.insert(f.stamp, &f.sensor, t_odom_part * f.t_part_base, f.scan, after_gap);
+            let mut scan = f.scan;
+            if scan.base_height_m != self.base_height_m {
+                Arc::make_mut(&mut scan).base_height_m = self.base_height_m;
+            }
+            let mut keyframe = self.insert(f.stamp, &f.sensor, t_odom_part * f.t_part_base, scan, after_gap);
             let id = keyframe.info.id;
             // The first is constrained at once, so that the others are not looked for everywhere; the last, as it was found.
             let known = found.filter(|_| k == 0 || k == last);

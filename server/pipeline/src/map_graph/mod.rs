@@ -8,6 +8,7 @@ mod add;
 mod answers;
 mod atlas;
 mod constraints;
+mod given;
 mod joining;
 mod keyframes;
 mod level;

@@ -1,6 +1,7 @@
 //! The map graph goes on from what was stored.
 
 use super::MapGraph;
+use super::given::is_seen_alike;
 use super::keyframes::Keyframes;
 use super::trajectory::Trajectory;
 use crate::{KeyframeInfo, Restored, RestoredContent, TrajectoryEntry};
@@ -79,7 +80,7 @@ impl MapGraph {
                 t_odom_base: k.t_odom_base,
                 covariance: Covariance6::zeros(),
                 scan: self.map.kept_scan(id).cloned().unwrap_or_else(|| scan.into()),
-                recognise: scan.sensor == *pose_sensor,
+                recognise: scan.sensor == *pose_sensor || is_seen_alike(kind, &scan.sensor, scan),
                 after_gap: k.after_gap,
                 constraint: None,
             })

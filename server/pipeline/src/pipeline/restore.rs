@@ -4,6 +4,7 @@ use super::Pipeline;
 use crate::map_graph::End;
 use crate::{PoseEstimate, Restored};
 use percept_geometry::Covariance6;
+use percept_mapping::given::is_given;
 use percept_slam::{OdometryKind, Scale, TrackingState};
 
 impl Pipeline {
@@ -12,11 +13,14 @@ impl Pipeline {
         for (id, stamp) in &restored.last_stamps {
             self.frontend.set_last_stamp(id, *stamp);
         }
-        restored.keyframes.iter().for_each(|k| self.frontend.go_on_from(k.sensor(), &k.t_odom_base));
+        let own = restored.keyframes.iter().filter(|k| !is_given(k.sensor()));
+        own.for_each(|k| self.frontend.go_on_from(k.sensor(), &k.t_odom_base));
         let end = self.map_graph.restore(&restored);
         self.scene.restore(&self.params, &restored.objects, restored.next_object_id);
-        if let Some(end) = end {
-            self.resume(&end, &restored);
+        match end {
+            Some(end) => self.resume(&end, &restored),
+            None if !restored.keyframes.is_empty() => self.frontend.wait_to_be_found(),
+            None => {}
         }
         self.count_memory();
     }

@@ -8,6 +8,7 @@ mod camera;
 mod correction;
 mod drive;
 mod extrinsics;
+mod given;
 mod imu;
 mod memory;
 mod refusal;

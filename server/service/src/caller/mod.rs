@@ -9,6 +9,7 @@ pub mod audit;
 mod context;
 mod lasting;
 mod layers;
+mod map_import;
 mod navigation;
 mod operations;
 pub mod rules;

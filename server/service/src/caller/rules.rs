@@ -72,6 +72,7 @@ pub static RULES: &[Rule] = &[
     session("MapsService/ListLoops", Read),
     audited(session("MapsService/SetLoopVeto", Write)),
     session("MapsService/OptimiseMap", Write),
+    audited(session("MapsService/ImportMap", Write)),
     session("MapsService/ExportMap", Read),
 
     session("LayersService/GetVoxels", Read),

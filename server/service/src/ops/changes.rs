@@ -1,8 +1,9 @@
 //! Changes of sessions and sensors: what may change while a session lives, and what who holds an old copy is told.
 
+use super::zones::check_zones;
 use crate::reason;
 use crate::session::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
-use crate::{Error, ErrorCode, Result, SensorStatus, Service, SessionDescription, check_id};
+use crate::{Error, ErrorCode, Result, SensorStatus, Service, SessionDescription, SessionZone, check_id};
 use percept_geometry::{CameraIntrinsics, Pose, SensorId, SensorKind};
 use percept_pipeline::{PipelineParams, may_change};
 use serde_json::Value;
@@ -22,6 +23,8 @@ pub struct SessionChanges {
     pub display_name: Option<String>,
     /// All labels.
     pub labels: Option<BTreeMap<String, String>>,
+    /// All zones.
+    pub zones: Option<Vec<SessionZone>>,
     /// What it does with frames: it cannot become another, and the same is no change.
     pub mode: Option<SessionMode>,
     /// Parameters, one by one.
@@ -128,6 +131,10 @@ impl SessionChanges {
             return Err(immutable("mode", "create another session"));
         }
         let params = changed_params(&meta.params, defaults, &self.params)?;
+        if let Some(zones) = &self.zones {
+            check_zones(zones)?;
+            meta.zones.clone_from(zones);
+        }
         if let Some(name) = &self.display_name {
             check_display_name(name)?;
             meta.display_name.clone_from(name);

@@ -2,7 +2,7 @@
 
 use crate::SessionView;
 use crate::caller::CallContext;
-use crate::session::events::EventKind;
+use crate::session::event::EventKind;
 use crate::session::fleet::{FleetEvent, FleetKind, FleetLog};
 use percept_identity::{Access, Pattern, Principal};
 use std::sync::Arc;

@@ -5,6 +5,7 @@ pub mod evaluation;
 pub(crate) mod fleet;
 pub mod layers;
 pub mod map_files;
+pub(crate) mod map_import;
 pub mod maps;
 pub mod navigation;
 pub(crate) mod operations;
@@ -16,6 +17,7 @@ pub(crate) mod server;
 pub(crate) mod sessions;
 pub mod toolbox;
 pub(crate) mod transforms;
+pub(crate) mod zones;
 
 use crate::Error;
 use crate::reason;

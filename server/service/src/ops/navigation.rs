@@ -2,6 +2,7 @@
 
 use super::layers::at_most;
 use super::maps::stamp_of;
+use super::zones::zones_of;
 use crate::reason;
 use crate::{Error, IncomingFrame, Processed, Result, Service};
 use nalgebra::{Point2, Point3, Vector3};
@@ -44,8 +45,10 @@ pub struct PathOptions {
     pub goal_yaw_rad: Option<f64>,
     /// What the robot covers; none: a disc of `robot_radius_m`.
     pub footprint: Option<Footprint>,
-    /// Where it may not be, or not be fast.
+    /// Where it may not be, or not be fast, besides the zones of the session.
     pub zones: Vec<Zone>,
+    /// Whether the zones of the session do not count.
+    pub ignores_session_zones: bool,
     /// For times along the path.
     pub speed: SpeedLimits,
     /// The search ends with the best path so far after this; none: when it is done.
@@ -66,6 +69,14 @@ pub struct PathCheck {
 }
 
 impl PathOptions {
+    /// With the zones of the session, unless they do not count.
+    pub(super) fn in_zones(mut self, stored: &[Zone]) -> Self {
+        if !self.ignores_session_zones {
+            self.zones.extend_from_slice(stored);
+        }
+        self
+    }
+
     /// The whole question. `stop` is asked while a search with a deadline goes on.
     fn request<'a>(
         &'a self,
@@ -120,8 +131,15 @@ impl Service {
     /// # Errors
     /// Coordinates or parameters out of bounds, `GRID_TOO_LARGE`, `SESSION_NOT_FOUND`.
     pub async fn plan_path(&self, session: &str, request: PlanRequest) -> Result<Plan> {
-        let snapshot = self.snapshot(session).await?;
-        self.plan_on(session, snapshot, request).await
+        let (snapshot, zones) = self.snapshot_with_zones(session).await?;
+        let options = request.options.in_zones(&zones);
+        self.plan_on(session, snapshot, PlanRequest { options, ..request }).await
+    }
+
+    /// A session's snapshot, and its zones.
+    pub(super) async fn snapshot_with_zones(&self, session: &str) -> Result<(Arc<Snapshot>, Vec<Zone>)> {
+        let session = self.session(session).await?;
+        Ok((session.snapshot(), zones_of(&session.meta())))
     }
 
     async fn plan_on(&self, session: &str, snapshot: Arc<Snapshot>, request: PlanRequest) -> Result<Plan> {
@@ -141,8 +159,8 @@ impl Service {
         options: PathOptions,
     ) -> Result<PathCheck> {
         at_most("poses", poses.len(), MAX_POSES)?;
-        let snapshot = self.snapshot(session).await?;
-        let max_cells = self.limits.max_planning_cells;
+        let (snapshot, zones) = self.snapshot_with_zones(session).await?;
+        let (options, max_cells) = (options.in_zones(&zones), self.limits.max_planning_cells);
         let work = move || misfit_on(&snapshot, &poses, params, &options, max_cells);
         self.compute.query(&self.asker(session)?, work).await?
     }
@@ -156,6 +174,7 @@ impl Service {
         let id = incoming.session.clone();
         let (session, processed) = self.send_frame(incoming).await?;
         let snapshot = session.snapshot();
+        request.options = request.options.in_zones(&zones_of(&session.meta()));
         let pose = snapshot.pose.clone();
         let obstacles = pose.as_ref().map(|p| near(&snapshot, p)).unwrap_or_default();
         let plan = self.plan_on(&id, snapshot, request).await?;

@@ -1,12 +1,11 @@
 //! A path that is kept: told anew when the map breaks it, or a clearly better one opens.
 
 use super::navigation::{misfit_on, plan};
-use crate::{PathCheck, Plan, PlanRequest, Result, Service};
+use crate::{PathCheck, PathOptions, Plan, PlanRequest, Result, Service};
 use nalgebra::Point2;
 use percept_geometry::Timestamp;
 use percept_pipeline::Snapshot;
-use percept_planning::{PlanOutcome, Pose2};
-use std::sync::Arc;
+use percept_planning::{PlanOutcome, Pose2, Zone};
 
 /// A way is looked for that is better than what was told once a second of the session's time.
 const LOOKED_FOR_EVERY_NS: i64 = 1_000_000_000;
@@ -43,6 +42,8 @@ pub struct PathUpdate {
 pub struct PathWatch {
     request: PlanRequest,
     told: Option<Plan>,
+    /// The session's, when it was looked at last.
+    zones: Vec<Zone>,
     /// Version of the map that was looked at last, and when a way was looked for.
     looked_at: Option<u64>,
     looked_for: Timestamp,
@@ -51,12 +52,12 @@ pub struct PathWatch {
 impl PathWatch {
     /// From where the robot is, each time; a start that is given counts for the first answer only.
     pub fn new(request: PlanRequest) -> Self {
-        Self { request, told: None, looked_at: None, looked_for: Timestamp(0) }
+        Self { request, told: None, zones: Vec::new(), looked_at: None, looked_for: Timestamp(0) }
     }
 
     /// Whether there is nothing new to look at.
-    fn is_up_to_date(&self, snapshot: &Snapshot) -> bool {
-        self.looked_at == Some(snapshot.map_version) && !self.is_due(snapshot)
+    fn is_up_to_date(&self, snapshot: &Snapshot, zones: &[Zone]) -> bool {
+        self.looked_at == Some(snapshot.map_version) && self.zones == zones && !self.is_due(snapshot)
     }
 
     /// Whether a better way is to be looked for.
@@ -64,17 +65,19 @@ impl PathWatch {
         stamp(snapshot).0.saturating_sub(self.looked_for.0) >= LOOKED_FOR_EVERY_NS
     }
 
-    /// Looks at the path as the map is now; none if there is nothing to tell.
+    /// Looks at the path as the map and the zones of the session are now; none if there is nothing to tell.
     ///
     /// # Errors
     /// As for planning.
-    pub fn look(&mut self, snapshot: &Snapshot, max_cells: usize) -> Result<Option<PathUpdate>> {
+    pub fn look(&mut self, snapshot: &Snapshot, zones: Vec<Zone>, max_cells: usize) -> Result<Option<PathUpdate>> {
         let Some(told) = &self.told else {
+            self.zones = zones;
             return self.tell(PathChange::First, snapshot, max_cells).map(Some);
         };
-        if self.is_up_to_date(snapshot) {
+        if self.is_up_to_date(snapshot, &zones) {
             return Ok(None);
         }
+        self.zones = zones;
         let due = self.is_due(snapshot);
         self.looked_at = Some(snapshot.map_version);
         let Some(PlanOutcome::Path(path)) = &told.outcome else {
@@ -89,7 +92,7 @@ impl PathWatch {
         };
         let tolerance = self.request.params.unwrap_or(snapshot.params.planning).start_tolerance_m;
         let left = left_of(&path.waypoints, robot(snapshot), tolerance);
-        let check = misfit_on(snapshot, &left, self.request.params, &self.request.options, max_cells)?;
+        let check = misfit_on(snapshot, &left, self.request.params, &self.options(), max_cells)?;
         if check.misfit.is_some() {
             return self.tell(PathChange::Blocked(check), snapshot, max_cells).map(Some);
         }
@@ -110,7 +113,12 @@ impl PathWatch {
 
     fn planned(&mut self, snapshot: &Snapshot, max_cells: usize) -> Result<Plan> {
         (self.looked_at, self.looked_for) = (Some(snapshot.map_version), stamp(snapshot));
-        plan(snapshot, &self.request, max_cells)
+        let options = self.options();
+        plan(snapshot, &PlanRequest { options, ..self.request.clone() }, max_cells)
+    }
+
+    fn options(&self) -> PathOptions {
+        self.request.options.clone().in_zones(&self.zones)
     }
 
     fn told(&mut self, change: PathChange, plan: Plan) -> PathUpdate {
@@ -156,12 +164,12 @@ impl Service {
     /// # Errors
     /// As for planning; `SESSION_NOT_FOUND`.
     pub async fn look_at_path(&self, session: &str, mut watch: PathWatch) -> Result<(PathWatch, Option<PathUpdate>)> {
-        let snapshot: Arc<Snapshot> = self.snapshot(session).await?;
-        if watch.told.is_some() && watch.is_up_to_date(&snapshot) {
+        let (snapshot, zones) = self.snapshot_with_zones(session).await?;
+        if watch.told.is_some() && watch.is_up_to_date(&snapshot, &zones) {
             return Ok((watch, None));
         }
         let max_cells = self.limits.max_planning_cells;
-        let work = move || watch.look(&snapshot, max_cells).map(|update| (watch, update));
+        let work = move || watch.look(&snapshot, zones, max_cells).map(|update| (watch, update));
         self.compute.query(&self.asker(session)?, work).await?
     }
 }

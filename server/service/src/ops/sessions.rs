@@ -201,6 +201,7 @@ impl Service {
             request_id: new.request_id,
             params: new.params,
             sensors,
+            zones: Vec::new(),
             revision: 0,
         };
         self.registry.create(meta).await

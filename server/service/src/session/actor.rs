@@ -1,7 +1,8 @@
 //! The actor: takes frames from a bounded queue, one at a time, and publishes what they did.
 
-use super::command::{Command, Moved, Processed, Vetoed};
-use super::events::{EventKind, EventLog};
+use super::command::{Command, Imported, Moved, Processed, Vetoed};
+use super::event::EventKind;
+use super::events::EventLog;
 use super::fault::Trouble;
 use super::handle::{Session, lock};
 use super::job::Job;
@@ -10,7 +11,8 @@ use super::persist::{Persister, Storing};
 use super::refusal::{failed, frame_error, stopped};
 use super::scratch::Scratch;
 use crate::{Asker, ComputePool, Limits, Result, observe};
-use percept_geometry::{SensorFrame, SensorId, Timestamp};
+use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
+use percept_mapping::given::GivenView;
 use percept_pipeline::{FrameReport, Loop, LoopId, MapChange, Pipeline, Snapshot};
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
@@ -186,6 +188,11 @@ impl Actor {
                     let _ = reply.send(answer);
                 }
             }
+            Command::Import { views, start, reply } => {
+                if let Some(answer) = self.import(views, start).await {
+                    let _ = reply.send(answer);
+                }
+            }
             Command::Retire { done, .. } => {
                 let _ = done.send(Ok(()));
             }
@@ -287,6 +294,26 @@ impl Actor {
 
     async fn settle(&mut self) -> Option<Moved> {
         Some(self.change(|pipeline| Some(pipeline.settle())).await??.1)
+    }
+
+    /// Begins with a map that was given. None inside if there is one already, none outside if the pipeline is gone.
+    async fn import(&mut self, views: Vec<GivenView>, start: Option<Pose>) -> Option<Option<Imported>> {
+        let mut pipeline = self.pipeline.take()?;
+        let sender = self.sender();
+        let work = self.compute.run_for(&sender, move || {
+            let done = pipeline.take_given(views, start);
+            let snapshot = pipeline.snapshot();
+            (pipeline, done, snapshot)
+        });
+        let (pipeline, done, snapshot) = work.await.ok()?;
+        self.session.share.memory(pipeline.memory().total());
+        self.pipeline = Some(pipeline);
+        let Ok(keyframes) = done else { return Some(None) };
+        let map_version = snapshot.map_version;
+        let report = FrameReport { joined: keyframes, ..FrameReport::default() };
+        self.publish(&report, snapshot);
+        let ticket = self.persister.submit(Job { keyframes: report.joined, ..Job::default() }).await;
+        Some(Some(Imported { map_version, ticket }))
     }
 
     /// Changes the map other than by a frame: the loops that changed, and how the map moved. None inside if there is nothing

@@ -5,12 +5,13 @@ use super::meta::{SensorDeclaration, SessionMeta};
 use super::refusal::stopped;
 use crate::Result;
 use crate::observe::Held;
-use percept_geometry::{KeyframeId, SensorFrame};
+use percept_geometry::{KeyframeId, Pose, SensorFrame};
+use percept_mapping::given::GivenView;
 use percept_pipeline::{Loop, LoopId, PoseEstimate};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedMutexGuard, oneshot};
 
-/// Running number of an accepted frame in its session; durable once [`Session::durable`](super::handle::Session::durable) has reached it.
+/// Running number of an accepted frame in its session; durable once the session's `durable` has reached it.
 pub type Ticket = u64;
 
 /// What an accepted frame did.
@@ -80,6 +81,12 @@ pub(crate) enum Command {
     Settle {
         reply: oneshot::Sender<Moved>,
     },
+    /// None if there is a map already.
+    Import {
+        views: Vec<GivenView>,
+        start: Option<Pose>,
+        reply: oneshot::Sender<Option<Imported>>,
+    },
     /// Store everything, then end; go on if it cannot be stored.
     Retire {
         patience: Duration,
@@ -94,7 +101,16 @@ pub struct Moved {
     pub num_keyframes: usize,
     /// Version of the map with it.
     pub map_version: u64,
-    /// Durable once [`Session::durable`](super::handle::Session::durable) has reached it.
+    /// Durable once the session's `durable` has reached it.
+    pub ticket: Ticket,
+}
+
+/// A map that was given is in.
+#[derive(Debug, Clone, Copy)]
+pub struct Imported {
+    /// Version of the map with it.
+    pub map_version: u64,
+    /// Durable once the session's `durable` has reached it.
     pub ticket: Ticket,
 }
 

@@ -1,9 +1,9 @@
 //! What happens in all sessions of this server, for those who watch a fleet: one bounded history, of which each reader sees
 //! what it may.
 
-use super::events::EventKind;
+use super::event::EventKind;
 use super::history::{History, Read};
-use super::slot::SessionState;
+use super::state::SessionState;
 use percept_geometry::Timestamp;
 use std::sync::Arc;
 

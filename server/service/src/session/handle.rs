@@ -1,6 +1,6 @@
 //! The handle on a running session: doors put frames and commands into its actor's queue, and read what it published.
 
-use super::command::{Command, Moved, Offered, Pending, Processed, Submitted, Ticket, Vetoed};
+use super::command::{Command, Imported, Moved, Offered, Pending, Processed, Submitted, Ticket, Vetoed};
 use super::events::EventLog;
 use super::fault::{Fault, Trouble};
 use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
@@ -10,7 +10,8 @@ use super::scratch::Scratch;
 use super::sensor_book::{SensorBook, SensorStatus};
 use crate::observe::{self, SessionShare};
 use crate::{Limits, Result};
-use percept_geometry::{SensorFrame, SensorId, Timestamp};
+use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
+use percept_mapping::given::GivenView;
 use percept_pipeline::{LoopId, Pipeline, Snapshot};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
@@ -357,6 +358,17 @@ impl Session {
         self.check_storing()?;
         let (reply, done) = oneshot::channel();
         self.queue.send(Command::Settle { reply }).await.map_err(|_| stopped())?;
+        done.await.map_err(|_| stopped())
+    }
+
+    /// Begins with a map that was given; none if there is one already.
+    ///
+    /// # Errors
+    /// `SESSION_STOPPED`.
+    pub async fn import(&self, views: Vec<GivenView>, start: Option<Pose>) -> Result<Option<Imported>> {
+        self.check_storing()?;
+        let (reply, done) = oneshot::channel();
+        self.queue.send(Command::Import { views, start, reply }).await.map_err(|_| stopped())?;
         done.await.map_err(|_| stopped())
     }
 

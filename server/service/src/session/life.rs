@@ -1,7 +1,7 @@
 //! The steps of a session's life, each a task of its own that no caller can break off.
 
 use super::actor::{Ending, start};
-use super::events::EventKind;
+use super::event::EventKind;
 use super::fault::{Fault, Trouble, store_error};
 use super::handle::Session;
 use super::meta::SessionMeta;

@@ -1,5 +1,6 @@
 //! What a session was created with: the record in the catalogue.
 
+use crate::SessionZone;
 use percept_geometry::SensorSpec;
 use percept_pipeline::PipelineParams;
 use serde::{Deserialize, Serialize};
@@ -57,6 +58,8 @@ pub struct SessionMeta {
     pub params: PipelineParams,
     /// Sensors by name.
     pub sensors: Vec<SensorDeclaration>,
+    /// Areas that paths keep to.
+    pub zones: Vec<SessionZone>,
     /// Grows with every change of all this.
     pub revision: u64,
 }

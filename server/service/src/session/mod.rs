@@ -1,6 +1,6 @@
 //! A session: one writer, a bounded queue, snapshots for readers, records for the time after a crash.
 //!
-//! - [`registry`] knows which sessions there are and gives handles on them; [`listing`] says what they are without waking
+//! - [`open`] begins. [`registry`] knows which sessions there are and gives handles on them; [`listing`] says what they are without waking
 //!   them, [`changing`] changes what is set of them. [`slot`] is one session's state machine,
 //!   [`life`] holds its steps, [`keeper`] puts to sleep what nobody uses, [`sharing`] follows those who share the data.
 //! - [`actor`] owns the pipeline of a session that is awake; [`handle`] is what callers hold of it; [`events`] tells
@@ -13,6 +13,7 @@
 pub(crate) mod actor;
 pub(crate) mod changing;
 pub(crate) mod command;
+pub(crate) mod event;
 pub(crate) mod events;
 pub(crate) mod fault;
 pub(crate) mod fleet;
@@ -25,6 +26,7 @@ pub(crate) mod keyframe_codec;
 pub(crate) mod life;
 pub(crate) mod listing;
 pub(crate) mod meta;
+pub(crate) mod open;
 pub(crate) mod persist;
 pub(crate) mod records;
 pub(crate) mod recover;
@@ -34,6 +36,7 @@ pub(crate) mod scratch;
 pub(crate) mod sensor_book;
 pub(crate) mod sharing;
 pub(crate) mod slot;
+pub(crate) mod state;
 #[cfg(test)]
 mod tests;
 pub(crate) mod verdict;

@@ -4,6 +4,7 @@
 //! not readable is damage of its session and of no other.
 
 use super::meta::{DEFAULT_TENANT, SensorDeclaration, SessionMeta, SessionMode};
+use crate::SessionZone;
 use bytes::Bytes;
 use percept_geometry::{Pose, SensorId, Timestamp};
 use percept_pipeline::{Merged, PipelineParams, TrajectoryEntry};
@@ -63,6 +64,8 @@ pub(crate) struct MetaRecord {
     params: Value,
     #[serde(default)]
     sensors: Vec<Value>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    zones: Vec<Value>,
 }
 
 impl MetaRecord {
@@ -80,6 +83,7 @@ impl MetaRecord {
             request_id: meta.request_id.clone(),
             params: value(serde_json::to_value(&meta.params))?,
             sensors: meta.sensors.iter().map(|s| value(serde_json::to_value(s))).collect::<crate::Result<_>>()?,
+            zones: meta.zones.iter().map(|z| value(serde_json::to_value(z))).collect::<crate::Result<_>>()?,
         })
     }
 
@@ -89,6 +93,8 @@ impl MetaRecord {
         let read = |v: Value| serde_json::from_value::<SensorDeclaration>(v);
         let unreadable = |e: serde_json::Error| Unreadable::new("a sensor", e);
         let sensors = self.sensors.into_iter().map(read).collect::<Result<_, _>>().map_err(unreadable)?;
+        let zone = |v: Value| serde_json::from_value::<SessionZone>(v).map_err(|e| Unreadable::new("a zone", e));
+        let zones = self.zones.into_iter().map(zone).collect::<Result<_, _>>()?;
         Ok(SessionMeta {
             params: params_of(&self.id, self.params, defaults),
             id: self.id,
@@ -100,6 +106,7 @@ impl MetaRecord {
             create_time_ns: self.create_time_ns,
             request_id: self.request_id,
             sensors,
+            zones,
         })
     }
 }
@@ -211,6 +218,7 @@ mod tests {
             tenant: "site".to_owned(),
             display_name: "A".to_owned(),
             labels: BTreeMap::from([("site".to_owned(), "north".to_owned())]),
+            zones: Vec::new(),
             revision: 3,
             mode: SessionMode::Mapping,
             create_time_ns: 7,

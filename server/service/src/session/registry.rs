@@ -1,4 +1,4 @@
-//! Which sessions there are, and how to get hold of one. What becomes of them is in [`super::life`].
+//! Which sessions there are, and how to get hold of one; the steps of their lives are elsewhere.
 
 use super::events::EventLog;
 use super::fault::{Fault, store_error};
@@ -8,7 +8,7 @@ use super::meta::{SessionMeta, SessionMode};
 use super::records::{Counts, MetaRecord, parse};
 use super::slot::{Known, Phase, Slot};
 use crate::reason;
-use crate::{ComputePool, Error, ErrorCode, Health, Limits, Result};
+use crate::{ComputePool, Error, ErrorCode, Limits, Result};
 use percept_pipeline::PipelineParams;
 use percept_store::{CatalogueEntry, DataRoot, SessionPlace};
 use std::collections::{BTreeMap, HashMap};
@@ -48,14 +48,13 @@ pub(super) struct Sessions {
 }
 
 impl Registry {
-    /// Reads the catalogue. Sessions found there sleep until they are used; those whose deletion broke off are removed.
-    pub(crate) async fn open(
+    /// Reads the catalogue. Sessions found there sleep until they are used; the places of those whose deletion broke off.
+    pub(super) async fn of_catalogue(
         root: DataRoot,
         compute: ComputePool,
         limits: Arc<Limits>,
         defaults: PipelineParams,
-        health: Health,
-    ) -> Result<Arc<Self>> {
+    ) -> Result<(Arc<Self>, Vec<SessionPlace>)> {
         // Events come far slower than one a microsecond, so that this lies above every token given before.
         let first_token = u64::try_from(crate::clock::now_ns() / 1000).unwrap_or(1).max(1);
         let waking = Semaphore::new(WAKES_AT_ONCE);
@@ -70,18 +69,7 @@ impl Registry {
             CatalogueEntry::Damaged { place } => registry.take_in_damaged(place),
         };
         registry.root.for_each(take_in).await.map_err(|e| store_error(&e))?;
-        let registry = Arc::new(registry);
-        let this = Arc::clone(&registry);
-        tokio::spawn(async move {
-            for place in buried {
-                this.purge(&place).await;
-            }
-        });
-        tokio::spawn(super::keeper::keep(Arc::downgrade(&registry)));
-        tokio::spawn(super::keeper::watch_storage(Arc::downgrade(&registry), health.clone()));
-        tokio::spawn(super::sharing::follow_catalogue(Arc::downgrade(&registry)));
-        tokio::spawn(super::sharing::follow_node(Arc::downgrade(&registry), health));
-        Ok(registry)
+        Ok((Arc::new(registry), buried))
     }
 
     /// Makes a session known that the catalogue has, unless its id is known already.

@@ -2,7 +2,6 @@
 
 use super::meta::SensorDeclaration;
 use super::refusal::ahead_ns;
-use super::verdict::Verdict;
 use percept_geometry::{SensorId, Timestamp};
 use percept_pipeline::{ImuFault, MountOffset};
 use std::collections::{BTreeMap, VecDeque};
@@ -62,11 +61,6 @@ impl SensorStatus {
             imu_faults: Vec::new(),
             no_pose: None,
         }
-    }
-
-    /// How its stream fares.
-    pub fn verdict(&self) -> Verdict {
-        Verdict::of(self)
     }
 }
 

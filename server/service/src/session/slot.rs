@@ -13,6 +13,7 @@ use super::events::EventLog;
 use super::fault::Fault;
 use super::handle::Session;
 use super::records::Counts;
+use super::state::SessionState;
 use crate::{Error, Result, observe};
 use percept_store::SessionPlace;
 use std::collections::BTreeMap;
@@ -61,23 +62,6 @@ impl Phase {
     }
 }
 
-/// Where a session is in its life, as callers see it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum SessionState {
-    /// Not yet durable.
-    Creating,
-    /// Stored, not in memory; the first use wakes it.
-    Asleep,
-    /// On its way into memory.
-    Waking,
-    /// In memory.
-    Awake,
-    /// Set apart: its data are damaged, or it failed again and again.
-    Faulted,
-    /// On its way out.
-    Deleting,
-}
-
 /// What is known of a session without waking it: little, for there may be many thousands.
 #[derive(Debug, Clone)]
 pub(super) struct Known {
@@ -112,7 +96,7 @@ pub(super) struct Slot {
     pub(super) storing: Arc<tokio::sync::Mutex<()>>,
     /// Of its store, when it was last opened here; 0 if it was not.
     epoch: AtomicU64,
-    /// The life of this node in which it was last claimed; see [`super::sharing`].
+    /// The life of this node in which it was last claimed; so that a node that lost its claims claims anew.
     pub(super) claimed_in: AtomicU64,
     /// When its pipeline failed, the newest last.
     failures: Mutex<Vec<i64>>,

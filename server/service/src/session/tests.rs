@@ -8,7 +8,7 @@ use super::records::{MetaRecord, json};
 use super::recover::recover;
 use super::registry::Registry;
 use super::scratch::Scratch;
-use super::slot::SessionState;
+use super::state::SessionState;
 use super::writer::{Stored, Writer};
 use crate::{ComputePool, EventKind, Health, Limits};
 use nalgebra::{Point3, Vector3};
@@ -27,7 +27,7 @@ fn compute() -> ComputePool {
 async fn registry(config: &RootConfig) -> Arc<Registry> {
     let root = DataRoot::open(config.clone()).await.unwrap();
     let (limits, params) = (Arc::new(Limits::default()), PipelineParams::default());
-    Registry::open(root, compute(), limits, params, Health::starting()).await.unwrap()
+    super::open::open(root, compute(), limits, params, Health::starting()).await.unwrap()
 }
 
 fn meta(id: &str) -> SessionMeta {
@@ -43,6 +43,7 @@ fn meta(id: &str) -> SessionMeta {
         tenant: DEFAULT_TENANT.to_owned(),
         display_name: String::new(),
         labels: Default::default(),
+        zones: Vec::new(),
         revision: 0,
         mode: SessionMode::Mapping,
         create_time_ns: 1,
@@ -170,8 +171,9 @@ async fn forty_thousand_objects_are_stored_and_read_again() {
 async fn a_session_is_put_to_sleep_when_nobody_uses_it() {
     let root = DataRoot::open(RootConfig::in_memory()).await.unwrap();
     let limits = Limits { sleep_after_s: 0, ..Limits::default() };
-    let registry =
-        Registry::open(root, compute(), Arc::new(limits), PipelineParams::default(), Health::starting()).await.unwrap();
+    let registry = super::open::open(root, compute(), Arc::new(limits), PipelineParams::default(), Health::starting())
+        .await
+        .unwrap();
     registry.create(meta("robot")).await.unwrap();
     registry.get("robot").await.unwrap();
     let slot = registry.slots().remove(0);

@@ -59,8 +59,15 @@ pub enum StreamTrouble {
 /// What IMU drivers of widespread units give, by how much larger than rad/s.
 const DEGREES: f64 = 180.0 / std::f64::consts::PI;
 
+impl SensorStatus {
+    /// How its stream fares.
+    pub fn verdict(&self) -> Verdict {
+        Verdict::of(self)
+    }
+}
+
 impl Verdict {
-    pub(super) fn of(status: &SensorStatus) -> Self {
+    fn of(status: &SensorStatus) -> Self {
         if status.accepted == 0 && status.rejected == 0 {
             return Self::NoFrame;
         }

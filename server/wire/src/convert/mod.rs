@@ -4,6 +4,7 @@ pub mod evaluation;
 pub mod fleet;
 pub mod geometry;
 pub mod layers;
+pub mod map_import;
 pub mod maps;
 pub mod navigation;
 pub mod operations;

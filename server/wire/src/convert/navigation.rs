@@ -14,7 +14,7 @@ use percept_planning::{
 use percept_scene::ObjectId;
 use percept_service::reason;
 use percept_service::{
-    Error, Limits, Navigation, PathChange, PathCheck, PathOptions, PathUpdate, Plan, PlanRequest, Result,
+    Error, Limits, Navigation, PathChange, PathCheck, PathOptions, PathUpdate, Plan, PlanRequest, Result, SessionZone,
 };
 use std::time::Duration;
 
@@ -49,30 +49,11 @@ pub fn request(
 pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
     let Some(asked) = asked else { return Ok(PathOptions::default()) };
     let within = |e: Error| e.within("options");
-    let corners = |field: &'static str, points: &[v1::Vector2], most: usize| {
-        let message = format!("{field} has {} corners, at most {most} are allowed; simplify it", points.len());
-        let is_sound = points.len() <= most;
-        let checked = if is_sound { Ok(()) } else { Err(Error::invalid(reason::OUT_OF_RANGE, field, message)) };
-        checked?;
-        points.iter().map(|p| geometry::point2(field, p)).collect::<Result<Vec<Point2<f64>>>>()
-    };
     let footprint = corners("footprint", &asked.footprint, MAX_CORNERS).map_err(within)?;
     if asked.zones.len() > MAX_ZONES {
         let message = format!("there are {} zones, at most {MAX_ZONES} are allowed; merge some", asked.zones.len());
         return Err(Error::invalid(reason::OUT_OF_RANGE, "options.zones", message));
     }
-    let zone = |zone: &v1::Zone| {
-        let polygon = corners("polygon", &zone.polygon, MAX_ZONE_CORNERS)?;
-        let kind = match required("kind", zone.kind)? {
-            v1::zone::Kind::KeepOut(true) => ZoneKind::KeepOut,
-            v1::zone::Kind::KeepOut(false) => {
-                let message = "keep_out is false; set it, or give a speed_share";
-                return Err(Error::invalid(reason::OUT_OF_RANGE, "keep_out", message));
-            }
-            v1::zone::Kind::SpeedShare(share) => ZoneKind::SpeedLimit { share },
-        };
-        Ok(Zone { polygon, kind })
-    };
     let numbered = |(i, z)| zone(z).map_err(|e| e.within(&format!("options.zones[{i}]")));
     let speed = |s: &v1::SpeedLimits| SpeedLimits {
         max_speed_mps: s.max_speed_mps,
@@ -86,8 +67,44 @@ pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
         footprint: (!footprint.is_empty()).then_some(Footprint::Polygon(footprint)),
         zones: asked.zones.iter().enumerate().map(numbered).collect::<Result<_>>()?,
         speed: asked.speed.as_ref().map_or_else(SpeedLimits::default, speed),
+        ignores_session_zones: asked.ignore_session_zones,
         deadline: (asked.deadline_ms > 0).then(|| Duration::from_millis(asked.deadline_ms.into())),
     })
+}
+
+fn corners(field: &'static str, points: &[v1::Vector2], most: usize) -> Result<Vec<Point2<f64>>> {
+    if points.len() > most {
+        let message = format!("{field} has {} corners, at most {most} are allowed; simplify it", points.len());
+        return Err(Error::invalid(reason::OUT_OF_RANGE, field, message));
+    }
+    points.iter().map(|p| geometry::point2(field, p)).collect()
+}
+
+/// An area of the map.
+///
+/// # Errors
+/// `FIELD_MISSING`, `OUT_OF_RANGE`.
+pub(super) fn zone(zone: &v1::Zone) -> Result<Zone> {
+    let polygon = corners("polygon", &zone.polygon, MAX_ZONE_CORNERS)?;
+    let kind = match required("kind", zone.kind)? {
+        v1::zone::Kind::KeepOut(true) => ZoneKind::KeepOut,
+        v1::zone::Kind::KeepOut(false) => {
+            let message = "keep_out is false; set it, or give a speed_share";
+            return Err(Error::invalid(reason::OUT_OF_RANGE, "keep_out", message));
+        }
+        v1::zone::Kind::SpeedShare(share) => ZoneKind::SpeedLimit { share },
+    };
+    Ok(Zone { polygon, kind })
+}
+
+/// A zone of a session as a message.
+pub(super) fn zone_to(z: &SessionZone) -> v1::Zone {
+    let kind = match z.zone.kind {
+        ZoneKind::KeepOut => v1::zone::Kind::KeepOut(true),
+        ZoneKind::SpeedLimit { share } => v1::zone::Kind::SpeedShare(share),
+    };
+    let polygon = z.zone.polygon.iter().map(|p| v1::Vector2 { x: p.x, y: p.y }).collect();
+    v1::Zone { polygon, kind: Some(kind), name: z.name.clone() }
 }
 
 fn planner(asked: &v1::PathOptions) -> Result<Planner> {
@@ -131,25 +148,33 @@ pub fn poses(poses: &[v1::Pose2]) -> Result<Vec<Pose2>> {
 /// `FIELD_MISSING`, `SIZE_MISMATCH`, `OUT_OF_RANGE`, `FILE_INVALID`, `GRID_TOO_LARGE`.
 pub fn given_map(map: Option<&v1::GivenMap>, limits: &Limits) -> Result<DenseGrid> {
     let map = required("map", map)?;
-    let grid = match required("map", map.map.as_ref())? {
-        v1::given_map::Map::Grid(grid) => grid_of(grid).map_err(|e| e.within("map.grid"))?,
-        v1::given_map::Map::Nav2(files) => {
-            let of_file = |field: &str, e: percept_formats::FormatError| {
-                Error::invalid(reason::FILE_INVALID, format!("map.nav2.{field}"), e.to_string())
-            };
-            let yaml = percept_formats::nav2::parse_yaml(&files.yaml).map_err(|e| of_file("yaml", e))?;
-            let limits = percept_formats::Limits {
-                max_pixels: limits.max_planning_cells as u64,
-                ..super::format_limits(limits)
-            };
-            percept_formats::nav2::decode(&yaml, &files.image, &limits).map_err(|e| of_file("image", e))?
-        }
+    match required("map", map.map.as_ref())? {
+        v1::given_map::Map::Grid(sent) => grid(sent).map_err(|e| e.within("map.grid")),
+        v1::given_map::Map::Nav2(files) => nav2(files, limits).map_err(|e| e.within("map.nav2")),
+    }
+}
+
+/// A map from the files of nav2's map server.
+///
+/// # Errors
+/// `FILE_INVALID` naming the file.
+pub fn nav2(files: &v1::Nav2Map, limits: &Limits) -> Result<DenseGrid> {
+    let of_file = |field: &'static str| {
+        move |e: percept_formats::FormatError| Error::invalid(reason::FILE_INVALID, field, e.to_string())
     };
-    let GridMap { geometry, width, height, cells } = grid;
+    let yaml = percept_formats::nav2::parse_yaml(&files.yaml).map_err(of_file("yaml"))?;
+    let limits =
+        percept_formats::Limits { max_pixels: limits.max_planning_cells as u64, ..super::format_limits(limits) };
+    let decoded = percept_formats::nav2::decode(&yaml, &files.image, &limits).map_err(of_file("image"))?;
+    let GridMap { geometry, width, height, cells } = decoded;
     Ok(DenseGrid { geometry, width, height, cells })
 }
 
-fn grid_of(grid: &v1::GridMap) -> Result<GridMap> {
+/// A map as occupancy.
+///
+/// # Errors
+/// `FIELD_MISSING`, `SIZE_MISMATCH`, `OUT_OF_RANGE`.
+pub fn grid(grid: &v1::GridMap) -> Result<DenseGrid> {
     let g = required("geometry", grid.geometry.as_ref())?;
     if !(g.resolution_m.is_finite() && g.resolution_m > 0.0) {
         let message = format!("resolution_m is {}; it must be positive", g.resolution_m);
@@ -172,7 +197,7 @@ fn grid_of(grid: &v1::GridMap) -> Result<GridMap> {
         return Err(Error::invalid(reason::OUT_OF_RANGE, "cells", message));
     }
     let geometry = GridGeometry::new(g.resolution_m, origin);
-    Ok(GridMap { geometry, width: g.width as usize, height: g.height as usize, cells })
+    Ok(DenseGrid { geometry, width: g.width as usize, height: g.height as usize, cells })
 }
 
 fn reason_to(reason: NoPathReason) -> (v1::NoPathReason, &'static str) {

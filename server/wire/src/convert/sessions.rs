@@ -67,6 +67,7 @@ pub fn view_to(s: &SessionView) -> v1::Session {
         tenant: s.tenant.clone(),
         labels: s.labels.clone().into_iter().collect(),
         etag: s.etag.clone(),
+        zones: vec![],
     }
 }
 
@@ -82,6 +83,7 @@ pub fn description_to(s: &SessionDescription) -> Result<v1::Session> {
         display_name: meta.display_name.clone(),
         labels: meta.labels.clone().into_iter().collect(),
         etag: meta.etag(),
+        zones: meta.zones.iter().map(super::navigation::zone_to).collect(),
         params,
         sensors: statuses.iter().map(sensors::status_to).collect(),
         ..view

@@ -1,15 +1,15 @@
 //! Field masks (AIP-134, AIP-161): which fields of a session or a sensor a request is about, and what they become.
 
-use super::{geometry, required, sensors};
+use super::{geometry, navigation, required, sensors};
 use crate::{params, v1};
 use percept_geometry::SensorId;
 use percept_service::reason;
-use percept_service::{Error, ParamChange, Result, SensorChanges, SessionChanges, SessionMode};
+use percept_service::{Error, ParamChange, Result, SensorChanges, SessionChanges, SessionMode, SessionZone};
 use prost_types::FieldMask;
 use std::collections::BTreeSet;
 
 /// Fields of a session that callers set.
-const SETTABLE: &str = "display_name, labels, params and what is below it";
+const SETTABLE: &str = "display_name, labels, zones, params and what is below it";
 /// Fields of a sensor's declaration that may be named.
 const OF_A_SENSOR: &str = "t_base_sensor, intrinsics, time_offset_s, overload_policy";
 
@@ -68,6 +68,7 @@ pub fn session(r: &v1::UpdateSessionRequest) -> Result<SessionUpdate> {
         None => {
             changes.display_name = Some(session.display_name.clone()).filter(|name| !name.is_empty());
             changes.labels = Some(labels(session)).filter(|labels| !labels.is_empty());
+            changes.zones = Some(zones(session)?).filter(|zones| !zones.is_empty());
             changes.mode = mode(session.mode)?;
             let all = param_changes(session, "")?.unwrap_or_default();
             changes.params = all.into_iter().filter(|change| change.value.is_some()).collect();
@@ -85,6 +86,7 @@ fn name(changes: &mut SessionChanges, session: &v1::Session, path: &str) -> Resu
     match (field, below) {
         ("display_name", None) => changes.display_name = Some(session.display_name.clone()),
         ("labels", None) => changes.labels = Some(labels(session)),
+        ("zones", None) => changes.zones = Some(zones(session)?),
         ("params", Some("")) => return Err(unknown(path, SETTABLE)),
         ("params", below) => {
             let below = below.unwrap_or_default();
@@ -94,7 +96,7 @@ fn name(changes: &mut SessionChanges, session: &v1::Session, path: &str) -> Resu
         ("session_id", None) => {}
         ("mode", None) => changes.mode = mode(session.mode)?,
         ("sensors", _) => return Err(read_only(path, "change sensors by UpdateSensor, and add some by DeclareSensor")),
-        ("display_name" | "labels" | "session_id" | "mode", Some(_)) => return Err(unknown(path, SETTABLE)),
+        ("display_name" | "labels" | "zones" | "session_id" | "mode", Some(_)) => return Err(unknown(path, SETTABLE)),
         (field, _) if crate::json::descriptor("Session")?.get_field_by_name(field).is_some() => {
             return Err(read_only(path, "leave it out of the mask"));
         }
@@ -110,6 +112,14 @@ fn read_only(path: &str, remedy: &str) -> Error {
 
 fn labels(session: &v1::Session) -> std::collections::BTreeMap<String, String> {
     session.labels.clone().into_iter().collect()
+}
+
+fn zones(session: &v1::Session) -> Result<Vec<SessionZone>> {
+    let of = |(i, z): (usize, &v1::Zone)| {
+        let zone = navigation::zone(z).map_err(|e| e.within(&format!("session.zones[{i}]")))?;
+        Ok(SessionZone { name: z.name.clone(), zone })
+    };
+    session.zones.iter().enumerate().map(of).collect()
 }
 
 fn mode(value: i32) -> Result<Option<SessionMode>> {

@@ -1,9 +1,11 @@
 //! `MapsService`.
 
-use super::{Answer, Api, Streamed, status, streamed};
+use super::{Answer, Api, Streamed, check_size, status, streamed};
 use percept_service::{MapFile, Moved};
+use percept_wire::convert::toolbox::sources::session_clouds;
+use percept_wire::convert::{map_import, maps};
 use percept_wire::parts::InParts;
-use percept_wire::{convert::maps, v1};
+use percept_wire::v1;
 use sha2::{Digest, Sha256};
 use tonic::{Request, Response};
 
@@ -81,6 +83,17 @@ impl v1::maps_service_server::MapsService for Api {
         let session = maps::session_id(r.get_ref().source.as_ref()).map_err(status::grpc)?;
         let done = caller.optimise_map(session).await.map_err(status::grpc)?;
         Ok(Response::new(optimised(&done)))
+    }
+
+    async fn import_map(&self, r: Request<v1::ImportMapRequest>) -> Answer<v1::ImportMapResponse> {
+        let caller = self.caller(&r)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
+        let r = r.into_inner();
+        let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?.to_owned();
+        let options = map_import::options(&r).map_err(status::grpc)?;
+        let wanted = session_clouds(&r).map_err(status::grpc)?;
+        let done = caller.import_map(&session, wanted, move |t| map_import::given(t, &r), options).await;
+        Ok(Response::new(map_import::imported_to(&done.map_err(status::grpc)?)))
     }
 
     async fn export_map(&self, r: Request<v1::ExportMapRequest>) -> Answer<Self::ExportMapStream> {

@@ -361,6 +361,7 @@ pub(super) static ROUTES: &[Route] = &[
     get("/v1/sessions/{session_id}/map/loops", "MapsService/ListLoops", SOURCE, unary!(Message list_loops)),
     post("/v1/sessions/{session_id}/map/loops/{loop_id}/veto", "MapsService/SetLoopVeto", LOOP, unary!(Message set_loop_veto)),
     post("/v1/sessions/{session_id}/map/optimise", "MapsService/OptimiseMap", SOURCE, unary!(Message optimise_map)),
+    post("/v1/sessions/{session_id}/map/import", "MapsService/ImportMap", SOURCE, unary!(Message import_map)),
     get("/v1/sessions/{session_id}/map/files/{name}", "MapsService/ExportMap", SOURCE, Kind::File),
 
     get("/v1/sessions/{session_id}/map/voxels", "LayersService/GetVoxels", SOURCE, parts!(Message get_voxels)),

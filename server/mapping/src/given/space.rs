@@ -1,0 +1,252 @@
+//! Occupied space, as points or voxels, as a lidar in space sees it.
+
+use super::lattice::best_of_squares;
+use super::{GivenOptions, GivenView, GivenViews, view};
+use crate::MappingError;
+use nalgebra::{Point3, Vector3};
+use percept_geometry::{Cell, PointCloud, Voxel};
+use rayon::prelude::*;
+use rustc_hash::{FxHashMap, FxHashSet};
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+/// A view in each square of this edge, metres: as far as two scans of a lidar may lie apart and still show the same (the loops of
+/// `loops/spatial` are verified from up to some metres); as much wider as it takes not to have more than [`MOST_VIEWS`].
+const SQUARE_M: f64 = 2.0;
+const MOST_VIEWS: usize = 1_000;
+/// Beams of a view: rings between these elevations, and azimuths. As a lidar of 64 rings that looks all around.
+const RINGS: usize = 64;
+const ELEVATION_RAD: (f64, f64) = (-0.8, 0.8);
+const AZIMUTHS: usize = 720;
+/// What stands over the ground lower than this leaves no room for a robot, metres.
+const HEADROOM_M: f64 = 1.2;
+/// Ground hangs together over steps up to this, metres: a kerb, a stair.
+const STEP_M: f64 = 0.25;
+/// Ground of less area than this that hangs on nothing is a piece of furniture, square metres.
+const LEAST_GROUND_M2: f64 = 4.0;
+/// A part of the ground is large if it has this share of the largest part.
+const LARGE: f64 = 0.2;
+
+/// Occupied space.
+#[derive(Debug, Clone)]
+pub struct GivenSpace {
+    voxel_m: f64,
+    /// Points of each voxel, by their numbers in `points`.
+    occupied: FxHashMap<Voxel, Vec<u32>>,
+    points: PointCloud,
+    /// Voxels that are known to be free; none: whatever is not occupied is seen through, and nothing is said to be free beyond.
+    free: Option<FxHashSet<Voxel>>,
+}
+
+impl GivenSpace {
+    /// Points as they come, in voxels of this edge (metres).
+    ///
+    /// # Errors
+    /// `InvalidParam` for an edge that is not positive, `PointTooFar` for points that are not finite or beyond all numbers of voxels.
+    pub fn of_points(points: PointCloud, voxel_m: f64) -> Result<Self, MappingError> {
+        if !(voxel_m.is_finite() && voxel_m > 0.0) {
+            let remedy = "choose a positive number of metres";
+            return Err(MappingError::InvalidParam { field: "voxel_size_m", value: voxel_m, remedy });
+        }
+        let mut occupied: FxHashMap<Voxel, Vec<u32>> = FxHashMap::default();
+        for (k, p) in points.positions.iter().enumerate() {
+            let voxel = Voxel::containing(&p.cast(), voxel_m).ok_or(MappingError::PointTooFar)?;
+            occupied.entry(voxel).or_default().push(k as u32);
+        }
+        Ok(Self { voxel_m, occupied, points, free: None })
+    }
+
+    /// Voxels that are known to be occupied, and those known to be free.
+    ///
+    /// # Errors
+    /// As [`Self::of_points`].
+    pub fn of_voxels(
+        occupied: &[Voxel],
+        free: impl Iterator<Item = Voxel>,
+        voxel_m: f64,
+    ) -> Result<Self, MappingError> {
+        let centers = occupied.iter().map(|v| v.center(voxel_m).cast::<f32>()).collect();
+        Ok(Self { free: Some(free.collect()), ..Self::of_points(PointCloud::from_positions(centers), voxel_m)? })
+    }
+
+    fn is_occupied(&self, voxel: Voxel) -> bool {
+        self.occupied.contains_key(&voxel)
+    }
+
+    fn is_open(&self, voxel: Voxel) -> bool {
+        match &self.free {
+            Some(free) => free.contains(&voxel),
+            None => !self.is_occupied(voxel),
+        }
+    }
+
+    /// Places to look from: the sensor's height above the ground; with the height of the ground.
+    fn places(&self, options: &GivenOptions) -> Vec<(Voxel, f64)> {
+        let up = ((options.sensor_height_m / self.voxel_m).round() as i32).max(1);
+        let ground = self.ground(options.sensor_height_m, up);
+        let mut ranked: Vec<(Cell, f32)> = ground.iter().map(|(c, z)| (*c, self.room_around(*c, *z + up))).collect();
+        ranked.sort_by_key(|(c, _)| *c);
+        let mut edge = (SQUARE_M / self.voxel_m).ceil().max(1.0) as i32;
+        let mut best = best_of_squares(ranked.iter().copied(), edge);
+        while best.len() > MOST_VIEWS {
+            edge = edge.saturating_mul(5) / 4 + 1;
+            best = best_of_squares(ranked.iter().copied(), edge);
+        }
+        let place = |c: &Cell| ground.get(c).map(|z| (Voxel::new(c.x, c.y, z + up), f64::from(z + 1) * self.voxel_m));
+        best.iter().filter_map(place).collect()
+    }
+
+    /// Heights of what a robot can stand on: surfaces with room above that hang together. Of large ones over each other it is the
+    /// lower: roofs, and ceilings without a roof, have room above, too. Tops of tables are too small.
+    fn ground(&self, sensor_height_m: f64, up: i32) -> FxHashMap<Cell, i32> {
+        let room = (HEADROOM_M.max(sensor_height_m + self.voxel_m) / self.voxel_m).ceil() as i32;
+        let mut columns: BTreeMap<Cell, Vec<i32>> = BTreeMap::new();
+        self.occupied.keys().for_each(|v| columns.entry(Cell::new(v.x, v.y)).or_default().push(v.z));
+        for (cell, heights) in &mut columns {
+            heights.sort_unstable();
+            let has_room = |k: usize| heights.get(k + 1).is_none_or(|above| above - heights[k] > room);
+            let is_open = |z: i32| self.is_open(Voxel::new(cell.x, cell.y, z + up));
+            *heights =
+                (0..heights.len()).filter(|k| has_room(*k) && is_open(heights[*k])).map(|k| heights[k]).collect();
+        }
+        let step = (STEP_M / self.voxel_m).ceil() as i32;
+        let mut taken: FxHashSet<(Cell, i32)> = FxHashSet::default();
+        let mut parts: Vec<Vec<(Cell, i32)>> = vec![];
+        for (cell, heights) in &columns {
+            for z in heights {
+                if !taken.insert((*cell, *z)) {
+                    continue;
+                }
+                let (mut part, mut next) = (vec![(*cell, *z)], 0);
+                while let Some((at, z)) = part.get(next).copied() {
+                    next += 1;
+                    for (x, y) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
+                        let beside = Cell::new(at.x + x, at.y + y);
+                        for other in columns.get(&beside).into_iter().flatten() {
+                            if (other - z).abs() <= step && taken.insert((beside, *other)) {
+                                part.push((beside, *other));
+                            }
+                        }
+                    }
+                }
+                parts.push(part);
+            }
+        }
+        let least = (LEAST_GROUND_M2 / self.voxel_m.powi(2)) as usize;
+        let largest = parts.iter().map(Vec::len).max().unwrap_or(0);
+        let is_large = |p: &Vec<(Cell, i32)>| p.len() as f64 >= LARGE * largest as f64;
+        let height = |p: &Vec<(Cell, i32)>| p.iter().map(|(_, z)| i64::from(*z)).sum::<i64>() / p.len().max(1) as i64;
+        parts.sort_by_cached_key(|p| match is_large(p) {
+            true => (0, height(p), p.first().copied()),
+            false => (1, -(p.len() as i64), p.first().copied()),
+        });
+        let mut ground: FxHashMap<Cell, i32> = FxHashMap::default();
+        for (k, part) in parts.iter().enumerate() {
+            let over = part.iter().filter(|(c, _)| ground.contains_key(c)).count();
+            if k == 0 || (part.len() >= least && 5 * over < part.len()) {
+                part.iter().for_each(|(c, z)| _ = ground.entry(*c).or_insert(*z));
+            }
+        }
+        ground
+    }
+
+    /// How far from a place the next voxel that is not open is, along the axes and diagonals of the plane, voxels; at most 16.
+    fn room_around(&self, cell: Cell, z: i32) -> f32 {
+        let directions = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
+        let reach =
+            |r: &i32| directions.iter().all(|(x, y)| self.is_open(Voxel::new(cell.x + x * r, cell.y + y * r, z)));
+        (1..=16).take_while(reach).count() as f32
+    }
+
+    fn look_from(&self, (from, ground_z): (Voxel, f64), options: &GivenOptions) -> (GivenView, Vec<u32>) {
+        let eye = from.center(self.voxel_m) + Vector3::new(0.13, 0.07, 0.03) * self.voxel_m;
+        let (mut seen, mut misses) = (vec![], vec![]);
+        let mut voxels = FxHashSet::default();
+        for ring in 0..RINGS {
+            let share = (ring as f64 + 0.5) / RINGS as f64;
+            let elevation = ELEVATION_RAD.0 + (ELEVATION_RAD.1 - ELEVATION_RAD.0) * share;
+            for k in 0..AZIMUTHS {
+                let azimuth = (k as f64 + 0.5) / AZIMUTHS as f64 * TAU;
+                let (level, rise) = (elevation.cos(), elevation.sin());
+                let direction = Vector3::new(azimuth.cos() * level, azimuth.sin() * level, rise);
+                match self.cast(&eye, &direction, options.range_max_m) {
+                    Beam::Ends(voxel) if voxels.insert(voxel) => {
+                        seen.extend(self.occupied.get(&voxel).into_iter().flatten().copied());
+                    }
+                    Beam::Open if self.free.is_some() => misses.push(eye + direction * options.range_max_m),
+                    _ => {}
+                }
+            }
+        }
+        seen.sort_unstable();
+        let base = Point3::new(eye.x, eye.y, ground_z);
+        let in_base = |p: &Point3<f32>| Point3::from(p.cast::<f64>() - base).cast::<f32>();
+        let index: Vec<usize> = seen.iter().map(|k| *k as usize).collect();
+        let mut hits = self.points.select(&index);
+        hits.positions.iter_mut().for_each(|p| *p = in_base(p));
+        let options = GivenOptions { sensor_height_m: eye.z - ground_z, ..*options };
+        (view(base, &options, false, (hits, misses)), seen)
+    }
+
+    /// The first voxel that is occupied, going from voxel to voxel (Amanatides and Woo 1987).
+    fn cast(&self, eye: &Point3<f64>, direction: &Vector3<f64>, range_m: f64) -> Beam {
+        let Some(mut at) = Voxel::containing(eye, self.voxel_m) else { return Beam::Lost };
+        let axis = |p: f64, d: f64, cell: i32| {
+            if d == 0.0 {
+                return (f64::INFINITY, f64::INFINITY);
+            }
+            let border = (f64::from(cell) + if d > 0.0 { 1.0 } else { 0.0 }) * self.voxel_m;
+            ((border - p) / d, self.voxel_m / d.abs())
+        };
+        let (mut tx, dx) = axis(eye.x, direction.x, at.x);
+        let (mut ty, dy) = axis(eye.y, direction.y, at.y);
+        let (mut tz, dz) = axis(eye.z, direction.z, at.z);
+        let step = |d: f64| if d > 0.0 { 1 } else { -1 };
+        let (sx, sy, sz) = (step(direction.x), step(direction.y), step(direction.z));
+        loop {
+            if tx.min(ty).min(tz) > range_m {
+                return Beam::Open;
+            }
+            if tx <= ty && tx <= tz {
+                (at.x, tx) = (at.x + sx, tx + dx);
+            } else if ty <= tz {
+                (at.y, ty) = (at.y + sy, ty + dy);
+            } else {
+                (at.z, tz) = (at.z + sz, tz + dz);
+            }
+            if self.is_occupied(at) {
+                return Beam::Ends(at);
+            }
+            if !self.is_open(at) {
+                return Beam::Lost;
+            }
+        }
+    }
+}
+
+/// What becomes of a beam.
+enum Beam {
+    /// It meets something here.
+    Ends(Voxel),
+    /// It meets nothing within the range.
+    Open,
+    /// It comes to where nothing is known.
+    Lost,
+}
+
+/// Views of occupied space by a lidar in space, level, over the ground: what of it is seen from there, point by point.
+///
+/// # Errors
+/// `NothingFree` if there is no room over any ground: there is no place to look from.
+pub fn views_of_space(space: &GivenSpace, options: &GivenOptions) -> Result<GivenViews, MappingError> {
+    let places = space.places(options);
+    if places.is_empty() {
+        return Err(MappingError::NothingFree);
+    }
+    let looked: Vec<(GivenView, Vec<u32>)> = places.par_iter().map(|place| space.look_from(*place, options)).collect();
+    let mut is_seen = vec![false; space.points.len()];
+    looked.iter().flat_map(|(_, seen)| seen).for_each(|k| is_seen[*k as usize] = true);
+    let share = is_seen.iter().filter(|s| **s).count() as f64 / is_seen.len().max(1) as f64;
+    let views = looked.into_iter().map(|(view, _)| view).filter(|v| !v.scan.hits.is_empty()).collect();
+    Ok(GivenViews { views, occupied_share: share, free_share: 1.0 })
+}

@@ -1,0 +1,40 @@
+//! A session begins with a map that was given.
+
+use super::Pipeline;
+use crate::NewKeyframe;
+use crate::frontend::View;
+use percept_geometry::Pose;
+use percept_mapping::given::GivenView;
+
+/// A map was given to a session that has one, or whose robot is under way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("there is a map already")]
+pub struct NotEmpty;
+
+impl Pipeline {
+    /// Begins with a map that was given, as views of it; the map's frame is theirs. A robot that comes is lost in it until it is
+    /// found, or starts at `start` (base to map) if that is told.
+    ///
+    /// # Errors
+    /// [`NotEmpty`]; nothing was changed.
+    pub fn take_given(&mut self, views: Vec<GivenView>, start: Option<Pose>) -> Result<Vec<NewKeyframe>, NotEmpty> {
+        if !self.map_graph.keyframes().is_empty() || self.pose.is_some() {
+            return Err(NotEmpty);
+        }
+        let keyframes = self.map_graph.take_given(views);
+        self.frontend.wait_to_be_found();
+        self.start = start;
+        self.count_memory();
+        Ok(keyframes)
+    }
+
+    /// Before the first frame of the sensor that moves the pose: what it can be found by, and where it starts if that was told.
+    pub(super) fn come_into_given(&mut self, view: &View) {
+        let kind = view.kind();
+        self.map_graph.prepare_over_given(kind, &view.spec.id);
+        let Some(start) = self.start.take() else { return };
+        let t_odom_base = self.map_graph.t_map_odom().inverse() * start;
+        let near = self.map_graph.given_near(kind, &t_odom_base);
+        self.frontend.start_at(view, &t_odom_base, &near);
+    }
+}

@@ -1,0 +1,190 @@
+//! A map that comes from elsewhere begins a session.
+
+use crate::session::command::Imported;
+use crate::{Error, ErrorCode, Limits, Result, Service, Session, check_id, reason};
+use percept_formats::OctreeMap;
+use percept_geometry::{PointCloud, Pose, SensorKind, SensorSpec, Voxel};
+use percept_mapping::given::{GivenOptions, GivenSpace, GivenViews, views_of_grid, views_of_space};
+use percept_mapping::{DenseGrid, MappingError};
+use percept_pipeline::PipelineParams;
+use std::sync::Arc;
+
+/// A map that comes from elsewhere.
+#[derive(Debug, Clone)]
+pub enum GivenMap {
+    /// Occupancy of the floor.
+    Grid(DenseGrid),
+    /// Occupancy of space.
+    Octree(OctreeMap),
+    /// Points, z up.
+    Cloud(Arc<PointCloud>),
+}
+
+/// How it is taken in.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ImportOptions {
+    /// Base to map, where the robot starts; none: it is looked for.
+    pub start: Option<Pose>,
+    /// Of the sensor above the ground, metres; none: as the sensors that are declared, or [`PLANAR_HEIGHT_M`] and [`SPATIAL_HEIGHT_M`].
+    pub sensor_height_m: Option<f64>,
+    /// Edge of the voxels by which points hide each other, metres; none: [`VOXEL_M`].
+    pub voxel_size_m: Option<f64>,
+}
+
+/// What became of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImportedMap {
+    /// Views that it was made into.
+    pub num_keyframes: usize,
+    /// Share of its occupied cells, or points, that they show, 0 to 1.
+    pub occupied_share: f64,
+    /// Share of its free cells that they show, 0 to 1.
+    pub free_share: f64,
+    /// Of the map with it.
+    pub map_version: u64,
+    /// The kind of sensor that is found in it.
+    pub found_by: SensorKind,
+}
+
+/// Usual heights of sensors above the ground, metres: of a safety lidar, and of one that looks over furniture.
+const PLANAR_HEIGHT_M: f64 = 0.3;
+const SPATIAL_HEIGHT_M: f64 = 1.0;
+const MAX_HEIGHT_M: f64 = 10.0;
+/// Points of maps lie some centimetres apart: what is nearer than this hides what is behind.
+const VOXEL_M: f64 = 0.1;
+/// Of voxels, metres.
+const VOXEL_RANGE_M: (f64, f64) = (0.02, 2.0);
+/// Voxels of a map that may be taken in: 12 bytes and a place in a table each.
+const MAX_VOXELS: u64 = 20_000_000;
+/// How far a view shows, metres: farther away cells of 0.05 m are thinner than the beams are apart.
+const RANGE_M: f64 = 30.0;
+
+impl Service {
+    /// Begins a session with a map; it is durable when this answers.
+    ///
+    /// # Errors
+    /// `MAP_NOT_EMPTY` if the session has a map; `MAP_UNUSABLE` if it shows no place to look from; `GRID_TOO_LARGE`,
+    /// `OUT_OF_RANGE`, `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
+    pub async fn import_map(&self, session: &str, given: GivenMap, options: ImportOptions) -> Result<ImportedMap> {
+        check_id("session_id", session)?;
+        options.check()?;
+        let before = self.snapshot(session).await?;
+        if !before.keyframes.is_empty() || before.pose.is_some() {
+            return Err(not_empty());
+        }
+        let sensors = self.registry.awake(session, |s: Arc<Session>| async move { Ok(s.meta().sensors) }).await?;
+        let sensors: Vec<SensorSpec> = sensors.into_iter().map(|d| d.spec).collect();
+        let (found_by, limits, start) = (given.found_by(), Arc::clone(&self.limits), options.start);
+        let look = move || given.views(&options, &sensors, &before.params, &limits);
+        let GivenViews { views, occupied_share, free_share } =
+            self.compute.query(&self.asker(session)?, look).await??;
+        let num_keyframes = views.len();
+        // A session that is woken anew is asked anew.
+        let enter = |s: Arc<Session>| {
+            let views = views.clone();
+            async move {
+                let done: Imported = s.import(views, start).await?.ok_or_else(not_empty)?;
+                s.wait_durable(done.ticket).await.map(|()| done)
+            }
+        };
+        let Imported { map_version, .. } = self.registry.awake(session, enter).await?;
+        Ok(ImportedMap { num_keyframes, occupied_share, free_share, map_version, found_by })
+    }
+}
+
+fn not_empty() -> Error {
+    let message = "the session has a map already; create a session for this one, and import before frames come";
+    Error::new(ErrorCode::FailedPrecondition, reason::MAP_NOT_EMPTY, message)
+}
+
+impl ImportOptions {
+    fn check(&self) -> Result<()> {
+        let within = |field: &str, value: Option<f64>, least: f64, most: f64| match value {
+            Some(v) if !(v >= least && v <= most) => {
+                let message = format!("{field} is {v}; choose {least} to {most}, or leave it out");
+                Err(Error::invalid(reason::OUT_OF_RANGE, field, message))
+            }
+            _ => Ok(()),
+        };
+        within("sensor_height_m", self.sensor_height_m, 0.0, MAX_HEIGHT_M)?;
+        within("voxel_size_m", self.voxel_size_m, VOXEL_RANGE_M.0, VOXEL_RANGE_M.1)
+    }
+
+    /// Of the sensor that is to be found in the map, above the ground, metres.
+    fn height(&self, kind: SensorKind, sensors: &[SensorSpec]) -> f64 {
+        let declared = sensors.iter().find(|s| s.kind == kind).map(|s| s.t_base_sensor.translation.vector.z);
+        let usual = if kind == SensorKind::Lidar2d { PLANAR_HEIGHT_M } else { SPATIAL_HEIGHT_M };
+        self.sensor_height_m.or(declared.filter(|z| *z > 0.0 && *z <= MAX_HEIGHT_M)).unwrap_or(usual)
+    }
+}
+
+impl GivenMap {
+    fn found_by(&self) -> SensorKind {
+        if matches!(self, Self::Grid(_)) { SensorKind::Lidar2d } else { SensorKind::Lidar3d }
+    }
+
+    fn views(
+        &self,
+        options: &ImportOptions,
+        sensors: &[SensorSpec],
+        params: &PipelineParams,
+        limits: &Limits,
+    ) -> Result<GivenViews> {
+        let range_max_m = RANGE_M.min(params.map.occupancy.range_max());
+        let sensor_height_m = options.height(self.found_by(), sensors);
+        let look = GivenOptions { range_max_m, sensor_height_m };
+        let seen = match self {
+            Self::Grid(grid) => {
+                let cells = grid.cells.len();
+                if cells > limits.max_planning_cells {
+                    let limit = limits.max_planning_cells;
+                    let message = format!("the grid has {cells} cells, the limit is {limit}; send a coarser one");
+                    return Err(Error::exhausted(reason::GRID_TOO_LARGE, "grid", message));
+                }
+                views_of_grid(grid, &look)
+            }
+            Self::Octree(octree) => space_of(octree).and_then(|space| views_of_space(&space, &look)),
+            Self::Cloud(cloud) => {
+                let voxel_m = options.voxel_size_m.unwrap_or(VOXEL_M);
+                GivenSpace::of_points(cloud.as_ref().clone(), voxel_m).and_then(|s| views_of_space(&s, &look))
+            }
+        };
+        seen.map_err(|e| self.refusal(&e))
+    }
+
+    fn refusal(&self, e: &MappingError) -> Error {
+        let field = match self {
+            Self::Grid(_) => "grid",
+            Self::Octree(_) => "octomap",
+            Self::Cloud(_) => "cloud",
+        };
+        match e {
+            MappingError::RegionTooLarge { cells, limit } => {
+                let message =
+                    format!("the map has {cells} voxels, the limit is {limit}; send a coarser or smaller one");
+                Error::exhausted(reason::GRID_TOO_LARGE, field, message)
+            }
+            MappingError::NothingFree => Error::invalid(reason::MAP_UNUSABLE, field, e.to_string()),
+            e => Error::invalid(reason::OUT_OF_RANGE, field, e.to_string()),
+        }
+    }
+}
+
+/// The voxels of an octree's leaves.
+fn space_of(octree: &OctreeMap) -> std::result::Result<GivenSpace, MappingError> {
+    let cells: u64 =
+        octree.leaves().iter().map(|l| u64::from(l.edge_voxels()).saturating_pow(3)).fold(0, u64::saturating_add);
+    if cells > MAX_VOXELS {
+        return Err(MappingError::RegionTooLarge { cells, limit: MAX_VOXELS });
+    }
+    let voxels = |is_occupied: bool| {
+        octree.leaves().iter().filter(move |l| l.is_occupied() == is_occupied).flat_map(|leaf| {
+            let (low, edge) = (leaf.lowest_voxel(), leaf.edge_voxels() as i32);
+            let along = move |from: i32| from..from + edge;
+            along(low.z)
+                .flat_map(move |z| along(low.y).flat_map(move |y| along(low.x).map(move |x| Voxel::new(x, y, z))))
+        })
+    };
+    let occupied: Vec<Voxel> = voxels(true).collect();
+    GivenSpace::of_voxels(&occupied, voxels(false), octree.resolution_m())
+}
