@@ -63,6 +63,9 @@ pub struct SensorSpec {
     pub intrinsics: Option<CameraIntrinsics>,
     /// Seconds to add to this sensor's stamps to get the session's clock.
     pub time_offset_s: f64,
+    /// How far it sees, metres, if that is told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range_max_m: Option<f64>,
 }
 
 impl SensorSpec {
@@ -97,7 +100,13 @@ impl SensorSpec {
                 requirement: "finite",
             });
         }
-        Ok(())
+        match self.range_max_m {
+            Some(value) if !(value > 0.0 && value <= 1e4) => {
+                let requirement = "above 0 and at most 10000 m; send metres, or leave it out";
+                Err(GeometryError::OutOfRange { field: "range_max_m", value, requirement })
+            }
+            _ => Ok(()),
+        }
     }
 }
 

@@ -337,6 +337,7 @@ fn carmen(text: &str, seconds: f64) -> (Vec<SensorSpec>, Vec<SensorFrame>) {
         t_base_sensor: Pose::identity(),
         intrinsics: None,
         time_offset_s: 0.0,
+        range_max_m: None,
     };
     let sensors = vec![spec("lidar", SensorKind::Lidar2d), spec("wheels", SensorKind::Odometry)];
     let mut frames = vec![];

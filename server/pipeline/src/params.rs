@@ -1,5 +1,6 @@
 //! The tree of all parameters of a session.
 
+use crate::Preset;
 use percept_mapping::MapParams;
 use percept_perception::detection::DetectionParams;
 use percept_planning::PlanParams;
@@ -106,6 +107,8 @@ pub struct PipelineParams {
     pub relations: RelationParams,
     /// Paths.
     pub planning: PlanParams,
+    /// What the defaults of the rest are made for.
+    pub preset: Preset,
 }
 
 impl PipelineParams {

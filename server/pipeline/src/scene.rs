@@ -57,7 +57,7 @@ impl Scene {
     pub(crate) fn new(params: &PipelineParams) -> Result<Self, ParamsError> {
         Ok(Self {
             settings: params.detection.clone(),
-            detector: detector(&params.detection)?,
+            detector: detector(params)?,
             executor: None,
             searches: VecDeque::new(),
             tracker: Tracker::new(params.tracker.clone()).map_err(|e| ParamsError::of("tracker", e))?,
@@ -70,7 +70,7 @@ impl Scene {
     /// # Errors
     /// A parameter out of bounds; nothing was changed.
     pub(crate) fn set_params(&mut self, params: &PipelineParams) -> Result<(), ParamsError> {
-        let detector = detector(&params.detection)?;
+        let detector = detector(params)?;
         self.tracker.set_params(params.tracker.clone()).map_err(|e| ParamsError::of("tracker", e))?;
         (self.settings, self.detector) = (params.detection.clone(), detector);
         Ok(())
@@ -174,6 +174,8 @@ impl Scene {
     }
 }
 
-fn detector(settings: &DetectionSettings) -> Result<Arc<Detector>, ParamsError> {
-    Detector::new(settings.detector).map(Arc::new).map_err(|e| ParamsError::of("detection.detector", e))
+/// A detector for what the fused cloud holds, however coarse that is.
+fn detector(params: &PipelineParams) -> Result<Arc<Detector>, ParamsError> {
+    let detector = params.detection.detector.for_spacing(params.map.cloud.voxel_size_m);
+    Detector::new(detector).map(Arc::new).map_err(|e| ParamsError::of("detection.detector", e))
 }

@@ -5,6 +5,7 @@
 //! `FEATURE_METHOD_SIFT` in the contract.
 
 use crate::{json, v1};
+use percept_geometry::SensorSpec;
 use percept_pipeline::PipelineParams;
 use percept_planning::PlanParams;
 use percept_service::reason;
@@ -14,12 +15,19 @@ use prost_reflect::{DynamicMessage, EnumDescriptor, Kind, MessageDescriptor, Ser
 use serde::{Serialize, de::DeserializeOwned};
 use serde_json::Value;
 
-/// Session parameters over their defaults.
+/// Session parameters over the defaults of the preset, which goes by the sensors if it is not chosen.
 ///
 /// # Errors
 /// `PARAMETER_OUT_OF_RANGE`.
-pub fn pipeline(sent: Option<&v1::PipelineParams>, defaults: &PipelineParams) -> Result<PipelineParams> {
-    let params = overlay("PipelineParams", sent, defaults)?;
+pub fn pipeline(
+    sent: Option<&v1::PipelineParams>,
+    defaults: &PipelineParams,
+    sensors: &[SensorSpec],
+) -> Result<PipelineParams> {
+    let wanted: PipelineParams = overlay("PipelineParams", sent, defaults)?;
+    let preset = wanted.preset.chosen(sensors);
+    let mut params = overlay("PipelineParams", sent, &defaults.clone().for_preset(preset))?;
+    params.preset = preset;
     params
         .validate()
         .map_err(|e| Error::invalid(reason::PARAMETER_OUT_OF_RANGE, format!("params.{}", e.section), e.message))?;

@@ -46,6 +46,7 @@ def spec_to(spec: SensorSpec) -> sensor_pb2.SensorSpec:
         t_base_sensor=geometry.pose_to(spec.t_base_sensor),
         intrinsics=None if spec.intrinsics is None else geometry.intrinsics_to(spec.intrinsics),
         time_offset_s=spec.time_offset_s,
+        range_max_m=spec.range_max_m,
         overload_policy=words.number("overload_policy", sensor_pb2.OverloadPolicy, spec.overload_policy),
     )
 
@@ -59,6 +60,7 @@ def spec(message: sensor_pb2.SensorSpec) -> SensorSpec:
         t_base_sensor=geometry.pose(message.t_base_sensor),
         intrinsics=geometry.intrinsics(message.intrinsics) if has_intrinsics else None,
         time_offset_s=message.time_offset_s,
+        range_max_m=message.range_max_m if message.HasField("range_max_m") else None,
         overload_policy=words.word(OverloadPolicy, sensor_pb2.OverloadPolicy, message.overload_policy),
     )
 

@@ -43,6 +43,8 @@ class SensorSpec(Value):
     intrinsics: CameraIntrinsics | None = field(default=None, kw_only=True)
     #: Seconds to add to this sensor's stamps to get the session's clock.
     time_offset_s: float = field(default=0.0, kw_only=True)
+    #: How far it sees, metres; the preset "auto" of a session that is created with it goes by that.
+    range_max_m: float | None = field(default=None, kw_only=True)
     #: Left unspecified, zenoh drops the oldest.
     overload_policy: OverloadPolicy | str = field(default=OverloadPolicy.UNSPECIFIED, kw_only=True)
 

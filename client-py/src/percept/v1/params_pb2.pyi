@@ -5,6 +5,7 @@ isort:skip_file
 
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from percept.v1 import toolbox_pb2 as _toolbox_pb2
 import builtins as _builtins
 import sys
@@ -16,6 +17,34 @@ else:
     from typing_extensions import TypeAlias as _TypeAlias, Never as _Never
 
 DESCRIPTOR: _descriptor.FileDescriptor
+
+class _Preset:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _PresetEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Preset.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    PRESET_UNSPECIFIED: _Preset.ValueType  # 0
+    """AUTO."""
+    PRESET_AUTO: _Preset.ValueType  # 1
+    """OUTDOOR if a 3D lidar is declared that sees 50 m or farther, else INDOOR."""
+    PRESET_INDOOR: _Preset.ValueType  # 2
+    """Rooms, halls: cells of 0.1 m, points of 0.05 m, to 30 m; objects to 6 m."""
+    PRESET_OUTDOOR: _Preset.ValueType  # 3
+    """Streets, yards, fields: cells and points of 0.2 m, to 50 m; objects to 30 m; heights of the ground are kept."""
+
+class Preset(_Preset, metaclass=_PresetEnumTypeWrapper):
+    """Surroundings that defaults are made for."""
+
+PRESET_UNSPECIFIED: Preset.ValueType  # 0
+"""AUTO."""
+PRESET_AUTO: Preset.ValueType  # 1
+"""OUTDOOR if a 3D lidar is declared that sees 50 m or farther, else INDOOR."""
+PRESET_INDOOR: Preset.ValueType  # 2
+"""Rooms, halls: cells of 0.1 m, points of 0.05 m, to 30 m; objects to 6 m."""
+PRESET_OUTDOOR: Preset.ValueType  # 3
+"""Streets, yards, fields: cells and points of 0.2 m, to 50 m; objects to 30 m; heights of the ground are kept."""
+Global___Preset: _TypeAlias = Preset  # noqa: Y015
 
 @_typing.final
 class PipelineParams(_message.Message):
@@ -32,6 +61,9 @@ class PipelineParams(_message.Message):
     TRACKER_FIELD_NUMBER: _builtins.int
     RELATIONS_FIELD_NUMBER: _builtins.int
     PLANNING_FIELD_NUMBER: _builtins.int
+    PRESET_FIELD_NUMBER: _builtins.int
+    preset: Global___Preset.ValueType
+    """What the defaults of all the rest are made for. In a session it is what was chosen."""
     @_builtins.property
     def slam(self) -> Global___SlamParams:
         """Poses."""
@@ -65,12 +97,15 @@ class PipelineParams(_message.Message):
         tracker: Global___TrackerParams | None = ...,
         relations: Global___RelationParams | None = ...,
         planning: Global___PlanningParams | None = ...,
+        preset: Global___Preset.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["detection", b"detection", "map", b"map", "planning", b"planning", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["detection", b"detection", "map", b"map", "planning", b"planning", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__preset: _TypeAlias = _typing.Literal["preset"]  # noqa: Y015
+    _WhichOneofArgType__preset: _TypeAlias = _typing.Literal["_preset", b"_preset"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__preset) -> _WhichOneofReturnType__preset | None: ...
 
 Global___PipelineParams: _TypeAlias = PipelineParams  # noqa: Y015
 

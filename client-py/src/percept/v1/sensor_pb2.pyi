@@ -310,12 +310,15 @@ class SensorSpec(_message.Message):
     INTRINSICS_FIELD_NUMBER: _builtins.int
     TIME_OFFSET_S_FIELD_NUMBER: _builtins.int
     OVERLOAD_POLICY_FIELD_NUMBER: _builtins.int
+    RANGE_MAX_M_FIELD_NUMBER: _builtins.int
     sensor_id: _builtins.str
     """Name, unique in its session: 1 to 64 characters of a-z A-Z 0-9 _ -."""
     kind: Global___SensorKind.ValueType
     time_offset_s: _builtins.float
     """Seconds to add to this sensor's stamps to get the session's clock."""
     overload_policy: Global___OverloadPolicy.ValueType
+    range_max_m: _builtins.float
+    """How far it sees, metres, above 0. Of the sensors that a session is created with, the preset AUTO goes by it."""
     @_builtins.property
     def t_base_sensor(self) -> _geometry_pb2.Pose:
         """Extrinsics t_base_sensor: sensor (optical frame for cameras) to base. Absent: identity."""
@@ -333,14 +336,20 @@ class SensorSpec(_message.Message):
         intrinsics: Global___CameraIntrinsics | None = ...,
         time_offset_s: _builtins.float = ...,
         overload_policy: Global___OverloadPolicy.ValueType = ...,
+        range_max_m: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_intrinsics", b"_intrinsics", "intrinsics", b"intrinsics", "t_base_sensor", b"t_base_sensor"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_intrinsics", b"_intrinsics", "_range_max_m", b"_range_max_m", "intrinsics", b"intrinsics", "range_max_m", b"range_max_m", "t_base_sensor", b"t_base_sensor"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_intrinsics", b"_intrinsics", "intrinsics", b"intrinsics", "kind", b"kind", "overload_policy", b"overload_policy", "sensor_id", b"sensor_id", "t_base_sensor", b"t_base_sensor", "time_offset_s", b"time_offset_s"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_intrinsics", b"_intrinsics", "_range_max_m", b"_range_max_m", "intrinsics", b"intrinsics", "kind", b"kind", "overload_policy", b"overload_policy", "range_max_m", b"range_max_m", "sensor_id", b"sensor_id", "t_base_sensor", b"t_base_sensor", "time_offset_s", b"time_offset_s"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__intrinsics: _TypeAlias = _typing.Literal["intrinsics"]  # noqa: Y015
     _WhichOneofArgType__intrinsics: _TypeAlias = _typing.Literal["_intrinsics", b"_intrinsics"]  # noqa: Y015
+    _WhichOneofReturnType__range_max_m: _TypeAlias = _typing.Literal["range_max_m"]  # noqa: Y015
+    _WhichOneofArgType__range_max_m: _TypeAlias = _typing.Literal["_range_max_m", b"_range_max_m"]  # noqa: Y015
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__intrinsics) -> _WhichOneofReturnType__intrinsics | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_max_m) -> _WhichOneofReturnType__range_max_m | None: ...
 
 Global___SensorSpec: _TypeAlias = SensorSpec  # noqa: Y015
 

@@ -124,6 +124,7 @@ fn sensors(log: &CarmenLog, corrected: bool) -> Vec<SensorSpec> {
         t_base_sensor,
         intrinsics: None,
         time_offset_s: 0.0,
+        range_max_m: None,
     };
     let offset = if corrected { 0.0 } else { log.front_laser_offset_m };
     let mut out = vec![spec(LASER, SensorKind::Lidar2d, Pose::translation(offset, 0.0, 0.0))];

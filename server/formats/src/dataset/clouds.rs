@@ -35,6 +35,7 @@ impl CloudLoader {
             t_base_sensor: Pose::identity(),
             intrinsics: None,
             time_offset_s: 0.0,
+            range_max_m: None,
         }
     }
 }

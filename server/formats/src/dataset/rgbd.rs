@@ -74,6 +74,7 @@ pub(super) fn camera(
         t_base_sensor: t_base_camera(),
         intrinsics: Some(CameraIntrinsics { width, height, ..intrinsics }),
         time_offset_s: 0.0,
+        range_max_m: None,
     };
     spec.validate()?;
     Ok(spec)

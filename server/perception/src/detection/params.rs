@@ -68,6 +68,29 @@ impl Default for DetectionParams {
 }
 
 impl DetectionParams {
+    /// These for clouds whose points lie `spacing_m` apart: no finer than that, distances between points in proportion, and
+    /// numbers of points as there are on a surface. Of finer clouds, the same.
+    #[must_use]
+    pub fn for_spacing(self, spacing_m: f64) -> Self {
+        let factor = spacing_m / self.voxel_size_m;
+        if !(factor > 1.0 && spacing_m <= 0.5) {
+            return self;
+        }
+        let fewer = |n: usize, least: usize| ((n as f64 / (factor * factor)).round() as usize).max(least.min(n));
+        let apart = |m: f64| m.max(m * factor).min(2.0);
+        Self {
+            voxel_size_m: spacing_m,
+            cluster_eps_m: apart(self.cluster_eps_m).max(2.0 * spacing_m),
+            // A voxel, and the four beside it on a surface.
+            min_density: fewer(self.min_density, 5),
+            min_points: fewer(self.min_points, 8),
+            // Means of voxels of a rough floor are off by half a voxel at most.
+            floor_margin_m: self.floor_margin_m.max(0.6 * spacing_m),
+            wall_distance_m: self.wall_distance_m.max(0.6 * spacing_m),
+            ..self
+        }
+    }
+
     /// Checks the bounds.
     ///
     /// # Errors

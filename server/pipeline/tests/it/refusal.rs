@@ -12,6 +12,7 @@ fn lidar() -> SensorSpec {
         t_base_sensor: percept_geometry::Pose::identity(),
         intrinsics: None,
         time_offset_s: 0.0,
+        range_max_m: None,
     }
 }
 

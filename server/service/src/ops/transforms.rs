@@ -300,6 +300,7 @@ mod tests {
                 t_base_sensor: pose(x, 0.3),
                 intrinsics: None,
                 time_offset_s: 0.0,
+                range_max_m: None,
             },
             overload: OverloadPolicy::Block,
         };

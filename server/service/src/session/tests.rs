@@ -37,6 +37,7 @@ fn meta(id: &str) -> SessionMeta {
         t_base_sensor: percept_geometry::Pose::identity(),
         intrinsics: None,
         time_offset_s: 0.0,
+        range_max_m: None,
     };
     SessionMeta {
         id: id.to_owned(),

@@ -106,6 +106,7 @@ impl SensorSuite {
             t_base_sensor,
             intrinsics,
             time_offset_s: 0.0,
+            range_max_m: None,
         };
         let mut out = Vec::new();
         if self.odometry.is_some() {

@@ -109,6 +109,7 @@ pub fn declaration(s: &v1::SensorSpec) -> Result<SensorDeclaration> {
         t_base_sensor: geometry::pose("t_base_sensor", s.t_base_sensor.as_ref())?,
         intrinsics: s.intrinsics.as_ref().map(intrinsics).transpose().map_err(|e| e.within("intrinsics"))?,
         time_offset_s: s.time_offset_s,
+        range_max_m: s.range_max_m,
     };
     if matches!(spec.kind, SensorKind::Depth | SensorKind::Rgbd | SensorKind::Camera) {
         required("intrinsics", spec.intrinsics.as_ref())?;
@@ -137,6 +138,7 @@ pub fn declaration_to(d: &SensorDeclaration) -> v1::SensorSpec {
         t_base_sensor: Some(geometry::pose_to(&d.spec.t_base_sensor)),
         intrinsics: d.spec.intrinsics.as_ref().map(intrinsics_to),
         time_offset_s: d.spec.time_offset_s,
+        range_max_m: d.spec.range_max_m,
         overload_policy: match d.overload {
             OverloadPolicy::Block => v1::OverloadPolicy::Block,
             OverloadPolicy::DropOldest => v1::OverloadPolicy::DropOldest,

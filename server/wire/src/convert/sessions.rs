@@ -23,13 +23,15 @@ pub fn new_session(r: &v1::CreateSessionRequest, defaults: &PipelineParams) -> R
     };
     let declare =
         |(i, s): (usize, &v1::SensorSpec)| sensors::declaration(s).map_err(|e| e.within(&format!("sensors[{i}]")));
+    let sensors: Vec<_> = r.sensors.iter().enumerate().map(declare).collect::<Result<_>>()?;
+    let specs: Vec<_> = sensors.iter().map(|d| d.spec.clone()).collect();
     Ok(NewSession {
         id: r.session_id.clone(),
         display_name: r.display_name.clone(),
         labels: r.labels.clone().into_iter().collect(),
         mode,
-        sensors: r.sensors.iter().enumerate().map(declare).collect::<Result<_>>()?,
-        params: params::pipeline(r.params.as_ref(), defaults)?,
+        sensors,
+        params: params::pipeline(r.params.as_ref(), defaults, &specs)?,
         request_id: r.request_id.clone(),
     })
 }
