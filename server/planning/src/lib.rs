@@ -3,7 +3,7 @@
 //! Comes in: an [`Occupancy`](percept_mapping::Occupancy) (or a [`DenseGrid`](percept_mapping::DenseGrid) cut
 //! from one), and a [`PathRequest`] in its frame: two ends, a footprint, zones, and by which [`Planner`]. Goes out:
 //! [`PlanOutcome`]: waypoints with their times, cost and clearance, or a [`NoPathReason`] and what is in the way. Nothing
-//! here follows the path, or watches a clock. Start with [`plan()`] for a disc from point to point, with [`plan_path`] for
+//! here follows the path, or watches a clock. Paths in space, through voxels, are in [`flight`]. Start with [`plan()`] for a disc from point to point, with [`plan_path`] for
 //! all else; where to go to see more is [`frontiers`].
 
 mod answer;
@@ -14,6 +14,7 @@ pub mod costmap;
 mod distance;
 mod ends;
 mod fit;
+pub mod flight;
 mod flood;
 mod footprint;
 mod frontier;

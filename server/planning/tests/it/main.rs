@@ -8,6 +8,7 @@ mod any_angle;
 mod checker;
 mod clearance;
 mod ends;
+mod flight;
 mod frontier;
 mod search;
 mod steer;

@@ -1,0 +1,176 @@
+//! From start to goal in space: check the ends, search, pull taut.
+
+use super::ends::{Refusal, check_goal, check_start};
+use super::field::Field;
+use super::lattice::{Found, Limits};
+use super::{DenseVoxels, FlightParams, FlightPlanner};
+use crate::{CellState, NoPathReason, PlanError};
+use nalgebra::Point3;
+
+/// A question for a path in space; [`FlightRequest::new`] sets what is not asked for.
+#[derive(Clone, Copy)]
+pub struct FlightRequest<'a> {
+    /// Where from: the ball's centre, map frame, metres.
+    pub start: Point3<f64>,
+    /// Where to, likewise.
+    pub goal: Point3<f64>,
+    /// The robot's radius, and limits.
+    pub params: &'a FlightParams,
+    /// How.
+    pub planner: FlightPlanner,
+    /// Asked before the search and from time to time in it, say for a deadline: once it is true, the search ends.
+    pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
+}
+
+impl<'a> FlightRequest<'a> {
+    /// From position to position (map frame, metres), at any angle.
+    pub fn new(start: Point3<f64>, goal: Point3<f64>, params: &'a FlightParams) -> Self {
+        Self { start, goal, params, planner: FlightPlanner::default(), stop: None }
+    }
+}
+
+/// A path along which the ball touches nothing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FlightPath {
+    /// From exactly the start to exactly the goal, straight in between, map frame, metres. Two or more.
+    pub waypoints: Vec<Point3<f64>>,
+    /// Length, metres.
+    pub length_m: f64,
+    /// Smallest distance of the ball's centre from an obstacle's voxel along the way, metres, exact; none if it is more than
+    /// the radius and two voxels.
+    pub min_clearance_m: Option<f64>,
+    /// Voxels that the searches expanded.
+    pub expansions: usize,
+}
+
+/// What stands in the way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FlightBlocking {
+    /// Where the ball does not fit, map frame, metres.
+    pub position: Point3<f64>,
+    /// Centre of the nearest voxel that blocks it.
+    pub obstacle: Point3<f64>,
+    /// What is there: `Occupied`, or `Unknown` (so is what lies outside of the box).
+    pub state: CellState,
+}
+
+/// The answer to a question for a path in space.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FlightOutcome {
+    /// There it is.
+    Path(FlightPath),
+    /// There is none.
+    NoPath {
+        /// Why: as for paths in the plane. `StartInKeepOut` and `GoalInKeepOut` are ends above or below the limits of
+        /// height. Never `NotSteerable`.
+        reason: NoPathReason,
+        /// Of an end where the ball does not fit: what is too near.
+        blocking: Option<FlightBlocking>,
+    },
+}
+
+/// The shortest path of a ball through a box of voxels, of those that the planner finds.
+///
+/// A voxel's centre is open where the ball on it touches no obstacle's cube. It moves from centre to centre where all centres
+/// around its way are open; corners that can be left out without coming nearer to obstacles than the radius then are.
+///
+/// # Errors
+/// `InvalidParam`, `NotFinite` (`start`, `goal`), `GridTooLarge`.
+pub fn plan_flight(voxels: &DenseVoxels, request: &FlightRequest<'_>) -> Result<FlightOutcome, PlanError> {
+    let params = request.params;
+    for (field, point) in [("start", &request.start), ("goal", &request.goal)] {
+        if let Some(&value) = point.iter().find(|v| !v.is_finite()) {
+            return Err(PlanError::NotFinite { field, value });
+        }
+    }
+    params.validate_over(voxels.voxel_size_m)?;
+    let (cells, limit) = (voxels.percent.len() as u64, params.max_voxels as u64);
+    if cells > limit {
+        return Err(PlanError::GridTooLarge { cells, limit });
+    }
+    voxels.validate()?;
+    Ok(match route(voxels, request) {
+        Ok(path) => FlightOutcome::Path(path),
+        Err(Refusal { reason, blocking }) => FlightOutcome::NoPath { reason, blocking },
+    })
+}
+
+fn route(voxels: &DenseVoxels, request: &FlightRequest<'_>) -> Result<FlightPath, Refusal> {
+    let params = request.params;
+    let (start, goal) = (Field::located(voxels, &request.start), Field::located(voxels, &request.goal));
+    let mut field = Field::new(voxels, params, &start);
+    let from = check_start(&mut field, voxels, &start, params)?;
+    let to = check_goal(&field, &goal, params)?;
+    let limits = Limits { max_expansions: params.max_expansions, stop: request.stop };
+    let raw = |way: Vec<usize>| {
+        let mut out = vec![start];
+        out.extend(way.into_iter().map(|index| field.center(index)));
+        out.push(goal);
+        out.dedup();
+        out
+    };
+    let (by_voxels, expansions) = match field.shortest_over_voxels(from, to, &limits) {
+        Found::Way { voxels, expansions } => (raw(voxels), expansions),
+        Found::Limit => return Err(NoPathReason::SearchLimit.into()),
+        Found::Stopped => return Err(NoPathReason::Stopped.into()),
+        Found::Nothing { got_free: true } => return Err(NoPathReason::Unreachable.into()),
+        Found::Nothing { got_free: false } => return Err(field.refusal(NoPathReason::StartDoesNotFit, &start)),
+    };
+    if request.planner == FlightPlanner::Lattice {
+        return Ok(FlightPath { expansions, ..measured(&field, voxels, request, by_voxels) });
+    }
+    let pulled = measured(&field, voxels, request, taut(&field, &by_voxels));
+    let limits = Limits { max_expansions: params.max_expansions.saturating_sub(expansions), ..limits };
+    Ok(match field.any_angle(from, to, &limits) {
+        Found::Way { voxels: corners, expansions: more } => {
+            let path = measured(&field, voxels, request, taut(&field, &raw(corners)));
+            let shorter = if path.length_m < pulled.length_m { path } else { pulled };
+            FlightPath { expansions: expansions + more, ..shorter }
+        }
+        // What A* found is a path all the same.
+        _ => FlightPath { expansions, ..pulled },
+    })
+}
+
+/// Leaves out corners: each point is followed by the last one that it can see before it first cannot, without coming nearer
+/// to obstacles than the radius, or than what is replaced.
+fn taut(field: &Field<'_>, path: &[Point3<f64>]) -> Vec<Point3<f64>> {
+    let mut out = vec![path[0]];
+    let mut from = 0;
+    while from + 1 < path.len() {
+        let mut to = from + 1;
+        let mut replaced = field.segment_clearance(&path[from], &path[to], field.radius);
+        for next in to + 1..path.len() {
+            replaced = field.segment_clearance(&path[next - 1], &path[next], replaced);
+            if field.segment_clearance(&path[from], &path[next], replaced) < replaced * (1.0 - 1e-9) {
+                break;
+            }
+            to = next;
+        }
+        out.push(path[to]);
+        from = to;
+    }
+    out
+}
+
+/// Back in the map's frame, with its exact ends.
+fn measured(
+    field: &Field<'_>,
+    voxels: &DenseVoxels,
+    request: &FlightRequest<'_>,
+    points: Vec<Point3<f64>>,
+) -> FlightPath {
+    let size = voxels.voxel_size_m;
+    let legs = || points.windows(2);
+    let nearest = legs().fold(field.farthest(), |nearest, leg| field.segment_clearance(&leg[0], &leg[1], nearest));
+    let nearest = if points.len() == 1 { field.segment_clearance(&points[0], &points[0], nearest) } else { nearest };
+    let mut waypoints: Vec<Point3<f64>> = points.iter().map(|p| field.placed(p)).collect();
+    if waypoints.len() == 1 {
+        waypoints.push(request.goal);
+    }
+    let last = waypoints.len() - 1;
+    (waypoints[0], waypoints[last]) = (request.start, request.goal);
+    let length_m = waypoints.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
+    let min_clearance_m = (nearest < field.farthest()).then_some(nearest * size);
+    FlightPath { waypoints, length_m, min_clearance_m, expansions: 0 }
+}
