@@ -7,6 +7,7 @@
 //! all else; where to go to see more is [`frontiers`].
 
 mod answer;
+pub mod anytime;
 pub mod astar;
 mod bits;
 mod blocking;
@@ -32,6 +33,7 @@ mod validate;
 mod zones;
 
 pub use answer::{Blocking, CostParts, NoPathReason, Path, PlanOutcome, Waypoint};
+pub use anytime::{AnytimeParams, plan_anytime};
 pub use astar::{GridPath, SearchGrid};
 pub use costmap::{CellState, Costmap};
 pub use distance::clearance_in_cells;

@@ -60,12 +60,8 @@ pub fn plan_dense(
 /// `InvalidParam`, `NotFinite`, `GridTooLarge`, `Map` for a grid whose values or shape are not sound.
 pub fn plan_path(grid: &DenseGrid, request: &PathRequest<'_>) -> Result<PlanOutcome, PlanError> {
     request.check_grid(grid)?;
-    let params = request.params;
     let footprint = request.planned_footprint();
-    // The base keeps off by what the footprint needs whatever its heading.
-    let radius = footprint.inscribed_radius_m();
-    let inflation_radius_m = params.inflation_radius_m.max(radius);
-    let params = PlanParams { robot_radius_m: radius, inflation_radius_m, ..*params };
+    let params = sized(request, &footprint);
     let request = PathRequest { params: &params, ..*request };
     let PathRequest { zones, masks, .. } = request;
     let costmap = Costmap::with_zones(grid, &request.start.position, &params, zones, masks);
@@ -77,6 +73,13 @@ pub fn plan_path(grid: &DenseGrid, request: &PathRequest<'_>) -> Result<PlanOutc
         Ok(path) => PlanOutcome::Path(path),
         Err(Refusal { reason, blocking }) => PlanOutcome::NoPath { reason, blocking },
     })
+}
+
+/// The request's parameters for what is planned for: the base keeps off by what the footprint needs whatever its heading.
+pub(crate) fn sized(request: &PathRequest<'_>, planned_for: &Footprint) -> PlanParams {
+    let radius = planned_for.inscribed_radius_m();
+    let inflation_radius_m = request.params.inflation_radius_m.max(radius);
+    PlanParams { robot_radius_m: radius, inflation_radius_m, ..*request.params }
 }
 
 /// A path that can be steered.
@@ -126,13 +129,7 @@ fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Resu
     let blocked = costmap.blocked(&start);
     let (width, height) = (costmap.width(), costmap.height());
     let search_grid = SearchGrid { blocked: &blocked, factors: costmap.factors(), width, height };
-    let path_through = |cells: &[Cell], expansions: usize| {
-        let mut raw = vec![start];
-        raw.extend(cells.iter().map(|c| costmap.geometry().center(*c)));
-        raw.push(goal);
-        let points = if params.smooth { smoothed(costmap, &raw, params) } else { raw };
-        Path::of_legs(costmap, points, &request.speed, expansions)
-    };
+    let path_through = |cells: &[Cell], expansions| path_through(costmap, request, cells, expansions);
     let by_cells = match search(&search_grid, from, to, params.max_expansions) {
         GridPath::Found { cells, expansions, .. } => path_through(&cells, expansions),
         GridPath::SearchLimit => return Err(NoPathReason::SearchLimit.into()),
@@ -152,8 +149,23 @@ fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Resu
     }
 }
 
+/// From the request's start through cells to its goal, smoothed if that is wanted.
+pub(crate) fn path_through(costmap: &Costmap, request: &PathRequest<'_>, cells: &[Cell], expansions: usize) -> Path {
+    let params = request.params;
+    let mut raw = vec![request.start.position];
+    raw.extend(cells.iter().map(|c| costmap.geometry().center(*c)));
+    raw.push(request.goal.position);
+    let points = if params.smooth { smoothed(costmap, &raw, params) } else { raw };
+    Path::of_legs(costmap, points, &request.speed, expansions)
+}
+
 /// Unreachable, or rather a start so hemmed in that no place the robot fits in can be reached from it.
-fn unreachable(costmap: &Costmap, grid: &SearchGrid<'_>, ends: (Cell, Cell), params: &PlanParams) -> Refusal {
+pub(crate) fn unreachable(
+    costmap: &Costmap,
+    grid: &SearchGrid<'_>,
+    ends: (Cell, Cell),
+    params: &PlanParams,
+) -> Refusal {
     let radius = params.robot_radius_m;
     if reaches(grid, ends.0, |c| costmap.fits(c)) {
         let blocking = first_blocking(costmap, grid.blocked, ends, radius);

@@ -5,6 +5,7 @@
 
 mod answers;
 mod any_angle;
+mod anytime;
 mod checker;
 mod clearance;
 mod ends;
