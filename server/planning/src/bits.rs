@@ -72,6 +72,12 @@ impl BitLines {
         (low | high) as u32 & 7
     }
 
+    /// Blocks or frees a cell.
+    pub(crate) fn set(&mut self, line: usize, at: usize, is_blocked: bool) {
+        let (word, bit) = ((line + 1) * self.stride + at / 64 + 1, at % 64);
+        self.words[word] = self.words[word] & !(1 << bit) | u64::from(is_blocked) << bit;
+    }
+
     /// Whether a cell, which may be one beyond any end, is blocked.
     #[inline]
     pub(crate) fn is_blocked(&self, line: isize, at: isize) -> bool {

@@ -11,6 +11,7 @@ mod clearance;
 mod ends;
 mod flight;
 mod frontier;
+mod repair;
 mod search;
 mod steer;
 mod steering;

@@ -24,10 +24,10 @@ pub(crate) fn distance_to_obstacles(grid: &DenseGrid, p: &Point2<f64>) -> f64 {
 }
 
 /// Small generator (Knuth's MMIX constants), so that the worlds are the same everywhere.
-struct Random(u64);
+pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
-    fn below(&mut self, n: usize) -> usize {
+    pub(crate) fn below(&mut self, n: usize) -> usize {
         self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         (self.0 >> 33) as usize % n
     }
