@@ -2,7 +2,7 @@
 
 /// Bits of a grid's lines, 1 where blocked, with a blocked word before and after each line and a blocked line before the
 /// first and after the last. Cell `at` of a line is bit `at + 64` of it; line `line` of the grid is line `line + 1` here.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct BitLines {
     words: Vec<u64>,
     /// Words a line.

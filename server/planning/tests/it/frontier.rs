@@ -3,7 +3,7 @@
 use crate::worlds::distance_to_obstacles;
 use crate::{drawn, hall, path};
 use nalgebra::Point2;
-use percept_planning::{PlanError, PlanParams, frontiers};
+use percept_planning::{PlanError, PlanParams, frontiers, rank_frontiers};
 
 #[test]
 fn frontiers_that_can_be_reached_are_found_the_nearest_first() {
@@ -27,6 +27,16 @@ fn frontiers_that_can_be_reached_are_found_the_nearest_first() {
         assert!(path(&grid, start.into(), goal.into(), &params).length_m <= frontier.cost * 1.01 + 0.2);
     }
     assert_eq!(frontiers(&grid, start, &params, 11).unwrap().len(), 1);
+    // Of 1 and 2.9 m, the larger one farther off: it comes first once a metre of it is worth as much of the way.
+    let sizes = |gain: f64| {
+        let mut ranked = found.clone();
+        rank_frontiers(&mut ranked, gain).unwrap();
+        ranked.iter().map(|f| (10.0 * f.size_m).round() as i32).collect::<Vec<_>>()
+    };
+    let apart = (found[1].cost - found[0].cost) / (found[1].size_m - found[0].size_m);
+    assert!(apart > 0.0, "{apart}");
+    assert_eq!((sizes(0.0), sizes(0.9 * apart), sizes(1.1 * apart)), (vec![10, 29], vec![10, 29], vec![29, 10]));
+    assert!(matches!(rank_frontiers(&mut [], f64::NAN), Err(PlanError::InvalidParam { field: "gain", .. })));
     assert_eq!(frontiers(&grid, Point2::new(-1.0, 0.0), &params, 1).unwrap(), []);
 }
 

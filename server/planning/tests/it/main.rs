@@ -8,6 +8,7 @@ mod any_angle;
 mod anytime;
 mod checker;
 mod clearance;
+mod coverage;
 mod ends;
 mod flight;
 mod frontier;
