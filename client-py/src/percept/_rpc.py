@@ -114,6 +114,9 @@ GET_SCENE_GRAPH = Rpc(
 )
 
 _V = "NavigationService"
+PLAN_COVERAGE = Rpc(_V, "PlanCoverage", navigation.PlanCoverageRequest, navigation.PlanCoverageResponse)
+FIND_FRONTIERS = Rpc(_V, "FindFrontiers", navigation.FindFrontiersRequest, navigation.FindFrontiersResponse)
+PLAN_FLIGHT = Rpc(_V, "PlanFlight", navigation.PlanFlightRequest, navigation.PlanFlightResponse)
 PLAN_PATH = Rpc(_V, "PlanPath", navigation.PlanPathRequest, navigation.PlanPathResponse)
 VALIDATE_PATH = Rpc(_V, "ValidatePath", navigation.ValidatePathRequest, navigation.ValidatePathResponse)
 WATCH_PATH = Rpc(_V, "WatchPath", navigation.WatchPathRequest, navigation.WatchPathResponse)

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
 
-from .._convert import navigation, sensors, sessions
+from .._convert import exploration, layers, navigation, sensors, sessions
 from .._sender import FrameSender
+from ..types.exploration import (
+    CoverageOptions,
+    CoveragePath,
+    FlightOptions,
+    FlightPath,
+    Frontier,
+    NoFlight,
+)
 from ..types.frames import SensorFrame
 from ..types.navigation import Misfit, Navigation, NoPath, Path, PathOptions, Zone
 from ..types.poses import FrameResult, PoseAt, PoseEstimate, Transform
@@ -19,6 +27,9 @@ from .sensors import AsyncSensors
 from .stream import AsyncFrameStream
 from .transport import AsyncTransport
 from .watch import AsyncFleetWatch, AsyncPathWatch, AsyncWatch
+
+_COVERAGE = CoverageOptions()
+_FLIGHT = FlightOptions()
 
 
 class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
@@ -178,6 +189,45 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         """The first place of a path, or of (N, 3) poses (x m, y m, yaw rad), that the robot cannot drive as
         the map is now; None if all of it can be driven."""
         return await self._transport.call(navigation.validate(self.session_id, path, params, options))
+
+    async def plan_coverage(
+        self,
+        *,
+        start: Sequence[float] | None = None,
+        coverage: CoverageOptions = _COVERAGE,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> CoveragePath | NoPath:
+        """A path that passes a tool over all that the robot reaches, from where it is or from `start`."""
+        call = exploration.coverage(self.session_id, start, coverage, params, options)
+        return await self._transport.call(call)
+
+    async def frontiers(
+        self,
+        *,
+        start: Sequence[float] | None = None,
+        min_length_m: float = 0.5,
+        gain: float = 0.0,
+        params: Mapping[str, object] | None = None,
+    ) -> list[Frontier]:
+        """Edges of what is known that the robot reaches, what is worth most first: the nearest, or with a
+        gain of 1 to 3 the large ones, of which a metre is worth so many metres of way."""
+        call = exploration.frontiers(self.session_id, start, min_length_m, gain, params)
+        return await self._transport.call(call)
+
+    async def plan_flight(
+        self,
+        goal: Sequence[float],
+        *,
+        start: Sequence[float] | None = None,
+        low: Sequence[float] | None = None,
+        high: Sequence[float] | None = None,
+        options: FlightOptions = _FLIGHT,
+    ) -> FlightPath | NoFlight:
+        """A path in space to (x, y, z) in metres of the map, through its voxels, for what flies; `low` and
+        `high` are the corners of the part that is searched."""
+        region = layers.region_to(low, high)
+        return await self._transport.call(exploration.flight(self.session_id, goal, start, region, options))
 
     async def navigate(
         self,

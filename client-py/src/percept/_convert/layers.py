@@ -145,13 +145,13 @@ def changes(message: service.GetChangesResponse) -> MapChanges:
     )
 
 
-def _box(low: Sequence[float] | None, high: Sequence[float] | None) -> service.Box3 | None:
+def region_to(low: Sequence[float] | None, high: Sequence[float] | None) -> geometry_pb2.Box3 | None:
     if (low is None) != (high is None):
         message = "low and high belong together; give both or neither"
         raise InvalidArgument(message, reason="FIELD_MISSING", field="region")
     if low is None or high is None:
         return None
-    return service.Box3(
+    return geometry_pb2.Box3(
         min=geometry.vector3_to("region.min", low), max=geometry.vector3_to("region.max", high)
     )
 
@@ -165,7 +165,7 @@ def get_voxels(
 ) -> Call[service.GetVoxelsRequest, service.GetVoxelsResponse, Voxels]:
     request = service.GetVoxelsRequest(
         source=maps.source(session_id),
-        region=_box(low, high),
+        region=region_to(low, high),
         occupied_only=occupied_only,
         since_version=since_version,
     )
@@ -224,7 +224,7 @@ def get_mesh(
     session_id: str, low: Sequence[float] | None, high: Sequence[float] | None, max_triangles: int
 ) -> Call[service.GetMeshRequest, service.GetMeshResponse, Mesh]:
     request = service.GetMeshRequest(
-        source=maps.source(session_id), region=_box(low, high), max_triangles=max_triangles
+        source=maps.source(session_id), region=region_to(low, high), max_triangles=max_triangles
     )
     return Call(_rpc.GET_MESH, request, mesh)
 

@@ -11,6 +11,16 @@ from .evaluation import (
     TrajectoryAlignment,
     TrajectoryMetrics,
 )
+from .exploration import (
+    CoverageDirection,
+    CoverageOptions,
+    CoveragePath,
+    FlightOptions,
+    FlightPath,
+    FlightPlanner,
+    Frontier,
+    NoFlight,
+)
 from .frames import (
     CameraFrame,
     CloudFrame,
@@ -195,6 +205,14 @@ from .toolbox import (
 )
 
 __all__ = [
+    "CoverageDirection",
+    "CoverageOptions",
+    "CoveragePath",
+    "FlightOptions",
+    "FlightPath",
+    "FlightPlanner",
+    "Frontier",
+    "NoFlight",
     "Blocking",
     "BlockingState",
     "BoxAnswers",

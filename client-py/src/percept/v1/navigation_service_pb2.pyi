@@ -61,6 +61,240 @@ PATH_CHANGE_OTHER_REASON: PathChange.ValueType  # 5
 Global___PathChange: _TypeAlias = PathChange  # noqa: Y015
 
 @_typing.final
+class PlanCoverageRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    START_FIELD_NUMBER: _builtins.int
+    PARAMS_FIELD_NUMBER: _builtins.int
+    OPTIONS_FIELD_NUMBER: _builtins.int
+    COVERAGE_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def start(self) -> _geometry_pb2.Vector2:
+        """Metres, map frame. Absent: where the robot is."""
+
+    @_builtins.property
+    def params(self) -> _params_pb2.PlanningParams:
+        """What is set replaces the session's."""
+
+    @_builtins.property
+    def options(self) -> _path_pb2.PathOptions:
+        """Footprint (as the smallest disc that holds it), zones, speed and deadline; planner and headings are not looked at."""
+
+    @_builtins.property
+    def coverage(self) -> _path_pb2.CoverageOptions: ...
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        start: _geometry_pb2.Vector2 | None = ...,
+        params: _params_pb2.PlanningParams | None = ...,
+        options: _path_pb2.PathOptions | None = ...,
+        coverage: _path_pb2.CoverageOptions | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "coverage", b"coverage", "options", b"options", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "coverage", b"coverage", "options", b"options", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__start: _TypeAlias = _typing.Literal["start"]  # noqa: Y015
+    _WhichOneofArgType__start: _TypeAlias = _typing.Literal["_start", b"_start"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__start) -> _WhichOneofReturnType__start | None: ...
+
+Global___PlanCoverageRequest: _TypeAlias = PlanCoverageRequest  # noqa: Y015
+
+@_typing.final
+class PlanCoverageResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PATH_FIELD_NUMBER: _builtins.int
+    NO_PATH_FIELD_NUMBER: _builtins.int
+    STAMP_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def path(self) -> _path_pb2.CoveragePath: ...
+    @_builtins.property
+    def no_path(self) -> _path_pb2.NoPath: ...
+    @_builtins.property
+    def stamp(self) -> _map_pb2.MapStamp:
+        """State of the map that was searched."""
+
+    def __init__(
+        self,
+        *,
+        path: _path_pb2.CoveragePath | None = ...,
+        no_path: _path_pb2.NoPath | None = ...,
+        stamp: _map_pb2.MapStamp | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["no_path", b"no_path", "outcome", b"outcome", "path", b"path", "stamp", b"stamp"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["no_path", b"no_path", "outcome", b"outcome", "path", b"path", "stamp", b"stamp"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_outcome: _TypeAlias = _typing.Literal["path", "no_path"]  # noqa: Y015
+    _WhichOneofArgType_outcome: _TypeAlias = _typing.Literal["outcome", b"outcome"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_outcome) -> _WhichOneofReturnType_outcome | None: ...
+
+Global___PlanCoverageResponse: _TypeAlias = PlanCoverageResponse  # noqa: Y015
+
+@_typing.final
+class FindFrontiersRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    START_FIELD_NUMBER: _builtins.int
+    PARAMS_FIELD_NUMBER: _builtins.int
+    MIN_LENGTH_M_FIELD_NUMBER: _builtins.int
+    GAIN_FIELD_NUMBER: _builtins.int
+    min_length_m: _builtins.float
+    """Those of less length are left out, metres. Absent: 0.5."""
+    gain: _builtins.float
+    """How many metres of way a metre of frontier is worth, 0 to 1000. 0: the nearest first; 1 to 3: scraps are passed by for large
+    openings.
+    """
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def start(self) -> _geometry_pb2.Vector2:
+        """Metres, map frame. Absent: where the robot is."""
+
+    @_builtins.property
+    def params(self) -> _params_pb2.PlanningParams:
+        """What is set replaces the session's."""
+
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        start: _geometry_pb2.Vector2 | None = ...,
+        params: _params_pb2.PlanningParams | None = ...,
+        min_length_m: _builtins.float | None = ...,
+        gain: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_length_m", b"_min_length_m", "_start", b"_start", "min_length_m", b"min_length_m", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_length_m", b"_min_length_m", "_start", b"_start", "gain", b"gain", "min_length_m", b"min_length_m", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__min_length_m: _TypeAlias = _typing.Literal["min_length_m"]  # noqa: Y015
+    _WhichOneofArgType__min_length_m: _TypeAlias = _typing.Literal["_min_length_m", b"_min_length_m"]  # noqa: Y015
+    _WhichOneofReturnType__start: _TypeAlias = _typing.Literal["start"]  # noqa: Y015
+    _WhichOneofArgType__start: _TypeAlias = _typing.Literal["_start", b"_start"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_length_m) -> _WhichOneofReturnType__min_length_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__start) -> _WhichOneofReturnType__start | None: ...
+
+Global___FindFrontiersRequest: _TypeAlias = FindFrontiersRequest  # noqa: Y015
+
+@_typing.final
+class FindFrontiersResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    FRONTIERS_FIELD_NUMBER: _builtins.int
+    STAMP_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def frontiers(self) -> _containers.RepeatedCompositeFieldContainer[_path_pb2.Frontier]:
+        """What is worth most first. Empty: all that the robot reaches is known."""
+
+    @_builtins.property
+    def stamp(self) -> _map_pb2.MapStamp:
+        """State of the map that was searched."""
+
+    def __init__(
+        self,
+        *,
+        frontiers: _abc.Iterable[_path_pb2.Frontier] | None = ...,
+        stamp: _map_pb2.MapStamp | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["stamp", b"stamp"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["frontiers", b"frontiers", "stamp", b"stamp"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___FindFrontiersResponse: _TypeAlias = FindFrontiersResponse  # noqa: Y015
+
+@_typing.final
+class PlanFlightRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    START_FIELD_NUMBER: _builtins.int
+    GOAL_FIELD_NUMBER: _builtins.int
+    REGION_FIELD_NUMBER: _builtins.int
+    OPTIONS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def start(self) -> _geometry_pb2.Vector3:
+        """The ball's centre, metres, map frame. Absent: where base is."""
+
+    @_builtins.property
+    def goal(self) -> _geometry_pb2.Vector3:
+        """The ball's centre, metres, map frame."""
+
+    @_builtins.property
+    def region(self) -> _geometry_pb2.Box3:
+        """Part of the map that is searched. Absent: all of it."""
+
+    @_builtins.property
+    def options(self) -> _path_pb2.FlightOptions: ...
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        start: _geometry_pb2.Vector3 | None = ...,
+        goal: _geometry_pb2.Vector3 | None = ...,
+        region: _geometry_pb2.Box3 | None = ...,
+        options: _path_pb2.FlightOptions | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_start", b"_start", "goal", b"goal", "options", b"options", "region", b"region", "source", b"source", "start", b"start"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_start", b"_start", "goal", b"goal", "options", b"options", "region", b"region", "source", b"source", "start", b"start"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__region: _TypeAlias = _typing.Literal["region"]  # noqa: Y015
+    _WhichOneofArgType__region: _TypeAlias = _typing.Literal["_region", b"_region"]  # noqa: Y015
+    _WhichOneofReturnType__start: _TypeAlias = _typing.Literal["start"]  # noqa: Y015
+    _WhichOneofArgType__start: _TypeAlias = _typing.Literal["_start", b"_start"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__region) -> _WhichOneofReturnType__region | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__start) -> _WhichOneofReturnType__start | None: ...
+
+Global___PlanFlightRequest: _TypeAlias = PlanFlightRequest  # noqa: Y015
+
+@_typing.final
+class PlanFlightResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PATH_FIELD_NUMBER: _builtins.int
+    NO_PATH_FIELD_NUMBER: _builtins.int
+    STAMP_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def path(self) -> _path_pb2.FlightPath: ...
+    @_builtins.property
+    def no_path(self) -> _path_pb2.NoFlight: ...
+    @_builtins.property
+    def stamp(self) -> _map_pb2.MapStamp:
+        """State of the map that was searched."""
+
+    def __init__(
+        self,
+        *,
+        path: _path_pb2.FlightPath | None = ...,
+        no_path: _path_pb2.NoFlight | None = ...,
+        stamp: _map_pb2.MapStamp | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["no_path", b"no_path", "outcome", b"outcome", "path", b"path", "stamp", b"stamp"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["no_path", b"no_path", "outcome", b"outcome", "path", b"path", "stamp", b"stamp"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_outcome: _TypeAlias = _typing.Literal["path", "no_path"]  # noqa: Y015
+    _WhichOneofArgType_outcome: _TypeAlias = _typing.Literal["outcome", b"outcome"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_outcome) -> _WhichOneofReturnType_outcome | None: ...
+
+Global___PlanFlightResponse: _TypeAlias = PlanFlightResponse  # noqa: Y015
+
+@_typing.final
 class PlanPathRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 

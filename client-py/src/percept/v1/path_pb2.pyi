@@ -154,6 +154,50 @@ MISFIT_REASON_BACKWARDS: MisfitReason.ValueType  # 4
 """The next pose is behind, and driving backwards is not allowed; HYBRID only."""
 Global___MisfitReason: _TypeAlias = MisfitReason  # noqa: Y015
 
+class _CoverageDirection:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _CoverageDirectionEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_CoverageDirection.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    COVERAGE_DIRECTION_UNSPECIFIED: _CoverageDirection.ValueType  # 0
+    """The one of the two below that gives the shorter path."""
+    COVERAGE_DIRECTION_ALONG_X: _CoverageDirection.ValueType  # 1
+    COVERAGE_DIRECTION_ALONG_Y: _CoverageDirection.ValueType  # 2
+
+class CoverageDirection(_CoverageDirection, metaclass=_CoverageDirectionEnumTypeWrapper):
+    """Which way lanes lie."""
+
+COVERAGE_DIRECTION_UNSPECIFIED: CoverageDirection.ValueType  # 0
+"""The one of the two below that gives the shorter path."""
+COVERAGE_DIRECTION_ALONG_X: CoverageDirection.ValueType  # 1
+COVERAGE_DIRECTION_ALONG_Y: CoverageDirection.ValueType  # 2
+Global___CoverageDirection: _TypeAlias = CoverageDirection  # noqa: Y015
+
+class _FlightPlanner:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _FlightPlannerEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_FlightPlanner.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    FLIGHT_PLANNER_UNSPECIFIED: _FlightPlanner.ValueType  # 0
+    """ANY_ANGLE."""
+    FLIGHT_PLANNER_ANY_ANGLE: _FlightPlanner.ValueType  # 1
+    """Lazy Theta*: legs at any angle."""
+    FLIGHT_PLANNER_LATTICE: _FlightPlanner.ValueType  # 2
+    """A* from voxel to voxel, 26 neighbours."""
+
+class FlightPlanner(_FlightPlanner, metaclass=_FlightPlannerEnumTypeWrapper):
+    """How a path in space is searched."""
+
+FLIGHT_PLANNER_UNSPECIFIED: FlightPlanner.ValueType  # 0
+"""ANY_ANGLE."""
+FLIGHT_PLANNER_ANY_ANGLE: FlightPlanner.ValueType  # 1
+"""Lazy Theta*: legs at any angle."""
+FLIGHT_PLANNER_LATTICE: FlightPlanner.ValueType  # 2
+"""A* from voxel to voxel, 26 neighbours."""
+Global___FlightPlanner: _TypeAlias = FlightPlanner  # noqa: Y015
+
 @_typing.final
 class PathOptions(_message.Message):
     """What is asked of a path beside its ends."""
@@ -580,3 +624,303 @@ class Misfit(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__blocking) -> _WhichOneofReturnType__blocking | None: ...
 
 Global___Misfit: _TypeAlias = Misfit  # noqa: Y015
+
+@_typing.final
+class CoverageOptions(_message.Message):
+    """How to cover."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TOOL_WIDTH_M_FIELD_NUMBER: _builtins.int
+    OVERLAP_FIELD_NUMBER: _builtins.int
+    ENOUGH_FIELD_NUMBER: _builtins.int
+    DIRECTION_FIELD_NUMBER: _builtins.int
+    tool_width_m: _builtins.float
+    """The tool covers a disc of this width around the base, metres; 0.01 to 100. Default: 0.4."""
+    overlap: _builtins.float
+    """Share of the tool's width by which neighbouring lanes overlap at least; 0 to 0.9. Default: 0.1."""
+    enough: _builtins.float
+    """Share of what can be covered at which it is enough; above 0, at most 1. Default: 0.99."""
+    direction: Global___CoverageDirection.ValueType
+    def __init__(
+        self,
+        *,
+        tool_width_m: _builtins.float | None = ...,
+        overlap: _builtins.float | None = ...,
+        enough: _builtins.float | None = ...,
+        direction: Global___CoverageDirection.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_enough", b"_enough", "_overlap", b"_overlap", "_tool_width_m", b"_tool_width_m", "enough", b"enough", "overlap", b"overlap", "tool_width_m", b"tool_width_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enough", b"_enough", "_overlap", b"_overlap", "_tool_width_m", b"_tool_width_m", "direction", b"direction", "enough", b"enough", "overlap", b"overlap", "tool_width_m", b"tool_width_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__enough: _TypeAlias = _typing.Literal["enough"]  # noqa: Y015
+    _WhichOneofArgType__enough: _TypeAlias = _typing.Literal["_enough", b"_enough"]  # noqa: Y015
+    _WhichOneofReturnType__overlap: _TypeAlias = _typing.Literal["overlap"]  # noqa: Y015
+    _WhichOneofArgType__overlap: _TypeAlias = _typing.Literal["_overlap", b"_overlap"]  # noqa: Y015
+    _WhichOneofReturnType__tool_width_m: _TypeAlias = _typing.Literal["tool_width_m"]  # noqa: Y015
+    _WhichOneofArgType__tool_width_m: _TypeAlias = _typing.Literal["_tool_width_m", b"_tool_width_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__enough) -> _WhichOneofReturnType__enough | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__overlap) -> _WhichOneofReturnType__overlap | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__tool_width_m) -> _WhichOneofReturnType__tool_width_m | None: ...
+
+Global___CoverageOptions: _TypeAlias = CoverageOptions  # noqa: Y015
+
+@_typing.final
+class CoverageLeg(_message.Message):
+    """A stretch of a path that covers."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    FIRST_WAYPOINT_FIELD_NUMBER: _builtins.int
+    IS_TRANSIT_FIELD_NUMBER: _builtins.int
+    first_waypoint: _builtins.int
+    """Index of the waypoint at which it begins; it ends at that of the next leg, the last one with the path."""
+    is_transit: _builtins.bool
+    """Whether it only leads to the next lane."""
+    def __init__(
+        self,
+        *,
+        first_waypoint: _builtins.int = ...,
+        is_transit: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["first_waypoint", b"first_waypoint", "is_transit", b"is_transit"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___CoverageLeg: _TypeAlias = CoverageLeg  # noqa: Y015
+
+@_typing.final
+class CoveragePath(_message.Message):
+    """A path that covers."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PATH_FIELD_NUMBER: _builtins.int
+    LEGS_FIELD_NUMBER: _builtins.int
+    COVERABLE_M2_FIELD_NUMBER: _builtins.int
+    COVERED_SHARE_FIELD_NUMBER: _builtins.int
+    NUM_REGIONS_FIELD_NUMBER: _builtins.int
+    coverable_m2: _builtins.float
+    """Area that can be covered: free cells that the tool touches with the base on some cell that it reaches from the start, m^2."""
+    covered_share: _builtins.float
+    """Share of that which the path covers."""
+    num_regions: _builtins.int
+    """Regions that it is divided into."""
+    @_builtins.property
+    def path(self) -> Global___Path: ...
+    @_builtins.property
+    def legs(self) -> _containers.RepeatedCompositeFieldContainer[Global___CoverageLeg]:
+        """Its stretches, in order."""
+
+    def __init__(
+        self,
+        *,
+        path: Global___Path | None = ...,
+        legs: _abc.Iterable[Global___CoverageLeg] | None = ...,
+        coverable_m2: _builtins.float = ...,
+        covered_share: _builtins.float = ...,
+        num_regions: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["path", b"path"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["coverable_m2", b"coverable_m2", "covered_share", b"covered_share", "legs", b"legs", "num_regions", b"num_regions", "path", b"path"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___CoveragePath: _TypeAlias = CoveragePath  # noqa: Y015
+
+@_typing.final
+class Frontier(_message.Message):
+    """A stretch of free cells beside unknown ones."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    GOAL_FIELD_NUMBER: _builtins.int
+    COST_FIELD_NUMBER: _builtins.int
+    LENGTH_M_FIELD_NUMBER: _builtins.int
+    CELLS_FIELD_NUMBER: _builtins.int
+    cost: _builtins.float
+    """Cost of the way there, metres, weighted by clearance."""
+    length_m: _builtins.float
+    """Metres."""
+    @_builtins.property
+    def goal(self) -> _geometry_pb2.Vector2:
+        """Where to go to look at it: a place that the robot fits in and reaches, map frame, metres."""
+
+    @_builtins.property
+    def cells(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector2]:
+        """Centres of its cells, map frame, metres; every so many of them if there are more than 1000."""
+
+    def __init__(
+        self,
+        *,
+        goal: _geometry_pb2.Vector2 | None = ...,
+        cost: _builtins.float = ...,
+        length_m: _builtins.float = ...,
+        cells: _abc.Iterable[_geometry_pb2.Vector2] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["goal", b"goal"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cells", b"cells", "cost", b"cost", "goal", b"goal", "length_m", b"length_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Frontier: _TypeAlias = Frontier  # noqa: Y015
+
+@_typing.final
+class FlightOptions(_message.Message):
+    """What is asked of a path in space."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PLANNER_FIELD_NUMBER: _builtins.int
+    ROBOT_RADIUS_M_FIELD_NUMBER: _builtins.int
+    OCCUPIED_PROBABILITY_FIELD_NUMBER: _builtins.int
+    ALLOW_UNKNOWN_FIELD_NUMBER: _builtins.int
+    START_TOLERANCE_M_FIELD_NUMBER: _builtins.int
+    MIN_Z_M_FIELD_NUMBER: _builtins.int
+    MAX_Z_M_FIELD_NUMBER: _builtins.int
+    DEADLINE_MS_FIELD_NUMBER: _builtins.int
+    planner: Global___FlightPlanner.ValueType
+    robot_radius_m: _builtins.float
+    """The robot is a ball of this radius, metres; 0 to 100, and at most 80 voxels. Default: 0.3."""
+    occupied_probability: _builtins.float
+    """Voxels at or above this probability are obstacles; above 0, at most 1. Default: 0.5."""
+    allow_unknown: _builtins.bool
+    """Whether unknown voxels are free."""
+    start_tolerance_m: _builtins.float
+    """Around the start unknown voxels are free, and one that stands nearer to obstacles than its radius, on the ground say, may leave,
+    metres; 0 to 10. Default: 0.5.
+    """
+    min_z_m: _builtins.float
+    """The ball's centre keeps at or above this height, map frame, metres."""
+    max_z_m: _builtins.float
+    """The ball's centre keeps at or below this height, map frame, metres."""
+    deadline_ms: _builtins.int
+    """The search is given up after so many milliseconds. 0: when it is done."""
+    def __init__(
+        self,
+        *,
+        planner: Global___FlightPlanner.ValueType = ...,
+        robot_radius_m: _builtins.float | None = ...,
+        occupied_probability: _builtins.float | None = ...,
+        allow_unknown: _builtins.bool = ...,
+        start_tolerance_m: _builtins.float | None = ...,
+        min_z_m: _builtins.float | None = ...,
+        max_z_m: _builtins.float | None = ...,
+        deadline_ms: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_z_m", b"_max_z_m", "_min_z_m", b"_min_z_m", "_occupied_probability", b"_occupied_probability", "_robot_radius_m", b"_robot_radius_m", "_start_tolerance_m", b"_start_tolerance_m", "max_z_m", b"max_z_m", "min_z_m", b"min_z_m", "occupied_probability", b"occupied_probability", "robot_radius_m", b"robot_radius_m", "start_tolerance_m", b"start_tolerance_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_z_m", b"_max_z_m", "_min_z_m", b"_min_z_m", "_occupied_probability", b"_occupied_probability", "_robot_radius_m", b"_robot_radius_m", "_start_tolerance_m", b"_start_tolerance_m", "allow_unknown", b"allow_unknown", "deadline_ms", b"deadline_ms", "max_z_m", b"max_z_m", "min_z_m", b"min_z_m", "occupied_probability", b"occupied_probability", "planner", b"planner", "robot_radius_m", b"robot_radius_m", "start_tolerance_m", b"start_tolerance_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__max_z_m: _TypeAlias = _typing.Literal["max_z_m"]  # noqa: Y015
+    _WhichOneofArgType__max_z_m: _TypeAlias = _typing.Literal["_max_z_m", b"_max_z_m"]  # noqa: Y015
+    _WhichOneofReturnType__min_z_m: _TypeAlias = _typing.Literal["min_z_m"]  # noqa: Y015
+    _WhichOneofArgType__min_z_m: _TypeAlias = _typing.Literal["_min_z_m", b"_min_z_m"]  # noqa: Y015
+    _WhichOneofReturnType__occupied_probability: _TypeAlias = _typing.Literal["occupied_probability"]  # noqa: Y015
+    _WhichOneofArgType__occupied_probability: _TypeAlias = _typing.Literal["_occupied_probability", b"_occupied_probability"]  # noqa: Y015
+    _WhichOneofReturnType__robot_radius_m: _TypeAlias = _typing.Literal["robot_radius_m"]  # noqa: Y015
+    _WhichOneofArgType__robot_radius_m: _TypeAlias = _typing.Literal["_robot_radius_m", b"_robot_radius_m"]  # noqa: Y015
+    _WhichOneofReturnType__start_tolerance_m: _TypeAlias = _typing.Literal["start_tolerance_m"]  # noqa: Y015
+    _WhichOneofArgType__start_tolerance_m: _TypeAlias = _typing.Literal["_start_tolerance_m", b"_start_tolerance_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_z_m) -> _WhichOneofReturnType__max_z_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_z_m) -> _WhichOneofReturnType__min_z_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__occupied_probability) -> _WhichOneofReturnType__occupied_probability | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__robot_radius_m) -> _WhichOneofReturnType__robot_radius_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__start_tolerance_m) -> _WhichOneofReturnType__start_tolerance_m | None: ...
+
+Global___FlightOptions: _TypeAlias = FlightOptions  # noqa: Y015
+
+@_typing.final
+class FlightPath(_message.Message):
+    """A path in space along which a ball touches nothing."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    WAYPOINTS_FIELD_NUMBER: _builtins.int
+    LENGTH_M_FIELD_NUMBER: _builtins.int
+    MIN_CLEARANCE_M_FIELD_NUMBER: _builtins.int
+    length_m: _builtins.float
+    """Metres."""
+    min_clearance_m: _builtins.float
+    """Smallest distance of the ball's centre from an obstacle's voxel, metres. Absent if it is more than the radius and two voxels."""
+    @_builtins.property
+    def waypoints(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector3]:
+        """From start to goal, straight in between, map frame, metres."""
+
+    def __init__(
+        self,
+        *,
+        waypoints: _abc.Iterable[_geometry_pb2.Vector3] | None = ...,
+        length_m: _builtins.float = ...,
+        min_clearance_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m", "min_clearance_m", b"min_clearance_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m", "length_m", b"length_m", "min_clearance_m", b"min_clearance_m", "waypoints", b"waypoints"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__min_clearance_m: _TypeAlias = _typing.Literal["min_clearance_m"]  # noqa: Y015
+    _WhichOneofArgType__min_clearance_m: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__min_clearance_m) -> _WhichOneofReturnType__min_clearance_m | None: ...
+
+Global___FlightPath: _TypeAlias = FlightPath  # noqa: Y015
+
+@_typing.final
+class NoFlight(_message.Message):
+    """No path in space, and why."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    REASON_FIELD_NUMBER: _builtins.int
+    DETAIL_FIELD_NUMBER: _builtins.int
+    POSITION_FIELD_NUMBER: _builtins.int
+    OBSTACLE_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    reason: Global___NoPathReason.ValueType
+    detail: _builtins.str
+    """For people."""
+    state: Global___BlockingState.ValueType
+    """What is there."""
+    @_builtins.property
+    def position(self) -> _geometry_pb2.Vector3:
+        """Of an end where the ball does not fit: where, map frame, metres."""
+
+    @_builtins.property
+    def obstacle(self) -> _geometry_pb2.Vector3:
+        """Centre of the nearest voxel that blocks it."""
+
+    def __init__(
+        self,
+        *,
+        reason: Global___NoPathReason.ValueType = ...,
+        detail: _builtins.str = ...,
+        position: _geometry_pb2.Vector3 | None = ...,
+        obstacle: _geometry_pb2.Vector3 | None = ...,
+        state: Global___BlockingState.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_obstacle", b"_obstacle", "_position", b"_position", "obstacle", b"obstacle", "position", b"position"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_obstacle", b"_obstacle", "_position", b"_position", "detail", b"detail", "obstacle", b"obstacle", "position", b"position", "reason", b"reason", "state", b"state"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__obstacle: _TypeAlias = _typing.Literal["obstacle"]  # noqa: Y015
+    _WhichOneofArgType__obstacle: _TypeAlias = _typing.Literal["_obstacle", b"_obstacle"]  # noqa: Y015
+    _WhichOneofReturnType__position: _TypeAlias = _typing.Literal["position"]  # noqa: Y015
+    _WhichOneofArgType__position: _TypeAlias = _typing.Literal["_position", b"_position"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__obstacle) -> _WhichOneofReturnType__obstacle | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__position) -> _WhichOneofReturnType__position | None: ...
+
+Global___NoFlight: _TypeAlias = NoFlight  # noqa: Y015

@@ -1,8 +1,12 @@
 //! Paths, in the name of a caller.
 
 use super::Caller;
-use crate::{IncomingFrame, Navigation, PathCheck, PathOptions, PathUpdate, PathWatch, Plan, PlanRequest, Result};
-use percept_planning::{PlanParams, Pose2};
+use crate::{
+    Explored, FlightQuestion, FrontierRequest, IncomingFrame, Navigation, PathCheck, PathOptions, PathUpdate,
+    PathWatch, Plan, PlanRequest, Result,
+};
+use percept_planning::flight::FlightOutcome;
+use percept_planning::{CoverageOutcome, CoverageParams, Frontier, PlanParams, Pose2};
 
 impl Caller {
     /// A path through a session's map.
@@ -36,6 +40,38 @@ impl Caller {
     ) -> Result<PathCheck> {
         self.may_with("NavigationService/ValidatePath", session).await?;
         self.service.validate_path(session, poses, params, options).await
+    }
+
+    /// A path that covers what the robot reaches.
+    ///
+    /// # Errors
+    /// As for planning.
+    pub async fn plan_coverage(
+        &self,
+        session: &str,
+        request: PlanRequest,
+        coverage: CoverageParams,
+    ) -> Result<Explored<CoverageOutcome>> {
+        self.may_with("NavigationService/PlanCoverage", session).await?;
+        self.service.plan_coverage(session, request, coverage).await
+    }
+
+    /// Edges of what is known that the robot reaches.
+    ///
+    /// # Errors
+    /// As for planning.
+    pub async fn find_frontiers(&self, session: &str, request: FrontierRequest) -> Result<Explored<Vec<Frontier>>> {
+        self.may_with("NavigationService/FindFrontiers", session).await?;
+        self.service.find_frontiers(session, request).await
+    }
+
+    /// A path in space through the voxels of the map.
+    ///
+    /// # Errors
+    /// `LAYER_OFF`, `MAP_EMPTY`, `GRID_TOO_LARGE`, coordinates or parameters out of bounds, `SESSION_NOT_FOUND`.
+    pub async fn plan_flight(&self, session: &str, question: FlightQuestion) -> Result<Explored<FlightOutcome>> {
+        self.may_with("NavigationService/PlanFlight", session).await?;
+        self.service.plan_flight(session, question).await
     }
 
     /// Looks at a watched path as the map is now.

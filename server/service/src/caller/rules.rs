@@ -91,6 +91,9 @@ pub static RULES: &[Rule] = &[
     session("NavigationService/PlanPath", Read),
     session("NavigationService/ValidatePath", Read),
     session("NavigationService/WatchPath", Read),
+    session("NavigationService/PlanCoverage", Read),
+    session("NavigationService/FindFrontiers", Read),
+    session("NavigationService/PlanFlight", Read),
     session("NavigationService/Navigate", Write),
 
     // They take computing time, and memory for clouds, which are the caller's alone. One that works on a session's cloud

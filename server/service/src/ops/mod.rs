@@ -2,6 +2,7 @@
 
 pub(crate) mod changes;
 pub mod evaluation;
+pub(crate) mod exploration;
 pub(crate) mod fleet;
 pub mod layers;
 pub mod map_files;

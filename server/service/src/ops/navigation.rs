@@ -78,7 +78,7 @@ impl PathOptions {
     }
 
     /// The whole question. `stop` is asked while a search with a deadline goes on.
-    fn request<'a>(
+    pub(super) fn request<'a>(
         &'a self,
         (start, yaw_rad): (Point2<f64>, f64),
         goal: Point2<f64>,
@@ -190,16 +190,20 @@ fn near(snapshot: &Snapshot, pose: &PoseEstimate) -> Vec<Object> {
     snapshot.objects.iter().filter(is_near).copied().collect()
 }
 
+/// Where the robot is and looks, if it knows: map frame, metres, radians.
+pub(super) fn known_pose(snapshot: &Snapshot) -> Option<(Point2<f64>, f64)> {
+    let is_known = |p: &&PoseEstimate| !matches!(p.state, TrackingState::Lost { .. }) && p.scale.is_metric();
+    let pose = snapshot.pose.as_ref().filter(is_known)?;
+    Some((pose.t_map_base.translation.vector.xy().into(), se3::yaw(&pose.t_map_base)))
+}
+
 /// Plans on a snapshot.
 ///
 /// # Errors
 /// Coordinates or parameters out of bounds, `GRID_TOO_LARGE`.
 pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Result<Plan> {
     let (stamp, map_version) = (stamp_of(snapshot), snapshot.map_version);
-    let is_known = |p: &&PoseEstimate| !matches!(p.state, TrackingState::Lost { .. }) && p.scale.is_metric();
-    let known = snapshot.pose.as_ref().filter(is_known);
-    let robot = known.map(|p| (Point2::from(p.t_map_base.translation.vector.xy()), se3::yaw(&p.t_map_base)));
-    let Some(start) = request.start.map(|start| (start, 0.0)).or(robot) else {
+    let Some(start) = request.start.map(|start| (start, 0.0)).or(known_pose(snapshot)) else {
         return Ok(Plan { outcome: None, object: None, map_version, stamp });
     };
     let mut params = request.params.unwrap_or(snapshot.params.planning);
@@ -263,7 +267,7 @@ pub fn misfit(grid: &DenseGrid, poses: &[Pose2], params: &PlanParams, options: &
     percept_planning::validate_path(grid, poses, &request).map_err(plan_error)
 }
 
-fn dense(snapshot: &Snapshot, max_cells: usize) -> Result<DenseGrid> {
+pub(super) fn dense(snapshot: &Snapshot, max_cells: usize) -> Result<DenseGrid> {
     snapshot.layers.occupancy.dense(max_cells).map_err(|e| match e {
         MappingError::RegionTooLarge { cells, limit } => plan_error(PlanError::GridTooLarge { cells, limit }),
         e => Error::internal(e),
@@ -288,7 +292,7 @@ fn object_at(snapshot: &Snapshot, blocking: &Blocking) -> Option<ObjectId> {
     found.min_by(|a, b| volume(a).total_cmp(&volume(b))).map(|o| o.id)
 }
 
-fn plan_error(e: PlanError) -> Error {
+pub(super) fn plan_error(e: PlanError) -> Error {
     match e {
         PlanError::InvalidParam { field, value, remedy } => {
             Error::invalid(reason::PARAMETER_OUT_OF_RANGE, place_of(field), format!("{field} is {value}; {remedy}"))
@@ -310,6 +314,7 @@ fn place_of(field: &str) -> String {
     match field.split_once('.') {
         None => format!("params.{field}"),
         Some(("hybrid", rest)) => format!("options.steering.{rest}"),
+        Some(("coverage", _)) => field.to_owned(),
         Some(("footprint", _)) => "options.footprint".to_owned(),
         Some(("zones", "share")) => "options.zones.speed_share".to_owned(),
         Some(_) => format!("options.{field}"),

@@ -1,6 +1,7 @@
 //! Protos to domain types, checked, and back. One file a noun.
 
 pub mod evaluation;
+pub mod exploration;
 pub mod fleet;
 pub mod geometry;
 pub mod layers;

@@ -200,7 +200,7 @@ pub fn grid(grid: &v1::GridMap) -> Result<DenseGrid> {
     Ok(DenseGrid { geometry, width: g.width as usize, height: g.height as usize, cells })
 }
 
-fn reason_to(reason: NoPathReason) -> (v1::NoPathReason, &'static str) {
+fn words_of(reason: NoPathReason) -> (v1::NoPathReason, &'static str) {
     use v1::NoPathReason as R;
     match reason {
         NoPathReason::StartOutsideMap => (R::StartOutsideMap, "the start lies outside of what was mapped"),
@@ -228,7 +228,18 @@ fn reason_to(reason: NoPathReason) -> (v1::NoPathReason, &'static str) {
     }
 }
 
-fn path_to(p: &percept_planning::Path) -> v1::Path {
+/// Why there is no path; none: no start was given and the robot does not know where it is.
+pub(super) fn reason_to(reason: Option<NoPathReason>) -> (v1::NoPathReason, &'static str) {
+    let lost = (v1::NoPathReason::Lost, "no start was given and the robot does not know where it is");
+    reason.map_or(lost, words_of)
+}
+
+pub(super) fn no_path_to(reason: Option<NoPathReason>, blocking: Option<v1::Blocking>) -> v1::NoPath {
+    let (reason, detail) = reason_to(reason);
+    v1::NoPath { reason: reason.into(), detail: detail.to_owned(), blocking }
+}
+
+pub(super) fn path_to(p: &percept_planning::Path) -> v1::Path {
     let waypoint = |w: &Waypoint| v1::Waypoint {
         x_m: w.position.x,
         y_m: w.position.y,
@@ -250,7 +261,7 @@ fn path_to(p: &percept_planning::Path) -> v1::Path {
     }
 }
 
-fn blocking_to(b: &Blocking, object: Option<ObjectId>) -> v1::Blocking {
+pub(super) fn blocking_to(b: &Blocking, object: Option<ObjectId>) -> v1::Blocking {
     let state = match b.state {
         CellState::Free => v1::BlockingState::Unspecified,
         CellState::Occupied => v1::BlockingState::Occupied,
@@ -270,9 +281,7 @@ fn outcome_to(outcome: &PlanOutcome, object: Option<ObjectId>) -> std::result::R
     match outcome {
         PlanOutcome::Path(p) => Ok(path_to(p)),
         PlanOutcome::NoPath { reason, blocking } => {
-            let (reason, detail) = reason_to(*reason);
-            let blocking = blocking.as_ref().map(|b| blocking_to(b, object));
-            Err(v1::NoPath { reason: reason.into(), detail: detail.to_owned(), blocking })
+            Err(no_path_to(Some(*reason), blocking.as_ref().map(|b| blocking_to(b, object))))
         }
     }
 }
@@ -280,11 +289,7 @@ fn outcome_to(outcome: &PlanOutcome, object: Option<ObjectId>) -> std::result::R
 fn planned_to(plan: &Plan) -> std::result::Result<v1::Path, v1::NoPath> {
     match &plan.outcome {
         Some(outcome) => outcome_to(outcome, plan.object),
-        None => Err(v1::NoPath {
-            reason: v1::NoPathReason::Lost.into(),
-            detail: "no start was given and the robot does not know where it is".to_owned(),
-            blocking: None,
-        }),
+        None => Err(no_path_to(None, None)),
     }
 }
 

@@ -4,7 +4,8 @@ use super::sessions::RESUME_TOKEN;
 use super::{Answer, Api, Streamed, check_size, ingest, peer_of, status};
 use futures::StreamExt;
 use percept_service::{Caller, ErrorCode, EventLog, PathUpdate, PathWatch, admission};
-use percept_wire::{convert, convert::navigation, v1};
+use percept_wire::convert::{exploration, navigation};
+use percept_wire::{convert, v1};
 use std::sync::Arc;
 use tonic::{Request, Response};
 
@@ -113,5 +114,43 @@ impl v1::navigation_service_server::NavigationService for Api {
         let request = request.map_err(status::grpc)?;
         let answer = caller.navigate(incoming, request).await.map_err(status::grpc)?;
         Ok(Response::new(navigation::navigation_to(&answer)))
+    }
+
+    async fn plan_coverage(&self, r: Request<v1::PlanCoverageRequest>) -> Answer<v1::PlanCoverageResponse> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        let session = convert::maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
+        let snapshot = caller.snapshot("NavigationService/PlanCoverage", session).await.map_err(status::grpc)?;
+        // Where it ends is the planner's.
+        let goal = Some(v1::Vector2::default());
+        let request = navigation::request(
+            r.start.as_ref(),
+            goal.as_ref(),
+            r.params.as_ref(),
+            r.options.as_ref(),
+            &snapshot.params,
+        );
+        let coverage = exploration::coverage(r.coverage.as_ref()).map_err(status::grpc)?;
+        let answer = caller.plan_coverage(session, request.map_err(status::grpc)?, coverage).await;
+        Ok(Response::new(exploration::covered_to(&answer.map_err(status::grpc)?)))
+    }
+
+    async fn find_frontiers(&self, r: Request<v1::FindFrontiersRequest>) -> Answer<v1::FindFrontiersResponse> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        let session = convert::maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
+        let snapshot = caller.snapshot("NavigationService/FindFrontiers", session).await.map_err(status::grpc)?;
+        let request = exploration::frontier_request(r, &snapshot.params).map_err(status::grpc)?;
+        let found = caller.find_frontiers(session, request).await.map_err(status::grpc)?;
+        Ok(Response::new(exploration::frontiers_to(&found)))
+    }
+
+    async fn plan_flight(&self, r: Request<v1::PlanFlightRequest>) -> Answer<v1::PlanFlightResponse> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        let session = convert::maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
+        let question = exploration::flight(r).map_err(status::grpc)?;
+        let answer = caller.plan_flight(session, question).await.map_err(status::grpc)?;
+        Ok(Response::new(exploration::flown_to(&answer)))
     }
 }

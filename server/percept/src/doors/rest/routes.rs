@@ -378,6 +378,9 @@ pub(super) static ROUTES: &[Route] = &[
 
     post("/v1/sessions/{session_id}/plan", "NavigationService/PlanPath", SOURCE, unary!(Message plan_path)),
     get("/v1/sessions/{session_id}/watch-path", "NavigationService/WatchPath", SOURCE, Kind::PathEvents),
+    post("/v1/sessions/{session_id}/plan-coverage", "NavigationService/PlanCoverage", SOURCE, unary!(Message plan_coverage)),
+    post("/v1/sessions/{session_id}/frontiers", "NavigationService/FindFrontiers", SOURCE, unary!(Message find_frontiers)),
+    post("/v1/sessions/{session_id}/plan-flight", "NavigationService/PlanFlight", SOURCE, unary!(Message plan_flight)),
     post("/v1/sessions/{session_id}/validate-path", "NavigationService/ValidatePath", SOURCE, unary!(Message validate_path)),
     post("/v1/sessions/{session_id}/navigate", "NavigationService/Navigate", MESSAGE, unary!(Message navigate)),
 

@@ -1,0 +1,171 @@
+//! Paths that cover, frontiers, paths in space.
+
+use super::maps::stamp_of;
+use super::navigation::{PathOptions, PlanRequest, dense, known_pose, plan_error};
+use crate::{Error, ErrorCode, Result, Service, reason};
+use nalgebra::{Point2, Point3};
+use percept_geometry::{Aabb3, Timestamp};
+use percept_pipeline::Snapshot;
+use percept_planning::flight::{DenseVoxels, FlightOutcome, FlightParams, FlightPlanner, FlightRequest, plan_flight};
+use percept_planning::{
+    CoverageOutcome, CoverageParams, Frontier, PlanError, PlanParams, Zone, frontiers, plan_coverage, rank_frontiers,
+};
+use std::time::{Duration, Instant};
+
+/// An answer, and of which state of the map it is true.
+#[derive(Debug, Clone)]
+pub struct Explored<T> {
+    /// None if no start was given and the robot does not know where it is.
+    pub outcome: Option<T>,
+    /// Version of the map.
+    pub map_version: u64,
+    /// Stamp of the newest frame in it.
+    pub stamp: Timestamp,
+}
+
+impl<T> Explored<T> {
+    fn of(snapshot: &Snapshot, outcome: Option<T>) -> Self {
+        Self { outcome, map_version: snapshot.map_version, stamp: stamp_of(snapshot) }
+    }
+}
+
+/// Which frontiers are asked for.
+#[derive(Debug, Clone, Copy)]
+pub struct FrontierRequest {
+    /// Where from, map frame, metres; none: where the robot is.
+    pub start: Option<Point2<f64>>,
+    /// How; none: as the session is set.
+    pub params: Option<PlanParams>,
+    /// Those of less length are left out, metres.
+    pub min_length_m: f64,
+    /// How many metres of way a metre of frontier is worth.
+    pub gain: f64,
+}
+
+/// What a path in space is asked for.
+#[derive(Debug, Clone)]
+pub struct FlightQuestion {
+    /// Where from, map frame, metres; none: where base is.
+    pub start: Option<Point3<f64>>,
+    /// Where to, map frame, metres.
+    pub goal: Point3<f64>,
+    /// Part of the map that is searched; none: all.
+    pub region: Option<Aabb3>,
+    /// The robot, and limits.
+    pub params: FlightParams,
+    /// How it is searched.
+    pub planner: FlightPlanner,
+    /// The search is given up after this; none: when it is done.
+    pub deadline: Option<Duration>,
+}
+
+/// Voxels of a box that is searched: a byte each, and some 20 while it is.
+const MAX_FLIGHT_VOXELS: usize = 32_000_000;
+
+impl Service {
+    /// A path that covers what the robot reaches.
+    ///
+    /// # Errors
+    /// As [`Service::plan_path`].
+    pub async fn plan_coverage(
+        &self,
+        session: &str,
+        request: PlanRequest,
+        coverage: CoverageParams,
+    ) -> Result<Explored<CoverageOutcome>> {
+        let (snapshot, zones) = self.snapshot_with_zones(session).await?;
+        let max_cells = self.limits.max_planning_cells;
+        let work = move || covered(&snapshot, request, &zones, &coverage, max_cells);
+        self.compute.query(&self.asker(session)?, work).await?
+    }
+
+    /// Edges of what is known that the robot reaches, what is worth most first.
+    ///
+    /// # Errors
+    /// As [`Service::plan_path`]; `NO_POSE_YET` without a start.
+    pub async fn find_frontiers(&self, session: &str, request: FrontierRequest) -> Result<Explored<Vec<Frontier>>> {
+        let snapshot = self.snapshot(session).await?;
+        let max_cells = self.limits.max_planning_cells;
+        let work = move || {
+            let start = request.start.or(known_pose(&snapshot).map(|(position, _)| position));
+            let start = start.ok_or_else(|| {
+                let message = "the robot does not know where it is; give a start";
+                Error::new(ErrorCode::FailedPrecondition, reason::NO_POSE_YET, message)
+            })?;
+            let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
+            let grid = dense(&snapshot, params.max_cells)?;
+            let least = (request.min_length_m / grid.geometry.resolution_m).ceil().max(1.0) as usize;
+            let mut found = frontiers(&grid, start, &params, least).map_err(plan_error)?;
+            rank_frontiers(&mut found, request.gain)
+                .map_err(|e| Error { field: "gain".to_owned(), ..plan_error(e) })?;
+            Ok(Explored::of(&snapshot, Some(found)))
+        };
+        self.compute.query(&self.asker(session)?, work).await?
+    }
+
+    /// A path in space through the voxels of the map.
+    ///
+    /// # Errors
+    /// `LAYER_OFF`, `GRID_TOO_LARGE`, coordinates or parameters out of bounds, `SESSION_NOT_FOUND`.
+    pub async fn plan_flight(&self, session: &str, question: FlightQuestion) -> Result<Explored<FlightOutcome>> {
+        let snapshot = self.snapshot(session).await?;
+        self.compute.query(&self.asker(session)?, move || flown(&snapshot, &question)).await?
+    }
+}
+
+fn limited(params: PlanParams, max_cells: usize) -> PlanParams {
+    PlanParams { max_cells: params.max_cells.min(max_cells), ..params }
+}
+
+fn covered(
+    snapshot: &Snapshot,
+    request: PlanRequest,
+    zones: &[Zone],
+    coverage: &CoverageParams,
+    max_cells: usize,
+) -> Result<Explored<CoverageOutcome>> {
+    let start = request.start.map(|start| (start, 0.0)).or(known_pose(snapshot));
+    let Some(start) = start else { return Ok(Explored::of(snapshot, None)) };
+    let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
+    let options: PathOptions = request.options.in_zones(zones);
+    let grid = dense(snapshot, params.max_cells)?;
+    let begun = Instant::now();
+    let stop = options.deadline.map(|deadline| move || begun.elapsed() >= deadline);
+    let stop = stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync));
+    let outcome = plan_coverage(&grid, &options.request(start, start.0, &params, stop), coverage);
+    Ok(Explored::of(snapshot, Some(outcome.map_err(plan_error)?)))
+}
+
+fn flown(snapshot: &Snapshot, question: &FlightQuestion) -> Result<Explored<FlightOutcome>> {
+    if !snapshot.params.map.voxels.enabled {
+        let message = "the session keeps no voxels; create one with params.map.voxels.enabled";
+        return Err(Error::new(ErrorCode::FailedPrecondition, reason::LAYER_OFF, message));
+    }
+    let robot = || {
+        let pose = snapshot.pose.as_ref().filter(|_| known_pose(snapshot).is_some())?;
+        Some(Point3::from(pose.t_map_base.translation.vector))
+    };
+    let Some(start) = question.start.or_else(robot) else { return Ok(Explored::of(snapshot, None)) };
+    let params = FlightParams { max_voxels: question.params.max_voxels.min(MAX_FLIGHT_VOXELS), ..question.params };
+    params.validate().map_err(flight_error)?;
+    if question.region.is_none() && snapshot.layers.voxels.tile_keys().next().is_none() {
+        return Err(Error::new(ErrorCode::FailedPrecondition, reason::MAP_EMPTY, "nothing was mapped yet"));
+    }
+    let voxels = DenseVoxels::of_map(&snapshot.layers.voxels, question.region.as_ref(), params.max_voxels);
+    let voxels = voxels.map_err(flight_error)?;
+    let begun = Instant::now();
+    let stop = question.deadline.map(|deadline| move || begun.elapsed() >= deadline);
+    let request = FlightRequest {
+        planner: question.planner,
+        stop: stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync)),
+        ..FlightRequest::new(start, question.goal, &params)
+    };
+    Ok(Explored::of(snapshot, Some(plan_flight(&voxels, &request).map_err(flight_error)?)))
+}
+
+/// What is wrong with a question for a path in space: its parameters are among its options.
+fn flight_error(e: PlanError) -> Error {
+    let error = plan_error(e);
+    let field = error.field.strip_prefix("params.").map_or(error.field.clone(), |f| format!("options.{f}"));
+    Error { field, ..error }
+}

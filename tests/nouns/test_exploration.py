@@ -1,0 +1,122 @@
+"""Paths that cover, frontiers, paths in space."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from percept import (
+    CoverageOptions,
+    CoveragePath,
+    FailedPrecondition,
+    FlightOptions,
+    FlightPath,
+    GridMap,
+    InvalidArgument,
+    NoFlight,
+    NoPath,
+    PathOptions,
+    Zone,
+)
+
+from support import world
+
+
+@pytest.fixture(scope="module")
+def hall(client):
+    """A hall of 8 x 4 m with a pillar; nothing is known of the third room behind its door at the upper right."""
+    cells = np.full((90, 230), -1, np.int8)
+    cells[4:86, 4:166] = 100
+    cells[5:85, 5:165] = 0
+    cells[40:50, 80:90] = 100
+    cells[60:80, 165:166] = 0
+    params = {"map": {"occupancy": {"resolution_m": 0.05}}}
+    session = client.sessions.create(params=params)
+    session.map.import_map(GridMap(cells=cells, resolution_m=0.05))
+    return session
+
+
+def test_a_path_covers_what_the_robot_reaches(hall):
+    options = CoverageOptions(tool_width_m=0.5)
+    found = hall.plan_coverage(start=(1.0, 1.0), coverage=options)
+    assert isinstance(found, CoveragePath)
+    assert found.covered_share >= 0.98
+    assert 24 < found.coverable_m2 < 32
+    assert len(found.leg_starts) == len(found.is_transit) > 5
+    # As wide as the tool is, and to and fro: some 30 m^2 / 0.45 m.
+    assert 55 < found.path.length_m < 110
+    # Where the tool has been, by hand.
+    step = 0.05
+    y, x = np.mgrid[0.5:4.0:0.1, 0.5:8.0:0.1]
+    points = np.column_stack([x.ravel(), y.ravel()])
+    way = found.path.waypoints[:, :2]
+    dense = np.vstack(
+        [
+            a + (b - a) * np.linspace(0, 1, max(2, int(np.linalg.norm(b - a) / step)))[:, None]
+            for a, b in itertools.pairwise(way)
+        ]
+    )
+    near = np.array([np.min(np.sum((dense - p) ** 2, axis=1)) for p in points]) <= 0.27**2
+    pillar = (np.abs(points[:, 0] - 4.25) < 0.3) & (np.abs(points[:, 1] - 2.25) < 0.3)
+    assert np.mean(near[~pillar]) > 0.97
+
+
+def test_zones_are_left_out_of_what_is_covered(hall):
+    left = Zone(polygon=[(-1, -1), (4, -1), (4, 5), (-1, 5)])
+    whole = hall.plan_coverage(start=(6.0, 1.0))
+    half = hall.plan_coverage(start=(6.0, 1.0), options=PathOptions(zones=[left]))
+    assert 0.3 < half.coverable_m2 / whole.coverable_m2 < 0.7
+    inside = hall.plan_coverage(start=(1.0, 1.0), options=PathOptions(zones=[left]))
+    assert isinstance(inside, NoPath)
+    assert inside.reason == "start_in_keep_out"
+
+
+def test_the_frontier_is_where_the_unknown_begins(hall):
+    found = hall.frontiers(start=(1.0, 1.0))
+    assert found
+    assert abs(found[0].length_m - 1.0) < 0.2
+    assert np.allclose(found[0].cells.mean(axis=0), (8.27, 3.5), atol=0.15)
+    assert found[0].cost > 6
+    assert hall.plan(found[0].goal, start=(1.0, 1.0))
+    assert hall.frontiers(start=(1.0, 1.0), min_length_m=5.0) == []
+    # Where the robot is nobody knows.
+    with pytest.raises(FailedPrecondition) as error:
+        hall.frontiers()
+    assert error.value.reason == "NO_POSE_YET"
+
+
+def test_what_flies_goes_over_what_stands(lidar_session):
+    start, goal = (*world.to_map(-1.0, 1.0), 1.0), (*world.to_map(2.5, 1.0), 1.0)
+    found = lidar_session.plan_flight(goal, start=start, options=FlightOptions(robot_radius_m=0.2))
+    assert isinstance(found, FlightPath), found
+    straight = np.linalg.norm(np.subtract(goal, start))
+    assert straight - 1e-6 <= found.length_m < 1.6 * straight
+    assert np.allclose(found.waypoints[0], start) and np.allclose(found.waypoints[-1], goal)
+    assert found.min_clearance_m is None or found.min_clearance_m >= 0.2 - 1e-6
+    low = lidar_session.plan_flight(goal, start=start, options=FlightOptions(robot_radius_m=0.2, max_z_m=0.5))
+    assert isinstance(low, NoFlight)
+    assert low.reason in ("start_in_keep_out", "goal_in_keep_out")
+    beneath = (*world.to_map(1.6, 1.0), 0.4)
+    inside = lidar_session.plan_flight(beneath, start=start, options=FlightOptions(robot_radius_m=0.2))
+    assert isinstance(inside, NoFlight)
+    assert inside.reason.startswith("goal_")
+
+
+def test_questions_that_are_none_are_refused_with_their_field(hall, lidar_session, laser_session):
+    nan = float("nan")
+    for ask, field in [
+        (lambda: hall.plan_coverage(start=(nan, 0.0)), "start"),
+        (lambda: hall.plan_coverage(start=(1, 1), coverage=CoverageOptions(tool_width_m=0.0)), "coverage.tool_width_m"),
+        (lambda: hall.plan_coverage(start=(1, 1), coverage=CoverageOptions(overlap=1.0)), "coverage.overlap"),
+        (lambda: hall.frontiers(start=(1, 1), gain=-1.0), "gain"),
+        (lambda: hall.frontiers(start=(1, 1), min_length_m=nan), "min_length_m"),
+        (lambda: lidar_session.plan_flight((nan, 0, 0)), "goal"),
+        (lambda: lidar_session.plan_flight((1, 0, 1), options=FlightOptions(robot_radius_m=-1.0)), "robot_radius_m"),
+    ]:
+        with pytest.raises(InvalidArgument) as error:
+            ask()
+        assert error.value.field.endswith(field), error.value
+    with pytest.raises(FailedPrecondition) as error:
+        laser_session.plan_flight((1, 0, 1))
+    assert error.value.reason == "LAYER_OFF"
