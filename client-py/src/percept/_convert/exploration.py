@@ -17,7 +17,7 @@ from ..types.exploration import (
     NoFlight,
 )
 from ..types.navigation import BlockingState, NoPath, NoPathReason, PathOptions
-from ..v1 import geometry_pb2, params_pb2, path_pb2
+from ..v1 import layers_service_pb2, params_pb2, path_pb2
 from ..v1 import navigation_service_pb2 as service
 from . import geometry, maps, navigation, words
 
@@ -89,7 +89,7 @@ def flight(
     session_id: str,
     goal: Sequence[float],
     start: Sequence[float] | None,
-    region: geometry_pb2.Box3 | None,
+    region: layers_service_pb2.Box3 | None,
     options: FlightOptions,
 ) -> Call[service.PlanFlightRequest, service.PlanFlightResponse, FlightPath | NoFlight]:
     request = service.PlanFlightRequest(

@@ -145,13 +145,13 @@ def changes(message: service.GetChangesResponse) -> MapChanges:
     )
 
 
-def region_to(low: Sequence[float] | None, high: Sequence[float] | None) -> geometry_pb2.Box3 | None:
+def region_to(low: Sequence[float] | None, high: Sequence[float] | None) -> service.Box3 | None:
     if (low is None) != (high is None):
         message = "low and high belong together; give both or neither"
         raise InvalidArgument(message, reason="FIELD_MISSING", field="region")
     if low is None or high is None:
         return None
-    return geometry_pb2.Box3(
+    return service.Box3(
         min=geometry.vector3_to("region.min", low), max=geometry.vector3_to("region.max", high)
     )
 

@@ -307,33 +307,3 @@ class PointCloud(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__time_offsets_s) -> _WhichOneofReturnType__time_offsets_s | None: ...
 
 Global___PointCloud: _TypeAlias = PointCloud  # noqa: Y015
-
-@_typing.final
-class Box3(_message.Message):
-    """An axis-aligned box."""
-
-    DESCRIPTOR: _descriptor.Descriptor
-
-    MIN_FIELD_NUMBER: _builtins.int
-    MAX_FIELD_NUMBER: _builtins.int
-    @_builtins.property
-    def min(self) -> Global___Vector3:
-        """Smallest x, y, z, metres, map frame."""
-
-    @_builtins.property
-    def max(self) -> Global___Vector3:
-        """Largest x, y, z, metres, map frame."""
-
-    def __init__(
-        self,
-        *,
-        min: Global___Vector3 | None = ...,
-        max: Global___Vector3 | None = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["max", b"max", "min", b"min"]  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["max", b"max", "min", b"min"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
-
-Global___Box3: _TypeAlias = Box3  # noqa: Y015

@@ -122,14 +122,14 @@ class GetVoxelsRequest(_message.Message):
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     @_builtins.property
-    def region(self) -> _geometry_pb2.Box3:
+    def region(self) -> Global___Box3:
         """Map frame; voxels whose centre lies within. Absent: all."""
 
     def __init__(
         self,
         *,
         source: _map_pb2.MapSource | None = ...,
-        region: _geometry_pb2.Box3 | None = ...,
+        region: Global___Box3 | None = ...,
         occupied_only: _builtins.bool = ...,
         since_version: _builtins.int = ...,
     ) -> None: ...
@@ -206,6 +206,36 @@ class VoxelBlock(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___VoxelBlock: _TypeAlias = VoxelBlock  # noqa: Y015
+
+@_typing.final
+class Box3(_message.Message):
+    """An axis-aligned box."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MIN_FIELD_NUMBER: _builtins.int
+    MAX_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def min(self) -> _geometry_pb2.Vector3:
+        """Smallest x, y, z, metres, map frame."""
+
+    @_builtins.property
+    def max(self) -> _geometry_pb2.Vector3:
+        """Largest x, y, z, metres, map frame."""
+
+    def __init__(
+        self,
+        *,
+        min: _geometry_pb2.Vector3 | None = ...,
+        max: _geometry_pb2.Vector3 | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["max", b"max", "min", b"min"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["max", b"max", "min", b"min"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Box3: _TypeAlias = Box3  # noqa: Y015
 
 @_typing.final
 class QueryPointsRequest(_message.Message):
@@ -627,14 +657,14 @@ class GetMeshRequest(_message.Message):
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     @_builtins.property
-    def region(self) -> _geometry_pb2.Box3:
+    def region(self) -> Global___Box3:
         """Triangles with a corner in it, map frame. Absent: all."""
 
     def __init__(
         self,
         *,
         source: _map_pb2.MapSource | None = ...,
-        region: _geometry_pb2.Box3 | None = ...,
+        region: Global___Box3 | None = ...,
         max_triangles: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "region", b"region", "source", b"source"]  # noqa: Y015

@@ -11,6 +11,7 @@ from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import map_pb2 as _map_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
 from percept.v1 import toolbox_pb2 as _toolbox_pb2
+from percept.v1 import toolbox_planning_service_pb2 as _toolbox_planning_service_pb2
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -43,11 +44,11 @@ class ImportMapRequest(_message.Message):
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     @_builtins.property
-    def grid(self) -> _map_pb2.GridMap:
+    def grid(self) -> _toolbox_planning_service_pb2.GridMap:
         """Seen as by a planar lidar: 65 percent and more is occupied, up to 25 is free."""
 
     @_builtins.property
-    def nav2(self) -> _map_pb2.Nav2Map:
+    def nav2(self) -> _toolbox_planning_service_pb2.Nav2Map:
         """The same from files."""
 
     @_builtins.property
@@ -62,8 +63,8 @@ class ImportMapRequest(_message.Message):
         self,
         *,
         source: _map_pb2.MapSource | None = ...,
-        grid: _map_pb2.GridMap | None = ...,
-        nav2: _map_pb2.Nav2Map | None = ...,
+        grid: _toolbox_planning_service_pb2.GridMap | None = ...,
+        nav2: _toolbox_planning_service_pb2.Nav2Map | None = ...,
         octomap: _builtins.bytes = ...,
         cloud: _toolbox_pb2.CloudSource | None = ...,
         start: _geometry_pb2.Pose | None = ...,

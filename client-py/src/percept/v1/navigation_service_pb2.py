@@ -13,6 +13,7 @@ _sym_db = _symbol_database.Default()
 
 
 from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
+from percept.v1 import layers_service_pb2 as percept_dot_v1_dot_layers__service__pb2
 from percept.v1 import map_pb2 as percept_dot_v1_dot_map__pb2
 from percept.v1 import object_pb2 as percept_dot_v1_dot_object__pb2
 from percept.v1 import params_pb2 as percept_dot_v1_dot_params__pb2
@@ -21,43 +22,43 @@ from percept.v1 import sensor_pb2 as percept_dot_v1_dot_sensor__pb2
 from percept.v1 import session_pb2 as percept_dot_v1_dot_session__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#percept/v1/navigation_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/object.proto\x1a\x17percept/v1/params.proto\x1a\x15percept/v1/path.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/session.proto\"\xf4\x01\n\x13PlanCoverageRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2H\x00\x88\x01\x01\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\x12-\n\x08\x63overage\x18\x05 \x01(\x0b\x32\x1b.percept.v1.CoverageOptionsB\x08\n\x06_start\"\x97\x01\n\x14PlanCoverageResponse\x12(\n\x04path\x18\x01 \x01(\x0b\x32\x18.percept.v1.CoveragePathH\x00\x12%\n\x07no_path\x18\x02 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x03 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcome\"\xd6\x01\n\x14\x46indFrontiersRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2H\x00\x88\x01\x01\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12\x19\n\x0cmin_length_m\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12\x0c\n\x04gain\x18\x05 \x01(\x01\x42\x08\n\x06_startB\x0f\n\r_min_length_m\"e\n\x15\x46indFrontiersResponse\x12\'\n\tfrontiers\x18\x01 \x03(\x0b\x32\x14.percept.v1.Frontier\x12#\n\x05stamp\x18\x02 \x01(\x0b\x32\x14.percept.v1.MapStamp\"\xee\x01\n\x11PlanFlightRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3H\x00\x88\x01\x01\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector3\x12%\n\x06region\x18\x04 \x01(\x0b\x32\x10.percept.v1.Box3H\x01\x88\x01\x01\x12*\n\x07options\x18\x05 \x01(\x0b\x32\x19.percept.v1.FlightOptionsB\x08\n\x06_startB\t\n\x07_region\"\x95\x01\n\x12PlanFlightResponse\x12&\n\x04path\x18\x01 \x01(\x0b\x32\x16.percept.v1.FlightPathH\x00\x12\'\n\x07no_path\x18\x02 \x01(\x0b\x32\x14.percept.v1.NoFlightH\x00\x12#\n\x05stamp\x18\x03 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcome\"\xe4\x01\n\x0fPlanPathRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2H\x00\x88\x01\x01\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x04 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x05 \x01(\x0b\x32\x17.percept.v1.PathOptionsB\x08\n\x06_start\"\xb4\x01\n\x13ValidatePathRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12 \n\x05poses\x18\x02 \x03(\x0b\x32\x11.percept.v1.Pose2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"o\n\x14ValidatePathResponse\x12\'\n\x06misfit\x18\x01 \x01(\x0b\x32\x12.percept.v1.MisfitH\x00\x88\x01\x01\x12#\n\x05stamp\x18\x02 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07_misfit\"\x8b\x01\n\x10PlanPathResponse\x12 \n\x04path\x18\x01 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x02 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x03 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcome\"\xb2\x01\n\x10WatchPathRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12!\n\x04goal\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"\xe8\x01\n\x11WatchPathResponse\x12&\n\x06\x63hange\x18\x01 \x01(\x0e\x32\x16.percept.v1.PathChange\x12 \n\x04path\x18\x02 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x03 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12\'\n\x06misfit\x18\x04 \x01(\x0b\x32\x12.percept.v1.MisfitH\x01\x88\x01\x01\x12#\n\x05stamp\x18\x05 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcomeB\t\n\x07_misfit\"\xb6\x01\n\x0fNavigateRequest\x12*\n\x07message\x18\x01 \x01(\x0b\x32\x19.percept.v1.SensorMessage\x12!\n\x04goal\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"\x90\x02\n\x10NavigateResponse\x12&\n\x05\x66rame\x18\x01 \x01(\x0b\x32\x17.percept.v1.FrameResult\x12+\n\x04pose\x18\x02 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x01\x88\x01\x01\x12%\n\tobstacles\x18\x03 \x03(\x0b\x32\x12.percept.v1.Object\x12 \n\x04path\x18\x04 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x05 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x06 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcomeB\x07\n\x05_pose*\xa7\x01\n\nPathChange\x12\x1b\n\x17PATH_CHANGE_UNSPECIFIED\x10\x00\x12\x15\n\x11PATH_CHANGE_FIRST\x10\x01\x12\x17\n\x13PATH_CHANGE_BLOCKED\x10\x02\x12\x16\n\x12PATH_CHANGE_BETTER\x10\x03\x12\x16\n\x12PATH_CHANGE_OPENED\x10\x04\x12\x1c\n\x18PATH_CHANGE_OTHER_REASON\x10\x05\x32\xb6\x04\n\x11NavigationService\x12\x45\n\x08PlanPath\x12\x1b.percept.v1.PlanPathRequest\x1a\x1c.percept.v1.PlanPathResponse\x12Q\n\x0cValidatePath\x12\x1f.percept.v1.ValidatePathRequest\x1a .percept.v1.ValidatePathResponse\x12J\n\tWatchPath\x12\x1c.percept.v1.WatchPathRequest\x1a\x1d.percept.v1.WatchPathResponse0\x01\x12\x45\n\x08Navigate\x12\x1b.percept.v1.NavigateRequest\x1a\x1c.percept.v1.NavigateResponse\x12Q\n\x0cPlanCoverage\x12\x1f.percept.v1.PlanCoverageRequest\x1a .percept.v1.PlanCoverageResponse\x12T\n\rFindFrontiers\x12 .percept.v1.FindFrontiersRequest\x1a!.percept.v1.FindFrontiersResponse\x12K\n\nPlanFlight\x12\x1d.percept.v1.PlanFlightRequest\x1a\x1e.percept.v1.PlanFlightResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#percept/v1/navigation_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x1fpercept/v1/layers_service.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/object.proto\x1a\x17percept/v1/params.proto\x1a\x15percept/v1/path.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/session.proto\"\xf4\x01\n\x13PlanCoverageRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2H\x00\x88\x01\x01\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\x12-\n\x08\x63overage\x18\x05 \x01(\x0b\x32\x1b.percept.v1.CoverageOptionsB\x08\n\x06_start\"\x97\x01\n\x14PlanCoverageResponse\x12(\n\x04path\x18\x01 \x01(\x0b\x32\x18.percept.v1.CoveragePathH\x00\x12%\n\x07no_path\x18\x02 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x03 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcome\"\xd6\x01\n\x14\x46indFrontiersRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2H\x00\x88\x01\x01\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12\x19\n\x0cmin_length_m\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12\x0c\n\x04gain\x18\x05 \x01(\x01\x42\x08\n\x06_startB\x0f\n\r_min_length_m\"e\n\x15\x46indFrontiersResponse\x12\'\n\tfrontiers\x18\x01 \x03(\x0b\x32\x14.percept.v1.Frontier\x12#\n\x05stamp\x18\x02 \x01(\x0b\x32\x14.percept.v1.MapStamp\"\xee\x01\n\x11PlanFlightRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3H\x00\x88\x01\x01\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector3\x12%\n\x06region\x18\x04 \x01(\x0b\x32\x10.percept.v1.Box3H\x01\x88\x01\x01\x12*\n\x07options\x18\x05 \x01(\x0b\x32\x19.percept.v1.FlightOptionsB\x08\n\x06_startB\t\n\x07_region\"\x95\x01\n\x12PlanFlightResponse\x12&\n\x04path\x18\x01 \x01(\x0b\x32\x16.percept.v1.FlightPathH\x00\x12\'\n\x07no_path\x18\x02 \x01(\x0b\x32\x14.percept.v1.NoFlightH\x00\x12#\n\x05stamp\x18\x03 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcome\"\xe4\x01\n\x0fPlanPathRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\'\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2H\x00\x88\x01\x01\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x04 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x05 \x01(\x0b\x32\x17.percept.v1.PathOptionsB\x08\n\x06_start\"\xb4\x01\n\x13ValidatePathRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12 \n\x05poses\x18\x02 \x03(\x0b\x32\x11.percept.v1.Pose2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"o\n\x14ValidatePathResponse\x12\'\n\x06misfit\x18\x01 \x01(\x0b\x32\x12.percept.v1.MisfitH\x00\x88\x01\x01\x12#\n\x05stamp\x18\x02 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07_misfit\"\x8b\x01\n\x10PlanPathResponse\x12 \n\x04path\x18\x01 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x02 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x03 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcome\"\xb2\x01\n\x10WatchPathRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12!\n\x04goal\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"\xe8\x01\n\x11WatchPathResponse\x12&\n\x06\x63hange\x18\x01 \x01(\x0e\x32\x16.percept.v1.PathChange\x12 \n\x04path\x18\x02 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x03 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12\'\n\x06misfit\x18\x04 \x01(\x0b\x32\x12.percept.v1.MisfitH\x01\x88\x01\x01\x12#\n\x05stamp\x18\x05 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcomeB\t\n\x07_misfit\"\xb6\x01\n\x0fNavigateRequest\x12*\n\x07message\x18\x01 \x01(\x0b\x32\x19.percept.v1.SensorMessage\x12!\n\x04goal\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"\x90\x02\n\x10NavigateResponse\x12&\n\x05\x66rame\x18\x01 \x01(\x0b\x32\x17.percept.v1.FrameResult\x12+\n\x04pose\x18\x02 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x01\x88\x01\x01\x12%\n\tobstacles\x18\x03 \x03(\x0b\x32\x12.percept.v1.Object\x12 \n\x04path\x18\x04 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x05 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x12#\n\x05stamp\x18\x06 \x01(\x0b\x32\x14.percept.v1.MapStampB\t\n\x07outcomeB\x07\n\x05_pose*\xa7\x01\n\nPathChange\x12\x1b\n\x17PATH_CHANGE_UNSPECIFIED\x10\x00\x12\x15\n\x11PATH_CHANGE_FIRST\x10\x01\x12\x17\n\x13PATH_CHANGE_BLOCKED\x10\x02\x12\x16\n\x12PATH_CHANGE_BETTER\x10\x03\x12\x16\n\x12PATH_CHANGE_OPENED\x10\x04\x12\x1c\n\x18PATH_CHANGE_OTHER_REASON\x10\x05\x32\xb6\x04\n\x11NavigationService\x12\x45\n\x08PlanPath\x12\x1b.percept.v1.PlanPathRequest\x1a\x1c.percept.v1.PlanPathResponse\x12Q\n\x0cValidatePath\x12\x1f.percept.v1.ValidatePathRequest\x1a .percept.v1.ValidatePathResponse\x12J\n\tWatchPath\x12\x1c.percept.v1.WatchPathRequest\x1a\x1d.percept.v1.WatchPathResponse0\x01\x12\x45\n\x08Navigate\x12\x1b.percept.v1.NavigateRequest\x1a\x1c.percept.v1.NavigateResponse\x12Q\n\x0cPlanCoverage\x12\x1f.percept.v1.PlanCoverageRequest\x1a .percept.v1.PlanCoverageResponse\x12T\n\rFindFrontiers\x12 .percept.v1.FindFrontiersRequest\x1a!.percept.v1.FindFrontiersResponse\x12K\n\nPlanFlight\x12\x1d.percept.v1.PlanFlightRequest\x1a\x1e.percept.v1.PlanFlightResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.navigation_service_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_PATHCHANGE']._serialized_start=2884
-  _globals['_PATHCHANGE']._serialized_end=3051
-  _globals['_PLANCOVERAGEREQUEST']._serialized_start=225
-  _globals['_PLANCOVERAGEREQUEST']._serialized_end=469
-  _globals['_PLANCOVERAGERESPONSE']._serialized_start=472
-  _globals['_PLANCOVERAGERESPONSE']._serialized_end=623
-  _globals['_FINDFRONTIERSREQUEST']._serialized_start=626
-  _globals['_FINDFRONTIERSREQUEST']._serialized_end=840
-  _globals['_FINDFRONTIERSRESPONSE']._serialized_start=842
-  _globals['_FINDFRONTIERSRESPONSE']._serialized_end=943
-  _globals['_PLANFLIGHTREQUEST']._serialized_start=946
-  _globals['_PLANFLIGHTREQUEST']._serialized_end=1184
-  _globals['_PLANFLIGHTRESPONSE']._serialized_start=1187
-  _globals['_PLANFLIGHTRESPONSE']._serialized_end=1336
-  _globals['_PLANPATHREQUEST']._serialized_start=1339
-  _globals['_PLANPATHREQUEST']._serialized_end=1567
-  _globals['_VALIDATEPATHREQUEST']._serialized_start=1570
-  _globals['_VALIDATEPATHREQUEST']._serialized_end=1750
-  _globals['_VALIDATEPATHRESPONSE']._serialized_start=1752
-  _globals['_VALIDATEPATHRESPONSE']._serialized_end=1863
-  _globals['_PLANPATHRESPONSE']._serialized_start=1866
-  _globals['_PLANPATHRESPONSE']._serialized_end=2005
-  _globals['_WATCHPATHREQUEST']._serialized_start=2008
-  _globals['_WATCHPATHREQUEST']._serialized_end=2186
-  _globals['_WATCHPATHRESPONSE']._serialized_start=2189
-  _globals['_WATCHPATHRESPONSE']._serialized_end=2421
-  _globals['_NAVIGATEREQUEST']._serialized_start=2424
-  _globals['_NAVIGATEREQUEST']._serialized_end=2606
-  _globals['_NAVIGATERESPONSE']._serialized_start=2609
-  _globals['_NAVIGATERESPONSE']._serialized_end=2881
-  _globals['_NAVIGATIONSERVICE']._serialized_start=3054
-  _globals['_NAVIGATIONSERVICE']._serialized_end=3620
+  _globals['_PATHCHANGE']._serialized_start=2917
+  _globals['_PATHCHANGE']._serialized_end=3084
+  _globals['_PLANCOVERAGEREQUEST']._serialized_start=258
+  _globals['_PLANCOVERAGEREQUEST']._serialized_end=502
+  _globals['_PLANCOVERAGERESPONSE']._serialized_start=505
+  _globals['_PLANCOVERAGERESPONSE']._serialized_end=656
+  _globals['_FINDFRONTIERSREQUEST']._serialized_start=659
+  _globals['_FINDFRONTIERSREQUEST']._serialized_end=873
+  _globals['_FINDFRONTIERSRESPONSE']._serialized_start=875
+  _globals['_FINDFRONTIERSRESPONSE']._serialized_end=976
+  _globals['_PLANFLIGHTREQUEST']._serialized_start=979
+  _globals['_PLANFLIGHTREQUEST']._serialized_end=1217
+  _globals['_PLANFLIGHTRESPONSE']._serialized_start=1220
+  _globals['_PLANFLIGHTRESPONSE']._serialized_end=1369
+  _globals['_PLANPATHREQUEST']._serialized_start=1372
+  _globals['_PLANPATHREQUEST']._serialized_end=1600
+  _globals['_VALIDATEPATHREQUEST']._serialized_start=1603
+  _globals['_VALIDATEPATHREQUEST']._serialized_end=1783
+  _globals['_VALIDATEPATHRESPONSE']._serialized_start=1785
+  _globals['_VALIDATEPATHRESPONSE']._serialized_end=1896
+  _globals['_PLANPATHRESPONSE']._serialized_start=1899
+  _globals['_PLANPATHRESPONSE']._serialized_end=2038
+  _globals['_WATCHPATHREQUEST']._serialized_start=2041
+  _globals['_WATCHPATHREQUEST']._serialized_end=2219
+  _globals['_WATCHPATHRESPONSE']._serialized_start=2222
+  _globals['_WATCHPATHRESPONSE']._serialized_end=2454
+  _globals['_NAVIGATEREQUEST']._serialized_start=2457
+  _globals['_NAVIGATEREQUEST']._serialized_end=2639
+  _globals['_NAVIGATERESPONSE']._serialized_start=2642
+  _globals['_NAVIGATERESPONSE']._serialized_end=2914
+  _globals['_NAVIGATIONSERVICE']._serialized_start=3087
+  _globals['_NAVIGATIONSERVICE']._serialized_end=3653
 # @@protoc_insertion_point(module_scope)

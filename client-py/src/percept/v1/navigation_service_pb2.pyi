@@ -9,6 +9,7 @@ from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from percept.v1 import geometry_pb2 as _geometry_pb2
+from percept.v1 import layers_service_pb2 as _layers_service_pb2
 from percept.v1 import map_pb2 as _map_pb2
 from percept.v1 import object_pb2 as _object_pb2
 from percept.v1 import params_pb2 as _params_pb2
@@ -233,7 +234,7 @@ class PlanFlightRequest(_message.Message):
         """The ball's centre, metres, map frame."""
 
     @_builtins.property
-    def region(self) -> _geometry_pb2.Box3:
+    def region(self) -> _layers_service_pb2.Box3:
         """Part of the map that is searched. Absent: all of it."""
 
     @_builtins.property
@@ -244,7 +245,7 @@ class PlanFlightRequest(_message.Message):
         source: _map_pb2.MapSource | None = ...,
         start: _geometry_pb2.Vector3 | None = ...,
         goal: _geometry_pb2.Vector3 | None = ...,
-        region: _geometry_pb2.Box3 | None = ...,
+        region: _layers_service_pb2.Box3 | None = ...,
         options: _path_pb2.FlightOptions | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_start", b"_start", "goal", b"goal", "options", b"options", "region", b"region", "source", b"source", "start", b"start"]  # noqa: Y015

@@ -18,7 +18,7 @@ from percept.v1 import params_pb2 as percept_dot_v1_dot_params__pb2
 from percept.v1 import path_pb2 as percept_dot_v1_dot_path__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n)percept/v1/toolbox_planning_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/params.proto\x1a\x15percept/v1/path.proto\"[\n\x08GivenMap\x12#\n\x04grid\x18\x01 \x01(\x0b\x32\x13.percept.v1.GridMapH\x00\x12#\n\x04nav2\x18\x02 \x01(\x0b\x32\x13.percept.v1.Nav2MapH\x00\x42\x05\n\x03map\"\xd2\x01\n\x10PlanOnMapRequest\x12!\n\x03map\x18\x01 \x01(\x0b\x32\x14.percept.v1.GivenMap\x12\"\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x04 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x05 \x01(\x0b\x32\x17.percept.v1.PathOptions\"g\n\x11PlanOnMapResponse\x12 \n\x04path\x18\x01 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x02 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x42\t\n\x07outcome\"\xb1\x01\n\x14ValidateOnMapRequest\x12!\n\x03map\x18\x01 \x01(\x0b\x32\x14.percept.v1.GivenMap\x12 \n\x05poses\x18\x02 \x03(\x0b\x32\x11.percept.v1.Pose2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"K\n\x15ValidateOnMapResponse\x12\'\n\x06misfit\x18\x01 \x01(\x0b\x32\x12.percept.v1.MisfitH\x00\x88\x01\x01\x42\t\n\x07_misfit2\xb8\x01\n\x16ToolboxPlanningService\x12H\n\tPlanOnMap\x12\x1c.percept.v1.PlanOnMapRequest\x1a\x1d.percept.v1.PlanOnMapResponse\x12T\n\rValidateOnMap\x12 .percept.v1.ValidateOnMapRequest\x1a!.percept.v1.ValidateOnMapResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n)percept/v1/toolbox_planning_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/params.proto\x1a\x15percept/v1/path.proto\"[\n\x08GivenMap\x12#\n\x04grid\x18\x01 \x01(\x0b\x32\x13.percept.v1.GridMapH\x00\x12#\n\x04nav2\x18\x02 \x01(\x0b\x32\x13.percept.v1.Nav2MapH\x00\x42\x05\n\x03map\"D\n\x07GridMap\x12*\n\x08geometry\x18\x01 \x01(\x0b\x32\x18.percept.v1.GridGeometry\x12\r\n\x05\x63\x65lls\x18\x02 \x01(\x0c\"&\n\x07Nav2Map\x12\x0c\n\x04yaml\x18\x01 \x01(\x0c\x12\r\n\x05image\x18\x02 \x01(\x0c\"\xd2\x01\n\x10PlanOnMapRequest\x12!\n\x03map\x18\x01 \x01(\x0b\x32\x14.percept.v1.GivenMap\x12\"\n\x05start\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12*\n\x06params\x18\x04 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x05 \x01(\x0b\x32\x17.percept.v1.PathOptions\"g\n\x11PlanOnMapResponse\x12 \n\x04path\x18\x01 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x02 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x42\t\n\x07outcome\"\xb1\x01\n\x14ValidateOnMapRequest\x12!\n\x03map\x18\x01 \x01(\x0b\x32\x14.percept.v1.GivenMap\x12 \n\x05poses\x18\x02 \x03(\x0b\x32\x11.percept.v1.Pose2\x12*\n\x06params\x18\x03 \x01(\x0b\x32\x1a.percept.v1.PlanningParams\x12(\n\x07options\x18\x04 \x01(\x0b\x32\x17.percept.v1.PathOptions\"K\n\x15ValidateOnMapResponse\x12\'\n\x06misfit\x18\x01 \x01(\x0b\x32\x12.percept.v1.MisfitH\x00\x88\x01\x01\x42\t\n\x07_misfit2\xb8\x01\n\x16ToolboxPlanningService\x12H\n\tPlanOnMap\x12\x1c.percept.v1.PlanOnMapRequest\x1a\x1d.percept.v1.PlanOnMapResponse\x12T\n\rValidateOnMap\x12 .percept.v1.ValidateOnMapRequest\x1a!.percept.v1.ValidateOnMapResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -27,14 +27,18 @@ if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
   _globals['_GIVENMAP']._serialized_start=154
   _globals['_GIVENMAP']._serialized_end=245
-  _globals['_PLANONMAPREQUEST']._serialized_start=248
-  _globals['_PLANONMAPREQUEST']._serialized_end=458
-  _globals['_PLANONMAPRESPONSE']._serialized_start=460
-  _globals['_PLANONMAPRESPONSE']._serialized_end=563
-  _globals['_VALIDATEONMAPREQUEST']._serialized_start=566
-  _globals['_VALIDATEONMAPREQUEST']._serialized_end=743
-  _globals['_VALIDATEONMAPRESPONSE']._serialized_start=745
-  _globals['_VALIDATEONMAPRESPONSE']._serialized_end=820
-  _globals['_TOOLBOXPLANNINGSERVICE']._serialized_start=823
-  _globals['_TOOLBOXPLANNINGSERVICE']._serialized_end=1007
+  _globals['_GRIDMAP']._serialized_start=247
+  _globals['_GRIDMAP']._serialized_end=315
+  _globals['_NAV2MAP']._serialized_start=317
+  _globals['_NAV2MAP']._serialized_end=355
+  _globals['_PLANONMAPREQUEST']._serialized_start=358
+  _globals['_PLANONMAPREQUEST']._serialized_end=568
+  _globals['_PLANONMAPRESPONSE']._serialized_start=570
+  _globals['_PLANONMAPRESPONSE']._serialized_end=673
+  _globals['_VALIDATEONMAPREQUEST']._serialized_start=676
+  _globals['_VALIDATEONMAPREQUEST']._serialized_end=853
+  _globals['_VALIDATEONMAPRESPONSE']._serialized_start=855
+  _globals['_VALIDATEONMAPRESPONSE']._serialized_end=930
+  _globals['_TOOLBOXPLANNINGSERVICE']._serialized_start=933
+  _globals['_TOOLBOXPLANNINGSERVICE']._serialized_end=1117
 # @@protoc_insertion_point(module_scope)

@@ -31,14 +31,14 @@ class GivenMap(_message.Message):
     GRID_FIELD_NUMBER: _builtins.int
     NAV2_FIELD_NUMBER: _builtins.int
     @_builtins.property
-    def grid(self) -> _map_pb2.GridMap: ...
+    def grid(self) -> Global___GridMap: ...
     @_builtins.property
-    def nav2(self) -> _map_pb2.Nav2Map: ...
+    def nav2(self) -> Global___Nav2Map: ...
     def __init__(
         self,
         *,
-        grid: _map_pb2.GridMap | None = ...,
-        nav2: _map_pb2.Nav2Map | None = ...,
+        grid: Global___GridMap | None = ...,
+        nav2: Global___Nav2Map | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["grid", b"grid", "map", b"map", "nav2", b"nav2"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
@@ -49,6 +49,58 @@ class GivenMap(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType_map) -> _WhichOneofReturnType_map | None: ...
 
 Global___GivenMap: _TypeAlias = GivenMap  # noqa: Y015
+
+@_typing.final
+class GridMap(_message.Message):
+    """Occupancy as nav_msgs/OccupancyGrid has it."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    GEOMETRY_FIELD_NUMBER: _builtins.int
+    CELLS_FIELD_NUMBER: _builtins.int
+    cells: _builtins.bytes
+    """height * width int8, row 0 at the smallest y: -1 unknown, 0 to 100 percent occupied."""
+    @_builtins.property
+    def geometry(self) -> _map_pb2.GridGeometry: ...
+    def __init__(
+        self,
+        *,
+        geometry: _map_pb2.GridGeometry | None = ...,
+        cells: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["geometry", b"geometry"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cells", b"cells", "geometry", b"geometry"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___GridMap: _TypeAlias = GridMap  # noqa: Y015
+
+@_typing.final
+class Nav2Map(_message.Message):
+    """The two files of nav2's map server."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    YAML_FIELD_NUMBER: _builtins.int
+    IMAGE_FIELD_NUMBER: _builtins.int
+    yaml: _builtins.bytes
+    """The description; the image that it names is the one sent here."""
+    image: _builtins.bytes
+    """PGM or PNG."""
+    def __init__(
+        self,
+        *,
+        yaml: _builtins.bytes = ...,
+        image: _builtins.bytes = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["image", b"image", "yaml", b"yaml"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Nav2Map: _TypeAlias = Nav2Map  # noqa: Y015
 
 @_typing.final
 class PlanOnMapRequest(_message.Message):

@@ -7,6 +7,7 @@ use nalgebra::{Point2, Point3};
 use percept_geometry::grid::{walk, walk_while};
 use percept_geometry::{Cell, GridGeometry, PointCloud};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// A view in each square of this edge, metres: some times as near as robots make keyframes, so that one that is there sees what a
@@ -20,6 +21,10 @@ const OCCUPIED: i8 = 65;
 const FREE: i8 = 25;
 /// Occupied cells are to be seen so often: one view leaves a cell as likely as not for who asks for 65 %.
 const SEEN_OCCUPIED: u8 = 2;
+
+/// Fewer cells than these that were missed in a square are scraps: what grids of real rooms have by the hundred where beams leaked
+/// through windows and doors.
+const SCRAPS: usize = 24;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
@@ -71,8 +76,8 @@ pub fn views_of_grid(grid: &DenseGrid, options: &GivenOptions) -> Result<GivenVi
     let mut times = vec![0u8; looked.states.len()];
     let mut seen = looked.look(&places, range_cells, &mut times);
     for _ in 0..MORE_ROUNDS {
-        let missed = looked.missed(&times, &clearance);
-        let mut more = best_of_squares(missed.into_iter(), edge);
+        let missed = worth_a_view(looked.missed(&times, &clearance), edge);
+        let mut more = best_of_squares(missed, edge);
         more.truncate(most_more);
         if more.is_empty() {
             break;
@@ -81,7 +86,7 @@ pub fn views_of_grid(grid: &DenseGrid, options: &GivenOptions) -> Result<GivenVi
     }
     let mut order: Vec<Cell> = seen.iter().map(|s| s.from).collect();
     sort_by_blocks(&mut order, edge);
-    let place: std::collections::BTreeMap<Cell, usize> = order.iter().enumerate().map(|(k, c)| (*c, k)).collect();
+    let place: BTreeMap<Cell, usize> = order.iter().enumerate().map(|(k, c)| (*c, k)).collect();
     seen.sort_by_key(|s| place.get(&s.from).copied());
     seen.dedup_by_key(|s| s.from);
     let share = |state: State| {
@@ -92,6 +97,14 @@ pub fn views_of_grid(grid: &DenseGrid, options: &GivenOptions) -> Result<GivenVi
     let (occupied_share, free_share) = (share(State::Occupied), share(State::Free));
     let views = seen.par_iter().map(|s| looked.view(s, options)).collect();
     Ok(GivenViews { views, occupied_share, free_share })
+}
+
+/// Those in squares in which more than scraps were missed.
+fn worth_a_view(missed: Vec<(Cell, f32)>, edge: i32) -> impl Iterator<Item = (Cell, f32)> {
+    let square = move |c: &Cell| (c.y.div_euclid(edge), c.x.div_euclid(edge));
+    let mut count: BTreeMap<(i32, i32), usize> = BTreeMap::new();
+    missed.iter().for_each(|(c, _)| *count.entry(square(c)).or_default() += 1);
+    missed.into_iter().filter(move |(c, _)| count.get(&square(c)).is_some_and(|n| *n >= SCRAPS))
 }
 
 impl<'a> Looked<'a> {

@@ -21,7 +21,7 @@ from .. import geometry, navigation, words
 Map = GridMap | OccupancyGrid | str | os.PathLike[str]
 
 
-def _files(path: pathlib.Path) -> map_pb2.Nav2Map:
+def _files(path: pathlib.Path) -> service.Nav2Map:
     """A nav2 map's two files; the image is the one that the yaml names, beside it."""
     yaml = path.read_bytes()
     names = [
@@ -32,7 +32,7 @@ def _files(path: pathlib.Path) -> map_pb2.Nav2Map:
     if not names:
         message = f"{path} names no image; give the yaml file of a nav2 map"
         raise InvalidArgument(message, reason="FILE_INVALID", field="map")
-    return map_pb2.Nav2Map(yaml=yaml, image=(path.parent / os.fsdecode(names[0])).read_bytes())
+    return service.Nav2Map(yaml=yaml, image=(path.parent / os.fsdecode(names[0])).read_bytes())
 
 
 def map_to(given: Map) -> service.GivenMap:
@@ -49,7 +49,7 @@ def map_to(given: Map) -> service.GivenMap:
         width=cells.shape[1],
         height=cells.shape[0],
     )
-    return service.GivenMap(grid=map_pb2.GridMap(geometry=where, cells=cells.tobytes()))
+    return service.GivenMap(grid=service.GridMap(geometry=where, cells=cells.tobytes()))
 
 
 def plan_on_map(
