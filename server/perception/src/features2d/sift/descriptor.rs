@@ -1,7 +1,6 @@
 //! 4 x 4 histograms of 8 directions, relative to the keypoint's direction.
 
-use super::extrema::Extremum;
-use super::scale_space::Plane;
+use super::scale_space::{Extremum, Plane};
 use percept_geometry::by_processor;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 

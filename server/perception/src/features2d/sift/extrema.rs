@@ -1,27 +1,10 @@
 //! Extrema of the difference of Gaussians, placed between pixels and scales, of enough contrast, not on edges.
 
 use super::SiftParams;
-use super::scale_space::{IMAGES, LAYERS, Plane, SIGMA, ScaleSpace};
+use super::scale_space::{Extremum, IMAGES, LAYERS, Plane, SIGMA, ScaleSpace};
 use nalgebra::{Matrix3, Vector3};
 use percept_geometry::by_processor;
 use rayon::prelude::*;
-
-/// A place in scale space.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Extremum {
-    pub(super) octave: usize,
-    /// The Gaussian image nearest in scale.
-    pub(super) layer: usize,
-    pub(super) row: usize,
-    pub(super) column: usize,
-    /// Pixels of the octave.
-    pub(super) x: f32,
-    pub(super) y: f32,
-    /// Scale, pixels of the octave.
-    pub(super) sigma: f32,
-    /// Contrast, of the full range.
-    pub(super) response: f32,
-}
 
 /// Pixels next to the border are not looked at.
 const BORDER: usize = 5;

@@ -13,10 +13,9 @@ mod scale_space;
 pub use binary::binary_sift;
 
 use super::{Descriptors, FeatureError, Features, Keypoint, check_size, within};
-use extrema::Extremum;
 use percept_geometry::GrayImage;
 use rayon::prelude::*;
-use scale_space::ScaleSpace;
+use scale_space::{Extremum, ScaleSpace};
 use serde::{Deserialize, Serialize};
 
 /// How [`Sift`] finds features.

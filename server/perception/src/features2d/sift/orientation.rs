@@ -1,7 +1,6 @@
 //! Main directions of the gradients around a keypoint.
 
-use super::extrema::Extremum;
-use super::scale_space::Plane;
+use super::scale_space::{Extremum, Plane};
 use std::f32::consts::TAU;
 
 const BINS: usize = 36;

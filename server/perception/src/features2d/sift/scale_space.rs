@@ -1,6 +1,5 @@
 //! Gaussians of growing width, in octaves: the image at double size first, then halved again and again.
 
-use super::extrema::Extremum;
 use percept_geometry::{GrayImage, by_processor};
 use rayon::prelude::*;
 
@@ -14,6 +13,23 @@ pub(super) const SIGMA: f64 = 1.6;
 const CAMERA_SIGMA: f64 = 0.5;
 /// Rows a task.
 const ROWS: usize = 32;
+
+/// A place in scale space.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Extremum {
+    pub(super) octave: usize,
+    /// The Gaussian image nearest in scale.
+    pub(super) layer: usize,
+    pub(super) row: usize,
+    pub(super) column: usize,
+    /// Pixels of the octave.
+    pub(super) x: f32,
+    pub(super) y: f32,
+    /// Scale, pixels of the octave.
+    pub(super) sigma: f32,
+    /// Contrast, of the full range.
+    pub(super) response: f32,
+}
 
 /// Grey as numbers 0..=255, rows one after another.
 #[derive(Debug, Default)]

@@ -16,13 +16,14 @@
 use super::keypoints::Described;
 use super::patches::{Patches, Sight, cell};
 use super::uncertainty;
-use super::verify::TURNS;
 use crate::cloud::symmetric_eigen3;
 use nalgebra::{Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use percept_geometry::{Covariance6, Pose};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
+/// Poses turned by a little: either way about two axes.
+pub(super) const TURNS: usize = 4;
 /// Share of a true motion's patches that find their like where the place was seen: 0.5 to 0.8 between submaps of
 /// KITTI 07, the rest is what moved and what was seen from one side only.
 const LIKE: f64 = 0.7;

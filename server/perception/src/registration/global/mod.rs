@@ -99,7 +99,7 @@ impl std::fmt::Debug for GlobalSearch<'_> {
 
 impl GlobalSearch<'_> {
     /// More are never needed: to describe the clouds, five for each neighbourhood, to finish and to confirm.
-    pub const MAX_STEPS: usize = 3 + 5 * FEATURE_RADII.len() + verify::TURNS;
+    pub const MAX_STEPS: usize = 3 + 5 * FEATURE_RADII.len() + evidence::TURNS;
 }
 
 impl<'a> GlobalSearch<'a> {

@@ -30,8 +30,6 @@ const MOVES: usize = 2;
 /// Below so much overlap, the close alignment is made from poses turned by so many radians as well.
 const LITTLE_OVERLAP: f64 = 0.3;
 const TURN: f64 = 0.026;
-/// Poses turned so: either way about two axes.
-pub(super) const TURNS: usize = 4;
 /// Candidates that are refined.
 const REFINED: usize = 3;
 
