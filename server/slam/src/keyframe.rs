@@ -6,8 +6,8 @@ use crate::deskew::Sweep;
 use crate::downsample::Thinner;
 use crate::inertial::Curve;
 use crate::odometry::rgbd::ColorCamera;
+use crate::param_error::{ParamError, check_range};
 use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
-use crate::{ParamError, check_range};
 use nalgebra::Point3;
 use percept_geometry::cloud::Beam;
 use percept_geometry::{FeatureMethod, KeyframeScan, PointCloud, Pose, SensorId, Timestamp, Voxel, cloud};
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Columns of a depth image that [`KeyframeParams::depth_stride_px`] is meant for.
-const FULL_WIDTH: usize = 640;
+pub(crate) const FULL_WIDTH: usize = 640;
 
 /// When a frame becomes a keyframe, and how much of it is kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

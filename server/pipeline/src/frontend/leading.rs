@@ -93,7 +93,7 @@ impl Frontend {
         let is_anchored = self.tracking.unanchored().is_none();
         let led = led.filter(|led| is_anchored && !own.state.is_tracking() && led.can_stand_in());
         let begins = own.state == TrackingState::Initialising;
-        self.second.follow(&own, led.is_some() || !begins);
+        self.second.follow(kind, &own, led.is_some() || !begins);
         match led {
             Some(led) => (self.led_estimate(own.stamp, &led), Some(led.sensor)),
             None => (own, None),

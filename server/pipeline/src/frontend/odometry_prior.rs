@@ -3,6 +3,7 @@
 use percept_geometry::sensor::OdometrySample;
 use percept_geometry::{Covariance6, Pose, Timestamp, se3};
 use percept_slam::MotionPrior;
+use percept_slam::motion_noise::unknown_wheels;
 use std::collections::VecDeque;
 
 /// Samples older than this behind the newest are forgotten, seconds: logs exist that have no scan for a third of that, and wheels
@@ -64,7 +65,7 @@ impl OdometryBuffer {
         let covariance = stated.unwrap_or_else(|| {
             let between = self.samples.iter().filter(|s| s.0 > from && s.0 < to).map(|s| s.1);
             let stations: Vec<Pose> = self.at(from).into_iter().chain(between).chain(self.at(to)).collect();
-            default_covariance(stations.windows(2).map(|pair| pair[0].inv_mul(&pair[1])))
+            of_unknown_wheels(stations.windows(2).map(|pair| pair[0].inv_mul(&pair[1])))
         });
         Some(MotionPrior { t_prev_now, covariance })
     }
@@ -92,15 +93,12 @@ impl OdometryBuffer {
     }
 }
 
-/// Wheels unknown to us: 2 cm and 10 % of the way, 10 mrad, 10 % of the turn and 50 mrad a metre, all that was driven and turned
-/// counted. Wide enough for skid-steered robots; the scans decide within it.
-fn default_covariance(steps: impl Iterator<Item = Pose>) -> Covariance6 {
+/// Of wheels that say nothing of themselves: all that was driven and turned counts.
+fn of_unknown_wheels(steps: impl Iterator<Item = Pose>) -> Covariance6 {
     let add =
         |(way, turn): (f64, f64), step: Pose| (way + step.translation.vector.norm(), turn + step.rotation.angle());
-    let (way, turn) = steps.fold((0.0, 0.0), add);
-    let s = 0.02 + 0.1 * way;
-    let r = 0.01 + 0.1 * turn + 0.05 * way;
-    Covariance6::from_diagonal(&nalgebra::Vector6::new(s * s, s * s, s * s, r * r, r * r, r * r))
+    let (way_m, turned_rad) = steps.fold((0.0, 0.0), add);
+    unknown_wheels(way_m, turned_rad)
 }
 
 #[cfg(test)]

@@ -8,12 +8,9 @@ use crate::frontend::Keyframe;
 use nalgebra::{Unit, Vector3};
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, SensorKind, Timestamp};
 use percept_mapping::MapEntry;
-use percept_slam::BackEndKeyframe;
 use percept_slam::loops::LoopClosure;
+use percept_slam::{BackEndKeyframe, OdometryNoise, way_m};
 use std::sync::Arc;
-
-/// What odometry may be off from one keyframe to the next, where a part has joined in between: metres and radians.
-const STEP: (f64, f64) = (0.02, 0.005);
 
 /// How a keyframe hangs on others.
 #[derive(Debug, Clone, Default)]
@@ -45,7 +42,8 @@ impl MapGraph {
         scan.base_height_m = self.base_height_m;
         let (stamp, sensor) = (scan.stamp, scan.sensor.clone());
         let mut new = self.insert(stamp, &sensor, t_odom_base, Arc::new(scan), before_joined.is_some());
-        let constraint = before_joined.map(|before| over_joined(before, &new.info));
+        let noise = self.constraints.noise();
+        let constraint = before_joined.zip(noise).map(|(before, noise)| over_joined(before, &new.info, noise));
         let link = Link { after_gap: before_joined.is_some(), constraint };
         self.constrain(&mut new, covariance, is_of_pose_sensor, link);
         new
@@ -123,13 +121,14 @@ impl MapGraph {
 }
 
 /// The constraint between the robot's keyframe and the one before, where a part has joined in between.
-fn over_joined(before: &KeyframeInfo, now: &KeyframeInfo) -> LoopClosure {
-    let sigma = [STEP.0, STEP.0, STEP.0, STEP.1, STEP.1, STEP.1];
+fn over_joined(before: &KeyframeInfo, now: &KeyframeInfo, noise: &OdometryNoise) -> LoopClosure {
+    let t_before_now = before.t_odom_base.inv_mul(&now.t_odom_base);
+    let (t, r) = noise.after(way_m(t_before_now.translation.vector.norm(), t_before_now.rotation.angle()));
     LoopClosure {
         from: before.id,
         to: now.id,
-        t_from_to: before.t_odom_base.inv_mul(&now.t_odom_base),
-        covariance: Covariance6::from_diagonal(&sigma.map(|s| s * s).into()),
+        t_from_to: t_before_now,
+        covariance: Covariance6::from_diagonal(&[t, t, t, r, r, r].map(|sigma| sigma * sigma).into()),
         inlier_ratio: 1.0,
     }
 }

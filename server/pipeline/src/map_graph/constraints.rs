@@ -14,6 +14,7 @@ pub(super) struct Constraints {
     worker: Option<GraphWorker>,
     loops: Arc<Vec<Loop>>,
     memory: BackEndMemory,
+    noise: Option<OdometryNoise>,
 }
 
 impl Constraints {
@@ -28,7 +29,13 @@ impl Constraints {
     pub(super) fn prepare(&mut self, params: &SlamParams, kind: OdometryKind) {
         if self.worker.is_none() {
             self.worker = self.worker(params, kind);
+            self.noise = Some(OdometryNoise::of(kind));
         }
+    }
+
+    /// Of the odometry that moves the pose; none before there is one.
+    pub(super) fn noise(&self) -> Option<&OdometryNoise> {
+        self.noise.as_ref()
     }
 
     /// A back end that knows nothing yet; none if loops are not wanted, or cannot be found by what this kind sees.

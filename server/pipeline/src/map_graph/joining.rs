@@ -9,14 +9,12 @@ use crate::KeyframeInfo;
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, se3};
 use percept_mapping::MapKeyframe;
 use percept_slam::loops::LoopClosure;
-use percept_slam::{MergedKeyframe, OdometryKind, Relocalisation};
+use percept_slam::{MergedKeyframe, OdometryKind, Relocalisation, way_m};
 use std::sync::Arc;
 
 /// A part becomes the map once it has so many times its keyframes, and so many at least: a robot that was carried off for a
 /// while comes back to the map that it had.
 const TAKES_OVER: (usize, usize) = (2, 10);
-/// What odometry may drift within a part: metres and radians a metre, radians a radian.
-const DRIFTS: (f64, f64, f64) = (0.03, 0.01, 0.02);
 
 impl MapGraph {
     /// Puts what an unanchored robot has gathered where it was found to be at `t_odom_found`; whether it could.
@@ -115,6 +113,9 @@ impl MapGraph {
         update: &mut MapUpdate,
     ) {
         let (mut merged, joined) = (vec![], update.joined.len());
+        let noise = self.constraints.noise().copied();
+        let part_way_m: f64 =
+            part.keyframes.windows(2).map(|k| way_between_m(&k[0].t_part_base, &k[1].t_part_base)).sum();
         let last = part.keyframes.len().saturating_sub(1);
         let is_of_pose = |sensor: &SensorId| pose_sensor.is_none_or(|s| s == sensor);
         for (k, f) in part.keyframes.into_iter().enumerate() {
@@ -127,8 +128,11 @@ impl MapGraph {
             let id = keyframe.info.id;
             // The first is constrained at once, so that the others are not looked for everywhere; the last, as it was found.
             let known = found.filter(|_| k == 0 || k == last);
-            let constraint =
-                known.map(|(found, t_part_found)| constraint(found, id, &t_part_found.inv_mul(&f.t_part_base)));
+            let way_m = if k == last { 0.0 } else { part_way_m };
+            let constraint = known.zip(noise).map(|((found, t_part_found), noise)| {
+                let way_m = way_m.max(way_between_m(t_part_found, &f.t_part_base));
+                constraint(found, id, &t_part_found.inv_mul(&f.t_part_base), noise.after(way_m))
+            });
             self.constrain(&mut keyframe, f.covariance, is_of_pose(&f.sensor), Link { after_gap, constraint });
             merged.extend(f.id.map(|before| MergedKeyframe { id: before, into: id, t_into_base: Pose::identity() }));
             update.joined.push(keyframe);
@@ -142,11 +146,15 @@ impl MapGraph {
     }
 }
 
-/// The constraint of a keyframe on the place where a part was found, `t_found_then` away by odometry.
-fn constraint(found: &Relocalisation, to: KeyframeId, t_found_then: &Pose) -> LoopClosure {
-    let (path_m, turn) = (t_found_then.translation.vector.norm(), t_found_then.rotation.angle());
-    let [t, r] = [DRIFTS.0 * path_m, DRIFTS.1 * path_m + DRIFTS.2 * turn].map(|sigma| sigma * sigma);
-    let odometry = Covariance6::from_diagonal(&[t, t, t, r, r, r].into());
+fn way_between_m(a: &Pose, b: &Pose) -> f64 {
+    let moved = a.inv_mul(b);
+    way_m(moved.translation.vector.norm(), moved.rotation.angle())
+}
+
+/// The constraint of a keyframe on the place where a part was found, `t_found_then` away by an odometry that is off by these standard
+/// deviations, metres and radians.
+fn constraint(found: &Relocalisation, to: KeyframeId, t_found_then: &Pose, (t, r): (f64, f64)) -> LoopClosure {
+    let odometry = Covariance6::from_diagonal(&[t, t, t, r, r, r].map(|sigma| sigma * sigma).into());
     LoopClosure {
         from: found.keyframe,
         to,

@@ -94,6 +94,12 @@ impl Run {
         self.estimates.push(e);
     }
 
+    /// When the frames were taken, seconds.
+    pub(crate) fn stamps_s(&self) -> Vec<f64> {
+        let first = self.estimates.first().map_or_else(Timestamp::default, |e| e.stamp);
+        self.estimates.iter().map(|e| e.stamp.seconds_since(first)).collect()
+    }
+
     pub(crate) fn report(&self) {
         let mut ms = self.milliseconds.clone();
         ms.sort_by(f64::total_cmp);
@@ -147,6 +153,7 @@ fn rgbd(dir: &Path, stride: usize) -> Result<(), Failure> {
     let truth: Vec<Pose> = truth.iter().map(|t| t * t_base_camera.inverse()).collect();
     measure::drift(&truth, &run.estimates.iter().map(|e| e.t_odom_base).collect::<Vec<_>>());
     measure::consistency(&truth, &run.estimates);
+    measure::motion(&run.stamps_s(), &truth, false);
     Ok(())
 }
 
@@ -163,6 +170,7 @@ fn kitti_tracking(dir: &Path) -> Result<(), Failure> {
     measure::report(&truth, &estimate);
     measure::drift(&truth, &estimate);
     measure::consistency(&truth, &run.estimates);
+    measure::motion(&run.stamps_s(), &truth, false);
     if let (Some(a), Some(b)) = (truth.last(), estimate.last()) {
         let d = a.inverse() * b;
         println!("end off by {:.4} m, {:.3} deg", d.translation.vector.norm(), d.rotation.angle().to_degrees());
@@ -196,6 +204,7 @@ fn handheld(dir: &Path) -> Result<(), Failure> {
     run.report();
     measure::report(&truth, &estimate);
     measure::drift(&truth, &estimate);
+    measure::motion(&run.stamps_s(), &truth, false);
     Ok(())
 }
 
@@ -254,6 +263,9 @@ fn carmen(path: &Path, relations: Option<&Path>, use_prior: bool) -> Result<(), 
     }
     // Loops closed it is ten times better than odometry alone.
     measure::drift(&estimate, &drifting);
+    println!("wheels:");
+    measure::drift(&estimate, &log.iter().map(|r| r.t_odom_base).collect::<Vec<_>>());
+    measure::motion(&stamps, &estimate, true);
     measure::consistency(&estimate, &run.estimates);
     if let Ok(out) = std::env::var("TUM") {
         measure::write_tum(&out, &stamps, &estimate)?;

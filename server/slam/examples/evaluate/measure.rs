@@ -2,7 +2,8 @@
 
 use super::read::Failure;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3, Vector6};
-use percept_geometry::{Covariance6, Pose, se3};
+use percept_geometry::{Pose, se3};
+use percept_slam::motion_noise::unknown_wheels;
 use percept_slam::{MotionPrior, OdometryEstimate};
 
 /// The transform that brings `estimate` onto `truth` with least squares of positions.
@@ -107,6 +108,52 @@ pub(crate) fn drift(truth: &[Pose], estimate: &[Pose]) {
     }
 }
 
+/// How motion changes while nothing measures it: what `motion_noise.rs` is made of.
+///
+/// Velocities of base in base are those between frames at least 0.1 s apart. For times of several lengths: how far velocities that far
+/// apart differ, and how far a pose is off that goes on with the velocity before; root mean squares of an axis of those that move, the
+/// first by the root of the time, the second by half of its square.
+pub(crate) fn motion(stamps_s: &[f64], poses: &[Pose], is_planar: bool) {
+    let num_axes = if is_planar { (2.0, 1.0) } else { (3.0, 3.0) };
+    let after = |i: usize, seconds: f64| stamps_s.partition_point(|s| *s < stamps_s[i] + seconds);
+    let velocity = |i: usize| {
+        let j = after(i, 0.1);
+        let dt = stamps_s.get(j)? - stamps_s[i];
+        (dt < 1.0).then(|| (se3::log(&poses[i].inv_mul(&poses[j])) / dt, j))
+    };
+    println!("  after s  pairs | velocities differ m/s/sqrt(s) rad/s/sqrt(s) | poses off m/s^2 rad/s^2");
+    for seconds in [0.1, 0.2, 0.5, 1.0, 2.0, 5.0] {
+        let (mut sums, mut pairs) = ([0.0; 4], 0);
+        for i in 0..poses.len() {
+            let Some((now, last)) = velocity(i) else { continue };
+            let j = after(last, seconds);
+            let Some(((then, _), dt)) =
+                velocity(j.min(poses.len() - 1)).zip(stamps_s.get(j).map(|s| s - stamps_s[last]))
+            else {
+                continue;
+            };
+            if dt > 1.5 * seconds + 0.1 {
+                continue;
+            }
+            let off = se3::log(&(poses[last] * se3::exp(&(now * dt))).inv_mul(&poses[j]));
+            let parts = |v: &Vector6<f64>| (v.fixed_rows::<3>(0).norm_squared(), v.fixed_rows::<3>(3).norm_squared());
+            let ((a, b), (c, d)) = (parts(&(then - now)), parts(&off));
+            let square = dt.powi(4) / 4.0;
+            for (sum, part) in sums.iter_mut().zip([a / dt, b / dt, c / square, d / square]) {
+                *sum += part;
+            }
+            pairs += 1;
+        }
+        if pairs < 5 {
+            continue;
+        }
+        let axes = [num_axes.0, num_axes.1, num_axes.0, num_axes.1];
+        let rms: Vec<String> =
+            sums.iter().zip(axes).map(|(sum, axes)| format!("{:.3}", (sum / f64::from(pairs) / axes).sqrt())).collect();
+        println!("{seconds:9.1} {pairs:6} | {} {} | {} {}", rms[0], rms[1], rms[2], rms[3]);
+    }
+}
+
 /// Errors since the first frame beside those that the estimates tell of: root mean squares of positions and turns.
 pub(crate) fn consistency(truth: &[Pose], estimates: &[OdometryEstimate]) {
     let Some((first, start)) = truth.first().zip(estimates.first()) else { return };
@@ -127,11 +174,10 @@ pub(crate) fn consistency(truth: &[Pose], estimates: &[OdometryEstimate]) {
     );
 }
 
-/// What wheels say, with errors that grow with the motion (10 % and 0.1 rad a radian, and a floor).
+/// What wheels say that say nothing of themselves, on a robot that drives in a plane.
 pub(crate) fn wheel_prior(t_prev_now: &Pose) -> MotionPrior {
-    let (d, a) = (t_prev_now.translation.vector.norm(), t_prev_now.rotation.angle());
-    let (st, sr) = (0.02 + 0.1 * d, 0.01 + 0.1 * a + 0.05 * d);
-    let covariance = Covariance6::from_diagonal(&Vector6::new(st * st, st * st, 1e-6, 1e-6, 1e-6, sr * sr));
+    let mut covariance = unknown_wheels(t_prev_now.translation.vector.norm(), t_prev_now.rotation.angle());
+    (2..5).for_each(|k| covariance[(k, k)] = 1e-6);
     MotionPrior { t_prev_now: *t_prev_now, covariance }
 }
 

@@ -15,7 +15,9 @@ mod types;
 #[cfg(test)]
 mod tests;
 
+use crate::covariance::diagonal;
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::motion_noise::OVER_GAP;
 use crate::odometry::OdometryNoise;
 use chain::{Chain, View, step_covariance};
 use percept_geometry::{Correction, Covariance6, KeyframeId, KeyframeScan, Pose, se3};
@@ -26,14 +28,12 @@ pub use types::{
     BackEndKeyframe, BackEndMemory, BackEndParams, BackEndUpdate, Loop, LoopId, LoopState, MergedKeyframe,
 };
 
-/// What is known of the way over a gap: standard deviations, metres and radians.
-const GAP: (f64, f64) = (10.0, 3.0);
 /// Keyframes between optimisations that change next to nothing: so many, or this share of all, as corrections that small
 /// wait for more (see [`TURNS`]), and a solution costs more the more there are.
 const LAZY: usize = 10;
 const LAZY_SHARE: f64 = 0.05;
-/// Displacements (metres and radians) and the share of all keyframes that must have come since the last correction before
-/// one is made for them: less than the first is left, the last does not wait.
+/// Displacements (metres and radians) and the share of all keyframes that must have come since the last correction
+/// before one is made for them: less than the first is left, the last does not wait. Chosen, not swept.
 const TURNS: [((f64, f64), f64); 3] = [((0.003, 0.001), 0.25), ((0.02, 0.005), 0.1), ((0.25, 0.05), 0.0)];
 
 /// Keyframes, what ties them, and where they are believed to be.
@@ -292,7 +292,7 @@ impl BackEnd {
             None => (*t_map_base, Covariance6::zeros()),
             Some(_) if keyframe.after_gap => {
                 let last = self.poses.last().copied().unwrap_or_else(Pose::identity);
-                (last.inv_mul(t_map_base), crate::odometry::diagonal(GAP.0, GAP.1))
+                (last.inv_mul(t_map_base), diagonal(OVER_GAP.0, OVER_GAP.1))
             }
             Some((t_odom_last, before)) => {
                 let t_last_now = t_odom_last.inv_mul(&t_odom_base);

@@ -1,7 +1,7 @@
 //! What the back end is given, and what it answers.
 
 use crate::loops::{LoopClosure, PlaceLimits};
-use crate::{ParamError, check_range};
+use crate::param_error::{ParamError, check_range};
 use percept_geometry::{Correction, Covariance6, KeptScan, KeyframeId, Pose};
 use serde::{Deserialize, Serialize};
 

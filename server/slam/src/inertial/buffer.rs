@@ -2,25 +2,27 @@
 //!
 //! At rest the accelerometer says which way is up; the gyro's bias is learned from the frames that were placed.
 
-use super::GRAVITY;
 use super::faults::{ImuCheck, ImuFault};
+use super::gravity::GRAVITY;
 use crate::motion_prior::MotionPrior;
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use percept_geometry::sensor::ImuSample;
 use percept_geometry::{Covariance6, Pose, Timestamp};
 use std::collections::VecDeque;
 
-/// Samples older than this behind the newest are forgotten, seconds.
+/// Samples older than this behind the newest are forgotten, seconds. Chosen, not swept.
 const KEPT_S: f64 = 10.0;
-/// Samples farther apart than this say nothing about the motion between them, seconds.
+/// Samples farther apart than this say nothing about the motion between them, seconds. A frame at 10 Hz.
 const MOST_GAP_S: f64 = 0.1;
-/// Standard deviation of a gyro's bias before anything is known, and of one that is learned, rad/s.
+/// Standard deviation of a gyro's bias before anything is known, and of one that is learned, rad/s. About one degree a
+/// second, and a tenth of it.
 const BIAS_SIGMA: (f64, f64) = (0.02, 0.002);
-/// Turns from which a bias counts as learned.
+/// Turns from which a bias counts as learned. The mean of as many is 4.5 times as good as one.
 const LEARNED: f64 = 20.0;
-/// Placed frames whose mean the bias is, at most: it wanders.
+/// Placed frames whose mean the bias is, at most: it wanders. Half a minute at 10 Hz.
 const BIAS_MEMORY: f64 = 300.0;
-/// Errors of a turn that do not come from the bias: radians, and share of the turn (scale, alignment).
+/// Errors of a turn that do not come from the bias: radians, and share of the turn (scale, alignment). Chosen, not
+/// swept.
 const TURN_SIGMA: (f64, f64) = (0.002, 0.02);
 /// At rest: so many samples over so long (seconds), in which forces vary by no more (standard deviation, m/s^2), are as
 /// large as gravity within this (m/s^2), and turning is slower than this (rad/s).
@@ -29,12 +31,13 @@ const REST_S: (f64, f64) = (0.2, 1.5);
 const REST_SPREAD: f64 = 0.4;
 const REST_GRAVITY: f64 = 0.4;
 const REST_RATE: f64 = 0.1;
-/// Standard deviation that says nothing about a translation, metres.
+/// Standard deviation that says nothing about a translation, metres. Its variance is a hundred times what counts as
+/// unknown (see `motion_prior`).
 const UNKNOWN_M: f64 = 1e3;
 /// No IMU is less noisy than this, rad/s/sqrt(Hz) and m/s^2/sqrt(Hz): data sheets of small sensors (Bosch BMI160 and BMI088,
 /// TDK ICM-20948) say 1.2e-4 to 2.6e-4 and 1.6e-3 to 2.3e-3.
 const LEAST_NOISE: (f64, f64) = (1e-4, 1e-3);
-/// Weight of the newest sample in the running mean of the noise.
+/// Weight of the newest sample in the running mean of the noise. A mean over the last hundred: half a second at 200 Hz.
 const NOISE_NEWEST: f64 = 0.01;
 /// So many equal readings in a row of more than this (rad/s, m/s^2) are the end of the sensor's range.
 const CLIPPED: (u32, f64, f64) = (4, 1.0, 15.0);

@@ -2,13 +2,15 @@
 
 use nalgebra::UnitQuaternion;
 
-/// Weight of the newest frame in running means, and frames after which they say something.
+/// Weight of the newest frame in running means, and frames after which they say something. A mean over the last ten: a
+/// second at 10 Hz.
 const NEWEST: f64 = 0.1;
 const ENOUGH: usize = 5;
-/// Turns by less than this tell nothing, radians: all predict those.
-const TURNS: f64 = 0.02;
-/// A gyro is believed if it is off by no more than this share of what a constant rate is, and this angle, radians, to which
-/// registrations are good: one whose clock is late by a frame does about as well as a constant rate.
+/// Turns by less than this tell nothing, radians: all predict those. Chosen, not swept.
+pub(super) const TURNS: f64 = 0.02;
+/// A gyro is believed if it is off by no more than this share of what a constant rate is, and this angle, radians, to
+/// which registrations are good: one whose clock is late by a frame does about as well as a constant rate. Chosen, not
+/// swept.
 const BETTER: (f64, f64) = (0.8, 0.003);
 
 /// How far both were off, radians.

@@ -4,34 +4,34 @@
 //! about other axes, the mount is wrong, and by how much is Wahba's problem (Markley, "Attitude determination using vector
 //! observations and the singular value decomposition", 1988).
 
-use super::GRAVITY;
+use super::check::TURNS;
+use super::gravity::GRAVITY;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 /// Forces that differ from gravity by more than this share of it tell no direction: the body is shaken, or they are in another
 /// unit than m/s^2.
 pub(super) const SHAKEN: f64 = 0.3;
 
-/// Forces are averaged over so many seconds, and say something after so many.
+/// Forces are averaged over so many seconds, and say something after so many. Chosen, not swept.
 const FORCE_S: (f64, f64) = (5.0, 2.0);
-/// Turns by less than this tell nothing, radians.
-const TURNS: f64 = 0.02;
-/// What is left of a frame's weight with each that comes after, and frames after which turns say something.
+/// What is left of a frame's weight with each that comes after, and frames after which turns say something. A mean over
+/// the last fifty: five seconds at 10 Hz.
 const FADES: f64 = 0.98;
 const ENOUGH: usize = 30;
 /// Turns that are off by more than this share of what was turned (root mean square) are wrong: a gyro is good to 2 %, placed
 /// frames to some 5 %, and a clock that is off by a frame to 30 %.
 const WRONG: f64 = 0.5;
-/// Turning frames, and the share by which they may be off, after which turns are proven.
+/// Turning frames, and the share by which they may be off, after which turns are proven. Chosen, not swept.
 const PROVEN: (usize, f64) = (10, 0.25);
-/// Turns that agree so well once they are turned and scaled are the same ones (a correlation), and what is then worth telling:
-/// a share of their size, and an angle, radians.
+/// Turns that agree so well once they are turned and scaled are the same ones (a correlation), and what is then worth
+/// telling: a share of their size, and an angle, radians. Chosen, not swept.
 const ALIKE: f64 = 0.9;
 const TELLING: (f64, f64) = (0.2, 0.1);
-/// The second axis has to have so much of the turning of the first one, or only that one is known.
+/// The second axis has to have so much of the turning of the first one, or only that one is known. Chosen, not swept.
 const SECOND_AXIS: f64 = 0.05;
-/// Share of frames that samples have to cover.
+/// Share of frames that samples have to cover. Chosen, not swept.
 const COVERED: f64 = 0.5;
-/// Frames in a row in which an IMU did worse than none before that is worth telling.
+/// Frames in a row in which an IMU did worse than none before that is worth telling. Ten seconds at 10 Hz.
 const REFUTED: u32 = 100;
 
 /// What is wrong with an IMU.

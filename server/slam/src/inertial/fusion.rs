@@ -5,12 +5,13 @@
 //! velocity: a wrong mount, unit or clock, or a sensor that is broken, does not get that far, or not for long. One whose
 //! predictions grow worse is not believed any more, runs on, and may come back.
 
-use super::GRAVITY;
 use super::buffer::ImuBuffer;
 use super::curve::Curve;
 use super::faults::SHAKEN;
-use super::preintegration::{Gravity, NavState, Preintegrated, STATE, off};
+use super::gravity::GRAVITY;
+use super::preintegration::{Gravity, NavState, Preintegrated, STATE, TURN_SHARE, off};
 use super::window::{BOTH, PoseFactor, Window};
+use crate::motion_noise::HANDS;
 use nalgebra::{Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 use percept_geometry::{Covariance6, Pose, Timestamp, se3};
 use std::sync::Arc;
@@ -23,27 +24,26 @@ const VELOCITY: (f64, f64) = (0.3, 0.2);
 const ACCEL_BIAS: f64 = 0.2;
 /// Forces that differ from gravity by less than [`SHAKEN`] tell its direction to this angle, radians, and as much as they differ.
 const DIRECTION: f64 = 0.05;
-/// What registrations of frames in a row have in common, because they share a local model, metres and radians.
+/// What registrations of frames in a row have in common, because they share a local model, metres and radians. Chosen,
+/// not swept.
 const IN_COMMON: (f64, f64) = (0.003, 0.001);
-/// Weight of the newest frame in running means, and frames after which they say something.
+/// Weight of the newest frame in running means, and frames after which they say something. A mean over the last twenty:
+/// two seconds at 10 Hz, as the window is long.
 const NEWEST: f64 = 0.05;
 const PROVEN: usize = 5;
-/// Weight of a frame that surprises more than those before.
+/// Weight of a frame that surprises more than those before. Chosen, not swept.
 const STARTLED: f64 = 0.3;
-/// Predictions that are off by no more than this are not told apart, metres and radians.
+/// Predictions that are off by no more than this are not told apart, metres and radians. Chosen, not swept.
 const SLACK: (f64, f64) = (0.003, 0.0015);
-/// An IMU that was not believed has to be so much better than constant velocity before it is again.
+/// An IMU that was not believed has to be so much better than constant velocity before it is again. Chosen, not swept.
 const BETTER: f64 = 0.8;
-/// Squared error of a prediction in standard deviations, by axis, at which what is known of the IMU is dropped.
+/// Squared error of a prediction in standard deviations, by axis, at which what is known of the IMU is dropped. Twenty
+/// standard deviations.
 const ABSURD: f64 = 400.0;
 /// And at which it is not believed: predictions are off by two standard deviations time and again.
 const INCONSISTENT: f64 = 4.0;
 /// The most by which errors of predictions widen what is said of them, in variance.
 const WIDEST: f64 = 1e4;
-/// Turning rates are good to this share, in a sweep: see the share of a turn in preintegration.
-const RATE_SHARE: f64 = 0.003;
-/// How velocities change where no sample covers a sweep: what hands do, m/s^2 and rad/s^2.
-const UNFELT: (f64, f64) = (4.0, 8.0);
 
 pub(crate) type Matrix12 = SMatrix<f64, 12, 12>;
 
@@ -160,7 +160,8 @@ impl Inertial {
         j.fixed_view_mut::<3, 3>(9, 9).copy_from(&-nalgebra::Matrix3::identity());
         let mut of_base: Matrix12 = j * covariance * j.transpose();
         let rate = curve.at(0.01).rotation.scaled_axis() / 0.01;
-        let (v, w) = (UNFELT.0 * curve.uncovered_s, UNFELT.1 * curve.uncovered_s + RATE_SHARE * rate.norm());
+        // Where no sample covers a sweep velocities change as hands make them.
+        let (v, w) = (HANDS.0 * curve.uncovered_s, HANDS.1 * curve.uncovered_s + TURN_SHARE * rate.norm());
         for k in 0..3 {
             of_base[(6 + k, 6 + k)] += v * v + 1e-6;
             of_base[(9 + k, 9 + k)] += w * w + 1e-8;

@@ -10,6 +10,7 @@ mod check;
 mod curve;
 mod faults;
 mod fusion;
+mod gravity;
 mod preintegration;
 mod so3;
 mod window;
@@ -20,6 +21,3 @@ pub(crate) use curve::Curve;
 pub use faults::ImuFault;
 pub(crate) use fusion::{Expected, Inertial, PlacedFrame};
 pub(crate) use window::PoseFactor;
-
-/// Standard gravity rounded as is usual in robotics, m/s^2.
-pub(crate) const GRAVITY: f64 = 9.81;

@@ -4,8 +4,8 @@
 //! sections VI and appendix. We integrate by trapezoids between samples instead of holding each, and count errors of scale
 //! and alignment of the gyro, which grow with the turn.
 
-use super::GRAVITY;
 use super::buffer::{Noise, Reading};
+use super::gravity::GRAVITY;
 use super::so3::{right_jacobian, right_jacobian_inverse};
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 use percept_geometry::Pose;
@@ -20,7 +20,7 @@ pub(super) const DIRECTION: usize = 2;
 /// vehicle datasets", 2016.
 const WALK: (f64, f64) = (2e-5, 3e-3);
 /// Error of a turn as a share of it: a gyro of a few euros is good to half a per cent or so once its factory has calibrated it.
-const TURN_SHARE: f64 = 0.003;
+pub(super) const TURN_SHARE: f64 = 0.003;
 
 pub(super) type Matrix9 = SMatrix<f64, 9, 9>;
 type Vector15 = SVector<f64, 15>;

@@ -12,6 +12,7 @@ use super::uncertainty::Uncertainty;
 use super::{OdometryEstimate, OdometryKind, OdometryParams};
 use crate::inertial::{GyroCheck, ImuBuffer, Inertial, PlacedFrame};
 use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
+use crate::motion_noise::GUESSED_AFTER_S;
 use crate::motion_prior::MotionPrior;
 use crate::scan::Scan;
 use crate::tracking::{LostReason, Scale, TrackingState};
@@ -19,11 +20,8 @@ use nalgebra::{UnitQuaternion, Vector3, Vector6};
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
 use std::sync::Arc;
 
-/// What a measurement left open counts up to this variance, m^2.
+/// What a measurement left open counts up to this variance, m^2. Half a metre: what the search covers.
 const MAX_LEFT_OPEN: f64 = 0.25;
-
-/// So long inertia leads while no frame is placed, seconds: an accelerometer that is off by 0.05 m/s^2 is off by 0.6 m then.
-const COASTS_S: f64 = 5.0;
 
 /// Odometry by a local model of what was seen: surfaces whose lengths are known.
 pub(super) struct LocalOdometry {
@@ -329,7 +327,7 @@ impl LocalOdometry {
         self.after_silence = self.is_after_silence(dt);
         self.num_lost += 1;
         self.unplaced_s += dt;
-        match self.unplaced_s <= COASTS_S {
+        match self.unplaced_s <= GUESSED_AFTER_S {
             true => self.inertial.lost(),
             false => self.inertial.forget(),
         }

@@ -1,6 +1,6 @@
 //! What a method brings: a local model that frames are placed in.
 
-use super::{lidar3d, rgbd};
+use super::rgbd;
 use crate::inertial::{Curve, Expected, PoseFactor};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
@@ -67,9 +67,18 @@ pub(crate) enum Found {
     #[default]
     PoseAlone,
     /// How base moved during a sweep, and how that was found.
-    Sweep(lidar3d::SweepFound),
+    Sweep(SweepFound),
     /// The model as it was seen from where a depth image was expected, and what moves in that.
     View(Arc<rgbd::ViewFound>),
+}
+
+/// How base moved during a sweep, by where it was placed.
+#[derive(Debug, Clone)]
+pub(crate) struct SweepFound {
+    /// Base's velocity, m/s and rad/s.
+    pub(crate) velocity: Vector6<f64>,
+    /// Seconds in which it may have changed from what was expected.
+    pub(crate) elapsed: f64,
 }
 
 /// What a method brings: a local model that frames are placed in and then added to.

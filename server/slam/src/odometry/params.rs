@@ -1,8 +1,10 @@
 //! Parameters of odometry, and what robots can do.
 
-use super::{diagonal, lidar2d, lidar3d, mono, rgbd};
+use super::{lidar2d, lidar3d, mono, rgbd};
+use crate::covariance::diagonal;
 use crate::keyframe::KeyframeParams;
-use crate::{ParamError, check_range};
+use crate::motion_noise::{HANDS, WHEELED};
+use crate::param_error::{ParamError, check_range};
 use percept_geometry::Covariance6;
 use serde::{Deserialize, Serialize};
 
@@ -132,10 +134,10 @@ const FRAMES_AFTER_SILENCE: usize = 3;
 
 impl MotionLimits {
     pub(super) fn of(kind: OdometryKind, params: &TrackingParams) -> Self {
-        let (speed, turn_rate, acceleration, turn_acceleration, smoothing) = match kind {
-            OdometryKind::Rgbd | OdometryKind::Mono => (4.0, 8.0, 4.0, 8.0, 0.03),
-            OdometryKind::Lidar3d => (40.0, 8.0, 4.0, 8.0, 0.04),
-            OdometryKind::Lidar2d => (4.0, 3.0, 1.5, 4.0, 0.2),
+        let (speed, turn_rate, (acceleration, turn_acceleration), smoothing) = match kind {
+            OdometryKind::Rgbd | OdometryKind::Mono => (4.0, 8.0, HANDS, 0.03),
+            OdometryKind::Lidar3d => (40.0, 8.0, HANDS, 0.04),
+            OdometryKind::Lidar2d => (4.0, 3.0, WHEELED, 0.2),
         };
         Self {
             speed: params.max_speed_mps.unwrap_or(speed),

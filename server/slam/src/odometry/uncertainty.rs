@@ -8,19 +8,9 @@
 
 use super::OdometryKind;
 use super::noise::{OdometryNoise, way_m};
+use crate::motion_noise;
 use nalgebra::{Matrix3, Vector6};
 use percept_geometry::{Covariance6, Pose, se3};
-
-/// What a prediction adds along an axis that the scene leaves open, m / sqrt(m) and rad / sqrt(rad): wheels are off by two
-/// hundredths over ways of ten metres.
-const LEFT_OPEN: (f64, f64) = (0.06, 0.02);
-
-/// How the velocity may wander along an open axis that nothing measures, m/s / sqrt(s) and rad/s / sqrt(s): a robot that
-/// drives off is noticed by nothing.
-const WANDERS: (f64, f64) = (0.3, 0.1);
-
-/// Where a velocity that nobody measures may have led so far, metres and radians, a pose is a guess: after five seconds.
-const GUESSED: (f64, f64) = (2.5, 0.8);
 
 #[derive(Debug, Clone)]
 pub(crate) struct Uncertainty {
@@ -67,8 +57,7 @@ impl Uncertainty {
                 (*velocity, *way) = (0.0, 0.0);
                 continue;
             }
-            let rate = if k < 3 { WANDERS.0 } else { WANDERS.1 };
-            *velocity = (*velocity * *velocity + rate * rate * dt).sqrt();
+            *velocity = motion_noise::wandered(k, *velocity, dt);
             // Errors of one velocity add up; those of another time when the axis was open have nothing to do with it.
             let before = *way;
             *way += *velocity * dt;
@@ -93,7 +82,7 @@ impl Uncertainty {
 
     /// Axes of base along which the pose has become a guess: nothing has measured them for seconds.
     pub(crate) fn guessed(&self) -> [bool; 6] {
-        std::array::from_fn(|k| self.unknown_way[k] > if k < 3 { GUESSED.0 } else { GUESSED.1 })
+        std::array::from_fn(|k| self.unknown_way[k] > motion_noise::guessed_way(k))
     }
 
     /// A frame was placed `t_last_now` from the last estimate, with this covariance against the model. Along the axes of
@@ -105,8 +94,7 @@ impl Uncertainty {
         self.model = se3::compose_covariance(&self.model, &t_placed_now, &grown);
         let step = se3::log(t_last_now);
         for k in (0..6).filter(|&k| open[k]) {
-            let rate = if k < 3 { LEFT_OPEN.0 } else { LEFT_OPEN.1 };
-            self.model[(k, k)] += rate * rate * step[k].abs();
+            self.model[(k, k)] += motion_noise::by_wheels(k, step[k]);
         }
         self.last = self.model + covariance;
         self.predicted = Covariance6::zeros();
@@ -161,7 +149,7 @@ fn symmetric(c: &Covariance6) -> Covariance6 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::odometry::diagonal;
+    use crate::covariance::diagonal;
 
     const FIXED: &[bool; 6] = &[false; 6];
 
@@ -174,7 +162,7 @@ mod tests {
         }
         let (along, across) = (u.covariance()[(0, 0)].sqrt(), u.covariance()[(1, 1)].sqrt());
         // Across the way the heading's drift adds to it.
-        assert!((along - 0.06 * 24f64.sqrt()).abs() < 0.01 && across < 0.1, "{along} {across}");
+        assert!((along - 0.065 * 24f64.sqrt()).abs() < 0.01 && across < 0.1, "{along} {across}");
         u.measured(&Pose::identity(), &diagonal(1e-3, 1e-5), &open);
         assert!((u.covariance()[(0, 0)].sqrt() - along).abs() < 1e-3);
     }

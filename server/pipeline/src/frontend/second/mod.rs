@@ -13,12 +13,12 @@ mod track;
 pub(super) use fusion::fused;
 
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3};
-use percept_slam::{MotionPrior, OdometryEstimate, OdometryKind, OdometryParams, Scan};
+use percept_slam::{MotionPrior, OdometryEstimate, OdometryKind, OdometryNoise, OdometryParams, Scan};
 use sensor::{SecondSensor, Word};
 use std::collections::BTreeMap;
 use track::{Placed, Track};
 
-/// A pose of the pose sensor says for so long where base is, seconds.
+/// A pose of either sensor says for so long where base is, seconds.
 const REACH_S: f64 = 0.5;
 /// The pose sensor is silent after so long at least, seconds, and after so many times as long as usual.
 const SILENT: (f64, f64) = (0.3, 2.5);
@@ -64,8 +64,9 @@ impl Led {
 #[derive(Default)]
 pub(super) struct SecondSensors {
     sensors: BTreeMap<SensorId, SecondSensor>,
-    /// By the pose sensor.
+    /// By the pose sensor, and the noise of that one's odometry.
     ours: Track,
+    noise: Option<OdometryNoise>,
     /// The newest frame of the pose sensor, whether it was placed or not, base to odom.
     newest: Option<(Timestamp, Pose)>,
     /// The newest one that was placed, and its covariance since the start.
@@ -91,12 +92,15 @@ impl SecondSensors {
         let last = second.newest().map(|e| e.stamp);
         let prior = last.and_then(|last| motion_of(&self.ours, last, stamp)).or_else(|| measured(last, stamp));
         second.register(stamp, scan, prior.as_ref());
-        second.compare(&self.ours);
+        if let Some(noise) = &self.noise {
+            second.compare(&self.ours, noise);
+        }
         self.heard = self.heard.max(Some(stamp));
     }
 
-    /// The pose sensor has placed a frame, or has not. `follows`: whether its pose follows on the one before.
-    pub(super) fn follow(&mut self, estimate: &OdometryEstimate, follows: bool) {
+    /// The pose sensor, of this kind, has placed a frame, or has not. `follows`: whether its pose follows on the one before.
+    pub(super) fn follow(&mut self, kind: OdometryKind, estimate: &OdometryEstimate, follows: bool) {
+        let noise = *self.noise.insert(OdometryNoise::of(kind));
         let (stamp, t_odom_base) = (estimate.stamp, estimate.t_odom_base);
         if let (Some(heard), Some((before, _))) = (self.heard, self.newest) {
             let behind_s = heard.seconds_since(before).clamp(0.0, USUAL.0);
@@ -115,7 +119,7 @@ impl SecondSensors {
         }
         if !estimate.state.is_lost() {
             self.ours.push(Placed { stamp, t_odom_base, open: estimate.degenerate_axes });
-            self.sensors.values_mut().for_each(|s| s.compare(&self.ours));
+            self.sensors.values_mut().for_each(|s| s.compare(&self.ours, &noise));
         }
     }
 

@@ -1,27 +1,19 @@
 //! One second sensor: its odometry, and where its odom lies in that of the pose sensor.
 
+use super::REACH_S;
 use super::agreement::Agreement;
 use super::track::{At, Placed, Track};
 use nalgebra::Vector6;
 use percept_geometry::{Covariance6, Pose, Timestamp, se3};
-use percept_slam::{MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scan, TrackingState};
+use percept_slam::motion_noise::{self, unknown_wheels};
+use percept_slam::{
+    MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryNoise, OdometryParams, Scan, TrackingState, way_m,
+};
 
-/// So long after its newest frame it still tells where base is, seconds.
-const REACH_S: f64 = 0.5;
 /// Frames that are farther apart do not follow on each other, seconds.
 const GAP_S: f64 = 1.0;
-/// What either registration errs by, metres and radians.
-const NOISE: (f64, f64) = (0.005, 0.003);
-/// How robots speed up between two frames, m/s^2 and rad/s^2: poses between frames are off by an eighth of it times the square of
-/// the time between them, and poses ahead of frames by half.
-const ACCELERATION: (f64, f64) = (1.0, 2.0);
-/// How one odometry drifts against the other, m / sqrt(s) and rad / sqrt(s).
-const DRIFT: (f64, f64) = (0.01, 0.005);
 /// Where they differ by more, one odometry has jumped: metres, radians, and standard deviations.
 const JUMP: (f64, f64, f64) = (0.02, 0.01, 5.0);
-/// Standard deviations that its word has at least, metres and radians: as those that wheels are given beside a 3D lidar, for the
-/// same reason. What is a little off in every step must not drag the map of a sensor along that sees the same better.
-const LEAST: (f64, f64) = (0.01, 0.004);
 /// Variance of an axis that is open, m^2 and rad^2: the scale on which priors leave an axis to others.
 pub(super) const OPEN: f64 = 1e6;
 
@@ -38,6 +30,8 @@ pub(super) struct Word {
 /// A second sensor that is registered.
 pub(super) struct SecondSensor {
     kind: OdometryKind,
+    /// How its odometry differs from itself; from the pose sensor's once that is known.
+    noise: OdometryNoise,
     odometry: Odometry,
     newest: Option<OdometryEstimate>,
     track: Track,
@@ -46,8 +40,8 @@ pub(super) struct SecondSensor {
     /// Its odom to that of the pose sensor, and variances of that, m^2 and rad^2; none before both have placed base at one time
     /// since the last interruption.
     t_odom_theirs: Option<(Pose, (f64, f64))>,
-    /// When both last placed base.
-    compared: Option<Timestamp>,
+    /// When both last placed base, and base there, to its odom.
+    compared: Option<(Timestamp, Pose)>,
     /// Axes that it left open at some time since it was last laid over the pose sensor's along them.
     open: [bool; 6],
     agreement: Agreement,
@@ -57,6 +51,7 @@ impl SecondSensor {
     pub(super) fn new(kind: OdometryKind, params: OdometryParams) -> Self {
         Self {
             kind,
+            noise: OdometryNoise::of(kind),
             odometry: Odometry::new(kind, params),
             newest: None,
             track: Track::default(),
@@ -112,21 +107,25 @@ impl SecondSensor {
         self.agreement.interrupted();
     }
 
-    /// Lays its poses over those of the pose sensor, at the newest time at which both are known.
-    pub(super) fn compare(&mut self, ours: &Track) {
+    /// Lays its poses over those of the pose sensor, whose odometry has this noise, at the newest time at which both are known.
+    pub(super) fn compare(&mut self, ours: &Track, noise: &OdometryNoise) {
+        self.noise = OdometryNoise::of(self.kind).against(noise);
         let (Some(a), Some(b)) = (ours.newest(), self.track.newest()) else { return };
         let (stamp, newest) = (a.stamp.min(b.stamp), a.stamp.max(b.stamp));
-        if self.compared.is_some_and(|compared| compared >= stamp) {
+        if self.compared.is_some_and(|(compared, _)| compared >= stamp) {
             return;
         }
         let (Some(a), Some(b)) = (ours.at(stamp), self.track.at(stamp)) else { return };
-        let since_s = self.compared.map_or(0.0, |compared| stamp.seconds_since(compared));
-        self.lay_over(&a, &b, since_s, stamp);
-        self.compared = Some(if self.t_odom_theirs.is_some() { stamp } else { newest });
+        let way_m = self.compared.map_or(0.0, |(_, t_theirs_before)| {
+            let moved = t_theirs_before.inv_mul(&b.t_odom_base);
+            way_m(moved.translation.vector.norm(), moved.rotation.angle())
+        });
+        self.lay_over(&a, &b, way_m, stamp);
+        self.compared = Some((if self.t_odom_theirs.is_some() { stamp } else { newest }, b.t_odom_base));
     }
 
-    fn lay_over(&mut self, ours: &At, theirs: &At, since_s: f64, stamp: Timestamp) {
-        let noise = noise2(ours.gap_s.max(theirs.gap_s), 0.125);
+    fn lay_over(&mut self, ours: &At, theirs: &At, way_m: f64, stamp: Timestamp) {
+        let noise = self.apart2(motion_noise::interpolated(ours.gap_s.max(theirs.gap_s)));
         let Some((t_odom_theirs, before)) = self.t_odom_theirs else {
             self.t_odom_theirs = Some((ours.t_odom_base * theirs.t_odom_base.inverse(), noise));
             self.agreement.interrupted();
@@ -142,7 +141,8 @@ impl SecondSensor {
             }
         }
         self.open = super::track::either(&self.open, &self.track.open_from(stamp));
-        let now = (before.0 + DRIFT.0.powi(2) * since_s, before.1 + DRIFT.1.powi(2) * since_s);
+        let added = self.noise.added(way_m);
+        let now = (before.0 + added.0, before.1 + added.1);
         if is_jump(&off, (now.0 + noise.0, now.1 + noise.1)) {
             // Poses between frames are none across a jump: what comes after these is compared.
             self.agreement.jumped();
@@ -159,6 +159,12 @@ impl SecondSensor {
         self.agreement.compare(ours, theirs);
     }
 
+    /// Variances of what two poses of both differ by, m^2 and rad^2: what either registration errs by, and these standard deviations.
+    fn apart2(&self, sigma: (f64, f64)) -> (f64, f64) {
+        let at_once = self.noise.at_once();
+        (at_once.0.powi(2) + sigma.0.powi(2), at_once.1.powi(2) + sigma.1.powi(2))
+    }
+
     /// Whether its motion is that of the pose sensor.
     pub(super) fn is_believed(&self) -> bool {
         self.agreement.is_believed()
@@ -170,7 +176,12 @@ impl SecondSensor {
         let (t_odom_theirs, laid) = self.t_odom_theirs?;
         let t_odom_base = t_odom_theirs * self.track.newest().filter(|p| p.stamp == stamp)?.t_odom_base;
         let fits = |at: &At| {
-            let ahead = noise2((at.ahead_s * (at.ahead_s + at.gap_s)).sqrt().max(0.5 * at.gap_s), 0.5);
+            let ahead = if at.ahead_s > 0.0 {
+                motion_noise::extrapolated(at.ahead_s, at.gap_s)
+            } else {
+                motion_noise::interpolated(at.gap_s)
+            };
+            let ahead = self.apart2(ahead);
             !is_jump(&se3::log(&at.t_odom_base.inv_mul(&t_odom_base)), (laid.0 + ahead.0, laid.1 + ahead.1))
         };
         ours.is_none_or(fits).then_some(t_odom_base)
@@ -197,8 +208,9 @@ impl SecondSensor {
         let at = self.track.at_or_ahead(stamp, REACH_S)?;
         let t_odom_base = t_odom_theirs * at.t_odom_base;
         let drift = self.agreement.drift2(moved(&t_odom_base));
-        let ahead = noise2((at.ahead_s * (at.ahead_s + at.gap_s)).sqrt(), 0.5);
-        let (t, r) = (LEAST.0.powi(2) + laid.0 + drift.0 + ahead.0, LEAST.1.powi(2) + laid.1 + drift.1 + ahead.1);
+        // Both registrations err anew in every frame, as where the one is laid over the other knows.
+        let ahead = self.apart2(motion_noise::extrapolated(at.ahead_s, at.gap_s));
+        let (t, r) = (laid.0 + drift.0 + ahead.0, laid.1 + drift.1 + ahead.1);
         let mut covariance = Covariance6::from_diagonal(&[t, t, t, r, r, r].into());
         if self.kind == OdometryKind::Lidar2d {
             // That the robot moves in a plane is supposed.
@@ -215,15 +227,8 @@ fn is_jump(off: &Vector6<f64>, variances: (f64, f64)) -> bool {
         || off.fixed_rows::<3>(3).norm() > JUMP.1 + JUMP.2 * variances.1.sqrt()
 }
 
-/// Variances of what either registration errs by, and of what speeding up adds over a time: `share` of it times the square of that.
-fn noise2(over_s: f64, share: f64) -> (f64, f64) {
-    let added = |a: f64| share * a * over_s * over_s;
-    (NOISE.0.powi(2) + added(ACCELERATION.0).powi(2), NOISE.1.powi(2) + added(ACCELERATION.1).powi(2))
-}
-
-/// Height and tilt as wheels know them: see the motion prior of those.
+/// Height and tilt as wheels know them.
 fn assumed_planar(covariance: &mut Covariance6, length: f64) {
-    covariance[(2, 2)] = (0.02 + 0.1 * length).powi(2);
-    covariance[(3, 3)] = (0.01 + 0.1 * length).powi(2);
-    covariance[(4, 4)] = covariance[(3, 3)];
+    let wheels = unknown_wheels(length, length);
+    (2..5).for_each(|k| covariance[(k, k)] = wheels[(k, k)]);
 }

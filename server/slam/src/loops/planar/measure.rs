@@ -1,26 +1,30 @@
 //! A scan measured against the local map of a visit, and whether what both saw agrees.
 
 use super::spatial;
+use crate::covariance::diagonal;
 use crate::matching::field::{Field, Hit};
 use crate::matching::search::{Window, search};
 use crate::matching::sight::{Sight, View, contradicted};
+use crate::odometry::Prediction;
 use crate::odometry::lidar2d::planar;
 use crate::odometry::lidar2d::refine::refine;
 use crate::odometry::lidar2d::sweep;
-use crate::odometry::{Prediction, diagonal};
 use nalgebra::{Isometry2, Matrix3, Point2};
 use percept_geometry::{Covariance6, KeyframeScan, Pose};
 use std::sync::Arc;
 
-/// Cell of a local map, metres.
+/// Cell of a local map, metres. As `lidar2d.resolution_m` has it for the odometry's map.
 const CELL_M: f64 = 0.05;
-/// A local map's least half width, metres: a visit's length and the windows that it is searched in.
+/// A local map's least half width, metres: a visit's length and the windows that it is searched in. Two of the metres
+/// that a large search's query is made of (`QUERY_M`).
 const HALF_M: f64 = 10.0;
-/// What a measurement may be off beyond its noise: the local map's own errors, metres and radians.
+/// What a measurement may be off beyond its noise: the local map's own errors, metres and radians. Halved 26.2 mm,
+/// doubled 26.3, of 26.2 on the log with a short range (see [`crate::odometry::lidar2d`]).
 const FLOOR: (f64, f64) = (0.01, 0.003);
-/// A match may leave so much open before it counts as open, metres and radians.
+/// A match may leave so much open before it counts as open, metres and radians. Halved 26.1 mm, of 26.2 on the log with
+/// a short range (see [`crate::odometry::lidar2d`]).
 const MAX_SIGMA: (f64, f64) = (0.1, 0.05);
-/// Points for the search.
+/// Points for the search. As the odometry's search has it: see its constant of this name.
 const SEARCH_POINTS: usize = 180;
 
 /// What a match has to bring.

@@ -23,7 +23,8 @@ mod walls;
 mod tests;
 
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
-use crate::odometry::{Growth, OdometryKind, OdometryNoise, diagonal};
+use crate::covariance::diagonal;
+use crate::odometry::{Growth, OdometryKind, OdometryNoise};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
 use percept_perception::registration::{GlobalResult, register_global};
 use query::{ALONG_THE_WAY, Query};
@@ -34,22 +35,24 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 use submap::{Submap, Surface};
 
-/// Length of a submap, and the least and most of it (m); a new map begins each half of it.
+/// Length of a submap, and the least and most of it (m); a new map begins each half of it. Chosen, not swept.
 const STRETCH_PER_RANGE: f64 = 0.6;
 const STRETCH: (f64, f64) = (2.0, 20.0);
-/// Turning on the spot makes keyframes without travel: so many close a map, too.
+/// Turning on the spot makes keyframes without travel: so many close a map, too. Chosen, not swept.
 const MOST_KEYFRAMES: usize = 60;
-/// A map is compared with those that began so many of its lengths before it.
+/// A map is compared with those that began so many of its lengths before it. Chosen, not swept.
 const APART: f64 = 2.5;
-/// A loop that tells of more drift than so many standard deviations is of another place that looks the same.
+/// A loop that tells of more drift than so many standard deviations is of another place that looks the same. One of
+/// three hundred true loops does, along an axis.
 const LIKELY: f64 = 3.0;
-/// Turning beyond what drift explains, radians: maps are gathered over ways that drift themselves.
+/// Turning beyond what drift explains, radians: maps are gathered over ways that drift themselves. Chosen, not swept.
 const UNTOLD_TURN: f64 = 0.2;
-/// Maps whose pictures are compared with a new one, the nearest first; pairs waiting for a search; keyframes between two.
+/// Maps whose pictures are compared with a new one, the nearest first; pairs waiting for a search; keyframes between
+/// two. Chosen, not swept.
 const COMPARED: usize = 100;
 const WAITING: usize = 8;
 const PATIENCE: usize = 3;
-/// Candidates by looks for a submap, and for a scan with no guess.
+/// Candidates by looks for a submap, and for a scan with no guess. Chosen, not swept.
 const ALIKE: usize = 2;
 const LOST_ALIKE: usize = 3;
 

@@ -2,32 +2,37 @@
 
 use super::kept::Kept;
 use super::submap::{range, voxel_for};
+use crate::covariance::diagonal;
 use crate::downsample::Thinner;
 use crate::odometry::lidar3d::align::{Problem, align};
 use crate::odometry::lidar3d::levels::Levels;
 use crate::odometry::lidar3d::sight::{Contradiction, Sight};
 use crate::odometry::lidar3d::sweep::{Instants, Sweep};
-use crate::odometry::{Prediction, Registration, diagonal, way_m};
+use crate::odometry::{Prediction, Registration, way_m};
 use nalgebra::{Point3, Vector6};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Keyframes taken from around each place that a scan is expected at, and those that it is compared with.
+/// Keyframes taken from around each place that a scan is expected at, and those that it is compared with. Chosen, not
+/// swept.
 const AROUND: usize = 6;
 const COMPARED: usize = 4;
-/// Finest voxels of the surface, in those of the pictures from above; every so many points make them.
+/// Finest voxels of the surface, in those of the pictures from above; every so many points make them. Chosen, not
+/// swept.
 const VOXELS: f64 = 3.0;
 const EVERY: usize = 2;
-/// A scan is registered with about so many points.
+/// A scan is registered with about so many points. Chosen, not swept.
 const POINTS: usize = 1500;
 /// Standard deviations of where a scan is expected: voxels of the pictures, and radians; and what a measurement may move
 /// it by, in these.
 const EXPECTED: (f64, f64) = (2.0, 0.07);
+/// Three standard deviations.
 const MOST_MOVED: f64 = 3.0;
 /// A place leaves nothing open if it fixes the pose within this: voxels of the pictures, and radians.
 const FIXED: (f64, f64) = (0.5, 0.05);
-/// What a measurement may be off beyond its noise: the map's own errors, voxels of the pictures and radians.
+/// What a measurement may be off beyond its noise: the map's own errors, voxels of the pictures and radians. Chosen,
+/// not swept.
 const FLOOR: (f64, f64) = (0.1, 0.003);
 
 /// What a scan has to bring.

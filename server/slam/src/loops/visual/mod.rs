@@ -11,6 +11,7 @@ mod relocalise;
 mod rigid;
 
 use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::keyframe::FULL_WIDTH;
 use crate::odometry::rgbd::place::{Placed, place};
 use alike::Alike;
 use index::Index;
@@ -22,20 +23,19 @@ use std::sync::Arc;
 
 /// Odometry ties a keyframe to so many before it better than a loop could.
 const RECENT: u64 = 8;
-/// Keyframes that are looked at closely for each new one: bounds the time.
+/// Keyframes that are looked at closely for each new one: bounds the time. Chosen, not swept.
 const MAX_CANDIDATES: usize = 3;
-/// Features of a keyframe that are indexed.
+/// Features of a keyframe that are indexed. Half of what a keyframe keeps.
 const MAX_INDEXED: usize = 250;
 const _: () = assert!(MAX_INDEXED <= index::MOST_FEATURES);
-/// Fewest features alike of a candidate.
+/// Fewest features alike of a candidate. Chosen, not swept.
 const MIN_VOTES: u32 = 12;
-/// Fewest pairs of features that agree on a motion, in images so many pixels wide and more; see [`min_pairs`].
+/// Fewest pairs of features that agree on a motion, in images that are [`FULL_WIDTH`] wide and more; see [`min_pairs`].
 const MIN_PAIRS: usize = 12;
-const FULL_WIDTH: usize = 640;
-/// The same, and their share of all that were paired, where there is no surface to verify by.
+/// The same, and their share of all that were paired, where there is no surface to verify by. Chosen, not swept.
 const SPARSE_PAIRS: usize = 30;
 const SPARSE_SHARE: f64 = 0.4;
-/// Least share of the scan's points on surfaces of the place, and most share that contradicts.
+/// Least share of the scan's points on surfaces of the place, and most share that contradicts. Chosen, not swept.
 const MIN_INLIERS: f64 = 0.3;
 const MAX_SEEN_THROUGH: f64 = 0.1;
 const MAX_IN_FRONT: f64 = 0.25;
@@ -227,7 +227,7 @@ struct Agreement {
     directions: usize,
 }
 
-/// Width and height of a direction.
+/// Width and height of a direction. Ten degrees.
 const DIRECTION_RAD: f64 = 0.17;
 
 /// The motion that features agree on.
@@ -286,7 +286,7 @@ fn uncertainty(pairs: &[Pair], inliers: &[usize]) -> Covariance6 {
         j.fixed_columns_mut::<3>(3).copy_from(&-p.to.coords.cross_matrix());
         information += j.transpose() * j * (4.0 / (p.tolerance * p.tolerance));
     }
-    let floor = crate::odometry::diagonal(0.01, 0.01);
+    let floor = crate::covariance::diagonal(0.01, 0.01);
     information.try_inverse().unwrap_or_else(|| Covariance6::identity() * 0.01) + floor
 }
 

@@ -6,26 +6,27 @@
 //! shows far more than a picture on a wall: see [`is_sure_alone`].
 
 use super::{MAX_IN_FRONT, MAX_SEEN_THROUGH, MIN_INLIERS, Verified, VisualPlaces};
+use crate::covariance::diagonal;
 use crate::loops::{KeyframePoses, Relocalisation};
-use crate::odometry::diagonal;
 use crate::odometry::rgbd::place::place;
+use crate::odometry::rgbd::window::NEAR;
+use crate::odometry::{OdometryKind, OdometryNoise, way_m};
 use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose};
 use std::sync::Arc;
 
-/// Places that are looked at: where there are more, nothing tells them apart.
+/// Places that are looked at: where there are more, nothing tells them apart. Chosen, not swept.
 const MAX_PLACES: usize = 6;
-/// Places nearer than this are one: metres and radians.
+/// Places nearer than this are one: metres and radians. Chosen, not swept.
 const SAME: (f64, f64) = (0.3, 0.2);
-/// A view from the way tells something of its own if it is so far from the newest one: metres and radians.
+/// A view from the way tells something of its own if it is so far from the newest one: metres and radians. Chosen, not
+/// swept.
 const APART: (f64, f64) = (0.3, 0.2);
-/// Views from the way that are looked at, and how many of them have to agree.
+/// Views from the way that are looked at, and how many of them have to agree. Chosen, not swept.
 const WITNESSES: usize = 6;
 const MIN_AGREE: usize = 2;
-/// Keyframes that show what a view may see stand so near to it: metres and radians.
-const NEAR: (f64, f64) = (1.0, 0.6);
+/// So many of the keyframes that show what a view may see. Chosen, not swept.
 const MAX_NEAR: usize = 3;
-/// Error of odometry from then to now, metres and radians, and what a view may be off by.
-const ODOMETRY: (f64, f64) = (0.05, 0.03);
+/// What a view from the way may be off by, metres and radians. Chosen, not swept.
 const WINDOW: (f64, f64) = (0.2, 0.1);
 
 /// One view is enough if so many features agree on its place, in so many directions, as no single thing on a wall has, and
@@ -88,7 +89,7 @@ impl VisualPlaces {
         let words = |t_map_base: &Pose| {
             let (mut agree, mut against) = (0, 0);
             for (t_now_then, then) in &witnesses {
-                match self.ask(then, &(t_map_base * t_now_then), poses) {
+                match self.ask(then, (t_map_base, t_now_then), poses) {
                     Word::Agrees => agree += 1,
                     Word::Against => against += 1,
                     Word::Contradicts => return None,
@@ -131,14 +132,16 @@ impl VisualPlaces {
         out
     }
 
-    /// What a view says, if base was at `t_map_then`.
-    fn ask(&self, then: &KeyframeScan, t_map_then: &Pose, poses: &KeyframePoses) -> Word {
-        let others = self.around(t_map_then, poses);
+    /// What a view says that was taken at `t_now_then`, if base is at `t_map_base`.
+    fn ask(&self, then: &KeyframeScan, (t_map_base, t_now_then): (&Pose, &Pose), poses: &KeyframePoses) -> Word {
+        let others = self.around(&(t_map_base * t_now_then), poses);
         let others: Vec<(Pose, &KeyframeScan)> = others.iter().map(|(t, s)| (*t, s.as_ref())).collect();
         if others.is_empty() {
             return Word::Nothing;
         }
-        let uncertain = diagonal(ODOMETRY.0, ODOMETRY.1);
+        let way_m = way_m(t_now_then.translation.vector.norm(), t_now_then.rotation.angle());
+        let (sigma_m, sigma_rad) = OdometryNoise::of(OdometryKind::Rgbd).after(way_m);
+        let uncertain = diagonal(sigma_m, sigma_rad);
         let Some(placed) = place(&others, then, &Pose::identity(), &uncertain) else { return Word::Against };
         if placed.seen_through > MAX_SEEN_THROUGH || placed.in_front > MAX_IN_FRONT {
             return Word::Contradicts;

@@ -3,6 +3,7 @@
 //! Places that look alike agree in the surfaces that both scans show; what tells them apart is a surface of one that the
 //! other looked through.
 
+use crate::matching::sight::BEYOND;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::Pose;
 use std::f64::consts::{PI, TAU};
@@ -10,9 +11,7 @@ use std::f64::consts::{PI, TAU};
 /// Directions of a full turn, and from straight down to straight up: 2 degrees, the spacing of sparse lidars' rings.
 const AZIMUTHS: usize = 180;
 const ELEVATIONS: usize = 90;
-/// A beam that ends so much beyond a point has passed it, metres and share of the range.
-const BEYOND: (f64, f64) = (0.3, 0.03);
-/// Points of a scan that are looked up in another one, about.
+/// Points of a scan that are looked up in another one, about. A share of a thousand is good to a hundredth.
 const LOOKED_UP: usize = 1000;
 
 /// The ends of a scan's beams, and how far it saw in each direction.

@@ -1,17 +1,19 @@
 //! A frame finds its place in the local model: where it is expected, the tries, and which of them is believed.
 
 use super::LocalOdometry;
+use crate::covariance::diagonal;
 use crate::motion_prior::{MotionPrior, UNKNOWN_VARIANCE};
-use crate::odometry::{Prediction, Registration, diagonal};
+use crate::odometry::{Prediction, Registration};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use nalgebra::Vector6;
 use percept_geometry::{Covariance6, Pose, se3};
 
-/// A frame whose inlier ratio falls below this share of the usual one is tried from the last pose too.
+/// A frame whose inlier ratio falls below this share of the usual one is tried from the last pose too. Chosen, not
+/// swept.
 const DOUBTFUL: f64 = 0.9;
 
-/// A planar scan that fits worse than this share of how scans usually do is looked for farther away.
+/// A planar scan that fits worse than this share of how scans usually do is looked for farther away. Chosen, not swept.
 const POOR: f64 = 0.7;
 
 /// Scans that come so rarely, seconds, are looked for wherever a robot can have driven since, up to so many metres. From 0.5 s on
@@ -21,13 +23,14 @@ const SPARSE_M: f64 = 4.0;
 /// After so many of them that found no place the robot is elsewhere. The Intel log without wheels, share in the map: one scan in
 /// four, 0.998 with 3, 0.973 with 8, 0.967 with 30; one in ten, 0.50, 0.30, 0.57.
 const SPARSE_FRAMES: usize = 3;
-/// Two searches have come to one place if they are no farther apart, metres and radians.
+/// Two searches have come to one place if they are no farther apart, metres and radians. Chosen, not swept.
 const SAME: (f64, f64) = (0.3, 0.1);
 
-/// Wheels that differ so much from the velocity before, in one frame, are doubted: metres and radians.
+/// Wheels that differ so much from the velocity before, in one frame, are doubted: metres and radians. Chosen, not
+/// swept.
 const SUDDEN: (f64, f64) = (0.15, 0.15);
 
-/// Turns of a gyro and of the motion before that differ by less lead to the same place, radians.
+/// Turns of a gyro and of the motion before that differ by less lead to the same place, radians. Chosen, not swept.
 const ALIKE: f64 = 0.01;
 
 impl LocalOdometry {

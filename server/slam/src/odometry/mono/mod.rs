@@ -10,6 +10,9 @@
 //! **Source** of the whole: Mur-Artal, Montiel and Tardos, "ORB-SLAM: a versatile and accurate monocular SLAM system",
 //! 2015. We depart from it in doing all in turn in one thread, in places found by sampled bits instead of a trained
 //! vocabulary, and in the two-view choice by Torr's criterion.
+//!
+//! Where a constant says "halved" and "doubled", this is the ATE with the best scale, millimetres, of
+//! `evaluate mono rgbd-7scenes-a` as it went on: 25.1 with the constants as they are.
 
 mod atlas;
 mod bundle_adjustment;
@@ -27,12 +30,13 @@ mod start;
 mod tracker;
 mod triangulation;
 
+use crate::covariance::diagonal;
 use crate::motion_prior::{MotionPrior, UNKNOWN_VARIANCE};
+use crate::odometry::OdometryEstimate;
 use crate::odometry::uncertainty::Uncertainty;
-use crate::odometry::{OdometryEstimate, diagonal};
+use crate::param_error::{ParamError, check_range};
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{LostReason, Scale, TrackingState, Waiting};
-use crate::{ParamError, check_range};
 use atlas::Atlas;
 use frame::Lens;
 use map::ViewId;
@@ -45,9 +49,9 @@ use scale::Scaling;
 use serde::{Deserialize, Serialize};
 use tracker::{Outcome, Tracker};
 
-/// Images farther apart than this in time need not overlap, seconds.
+/// Images farther apart than this in time need not overlap, seconds. Chosen, not swept.
 const GAP_S: f64 = 1.0;
-/// A turn between two images by which so large a share of what the first shows leaves the second.
+/// A turn between two images by which so large a share of what the first shows leaves the second. Chosen, not swept.
 const FAST_TURN: f64 = 0.25;
 
 /// Parameters of odometry by a camera alone.

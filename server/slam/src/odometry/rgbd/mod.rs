@@ -13,13 +13,13 @@ mod noise;
 mod photometric;
 pub(crate) mod place;
 mod surfels;
-mod window;
+pub(crate) mod window;
 
 use crate::inertial::PoseFactor;
 use crate::odometry::{Found, LocalModel, Prediction, Registration};
+use crate::param_error::{ParamError, check_range};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
-use crate::{ParamError, check_range};
 use align::{LEVELS, Problem, Requirements, align};
 pub(crate) use color_camera::ColorCamera;
 use color_camera::ColorRegistration;
@@ -109,17 +109,19 @@ impl RgbdParams {
     }
 }
 
-/// With more of the frame moving than this share nothing says which part is the room.
+/// With more of the frame moving than this share nothing says which part is the room. Chosen, not swept.
 const MAX_MOVING: f64 = 0.8;
 
-/// A prediction surer than this leads to the right place, metres.
+/// A prediction surer than this leads to the right place, metres. Chosen, not swept.
 const SURE_M: f64 = 0.05;
-/// After a gap: least share of a frame that meets the model, and largest share of that which may contradict it.
+/// After a gap: least share of a frame that meets the model, and largest share of that which may contradict it. Chosen,
+/// not swept.
 const MIN_MET: f64 = 0.3;
 const MAX_WRONG_AFTER_GAP: f64 = 0.04;
-/// And how its brightness has to go with the model's: another place's does not at all, the same one's mostly by nine tenths.
+/// And how its brightness has to go with the model's: another place's does not at all, the same one's mostly by nine
+/// tenths. Chosen, not swept.
 const MIN_ALIKE: f64 = 0.5;
-/// Largest share of a frame found without one that may contradict the model.
+/// Largest share of a frame found without one that may contradict the model. Chosen, not swept.
 const MAX_WRONG: f64 = 0.1;
 
 /// A keyframe to start from, waiting for the first frame to tell the camera.
