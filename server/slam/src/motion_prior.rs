@@ -2,7 +2,8 @@
 
 use percept_geometry::{Covariance6, Pose};
 
-/// A prior whose position has a larger variance than this leaves the translation open, m^2.
+/// A prior whose position has a larger variance than this leaves the translation open, m^2. A hundred metres: nobody
+/// who measured a way is that unsure of it.
 pub(crate) const UNKNOWN_VARIANCE: f64 = 1e4;
 
 /// What another source (wheels, an IMU) says about the motion since the frame before.

@@ -6,7 +6,8 @@ use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId, se
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
-/// A keyframe sees around if its points lie in so many of the sectors around it.
+/// A keyframe sees around if its points lie in so many of the sectors around it. Two sectors of 22.5 degrees may be
+/// missing: a post, or the robot itself.
 const SECTORS: usize = 16;
 const AROUND: u32 = 14;
 

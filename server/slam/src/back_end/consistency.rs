@@ -12,8 +12,8 @@ use percept_geometry::{Covariance6, Pose, se3};
 /// Squared distance, in standard deviations, beyond which two things of six degrees of freedom do not agree: 99.9 %.
 pub(super) const AGREE: f64 = 22.5;
 
-/// Closures confirm each other if both their ends are within so many keyframes: farther apart, the drift between them lets
-/// too much agree by chance.
+/// Closures confirm each other if both their ends are within so many keyframes: farther apart, the drift between them
+/// lets too much agree by chance. Chosen, not swept.
 pub(super) const NEIGHBOURS: u64 = 20;
 
 /// A closure with the indices of its nodes.

@@ -16,9 +16,9 @@ pub(super) enum Effort {
     Thorough,
 }
 
-/// Rounds of solving and weighing, in a thorough solution.
+/// Rounds of solving and weighing, in a thorough solution. Chosen, not swept.
 const ROUNDS: usize = 3;
-/// Steps of the solver in a round.
+/// Steps of the solver in a round. Chosen, not swept.
 const STEPS: usize = 8;
 
 /// Where the keyframes are.

@@ -14,7 +14,7 @@ use std::collections::VecDeque;
 
 /// States in the window: two seconds at the usual ten frames a second, in which biases and gravity are told apart by turning.
 const LENGTH: usize = 20;
-/// Steps of Gauss and Newton for each new state: the window was at its minimum before.
+/// Steps of Gauss and Newton for each new state: the window was at its minimum before. Chosen, not swept.
 const ITERATIONS: usize = 2;
 
 /// A state with gravity's direction.

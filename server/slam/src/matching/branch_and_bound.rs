@@ -18,13 +18,14 @@ const DEPTH: u32 = 5;
 /// Cells of a level are so many times smaller than what it bounds, as a power of two. The finer they are, the closer the bounds, and the
 /// more memory they take: a search of the Freiburg 101 log for one view visits 500,000 nodes in the median with 0, 194,000 with 2.
 const FINER: u32 = 2;
-/// Reach of a point's likelihood, fine cells.
+/// Reach of a point's likelihood, fine cells. Where a point is worth a quarter of what it is at its place.
 const REACH: i32 = 2;
-/// Standard deviation of a point, fine cells.
+/// Standard deviation of a point, fine cells. Chosen, not swept.
 const SIGMA: f64 = 1.2;
-/// Points farther than this do not make the steps of the angle finer, metres.
+/// Points farther than this do not make the steps of the angle finer, metres. A cell of 0.1 m there is a step of 8
+/// mrad.
 const MAX_LEVER_M: f64 = 12.0;
-/// A pose nearer than this to another one is the same optimum, metres and radians.
+/// A pose nearer than this to another one is the same optimum, metres and radians. Chosen, not swept.
 const SAME: (f64, f64) = (1.0, 0.35);
 /// Nodes that a search may visit, a microsecond or so each. A lidar that sees 5.5 m fits in many places nearly alike: on such a log
 /// (`planar_log lidar2d-intel --max-range 5.5 --no-odometry`) searches of 15 m take up to 520,000, and with 200,000 no loop is
@@ -32,11 +33,11 @@ const SAME: (f64, f64) = (1.0, 0.35);
 /// in a larger map.
 const PATIENCE: usize = 600_000;
 const PATIENCE_BEYOND: usize = 300_000;
-/// A coarsest node is one sum, any other leads to four: so many of the former count as one.
+/// A coarsest node is one sum, any other leads to four: so many of the former count as one. The sums' ratio.
 const ROOTS_A_NODE: usize = 4;
-/// Another optimum this good, as a share of the best one's score, leaves a match open.
+/// Another optimum this good, as a share of the best one's score, leaves a match open. Chosen, not swept.
 pub(crate) const RIVAL: f64 = 0.85;
-/// Points of a query, at most: the rest is not looked at.
+/// Points of a query, at most: the rest is not looked at. Chosen, not swept.
 const MOST_POINTS: usize = 256;
 /// Points summed up before a node is looked at again whether it can still be good enough.
 const CHUNK: usize = 16;

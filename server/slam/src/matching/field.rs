@@ -14,9 +14,10 @@ pub(crate) struct Hit {
 
 /// Fine cells along the edge of a coarse one.
 pub(crate) const BLOCK: i32 = 4;
-/// Reach of a hit's likelihood, fine cells.
+/// Reach of a hit's likelihood, fine cells. Where a hit is worth a tenth of what it is at its place.
 const REACH: i32 = 3;
-/// Standard deviation of a hit, fine cells.
+/// Standard deviation of a hit, fine cells. Halved 50.5 mm on the log with a short range, as loops are missed, doubled
+/// 24.1, of 26.2 (see [`crate::odometry::lidar2d`]).
 const SIGMA: f64 = 1.4;
 /// Fine cells along the edge of a line element's cell.
 const ELEMENT: i32 = 2;

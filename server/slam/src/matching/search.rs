@@ -13,7 +13,8 @@ pub(crate) struct Window {
     pub(crate) rotation: f64,
 }
 
-/// How much a full match of one hit counts against the prediction's squared deviation.
+/// How much a full match of one hit counts against the prediction's squared deviation. On the log with a short range
+/// halved 24.2 mm, doubled 24.1, of 26.2 (see [`crate::odometry::lidar2d`]).
 const HIT_WORTH: f64 = 0.4;
 
 /// The best pose, and its mean likelihood, 0 to 1. `prior` is the information of (x, y, yaw) in odom.

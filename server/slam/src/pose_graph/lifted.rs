@@ -6,13 +6,14 @@ use percept_geometry::Pose;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Tilts at the start are up to this, radians: enough to leave a minimum of the plane, which is a saddle in space.
+/// Tilts at the start are up to this, radians: enough to leave a minimum of the plane, which is a saddle in space. Ten
+/// degrees.
 const TILT: f64 = 0.17;
-/// Steps of one try at most.
+/// Steps of one try at most. Chosen, not swept.
 const STEPS: usize = 100;
 /// Planes that it is laid into.
 const VIEWS: usize = 8;
-/// The minimum in space need not be known better to be laid back into the plane.
+/// The minimum in space need not be known better to be laid back into the plane. As two minima are told apart (`SAME`).
 const TOLERANCE: f64 = 1e-5;
 
 /// Starts from the minimum that the graph's poses lead to in space, laid into the plane that has most of it, and into those

@@ -32,9 +32,10 @@ use nalgebra::{SMatrix, SVector};
 use pattern::Pattern;
 use percept_geometry::information::is_information;
 
-/// Lifts into space at most.
+/// Lifts into space at most. Chosen, not swept.
 const MOST_LIFTS: u64 = 4;
-/// Minima whose chi2 differ by less than this share are one that was not reached exactly.
+/// Minima whose chi2 differ by less than this share are one that was not reached exactly. As a minimum in space is
+/// known (see `lifted`).
 const SAME: f64 = 1e-5;
 
 /// A measured pose of one node seen from another.

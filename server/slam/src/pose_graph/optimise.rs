@@ -2,12 +2,13 @@
 
 use super::{Equations, Manifold, PoseGraph, PoseGraphError, Structure};
 
-/// Damping beyond this: no step leads down.
+/// Damping beyond this: no step leads down. A millionth of a Newton step.
 const MOST_DAMPING: f64 = 1e6;
 /// Damping after a first step that was taken back; less than a hundredth of it is none. The slowest motions of graphs of
 /// some thousand poses weigh 1e-8 of the diagonal: more damping would hold them.
 const FIRST_DAMPING: f64 = 1e-9;
-/// Positions are found anew after steps that keep less than this share of what they promise.
+/// Positions are found anew after steps that keep less than this share of what they promise. Nocedal and Wright,
+/// "Numerical Optimization", 2006, chapter 4: a step of a trust region that keeps less than a quarter is poor.
 const WORST_GAIN: f64 = 0.25;
 /// Errors of this many standard deviations are none: they are in the last digits of the poses.
 const NO_ERROR: f64 = 1e-10;

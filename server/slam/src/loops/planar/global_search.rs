@@ -19,7 +19,7 @@ use std::sync::Arc;
 /// Work for one keyframe, in nodes of the search: a node is a microsecond or two, so this is some 60 ms. Keyframes of a robot that
 /// drives quickly are a third of a second apart.
 const WORK: usize = 40_000;
-/// What fetching a scan whose points are drawn takes, in nodes.
+/// What fetching a scan whose points are drawn takes, in nodes. Chosen, not swept.
 const NODES_A_SCAN: usize = 50;
 
 /// How far is searched.

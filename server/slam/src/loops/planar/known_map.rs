@@ -10,12 +10,12 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::hash::{Hash, Hasher};
 
-/// What drawing a point of the map takes, and measuring a view, in nodes of a search.
+/// What drawing a point of the map takes, and measuring a view, in nodes of a search. Chosen, not swept.
 pub(super) const POINTS_A_NODE: usize = 16;
 pub(super) const NODES_A_VIEW: usize = 4_000;
-/// Places that may fit nearly alike: where there are more, nothing tells them apart.
+/// Places that may fit nearly alike: where there are more, nothing tells them apart. Chosen, not swept.
 pub(super) const MAX_PLACES: usize = 4;
-/// Where a view is expected, it is measured to be: metres and radians.
+/// Where a view is expected, it is measured to be: metres and radians. Chosen, not swept.
 const WINDOW: (f64, f64) = (0.3, 0.06);
 
 /// Keyframes where they are believed to be, base to map.

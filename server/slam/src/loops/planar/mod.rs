@@ -29,40 +29,41 @@ use relocaliser::Relocaliser;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Keyframes of the last metres are what odometry was measured against.
+/// Keyframes of the last metres are what odometry was measured against. Chosen, not swept.
 const RECENT_M: f64 = 10.0;
-/// Keyframes farther than this from the believed place see other surfaces, metres.
+/// Keyframes farther than this from the believed place see other surfaces, metres. Halved 26.2 mm and 100 loops,
+/// doubled 26.4 and 108, of 26.2 and 102 on the log with a short range (see [`crate::odometry::lidar2d`]).
 const NEAR_M: f64 = 3.0;
-/// Visits that one keyframe is measured against, at most.
+/// Visits that one keyframe is measured against, at most. Chosen, not swept.
 const MAX_VISITS: usize = 3;
 /// Windows reach so many standard deviations of drift; a place that is not found where it should be widens them ([`DOUBT_M`]). With
 /// six, a lidar that sees 5.5 or 6 m closes a tenth or two thirds of the loops (`planar_log lidar2d-intel --max-range`): in
 /// a window that wide too much fits.
 const SIGMAS: f64 = 3.0;
-/// And so much farther, metres and radians: keyframes are not where their
-/// neighbours are.
+/// And so much farther, metres and radians: keyframes are not where their neighbours are. Chosen, not swept.
 const MARGIN: (f64, f64) = (0.2, 0.03);
-/// A window this small is searched in one visit's map, metres.
+/// A window this small is searched in one visit's map, metres. Chosen, not swept.
 const SMALL_M: f64 = 1.2;
-/// Windows are not larger than this, metres.
+/// Windows are not larger than this, metres. A search of so much is what the nodes that a search may visit last for
+/// (see `PATIENCE` in `branch_and_bound`).
 const LARGEST_M: f64 = 15.0;
 /// Driving past known places without a tie that doubles the uncertainty, metres: they are not where they are believed.
 const DOUBT_M: f64 = 3.0;
-/// A closed loop is as unsure as so much driving, metres.
+/// A closed loop is as unsure as so much driving, metres. Chosen, not swept.
 const TIE_M: f64 = 0.3;
 /// Driving between searches of a large window, metres: at first, and at most, as it doubles with each that finds nothing; and
 /// between those of all the map.
 const SEARCH_EVERY_M: (f64, f64) = (1.5, 6.0);
 const SEARCH_ALL_EVERY_M: f64 = 10.0;
-/// Keyframes of the last metres make the query of a large search.
+/// Keyframes of the last metres make the query of a large search. Chosen, not swept.
 const QUERY_M: f64 = 5.0;
-/// Keyframes of the query so far apart are measured where it was found: nearer ones see the same.
+/// Keyframes of the query so far apart are measured where it was found: nearer ones see the same. Chosen, not swept.
 const VIEWS_EVERY_M: f64 = 1.5;
-/// Points of a query.
+/// Points of a query. Chosen, not swept.
 const QUERY_POINTS: usize = 150;
-/// Cell of a large search, metres.
+/// Cell of a large search, metres. Twice that of a visit's map: what is found is measured there.
 const CELL_M: f64 = 0.1;
-/// Least score of a large search, and of one without a guess.
+/// Least score of a large search, and of one without a guess. Chosen, not swept.
 const MIN_SCORE: f64 = 0.55;
 const MIN_SCORE_LOST: f64 = 0.6;
 /// A keyframe taken in.

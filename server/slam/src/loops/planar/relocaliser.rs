@@ -19,9 +19,10 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Views from the way that a place is checked with, besides the one that is searched for.
+/// Views from the way that a place is checked with, besides the one that is searched for. Chosen, not swept.
 const WITNESSES: usize = 5;
-/// A robot that has driven less since it was lost is found only by a view that is sure alone, metres.
+/// A robot that has driven less since it was lost is found only by a view that is sure alone, metres. Chosen, not
+/// swept.
 const SURE_AFTER_M: f64 = 1.5;
 /// Only a view with returns from so much of a full turn can be sure alone. What sees half a turn cannot: with its lidar cut to 5 m,
 /// Intel's robot came into an office that was not mapped, stood there as in another one, and was believed to be in that
@@ -31,7 +32,7 @@ const DIRECTIONS: usize = 36;
 /// Work for one question, in nodes of the search: a node is a microsecond or two, so this is some 40 ms.
 const WORK: usize = 24_000;
 /// Questions after which a search is given up, and begun anew with what has been seen by then; of them so many at least
-/// beyond those that the coarsest nodes take, which there are more of in a larger map.
+/// beyond those that the coarsest nodes take, which there are more of in a larger map. Chosen, not swept.
 const MOST_STEPS: usize = 16;
 const STEPS_BEYOND: usize = 8;
 

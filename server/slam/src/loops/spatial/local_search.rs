@@ -7,13 +7,14 @@ use crate::loops::{KeyframePoses, LoopClosure};
 use percept_geometry::{Covariance6, KeyframeId, Pose};
 use std::collections::BTreeMap;
 
-/// Earlier keyframes within so many lengths of a submap are the same place.
+/// Earlier keyframes within so many lengths of a submap are the same place. Chosen, not swept.
 const NEAR: f64 = 0.5;
 /// The drift that such a measurement can bridge, standard deviations: beyond it another place may fit.
 const BRIDGED: f64 = 2.0;
-/// A visit that merging has left fewer keyframes of shows too little of its surroundings to measure in.
+/// A visit that merging has left fewer keyframes of shows too little of its surroundings to measure in. Chosen, not
+/// swept.
 const FEWEST: usize = 3;
-/// What a scan has to bring.
+/// What a scan has to bring. Chosen, not swept.
 const STRICTNESS: Strictness = Strictness { min_inlier_ratio: 0.6, max_contradicted: 0.05 };
 
 impl SpatialRecognition {

@@ -22,28 +22,28 @@ use std::f64::consts::TAU;
 /// robot is found after 5 s in the median, with 12 or 24 after 0.4. Each takes some 10 ms. What sees less tells fewer apart.
 const MAX_PLACES: usize = 24;
 const MAX_PLACES_AHEAD: usize = 4;
-/// Least share of the walls that lies on those of the map.
+/// Least share of the walls that lies on those of the map. Chosen, not swept.
 const MIN_SCORE: f64 = 0.6;
-/// Views from the way that a place is checked with, besides the newest one.
+/// Views from the way that a place is checked with, besides the newest one. Chosen, not swept.
 const WITNESSES: usize = 5;
 /// Directions in which views have to have seen walls, as a share of a full turn, for a robot to be found where it stands: half a turn
 /// is what the planar lidars of the recorded logs see, which are (`relocalisation LOG`). A rosette that sees 69 degrees ahead, found
 /// where it stood, was in a wrong place in two of eight simulated kidnaps, and in one of them after the way below.
 const ALL_AROUND: f64 = 0.5;
 const DIRECTIONS: usize = 36;
-/// Else the way since the robot was lost before it is found, and the way whose views are searched for, usual ranges; and the
-/// least and most of the first, metres.
+/// Else the way since the robot was lost before it is found, and the way whose views are searched for, usual ranges;
+/// and the least and most of the first, metres. Chosen, not swept.
 const FOUND_AFTER: f64 = 0.25;
 const FOUND_AFTER_M: (f64, f64) = (1.0, 10.0);
 const QUERY: f64 = 3.0;
-/// Points of a query, at most and at least.
+/// Points of a query, at most and at least. Chosen, not swept.
 const QUERY_POINTS: usize = 150;
 const FEWEST_POINTS: usize = 30;
 /// The search from above is made for cells of a tenth of a metre: lengths are told to it in these.
 const CELL: f64 = 0.1;
-/// What the newest view has to bring, and those before.
+/// What the newest view has to bring, and those before. Chosen, not swept.
 const NEWEST: Strictness = Strictness { min_inlier_ratio: 0.75, max_contradicted: 0.04 };
-/// The same where there is no way to speak for it, as for a planar lidar.
+/// The same where there is no way to speak for it, as for a planar lidar. Chosen, not swept.
 const ALONE: Strictness = Strictness { min_inlier_ratio: 0.9, max_contradicted: 0.02 };
 /// What is asked of views along which loops are looked for, or of which enough were taken since the robot was lost.
 pub(super) const ALONG_THE_WAY: Wanted = Wanted { most: MAX_PLACES_AHEAD, best: NEWEST };

@@ -7,15 +7,15 @@ use percept_perception::features2d::{Features, Keypoint, Orb, OrbParams};
 use rustc_hash::FxHashSet;
 
 /// Pixels and voxels are this share of the usual range, rounded to a power of two so that maps can be compared, and
-/// within these bounds (m).
+/// within these bounds (m). Chosen, not swept.
 const FINENESS: f64 = 1.0 / 60.0;
 const VOXELS_M: (f64, f64) = (0.125, 0.5);
-/// The picture reaches so many usual ranges from the anchor, and is at most so many pixels wide.
+/// The picture reaches so many usual ranges from the anchor, and is at most so many pixels wide. Chosen, not swept.
 const REACH: f64 = 1.6;
 const MOST_PIXELS: usize = 400;
-/// Keypoints of a picture.
+/// Keypoints of a picture. Chosen, not swept.
 const FEATURES: usize = 300;
-/// Fewer points make no place.
+/// Fewer points make no place. Chosen, not swept.
 const FEWEST_POINTS: usize = 300;
 
 /// A keyframe with base to map.

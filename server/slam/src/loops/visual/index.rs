@@ -10,10 +10,10 @@ use std::collections::BTreeMap;
 
 /// Words of a descriptor.
 const WORDS: usize = 16;
-/// A word that so many features share tells nothing.
+/// A word that so many features share tells nothing. Chosen, not swept.
 const COMMON: usize = 512;
 
-/// Features of a keyframe, at most: numbers of eight bits.
+/// Features of a keyframe, at most: numbers of eight bits. The size of u8.
 pub(super) const MOST_FEATURES: usize = 256;
 
 /// A feature: its keyframe's slot, and its number there. Each feature has sixteen of these, so that they make up most of the memory.

@@ -6,7 +6,7 @@
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use percept_geometry::Pose;
 
-/// Samples of three pairs.
+/// Samples of three pairs. Of pairs of which a fifth are right, all samples miss in 4 of 100 cases: (1 - 0.2^3)^400.
 const SAMPLES: usize = 400;
 
 /// A pair: the point in `from`, the point in `to`, and how far they may lie apart, metres.

@@ -10,7 +10,7 @@ use super::{Mono, knows_way};
 use crate::motion_prior::MotionPrior;
 use percept_geometry::{Pose, Timestamp};
 
-/// Maps kept at most; the smallest goes first.
+/// Maps kept at most; the smallest goes first. Chosen, not swept.
 const MAX_MAPS: usize = 4;
 
 /// A map and what makes odom poses of its own.

@@ -11,15 +11,16 @@ pub(super) struct PointId(pub(super) u32);
 
 /// From one pyramid level to the next: ORB's usual factor.
 pub(super) const SCALE_FACTOR: f64 = 1.2;
-/// Pyramid levels.
+/// Pyramid levels: ORB's usual number.
 pub(super) const NUM_LEVELS: usize = 8;
-/// Edge of a cell of the search grid, pixels.
+/// Edge of a cell of the search grid, pixels. Halved 24.1, doubled 25.6 ([`super`]).
 const CELL_PX: f64 = 24.0;
-/// Fewer features than this are no texture.
+/// Fewer features than this are no texture. Chosen, not swept.
 pub(super) const MIN_FEATURES: usize = 80;
 /// Rays farther than this from the optical axis are not used: tangent of 70 degrees.
 const MAX_TANGENT: f64 = 2.75;
-/// A pixel darker or brighter than these holds no detail; so large a share of them is a wrong exposure.
+/// A pixel darker or brighter than these holds no detail; so large a share of them is a wrong exposure. Chosen, not
+/// swept.
 const DARK: u8 = 3;
 const BRIGHT: u8 = 252;
 const SPOILT_SHARE: f64 = 0.7;

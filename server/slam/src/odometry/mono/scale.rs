@@ -14,14 +14,14 @@ use crate::tracking::Scale;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Covariance6, DepthImage, Pose, se3};
 
-/// The median is believed when its relative standard error is below this.
+/// The median is believed when its relative standard error is below this. Chosen, not swept.
 const SURE: f64 = 0.04;
 /// Steps between views shorter than this tell nothing, metres; nor do those shorter than twice their error.
 const MIN_STEP_M: f64 = 0.02;
-/// Views' steps that are needed, and metres in all.
+/// Views' steps that are needed, and metres in all. Chosen, not swept.
 const MIN_STEPS: usize = 4;
 const MIN_WAY_M: f64 = 0.3;
-/// Points of one image with depth, and images of a second camera, that are needed.
+/// Points of one image with depth, and images of a second camera, that are needed. Chosen, not swept.
 const MIN_DEPTHS: usize = 30;
 const MIN_SECONDS: usize = 6;
 

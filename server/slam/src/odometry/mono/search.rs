@@ -7,11 +7,12 @@ use nalgebra::Point3;
 use percept_geometry::Pose;
 use rustc_hash::FxHashSet;
 
-/// Descriptors that differ in more bits are not the same place, of 256 (unrelated ones differ in 128)...
+/// Descriptors that differ in more bits are not the same place, of 256 (unrelated ones differ in 128)... ORB-SLAM2's
+/// code has 100.
 pub(super) const FAR_BITS: u32 = 90;
-/// ... and this where nothing else speaks for the match.
+/// ... and this where nothing else speaks for the match. ORB-SLAM2's code has 50.
 pub(super) const NEAR_BITS: u32 = 55;
-/// Beyond 60 degrees from where it was seen a point looks different.
+/// Beyond 60 degrees from where it was seen a point looks different. As in ORB-SLAM2's code.
 const MIN_COSINE: f64 = 0.5;
 
 /// Finds the points that the last frame showed around where they are expected; returns how many.

@@ -8,17 +8,18 @@ use percept_geometry::{Pose, Timestamp};
 use percept_perception::features2d::{MatchParams, match_features};
 use percept_perception::multiview::{RansacParams, TwoViewEstimate, TwoViewOutcome, estimate_two_view};
 
-/// Fewer matches than this do not start a map.
+/// Fewer matches than this do not start a map. ORB-SLAM2's code has 100, of twice as many features. ATE of `evaluate
+/// mono rgbd-7scenes-a` is 27.3 mm halved, doubled and as it is.
 const MIN_MATCHES: usize = 80;
-/// Fewer points than this do not either.
+/// Fewer points than this do not either. As in ORB-SLAM2's code.
 const MIN_POINTS: usize = 50;
-/// Pixels that half of the matches have to move before the two-view geometry is tried.
+/// Pixels that half of the matches have to move before the two-view geometry is tried. Chosen, not swept.
 const MIN_MOVED_PX: f64 = 8.0;
 /// Parallax that a point needs, radians: 1 degree, as ORB-SLAM has it.
 pub(super) const MIN_PARALLAX: f64 = 0.0175;
-/// A plane needs more: its two solutions differ little from near by.
+/// A plane needs more: its two solutions differ little from near by. Halved and doubled 25.1 ([`super`]).
 const PLANE_PARALLAX: f64 = 0.06;
-/// The reference image is replaced after so many images.
+/// The reference image is replaced after so many images. Two seconds at 30 Hz.
 const MAX_AGE: usize = 60;
 
 /// The image that the second view is sought for.

@@ -10,13 +10,13 @@ use super::intensity::Intensity;
 use nalgebra::Vector3;
 use percept_geometry::CameraIntrinsics;
 
-/// Frames whose edges are kept.
+/// Frames whose edges are kept. Chosen, not swept.
 const MAX_FRAMES: usize = 8;
-/// Edges kept of one frame.
+/// Edges kept of one frame. Chosen, not swept.
 const MAX_EDGES: usize = 400;
-/// Fewest edges to judge by.
+/// Fewest edges to judge by. Chosen, not swept.
 const MIN_EDGES: usize = 150;
-/// Another camera must bring the edges so much more gradient than the one believed.
+/// Another camera must bring the edges so much more gradient than the one believed. Chosen, not swept.
 const CLEARLY: f32 = 1.15;
 
 /// Pinhole of the colour image on the frame's grid, its optical axis parallel to depth's.

@@ -10,9 +10,9 @@ use nalgebra::{Matrix3, Vector3};
 use percept_geometry::{CameraIntrinsics, Distortion};
 use rayon::prelude::*;
 
-/// Half width of the plane fit's window, pixels.
+/// Half width of the plane fit's window, pixels. Chosen, not swept.
 const WINDOW: usize = 2;
-/// Fewest pixels of the window's 25 that must support the fit.
+/// Fewest pixels of the window's 25 that must support the fit. Chosen, not swept.
 const MIN_SUPPORT: f32 = 10.0;
 /// Rows a task: fixed, so that the number of threads changes nothing.
 const ROWS: usize = 8;

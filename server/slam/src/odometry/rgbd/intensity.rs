@@ -6,9 +6,9 @@
 use percept_geometry::RgbImage;
 use rayon::prelude::*;
 
-/// Added to luma (0..255) before the logarithm: below it, noise outweighs light.
+/// Added to luma (0..255) before the logarithm: below it, noise outweighs light. Chosen, not swept.
 const DARK: f32 = 32.0;
-/// Half width of the surroundings whose mean is taken away, pixels.
+/// Half width of the surroundings whose mean is taken away, pixels. Chosen, not swept.
 const SURROUNDINGS: usize = 12;
 /// Rows a task: fixed, so that the number of threads changes nothing.
 const ROWS: usize = 16;

@@ -14,12 +14,13 @@ use percept_perception::registration::{NormalEquations, accumulate};
 
 /// Points a task: fixed, so that the number of threads changes nothing.
 const CHUNK: usize = 2048;
-/// Brightness of one place differs so much between views by noise, blur and shine (1 is a factor of e).
+/// Brightness of one place differs so much between views by noise, blur and shine (1 is a factor of e). Chosen, not
+/// swept.
 pub(crate) const NOISE: f32 = 0.06;
-/// Less change than this to the next pixel is noise.
+/// Less change than this to the next pixel is noise. Chosen, not swept.
 pub(crate) const MIN_CONTRAST: f32 = 0.03;
 
-/// Fewer textured points say too little.
+/// Fewer textured points say too little. Chosen, not swept.
 pub(crate) const MIN_POINTS: usize = 200;
 
 /// A textured point of the model in the view's frame.

@@ -16,9 +16,11 @@ use rayon::prelude::*;
 const NONE: u32 = u32::MAX;
 /// Surfels a task: fixed, so that the number of threads changes nothing.
 const CHUNK: usize = 8192;
-/// A surface is established with so many frames' weight.
+/// A surface is established with so many frames' weight. `evaluate rgbd rgbd-7scenes-a`: ATE halved, doubled and as it
+/// is 22.6 mm.
 const ESTABLISHED: f32 = 4.0;
-/// Frames in a row after which what stands in front of a surface counts as the scene: some seconds.
+/// Frames in a row after which what stands in front of a surface counts as the scene: some seconds. Four seconds at 15
+/// Hz; halved and doubled make no difference to `evaluate rgbd`.
 const PATIENCE: u16 = 60;
 
 /// A small disc of surface in odom.
