@@ -14,18 +14,21 @@
 
 use percept_geometry::Covariance6;
 
-/// How fast the velocity of what is carried or bumps along may change, m/s^2 and rad/s^2: what predictions and sweeps allow for. Some
-/// three standard deviations of the table's first row, as a hand that begins to move or to turn exceeds its mean.
+/// How fast the velocity of what is carried or bumps along may change, m/s^2 and rad/s^2: what predictions and sweeps
+/// allow for. Four and eight times the hand's root mean square over half a second, as a hand that begins to move
+/// exceeds its mean by far. Halved and doubled in sweeps, recordings are the same (`evaluate handheld`,
+/// `kitti-tracking`).
 pub(crate) const HANDS: (f64, f64) = (4.0, 8.0);
-/// The same of what drives in a plane.
+/// The same of what drives in a plane: Intel's robot over half to one second, and twice that for turns, as it turns on
+/// the spot.
 pub(crate) const WHEELED: (f64, f64) = (1.5, 4.0);
-/// One standard deviation of it, from one frame to the next (up to half a second).
+/// Of both, one standard deviation over half a second: the middle of the table's figures.
 const USUAL: (f64, f64) = (1.0, 2.0);
 
-/// How the velocity may wander along an axis that nothing measures, m/s / sqrt(s) and rad/s / sqrt(s): a robot that drives off is
-/// noticed by nothing. Positions: the table's figures of 2 to 5 s. Turns: less than there, as what a scene leaves open is seldom the
-/// axis that a robot turns about: `evaluate lidar-sim rosette seconds=30` tells of 0.90 degrees with 0.1 and 2.06 with 0.3, and is off
-/// by 0.74.
+/// How the velocity may wander along an axis that nothing measures, m/s / sqrt(s) and rad/s / sqrt(s): a robot that
+/// drives off is noticed by nothing. Positions: the table's figures of 2 to 5 s. Turns: less than there, as what a
+/// scene leaves open is seldom the axis that a robot turns about: `evaluate lidar-sim rosette seconds=30` tells of 0.90
+/// degrees with 0.1 and 2.06 with 0.3, and is off by 0.74.
 const WANDERS: (f64, f64) = (0.3, 0.1);
 
 /// Where nothing told the motion for so long, seconds, a pose is a guess. An accelerometer that is off by 0.05 m/s^2 has led 0.6 m
@@ -38,9 +41,9 @@ pub(crate) const GUESSED_AFTER_S: f64 = 5.0;
 /// 0.1,20` is the same halved and doubled.
 pub(crate) const OVER_GAP: (f64, f64) = (10.0, 3.0);
 
-/// What wheels are off by along one axis: m / sqrt(m) and rad / sqrt(rad). Intel's (`evaluate carmen intel.clf`) are off by 0.092 m and
-/// 0.080 rad after ways of 1 m, in which they turned by 1.05 rad: two axes and one. With 0.02 rad the rosette of [`WANDERS`] tells of 0.90
-/// degrees, with 0.08 of 1.00.
+/// What wheels are off by along one axis: m / sqrt(m) and rad / sqrt(rad). Intel's (`evaluate carmen intel.clf`) are
+/// off by 0.092 m and 0.080 rad after ways of 1 m, in which they turned by 1.05 rad: two axes and one. With 0.02 rad
+/// the rosette of [`WANDERS`] tells of 0.90 degrees, with 0.08 of 1.00.
 const WHEELS: (f64, f64) = (0.065, 0.08);
 
 /// Standard deviations of position (m) and orientation (rad) of an axis, of a pose that lies between two frames `gap_s` apart and was
