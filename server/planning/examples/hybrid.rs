@@ -61,7 +61,10 @@ fn main() {
                 ratios.push(path.length_m / shortest.length_m.max(0.1));
                 expansions += path.expansions;
             }
-            PlanOutcome::NoPath { .. } => failed += 1,
+            PlanOutcome::NoPath { reason, .. } => {
+                println!("{reason:?}: {start:?} {goal:?}");
+                failed += 1;
+            }
         }
     }
     times.sort_by(f64::total_cmp);

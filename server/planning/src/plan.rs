@@ -6,7 +6,7 @@ use crate::blocking::{Refusal, first_blocking};
 use crate::costmap::Costmap;
 use crate::ends::{check_goal, check_goal_pose, check_start, check_start_pose};
 use crate::fit::Fit;
-use crate::hybrid::{CELL_SHARES, DrivingCost, Hybrid, HybridPath, Limits, closed_cells, shortcut};
+use crate::hybrid::{DrivingCost, HybridPath, Limits, Steering, closed_cells, shortcut};
 use crate::smooth::{resample, shorten, smooth};
 use crate::theta::any_angle;
 use crate::{Footprint, GridPath, HybridParams, PathRequest, PlanError, PlanParams, Planner};
@@ -96,16 +96,10 @@ fn steer(
     check_start_pose(&fit, costmap, grid, &start, params)?;
     check_goal_pose(&fit, costmap, &goal, inscribed)?;
     let closed = closed_cells(costmap, inscribed);
-    let mut spent = 0;
-    let mut found = HybridPath::Exhausted { expansions: 0 };
-    for cell_share in CELL_SHARES {
-        let HybridPath::Exhausted { expansions } = found else { break };
-        spent += expansions;
-        let limits = Limits { max_expansions: params.max_expansions.saturating_sub(spent), stop: request.stop };
-        found = Hybrid::new(costmap, &fit, &closed, goal, hybrid, cell_share).search(&start, &limits);
-    }
-    let (arcs, bound, is_final, expansions) = match found {
-        HybridPath::Found { arcs, bound, is_final, expansions } => (arcs, bound, is_final, spent + expansions),
+    let limits = Limits { max_expansions: params.max_expansions, stop: request.stop, cheaper_than: f64::INFINITY };
+    let steering = Steering { costmap, fit: &fit, closed: &closed, start, goal, params: hybrid };
+    let (arcs, bound, is_final, expansions) = match steering.search(&limits) {
+        HybridPath::Found { arcs, bound, is_final, expansions } => (arcs, bound, is_final, expansions),
         HybridPath::Exhausted { .. } => return Err(NoPathReason::NotSteerable.into()),
         HybridPath::Apart => {
             let blocking = costmap.cell(&start.position).zip(costmap.cell(&goal.position));
@@ -116,7 +110,10 @@ fn steer(
         HybridPath::Stopped { by_caller: false } => return Err(NoPathReason::SearchLimit.into()),
     };
     let cost = DrivingCost { costmap, params: hybrid };
-    let arcs = if params.smooth { shortcut(&cost, &fit, arcs) } else { arcs };
+    let (arcs, expansions) = match params.smooth {
+        true => steering.refined(shortcut(&cost, &fit, arcs), expansions, &limits),
+        false => (arcs, expansions),
+    };
     let path = Path::of_arcs(&cost, (&start, goal.position), &arcs, params.waypoint_spacing_m, &request.speed);
     Ok(Path { bound: Some(bound), is_final, expansions, ..path })
 }

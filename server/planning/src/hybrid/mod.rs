@@ -4,11 +4,14 @@
 //! [`Hybrid::search`]; [`shortcut()`] makes its answer shorter.
 
 mod cost;
+mod levels;
 mod params;
+mod refine;
 mod shortcut;
 
+use levels::Level;
 pub use params::HybridParams;
-pub(crate) use {cost::DrivingCost, shortcut::shortcut};
+pub(crate) use {cost::DrivingCost, levels::Steering, shortcut::shortcut};
 
 use crate::astar::SearchGrid;
 use crate::fit::{Fit, Motion};
@@ -49,6 +52,8 @@ pub(crate) enum HybridPath {
 pub(crate) struct Limits<'a> {
     pub(crate) max_expansions: usize,
     pub(crate) stop: Option<&'a (dyn Fn() -> bool + Sync)>,
+    /// Ways that cost as much or more are not looked for.
+    pub(crate) cheaper_than: f64,
 }
 
 /// Curves to the goal that are tried from one pose, cheapest first: of 72 words, few differ much.
@@ -61,11 +66,8 @@ const GOAL_HEADINGS: usize = 8;
 /// it, and curves cost more time than they save: on depot, the 99th percentile of times is 52 ms at 3, 69 at 5, 72 at 8.
 const TURNS_NEAR: f64 = 3.0;
 
-/// The edge of the search's cells in turning radii, if the map's cells are smaller: first, and in turn where nothing was found.
-/// On depot, with cells of 5 cm and a radius of 0.8 m, the 99th percentile of times is 28 ms at 0.25, 32 at 0.19 and 56 at
-/// 0.125, all with paths of the same lengths; but in places as tight as those of tb3_sandbox, 14 of 100 paths are only found
-/// by cells finer than 0.19.
-pub(crate) const CELL_SHARES: [f64; 3] = [0.25, 0.125, 0.0625];
+/// A straight way over the longest that eight neighbours make of it, at an angle of 22.5 degrees: its cosine.
+const STRAIGHT: f64 = 0.923_879_532_511_286_7;
 
 /// Source: Dolgov, Thrun, Montemerlo and Diebel, "Practical search techniques in path planning for autonomous driving",
 /// 2008: cells of position and heading that each keep one exact pose; an estimate that is the larger of the way over cells
@@ -81,8 +83,9 @@ pub(crate) struct Hybrid<'a> {
     /// What may be driven from a pose.
     arcs: Vec<Arc>,
     cell_m: f64,
+    is_exact: bool,
     nodes: Vec<Node>,
-    node_of: FxHashMap<u64, u32>,
+    node_of: FxHashMap<(u32, u32, u32), u32>,
     open: BinaryHeap<Open>,
 }
 
@@ -107,17 +110,17 @@ struct Finish {
 }
 
 impl<'a> Hybrid<'a> {
-    /// `closed` is what [`closed_cells`] gave for the same footprint, `cell_share` one of [`CELL_SHARES`].
+    /// `closed` is what [`closed_cells`] gave for the same footprint.
     pub(crate) fn new(
         costmap: &'a Costmap,
         fit: &'a Fit<'a>,
         closed: &'a [bool],
         goal: Goal,
         params: HybridParams,
-        cell_share: f64,
+        level: &Level,
     ) -> Self {
-        let resolution = costmap.geometry().resolution_m;
-        let cell_m = resolution.max(cell_share * params.turning_radius_m);
+        let cell_m = level.cell_m(costmap, &params);
+        let params = HybridParams { num_headings: params.num_headings * level.headings, ..params };
         let heading = TAU / params.num_headings as f64;
         // An arc leaves its cell and ends in the middle of a heading's bin.
         let turn = (cell_m * std::f64::consts::SQRT_2 / (params.turning_radius_m * heading)).ceil() * heading;
@@ -138,6 +141,7 @@ impl<'a> Hybrid<'a> {
             },
             arcs,
             cell_m,
+            is_exact: level.is_exact,
             nodes: vec![],
             node_of: FxHashMap::default(),
             open: BinaryHeap::new(),
@@ -159,7 +163,7 @@ impl<'a> Hybrid<'a> {
                 continue;
             }
             least = least.min(at.cost + at.remaining);
-            if best.as_ref().is_some_and(|best| best.cost <= estimate) {
+            if best.as_ref().map_or(limits.cheaper_than, |best| best.cost) <= estimate {
                 break;
             }
             let stopped = expansions % 64 == 63 && limits.stop.is_some_and(|stop| stop());
@@ -175,7 +179,7 @@ impl<'a> Hybrid<'a> {
             // The nearer, the more often.
             if since_curve as f64 >= at.remaining / self.cost.params.turning_radius_m {
                 since_curve = 0;
-                self.try_curves(node, &mut best);
+                self.try_curves(node, limits.cheaper_than, &mut best);
             }
             since_curve = since_curve.saturating_add(1);
             for i in 0..self.arcs.len() {
@@ -237,7 +241,7 @@ impl<'a> Hybrid<'a> {
     }
 
     /// Tries curves from a node to the goal.
-    fn try_curves(&self, node: u32, best: &mut Option<Finish>) {
+    fn try_curves(&self, node: u32, limit: f64, best: &mut Option<Finish>) {
         let at = &self.nodes[node as usize];
         let before = at.came.map(|(_, arc)| arc);
         let mut found = Vec::new();
@@ -247,7 +251,7 @@ impl<'a> Hybrid<'a> {
         }
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (least, curve) in found.into_iter().take(TRIED_CURVES) {
-            let is_better = |cost: f64| best.as_ref().is_none_or(|best| at.cost + cost < best.cost);
+            let is_better = |cost: f64| at.cost + cost < best.as_ref().map_or(limit, |best| best.cost);
             if !is_better(least) {
                 break;
             }
@@ -284,9 +288,9 @@ impl<'a> Hybrid<'a> {
         curve.pieces().iter().map(piece).sum::<f64>() + changes
     }
 
-    /// Cost of the unobstructed curve, if the goal has a heading and is near over cells; else 0.
+    /// Cost of the unobstructed curve, if the goal has a heading and is near over cells (or all is to be exact); else 0.
     fn unobstructed_to_goal(&self, pose: &Pose2, over_cells: f64) -> f64 {
-        let near = TURNS_NEAR * self.cost.params.turning_radius_m;
+        let near = if self.is_exact { f64::INFINITY } else { TURNS_NEAR * self.cost.params.turning_radius_m };
         let Some(yaw_rad) = self.goal.yaw_rad.filter(|_| over_cells < near) else { return 0.0 };
         let goal = Pose2 { position: self.goal.position, yaw_rad };
         let mut least = f64::INFINITY;
@@ -294,20 +298,25 @@ impl<'a> Hybrid<'a> {
         least
     }
 
+    /// What any way to the goal's heading costs at least; 0 if it has none.
+    pub(crate) fn unobstructed_at_least(&self, pose: &Pose2) -> f64 {
+        self.unobstructed_to_goal(pose, 0.0)
+    }
+
     /// Metres; infinite where there is no way.
     fn estimate_over_cells(&mut self, pose: &Pose2) -> f64 {
         let costmap = self.cost.costmap;
         let index = costmap.cell(&pose.position).map(|c| costmap.at(c));
         let cells = index.and_then(|i| self.over_cells.cost_from(i));
-        cells.map_or(f64::INFINITY, |c| c * costmap.geometry().resolution_m)
+        let share = if self.is_exact { STRAIGHT } else { 1.0 };
+        cells.map_or(f64::INFINITY, |c| c * costmap.geometry().resolution_m * share)
     }
 
-    fn key(&self, pose: &Pose2) -> u64 {
+    fn key(&self, pose: &Pose2) -> (u32, u32, u32) {
         let d = (pose.position - self.cost.costmap.geometry().origin) / self.cell_m;
         let heading = pose.yaw_rad / TAU * self.cost.params.num_headings as f64;
         let heading = heading.round().rem_euclid(self.cost.params.num_headings as f64);
-        // Poses are inside the map, whose cells are numbered with 32 bits; at most 360 headings.
-        (d.y.max(0.0) as u64) << 36 | (d.x.max(0.0) as u64 & 0x07FF_FFFF) << 9 | heading as u64
+        (d.x.max(0.0) as u32, d.y.max(0.0) as u32, heading as u32)
     }
 
     fn trace(&self, finish: &Finish) -> Arcs {

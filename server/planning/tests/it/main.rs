@@ -10,6 +10,7 @@ mod checker;
 mod clearance;
 mod coverage;
 mod ends;
+mod exhaustive;
 mod flight;
 mod frontier;
 mod repair;

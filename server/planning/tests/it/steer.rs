@@ -1,6 +1,7 @@
 //! Paths that a robot steers.
 
 use crate::checker::{check, overlaps};
+use crate::exhaustive::Exhaustive;
 use crate::worlds::world;
 use crate::{drawn, hall};
 use nalgebra::Point2;
@@ -58,6 +59,54 @@ fn steered_paths_in_many_worlds_fit_turn_no_tighter_and_meet_both_headings() {
         }
     }
     assert!(found >= 12 && reversed >= 3, "{found} found, {reversed} with reverse");
+}
+
+#[test]
+fn paths_are_within_three_per_cent_of_the_shortest_that_an_exhaustive_search_finds() {
+    let (mut compared, mut bent) = (0, 0);
+    for seed in 0..40 {
+        let (grid, [start, goal]) = world(seed);
+        let yaw = |k: u64| (seed * k % 17) as f64 * 0.37 - PI;
+        let (start, goal) = (pose(start.x, start.y, yaw(5)), pose(goal.x, goal.y, yaw(7)));
+        let exhaustive = Exhaustive {
+            grid: &grid,
+            half: [0.3, 0.2],
+            turning_radius_m: 0.5,
+            allow_reverse: true,
+            cell_m: 0.05,
+            num_headings: 72,
+            max_expansions: 4000,
+        };
+        if !exhaustive.fits(&start) || !exhaustive.fits(&goal) {
+            continue;
+        }
+        let shortest = exhaustive.search(start, goal);
+        let (Some(length), true) = (shortest.length_m, shortest.is_done) else { continue };
+        // Length alone counts.
+        let hybrid = HybridParams {
+            turning_radius_m: 0.5,
+            reverse_cost: 1.0,
+            turning_cost: 1.0,
+            direction_change_cost_m: 0.0,
+            refine_expansions: 20_000,
+            ..HybridParams::default()
+        };
+        let params = PlanParams { start_tolerance_m: 0.0, clearance_weight: 0.0, ..PlanParams::default() };
+        let footprint = polygon(&BOX);
+        let request = PathRequest {
+            start,
+            goal: Goal { position: goal.position, yaw_rad: Some(goal.yaw_rad) },
+            planner: Planner::Hybrid(hybrid),
+            footprint: Some(&footprint),
+            ..PathRequest::new(start.position, goal.position, &params)
+        };
+        let PlanOutcome::Path(path) = plan_path(&grid, &request).unwrap() else { panic!("world {seed}: {length} m") };
+        check(&grid, &BOX, &path, 0.5);
+        assert!(path.length_m <= 1.03 * length, "world {seed}: {} {length}", path.length_m);
+        compared += 1;
+        bent += usize::from(shortest.expansions > 20);
+    }
+    assert!(compared >= 10 && bent >= 3, "{compared}, {bent} with something in the way");
 }
 
 #[test]
