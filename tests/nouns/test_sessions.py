@@ -4,7 +4,16 @@ import asyncio
 
 import percept
 import pytest
-from percept import AlreadyExists, AsyncClient, InvalidArgument, Keyframe, NotFound, PoseEstimate, Resync
+from percept import (
+    AlreadyExists,
+    AsyncClient,
+    InvalidArgument,
+    Keyframe,
+    NotFound,
+    PoseEstimate,
+    Resync,
+    SensorSpec,
+)
 
 from support import world
 
@@ -93,6 +102,7 @@ def test_parameters_that_are_set_replace_the_defaults(client):
     value = dict(leaves(defaults))[path]
     session = client.sessions.create(params=nested(path, value * 2))
     changed = {p: v for p, v in leaves(session.info().params) if v != dict(leaves(defaults)).get(p)}
+    assert changed.pop(("preset",)) == "indoor"
     assert changed == {path: pytest.approx(value * 2)}
 
 
@@ -220,7 +230,9 @@ def test_asyncio_does_the_same(server):
                 event = await anext(watch)
                 assert event.token == 1
             assert stream.summary.durable == 5
-            pose, trajectory, grid = await asyncio.gather(session.pose(), session.trajectory(), session.map.occupancy())
+            pose, trajectory, grid = await asyncio.gather(
+                session.pose(), session.trajectory(), session.map.occupancy()
+            )
             assert pose.stamp_ns == trajectory.stamps_ns[-1] == world.stamp(4)
             assert grid.stamp.map_version == pose.map_version
             assert [k.keyframe_id async for k in session.keyframes()][:1] == [0]
@@ -229,3 +241,22 @@ def test_asyncio_does_the_same(server):
             await session.delete()
 
     asyncio.run(scenario())
+
+
+def test_the_preset_goes_by_the_sensors_and_what_is_set_stands_over_it(client):
+    far = SensorSpec("lidar", kind="lidar3d", range_max_m=120.0)
+    outdoors = client.sessions.create(sensors=[far]).info()
+    assert outdoors.params["preset"] == "outdoor"
+    assert outdoors.sensors[0].spec.range_max_m == 120.0
+    assert outdoors.params["map"]["occupancy"]["resolution_m"] == 0.2
+    assert outdoors.params["map"]["height"]["enabled"]
+    own = {"map": {"occupancy": {"resolution_m": 0.1}}}
+    finer = client.sessions.create(sensors=[far], params=own).info()
+    assert finer.params["map"]["occupancy"]["resolution_m"] == 0.1
+    assert finer.params["map"]["cloud"]["voxel_size_m"] == 0.2
+    indoors = client.sessions.create(sensors=[far], params={"preset": "indoor"}).info()
+    usual = client.sessions.create().info()
+    assert indoors.params == usual.params
+    assert usual.params["preset"] == indoors.params["preset"]
+    with pytest.raises(InvalidArgument):
+        client.sessions.create(sensors=[SensorSpec("lidar", kind="lidar3d", range_max_m=-1.0)])

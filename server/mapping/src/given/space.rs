@@ -10,12 +10,14 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-/// A view in each square of this edge, metres: as far as two scans of a lidar may lie apart and still show the same (the loops of
-/// `loops/spatial` are verified from up to some metres); as much wider as it takes not to have more than [`MOST_VIEWS`].
-const SQUARE_M: f64 = 2.0;
+/// So many views stand along the range of one: what is seen from a place is seen from several, and a robot that is there is within a
+/// square of one of them. Squares have edges between these, metres.
+const VIEWS_A_RANGE: f64 = 8.0;
+const SQUARE_M: (f64, f64) = (2.0, 5.0);
+/// Squares are larger where there would be more views.
 const MOST_VIEWS: usize = 1_000;
-/// Beams of a view: rings between these elevations, and azimuths. As a lidar of 64 rings that looks all around.
-const RINGS: usize = 64;
+/// Beams of a view: rings between these elevations, and azimuths. As a lidar of 32 rings that looks all around.
+const RINGS: usize = 32;
 const ELEVATION_RAD: (f64, f64) = (-0.8, 0.8);
 const AZIMUTHS: usize = 720;
 /// What stands over the ground lower than this leaves no room for a robot, metres.
@@ -86,7 +88,9 @@ impl GivenSpace {
         let ground = self.ground(options.sensor_height_m, up);
         let mut ranked: Vec<(Cell, f32)> = ground.iter().map(|(c, z)| (*c, self.room_around(*c, *z + up))).collect();
         ranked.sort_by_key(|(c, _)| *c);
-        let mut edge = (SQUARE_M / self.voxel_m).ceil().max(1.0) as i32;
+        let (nearest, farthest) = SQUARE_M;
+        let square_m = (options.range_max_m / VIEWS_A_RANGE).clamp(nearest, farthest);
+        let mut edge = (square_m / self.voxel_m).ceil().max(1.0) as i32;
         let mut best = best_of_squares(ranked.iter().copied(), edge);
         while best.len() > MOST_VIEWS {
             edge = edge.saturating_mul(5) / 4 + 1;
@@ -214,11 +218,8 @@ impl GivenSpace {
             } else {
                 (at.z, tz) = (at.z + sz, tz + dz);
             }
-            if self.is_occupied(at) {
-                return Beam::Ends(at);
-            }
             if !self.is_open(at) {
-                return Beam::Lost;
+                return if self.is_occupied(at) { Beam::Ends(at) } else { Beam::Lost };
             }
         }
     }

@@ -4,7 +4,8 @@ use super::maps::stamp_of;
 use super::navigation::{PathOptions, PlanRequest, dense, known_pose, plan_error};
 use crate::{Error, ErrorCode, Result, Service, reason};
 use nalgebra::{Point2, Point3};
-use percept_geometry::{Aabb3, Timestamp};
+use percept_geometry::{Aabb3, GridGeometry, Timestamp};
+use percept_mapping::DenseGrid;
 use percept_pipeline::Snapshot;
 use percept_planning::flight::{DenseVoxels, FlightOutcome, FlightParams, FlightPlanner, FlightRequest, plan_flight};
 use percept_planning::{
@@ -59,6 +60,8 @@ pub struct FlightQuestion {
     pub deadline: Option<Duration>,
 }
 
+/// Around a grid in which frontiers are looked for: the search's own rim is one cell.
+const MARGIN_CELLS: usize = 2;
 /// Voxels of a box that is searched: a byte each, and some 20 while it is.
 const MAX_FLIGHT_VOXELS: usize = 32_000_000;
 
@@ -93,7 +96,7 @@ impl Service {
                 Error::new(ErrorCode::FailedPrecondition, reason::NO_POSE_YET, message)
             })?;
             let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
-            let grid = dense(&snapshot, params.max_cells)?;
+            let grid = with_margin(&dense(&snapshot, params.max_cells)?, MARGIN_CELLS);
             let least = (request.min_length_m / grid.geometry.resolution_m).ceil().max(1.0) as usize;
             let mut found = frontiers(&grid, start, &params, least).map_err(plan_error)?;
             rank_frontiers(&mut found, request.gain)
@@ -111,6 +114,19 @@ impl Service {
         let snapshot = self.snapshot(session).await?;
         self.compute.query(&self.asker(session)?, move || flown(&snapshot, &question)).await?
     }
+}
+
+/// A grid with nothing known around it: what is free at its edge borders on that.
+fn with_margin(grid: &DenseGrid, margin: usize) -> DenseGrid {
+    let (width, height) = (grid.width + 2 * margin, grid.height + 2 * margin);
+    let mut cells = vec![-1; width * height];
+    for (y, row) in grid.cells.chunks_exact(grid.width.max(1)).enumerate() {
+        let at = (y + margin) * width + margin;
+        cells[at..at + row.len()].copy_from_slice(row);
+    }
+    let shift = margin as f64 * grid.geometry.resolution_m;
+    let geometry = GridGeometry::new(grid.geometry.resolution_m, grid.geometry.origin.map(|v| v - shift));
+    DenseGrid { geometry, width, height, cells }
 }
 
 fn limited(params: PlanParams, max_cells: usize) -> PlanParams {
