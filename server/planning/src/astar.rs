@@ -51,6 +51,16 @@ pub fn search(grid: &SearchGrid<'_>, start: Cell, goal: Cell, max_expansions: us
         return GridPath::Unreachable { expansions: 0 };
     };
     let bits = BitLines::rows(grid.blocked, grid.width, grid.height);
+    search_over(grid, &bits, (first, last), max_expansions)
+}
+
+/// As [`search`], between cells by index, with the grid's rows as bits.
+pub(crate) fn search_over(
+    grid: &SearchGrid<'_>,
+    bits: &BitLines,
+    (first, last): (usize, usize),
+    max_expansions: usize,
+) -> GridPath {
     let width = grid.width as u32;
     let (goal_x, goal_y) = (last as u32 % width, last as u32 / width);
     let estimate = |x: u32, y: u32| octile(x.abs_diff(goal_x), y.abs_diff(goal_y));
@@ -76,7 +86,7 @@ pub fn search(grid: &SearchGrid<'_>, start: Cell, goal: Cell, max_expansions: us
         }
         expansions += 1;
         let came_by = if grid.factors.is_empty() { step } else { NO_STEP };
-        let mut steps = worthwhile_steps(&bits, x as usize, y as usize, came_by);
+        let mut steps = worthwhile_steps(bits, x as usize, y as usize, came_by);
         while steps != 0 {
             let step = steps.trailing_zeros() as usize;
             steps &= steps - 1;
@@ -93,7 +103,7 @@ pub fn search(grid: &SearchGrid<'_>, start: Cell, goal: Cell, max_expansions: us
     if best == u64::MAX {
         return GridPath::Unreachable { expansions };
     }
-    let cells = grid.trace(&bits, &costs, last);
+    let cells = grid.trace(bits, &costs, last);
     GridPath::Found { cost: grid.cost_of(&cells), cells, expansions }
 }
 

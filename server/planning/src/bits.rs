@@ -56,6 +56,26 @@ impl BitLines {
         out
     }
 
+    /// Places for each cell where a scan along a line stops beside the end of an obstacle, in either direction, by every fourth
+    /// line; `width` and `height` are of the lines.
+    pub(crate) fn jump_density(&self, width: usize, height: usize) -> f64 {
+        const EVERY: usize = 4;
+        let mut stops = 0u64;
+        for line in (0..height).step_by(EVERY) {
+            let (before, own, after) = self.around(line);
+            let mut last = [u64::MAX; 3];
+            for ((&b, &o), &a) in before.iter().zip(own).zip(after) {
+                let shifted = |now: u64, last: u64| now << 1 | last >> 63;
+                // Cells that are free, and the one before them, too.
+                let is_free = !o & !shifted(o, last[1]);
+                let ends = |side: u64, last: u64| ((side ^ shifted(side, last)) & is_free).count_ones();
+                stops += u64::from(ends(b, last[0]) + ends(a, last[2]));
+                last = [b, o, a];
+            }
+        }
+        stops as f64 / (width * height.div_ceil(EVERY)).max(1) as f64
+    }
+
     fn solid(length: usize, lines: usize) -> Self {
         let stride = length / 64 + 3;
         Self { words: vec![u64::MAX; stride * (lines + 2)], stride }
@@ -183,6 +203,18 @@ mod tests {
             }
             before = next;
         }
+    }
+
+    #[test]
+    fn density_counts_the_ends_of_obstacles_on_both_sides() {
+        // Obstacles of one cell, eight apart both ways: in every fourth row, each is beside that row or not.
+        let (width, height) = (128, 64);
+        let cells: Vec<bool> = (0..width * height).map(|i| i % 8 == 4 && i / width % 8 == 1).collect();
+        let found = BitLines::rows(&cells, width, height).jump_density(width, height);
+        // Rows 0, 8, ... have sixteen obstacles beside them, each with two ends; rows 4, 12, ... have none.
+        assert_eq!(found, 2.0 * 16.0 * 8.0 / (128.0 * 16.0));
+        let free = BitLines::rows(&vec![false; 100 * 10], 100, 10);
+        assert_eq!((free.jump_density(100, 10), BitLines::rows(&[], 0, 0).jump_density(0, 0)), (0.0, 0.0));
     }
 
     proptest! {

@@ -43,7 +43,7 @@ pub use distance::clearance_in_cells;
 pub use footprint::Footprint;
 pub use frontier::{Frontier, frontiers, rank_frontiers};
 pub use hybrid::HybridParams;
-pub use jump::shortest_path;
+pub use jump::{jump_point_search, shortest_path};
 pub use params::PlanParams;
 pub use plan::{plan, plan_dense, plan_over, plan_path};
 pub use repair::{RepairedRoute, RepairingPlanner};

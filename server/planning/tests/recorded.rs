@@ -9,7 +9,7 @@ use percept_geometry::Cell;
 use percept_mapping::DenseGrid;
 use percept_planning::{
     Footprint, Goal, GridPath, HybridParams, PathRequest, PlanOutcome, PlanParams, Planner, Pose2, SearchGrid,
-    astar::search, plan_path, shortest_path, validate_path,
+    astar::search, jump_point_search, plan_path, shortest_path, validate_path,
 };
 use std::path::{Path, PathBuf};
 
@@ -80,8 +80,9 @@ fn optimal_lengths_of_the_moving_ai_scenarios_are_met(data: &Path) {
                 assert!((walked(&map, &cells) - cost).abs() < 1e-6, "{path:?} {row}: {cost}");
             };
             check(shortest_path(&map.blocked, map.width, map.height, start, goal, usize::MAX));
+            let grid = SearchGrid { blocked: &map.blocked, factors: &[], width: map.width, height: map.height };
+            check(jump_point_search(&grid, start, goal, usize::MAX));
             if i % (rows.len() / 25).max(1) == 0 {
-                let grid = SearchGrid { blocked: &map.blocked, factors: &[], width: map.width, height: map.height };
                 check(search(&grid, start, goal, usize::MAX));
             }
             checked += 1;

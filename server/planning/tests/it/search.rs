@@ -1,7 +1,7 @@
 //! The search on cells, where there is nothing to find.
 
 use percept_geometry::Cell;
-use percept_planning::{GridPath, SearchGrid, astar::search, shortest_path};
+use percept_planning::{GridPath, SearchGrid, astar::search, jump_point_search, shortest_path};
 use proptest::prelude::*;
 
 /// Dijkstra by the book: the nearest unsettled cell, found by looking at all of them.
@@ -62,10 +62,12 @@ proptest! {
         let cell = |i: usize| Cell::new((i % width) as i32, (i / width) as i32);
         let even = SearchGrid { blocked: &blocked, factors: &[], width, height };
         let shortest = dijkstra(&even, start, goal);
-        let by_jumps = shortest_path(&blocked, width, height, cell(start), cell(goal), usize::MAX);
+        let by_jumps = jump_point_search(&even, cell(start), cell(goal), usize::MAX);
+        let either = shortest_path(&blocked, width, height, cell(start), cell(goal), usize::MAX);
         let by_cells = search(&even, cell(start), cell(goal), usize::MAX);
         prop_assert!(is_same(cost(&by_jumps), shortest), "{by_jumps:?}, not {shortest:?}");
         prop_assert!(is_same(cost(&by_cells), shortest), "{by_cells:?}, not {shortest:?}");
+        prop_assert!(is_same(cost(&either), shortest), "{either:?}, not {shortest:?}");
         let factors: Vec<f32> = (0..blocked.len()).map(|i| 1.0 + top * (seed[i] % 7) as f32 / 7.0).collect();
         let weighted = SearchGrid { factors: &factors, ..even };
         let cheapest = dijkstra(&weighted, start, goal);
