@@ -3,8 +3,10 @@
 //! Comes in: an [`Occupancy`](percept_mapping::Occupancy) (or a [`DenseGrid`](percept_mapping::DenseGrid) cut
 //! from one), and a [`PathRequest`] in its frame: two ends, a footprint, zones, and by which [`Planner`]. Goes out:
 //! [`PlanOutcome`]: waypoints with their times, cost and clearance, or a [`NoPathReason`] and what is in the way. Nothing
-//! here follows the path, or watches a clock. Paths in space, through voxels, are in [`flight`]. Start with [`plan()`] for a disc from point to point, with [`plan_path`] for
-//! all else; where to go to see more is [`frontiers`].
+//! here follows the path, or watches a clock. Start with [`plan()`] for a disc from point to point, with [`plan_path`] for
+//! all else. Further questions: ever better paths while there is time ([`anytime`]), a path that is repaired as the map changes
+//! ([`repair`]), one that covers all that is reached ([`coverage`]), paths in space ([`flight`]), and where to go to see more
+//! ([`frontiers`]).
 
 mod answer;
 pub mod anytime;

@@ -110,9 +110,11 @@ fn steer(
         HybridPath::Stopped { by_caller: false } => return Err(NoPathReason::SearchLimit.into()),
     };
     let cost = DrivingCost { costmap, params: hybrid };
-    let (arcs, expansions) = match params.smooth {
-        true => steering.refined(shortcut(&cost, &fit, arcs), expansions, &limits),
-        false => (arcs, expansions),
+    let (arcs, is_final, expansions) = if params.smooth {
+        let refined = steering.refined(shortcut(&cost, &fit, arcs), expansions, &limits);
+        (refined.arcs, is_final && refined.is_final, refined.expansions)
+    } else {
+        (arcs, is_final, expansions)
     };
     let path = Path::of_arcs(&cost, (&start, goal.position), &arcs, params.waypoint_spacing_m, &request.speed);
     Ok(Path { bound: Some(bound), is_final, expansions, ..path })

@@ -16,11 +16,20 @@ const LONGEST: f64 = 12.0;
 /// A cheaper way has to save this share.
 const LEAST_GAIN: f64 = 2e-3;
 
+/// What came of it.
+pub(crate) struct Refined {
+    pub(crate) arcs: Arcs,
+    /// Of this and all before.
+    pub(crate) expansions: usize,
+    /// False if the caller ended it.
+    pub(crate) is_final: bool,
+}
+
 impl Steering<'_> {
     /// The cheapest of a way and those that finer searches find; and expansions, those given among them.
     ///
     /// Their estimates are not made larger, so that a level that comes to its end has found what is the cheapest at its fineness.
-    pub(crate) fn refined(&self, arcs: Arcs, expansions: usize, limits: &Limits<'_>) -> (Arcs, usize) {
+    pub(crate) fn refined(&self, arcs: Arcs, expansions: usize, limits: &Limits<'_>) -> Refined {
         let cost = DrivingCost { costmap: self.costmap, params: self.params };
         let exactly = Steering { params: HybridParams { tolerance: 0.0, ..self.params }, ..*self };
         let (mut best, mut spent) = (arcs, expansions);
@@ -32,11 +41,16 @@ impl Steering<'_> {
             }
             let length: f64 = best.iter().map(|(_, arc)| arc.length.abs()).sum();
             let known = cost.of_arcs(&best, None);
-            if length > LONGEST * self.params.turning_radius_m || self.is_cheapest(known) {
+            if length > LONGEST * self.params.turning_radius_m {
                 break;
             }
             let of_level = Limits { max_expansions, cheaper_than: known * (1.0 - LEAST_GAIN), ..*limits };
-            match exactly.at(level).search(&self.start, &of_level) {
+            let search = exactly.at(level);
+            // It costs what the unobstructed curve does.
+            if known <= search.unobstructed_at_least(&self.start) * (1.0 + LEAST_GAIN) {
+                break;
+            }
+            match search.search(&self.start, &of_level) {
                 HybridPath::Found { arcs, expansions, .. } => {
                     spent += expansions;
                     let arcs = shortcut(&cost, self.fit, arcs);
@@ -46,15 +60,12 @@ impl Steering<'_> {
                 }
                 HybridPath::Exhausted { expansions } => spent += expansions,
                 HybridPath::Stopped { by_caller: false } => spent += max_expansions,
-                HybridPath::Stopped { by_caller: true } | HybridPath::Apart => break,
+                HybridPath::Stopped { by_caller: true } => {
+                    return Refined { arcs: best, expansions: spent, is_final: false };
+                }
+                HybridPath::Apart => break,
             }
         }
-        (best, spent)
-    }
-
-    /// Whether no way can be cheaper: it costs what the unobstructed curve does.
-    fn is_cheapest(&self, known: f64) -> bool {
-        let least = self.at(&LEVELS[0]).unobstructed_at_least(&self.start);
-        known <= least * (1.0 + LEAST_GAIN)
+        Refined { arcs: best, expansions: spent, is_final: true }
     }
 }

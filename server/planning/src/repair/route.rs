@@ -26,7 +26,7 @@ impl RepairedRoute {
     /// before. What is different in the map is found by looking at all of it, once clearances are measured anew; the search alone
     /// is repaired. It begins from scratch when the goal's cell, or the rectangle that the map covers, is another.
     ///
-    /// `SearchLimit`: asked again, it goes on where it ended. The path is as cheap over cells as that of `plan_path`, but may be
+    /// `SearchLimit`: asked again, it goes on where it ended; the request's `stop` is not looked at. The path is as cheap over cells as that of `plan_path`, but may be
     /// another of the same cost.
     ///
     /// # Errors
