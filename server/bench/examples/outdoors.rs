@@ -2,18 +2,19 @@
 //!
 //! PATH is a recording of a 3D lidar; KITTI's labels (`label_02.txt`, `calib.txt`) beside it are boxes that the grid has to show. Printed
 //! are how wide the map is; of the known cells within a metre of the driven way how many are occupied, which it drove over; how many of
-//! fifty goals on that way are reached from its start; how many labelled things that stand within 30 m the grid shows; and the
-//! processor time of a scan on one thread, map and objects included.
+//! fifty goals on that way are reached from its start; how many labelled things that stand within 30 m the grid shows; the
+//! processor time of a scan on one thread, map and objects included; and that of a keyframe in each layer.
 
 use nalgebra::{Point2, Point3};
 use percept_formats::dataset;
-use percept_geometry::{Cell, Pose, SensorData};
-use percept_mapping::{DenseGrid, Occupancy};
+use percept_geometry::{Cell, KeyframeScan, Pose, SensorData};
+use percept_mapping::{DenseGrid, Layer, MapParams, Occupancy};
 use percept_pipeline::{Pipeline, PipelineParams};
 use percept_planning::{PlanOutcome, plan_dense};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::Path;
+use std::sync::Arc;
 
 type Failure = Box<dyn Error + Send + Sync>;
 
@@ -35,6 +36,9 @@ struct Label {
     size: (f64, f64),
 }
 
+/// Keyframes, and where they are in the map.
+type Seen = Vec<(Pose, Arc<KeyframeScan>)>;
+
 /// A label, and where its foot is in the map and how it is turned there.
 type Placed<'a> = (&'a Label, Point3<f64>, f64);
 
@@ -53,8 +57,8 @@ fn main() -> Result<(), Failure> {
     let mut pipeline = Pipeline::new(serde_json::from_value(tree)?)?;
     recording.sensors.iter().for_each(|s| pipeline.declare_sensor(s.clone()));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    let (ms, t_map_frames) = pool.install(|| -> Result<_, Failure> {
-        let (mut ms, mut poses) = (vec![], BTreeMap::new());
+    let (ms, t_map_frames, keyframes) = pool.install(|| -> Result<_, Failure> {
+        let (mut ms, mut poses, mut keyframes) = (vec![], BTreeMap::new(), vec![]);
         for (number, frame) in recording.frames(None).enumerate().filter(|(n, _)| n % every.max(1) == 0) {
             let frame = frame?;
             let is_cloud = matches!(frame.data, SensorData::Cloud(_));
@@ -64,8 +68,9 @@ fn main() -> Result<(), Failure> {
                 ms.push(processor_ms() - before);
                 poses.extend(report.pose.map(|p| (number, p.t_map_base)));
             }
+            keyframes.extend(report.keyframe.map(|k| (k.info.t_map_base, k.scan)));
         }
-        Ok((ms, poses))
+        Ok((ms, poses, keyframes))
     })?;
     pipeline.settle();
     let snapshot = pipeline.snapshot();
@@ -81,6 +86,7 @@ fn main() -> Result<(), Failure> {
         grid.height as f64 * resolution
     );
     println!("  ms of processor time a scan: {}", times(ms));
+    pool.install(|| by_layer(&snapshot.params.map, &keyframes));
     let (known, occupied) = beside(&grid, &way, 1.0);
     println!(
         "  within 1 m of the way {known} cells known, {:.2} % occupied",
@@ -117,6 +123,33 @@ fn main() -> Result<(), Failure> {
         picture(&grid, &way, Path::new(out))?;
     }
     Ok(())
+}
+
+/// Prints what keyframes take in each layer.
+fn by_layer(params: &MapParams, keyframes: &Seen) {
+    println!("  ms of processor time a keyframe:");
+    layer::<percept_mapping::OccupancyGrid>("occupancy", &params.occupancy, keyframes);
+    layer::<percept_mapping::FusedCloud>("cloud", &params.cloud, keyframes);
+    if params.voxels.enabled {
+        layer::<percept_mapping::VoxelGrid>("voxels", &params.voxels, keyframes);
+    }
+    if params.height.enabled {
+        layer::<percept_mapping::HeightGrid>("height", &params.height, keyframes);
+    }
+    if params.surface.enabled {
+        layer::<percept_mapping::SurfaceGrid>("surface", &params.surface, keyframes);
+    }
+}
+
+fn layer<L: Layer>(name: &str, params: &L::Params, keyframes: &Seen) {
+    let (mut part, mut ms) = (L::new(params), vec![]);
+    for (t_map_base, scan) in keyframes {
+        let before = processor_ms();
+        let update = L::prepare(params, t_map_base, scan);
+        part.add(&update);
+        ms.push(processor_ms() - before);
+    }
+    println!("    {name}: {}", times(ms));
 }
 
 /// Known cells within a distance of the way, and those of them that are occupied.
