@@ -7,6 +7,7 @@
 //! Source: followed along rays as in Himmelsbach, von Hundelshausen and Wuensche, "Fast segmentation of 3D point clouds for
 //! ground vehicles", 2010; the neighbouring rays speak as well here, and doubt grows with distance.
 
+use crate::angles::atan2;
 use nalgebra::{Point3, Vector2, Vector3};
 use std::f64::consts::{PI, TAU};
 
@@ -77,7 +78,7 @@ impl Place {
     pub(crate) fn of(sensor: &Point3<f64>, p: &Point3<f64>) -> Self {
         let d = p - sensor;
         let range = if p.z.is_finite() { d.xy().norm() as f32 } else { f32::NAN };
-        Self { azimuth: d.y.atan2(d.x) as f32, range, patch: NO_PATCH }
+        Self { azimuth: atan2(d.y as f32, d.x as f32), range, patch: NO_PATCH }
     }
 }
 
@@ -90,7 +91,7 @@ pub(crate) struct Patch {
     /// Height, and the range at which it is that, metres; how it goes on outward.
     z: f64,
     range: f64,
-    slope: f64,
+    pub(crate) slope: f64,
     /// What it may be off by, metres.
     pub(crate) doubt: f64,
     /// Whether ground was seen there.
@@ -183,9 +184,18 @@ impl Ground {
 
     /// The ground in a direction (radians, from -pi to pi) at a range, metres; beyond what was seen, as the last of it goes on.
     pub(crate) fn at(&self, azimuth: f64, range: f64) -> &Patch {
-        let ring =
-            self.ring_at.get((range * (10.0 / RING_M)) as usize).map_or(self.rings - 1, |ring| usize::from(*ring));
-        &self.patches[ring * SECTORS + sector_of(azimuth)]
+        &self.patches[self.ring_at(range) * SECTORS + sector_of(azimuth)]
+    }
+
+    /// The patches of a sector, ring by ring.
+    pub(crate) fn along(&self, sector: usize) -> impl Iterator<Item = &Patch> {
+        self.patches.iter().skip(sector).step_by(SECTORS)
+    }
+
+    /// The ring at a range, metres; the last one beyond what was seen.
+    #[inline]
+    pub(crate) fn ring_at(&self, range: f64) -> usize {
+        self.ring_at.get((range * (10.0 / RING_M)) as usize).map_or(self.rings - 1, |ring| usize::from(*ring))
     }
 }
 
@@ -201,7 +211,8 @@ impl Ground {
     }
 }
 
-fn sector_of(azimuth: f64) -> usize {
+/// The sector of a direction, radians, from -pi to pi.
+pub(crate) fn sector_of(azimuth: f64) -> usize {
     (((azimuth + PI) / TAU * SECTORS as f64) as usize).min(SECTORS - 1)
 }
 
@@ -223,12 +234,12 @@ fn look(sensor: &Point3<f64>, rings: usize, params: &GroundParams, points: &[Poi
     let mut seen = vec![Seen::NOTHING; rings * SECTORS];
     let place = |p: &Point3<f64>| {
         let d = p - sensor;
-        let (range, azimuth) = (d.xy().norm(), d.y.atan2(d.x));
+        let (range, azimuth) = (d.xy().norm(), atan2(d.y as f32, d.x as f32));
         let is_near = range >= params.range_min_m && range <= params.range_max_m && p.z.is_finite();
-        let patch = if is_near { ring_of(range) * SECTORS + sector_of(azimuth) } else { seen.len() };
+        let patch = if is_near { ring_of(range) * SECTORS + sector_of(azimuth.into()) } else { seen.len() };
         let patch = if patch < seen.len() { patch as u32 } else { NO_PATCH };
         let range = if p.z.is_finite() { range as f32 } else { f32::NAN };
-        Place { azimuth: azimuth as f32, range, patch }
+        Place { azimuth, range, patch }
     };
     let places: Vec<Place> = points.iter().map(place).collect();
     let within = || points.iter().zip(&places).filter(|(_, place)| place.patch != NO_PATCH);
@@ -277,10 +288,10 @@ fn patch(rays: &[Ray], slopes: &[f64], ring: usize, sector: usize, seen: &Seen) 
     let beside = |i: usize| {
         let other = (sector + SECTORS + i - BESIDE) % SECTORS;
         let (along, across) = (range - rays[other].last().0, (i as f64 - BESIDE as f64) * TAU / SECTORS as f64 * range);
-        (along.hypot(across), other)
+        (along * along + across * across, other)
     };
     let nearest = (0..=2 * BESIDE).map(beside).min_by(|a, b| a.0.total_cmp(&b.0));
-    let (gap, before) = nearest.unwrap_or((range, sector));
+    let (gap, before) = nearest.map_or((range, sector), |(square, other)| (square.sqrt(), other));
     let ((last, height), slope) = (rays[before].last(), slopes[before]);
     let expected = height + slope * (range - last);
     let doubt = (BENDS * gap).min(MAX_DOUBT_M);

@@ -7,6 +7,7 @@
 //! No pose is estimated here, and nothing is read or written outside memory: submaps that are to leave it go to the caller's
 //! [`MapStore`]. Start with [`Map`]; what a layer is stands in [`Layer`].
 
+mod angles;
 mod blocks;
 mod bytes;
 pub mod cloud;
@@ -21,6 +22,7 @@ mod layer_slot;
 mod layers;
 pub mod map;
 pub mod occupancy;
+mod seen;
 mod store;
 mod stored_scan;
 mod submap;

@@ -1,19 +1,12 @@
 //! What the keyframes of one submap saw through: how often, by voxel.
 
 use super::CloudParams;
-use super::block::{BlockKey, locate};
+use super::block::BlockKey;
 use super::range_image::{BIN_RAD, RangeImage};
+use crate::seen::{Seen, WORDS, Window};
 use nalgebra::Vector3;
-use percept_geometry::Voxel;
-use rustc_hash::FxHashMap;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// Voxels of a block, 64 a word by slot.
-const WORDS: usize = 8;
-
-/// Voxels of a block that one keyframe saw through, a bit each.
-pub(crate) type Seen = [u64; WORDS];
 
 /// How many keyframes saw through each voxel of a block, at most 7: three binary digits, the lowest first. So many
 /// take any weight of the defaults away.
@@ -59,39 +52,27 @@ pub(crate) fn count_at(count: &Count, slot: u16) -> u8 {
 pub(super) fn seen_through(ranges: &RangeImage, params: &CloudParams, planar: bool) -> Vec<(BlockKey, Seen)> {
     let voxel = params.voxel_size_m;
     let farthest = farthest_seen_through(ranges, params);
-    let mut free = Marks::default();
+    let first = params.range_min_m.max(0.5 * voxel);
+    // In voxels, so that a step is one long and nothing is divided: these are the most steps that a keyframe takes.
+    let (sensor, first_step) = (ranges.sensor() / voxel, first / voxel);
+    let mut beams: Vec<(Vector3<f64>, usize)> = Vec::new();
     ranges.visit_beams(|direction: &Vector3<f64>, shortest_around| {
         // As far as beams end well behind. What is in a voxel may lie twice as far from the beam as a point of which
         // `sees_through` says that it was seen through, so grazing beams need twice the margin.
         let reach = (shortest_around - params.margin(0.0)) / (1.0 + 2.0 * params.carve_margin_ratio);
-        let reach = reach.min(farthest);
-        let first = params.range_min_m.max(0.5 * voxel);
-        let steps = ((reach - first) / voxel).floor();
-        // In voxels, so that a step is one long and nothing is divided: these are the most steps that a keyframe takes.
-        let start = (ranges.sensor() + direction * first) / voxel;
-        let num = if steps >= 0.0 { steps as u32 + 1 } else { return };
-        let ends = [start, start + direction * f64::from(num)];
-        if !ends.iter().all(|p| p.iter().all(|v| v.abs() < MOST_VOXELS)) {
-            return;
-        }
-        // Which voxel is in the upper half of a number then, and where in it in the lower: adding is all that a step takes.
-        let fixed = |v: f64| (v * FIXED) as i64;
-        let [mut x, mut y, mut z] = [start.x, start.y, start.z].map(fixed);
-        let (dx, dy, dz) = (fixed(direction.x), fixed(direction.y), fixed(direction.z));
-        for _ in 0..num {
-            let [off_x, off_y, off_z] = [x, y, z].map(from_center);
-            let aside2 = off_x * off_x + off_y * off_y + if planar { 0.0 } else { off_z * off_z };
-            // No branch: whether a beam passes the inner half of a voxel cannot be foretold.
-            let passes = aside2 <= 0.25;
-            let v = Voxel { x: (x >> 32) as i32, y: (y >> 32) as i32, z: (z >> 32) as i32 };
-            free.mark(v, passes);
-            if planar && passes && off_z.abs() > 0.25 {
-                free.mark(Voxel { z: v.z.saturating_add(off_z.signum() as i32), ..v }, true);
-            }
-            (x, y, z) = (x + dx, y + dy, z + dz);
+        let steps = ((reach.min(farthest) - first) / voxel).floor();
+        if steps >= 0.0 {
+            beams.push((*direction, steps as usize + 1));
         }
     });
-    free.into_blocks()
+    let ends = |(direction, num): &(Vector3<f64>, usize)| {
+        [sensor + direction * first_step, sensor + direction * (first_step + *num as f64)]
+    };
+    let Some(mut window) = Window::around(beams.iter().flat_map(ends)) else { return vec![] };
+    for (direction, num) in &beams {
+        window.mark_along(&(sensor + direction * first_step), direction, *num, planar);
+    }
+    window.into_blocks()
 }
 
 /// Beams of a camera are two voxels apart there, those of a lidar that looks around are one, metres: farther out they pass by most
@@ -104,59 +85,11 @@ fn farthest_seen_through(ranges: &RangeImage, params: &CloudParams) -> f64 {
 
 /// Steps of a voxel along all beams of one keyframe, about: some 40 ms on one core of 2.5 GHz.
 const MOST_STEPS: f64 = 6e6;
-/// Voxels are numbered by what an `i32` holds, less a margin for rounding.
-const MOST_VOXELS: f64 = (1u64 << 31) as f64 - 1.0;
-/// Parts of a voxel that are told apart.
-const FIXED: f64 = (1u64 << 32) as f64;
-
-/// How far a number of such parts lies from the centre of its voxel, in voxels.
-fn from_center(v: i64) -> f32 {
-    (v as i32).wrapping_sub(i32::MIN) as f32 * (1.0 / FIXED as f32)
-}
-
-/// Voxels that one keyframe saw through, while they are gathered.
-#[derive(Default)]
-pub(crate) struct Marks {
-    /// The one that is marked in; there are none that nothing was marked in only after all is.
-    blocks: Vec<(BlockKey, Seen)>,
-    index: FxHashMap<BlockKey, usize>,
-    last: Option<(BlockKey, usize)>,
-}
-
-impl Marks {
-    /// Marks a voxel, if so.
-    #[inline]
-    pub(crate) fn mark(&mut self, v: Voxel, if_so: bool) {
-        let (key, slot) = locate(v);
-        let at = match self.last {
-            Some((known, at)) if known == key => at,
-            _ => self.open(key),
-        };
-        self.blocks[at].1[usize::from(slot / 64)] |= u64::from(if_so) << (slot % 64);
-    }
-
-    /// Blocks in which something was marked, ascending.
-    pub(crate) fn into_blocks(mut self) -> Vec<(BlockKey, Seen)> {
-        self.blocks.retain(|(_, seen)| seen.iter().any(|bits| *bits != 0));
-        self.blocks.sort_unstable_by_key(|b| b.0);
-        self.blocks
-    }
-
-    #[cold]
-    fn open(&mut self, key: BlockKey) -> usize {
-        let at = *self.index.entry(key).or_insert_with(|| {
-            self.blocks.push((key, Seen::default()));
-            self.blocks.len() - 1
-        });
-        self.last = Some((key, at));
-        at
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use nalgebra::Point3;
+    use percept_geometry::Voxel;
     use std::collections::BTreeSet;
 
     /// As [`seen_through`] says it, step by step.

@@ -114,11 +114,14 @@ impl FusedCloud {
 
     /// The block without what `ranges` saw through; none if nothing changes.
     fn carved(&self, key: BlockKey, block: &Block, ranges: &RangeImage) -> Option<Block> {
-        let seen_through = |v: &VoxelMean| ranges.sees_through(&self.position(key, v), &self.params);
-        let first = block.iter().position(seen_through)?;
+        let sees = |some: &[VoxelMean]| ranges.sees_through(some.iter().map(|v| self.position(key, v)), &self.params);
+        let mut through = [0u64; (BLOCK * BLOCK * BLOCK) as usize / 64];
+        through.iter_mut().zip(block.chunks(64)).for_each(|(through, some)| *through = sees(some));
+        let is_through = |i: &usize| through[i / 64] >> (i % 64) & 1 == 1;
+        let first = (0..block.len()).find(is_through)?;
         let mut out = block[..first].to_vec();
-        for v in &block[first..] {
-            let loss = if seen_through(v) { self.params.carve_weight } else { 0.0 };
+        for (i, v) in block.iter().enumerate().skip(first) {
+            let loss = if is_through(&i) { self.params.carve_weight } else { 0.0 };
             if v.weight > loss {
                 out.push(VoxelMean { weight: v.weight - loss, ..*v });
             }

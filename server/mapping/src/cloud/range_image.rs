@@ -1,7 +1,9 @@
 //! How far one keyframe saw in each direction.
 
 use super::CloudParams;
+use crate::angles::atan2;
 use nalgebra::{Point3, Vector3};
+use percept_geometry::by_processor;
 use std::f64::consts::{PI, TAU};
 
 const COLUMNS: usize = 720;
@@ -83,8 +85,8 @@ impl RangeImage {
                 out.rows = vec![Vec::new(); ROWS];
             }
             out.max_range = out.max_range.max(range);
-            let (row, column) = bin(&beam, range);
-            let row = &mut out.rows[row];
+            let at = bin(beam.x as f32, beam.y as f32, beam.z as f32) as usize;
+            let (row, column) = (&mut out.rows[at / COLUMNS], at % COLUMNS);
             if row.is_empty() {
                 *row = vec![(f32::INFINITY, Vector3::zeros()); COLUMNS];
             }
@@ -112,7 +114,7 @@ impl RangeImage {
     fn longest_towards(&self, offset: &Vector3<f64>, radius: f64) -> f64 {
         let distance = offset.norm();
         // Rounding may put a beam into the bin beside its own.
-        let spread = (radius / distance).min(1.0).asin() + 1e-6;
+        let spread = (radius / distance).min(1.0).asin() + 1e-5;
         let elevation = (offset.z / distance).clamp(-1.0, 1.0).asin();
         let row = |angle: f64| ((((angle / PI + 0.5) * ROWS as f64).max(0.0) as usize).min(ROWS - 1)) / WINDOW;
         // How far a cap around that direction reaches to the sides; around a pole, all around.
@@ -149,10 +151,13 @@ impl RangeImage {
 
     /// Shows each beam: its unit direction, and the length of the shortest among it and those in the bins around it.
     pub(crate) fn visit_beams(&self, mut visit: impl FnMut(&Vector3<f64>, f64)) {
-        for (y, row) in self.rows.iter().enumerate() {
+        // The shortest of each three in a row: those before, here and after.
+        let beside: Vec<Vec<f32>> = self.rows.iter().map(|row| shortest_of_three(row)).collect();
+        for (y, row) in self.rows.iter().enumerate().filter(|(_, row)| !row.is_empty()) {
+            let rows = &beside[y.saturating_sub(1)..=(y + 1).min(ROWS - 1)];
             for (x, beam) in row.iter().enumerate().filter(|(_, b)| b.0.is_finite()) {
-                let around = self.around(y, x).filter_map(|(y, x)| self.rows[y].get(x));
-                visit(&beam.1.cast(), around.map(|b| f64::from(b.0)).fold(f64::INFINITY, f64::min));
+                let shortest = rows.iter().filter_map(|row| row.get(x)).copied().fold(f32::INFINITY, f32::min);
+                visit(&beam.1.cast(), shortest.into());
             }
         }
     }
@@ -163,23 +168,43 @@ impl RangeImage {
         rows.flat_map(move |y| [COLUMNS - 1, 0, 1].map(|dx| (y, (column + dx) % COLUMNS)))
     }
 
-    /// Whether a beam passed within half a voxel of `p` and ended well behind it, while no beam beside it ended
-    /// near `p` or before.
-    pub(super) fn sees_through(&self, p: &Point3<f64>, params: &CloudParams) -> bool {
-        let offset = p - self.sensor;
+    /// Which of at most 64 points were seen through, a bit each: a beam passed within half a voxel of them and ended well behind, while
+    /// no beam beside it ended near or before them.
+    pub(super) fn sees_through(&self, points: impl ExactSizeIterator<Item = Point3<f64>>, params: &CloudParams) -> u64 {
+        let num = points.len().min(64);
+        if self.rows.is_empty() {
+            return 0;
+        }
+        let (mut offsets, mut narrow, mut at) = ([Vector3::zeros(); 64], [[0.0f32; 3]; 64], [0u32; 64]);
+        for ((offset, narrow), p) in offsets.iter_mut().zip(&mut narrow).zip(points) {
+            *offset = p - self.sensor;
+            *narrow = offset.cast::<f32>().into();
+        }
+        bins(&narrow[..num], &mut at[..num]);
+        let through = |i: usize| u64::from(self.is_behind(&offsets[i], at[i], params)) << i;
+        (0..num).map(through).fold(0, |all, one| all | one)
+    }
+
+    /// Whether the beams in a bin and around it see through what lies at an offset from the sensor, in that bin.
+    fn is_behind(&self, offset: &Vector3<f64>, at: u32, params: &CloudParams) -> bool {
         let r = offset.norm();
         let behind = r + params.margin(r);
-        if self.rows.is_empty() || r < params.range_min_m || behind > self.max_range {
+        if r < params.range_min_m || behind > self.max_range {
             return false;
         }
-        let (row, column) = bin(&offset, r);
+        let (row, column) = (at as usize / COLUMNS, at as usize % COLUMNS);
         let Some(&(range, direction)) = self.rows[row].get(column) else { return false };
-        let passes = offset.cross(&direction.cast()).norm() <= 0.5 * params.voxel_size_m;
-        if !range.is_finite() || f64::from(range) < behind || !passes {
+        if !range.is_finite() || f64::from(range) < behind {
             return false;
         }
-        self.around(row, column).all(|(y, x)| self.rows[y].get(x).is_none_or(|b| f64::from(b.0) >= behind))
+        offset.cross(&direction.cast()).norm() <= 0.5 * params.voxel_size_m
+            && self.around(row, column).all(|(y, x)| self.rows[y].get(x).is_none_or(|b| f64::from(b.0) >= behind))
     }
+}
+
+fn shortest_of_three(row: &[Bin]) -> Vec<f32> {
+    let n = row.len();
+    (0..n).map(|x| row[x].0.min(row[(x + 1) % n].0).min(row[(x + n - 1) % n].0)).collect()
 }
 
 fn longest(rows: &[Vec<Bin>]) -> Vec<f32> {
@@ -193,11 +218,24 @@ fn longest(rows: &[Vec<Bin>]) -> Vec<f32> {
     out
 }
 
-fn bin(v: &Vector3<f64>, norm: f64) -> (usize, usize) {
-    let elevation = (v.z / norm).clamp(-1.0, 1.0).asin();
-    let row = ((elevation / PI + 0.5) * ROWS as f64) as usize;
-    let column = ((v.y.atan2(v.x) + PI) / TAU * COLUMNS as f64) as usize;
-    (row.min(ROWS - 1), column.min(COLUMNS - 1))
+/// The bin of a direction, row by row.
+#[inline(always)]
+fn bin(x: f32, y: f32, z: f32) -> u32 {
+    let elevation = atan2(z, (x * x + y * y).sqrt());
+    let row = (elevation * (1.0 / PI as f32) + 0.5) * ROWS as f32;
+    let column = (atan2(y, x) + PI as f32) * (COLUMNS as f32 / TAU as f32);
+    let within = |v: f32, most: usize| (if v < most as f32 { v } else { (most - 1) as f32 }) as u32;
+    within(row, ROWS) * COLUMNS as u32 + within(column, COLUMNS)
+}
+
+by_processor! {
+    [avx512]
+    /// The bins of some directions.
+    fn bins(directions: &[[f32; 3]], out: &mut [u32]) {
+        for (out, [x, y, z]) in out.iter_mut().zip(directions) {
+            *out = bin(*x, *y, *z);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -231,7 +269,7 @@ mod tests {
                 let center =
                     Point3::new(6.0 * spread(2_654_435_761), 6.0 * spread(2_246_822_519), 3.0 * spread(3_266_489_917));
                 let inside = Vector3::new(spread(668_265_263), spread(374_761_393), spread(2_147_483_647)) * 0.4;
-                let sees = view.sees_through(&(center + inside), &params);
+                let sees = view.sees_through([center + inside].into_iter(), &params) == 1;
                 let may = view.may_see_through(&center, 0.87 * 0.4, &params);
                 assert!(may || !sees, "view {k}: {center}");
                 through += usize::from(sees);

@@ -2,8 +2,9 @@
 
 use super::CloudParams;
 use super::block::{BlockKey, VoxelMean, corner, locate};
-use super::free::{Seen, seen_through};
+use super::free::seen_through;
 use super::range_image::RangeImage;
+use crate::seen::Seen;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{KeyframeScan, Pose, Voxel};
 

@@ -1,7 +1,7 @@
 //! What a scan in space says of the floor around: by columns of azimuth, over the ground.
 
 use super::marks::{Frame, Heights, Mark, ScanUpdate};
-use crate::ground::{Ground, Patch};
+use crate::ground::{Ground, Patch, Place, sector_of};
 use nalgebra::{Point2, Point3};
 use percept_geometry::Cell;
 use std::f64::consts::{PI, TAU};
@@ -20,21 +20,28 @@ pub(super) struct Columns<'a> {
 
 /// What is known of a column, and how steep its beams are. One set of slopes does for all ranges: beams that end early leave the
 /// band there, or end at the obstacle that bounds what is free.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 struct Column {
     /// Ground and obstacles, as they came.
     ends: Vec<End>,
     /// Where its beams are over the ground and in the band: so far, horizontally from the sensor, metres.
     farthest_free: f64,
     free: Point2<f64>,
-    beams: Vec<Beam>,
+    /// Of beams that are much alike one: 64 bins from 45 degrees down to 45 degrees up. It went as far as the shortest of them.
+    beams: [Beam; NUM_BEAMS],
 }
 
-/// How steep a beam is, rise over run, and how far it went, horizontally, metres.
+const NUM_BEAMS: usize = 64;
+
+/// How steep a beam is, rise over run, and how far it went, horizontally, metres; infinitely steep is none.
 #[derive(Clone, Copy)]
 struct Beam {
     slope: f32,
     range: f32,
+}
+
+impl Beam {
+    const NONE: Self = Self { slope: f32::INFINITY, range: f32::INFINITY };
 }
 
 /// Where a beam ended, in the map.
@@ -46,25 +53,76 @@ struct End {
 }
 
 impl Column {
+    const EMPTY: Self =
+        Self { ends: vec![], farthest_free: 0.0, free: Point2::new(0.0, 0.0), beams: [Beam::NONE; NUM_BEAMS] };
+
     fn include(&mut self, slope: f64, range: f64) {
         if slope.is_finite() {
-            self.beams.push(Beam { slope: slope as f32, range: range as f32 });
+            let kept = &mut self.beams[((slope.clamp(-1.0, 1.0) + 1.0) * 31.99) as usize];
+            *kept = Beam { slope: kept.slope.min(slope as f32), range: kept.range.min(range as f32) };
         }
     }
 
-    /// Puts the beams in order, rising, and of those that are much alike leaves one: 64 bins from 45 degrees down to 45 degrees up. It
-    /// went as far as the shortest of them.
-    fn settle(&mut self) {
+    /// The beams, rising; what ended is in order then, too.
+    fn settle(&mut self) -> Vec<Beam> {
         self.ends.sort_by(|a, b| a.range.total_cmp(&b.range));
-        self.beams.sort_by(|a, b| a.slope.total_cmp(&b.slope));
-        let bin = |beam: &Beam| ((beam.slope.clamp(-1.0, 1.0) + 1.0) * 31.99) as u8;
-        self.beams.dedup_by(|beam, kept| {
-            let is_alike = bin(beam) == bin(kept);
-            if is_alike {
-                kept.range = kept.range.min(beam.range);
+        self.beams.iter().filter(|beam| beam.slope.is_finite()).copied().collect()
+    }
+}
+
+/// The ground in a direction as the sensor looks down on it, ring by ring: how far below the sensor it would be under it, metres,
+/// and by how much that falls with range.
+struct Profile {
+    sector: usize,
+    rings: Vec<(f32, f32)>,
+}
+
+/// What a column says of free cells.
+struct Passing<'a> {
+    frame: &'a Frame<'a>,
+    ground: &'a Ground,
+    profile: &'a Profile,
+    /// In order.
+    beams: &'a [Beam],
+    /// The first beam that was not below the band in the cell before.
+    first: std::cell::Cell<usize>,
+    /// From height over the band's bottom to bits.
+    bits_per_m: f32,
+}
+
+/// From here to twice this an `f32` holds whole numbers.
+const WHOLE: f32 = (1 << 23) as f32;
+
+impl Passing<'_> {
+    /// The heights at which those of the beams pass a cell that count.
+    fn mark(&self, cell: Cell, counts: impl Fn(&Beam, f32) -> bool) -> Mark {
+        let off = self.frame.geometry.center(cell) - self.frame.sensor.xy();
+        let range = (off.x * off.x + off.y * off.y).sqrt() as f32;
+        let (below, falls) = self.profile.rings[self.ground.ring_at(range.into())];
+        // Where the sensor is, from the bottom of the band.
+        let above = below - falls * range - self.frame.params.band_min_m as f32;
+        // Most beams pass far from the band; where the first of those in it is changes little from cell to cell.
+        let is_below = |beam: &Beam| above + beam.slope * range < 0.0;
+        let mut first = self.first.get();
+        while self.beams.get(first).is_some_and(is_below) {
+            first += 1;
+        }
+        while first > 0 && !is_below(&self.beams[first - 1]) {
+            first -= 1;
+        }
+        self.first.set(first);
+        let (above, per_slope) = (above * self.bits_per_m, range * self.bits_per_m);
+        let mut heights = 0u64;
+        for beam in &self.beams[first..] {
+            let bit = above + beam.slope * per_slope;
+            if bit >= 64.0 {
+                break;
             }
-            is_alike
-        });
+            // The whole part is in the lowest bits then: a conversion would ask whether it fits.
+            let whole = (bit.max(0.0) + (WHOLE - 0.5)).to_bits() & 63;
+            heights |= u64::from(counts(beam, range)) << whole;
+        }
+        Mark::Free(Heights::of_bits(heights))
     }
 }
 
@@ -72,24 +130,37 @@ impl<'a> Columns<'a> {
     pub(super) fn new(frame: &'a Frame<'a>, ground: &'a Ground) -> Self {
         // As many columns as cells on the circle of the largest range, so that no cell is skipped.
         let count = (TAU * frame.params.range_max() / frame.geometry.resolution_m).ceil().max(360.0) as usize;
-        Self { frame, ground, columns: vec![Column::default(); count] }
+        Self { frame, ground, columns: vec![Column::EMPTY; count] }
     }
 
     /// Marks what hits and misses (map frame) say.
     pub(super) fn mark(mut self, update: &mut ScanUpdate, hits: &[Point3<f64>], misses: &[Point3<f64>]) {
-        hits.iter().for_each(|p| self.read_return(update, p));
-        misses.iter().for_each(|p| self.read_free(p, self.frame.sensor.z - self.frame.floor_z));
-        let step = TAU / self.columns.len() as f64;
+        let ground = self.ground;
+        hits.iter().zip(ground.places()).for_each(|(p, place)| self.read_return(update, p, place));
+        for p in misses {
+            let azimuth = Place::of(&self.frame.sensor, p).azimuth;
+            self.read_free(p, azimuth.into(), self.frame.sensor.z - self.frame.floor_z);
+        }
+        let (step, frame) = (TAU / self.columns.len() as f64, self.frame);
+        let bits_per_m = 64.0 / (frame.params.band_max_m - frame.params.band_min_m) as f32;
+        let mut profile = Profile { sector: usize::MAX, rings: vec![] };
         for (i, mut column) in std::mem::take(&mut self.columns).into_iter().enumerate() {
-            column.settle();
-            let azimuth = (i as f64 + 0.5) * step - PI;
-            let hint = std::cell::Cell::new(0);
-            let passed = |cell| self.passed(cell, azimuth, &column.beams, &hint, |_, _| true);
+            let beams = column.settle();
+            let sector = sector_of((i as f64 + 0.5) * step - PI);
+            if sector != profile.sector {
+                profile.sector = sector;
+                profile.rings.clear();
+                let seen_from = |patch: &Patch| ((frame.sensor.z - patch.z_at(0.0)) as f32, patch.slope as f32);
+                profile.rings.extend(ground.along(sector).map(seen_from));
+            }
+            let (profile, beams, first) = (&profile, &beams[..], std::cell::Cell::new(0));
+            let passing = Passing { frame, ground, profile, beams, first, bits_per_m };
+            let passed = |cell| passing.mark(cell, |_, _| true);
             let first = column.ends.iter().position(|e| e.is_obstacle);
             match first {
-                Some(first) => self.frame.free_before(update, &column.ends[first].at, passed),
+                Some(first) => frame.free_before(update, &column.ends[first].at, passed),
                 None if column.farthest_free > 0.0 => {
-                    self.frame.free_towards(update, &column.free, column.farthest_free, passed);
+                    frame.free_towards(update, &column.free, column.farthest_free, passed);
                 }
                 None => {}
             }
@@ -97,27 +168,25 @@ impl<'a> Columns<'a> {
             // graze what stands in between.
             for pair in column.ends[first.unwrap_or(column.ends.len())..].windows(2) {
                 if !pair[0].is_obstacle && !pair[1].is_obstacle {
-                    let ended =
-                        |beam: &Beam, range: f64| (range..=pair[1].range + END_M).contains(&f64::from(beam.range));
-                    let passed = |cell| self.passed(cell, azimuth, &column.beams, &hint, ended);
-                    self.frame.free_between(update, &pair[0].at, &pair[1].at, passed);
+                    let last = (pair[1].range + END_M) as f32;
+                    let ended = |beam: &Beam, range: f32| range <= beam.range && beam.range <= last;
+                    frame.free_between(update, &pair[0].at, &pair[1].at, |cell| passing.mark(cell, ended));
                 }
             }
         }
     }
 
-    fn read_return(&mut self, update: &mut ScanUpdate, p: &Point3<f64>) {
+    fn read_return(&mut self, update: &mut ScanUpdate, p: &Point3<f64>, place: &Place) {
         let (params, sensor) = (self.frame.params, self.frame.sensor);
-        let range = (p.xy() - sensor.xy()).norm();
-        if !(range >= params.range_min_m && range > 0.0 && range.is_finite() && p.z.is_finite()) {
+        let (range, azimuth) = (f64::from(place.range), f64::from(place.azimuth));
+        if !(range >= params.range_min_m && range > 0.0 && range.is_finite()) {
             return;
         }
-        let azimuth = (p.y - sensor.y).atan2(p.x - sensor.x);
-        let ground = *self.ground.at(azimuth, range);
+        let ground = *self.ground.under(place).unwrap_or_else(|| self.ground.at(azimuth, range));
         let height = p.z - ground.z_at(range);
         self.column(azimuth).include((p.z - sensor.z) / range, range);
         if range > params.range_max() {
-            return self.read_free(p, height);
+            return self.read_free(p, azimuth, height);
         }
         if ground.is_drop {
             return self.drop_before(update, p, azimuth, &ground);
@@ -130,7 +199,7 @@ impl<'a> Columns<'a> {
             if ground.is_seen {
                 self.column(azimuth).ends.push(End { range, at, is_obstacle: false });
             }
-            return self.read_free(p, height);
+            return self.read_free(p, azimuth, height);
         }
         if height < params.band_min_m + ground.doubt {
             return;
@@ -141,7 +210,7 @@ impl<'a> Columns<'a> {
 
     /// A beam that met nothing in the band on its way to `end`, so high above the ground: free as far as it is over the floor
     /// and below the band's top.
-    fn read_free(&mut self, end: &Point3<f64>, height: f64) {
+    fn read_free(&mut self, end: &Point3<f64>, azimuth: f64, height: f64) {
         let (params, sensor) = (self.frame.params, self.frame.sensor);
         let (h0, h1) = (sensor.z - self.frame.floor_z, height);
         let slope = (end.z - sensor.z) / (end.xy() - sensor.xy()).norm();
@@ -156,7 +225,7 @@ impl<'a> Columns<'a> {
         if !(range.is_finite() && range > 0.0) {
             return;
         }
-        let column = self.column((end.y - sensor.y).atan2(end.x - sensor.x));
+        let column = self.column(azimuth);
         column.include(slope, range);
         if range > column.farthest_free {
             (column.farthest_free, column.free) = (range, end);
@@ -179,41 +248,5 @@ impl<'a> Columns<'a> {
     fn column(&mut self, azimuth: f64) -> &mut Column {
         let last = self.columns.len() - 1;
         &mut self.columns[(((azimuth + PI) / TAU * (last + 1) as f64) as usize).min(last)]
-    }
-
-    /// What a column says of a free cell: the heights at which those of its beams (in order) pass there that count. `hint` is the
-    /// first beam that did in the cell before.
-    fn passed(
-        &self,
-        cell: Cell,
-        azimuth: f64,
-        beams: &[Beam],
-        hint: &std::cell::Cell<usize>,
-        counts: impl Fn(&Beam, f64) -> bool,
-    ) -> Mark {
-        let (params, center) = (self.frame.params, self.frame.geometry.center(cell));
-        let range = (center - self.frame.sensor.xy()).norm();
-        let above = self.frame.sensor.z - self.ground.at(azimuth, range).z_at(range);
-        // Most beams pass far from the band; where the first of those in it is changes little from cell to cell.
-        let lowest = ((params.band_min_m - above) / range) as f32;
-        let mut first = hint.get();
-        while beams.get(first).is_some_and(|beam| beam.slope < lowest) {
-            first += 1;
-        }
-        while first > 0 && beams[first - 1].slope >= lowest {
-            first -= 1;
-        }
-        hint.set(first);
-        let mut heights = Heights::NONE;
-        for beam in &beams[first..] {
-            let height = above + f64::from(beam.slope) * range;
-            if height >= params.band_max_m {
-                break;
-            }
-            if counts(beam, range) {
-                heights = heights.joined(Heights::at(params, height));
-            }
-        }
-        Mark::Free(heights)
     }
 }

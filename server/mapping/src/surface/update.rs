@@ -4,8 +4,8 @@ use super::SurfaceParams;
 use super::beams::crossings;
 use super::block::{Observation, VOXELS};
 use crate::blocks::{BlockKey, corner, locate};
-use crate::cloud::free::{Marks, Seen};
 use crate::cloud::range_image::{BIN_RAD, RangeImage};
+use crate::seen::{Seen, Window};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{KeyframeScan, Pose, Voxel};
 use rustc_hash::FxHashMap;
@@ -198,16 +198,22 @@ impl<'a> Band<'a> {
 fn seen_through(params: &SurfaceParams, ranges: &RangeImage) -> Vec<(BlockKey, Seen)> {
     let voxel = params.voxel_size_m;
     let farthest = params.range_max().min(voxel / BIN_RAD);
-    let sensor = ranges.sensor() / voxel;
-    let mut free = Marks::default();
+    let (sensor, near) = (ranges.sensor() / voxel, params.range_min_m.max(0.5 * voxel) / voxel);
+    let mut beams: Vec<(Vector3<f64>, f64)> = Vec::new();
     ranges.visit_beams(|direction: &Vector3<f64>, shortest_around| {
         // The margin grows with the range of the voxel, which is at most that of the shortest beam.
-        let reach = (shortest_around - params.carve_margin(shortest_around)).min(farthest);
-        let near = params.range_min_m.max(0.5 * voxel);
-        crossings(&sensor, direction, (near / voxel, reach / voxel), |crossing| {
-            let [x, y, z] = crossing.nearest();
-            free.mark(Voxel { x, y, z }, true);
-        });
+        let reach = (shortest_around - params.carve_margin(shortest_around)).min(farthest) / voxel;
+        if reach >= near {
+            beams.push((*direction, reach));
+        }
     });
-    free.into_blocks()
+    let ends = beams.iter().flat_map(|(direction, reach)| [near, *reach].map(|along| sensor + direction * along));
+    let Some(mut window) = Window::around(ends) else { return vec![] };
+    for (direction, reach) in &beams {
+        crossings(&sensor, direction, (near, *reach), |crossing| {
+            let [x, y, z] = crossing.nearest();
+            window.mark(Voxel { x, y, z });
+        });
+    }
+    window.into_blocks()
 }
