@@ -4,6 +4,10 @@ use crate::error::check;
 use crate::{MappingError, OccupancyParams};
 use serde::{Deserialize, Serialize};
 
+/// Where there is no `range_max_m`: the rings of a lidar of 64 are two voxels apart there, so that farther out its keyframes leave a
+/// surface in stripes, and take as long again. What depth cameras keep ends there, too.
+const USUAL_RANGE_VOXELS: f64 = 200.0;
+
 /// Parameters of [`SurfaceGrid`](crate::SurfaceGrid).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -18,7 +22,7 @@ pub struct SurfaceParams {
     /// Returns nearer than this to the sensor are left out, metres.
     pub range_min_m: f64,
     /// Returns beyond this only show that what lies before it is free, metres; above `range_min_m`, at most 10000 voxels. None: as far as
-    /// the sensor sees, to 30 m or 10000 voxels at most.
+    /// the sensor sees, to 200 voxels at most (10 m), and to 30 m.
     pub range_max_m: Option<f64>,
     /// Looks that a voxel remembers: the weight at which its mean becomes a moving one; 1 to 255.
     pub max_weight: f32,
@@ -48,7 +52,7 @@ impl SurfaceParams {
 
     /// Returns beyond this only show that what lies before it is free, metres.
     pub fn range_max(&self) -> f64 {
-        self.range_max_m.unwrap_or(OccupancyParams::USUAL_RANGE_M.min(1e4 * self.voxel_size_m))
+        self.range_max_m.unwrap_or(OccupancyParams::USUAL_RANGE_M.min(USUAL_RANGE_VOXELS * self.voxel_size_m))
     }
 
     /// Checks every field.
