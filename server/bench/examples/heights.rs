@@ -9,7 +9,7 @@ use percept_formats::dataset;
 use percept_geometry::{GridGeometry, KeyframeScan, Pose, SensorData};
 use percept_mapping::height::HeightUpdate;
 use percept_mapping::occupancy::ScanUpdate;
-use percept_mapping::{HeightGrid, HeightParams, OccupancyGrid, OccupancyParams};
+use percept_mapping::{HeightGrid, HeightParams, KeyframeView, OccupancyGrid, OccupancyParams};
 use std::path::Path;
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
@@ -45,7 +45,7 @@ fn measure(path: &Path, most: usize) -> Result<(), Failure> {
         };
         points.push(scan.hits.len() as f64);
         let start = cpu_ms();
-        let update = HeightUpdate::new(&heights, &Pose::identity(), &scan);
+        let update = HeightUpdate::new(&heights, &KeyframeView::new(&Pose::identity(), &scan));
         let made = cpu_ms();
         // A reader holds the grid as it was.
         let held = grid.clone();
@@ -54,7 +54,7 @@ fn measure(path: &Path, most: usize) -> Result<(), Failure> {
         add.push(cpu_ms() - made);
         drop(held);
         let start = cpu_ms();
-        cells.apply(&ScanUpdate::new(&occupancy, &geometry, &Pose::identity(), &scan));
+        cells.apply(&ScanUpdate::new(&occupancy, &geometry, &KeyframeView::new(&Pose::identity(), &scan)));
         other.push(cpu_ms() - start);
     }
     println!("{} keyframes of {:.0} points", points.len(), median(points));

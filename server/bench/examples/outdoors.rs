@@ -8,7 +8,7 @@
 use nalgebra::{Point2, Point3};
 use percept_formats::dataset;
 use percept_geometry::{Cell, KeyframeScan, Pose, SensorData};
-use percept_mapping::{DenseGrid, Layer, MapParams, Occupancy};
+use percept_mapping::{DenseGrid, KeyframeView, Layer, MapParams, Occupancy};
 use percept_pipeline::{Pipeline, PipelineParams};
 use percept_planning::{PlanOutcome, plan_dense};
 use std::collections::BTreeMap;
@@ -103,7 +103,11 @@ fn main() -> Result<(), Failure> {
         let said = match plan_dense(&grid, way[0], goal, &snapshot.params.planning)? {
             PlanOutcome::Path(_) => "reached".to_owned(),
             PlanOutcome::NoPath { reason, .. } => {
-                println!("  not reached: {:.1} {:.1}, {reason:?}", goal.x, goal.y);
+                let (at, away) = nearest_occupied(&grid, &goal);
+                println!(
+                    "  not reached: {:.1} {:.1}, {reason:?}; {away:.2} m from what stands at {:.2} {:.2}",
+                    goal.x, goal.y, at.x, at.y
+                );
                 format!("{reason:?}")
             }
         };
@@ -145,11 +149,19 @@ fn layer<L: Layer>(name: &str, params: &L::Params, keyframes: &Seen) {
     let (mut part, mut ms) = (L::new(params), vec![]);
     for (t_map_base, scan) in keyframes {
         let before = processor_ms();
-        let update = L::prepare(params, t_map_base, scan);
+        let update = L::prepare(params, &KeyframeView::new(t_map_base, scan));
         part.add(&update);
         ms.push(processor_ms() - before);
     }
     println!("    {name}: {}", times(ms));
+}
+
+/// The centre of the occupied cell nearest to a place, and how far that is.
+fn nearest_occupied(grid: &DenseGrid, p: &Point2<f64>) -> (Point2<f64>, f64) {
+    let center = |i: usize| grid.geometry.center(Cell::new((i % grid.width) as i32, (i / grid.width) as i32));
+    let occupied = grid.cells.iter().enumerate().filter(|(_, c)| **c >= OCCUPIED).map(|(i, _)| center(i));
+    let nearest = occupied.map(|at| (at, (at - p).norm())).min_by(|a, b| a.1.total_cmp(&b.1));
+    nearest.unwrap_or((*p, f64::INFINITY))
 }
 
 /// Known cells within a distance of the way, and those of them that are occupied.

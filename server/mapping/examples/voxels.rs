@@ -8,7 +8,7 @@
 
 use nalgebra::Point3;
 use percept_geometry::{Aabb3, KeyframeScan, PointCloud, Pose, SensorId, Timestamp};
-use percept_mapping::{MapEntry, MapParams, VoxelGrid, VoxelParams, voxels::VoxelUpdate};
+use percept_mapping::{KeyframeView, MapEntry, MapParams, VoxelGrid, VoxelParams, voxels::VoxelUpdate};
 use std::io::Write;
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,7 +30,7 @@ fn main() {
         let mut grid = VoxelGrid::new(params).unwrap();
         for scan in &scans {
             let begun = Instant::now();
-            let update = VoxelUpdate::new(&params, &Pose::identity(), scan);
+            let update = VoxelUpdate::new(&params, &KeyframeView::new(&Pose::identity(), scan));
             prepare.push(begun.elapsed().as_secs_f64() * 1e3);
             let begun = Instant::now();
             grid.apply(&update);

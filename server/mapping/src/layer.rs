@@ -1,10 +1,11 @@
 //! What a layer of the map is: what it takes, how submaps' parts of it are laid over each other, stored and versioned.
 
 use crate::bytes::{Damaged, Reader};
+use crate::keyframe_view::KeyframeView;
 use crate::layer_slot::LayerSlot;
 use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point2, Point3};
-use percept_geometry::{Aabb3, KeyframeScan, Pose};
+use percept_geometry::{Aabb3, Pose};
 use std::sync::Arc;
 
 /// A layer: what it holds of one submap, and how such parts become one.
@@ -25,8 +26,8 @@ pub trait Layer: Clone + Send + Sync + Sized + 'static {
 
     /// An empty part; parameters are sound.
     fn new(params: &Self::Params) -> Self;
-    /// What a keyframe taken at `t_submap_base` says.
-    fn prepare(params: &Self::Params, t_submap_base: &Pose, scan: &KeyframeScan) -> Self::Update;
+    /// What a keyframe says.
+    fn prepare(params: &Self::Params, view: &KeyframeView<'_>) -> Self::Update;
     /// What an update may change, submap's frame; empty if nothing.
     fn touched(params: &Self::Params, update: &Self::Update) -> Aabb3;
     /// Adds an update.

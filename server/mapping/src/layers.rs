@@ -2,12 +2,13 @@
 
 use crate::composed::{Composed, Part};
 use crate::distance::DistanceCache;
+use crate::keyframe_view::KeyframeView;
 use crate::layer::{Layer, joined};
 use crate::layer_slot::{Evictable, Fetched, LayerSlot};
 use crate::store::MapStore;
 use crate::{FusedCloud, HeightGrid, MapParams, MappingError, OccupancyGrid, SubmapId, SurfaceGrid, VoxelGrid};
 use nalgebra::Point2;
-use percept_geometry::{Aabb3, KeyframeScan, Pose};
+use percept_geometry::Aabb3;
 use std::sync::Arc;
 
 /// What is done with each layer of the list, in its order.
@@ -75,14 +76,14 @@ macro_rules! layers {
         }
 
         impl LayersUpdate {
-            /// Of a keyframe's scan; layers are worked on side by side.
-            pub(crate) fn new(params: &MapParams, t_submap_base: &Pose, scan: &KeyframeScan) -> Self {
+            /// Of a keyframe; layers are worked on side by side.
+            pub(crate) fn new(params: &MapParams, view: &KeyframeView<'_>) -> Self {
                 let mut out = Self::default();
                 rayon::scope(|scope| {
                     $(
                         let slot = &mut out.$name;
                         scope.spawn(move |_| {
-                            *slot = Some(<$layer as Layer>::prepare(&params.$name, t_submap_base, scan));
+                            *slot = Some(<$layer as Layer>::prepare(&params.$name, view));
                         });
                     )*
                 });

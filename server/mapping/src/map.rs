@@ -6,6 +6,7 @@ mod rebuild;
 mod working_set;
 
 use crate::error::{check_keyframe, check_pose};
+use crate::keyframe_view::KeyframeView;
 use crate::layer_slot::Fetched;
 use crate::layers::{LayerSlots, LayersUpdate};
 use crate::store::MapStore;
@@ -61,6 +62,8 @@ pub struct MapKeyframe {
     size: usize,
     /// How far its beams reach that say something, metres.
     reach_m: f64,
+    /// Base at the keyframe before, culled or not, seen from base, if odometry measured the way from there.
+    t_base_before: Option<Pose>,
     scan: KeptScan,
 }
 
@@ -173,7 +176,7 @@ impl Map {
         if let Some((newest, _)) = self.keyframes.last_key_value().filter(|(newest, _)| **newest > id) {
             return Err(MappingError::KeyframeNotNewest { id, newest: *newest });
         }
-        let number = self.division.next(entry);
+        let (number, t_base_before) = self.division.next(entry);
         let submap_id = SubmapId { robot: self.robot, run: self.run, number };
         let version = self.shown.version + 1;
         if self.submaps.last().is_none_or(|s| s.id != submap_id) {
@@ -182,7 +185,8 @@ impl Map {
         }
         let Some(submap) = self.submaps.last_mut() else { return Ok(()) };
         let t_submap_base = submap.t_map_submap.inverse() * t_map_base;
-        let update = LayersUpdate::new(&self.params, &t_submap_base, &scan);
+        let view = KeyframeView::new(&t_submap_base, &scan).coming_from(t_base_before);
+        let update = LayersUpdate::new(&self.params, &view);
         let touched = update.touched(&self.params);
         let layers = self.active.get_or_insert_with(|| Arc::new(SubmapLayers::new(&self.params)));
         Arc::make_mut(layers).add(&update);
@@ -195,6 +199,7 @@ impl Map {
             submap: submap_id,
             size: scan.hits.len() + scan.misses.len(),
             reach_m: self.params.reach_of(&scan),
+            t_base_before,
             scan: scan.into(),
         };
         self.shown.touch(version, &submap.in_map(&touched, self.params.margin_m()), true);

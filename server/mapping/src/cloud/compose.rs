@@ -4,6 +4,7 @@ use super::block::{BLOCK, BlockKey, VoxelMean, corner, locate};
 use super::free::{Count, FreeSpace, count_at};
 use super::fused::{Block, NO_COLOR, merge};
 use super::{CloudParams, CloudUpdate, FusedCloud};
+use crate::KeyframeView;
 use crate::blocks::block_box;
 use crate::bytes::{Damaged, Reader, put_f32, put_i32, put_u16, put_u32, put_u64};
 use crate::composed::Composed;
@@ -11,7 +12,7 @@ use crate::layer::{Footprint, Layer, Placement, TileKey, joined, moved};
 use crate::layer_slot::LayerSlot;
 use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point3, Vector3};
-use percept_geometry::{Aabb3, KeyframeScan, PointCloud, Pose, Voxel};
+use percept_geometry::{Aabb3, PointCloud, Voxel};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -49,8 +50,8 @@ impl Layer for FusedCloud {
         Self::empty(*params)
     }
 
-    fn prepare(params: &CloudParams, t_submap_base: &Pose, scan: &KeyframeScan) -> CloudUpdate {
-        CloudUpdate::new(params, t_submap_base, scan)
+    fn prepare(params: &CloudParams, view: &KeyframeView<'_>) -> CloudUpdate {
+        CloudUpdate::new(params, view)
     }
 
     fn touched(params: &CloudParams, update: &CloudUpdate) -> Aabb3 {

@@ -4,6 +4,7 @@ use super::block::{BLOCK, BlockKey, VoxelMean, corner};
 use super::free::FreeSpace;
 use super::range_image::RangeImage;
 use super::{CloudParams, CloudUpdate};
+use crate::KeyframeView;
 use crate::MappingError;
 use crate::error::check_keyframe;
 use nalgebra::Point3;
@@ -65,7 +66,7 @@ impl FusedCloud {
     /// `PoseNotFinite`; `Scan` if the colours are not one a point or the height is not finite.
     pub fn integrate(&mut self, t_map_base: &Pose, scan: &KeyframeScan) -> Result<(), MappingError> {
         check_keyframe(t_map_base, scan)?;
-        self.apply(&CloudUpdate::new(&self.params, t_map_base, scan));
+        self.apply(&CloudUpdate::new(&self.params, &KeyframeView::new(t_map_base, scan)));
         Ok(())
     }
 

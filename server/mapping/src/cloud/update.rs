@@ -4,9 +4,11 @@ use super::CloudParams;
 use super::block::{BlockKey, VoxelMean, corner, locate};
 use super::free::seen_through;
 use super::range_image::RangeImage;
+use crate::KeyframeView;
 use crate::seen::Seen;
 use nalgebra::{Point3, Vector3};
-use percept_geometry::{KeyframeScan, Pose, Voxel};
+use percept_geometry::{KeyframeScan, Voxel};
+use std::sync::Arc;
 
 /// What one keyframe says about the cloud. Depends on the pose and the scan alone, so that many keyframes can be
 /// worked on at once.
@@ -14,17 +16,16 @@ use percept_geometry::{KeyframeScan, Pose, Voxel};
 pub struct CloudUpdate {
     /// Ascending by block; in a block ascending by slot.
     pub(super) blocks: Vec<(BlockKey, Vec<VoxelMean>)>,
-    pub(super) ranges: RangeImage,
+    pub(super) ranges: Arc<RangeImage>,
     /// Voxels that were seen through, ascending by block.
     pub(super) free: Vec<(BlockKey, Seen)>,
 }
 
 impl CloudUpdate {
-    /// The returns of a scan taken at `t_map_base`, by voxel. Returns out of range, not finite, or beyond the range
+    /// The returns of a keyframe, by voxel. Returns out of range, not finite, or beyond the range
     /// of the indices are left out; the far ones still show that what lies before them is gone.
-    pub fn new(params: &CloudParams, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
-        let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
-        let in_map: Vec<Point3<f64>> = scan.hits.positions.iter().map(|p| t_map_base * p.cast::<f64>()).collect();
+    pub fn new(params: &CloudParams, view: &KeyframeView<'_>) -> Self {
+        let (sensor, in_map, scan) = (view.sensor(), view.hits(), view.scan);
         let mut keys: Vec<(BlockKey, u16, u32)> = Vec::with_capacity(in_map.len());
         for (i, p) in in_map.iter().enumerate() {
             let range = (p - sensor).norm();
@@ -40,16 +41,14 @@ impl CloudUpdate {
         let mut blocks: Vec<(BlockKey, Vec<VoxelMean>)> = Vec::new();
         for group in keys.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
             let (block, slot, _) = group[0];
-            let mean = mean_of(params, scan, &in_map, block, slot, group.iter().map(|k| k.2 as usize));
+            let mean = mean_of(params, scan, in_map, block, slot, group.iter().map(|k| k.2 as usize));
             match blocks.last_mut() {
                 Some((last, voxels)) if *last == block => voxels.push(mean),
                 _ => blocks.push((block, vec![mean])),
             }
         }
-        let carves = params.carve_weight > 0.0;
-        let misses = scan.misses.iter().map(|p| t_map_base * p.cast::<f64>());
-        let ends = in_map.iter().copied().chain(misses).take(if carves { usize::MAX } else { 0 });
-        let ranges = RangeImage::new(sensor, ends);
+        let nothing = || Arc::new(RangeImage::new(sensor, std::iter::empty()));
+        let ranges = if params.carve_weight > 0.0 { Arc::clone(view.ranges()) } else { nothing() };
         let free = seen_through(&ranges, params, scan.planar);
         Self { blocks, ranges, free }
     }

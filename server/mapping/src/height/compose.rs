@@ -4,6 +4,7 @@ use super::cell::Pass;
 use super::storeys::Storeys;
 use super::tile::{CELLS, Tile};
 use super::{HeightGrid, HeightParams, HeightTile, HeightUpdate};
+use crate::KeyframeView;
 use crate::bytes::{Damaged, Reader, put_i32, put_u32};
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey};
@@ -11,7 +12,7 @@ use crate::layer_slot::LayerSlot;
 use crate::layers::{LayerBoxes, LayerSlots};
 use crate::occupancy::{TILE, locate};
 use nalgebra::{Point2, Point3};
-use percept_geometry::{Aabb3, Cell as At, GridGeometry, KeyframeScan, Pose};
+use percept_geometry::{Aabb3, Cell as At, GridGeometry};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -34,8 +35,8 @@ impl Layer for HeightGrid {
         Self::of_tiles(*params, BTreeMap::new())
     }
 
-    fn prepare(params: &HeightParams, t_submap_base: &Pose, scan: &KeyframeScan) -> HeightUpdate {
-        HeightUpdate::new(params, t_submap_base, scan)
+    fn prepare(params: &HeightParams, view: &KeyframeView<'_>) -> HeightUpdate {
+        HeightUpdate::new(params, view)
     }
 
     fn touched(_: &HeightParams, update: &HeightUpdate) -> Aabb3 {

@@ -2,6 +2,7 @@
 
 use super::tile::Tile;
 use super::{HeightParams, HeightUpdate};
+use crate::KeyframeView;
 use crate::MappingError;
 use crate::error::check_keyframe;
 use crate::layer::TileKey;
@@ -46,7 +47,7 @@ impl HeightGrid {
     /// `PoseNotFinite`; `Scan` if the channels do not fit the points or the height is not finite.
     pub fn integrate(&mut self, t_map_base: &Pose, scan: &KeyframeScan) -> Result<(), MappingError> {
         check_keyframe(t_map_base, scan)?;
-        self.apply(&HeightUpdate::new(&self.params, t_map_base, scan));
+        self.apply(&HeightUpdate::new(&self.params, &KeyframeView::new(t_map_base, scan)));
         Ok(())
     }
 

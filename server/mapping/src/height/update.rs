@@ -5,12 +5,13 @@ use super::beams::{Beams, Window};
 use super::bits::Bits;
 use super::look::{DEEP_M, Look};
 use super::tile::{BLOCK, NUM_BLOCKS, Seen, block_of};
+use crate::KeyframeView;
 use crate::ground::{Ground, Place};
 use crate::layer::TileKey;
 use crate::occupancy::{TILE, locate, overlap};
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Point2, Point3};
 use percept_geometry::grid::walk;
-use percept_geometry::{Aabb3, Cell as At, GridGeometry, KeyframeScan, Pose, Voxel};
+use percept_geometry::{Aabb3, Cell as At, GridGeometry, Voxel};
 
 /// What hides behind the edge of a drop is known as one so far, metres.
 const HIDDEN_M: f64 = 1.0;
@@ -40,27 +41,22 @@ impl HeightUpdate {
         Self { tiles: vec![], bounds: Aabb3::empty() }
     }
 
-    /// What a scan taken at `t_map_base` says. Nothing, if heights are not kept or the scan is planar. Points that are not finite, or
+    /// What a keyframe says. Nothing, if heights are not kept or its scan is planar. Points that are not finite, or
     /// beyond the range of the indices, say nothing.
-    pub fn new(params: &HeightParams, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
-        if !params.enabled || scan.planar {
+    pub fn new(params: &HeightParams, view: &KeyframeView<'_>) -> Self {
+        if !params.enabled || view.scan.planar {
             return Self::empty();
         }
-        let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
-        let in_map = |points: &[Point3<f32>]| -> Vec<Point3<f64>> {
-            points.iter().map(|p| t_map_base * p.cast::<f64>()).collect()
-        };
-        let (hits, misses) = (in_map(&scan.hits.positions), in_map(&scan.misses));
-        let floor_z = t_map_base.translation.vector.z - scan.base_height_m;
-        let ground = Ground::new(&params.of_ground(), &sensor, (floor_z, &(t_map_base * Vector3::z())), &hits);
+        let (sensor, hits, misses) = (view.sensor(), view.hits(), view.misses());
+        let (floor_z, ground) = (view.floor_z(), view.ground(&params.of_ground()));
         let missed: Vec<Place> = misses.iter().map(|p| Place::of(&sensor, p)).collect();
         let ranges = ground.places().iter().chain(&missed).map(|place| f64::from(place.range));
         let range = ranges.filter(|r| r.is_finite()).fold(0.0, f64::max).min(params.range_max());
         let Some(mut gathered) = Gathered::new(params, &sensor, range) else { return Self::empty() };
         let mut beams = Beams::new(params, range);
-        let ends = ground.places().iter().zip(&hits).chain(missed.iter().zip(&misses));
+        let ends = ground.places().iter().zip(hits).chain(missed.iter().zip(misses));
         ends.for_each(|(place, p)| beams.add(place, p.z - sensor.z));
-        gathered.gather(params, &sensor, &ground, &hits);
+        gathered.gather(params, &sensor, &ground, hits);
         let passed = beams.passed(params, &sensor, &ground, range, gathered.blocks());
         gathered.tiles(passed, floor_z)
     }

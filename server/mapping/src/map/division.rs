@@ -33,11 +33,19 @@ impl MapEntry {
 pub(super) struct Division {
     /// Of the newest submap: its number, where its first keyframe was in odom, and how many it was given.
     newest: Option<(u32, Vector3<f64>, usize)>,
+    /// The keyframe before, base to odom.
+    t_odom_before: Option<Pose>,
 }
 
 impl Division {
-    /// The number of the submap to which the next keyframe belongs.
-    pub(super) fn next(&mut self, entry: &MapEntry) -> u32 {
+    /// The number of the submap to which the next keyframe belongs, and base at the keyframe before, seen from base now, if odometry
+    /// measured the way from there.
+    pub(super) fn next(&mut self, entry: &MapEntry) -> (u32, Option<Pose>) {
+        let before = self.t_odom_before.replace(entry.t_odom_base).filter(|_| !entry.after_gap);
+        (self.number(entry), before.map(|t_odom_before| entry.t_odom_base.inv_mul(&t_odom_before)))
+    }
+
+    fn number(&mut self, entry: &MapEntry) -> u32 {
         let here = entry.t_odom_base.translation.vector;
         let number = match &mut self.newest {
             None => 0,

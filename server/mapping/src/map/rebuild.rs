@@ -1,6 +1,7 @@
 //! Submaps whose layers are built anew beside what is shown, one after the other, a little at a time, on any thread.
 
 use super::{Map, MapKeyframe};
+use crate::keyframe_view::KeyframeView;
 use crate::layers::{LayerBoxes, LayerSlots, LayersUpdate};
 use crate::submap::SubmapId;
 use crate::{MapParams, Submap, SubmapLayers};
@@ -56,8 +57,26 @@ struct Built {
 pub struct RebuildStep {
     params: MapParams,
     id: SubmapId,
-    due: Vec<(KeyframeId, Pose, KeptScan)>,
+    due: Vec<Due>,
     built: Built,
+}
+
+/// A keyframe that is due.
+#[derive(Debug)]
+struct Due {
+    id: KeyframeId,
+    t_submap_base: Pose,
+    t_base_before: Option<Pose>,
+    scan: KeptScan,
+}
+
+impl Due {
+    /// None if its scan cannot be had any more.
+    fn prepare(&self, params: &MapParams) -> Option<LayersUpdate> {
+        let scan = self.scan.get()?;
+        let view = KeyframeView::new(&self.t_submap_base, &scan).coming_from(self.t_base_before);
+        Some(LayersUpdate::new(params, &view))
+    }
 }
 
 /// A step that was worked on.
@@ -72,14 +91,12 @@ impl RebuildStep {
     /// Works on it. Parallel work runs on the current rayon pool.
     pub fn run(self) -> RebuildStepDone {
         let Self { params, id, due, mut built } = self;
-        let update =
-            |(_, pose, scan): &(KeyframeId, Pose, KeptScan)| Some(LayersUpdate::new(&params, pose, &*scan.get()?));
-        let updates: Option<Vec<LayersUpdate>> = due.par_iter().map(update).collect();
+        let updates: Option<Vec<LayersUpdate>> = due.par_iter().map(|d| d.prepare(&params)).collect();
         let built = updates.map(|updates| {
-            for ((id, pose, _), update) in due.iter().zip(updates) {
+            for (Due { id, t_submap_base, .. }, update) in due.iter().zip(updates) {
                 built.boxes = built.boxes.joined(&update.touched(&params));
                 built.layers.add(&update);
-                built.keyframes.insert(*id, *pose);
+                built.keyframes.insert(*id, *t_submap_base);
             }
             built
         });
@@ -179,7 +196,10 @@ impl Map {
             num_due += 1;
         }
         // Those that have left the map meanwhile are left out.
-        let living = |(id, pose)| self.keyframes.get(&id).map(|k: &MapKeyframe| (id, pose, k.scan.clone()));
+        let living = |(id, t_submap_base)| {
+            let MapKeyframe { t_base_before, scan, .. } = self.keyframes.get(&id)?;
+            Some(Due { id, t_submap_base, t_base_before: *t_base_before, scan: scan.clone() })
+        };
         let due = under_way.left.drain(..num_due).filter_map(living).collect();
         Some(RebuildStep { params: self.params, id: under_way.id, due, built })
     }

@@ -3,13 +3,16 @@
 use super::marks::{Frame, Heights, Mark, ScanUpdate};
 use crate::ground::{Ground, Patch, Place, sector_of};
 use nalgebra::{Point2, Point3};
-use percept_geometry::Cell;
+use percept_geometry::grid::walk;
+use percept_geometry::{Cell, by_processor};
 use std::f64::consts::{PI, TAU};
 
 /// A beam that goes deeper than this below the band's bottom looks down a drop (stairs, a pit), metres.
 const DROP_M: f64 = 0.2;
 /// Beams end together if they do within this, metres.
 const END_M: f64 = 0.05;
+/// A beam went on over a cell if it ended so far behind it, metres: else it may have grazed what stands there.
+const BEYOND_M: f32 = 1.0;
 
 /// The columns of a scan.
 pub(super) struct Columns<'a> {
@@ -27,11 +30,15 @@ struct Column {
     /// Where its beams are over the ground and in the band: so far, horizontally from the sensor, metres.
     farthest_free: f64,
     free: Point2<f64>,
-    /// Of beams that are much alike one: 64 bins from 45 degrees down to 45 degrees up. It went as far as the shortest of them.
+    /// Of beams that are much alike one: bins from 45 degrees down to 45 degrees up. It went as far as the shortest of them.
     beams: [Beam; NUM_BEAMS],
 }
 
-const NUM_BEAMS: usize = 64;
+/// A lidar of 64 rings has them 0.006 to 0.009 radians apart: each passes at its own height.
+const NUM_BEAMS: usize = 320;
+/// Half of what a beam is wide, radians: a VLP-16's diverges by 3 mrad. What one hit another beam that passed a centimetre beside it
+/// would have hit.
+const HALF_WIDTH_RAD: f32 = 0.0015;
 
 /// How steep a beam is, rise over run, and how far it went, horizontally, metres; infinitely steep is none.
 #[derive(Clone, Copy)]
@@ -58,7 +65,7 @@ impl Column {
 
     fn include(&mut self, slope: f64, range: f64) {
         if slope.is_finite() {
-            let kept = &mut self.beams[((slope.clamp(-1.0, 1.0) + 1.0) * 31.99) as usize];
+            let kept = &mut self.beams[((slope.clamp(-1.0, 1.0) + 1.0) * (0.4999 * NUM_BEAMS as f64)) as usize];
             *kept = Beam { slope: kept.slope.min(slope as f32), range: kept.range.min(range as f32) };
         }
     }
@@ -77,52 +84,139 @@ struct Profile {
     rings: Vec<(f32, f32)>,
 }
 
-/// What a column says of free cells.
+/// Free cells of a column while they are marked, and what of it is said of them. Heights over the band's bottom are in
+/// [`Heights`]' bits.
 struct Passing<'a> {
     frame: &'a Frame<'a>,
     ground: &'a Ground,
-    profile: &'a Profile,
-    /// In order.
-    beams: &'a [Beam],
-    /// The first beam that was not below the band in the cell before.
-    first: std::cell::Cell<usize>,
-    /// From height over the band's bottom to bits.
+    profile: Profile,
     bits_per_m: f32,
+    cells: Vec<Cell>,
+    /// By cell: its range, metres; the sensor's height over the band there; the heights at which beams pass.
+    ranges: Vec<f32>,
+    above: Vec<f32>,
+    heights: Vec<u64>,
 }
 
-/// From here to twice this an `f32` holds whole numbers.
-const WHOLE: f32 = (1 << 23) as f32;
+impl<'a> Passing<'a> {
+    fn new(frame: &'a Frame<'a>, ground: &'a Ground) -> Self {
+        let (cells, ranges, above, heights) = (vec![], vec![], vec![], vec![]);
+        let bits_per_m = 64.0 / (frame.params.band_max_m - frame.params.band_min_m) as f32;
+        let profile = Profile { sector: usize::MAX, rings: vec![] };
+        Self { frame, ground, profile, bits_per_m, cells, ranges, above, heights }
+    }
 
-impl Passing<'_> {
-    /// The heights at which those of the beams pass a cell that count.
-    fn mark(&self, cell: Cell, counts: impl Fn(&Beam, f32) -> bool) -> Mark {
-        let off = self.frame.geometry.center(cell) - self.frame.sensor.xy();
-        let range = (off.x * off.x + off.y * off.y).sqrt() as f32;
-        let (below, falls) = self.profile.rings[self.ground.ring_at(range.into())];
-        // Where the sensor is, from the bottom of the band.
-        let above = below - falls * range - self.frame.params.band_min_m as f32;
-        // Most beams pass far from the band; where the first of those in it is changes little from cell to cell.
-        let is_below = |beam: &Beam| above + beam.slope * range < 0.0;
-        let mut first = self.first.get();
-        while self.beams.get(first).is_some_and(is_below) {
-            first += 1;
+    /// Goes on with a column in this direction, radians.
+    fn turn_to(&mut self, azimuth: f64) {
+        let (sector, sensor_z) = (sector_of(azimuth), self.frame.sensor.z);
+        if sector != self.profile.sector {
+            self.profile.sector = sector;
+            self.profile.rings.clear();
+            let seen_from = |patch: &Patch| ((sensor_z - patch.z_at(0.0)) as f32, patch.slope as f32);
+            self.profile.rings.extend(self.ground.along(sector).map(seen_from));
         }
-        while first > 0 && !is_below(&self.beams[first - 1]) {
-            first -= 1;
-        }
-        self.first.set(first);
-        let (above, per_slope) = (above * self.bits_per_m, range * self.bits_per_m);
-        let mut heights = 0u64;
-        for beam in &self.beams[first..] {
-            let bit = above + beam.slope * per_slope;
-            if bit >= 64.0 {
-                break;
+    }
+
+    /// Frees the cells from one place to another with the heights at which some beams pass there; with that of the end, or
+    /// without. Of those that only went on over them nothing but that is known.
+    fn free(
+        &mut self,
+        update: &mut ScanUpdate,
+        beams: &[Beam],
+        (from, to): (&Point2<f64>, &Point2<f64>),
+        with_end: bool,
+        that: That,
+    ) {
+        self.cells.clear();
+        self.ranges.clear();
+        self.above.clear();
+        let geometry = self.frame.geometry;
+        walk(geometry, from, to, |cell| {
+            let off = geometry.center(cell) - self.frame.sensor.xy();
+            let range = (off.x * off.x + off.y * off.y).sqrt() as f32;
+            let (below, falls) = self.profile.rings[self.ground.ring_at(range.into())];
+            self.cells.push(cell);
+            self.ranges.push(range);
+            self.above.push((below - falls * range - self.frame.params.band_min_m as f32) * self.bits_per_m);
+        });
+        let num = if with_end { self.cells.len() } else { self.cells.len().saturating_sub(1) };
+        self.heights.clear();
+        self.heights.resize(num, 0);
+        pass(beams, that, &self.ranges[..num], &self.above[..num], self.bits_per_m, &mut self.heights);
+        for (cell, heights) in self.cells.iter().zip(&self.heights) {
+            let heights = Heights::of_bits(*heights);
+            match that {
+                That::Came | That::Ended(_) => update.mark(*cell, Mark::Free(heights)),
+                That::WentOn if heights != Heights::NONE => update.mark(*cell, Mark::Over(heights)),
+                That::WentOn => {}
             }
-            // The whole part is in the lowest bits then: a conversion would ask whether it fits.
-            let whole = (bit.max(0.0) + (WHOLE - 0.5)).to_bits() & 63;
-            heights |= u64::from(counts(beam, range)) << whole;
         }
-        Mark::Free(Heights::of_bits(heights))
+    }
+}
+
+/// Cells that are worked on together.
+const CHUNK: usize = 16;
+/// The ground rises and falls within a chunk by less, in bits of heights.
+const UNEVEN_BITS: f32 = 64.0;
+
+/// The lowest six bits of the whole number below 0 to 63: a conversion would ask whether it fits.
+#[inline(always)]
+fn whole(v: f32) -> u64 {
+    // From 2^23 on an `f32` holds whole numbers, in its last bits.
+    u64::from(((v - 0.5) + (8_388_608.0 + 64.0)).to_bits() & 63)
+}
+
+/// Which beams of a column count in a cell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum That {
+    /// All: nothing stood in their way so far.
+    Came,
+    /// Those that came so far, and ended before a range.
+    Ended(f32),
+    /// Those that went on.
+    WentOn,
+}
+
+by_processor! {
+    [avx512]
+    /// Adds the heights at which beams pass cells (one each of ranges, heights of the sensor over the band in bits, and what is added
+    /// to).
+    fn pass(
+        beams: &[Beam],
+        that: That,
+        ranges: &[f32],
+        above: &[f32],
+        bits_per_m: f32,
+        heights: &mut [u64],
+    ) {
+        let (ended_before, beyond) = match that {
+            That::Came => (f32::INFINITY, f32::NEG_INFINITY),
+            That::Ended(before) => (before, 0.0),
+            That::WentOn => (f32::INFINITY, BEYOND_M),
+        };
+        for ((ranges, above), heights) in ranges.chunks(CHUNK).zip(above.chunks(CHUNK)).zip(heights.chunks_mut(CHUNK)) {
+            let last = ranges.len() - 1;
+            for beam in beams {
+                let bit = |i: usize| above[i] + beam.slope * bits_per_m * ranges[i];
+                let (low, high) = (bit(0).min(bit(last)), bit(0).max(bit(last)));
+                if high < -UNEVEN_BITS || low > 64.0 + UNEVEN_BITS || beam.range > ended_before {
+                    continue;
+                }
+                let reach = beam.range - beyond;
+                for ((range, above), heights) in ranges.iter().zip(above).zip(heights.iter_mut()) {
+                    let bit = above + beam.slope * bits_per_m * range;
+                    let width = HALF_WIDTH_RAD * bits_per_m * range;
+                    let (low, high) = (bit - width, bit + width);
+                    let is_in = (high >= 0.0) & (low < 64.0) & (*range <= reach);
+                    let low = if low > 0.0 { low } else { 0.0 };
+                    let high = if high < 63.5 { high } else { 63.5 };
+                    // What is out of the band counts nowhere, whatever its bits.
+                    let (low, high) = (whole(low), whole(high));
+                    let bits = (u64::MAX >> (63 - (high.wrapping_sub(low) & 63))) << low;
+                    *heights |= if is_in { bits } else { 0 };
+                }
+            }
+        }
     }
 }
 
@@ -141,36 +235,39 @@ impl<'a> Columns<'a> {
             let azimuth = Place::of(&self.frame.sensor, p).azimuth;
             self.read_free(p, azimuth.into(), self.frame.sensor.z - self.frame.floor_z);
         }
-        let (step, frame) = (TAU / self.columns.len() as f64, self.frame);
-        let bits_per_m = 64.0 / (frame.params.band_max_m - frame.params.band_min_m) as f32;
-        let mut profile = Profile { sector: usize::MAX, rings: vec![] };
+        let (step, sensor, frame) = (TAU / self.columns.len() as f64, self.frame.sensor.xy(), self.frame);
+        let mut passing = Passing::new(frame, ground);
         for (i, mut column) in std::mem::take(&mut self.columns).into_iter().enumerate() {
             let beams = column.settle();
-            let sector = sector_of((i as f64 + 0.5) * step - PI);
-            if sector != profile.sector {
-                profile.sector = sector;
-                profile.rings.clear();
-                let seen_from = |patch: &Patch| ((frame.sensor.z - patch.z_at(0.0)) as f32, patch.slope as f32);
-                profile.rings.extend(ground.along(sector).map(seen_from));
-            }
-            let (profile, beams, first) = (&profile, &beams[..], std::cell::Cell::new(0));
-            let passing = Passing { frame, ground, profile, beams, first, bits_per_m };
-            let passed = |cell| passing.mark(cell, |_, _| true);
+            passing.turn_to((i as f64 + 0.5) * step - PI);
             let first = column.ends.iter().position(|e| e.is_obstacle);
             match first {
-                Some(first) => frame.free_before(update, &column.ends[first].at, passed),
+                Some(first) => {
+                    let end = &column.ends[first].at;
+                    passing.free(update, &beams, (&sensor, end), false, That::Came);
+                }
                 None if column.farthest_free > 0.0 => {
-                    frame.free_towards(update, &column.free, column.farthest_free, passed);
+                    let share = (frame.params.range_max() / column.farthest_free).min(1.0);
+                    let end = sensor + (column.free - sensor) * share;
+                    passing.free(update, &beams, (&sensor, &end), true, That::Came);
                 }
                 None => {}
+            }
+            if let Some(first) = first {
+                let reach =
+                    beams.iter().map(|beam| f64::from(beam.range)).fold(0.0, f64::max).min(frame.params.range_max());
+                let obstacle = &column.ends[first];
+                if reach > obstacle.range + f64::from(BEYOND_M) {
+                    let end = sensor + (obstacle.at - sensor) * (reach / obstacle.range);
+                    passing.free(update, &beams, (&obstacle.at, &end), true, That::WentOn);
+                }
             }
             // Behind an obstacle, between ground and ground that were seen over it, by the beams that ended there: those that went on
             // graze what stands in between.
             for pair in column.ends[first.unwrap_or(column.ends.len())..].windows(2) {
                 if !pair[0].is_obstacle && !pair[1].is_obstacle {
-                    let last = (pair[1].range + END_M) as f32;
-                    let ended = |beam: &Beam, range: f32| range <= beam.range && beam.range <= last;
-                    frame.free_between(update, &pair[0].at, &pair[1].at, |cell| passing.mark(cell, ended));
+                    let ends = (&pair[0].at, &pair[1].at);
+                    passing.free(update, &beams, ends, true, That::Ended((pair[1].range + END_M) as f32));
                 }
             }
         }
@@ -204,7 +301,8 @@ impl<'a> Columns<'a> {
         if height < params.band_min_m + ground.doubt {
             return;
         }
-        self.frame.hit_at(update, &p.xy(), Heights::at(params, height));
+        let width = f64::from(HALF_WIDTH_RAD) * range;
+        self.frame.hit_at(update, &p.xy(), Heights::between(params, height - width, height + width));
         self.column(azimuth).ends.push(End { range, at: p.xy(), is_obstacle: true });
     }
 
@@ -248,5 +346,43 @@ impl<'a> Columns<'a> {
     fn column(&mut self, azimuth: f64) -> &mut Column {
         let last = self.columns.len() - 1;
         &mut self.columns[(((azimuth + PI) / TAU * (last + 1) as f64) as usize).min(last)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn beams_pass_at_the_heights_that_they_are_wide() {
+        let (bits_per_m, ended_before) = (64.0 / 1.7, 12.0);
+        let ranges: Vec<f32> = (0..150).map(|i| 0.05 + 0.1 * i as f32).collect();
+        let above: Vec<f32> = ranges.iter().map(|r| 60.0 + 3.0 * r.sin()).collect();
+        let beams: Vec<Beam> =
+            (-40..20).map(|i| Beam { slope: 0.011 * i as f32, range: 20.0 + 0.3 * i as f32 }).collect();
+        for that in [That::Came, That::Ended(ended_before), That::WentOn] {
+            let mut heights = vec![0; ranges.len()];
+            pass(&beams, that, &ranges, &above, bits_per_m, &mut heights);
+            for ((range, above), heights) in ranges.iter().zip(&above).zip(&heights) {
+                let counts = |beam: &&Beam| match that {
+                    That::Came => true,
+                    That::Ended(before) => *range <= beam.range && beam.range <= before,
+                    That::WentOn => *range <= beam.range - BEYOND_M,
+                };
+                let (mut least, mut most) = (0u64, 0u64);
+                for beam in beams.iter().filter(counts) {
+                    let (bit, width) = (above + beam.slope * bits_per_m * range, HALF_WIDTH_RAD * bits_per_m * range);
+                    for k in 0..64u32 {
+                        let (from, to, off) = (k as f32, k as f32 + 1.0, 0.01);
+                        least |= u64::from(bit + width >= from + off && bit - width <= to - off) << k;
+                        most |= u64::from(bit + width >= from - off && bit - width <= to + off) << k;
+                    }
+                }
+                assert!(
+                    least & !heights == 0 && heights & !most == 0,
+                    "{that:?} {range}: {heights:x} {least:x} {most:x}"
+                );
+            }
+        }
     }
 }

@@ -5,13 +5,14 @@ use super::grid::grow;
 use super::read::{Occupancy, TILE, Visit, locate};
 use super::tile::EvidenceTile;
 use super::{OccupancyGrid, OccupancyParams, ScanUpdate};
+use crate::KeyframeView;
 use crate::bytes::{Damaged, Reader, put_i32, put_u32};
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey};
 use crate::layer_slot::LayerSlot;
 use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point2, Point3};
-use percept_geometry::{Aabb3, Cell, GridGeometry, KeyframeScan, Pose};
+use percept_geometry::{Aabb3, Cell, GridGeometry};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -58,8 +59,8 @@ impl Layer for OccupancyGrid {
         Self::of_tiles(*params, BTreeMap::new())
     }
 
-    fn prepare(params: &OccupancyParams, t_submap_base: &Pose, scan: &KeyframeScan) -> ScanUpdate {
-        ScanUpdate::new(params, &geometry(params), t_submap_base, scan)
+    fn prepare(params: &OccupancyParams, view: &KeyframeView<'_>) -> ScanUpdate {
+        ScanUpdate::new(params, &geometry(params), view)
     }
 
     fn touched(params: &OccupancyParams, update: &ScanUpdate) -> Aabb3 {

@@ -46,13 +46,20 @@ impl Evidence {
         let before = if self.log_odds.is_nan() { 0.0 } else { self.log_odds };
         let (after, step) = match mark {
             Mark::Unseen => return,
+            Mark::Driven(heights) => return self.add_driven(heights, params),
+            Mark::Over(heights) => {
+                self.add_passes(heights);
+                if self.log_odds.is_nan() || !self.standing.meet(heights) {
+                    return;
+                }
+                (before + params.free_log_odds, params.free_log_odds)
+            }
             Mark::Free(heights) => {
                 self.passed = self.passed.joined(heights);
                 if planar {
                     self.planar_passes = (self.planar_passes + 1).min(2);
                 } else {
-                    self.passed_often = self.passed_often.joined(self.passed_once.shared(heights));
-                    self.passed_once = self.passed_once.joined(heights);
+                    self.add_passes(heights);
                 }
                 // A planar beam may pass between the legs of what other sensors saw whole.
                 let blind = if planar { !self.standing.within(heights) } else { !self.standing.meet(heights) };
@@ -80,6 +87,28 @@ impl Evidence {
         if self.log_odds <= 0.0 {
             self.standing = Heights::NONE;
         }
+    }
+
+    fn add_passes(&mut self, heights: Heights) {
+        self.passed_often = self.passed_often.joined(self.passed_once.shared(heights));
+        self.passed_once = self.passed_once.joined(heights);
+    }
+
+    /// The robot's body came through: nothing stands at these heights, whatever was seen before, and what comes to stand there is
+    /// news. Higher up nothing is known by it.
+    fn add_driven(&mut self, heights: Heights, params: &OccupancyParams) {
+        self.passed = self.passed.joined(heights);
+        self.passed_once = self.passed_once.joined(heights);
+        self.passed_often = self.passed_often.joined(heights);
+        self.planar_passes = 2;
+        self.standing = self.standing.without(heights);
+        if self.standing != Heights::NONE {
+            return;
+        }
+        // As free as one look makes it, so that what is seen twice afterwards stands.
+        let most = params.free_log_odds.max(params.min_log_odds);
+        self.log_odds = if self.log_odds.is_nan() { most } else { self.log_odds.min(most) };
+        (self.least, self.most) = (self.least.min(most), self.most.min(most));
     }
 
     /// As bits that are equal only if all is.
@@ -132,7 +161,8 @@ impl State {
     /// Lays what a later submap says over this, with the rules that hold within one.
     pub(super) fn overlay(&mut self, later: &Evidence, params: &OccupancyParams) {
         if later.log_odds.is_nan() {
-            return;
+            // Seen over at most.
+            return self.lose(later.passes(self.standing), params);
         }
         if self.log_odds.is_nan() {
             *self = Self { log_odds: later.log_odds, standing: later.standing, passed: later.passed };
@@ -151,7 +181,7 @@ impl State {
                 let gain = if stands { later.log_odds.max(0.0) } else { 0.0 };
                 self.log_odds = (self.log_odds + gain).min(params.max_log_odds);
             } else if passes == 1 && !stands {
-                self.log_odds = (self.log_odds + params.free_log_odds).max(params.min_log_odds);
+                self.lose(passes, params);
             } else {
                 self.log_odds = moved(self.log_odds);
                 if stands && !self.standing.meet(later.standing) {
@@ -163,6 +193,16 @@ impl State {
         self.passed = self.passed.joined(later.passed).without(later.standing);
         if self.log_odds <= 0.0 {
             self.standing = Heights::NONE;
+        }
+    }
+
+    /// So many keyframes passed where this stands.
+    fn lose(&mut self, passes: u8, params: &OccupancyParams) {
+        if passes > 0 {
+            self.log_odds = (self.log_odds + f32::from(passes) * params.free_log_odds).max(params.min_log_odds);
+            if self.log_odds <= 0.0 {
+                self.standing = Heights::NONE;
+            }
         }
     }
 }

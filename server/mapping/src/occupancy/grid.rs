@@ -5,6 +5,7 @@ use super::marks::Mark;
 use super::read::{Occupancy, TILE, Visit, locate, overlap};
 use super::tile::EvidenceTile;
 use super::{DenseGrid, OccupancyParams, ScanUpdate};
+use crate::KeyframeView;
 use crate::MappingError;
 use crate::error::check_keyframe;
 use nalgebra::Point2;
@@ -74,7 +75,7 @@ impl OccupancyGrid {
     /// `PoseNotFinite`; `Scan` if the channels do not fit the points or the height is not finite.
     pub fn integrate(&mut self, t_map_base: &Pose, scan: &KeyframeScan) -> Result<(), MappingError> {
         check_keyframe(t_map_base, scan)?;
-        let update = ScanUpdate::new(&self.params, &self.geometry, t_map_base, scan);
+        let update = ScanUpdate::new(&self.params, &self.geometry, &KeyframeView::new(t_map_base, scan));
         self.apply(&update);
         Ok(())
     }

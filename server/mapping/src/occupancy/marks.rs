@@ -23,19 +23,26 @@ pub struct ScanUpdate {
 pub(super) enum Mark {
     /// Not seen.
     Unseen,
+    /// Behind something, beams went over it at these heights: what stood there so high has gone. What is lower was not seen.
+    Over(Heights),
     /// Beams passed at these heights, none ended here.
     Free(Heights),
     /// Beams ended here, at these heights.
     Hit(Heights),
+    /// The robot's body came through, at these heights.
+    Driven(Heights),
 }
 
 impl Mark {
-    /// Both marks of one keyframe: a hit outweighs, heights of a kind join.
+    /// Both marks of one keyframe: a hit outweighs what passed, and the robot itself both; heights of a kind join.
     fn joined(self, other: Self) -> Self {
         match (self, other) {
+            (Self::Driven(_), _) => self,
+            (_, Self::Driven(_)) => other,
             (Self::Hit(a), Self::Hit(b)) => Self::Hit(a.joined(b)),
             (Self::Free(a), Self::Free(b)) => Self::Free(a.joined(b)),
-            (Self::Hit(_), _) | (_, Self::Unseen) => self,
+            (Self::Over(a), Self::Over(b)) => Self::Over(a.joined(b)),
+            (Self::Hit(_), _) | (_, Self::Unseen) | (Self::Free(_), Self::Over(_)) => self,
             _ => other,
         }
     }
@@ -54,6 +61,21 @@ impl Heights {
     pub(super) fn at(params: &OccupancyParams, height: f64) -> Self {
         let share = Self::share(params, height);
         if (0.0..1.0).contains(&share) { Self(1 << (share * 64.0) as u32) } else { Self::NONE }
+    }
+
+    /// From one height above the floor to another, metres: what of that lies in the band.
+    pub(super) fn between(params: &OccupancyParams, low: f64, high: f64) -> Self {
+        let (low, high) = (64.0 * Self::share(params, low), 64.0 * Self::share(params, high));
+        if !(high >= 0.0 && low < 64.0) {
+            return Self::NONE;
+        }
+        let (low, high) = (low.max(0.0) as u32, (high as u32).min(63));
+        Self(u64::MAX >> (63 - (high - low)) << low)
+    }
+
+    /// All from the bottom of the band up to a height above the floor, metres; the lowest at least.
+    pub(super) fn up_to(params: &OccupancyParams, height: f64) -> Self {
+        Self(u64::MAX >> (63 - (Self::share(params, height).clamp(0.0, 0.999) * 64.0) as u32))
     }
 
     /// The height of a planar scan, which speaks for the band wherever it lies.
@@ -101,8 +123,15 @@ impl Heights {
 }
 
 impl ScanUpdate {
+    /// What a cell is marked as.
+    pub(super) fn at(&self, cell: Cell) -> Mark {
+        let (x, y) = (i64::from(cell.x) - i64::from(self.min.x), i64::from(cell.y) - i64::from(self.min.y));
+        let is_inside = |v: i64| (0..self.width as i64).contains(&v);
+        if is_inside(x) && is_inside(y) { self.marks[y as usize * self.width + x as usize] } else { Mark::Unseen }
+    }
+
     /// Adds a mark, if the cell is in the window.
-    fn mark(&mut self, cell: Cell, mark: Mark) {
+    pub(super) fn mark(&mut self, cell: Cell, mark: Mark) {
         let (x, y) = (i64::from(cell.x) - i64::from(self.min.x), i64::from(cell.y) - i64::from(self.min.y));
         let side = self.width as i64;
         if x < 0 || y < 0 || x >= side || y >= side {
@@ -138,17 +167,6 @@ impl Frame<'_> {
                 update.mark(cell, passed(cell));
             }
         });
-    }
-
-    /// Frees the cells from one place to another, both included.
-    pub(super) fn free_between(
-        &self,
-        update: &mut ScanUpdate,
-        from: &Point2<f64>,
-        to: &Point2<f64>,
-        passed: impl Fn(Cell) -> Mark,
-    ) {
-        walk(self.geometry, from, to, |cell| update.mark(cell, passed(cell)));
     }
 
     /// Frees the cells towards `end`, at most as far as the largest range.

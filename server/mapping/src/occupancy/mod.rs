@@ -7,6 +7,7 @@
 mod columns;
 mod compose;
 mod dense;
+mod driven;
 mod evidence;
 mod grid;
 mod marks;

@@ -30,6 +30,9 @@ pub struct OccupancyParams {
     pub band_min_m: f64,
     /// Returns higher than this above the ground pass over the robot: they say nothing, metres. Not for planar scans.
     pub band_max_m: f64,
+    /// The robot's body reaches at least so far around base's origin: where it drove is free, up to its sensor, whatever was seen there
+    /// before, metres; 0 to 5. 0: its way says nothing. Only while base is upright: what is held in a hand is no body that drives.
+    pub footprint_radius_m: f64,
 }
 
 impl Default for OccupancyParams {
@@ -44,6 +47,7 @@ impl Default for OccupancyParams {
             range_max_m: None,
             band_min_m: 0.1,
             band_max_m: 1.8,
+            footprint_radius_m: 0.22,
         }
     }
 }

@@ -2,13 +2,15 @@
 
 use super::OccupancyParams;
 use super::columns::Columns;
+use super::driven::Way;
 use super::marks::{Frame, Heights, Mark, ScanUpdate};
-use crate::ground::{Ground, GroundParams};
-use nalgebra::{Point3, Vector3};
-use percept_geometry::{Cell, GridGeometry, KeyframeScan, Pose};
+use crate::KeyframeView;
+use crate::ground::GroundParams;
+use nalgebra::Point3;
+use percept_geometry::{Cell, GridGeometry};
 
 impl ScanUpdate {
-    /// The marks of a scan taken at `t_map_base`.
+    /// The marks of a keyframe.
     ///
     /// **Planar scans**: each return within `range_max_m` marks its own end and frees the cells before it; misses
     /// and returns beyond only free. **Others**: heights are taken along the map's z, from the ground that the scan
@@ -19,12 +21,15 @@ impl ScanUpdate {
     /// is marked. Free cells hold the heights at which the beams of the column pass there, so
     /// that looking under a table does not free its top. Points that are not finite, or beyond the range
     /// of the indices, say nothing.
-    pub fn new(params: &OccupancyParams, geometry: &GridGeometry, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
-        let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
-        let in_map = |p: &Point3<f32>| t_map_base * p.cast::<f64>();
-        let ends = scan.hits.positions.iter().chain(&scan.misses);
-        let ranges = ends.map(|p| (in_map(p) - sensor).xy().norm()).filter(|r| r.is_finite());
-        let half = (ranges.fold(0.0, f64::max).min(params.range_max()) / geometry.resolution_m).ceil() as i32 + 1;
+    ///
+    /// **The robot's own way** is free up to its sensor: see [`OccupancyParams::footprint_radius_m`].
+    pub fn new(params: &OccupancyParams, geometry: &GridGeometry, view: &KeyframeView<'_>) -> Self {
+        let (sensor, scan, way) = (view.sensor(), view.scan, Way::of(params, view));
+        let ends = view.hits().iter().chain(view.misses());
+        let ranges = ends.map(|p| (p - sensor).xy().norm()).filter(|r| r.is_finite());
+        let range =
+            ranges.fold(0.0, f64::max).min(params.range_max()).max(way.as_ref().map_or(0.0, |w| w.reach_m(&sensor)));
+        let half = (range / geometry.resolution_m).ceil() as i32 + 1;
         let min = geometry.cell(&sensor.xy()).and_then(|c| {
             c.x.checked_add(half).and(c.y.checked_add(half))?;
             Some(Cell::new(c.x.checked_sub(half)?, c.y.checked_sub(half)?))
@@ -34,34 +39,27 @@ impl ScanUpdate {
         };
         let width = 2 * half as usize + 1;
         let mut update = Self { min, width, planar: scan.planar, marks: vec![Mark::Unseen; width * width] };
-        let frame = Frame { params, geometry, sensor, floor_z: t_map_base.translation.vector.z - scan.base_height_m };
+        let frame = Frame { params, geometry, sensor, floor_z: view.floor_z() };
         if scan.planar {
-            frame.mark_beams(&mut update, &scan.hits.positions, &scan.misses, in_map);
+            frame.mark_beams(&mut update, view.hits(), view.misses());
         } else {
-            let hits: Vec<Point3<f64>> = scan.hits.positions.iter().map(in_map).collect();
-            let misses: Vec<Point3<f64>> = scan.misses.iter().map(in_map).collect();
-            let up = t_map_base * Vector3::z();
             let (range_min_m, range_max_m) = (params.range_min_m, params.range_max());
-            let of = GroundParams { range_min_m, range_max_m, clearance_m: params.band_max_m };
-            let ground = Ground::new(&of, &sensor, (frame.floor_z, &up), &hits);
-            Columns::new(&frame, &ground).mark(&mut update, &hits, &misses);
+            let ground = view.ground(&GroundParams { range_min_m, range_max_m, clearance_m: params.band_max_m });
+            Columns::new(&frame, &ground).mark(&mut update, view.hits(), view.misses());
+        }
+        if let Some(way) = way {
+            way.mark(&frame, &mut update);
         }
         update
     }
 }
 
 impl Frame<'_> {
-    fn mark_beams(
-        &self,
-        update: &mut ScanUpdate,
-        hits: &[Point3<f32>],
-        misses: &[Point3<f32>],
-        in_map: impl Fn(&Point3<f32>) -> Point3<f64>,
-    ) {
+    fn mark_beams(&self, update: &mut ScanUpdate, hits: &[Point3<f64>], misses: &[Point3<f64>]) {
         let heights = Heights::of_plane(self.params, self.sensor.z - self.floor_z);
         let passed = |_| Mark::Free(heights);
         for p in hits {
-            let end = in_map(p).xy();
+            let end = p.xy();
             let range = (end - self.sensor.xy()).norm();
             if range > self.params.range_max() {
                 self.free_towards(update, &end, range, passed);
@@ -71,7 +69,7 @@ impl Frame<'_> {
             }
         }
         for p in misses {
-            let end = in_map(p).xy();
+            let end = p.xy();
             self.free_towards(update, &end, (end - self.sensor.xy()).norm(), passed);
         }
     }

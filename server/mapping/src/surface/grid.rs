@@ -2,6 +2,7 @@
 
 use super::block::SurfaceBlock;
 use super::{SurfaceParams, SurfaceUpdate};
+use crate::KeyframeView;
 use crate::MappingError;
 use crate::blocks::BlockKey;
 use crate::cloud::free::FreeSpace;
@@ -61,7 +62,7 @@ impl SurfaceGrid {
     /// `PoseNotFinite`; `Scan` if the colours are not one a point or the height is not finite.
     pub fn integrate(&mut self, t_submap_base: &Pose, scan: &KeyframeScan) -> Result<(), MappingError> {
         check_keyframe(t_submap_base, scan)?;
-        self.apply(&SurfaceUpdate::new(&self.params, t_submap_base, scan));
+        self.apply(&SurfaceUpdate::new(&self.params, &KeyframeView::new(t_submap_base, scan)));
         Ok(())
     }
 

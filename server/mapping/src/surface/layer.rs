@@ -3,13 +3,14 @@
 use super::block::SurfaceBlock;
 use super::tile::SurfaceTile;
 use super::{SurfaceGrid, SurfaceParams, SurfaceUpdate, compose, stored};
+use crate::KeyframeView;
 use crate::blocks::block_box;
 use crate::blocks::{BLOCK, BlockKey};
 use crate::bytes::{Damaged, Reader};
 use crate::layer::{Footprint, Layer, Placement, TileKey, joined};
 use crate::layer_slot::LayerSlot;
 use crate::layers::{LayerBoxes, LayerSlots};
-use percept_geometry::{Aabb3, KeyframeScan, Pose};
+use percept_geometry::Aabb3;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -29,8 +30,8 @@ impl Layer for SurfaceGrid {
         Self::empty(*params)
     }
 
-    fn prepare(params: &SurfaceParams, t_submap_base: &Pose, scan: &KeyframeScan) -> SurfaceUpdate {
-        if params.enabled { SurfaceUpdate::new(params, t_submap_base, scan) } else { SurfaceUpdate::nothing() }
+    fn prepare(params: &SurfaceParams, view: &KeyframeView<'_>) -> SurfaceUpdate {
+        if params.enabled { SurfaceUpdate::new(params, view) } else { SurfaceUpdate::nothing() }
     }
 
     fn touched(params: &SurfaceParams, update: &SurfaceUpdate) -> Aabb3 {

@@ -3,11 +3,12 @@
 use super::SurfaceParams;
 use super::beams::crossings;
 use super::block::{Observation, VOXELS};
+use crate::KeyframeView;
 use crate::blocks::{BlockKey, corner, locate};
 use crate::cloud::range_image::{BIN_RAD, RangeImage};
 use crate::seen::{Seen, Window};
 use nalgebra::{Point3, Vector3};
-use percept_geometry::{KeyframeScan, Pose, Voxel};
+use percept_geometry::Voxel;
 use rustc_hash::FxHashMap;
 
 /// Returns up to this range count as a whole look, metres; beyond it a look counts by its inverse square, as a camera's noise in
@@ -71,27 +72,26 @@ impl SurfaceUpdate {
         Self { sensor: Point3::origin(), blocks: vec![], free: vec![] }
     }
 
-    /// The beams of a scan taken at `t_submap_base`. Returns that are not finite are left out, as are those out of range but for
+    /// The beams of a keyframe. Returns that are not finite are left out, as are those out of range but for
     /// what they saw through. The beams of a planar scan show no surface: nothing is taken of it.
     ///
     /// Around its return, a beam is spread over the four voxels around where it crosses each layer of voxels across its main
     /// axis, bilinearly: beams a voxel apart leave no gaps. A voxel takes the mean of the beams, and together they count as one
     /// look, less if they hardly passed it.
-    pub(super) fn new(params: &SurfaceParams, t_submap_base: &Pose, scan: &KeyframeScan) -> Self {
+    pub(super) fn new(params: &SurfaceParams, view: &KeyframeView<'_>) -> Self {
+        let scan = view.scan;
         if scan.planar {
             return Self::nothing();
         }
-        let sensor = Point3::from((t_submap_base * scan.t_base_sensor).translation.vector);
-        let ends: Vec<Point3<f64>> = scan.hits.positions.iter().map(|p| t_submap_base * p.cast::<f64>()).collect();
+        let sensor = view.sensor();
         let mut band = Band::new(params, sensor, scan.hits.colors.is_some());
-        for (i, end) in ends.iter().enumerate() {
+        for (i, end) in view.hits().iter().enumerate() {
             let color = scan.hits.colors.as_ref().and_then(|c| c.get(i)).copied().unwrap_or_default();
             band.add(end, color.map(f32::from));
         }
         let mut free = vec![];
         if params.carve {
-            let misses = scan.misses.iter().map(|p| t_submap_base * p.cast::<f64>());
-            free = seen_through(params, &RangeImage::new(sensor, ends.iter().copied().chain(misses)));
+            free = seen_through(params, view.ranges());
         }
         Self { sensor, blocks: band.into_blocks(), free }
     }

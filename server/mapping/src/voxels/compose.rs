@@ -2,6 +2,7 @@
 
 use super::block::{Evidence, QUANTUM, UNKNOWN, VOXELS, Values};
 use super::{VoxelGrid, VoxelParams, VoxelUpdate};
+use crate::KeyframeView;
 use crate::blocks::{BLOCK, BlockKey, block_box, corner, locate};
 use crate::bytes::{Damaged, Reader, put_i32, put_u32};
 use crate::composed::Composed;
@@ -9,7 +10,7 @@ use crate::layer::{Footprint, Layer, Placement, TileKey, moved};
 use crate::layer_slot::LayerSlot;
 use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::Vector3;
-use percept_geometry::{Aabb3, KeyframeScan, Pose, Voxel};
+use percept_geometry::{Aabb3, Voxel};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -67,8 +68,8 @@ impl Layer for VoxelGrid {
         Self::of_blocks(*params, BTreeMap::new())
     }
 
-    fn prepare(params: &VoxelParams, t_submap_base: &Pose, scan: &KeyframeScan) -> VoxelUpdate {
-        VoxelUpdate::new(params, t_submap_base, scan)
+    fn prepare(params: &VoxelParams, view: &KeyframeView<'_>) -> VoxelUpdate {
+        VoxelUpdate::new(params, view)
     }
 
     fn touched(params: &VoxelParams, update: &VoxelUpdate) -> Aabb3 {

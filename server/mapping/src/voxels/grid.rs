@@ -2,6 +2,7 @@
 
 use super::block::{Evidence, LogOdds};
 use super::{VoxelParams, VoxelUpdate};
+use crate::KeyframeView;
 use crate::MappingError;
 use crate::blocks::BlockKey;
 use crate::error::check_keyframe;
@@ -50,7 +51,7 @@ impl VoxelGrid {
     /// `PoseNotFinite`; `Scan` if the channels do not fit the points or the height is not finite.
     pub fn integrate(&mut self, t_map_base: &Pose, scan: &KeyframeScan) -> Result<(), MappingError> {
         check_keyframe(t_map_base, scan)?;
-        self.apply(&VoxelUpdate::new(&self.params, t_map_base, scan));
+        self.apply(&VoxelUpdate::new(&self.params, &KeyframeView::new(t_map_base, scan)));
         Ok(())
     }
 

@@ -3,9 +3,10 @@
 use super::VoxelParams;
 use super::block::Bits;
 use super::rays::Rays;
+use crate::KeyframeView;
 use crate::blocks::{BlockKey, locate};
 use nalgebra::Point3;
-use percept_geometry::{KeyframeScan, Pose, Voxel};
+use percept_geometry::Voxel;
 
 /// What one keyframe says about voxels: each is passed or hit once, however many beams did. Depends on the pose and the scan alone.
 #[derive(Debug, Clone, Default)]
@@ -15,34 +16,32 @@ pub struct VoxelUpdate {
 }
 
 impl VoxelUpdate {
-    /// The beams of a scan taken at `t_map_base`. Returns beyond the range free the voxels up to it. Those that are nearer than the
+    /// The beams of a keyframe. Returns beyond the range free the voxels up to it. Those that are nearer than the
     /// range begins, or not finite, are left out; so is everything if the sensor stands where no voxel has a number.
     ///
     /// Source: each voxel that a beam passes, as in Amanatides and Woo, "A fast voxel traversal algorithm", 1987; hits before
     /// passes, and each voxel once a scan, as in Hornung et al., "OctoMap", 2013.
-    pub fn new(params: &VoxelParams, t_map_base: &Pose, scan: &KeyframeScan) -> Self {
+    pub fn new(params: &VoxelParams, view: &KeyframeView<'_>) -> Self {
         if !params.enabled {
             return Self::default();
         }
         let size = params.voxel_size_m;
-        let sensor = Point3::from((t_map_base * scan.t_base_sensor).translation.vector);
+        let sensor = view.sensor();
         let (range_min, range_max) = (params.range_min_m, params.range_max());
-        let mut hits: Vec<Voxel> = Vec::with_capacity(scan.hits.len());
-        let mut ends: Vec<Point3<f64>> = Vec::with_capacity(scan.hits.len() + scan.misses.len());
-        for p in &scan.hits.positions {
-            let p = t_map_base * p.cast::<f64>();
+        let mut hits: Vec<Voxel> = Vec::with_capacity(view.hits().len());
+        let mut ends: Vec<Point3<f64>> = Vec::with_capacity(view.hits().len() + view.misses().len());
+        for p in view.hits() {
             let range = (p - sensor).norm();
             if range >= range_min && range <= range_max {
-                if let Some(voxel) = Voxel::containing(&p, size) {
+                if let Some(voxel) = Voxel::containing(p, size) {
                     hits.push(voxel);
-                    ends.push(p);
+                    ends.push(*p);
                 }
             } else if range.is_finite() && range > range_max {
                 ends.push(sensor + (p - sensor) * (range_max / range));
             }
         }
-        for p in &scan.misses {
-            let p = t_map_base * p.cast::<f64>();
+        for p in view.misses() {
             let range = (p - sensor).norm();
             if range.is_finite() && range > 0.0 {
                 ends.push(sensor + (p - sensor) * (range_max / range).min(1.0));

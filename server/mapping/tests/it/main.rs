@@ -5,10 +5,12 @@
 
 mod cloud;
 mod distance;
+mod driven;
 mod ground;
 mod height;
 mod map;
 mod memory;
+mod moved;
 mod occupancy;
 mod scans;
 mod surface;

@@ -6,8 +6,9 @@ use percept_mapping::{DenseGrid, MappingError, Occupancy, OccupancyGrid, Occupan
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
+/// What beams say, without what the robot's way does.
 fn grid() -> OccupancyGrid {
-    OccupancyGrid::new(OccupancyParams::default()).unwrap()
+    OccupancyGrid::new(OccupancyParams { footprint_radius_m: 0.0, ..Default::default() }).unwrap()
 }
 
 /// The definition, cell by cell: hit wins over free, each cell once.
