@@ -86,6 +86,7 @@ fn main() -> Result<(), Failure> {
         grid.height as f64 * resolution
     );
     println!("  ms of processor time a scan: {}", times(ms));
+    println!("  layers take {:.1} MB", snapshot.memory.map.layers as f64 * 1e-6);
     pool.install(|| by_layer(&snapshot.params.map, &keyframes));
     let (known, occupied) = beside(&grid, &way, 1.0);
     println!(

@@ -15,7 +15,7 @@ pub(crate) fn atan2(y: f32, x: f32) -> f32 {
     let is_large = ratio > 0.414_213_56;
     let t = if is_large { (ratio - 1.0) / (ratio + 1.0) } else { ratio };
     let z = t * t;
-    let odd = (((8.053_745e-2 * z - 1.387_768_6e-1) * z + 1.997_771_1e-1) * z - 3.333_294_9e-1) * z * t + t;
+    let odd = (((8.053_745e-2 * z - 1.387_768_6e-1) * z + 1.997_771_1e-1) * z - 3.333_295e-1) * z * t + t;
     let angle = if is_large { odd + FRAC_PI_4 } else { odd };
     let angle = if across > along { FRAC_PI_2 - angle } else { angle };
     let angle = if x < 0.0 { PI - angle } else { angle };

@@ -56,7 +56,7 @@ impl Window {
             return;
         }
         let block = ((x / BLOCK) * rows + y / BLOCK) * layers + z / BLOCK;
-        let bit = (z % BLOCK) << 6 | (y % BLOCK) << 3 | x % BLOCK;
+        let bit = (z % BLOCK) << 6 | (y % BLOCK) << 3 | (x % BLOCK);
         if let Some(seen) = self.blocks.get_mut(block as usize) {
             seen[bit as usize / 64] |= 1 << (bit % 64);
         }

@@ -100,8 +100,12 @@ impl OccupancyGrid {
             for y in y0..y1 {
                 for (x, mark) in (x0..x1).zip(row(y)).filter(|(_, m)| **m != Mark::Unseen) {
                     let cell = Cell::new(update.min.x + x as i32, update.min.y + y as i32);
-                    cells[locate(cell).1].add(*mark, update.planar, &self.params);
-                    grow(&mut self.bounds, cell);
+                    let evidence = &mut cells[locate(cell).1];
+                    evidence.add(*mark, update.planar, &self.params);
+                    // Of what beams went over alone nothing is known.
+                    if !evidence.log_odds.is_nan() {
+                        grow(&mut self.bounds, cell);
+                    }
                 }
             }
         }

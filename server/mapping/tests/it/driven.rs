@@ -108,12 +108,12 @@ fn a_map_that_was_corrected_or_restored_knows_the_way_that_was_driven() {
     map.correct(&corrected, &(0..40).filter(|i| is_gone(*i)).map(id).collect::<Vec<_>>()).unwrap();
     while !map.advance(usize::MAX) {}
     let mut restored = Map::new(MapParams::default()).unwrap();
-    for i in 0..40 {
+    for (i, scan) in scans.iter().enumerate() {
         let entry = entry(i, along(x(i)));
         if is_gone(i) {
             restored.skip(&entry);
         } else {
-            restored.insert(id(i), &entry, Arc::clone(&scans[i])).unwrap();
+            restored.insert(id(i), &entry, Arc::clone(scan)).unwrap();
         }
     }
     assert_eq!(map.layers().occupancy, restored.layers().occupancy);

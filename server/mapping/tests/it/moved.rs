@@ -8,8 +8,8 @@ use percept_mapping::voxels::{VoxelReader, VoxelState};
 use percept_mapping::{Map, MapEntry, MapParams, MeshOptions};
 use std::sync::Arc;
 
-/// Keyframes that take the most log-odds that a cell keeps below what a path takes for an obstacle: (3.5 - 0.4) / 0.4.
-const NUM_LOOKS: usize = 8;
+/// Keyframes that take away the most log-odds that cells and voxels keep: 3.5 by 0.4 each.
+const NUM_LOOKS: usize = 9;
 
 /// The pillar of [`room`] two metres away, and a box around it.
 const PILLAR_M: f64 = 2.0;
@@ -40,7 +40,7 @@ fn left(map: &Map) -> (usize, usize, bool, usize) {
 }
 
 #[test]
-fn a_thing_that_moved_is_gone_from_its_old_place_after_eight_looks() {
+fn a_thing_that_moved_is_gone_from_its_old_place_after_nine_looks() {
     let mut params = MapParams::default();
     (params.voxels.enabled, params.surface.enabled) = (true, true);
     let (with, without) = (room(0.8, 4.0, Some(PILLAR_M), 0.01), room(0.8, 4.0, None, 0.01));
