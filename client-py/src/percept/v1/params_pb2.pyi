@@ -824,6 +824,7 @@ class OccupancyParams(_message.Message):
     RANGE_MAX_M_FIELD_NUMBER: _builtins.int
     BAND_MIN_M_FIELD_NUMBER: _builtins.int
     BAND_MAX_M_FIELD_NUMBER: _builtins.int
+    FOOTPRINT_RADIUS_M_FIELD_NUMBER: _builtins.int
     resolution_m: _builtins.float
     """Edge of a cell, metres; 0.001 to 10."""
     hit_log_odds: _builtins.float
@@ -852,6 +853,11 @@ class OccupancyParams(_message.Message):
     """Returns higher than this above the ground pass over the robot: they say nothing, metres. Not for planar
     scans.
     """
+    footprint_radius_m: _builtins.float
+    """The robot's body reaches at least so far around base's origin: where it drove is free, up to its sensor,
+    whatever was seen there before, metres; 0 to 5. 0: its way says nothing. Only while base is upright: what is
+    held in a hand is no body that drives.
+    """
     def __init__(
         self,
         *,
@@ -864,15 +870,18 @@ class OccupancyParams(_message.Message):
         range_max_m: _builtins.float | None = ...,
         band_min_m: _builtins.float | None = ...,
         band_max_m: _builtins.float | None = ...,
+        footprint_radius_m: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_band_max_m", b"_band_max_m", "_band_min_m", b"_band_min_m", "_free_log_odds", b"_free_log_odds", "_hit_log_odds", b"_hit_log_odds", "_max_log_odds", b"_max_log_odds", "_min_log_odds", b"_min_log_odds", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_resolution_m", b"_resolution_m", "band_max_m", b"band_max_m", "band_min_m", b"band_min_m", "free_log_odds", b"free_log_odds", "hit_log_odds", b"hit_log_odds", "max_log_odds", b"max_log_odds", "min_log_odds", b"min_log_odds", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "resolution_m", b"resolution_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_band_max_m", b"_band_max_m", "_band_min_m", b"_band_min_m", "_footprint_radius_m", b"_footprint_radius_m", "_free_log_odds", b"_free_log_odds", "_hit_log_odds", b"_hit_log_odds", "_max_log_odds", b"_max_log_odds", "_min_log_odds", b"_min_log_odds", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_resolution_m", b"_resolution_m", "band_max_m", b"band_max_m", "band_min_m", b"band_min_m", "footprint_radius_m", b"footprint_radius_m", "free_log_odds", b"free_log_odds", "hit_log_odds", b"hit_log_odds", "max_log_odds", b"max_log_odds", "min_log_odds", b"min_log_odds", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "resolution_m", b"resolution_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_band_max_m", b"_band_max_m", "_band_min_m", b"_band_min_m", "_free_log_odds", b"_free_log_odds", "_hit_log_odds", b"_hit_log_odds", "_max_log_odds", b"_max_log_odds", "_min_log_odds", b"_min_log_odds", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_resolution_m", b"_resolution_m", "band_max_m", b"band_max_m", "band_min_m", b"band_min_m", "free_log_odds", b"free_log_odds", "hit_log_odds", b"hit_log_odds", "max_log_odds", b"max_log_odds", "min_log_odds", b"min_log_odds", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "resolution_m", b"resolution_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_band_max_m", b"_band_max_m", "_band_min_m", b"_band_min_m", "_footprint_radius_m", b"_footprint_radius_m", "_free_log_odds", b"_free_log_odds", "_hit_log_odds", b"_hit_log_odds", "_max_log_odds", b"_max_log_odds", "_min_log_odds", b"_min_log_odds", "_range_max_m", b"_range_max_m", "_range_min_m", b"_range_min_m", "_resolution_m", b"_resolution_m", "band_max_m", b"band_max_m", "band_min_m", b"band_min_m", "footprint_radius_m", b"footprint_radius_m", "free_log_odds", b"free_log_odds", "hit_log_odds", b"hit_log_odds", "max_log_odds", b"max_log_odds", "min_log_odds", b"min_log_odds", "range_max_m", b"range_max_m", "range_min_m", b"range_min_m", "resolution_m", b"resolution_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__band_max_m: _TypeAlias = _typing.Literal["band_max_m"]  # noqa: Y015
     _WhichOneofArgType__band_max_m: _TypeAlias = _typing.Literal["_band_max_m", b"_band_max_m"]  # noqa: Y015
     _WhichOneofReturnType__band_min_m: _TypeAlias = _typing.Literal["band_min_m"]  # noqa: Y015
     _WhichOneofArgType__band_min_m: _TypeAlias = _typing.Literal["_band_min_m", b"_band_min_m"]  # noqa: Y015
+    _WhichOneofReturnType__footprint_radius_m: _TypeAlias = _typing.Literal["footprint_radius_m"]  # noqa: Y015
+    _WhichOneofArgType__footprint_radius_m: _TypeAlias = _typing.Literal["_footprint_radius_m", b"_footprint_radius_m"]  # noqa: Y015
     _WhichOneofReturnType__free_log_odds: _TypeAlias = _typing.Literal["free_log_odds"]  # noqa: Y015
     _WhichOneofArgType__free_log_odds: _TypeAlias = _typing.Literal["_free_log_odds", b"_free_log_odds"]  # noqa: Y015
     _WhichOneofReturnType__hit_log_odds: _TypeAlias = _typing.Literal["hit_log_odds"]  # noqa: Y015
@@ -891,6 +900,8 @@ class OccupancyParams(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__band_max_m) -> _WhichOneofReturnType__band_max_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__band_min_m) -> _WhichOneofReturnType__band_min_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__footprint_radius_m) -> _WhichOneofReturnType__footprint_radius_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__free_log_odds) -> _WhichOneofReturnType__free_log_odds | None: ...
     @_typing.overload

@@ -3,6 +3,7 @@
 use super::OccupancyParams;
 use super::marks::{Frame, Heights, Mark, ScanUpdate};
 use crate::KeyframeView;
+use crate::given::is_given;
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{Cell, Pose};
 
@@ -28,7 +29,8 @@ impl Way {
     pub(super) fn of(params: &OccupancyParams, view: &KeyframeView<'_>) -> Option<Self> {
         let t = &view.t_submap_base;
         let leans = (t * Vector3::z()).z.clamp(-1.0, 1.0).acos();
-        if params.footprint_radius_m <= 0.0 || leans > UPRIGHT_RAD {
+        // No body has been where a map that was given is looked at from.
+        if params.footprint_radius_m <= 0.0 || leans > UPRIGHT_RAD || is_given(&view.scan.sensor) {
             return None;
         }
         let is_straight = |before: &Pose| {
