@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each crate looks only at crates before it.
-const ORDER: [&str; 17] = [
+const ORDER: [&str; 18] = [
     "geometry",
     "sim",
     "evaluation",
@@ -20,6 +20,7 @@ const ORDER: [&str; 17] = [
     "pipeline",
     "recorded",
     "formats",
+    "pictures",
     "bench",
     "store",
     "identity",

@@ -1,0 +1,187 @@
+//! The grid with all that is known to be in it: where the robot was and is, things, zones, a path.
+
+use super::labels::Labels;
+use super::{CellLayout, GridView, Zone, zones};
+use crate::canvas::{Canvas, PixelBox};
+use crate::colors::{
+    self, AMBER, BLUE, Color, FREE, GREEN, INK, MAGENTA, OCCUPIED, PURPLE, SKY, SOFT_INK, UNKNOWN, VERMILION,
+};
+use crate::sheet::{Entry, Sheet, Swatch, Window, marker};
+use crate::{MAX_EDGE, PictureError};
+use nalgebra::{Point2, Point3};
+use percept_geometry::{ObjectClass, OrientedBox3, Pose, RgbImage};
+
+/// A thing in the map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MapObject {
+    /// Its number as the scene has it, or none.
+    pub id: Option<u64>,
+    /// What it is.
+    pub class: ObjectClass,
+    /// Where it stands, map frame.
+    pub bbox: OrientedBox3,
+}
+
+/// What is drawn over a grid; map frame, metres. What is not finite is left out.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Overlay {
+    /// Where the robot was, in order.
+    pub trajectory: Vec<Pose>,
+    /// Where it is; none: the last pose of the trajectory, if there is one.
+    pub robot: Option<Pose>,
+    /// Things, each with its box and a label.
+    pub objects: Vec<MapObject>,
+    /// Keep-out and speed zones.
+    pub zones: Vec<Zone>,
+    /// A planned path, from the robot to the goal.
+    pub path: Vec<Point2<f64>>,
+}
+
+/// Colour of a class, for boxes.
+pub(super) fn class_color(class: ObjectClass) -> Color {
+    match class {
+        ObjectClass::Unknown => SOFT_INK,
+        ObjectClass::Table => VERMILION,
+        ObjectClass::Chair => AMBER,
+        ObjectClass::Shelf => [110, 64, 170],
+        ObjectClass::Box => [140, 70, 20],
+        ObjectClass::Cylinder => SKY,
+        ObjectClass::Person => PURPLE,
+    }
+}
+
+/// The grid alone, one pixel a cell and nothing around it: white free, dark occupied, bluish grey unknown; the first row of the
+/// picture has the largest y.
+///
+/// # Errors
+/// `GridTooLarge`, also beyond four times [`MAX_EDGE`] along an edge; `ShapeMismatch`, `OutOfRange`.
+pub fn occupancy<'a>(grid: impl Into<GridView<'a>>) -> Result<RgbImage, PictureError> {
+    let grid = grid.into();
+    grid.check()?;
+    if grid.width.max(grid.height) > 4 * MAX_EDGE {
+        return Err(PictureError::GridTooLarge { width: grid.width, height: grid.height });
+    }
+    let rows = grid.cells.chunks_exact(grid.width.max(1)).rev();
+    let pixels = rows.flatten().flat_map(|&percent| colors::occupancy(percent)).collect();
+    RgbImage::new(grid.width, grid.height, pixels).map_err(|e| PictureError::Encode(e.to_string()))
+}
+
+/// The sheet and window of a grid, its cells drawn: any that is occupied wins over free ones of the same pixel, those over unknown.
+pub(super) fn open_grid(grid: &GridView<'_>, sheet: Sheet) -> (crate::sheet::Opened, Window) {
+    let layout = CellLayout::new(grid.geometry, grid.width, grid.height);
+    let detail =
+        if sheet.detail.is_empty() { layout.detail() } else { format!("{}; {}", layout.detail(), sheet.detail) };
+    layout.open(Sheet { detail, ..sheet }, |block| {
+        let highest = block.cells(grid.width).map(|i| grid.cells[i]).max().unwrap_or(-1);
+        colors::occupancy(highest)
+    })
+}
+
+/// Which of unknown, free and occupied cells there are.
+pub(super) fn grid_legend(grid: &GridView<'_>) -> Vec<Entry> {
+    let has = |is: fn(i8) -> bool| grid.cells.iter().any(|c| is(*c));
+    let all: [(bool, Color, &str); 3] = [
+        (has(|c| c > 50), OCCUPIED, "occupied"),
+        (has(|c| (0..=50).contains(&c)), FREE, "free"),
+        (has(|c| c < 0), UNKNOWN, "unknown"),
+    ];
+    all.into_iter().filter(|a| a.0).map(|(_, color, words)| Entry::new(Swatch::Fill(color), words)).collect()
+}
+
+/// The grid with trajectory (blue), robot (green), things (a colour a class, with labels), zones and path (magenta), legend, ticks in
+/// metres, scale bar and axes.
+///
+/// # Errors
+/// `GridTooLarge`, `ShapeMismatch`, `OutOfRange`.
+pub fn overview<'a>(grid: impl Into<GridView<'a>>, overlay: &Overlay, title: &str) -> Result<RgbImage, PictureError> {
+    let grid = grid.into();
+    grid.check()?;
+    let robot = overlay.robot.or(overlay.trajectory.last().copied());
+    let sheet = Sheet { title: title.to_owned(), legend: legend(&grid, overlay, robot.is_some()), ..Sheet::default() };
+    let (mut opened, window) = open_grid(&grid, sheet);
+    let (e, plot) = (opened.enlarge, opened.plot);
+    let size = f64::from(e);
+    let canvas = &mut opened.canvas;
+    zones::draw(canvas, &window, &overlay.zones, e);
+    let flat = |p: &Pose| window.pixel(p.translation.vector.xy().into());
+    let trajectory: Vec<_> = overlay.trajectory.iter().map(flat).collect();
+    canvas.polyline(&thinned(&trajectory), 2.0 * size, BLUE);
+    for object in &overlay.objects {
+        canvas.closed(&object.bbox.footprint().map(|p| window.pixel(p)), 2.4 * size, class_color(object.class));
+    }
+    let path: Vec<_> = overlay.path.iter().map(|p| window.pixel(*p)).collect();
+    canvas.polyline(&thinned(&path), 3.2 * size, MAGENTA);
+    let mut labels = Labels::new(plot, e);
+    if let Some(goal) = path.last() {
+        marker(canvas, *goal, 8.0 * size, MAGENTA);
+        labels.keep_free(around(*goal, 11.0 * size));
+    }
+    if let Some(robot) = robot {
+        draw_robot(canvas, &window, &robot, size, GREEN);
+        labels.keep_free(around(flat(&robot), 13.0 * size));
+    }
+    for (at, text, color) in zones::labels(&window, &overlay.zones) {
+        labels.write(canvas, at, -9.0 * size, &text, color);
+    }
+    for object in &overlay.objects {
+        let corners = object.bbox.footprint().map(|p| window.pixel(p));
+        let center = window.pixel(object.bbox.center().xy());
+        let reach = corners.iter().map(|c| (c.y - center.y).abs()).fold(0.0, f64::max);
+        let id = object.id.map(|id| format!(" {id}")).unwrap_or_default();
+        labels.write(canvas, center, reach, &format!("{}{id}", object.class.name()), INK);
+    }
+    opened.canvas.clip(None);
+    opened.finish(&window);
+    opened.canvas.into_image()
+}
+
+fn legend(grid: &GridView<'_>, overlay: &Overlay, has_robot: bool) -> Vec<Entry> {
+    let mut out = grid_legend(grid);
+    if overlay.trajectory.len() > 1 {
+        out.push(Entry::new(Swatch::Line(BLUE), "trajectory"));
+    }
+    if has_robot {
+        out.push(Entry::new(Swatch::Disc(GREEN), "robot"));
+    }
+    if !overlay.path.is_empty() {
+        out.push(Entry::new(Swatch::Line(MAGENTA), "path"));
+        out.push(Entry::new(Swatch::Disc(MAGENTA), "goal"));
+    }
+    out.extend(zones::legend(&overlay.zones));
+    for class in ObjectClass::ALL {
+        let count = overlay.objects.iter().filter(|o| o.class == class).count();
+        if count > 0 {
+            out.push(Entry::new(Swatch::Outline(class_color(class)), format!("{} ({count})", class.name())));
+        }
+    }
+    out
+}
+
+/// A disc with an arrow ahead.
+pub(super) fn draw_robot(canvas: &mut Canvas, window: &Window, robot: &Pose, size: f64, color: Color) {
+    let at = window.pixel(robot.translation.vector.xy().into());
+    let ahead = window.pixel((robot * Point3::new(1.0, 0.0, 0.0)).xy()) - at;
+    if let Some(ahead) = ahead.try_normalize(1e-9) {
+        canvas.arrow(at, at + ahead * (26.0 * size), 4.6 * size, colors::PAPER);
+        canvas.arrow(at, at + ahead * (25.0 * size), 3.0 * size, color);
+    }
+    marker(canvas, at, 9.0 * size, color);
+}
+
+pub(super) fn around(at: Point2<f64>, reach: f64) -> PixelBox {
+    let pixel = |v: f64| v.clamp(-1e6, 1e6).round() as i32;
+    PixelBox { x0: pixel(at.x - reach), y0: pixel(at.y - reach), x1: pixel(at.x + reach), y1: pixel(at.y + reach) }
+}
+
+/// Points of a line without those that lie within a pixel of the one before.
+pub(super) fn thinned(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
+    let mut out: Vec<Point2<f64>> = vec![];
+    for (i, p) in points.iter().enumerate() {
+        let is_end = i + 1 == points.len();
+        // NaN is kept: it interrupts the line.
+        if is_end || out.last().is_none_or(|last| !((p - last).norm() < 1.0)) {
+            out.push(*p);
+        }
+    }
+    out
+}

@@ -1,0 +1,187 @@
+//! A path with its clearance or cost along it, or why there is none.
+
+use super::labels::Labels;
+use super::overview::{around, draw_robot, grid_legend, open_grid};
+use super::{GridView, Zone, zones};
+use crate::PictureError;
+use crate::canvas::Canvas;
+use crate::colors::{BLUE, GREEN, INK, MAGENTA, RED, Scale};
+use crate::sheet::{ColorBar, Entry, Sheet, Swatch, Window, cross, marker};
+use nalgebra::{Point2, Point3};
+use percept_geometry::{Pose, RgbImage};
+
+/// What the colours along a path mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PathQuantity {
+    /// Distance to the nearest obstacle, metres.
+    #[default]
+    Clearance,
+    /// What a metre costs there, as the planner counts it.
+    Cost,
+    /// Metres a second.
+    Speed,
+}
+
+impl PathQuantity {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Clearance => "clearance [m]",
+            Self::Cost => "cost [1/m]",
+            Self::Speed => "speed [m/s]",
+        }
+    }
+}
+
+/// A path, or the search for one; map frame, metres. What is not finite is left out.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PathDrawing {
+    /// Poses of base from start to goal; empty where there is no path.
+    pub poses: Vec<Pose>,
+    /// A number for each pose, or none at all: then the path has one colour.
+    pub values: Vec<f64>,
+    /// What they are.
+    pub quantity: PathQuantity,
+    /// Corners of the robot in base, metres; empty: not drawn.
+    pub footprint: Vec<Point2<f64>>,
+    /// Where the robot starts.
+    pub start: Option<Pose>,
+    /// Where it is to go.
+    pub goal: Option<Pose>,
+    /// The first place that blocks the way.
+    pub blocking: Option<Point2<f64>>,
+    /// Why there is no path, in words.
+    pub reason: Option<String>,
+    /// Keep-out and speed zones.
+    pub zones: Vec<Zone>,
+}
+
+/// The grid with the path coloured by a quantity along it, footprints every so often, start, goal, and what blocks the way.
+///
+/// # Errors
+/// `GridTooLarge`, `OutOfRange`; `ShapeMismatch` for cells or values that are too few or too many.
+pub fn path_picture<'a>(
+    grid: impl Into<GridView<'a>>,
+    path: &PathDrawing,
+    title: &str,
+) -> Result<RgbImage, PictureError> {
+    let grid = grid.into();
+    grid.check()?;
+    if !path.values.is_empty() && path.values.len() != path.poses.len() {
+        let (expected, actual) = (path.poses.len(), path.values.len());
+        return Err(PictureError::ShapeMismatch { field: "values", expected, actual });
+    }
+    let (mut opened, window) = open_grid(&grid, sheet(&grid, path, title));
+    let (e, plot) = (opened.enlarge, opened.plot);
+    let size = f64::from(e);
+    let canvas = &mut opened.canvas;
+    zones::draw(canvas, &window, &path.zones, e);
+    draw_footprints(canvas, &window, path, size);
+    draw_line(canvas, &window, path, size);
+    let mut labels = Labels::new(plot, e);
+    let flat = |p: &Pose| window.pixel(p.translation.vector.xy().into());
+    let goal = path.goal.or(path.poses.last().copied());
+    let start = path.start.or(path.poses.first().copied());
+    let mut named = vec![];
+    if let Some(goal) = goal {
+        draw_robot(canvas, &window, &goal, size, MAGENTA);
+        named.push((flat(&goal), "goal"));
+    }
+    if let Some(start) = start {
+        draw_robot(canvas, &window, &start, size, GREEN);
+        named.push((flat(&start), "start"));
+    }
+    if let Some(blocking) = path.blocking {
+        let at = window.pixel(blocking);
+        cross(canvas, at, 10.0 * size, RED);
+        named.push((at, "blocked here"));
+    }
+    named.iter().for_each(|(at, _)| labels.keep_free(around(*at, 10.0 * size)));
+    named.iter().for_each(|(at, words)| labels.write(canvas, *at, 14.0 * size, words, INK));
+    for (at, text, color) in zones::labels(&window, &path.zones) {
+        labels.write(canvas, at, -9.0 * size, &text, color);
+    }
+    opened.canvas.clip(None);
+    opened.finish(&window);
+    opened.canvas.into_image()
+}
+
+fn bar(path: &PathDrawing) -> Option<ColorBar> {
+    let has = path.values.iter().any(|v| v.is_finite());
+    has.then(|| ColorBar::over(path.quantity.name(), Scale::Viridis, path.values.iter().copied()))
+}
+
+fn sheet(grid: &GridView<'_>, path: &PathDrawing, title: &str) -> Sheet {
+    let mut legend = grid_legend(grid);
+    let mut add = |there: bool, swatch: Swatch, words: &str| {
+        if there {
+            legend.push(Entry::new(swatch, words));
+        }
+    };
+    add(path.start.is_some() || !path.poses.is_empty(), Swatch::Disc(GREEN), "start");
+    add(path.goal.is_some() || !path.poses.is_empty(), Swatch::Disc(MAGENTA), "goal");
+    add(!path.poses.is_empty() && bar(path).is_none(), Swatch::Line(BLUE), "path");
+    add(!path.poses.is_empty() && path.footprint.len() > 2, Swatch::Outline(BLUE), "footprint");
+    add(path.blocking.is_some(), Swatch::Cross(RED), "first blocking place");
+    legend.extend(zones::legend(&path.zones));
+    let finite = |p: &[Pose]| (p[1].translation.vector.xy() - p[0].translation.vector.xy()).norm();
+    let length: f64 = path.poses.windows(2).map(finite).filter(|d| d.is_finite()).sum();
+    let (detail, notes) = match &path.reason {
+        Some(reason) => (format!("no path: {reason}"), vec![format!("No path: {reason}")]),
+        None if path.poses.is_empty() => ("no path".to_owned(), vec![]),
+        None => (format!("path of {length:.2} m"), smallest(path)),
+    };
+    Sheet { title: title.to_owned(), detail, bar: bar(path), legend, notes, ..Sheet::default() }
+}
+
+fn smallest(path: &PathDrawing) -> Vec<String> {
+    let least = path.values.iter().copied().filter(|v| v.is_finite()).reduce(f64::min);
+    match (path.quantity, least) {
+        (PathQuantity::Clearance, Some(least)) => vec![format!("smallest clearance {least:.2} m")],
+        _ => vec![],
+    }
+}
+
+fn draw_line(canvas: &mut Canvas, window: &Window, path: &PathDrawing, size: f64) {
+    let points: Vec<Point2<f64>> = path.poses.iter().map(|p| window.pixel(p.translation.vector.xy().into())).collect();
+    // A dark rim, or light colours are lost on free ground.
+    canvas.polyline(&points, 7.0 * size, INK);
+    let bar = bar(path);
+    for (i, ends) in points.windows(2).enumerate() {
+        let value = |j: usize| path.values.get(j).copied().unwrap_or(f64::NAN);
+        let middle = 0.5 * (value(i) + value(i + 1));
+        let color = match &bar {
+            Some(bar) if middle.is_finite() => bar.color(middle),
+            Some(_) => [160; 3],
+            None => BLUE,
+        };
+        canvas.line(ends[0], ends[1], 4.6 * size, color);
+    }
+    // Where it begins and ends is seen even where both are one place.
+    if let [only] = points[..] {
+        marker(canvas, only, 6.0 * size, BLUE);
+    }
+}
+
+/// Outlines of the robot along the path, far enough apart to be told from each other.
+fn draw_footprints(canvas: &mut Canvas, window: &Window, path: &PathDrawing, size: f64) {
+    if path.footprint.len() < 3 {
+        return;
+    }
+    let reach = path.footprint.iter().map(|p| p.coords.norm()).filter(|r| r.is_finite()).fold(0.0, f64::max);
+    let apart = (2.4 * reach).max(60.0 * size / window.per_metre);
+    let (mut since, mut last) = (f64::INFINITY, None);
+    for (i, pose) in path.poses.iter().enumerate() {
+        let at = pose.translation.vector.xy();
+        since += last.map_or(0.0, |last: nalgebra::Vector2<f64>| (at - last).norm());
+        last = Some(at);
+        // What is not finite neither is drawn nor stops what comes after it.
+        if since < apart && i + 1 < path.poses.len() {
+            continue;
+        }
+        since = 0.0;
+        let corners: Vec<Point2<f64>> =
+            path.footprint.iter().map(|p| window.pixel((pose * Point3::new(p.x, p.y, 0.0)).xy())).collect();
+        canvas.polygon(&corners, |_, _| Some((BLUE, 0.14)));
+        canvas.closed(&corners, 1.6 * size, BLUE);
+    }
+}
