@@ -53,14 +53,6 @@ impl Canvas {
         Self { width, height, pixels: color.repeat(width * height), clip }
     }
 
-    pub(crate) fn width(&self) -> i32 {
-        self.width as i32
-    }
-
-    pub(crate) fn height(&self) -> i32 {
-        self.height as i32
-    }
-
     /// Draws inside of `clip` alone, or anywhere again.
     pub(crate) fn clip(&mut self, clip: Option<PixelBox>) {
         let all = PixelBox::new(0, 0, self.width as i32, self.height as i32);

@@ -13,7 +13,9 @@ mod canvas;
 mod colors;
 mod error;
 mod map;
+mod panels;
 mod sheet;
+mod space;
 mod text;
 
 pub use error::PictureError;
@@ -21,6 +23,8 @@ pub use map::{
     Changes, GridView, MapObject, Overlay, PathDrawing, PathQuantity, Zone, ZoneKind, before_after, heights, occupancy,
     overview, path_picture, traversability,
 };
+pub use panels::side_by_side;
+pub use space::{View, ViewFrom, cloud_view, mesh_view, voxels_slice, voxels_view};
 
 use percept_geometry::RgbImage;
 

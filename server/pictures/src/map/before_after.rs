@@ -159,12 +159,12 @@ fn sheet(changes: &Changes, cells: &[Change], title: &str, detail: String) -> Sh
     ];
     let there = entries.into_iter().filter(|(change, _)| cells.contains(change));
     let legend = there.map(|(change, words)| Entry::new(Swatch::Fill(change.color()), words)).collect();
-    let said = |count: usize, words: &str| {
-        format!("{count} cells ({:.2} m\u{b2}) {words}", count as f64 * changes.cell_area_m2)
-    };
-    let mut notes = vec![said(changes.num_appeared, "appeared"), said(changes.num_gone, "have gone")];
+    let said =
+        |words: &str, count: usize| format!("{words} {count}, {:.2} m\u{b2}", count as f64 * changes.cell_area_m2);
+    let mut notes = vec!["cells and their area:".to_owned()];
+    notes.extend([said("appeared", changes.num_appeared), said("gone", changes.num_gone)]);
     if changes.num_newly_seen > 0 {
-        notes.push(said(changes.num_newly_seen, "are occupied where nothing was known"));
+        notes.push(said("new to us", changes.num_newly_seen));
     }
     Sheet { title: title.to_owned(), detail, legend, notes, ..Sheet::default() }
 }

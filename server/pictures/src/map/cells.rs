@@ -1,7 +1,7 @@
 //! Cells become pixels: small grids are enlarged with sharp edges, large ones shrunk by blocks.
 
 use crate::canvas::{Canvas, PixelBox};
-use crate::colors::{Color, PAPER};
+use crate::colors::Color;
 use crate::sheet::{MAX_PLOT, MIN_PLOT, Opened, Sheet, Window, enlargement};
 use crate::text::{Align, Font, write};
 use nalgebra::{Point2, Vector2};
@@ -10,7 +10,10 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Drawings are at least this large, pixels of small pictures, so that scale bar and axes have room below.
-const MIN_SIZE: (usize, usize) = (380, 260);
+const MIN_SIZE: (usize, usize) = (420, 120);
+
+/// What lies beyond the grid: lighter than unknown cells, and not white, which is free.
+const BEYOND: Color = [236, 239, 243];
 
 /// Cells that share a pixel.
 #[derive(Debug, Clone)]
@@ -46,6 +49,8 @@ pub(crate) struct CellLayout {
 impl CellLayout {
     pub(crate) fn new(geometry: GridGeometry, width: usize, height: usize) -> Self {
         let longest = width.max(height).max(1);
+        // Where there is no cell, a few metres are shown.
+        let longest = if width == 0 || height == 0 { MIN_PLOT / 4 } else { longest };
         let enlarged = MIN_PLOT.div_ceil(longest).max(1);
         let shrunk = longest.div_ceil(MAX_PLOT).max(1);
         let pixels = |cells: usize| (cells * enlarged).div_ceil(shrunk);
@@ -74,13 +79,14 @@ impl CellLayout {
         self.geometry.origin - Vector2::new(inset.0 as f64, inset.1 as f64) / self.per_metre()
     }
 
-    /// The sheet with each pixel coloured by the block of cells below it, clipped to the drawing; what is beyond the grid is paper.
+    /// The sheet with each pixel coloured by the block of cells below it, clipped to the drawing; what is beyond the grid is pale.
     pub(crate) fn open(&self, sheet: Sheet, color: impl Fn(&Block) -> Color + Sync) -> (Opened, Window) {
         let tick_chars = Window::tick_chars(self.low(), self.size, self.per_metre());
         let mut opened = Sheet { tick_chars, ..sheet }.open(self.size.0, self.size.1);
         let window = Window { plot: opened.plot, low: self.low(), per_metre: self.per_metre() };
+        let plot = opened.plot;
+        opened.canvas.fill(plot, BEYOND);
         if self.cells.0 == 0 || self.cells.1 == 0 {
-            let plot = opened.plot;
             let middle = ((plot.x0 + plot.x1) / 2, (plot.y0 + plot.y1) / 2);
             write(&mut opened.canvas, "nothing is known yet", middle, (Font::Title, Align::Center, 1), [120; 3]);
         } else {
@@ -106,7 +112,7 @@ impl CellLayout {
             let Some((first, others)) = rows.split_first_mut() else { return };
             for (i, pixels) in first.chunks_mut(3 * self.enlarged).enumerate() {
                 let block = Block { x: block(i * self.enlarged, self.cells.0), y: y.clone() };
-                let color = if block.x.is_empty() || block.y.is_empty() { PAPER } else { color(&block) };
+                let color = if block.x.is_empty() || block.y.is_empty() { BEYOND } else { color(&block) };
                 pixels.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&color));
             }
             others.iter_mut().for_each(|other| other.copy_from_slice(first));
@@ -115,6 +121,9 @@ impl CellLayout {
 
     /// Size and resolution in words.
     pub(crate) fn detail(&self) -> String {
+        if self.cells.0 == 0 || self.cells.1 == 0 {
+            return "no cells".to_owned();
+        }
         let size = |cells: usize| cells as f64 * self.geometry.resolution_m;
         let cell = crate::sheet::in_metres(self.geometry.resolution_m);
         let (width, height) = (size(self.cells.0), size(self.cells.1));

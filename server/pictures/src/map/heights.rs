@@ -39,7 +39,7 @@ pub fn heights(heights: &DenseHeights, title: &str) -> Result<RgbImage, PictureE
         Sheet { title: title.to_owned(), detail: layout.detail(), bar: Some(bar.clone()), legend, ..Sheet::default() };
     let (mut opened, window) = layout.open(sheet, |block| color(heights, &bar, block));
     if let Some(interval) = interval {
-        contours(&mut opened.canvas, &window, heights, interval, opened.enlarge);
+        contours(&mut opened.canvas, &window, heights, (&bar, interval), opened.enlarge);
     }
     opened.canvas.clip(None);
     opened.finish(&window);
@@ -105,8 +105,8 @@ fn relief(heights: &DenseHeights, block: &Block) -> f64 {
     (1.0 + 0.45 * (east - north).clamp(-1.2, 0.6)).clamp(0.4, 1.12)
 }
 
-/// Lines of equal height between the middles of cells (marching squares).
-fn contours(canvas: &mut Canvas, window: &Window, heights: &DenseHeights, interval: f64, e: i32) {
+/// Lines of equal height between the middles of cells (marching squares): light on dark colours, dark on light ones.
+fn contours(canvas: &mut Canvas, window: &Window, heights: &DenseHeights, (bar, interval): (&ColorBar, f64), e: i32) {
     // Of cells smaller than two pixels, only as many are looked at as can be seen.
     let step = (2.0 / (heights.geometry.resolution_m * window.per_metre)).ceil().max(1.0) as usize;
     let at = |x: usize, y: usize| f64::from(heights.ground_m[y * heights.width + x]);
@@ -123,9 +123,14 @@ fn contours(canvas: &mut Canvas, window: &Window, heights: &DenseHeights, interv
             if last - first > 2 {
                 continue;
             }
+            // Nor do lines say anything about ground that is level but for noise.
+            if high - low < 0.02 * step as f64 * heights.geometry.resolution_m {
+                continue;
+            }
             let corners = places.map(|(x, y)| window.pixel(heights.geometry.center(Cell::new(x as i32, y as i32))));
-            for level in first..=last {
-                segments(&corners, &z, level as f64 * interval, |a, b| canvas.line(a, b, 0.9 * f64::from(e), INK));
+            for level in (first..=last).map(|level| level as f64 * interval) {
+                let color = if bar.share(level) < 0.4 { [214, 216, 226] } else { INK };
+                segments(&corners, &z, level, |a, b| canvas.line(a, b, f64::from(e), color));
             }
         }
     }

@@ -15,6 +15,7 @@ pub use grid::GridView;
 pub(crate) use grid::check_shape;
 pub use heights::heights;
 pub use overview::{MapObject, Overlay, occupancy, overview};
+pub(crate) use overview::{grid_legend, open_grid};
 pub use path::{PathDrawing, PathQuantity, path_picture};
 pub use traversability::traversability;
 pub use zones::{Zone, ZoneKind};

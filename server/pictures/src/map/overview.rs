@@ -10,6 +10,7 @@ use crate::sheet::{Entry, Sheet, Swatch, Window, marker};
 use crate::{MAX_EDGE, PictureError};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{ObjectClass, OrientedBox3, Pose, RgbImage};
+use rayon::prelude::*;
 
 /// A thing in the map.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,7 +68,7 @@ pub fn occupancy<'a>(grid: impl Into<GridView<'a>>) -> Result<RgbImage, PictureE
 }
 
 /// The sheet and window of a grid, its cells drawn: any that is occupied wins over free ones of the same pixel, those over unknown.
-pub(super) fn open_grid(grid: &GridView<'_>, sheet: Sheet) -> (crate::sheet::Opened, Window) {
+pub(crate) fn open_grid(grid: &GridView<'_>, sheet: Sheet) -> (crate::sheet::Opened, Window) {
     let layout = CellLayout::new(grid.geometry, grid.width, grid.height);
     let detail =
         if sheet.detail.is_empty() { layout.detail() } else { format!("{}; {}", layout.detail(), sheet.detail) };
@@ -78,8 +79,8 @@ pub(super) fn open_grid(grid: &GridView<'_>, sheet: Sheet) -> (crate::sheet::Ope
 }
 
 /// Which of unknown, free and occupied cells there are.
-pub(super) fn grid_legend(grid: &GridView<'_>) -> Vec<Entry> {
-    let has = |is: fn(i8) -> bool| grid.cells.iter().any(|c| is(*c));
+pub(crate) fn grid_legend(grid: &GridView<'_>) -> Vec<Entry> {
+    let has = |is: fn(i8) -> bool| grid.cells.par_iter().any(|c| is(*c));
     let all: [(bool, Color, &str); 3] = [
         (has(|c| c > 50), OCCUPIED, "occupied"),
         (has(|c| (0..=50).contains(&c)), FREE, "free"),

@@ -30,6 +30,13 @@ impl PathQuantity {
             Self::Speed => "speed [m/s]",
         }
     }
+
+    fn scale(self) -> Scale {
+        match self {
+            Self::Cost => Scale::Cividis,
+            Self::Clearance | Self::Speed => Scale::Viridis,
+        }
+    }
 }
 
 /// A path, or the search for one; map frame, metres. What is not finite is left out.
@@ -95,8 +102,9 @@ pub fn path_picture<'a>(
         cross(canvas, at, 10.0 * size, RED);
         named.push((at, "blocked here"));
     }
-    named.iter().for_each(|(at, _)| labels.keep_free(around(*at, 10.0 * size)));
-    named.iter().for_each(|(at, words)| labels.write(canvas, *at, 14.0 * size, words, INK));
+    named.iter().for_each(|(at, _)| labels.keep_free(around(*at, 12.0 * size)));
+    // Beyond the arrow's head.
+    named.iter().for_each(|(at, words)| labels.write(canvas, *at, 27.0 * size, words, INK));
     for (at, text, color) in zones::labels(&window, &path.zones) {
         labels.write(canvas, at, -9.0 * size, &text, color);
     }
@@ -107,7 +115,7 @@ pub fn path_picture<'a>(
 
 fn bar(path: &PathDrawing) -> Option<ColorBar> {
     let has = path.values.iter().any(|v| v.is_finite());
-    has.then(|| ColorBar::over(path.quantity.name(), Scale::Viridis, path.values.iter().copied()))
+    has.then(|| ColorBar::over(path.quantity.name(), path.quantity.scale(), path.values.iter().copied()))
 }
 
 fn sheet(grid: &GridView<'_>, path: &PathDrawing, title: &str) -> Sheet {
@@ -169,13 +177,16 @@ fn draw_footprints(canvas: &mut Canvas, window: &Window, path: &PathDrawing, siz
     }
     let reach = path.footprint.iter().map(|p| p.coords.norm()).filter(|r| r.is_finite()).fold(0.0, f64::max);
     let apart = (2.4 * reach).max(60.0 * size / window.per_metre);
-    let (mut since, mut last) = (f64::INFINITY, None);
+    // What is not finite neither is drawn nor stops what comes after it.
+    let length =
+        |p: &[Pose]| Some((p[1].translation.vector - p[0].translation.vector).norm()).filter(|d| d.is_finite());
+    let mut left: f64 = path.poses.windows(2).filter_map(length).sum();
+    let mut since = f64::INFINITY;
     for (i, pose) in path.poses.iter().enumerate() {
-        let at = pose.translation.vector.xy();
-        since += last.map_or(0.0, |last: nalgebra::Vector2<f64>| (at - last).norm());
-        last = Some(at);
-        // What is not finite neither is drawn nor stops what comes after it.
-        if since < apart && i + 1 < path.poses.len() {
+        let step = if i == 0 { 0.0 } else { length(&path.poses[i - 1..=i]).unwrap_or(0.0) };
+        (since, left) = (since + step, left - step);
+        let is_end = i + 1 == path.poses.len();
+        if !is_end && (since < apart || left < 0.9 * apart) {
             continue;
         }
         since = 0.0;

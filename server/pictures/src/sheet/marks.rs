@@ -18,6 +18,8 @@ pub(crate) fn ticks(canvas: &mut Canvas, window: &Window, e: i32) {
         let at = at.clamp(half + 2 * e, (plot.x1 + 14 * e - half).max(half + 2 * e));
         write(canvas, &label, (at, plot.y1 + 8 * e), (Font::Small, Align::Center, e), INK);
     }
+    write(canvas, "x [m]", (plot.x1, plot.y1 + 25 * e), (Font::Small, Align::Right, e), SOFT_INK);
+    write(canvas, "y [m]", (plot.x0, plot.y0 - 18 * e), (Font::Small, Align::Left, e), SOFT_INK);
     for (y, label) in ticks_within(window.low.y, far(plot.height(), window.low.y), apart) {
         let at = window.pixel(Point2::new(window.low.x, y)).y.round() as i32;
         canvas.fill(PixelBox::new(plot.x0 - 6 * e, at, 6 * e, e), SOFT_INK);

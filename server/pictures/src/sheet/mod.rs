@@ -65,7 +65,7 @@ impl Sheet {
         let (width, height) = (width as i32, height as i32);
         let margin = 16 * e;
         let left = margin + if self.tick_chars == 0 { 0 } else { 7 * e * self.tick_chars as i32 + 10 * e };
-        let top = margin + 20 * e + 6 * e + 15 * e + 14 * e;
+        let top = margin + (20 + 6 + 15 + 28) * e;
         let notes = self.lines();
         let side = self.side_width(&notes, e);
         let below = 20 * e + 76 * e + margin;
