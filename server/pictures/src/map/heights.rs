@@ -118,11 +118,11 @@ fn contours(canvas: &mut Canvas, window: &Window, heights: &DenseHeights, (bar, 
                 continue;
             }
             let (low, high) = z.iter().fold((f64::MAX, f64::MIN), |(l, h), z| (l.min(*z), h.max(*z)));
-            let (first, last) = ((low / interval).floor() as i64 + 1, (high / interval).floor() as i64);
             // A cliff is an edge, not a slope: its lines would lie on each other.
-            if last - first > 2 {
+            if high - low > 3.0 * interval || high.abs() > 1e9 {
                 continue;
             }
+            let (first, last) = ((low / interval).floor() as i64 + 1, (high / interval).floor() as i64);
             // Nor do lines say anything about ground that is level but for noise.
             if high - low < 0.02 * step as f64 * heights.geometry.resolution_m {
                 continue;

@@ -46,21 +46,22 @@ pub fn cloud_view(cloud: &PointCloud, view: &View, title: &str) -> Result<RgbIma
         }
     };
     raster.draw(cloud.len(), |i| shown[i].then(|| square(i)), draw)?;
+    (0..2).for_each(|_| raster.fill_holes(frame.per_metre));
     let sheet = Sheet { title: title.to_owned(), bar: colors.is_none().then(|| bar.clone()), ..Sheet::default() };
     frame.finish(sheet, &format!("{} points", cloud.len()), &raster, 1.0)
 }
 
-/// Edge of a point's square: about as far as points of the picture are apart.
+/// Edge of a point's square: about as far as points of the picture are apart where it is half as dense as elsewhere.
 fn splat_size(frame: &Frame, pixels: &[[f32; 3]], shown: &[bool], largest: f64) -> i32 {
     let (columns, rows) = (frame.width.div_ceil(COUNTED), frame.height.div_ceil(COUNTED));
-    let mut is_hit = vec![false; columns * rows];
-    let mut count = 0usize;
+    let mut counts = vec![0u32; columns * rows];
     for (p, _) in pixels.iter().zip(shown).filter(|(_, shown)| **shown) {
         let cell = |v: f32, n: usize| (v.max(0.0) as usize / COUNTED).min(n.saturating_sub(1));
-        is_hit[cell(p[1], rows) * columns + cell(p[0], columns)] = true;
-        count += 1;
+        counts[cell(p[1], rows) * columns + cell(p[0], columns)] += 1;
     }
-    let covered = is_hit.iter().filter(|hit| **hit).count() * COUNTED * COUNTED;
-    let apart = (covered as f64 / count.max(1) as f64).sqrt();
-    (1.4 * apart).round().clamp(2.0, largest.max(2.0)) as i32
+    counts.retain(|count| *count > 0);
+    counts.sort_unstable();
+    let typical = counts.get(counts.len() / 3).copied().unwrap_or(1);
+    let apart = COUNTED as f64 / f64::from(typical).sqrt();
+    (1.7 * apart).round().clamp(2.0, largest.max(2.0)) as i32
 }

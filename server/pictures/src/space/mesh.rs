@@ -84,7 +84,8 @@ impl Surface<'_> {
         let (Some(corners), Some(bounds)) = (self.corners(triangle), self.bounds(triangle)) else { return };
         let [a, b, c] = corners.map(|i| self.pixels[i]);
         let whole = f64::from(area(&a, &b, &c));
-        let colors = self.colors(corners);
+        // Most triangles of large meshes cover no pixel's centre, and need no colour.
+        let mut lit = None;
         let part = tile.part(&bounds);
         for y in part.y0..part.y1 {
             for x in part.x0..part.x1 {
@@ -94,8 +95,9 @@ impl Surface<'_> {
                 if weights.iter().all(|w| *w >= -1e-4) {
                     let mixed = |values: [f64; 3]| (0..3).map(|i| weights[i] * values[i]).sum::<f64>();
                     let depth = mixed([a[2], b[2], c[2]].map(f64::from));
-                    let channel = |i: usize| mixed([colors[0][i], colors[1][i], colors[2][i]]);
                     tile.set(x, y, depth as f32, || {
+                        let colors = lit.get_or_insert_with(|| self.colors(corners));
+                        let channel = |i: usize| mixed([colors[0][i], colors[1][i], colors[2][i]]);
                         [channel(0), channel(1), channel(2)].map(|v| v.round().clamp(0.0, 255.0) as u8)
                     });
                 }

@@ -117,6 +117,42 @@ impl Raster {
         });
     }
 
+    /// Closes gaps of a pixel or two between points: where most pixels around are nearer, what is behind does not show through.
+    pub(super) fn fill_holes(&mut self, per_metre: f64) {
+        let row = |y: usize| (0..self.width).map(|x| self.over_hole(x, y, per_metre)).collect();
+        let rows: Vec<Vec<Option<(f32, Color)>>> = (0..self.height).into_par_iter().map(row).collect();
+        for (y, row) in rows.into_iter().enumerate() {
+            for (x, (depth, color)) in row.into_iter().enumerate().filter_map(|(x, new)| new.map(|new| (x, new))) {
+                let tile = &mut self.tiles[y / TILE * self.columns + x / TILE];
+                let i = y % TILE * TILE + x % TILE;
+                (tile.depth[i], tile.color[i]) = (depth, color);
+            }
+        }
+    }
+
+    /// What covers a hole: the middle one by depth of the pixels around that are nearer, if most are.
+    fn over_hole(&self, x: usize, y: usize, per_metre: f64) -> Option<(f32, Color)> {
+        if x == 0 || y == 0 || x + 1 >= self.width || y + 1 >= self.height {
+            return None;
+        }
+        let here = self.at(x, y).0;
+        let around = [(0, 0), (1, 0), (2, 0), (0, 1), (2, 1), (0, 2), (1, 2), (2, 2)];
+        let is_nearer = |depth: f32| f64::from(here - depth) * per_metre > 12.0;
+        let mut nearer = [(0.0, [0; 3]); 8];
+        let mut count = 0;
+        for other in around.map(|(dx, dy)| self.at(x + dx - 1, y + dy - 1)) {
+            if is_nearer(other.0) {
+                nearer[count] = other;
+                count += 1;
+            }
+        }
+        if count < 5 {
+            return None;
+        }
+        nearer[..count].sort_by(|a, b| a.0.total_cmp(&b.0));
+        Some(nearer[count / 2])
+    }
+
     fn at(&self, x: usize, y: usize) -> (f32, Color) {
         let tile = &self.tiles[y / TILE * self.columns + x / TILE];
         let i = y % TILE * TILE + x % TILE;
