@@ -5,7 +5,11 @@ use percept_geometry::PointCloud;
 use percept_mapping::{MeshData, VoxelBlock};
 use std::collections::BTreeMap;
 
+/// Lowest and highest corner, colour.
 type Slab = ([f32; 3], [f32; 3], [u8; 3]);
+
+/// A corner, two edges, colour.
+type Face = (Vector3<f32>, Vector3<f32>, Vector3<f32>, [u8; 3]);
 
 const WALL: [u8; 3] = [214, 208, 196];
 const WOOD: [u8; 3] = [168, 112, 62];
@@ -35,7 +39,7 @@ fn boxes() -> Vec<Slab> {
 }
 
 /// Six faces of a box, each as a corner and two edges, in the order in which the surface looks outwards.
-fn faces((low, high, color): &Slab) -> Vec<(Vector3<f32>, Vector3<f32>, Vector3<f32>, [u8; 3])> {
+fn faces((low, high, color): &Slab) -> Vec<Face> {
     let (low, high) = (Vector3::from(*low), Vector3::from(*high));
     let size = high - low;
     let edge = |axis: usize| {
@@ -52,7 +56,7 @@ fn faces((low, high, color): &Slab) -> Vec<(Vector3<f32>, Vector3<f32>, Vector3<
     out
 }
 
-fn all_faces(with_ceiling: bool) -> Vec<(Vector3<f32>, Vector3<f32>, Vector3<f32>, [u8; 3])> {
+fn all_faces(with_ceiling: bool) -> Vec<Face> {
     let mut out: Vec<_> = boxes().iter().flat_map(faces).collect();
     let (x, y) = (Vector3::new(10.8, 0.0, 0.0), Vector3::new(0.0, 7.0, 0.0));
     out.push((Vector3::zeros(), x, y, [196, 180, 150]));

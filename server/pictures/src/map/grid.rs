@@ -66,7 +66,7 @@ pub(crate) fn check_shape(
         let requirement = "between 1e-6 and 1e6";
         return Err(PictureError::OutOfRange { field: "resolution_m", value: resolution, requirement });
     }
-    match [geometry.origin.x, geometry.origin.y].into_iter().find(|v| !(v.abs() <= 1e9)) {
+    match [geometry.origin.x, geometry.origin.y].into_iter().find(|v| v.is_nan() || v.abs() > 1e9) {
         Some(value) => Err(PictureError::OutOfRange { field: "origin", value, requirement: "within 1e9 of zero" }),
         None => Ok(()),
     }

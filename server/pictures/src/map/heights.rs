@@ -123,8 +123,7 @@ fn contours(canvas: &mut Canvas, window: &Window, heights: &DenseHeights, (bar, 
                 continue;
             }
             let (first, last) = ((low / interval).floor() as i64 + 1, (high / interval).floor() as i64);
-            // Nor do lines say anything about ground that is level but for noise.
-            if high - low < 0.02 * step as f64 * heights.geometry.resolution_m {
+            if is_level(heights, x, y, step) {
                 continue;
             }
             let corners = places.map(|(x, y)| window.pixel(heights.geometry.center(Cell::new(x as i32, y as i32))));
@@ -134,6 +133,20 @@ fn contours(canvas: &mut Canvas, window: &Window, heights: &DenseHeights, (bar, 
             }
         }
     }
+}
+
+/// Whether the ground rises by less than 2.5 % over some ten cells: there, noise would draw the lines.
+fn is_level(heights: &DenseHeights, x: usize, y: usize, step: usize) -> bool {
+    const REACH: usize = 5;
+    let at = |x: usize, y: usize| f64::from(heights.ground_m[y * heights.width + x]);
+    let ends = |i: usize, size: usize| (i.saturating_sub(REACH * step), (i + REACH * step).min(size - 1));
+    let ((x0, x1), (y0, y1)) = (ends(x, heights.width), ends(y, heights.height));
+    let rise = |from: f64, to: f64, cells: usize| {
+        let slope = (to - from) / (cells as f64 * heights.geometry.resolution_m);
+        // Where the ground ends, the line is drawn.
+        if slope.is_finite() { slope } else { 1.0 }
+    };
+    rise(at(x0, y), at(x1, y), x1 - x0).hypot(rise(at(x, y0), at(x, y1), y1 - y0)) < 0.025
 }
 
 /// The pieces of a level's line within a square.

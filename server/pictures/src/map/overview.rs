@@ -180,7 +180,8 @@ pub(super) fn thinned(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
     for (i, p) in points.iter().enumerate() {
         let is_end = i + 1 == points.len();
         // NaN is kept: it interrupts the line.
-        if is_end || out.last().is_none_or(|last| !((p - last).norm() < 1.0)) {
+        let is_near = |last: &Point2<f64>| (p - last).norm() < 1.0;
+        if is_end || !out.last().is_some_and(is_near) {
             out.push(*p);
         }
     }

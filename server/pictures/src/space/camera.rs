@@ -93,7 +93,7 @@ impl Camera {
 
     /// Whether a point is drawn at all: it has numbers that make sense, and lies below the cut.
     pub(super) fn shows(&self, p: &Point3<f32>) -> bool {
-        p.z <= self.cut && p.coords.iter().all(|v| v.abs() <= 1e7)
+        p.z <= self.cut && is_somewhere(p)
     }
 
     /// The axes of the map frame as they lie in the picture, up positive.
@@ -111,6 +111,11 @@ impl Camera {
         let elevation = (-self.ahead.z).clamp(-1.0, 1.0).asin().to_degrees();
         format!("from azimuth {azimuth:.0}\u{b0}, {elevation:.0}\u{b0} up")
     }
+}
+
+/// Whether a point has numbers that make sense: within ten thousand kilometres.
+pub(super) fn is_somewhere(p: &Point3<f32>) -> bool {
+    p.coords.iter().all(|v| v.abs() <= 1e7)
 }
 
 #[cfg(test)]

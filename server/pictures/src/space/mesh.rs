@@ -1,14 +1,14 @@
 //! A surface of triangles, lit from beside the viewer.
 
 use super::View;
-use super::camera::Camera;
+use super::camera::{Camera, is_somewhere};
 use super::picture::Frame;
 use super::raster::Tile;
 use crate::PictureError;
 use crate::canvas::PixelBox;
-use crate::colors::{Color, Scale, scaled};
-use crate::sheet::{ColorBar, Sheet};
-use nalgebra::{Point3, Vector3};
+use crate::colors::{Color, INK, Scale, scaled};
+use crate::sheet::{ColorBar, Sheet, enlargement};
+use nalgebra::{Point3, Vector2, Vector3};
 use percept_geometry::RgbImage;
 use percept_mapping::MeshData;
 use rayon::prelude::*;
@@ -17,8 +17,9 @@ use rayon::prelude::*;
 const NO_COLOR: Color = [128; 3];
 
 /// A surface with light and shade: its own colours, or by height (viridis) where it has none. Triangles that face away from the viewer
-/// are not drawn, so that one looks over near walls into the rooms; those of which a corner lies above the cut are left out. Corners
-/// that are not finite, and triangles without area or vertices, are left out, too.
+/// are not drawn, so that one looks over near walls into the rooms. Where the surface goes through the height of the cut, a dark line
+/// shows the section: from above, these are the walls. Corners that are not finite, and triangles without area or vertices, are left
+/// out.
 ///
 /// # Errors
 /// `OutOfRange` for a view that cannot be; `ShapeMismatch` for normals or colours that are neither none nor one a vertex;
@@ -39,10 +40,12 @@ pub fn mesh_view(mesh: &MeshData, view: &View, title: &str) -> Result<RgbImage, 
         camera: &frame.camera,
         light: light(&frame.camera),
         bar: (!has_colors).then_some(&bar),
+        frame: &frame,
         pixels: mesh.positions.par_iter().map(|p| frame.pixel(p)).collect(),
     };
     let mut raster = frame.raster();
     raster.draw(mesh.triangles.len(), |i| surface.bounds(i), |i, tile| surface.draw(i, tile))?;
+    raster.draw(mesh.triangles.len(), |i| surface.section_bounds(i), |i, tile| surface.draw_section(i, tile))?;
     let sheet = Sheet { title: title.to_owned(), bar: (!has_colors).then(|| bar.clone()), ..Sheet::default() };
     frame.finish(sheet, &format!("{} triangles", mesh.triangles.len()), &raster, 0.8)
 }
@@ -58,15 +61,17 @@ struct Surface<'a> {
     camera: &'a Camera,
     light: Vector3<f64>,
     bar: Option<&'a ColorBar>,
+    frame: &'a Frame,
     pixels: Vec<[f32; 3]>,
 }
 
 impl Surface<'_> {
-    /// Numbers of a triangle's vertices, if all are there and shown.
+    /// Numbers of a triangle's vertices, if all are somewhere and one is shown.
     fn corners(&self, triangle: usize) -> Option<[usize; 3]> {
         let corners = self.mesh.triangles[triangle].map(|i| i as usize);
-        let is_shown = |i: &usize| self.mesh.positions.get(*i).is_some_and(|p| self.camera.shows(p));
-        corners.iter().all(is_shown).then_some(corners)
+        let is_there = |i: &usize| self.mesh.positions.get(*i).is_some_and(is_somewhere);
+        let is_shown = |i: &usize| self.mesh.positions[*i].z <= self.camera.cut;
+        (corners.iter().all(is_there) && corners.iter().any(is_shown)).then_some(corners)
     }
 
     fn bounds(&self, triangle: usize) -> Option<PixelBox> {
@@ -84,6 +89,8 @@ impl Surface<'_> {
         let (Some(corners), Some(bounds)) = (self.corners(triangle), self.bounds(triangle)) else { return };
         let [a, b, c] = corners.map(|i| self.pixels[i]);
         let whole = f64::from(area(&a, &b, &c));
+        let heights = corners.map(|i| f64::from(self.mesh.positions[i].z));
+        let is_cut = heights.iter().any(|z| *z > f64::from(self.camera.cut));
         // Most triangles of large meshes cover no pixel's centre, and need no colour.
         let mut lit = None;
         let part = tile.part(&bounds);
@@ -94,6 +101,9 @@ impl Surface<'_> {
                 // A hair of grace, or single pixels between neighbours stay empty.
                 if weights.iter().all(|w| *w >= -1e-4) {
                     let mixed = |values: [f64; 3]| (0..3).map(|i| weights[i] * values[i]).sum::<f64>();
+                    if is_cut && mixed(heights) > f64::from(self.camera.cut) {
+                        continue;
+                    }
                     let depth = mixed([a[2], b[2], c[2]].map(f64::from));
                     tile.set(x, y, depth as f32, || {
                         let colors = lit.get_or_insert_with(|| self.colors(corners));
@@ -103,6 +113,46 @@ impl Surface<'_> {
                 }
             }
         }
+    }
+
+    /// Ends of the line along which a triangle goes through the cut, pixels and metres away.
+    fn section(&self, triangle: usize) -> Option<[[f32; 3]; 2]> {
+        let corners = self.corners(triangle)?.map(|i| self.mesh.positions[i]);
+        let cut = self.camera.cut;
+        let mut ends = (0..3).filter_map(|i| {
+            let (a, b) = (corners[i], corners[(i + 1) % 3]);
+            ((a.z > cut) != (b.z > cut)).then(|| self.frame.pixel(&(a + (b - a) * ((cut - a.z) / (b.z - a.z)))))
+        });
+        Some([ends.next()?, ends.next()?])
+    }
+
+    fn section_bounds(&self, triangle: usize) -> Option<PixelBox> {
+        let [a, b] = self.section(triangle)?;
+        let low = |i: usize| (a[i].min(b[i]) - 1.5 * self.line_width()).floor() as i32;
+        let high = |i: usize| (a[i].max(b[i]) + 1.5 * self.line_width()).ceil() as i32;
+        Some(PixelBox { x0: low(0), y0: low(1), x1: high(0), y1: high(1) })
+    }
+
+    fn draw_section(&self, triangle: usize, tile: &mut Tile) {
+        let (Some([a, b]), Some(bounds)) = (self.section(triangle), self.section_bounds(triangle)) else { return };
+        let along = Vector2::new(b[0] - a[0], b[1] - a[1]);
+        // A bit nearer than the surface that ends there.
+        let nearer = 3.0 / self.frame.per_metre as f32;
+        let part = tile.part(&bounds);
+        for y in part.y0..part.y1 {
+            for x in part.x0..part.x1 {
+                let p = Vector2::new(x as f32 + 0.5 - a[0], y as f32 + 0.5 - a[1]);
+                let share = (p.dot(&along) / along.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+                if (p - along * share).norm() <= 0.5 * self.line_width() {
+                    tile.set(x, y, a[2] + (b[2] - a[2]) * share - nearer, || INK);
+                }
+            }
+        }
+    }
+
+    /// Of sections, pixels.
+    fn line_width(&self) -> f32 {
+        2.6 * enlargement(self.frame.width.max(self.frame.height)) as f32
     }
 
     /// Lit colours of a triangle's corners.

@@ -147,7 +147,7 @@ proptest! {
         let image_size = |i: &percept_geometry::RgbImage| (i.width(), i.height());
         sound(mesh_view(&mesh, &view, "mesh"), image_size);
         sound(cloud_view(&PointCloud::from_positions(points), &view, "cloud"), image_size);
-        let percent = |i: usize| if i % 7 == 0 { 100 } else { (i % 5) as i8 - 1 };
+        let percent = |i: usize| if i.is_multiple_of(7) { 100 } else { (i % 5) as i8 - 1 };
         let blocks: Vec<VoxelBlock> = keys
             .into_iter()
             .map(|key| VoxelBlock { key, percent: Box::new(std::array::from_fn(percent)) })

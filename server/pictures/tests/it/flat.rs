@@ -109,7 +109,7 @@ fn the_legend_has_what_is_in_the_picture_and_nothing_else() {
 fn a_path_shows_its_values_and_where_it_is_blocked() {
     let grid = grid();
     let poses: Vec<_> = (0..50).map(|i| se3::from_xy_yaw(-1.0 + 0.1 * f64::from(i), 3.0, 0.0)).collect();
-    let values = (0..50).map(|i| 0.02 * f64::from(i)).collect();
+    let values = (0..50).map(|i| if i < 25 { 0.3 } else { 1.3 }).collect();
     let path = PathDrawing { poses, values, ..PathDrawing::default() };
     let image = path_picture(&grid, &path, "path").unwrap();
     // Both ends of the scale lie in the drawing, along the path.

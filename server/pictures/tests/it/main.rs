@@ -1,5 +1,8 @@
 //! What people see in pictures: scale, place, legend, and that the same comes out again.
 
+// Helpers of tests may fail like tests.
+#![allow(clippy::unwrap_used)]
+
 mod anything;
 mod flat;
 mod space;

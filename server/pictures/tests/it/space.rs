@@ -1,6 +1,6 @@
 //! Meshes, clouds and voxels.
 
-use crate::{OCCUPIED, count, extent, same_on_any_threads, scale_bar};
+use crate::{INK, OCCUPIED, count, extent, same_on_any_threads, scale_bar};
 use nalgebra::Point3;
 use percept_geometry::PointCloud;
 use percept_mapping::{MeshData, VoxelBlock};
@@ -51,6 +51,20 @@ fn back_sides_are_not_drawn() {
     mesh.triangles.iter_mut().for_each(|t| t.swap(0, 1));
     let image = mesh_view(&mesh, &View::above(), "").unwrap();
     assert_eq!(image.data().chunks_exact(3).filter(|p| is_reddish([p[0], p[1], p[2]])).count(), 0);
+}
+
+#[test]
+fn a_wall_that_goes_through_the_cut_is_a_dark_line_from_above() {
+    let mut mesh = MeshData::default();
+    square(&mut mesh, [0.0, 0.0], [4.0, 4.0], 0.0, RED);
+    let corners = [[1.0, 1.0, 0.0], [1.0, 3.0, 0.0], [1.0, 3.0, 2.5], [1.0, 1.0, 2.5]];
+    mesh.positions.extend(corners.map(Point3::from));
+    mesh.colors.extend([BLUE; 4]);
+    mesh.triangles.extend([[4, 5, 6], [4, 6, 7]]);
+    let image = mesh_view(&mesh, &View::above(), "").unwrap();
+    let in_drawing = |y: usize| (200..800).filter(|x| image.at(*x, y) == INK).count();
+    let long = (150..1100).filter(|y| in_drawing(*y) >= 2).count() as f64;
+    assert!((long / scale_bar(&image) as f64 - 2.0).abs() < 0.03, "{long}");
 }
 
 #[test]
