@@ -36,6 +36,7 @@ fn flat(folder: &Path) -> Done {
     let flat = scene::flat();
     let overlay = scene::overlay();
     save(folder, "overview", || pictures::overview(&flat, &overlay, "Flat, second floor"))?;
+    save(folder, "crowded", || pictures::overview(&flat, &scene::crowd(), "Things everywhere"))?;
     let closet = scene::empty_room(24, 16, 0.1);
     save(folder, "small_room", || pictures::overview(&closet, &pictures::Overlay::default(), "Closet"))?;
     let corridor = scene::empty_room(1200, 40, 0.05);

@@ -110,6 +110,17 @@ pub(crate) fn overlay() -> Overlay {
     }
 }
 
+/// More things than labels fit.
+pub(crate) fn crowd() -> Overlay {
+    let thing = |i: u32| {
+        let (x, y) = (0.4 + 0.5 * f64::from(i % 20), 0.4 + 0.32 * f64::from(i / 20));
+        let class = ObjectClass::ALL[i as usize % 7];
+        let bbox = OrientedBox3::upright(Point3::new(x, y, 0.3), Vector3::new(0.2, 0.2, 0.6), 0.1 * f64::from(i));
+        MapObject { id: Some(u64::from(i)), class, bbox }
+    };
+    Overlay { objects: (0..400).map(thing).collect(), ..Overlay::default() }
+}
+
 /// A robot that went along x.
 pub(crate) fn walk() -> Overlay {
     let trajectory =

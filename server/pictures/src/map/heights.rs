@@ -135,18 +135,21 @@ fn contours(canvas: &mut Canvas, window: &Window, heights: &DenseHeights, (bar, 
     }
 }
 
-/// Whether the ground rises by less than 2.5 % over some ten cells: there, noise would draw the lines.
+/// Whether the ground rises by less than 2.5 % along both axes, to one side at least of five cells: there, noise would draw the
+/// lines, beside a cliff as well as far from it.
 fn is_level(heights: &DenseHeights, x: usize, y: usize, step: usize) -> bool {
     const REACH: usize = 5;
+    const LEVEL: f64 = 0.025;
     let at = |x: usize, y: usize| f64::from(heights.ground_m[y * heights.width + x]);
-    let ends = |i: usize, size: usize| (i.saturating_sub(REACH * step), (i + REACH * step).min(size - 1));
-    let ((x0, x1), (y0, y1)) = (ends(x, heights.width), ends(y, heights.height));
-    let rise = |from: f64, to: f64, cells: usize| {
-        let slope = (to - from) / (cells as f64 * heights.geometry.resolution_m);
-        // Where the ground ends, the line is drawn.
-        if slope.is_finite() { slope } else { 1.0 }
+    let here = at(x, y);
+    let slope = |other: Option<f64>| {
+        let rise = other.map(|z| (z - here).abs()).filter(|rise| rise.is_finite());
+        rise.map(|rise| rise / ((REACH * step) as f64 * heights.geometry.resolution_m))
     };
-    rise(at(x0, y), at(x1, y), x1 - x0).hypot(rise(at(x, y0), at(x, y1), y1 - y0)) < 0.025
+    let (reach, up) = (REACH * step, |i: usize, size: usize| Some(i + REACH * step).filter(|i| *i < size));
+    let along_x = [x.checked_sub(reach), up(x, heights.width)].map(|x| slope(x.map(|x| at(x, y))));
+    let along_y = [y.checked_sub(reach), up(y, heights.height)].map(|y| slope(y.map(|y| at(x, y))));
+    [along_x, along_y].iter().all(|sides| sides.iter().flatten().copied().reduce(f64::min).is_none_or(|s| s < LEVEL))
 }
 
 /// The pieces of a level's line within a square.

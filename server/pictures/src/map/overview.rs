@@ -131,8 +131,12 @@ pub fn overview<'a>(grid: impl Into<GridView<'a>>, overlay: &Overlay, title: &st
         let id = object.id.map(|id| format!(" {id}")).unwrap_or_default();
         labels.write(canvas, center, reach, &format!("{}{id}", object.class.name()), INK);
     }
+    let left_out = labels.left_out;
     opened.canvas.clip(None);
     opened.finish(&window);
+    if left_out > 0 {
+        opened.write_below(&format!("{left_out} labels had no room"));
+    }
     opened.canvas.into_image()
 }
 

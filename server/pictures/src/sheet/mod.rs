@@ -152,6 +152,12 @@ impl Opened {
         axes(&mut self.canvas, self.plot, &directions, self.enlarge);
     }
 
+    /// Writes a short remark below the right corner of the drawing.
+    pub(crate) fn write_below(&mut self, words: &str) {
+        let (at, e) = ((self.plot.x1, self.plot.y1 + 72 * self.enlarge), self.enlarge);
+        write(&mut self.canvas, words, at, (Font::Small, Align::Right, e), SOFT_INK);
+    }
+
     pub(crate) fn border(&mut self) {
         let (plot, e) = (self.plot, self.enlarge);
         let around = PixelBox { x0: plot.x0 - e, y0: plot.y0 - e, x1: plot.x1 + e, y1: plot.y1 + e };

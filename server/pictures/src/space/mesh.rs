@@ -7,7 +7,7 @@ use super::raster::Tile;
 use crate::PictureError;
 use crate::canvas::PixelBox;
 use crate::colors::{Color, INK, Scale, scaled};
-use crate::sheet::{ColorBar, Sheet, enlargement};
+use crate::sheet::{ColorBar, Entry, Sheet, Swatch, enlargement};
 use nalgebra::{Point3, Vector2, Vector3};
 use percept_geometry::RgbImage;
 use percept_mapping::MeshData;
@@ -46,7 +46,14 @@ pub fn mesh_view(mesh: &MeshData, view: &View, title: &str) -> Result<RgbImage, 
     let mut raster = frame.raster();
     raster.draw(mesh.triangles.len(), |i| surface.bounds(i), |i, tile| surface.draw(i, tile))?;
     raster.draw(mesh.triangles.len(), |i| surface.section_bounds(i), |i, tile| surface.draw_section(i, tile))?;
-    let sheet = Sheet { title: title.to_owned(), bar: (!has_colors).then(|| bar.clone()), ..Sheet::default() };
+    let has_section = (0..mesh.triangles.len()).into_par_iter().any(|i| surface.section(i).is_some());
+    let section = has_section.then(|| Entry::new(Swatch::Line(INK), format!("section at {:.2} m", frame.camera.cut)));
+    let sheet = Sheet {
+        title: title.to_owned(),
+        bar: (!has_colors).then(|| bar.clone()),
+        legend: section.into_iter().collect(),
+        ..Sheet::default()
+    };
     frame.finish(sheet, &format!("{} triangles", mesh.triangles.len()), &raster, 0.8)
 }
 

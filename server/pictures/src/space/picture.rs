@@ -70,7 +70,9 @@ impl Frame {
     /// Size of what is shown, and from where, in words.
     fn detail(&self, what: &str) -> String {
         let size = self.bounds.size();
-        format!("{what}, {:.1} x {:.1} x {:.1} m, {}", size.x, size.y, size.z, self.camera.words())
+        let cut =
+            if self.camera.cut.is_finite() { format!(", cut at {:.2} m", self.camera.cut) } else { String::new() };
+        format!("{what}, {:.1} x {:.1} x {:.1} m, {}{cut}", size.x, size.y, size.z, self.camera.words())
     }
 
     /// The picture: `what` is how many of what, edges are darkened by `strength`.
@@ -85,7 +87,9 @@ impl Frame {
         let is_above = self.camera.is_above;
         let size = (self.width, self.height);
         let tick_chars = if is_above { Window::tick_chars(low, size, self.per_metre) } else { 0 };
-        let mut opened = Sheet { detail: self.detail(what), tick_chars, ..sheet }.open(self.width, self.height);
+        // Where nothing is, no colour means anything.
+        let bar = sheet.bar.filter(|_| !self.bounds.is_empty());
+        let mut opened = Sheet { detail: self.detail(what), tick_chars, bar, ..sheet }.open(self.width, self.height);
         let (plot, e) = (opened.plot, opened.enlarge);
         opened.canvas.clip(Some(plot));
         let spacing = if self.bounds.is_empty() {

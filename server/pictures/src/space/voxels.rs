@@ -84,7 +84,8 @@ pub fn voxels_view(
     let cubes = visible(blocks, voxel_size_m, &camera);
     let half = 0.5 * voxel_size_m;
     let centers: Vec<Point3<f32>> = cubes.iter().map(|c| c.center).collect();
-    let frame = Frame::around(&View { cut_above_m: None, ..*view }, &centers, half * 3f64.sqrt())?;
+    // Their centres lie below the cut; what they reach above it belongs to them.
+    let frame = Frame::around(view, &centers, half * 3f64.sqrt())?;
     let bar = ColorBar::over("height [m]", Scale::Viridis, centers.iter().map(|p| f64::from(p.z)));
     let faces = Face::seen(&camera, &frame, voxel_size_m);
     let reach = faces.iter().fold(Point2::new(0.0f64, 0.0), |sum, f| {
