@@ -1,7 +1,7 @@
 //! Pictures of maps for people: map data in, images out.
 //!
 //! Comes in: grids, heights, meshes, clouds and voxels of `mapping`, and what is drawn over them. Goes out: an
-//! [`RgbImage`](percept_geometry::RgbImage), which [`encode_png`] makes a file of. A picture says by itself what it shows: it has a
+//! [`RgbImage`], which [`encode_png`] makes a file of. A picture says by itself what it shows: it has a
 //! title, size and resolution, a scale bar, the axes of the map frame (x to the right and y up where it is seen from above), and a
 //! legend of what is really in it. The same input gives the same bytes, whatever the number of threads. No clock, no files, no
 //! search: what is drawn is what was given.

@@ -1,4 +1,5 @@
-//! Draws every kind of picture from made-up maps: `cargo run --release -p percept-pictures --example gallery -- FOLDER`.
+//! Draws every kind of picture from made-up maps, and of maps (nav2's yaml) and clouds from files, if some are given:
+//! `cargo run --release -p percept-pictures --example gallery -- FOLDER [FILE …]`.
 
 mod scene;
 mod solid;
@@ -14,8 +15,27 @@ type Done = Result<(), Box<dyn Error>>;
 fn main() -> Done {
     let folder = std::env::args().nth(1).map(PathBuf::from).unwrap_or_else(|| PathBuf::from("gallery"));
     std::fs::create_dir_all(&folder)?;
+    let files: Vec<PathBuf> = std::env::args().skip(2).map(PathBuf::from).collect();
+    if !files.is_empty() {
+        return files.iter().try_for_each(|file| from_file(&folder, file));
+    }
     flat(&folder)?;
     space(&folder)
+}
+
+fn from_file(folder: &Path, file: &Path) -> Done {
+    let limits = percept_formats::Limits::default();
+    let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    if file.extension().is_some_and(|extension| extension == "yaml") {
+        let grid = percept_formats::nav2::read(file, &limits)?;
+        save(folder, &name, || pictures::overview(&grid, &pictures::Overlay::default(), &name))?;
+        return Ok(());
+    }
+    let cloud = percept_formats::read_cloud_file(file, &limits)?.cloud;
+    save(folder, &name, || pictures::cloud_view(&cloud, &View::default(), &name))?;
+    let above = View { cut_above_m: None, ..View::above() };
+    save(folder, &format!("{name}_above"), || pictures::cloud_view(&cloud, &above, &name))?;
+    Ok(())
 }
 
 /// Writes a picture and says how long it took to draw.
