@@ -15,7 +15,7 @@ const MAX_SPLAT: f64 = 9.0;
 /// Edge of the squares in which points are counted to tell how dense they are, pixels.
 const COUNTED: usize = 8;
 
-/// A cloud with its own colours, or by height (viridis, with a colour bar); points are as large as their density asks for, and edges
+/// A cloud with its own colours, or by height (viridis, with a colour bar); points are as large as their density around them asks for, and edges
 /// are darkened, so that shapes are told from each other. What is not finite or above the cut is left out.
 ///
 /// # Errors
@@ -25,13 +25,14 @@ pub fn cloud_view(cloud: &PointCloud, view: &View, title: &str) -> Result<RgbIma
         return Err(PictureError::ShapeMismatch { field: "colors", expected: cloud.len(), actual });
     }
     let frame = Frame::around(view, &cloud.positions, 0.0)?;
-    let heights = cloud.positions.iter().filter(|p| frame.camera.shows(p)).map(|p| f64::from(p.z));
-    let bar = ColorBar::over("height [m]", Scale::Viridis, heights);
+    let bar = ColorBar::over("height [m]", Scale::Viridis, frame.heights.into_iter());
     let colors = cloud.colors.as_ref();
     let pixels: Vec<[f32; 3]> = cloud.positions.par_iter().map(|p| frame.pixel(p)).collect();
     let shown: Vec<bool> = cloud.positions.par_iter().map(|p| frame.camera.shows(p)).collect();
-    let size = splat_size(&frame, &pixels, &shown, MAX_SPLAT * view.edge_px as f64 / 1100.0);
+    let density = Density::of(&frame, &pixels, &shown);
+    let enlarged = view.edge_px as f64 / 1100.0;
     let square = |i: usize| {
+        let size = splat_size(density.apart(&pixels[i]), enlarged);
         let corner = |v: f32| (v - 0.5 * size as f32).round() as i32;
         PixelBox::new(corner(pixels[i][0]), corner(pixels[i][1]), size, size)
     };
@@ -51,18 +52,48 @@ pub fn cloud_view(cloud: &PointCloud, view: &View, title: &str) -> Result<RgbIma
     frame.finish(sheet, &format!("{} points", cloud.len()), &raster, 0.8)
 }
 
-/// Edge of a point's square: about as far as points of the picture are apart in its thinner places. With points strewn at random, squares of
-/// 2.3 times that leave one pixel of 200 open.
-fn splat_size(frame: &Frame, pixels: &[[f32; 3]], shown: &[bool], largest: f64) -> i32 {
-    let (columns, rows) = (frame.width.div_ceil(COUNTED), frame.height.div_ceil(COUNTED));
-    let mut counts = vec![0u32; columns * rows];
-    for (p, _) in pixels.iter().zip(shown).filter(|(_, shown)| **shown) {
-        let cell = |v: f32, n: usize| (v.max(0.0) as usize / COUNTED).min(n.saturating_sub(1));
-        counts[cell(p[1], rows) * columns + cell(p[0], columns)] += 1;
+/// Edge of a point's square, by how far points are apart around it. With points strewn at random, squares of 2.3 times that leave one
+/// pixel of 200 open; where even the largest squares would not close the gaps, points become smaller the lonelier they are.
+fn splat_size(apart: f64, enlarged: f64) -> i32 {
+    let largest = (MAX_SPLAT * enlarged).max(3.0);
+    let wanted = 2.3 * apart;
+    let size = if wanted <= largest { wanted } else { (largest * largest / wanted).max(3.0 * enlarged) };
+    size.round().clamp(2.0, largest) as i32
+}
+
+/// How many points lie in squares of the picture.
+struct Density {
+    columns: usize,
+    rows: usize,
+    counts: Vec<u32>,
+}
+
+impl Density {
+    fn of(frame: &Frame, pixels: &[[f32; 3]], shown: &[bool]) -> Self {
+        let (columns, rows) = (frame.width.div_ceil(COUNTED), frame.height.div_ceil(COUNTED));
+        let mut out = Self { columns, rows, counts: vec![0; columns * rows] };
+        for (p, _) in pixels.iter().zip(shown).filter(|(_, shown)| **shown) {
+            let (column, row) = out.square(p);
+            out.counts[row * columns + column] += 1;
+        }
+        out
     }
-    counts.retain(|count| *count > 0);
-    counts.sort_unstable();
-    let typical = counts.get(counts.len() / 4).copied().unwrap_or(1);
-    let apart = COUNTED as f64 / f64::from(typical).sqrt();
-    (2.3 * apart).round().clamp(2.0, largest.max(2.0)) as i32
+
+    fn square(&self, p: &[f32; 3]) -> (usize, usize) {
+        let number = |v: f32, n: usize| (v.max(0.0) as usize / COUNTED).min(n.saturating_sub(1));
+        (number(p[0], self.columns), number(p[1], self.rows))
+    }
+
+    /// How far points are apart in the three by three squares around one, pixels.
+    fn apart(&self, p: &[f32; 3]) -> f64 {
+        let (column, row) = self.square(p);
+        let (mut points, mut squares) = (0u32, 0u32);
+        for y in row.saturating_sub(1)..=(row + 1).min(self.rows - 1) {
+            for x in column.saturating_sub(1)..=(column + 1).min(self.columns - 1) {
+                points += self.counts[y * self.columns + x];
+                squares += 1;
+            }
+        }
+        COUNTED as f64 * (f64::from(squares) / f64::from(points.max(1))).sqrt()
+    }
 }

@@ -33,8 +33,7 @@ pub fn mesh_view(mesh: &MeshData, view: &View, title: &str) -> Result<RgbImage, 
     }
     let frame = Frame::around(view, &mesh.positions, 0.0)?;
     let has_colors = mesh.colors.par_iter().any(|c| *c != NO_COLOR);
-    let shown = || mesh.positions.iter().filter(|p| frame.camera.shows(p));
-    let bar = ColorBar::over("height [m]", Scale::Viridis, shown().map(|p| f64::from(p.z)));
+    let bar = ColorBar::over("height [m]", Scale::Viridis, frame.heights.into_iter());
     let surface = Surface {
         mesh,
         camera: &frame.camera,

@@ -23,6 +23,42 @@ pub(super) struct Frame {
     low: Vector2<f64>,
     /// What is shown, map frame.
     bounds: Aabb3,
+    /// Heights below and above which half a per cent of the points lie: a few stray ones do not take the colours from all others.
+    pub(super) heights: [f64; 2],
+}
+
+/// Every so many of the heights, never more than half a million.
+#[derive(Default)]
+struct Sample {
+    kept: Vec<f32>,
+    seen: usize,
+    /// One of two to the power of this is kept.
+    thinned: u32,
+}
+
+impl Sample {
+    fn push(&mut self, z: f32) {
+        if self.seen.is_multiple_of(1 << self.thinned) {
+            self.kept.push(z);
+        }
+        self.seen += 1;
+        if self.kept.len() >= 1 << 19 {
+            let mut number = 0usize;
+            self.kept.retain(|_| {
+                number += 1;
+                !number.is_multiple_of(2)
+            });
+            self.thinned += 1;
+        }
+    }
+
+    fn spread(mut self) -> [f64; 2] {
+        self.kept.sort_by(f32::total_cmp);
+        [0.005, 0.995].map(|share| {
+            let place = (share * self.kept.len().saturating_sub(1) as f64).round() as usize;
+            self.kept.get(place).map_or(0.0, |z| f64::from(*z))
+        })
+    }
 }
 
 impl Frame {
@@ -35,8 +71,10 @@ impl Frame {
         let camera = view.camera()?;
         let mut bounds = Aabb3::empty();
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
+        let mut sample = Sample::default();
         for p in points.into_iter().filter(|p| camera.shows(p)) {
             bounds.grow(&p.cast());
+            sample.push(p.z);
             let at = camera.project(&p.cast()).xy();
             (low, high) = (low.inf(&at), high.sup(&at));
         }
@@ -52,7 +90,8 @@ impl Frame {
         let (width, height) = (pixels(size.x, 380.min(view.edge_px)), pixels(size.y, 260.min(view.edge_px)));
         // What is narrow stands in the middle.
         let spare = Vector2::new(width as f64, height as f64) / per_metre - size;
-        Ok(Self { camera, width, height, per_metre, low: low - 0.5 * spare.map(|s| s.max(0.0)), bounds })
+        let low = low - 0.5 * spare.map(|s| s.max(0.0));
+        Ok(Self { camera, width, height, per_metre, low, bounds, heights: sample.spread() })
     }
 
     /// Column, row (pixels; the centre of the first one is 0.5) and distance away (metres).
@@ -128,7 +167,7 @@ impl Frame {
         let spacing = round_below(longest / 4.0).max(40.0 / self.per_metre);
         let spacing = round_below(spacing * 1.9);
         let pixel = |x: f64, y: f64| {
-            let [x, y, _] = self.pixel(&Point3::new(x as f32, y as f32, low.z as f32));
+            let [x, y, _] = self.pixel(&Point3::new(x as f32, y as f32, self.heights[0] as f32));
             Point2::new(f64::from(opened.plot.x0) + f64::from(x), f64::from(opened.plot.y0) + f64::from(y))
         };
         let to = |v: f64, up: bool| if up { (v / spacing).ceil() * spacing } else { (v / spacing).floor() * spacing };

@@ -86,7 +86,7 @@ pub fn voxels_view(
     let centers: Vec<Point3<f32>> = cubes.iter().map(|c| c.center).collect();
     // Their centres lie below the cut; what they reach above it belongs to them.
     let frame = Frame::around(view, &centers, half * 3f64.sqrt())?;
-    let bar = ColorBar::over("height [m]", Scale::Viridis, centers.iter().map(|p| f64::from(p.z)));
+    let bar = ColorBar::over("height [m]", Scale::Viridis, frame.heights.into_iter());
     let faces = Face::seen(&camera, &frame, voxel_size_m);
     let reach = faces.iter().fold(Point2::new(0.0f64, 0.0), |sum, f| {
         Point2::new(sum.x + f.u[0].abs() + f.v[0].abs(), sum.y + f.u[1].abs() + f.v[1].abs())
