@@ -144,6 +144,11 @@ STARTS = {
     "trajectory_tum": b"",
     "overview_png": b"\x89PNG",
     "cloud_top_png": b"\x89PNG",
+    "cloud_view_png": b"\x89PNG",
+    "mesh_view_png": b"\x89PNG",
+    "voxels_view_png": b"\x89PNG",
+    "heights_png": b"\x89PNG",
+    "traversability_png": b"\x89PNG",
 }
 
 

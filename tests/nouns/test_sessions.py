@@ -230,9 +230,7 @@ def test_asyncio_does_the_same(server):
                 event = await anext(watch)
                 assert event.token == 1
             assert stream.summary.durable == 5
-            pose, trajectory, grid = await asyncio.gather(
-                session.pose(), session.trajectory(), session.map.occupancy()
-            )
+            pose, trajectory, grid = await asyncio.gather(session.pose(), session.trajectory(), session.map.occupancy())
             assert pose.stamp_ns == trajectory.stamps_ns[-1] == world.stamp(4)
             assert grid.stamp.map_version == pose.map_version
             assert [k.keyframe_id async for k in session.keyframes()][:1] == [0]

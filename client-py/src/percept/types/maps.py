@@ -200,6 +200,16 @@ class MapFormat(Name):
     MESH_PLY = "mesh_ply"
     #: The same, binary glTF 2.0, y up.
     MESH_GLB = "mesh_glb"
+    #: Picture of the cloud from aside and above, PNG; what is higher than 2.2 m is cut away.
+    CLOUD_VIEW_PNG = "cloud_view_png"
+    #: The same of the surface.
+    MESH_VIEW_PNG = "mesh_view_png"
+    #: The same of the occupied voxels.
+    VOXELS_VIEW_PNG = "voxels_view_png"
+    #: Picture of the ground's heights, with contour lines.
+    HEIGHTS_PNG = "heights_png"
+    #: Picture of where a robot can drive.
+    TRAVERSABILITY_PNG = "traversability_png"
     TRAJECTORY_TUM = "trajectory_tum"
     OVERVIEW_PNG = "overview_png"
     CLOUD_TOP_PNG = "cloud_top_png"

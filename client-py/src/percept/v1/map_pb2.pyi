@@ -89,6 +89,16 @@ class _MapFormatEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_MapFormat.V
     """Surface as a coloured mesh, binary little-endian PLY."""
     MAP_FORMAT_MESH_GLB: _MapFormat.ValueType  # 17
     """Surface as a coloured mesh, binary glTF 2.0, y up."""
+    MAP_FORMAT_CLOUD_VIEW_PNG: _MapFormat.ValueType  # 18
+    """Picture of the cloud from aside and above, PNG; what is higher than 2.2 m is cut away, so for the next two."""
+    MAP_FORMAT_MESH_VIEW_PNG: _MapFormat.ValueType  # 19
+    """Picture of the surface."""
+    MAP_FORMAT_VOXELS_VIEW_PNG: _MapFormat.ValueType  # 20
+    """Picture of the occupied voxels."""
+    MAP_FORMAT_HEIGHTS_PNG: _MapFormat.ValueType  # 21
+    """Picture of the ground's heights, with contour lines."""
+    MAP_FORMAT_TRAVERSABILITY_PNG: _MapFormat.ValueType  # 22
+    """Picture of where a robot can drive."""
 
 class MapFormat(_MapFormat, metaclass=_MapFormatEnumTypeWrapper):
     """Files that a map can be read as."""
@@ -128,6 +138,16 @@ MAP_FORMAT_MESH_PLY: MapFormat.ValueType  # 16
 """Surface as a coloured mesh, binary little-endian PLY."""
 MAP_FORMAT_MESH_GLB: MapFormat.ValueType  # 17
 """Surface as a coloured mesh, binary glTF 2.0, y up."""
+MAP_FORMAT_CLOUD_VIEW_PNG: MapFormat.ValueType  # 18
+"""Picture of the cloud from aside and above, PNG; what is higher than 2.2 m is cut away, so for the next two."""
+MAP_FORMAT_MESH_VIEW_PNG: MapFormat.ValueType  # 19
+"""Picture of the surface."""
+MAP_FORMAT_VOXELS_VIEW_PNG: MapFormat.ValueType  # 20
+"""Picture of the occupied voxels."""
+MAP_FORMAT_HEIGHTS_PNG: MapFormat.ValueType  # 21
+"""Picture of the ground's heights, with contour lines."""
+MAP_FORMAT_TRAVERSABILITY_PNG: MapFormat.ValueType  # 22
+"""Picture of where a robot can drive."""
 Global___MapFormat: _TypeAlias = MapFormat  # noqa: Y015
 
 @_typing.final

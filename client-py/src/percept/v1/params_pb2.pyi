@@ -1229,7 +1229,7 @@ class SurfaceParams(_message.Message):
     """Returns nearer than this to the sensor are left out, metres."""
     range_max_m: _builtins.float
     """Returns beyond this only show that what lies before it is free, metres; above `range_min_m`, at most 10000
-    voxels. Absent: as far as the sensor sees, to 30 m or 10000 voxels at most.
+    voxels. Absent: as far as the sensor sees, to 200 voxels (10 m) and 30 m at most.
     """
     max_weight: _builtins.float
     """Looks that a voxel remembers: the weight at which its mean becomes a moving one; 1 to 255."""

@@ -85,6 +85,7 @@ impl OccupancyParams {
         let cells = Self::MAX_RANGE_CELLS * self.resolution_m * (1.0 + 1e-9);
         check("range_max_m", range_max, 0.0, cells, "choose at most 1000 times resolution_m")?;
         check("band_min_m", self.band_min_m, -1e3, 1e3, "choose -1000 to 1000")?;
+        check("footprint_radius_m", self.footprint_radius_m, 0.0, 5.0, "choose 0 to 5")?;
         check("band_max_m", self.band_max_m, self.band_min_m, 1e3, "choose band_min_m to 1000")
     }
 }
@@ -106,6 +107,8 @@ mod tests {
         assert!(matches!(far.validate(), Err(MappingError::InvalidParam { field: "range_min_m", .. })));
         let nan = OccupancyParams { resolution_m: f64::NAN, ..Default::default() };
         assert!(matches!(nan.validate(), Err(MappingError::InvalidParam { field: "resolution_m", .. })));
+        let huge = OccupancyParams { footprint_radius_m: 5.1, ..Default::default() };
+        assert!(matches!(huge.validate(), Err(MappingError::InvalidParam { field: "footprint_radius_m", .. })));
         let wrong_sign = OccupancyParams { free_log_odds: 0.4, ..Default::default() };
         assert!(matches!(wrong_sign.validate(), Err(MappingError::InvalidParam { field: "free_log_odds", .. })));
     }

@@ -218,13 +218,15 @@ async fn write_pictures(
     let grid = percept_formats::nav2::read(&out.join("map.yaml"), &percept_formats::Limits::default())?;
     let boxes = objects.iter().map(|o| {
         let bbox = convert::geometry::oriented_box("box", &o.r#box.unwrap_or_default())?;
-        Ok::<_, percept_service::Error>((convert::scene::class(o.object_class)?, bbox))
+        let class = convert::scene::class(o.object_class)?;
+        Ok::<_, percept_service::Error>(percept_pictures::MapObject { id: Some(o.object_id), class, bbox })
     });
-    let scene = pictures::Overlay {
+    let scene = percept_pictures::Overlay {
         trajectory: trajectory.iter().map(|p| p.value).collect(),
         objects: boxes.collect::<Result<_, _>>()?,
         path: path.to_vec(),
+        ..Default::default()
     };
-    std::fs::write(out.join("overview.png"), pictures::overview(&grid, &scene)?)?;
+    std::fs::write(out.join("overview.png"), pictures::overview(&grid, &scene, "demo")?)?;
     Ok(())
 }

@@ -160,7 +160,7 @@ fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {
 }
 
 /// Files of a map, and what each is called in an output folder.
-pub(crate) const FILES: [(&str, MapFormat, v1::MapFormat); 8] = [
+pub(crate) const FILES: [(&str, MapFormat, v1::MapFormat); 9] = [
     ("trajectory.tum", MapFormat::TrajectoryTum, v1::MapFormat::TrajectoryTum),
     ("map.pgm", MapFormat::Nav2Pgm, v1::MapFormat::Nav2Pgm),
     ("map.yaml", MapFormat::Nav2Yaml, v1::MapFormat::Nav2Yaml),
@@ -168,6 +168,7 @@ pub(crate) const FILES: [(&str, MapFormat, v1::MapFormat); 8] = [
     ("overview.png", MapFormat::OverviewPng, v1::MapFormat::OverviewPng),
     ("cloud.ply", MapFormat::CloudPly, v1::MapFormat::CloudPly),
     ("cloud.png", MapFormat::CloudTopPng, v1::MapFormat::CloudTopPng),
+    ("cloud-view.png", MapFormat::CloudViewPng, v1::MapFormat::CloudViewPng),
     ("cloud.pcd", MapFormat::CloudPcd, v1::MapFormat::CloudPcd),
 ];
 
@@ -176,7 +177,11 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
     std::fs::create_dir_all(dir)?;
     let of_layers = [
         ("voxels.bt", MapFormat::VoxelsBt, v1::MapFormat::VoxelsBt),
+        ("voxels-view.png", MapFormat::VoxelsViewPng, v1::MapFormat::VoxelsViewPng),
         ("mesh.ply", MapFormat::MeshPly, v1::MapFormat::MeshPly),
+        ("mesh-view.png", MapFormat::MeshViewPng, v1::MapFormat::MeshViewPng),
+        ("heights.png", MapFormat::HeightsPng, v1::MapFormat::HeightsPng),
+        ("traversability.png", MapFormat::TraversabilityPng, v1::MapFormat::TraversabilityPng),
     ];
     for (name, format, _) in FILES.iter().filter(|(name, ..)| *name != "cloud.pcd").chain(&of_layers) {
         match map_files::export(snapshot, "map", *format, &Limits::default()) {

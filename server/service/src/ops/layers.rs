@@ -2,12 +2,12 @@
 
 use super::maps::{cells_of, stamp_of};
 use crate::reason;
-use crate::{Error, ErrorCode, Result, Service};
+use crate::{Error, ErrorCode, Limits, Result, Service};
 use nalgebra::{Point2, Point3, Unit, Vector3};
 use percept_geometry::{Aabb3, OrientedBox3, Timestamp, TriangleMesh, Voxel};
 use percept_mapping::height::{DenseHeights, Storey, Traversability};
 use percept_mapping::voxels::{MAX_RAY_VOXELS, VoxelReader, VoxelState};
-use percept_mapping::{Composed, Layer, MapLayers, MappingError, MeshOptions, VoxelBlock};
+use percept_mapping::{Composed, Layer, MapLayers, MappingError, MeshData, MeshOptions, VoxelBlock};
 use percept_pipeline::Snapshot;
 
 /// Points or rays of one question.
@@ -15,6 +15,8 @@ const MAX_QUERIES: usize = 100_000;
 /// Boxes of one question, and voxels that all of them may hold.
 const MAX_BOXES: usize = 10_000;
 const MAX_BOX_VOXELS: f64 = 16e6;
+/// Voxels that are drawn.
+const MAX_PICTURE_VOXELS: usize = 64 << 20;
 
 /// A layer of the map that can be asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -311,18 +313,45 @@ fn need(is_there: bool, what: &str, params: &str) -> Result<()> {
 
 /// The surface of a map as triangles.
 pub(super) fn mesh_of(layers: &MapLayers, region: Option<Aabb3>, max_triangles: Option<usize>) -> Result<TriangleMesh> {
+    let mesh = mesh_data_of(layers, region, max_triangles)?;
+    TriangleMesh::new(mesh.positions, mesh.normals, mesh.colors, mesh.triangles).map_err(Error::internal)
+}
+
+/// All that the voxels know, and their edge, metres.
+pub(super) fn all_voxels(layers: &MapLayers) -> Result<(Vec<VoxelBlock>, f64)> {
+    let voxels = &layers.voxels;
+    need(voxels.params().enabled, "voxels", "voxels")?;
+    let blocks = voxels.blocks(None, true, 0, MAX_PICTURE_VOXELS).map_err(|e| too_many_voxels(&e))?;
+    Ok((blocks, voxels.params().voxel_size_m))
+}
+
+/// Heights of all the ground, and where a robot can drive; none if nothing was mapped.
+pub(super) fn all_heights(layers: &MapLayers, limits: &Limits) -> Result<Option<(DenseHeights, Traversability)>> {
+    let heights = &layers.height;
+    need(heights.params().enabled, "heights", "height")?;
+    let Some((min, max)) = heights.bounds() else { return Ok(None) };
+    let limit = limits.max_grid_cells;
+    let found = heights.region(min, max, Storey::Lowest, limit);
+    let found = found.and_then(|h| Ok((h, heights.traversability(min, max, Storey::Lowest, limit)?)));
+    found.map(Some).map_err(|e| too_many_voxels(&e))
+}
+
+pub(super) fn mesh_data_of(
+    layers: &MapLayers,
+    region: Option<Aabb3>,
+    max_triangles: Option<usize>,
+) -> Result<MeshData> {
     need(layers.surface.params().enabled, "surface", "surface")?;
     let most = MeshOptions::default().max_triangles;
     let max_triangles = max_triangles.map_or(most, |n| n.min(most));
     let mesh = layers.surface.mesh(&MeshOptions { region, max_triangles, ..MeshOptions::default() });
-    let mesh = mesh.map_err(|e| match e {
+    mesh.map_err(|e| match e {
         MappingError::MeshTooLarge { limit } => {
             let message = format!("the mesh has more than {limit} triangles; ask for a region");
             Error::exhausted(reason::MESH_TOO_LARGE, "region", message)
         }
         e => Error::internal(e),
-    })?;
-    TriangleMesh::new(mesh.positions, mesh.normals, mesh.colors, mesh.triangles).map_err(Error::internal)
+    })
 }
 
 pub(super) fn at_most(field: &str, num: usize, limit: usize) -> Result<()> {

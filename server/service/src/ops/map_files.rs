@@ -7,6 +7,7 @@ use crate::{Error, Progress, Result, Service};
 use percept_formats::{GridMap, OctreeLeaf, OctreeMap, geotiff, gltf, las, nav2, octomap, pcd, ply, trajectory};
 use percept_geometry::{Aabb3, PointCloud, Stamped, Timestamp, Voxel};
 use percept_pipeline::Snapshot;
+use percept_planning::Zone;
 
 /// Files that a map can be read as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +46,16 @@ pub enum MapFormat {
     OverviewPng,
     /// Top view of the cloud.
     CloudTopPng,
+    /// The cloud from aside and above.
+    CloudViewPng,
+    /// The surface from aside and above.
+    MeshViewPng,
+    /// Occupied voxels from aside and above.
+    VoxelsViewPng,
+    /// Heights of the ground.
+    HeightsPng,
+    /// Where a robot can drive.
+    TraversabilityPng,
 }
 
 /// A file.
@@ -82,10 +93,10 @@ impl Service {
         progress: Progress,
         answer: impl FnOnce(MapFile) -> Result<T> + Send + 'static,
     ) -> Result<T> {
-        let s = self.snapshot(session).await?;
+        let (s, zones) = self.snapshot_with_zones(session).await?;
         let (name, limits) = (session.to_owned(), self.limits.clone());
         let work = move || {
-            let file = export_telling(&s, &name, format, &limits, &progress)?;
+            let file = export_telling(&s, (&name, &zones), format, &limits, &progress)?;
             progress.stage("making the answer");
             answer(file)
         };
@@ -98,12 +109,12 @@ impl Service {
 /// # Errors
 /// `MAP_EMPTY`, `GRID_TOO_LARGE`.
 pub fn export(s: &Snapshot, name: &str, format: MapFormat, limits: &crate::Limits) -> Result<MapFile> {
-    export_telling(s, name, format, limits, &Progress::default())
+    export_telling(s, (name, &[]), format, limits, &Progress::default())
 }
 
 fn export_telling(
     s: &Snapshot,
-    name: &str,
+    (name, zones): (&str, &[Zone]),
     format: MapFormat,
     limits: &crate::Limits,
     progress: &Progress,
@@ -204,12 +215,42 @@ fn export_telling(
         F::OverviewPng => {
             let grid = grid()?;
             writing()?;
-            ("overview.png", "image/png", pictures::overview(&grid, &pictures::Overlay::of(s))?)
+            ("overview.png", "image/png", pictures::overview(&grid, &pictures::overlay(s, zones), name)?)
         }
         F::CloudTopPng => {
             let cloud = cloud()?;
             writing()?;
-            ("cloud.png", "image/png", pictures::cloud_top(&cloud)?)
+            ("cloud.png", "image/png", pictures::cloud(&cloud, true, name)?)
+        }
+        F::CloudViewPng => {
+            let cloud = cloud()?;
+            writing()?;
+            ("cloud-view.png", "image/png", pictures::cloud(&cloud, false, name)?)
+        }
+        F::MeshViewPng => {
+            let mesh = layers::mesh_data_of(&s.layers, None, None)?;
+            if mesh.triangles.is_empty() {
+                return Err(map_empty());
+            }
+            writing()?;
+            ("mesh-view.png", "image/png", pictures::mesh(&mesh, name)?)
+        }
+        F::VoxelsViewPng => {
+            let (blocks, size) = layers::all_voxels(&s.layers)?;
+            if blocks.is_empty() {
+                return Err(map_empty());
+            }
+            writing()?;
+            ("voxels-view.png", "image/png", pictures::voxels(&blocks, size, name)?)
+        }
+        F::HeightsPng | F::TraversabilityPng => {
+            let (heights, drivable) = layers::all_heights(&s.layers, limits)?.ok_or_else(map_empty)?;
+            writing()?;
+            if format == F::HeightsPng {
+                ("heights.png", "image/png", pictures::heights(&heights, name)?)
+            } else {
+                ("traversability.png", "image/png", pictures::traversability(&drivable, name)?)
+            }
         }
     };
     let file_name = format!("{name}.{suffix}");

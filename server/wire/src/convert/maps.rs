@@ -107,6 +107,11 @@ pub fn format(value: i32) -> Result<MapFormat> {
         Ok(F::TrajectoryTum) => MapFormat::TrajectoryTum,
         Ok(F::OverviewPng) => MapFormat::OverviewPng,
         Ok(F::CloudTopPng) => MapFormat::CloudTopPng,
+        Ok(F::CloudViewPng) => MapFormat::CloudViewPng,
+        Ok(F::MeshViewPng) => MapFormat::MeshViewPng,
+        Ok(F::VoxelsViewPng) => MapFormat::VoxelsViewPng,
+        Ok(F::HeightsPng) => MapFormat::HeightsPng,
+        Ok(F::TraversabilityPng) => MapFormat::TraversabilityPng,
         _ => return Err(super::unknown_enum("format", value)),
     })
 }

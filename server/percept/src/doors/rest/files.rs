@@ -19,7 +19,7 @@ use v1::operations_service_server::OperationsService;
 use v1::read_operation_result_response::Result as Outcome;
 
 /// Names of files and the formats that they are.
-pub(super) const FILES: [(&str, MapFormat); 17] = [
+pub(super) const FILES: [(&str, MapFormat); 22] = [
     ("occupancy.png", MapFormat::OccupancyPng),
     ("map.pgm", MapFormat::Nav2Pgm),
     ("map.yaml", MapFormat::Nav2Yaml),
@@ -37,6 +37,11 @@ pub(super) const FILES: [(&str, MapFormat); 17] = [
     ("trajectory.tum", MapFormat::TrajectoryTum),
     ("overview.png", MapFormat::OverviewPng),
     ("cloud.png", MapFormat::CloudTopPng),
+    ("cloud-view.png", MapFormat::CloudViewPng),
+    ("mesh-view.png", MapFormat::MeshViewPng),
+    ("voxels-view.png", MapFormat::VoxelsViewPng),
+    ("heights.png", MapFormat::HeightsPng),
+    ("traversability.png", MapFormat::TraversabilityPng),
 ];
 
 const MAP_VERSION: HeaderName = HeaderName::from_static("percept-map-version");
