@@ -53,10 +53,10 @@ pub fn cloud_view(cloud: &PointCloud, view: &View, title: &str) -> Result<RgbIma
 }
 
 /// Edge of a point's square, by how far points are apart around it. With points strewn at random, squares of 2.3 times that leave one
-/// pixel of 200 open; where even the largest squares would not close the gaps, points become smaller the lonelier they are.
+/// pixel of 200 open, those of 3 times that do so where every other point lies hidden behind; where even the largest squares would not close the gaps, points become smaller the lonelier they are.
 fn splat_size(apart: f64, enlarged: f64) -> i32 {
     let largest = (MAX_SPLAT * enlarged).max(3.0);
-    let wanted = 2.3 * apart;
+    let wanted = 3.0 * apart;
     let size = if wanted <= largest { wanted } else { (largest * largest / wanted).max(3.0 * enlarged) };
     size.round().clamp(2.0, largest) as i32
 }
@@ -84,16 +84,21 @@ impl Density {
         (number(p[0], self.columns), number(p[1], self.rows))
     }
 
-    /// How far points are apart in the three by three squares around one, pixels.
+    /// How far points are apart around one, pixels: in the thinner ones of the three by three squares around it that hold any, so that
+    /// a floor beside a wall, which from above has all of its points in a line, is as dense as elsewhere.
     fn apart(&self, p: &[f32; 3]) -> f64 {
         let (column, row) = self.square(p);
-        let (mut points, mut squares) = (0u32, 0u32);
+        let (mut counts, mut found) = ([0u32; 9], 0);
         for y in row.saturating_sub(1)..=(row + 1).min(self.rows - 1) {
             for x in column.saturating_sub(1)..=(column + 1).min(self.columns - 1) {
-                points += self.counts[y * self.columns + x];
-                squares += 1;
+                let count = self.counts[y * self.columns + x];
+                if count > 0 {
+                    counts[found] = count;
+                    found += 1;
+                }
             }
         }
-        COUNTED as f64 * (f64::from(squares) / f64::from(points.max(1))).sqrt()
+        counts[..found].sort_unstable();
+        COUNTED as f64 / f64::from(counts[found / 3].max(1)).sqrt()
     }
 }
