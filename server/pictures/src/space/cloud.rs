@@ -31,8 +31,9 @@ pub fn cloud_view(cloud: &PointCloud, view: &View, title: &str) -> Result<RgbIma
     let shown: Vec<bool> = cloud.positions.par_iter().map(|p| frame.camera.shows(p)).collect();
     let density = Density::of(&frame, &pixels, &shown);
     let enlarged = view.edge_px as f64 / 1100.0;
+    let sizes: Vec<u8> = pixels.par_iter().map(|p| splat_size(density.apart(p), enlarged)).collect();
     let square = |i: usize| {
-        let size = splat_size(density.apart(&pixels[i]), enlarged);
+        let size = i32::from(sizes[i]);
         let corner = |v: f32| (v - 0.5 * size as f32).round() as i32;
         PixelBox::new(corner(pixels[i][0]), corner(pixels[i][1]), size, size)
     };
@@ -54,11 +55,11 @@ pub fn cloud_view(cloud: &PointCloud, view: &View, title: &str) -> Result<RgbIma
 
 /// Edge of a point's square, by how far points are apart around it. With points strewn at random, squares of 2.3 times that leave one
 /// pixel of 200 open, those of 3 times that do so where every other point lies hidden behind; where even the largest squares would not close the gaps, points become smaller the lonelier they are.
-fn splat_size(apart: f64, enlarged: f64) -> i32 {
+fn splat_size(apart: f64, enlarged: f64) -> u8 {
     let largest = (MAX_SPLAT * enlarged).max(3.0);
     let wanted = 3.0 * apart;
     let size = if wanted <= largest { wanted } else { (largest * largest / wanted).max(3.0 * enlarged) };
-    size.round().clamp(2.0, largest) as i32
+    size.round().clamp(2.0, largest) as u8
 }
 
 /// How many points lie in squares of the picture.
