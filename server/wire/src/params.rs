@@ -163,6 +163,7 @@ fn lay_over(tree: &mut Value, patch: Value) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use percept_pipeline::Preset;
 
     /// Paths of all leaves of a message.
     fn proto_leaves(message: &MessageDescriptor, prefix: &str, out: &mut Vec<String>) {
@@ -195,16 +196,21 @@ mod tests {
         assert_eq!(proto, rust);
     }
 
+    /// What a session gets without a lidar that sees far.
+    fn indoors() -> PipelineParams {
+        PipelineParams::default().for_preset(Preset::Indoor)
+    }
+
     #[test]
     fn what_is_sent_replaces_only_itself() {
         let defaults = PipelineParams::default();
         let all = pipeline_to(&defaults).unwrap();
-        assert_eq!(pipeline(Some(&all), &PipelineParams::default()).unwrap(), defaults);
+        assert_eq!(pipeline(Some(&all), &PipelineParams::default(), &[]).unwrap(), indoors());
         let sent: v1::PipelineParams =
             json::from_json("PipelineParams", serde_json::json!({"planning": {"robot_radius_m": 0.3}})).unwrap();
-        let mut wanted = defaults.clone();
+        let mut wanted = indoors();
         wanted.planning.robot_radius_m = 0.3;
-        assert_eq!(pipeline(Some(&sent), &defaults).unwrap(), wanted);
+        assert_eq!(pipeline(Some(&sent), &defaults, &[]).unwrap(), wanted);
     }
 
     #[test]
@@ -212,13 +218,13 @@ mod tests {
         let sent = |value| {
             let tree = serde_json::json!({"slam": {"odometry": {"keyframe": {"features": value}}}});
             let sent: v1::PipelineParams = json::from_json("PipelineParams", tree).unwrap();
-            pipeline(Some(&sent), &PipelineParams::default())
+            pipeline(Some(&sent), &PipelineParams::default(), &[])
         };
         let sift = sent(serde_json::json!("FEATURE_METHOD_SIFT")).unwrap();
         assert_eq!(serde_json::to_value(&sift).unwrap()["slam"]["odometry"]["keyframe"]["features"], "sift");
         let back = pipeline_to(&sift).unwrap();
-        assert_eq!(pipeline(Some(&back), &PipelineParams::default()).unwrap(), sift);
-        assert_eq!(sent(serde_json::json!("FEATURE_METHOD_UNSPECIFIED")).unwrap(), PipelineParams::default());
+        assert_eq!(pipeline(Some(&back), &PipelineParams::default(), &[]).unwrap(), sift);
+        assert_eq!(sent(serde_json::json!("FEATURE_METHOD_UNSPECIFIED")).unwrap(), indoors());
         let e = sent(serde_json::json!(9)).unwrap_err();
         assert_eq!(e.reason, "PARAMETER_OUT_OF_RANGE");
         assert!(e.to_string().contains("features: 9 is unknown; use orb or sift"), "{e}");
@@ -228,8 +234,30 @@ mod tests {
     fn values_out_of_bounds_are_named() {
         let sent =
             json::from_json("PipelineParams", serde_json::json!({"planning": {"robot_radius_m": -1.0}})).unwrap();
-        let e = pipeline(Some(&sent), &PipelineParams::default()).unwrap_err();
+        let e = pipeline(Some(&sent), &PipelineParams::default(), &[]).unwrap_err();
         assert_eq!(e.reason, "PARAMETER_OUT_OF_RANGE");
         assert!(e.message.contains("robot_radius_m"), "{e}");
+    }
+
+    #[test]
+    fn the_preset_goes_by_the_sensors_and_what_is_sent_stands_over_it() {
+        let lidar = |range_max_m| SensorSpec {
+            id: "lidar".into(),
+            kind: percept_geometry::SensorKind::Lidar3d,
+            t_base_sensor: percept_geometry::Pose::identity(),
+            intrinsics: None,
+            time_offset_s: 0.0,
+            range_max_m,
+        };
+        let far = [lidar(Some(100.0))];
+        let outdoors = PipelineParams::default().for_preset(Preset::Outdoor);
+        assert_eq!(pipeline(None, &PipelineParams::default(), &far).unwrap(), outdoors);
+        let sent = |tree| json::from_json("PipelineParams", tree).unwrap();
+        let own = sent(serde_json::json!({"map": {"occupancy": {"resolution_m": 0.1}}}));
+        let params = pipeline(Some(&own), &PipelineParams::default(), &far).unwrap();
+        assert_eq!((params.map.occupancy.resolution_m, params.preset), (0.1, Preset::Outdoor));
+        assert_eq!(params.map.cloud, outdoors.map.cloud);
+        let chosen = sent(serde_json::json!({"preset": "PRESET_INDOOR"}));
+        assert_eq!(pipeline(Some(&chosen), &PipelineParams::default(), &far).unwrap(), indoors());
     }
 }

@@ -16,8 +16,8 @@ const VIEWS_A_RANGE: f64 = 8.0;
 const SQUARE_M: (f64, f64) = (2.0, 5.0);
 /// Squares are larger where there would be more views.
 const MOST_VIEWS: usize = 1_000;
-/// Beams of a view: rings between these elevations, and azimuths. As a lidar of 32 rings that looks all around.
-const RINGS: usize = 32;
+/// Beams of a view: rings between these elevations, and azimuths. As a lidar of 64 rings that looks all around.
+const RINGS: usize = 64;
 const ELEVATION_RAD: (f64, f64) = (-0.8, 0.8);
 const AZIMUTHS: usize = 720;
 /// What stands over the ground lower than this leaves no room for a robot, metres.

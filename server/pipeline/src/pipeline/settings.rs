@@ -24,7 +24,7 @@ impl PipelineParams {
         let keyframe = KeyframeParams { features, ..other.slam.odometry.keyframe.clone() };
         let odometry = OdometryParams { keyframe, ..self.slam.odometry.clone() };
         let slam = SlamParams { odometry, ..self.slam.clone() };
-        Self { slam, map: self.map, ..other.clone() }
+        Self { slam, map: self.map, preset: self.preset, ..other.clone() }
     }
 }
 
