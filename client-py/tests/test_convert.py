@@ -151,7 +151,7 @@ def test_creation_is_always_repeatable():
 def test_an_update_names_what_it_changes_and_none_puts_back():
     planning = {"robot_radius_m": 0.3, "inflation_radius_m": None}
     params = {"planning": planning, "relations": {"contact_m": None}}
-    request = sessions.update("s", "", None, params, "tag").request
+    request = sessions.update("s", "", None, params, None, "tag").request
     assert list(request.update_mask.paths) == [
         "display_name",
         "params.planning.robot_radius_m",
@@ -161,6 +161,8 @@ def test_an_update_names_what_it_changes_and_none_puts_back():
     assert request.session.params.planning.robot_radius_m == 0.3
     assert not request.session.params.planning.HasField("inflation_radius_m")
     assert (request.session.session_id, request.etag) == ("s", "tag")
+    cleared = sessions.update("s", None, None, None, [], "").request
+    assert list(cleared.update_mask.paths) == ["zones"]
 
 
 def test_unknown_parameters_are_refused():
