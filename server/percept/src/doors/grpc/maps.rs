@@ -90,6 +90,8 @@ impl v1::maps_service_server::MapsService for Api {
         check_size(r.get_ref(), self).map_err(status::grpc)?;
         let r = r.into_inner();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?.to_owned();
+        // Who may not change the session learns nothing of what is wrong with the map.
+        caller.may_with("MapsService/ImportMap", &session).await.map_err(status::grpc)?;
         let options = map_import::options(&r).map_err(status::grpc)?;
         let wanted = session_clouds(&r).map_err(status::grpc)?;
         let done = caller.import_map(&session, wanted, move |t| map_import::given(t, &r), options).await;

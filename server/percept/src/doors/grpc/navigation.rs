@@ -149,6 +149,8 @@ impl v1::navigation_service_server::NavigationService for Api {
         let caller = self.caller(&r)?;
         let r = r.get_ref();
         let session = convert::maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
+        // Who may not see the session learns nothing of what is wrong with the question.
+        caller.may_with("NavigationService/PlanFlight", session).await.map_err(status::grpc)?;
         let question = exploration::flight(r).map_err(status::grpc)?;
         let answer = caller.plan_flight(session, question).await.map_err(status::grpc)?;
         Ok(Response::new(exploration::flown_to(&answer)))
