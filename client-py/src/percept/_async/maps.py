@@ -92,9 +92,9 @@ class AsyncMaps(AsyncSessionBound):
         given: cells (`OccupancyGrid`, `GridMap`), points (a cloud, a handle, another session's), or a file:
         nav2's yaml with its image beside it, OctoMap's .bt or .ot, a cloud (PLY, PCD, LAS, ...), z up.
         Declare the robot's sensors first: a planar lidar is found in a floor plan, a 3D one in voxels and
-        points of rooms; on a street it has to be told. start: base to map, a pose or its (4, 4) matrix, where that is known; a robot with another
-        sensor needs it. sensor_height_m: above the ground, as declared if left out. voxel_size_m: of the
-        voxels by which points hide each other, 0.1 if left out.
+        points of rooms; on a street it has to be told. start: base to map, a pose or its (4, 4) matrix,
+        where that is known; a robot with another sensor needs it. sensor_height_m: above the ground, as
+        declared if left out. voxel_size_m: of the voxels by which points hide each other, 0.1 if left out.
         """
         call = convert_import.import_map(self.session_id, given, start, sensor_height_m, voxel_size_m)
         return await self._transport.call(call)
