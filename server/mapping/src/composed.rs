@@ -1,23 +1,30 @@
 //! A layer of the whole map, composed of the submaps' parts where and when it is read.
 
-use crate::layer::{Layer, Placement, TileKey, tiles_of};
-use crate::layers::{LayerBoxes, LayerSlots};
-use crate::submap::SubmapId;
+use crate::layer::{Footprint, Layer, Placement, TileKey, tiles_of};
+use crate::layer_slot::LayerSlot;
+use crate::submap_id::SubmapId;
 use nalgebra::Point2;
 use percept_geometry::Aabb3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// A submap as readers see it.
-#[derive(Debug, Clone)]
-pub(crate) struct Part {
+/// What a submap says of one layer, as readers see it.
+pub(crate) struct Part<L: Layer> {
     pub(crate) id: SubmapId,
     pub(crate) place: Placement,
-    /// Map frame.
-    pub(crate) boxes: LayerBoxes,
-    pub(crate) slots: Arc<LayerSlots>,
+    /// Around what it says, map frame.
+    pub(crate) bounds: Aabb3,
+    pub(crate) slot: Arc<LayerSlot<L>>,
     pub(crate) is_frozen: bool,
+}
+
+/// What is laid over all submaps.
+struct Top<L: Layer> {
+    layer: L,
+    /// By which it is laid over them.
+    params: L::Params,
+    footprint: Footprint,
 }
 
 /// When a tile changed last: versions of the map.
@@ -36,9 +43,10 @@ struct Changed {
 pub struct Composed<L: Layer> {
     params: L::Params,
     version: u64,
-    parts: Arc<Vec<Part>>,
+    parts: Arc<Vec<Part<L>>>,
     changed: Arc<BTreeMap<TileKey, Changed>>,
     kept: Arc<Kept<L>>,
+    top: Option<Arc<Top<L>>>,
 }
 
 /// Composed tiles, shared by all moments of a map.
@@ -78,6 +86,12 @@ struct Composing<L: Layer> {
     is_whole: bool,
 }
 
+impl<L: Layer> Clone for KeptTile<L> {
+    fn clone(&self) -> Self {
+        Self { version: self.version, tile: self.tile.clone(), under: self.under.clone() }
+    }
+}
+
 impl<L: Layer> KeptTile<L> {
     fn bytes(&self) -> usize {
         let (tile, under) =
@@ -96,7 +110,7 @@ impl<L: Layer> Kept<L> {
 impl<L: Layer> Composed<L> {
     pub(crate) fn new(params: &L::Params) -> Self {
         let kept = Arc::new(Kept { tiles: Mutex::default() });
-        Self { params: *params, version: 0, parts: Arc::default(), changed: Arc::default(), kept }
+        Self { params: *params, version: 0, parts: Arc::default(), changed: Arc::default(), kept, top: None }
     }
 
     /// The map's version.
@@ -168,7 +182,7 @@ impl<L: Layer> Composed<L> {
             if over.is_empty() {
                 continue;
             }
-            let layer = L::slot(&part.slots).get();
+            let layer = part.slot.get();
             over.into_par_iter().for_each(|tile| match &layer {
                 Some(layer) => layer.overlay(&self.params, &part.place, tile.key, &mut tile.frozen),
                 None => tile.is_whole = false,
@@ -194,14 +208,13 @@ impl<L: Layer> Composed<L> {
     }
 
     /// Whether a part may say anything in a tile.
-    fn is_over(&self, part: &Part, key: TileKey) -> bool {
+    fn is_over(&self, part: &Part<L>, key: TileKey) -> bool {
         let edge = L::tile_edge_m(&self.params);
-        let bounds = L::bounds(&part.boxes);
         let is_within =
             |(low, high): (TileKey, TileKey)| (low.0..=high.0).contains(&key.0) && (low.1..=high.1).contains(&key.1);
-        let footprint = L::slot(&part.slots).footprint();
-        tiles_of(edge, bounds).is_some_and(is_within)
-            && footprint.is_none_or(|footprint| footprint.reaches(edge, &part.place, bounds, key))
+        let footprint = part.slot.footprint();
+        tiles_of(edge, &part.bounds).is_some_and(is_within)
+            && footprint.is_none_or(|footprint| footprint.reaches(edge, &part.place, &part.bounds, key))
     }
 
     /// Lays the submap that is being filled over a tile, and keeps it.
@@ -209,16 +222,20 @@ impl<L: Layer> Composed<L> {
         let Composing { key, changed, under, frozen, mut is_whole, .. } = tile;
         let under = under.unwrap_or_else(|| Arc::new(frozen));
         let active = self.parts.last().filter(|p| !p.is_frozen && self.is_over(p, key));
-        let tile = match active {
-            None => L::finish(&self.params, key, &under),
-            Some(active) => {
-                let mut all = L::Under::clone(&under);
-                match L::slot(&active.slots).get() {
-                    Some(layer) => layer.overlay(&self.params, &active.place, key, &mut all),
-                    None => is_whole = false,
-                }
-                L::finish(&self.params, key, &all)
+        let top = self.top.as_ref().filter(|top| top.footprint.holds(key));
+        let tile = if active.is_none() && top.is_none() {
+            L::finish(&self.params, key, &under)
+        } else {
+            let mut all = L::Under::clone(&under);
+            match active.map(|active| (active.slot.get(), active)) {
+                Some((Some(layer), active)) => layer.overlay(&self.params, &active.place, key, &mut all),
+                Some((None, _)) => is_whole = false,
+                None => {}
             }
+            if let Some(top) = top {
+                top.layer.overlay(&top.params, &Placement::of_map(), key, &mut all);
+            }
+            L::finish(&self.params, key, &all)
         };
         let tile = tile.map(Arc::new);
         let mut tiles = self.kept.lock();
@@ -232,7 +249,7 @@ impl<L: Layer> Composed<L> {
 
     /// Submaps that could not be read when they were needed: what they hold is missing here.
     pub fn missing(&self) -> Vec<SubmapId> {
-        self.parts.iter().filter(|p| L::slot(&p.slots).is_lost()).map(|p| p.id).collect()
+        self.parts.iter().filter(|p| p.slot.is_lost()).map(|p| p.id).collect()
     }
 
     /// What the kept tiles take, bytes.
@@ -283,9 +300,20 @@ impl<L: Layer> Composed<L> {
         }
     }
 
+    /// This moment with something laid over it that is in no submap: a part of the map's own frame, laid over it by
+    /// parameters of its own. `touched` is where it says anything.
+    pub(crate) fn under(&self, layer: L, params: L::Params, touched: &Aabb3) -> Self {
+        let tiles = self.kept.lock().clone();
+        let kept = Arc::new(Kept { tiles: Mutex::new(tiles) });
+        let footprint = layer.footprint(&self.params);
+        let mut out = Self { kept, top: Some(Arc::new(Top { layer, params, footprint })), ..self.clone() };
+        out.touch(self.version + 1, touched, true);
+        out
+    }
+
     /// The next moment.
-    pub(crate) fn set(&mut self, version: u64, parts: &Arc<Vec<Part>>) {
-        (self.version, self.parts) = (version, Arc::clone(parts));
+    pub(crate) fn set(&mut self, version: u64, parts: Vec<Part<L>>) {
+        (self.version, self.parts) = (version, Arc::new(parts));
     }
 }
 

@@ -1,6 +1,6 @@
 //! Why a map could not do what was asked.
 
-use crate::SubmapId;
+use crate::submap_id::SubmapId;
 use percept_geometry::{GeometryError, KeyframeId, KeyframeScan, Pose};
 
 /// Facts about a refused request; the map is as it was before.

@@ -2,11 +2,8 @@
 
 use crate::bytes::{Damaged, Reader};
 use crate::keyframe_view::KeyframeView;
-use crate::layer_slot::LayerSlot;
-use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, Pose};
-use std::sync::Arc;
 
 /// A layer: what it holds of one submap, and how such parts become one.
 ///
@@ -63,11 +60,6 @@ pub trait Layer: Clone + Send + Sync + Sized + 'static {
     /// # Errors
     /// `Damaged`.
     fn decode(params: &Self::Params, from: &mut Reader<'_>) -> Result<Self, Damaged>;
-
-    /// This layer's slot among those of a submap.
-    fn slot(slots: &LayerSlots) -> &Arc<LayerSlot<Self>>;
-    /// Its box among those of a submap's parts.
-    fn bounds(boxes: &LayerBoxes) -> &Aabb3;
 }
 
 /// Column and row of a tile of the map: square in x and y, of all heights.
@@ -85,10 +77,15 @@ impl Footprint {
         Self(tiles)
     }
 
+    /// Whether the part says anything in a tile of its own frame.
+    pub(crate) fn holds(&self, tile: TileKey) -> bool {
+        self.0.binary_search(&tile).is_ok()
+    }
+
     /// Whether the part may say anything about a tile of the map. It and the floor lie within `bounds`, map frame.
     pub(crate) fn reaches(&self, edge_m: f64, place: &Placement, bounds: &Aabb3, tile: TileKey) -> bool {
         if place.is_aligned() {
-            return self.0.binary_search(&tile).is_ok();
+            return self.holds(tile);
         }
         // Means of voxels may stick out of their tile by what rounding errs.
         let margin = 1e-3;
@@ -120,6 +117,11 @@ pub struct Placement {
 }
 
 impl Placement {
+    /// Of what is in the map's own frame.
+    pub(crate) fn of_map() -> Self {
+        Self { t_map_submap: Pose::identity(), floor_z_m: 0.0 }
+    }
+
     /// Whether the submap's frame is the map's: its cells are the map's cells then.
     pub fn is_aligned(&self) -> bool {
         self.t_map_submap == Pose::identity()

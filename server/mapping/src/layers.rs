@@ -1,12 +1,15 @@
 //! Which layers a map has: a further one is a line in the list at the end of this file, and a field of [`MapParams`].
 
-use crate::composed::{Composed, Part};
+use crate::composed::{self, Composed};
 use crate::distance::DistanceCache;
+use crate::error::check;
 use crate::keyframe_view::KeyframeView;
-use crate::layer::{Layer, joined};
+use crate::layer::{Layer, Placement, joined};
 use crate::layer_slot::{Evictable, Fetched, LayerSlot};
+use crate::params::MapParams;
 use crate::store::MapStore;
-use crate::{FusedCloud, HeightGrid, MapParams, MappingError, OccupancyGrid, SubmapId, SurfaceGrid, VoxelGrid};
+use crate::submap_id::SubmapId;
+use crate::{FusedCloud, HeightGrid, MappingError, OccupancyGrid, SurfaceGrid, VoxelGrid};
 use nalgebra::Point2;
 use percept_geometry::Aabb3;
 use std::sync::Arc;
@@ -140,7 +143,7 @@ macro_rules! layers {
             /// `InvalidParam` naming field, value and remedy.
             pub fn validate(&self) -> Result<(), MappingError> {
                 $(self.$name.validate()?;)*
-                Ok(())
+                check("time_to_live_s", self.time_to_live_s, 0.0, 1e9, "choose 0 to 1e9")
             }
 
             /// What cells and voxels that do not lie on the map's may reach beyond their submap's box, metres.
@@ -175,9 +178,18 @@ macro_rules! layers {
             }
 
             /// The next moment.
-            pub(crate) fn set(&mut self, version: u64, parts: &Arc<Vec<Part>>) {
+            pub(crate) fn set(&mut self, version: u64, parts: &[Part]) {
                 self.version = version;
-                $(self.$name.set(version, parts);)*
+                $({
+                    let of_layer = parts.iter().map(|p| composed::Part {
+                        id: p.id,
+                        place: p.place,
+                        bounds: p.boxes.$name,
+                        slot: Arc::clone(&p.slots.$name),
+                        is_frozen: p.is_frozen,
+                    });
+                    self.$name.set(version, of_layer.collect());
+                })*
             }
 
             fn composed_bytes(&self) -> usize {
@@ -207,6 +219,17 @@ macro_rules! layers {
             }
         }
     };
+}
+
+/// A submap as readers see it.
+#[derive(Debug)]
+pub(crate) struct Part {
+    pub(crate) id: SubmapId,
+    pub(crate) place: Placement,
+    /// Map frame.
+    pub(crate) boxes: LayerBoxes,
+    pub(crate) slots: Arc<LayerSlots>,
+    pub(crate) is_frozen: bool,
 }
 
 impl LayerSlots {

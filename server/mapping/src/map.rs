@@ -6,49 +6,23 @@ mod rebuild;
 mod working_set;
 
 use crate::error::{check_keyframe, check_pose};
+use crate::given::is_given;
 use crate::keyframe_view::KeyframeView;
 use crate::layer_slot::Fetched;
 use crate::layers::{LayerSlots, LayersUpdate};
+use crate::params::MapParams;
 use crate::store::MapStore;
-use crate::submap::{Submap, SubmapId};
-use crate::{
-    CloudParams, HeightParams, MapLayers, MappingError, OccupancyParams, SubmapLayers, SurfaceParams, VoxelParams,
-};
+use crate::submap::Submap;
+use crate::submap_id::SubmapId;
+use crate::{MapLayers, MappingError, SubmapLayers};
 pub use correct::CorrectionReport;
 use division::Division;
 pub use division::MapEntry;
-use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose, SensorId};
+use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose, SensorId, Timestamp};
 use rebuild::Rebuild;
 pub use rebuild::{RebuildStep, RebuildStepDone};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// Parameters of every layer.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct MapParams {
-    /// The 2D grid.
-    pub occupancy: OccupancyParams,
-    /// The fused cloud.
-    pub cloud: CloudParams,
-    /// Occupancy in three dimensions.
-    pub voxels: VoxelParams,
-    /// Heights of the ground, and where a robot can drive.
-    pub height: HeightParams,
-    /// The surface, as signed distances.
-    pub surface: SurfaceParams,
-}
-
-impl MapParams {
-    /// How far keyframes may lie off from where their submap's layers have them before those are built anew, metres,
-    /// measured where the keyframe's beams end: a quarter of a cell, which is what rounding to cells errs by on average; of a
-    /// voxel of the surface where these are smaller.
-    pub fn tolerance_m(&self) -> f64 {
-        let cell = self.occupancy.resolution_m;
-        0.25 * if self.surface.enabled { cell.min(self.surface.voxel_size_m) } else { cell }
-    }
-}
 
 /// A keyframe of the map.
 #[derive(Debug, Clone)]
@@ -57,6 +31,8 @@ pub struct MapKeyframe {
     pub t_map_base: Pose,
     /// Sensor.
     pub sensor: SensorId,
+    /// Of what it saw; none if that was given.
+    seen: Option<Timestamp>,
     submap: SubmapId,
     /// Points and misses.
     size: usize,
@@ -192,10 +168,12 @@ impl Map {
         Arc::make_mut(layers).add(&update);
         submap.slots = Arc::new(LayerSlots::new(&self.params, layers));
         submap.boxes = submap.boxes.joined(&touched);
-        submap.add_keyframe(id, t_submap_base);
+        let seen = (!is_given(&scan.sensor)).then_some(scan.stamp);
+        submap.add_keyframe(id, t_submap_base, seen);
         let keyframe = MapKeyframe {
             t_map_base,
             sensor: scan.sensor.clone(),
+            seen,
             submap: submap_id,
             size: scan.hits.len() + scan.misses.len(),
             reach_m: self.params.reach_of(&scan),
@@ -206,6 +184,7 @@ impl Map {
         self.scan_bytes += keyframe.scan.memory_bytes();
         self.keyframes.insert(id, keyframe);
         self.rebuild.take_in(submap_id, id, &t_map_base);
+        self.expire(version, seen);
         self.show(version);
         self.hold_to_budget();
         Ok(())
@@ -227,10 +206,25 @@ impl Map {
         self.shown.lay_under(version, &submap.boxes_in_map(self.params.margin_m()));
     }
 
+    /// Submaps that were seen too long before a stamp are not shown from now on.
+    fn expire(&mut self, version: u64, now: Option<Timestamp>) {
+        let (Some(now), time_to_live_s, margin) = (now, self.params.time_to_live_s, self.params.margin_m()) else {
+            return;
+        };
+        let is_old = |s: &&mut Submap| s.seen.is_some_and(|seen| now.seconds_since(seen) > time_to_live_s);
+        if time_to_live_s > 0.0 {
+            for submap in self.submaps.iter_mut().filter(|s| s.is_frozen && !s.is_expired).filter(is_old) {
+                submap.is_expired = true;
+                self.shown.touch(version, &submap.boxes_in_map(margin), false);
+            }
+        }
+    }
+
     /// Shows what there is now.
     fn show(&mut self, version: u64) {
         let margin = self.params.margin_m();
-        self.shown.set(version, &Arc::new(self.submaps.iter().map(|s| s.part(margin)).collect()));
+        let parts: Vec<_> = self.submaps.iter().filter(|s| !s.is_expired).map(|s| s.part(margin)).collect();
+        self.shown.set(version, &parts);
     }
 
     fn position(&self, id: SubmapId) -> Option<usize> {

@@ -1,25 +1,13 @@
 //! A submap: keyframes that belong together, and what they have seen, in a frame of its own.
 
-use crate::MapParams;
-use crate::composed::Part;
 use crate::layer::{Placement, moved};
-use crate::layers::{LayerBoxes, LayerSlots, SubmapLayers};
+use crate::layers::{LayerBoxes, LayerSlots, Part, SubmapLayers};
+use crate::params::MapParams;
+use crate::submap_id::SubmapId;
 use nalgebra::{UnitQuaternion, Vector3};
-use percept_geometry::{KeyframeId, Pose, se3};
-use serde::{Deserialize, Serialize};
+use percept_geometry::{KeyframeId, Pose, Timestamp, se3};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// Which submap, among those of all robots and all their runs. Says neither where nor when it was made.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
-pub struct SubmapId {
-    /// Whose it is.
-    pub robot: u32,
-    /// Of which run.
-    pub run: u32,
-    /// Which of that.
-    pub number: u32,
-}
 
 /// Keyframes that belong together, and what they have seen, in a frame of its own: that of the map when it was begun, so
 /// that its cells are the map's until a correction moves it.
@@ -36,6 +24,10 @@ pub struct Submap {
     /// Of its layers, submap's frame.
     pub(crate) boxes: LayerBoxes,
     pub(crate) is_frozen: bool,
+    /// Stamp of its newest keyframe; none if it was given.
+    pub(crate) seen: Option<Timestamp>,
+    /// Whether that was too long ago: its layers are not shown any more.
+    pub(crate) is_expired: bool,
     pub(crate) slots: Arc<LayerSlots>,
 }
 
@@ -48,6 +40,8 @@ impl Submap {
             height_m: 0.0,
             boxes: LayerBoxes::empty(),
             is_frozen: false,
+            seen: None,
+            is_expired: false,
             slots: Arc::new(LayerSlots::new(params, &SubmapLayers::new(params))),
         }
     }
@@ -77,8 +71,9 @@ impl Submap {
         self.slots.is_loaded()
     }
 
-    /// Its layers hold a further keyframe.
-    pub(crate) fn add_keyframe(&mut self, id: KeyframeId, t_submap_base: Pose) {
+    /// Its layers hold a further keyframe, of this stamp if a robot has made it.
+    pub(crate) fn add_keyframe(&mut self, id: KeyframeId, t_submap_base: Pose, seen: Option<Timestamp>) {
+        self.seen = self.seen.max(seen);
         self.keyframes.insert(id, t_submap_base);
         let heights = self.keyframes.values().map(|t| t.translation.vector.z);
         self.height_m = heights.sum::<f64>() / self.keyframes.len() as f64;

@@ -1,7 +1,7 @@
 //! The tree of all parameters of a session.
 
 use crate::Preset;
-use percept_mapping::MapParams;
+use percept_mapping::{LiveParams, MapParams};
 use percept_perception::detection::DetectionParams;
 use percept_planning::PlanParams;
 use percept_scene::{RelationParams, TrackerParams};
@@ -99,6 +99,8 @@ pub struct PipelineParams {
     pub slam: SlamParams,
     /// Map layers.
     pub map: MapParams,
+    /// What the newest frames see beside the map, for paths.
+    pub live: LiveParams,
     /// Objects.
     pub detection: DetectionSettings,
     /// Identity of objects through time.
@@ -124,6 +126,7 @@ impl PipelineParams {
         self.slam.back_end.validate().map_err(named("slam.back_end"))?;
         self.slam.second_sensors.validate()?;
         self.map.validate().map_err(named("map"))?;
+        self.live.validate().map_err(named("live"))?;
         self.detection.detector.validate().map_err(named("detection.detector"))?;
         if !(1.0..=50.0).contains(&self.detection.range_m) {
             let message = format!("range_m is {}; set it between 1 and 50", self.detection.range_m);

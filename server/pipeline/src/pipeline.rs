@@ -13,6 +13,7 @@ pub use report::FrameReport;
 pub use settings::may_change;
 
 use crate::frontend::{Frontend, Keyframe, Registered, Unanchored, View};
+use crate::live::NewestFrames;
 use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
 use crate::scene::Scene;
 use crate::{
@@ -21,6 +22,7 @@ use crate::{
 };
 use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec};
 use percept_mapping::{MapStore, Submap};
+use percept_slam::keyframe::LaterScan;
 use percept_slam::{OdometryEstimate, OdometryKind};
 use std::sync::Arc;
 
@@ -31,6 +33,8 @@ pub struct Pipeline {
     frontend: Frontend,
     /// All poses in the map.
     map_graph: MapGraph,
+    /// What the newest frames see.
+    newest: NewestFrames,
     /// Objects.
     scene: Scene,
     /// Where the robot is now.
@@ -51,6 +55,7 @@ impl Pipeline {
         Ok(Self {
             frontend: Frontend::new(params.slam.clone()),
             map_graph: MapGraph::new(&params)?,
+            newest: NewestFrames::default(),
             scene: Scene::new(&params)?,
             pose: None,
             start: None,
@@ -114,6 +119,7 @@ impl Pipeline {
         estimate.state = self.frontend.tracking().told(&estimate);
         let pose = PoseEstimate { led_by, ..self.pose_of(&estimate) };
         self.pose = Some(pose.clone());
+        self.keep_newest(view, &pose, is_anchored);
         let trajectory = self.extend_trajectory(sensor, &pose, is_anchored, keyframe.as_ref());
         if is_anchored {
             self.map_graph.look_for_parts(stamp, sensor, keyframe.as_ref().map(|k| k.info.id));
@@ -141,10 +147,30 @@ impl Pipeline {
         FrameReport { pose: Some(pose), trajectory, ..FrameReport::default() }
     }
 
+    /// Keeps what a view of the pose sensor shows, for a while.
+    fn keep_newest(&mut self, view: &View, pose: &PoseEstimate, is_anchored: bool) {
+        if !is_anchored || pose.is_relocalised {
+            self.newest.clear();
+        }
+        if is_anchored && pose.led_by.is_none() && !pose.state.is_lost() && pose.scale.is_metric() {
+            let live = self.frontend.live(view, &pose.t_odom_base);
+            self.keep(view, live);
+        }
+    }
+
+    fn keep(&mut self, view: &View, live: Option<(Pose, LaterScan)>) {
+        let Some((t_odom_base, scan)) = live else { return };
+        let executor = self.map_graph.executor();
+        self.newest.take((&view.spec.id, view.stamp, &t_odom_base), scan, &self.params.live, executor);
+    }
+
     /// Puts a view of a second sensor into the map, if it lies far enough from the one before.
     fn keyframe_beside(&mut self, view: &View) -> Option<NewKeyframe> {
         let pose = self.pose.as_ref().filter(|p| !p.state.is_lost() && p.scale.is_metric())?;
-        let keyframe = self.frontend.keyframe_beside(view, (pose.stamp, pose.covariance))?;
+        let (stamp, covariance) = (pose.stamp, pose.covariance);
+        let live = self.frontend.live_beside(view, stamp);
+        self.keep(view, live);
+        let keyframe = self.frontend.keyframe_beside(view, (stamp, covariance))?;
         let near = |sensor: &SensorId, t_odom_base: &Pose| self.map_graph.keyframes_near(sensor, t_odom_base);
         self.frontend.check_extrinsics(&keyframe, near);
         Some(self.add(keyframe, None))
@@ -184,12 +210,13 @@ impl Pipeline {
     }
 
     /// Puts a keyframe into the map, and has objects looked for around it.
-    fn add(&mut self, keyframe: Keyframe, before_joined: Option<&KeyframeInfo>) -> NewKeyframe {
+    fn add(&mut self, mut keyframe: Keyframe, before_joined: Option<&KeyframeInfo>) -> NewKeyframe {
         let is_sparse = keyframe.kind == SensorKind::Camera;
+        let moving = self.newest.part_moving(&mut keyframe.scan, &keyframe.t_odom_base);
         let stamp = keyframe.scan.stamp;
         let keyframe = self.map_graph.add(keyframe, || self.frontend.up(stamp), before_joined);
         self.count_memory();
-        self.scene.look_around(self.map_graph.map().layers(), &keyframe, is_sparse);
+        self.scene.look_around(self.map_graph.map().layers(), &keyframe, moving, is_sparse);
         keyframe
     }
 
@@ -259,6 +286,7 @@ impl Pipeline {
             trajectory: graph.trajectory().shared(),
             keyframes: graph.keyframes().shared(),
             layers: map.layers(),
+            live: self.newest.picture(&self.params.live, &graph.t_map_odom(), graph.base_height_m()),
             memory: self.memory(),
             clock_offsets: self.frontend.clock_offsets(),
             mount_offsets: self.frontend.mount_offsets(),

@@ -7,7 +7,7 @@ use crate::beside::{Executor, Task};
 use crate::visibility::RangeImage;
 use crate::{Chunks, DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams};
 use nalgebra::Point3;
-use percept_geometry::{KeyframeId, Pose, Timestamp};
+use percept_geometry::{KeyframeId, PointCloud, Pose, Timestamp};
 use percept_mapping::MapLayers;
 use percept_perception::detection::{Detection, Detector};
 use percept_scene::overlap::upright;
@@ -99,16 +99,23 @@ impl Scene {
         self.executor = Some(executor);
     }
 
-    /// Begins to look for objects in the map around a new keyframe. `is_sparse`: its sensor sees too little for that, a camera
-    /// alone.
-    pub(crate) fn look_around(&mut self, layers: MapLayers, keyframe: &NewKeyframe, is_sparse: bool) {
+    /// Begins to look for objects in the map around a new keyframe, and among what it saw `moving`, base frame. `is_sparse`: its sensor
+    /// sees too little for that, a camera alone.
+    pub(crate) fn look_around(
+        &mut self,
+        layers: MapLayers,
+        keyframe: &NewKeyframe,
+        moving: PointCloud,
+        is_sparse: bool,
+    ) {
         if !self.settings.enabled || keyframe.scan.planar || is_sparse {
             return;
         }
         let (t_map_base, range_m) = (keyframe.info.t_map_base, self.settings.range_m);
         let (detector, cloud, scan) = (Arc::clone(&self.detector), layers.cloud, Arc::clone(&keyframe.scan));
         let task = Task::begin(self.executor.as_ref(), move || {
-            let around = cloud.points_within(&t_map_base.translation.vector.into(), range_m);
+            let mut around = cloud.points_within(&t_map_base.translation.vector.into(), range_m);
+            add_within(&mut around, &moving.transformed(&t_map_base), &t_map_base.translation.vector.into(), range_m);
             // The fused cloud is sound by construction; a detector that refuses it finds nothing.
             let found = detector.detect(&around).unwrap_or_default();
             let observation = |d: &Detection| Observation {
@@ -171,6 +178,19 @@ impl Scene {
         let moved_by = |last_seen| nearest(last_seen).and_then(|id| t_new_old.get(&id).copied());
         self.tracker.correct(&|_, last_seen| moved_by(last_seen).unwrap_or_else(Pose::identity));
         self.objects = Arc::new(self.tracker.objects());
+    }
+}
+
+/// Adds those points that are so near, metres; grey where a cloud with colours gets some without.
+fn add_within(cloud: &mut PointCloud, more: &PointCloud, center: &Point3<f64>, range_m: f64) {
+    for (i, p) in more.positions.iter().enumerate().filter(|(_, p)| (p.cast::<f64>() - center).norm() <= range_m) {
+        cloud.positions.push(*p);
+        if let Some(colors) = &mut cloud.colors {
+            colors.push(more.colors.as_ref().map_or([128; 3], |c| c[i]));
+        }
+        if let Some(intensities) = &mut cloud.intensities {
+            intensities.push(more.intensities.as_ref().map_or(0.0, |c| c[i]));
+        }
     }
 }
 

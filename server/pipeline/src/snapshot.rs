@@ -1,8 +1,8 @@
 //! The immutable picture of a session that every query is answered from.
 
-use crate::{Chunks, MountOffset, PipelineParams};
+use crate::{Chunks, Live, MountOffset, PipelineParams};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
-use percept_mapping::{MapLayers, MapMemory};
+use percept_mapping::{MapLayers, MapMemory, OccupancyMap};
 use percept_scene::{Object, SceneGraph};
 use percept_slam::{ImuFault, Loop, Scale, TrackingState, Waiting};
 use serde::{Deserialize, Serialize};
@@ -117,6 +117,8 @@ pub struct Snapshot {
     pub keyframes: Chunks<KeyframeInfo>,
     /// Occupancy and cloud.
     pub layers: MapLayers,
+    /// What the newest frames see.
+    pub live: Live,
     /// What the session takes in memory.
     pub memory: SessionMemory,
     /// Seconds by which sensors' stamps are late behind the pose sensor's, beyond their declared `time_offset_s`: IMUs and
@@ -160,6 +162,12 @@ impl Snapshot {
     /// Whether there are poses in metres, or none at all.
     pub fn is_metric(&self) -> bool {
         !self.keyframes.is_empty() || self.trajectory.is_empty()
+    }
+
+    /// The grid that a robot drives on: the map's, with what the newest frames see laid over it. Worked out once for each snapshot,
+    /// on the current rayon pool.
+    pub fn grid_now(&self) -> OccupancyMap {
+        self.live.over(&self.layers.occupancy)
     }
 
     /// Robot, objects that are not gone, and their relations.

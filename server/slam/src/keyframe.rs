@@ -139,6 +139,44 @@ pub(crate) fn keyframe_scan_seen_by(
     motion: &SweepMotion,
     color: Option<ColorCamera>,
 ) -> KeyframeScan {
+    let features = match scan {
+        Scan::Depth(s) => features::of(params.features, s, color).map(Arc::new),
+        Scan::Cloud(_) | Scan::Planar(_) | Scan::Image(_) => None,
+    };
+    KeyframeScan { features, ..ends_of(params, stamp, sensor, scan, motion) }
+}
+
+/// Where the beams of a scan end, thinned as a keyframe's, to be worked out when it is wanted.
+pub type LaterScan = Box<dyn FnOnce() -> KeyframeScan + Send>;
+
+/// As [`keyframe_scan`], without what places are known by, when it is wanted.
+pub fn ends_later(
+    params: &KeyframeParams,
+    stamp: Timestamp,
+    sensor: &SensorId,
+    scan: &Scan,
+    velocity: &nalgebra::Vector6<f64>,
+) -> LaterScan {
+    later(params, (stamp, sensor, scan), SweepMotion { velocity: *velocity, curve: None })
+}
+
+pub(crate) fn later(
+    params: &KeyframeParams,
+    (stamp, sensor, scan): (Timestamp, &SensorId, &Scan),
+    motion: SweepMotion,
+) -> LaterScan {
+    let (params, sensor, scan) = (params.clone(), sensor.clone(), scan.clone());
+    Box::new(move || ends_of(&params, stamp, &sensor, &scan, &motion))
+}
+
+/// A keyframe's scan without what places are known by.
+fn ends_of(
+    params: &KeyframeParams,
+    stamp: Timestamp,
+    sensor: &SensorId,
+    scan: &Scan,
+    motion: &SweepMotion,
+) -> KeyframeScan {
     let (hits, misses) = match scan {
         Scan::Depth(s) => (depth_hits(params, s), vec![]),
         Scan::Cloud(s) => (cloud_hits(params, s, motion), vec![]),
@@ -154,10 +192,7 @@ pub(crate) fn keyframe_scan_seen_by(
         misses,
         base_height_m: 0.0,
         planar: matches!(scan, Scan::Planar(_)),
-        features: match scan {
-            Scan::Depth(s) => features::of(params.features, s, color).map(Arc::new),
-            Scan::Cloud(_) | Scan::Planar(_) | Scan::Image(_) => None,
-        },
+        features: None,
     }
 }
 

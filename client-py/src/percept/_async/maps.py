@@ -49,10 +49,19 @@ class AsyncMaps(AsyncSessionBound):
         return await self._transport.call(convert.get_summary(self.session_id))
 
     async def occupancy(
-        self, *, region: Region | None = None, resolution_m: float | None = None
+        self,
+        *,
+        region: Region | None = None,
+        resolution_m: float | None = None,
+        live: bool = False,
     ) -> OccupancyGrid:
-        """The occupancy grid, whole or a region; resolution_m a multiple of the map's own."""
-        return await self._transport.chunks(convert.get_occupancy(self.session_id, region, resolution_m))
+        """The occupancy grid, whole or a region; resolution_m a multiple of the map's own.
+
+        live: with what the newest frames see laid over the map, as paths are planned on it: who stands
+        before the robot is occupied, what they see through is free.
+        """
+        call = convert.get_occupancy(self.session_id, region, resolution_m, live)
+        return await self._transport.chunks(call)
 
     async def cloud(
         self, *, centre: Sequence[float] | None = None, radius_m: float | None = None

@@ -179,10 +179,10 @@ def optimise(
 
 
 def get_occupancy(
-    session_id: str, region: Region | None, resolution_m: float | None
+    session_id: str, region: Region | None, resolution_m: float | None, live: bool
 ) -> ChunkedCall[service.GetOccupancyGridRequest, service.GetOccupancyGridResponse, OccupancyGrid]:
     request = service.GetOccupancyGridRequest(
-        source=source(session_id), region=region_to(region), resolution_m=resolution_m
+        source=source(session_id), region=region_to(region), resolution_m=resolution_m, live=live
     )
     return ChunkedCall(_rpc.GET_OCCUPANCY_GRID, request, lambda a: occupancy([x.chunk for x in a]))
 

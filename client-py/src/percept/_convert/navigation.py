@@ -116,6 +116,7 @@ def options_to(options: PathOptions | None) -> path_pb2.PathOptions | None:
         steering=None if steering is None else path_pb2.SteeringOptions(**dataclasses.asdict(steering)),
         deadline_ms=options.deadline_ms,
         ignore_session_zones=options.ignore_session_zones,
+        map_only=options.map_only,
     )
 
 

@@ -49,9 +49,20 @@ class Maps(SessionBound):
         """Sizes and version, without the content."""
         return self._transport.call(convert.get_summary(self.session_id))
 
-    def occupancy(self, *, region: Region | None = None, resolution_m: float | None = None) -> OccupancyGrid:
-        """The occupancy grid, whole or a region; resolution_m a multiple of the map's own."""
-        return self._transport.chunks(convert.get_occupancy(self.session_id, region, resolution_m))
+    def occupancy(
+        self,
+        *,
+        region: Region | None = None,
+        resolution_m: float | None = None,
+        live: bool = False,
+    ) -> OccupancyGrid:
+        """The occupancy grid, whole or a region; resolution_m a multiple of the map's own.
+
+        live: with what the newest frames see laid over the map, as paths are planned on it: who stands
+        before the robot is occupied, what they see through is free.
+        """
+        call = convert.get_occupancy(self.session_id, region, resolution_m, live)
+        return self._transport.chunks(call)
 
     def cloud(self, *, centre: Sequence[float] | None = None, radius_m: float | None = None) -> MapCloud:
         """The fused cloud, whole or within radius_m of a point of the map."""

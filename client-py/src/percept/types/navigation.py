@@ -99,6 +99,9 @@ class PathOptions(Value):
     deadline_ms: int = 0
     #: True: the zones that are stored with the session do not count.
     ignore_session_zones: bool = False
+    #: True: the map alone counts. Else what the newest frames see counts as well, which no keyframe shows
+    #: yet: who stands in the way is an obstacle, and what has gone is none (params live of the session).
+    map_only: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

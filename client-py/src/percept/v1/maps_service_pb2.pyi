@@ -400,9 +400,14 @@ class GetOccupancyGridRequest(_message.Message):
     SOURCE_FIELD_NUMBER: _builtins.int
     REGION_FIELD_NUMBER: _builtins.int
     RESOLUTION_M_FIELD_NUMBER: _builtins.int
+    LIVE_FIELD_NUMBER: _builtins.int
     resolution_m: _builtins.float
     """Edge of a cell of the answer, metres; a multiple of the map's own within 1e-6. A cell of the answer is
     as occupied as the most occupied one in it. Absent: the map's own.
+    """
+    live: _builtins.bool
+    """True: with what the newest frames see laid over the map, as paths are planned on it: who stands before the robot is occupied, what
+    they see through is free.
     """
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
@@ -416,10 +421,11 @@ class GetOccupancyGridRequest(_message.Message):
         source: _map_pb2.MapSource | None = ...,
         region: _map_pb2.Region2 | None = ...,
         resolution_m: _builtins.float | None = ...,
+        live: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_resolution_m", b"_resolution_m", "region", b"region", "resolution_m", b"resolution_m", "source", b"source"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_resolution_m", b"_resolution_m", "region", b"region", "resolution_m", b"resolution_m", "source", b"source"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_resolution_m", b"_resolution_m", "live", b"live", "region", b"region", "resolution_m", b"resolution_m", "source", b"source"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__region: _TypeAlias = _typing.Literal["region"]  # noqa: Y015
     _WhichOneofArgType__region: _TypeAlias = _typing.Literal["_region", b"_region"]  # noqa: Y015

@@ -62,6 +62,7 @@ class PipelineParams(_message.Message):
     RELATIONS_FIELD_NUMBER: _builtins.int
     PLANNING_FIELD_NUMBER: _builtins.int
     PRESET_FIELD_NUMBER: _builtins.int
+    LIVE_FIELD_NUMBER: _builtins.int
     preset: Global___Preset.ValueType
     """What the defaults of all the rest are made for. In a session it is what was chosen."""
     @_builtins.property
@@ -88,6 +89,10 @@ class PipelineParams(_message.Message):
     def planning(self) -> Global___PlanningParams:
         """Paths."""
 
+    @_builtins.property
+    def live(self) -> Global___LiveParams:
+        """What the newest frames see beside the map, for paths."""
+
     def __init__(
         self,
         *,
@@ -98,16 +103,52 @@ class PipelineParams(_message.Message):
         relations: Global___RelationParams | None = ...,
         planning: Global___PlanningParams | None = ...,
         preset: Global___Preset.ValueType | None = ...,
+        live: Global___LiveParams | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "live", b"live", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "live", b"live", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__preset: _TypeAlias = _typing.Literal["preset"]  # noqa: Y015
     _WhichOneofArgType__preset: _TypeAlias = _typing.Literal["_preset", b"_preset"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType__preset) -> _WhichOneofReturnType__preset | None: ...
 
 Global___PipelineParams: _TypeAlias = PipelineParams  # noqa: Y015
+
+@_typing.final
+class LiveParams(_message.Message):
+    """Parameters of what the newest frames see."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TIME_S_FIELD_NUMBER: _builtins.int
+    RANGE_M_FIELD_NUMBER: _builtins.int
+    time_s: _builtins.float
+    """What was seen in the last so many seconds counts, 0 to 10; 0: paths are planned on the map alone."""
+    range_m: _builtins.float
+    """What was seen up to so far from the sensor counts, metres, 0.5 to 100: of what moves farther away a robot learns
+    in time.
+    """
+    def __init__(
+        self,
+        *,
+        time_s: _builtins.float | None = ...,
+        range_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_range_m", b"_range_m", "_time_s", b"_time_s", "range_m", b"range_m", "time_s", b"time_s"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_range_m", b"_range_m", "_time_s", b"_time_s", "range_m", b"range_m", "time_s", b"time_s"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__range_m: _TypeAlias = _typing.Literal["range_m"]  # noqa: Y015
+    _WhichOneofArgType__range_m: _TypeAlias = _typing.Literal["_range_m", b"_range_m"]  # noqa: Y015
+    _WhichOneofReturnType__time_s: _TypeAlias = _typing.Literal["time_s"]  # noqa: Y015
+    _WhichOneofArgType__time_s: _TypeAlias = _typing.Literal["_time_s", b"_time_s"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__range_m) -> _WhichOneofReturnType__range_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__time_s) -> _WhichOneofReturnType__time_s | None: ...
+
+Global___LiveParams: _TypeAlias = LiveParams  # noqa: Y015
 
 @_typing.final
 class SlamParams(_message.Message):
@@ -772,6 +813,11 @@ class MapParams(_message.Message):
     VOXELS_FIELD_NUMBER: _builtins.int
     HEIGHT_FIELD_NUMBER: _builtins.int
     SURFACE_FIELD_NUMBER: _builtins.int
+    TIME_TO_LIVE_S_FIELD_NUMBER: _builtins.int
+    time_to_live_s: _builtins.float
+    """What was not seen again for so long leaves all layers, submap by submap, seconds; at most 1e9. 0: nothing does.
+    Places stay known: the robot is found there as before.
+    """
     @_builtins.property
     def occupancy(self) -> Global___OccupancyParams:
         """The 2D grid."""
@@ -800,12 +846,15 @@ class MapParams(_message.Message):
         voxels: Global___VoxelParams | None = ...,
         height: Global___HeightParams | None = ...,
         surface: Global___SurfaceParams | None = ...,
+        time_to_live_s: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "height", b"height", "occupancy", b"occupancy", "surface", b"surface", "voxels", b"voxels"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_time_to_live_s", b"_time_to_live_s", "cloud", b"cloud", "height", b"height", "occupancy", b"occupancy", "surface", b"surface", "time_to_live_s", b"time_to_live_s", "voxels", b"voxels"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud", "height", b"height", "occupancy", b"occupancy", "surface", b"surface", "voxels", b"voxels"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_time_to_live_s", b"_time_to_live_s", "cloud", b"cloud", "height", b"height", "occupancy", b"occupancy", "surface", b"surface", "time_to_live_s", b"time_to_live_s", "voxels", b"voxels"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__time_to_live_s: _TypeAlias = _typing.Literal["time_to_live_s"]  # noqa: Y015
+    _WhichOneofArgType__time_to_live_s: _TypeAlias = _typing.Literal["_time_to_live_s", b"_time_to_live_s"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__time_to_live_s) -> _WhichOneofReturnType__time_to_live_s | None: ...
 
 Global___MapParams: _TypeAlias = MapParams  # noqa: Y015
 

@@ -213,6 +213,7 @@ class PathOptions(_message.Message):
     STEERING_FIELD_NUMBER: _builtins.int
     DEADLINE_MS_FIELD_NUMBER: _builtins.int
     IGNORE_SESSION_ZONES_FIELD_NUMBER: _builtins.int
+    MAP_ONLY_FIELD_NUMBER: _builtins.int
     planner: Global___Planner.ValueType
     start_yaw_rad: _builtins.float
     """Heading to begin with, radians. Absent: the robot's where the path starts where it is, else 0. HYBRID only."""
@@ -222,6 +223,10 @@ class PathOptions(_message.Message):
     """HYBRID ends with the best path so far after so many milliseconds. 0: when it is done."""
     ignore_session_zones: _builtins.bool
     """True: the zones of the session do not count."""
+    map_only: _builtins.bool
+    """True: the map alone counts. Else what the newest frames see counts as well, which no keyframe shows yet: who stands in the way is an
+    obstacle, and what has gone is none (`params.live` of the session).
+    """
     @_builtins.property
     def footprint(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector2]:
         """Corners of what the robot covers, in order, in base, metres; 3 to 64. Empty: a disc of params.robot_radius_m. By GRID and
@@ -252,10 +257,11 @@ class PathOptions(_message.Message):
         steering: Global___SteeringOptions | None = ...,
         deadline_ms: _builtins.int = ...,
         ignore_session_zones: _builtins.bool = ...,
+        map_only: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "goal_yaw_rad", b"goal_yaw_rad", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "deadline_ms", b"deadline_ms", "footprint", b"footprint", "goal_yaw_rad", b"goal_yaw_rad", "ignore_session_zones", b"ignore_session_zones", "planner", b"planner", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering", "zones", b"zones"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "deadline_ms", b"deadline_ms", "footprint", b"footprint", "goal_yaw_rad", b"goal_yaw_rad", "ignore_session_zones", b"ignore_session_zones", "map_only", b"map_only", "planner", b"planner", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering", "zones", b"zones"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__goal_yaw_rad: _TypeAlias = _typing.Literal["goal_yaw_rad"]  # noqa: Y015
     _WhichOneofArgType__goal_yaw_rad: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad"]  # noqa: Y015

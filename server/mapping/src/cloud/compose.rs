@@ -9,8 +9,6 @@ use crate::blocks::block_box;
 use crate::bytes::{Damaged, Reader, put_f32, put_i32, put_u16, put_u32, put_u64};
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey, joined, moved};
-use crate::layer_slot::LayerSlot;
-use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Aabb3, PointCloud, Voxel};
 use std::collections::BTreeMap;
@@ -159,14 +157,6 @@ impl Layer for FusedCloud {
         }
         let free = BTreeMap::from_iter(free);
         Ok(Self::of_blocks(*params, blocks, FreeSpace { blocks: Arc::new(free) }))
-    }
-
-    fn slot(slots: &LayerSlots) -> &Arc<LayerSlot<Self>> {
-        &slots.cloud
-    }
-
-    fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
-        &boxes.cloud
     }
 }
 

@@ -185,6 +185,29 @@ impl RangeImage {
         (0..num).map(through).fold(0, |all, one| all | one)
     }
 
+    /// What the beams towards a point say of it: that they go on behind it (true), that one of them ends at it (false), or nothing. A surface
+    /// behind it lies farther by metres and a share of the range.
+    pub(crate) fn looks_at(&self, p: &Point3<f64>, behind: (f64, f64)) -> Option<bool> {
+        let offset = p - self.sensor;
+        let r = offset.norm();
+        if self.rows.is_empty() || !(r.is_finite() && r > 1e-6) {
+            return None;
+        }
+        let margin = behind.0 + behind.1 * r;
+        let at = bin(offset.x as f32, offset.y as f32, offset.z as f32) as usize;
+        let (mut beams, mut farther) = (0, 0);
+        for (y, x) in self.around(at / COLUMNS, at % COLUMNS) {
+            let Some(range) = self.rows[y].get(x).map(|b| f64::from(b.0)).filter(|r| r.is_finite()) else { continue };
+            if (range - r).abs() <= margin {
+                return Some(false);
+            }
+            beams += 1;
+            farther += usize::from(range > r);
+        }
+        // One beam may pass by.
+        (beams >= 2 && farther == beams).then_some(true)
+    }
+
     /// Whether the beams in a bin and around it see through what lies at an offset from the sensor, in that bin.
     fn is_behind(&self, offset: &Vector3<f64>, at: u32, params: &CloudParams) -> bool {
         let r = offset.norm();

@@ -16,6 +16,9 @@ const SQUARE_M: f64 = 1.5;
 const MOST_VIEWS: usize = 2_000;
 /// Rounds in which views are added where something was not seen, and in each so many times the first views at most.
 const MORE_ROUNDS: usize = 3;
+/// Beams of a view: a quarter of a degree between them, as the finest planar lidars have it. What is too small for them far away is
+/// nearer to another view.
+const BEAMS: usize = 1_440;
 /// Cells are occupied from this on, and free up to that: `occupied_thresh` and `free_thresh` of nav2's map server, as its maps come.
 const OCCUPIED: i8 = 65;
 const FREE: i8 = 25;
@@ -39,9 +42,8 @@ struct Looked<'a> {
     /// Cells as the walk numbers them: this grid's own.
     geometry: GridGeometry,
     states: Vec<State>,
-    /// What ends a beam: occupied cells beside free ones, and free cells beside unknown ones.
+    /// Occupied cells beside free ones.
     walls: Vec<Cell>,
-    rims: Vec<Cell>,
 }
 
 /// Where beams from a place end, cells.
@@ -115,17 +117,13 @@ impl<'a> Looked<'a> {
             _ => State::Unknown,
         };
         let states: Vec<State> = grid.cells.iter().map(state).collect();
-        let mut looked = Self { grid, geometry: grid.geometry, states, walls: vec![], rims: vec![] };
+        let mut looked = Self { grid, geometry: grid.geometry, states, walls: vec![] };
         let is_beside = |cell: &Cell, state: State| {
             let beside = |(x, y): &(i32, i32)| looked.state(Cell::new(cell.x + x, cell.y + y)) == state;
             [(1, 0), (-1, 0), (0, 1), (0, -1)].iter().any(beside)
         };
-        let cells = |state: State| {
-            (0..looked.states.len()).filter(|k| looked.states[*k] == state).map(|k| looked.cell(k)).collect::<Vec<_>>()
-        };
-        let walls = cells(State::Occupied).into_iter().filter(|c| is_beside(c, State::Free)).collect();
-        let rims = cells(State::Free).into_iter().filter(|c| is_beside(c, State::Unknown)).collect();
-        (looked.walls, looked.rims) = (walls, rims);
+        let occupied = (0..looked.states.len()).filter(|k| looked.states[*k] == State::Occupied);
+        looked.walls = occupied.map(|k| looked.cell(k)).filter(|c| is_beside(c, State::Free)).collect();
         looked
     }
 
@@ -182,27 +180,41 @@ impl<'a> Looked<'a> {
         seen
     }
 
+    /// As beams all around tell what is seen, each of which then ends in the middle of its cell.
     fn look_from(&self, from: Cell, range_cells: f64) -> Seen {
-        let is_near = |c: &&Cell| {
-            let (dx, dy) = (f64::from(c.x - from.x), f64::from(c.y - from.y));
-            dx * dx + dy * dy <= range_cells * range_cells
-        };
         let center = self.eye(from);
-        let is_seen = |cell: &&Cell| self.open_before(&center, &self.geometry.center(**cell), **cell);
-        let walls = self.walls.iter().filter(is_near).filter(is_seen).copied().collect();
-        let rims = self.rims.iter().filter(is_near).filter(is_seen).filter(|c| **c != from);
-        let mut open: Vec<Point2<f64>> = rims.map(|c| self.geometry.center(*c)).collect();
-        // Where nothing ends a beam within the range: as many beams as cells on the circle there.
-        let count = (TAU * range_cells).ceil() as usize;
+        let length = range_cells * self.geometry.resolution_m;
+        let (mut walls, mut rims, mut open) = (vec![], vec![], vec![]);
+        // No more than cells on the circle where they end.
+        let count = ((TAU * range_cells).ceil() as usize).min(BEAMS);
         for k in 0..count {
             let angle = (k as f64 + 0.5) / count as f64 * TAU;
-            let length = range_cells * self.geometry.resolution_m;
             let end = center + nalgebra::Vector2::new(angle.cos(), angle.sin()) * length;
-            let Some(last) = self.geometry.cell(&end) else { continue };
-            if self.state(last) == State::Free && self.open_before(&center, &end, last) {
-                open.push(end);
+            let (mut last, mut stopped) = (from, None);
+            walk_while(&self.geometry, &center, &end, |cell| match self.state(cell) {
+                State::Free => {
+                    last = cell;
+                    true
+                }
+                state => {
+                    stopped = Some((cell, state));
+                    false
+                }
+            });
+            match stopped {
+                Some((cell, State::Occupied)) => walls.push(cell),
+                Some(_) if last != from => rims.push(last),
+                Some(_) => {}
+                None => open.push(end),
             }
         }
+        let is_seen = |cell: &Cell| self.open_before(&center, &self.geometry.center(*cell), *cell);
+        for ends in [&mut walls, &mut rims] {
+            ends.sort_unstable();
+            ends.dedup();
+            ends.retain(is_seen);
+        }
+        open.extend(rims.iter().map(|c| self.geometry.center(*c)));
         Seen { from, walls, open }
     }
 

@@ -3,6 +3,7 @@
 use super::lattice::best_of_squares;
 use super::{GivenOptions, GivenView, GivenViews, view};
 use crate::MappingError;
+use crate::blocks::{BlockKey, locate};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Cell, PointCloud, Voxel};
 use rayon::prelude::*;
@@ -36,8 +37,40 @@ pub struct GivenSpace {
     /// Points of each voxel, by their numbers in `points`.
     occupied: FxHashMap<Voxel, Vec<u32>>,
     points: PointCloud,
-    /// Voxels that are known to be free; none: whatever is not occupied is seen through, and nothing is said to be free beyond.
-    free: Option<FxHashSet<Voxel>>,
+    open: Open,
+}
+
+/// What is seen through, a bit a voxel: a beam asks for hundreds of voxels, many in one block.
+#[derive(Debug, Clone)]
+enum Open {
+    /// Whatever is not among these, which are occupied.
+    AllBut(FxHashMap<BlockKey, Bits>),
+    /// These, which are known to be free.
+    Only(FxHashMap<BlockKey, Bits>),
+}
+
+/// Voxels of a block.
+type Bits = [u64; 8];
+
+impl Open {
+    fn block(&self, key: BlockKey) -> Option<&Bits> {
+        let (Self::AllBut(blocks) | Self::Only(blocks)) = self;
+        blocks.get(&key)
+    }
+
+    /// Whether a voxel of a block is open, by its slot there.
+    fn is_open(&self, block: Option<&Bits>, slot: u16) -> bool {
+        let is_set = block.is_some_and(|bits| bits[usize::from(slot / 64)] >> (slot % 64) & 1 == 1);
+        is_set == matches!(self, Self::Only(_))
+    }
+}
+
+fn blocks_of(voxels: impl Iterator<Item = Voxel>) -> FxHashMap<BlockKey, Bits> {
+    let mut out: FxHashMap<BlockKey, Bits> = FxHashMap::default();
+    for (block, slot) in voxels.map(locate) {
+        out.entry(block).or_default()[usize::from(slot / 64)] |= 1 << (slot % 64);
+    }
+    out
 }
 
 impl GivenSpace {
@@ -55,7 +88,8 @@ impl GivenSpace {
             let voxel = Voxel::containing(&p.cast(), voxel_m).ok_or(MappingError::PointTooFar)?;
             occupied.entry(voxel).or_default().push(k as u32);
         }
-        Ok(Self { voxel_m, occupied, points, free: None })
+        let open = Open::AllBut(blocks_of(occupied.keys().copied()));
+        Ok(Self { voxel_m, occupied, points, open })
     }
 
     /// Voxels that are known to be occupied, and those known to be free.
@@ -68,7 +102,7 @@ impl GivenSpace {
         voxel_m: f64,
     ) -> Result<Self, MappingError> {
         let centers = occupied.iter().map(|v| v.center(voxel_m).cast::<f32>()).collect();
-        Ok(Self { free: Some(free.collect()), ..Self::of_points(PointCloud::from_positions(centers), voxel_m)? })
+        Ok(Self { open: Open::Only(blocks_of(free)), ..Self::of_points(PointCloud::from_positions(centers), voxel_m)? })
     }
 
     fn is_occupied(&self, voxel: Voxel) -> bool {
@@ -76,10 +110,8 @@ impl GivenSpace {
     }
 
     fn is_open(&self, voxel: Voxel) -> bool {
-        match &self.free {
-            Some(free) => free.contains(&voxel),
-            None => !self.is_occupied(voxel),
-        }
+        let (block, slot) = locate(voxel);
+        self.open.is_open(self.open.block(block), slot)
     }
 
     /// Places to look from: the sensor's height above the ground; with the height of the ground.
@@ -177,7 +209,9 @@ impl GivenSpace {
                     Beam::Ends(voxel) if voxels.insert(voxel) => {
                         seen.extend(self.occupied.get(&voxel).into_iter().flatten().copied());
                     }
-                    Beam::Open if self.free.is_some() => misses.push(eye + direction * options.range_max_m),
+                    Beam::Open if matches!(self.open, Open::Only(_)) => {
+                        misses.push(eye + direction * options.range_max_m)
+                    }
                     _ => {}
                 }
             }
@@ -207,6 +241,8 @@ impl GivenSpace {
         let (mut tz, dz) = axis(eye.z, direction.z, at.z);
         let step = |d: f64| if d > 0.0 { 1 } else { -1 };
         let (sx, sy, sz) = (step(direction.x), step(direction.y), step(direction.z));
+        let (mut in_block, _) = locate(at);
+        let mut block = self.open.block(in_block);
         loop {
             if tx.min(ty).min(tz) > range_m {
                 return Beam::Open;
@@ -218,7 +254,11 @@ impl GivenSpace {
             } else {
                 (at.z, tz) = (at.z + sz, tz + dz);
             }
-            if !self.is_open(at) {
+            let (key, slot) = locate(at);
+            if key != in_block {
+                (in_block, block) = (key, self.open.block(key));
+            }
+            if !self.open.is_open(block, slot) {
                 return if self.is_occupied(at) { Beam::Ends(at) } else { Beam::Lost };
             }
         }

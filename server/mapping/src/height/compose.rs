@@ -8,8 +8,6 @@ use crate::KeyframeView;
 use crate::bytes::{Damaged, Reader, put_i32, put_u32};
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey};
-use crate::layer_slot::LayerSlot;
-use crate::layers::{LayerBoxes, LayerSlots};
 use crate::occupancy::{TILE, locate};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, Cell as At, GridGeometry};
@@ -129,14 +127,6 @@ impl Layer for HeightGrid {
             tiles.insert(key, Arc::new(Tile::decode(from)?));
         }
         Ok(Self::of_tiles(*params, tiles))
-    }
-
-    fn slot(slots: &LayerSlots) -> &Arc<LayerSlot<Self>> {
-        &slots.height
-    }
-
-    fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
-        &boxes.height
     }
 }
 

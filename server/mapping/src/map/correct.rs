@@ -3,7 +3,8 @@
 use super::Map;
 use super::rebuild::Fit;
 use crate::error::check_pose;
-use crate::submap::{SubmapId, best_fit};
+use crate::submap::best_fit;
+use crate::submap_id::SubmapId;
 use crate::{MappingError, Submap};
 use percept_geometry::{Correction, KeyframeId, Pose};
 use std::collections::BTreeSet;

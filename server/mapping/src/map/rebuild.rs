@@ -3,7 +3,7 @@
 use super::{Map, MapKeyframe};
 use crate::keyframe_view::KeyframeView;
 use crate::layers::{LayerBoxes, LayerSlots, LayersUpdate};
-use crate::submap::SubmapId;
+use crate::submap_id::SubmapId;
 use crate::{MapParams, Submap, SubmapLayers};
 use percept_geometry::{KeptScan, KeyframeId, Pose};
 use rayon::prelude::*;
@@ -251,7 +251,10 @@ impl Map {
         (submap.boxes, submap.is_frozen) = (boxes, !is_active);
         let slots = if is_active { LayerSlots::new } else { LayerSlots::frozen };
         submap.slots = Arc::new(slots(&self.params, &layers));
-        keyframes.into_iter().for_each(|(id, t_map_base)| submap.add_keyframe(id, t_map_base));
+        for (id, t_map_base) in keyframes {
+            submap.add_keyframe(id, t_map_base, self.keyframes.get(&id).and_then(|k| k.seen));
+        }
+        submap.is_expired = self.submaps[k].is_expired;
         self.submaps[k] = submap;
         // Its keyframes may have moved since this was begun.
         self.lay(k);

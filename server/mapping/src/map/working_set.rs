@@ -5,7 +5,8 @@ use crate::MappingError;
 use crate::layer_slot::Fetched;
 use crate::store::{MapMemory, MapStore};
 use crate::stored_scan::store_scan;
-use crate::submap::{Submap, SubmapId};
+use crate::submap::Submap;
+use crate::submap_id::SubmapId;
 use std::sync::Arc;
 
 /// What composed tiles may take of a budget, and what submaps may that readers have fetched: a quarter each. The rest is for

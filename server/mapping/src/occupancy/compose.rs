@@ -9,8 +9,6 @@ use crate::KeyframeView;
 use crate::bytes::{Damaged, Reader, put_i32, put_u32};
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey};
-use crate::layer_slot::LayerSlot;
-use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, Cell, GridGeometry};
 use std::collections::BTreeMap;
@@ -159,14 +157,6 @@ impl Layer for OccupancyGrid {
             tiles.insert(key, Arc::new(EvidenceTile::decode(from)?));
         }
         Ok(Self::of_tiles(*params, tiles))
-    }
-
-    fn slot(slots: &LayerSlots) -> &Arc<LayerSlot<Self>> {
-        &slots.occupancy
-    }
-
-    fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
-        &boxes.occupancy
     }
 }
 

@@ -130,6 +130,23 @@ impl ScanUpdate {
         if is_inside(x) && is_inside(y) { self.marks[y as usize * self.width + x as usize] } else { Mark::Unseen }
     }
 
+    /// The same, of which cells beside one that was hit are not said to be free: the end of a beam may as well lie in them.
+    pub(crate) fn sparing_beside_hits(mut self) -> Self {
+        let side = self.width;
+        let hits: Vec<usize> = (0..self.marks.len()).filter(|k| matches!(self.marks[*k], Mark::Hit(_))).collect();
+        for (x, y) in hits.iter().map(|k| (k % side, k / side)) {
+            for (x, y) in (y.saturating_sub(1)..=(y + 1).min(side - 1))
+                .flat_map(|y| (x.saturating_sub(1)..=(x + 1).min(side - 1)).map(move |x| (x, y)))
+            {
+                let mark = &mut self.marks[y * side + x];
+                if matches!(mark, Mark::Free(_) | Mark::Over(_)) {
+                    *mark = Mark::Unseen;
+                }
+            }
+        }
+        self
+    }
+
     /// Adds a mark, if the cell is in the window.
     pub(super) fn mark(&mut self, cell: Cell, mark: Mark) {
         let (x, y) = (i64::from(cell.x) - i64::from(self.min.x), i64::from(cell.y) - i64::from(self.min.y));

@@ -2,7 +2,7 @@
 
 use super::block::{SurfaceBlock, UNIT};
 use super::cubes::{CASES, EDGES, Edge, edge_from};
-use super::mesh::NO_COLOR;
+use super::mesh_data::NO_COLOR;
 use super::piece::Piece;
 use crate::blocks::BlockKey;
 use nalgebra::{Point3, Vector3};

@@ -8,8 +8,6 @@ use crate::blocks::block_box;
 use crate::blocks::{BLOCK, BlockKey};
 use crate::bytes::{Damaged, Reader};
 use crate::layer::{Footprint, Layer, Placement, TileKey, joined};
-use crate::layer_slot::LayerSlot;
-use crate::layers::{LayerBoxes, LayerSlots};
 use percept_geometry::Aabb3;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -95,13 +93,5 @@ impl Layer for SurfaceGrid {
 
     fn decode(params: &SurfaceParams, from: &mut Reader<'_>) -> Result<Self, Damaged> {
         stored::decode(params, from)
-    }
-
-    fn slot(slots: &LayerSlots) -> &Arc<LayerSlot<Self>> {
-        &slots.surface
-    }
-
-    fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
-        &boxes.surface
     }
 }

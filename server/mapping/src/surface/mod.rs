@@ -15,6 +15,7 @@ mod grid;
 mod kernel;
 mod layer;
 mod mesh;
+mod mesh_data;
 mod params;
 mod piece;
 mod stored;
@@ -23,7 +24,8 @@ mod touched;
 mod update;
 
 pub use grid::SurfaceGrid;
-pub use mesh::{MeshData, MeshOptions};
+pub use mesh::MeshOptions;
+pub use mesh_data::MeshData;
 pub use params::SurfaceParams;
 pub use tile::SurfaceTile;
 pub use update::SurfaceUpdate;

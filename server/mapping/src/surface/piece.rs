@@ -1,6 +1,6 @@
 //! Pieces of a mesh, and how they are joined where they meet.
 
-use super::mesh::MeshData;
+use super::mesh_data::MeshData;
 use rustc_hash::FxHashMap;
 
 /// The edge of the voxels' grid that a vertex lies on: the voxel at its lower end, and its axis.

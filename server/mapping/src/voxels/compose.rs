@@ -7,8 +7,6 @@ use crate::blocks::{BLOCK, BlockKey, block_box, corner, locate};
 use crate::bytes::{Damaged, Reader, put_i32, put_u32};
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey, moved};
-use crate::layer_slot::LayerSlot;
-use crate::layers::{LayerBoxes, LayerSlots};
 use nalgebra::Vector3;
 use percept_geometry::{Aabb3, Voxel};
 use std::collections::BTreeMap;
@@ -171,14 +169,6 @@ impl Layer for VoxelGrid {
             blocks.push((key, Arc::new(Evidence { values, most })));
         }
         Ok(Self::of_blocks(*params, BTreeMap::from_iter(blocks)))
-    }
-
-    fn slot(slots: &LayerSlots) -> &Arc<LayerSlot<Self>> {
-        &slots.voxels
-    }
-
-    fn bounds(boxes: &LayerBoxes) -> &Aabb3 {
-        &boxes.voxels
     }
 }
 

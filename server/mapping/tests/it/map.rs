@@ -426,3 +426,46 @@ fn what_changes_nothing_keeps_the_version_and_what_is_refused_keeps_the_map() {
     map = built(&scans, drive);
     assert_eq!((map.layers(), map.keyframes().len()), (before, NUM));
 }
+
+#[test]
+fn what_was_not_seen_again_for_too_long_leaves_all_layers_and_what_was_seen_again_stays() {
+    let scans = scans();
+    // The way goes once round the room, and away from there.
+    let away = |i: usize| if i < NUM { drive(i) } else { se3::from_xy_yaw(200.0, 0.0, 0.0) * drive(i - NUM) };
+    let run = |time_to_live_s: f64, num: usize| {
+        let mut map = Map::new(MapParams { time_to_live_s, ..MapParams::default() }).unwrap();
+        for i in 0..num {
+            let scan = KeyframeScan {
+                stamp: percept_geometry::Timestamp(i as i64 * 1_000_000_000),
+                ..KeyframeScan::clone(&scans[i % NUM])
+            };
+            map.insert(id(i), &MapEntry::at(away(i)), Arc::new(scan)).unwrap();
+        }
+        map
+    };
+    let known_here = |map: &Map| {
+        let (low, high) = (Cell::new(-80, -80), Cell::new(80, 80));
+        let grid = map.layers().occupancy.region(low, high, 1 << 20).unwrap();
+        let cloud = map.layers().cloud.points_within(&nalgebra::Point3::origin(), 20.0);
+        (grid.cells.iter().filter(|c| **c >= 0).count(), cloud.len())
+    };
+    let all = known_here(&run(0.0, 2 * NUM));
+    assert!(all.0 > 1000 && all.1 > 1000, "{all:?}");
+    assert_eq!(known_here(&run(1000.0, 2 * NUM)), all);
+    // Half of the time: the first submaps have gone, and at the end all of them.
+    let (early, late) = (run(30.0, NUM + 8), run(30.0, 2 * NUM));
+    assert!(
+        known_here(&early).0 > 0 && known_here(&late) == (0, 0),
+        "{:?} {:?}",
+        known_here(&early),
+        known_here(&late)
+    );
+    assert!(early.layers().version < late.layers().version);
+    let since = early.layers().version;
+    let tile = |key: (i32, i32)| (-2..2).contains(&key.0) && (-2..2).contains(&key.1);
+    assert!(late.layers().occupancy.changed_since(since).any(tile), "that it has gone is a change");
+    // Places stay.
+    assert_eq!(late.keyframes().len(), 2 * NUM);
+    let wrong = MapParams { time_to_live_s: -1.0, ..MapParams::default() };
+    assert!(matches!(Map::new(wrong), Err(MappingError::InvalidParam { field: "time_to_live_s", .. })));
+}

@@ -2,7 +2,8 @@
 
 use super::{Frontend, Keyframe, View};
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, SensorKind, Timestamp, se3};
-use percept_slam::{KeyframePolicy, OdometryEstimate, Scan, keyframe};
+use percept_slam::keyframe::{self, LaterScan};
+use percept_slam::{KeyframePolicy, OdometryEstimate, Scan};
 use std::sync::Arc;
 
 /// Frames of other sensors this long after the newest pose, or before it, are not placed: the robot may be anywhere, seconds.
@@ -28,14 +29,8 @@ impl Frontend {
         view: &View,
         (newest, covariance): (Timestamp, Covariance6),
     ) -> Option<Keyframe> {
-        let ahead = view.stamp.seconds_since(newest);
-        if matches!(view.scan, Scan::Image(_)) || ahead.abs() > MOST_APART_S {
-            return None;
-        }
-        let odometry = self.odometry.as_ref()?;
-        let (velocity, sensor) = (odometry.velocity(), &view.spec.id);
-        let placed = self.second.place(sensor, view.stamp);
-        let t_odom_base = placed.unwrap_or_else(|| odometry.t_odom_base() * se3::exp(&(velocity * ahead)));
+        let t_odom_base = self.place_beside(view, newest)?;
+        let (velocity, sensor) = (self.odometry.as_ref()?.velocity(), &view.spec.id);
         if !self.policy(sensor).consider(&t_odom_base) {
             return None;
         }
@@ -44,6 +39,32 @@ impl Frontend {
         let led_on = || keyframe::keyframe_scan(params, view.stamp, sensor, &view.scan, &velocity);
         let scan = as_seen.unwrap_or_else(led_on);
         Some(Keyframe { kind: view.spec.kind, scan, t_odom_base, covariance, is_of_pose_sensor: false })
+    }
+
+    /// Where base is at a view of a second sensor, base to odom: where that sensor's own motion places it, if it is registered, else
+    /// where the pose sensor leads to. The newest pose has this stamp.
+    fn place_beside(&self, view: &View, newest: Timestamp) -> Option<Pose> {
+        let ahead = view.stamp.seconds_since(newest);
+        if matches!(view.scan, Scan::Image(_)) || ahead.abs() > MOST_APART_S {
+            return None;
+        }
+        let odometry = self.odometry.as_ref()?;
+        let placed = self.second.place(&view.spec.id, view.stamp);
+        Some(placed.unwrap_or_else(|| odometry.t_odom_base() * se3::exp(&(odometry.velocity() * ahead))))
+    }
+
+    /// What a view of the pose sensor shows, and base to odom then; none of a camera's image.
+    pub(crate) fn live(&self, view: &View, t_odom_base: &Pose) -> Option<(Pose, LaterScan)> {
+        let scan = self.odometry.as_ref()?.ends_later(view.stamp, &view.spec.id, &view.scan)?;
+        Some((*t_odom_base, scan))
+    }
+
+    /// The same of a second sensor.
+    pub(crate) fn live_beside(&self, view: &View, newest: Timestamp) -> Option<(Pose, LaterScan)> {
+        let t_odom_base = self.place_beside(view, newest)?;
+        let params = &self.params.odometry.keyframe;
+        let velocity = self.odometry.as_ref()?.velocity();
+        Some((t_odom_base, keyframe::ends_later(params, view.stamp, &view.spec.id, &view.scan, &velocity)))
     }
 
     /// What is kept of a view of the pose sensor: odometry knows more of it than the scan says.

@@ -97,6 +97,16 @@ impl MapGraph {
         self.executor = Some(executor);
     }
 
+    /// Who works beside frames.
+    pub(crate) fn executor(&self) -> Option<&Arc<dyn Executor>> {
+        self.executor.as_ref()
+    }
+
+    /// Height of base above the floor, metres.
+    pub(crate) fn base_height_m(&self) -> f64 {
+        self.base_height_m
+    }
+
     /// Makes the back end for the kind of sensor that moves the pose, if loops are wanted and can be found.
     pub(crate) fn prepare(&mut self, kind: OdometryKind) {
         self.constraints.prepare(&self.params, kind);

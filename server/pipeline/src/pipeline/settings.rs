@@ -6,7 +6,7 @@ use percept_slam::{KeyframeParams, OdometryParams};
 use std::sync::Arc;
 
 /// Sections whose parameters may change.
-const CHANGEABLE: [&str; 5] = ["slam.odometry.keyframe.", "detection.", "tracker.", "relations.", "planning."];
+const CHANGEABLE: [&str; 6] = ["slam.odometry.keyframe.", "live.", "detection.", "tracker.", "relations.", "planning."];
 
 /// Those in them that stay: keyframes that are there are known by it.
 const FIXED: [&str; 1] = ["slam.odometry.keyframe.features"];

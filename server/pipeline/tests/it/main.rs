@@ -10,6 +10,7 @@ mod drive;
 mod extrinsics;
 mod given;
 mod imu;
+mod live;
 mod memory;
 mod refusal;
 mod restore;

@@ -316,7 +316,7 @@ impl Caller {
         self.service.map_summary(session).await
     }
 
-    /// A part of the occupancy grid.
+    /// A part of the occupancy grid; `live`: with what the newest frames see laid over it.
     ///
     /// # Errors
     /// As [`crate::maps::dense`]; `SESSION_NOT_FOUND`.
@@ -325,9 +325,10 @@ impl Caller {
         session: &str,
         region: Option<(Point2<f64>, Point2<f64>)>,
         resolution_m: Option<f64>,
+        live: bool,
     ) -> Result<GridAnswer> {
         self.may_with("MapsService/GetOccupancyGrid", session).await?;
-        self.service.occupancy_grid(session, region, resolution_m).await
+        self.service.occupancy_grid(session, region, resolution_m, live).await
     }
 
     /// The fused cloud, or the part of it around a point (m, map frame; radius m).

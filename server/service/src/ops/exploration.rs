@@ -96,7 +96,7 @@ impl Service {
                 Error::new(ErrorCode::FailedPrecondition, reason::NO_POSE_YET, message)
             })?;
             let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
-            let grid = with_margin(&dense(&snapshot, params.max_cells)?, MARGIN_CELLS);
+            let grid = with_margin(&dense(&snapshot.layers.occupancy, params.max_cells)?, MARGIN_CELLS);
             let least = (request.min_length_m / grid.geometry.resolution_m).ceil().max(1.0) as usize;
             let mut found = frontiers(&grid, start, &params, least).map_err(plan_error)?;
             rank_frontiers(&mut found, request.gain)
@@ -144,7 +144,7 @@ fn covered(
     let Some(start) = start else { return Ok(Explored::of(snapshot, None)) };
     let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
     let options: PathOptions = request.options.in_zones(zones);
-    let grid = dense(snapshot, params.max_cells)?;
+    let grid = dense(&snapshot.layers.occupancy, params.max_cells)?;
     let begun = Instant::now();
     let stop = options.deadline.map(|deadline| move || begun.elapsed() >= deadline);
     let stop = stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync));

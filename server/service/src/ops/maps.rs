@@ -233,7 +233,7 @@ impl Service {
         self.compute.query(&self.asker(session)?, measure).await
     }
 
-    /// A part of the occupancy grid.
+    /// A part of the occupancy grid; `live`: with what the newest frames see laid over it.
     ///
     /// # Errors
     /// As [`dense`]; `SESSION_NOT_FOUND`.
@@ -242,10 +242,14 @@ impl Service {
         session: &str,
         region: Option<(Point2<f64>, Point2<f64>)>,
         resolution_m: Option<f64>,
+        live: bool,
     ) -> Result<GridAnswer> {
         let s = self.snapshot(session).await?;
         let (map_version, stamp, limits) = (s.map_version, stamp_of(&s), Arc::clone(&self.limits));
-        let copy = move || dense(&s.layers.occupancy, region, resolution_m, &limits);
+        let copy = move || {
+            let grid = if live { &s.grid_now() } else { &s.layers.occupancy };
+            dense(grid, region, resolution_m, &limits)
+        };
         Ok(GridAnswer { map_version, stamp, grid: self.compute.query(&self.asker(session)?, copy).await?? })
     }
 

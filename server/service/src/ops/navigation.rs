@@ -7,7 +7,7 @@ use crate::reason;
 use crate::{Error, IncomingFrame, Processed, Result, Service};
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{Timestamp, se3};
-use percept_mapping::{DenseGrid, MappingError, Occupancy};
+use percept_mapping::{DenseGrid, MappingError, Occupancy, OccupancyMap};
 use percept_pipeline::{PoseEstimate, Snapshot};
 use percept_planning::{
     Blocking, Footprint, Goal, Misfit, MisfitReason, PathRequest, PlanError, PlanOutcome, PlanParams, Planner, Pose2,
@@ -49,6 +49,8 @@ pub struct PathOptions {
     pub zones: Vec<Zone>,
     /// Whether the zones of the session do not count.
     pub ignores_session_zones: bool,
+    /// Whether the map alone counts, and not what the newest frames see.
+    pub is_map_only: bool,
     /// For times along the path.
     pub speed: SpeedLimits,
     /// The search ends with the best path so far after this; none: when it is done.
@@ -208,7 +210,7 @@ pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Res
     };
     let mut params = request.params.unwrap_or(snapshot.params.planning);
     params.max_cells = params.max_cells.min(max_cells);
-    let grid = dense(snapshot, params.max_cells)?;
+    let grid = grid_for(snapshot, &request.options, params.max_cells)?;
     let outcome = on_grid(&grid, start, request.goal, &params, &request.options)?;
     let object = match &outcome {
         PlanOutcome::NoPath { blocking: Some(blocking), .. } => object_at(snapshot, blocking),
@@ -230,7 +232,7 @@ pub(super) fn misfit_on(
 ) -> Result<PathCheck> {
     let mut params = params.unwrap_or(snapshot.params.planning);
     params.max_cells = params.max_cells.min(max_cells);
-    let misfit = misfit(&dense(snapshot, params.max_cells)?, poses, &params, options)?;
+    let misfit = misfit(&grid_for(snapshot, options, params.max_cells)?, poses, &params, options)?;
     let blocking = misfit.as_ref().and_then(|m| match &m.reason {
         MisfitReason::Blocked(blocking) => Some(blocking),
         _ => None,
@@ -267,8 +269,17 @@ pub fn misfit(grid: &DenseGrid, poses: &[Pose2], params: &PlanParams, options: &
     percept_planning::validate_path(grid, poses, &request).map_err(plan_error)
 }
 
-pub(super) fn dense(snapshot: &Snapshot, max_cells: usize) -> Result<DenseGrid> {
-    snapshot.layers.occupancy.dense(max_cells).map_err(|e| match e {
+/// The grid that a path is planned on.
+fn grid_for(snapshot: &Snapshot, options: &PathOptions, max_cells: usize) -> Result<DenseGrid> {
+    if options.is_map_only {
+        dense(&snapshot.layers.occupancy, max_cells)
+    } else {
+        dense(&snapshot.grid_now(), max_cells)
+    }
+}
+
+pub(super) fn dense(grid: &OccupancyMap, max_cells: usize) -> Result<DenseGrid> {
+    grid.dense(max_cells).map_err(|e| match e {
         MappingError::RegionTooLarge { cells, limit } => plan_error(PlanError::GridTooLarge { cells, limit }),
         e => Error::internal(e),
     })

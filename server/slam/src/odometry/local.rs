@@ -247,14 +247,23 @@ impl LocalOdometry {
 
     /// What a keyframe keeps of a scan.
     pub(super) fn keyframe_scan(&self, stamp: Timestamp, sensor: &SensorId, scan: &Scan) -> KeyframeScan {
-        let color = self.model.color_camera();
-        let motion = match (self.model.sweep_curve(), scan) {
+        let (motion, color) = (self.sweep_motion(scan), self.model.color_camera());
+        keyframe_scan_seen_by(&self.params.keyframe, stamp, sensor, scan, &motion, color)
+    }
+
+    /// What keyframes keep.
+    pub(super) fn keyframe_params(&self) -> &KeyframeParams {
+        &self.params.keyframe
+    }
+
+    /// How base moved during a scan that was just placed.
+    pub(super) fn sweep_motion(&self, scan: &Scan) -> SweepMotion {
+        match (self.model.sweep_curve(), scan) {
             (Some((curve, velocity)), _) => SweepMotion { velocity, curve: Some(curve) },
             // Of a planar scan the motion that it was placed with; a cloud's method may have found a better one since.
             (None, Scan::Planar(_)) => SweepMotion { velocity: self.sweep_velocity, curve: None },
             (None, _) => SweepMotion { velocity: self.velocity(), curve: None },
-        };
-        keyframe_scan_seen_by(&self.params.keyframe, stamp, sensor, scan, &motion, color)
+        }
     }
 
     /// Goes on after a restart: `recent` keyframes with their `t_odom_base`, oldest first, become the

@@ -17,7 +17,7 @@ mod rhythm;
 mod uncertainty;
 
 use crate::inertial::ImuBuffer;
-use crate::keyframe::KeyframeParams;
+use crate::keyframe::{KeyframeParams, LaterScan, later};
 use crate::motion_prior::MotionPrior;
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{Scale, TrackingState, Waiting};
@@ -207,6 +207,13 @@ impl Odometry {
             Method::Local(local) => local.keyframe_scan(stamp, sensor, scan),
             Method::Camera(camera) => camera.keyframe_scan(stamp, sensor, scan),
         }
+    }
+
+    /// Where beams of a scan that was just placed end, thinned as a keyframe's, without what places are known by: to be worked out
+    /// when it is wanted. None of a camera's image.
+    pub fn ends_later(&self, stamp: Timestamp, sensor: &SensorId, scan: &Scan) -> Option<LaterScan> {
+        let Method::Local(local) = &self.method else { return None };
+        Some(later(local.keyframe_params(), (stamp, sensor, scan), local.sweep_motion(scan)))
     }
 
     /// What a camera's map now makes of the past: its views' stamps and `t_odom_base`, oldest first; for other kinds none.

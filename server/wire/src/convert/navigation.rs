@@ -68,6 +68,7 @@ pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
         zones: asked.zones.iter().enumerate().map(numbered).collect::<Result<_>>()?,
         speed: asked.speed.as_ref().map_or_else(SpeedLimits::default, speed),
         ignores_session_zones: asked.ignore_session_zones,
+        is_map_only: asked.map_only,
         deadline: (asked.deadline_ms > 0).then(|| Duration::from_millis(asked.deadline_ms.into())),
     })
 }

@@ -45,7 +45,7 @@ impl v1::maps_service_server::MapsService for Api {
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let region = maps::region(r.region.as_ref()).map_err(status::grpc)?;
-        let grid = caller.occupancy_grid(session, region, r.resolution_m).await.map_err(status::grpc)?;
+        let grid = caller.occupancy_grid(session, region, r.resolution_m, r.live).await.map_err(status::grpc)?;
         let chunks = caller.query(session, move || maps::grid_chunks(&grid)).await;
         streamed(chunks.map_err(status::grpc)?, |chunk| v1::GetOccupancyGridResponse { chunk: Some(chunk) })
     }

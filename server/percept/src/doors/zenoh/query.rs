@@ -77,7 +77,7 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
     let caller = names.caller(id)?;
     Ok(match question {
         "map/occupancy" => {
-            let grid = caller.occupancy_grid(id, None, None).await?;
+            let grid = caller.occupancy_grid(id, None, None, false).await?;
             caller.query(id, move || convert::maps::grid_to(&grid).encode_to_vec()).await?
         }
         "map/cloud" => {

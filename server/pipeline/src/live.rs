@@ -1,0 +1,163 @@
+//! What the newest frames see: who stands in the way of the robot before a keyframe shows it, what has gone from there, and what
+//! moves.
+//!
+//! Some frames of the last seconds are kept of each sensor, thinned as keyframes are, where odometry has placed them. They are laid
+//! over the grid when that is asked for ([`Live::over`]); nothing of it enters the map. And they tell which points of a keyframe
+//! belong to what moves ([`NewestFrames::part_moving`]): those do not enter it either.
+
+use crate::beside::Executor;
+use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp};
+use percept_mapping::{LiveFrame, LiveParams, OccupancyMap, Sight, moving};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, LazyLock, OnceLock};
+
+/// From one frame that is kept to the next, beside the newest, seconds: a person at a walk leaves the place where they were.
+const SPACING_S: f64 = 0.5;
+/// So long frames are kept, for what moves; for paths as long as that is wanted. As long as a person takes to cross a room's door.
+const KEPT_S: f64 = 2.5;
+/// What moves was elsewhere so long ago, seconds: at half a walk, as far as it is wide.
+const EARLIER_S: f64 = 0.4;
+
+type Scan = LazyLock<KeyframeScan, Box<dyn FnOnce() -> KeyframeScan + Send>>;
+
+/// A frame where odometry has placed it; it is thinned when it is wanted.
+struct Frame {
+    stamp: Timestamp,
+    t_odom_base: Pose,
+    scan: Scan,
+    sight: OnceLock<Sight>,
+}
+
+impl Frame {
+    fn sight(&self) -> &Sight {
+        self.sight.get_or_init(|| Sight::new(&self.t_odom_base, &self.scan))
+    }
+}
+
+/// The newest frames of each sensor, oldest first.
+#[derive(Default)]
+pub(crate) struct NewestFrames {
+    by_sensor: BTreeMap<SensorId, VecDeque<Arc<Frame>>>,
+}
+
+impl NewestFrames {
+    /// Takes a frame in. A newest one that is no longer wanted gives way to it.
+    pub(crate) fn take(
+        &mut self,
+        (sensor, stamp, t_odom_base): (&SensorId, Timestamp, &Pose),
+        scan: Box<dyn FnOnce() -> KeyframeScan + Send>,
+        params: &LiveParams,
+        executor: Option<&Arc<dyn Executor>>,
+    ) {
+        let frames = self.by_sensor.entry(sensor.clone()).or_default();
+        // Who goes back in time begins anew.
+        if frames.back().is_some_and(|newest| newest.stamp >= stamp) {
+            frames.clear();
+        }
+        frames.retain(|f| stamp.seconds_since(f.stamp) <= params.time_s.max(KEPT_S));
+        let len = frames.len();
+        let is_close = |a: &Arc<Frame>, b: &Arc<Frame>| b.stamp.seconds_since(a.stamp) < SPACING_S;
+        if len >= 2 && is_close(&frames[len - 2], &frames[len - 1]) {
+            frames.pop_back();
+        } else if let (Some(newest), Some(executor)) = (frames.back(), executor) {
+            // It stays: what it came from need not be kept until somebody asks.
+            let newest = Arc::clone(newest);
+            executor.spawn(Box::new(move || {
+                newest.sight();
+            }));
+        }
+        let scan = Scan::new(scan);
+        frames.push_back(Arc::new(Frame { stamp, t_odom_base: *t_odom_base, scan, sight: OnceLock::new() }));
+    }
+
+    /// The robot may be elsewhere: nothing is known.
+    pub(crate) fn clear(&mut self) {
+        self.by_sensor.clear();
+    }
+
+    /// Takes out of a keyframe's scan what moves, as the frames before it have it; what that was, base frame.
+    pub(crate) fn part_moving(&self, scan: &mut KeyframeScan, t_odom_base: &Pose) -> PointCloud {
+        let is_earlier = |f: &&Arc<Frame>| {
+            let age = scan.stamp.seconds_since(f.stamp);
+            (EARLIER_S..=KEPT_S).contains(&age) && !f.scan.planar
+        };
+        let earlier: Vec<&Sight> = if scan.planar {
+            vec![]
+        } else {
+            self.by_sensor.values().flatten().filter(is_earlier).map(|f| f.sight()).collect()
+        };
+        let moves = moving(&earlier, t_odom_base, scan);
+        let which = |wanted: bool| -> Vec<usize> { (0..moves.len()).filter(|i| moves[*i] == wanted).collect() };
+        let parted = which(true);
+        if parted.is_empty() {
+            return PointCloud::default();
+        }
+        let gone = scan.hits.select(&parted);
+        scan.hits = scan.hits.select(&which(false));
+        gone
+    }
+
+    /// What they see now.
+    pub(crate) fn picture(&self, params: &LiveParams, t_map_odom: &Pose, base_height_m: f64) -> Live {
+        let newest = self.by_sensor.values().filter_map(|f| f.back()).map(|f| f.stamp).max();
+        let is_fresh = |f: &Arc<Frame>| newest.is_some_and(|now| now.seconds_since(f.stamp) <= params.time_s);
+        let mut frames = vec![];
+        for of_sensor in self.by_sensor.values().filter(|_| params.time_s > 0.0) {
+            let fresh = of_sensor.iter().enumerate().filter(|(_, f)| is_fresh(f));
+            frames.extend(fresh.map(|(i, f)| (Arc::clone(f), i + 1 == of_sensor.len())));
+        }
+        frames.sort_by_key(|(f, _)| f.stamp);
+        Live(Arc::new(Picture {
+            params: *params,
+            frames,
+            t_map_odom: *t_map_odom,
+            base_height_m,
+            grid: OnceLock::new(),
+        }))
+    }
+}
+
+/// What the newest frames saw at one moment; cloning costs a reference.
+#[derive(Clone, Default)]
+pub struct Live(Arc<Picture>);
+
+#[derive(Default)]
+struct Picture {
+    params: LiveParams,
+    /// Oldest first; whether each is its sensor's newest.
+    frames: Vec<(Arc<Frame>, bool)>,
+    t_map_odom: Pose,
+    base_height_m: f64,
+    grid: OnceLock<OccupancyMap>,
+}
+
+impl Live {
+    /// The grid of the same moment with the newest frames laid over it: what they see in the way is occupied, what they see
+    /// through is free. Worked out once. Work runs on the current rayon pool.
+    pub(crate) fn over(&self, grid: &OccupancyMap) -> OccupancyMap {
+        let picture = &*self.0;
+        let laid_over = || {
+            let frame = |(frame, is_newest): &(Arc<Frame>, bool)| {
+                let scan = KeyframeScan { base_height_m: picture.base_height_m, ..KeyframeScan::clone(&frame.scan) };
+                LiveFrame {
+                    t_map_base: picture.t_map_odom * frame.t_odom_base,
+                    scan: Arc::new(scan),
+                    is_newest: *is_newest,
+                }
+            };
+            grid.under_frames(&picture.params, &picture.frames.iter().map(frame).collect::<Vec<_>>())
+        };
+        picture.grid.get_or_init(laid_over).clone()
+    }
+
+    /// Stamp of the newest frame in it, session's clock.
+    pub fn stamp(&self) -> Option<Timestamp> {
+        self.0.frames.last().map(|(f, _)| f.stamp)
+    }
+}
+
+impl std::fmt::Debug for Live {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Live {{ frames: {} }}", self.0.frames.len())
+    }
+}
