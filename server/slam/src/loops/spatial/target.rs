@@ -59,6 +59,8 @@ pub(super) enum Refused {
 pub(super) struct Target {
     surface: Levels,
     voxel_m: f64,
+    /// How far its views saw, metres: a scan that sees farther is compared as far as that.
+    farthest_m: f64,
     /// With where they are believed to be, base to map.
     views: BTreeMap<KeyframeId, (Pose, Sight)>,
 }
@@ -81,6 +83,8 @@ impl Target {
         let scans: Vec<(KeyframeId, Pose, Arc<KeyframeScan>)> =
             ids.iter().filter_map(|id| Some((*id, poses[id], kept[id].scan.get()?))).collect();
         let voxel_m = voxel_for(scans.iter().map(|s| range(&s.2)).fold(0.0, f64::max));
+        let of_hits = scans.iter().flat_map(|s| &s.2.hits.positions).map(|p| f64::from(p.coords.norm()));
+        let farthest_m = of_hits.fold(0.0, f64::max);
         let mut surface = Levels::new(VOXELS * voxel_m);
         fn points((_, t, scan): &(KeyframeId, Pose, Arc<KeyframeScan>)) -> impl Iterator<Item = Point3<f64>> + '_ {
             scan.hits.positions.iter().step_by(EVERY).map(move |p| t * p.cast::<f64>())
@@ -89,7 +93,7 @@ impl Target {
         let view = |(id, t, scan): (KeyframeId, Pose, Arc<KeyframeScan>)| {
             (id, (t, Sight::new(&scan.hits.positions, &scan.t_base_sensor)))
         };
-        Self { surface, voxel_m, views: scans.into_iter().map(view).collect() }
+        Self { surface, voxel_m, farthest_m, views: scans.into_iter().map(view).collect() }
     }
 
     /// Where a scan is that is expected at `t_map_base`, in the map.
@@ -133,7 +137,8 @@ impl Target {
     fn place(&self, scan: &KeyframeScan, t_map_base: &Pose) -> Option<Registration> {
         let points = &scan.hits.positions;
         let mut thinner = Thinner::default();
-        let all: Vec<u32> = (0..points.len() as u32).collect();
+        let is_comparable = |i: &u32| f64::from(points[*i as usize].coords.norm()) <= self.farthest_m;
+        let all: Vec<u32> = (0..points.len() as u32).filter(is_comparable).collect();
         let mut spacing = 0.5 * self.voxel_m;
         let mut indices = thinner.even(points, &all, spacing);
         while indices.len() > POINTS {

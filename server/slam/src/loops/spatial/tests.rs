@@ -137,6 +137,26 @@ fn a_robot_is_found_by_what_it_sees_and_what_it_saw_on_the_way_and_nowhere_in_a_
     }
 }
 
+/// A map that was given, or made by another lidar, shows less far than this one sees: most of its points are beyond.
+#[test]
+fn a_lidar_that_sees_farther_than_the_map_shows_is_found_in_it() {
+    let (here, elsewhere) = (street(5), street(6));
+    let mut recognition = SpatialRecognition::new(400);
+    let mut poses = KeyframePoses::new();
+    for i in 0..16 {
+        let (id, t) = (KeyframeId(i), se3::from_xy_yaw(2.0 * i as f64 - 15.0, 0.0, 0.1 * i as f64));
+        let mut scan = KeyframeScan::clone(&seen_from(&here, &t));
+        scan.hits.positions.retain(|p| p.coords.norm() < 20.0);
+        poses.insert(id, t);
+        recognition.insert(id, &Arc::new(scan).into(), &Covariance6::zeros(), &poses);
+    }
+    let t = se3::from_xy_yaw(2.0, 1.0, 2.0);
+    let found = recognition.relocalise_driven(&[], &seen_from(&here, &t), &poses).unwrap();
+    let off = (poses[&found.keyframe] * found.t_keyframe_base).inverse() * t;
+    assert!(off.translation.vector.norm() < 0.15 && off.rotation.angle() < 0.02, "{off}");
+    assert_eq!(recognition.relocalise_driven(&[], &seen_from(&elsewhere, &t), &poses), None);
+}
+
 #[test]
 fn surfaces_registered_step_by_step_lie_as_the_world_has_it() {
     let world = street(7);

@@ -1,0 +1,104 @@
+//! A recording is mapped; its cloud (or grid) begins another session, in which the same robot looks for itself:
+//! `given RECORDING [--sensor-height M] [--voxel M] [--range M] [--from N] [--outdoor]
+//! [--other RECORDING]`.
+//!
+//! Frames are sent to and fro from the N-th on until the robot is found, at most four times. Told is after how many seconds that is,
+//! and how far off it then is from where the first session had it at the same frame. With `--other RECORDING` the frames are those of
+//! another place, where nothing is to be found.
+
+use percept_formats::dataset;
+use percept_geometry::{Pose, SensorFrame, SensorKind, Timestamp};
+use percept_mapping::Occupancy;
+use percept_mapping::given::{GivenOptions, GivenSpace, views_of_grid, views_of_space};
+use percept_pipeline::{Pipeline, PipelineParams, Preset};
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::path::Path;
+use std::time::Instant;
+
+type Failure = Box<dyn Error + Send + Sync>;
+
+fn main() -> Result<(), Failure> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let path = args
+        .first()
+        .ok_or("usage: given RECORDING [--sensor-height M] [--voxel M] [--range M] [--from N] [--outdoor]")?;
+    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
+    let number = |name: &str, usual: f64| value(name).map_or(Ok(usual), |v| v.parse());
+    let (sensor_height_m, voxel_m) = (number("--sensor-height", 1.73)?, number("--voxel", 0.2)?);
+    let (range_max_m, from) = (number("--range", 30.0)?, number("--from", 0.0)? as usize);
+    let mut params = PipelineParams::default();
+    if args.iter().any(|a| a == "--outdoor") {
+        params = params.for_preset(Preset::Outdoor);
+    }
+    params.detection.enabled = false;
+
+    let recording = dataset::open(Path::new(path.as_str()))?;
+    let mut first = Pipeline::new(params.clone())?;
+    let is_planar = recording.sensors.iter().all(|s| s.kind != SensorKind::Lidar3d);
+    let mut sensors = recording.sensors.clone();
+    for sensor in sensors.iter_mut().filter(|s| s.kind == SensorKind::Lidar3d) {
+        sensor.t_base_sensor.translation.vector.z = sensor_height_m;
+    }
+    sensors.iter().for_each(|s| first.declare_sensor(s.clone()));
+    let (mut frames, mut truth): (Vec<SensorFrame>, BTreeMap<Timestamp, Pose>) = (vec![], BTreeMap::new());
+    for frame in recording.frames(None) {
+        let frame = frame?;
+        if let Some(pose) = first.process(&frame)?.pose {
+            truth.insert(frame.stamp, pose.t_map_base);
+        }
+        frames.push(frame);
+    }
+    first.settle();
+    let layers = first.snapshot().layers;
+
+    let begun = Instant::now();
+    let options = GivenOptions { range_max_m, sensor_height_m };
+    let given = if is_planar {
+        views_of_grid(&layers.occupancy.dense(usize::MAX)?, &options)?
+    } else {
+        views_of_space(&GivenSpace::of_points(layers.cloud.to_cloud(), voxel_m)?, &options)?
+    };
+    let (num_views, looked_s) = (given.views.len(), begun.elapsed().as_secs_f64());
+    let points: usize = given.views.iter().map(|v| v.scan.hits.len() + v.scan.misses.len()).sum();
+    let begun = Instant::now();
+    let mut second = Pipeline::new(params)?;
+    sensors.iter().for_each(|s| second.declare_sensor(s.clone()));
+    second.take_given(given.views, None)?;
+    println!(
+        "{path}: {num_views} views of {points} ends in {looked_s:.1} s, entered in {:.1} s; seen {:.3} of what is occupied",
+        begun.elapsed().as_secs_f64(),
+        given.occupied_share
+    );
+
+    if let Some(other) = value("--other") {
+        frames = dataset::open(Path::new(other.as_str()))?.frames(None).collect::<Result<_, _>>()?;
+        truth.clear();
+    }
+    let own: Vec<&SensorFrame> = frames.iter().skip(from).collect();
+    let mut order: Vec<&SensorFrame> = own.clone();
+    order.extend(own.iter().rev().skip(1));
+    let begun = frames.first().map_or(Timestamp(0), |f| f.stamp);
+    let (mut passed_s, mut last) = (0.0, order.first().map_or(begun, |f| f.stamp));
+    for frame in order.iter().cycle().take(4 * order.len()) {
+        passed_s += frame.stamp.seconds_since(last).abs();
+        last = frame.stamp;
+        let stamp = begun.plus_seconds(passed_s);
+        let pose = second.process(&SensorFrame { stamp, ..(*frame).clone() })?.pose;
+        let Some(pose) = pose.filter(|p| p.is_relocalised || p.state.is_tracking()) else { continue };
+        let Some(there) = truth.get(&frame.stamp) else {
+            println!("FALSE: found after {:.1} s where it is not", passed_s);
+            return Ok(());
+        };
+        let off = there.inv_mul(&pose.t_map_base);
+        println!(
+            "found after {:.1} s, off by {:.3} m and {:.4} rad",
+            passed_s,
+            off.translation.vector.norm(),
+            off.rotation.angle()
+        );
+        return Ok(());
+    }
+    println!("not found in {:.1} s", passed_s);
+    Ok(())
+}
