@@ -6,13 +6,15 @@
 
 use crate::cloud::range_image::RangeImage;
 use percept_geometry::{KeyframeScan, Pose, Voxel};
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 /// Points within a cube of this edge move together, metres: a third of a person's height, less than from a person to the wall.
 const TOGETHER_M: f64 = 0.3;
 /// How far a surface must lie behind a point for that to be seen through, metres and a share of the range: as what the cloud is carved by
 /// (`CloudParams::carve_margin_m`, two voxels, `carve_margin_ratio`).
 const BEHIND: (f64, f64) = (0.25, 0.05);
+/// What moves has so many points, in cubes beside each other: fewer are what a pose or a beam's width makes of edges.
+const LEAST_POINTS: u32 = 12;
 /// More of a frame than this does not move: its pose is wrong, or all that it sees is one thing.
 const MOST: f64 = 0.5;
 
@@ -55,12 +57,38 @@ pub fn moving(earlier: &[&Sight], t_odom_base: &Pose, scan: &KeyframeScan) -> Ve
             if through > 2 * there { counts.0 += 1 } else { counts.1 += 1 }
         }
     }
+    cubes.retain(|_, counts| counts.0 >= 2 && counts.0 > 2 * counts.1);
+    let things = things(&cubes);
     for (i, moves) in out.iter_mut().enumerate() {
-        let counts = cube(i).and_then(|voxel| cubes.get(&voxel)).copied().unwrap_or_default();
-        *moves = counts.0 >= 2 && counts.0 > 2 * counts.1;
+        *moves = cube(i).is_some_and(|voxel| things.contains(&voxel));
     }
     if out.iter().filter(|m| **m).count() as f64 > MOST * hits.len() as f64 {
         out.fill(false);
+    }
+    out
+}
+
+/// The cubes of those that have points enough together with the cubes beside them.
+fn things(cubes: &FxHashMap<Voxel, (u32, u32)>) -> FxHashSet<Voxel> {
+    let (mut taken, mut out) = (FxHashSet::default(), FxHashSet::default());
+    for first in cubes.keys() {
+        if !taken.insert(*first) {
+            continue;
+        }
+        let (mut thing, mut next, mut points) = (vec![*first], 0, 0);
+        while let Some(at) = thing.get(next).copied() {
+            next += 1;
+            points += cubes[&at].0;
+            for k in 0..27 {
+                let beside = Voxel::new(at.x + k % 3 - 1, at.y + k / 3 % 3 - 1, at.z + k / 9 - 1);
+                if cubes.contains_key(&beside) && taken.insert(beside) {
+                    thing.push(beside);
+                }
+            }
+        }
+        if points >= LEAST_POINTS {
+            out.extend(thing);
+        }
     }
     out
 }

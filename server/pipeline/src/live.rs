@@ -8,6 +8,7 @@
 use crate::beside::Executor;
 use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp};
 use percept_mapping::{LiveFrame, LiveParams, OccupancyMap, Sight, moving};
+use percept_slam::keyframe::LaterScan;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, LazyLock, OnceLock};
 
@@ -15,16 +16,28 @@ use std::sync::{Arc, LazyLock, OnceLock};
 const SPACING_S: f64 = 0.5;
 /// So long frames are kept, for what moves; for paths as long as that is wanted. As long as a person takes to cross a room's door.
 const KEPT_S: f64 = 2.5;
+/// So many frames are asked what moves, of each sensor.
+const ASKED: usize = 3;
 /// What moves was elsewhere so long ago, seconds: at half a walk, as far as it is wide.
 const EARLIER_S: f64 = 0.4;
 
-type Scan = LazyLock<KeyframeScan, Box<dyn FnOnce() -> KeyframeScan + Send>>;
+type Scan = LazyLock<KeyframeScan, LaterScan>;
+
+/// What a frame shows.
+pub(crate) enum Seen {
+    /// It became a keyframe.
+    Keyframe(Box<KeyframeScan>),
+    /// To be thinned when it is wanted.
+    Later(LaterScan),
+}
 
 /// A frame where odometry has placed it; it is thinned when it is wanted.
 struct Frame {
     stamp: Timestamp,
     t_odom_base: Pose,
     scan: Scan,
+    /// Whether it became a keyframe: it is thinned already.
+    is_keyframe: bool,
     sight: OnceLock<Sight>,
 }
 
@@ -45,7 +58,7 @@ impl NewestFrames {
     pub(crate) fn take(
         &mut self,
         (sensor, stamp, t_odom_base): (&SensorId, Timestamp, &Pose),
-        scan: Box<dyn FnOnce() -> KeyframeScan + Send>,
+        scan: Seen,
         params: &LiveParams,
         executor: Option<&Arc<dyn Executor>>,
     ) {
@@ -56,7 +69,10 @@ impl NewestFrames {
         }
         frames.retain(|f| stamp.seconds_since(f.stamp) <= params.time_s.max(KEPT_S));
         let len = frames.len();
-        let is_close = |a: &Arc<Frame>, b: &Arc<Frame>| b.stamp.seconds_since(a.stamp) < SPACING_S;
+        let is_close = |a: &Arc<Frame>, b: &Arc<Frame>| {
+            let spacing_s = if b.is_keyframe { 0.5 * SPACING_S } else { SPACING_S };
+            b.stamp.seconds_since(a.stamp) < spacing_s
+        };
         if len >= 2 && is_close(&frames[len - 2], &frames[len - 1]) {
             frames.pop_back();
         } else if let (Some(newest), Some(executor)) = (frames.back(), executor) {
@@ -66,8 +82,13 @@ impl NewestFrames {
                 newest.sight();
             }));
         }
-        let scan = Scan::new(scan);
-        frames.push_back(Arc::new(Frame { stamp, t_odom_base: *t_odom_base, scan, sight: OnceLock::new() }));
+        let is_keyframe = matches!(scan, Seen::Keyframe(_));
+        let scan = Scan::new(match scan {
+            Seen::Keyframe(scan) => Box::new(move || *scan),
+            Seen::Later(scan) => scan,
+        });
+        let t_odom_base = *t_odom_base;
+        frames.push_back(Arc::new(Frame { stamp, t_odom_base, scan, is_keyframe, sight: OnceLock::new() }));
     }
 
     /// The robot may be elsewhere: nothing is known.
@@ -81,11 +102,12 @@ impl NewestFrames {
             let age = scan.stamp.seconds_since(f.stamp);
             (EARLIER_S..=KEPT_S).contains(&age) && !f.scan.planar
         };
-        let earlier: Vec<&Sight> = if scan.planar {
-            vec![]
-        } else {
-            self.by_sensor.values().flatten().filter(is_earlier).map(|f| f.sight()).collect()
+        let of_sensor = |frames: &'_ VecDeque<Arc<Frame>>| {
+            frames.iter().rev().filter(is_earlier).take(ASKED).map(Arc::clone).collect::<Vec<_>>()
         };
+        let frames: Vec<Arc<Frame>> =
+            if scan.planar { vec![] } else { self.by_sensor.values().flat_map(of_sensor).collect() };
+        let earlier: Vec<&Sight> = frames.iter().map(|f| f.sight()).collect();
         let moves = moving(&earlier, t_odom_base, scan);
         let which = |wanted: bool| -> Vec<usize> { (0..moves.len()).filter(|i| moves[*i] == wanted).collect() };
         let parted = which(true);

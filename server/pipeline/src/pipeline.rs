@@ -13,17 +13,16 @@ pub use report::FrameReport;
 pub use settings::may_change;
 
 use crate::frontend::{Frontend, Keyframe, Registered, Unanchored, View};
-use crate::live::NewestFrames;
+use crate::live::{NewestFrames, Seen};
 use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
 use crate::scene::Scene;
 use crate::{
     Executor, FrameError, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, PoseEstimate, SessionMemory,
     Snapshot, TrajectoryEntry,
 };
-use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec};
+use percept_geometry::{KeyframeScan, Pose, SensorFrame, SensorId, SensorKind, SensorSpec};
 use percept_mapping::{MapStore, Submap};
-use percept_slam::keyframe::LaterScan;
-use percept_slam::{OdometryEstimate, OdometryKind};
+use percept_slam::{OdometryEstimate, OdometryKind, Scan};
 use std::sync::Arc;
 
 /// One robot's SLAM, maps, objects. A single writer; readers use [`Pipeline::snapshot`].
@@ -114,12 +113,13 @@ impl Pipeline {
         // What it has not seen it adds nothing to the map by.
         let is_keyframe_due = is_anchored && led_by.is_none();
         let keyframe = if is_keyframe_due { self.frontend.keyframe(view, &estimate) } else { None };
+        let seen = keyframe.as_ref().map(Keyframe::ends);
         let keyframe = keyframe.map(|k| self.add(k, before_joined.as_ref()));
 
         estimate.state = self.frontend.tracking().told(&estimate);
         let pose = PoseEstimate { led_by, ..self.pose_of(&estimate) };
         self.pose = Some(pose.clone());
-        self.keep_newest(view, &pose, is_anchored);
+        self.keep_newest(view, &pose, is_anchored, seen);
         let trajectory = self.extend_trajectory(sensor, &pose, is_anchored, keyframe.as_ref());
         if is_anchored {
             self.map_graph.look_for_parts(stamp, sensor, keyframe.as_ref().map(|k| k.info.id));
@@ -148,18 +148,21 @@ impl Pipeline {
     }
 
     /// Keeps what a view of the pose sensor shows, for a while.
-    fn keep_newest(&mut self, view: &View, pose: &PoseEstimate, is_anchored: bool) {
+    fn keep_newest(&mut self, view: &View, pose: &PoseEstimate, is_anchored: bool, keyframe: Option<KeyframeScan>) {
         if !is_anchored || pose.is_relocalised {
             self.newest.clear();
         }
         if is_anchored && pose.led_by.is_none() && !pose.state.is_lost() && pose.scale.is_metric() {
-            let live = self.frontend.live(view, &pose.t_odom_base);
-            self.keep(view, live);
+            let seen = match keyframe {
+                Some(scan) if !matches!(view.scan, Scan::Image(_)) => Some(Seen::Keyframe(Box::new(scan))),
+                _ => self.frontend.live(view).map(Seen::Later),
+            };
+            self.keep(view, seen.map(|seen| (pose.t_odom_base, seen)));
         }
     }
 
-    fn keep(&mut self, view: &View, live: Option<(Pose, LaterScan)>) {
-        let Some((t_odom_base, scan)) = live else { return };
+    fn keep(&mut self, view: &View, seen: Option<(Pose, Seen)>) {
+        let Some((t_odom_base, scan)) = seen else { return };
         let executor = self.map_graph.executor();
         self.newest.take((&view.spec.id, view.stamp, &t_odom_base), scan, &self.params.live, executor);
     }
@@ -169,7 +172,7 @@ impl Pipeline {
         let pose = self.pose.as_ref().filter(|p| !p.state.is_lost() && p.scale.is_metric())?;
         let (stamp, covariance) = (pose.stamp, pose.covariance);
         let live = self.frontend.live_beside(view, stamp);
-        self.keep(view, live);
+        self.keep(view, live.map(|(t_odom_base, scan)| (t_odom_base, Seen::Later(scan))));
         let keyframe = self.frontend.keyframe_beside(view, (stamp, covariance))?;
         let near = |sensor: &SensorId, t_odom_base: &Pose| self.map_graph.keyframes_near(sensor, t_odom_base);
         self.frontend.check_extrinsics(&keyframe, near);

@@ -7,7 +7,7 @@ use crate::beside::{Executor, Task};
 use crate::visibility::RangeImage;
 use crate::{Chunks, DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams};
 use nalgebra::Point3;
-use percept_geometry::{KeyframeId, PointCloud, Pose, Timestamp};
+use percept_geometry::{KeyframeId, OrientedBox3, PointCloud, Pose, Timestamp};
 use percept_mapping::MapLayers;
 use percept_perception::detection::{Detection, Detector};
 use percept_scene::overlap::upright;
@@ -115,7 +115,8 @@ impl Scene {
         let (detector, cloud, scan) = (Arc::clone(&self.detector), layers.cloud, Arc::clone(&keyframe.scan));
         let task = Task::begin(self.executor.as_ref(), move || {
             let mut around = cloud.points_within(&t_map_base.translation.vector.into(), range_m);
-            add_within(&mut around, &moving.transformed(&t_map_base), &t_map_base.translation.vector.into(), range_m);
+            let moving = moving.transformed(&t_map_base);
+            add_within(&mut around, &moving, &t_map_base.translation.vector.into(), range_m);
             // The fused cloud is sound by construction; a detector that refuses it finds nothing.
             let found = detector.detect(&around).unwrap_or_default();
             let observation = |d: &Detection| Observation {
@@ -123,6 +124,7 @@ impl Scene {
                 confidence: d.confidence,
                 bbox: d.bbox,
                 num_points: d.num_points,
+                is_moving: moves(&d.bbox, &moving, &around),
             };
             Found { observations: found.iter().map(observation).collect(), ranges: RangeImage::new(&scan) }
         });
@@ -179,6 +181,12 @@ impl Scene {
         self.tracker.correct(&|_, last_seen| moved_by(last_seen).unwrap_or_else(Pose::identity));
         self.objects = Arc::new(self.tracker.objects());
     }
+}
+
+/// Whether more than half of the points in a box are among those that move.
+fn moves(bbox: &OrientedBox3, moving: &PointCloud, all: &PointCloud) -> bool {
+    let inside = |cloud: &PointCloud| cloud.positions.iter().filter(|p| bbox.contains(&p.cast())).count();
+    !moving.is_empty() && 2 * inside(moving) > inside(all)
 }
 
 /// Adds those points that are so near, metres; grey where a cloud with colours gets some without.

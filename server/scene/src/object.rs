@@ -26,6 +26,8 @@ pub struct Observation {
     pub bbox: OrientedBox3,
     /// Points that the box was fitted to: the more, the more the box is trusted.
     pub num_points: usize,
+    /// Whether it was seen to move: frames just before saw through where it is.
+    pub is_moving: bool,
 }
 
 impl Observation {

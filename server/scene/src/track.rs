@@ -48,7 +48,7 @@ impl Track {
             id: None,
             bbox,
             belief,
-            state: ObjectState::Static,
+            state: if observation.is_moving { ObjectState::Moving } else { ObjectState::Static },
             first_seen: stamp,
             last_seen: stamp,
             observation_count: 1,
@@ -137,7 +137,7 @@ impl Track {
             (self.away, self.before) = (0, None);
             changes.push(ObjectChangeKind::Reappeared);
         }
-        self.follow_motion(&seen, stamp, params, changes);
+        self.follow_motion(&seen, observation.is_moving, stamp, params, changes);
         self.fuse(&seen, observation.num_points);
         self.last_seen = self.last_seen.max(stamp);
         self.observation_count += 1;
@@ -153,6 +153,7 @@ impl Track {
     fn follow_motion(
         &mut self,
         seen: &OrientedBox3,
+        is_moving: bool,
         stamp: Timestamp,
         params: &TrackerParams,
         changes: &mut Vec<ObjectChangeKind>,
@@ -170,7 +171,7 @@ impl Track {
             (true, Some(_)) => {}
             (false, _) => self.bbox = self.before.take().unwrap_or(self.bbox),
         }
-        if away && (self.state == ObjectState::Moving || self.away >= OBSERVATIONS_AWAY) {
+        if is_moving || away && (self.state == ObjectState::Moving || self.away >= OBSERVATIONS_AWAY) {
             (self.anchor, self.anchor_stamp, self.away, self.before) = (*seen, stamp, 0, None);
             if self.state != ObjectState::Moving {
                 self.state = ObjectState::Moving;

@@ -30,7 +30,7 @@ pub struct TrackerParams {
     pub moving_distance_m: f64,
     /// A moving object that stays within that distance for this long has stopped, seconds.
     pub settle_s: f64,
-    /// A moving object out of sight is expected to go on for this long, seconds.
+    /// A moving object out of sight is expected to go on for this long, seconds; it is gone `gone_after_s` later.
     pub coast_s: f64,
     /// Overlap from which two resting objects, not both detected in this update, are one and the same; 0..1.
     pub merge_iou: f64,
@@ -241,7 +241,12 @@ impl Tracker {
                 continue;
             };
             let missed_s = stamp.seconds_since(track.last_seen);
-            if track.seen_through >= self.params.gone_observations && missed_s >= self.params.gone_after_s {
+            let was_seen_through =
+                track.seen_through >= self.params.gone_observations && missed_s >= self.params.gone_after_s;
+            // What went away while nobody looked is not where it was.
+            let has_gone_on =
+                track.state == ObjectState::Moving && missed_s > self.params.coast_s + self.params.gone_after_s;
+            if was_seen_through || has_gone_on {
                 track.state = ObjectState::Gone;
                 changes.push(ObjectChange { id, kind: ObjectChangeKind::Gone });
             }

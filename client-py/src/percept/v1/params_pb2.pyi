@@ -1557,7 +1557,7 @@ class TrackerParams(_message.Message):
     settle_s: _builtins.float
     """A moving object that stays within that distance for this long has stopped, seconds."""
     coast_s: _builtins.float
-    """A moving object out of sight is expected to go on for this long, seconds."""
+    """A moving object out of sight is expected to go on for this long, seconds; it is gone gone_after_s later."""
     merge_iou: _builtins.float
     """Overlap from which two resting objects, not both detected in this update, are one and the same; 0..1."""
     swallow_observations: _builtins.int

@@ -53,13 +53,12 @@ impl Frontend {
         Some(placed.unwrap_or_else(|| odometry.t_odom_base() * se3::exp(&(odometry.velocity() * ahead))))
     }
 
-    /// What a view of the pose sensor shows, and base to odom then; none of a camera's image.
-    pub(crate) fn live(&self, view: &View, t_odom_base: &Pose) -> Option<(Pose, LaterScan)> {
-        let scan = self.odometry.as_ref()?.ends_later(view.stamp, &view.spec.id, &view.scan)?;
-        Some((*t_odom_base, scan))
+    /// What a view of the pose sensor shows; none of a camera's image.
+    pub(crate) fn live(&self, view: &View) -> Option<LaterScan> {
+        self.odometry.as_ref()?.ends_later(view.stamp, &view.spec.id, &view.scan)
     }
 
-    /// The same of a second sensor.
+    /// The same of a second sensor, and base to odom then.
     pub(crate) fn live_beside(&self, view: &View, newest: Timestamp) -> Option<(Pose, LaterScan)> {
         let t_odom_base = self.place_beside(view, newest)?;
         let params = &self.params.odometry.keyframe;

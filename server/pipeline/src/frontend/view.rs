@@ -44,6 +44,13 @@ pub(crate) struct Keyframe {
     pub(crate) is_of_pose_sensor: bool,
 }
 
+impl Keyframe {
+    /// What it shows, without what places are known by.
+    pub(crate) fn ends(&self) -> KeyframeScan {
+        KeyframeScan { features: None, ..self.scan.clone() }
+    }
+}
+
 /// A robot that was found again.
 pub(crate) struct Found {
     /// Tracking.

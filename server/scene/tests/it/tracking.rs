@@ -13,7 +13,7 @@ fn tracker() -> Tracker {
 
 fn seen_as(class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Observation {
     let bbox = OrientedBox3::upright(Point3::from(center), Vector3::from(size), 0.0);
-    Observation { class, confidence: 0.8, bbox, num_points: 500 }
+    Observation { class, confidence: 0.8, bbox, num_points: 500, is_moving: false }
 }
 
 fn person(x: f64, y: f64) -> Observation {
@@ -310,7 +310,7 @@ fn observations() -> impl Strategy<Value = Observation> {
     let numbers = (prop::array::uniform3(0.0..4.0f64), prop::array::uniform3(0.2..1.5f64), -3.0..3.0f64);
     (numbers, 0usize..7, 0.0..1.0f64, 0usize..2000).prop_map(|((center, size, yaw), class, confidence, num_points)| {
         let bbox = OrientedBox3::upright(Point3::from(center), Vector3::from(size), yaw);
-        Observation { class: ObjectClass::ALL[class], confidence, bbox, num_points }
+        Observation { class: ObjectClass::ALL[class], confidence, bbox, num_points, is_moving: false }
     })
 }
 
@@ -360,4 +360,29 @@ proptest! {
         prop_assert!(object(&t, 0).bbox.center().x.abs() < 0.06);
         prop_assert!((object(&t, 1).bbox.center().x - 0.8).abs() < 0.06);
     }
+}
+
+#[test]
+fn who_was_seen_to_move_is_moving_at_once_and_gone_once_out_of_sight() {
+    let mut tracker = Tracker::new(TrackerParams::default()).unwrap();
+    let at = |s: f64| Timestamp((s * 1e9) as i64);
+    let walking = |x: f64| Observation { is_moving: true, ..person(x, 0.0) };
+    for i in 0..4 {
+        tracker
+            .update(at(0.4 * f64::from(i)), &[walking(0.4 * f64::from(i)), chair(5.0, 5.0)], &|_| Visibility::Unseen);
+    }
+    let moving = tracker.objects();
+    assert_eq!(moving.iter().filter(|o| o.state == ObjectState::Moving).count(), 1, "{moving:?}");
+    // The robot looks elsewhere: neither is seen, nor seen through.
+    let changes = tracker.update(at(5.0), &[], &|_| Visibility::Unseen);
+    assert_eq!(changes.iter().filter(|c| c.kind == ObjectChangeKind::Gone).count(), 1);
+    let states: Vec<ObjectState> = tracker.objects().iter().map(|o| o.state).collect();
+    assert!(states.contains(&ObjectState::Static) && states.contains(&ObjectState::Gone), "{states:?}");
+    // Who stands still is no longer moving.
+    let mut tracker = Tracker::new(TrackerParams::default()).unwrap();
+    tracker.update(at(0.0), &[walking(0.0)], &|_| Visibility::Unseen);
+    for i in 1..10 {
+        tracker.update(at(0.5 * f64::from(i)), &[person(0.1, 0.0)], &|_| Visibility::Unseen);
+    }
+    assert_eq!(tracker.objects()[0].state, ObjectState::Static);
 }
