@@ -218,7 +218,7 @@ impl Path {
 }
 
 impl Waypoint {
-    fn at(costmap: &Costmap, pose: &Pose2, is_reverse: bool) -> Self {
+    pub(crate) fn at(costmap: &Costmap, pose: &Pose2, is_reverse: bool) -> Self {
         let (clearance, off) = costmap.clearance_near(&pose.position);
         let clearance_m = clearance.is_finite().then(|| (clearance - off).max(0.0));
         Self { position: pose.position, yaw_rad: wrap_angle(pose.yaw_rad), is_reverse, clearance_m, time_s: 0.0 }

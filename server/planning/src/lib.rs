@@ -8,6 +8,7 @@
 //! ([`repair`]), one that covers all that is reached ([`coverage`]), paths in space ([`flight`]), and where to go to see more
 //! ([`frontiers`]).
 
+mod along;
 mod answer;
 pub mod anytime;
 pub mod astar;
@@ -36,6 +37,7 @@ pub mod theta;
 mod validate;
 mod zones;
 
+pub use along::{PathSample, samples_along};
 pub use answer::{Blocking, CostParts, NoPathReason, Path, PlanOutcome, Waypoint};
 pub use anytime::{AnytimeParams, plan_anytime};
 pub use astar::{GridPath, SearchGrid};

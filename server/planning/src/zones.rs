@@ -30,12 +30,31 @@ pub struct Zone {
 }
 
 /// What the values of a mask mean, as in nav2's costmap filters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MaskKind {
     /// Cells at or above `occupied_probability` are keep-out; others are not.
     KeepOut,
-    /// 1 to 100: per cent of `SpeedLimits::max_speed_mps`. 0 and unknown: no limit.
-    SpeedLimit,
+    /// Of a value from 1 to 100, `base + multiplier * value` is per cent of `SpeedLimits::max_speed_mps`. The value 0, unknown, and
+    /// what comes to 0 or less or to 100 or more: no limit. What comes to less than 1 per cent counts as 1.
+    SpeedLimit {
+        /// Per cent at the value 0.
+        base: f64,
+        /// Per cent more for each step of the value.
+        multiplier: f64,
+    },
+}
+
+impl MaskKind {
+    /// The value itself is per cent of full speed.
+    pub const PERCENT: Self = Self::SpeedLimit { base: 0.0, multiplier: 1.0 };
+
+    /// The share of full speed at a value of a speed mask; none: no limit.
+    pub fn speed_share(&self, value: u8) -> Option<f64> {
+        let Self::SpeedLimit { base, multiplier } = self else { return None };
+        let percent = base + multiplier * f64::from(value);
+        let limits = value > 0 && percent > 0.0 && percent < 100.0;
+        limits.then_some((percent / 100.0).max(LEAST_SHARE))
+    }
 }
 
 /// Zones as a grid of values, in the map frame: its cells need not lie on those of the map.
@@ -101,8 +120,8 @@ impl Costmap {
                 let Some(Some(value)) = there.and_then(|c| mask.grid.value(c)) else { continue };
                 match mask.kind {
                     MaskKind::KeepOut if f64::from(value) >= 100.0 * occupied_probability => self.keep_out(cell),
-                    MaskKind::SpeedLimit if value > 0 => self.slow_down(cell, f64::from(value) / 100.0),
-                    _ => {}
+                    MaskKind::KeepOut => {}
+                    kind => kind.speed_share(value).into_iter().for_each(|share| self.slow_down(cell, share)),
                 }
             }
         }

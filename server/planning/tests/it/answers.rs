@@ -5,8 +5,8 @@ use nalgebra::Point2;
 use percept_geometry::{Cell, GridGeometry};
 use percept_mapping::DenseGrid;
 use percept_planning::{
-    Blocking, CellState, Footprint, Goal, HybridParams, Mask, MaskKind, NoPathReason, Path, PathRequest, PlanError,
-    PlanOutcome, PlanParams, Planner, Pose2, SpeedLimits, Zone, ZoneKind, plan_path,
+    Blocking, CellState, Footprint, Goal, HybridParams, Mask, MaskKind, NoPathReason, Path, PathRequest, PathSample,
+    PlanError, PlanOutcome, PlanParams, Planner, Pose2, SpeedLimits, Zone, ZoneKind, plan_path, samples_along,
 };
 
 fn found(outcome: PlanOutcome) -> Path {
@@ -127,15 +127,53 @@ fn masks_are_zones_cell_by_cell() {
         found(plan_path(&grid, &PathRequest { masks: &masks, ..PathRequest::new(a, b, &params) }).unwrap())
     };
     assert_eq!(by_mask(&values(100), MaskKind::KeepOut), by_zone(&zone(ZoneKind::KeepOut)));
-    assert_eq!(by_mask(&values(50), MaskKind::SpeedLimit), by_zone(&zone(ZoneKind::SpeedLimit { share: 0.5 })));
+    assert_eq!(by_mask(&values(50), MaskKind::PERCENT), by_zone(&zone(ZoneKind::SpeedLimit { share: 0.5 })));
     assert!(by_mask(&values(50), MaskKind::KeepOut).length_m < 5.01, "below the threshold of an obstacle");
     // Straight through at half the speed: a metre more in cost, and at 0.5 m/s two seconds more, but for the ramps.
-    let through = by_mask(&values(50), MaskKind::SpeedLimit);
+    let through = by_mask(&values(50), MaskKind::PERCENT);
     assert!((through.length_m - 5.0).abs() < 0.01 && (through.cost - 6.0).abs() < 0.1, "{}", through.cost);
     assert!((through.duration_s - (10.0 + 2.0 + 0.5)).abs() < 0.7, "{}", through.duration_s);
     // At a tenth the way around is quicker.
-    let around = by_mask(&values(10), MaskKind::SpeedLimit);
+    let around = by_mask(&values(10), MaskKind::PERCENT);
     assert!(around.waypoints.iter().any(|w| w.position.y < 1.01 || w.position.y > 4.99));
+    // nav2's base and multiplier: 100 - 2 * 25 is half, 100 - 0.1 * 100 is nine tenths, and what is no limit is none.
+    let falling = |multiplier| MaskKind::SpeedLimit { base: 100.0, multiplier };
+    assert_eq!(by_mask(&values(25), falling(-2.0)), through);
+    assert_eq!(falling(-0.1).speed_share(100), Some(0.9));
+    assert_eq!([0, 50, 51].map(|value| falling(-2.0).speed_share(value)), [None; 3]);
+    assert_eq!(by_mask(&values(60), falling(-2.0)), by_mask(&values(0), MaskKind::PERCENT));
+}
+
+#[test]
+fn a_path_is_sampled_with_what_holds_along_it() {
+    let (grid, params) = (hall(80, 60), PlanParams::default());
+    let slow = [rectangle([3.0, -1.0], [5.0, 9.0], ZoneKind::SpeedLimit { share: 0.2 })];
+    let (a, b) = (Point2::new(0.55, 3.05), Point2::new(7.05, 3.05));
+    let request = PathRequest { zones: &slow, planner: Planner::AnyAngle, ..PathRequest::new(a, b, &params) };
+    let path = found(plan_path(&grid, &request).unwrap());
+    let poses: Vec<Pose2> = path.waypoints.iter().map(|w| Pose2 { position: w.position, yaw_rad: w.yaw_rad }).collect();
+    let samples = samples_along(&grid, &poses, &request).unwrap();
+    assert_eq!((samples[0].pose.position, samples[samples.len() - 1].pose.position), (a, b));
+    let gap = |s: &[PathSample]| (s[1].pose.position - s[0].pose.position).norm();
+    assert!(samples.windows(2).all(|s| gap(s) < 0.11));
+    // In the zone a metre takes five times as long, and costs as much; at rest at both ends.
+    for s in &samples {
+        let x = s.pose.position.x;
+        if x > 3.2 && x < 4.8 {
+            assert!((s.speed_mps - 0.1).abs() < 1e-6 && (s.cost - 5.0).abs() < 1e-3, "{s:?}");
+        } else if !(2.8..5.2).contains(&x) {
+            assert!(s.cost < 4.01 && s.speed_mps <= 0.5 + 1e-9, "{s:?}");
+        }
+        assert!(s.clearance_m.is_some_and(|c| c > 0.22));
+    }
+    let spent: f64 = samples.windows(2).map(|s| gap(s) / s[0].speed_mps).sum();
+    assert!((spent - path.duration_s).abs() < 0.1 * path.duration_s, "{spent} {}", path.duration_s);
+    // Nowhere at all, and off the map, nothing is known.
+    assert!(samples_along(&grid, &[], &request).unwrap().is_empty());
+    let off = [Pose2 { position: Point2::new(-50.0, 0.0), yaw_rad: 0.0 }];
+    assert_eq!(samples_along(&grid, &off, &request).unwrap().len(), 1);
+    let bad = [Pose2 { position: Point2::new(f64::NAN, 0.0), yaw_rad: 0.0 }];
+    assert!(matches!(samples_along(&grid, &bad, &request), Err(PlanError::NotFinite { field: "poses", .. })));
 }
 
 #[test]
