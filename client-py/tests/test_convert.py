@@ -8,6 +8,7 @@ from percept import (
     CloudFrame,
     DepthFrame,
     EncodedImage,
+    GridMap,
     ImuFrame,
     Internal,
     InvalidArgument,
@@ -18,8 +19,10 @@ from percept import (
     ScanFrame,
     SensorSpec,
     SessionMode,
+    SpeedMask,
+    ZoneMask,
 )
-from percept._convert import geometry, maps, navigation, poses, sensors, sessions, words
+from percept._convert import drawing, geometry, maps, navigation, poses, sensors, sessions, words, zones
 from percept.v1 import map_pb2, navigation_service_pb2, params_pb2, path_pb2, sensor_pb2, session_pb2
 
 
@@ -151,7 +154,7 @@ def test_creation_is_always_repeatable():
 def test_an_update_names_what_it_changes_and_none_puts_back():
     planning = {"robot_radius_m": 0.3, "inflation_radius_m": None}
     params = {"planning": planning, "relations": {"contact_m": None}}
-    request = sessions.update("s", "", None, params, None, "tag").request
+    request = sessions.update("s", "", None, params, None, None, "tag").request
     assert list(request.update_mask.paths) == [
         "display_name",
         "params.planning.robot_radius_m",
@@ -161,8 +164,38 @@ def test_an_update_names_what_it_changes_and_none_puts_back():
     assert request.session.params.planning.robot_radius_m == 0.3
     assert not request.session.params.planning.HasField("inflation_radius_m")
     assert (request.session.session_id, request.etag) == ("s", "tag")
-    cleared = sessions.update("s", None, None, None, [], "").request
-    assert list(cleared.update_mask.paths) == ["zones"]
+    cleared = sessions.update("s", None, None, None, [], [], "").request
+    assert list(cleared.update_mask.paths) == ["zones", "zone_masks"]
+
+
+def test_a_zone_mask_says_what_it_has_and_leaves_out_what_stays(tmp_path):
+    cells = GridMap(cells=np.full((2, 3), 50, np.int8), resolution_m=0.1)
+    kept_out = zones.mask_to(ZoneMask(name="a", cells=cells))
+    assert (kept_out.WhichOneof("map"), kept_out.WhichOneof("kind")) == ("grid", "keep_out")
+    kept = zones.mask_to(ZoneMask(name="a"))
+    assert (kept.WhichOneof("map"), kept.WhichOneof("kind")) == (None, None)
+    (tmp_path / "m.pgm").write_bytes(b"P5 1 1 255\n\0")
+    (tmp_path / "m.yaml").write_text("image: m.pgm\n")
+    speed = SpeedMask(base=100.0, multiplier=-1.0, unit="metres_per_second")
+    slow = zones.mask_to(ZoneMask(name="a", cells=tmp_path / "m.yaml", speed=speed))
+    assert (slow.WhichOneof("map"), slow.nav2.image) == ("nav2", b"P5 1 1 255\n\0")
+    slow.geometry.resolution_m = 0.1
+    told = zones.mask(slow)
+    assert (told.speed, told.cells, told.geometry.resolution_m) == (speed, None, 0.1)
+
+
+def test_a_picture_has_a_goal_or_a_path_and_says_what_is_drawn():
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    for goal, path in ((None, None), ((1.0, 2.0), poses)):
+        with pytest.raises(InvalidArgument) as error:
+            drawing.draw_path("s", goal, path, None, "clearance", None, None)
+        assert error.value.field == "goal"
+    call = drawing.draw_path("s", None, poses, None, "cost", None, None)
+    assert (len(call.request.poses), call.request.colouring) == (2, path_pb2.PATH_COLOURING_COST)
+    assert not call.request.HasField("goal")
+    misfit = path_pb2.Misfit(pose_index=1, reason=path_pb2.MISFIT_REASON_OUTSIDE_MAP)
+    picture = call.read(navigation_service_pb2.DrawPathResponse(png=b"png", misfit=misfit))
+    assert (picture.png, picture.outcome, picture.misfit.reason) == (b"png", None, "outside_map")
 
 
 def test_unknown_parameters_are_refused():

@@ -144,6 +144,13 @@ def of_map(site: Site) -> dict:
     return {"source": {"session_id": site.session.session_id}}
 
 
+def noise(side: int = 1500) -> dict:
+    """A map of random cells: a picture of it is as large as pictures get."""
+    cells = np.random.default_rng(5).choice(np.array([-1, 0, 100], np.int8), (side, side))
+    geometry = {"resolution_m": 0.1, "origin": {}, "width": side, "height": side}
+    return {"grid": {"geometry": geometry, "cells": cells.tobytes()}}
+
+
 #: A request of each rpc; more than 4 MiB come back where the second says so.
 REQUESTS = {
     "SessionsService/CreateSession": (lambda s: {}, False),
@@ -187,6 +194,7 @@ REQUESTS = {
     "MapsService/SetLoopVeto": (of_map, False),
     "MapsService/OptimiseMap": (of_map, False),
     "MapsService/ImportMap": (of_map, False),
+    "MapsService/CompareMaps": (lambda s: of_map(s) | {"grid": noise()["grid"]}, False),
     "SceneService/ListObjects": (of_session, False),
     "SceneService/GetObject": (of_session, False),
     "SceneService/GetSceneGraph": (of_session, False),
@@ -200,6 +208,7 @@ REQUESTS = {
     "NavigationService/PlanCoverage": (of_map, False),
     "NavigationService/FindFrontiers": (of_map, False),
     "NavigationService/PlanFlight": (lambda s: of_map(s) | {"goal": {"x": 1.0}}, False),
+    "NavigationService/DrawPath": (lambda s: of_map(s) | {"goal": {"x": 0.5}}, False),
     "NavigationService/ValidatePath": (lambda s: of_map(s) | {"poses": [{"x_m": 0.5}]}, False),
     "NavigationService/WatchPath": (lambda s: of_map(s) | {"goal": {"x": 0.5}}, False),
     "NavigationService/PlanPath": (lambda s: of_map(s) | {"goal": {"x": 0.5}}, False),
@@ -287,6 +296,7 @@ REQUESTS = {
         True,
     ),
     "ToolboxPlanningService/PlanOnMap": (lambda s: {"start": {}, "goal": {"x": 0.5}}, False),
+    "ToolboxPlanningService/DrawPathOnMap": (lambda s: {"map": noise(), "start": {}, "goal": {"x": 0.5}}, False),
     "ToolboxPlanningService/ValidateOnMap": (lambda s: {"poses": [{"x_m": 0.5}]}, False),
     "ToolboxImagesService/ExtractFeatures": (
         lambda s: {"image": s.colour_image(), "max_features": 100_000, "fast_threshold": 5},

@@ -149,6 +149,7 @@ STARTS = {
     "voxels_view_png": b"\x89PNG",
     "heights_png": b"\x89PNG",
     "traversability_png": b"\x89PNG",
+    "layers_png": b"\x89PNG",
 }
 
 

@@ -95,6 +95,7 @@ EXPORT_MAP = Rpc(_M, "ExportMap", maps.ExportMapRequest, maps.ExportMapResponse)
 LIST_LOOPS = Rpc(_M, "ListLoops", maps.ListLoopsRequest, maps.ListLoopsResponse)
 IMPORT_MAP = Rpc(_M, "ImportMap", maps.ImportMapRequest, maps.ImportMapResponse)
 OPTIMISE_MAP = Rpc(_M, "OptimiseMap", maps.OptimiseMapRequest, maps.OptimiseMapResponse)
+COMPARE_MAPS = Rpc(_M, "CompareMaps", maps.CompareMapsRequest, maps.CompareMapsResponse, in_parts=True)
 SET_LOOP_VETO = Rpc(_M, "SetLoopVeto", maps.SetLoopVetoRequest, maps.SetLoopVetoResponse)
 
 _Y = "LayersService"
@@ -118,6 +119,7 @@ PLAN_COVERAGE = Rpc(_V, "PlanCoverage", navigation.PlanCoverageRequest, navigati
 FIND_FRONTIERS = Rpc(_V, "FindFrontiers", navigation.FindFrontiersRequest, navigation.FindFrontiersResponse)
 PLAN_FLIGHT = Rpc(_V, "PlanFlight", navigation.PlanFlightRequest, navigation.PlanFlightResponse)
 PLAN_PATH = Rpc(_V, "PlanPath", navigation.PlanPathRequest, navigation.PlanPathResponse)
+DRAW_PATH = Rpc(_V, "DrawPath", navigation.DrawPathRequest, navigation.DrawPathResponse, in_parts=True)
 VALIDATE_PATH = Rpc(_V, "ValidatePath", navigation.ValidatePathRequest, navigation.ValidatePathResponse)
 WATCH_PATH = Rpc(_V, "WatchPath", navigation.WatchPathRequest, navigation.WatchPathResponse)
 NAVIGATE = Rpc(_V, "Navigate", navigation.NavigateRequest, navigation.NavigateResponse, repeatable=False)
@@ -355,4 +357,7 @@ DELETE_OPERATION = Rpc(
 
 _L = "ToolboxPlanningService"
 PLAN_ON_MAP = Rpc(_L, "PlanOnMap", planning.PlanOnMapRequest, planning.PlanOnMapResponse)
+DRAW_PATH_ON_MAP = Rpc(
+    _L, "DrawPathOnMap", planning.DrawPathOnMapRequest, planning.DrawPathOnMapResponse, in_parts=True
+)
 VALIDATE_ON_MAP = Rpc(_L, "ValidateOnMap", planning.ValidateOnMapRequest, planning.ValidateOnMapResponse)

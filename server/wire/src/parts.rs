@@ -202,6 +202,9 @@ in_parts! {
     SolvePnpResponse { inliers }
     RenderCloudResponse { png }
     RenderDepthResponse { png }
+    DrawPathResponse { png }
+    DrawPathOnMapResponse { png }
+    CompareMapsResponse { png }
     ClusterShapes { clusters }
     EvaluateTrajectoryResponse { pairs }
     GetSceneGraphResponse { graph.nodes, graph.relations }

@@ -1,5 +1,6 @@
 //! Changes of sessions and sensors with their masks, as gRPC brings them: the first byte chooses which.
 #![no_main]
+use percept_service::Limits;
 use percept_wire::convert::updates;
 use percept_wire::v1::{UpdateSensorRequest, UpdateSessionRequest};
 use prost::Message;
@@ -22,7 +23,8 @@ fn named(mask: Option<&[String]>) -> Option<BTreeSet<&str>> {
 }
 
 fn session(request: &UpdateSessionRequest) {
-    let Ok(update) = updates::session(request) else { return };
+    let limits = Limits { max_planning_cells: 1 << 16, ..Limits::default() };
+    let Ok(update) = updates::session(request, &limits) else { return };
     let changes = &update.changes;
     let mut times: BTreeMap<&str, usize> = BTreeMap::new();
     for change in &changes.params {
@@ -34,6 +36,7 @@ fn session(request: &UpdateSessionRequest) {
     };
     assert_eq!(changes.display_name.is_some(), paths.contains("display_name"));
     assert_eq!(changes.labels.is_some(), paths.contains("labels"));
+    assert_eq!(changes.zone_masks.is_some(), paths.contains("zone_masks"));
     assert!(changes.mode.is_none() || paths.contains("mode"));
     // Once for itself and once for each section of it that is named, however often: what a request costs is bounded by
     // the contract.

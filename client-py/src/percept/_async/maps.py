@@ -8,14 +8,17 @@ import pathlib
 from collections.abc import AsyncIterator, Sequence
 
 from .._arrays import Array
+from .._convert import drawing
 from .._convert import map_import as convert_import
 from .._convert import maps as convert
 from .._convert.map_import import Importable
+from .._convert.toolbox.planning import Map
 from ..types.geometry import Pose
 from ..types.maps import (
     Loop,
     LoopVeto,
     MapCloud,
+    MapComparison,
     MapFile,
     MapFormat,
     MapImported,
@@ -87,6 +90,23 @@ class AsyncMaps(AsyncSessionBound):
         Corrections of millimetres wait for more while frames come in.
         """
         return await self._transport.call(convert.optimise(self.session_id))
+
+    async def compare(
+        self,
+        before: Map | None = None,
+        *,
+        before_session: str | None = None,
+        tolerance_m: float | None = None,
+    ) -> MapComparison:
+        """What appeared in the occupancy grid since an older map of the place, and what has gone: counted,
+        and as a picture.
+
+        before: a grid (`OccupancyGrid`, `GridMap`) or the yaml file of a nav2 map, in the map frame; or
+        before_session, the id of another session, whose map is read as it is now. tolerance_m: walls that are
+        off by this much have not changed, at most ten cells; one cell of the finer map if left out.
+        """
+        call = drawing.compare_maps(self.session_id, before, before_session, tolerance_m)
+        return await self._transport.call(call)
 
     async def import_map(
         self,

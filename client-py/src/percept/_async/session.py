@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
 
-from .._convert import exploration, layers, navigation, sensors, sessions
+from .._convert import drawing, exploration, layers, navigation, sensors, sessions
 from .._sender import FrameSender
 from ..types.exploration import (
     CoverageOptions,
@@ -15,7 +15,17 @@ from ..types.exploration import (
     NoFlight,
 )
 from ..types.frames import SensorFrame
-from ..types.navigation import Misfit, Navigation, NoPath, Path, PathOptions, Zone
+from ..types.navigation import (
+    Misfit,
+    Navigation,
+    NoPath,
+    Path,
+    PathColouring,
+    PathOptions,
+    PathPicture,
+    Zone,
+    ZoneMask,
+)
 from ..types.poses import FrameResult, PoseAt, PoseEstimate, Transform
 from ..types.sensors import SensorSpec
 from ..types.sessions import FleetEventKind, Keyframe, SessionInfo, SessionMode, SessionState, Trajectory
@@ -74,14 +84,15 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         labels: Mapping[str, str] | None = None,
         params: Mapping[str, object] | None = None,
         zones: Sequence[Zone] | None = None,
+        zone_masks: Sequence[ZoneMask] | None = None,
         etag: str = "",
     ) -> SessionInfo:
-        """Changes what is given, in force and durable when it returns: all labels, all zones (which every
-        path through the session's map keeps to from then on), and of the parameters
+        """Changes what is given, in force and durable when it returns: all labels, all zones and all
+        zone masks (which every path through the session's map keeps to from then on), and of the parameters
         those that are named, nested as default_params(); None puts one back to its default. What is fixed
         with the creation is refused (FIELD_IMMUTABLE). With an `etag` (of `info()`), raises Aborted if the
         session was changed since."""
-        call = sessions.update(self.session_id, display_name, labels, params, zones, etag)
+        call = sessions.update(self.session_id, display_name, labels, params, zones, zone_masks, etag)
         return await self._transport.call(call)
 
     async def delete(self) -> None:
@@ -165,6 +176,23 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         """A path to (x, y) in metres of the map, from where the robot is or from `start`. Options say by
         which planner, with which footprint and headings, around which zones."""
         return await self._transport.call(navigation.plan(self.session_id, goal, start, params, options))
+
+    async def draw_path(
+        self,
+        goal: Sequence[float] | None = None,
+        *,
+        path: Path | object | None = None,
+        start: Sequence[float] | None = None,
+        colouring: PathColouring | str = PathColouring.CLEARANCE,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> PathPicture:
+        """plan() as a picture: the map with the path coloured along it, footprints, zones, legend and scale
+        bar, or with why there is none and the first cell that blocks the way. With `path` (or (N, 3) poses:
+        x m, y m, yaw rad, map frame) that is drawn as it is, with the first place of it that the robot cannot
+        drive."""
+        call = drawing.draw_path(self.session_id, goal, path, start, colouring, params, options)
+        return await self._transport.call(call)
 
     def watch_path(
         self,

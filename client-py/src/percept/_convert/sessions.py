@@ -10,7 +10,7 @@ import numpy as np
 from .. import _rpc
 from .._call import Call, ChunkedCall, PagedCall
 from ..errors import InvalidArgument
-from ..types.navigation import Zone
+from ..types.navigation import Zone, ZoneMask
 from ..types.poses import PoseAt, PoseEstimate, Scale, TrackingState, Transform
 from ..types.sensors import SensorSpec
 from ..types.sessions import (
@@ -33,7 +33,7 @@ from ..types.sessions import (
 )
 from ..v1 import error_pb2, params_pb2, session_pb2
 from ..v1 import sessions_service_pb2 as service
-from . import geometry, maps, navigation, poses, scene, sensors, words
+from . import geometry, maps, navigation, poses, scene, sensors, words, zones
 
 
 def session_info(message: session_pb2.Session) -> SessionInfo:
@@ -58,6 +58,7 @@ def session_info(message: session_pb2.Session) -> SessionInfo:
         labels=dict(message.labels),
         etag=message.etag,
         zones=tuple(navigation.zone(z) for z in message.zones),
+        zone_masks=tuple(zones.mask(m) for m in message.zone_masks),
     )
 
 
@@ -176,7 +177,8 @@ def update(
     display_name: str | None,
     labels: Mapping[str, str] | None,
     params: Mapping[str, object] | None,
-    zones: Sequence[Zone] | None,
+    areas: Sequence[Zone] | None,
+    masks: Sequence[ZoneMask] | None,
     etag: str,
 ) -> Call[service.UpdateSessionRequest, service.UpdateSessionResponse, SessionInfo]:
     request = service.UpdateSessionRequest(etag=etag)
@@ -188,15 +190,18 @@ def update(
     if labels is not None:
         changed.labels.update(labels)
         paths.append("labels")
-    if zones is not None:
-        changed.zones.extend(navigation.zone_to(z) for z in zones)
+    if areas is not None:
+        changed.zones.extend(navigation.zone_to(z) for z in areas)
         paths.append("zones")
+    if masks is not None:
+        changed.zone_masks.extend(zones.mask_to(m) for m in masks)
+        paths.append("zone_masks")
     if params is not None:
         given, named = words.set_leaves(params)
         changed.params.CopyFrom(words.message_of("params", params_pb2.PipelineParams, given))
         paths.extend(f"params.{path}" for path in named)
     if not paths:
-        message = "nothing is to change; give display_name, labels, zones or params"
+        message = "nothing is to change; give display_name, labels, zones, zone_masks or params"
         raise InvalidArgument(message, reason="FIELD_MISSING", field="update_mask")
     return Call(_rpc.UPDATE_SESSION, request, lambda a: session_info(a.session))
 

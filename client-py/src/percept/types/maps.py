@@ -210,6 +210,8 @@ class MapFormat(Name):
     HEIGHTS_PNG = "heights_png"
     #: Picture of where a robot can drive.
     TRAVERSABILITY_PNG = "traversability_png"
+    #: Picture of all layers that the session has, side by side.
+    LAYERS_PNG = "layers_png"
     TRAJECTORY_TUM = "trajectory_tum"
     OVERVIEW_PNG = "overview_png"
     CLOUD_TOP_PNG = "cloud_top_png"
@@ -227,3 +229,24 @@ class MapFile(Value):
     stamp: MapStamp
     #: Where it was written, if asked for.
     path: Path | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MapComparison(Value):
+    """What appeared in a map since an older one, and what has gone; shows itself in a notebook."""
+
+    #: The picture: green has appeared, red has gone, sky blue was unknown before and is occupied.
+    png: bytes
+    #: Cells that were free and are occupied.
+    num_appeared: int
+    #: Cells that were occupied and are free.
+    num_gone: int
+    #: Cells that were unknown and are occupied: they may have been all the time.
+    num_newly_seen: int
+    #: Area of such a cell, of the finer map, m^2.
+    cell_area_m2: float
+    #: State of the newer map.
+    stamp: MapStamp
+
+    def _repr_png_(self) -> bytes:
+        return self.png

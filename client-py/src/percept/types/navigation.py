@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import numpy.typing as npt
 
 from ._value import Name, Value
 from .geometry import Floats
-from .maps import MapStamp
+from .maps import GridGeometry, MapStamp, OccupancyGrid
 from .poses import FrameResult, PoseEstimate
 from .scene import Object
 
@@ -50,6 +51,44 @@ class Zone(Value):
     speed_share: float | None = None
     #: For people, of zones that are stored with a session.
     name: str = ""
+
+
+class SpeedUnit(Name):
+    """How a limit of speed is given."""
+
+    #: PERCENT.
+    UNSPECIFIED = "unspecified"
+    #: Of the max_speed_mps of the path's options.
+    PERCENT = "percent"
+    METRES_PER_SECOND = "metres_per_second"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SpeedMask(Value):
+    """What the values of a mask of speeds mean, as nav2's CostmapFilterInfo has it: the limit is
+    base + multiplier * value. The value 0, unknown, what comes to 0 or less, and to 100 percent or more: no
+    limit."""
+
+    #: In the unit.
+    base: float = 0.0
+    #: In the unit, for each step of the value.
+    multiplier: float = 1.0
+    unit: SpeedUnit | str = SpeedUnit.PERCENT
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ZoneMask(Value):
+    """Zones of a session cell by cell: the mask of a nav2 costmap filter."""
+
+    #: By which it is known: 1 to 64 characters, no two of a session alike.
+    name: str
+    #: Cells, or the yaml file of a nav2 map; of speeds one whose mode is scale or raw. None: those that are
+    #: stored under the name stay; the server does not tell them.
+    cells: GridMap | OccupancyGrid | str | os.PathLike[str] | None = None
+    #: None: no part of the robot may enter occupied cells; without cells: what is stored under the name.
+    speed: SpeedMask | None = None
+    #: Where its cells lie, as the server tells it.
+    geometry: GridGeometry | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -226,6 +265,36 @@ class Misfit(Value):
     reason: MisfitReason
     #: Of "blocked".
     blocking: Blocking | None
+
+
+class PathColouring(Name):
+    """What the colours along a path that is drawn mean."""
+
+    #: CLEARANCE.
+    UNSPECIFIED = "unspecified"
+    #: From the base to the nearest obstacle, metres.
+    CLEARANCE = "clearance"
+    #: What a metre costs there in metres of free way: 1, or more near obstacles and in speed zones.
+    COST = "cost"
+    #: How fast the robot is there, metres a second.
+    SPEED = "speed"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PathPicture(Value):
+    """A path as a picture for people; shows itself in a notebook."""
+
+    #: The file.
+    png: bytes
+    #: What is drawn; None: a path that was given.
+    outcome: Path | NoPath | None
+    #: Of a path that was given: its first place that cannot be driven.
+    misfit: Misfit | None
+    #: State of the map that is drawn; None: a map that came with the question.
+    stamp: MapStamp | None
+
+    def _repr_png_(self) -> bytes:
+        return self.png
 
 
 class PathChange(Name):

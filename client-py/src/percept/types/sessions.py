@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ._value import Name, Value
 from .geometry import Floats, Pose, rotation_matrices
 from .maps import Loop
-from .navigation import Zone
+from .navigation import Zone, ZoneMask
 from .poses import PoseEstimate, Scale, TrackingState
 from .scene import ObjectChange
 from .sensors import SensorStatus
@@ -82,6 +82,8 @@ class SessionInfo(Value):
     etag: str
     #: Areas that every path through its map keeps to; empty in lists.
     zones: tuple[Zone, ...]
+    #: The same cell by cell, without the cells; empty in lists.
+    zone_masks: tuple[ZoneMask, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

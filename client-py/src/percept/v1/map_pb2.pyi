@@ -99,6 +99,8 @@ class _MapFormatEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_MapFormat.V
     """Picture of the ground's heights, with contour lines."""
     MAP_FORMAT_TRAVERSABILITY_PNG: _MapFormat.ValueType  # 22
     """Picture of where a robot can drive."""
+    MAP_FORMAT_LAYERS_PNG: _MapFormat.ValueType  # 23
+    """Picture of all layers that the session has, side by side: overview, heights, traversability, voxels, surface, cloud."""
 
 class MapFormat(_MapFormat, metaclass=_MapFormatEnumTypeWrapper):
     """Files that a map can be read as."""
@@ -148,6 +150,8 @@ MAP_FORMAT_HEIGHTS_PNG: MapFormat.ValueType  # 21
 """Picture of the ground's heights, with contour lines."""
 MAP_FORMAT_TRAVERSABILITY_PNG: MapFormat.ValueType  # 22
 """Picture of where a robot can drive."""
+MAP_FORMAT_LAYERS_PNG: MapFormat.ValueType  # 23
+"""Picture of all layers that the session has, side by side: overview, heights, traversability, voxels, surface, cloud."""
 Global___MapFormat: _TypeAlias = MapFormat  # noqa: Y015
 
 @_typing.final

@@ -19,47 +19,51 @@ from percept.v1 import toolbox_pb2 as percept_dot_v1_dot_toolbox__pb2
 from percept.v1 import toolbox_planning_service_pb2 as percept_dot_v1_dot_toolbox__planning__service__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dpercept/v1/maps_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/toolbox.proto\x1a)percept/v1/toolbox_planning_service.proto\"\xa6\x02\n\x10ImportMapRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12#\n\x04grid\x18\x02 \x01(\x0b\x32\x13.percept.v1.GridMapH\x00\x12#\n\x04nav2\x18\x03 \x01(\x0b\x32\x13.percept.v1.Nav2MapH\x00\x12\x11\n\x07octomap\x18\x04 \x01(\x0cH\x00\x12(\n\x05\x63loud\x18\x05 \x01(\x0b\x32\x17.percept.v1.CloudSourceH\x00\x12$\n\x05start\x18\x06 \x01(\x0b\x32\x10.percept.v1.PoseH\x01\x88\x01\x01\x12\x17\n\x0fsensor_height_m\x18\x07 \x01(\x01\x12\x14\n\x0cvoxel_size_m\x18\x08 \x01(\x01\x42\x05\n\x03mapB\x08\n\x06_start\"\x95\x01\n\x11ImportMapResponse\x12\x15\n\rnum_keyframes\x18\x01 \x01(\x04\x12\x16\n\x0eoccupied_share\x18\x02 \x01(\x01\x12\x12\n\nfree_share\x18\x03 \x01(\x01\x12\x13\n\x0bmap_version\x18\x04 \x01(\x04\x12(\n\x08\x66ound_by\x18\x05 \x01(\x0e\x32\x16.percept.v1.SensorKind\";\n\x12OptimiseMapRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\"G\n\x13OptimiseMapResponse\x12\x1b\n\x13num_keyframes_moved\x18\x01 \x01(\x04\x12\x13\n\x0bmap_version\x18\x02 \x01(\x04\"`\n\x10ListLoopsRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\"b\n\x11ListLoopsResponse\x12\x1f\n\x05loops\x18\x01 \x03(\x0b\x32\x10.percept.v1.Loop\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x13\n\x0bmap_version\x18\x03 \x01(\x04\"\\\n\x12SetLoopVetoRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\x0f\n\x07loop_id\x18\x02 \x01(\x04\x12\x0e\n\x06vetoed\x18\x03 \x01(\x08\"g\n\x13SetLoopVetoResponse\x12\x1e\n\x04loop\x18\x01 \x01(\x0b\x32\x10.percept.v1.Loop\x12\x1b\n\x13num_keyframes_moved\x18\x02 \x01(\x04\x12\x13\n\x0bmap_version\x18\x03 \x01(\x04\"=\n\x14GetMapSummaryRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\"\xfd\x01\n\x15GetMapSummaryResponse\x12#\n\x05stamp\x18\x01 \x01(\x0b\x32\x14.percept.v1.MapStamp\x12\x30\n\toccupancy\x18\x02 \x01(\x0b\x32\x18.percept.v1.GridGeometryH\x00\x88\x01\x01\x12\x12\n\nnum_points\x18\x03 \x01(\x04\x12\x14\n\x0cvoxel_size_m\x18\x04 \x01(\x01\x12\x15\n\rnum_keyframes\x18\x05 \x01(\x04\x12%\n\x06memory\x18\x06 \x01(\x0b\x32\x15.percept.v1.MapMemory\x12\x17\n\x0fmissing_submaps\x18\x07 \x03(\tB\x0c\n\n_occupancy\"\x92\x01\n\tMapMemory\x12\x13\n\x0bscans_bytes\x18\x01 \x01(\x04\x12\x15\n\rsubmaps_bytes\x18\x02 \x01(\x04\x12\x16\n\x0e\x63omposed_bytes\x18\x03 \x01(\x04\x12\x14\n\x0cplaces_bytes\x18\x04 \x01(\x04\x12\x13\n\x0bgraph_bytes\x18\x05 \x01(\x04\x12\x16\n\x0eodometry_bytes\x18\x06 \x01(\x04\"\xaf\x01\n\x17GetOccupancyGridRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12(\n\x06region\x18\x02 \x01(\x0b\x32\x13.percept.v1.Region2H\x00\x88\x01\x01\x12\x19\n\x0cresolution_m\x18\x03 \x01(\x01H\x01\x88\x01\x01\x12\x0c\n\x04live\x18\x04 \x01(\x08\x42\t\n\x07_regionB\x0f\n\r_resolution_m\"I\n\x18GetOccupancyGridResponse\x12-\n\x05\x63hunk\x18\x01 \x01(\x0b\x32\x1e.percept.v1.OccupancyGridChunk\"\x91\x01\n\x0fGetCloudRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12(\n\x06\x63\x65ntre\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3H\x00\x88\x01\x01\x12\x15\n\x08radius_m\x18\x03 \x01(\x01H\x01\x88\x01\x01\x42\t\n\x07_centreB\x0b\n\t_radius_m\"9\n\x10GetCloudResponse\x12%\n\x05\x63hunk\x18\x01 \x01(\x0b\x32\x16.percept.v1.CloudChunk\"`\n\x10\x45xportMapRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12%\n\x06\x66ormat\x18\x02 \x01(\x0e\x32\x15.percept.v1.MapFormat\"9\n\x11\x45xportMapResponse\x12$\n\x05\x63hunk\x18\x01 \x01(\x0b\x32\x15.percept.v1.FileChunk2\x8d\x05\n\x0bMapsService\x12T\n\rGetMapSummary\x12 .percept.v1.GetMapSummaryRequest\x1a!.percept.v1.GetMapSummaryResponse\x12_\n\x10GetOccupancyGrid\x12#.percept.v1.GetOccupancyGridRequest\x1a$.percept.v1.GetOccupancyGridResponse0\x01\x12G\n\x08GetCloud\x12\x1b.percept.v1.GetCloudRequest\x1a\x1c.percept.v1.GetCloudResponse0\x01\x12J\n\tExportMap\x12\x1c.percept.v1.ExportMapRequest\x1a\x1d.percept.v1.ExportMapResponse0\x01\x12H\n\tListLoops\x12\x1c.percept.v1.ListLoopsRequest\x1a\x1d.percept.v1.ListLoopsResponse\x12N\n\x0bSetLoopVeto\x12\x1e.percept.v1.SetLoopVetoRequest\x1a\x1f.percept.v1.SetLoopVetoResponse\x12N\n\x0bOptimiseMap\x12\x1e.percept.v1.OptimiseMapRequest\x1a\x1f.percept.v1.OptimiseMapResponse\x12H\n\tImportMap\x12\x1c.percept.v1.ImportMapRequest\x1a\x1d.percept.v1.ImportMapResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1dpercept/v1/maps_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x14percept/v1/map.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/toolbox.proto\x1a)percept/v1/toolbox_planning_service.proto\"\xcf\x01\n\x12\x43ompareMapsRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12#\n\x04nav2\x18\x02 \x01(\x0b\x32\x13.percept.v1.Nav2MapH\x00\x12#\n\x04grid\x18\x03 \x01(\x0b\x32\x13.percept.v1.GridMapH\x00\x12\x14\n\nsession_id\x18\x04 \x01(\tH\x00\x12\x18\n\x0btolerance_m\x18\x05 \x01(\x01H\x01\x88\x01\x01\x42\x08\n\x06\x62\x65\x66oreB\x0e\n\x0c_tolerance_m\"\x9d\x01\n\x13\x43ompareMapsResponse\x12\x0b\n\x03png\x18\x01 \x01(\x0c\x12\x14\n\x0cnum_appeared\x18\x02 \x01(\x04\x12\x10\n\x08num_gone\x18\x03 \x01(\x04\x12\x16\n\x0enum_newly_seen\x18\x04 \x01(\x04\x12\x14\n\x0c\x63\x65ll_area_m2\x18\x05 \x01(\x01\x12#\n\x05stamp\x18\x06 \x01(\x0b\x32\x14.percept.v1.MapStamp\"\xa6\x02\n\x10ImportMapRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12#\n\x04grid\x18\x02 \x01(\x0b\x32\x13.percept.v1.GridMapH\x00\x12#\n\x04nav2\x18\x03 \x01(\x0b\x32\x13.percept.v1.Nav2MapH\x00\x12\x11\n\x07octomap\x18\x04 \x01(\x0cH\x00\x12(\n\x05\x63loud\x18\x05 \x01(\x0b\x32\x17.percept.v1.CloudSourceH\x00\x12$\n\x05start\x18\x06 \x01(\x0b\x32\x10.percept.v1.PoseH\x01\x88\x01\x01\x12\x17\n\x0fsensor_height_m\x18\x07 \x01(\x01\x12\x14\n\x0cvoxel_size_m\x18\x08 \x01(\x01\x42\x05\n\x03mapB\x08\n\x06_start\"\x95\x01\n\x11ImportMapResponse\x12\x15\n\rnum_keyframes\x18\x01 \x01(\x04\x12\x16\n\x0eoccupied_share\x18\x02 \x01(\x01\x12\x12\n\nfree_share\x18\x03 \x01(\x01\x12\x13\n\x0bmap_version\x18\x04 \x01(\x04\x12(\n\x08\x66ound_by\x18\x05 \x01(\x0e\x32\x16.percept.v1.SensorKind\";\n\x12OptimiseMapRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\"G\n\x13OptimiseMapResponse\x12\x1b\n\x13num_keyframes_moved\x18\x01 \x01(\x04\x12\x13\n\x0bmap_version\x18\x02 \x01(\x04\"`\n\x10ListLoopsRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\"b\n\x11ListLoopsResponse\x12\x1f\n\x05loops\x18\x01 \x03(\x0b\x32\x10.percept.v1.Loop\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x13\n\x0bmap_version\x18\x03 \x01(\x04\"\\\n\x12SetLoopVetoRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12\x0f\n\x07loop_id\x18\x02 \x01(\x04\x12\x0e\n\x06vetoed\x18\x03 \x01(\x08\"g\n\x13SetLoopVetoResponse\x12\x1e\n\x04loop\x18\x01 \x01(\x0b\x32\x10.percept.v1.Loop\x12\x1b\n\x13num_keyframes_moved\x18\x02 \x01(\x04\x12\x13\n\x0bmap_version\x18\x03 \x01(\x04\"=\n\x14GetMapSummaryRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\"\xfd\x01\n\x15GetMapSummaryResponse\x12#\n\x05stamp\x18\x01 \x01(\x0b\x32\x14.percept.v1.MapStamp\x12\x30\n\toccupancy\x18\x02 \x01(\x0b\x32\x18.percept.v1.GridGeometryH\x00\x88\x01\x01\x12\x12\n\nnum_points\x18\x03 \x01(\x04\x12\x14\n\x0cvoxel_size_m\x18\x04 \x01(\x01\x12\x15\n\rnum_keyframes\x18\x05 \x01(\x04\x12%\n\x06memory\x18\x06 \x01(\x0b\x32\x15.percept.v1.MapMemory\x12\x17\n\x0fmissing_submaps\x18\x07 \x03(\tB\x0c\n\n_occupancy\"\x92\x01\n\tMapMemory\x12\x13\n\x0bscans_bytes\x18\x01 \x01(\x04\x12\x15\n\rsubmaps_bytes\x18\x02 \x01(\x04\x12\x16\n\x0e\x63omposed_bytes\x18\x03 \x01(\x04\x12\x14\n\x0cplaces_bytes\x18\x04 \x01(\x04\x12\x13\n\x0bgraph_bytes\x18\x05 \x01(\x04\x12\x16\n\x0eodometry_bytes\x18\x06 \x01(\x04\"\xa1\x01\n\x17GetOccupancyGridRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12(\n\x06region\x18\x02 \x01(\x0b\x32\x13.percept.v1.Region2H\x00\x88\x01\x01\x12\x19\n\x0cresolution_m\x18\x03 \x01(\x01H\x01\x88\x01\x01\x42\t\n\x07_regionB\x0f\n\r_resolution_m\"I\n\x18GetOccupancyGridResponse\x12-\n\x05\x63hunk\x18\x01 \x01(\x0b\x32\x1e.percept.v1.OccupancyGridChunk\"\x91\x01\n\x0fGetCloudRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12(\n\x06\x63\x65ntre\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3H\x00\x88\x01\x01\x12\x15\n\x08radius_m\x18\x03 \x01(\x01H\x01\x88\x01\x01\x42\t\n\x07_centreB\x0b\n\t_radius_m\"9\n\x10GetCloudResponse\x12%\n\x05\x63hunk\x18\x01 \x01(\x0b\x32\x16.percept.v1.CloudChunk\"`\n\x10\x45xportMapRequest\x12%\n\x06source\x18\x01 \x01(\x0b\x32\x15.percept.v1.MapSource\x12%\n\x06\x66ormat\x18\x02 \x01(\x0e\x32\x15.percept.v1.MapFormat\"9\n\x11\x45xportMapResponse\x12$\n\x05\x63hunk\x18\x01 \x01(\x0b\x32\x15.percept.v1.FileChunk2\xdf\x05\n\x0bMapsService\x12T\n\rGetMapSummary\x12 .percept.v1.GetMapSummaryRequest\x1a!.percept.v1.GetMapSummaryResponse\x12_\n\x10GetOccupancyGrid\x12#.percept.v1.GetOccupancyGridRequest\x1a$.percept.v1.GetOccupancyGridResponse0\x01\x12G\n\x08GetCloud\x12\x1b.percept.v1.GetCloudRequest\x1a\x1c.percept.v1.GetCloudResponse0\x01\x12J\n\tExportMap\x12\x1c.percept.v1.ExportMapRequest\x1a\x1d.percept.v1.ExportMapResponse0\x01\x12H\n\tListLoops\x12\x1c.percept.v1.ListLoopsRequest\x1a\x1d.percept.v1.ListLoopsResponse\x12N\n\x0bSetLoopVeto\x12\x1e.percept.v1.SetLoopVetoRequest\x1a\x1f.percept.v1.SetLoopVetoResponse\x12N\n\x0bOptimiseMap\x12\x1e.percept.v1.OptimiseMapRequest\x1a\x1f.percept.v1.OptimiseMapResponse\x12H\n\tImportMap\x12\x1c.percept.v1.ImportMapRequest\x1a\x1d.percept.v1.ImportMapResponse\x12P\n\x0b\x43ompareMaps\x12\x1e.percept.v1.CompareMapsRequest\x1a\x1f.percept.v1.CompareMapsResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.maps_service_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_IMPORTMAPREQUEST']._serialized_start=189
-  _globals['_IMPORTMAPREQUEST']._serialized_end=483
-  _globals['_IMPORTMAPRESPONSE']._serialized_start=486
-  _globals['_IMPORTMAPRESPONSE']._serialized_end=635
-  _globals['_OPTIMISEMAPREQUEST']._serialized_start=637
-  _globals['_OPTIMISEMAPREQUEST']._serialized_end=696
-  _globals['_OPTIMISEMAPRESPONSE']._serialized_start=698
-  _globals['_OPTIMISEMAPRESPONSE']._serialized_end=769
-  _globals['_LISTLOOPSREQUEST']._serialized_start=771
-  _globals['_LISTLOOPSREQUEST']._serialized_end=867
-  _globals['_LISTLOOPSRESPONSE']._serialized_start=869
-  _globals['_LISTLOOPSRESPONSE']._serialized_end=967
-  _globals['_SETLOOPVETOREQUEST']._serialized_start=969
-  _globals['_SETLOOPVETOREQUEST']._serialized_end=1061
-  _globals['_SETLOOPVETORESPONSE']._serialized_start=1063
-  _globals['_SETLOOPVETORESPONSE']._serialized_end=1166
-  _globals['_GETMAPSUMMARYREQUEST']._serialized_start=1168
-  _globals['_GETMAPSUMMARYREQUEST']._serialized_end=1229
-  _globals['_GETMAPSUMMARYRESPONSE']._serialized_start=1232
-  _globals['_GETMAPSUMMARYRESPONSE']._serialized_end=1485
-  _globals['_MAPMEMORY']._serialized_start=1488
-  _globals['_MAPMEMORY']._serialized_end=1634
-  _globals['_GETOCCUPANCYGRIDREQUEST']._serialized_start=1637
-  _globals['_GETOCCUPANCYGRIDREQUEST']._serialized_end=1812
-  _globals['_GETOCCUPANCYGRIDRESPONSE']._serialized_start=1814
-  _globals['_GETOCCUPANCYGRIDRESPONSE']._serialized_end=1887
-  _globals['_GETCLOUDREQUEST']._serialized_start=1890
-  _globals['_GETCLOUDREQUEST']._serialized_end=2035
-  _globals['_GETCLOUDRESPONSE']._serialized_start=2037
-  _globals['_GETCLOUDRESPONSE']._serialized_end=2094
-  _globals['_EXPORTMAPREQUEST']._serialized_start=2096
-  _globals['_EXPORTMAPREQUEST']._serialized_end=2192
-  _globals['_EXPORTMAPRESPONSE']._serialized_start=2194
-  _globals['_EXPORTMAPRESPONSE']._serialized_end=2251
-  _globals['_MAPSSERVICE']._serialized_start=2254
-  _globals['_MAPSSERVICE']._serialized_end=2907
+  _globals['_COMPAREMAPSREQUEST']._serialized_start=189
+  _globals['_COMPAREMAPSREQUEST']._serialized_end=396
+  _globals['_COMPAREMAPSRESPONSE']._serialized_start=399
+  _globals['_COMPAREMAPSRESPONSE']._serialized_end=556
+  _globals['_IMPORTMAPREQUEST']._serialized_start=559
+  _globals['_IMPORTMAPREQUEST']._serialized_end=853
+  _globals['_IMPORTMAPRESPONSE']._serialized_start=856
+  _globals['_IMPORTMAPRESPONSE']._serialized_end=1005
+  _globals['_OPTIMISEMAPREQUEST']._serialized_start=1007
+  _globals['_OPTIMISEMAPREQUEST']._serialized_end=1066
+  _globals['_OPTIMISEMAPRESPONSE']._serialized_start=1068
+  _globals['_OPTIMISEMAPRESPONSE']._serialized_end=1139
+  _globals['_LISTLOOPSREQUEST']._serialized_start=1141
+  _globals['_LISTLOOPSREQUEST']._serialized_end=1237
+  _globals['_LISTLOOPSRESPONSE']._serialized_start=1239
+  _globals['_LISTLOOPSRESPONSE']._serialized_end=1337
+  _globals['_SETLOOPVETOREQUEST']._serialized_start=1339
+  _globals['_SETLOOPVETOREQUEST']._serialized_end=1431
+  _globals['_SETLOOPVETORESPONSE']._serialized_start=1433
+  _globals['_SETLOOPVETORESPONSE']._serialized_end=1536
+  _globals['_GETMAPSUMMARYREQUEST']._serialized_start=1538
+  _globals['_GETMAPSUMMARYREQUEST']._serialized_end=1599
+  _globals['_GETMAPSUMMARYRESPONSE']._serialized_start=1602
+  _globals['_GETMAPSUMMARYRESPONSE']._serialized_end=1855
+  _globals['_MAPMEMORY']._serialized_start=1858
+  _globals['_MAPMEMORY']._serialized_end=2004
+  _globals['_GETOCCUPANCYGRIDREQUEST']._serialized_start=2007
+  _globals['_GETOCCUPANCYGRIDREQUEST']._serialized_end=2168
+  _globals['_GETOCCUPANCYGRIDRESPONSE']._serialized_start=2170
+  _globals['_GETOCCUPANCYGRIDRESPONSE']._serialized_end=2243
+  _globals['_GETCLOUDREQUEST']._serialized_start=2246
+  _globals['_GETCLOUDREQUEST']._serialized_end=2391
+  _globals['_GETCLOUDRESPONSE']._serialized_start=2393
+  _globals['_GETCLOUDRESPONSE']._serialized_end=2450
+  _globals['_EXPORTMAPREQUEST']._serialized_start=2452
+  _globals['_EXPORTMAPREQUEST']._serialized_end=2548
+  _globals['_EXPORTMAPRESPONSE']._serialized_start=2550
+  _globals['_EXPORTMAPRESPONSE']._serialized_end=2607
+  _globals['_MAPSSERVICE']._serialized_start=2610
+  _globals['_MAPSSERVICE']._serialized_end=3345
 # @@protoc_insertion_point(module_scope)

@@ -24,6 +24,93 @@ else:
 DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
+class CompareMapsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    NAV2_FIELD_NUMBER: _builtins.int
+    GRID_FIELD_NUMBER: _builtins.int
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    TOLERANCE_M_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    """The map of another session, as it is now; needs read access to it."""
+    tolerance_m: _builtins.float
+    """Walls that are off by this much have not changed, metres; at most ten cells of the finer grid. Absent: one cell of it."""
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def nav2(self) -> _toolbox_planning_service_pb2.Nav2Map:
+        """As ExportMap's NAV2_PGM and NAV2_YAML have it."""
+
+    @_builtins.property
+    def grid(self) -> _toolbox_planning_service_pb2.GridMap: ...
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        nav2: _toolbox_planning_service_pb2.Nav2Map | None = ...,
+        grid: _toolbox_planning_service_pb2.GridMap | None = ...,
+        session_id: _builtins.str = ...,
+        tolerance_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_tolerance_m", b"_tolerance_m", "before", b"before", "grid", b"grid", "nav2", b"nav2", "session_id", b"session_id", "source", b"source", "tolerance_m", b"tolerance_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_tolerance_m", b"_tolerance_m", "before", b"before", "grid", b"grid", "nav2", b"nav2", "session_id", b"session_id", "source", b"source", "tolerance_m", b"tolerance_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__tolerance_m: _TypeAlias = _typing.Literal["tolerance_m"]  # noqa: Y015
+    _WhichOneofArgType__tolerance_m: _TypeAlias = _typing.Literal["_tolerance_m", b"_tolerance_m"]  # noqa: Y015
+    _WhichOneofReturnType_before: _TypeAlias = _typing.Literal["nav2", "grid", "session_id"]  # noqa: Y015
+    _WhichOneofArgType_before: _TypeAlias = _typing.Literal["before", b"before"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__tolerance_m) -> _WhichOneofReturnType__tolerance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_before) -> _WhichOneofReturnType_before | None: ...
+
+Global___CompareMapsRequest: _TypeAlias = CompareMapsRequest  # noqa: Y015
+
+@_typing.final
+class CompareMapsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PNG_FIELD_NUMBER: _builtins.int
+    NUM_APPEARED_FIELD_NUMBER: _builtins.int
+    NUM_GONE_FIELD_NUMBER: _builtins.int
+    NUM_NEWLY_SEEN_FIELD_NUMBER: _builtins.int
+    CELL_AREA_M2_FIELD_NUMBER: _builtins.int
+    STAMP_FIELD_NUMBER: _builtins.int
+    png: _builtins.bytes
+    """PNG: green has appeared, red has gone, sky blue was unknown before and is occupied."""
+    num_appeared: _builtins.int
+    """Cells that were free and are occupied. First part only, as all below."""
+    num_gone: _builtins.int
+    """Cells that were occupied and are free."""
+    num_newly_seen: _builtins.int
+    """Cells that were unknown and are occupied: they may have been all the time."""
+    cell_area_m2: _builtins.float
+    """Area of such a cell, of the finer grid, m^2."""
+    @_builtins.property
+    def stamp(self) -> _map_pb2.MapStamp:
+        """State of the newer map."""
+
+    def __init__(
+        self,
+        *,
+        png: _builtins.bytes = ...,
+        num_appeared: _builtins.int = ...,
+        num_gone: _builtins.int = ...,
+        num_newly_seen: _builtins.int = ...,
+        cell_area_m2: _builtins.float = ...,
+        stamp: _map_pb2.MapStamp | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["stamp", b"stamp"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cell_area_m2", b"cell_area_m2", "num_appeared", b"num_appeared", "num_gone", b"num_gone", "num_newly_seen", b"num_newly_seen", "png", b"png", "stamp", b"stamp"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___CompareMapsResponse: _TypeAlias = CompareMapsResponse  # noqa: Y015
+
+@_typing.final
 class ImportMapRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 

@@ -340,6 +340,113 @@ class PlanPathRequest(_message.Message):
 Global___PlanPathRequest: _TypeAlias = PlanPathRequest  # noqa: Y015
 
 @_typing.final
+class DrawPathRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SOURCE_FIELD_NUMBER: _builtins.int
+    START_FIELD_NUMBER: _builtins.int
+    GOAL_FIELD_NUMBER: _builtins.int
+    PARAMS_FIELD_NUMBER: _builtins.int
+    OPTIONS_FIELD_NUMBER: _builtins.int
+    POSES_FIELD_NUMBER: _builtins.int
+    COLOURING_FIELD_NUMBER: _builtins.int
+    colouring: _path_pb2.PathColouring.ValueType
+    @_builtins.property
+    def source(self) -> _map_pb2.MapSource: ...
+    @_builtins.property
+    def start(self) -> _geometry_pb2.Vector2:
+        """Metres, map frame. Absent: where the robot is."""
+
+    @_builtins.property
+    def goal(self) -> _geometry_pb2.Vector2:
+        """Metres, map frame. Needed unless there are poses."""
+
+    @_builtins.property
+    def params(self) -> _params_pb2.PlanningParams:
+        """What is set replaces the session's."""
+
+    @_builtins.property
+    def options(self) -> _path_pb2.PathOptions: ...
+    @_builtins.property
+    def poses(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Pose2]:
+        """A path that is drawn as it is, map frame; at most 100000. Start and goal are not looked at then. Empty: it is planned."""
+
+    def __init__(
+        self,
+        *,
+        source: _map_pb2.MapSource | None = ...,
+        start: _geometry_pb2.Vector2 | None = ...,
+        goal: _geometry_pb2.Vector2 | None = ...,
+        params: _params_pb2.PlanningParams | None = ...,
+        options: _path_pb2.PathOptions | None = ...,
+        poses: _abc.Iterable[_geometry_pb2.Pose2] | None = ...,
+        colouring: _path_pb2.PathColouring.ValueType = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_goal", b"_goal", "_start", b"_start", "goal", b"goal", "options", b"options", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal", b"_goal", "_start", b"_start", "colouring", b"colouring", "goal", b"goal", "options", b"options", "params", b"params", "poses", b"poses", "source", b"source", "start", b"start"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__goal: _TypeAlias = _typing.Literal["goal"]  # noqa: Y015
+    _WhichOneofArgType__goal: _TypeAlias = _typing.Literal["_goal", b"_goal"]  # noqa: Y015
+    _WhichOneofReturnType__start: _TypeAlias = _typing.Literal["start"]  # noqa: Y015
+    _WhichOneofArgType__start: _TypeAlias = _typing.Literal["_start", b"_start"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__goal) -> _WhichOneofReturnType__goal | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__start) -> _WhichOneofReturnType__start | None: ...
+
+Global___DrawPathRequest: _TypeAlias = DrawPathRequest  # noqa: Y015
+
+@_typing.final
+class DrawPathResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PNG_FIELD_NUMBER: _builtins.int
+    PATH_FIELD_NUMBER: _builtins.int
+    NO_PATH_FIELD_NUMBER: _builtins.int
+    MISFIT_FIELD_NUMBER: _builtins.int
+    STAMP_FIELD_NUMBER: _builtins.int
+    png: _builtins.bytes
+    """PNG, at least 900 pixels along the drawing's longer edge: the map, the path coloured along it, footprints, start, goal, zones, scale
+    bar, legend; without a path its reason and the first cell that blocks the way.
+    """
+    @_builtins.property
+    def path(self) -> _path_pb2.Path: ...
+    @_builtins.property
+    def no_path(self) -> _path_pb2.NoPath: ...
+    @_builtins.property
+    def misfit(self) -> _path_pb2.Misfit:
+        """Of a path that came with the question: its first place that cannot be driven. First part only."""
+
+    @_builtins.property
+    def stamp(self) -> _map_pb2.MapStamp:
+        """State of the map that is drawn. First part only."""
+
+    def __init__(
+        self,
+        *,
+        png: _builtins.bytes = ...,
+        path: _path_pb2.Path | None = ...,
+        no_path: _path_pb2.NoPath | None = ...,
+        misfit: _path_pb2.Misfit | None = ...,
+        stamp: _map_pb2.MapStamp | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_misfit", b"_misfit", "misfit", b"misfit", "no_path", b"no_path", "outcome", b"outcome", "path", b"path", "stamp", b"stamp"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_misfit", b"_misfit", "misfit", b"misfit", "no_path", b"no_path", "outcome", b"outcome", "path", b"path", "png", b"png", "stamp", b"stamp"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__misfit: _TypeAlias = _typing.Literal["misfit"]  # noqa: Y015
+    _WhichOneofArgType__misfit: _TypeAlias = _typing.Literal["_misfit", b"_misfit"]  # noqa: Y015
+    _WhichOneofReturnType_outcome: _TypeAlias = _typing.Literal["path", "no_path"]  # noqa: Y015
+    _WhichOneofArgType_outcome: _TypeAlias = _typing.Literal["outcome", b"outcome"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__misfit) -> _WhichOneofReturnType__misfit | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_outcome) -> _WhichOneofReturnType_outcome | None: ...
+
+Global___DrawPathResponse: _TypeAlias = DrawPathResponse  # noqa: Y015
+
+@_typing.final
 class ValidatePathRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 

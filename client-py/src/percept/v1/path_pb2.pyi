@@ -106,6 +106,34 @@ PLANNER_HYBRID: Planner.ValueType  # 3
 """Hybrid A*: for a robot that steers, and for a footprint that only fits in some headings. Start and goal headings are met."""
 Global___Planner: _TypeAlias = Planner  # noqa: Y015
 
+class _PathColouring:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _PathColouringEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_PathColouring.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    PATH_COLOURING_UNSPECIFIED: _PathColouring.ValueType  # 0
+    """CLEARANCE."""
+    PATH_COLOURING_CLEARANCE: _PathColouring.ValueType  # 1
+    """From the base to the nearest obstacle, metres."""
+    PATH_COLOURING_COST: _PathColouring.ValueType  # 2
+    """What a metre costs there in metres of free way: 1, or more near obstacles and in speed zones."""
+    PATH_COLOURING_SPEED: _PathColouring.ValueType  # 3
+    """How fast the robot is there, metres a second."""
+
+class PathColouring(_PathColouring, metaclass=_PathColouringEnumTypeWrapper):
+    """What the colours along a path that is drawn mean."""
+
+PATH_COLOURING_UNSPECIFIED: PathColouring.ValueType  # 0
+"""CLEARANCE."""
+PATH_COLOURING_CLEARANCE: PathColouring.ValueType  # 1
+"""From the base to the nearest obstacle, metres."""
+PATH_COLOURING_COST: PathColouring.ValueType  # 2
+"""What a metre costs there in metres of free way: 1, or more near obstacles and in speed zones."""
+PATH_COLOURING_SPEED: PathColouring.ValueType  # 3
+"""How fast the robot is there, metres a second."""
+Global___PathColouring: _TypeAlias = PathColouring  # noqa: Y015
+
 class _BlockingState:
     ValueType = _typing.NewType("ValueType", _builtins.int)
     V: _TypeAlias = ValueType  # noqa: Y015

@@ -15,6 +15,7 @@ from percept.v1 import object_pb2 as _object_pb2
 from percept.v1 import params_pb2 as _params_pb2
 from percept.v1 import path_pb2 as _path_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
+from percept.v1 import toolbox_planning_service_pb2 as _toolbox_planning_service_pb2
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -259,6 +260,30 @@ SESSION_STATE_FAULTED: SessionState.ValueType  # 5
 SESSION_STATE_DELETING: SessionState.ValueType  # 6
 """On its way out."""
 Global___SessionState: _TypeAlias = SessionState  # noqa: Y015
+
+class _SpeedUnit:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _SpeedUnitEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_SpeedUnit.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    SPEED_UNIT_UNSPECIFIED: _SpeedUnit.ValueType  # 0
+    """PERCENT."""
+    SPEED_UNIT_PERCENT: _SpeedUnit.ValueType  # 1
+    """Of what the path's options say that the robot drives at most, speed.max_speed_mps."""
+    SPEED_UNIT_METRES_PER_SECOND: _SpeedUnit.ValueType  # 2
+    """Metres a second."""
+
+class SpeedUnit(_SpeedUnit, metaclass=_SpeedUnitEnumTypeWrapper):
+    """How a limit of speed is given."""
+
+SPEED_UNIT_UNSPECIFIED: SpeedUnit.ValueType  # 0
+"""PERCENT."""
+SPEED_UNIT_PERCENT: SpeedUnit.ValueType  # 1
+"""Of what the path's options say that the robot drives at most, speed.max_speed_mps."""
+SPEED_UNIT_METRES_PER_SECOND: SpeedUnit.ValueType  # 2
+"""Metres a second."""
+Global___SpeedUnit: _TypeAlias = SpeedUnit  # noqa: Y015
 
 class _FleetEventKind:
     ValueType = _typing.NewType("ValueType", _builtins.int)
@@ -564,6 +589,7 @@ class Session(_message.Message):
     LABELS_FIELD_NUMBER: _builtins.int
     ETAG_FIELD_NUMBER: _builtins.int
     ZONES_FIELD_NUMBER: _builtins.int
+    ZONE_MASKS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     """1 to 64 characters of a-z A-Z 0-9 _ -."""
     display_name: _builtins.str
@@ -586,7 +612,7 @@ class Session(_message.Message):
     tenant: _builtins.str
     """Whose it is."""
     etag: _builtins.str
-    """Names this state of what callers set: display_name, labels, zones, params and the sensors' declarations. Frames do not change
+    """Names this state of what callers set: display_name, labels, zones, zone_masks, params and the sensors' declarations. Frames do not change
     it. Opaque; give it to UpdateSession to change what you have seen and nothing newer.
     """
     @_builtins.property
@@ -615,6 +641,10 @@ class Session(_message.Message):
     def zones(self) -> _containers.RepeatedCompositeFieldContainer[_path_pb2.Zone]:
         """Areas that every path through the session's map keeps to; at most 1000. Absent in lists, and while the session is read only."""
 
+    @_builtins.property
+    def zone_masks(self) -> _containers.RepeatedCompositeFieldContainer[Global___ZoneMask]:
+        """The same cell by cell, without the cells; at most 8, which take at most 1 MiB together, packed. Absent as zones are."""
+
     def __init__(
         self,
         *,
@@ -637,10 +667,11 @@ class Session(_message.Message):
         labels: _abc.Mapping[_builtins.str, _builtins.str] | None = ...,
         etag: _builtins.str = ...,
         zones: _abc.Iterable[_path_pb2.Zone] | None = ...,
+        zone_masks: _abc.Iterable[Global___ZoneMask] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "fault", b"fault", "last_stamp_ns", b"last_stamp_ns", "params", b"params", "pose", b"pose"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "etag", b"etag", "fault", b"fault", "labels", b"labels", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "tenant", b"tenant", "zones", b"zones"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "etag", b"etag", "fault", b"fault", "labels", b"labels", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "tenant", b"tenant", "zone_masks", b"zone_masks", "zones", b"zones"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__fault: _TypeAlias = _typing.Literal["fault"]  # noqa: Y015
     _WhichOneofArgType__fault: _TypeAlias = _typing.Literal["_fault", b"_fault"]  # noqa: Y015
@@ -656,6 +687,94 @@ class Session(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose) -> _WhichOneofReturnType__pose | None: ...
 
 Global___Session: _TypeAlias = Session  # noqa: Y015
+
+@_typing.final
+class ZoneMask(_message.Message):
+    """Zones as the mask of a nav2 costmap filter: a grid whose values say what holds in each cell. Its cells need not be those of the map."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NAME_FIELD_NUMBER: _builtins.int
+    GRID_FIELD_NUMBER: _builtins.int
+    NAV2_FIELD_NUMBER: _builtins.int
+    KEEP_OUT_FIELD_NUMBER: _builtins.int
+    SPEED_FIELD_NUMBER: _builtins.int
+    GEOMETRY_FIELD_NUMBER: _builtins.int
+    name: _builtins.str
+    """By which it is known: 1 to 64 characters, no two of a session alike."""
+    keep_out: _builtins.bool
+    """True: no part of the robot may enter cells at or above planning.occupied_probability."""
+    @_builtins.property
+    def grid(self) -> _toolbox_planning_service_pb2.GridMap: ...
+    @_builtins.property
+    def nav2(self) -> _toolbox_planning_service_pb2.Nav2Map:
+        """A mask of speeds needs mode: scale or raw in its yaml; trinary knows no value between 0 and 100."""
+
+    @_builtins.property
+    def speed(self) -> Global___SpeedMask:
+        """The base drives no faster than a cell says."""
+
+    @_builtins.property
+    def geometry(self) -> _map_pb2.GridGeometry:
+        """Told and never written: where its cells lie, map frame."""
+
+    def __init__(
+        self,
+        *,
+        name: _builtins.str = ...,
+        grid: _toolbox_planning_service_pb2.GridMap | None = ...,
+        nav2: _toolbox_planning_service_pb2.Nav2Map | None = ...,
+        keep_out: _builtins.bool = ...,
+        speed: Global___SpeedMask | None = ...,
+        geometry: _map_pb2.GridGeometry | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["geometry", b"geometry", "grid", b"grid", "keep_out", b"keep_out", "kind", b"kind", "map", b"map", "nav2", b"nav2", "speed", b"speed"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["geometry", b"geometry", "grid", b"grid", "keep_out", b"keep_out", "kind", b"kind", "map", b"map", "name", b"name", "nav2", b"nav2", "speed", b"speed"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_kind: _TypeAlias = _typing.Literal["keep_out", "speed"]  # noqa: Y015
+    _WhichOneofArgType_kind: _TypeAlias = _typing.Literal["kind", b"kind"]  # noqa: Y015
+    _WhichOneofReturnType_map: _TypeAlias = _typing.Literal["grid", "nav2"]  # noqa: Y015
+    _WhichOneofArgType_map: _TypeAlias = _typing.Literal["map", b"map"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_kind) -> _WhichOneofReturnType_kind | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_map) -> _WhichOneofReturnType_map | None: ...
+
+Global___ZoneMask: _TypeAlias = ZoneMask  # noqa: Y015
+
+@_typing.final
+class SpeedMask(_message.Message):
+    """What the values of a mask of speeds mean: base + multiplier * value is the limit, as nav2's CostmapFilterInfo has it. The value 0,
+    unknown, what comes to 0 or less, and to 100 percent or more: no limit.
+    """
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    UNIT_FIELD_NUMBER: _builtins.int
+    BASE_FIELD_NUMBER: _builtins.int
+    MULTIPLIER_FIELD_NUMBER: _builtins.int
+    unit: Global___SpeedUnit.ValueType
+    base: _builtins.float
+    """In the unit; -10000 to 10000."""
+    multiplier: _builtins.float
+    """In the unit, for each step of the value; -10000 to 10000. Absent: 1."""
+    def __init__(
+        self,
+        *,
+        unit: Global___SpeedUnit.ValueType = ...,
+        base: _builtins.float = ...,
+        multiplier: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_multiplier", b"_multiplier", "multiplier", b"multiplier"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_multiplier", b"_multiplier", "base", b"base", "multiplier", b"multiplier", "unit", b"unit"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__multiplier: _TypeAlias = _typing.Literal["multiplier"]  # noqa: Y015
+    _WhichOneofArgType__multiplier: _TypeAlias = _typing.Literal["_multiplier", b"_multiplier"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__multiplier) -> _WhichOneofReturnType__multiplier | None: ...
+
+Global___SpeedMask: _TypeAlias = SpeedMask  # noqa: Y015
 
 @_typing.final
 class TrajectoryPose(_message.Message):

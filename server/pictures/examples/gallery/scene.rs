@@ -3,7 +3,7 @@
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{Cell, GridGeometry, ObjectClass, OrientedBox3, Pose, se3};
 use percept_mapping::{DenseGrid, DenseHeights};
-use percept_pictures::{MapObject, Overlay, PathDrawing, PathQuantity, Zone, ZoneKind};
+use percept_pictures::{MapObject, Overlay, PathDrawing, PathEnd, PathQuantity, Zone, ZoneKind};
 
 /// Walls of a room with free floor, unknown around it, its lower left corner at (-1, -1) m.
 pub(crate) fn empty_room(width: usize, height: usize, resolution_m: f64) -> DenseGrid {
@@ -106,6 +106,7 @@ pub(crate) fn overlay() -> Overlay {
                 kind: ZoneKind::SpeedLimit { share: 0.3 },
             },
         ],
+        masks: vec![],
         path: [[6.0, 5.6], [7.4, 4.4], [7.5, 2.6], [9.0, 2.0], [10.2, 2.2]].iter().map(|p| Point2::from(*p)).collect(),
     }
 }
@@ -149,8 +150,8 @@ pub(crate) fn path() -> PathDrawing {
 /// A goal behind a wall.
 pub(crate) fn no_path() -> PathDrawing {
     PathDrawing {
-        start: Some(se3::from_xy_yaw(1.0, 1.0, 1.0)),
-        goal: Some(se3::from_xy_yaw(10.2, 0.7, 0.0)),
+        start: Some(PathEnd { position: Point2::new(1.0, 1.0), yaw_rad: Some(1.0) }),
+        goal: Some(PathEnd { position: Point2::new(10.2, 0.7), yaw_rad: None }),
         blocking: Some(Point2::new(9.62, 0.9)),
         reason: Some("the goal lies in unknown space, nothing was seen there".to_owned()),
         footprint: robot(),

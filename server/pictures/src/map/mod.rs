@@ -16,8 +16,8 @@ pub(crate) use grid::check_shape;
 pub use heights::heights;
 pub use overview::{MapObject, Overlay, occupancy, overview};
 pub(crate) use overview::{grid_legend, open_grid};
-pub use path::{PathDrawing, PathQuantity, path_picture};
+pub use path::{PathDrawing, PathEnd, PathQuantity, path_picture};
 pub use traversability::traversability;
-pub use zones::{Zone, ZoneKind};
+pub use zones::{Zone, ZoneKind, ZoneMask};
 
 pub(crate) use cells::{Block, CellLayout};

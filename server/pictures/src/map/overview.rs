@@ -1,7 +1,7 @@
 //! The grid with all that is known to be in it: where the robot was and is, things, zones, a path.
 
 use super::labels::Labels;
-use super::{CellLayout, GridView, Zone, zones};
+use super::{CellLayout, GridView, Zone, ZoneMask, zones};
 use crate::canvas::{Canvas, PixelBox};
 use crate::colors::{
     self, AMBER, BLUE, Color, FREE, GREEN, INK, MAGENTA, OCCUPIED, PURPLE, SKY, SOFT_INK, UNKNOWN, VERMILION,
@@ -34,6 +34,8 @@ pub struct Overlay {
     pub objects: Vec<MapObject>,
     /// Keep-out and speed zones.
     pub zones: Vec<Zone>,
+    /// The same cell by cell.
+    pub masks: Vec<ZoneMask>,
     /// A planned path, from the robot to the goal.
     pub path: Vec<Point2<f64>>,
 }
@@ -103,6 +105,7 @@ pub fn overview<'a>(grid: impl Into<GridView<'a>>, overlay: &Overlay, title: &st
     let (e, plot) = (opened.enlarge, opened.plot);
     let size = f64::from(e);
     let canvas = &mut opened.canvas;
+    zones::draw_masks(canvas, &window, plot, &overlay.masks, e);
     zones::draw(canvas, &window, &overlay.zones, e);
     let flat = |p: &Pose| window.pixel(p.translation.vector.xy().into());
     let trajectory: Vec<_> = overlay.trajectory.iter().map(flat).collect();
@@ -152,7 +155,7 @@ fn legend(grid: &GridView<'_>, overlay: &Overlay, has_robot: bool) -> Vec<Entry>
         out.push(Entry::new(Swatch::Line(MAGENTA), "path"));
         out.push(Entry::new(Swatch::Disc(MAGENTA), "goal"));
     }
-    out.extend(zones::legend(&overlay.zones));
+    out.extend(zones::legend(&overlay.zones, &overlay.masks));
     for class in ObjectClass::ALL {
         let count = overlay.objects.iter().filter(|o| o.class == class).count();
         if count > 0 {

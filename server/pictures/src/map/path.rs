@@ -2,13 +2,13 @@
 
 use super::labels::Labels;
 use super::overview::{around, draw_robot, grid_legend, open_grid};
-use super::{GridView, Zone, zones};
+use super::{GridView, Zone, ZoneMask, zones};
 use crate::PictureError;
 use crate::canvas::Canvas;
 use crate::colors::{BLUE, GREEN, INK, MAGENTA, RED, Scale};
 use crate::sheet::{ColorBar, Entry, Sheet, Swatch, Window, cross, marker};
 use nalgebra::{Point2, Point3};
-use percept_geometry::{Pose, RgbImage};
+use percept_geometry::{Pose, RgbImage, se3};
 
 /// What the colours along a path mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -26,7 +26,7 @@ impl PathQuantity {
     fn name(self) -> &'static str {
         match self {
             Self::Clearance => "clearance [m]",
-            Self::Cost => "cost [1/m]",
+            Self::Cost => "cost of a metre",
             Self::Speed => "speed [m/s]",
         }
     }
@@ -36,6 +36,21 @@ impl PathQuantity {
             Self::Cost => Scale::Cividis,
             Self::Clearance | Self::Speed => Scale::Viridis,
         }
+    }
+}
+
+/// Where a path begins or ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PathEnd {
+    /// Map frame, metres.
+    pub position: Point2<f64>,
+    /// Where the robot looks, radians; none: no matter where, and no arrow.
+    pub yaw_rad: Option<f64>,
+}
+
+impl From<&Pose> for PathEnd {
+    fn from(pose: &Pose) -> Self {
+        Self { position: pose.translation.vector.xy().into(), yaw_rad: Some(se3::yaw(pose)) }
     }
 }
 
@@ -51,15 +66,19 @@ pub struct PathDrawing {
     /// Corners of the robot in base, metres; empty: not drawn.
     pub footprint: Vec<Point2<f64>>,
     /// Where the robot starts.
-    pub start: Option<Pose>,
+    pub start: Option<PathEnd>,
     /// Where it is to go.
-    pub goal: Option<Pose>,
+    pub goal: Option<PathEnd>,
     /// The first place that blocks the way.
     pub blocking: Option<Point2<f64>>,
-    /// Why there is no path, in words.
+    /// Why there is no path, in words; of a path that is there, why it cannot be driven.
     pub reason: Option<String>,
     /// Keep-out and speed zones.
     pub zones: Vec<Zone>,
+    /// The same cell by cell.
+    pub masks: Vec<ZoneMask>,
+    /// What else is written beside the drawing, a line each.
+    pub notes: Vec<String>,
 }
 
 /// The grid with the path coloured by a quantity along it, footprints every so often, start, goal, and what blocks the way.
@@ -81,21 +100,24 @@ pub fn path_picture<'a>(
     let (e, plot) = (opened.enlarge, opened.plot);
     let size = f64::from(e);
     let canvas = &mut opened.canvas;
+    zones::draw_masks(canvas, &window, plot, &path.masks, e);
     zones::draw(canvas, &window, &path.zones, e);
     draw_footprints(canvas, &window, path, size);
     draw_line(canvas, &window, path, size);
     let mut labels = Labels::new(plot, e);
-    let flat = |p: &Pose| window.pixel(p.translation.vector.xy().into());
-    let goal = path.goal.or(path.poses.last().copied());
-    let start = path.start.or(path.poses.first().copied());
+    let goal = path.goal.or(path.poses.last().map(PathEnd::from));
+    let start = path.start.or(path.poses.first().map(PathEnd::from));
     let mut named = vec![];
-    if let Some(goal) = goal {
-        draw_robot(canvas, &window, &goal, size, MAGENTA);
-        named.push((flat(&goal), "goal"));
-    }
-    if let Some(start) = start {
-        draw_robot(canvas, &window, &start, size, GREEN);
-        named.push((flat(&start), "start"));
+    for (end, words, color) in [(goal, "goal", MAGENTA), (start, "start", GREEN)] {
+        let Some(PathEnd { position, yaw_rad }) = end else { continue };
+        let at = window.pixel(position);
+        match yaw_rad {
+            Some(yaw) => {
+                draw_robot(canvas, &window, &se3::from_xy_yaw(position.x, position.y, yaw), size, color);
+            }
+            None => marker(canvas, at, 9.0 * size, color),
+        }
+        named.push((at, words));
     }
     if let Some(blocking) = path.blocking {
         let at = window.pixel(blocking);
@@ -130,21 +152,26 @@ fn sheet(grid: &GridView<'_>, path: &PathDrawing, title: &str) -> Sheet {
     add(!path.poses.is_empty() && bar(path).is_none(), Swatch::Line(BLUE), "path");
     add(!path.poses.is_empty() && path.footprint.len() > 2, Swatch::Outline(BLUE), "footprint");
     add(path.blocking.is_some(), Swatch::Cross(RED), "first blocking place");
-    legend.extend(zones::legend(&path.zones));
+    legend.extend(zones::legend(&path.zones, &path.masks));
     let finite = |p: &[Pose]| (p[1].translation.vector.xy() - p[0].translation.vector.xy()).norm();
     let length: f64 = path.poses.windows(2).map(finite).filter(|d| d.is_finite()).sum();
-    let (detail, notes) = match &path.reason {
-        Some(reason) => (format!("no path: {reason}"), vec![format!("No path: {reason}")]),
+    let (detail, mut notes) = match &path.reason {
+        Some(reason) if path.poses.is_empty() => (format!("no path: {reason}"), vec![format!("No path: {reason}")]),
+        Some(reason) => (format!("path of {length:.2} m, blocked: {reason}"), vec![format!("Blocked: {reason}")]),
         None if path.poses.is_empty() => ("no path".to_owned(), vec![]),
         None => (format!("path of {length:.2} m"), smallest(path)),
     };
+    notes.extend(path.notes.iter().cloned());
     Sheet { title: title.to_owned(), detail, bar: bar(path), legend, notes, ..Sheet::default() }
 }
 
 fn smallest(path: &PathDrawing) -> Vec<String> {
     let least = path.values.iter().copied().filter(|v| v.is_finite()).reduce(f64::min);
     match (path.quantity, least) {
-        (PathQuantity::Clearance, Some(least)) => vec![format!("smallest clearance {least:.2} m")],
+        // Whoever says more of the path knows it better than its samples.
+        (PathQuantity::Clearance, Some(least)) if path.notes.is_empty() => {
+            vec![format!("smallest clearance {least:.2} m")]
+        }
         _ => vec![],
     }
 }

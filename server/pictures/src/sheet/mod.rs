@@ -134,6 +134,12 @@ impl Window {
         Point2::new(f64::from(self.plot.x0) + from_low.x, f64::from(self.plot.y1) - from_low.y)
     }
 
+    /// The place of the map in the middle of a pixel.
+    pub(crate) fn place(&self, x: i32, y: i32) -> Point2<f64> {
+        let from_low = Vector2::new(f64::from(x - self.plot.x0) + 0.5, f64::from(self.plot.y1 - y) - 0.5);
+        self.low + from_low / self.per_metre
+    }
+
     /// Characters of the longest number at its border.
     pub(crate) fn tick_chars(low: Point2<f64>, size_px: (usize, usize), per_metre: f64) -> usize {
         let e = f64::from(enlargement(size_px.0.max(size_px.1)));

@@ -2,12 +2,13 @@
 
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{GridGeometry, ObjectClass, OrientedBox3, PointCloud, Pose, se3};
-use percept_mapping::{DenseHeights, MeshData, VoxelBlock};
+use percept_mapping::{DenseGrid, DenseHeights, MeshData, VoxelBlock};
 use percept_pictures::{
     GridView, MAX_EDGE, MapObject, Overlay, PathDrawing, PathQuantity, PictureError, View, ViewFrom, Zone, ZoneKind,
-    before_after, cloud_view, heights, mesh_view, overview, path_picture, voxels_slice, voxels_view,
+    ZoneMask, before_after, cloud_view, heights, mesh_view, overview, path_picture, voxels_slice, voxels_view,
 };
 use proptest::prelude::*;
+use std::sync::Arc;
 
 /// Ordinary numbers, and others.
 fn number() -> impl Strategy<Value = f64> {
@@ -94,19 +95,25 @@ proptest! {
         let cells: Vec<i8> = (0..width * height).map(|i| (i as i8).wrapping_mul(seed as i8)).collect();
         let grid = GridView { geometry, width, height, cells: &cells };
         let size = |i: &percept_geometry::RgbImage| (i.width(), i.height());
+        let valued = cells.iter().map(|c| (*c).clamp(-1, 100)).collect();
+        let kinds = vec![None, Some(ZoneKind::KeepOut), Some(ZoneKind::SpeedLimit { share: tolerance })];
+        let masks =
+            vec![ZoneMask { grid: Arc::new(DenseGrid { geometry: other, width, height, cells: valued }), kinds }];
         let drawing = PathDrawing {
             values: if values.len() == trajectory.len() { values } else { vec![] },
             poses: trajectory.clone(),
             quantity: PathQuantity::Cost,
             footprint: path.clone(),
-            goal: trajectory.first().copied(),
+            goal: trajectory.first().map(Into::into),
+            masks: masks.clone(),
+            notes: vec![title.clone()],
             blocking: path.first().copied(),
             reason: Some(title.clone()),
             zones: zones.clone(),
             ..PathDrawing::default()
         };
         sound(path_picture(grid, &drawing, &title), size);
-        sound(overview(grid, &Overlay { trajectory, robot: None, objects, zones, path }, &title), size);
+        sound(overview(grid, &Overlay { trajectory, robot: None, objects, zones, masks, path }, &title), size);
         sound(before_after(grid, GridView { geometry: other, ..grid }, tolerance, &title), |(i, _)| size(i));
     }
 

@@ -2,12 +2,13 @@
 
 use crate::{OCCUPIED, count, extent, grid, same_on_any_threads, scale_bar};
 use nalgebra::{Point2, Point3, Vector3};
-use percept_geometry::{GridGeometry, ObjectClass, OrientedBox3, se3};
+use percept_geometry::{GridGeometry, ObjectClass, OrientedBox3, RgbImage, se3};
 use percept_mapping::{DenseGrid, DenseHeights, HeightParams, Traversability};
 use percept_pictures::{
-    GridView, MAX_EDGE, MapObject, Overlay, PathDrawing, PictureError, Zone, ZoneKind, before_after, heights,
+    GridView, MAX_EDGE, MapObject, Overlay, PathDrawing, PictureError, Zone, ZoneKind, ZoneMask, before_after, heights,
     occupancy, overview, path_picture, side_by_side, traversability,
 };
+use std::sync::Arc;
 
 const BLUE: [u8; 3] = [0, 114, 178];
 const MAGENTA: [u8; 3] = [200, 0, 140];
@@ -90,6 +91,7 @@ fn the_legend_has_what_is_in_the_picture_and_nothing_else() {
         ],
         path: vec![Point2::new(2.0, 2.0), Point2::new(4.0, 5.0)],
         robot: None,
+        masks: vec![],
     };
     let full = overview(&grid, &overlay, "").unwrap();
     // Right of the drawing stands the legend: the lines' colours are found there, too.
@@ -127,6 +129,31 @@ fn a_path_shows_its_values_and_where_it_is_blocked() {
     };
     let image = path_picture(&grid, &blocked, "none").unwrap();
     assert!(count(&image, RED) > 100);
+}
+
+#[test]
+fn a_mask_is_hatched_where_its_cells_say_so_and_nowhere_else() {
+    let grid = grid();
+    let (low, size) = (grid.geometry.origin, grid.geometry.resolution_m * grid.width as f64);
+    // Four columns over the grid's width: nothing, keep out, slow, unknown.
+    let mask = |values: [i8; 4]| {
+        let cells = [values; 4].as_flattened().to_vec();
+        let grid = DenseGrid::new(GridGeometry::new(0.25 * size, low), 4, 4, cells).unwrap();
+        let kinds = vec![None, None, Some(ZoneKind::KeepOut), Some(ZoneKind::SpeedLimit { share: 0.3 })];
+        ZoneMask { grid: Arc::new(grid), kinds }
+    };
+    let of = |values| {
+        let drawing = PathDrawing { masks: vec![mask(values)], ..PathDrawing::default() };
+        path_picture(&grid, &drawing, "").unwrap()
+    };
+    let (none, some) = (of([0, -1, 0, -1]), of([0, 1, 2, -1]));
+    assert_eq!(none, path_picture(&grid, &PathDrawing::default(), "").unwrap());
+    let differs = |image: &RgbImage, x: usize| (100..600).filter(|y| none.at(x, *y) != image.at(x, *y)).count();
+    // The drawing begins where a mask that is slow everywhere does; then quarters of its 900 pixels, in their middles.
+    let everywhere = of([2; 4]);
+    let left = (0..200).find(|x| differs(&everywhere, *x) > 200).unwrap();
+    let quarters = [0, 1, 2, 3].map(|i| differs(&some, left + 225 * i + 112));
+    assert!(quarters[0] < 5 && quarters[1] > 50 && quarters[2] > 200 && quarters[3] < 5, "{quarters:?}");
 }
 
 #[test]

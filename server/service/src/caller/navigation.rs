@@ -2,8 +2,8 @@
 
 use super::Caller;
 use crate::{
-    Explored, FlightQuestion, FrontierRequest, IncomingFrame, Navigation, PathCheck, PathOptions, PathUpdate,
-    PathWatch, Plan, PlanRequest, Result,
+    Drawing, Explored, FlightQuestion, FrontierRequest, IncomingFrame, Navigation, PathCheck, PathOptions, PathPicture,
+    PathUpdate, PathWatch, Plan, PlanRequest, Result,
 };
 use percept_planning::flight::FlightOutcome;
 use percept_planning::{CoverageOutcome, CoverageParams, Frontier, PlanParams, Pose2};
@@ -16,6 +16,15 @@ impl Caller {
     pub async fn plan_path(&self, session: &str, request: PlanRequest) -> Result<Plan> {
         self.may_with("NavigationService/PlanPath", session).await?;
         self.service.plan_path(session, request).await
+    }
+
+    /// A path through a session's map as a picture.
+    ///
+    /// # Errors
+    /// As for planning; `TOO_MANY_QUERIES`, `PICTURE_TOO_LARGE`.
+    pub async fn draw_path(&self, session: &str, drawing: Drawing) -> Result<PathPicture> {
+        self.may_with("NavigationService/DrawPath", session).await?;
+        self.service.draw_path(session, drawing).await
     }
 
     /// A sensor message and a goal in; pose, obstacles and path out.

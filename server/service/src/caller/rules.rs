@@ -73,6 +73,8 @@ pub static RULES: &[Rule] = &[
     audited(session("MapsService/SetLoopVeto", Write)),
     session("MapsService/OptimiseMap", Write),
     audited(session("MapsService/ImportMap", Write)),
+    // The map of another session needs what MapsService/GetOccupancyGrid does, too.
+    session("MapsService/CompareMaps", Read),
     session("MapsService/ExportMap", Read),
 
     session("LayersService/GetVoxels", Read),
@@ -89,6 +91,7 @@ pub static RULES: &[Rule] = &[
 
     // A path is a question about the map; a step of a robot brings a frame.
     session("NavigationService/PlanPath", Read),
+    session("NavigationService/DrawPath", Read),
     session("NavigationService/ValidatePath", Read),
     session("NavigationService/WatchPath", Read),
     session("NavigationService/PlanCoverage", Read),

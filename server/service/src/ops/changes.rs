@@ -1,5 +1,6 @@
 //! Changes of sessions and sensors: what may change while a session lives, and what who holds an old copy is told.
 
+use super::zone_masks::{self, MaskChange};
 use super::zones::check_zones;
 use crate::reason;
 use crate::session::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
@@ -25,6 +26,8 @@ pub struct SessionChanges {
     pub labels: Option<BTreeMap<String, String>>,
     /// All zones.
     pub zones: Option<Vec<SessionZone>>,
+    /// All zone masks.
+    pub zone_masks: Option<Vec<MaskChange>>,
     /// What it does with frames: it cannot become another, and the same is no change.
     pub mode: Option<SessionMode>,
     /// Parameters, one by one.
@@ -134,6 +137,9 @@ impl SessionChanges {
         if let Some(zones) = &self.zones {
             check_zones(zones)?;
             meta.zones.clone_from(zones);
+        }
+        if let Some(changes) = &self.zone_masks {
+            meta.zone_masks = zone_masks::changed(&meta.zone_masks, changes)?;
         }
         if let Some(name) = &self.display_name {
             check_display_name(name)?;

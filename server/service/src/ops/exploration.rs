@@ -2,14 +2,14 @@
 
 use super::maps::stamp_of;
 use super::navigation::{PathOptions, PlanRequest, dense, known_pose, plan_error};
-use crate::{Error, ErrorCode, Result, Service, reason};
+use crate::{Error, ErrorCode, Result, Service, Zones, reason};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, GridGeometry, Timestamp};
 use percept_mapping::DenseGrid;
 use percept_pipeline::Snapshot;
 use percept_planning::flight::{DenseVoxels, FlightOutcome, FlightParams, FlightPlanner, FlightRequest, plan_flight};
 use percept_planning::{
-    CoverageOutcome, CoverageParams, Frontier, PlanError, PlanParams, Zone, frontiers, plan_coverage, rank_frontiers,
+    CoverageOutcome, CoverageParams, Frontier, PlanError, PlanParams, frontiers, plan_coverage, rank_frontiers,
 };
 use std::time::{Duration, Instant};
 
@@ -136,7 +136,7 @@ fn limited(params: PlanParams, max_cells: usize) -> PlanParams {
 fn covered(
     snapshot: &Snapshot,
     request: PlanRequest,
-    zones: &[Zone],
+    zones: &Zones,
     coverage: &CoverageParams,
     max_cells: usize,
 ) -> Result<Explored<CoverageOutcome>> {
@@ -148,7 +148,8 @@ fn covered(
     let begun = Instant::now();
     let stop = options.deadline.map(|deadline| move || begun.elapsed() >= deadline);
     let stop = stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync));
-    let outcome = plan_coverage(&grid, &options.request(start, start.0, &params, stop), coverage);
+    let masks = options.planning_masks();
+    let outcome = plan_coverage(&grid, &options.request(start, start.0, &params, &masks, stop), coverage);
     Ok(Explored::of(snapshot, Some(outcome.map_err(plan_error)?)))
 }
 

@@ -3,11 +3,10 @@
 use super::maps::{dense, stamp_of};
 use super::{layers, pictures};
 use crate::reason;
-use crate::{Error, Progress, Result, Service};
+use crate::{Error, Progress, Result, Service, Zones};
 use percept_formats::{GridMap, OctreeLeaf, OctreeMap, geotiff, gltf, las, nav2, octomap, pcd, ply, trajectory};
-use percept_geometry::{Aabb3, PointCloud, Stamped, Timestamp, Voxel};
+use percept_geometry::{Aabb3, PointCloud, RgbImage, Stamped, Timestamp, Voxel};
 use percept_pipeline::Snapshot;
-use percept_planning::Zone;
 
 /// Files that a map can be read as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,6 +55,8 @@ pub enum MapFormat {
     HeightsPng,
     /// Where a robot can drive.
     TraversabilityPng,
+    /// All of these layers side by side.
+    LayersPng,
 }
 
 /// A file.
@@ -109,12 +110,12 @@ impl Service {
 /// # Errors
 /// `MAP_EMPTY`, `GRID_TOO_LARGE`.
 pub fn export(s: &Snapshot, name: &str, format: MapFormat, limits: &crate::Limits) -> Result<MapFile> {
-    export_telling(s, (name, &[]), format, limits, &Progress::default())
+    export_telling(s, (name, &Zones::default()), format, limits, &Progress::default())
 }
 
 fn export_telling(
     s: &Snapshot,
-    (name, zones): (&str, &[Zone]),
+    (name, zones): (&str, &Zones),
     format: MapFormat,
     limits: &crate::Limits,
     progress: &Progress,
@@ -252,9 +253,35 @@ fn export_telling(
                 ("traversability.png", "image/png", pictures::traversability(&drivable, name)?)
             }
         }
+        F::LayersPng => ("layers.png", "image/png", layers_picture(s, (name, zones), limits, progress)?),
     };
     let file_name = format!("{name}.{suffix}");
     Ok(MapFile { map_version: s.map_version, stamp: stamp_of(s), file_name, media_type, bytes })
+}
+
+/// Pictures of the layers that the session has, and that hold something, side by side.
+fn layers_picture(
+    s: &Snapshot,
+    (name, zones): (&str, &Zones),
+    limits: &crate::Limits,
+    progress: &Progress,
+) -> Result<Vec<u8>> {
+    progress.stage("drawing the layers");
+    let mut panels = vec![];
+    let mut add = |caption, drawn: Result<Option<RgbImage>>| {
+        panels.extend(drawn?.map(|image| (image, caption)));
+        progress.check()
+    };
+    add("Occupancy", pictures::layers::overview(s, zones, name, limits))?;
+    add("Heights", pictures::layers::heights(s, name, limits))?;
+    add("Traversability", pictures::layers::traversability(s, name, limits))?;
+    add("Voxels", pictures::layers::voxels(s, name))?;
+    add("Surface", pictures::layers::surface(s, name))?;
+    add("Cloud", pictures::layers::cloud(s, name))?;
+    if panels.is_empty() {
+        return Err(map_empty());
+    }
+    pictures::side_by_side(&panels)
 }
 
 /// What paths are planned in: cells below the planner's threshold are free, the others occupied. nav2's files know these two words,

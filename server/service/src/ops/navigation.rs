@@ -2,7 +2,8 @@
 
 use super::layers::at_most;
 use super::maps::stamp_of;
-use super::zones::zones_of;
+use super::zone_masks::SessionMask;
+use super::zones::{Zones, zones_of};
 use crate::reason;
 use crate::{Error, IncomingFrame, Processed, Result, Service};
 use nalgebra::{Point2, Point3, Vector3};
@@ -10,8 +11,8 @@ use percept_geometry::{Timestamp, se3};
 use percept_mapping::{DenseGrid, MappingError, Occupancy, OccupancyMap};
 use percept_pipeline::{PoseEstimate, Snapshot};
 use percept_planning::{
-    Blocking, Footprint, Goal, Misfit, MisfitReason, PathRequest, PlanError, PlanOutcome, PlanParams, Planner, Pose2,
-    SpeedLimits, Zone,
+    Blocking, Footprint, Goal, Mask, Misfit, MisfitReason, NoPathReason, PathRequest, PlanError, PlanOutcome,
+    PlanParams, Planner, Pose2, SpeedLimits, Zone,
 };
 use percept_scene::{Object, ObjectId, ObjectState};
 use percept_slam::TrackingState;
@@ -47,6 +48,8 @@ pub struct PathOptions {
     pub footprint: Option<Footprint>,
     /// Where it may not be, or not be fast, besides the zones of the session.
     pub zones: Vec<Zone>,
+    /// The same cell by cell.
+    pub masks: Vec<SessionMask>,
     /// Whether the zones of the session do not count.
     pub ignores_session_zones: bool,
     /// Whether the map alone counts, and not what the newest frames see.
@@ -72,11 +75,17 @@ pub struct PathCheck {
 
 impl PathOptions {
     /// With the zones of the session, unless they do not count.
-    pub(super) fn in_zones(mut self, stored: &[Zone]) -> Self {
+    pub(super) fn in_zones(mut self, stored: &Zones) -> Self {
         if !self.ignores_session_zones {
-            self.zones.extend_from_slice(stored);
+            self.zones.extend_from_slice(&stored.areas);
+            self.masks.extend_from_slice(&stored.masks);
         }
         self
+    }
+
+    /// Its masks as planning has them.
+    pub(super) fn planning_masks(&self) -> Vec<Mask<'_>> {
+        self.masks.iter().map(|mask| mask.mask(self.speed.max_speed_mps)).collect()
     }
 
     /// The whole question. `stop` is asked while a search with a deadline goes on.
@@ -85,6 +94,7 @@ impl PathOptions {
         (start, yaw_rad): (Point2<f64>, f64),
         goal: Point2<f64>,
         params: &'a PlanParams,
+        masks: &'a [Mask<'a>],
         stop: Option<&'a (dyn Fn() -> bool + Sync)>,
     ) -> PathRequest<'a> {
         PathRequest {
@@ -94,7 +104,7 @@ impl PathOptions {
             planner: self.planner,
             footprint: self.footprint.as_ref(),
             zones: &self.zones,
-            masks: &[],
+            masks,
             speed: self.speed,
             stop,
         }
@@ -139,7 +149,7 @@ impl Service {
     }
 
     /// A session's snapshot, and its zones.
-    pub(super) async fn snapshot_with_zones(&self, session: &str) -> Result<(Arc<Snapshot>, Vec<Zone>)> {
+    pub(super) async fn snapshot_with_zones(&self, session: &str) -> Result<(Arc<Snapshot>, Zones)> {
         let session = self.session(session).await?;
         Ok((session.snapshot(), zones_of(&session.meta())))
     }
@@ -255,7 +265,8 @@ pub fn on_grid(
     let begun = Instant::now();
     let stop = options.deadline.map(|deadline| move || begun.elapsed() >= deadline);
     let stop = stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync));
-    percept_planning::plan_path(grid, &options.request(start, goal, params, stop)).map_err(plan_error)
+    let masks = options.planning_masks();
+    percept_planning::plan_path(grid, &options.request(start, goal, params, &masks, stop)).map_err(plan_error)
 }
 
 /// The first place of a path on a grid that does not fit.
@@ -264,8 +275,8 @@ pub fn on_grid(
 /// As [`on_grid`]; `TOO_MANY_QUERIES`.
 pub fn misfit(grid: &DenseGrid, poses: &[Pose2], params: &PlanParams, options: &PathOptions) -> Result<Option<Misfit>> {
     at_most("poses", poses.len(), MAX_POSES)?;
-    let nowhere = Point2::origin();
-    let request = options.request((nowhere, 0.0), nowhere, params, None);
+    let (nowhere, masks) = (Point2::origin(), options.planning_masks());
+    let request = options.request((nowhere, 0.0), nowhere, params, &masks, None);
     percept_planning::validate_path(grid, poses, &request).map_err(plan_error)
 }
 
@@ -286,12 +297,12 @@ pub(super) fn dense(grid: &OccupancyMap, max_cells: usize) -> Result<DenseGrid> 
 }
 
 /// Poses of a path that is checked.
-const MAX_POSES: usize = 100_000;
+pub(super) const MAX_POSES: usize = 100_000;
 /// An object's box ends so far from cells that it fills, metres: a cell of 0.1 m to each side.
 const BESIDE_M: f64 = 0.1;
 
 /// The object that stands where something blocks.
-fn object_at(snapshot: &Snapshot, blocking: &Blocking) -> Option<ObjectId> {
+pub(super) fn object_at(snapshot: &Snapshot, blocking: &Blocking) -> Option<ObjectId> {
     let holds = |o: &&Object| {
         let mut bbox = o.bbox;
         bbox.size += Vector3::repeat(2.0 * BESIDE_M);
@@ -301,6 +312,27 @@ fn object_at(snapshot: &Snapshot, blocking: &Blocking) -> Option<ObjectId> {
     let volume = |o: &&Object| o.bbox.volume();
     let found = snapshot.objects.iter().filter(holds);
     found.min_by(|a, b| volume(a).total_cmp(&volume(b))).map(|o| o.id)
+}
+
+/// Why there is no path, in words; none: no start was given and the robot does not know where it is.
+pub fn words_of(reason: Option<NoPathReason>) -> &'static str {
+    match reason {
+        None => "no start was given and the robot does not know where it is",
+        Some(NoPathReason::StartOutsideMap) => "the start lies outside of what was mapped",
+        Some(NoPathReason::StartOccupied) => "the start is in an obstacle",
+        Some(NoPathReason::StartDoesNotFit) => "the start is free, but nearer to an obstacle than the robot needs",
+        Some(NoPathReason::StartInKeepOut) => "the start is in a keep-out zone",
+        Some(NoPathReason::StartUnknown) => "the start lies where nothing was seen yet",
+        Some(NoPathReason::GoalOutsideMap) => "the goal lies outside of what was mapped",
+        Some(NoPathReason::GoalOccupied) => "the goal is in an obstacle",
+        Some(NoPathReason::GoalDoesNotFit) => "the goal is free, but nearer to an obstacle than the robot needs",
+        Some(NoPathReason::GoalInKeepOut) => "the goal is in a keep-out zone",
+        Some(NoPathReason::GoalUnknown) => "the goal lies where nothing was seen yet",
+        Some(NoPathReason::Unreachable) => "no way wide enough for the robot joins start and goal",
+        Some(NoPathReason::NotSteerable) => "a way is wide enough, but not with this footprint and turning radius",
+        Some(NoPathReason::SearchLimit) => "the search was stopped at max_expansions before it found a path",
+        Some(NoPathReason::Stopped) => "deadline_ms was over before a path was found",
+    }
 }
 
 pub(super) fn plan_error(e: PlanError) -> Error {

@@ -1,11 +1,11 @@
 //! A path that is kept: told anew when the map breaks it, or a clearly better one opens.
 
 use super::navigation::{misfit_on, plan};
-use crate::{PathCheck, PathOptions, Plan, PlanRequest, Result, Service};
+use crate::{PathCheck, PathOptions, Plan, PlanRequest, Result, Service, Zones};
 use nalgebra::Point2;
 use percept_geometry::Timestamp;
 use percept_pipeline::Snapshot;
-use percept_planning::{PlanOutcome, Pose2, Zone};
+use percept_planning::{PlanOutcome, Pose2};
 
 /// A way is looked for that is better than what was told once a second of the session's time.
 const LOOKED_FOR_EVERY_NS: i64 = 1_000_000_000;
@@ -45,7 +45,7 @@ pub struct PathWatch {
     request: PlanRequest,
     told: Option<Plan>,
     /// The session's, when it was looked at last.
-    zones: Vec<Zone>,
+    zones: Zones,
     /// Version of the map that was looked at last, and when a way was looked for.
     looked_at: Option<u64>,
     looked_for: Timestamp,
@@ -56,17 +56,17 @@ pub struct PathWatch {
 impl PathWatch {
     /// From where the robot is, each time; a start that is given counts for the first answer only.
     pub fn new(request: PlanRequest) -> Self {
-        Self { request, told: None, zones: Vec::new(), looked_at: None, looked_for: Timestamp(0), seen: Timestamp(0) }
+        Self { request, told: None, zones: Zones::default(), looked_at: None, looked_for: Timestamp(0), seen: Timestamp(0) }
     }
 
     /// Whether there is nothing new to look at.
-    fn is_up_to_date(&self, snapshot: &Snapshot, zones: &[Zone]) -> bool {
+    fn is_up_to_date(&self, snapshot: &Snapshot, zones: &Zones) -> bool {
         self.is_of(snapshot, zones) && !self.is_due(snapshot) && !self.sees_anew(snapshot)
     }
 
     /// Whether map and zones are those that were looked at last.
-    fn is_of(&self, snapshot: &Snapshot, zones: &[Zone]) -> bool {
-        self.looked_at == Some(snapshot.map_version) && self.zones == zones
+    fn is_of(&self, snapshot: &Snapshot, zones: &Zones) -> bool {
+        self.looked_at == Some(snapshot.map_version) && self.zones == *zones
     }
 
     /// Whether the newest frames may have seen who has stepped into the way.
@@ -84,7 +84,7 @@ impl PathWatch {
     ///
     /// # Errors
     /// As for planning.
-    pub fn look(&mut self, snapshot: &Snapshot, zones: Vec<Zone>, max_cells: usize) -> Result<Option<PathUpdate>> {
+    pub fn look(&mut self, snapshot: &Snapshot, zones: Zones, max_cells: usize) -> Result<Option<PathUpdate>> {
         let Some(told) = &self.told else {
             self.zones = zones;
             return self.tell(PathChange::First, snapshot, max_cells).map(Some);

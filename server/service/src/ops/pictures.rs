@@ -1,37 +1,44 @@
 //! Pictures of maps for people, as PNG.
 
-use crate::{Error, Result, reason};
+use crate::{Error, Result, SessionMask, Zones, reason};
 use percept_formats::GridMap;
-use percept_geometry::PointCloud;
+use percept_geometry::{PointCloud, RgbImage};
 use percept_mapping::{DenseHeights, MeshData, Traversability, VoxelBlock};
 use percept_pictures::{MapObject, Overlay, PictureError, View, encode_png};
 use percept_pipeline::Snapshot;
-use percept_planning::{Zone, ZoneKind};
+use percept_planning::{SpeedLimits, Zone, ZoneKind};
 use percept_scene::ObjectState;
 
 /// Whatever is higher above the floor than this is cut away, so that ceilings do not hide the rooms, metres: below the usual 2.4.
 const CEILING_M: f64 = 2.2;
 
 /// What a snapshot knows, and zones, to be drawn over a grid.
-pub fn overlay(snapshot: &Snapshot, zones: &[Zone]) -> Overlay {
+pub fn overlay(snapshot: &Snapshot, zones: &Zones) -> Overlay {
     let there = snapshot.objects.iter().filter(|o| o.state != ObjectState::Gone);
-    let zone = |z: &Zone| percept_pictures::Zone {
+    let speed = SpeedLimits::default().max_speed_mps;
+    let mask = |m: &SessionMask| m.drawn(speed, snapshot.params.planning.occupied_probability);
+    Overlay {
+        trajectory: snapshot.trajectory_in_one_unit().map(|(t, _)| t).collect(),
+        robot: None,
+        objects: there.map(|o| MapObject { id: Some(o.id.0), class: o.class, bbox: o.bbox }).collect(),
+        zones: zones.areas.iter().map(zone).collect(),
+        masks: zones.masks.iter().map(mask).collect(),
+        path: vec![],
+    }
+}
+
+/// A zone to be drawn.
+pub(super) fn zone(z: &Zone) -> percept_pictures::Zone {
+    percept_pictures::Zone {
         polygon: z.polygon.clone(),
         kind: match z.kind {
             ZoneKind::KeepOut => percept_pictures::ZoneKind::KeepOut,
             ZoneKind::SpeedLimit { share } => percept_pictures::ZoneKind::SpeedLimit { share },
         },
-    };
-    Overlay {
-        trajectory: snapshot.trajectory_in_one_unit().map(|(t, _)| t).collect(),
-        robot: None,
-        objects: there.map(|o| MapObject { id: Some(o.id.0), class: o.class, bbox: o.bbox }).collect(),
-        zones: zones.iter().map(zone).collect(),
-        path: vec![],
     }
 }
 
-fn refused(e: &PictureError) -> Error {
+pub(super) fn refused(e: &PictureError) -> Error {
     match e {
         PictureError::GridTooLarge { .. } | PictureError::TooMuchOverdraw { .. } => {
             Error::exhausted(reason::PICTURE_TOO_LARGE, "format", e.to_string())
@@ -40,7 +47,7 @@ fn refused(e: &PictureError) -> Error {
     }
 }
 
-fn png(drawn: std::result::Result<percept_geometry::RgbImage, PictureError>) -> Result<Vec<u8>> {
+pub(super) fn png(drawn: std::result::Result<RgbImage, PictureError>) -> Result<Vec<u8>> {
     drawn.and_then(|image| encode_png(&image)).map_err(|e| refused(&e))
 }
 
@@ -102,4 +109,80 @@ pub fn heights(heights: &DenseHeights, title: &str) -> Result<Vec<u8>> {
 /// `PICTURE_TOO_LARGE`.
 pub fn traversability(drivable: &Traversability, title: &str) -> Result<Vec<u8>> {
     png(percept_pictures::traversability(drivable, title))
+}
+
+/// Columns of a sheet of layers, by their number: about twice as wide as high.
+fn columns(num_panels: usize) -> usize {
+    if num_panels < 5 { num_panels.min(2) } else { 3 }
+}
+
+/// Pictures beside each other, each with its caption.
+///
+/// # Errors
+/// `PICTURE_TOO_LARGE`.
+pub fn side_by_side(panels: &[(RgbImage, &str)]) -> Result<Vec<u8>> {
+    let panels: Vec<(&RgbImage, &str)> = panels.iter().map(|(image, caption)| (image, *caption)).collect();
+    png(percept_pictures::side_by_side(&panels, columns(panels.len())))
+}
+
+/// Pictures of a snapshot's layers; none of a layer that is off or empty.
+pub(super) mod layers {
+    use super::{overlay, refused, view};
+    use crate::ops::{layers, maps};
+    use crate::{Limits, Result, Zones, reason};
+    use percept_geometry::RgbImage;
+    use percept_pictures::PictureError;
+    use percept_pipeline::Snapshot;
+
+    type Drawn = Result<Option<RgbImage>>;
+
+    fn drawn(picture: std::result::Result<RgbImage, PictureError>) -> Drawn {
+        picture.map(Some).map_err(|e| refused(&e))
+    }
+
+    /// What a question finds where its layer is on.
+    fn there<T>(found: Result<T>) -> Result<Option<T>> {
+        match found {
+            Ok(found) => Ok(Some(found)),
+            Err(e) if e.reason == reason::LAYER_OFF => Ok(None),
+            Err(e) => Err(e),
+        }
+    }
+
+    pub(in crate::ops) fn overview(s: &Snapshot, zones: &Zones, name: &str, limits: &Limits) -> Drawn {
+        let grid = maps::dense(&s.layers.occupancy, None, None, limits)?;
+        if grid.cells.is_empty() {
+            return Ok(None);
+        }
+        drawn(percept_pictures::overview(&grid, &overlay(s, zones), name))
+    }
+
+    pub(in crate::ops) fn heights(s: &Snapshot, name: &str, limits: &Limits) -> Drawn {
+        let found = there(layers::all_heights(&s.layers, limits))?.flatten();
+        found.map_or(Ok(None), |(heights, _)| drawn(percept_pictures::heights(&heights, name)))
+    }
+
+    pub(in crate::ops) fn traversability(s: &Snapshot, name: &str, limits: &Limits) -> Drawn {
+        let found = there(layers::all_heights(&s.layers, limits))?.flatten();
+        found.map_or(Ok(None), |(_, drivable)| drawn(percept_pictures::traversability(&drivable, name)))
+    }
+
+    pub(in crate::ops) fn voxels(s: &Snapshot, name: &str) -> Drawn {
+        let found = there(layers::all_voxels(&s.layers))?.filter(|(blocks, _)| !blocks.is_empty());
+        let draw = |(blocks, size): (Vec<_>, f64)| percept_pictures::voxels_view(&blocks, size, &view(false), name);
+        found.map_or(Ok(None), |found| drawn(draw(found)))
+    }
+
+    pub(in crate::ops) fn surface(s: &Snapshot, name: &str) -> Drawn {
+        let found = there(layers::mesh_data_of(&s.layers, None, None))?.filter(|mesh| !mesh.triangles.is_empty());
+        found.map_or(Ok(None), |mesh| drawn(percept_pictures::mesh_view(&mesh, &view(false), name)))
+    }
+
+    pub(in crate::ops) fn cloud(s: &Snapshot, name: &str) -> Drawn {
+        let cloud = s.layers.cloud.to_cloud();
+        if cloud.is_empty() {
+            return Ok(None);
+        }
+        drawn(percept_pictures::cloud_view(&cloud, &view(false), name))
+    }
 }

@@ -202,6 +202,7 @@ impl Service {
             params: new.params,
             sensors,
             zones: Vec::new(),
+            zone_masks: Vec::new(),
             revision: 0,
         };
         self.registry.create(meta).await

@@ -1,5 +1,6 @@
 //! Zones that are stored with a session: every path in it keeps to them.
 
+use super::zone_masks::SessionMask;
 use crate::session::meta::SessionMeta;
 use crate::{Error, Result, reason};
 use nalgebra::Point2;
@@ -71,7 +72,16 @@ pub(super) fn check_zones(zones: &[SessionZone]) -> Result<()> {
     Ok(())
 }
 
-/// The areas alone.
-pub(super) fn zones_of(meta: &SessionMeta) -> Vec<Zone> {
-    meta.zones.iter().map(|z| z.zone.clone()).collect()
+/// All that paths keep to.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Zones {
+    /// Polygons.
+    pub areas: Vec<Zone>,
+    /// Cells.
+    pub masks: Vec<SessionMask>,
+}
+
+/// Those of a session, without the names of the areas.
+pub(super) fn zones_of(meta: &SessionMeta) -> Zones {
+    Zones { areas: meta.zones.iter().map(|z| z.zone.clone()).collect(), masks: meta.zone_masks.clone() }
 }

@@ -1,6 +1,6 @@
 //! What a session was created with: the record in the catalogue.
 
-use crate::SessionZone;
+use crate::{SessionMask, SessionZone};
 use percept_geometry::SensorSpec;
 use percept_pipeline::PipelineParams;
 use serde::{Deserialize, Serialize};
@@ -60,6 +60,8 @@ pub struct SessionMeta {
     pub sensors: Vec<SensorDeclaration>,
     /// Areas that paths keep to.
     pub zones: Vec<SessionZone>,
+    /// The same cell by cell.
+    pub zone_masks: Vec<SessionMask>,
     /// Grows with every change of all this.
     pub revision: u64,
 }

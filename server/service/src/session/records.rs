@@ -4,7 +4,7 @@
 //! not readable is damage of its session and of no other.
 
 use super::meta::{DEFAULT_TENANT, SensorDeclaration, SessionMeta, SessionMode};
-use crate::SessionZone;
+use crate::{SessionMask, SessionZone};
 use bytes::Bytes;
 use percept_geometry::{Pose, SensorId, Timestamp};
 use percept_pipeline::{Merged, PipelineParams, TrajectoryEntry};
@@ -66,6 +66,8 @@ pub(crate) struct MetaRecord {
     sensors: Vec<Value>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     zones: Vec<Value>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    zone_masks: Vec<Value>,
 }
 
 impl MetaRecord {
@@ -84,6 +86,7 @@ impl MetaRecord {
             params: value(serde_json::to_value(&meta.params))?,
             sensors: meta.sensors.iter().map(|s| value(serde_json::to_value(s))).collect::<crate::Result<_>>()?,
             zones: meta.zones.iter().map(|z| value(serde_json::to_value(z))).collect::<crate::Result<_>>()?,
+            zone_masks: meta.zone_masks.iter().map(|m| value(serde_json::to_value(m))).collect::<crate::Result<_>>()?,
         })
     }
 
@@ -95,6 +98,8 @@ impl MetaRecord {
         let sensors = self.sensors.into_iter().map(read).collect::<Result<_, _>>().map_err(unreadable)?;
         let zone = |v: Value| serde_json::from_value::<SessionZone>(v).map_err(|e| Unreadable::new("a zone", e));
         let zones = self.zones.into_iter().map(zone).collect::<Result<_, _>>()?;
+        let mask = |v: Value| serde_json::from_value::<SessionMask>(v).map_err(|e| Unreadable::new("a zone mask", e));
+        let zone_masks = self.zone_masks.into_iter().map(mask).collect::<Result<_, _>>()?;
         Ok(SessionMeta {
             params: params_of(&self.id, self.params, defaults),
             id: self.id,
@@ -107,6 +112,7 @@ impl MetaRecord {
             request_id: self.request_id,
             sensors,
             zones,
+            zone_masks,
         })
     }
 }
@@ -219,6 +225,7 @@ mod tests {
             display_name: "A".to_owned(),
             labels: BTreeMap::from([("site".to_owned(), "north".to_owned())]),
             zones: Vec::new(),
+            zone_masks: Vec::new(),
             revision: 3,
             mode: SessionMode::Mapping,
             create_time_ns: 7,

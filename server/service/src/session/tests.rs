@@ -45,6 +45,7 @@ fn meta(id: &str) -> SessionMeta {
         display_name: String::new(),
         labels: Default::default(),
         zones: Vec::new(),
+        zone_masks: Vec::new(),
         revision: 0,
         mode: SessionMode::Mapping,
         create_time_ns: 1,

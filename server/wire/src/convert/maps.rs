@@ -112,6 +112,7 @@ pub fn format(value: i32) -> Result<MapFormat> {
         Ok(F::VoxelsViewPng) => MapFormat::VoxelsViewPng,
         Ok(F::HeightsPng) => MapFormat::HeightsPng,
         Ok(F::TraversabilityPng) => MapFormat::TraversabilityPng,
+        Ok(F::LayersPng) => MapFormat::LayersPng,
         _ => return Err(super::unknown_enum("format", value)),
     })
 }

@@ -14,7 +14,8 @@ use percept_planning::{
 use percept_scene::ObjectId;
 use percept_service::reason;
 use percept_service::{
-    Error, Limits, Navigation, PathChange, PathCheck, PathOptions, PathUpdate, Plan, PlanRequest, Result, SessionZone,
+    Error, Limits, MaskMeaning, Navigation, PathChange, PathCheck, PathOptions, PathUpdate, Plan, PlanRequest, Result,
+    SessionMask, SessionZone, SpeedUnit, navigation as ops,
 };
 use std::time::Duration;
 
@@ -67,6 +68,7 @@ pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
         footprint: (!footprint.is_empty()).then_some(Footprint::Polygon(footprint)),
         zones: asked.zones.iter().enumerate().map(numbered).collect::<Result<_>>()?,
         speed: asked.speed.as_ref().map_or_else(SpeedLimits::default, speed),
+        masks: vec![],
         ignores_session_zones: asked.ignore_session_zones,
         is_map_only: asked.map_only,
         deadline: (asked.deadline_ms > 0).then(|| Duration::from_millis(asked.deadline_ms.into())),
@@ -106,6 +108,51 @@ pub(super) fn zone_to(z: &SessionZone) -> v1::Zone {
     };
     let polygon = z.zone.polygon.iter().map(|p| v1::Vector2 { x: p.x, y: p.y }).collect();
     v1::Zone { polygon, kind: Some(kind), name: z.name.clone() }
+}
+
+/// What the values of a mask mean, if that is said.
+///
+/// # Errors
+/// `OUT_OF_RANGE`, `ENUM_UNKNOWN`.
+pub(super) fn mask_meaning(kind: Option<&v1::zone_mask::Kind>) -> Result<Option<MaskMeaning>> {
+    match kind {
+        None => Ok(None),
+        Some(v1::zone_mask::Kind::KeepOut(true)) => Ok(Some(MaskMeaning::KeepOut)),
+        Some(v1::zone_mask::Kind::KeepOut(false)) => {
+            let message = "keep_out is false; set it, or give speed";
+            Err(Error::invalid(reason::OUT_OF_RANGE, "keep_out", message))
+        }
+        Some(v1::zone_mask::Kind::Speed(speed)) => {
+            let unit = match v1::SpeedUnit::try_from(speed.unit) {
+                Ok(v1::SpeedUnit::Unspecified | v1::SpeedUnit::Percent) => SpeedUnit::Percent,
+                Ok(v1::SpeedUnit::MetresPerSecond) => SpeedUnit::MetresPerSecond,
+                Err(_) => return Err(super::unknown_enum("speed.unit", speed.unit)),
+            };
+            Ok(Some(MaskMeaning::Speed { base: speed.base, multiplier: speed.multiplier.unwrap_or(1.0), unit }))
+        }
+    }
+}
+
+/// A mask of a session as a message, without its cells.
+pub(super) fn mask_to(mask: &SessionMask) -> v1::ZoneMask {
+    let kind = match mask.meaning {
+        MaskMeaning::KeepOut => v1::zone_mask::Kind::KeepOut(true),
+        MaskMeaning::Speed { base, multiplier, unit } => {
+            let unit = match unit {
+                SpeedUnit::Percent => v1::SpeedUnit::Percent,
+                SpeedUnit::MetresPerSecond => v1::SpeedUnit::MetresPerSecond,
+            };
+            v1::zone_mask::Kind::Speed(v1::SpeedMask { unit: unit.into(), base, multiplier: Some(multiplier) })
+        }
+    };
+    let grid = &mask.cells.grid;
+    let geometry = v1::GridGeometry {
+        resolution_m: grid.geometry.resolution_m,
+        origin: Some(v1::Vector2 { x: grid.geometry.origin.x, y: grid.geometry.origin.y }),
+        width: grid.width as u32,
+        height: grid.height as u32,
+    };
+    v1::ZoneMask { name: mask.name.clone(), map: None, kind: Some(kind), geometry: Some(geometry) }
 }
 
 fn planner(asked: &v1::PathOptions) -> Result<Planner> {
@@ -201,38 +248,29 @@ pub fn grid(grid: &v1::GridMap) -> Result<DenseGrid> {
     Ok(DenseGrid { geometry, width: g.width as usize, height: g.height as usize, cells })
 }
 
-fn words_of(reason: NoPathReason) -> (v1::NoPathReason, &'static str) {
+fn reason_number(reason: NoPathReason) -> v1::NoPathReason {
     use v1::NoPathReason as R;
     match reason {
-        NoPathReason::StartOutsideMap => (R::StartOutsideMap, "the start lies outside of what was mapped"),
-        NoPathReason::StartOccupied => (R::StartOccupied, "the start is in an obstacle"),
-        NoPathReason::StartDoesNotFit => {
-            (R::StartDoesNotFit, "the start is free, but nearer to an obstacle than the robot needs")
-        }
-        NoPathReason::StartInKeepOut => (R::StartInKeepOut, "the start is in a keep-out zone"),
-        NoPathReason::StartUnknown => (R::StartUnknown, "the start lies where nothing was seen yet"),
-        NoPathReason::GoalOutsideMap => (R::GoalOutsideMap, "the goal lies outside of what was mapped"),
-        NoPathReason::GoalOccupied => (R::GoalOccupied, "the goal is in an obstacle"),
-        NoPathReason::GoalDoesNotFit => {
-            (R::GoalDoesNotFit, "the goal is free, but nearer to an obstacle than the robot needs")
-        }
-        NoPathReason::GoalInKeepOut => (R::GoalInKeepOut, "the goal is in a keep-out zone"),
-        NoPathReason::GoalUnknown => (R::GoalUnknown, "the goal lies where nothing was seen yet"),
-        NoPathReason::Unreachable => (R::Unreachable, "no way wide enough for the robot joins start and goal"),
-        NoPathReason::NotSteerable => {
-            (R::NotSteerable, "a way is wide enough, but not with this footprint and turning radius")
-        }
-        NoPathReason::SearchLimit => {
-            (R::SearchLimit, "the search was stopped at max_expansions before it found a path")
-        }
-        NoPathReason::Stopped => (R::Deadline, "deadline_ms was over before a path was found"),
+        NoPathReason::StartOutsideMap => R::StartOutsideMap,
+        NoPathReason::StartOccupied => R::StartOccupied,
+        NoPathReason::StartDoesNotFit => R::StartDoesNotFit,
+        NoPathReason::StartInKeepOut => R::StartInKeepOut,
+        NoPathReason::StartUnknown => R::StartUnknown,
+        NoPathReason::GoalOutsideMap => R::GoalOutsideMap,
+        NoPathReason::GoalOccupied => R::GoalOccupied,
+        NoPathReason::GoalDoesNotFit => R::GoalDoesNotFit,
+        NoPathReason::GoalInKeepOut => R::GoalInKeepOut,
+        NoPathReason::GoalUnknown => R::GoalUnknown,
+        NoPathReason::Unreachable => R::Unreachable,
+        NoPathReason::NotSteerable => R::NotSteerable,
+        NoPathReason::SearchLimit => R::SearchLimit,
+        NoPathReason::Stopped => R::Deadline,
     }
 }
 
 /// Why there is no path; none: no start was given and the robot does not know where it is.
 pub(super) fn reason_to(reason: Option<NoPathReason>) -> (v1::NoPathReason, &'static str) {
-    let lost = (v1::NoPathReason::Lost, "no start was given and the robot does not know where it is");
-    reason.map_or(lost, words_of)
+    (reason.map_or(v1::NoPathReason::Lost, reason_number), ops::words_of(reason))
 }
 
 pub(super) fn no_path_to(reason: Option<NoPathReason>, blocking: Option<v1::Blocking>) -> v1::NoPath {
@@ -278,7 +316,7 @@ pub(super) fn blocking_to(b: &Blocking, object: Option<ObjectId>) -> v1::Blockin
     }
 }
 
-fn outcome_to(outcome: &PlanOutcome, object: Option<ObjectId>) -> std::result::Result<v1::Path, v1::NoPath> {
+pub(super) fn outcome_to(outcome: &PlanOutcome, object: Option<ObjectId>) -> std::result::Result<v1::Path, v1::NoPath> {
     match outcome {
         PlanOutcome::Path(p) => Ok(path_to(p)),
         PlanOutcome::NoPath { reason, blocking } => {
@@ -287,7 +325,7 @@ fn outcome_to(outcome: &PlanOutcome, object: Option<ObjectId>) -> std::result::R
     }
 }
 
-fn planned_to(plan: &Plan) -> std::result::Result<v1::Path, v1::NoPath> {
+pub(super) fn planned_to(plan: &Plan) -> std::result::Result<v1::Path, v1::NoPath> {
     match &plan.outcome {
         Some(outcome) => outcome_to(outcome, plan.object),
         None => Err(no_path_to(None, None)),

@@ -70,6 +70,7 @@ pub fn view_to(s: &SessionView) -> v1::Session {
         labels: s.labels.clone().into_iter().collect(),
         etag: s.etag.clone(),
         zones: vec![],
+        zone_masks: vec![],
     }
 }
 
@@ -86,6 +87,7 @@ pub fn description_to(s: &SessionDescription) -> Result<v1::Session> {
         labels: meta.labels.clone().into_iter().collect(),
         etag: meta.etag(),
         zones: meta.zones.iter().map(super::navigation::zone_to).collect(),
+        zone_masks: meta.zone_masks.iter().map(super::navigation::mask_to).collect(),
         params,
         sensors: statuses.iter().map(sensors::status_to).collect(),
         ..view

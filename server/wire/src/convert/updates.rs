@@ -4,12 +4,15 @@ use super::{geometry, navigation, required, sensors};
 use crate::{params, v1};
 use percept_geometry::SensorId;
 use percept_service::reason;
-use percept_service::{Error, ParamChange, Result, SensorChanges, SessionChanges, SessionMode, SessionZone};
+use percept_service::{
+    Error, Limits, MaskCells, MaskChange, ParamChange, Result, SensorChanges, SessionChanges, SessionMode, SessionZone,
+};
 use prost_types::FieldMask;
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 /// Fields of a session that callers set.
-const SETTABLE: &str = "display_name, labels, zones, params and what is below it";
+const SETTABLE: &str = "display_name, labels, zones, zone_masks, params and what is below it";
 /// Fields of a sensor's declaration that may be named.
 const OF_A_SENSOR: &str = "t_base_sensor, intrinsics, time_offset_s, overload_policy";
 
@@ -55,20 +58,22 @@ fn nothing(known: &str) -> Error {
 /// A change of a session.
 ///
 /// # Errors
-/// `FIELD_MISSING`, `MASK_PATH_UNKNOWN`, `FIELD_READ_ONLY`, `ENUM_UNKNOWN`, `PARAMETER_OUT_OF_RANGE`.
-pub fn session(r: &v1::UpdateSessionRequest) -> Result<SessionUpdate> {
+/// `FIELD_MISSING`, `MASK_PATH_UNKNOWN`, `FIELD_READ_ONLY`, `ENUM_UNKNOWN`, `PARAMETER_OUT_OF_RANGE`; what is wrong with a zone, or the
+/// file of a zone mask.
+pub fn session(r: &v1::UpdateSessionRequest, limits: &Limits) -> Result<SessionUpdate> {
     let session = required("session", r.session.as_ref())?;
     let mut changes = SessionChanges::default();
     match paths(r.update_mask.as_ref()) {
         Some(paths) => {
             for path in paths {
-                name(&mut changes, session, path)?;
+                name(&mut changes, session, path, limits)?;
             }
         }
         None => {
             changes.display_name = Some(session.display_name.clone()).filter(|name| !name.is_empty());
             changes.labels = Some(labels(session)).filter(|labels| !labels.is_empty());
             changes.zones = Some(zones(session)?).filter(|zones| !zones.is_empty());
+            changes.zone_masks = Some(zone_masks(session, limits)?).filter(|masks| !masks.is_empty());
             changes.mode = mode(session.mode)?;
             let all = param_changes(session, "")?.unwrap_or_default();
             changes.params = all.into_iter().filter(|change| change.value.is_some()).collect();
@@ -81,12 +86,13 @@ pub fn session(r: &v1::UpdateSessionRequest) -> Result<SessionUpdate> {
     Ok(SessionUpdate { id: session.session_id.clone(), etag: etag.clone(), changes })
 }
 
-fn name(changes: &mut SessionChanges, session: &v1::Session, path: &str) -> Result<()> {
+fn name(changes: &mut SessionChanges, session: &v1::Session, path: &str, limits: &Limits) -> Result<()> {
     let (field, below) = path.split_once('.').map_or((path, None), |(field, below)| (field, Some(below)));
     match (field, below) {
         ("display_name", None) => changes.display_name = Some(session.display_name.clone()),
         ("labels", None) => changes.labels = Some(labels(session)),
         ("zones", None) => changes.zones = Some(zones(session)?),
+        ("zone_masks", None) => changes.zone_masks = Some(zone_masks(session, limits)?),
         ("params", Some("")) => return Err(unknown(path, SETTABLE)),
         ("params", below) => {
             let below = below.unwrap_or_default();
@@ -96,7 +102,9 @@ fn name(changes: &mut SessionChanges, session: &v1::Session, path: &str) -> Resu
         ("session_id", None) => {}
         ("mode", None) => changes.mode = mode(session.mode)?,
         ("sensors", _) => return Err(read_only(path, "change sensors by UpdateSensor, and add some by DeclareSensor")),
-        ("display_name" | "labels" | "zones" | "session_id" | "mode", Some(_)) => return Err(unknown(path, SETTABLE)),
+        ("display_name" | "labels" | "zones" | "zone_masks" | "session_id" | "mode", Some(_)) => {
+            return Err(unknown(path, SETTABLE));
+        }
         (field, _) if crate::json::descriptor("Session")?.get_field_by_name(field).is_some() => {
             return Err(read_only(path, "leave it out of the mask"));
         }
@@ -120,6 +128,24 @@ fn zones(session: &v1::Session) -> Result<Vec<SessionZone>> {
         Ok(SessionZone { name: z.name.clone(), zone })
     };
     session.zones.iter().enumerate().map(of).collect()
+}
+
+fn zone_masks(session: &v1::Session, limits: &Limits) -> Result<Vec<MaskChange>> {
+    let of = |mask: &v1::ZoneMask| {
+        let grid = match &mask.map {
+            None => None,
+            Some(v1::zone_mask::Map::Grid(grid)) => Some(("grid", navigation::grid(grid))),
+            Some(v1::zone_mask::Map::Nav2(files)) => Some(("nav2", navigation::nav2(files, limits))),
+        };
+        let cells = |(field, grid): (&str, Result<_>)| {
+            grid.and_then(|grid| MaskCells::new(grid, limits)).map(Arc::new).map_err(|e| e.within(field))
+        };
+        let (cells, meaning) = (grid.map(cells).transpose()?, navigation::mask_meaning(mask.kind.as_ref())?);
+        Ok(MaskChange { name: mask.name.clone(), meaning, cells })
+    };
+    let numbered =
+        |(i, mask): (usize, &v1::ZoneMask)| of(mask).map_err(|e: Error| e.within(&format!("zone_masks[{i}]")));
+    session.zone_masks.iter().enumerate().map(numbered).collect()
 }
 
 fn mode(value: i32) -> Result<Option<SessionMode>> {
@@ -186,7 +212,7 @@ mod tests {
         let paths = mask.iter().map(|p| (*p).to_owned()).collect();
         let update_mask = (!mask.is_empty()).then_some(FieldMask { paths });
         let r = v1::UpdateSessionRequest { session: Some(session), update_mask, etag: String::new() };
-        super::session(&r).map(|update| update.changes)
+        super::session(&r, &Limits::default()).map(|update| update.changes)
     }
 
     fn session(json: serde_json::Value) -> v1::Session {

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from ..._convert import drawing
 from ..._convert.toolbox import planning as convert
 from ..._convert.toolbox.planning import Map
-from ...types.navigation import Misfit, NoPath, Path, PathOptions
+from ...types.navigation import Misfit, NoPath, Path, PathColouring, PathOptions, PathPicture
 from ..bound import AsyncBound
 
 
@@ -35,3 +36,19 @@ class AsyncPlanning(AsyncBound):
     ) -> Misfit | None:
         """The first place of a path, or of (N, 3) poses, that the robot cannot drive; None if all fits."""
         return await self._transport.call(convert.validate_on_map(given, path, params, options))
+
+    async def draw_path_on_map(
+        self,
+        given: Map,
+        start: Sequence[float] | None = None,
+        goal: Sequence[float] | None = None,
+        *,
+        path: Path | object | None = None,
+        colouring: PathColouring | str = PathColouring.CLEARANCE,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> PathPicture:
+        """plan_on_map() as a picture, or a path (or (N, 3) poses) as it is, with the first place of it that
+        the robot cannot drive."""
+        call = drawing.draw_path_on_map(given, start, goal, path, colouring, params, options)
+        return await self._transport.call(call)

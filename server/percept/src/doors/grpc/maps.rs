@@ -3,7 +3,7 @@
 use super::{Answer, Api, Streamed, check_size, status, streamed};
 use percept_service::{MapFile, Moved};
 use percept_wire::convert::toolbox::sources::session_clouds;
-use percept_wire::convert::{map_import, maps};
+use percept_wire::convert::{drawing, map_import, maps};
 use percept_wire::parts::InParts;
 use percept_wire::v1;
 use sha2::{Digest, Sha256};
@@ -29,6 +29,7 @@ impl v1::maps_service_server::MapsService for Api {
     type GetOccupancyGridStream = Streamed<v1::GetOccupancyGridResponse>;
     type GetCloudStream = Streamed<v1::GetCloudResponse>;
     type ExportMapStream = Streamed<v1::ExportMapResponse>;
+    type CompareMapsStream = Streamed<v1::CompareMapsResponse>;
 
     async fn get_map_summary(&self, r: Request<v1::GetMapSummaryRequest>) -> Answer<v1::GetMapSummaryResponse> {
         let caller = self.caller(&r)?;
@@ -96,6 +97,16 @@ impl v1::maps_service_server::MapsService for Api {
         let wanted = session_clouds(&r).map_err(status::grpc)?;
         let done = caller.import_map(&session, wanted, move |t| map_import::given(t, &r), options).await;
         Ok(Response::new(map_import::imported_to(&done.map_err(status::grpc)?)))
+    }
+
+    async fn compare_maps(&self, r: Request<v1::CompareMapsRequest>) -> Answer<Self::CompareMapsStream> {
+        let caller = self.caller(&r)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
+        let r = r.into_inner();
+        let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?.to_owned();
+        let tolerance_m = r.tolerance_m;
+        let found = caller.compare_maps(&session, move |limits| drawing::before(r, limits), tolerance_m).await;
+        streamed(drawing::comparison_to(found.map_err(status::grpc)?).parts(), |part| part)
     }
 
     async fn export_map(&self, r: Request<v1::ExportMapRequest>) -> Answer<Self::ExportMapStream> {

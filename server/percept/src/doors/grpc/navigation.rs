@@ -1,10 +1,11 @@
 //! `NavigationService`.
 
 use super::sessions::RESUME_TOKEN;
-use super::{Answer, Api, Streamed, check_size, ingest, peer_of, status};
+use super::{Answer, Api, Streamed, check_size, ingest, peer_of, status, streamed};
 use futures::StreamExt;
 use percept_service::{Caller, ErrorCode, EventLog, PathUpdate, PathWatch, admission};
-use percept_wire::convert::{exploration, navigation};
+use percept_wire::convert::{drawing, exploration, navigation};
+use percept_wire::parts::InParts;
 use percept_wire::{convert, v1};
 use std::sync::Arc;
 use tonic::{Request, Response};
@@ -46,6 +47,7 @@ impl Watched {
 #[tonic::async_trait]
 impl v1::navigation_service_server::NavigationService for Api {
     type WatchPathStream = Streamed<v1::WatchPathResponse>;
+    type DrawPathStream = Streamed<v1::DrawPathResponse>;
 
     async fn watch_path(&self, r: Request<v1::WatchPathRequest>) -> Answer<Self::WatchPathStream> {
         let caller = self.caller(&r)?;
@@ -81,6 +83,17 @@ impl v1::navigation_service_server::NavigationService for Api {
             navigation::request(r.start.as_ref(), r.goal.as_ref(), r.params.as_ref(), r.options.as_ref(), &params);
         let plan = caller.plan_path(session, request.map_err(status::grpc)?).await.map_err(status::grpc)?;
         Ok(Response::new(navigation::plan_to(&plan)))
+    }
+
+    async fn draw_path(&self, r: Request<v1::DrawPathRequest>) -> Answer<Self::DrawPathStream> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        let session = convert::maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
+        let snapshot = caller.snapshot("NavigationService/DrawPath", session).await.map_err(status::grpc)?;
+        let asked = drawing::drawing(r, &snapshot.params).map_err(status::grpc)?;
+        let is_given = !r.poses.is_empty();
+        let drawn = caller.draw_path(session, asked).await.map_err(status::grpc)?;
+        streamed(drawing::drawn_to(drawn, is_given).parts(), |part| part)
     }
 
     async fn validate_path(&self, r: Request<v1::ValidatePathRequest>) -> Answer<v1::ValidatePathResponse> {

@@ -1,13 +1,14 @@
 //! `SessionsService`.
 
-use super::{Answer, Api, Streamed, peer_of, status, streamed};
+use super::{Answer, Api, Streamed, check_size, peer_of, status, streamed};
 use futures::{Stream, StreamExt};
 use percept_geometry::{Pose, Timestamp};
 use percept_pipeline::TrajectoryEntry;
 use percept_service::reason;
 use percept_service::{Caller, Error, ErrorCode, admission, observe};
-use percept_wire::convert::{fleet, sessions, updates};
+use percept_wire::convert::{fleet, required, sessions, updates};
 use percept_wire::{params, v1};
+use std::sync::Arc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response};
 
@@ -100,7 +101,16 @@ impl v1::sessions_service_server::SessionsService for Api {
 
     async fn update_session(&self, r: Request<v1::UpdateSessionRequest>) -> Answer<v1::UpdateSessionResponse> {
         let caller = self.caller(&r)?;
-        let update = updates::session(r.get_ref()).map_err(status::grpc)?;
+        check_size(r.get_ref(), self).map_err(status::grpc)?;
+        let r = r.into_inner();
+        let sent = required("session", r.session.as_ref()).map_err(status::grpc)?;
+        let (session, has_masks) = (sent.session_id.clone(), !sent.zone_masks.is_empty());
+        // Who may not change the session learns nothing of what is wrong with the change.
+        caller.may_with("SessionsService/UpdateSession", &session).await.map_err(status::grpc)?;
+        let limits = Arc::clone(caller.limits());
+        let read = move || updates::session(&r, &limits);
+        let update = if has_masks { caller.query(&session, read).await.and_then(|update| update) } else { read() };
+        let update = update.map_err(status::grpc)?;
         let changed = caller.update_session(&update.id, &update.etag, &update.changes).await.map_err(status::grpc)?;
         let session = Some(sessions::description_to(&changed).map_err(status::grpc)?);
         Ok(Response::new(v1::UpdateSessionResponse { session }))

@@ -19,7 +19,7 @@ use v1::operations_service_server::OperationsService;
 use v1::read_operation_result_response::Result as Outcome;
 
 /// Names of files and the formats that they are.
-pub(super) const FILES: [(&str, MapFormat); 22] = [
+pub(super) const FILES: [(&str, MapFormat); 23] = [
     ("occupancy.png", MapFormat::OccupancyPng),
     ("map.pgm", MapFormat::Nav2Pgm),
     ("map.yaml", MapFormat::Nav2Yaml),
@@ -42,7 +42,24 @@ pub(super) const FILES: [(&str, MapFormat); 22] = [
     ("voxels-view.png", MapFormat::VoxelsViewPng),
     ("heights.png", MapFormat::HeightsPng),
     ("traversability.png", MapFormat::TraversabilityPng),
+    ("layers.png", MapFormat::LayersPng),
 ];
+
+/// A message that begins with a picture.
+#[derive(Message)]
+struct Pictured {
+    #[prost(bytes = "bytes", tag = "1")]
+    png: Bytes,
+}
+
+/// The picture in an answer whose first field it is.
+///
+/// # Errors
+/// `INTERNAL` if it has none.
+pub(super) fn picture(answer: Vec<u8>) -> Result<Response, Error> {
+    let Pictured { png } = Pictured::decode(Bytes::from(answer)).map_err(Error::internal)?;
+    Ok(([(header::CONTENT_TYPE, "image/png"), (header::CACHE_CONTROL, "no-cache")], png).into_response())
+}
 
 const MAP_VERSION: HeaderName = HeaderName::from_static("percept-map-version");
 const CONTENT_DIGEST: HeaderName = HeaderName::from_static("content-digest");

@@ -160,6 +160,13 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
             let output = call(api, context, request).await?;
             transcode::encode(route.rpc.output(), &parts.headers, output).await
         }
+        Kind::Picture(call) => {
+            let output = call(api, context, request).await?;
+            if transcode::wants_message(&parts.headers) {
+                return transcode::encode(route.rpc.output(), &parts.headers, output).await;
+            }
+            Ok(files::picture(output)?)
+        }
         Kind::Events => events::watch(&api, context, request, &parts.headers).await,
         Kind::PathEvents => events::watch_path(&api, context, request).await,
         Kind::FleetEvents => events::watch_all(&api, context, request, &parts.headers).await,

@@ -179,6 +179,10 @@ fn answer(bound: &Bound) -> Value {
                 "text/vnd.graphviz": {"schema": {"type": "string"}},
             },
         }),
+        Answer::Picture(_) => json!({
+            "description": "The picture. All of the answer, the picture in it, where Accept names a message's media type.",
+            "content": {"image/png": binary, "application/json": json},
+        }),
         Answer::Events => json!({
             "description": "Server-sent events: each one's data is a SessionEvent, its id the event's token. \
                 Last-Event-ID goes on after that event. An event of type problem (ErrorInfo) ends the stream.",

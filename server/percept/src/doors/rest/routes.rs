@@ -74,6 +74,8 @@ pub(super) enum Kind {
     Tagged(Call, Tag),
     /// The same, or Graphviz.
     SceneGraph(Call),
+    /// The picture that the response message begins with, or all of it where a message is asked for.
+    Picture(Call),
     /// Server-sent events.
     Events,
     /// The same, of all sessions.
@@ -362,6 +364,7 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/sessions/{session_id}/map/loops/{loop_id}/veto", "MapsService/SetLoopVeto", LOOP, unary!(Message set_loop_veto)),
     post("/v1/sessions/{session_id}/map/optimise", "MapsService/OptimiseMap", SOURCE, unary!(Message optimise_map)),
     post("/v1/sessions/{session_id}/map/import", "MapsService/ImportMap", SOURCE, unary!(Message import_map)),
+    post("/v1/sessions/{session_id}/map/compare", "MapsService/CompareMaps", SOURCE, parts!(Picture compare_maps)),
     get("/v1/sessions/{session_id}/map/files/{name}", "MapsService/ExportMap", SOURCE, Kind::File),
 
     get("/v1/sessions/{session_id}/map/voxels", "LayersService/GetVoxels", SOURCE, parts!(Message get_voxels)),
@@ -377,6 +380,7 @@ pub(super) static ROUTES: &[Route] = &[
     get("/v1/sessions/{session_id}/scene-graph", "SceneService/GetSceneGraph", SESSION, parts!(SceneGraph get_scene_graph)),
 
     post("/v1/sessions/{session_id}/plan", "NavigationService/PlanPath", SOURCE, unary!(Message plan_path)),
+    post("/v1/sessions/{session_id}/draw-path", "NavigationService/DrawPath", SOURCE, parts!(Picture draw_path)),
     get("/v1/sessions/{session_id}/watch-path", "NavigationService/WatchPath", SOURCE, Kind::PathEvents),
     post("/v1/sessions/{session_id}/plan-coverage", "NavigationService/PlanCoverage", SOURCE, unary!(Message plan_coverage)),
     post("/v1/sessions/{session_id}/frontiers", "NavigationService/FindFrontiers", SOURCE, unary!(Message find_frontiers)),
@@ -391,6 +395,7 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/run-pipeline", "ToolboxPipelinesService/RunPipeline", &[], parts!(Message run_pipeline)),
     post("/v1/toolbox/plan-on-map", "ToolboxPlanningService/PlanOnMap", &[], unary!(Message plan_on_map)),
     post("/v1/toolbox/validate-on-map", "ToolboxPlanningService/ValidateOnMap", &[], unary!(Message validate_on_map)),
+    post("/v1/toolbox/draw-path-on-map", "ToolboxPlanningService/DrawPathOnMap", &[], parts!(Picture draw_path_on_map)),
     post("/v1/toolbox/decode-cloud", "ToolboxCloudsService/DecodeCloud", &[], parts!(Message decode_cloud)),
     post("/v1/toolbox/encode-cloud", "ToolboxCloudsService/EncodeCloud", &[], parts!(Message encode_cloud)),
     post("/v1/toolbox/convert-depth", "ToolboxDepthService/ConvertDepth", &[], parts!(Message convert_depth)),

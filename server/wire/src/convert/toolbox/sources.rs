@@ -64,6 +64,7 @@ sources! {
     GroupConvexRequest {}
     PlanOnMapRequest {}
     ValidateOnMapRequest {}
+    DrawPathOnMapRequest {}
     SegmentObjectsRequest { cloud }
     DetectObjectsRequest { cloud }
     RegisterCloudsRequest { source, target }
