@@ -17,7 +17,7 @@ use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
-use tonic::{Request, Status};
+use tonic::{Request, Response, Status};
 
 /// Messages under way to the server.
 const WINDOW: usize = 8;
@@ -166,6 +166,14 @@ pub(crate) fn lost(error: &(dyn std::error::Error + Send + Sync + 'static)) -> O
     ))
 }
 
+/// What a server answered; of what it refused its own words, which name field and remedy.
+pub(crate) fn answered<T>(answer: Result<Response<T>, Status>) -> Result<T, Failure> {
+    answer.map(Response::into_inner).map_err(|status| {
+        let refused = std::error::Error::source(&status).is_none() && !status.message().is_empty();
+        if refused { status.message().into() } else { status.into() }
+    })
+}
+
 /// A session on a server.
 pub(crate) struct RemoteSession {
     pub(crate) channel: Connection,
@@ -209,6 +217,11 @@ impl RemoteSession {
         let created = SessionsServiceClient::new(channel.clone()).create_session(request).await?.into_inner();
         let id = created.session.ok_or("the server answered without a session")?.session_id;
         Ok(Self { channel, id })
+    }
+
+    /// Its map, in requests.
+    pub(crate) fn source(&self) -> v1::MapSource {
+        v1::MapSource { source: Some(v1::map_source::Source::SessionId(self.id.clone())) }
     }
 
     /// Streams frames in, acknowledged one by one; `frames` ends the stream by ending.

@@ -1,6 +1,7 @@
 //! Frames read ahead of their use: decoding and ray casting overlap with the pipeline.
 
 use super::Failure;
+use nalgebra::Point2;
 use percept_geometry::SensorFrame;
 use std::sync::mpsc::{Receiver, sync_channel};
 
@@ -55,6 +56,44 @@ pub(crate) fn parse_range(text: &str) -> Result<std::ops::Range<usize>, String> 
     if range.is_empty() { Err(format!("{text:?} is empty; FIRST must be below LAST")) } else { Ok(range) }
 }
 
+/// A place, `X,Y`, metres.
+pub(crate) fn parse_point(text: &str) -> Result<Point2<f64>, String> {
+    let [x, y] = numbers(text).ok_or_else(|| format!("{text:?} is no place; write X,Y in metres, e.g. 1.5,-2"))?;
+    Ok(Point2::new(x, y))
+}
+
+/// A pose in the plane: metres, radians.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct FlatPose {
+    pub(crate) x_m: f64,
+    pub(crate) y_m: f64,
+    pub(crate) yaw_rad: f64,
+}
+
+/// A pose in the plane, `X,Y,YAW`.
+pub(crate) fn parse_pose(text: &str) -> Result<FlatPose, String> {
+    let words = || format!("{text:?} is no pose; write X,Y,YAW in metres and radians, e.g. 1.5,-2,0.7");
+    let [x_m, y_m, yaw_rad] = numbers(text).ok_or_else(words)?;
+    Ok(FlatPose { x_m, y_m, yaw_rad })
+}
+
+/// Corners in order, metres.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Polygon(pub(crate) Vec<Point2<f64>>);
+
+/// Corners in order, `X,Y X,Y X,Y ...`.
+pub(crate) fn parse_polygon(text: &str) -> Result<Polygon, String> {
+    let corners = text.split_whitespace().map(parse_point).collect::<Result<Vec<_>, _>>()?;
+    let words = || format!("{text:?} has {} corners; write at least three, X,Y with spaces between", corners.len());
+    if corners.len() < 3 { Err(words()) } else { Ok(Polygon(corners)) }
+}
+
+/// So many finite numbers with commas between.
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+    text.split(',').map(number).collect::<Option<Vec<f64>>>()?.try_into().ok()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -67,5 +106,16 @@ mod tests {
         for bad in ["", "3", "a:b", "5:5", "7:3", "-1:3"] {
             assert!(parse_range(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn places_and_outlines_are_read_and_nonsense_is_refused() {
+        assert_eq!(parse_point("1.5, -2"), Ok(Point2::new(1.5, -2.0)));
+        assert_eq!(parse_pose("1,2,0.5"), Ok(FlatPose { x_m: 1.0, y_m: 2.0, yaw_rad: 0.5 }));
+        assert_eq!(parse_polygon("0,0 1,0 1,1").map(|p| p.0.len()), Ok(3));
+        for bad in ["", "1", "1,2,3", "nan,0", "1,inf", "a,b", "1;2"] {
+            assert!(parse_point(bad).is_err(), "{bad}");
+        }
+        assert!(parse_polygon("0,0 1,0").is_err() && parse_pose("1,2").is_err());
     }
 }

@@ -13,9 +13,11 @@ mod eval_slam;
 mod eval_trajectory;
 mod eval_wheels;
 mod health;
+mod import_map;
 mod input;
 mod keys;
 mod local;
+mod plan;
 mod plot;
 mod prepare;
 mod reload;
@@ -53,6 +55,10 @@ enum Command {
     Sim(sim::SimArgs),
     /// Run a recorded data set through percept, in this process or into a server.
     Replay(replay::ReplayArgs),
+    /// Plan a path on a map file, or through the map of a session of a running server; no path is a failure, with its reason.
+    Plan(plan::PlanArgs),
+    /// Begin a session of a running server with a map that comes from elsewhere.
+    ImportMap(import_map::ImportMapArgs),
     /// Measure against ground truth.
     #[command(subcommand)]
     Eval(eval::EvalCommand),
@@ -86,6 +92,8 @@ pub(crate) fn run() -> ExitCode {
         Command::Demo(args) => demo::run(args),
         Command::Sim(args) => sim::run(args),
         Command::Replay(args) => replay::run(args),
+        Command::Plan(args) => plan::run(args),
+        Command::ImportMap(args) => import_map::run(args),
         Command::Eval(command) => eval::run(command),
         Command::Bench(args) => bench::run(args),
         Command::Keys(command) => keys::run(command),

@@ -9,7 +9,17 @@ const CRATES: [&str; 4] = ["identity", "service", "wire", "percept"];
 fn is_other(word: &str) -> bool {
     let codes =
         ["ALREADY_EXISTS", "DATA_LOSS", "FAILED_PRECONDITION", "INVALID_ARGUMENT", "NOT_FOUND", "RESOURCE_EXHAUSTED"];
-    let prefixes = ["PERCEPT_", "CARGO_", "OUT_DIR", "FEATURE_METHOD_", "SENSOR_KIND_", "RELATION_KIND_", "TEST_"];
+    let prefixes = [
+        "PERCEPT_",
+        "CARGO_",
+        "OUT_DIR",
+        "FEATURE_METHOD_",
+        "SENSOR_KIND_",
+        "RELATION_KIND_",
+        "NO_PATH_REASON_",
+        "BLOCKING_STATE_",
+        "TEST_",
+    ];
     codes.contains(&word) || prefixes.iter().any(|prefix| word.starts_with(prefix))
 }
 
