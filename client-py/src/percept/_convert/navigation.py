@@ -24,9 +24,10 @@ from ..types.navigation import (
     PathChange,
     PathOptions,
     PathUpdate,
+    StoreyOptions,
     Zone,
 )
-from ..v1 import geometry_pb2, params_pb2, path_pb2
+from ..v1 import geometry_pb2, layers_service_pb2, params_pb2, path_pb2
 from ..v1 import navigation_service_pb2 as service
 from . import geometry, maps, poses, scene, sensors, words
 
@@ -101,6 +102,14 @@ def zone(message: path_pb2.Zone) -> Zone:
     return Zone(polygon=[(p.x, p.y) for p in message.polygon], speed_share=share, name=message.name)
 
 
+def _storey(storey: StoreyOptions) -> path_pb2.StoreyOptions:
+    return path_pb2.StoreyOptions(
+        storey=words.number("storey", layers_service_pb2.Storey, storey.storey),
+        near_z_m=storey.near_z_m,
+        near_within_m=storey.near_within_m,
+    )
+
+
 def options_to(options: PathOptions | None) -> path_pb2.PathOptions | None:
     """Options as a message."""
     if options is None:
@@ -117,6 +126,7 @@ def options_to(options: PathOptions | None) -> path_pb2.PathOptions | None:
         deadline_ms=options.deadline_ms,
         ignore_session_zones=options.ignore_session_zones,
         map_only=options.map_only,
+        storey=None if options.storey is None else _storey(options.storey),
     )
 
 

@@ -103,6 +103,7 @@ from .navigation import (
     SpeedMask,
     SpeedUnit,
     Steering,
+    StoreyOptions,
     Zone,
     ZoneMask,
 )
@@ -371,6 +372,7 @@ __all__ = [
     "Step",
     "StepResult",
     "Storey",
+    "StoreyOptions",
     "StreamSummary",
     "StreamTrouble",
     "StreamTroubleKind",

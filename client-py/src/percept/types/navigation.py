@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ._value import Name, Value
 from .geometry import Floats
+from .layers import Storey
 from .maps import GridGeometry, MapStamp, OccupancyGrid
 from .poses import FrameResult, PoseEstimate
 from .scene import Object
@@ -118,6 +119,18 @@ class Steering(Value):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StoreyOptions(Value):
+    """The ground that is driven on where there are several above each other; a path knows no other."""
+
+    #: The lowest, the highest, or that whose ground is nearest to near_z_m.
+    storey: Storey | str = Storey.LOWEST
+    #: Metres, map frame; nearest only.
+    near_z_m: float = 0.0
+    #: Ground farther from near_z_m than this is of another storey, metres; nearest only.
+    near_within_m: float = 1.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PathOptions(Value):
     """What is asked of a path beside its ends."""
 
@@ -141,6 +154,9 @@ class PathOptions(Value):
     #: True: the map alone counts. Else what the newest frames see counts as well, which no keyframe shows
     #: yet: who stands in the way is an obstacle, and what has gone is none (params live of the session).
     map_only: bool = False
+    #: None: through the occupancy grid, which has one floor. Else over the ground of a storey, by its
+    #: traversability, which the session's heights tell. Of a session's map only.
+    storey: StoreyOptions | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

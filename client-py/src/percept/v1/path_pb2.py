@@ -13,59 +13,62 @@ _sym_db = _symbol_database.Default()
 
 
 from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
+from percept.v1 import layers_service_pb2 as percept_dot_v1_dot_layers__service__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x15percept/v1/path.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\"\x81\x03\n\x0bPathOptions\x12$\n\x07planner\x18\x01 \x01(\x0e\x32\x13.percept.v1.Planner\x12\x1a\n\rstart_yaw_rad\x18\x02 \x01(\x01H\x00\x88\x01\x01\x12\x19\n\x0cgoal_yaw_rad\x18\x03 \x01(\x01H\x01\x88\x01\x01\x12&\n\tfootprint\x18\x04 \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x1f\n\x05zones\x18\x05 \x03(\x0b\x32\x10.percept.v1.Zone\x12+\n\x05speed\x18\x06 \x01(\x0b\x32\x17.percept.v1.SpeedLimitsH\x02\x88\x01\x01\x12\x32\n\x08steering\x18\x07 \x01(\x0b\x32\x1b.percept.v1.SteeringOptionsH\x03\x88\x01\x01\x12\x13\n\x0b\x64\x65\x61\x64line_ms\x18\x08 \x01(\r\x12\x1c\n\x14ignore_session_zones\x18\t \x01(\x08\x42\x10\n\x0e_start_yaw_radB\x0f\n\r_goal_yaw_radB\x08\n\x06_speedB\x0b\n\t_steering\"m\n\x04Zone\x12$\n\x07polygon\x18\x01 \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x12\n\x08keep_out\x18\x02 \x01(\x08H\x00\x12\x15\n\x0bspeed_share\x18\x03 \x01(\x01H\x00\x12\x0c\n\x04name\x18\x04 \x01(\tB\x06\n\x04kind\"Y\n\x0bSpeedLimits\x12\x15\n\rmax_speed_mps\x18\x01 \x01(\x01\x12\x16\n\x0emax_accel_mps2\x18\x02 \x01(\x01\x12\x1b\n\x13max_turn_rate_radps\x18\x03 \x01(\x01\"\xb3\x02\n\x0fSteeringOptions\x12\x1d\n\x10turning_radius_m\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\rallow_reverse\x18\x02 \x01(\x08H\x01\x88\x01\x01\x12\x19\n\x0creverse_cost\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12$\n\x17\x64irection_change_cost_m\x18\x04 \x01(\x01H\x03\x88\x01\x01\x12\x19\n\x0cturning_cost\x18\x05 \x01(\x01H\x04\x88\x01\x01\x12\x16\n\ttolerance\x18\x06 \x01(\x01H\x05\x88\x01\x01\x42\x13\n\x11_turning_radius_mB\x10\n\x0e_allow_reverseB\x0f\n\r_reverse_costB\x1a\n\x18_direction_change_cost_mB\x0f\n\r_turning_costB\x0c\n\n_tolerance\"\x83\x01\n\x08Waypoint\x12\x0b\n\x03x_m\x18\x01 \x01(\x01\x12\x0b\n\x03y_m\x18\x02 \x01(\x01\x12\x0f\n\x07yaw_rad\x18\x03 \x01(\x01\x12\x12\n\nis_reverse\x18\x04 \x01(\x08\x12\x18\n\x0b\x63learance_m\x18\x05 \x01(\x01H\x00\x88\x01\x01\x12\x0e\n\x06time_s\x18\x06 \x01(\x01\x42\x0e\n\x0c_clearance_m\"\xf4\x01\n\x04Path\x12\'\n\twaypoints\x18\x01 \x03(\x0b\x32\x14.percept.v1.Waypoint\x12\x10\n\x08length_m\x18\x02 \x01(\x01\x12\x0c\n\x04\x63ost\x18\x03 \x01(\x01\x12\x1c\n\x0fmin_clearance_m\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x16\n\x0e\x63learance_cost\x18\x05 \x01(\x01\x12\x15\n\rsteering_cost\x18\x06 \x01(\x01\x12\x12\n\nduration_s\x18\x07 \x01(\x01\x12\x12\n\x05\x62ound\x18\x08 \x01(\x01H\x01\x88\x01\x01\x12\x10\n\x08is_final\x18\t \x01(\x08\x42\x12\n\x10_min_clearance_mB\x08\n\x06_bound\"\xa8\x01\n\x08\x42locking\x12%\n\x08position\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector2\x12%\n\x08obstacle\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12(\n\x05state\x18\x03 \x01(\x0e\x32\x19.percept.v1.BlockingState\x12\x16\n\tobject_id\x18\x04 \x01(\x04H\x00\x88\x01\x01\x42\x0c\n\n_object_id\"|\n\x06NoPath\x12(\n\x06reason\x18\x01 \x01(\x0e\x32\x18.percept.v1.NoPathReason\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12+\n\x08\x62locking\x18\x03 \x01(\x0b\x32\x14.percept.v1.BlockingH\x00\x88\x01\x01\x42\x0b\n\t_blocking\"\xa1\x01\n\x06Misfit\x12\x12\n\npose_index\x18\x01 \x01(\r\x12\x1f\n\x04pose\x18\x02 \x01(\x0b\x32\x11.percept.v1.Pose2\x12(\n\x06reason\x18\x03 \x01(\x0e\x32\x18.percept.v1.MisfitReason\x12+\n\x08\x62locking\x18\x04 \x01(\x0b\x32\x14.percept.v1.BlockingH\x00\x88\x01\x01\x42\x0b\n\t_blocking\"\xb1\x01\n\x0f\x43overageOptions\x12\x19\n\x0ctool_width_m\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x14\n\x07overlap\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12\x13\n\x06\x65nough\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12\x30\n\tdirection\x18\x04 \x01(\x0e\x32\x1d.percept.v1.CoverageDirectionB\x0f\n\r_tool_width_mB\n\n\x08_overlapB\t\n\x07_enough\"9\n\x0b\x43overageLeg\x12\x16\n\x0e\x66irst_waypoint\x18\x01 \x01(\r\x12\x12\n\nis_transit\x18\x02 \x01(\x08\"\x97\x01\n\x0c\x43overagePath\x12\x1e\n\x04path\x18\x01 \x01(\x0b\x32\x10.percept.v1.Path\x12%\n\x04legs\x18\x02 \x03(\x0b\x32\x17.percept.v1.CoverageLeg\x12\x14\n\x0c\x63overable_m2\x18\x03 \x01(\x01\x12\x15\n\rcovered_share\x18\x04 \x01(\x01\x12\x13\n\x0bnum_regions\x18\x05 \x01(\r\"q\n\x08\x46rontier\x12!\n\x04goal\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\x0c\n\x04\x63ost\x18\x02 \x01(\x01\x12\x10\n\x08length_m\x18\x03 \x01(\x01\x12\"\n\x05\x63\x65lls\x18\x04 \x03(\x0b\x32\x13.percept.v1.Vector2\"\xcd\x02\n\rFlightOptions\x12*\n\x07planner\x18\x01 \x01(\x0e\x32\x19.percept.v1.FlightPlanner\x12\x1b\n\x0erobot_radius_m\x18\x02 \x01(\x01H\x00\x88\x01\x01\x12!\n\x14occupied_probability\x18\x03 \x01(\x01H\x01\x88\x01\x01\x12\x15\n\rallow_unknown\x18\x04 \x01(\x08\x12\x1e\n\x11start_tolerance_m\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x14\n\x07min_z_m\x18\x06 \x01(\x01H\x03\x88\x01\x01\x12\x14\n\x07max_z_m\x18\x07 \x01(\x01H\x04\x88\x01\x01\x12\x13\n\x0b\x64\x65\x61\x64line_ms\x18\x08 \x01(\rB\x11\n\x0f_robot_radius_mB\x17\n\x15_occupied_probabilityB\x14\n\x12_start_tolerance_mB\n\n\x08_min_z_mB\n\n\x08_max_z_m\"x\n\nFlightPath\x12&\n\twaypoints\x18\x01 \x03(\x0b\x32\x13.percept.v1.Vector3\x12\x10\n\x08length_m\x18\x02 \x01(\x01\x12\x1c\n\x0fmin_clearance_m\x18\x03 \x01(\x01H\x00\x88\x01\x01\x42\x12\n\x10_min_clearance_m\"\xe0\x01\n\x08NoFlight\x12(\n\x06reason\x18\x01 \x01(\x0e\x32\x18.percept.v1.NoPathReason\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12*\n\x08position\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector3H\x00\x88\x01\x01\x12*\n\x08obstacle\x18\x04 \x01(\x0b\x32\x13.percept.v1.Vector3H\x01\x88\x01\x01\x12(\n\x05state\x18\x05 \x01(\x0e\x32\x19.percept.v1.BlockingStateB\x0b\n\t_positionB\x0b\n\t_obstacle*\xb2\x04\n\x0cNoPathReason\x12\x1e\n\x1aNO_PATH_REASON_UNSPECIFIED\x10\x00\x12$\n NO_PATH_REASON_START_OUTSIDE_MAP\x10\x01\x12!\n\x1dNO_PATH_REASON_START_OCCUPIED\x10\x02\x12 \n\x1cNO_PATH_REASON_START_UNKNOWN\x10\x03\x12#\n\x1fNO_PATH_REASON_GOAL_OUTSIDE_MAP\x10\x04\x12 \n\x1cNO_PATH_REASON_GOAL_OCCUPIED\x10\x05\x12\x1f\n\x1bNO_PATH_REASON_GOAL_UNKNOWN\x10\x06\x12\x1e\n\x1aNO_PATH_REASON_UNREACHABLE\x10\x07\x12\x1f\n\x1bNO_PATH_REASON_SEARCH_LIMIT\x10\x08\x12\x17\n\x13NO_PATH_REASON_LOST\x10\t\x12%\n!NO_PATH_REASON_START_DOES_NOT_FIT\x10\n\x12$\n NO_PATH_REASON_START_IN_KEEP_OUT\x10\x0b\x12$\n NO_PATH_REASON_GOAL_DOES_NOT_FIT\x10\x0c\x12#\n\x1fNO_PATH_REASON_GOAL_IN_KEEP_OUT\x10\r\x12 \n\x1cNO_PATH_REASON_NOT_STEERABLE\x10\x0e\x12\x1b\n\x17NO_PATH_REASON_DEADLINE\x10\x0f*_\n\x07Planner\x12\x17\n\x13PLANNER_UNSPECIFIED\x10\x00\x12\x10\n\x0cPLANNER_GRID\x10\x01\x12\x15\n\x11PLANNER_ANY_ANGLE\x10\x02\x12\x12\n\x0ePLANNER_HYBRID\x10\x03*\x80\x01\n\rPathColouring\x12\x1e\n\x1aPATH_COLOURING_UNSPECIFIED\x10\x00\x12\x1c\n\x18PATH_COLOURING_CLEARANCE\x10\x01\x12\x17\n\x13PATH_COLOURING_COST\x10\x02\x12\x18\n\x14PATH_COLOURING_SPEED\x10\x03*\x85\x01\n\rBlockingState\x12\x1e\n\x1a\x42LOCKING_STATE_UNSPECIFIED\x10\x00\x12\x1b\n\x17\x42LOCKING_STATE_OCCUPIED\x10\x01\x12\x1a\n\x16\x42LOCKING_STATE_UNKNOWN\x10\x02\x12\x1b\n\x17\x42LOCKING_STATE_KEEP_OUT\x10\x03*\xa5\x01\n\x0cMisfitReason\x12\x1d\n\x19MISFIT_REASON_UNSPECIFIED\x10\x00\x12\x1d\n\x19MISFIT_REASON_OUTSIDE_MAP\x10\x01\x12\x19\n\x15MISFIT_REASON_BLOCKED\x10\x02\x12\x1f\n\x1bMISFIT_REASON_NOT_STEERABLE\x10\x03\x12\x1b\n\x17MISFIT_REASON_BACKWARDS\x10\x04*w\n\x11\x43overageDirection\x12\"\n\x1e\x43OVERAGE_DIRECTION_UNSPECIFIED\x10\x00\x12\x1e\n\x1a\x43OVERAGE_DIRECTION_ALONG_X\x10\x01\x12\x1e\n\x1a\x43OVERAGE_DIRECTION_ALONG_Y\x10\x02*i\n\rFlightPlanner\x12\x1e\n\x1a\x46LIGHT_PLANNER_UNSPECIFIED\x10\x00\x12\x1c\n\x18\x46LIGHT_PLANNER_ANY_ANGLE\x10\x01\x12\x1a\n\x16\x46LIGHT_PLANNER_LATTICE\x10\x02\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x15percept/v1/path.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x1fpercept/v1/layers_service.proto\"\xce\x03\n\x0bPathOptions\x12$\n\x07planner\x18\x01 \x01(\x0e\x32\x13.percept.v1.Planner\x12\x1a\n\rstart_yaw_rad\x18\x02 \x01(\x01H\x00\x88\x01\x01\x12\x19\n\x0cgoal_yaw_rad\x18\x03 \x01(\x01H\x01\x88\x01\x01\x12&\n\tfootprint\x18\x04 \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x1f\n\x05zones\x18\x05 \x03(\x0b\x32\x10.percept.v1.Zone\x12+\n\x05speed\x18\x06 \x01(\x0b\x32\x17.percept.v1.SpeedLimitsH\x02\x88\x01\x01\x12\x32\n\x08steering\x18\x07 \x01(\x0b\x32\x1b.percept.v1.SteeringOptionsH\x03\x88\x01\x01\x12\x13\n\x0b\x64\x65\x61\x64line_ms\x18\x08 \x01(\r\x12\x1c\n\x14ignore_session_zones\x18\t \x01(\x08\x12\x10\n\x08map_only\x18\x0b \x01(\x08\x12.\n\x06storey\x18\n \x01(\x0b\x32\x19.percept.v1.StoreyOptionsH\x04\x88\x01\x01\x42\x10\n\x0e_start_yaw_radB\x0f\n\r_goal_yaw_radB\x08\n\x06_speedB\x0b\n\t_steeringB\t\n\x07_storey\"\\\n\rStoreyOptions\x12\"\n\x06storey\x18\x01 \x01(\x0e\x32\x12.percept.v1.Storey\x12\x10\n\x08near_z_m\x18\x02 \x01(\x01\x12\x15\n\rnear_within_m\x18\x03 \x01(\x01\"m\n\x04Zone\x12$\n\x07polygon\x18\x01 \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x12\n\x08keep_out\x18\x02 \x01(\x08H\x00\x12\x15\n\x0bspeed_share\x18\x03 \x01(\x01H\x00\x12\x0c\n\x04name\x18\x04 \x01(\tB\x06\n\x04kind\"Y\n\x0bSpeedLimits\x12\x15\n\rmax_speed_mps\x18\x01 \x01(\x01\x12\x16\n\x0emax_accel_mps2\x18\x02 \x01(\x01\x12\x1b\n\x13max_turn_rate_radps\x18\x03 \x01(\x01\"\xb3\x02\n\x0fSteeringOptions\x12\x1d\n\x10turning_radius_m\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\rallow_reverse\x18\x02 \x01(\x08H\x01\x88\x01\x01\x12\x19\n\x0creverse_cost\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12$\n\x17\x64irection_change_cost_m\x18\x04 \x01(\x01H\x03\x88\x01\x01\x12\x19\n\x0cturning_cost\x18\x05 \x01(\x01H\x04\x88\x01\x01\x12\x16\n\ttolerance\x18\x06 \x01(\x01H\x05\x88\x01\x01\x42\x13\n\x11_turning_radius_mB\x10\n\x0e_allow_reverseB\x0f\n\r_reverse_costB\x1a\n\x18_direction_change_cost_mB\x0f\n\r_turning_costB\x0c\n\n_tolerance\"\x83\x01\n\x08Waypoint\x12\x0b\n\x03x_m\x18\x01 \x01(\x01\x12\x0b\n\x03y_m\x18\x02 \x01(\x01\x12\x0f\n\x07yaw_rad\x18\x03 \x01(\x01\x12\x12\n\nis_reverse\x18\x04 \x01(\x08\x12\x18\n\x0b\x63learance_m\x18\x05 \x01(\x01H\x00\x88\x01\x01\x12\x0e\n\x06time_s\x18\x06 \x01(\x01\x42\x0e\n\x0c_clearance_m\"\xf4\x01\n\x04Path\x12\'\n\twaypoints\x18\x01 \x03(\x0b\x32\x14.percept.v1.Waypoint\x12\x10\n\x08length_m\x18\x02 \x01(\x01\x12\x0c\n\x04\x63ost\x18\x03 \x01(\x01\x12\x1c\n\x0fmin_clearance_m\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\x16\n\x0e\x63learance_cost\x18\x05 \x01(\x01\x12\x15\n\rsteering_cost\x18\x06 \x01(\x01\x12\x12\n\nduration_s\x18\x07 \x01(\x01\x12\x12\n\x05\x62ound\x18\x08 \x01(\x01H\x01\x88\x01\x01\x12\x10\n\x08is_final\x18\t \x01(\x08\x42\x12\n\x10_min_clearance_mB\x08\n\x06_bound\"\xa8\x01\n\x08\x42locking\x12%\n\x08position\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector2\x12%\n\x08obstacle\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12(\n\x05state\x18\x03 \x01(\x0e\x32\x19.percept.v1.BlockingState\x12\x16\n\tobject_id\x18\x04 \x01(\x04H\x00\x88\x01\x01\x42\x0c\n\n_object_id\"|\n\x06NoPath\x12(\n\x06reason\x18\x01 \x01(\x0e\x32\x18.percept.v1.NoPathReason\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12+\n\x08\x62locking\x18\x03 \x01(\x0b\x32\x14.percept.v1.BlockingH\x00\x88\x01\x01\x42\x0b\n\t_blocking\"\xa1\x01\n\x06Misfit\x12\x12\n\npose_index\x18\x01 \x01(\r\x12\x1f\n\x04pose\x18\x02 \x01(\x0b\x32\x11.percept.v1.Pose2\x12(\n\x06reason\x18\x03 \x01(\x0e\x32\x18.percept.v1.MisfitReason\x12+\n\x08\x62locking\x18\x04 \x01(\x0b\x32\x14.percept.v1.BlockingH\x00\x88\x01\x01\x42\x0b\n\t_blocking\"\xb1\x01\n\x0f\x43overageOptions\x12\x19\n\x0ctool_width_m\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x14\n\x07overlap\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12\x13\n\x06\x65nough\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12\x30\n\tdirection\x18\x04 \x01(\x0e\x32\x1d.percept.v1.CoverageDirectionB\x0f\n\r_tool_width_mB\n\n\x08_overlapB\t\n\x07_enough\"9\n\x0b\x43overageLeg\x12\x16\n\x0e\x66irst_waypoint\x18\x01 \x01(\r\x12\x12\n\nis_transit\x18\x02 \x01(\x08\"\x97\x01\n\x0c\x43overagePath\x12\x1e\n\x04path\x18\x01 \x01(\x0b\x32\x10.percept.v1.Path\x12%\n\x04legs\x18\x02 \x03(\x0b\x32\x17.percept.v1.CoverageLeg\x12\x14\n\x0c\x63overable_m2\x18\x03 \x01(\x01\x12\x15\n\rcovered_share\x18\x04 \x01(\x01\x12\x13\n\x0bnum_regions\x18\x05 \x01(\r\"q\n\x08\x46rontier\x12!\n\x04goal\x18\x01 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\x0c\n\x04\x63ost\x18\x02 \x01(\x01\x12\x10\n\x08length_m\x18\x03 \x01(\x01\x12\"\n\x05\x63\x65lls\x18\x04 \x03(\x0b\x32\x13.percept.v1.Vector2\"\xcd\x02\n\rFlightOptions\x12*\n\x07planner\x18\x01 \x01(\x0e\x32\x19.percept.v1.FlightPlanner\x12\x1b\n\x0erobot_radius_m\x18\x02 \x01(\x01H\x00\x88\x01\x01\x12!\n\x14occupied_probability\x18\x03 \x01(\x01H\x01\x88\x01\x01\x12\x15\n\rallow_unknown\x18\x04 \x01(\x08\x12\x1e\n\x11start_tolerance_m\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x14\n\x07min_z_m\x18\x06 \x01(\x01H\x03\x88\x01\x01\x12\x14\n\x07max_z_m\x18\x07 \x01(\x01H\x04\x88\x01\x01\x12\x13\n\x0b\x64\x65\x61\x64line_ms\x18\x08 \x01(\rB\x11\n\x0f_robot_radius_mB\x17\n\x15_occupied_probabilityB\x14\n\x12_start_tolerance_mB\n\n\x08_min_z_mB\n\n\x08_max_z_m\"x\n\nFlightPath\x12&\n\twaypoints\x18\x01 \x03(\x0b\x32\x13.percept.v1.Vector3\x12\x10\n\x08length_m\x18\x02 \x01(\x01\x12\x1c\n\x0fmin_clearance_m\x18\x03 \x01(\x01H\x00\x88\x01\x01\x42\x12\n\x10_min_clearance_m\"\xe0\x01\n\x08NoFlight\x12(\n\x06reason\x18\x01 \x01(\x0e\x32\x18.percept.v1.NoPathReason\x12\x0e\n\x06\x64\x65tail\x18\x02 \x01(\t\x12*\n\x08position\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector3H\x00\x88\x01\x01\x12*\n\x08obstacle\x18\x04 \x01(\x0b\x32\x13.percept.v1.Vector3H\x01\x88\x01\x01\x12(\n\x05state\x18\x05 \x01(\x0e\x32\x19.percept.v1.BlockingStateB\x0b\n\t_positionB\x0b\n\t_obstacle*\xb2\x04\n\x0cNoPathReason\x12\x1e\n\x1aNO_PATH_REASON_UNSPECIFIED\x10\x00\x12$\n NO_PATH_REASON_START_OUTSIDE_MAP\x10\x01\x12!\n\x1dNO_PATH_REASON_START_OCCUPIED\x10\x02\x12 \n\x1cNO_PATH_REASON_START_UNKNOWN\x10\x03\x12#\n\x1fNO_PATH_REASON_GOAL_OUTSIDE_MAP\x10\x04\x12 \n\x1cNO_PATH_REASON_GOAL_OCCUPIED\x10\x05\x12\x1f\n\x1bNO_PATH_REASON_GOAL_UNKNOWN\x10\x06\x12\x1e\n\x1aNO_PATH_REASON_UNREACHABLE\x10\x07\x12\x1f\n\x1bNO_PATH_REASON_SEARCH_LIMIT\x10\x08\x12\x17\n\x13NO_PATH_REASON_LOST\x10\t\x12%\n!NO_PATH_REASON_START_DOES_NOT_FIT\x10\n\x12$\n NO_PATH_REASON_START_IN_KEEP_OUT\x10\x0b\x12$\n NO_PATH_REASON_GOAL_DOES_NOT_FIT\x10\x0c\x12#\n\x1fNO_PATH_REASON_GOAL_IN_KEEP_OUT\x10\r\x12 \n\x1cNO_PATH_REASON_NOT_STEERABLE\x10\x0e\x12\x1b\n\x17NO_PATH_REASON_DEADLINE\x10\x0f*_\n\x07Planner\x12\x17\n\x13PLANNER_UNSPECIFIED\x10\x00\x12\x10\n\x0cPLANNER_GRID\x10\x01\x12\x15\n\x11PLANNER_ANY_ANGLE\x10\x02\x12\x12\n\x0ePLANNER_HYBRID\x10\x03*\x80\x01\n\rPathColouring\x12\x1e\n\x1aPATH_COLOURING_UNSPECIFIED\x10\x00\x12\x1c\n\x18PATH_COLOURING_CLEARANCE\x10\x01\x12\x17\n\x13PATH_COLOURING_COST\x10\x02\x12\x18\n\x14PATH_COLOURING_SPEED\x10\x03*\x85\x01\n\rBlockingState\x12\x1e\n\x1a\x42LOCKING_STATE_UNSPECIFIED\x10\x00\x12\x1b\n\x17\x42LOCKING_STATE_OCCUPIED\x10\x01\x12\x1a\n\x16\x42LOCKING_STATE_UNKNOWN\x10\x02\x12\x1b\n\x17\x42LOCKING_STATE_KEEP_OUT\x10\x03*\xa5\x01\n\x0cMisfitReason\x12\x1d\n\x19MISFIT_REASON_UNSPECIFIED\x10\x00\x12\x1d\n\x19MISFIT_REASON_OUTSIDE_MAP\x10\x01\x12\x19\n\x15MISFIT_REASON_BLOCKED\x10\x02\x12\x1f\n\x1bMISFIT_REASON_NOT_STEERABLE\x10\x03\x12\x1b\n\x17MISFIT_REASON_BACKWARDS\x10\x04*w\n\x11\x43overageDirection\x12\"\n\x1e\x43OVERAGE_DIRECTION_UNSPECIFIED\x10\x00\x12\x1e\n\x1a\x43OVERAGE_DIRECTION_ALONG_X\x10\x01\x12\x1e\n\x1a\x43OVERAGE_DIRECTION_ALONG_Y\x10\x02*i\n\rFlightPlanner\x12\x1e\n\x1a\x46LIGHT_PLANNER_UNSPECIFIED\x10\x00\x12\x1c\n\x18\x46LIGHT_PLANNER_ANY_ANGLE\x10\x01\x12\x1a\n\x16\x46LIGHT_PLANNER_LATTICE\x10\x02\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.path_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_NOPATHREASON']._serialized_start=3000
-  _globals['_NOPATHREASON']._serialized_end=3562
-  _globals['_PLANNER']._serialized_start=3564
-  _globals['_PLANNER']._serialized_end=3659
-  _globals['_PATHCOLOURING']._serialized_start=3662
-  _globals['_PATHCOLOURING']._serialized_end=3790
-  _globals['_BLOCKINGSTATE']._serialized_start=3793
-  _globals['_BLOCKINGSTATE']._serialized_end=3926
-  _globals['_MISFITREASON']._serialized_start=3929
-  _globals['_MISFITREASON']._serialized_end=4094
-  _globals['_COVERAGEDIRECTION']._serialized_start=4096
-  _globals['_COVERAGEDIRECTION']._serialized_end=4215
-  _globals['_FLIGHTPLANNER']._serialized_start=4217
-  _globals['_FLIGHTPLANNER']._serialized_end=4322
-  _globals['_PATHOPTIONS']._serialized_start=65
-  _globals['_PATHOPTIONS']._serialized_end=450
-  _globals['_ZONE']._serialized_start=452
-  _globals['_ZONE']._serialized_end=561
-  _globals['_SPEEDLIMITS']._serialized_start=563
-  _globals['_SPEEDLIMITS']._serialized_end=652
-  _globals['_STEERINGOPTIONS']._serialized_start=655
-  _globals['_STEERINGOPTIONS']._serialized_end=962
-  _globals['_WAYPOINT']._serialized_start=965
-  _globals['_WAYPOINT']._serialized_end=1096
-  _globals['_PATH']._serialized_start=1099
-  _globals['_PATH']._serialized_end=1343
-  _globals['_BLOCKING']._serialized_start=1346
-  _globals['_BLOCKING']._serialized_end=1514
-  _globals['_NOPATH']._serialized_start=1516
-  _globals['_NOPATH']._serialized_end=1640
-  _globals['_MISFIT']._serialized_start=1643
-  _globals['_MISFIT']._serialized_end=1804
-  _globals['_COVERAGEOPTIONS']._serialized_start=1807
-  _globals['_COVERAGEOPTIONS']._serialized_end=1984
-  _globals['_COVERAGELEG']._serialized_start=1986
-  _globals['_COVERAGELEG']._serialized_end=2043
-  _globals['_COVERAGEPATH']._serialized_start=2046
-  _globals['_COVERAGEPATH']._serialized_end=2197
-  _globals['_FRONTIER']._serialized_start=2199
-  _globals['_FRONTIER']._serialized_end=2312
-  _globals['_FLIGHTOPTIONS']._serialized_start=2315
-  _globals['_FLIGHTOPTIONS']._serialized_end=2648
-  _globals['_FLIGHTPATH']._serialized_start=2650
-  _globals['_FLIGHTPATH']._serialized_end=2770
-  _globals['_NOFLIGHT']._serialized_start=2773
-  _globals['_NOFLIGHT']._serialized_end=2997
+  _globals['_NOPATHREASON']._serialized_start=3204
+  _globals['_NOPATHREASON']._serialized_end=3766
+  _globals['_PLANNER']._serialized_start=3768
+  _globals['_PLANNER']._serialized_end=3863
+  _globals['_PATHCOLOURING']._serialized_start=3866
+  _globals['_PATHCOLOURING']._serialized_end=3994
+  _globals['_BLOCKINGSTATE']._serialized_start=3997
+  _globals['_BLOCKINGSTATE']._serialized_end=4130
+  _globals['_MISFITREASON']._serialized_start=4133
+  _globals['_MISFITREASON']._serialized_end=4298
+  _globals['_COVERAGEDIRECTION']._serialized_start=4300
+  _globals['_COVERAGEDIRECTION']._serialized_end=4419
+  _globals['_FLIGHTPLANNER']._serialized_start=4421
+  _globals['_FLIGHTPLANNER']._serialized_end=4526
+  _globals['_PATHOPTIONS']._serialized_start=98
+  _globals['_PATHOPTIONS']._serialized_end=560
+  _globals['_STOREYOPTIONS']._serialized_start=562
+  _globals['_STOREYOPTIONS']._serialized_end=654
+  _globals['_ZONE']._serialized_start=656
+  _globals['_ZONE']._serialized_end=765
+  _globals['_SPEEDLIMITS']._serialized_start=767
+  _globals['_SPEEDLIMITS']._serialized_end=856
+  _globals['_STEERINGOPTIONS']._serialized_start=859
+  _globals['_STEERINGOPTIONS']._serialized_end=1166
+  _globals['_WAYPOINT']._serialized_start=1169
+  _globals['_WAYPOINT']._serialized_end=1300
+  _globals['_PATH']._serialized_start=1303
+  _globals['_PATH']._serialized_end=1547
+  _globals['_BLOCKING']._serialized_start=1550
+  _globals['_BLOCKING']._serialized_end=1718
+  _globals['_NOPATH']._serialized_start=1720
+  _globals['_NOPATH']._serialized_end=1844
+  _globals['_MISFIT']._serialized_start=1847
+  _globals['_MISFIT']._serialized_end=2008
+  _globals['_COVERAGEOPTIONS']._serialized_start=2011
+  _globals['_COVERAGEOPTIONS']._serialized_end=2188
+  _globals['_COVERAGELEG']._serialized_start=2190
+  _globals['_COVERAGELEG']._serialized_end=2247
+  _globals['_COVERAGEPATH']._serialized_start=2250
+  _globals['_COVERAGEPATH']._serialized_end=2401
+  _globals['_FRONTIER']._serialized_start=2403
+  _globals['_FRONTIER']._serialized_end=2516
+  _globals['_FLIGHTOPTIONS']._serialized_start=2519
+  _globals['_FLIGHTOPTIONS']._serialized_end=2852
+  _globals['_FLIGHTPATH']._serialized_start=2854
+  _globals['_FLIGHTPATH']._serialized_end=2974
+  _globals['_NOFLIGHT']._serialized_start=2977
+  _globals['_NOFLIGHT']._serialized_end=3201
 # @@protoc_insertion_point(module_scope)

@@ -9,6 +9,7 @@ from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from percept.v1 import geometry_pb2 as _geometry_pb2
+from percept.v1 import layers_service_pb2 as _layers_service_pb2
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -242,6 +243,7 @@ class PathOptions(_message.Message):
     DEADLINE_MS_FIELD_NUMBER: _builtins.int
     IGNORE_SESSION_ZONES_FIELD_NUMBER: _builtins.int
     MAP_ONLY_FIELD_NUMBER: _builtins.int
+    STOREY_FIELD_NUMBER: _builtins.int
     planner: Global___Planner.ValueType
     start_yaw_rad: _builtins.float
     """Heading to begin with, radians. Absent: the robot's where the path starts where it is, else 0. HYBRID only."""
@@ -273,6 +275,12 @@ class PathOptions(_message.Message):
     def steering(self) -> Global___SteeringOptions:
         """For HYBRID. Absent fields: the defaults."""
 
+    @_builtins.property
+    def storey(self) -> Global___StoreyOptions:
+        """Absent: through the occupancy grid, which has one floor. Set: over the ground of this storey, by its traversability; LAYER_OFF if
+        the session keeps no heights. Of a session's map only.
+        """
+
     def __init__(
         self,
         *,
@@ -286,10 +294,11 @@ class PathOptions(_message.Message):
         deadline_ms: _builtins.int = ...,
         ignore_session_zones: _builtins.bool = ...,
         map_only: _builtins.bool = ...,
+        storey: Global___StoreyOptions | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "goal_yaw_rad", b"goal_yaw_rad", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "_storey", b"_storey", "goal_yaw_rad", b"goal_yaw_rad", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering", "storey", b"storey"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "deadline_ms", b"deadline_ms", "footprint", b"footprint", "goal_yaw_rad", b"goal_yaw_rad", "ignore_session_zones", b"ignore_session_zones", "map_only", b"map_only", "planner", b"planner", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering", "zones", b"zones"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad", "_speed", b"_speed", "_start_yaw_rad", b"_start_yaw_rad", "_steering", b"_steering", "_storey", b"_storey", "deadline_ms", b"deadline_ms", "footprint", b"footprint", "goal_yaw_rad", b"goal_yaw_rad", "ignore_session_zones", b"ignore_session_zones", "map_only", b"map_only", "planner", b"planner", "speed", b"speed", "start_yaw_rad", b"start_yaw_rad", "steering", b"steering", "storey", b"storey", "zones", b"zones"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__goal_yaw_rad: _TypeAlias = _typing.Literal["goal_yaw_rad"]  # noqa: Y015
     _WhichOneofArgType__goal_yaw_rad: _TypeAlias = _typing.Literal["_goal_yaw_rad", b"_goal_yaw_rad"]  # noqa: Y015
@@ -299,6 +308,8 @@ class PathOptions(_message.Message):
     _WhichOneofArgType__start_yaw_rad: _TypeAlias = _typing.Literal["_start_yaw_rad", b"_start_yaw_rad"]  # noqa: Y015
     _WhichOneofReturnType__steering: _TypeAlias = _typing.Literal["steering"]  # noqa: Y015
     _WhichOneofArgType__steering: _TypeAlias = _typing.Literal["_steering", b"_steering"]  # noqa: Y015
+    _WhichOneofReturnType__storey: _TypeAlias = _typing.Literal["storey"]  # noqa: Y015
+    _WhichOneofArgType__storey: _TypeAlias = _typing.Literal["_storey", b"_storey"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__goal_yaw_rad) -> _WhichOneofReturnType__goal_yaw_rad | None: ...
     @_typing.overload
@@ -307,8 +318,39 @@ class PathOptions(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__start_yaw_rad) -> _WhichOneofReturnType__start_yaw_rad | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__steering) -> _WhichOneofReturnType__steering | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__storey) -> _WhichOneofReturnType__storey | None: ...
 
 Global___PathOptions: _TypeAlias = PathOptions  # noqa: Y015
+
+@_typing.final
+class StoreyOptions(_message.Message):
+    """The ground that is driven on where there are several above each other. A path stays on it: ground of another storey is unknown to it."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STOREY_FIELD_NUMBER: _builtins.int
+    NEAR_Z_M_FIELD_NUMBER: _builtins.int
+    NEAR_WITHIN_M_FIELD_NUMBER: _builtins.int
+    storey: _layers_service_pb2.Storey.ValueType
+    near_z_m: _builtins.float
+    """Metres, map frame; NEAREST only."""
+    near_within_m: _builtins.float
+    """Ground farther from near_z_m than this is of another storey, metres; NEAREST only. 0: 1.5."""
+    def __init__(
+        self,
+        *,
+        storey: _layers_service_pb2.Storey.ValueType = ...,
+        near_z_m: _builtins.float = ...,
+        near_within_m: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["near_within_m", b"near_within_m", "near_z_m", b"near_z_m", "storey", b"storey"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___StoreyOptions: _TypeAlias = StoreyOptions  # noqa: Y015
 
 @_typing.final
 class Zone(_message.Message):

@@ -1,7 +1,7 @@
 //! Paths that cover, frontiers, paths in space.
 
 use super::maps::stamp_of;
-use super::navigation::{PathOptions, PlanRequest, dense, known_pose, plan_error};
+use super::navigation::{PathOptions, PlanRequest, dense, ground, known_pose, plan_error};
 use crate::{Error, ErrorCode, Result, Service, Zones, reason};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, GridGeometry, Timestamp};
@@ -143,8 +143,9 @@ fn covered(
     let start = request.start.map(|start| (start, 0.0)).or(known_pose(snapshot));
     let Some(start) = start else { return Ok(Explored::of(snapshot, None)) };
     let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
-    let options: PathOptions = request.options.in_zones(zones);
-    let grid = dense(&snapshot.layers.occupancy, params.max_cells)?;
+    // Who stands in the way for now will be elsewhere before all is covered.
+    let options = PathOptions { is_map_only: true, ..request.options.in_zones(zones) };
+    let grid = ground(snapshot, &options, params.max_cells)?;
     let begun = Instant::now();
     let stop = options.deadline.map(|deadline| move || begun.elapsed() >= deadline);
     let stop = stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync));

@@ -7,7 +7,7 @@ use nalgebra::{Point2, Point3, Unit, Vector3};
 use percept_geometry::{Aabb3, OrientedBox3, Timestamp, TriangleMesh, Voxel};
 use percept_mapping::height::{DenseHeights, Storey, Traversability};
 use percept_mapping::voxels::{MAX_RAY_VOXELS, VoxelReader, VoxelState};
-use percept_mapping::{Composed, Layer, MapLayers, MappingError, MeshData, MeshOptions, VoxelBlock};
+use percept_mapping::{Composed, DenseGrid, Layer, MapLayers, MappingError, MeshData, MeshOptions, VoxelBlock};
 use percept_pipeline::Snapshot;
 
 /// Points or rays of one question.
@@ -334,6 +334,20 @@ pub(super) fn all_heights(layers: &MapLayers, limits: &Limits) -> Result<Option<
     let found = heights.region(min, max, Storey::Lowest, limit);
     let found = found.and_then(|h| Ok((h, heights.traversability(min, max, Storey::Lowest, limit)?)));
     found.map(Some).map_err(|e| too_many_voxels(&e))
+}
+
+/// Where a robot can drive on a storey, as planners take it; without a cell while nothing was mapped.
+///
+/// # Errors
+/// `LAYER_OFF`, `GRID_TOO_LARGE`.
+pub(super) fn drivable(layers: &MapLayers, storey: Storey, max_cells: usize) -> Result<DenseGrid> {
+    let heights = &layers.height;
+    need(heights.params().enabled, "heights", "height")?;
+    let Some((min, max)) = heights.bounds() else {
+        return Ok(DenseGrid { geometry: heights.geometry(), width: 0, height: 0, cells: vec![] });
+    };
+    let found = heights.traversability(min, max, storey, max_cells);
+    found.map(|found| found.to_grid()).map_err(|e| too_many_voxels(&e))
 }
 
 pub(super) fn mesh_data_of(

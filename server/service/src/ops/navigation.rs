@@ -8,6 +8,7 @@ use crate::reason;
 use crate::{Error, IncomingFrame, Processed, Result, Service};
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{Timestamp, se3};
+use percept_mapping::height::Storey;
 use percept_mapping::{DenseGrid, MappingError, Occupancy, OccupancyMap};
 use percept_pipeline::{PoseEstimate, Snapshot};
 use percept_planning::{
@@ -50,6 +51,8 @@ pub struct PathOptions {
     pub zones: Vec<Zone>,
     /// The same cell by cell.
     pub masks: Vec<SessionMask>,
+    /// Over the ground of this storey; none: through the grid, which has one floor.
+    pub storey: Option<Storey>,
     /// Whether the zones of the session do not count.
     pub ignores_session_zones: bool,
     /// Whether the map alone counts, and not what the newest frames see.
@@ -220,7 +223,7 @@ pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Res
     };
     let mut params = request.params.unwrap_or(snapshot.params.planning);
     params.max_cells = params.max_cells.min(max_cells);
-    let grid = grid_for(snapshot, &request.options, params.max_cells)?;
+    let grid = ground(snapshot, &request.options, params.max_cells)?;
     let outcome = on_grid(&grid, start, request.goal, &params, &request.options)?;
     let object = match &outcome {
         PlanOutcome::NoPath { blocking: Some(blocking), .. } => object_at(snapshot, blocking),
@@ -242,7 +245,7 @@ pub(super) fn misfit_on(
 ) -> Result<PathCheck> {
     let mut params = params.unwrap_or(snapshot.params.planning);
     params.max_cells = params.max_cells.min(max_cells);
-    let misfit = misfit(&grid_for(snapshot, options, params.max_cells)?, poses, &params, options)?;
+    let misfit = misfit(&ground(snapshot, options, params.max_cells)?, poses, &params, options)?;
     let blocking = misfit.as_ref().and_then(|m| match &m.reason {
         MisfitReason::Blocked(blocking) => Some(blocking),
         _ => None,
@@ -280,12 +283,16 @@ pub fn misfit(grid: &DenseGrid, poses: &[Pose2], params: &PlanParams, options: &
     percept_planning::validate_path(grid, poses, &request).map_err(plan_error)
 }
 
-/// The grid that a path is planned on.
-fn grid_for(snapshot: &Snapshot, options: &PathOptions, max_cells: usize) -> Result<DenseGrid> {
-    if options.is_map_only {
-        dense(&snapshot.layers.occupancy, max_cells)
-    } else {
-        dense(&snapshot.grid_now(), max_cells)
+/// What is planned on: the grid, as the newest frames see it unless the map alone counts, or the ground of a storey.
+///
+/// # Errors
+/// `GRID_TOO_LARGE`; `LAYER_OFF` for a storey where no heights are kept.
+pub(super) fn ground(snapshot: &Snapshot, options: &PathOptions, max_cells: usize) -> Result<DenseGrid> {
+    match options.storey {
+        None if options.is_map_only => dense(&snapshot.layers.occupancy, max_cells),
+        None => dense(&snapshot.grid_now(), max_cells),
+        Some(storey) => super::layers::drivable(&snapshot.layers, storey, max_cells)
+            .map_err(|e| Error { field: "options.storey".to_owned(), ..e }),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::layers::at_most;
 use super::maps::stamp_of;
-use super::navigation::{MAX_POSES, dense, known_pose, misfit, on_grid, plan_error, words_of};
+use super::navigation::{MAX_POSES, ground, known_pose, misfit, on_grid, plan_error, words_of};
 use super::pictures;
 use crate::{PathOptions, Plan, PlanRequest, Result, Service};
 use nalgebra::Point2;
@@ -80,7 +80,8 @@ fn on_snapshot(snapshot: &Snapshot, drawing: &Drawing, max_cells: usize, title: 
     let (DrawnPath::Planned(PlanRequest { params, .. }) | DrawnPath::Given { params, .. }) = &drawing.path;
     let mut params = params.unwrap_or(snapshot.params.planning);
     params.max_cells = params.max_cells.min(max_cells);
-    let grid = dense(snapshot, params.max_cells)?;
+    let (DrawnPath::Planned(PlanRequest { options, .. }) | DrawnPath::Given { options, .. }) = &drawing.path;
+    let grid = ground(snapshot, options, params.max_cells)?;
     let mut picture = match &drawing.path {
         DrawnPath::Given { poses, options, .. } => given(&grid, poses, &params, options, drawing.quantity, title)?,
         DrawnPath::Planned(request) => {

@@ -53,7 +53,8 @@ pub enum OnMap {
 /// # Errors
 /// As for a path that is planned; `FIELD_MISSING` without start, goal and poses.
 pub fn on_map(r: &v1::DrawPathOnMapRequest, defaults: &PlanParams) -> Result<(OnMap, PlanParams, PathOptions)> {
-    let (params, options) = (params::planning(r.params.as_ref(), defaults)?, navigation::options(r.options.as_ref())?);
+    let (params, options) =
+        (params::planning(r.params.as_ref(), defaults)?, navigation::options_on_map(r.options.as_ref())?);
     if !r.poses.is_empty() {
         return Ok((OnMap::Given(navigation::poses(&r.poses)?), params, options));
     }

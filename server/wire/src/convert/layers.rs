@@ -161,12 +161,12 @@ pub fn boxes_to(found: &OfMap<Vec<BoxAnswer>>) -> v1::CheckBoxesResponse {
 /// Ground that is this much higher or lower than asked for is another storey's, metres, unless said otherwise: half a storey.
 const NEAR_WITHIN_M: f64 = 1.5;
 
-/// Which storey is asked for.
+/// Which storey is asked for: its name, and of the nearest one a height and how far off it may be, metres; 0: 1.5.
 ///
 /// # Errors
 /// `ENUM_UNKNOWN`; `OUT_OF_RANGE` for what is not finite, or below 0.
-pub fn storey(r: &v1::GetHeightsRequest) -> Result<Storey> {
-    Ok(match v1::Storey::try_from(r.storey) {
+pub fn storey(storey: i32, near_z_m: f64, near_within_m: f64) -> Result<Storey> {
+    Ok(match v1::Storey::try_from(storey) {
         Ok(v1::Storey::Unspecified | v1::Storey::Lowest) => Storey::Lowest,
         Ok(v1::Storey::Highest) => Storey::Highest,
         Ok(v1::Storey::Nearest) => {
@@ -175,11 +175,11 @@ pub fn storey(r: &v1::GetHeightsRequest) -> Result<Storey> {
                 let is_sound = value.is_finite() && value >= low;
                 if is_sound { Ok(value) } else { Err(Error::invalid(reason::OUT_OF_RANGE, field, message)) }
             };
-            let within_m = finite("near_within_m", r.near_within_m, 0.0)?;
+            let within_m = finite("near_within_m", near_within_m, 0.0)?;
             let within_m = if within_m == 0.0 { NEAR_WITHIN_M } else { within_m };
-            Storey::Near { z_m: finite("near_z_m", r.near_z_m, f64::MIN)?, within_m }
+            Storey::Near { z_m: finite("near_z_m", near_z_m, f64::MIN)?, within_m }
         }
-        Err(_) => return Err(super::unknown_enum("storey", r.storey)),
+        Err(_) => return Err(super::unknown_enum("storey", storey)),
     })
 }
 

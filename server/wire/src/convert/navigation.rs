@@ -6,6 +6,7 @@ use nalgebra::Point2;
 use percept_formats::GridMap;
 use percept_geometry::GridGeometry;
 use percept_mapping::DenseGrid;
+use percept_mapping::height::Storey;
 use percept_pipeline::PipelineParams;
 use percept_planning::{
     Blocking, CellState, Footprint, HybridParams, Misfit, MisfitReason, NoPathReason, PlanOutcome, Planner, Pose2,
@@ -69,10 +70,28 @@ pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
         zones: asked.zones.iter().enumerate().map(numbered).collect::<Result<_>>()?,
         speed: asked.speed.as_ref().map_or_else(SpeedLimits::default, speed),
         masks: vec![],
+        storey: asked.storey.as_ref().map(storey).transpose().map_err(|e| e.within("options.storey"))?,
         ignores_session_zones: asked.ignore_session_zones,
         is_map_only: asked.map_only,
         deadline: (asked.deadline_ms > 0).then(|| Duration::from_millis(asked.deadline_ms.into())),
     })
+}
+
+fn storey(s: &v1::StoreyOptions) -> Result<Storey> {
+    super::layers::storey(s.storey, s.near_z_m, s.near_within_m)
+}
+
+/// The same of a path on a map that comes with the question, which has no storeys.
+///
+/// # Errors
+/// Naming the field below `options`.
+pub fn options_on_map(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
+    let options = options(asked)?;
+    if options.storey.is_some() {
+        let words = "a map that comes with the question has one floor; leave storey out";
+        return Err(Error::invalid(reason::OUT_OF_RANGE, "options.storey", words));
+    }
+    Ok(options)
 }
 
 fn corners(field: &'static str, points: &[v1::Vector2], most: usize) -> Result<Vec<Point2<f64>>> {

@@ -62,7 +62,7 @@ impl v1::layers_service_server::LayersService for Api {
         let (caller, r) = (self.caller(&r)?, r.get_ref());
         let session = session_of(r.source.as_ref())?;
         let region = maps::region(r.region.as_ref()).map_err(status::grpc)?;
-        let storey = layers::storey(r).map_err(status::grpc)?;
+        let storey = layers::storey(r.storey, r.near_z_m, r.near_within_m).map_err(status::grpc)?;
         in_parts!(caller, session, caller.heights(session, region, storey), layers::heights_to)
     }
 

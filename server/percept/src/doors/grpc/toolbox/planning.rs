@@ -30,7 +30,7 @@ fn plan_on_map(t: &Toolbox, r: v1::PlanOnMapRequest) -> Result<v1::PlanOnMapResp
     let grid = navigation::given_map(r.map.as_ref(), t.limits())?;
     let start = geometry::point2("start", &required("start", r.start)?)?;
     let goal = geometry::point2("goal", &required("goal", r.goal)?)?;
-    let (params, options) = (params_of(t, r.params.as_ref())?, navigation::options(r.options.as_ref())?);
+    let (params, options) = (params_of(t, r.params.as_ref())?, navigation::options_on_map(r.options.as_ref())?);
     Ok(navigation::on_map_to(&ops::on_grid(&grid, (start, 0.0), goal, &params, &options)?))
 }
 
@@ -51,7 +51,7 @@ fn draw_path_on_map(t: &Toolbox, r: v1::DrawPathOnMapRequest) -> Result<v1::Draw
 
 fn validate_on_map(t: &Toolbox, r: v1::ValidateOnMapRequest) -> Result<v1::ValidateOnMapResponse> {
     let grid = navigation::given_map(r.map.as_ref(), t.limits())?;
-    let (params, options) = (params_of(t, r.params.as_ref())?, navigation::options(r.options.as_ref())?);
+    let (params, options) = (params_of(t, r.params.as_ref())?, navigation::options_on_map(r.options.as_ref())?);
     let misfit = ops::misfit(&grid, &navigation::poses(&r.poses)?, &params, &options)?;
     Ok(v1::ValidateOnMapResponse { misfit: misfit.map(|m| navigation::misfit_to(&m, None)) })
 }
