@@ -37,12 +37,7 @@ impl Sensor {
 }
 
 /// Nobody walks in it: what moves is put into it in `moved.rs`.
-pub(crate) fn simulation(
-    sensor: Sensor,
-    seed: u64,
-    laps: usize,
-    world: WorldParams,
-) -> Result<Simulation, Failure> {
+pub(crate) fn simulation(sensor: Sensor, seed: u64, laps: usize, world: WorldParams) -> Result<Simulation, Failure> {
     let world = WorldParams { seed, person: false, ..world };
     Ok(Simulation::new(SimParams { world, sensors: sensor.suite(), seed, laps, ..SimParams::default() })?)
 }

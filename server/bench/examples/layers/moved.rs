@@ -17,7 +17,7 @@ use percept_sim::{Simulation, World, WorldParams};
 /// The cabinet, metres.
 const SIZE_M: [f64; 3] = [0.6, 0.45, 1.5];
 /// Its distance from the middle of the lane, and from what stands there.
-const FROM_LANE_M: f64 = 0.75;
+const FROM_LANE_M: f64 = 0.6;
 const FROM_THINGS_M: f64 = 0.35;
 /// Beams through its old place by which that is seen.
 const BEAMS: usize = 20;
@@ -34,7 +34,12 @@ const LAYERS: [[&str; 3]; 5] = [
 ];
 
 pub(crate) fn world(sensor: Sensor, seed: u64, params: &MapParams) -> Result<Row, Failure> {
-    let simulation = simulation(sensor, seed, 2, WorldParams { rooms: 1, furniture_per_m2: 0.2, ..WorldParams::default() })?;
+    let simulation = simulation(
+        sensor,
+        seed,
+        2,
+        WorldParams { rooms: 1, furniture_per_m2: 0.2, room_min_m: 5.5, room_max_m: 7.0, ..WorldParams::default() },
+    )?;
     let world = simulation.world();
     let places = places(&simulation);
     let [Some(old), .., Some(new)] = [places.first(), places.last()] else {
@@ -98,13 +103,11 @@ fn places(simulation: &Simulation) -> Vec<Aabb3> {
     let steps = |length: f64| (0..(length / 0.1) as i32).map(|i| f64::from(i) * 0.1 + 0.03);
     for (x, y) in steps(extent.x).flat_map(|x| steps(extent.y).map(move |y| (x, y))) {
         let place = Aabb3 { min: Point3::new(x, y, 0.0), max: Point3::new(x, y, 0.0) + size };
-        let away = |p: &Point2<f64>| {
-            (p - p.sup(&place.min.xy()).inf(&place.max.xy())).norm() >= FROM_LANE_M
-        };
+        let away = |p: &Point2<f64>| (p - p.sup(&place.min.xy()).inf(&place.max.xy())).norm() >= FROM_LANE_M;
         let columns = (0..=3).flat_map(|i| (0..=3).map(move |j| (f64::from(i) / 3.0, f64::from(j) / 3.0)));
         let is_apart = columns.flat_map(|(u, v)| (1..=8).map(move |h| (u, v, 0.2 * f64::from(h)))).all(|(u, v, z)| {
             let p = Point3::new(x + u * size.x, y + v * size.y, z);
-            world.surface_distance(&p) >= FROM_THINGS_M.min(z + 0.01)
+            world.surface_distance(&p) >= FROM_THINGS_M.min(z - 1e-6)
         });
         if is_apart && lane.iter().all(away) && world.rooms().iter().any(|r| r.contains(&place.center().xy())) {
             out.push(place);

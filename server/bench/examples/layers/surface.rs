@@ -29,8 +29,7 @@ pub(crate) fn judge(world: &World, surface: &SurfaceMap, beams: &[Beam]) -> Resu
     let far = off.iter().filter(|d| **d > 0.05).count();
     let samples = samples(beams, surface.params().range_max());
     let index = Triangles::new(&mesh);
-    let all: Vec<(f64, usize)> =
-        samples.par_iter().map(|(p, looks)| (index.distance(p, NEAR_M[1]), *looks)).collect();
+    let all: Vec<(f64, usize)> = samples.par_iter().map(|(p, looks)| (index.distance(p, NEAR_M[1]), *looks)).collect();
     let covered = |near: f64, looks: usize| {
         let seen = || all.iter().filter(|(_, l)| *l >= looks);
         share(seen().filter(|(d, _)| *d <= near).count(), seen().count())

@@ -129,7 +129,8 @@ fn outside(b: &Aabb3, p: &Point2<f64>) -> f64 {
 }
 
 pub(crate) fn world(sensor: Sensor, seed: u64, params: &MapParams) -> Result<Row, Failure> {
-    let bare = WorldParams { rooms: 1, furniture_per_m2: 0.0, room_min_m: 9.0, room_max_m: 9.6, ..WorldParams::default() };
+    let bare =
+        WorldParams { rooms: 1, furniture_per_m2: 0.0, room_min_m: 9.0, room_max_m: 9.6, ..WorldParams::default() };
     let simulation = simulation(sensor, seed, 1, bare)?;
     let room = simulation.world().rooms()[0];
     // The lane is 1.4 m from the walls.

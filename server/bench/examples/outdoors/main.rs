@@ -5,7 +5,10 @@
 //! fifty goals on that way are reached from its start; how many labelled things that stand within 30 m the grid shows; the
 //! processor time of a scan on one thread, map and objects included; and that of a keyframe in each layer.
 
-use nalgebra::{Point2, Point3};
+mod labels;
+
+use labels::{labels, shown};
+use nalgebra::Point2;
 use percept_formats::dataset;
 use percept_geometry::{Cell, KeyframeScan, Pose, SensorData};
 use percept_mapping::{DenseGrid, KeyframeView, Layer, MapParams, Occupancy};
@@ -16,31 +19,15 @@ use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 
-type Failure = Box<dyn Error + Send + Sync>;
+pub(crate) type Failure = Box<dyn Error + Send + Sync>;
 
 /// Cells from this on are occupied, per cent: what planning takes.
-const OCCUPIED: i8 = 60;
+pub(crate) const OCCUPIED: i8 = 60;
 /// Goals along the way.
 const GOALS: usize = 50;
-/// Labelled things farther than this from the way are not asked for, metres, and those that move farther than this are not there.
-const NEAR_M: f64 = 30.0;
-const STANDS_M: f64 = 0.7;
-
-/// A labelled thing in the lidar's frame: the middle of its foot, its heading, length and width.
-struct Label {
-    frame: usize,
-    track: i64,
-    class: String,
-    at: Point3<f64>,
-    yaw: f64,
-    size: (f64, f64),
-}
 
 /// Keyframes, and where they are in the map.
 type Seen = Vec<(Pose, Arc<KeyframeScan>)>;
-
-/// A label, and where its foot is in the map and how it is turned there.
-type Placed<'a> = (&'a Label, Point3<f64>, f64);
 
 fn main() -> Result<(), Failure> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -180,95 +167,6 @@ fn beside(grid: &DenseGrid, way: &[Point2<f64>], within_m: f64) -> (usize, usize
     }
     let cells = || grid.cells.iter().zip(&near).filter(|(c, near)| **near && **c >= 0);
     (cells().count(), cells().filter(|(c, _)| **c >= OCCUPIED).count())
-}
-
-/// By class how many tracks that stand the grid shows, of how many, and which not: those with three occupied cells in their box.
-fn shown(
-    grid: &DenseGrid,
-    labels: &[Label],
-    t_map_frames: &BTreeMap<usize, Pose>,
-    way: &[Point2<f64>],
-) -> BTreeMap<String, (usize, usize, Vec<i64>)> {
-    let mut tracks: BTreeMap<i64, Vec<Placed<'_>>> = BTreeMap::new();
-    for label in labels {
-        if let Some(t) = t_map_frames.get(&label.frame) {
-            let yaw = label.yaw + percept_geometry::se3::yaw(t);
-            tracks.entry(label.track).or_default().push((label, t * label.at, yaw));
-        }
-    }
-    let mut out: BTreeMap<String, (usize, usize, Vec<i64>)> = BTreeMap::new();
-    for (track, seen) in tracks {
-        let spread = seen.iter().map(|s| (s.1 - seen[0].1).xy().norm()).fold(0.0, f64::max);
-        let nearest = |p: &Point3<f64>| way.iter().map(|w| (p.xy() - w).norm()).fold(f64::INFINITY, f64::min);
-        let Some((label, at, yaw)) = seen.iter().min_by(|a, b| nearest(&a.1).total_cmp(&nearest(&b.1))) else {
-            continue;
-        };
-        if spread > STANDS_M || nearest(at) > NEAR_M {
-            continue;
-        }
-        let (sin, cos) = yaw.sin_cos();
-        let inside = |p: Point2<f64>| {
-            let d = p - at.xy();
-            let (along, across) = (d.x * cos + d.y * sin, d.y * cos - d.x * sin);
-            along.abs() <= 0.5 * label.size.0 + 0.1 && across.abs() <= 0.5 * label.size.1 + 0.1
-        };
-        let occupied = grid.cells.iter().enumerate().filter(|(_, c)| **c >= OCCUPIED).filter(|(i, _)| {
-            let cell = Cell::new((i % grid.width) as i32, (i / grid.width) as i32);
-            inside(grid.geometry.center(cell))
-        });
-        let is_shown = occupied.count() >= 3;
-        let entry = out.entry(label.class.clone()).or_default();
-        entry.0 += usize::from(is_shown);
-        entry.1 += 1;
-        if !is_shown {
-            entry.2.push(track);
-        }
-    }
-    out
-}
-
-/// Labels of KITTI's tracking benchmark in the lidar's frame; none where there are none.
-fn labels(folder: &Path) -> Result<Vec<Label>, Failure> {
-    let (Ok(text), Ok(calibration)) =
-        (std::fs::read_to_string(folder.join("label_02.txt")), std::fs::read_to_string(folder.join("calib.txt")))
-    else {
-        return Ok(vec![]);
-    };
-    let numbers = |names: [&str; 2]| -> Result<Vec<f64>, Failure> {
-        let line =
-            calibration.lines().find(|l| names.iter().any(|n| l.starts_with(n))).ok_or("calib.txt lacks a line")?;
-        Ok(line.split_whitespace().skip(1).map(str::parse).collect::<Result<_, _>>()?)
-    };
-    let (r, t) = (numbers(["R_rect", "R0_rect"])?, numbers(["Tr_velo_cam", "Tr_velo_to_cam"])?);
-    let rect = nalgebra::Matrix3::from_row_slice(&r[..9]);
-    let turn = nalgebra::Matrix3::new(t[0], t[1], t[2], t[4], t[5], t[6], t[8], t[9], t[10]);
-    let shift = nalgebra::Vector3::new(t[3], t[7], t[11]);
-    let to_lidar = |p: nalgebra::Vector3<f64>| Point3::from(turn.transpose() * (rect.transpose() * p - shift));
-    // Frames are counted from the first scan of the folder, labels from that of the drive.
-    let mut first = usize::MAX;
-    for entry in std::fs::read_dir(folder.join("velodyne"))? {
-        let name = entry?.file_name();
-        let number = Path::new(&name).file_stem().and_then(|s| s.to_str()?.parse().ok());
-        first = first.min(number.unwrap_or(usize::MAX));
-    }
-    let mut out = vec![];
-    for line in text.lines() {
-        let words: Vec<&str> = line.split_whitespace().collect();
-        if words.len() < 17 || words[2] == "DontCare" {
-            continue;
-        }
-        let number = |i: usize| words[i].parse::<f64>();
-        let at = to_lidar(nalgebra::Vector3::new(number(13)?, number(14)?, number(15)?));
-        let heading = number(16)?;
-        let ahead =
-            to_lidar(nalgebra::Vector3::new(number(13)? + heading.cos(), number(14)?, number(15)? - heading.sin()));
-        let yaw = (ahead.y - at.y).atan2(ahead.x - at.x);
-        let (width, length) = (number(11)?, number(12)?);
-        let frame = words[0].parse::<usize>()?;
-        let Some(frame) = frame.checked_sub(if first == usize::MAX { 0 } else { first }) else { continue };
-        out.push(Label { frame, track: words[1].parse()?, class: words[2].into(), at, yaw, size: (length, width) });
-    }
-    Ok(out)
 }
 
 /// The grid, north up: white free, black occupied, the way red.
