@@ -1,15 +1,20 @@
 //! KITTI's labels, and which of the labelled things that stand a grid shows.
 
 use crate::{Failure, OCCUPIED};
-use nalgebra::{Point2, Point3};
+use nalgebra::{Point2, Point3, Vector2};
 use percept_geometry::{Cell, Pose};
 use percept_mapping::DenseGrid;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Labelled things farther than this from the way are not asked for, metres, and those that move farther than this are not there.
 const NEAR_M: f64 = 30.0;
 const STANDS_M: f64 = 0.7;
+
+/// Slower than anybody walks; labels of a parked car far off wander by so much.
+const SLOW_M_PER_S: f64 = 0.4;
+/// From one label to the next, seconds.
+const FRAME_S: f64 = 0.1;
 
 /// A labelled thing in the lidar's frame: the middle of its foot, its heading, length and width.
 pub(crate) struct Label {
@@ -24,13 +29,23 @@ pub(crate) struct Label {
 /// A label, and where its foot is in the map and how it is turned there.
 type Placed<'a> = (&'a Label, Point3<f64>, f64);
 
-/// By class how many tracks that stand the grid shows, of how many, and which not: those with three occupied cells in their box.
-pub(crate) fn shown(
-    grid: &DenseGrid,
-    labels: &[Label],
-    t_map_frames: &BTreeMap<usize, Pose>,
-    way: &[Point2<f64>],
-) -> BTreeMap<String, (usize, usize, Vec<i64>)> {
+/// Tracks of things that do not move, wherever they are: from the first third of their labels to the last they went on by less than
+/// [`SLOW_M_PER_S`] on average.
+pub(crate) fn stands(labels: &[Label], t_map_frames: &BTreeMap<usize, Pose>) -> BTreeSet<i64> {
+    let middle = |seen: &[Placed<'_>]| {
+        let num = seen.len() as f64;
+        let at = seen.iter().fold(Vector2::zeros(), |sum, s| sum + s.1.xy().coords / num);
+        (at, seen.iter().map(|s| s.0.frame as f64 / num).sum::<f64>())
+    };
+    let is_slow = |seen: &[Placed<'_>]| {
+        let third = seen.len().div_ceil(3);
+        let ((first, began), (last, ended)) = (middle(&seen[..third]), middle(&seen[seen.len() - third..]));
+        (last - first).norm() <= SLOW_M_PER_S * FRAME_S * (ended - began).max(1.0)
+    };
+    tracks(labels, t_map_frames).into_iter().filter(|(_, seen)| is_slow(seen)).map(|(track, _)| track).collect()
+}
+
+fn tracks<'a>(labels: &'a [Label], t_map_frames: &BTreeMap<usize, Pose>) -> BTreeMap<i64, Vec<Placed<'a>>> {
     let mut tracks: BTreeMap<i64, Vec<Placed<'_>>> = BTreeMap::new();
     for label in labels {
         if let Some(t) = t_map_frames.get(&label.frame) {
@@ -38,14 +53,28 @@ pub(crate) fn shown(
             tracks.entry(label.track).or_default().push((label, t * label.at, yaw));
         }
     }
+    tracks
+}
+
+/// How far a thing comes from where it was first seen, metres.
+fn spread(seen: &[Placed<'_>]) -> f64 {
+    seen.iter().map(|s| (s.1 - seen[0].1).xy().norm()).fold(0.0, f64::max)
+}
+
+/// By class how many tracks that stand the grid shows, of how many, and which not: those with three occupied cells in their box.
+pub(crate) fn shown(
+    grid: &DenseGrid,
+    labels: &[Label],
+    t_map_frames: &BTreeMap<usize, Pose>,
+    way: &[Point2<f64>],
+) -> BTreeMap<String, (usize, usize, Vec<i64>)> {
     let mut out: BTreeMap<String, (usize, usize, Vec<i64>)> = BTreeMap::new();
-    for (track, seen) in tracks {
-        let spread = seen.iter().map(|s| (s.1 - seen[0].1).xy().norm()).fold(0.0, f64::max);
+    for (track, seen) in tracks(labels, t_map_frames) {
         let nearest = |p: &Point3<f64>| way.iter().map(|w| (p.xy() - w).norm()).fold(f64::INFINITY, f64::min);
         let Some((label, at, yaw)) = seen.iter().min_by(|a, b| nearest(&a.1).total_cmp(&nearest(&b.1))) else {
             continue;
         };
-        if spread > STANDS_M || nearest(at) > NEAR_M {
+        if spread(&seen) > STANDS_M || nearest(at) > NEAR_M {
             continue;
         }
         let (sin, cos) = yaw.sin_cos();
