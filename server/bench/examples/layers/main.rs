@@ -5,12 +5,13 @@
 //! as often as in the pipeline and keep what they keep there; they enter a [`percept_mapping::Map`] at their true poses, so that all that
 //! is told is the map's own error.
 //!
-//! - `rooms`: furnished rooms, every layer on, one lap. What is judged, and what counts as seen, is said in `surface.rs`, `occupied.rs`
-//!   and `heights.rs`.
+//! - `rooms`: furnished rooms, every layer on, one lap. What is judged, and what counts as seen, is said in `surface.rs`, `occupied.rs`,
+//!   `heights.rs` and `distances.rs`.
 //! - `moved`: a cabinet stands for one lap and elsewhere from then on: how long it is left at its old place in each layer (`moved.rs`).
 //! - `terrain`: ramps, platforms and a pit: where a robot can drive (`terrain.rs`).
 
 mod bodies;
+mod distances;
 mod drive;
 mod figures;
 mod heights;
@@ -88,6 +89,7 @@ fn rooms(sensor: Sensor, seed: u64, params: &MapParams) -> Result<figures::Row, 
     row.extend(occupied::judge_grid(world, &layers.occupancy, &beams)?);
     row.extend(occupied::judge_voxels(world, &layers.voxels, &beams)?);
     row.extend(heights::judge(world, &layers.height, &beams)?);
+    row.extend(distances::judge(params, &keyframes)?);
     Ok(row)
 }
 

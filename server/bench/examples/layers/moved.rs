@@ -1,9 +1,9 @@
 //! A cabinet that stands somewhere for one lap, and elsewhere from then on.
 //!
 //! Its old place is seen again with the first keyframe after the move of which at least twenty beams pass through. From then on it is
-//! asked after each keyframe what is left of it in each layer, of what was there when it was moved: seconds and keyframes *that looked
-//! through the old place* until no more than a twentieth is left, and until nothing is. Time goes on while the robot looks elsewhere;
-//! a robot that stands makes no keyframes.
+//! asked after each keyframe what is left of it in each layer, of what was there when it was moved: keyframes that looked through the old
+//! place, and seconds between those that followed each other, until no more than a twentieth is left, and what is at the end. A robot that
+//! stands makes no keyframes.
 
 use crate::Failure;
 use crate::bodies::{Body, with_bodies};
@@ -48,9 +48,8 @@ pub(crate) fn world(sensor: Sensor, seed: u64, params: &MapParams) -> Result<Row
     let (old, new) = (*old, *new);
     let moves_s = 0.5 * simulation.duration_s();
     let mut map = Map::new(*params)?;
-    let (mut before, mut seen_s, mut looks, mut gone): (Option<Left>, Option<f64>, usize, [Option<(f64, usize)>; 5]) =
-        (None, None, 0, [None; 5]);
-    let mut now = Left::default();
+    let (mut before, mut looks, mut gone): (Option<Left>, usize, [Option<(f64, usize)>; 5]) = (None, 0, [None; 5]);
+    let (mut now, mut in_view_s, mut looked_at): (_, f64, Option<f64>) = (Left::default(), 0.0, None);
     for (i, k) in drive(&simulation, sensor).iter().enumerate() {
         let is_moved = k.at_s >= moves_s;
         if is_moved && before.is_none() {
@@ -63,17 +62,20 @@ pub(crate) fn world(sensor: Sensor, seed: u64, params: &MapParams) -> Result<Row
         let Some(before) = before else { continue };
         if passing >= BEAMS {
             looks += 1;
-            seen_s.get_or_insert(k.at_s);
+            in_view_s += looked_at.map_or(0.0, |before| k.at_s - before);
         }
-        let Some(since) = seen_s else { continue };
+        looked_at = (passing >= BEAMS).then_some(k.at_s);
+        if looks == 0 {
+            continue;
+        }
         now = left(&map, &old)?;
         for layer in 0..5 {
             let is_gone = 20 * now[layer] <= before[layer];
             // What comes back was not gone.
-            gone[layer] = if is_gone { gone[layer].or(Some((k.at_s - since, looks))) } else { None };
+            gone[layer] = if is_gone { gone[layer].or(Some((in_view_s, looks))) } else { None };
         }
         if std::env::var_os("LAYERS_MOVED").is_some() {
-            println!("  {:.1} s, {looks} looks, {passing} beams: {now:?} of {before:?}", k.at_s - since);
+            println!("  {:.1} s, {looks} looks, {passing} beams: {now:?} of {before:?}", in_view_s);
         }
     }
     let mut row = vec![("looks through the old place", looks as f64)];
