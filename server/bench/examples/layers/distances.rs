@@ -70,9 +70,12 @@ fn everything() -> Aabb3 {
 /// The largest difference from brute force over the occupied cells and voxels, in edges, of places nearer than the largest distance.
 fn off(layers: &MapLayers) -> Result<(f64, f64), Failure> {
     let dense = layers.occupancy.dense(100_000_000)?;
+    let Some((corner, _)) = layers.occupancy.bounds() else { return Err("the grid is empty".into()) };
+    let cell = |i: usize| Cell::new(corner.x + (i % dense.width) as i32, corner.y + (i / dense.width) as i32);
     let cells: Vec<Point2<f64>> = (0..dense.cells.len())
-        .filter(|i| dense.cells[*i] > 50)
-        .map(|i| dense.geometry.center(Cell::new((i % dense.width) as i32, (i / dense.width) as i32)))
+        .map(cell)
+        .filter(|c| layers.occupancy.log_odds(*c).is_some_and(|l| l > 0.0))
+        .map(|c| layers.occupancy.geometry().center(c))
         .collect();
     let size = layers.voxels.params().voxel_size_m;
     let known = layers.voxels.within(&everything(), usize::MAX)?;

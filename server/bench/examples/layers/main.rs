@@ -1,9 +1,9 @@
 //! What the map's layers are worth, by the simulator's exact geometry: `layers rooms|moved|terrain [--worlds N] [--first SEED]
-//! [--sensor lidar|rgbd] [--voxel METRES]`.
+//! [--sensor lidar|rgbd] [--set KEY=VALUE]...`.
 //!
 //! A robot drives through seeded worlds with a 3D lidar of 16 rings or a depth camera, each with the simulator's noise. Keyframes come
 //! as often as in the pipeline and keep what they keep there; they enter a [`percept_mapping::Map`] at their true poses, so that all that
-//! is told is the map's own error.
+//! is told is the map's own error. `--set surface.voxel_size_m=0.03` changes a parameter of the map.
 //!
 //! - `rooms`: furnished rooms, every layer on, one lap. What is judged, and what counts as seen, is said in `surface.rs`, `occupied.rs`,
 //!   `heights.rs` and `distances.rs`.
@@ -30,7 +30,7 @@ use std::sync::Arc;
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 const USAGE: &str =
-    "usage: layers rooms|moved|terrain [--worlds N] [--first SEED] [--sensor lidar|rgbd] [--voxel METRES]";
+    "usage: layers rooms|moved|terrain [--worlds N] [--first SEED] [--sensor lidar|rgbd] [--set KEY=VALUE]...";
 
 struct Args {
     part: String,
@@ -69,7 +69,14 @@ fn arguments() -> Result<Args, Failure> {
         match name.as_str() {
             "--worlds" => args.worlds = value.parse()?,
             "--first" => args.first = value.parse()?,
-            "--voxel" => args.params.surface.voxel_size_m = value.parse()?,
+            "--set" => {
+                let (key, value) = value.split_once('=').ok_or("--set: write KEY=VALUE")?;
+                let mut tree = serde_json::to_value(args.params)?;
+                let slot =
+                    tree.pointer_mut(&format!("/{}", key.replace('.', "/"))).ok_or("--set: no such parameter")?;
+                *slot = serde_json::from_str(value)?;
+                args.params = serde_json::from_value(tree)?;
+            }
             "--sensor" => args.sensors.retain(|s| s.name() == value),
             _ => return Err(USAGE.into()),
         }

@@ -24,6 +24,13 @@ const NEAR_M: [f64; 2] = [0.02, 0.05];
 pub(crate) fn judge(world: &World, surface: &SurfaceMap, beams: &[Beam]) -> Result<Row, Failure> {
     let mesh = surface.mesh(&MeshOptions::default())?;
     let mut off: Vec<f64> = mesh.positions.par_iter().map(|p| world.surface_distance(&p.cast())).collect();
+    if let Some(path) = std::env::var_os("LAYERS_VERTICES") {
+        let rows = mesh.positions.iter().zip(&mesh.normals).zip(&off);
+        let row = |((p, n), d): ((&Point3<f32>, &Vector3<f32>), &f64)| {
+            format!("{:.3},{:.3},{:.3},{:.2},{:.2},{:.2},{d:.4}\n", p.x, p.y, p.z, n.x, n.y, n.z)
+        };
+        std::fs::write(path, rows.map(row).collect::<String>())?;
+    }
     off.sort_by(f64::total_cmp);
     let mean = off.iter().sum::<f64>() / off.len() as f64;
     let far = off.iter().filter(|d| **d > 0.05).count();

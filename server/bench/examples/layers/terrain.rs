@@ -1,11 +1,12 @@
 //! Ramps, platforms and a pit in a bare room: heights, and where a robot can drive.
 //!
-//! Truth is told from the bodies alone. An edge where the ground jumps by more than 0.13 m must not be driven: cells whose centre is within
-//! 0.15 m of one have to be impassable, as the robot's footprint of 0.5 m lies over it; so have those that lie as deep in the ramp of 14
-//! degrees. Cells whose centre is 0.4 m and more from such edges and from that ramp, and that lie on the floor, on the ramp of 7 degrees or
-//! on the platform of 0.05 m, have to be passable, the edges of that platform included. Jumps between 0.06 and 0.13 m are not asked for
-//! within 0.4 m: the limit is 0.1. Cells of which nothing is known are counted apart, within 3 m of the lane. What is behind an edge that
-//! cannot be driven (the top of the platform of 0.16 m, the floor of the pit) may be told either way.
+//! Truth is told from the bodies alone. An edge where the ground jumps by more than 0.13 m must not be driven: cells of a body whose
+//! centre is within 0.15 m of one have to be impassable, as have those that lie 0.25 m and more within the ramp of 14 degrees. What is
+//! outside of a body may be told either way there: how far the robot's middle keeps from an edge is the planner's to say. Cells whose
+//! centre is 0.4 m and more from such edges and from that ramp, and that lie on the floor, on the ramp of 7 degrees or on the platform of
+//! 0.05 m, have to be passable, the edges of that platform included. Jumps between 0.06 and 0.13 m are not asked for within 0.4 m: the limit
+//! is 0.1. Cells of which nothing is known are counted apart. What is behind an edge that cannot be driven (the top of the platform of
+//! 0.16 m, the floor of the pit) may be told either way.
 
 use crate::Failure;
 use crate::bodies::{Body, with_bodies};
@@ -102,9 +103,9 @@ const TRUTHS: [(Truth, [&str; 2]); 6] = [
 
 fn truth(terrain: &Terrain, p: &Point2<f64>) -> Option<Truth> {
     let on = terrain.at(p);
-    let pit = terrain.bodies.iter().any(|b| matches!(b, Body::Pit(b) if outside(b, p) < 0.2));
     if terrain.to_edge(p, 0.13) <= 0.15 {
-        return Some(if pit { Truth::BlockedByPit } else { Truth::BlockedByStep });
+        let is_pit = |body: &Body| matches!(body, Body::Pit(_));
+        return on.map(|body| if is_pit(body) { Truth::BlockedByPit } else { Truth::BlockedByStep });
     }
     let steep = |b: &Body| matches!(b, Body::Ramp(b) if b.max.z > 0.3);
     if let Some(Body::Ramp(b)) = on.filter(|b| steep(b)) {
