@@ -1,7 +1,8 @@
 //! The unbounded grid of evidence, in tiles that copies share.
 
 use super::evidence::Evidence;
-use super::marks::Mark;
+use super::marks::{Mark, Marks};
+use super::planar::PlanarMarks;
 use super::read::{Occupancy, TILE, Visit, locate, overlap};
 use super::tile::EvidenceTile;
 use super::{DenseGrid, OccupancyParams, ScanUpdate};
@@ -82,9 +83,14 @@ impl OccupancyGrid {
 
     /// Adds an update made with this grid's parameters and geometry.
     pub fn apply(&mut self, update: &ScanUpdate) {
-        if update.width == 0 {
-            return;
+        match &update.marks {
+            _ if update.width == 0 => {}
+            Marks::Each(marks) => self.apply_each(update, marks),
+            Marks::Planar(marks) => self.apply_planar(marks),
         }
+    }
+
+    fn apply_each(&mut self, update: &ScanUpdate, marks: &[Mark]) {
         let last = update.width as i32 - 1;
         let ((tx0, ty0), _) = locate(update.min);
         let ((tx1, ty1), _) = locate(Cell::new(update.min.x + last, update.min.y + last));
@@ -92,7 +98,7 @@ impl OccupancyGrid {
         for key in (ty0..=ty1).flat_map(|ty| (tx0..=tx1).map(move |tx| (tx, ty))) {
             let (x0, x1) = overlap(key.0, update.min.x, update.width);
             let (y0, y1) = overlap(key.1, update.min.y, update.width);
-            let row = |y: usize| &update.marks[y * update.width + x0..y * update.width + x1];
+            let row = |y: usize| &marks[y * update.width + x0..y * update.width + x1];
             if (y0..y1).all(|y| row(y).iter().all(|m| *m == Mark::Unseen)) {
                 continue;
             }
@@ -107,6 +113,28 @@ impl OccupancyGrid {
                         grow(&mut self.bounds, cell);
                     }
                 }
+            }
+        }
+    }
+
+    fn apply_planar(&mut self, marks: &PlanarMarks) {
+        let tiles = Arc::make_mut(&mut self.tiles);
+        for tile in &marks.tiles {
+            let cells = Arc::make_mut(tiles.entry(tile.key).or_default()).cells(&self.params);
+            for (row, cells) in cells.chunks_mut(TILE as usize).enumerate() {
+                tile.visit_row(row, marks.heights, |x, mark| cells[x].add(mark, true, &self.params));
+                let y = tile.key.1 * TILE + row as i32;
+                for x in tile.columns(row).into_iter().flat_map(|(first, last)| [first, last]) {
+                    grow(&mut self.bounds, Cell::new(tile.key.0 * TILE + x, y));
+                }
+            }
+        }
+        for (cell, heights) in &marks.driven {
+            let (key, slot) = locate(*cell);
+            let evidence = &mut Arc::make_mut(tiles.entry(key).or_default()).cells(&self.params)[slot];
+            evidence.add(Mark::Driven(*heights), true, &self.params);
+            if !evidence.log_odds.is_nan() {
+                grow(&mut self.bounds, *cell);
             }
         }
     }

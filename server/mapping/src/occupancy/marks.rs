@@ -1,6 +1,7 @@
 //! Marks on cells: how one keyframe's are gathered, each cell once, with the heights that they are about.
 
 use super::OccupancyParams;
+use super::planar::PlanarMarks;
 use nalgebra::{Point2, Point3};
 use percept_geometry::grid::walk;
 use percept_geometry::{Cell, GridGeometry};
@@ -14,8 +15,16 @@ pub struct ScanUpdate {
     pub(super) width: usize,
     /// Whether the beams lie in one plane and say nothing about other heights.
     pub(super) planar: bool,
+    pub(super) marks: Marks,
+}
+
+/// Marks by cell of the window.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Marks {
     /// Row-major `width x width`.
-    pub(super) marks: Vec<Mark>,
+    Each(Vec<Mark>),
+    /// Of a planar scan.
+    Planar(PlanarMarks),
 }
 
 /// What a keyframe says about a cell, and at which heights.
@@ -127,7 +136,11 @@ impl ScanUpdate {
     pub(super) fn at(&self, cell: Cell) -> Mark {
         let (x, y) = (i64::from(cell.x) - i64::from(self.min.x), i64::from(cell.y) - i64::from(self.min.y));
         let is_inside = |v: i64| (0..self.width as i64).contains(&v);
-        if is_inside(x) && is_inside(y) { self.marks[y as usize * self.width + x as usize] } else { Mark::Unseen }
+        match &self.marks {
+            _ if !(is_inside(x) && is_inside(y)) => Mark::Unseen,
+            Marks::Each(marks) => marks[y as usize * self.width + x as usize],
+            Marks::Planar(marks) => marks.at(cell),
+        }
     }
 
     /// The same, of which cells beside one that was hit are not said to be free: the end of a beam may as well lie in them.
@@ -148,14 +161,20 @@ impl ScanUpdate {
     }
 
     /// Adds a mark, if the cell is in the window.
+    #[inline]
     pub(super) fn mark(&mut self, cell: Cell, mark: Mark) {
         let (x, y) = (i64::from(cell.x) - i64::from(self.min.x), i64::from(cell.y) - i64::from(self.min.y));
         let side = self.width as i64;
         if x < 0 || y < 0 || x >= side || y >= side {
             return;
         }
-        let slot = &mut self.marks[y as usize * self.width + x as usize];
-        *slot = slot.joined(mark);
+        match &mut self.marks {
+            Marks::Each(marks) => {
+                let slot = &mut marks[y as usize * self.width + x as usize];
+                *slot = slot.joined(mark);
+            }
+            Marks::Planar(marks) => marks.mark(cell, mark),
+        }
     }
 }
 

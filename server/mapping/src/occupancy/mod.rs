@@ -12,6 +12,7 @@ mod evidence;
 mod grid;
 mod marks;
 mod params;
+mod planar;
 mod read;
 mod tile;
 mod update;

@@ -3,7 +3,8 @@
 use super::OccupancyParams;
 use super::columns::Columns;
 use super::driven::Way;
-use super::marks::{Frame, Heights, Mark, ScanUpdate};
+use super::marks::{Frame, Heights, Mark, Marks, ScanUpdate};
+use super::planar::PlanarMarks;
 use crate::KeyframeView;
 use crate::ground::GroundParams;
 use nalgebra::Point3;
@@ -35,13 +36,19 @@ impl ScanUpdate {
             Some(Cell::new(c.x.checked_sub(half)?, c.y.checked_sub(half)?))
         });
         let Some(min) = min else {
-            return Self { min: Cell::new(0, 0), width: 0, planar: true, marks: Vec::new() };
+            return Self { min: Cell::new(0, 0), width: 0, planar: true, marks: Marks::Each(vec![]) };
         };
         let width = 2 * half as usize + 1;
-        let mut update = Self { min, width, planar: scan.planar, marks: vec![Mark::Unseen; width * width] };
         let frame = Frame { params, geometry, sensor, floor_z: view.floor_z() };
+        let heights = Heights::of_plane(params, sensor.z - frame.floor_z);
+        let marks = if scan.planar {
+            Marks::Planar(PlanarMarks::new(heights, min, width))
+        } else {
+            Marks::Each(vec![Mark::Unseen; width * width])
+        };
+        let mut update = Self { min, width, planar: scan.planar, marks };
         if scan.planar {
-            frame.mark_beams(&mut update, view.hits(), view.misses());
+            frame.mark_beams(&mut update, heights, view.hits(), view.misses());
         } else {
             let (range_min_m, range_max_m) = (params.range_min_m, params.range_max());
             let ground = view.ground(&GroundParams { range_min_m, range_max_m, clearance_m: params.band_max_m });
@@ -55,8 +62,8 @@ impl ScanUpdate {
 }
 
 impl Frame<'_> {
-    fn mark_beams(&self, update: &mut ScanUpdate, hits: &[Point3<f64>], misses: &[Point3<f64>]) {
-        let heights = Heights::of_plane(self.params, self.sensor.z - self.floor_z);
+    /// Marks what planar beams say, all of which are about these heights.
+    fn mark_beams(&self, update: &mut ScanUpdate, heights: Heights, hits: &[Point3<f64>], misses: &[Point3<f64>]) {
         let passed = |_| Mark::Free(heights);
         for p in hits {
             let end = p.xy();
