@@ -22,6 +22,9 @@ const FROM_THINGS_M: f64 = 0.35;
 /// Beams through its old place by which that is seen.
 const BEAMS: usize = 20;
 
+/// Seconds and keyframes that looked through a place until nearly all of it was gone.
+type Gone = (f64, usize);
+
 /// What is left in a place, by layer: cells, points, voxels, triangles, cells with something on the ground.
 type Left = [usize; 5];
 
@@ -48,7 +51,7 @@ pub(crate) fn world(sensor: Sensor, seed: u64, params: &MapParams) -> Result<Row
     let (old, new) = (*old, *new);
     let moves_s = 0.5 * simulation.duration_s();
     let mut map = Map::new(*params)?;
-    let (mut before, mut looks, mut gone): (Option<Left>, usize, [Option<(f64, usize)>; 5]) = (None, 0, [None; 5]);
+    let (mut before, mut looks, mut gone) = (None::<Left>, 0, [None::<Gone>; 5]);
     let (mut now, mut in_view_s, mut looked_at): (_, f64, Option<f64>) = (Left::default(), 0.0, None);
     for (i, k) in drive(&simulation, sensor).iter().enumerate() {
         let is_moved = k.at_s >= moves_s;
@@ -81,7 +84,7 @@ pub(crate) fn world(sensor: Sensor, seed: u64, params: &MapParams) -> Result<Row
     let mut row = vec![("looks through the old place", looks as f64)];
     for layer in 0..5 {
         let was_there = before.is_some_and(|b| b[layer] > 0);
-        let figure = |f: fn((f64, usize)) -> f64| gone[layer].filter(|_| was_there).map_or(f64::NAN, f);
+        let figure = |f: fn(Gone) -> f64| gone[layer].filter(|_| was_there).map_or(f64::NAN, f);
         row.push((LAYERS[layer][0], figure(|g| g.0)));
         row.push((LAYERS[layer][1], figure(|g| g.1 as f64)));
         let share = now[layer] as f64 / before.map_or(f64::NAN, |b| b[layer] as f64);

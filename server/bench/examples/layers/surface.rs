@@ -58,7 +58,8 @@ pub(crate) fn judge(world: &World, surface: &SurfaceMap, beams: &[Beam]) -> Resu
 
 /// Places of the true surface, and how many keyframes saw each.
 fn samples(beams: &[Beam], range_max: f64) -> Vec<(Point3<f64>, usize)> {
-    let mut cubes: BTreeMap<(i32, i32, i32), (Point3<f64>, usize, u32)> = BTreeMap::new();
+    // A place, how many keyframes saw it, and the latest of them.
+    let mut cubes = BTreeMap::<_, (Point3<f64>, usize, u32)>::new();
     for beam in beams.iter().filter(|b| b.range_m <= range_max) {
         let Some(v) = Voxel::containing(&beam.end, SAMPLE_M) else { continue };
         let cube = cubes.entry((v.x, v.y, v.z)).or_insert((beam.end, 1, beam.keyframe));

@@ -16,7 +16,7 @@
 //!   behind this one stays too briefly for.
 
 use crate::OCCUPIED;
-use crate::labels::{Label, stands};
+use crate::labels::{self, Label, stands};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Cell, Pose};
 use percept_mapping::DenseGrid;
@@ -94,14 +94,14 @@ impl Points {
 pub(crate) fn judge(
     grid: &DenseGrid,
     points: &Points,
-    labels: &[Label],
+    things: &[Label],
     t_map_frames: &BTreeMap<usize, Pose>,
     way: &[Point2<f64>],
 ) {
-    let standing = stands(labels, t_map_frames);
+    let standing = stands(things, t_map_frames);
     let heights = points.heights();
-    let mut boxes: HashMap<usize, Vec<(&Label, Point3<f64>, f64)>> = HashMap::new();
-    for label in labels {
+    let mut boxes: HashMap<usize, Vec<labels::Placed<'_>>> = HashMap::new();
+    for label in things {
         if let Some(t) = t_map_frames.get(&label.frame) {
             let yaw = label.yaw + percept_geometry::se3::yaw(t);
             boxes.entry(label.frame).or_default().push((label, t * label.at, yaw));

@@ -27,7 +27,7 @@ pub(crate) struct Label {
 }
 
 /// A label, and where its foot is in the map and how it is turned there.
-type Placed<'a> = (&'a Label, Point3<f64>, f64);
+pub(crate) type Placed<'a> = (&'a Label, Point3<f64>, f64);
 
 /// Tracks of things that do not move, wherever they are: from the first third of their labels to the last they went on by less than
 /// [`SLOW_M_PER_S`] on average.
