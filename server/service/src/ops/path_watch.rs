@@ -56,7 +56,14 @@ pub struct PathWatch {
 impl PathWatch {
     /// From where the robot is, each time; a start that is given counts for the first answer only.
     pub fn new(request: PlanRequest) -> Self {
-        Self { request, told: None, zones: Zones::default(), looked_at: None, looked_for: Timestamp(0), seen: Timestamp(0) }
+        Self {
+            request,
+            told: None,
+            zones: Zones::default(),
+            looked_at: None,
+            looked_for: Timestamp(0),
+            seen: Timestamp(0),
+        }
     }
 
     /// Whether there is nothing new to look at.
