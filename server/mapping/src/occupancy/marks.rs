@@ -144,20 +144,20 @@ impl ScanUpdate {
     }
 
     /// The same, of which cells beside one that was hit are not said to be free: the end of a beam may as well lie in them.
-    pub(crate) fn sparing_beside_hits(mut self) -> Self {
+    pub(crate) fn sparing_beside_hits(self) -> Self {
         let side = self.width;
-        let hits: Vec<usize> = (0..self.marks.len()).filter(|k| matches!(self.marks[*k], Mark::Hit(_))).collect();
-        for (x, y) in hits.iter().map(|k| (k % side, k / side)) {
-            for (x, y) in (y.saturating_sub(1)..=(y + 1).min(side - 1))
-                .flat_map(|y| (x.saturating_sub(1)..=(x + 1).min(side - 1)).map(move |x| (x, y)))
-            {
-                let mark = &mut self.marks[y * side + x];
-                if matches!(mark, Mark::Free(_) | Mark::Over(_)) {
-                    *mark = Mark::Unseen;
+        let cell = |k: usize| Cell::new(self.min.x + (k % side) as i32, self.min.y + (k / side) as i32);
+        let all: Vec<Mark> = (0..side * side).map(|k| self.at(cell(k))).collect();
+        let near = |v: usize| v.saturating_sub(1)..=(v + 1).min(side - 1);
+        let mut spared = all.clone();
+        for k in (0..all.len()).filter(|k| matches!(all[*k], Mark::Hit(_))) {
+            for beside in near(k / side).flat_map(|y| near(k % side).map(move |x| y * side + x)) {
+                if matches!(all[beside], Mark::Free(_) | Mark::Over(_)) {
+                    spared[beside] = Mark::Unseen;
                 }
             }
         }
-        self
+        Self { marks: Marks::Each(spared), ..self }
     }
 
     /// Adds a mark, if the cell is in the window.
