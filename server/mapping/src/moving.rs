@@ -4,7 +4,7 @@
 //! along its beams. Ours compares it with the frames just before, whose poses drift by nothing, and asks the neighbours of each point:
 //! a beam that passes by a chair's leg says little.
 
-use crate::cloud::range_image::RangeImage;
+use crate::cloud::range_image::Ranges;
 use percept_geometry::{KeyframeScan, Pose, Voxel};
 use rustc_hash::{FxHashMap, FxHashSet};
 
@@ -20,14 +20,14 @@ const MOST: f64 = 0.5;
 
 /// What a frame saw, for those that follow.
 #[derive(Debug, Clone)]
-pub struct Sight(RangeImage);
+pub struct Sight(Ranges);
 
 impl Sight {
     /// Of a scan taken at `t_odom_base`.
     pub fn new(t_odom_base: &Pose, scan: &KeyframeScan) -> Self {
         let sensor = (t_odom_base * scan.t_base_sensor).translation.vector.into();
         let ends = scan.hits.positions.iter().chain(&scan.misses).map(|p| t_odom_base * p.cast::<f64>());
-        Self(RangeImage::new(sensor, ends))
+        Self(Ranges::new(sensor, ends))
     }
 }
 

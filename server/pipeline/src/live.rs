@@ -79,7 +79,9 @@ impl NewestFrames {
             // It stays: what it came from need not be kept until somebody asks.
             let newest = Arc::clone(newest);
             executor.spawn(Box::new(move || {
-                newest.sight();
+                if !newest.scan.planar {
+                    newest.sight();
+                }
             }));
         }
         let is_keyframe = matches!(scan, Seen::Keyframe(_));

@@ -162,12 +162,6 @@ impl RangeImage {
         }
     }
 
-    /// A bin and those beside it.
-    fn around(&self, row: usize, column: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let rows = row.saturating_sub(1)..=(row + 1).min(ROWS - 1);
-        rows.flat_map(move |y| [COLUMNS - 1, 0, 1].map(|dx| (y, (column + dx) % COLUMNS)))
-    }
-
     /// Which of at most 64 points were seen through, a bit each: a beam passed within half a voxel of them and ended well behind, while
     /// no beam beside it ended near or before them.
     pub(super) fn sees_through(&self, points: impl ExactSizeIterator<Item = Point3<f64>>, params: &CloudParams) -> u64 {
@@ -185,29 +179,6 @@ impl RangeImage {
         (0..num).map(through).fold(0, |all, one| all | one)
     }
 
-    /// What the beams towards a point say of it: that they go on behind it (true), that one of them ends at it (false), or nothing. A surface
-    /// behind it lies farther by metres and a share of the range.
-    pub(crate) fn looks_at(&self, p: &Point3<f64>, behind: (f64, f64)) -> Option<bool> {
-        let offset = p - self.sensor;
-        let r = offset.norm();
-        if self.rows.is_empty() || !(r.is_finite() && r > 1e-6) {
-            return None;
-        }
-        let margin = behind.0 + behind.1 * r;
-        let at = bin(offset.x as f32, offset.y as f32, offset.z as f32) as usize;
-        let (mut beams, mut farther) = (0, 0);
-        for (y, x) in self.around(at / COLUMNS, at % COLUMNS) {
-            let Some(range) = self.rows[y].get(x).map(|b| f64::from(b.0)).filter(|r| r.is_finite()) else { continue };
-            if (range - r).abs() <= margin {
-                return Some(false);
-            }
-            beams += 1;
-            farther += usize::from(range > r);
-        }
-        // One beam may pass by.
-        (beams >= 2 && farther == beams).then_some(true)
-    }
-
     /// Whether the beams in a bin and around it see through what lies at an offset from the sensor, in that bin.
     fn is_behind(&self, offset: &Vector3<f64>, at: u32, params: &CloudParams) -> bool {
         let r = offset.norm();
@@ -221,7 +192,61 @@ impl RangeImage {
             return false;
         }
         offset.cross(&direction.cast()).norm() <= 0.5 * params.voxel_size_m
-            && self.around(row, column).all(|(y, x)| self.rows[y].get(x).is_none_or(|b| f64::from(b.0) >= behind))
+            && around(row, column).all(|(y, x)| self.rows[y].get(x).is_none_or(|b| f64::from(b.0) >= behind))
+    }
+}
+
+/// A bin and those beside it.
+fn around(row: usize, column: usize) -> impl Iterator<Item = (usize, usize)> {
+    let rows = row.saturating_sub(1)..=(row + 1).min(ROWS - 1);
+    rows.flat_map(move |y| [COLUMNS - 1, 0, 1].map(|dx| (y, (column + dx) % COLUMNS)))
+}
+
+/// The ranges of a [`RangeImage`] alone, a quarter of its size.
+#[derive(Debug, Clone)]
+pub(crate) struct Ranges {
+    sensor: Point3<f64>,
+    /// Metres; rows of `COLUMNS`, empty where no beam went, infinite without one.
+    rows: Vec<Vec<f32>>,
+}
+
+impl Ranges {
+    /// From the ends of beams, in one frame with the sensor; those that are not finite are left out.
+    pub(crate) fn new(sensor: Point3<f64>, ends: impl Iterator<Item = Point3<f64>>) -> Self {
+        let mut rows = vec![vec![]; ROWS];
+        for beam in ends.map(|end| end - sensor) {
+            let range = beam.norm();
+            if range.is_finite() && range > 1e-6 {
+                let at = bin(beam.x as f32, beam.y as f32, beam.z as f32) as usize;
+                let row: &mut Vec<f32> = &mut rows[at / COLUMNS];
+                row.resize(COLUMNS, f32::INFINITY);
+                row[at % COLUMNS] = row[at % COLUMNS].min(range as f32);
+            }
+        }
+        Self { sensor, rows }
+    }
+
+    /// What the beams towards a point say of it: that they go on behind it (true), that one of them ends at it (false), or nothing. A surface
+    /// behind it lies farther by metres and a share of the range.
+    pub(crate) fn looks_at(&self, p: &Point3<f64>, behind: (f64, f64)) -> Option<bool> {
+        let offset = p - self.sensor;
+        let r = offset.norm();
+        if !(r.is_finite() && r > 1e-6) {
+            return None;
+        }
+        let margin = behind.0 + behind.1 * r;
+        let at = bin(offset.x as f32, offset.y as f32, offset.z as f32) as usize;
+        let (mut beams, mut farther) = (0, 0);
+        for (y, x) in around(at / COLUMNS, at % COLUMNS) {
+            let Some(range) = self.rows[y].get(x).map(|b| f64::from(*b)).filter(|r| r.is_finite()) else { continue };
+            if (range - r).abs() <= margin {
+                return Some(false);
+            }
+            beams += 1;
+            farther += usize::from(range > r);
+        }
+        // One beam may pass by.
+        (beams >= 2 && farther == beams).then_some(true)
     }
 }
 
