@@ -148,7 +148,7 @@ impl HeightMap {
     /// Where a robot can drive, in the rectangle from cell `min` to cell `max`, both included: what lies around it counts, too.
     ///
     /// # Errors
-    /// As [`HeightMap::region`], of the rectangle with a rim of the footprint's radius.
+    /// As [`HeightMap::region`], of the rectangle with a rim of the footprint's radius and of what an edge may hide.
     pub fn traversability(
         &self,
         min: Cell,
@@ -159,7 +159,7 @@ impl HeightMap {
         if max.x < min.x || max.y < min.y {
             return Err(MappingError::RegionEmpty);
         }
-        let rim = self.params().footprint_cells();
+        let rim = self.params().footprint_cells() + self.params().hidden_cells();
         let low = Cell::new(min.x.saturating_sub(rim), min.y.saturating_sub(rim));
         let high = Cell::new(max.x.saturating_add(rim), max.y.saturating_add(rim));
         let around = self.region(low, high, storey, max_cells)?;

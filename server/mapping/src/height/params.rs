@@ -91,6 +91,11 @@ impl HeightParams {
         check("max_roughness_m", self.max_roughness_m, tiny, 10.0, "choose above 0 and at most 10")
     }
 
+    /// Over how many cells ground may be hidden behind an edge.
+    pub(super) fn hidden_cells(&self) -> i32 {
+        (super::traversability::HIDDEN_M / self.resolution_m).ceil() as i32
+    }
+
     /// How far from a cell the robot's footprint reaches, cells.
     pub(super) fn footprint_cells(&self) -> i32 {
         (0.5 * self.footprint_m / self.resolution_m + 1e-6).floor() as i32

@@ -12,6 +12,8 @@ const STEP_CELLS: i32 = 2;
 /// that was seen along a single line has no slope.
 const PLANE_SHARE: f64 = 0.25;
 const PLANE_SPREAD: f64 = 0.2;
+/// Behind an edge the ground is hidden as far as this at most, metres: from 1 m up, at 3 m, a drop of 0.3 m hides 0.9 m.
+pub(super) const HIDDEN_M: f64 = 1.0;
 /// Value of a cell that is just passable, of 100: below what planners take for occupied.
 const PASSABLE: f32 = 50.0;
 
@@ -19,7 +21,8 @@ const PASSABLE: f32 = 50.0;
 ///
 /// The footprint is the disc of `footprint_m` around a cell's centre. Slope, step and roughness are those of the ground
 /// in it. `traversability = 1 - max(slope / max_slope, step / max_step, roughness / max_roughness)`, at least 0; 0 as well where a drop was
-/// seen, and where something stands that is higher than `max_step` or on ground that was not seen.
+/// seen, where something stands that is higher than `max_step` or on ground that was not seen, and where ground ends in the footprint that
+/// goes on lower, behind what the edge hides, by more than a slope or a step may take it down.
 /// Source: Wermelinger, Fankhauser, Diethelm, Krüsi, Siegwart and Hutter, "Navigation planning for legged robots in challenging
 /// terrain", 2016. They take a weighted mean and 0 where a limit is exceeded; with the largest there are no weights, and 0 is where
 /// a limit is reached.
@@ -99,7 +102,13 @@ struct Footprint {
     offsets: Vec<(i32, i32)>,
     pairs: Vec<(u16, u16)>,
     resolution: f64,
+    radius: i32,
+    /// Cells that ground may be hidden over.
+    hidden: i32,
 }
+
+/// Directions in which the ground may go on behind an edge.
+const AROUND: [(i32, i32); 8] = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
 
 impl Footprint {
     fn new(params: &HeightParams) -> Self {
@@ -111,7 +120,7 @@ impl Footprint {
         let num = offsets.len();
         let all = (0..num).flat_map(|a| (a + 1..num).map(move |b| (a, b)));
         let pairs = all.filter(|(a, b)| is_near(offsets[*a], offsets[*b])).map(|(a, b)| (a as u16, b as u16)).collect();
-        Self { offsets, pairs, resolution }
+        Self { offsets, pairs, resolution, radius: n, hidden: params.hidden_cells() }
     }
 
     fn tell(&self, heights: &DenseHeights, params: &HeightParams, x: i32, y: i32) -> Told {
@@ -136,8 +145,27 @@ impl Footprint {
         let worst = (slope / params.max_slope_rad)
             .max(f64::from(step) / params.max_step_m)
             .max(roughness / params.max_roughness_m);
-        let traversability = if is_drop || stands { 0.0 } else { (1.0 - worst).max(0.0) as f32 };
+        let is_open = !(is_drop || stands) && worst < 1.0 && !self.ends_high(heights, params, (x, y), own);
+        let traversability = if is_open { (1.0 - worst) as f32 } else { 0.0 };
         (slope as f32, step, roughness as f32, is_drop, traversability)
+    }
+
+    /// Whether ground of this height ends in the footprint, and goes on too low behind what its edge hides.
+    fn ends_high(&self, heights: &DenseHeights, params: &HeightParams, (x, y): (i32, i32), own: f32) -> bool {
+        let ground_at = |x: i32, y: i32| {
+            let is_within = x >= 0 && y >= 0 && (x as usize) < heights.width && (y as usize) < heights.height;
+            if is_within { heights.ground_m[y as usize * heights.width + x as usize] } else { f32::NAN }
+        };
+        AROUND.iter().any(|(dx, dy)| {
+            let along = |i: i32| ground_at(x + i * dx, y + i * dy);
+            let Some(end) = (1..=self.radius).find(|i| along(*i).is_nan()) else { return false };
+            let beyond = (end + 1..=end + self.hidden).find(|i| !along(*i).is_nan());
+            beyond.is_some_and(|i| {
+                let length_m = f64::from(i) * f64::from(dx.abs() + dy.abs()).sqrt() * self.resolution;
+                let falls_m = f64::from(own - along(i));
+                falls_m > params.max_step_m.max(params.max_slope_rad.tan() * length_m)
+            })
+        })
     }
 
     /// Slope (radians) of the least-squares plane, and standard deviation from it; none of too little ground.
@@ -164,5 +192,50 @@ impl Footprint {
         let (a, b) = ((yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det);
         let residual = (zz - a * xz - b * yz).max(0.0) / (n - 3.0);
         Some(((a.hypot(b) / self.resolution).atan(), residual.sqrt()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point2;
+
+    /// Ground up to column 14, and from column 21 on; nothing was seen in between.
+    fn with_gap(near_m: f32, far_m: f32) -> DenseHeights {
+        let (width, height) = (40, 20);
+        let of_column = |x: usize| match x {
+            0..=14 => near_m,
+            15..=20 => f32::NAN,
+            _ => far_m,
+        };
+        let ground_m: Vec<f32> = (0..width * height).map(|i| of_column(i % width)).collect();
+        let nothing = || vec![f32::NAN; width * height];
+        DenseHeights {
+            geometry: GridGeometry::new(0.1, Point2::origin()),
+            width,
+            height,
+            sigma_m: nothing(),
+            top_m: nothing(),
+            overhang_m: nothing(),
+            num_keyframes: ground_m.iter().map(|z| u32::from(!z.is_nan()) as _).collect(),
+            is_drop: vec![false; width * height],
+            ground_m,
+        }
+    }
+
+    #[test]
+    fn an_edge_behind_which_the_ground_is_hidden_is_no_way_down_if_it_goes_on_too_low() {
+        let params = HeightParams::default();
+        let passable = |near_m, far_m| {
+            let told = Traversability::of(&with_gap(near_m, far_m), &params);
+            let at = |x: usize| told.traversability[10 * told.width + x] > 0.0;
+            [at(14), at(10), at(21), at(25)]
+        };
+        assert_eq!(passable(0.0, 0.0), [true; 4]);
+        // 0.2 m down over 0.7 m: more than 0.1 m, more than 14 degrees.
+        assert_eq!(passable(0.2, 0.0), [false, true, true, true]);
+        assert_eq!(passable(0.0, 0.4), [true, true, false, true]);
+        // A slope may take it down by so much.
+        assert_eq!(passable(0.05, 0.0), [true; 4]);
     }
 }

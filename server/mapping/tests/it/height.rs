@@ -393,9 +393,9 @@ fn regions_are_bounded_and_faults_named() {
     let ends = (Cell::new(i32::MIN, i32::MIN), Cell::new(i32::MAX, i32::MAX));
     assert!(matches!(region(ends.0, ends.1, MOST), Err(MappingError::RegionTooLarge { .. })));
     let drivable = |a, b, most| heights.traversability(a, b, Storey::Lowest, most).map(|t| (t.width, t.height));
-    // With two cells around it.
-    assert_eq!((drivable(a, b, 196), drivable(b, a, 196)), (Ok((10, 10)), Err(MappingError::RegionEmpty)));
-    assert_eq!(drivable(a, b, 195), Err(MappingError::RegionTooLarge { cells: 196, limit: 195 }));
+    // With two cells around it that the footprint reaches, and ten that an edge may hide.
+    assert_eq!((drivable(a, b, 1156), drivable(b, a, 196)), (Ok((10, 10)), Err(MappingError::RegionEmpty)));
+    assert_eq!(drivable(a, b, 1155), Err(MappingError::RegionTooLarge { cells: 1156, limit: 1155 }));
     // What is read in parts is what is read at once.
     let whole = heights.traversability(Cell::new(-30, -30), Cell::new(30, 30), Storey::Lowest, MOST).unwrap();
     let part = heights.traversability(a, b, Storey::Lowest, MOST).unwrap();
