@@ -67,15 +67,23 @@ pub struct LiveFrame {
 impl OccupancyMap {
     /// The grid with the newest frames laid over it, oldest first. Work runs on the current rayon pool.
     pub fn under_frames(&self, params: &LiveParams, frames: &[LiveFrame]) -> Self {
+        let look = |frame: &LiveFrame| (self.look(params, frame), if frame.is_newest { 2 } else { 1 });
+        self.under_looks(params, &frames.par_iter().map(look).collect::<Vec<_>>())
+    }
+
+    /// What a frame says of the grid's cells.
+    pub(crate) fn look(&self, params: &LiveParams, frame: &LiveFrame) -> ScanUpdate {
+        let steps = params.steps(self.params());
+        let view = KeyframeView::new(&frame.t_map_base, &frame.scan);
+        <OccupancyGrid as Layer>::prepare(&steps, &view).sparing_beside_hits()
+    }
+
+    /// The grid with what frames say laid over it, each so many times.
+    pub(crate) fn under_looks(&self, params: &LiveParams, looks: &[(ScanUpdate, usize)]) -> Self {
         let steps = params.steps(self.params());
         let mut live = <OccupancyGrid as Layer>::new(&steps);
-        let look = |frame: &LiveFrame| {
-            let update = <OccupancyGrid as Layer>::prepare(&steps, &KeyframeView::new(&frame.t_map_base, &frame.scan));
-            (update.sparing_beside_hits(), if frame.is_newest { 2 } else { 1 })
-        };
-        let updates: Vec<(ScanUpdate, usize)> = frames.par_iter().map(look).collect();
         let mut touched = Aabb3::empty();
-        for (update, times) in &updates {
+        for (update, times) in looks {
             (0..*times).for_each(|_| live.apply(update));
             touched = joined(&touched, &<OccupancyGrid as Layer>::touched(&steps, update));
         }

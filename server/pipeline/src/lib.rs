@@ -16,6 +16,7 @@ mod pipeline;
 mod preset;
 mod restored;
 mod scene;
+mod second_look;
 mod snapshot;
 mod visibility;
 

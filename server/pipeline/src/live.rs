@@ -7,7 +7,7 @@
 
 use crate::beside::Executor;
 use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp};
-use percept_mapping::{LiveFrame, LiveParams, OccupancyMap, Sight, moving};
+use percept_mapping::{Contradicted, LiveFrame, LiveParams, OccupancyMap, Sight, moving};
 use percept_slam::keyframe::LaterScan;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, LazyLock, OnceLock};
@@ -44,6 +44,11 @@ struct Frame {
 impl Frame {
     fn sight(&self) -> &Sight {
         self.sight.get_or_init(|| Sight::new(&self.t_odom_base, &self.scan))
+    }
+
+    fn in_map(&self, t_map_odom: &Pose, base_height_m: f64, is_newest: bool) -> LiveFrame {
+        let scan = Arc::new(KeyframeScan { base_height_m, ..KeyframeScan::clone(&self.scan) });
+        LiveFrame { t_map_base: t_map_odom * self.t_odom_base, scan, is_newest }
     }
 }
 
@@ -121,6 +126,21 @@ impl NewestFrames {
         gone
     }
 
+    /// Compares a sensor's newest frame with what the map is sure of by so many looks, on whichever thread; none if it is not of that
+    /// stamp.
+    pub(crate) fn comparison(
+        &self,
+        (sensor, stamp): (&SensorId, Timestamp),
+        params: &LiveParams,
+        (t_map_odom, base_height_m): (Pose, f64),
+        grid: OccupancyMap,
+    ) -> Option<impl FnOnce(f32) -> Contradicted + Send + 'static> {
+        let frame = Arc::clone(self.by_sensor.get(sensor)?.back()?);
+        let params = *params;
+        (frame.stamp == stamp && params.time_s > 0.0)
+            .then(|| move |looks| grid.contradicted_by(&params, &frame.in_map(&t_map_odom, base_height_m, true), looks))
+    }
+
     /// What they see now.
     pub(crate) fn picture(&self, params: &LiveParams, t_map_odom: &Pose, base_height_m: f64) -> Live {
         let newest = self.by_sensor.values().filter_map(|f| f.back()).map(|f| f.stamp).max();
@@ -162,12 +182,7 @@ impl Live {
         let picture = &*self.0;
         let laid_over = || {
             let frame = |(frame, is_newest): &(Arc<Frame>, bool)| {
-                let scan = KeyframeScan { base_height_m: picture.base_height_m, ..KeyframeScan::clone(&frame.scan) };
-                LiveFrame {
-                    t_map_base: picture.t_map_odom * frame.t_odom_base,
-                    scan: Arc::new(scan),
-                    is_newest: *is_newest,
-                }
+                frame.in_map(&picture.t_map_odom, picture.base_height_m, *is_newest)
             };
             grid.under_frames(&picture.params, &picture.frames.iter().map(frame).collect::<Vec<_>>())
         };

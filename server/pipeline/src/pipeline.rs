@@ -16,6 +16,7 @@ use crate::frontend::{Frontend, Keyframe, Registered, Unanchored, View};
 use crate::live::{NewestFrames, Seen};
 use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
 use crate::scene::Scene;
+use crate::second_look::{SecondLook, SecondLooks};
 use crate::{
     Executor, FrameError, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, PoseEstimate, SessionMemory,
     Snapshot, TrajectoryEntry,
@@ -34,6 +35,8 @@ pub struct Pipeline {
     map_graph: MapGraph,
     /// What the newest frames see.
     newest: NewestFrames,
+    /// Where these contradict the map.
+    second_looks: SecondLooks,
     /// Objects.
     scene: Scene,
     /// Where the robot is now.
@@ -55,6 +58,7 @@ impl Pipeline {
             frontend: Frontend::new(params.slam.clone()),
             map_graph: MapGraph::new(&params)?,
             newest: NewestFrames::default(),
+            second_looks: SecondLooks::default(),
             scene: Scene::new(&params)?,
             pose: None,
             start: None,
@@ -112,7 +116,8 @@ impl Pipeline {
         self.move_objects(&update.moved);
         // What it has not seen it adds nothing to the map by.
         let is_keyframe_due = is_anchored && led_by.is_none();
-        let keyframe = if is_keyframe_due { self.frontend.keyframe(view, &estimate) } else { None };
+        let wanted = || self.second_looks.is_due(sensor, stamp);
+        let keyframe = if is_keyframe_due { self.frontend.keyframe(view, &estimate, wanted) } else { None };
         let seen = keyframe.as_ref().map(Keyframe::ends);
         let keyframe = keyframe.map(|k| self.add(k, before_joined.as_ref()));
 
@@ -151,6 +156,7 @@ impl Pipeline {
     fn keep_newest(&mut self, view: &View, pose: &PoseEstimate, is_anchored: bool, keyframe: Option<KeyframeScan>) {
         if !is_anchored || pose.is_relocalised {
             self.newest.clear();
+            self.second_looks.clear();
         }
         if is_anchored && pose.led_by.is_none() && !pose.state.is_lost() && pose.scale.is_metric() {
             let seen = match keyframe {
@@ -164,7 +170,13 @@ impl Pipeline {
     fn keep(&mut self, view: &View, seen: Option<(Pose, Seen)>) {
         let Some((t_odom_base, scan)) = seen else { return };
         let executor = self.map_graph.executor();
-        self.newest.take((&view.spec.id, view.stamp, &t_odom_base), scan, &self.params.live, executor);
+        let of = (&view.spec.id, view.stamp);
+        self.newest.take((of.0, of.1, &t_odom_base), scan, &self.params.live, executor);
+        let (graph, params) = (&self.map_graph, &self.params.live);
+        let map = (graph.t_map_odom(), graph.base_height_m());
+        if let Some(compare) = self.newest.comparison(of, params, map, graph.map().layers().occupancy) {
+            self.second_looks.compare(of.0, of.1, executor, compare);
+        }
     }
 
     /// Puts a view of a second sensor into the map, if it lies far enough from the one before.
@@ -173,7 +185,8 @@ impl Pipeline {
         let (stamp, covariance) = (pose.stamp, pose.covariance);
         let live = self.frontend.live_beside(view, stamp);
         self.keep(view, live.map(|(t_odom_base, scan)| (t_odom_base, Seen::Later(scan))));
-        let keyframe = self.frontend.keyframe_beside(view, (stamp, covariance))?;
+        let wanted = || self.second_looks.is_due(&view.spec.id, view.stamp);
+        let keyframe = self.frontend.keyframe_beside(view, (stamp, covariance), wanted)?;
         let near = |sensor: &SensorId, t_odom_base: &Pose| self.map_graph.keyframes_near(sensor, t_odom_base);
         self.frontend.check_extrinsics(&keyframe, near);
         Some(self.add(keyframe, None))
@@ -217,6 +230,9 @@ impl Pipeline {
         let is_sparse = keyframe.kind == SensorKind::Camera;
         let moving = self.newest.part_moving(&mut keyframe.scan, &keyframe.t_odom_base);
         let stamp = keyframe.scan.stamp;
+        if self.second_looks.take_keyframe(&keyframe.scan.sensor, stamp) == Some(SecondLook::Gone) {
+            self.map_graph.leave_out_news(&mut keyframe.scan, &keyframe.t_odom_base);
+        }
         let keyframe = self.map_graph.add(keyframe, || self.frontend.up(stamp), before_joined);
         self.count_memory();
         self.scene.look_around(self.map_graph.map().layers(), &keyframe, moving, is_sparse);

@@ -217,12 +217,15 @@ fn around_voxels(voxels: &VoxelMap, key: TileKey, most: usize) -> Option<Obstacl
 /// Voxels of the largest box that is looked at at once, at some five bytes each: a tile of 2 m of distance and 500 m of height.
 const MAX_BOX: usize = 60_000_000;
 
+/// Steps of log-odds that cancel out leave some millionths: nothing stands where that is all.
+const BALANCED: f32 = 1e-4;
+
 fn around_cells(grid: &OccupancyMap, key: TileKey, most: usize) -> Option<Obstacles> {
     let rim = most as i32;
     let edge = (TILE + 2 * rim) as usize;
     let (mut set, mut any) = (vec![false; edge * edge], false);
     for (at, tile) in grid.tiles(tiles_around(key, most)) {
-        for (slot, _) in tile.log_odds().iter().enumerate().filter(|(_, v)| **v > 0.0) {
+        for (slot, _) in tile.log_odds().iter().enumerate().filter(|(_, v)| **v > BALANCED) {
             let x = (at.0 - key.0) * TILE + rim + slot as i32 % TILE;
             let y = (at.1 - key.1) * TILE + rim + slot as i32 / TILE;
             if (0..edge as i32).contains(&x) && (0..edge as i32).contains(&y) {

@@ -132,6 +132,25 @@ impl Heights {
 }
 
 impl ScanUpdate {
+    /// The first cell of the window.
+    pub(crate) fn min(&self) -> Cell {
+        self.min
+    }
+
+    /// Cells along the window's edge.
+    pub(crate) fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Whether something was hit in a cell, or seen through it; none where neither was.
+    pub(crate) fn says(&self, cell: Cell) -> Option<bool> {
+        match self.at(cell) {
+            Mark::Unseen => None,
+            Mark::Hit(_) => Some(true),
+            Mark::Over(_) | Mark::Free(_) | Mark::Driven(_) => Some(false),
+        }
+    }
+
     /// What a cell is marked as.
     pub(super) fn at(&self, cell: Cell) -> Mark {
         let (x, y) = (i64::from(cell.x) - i64::from(self.min.x), i64::from(cell.y) - i64::from(self.min.y));

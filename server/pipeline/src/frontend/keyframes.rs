@@ -10,10 +10,15 @@ use std::sync::Arc;
 const MOST_APART_S: f64 = 0.5;
 
 impl Frontend {
-    /// The keyframe that a view of the pose sensor becomes, if it lies far enough from the one before.
-    pub(crate) fn keyframe(&mut self, view: &View, estimate: &OdometryEstimate) -> Option<Keyframe> {
+    /// The keyframe that a view of the pose sensor becomes, if it lies far enough from the one before, or is wanted.
+    pub(crate) fn keyframe(
+        &mut self,
+        view: &View,
+        estimate: &OdometryEstimate,
+        is_wanted: impl FnOnce() -> bool,
+    ) -> Option<Keyframe> {
         let t_odom_base = estimate.t_odom_base;
-        self.policy(&view.spec.id).consider(&t_odom_base).then(|| Keyframe {
+        self.is_keyframe(&view.spec.id, &t_odom_base, is_wanted).then(|| Keyframe {
             kind: view.spec.kind,
             scan: self.kept_of(view),
             t_odom_base,
@@ -22,16 +27,28 @@ impl Frontend {
         })
     }
 
-    /// The keyframe that a view of a second sensor becomes, if it lies far enough from the one before: where that sensor's own motion
-    /// places it, if it is registered, else where the pose sensor says the robot is. The newest pose has this stamp and covariance.
+    fn is_keyframe(&mut self, sensor: &SensorId, t_odom_base: &Pose, is_wanted: impl FnOnce() -> bool) -> bool {
+        self.policy(sensor).consider(t_odom_base) || {
+            let is_wanted = is_wanted();
+            if is_wanted {
+                self.policy(sensor).resume(t_odom_base);
+            }
+            is_wanted
+        }
+    }
+
+    /// The keyframe that a view of a second sensor becomes, if it lies far enough from the one before, or is wanted: where that sensor's
+    /// own motion places it, if it is registered, else where the pose sensor says the robot is. The newest pose has this stamp and
+    /// covariance.
     pub(crate) fn keyframe_beside(
         &mut self,
         view: &View,
         (newest, covariance): (Timestamp, Covariance6),
+        is_wanted: impl FnOnce() -> bool,
     ) -> Option<Keyframe> {
         let t_odom_base = self.place_beside(view, newest)?;
         let (velocity, sensor) = (self.odometry.as_ref()?.velocity(), &view.spec.id);
-        if !self.policy(sensor).consider(&t_odom_base) {
+        if !self.is_keyframe(sensor, &t_odom_base, is_wanted) {
             return None;
         }
         let params = &self.params.odometry.keyframe;

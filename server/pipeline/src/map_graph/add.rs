@@ -49,6 +49,16 @@ impl MapGraph {
         new
     }
 
+    /// Takes out of a scan what ends where the map says that nothing stands.
+    pub(crate) fn leave_out_news(&self, scan: &mut KeyframeScan, t_odom_base: &Pose) {
+        scan.base_height_m = self.base_height_m;
+        let is_news = self.map.layers().occupancy.is_news(&(self.t_map_odom * t_odom_base), scan);
+        let stays: Vec<usize> = (0..is_news.len()).filter(|i| !is_news[*i]).collect();
+        if stays.len() < is_news.len() {
+            scan.hits = scan.hits.select(&stays);
+        }
+    }
+
     /// A camera's lengths are in a unit of its own: nothing can enter, and what was gathered in the camera's map before hangs on
     /// nothing any more. Before anything hangs on the map it is turned upright, if `up` was measured.
     pub(crate) fn wait_for_scale(&mut self, up: impl FnOnce() -> Option<Unit<Vector3<f64>>>, t_odom_base: &Pose) {

@@ -15,5 +15,6 @@ mod memory;
 mod refusal;
 mod restore;
 mod second;
+mod second_look;
 mod sparse;
 mod unanchored;
