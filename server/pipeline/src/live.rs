@@ -137,8 +137,9 @@ impl NewestFrames {
     ) -> Option<impl FnOnce(f32) -> Contradicted + Send + 'static> {
         let frame = Arc::clone(self.by_sensor.get(sensor)?.back()?);
         let params = *params;
-        (frame.stamp == stamp && params.time_s > 0.0)
-            .then(|| move |looks| grid.contradicted_by(&params, &frame.in_map(&t_map_odom, base_height_m, true), looks))
+        (frame.stamp == stamp && params.time_s > 0.0).then_some(move |looks| {
+            grid.contradicted_by(&params, &frame.in_map(&t_map_odom, base_height_m, true), looks)
+        })
     }
 
     /// What they see now.
