@@ -53,6 +53,7 @@ impl PipelineParams {
             (map.occupancy.resolution_m, map.occupancy.range_max_m) = (CELL_M, Some(RANGE_M));
             (map.cloud.voxel_size_m, map.cloud.range_max_m) = (CELL_M, Some(RANGE_M));
             map.voxels.voxel_size_m = map.voxels.voxel_size_m.max(CELL_M);
+            map.surface.voxel_size_m = map.surface.voxel_size_m.max(CELL_M);
             map.height.enabled = true;
             self.detection.range_m = OBJECTS_M;
             let detector = &mut self.detection.detector;

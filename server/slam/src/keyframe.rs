@@ -1,5 +1,6 @@
 //! When a frame becomes a keyframe, and what of it is kept.
 
+mod depth;
 mod features;
 
 use crate::deskew::Sweep;
@@ -7,15 +8,14 @@ use crate::downsample::Thinner;
 use crate::inertial::Curve;
 use crate::odometry::rgbd::ColorCamera;
 use crate::param_error::{ParamError, check_range};
-use crate::scan::{CloudScan, DepthScan, PlanarScan, Scan};
+use crate::scan::{CloudScan, PlanarScan, Scan};
+pub(crate) use depth::FULL_WIDTH;
+use depth::depth_hits;
 use nalgebra::Point3;
 use percept_geometry::cloud::Beam;
 use percept_geometry::{FeatureMethod, KeyframeScan, PointCloud, Pose, SensorId, Timestamp, Voxel, cloud};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// Columns of a depth image that [`KeyframeParams::depth_stride_px`] is meant for.
-pub(crate) const FULL_WIDTH: usize = 640;
 
 /// When a frame becomes a keyframe, and how much of it is kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -196,31 +196,6 @@ fn ends_of(
     }
 }
 
-/// Rows and columns from one point that is kept to the next, of an image so many columns wide.
-fn stride(params: &KeyframeParams, width: usize) -> usize {
-    (params.depth_stride_px * width.min(FULL_WIDTH)).div_ceil(FULL_WIDTH).max(1)
-}
-
-fn depth_hits(params: &KeyframeParams, s: &DepthScan) -> PointCloud {
-    let (width, height) = (s.depth.width(), s.depth.height());
-    let color = s.color.as_ref().filter(|c| c.width() == width && c.height() == height);
-    let stride = stride(params, width);
-    let mut hits = PointCloud::default();
-    let mut colors = vec![];
-    for v in (stride / 2..height).step_by(stride) {
-        for u in (stride / 2..width).step_by(stride) {
-            let z = f64::from(s.depth.at(u, v));
-            if z > 0.0 && z <= params.max_depth_m {
-                let p = s.intrinsics.ray(u as f64, v as f64).coords * z;
-                hits.positions.push((s.t_base_sensor * Point3::from(p)).cast());
-                colors.extend(color.map(|c| c.at(u, v)));
-            }
-        }
-    }
-    hits.colors = color.map(|_| colors);
-    hits
-}
-
 fn cloud_hits(params: &KeyframeParams, s: &CloudScan, motion: &SweepMotion) -> PointCloud {
     let curve = motion.curve.as_deref();
     let in_base = crate::deskew::to_base(&s.cloud, &s.t_base_sensor, &motion.velocity, curve);
@@ -274,17 +249,6 @@ mod tests {
             .map(|t| policy.consider(t))
             .collect();
         assert_eq!(decisions, [true, false, true, false, true, false]);
-    }
-
-    #[test]
-    fn small_images_are_thinned_less_and_none_more_than_asked_for() {
-        let params = KeyframeParams::default();
-        let kept = [80, 160, 240, 320, 424, 640, 848, 1280].map(|width| width / stride(&params, width));
-        assert_eq!(kept, [80, 160, 120, 160, 141, 160, 212, 320]);
-        let coarse = KeyframeParams { depth_stride_px: 16, ..params.clone() };
-        let all = KeyframeParams { depth_stride_px: 1, ..params };
-        assert_eq!([160, 320, 640, 1280].map(|width| stride(&coarse, width)), [4, 8, 16, 16]);
-        assert_eq!([1, 160, 640].map(|width| stride(&all, width)), [1; 3]);
     }
 
     #[test]

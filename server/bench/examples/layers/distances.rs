@@ -11,6 +11,8 @@ use percept_geometry::{Aabb3, Cell, KeyframeId};
 use percept_mapping::{Map, MapEntry, MapLayers, Occupancy};
 use std::sync::Arc;
 
+/// Nothing stands where steps of log-odds cancel out but for what rounding leaves.
+const BALANCED: f32 = 1e-4;
 /// Keyframes after which tiles are read again.
 const LAST: usize = 10;
 /// Edge of a tile, cells.
@@ -74,7 +76,7 @@ fn off(layers: &MapLayers) -> Result<(f64, f64), Failure> {
     let cell = |i: usize| Cell::new(corner.x + (i % dense.width) as i32, corner.y + (i / dense.width) as i32);
     let cells: Vec<Point2<f64>> = (0..dense.cells.len())
         .map(cell)
-        .filter(|c| layers.occupancy.log_odds(*c).is_some_and(|l| l > 0.0))
+        .filter(|c| layers.occupancy.log_odds(*c).is_some_and(|l| l > BALANCED))
         .map(|c| layers.occupancy.geometry().center(c))
         .collect();
     let size = layers.voxels.params().voxel_size_m;

@@ -1,5 +1,6 @@
-//! A drive through streets, and what its grid is worth: `outdoors PATH [--set KEY=VALUE]... [--out PICTURE.png] [--every N]`.
+//! A drive through streets, and what its grid is worth: `outdoors PATH [--outdoor] [--set KEY=VALUE]... [--out PICTURE.png] [--every N]`.
 //!
+//! `--outdoor` begins with that preset's defaults, as a session with a lidar that sees far does.
 //! PATH is a recording of a 3D lidar; KITTI's labels (`label_02.txt`, `calib.txt`) beside it are boxes that the grid has to show. Printed
 //! are how wide the map is; of the known cells within a metre of the driven way how many are occupied, which it drove over; how many of
 //! fifty goals on that way are reached from its start; how many labelled things that stand within 30 m the grid shows; precision and recall
@@ -14,7 +15,7 @@ use nalgebra::Point2;
 use percept_formats::dataset;
 use percept_geometry::{Cell, KeyframeScan, Pose, SensorData};
 use percept_mapping::{DenseGrid, KeyframeView, Layer, MapParams, Occupancy};
-use percept_pipeline::{Pipeline, PipelineParams};
+use percept_pipeline::{Pipeline, PipelineParams, Preset};
 use percept_planning::{PlanOutcome, plan_dense};
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -33,10 +34,12 @@ type Seen = Vec<(Pose, Arc<KeyframeScan>)>;
 
 fn main() -> Result<(), Failure> {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let path = args.first().ok_or("usage: outdoors PATH [--set KEY=VALUE]... [--out PICTURE.png] [--every N]")?;
+    let path =
+        args.first().ok_or("usage: outdoors PATH [--outdoor] [--set KEY=VALUE]... [--out PICTURE.png] [--every N]")?;
     let after = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
     let every: usize = after("--every").map_or(Ok(1), |v| v.parse())?;
-    let mut tree = serde_json::to_value(PipelineParams::default())?;
+    let preset = if args.iter().any(|a| a == "--outdoor") { Preset::Outdoor } else { Preset::Auto };
+    let mut tree = serde_json::to_value(PipelineParams::default().for_preset(preset))?;
     for (i, _) in args.iter().enumerate().filter(|(_, a)| *a == "--set") {
         let (key, value) = args.get(i + 1).and_then(|a| a.split_once('=')).ok_or("--set: write KEY=VALUE")?;
         let slot = tree.pointer_mut(&format!("/{}", key.replace('.', "/"))).ok_or("--set: no such parameter")?;

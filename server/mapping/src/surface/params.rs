@@ -7,6 +7,10 @@ use serde::{Deserialize, Serialize};
 /// Where there is no `range_max_m`: the rings of a lidar of 64 are two voxels apart there, so that farther out its keyframes leave a
 /// surface in stripes, and take as long again. What depth cameras keep ends there, too.
 const USUAL_RANGE_VOXELS: f64 = 200.0;
+/// Where there is no `truncation_m`. Behind an edge the mesh goes on as far, where nothing is: with 4, 3 and 2 voxels simulated rooms
+/// (`layers rooms`) lie 1.05, 0.76 and 0.60 cm from the truth by a depth camera, 1.03, 0.87 and 0.84 by a lidar, of which 92, 91.5 and 90 %
+/// of what was seen are covered.
+const USUAL_TRUNCATION_VOXELS: f64 = 3.0;
 
 /// Parameters of [`SurfaceGrid`](crate::SurfaceGrid).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -17,7 +21,7 @@ pub struct SurfaceParams {
     /// Edge of a voxel, metres; 0.002 to 1. Details of less than two voxels are lost, and memory grows with its inverse square.
     pub voxel_size_m: f64,
     /// Distance from the surface up to which voxels hold it, metres; 2 to 16 voxels. What is thinner than this cannot be seen
-    /// from both sides. None: 4 voxels.
+    /// from both sides. None: 3 voxels.
     pub truncation_m: Option<f64>,
     /// Returns nearer than this to the sensor are left out, metres.
     pub range_min_m: f64,
@@ -47,7 +51,7 @@ impl Default for SurfaceParams {
 impl SurfaceParams {
     /// Distance from the surface up to which voxels hold it, metres.
     pub fn truncation(&self) -> f64 {
-        self.truncation_m.unwrap_or(4.0 * self.voxel_size_m)
+        self.truncation_m.unwrap_or(USUAL_TRUNCATION_VOXELS * self.voxel_size_m)
     }
 
     /// Returns beyond this only show that what lies before it is free, metres.

@@ -81,7 +81,8 @@ fn halves_under_a_correction_are_what_integrating_them_at_once_gives() {
     assert!(off > voxel && mean <= 0.3 * voxel, "before {off}, after {mean}");
     let direct = mesh(&built(&scans, drive));
     let (a, b) = (moved.triangles.len(), direct.triangles.len());
-    assert!(a.abs_diff(b) * 20 < b, "{a} triangles, {b} at once");
+    // Until then its rims are missing, as far as eight voxels around are needed to tell what lies between them.
+    assert!(a.abs_diff(b) * 12 < b, "{a} triangles, {b} at once");
     // Built anew, it is the map that its keyframes give.
     while !map.advance(usize::MAX) {}
     assert!(mesh(&map) == direct);
