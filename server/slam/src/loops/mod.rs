@@ -4,6 +4,7 @@
 //! and moves the keyframes.
 
 mod depth;
+mod lost;
 pub(crate) mod planar;
 pub(crate) mod spatial;
 mod visual;

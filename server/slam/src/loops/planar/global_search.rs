@@ -7,9 +7,10 @@
 //! keyframe, so that none waits for it: meanwhile the robot drives on.
 
 use super::known_map::{KnownMap, MAX_PLACES, NODES_A_VIEW, POINTS_A_NODE};
-use super::measure::{Refused, Strictness, Visits};
-use super::{CELL_M, Kept, MIN_SCORE, MIN_SCORE_LOST, closure};
+use super::measure::{FAR, Refused, Visits};
+use super::{Kept, MIN_SCORE, closure};
 use crate::loops::LoopClosure;
+use crate::loops::lost::{self, CELL_M};
 use crate::matching::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Region, Search};
 use nalgebra::{Isometry2, Point2};
 use percept_geometry::{KeyframeId, KeyframeScan};
@@ -138,7 +139,7 @@ impl GlobalSearch {
             self.stage = Stage::Searching { pyramid, current: None };
         }
         if let Stage::Searching { pyramid, current } = &mut self.stage {
-            let min_score = if self.everywhere { MIN_SCORE_LOST } else { MIN_SCORE };
+            let min_score = if self.everywhere { lost::MIN_SCORE } else { MIN_SCORE };
             let places = loop {
                 let (search, patience) = match current {
                     Some(current) => current,
@@ -186,7 +187,7 @@ impl Verifying {
             return self.decided(agrees);
         };
         self.views += 1;
-        match map.measure(visits, &view.scan, &(fit.t * view.t_anchor_base), &Strictness::FAR) {
+        match map.measure(visits, &view.scan, &(fit.t * view.t_anchor_base), &FAR) {
             Some((candidate, Ok(found))) => self.agree.push(closure(candidate, view.id, &found)),
             Some((_, Err(Refused::Contradicted(_)))) => return self.decided(false),
             // A view that leaves something open says nothing.

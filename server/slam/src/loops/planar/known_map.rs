@@ -1,8 +1,9 @@
 //! Keyframes where they are believed to be, and a view measured among them.
 
-use super::measure::{Measurement, Refused, Strictness, Visits};
+use super::measure::{Measurement, Refused, Visits};
 use super::{Kept, NEAR_M, length, visit};
 use crate::loops::KeyframePoses;
+use crate::loops::lost::Strictness;
 use crate::odometry::lidar2d::planar;
 use nalgebra::Isometry2;
 use percept_geometry::{KeyframeId, KeyframeScan};

@@ -2,6 +2,7 @@
 
 use super::spatial;
 use crate::covariance::diagonal;
+use crate::loops::lost::Strictness;
 use crate::matching::field::{Field, Hit};
 use crate::matching::search::{Window, search};
 use crate::matching::sight::{Sight, View, contradicted};
@@ -27,26 +28,12 @@ const MAX_SIGMA: (f64, f64) = (0.1, 0.05);
 /// Points for the search. As the odometry's search has it: see its constant of this name.
 const SEARCH_POINTS: usize = 180;
 
-/// What a match has to bring.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Strictness {
-    /// Least share of the hits on the local map.
-    min_inlier_ratio: f64,
-    /// Most that may contradict, as a share of what both saw.
-    max_contradicted: f64,
-}
-
-impl Strictness {
-    /// The robot is believed to be here.
-    pub(crate) const NEAR: Self = Self { min_inlier_ratio: 0.45, max_contradicted: 0.2 };
-    /// It is believed to be somewhere around.
-    pub(crate) const FAR: Self = Self { min_inlier_ratio: 0.6, max_contradicted: 0.12 };
-    /// It may be anywhere.
-    pub(crate) const LOST: Self = Self { min_inlier_ratio: 0.7, max_contradicted: 0.1 };
-    /// It may be anywhere, and no other view says so: a room that was never seen resembles those that were. With what is asked for in
-    /// [`Self::LOST`], one of nine simulated robots that saw a second room first was said to be in the first.
-    pub(crate) const ALONE: Self = Self { min_inlier_ratio: 0.9, max_contradicted: 0.02 };
-}
+/// The robot is believed to be here.
+pub(super) const NEAR: Strictness = Strictness { min_inlier_ratio: 0.45, max_contradicted: 0.2 };
+/// It is believed to be somewhere around.
+pub(super) const FAR: Strictness = Strictness { min_inlier_ratio: 0.6, max_contradicted: 0.12 };
+/// It may be anywhere.
+pub(super) const LOST: Strictness = Strictness { min_inlier_ratio: 0.7, max_contradicted: 0.1 };
 
 /// A scan placed in a visit.
 #[derive(Debug, Clone)]

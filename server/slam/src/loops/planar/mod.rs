@@ -16,13 +16,14 @@ mod relocaliser;
 #[cfg(test)]
 mod tests;
 
+use crate::loops::lost::{Strictness, spread_out};
 use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::matching::branch_and_bound::Region;
 use crate::odometry::lidar2d::planar;
 use crate::odometry::{OdometryKind, OdometryNoise, way_m};
 use global_search::{Extent, GlobalSearch, Progress, View};
 use links::Links;
-use measure::{Measurement, Strictness, Visits};
+use measure::{Measurement, NEAR, Visits};
 use nalgebra::{Isometry2, Point2};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
 use relocaliser::Relocaliser;
@@ -59,13 +60,8 @@ const SEARCH_ALL_EVERY_M: f64 = 10.0;
 const QUERY_M: f64 = 5.0;
 /// Keyframes of the query so far apart are measured where it was found: nearer ones see the same. Chosen, not swept.
 const VIEWS_EVERY_M: f64 = 1.5;
-/// Points of a query. Chosen, not swept.
-const QUERY_POINTS: usize = 150;
-/// Cell of a large search, metres. Twice that of a visit's map: what is found is measured there.
-const CELL_M: f64 = 0.1;
-/// Least score of a large search, and of one without a guess. Chosen, not swept.
+/// Least score of a large search. Chosen, not swept.
 const MIN_SCORE: f64 = 0.55;
-const MIN_SCORE_LOST: f64 = 0.6;
 /// A keyframe taken in.
 struct Kept {
     scan: KeptScan,
@@ -165,7 +161,7 @@ impl PlanarPlaces {
             }
             tried.push(at);
             let window = reach.window(candidate);
-            let found = self.measure(id, candidate, here, window, &Strictness::NEAR, &reach.poses);
+            let found = self.measure(id, candidate, here, window, &NEAR, &reach.poses);
             closures.extend(found.map(|m| closure(candidate, id, &m)));
         }
         closures
@@ -266,13 +262,10 @@ impl PlanarPlaces {
         let travelled_m = self.kept[&id].travelled_m;
         let Some(here) = reach.poses.get(&id) else { return vec![] };
         let recent = self.kept.iter().rev().take_while(|(_, k)| travelled_m - k.travelled_m < QUERY_M);
-        let points = recent
-            .filter_map(|(id, k)| Some((reach.poses.get(id)?, k)))
-            .flat_map(|(t, k)| {
-                let t_here_then = here.inverse() * t;
-                k.ends(self.max_range_m).into_iter().map(move |p| t_here_then * p)
-            })
-            .collect();
+        let points = recent.filter_map(|(id, k)| Some((reach.poses.get(id)?, k))).flat_map(|(t, k)| {
+            let t_here_then = here.inverse() * t;
+            k.ends(self.max_range_m).into_iter().map(move |p| t_here_then * p)
+        });
         spread_out(points)
     }
 }
@@ -457,15 +450,6 @@ fn visit(
 fn ends(scan: &KeyframeScan, max_range: f64) -> impl Iterator<Item = Point2<f64>> + '_ {
     let origin = scan.t_base_sensor.translation.vector.xy();
     scan.hits.positions.iter().map(|p| p.cast::<f64>().xy()).filter(move |p| (p.coords - origin).norm() < max_range)
-}
-
-/// At most [`QUERY_POINTS`] points, one a cell, evenly taken.
-fn spread_out(points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
-    let mut taken = rustc_hash::FxHashSet::default();
-    let cell = |p: &Point2<f64>| ((p.x / CELL_M).floor() as i64, (p.y / CELL_M).floor() as i64);
-    let kept: Vec<Point2<f64>> = points.into_iter().filter(|p| taken.insert(cell(p))).collect();
-    let step = kept.len() as f64 / QUERY_POINTS.min(kept.len()).max(1) as f64;
-    (0..QUERY_POINTS.min(kept.len())).map(|i| kept[(i as f64 * step) as usize]).collect()
 }
 
 /// Metres, with a radian for half a metre.

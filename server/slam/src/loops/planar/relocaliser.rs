@@ -8,19 +8,17 @@
 //! from the way; where it finds that view, the robot is as far from there as odometry says, and the newest view has to agree.
 
 use super::known_map::{KnownMap, MAX_PLACES, NODES_A_VIEW, POINTS_A_NODE};
-use super::measure::{Refused, Strictness, Visits};
-use super::{CELL_M, Kept, MIN_SCORE_LOST, QUERY_M, ends, spread_out};
+use super::measure::{FAR, LOST, Refused, Visits};
+use super::{Kept, QUERY_M, ends};
+use crate::loops::lost::{Around, CELL_M, MIN_SCORE, Strictness, WITNESSES, spread_out, way_m};
 use crate::loops::{KeyframePoses, Relocalisation};
 use crate::matching::branch_and_bound::{Fit, Outcome, Pyramid, RIVAL, Search};
 use crate::odometry::lidar2d::planar;
 use nalgebra::Isometry2;
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, Timestamp};
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Views from the way that a place is checked with, besides the one that is searched for. Chosen, not swept.
-const WITNESSES: usize = 5;
 /// A robot that has driven less since it was lost is found only by a view that is sure alone, metres. Chosen, not
 /// swept.
 const SURE_AFTER_M: f64 = 1.5;
@@ -28,7 +26,6 @@ const SURE_AFTER_M: f64 = 1.5;
 /// Intel's robot came into an office that was not mapped, stood there as in another one, and was believed to be in that
 /// (`planar_log lidar2d-intel --max-range 5 --no-odometry`: relations off by 5.5 m in the mean).
 const ALL_AROUND: f64 = 0.6;
-const DIRECTIONS: usize = 36;
 /// Work for one question, in nodes of the search: a node is a microsecond or two, so this is some 40 ms.
 const WORK: usize = 24_000;
 /// Questions after which a search is given up, and begun anew with what has been seen by then; of them so many at least
@@ -143,7 +140,7 @@ impl Relocaliser {
             let way = before.iter().map(|(t, s)| (t_newest_now * planar(t), Arc::clone(s)));
             let seen = way.chain([(t_newest_now, Arc::new(scan.clone()))]).collect();
             work = work.saturating_sub(self.draw(&map)? / POINTS_A_NODE);
-            self.begin(newest.1.stamp, seen, if is_far { Strictness::LOST } else { Strictness::ALONE });
+            self.begin(newest.1.stamp, seen, if is_far { LOST } else { Strictness::ALONE });
         }
         let attempt = self.attempt.as_mut()?;
         let t_now_anchor = anchor(attempt.stamp)?;
@@ -159,7 +156,7 @@ impl Relocaliser {
         self.attempt = None;
         self.drawn = None;
         let t_map_base = t_map_anchor * t_now_anchor.inverse();
-        let (keyframe, found) = map.measure(&mut self.visits, scan, &t_map_base, &Strictness::LOST)?;
+        let (keyframe, found) = map.measure(&mut self.visits, scan, &t_map_base, &LOST)?;
         let found = found.ok()?;
         Some(Relocalisation {
             keyframe,
@@ -188,8 +185,8 @@ impl Relocaliser {
     fn begin(&mut self, stamp: Timestamp, seen: Vec<Seen>, strictness: Strictness) {
         let Some((_, pyramid)) = &self.drawn else { return };
         let near = seen.iter().rev().filter(|(t, _)| t.translation.vector.norm() < QUERY_M);
-        let query = spread_out(near.flat_map(|(t, s)| ends(s, self.max_range_m).map(move |p| t * p)).collect());
-        let search = pyramid.begin(&query, &pyramid.everywhere(), MIN_SCORE_LOST, (RIVAL, MAX_PLACES));
+        let query = spread_out(near.flat_map(|(t, s)| ends(s, self.max_range_m).map(move |p| t * p)));
+        let search = pyramid.begin(&query, &pyramid.everywhere(), MIN_SCORE, (RIVAL, MAX_PLACES));
         self.attempt = Some(Attempt { stamp, seen, strictness, steps: 0, stage: Stage::Searching(search) });
     }
 }
@@ -197,12 +194,9 @@ impl Relocaliser {
 /// Whether a scan has returns from enough directions around the lidar.
 fn sees_all_around(scan: &KeyframeScan, max_range_m: f64) -> bool {
     let origin = scan.t_base_sensor.translation.vector.xy();
-    let mut seen = [false; DIRECTIONS];
-    for d in ends(scan, max_range_m).map(|p| p.coords - origin) {
-        let turn = d.y.atan2(d.x).rem_euclid(TAU) / TAU;
-        seen[((turn * DIRECTIONS as f64) as usize).min(DIRECTIONS - 1)] = true;
-    }
-    seen.iter().filter(|s| **s).count() as f64 >= ALL_AROUND * DIRECTIONS as f64
+    let mut seen = Around::default();
+    ends(scan, max_range_m).map(|p| p.coords - origin).for_each(|d| seen.add(d.y.atan2(d.x)));
+    seen.covers(ALL_AROUND)
 }
 
 /// What a search has come to.
@@ -259,7 +253,7 @@ impl Verifying {
         let Some(t_map_anchor) = self.measured else {
             let Some((_, scan)) = seen.iter().find(|(_, s)| s.stamp == stamp) else { return Progress::Nowhere };
             // Another place need not be as sure to leave it open which.
-            let strictness = if self.place == 0 { strictness } else { &Strictness::LOST };
+            let strictness = if self.place == 0 { strictness } else { &LOST };
             return match map.measure(visits, scan, &fit.t, strictness) {
                 Some((keyframe, Ok(found))) => {
                     self.measured = Some(map.known[&keyframe] * planar(&found.t_from_to));
@@ -275,7 +269,7 @@ impl Verifying {
             return self.decided(agrees.then_some(t_map_anchor));
         };
         self.views += 1;
-        match map.measure(visits, scan, &(t_map_anchor * t), &Strictness::FAR) {
+        match map.measure(visits, scan, &(t_map_anchor * t), &FAR) {
             Some((_, Ok(_))) => self.agree += 1,
             Some((_, Err(Refused::Contradicted(_)))) => return self.decided(None),
             // A view that leaves something open says nothing.
@@ -295,11 +289,4 @@ impl Verifying {
         (self.measured, self.views, self.agree, self.against) = (None, 0, 0, 0);
         Progress::Unfinished
     }
-}
-
-/// The way since the robot was lost until now, metres.
-fn way_m(before: &[(Pose, Arc<KeyframeScan>)]) -> f64 {
-    let here = Pose::identity();
-    let stations: Vec<&Pose> = before.iter().map(|(t, _)| t).chain([&here]).collect();
-    stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum()
 }

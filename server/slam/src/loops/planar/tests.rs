@@ -1,6 +1,7 @@
 //! Loops in a building drawn by walls, scanned by casting rays.
 
 use super::*;
+use crate::loops::lost;
 use crate::matching::branch_and_bound::{self, Pyramid};
 use nalgebra::{Point3, Vector2};
 use percept_geometry::{PointCloud, Timestamp};
@@ -375,10 +376,10 @@ fn a_place_is_found_in_a_map_as_large_as_a_building() {
     };
     let known: Vec<Point2<f64>> = (0..160).flat_map(corner).collect();
     let far = (0..400).map(|i| Point2::new(150.0, 130.0 + 0.05 * f64::from(i)));
-    let pyramid = Pyramid::new(CELL_M, &known.iter().copied().chain(far).collect::<Vec<_>>()).unwrap();
+    let pyramid = Pyramid::new(lost::CELL_M, &known.iter().copied().chain(far).collect::<Vec<_>>()).unwrap();
     let t_map_query = Isometry2::new(Vector2::new(3.0, 1.5), 2.5);
-    let query = spread_out(known.iter().map(|p| t_map_query.inverse() * p).collect());
-    let found = pyramid.optima(&query, &pyramid.everywhere(), MIN_SCORE_LOST, (branch_and_bound::RIVAL, 1)).unwrap();
+    let query = spread_out(known.iter().map(|p| t_map_query.inverse() * p));
+    let found = pyramid.optima(&query, &pyramid.everywhere(), lost::MIN_SCORE, (branch_and_bound::RIVAL, 1)).unwrap();
     let found = found[0];
     let off = t_map_query.inverse() * found.t;
     assert!(off.translation.vector.norm() < 0.15 && off.rotation.angle().abs() < 0.03, "{off}");

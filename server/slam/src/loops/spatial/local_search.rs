@@ -1,8 +1,9 @@
 //! Loops where the map is believed to be known: a keyframe measured in what an earlier visit to the place saw.
 
 use super::submap::range;
-use super::target::{Strictness, Target, reach};
+use super::target::{Target, reach};
 use super::{APART, SpatialRecognition};
+use crate::loops::lost::Strictness;
 use crate::loops::{KeyframePoses, LoopClosure};
 use percept_geometry::{Covariance6, KeyframeId, Pose};
 use std::collections::BTreeMap;

@@ -7,44 +7,33 @@
 
 use super::kept::Kept;
 use super::submap::{range, voxel_for};
-use super::target::{Refused, Strictness, Target};
+use super::target::{Refused, Target};
 use super::walls;
 use crate::loops::Relocalisation;
+use crate::loops::lost::{Around, CELL_M, MIN_SCORE, Strictness, WITNESSES, spread_out, way_m};
 use crate::matching::branch_and_bound::{Fit, Pyramid, RIVAL, Region};
 use nalgebra::{Isometry2, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, se3};
-use rustc_hash::FxHashSet;
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
 
 /// Places that may fit nearly alike: where there are more, they are not looked at. From above, walls of one view all around fit in up
 /// to a dozen places of six simulated rooms (`percept eval slam --sensor lidar3d --scenario kidnap`), and in space in one: with 4, the
 /// robot is found after 5 s in the median, with 12 or 24 after 0.4. Each takes some 10 ms. What sees less tells fewer apart.
 const MAX_PLACES: usize = 24;
 const MAX_PLACES_AHEAD: usize = 4;
-/// Least share of the walls that lies on those of the map. Chosen, not swept.
-const MIN_SCORE: f64 = 0.6;
-/// Views from the way that a place is checked with, besides the newest one. Chosen, not swept.
-const WITNESSES: usize = 5;
 /// Directions in which views have to have seen walls, as a share of a full turn, for a robot to be found where it stands: half a turn
 /// is what the planar lidars of the recorded logs see, which are (`relocalisation LOG`). A rosette that sees 69 degrees ahead, found
 /// where it stood, was in a wrong place in two of eight simulated kidnaps, and in one of them after the way below.
 const ALL_AROUND: f64 = 0.5;
-const DIRECTIONS: usize = 36;
 /// Else the way since the robot was lost before it is found, and the way whose views are searched for, usual ranges;
 /// and the least and most of the first, metres. Chosen, not swept.
 const FOUND_AFTER: f64 = 0.25;
 const FOUND_AFTER_M: (f64, f64) = (1.0, 10.0);
 const QUERY: f64 = 3.0;
-/// Points of a query, at most and at least. Chosen, not swept.
-const QUERY_POINTS: usize = 150;
+/// Fewest points of a query. Chosen, not swept.
 const FEWEST_POINTS: usize = 30;
-/// The search from above is made for cells of a tenth of a metre: lengths are told to it in these.
-const CELL: f64 = 0.1;
 /// What the newest view has to bring, and those before. Chosen, not swept.
 const NEWEST: Strictness = Strictness { min_inlier_ratio: 0.75, max_contradicted: 0.04 };
-/// The same where there is no way to speak for it, as for a planar lidar. Chosen, not swept.
-const ALONE: Strictness = Strictness { min_inlier_ratio: 0.9, max_contradicted: 0.02 };
 /// What is asked of views along which loops are looked for, or of which enough were taken since the robot was lost.
 pub(super) const ALONG_THE_WAY: Wanted = Wanted { most: MAX_PLACES_AHEAD, best: NEWEST };
 const WITNESS: Strictness = Strictness { min_inlier_ratio: 0.65, max_contradicted: 0.06 };
@@ -80,31 +69,24 @@ impl<'a> Query<'a> {
 
     /// What a lost robot is found by; none if it has seen too little: that resembles too many places.
     pub(super) fn wanted(&self) -> Option<Wanted> {
-        let is_long = self.way_m() >= (FOUND_AFTER * self.usual_range).clamp(FOUND_AFTER_M.0, FOUND_AFTER_M.1);
+        let is_long = way_m(self.before) >= (FOUND_AFTER * self.usual_range).clamp(FOUND_AFTER_M.0, FOUND_AFTER_M.1);
         match (self.sees_all_around(), is_long) {
             (true, true) => Some(Wanted { most: MAX_PLACES, best: NEWEST }),
-            (true, false) => Some(Wanted { most: MAX_PLACES, best: ALONE }),
+            (true, false) => Some(Wanted { most: MAX_PLACES, best: Strictness::ALONE }),
             (false, true) => Some(ALONG_THE_WAY),
             (false, false) => None,
         }
     }
 
-    fn way_m(&self) -> f64 {
-        let here = Pose::identity();
-        let stations: Vec<&Pose> = self.before.iter().map(|(t, _)| t).chain([&here]).collect();
-        stations.windows(2).map(|s| (s[0].translation.vector - s[1].translation.vector).norm()).sum()
-    }
-
     /// Whether walls were seen in enough directions from base, as it stood.
     fn sees_all_around(&self) -> bool {
-        let mut seen = [false; DIRECTIONS];
+        let mut seen = Around::default();
         self.near().any(|(t_level_then, scan)| {
             let yaw = se3::yaw(&t_level_then);
             for p in walls::of(scan, &walls::leveling(&t_level_then)) {
-                let turn = (f64::from(p.y.atan2(p.x)) + yaw).rem_euclid(TAU) / TAU;
-                seen[((turn * DIRECTIONS as f64) as usize).min(DIRECTIONS - 1)] = true;
+                seen.add(f64::from(p.y.atan2(p.x)) + yaw);
             }
-            seen.iter().filter(|s| **s).count() as f64 >= ALL_AROUND * DIRECTIONS as f64
+            seen.covers(ALL_AROUND)
         })
     }
 
@@ -126,14 +108,15 @@ impl<'a> Query<'a> {
         heading: (f64, f64),
         wanted: &Wanted,
     ) -> Option<Relocalisation> {
-        let scale = CELL / voxel_for(self.usual_range);
+        // Lengths are told to the search in its cells: one is a voxel.
+        let scale = CELL_M / voxel_for(self.usual_range);
         let walls = known.iter().filter_map(|(id, t)| Some((t, &kept.get(id)?.walls)));
         let of_map: Vec<_> = walls.flat_map(|(t, w)| above(t, w).map(|p| p * scale).collect::<Vec<_>>()).collect();
         let query = self.query(scale);
         if query.len() < FEWEST_POINTS {
             return None;
         }
-        let pyramid = Pyramid::new(CELL, &of_map)?;
+        let pyramid = Pyramid::new(CELL_M, &of_map)?;
         let everywhere = pyramid.everywhere();
         let center = Isometry2::new(everywhere.center.translation.vector, heading.0);
         let region = Region { center, rotation: heading.1, ..everywhere };
@@ -145,18 +128,10 @@ impl<'a> Query<'a> {
 
     /// What stands upright along the newest part of the way, from above, base now level.
     fn query(&self, scale: f64) -> Vec<Point2<f64>> {
-        let mut taken = FxHashSet::default();
-        let mut points = vec![];
-        for (t_level_then, scan) in self.near() {
-            for p in above(&t_level_then, &walls::of(scan, &walls::leveling(&t_level_then))).map(|p| p * scale) {
-                if taken.insert(((p.x / CELL).floor() as i64, (p.y / CELL).floor() as i64)) {
-                    points.push(p);
-                }
-            }
-        }
-        let few = QUERY_POINTS.min(points.len());
-        let step = points.len() as f64 / few.max(1) as f64;
-        (0..few).map(|i| points[(i as f64 * step) as usize]).collect()
+        let walls = |(t, scan): (Pose, &KeyframeScan)| {
+            above(&t, &walls::of(scan, &walls::leveling(&t))).map(|p| p * scale).collect::<Vec<_>>()
+        };
+        spread_out(self.near().flat_map(walls))
     }
 
     /// What the newest view measures at a place, if what was seen on the way agrees.

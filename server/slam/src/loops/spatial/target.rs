@@ -4,6 +4,7 @@ use super::kept::Kept;
 use super::submap::{range, voxel_for};
 use crate::covariance::diagonal;
 use crate::downsample::Thinner;
+use crate::loops::lost::Strictness;
 use crate::odometry::lidar3d::align::{Problem, align};
 use crate::odometry::lidar3d::levels::Levels;
 use crate::odometry::lidar3d::sight::{Contradiction, Sight};
@@ -34,15 +35,6 @@ const FIXED: (f64, f64) = (0.5, 0.05);
 /// What a measurement may be off beyond its noise: the map's own errors, voxels of the pictures and radians. Chosen,
 /// not swept.
 const FLOOR: (f64, f64) = (0.1, 0.003);
-
-/// What a scan has to bring.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Strictness {
-    /// Least share of its points on the surface.
-    pub(super) min_inlier_ratio: f64,
-    /// Most that may contradict, as a share of what both saw.
-    pub(super) max_contradicted: f64,
-}
 
 /// Why a scan was not placed.
 #[derive(Debug, Clone, Copy, PartialEq)]

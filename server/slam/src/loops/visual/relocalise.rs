@@ -16,11 +16,9 @@ use std::sync::Arc;
 
 /// Places that are looked at: where there are more, nothing tells them apart. Chosen, not swept.
 const MAX_PLACES: usize = 6;
-/// Places nearer than this are one: metres and radians. Chosen, not swept.
+/// Places nearer than this are one, and a view from the way so near to the newest one tells nothing of its own: metres
+/// and radians. Chosen, not swept.
 const SAME: (f64, f64) = (0.3, 0.2);
-/// A view from the way tells something of its own if it is so far from the newest one: metres and radians. Chosen, not
-/// swept.
-const APART: (f64, f64) = (0.3, 0.2);
 /// Views from the way that are looked at, and how many of them have to agree. Chosen, not swept.
 const WITNESSES: usize = 6;
 const MIN_AGREE: usize = 2;
@@ -84,7 +82,7 @@ impl VisualPlaces {
         poses: &KeyframePoses,
     ) -> Option<Relocalisation> {
         let places = self.places(scan, poses);
-        let witnesses: Vec<_> = before.iter().rev().filter(|(t, _)| share(t, APART) >= 1.0).take(WITNESSES).collect();
+        let witnesses: Vec<_> = before.iter().rev().filter(|(t, _)| share(t, SAME) >= 1.0).take(WITNESSES).collect();
         // Views from the way that agree, and that are against it; none if one contradicts.
         let words = |t_map_base: &Pose| {
             let (mut agree, mut against) = (0, 0);
