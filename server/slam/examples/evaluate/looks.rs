@@ -1,14 +1,17 @@
 //! What features of each method tell apart: matches, and places found, in recorded depth images beside the truth.
 
 use super::{Run, read, read::Failure};
+use nalgebra::Vector6;
 use percept_geometry::{
-    CameraIntrinsics, Covariance6, FeatureMethod, KeyframeFeatures, KeyframeId, KeyframeScan, Pose, Timestamp,
+    CameraIntrinsics, Covariance6, FeatureMethod, GrayImage, KeyframeFeatures, KeyframeId, KeyframeScan, Pose,
+    Timestamp,
 };
 use percept_perception::features2d::{
     Descriptors, MatchParams, Orb, OrbParams, Sift, SiftParams, binary_sift, match_features,
 };
+use percept_slam::keyframe::keyframe_scan;
 use percept_slam::loops::{KeyframePoses, place_recognition};
-use percept_slam::{BackEndParams, DepthScan, OdometryKind, OdometryParams, Scan};
+use percept_slam::{BackEndParams, DepthScan, KeyframeParams, OdometryKind, OdometryParams, Scan};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -56,36 +59,73 @@ pub(crate) fn compare(dir: &Path) -> Result<(), Failure> {
             }
         }
     }
-    (0..METHODS.len()).for_each(|m| found(&views, m));
+    for (m, name) in KINDS.iter().enumerate().take(METHODS.len()) {
+        let views: Vec<_> = views.iter().map(|v| (v.t_world_camera, Arc::clone(&v.kept[m]))).collect();
+        found(&views, name);
+    }
     Ok(())
 }
 
-fn views(dir: &Path) -> Result<Vec<View>, Failure> {
-    let k = read::numbers(&dir.join("camera-intrinsics.txt"))?;
-    let mut names: Vec<_> = std::fs::read_dir(dir)?
-        .filter_map(|e| e.ok()?.file_name().into_string().ok()?.strip_suffix(".pose.txt").map(String::from))
-        .collect();
-    names.sort();
-    let scan = |name: &str| -> Result<(Scan, _), Failure> {
-        let depth = Arc::new(read::depth_png(&dir.join(format!("{name}.depth.png")), 0.001)?);
-        let color = Arc::new(read::color(&dir.join(format!("{name}.color.jpg")))?);
+/// Places alone, of views whose colour camera is believed to be where the depth camera is: two seconds, for sweeps.
+pub(crate) fn places(dir: &Path) -> Result<(), Failure> {
+    let recording = Recording::open(dir)?;
+    let keep = |name: &String| -> Result<_, Failure> {
+        let (scan, _) = recording.scan(name)?;
+        let kept = keyframe_scan(&KeyframeParams::default(), Timestamp(0), &"camera".into(), &scan, &Vector6::zeros());
+        Ok((recording.t_world_camera(name)?, Arc::new(kept)))
+    };
+    let views = recording.names.iter().step_by(STEP).map(keep).collect::<Result<Vec<_>, Failure>>()?;
+    found(&views, KINDS[0]);
+    Ok(())
+}
+
+/// A folder of images with depth and truth.
+struct Recording<'a> {
+    dir: &'a Path,
+    k: Vec<f64>,
+    names: Vec<String>,
+}
+
+impl<'a> Recording<'a> {
+    fn open(dir: &'a Path) -> Result<Self, Failure> {
+        let k = read::numbers(&dir.join("camera-intrinsics.txt"))?;
+        let mut names: Vec<_> = std::fs::read_dir(dir)?
+            .filter_map(|e| e.ok()?.file_name().into_string().ok()?.strip_suffix(".pose.txt").map(String::from))
+            .collect();
+        names.sort();
+        Ok(Self { dir, k, names })
+    }
+
+    /// With the image in grey.
+    fn scan(&self, name: &str) -> Result<(Scan, GrayImage), Failure> {
+        let depth = Arc::new(read::depth_png(&self.dir.join(format!("{name}.depth.png")), 0.001)?);
+        let color = Arc::new(read::color(&self.dir.join(format!("{name}.color.jpg")))?);
         let (gray, t_base_sensor) = (color.to_gray(), Pose::identity());
+        let k = &self.k;
         let intrinsics = CameraIntrinsics::pinhole(depth.width(), depth.height(), k[0], k[4], k[2], k[5]);
         Ok((Scan::Depth(DepthScan { depth, color: Some(color), intrinsics, t_base_sensor }), gray))
-    };
+    }
+
+    fn t_world_camera(&self, name: &str) -> Result<Pose, Failure> {
+        read::pose_3x4(&read::numbers(&self.dir.join(format!("{name}.pose.txt")))?)
+    }
+}
+
+fn views(dir: &Path) -> Result<Vec<View>, Failure> {
+    let recording = Recording::open(dir)?;
     let mut runs = METHODS.map(|features| {
         let mut params = OdometryParams::default();
         params.keyframe.features = features;
         Run::with(OdometryKind::Rgbd, params)
     });
     // Where the colour camera is, is found on the way.
-    for (i, name) in names.iter().enumerate() {
-        let (scan, _) = scan(name)?;
+    for (i, name) in recording.names.iter().enumerate() {
+        let (scan, _) = recording.scan(name)?;
         runs.iter_mut().for_each(|r| r.step(Timestamp::from_secs_f64(i as f64 / 15.0), &scan, None));
     }
     let (mut views, mut ms) = (vec![], [0.0; 2]);
-    for name in names.iter().step_by(STEP) {
-        let (scan, gray) = scan(name)?;
+    for name in recording.names.iter().step_by(STEP) {
+        let (scan, gray) = recording.scan(name)?;
         let mut keep = |i: usize| {
             let start = Instant::now();
             let kept = runs[i].odometry.keyframe_scan(Timestamp(0), &"camera".into(), &scan);
@@ -94,7 +134,7 @@ fn views(dir: &Path) -> Result<Vec<View>, Failure> {
         };
         let max_features = KeyframeFeatures::LIMIT;
         views.push(View {
-            t_world_camera: read::pose_3x4(&read::numbers(&dir.join(format!("{name}.pose.txt")))?)?,
+            t_world_camera: recording.t_world_camera(name)?,
             kept: [keep(0), keep(1)],
             numbers: Sift::new(SiftParams { max_features, ..SiftParams::default() })?.extract(&gray)?.descriptors,
         });
@@ -129,7 +169,7 @@ fn matches(a: &View, b: &View, kind: usize, ratio: f64) -> Option<(usize, usize)
 }
 
 /// Places: every second view is in the map, the others ask where they are; and loops, each view after those before.
-fn found(views: &[View], method: usize) {
+fn found(views: &[(Pose, Arc<KeyframeScan>)], name: &str) {
     for every in [2, 4, 8] {
         let Some(mut places) =
             place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), BackEndParams::default().place_limits())
@@ -137,19 +177,19 @@ fn found(views: &[View], method: usize) {
             return;
         };
         let mut poses = KeyframePoses::new();
-        for (i, v) in views.iter().enumerate().step_by(every) {
-            poses.insert(KeyframeId(i as u64), v.t_world_camera);
-            places.insert(KeyframeId(i as u64), &(&v.kept[method]).into(), &Covariance6::identity(), &poses);
+        for (i, (t_world_camera, kept)) in views.iter().enumerate().step_by(every) {
+            poses.insert(KeyframeId(i as u64), *t_world_camera);
+            places.insert(KeyframeId(i as u64), &kept.into(), &Covariance6::identity(), &poses);
         }
         let (mut asked, mut right, mut wrong) = (0, 0, 0);
-        for (_, v) in views.iter().enumerate().filter(|(i, _)| i % every != 0) {
+        for (_, (t_world_camera, kept)) in views.iter().enumerate().filter(|(i, _)| i % every != 0) {
             asked += 1;
-            if let Some(r) = places.relocalise(&v.kept[method], &poses) {
-                let off = v.t_world_camera.inv_mul(&(poses[&r.keyframe] * r.t_keyframe_base));
+            if let Some(r) = places.relocalise(kept, &poses) {
+                let off = t_world_camera.inv_mul(&(poses[&r.keyframe] * r.t_keyframe_base));
                 if is_right(&off) { right += 1 } else { wrong += 1 }
             }
         }
-        println!("{}: map of every {every}th view: {asked} asked, {right} found, {wrong} wrong", KINDS[method]);
+        println!("{name}: map of every {every}th view: {asked} asked, {right} found, {wrong} wrong");
     }
     let Some(mut places) =
         place_recognition(OdometryKind::Rgbd, &OdometryParams::default(), BackEndParams::default().place_limits())
@@ -158,14 +198,14 @@ fn found(views: &[View], method: usize) {
     };
     let mut poses = KeyframePoses::new();
     let (mut right, mut wrong) = (0, 0);
-    for (i, v) in views.iter().enumerate() {
+    for (i, (t_world_camera, kept)) in views.iter().enumerate() {
         let id = KeyframeId(i as u64);
-        poses.insert(id, v.t_world_camera);
-        for l in places.insert(id, &(&v.kept[method]).into(), &Covariance6::identity(), &poses) {
-            if is_right(&v.t_world_camera.inv_mul(&(poses[&l.from] * l.t_from_to))) { right += 1 } else { wrong += 1 }
+        poses.insert(id, *t_world_camera);
+        for l in places.insert(id, &kept.into(), &Covariance6::identity(), &poses) {
+            if is_right(&t_world_camera.inv_mul(&(poses[&l.from] * l.t_from_to))) { right += 1 } else { wrong += 1 }
         }
     }
-    println!("{}: {right} loops, {wrong} wrong", KINDS[method]);
+    println!("{name}: {right} loops, {wrong} wrong");
 }
 
 fn is_right(off: &Pose) -> bool {

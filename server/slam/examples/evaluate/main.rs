@@ -1,7 +1,7 @@
 //! Figures of the odometries on recorded data: `evaluate SET PATH [options]`.
 //!
 //! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person] [--sift]`,
-//! `rgbd-sizes WIDTHxHEIGHT SEED SEED ...`, `looks DIR` (as `rgbd`), `unrelated DIR DIR ...` (images),
+//! `rgbd-sizes WIDTHxHEIGHT SEED SEED ...`, `looks DIR` (as `rgbd`), `looks-places DIR`, `unrelated DIR DIR ...` (images),
 //! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `handheld DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
 //! `lidar-sim spinning|rosette [name=value ...]`, `planar-sim [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`,
 //! `graph FILE [name=value ...]`.
@@ -32,6 +32,7 @@ fn main() -> Result<(), Failure> {
     match args[1].as_str() {
         "rgbd" => rgbd(path, args.get(3).and_then(|s| s.parse().ok()).unwrap_or(1)),
         "looks" => looks::compare(path),
+        "looks-places" => looks::places(path),
         "unrelated" => looks::unrelated(&args[2..]),
         "rgbd-sim" => depth::simulated(args[2].parse()?, &args),
         "rgbd-sizes" => sizes::compare(&args[2..]),
