@@ -7,7 +7,8 @@ use super::{BackEnd, Loop, LoopId, LoopState};
 use crate::loops::LoopClosure;
 use percept_geometry::Covariance6;
 
-/// Keyframes after which a loop that nothing confirmed is given up. Chosen, not swept.
+/// Keyframes after which a loop that nothing confirmed is given up. Halved and doubled as it is
+/// ([`crate::loops::planar`]).
 const PATIENCE: u32 = 60;
 /// Standard deviations of drift that a loop may ask for; more takes twice as many that agree. Of the three axes
 /// together one of a thousand true loops asks for more. Halved 26.2 mm, doubled 28.7, of 26.2 on Intel's log with a
@@ -18,6 +19,7 @@ const LIKELY_DRIFT: f64 = 4.0;
 /// 42 of a hundred exceed the first and one the second.
 const MISFITS: (f64, f64) = (6.0, 16.8);
 /// The newest pose is known badly if its variance is so many times that of the last solution and of a loop together.
+/// Halved and doubled as it is ([`crate::loops::planar`]).
 const GROWN: f64 = 4.0;
 /// Squared standard deviations of misfit from which a loop that was believed is so no longer: its weight is next to nothing.
 const CONTRADICTS: f64 = 10.0 * AGREE;

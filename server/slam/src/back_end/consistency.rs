@@ -13,7 +13,7 @@ use percept_geometry::{Covariance6, Pose, se3};
 pub(super) const AGREE: f64 = 22.5;
 
 /// Closures confirm each other if both their ends are within so many keyframes: farther apart, the drift between them
-/// lets too much agree by chance. Chosen, not swept.
+/// lets too much agree by chance. Halved and doubled as it is ([`crate::loops::planar`]).
 pub(super) const NEIGHBOURS: u64 = 20;
 
 /// A closure with the indices of its nodes.

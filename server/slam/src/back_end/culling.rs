@@ -29,7 +29,7 @@ const RECENT: u64 = 60;
 /// keyframes, `keyframe.distance_m` and `angle_rad`.
 const NEAR_M: f64 = 0.5;
 const NEAR_RAD: f64 = 0.35;
-/// Most loops of a keyframe, the surest. Chosen, not swept.
+/// Most loops of a keyframe, the surest. Halved and doubled as it is ([`crate::loops::planar`]).
 const MOST_LOOPS: u32 = 12;
 
 /// A node that another one stands for, by index.

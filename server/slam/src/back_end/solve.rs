@@ -16,9 +16,9 @@ pub(super) enum Effort {
     Thorough,
 }
 
-/// Rounds of solving and weighing, in a thorough solution. Chosen, not swept.
+/// Rounds of solving and weighing, in a thorough solution. Halved and doubled as it is ([`crate::loops::planar`]).
 const ROUNDS: usize = 3;
-/// Steps of the solver in a round. Chosen, not swept.
+/// Steps of the solver in a round. Halved and doubled as it is ([`crate::loops::planar`]).
 const STEPS: usize = 8;
 
 /// Where the keyframes are.

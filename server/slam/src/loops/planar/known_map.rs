@@ -11,12 +11,14 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::hash::{Hash, Hasher};
 
-/// What drawing a point of the map takes, and measuring a view, in nodes of a search. Chosen, not swept.
+/// What drawing a point of the map takes, and measuring a view, in nodes of a search. The first halved and doubled as
+/// it is, the second 104 and 35.2, and 104 and 35.1 ([`super`]).
 pub(super) const POINTS_A_NODE: usize = 16;
 pub(super) const NODES_A_VIEW: usize = 4_000;
-/// Places that may fit nearly alike: where there are more, nothing tells them apart. Chosen, not swept.
+/// Places that may fit nearly alike: where there are more, nothing tells them apart. Halved and doubled as it is
+/// ([`super`]).
 pub(super) const MAX_PLACES: usize = 4;
-/// Where a view is expected, it is measured to be: metres and radians. Chosen, not swept.
+/// Where a view is expected, it is measured to be: metres and radians. Halved and doubled as it is ([`super`]).
 const WINDOW: (f64, f64) = (0.3, 0.06);
 
 /// Keyframes where they are believed to be, base to map.

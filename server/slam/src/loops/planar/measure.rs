@@ -28,11 +28,12 @@ const MAX_SIGMA: (f64, f64) = (0.1, 0.05);
 /// Points for the search. As the odometry's search has it: see its constant of this name.
 const SEARCH_POINTS: usize = 180;
 
-/// The robot is believed to be here.
+/// The robot is believed to be here. Both numbers halved and doubled as it is ([`super`]).
 pub(super) const NEAR: Strictness = Strictness { min_inlier_ratio: 0.45, max_contradicted: 0.2 };
-/// It is believed to be somewhere around.
+/// It is believed to be somewhere around. Both numbers halved 104 and 35.2; doubled (never) no loop is closed and the
+/// robot, once lost, is not found ([`super`]).
 pub(super) const FAR: Strictness = Strictness { min_inlier_ratio: 0.6, max_contradicted: 0.12 };
-/// It may be anywhere.
+/// It may be anywhere. Both numbers halved as it is; doubled (never) the robot, once lost, is not found ([`super`]).
 pub(super) const LOST: Strictness = Strictness { min_inlier_ratio: 0.7, max_contradicted: 0.1 };
 
 /// A scan placed in a visit.

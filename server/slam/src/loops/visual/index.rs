@@ -8,9 +8,9 @@ use percept_geometry::KeyframeId;
 use rustc_hash::FxHashMap;
 use std::collections::BTreeMap;
 
-/// Words of a descriptor.
+/// Words of a descriptor: its 256 bits in words of 16 bits.
 const WORDS: usize = 16;
-/// A word that so many features share tells nothing. Chosen, not swept.
+/// A word that so many features share tells nothing. Halved and doubled as it is ([`super`]).
 const COMMON: usize = 512;
 
 /// Features of a keyframe, at most: numbers of eight bits. The size of u8.
