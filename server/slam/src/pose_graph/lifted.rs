@@ -7,11 +7,14 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Tilts at the start are up to this, radians: enough to leave a minimum of the plane, which is a saddle in space. Ten
-/// degrees.
+/// degrees. Halved and doubled, the same minima are found (`evaluate graph MIT.g2o noise=0.2 seeds=4` and `intel.g2o
+/// noise=0.1 seeds=2`).
 const TILT: f64 = 0.17;
-/// Steps of one try at most. Chosen, not swept.
+/// Steps of one try at most. Halved and doubled, the same minima are found (`evaluate graph MIT.g2o noise=0.2 seeds=4`
+/// and `intel.g2o noise=0.1 seeds=2`).
 const STEPS: usize = 100;
-/// Planes that it is laid into.
+/// Planes that it is laid into, the first the one that fits best. Halved and doubled, the same minima are found, in
+/// half and twice the steps (`evaluate graph MIT.g2o noise=0.2 seeds=4` and `intel.g2o noise=0.1 seeds=2`).
 const VIEWS: usize = 8;
 /// The minimum in space need not be known better to be laid back into the plane. As two minima are told apart (`SAME`).
 const TOLERANCE: f64 = 1e-5;

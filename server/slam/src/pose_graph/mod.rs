@@ -32,7 +32,8 @@ use nalgebra::{SMatrix, SVector};
 use pattern::Pattern;
 use percept_geometry::information::is_information;
 
-/// Lifts into space at most. Chosen, not swept.
+/// Lifts into space at most. Halved and doubled, the same minima are found (`evaluate graph MIT.g2o noise=0.2 seeds=4`
+/// and `intel.g2o noise=0.1 seeds=2`).
 const MOST_LIFTS: u64 = 4;
 /// Minima whose chi2 differ by less than this share are one that was not reached exactly. As a minimum in space is
 /// known (see `lifted`).

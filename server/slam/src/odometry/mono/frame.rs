@@ -15,9 +15,10 @@ pub(super) const SCALE_FACTOR: f64 = 1.2;
 pub(super) const NUM_LEVELS: usize = 8;
 /// Edge of a cell of the search grid, pixels. Halved 24.1, doubled 25.6 ([`super`]).
 const CELL_PX: f64 = 24.0;
-/// Fewer features than this are no texture. Chosen, not swept.
+/// Fewer features than this are no texture. Halved and doubled 25.1 ([`super`]).
 pub(super) const MIN_FEATURES: usize = 80;
-/// Rays farther than this from the optical axis are not used: tangent of 70 degrees.
+/// Rays farther than this from the optical axis are not used: tangent of 70 degrees. Halved and doubled 25.1
+/// ([`super`]).
 const MAX_TANGENT: f64 = 2.75;
 /// A pixel darker or brighter than these holds no detail; so large a share of them is a wrong exposure. Chosen, not
 /// swept.

@@ -13,7 +13,8 @@ use percept_perception::multiview::{RansacParams, TwoViewEstimate, TwoViewOutcom
 const MIN_MATCHES: usize = 80;
 /// Fewer points than this do not either. As in ORB-SLAM2's code.
 const MIN_POINTS: usize = 50;
-/// Pixels that half of the matches have to move before the two-view geometry is tried. Chosen, not swept.
+/// Pixels that half of the matches have to move before the two-view geometry is tried. Halved and doubled 25.1
+/// ([`super`]).
 const MIN_MOVED_PX: f64 = 8.0;
 /// Parallax that a point needs, radians: 1 degree, as ORB-SLAM has it.
 pub(super) const MIN_PARALLAX: f64 = 0.0175;
