@@ -102,15 +102,17 @@ const SEARCH_POINTS: usize = 180;
 /// local map, and most that may contradict of what both saw. In simulated buildings, robots that had driven on for 5 s in
 /// the dark had 0.43 and more, 0.05 and less; carried to another room 0.3 to 0.68, and 0.14 and more.
 const AFTER_GAP: (f64, f64) = (0.42, 0.07);
-/// Scans of the local map that it is compared with: so near, metres, and so many at most. Chosen, not swept.
+/// Scans of the local map that it is compared with: so near, metres, and so many at most. Both halved and doubled as it
+/// is ([`crate::loops::planar`]).
 const COMPARED_M: f64 = 5.0;
 const COMPARED: usize = 12;
 
 /// What a scan's hits score at least where it is searched for far away, a share; and places that may fit nearly alike.
-/// Chosen, not swept.
+/// Both halved and doubled as it is ([`crate::loops::planar`]).
 const LEAST_SCORE: f64 = 0.4;
 const MOST_RIVALS: usize = 4;
-/// Nodes that such a search may visit, a microsecond or so each.
+/// Nodes that such a search may visit, a microsecond or so each. Halved and doubled as it is
+/// ([`crate::loops::planar`]).
 const SEARCH_NODES: usize = 300_000;
 
 /// The local map of a planar lidar and its current scan.
