@@ -14,10 +14,11 @@ use percept_perception::registration::{NormalEquations, accumulate};
 
 /// Points a task: fixed, so that the number of threads changes nothing.
 const CHUNK: usize = 2048;
-/// Brightness of one place differs so much between views by noise, blur and shine (1 is a factor of e). Chosen, not
-/// swept.
+/// Brightness of one place differs so much between views by noise, blur and shine (1 is a factor of e). ATE of
+/// `evaluate rgbd rgbd-7scenes-a 2`: halved 22.4, doubled 22.3 mm (22.3).
 pub(crate) const NOISE: f32 = 0.06;
-/// Less change than this to the next pixel is noise. Chosen, not swept.
+/// Less change than this to the next pixel is noise. ATE of `evaluate rgbd rgbd-7scenes-a 2`: halved 21.7, doubled 23.8
+/// mm (22.3).
 pub(crate) const MIN_CONTRAST: f32 = 0.03;
 
 /// Fewer textured points say too little. Chosen, not swept.
