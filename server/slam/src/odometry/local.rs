@@ -21,7 +21,7 @@ use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp, se3
 use std::sync::Arc;
 
 /// What a measurement left open counts up to this variance, m^2. Half a metre: what the search covers. Halved and
-/// doubled as it is on the log of [`crate::loops::planar`] with its wheels.
+/// doubled as it is on the log with wheels ([`crate::loops::planar`]).
 const MAX_LEFT_OPEN: f64 = 0.25;
 
 /// Odometry by a local model of what was seen: surfaces whose lengths are known.

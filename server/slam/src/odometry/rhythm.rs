@@ -9,12 +9,14 @@ use percept_geometry::{Pose, se3};
 
 /// Weight of the newest frame in running means. A mean over the last twenty: two seconds at 10 Hz.
 const NEWEST: f64 = 0.05;
-/// The even pace has to be so much better before it is believed. Chosen, not swept.
+/// The even pace has to be so much better before it is believed. Times 0.7 and 1.4 as it is on the log with wheels
+/// ([`crate::loops::planar`]).
 const BETTER: f64 = 0.7;
 /// Time constant of the velocities, seconds. As of planar lidars' velocities (`MotionLimits`), whose logs have such
 /// stamps.
 const SMOOTHING_S: f64 = 0.2;
-/// A pause longer than this is one, whatever the pace, seconds. Chosen, not swept.
+/// A pause longer than this is one, whatever the pace, seconds. Halved and doubled as it is on the log with wheels
+/// ([`crate::loops::planar`]).
 const PAUSE_S: f64 = 5.0;
 
 /// A velocity by one notion of time, and how far its predictions are off (metres, with a radian for half a metre).

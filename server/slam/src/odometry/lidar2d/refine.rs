@@ -27,8 +27,8 @@ const HITS_PER_MEASUREMENT: f64 = 3.0;
 const POINT_WEIGHT: f64 = 0.3;
 /// The same of one that the next scan meets elsewhere. Halved 88 on the second log, doubled 24.6 ([`super`]).
 const SPARSE_WEIGHT: f64 = 0.05;
-/// A direction that the scan shows with so many times the information of a prior needs half of the prior. Chosen, not
-/// swept.
+/// A direction that the scan shows with so many times the information of a prior needs half of the prior. Halved 83 and
+/// 33.1, doubled 94 and 23.6 on the log with wheels ([`crate::loops::planar`]).
 const SHOWN: f64 = 4.0;
 /// Least share of a direction in the hits' sensitivity. Halved 85 and 28.8, with 0.80 instead of 0.91 of the frames
 /// placed at once, doubled 63 and 16.5, with 0.25 ([`crate::loops::planar`]).
