@@ -24,7 +24,8 @@ const SPARSE_M: f64 = 4.0;
 /// After so many of them that found no place the robot is elsewhere. The Intel log without wheels, share in the map: one scan in
 /// four, 0.998 with 3, 0.973 with 8, 0.967 with 30; one in ten, 0.50, 0.30, 0.57.
 const SPARSE_FRAMES: usize = 3;
-/// Two searches have come to one place if they are no farther apart, metres and radians. Chosen, not swept.
+/// Two searches have come to one place if they are no farther apart, metres and radians. Halved and doubled as it is
+/// ([`crate::loops::planar`]).
 const SAME: (f64, f64) = (0.3, 0.1);
 
 /// Wheels that differ so much from the velocity before, in one frame, are doubted: metres and radians. Halved and
