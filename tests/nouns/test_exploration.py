@@ -18,6 +18,7 @@ from percept import (
     NoPath,
     PathOptions,
     Zone,
+    ZoneMask,
 )
 
 from support import world
@@ -86,6 +87,38 @@ def test_the_frontier_is_where_the_unknown_begins(hall):
     assert error.value.reason == "NO_POSE_YET"
 
 
+def test_no_frontier_lies_in_a_keep_out_zone_or_beyond_one(hall):
+    start = (1.0, 1.0)
+    across = Zone(polygon=[(6.0, -1), (6.2, -1), (6.2, 5), (6.0, 5)])
+    over_the_door = Zone(polygon=[(7.8, 2.5), (9, 2.5), (9, 4.5), (7.8, 4.5)])
+    beside = Zone(polygon=[(6.0, -1), (6.2, -1), (6.2, 1), (6.0, 1)])
+    [free] = hall.frontiers(start=start)
+    for zone, is_left in [(across, False), (over_the_door, False), (beside, True)]:
+        asked = hall.frontiers(start=start, options=PathOptions(zones=[zone]))
+        try:
+            hall.update(zones=[zone])
+            stored = hall.frontiers(start=start)
+            ignored = hall.frontiers(start=start, options=PathOptions(ignore_session_zones=True))
+        finally:
+            hall.update(zones=[])
+        assert [f.length_m for f in asked] == [f.length_m for f in stored] == ([free.length_m] if is_left else [])
+        assert [f.length_m for f in ignored] == [free.length_m]
+        # What is offered can be driven to.
+        for frontier in stored:
+            assert hall.plan(frontier.goal, start=start, options=PathOptions(zones=[zone]))
+
+
+def test_a_mask_keeps_frontiers_away_as_well(hall):
+    cells = np.full((10, 1), 100, np.int8)
+    mask = ZoneMask(name="closed", cells=GridMap(cells=cells, resolution_m=0.5, origin=(6.0, -0.5)))
+    try:
+        hall.update(zone_masks=[mask])
+        assert hall.frontiers(start=(1.0, 1.0)) == []
+        assert hall.frontiers(start=(1.0, 1.0), options=PathOptions(ignore_session_zones=True))
+    finally:
+        hall.update(zone_masks=[])
+
+
 def test_what_flies_goes_over_what_stands(lidar_session):
     start, goal = (*world.to_map(-1.0, 1.0), 1.0), (*world.to_map(2.5, 1.0), 1.0)
     found = lidar_session.plan_flight(goal, start=start, options=FlightOptions(robot_radius_m=0.2))
@@ -101,6 +134,42 @@ def test_what_flies_goes_over_what_stands(lidar_session):
     inside = lidar_session.plan_flight(beneath, start=start, options=FlightOptions(robot_radius_m=0.2))
     assert isinstance(inside, NoFlight)
     assert inside.reason.startswith("goal_")
+
+
+def test_what_flies_keeps_out_of_zones_at_any_height(lidar_session):
+    start, goal = (*world.to_map(-1.0, 1.0), 1.0), (*world.to_map(2.5, 1.0), 1.0)
+
+    def around(x, y, by):
+        return Zone(polygon=[world.to_map(x + a * by, y + b * by) for a, b in [(-1, -1), (1, -1), (1, 1), (-1, 1)]])
+
+    def fly(**options):
+        return lidar_session.plan_flight(goal, start=start, options=FlightOptions(robot_radius_m=0.2, **options))
+
+    free, zone = fly(), around(0.75, 1.0, 0.3)
+    round_it = fly(zones=[zone])
+    assert isinstance(free, FlightPath) and isinstance(round_it, FlightPath), round_it
+    assert round_it.length_m > free.length_m + 0.05
+    inside = np.linspace(round_it.waypoints[:-1], round_it.waypoints[1:], 50).reshape(-1, 3)[:, :2]
+    assert np.abs(inside - world.to_map(0.75, 1.0)).max(axis=1).min() > 0.3
+    # Slow zones are for who drives.
+    assert fly(zones=[Zone(polygon=zone.polygon, speed_share=0.1)]).length_m == free.length_m
+    try:
+        lidar_session.update(zones=[zone])
+        assert fly().length_m == round_it.length_m
+        assert fly(ignore_session_zones=True).length_m == free.length_m
+    finally:
+        lidar_session.update(zones=[])
+    for at, reason in [((-1.0, 1.0), "start_in_keep_out"), ((2.5, 1.0), "goal_in_keep_out")]:
+        none = fly(zones=[around(*at, 0.1)])
+        assert isinstance(none, NoFlight)
+        assert none.reason == reason
+    wall = Zone(polygon=[world.to_map(x, y) for x, y in [(0.6, -9), (0.9, -9), (0.9, 9), (0.6, 9)]])
+    none = fly(zones=[wall])
+    assert isinstance(none, NoFlight)
+    assert none.reason == "unreachable"
+    with pytest.raises(InvalidArgument) as error:
+        fly(zones=[Zone(polygon=[(0, 0), (1, 0)])])
+    assert error.value.field.startswith("options.zones")
 
 
 def test_questions_that_are_none_are_refused_with_their_field(hall, lidar_session, laser_session):

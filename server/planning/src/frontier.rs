@@ -2,7 +2,8 @@
 
 use crate::costmap::{CellState, Costmap};
 use crate::flood::Flood;
-use crate::{PlanError, PlanParams, SearchGrid};
+use crate::plan::sized;
+use crate::{PathRequest, PlanError, PlanParams, SearchGrid};
 use nalgebra::Point2;
 use percept_geometry::Cell;
 use percept_mapping::DenseGrid;
@@ -38,8 +39,9 @@ pub fn rank_frontiers(frontiers: &mut [Frontier], gain: f64) -> Result<(), PlanE
     Ok(())
 }
 
-/// The frontiers that a robot can reach from `start` (map frame, metres), the cheapest way first; [`rank_frontiers`] weighs
-/// their size against it.
+/// The frontiers that a robot can reach from the request's start (map frame, metres), the cheapest way first;
+/// [`rank_frontiers`] weighs their size against it. Of the request, the footprint (as the smallest disc that holds it) and the
+/// zones count: what lies in a keep-out zone, or is reached through one alone, is no frontier.
 ///
 /// A frontier is free cells beside unknown ones, joined over edges and corners; those with fewer than `min_cells` are left
 /// out. Its goal is in sight of it and within the robot's radius and three cells, for where the robot fits it stands off what is unknown.
@@ -48,16 +50,12 @@ pub fn rank_frontiers(frontiers: &mut [Frontier], gain: f64) -> Result<(), PlanE
 ///
 /// # Errors
 /// `InvalidParam`, `NotFinite`, `GridTooLarge`, `Map`. A start where the robot does not fit has no frontiers.
-pub fn frontiers(
-    grid: &DenseGrid,
-    start: Point2<f64>,
-    params: &PlanParams,
-    min_cells: usize,
-) -> Result<Vec<Frontier>, PlanError> {
-    crate::PathRequest::new(start, start, params).check_grid(grid)?;
+pub fn frontiers(grid: &DenseGrid, request: &PathRequest<'_>, min_cells: usize) -> Result<Vec<Frontier>, PlanError> {
+    request.check_grid(grid)?;
     // What is unknown is looked for, so that it is no free space here.
-    let params = PlanParams { allow_unknown: false, ..*params };
-    let costmap = Costmap::new(grid, &start, &params);
+    let params = PlanParams { allow_unknown: false, ..sized(request, &request.enclosing_disc()) };
+    let start = request.start.position;
+    let costmap = Costmap::with_zones(grid, &start, &params, request.zones, request.masks);
     let blocked = costmap.blocked(&start);
     let (width, height) = (costmap.width(), costmap.height());
     let search = SearchGrid { blocked: &blocked, factors: costmap.factors(), width, height };

@@ -86,11 +86,15 @@ impl<'a> PathRequest<'a> {
 
     /// What is planned for: the footprint if its heading counts, else the smallest disc that holds it.
     pub(crate) fn planned_footprint(&self) -> Cow<'a, Footprint> {
-        let footprint = self.footprint();
         match self.planner {
-            Planner::Hybrid(_) => footprint,
-            _ => Cow::Owned(Footprint::Disc { radius_m: footprint.circumscribed_radius_m() }),
+            Planner::Hybrid(_) => self.footprint(),
+            _ => Cow::Owned(self.enclosing_disc()),
         }
+    }
+
+    /// The smallest disc around the base that holds the footprint.
+    pub(crate) fn enclosing_disc(&self) -> Footprint {
+        Footprint::Disc { radius_m: self.footprint().circumscribed_radius_m() }
     }
 
     /// Checks all that is asked, and the map.

@@ -70,6 +70,20 @@ pub struct Mask<'a> {
 const LEAST_SHARE: f64 = 0.01;
 
 impl Zone {
+    /// The corners of the smallest box along the axes that holds it.
+    pub(crate) fn bounds(&self) -> (Point2<f64>, Point2<f64>) {
+        let corners = &self.polygon;
+        let low = corners.iter().fold(corners[0], |low, c| low.inf(c));
+        (low, corners.iter().fold(corners[0], |high, c| high.sup(c)))
+    }
+
+    /// Whether its edge touches the square of this size with its lowest corner at `low`.
+    pub(crate) fn edge_touches(&self, low: &Point2<f64>, size: f64) -> bool {
+        let (corners, size) = (&self.polygon, Vector2::repeat(size));
+        let edge = |i: usize| (corners[i], corners[(i + 1) % corners.len()] - corners[i]);
+        (0..corners.len()).map(edge).any(|(a, along)| crosses(&a, &along, low, &(low + size)))
+    }
+
     /// Checks the polygon and the share.
     ///
     /// # Errors
@@ -95,17 +109,12 @@ impl Costmap {
     /// Before clearances are measured. The rim stays as it is.
     pub(crate) fn zoned(mut self, zones: &[Zone], masks: &[Mask<'_>], occupied_probability: f64) -> Self {
         for zone in zones {
-            let corners = &zone.polygon;
-            let low = corners.iter().fold(corners[0], |low, c| low.inf(c));
-            let high = corners.iter().fold(corners[0], |high, c| high.sup(c));
+            let (low, high) = zone.bounds();
             let middle = nalgebra::center(&low, &high);
-            let size = Vector2::repeat(self.geometry().resolution_m);
-            let touches = |low: Point2<f64>| {
-                let edge = |i: usize| (corners[i], corners[(i + 1) % corners.len()] - corners[i]);
-                (0..corners.len()).map(edge).any(|(a, along)| crosses(&a, &along, &low, &(low + size)))
-            };
-            for cell in self.cells_within(&middle, 0.5 * (high - low).amax() + size.x) {
-                let is_inside = contains(corners, &self.geometry().center(cell));
+            let size = self.geometry().resolution_m;
+            let touches = |low: Point2<f64>| zone.edge_touches(&low, size);
+            for cell in self.cells_within(&middle, 0.5 * (high - low).amax() + size) {
+                let is_inside = contains(&zone.polygon, &self.geometry().center(cell));
                 match zone.kind {
                     ZoneKind::KeepOut if is_inside || touches(self.geometry().corner(cell)) => self.keep_out(cell),
                     ZoneKind::SpeedLimit { share } if is_inside => self.slow_down(cell, share),

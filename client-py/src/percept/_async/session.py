@@ -237,10 +237,12 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         min_length_m: float = 0.5,
         gain: float = 0.0,
         params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
     ) -> list[Frontier]:
         """Edges of what is known that the robot reaches, what is worth most first: the nearest, or with a
-        gain of 1 to 3 the large ones, of which a metre is worth so many metres of way."""
-        call = exploration.frontiers(self.session_id, start, min_length_m, gain, params)
+        gain of 1 to 3 the large ones, of which a metre is worth so many metres of way. None lies in a
+        keep-out zone, or beyond one that is in the way. Of the options, footprint, zones and storey count."""
+        call = exploration.frontiers(self.session_id, start, min_length_m, gain, params, options)
         return await self._transport.call(call)
 
     async def plan_flight(
@@ -253,7 +255,8 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         options: FlightOptions = _FLIGHT,
     ) -> FlightPath | NoFlight:
         """A path in space to (x, y, z) in metres of the map, through its voxels, for what flies; `low` and
-        `high` are the corners of the part that is searched."""
+        `high` are the corners of the part that is searched. It keeps out of the session's zones, at any
+        height."""
         region = layers.region_to(low, high)
         return await self._transport.call(exploration.flight(self.session_id, goal, start, region, options))
 

@@ -65,6 +65,7 @@ def frontiers(
     min_length_m: float,
     gain: float,
     params: Mapping[str, object] | None,
+    options: PathOptions | None,
 ) -> Call[service.FindFrontiersRequest, service.FindFrontiersResponse, list[Frontier]]:
     request = service.FindFrontiersRequest(
         source=maps.source(session_id),
@@ -72,6 +73,7 @@ def frontiers(
         params=words.message_of("params", params_pb2.PlanningParams, params),
         min_length_m=min_length_m,
         gain=gain,
+        options=navigation.options_to(options),
     )
     return Call(_rpc.FIND_FRONTIERS, request, lambda a: [_frontier(f) for f in a.frontiers])
 
@@ -106,6 +108,8 @@ def flight(
             min_z_m=options.min_z_m,
             max_z_m=options.max_z_m,
             deadline_ms=options.deadline_ms,
+            zones=[navigation.zone_to(z) for z in options.zones],
+            ignore_session_zones=options.ignore_session_zones,
         ),
     )
     return Call(_rpc.PLAN_FLIGHT, request, _flown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from ._value import Name, Value
 from .geometry import Floats
 from .maps import MapStamp
-from .navigation import BlockingState, NoPathReason, Path
+from .navigation import BlockingState, NoPathReason, Path, Zone
 
 
 class CoverageDirection(Name):
@@ -97,6 +98,10 @@ class FlightOptions(Value):
     max_z_m: float | None = None
     #: The search is given up after so many milliseconds; 0: when it is done.
     deadline_ms: int = 0
+    #: Besides those of the session: no part of the ball enters one that is keep-out, at any height.
+    zones: Sequence[Zone] = ()
+    #: True: the zones that are stored with the session do not count.
+    ignore_session_zones: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -146,6 +146,7 @@ class FindFrontiersRequest(_message.Message):
     PARAMS_FIELD_NUMBER: _builtins.int
     MIN_LENGTH_M_FIELD_NUMBER: _builtins.int
     GAIN_FIELD_NUMBER: _builtins.int
+    OPTIONS_FIELD_NUMBER: _builtins.int
     min_length_m: _builtins.float
     """Those of less length are left out, metres. Absent: 0.5."""
     gain: _builtins.float
@@ -162,6 +163,12 @@ class FindFrontiersRequest(_message.Message):
     def params(self) -> _params_pb2.PlanningParams:
         """What is set replaces the session's."""
 
+    @_builtins.property
+    def options(self) -> _path_pb2.PathOptions:
+        """Footprint (as the smallest disc that holds it), zones and storey; the rest is not looked at. What lies in a keep-out zone of the
+        session or of these, or is reached through one alone, is left out.
+        """
+
     def __init__(
         self,
         *,
@@ -170,10 +177,11 @@ class FindFrontiersRequest(_message.Message):
         params: _params_pb2.PlanningParams | None = ...,
         min_length_m: _builtins.float | None = ...,
         gain: _builtins.float = ...,
+        options: _path_pb2.PathOptions | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_length_m", b"_min_length_m", "_start", b"_start", "min_length_m", b"min_length_m", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_min_length_m", b"_min_length_m", "_start", b"_start", "min_length_m", b"min_length_m", "options", b"options", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_length_m", b"_min_length_m", "_start", b"_start", "gain", b"gain", "min_length_m", b"min_length_m", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_length_m", b"_min_length_m", "_start", b"_start", "gain", b"gain", "min_length_m", b"min_length_m", "options", b"options", "params", b"params", "source", b"source", "start", b"start"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__min_length_m: _TypeAlias = _typing.Literal["min_length_m"]  # noqa: Y015
     _WhichOneofArgType__min_length_m: _TypeAlias = _typing.Literal["_min_length_m", b"_min_length_m"]  # noqa: Y015

@@ -863,6 +863,8 @@ class FlightOptions(_message.Message):
     MIN_Z_M_FIELD_NUMBER: _builtins.int
     MAX_Z_M_FIELD_NUMBER: _builtins.int
     DEADLINE_MS_FIELD_NUMBER: _builtins.int
+    ZONES_FIELD_NUMBER: _builtins.int
+    IGNORE_SESSION_ZONES_FIELD_NUMBER: _builtins.int
     planner: Global___FlightPlanner.ValueType
     robot_radius_m: _builtins.float
     """The robot is a ball of this radius, metres; 0 to 100, and at most 80 voxels. Default: 0.3."""
@@ -880,6 +882,12 @@ class FlightOptions(_message.Message):
     """The ball's centre keeps at or below this height, map frame, metres."""
     deadline_ms: _builtins.int
     """The search is given up after so many milliseconds. 0: when it is done."""
+    ignore_session_zones: _builtins.bool
+    """True: the zones of the session do not count."""
+    @_builtins.property
+    def zones(self) -> _containers.RepeatedCompositeFieldContainer[Global___Zone]:
+        """Besides those of the session; at most 1000. No part of the ball enters a keep-out zone at any height; others do not count."""
+
     def __init__(
         self,
         *,
@@ -891,10 +899,12 @@ class FlightOptions(_message.Message):
         min_z_m: _builtins.float | None = ...,
         max_z_m: _builtins.float | None = ...,
         deadline_ms: _builtins.int = ...,
+        zones: _abc.Iterable[Global___Zone] | None = ...,
+        ignore_session_zones: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_max_z_m", b"_max_z_m", "_min_z_m", b"_min_z_m", "_occupied_probability", b"_occupied_probability", "_robot_radius_m", b"_robot_radius_m", "_start_tolerance_m", b"_start_tolerance_m", "max_z_m", b"max_z_m", "min_z_m", b"min_z_m", "occupied_probability", b"occupied_probability", "robot_radius_m", b"robot_radius_m", "start_tolerance_m", b"start_tolerance_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_z_m", b"_max_z_m", "_min_z_m", b"_min_z_m", "_occupied_probability", b"_occupied_probability", "_robot_radius_m", b"_robot_radius_m", "_start_tolerance_m", b"_start_tolerance_m", "allow_unknown", b"allow_unknown", "deadline_ms", b"deadline_ms", "max_z_m", b"max_z_m", "min_z_m", b"min_z_m", "occupied_probability", b"occupied_probability", "planner", b"planner", "robot_radius_m", b"robot_radius_m", "start_tolerance_m", b"start_tolerance_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_z_m", b"_max_z_m", "_min_z_m", b"_min_z_m", "_occupied_probability", b"_occupied_probability", "_robot_radius_m", b"_robot_radius_m", "_start_tolerance_m", b"_start_tolerance_m", "allow_unknown", b"allow_unknown", "deadline_ms", b"deadline_ms", "ignore_session_zones", b"ignore_session_zones", "max_z_m", b"max_z_m", "min_z_m", b"min_z_m", "occupied_probability", b"occupied_probability", "planner", b"planner", "robot_radius_m", b"robot_radius_m", "start_tolerance_m", b"start_tolerance_m", "zones", b"zones"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__max_z_m: _TypeAlias = _typing.Literal["max_z_m"]  # noqa: Y015
     _WhichOneofArgType__max_z_m: _TypeAlias = _typing.Literal["_max_z_m", b"_max_z_m"]  # noqa: Y015
@@ -971,7 +981,9 @@ class NoFlight(_message.Message):
     """What is there."""
     @_builtins.property
     def position(self) -> _geometry_pb2.Vector3:
-        """Of an end where the ball does not fit: where, map frame, metres."""
+        """Of an end where the ball does not fit: where, map frame, metres. An end in a keep-out zone, or above or below the limits of height, is
+        START_IN_KEEP_OUT or GOAL_IN_KEEP_OUT.
+        """
 
     @_builtins.property
     def obstacle(self) -> _geometry_pb2.Vector3:

@@ -35,9 +35,11 @@ pub(super) fn check_start(
     if !params.allow_unknown && !is_known {
         return Err(NoPathReason::StartUnknown.into());
     }
-    if field.is_obstacle(index) {
-        let is_unknown = field.is_unknown(index);
-        return Err(if is_unknown { NoPathReason::StartUnknown } else { NoPathReason::StartOccupied }.into());
+    match field.state(index) {
+        CellState::Free => {}
+        CellState::Unknown => return Err(NoPathReason::StartUnknown.into()),
+        CellState::KeepOut => return Err(NoPathReason::StartInKeepOut.into()),
+        CellState::Occupied => return Err(NoPathReason::StartOccupied.into()),
     }
     if !field.is_height_allowed(start.z, params) {
         return Err(NoPathReason::StartInKeepOut.into());
@@ -55,9 +57,11 @@ pub(super) fn check_start(
 /// As [`check_start`], without tolerance.
 pub(super) fn check_goal(field: &Field<'_>, goal: &Point3<f64>, params: &FlightParams) -> Result<usize, Refusal> {
     let index = field.index_at(goal).ok_or(NoPathReason::GoalOutsideMap)?;
-    if field.is_obstacle(index) {
-        let is_unknown = field.is_unknown(index);
-        return Err(if is_unknown { NoPathReason::GoalUnknown } else { NoPathReason::GoalOccupied }.into());
+    match field.state(index) {
+        CellState::Free => {}
+        CellState::Unknown => return Err(NoPathReason::GoalUnknown.into()),
+        CellState::KeepOut => return Err(NoPathReason::GoalInKeepOut.into()),
+        CellState::Occupied => return Err(NoPathReason::GoalOccupied.into()),
     }
     if !field.is_height_allowed(goal.z, params) {
         return Err(NoPathReason::GoalInKeepOut.into());
@@ -85,7 +89,7 @@ impl Field<'_> {
         let blocking = nearest.map(|(center, index)| FlightBlocking {
             position: self.placed(p),
             obstacle: self.placed(&center),
-            state: if index.is_none_or(|i| self.is_unknown(i)) { CellState::Unknown } else { CellState::Occupied },
+            state: index.map_or_else(|| self.state_beyond(&center).unwrap_or(CellState::Unknown), |i| self.state(i)),
         });
         Refusal { reason, blocking }
     }

@@ -1,7 +1,9 @@
 //! Where the ball's centre may be.
 
 use super::clearance::squared_clearances;
-use super::{DenseVoxels, FlightParams};
+use super::keep_out::KeepOut;
+use super::{DenseVoxels, FlightParams, FlightRequest};
+use crate::CellState;
 use nalgebra::{Point3, Vector3};
 
 /// A box of voxels, what is an obstacle in it, and how far that is. Positions here are in voxels from the box's lowest
@@ -12,6 +14,10 @@ pub(super) struct Field<'a> {
     /// Radius of the ball, voxels.
     pub(super) radius: f64,
     obstacle: Vec<bool>,
+    /// Columns that are closed whatever is in them; none if there are no zones.
+    keep_out: Option<KeepOut>,
+    /// Voxels of at least this value are occupied, per cent.
+    least: f64,
     /// As [`squared_clearances`] gives them.
     squares: Vec<u16>,
     /// Voxels whose centre the ball's may enter.
@@ -29,7 +35,8 @@ const ROUNDING: f64 = 1e-9;
 
 impl<'a> Field<'a> {
     /// Of sound voxels and parameters; `start` in voxels from the box's corner.
-    pub(super) fn new(voxels: &'a DenseVoxels, params: &FlightParams, start: &Point3<f64>) -> Self {
+    pub(super) fn new(voxels: &'a DenseVoxels, request: &FlightRequest<'_>, start: &Point3<f64>) -> Self {
+        let params = request.params;
         let least = 100.0 * params.occupied_probability;
         let is_obstacle = |v: &i8| if *v < 0 { !params.allow_unknown } else { f64::from(*v) >= least };
         // A point, too, has to stay out of obstacles.
@@ -39,6 +46,8 @@ impl<'a> Field<'a> {
             allow_unknown: params.allow_unknown,
             radius,
             obstacle: voxels.percent.iter().map(is_obstacle).collect(),
+            keep_out: None,
+            least,
             squares: vec![],
             open: vec![],
         };
@@ -49,7 +58,14 @@ impl<'a> Field<'a> {
             }
         }
         let most = (radius + BEYOND + 0.5).ceil() as usize + 1;
+        out.keep_out = KeepOut::of(voxels, request.zones, request.masks, least, most);
+        if let Some(keep_out) = &out.keep_out {
+            keep_out.close(&mut out.obstacle);
+        }
         out.squares = squared_clearances(&out.obstacle, voxels.size, most, params.allow_unknown);
+        if let Some(keep_out) = &out.keep_out {
+            keep_out.limit(&mut out.squares, most);
+        }
         let allowed: Vec<bool> = (0..voxels.size[2]).map(|z| out.is_height_allowed(z as f64 + 0.5, params)).collect();
         let of_layer = voxels.size[0] * voxels.size[1];
         let is_open = |(i, square): (usize, &u16)| allowed[i / of_layer] && out.is_wide(*square);
@@ -92,13 +108,27 @@ impl<'a> Field<'a> {
         self.is_wide(self.squares[index])
     }
 
-    pub(super) fn is_obstacle(&self, index: usize) -> bool {
-        self.obstacle[index]
-    }
-
     /// Whether nothing is known of this voxel.
     pub(super) fn is_unknown(&self, index: usize) -> bool {
         self.voxels.percent[index] < 0
+    }
+
+    /// What is in a voxel.
+    pub(super) fn state(&self, index: usize) -> CellState {
+        let [x, y, _] = self.coordinates(index);
+        let is_kept_out = || self.keep_out.as_ref().is_some_and(|k| k.holds(x as i64, y as i64));
+        match self.voxels.percent[index] {
+            _ if !self.obstacle[index] => CellState::Free,
+            v if f64::from(v) >= self.least => CellState::Occupied,
+            _ if is_kept_out() => CellState::KeepOut,
+            _ => CellState::Unknown,
+        }
+    }
+
+    /// What is beyond the box over a place in voxels, if that is an obstacle.
+    pub(super) fn state_beyond(&self, p: &Point3<f64>) -> Option<CellState> {
+        let is_kept_out = || self.keep_out.as_ref().is_some_and(|k| k.holds(p.x.floor() as i64, p.y.floor() as i64));
+        if self.allow_unknown { is_kept_out().then_some(CellState::KeepOut) } else { Some(CellState::Unknown) }
     }
 
     /// Map frame, metres, to voxels from the box's corner.
@@ -192,7 +222,7 @@ impl<'a> Field<'a> {
     }
 
     /// Visits the lowest corner of each obstacle's cube that reaches into a cube of this half edge, x fastest. Beyond the
-    /// box all is an obstacle unless unknown voxels are free.
+    /// box all is an obstacle unless unknown voxels are free; then keep-out columns are.
     fn each_cube(&self, p: &Point3<f64>, reach: f64, mut visit: impl FnMut(&Point3<f64>, Option<usize>)) {
         let range = |i: usize| (p[i] - reach).floor() as i64..=(p[i] + reach).floor() as i64;
         for z in range(2) {
@@ -200,7 +230,7 @@ impl<'a> Field<'a> {
                 for x in range(0) {
                     let low = Point3::new(x as f64, y as f64, z as f64);
                     let index = self.index_at(&low);
-                    if index.map_or(!self.allow_unknown, |i| self.obstacle[i]) {
+                    if index.map_or_else(|| self.state_beyond(&low).is_some(), |i| self.obstacle[i]) {
                         visit(&low, index);
                     }
                 }

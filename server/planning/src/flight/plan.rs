@@ -4,7 +4,7 @@ use super::ends::{Refusal, check_goal, check_start};
 use super::field::Field;
 use super::lattice::{Found, Limits};
 use super::{DenseVoxels, FlightParams, FlightPlanner};
-use crate::{CellState, NoPathReason, PlanError};
+use crate::{CellState, Mask, NoPathReason, PlanError, Zone};
 use nalgebra::Point3;
 
 /// A question for a path in space; [`FlightRequest::new`] sets what is not asked for.
@@ -18,6 +18,10 @@ pub struct FlightRequest<'a> {
     pub params: &'a FlightParams,
     /// How.
     pub planner: FlightPlanner,
+    /// Where no part of the ball may be: those that are keep-out, from the lowest voxel to the highest. Others do not count.
+    pub zones: &'a [Zone],
+    /// The same as grids: a cell closes all columns of voxels that it touches.
+    pub masks: &'a [Mask<'a>],
     /// Asked before the search and from time to time in it, say for a deadline: once it is true, the search ends.
     pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
@@ -25,7 +29,7 @@ pub struct FlightRequest<'a> {
 impl<'a> FlightRequest<'a> {
     /// From position to position (map frame, metres), at any angle.
     pub fn new(start: Point3<f64>, goal: Point3<f64>, params: &'a FlightParams) -> Self {
-        Self { start, goal, params, planner: FlightPlanner::default(), stop: None }
+        Self { start, goal, params, planner: FlightPlanner::default(), zones: &[], masks: &[], stop: None }
     }
 }
 
@@ -50,7 +54,7 @@ pub struct FlightBlocking {
     pub position: Point3<f64>,
     /// Centre of the nearest voxel that blocks it.
     pub obstacle: Point3<f64>,
-    /// What is there: `Occupied`, or `Unknown` (so is what lies outside of the box).
+    /// What is there: `Occupied`, `KeepOut`, or `Unknown` (so is what lies outside of the box).
     pub state: CellState,
 }
 
@@ -61,7 +65,7 @@ pub enum FlightOutcome {
     Path(FlightPath),
     /// There is none.
     NoPath {
-        /// Why: as for paths in the plane. `StartInKeepOut` and `GoalInKeepOut` are ends above or below the limits of
+        /// Why: as for paths in the plane. `StartInKeepOut` and `GoalInKeepOut` are also ends above or below the limits of
         /// height. Never `NotSteerable`.
         reason: NoPathReason,
         /// Of an end where the ball does not fit: what is too near.
@@ -75,7 +79,7 @@ pub enum FlightOutcome {
 /// around its way are open; corners that can be left out without coming nearer to obstacles than the radius then are.
 ///
 /// # Errors
-/// `InvalidParam`, `NotFinite` (`start`, `goal`), `GridTooLarge`.
+/// `InvalidParam`, `NotFinite` (`start`, `goal`), `GridTooLarge`, `Map` for a mask that is not sound.
 pub fn plan_flight(voxels: &DenseVoxels, request: &FlightRequest<'_>) -> Result<FlightOutcome, PlanError> {
     let params = request.params;
     for (field, point) in [("start", &request.start), ("goal", &request.goal)] {
@@ -84,6 +88,8 @@ pub fn plan_flight(voxels: &DenseVoxels, request: &FlightRequest<'_>) -> Result<
         }
     }
     params.validate_over(voxels.voxel_size_m)?;
+    request.zones.iter().try_for_each(Zone::validate)?;
+    request.masks.iter().try_for_each(|mask| mask.grid.validate().map_err(PlanError::Map))?;
     let (cells, limit) = (voxels.percent.len() as u64, params.max_voxels as u64);
     if cells > limit {
         return Err(PlanError::GridTooLarge { cells, limit });
@@ -98,7 +104,7 @@ pub fn plan_flight(voxels: &DenseVoxels, request: &FlightRequest<'_>) -> Result<
 fn route(voxels: &DenseVoxels, request: &FlightRequest<'_>) -> Result<FlightPath, Refusal> {
     let params = request.params;
     let (start, goal) = (Field::located(voxels, &request.start), Field::located(voxels, &request.goal));
-    let mut field = Field::new(voxels, params, &start);
+    let mut field = Field::new(voxels, request, &start);
     let from = check_start(&mut field, voxels, &start, params)?;
     let to = check_goal(&field, &goal, params)?;
     let limits = Limits { max_expansions: params.max_expansions, stop: request.stop };

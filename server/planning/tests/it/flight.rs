@@ -1,12 +1,12 @@
 //! Paths in space against brute force, dense samples and closed forms.
 
-use nalgebra::Point3;
-use percept_geometry::{Aabb3, KeyframeId, KeyframeScan, PointCloud, Pose, SensorId, Timestamp, Voxel};
-use percept_mapping::{Map, MapEntry, MapParams, VoxelParams};
+use nalgebra::{Point2, Point3};
+use percept_geometry::{Aabb3, GridGeometry, KeyframeId, KeyframeScan, PointCloud, Pose, SensorId, Timestamp, Voxel};
+use percept_mapping::{DenseGrid, Map, MapEntry, MapParams, VoxelParams};
 use percept_planning::flight::{
     DenseVoxels, FlightOutcome, FlightParams, FlightPath, FlightPlanner, FlightRequest, plan_flight,
 };
-use percept_planning::{CellState, NoPathReason, PlanError};
+use percept_planning::{CellState, Mask, MaskKind, NoPathReason, PlanError, Zone, ZoneKind};
 use proptest::prelude::*;
 use std::sync::Arc;
 
@@ -392,4 +392,94 @@ fn a_map_of_voxels_is_planned_in() {
     assert!(known > 10_000, "{known}");
     let few = DenseVoxels::of_map(&map, None, 1000);
     assert!(matches!(few, Err(PlanError::GridTooLarge { limit: 1000, .. })));
+}
+
+/// Keep out of a rectangle in metres.
+fn closed(low: [f64; 2], high: [f64; 2]) -> Zone {
+    let polygon = [low, [high[0], low[1]], high, [low[0], high[1]]].map(Point2::from).to_vec();
+    Zone { polygon, kind: ZoneKind::KeepOut }
+}
+
+#[test]
+fn a_keep_out_zone_is_a_column_that_no_part_of_the_ball_enters() {
+    // 6 x 4 x 2.4 m; a bar across it but for the upper 1.2 m along y.
+    let voxels = open([30, 20, 12]);
+    let params = params();
+    let (start, goal) = (center(&voxels, [3, 5, 5]), center(&voxels, [26, 5, 5]));
+    let zone = closed([2.05, -9.0], [2.35, 3.15]);
+    for planner in [FlightPlanner::Lattice, FlightPlanner::AnyAngle] {
+        let request = FlightRequest { planner, ..FlightRequest::new(start, goal, &params) };
+        let straight = path(&voxels, &request);
+        assert!(straight.waypoints.iter().all(|p| p.y < 2.0));
+        let zones = [zone.clone()];
+        let around = path(&voxels, &FlightRequest { zones: &zones, ..request });
+        // The same as if walls stood there.
+        let mut walled = voxels.clone();
+        for index in 0..walled.percent.len() {
+            let p = center(&walled, [index % 30, index / 30 % 20, index / 600]);
+            // The columns that the zone touches.
+            if (p.x - 2.2).abs() < 0.15 && p.y < 3.2 {
+                walled.percent[index] = 100;
+            }
+        }
+        assert_eq!(around, path(&walled, &request));
+        assert!(around.length_m > straight.length_m + 0.5);
+        let shut = [closed([2.0, -9.0], [2.4, 9.0])];
+        let none = plan_flight(&voxels, &FlightRequest { zones: &shut, ..request }).unwrap();
+        assert_eq!(reason(&none), NoPathReason::Unreachable);
+        // Slow is not shut.
+        let slow = [Zone { kind: ZoneKind::SpeedLimit { share: 0.1 }, ..shut[0].clone() }];
+        assert_eq!(path(&voxels, &FlightRequest { zones: &slow, ..request }), straight);
+    }
+}
+
+#[test]
+fn ends_in_a_keep_out_zone_or_too_near_to_one_say_so() {
+    let voxels = open([30, 20, 12]);
+    let params = params();
+    let (start, goal) = (center(&voxels, [3, 5, 5]), center(&voxels, [26, 5, 5]));
+    let ask = |zone: Zone| {
+        let zones = [zone];
+        plan_flight(&voxels, &FlightRequest { zones: &zones, ..FlightRequest::new(start, goal, &params) }).unwrap()
+    };
+    let around = |p: Point3<f64>, by: f64| closed([p.x - by, p.y - by], [p.x + by, p.y + by]);
+    assert_eq!(reason(&ask(around(start, 0.3))), NoPathReason::StartInKeepOut);
+    assert_eq!(reason(&ask(around(goal, 0.3))), NoPathReason::GoalInKeepOut);
+    // Beside the goal: free, but the ball reaches in.
+    let beside = ask(closed([goal.x + 0.21, goal.y - 0.3], [goal.x + 0.29, goal.y + 0.3]));
+    let FlightOutcome::NoPath { reason, blocking: Some(blocking) } = beside else { panic!("{beside:?}") };
+    assert_eq!((reason, blocking.state), (NoPathReason::GoalDoesNotFit, CellState::KeepOut));
+    assert!((blocking.obstacle.x - goal.x - SIZE).abs() < 1e-9);
+}
+
+#[test]
+fn the_ball_does_not_reach_out_of_the_box_into_a_keep_out_zone() {
+    let voxels = open([30, 20, 12]);
+    let params = FlightParams { allow_unknown: true, ..params() };
+    let (start, goal) = (center(&voxels, [3, 19, 5]), center(&voxels, [26, 19, 5]));
+    let request = FlightRequest::new(start, goal, &params);
+    assert!((path(&voxels, &request).length_m - 4.6).abs() < 1e-9);
+    // Beyond the box's upper edge along y, 4.4 m, and between the ends.
+    let zones = [closed([1.0, 4.5], [3.0, 5.0])];
+    let off = path(&voxels, &FlightRequest { zones: &zones, ..request });
+    assert!(off.length_m > 4.6 && off.min_clearance_m.unwrap() >= 0.25 - 1e-9);
+    assert!(off.waypoints.iter().any(|p| p.y < 4.4 - 0.2), "{:?}", off.waypoints);
+    let zones = [closed([goal.x - 0.3, 4.5], [goal.x + 0.3, 5.0])];
+    let none = plan_flight(&voxels, &FlightRequest { zones: &zones, ..request }).unwrap();
+    assert_eq!(reason(&none), NoPathReason::GoalDoesNotFit);
+}
+
+#[test]
+fn a_mask_closes_the_columns_that_its_cells_touch() {
+    let voxels = open([30, 20, 12]);
+    let params = params();
+    let (start, goal) = (center(&voxels, [3, 5, 5]), center(&voxels, [26, 5, 5]));
+    // Cells of a quarter voxel: a line of them across the box, in the middle of no column.
+    let geometry = GridGeometry::new(0.05, Point2::new(2.0, 0.0));
+    let cells = DenseGrid { geometry, width: 1, height: 100, cells: vec![100; 100] };
+    let masks = [Mask { grid: &cells, kind: MaskKind::KeepOut }];
+    let request = FlightRequest { masks: &masks, ..FlightRequest::new(start, goal, &params) };
+    assert_eq!(reason(&plan_flight(&voxels, &request).unwrap()), NoPathReason::Unreachable);
+    let masks = [Mask { kind: MaskKind::PERCENT, ..masks[0] }];
+    assert_eq!(path(&voxels, &FlightRequest { masks: &masks, ..request }).waypoints.len(), 2);
 }

@@ -1,7 +1,7 @@
 //! Paths that cover, frontiers, paths in space.
 
 use super::maps::stamp_of;
-use super::navigation::{PathOptions, PlanRequest, dense, ground, known_pose, plan_error};
+use super::navigation::{PathOptions, PlanRequest, ground, known_pose, plan_error};
 use crate::{Error, ErrorCode, Result, Service, Zones, reason};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{Aabb3, GridGeometry, Timestamp};
@@ -9,7 +9,7 @@ use percept_mapping::DenseGrid;
 use percept_pipeline::Snapshot;
 use percept_planning::flight::{DenseVoxels, FlightOutcome, FlightParams, FlightPlanner, FlightRequest, plan_flight};
 use percept_planning::{
-    CoverageOutcome, CoverageParams, Frontier, PlanError, PlanParams, frontiers, plan_coverage, rank_frontiers,
+    CoverageOutcome, CoverageParams, Frontier, PlanError, PlanParams, Zone, frontiers, plan_coverage, rank_frontiers,
 };
 use std::time::{Duration, Instant};
 
@@ -31,12 +31,14 @@ impl<T> Explored<T> {
 }
 
 /// Which frontiers are asked for.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct FrontierRequest {
     /// Where from, map frame, metres; none: where the robot is.
     pub start: Option<Point2<f64>>,
     /// How; none: as the session is set.
     pub params: Option<PlanParams>,
+    /// Footprint, zones and storey; the rest does not count.
+    pub options: PathOptions,
     /// Those of less length are left out, metres.
     pub min_length_m: f64,
     /// How many metres of way a metre of frontier is worth.
@@ -56,6 +58,10 @@ pub struct FlightQuestion {
     pub params: FlightParams,
     /// How it is searched.
     pub planner: FlightPlanner,
+    /// Where it may not be, besides the zones of the session.
+    pub zones: Vec<Zone>,
+    /// Whether the zones of the session do not count.
+    pub ignores_session_zones: bool,
     /// The search is given up after this; none: when it is done.
     pub deadline: Option<Duration>,
 }
@@ -87,22 +93,9 @@ impl Service {
     /// # Errors
     /// As [`Service::plan_path`]; `NO_POSE_YET` without a start.
     pub async fn find_frontiers(&self, session: &str, request: FrontierRequest) -> Result<Explored<Vec<Frontier>>> {
-        let snapshot = self.snapshot(session).await?;
+        let (snapshot, zones) = self.snapshot_with_zones(session).await?;
         let max_cells = self.limits.max_planning_cells;
-        let work = move || {
-            let start = request.start.or(known_pose(&snapshot).map(|(position, _)| position));
-            let start = start.ok_or_else(|| {
-                let message = "the robot does not know where it is; give a start";
-                Error::new(ErrorCode::FailedPrecondition, reason::NO_POSE_YET, message)
-            })?;
-            let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
-            let grid = with_margin(&dense(&snapshot.layers.occupancy, params.max_cells)?, MARGIN_CELLS);
-            let least = (request.min_length_m / grid.geometry.resolution_m).ceil().max(1.0) as usize;
-            let mut found = frontiers(&grid, start, &params, least).map_err(plan_error)?;
-            rank_frontiers(&mut found, request.gain)
-                .map_err(|e| Error { field: "gain".to_owned(), ..plan_error(e) })?;
-            Ok(Explored::of(&snapshot, Some(found)))
-        };
+        let work = move || edges_of_known(&snapshot, request, &zones, max_cells);
         self.compute.query(&self.asker(session)?, work).await?
     }
 
@@ -111,8 +104,8 @@ impl Service {
     /// # Errors
     /// `LAYER_OFF`, `GRID_TOO_LARGE`, coordinates or parameters out of bounds, `SESSION_NOT_FOUND`.
     pub async fn plan_flight(&self, session: &str, question: FlightQuestion) -> Result<Explored<FlightOutcome>> {
-        let snapshot = self.snapshot(session).await?;
-        self.compute.query(&self.asker(session)?, move || flown(&snapshot, &question)).await?
+        let (snapshot, zones) = self.snapshot_with_zones(session).await?;
+        self.compute.query(&self.asker(session)?, move || flown(&snapshot, &question, &zones)).await?
     }
 }
 
@@ -131,6 +124,45 @@ fn with_margin(grid: &DenseGrid, margin: usize) -> DenseGrid {
 
 fn limited(params: PlanParams, max_cells: usize) -> PlanParams {
     PlanParams { max_cells: params.max_cells.min(max_cells), ..params }
+}
+
+/// Frontiers of the map: who stands in the way for now will be elsewhere before the robot is there.
+fn edges_of_known(
+    snapshot: &Snapshot,
+    request: FrontierRequest,
+    zones: &Zones,
+    max_cells: usize,
+) -> Result<Explored<Vec<Frontier>>> {
+    let start = request.start.or(known_pose(snapshot).map(|(position, _)| position));
+    let start = start.ok_or_else(|| {
+        let message = "the robot does not know where it is; give a start";
+        Error::new(ErrorCode::FailedPrecondition, reason::NO_POSE_YET, message)
+    })?;
+    let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
+    let options = PathOptions { is_map_only: true, ..request.options.in_zones(zones) };
+    let grid = ground(snapshot, &options, params.max_cells)?;
+    let found = frontiers_on(&grid, start, (request.min_length_m, request.gain), &params, &options)?;
+    Ok(Explored::of(snapshot, Some(found)))
+}
+
+/// Frontiers of a grid, of at least so many metres, what is worth most by this gain first.
+///
+/// # Errors
+/// As [`on_grid`](super::navigation::on_grid).
+fn frontiers_on(
+    grid: &DenseGrid,
+    start: Point2<f64>,
+    (min_length_m, gain): (f64, f64),
+    params: &PlanParams,
+    options: &PathOptions,
+) -> Result<Vec<Frontier>> {
+    let grid = with_margin(grid, MARGIN_CELLS);
+    let least = (min_length_m / grid.geometry.resolution_m).ceil().max(1.0) as usize;
+    let masks = options.planning_masks();
+    let asked = options.request((start, 0.0), start, params, &masks, None);
+    let mut found = frontiers(&grid, &asked, least).map_err(plan_error)?;
+    rank_frontiers(&mut found, gain).map_err(|e| Error { field: "gain".to_owned(), ..plan_error(e) })?;
+    Ok(found)
 }
 
 fn covered(
@@ -154,7 +186,7 @@ fn covered(
     Ok(Explored::of(snapshot, Some(outcome.map_err(plan_error)?)))
 }
 
-fn flown(snapshot: &Snapshot, question: &FlightQuestion) -> Result<Explored<FlightOutcome>> {
+fn flown(snapshot: &Snapshot, question: &FlightQuestion, stored: &Zones) -> Result<Explored<FlightOutcome>> {
     if !snapshot.params.map.voxels.enabled {
         let message = "the session keeps no voxels; create one with params.map.voxels.enabled";
         return Err(Error::new(ErrorCode::FailedPrecondition, reason::LAYER_OFF, message));
@@ -173,8 +205,17 @@ fn flown(snapshot: &Snapshot, question: &FlightQuestion) -> Result<Explored<Flig
     let voxels = voxels.map_err(flight_error)?;
     let begun = Instant::now();
     let stop = question.deadline.map(|deadline| move || begun.elapsed() >= deadline);
+    let zones = PathOptions {
+        zones: question.zones.clone(),
+        ignores_session_zones: question.ignores_session_zones,
+        ..PathOptions::default()
+    };
+    let zones = zones.in_zones(stored);
+    let masks = zones.planning_masks();
     let request = FlightRequest {
         planner: question.planner,
+        zones: &zones.zones,
+        masks: &masks,
         stop: stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync)),
         ..FlightRequest::new(start, question.goal, &params)
     };

@@ -296,7 +296,7 @@ pub(super) fn ground(snapshot: &Snapshot, options: &PathOptions, max_cells: usiz
     }
 }
 
-pub(super) fn dense(grid: &OccupancyMap, max_cells: usize) -> Result<DenseGrid> {
+fn dense(grid: &OccupancyMap, max_cells: usize) -> Result<DenseGrid> {
     grid.dense(max_cells).map_err(|e| match e {
         MappingError::RegionTooLarge { cells, limit } => plan_error(PlanError::GridTooLarge { cells, limit }),
         e => Error::internal(e),

@@ -1,6 +1,6 @@
 //! Paths that cover, frontiers, paths in space.
 
-use super::navigation::{blocking_to, no_path_to, path_to, reason_to};
+use super::navigation::{blocking_to, no_path_to, options, path_to, reason_to, zones};
 use super::{geometry, layers, maps, required};
 use crate::{params, v1};
 use percept_pipeline::PipelineParams;
@@ -75,6 +75,7 @@ pub fn frontier_request(r: &v1::FindFrontiersRequest, session: &PipelineParams) 
     Ok(FrontierRequest {
         start: r.start.as_ref().map(|s| geometry::point2("start", s)).transpose()?,
         params: Some(params::planning(r.params.as_ref(), &session.planning)?),
+        options: options(r.options.as_ref())?,
         min_length_m,
         gain: r.gain,
     })
@@ -104,7 +105,7 @@ pub fn frontiers_to(answer: &Explored<Vec<Frontier>>) -> v1::FindFrontiersRespon
 /// Naming the field.
 pub fn flight(r: &v1::PlanFlightRequest) -> Result<FlightQuestion> {
     let usual = FlightParams::default();
-    let asked = r.options.unwrap_or_default();
+    let asked = r.options.clone().unwrap_or_default();
     let planner = match v1::FlightPlanner::try_from(asked.planner) {
         Ok(v1::FlightPlanner::Unspecified | v1::FlightPlanner::AnyAngle) => FlightPlanner::AnyAngle,
         Ok(v1::FlightPlanner::Lattice) => FlightPlanner::Lattice,
@@ -125,6 +126,8 @@ pub fn flight(r: &v1::PlanFlightRequest) -> Result<FlightQuestion> {
             ..usual
         },
         planner,
+        zones: zones(&asked.zones)?,
+        ignores_session_zones: asked.ignore_session_zones,
         deadline: (asked.deadline_ms > 0).then(|| Duration::from_millis(asked.deadline_ms.into())),
     })
 }
@@ -147,6 +150,7 @@ pub fn flown_to(answer: &Explored<FlightOutcome>) -> v1::PlanFlightResponse {
             let (reason, detail) = reason_to(reason);
             let state = blocking.map_or(v1::BlockingState::Unspecified, |b| match b.state {
                 CellState::Unknown => v1::BlockingState::Unknown,
+                CellState::KeepOut => v1::BlockingState::KeepOut,
                 _ => v1::BlockingState::Occupied,
             });
             Outcome::NoPath(v1::NoFlight {

@@ -52,11 +52,6 @@ pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
     let Some(asked) = asked else { return Ok(PathOptions::default()) };
     let within = |e: Error| e.within("options");
     let footprint = corners("footprint", &asked.footprint, MAX_CORNERS).map_err(within)?;
-    if asked.zones.len() > MAX_ZONES {
-        let message = format!("there are {} zones, at most {MAX_ZONES} are allowed; merge some", asked.zones.len());
-        return Err(Error::invalid(reason::OUT_OF_RANGE, "options.zones", message));
-    }
-    let numbered = |(i, z)| zone(z).map_err(|e| e.within(&format!("options.zones[{i}]")));
     let speed = |s: &v1::SpeedLimits| SpeedLimits {
         max_speed_mps: s.max_speed_mps,
         max_accel_mps2: s.max_accel_mps2,
@@ -67,7 +62,7 @@ pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
         start_yaw_rad: asked.start_yaw_rad,
         goal_yaw_rad: asked.goal_yaw_rad,
         footprint: (!footprint.is_empty()).then_some(Footprint::Polygon(footprint)),
-        zones: asked.zones.iter().enumerate().map(numbered).collect::<Result<_>>()?,
+        zones: zones(&asked.zones)?,
         speed: asked.speed.as_ref().map_or_else(SpeedLimits::default, speed),
         masks: vec![],
         storey: asked.storey.as_ref().map(storey).transpose().map_err(|e| e.within("options.storey"))?,
@@ -75,6 +70,19 @@ pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
         is_map_only: asked.map_only,
         deadline: (asked.deadline_ms > 0).then(|| Duration::from_millis(asked.deadline_ms.into())),
     })
+}
+
+/// Zones of a question.
+///
+/// # Errors
+/// Naming the field below `options`.
+pub(super) fn zones(asked: &[v1::Zone]) -> Result<Vec<Zone>> {
+    if asked.len() > MAX_ZONES {
+        let message = format!("there are {} zones, at most {MAX_ZONES} are allowed; merge some", asked.len());
+        return Err(Error::invalid(reason::OUT_OF_RANGE, "options.zones", message));
+    }
+    let numbered = |(i, z)| zone(z).map_err(|e| e.within(&format!("options.zones[{i}]")));
+    asked.iter().enumerate().map(numbered).collect()
 }
 
 fn storey(s: &v1::StoreyOptions) -> Result<Storey> {
