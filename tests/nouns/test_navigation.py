@@ -257,3 +257,35 @@ def test_navigate_is_one_call_for_one_step(client):
     again = session.navigate(frame, goal=goal)
     assert again.frame.duplicate
     assert len(session.trajectory()) == 3
+
+
+@pytest.fixture(scope="module")
+def maze():
+    """A map of 1000 x 1000 cells that is crossed by many walls with gaps at alternating ends."""
+    cells = np.zeros((1000, 1000), np.int8)
+    for i, x in enumerate(range(40, 1000, 40)):
+        cells[(0 if i % 2 else 60) : (940 if i % 2 else 1000), x : x + 3] = 100
+    return GridMap(cells=cells, resolution_m=0.05, origin=(0.0, 0.0))
+
+
+def test_a_deadline_that_is_far_off_changes_no_more_than_what_is_told(client, maze):
+    once = client.toolbox.plan_on_map(maze, (1.0, 25.0), (47.0, 25.0))
+    in_time = client.toolbox.plan_on_map(maze, (1.0, 25.0), (47.0, 25.0), options=PathOptions(deadline_ms=600_000))
+    assert (once.bound, once.is_final) == (None, True)
+    assert (in_time.bound, in_time.is_final) == (1.0, True)
+    # Of ways that cost the same over cells either may be taken, and smoothed.
+    assert in_time.cost == pytest.approx(once.cost, rel=0.02)
+
+
+@pytest.mark.parametrize("deadline_ms", [1, 20, 50, 100, 200, 400])
+def test_whatever_is_known_at_the_deadline_is_told_with_a_bound_that_holds(client, maze, deadline_ms):
+    least = client.toolbox.plan_on_map(maze, (1.0, 25.0), (47.0, 25.0))
+    options = PathOptions(deadline_ms=deadline_ms)
+    found = client.toolbox.plan_on_map(maze, (1.0, 25.0), (47.0, 25.0), options=options)
+    if isinstance(found, NoPath):
+        assert found.reason == "deadline"
+        return
+    assert found.is_final == (found.bound == 1.0)
+    assert found.bound >= 1.0
+    assert found.cost <= least.cost * found.bound * 1.02
+    assert client.toolbox.validate_on_map(maze, found) is None

@@ -43,8 +43,9 @@ pub struct Path {
     /// How long it takes from rest to rest, seconds.
     pub duration_s: f64,
     /// By [`Planner::Hybrid`](crate::Planner::Hybrid), before shortcuts: its cost over the least estimate that was left open,
-    /// at least 1. The least possible cost is hardly less than `cost` over this. By [`plan_anytime`](crate::plan_anytime):
-    /// what its cost over cells is at most in times the least.
+    /// at least 1. The least possible cost is hardly less than `cost` over this. By
+    /// [`Planner::Grid`](crate::Planner::Grid) that may be stopped, and by [`plan_anytime`](crate::plan_anytime): what its cost
+    /// over cells, before it is smoothed, is at most in times the least.
     pub bound: Option<f64>,
     /// Whether the search went on until it was done; false if the caller or `max_expansions` ended it, with this as the best
     /// so far.

@@ -1,6 +1,7 @@
 //! From start to goal: check the ends, search, smooth, check again.
 
 use crate::answer::{NoPathReason, Path, PlanOutcome};
+use crate::anytime::best_in_time;
 use crate::astar::{SearchGrid, reaches, search};
 use crate::blocking::{Refusal, first_blocking};
 use crate::costmap::Costmap;
@@ -128,6 +129,9 @@ fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Resu
     let blocked = costmap.blocked(&start);
     let (width, height) = (costmap.width(), costmap.height());
     let search_grid = SearchGrid { blocked: &blocked, factors: costmap.factors(), width, height };
+    if let (Planner::Grid, Some(stop)) = (planner, request.stop) {
+        return best_in_time(costmap, request, &search_grid, (from, to), stop);
+    }
     let path_through = |cells: &[Cell], expansions| path_through(costmap, request, cells, expansions);
     let by_cells = match search(&search_grid, from, to, params.max_expansions) {
         GridPath::Found { cells, expansions, .. } => path_through(&cells, expansions),

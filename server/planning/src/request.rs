@@ -56,8 +56,9 @@ pub struct PathRequest<'a> {
     pub masks: &'a [Mask<'a>],
     /// For the path's duration.
     pub speed: SpeedLimits,
-    /// Asked from time to time while [`Planner::Hybrid`] searches, say for a deadline: once it is true, the search ends with
-    /// the best path found so far, if any.
+    /// Asked from time to time while [`Planner::Grid`] or [`Planner::Hybrid`] searches, say for a deadline: once it is true, the
+    /// search ends with the best path found so far, if any. By `Grid` a path is found early and then made better, which takes
+    /// longer until the cheapest is known than if there is none.
     pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
 

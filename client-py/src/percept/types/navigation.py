@@ -147,7 +147,8 @@ class PathOptions(Value):
     speed: SpeedLimits | None = None
     #: For HYBRID.
     steering: Steering | None = None
-    #: HYBRID ends with the best path so far after so many milliseconds; 0: when it is done.
+    #: GRID and HYBRID end with the best path so far after so many milliseconds (Path.is_final, Path.bound);
+    #: 0: when it is done.
     deadline_ms: int = 0
     #: True: the zones that are stored with the session do not count.
     ignore_session_zones: bool = False
@@ -182,7 +183,8 @@ class Path(Value):
     steering_cost: float
     #: From rest to rest, seconds.
     duration_s: float
-    #: HYBRID: the cost before shortcuts is at most so many times the least one that was left possible.
+    #: HYBRID: the cost before shortcuts is at most so many times the least one that was left possible. GRID
+    #: with a deadline: the cost over cells, before smoothing, is at most so many times the least. Else None.
     bound: float | None
     #: False: the search was ended before it was done, with this as the best so far.
     is_final: bool

@@ -2,11 +2,12 @@
 //!
 //! Comes in: what [`plan_path`](crate::plan_path) takes, and how loosely to begin. Goes out: each better path as it is found,
 //! with the bound on its cost that is proven by then. Over cells alone: what is steered has its own bound. Start with
-//! [`plan_anytime`]; [`search()`] is what it does on a grid.
+//! [`plan_anytime`]; [`search()`] is what it does on a grid. [`plan_path`](crate::plan_path) itself does so if it may be stopped.
 
 mod plan;
 mod search;
 
+pub(crate) use plan::best_in_time;
 pub use plan::plan_anytime;
 pub use search::{AnytimeEnd, AnytimePath, AnytimeRequest, search};
 

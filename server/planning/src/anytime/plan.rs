@@ -7,6 +7,7 @@ use crate::costmap::Costmap;
 use crate::ends::{check_goal, check_start};
 use crate::plan::{path_through, sized, unreachable};
 use crate::{PathRequest, PlanError, Planner, SearchGrid};
+use percept_geometry::Cell;
 use percept_mapping::DenseGrid;
 
 /// A path over cells as [`Planner::Grid`] finds it (whatever the request's planner is), soon, and better ones until it is the
@@ -34,6 +35,34 @@ pub fn plan_anytime(
     Ok(match improved(&costmap, grid, &request, anytime, on_better) {
         Ok(path) => PlanOutcome::Path(path),
         Err(Refusal { reason, blocking }) => PlanOutcome::NoPath { reason, blocking },
+    })
+}
+
+/// A way at most twice as costly as the cheapest, then the cheapest: of first bounds 2 to 5 and steps 0.5 to 4 that has a path as
+/// early as any, the lowest bounds, and the cheapest the soonest (`--example deadline`, maps brc202d and AR0011SR).
+const IN_TIME: AnytimeParams = AnytimeParams { first_bound: 2.0, bound_step: 1.0 };
+
+/// The best way between two cells until `stop` says so: the cheapest if there is time for it. Only that one is smoothed.
+pub(crate) fn best_in_time(
+    costmap: &Costmap,
+    request: &PathRequest<'_>,
+    cells: &SearchGrid<'_>,
+    (start, goal): (Cell, Cell),
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Result<Path, Refusal> {
+    let params = request.params;
+    let asked =
+        AnytimeRequest { start, goal, params: IN_TIME, max_expansions: params.max_expansions, stop: Some(stop) };
+    let mut best: Option<AnytimePath> = None;
+    let ended = search(cells, &asked, &mut |found| best = Some(found.clone()));
+    if let Some(AnytimePath { cells, bound, expansions, .. }) = best {
+        let path = path_through(costmap, request, &cells, expansions);
+        return Ok(Path { bound: Some(bound), is_final: bound == 1.0, ..path });
+    }
+    Err(match ended {
+        AnytimeEnd::Stopped => NoPathReason::Stopped.into(),
+        AnytimeEnd::Limit => NoPathReason::SearchLimit.into(),
+        _ => unreachable(costmap, cells, (start, goal), params),
     })
 }
 

@@ -4,10 +4,11 @@ use crate::worlds::world;
 use crate::{hall, reason};
 use nalgebra::Point2;
 use percept_geometry::Cell;
+use percept_mapping::DenseGrid;
 use percept_planning::anytime::{AnytimeEnd, AnytimePath, AnytimeRequest, search};
 use percept_planning::{
-    AnytimeParams, GridPath, NoPathReason, PathRequest, PlanError, PlanOutcome, PlanParams, SearchGrid, astar,
-    plan_anytime, plan_dense,
+    AnytimeParams, GridPath, NoPathReason, PathRequest, PlanError, PlanOutcome, PlanParams, SearchGrid, Zone, ZoneKind,
+    astar, plan_anytime, plan_dense, plan_path,
 };
 use proptest::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -140,4 +141,62 @@ fn bounds_below_one_are_refused() {
     assert_eq!(refused(AnytimeParams { first_bound: f64::NAN, ..AnytimeParams::default() }), "anytime.first_bound");
     assert_eq!(refused(AnytimeParams { bound_step: 0.0, ..AnytimeParams::default() }), "anytime.bound_step");
     assert_eq!(AnytimeParams { first_bound: 1.0, bound_step: 100.0 }.validate(), Ok(()));
+}
+
+/// By [`Planner::Grid`](percept_planning::Planner::Grid), told to stop when it has asked so often.
+fn stopped_after(
+    grid: &DenseGrid,
+    (start, goal): (Point2<f64>, Point2<f64>),
+    params: &PlanParams,
+    asks: usize,
+) -> PlanOutcome {
+    let asked = AtomicUsize::new(0);
+    let stop = || asked.fetch_add(1, Ordering::Relaxed) >= asks;
+    plan_path(grid, &PathRequest { stop: Some(&stop), ..PathRequest::new(start, goal, params) }).unwrap()
+}
+
+#[test]
+fn a_grid_search_that_is_stopped_answers_with_the_best_so_far_and_a_bound_that_holds() {
+    let params = PlanParams { smooth: false, start_tolerance_m: 0.0, ..PlanParams::default() };
+    let (mut early, mut done) = (0, 0);
+    for seed in 0..60 {
+        let (grid, ends) = world(seed);
+        let once = plan_dense(&grid, ends[0], ends[1], &params).unwrap();
+        for asks in [0, 1, 2, 3, 5, 8, 12, usize::MAX] {
+            match (stopped_after(&grid, (ends[0], ends[1]), &params, asks), &once) {
+                (PlanOutcome::Path(path), PlanOutcome::Path(least)) => {
+                    let bound = path.bound.unwrap();
+                    assert_eq!(path.is_final, bound == 1.0);
+                    // The cost of legs is sampled, that of cells is not: they differ by some percent on short ways.
+                    assert!(path.cost <= least.cost * bound * 1.05, "world {seed}: {} {bound}", path.cost);
+                    early += usize::from(!path.is_final);
+                    done += usize::from(path.is_final && asks == usize::MAX);
+                }
+                (PlanOutcome::NoPath { reason: NoPathReason::Stopped, .. }, _) => assert!(asks < usize::MAX),
+                (none, once) => assert_eq!(&none, once),
+            }
+        }
+    }
+    assert!(early >= 5 && done >= 10, "{early} {done}");
+}
+
+#[test]
+fn a_search_in_time_keeps_to_zones_and_counts_slow_ones() {
+    let params = PlanParams::default();
+    let grid = hall(200, 120);
+    let (start, goal) = (Point2::new(2.0, 3.0), Point2::new(18.0, 3.0));
+    let polygon = [[8.0, -1.0], [12.0, -1.0], [12.0, 8.0], [8.0, 8.0]].map(Point2::from).to_vec();
+    let go_on = || false;
+    for kind in [ZoneKind::KeepOut, ZoneKind::SpeedLimit { share: 0.1 }] {
+        let zones = [Zone { polygon: polygon.clone(), kind }];
+        let request = PathRequest { zones: &zones, ..PathRequest::new(start, goal, &params) };
+        let PlanOutcome::Path(least) = plan_path(&grid, &request).unwrap() else { panic!() };
+        let request = PathRequest { stop: Some(&go_on), ..request };
+        let PlanOutcome::Path(path) = plan_path(&grid, &request).unwrap() else { panic!() };
+        assert!(path.is_final && (path.cost / least.cost - 1.0).abs() < 0.02, "{} {}", path.cost, least.cost);
+        assert!(path.waypoints.iter().any(|w| w.position.y > 8.0));
+        let stop = || true;
+        let stopped = plan_path(&grid, &PathRequest { stop: Some(&stop), ..request }).unwrap();
+        assert_eq!(stopped, PlanOutcome::NoPath { reason: NoPathReason::Stopped, blocking: None });
+    }
 }
