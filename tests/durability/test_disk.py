@@ -9,8 +9,9 @@ import subprocess
 
 import grpc
 import httpx
+import numpy as np
 import pytest
-from percept import Client, PerceptError, ResourceExhausted
+from percept import Client, GridMap, PerceptError, ResourceExhausted
 
 from support import raw, robots, world
 from support.measure import disk_bytes
@@ -165,6 +166,40 @@ def test_a_full_disk_is_refused_told_and_left_behind(small_disk, disk_server):
         stamps = set(client.session("robot").trajectory().stamps_ns.tolist())
     acknowledged = {world.stamp(i) for i in [0, *taken, last]}
     assert acknowledged <= stamps, "acknowledged, and lost"
+
+
+def test_an_import_that_the_disk_does_not_take_says_so_and_leaves_the_session_empty(small_disk, disk_server):
+    ballast = Ballast(small_disk)
+    cells = np.zeros((200, 400), np.int8)
+    cells[[0, -1], :] = cells[:, [0, -1]] = 100
+    hall = GridMap(cells=cells, resolution_m=0.05, origin=(0.0, 0.0))
+    with Client(disk_server.grpc, timeout_s=60, retries=0) as client:
+        session = client.sessions.create("robot", sensors=[world.LASER])
+        assert session.map.summary().num_keyframes == 0
+        ballast.fill()
+        with pytest.raises(ResourceExhausted) as error:
+            session.map.import_map(hall)
+        assert error.value.reason == "STORAGE_FULL"
+        ballast.free()
+
+        def summary():
+            with contextlib.suppress(PerceptError):
+                return session.map.summary()
+
+        assert eventually(lambda: summary() is not None, seconds=20)
+        assert (summary().num_keyframes, summary().num_points) == (0, 0)
+
+        def imports():
+            # The storage notices a moment later that there is room.
+            with contextlib.suppress(ResourceExhausted):
+                return session.map.import_map(hall).num_keyframes > 5
+
+        assert eventually(imports, seconds=20)
+        imported = session.map.summary().num_keyframes
+    disk_server.kill()
+    disk_server.start()
+    with Client(disk_server.grpc) as client:
+        assert client.session("robot").map.summary().num_keyframes == imported
 
 
 def test_a_stream_that_resumes_loses_no_frame_to_a_full_disk(small_disk, disk_server):

@@ -8,7 +8,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from percept import Path
+from percept import CoverageOptions, CoveragePath, Path
 
 from support.server import binary, recorded
 
@@ -151,3 +151,71 @@ def test_a_path_through_a_depot_that_nobody_here_has_drawn(tmp_path):
     free = json.loads(percept(*question).stdout)["path"]
     kept = json.loads(percept(*question, "--keep-out", maps / "depot_keepout.yaml").stdout)["path"]
     assert kept["length_m"] > free["length_m"]
+
+
+#: The same with nothing known to the right of the door's room.
+OPEN = np.hstack([CELLS, np.full((80, 20), 205, np.uint8)])
+
+
+def test_coverage_of_a_map_file_and_of_a_session_is_told_written_and_drawn(server, client, hall, name, tmp_path):
+    table, picture, drawn = tmp_path / "sweep.csv", tmp_path / "sweep.png", tmp_path / "drawn.png"
+    question = ("--start", START, "--tool-width", "0.6")
+    told = percept("coverage", hall, *question, "--out", table, "--picture", picture).stdout
+    rows = list(csv.DictReader(table.open()))
+    assert len(rows) > 10
+    assert "covers" in told
+    assert client.toolbox.decode_colour(picture.read_bytes()).shape[1] > 900
+    percept("import-map", hall, "--server", server.grpc, "--session", name, "--create")
+    through = ("--server", server.grpc, "--session", name)
+    answer = json.loads(percept("coverage", *through, *question, "--json", "--picture", drawn).stdout)
+    session = client.session(name)
+    sweep = session.plan_coverage(start=(0.5, 4.0), coverage=CoverageOptions(tool_width_m=0.6))
+    assert isinstance(sweep, CoveragePath)
+    assert answer["path"]["covered_share"] == sweep.covered_share
+    assert answer["path"]["path"]["length_m"] == sweep.path.length_m
+    assert picture.read_bytes()[:4] == drawn.read_bytes()[:4] == b"\x89PNG"
+    failed = percept("coverage", hall, "--start", "3.02,3.0", "--radius", "0.2", code=1)
+    assert "no path: the start is in an obstacle" in failed.stderr
+    shut = np.full_like(CELLS, 254)
+    shut[:, 75:85] = 0
+    half = json.loads(percept("coverage", hall, *question, "--keep-out", nav2(tmp_path, "shut", shut), "--json").stdout)
+    assert half["path"]["coverable_m2"] < 0.6 * answer["path"]["coverable_m2"]
+
+
+def test_frontiers_of_a_map_file_and_of_a_session_are_listed_and_written(server, client, name, tmp_path):
+    hall = nav2(tmp_path, "open", OPEN)
+    # Beyond the edge of the file nothing is known, either.
+    told = percept("frontiers", hall, "--start", START).stdout
+    assert told.count("m wide") == 2
+    table, whole = tmp_path / "edges.csv", tmp_path / "edges.json"
+    percept("frontiers", hall, "--start", START, "--out", table)
+    percept("frontiers", hall, "--start", START, "--out", whole)
+    rows, edges = list(csv.DictReader(table.open())), json.loads(whole.read_text())["frontiers"]
+    assert [float(r["goal_x_m"]) for r in rows] == [e["goal"]["x"] for e in edges]
+    assert [float(r["length_m"]) for r in rows] == [e["length_m"] for e in edges]
+    assert edges[0]["goal"]["x"] < 3.0 < 6.0 < edges[1]["goal"]["x"]
+    # Beyond a door that is shut nobody looks.
+    shut = np.full_like(OPEN, 254)
+    shut[:, 78:82] = 0
+    told = percept("frontiers", hall, "--start", START, "--keep-out", nav2(tmp_path, "shut", shut)).stdout
+    assert told.count("m wide") == 1
+    percept("import-map", hall, "--server", server.grpc, "--session", name, "--create")
+    through = ("--server", server.grpc, "--session", name)
+    answer = json.loads(percept("frontiers", *through, "--start", START, "--min-length", "1", "--json").stdout)
+    found = client.session(name).frontiers(start=(0.5, 4.0), min_length_m=1.0)
+    assert [f["length_m"] for f in answer["frontiers"]] == [f.length_m for f in found]
+    lost = percept("frontiers", *through, code=1)
+    assert "does not know where it is" in lost.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("coverage", "--start", START), "required"),
+        (("frontiers", "MAP"), "--start"),
+        (("frontiers", "MAP", "--server", "localhost:1", "--session", "a"), "cannot be used with"),
+    ],
+)
+def test_questions_about_ground_that_are_none_are_usage_errors(hall, arguments, words):
+    failed = percept(*(hall if a == "MAP" else a for a in arguments), code=2)
+    assert words in failed.stderr

@@ -158,7 +158,7 @@ def test_what_cannot_be_a_map_is_refused_and_the_session_is_as_it_was(client):
     ]:
         with pytest.raises(InvalidArgument) as error:
             session.map.import_map(given, **options)
-        assert (error.value.reason, error.value.field) == (reason, field)
+        assert (error.value.reason, error.value.field.removeprefix("import_map.")) == (reason, field)
     with pytest.raises(InvalidArgument):
         session.map.import_map(floor_plan(), start=bad_pose)
     assert session.map.summary().num_keyframes == 0
@@ -173,3 +173,65 @@ def test_files_that_are_cut_are_refused(client, lidar_session, tmp_path):
         with pytest.raises(InvalidArgument) as error:
             session.map.import_map(tmp_path / "cut.bt")
         assert (error.value.reason, error.value.field) == ("FILE_INVALID", "octomap")
+
+
+def city(cells_along: int = 1200) -> GridMap:
+    """Blocks and streets: a map that takes a while."""
+    cells = np.zeros((cells_along, cells_along), np.int8)
+    along = np.arange(cells_along) % 80 >= 30
+    cells[np.ix_(along, along)] = 100
+    cells[[0, -1], :] = cells[:, [0, -1]] = 100
+    return GridMap(cells=cells, resolution_m=RESOLUTION_M, origin=(0.0, 0.0))
+
+
+def test_an_import_is_an_operation_and_waited_for_or_not_gives_the_same_map(client):
+    waited, watched = (fine_session(client, world.LASER) for _ in range(2))
+    done = waited.map.import_map(floor_plan())
+    operation = watched.map.import_map(floor_plan(), wait=False, request_id="plan-1")
+    assert operation.result(timeout_s=60) == done
+    info = operation.info
+    assert (info.kind, info.state, info.session_id) == ("import_map", "done", watched.session_id)
+    assert (info.stage, info.fraction) == ("step 4 of 4: storing it", 1.0)
+    assert np.array_equal(watched.map.occupancy().cells, waited.map.occupancy().cells)
+    # Started again it is the same one; as another it is refused at once.
+    again = watched.map.import_map(floor_plan(), wait=False, request_id="plan-1")
+    assert again.operation_id == operation.operation_id
+    with pytest.raises(FailedPrecondition) as error:
+        watched.map.import_map(floor_plan(), wait=False)
+    assert error.value.reason == "MAP_NOT_EMPTY"
+    # What was waited for leaves none behind.
+    assert waited.session_id not in [o.session_id for o in client.operations.list()]
+
+
+def test_a_map_that_is_none_fails_the_operation_and_options_that_are_none_are_refused_at_once(client):
+    session = fine_session(client, world.LASER)
+    unknown = GridMap(cells=np.full((4, 4), -1, np.int8), resolution_m=0.05, origin=(0.0, 0.0))
+    operation = session.map.import_map(unknown, wait=False)
+    with pytest.raises(InvalidArgument) as error:
+        operation.result(timeout_s=60)
+    assert (error.value.reason, error.value.field) == ("MAP_UNUSABLE", "grid")
+    assert operation.info.state == "failed"
+    with pytest.raises(InvalidArgument) as error:
+        session.map.import_map(floor_plan(), sensor_height_m=1e9, wait=False)
+    assert error.value.field == "import_map.sensor_height_m"
+    assert session.map.summary().num_keyframes == 0
+
+
+@pytest.mark.parametrize("stage", ["looking", "entering"])
+def test_an_import_that_is_cancelled_leaves_the_session_as_it_was(client, stage):
+    session = fine_session(client, world.LASER)
+    operation = session.map.import_map(city(), wait=False)
+    for info in operation.watch(every_s=0.01):
+        assert not info.has_ended, "it was meant to take long; give it more to do"
+        if stage in info.stage:
+            break
+    operation.cancel()
+    assert operation.wait(120).state == "cancelled"
+    with pytest.raises(FailedPrecondition) as error:
+        operation.result()
+    assert error.value.reason == "OPERATION_CANCELLED"
+    summary = session.map.summary()
+    assert (summary.num_keyframes, summary.num_points) == (0, 0)
+    assert session.map.import_map(floor_plan()).num_keyframes > 5
+    drive_through(session, world.circle(), send_scan)
+    assert session.pose().state is TrackingState.TRACKING

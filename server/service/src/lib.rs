@@ -27,7 +27,7 @@ pub use health::{HEALTHY, Health, Part, Readiness, Reason, Trouble};
 pub use limits::Limits;
 pub use ops::changes::{ParamChange, SensorChanges, SessionChanges};
 pub use ops::evaluation::{self, TrajectoryComparison};
-pub use ops::exploration::{Explored, FlightQuestion, FrontierRequest};
+pub use ops::exploration::{self, Explored, FlightQuestion, FrontierRequest};
 pub use ops::fleet::{FleetFilter, FleetGroup, FleetWatch};
 pub use ops::layers;
 pub use ops::map_comparison::{MapBefore, MapComparison};

@@ -6,6 +6,7 @@ import dataclasses
 import os
 import pathlib
 from collections.abc import AsyncIterator, Sequence
+from typing import Literal, overload
 
 from .._arrays import Array
 from .._convert import drawing
@@ -108,6 +109,7 @@ class AsyncMaps(AsyncSessionBound):
         call = drawing.compare_maps(self.session_id, before, before_session, tolerance_m)
         return await self._transport.call(call)
 
+    @overload
     async def import_map(
         self,
         given: Importable,
@@ -115,7 +117,32 @@ class AsyncMaps(AsyncSessionBound):
         start: Pose | Array | None = None,
         sensor_height_m: float | None = None,
         voxel_size_m: float | None = None,
-    ) -> MapImported:
+        wait: Literal[True] = True,
+        request_id: str | None = None,
+    ) -> MapImported: ...
+
+    @overload
+    async def import_map(
+        self,
+        given: Importable,
+        *,
+        start: Pose | Array | None = None,
+        sensor_height_m: float | None = None,
+        voxel_size_m: float | None = None,
+        wait: Literal[False],
+        request_id: str | None = None,
+    ) -> AsyncOperation[MapImported]: ...
+
+    async def import_map(
+        self,
+        given: Importable,
+        *,
+        start: Pose | Array | None = None,
+        sensor_height_m: float | None = None,
+        voxel_size_m: float | None = None,
+        wait: bool = True,
+        request_id: str | None = None,
+    ) -> MapImported | AsyncOperation[MapImported]:
         """Begins this session, which must be empty, with a map that comes from elsewhere.
 
         given: cells (`OccupancyGrid`, `GridMap`), points (a cloud, a handle, another session's), or a file:
@@ -124,9 +151,20 @@ class AsyncMaps(AsyncSessionBound):
         points of rooms; on a street it has to be told. start: base to map, a pose or its (4, 4) matrix,
         where that is known; a robot with another sensor needs it. sensor_height_m: above the ground, as
         declared if left out. voxel_size_m: of the voxels by which points hide each other, 0.1 if left out.
+
+        It is an operation, which goes on whoever hangs up, and is waited for; with wait=False it is what is
+        given, to be watched, cancelled, and its result() read. The session is as empty as it was if it fails
+        or is cancelled.
         """
         call = convert_import.import_map(self.session_id, given, start, sensor_height_m, voxel_size_m)
-        return await self._transport.call(call)
+        operation = await started(self._transport, call, request_id)
+        if not wait:
+            return operation
+        await operation.wait()
+        try:
+            return await operation.result()
+        finally:
+            await operation.delete()
 
     async def export(
         self, file_format: MapFormat | str, *, path: str | os.PathLike[str] | None = None

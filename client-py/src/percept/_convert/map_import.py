@@ -62,13 +62,15 @@ def import_map(
     else:
         request.fill_source(out.cloud, given)
 
-    def read(answer: service.ImportMapResponse) -> MapImported:
-        return MapImported(
-            num_keyframes=answer.num_keyframes,
-            occupied_share=answer.occupied_share,
-            free_share=answer.free_share,
-            map_version=answer.map_version,
-            found_by=words.word(SensorKind, sensor_pb2.SensorKind, answer.found_by),
-        )
+    return Call(_rpc.IMPORT_MAP, out, imported)
 
-    return Call(_rpc.IMPORT_MAP, out, read)
+
+def imported(answer: service.ImportMapResponse) -> MapImported:
+    """What became of it."""
+    return MapImported(
+        num_keyframes=answer.num_keyframes,
+        occupied_share=answer.occupied_share,
+        free_share=answer.free_share,
+        map_version=answer.map_version,
+        found_by=words.word(SensorKind, sensor_pb2.SensorKind, answer.found_by),
+    )

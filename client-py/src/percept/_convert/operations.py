@@ -13,7 +13,7 @@ from .._rpc import A, Q, Rpc
 from ..types.operations import OperationFault, OperationInfo, OperationKind, OperationState
 from ..v1 import error_pb2
 from ..v1 import operations_service_pb2 as service
-from . import maps, words
+from . import map_import, maps, words
 from .toolbox import kept, registration
 
 #: What can be started, by its field in the request.
@@ -22,6 +22,7 @@ _WORK: dict[str, Rpc[Any, Any]] = {
     "export_map": _rpc.EXPORT_MAP,
     "run_pipeline": _rpc.RUN_PIPELINE,
     "register_clouds_globally": _rpc.REGISTER_CLOUDS_GLOBALLY,
+    "import_map": _rpc.IMPORT_MAP,
 }
 #: What comes of it, of the parts of the plain call's answer.
 _READ: dict[str, Callable[[list[Any]], Any]] = {
@@ -29,6 +30,7 @@ _READ: dict[str, Callable[[list[Any]], Any]] = {
     "export_map": lambda parts: maps.file([part.chunk for part in parts]),
     "run_pipeline": lambda parts: kept.pipeline_result(joined(parts)),
     "register_clouds_globally": lambda parts: registration.global_registration(joined(parts)),
+    "import_map": lambda parts: map_import.imported(joined(parts)),
 }
 
 

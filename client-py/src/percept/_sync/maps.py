@@ -7,6 +7,7 @@ import dataclasses
 import os
 import pathlib
 from collections.abc import Iterator, Sequence
+from typing import Literal, overload
 
 from .._arrays import Array
 from .._convert import drawing
@@ -107,6 +108,7 @@ class Maps(SessionBound):
         call = drawing.compare_maps(self.session_id, before, before_session, tolerance_m)
         return self._transport.call(call)
 
+    @overload
     def import_map(
         self,
         given: Importable,
@@ -114,7 +116,32 @@ class Maps(SessionBound):
         start: Pose | Array | None = None,
         sensor_height_m: float | None = None,
         voxel_size_m: float | None = None,
-    ) -> MapImported:
+        wait: Literal[True] = True,
+        request_id: str | None = None,
+    ) -> MapImported: ...
+
+    @overload
+    def import_map(
+        self,
+        given: Importable,
+        *,
+        start: Pose | Array | None = None,
+        sensor_height_m: float | None = None,
+        voxel_size_m: float | None = None,
+        wait: Literal[False],
+        request_id: str | None = None,
+    ) -> Operation[MapImported]: ...
+
+    def import_map(
+        self,
+        given: Importable,
+        *,
+        start: Pose | Array | None = None,
+        sensor_height_m: float | None = None,
+        voxel_size_m: float | None = None,
+        wait: bool = True,
+        request_id: str | None = None,
+    ) -> MapImported | Operation[MapImported]:
         """Begins this session, which must be empty, with a map that comes from elsewhere.
 
         given: cells (`OccupancyGrid`, `GridMap`), points (a cloud, a handle, another session's), or a file:
@@ -123,9 +150,20 @@ class Maps(SessionBound):
         points of rooms; on a street it has to be told. start: base to map, a pose or its (4, 4) matrix,
         where that is known; a robot with another sensor needs it. sensor_height_m: above the ground, as
         declared if left out. voxel_size_m: of the voxels by which points hide each other, 0.1 if left out.
+
+        It is an operation, which goes on whoever hangs up, and is waited for; with wait=False it is what is
+        given, to be watched, cancelled, and its result() read. The session is as empty as it was if it fails
+        or is cancelled.
         """
         call = convert_import.import_map(self.session_id, given, start, sensor_height_m, voxel_size_m)
-        return self._transport.call(call)
+        operation = started(self._transport, call, request_id)
+        if not wait:
+            return operation
+        operation.wait()
+        try:
+            return operation.result()
+        finally:
+            operation.delete()
 
     def export(self, file_format: MapFormat | str, *, path: str | os.PathLike[str] | None = None) -> MapFile:
         """The map as a file, checksum compared; with `path` (file or folder) it is written there."""

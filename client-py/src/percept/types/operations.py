@@ -15,6 +15,7 @@ class OperationKind(Name):
     EXPORT_MAP = "export_map"
     RUN_PIPELINE = "run_pipeline"
     REGISTER_CLOUDS_GLOBALLY = "register_clouds_globally"
+    IMPORT_MAP = "import_map"
 
 
 class OperationState(Name):

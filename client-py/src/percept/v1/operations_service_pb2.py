@@ -18,49 +18,49 @@ from percept.v1 import toolbox_pipelines_service_pb2 as percept_dot_v1_dot_toolb
 from percept.v1 import toolbox_registration_service_pb2 as percept_dot_v1_dot_toolbox__registration__service__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#percept/v1/operations_service.proto\x12\npercept.v1\x1a\x16percept/v1/error.proto\x1a\x1dpercept/v1/maps_service.proto\x1a*percept/v1/toolbox_pipelines_service.proto\x1a-percept/v1/toolbox_registration_service.proto\"F\n\x11OperationProgress\x12\x15\n\x08\x66raction\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\r\n\x05stage\x18\x02 \x01(\tB\x0b\n\t_fraction\"\xef\x03\n\tOperation\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\x12\'\n\x04kind\x18\x02 \x01(\x0e\x32\x19.percept.v1.OperationKind\x12\x12\n\nsession_id\x18\x03 \x01(\t\x12)\n\x05state\x18\x04 \x01(\x0e\x32\x1a.percept.v1.OperationState\x12/\n\x08progress\x18\x05 \x01(\x0b\x32\x1d.percept.v1.OperationProgress\x12\x18\n\x10\x63\x61ncel_requested\x18\x06 \x01(\x08\x12)\n\x05\x65rror\x18\x07 \x01(\x0b\x32\x15.percept.v1.ErrorInfoH\x00\x88\x01\x01\x12\x1e\n\x11result_size_bytes\x18\x08 \x01(\x04H\x01\x88\x01\x01\x12\x16\n\x0e\x63reate_time_ns\x18\t \x01(\x03\x12\x18\n\x0brun_time_ns\x18\n \x01(\x03H\x02\x88\x01\x01\x12\x18\n\x0b\x65nd_time_ns\x18\x0b \x01(\x03H\x03\x88\x01\x01\x12\x1b\n\x0e\x65xpire_time_ns\x18\x0c \x01(\x03H\x04\x88\x01\x01\x12\x12\n\nrequest_id\x18\r \x01(\tB\x08\n\x06_errorB\x14\n\x12_result_size_bytesB\x0e\n\x0c_run_time_nsB\x0e\n\x0c_end_time_nsB\x11\n\x0f_expire_time_ns\"\xa6\x02\n\x15StartOperationRequest\x12\x36\n\x0coptimise_map\x18\x01 \x01(\x0b\x32\x1e.percept.v1.OptimiseMapRequestH\x00\x12\x32\n\nexport_map\x18\x02 \x01(\x0b\x32\x1c.percept.v1.ExportMapRequestH\x00\x12\x36\n\x0crun_pipeline\x18\x03 \x01(\x0b\x32\x1e.percept.v1.RunPipelineRequestH\x00\x12M\n\x18register_clouds_globally\x18\x04 \x01(\x0b\x32).percept.v1.RegisterCloudsGloballyRequestH\x00\x12\x12\n\nrequest_id\x18\x0f \x01(\tB\x06\n\x04work\"B\n\x16StartOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.percept.v1.Operation\"+\n\x13GetOperationRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\"@\n\x14GetOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.percept.v1.Operation\"\x82\x01\n\x15ListOperationsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\x12)\n\x05state\x18\x03 \x01(\x0e\x32\x1a.percept.v1.OperationState\x12\x17\n\x0fsession_pattern\x18\x04 \x01(\t\"\\\n\x16ListOperationsResponse\x12)\n\noperations\x18\x01 \x03(\x0b\x32\x15.percept.v1.Operation\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"R\n\x14WaitOperationRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\x12\x16\n\ttimeout_s\x18\x02 \x01(\x01H\x00\x88\x01\x01\x42\x0c\n\n_timeout_s\"A\n\x15WaitOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.percept.v1.Operation\".\n\x16\x43\x61ncelOperationRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\"C\n\x17\x43\x61ncelOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.percept.v1.Operation\"2\n\x1aReadOperationResultRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\"\x9e\x02\n\x1bReadOperationResultResponse\x12\x37\n\x0coptimise_map\x18\x01 \x01(\x0b\x32\x1f.percept.v1.OptimiseMapResponseH\x00\x12\x33\n\nexport_map\x18\x02 \x01(\x0b\x32\x1d.percept.v1.ExportMapResponseH\x00\x12\x37\n\x0crun_pipeline\x18\x03 \x01(\x0b\x32\x1f.percept.v1.RunPipelineResponseH\x00\x12N\n\x18register_clouds_globally\x18\x04 \x01(\x0b\x32*.percept.v1.RegisterCloudsGloballyResponseH\x00\x42\x08\n\x06result\".\n\x16\x44\x65leteOperationRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\"\x19\n\x17\x44\x65leteOperationResponse*\xbd\x01\n\rOperationKind\x12\x1e\n\x1aOPERATION_KIND_UNSPECIFIED\x10\x00\x12\x1f\n\x1bOPERATION_KIND_OPTIMISE_MAP\x10\x01\x12\x1d\n\x19OPERATION_KIND_EXPORT_MAP\x10\x02\x12\x1f\n\x1bOPERATION_KIND_RUN_PIPELINE\x10\x03\x12+\n\'OPERATION_KIND_REGISTER_CLOUDS_GLOBALLY\x10\x04*\xbf\x01\n\x0eOperationState\x12\x1f\n\x1bOPERATION_STATE_UNSPECIFIED\x10\x00\x12\x1a\n\x16OPERATION_STATE_QUEUED\x10\x01\x12\x1b\n\x17OPERATION_STATE_RUNNING\x10\x02\x12\x18\n\x14OPERATION_STATE_DONE\x10\x03\x12\x1a\n\x16OPERATION_STATE_FAILED\x10\x04\x12\x1d\n\x19OPERATION_STATE_CANCELLED\x10\x05\x32\x90\x05\n\x11OperationsService\x12W\n\x0eStartOperation\x12!.percept.v1.StartOperationRequest\x1a\".percept.v1.StartOperationResponse\x12Q\n\x0cGetOperation\x12\x1f.percept.v1.GetOperationRequest\x1a .percept.v1.GetOperationResponse\x12W\n\x0eListOperations\x12!.percept.v1.ListOperationsRequest\x1a\".percept.v1.ListOperationsResponse\x12T\n\rWaitOperation\x12 .percept.v1.WaitOperationRequest\x1a!.percept.v1.WaitOperationResponse\x12Z\n\x0f\x43\x61ncelOperation\x12\".percept.v1.CancelOperationRequest\x1a#.percept.v1.CancelOperationResponse\x12h\n\x13ReadOperationResult\x12&.percept.v1.ReadOperationResultRequest\x1a\'.percept.v1.ReadOperationResultResponse0\x01\x12Z\n\x0f\x44\x65leteOperation\x12\".percept.v1.DeleteOperationRequest\x1a#.percept.v1.DeleteOperationResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#percept/v1/operations_service.proto\x12\npercept.v1\x1a\x16percept/v1/error.proto\x1a\x1dpercept/v1/maps_service.proto\x1a*percept/v1/toolbox_pipelines_service.proto\x1a-percept/v1/toolbox_registration_service.proto\"F\n\x11OperationProgress\x12\x15\n\x08\x66raction\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\r\n\x05stage\x18\x02 \x01(\tB\x0b\n\t_fraction\"\xef\x03\n\tOperation\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\x12\'\n\x04kind\x18\x02 \x01(\x0e\x32\x19.percept.v1.OperationKind\x12\x12\n\nsession_id\x18\x03 \x01(\t\x12)\n\x05state\x18\x04 \x01(\x0e\x32\x1a.percept.v1.OperationState\x12/\n\x08progress\x18\x05 \x01(\x0b\x32\x1d.percept.v1.OperationProgress\x12\x18\n\x10\x63\x61ncel_requested\x18\x06 \x01(\x08\x12)\n\x05\x65rror\x18\x07 \x01(\x0b\x32\x15.percept.v1.ErrorInfoH\x00\x88\x01\x01\x12\x1e\n\x11result_size_bytes\x18\x08 \x01(\x04H\x01\x88\x01\x01\x12\x16\n\x0e\x63reate_time_ns\x18\t \x01(\x03\x12\x18\n\x0brun_time_ns\x18\n \x01(\x03H\x02\x88\x01\x01\x12\x18\n\x0b\x65nd_time_ns\x18\x0b \x01(\x03H\x03\x88\x01\x01\x12\x1b\n\x0e\x65xpire_time_ns\x18\x0c \x01(\x03H\x04\x88\x01\x01\x12\x12\n\nrequest_id\x18\r \x01(\tB\x08\n\x06_errorB\x14\n\x12_result_size_bytesB\x0e\n\x0c_run_time_nsB\x0e\n\x0c_end_time_nsB\x11\n\x0f_expire_time_ns\"\xda\x02\n\x15StartOperationRequest\x12\x36\n\x0coptimise_map\x18\x01 \x01(\x0b\x32\x1e.percept.v1.OptimiseMapRequestH\x00\x12\x32\n\nexport_map\x18\x02 \x01(\x0b\x32\x1c.percept.v1.ExportMapRequestH\x00\x12\x36\n\x0crun_pipeline\x18\x03 \x01(\x0b\x32\x1e.percept.v1.RunPipelineRequestH\x00\x12M\n\x18register_clouds_globally\x18\x04 \x01(\x0b\x32).percept.v1.RegisterCloudsGloballyRequestH\x00\x12\x32\n\nimport_map\x18\x05 \x01(\x0b\x32\x1c.percept.v1.ImportMapRequestH\x00\x12\x12\n\nrequest_id\x18\x0f \x01(\tB\x06\n\x04work\"B\n\x16StartOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.percept.v1.Operation\"+\n\x13GetOperationRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\"@\n\x14GetOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.percept.v1.Operation\"\x82\x01\n\x15ListOperationsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\x12)\n\x05state\x18\x03 \x01(\x0e\x32\x1a.percept.v1.OperationState\x12\x17\n\x0fsession_pattern\x18\x04 \x01(\t\"\\\n\x16ListOperationsResponse\x12)\n\noperations\x18\x01 \x03(\x0b\x32\x15.percept.v1.Operation\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"R\n\x14WaitOperationRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\x12\x16\n\ttimeout_s\x18\x02 \x01(\x01H\x00\x88\x01\x01\x42\x0c\n\n_timeout_s\"A\n\x15WaitOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.percept.v1.Operation\".\n\x16\x43\x61ncelOperationRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\"C\n\x17\x43\x61ncelOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.percept.v1.Operation\"2\n\x1aReadOperationResultRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\"\xd3\x02\n\x1bReadOperationResultResponse\x12\x37\n\x0coptimise_map\x18\x01 \x01(\x0b\x32\x1f.percept.v1.OptimiseMapResponseH\x00\x12\x33\n\nexport_map\x18\x02 \x01(\x0b\x32\x1d.percept.v1.ExportMapResponseH\x00\x12\x37\n\x0crun_pipeline\x18\x03 \x01(\x0b\x32\x1f.percept.v1.RunPipelineResponseH\x00\x12N\n\x18register_clouds_globally\x18\x04 \x01(\x0b\x32*.percept.v1.RegisterCloudsGloballyResponseH\x00\x12\x33\n\nimport_map\x18\x05 \x01(\x0b\x32\x1d.percept.v1.ImportMapResponseH\x00\x42\x08\n\x06result\".\n\x16\x44\x65leteOperationRequest\x12\x14\n\x0coperation_id\x18\x01 \x01(\t\"\x19\n\x17\x44\x65leteOperationResponse*\xdc\x01\n\rOperationKind\x12\x1e\n\x1aOPERATION_KIND_UNSPECIFIED\x10\x00\x12\x1f\n\x1bOPERATION_KIND_OPTIMISE_MAP\x10\x01\x12\x1d\n\x19OPERATION_KIND_EXPORT_MAP\x10\x02\x12\x1f\n\x1bOPERATION_KIND_RUN_PIPELINE\x10\x03\x12+\n\'OPERATION_KIND_REGISTER_CLOUDS_GLOBALLY\x10\x04\x12\x1d\n\x19OPERATION_KIND_IMPORT_MAP\x10\x05*\xbf\x01\n\x0eOperationState\x12\x1f\n\x1bOPERATION_STATE_UNSPECIFIED\x10\x00\x12\x1a\n\x16OPERATION_STATE_QUEUED\x10\x01\x12\x1b\n\x17OPERATION_STATE_RUNNING\x10\x02\x12\x18\n\x14OPERATION_STATE_DONE\x10\x03\x12\x1a\n\x16OPERATION_STATE_FAILED\x10\x04\x12\x1d\n\x19OPERATION_STATE_CANCELLED\x10\x05\x32\x90\x05\n\x11OperationsService\x12W\n\x0eStartOperation\x12!.percept.v1.StartOperationRequest\x1a\".percept.v1.StartOperationResponse\x12Q\n\x0cGetOperation\x12\x1f.percept.v1.GetOperationRequest\x1a .percept.v1.GetOperationResponse\x12W\n\x0eListOperations\x12!.percept.v1.ListOperationsRequest\x1a\".percept.v1.ListOperationsResponse\x12T\n\rWaitOperation\x12 .percept.v1.WaitOperationRequest\x1a!.percept.v1.WaitOperationResponse\x12Z\n\x0f\x43\x61ncelOperation\x12\".percept.v1.CancelOperationRequest\x1a#.percept.v1.CancelOperationResponse\x12h\n\x13ReadOperationResult\x12&.percept.v1.ReadOperationResultRequest\x1a\'.percept.v1.ReadOperationResultResponse0\x01\x12Z\n\x0f\x44\x65leteOperation\x12\".percept.v1.DeleteOperationRequest\x1a#.percept.v1.DeleteOperationResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.operations_service_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_OPERATIONKIND']._serialized_start=2155
-  _globals['_OPERATIONKIND']._serialized_end=2344
-  _globals['_OPERATIONSTATE']._serialized_start=2347
-  _globals['_OPERATIONSTATE']._serialized_end=2538
+  _globals['_OPERATIONKIND']._serialized_start=2260
+  _globals['_OPERATIONKIND']._serialized_end=2480
+  _globals['_OPERATIONSTATE']._serialized_start=2483
+  _globals['_OPERATIONSTATE']._serialized_end=2674
   _globals['_OPERATIONPROGRESS']._serialized_start=197
   _globals['_OPERATIONPROGRESS']._serialized_end=267
   _globals['_OPERATION']._serialized_start=270
   _globals['_OPERATION']._serialized_end=765
   _globals['_STARTOPERATIONREQUEST']._serialized_start=768
-  _globals['_STARTOPERATIONREQUEST']._serialized_end=1062
-  _globals['_STARTOPERATIONRESPONSE']._serialized_start=1064
-  _globals['_STARTOPERATIONRESPONSE']._serialized_end=1130
-  _globals['_GETOPERATIONREQUEST']._serialized_start=1132
-  _globals['_GETOPERATIONREQUEST']._serialized_end=1175
-  _globals['_GETOPERATIONRESPONSE']._serialized_start=1177
-  _globals['_GETOPERATIONRESPONSE']._serialized_end=1241
-  _globals['_LISTOPERATIONSREQUEST']._serialized_start=1244
-  _globals['_LISTOPERATIONSREQUEST']._serialized_end=1374
-  _globals['_LISTOPERATIONSRESPONSE']._serialized_start=1376
-  _globals['_LISTOPERATIONSRESPONSE']._serialized_end=1468
-  _globals['_WAITOPERATIONREQUEST']._serialized_start=1470
-  _globals['_WAITOPERATIONREQUEST']._serialized_end=1552
-  _globals['_WAITOPERATIONRESPONSE']._serialized_start=1554
-  _globals['_WAITOPERATIONRESPONSE']._serialized_end=1619
-  _globals['_CANCELOPERATIONREQUEST']._serialized_start=1621
-  _globals['_CANCELOPERATIONREQUEST']._serialized_end=1667
-  _globals['_CANCELOPERATIONRESPONSE']._serialized_start=1669
-  _globals['_CANCELOPERATIONRESPONSE']._serialized_end=1736
-  _globals['_READOPERATIONRESULTREQUEST']._serialized_start=1738
-  _globals['_READOPERATIONRESULTREQUEST']._serialized_end=1788
-  _globals['_READOPERATIONRESULTRESPONSE']._serialized_start=1791
-  _globals['_READOPERATIONRESULTRESPONSE']._serialized_end=2077
-  _globals['_DELETEOPERATIONREQUEST']._serialized_start=2079
-  _globals['_DELETEOPERATIONREQUEST']._serialized_end=2125
-  _globals['_DELETEOPERATIONRESPONSE']._serialized_start=2127
-  _globals['_DELETEOPERATIONRESPONSE']._serialized_end=2152
-  _globals['_OPERATIONSSERVICE']._serialized_start=2541
-  _globals['_OPERATIONSSERVICE']._serialized_end=3197
+  _globals['_STARTOPERATIONREQUEST']._serialized_end=1114
+  _globals['_STARTOPERATIONRESPONSE']._serialized_start=1116
+  _globals['_STARTOPERATIONRESPONSE']._serialized_end=1182
+  _globals['_GETOPERATIONREQUEST']._serialized_start=1184
+  _globals['_GETOPERATIONREQUEST']._serialized_end=1227
+  _globals['_GETOPERATIONRESPONSE']._serialized_start=1229
+  _globals['_GETOPERATIONRESPONSE']._serialized_end=1293
+  _globals['_LISTOPERATIONSREQUEST']._serialized_start=1296
+  _globals['_LISTOPERATIONSREQUEST']._serialized_end=1426
+  _globals['_LISTOPERATIONSRESPONSE']._serialized_start=1428
+  _globals['_LISTOPERATIONSRESPONSE']._serialized_end=1520
+  _globals['_WAITOPERATIONREQUEST']._serialized_start=1522
+  _globals['_WAITOPERATIONREQUEST']._serialized_end=1604
+  _globals['_WAITOPERATIONRESPONSE']._serialized_start=1606
+  _globals['_WAITOPERATIONRESPONSE']._serialized_end=1671
+  _globals['_CANCELOPERATIONREQUEST']._serialized_start=1673
+  _globals['_CANCELOPERATIONREQUEST']._serialized_end=1719
+  _globals['_CANCELOPERATIONRESPONSE']._serialized_start=1721
+  _globals['_CANCELOPERATIONRESPONSE']._serialized_end=1788
+  _globals['_READOPERATIONRESULTREQUEST']._serialized_start=1790
+  _globals['_READOPERATIONRESULTREQUEST']._serialized_end=1840
+  _globals['_READOPERATIONRESULTRESPONSE']._serialized_start=1843
+  _globals['_READOPERATIONRESULTRESPONSE']._serialized_end=2182
+  _globals['_DELETEOPERATIONREQUEST']._serialized_start=2184
+  _globals['_DELETEOPERATIONREQUEST']._serialized_end=2230
+  _globals['_DELETEOPERATIONRESPONSE']._serialized_start=2232
+  _globals['_DELETEOPERATIONRESPONSE']._serialized_end=2257
+  _globals['_OPERATIONSSERVICE']._serialized_start=2677
+  _globals['_OPERATIONSSERVICE']._serialized_end=3333
 # @@protoc_insertion_point(module_scope)

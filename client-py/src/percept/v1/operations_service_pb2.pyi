@@ -38,6 +38,8 @@ class _OperationKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Operati
     """ToolboxPipelinesService.RunPipeline."""
     OPERATION_KIND_REGISTER_CLOUDS_GLOBALLY: _OperationKind.ValueType  # 4
     """ToolboxRegistrationService.RegisterCloudsGlobally."""
+    OPERATION_KIND_IMPORT_MAP: _OperationKind.ValueType  # 5
+    """MapsService.ImportMap."""
 
 class OperationKind(_OperationKind, metaclass=_OperationKindEnumTypeWrapper):
     """What an operation does."""
@@ -51,6 +53,8 @@ OPERATION_KIND_RUN_PIPELINE: OperationKind.ValueType  # 3
 """ToolboxPipelinesService.RunPipeline."""
 OPERATION_KIND_REGISTER_CLOUDS_GLOBALLY: OperationKind.ValueType  # 4
 """ToolboxRegistrationService.RegisterCloudsGlobally."""
+OPERATION_KIND_IMPORT_MAP: OperationKind.ValueType  # 5
+"""MapsService.ImportMap."""
 Global___OperationKind: _TypeAlias = OperationKind  # noqa: Y015
 
 class _OperationState:
@@ -94,8 +98,8 @@ class OperationProgress(_message.Message):
     FRACTION_FIELD_NUMBER: _builtins.int
     STAGE_FIELD_NUMBER: _builtins.int
     fraction: _builtins.float
-    """Share that is done, 0 to 1, never falling: of a pipeline's steps, of the bytes of a cloud's or grid's file, of the steps
-    that a global registration takes at most. Absent where nothing can be counted.
+    """Share that is done, 0 to 1, never falling: of a pipeline's steps, of those of an import, of the bytes of a cloud's or grid's file,
+    of the steps that a global registration takes at most. Absent where nothing can be counted.
     """
     stage: _builtins.str
     """What is being done, for people: e.g. step 2 of 5: segment_planes. Empty before it runs."""
@@ -140,7 +144,8 @@ class Operation(_message.Message):
     state: Global___OperationState.ValueType
     cancel_requested: _builtins.bool
     """Set by CancelOperation. A running operation sees it at its next step, and may be DONE before that; an OptimiseMap that
-    runs is finished, since a map is never left between two states.
+    runs is finished, since a map is never left between two states. A session whose ImportMap was cancelled, or failed, is as empty as
+    it was.
     """
     result_size_bytes: _builtins.int
     """Of a DONE one, bytes that ReadOperationResult sends."""
@@ -213,6 +218,7 @@ class StartOperationRequest(_message.Message):
     EXPORT_MAP_FIELD_NUMBER: _builtins.int
     RUN_PIPELINE_FIELD_NUMBER: _builtins.int
     REGISTER_CLOUDS_GLOBALLY_FIELD_NUMBER: _builtins.int
+    IMPORT_MAP_FIELD_NUMBER: _builtins.int
     REQUEST_ID_FIELD_NUMBER: _builtins.int
     request_id: _builtins.str
     """Unique to this start among the caller's, 1 to 64 characters of a-z A-Z 0-9 _ -: a repeated call answers with the operation
@@ -226,6 +232,8 @@ class StartOperationRequest(_message.Message):
     def run_pipeline(self) -> _toolbox_pipelines_service_pb2.RunPipelineRequest: ...
     @_builtins.property
     def register_clouds_globally(self) -> _toolbox_registration_service_pb2.RegisterCloudsGloballyRequest: ...
+    @_builtins.property
+    def import_map(self) -> _maps_service_pb2.ImportMapRequest: ...
     def __init__(
         self,
         *,
@@ -233,13 +241,14 @@ class StartOperationRequest(_message.Message):
         export_map: _maps_service_pb2.ExportMapRequest | None = ...,
         run_pipeline: _toolbox_pipelines_service_pb2.RunPipelineRequest | None = ...,
         register_clouds_globally: _toolbox_registration_service_pb2.RegisterCloudsGloballyRequest | None = ...,
+        import_map: _maps_service_pb2.ImportMapRequest | None = ...,
         request_id: _builtins.str = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["export_map", b"export_map", "optimise_map", b"optimise_map", "register_clouds_globally", b"register_clouds_globally", "run_pipeline", b"run_pipeline", "work", b"work"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["export_map", b"export_map", "import_map", b"import_map", "optimise_map", b"optimise_map", "register_clouds_globally", b"register_clouds_globally", "run_pipeline", b"run_pipeline", "work", b"work"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["export_map", b"export_map", "optimise_map", b"optimise_map", "register_clouds_globally", b"register_clouds_globally", "request_id", b"request_id", "run_pipeline", b"run_pipeline", "work", b"work"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["export_map", b"export_map", "import_map", b"import_map", "optimise_map", b"optimise_map", "register_clouds_globally", b"register_clouds_globally", "request_id", b"request_id", "run_pipeline", b"run_pipeline", "work", b"work"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType_work: _TypeAlias = _typing.Literal["optimise_map", "export_map", "run_pipeline", "register_clouds_globally"]  # noqa: Y015
+    _WhichOneofReturnType_work: _TypeAlias = _typing.Literal["optimise_map", "export_map", "run_pipeline", "register_clouds_globally", "import_map"]  # noqa: Y015
     _WhichOneofArgType_work: _TypeAlias = _typing.Literal["work", b"work"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType_work) -> _WhichOneofReturnType_work | None: ...
 
@@ -475,6 +484,7 @@ class ReadOperationResultResponse(_message.Message):
     EXPORT_MAP_FIELD_NUMBER: _builtins.int
     RUN_PIPELINE_FIELD_NUMBER: _builtins.int
     REGISTER_CLOUDS_GLOBALLY_FIELD_NUMBER: _builtins.int
+    IMPORT_MAP_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def optimise_map(self) -> _maps_service_pb2.OptimiseMapResponse: ...
     @_builtins.property
@@ -483,6 +493,8 @@ class ReadOperationResultResponse(_message.Message):
     def run_pipeline(self) -> _toolbox_pipelines_service_pb2.RunPipelineResponse: ...
     @_builtins.property
     def register_clouds_globally(self) -> _toolbox_registration_service_pb2.RegisterCloudsGloballyResponse: ...
+    @_builtins.property
+    def import_map(self) -> _maps_service_pb2.ImportMapResponse: ...
     def __init__(
         self,
         *,
@@ -490,12 +502,13 @@ class ReadOperationResultResponse(_message.Message):
         export_map: _maps_service_pb2.ExportMapResponse | None = ...,
         run_pipeline: _toolbox_pipelines_service_pb2.RunPipelineResponse | None = ...,
         register_clouds_globally: _toolbox_registration_service_pb2.RegisterCloudsGloballyResponse | None = ...,
+        import_map: _maps_service_pb2.ImportMapResponse | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["export_map", b"export_map", "optimise_map", b"optimise_map", "register_clouds_globally", b"register_clouds_globally", "result", b"result", "run_pipeline", b"run_pipeline"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["export_map", b"export_map", "import_map", b"import_map", "optimise_map", b"optimise_map", "register_clouds_globally", b"register_clouds_globally", "result", b"result", "run_pipeline", b"run_pipeline"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["export_map", b"export_map", "optimise_map", b"optimise_map", "register_clouds_globally", b"register_clouds_globally", "result", b"result", "run_pipeline", b"run_pipeline"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["export_map", b"export_map", "import_map", b"import_map", "optimise_map", b"optimise_map", "register_clouds_globally", b"register_clouds_globally", "result", b"result", "run_pipeline", b"run_pipeline"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    _WhichOneofReturnType_result: _TypeAlias = _typing.Literal["optimise_map", "export_map", "run_pipeline", "register_clouds_globally"]  # noqa: Y015
+    _WhichOneofReturnType_result: _TypeAlias = _typing.Literal["optimise_map", "export_map", "run_pipeline", "register_clouds_globally", "import_map"]  # noqa: Y015
     _WhichOneofArgType_result: _TypeAlias = _typing.Literal["result", b"result"]  # noqa: Y015
     def WhichOneof(self, oneof_group: _WhichOneofArgType_result) -> _WhichOneofReturnType_result | None: ...
 

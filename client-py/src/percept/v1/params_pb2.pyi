@@ -1272,7 +1272,7 @@ class SurfaceParams(_message.Message):
     """
     truncation_m: _builtins.float
     """Distance from the surface up to which voxels hold it, metres; 2 to 16 voxels. What is thinner than this cannot
-    be seen from both sides. Absent: 4 voxels.
+    be seen from both sides. Absent: 3 voxels.
     """
     range_min_m: _builtins.float
     """Returns nearer than this to the sensor are left out, metres."""

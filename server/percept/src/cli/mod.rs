@@ -12,6 +12,7 @@ mod eval_sim;
 mod eval_slam;
 mod eval_trajectory;
 mod eval_wheels;
+mod explore;
 mod health;
 mod import_map;
 mod input;
@@ -57,6 +58,10 @@ enum Command {
     Replay(replay::ReplayArgs),
     /// Plan a path on a map file, or through the map of a session of a running server; no path is a failure, with its reason.
     Plan(plan::PlanArgs),
+    /// Plan a path that passes a tool over all that the robot reaches, on a map file or through the map of a session.
+    Coverage(explore::CoverageArgs),
+    /// List the edges of what is known that the robot reaches: where to look next, on a map file or in the map of a session.
+    Frontiers(explore::FrontierArgs),
     /// Begin a session of a running server with a map that comes from elsewhere.
     ImportMap(import_map::ImportMapArgs),
     /// Measure against ground truth.
@@ -93,6 +98,8 @@ pub(crate) fn run() -> ExitCode {
         Command::Sim(args) => sim::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Plan(args) => plan::run(args),
+        Command::Coverage(args) => explore::coverage(args),
+        Command::Frontiers(args) => explore::frontiers(args),
         Command::ImportMap(args) => import_map::run(args),
         Command::Eval(command) => eval::run(command),
         Command::Bench(args) => bench::run(args),

@@ -145,11 +145,11 @@ type Found = (Outcome, Option<Vec<u8>>);
 
 fn on_file(args: &PlanArgs, map: &Path) -> Result<Found, Failure> {
     let grid = read(map)?;
-    let sent = planning_params(args);
+    let sent = planning_params(args.radius, args.allow_unknown);
     // One's own machine has no other users.
     let params =
         PlanParams { max_cells: grid.cells.len().max(1), ..params::planning(Some(&sent), &PlanParams::default())? };
-    let masks = masks(args)?;
+    let masks = masks(args.keep_out.as_deref(), args.speed_mask.as_deref())?;
     let options = PathOptions { masks, ..convert::options(Some(&path_options(args)))? };
     let start = args.start.ok_or("a path on a map file needs a --start")?;
     if args.picture.is_none() {
@@ -175,7 +175,7 @@ async fn on_server(args: &PlanArgs) -> Result<Found, Failure> {
     let mut client = NavigationServiceClient::new(session.channel.clone());
     let point = |p: &Point2<f64>| v1::Vector2 { x: p.x, y: p.y };
     let (source, start, goal) = (Some(session.source()), args.start.as_ref().map(point), Some(point(&args.goal)));
-    let (params, options) = (Some(planning_params(args)), Some(path_options(args)));
+    let (params, options) = (Some(planning_params(args.radius, args.allow_unknown)), Some(path_options(args)));
     if args.picture.is_none() {
         use v1::plan_path_response::Outcome as O;
         let request = v1::PlanPathRequest { source, start, goal, params, options };
@@ -206,16 +206,16 @@ async fn on_server(args: &PlanArgs) -> Result<Found, Failure> {
     Ok((outcome, Some(drawn.png.to_vec())))
 }
 
-fn read(yaml: &Path) -> Result<DenseGrid, Failure> {
+pub(super) fn read(yaml: &Path) -> Result<DenseGrid, Failure> {
     let nav2::GridMap { geometry, width, height, cells } = nav2::read(yaml, &FileLimits::default())?;
     Ok(DenseGrid { geometry, width, height, cells })
 }
 
-fn masks(args: &PlanArgs) -> Result<Vec<SessionMask>, Failure> {
+pub(super) fn masks(keep_out: Option<&Path>, speed_mask: Option<&Path>) -> Result<Vec<SessionMask>, Failure> {
     let limits = Limits { max_planning_cells: usize::MAX, ..Limits::default() };
     let speed = MaskMeaning::Speed { base: 0.0, multiplier: 1.0, unit: SpeedUnit::Percent };
     let mut out = vec![];
-    for (file, meaning) in [(&args.keep_out, MaskMeaning::KeepOut), (&args.speed_mask, speed)] {
+    for (file, meaning) in [(keep_out, MaskMeaning::KeepOut), (speed_mask, speed)] {
         let Some(file) = file else { continue };
         let in_file = |e: percept_service::Error| format!("{}: {e}", file.display());
         let cells = Arc::new(MaskCells::new(read(file)?, &limits).map_err(in_file)?);
@@ -224,12 +224,12 @@ fn masks(args: &PlanArgs) -> Result<Vec<SessionMask>, Failure> {
     Ok(out)
 }
 
-fn planning_params(args: &PlanArgs) -> v1::PlanningParams {
+pub(super) fn planning_params(radius: Option<f64>, allow_unknown: bool) -> v1::PlanningParams {
     let usual = PlanParams::default().inflation_radius_m;
     v1::PlanningParams {
-        robot_radius_m: args.radius,
-        inflation_radius_m: args.radius.filter(|radius| *radius > usual).map(|radius| radius + KEPT_OFF_M),
-        allow_unknown: args.allow_unknown.then_some(true),
+        robot_radius_m: radius,
+        inflation_radius_m: radius.filter(|radius| *radius > usual).map(|radius| radius + KEPT_OFF_M),
+        allow_unknown: allow_unknown.then_some(true),
         ..Default::default()
     }
 }
@@ -262,7 +262,7 @@ fn path_options(args: &PlanArgs) -> v1::PathOptions {
     }
 }
 
-fn tell(path: &v1::Path) {
+pub(super) fn tell(path: &v1::Path) {
     println!("{:>10}  {:.2} m, {} waypoints", "path", path.length_m, path.waypoints.len());
     println!("{:>10}  {:.1} s from rest to rest", "takes", path.duration_s);
     println!("{:>10}  {:.2} m", "cost", path.cost);
@@ -276,7 +276,7 @@ fn tell(path: &v1::Path) {
 }
 
 /// Why there is no path, and what is in the way.
-fn words_of(none: &v1::NoPath) -> String {
+pub(super) fn words_of(none: &v1::NoPath) -> String {
     let name = none.reason().as_str_name().trim_start_matches("NO_PATH_REASON_").to_lowercase();
     let mut words = format!("no path: {} ({name})", none.detail);
     if let Some((blocking, p)) = none.blocking.as_ref().and_then(|b| Some((b, b.obstacle?))) {
@@ -287,7 +287,7 @@ fn words_of(none: &v1::NoPath) -> String {
 }
 
 /// Whether a file is for rows; if not, it is for JSON.
-fn is_csv(file: &Path) -> Result<bool, Failure> {
+pub(super) fn is_csv(file: &Path) -> Result<bool, Failure> {
     match file.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
         Some("csv") => Ok(true),
         Some("json") => Ok(false),
@@ -295,7 +295,7 @@ fn is_csv(file: &Path) -> Result<bool, Failure> {
     }
 }
 
-fn csv(path: &v1::Path) -> String {
+pub(super) fn csv(path: &v1::Path) -> String {
     let mut out = "x_m,y_m,yaw_rad,time_s,clearance_m,is_reverse\n".to_owned();
     for w in &path.waypoints {
         let clearance = w.clearance_m.map_or(String::new(), |c| c.to_string());
@@ -304,6 +304,6 @@ fn csv(path: &v1::Path) -> String {
     out
 }
 
-fn write(file: &Path, bytes: &[u8]) -> Result<(), Failure> {
+pub(super) fn write(file: &Path, bytes: &[u8]) -> Result<(), Failure> {
     std::fs::write(file, bytes).map_err(|e| format!("cannot write {}: {e}", file.display()).into())
 }

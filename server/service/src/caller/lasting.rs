@@ -3,7 +3,9 @@
 //! When its turn comes the session is asked for once more, since it may be another tenant's by then; the credentials are
 //! not, since tokens are renewed while work waits.
 
+use super::audit::Act;
 use super::{Caller, rules};
+use crate::ops::map_import::{GivenMap, ImportOptions, ImportedMap, READING, STEPS};
 use crate::ops::operations::{Work, budget};
 use crate::ops::toolbox::{SessionCloud, Toolbox};
 use crate::{
@@ -87,6 +89,51 @@ impl Caller {
             async move {
                 caller.granted(kind.plain_call(), &id).await?;
                 caller.service.export_map_telling(&id, format, progress, |file| Ok(answer(file))).await
+            }
+            .boxed()
+        };
+        self.start(start.of(kind, session, needs), Box::new(work))
+    }
+
+    /// [`import_map`](Self::import_map) as an operation. A session that has a map already, and options that are none, are refused at
+    /// once; what is wrong with the map is the operation's error.
+    ///
+    /// # Errors
+    /// `MAP_NOT_EMPTY`, `OUT_OF_RANGE`, `SESSION_NOT_FOUND`, `PERMISSION_DENIED`; limits of operations.
+    pub async fn start_import_map(
+        &self,
+        start: OperationStart,
+        session: &str,
+        wanted: Vec<SessionCloud>,
+        read: impl FnOnce(&Toolbox) -> Result<GivenMap> + Send + 'static,
+        options: ImportOptions,
+        answer: impl FnOnce(ImportedMap) -> Vec<Bytes> + Send + 'static,
+    ) -> Result<Operation> {
+        let kind = OperationKind::ImportMap;
+        let needs = self.may_start_with(kind, session).await?;
+        self.may_use(&wanted).await?;
+        // One that was started with this id is told again, though its map is in by now.
+        if let Some(known) = self.service.started_operation(&self.owner(), &start.request_id) {
+            return Ok(known);
+        }
+        self.service.check_import(session, &options).await?;
+        let (caller, id, budget) = (self.clone(), session.to_owned(), budget(self.limits()));
+        let work = move |progress: Progress| {
+            async move {
+                caller.granted(kind.plain_call(), &id).await?;
+                for wanted in &wanted {
+                    caller
+                        .granted("MapsService/GetCloud", &wanted.session)
+                        .await
+                        .map_err(|e| e.within(&wanted.field))?;
+                }
+                let maps = caller.service.session_clouds(wanted).await?;
+                progress.step(READING, STEPS, "reading it");
+                let given = caller.service.toolbox_within(caller.owner(), maps, budget, progress.clone(), read).await?;
+                let act = Act::begin(&caller.context, kind.plain_call(), &id);
+                let done = caller.service.import_map_telling(&id, given, options, &progress).await;
+                act.end(&done);
+                done.map(answer)
             }
             .boxed()
         };

@@ -149,7 +149,7 @@ fn edges_of_known(
 ///
 /// # Errors
 /// As [`on_grid`](super::navigation::on_grid).
-fn frontiers_on(
+pub fn frontiers_on(
     grid: &DenseGrid,
     start: Point2<f64>,
     (min_length_m, gain): (f64, f64),
@@ -178,12 +178,25 @@ fn covered(
     // Who stands in the way for now will be elsewhere before all is covered.
     let options = PathOptions { is_map_only: true, ..request.options.in_zones(zones) };
     let grid = ground(snapshot, &options, params.max_cells)?;
+    Ok(Explored::of(snapshot, Some(coverage_on(&grid, start, coverage, &params, &options)?)))
+}
+
+/// A path over a grid that covers what is reached from a position; the heading there does not count.
+///
+/// # Errors
+/// As [`on_grid`](super::navigation::on_grid).
+pub fn coverage_on(
+    grid: &DenseGrid,
+    start: (Point2<f64>, f64),
+    coverage: &CoverageParams,
+    params: &PlanParams,
+    options: &PathOptions,
+) -> Result<CoverageOutcome> {
     let begun = Instant::now();
     let stop = options.deadline.map(|deadline| move || begun.elapsed() >= deadline);
     let stop = stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync));
     let masks = options.planning_masks();
-    let outcome = plan_coverage(&grid, &options.request(start, start.0, &params, &masks, stop), coverage);
-    Ok(Explored::of(snapshot, Some(outcome.map_err(plan_error)?)))
+    plan_coverage(grid, &options.request(start, start.0, params, &masks, stop), coverage).map_err(plan_error)
 }
 
 fn flown(snapshot: &Snapshot, question: &FlightQuestion, stored: &Zones) -> Result<Explored<FlightOutcome>> {

@@ -1,12 +1,12 @@
 //! A map that comes from elsewhere begins a session.
 
 use crate::session::command::Imported;
-use crate::{Error, ErrorCode, Limits, Result, Service, Session, check_id, reason};
+use crate::{Error, ErrorCode, Limits, Progress, Result, Service, Session, check_id, reason};
 use percept_formats::OctreeMap;
 use percept_geometry::{PointCloud, Pose, SensorKind, SensorSpec, Voxel};
 use percept_mapping::given::{GivenOptions, GivenSpace, GivenViews, views_of_grid, views_of_space};
 use percept_mapping::{DenseGrid, MappingError};
-use percept_pipeline::PipelineParams;
+use percept_pipeline::{PipelineParams, Snapshot};
 use std::sync::Arc;
 
 /// A map that comes from elsewhere.
@@ -46,6 +46,13 @@ pub struct ImportedMap {
     pub found_by: SensorKind,
 }
 
+/// Steps of an import, counted from the reading of what was sent, which is the first.
+pub(crate) const READING: usize = 0;
+const LOOKING: usize = 1;
+const ENTERING: usize = 2;
+const STORING: usize = 3;
+pub(crate) const STEPS: usize = 4;
+
 /// Usual heights of sensors above the ground, metres: of a safety lidar, and of one that looks over furniture.
 const PLANAR_HEIGHT_M: f64 = 0.3;
 const SPATIAL_HEIGHT_M: f64 = 1.0;
@@ -66,25 +73,51 @@ impl Service {
     /// `MAP_NOT_EMPTY` if the session has a map; `MAP_UNUSABLE` if it shows no place to look from; `GRID_TOO_LARGE`,
     /// `OUT_OF_RANGE`, `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
     pub async fn import_map(&self, session: &str, given: GivenMap, options: ImportOptions) -> Result<ImportedMap> {
+        self.import_map_telling(session, given, options, &Progress::default()).await
+    }
+
+    /// What can be said against an import before the map is looked at.
+    ///
+    /// # Errors
+    /// `OUT_OF_RANGE`, `MAP_NOT_EMPTY`, `SESSION_NOT_FOUND`.
+    pub(crate) async fn check_import(&self, session: &str, options: &ImportOptions) -> Result<Arc<Snapshot>> {
         check_id("session_id", session)?;
         options.check()?;
         let before = self.snapshot(session).await?;
-        if !before.keyframes.is_empty() || before.pose.is_some() {
-            return Err(not_empty());
-        }
+        if before.keyframes.is_empty() && before.pose.is_none() { Ok(before) } else { Err(not_empty()) }
+    }
+
+    /// [`import_map`](Self::import_map), saying how far it is. If it is cancelled or fails, the session is as it was.
+    ///
+    /// # Errors
+    /// As [`import_map`](Self::import_map); `OPERATION_CANCELLED`.
+    pub(crate) async fn import_map_telling(
+        &self,
+        session: &str,
+        given: GivenMap,
+        options: ImportOptions,
+        progress: &Progress,
+    ) -> Result<ImportedMap> {
+        progress.check()?;
+        progress.step(LOOKING, STEPS, "looking at the map");
+        let before = self.check_import(session, &options).await?;
         let sensors = self.registry.awake(session, |s: Arc<Session>| async move { Ok(s.meta().sensors) }).await?;
         let sensors: Vec<SensorSpec> = sensors.into_iter().map(|d| d.spec).collect();
         let (found_by, limits, start) = (given.found_by(), Arc::clone(&self.limits), options.start);
-        let look = move || given.views(&options, &sensors, &before.params, &limits);
+        let params = before.params.clone();
+        let look = move || given.views(&options, &sensors, &params, &limits);
         let GivenViews { views, occupied_share, free_share } =
             self.compute.query(&self.asker(session)?, look).await??;
+        progress.check()?;
+        progress.step(ENTERING, STEPS, "entering it");
         let num_keyframes = views.len();
         // A session that is woken anew is asked anew.
         let enter = |s: Arc<Session>| {
-            let views = views.clone();
+            let (views, before) = (views.clone(), Arc::clone(&before));
             async move {
-                let done: Imported = s.import(views, start).await?.ok_or_else(not_empty)?;
-                s.wait_durable(done.ticket).await.map(|()| done)
+                let done: Imported = s.import(views, start, progress).await?.ok_or_else(not_empty)?;
+                progress.step(STORING, STEPS, "storing it");
+                s.wait_imported(done.ticket, before).await.map(|()| done)
             }
         };
         let Imported { map_version, .. } = self.registry.awake(session, enter).await?;

@@ -2,7 +2,7 @@
 
 pub(crate) mod changes;
 pub mod evaluation;
-pub(crate) mod exploration;
+pub mod exploration;
 pub(crate) mod fleet;
 pub mod layers;
 pub(crate) mod map_comparison;

@@ -10,7 +10,7 @@ use super::meta::{SensorDeclaration, SessionMeta};
 use super::persist::{Persister, Storing};
 use super::refusal::{failed, frame_error, stopped};
 use super::scratch::Scratch;
-use crate::{Asker, ComputePool, Limits, Result, observe};
+use crate::{Asker, ComputePool, Limits, Progress, Result, observe};
 use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
 use percept_mapping::given::GivenView;
 use percept_pipeline::{FrameReport, Loop, LoopId, MapChange, Pipeline, Snapshot};
@@ -188,8 +188,10 @@ impl Actor {
                     let _ = reply.send(answer);
                 }
             }
-            Command::Import { views, start, reply } => {
-                if let Some(answer) = self.import(views, start).await {
+            Command::Import { views, start, progress, reply } => {
+                if let Err(unwanted) = progress.check() {
+                    let _ = reply.send(Err(unwanted));
+                } else if let Some(answer) = self.import(views, start, &progress).await {
                     let _ = reply.send(answer);
                 }
             }
@@ -296,8 +298,14 @@ impl Actor {
         Some(self.change(|pipeline| Some(pipeline.settle())).await??.1)
     }
 
-    /// Begins with a map that was given. None inside if there is one already, none outside if the pipeline is gone.
-    async fn import(&mut self, views: Vec<GivenView>, start: Option<Pose>) -> Option<Option<Imported>> {
+    /// Begins with a map that was given. None inside if there is one already, none outside if the pipeline is gone. If it is not
+    /// wanted any more once it is in, the session ends and begins anew as it is stored, without it.
+    async fn import(
+        &mut self,
+        views: Vec<GivenView>,
+        start: Option<Pose>,
+        progress: &Progress,
+    ) -> Option<Result<Option<Imported>>> {
         let mut pipeline = self.pipeline.take()?;
         let sender = self.sender();
         let work = self.compute.run_for(&sender, move || {
@@ -308,12 +316,16 @@ impl Actor {
         let (pipeline, done, snapshot) = work.await.ok()?;
         self.session.share.memory(pipeline.memory().total());
         self.pipeline = Some(pipeline);
-        let Ok(keyframes) = done else { return Some(None) };
+        let Ok(keyframes) = done else { return Some(Ok(None)) };
+        if let Err(unwanted) = progress.check() {
+            self.session.discarded.send_replace(true);
+            return Some(Err(unwanted));
+        }
         let map_version = snapshot.map_version;
         let report = FrameReport { joined: keyframes, ..FrameReport::default() };
         self.publish(&report, snapshot);
         let ticket = self.persister.submit(Job { keyframes: report.joined, ..Job::default() }).await;
-        Some(Some(Imported { map_version, ticket }))
+        Some(Ok(Some(Imported { map_version, ticket })))
     }
 
     /// Changes the map other than by a frame: the loops that changed, and how the map moved. None inside if there is nothing

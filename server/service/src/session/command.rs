@@ -3,8 +3,8 @@
 use super::fault::Trouble;
 use super::meta::{SensorDeclaration, SessionMeta};
 use super::refusal::stopped;
-use crate::Result;
 use crate::observe::Held;
+use crate::{Progress, Result};
 use percept_geometry::{KeyframeId, Pose, SensorFrame};
 use percept_mapping::given::GivenView;
 use percept_pipeline::{Loop, LoopId, PoseEstimate};
@@ -81,11 +81,12 @@ pub(crate) enum Command {
     Settle {
         reply: oneshot::Sender<Moved>,
     },
-    /// None if there is a map already.
+    /// None if there is a map already. Once it is not wanted any more, nothing is stored, and the session ends.
     Import {
         views: Vec<GivenView>,
         start: Option<Pose>,
-        reply: oneshot::Sender<Option<Imported>>,
+        progress: Progress,
+        reply: oneshot::Sender<Result<Option<Imported>>>,
     },
     /// Store everything, then end; go on if it cannot be stored.
     Retire {
@@ -107,7 +108,7 @@ pub struct Moved {
 
 /// A map that was given is in.
 #[derive(Debug, Clone, Copy)]
-pub struct Imported {
+pub(crate) struct Imported {
     /// Version of the map with it.
     pub map_version: u64,
     /// Durable once the session's `durable` has reached it.

@@ -9,7 +9,7 @@ use super::refusal::{check_stamp, frame_error, not_yet_durable, sensor_not_found
 use super::scratch::Scratch;
 use super::sensor_book::{SensorBook, SensorStatus};
 use crate::observe::{self, SessionShare};
-use crate::{Limits, Result};
+use crate::{Limits, Progress, Result};
 use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
 use percept_mapping::given::GivenView;
 use percept_pipeline::{LoopId, Pipeline, Snapshot};
@@ -365,11 +365,27 @@ impl Session {
     ///
     /// # Errors
     /// `SESSION_STOPPED`.
-    pub async fn import(&self, views: Vec<GivenView>, start: Option<Pose>) -> Result<Option<Imported>> {
+    pub(crate) async fn import(
+        &self,
+        views: Vec<GivenView>,
+        start: Option<Pose>,
+        progress: &Progress,
+    ) -> Result<Option<Imported>> {
         self.check_storing()?;
         let (reply, done) = oneshot::channel();
-        self.queue.send(Command::Import { views, start, reply }).await.map_err(|_| stopped())?;
-        done.await.map_err(|_| stopped())
+        let import = Command::Import { views, start, progress: progress.clone(), reply };
+        self.queue.send(import).await.map_err(|_| stopped())?;
+        done.await.map_err(|_| stopped())?
+    }
+
+    /// Waits until what was imported is durable. If it cannot be stored now the session ends, and begins anew as it is stored, which
+    /// is without it: no map is shown that the next start does not have.
+    pub(crate) async fn wait_imported(&self, ticket: Ticket, before: Arc<Snapshot>) -> Result<()> {
+        let Err(error) = self.wait_durable(ticket).await else { return Ok(()) };
+        let cause = self.storing.borrow().error().unwrap_or(error);
+        *self.snapshot.write().unwrap_or_else(PoisonError::into_inner) = before;
+        self.discard().await;
+        if self.durable.has(ticket) { Ok(()) } else { Err(cause) }
     }
 
     /// Finishes what was accepted, stores it, ends. If it cannot be stored, the session goes on.

@@ -29,6 +29,7 @@ fn kind_to(kind: OperationKind) -> v1::OperationKind {
         OperationKind::ExportMap => v1::OperationKind::ExportMap,
         OperationKind::RunPipeline => v1::OperationKind::RunPipeline,
         OperationKind::RegisterCloudsGlobally => v1::OperationKind::RegisterCloudsGlobally,
+        OperationKind::ImportMap => v1::OperationKind::ImportMap,
     }
 }
 

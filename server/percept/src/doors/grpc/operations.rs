@@ -8,7 +8,7 @@ use percept_service::reason;
 use percept_service::toolbox::Toolbox;
 use percept_service::{Caller, Error, ErrorCode, Operation, OperationKind, OperationStart, Result};
 use percept_wire::convert::toolbox::sources::{Sources, session_clouds};
-use percept_wire::convert::{maps, operations, required};
+use percept_wire::convert::{map_import, maps, operations, required};
 use percept_wire::parts::InParts;
 use percept_wire::v1;
 use prost::Message;
@@ -32,6 +32,15 @@ async fn optimise_map(caller: &Caller, start: OperationStart, r: &v1::OptimiseMa
 async fn export_map(caller: &Caller, start: OperationStart, r: &v1::ExportMapRequest) -> Result<Operation> {
     let (session, format) = (maps::session_id(r.source.as_ref())?, maps::format(r.format)?);
     caller.start_export_map(start, session, format, |file| encoded(Outcome::ExportMap(exported(file)))).await
+}
+
+async fn import_map(caller: &Caller, start: OperationStart, r: v1::ImportMapRequest) -> Result<Operation> {
+    let session = maps::session_id(r.source.as_ref())?.to_owned();
+    // Who may not change the session learns nothing of what is wrong with the map.
+    caller.may_with("MapsService/ImportMap", &session).await?;
+    let (options, wanted) = (map_import::options(&r)?, session_clouds(&r)?);
+    let answer = |done| encoded(Outcome::ImportMap(map_import::imported_to(&done)));
+    caller.start_import_map(start, &session, wanted, move |t| map_import::given(t, &r), options, answer).await
 }
 
 async fn toolbox<Q: Sources + Send + 'static>(
@@ -63,6 +72,7 @@ impl v1::operations_service_server::OperationsService for Api {
         let started = match required("work", r.work).map_err(status::grpc)? {
             Work::OptimiseMap(r) => optimise_map(&caller, start, &r).await.map_err(inside("optimise_map")),
             Work::ExportMap(r) => export_map(&caller, start, &r).await.map_err(inside("export_map")),
+            Work::ImportMap(r) => import_map(&caller, start, r).await.map_err(inside("import_map")),
             Work::RunPipeline(r) => {
                 let run = |t: &Toolbox, r| run_pipeline(t, r).map(Outcome::RunPipeline);
                 toolbox(&caller, start, OperationKind::RunPipeline, r, run).await.map_err(inside("run_pipeline"))

@@ -36,11 +36,14 @@ pub enum OperationKind {
     RunPipeline,
     /// Lays a cloud over another with no first guess.
     RegisterCloudsGlobally,
+    /// Begins a session with a map.
+    ImportMap,
 }
 
 impl OperationKind {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::OptimiseMap, Self::ExportMap, Self::RunPipeline, Self::RegisterCloudsGlobally];
+    pub const ALL: [Self; 5] =
+        [Self::OptimiseMap, Self::ExportMap, Self::RunPipeline, Self::RegisterCloudsGlobally, Self::ImportMap];
 
     /// The plain call, as the table of rules names it.
     pub const fn plain_call(self) -> &'static str {
@@ -49,6 +52,7 @@ impl OperationKind {
             Self::ExportMap => "MapsService/ExportMap",
             Self::RunPipeline => "ToolboxPipelinesService/*",
             Self::RegisterCloudsGlobally => "ToolboxRegistrationService/*",
+            Self::ImportMap => "MapsService/ImportMap",
         }
     }
 
@@ -59,6 +63,7 @@ impl OperationKind {
             Self::ExportMap => "export_map",
             Self::RunPipeline => "run_pipeline",
             Self::RegisterCloudsGlobally => "register_clouds_globally",
+            Self::ImportMap => "import_map",
         }
     }
 }
@@ -176,6 +181,11 @@ impl Service {
     /// `TOO_MANY_OPERATIONS`, `OPERATIONS_FULL`, `STOPPING`.
     pub(crate) fn start_operation(&self, owner: &str, new: NewOperation, work: Work) -> Result<Operation> {
         self.operations.start(owner, new, work)
+    }
+
+    /// One that was started with this request id, if that is known still.
+    pub(crate) fn started_operation(&self, owner: &str, request_id: &str) -> Option<Operation> {
+        self.operations.started(owner, request_id)
     }
 
     /// How one stands.

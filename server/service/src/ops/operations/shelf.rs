@@ -192,6 +192,13 @@ impl Operations {
         shelf.of(owner, &id).map(|e| e.described(&id))
     }
 
+    /// One that was started with this id, if that is known still.
+    pub(super) fn started(&self, owner: &str, request_id: &str) -> Option<Operation> {
+        let shelf = self.swept(now_ns());
+        let is_same = |e: &Entry| e.owner == owner && !request_id.is_empty() && e.new.request_id == request_id;
+        shelf.entries.iter().find(|(_, e)| is_same(e)).map(|(id, first)| first.described(id))
+    }
+
     fn check_number(&self, shelf: &Shelf, owner: &str) -> Result<()> {
         let own = shelf.entries.values().filter(|e| e.owner == owner).count();
         let (most, most_own) = (self.limits.max_operations, self.limits.max_operations_per_owner);
