@@ -214,7 +214,7 @@ async fn coverage_on_server(args: &CoverageArgs) -> Result<Covered, Failure> {
     let request = v1::PlanCoverageRequest {
         source: source.clone(),
         start: args.ground.start.as_ref().map(vector),
-        params: params.clone(),
+        params,
         options: options.clone(),
         coverage: Some(coverage_options(args)),
     };
@@ -290,5 +290,5 @@ fn frontiers_on_file(args: &FrontierArgs, map: &Path) -> Result<v1::FindFrontier
 
 async fn frontiers_on_server(args: &FrontierArgs) -> Result<v1::FindFrontiersResponse, Failure> {
     let (mut client, source) = args.ground.connected().await?;
-    Ok(answered(client.find_frontiers(frontier_request(args, source)).await)?)
+    answered(client.find_frontiers(frontier_request(args, source)).await)
 }
