@@ -164,6 +164,29 @@ def test_maps_are_exported_as_files_with_a_checksum(lidar_session, tmp_path, fil
     assert [p.name for p in tmp_path.iterdir()] == [file.file_name], "no part is left behind"
 
 
+def test_a_cloud_is_as_fine_as_its_reader_can_take(lidar_session):
+    whole = lidar_session.map.cloud()
+    kept_m = whole.voxel_size_m
+    assert kept_m == lidar_session.map.summary().voxel_size_m
+    few = lidar_session.map.cloud(max_points=300)
+    assert 100 < few.cloud.num_points <= 300 and few.voxel_size_m > kept_m
+    # What it says of its voxels is so: two points share none, and each is near what it stands for.
+    cells = np.floor(few.cloud.points.astype(float) / few.voxel_size_m)
+    assert len(np.unique(cells, axis=0)) > 0.97 * len(cells)
+    off = np.linalg.norm(few.cloud.points[:, None] - whole.cloud.points[None], axis=2).min(axis=1)
+    assert off.max() < few.voxel_size_m
+    again = lidar_session.map.cloud(max_points=300)
+    assert np.array_equal(again.cloud.points, few.cloud.points)
+    by_size = lidar_session.map.cloud(voxel_size_m=few.voxel_size_m)
+    assert np.array_equal(by_size.cloud.points, few.cloud.points)
+    assert lidar_session.map.cloud(max_points=10**9).cloud.num_points == whole.cloud.num_points
+    assert lidar_session.map.cloud(voxel_size_m=0.001).cloud.num_points == whole.cloud.num_points
+    for wrong, field in [({"max_points": 0}, "max_points"), ({"voxel_size_m": float("nan")}, "voxel_size_m")]:
+        with pytest.raises(InvalidArgument) as error:
+            lidar_session.map.cloud(**wrong)
+        assert (error.value.reason, error.value.field) == ("OUT_OF_RANGE", field)
+
+
 def test_a_ply_holds_the_cloud(lidar_session):
     data = lidar_session.map.export("cloud_ply").data
     header, _, body = data.partition(b"end_header\n")

@@ -26,6 +26,7 @@ pub use flood::RateLimitedLog;
 pub use health::{HEALTHY, Health, Part, Readiness, Reason, Trouble};
 pub use limits::Limits;
 pub use ops::changes::{ParamChange, SensorChanges, SessionChanges};
+pub use ops::cloud_detail::CloudDetail;
 pub use ops::evaluation::{self, TrajectoryComparison};
 pub use ops::exploration::{self, Explored, FlightQuestion, FrontierRequest};
 pub use ops::fleet::{FleetFilter, FleetGroup, FleetWatch};

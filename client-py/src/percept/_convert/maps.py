@@ -131,7 +131,9 @@ def cloud(chunks: Sequence[map_pb2.CloudChunk]) -> MapCloud:
     joined = geometry.joined_cloud([c.cloud for c in chunks])
     if not chunks or joined.num_points != chunks[0].total_points:
         raise _incomplete("cloud")
-    return MapCloud(cloud=joined, stamp=stamp(chunks[0].stamp))
+    head = chunks[0]
+    size_m = head.voxel_size_m if head.HasField("voxel_size_m") else None
+    return MapCloud(cloud=joined, stamp=stamp(head.stamp), voxel_size_m=size_m)
 
 
 def file(chunks: Sequence[map_pb2.FileChunk]) -> MapFile:
@@ -188,12 +190,18 @@ def get_occupancy(
 
 
 def get_cloud(
-    session_id: str, centre: Sequence[float] | None, radius_m: float | None
+    session_id: str,
+    centre: Sequence[float] | None,
+    radius_m: float | None,
+    voxel_size_m: float | None,
+    max_points: int | None,
 ) -> ChunkedCall[service.GetCloudRequest, service.GetCloudResponse, MapCloud]:
     if (centre is None) != (radius_m is None):
         message = "centre and radius_m belong together; give both or neither"
         raise InvalidArgument(message, reason="FIELD_MISSING", field="radius_m")
-    request = service.GetCloudRequest(source=source(session_id), radius_m=radius_m)
+    request = service.GetCloudRequest(
+        source=source(session_id), radius_m=radius_m, voxel_size_m=voxel_size_m, max_points=max_points
+    )
     if centre is not None:
         request.centre.CopyFrom(geometry.vector3_to("centre", centre))
     return ChunkedCall(_rpc.GET_CLOUD, request, lambda a: cloud([x.chunk for x in a]))

@@ -68,9 +68,22 @@ class Maps(SessionBound):
         call = convert.get_occupancy(self.session_id, region, resolution_m, live)
         return self._transport.chunks(call)
 
-    def cloud(self, *, centre: Sequence[float] | None = None, radius_m: float | None = None) -> MapCloud:
-        """The fused cloud, whole or within radius_m of a point of the map."""
-        return self._transport.chunks(convert.get_cloud(self.session_id, centre, radius_m))
+    def cloud(
+        self,
+        *,
+        centre: Sequence[float] | None = None,
+        radius_m: float | None = None,
+        voxel_size_m: float | None = None,
+        max_points: int | None = None,
+    ) -> MapCloud:
+        """The fused cloud, whole or within radius_m of a point of the map.
+
+        voxel_size_m: a point for each voxel of this edge, if that is coarser than the map keeps it.
+        max_points: at most so many points, by the finest voxels that leave no more; which those are is in
+        the answer's voxel_size_m.
+        """
+        call = convert.get_cloud(self.session_id, centre, radius_m, voxel_size_m, max_points)
+        return self._transport.chunks(call)
 
     def loops(self, *, page_size: int = 0) -> Iterator[Loop]:
         """Loops that were found, believed or not, by number; pages are asked for as they are used."""

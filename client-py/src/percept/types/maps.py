@@ -137,6 +137,8 @@ class MapCloud(Value):
 
     cloud: PointCloud
     stamp: MapStamp
+    #: Edge of the voxels that its points are means of, metres; None of a cloud that was downloaded.
+    voxel_size_m: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

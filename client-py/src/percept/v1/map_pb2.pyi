@@ -371,8 +371,11 @@ class CloudChunk(_message.Message):
     STAMP_FIELD_NUMBER: _builtins.int
     TOTAL_POINTS_FIELD_NUMBER: _builtins.int
     CLOUD_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
     total_points: _builtins.int
     """First chunk only."""
+    voxel_size_m: _builtins.float
+    """Edge of the voxels that its points are means of, metres. First chunk only, of a session's cloud."""
     @_builtins.property
     def stamp(self) -> Global___MapStamp:
         """First chunk only."""
@@ -387,19 +390,24 @@ class CloudChunk(_message.Message):
         stamp: Global___MapStamp | None = ...,
         total_points: _builtins.int | None = ...,
         cloud: _geometry_pb2.PointCloud | None = ...,
+        voxel_size_m: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_stamp", b"_stamp", "_total_points", b"_total_points", "cloud", b"cloud", "stamp", b"stamp", "total_points", b"total_points"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_stamp", b"_stamp", "_total_points", b"_total_points", "_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "stamp", b"stamp", "total_points", b"total_points", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_stamp", b"_stamp", "_total_points", b"_total_points", "cloud", b"cloud", "stamp", b"stamp", "total_points", b"total_points"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_stamp", b"_stamp", "_total_points", b"_total_points", "_voxel_size_m", b"_voxel_size_m", "cloud", b"cloud", "stamp", b"stamp", "total_points", b"total_points", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__stamp: _TypeAlias = _typing.Literal["stamp"]  # noqa: Y015
     _WhichOneofArgType__stamp: _TypeAlias = _typing.Literal["_stamp", b"_stamp"]  # noqa: Y015
     _WhichOneofReturnType__total_points: _TypeAlias = _typing.Literal["total_points"]  # noqa: Y015
     _WhichOneofArgType__total_points: _TypeAlias = _typing.Literal["_total_points", b"_total_points"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__stamp) -> _WhichOneofReturnType__stamp | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__total_points) -> _WhichOneofReturnType__total_points | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
 
 Global___CloudChunk: _TypeAlias = CloudChunk  # noqa: Y015
 

@@ -552,8 +552,14 @@ class GetCloudRequest(_message.Message):
     SOURCE_FIELD_NUMBER: _builtins.int
     CENTRE_FIELD_NUMBER: _builtins.int
     RADIUS_M_FIELD_NUMBER: _builtins.int
+    VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
+    MAX_POINTS_FIELD_NUMBER: _builtins.int
     radius_m: _builtins.float
     """Metres; required with centre."""
+    voxel_size_m: _builtins.float
+    """A point for each voxel of this edge, metres, above 0 and at most 1000. Absent, or finer than the map keeps it: as the map keeps it."""
+    max_points: _builtins.int
+    """At most so many points, 1 or more: by the finest voxels that leave no more, of sizes that are told in the answer. Absent: all."""
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     @_builtins.property
@@ -566,19 +572,29 @@ class GetCloudRequest(_message.Message):
         source: _map_pb2.MapSource | None = ...,
         centre: _geometry_pb2.Vector3 | None = ...,
         radius_m: _builtins.float | None = ...,
+        voxel_size_m: _builtins.float | None = ...,
+        max_points: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_radius_m", b"_radius_m", "centre", b"centre", "radius_m", b"radius_m", "source", b"source"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_max_points", b"_max_points", "_radius_m", b"_radius_m", "_voxel_size_m", b"_voxel_size_m", "centre", b"centre", "max_points", b"max_points", "radius_m", b"radius_m", "source", b"source", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_radius_m", b"_radius_m", "centre", b"centre", "radius_m", b"radius_m", "source", b"source"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_max_points", b"_max_points", "_radius_m", b"_radius_m", "_voxel_size_m", b"_voxel_size_m", "centre", b"centre", "max_points", b"max_points", "radius_m", b"radius_m", "source", b"source", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__centre: _TypeAlias = _typing.Literal["centre"]  # noqa: Y015
     _WhichOneofArgType__centre: _TypeAlias = _typing.Literal["_centre", b"_centre"]  # noqa: Y015
+    _WhichOneofReturnType__max_points: _TypeAlias = _typing.Literal["max_points"]  # noqa: Y015
+    _WhichOneofArgType__max_points: _TypeAlias = _typing.Literal["_max_points", b"_max_points"]  # noqa: Y015
     _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
     _WhichOneofArgType__radius_m: _TypeAlias = _typing.Literal["_radius_m", b"_radius_m"]  # noqa: Y015
+    _WhichOneofReturnType__voxel_size_m: _TypeAlias = _typing.Literal["voxel_size_m"]  # noqa: Y015
+    _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__centre) -> _WhichOneofReturnType__centre | None: ...
     @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_points) -> _WhichOneofReturnType__max_points | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__radius_m) -> _WhichOneofReturnType__radius_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__voxel_size_m) -> _WhichOneofReturnType__voxel_size_m | None: ...
 
 Global___GetCloudRequest: _TypeAlias = GetCloudRequest  # noqa: Y015
 

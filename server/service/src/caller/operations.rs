@@ -4,10 +4,10 @@ use super::Caller;
 use super::audit::Act;
 use crate::ops::toolbox::{SessionCloud, Toolbox};
 use crate::{
-    CloudAnswer, Error, EventLog, FleetFilter, FleetWatch, GridAnswer, IncomingFrame, MapFile, MapFormat, MapSummary,
-    Moved, NewSession, Page, Pending, Processed, Result, SensorChanges, SensorDeclaration, SensorStatus, Session,
-    SessionChanges, SessionDescription, SessionList, SessionView, TrajectoryComparison, TrajectoryRequest, Transform,
-    Vetoed, check_id,
+    CloudAnswer, CloudDetail, Error, EventLog, FleetFilter, FleetWatch, GridAnswer, IncomingFrame, MapFile, MapFormat,
+    MapSummary, Moved, NewSession, Page, Pending, Processed, Result, SensorChanges, SensorDeclaration, SensorStatus,
+    Session, SessionChanges, SessionDescription, SessionList, SessionView, TrajectoryComparison, TrajectoryRequest,
+    Transform, Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{
@@ -331,13 +331,18 @@ impl Caller {
         self.service.occupancy_grid(session, region, resolution_m, live).await
     }
 
-    /// The fused cloud, or the part of it around a point (m, map frame; radius m).
+    /// The fused cloud, or the part of it around a point (m, map frame; radius m), so finely.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`.
-    pub async fn cloud(&self, session: &str, around: Option<(Point3<f64>, f64)>) -> Result<CloudAnswer> {
+    /// `SESSION_NOT_FOUND`, `OUT_OF_RANGE`.
+    pub async fn cloud(
+        &self,
+        session: &str,
+        around: Option<(Point3<f64>, f64)>,
+        detail: CloudDetail,
+    ) -> Result<CloudAnswer> {
         self.may_with("MapsService/GetCloud", session).await?;
-        self.service.cloud(session, around).await
+        self.service.cloud(session, around, detail).await
     }
 
     /// Loops by number, those not believed included, and the version of the map that they belong to.

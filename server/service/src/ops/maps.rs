@@ -3,7 +3,7 @@
 use super::sessions::{Page, page_by_number};
 use crate::reason;
 use crate::session::command::{Moved, Vetoed};
-use crate::{Error, Progress, Result, Service, Session, check_id};
+use crate::{CloudDetail, Error, Progress, Result, Service, Session, check_id};
 use nalgebra::{Point2, Point3};
 use percept_formats::GridMap;
 use percept_geometry::{Cell, GridGeometry, PointCloud, Timestamp};
@@ -31,6 +31,8 @@ pub struct CloudAnswer {
     pub stamp: Timestamp,
     /// Map frame.
     pub cloud: PointCloud,
+    /// Edge of the voxels that its points are means of, metres.
+    pub voxel_size_m: f64,
 }
 
 /// Sizes of a map.
@@ -253,17 +255,27 @@ impl Service {
         Ok(GridAnswer { map_version, stamp, grid: self.compute.query(&self.asker(session)?, copy).await?? })
     }
 
-    /// The fused cloud, or the part of it around a point (m, map frame; radius m).
+    /// The fused cloud, or the part of it around a point (m, map frame; radius m), so finely.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`.
-    pub async fn cloud(&self, session: &str, around: Option<(Point3<f64>, f64)>) -> Result<CloudAnswer> {
+    /// `SESSION_NOT_FOUND`, `OUT_OF_RANGE`.
+    pub async fn cloud(
+        &self,
+        session: &str,
+        around: Option<(Point3<f64>, f64)>,
+        detail: CloudDetail,
+    ) -> Result<CloudAnswer> {
         let s = self.snapshot(session).await?;
-        let (map_version, stamp) = (s.map_version, stamp_of(&s));
-        let extract = move || match around {
-            Some((center, radius)) => s.layers.cloud.points_within(&center, radius),
-            None => s.layers.cloud.to_cloud(),
+        detail.check()?;
+        let (map_version, stamp, kept_m) = (s.map_version, stamp_of(&s), s.params.map.cloud.voxel_size_m);
+        let extract = move || {
+            let cloud = match around {
+                Some((center, radius)) => s.layers.cloud.points_within(&center, radius),
+                None => s.layers.cloud.to_cloud(),
+            };
+            detail.of(cloud, kept_m)
         };
-        Ok(CloudAnswer { map_version, stamp, cloud: self.compute.query(&self.asker(session)?, extract).await? })
+        let (cloud, voxel_size_m) = self.compute.query(&self.asker(session)?, extract).await??;
+        Ok(CloudAnswer { map_version, stamp, cloud, voxel_size_m })
     }
 }

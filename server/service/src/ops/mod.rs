@@ -1,6 +1,7 @@
 //! The operations, one file a noun. A door decodes, calls one of these, encodes.
 
 pub(crate) mod changes;
+pub(crate) mod cloud_detail;
 pub mod evaluation;
 pub mod exploration;
 pub(crate) mod fleet;

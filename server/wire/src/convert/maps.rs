@@ -189,6 +189,7 @@ pub fn cloud_chunks(answer: &CloudAnswer) -> Vec<v1::CloudChunk> {
     let chunk = |(i, cloud)| v1::CloudChunk {
         stamp: (i == 0).then(|| stamp_to(answer.map_version, answer.stamp)),
         total_points: (i == 0).then_some(answer.cloud.len() as u64),
+        voxel_size_m: (i == 0).then_some(answer.voxel_size_m),
         cloud: Some(cloud),
     };
     geometry::cloud_parts(&answer.cloud).into_iter().enumerate().map(chunk).collect()

@@ -1,7 +1,7 @@
 //! `MapsService`.
 
 use super::{Answer, Api, Streamed, check_size, status, streamed};
-use percept_service::{MapFile, Moved};
+use percept_service::{CloudDetail, MapFile, Moved};
 use percept_wire::convert::toolbox::sources::session_clouds;
 use percept_wire::convert::{drawing, map_import, maps};
 use percept_wire::parts::InParts;
@@ -56,7 +56,8 @@ impl v1::maps_service_server::MapsService for Api {
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let around = maps::around(r.centre.as_ref(), r.radius_m).map_err(status::grpc)?;
-        let cloud = caller.cloud(session, around).await.map_err(status::grpc)?;
+        let detail = CloudDetail { voxel_size_m: r.voxel_size_m, max_points: r.max_points };
+        let cloud = caller.cloud(session, around, detail).await.map_err(status::grpc)?;
         let chunks = caller.query(session, move || maps::cloud_chunks(&cloud)).await;
         streamed(chunks.map_err(status::grpc)?, |chunk| v1::GetCloudResponse { chunk: Some(chunk) })
     }

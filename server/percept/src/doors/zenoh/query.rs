@@ -4,9 +4,9 @@ use super::{Failure, Names, ROOT, hand_over};
 use crate::doors::status::Problem;
 use crate::telemetry::operations::{Operation, UNKNOWN};
 use crate::telemetry::requests::Request;
-use percept_service::Error;
 use percept_service::observe::Door;
 use percept_service::reason;
+use percept_service::{CloudDetail, Error};
 use percept_wire::{convert, v1};
 use prost::Message;
 use std::future::Future;
@@ -81,11 +81,12 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
             caller.query(id, move || convert::maps::grid_to(&grid).encode_to_vec()).await?
         }
         "map/cloud" => {
-            let answer = caller.cloud(id, None).await?;
+            let answer = caller.cloud(id, None, CloudDetail::default()).await?;
             let chunk = move || v1::CloudChunk {
                 stamp: Some(convert::maps::stamp_to(answer.map_version, answer.stamp)),
                 total_points: Some(answer.cloud.len() as u64),
                 cloud: Some(convert::geometry::cloud_to(&answer.cloud)),
+                voxel_size_m: Some(answer.voxel_size_m),
             };
             caller.query(id, move || chunk().encode_to_vec()).await?
         }

@@ -33,7 +33,7 @@ pub use registration::{compute_point_features, register_clouds};
 pub use shapes::{Boxes, NeighborhoodParams, convex_hull, find_neighbors, fit_boxes};
 pub use subsets::{Region, Sample, crop_cloud, sample_points};
 
-use crate::{Alive, Error, ErrorCode, Limits, Progress, Result, Service};
+use crate::{Alive, CloudDetail, Error, ErrorCode, Limits, Progress, Result, Service};
 use nalgebra::Point3;
 use percept_geometry::PointCloud;
 use percept_perception::detection::DetectionParams;
@@ -156,7 +156,7 @@ impl Service {
         let limit = self.limits.max_cloud_points;
         let mut maps = Vec::with_capacity(wanted.len());
         for wanted in wanted {
-            let found = self.cloud(&wanted.session, wanted.around).await;
+            let found = self.cloud(&wanted.session, wanted.around, CloudDetail::default()).await;
             let cloud = found.map_err(|e| e.within(&wanted.field))?.cloud;
             if cloud.len() > limit {
                 let n = cloud.len();

@@ -129,7 +129,12 @@ fn download_cloud(t: &Toolbox, r: v1::DownloadCloudRequest) -> Result<Vec<v1::Do
         let total = Some(cloud.len() as u64);
         let part = |(i, cloud)| v1::DownloadCloudResponse {
             chunk: None,
-            points: Some(v1::CloudChunk { stamp: None, total_points: total.filter(|_| i == 0), cloud: Some(cloud) }),
+            points: Some(v1::CloudChunk {
+                stamp: None,
+                total_points: total.filter(|_| i == 0),
+                cloud: Some(cloud),
+                voxel_size_m: None,
+            }),
         };
         return Ok(geometry::cloud_parts(&cloud).into_iter().enumerate().map(part).collect());
     };
