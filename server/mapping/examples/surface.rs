@@ -19,6 +19,9 @@ const ROUNDS: usize = 7;
 /// Returns beyond this are left out, metres.
 const RANGE_MAX_M: f64 = 4.0;
 
+/// Voxels of truncation: what other libraries were timed with.
+const TRUNCATION_VOXELS: f64 = 4.0;
+
 struct Args {
     dir: PathBuf,
     every: usize,
@@ -34,6 +37,7 @@ fn main() -> Result<(), Failure> {
         enabled: true,
         voxel_size_m: args.voxel_size_m,
         range_max_m: Some(RANGE_MAX_M),
+        truncation_m: Some(TRUNCATION_VOXELS * args.voxel_size_m),
         ..SurfaceParams::default()
     };
     println!("{} frames, voxels of {} m, {} threads", frames.len(), args.voxel_size_m, rayon::current_num_threads());
