@@ -98,7 +98,7 @@ impl Window {
     fn of(grid: &OccupancyMap, update: &ScanUpdate) -> Self {
         let (min, width) = (update.min(), update.width());
         let mut log_odds = vec![f32::NAN; width * width];
-        let tile = |c: i32| (c.div_euclid(TILE), (c + width as i32).div_euclid(TILE));
+        let tile = |c: i32| (c.div_euclid(TILE), c.saturating_add(width as i32).div_euclid(TILE));
         let ((x0, x1), (y0, y1)) = (tile(min.x), tile(min.y));
         for (key, tile) in grid.tiles(grid.tile_keys_within((x0, y0), (x1, y1))) {
             let ((x0, x1), (y0, y1)) = (overlap(key.0, min.x, width), overlap(key.1, min.y, width));
