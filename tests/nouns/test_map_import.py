@@ -14,6 +14,7 @@ from percept import (
     PointCloud,
     Pose,
     SensorKind,
+    SensorSpec,
     SessionCloud,
     TrackingState,
 )
@@ -100,6 +101,24 @@ def test_a_robot_starts_where_it_is_told_to_be(client):
     assert session.pose().state is TrackingState.TRACKING
     drive_through(session, poses[1:], send_scan, first=1)
     assert world.position_error_m(session.pose().t_map_base, poses[-1].matrix) < 0.05
+
+
+@pytest.mark.parametrize("height_m", [world.LASER_HEIGHT_M, 0.0])
+def test_what_a_plan_shows_and_is_not_there_leaves_the_map_while_the_robot_stands(client, height_m):
+    """At base's own height, too: a laser whose mount nobody has declared."""
+    mount = Pose(np.array([0.0, 0.0, height_m]))
+    laser = SensorSpec("laser", kind="lidar2d", t_base_sensor=mount, overload_policy="block")
+    session, plan = fine_session(client, laser), floor_plan()
+    low, high = (np.round((np.array(p) - plan.origin) / RESOLUTION_M).astype(int) for p in ((-1.7, 0.3), (-1.3, 0.7)))
+    plan.cells[low[1] : high[1], low[0] : high[0]] = 100
+    here = Pose(np.array([0.3, 0.1, 0.0]))
+    session.map.import_map(plan, start=here)
+    side = (-1.33, 0.5)
+    assert session.map.occupancy().cell_at(*side) > 60
+    drive_through(session, [here] * 60, send_scan)
+    assert session.pose().state is TrackingState.TRACKING
+    assert session.map.occupancy().cell_at(*side) < 50
+    assert session.map.occupancy().cell_at(3.02, 0.0) > 60, "walls stay"
 
 
 def test_nav2s_files_of_one_session_begin_another(client, laser_session, tmp_path):

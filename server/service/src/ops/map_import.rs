@@ -146,8 +146,13 @@ impl ImportOptions {
     /// Of the sensor that is to be found in the map, above the ground, metres.
     fn height(&self, kind: SensorKind, sensors: &[SensorSpec]) -> f64 {
         let declared = sensors.iter().find(|s| s.kind == kind).map(|s| s.t_base_sensor.translation.vector.z);
-        let usual = if kind == SensorKind::Lidar2d { PLANAR_HEIGHT_M } else { SPATIAL_HEIGHT_M };
-        self.sensor_height_m.or(declared.filter(|z| *z > 0.0 && *z <= MAX_HEIGHT_M)).unwrap_or(usual)
+        // What a planar lidar sees speaks for its own height alone: the map's has to be that of the frames to come, the ground's too.
+        // One in space that is declared at base's origin hangs on a robot whose base is up there.
+        let (least, usual) = match kind {
+            SensorKind::Lidar2d => (0.0, PLANAR_HEIGHT_M),
+            _ => (f64::MIN_POSITIVE, SPATIAL_HEIGHT_M),
+        };
+        self.sensor_height_m.or(declared.filter(|z| (least..=MAX_HEIGHT_M).contains(z))).unwrap_or(usual)
     }
 }
 
