@@ -83,15 +83,20 @@ pub fn search(
     };
     (ara.costs[start], ara.parents[start]) = (1, start as u32);
     ara.put(start, 0);
-    let mut told: Option<(u64, f64)> = None;
+    let (mut told, mut best): (Option<(u64, f64)>, Option<(u64, Vec<Cell>)>) = (None, None);
     loop {
         let ended = ara.improve(request);
         if ara.costs[goal] == 0 {
             return ended.unwrap_or(AnytimeEnd::Unreachable);
         }
         ara.gather();
-        let cells = ara.trace();
-        let cost = ara.sum(&cells);
+        // Parents that were improved since may lead along a way that costs more than what was told of: then that stays.
+        let traced = ara.trace();
+        let cost = ara.sum(&traced);
+        let (cost, cells) = match best.take().filter(|(known, _)| *known <= cost) {
+            Some(known) => known,
+            None => (cost, traced),
+        };
         let by_estimate = cost as f64 / ara.least_estimate().min(cost).max(1) as f64;
         // A search that was cut off proves nothing by its factor; a path's bound never rises.
         let by_weight = if ended.is_none() { ara.weight } else { f64::INFINITY };
@@ -99,8 +104,10 @@ pub fn search(
         let bound = by_estimate.min(by_weight).min(before).max(1.0);
         if told.is_none_or(|(known, before)| cost < known || bound < before) {
             told = Some((cost, bound));
-            on_better(&AnytimePath { cost: grid.cost_of(&cells), cells, bound, expansions: ara.expansions });
+            let (cost, cells) = (grid.cost_of(&cells), cells.clone());
+            on_better(&AnytimePath { cost, cells, bound, expansions: ara.expansions });
         }
+        best = Some((cost, cells));
         if bound == 1.0 {
             return AnytimeEnd::Optimal;
         }
