@@ -83,7 +83,8 @@ pub fn search(
     };
     (ara.costs[start], ara.parents[start]) = (1, start as u32);
     ara.put(start, 0);
-    let (mut told, mut best): (Option<(u64, f64)>, Option<(u64, Vec<Cell>)>) = (None, None);
+    let mut told: Option<(u64, f64)> = None;
+    let mut best: Option<(u64, Vec<Cell>)> = None;
     loop {
         let ended = ara.improve(request);
         if ara.costs[goal] == 0 {
