@@ -1,4 +1,4 @@
-"""What the newest frames see counts for paths: a robot that stands makes no keyframe of who steps before it."""
+"""What the newest frames see counts for paths: a robot that stands makes no keyframe of who steps before it and on."""
 
 from __future__ import annotations
 
