@@ -183,10 +183,12 @@ impl Scene {
     }
 }
 
-/// Whether more than half of the points in a box are among those that move.
+/// Whether more than half of the points in a box are among those that move. Few boxes hold any of those: only for them is
+/// the whole cloud gone through.
 fn moves(bbox: &OrientedBox3, moving: &PointCloud, all: &PointCloud) -> bool {
-    let inside = |cloud: &PointCloud| cloud.positions.iter().filter(|p| bbox.contains(&p.cast())).count();
-    !moving.is_empty() && 2 * inside(moving) > inside(all)
+    let inside = |p: &&Point3<f32>| bbox.contains(&p.cast());
+    let moving = moving.positions.iter().filter(inside).count();
+    moving > 0 && all.positions.iter().filter(inside).take(2 * moving).count() < 2 * moving
 }
 
 /// Adds those points that are so near, metres; grey where a cloud with colours gets some without.
