@@ -44,8 +44,9 @@ pub struct Path {
     pub duration_s: f64,
     /// By [`Planner::Hybrid`](crate::Planner::Hybrid), before shortcuts: its cost over the least estimate that was left open,
     /// at least 1. The least possible cost is hardly less than `cost` over this. By
-    /// [`Planner::Grid`](crate::Planner::Grid) that may be stopped, and by [`plan_anytime`](crate::plan_anytime): what its cost
-    /// over cells, before it is smoothed, is at most in times the least.
+    /// [`Planner::Grid`](crate::Planner::Grid) that may be stopped, by [`Planner::AnyAngle`](crate::Planner::AnyAngle) that was
+    /// stopped, and by [`plan_anytime`](crate::plan_anytime): what its cost over cells, before it is smoothed, is at most in times
+    /// the least.
     pub bound: Option<f64>,
     /// Whether the search went on until it was done; false if the caller or `max_expansions` ended it, with this as the best
     /// so far.

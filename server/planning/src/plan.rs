@@ -9,7 +9,7 @@ use crate::ends::{check_goal, check_goal_pose, check_start, check_start_pose};
 use crate::fit::Fit;
 use crate::hybrid::{DrivingCost, HybridPath, Limits, Steering, closed_cells, shortcut};
 use crate::smooth::{resample, shorten, smooth};
-use crate::theta::any_angle;
+use crate::theta::{AnyAngleLimits, any_angle};
 use crate::{Footprint, GridPath, HybridParams, PathRequest, PlanError, PlanParams, Planner};
 use nalgebra::Point2;
 use percept_geometry::Cell;
@@ -129,27 +129,30 @@ fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Resu
     let blocked = costmap.blocked(&start);
     let (width, height) = (costmap.width(), costmap.height());
     let search_grid = SearchGrid { blocked: &blocked, factors: costmap.factors(), width, height };
-    if let (Planner::Grid, Some(stop)) = (planner, request.stop) {
-        return best_in_time(costmap, request, &search_grid, (from, to), stop);
-    }
-    let path_through = |cells: &[Cell], expansions| path_through(costmap, request, cells, expansions);
-    let by_cells = match search(&search_grid, from, to, params.max_expansions) {
-        GridPath::Found { cells, expansions, .. } => path_through(&cells, expansions),
-        GridPath::SearchLimit => return Err(NoPathReason::SearchLimit.into()),
-        GridPath::Unreachable { .. } => return Err(unreachable(costmap, &search_grid, (from, to), params)),
+    let by_cells = match request.stop {
+        Some(stop) => best_in_time(costmap, request, &search_grid, (from, to), stop)?,
+        None => match search(&search_grid, from, to, params.max_expansions) {
+            GridPath::Found { cells, expansions, .. } => path_through(costmap, request, &cells, expansions),
+            GridPath::SearchLimit => return Err(NoPathReason::SearchLimit.into()),
+            GridPath::Unreachable { .. } => return Err(unreachable(costmap, &search_grid, (from, to), params)),
+        },
     };
-    if planner == Planner::Grid {
+    if planner == Planner::Grid || !by_cells.is_final {
         return Ok(by_cells);
     }
-    let left = params.max_expansions.saturating_sub(by_cells.expansions);
-    match any_angle(costmap, &blocked, (from, to), params.robot_radius_m, left) {
+    let limits = AnyAngleLimits {
+        clearance_m: params.robot_radius_m,
+        max_expansions: params.max_expansions.saturating_sub(by_cells.expansions),
+        stop: request.stop,
+    };
+    Ok(match any_angle(costmap, &blocked, (from, to), &limits) {
         GridPath::Found { cells, expansions, .. } => {
-            let path = path_through(&cells, by_cells.expansions + expansions);
-            Ok(if path.cost < by_cells.cost { path } else { Path { expansions: path.expansions, ..by_cells } })
+            let path = path_through(costmap, request, &cells, by_cells.expansions + expansions);
+            if path.cost < by_cells.cost { path } else { Path { expansions: path.expansions, ..by_cells } }
         }
-        // What A* found is a path all the same.
-        _ => Ok(by_cells),
-    }
+        // What A* found is a path all the same, and the best so far.
+        _ => Path { is_final: false, ..by_cells },
+    })
 }
 
 /// From the request's start through cells to its goal, smoothed if that is wanted.

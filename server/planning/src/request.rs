@@ -56,9 +56,9 @@ pub struct PathRequest<'a> {
     pub masks: &'a [Mask<'a>],
     /// For the path's duration.
     pub speed: SpeedLimits,
-    /// Asked from time to time while [`Planner::Grid`] or [`Planner::Hybrid`] searches, say for a deadline: once it is true, the
-    /// search ends with the best path found so far, if any. By `Grid` a path is found early and then made better, which takes
-    /// longer until the cheapest is known than if there is none.
+    /// Asked from time to time while a planner searches, say for a deadline: once it is true, the search ends with the best path
+    /// found so far, if any. Over cells a path is found early and then made better, which takes longer until the cheapest is known
+    /// than if there is none; by [`Planner::AnyAngle`] legs at any angle come after that.
     pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
 

@@ -8,22 +8,29 @@ use percept_geometry::Cell;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
+/// What a search at any angle keeps to.
+pub struct AnyAngleLimits<'a> {
+    /// From obstacles, metres.
+    pub clearance_m: f64,
+    /// Cells.
+    pub max_expansions: usize,
+    /// Asked every so many cells; once it is true, the search ends as if it was at its limit.
+    pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
+}
+
+/// Cells between two questions whether to stop: 0.1 ms.
+const ASK_EVERY: usize = 64;
+
 /// The way over a costmap whose legs join cells' centres at any angle; what it gives back are the corners, and the cost in
 /// metres.
 ///
-/// A leg over several cells keeps `clearance` (m) from obstacles, exactly; a leg to a neighbouring cell is what A* steps.
+/// A leg over several cells keeps the clearance from obstacles, exactly; a leg to a neighbouring cell is what A* steps.
 ///
 /// Source: Nash, Koenig and Tovey, "Lazy Theta*: any-angle path planning and path length analysis in 3D", 2010, algorithm 2.
 /// We depart from it where cells differ in cost: straight on from the parent is then not always the cheaper way, so that each
 /// cell takes the cheaper of the leg from its neighbour's parent and the step from its neighbour. The way is not always the
 /// shortest.
-pub fn any_angle(
-    costmap: &Costmap,
-    blocked: &[bool],
-    ends: (Cell, Cell),
-    clearance: f64,
-    max_expansions: usize,
-) -> GridPath {
+pub fn any_angle(costmap: &Costmap, blocked: &[bool], ends: (Cell, Cell), limits: &AnyAngleLimits<'_>) -> GridPath {
     let (width, height) = (costmap.width(), costmap.height());
     let grid = SearchGrid { blocked, factors: costmap.factors(), width, height };
     let (Some(start), Some(goal)) = (grid.free_index(ends.0), grid.free_index(ends.1)) else {
@@ -31,8 +38,8 @@ pub fn any_angle(
     };
     let bits = BitLines::rows(blocked, width, height);
     let cells = vec![Vertex { cost: f64::INFINITY, parent: u32::MAX, is_closed: false }; blocked.len()];
-    let mut search = Theta { costmap, grid, bits, clearance, cells };
-    search.run(start, goal, max_expansions)
+    let mut search = Theta { costmap, grid, bits, clearance: limits.clearance_m, cells };
+    search.run(start, goal, limits)
 }
 
 #[derive(Clone, Copy)]
@@ -52,7 +59,7 @@ struct Theta<'a> {
 }
 
 impl Theta<'_> {
-    fn run(&mut self, start: usize, goal: usize, max_expansions: usize) -> GridPath {
+    fn run(&mut self, start: usize, goal: usize, limits: &AnyAngleLimits<'_>) -> GridPath {
         let goal_center = self.center(goal);
         let mut open = BinaryHeap::new();
         let mut expansions = 0;
@@ -67,7 +74,8 @@ impl Theta<'_> {
             if at == goal {
                 return GridPath::Found { cells: self.corners(goal), cost: self.cells[goal].cost, expansions };
             }
-            if expansions == max_expansions {
+            let is_stopped = expansions.is_multiple_of(ASK_EVERY) && limits.stop.is_some_and(|stop| stop());
+            if expansions == limits.max_expansions || is_stopped {
                 return GridPath::SearchLimit;
             }
             expansions += 1;

@@ -7,8 +7,8 @@ use percept_geometry::Cell;
 use percept_mapping::DenseGrid;
 use percept_planning::anytime::{AnytimeEnd, AnytimePath, AnytimeRequest, search};
 use percept_planning::{
-    AnytimeParams, GridPath, NoPathReason, PathRequest, PlanError, PlanOutcome, PlanParams, SearchGrid, Zone, ZoneKind,
-    astar, plan_anytime, plan_dense, plan_path,
+    AnytimeParams, GridPath, NoPathReason, PathRequest, PlanError, PlanOutcome, PlanParams, Planner, SearchGrid, Zone,
+    ZoneKind, astar, plan_anytime, plan_dense, plan_path,
 };
 use proptest::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -143,16 +143,44 @@ fn bounds_below_one_are_refused() {
     assert_eq!(AnytimeParams { first_bound: 1.0, bound_step: 100.0 }.validate(), Ok(()));
 }
 
-/// By [`Planner::Grid`](percept_planning::Planner::Grid), told to stop when it has asked so often.
+/// By a planner that is told to stop when it has asked so often.
 fn stopped_after(
     grid: &DenseGrid,
     (start, goal): (Point2<f64>, Point2<f64>),
     params: &PlanParams,
-    asks: usize,
+    (planner, asks): (Planner, usize),
 ) -> PlanOutcome {
     let asked = AtomicUsize::new(0);
     let stop = || asked.fetch_add(1, Ordering::Relaxed) >= asks;
-    plan_path(grid, &PathRequest { stop: Some(&stop), ..PathRequest::new(start, goal, params) }).unwrap()
+    plan_path(grid, &PathRequest { stop: Some(&stop), planner, ..PathRequest::new(start, goal, params) }).unwrap()
+}
+
+#[test]
+fn a_search_at_any_angle_that_is_stopped_answers_with_the_best_so_far() {
+    let params = PlanParams { start_tolerance_m: 0.0, ..PlanParams::default() };
+    let (mut over_cells, mut early, mut done) = (0, 0, 0);
+    for seed in 0..60 {
+        let (grid, ends) = world(seed);
+        let request = PathRequest { planner: Planner::AnyAngle, ..PathRequest::new(ends[0], ends[1], &params) };
+        let once = plan_path(&grid, &request).unwrap();
+        for asks in [0, 1, 3, 8, 12, 16, 20, 30, usize::MAX] {
+            match (stopped_after(&grid, (ends[0], ends[1]), &params, (Planner::AnyAngle, asks)), &once) {
+                (PlanOutcome::Path(path), PlanOutcome::Path(at_any_angle)) => {
+                    over_cells += usize::from(path.bound.is_some_and(|bound| bound > 1.0));
+                    early += usize::from(!path.is_final && path.bound == Some(1.0));
+                    if asks == usize::MAX {
+                        done += 1;
+                        // Of ways over cells that cost the same, another may have been found first.
+                        let ratio = path.cost / at_any_angle.cost;
+                        assert!(path.is_final && (ratio - 1.0).abs() < 0.05, "world {seed}: {ratio}");
+                    }
+                }
+                (PlanOutcome::NoPath { reason: NoPathReason::Stopped, .. }, _) => assert!(asks < usize::MAX),
+                (none, once) => assert_eq!(&none, once),
+            }
+        }
+    }
+    assert!(over_cells >= 5 && early >= 5 && done >= 10, "{over_cells} {early} {done}");
 }
 
 #[test]
@@ -163,7 +191,7 @@ fn a_grid_search_that_is_stopped_answers_with_the_best_so_far_and_a_bound_that_h
         let (grid, ends) = world(seed);
         let once = plan_dense(&grid, ends[0], ends[1], &params).unwrap();
         for asks in [0, 1, 2, 3, 5, 8, 12, usize::MAX] {
-            match (stopped_after(&grid, (ends[0], ends[1]), &params, asks), &once) {
+            match (stopped_after(&grid, (ends[0], ends[1]), &params, (Planner::Grid, asks)), &once) {
                 (PlanOutcome::Path(path), PlanOutcome::Path(least)) => {
                     let bound = path.bound.unwrap();
                     assert_eq!(path.is_final, bound == 1.0);
