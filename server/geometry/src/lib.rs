@@ -8,6 +8,7 @@
 //! z up; camera optical frames x right, y down, z forward. `t_a_b` maps coordinates in b to a.
 
 pub mod camera;
+pub mod clearance;
 pub mod cloud;
 pub mod grid;
 pub mod image;
@@ -23,6 +24,7 @@ pub mod simd;
 pub mod time;
 
 pub use camera::{CameraIntrinsics, Distortion};
+pub use clearance::clearance_in_cells;
 pub use cloud::{LaserScan, PointCloud};
 pub use grid::{Cell, GridGeometry, Voxel};
 pub use image::{DepthImage, GrayImage, RgbImage};

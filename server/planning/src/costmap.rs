@@ -1,7 +1,8 @@
 //! Clearance to cost.
 
-use crate::{Mask, PlanParams, Zone, distance::clearance_in_cells};
+use crate::{Mask, PlanParams, Zone};
 use nalgebra::{Point2, Vector2};
+use percept_geometry::clearance_in_cells;
 use percept_geometry::{Cell, GridGeometry};
 use percept_mapping::DenseGrid;
 

@@ -13,6 +13,7 @@ mod belief;
 pub mod object;
 pub mod overlap;
 pub mod relations;
+pub mod rooms;
 pub mod scene_graph;
 mod track;
 pub mod tracker;

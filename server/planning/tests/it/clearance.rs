@@ -1,7 +1,7 @@
 use crate::hall;
 use nalgebra::Point2;
-use percept_geometry::Cell;
-use percept_planning::{Costmap, PlanParams, clearance_in_cells};
+use percept_geometry::{Cell, clearance_in_cells};
+use percept_planning::{Costmap, PlanParams};
 use proptest::prelude::*;
 
 proptest! {
