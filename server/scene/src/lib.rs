@@ -12,6 +12,7 @@ mod association;
 mod belief;
 pub mod object;
 pub mod overlap;
+mod relation_filter;
 pub mod relations;
 pub mod rooms;
 pub mod scene_graph;
@@ -20,8 +21,9 @@ pub mod tracker;
 
 pub use belief::ClassBelief;
 pub use object::{Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, Visibility};
-pub use relations::{NodeId, Placed, Relation, RelationFrame, RelationKind, RelationParams, Viewer, relate};
-pub use scene_graph::{Node, SceneGraph};
+pub use relation_filter::RelationFilter;
+pub use relations::{Directions, NodeId, Relation, RelationFrame, RelationKind, RelationParams};
+pub use scene_graph::{Node, RoomNode, SceneGraph, SceneView};
 pub use tracker::{Tracker, TrackerParams};
 
 /// Why a request to this crate cannot be served.

@@ -231,6 +231,19 @@ impl Labels {
         (x < self.width && y < self.height).then(|| y * self.width + x)
     }
 
+    pub(super) fn is_open_between(&self, a: &OrientedBox3, b: &OrientedBox3) -> bool {
+        let Some(geometry) = self.geometry else { return true };
+        let (from, to) = (Point2::from(a.center().coords.xy()), Point2::from(b.center().coords.xy()));
+        let grown = |b: &OrientedBox3| OrientedBox3 { size: b.size.add_scalar(2.0 * AROUND_M), ..*b };
+        let (a, b) = (grown(a), grown(b));
+        let is_in = |b: &OrientedBox3, p: &Point2<f64>| b.contains(&nalgebra::Point3::new(p.x, p.y, b.center().z));
+        let steps = ((to - from).norm() / geometry.resolution_m).ceil().max(1.0) as usize;
+        (0..=steps).all(|k| {
+            let p = from + (to - from) * (k as f64 / steps as f64);
+            is_in(&a, &p) || is_in(&b, &p) || self.at(&p).is_some()
+        })
+    }
+
     pub(super) fn cells_of(&self, room: usize) -> impl Iterator<Item = usize> {
         self.cells.iter().enumerate().filter(move |(_, label)| **label as usize == room).map(|(i, _)| i)
     }

@@ -152,6 +152,12 @@ impl Rooms {
         self.labels.most_of(thing).and_then(|i| self.rooms.get(i))
     }
 
+    /// Whether no wall stands between two things: the line between their middles runs over the floor of rooms, but where it is in one of
+    /// them. True where nothing is known of rooms.
+    pub fn is_open_between(&self, a: &OrientedBox3, b: &OrientedBox3) -> bool {
+        self.rooms.is_empty() || self.labels.is_open_between(a, b)
+    }
+
     /// A room by id.
     pub fn get(&self, id: RoomId) -> Option<&Room> {
         self.rooms.binary_search_by_key(&id, |r| r.id).ok().map(|i| &self.rooms[i])

@@ -2,11 +2,13 @@
 
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{ObjectClass, OrientedBox3, Pose, Timestamp, se3};
+use percept_scene::rooms::Rooms;
 use percept_scene::{
-    NodeId, Object, ObjectId, ObjectState, Relation, RelationFrame, RelationKind, RelationParams, SceneError,
-    SceneGraph,
+    Directions, NodeId, Object, ObjectId, ObjectState, Relation, RelationFrame, RelationKind, RelationParams,
+    SceneError, SceneGraph, SceneView,
 };
 use proptest::prelude::*;
+use std::collections::BTreeMap;
 
 fn thing(id: u64, class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Object {
     Object {
@@ -29,7 +31,13 @@ fn cube(id: u64, x: f64, y: f64) -> Object {
 }
 
 fn graph(t_map_base: &Pose, objects: &[Object]) -> SceneGraph {
-    SceneGraph::build(Timestamp(7), 3, t_map_base, objects, &RelationParams::default())
+    in_rooms(t_map_base, objects, &Rooms::default())
+}
+
+fn in_rooms(t_map_base: &Pose, objects: &[Object], rooms: &Rooms) -> SceneGraph {
+    let names = BTreeMap::new();
+    let view = SceneView { stamp: Timestamp(7), map_version: 3, t_map_base, objects, rooms, names: &names };
+    SceneGraph::build(&view, &RelationParams::default(), Some(Directions::Robot))
 }
 
 fn edge(graph: &SceneGraph, subject: u64, kind: RelationKind, object: u64) -> Option<Relation> {
@@ -43,7 +51,7 @@ fn left_and_right_turn_round_with_the_viewer() {
     let objects = [cube(0, 3.0, 1.0), cube(1, 3.0, -1.0)];
     let there = graph(&Pose::identity(), &objects);
     let left = edge(&there, 0, RelationKind::LeftOf, 1).unwrap();
-    assert_eq!(left.frame, RelationFrame::Viewer { stamp: Timestamp(7) });
+    assert_eq!(left.frame, RelationFrame::Robot { stamp: Timestamp(7) });
     assert!((left.strength - (1.0 - 1.5 / 5.0)).abs() < 1e-12 && (left.distance_m - 1.5).abs() < 1e-12);
     assert!(edge(&there, 1, RelationKind::RightOf, 0).is_some());
     assert!(edge(&there, 0, RelationKind::RightOf, 1).is_none());
@@ -145,7 +153,9 @@ proptest! {
             if e.subject == NodeId::Robot || e.object == NodeId::Robot {
                 continue;
             }
-            let before = a.edges.iter().find(|f| (f.subject, f.kind, f.object) == (e.subject, e.kind, e.object));
+            let is_beside = |kind| matches!(kind, RelationKind::NextTo | RelationKind::Near);
+            let is_same = |f: &&Relation| f.kind == e.kind || is_beside(f.kind) && is_beside(e.kind);
+            let before = a.edges.iter().filter(is_same).find(|f| (f.subject, f.object) == (e.subject, e.object));
             prop_assert!(before.is_some_and(|f| f.strength > e.strength));
         }
     }
@@ -157,10 +167,12 @@ proptest! {
         for e in &g.edges {
             prop_assert!(e.strength >= 0.1 && e.strength <= 1.0 && e.subject != e.object && e.distance_m >= 0.0);
             if e.object == NodeId::Robot || e.subject == NodeId::Robot {
-                prop_assert!((e.subject == NodeId::Robot) == (e.kind == RelationKind::Near));
+                prop_assert!((e.subject == NodeId::Robot) == matches!(e.kind, RelationKind::Near | RelationKind::NextTo));
                 continue;
             }
             let converse = match e.kind {
+                RelationKind::On => RelationKind::Supports,
+                RelationKind::Supports => RelationKind::On,
                 RelationKind::LeftOf => RelationKind::RightOf,
                 RelationKind::RightOf => RelationKind::LeftOf,
                 RelationKind::Above => RelationKind::Below,

@@ -1,8 +1,13 @@
 //! Floors drawn by hand, divided.
 
 use nalgebra::{Point2, Point3, Vector3};
-use percept_geometry::{GridGeometry, OrientedBox3};
+use percept_geometry::{GridGeometry, ObjectClass, OrientedBox3, Timestamp};
 use percept_scene::rooms::{Floor, RoomId, RoomKind, RoomParams, Rooms, find_rooms};
+use percept_scene::{
+    Node, NodeId, Object, ObjectId, ObjectState, RelationFilter, RelationKind, RelationParams, SceneGraph, SceneView,
+};
+use proptest::prelude::*;
+use std::collections::BTreeMap;
 
 /// Cells of 0.1 m. Of the drawing a character is 0.5 m wide and high: `#` wall, `.` free, space unknown, `t` a thing that is seen as occupied. The first row is the
 /// one with the largest y.
@@ -72,6 +77,174 @@ fn rooms_are_cut_at_doors_and_a_corridor_is_told_from_them() {
     let route = rooms.route(&Point2::new(2.0, 4.5), right.id).unwrap();
     assert_eq!(route.steps.iter().map(|s| s.room).collect::<Vec<_>>(), [left.id, right.id]);
     assert!(route.length_m > 3.0 && route.length_m < 7.5, "{}", route.length_m);
-    let _ = Vector3::<f64>::zeros();
-    let _ = Point3::<f64>::origin();
+    let corridor_end = rooms.route(&Point2::new(2.0, 4.5), corridor.id).unwrap();
+    assert_eq!(corridor_end.steps.len(), 2);
+    assert_eq!(corridor_end.steps[0].door.map(|d| rooms.doors[d].rooms), Some((left.id, corridor.id)));
+}
+
+#[test]
+fn a_room_keeps_its_number_while_the_map_grows_and_moves() {
+    let keyframes = [(3, [2.0, 4.5]), (5, [4.75, 4.5]), (7, [6.0, 1.7]), (9, [7.0, 4.4])];
+    let whole = drawn(&FLAT).divided(&[], &keyframes);
+    let at = |rooms: &Rooms, x: f64, y: f64| rooms.at(&Point2::new(x, y)).map(|r| r.id);
+    // Before the right half was seen, and with a keyframe on the sill that falls to either side.
+    let half: Vec<String> = FLAT.iter().map(|row| row.chars().take(10).chain("         ".chars()).collect()).collect();
+    let half: Vec<&str> = half.iter().map(String::as_str).collect();
+    let early = drawn(&half).divided(&[], &keyframes[..2]);
+    assert_eq!(at(&early, 2.0, 4.5), at(&whole, 2.0, 4.5));
+    let nudged = [(3, [2.1, 4.4]), (5, [4.9, 4.5]), (7, [6.0, 1.7]), (9, [7.0, 4.4])];
+    assert_eq!(at(&drawn(&FLAT).divided(&[], &nudged), 7.0, 4.5), at(&whole, 7.0, 4.5));
+    assert_eq!(at(&whole, 7.0, 4.5), Some(RoomId(9 * RoomId::PER_KEYFRAME)));
+}
+
+/// One room that two shelves reach into from both sides.
+const SHELVES: [&str; 8] = [
+    "#############",
+    "#....tt.....#",
+    "#....tt.....#",
+    "#...........#",
+    "#....tt.....#",
+    "#....tt.....#",
+    "#....tt.....#",
+    "#############",
+];
+
+#[test]
+fn shelves_do_not_make_a_door() {
+    let shelf =
+        |y: f64, depth: f64| OrientedBox3::upright(Point3::new(3.0, y, 0.9), Vector3::new(1.0, depth, 1.8), 0.0);
+    let things = [shelf(3.0, 1.0), shelf(1.25, 1.5)];
+    assert_eq!(drawn(&SHELVES).divided(&[], &[]).rooms.len(), 2, "as walls they do");
+    let rooms = drawn(&SHELVES).divided(&things, &[]);
+    assert_eq!((rooms.rooms.len(), rooms.doors.len()), (1, 0));
+    assert_eq!(rooms.of(&things[0]).map(|r| r.id), rooms.of(&things[1]).map(|r| r.id));
+    assert!((rooms.rooms[0].area_m2 - 5.5 * 3.0).abs() < 0.5, "what stands there is floor: {}", rooms.rooms[0].area_m2);
+}
+
+#[test]
+fn what_is_seen_through_a_window_is_no_room() {
+    let seen = drawn(&[
+        "          ......  ",
+        "       .........  ",
+        "#####............ ",
+        "#..............   ",
+        "#...#..........   ",
+        "#...#   .......   ",
+        "#...#             ",
+        "#####             ",
+    ]);
+    let rooms = seen.divided(&[], &[(0, [1.0, 1.0])]);
+    assert_eq!(rooms.rooms.len(), 1, "{:?}", rooms.rooms);
+    assert!(rooms.rooms[0].area_m2 < 4.5);
+}
+
+#[test]
+fn bad_floors_and_parameters_are_named() {
+    let geometry = GridGeometry::new(0.1, Point2::origin());
+    let short = Floor { geometry, width: 3, height: 3, cells: &[0; 8] };
+    let error = find_rooms(&short, &[], &[], &RoomParams::default()).unwrap_err();
+    assert!(error.to_string().starts_with("cells: 8"), "{error}");
+    let bad = RoomParams { door_max_m: f64::NAN, ..RoomParams::default() };
+    let empty = Floor { geometry, width: 0, height: 0, cells: &[] };
+    assert!(find_rooms(&empty, &[], &[], &bad).unwrap_err().to_string().starts_with("door_max_m"));
+    let none = find_rooms(&empty, &[], &[], &RoomParams::default()).unwrap();
+    assert_eq!((none.rooms.len(), none.doors.len(), none.places.len()), (0, 0, 0));
+    assert!(none.at(&Point2::origin()).is_none() && none.route(&Point2::origin(), RoomId(0)).is_none());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+    #[test]
+    fn any_floor_is_divided_into_parts_that_do_not_overlap(
+        cells in prop::collection::vec(prop_oneof![4 => Just(0i8), 1 => Just(100), 1 => Just(-1)], 60 * 40),
+        boxes in prop::collection::vec((0.0..6.0f64, 0.0..4.0f64, 0.1..2.0f64), 0..5),
+    ) {
+        let floor = Drawn { width: 60, height: 40, cells };
+        let things: Vec<OrientedBox3> = boxes
+            .iter()
+            .map(|(x, y, size)| OrientedBox3::upright(Point3::new(*x, *y, 0.5), Vector3::repeat(*size), *x))
+            .collect();
+        let rooms = floor.divided(&things, &[(0, [1.0, 1.0]), (4, [5.0, 3.0])]);
+        let cells: usize = (0..rooms.rooms.len()).map(|i| rooms.cells_of(i).count()).sum();
+        let area: f64 = rooms.rooms.iter().map(|r| r.area_m2).sum();
+        prop_assert!(cells <= 60 * 40 && (area - cells as f64 * 0.01).abs() < 1e-6);
+        prop_assert!(rooms.rooms.windows(2).all(|w| w[0].id < w[1].id));
+        prop_assert!(rooms.rooms.iter().all(|r| r.outline.len() >= 3 && r.radius_m > 0.0));
+        for link in &rooms.links {
+            let (a, b) = (rooms.places[link.places.0.0 as usize], rooms.places[link.places.1.0 as usize]);
+            prop_assert!(link.length_m > 0.99 * (a.position - b.position).norm());
+        }
+        prop_assert_eq!(&floor.divided(&things, &[(0, [1.0, 1.0]), (4, [5.0, 3.0])]), &rooms);
+    }
+}
+
+fn thing(id: u64, class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Object {
+    Object {
+        id: ObjectId(id),
+        class,
+        confidence: 0.9,
+        class_probabilities: [1.0 / ObjectClass::ALL.len() as f64; ObjectClass::ALL.len()],
+        bbox: OrientedBox3::upright(Point3::from(center), Vector3::from(size), 0.0),
+        state: ObjectState::Static,
+        velocity_mps: Vector3::zeros(),
+        first_seen: Timestamp(0),
+        last_seen: Timestamp(1),
+        observation_count: 2,
+        num_points: 100,
+    }
+}
+
+#[test]
+fn a_graph_says_which_room_things_are_in_and_nothing_through_walls() {
+    let rooms = drawn(&FLAT).divided(&[], &[(3, [2.0, 4.5]), (7, [6.0, 1.7]), (9, [7.0, 4.4])]);
+    let objects = [
+        thing(0, ObjectClass::Table, [3.8, 5.5, 0.375], [1.2, 0.8, 0.75]),
+        thing(1, ObjectClass::Chair, [3.8, 5.1, 0.35], [0.5, 0.5, 0.7]),
+        // Behind the wall, half a metre away.
+        thing(2, ObjectClass::Shelf, [5.3, 5.5, 0.9], [0.5, 0.9, 1.8]),
+        thing(3, ObjectClass::Box, [3.7, 5.6, 0.85], [0.2, 0.2, 0.2]),
+    ];
+    let (left, corridor, right) = (RoomId(3 * 1024), RoomId(7 * 1024), RoomId(9 * 1024));
+    let names = BTreeMap::from([(left, "Ada's \"office\"".to_owned())]);
+    let t_map_base = percept_geometry::se3::from_xy_yaw(2.0, 4.5, 0.0);
+    let view = SceneView {
+        stamp: Timestamp(7),
+        map_version: 3,
+        t_map_base: &t_map_base,
+        objects: &objects,
+        rooms: &rooms,
+        names: &names,
+    };
+    let graph = SceneGraph::build(&view, &RelationParams::default(), None);
+    let said: Vec<(NodeId, RelationKind, NodeId)> = graph.edges.iter().map(|e| (e.subject, e.kind, e.object)).collect();
+    let object = |id| NodeId::Object(ObjectId(id));
+    for (expected, holds) in [
+        ((NodeId::Robot, RelationKind::InRoom, NodeId::Room(left)), true),
+        ((object(0), RelationKind::InRoom, NodeId::Room(left)), true),
+        ((object(2), RelationKind::InRoom, NodeId::Room(right)), true),
+        ((object(1), RelationKind::Under, object(0)), true),
+        ((object(3), RelationKind::On, object(0)), true),
+        ((object(0), RelationKind::Supports, object(3)), true),
+        ((object(0), RelationKind::NextTo, object(2)), false),
+        ((object(0), RelationKind::Near, object(2)), false),
+        ((NodeId::Robot, RelationKind::Near, object(0)), true),
+        ((NodeId::Room(left), RelationKind::ConnectedTo, NodeId::Room(right)), true),
+        ((NodeId::Room(corridor), RelationKind::ConnectedTo, NodeId::Room(right)), true),
+    ] {
+        assert_eq!(said.contains(&expected), holds, "{expected:?} of {said:?}");
+    }
+    assert!(graph.edges.iter().all(|e| e.kind != RelationKind::LeftOf && e.kind != RelationKind::Behind));
+    let dot = graph.to_dot();
+    assert!(dot.contains("subgraph cluster_3072 {") && dot.contains("Ada's \\\"office\\\""), "{dot}");
+    // Which rooms have a table?
+    let filter = RelationFilter {
+        kinds: vec![RelationKind::InRoom],
+        subject_class: Some(ObjectClass::Table),
+        ..RelationFilter::default()
+    };
+    let found = graph.clone().filtered(&filter);
+    assert_eq!(found.edges.len(), 1);
+    assert_eq!(found.nodes.iter().map(Node::id).collect::<Vec<_>>(), [object(0), NodeId::Room(left)]);
+    let in_right = RelationFilter { room: Some(right), ..RelationFilter::default() };
+    assert!(graph.filtered(&in_right).nodes.iter().all(|n| n.id() != object(0)));
 }

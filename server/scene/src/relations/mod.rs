@@ -1,0 +1,178 @@
+//! How two things stand to each other, each relation in a stated frame, with a strength and a reason to exist.
+//!
+//! What holds whoever looks: what rests on what, is in it, under it ([`physical`]); what stands next to it or near, in the same room and
+//! in sight ([`beside`]). Left and right, front and behind only are listed on request, and say for whom ([`directions`]).
+
+mod beside;
+mod directions;
+mod physical;
+
+pub use directions::Directions;
+
+pub(crate) use beside::beside;
+pub(crate) use directions::directions;
+pub(crate) use physical::stacked;
+
+use crate::rooms::RoomId;
+use crate::{ObjectId, SceneError, within};
+use percept_geometry::{ObjectClass, OrientedBox3, Timestamp};
+use serde::{Deserialize, Serialize};
+
+/// A node of the scene graph.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum NodeId {
+    /// The robot.
+    Robot,
+    /// A tracked object.
+    Object(ObjectId),
+    /// A room.
+    Room(RoomId),
+}
+
+/// `subject kind object`: the cup is *on* the table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RelationKind {
+    /// The subject rests on top of the object.
+    On,
+    /// The object rests on top of the subject.
+    Supports,
+    /// Most of the subject's volume lies within the object, which can hold things.
+    Inside,
+    /// The subject stands under the object's top, between its legs.
+    Under,
+    /// The subject is over the object, apart from it.
+    Above,
+    /// The subject is under the object, apart from it.
+    Below,
+    /// Nobody passes between the two, which stand in one room. Listed once, with the smaller node as subject.
+    NextTo,
+    /// Each other's nearest, in one room and in sight, or the robot's. Listed once, with the smaller node as subject.
+    Near,
+    /// The subject is in the room.
+    InRoom,
+    /// A door leads from one room to the other. Listed once, with the smaller node as subject.
+    ConnectedTo,
+    /// The subject is to the left of the object.
+    LeftOf,
+    /// The subject is to the right of the object.
+    RightOf,
+    /// The subject is on the viewer's side of the object; with the robot as object: ahead of the robot.
+    InFrontOf,
+    /// The subject is on the far side of the object; with the robot as object: behind the robot.
+    Behind,
+}
+
+impl RelationKind {
+    /// Lower-case name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::On => "on",
+            Self::Supports => "supports",
+            Self::Inside => "inside",
+            Self::Under => "under",
+            Self::Above => "above",
+            Self::Below => "below",
+            Self::NextTo => "next_to",
+            Self::Near => "near",
+            Self::InRoom => "in_room",
+            Self::ConnectedTo => "connected_to",
+            Self::LeftOf => "left_of",
+            Self::RightOf => "right_of",
+            Self::InFrontOf => "in_front_of",
+            Self::Behind => "behind",
+        }
+    }
+}
+
+/// The frame in which a relation holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RelationFrame {
+    /// Any: it reads the same from everywhere (near, inside, in a room).
+    Any,
+    /// Gravity: up is against it (on, under, above, below).
+    Gravity,
+    /// The robot's heading when it was there at this time, levelled.
+    Robot {
+        /// Stamp of the robot's pose.
+        stamp: Timestamp,
+    },
+    /// The heading of somebody who looks along the map's x axis.
+    Map,
+    /// The heading that was asked for.
+    Viewer,
+}
+
+/// A typed, directed edge of the scene graph.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Relation {
+    /// Who.
+    pub subject: NodeId,
+    /// How.
+    pub kind: RelationKind,
+    /// To whom.
+    pub object: NodeId,
+    /// In which frame.
+    pub frame: RelationFrame,
+    /// How much it holds, 0..1:
+    /// - on, supports: share of the subject's footprint over the object, times how good the contact is, 1 where one's bottom is at the
+    ///   other's top and 0 at `contact_m` from it;
+    /// - inside: how much more than half of the subject's volume the object holds, 0 at half and 1 at all;
+    /// - under: share of the smaller footprint that both have;
+    /// - above, below: the same times the nearness;
+    /// - next to, near: the nearness, `1 - gap / max_distance_m`;
+    /// - left of, right of, in front of, behind: the nearness times the squared cosine between that direction and the line of the centres
+    ///   on the ground, so that the two directions that apply add up to it;
+    /// - in a room, connected: 1.
+    pub strength: f64,
+    /// Gap between the two, metres; 0 if they touch or overlap.
+    pub distance_m: f64,
+}
+
+/// Something that stands somewhere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Placed {
+    pub(crate) id: NodeId,
+    /// Upright, map frame, metres.
+    pub(crate) bbox: OrientedBox3,
+    /// None of the robot.
+    pub(crate) class: Option<ObjectClass>,
+    /// Where rooms are known.
+    pub(crate) room: Option<RoomId>,
+}
+
+/// Which relations are listed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RelationParams {
+    /// Things with a larger gap between them are not related, metres, positive.
+    pub max_distance_m: f64,
+    /// Weaker relations are not listed; 0..1.
+    pub min_strength: f64,
+    /// Gap or overlap in height at which one thing still rests on another, metres, positive.
+    pub contact_m: f64,
+    /// A gap in which nobody passes: things so near are next to each other, metres, positive.
+    pub next_to_m: f64,
+    /// Of each thing so many others are near, 0 to 100.
+    pub num_near: usize,
+}
+
+impl Default for RelationParams {
+    fn default() -> Self {
+        Self { max_distance_m: 5.0, min_strength: 0.1, contact_m: 0.1, next_to_m: 0.5, num_near: 3 }
+    }
+}
+
+impl RelationParams {
+    /// Checks the bounds.
+    ///
+    /// # Errors
+    /// `InvalidParam` naming field, value and what it has to be.
+    pub fn validate(&self) -> Result<(), SceneError> {
+        within("max_distance_m", self.max_distance_m, 1e-6, 1e6, "positive and at most 1e6")?;
+        within("min_strength", self.min_strength, 0.0, 1.0, "from 0 to 1")?;
+        within("contact_m", self.contact_m, 1e-6, 1e6, "positive and at most 1e6")?;
+        within("next_to_m", self.next_to_m, 1e-6, 1e6, "positive and at most 1e6")?;
+        within("num_near", self.num_near as f64, 0.0, 100.0, "from 0 to 100")
+    }
+}
