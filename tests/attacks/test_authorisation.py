@@ -55,6 +55,9 @@ RULES = {
     "SceneService/ListObjects": (READ, True),
     "SceneService/GetObject": (READ, True),
     "SceneService/GetSceneGraph": (READ, True),
+    "SceneService/GetRooms": (READ, True),
+    "SceneService/NameRoom": (WRITE, True),
+    "SceneService/RouteToRoom": (READ, True),
     "LayersService": (READ, True),
     "NavigationService/PlanPath": (READ, True),
     "NavigationService/DrawPath": (READ, True),
@@ -483,7 +486,7 @@ ZENOH = {
     None: (False, False),
     "wrong password": (False, False),
 }
-QUESTIONS = ["map/occupancy", "map/cloud", "scene/graph", "scene/objects", "sensors", "pose"]
+QUESTIONS = ["map/occupancy", "map/cloud", "scene/graph", "scene/objects", "scene/rooms", "sensors", "pose"]
 
 
 def peer(site: Site, user: str | None):

@@ -70,12 +70,12 @@ def test_relations_join_nodes_with_a_strength_in_a_frame(lidar_session):
     graph = lidar_session.scene.graph()
     ids = {n.node_id for n in graph.nodes}
     assert graph.relations
-    frames = {"inside": "any", "near": "any", "on": "gravity", "above": "gravity", "below": "gravity"}
+    frames = {"inside": "any", "near": "any", "next_to": "any", "in_room": "any", "connected_to": "any"}
     for r in graph.relations:
         assert {r.subject_id, r.object_id} <= ids
         assert r.subject_id != r.object_id
         assert 0 < r.strength <= 1
-        assert r.frame == frames.get(r.kind, "viewer")
+        assert r.frame == frames.get(r.kind, "gravity")
 
 
 def test_an_empty_session_has_a_graph_without_objects(client):

@@ -110,6 +110,9 @@ GET_CHANGES = Rpc(_Y, "GetChanges", layers.GetChangesRequest, layers.GetChangesR
 _C = "SceneService"
 LIST_OBJECTS = Rpc(_C, "ListObjects", scene.ListObjectsRequest, scene.ListObjectsResponse)
 GET_OBJECT = Rpc(_C, "GetObject", scene.GetObjectRequest, scene.GetObjectResponse)
+GET_ROOMS = Rpc(_C, "GetRooms", scene.GetRoomsRequest, scene.GetRoomsResponse, in_parts=True)
+NAME_ROOM = Rpc(_C, "NameRoom", scene.NameRoomRequest, scene.NameRoomResponse)
+ROUTE_TO_ROOM = Rpc(_C, "RouteToRoom", scene.RouteToRoomRequest, scene.RouteToRoomResponse)
 GET_SCENE_GRAPH = Rpc(
     _C, "GetSceneGraph", scene.GetSceneGraphRequest, scene.GetSceneGraphResponse, in_parts=True
 )

@@ -15,6 +15,7 @@ mod params;
 mod pipeline;
 mod preset;
 mod restored;
+mod rooms;
 mod scene;
 mod second_look;
 mod snapshot;

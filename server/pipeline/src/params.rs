@@ -4,6 +4,7 @@ use crate::Preset;
 use percept_mapping::{LiveParams, MapParams};
 use percept_perception::detection::DetectionParams;
 use percept_planning::PlanParams;
+use percept_scene::rooms::RoomParams;
 use percept_scene::{RelationParams, TrackerParams};
 use percept_slam::{BackEndParams, OdometryParams};
 use serde::{Deserialize, Serialize};
@@ -107,6 +108,8 @@ pub struct PipelineParams {
     pub tracker: TrackerParams,
     /// Relations of the scene graph.
     pub relations: RelationParams,
+    /// What makes a room.
+    pub rooms: RoomParams,
     /// Paths.
     pub planning: PlanParams,
     /// What the defaults of the rest are made for.
@@ -134,6 +137,7 @@ impl PipelineParams {
         }
         self.tracker.validate().map_err(named("tracker"))?;
         self.relations.validate().map_err(named("relations"))?;
+        self.rooms.validate().map_err(named("rooms"))?;
         self.planning.validate().map_err(named("planning"))
     }
 }

@@ -15,6 +15,7 @@ pub use settings::may_change;
 use crate::frontend::{Frontend, Keyframe, Registered, Unanchored, View};
 use crate::live::{NewestFrames, Seen};
 use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
+use crate::rooms::DividedMap;
 use crate::scene::Scene;
 use crate::second_look::{SecondLook, SecondLooks};
 use crate::{
@@ -39,6 +40,8 @@ pub struct Pipeline {
     second_looks: SecondLooks,
     /// Objects.
     scene: Scene,
+    /// Rooms, once somebody has asked for them.
+    divided: DividedMap,
     /// Where the robot is now.
     pose: Option<PoseEstimate>,
     /// Where the robot starts in a map that was given, base to map, if that was told; until it does.
@@ -60,6 +63,7 @@ impl Pipeline {
             newest: NewestFrames::default(),
             second_looks: SecondLooks::default(),
             scene: Scene::new(&params)?,
+            divided: DividedMap::default(),
             pose: None,
             start: None,
             memory: SessionMemory::default(),
@@ -312,6 +316,7 @@ impl Pipeline {
             imu_faults: self.frontend.imu_faults(),
             loops: graph.loops(),
             objects: self.scene.objects(),
+            divided: self.divided.clone(),
             next_object_id: self.scene.next_object_id(),
             params: Arc::clone(&self.params),
         }

@@ -1,9 +1,11 @@
 //! The immutable picture of a session that every query is answered from.
 
+use crate::rooms::DividedMap;
 use crate::{Chunks, Live, MountOffset, PipelineParams};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
-use percept_mapping::{MapLayers, MapMemory, OccupancyMap};
-use percept_scene::{Object, SceneGraph};
+use percept_mapping::{MapLayers, MapMemory, MappingError, OccupancyMap};
+use percept_scene::rooms::{RoomId, Rooms};
+use percept_scene::{Directions, Object, SceneGraph, SceneView};
 use percept_slam::{ImuFault, Loop, Scale, TrackingState, Waiting};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -132,6 +134,8 @@ pub struct Snapshot {
     pub loops: Arc<Vec<Loop>>,
     /// Confirmed objects by id, those gone included.
     pub objects: Arc<Vec<Object>>,
+    /// The rooms, once somebody has asked for them.
+    pub(crate) divided: DividedMap,
     /// Number that the next object gets.
     pub next_object_id: u64,
     /// The parameters in force.
@@ -170,10 +174,29 @@ impl Snapshot {
         self.live.over(&self.layers.occupancy)
     }
 
-    /// Robot, objects that are not gone, and their relations.
-    pub fn scene_graph(&self) -> SceneGraph {
+    /// The rooms of the map's grid. Worked out once for each state of map and objects.
+    ///
+    /// # Errors
+    /// `RegionTooLarge` for a grid of more than `max_cells` cells around what is known.
+    pub fn rooms(&self, max_cells: usize) -> Result<Arc<Rooms>, MappingError> {
+        self.divided.of(self, max_cells)
+    }
+
+    /// Robot, objects that are not gone, rooms, and how all that relates; with directions for somebody, if they are asked for. `names` are
+    /// what people call rooms.
+    ///
+    /// # Errors
+    /// As [`Snapshot::rooms`].
+    pub fn scene_graph(
+        &self,
+        names: &BTreeMap<RoomId, String>,
+        whose: Option<Directions>,
+        max_cells: usize,
+    ) -> Result<SceneGraph, MappingError> {
         let (stamp, t_map_base) =
             self.pose.as_ref().map_or((Timestamp::default(), Pose::identity()), |p| (p.stamp, p.t_map_base));
-        SceneGraph::build(stamp, self.map_version, &t_map_base, &self.objects, &self.params.relations)
+        let (objects, rooms, map_version) = (&self.objects[..], &*self.rooms(max_cells)?, self.map_version);
+        let view = SceneView { stamp, map_version, t_map_base: &t_map_base, objects, rooms, names };
+        Ok(SceneGraph::build(&view, &self.params.relations, whose))
     }
 }

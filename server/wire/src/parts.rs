@@ -208,6 +208,7 @@ in_parts! {
     ClusterShapes { clusters }
     EvaluateTrajectoryResponse { pairs }
     GetSceneGraphResponse { graph.nodes, graph.relations }
+    GetRoomsResponse { rooms, doors, places, links }
     GetVoxelsResponse { blocks }
     QueryPointsResponse { points }
     CastRaysResponse { rays }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
 
-from .._convert import drawing, exploration, layers, navigation, sensors, sessions
+from .._convert import drawing, exploration, geometry, navigation, sensors, sessions
 from .._sender import FrameSender
 from ..types.exploration import (
     CoverageOptions,
@@ -257,7 +257,7 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         """A path in space to (x, y, z) in metres of the map, through its voxels, for what flies; `low` and
         `high` are the corners of the part that is searched. It keeps out of the session's zones, at any
         height."""
-        region = layers.region_to(low, high)
+        region = geometry.box3_to("region", low, high)
         return await self._transport.call(exploration.flight(self.session_id, goal, start, region, options))
 
     async def navigate(

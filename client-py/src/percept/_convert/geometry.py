@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from .._arrays import Array, vector
+from ..errors import InvalidArgument
 from ..types.geometry import CameraIntrinsics, DistortionModel, OrientedBox, Plane, PointCloud, Pose
 from ..v1 import geometry_pb2 as g
-from ..v1 import sensor_pb2
+from ..v1 import layers_service_pb2, sensor_pb2
 from . import words
 
 
@@ -155,3 +156,15 @@ def joined_cloud(messages: Sequence[g.PointCloud]) -> PointCloud:
             flat = np.frombuffer(data, np.dtype(dtype).newbyteorder("<"))
             channels[name] = flat.reshape(-1, width) if width > 1 else flat
     return PointCloud(channels.pop("points"), **channels)
+
+
+def box3_to(
+    field: str, low: Sequence[float] | None, high: Sequence[float] | None
+) -> layers_service_pb2.Box3 | None:
+    """A box between two corners; none if neither is given."""
+    if (low is None) != (high is None):
+        message = "low and high belong together; give both or neither"
+        raise InvalidArgument(message, reason="FIELD_MISSING", field=field)
+    if low is None or high is None:
+        return None
+    return layers_service_pb2.Box3(min=vector3_to(f"{field}.min", low), max=vector3_to(f"{field}.max", high))

@@ -145,17 +145,6 @@ def changes(message: service.GetChangesResponse) -> MapChanges:
     )
 
 
-def region_to(low: Sequence[float] | None, high: Sequence[float] | None) -> service.Box3 | None:
-    if (low is None) != (high is None):
-        message = "low and high belong together; give both or neither"
-        raise InvalidArgument(message, reason="FIELD_MISSING", field="region")
-    if low is None or high is None:
-        return None
-    return service.Box3(
-        min=geometry.vector3_to("region.min", low), max=geometry.vector3_to("region.max", high)
-    )
-
-
 def get_voxels(
     session_id: str,
     low: Sequence[float] | None,
@@ -165,7 +154,7 @@ def get_voxels(
 ) -> Call[service.GetVoxelsRequest, service.GetVoxelsResponse, Voxels]:
     request = service.GetVoxelsRequest(
         source=maps.source(session_id),
-        region=region_to(low, high),
+        region=geometry.box3_to("region", low, high),
         occupied_only=occupied_only,
         since_version=since_version,
     )
@@ -224,7 +213,9 @@ def get_mesh(
     session_id: str, low: Sequence[float] | None, high: Sequence[float] | None, max_triangles: int
 ) -> Call[service.GetMeshRequest, service.GetMeshResponse, Mesh]:
     request = service.GetMeshRequest(
-        source=maps.source(session_id), region=region_to(low, high), max_triangles=max_triangles
+        source=maps.source(session_id),
+        region=geometry.box3_to("region", low, high),
+        max_triangles=max_triangles,
     )
     return Call(_rpc.GET_MESH, request, mesh)
 

@@ -24,10 +24,12 @@ from ..types.navigation import (
     PathChange,
     PathOptions,
     PathUpdate,
+    RoomRoute,
+    RouteStep,
     StoreyOptions,
     Zone,
 )
-from ..v1 import geometry_pb2, layers_service_pb2, params_pb2, path_pb2
+from ..v1 import geometry_pb2, layers_service_pb2, params_pb2, path_pb2, scene_service_pb2
 from ..v1 import navigation_service_pb2 as service
 from . import geometry, maps, poses, scene, sensors, words
 
@@ -153,6 +155,31 @@ def update(answer: service.WatchPathResponse) -> PathUpdate:
         outcome=_outcome(answer),
         misfit=misfit(answer.misfit) if answer.HasField("misfit") else None,
         stamp=maps.stamp(answer.stamp),
+    )
+
+
+def route_to_room(
+    session_id: str, to: int | str, start: Sequence[float] | None
+) -> Call[scene_service_pb2.RouteToRoomRequest, scene_service_pb2.RouteToRoomResponse, RoomRoute]:
+    """The way to a room, by number or name."""
+    request = scene_service_pb2.RouteToRoomRequest(session_id=session_id)
+    if isinstance(to, str):
+        request.room_name = to
+    else:
+        request.room_id = to
+    if start is not None:
+        request.start.CopyFrom(geometry.vector2_to("start", start))
+    return Call(_rpc.ROUTE_TO_ROOM, request, _route)
+
+
+def _route(answer: scene_service_pb2.RouteToRoomResponse) -> RoomRoute:
+    outcome = path(answer.path, None) if answer.HasField("path") else no_path(answer.no_path, None)
+    steps = [
+        RouteStep(room_id=s.room_id, label=s.label, door=scene.door(s.door) if s.HasField("door") else None)
+        for s in answer.steps
+    ]
+    return RoomRoute(
+        steps=tuple(steps), length_m=answer.length_m, goal=geometry.vector2(answer.goal), outcome=outcome
     )
 
 

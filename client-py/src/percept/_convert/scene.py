@@ -8,14 +8,21 @@ from .. import _rpc
 from .._call import Call, PagedCall
 from ..types.scene import (
     Detection,
+    Door,
     Object,
     ObjectChange,
     ObjectChangeKind,
     ObjectClass,
     ObjectState,
+    Place,
+    PlaceLink,
     Relation,
+    RelationFilter,
     RelationFrame,
     RelationKind,
+    Room,
+    RoomKind,
+    Rooms,
     SceneGraph,
     SceneNode,
     SceneNodeKind,
@@ -80,6 +87,54 @@ def detection(message: object_pb2.Detection) -> Detection:
     )
 
 
+def room(message: scene_pb2.Room) -> Room:
+    """A room."""
+    return Room(
+        room_id=message.room_id,
+        kind=words.word(RoomKind, scene_pb2.RoomKind, message.kind),
+        name=message.name,
+        likely_use=message.likely_use,
+        was_entered=message.was_entered,
+        center=geometry.vector2(message.center),
+        radius_m=message.radius_m,
+        area_m2=message.area_m2,
+        outline=np.array([(p.x, p.y) for p in message.outline], np.float64).reshape(-1, 2),
+        object_ids=tuple(message.object_ids),
+    )
+
+
+def door(message: scene_pb2.Door) -> Door:
+    """A door."""
+    return Door(
+        room_ids=(message.room_id_1, message.room_id_2),
+        center=geometry.vector2(message.center),
+        width_m=message.width_m,
+        angle_rad=message.angle_rad,
+    )
+
+
+def _place(message: scene_pb2.Place) -> Place:
+    return Place(
+        place_id=message.place_id,
+        position=geometry.vector2(message.position),
+        clearance_m=message.clearance_m,
+        room_id=message.room_id,
+        is_in_door=message.is_in_door,
+    )
+
+
+def _rooms(message: service.GetRoomsResponse) -> Rooms:
+    return Rooms(
+        rooms=tuple(room(r) for r in message.rooms),
+        doors=tuple(door(d) for d in message.doors),
+        places=tuple(_place(p) for p in message.places),
+        links=tuple(
+            PlaceLink(place_ids=(k.place_id_1, k.place_id_2), length_m=k.length_m) for k in message.links
+        ),
+        map_version=message.map_version,
+    )
+
+
 def _node(message: scene_pb2.SceneNode) -> SceneNode:
     return SceneNode(
         node_id=message.node_id,
@@ -87,6 +142,7 @@ def _node(message: scene_pb2.SceneNode) -> SceneNode:
         label=message.label,
         t_map_node=geometry.pose(message.t_map_node),
         object=tracked(message.object) if message.HasField("object") else None,
+        room=room(message.room) if message.HasField("room") else None,
     )
 
 
@@ -130,8 +186,46 @@ def get_object(
     return Call(_rpc.GET_OBJECT, request, lambda a: tracked(a.object))
 
 
+def filter_to(asked: RelationFilter) -> scene_pb2.RelationFilter:
+    """A filter as a message."""
+    return scene_pb2.RelationFilter(
+        kinds=[words.number("kinds", scene_pb2.RelationKind, kind) for kind in asked.kinds],
+        subject_id=asked.subject_id,
+        object_id=asked.object_id,
+        subject_class=class_to("subject_class", asked.subject_class or ObjectClass.UNSPECIFIED),
+        object_class=class_to("object_class", asked.object_class or ObjectClass.UNSPECIFIED),
+        room_id=asked.room_id,
+        region=geometry.box3_to("region", asked.low, asked.high),
+        min_strength=asked.min_strength,
+    )
+
+
 def get_graph(
     session_id: str,
+    directions: RelationFrame | str | None,
+    viewer_yaw_rad: float,
+    asked: RelationFilter | None,
 ) -> Call[service.GetSceneGraphRequest, service.GetSceneGraphResponse, SceneGraph]:
-    request = service.GetSceneGraphRequest(session_id=session_id)
+    request = service.GetSceneGraphRequest(
+        session_id=session_id,
+        directions=words.number(
+            "directions", scene_pb2.RelationFrame, directions or RelationFrame.UNSPECIFIED
+        ),
+        viewer_yaw_rad=viewer_yaw_rad,
+        filter=None if asked is None else filter_to(asked),
+    )
     return Call(_rpc.GET_SCENE_GRAPH, request, lambda a: graph(a.graph))
+
+
+def get_rooms(
+    session_id: str, with_places: bool
+) -> Call[service.GetRoomsRequest, service.GetRoomsResponse, Rooms]:
+    request = service.GetRoomsRequest(session_id=session_id, with_places=with_places)
+    return Call(_rpc.GET_ROOMS, request, _rooms)
+
+
+def name_room(
+    session_id: str, room_id: int, name: str
+) -> Call[service.NameRoomRequest, service.NameRoomResponse, Room]:
+    request = service.NameRoomRequest(session_id=session_id, room_id=room_id, name=name)
+    return Call(_rpc.NAME_ROOM, request, lambda a: room(a.room))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from .._convert import drawing, exploration, layers, navigation, sensors, sessions
+from .._convert import drawing, exploration, geometry, navigation, sensors, sessions
 from .._sender import FrameSender
 from ..types.exploration import (
     CoverageOptions,
@@ -258,7 +258,7 @@ class Session(SessionBound, FrameSender[FrameResult]):
         """A path in space to (x, y, z) in metres of the map, through its voxels, for what flies; `low` and
         `high` are the corners of the part that is searched. It keeps out of the session's zones, at any
         height."""
-        region = layers.region_to(low, high)
+        region = geometry.box3_to("region", low, high)
         return self._transport.call(exploration.flight(self.session_id, goal, start, region, options))
 
     def navigate(

@@ -14,7 +14,7 @@ from .geometry import Floats
 from .layers import Storey
 from .maps import GridGeometry, MapStamp, OccupancyGrid
 from .poses import FrameResult, PoseEstimate
-from .scene import Object
+from .scene import Door, Object
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -354,3 +354,31 @@ class Navigation(Value):
     obstacles: tuple[Object, ...]
     outcome: Path | NoPath
     stamp: MapStamp
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RouteStep(Value):
+    """A room on the way."""
+
+    room_id: int
+    #: Its name, else what it is likely used for, or its kind, and its number.
+    label: str
+    #: To the next room; none in the last one.
+    door: Door | None
+
+    def __str__(self) -> str:
+        return self.label
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RoomRoute(Value):
+    """The way to a room: from door to door, and the path along the ground."""
+
+    #: Rooms from the start to the one asked for; empty if no place in it can be reached.
+    steps: tuple[RouteStep, ...]
+    #: Over places, metres.
+    length_m: float
+    #: In the room, map frame, metres, (2,).
+    goal: Floats
+    #: Along the ground to there, or why there is none.
+    outcome: Path | NoPath

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ._value import Name, Value
@@ -66,35 +67,138 @@ class ObjectChange(Value):
     object: Object
 
 
+class RoomKind(Name):
+    """Rooms by their shape."""
+
+    UNSPECIFIED = "unspecified"
+    ROOM = "room"
+    #: Long and narrow: it leads from room to room.
+    CORRIDOR = "corridor"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Room(Value):
+    """A part of the floor between walls and doors."""
+
+    #: Stays while the map grows and is corrected, of a room that the robot was in.
+    room_id: int
+    kind: RoomKind
+    #: What people call it; empty if they do not.
+    name: str
+    #: What it is likely used for, by what stands in it; empty if that does not tell.
+    likely_use: str
+    #: False: it was only looked into.
+    was_entered: bool
+    #: Where it is widest, map frame, metres, (2,).
+    center: Floats
+    #: Of the largest circle that fits, metres.
+    radius_m: float
+    #: Of its floor, what stands there included, square metres.
+    area_m2: float
+    #: Its outer border, counter-clockwise, map frame, metres, (N, 2).
+    outline: Floats
+    #: Objects in it that are not gone.
+    object_ids: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Door(Value):
+    """A doorway between two rooms."""
+
+    #: The smaller number first.
+    room_ids: tuple[int, int]
+    #: In its middle, map frame, metres, (2,).
+    center: Floats
+    #: Between its jambs, metres.
+    width_m: float
+    #: From jamb to jamb, radians from the map's x axis, -pi/2 to pi/2.
+    angle_rad: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Place(Value):
+    """A place to be. Numbers are new with each version of the map."""
+
+    place_id: int
+    #: Map frame, metres, (2,).
+    position: Floats
+    #: From the nearest obstacle, metres.
+    clearance_m: float
+    room_id: int
+    #: It lies in a doorway.
+    is_in_door: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PlaceLink(Value):
+    """A way over free floor between neighbouring places."""
+
+    #: The smaller number first.
+    place_ids: tuple[int, int]
+    length_m: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Rooms(Value):
+    """A level divided into rooms."""
+
+    #: By number.
+    rooms: tuple[Room, ...]
+    doors: tuple[Door, ...]
+    #: Empty unless asked for.
+    places: tuple[Place, ...]
+    links: tuple[PlaceLink, ...]
+    map_version: int
+
+
 class SceneNodeKind(Name):
     """What a node of the scene graph stands for."""
 
     UNSPECIFIED = "unspecified"
     ROBOT = "robot"
     OBJECT = "object"
+    ROOM = "room"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SceneNode(Value):
     """A node of the scene graph."""
 
-    #: Unique in the graph: "robot", "object/7".
+    #: Unique in the graph: "robot", "object/7", "room/3072".
     node_id: str
     kind: SceneNodeKind
     label: str
     t_map_node: Pose
+    #: Of an object.
     object: Object | None
+    #: Of a room.
+    room: Room | None
 
 
 class RelationKind(Name):
     """How one thing stands to another."""
 
     UNSPECIFIED = "unspecified"
+    #: It rests on top.
     ON = "on"
+    #: The other way round of ON.
+    SUPPORTS = "supports"
+    #: Most of it lies within what can hold things.
     INSIDE = "inside"
-    NEAR = "near"
+    #: It stands under its top, between its legs.
+    UNDER = "under"
+    #: Over it, or beneath it, apart from it.
     ABOVE = "above"
     BELOW = "below"
+    #: Nobody passes between them; in one room and in sight. Listed once.
+    NEXT_TO = "next_to"
+    #: The nearest to each other, in one room and in sight; or the robot's. Listed once.
+    NEAR = "near"
+    #: Robot or object in a room.
+    IN_ROOM = "in_room"
+    #: A door leads from one room to the other. Listed once.
+    CONNECTED_TO = "connected_to"
+    #: These only with directions.
     LEFT_OF = "left_of"
     RIGHT_OF = "right_of"
     IN_FRONT_OF = "in_front_of"
@@ -105,9 +209,16 @@ class RelationFrame(Name):
     """The frame in which a relation holds."""
 
     UNSPECIFIED = "unspecified"
+    #: On, under, above, below.
     GRAVITY = "gravity"
-    VIEWER = "viewer"
+    #: The same in every frame.
     ANY = "any"
+    #: As the robot sees it at the graph's stamp.
+    ROBOT = "robot"
+    #: Of somebody who looks along the map's x axis.
+    MAP = "map"
+    #: Of somebody who looks along viewer_yaw.
+    VIEWER = "viewer"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -123,6 +234,28 @@ class Relation(Value):
 
     def __str__(self) -> str:
         return f"{self.subject_id} {self.kind} {self.object_id}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelationFilter:
+    """Which relations are asked for: all that is set has to hold."""
+
+    #: One of these; empty: any.
+    kinds: Sequence[RelationKind | str] = ()
+    #: "robot", "object/7", "room/3072".
+    subject_id: str = ""
+    object_id: str = ""
+    #: Of the subject.
+    subject_class: ObjectClass | str | None = None
+    #: Of the object.
+    object_class: ObjectClass | str | None = None
+    #: Subject or object is in this room, or is it.
+    room_id: int | None = None
+    #: The middle of the subject lies between these corners, map frame, metres, (3,).
+    low: Sequence[float] | None = None
+    high: Sequence[float] | None = None
+    #: At least; 0 to 1.
+    min_strength: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -63,6 +63,7 @@ class PipelineParams(_message.Message):
     PLANNING_FIELD_NUMBER: _builtins.int
     PRESET_FIELD_NUMBER: _builtins.int
     LIVE_FIELD_NUMBER: _builtins.int
+    ROOMS_FIELD_NUMBER: _builtins.int
     preset: Global___Preset.ValueType
     """What the defaults of all the rest are made for. In a session it is what was chosen."""
     @_builtins.property
@@ -93,6 +94,10 @@ class PipelineParams(_message.Message):
     def live(self) -> Global___LiveParams:
         """What the newest frames see beside the map, for paths."""
 
+    @_builtins.property
+    def rooms(self) -> Global___RoomParams:
+        """What makes a room."""
+
     def __init__(
         self,
         *,
@@ -104,10 +109,11 @@ class PipelineParams(_message.Message):
         planning: Global___PlanningParams | None = ...,
         preset: Global___Preset.ValueType | None = ...,
         live: Global___LiveParams | None = ...,
+        rooms: Global___RoomParams | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "live", b"live", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "live", b"live", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "rooms", b"rooms", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "live", b"live", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_preset", b"_preset", "detection", b"detection", "live", b"live", "map", b"map", "planning", b"planning", "preset", b"preset", "relations", b"relations", "rooms", b"rooms", "slam", b"slam", "tracker", b"tracker"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__preset: _TypeAlias = _typing.Literal["preset"]  # noqa: Y015
     _WhichOneofArgType__preset: _TypeAlias = _typing.Literal["_preset", b"_preset"]  # noqa: Y015
@@ -1658,22 +1664,30 @@ class RelationParams(_message.Message):
     MAX_DISTANCE_M_FIELD_NUMBER: _builtins.int
     MIN_STRENGTH_FIELD_NUMBER: _builtins.int
     CONTACT_M_FIELD_NUMBER: _builtins.int
+    NEXT_TO_M_FIELD_NUMBER: _builtins.int
+    NUM_NEAR_FIELD_NUMBER: _builtins.int
     max_distance_m: _builtins.float
     """Things with a larger gap between them are not related, metres, positive."""
     min_strength: _builtins.float
     """Weaker relations are not listed; 0..1."""
     contact_m: _builtins.float
     """Gap or overlap in height at which one thing still rests on another, metres, positive."""
+    next_to_m: _builtins.float
+    """A gap in which nobody passes: things so near are next to each other, metres, positive."""
+    num_near: _builtins.int
+    """Of each thing so many others are near, 0 to 100."""
     def __init__(
         self,
         *,
         max_distance_m: _builtins.float | None = ...,
         min_strength: _builtins.float | None = ...,
         contact_m: _builtins.float | None = ...,
+        next_to_m: _builtins.float | None = ...,
+        num_near: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_contact_m", b"_contact_m", "_max_distance_m", b"_max_distance_m", "_min_strength", b"_min_strength", "contact_m", b"contact_m", "max_distance_m", b"max_distance_m", "min_strength", b"min_strength"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_contact_m", b"_contact_m", "_max_distance_m", b"_max_distance_m", "_min_strength", b"_min_strength", "_next_to_m", b"_next_to_m", "_num_near", b"_num_near", "contact_m", b"contact_m", "max_distance_m", b"max_distance_m", "min_strength", b"min_strength", "next_to_m", b"next_to_m", "num_near", b"num_near"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_contact_m", b"_contact_m", "_max_distance_m", b"_max_distance_m", "_min_strength", b"_min_strength", "contact_m", b"contact_m", "max_distance_m", b"max_distance_m", "min_strength", b"min_strength"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_contact_m", b"_contact_m", "_max_distance_m", b"_max_distance_m", "_min_strength", b"_min_strength", "_next_to_m", b"_next_to_m", "_num_near", b"_num_near", "contact_m", b"contact_m", "max_distance_m", b"max_distance_m", "min_strength", b"min_strength", "next_to_m", b"next_to_m", "num_near", b"num_near"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__contact_m: _TypeAlias = _typing.Literal["contact_m"]  # noqa: Y015
     _WhichOneofArgType__contact_m: _TypeAlias = _typing.Literal["_contact_m", b"_contact_m"]  # noqa: Y015
@@ -1681,14 +1695,87 @@ class RelationParams(_message.Message):
     _WhichOneofArgType__max_distance_m: _TypeAlias = _typing.Literal["_max_distance_m", b"_max_distance_m"]  # noqa: Y015
     _WhichOneofReturnType__min_strength: _TypeAlias = _typing.Literal["min_strength"]  # noqa: Y015
     _WhichOneofArgType__min_strength: _TypeAlias = _typing.Literal["_min_strength", b"_min_strength"]  # noqa: Y015
+    _WhichOneofReturnType__next_to_m: _TypeAlias = _typing.Literal["next_to_m"]  # noqa: Y015
+    _WhichOneofArgType__next_to_m: _TypeAlias = _typing.Literal["_next_to_m", b"_next_to_m"]  # noqa: Y015
+    _WhichOneofReturnType__num_near: _TypeAlias = _typing.Literal["num_near"]  # noqa: Y015
+    _WhichOneofArgType__num_near: _TypeAlias = _typing.Literal["_num_near", b"_num_near"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__contact_m) -> _WhichOneofReturnType__contact_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_distance_m) -> _WhichOneofReturnType__max_distance_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__min_strength) -> _WhichOneofReturnType__min_strength | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__next_to_m) -> _WhichOneofReturnType__next_to_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__num_near) -> _WhichOneofReturnType__num_near | None: ...
 
 Global___RelationParams: _TypeAlias = RelationParams  # noqa: Y015
+
+@_typing.final
+class RoomParams(_message.Message):
+    """What makes a room. Lengths in metres."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DOOR_MAX_M_FIELD_NUMBER: _builtins.int
+    DOOR_RATIO_FIELD_NUMBER: _builtins.int
+    AREA_MIN_M2_FIELD_NUMBER: _builtins.int
+    FURNITURE_MAX_M_FIELD_NUMBER: _builtins.int
+    PLACE_SPACING_M_FIELD_NUMBER: _builtins.int
+    PLACE_CLEARANCE_M_FIELD_NUMBER: _builtins.int
+    door_max_m: _builtins.float
+    """A passage this wide or narrower may be a doorway, 0.3 to 10. Wider ones are openings inside a room."""
+    door_ratio: _builtins.float
+    """On both sides of a doorway there is room for a circle so many times as wide, 1 to 10."""
+    area_min_m2: _builtins.float
+    """Least free floor of a room, square metres, 0.1 to 1000."""
+    furniture_max_m: _builtins.float
+    """What stands free and is no longer than this is furniture, 0 to 10, not a wall."""
+    place_spacing_m: _builtins.float
+    """Places are about so far from each other, 0.3 to 20."""
+    place_clearance_m: _builtins.float
+    """A place, and the way to the next one, keep so far from obstacles, 0 to 5: half a robot's width."""
+    def __init__(
+        self,
+        *,
+        door_max_m: _builtins.float | None = ...,
+        door_ratio: _builtins.float | None = ...,
+        area_min_m2: _builtins.float | None = ...,
+        furniture_max_m: _builtins.float | None = ...,
+        place_spacing_m: _builtins.float | None = ...,
+        place_clearance_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_area_min_m2", b"_area_min_m2", "_door_max_m", b"_door_max_m", "_door_ratio", b"_door_ratio", "_furniture_max_m", b"_furniture_max_m", "_place_clearance_m", b"_place_clearance_m", "_place_spacing_m", b"_place_spacing_m", "area_min_m2", b"area_min_m2", "door_max_m", b"door_max_m", "door_ratio", b"door_ratio", "furniture_max_m", b"furniture_max_m", "place_clearance_m", b"place_clearance_m", "place_spacing_m", b"place_spacing_m"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_area_min_m2", b"_area_min_m2", "_door_max_m", b"_door_max_m", "_door_ratio", b"_door_ratio", "_furniture_max_m", b"_furniture_max_m", "_place_clearance_m", b"_place_clearance_m", "_place_spacing_m", b"_place_spacing_m", "area_min_m2", b"area_min_m2", "door_max_m", b"door_max_m", "door_ratio", b"door_ratio", "furniture_max_m", b"furniture_max_m", "place_clearance_m", b"place_clearance_m", "place_spacing_m", b"place_spacing_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__area_min_m2: _TypeAlias = _typing.Literal["area_min_m2"]  # noqa: Y015
+    _WhichOneofArgType__area_min_m2: _TypeAlias = _typing.Literal["_area_min_m2", b"_area_min_m2"]  # noqa: Y015
+    _WhichOneofReturnType__door_max_m: _TypeAlias = _typing.Literal["door_max_m"]  # noqa: Y015
+    _WhichOneofArgType__door_max_m: _TypeAlias = _typing.Literal["_door_max_m", b"_door_max_m"]  # noqa: Y015
+    _WhichOneofReturnType__door_ratio: _TypeAlias = _typing.Literal["door_ratio"]  # noqa: Y015
+    _WhichOneofArgType__door_ratio: _TypeAlias = _typing.Literal["_door_ratio", b"_door_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__furniture_max_m: _TypeAlias = _typing.Literal["furniture_max_m"]  # noqa: Y015
+    _WhichOneofArgType__furniture_max_m: _TypeAlias = _typing.Literal["_furniture_max_m", b"_furniture_max_m"]  # noqa: Y015
+    _WhichOneofReturnType__place_clearance_m: _TypeAlias = _typing.Literal["place_clearance_m"]  # noqa: Y015
+    _WhichOneofArgType__place_clearance_m: _TypeAlias = _typing.Literal["_place_clearance_m", b"_place_clearance_m"]  # noqa: Y015
+    _WhichOneofReturnType__place_spacing_m: _TypeAlias = _typing.Literal["place_spacing_m"]  # noqa: Y015
+    _WhichOneofArgType__place_spacing_m: _TypeAlias = _typing.Literal["_place_spacing_m", b"_place_spacing_m"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__area_min_m2) -> _WhichOneofReturnType__area_min_m2 | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__door_max_m) -> _WhichOneofReturnType__door_max_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__door_ratio) -> _WhichOneofReturnType__door_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__furniture_max_m) -> _WhichOneofReturnType__furniture_max_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__place_clearance_m) -> _WhichOneofReturnType__place_clearance_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__place_spacing_m) -> _WhichOneofReturnType__place_spacing_m | None: ...
+
+Global___RoomParams: _TypeAlias = RoomParams  # noqa: Y015
 
 @_typing.final
 class PlanningParams(_message.Message):

@@ -250,7 +250,7 @@ class PathOptions(_message.Message):
     goal_yaw_rad: _builtins.float
     """Heading to end with, radians. Absent: any. HYBRID only."""
     deadline_ms: _builtins.int
-    """GRID and HYBRID end with the best path so far after so many milliseconds: see Path.is_final and Path.bound. DEADLINE is the answer
+    """The search ends with the best path so far after so many milliseconds: see Path.is_final and Path.bound. DEADLINE is the answer
     only if there is none by then. 0: when it is done.
     """
     ignore_session_zones: _builtins.bool
@@ -556,8 +556,8 @@ class Path(_message.Message):
     duration_s: _builtins.float
     """From rest to rest, seconds."""
     bound: _builtins.float
-    """HYBRID: its cost before shortcuts is at most so many times the least one that was left possible. GRID with a deadline: its cost over
-    cells, before it is smoothed, is at most so many times the least.
+    """HYBRID: its cost before shortcuts is at most so many times the least one that was left possible. GRID with a deadline,
+    and ANY_ANGLE that did not come to its end: its cost over cells, before it is smoothed, is at most so many times the least.
     """
     is_final: _builtins.bool
     """False: the search was ended before it was done, with this as the best so far."""

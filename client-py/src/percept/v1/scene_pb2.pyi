@@ -9,6 +9,7 @@ from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from percept.v1 import geometry_pb2 as _geometry_pb2
+from percept.v1 import layers_service_pb2 as _layers_service_pb2
 from percept.v1 import object_pb2 as _object_pb2
 import builtins as _builtins
 import sys
@@ -30,6 +31,7 @@ class _SceneNodeKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_SceneNo
     SCENE_NODE_KIND_UNSPECIFIED: _SceneNodeKind.ValueType  # 0
     SCENE_NODE_KIND_ROBOT: _SceneNodeKind.ValueType  # 1
     SCENE_NODE_KIND_OBJECT: _SceneNodeKind.ValueType  # 2
+    SCENE_NODE_KIND_ROOM: _SceneNodeKind.ValueType  # 3
 
 class SceneNodeKind(_SceneNodeKind, metaclass=_SceneNodeKindEnumTypeWrapper):
     """What a node of the scene graph stands for."""
@@ -37,6 +39,7 @@ class SceneNodeKind(_SceneNodeKind, metaclass=_SceneNodeKindEnumTypeWrapper):
 SCENE_NODE_KIND_UNSPECIFIED: SceneNodeKind.ValueType  # 0
 SCENE_NODE_KIND_ROBOT: SceneNodeKind.ValueType  # 1
 SCENE_NODE_KIND_OBJECT: SceneNodeKind.ValueType  # 2
+SCENE_NODE_KIND_ROOM: SceneNodeKind.ValueType  # 3
 Global___SceneNodeKind: _TypeAlias = SceneNodeKind  # noqa: Y015
 
 class _RelationKind:
@@ -47,28 +50,62 @@ class _RelationKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Relation
     DESCRIPTOR: _descriptor.EnumDescriptor
     RELATION_KIND_UNSPECIFIED: _RelationKind.ValueType  # 0
     RELATION_KIND_ON: _RelationKind.ValueType  # 1
+    """It rests on top."""
     RELATION_KIND_INSIDE: _RelationKind.ValueType  # 2
+    """Most of it lies within what can hold things."""
     RELATION_KIND_NEAR: _RelationKind.ValueType  # 3
+    """The nearest to each other, in one room and in sight; or the robot's. Listed once."""
     RELATION_KIND_ABOVE: _RelationKind.ValueType  # 4
+    """Over it, apart from it."""
     RELATION_KIND_BELOW: _RelationKind.ValueType  # 5
+    """Beneath it, apart from it."""
     RELATION_KIND_LEFT_OF: _RelationKind.ValueType  # 6
+    """Only on request, as the next three: see GetSceneGraphRequest.directions."""
     RELATION_KIND_RIGHT_OF: _RelationKind.ValueType  # 7
     RELATION_KIND_IN_FRONT_OF: _RelationKind.ValueType  # 8
+    """On the viewer's side of it; of the robot: ahead of it."""
     RELATION_KIND_BEHIND: _RelationKind.ValueType  # 9
+    RELATION_KIND_SUPPORTS: _RelationKind.ValueType  # 10
+    """The other way round of ON."""
+    RELATION_KIND_UNDER: _RelationKind.ValueType  # 11
+    """It stands under its top, between its legs."""
+    RELATION_KIND_NEXT_TO: _RelationKind.ValueType  # 12
+    """Nobody passes between them: nearer than params.relations.next_to_m, in one room and in sight. Listed once."""
+    RELATION_KIND_IN_ROOM: _RelationKind.ValueType  # 13
+    """Robot or object in a room."""
+    RELATION_KIND_CONNECTED_TO: _RelationKind.ValueType  # 14
+    """A door leads from one room to the other. Listed once."""
 
 class RelationKind(_RelationKind, metaclass=_RelationKindEnumTypeWrapper):
     """How one thing stands to another."""
 
 RELATION_KIND_UNSPECIFIED: RelationKind.ValueType  # 0
 RELATION_KIND_ON: RelationKind.ValueType  # 1
+"""It rests on top."""
 RELATION_KIND_INSIDE: RelationKind.ValueType  # 2
+"""Most of it lies within what can hold things."""
 RELATION_KIND_NEAR: RelationKind.ValueType  # 3
+"""The nearest to each other, in one room and in sight; or the robot's. Listed once."""
 RELATION_KIND_ABOVE: RelationKind.ValueType  # 4
+"""Over it, apart from it."""
 RELATION_KIND_BELOW: RelationKind.ValueType  # 5
+"""Beneath it, apart from it."""
 RELATION_KIND_LEFT_OF: RelationKind.ValueType  # 6
+"""Only on request, as the next three: see GetSceneGraphRequest.directions."""
 RELATION_KIND_RIGHT_OF: RelationKind.ValueType  # 7
 RELATION_KIND_IN_FRONT_OF: RelationKind.ValueType  # 8
+"""On the viewer's side of it; of the robot: ahead of it."""
 RELATION_KIND_BEHIND: RelationKind.ValueType  # 9
+RELATION_KIND_SUPPORTS: RelationKind.ValueType  # 10
+"""The other way round of ON."""
+RELATION_KIND_UNDER: RelationKind.ValueType  # 11
+"""It stands under its top, between its legs."""
+RELATION_KIND_NEXT_TO: RelationKind.ValueType  # 12
+"""Nobody passes between them: nearer than params.relations.next_to_m, in one room and in sight. Listed once."""
+RELATION_KIND_IN_ROOM: RelationKind.ValueType  # 13
+"""Robot or object in a room."""
+RELATION_KIND_CONNECTED_TO: RelationKind.ValueType  # 14
+"""A door leads from one room to the other. Listed once."""
 Global___RelationKind: _TypeAlias = RelationKind  # noqa: Y015
 
 class _RelationFrame:
@@ -79,23 +116,51 @@ class _RelationFrameEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Relatio
     DESCRIPTOR: _descriptor.EnumDescriptor
     RELATION_FRAME_UNSPECIFIED: _RelationFrame.ValueType  # 0
     RELATION_FRAME_GRAVITY: _RelationFrame.ValueType  # 1
-    """Gravity: on, above, below."""
+    """Gravity: on, under, above, below."""
     RELATION_FRAME_VIEWER: _RelationFrame.ValueType  # 2
-    """As the robot sees it at the graph's stamp: left, right, front, behind."""
+    """Of somebody who looks along viewer_yaw_rad."""
     RELATION_FRAME_ANY: _RelationFrame.ValueType  # 3
-    """The same in every frame: inside, near."""
+    """The same in every frame: inside, near, in a room."""
+    RELATION_FRAME_ROBOT: _RelationFrame.ValueType  # 4
+    """As the robot sees it at the graph's stamp."""
+    RELATION_FRAME_MAP: _RelationFrame.ValueType  # 5
+    """Of somebody who looks along the map's x axis."""
 
 class RelationFrame(_RelationFrame, metaclass=_RelationFrameEnumTypeWrapper):
     """The frame in which a relation holds."""
 
 RELATION_FRAME_UNSPECIFIED: RelationFrame.ValueType  # 0
 RELATION_FRAME_GRAVITY: RelationFrame.ValueType  # 1
-"""Gravity: on, above, below."""
+"""Gravity: on, under, above, below."""
 RELATION_FRAME_VIEWER: RelationFrame.ValueType  # 2
-"""As the robot sees it at the graph's stamp: left, right, front, behind."""
+"""Of somebody who looks along viewer_yaw_rad."""
 RELATION_FRAME_ANY: RelationFrame.ValueType  # 3
-"""The same in every frame: inside, near."""
+"""The same in every frame: inside, near, in a room."""
+RELATION_FRAME_ROBOT: RelationFrame.ValueType  # 4
+"""As the robot sees it at the graph's stamp."""
+RELATION_FRAME_MAP: RelationFrame.ValueType  # 5
+"""Of somebody who looks along the map's x axis."""
 Global___RelationFrame: _TypeAlias = RelationFrame  # noqa: Y015
+
+class _RoomKind:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _RoomKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_RoomKind.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    ROOM_KIND_UNSPECIFIED: _RoomKind.ValueType  # 0
+    ROOM_KIND_ROOM: _RoomKind.ValueType  # 1
+    ROOM_KIND_CORRIDOR: _RoomKind.ValueType  # 2
+    """Long and narrow: it leads from room to room."""
+
+class RoomKind(_RoomKind, metaclass=_RoomKindEnumTypeWrapper):
+    """Rooms by their shape."""
+
+ROOM_KIND_UNSPECIFIED: RoomKind.ValueType  # 0
+ROOM_KIND_ROOM: RoomKind.ValueType  # 1
+ROOM_KIND_CORRIDOR: RoomKind.ValueType  # 2
+"""Long and narrow: it leads from room to room."""
+Global___RoomKind: _TypeAlias = RoomKind  # noqa: Y015
 
 @_typing.final
 class SceneNode(_message.Message):
@@ -108,8 +173,9 @@ class SceneNode(_message.Message):
     LABEL_FIELD_NUMBER: _builtins.int
     T_MAP_NODE_FIELD_NUMBER: _builtins.int
     OBJECT_FIELD_NUMBER: _builtins.int
+    ROOM_FIELD_NUMBER: _builtins.int
     node_id: _builtins.str
-    """Unique in the graph: "robot", "object/7"."""
+    """Unique in the graph: "robot", "object/7", "room/3072"."""
     kind: Global___SceneNodeKind.ValueType
     label: _builtins.str
     """For people, and for Graphviz."""
@@ -121,6 +187,10 @@ class SceneNode(_message.Message):
     def object(self) -> _object_pb2.Object:
         """Set for objects."""
 
+    @_builtins.property
+    def room(self) -> Global___Room:
+        """Set for rooms."""
+
     def __init__(
         self,
         *,
@@ -129,14 +199,20 @@ class SceneNode(_message.Message):
         label: _builtins.str = ...,
         t_map_node: _geometry_pb2.Pose | None = ...,
         object: _object_pb2.Object | None = ...,
+        room: Global___Room | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_object", b"_object", "object", b"object", "t_map_node", b"t_map_node"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_object", b"_object", "_room", b"_room", "object", b"object", "room", b"room", "t_map_node", b"t_map_node"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_object", b"_object", "kind", b"kind", "label", b"label", "node_id", b"node_id", "object", b"object", "t_map_node", b"t_map_node"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_object", b"_object", "_room", b"_room", "kind", b"kind", "label", b"label", "node_id", b"node_id", "object", b"object", "room", b"room", "t_map_node", b"t_map_node"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__object: _TypeAlias = _typing.Literal["object"]  # noqa: Y015
     _WhichOneofArgType__object: _TypeAlias = _typing.Literal["_object", b"_object"]  # noqa: Y015
+    _WhichOneofReturnType__room: _TypeAlias = _typing.Literal["room"]  # noqa: Y015
+    _WhichOneofArgType__room: _TypeAlias = _typing.Literal["_room", b"_room"]  # noqa: Y015
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__object) -> _WhichOneofReturnType__object | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__room) -> _WhichOneofReturnType__room | None: ...
 
 Global___SceneNode: _TypeAlias = SceneNode  # noqa: Y015
 
@@ -179,6 +255,235 @@ class Relation(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___Relation: _TypeAlias = Relation  # noqa: Y015
+
+@_typing.final
+class RelationFilter(_message.Message):
+    """Which relations are asked for: all that is set has to hold."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    KINDS_FIELD_NUMBER: _builtins.int
+    SUBJECT_ID_FIELD_NUMBER: _builtins.int
+    OBJECT_ID_FIELD_NUMBER: _builtins.int
+    SUBJECT_CLASS_FIELD_NUMBER: _builtins.int
+    OBJECT_CLASS_FIELD_NUMBER: _builtins.int
+    ROOM_ID_FIELD_NUMBER: _builtins.int
+    REGION_FIELD_NUMBER: _builtins.int
+    MIN_STRENGTH_FIELD_NUMBER: _builtins.int
+    subject_id: _builtins.str
+    """node_id."""
+    object_id: _builtins.str
+    """node_id."""
+    subject_class: _object_pb2.ObjectClass.ValueType
+    """Of the subject."""
+    object_class: _object_pb2.ObjectClass.ValueType
+    """Of the object."""
+    room_id: _builtins.int
+    """Subject or object is in this room, or is it."""
+    min_strength: _builtins.float
+    """At least; 0 to 1."""
+    @_builtins.property
+    def kinds(self) -> _containers.RepeatedScalarFieldContainer[Global___RelationKind.ValueType]:
+        """One of these; empty: any."""
+
+    @_builtins.property
+    def region(self) -> _layers_service_pb2.Box3:
+        """The middle of the subject lies in it, map frame, metres."""
+
+    def __init__(
+        self,
+        *,
+        kinds: _abc.Iterable[Global___RelationKind.ValueType] | None = ...,
+        subject_id: _builtins.str = ...,
+        object_id: _builtins.str = ...,
+        subject_class: _object_pb2.ObjectClass.ValueType = ...,
+        object_class: _object_pb2.ObjectClass.ValueType = ...,
+        room_id: _builtins.int | None = ...,
+        region: _layers_service_pb2.Box3 | None = ...,
+        min_strength: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_room_id", b"_room_id", "region", b"region", "room_id", b"room_id"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_room_id", b"_room_id", "kinds", b"kinds", "min_strength", b"min_strength", "object_class", b"object_class", "object_id", b"object_id", "region", b"region", "room_id", b"room_id", "subject_class", b"subject_class", "subject_id", b"subject_id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__region: _TypeAlias = _typing.Literal["region"]  # noqa: Y015
+    _WhichOneofArgType__region: _TypeAlias = _typing.Literal["_region", b"_region"]  # noqa: Y015
+    _WhichOneofReturnType__room_id: _TypeAlias = _typing.Literal["room_id"]  # noqa: Y015
+    _WhichOneofArgType__room_id: _TypeAlias = _typing.Literal["_room_id", b"_room_id"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__region) -> _WhichOneofReturnType__region | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__room_id) -> _WhichOneofReturnType__room_id | None: ...
+
+Global___RelationFilter: _TypeAlias = RelationFilter  # noqa: Y015
+
+@_typing.final
+class Room(_message.Message):
+    """A part of the floor between walls and doors."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ROOM_ID_FIELD_NUMBER: _builtins.int
+    KIND_FIELD_NUMBER: _builtins.int
+    NAME_FIELD_NUMBER: _builtins.int
+    LIKELY_USE_FIELD_NUMBER: _builtins.int
+    WAS_ENTERED_FIELD_NUMBER: _builtins.int
+    CENTER_FIELD_NUMBER: _builtins.int
+    RADIUS_M_FIELD_NUMBER: _builtins.int
+    AREA_M2_FIELD_NUMBER: _builtins.int
+    OUTLINE_FIELD_NUMBER: _builtins.int
+    OBJECT_IDS_FIELD_NUMBER: _builtins.int
+    room_id: _builtins.int
+    """Stays while the map grows and is corrected, of a room that the robot was in."""
+    kind: Global___RoomKind.ValueType
+    name: _builtins.str
+    """What people call it; empty if they do not. See NameRoom."""
+    likely_use: _builtins.str
+    """What it is likely used for, by what stands in it: "office", "meeting room", "storage room". Empty if that does not tell."""
+    was_entered: _builtins.bool
+    """False: it was only looked into."""
+    radius_m: _builtins.float
+    """Of the largest circle that fits, metres."""
+    area_m2: _builtins.float
+    """Of its floor, what stands there included, square metres."""
+    @_builtins.property
+    def center(self) -> _geometry_pb2.Vector2:
+        """Where it is widest, map frame, metres."""
+
+    @_builtins.property
+    def outline(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector2]:
+        """Its outer border, counter-clockwise, map frame, metres."""
+
+    @_builtins.property
+    def object_ids(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
+        """Objects in it that are not gone."""
+
+    def __init__(
+        self,
+        *,
+        room_id: _builtins.int = ...,
+        kind: Global___RoomKind.ValueType = ...,
+        name: _builtins.str = ...,
+        likely_use: _builtins.str = ...,
+        was_entered: _builtins.bool = ...,
+        center: _geometry_pb2.Vector2 | None = ...,
+        radius_m: _builtins.float = ...,
+        area_m2: _builtins.float = ...,
+        outline: _abc.Iterable[_geometry_pb2.Vector2] | None = ...,
+        object_ids: _abc.Iterable[_builtins.int] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["center", b"center"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["area_m2", b"area_m2", "center", b"center", "kind", b"kind", "likely_use", b"likely_use", "name", b"name", "object_ids", b"object_ids", "outline", b"outline", "radius_m", b"radius_m", "room_id", b"room_id", "was_entered", b"was_entered"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Room: _TypeAlias = Room  # noqa: Y015
+
+@_typing.final
+class Door(_message.Message):
+    """A doorway between two rooms."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ROOM_ID_1_FIELD_NUMBER: _builtins.int
+    ROOM_ID_2_FIELD_NUMBER: _builtins.int
+    CENTER_FIELD_NUMBER: _builtins.int
+    WIDTH_M_FIELD_NUMBER: _builtins.int
+    ANGLE_RAD_FIELD_NUMBER: _builtins.int
+    room_id_1: _builtins.int
+    """The smaller number first."""
+    room_id_2: _builtins.int
+    width_m: _builtins.float
+    """Between its jambs, metres."""
+    angle_rad: _builtins.float
+    """From jamb to jamb, radians from the map's x axis, -pi/2 to pi/2."""
+    @_builtins.property
+    def center(self) -> _geometry_pb2.Vector2:
+        """In its middle, map frame, metres."""
+
+    def __init__(
+        self,
+        *,
+        room_id_1: _builtins.int = ...,
+        room_id_2: _builtins.int = ...,
+        center: _geometry_pb2.Vector2 | None = ...,
+        width_m: _builtins.float = ...,
+        angle_rad: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["center", b"center"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["angle_rad", b"angle_rad", "center", b"center", "room_id_1", b"room_id_1", "room_id_2", b"room_id_2", "width_m", b"width_m"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Door: _TypeAlias = Door  # noqa: Y015
+
+@_typing.final
+class Place(_message.Message):
+    """A place to be. Numbers are new with each version of the map."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PLACE_ID_FIELD_NUMBER: _builtins.int
+    POSITION_FIELD_NUMBER: _builtins.int
+    CLEARANCE_M_FIELD_NUMBER: _builtins.int
+    ROOM_ID_FIELD_NUMBER: _builtins.int
+    IS_IN_DOOR_FIELD_NUMBER: _builtins.int
+    place_id: _builtins.int
+    clearance_m: _builtins.float
+    """From the nearest obstacle, metres."""
+    room_id: _builtins.int
+    is_in_door: _builtins.bool
+    """It lies in a doorway."""
+    @_builtins.property
+    def position(self) -> _geometry_pb2.Vector2:
+        """Map frame, metres."""
+
+    def __init__(
+        self,
+        *,
+        place_id: _builtins.int = ...,
+        position: _geometry_pb2.Vector2 | None = ...,
+        clearance_m: _builtins.float = ...,
+        room_id: _builtins.int = ...,
+        is_in_door: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["position", b"position"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["clearance_m", b"clearance_m", "is_in_door", b"is_in_door", "place_id", b"place_id", "position", b"position", "room_id", b"room_id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Place: _TypeAlias = Place  # noqa: Y015
+
+@_typing.final
+class PlaceLink(_message.Message):
+    """A way over free floor between neighbouring places."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    PLACE_ID_1_FIELD_NUMBER: _builtins.int
+    PLACE_ID_2_FIELD_NUMBER: _builtins.int
+    LENGTH_M_FIELD_NUMBER: _builtins.int
+    place_id_1: _builtins.int
+    """The smaller number first."""
+    place_id_2: _builtins.int
+    length_m: _builtins.float
+    def __init__(
+        self,
+        *,
+        place_id_1: _builtins.int = ...,
+        place_id_2: _builtins.int = ...,
+        length_m: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["length_m", b"length_m", "place_id_1", b"place_id_1", "place_id_2", b"place_id_2"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___PlaceLink: _TypeAlias = PlaceLink  # noqa: Y015
 
 @_typing.final
 class SceneGraph(_message.Message):

@@ -12,29 +12,45 @@ from google.protobuf.internal import builder as _builder
 _sym_db = _symbol_database.Default()
 
 
+from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
 from percept.v1 import object_pb2 as percept_dot_v1_dot_object__pb2
+from percept.v1 import path_pb2 as percept_dot_v1_dot_path__pb2
 from percept.v1 import scene_pb2 as percept_dot_v1_dot_scene__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1epercept/v1/scene_service.proto\x12\npercept.v1\x1a\x17percept/v1/object.proto\x1a\x16percept/v1/scene.proto\"\x94\x01\n\x12ListObjectsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\x12-\n\x0cobject_class\x18\x04 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x14\n\x0cinclude_gone\x18\x05 \x01(\x08\"h\n\x13ListObjectsResponse\x12#\n\x07objects\x18\x01 \x03(\x0b\x32\x12.percept.v1.Object\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x13\n\x0bmap_version\x18\x03 \x01(\x04\"9\n\x10GetObjectRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tobject_id\x18\x02 \x01(\x04\"7\n\x11GetObjectResponse\x12\"\n\x06object\x18\x01 \x01(\x0b\x32\x12.percept.v1.Object\"*\n\x14GetSceneGraphRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\">\n\x15GetSceneGraphResponse\x12%\n\x05graph\x18\x01 \x01(\x0b\x32\x16.percept.v1.SceneGraph2\x80\x02\n\x0cSceneService\x12N\n\x0bListObjects\x12\x1e.percept.v1.ListObjectsRequest\x1a\x1f.percept.v1.ListObjectsResponse\x12H\n\tGetObject\x12\x1c.percept.v1.GetObjectRequest\x1a\x1d.percept.v1.GetObjectResponse\x12V\n\rGetSceneGraph\x12 .percept.v1.GetSceneGraphRequest\x1a!.percept.v1.GetSceneGraphResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1epercept/v1/scene_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/object.proto\x1a\x15percept/v1/path.proto\x1a\x16percept/v1/scene.proto\"\x94\x01\n\x12ListObjectsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\x12-\n\x0cobject_class\x18\x04 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x14\n\x0cinclude_gone\x18\x05 \x01(\x08\"h\n\x13ListObjectsResponse\x12#\n\x07objects\x18\x01 \x03(\x0b\x32\x12.percept.v1.Object\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x13\n\x0bmap_version\x18\x03 \x01(\x04\"9\n\x10GetObjectRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tobject_id\x18\x02 \x01(\x04\"7\n\x11GetObjectResponse\x12\"\n\x06object\x18\x01 \x01(\x0b\x32\x12.percept.v1.Object\"\x9d\x01\n\x14GetSceneGraphRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12-\n\ndirections\x18\x02 \x01(\x0e\x32\x19.percept.v1.RelationFrame\x12\x16\n\x0eviewer_yaw_rad\x18\x03 \x01(\x01\x12*\n\x06\x66ilter\x18\x04 \x01(\x0b\x32\x1a.percept.v1.RelationFilter\">\n\x15GetSceneGraphResponse\x12%\n\x05graph\x18\x01 \x01(\x0b\x32\x16.percept.v1.SceneGraph\":\n\x0fGetRoomsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x13\n\x0bwith_places\x18\x02 \x01(\x08\"\xb2\x01\n\x10GetRoomsResponse\x12\x1f\n\x05rooms\x18\x01 \x03(\x0b\x32\x10.percept.v1.Room\x12\x1f\n\x05\x64oors\x18\x02 \x03(\x0b\x32\x10.percept.v1.Door\x12!\n\x06places\x18\x03 \x03(\x0b\x32\x11.percept.v1.Place\x12$\n\x05links\x18\x04 \x03(\x0b\x32\x15.percept.v1.PlaceLink\x12\x13\n\x0bmap_version\x18\x05 \x01(\x04\"D\n\x0fNameRoomRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x0f\n\x07room_id\x18\x02 \x01(\x04\x12\x0c\n\x04name\x18\x03 \x01(\t\"2\n\x10NameRoomResponse\x12\x1e\n\x04room\x18\x01 \x01(\x0b\x32\x10.percept.v1.Room\"\x8b\x01\n\x12RouteToRoomRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\x07room_id\x18\x02 \x01(\x04H\x00\x12\x13\n\troom_name\x18\x03 \x01(\tH\x00\x12\'\n\x05start\x18\x04 \x01(\x0b\x32\x13.percept.v1.Vector2H\x01\x88\x01\x01\x42\x06\n\x04roomB\x08\n\x06_start\"Y\n\tRouteStep\x12\x0f\n\x07room_id\x18\x01 \x01(\x04\x12\r\n\x05label\x18\x02 \x01(\t\x12#\n\x04\x64oor\x18\x03 \x01(\x0b\x32\x10.percept.v1.DoorH\x00\x88\x01\x01\x42\x07\n\x05_door\"\xc4\x01\n\x13RouteToRoomResponse\x12$\n\x05steps\x18\x01 \x03(\x0b\x32\x15.percept.v1.RouteStep\x12\x10\n\x08length_m\x18\x02 \x01(\x01\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12 \n\x04path\x18\x04 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x05 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x42\t\n\x07outcome2\xe0\x03\n\x0cSceneService\x12N\n\x0bListObjects\x12\x1e.percept.v1.ListObjectsRequest\x1a\x1f.percept.v1.ListObjectsResponse\x12H\n\tGetObject\x12\x1c.percept.v1.GetObjectRequest\x1a\x1d.percept.v1.GetObjectResponse\x12V\n\rGetSceneGraph\x12 .percept.v1.GetSceneGraphRequest\x1a!.percept.v1.GetSceneGraphResponse0\x01\x12G\n\x08GetRooms\x12\x1b.percept.v1.GetRoomsRequest\x1a\x1c.percept.v1.GetRoomsResponse0\x01\x12\x45\n\x08NameRoom\x12\x1b.percept.v1.NameRoomRequest\x1a\x1c.percept.v1.NameRoomResponse\x12N\n\x0bRouteToRoom\x12\x1e.percept.v1.RouteToRoomRequest\x1a\x1f.percept.v1.RouteToRoomResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.scene_service_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_LISTOBJECTSREQUEST']._serialized_start=96
-  _globals['_LISTOBJECTSREQUEST']._serialized_end=244
-  _globals['_LISTOBJECTSRESPONSE']._serialized_start=246
-  _globals['_LISTOBJECTSRESPONSE']._serialized_end=350
-  _globals['_GETOBJECTREQUEST']._serialized_start=352
-  _globals['_GETOBJECTREQUEST']._serialized_end=409
-  _globals['_GETOBJECTRESPONSE']._serialized_start=411
-  _globals['_GETOBJECTRESPONSE']._serialized_end=466
-  _globals['_GETSCENEGRAPHREQUEST']._serialized_start=468
-  _globals['_GETSCENEGRAPHREQUEST']._serialized_end=510
-  _globals['_GETSCENEGRAPHRESPONSE']._serialized_start=512
-  _globals['_GETSCENEGRAPHRESPONSE']._serialized_end=574
-  _globals['_SCENESERVICE']._serialized_start=577
-  _globals['_SCENESERVICE']._serialized_end=833
+  _globals['_LISTOBJECTSREQUEST']._serialized_start=146
+  _globals['_LISTOBJECTSREQUEST']._serialized_end=294
+  _globals['_LISTOBJECTSRESPONSE']._serialized_start=296
+  _globals['_LISTOBJECTSRESPONSE']._serialized_end=400
+  _globals['_GETOBJECTREQUEST']._serialized_start=402
+  _globals['_GETOBJECTREQUEST']._serialized_end=459
+  _globals['_GETOBJECTRESPONSE']._serialized_start=461
+  _globals['_GETOBJECTRESPONSE']._serialized_end=516
+  _globals['_GETSCENEGRAPHREQUEST']._serialized_start=519
+  _globals['_GETSCENEGRAPHREQUEST']._serialized_end=676
+  _globals['_GETSCENEGRAPHRESPONSE']._serialized_start=678
+  _globals['_GETSCENEGRAPHRESPONSE']._serialized_end=740
+  _globals['_GETROOMSREQUEST']._serialized_start=742
+  _globals['_GETROOMSREQUEST']._serialized_end=800
+  _globals['_GETROOMSRESPONSE']._serialized_start=803
+  _globals['_GETROOMSRESPONSE']._serialized_end=981
+  _globals['_NAMEROOMREQUEST']._serialized_start=983
+  _globals['_NAMEROOMREQUEST']._serialized_end=1051
+  _globals['_NAMEROOMRESPONSE']._serialized_start=1053
+  _globals['_NAMEROOMRESPONSE']._serialized_end=1103
+  _globals['_ROUTETOROOMREQUEST']._serialized_start=1106
+  _globals['_ROUTETOROOMREQUEST']._serialized_end=1245
+  _globals['_ROUTESTEP']._serialized_start=1247
+  _globals['_ROUTESTEP']._serialized_end=1336
+  _globals['_ROUTETOROOMRESPONSE']._serialized_start=1339
+  _globals['_ROUTETOROOMRESPONSE']._serialized_end=1535
+  _globals['_SCENESERVICE']._serialized_start=1538
+  _globals['_SCENESERVICE']._serialized_end=2018
 # @@protoc_insertion_point(module_scope)

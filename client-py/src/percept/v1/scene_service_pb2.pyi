@@ -7,7 +7,9 @@ from collections import abc as _abc
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
+from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import object_pb2 as _object_pb2
+from percept.v1 import path_pb2 as _path_pb2
 from percept.v1 import scene_pb2 as _scene_pb2
 import builtins as _builtins
 import sys
@@ -130,15 +132,29 @@ class GetSceneGraphRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
+    DIRECTIONS_FIELD_NUMBER: _builtins.int
+    VIEWER_YAW_RAD_FIELD_NUMBER: _builtins.int
+    FILTER_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    directions: _scene_pb2.RelationFrame.ValueType
+    """Whose left and right, front and behind: RELATION_FRAME_ROBOT, _MAP or _VIEWER. UNSPECIFIED: those are left out."""
+    viewer_yaw_rad: _builtins.float
+    """Where a VIEWER looks, radians from the map's x axis."""
+    @_builtins.property
+    def filter(self) -> _scene_pb2.RelationFilter:
+        """Absent: all relations. Else the graph has those, and the nodes that they join."""
+
     def __init__(
         self,
         *,
         session_id: _builtins.str = ...,
+        directions: _scene_pb2.RelationFrame.ValueType = ...,
+        viewer_yaw_rad: _builtins.float = ...,
+        filter: _scene_pb2.RelationFilter | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["filter", b"filter"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["session_id", b"session_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["directions", b"directions", "filter", b"filter", "session_id", b"session_id", "viewer_yaw_rad", b"viewer_yaw_rad"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -165,3 +181,225 @@ class GetSceneGraphResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___GetSceneGraphResponse: _TypeAlias = GetSceneGraphResponse  # noqa: Y015
+
+@_typing.final
+class GetRoomsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    WITH_PLACES_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    with_places: _builtins.bool
+    """Places and the ways between them, too."""
+    def __init__(
+        self,
+        *,
+        session_id: _builtins.str = ...,
+        with_places: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["session_id", b"session_id", "with_places", b"with_places"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___GetRoomsRequest: _TypeAlias = GetRoomsRequest  # noqa: Y015
+
+@_typing.final
+class GetRoomsResponse(_message.Message):
+    """In parts, as toolbox.proto has it."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ROOMS_FIELD_NUMBER: _builtins.int
+    DOORS_FIELD_NUMBER: _builtins.int
+    PLACES_FIELD_NUMBER: _builtins.int
+    LINKS_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    map_version: _builtins.int
+    @_builtins.property
+    def rooms(self) -> _containers.RepeatedCompositeFieldContainer[_scene_pb2.Room]:
+        """By number."""
+
+    @_builtins.property
+    def doors(self) -> _containers.RepeatedCompositeFieldContainer[_scene_pb2.Door]: ...
+    @_builtins.property
+    def places(self) -> _containers.RepeatedCompositeFieldContainer[_scene_pb2.Place]: ...
+    @_builtins.property
+    def links(self) -> _containers.RepeatedCompositeFieldContainer[_scene_pb2.PlaceLink]: ...
+    def __init__(
+        self,
+        *,
+        rooms: _abc.Iterable[_scene_pb2.Room] | None = ...,
+        doors: _abc.Iterable[_scene_pb2.Door] | None = ...,
+        places: _abc.Iterable[_scene_pb2.Place] | None = ...,
+        links: _abc.Iterable[_scene_pb2.PlaceLink] | None = ...,
+        map_version: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["doors", b"doors", "links", b"links", "map_version", b"map_version", "places", b"places", "rooms", b"rooms"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___GetRoomsResponse: _TypeAlias = GetRoomsResponse  # noqa: Y015
+
+@_typing.final
+class NameRoomRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    ROOM_ID_FIELD_NUMBER: _builtins.int
+    NAME_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    room_id: _builtins.int
+    name: _builtins.str
+    """At most 64 characters. Empty: it has no name any more."""
+    def __init__(
+        self,
+        *,
+        session_id: _builtins.str = ...,
+        room_id: _builtins.int = ...,
+        name: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["name", b"name", "room_id", b"room_id", "session_id", b"session_id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___NameRoomRequest: _TypeAlias = NameRoomRequest  # noqa: Y015
+
+@_typing.final
+class NameRoomResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ROOM_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def room(self) -> _scene_pb2.Room: ...
+    def __init__(
+        self,
+        *,
+        room: _scene_pb2.Room | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["room", b"room"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["room", b"room"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___NameRoomResponse: _TypeAlias = NameRoomResponse  # noqa: Y015
+
+@_typing.final
+class RouteToRoomRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    ROOM_ID_FIELD_NUMBER: _builtins.int
+    ROOM_NAME_FIELD_NUMBER: _builtins.int
+    START_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    room_id: _builtins.int
+    room_name: _builtins.str
+    """Upper and lower case alike."""
+    @_builtins.property
+    def start(self) -> _geometry_pb2.Vector2:
+        """Map frame, metres. Absent: where the robot is."""
+
+    def __init__(
+        self,
+        *,
+        session_id: _builtins.str = ...,
+        room_id: _builtins.int = ...,
+        room_name: _builtins.str = ...,
+        start: _geometry_pb2.Vector2 | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "room", b"room", "room_id", b"room_id", "room_name", b"room_name", "start", b"start"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_start", b"_start", "room", b"room", "room_id", b"room_id", "room_name", b"room_name", "session_id", b"session_id", "start", b"start"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__start: _TypeAlias = _typing.Literal["start"]  # noqa: Y015
+    _WhichOneofArgType__start: _TypeAlias = _typing.Literal["_start", b"_start"]  # noqa: Y015
+    _WhichOneofReturnType_room: _TypeAlias = _typing.Literal["room_id", "room_name"]  # noqa: Y015
+    _WhichOneofArgType_room: _TypeAlias = _typing.Literal["room", b"room"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__start) -> _WhichOneofReturnType__start | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_room) -> _WhichOneofReturnType_room | None: ...
+
+Global___RouteToRoomRequest: _TypeAlias = RouteToRoomRequest  # noqa: Y015
+
+@_typing.final
+class RouteStep(_message.Message):
+    """A room on the way."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ROOM_ID_FIELD_NUMBER: _builtins.int
+    LABEL_FIELD_NUMBER: _builtins.int
+    DOOR_FIELD_NUMBER: _builtins.int
+    room_id: _builtins.int
+    label: _builtins.str
+    """Its name, else what it is likely used for, or its kind, and its number."""
+    @_builtins.property
+    def door(self) -> _scene_pb2.Door:
+        """To the next room; absent in the last one."""
+
+    def __init__(
+        self,
+        *,
+        room_id: _builtins.int = ...,
+        label: _builtins.str = ...,
+        door: _scene_pb2.Door | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_door", b"_door", "door", b"door"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_door", b"_door", "door", b"door", "label", b"label", "room_id", b"room_id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__door: _TypeAlias = _typing.Literal["door"]  # noqa: Y015
+    _WhichOneofArgType__door: _TypeAlias = _typing.Literal["_door", b"_door"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__door) -> _WhichOneofReturnType__door | None: ...
+
+Global___RouteStep: _TypeAlias = RouteStep  # noqa: Y015
+
+@_typing.final
+class RouteToRoomResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STEPS_FIELD_NUMBER: _builtins.int
+    LENGTH_M_FIELD_NUMBER: _builtins.int
+    GOAL_FIELD_NUMBER: _builtins.int
+    PATH_FIELD_NUMBER: _builtins.int
+    NO_PATH_FIELD_NUMBER: _builtins.int
+    length_m: _builtins.float
+    """Over places, metres."""
+    @_builtins.property
+    def steps(self) -> _containers.RepeatedCompositeFieldContainer[Global___RouteStep]:
+        """Rooms from the start to the one asked for. Empty if no place in it can be reached."""
+
+    @_builtins.property
+    def goal(self) -> _geometry_pb2.Vector2:
+        """In the room, map frame, metres."""
+
+    @_builtins.property
+    def path(self) -> _path_pb2.Path: ...
+    @_builtins.property
+    def no_path(self) -> _path_pb2.NoPath: ...
+    def __init__(
+        self,
+        *,
+        steps: _abc.Iterable[Global___RouteStep] | None = ...,
+        length_m: _builtins.float = ...,
+        goal: _geometry_pb2.Vector2 | None = ...,
+        path: _path_pb2.Path | None = ...,
+        no_path: _path_pb2.NoPath | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["goal", b"goal", "no_path", b"no_path", "outcome", b"outcome", "path", b"path"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["goal", b"goal", "length_m", b"length_m", "no_path", b"no_path", "outcome", b"outcome", "path", b"path", "steps", b"steps"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_outcome: _TypeAlias = _typing.Literal["path", "no_path"]  # noqa: Y015
+    _WhichOneofArgType_outcome: _TypeAlias = _typing.Literal["outcome", b"outcome"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_outcome) -> _WhichOneofReturnType_outcome | None: ...
+
+Global___RouteToRoomResponse: _TypeAlias = RouteToRoomResponse  # noqa: Y015

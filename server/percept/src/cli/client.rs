@@ -295,9 +295,9 @@ impl RemoteSession {
     }
 
     /// Robot, objects and their relations.
-    pub(crate) async fn scene_graph(&self) -> Result<v1::SceneGraph, Failure> {
+    pub(crate) async fn scene_graph(&self, filter: Option<v1::RelationFilter>) -> Result<v1::SceneGraph, Failure> {
         let mut client = v1::scene_service_client::SceneServiceClient::new(self.channel.clone());
-        let request = v1::GetSceneGraphRequest { session_id: self.id.clone() };
+        let request = v1::GetSceneGraphRequest { session_id: self.id.clone(), filter, ..Default::default() };
         let mut parts = client.get_scene_graph(request).await?.into_inner();
         let mut all = Vec::new();
         while let Some(part) = parts.message().await? {

@@ -155,15 +155,31 @@ async fn tell_objects(
 }
 
 async fn tell_graph(session: &RemoteSession, out: &Path) -> Result<(), Failure> {
-    let graph = session.scene_graph().await?;
-    let mut strongest: Vec<&v1::Relation> = graph.relations.iter().collect();
-    strongest.sort_by(|a, b| b.strength.total_cmp(&a.strength));
+    let graph = session.scene_graph(None).await?;
     let label = |id: &str| graph.nodes.iter().find(|n| n.node_id == id).map_or(id.to_owned(), |n| n.label.clone());
+    let rooms: Vec<&v1::Room> = graph.nodes.iter().filter_map(|n| n.room.as_ref()).collect();
+    let sizes: Vec<String> = rooms.iter().map(|r| format!("{:.0} m2", r.area_m2)).collect();
+    let is_door = |r: &&v1::Relation| r.kind() == v1::RelationKind::ConnectedTo;
+    let doors = graph.relations.iter().filter(is_door).count();
+    println!("{:>10}  {} rooms ({}), {doors} pairs joined by doors", "divided", rooms.len(), sizes.join(", "));
     println!("{:>10}  {} nodes, {} relations, among them:", "related", graph.nodes.len(), graph.relations.len());
-    for r in strongest.iter().take(3) {
+    let says_little = [v1::RelationKind::InRoom, v1::RelationKind::Near, v1::RelationKind::ConnectedTo];
+    let mut telling: Vec<&v1::Relation> = graph.relations.iter().filter(|r| !says_little.contains(&r.kind())).collect();
+    telling.sort_by(|a, b| b.strength.total_cmp(&a.strength));
+    for r in telling.iter().take(3) {
         let kind = r.kind().as_str_name().trim_start_matches("RELATION_KIND_").to_lowercase().replace('_', " ");
         println!("{:>10}    {} is {kind} {}", "", label(&r.subject_id), label(&r.object_id));
     }
+    let with_a_table = v1::RelationFilter {
+        kinds: vec![v1::RelationKind::InRoom.into()],
+        subject_class: v1::ObjectClass::Table.into(),
+        ..Default::default()
+    };
+    let answer = session.scene_graph(Some(with_a_table)).await?;
+    let mut found: Vec<&str> = answer.nodes.iter().filter(|n| n.room.is_some()).map(|n| n.label.as_str()).collect();
+    found.sort_unstable();
+    let said = if found.is_empty() { "none".to_owned() } else { found.join(", ") };
+    println!("{:>10}  which rooms have a table? {said}", "asked");
     let text = serde_json::to_vec_pretty(&json::to_json("SceneGraph", &graph)?)?;
     std::fs::write(out.join("scene_graph.json"), text)?;
     Ok(())

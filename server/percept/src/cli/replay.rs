@@ -11,6 +11,7 @@ use percept_pipeline::{LoopState, PipelineParams, Snapshot};
 use percept_service::reason;
 use percept_service::{Limits, MapFormat, map_files};
 use percept_wire::{convert, json, v1};
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -199,7 +200,9 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
     };
     let objects = json::to_json("ListObjectsResponse", &objects)?;
     std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
-    let graph = json::to_json("SceneGraph", &convert::scene::graph_to(&snapshot.scene_graph()))?;
+    let max_cells = snapshot.params.planning.max_cells;
+    let graph = snapshot.scene_graph(&BTreeMap::new(), None, max_cells)?;
+    let graph = json::to_json("SceneGraph", &convert::scene::graph_to(&graph))?;
     std::fs::write(dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
     Ok(())
 }
@@ -276,7 +279,7 @@ async fn write_remote(dir: &Path, session: &RemoteSession) -> Result<(), Failure
     let objects = scene.list_objects(request).await?.into_inner();
     let objects = json::to_json("ListObjectsResponse", &objects)?;
     std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
-    let graph = json::to_json("SceneGraph", &session.scene_graph().await?)?;
+    let graph = json::to_json("SceneGraph", &session.scene_graph(None).await?)?;
     std::fs::write(dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
     Ok(())
 }

@@ -6,7 +6,8 @@ use percept_slam::{KeyframeParams, OdometryParams};
 use std::sync::Arc;
 
 /// Sections whose parameters may change.
-const CHANGEABLE: [&str; 6] = ["slam.odometry.keyframe.", "live.", "detection.", "tracker.", "relations.", "planning."];
+const CHANGEABLE: [&str; 7] =
+    ["slam.odometry.keyframe.", "live.", "detection.", "tracker.", "relations.", "rooms.", "planning."];
 
 /// Those in them that stay: keyframes that are there are known by it.
 const FIXED: [&str; 1] = ["slam.odometry.keyframe.features"];

@@ -5,9 +5,9 @@ use super::audit::Act;
 use crate::ops::toolbox::{SessionCloud, Toolbox};
 use crate::{
     CloudAnswer, CloudDetail, Error, EventLog, FleetFilter, FleetWatch, GridAnswer, IncomingFrame, MapFile, MapFormat,
-    MapSummary, Moved, NewSession, Page, Pending, Processed, Result, SensorChanges, SensorDeclaration, SensorStatus,
-    Session, SessionChanges, SessionDescription, SessionList, SessionView, TrajectoryComparison, TrajectoryRequest,
-    Transform, Vetoed, check_id,
+    MapSummary, Moved, NewSession, Page, Pending, Processed, Result, RoomRoute, RoomWanted, SensorChanges,
+    SensorDeclaration, SensorStatus, Session, SessionChanges, SessionDescription, SessionList, SessionRooms,
+    SessionView, TrajectoryComparison, TrajectoryRequest, Transform, Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{
@@ -15,7 +15,8 @@ use percept_evaluation::{
 };
 use percept_geometry::{ObjectClass, Pose, SensorId, Stamped, Timestamp};
 use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, PoseAt, Snapshot, TrajectoryEntry};
-use percept_scene::{Object, SceneGraph};
+use percept_scene::rooms::RoomId;
+use percept_scene::{Directions, Object, RelationFilter, SceneGraph};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -413,13 +414,45 @@ impl Caller {
         self.service.object(session, id).await
     }
 
-    /// Robot, objects and their relations.
+    /// Robot, objects, rooms and their relations, as far as they are asked for; with directions for somebody, if they are.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`.
-    pub async fn scene_graph(&self, session: &str) -> Result<SceneGraph> {
+    /// `SESSION_NOT_FOUND`, `GRID_TOO_LARGE`.
+    pub async fn scene_graph(
+        &self,
+        session: &str,
+        whose: Option<Directions>,
+        filter: RelationFilter,
+    ) -> Result<SceneGraph> {
         self.may_with("SceneService/GetSceneGraph", session).await?;
-        self.service.scene_graph(session).await
+        self.service.scene_graph(session, whose, filter).await
+    }
+
+    /// The rooms of a session's map.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `GRID_TOO_LARGE`.
+    pub async fn rooms(&self, session: &str) -> Result<SessionRooms> {
+        self.may_with("SceneService/GetRooms", session).await?;
+        self.service.rooms(session).await
+    }
+
+    /// Calls a room by a name; an empty one takes its name from it.
+    ///
+    /// # Errors
+    /// As [`Caller::rooms`]; `ROOM_NOT_FOUND`, `DISPLAY_NAME_INVALID`, `TOO_MANY_ROOM_NAMES`.
+    pub async fn name_room(&self, session: &str, id: RoomId, name: &str) -> Result<SessionRooms> {
+        self.may_with("SceneService/NameRoom", session).await?;
+        self.service.name_room(session, id, name).await
+    }
+
+    /// The way to a room, from a point of the map or from where the robot is.
+    ///
+    /// # Errors
+    /// As [`Caller::rooms`] and planning; `ROOM_NOT_FOUND`, `ROOM_NAME_AMBIGUOUS`.
+    pub async fn route_to_room(&self, session: &str, to: RoomWanted, start: Option<Point2<f64>>) -> Result<RoomRoute> {
+        self.may_with("SceneService/RouteToRoom", session).await?;
+        self.service.route_to_room(session, to, start).await
     }
 }
 

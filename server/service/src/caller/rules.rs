@@ -88,6 +88,9 @@ pub static RULES: &[Rule] = &[
     session("SceneService/ListObjects", Read),
     session("SceneService/GetObject", Read),
     session("SceneService/GetSceneGraph", Read),
+    session("SceneService/GetRooms", Read),
+    session("SceneService/NameRoom", Write),
+    session("SceneService/RouteToRoom", Read),
 
     // A path is a question about the map; a step of a robot brings a frame.
     session("NavigationService/PlanPath", Read),

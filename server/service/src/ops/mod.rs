@@ -15,6 +15,7 @@ pub(crate) mod operations;
 pub mod path_picture;
 pub(crate) mod path_watch;
 pub mod pictures;
+pub mod rooms;
 mod scene;
 mod sensors;
 pub(crate) mod server;

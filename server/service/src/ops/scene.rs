@@ -1,11 +1,11 @@
-//! Objects and the scene graph.
+//! Objects.
 
 use super::sessions::{Page, page_by_number};
 use crate::reason;
 use crate::{Error, Result, Service};
 use percept_geometry::ObjectClass;
 use percept_pipeline::Snapshot;
-use percept_scene::{Object, ObjectState, SceneGraph};
+use percept_scene::{Object, ObjectState};
 use std::sync::Arc;
 
 impl Service {
@@ -48,14 +48,5 @@ impl Service {
                 format!("object_id {id} does not exist in this session; list the objects"),
             )
         })
-    }
-
-    /// Robot, objects and their relations.
-    ///
-    /// # Errors
-    /// `SESSION_NOT_FOUND`.
-    pub async fn scene_graph(&self, session: &str) -> Result<SceneGraph> {
-        let snapshot = self.snapshot(session).await?;
-        self.compute.query(&self.asker(session)?, move || snapshot.scene_graph()).await
     }
 }

@@ -203,6 +203,7 @@ impl Service {
             sensors,
             zones: Vec::new(),
             zone_masks: Vec::new(),
+            room_names: Vec::new(),
             revision: 0,
         };
         self.registry.create(meta).await

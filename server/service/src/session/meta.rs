@@ -1,5 +1,6 @@
 //! What a session was created with: the record in the catalogue.
 
+use crate::ops::rooms::RoomName;
 use crate::{SessionMask, SessionZone};
 use percept_geometry::SensorSpec;
 use percept_pipeline::PipelineParams;
@@ -62,6 +63,8 @@ pub struct SessionMeta {
     pub zones: Vec<SessionZone>,
     /// The same cell by cell.
     pub zone_masks: Vec<SessionMask>,
+    /// What people call rooms.
+    pub room_names: Vec<RoomName>,
     /// Grows with every change of all this.
     pub revision: u64,
 }

@@ -4,6 +4,7 @@
 //! not readable is damage of its session and of no other.
 
 use super::meta::{DEFAULT_TENANT, SensorDeclaration, SessionMeta, SessionMode};
+use crate::ops::rooms::RoomName;
 use crate::{SessionMask, SessionZone};
 use bytes::Bytes;
 use percept_geometry::{Pose, SensorId, Timestamp};
@@ -68,6 +69,8 @@ pub(crate) struct MetaRecord {
     zones: Vec<Value>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     zone_masks: Vec<Value>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    room_names: Vec<Value>,
 }
 
 impl MetaRecord {
@@ -87,6 +90,7 @@ impl MetaRecord {
             sensors: meta.sensors.iter().map(|s| value(serde_json::to_value(s))).collect::<crate::Result<_>>()?,
             zones: meta.zones.iter().map(|z| value(serde_json::to_value(z))).collect::<crate::Result<_>>()?,
             zone_masks: meta.zone_masks.iter().map(|m| value(serde_json::to_value(m))).collect::<crate::Result<_>>()?,
+            room_names: meta.room_names.iter().map(|n| value(serde_json::to_value(n))).collect::<crate::Result<_>>()?,
         })
     }
 
@@ -100,6 +104,8 @@ impl MetaRecord {
         let zones = self.zones.into_iter().map(zone).collect::<Result<_, _>>()?;
         let mask = |v: Value| serde_json::from_value::<SessionMask>(v).map_err(|e| Unreadable::new("a zone mask", e));
         let zone_masks = self.zone_masks.into_iter().map(mask).collect::<Result<_, _>>()?;
+        let name = |v: Value| serde_json::from_value::<RoomName>(v).map_err(|e| Unreadable::new("a room's name", e));
+        let room_names = self.room_names.into_iter().map(name).collect::<Result<_, _>>()?;
         Ok(SessionMeta {
             params: params_of(&self.id, self.params, defaults),
             id: self.id,
@@ -113,6 +119,7 @@ impl MetaRecord {
             sensors,
             zones,
             zone_masks,
+            room_names,
         })
     }
 }
@@ -226,6 +233,7 @@ mod tests {
             labels: BTreeMap::from([("site".to_owned(), "north".to_owned())]),
             zones: Vec::new(),
             zone_masks: Vec::new(),
+            room_names: Vec::new(),
             revision: 3,
             mode: SessionMode::Mapping,
             create_time_ns: 7,

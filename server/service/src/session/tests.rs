@@ -46,6 +46,7 @@ fn meta(id: &str) -> SessionMeta {
         labels: Default::default(),
         zones: Vec::new(),
         zone_masks: Vec::new(),
+        room_names: Vec::new(),
         revision: 0,
         mode: SessionMode::Mapping,
         create_time_ns: 1,

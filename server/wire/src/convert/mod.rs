@@ -10,6 +10,7 @@ pub mod map_import;
 pub mod maps;
 pub mod navigation;
 pub mod operations;
+pub mod rooms;
 pub mod scene;
 pub mod sensors;
 pub mod server;

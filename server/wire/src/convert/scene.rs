@@ -1,13 +1,16 @@
 //! Objects, relations, the scene graph.
 
 use super::geometry;
+use super::rooms::room_to;
 use crate::v1;
 use percept_geometry::ObjectClass;
+use percept_scene::rooms::RoomId;
 use percept_scene::{
-    Node, NodeId, Object, ObjectChange, ObjectChangeKind, ObjectState, Relation, RelationFrame, RelationKind,
-    SceneGraph,
+    Directions, Node, NodeId, Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Relation, RelationFilter,
+    RelationFrame, RelationKind, SceneGraph,
 };
-use percept_service::Result;
+use percept_service::{Error, Result, reason};
+use std::collections::BTreeMap;
 
 /// A class that is not UNSPECIFIED.
 ///
@@ -95,43 +98,121 @@ fn node_id(id: NodeId) -> String {
     match id {
         NodeId::Robot => "robot".to_owned(),
         NodeId::Object(id) => format!("object/{id}"),
+        NodeId::Room(id) => format!("room/{id}"),
     }
 }
 
-fn node_to(node: &Node) -> v1::SceneNode {
-    let (kind, label, t_map_node, object) = match node {
-        Node::Robot { t_map_base } => (v1::SceneNodeKind::Robot, "robot".to_owned(), *t_map_base, None),
-        Node::Object(o) => {
-            let label = format!("{} {}", o.class.name(), o.id);
-            (v1::SceneNodeKind::Object, label, o.bbox.t_frame_box, Some(object_to(o)))
-        }
+fn node_to(node: &Node, inside: &BTreeMap<RoomId, Vec<u64>>) -> v1::SceneNode {
+    let (kind, label, t_map_node) = match node {
+        Node::Robot { t_map_base } => (v1::SceneNodeKind::Robot, "robot".to_owned(), *t_map_base),
+        Node::Object(o) => (v1::SceneNodeKind::Object, format!("{} {}", o.class.name(), o.id), o.bbox.t_frame_box),
+        Node::Room(room) => (v1::SceneNodeKind::Room, room.label(), node.bbox().t_frame_box),
     };
-    v1::SceneNode {
-        node_id: node_id(node.id()),
-        kind: kind.into(),
-        label,
-        t_map_node: Some(geometry::pose_to(&t_map_node)),
-        object,
+    let (mut object, mut room) = (None, None);
+    match node {
+        Node::Robot { .. } => {}
+        Node::Object(o) => object = Some(object_to(o)),
+        Node::Room(r) => room = Some(room_to(r, inside.get(&r.room.id).map_or(&[], Vec::as_slice))),
     }
+    let (node_id, t_map_node) = (node_id(node.id()), Some(geometry::pose_to(&t_map_node)));
+    v1::SceneNode { node_id, kind: kind.into(), label, t_map_node, object, room }
+}
+
+/// A node's id.
+///
+/// # Errors
+/// `NODE_ID_INVALID`.
+fn node_of(field: &str, text: &str) -> Result<Option<NodeId>> {
+    let number = |text: &str| text.parse::<u64>().ok();
+    Ok(Some(match text.split_once('/') {
+        None if text.is_empty() => return Ok(None),
+        None if text == "robot" => NodeId::Robot,
+        Some(("object", id)) if number(id).is_some() => NodeId::Object(ObjectId(number(id).unwrap_or_default())),
+        Some(("room", id)) if number(id).is_some() => NodeId::Room(RoomId(number(id).unwrap_or_default())),
+        _ => {
+            let shown: String = text.chars().take(80).collect();
+            let message = format!("{shown:?} is no node_id; write \"robot\", \"object/7\" or \"room/3072\"");
+            return Err(Error::invalid(reason::NODE_ID_INVALID, field, message));
+        }
+    }))
+}
+
+/// Whose directions are asked for.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`, `OUT_OF_RANGE`.
+pub fn directions(frame: i32, viewer_yaw_rad: f64) -> Result<Option<Directions>> {
+    use v1::RelationFrame as F;
+    Ok(match F::try_from(frame) {
+        Ok(F::Unspecified) => None,
+        Ok(F::Robot) => Some(Directions::Robot),
+        Ok(F::Map) => Some(Directions::Map),
+        Ok(F::Viewer) if viewer_yaw_rad.is_finite() => Some(Directions::Viewer { yaw_rad: viewer_yaw_rad }),
+        Ok(F::Viewer) => {
+            let message = format!("viewer_yaw_rad is {viewer_yaw_rad}; it must be finite");
+            return Err(Error::invalid(reason::OUT_OF_RANGE, "viewer_yaw_rad", message));
+        }
+        Ok(F::Gravity | F::Any) => {
+            let message = "directions are for somebody: choose ROBOT, MAP or VIEWER".to_owned();
+            return Err(Error::invalid(reason::OUT_OF_RANGE, "directions", message));
+        }
+        Err(_) => return Err(super::unknown_enum("directions", frame)),
+    })
+}
+
+/// A filter; none lets everything pass.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`, `NODE_ID_INVALID`, `OUT_OF_RANGE`, those of a box.
+pub fn filter(f: Option<&v1::RelationFilter>) -> Result<RelationFilter> {
+    let Some(f) = f else { return Ok(RelationFilter::default()) };
+    if !(0.0..=1.0).contains(&f.min_strength) {
+        let message = format!("min_strength is {}; it must lie from 0 to 1", f.min_strength);
+        return Err(Error::invalid(reason::OUT_OF_RANGE, "filter.min_strength", message));
+    }
+    Ok(RelationFilter {
+        kinds: f.kinds.iter().map(|k| kind(*k)).collect::<Result<_>>()?,
+        subject: node_of("filter.subject_id", &f.subject_id)?,
+        object: node_of("filter.object_id", &f.object_id)?,
+        subject_class: optional_class(f.subject_class)?,
+        object_class: optional_class(f.object_class)?,
+        room: f.room_id.map(RoomId),
+        region: super::layers::box3(f.region.as_ref())?,
+        min_strength: f.min_strength,
+    })
+}
+
+/// Every kind with its message's.
+const KINDS: [(RelationKind, v1::RelationKind); 14] = [
+    (RelationKind::On, v1::RelationKind::On),
+    (RelationKind::Supports, v1::RelationKind::Supports),
+    (RelationKind::Inside, v1::RelationKind::Inside),
+    (RelationKind::Under, v1::RelationKind::Under),
+    (RelationKind::Above, v1::RelationKind::Above),
+    (RelationKind::Below, v1::RelationKind::Below),
+    (RelationKind::NextTo, v1::RelationKind::NextTo),
+    (RelationKind::Near, v1::RelationKind::Near),
+    (RelationKind::InRoom, v1::RelationKind::InRoom),
+    (RelationKind::ConnectedTo, v1::RelationKind::ConnectedTo),
+    (RelationKind::LeftOf, v1::RelationKind::LeftOf),
+    (RelationKind::RightOf, v1::RelationKind::RightOf),
+    (RelationKind::InFrontOf, v1::RelationKind::InFrontOf),
+    (RelationKind::Behind, v1::RelationKind::Behind),
+];
+
+fn kind(value: i32) -> Result<RelationKind> {
+    let found = KINDS.iter().find(|(_, message)| *message as i32 == value);
+    found.map(|(kind, _)| *kind).ok_or_else(|| super::unknown_enum("filter.kinds", value))
 }
 
 fn relation_to(r: &Relation) -> v1::Relation {
-    use v1::RelationKind as K;
-    let kind = match r.kind {
-        RelationKind::On => K::On,
-        RelationKind::Inside => K::Inside,
-        RelationKind::Near => K::Near,
-        RelationKind::Above => K::Above,
-        RelationKind::Below => K::Below,
-        RelationKind::LeftOf => K::LeftOf,
-        RelationKind::RightOf => K::RightOf,
-        RelationKind::InFrontOf => K::InFrontOf,
-        RelationKind::Behind => K::Behind,
-    };
+    let kind = KINDS.iter().find(|(kind, _)| *kind == r.kind).map_or(v1::RelationKind::Unspecified, |(_, k)| *k);
     let frame = match r.frame {
         RelationFrame::Any => v1::RelationFrame::Any,
         RelationFrame::Gravity => v1::RelationFrame::Gravity,
-        RelationFrame::Viewer { .. } => v1::RelationFrame::Viewer,
+        RelationFrame::Robot { .. } => v1::RelationFrame::Robot,
+        RelationFrame::Map => v1::RelationFrame::Map,
+        RelationFrame::Viewer => v1::RelationFrame::Viewer,
     };
     v1::Relation {
         subject_id: node_id(r.subject),
@@ -145,11 +226,17 @@ fn relation_to(r: &Relation) -> v1::Relation {
 
 /// The scene graph as a message.
 pub fn graph_to(g: &SceneGraph) -> v1::SceneGraph {
+    let mut inside = BTreeMap::<RoomId, Vec<u64>>::new();
+    for edge in &g.edges {
+        if let (NodeId::Object(object), NodeId::Room(room)) = (edge.subject, edge.object) {
+            inside.entry(room).or_default().push(object.0);
+        }
+    }
     v1::SceneGraph {
         stamp_ns: g.stamp.nanos(),
         map_version: g.map_version,
         frame_id: "map".to_owned(),
-        nodes: g.nodes.iter().map(node_to).collect(),
+        nodes: g.nodes.iter().map(|node| node_to(node, &inside)).collect(),
         relations: g.edges.iter().map(relation_to).collect(),
     }
 }

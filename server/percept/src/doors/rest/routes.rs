@@ -11,7 +11,7 @@ use futures::future::BoxFuture;
 use futures::{Stream, StreamExt};
 use percept_service::reason;
 use percept_service::{CallContext, Error};
-use percept_wire::convert::geometry;
+use percept_wire::convert::{geometry, scene};
 use percept_wire::parts::InParts;
 use percept_wire::{json, v1};
 use prost::Message;
@@ -280,12 +280,15 @@ pub(super) fn wants_dot(parts: &Parts) -> Result<bool, Refused> {
 /// The scene graph in Graphviz's language.
 pub(super) async fn scene_as_dot(api: &Api, context: CallContext, request: Bytes) -> Result<Response, Refused> {
     let request: v1::GetSceneGraphRequest = decode(request)?;
-    let graph = api.service.caller(context)?.scene_graph(&request.session_id).await?;
+    let whose = scene::directions(request.directions, request.viewer_yaw_rad)?;
+    let filter = scene::filter(request.filter.as_ref())?;
+    let graph = api.service.caller(context)?.scene_graph(&request.session_id, whose, filter).await?;
     Ok(([(header::CONTENT_TYPE, "text/vnd.graphviz; charset=utf-8")], graph.to_dot()).into_response())
 }
 
 const SESSION: &[(&str, &str)] = &[("session_id", "session_id")];
 const OF_SESSION: &[(&str, &str)] = &[("session_id", "session.session_id")];
+const ROOM: &[(&str, &str)] = &[("session_id", "session_id"), ("room_id", "room_id")];
 const SENSOR: &[(&str, &str)] = &[("session_id", "session_id"), ("sensor_id", "sensor_id")];
 const OF_SENSOR: &[(&str, &str)] = &[("session_id", "session_id"), ("sensor_id", "spec.sensor_id")];
 const SOURCE: &[(&str, &str)] = &[("session_id", "source.session_id")];
@@ -378,6 +381,9 @@ pub(super) static ROUTES: &[Route] = &[
     get("/v1/sessions/{session_id}/objects", "SceneService/ListObjects", SESSION, unary!(Message list_objects)),
     get("/v1/sessions/{session_id}/objects/{object_id}", "SceneService/GetObject", OBJECT, unary!(Message get_object)),
     get("/v1/sessions/{session_id}/scene-graph", "SceneService/GetSceneGraph", SESSION, parts!(SceneGraph get_scene_graph)),
+    get("/v1/sessions/{session_id}/rooms", "SceneService/GetRooms", SESSION, parts!(Message get_rooms)),
+    post("/v1/sessions/{session_id}/rooms/{room_id}/name", "SceneService/NameRoom", ROOM, unary!(Message name_room)),
+    post("/v1/sessions/{session_id}/route", "SceneService/RouteToRoom", SESSION, unary!(Message route_to_room)),
 
     post("/v1/sessions/{session_id}/plan", "NavigationService/PlanPath", SOURCE, unary!(Message plan_path)),
     post("/v1/sessions/{session_id}/draw-path", "NavigationService/DrawPath", SOURCE, parts!(Picture draw_path)),

@@ -4,7 +4,7 @@
 //! - in: `percept/<session>/<sensor>/frame`, a `SensorMessage` whose ids, if set, agree with the key;
 //! - out: `percept/<session>/pose` (`PoseEstimate`), `percept/<session>/events` (`SessionEvent`);
 //! - queryable: `percept/<session>/map/occupancy` (`OccupancyGridChunk`, whole), `.../map/cloud` (`CloudChunk`,
-//!   whole), `.../scene/graph` (`SceneGraph`), `.../scene/objects` (`ListObjectsResponse`), `.../sensors`
+//!   whole), `.../scene/graph` (`SceneGraph`), `.../scene/objects` (`ListObjectsResponse`), `.../scene/rooms` (`GetRoomsResponse`), `.../sensors`
 //!   (`ListSensorsResponse`), `.../pose` (`PoseEstimate`). Errors are an error reply with an `ErrorInfo`.
 //!
 //! Who may what is [`access`]'s: rules that zenoh enforces, and whose session it is.

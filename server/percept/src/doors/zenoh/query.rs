@@ -4,6 +4,7 @@ use super::{Failure, Names, ROOT, hand_over};
 use crate::doors::status::Problem;
 use crate::telemetry::operations::{Operation, UNKNOWN};
 use crate::telemetry::requests::Request;
+use percept_scene::RelationFilter;
 use percept_service::observe::Door;
 use percept_service::reason;
 use percept_service::{CloudDetail, Error};
@@ -16,7 +17,8 @@ use zenoh::query::Query;
 const CONCURRENT: usize = 8;
 
 /// What can be asked of a session.
-const QUESTIONS: [&str; 6] = ["map/occupancy", "map/cloud", "scene/graph", "scene/objects", "sensors", "pose"];
+const QUESTIONS: [&str; 7] =
+    ["map/occupancy", "map/cloud", "scene/graph", "scene/objects", "scene/rooms", "sensors", "pose"];
 
 /// Declares the queryables; the future that comes back answers until it is dropped.
 pub(super) async fn serve(zenoh: &zenoh::Session, names: Names) -> Result<impl Future<Output = ()>, Failure> {
@@ -90,7 +92,11 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
             };
             caller.query(id, move || chunk().encode_to_vec()).await?
         }
-        "scene/graph" => convert::scene::graph_to(&caller.scene_graph(id).await?).encode_to_vec(),
+        "scene/graph" => {
+            let graph = caller.scene_graph(id, None, RelationFilter::default()).await?;
+            convert::scene::graph_to(&graph).encode_to_vec()
+        }
+        "scene/rooms" => convert::rooms::rooms_to(&caller.rooms(id).await?, true).encode_to_vec(),
         "scene/objects" => {
             let (page, map_version) = caller.list_objects(id, None, false, 1000, "").await?;
             let objects = page.items.iter().map(convert::scene::object_to).collect();
@@ -109,7 +115,8 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
         },
         _ => {
             let words = format!(
-                "{question:?} is no question; ask map/occupancy, map/cloud, scene/graph, scene/objects, sensors or pose"
+                "{question:?} is no question; ask map/occupancy, map/cloud, scene/graph, scene/objects, scene/rooms, \
+                 sensors or pose"
             );
             return Err(Error::not_found(reason::KEY_UNKNOWN, "", words));
         }
