@@ -124,9 +124,7 @@ def test_the_way_to_a_room_goes_from_door_to_door(session):
 
 def test_names_and_rooms_are_there_after_a_restart(own_server):
     with Client(own_server.grpc) as client:
-        session = plan_of(
-            client.sessions.create("kept", params={"map": {"occupancy": {"resolution_m": RESOLUTION_M}}})
-        )
+        session = plan_of(client.sessions.create("kept", params={"map": {"occupancy": {"resolution_m": RESOLUTION_M}}}))
         before = session.scene.rooms()
         session.scene.name_room(at(before, RIGHT).room_id, "lab")
     own_server.stop()
@@ -151,9 +149,7 @@ def test_the_graph_answers_what_is_asked(session, lidar_session):
     graph = session.scene.graph(relations=pair)
     assert len(graph.relations) == 3 and len(graph.nodes) == 3
     corridor = at(rooms, CORRIDOR)
-    of_corridor = session.scene.graph(
-        relations=RelationFilter(kinds=["connected_to"], room_id=corridor.room_id)
-    )
+    of_corridor = session.scene.graph(relations=RelationFilter(kinds=["connected_to"], room_id=corridor.room_id))
     assert len(of_corridor.relations) == 2
     # What a lidar has seen: who is in which room, and left and right for somebody.
     kinds = {r.kind for r in lidar_session.scene.graph().relations}
