@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from percept import Client, GridMap, InvalidArgument, NotFound, Path, RelationFilter
+
 from support import world
 
 #: Cells of 0.1 m: two rooms of 4 m x 3 m above a corridor of 8.5 m x 1.5 m, doors of 1 m between all of them.
