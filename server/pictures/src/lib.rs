@@ -20,8 +20,8 @@ mod text;
 
 pub use error::PictureError;
 pub use map::{
-    Changes, GridView, MapObject, Overlay, PathDrawing, PathEnd, PathQuantity, Zone, ZoneKind, ZoneMask, before_after,
-    heights, occupancy, overview, path_picture, traversability,
+    Changes, GridView, MapObject, MapRoom, Overlay, PathDrawing, PathEnd, PathQuantity, Zone, ZoneKind, ZoneMask,
+    before_after, heights, occupancy, overview, path_picture, traversability,
 };
 pub use panels::side_by_side;
 pub use space::{View, ViewFrom, cloud_view, mesh_view, voxels_slice, voxels_view};

@@ -2,6 +2,7 @@
 
 use crate::{PipelineParams, Snapshot};
 use nalgebra::Point2;
+use percept_geometry::ObjectClass;
 use percept_mapping::{MappingError, Occupancy};
 use percept_scene::rooms::{Floor, Rooms, find_rooms};
 use percept_scene::{Object, ObjectState};
@@ -46,7 +47,9 @@ impl DividedMap {
 
 fn divided(snapshot: &Snapshot, max_cells: usize) -> Result<Rooms, MappingError> {
     let grid = snapshot.layers.occupancy.dense(max_cells)?;
-    let standing = snapshot.objects.iter().filter(|o| o.state == ObjectState::Static);
+    // What nobody can name may be a piece of wall.
+    let is_furniture = |o: &&Object| o.state == ObjectState::Static && o.class != ObjectClass::Unknown;
+    let standing = snapshot.objects.iter().filter(is_furniture);
     let things: Vec<_> = standing.map(|o| o.bbox).collect();
     let position = |t: &percept_geometry::Pose| Point2::from(t.translation.vector.xy());
     let keyframes: Vec<_> = snapshot.keyframes.iter().map(|k| (k.id.0, position(&k.t_map_base))).collect();

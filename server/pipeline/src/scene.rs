@@ -119,14 +119,17 @@ impl Scene {
             add_within(&mut around, &moving, &t_map_base.translation.vector.into(), range_m);
             // The fused cloud is sound by construction; a detector that refuses it finds nothing.
             let found = detector.detect(&around).unwrap_or_default();
+            let ranges = RangeImage::new(&scan);
             let observation = |d: &Detection| Observation {
                 class: d.class,
                 confidence: d.confidence,
                 bbox: d.bbox,
                 num_points: d.num_points,
                 is_moving: moves(&d.bbox, &moving, &around),
+                is_seen: ranges.ends_in(&t_map_base, &d.bbox),
             };
-            Found { observations: found.iter().map(observation).collect(), ranges: RangeImage::new(&scan) }
+            let observations = found.iter().map(observation).collect();
+            Found { observations, ranges }
         });
         let (keyframe, stamp) = (keyframe.info.id, keyframe.info.stamp);
         self.searches.push_back(Search { keyframe, stamp, t_map_base, range_m, task });

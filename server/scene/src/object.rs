@@ -28,6 +28,9 @@ pub struct Observation {
     pub num_points: usize,
     /// Whether it was seen to move: frames just before saw through where it is.
     pub is_moving: bool,
+    /// Whether beams of this update end at it. Else it is known from before: it may be what somebody who walked by has left in the map,
+    /// where nobody has looked since.
+    pub is_seen: bool,
 }
 
 impl Observation {

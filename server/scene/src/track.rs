@@ -22,6 +22,8 @@ pub(crate) struct Track {
     pub(crate) first_seen: Timestamp,
     pub(crate) last_seen: Timestamp,
     pub(crate) observation_count: u64,
+    /// Of those the ones in which beams ended at it.
+    pub(crate) looks: u64,
     /// Updates in a row that saw through its place.
     pub(crate) seen_through: u32,
     pub(crate) refuted: u32,
@@ -52,6 +54,7 @@ impl Track {
             first_seen: stamp,
             last_seen: stamp,
             observation_count: 1,
+            looks: u64::from(observation.is_seen),
             seen_through: 0,
             refuted: 0,
             swallowed: 0,
@@ -75,6 +78,7 @@ impl Track {
             first_seen: object.first_seen,
             last_seen: object.last_seen,
             observation_count: object.observation_count,
+            looks: object.observation_count,
             seen_through: 0,
             refuted: 0,
             swallowed: 0,
@@ -139,7 +143,10 @@ impl Track {
         }
         self.follow_motion(&seen, observation.is_moving, stamp, params, changes);
         self.fuse(&seen, observation.num_points);
-        self.last_seen = self.last_seen.max(stamp);
+        if observation.is_seen {
+            self.last_seen = self.last_seen.max(stamp);
+            self.looks += 1;
+        }
         self.observation_count += 1;
         (self.seen_through, self.refuted, self.swallowed) = (0, 0, 0);
         if self.differs_from_report() {
@@ -221,6 +228,7 @@ impl Track {
         self.first_seen = self.first_seen.min(other.first_seen);
         self.last_seen = self.last_seen.max(other.last_seen);
         self.observation_count += other.observation_count;
+        self.looks += other.looks;
         (self.seen_through, self.swallowed, self.away, self.before) = (0, 0, 0, None);
     }
 

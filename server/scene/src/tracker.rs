@@ -18,7 +18,8 @@ pub struct TrackerParams {
     pub association_distance_m: f64,
     /// Largest ratio of sizes of boxes that do not overlap and are one object; at least 1.
     pub max_size_ratio: f64,
-    /// Observations after which a thing is listed; at least 1. More suppress chance detections, and delay.
+    /// Observations after which a thing is listed, of those in which beams end at it; at least 1. More suppress chance detections, and
+    /// delay.
     pub confirm_observations: u64,
     /// A thing not yet listed is dropped when not seen for this long, seconds.
     pub tentative_timeout_s: f64,
@@ -191,7 +192,7 @@ impl Tracker {
             track.observe(&observations[o], stamp, &self.params, &mut kinds);
             if let Some(id) = track.id {
                 changes.extend(kinds.iter().map(|&kind| ObjectChange { id, kind }));
-            } else if track.observation_count >= self.params.confirm_observations {
+            } else if track.looks >= self.params.confirm_observations {
                 track.id = Some(confirm(&mut self.next_id, changes));
             }
         }
@@ -310,7 +311,7 @@ impl Tracker {
         let room = self.params.max_objects.saturating_sub(self.tracks.len());
         for observation in born.iter().take(room) {
             let mut track = Track::new(observation, stamp, &self.params);
-            if self.params.confirm_observations <= 1 {
+            if self.params.confirm_observations <= track.looks {
                 track.id = Some(confirm(&mut self.next_id, changes));
             }
             self.tracks.push(track);

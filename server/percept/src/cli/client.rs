@@ -306,6 +306,18 @@ impl RemoteSession {
         Ok(v1::GetSceneGraphResponse::joined(all).graph.unwrap_or_default())
     }
 
+    /// Rooms of the session's map, and the doors between them.
+    pub(crate) async fn rooms(&self) -> Result<v1::GetRoomsResponse, Failure> {
+        let mut client = v1::scene_service_client::SceneServiceClient::new(self.channel.clone());
+        let request = v1::GetRoomsRequest { session_id: self.id.clone(), with_places: false };
+        let mut parts = client.get_rooms(request).await?.into_inner();
+        let mut all = Vec::new();
+        while let Some(part) = parts.message().await? {
+            all.push(part);
+        }
+        Ok(v1::GetRoomsResponse::joined(all))
+    }
+
     /// A file of the session's map.
     pub(crate) async fn export(&self, format: v1::MapFormat) -> Result<Vec<u8>, Failure> {
         let source = v1::map_source::Source::SessionId(self.id.clone());

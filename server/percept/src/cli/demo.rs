@@ -241,8 +241,26 @@ async fn write_pictures(
         trajectory: trajectory.iter().map(|p| p.value).collect(),
         objects: boxes.collect::<Result<_, _>>()?,
         path: path.to_vec(),
+        rooms: rooms(session).await?,
         ..Default::default()
     };
     std::fs::write(out.join("overview.png"), pictures::overview(&grid, &scene, "demo")?)?;
     Ok(())
+}
+
+/// Rooms to be drawn.
+async fn rooms(session: &RemoteSession) -> Result<Vec<percept_pictures::MapRoom>, Failure> {
+    let found = session.rooms().await?;
+    let point = |p: &Option<v1::Vector2>| p.as_ref().map_or_else(Point2::origin, |p| Point2::new(p.x, p.y));
+    let jambs = |d: &v1::Door| {
+        let half = nalgebra::Vector2::new(d.angle_rad.cos(), d.angle_rad.sin()) * (0.5 * d.width_m);
+        [point(&d.center) - half, point(&d.center) + half]
+    };
+    let room = |r: &v1::Room| percept_pictures::MapRoom {
+        label: [&r.name, &r.likely_use].into_iter().find(|w| !w.is_empty()).cloned().unwrap_or_default(),
+        center: point(&r.center),
+        outline: r.outline.iter().map(|p| Point2::new(p.x, p.y)).collect(),
+        doors: found.doors.iter().filter(|d| d.room_id_1 == r.room_id).map(jambs).collect(),
+    };
+    Ok(found.rooms.iter().map(room).collect())
 }

@@ -108,6 +108,7 @@ pub(crate) fn overlay() -> Overlay {
         ],
         masks: vec![],
         path: [[6.0, 5.6], [7.4, 4.4], [7.5, 2.6], [9.0, 2.0], [10.2, 2.2]].iter().map(|p| Point2::from(*p)).collect(),
+        rooms: vec![],
     }
 }
 

@@ -14,7 +14,7 @@ pub use before_after::{Changes, before_after};
 pub use grid::GridView;
 pub(crate) use grid::check_shape;
 pub use heights::heights;
-pub use overview::{MapObject, Overlay, occupancy, overview};
+pub use overview::{MapObject, MapRoom, Overlay, occupancy, overview};
 pub(crate) use overview::{grid_legend, open_grid};
 pub use path::{PathDrawing, PathEnd, PathQuantity, path_picture};
 pub use traversability::traversability;

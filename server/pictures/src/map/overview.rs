@@ -4,7 +4,7 @@ use super::labels::Labels;
 use super::{CellLayout, GridView, Zone, ZoneMask, zones};
 use crate::canvas::{Canvas, PixelBox};
 use crate::colors::{
-    self, AMBER, BLUE, Color, FREE, GREEN, INK, MAGENTA, OCCUPIED, PURPLE, SKY, SOFT_INK, UNKNOWN, VERMILION,
+    self, AMBER, BLUE, Color, FREE, GREEN, INK, MAGENTA, OCCUPIED, PURPLE, RED, SKY, SOFT_INK, UNKNOWN, VERMILION,
 };
 use crate::sheet::{Entry, Sheet, Swatch, Window, marker};
 use crate::{MAX_EDGE, PictureError};
@@ -23,6 +23,19 @@ pub struct MapObject {
     pub bbox: OrientedBox3,
 }
 
+/// A room of the map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MapRoom {
+    /// What it is called.
+    pub label: String,
+    /// Where that is written, map frame, metres.
+    pub center: Point2<f64>,
+    /// Its border in order, map frame, metres.
+    pub outline: Vec<Point2<f64>>,
+    /// Its doors, each once in one of the rooms that it joins: from jamb to jamb, map frame, metres.
+    pub doors: Vec<[Point2<f64>; 2]>,
+}
+
 /// What is drawn over a grid; map frame, metres. What is not finite is left out.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Overlay {
@@ -38,7 +51,14 @@ pub struct Overlay {
     pub masks: Vec<ZoneMask>,
     /// A planned path, from the robot to the goal.
     pub path: Vec<Point2<f64>>,
+    /// Rooms, each in a tint and with its label.
+    pub rooms: Vec<MapRoom>,
 }
+
+/// Tints of rooms, in turn.
+const TINTS: [Color; 6] = [SKY, AMBER, GREEN, PURPLE, VERMILION, BLUE];
+/// So strong.
+const TINT: f64 = 0.16;
 
 /// Colour of a class, for boxes.
 pub(super) fn class_color(class: ObjectClass) -> Color {
@@ -105,6 +125,7 @@ pub fn overview<'a>(grid: impl Into<GridView<'a>>, overlay: &Overlay, title: &st
     let (e, plot) = (opened.enlarge, opened.plot);
     let size = f64::from(e);
     let canvas = &mut opened.canvas;
+    draw_rooms(canvas, &window, &overlay.rooms, size);
     zones::draw_masks(canvas, &window, plot, &overlay.masks, e);
     zones::draw(canvas, &window, &overlay.zones, e);
     let flat = |p: &Pose| window.pixel(p.translation.vector.xy().into());
@@ -123,6 +144,9 @@ pub fn overview<'a>(grid: impl Into<GridView<'a>>, overlay: &Overlay, title: &st
     if let Some(robot) = robot {
         draw_robot(canvas, &window, &robot, size, GREEN);
         labels.keep_free(around(flat(&robot), 13.0 * size));
+    }
+    for room in &overlay.rooms {
+        labels.write(canvas, window.pixel(room.center), -9.0 * size, &room.label, SOFT_INK);
     }
     for (at, text, color) in zones::labels(&window, &overlay.zones) {
         labels.write(canvas, at, -9.0 * size, &text, color);
@@ -155,6 +179,13 @@ fn legend(grid: &GridView<'_>, overlay: &Overlay, has_robot: bool) -> Vec<Entry>
         out.push(Entry::new(Swatch::Line(MAGENTA), "path"));
         out.push(Entry::new(Swatch::Disc(MAGENTA), "goal"));
     }
+    if !overlay.rooms.is_empty() {
+        let tint = colors::mix(colors::PAPER, TINTS[0], TINT);
+        out.push(Entry::new(Swatch::Fill(tint), format!("rooms ({})", overlay.rooms.len())));
+    }
+    if overlay.rooms.iter().any(|room| !room.doors.is_empty()) {
+        out.push(Entry::new(Swatch::Line(RED), "doors"));
+    }
     out.extend(zones::legend(&overlay.zones, &overlay.masks));
     for class in ObjectClass::ALL {
         let count = overlay.objects.iter().filter(|o| o.class == class).count();
@@ -163,6 +194,17 @@ fn legend(grid: &GridView<'_>, overlay: &Overlay, has_robot: bool) -> Vec<Entry>
         }
     }
     out
+}
+
+/// Rooms in tints, and a line across each door.
+fn draw_rooms(canvas: &mut Canvas, window: &Window, rooms: &[MapRoom], size: f64) {
+    for (i, room) in rooms.iter().enumerate().filter(|(_, room)| room.outline.len() >= 3) {
+        let corners: Vec<Point2<f64>> = room.outline.iter().map(|p| window.pixel(*p)).collect();
+        canvas.polygon(&corners, |_, _| Some((TINTS[i % TINTS.len()], TINT)));
+    }
+    for [a, b] in rooms.iter().flat_map(|room| &room.doors) {
+        canvas.line(window.pixel(*a), window.pixel(*b), 3.0 * size, RED);
+    }
 }
 
 /// A disc with an arrow ahead.

@@ -4,8 +4,9 @@ use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{GridGeometry, ObjectClass, OrientedBox3, PointCloud, Pose, se3};
 use percept_mapping::{DenseGrid, DenseHeights, MeshData, VoxelBlock};
 use percept_pictures::{
-    GridView, MAX_EDGE, MapObject, Overlay, PathDrawing, PathQuantity, PictureError, View, ViewFrom, Zone, ZoneKind,
-    ZoneMask, before_after, cloud_view, heights, mesh_view, overview, path_picture, voxels_slice, voxels_view,
+    GridView, MAX_EDGE, MapObject, MapRoom, Overlay, PathDrawing, PathQuantity, PictureError, View, ViewFrom, Zone,
+    ZoneKind, ZoneMask, before_after, cloud_view, heights, mesh_view, overview, path_picture, voxels_slice,
+    voxels_view,
 };
 use proptest::prelude::*;
 use std::sync::Arc;
@@ -92,6 +93,13 @@ proptest! {
         title in ".{0,200}",
         tolerance in prop_oneof![Just(0.0), number()],
     ) {
+        let room = MapRoom {
+            label: title.clone(),
+            center: path.first().copied().unwrap_or_default(),
+            outline: path.clone(),
+            doors: path.windows(2).map(|w| [w[0], w[1]]).collect(),
+        };
+        let rooms = vec![room; path.len() % 3];
         let cells: Vec<i8> = (0..width * height).map(|i| (i as i8).wrapping_mul(seed as i8)).collect();
         let grid = GridView { geometry, width, height, cells: &cells };
         let size = |i: &percept_geometry::RgbImage| (i.width(), i.height());
@@ -113,7 +121,7 @@ proptest! {
             ..PathDrawing::default()
         };
         sound(path_picture(grid, &drawing, &title), size);
-        sound(overview(grid, &Overlay { trajectory, robot: None, objects, zones, masks, path }, &title), size);
+        sound(overview(grid, &Overlay { trajectory, robot: None, objects, zones, masks, path, rooms }, &title), size);
         sound(before_after(grid, GridView { geometry: other, ..grid }, tolerance, &title), |(i, _)| size(i));
     }
 

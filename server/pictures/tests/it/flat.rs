@@ -92,6 +92,7 @@ fn the_legend_has_what_is_in_the_picture_and_nothing_else() {
         path: vec![Point2::new(2.0, 2.0), Point2::new(4.0, 5.0)],
         robot: None,
         masks: vec![],
+        rooms: vec![],
     };
     let full = overview(&grid, &overlay, "").unwrap();
     // Right of the drawing stands the legend: the lines' colours are found there, too.

@@ -13,7 +13,7 @@ fn tracker() -> Tracker {
 
 fn seen_as(class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Observation {
     let bbox = OrientedBox3::upright(Point3::from(center), Vector3::from(size), 0.0);
-    Observation { class, confidence: 0.8, bbox, num_points: 500, is_moving: false }
+    Observation { class, confidence: 0.8, bbox, num_points: 500, is_moving: false, is_seen: true }
 }
 
 fn person(x: f64, y: f64) -> Observation {
@@ -310,7 +310,7 @@ fn observations() -> impl Strategy<Value = Observation> {
     let numbers = (prop::array::uniform3(0.0..4.0f64), prop::array::uniform3(0.2..1.5f64), -3.0..3.0f64);
     (numbers, 0usize..7, 0.0..1.0f64, 0usize..2000).prop_map(|((center, size, yaw), class, confidence, num_points)| {
         let bbox = OrientedBox3::upright(Point3::from(center), Vector3::from(size), yaw);
-        Observation { class: ObjectClass::ALL[class], confidence, bbox, num_points, is_moving: false }
+        Observation { class: ObjectClass::ALL[class], confidence, bbox, num_points, is_moving: false, is_seen: true }
     })
 }
 

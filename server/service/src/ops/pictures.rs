@@ -4,13 +4,15 @@ use crate::{Error, Result, SessionMask, Zones, reason};
 use percept_formats::GridMap;
 use percept_geometry::{PointCloud, RgbImage};
 use percept_mapping::{DenseHeights, MeshData, Traversability, VoxelBlock};
-use percept_pictures::{MapObject, Overlay, PictureError, View, encode_png};
+use percept_pictures::{MapObject, MapRoom, Overlay, PictureError, View, encode_png};
 use percept_pipeline::Snapshot;
 use percept_planning::{SpeedLimits, Zone, ZoneKind};
 use percept_scene::ObjectState;
 
 /// Whatever is higher above the floor than this is cut away, so that ceilings do not hide the rooms, metres: below the usual 2.4.
 const CEILING_M: f64 = 2.2;
+/// Grids of more cells are drawn without rooms: a second's work.
+const MAX_CELLS: usize = 4_000_000;
 
 /// What a snapshot knows, and zones, to be drawn over a grid.
 pub fn overlay(snapshot: &Snapshot, zones: &Zones) -> Overlay {
@@ -24,7 +26,27 @@ pub fn overlay(snapshot: &Snapshot, zones: &Zones) -> Overlay {
         zones: zones.areas.iter().map(zone).collect(),
         masks: zones.masks.iter().map(mask).collect(),
         path: vec![],
+        rooms: rooms(snapshot, zones),
     }
+}
+
+/// Rooms to be drawn: none where the map has too many cells to be divided.
+fn rooms(snapshot: &Snapshot, zones: &Zones) -> Vec<MapRoom> {
+    let Ok(found) = super::rooms::listed(snapshot, &zones.room_names, MAX_CELLS) else { return vec![] };
+    let jambs = |id| {
+        let of_room = found.rooms.doors.iter().filter(move |d| d.rooms.0 == id);
+        of_room.map(|d| {
+            let half = nalgebra::Vector2::new(d.angle_rad.cos(), d.angle_rad.sin()) * (0.5 * d.width_m);
+            [d.center - half, d.center + half]
+        })
+    };
+    let room = |node: &percept_scene::RoomNode| MapRoom {
+        label: node.label(),
+        center: node.room.center,
+        outline: node.room.outline.clone(),
+        doors: jambs(node.room.id).collect(),
+    };
+    found.nodes.iter().map(room).collect()
 }
 
 /// A zone to be drawn.

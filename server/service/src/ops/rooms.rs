@@ -1,7 +1,6 @@
 //! Rooms of a session, what people call them, and the way to one.
 
 use super::navigation::{Plan, PlanRequest, plan};
-use crate::session::meta::SessionMeta;
 use crate::{Error, Result, Service, reason};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{KeyframeId, Pose};
@@ -85,7 +84,7 @@ impl Service {
         let session_now = self.session(session).await?;
         let (snapshot, meta) = (session_now.snapshot(), session_now.meta());
         let max_cells = self.limits.max_planning_cells;
-        self.compute.query(&self.asker(session)?, move || listed(&snapshot, &meta, max_cells)).await?
+        self.compute.query(&self.asker(session)?, move || listed(&snapshot, &meta.room_names, max_cells)).await?
     }
 
     /// Calls a room by a name; an empty one takes its name from it. The room as it is then.
@@ -119,7 +118,7 @@ impl Service {
             })
             .await?;
         let (snapshot, meta, max_cells) = (session_now.snapshot(), session_now.meta(), self.limits.max_planning_cells);
-        self.compute.query(&self.asker(session)?, move || listed(&snapshot, &meta, max_cells)).await?
+        self.compute.query(&self.asker(session)?, move || listed(&snapshot, &meta.room_names, max_cells)).await?
     }
 
     /// The way to a room: from door to door, and the path along the ground. From a point of the map, or from where the robot is.
@@ -132,7 +131,7 @@ impl Service {
         let zones = super::zones::zones_of(&meta);
         let max_cells = self.limits.max_planning_cells;
         let work = move || {
-            let found = listed(&snapshot, &meta, max_cells)?;
+            let found = listed(&snapshot, &meta.room_names, max_cells)?;
             let room = found.wanted(&to)?;
             let from = start.or_else(|| robot_at(&snapshot));
             let route = from.and_then(|from| found.rooms.route(&from, room.id));
@@ -161,7 +160,7 @@ impl Service {
         let max_cells = self.limits.max_planning_cells;
         let work = move || {
             let rooms = snapshot.rooms(max_cells).map_err(refused)?;
-            let names = names(&snapshot, &meta, &rooms);
+            let names = names(&snapshot, &meta.room_names, &rooms);
             Ok(snapshot.scene_graph(&names, whose, max_cells).map_err(refused)?.filtered(&filter))
         };
         self.compute.query(&self.asker(session)?, work).await?
@@ -213,9 +212,9 @@ fn refused(e: MappingError) -> Error {
     }
 }
 
-fn listed(snapshot: &Snapshot, meta: &SessionMeta, max_cells: usize) -> Result<SessionRooms> {
+pub(super) fn listed(snapshot: &Snapshot, called: &[RoomName], max_cells: usize) -> Result<SessionRooms> {
     let rooms = snapshot.rooms(max_cells).map_err(refused)?;
-    let graph = snapshot.scene_graph(&names(snapshot, meta, &rooms), None, max_cells).map_err(refused)?;
+    let graph = snapshot.scene_graph(&names(snapshot, called, &rooms), None, max_cells).map_err(refused)?;
     let mut inside = BTreeMap::<RoomId, Vec<u64>>::new();
     for edge in &graph.edges {
         if let (NodeId::Object(object), NodeId::Room(room)) = (edge.subject, edge.object) {
@@ -232,9 +231,9 @@ fn listed(snapshot: &Snapshot, meta: &SessionMeta, max_cells: usize) -> Result<S
 }
 
 /// What people call the rooms.
-fn names(snapshot: &Snapshot, meta: &SessionMeta, rooms: &Rooms) -> BTreeMap<RoomId, String> {
+fn names(snapshot: &Snapshot, names: &[RoomName], rooms: &Rooms) -> BTreeMap<RoomId, String> {
     let named = |n: &RoomName| Some((rooms.at(&place_of(snapshot, n)?)?.id, n.name.clone()));
-    meta.room_names.iter().filter_map(named).collect()
+    names.iter().filter_map(named).collect()
 }
 
 /// Where a name is pinned, now.

@@ -1,5 +1,6 @@
 //! Zones that are stored with a session: every path in it keeps to them.
 
+use super::rooms::RoomName;
 use super::zone_masks::SessionMask;
 use crate::session::meta::SessionMeta;
 use crate::{Error, Result, reason};
@@ -72,16 +73,22 @@ pub(super) fn check_zones(zones: &[SessionZone]) -> Result<()> {
     Ok(())
 }
 
-/// All that paths keep to.
+/// What people drew into a session's map: all that paths keep to, and what rooms are called.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Zones {
     /// Polygons.
     pub areas: Vec<Zone>,
     /// Cells.
     pub masks: Vec<SessionMask>,
+    /// Of rooms.
+    pub room_names: Vec<RoomName>,
 }
 
 /// Those of a session, without the names of the areas.
 pub(super) fn zones_of(meta: &SessionMeta) -> Zones {
-    Zones { areas: meta.zones.iter().map(|z| z.zone.clone()).collect(), masks: meta.zone_masks.clone() }
+    Zones {
+        areas: meta.zones.iter().map(|z| z.zone.clone()).collect(),
+        masks: meta.zone_masks.clone(),
+        room_names: meta.room_names.clone(),
+    }
 }
