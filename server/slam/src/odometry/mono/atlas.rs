@@ -10,7 +10,7 @@ use super::{Mono, knows_way};
 use crate::motion_prior::MotionPrior;
 use percept_geometry::{Pose, Timestamp};
 
-/// Maps kept at most; the smallest goes first. Chosen, not swept.
+/// Maps kept at most; the smallest goes first. Halved and doubled 25.1 ([`super`]), where the map is never left.
 const MAX_MAPS: usize = 4;
 
 /// A map and what makes odom poses of its own.

@@ -20,8 +20,8 @@ pub(super) const MIN_FEATURES: usize = 80;
 /// Rays farther than this from the optical axis are not used: tangent of 70 degrees. Halved and doubled 25.1
 /// ([`super`]).
 const MAX_TANGENT: f64 = 2.75;
-/// A pixel darker or brighter than these holds no detail; so large a share of them is a wrong exposure. Chosen, not
-/// swept.
+/// A pixel darker or brighter than these holds no detail; so large a share of them is a wrong exposure. All three
+/// halved and doubled, the second by its distance from white, 25.1: no image there is spoilt ([`super`]).
 const DARK: u8 = 3;
 const BRIGHT: u8 = 252;
 const SPOILT_SHARE: f64 = 0.7;

@@ -18,13 +18,13 @@ use std::collections::BTreeMap;
 
 /// Views younger than this against the newest are no loop. As in ORB-SLAM2's code.
 const MIN_AGE: u32 = 10;
-/// Candidates that are tried for a view. Bounds the time of a view. Chosen, not swept.
+/// Candidates that are tried for a view. Bounds the time of a view. Halved and doubled 25.1 ([`super`]).
 const CANDIDATES: usize = 3;
 /// Pairs of points that have to agree on a similarity, and points of the old place that then have to be found.
 /// ORB-SLAM2's code asks for 20 and 40.
 const MIN_PAIRS: usize = 15;
 const MIN_FOUND: usize = 45;
-/// Of the old place's points that should be visible, the share that has to be. Chosen, not swept.
+/// Of the old place's points that should be visible, the share that has to be. Halved and doubled 25.1 ([`super`]).
 const MIN_SHARE: f64 = 0.25;
 /// Samples of three pairs. Of pairs of which 0.3 are right, all miss in 4 of 1000 cases: (1 - 0.3^3)^200; ORB-SLAM2's
 /// code takes 300 at most.

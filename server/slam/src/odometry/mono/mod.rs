@@ -49,9 +49,11 @@ use scale::Scaling;
 use serde::{Deserialize, Serialize};
 use tracker::{Outcome, Tracker};
 
-/// Images farther apart than this in time need not overlap, seconds. Chosen, not swept.
+/// Images farther apart than this in time need not overlap, seconds. It only names the reason; halved and doubled 25.1
+/// ([`self`]).
 const GAP_S: f64 = 1.0;
-/// A turn between two images by which so large a share of what the first shows leaves the second. Chosen, not swept.
+/// A turn between two images by which so large a share of what the first shows leaves the second. It only names the
+/// reason; halved and doubled 25.1 ([`self`]).
 const FAST_TURN: f64 = 0.25;
 
 /// Parameters of odometry by a camera alone.

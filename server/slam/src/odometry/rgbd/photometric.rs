@@ -21,7 +21,8 @@ pub(crate) const NOISE: f32 = 0.06;
 /// mm (22.3).
 pub(crate) const MIN_CONTRAST: f32 = 0.03;
 
-/// Fewer textured points say too little. Chosen, not swept.
+/// Fewer textured points say too little. ATE of `evaluate rgbd rgbd-7scenes-a 2` is 22.3 mm halved, doubled and as it
+/// is.
 pub(crate) const MIN_POINTS: usize = 200;
 
 /// A textured point of the model in the view's frame.
