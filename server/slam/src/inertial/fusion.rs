@@ -24,18 +24,21 @@ const VELOCITY: (f64, f64) = (0.3, 0.2);
 const ACCEL_BIAS: f64 = 0.2;
 /// Forces that differ from gravity by less than [`SHAKEN`] tell its direction to this angle, radians, and as much as they differ.
 const DIRECTION: f64 = 0.05;
-/// What registrations of frames in a row have in common, because they share a local model, metres and radians. Chosen,
-/// not swept.
+/// What registrations of frames in a row have in common, because they share a local model, metres and radians. Error
+/// of `inertial rosette seconds=20` of percept-pipeline: halved 7.5, doubled 8.6 mm (8.2).
 const IN_COMMON: (f64, f64) = (0.003, 0.001);
 /// Weight of the newest frame in running means, and frames after which they say something. A mean over the last twenty:
 /// two seconds at 10 Hz, as the window is long.
 const NEWEST: f64 = 0.05;
 const PROVEN: usize = 5;
-/// Weight of a frame that surprises more than those before. Chosen, not swept.
+/// Weight of a frame that surprises more than those before. Error of `inertial rosette seconds=20` of percept-pipeline
+/// is 8.2 mm halved, doubled and as it is.
 const STARTLED: f64 = 0.3;
-/// Predictions that are off by no more than this are not told apart, metres and radians. Chosen, not swept.
+/// Predictions that are off by no more than this are not told apart, metres and radians. Error of `inertial rosette
+/// seconds=20` of percept-pipeline: halved 9.5, doubled 8.6 mm (8.2).
 const SLACK: (f64, f64) = (0.003, 0.0015);
-/// An IMU that was not believed has to be so much better than constant velocity before it is again. Chosen, not swept.
+/// An IMU that was not believed has to be so much better than constant velocity before it is again. Error of `inertial
+/// rosette seconds=20` of percept-pipeline: halved 10.8, doubled 9.1 mm (8.2).
 const BETTER: f64 = 0.8;
 /// Squared error of a prediction in standard deviations, by axis, at which what is known of the IMU is dropped. Twenty
 /// standard deviations.

@@ -8,6 +8,12 @@
 //!
 //! Source: Gupta et al., "Effectively detecting loop closures using point cloud density maps", ICRA 2024 (MapClosures). We
 //! verify in space, with no use of the picture's alignment: where the floor is not level, that is wrong.
+//!
+//! Where a constant says "halved" and "doubled", these are the loops, and the error of the trajectory, millimetres, of
+//! `percept eval slam --sensor rosette --scenario kidnap --rooms 2 --minutes 1 --trials 3 --alone --no-objects
+//! --once`, where a lidar that sees ahead only is carried elsewhere three times: 28 and 109 with the constants as they
+//! are. None of these runs has a false loop, and in each the robot is found three times, in the median after 6.1 s.
+//! That error hangs on a few loops.
 
 mod kept;
 mod local_search;
@@ -35,24 +41,30 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 use submap::{Submap, Surface};
 
-/// Length of a submap, and the least and most of it (m); a new map begins each half of it. Chosen, not swept.
+/// Length of a submap, and the least and most of it (m); a new map begins each half of it. The first halved 50 loops
+/// and 94 mm, doubled 34 and 105; the bounds halved as it is, doubled 28 and 109 ([`self`]).
 const STRETCH_PER_RANGE: f64 = 0.6;
 const STRETCH: (f64, f64) = (2.0, 20.0);
-/// Turning on the spot makes keyframes without travel: so many close a map, too. Chosen, not swept.
+/// Turning on the spot makes keyframes without travel: so many close a map, too. Halved 42 and 100, doubled as it is
+/// ([`self`]).
 const MOST_KEYFRAMES: usize = 60;
-/// A map is compared with those that began so many of its lengths before it. Chosen, not swept.
+/// A map is compared with those that began so many of its lengths before it. Halved 31 and 93, doubled 46 and 139
+/// ([`self`]).
 const APART: f64 = 2.5;
 /// A loop that tells of more drift than so many standard deviations is of another place that looks the same. One of
 /// three hundred true loops does, along an axis.
 const LIKELY: f64 = 3.0;
-/// Turning beyond what drift explains, radians: maps are gathered over ways that drift themselves. Chosen, not swept.
+/// Turning beyond what drift explains, radians: maps are gathered over ways that drift themselves. Halved as it is,
+/// doubled 29 and 106 ([`self`]).
 const UNTOLD_TURN: f64 = 0.2;
 /// Maps whose pictures are compared with a new one, the nearest first; pairs waiting for a search; keyframes between
-/// two. Chosen, not swept.
+/// two. The first halved and doubled as it is; the second halved and doubled 32 and 109; the third halved 33 and 103,
+/// doubled 33 and 106 ([`self`]).
 const COMPARED: usize = 100;
 const WAITING: usize = 8;
 const PATIENCE: usize = 3;
-/// Candidates by looks for a submap, and for a scan with no guess. Chosen, not swept.
+/// Candidates by looks for a submap, and for a scan with no guess. The first halved as it is, doubled 41 and 101; the
+/// second halved and doubled as it is ([`self`]).
 const ALIKE: usize = 2;
 const LOST_ALIKE: usize = 3;
 

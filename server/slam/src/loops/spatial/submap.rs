@@ -7,7 +7,7 @@ use percept_perception::features2d::{Features, Keypoint, Orb, OrbParams};
 use rustc_hash::FxHashSet;
 
 /// Pixels and voxels are this share of the usual range, rounded to a power of two so that maps can be compared, and
-/// within these bounds (m). Chosen, not swept.
+/// within these bounds (m). About a degree at that range; the bounds are those of 7.5 and 30 m.
 const FINENESS: f64 = 1.0 / 60.0;
 const VOXELS_M: (f64, f64) = (0.125, 0.5);
 /// The picture reaches so many usual ranges from the anchor, and is at most so many pixels wide. Chosen, not swept.

@@ -5,7 +5,8 @@ use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
 use percept_geometry::{KeyframeScan, Pose, se3};
 use rustc_hash::FxHashMap;
 
-/// Voxels above each other that make a wall: a floor and a ceiling have up to four. Chosen, not swept.
+/// Voxels above each other that make a wall: a floor and a ceiling have up to four, two each where they lie on an
+/// edge.
 const TALL: u32 = 5;
 
 /// What turns base level and leaves the direction of its x axis.

@@ -14,7 +14,8 @@ use crate::tracking::Scale;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Covariance6, DepthImage, Pose, se3};
 
-/// The median is believed when its relative standard error is below this. Chosen, not swept.
+/// The median is believed when its relative standard error is below this. ATE with the best scale of `evaluate
+/// mono-sim 1 --wheels` as it went on: halved 39, doubled 65 mm (46), of 381, 437 and 366 images that were placed.
 const SURE: f64 = 0.04;
 /// Steps between views shorter than this tell nothing, metres; nor do those shorter than twice their error.
 const MIN_STEP_M: f64 = 0.02;
