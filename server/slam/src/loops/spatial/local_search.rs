@@ -8,7 +8,8 @@ use crate::loops::{KeyframePoses, LoopClosure};
 use percept_geometry::{Covariance6, KeyframeId, Pose};
 use std::collections::BTreeMap;
 
-/// Earlier keyframes within so many lengths of a submap are the same place. Chosen, not swept.
+/// Earlier keyframes within so many lengths of a submap are the same place. Halved 27 and 105, doubled 26 and 105
+/// ([`super`]).
 const NEAR: f64 = 0.5;
 /// The drift that such a measurement can bridge, standard deviations: beyond it another place may fit.
 const BRIDGED: f64 = 2.0;
