@@ -1,4 +1,5 @@
-//! Rooms and doors that are found: `rooms lidar2d|lidar3d|rgbd [--worlds N] [--rooms N] [--seconds S] [--out PICTURE.png]` of simulated
+//! Rooms and doors that are found: `rooms lidar2d|lidar3d|rgbd|demo [--worlds N] [--seed N] [--rooms N] [--seconds S]
+//! [--out PICTURE.png]` of simulated
 //! worlds against what was built, or `rooms PATH [--out PICTURE.png]` of a recording.
 //!
 //! Printed are the mean overlap (intersection over union, by cells) of each built room, as far as the map knows it, with the one found
@@ -9,9 +10,8 @@ use nalgebra::{Point2, Point3};
 use percept_formats::dataset;
 use percept_geometry::{Pose, RgbImage, SensorFrame, SensorSpec};
 use percept_pipeline::{Pipeline, PipelineParams, Snapshot};
-use percept_scene::ObjectState;
-use percept_scene::rooms::{Floor, RoomParams, Rooms, find_rooms};
-use percept_sim::{MainSensor, Scenario, Simulation, World};
+use percept_scene::rooms::Rooms;
+use percept_sim::{MainSensor, Scenario, SensorSuite, SimParams, Simulation, World, WorldParams};
 use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
@@ -36,7 +36,7 @@ fn main() -> Result<(), Failure> {
         "rgbd" => Some(MainSensor::Rgbd),
         _ => None,
     };
-    let Some(sensor) = sensor else {
+    if sensor.is_none() && source != "demo" {
         let recording = dataset::open(Path::new(source))?;
         let (snapshot, _) = run(&recording.sensors, recording.frames(None).map(|f| Ok(f?)))?;
         let (grid, rooms) = divided(&snapshot)?;
@@ -50,8 +50,12 @@ fn main() -> Result<(), Failure> {
     };
     let (worlds, count, seconds) = (number("--worlds", 1)?, number("--rooms", 6)? as usize, number("--seconds", 120)?);
     let mut all = Vec::new();
-    for seed in 1..=worlds {
-        let simulation = Simulation::new(Scenario::Loops.params(sensor, count, seconds as f64, seed)?)?;
+    for seed in number("--seed", 1)?..number("--seed", 1)? + worlds {
+        let params = match sensor {
+            Some(sensor) => Scenario::Loops.params(sensor, count, seconds as f64, seed)?,
+            None => demo(count, seed),
+        };
+        let simulation = Simulation::new(params)?;
         let mut t_world_map = None;
         let frames = simulation.frames().map(|f| {
             t_world_map.get_or_insert(f.t_world_base);
@@ -78,6 +82,15 @@ fn main() -> Result<(), Failure> {
     Ok(())
 }
 
+/// What `percept demo` drives.
+fn demo(rooms: usize, seed: u64) -> SimParams {
+    let mut sensors = SensorSuite::default();
+    if let Some(camera) = &mut sensors.depth_camera {
+        camera.rate_hz = 5.0;
+    }
+    SimParams { world: WorldParams { seed, rooms, ..WorldParams::default() }, sensors, seed, ..SimParams::default() }
+}
+
 fn run(
     sensors: &[SensorSpec],
     frames: impl Iterator<Item = Result<SensorFrame, Failure>>,
@@ -96,17 +109,13 @@ fn run(
 fn divided(snapshot: &Snapshot) -> Result<(percept_mapping::DenseGrid, Rooms), Failure> {
     use percept_mapping::Occupancy;
     let grid = snapshot.layers.occupancy.dense(MAX_CELLS)?;
-    let things: Vec<_> = snapshot.objects.iter().filter(|o| o.state == ObjectState::Static).map(|o| o.bbox).collect();
-    let keyframes: Vec<(u64, Point2<f64>)> =
-        snapshot.keyframes.iter().map(|k| (k.id.0, k.t_map_base.translation.vector.xy().into())).collect();
-    let floor = Floor { geometry: grid.geometry, width: grid.width, height: grid.height, cells: &grid.cells };
     let begin = Instant::now();
-    let rooms = find_rooms(&floor, &things, &keyframes, &RoomParams::default())?;
+    let rooms = Rooms::clone(&*snapshot.rooms(MAX_CELLS)?);
     println!(
-        "  {} x {} cells, {} things: {} rooms, {} doors, {} places, {} links in {:.0} ms",
+        "  {} x {} cells, {} objects: {} rooms, {} doors, {} places, {} links in {:.0} ms",
         grid.width,
         grid.height,
-        things.len(),
+        snapshot.objects.len(),
         rooms.rooms.len(),
         rooms.doors.len(),
         rooms.places.len(),

@@ -21,6 +21,11 @@ const DELAY_S: f64 = 0.5;
 /// Objects this near to the edge of the searched part of the map may be cut by it, metres.
 const SEARCH_EDGE_M: f64 = 1.5;
 
+/// Points of a keyframe in a thing's box that are a look at it: fewer come about by noise.
+const LOOK: usize = 5;
+/// And so far outside of it, metres: a voxel of the cloud that it was found in.
+const AT_SIDES_M: f64 = 0.05;
+
 /// Detector, tracker, objects.
 pub(crate) struct Scene {
     settings: DetectionSettings,
@@ -119,17 +124,16 @@ impl Scene {
             add_within(&mut around, &moving, &t_map_base.translation.vector.into(), range_m);
             // The fused cloud is sound by construction; a detector that refuses it finds nothing.
             let found = detector.detect(&around).unwrap_or_default();
-            let ranges = RangeImage::new(&scan);
+            let seen = scan.hits.transformed(&t_map_base).positions;
             let observation = |d: &Detection| Observation {
                 class: d.class,
                 confidence: d.confidence,
                 bbox: d.bbox,
                 num_points: d.num_points,
                 is_moving: moves(&d.bbox, &moving, &around),
-                is_seen: ranges.ends_in(&t_map_base, &d.bbox),
+                is_seen: is_seen(&d.bbox, &seen),
             };
-            let observations = found.iter().map(observation).collect();
-            Found { observations, ranges }
+            Found { observations: found.iter().map(observation).collect(), ranges: RangeImage::new(&scan) }
         });
         let (keyframe, stamp) = (keyframe.info.id, keyframe.info.stamp);
         self.searches.push_back(Search { keyframe, stamp, t_map_base, range_m, task });
@@ -192,6 +196,14 @@ fn moves(bbox: &OrientedBox3, moving: &PointCloud, all: &PointCloud) -> bool {
     let inside = |p: &&Point3<f32>| bbox.contains(&p.cast());
     let moving = moving.positions.iter().filter(inside).count();
     moving > 0 && all.positions.iter().filter(inside).take(2 * moving).count() < 2 * moving
+}
+
+/// Whether some points lie in a box, or at its sides.
+fn is_seen(bbox: &OrientedBox3, points: &[Point3<f32>]) -> bool {
+    let grown = OrientedBox3 { size: bbox.size.add_scalar(2.0 * AT_SIDES_M), ..*bbox };
+    let (center, reach) = (grown.center().cast::<f32>(), 0.5 * grown.size.norm() as f32);
+    let near = points.iter().filter(|p| nalgebra::distance_squared(p, &center) <= reach * reach);
+    near.filter(|p| grown.contains(&p.cast())).take(LOOK).count() == LOOK
 }
 
 /// Adds those points that are so near, metres; grey where a cloud with colours gets some without.

@@ -12,10 +12,6 @@ const MARGIN_M: f32 = 0.3;
 /// Share of the box's sample points that must be seen through.
 const SHARE: f64 = 0.6;
 
-/// Share of the box's sample points at which beams have to end for it to be seen: a side of three that face the sensor.
-const SEEN_SHARE: f64 = 0.15;
-const NUM_SAMPLES: usize = 27;
-
 /// Nearest range in every direction around the sensor.
 pub(crate) struct RangeImage {
     t_base_sensor: Pose,
@@ -34,17 +30,6 @@ impl RangeImage {
             }
         }
         Self { t_base_sensor: scan.t_base_sensor, nearest }
-    }
-
-    /// Whether beams ended in a box in the map, by a robot at `t_map_base`, or hardly behind or before it.
-    pub(crate) fn ends_in(&self, t_map_base: &Pose, bbox: &OrientedBox3) -> bool {
-        let t_sensor_map = (t_map_base * self.t_base_sensor).inverse();
-        let hits = sample_points(bbox).filter(|p| {
-            let q = t_sensor_map * p;
-            let range = q.coords.norm() as f32;
-            bin(&q).is_some_and(|i| (self.nearest[i] - range).abs() < MARGIN_M)
-        });
-        hits.count() as f64 >= SEEN_SHARE * NUM_SAMPLES as f64
     }
 
     /// Whether surfaces were measured behind most of a box in the map, by a robot at `t_map_base`.
@@ -86,7 +71,7 @@ fn bin(p_sensor: &Point3<f64>) -> Option<usize> {
 
 /// A 3 x 3 x 3 lattice in the inner 60 % of the box.
 fn sample_points(bbox: &OrientedBox3) -> impl Iterator<Item = Point3<f64>> + '_ {
-    (0..NUM_SAMPLES as i32).map(move |i| {
+    (0..27).map(move |i| {
         let at = |k: i32, size: f64| f64::from(k - 1) * 0.3 * size;
         bbox.t_frame_box * Point3::new(at(i % 3, bbox.size.x), at(i / 3 % 3, bbox.size.y), at(i / 9, bbox.size.z))
     })

@@ -43,7 +43,7 @@ impl Cleared {
     }
 }
 
-/// Takes furniture out. What stands free is furniture if it is small, or if it mostly is a known thing.
+/// Takes furniture out: known things that hardly stand at walls, and what stands free and is small.
 pub(super) fn cleared(floor: &Floor<'_>, things: &[OrientedBox3], params: &RoomParams) -> Cleared {
     let mut is_thing = vec![false; floor.cells.len()];
     let grown = SIDES_CELLS * floor.resolution_m();
@@ -56,17 +56,20 @@ pub(super) fn cleared(floor: &Floor<'_>, things: &[OrientedBox3], params: &RoomP
             () => Kind::Unknown,
         })
         .collect();
-    let around = floor.around();
-    let standing: Vec<bool> = kinds.iter().map(|k| matches!(k, Kind::Wall | Kind::Thing)).collect();
-    // A wall that was seen from afar is a row of dots.
-    let grown = around.grown(&standing, (0.5 * JOINED_M / floor.resolution_m()).round() as usize);
-    for mut part in around.parts(&grown) {
-        part.retain(|i| standing[*i]);
-        let of_things = part.iter().filter(|i| kinds[**i] == Kind::Thing).count();
-        if extent_m(floor, &part) <= params.furniture_max_m || 2 * of_things > part.len() {
-            part.iter().for_each(|i| kinds[*i] = Kind::Open);
+    // What mostly is things is without them what is left: a wall between four doors, with shelves along it, is one.
+    for part in standing_parts(floor, &kinds) {
+        let is_thing = |i: &&usize| kinds[**i] == Kind::Thing;
+        if 2 * part.iter().filter(is_thing).count() > part.len() {
+            let things: Vec<usize> = part.iter().filter(is_thing).copied().collect();
+            things.into_iter().for_each(|i| kinds[i] = Kind::Open);
         }
     }
+    for part in standing_parts(floor, &kinds) {
+        if extent_m(floor, &part) <= params.furniture_max_m {
+            part.into_iter().for_each(|i| kinds[i] = Kind::Open);
+        }
+    }
+    let around = floor.around();
     let unknown: Vec<bool> = kinds.iter().map(|k| *k == Kind::Unknown).collect();
     let largest = (HOLE_M2 / floor.resolution_m().powi(2)) as usize;
     for part in around.parts(&unknown) {
@@ -98,6 +101,16 @@ impl Cleared {
             }
         }
     }
+}
+
+/// What stands, in parts that are one. A wall that was seen from afar is a row of dots.
+fn standing_parts(floor: &Floor<'_>, kinds: &[Kind]) -> Vec<Vec<usize>> {
+    let around = floor.around();
+    let standing: Vec<bool> = kinds.iter().map(|k| matches!(k, Kind::Wall | Kind::Thing)).collect();
+    let grown = around.grown(&standing, (0.5 * JOINED_M / floor.resolution_m()).round() as usize);
+    let mut parts = around.parts(&grown);
+    parts.iter_mut().for_each(|part| part.retain(|i| standing[*i]));
+    parts
 }
 
 /// Diagonal of the rectangle around cells, metres.

@@ -122,6 +122,29 @@ fn shelves_do_not_make_a_door() {
 }
 
 #[test]
+fn a_cross_of_walls_between_four_doors_is_no_furniture_whatever_stands_at_it() {
+    let four = drawn(&[
+        "#################",
+        "#.......#.......#",
+        "#.......#.......#",
+        "#...............#",
+        "#......t#t......#",
+        "#......t#t......#",
+        "#####..###..#####",
+        "#......t#t......#",
+        "#......t#t......#",
+        "#...............#",
+        "#.......#.......#",
+        "#.......#.......#",
+        "#################",
+    ]);
+    let shelf = |x: f64, y: f64| OrientedBox3::upright(Point3::new(x, y, 0.9), Vector3::new(0.5, 1.0, 1.8), 0.0);
+    let things = [shelf(3.75, 4.0), shelf(4.75, 4.0), shelf(3.75, 2.5), shelf(4.75, 2.5)];
+    let rooms = four.divided(&things, &[]);
+    assert_eq!((rooms.rooms.len(), rooms.doors.len()), (4, 4), "{:?}", rooms.rooms);
+}
+
+#[test]
 fn what_is_seen_through_a_window_is_no_room() {
     let seen = drawn(&[
         "          ......  ",
