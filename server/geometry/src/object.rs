@@ -20,12 +20,37 @@ pub enum ObjectClass {
     Cylinder,
     /// Person.
     Person,
+    /// Car.
+    Car,
+    /// Van or minibus.
+    Van,
+    /// Truck.
+    Truck,
+    /// Bus.
+    Bus,
+    /// Bicycle with its rider.
+    Cyclist,
+    /// Motorcycle or scooter, with its rider if it has one.
+    Motorcycle,
 }
 
 impl ObjectClass {
-    /// All classes, `Unknown` first.
-    pub const ALL: [Self; 7] =
-        [Self::Unknown, Self::Table, Self::Chair, Self::Shelf, Self::Box, Self::Cylinder, Self::Person];
+    /// All classes, `Unknown` first. New ones are added at the end: what was stored by earlier versions is a beginning of it.
+    pub const ALL: [Self; 13] = [
+        Self::Unknown,
+        Self::Table,
+        Self::Chair,
+        Self::Shelf,
+        Self::Box,
+        Self::Cylinder,
+        Self::Person,
+        Self::Car,
+        Self::Van,
+        Self::Truck,
+        Self::Bus,
+        Self::Cyclist,
+        Self::Motorcycle,
+    ];
 
     /// Lower-case name, as in JSON.
     pub const fn name(self) -> &'static str {
@@ -37,6 +62,12 @@ impl ObjectClass {
             Self::Box => "box",
             Self::Cylinder => "cylinder",
             Self::Person => "person",
+            Self::Car => "car",
+            Self::Van => "van",
+            Self::Truck => "truck",
+            Self::Bus => "bus",
+            Self::Cyclist => "cyclist",
+            Self::Motorcycle => "motorcycle",
         }
     }
 }

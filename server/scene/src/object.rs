@@ -80,7 +80,8 @@ pub struct Object {
     pub class: ObjectClass,
     /// Probability of that class, 0..1.
     pub confidence: f64,
-    /// Probabilities in the order of [`ObjectClass::ALL`], sum 1.
+    /// Probabilities in the order of [`ObjectClass::ALL`], sum 1. Read back from a list of fewer, the classes that it does not know have 0.
+    #[serde(deserialize_with = "of_known_classes")]
     pub class_probabilities: [f64; ObjectClass::ALL.len()],
     /// Upright box in the map frame, metres; where it was last seen if gone.
     pub bbox: OrientedBox3,
@@ -96,6 +97,17 @@ pub struct Object {
     pub observation_count: u64,
     /// Points of the best observation that the box rests on.
     pub num_points: usize,
+}
+
+/// Probabilities of the classes that there were when it was written, padded by 0 for those that came after.
+fn of_known_classes<'de, D: serde::Deserializer<'de>>(from: D) -> Result<[f64; ObjectClass::ALL.len()], D::Error> {
+    let stored = Vec::<f64>::deserialize(from)?;
+    let mut all = [0.0; ObjectClass::ALL.len()];
+    let known = all.get_mut(..stored.len()).ok_or_else(|| {
+        serde::de::Error::invalid_length(stored.len(), &"at most as many probabilities as there are classes")
+    })?;
+    known.copy_from_slice(&stored);
+    Ok(all)
 }
 
 /// What happened to an object in an update.

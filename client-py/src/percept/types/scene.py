@@ -10,7 +10,7 @@ from .geometry import Floats, OrientedBox, Pose
 
 
 class ObjectClass(Name):
-    """Classes of the built-in classifier."""
+    """Classes of the built-in classifiers."""
 
     UNSPECIFIED = "unspecified"
     UNKNOWN = "unknown"
@@ -20,6 +20,12 @@ class ObjectClass(Name):
     BOX = "box"
     CYLINDER = "cylinder"
     PERSON = "person"
+    CAR = "car"
+    VAN = "van"
+    TRUCK = "truck"
+    BUS = "bus"
+    CYCLIST = "cyclist"
+    MOTORCYCLE = "motorcycle"
 
 
 class ObjectState(Name):

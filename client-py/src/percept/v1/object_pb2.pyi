@@ -37,9 +37,18 @@ class _ObjectClassEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_ObjectCla
     OBJECT_CLASS_CYLINDER: _ObjectClass.ValueType  # 6
     """Upright cylinder: bin, barrel, column."""
     OBJECT_CLASS_PERSON: _ObjectClass.ValueType  # 7
+    OBJECT_CLASS_CAR: _ObjectClass.ValueType  # 8
+    OBJECT_CLASS_VAN: _ObjectClass.ValueType  # 9
+    """Van or minibus."""
+    OBJECT_CLASS_TRUCK: _ObjectClass.ValueType  # 10
+    OBJECT_CLASS_BUS: _ObjectClass.ValueType  # 11
+    OBJECT_CLASS_CYCLIST: _ObjectClass.ValueType  # 12
+    """Bicycle with its rider."""
+    OBJECT_CLASS_MOTORCYCLE: _ObjectClass.ValueType  # 13
+    """Motorcycle or scooter, with its rider if it has one."""
 
 class ObjectClass(_ObjectClass, metaclass=_ObjectClassEnumTypeWrapper):
-    """Classes of the built-in classifier."""
+    """Classes of the built-in classifiers: indoors UNKNOWN to PERSON, outdoors UNKNOWN and PERSON to MOTORCYCLE."""
 
 OBJECT_CLASS_UNSPECIFIED: ObjectClass.ValueType  # 0
 OBJECT_CLASS_UNKNOWN: ObjectClass.ValueType  # 1
@@ -52,6 +61,15 @@ OBJECT_CLASS_BOX: ObjectClass.ValueType  # 5
 OBJECT_CLASS_CYLINDER: ObjectClass.ValueType  # 6
 """Upright cylinder: bin, barrel, column."""
 OBJECT_CLASS_PERSON: ObjectClass.ValueType  # 7
+OBJECT_CLASS_CAR: ObjectClass.ValueType  # 8
+OBJECT_CLASS_VAN: ObjectClass.ValueType  # 9
+"""Van or minibus."""
+OBJECT_CLASS_TRUCK: ObjectClass.ValueType  # 10
+OBJECT_CLASS_BUS: ObjectClass.ValueType  # 11
+OBJECT_CLASS_CYCLIST: ObjectClass.ValueType  # 12
+"""Bicycle with its rider."""
+OBJECT_CLASS_MOTORCYCLE: ObjectClass.ValueType  # 13
+"""Motorcycle or scooter, with its rider if it has one."""
 Global___ObjectClass: _TypeAlias = ObjectClass  # noqa: Y015
 
 class _ObjectState:

@@ -70,6 +70,12 @@ pub(super) fn class_color(class: ObjectClass) -> Color {
         ObjectClass::Box => [140, 70, 20],
         ObjectClass::Cylinder => SKY,
         ObjectClass::Person => PURPLE,
+        ObjectClass::Car => BLUE,
+        ObjectClass::Van => [0, 80, 130],
+        ObjectClass::Truck => [0, 54, 92],
+        ObjectClass::Bus => [86, 130, 180],
+        ObjectClass::Cyclist => GREEN,
+        ObjectClass::Motorcycle => [90, 150, 40],
     }
 }
 

@@ -15,7 +15,7 @@ fn thing(id: u64, class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Objec
         id: ObjectId(id),
         class,
         confidence: 0.9,
-        class_probabilities: [1.0 / 7.0; 7],
+        class_probabilities: [1.0 / ObjectClass::ALL.len() as f64; ObjectClass::ALL.len()],
         bbox: OrientedBox3::upright(Point3::from(center), Vector3::from(size), 0.0),
         state: ObjectState::Static,
         velocity_mps: Vector3::zeros(),

@@ -35,6 +35,12 @@ pub fn optional_class(value: i32) -> Result<Option<ObjectClass>> {
         Ok(C::Box) => ObjectClass::Box,
         Ok(C::Cylinder) => ObjectClass::Cylinder,
         Ok(C::Person) => ObjectClass::Person,
+        Ok(C::Car) => ObjectClass::Car,
+        Ok(C::Van) => ObjectClass::Van,
+        Ok(C::Truck) => ObjectClass::Truck,
+        Ok(C::Bus) => ObjectClass::Bus,
+        Ok(C::Cyclist) => ObjectClass::Cyclist,
+        Ok(C::Motorcycle) => ObjectClass::Motorcycle,
         Err(_) => return Err(super::unknown_enum("object_class", value)),
     }))
 }
@@ -50,6 +56,12 @@ pub fn class_to(class: ObjectClass) -> v1::ObjectClass {
         ObjectClass::Box => C::Box,
         ObjectClass::Cylinder => C::Cylinder,
         ObjectClass::Person => C::Person,
+        ObjectClass::Car => C::Car,
+        ObjectClass::Van => C::Van,
+        ObjectClass::Truck => C::Truck,
+        ObjectClass::Bus => C::Bus,
+        ObjectClass::Cyclist => C::Cyclist,
+        ObjectClass::Motorcycle => C::Motorcycle,
     }
 }
 
