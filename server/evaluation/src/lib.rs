@@ -3,17 +3,20 @@
 //! Comes in: what was estimated and what is true, in memory. Goes out: figures with defined meaning.
 //! No file is read here (that is `formats`) and nothing is estimated. Start with
 //! [`score::score_trajectory`], which computes all figures of a trajectory; [`absolute`], [`relative`] and
-//! [`drift`] are its parts. Without a true trajectory, but with some checked motions: [`relations`]. Detections: [`detection::match_detections`]. Maps: [`occupancy`], [`cloud`].
+//! [`drift`] are its parts. Without a true trajectory, but with some checked motions: [`relations`]. Detections: [`detection::match_detections`], [`ranking`] of their confidences, [`identity`] of tracks. Maps: [`occupancy`], [`cloud`].
 //!
 //! Trajectory figures agree with the tool evo (Grupp 2017) on its own test data, digit by digit.
 //! A figure that does not exist (the precision of no detection, the drift of no path) is `None`, not 0.
 
 pub mod absolute;
 pub mod alignment;
+pub mod assignment;
 pub mod cloud;
 pub mod detection;
 pub mod drift;
+pub mod identity;
 pub mod occupancy;
+pub mod ranking;
 pub mod relations;
 pub mod relative;
 pub mod score;
@@ -22,10 +25,13 @@ pub mod trajectory;
 
 pub use absolute::{AbsoluteError, absolute_error};
 pub use alignment::{Alignment, Similarity, align};
+pub use assignment::best_pairs;
 pub use cloud::{CloudScore, score_cloud};
 pub use detection::{ClassScore, DetectionScore, FoundObject, TrueObject, match_detections};
 pub use drift::{SegmentDrift, SegmentParams, end_drift_percent, segment_drift};
+pub use identity::{IdentityPair, IdentityScore, identity_score};
 pub use occupancy::{OccupancyScore, score_occupancy};
+pub use ranking::{Judged, average_precision, calibration_error};
 pub use relations::{RelationScore, TrueRelation, score_relations};
 pub use relative::{Delta, RelativeError, relative_error};
 pub use score::{TrajectoryParams, TrajectoryScore, aligned_pairs, score_trajectory};
