@@ -8,6 +8,7 @@
 mod classify;
 mod descriptor;
 mod detector;
+pub mod outdoor;
 mod params;
 mod propose;
 mod structure;
