@@ -172,6 +172,29 @@ def test_objects_are_found_in_a_cloud_of_the_room(client):
     assert all(0 <= d.confidence <= 1 and d.features.num_points > 0 for d in found)
 
 
+def test_a_car_is_found_in_a_scan_of_a_street(client):
+    # Beams of a lidar 1.7 m above a street meet the ground or a car of 4.1 x 1.7 x 1.5 m, 12 m ahead: its body, and its cabin.
+    boxes = [((10, 1.2, 0.2), (14.1, 2.9, 0.9)), ((10.4, 1.3, 0.9), (13, 2.8, 1.5))]
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(-180, 180, 0.18)), np.radians(np.arange(-24.8, 2.1, 0.42)))
+    rays = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1
+    ).reshape(-1, 3)
+    origin = np.array([0, 0, 1.7])
+    with np.errstate(divide="ignore"):
+        ranges = np.where(rays[:, 2] < 0, -origin[2] / rays[:, 2], np.inf)
+        for low, high in boxes:
+            a, b = (np.array(low) - origin) / rays, (np.array(high) - origin) / rays
+            near, far = np.minimum(a, b).max(1), np.maximum(a, b).min(1)
+            ranges = np.where((near > 0) & (near <= far), np.minimum(ranges, near), ranges)
+    points = (rays * ranges[:, None])[ranges < 80].astype(np.float32)
+    found = client.toolbox.detect_objects(points, environment="outdoor", sensor_height_m=1.7)
+    cars = [d for d in found if d.object_class in ("car", "van")]
+    assert len(cars) == 1, found
+    assert np.linalg.norm(cars[0].box.centre[:2] - [12.05, 2.05]) < 0.6
+    with pytest.raises(InvalidArgument, match="sensor_height_m"):
+        client.toolbox.detect_objects(points, environment="outdoor", sensor_height_m=-1.0)
+
+
 def test_a_cloud_without_points_is_served_or_refused_precisely(client):
     empty = np.empty((0, 3), np.float32)
     for call in (client.toolbox.downsample_voxels, client.toolbox.remove_statistical_outliers):

@@ -134,6 +134,13 @@ class ClusterMethod(Name):
     DBSCAN = "dbscan"
 
 
+class Environment(Name):
+    """What surrounds the objects that are looked for."""
+
+    INDOOR = "indoor"
+    OUTDOOR = "outdoor"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Clusters(Value):
     """Connected groups of points."""

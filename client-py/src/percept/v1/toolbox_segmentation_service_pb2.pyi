@@ -72,6 +72,28 @@ CLUSTER_METHOD_DBSCAN: ClusterMethod.ValueType  # 2
 """Only points with min_points neighbours connect (Ester et al. 1996)."""
 Global___ClusterMethod: _TypeAlias = ClusterMethod  # noqa: Y015
 
+class _Environment:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _EnvironmentEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Environment.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    ENVIRONMENT_UNSPECIFIED: _Environment.ValueType  # 0
+    ENVIRONMENT_INDOOR: _Environment.ValueType  # 1
+    """Rooms: furniture, boxes and people on one level floor, in a frame whose floor is near z = 0."""
+    ENVIRONMENT_OUTDOOR: _Environment.ValueType  # 2
+    """Streets: vehicles and people on uneven ground, in one scan of a 3D lidar in the sensor's frame."""
+
+class Environment(_Environment, metaclass=_EnvironmentEnumTypeWrapper):
+    """What surrounds the objects that are looked for."""
+
+ENVIRONMENT_UNSPECIFIED: Environment.ValueType  # 0
+ENVIRONMENT_INDOOR: Environment.ValueType  # 1
+"""Rooms: furniture, boxes and people on one level floor, in a frame whose floor is near z = 0."""
+ENVIRONMENT_OUTDOOR: Environment.ValueType  # 2
+"""Streets: vehicles and people on uneven ground, in one scan of a 3D lidar in the sensor's frame."""
+Global___Environment: _TypeAlias = Environment  # noqa: Y015
+
 @_typing.final
 class SegmentPlanesRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
@@ -786,20 +808,30 @@ class DetectObjectsRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CLOUD_FIELD_NUMBER: _builtins.int
+    ENVIRONMENT_FIELD_NUMBER: _builtins.int
+    SENSOR_HEIGHT_M_FIELD_NUMBER: _builtins.int
+    environment: Global___Environment.ValueType
+    """Unspecified: indoor."""
+    sensor_height_m: _builtins.float
+    """Outdoors only: height of the sensor above the ground under it, metres. Absent: 1.73."""
     @_builtins.property
     def cloud(self) -> _toolbox_pb2.CloudSource:
-        """z up, floor near z = 0, metres."""
+        """z up, metres. Indoors the floor is near z = 0; outdoors the sensor is at the origin."""
 
     def __init__(
         self,
         *,
         cloud: _toolbox_pb2.CloudSource | None = ...,
+        environment: Global___Environment.ValueType = ...,
+        sensor_height_m: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_sensor_height_m", b"_sensor_height_m", "cloud", b"cloud", "sensor_height_m", b"sensor_height_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["cloud", b"cloud"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_sensor_height_m", b"_sensor_height_m", "cloud", b"cloud", "environment", b"environment", "sensor_height_m", b"sensor_height_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__sensor_height_m: _TypeAlias = _typing.Literal["sensor_height_m"]  # noqa: Y015
+    _WhichOneofArgType__sensor_height_m: _TypeAlias = _typing.Literal["_sensor_height_m", b"_sensor_height_m"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__sensor_height_m) -> _WhichOneofReturnType__sensor_height_m | None: ...
 
 Global___DetectObjectsRequest: _TypeAlias = DetectObjectsRequest  # noqa: Y015
 

@@ -7,7 +7,7 @@ import numpy as np
 from ... import _rpc
 from ..._call import Call
 from ...types.scene import Detection
-from ...types.toolbox import ClusterMethod, Clusters, PlaneKind, PlaneSegment, Shape
+from ...types.toolbox import ClusterMethod, Clusters, Environment, PlaneKind, PlaneSegment, Shape
 from ...v1 import toolbox_segmentation_service_pb2 as segmentation_pb
 from ...v1 import toolbox_shapes_service_pb2 as shapes_pb
 from .. import geometry, scene, words
@@ -82,8 +82,16 @@ def shape(answer: shapes_pb.ComputeShapeFeaturesResponse) -> Shape:
 
 def detect_objects(
     cloud: Cloud,
+    environment: Environment | str,
+    sensor_height_m: float | None,
 ) -> Call[segmentation_pb.DetectObjectsRequest, segmentation_pb.DetectObjectsResponse, list[Detection]]:
-    return Call(_rpc.DETECT_OBJECTS, with_cloud(segmentation_pb.DetectObjectsRequest, cloud), detections)
+    request = with_cloud(
+        segmentation_pb.DetectObjectsRequest,
+        cloud,
+        environment=environment,
+        sensor_height_m=sensor_height_m,
+    )
+    return Call(_rpc.DETECT_OBJECTS, request, detections)
 
 
 def detections(answer: segmentation_pb.DetectObjectsResponse) -> list[Detection]:

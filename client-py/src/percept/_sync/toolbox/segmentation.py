@@ -6,7 +6,7 @@ from __future__ import annotations
 from ..._convert.toolbox import segmentation as convert
 from ..._convert.toolbox.request import Cloud
 from ...types.scene import Detection
-from ...types.toolbox import ClusterMethod, Clusters, PlaneSegment, Shape
+from ...types.toolbox import ClusterMethod, Clusters, Environment, PlaneSegment, Shape
 from ..bound import Bound
 
 
@@ -48,6 +48,13 @@ class Segmentation(Bound):
         """Centroid, extent, eigenvalues and what follows from them; smallest upright box."""
         return self._transport.call(convert.compute_shape_features(cloud))
 
-    def detect_objects(self, cloud: Cloud) -> list[Detection]:
-        """Objects in a cloud with z up and the floor near z = 0."""
-        return self._transport.call(convert.detect_objects(cloud))
+    def detect_objects(
+        self,
+        cloud: Cloud,
+        *,
+        environment: Environment | str = Environment.INDOOR,
+        sensor_height_m: float | None = None,
+    ) -> list[Detection]:
+        """Objects in a cloud with z up. Indoors the floor is near z = 0. Outdoors the cloud is one scan of a 3D lidar in its own
+        frame, sensor_height_m (1.73) above the ground, and objects are vehicles, people and what stands by itself."""
+        return self._transport.call(convert.detect_objects(cloud, environment, sensor_height_m))

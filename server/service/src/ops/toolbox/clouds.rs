@@ -9,6 +9,7 @@ use percept_perception::cloud::{
     SpanningTreeParams, StatisticalOutlierParams, TypedPlane,
 };
 use percept_perception::depth::{self, UnprojectParams};
+use percept_perception::detection::outdoor::{OutdoorDetector, OutdoorParams};
 use percept_perception::detection::{Detection, DetectionParams, Detector};
 
 /// What connects points.
@@ -111,13 +112,29 @@ pub fn shape_features(points: &[Point3<f32>]) -> Result<(ShapeFeatures, Oriented
     })
 }
 
-/// Objects in a cloud whose z is up and whose floor is near z = 0.
+/// What surrounds objects that are looked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Environment {
+    /// Rooms, in a frame whose floor is near z = 0.
+    Indoor,
+    /// Streets, in one scan of a lidar in its own frame.
+    Outdoor(OutdoorParams),
+}
+
+/// Objects in a cloud whose z is up; `params` are those for rooms.
 ///
 /// # Errors
-/// Clouds whose channels do not fit.
-pub fn detect_objects(cloud: &PointCloud, params: &DetectionParams) -> Result<Vec<Detection>> {
-    let detector = Detector::new(*params).map_err(Error::internal)?;
-    detector.detect(cloud).map_err(cloud_error)
+/// Clouds whose channels do not fit; `OUT_OF_RANGE` naming a parameter for streets.
+pub fn detect_objects(
+    cloud: &PointCloud,
+    params: &DetectionParams,
+    environment: &Environment,
+) -> Result<Vec<Detection>> {
+    match environment {
+        Environment::Indoor => Detector::new(*params).map_err(Error::internal)?.detect(cloud),
+        Environment::Outdoor(params) => OutdoorDetector::new(*params).and_then(|detector| detector.detect(cloud)),
+    }
+    .map_err(cloud_error)
 }
 
 /// A depth image as a cloud in the optical frame.

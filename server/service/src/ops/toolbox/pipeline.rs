@@ -1,6 +1,6 @@
 //! Operations in turn on one cloud that stays here.
 
-use super::{Clustering, NormalOrientation, Region, Sample, Toolbox, clouds, regions, subsets};
+use super::{Clustering, Environment, NormalOrientation, Region, Sample, Toolbox, clouds, regions, subsets};
 use crate::{Error, Result};
 use nalgebra::Point3;
 use percept_geometry::{OrientedBox3, PointCloud, Pose};
@@ -48,7 +48,7 @@ pub enum Step {
     /// [`clouds::shape_features`] of each cluster, or of the whole cloud before any were found.
     ShapeFeatures,
     /// [`clouds::detect_objects`].
-    DetectObjects,
+    DetectObjects(Environment),
     /// [`subsets::sample_points`].
     SamplePoints(Sample),
     /// [`subsets::crop_cloud`], and whether what is outside is kept.
@@ -74,7 +74,7 @@ impl Step {
             Self::SegmentPlanes(..) => "segment_planes",
             Self::ClusterPoints(_) => "cluster_points",
             Self::ShapeFeatures => "compute_shape_features",
-            Self::DetectObjects => "detect_objects",
+            Self::DetectObjects(_) => "detect_objects",
             Self::SamplePoints(_) => "sample_points",
             Self::Crop(..) => "crop_cloud",
             Self::SegmentGround(..) => "segment_ground",
@@ -198,7 +198,9 @@ impl Toolbox {
                 bench.clusters = Some(objects.clusters.clone());
                 Found::Objects(objects)
             }
-            Step::DetectObjects => Found::Detections(clouds::detect_objects(&cloud, self.detector())?),
+            Step::DetectObjects(environment) => {
+                Found::Detections(clouds::detect_objects(&cloud, self.detector(), environment)?)
+            }
         })
     }
 }

@@ -66,7 +66,7 @@ fn step(s: &v1::PipelineStep) -> Result<Step> {
         }
         S::DetectObjects(r) => {
             bare!(r);
-            Step::DetectObjects
+            Step::DetectObjects(segmentation::environment(r)?)
         }
         S::SamplePoints(r) => {
             bare!(r, keep_result);

@@ -8,8 +8,9 @@ use percept_perception::cloud::{
     ClusterParams, Clusters, DbscanParams, PlaneKind, PlaneParams, PlanesParams, ShapeFeatures, TypedPlane,
 };
 use percept_perception::detection::Detection;
+use percept_perception::detection::outdoor::OutdoorParams;
 use percept_service::Result;
-use percept_service::toolbox::Clustering;
+use percept_service::toolbox::{Clustering, Environment};
 
 /// Parameters of plane segmentation.
 pub fn planes_params(r: &v1::SegmentPlanesRequest) -> PlanesParams {
@@ -42,6 +43,23 @@ pub fn clustering(r: &v1::ClusterPointsRequest) -> Result<Clustering> {
             Ok(Clustering::Dbscan(params))
         }
         Err(_) => Err(unknown_enum("method", r.method)),
+    }
+}
+
+/// Where objects are looked for.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`.
+pub fn environment(r: &v1::DetectObjectsRequest) -> Result<Environment> {
+    use v1::Environment as E;
+    match E::try_from(r.environment) {
+        Ok(E::Unspecified | E::Indoor) => Ok(Environment::Indoor),
+        Ok(E::Outdoor) => {
+            let mut params = OutdoorParams::default();
+            set(&mut params.ground.sensor_height_m, r.sensor_height_m);
+            Ok(Environment::Outdoor(params))
+        }
+        Err(_) => Err(unknown_enum("environment", r.environment)),
     }
 }
 

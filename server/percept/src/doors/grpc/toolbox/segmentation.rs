@@ -61,5 +61,6 @@ fn segment_objects(t: &Toolbox, r: v1::SegmentObjectsRequest) -> Result<v1::Segm
 
 fn detect_objects(t: &Toolbox, r: v1::DetectObjectsRequest) -> Result<v1::DetectObjectsResponse> {
     let cloud = convert::cloud(t, "cloud", r.cloud.as_ref())?;
-    Ok(segmentation::detections_to(&ops::detect_objects(&cloud, t.detector())?))
+    let environment = segmentation::environment(&r)?;
+    Ok(segmentation::detections_to(&ops::detect_objects(&cloud, t.detector(), &environment)?))
 }
