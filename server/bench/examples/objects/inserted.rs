@@ -8,6 +8,7 @@ use percept_geometry::{ObjectClass, OrientedBox3, PointCloud};
 use percept_perception::segmentation::{GroundParams, segment_ground};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, Normal};
+use std::f64::consts::PI;
 
 /// Noise of ranges, metres, and share of beams that do not come back.
 const NOISE_M: f64 = 0.02;
@@ -147,11 +148,11 @@ pub(crate) fn insert(
     rng: &mut impl Rng,
 ) -> Option<OrientedBox3> {
     for _ in 0..30 {
-        let (range, bearing) = (rng.random_range(5.0..65.0f64), rng.random_range(-3.14..3.14f64));
+        let (range, bearing) = (rng.random_range(5.0..65.0f64), rng.random_range(-PI..PI));
         let (x, y) = (range * bearing.cos(), range * bearing.sin());
         let Some(z) = ground.height(x, y) else { continue };
         let center = Point3::new(x, y, z + 0.5 * shape.size.z);
-        let yaw = rng.random_range(-3.14..3.14);
+        let yaw = rng.random_range(-PI..PI);
         let bbox = OrientedBox3::upright(center, shape.size, yaw);
         let mut room = bbox;
         room.size += Vector3::new(0.4, 0.4, 0.0);

@@ -100,7 +100,8 @@ mod tests {
             let found = Footprint::of(&corner(yaw, center)).unwrap();
             assert!((found.yaw - yaw).abs() < 0.036, "{found:?} for {yaw}");
             assert!(found.extent(0) > 3.7 && found.extent(1) > 1.5, "{found:?}");
-            assert!(found.closeness > 0.9, "{found:?}");
+            // Of a face that is seen edge on the points do not count as close.
+            assert!(found.closeness > 0.7, "{found:?}");
         }
     }
 
