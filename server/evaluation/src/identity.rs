@@ -26,9 +26,9 @@ pub struct IdentityScore {
 /// Scores the pairs of all frames, in the order of the frames: each true box, alone or with the track that matches it,
 /// and each tracked box that matches none.
 ///
-/// Source: Ristani et al., "Performance measures and a data set for multi-target, multi-camera tracking", 2016: the one-to-one
-/// assignment of whole tracks to whole objects that explains most boxes. Switches: Bernardin and Stiefelhagen, "Evaluating
-/// multiple object tracking performance: the CLEAR MOT metrics", 2008.
+/// Source: Ristani et al., "Performance measures and a data set for multi-target, multi-camera tracking", 2016: the
+/// one-to-one assignment of whole tracks to whole objects that explains most boxes. Switches: Bernardin and
+/// Stiefelhagen, "Evaluating multiple object tracking performance: the CLEAR MOT metrics", 2008.
 pub fn identity_score(pairs: &[IdentityPair]) -> IdentityScore {
     let number = |ids: Vec<i64>| {
         let mut numbers = BTreeMap::new();

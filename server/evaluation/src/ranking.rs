@@ -6,8 +6,8 @@ pub type Judged = (f64, bool);
 /// Area under the curve of precision over recall, of what was found among `num_true` things; 0 to 1. `None` if there is
 /// nothing to find.
 ///
-/// Precision at a recall is the best at that recall or a higher one, and all steps of the curve count. Those of the same
-/// confidence come in together.
+/// Precision at a recall is the best at that recall or a higher one, and all steps of the curve count. Those of the
+/// same confidence come in together.
 ///
 /// Source: Everingham et al., "The PASCAL visual object classes challenge", 2010, with all points as from VOC 2010 on.
 pub fn average_precision(found: &[Judged], num_true: usize) -> Option<f64> {

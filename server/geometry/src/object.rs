@@ -35,7 +35,8 @@ pub enum ObjectClass {
 }
 
 impl ObjectClass {
-    /// All classes, `Unknown` first. New ones are added at the end: what was stored by earlier versions is a beginning of it.
+    /// All classes, `Unknown` first. New ones are added at the end: what was stored by earlier versions is a beginning
+    /// of it.
     pub const ALL: [Self; 13] = [
         Self::Unknown,
         Self::Table,

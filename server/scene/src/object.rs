@@ -80,7 +80,8 @@ pub struct Object {
     pub class: ObjectClass,
     /// Probability of that class, 0..1.
     pub confidence: f64,
-    /// Probabilities in the order of [`ObjectClass::ALL`], sum 1. Read back from a list of fewer, the classes that it does not know have 0.
+    /// Probabilities in the order of [`ObjectClass::ALL`], sum 1. Read back from a list of fewer, the classes that it
+    /// does not know have 0.
     #[serde(deserialize_with = "of_known_classes")]
     pub class_probabilities: [f64; ObjectClass::ALL.len()],
     /// Upright box in the map frame, metres; where it was last seen if gone.

@@ -1,7 +1,8 @@
 //! Things put into a recorded scan: shapes made of boxes stand on its ground, and beams that meet them end there.
 //!
-//! The street around them, the pattern of the beams and what hides them stay those of the recording (as Fang et al., "Augmented
-//! LiDAR simulator for autonomous driving", 2020, do with models of things); beams that came back from nowhere do not meet them.
+//! The street around them, the pattern of the beams and what hides them stay those of the recording (as Fang et al.,
+//! "Augmented LiDAR simulator for autonomous driving", 2020, do with models of things); beams that came back from
+//! nowhere do not meet them.
 
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{ObjectClass, OrientedBox3, PointCloud};
@@ -33,7 +34,8 @@ fn about(rng: &mut impl Rng, mean: f64, deviation: f64) -> f64 {
     mean + deviation * z.clamp(-2.0, 2.0)
 }
 
-/// A shape of a class, of the sizes that such things have: means of KITTI and nuScenes, see `usual_size`, and the spread of what is sold.
+/// A shape of a class, of the sizes that such things have: means of KITTI and nuScenes, see `usual_size`, and the
+/// spread of what is sold.
 pub(crate) fn shape(class: ObjectClass, rng: &mut impl Rng) -> Shape {
     let mut parts = vec![];
     let mut part = |x: [f64; 2], width: f64, z: [f64; 2], returns: f64| {
@@ -138,8 +140,8 @@ impl Ground {
     }
 }
 
-/// Puts a shape where there is room for it, 5 to 65 m away, into the scan; its box, or none if no room was found. `ground` is that of the
-/// scan as it was recorded.
+/// Puts a shape where there is room for it, 5 to 65 m away, into the scan; its box, or none if no room was found.
+/// `ground` is that of the scan as it was recorded.
 pub(crate) fn insert(
     scan: &mut PointCloud,
     ground: &Ground,

@@ -1,12 +1,12 @@
-//! Objects of single lidar scans against KITTI's labels: `objects PATH [--frames A..B] [--list] [--pictures FOLDER] [--set KEY=VALUE]...`,
-//! and
-//! `objects train PATH [--frames A..B]`, which trains the detector's model.
+//! Objects of single lidar scans against KITTI's labels: `objects PATH [--frames A..B] [--list] [--pictures FOLDER]
+//! [--set KEY=VALUE]...`, and `objects train PATH [--frames A..B]`, which trains the detector's model.
 //!
-//! PATH is a folder of KITTI's tracking benchmark (`label_02.txt`) or of its object benchmark (`label_2/`). A labelled thing with at
-//! least ten points is to be found: its box overlaps a found one by a quarter of the union in space, and by half seen from above.
-//! Precision is that of what was given a class, within 40 m and where the camera sees it, but for what is labelled `DontCare` or has too
-//! few points. Recall is told of everything found and of what was given a class. Tracks are followed by the scene's tracker
-//! with the poses of the folder (`poses_reference_gicp.txt`), else with those that a session estimates from the scans.
+//! PATH is a folder of KITTI's tracking benchmark (`label_02.txt`) or of its object benchmark (`label_2/`). A labelled
+//! thing with at least ten points is to be found: its box overlaps a found one by a quarter of the union in space, and
+//! by half seen from above. Precision is that of what was given a class, within 40 m and where the camera sees it, but
+//! for what is labelled `DontCare` or has too few points. Recall is told of everything found and of what was given a
+//! class. Tracks are followed by the scene's tracker with the poses of the folder (`poses_reference_gicp.txt`), else
+//! with those that a session estimates from the scans.
 
 mod inserted;
 mod picture;

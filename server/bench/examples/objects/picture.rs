@@ -11,8 +11,9 @@ use std::path::Path;
 const EDGE: usize = 1200;
 const SCALE: f64 = 12.0;
 
-/// Points are dark the higher they are; labels green (grey with few points); what was found: vehicles blue, people and cyclists red,
-/// unknown light brown; a stroke of confidence leads from its middle ahead. What the camera sees is white.
+/// Points are dark the higher they are; labels green (grey with few points); what was found: vehicles blue, people and
+/// cyclists red, unknown light brown; a stroke of confidence leads from its middle ahead. What the camera sees is
+/// white.
 pub(crate) fn draw(frame: &Frame, found: &[Detection], out: &Path) -> Result<(), Failure> {
     let mut canvas = Canvas { pixels: vec![[255; 3]; EDGE * EDGE] };
     for v in 0..EDGE {

@@ -63,7 +63,8 @@ pub(crate) struct Score {
 }
 
 impl Score {
-    /// Takes in a frame. Recall counts whatever was found, and again only what was given a class; precision counts that only.
+    /// Takes in a frame. Recall counts whatever was found, and again only what was given a class; precision counts that
+    /// only.
     pub(crate) fn add(&mut self, frame: &Frame, found: &[Detection]) {
         self.num_frames += 1;
         let asked = |t: &usize| frame.objects[*t].num_points >= MIN_POINTS;
@@ -133,8 +134,8 @@ impl Score {
     }
 }
 
-/// Prints each labelled thing with the found one that overlaps it most, where they share less than half seen from above, and what was
-/// found where nothing is.
+/// Prints each labelled thing with the found one that overlaps it most, where they share less than half seen from
+/// above, and what was found where nothing is.
 fn list(frame: &Frame, found: &[Detection]) {
     let shape = |b: &OrientedBox3| {
         let (c, s) = (b.center(), b.size);
@@ -165,8 +166,8 @@ fn list(frame: &Frame, found: &[Detection]) {
     }
 }
 
-/// Follows what was given a class through the frames, 0.1 s apart, and prints how well things keep their identity. A track has a box
-/// in those frames in which it is listed and was seen; a match overlaps by a quarter seen from above.
+/// Follows what was given a class through the frames, 0.1 s apart, and prints how well things keep their identity. A
+/// track has a box in those frames in which it is listed and was seen; a match overlaps by a quarter seen from above.
 pub(crate) fn track(
     frames: &[Frame],
     found: &[Vec<Detection>],

@@ -1,9 +1,10 @@
 //! Trains the outdoor detector's model: `objects train PATH [--frames A..B]` writes it into the detector's sources.
 //!
-//! What it learns from: in each frame the labelled things, and things put into the scan (`inserted.rs`) so that classes that the
-//! recording lacks are known, too. A candidate that has most of a thing's points and few others is of its class; one that has none of
-//! it, or a small part, or much beside it, is `Unknown`; it counts less where the labels would not have told if it were a thing. What is
-//! in between is left out. Boosted trees are fitted, and a temperature is chosen on frames that the fit did not see.
+//! What it learns from: in each frame the labelled things, and things put into the scan (`inserted.rs`) so that classes
+//! that the recording lacks are known, too. A candidate that has most of a thing's points and few others is of its
+//! class; one that has none of it, or a small part, or much beside it, is `Unknown`; it counts less where the labels
+//! would not have told if it were a thing. What is in between is left out. Boosted trees are fitted, and a temperature
+//! is chosen on frames that the fit did not see.
 
 use crate::Failure;
 use crate::inserted::{Ground, insert, shape};
@@ -267,7 +268,11 @@ fn source(model: &OutdoorModel) -> String {
         "    OutdoorModel {{ trees: Cow::Borrowed(&TREES), temperature: {:?} }}\n}}\n",
         model.temperature
     );
-    let _ = writeln!(out, "#[rustfmt::skip]\nstatic TREES: [Tree; {}] = [", model.trees.len());
+    let _ = writeln!(
+        out,
+        "#[rustfmt::skip]\n#[allow(clippy::approx_constant, reason = \"trained\")]\nstatic TREES: [Tree; {}] = [",
+        model.trees.len()
+    );
     for tree in model.trees.iter() {
         let splits: Vec<String> = tree.splits.iter().map(|(t, v)| format!("({t}, {})", literal(*v))).collect();
         let leaves: Vec<String> = tree.leaves.iter().map(|v| literal(*v)).collect();

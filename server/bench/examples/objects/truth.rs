@@ -71,8 +71,8 @@ impl Camera {
 }
 
 impl Frame {
-    /// Whether nothing was labelled where this is, so that it is neither right nor wrong: outside the image, or in a part of it that
-    /// was left out.
+    /// Whether nothing was labelled where this is, so that it is neither right nor wrong: outside the image, or in a
+    /// part of it that was left out.
     pub(crate) fn is_unlabelled(&self, p: &Point3<f64>) -> bool {
         let inside = |[u, v]: [f64; 2], r: &[f64; 4]| (r[0]..=r[2]).contains(&u) && (r[1]..=r[3]).contains(&v);
         self.camera.pixel(p).is_none_or(|at| self.ignored.iter().any(|r| inside(at, r)))

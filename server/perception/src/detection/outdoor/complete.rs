@@ -6,9 +6,9 @@ use nalgebra::{Point3, Vector3};
 use percept_geometry::{ObjectClass, OrientedBox3};
 use std::f64::consts::FRAC_PI_2;
 
-/// Usual length, width and height, metres. Cars, people and cyclists: means of KITTI's labels as Yan et al. ("SECOND", 2018) and
-/// Lang et al. ("PointPillars", 2019) use them; vans and trucks: Geiger et al.'s benchmark (2012); buses and motorcycles: means of
-/// nuScenes (Caesar et al. 2020) as Yin et al. ("CenterPoint", 2021) use them.
+/// Usual length, width and height, metres. Cars, people and cyclists: means of KITTI's labels as Yan et al. ("SECOND",
+/// 2018) and Lang et al. ("PointPillars", 2019) use them; vans and trucks: Geiger et al.'s benchmark (2012); buses and
+/// motorcycles: means of nuScenes (Caesar et al. 2020) as Yin et al. ("CenterPoint", 2021) use them.
 pub fn usual_size(class: ObjectClass) -> Option<[f64; 3]> {
     match class {
         ObjectClass::Car => Some([3.9, 1.6, 1.56]),
@@ -25,8 +25,8 @@ pub fn usual_size(class: ObjectClass) -> Option<[f64; 3]> {
 /// A side is not the short one if it is so much longer than that usually is, metres.
 const LONGER_M: f64 = 0.5;
 
-/// The box on the ground around what is seen, its x along the length, grown to the usual size of its class: away from the sensor, since
-/// what faces it would have been seen.
+/// The box on the ground around what is seen, its x along the length, grown to the usual size of its class: away from
+/// the sensor, since what faces it would have been seen.
 pub(super) fn whole_box(shape: &Shape, class: ObjectClass) -> OrientedBox3 {
     let f = &shape.footprint;
     let longer = usize::from(f.extent(1) > f.extent(0));

@@ -73,8 +73,8 @@ impl OutdoorDetector {
         &self.params
     }
 
-    /// The objects in a scan in its sensor's frame (z up, metres), the surest first. A scan without anything on a ground has none;
-    /// points that are not finite are passed over.
+    /// The objects in a scan in its sensor's frame (z up, metres), the surest first. A scan without anything on a
+    /// ground has none; points that are not finite are passed over.
     ///
     /// # Errors
     /// `Input` if a channel of the scan has another length.
@@ -160,8 +160,8 @@ impl OutdoorDetector {
     }
 }
 
-/// Of a tree of candidates those that stand for it: a whole if it is as likely an object as the likeliest of its parts, else these.
-/// Where none is likely to be an object, the largest that hang together closely.
+/// Of a tree of candidates those that stand for it: a whole if it is as likely an object as the likeliest of its parts,
+/// else these. Where none is likely to be an object, the largest that hang together closely.
 fn choose(candidates: &[OutdoorCandidate], min_confidence: f64) -> Vec<usize> {
     let mut best: Vec<f64> = candidates.iter().map(OutdoorCandidate::likely).collect();
     let mut stands = vec![true; candidates.len()];

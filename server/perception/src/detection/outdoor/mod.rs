@@ -1,10 +1,10 @@
 //! One lidar scan of a street in, its road users out: cars, vans, trucks, buses, cyclists, motorcycles, people.
 //!
-//! Comes in: a scan in its sensor's frame, z up. Goes out: [`Detection`](super::Detection)s in that frame, their boxes whole though
-//! one side is seen. The way: what stands on the ground, uneven as it may be (`standing`); parts of it that hang together at
-//! several gaps (`segments`); for each part a rectangle (`rectangle`) and some numbers (`traits`); what it is by these (`model`,
-//! `trained`); of parts and wholes the likelier ones; and their boxes grown to what is hidden (`complete`). Start with
-//! [`OutdoorDetector::detect`].
+//! Comes in: a scan in its sensor's frame, z up. Goes out: [`Detection`](super::Detection)s in that frame, their boxes
+//! whole though one side is seen. The way: what stands on the ground, uneven as it may be (`standing`); parts of it
+//! that hang together at several gaps (`segments`); for each part a rectangle (`rectangle`) and some numbers
+//! (`traits`); what it is by these (`model`, `trained`); of parts and wholes the likelier ones; and their boxes grown
+//! to what is hidden (`complete`). Start with [`OutdoorDetector::detect`].
 
 mod complete;
 mod detector;

@@ -41,10 +41,11 @@ impl Tree {
     }
 }
 
-/// Boosted trees: each class has a score, a sum over its trees; probabilities are proportional to the exponents of scores.
+/// Boosted trees: each class has a score, a sum over its trees; probabilities are proportional to the exponents of
+/// scores.
 ///
-/// Source: Friedman, "Greedy function approximation: a gradient boosting machine", 2001, algorithm 6 (K classes). Temperature: Guo et
-/// al., "On calibration of modern neural networks", 2017.
+/// Source: Friedman, "Greedy function approximation: a gradient boosting machine", 2001, algorithm 6 (K classes).
+/// Temperature: Guo et al., "On calibration of modern neural networks", 2017.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OutdoorModel {
     /// Trees in rounds of one a class, in the order of [`CLASSES`].

@@ -43,9 +43,9 @@ impl Default for OutdoorParams {
             vertical_step_rad: 0.0073,
             min_points: 8,
             max_length_m: 14.0,
-            // `objects lidar-kitti-tracking-0000 --set min_confidence=...`: from 0.4 to 0.65 recall of named things falls by one of 73
-            // and precision rises from 0.93 to 0.985; beyond, recall falls. Things were put into what the model learned from, so
-            // that it takes them to be more common than they are.
+            // `objects lidar-kitti-tracking-0000 --set min_confidence=...`: from 0.4 to 0.65 recall of named things
+            // falls by one of 73 and precision rises from 0.93 to 0.985; beyond, recall falls. Things were put into
+            // what the model learned from, so that it takes them to be more common than they are.
             min_confidence: 0.6,
             tell_unknown: true,
         }

@@ -25,9 +25,9 @@ pub(super) struct Footprint {
 impl Footprint {
     /// The rectangle whose faces towards the sensor, at the origin, are closest to the points. None without points.
     ///
-    /// Source: Zhang et al., "Efficient L-shape fitting for vehicle detection using laser scanners", 2017, algorithm 3 (closeness).
-    /// There the nearest of opposite faces counts for each point; here only a face that the sensor can see, because the others are
-    /// where points happen to end.
+    /// Source: Zhang et al., "Efficient L-shape fitting for vehicle detection using laser scanners", 2017, algorithm 3
+    /// (closeness). There the nearest of opposite faces counts for each point; here only a face that the sensor can
+    /// see, because the others are where points happen to end.
     pub(super) fn of(points: &[Point2<f64>]) -> Option<Self> {
         let step = points.len().div_ceil(MAX_POINTS).max(1);
         let few: Vec<Point2<f64>> = points.iter().step_by(step).copied().collect();

@@ -6,7 +6,8 @@ use super::voxels::Voxels;
 use crate::cloud::DisjointSets;
 use nalgebra::Point3;
 
-/// Gaps that are bridged along the ground at the sensor, metres, from the legs of a person to the cabin and the load of a truck.
+/// Gaps that are bridged along the ground at the sensor, metres, from the legs of a person to the cabin and the load of
+/// a truck.
 const GAPS_M: [f64; 4] = [0.2, 0.35, 0.6, 1.0];
 /// Gaps in steps of the beams: what hits a surface at a slant is a few steps apart.
 const STEPS: f64 = 2.0;
@@ -28,8 +29,8 @@ const NARROW_M: f64 = 0.6;
 
 /// All segments, those of smaller gaps first. Segments that have the same points at several gaps are there once.
 ///
-/// The gap grows with range as the beams part: along the ground by the step of a ring, upward by that between rings. Heights
-/// are therefore scaled so that both are the same. What hangs together at a gap does so at every larger one.
+/// The gap grows with range as the beams part: along the ground by the step of a ring, upward by that between rings.
+/// Heights are therefore scaled so that both are the same. What hangs together at a gap does so at every larger one.
 pub(super) fn segments(standing: &Standing, params: &OutdoorParams) -> Vec<Segment> {
     let mut out: Vec<Segment> = Vec::new();
     let mut segment_of: Vec<Option<usize>> = vec![None; standing.points.len()];

@@ -9,6 +9,7 @@ pub(super) fn model() -> OutdoorModel {
 }
 
 #[rustfmt::skip]
+#[allow(clippy::approx_constant, reason = "trained")]
 static TREES: [Tree; 480] = [
     Tree {
         splits: [(11, -3.912), (6, 0.257), (9, 0.99), (14, -1.703), (9, 0.99), (0, f32::MAX), (11, -3.178)],

@@ -8,11 +8,12 @@ use nalgebra::{Point2, Point3};
 /// Numbers a candidate has.
 pub const NUM_TRAITS: usize = 15;
 
-/// Numbers of one candidate. In order: logarithms of length, width and height above the ground (m); height of its lowest point (m); mean
-/// and spread of its points' height over its height; closeness of its points to the faces that are seen; logarithm of the share of
-/// expected points that came back; lengths of its upper and of its lower half over its length; what goes on above it (logarithm, m);
-/// logarithm of points before its ends, and beside it, over its own; how much higher the highest beam passes (m);
-/// logarithm of how far beams beside each other end from each other (m): leaves let some pass, bodies do not.
+/// Numbers of one candidate. In order: logarithms of length, width and height above the ground (m); height of its
+/// lowest point (m); mean and spread of its points' height over its height; closeness of its points to the faces that
+/// are seen; logarithm of the share of expected points that came back; lengths of its upper and of its lower half over
+/// its length; what goes on above it (logarithm, m); logarithm of points before its ends, and beside it, over its own;
+/// how much higher the highest beam passes (m); logarithm of how far beams beside each other end from each other (m):
+/// leaves let some pass, bodies do not.
 pub type Traits = [f64; NUM_TRAITS];
 
 /// A candidate's height is that of all but so many of its points: a stray one higher up does not count.

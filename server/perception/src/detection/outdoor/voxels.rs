@@ -77,9 +77,9 @@ impl Voxels {
         &self.indices[self.starts[voxel]..self.starts[voxel + 1]]
     }
 
-    /// Clusters of voxels whose `points` (one each, as far along x and y as its mean) are at most `eps + slope * range` apart, the smaller
-    /// of the two: the answer of [`cluster`](crate::cloud::cluster). There a tree is searched; here columns beside each other are compared,
-    /// and of two columns that each hang together one pair is enough.
+    /// Clusters of voxels whose `points` (one each, as far along x and y as its mean) are at most `eps + slope * range`
+    /// apart, the smaller of the two: the answer of [`cluster`](crate::cloud::cluster). There a tree is searched; here
+    /// columns beside each other are compared, and of two columns that each hang together one pair is enough.
     pub(super) fn joined(&self, points: &[Point3<f32>], eps: f64, slope: f64) -> Clusters {
         let mut sets = DisjointSets::new(points.len());
         let reaches: Vec<f32> = points.iter().map(|p| (eps + slope * p.coords.cast::<f64>().norm()) as f32).collect();
