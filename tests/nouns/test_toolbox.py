@@ -173,9 +173,10 @@ def test_objects_are_found_in_a_cloud_of_the_room(client):
 
 
 def test_a_car_is_found_in_a_scan_of_a_street(client):
-    # Beams of a lidar 1.7 m above a street meet the ground or a car of 4.1 x 1.7 x 1.5 m, 12 m ahead: its body, and its cabin.
+    # Beams of a lidar 1.7 m above a street meet the ground or a car of 4.1 x 1.7 x 1.5 m, 12 m ahead: body and cabin.
     boxes = [((10, 1.2, 0.2), (14.1, 2.9, 0.9)), ((10.4, 1.3, 0.9), (13, 2.8, 1.5))]
-    azimuth, elevation = np.meshgrid(np.radians(np.arange(-180, 180, 0.18)), np.radians(np.arange(-24.8, 2.1, 0.42)))
+    azimuths, elevations = np.arange(-180, 180, 0.18), np.arange(-24.8, 2.1, 0.42)
+    azimuth, elevation = np.meshgrid(np.radians(azimuths), np.radians(elevations))
     rays = np.stack(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1
     ).reshape(-1, 3)

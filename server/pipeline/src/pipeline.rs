@@ -22,7 +22,7 @@ use crate::{
     Executor, FrameError, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, PoseEstimate, SessionMemory,
     Snapshot, TrajectoryEntry,
 };
-use percept_geometry::{KeyframeScan, Pose, SensorFrame, SensorId, SensorKind, SensorSpec};
+use percept_geometry::{KeyframeScan, Pose, SensorFrame, SensorId, SensorSpec};
 use percept_mapping::{MapStore, Submap};
 use percept_slam::{OdometryEstimate, OdometryKind, Scan};
 use std::sync::Arc;
@@ -123,7 +123,7 @@ impl Pipeline {
         let wanted = || self.second_looks.is_due(sensor, stamp);
         let keyframe = if is_keyframe_due { self.frontend.keyframe(view, &estimate, wanted) } else { None };
         let seen = keyframe.as_ref().map(Keyframe::ends);
-        let keyframe = keyframe.map(|k| self.add(k, before_joined.as_ref()));
+        let keyframe = keyframe.map(|k| self.add(k, &view.scan, before_joined.as_ref()));
 
         estimate.state = self.frontend.tracking().told(&estimate);
         let pose = PoseEstimate { led_by, ..self.pose_of(&estimate) };
@@ -193,7 +193,7 @@ impl Pipeline {
         let keyframe = self.frontend.keyframe_beside(view, (stamp, covariance), wanted)?;
         let near = |sensor: &SensorId, t_odom_base: &Pose| self.map_graph.keyframes_near(sensor, t_odom_base);
         self.frontend.check_extrinsics(&keyframe, near);
-        Some(self.add(keyframe, None))
+        Some(self.add(keyframe, &view.scan, None))
     }
 
     /// A view of a robot that nothing anchors in the map: the estimate as it is, or as it is in the map where the robot was found.
@@ -230,8 +230,7 @@ impl Pipeline {
     }
 
     /// Puts a keyframe into the map, and has objects looked for around it.
-    fn add(&mut self, mut keyframe: Keyframe, before_joined: Option<&KeyframeInfo>) -> NewKeyframe {
-        let is_sparse = keyframe.kind == SensorKind::Camera;
+    fn add(&mut self, mut keyframe: Keyframe, of: &Scan, before_joined: Option<&KeyframeInfo>) -> NewKeyframe {
         let moving = self.newest.part_moving(&mut keyframe.scan, &keyframe.t_odom_base);
         let stamp = keyframe.scan.stamp;
         if self.second_looks.take_keyframe(&keyframe.scan.sensor, stamp) == Some(SecondLook::Gone) {
@@ -239,7 +238,7 @@ impl Pipeline {
         }
         let keyframe = self.map_graph.add(keyframe, || self.frontend.up(stamp), before_joined);
         self.count_memory();
-        self.scene.look_around(self.map_graph.map().layers(), &keyframe, moving, is_sparse);
+        self.scene.look_around(self.map_graph.map().layers(), &keyframe, moving, of);
         keyframe
     }
 

@@ -1,17 +1,21 @@
-//! The scene: objects that are looked for in the map around new keyframes, followed through time, and moved with the map.
+//! The scene: objects that are looked for in the map around new keyframes, followed through time, and moved with the map. Outdoors
+//! they are looked for in the keyframe's sweep itself: what drives is in no map.
 //!
 //! They are looked for beside the frames. What was found enters at the first frame that is [`DELAY_S`] younger than the
 //! keyframe, moved by what the keyframe was moved by meanwhile.
 
 use crate::beside::{Executor, Task};
 use crate::visibility::RangeImage;
-use crate::{Chunks, DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams};
-use nalgebra::Point3;
+use crate::{Chunks, DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, Preset};
+use nalgebra::{Point3, Translation3, UnitQuaternion};
 use percept_geometry::{KeyframeId, OrientedBox3, PointCloud, Pose, Timestamp};
 use percept_mapping::MapLayers;
+use percept_perception::detection::outdoor::{OutdoorDetector, OutdoorParams};
 use percept_perception::detection::{Detection, Detector};
+use percept_perception::segmentation::GroundParams;
 use percept_scene::overlap::upright;
 use percept_scene::{Object, ObjectChange, Observation, Tracker, Visibility};
+use percept_slam::{CloudScan, Scan};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -30,6 +34,8 @@ const AT_SIDES_M: f64 = 0.05;
 pub(crate) struct Scene {
     settings: DetectionSettings,
     detector: Arc<Detector>,
+    /// Outdoors: how objects are looked for in a sweep.
+    outdoor: Option<OutdoorParams>,
     executor: Option<Arc<dyn Executor>>,
     /// Begun and not taken in, oldest first.
     searches: VecDeque<Search>,
@@ -44,7 +50,17 @@ struct Search {
     /// Base to map when it was begun.
     t_map_base: Pose,
     range_m: f64,
+    what: Searched,
     task: Task<Found>,
+}
+
+/// What was searched for objects.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Searched {
+    /// All that the map holds around the robot.
+    Around,
+    /// What one sweep shows.
+    Sweep,
 }
 
 /// What came of a search.
@@ -63,6 +79,7 @@ impl Scene {
         Ok(Self {
             settings: params.detection.clone(),
             detector: detector(params)?,
+            outdoor: outdoor(params),
             executor: None,
             searches: VecDeque::new(),
             tracker: Tracker::new(params.tracker.clone()).map_err(|e| ParamsError::of("tracker", e))?,
@@ -77,7 +94,7 @@ impl Scene {
     pub(crate) fn set_params(&mut self, params: &PipelineParams) -> Result<(), ParamsError> {
         let detector = detector(params)?;
         self.tracker.set_params(params.tracker.clone()).map_err(|e| ParamsError::of("tracker", e))?;
-        (self.settings, self.detector) = (params.detection.clone(), detector);
+        (self.settings, self.detector, self.outdoor) = (params.detection.clone(), detector, outdoor(params));
         Ok(())
     }
 
@@ -104,17 +121,15 @@ impl Scene {
         self.executor = Some(executor);
     }
 
-    /// Begins to look for objects in the map around a new keyframe, and among what it saw `moving`, base frame. `is_sparse`: its sensor
-    /// sees too little for that, a camera alone.
-    pub(crate) fn look_around(
-        &mut self,
-        layers: MapLayers,
-        keyframe: &NewKeyframe,
-        moving: PointCloud,
-        is_sparse: bool,
-    ) {
-        if !self.settings.enabled || keyframe.scan.planar || is_sparse {
+    /// Begins to look for objects in the map around a new keyframe, and among what it saw `moving`, base frame; outdoors in the sweep
+    /// that it was made of.
+    pub(crate) fn look_around(&mut self, layers: MapLayers, keyframe: &NewKeyframe, moving: PointCloud, of: &Scan) {
+        // A camera alone sees too little for that.
+        if !self.settings.enabled || keyframe.scan.planar || matches!(of, Scan::Image(_)) {
             return;
+        }
+        if let (Some(params), Scan::Cloud(sweep)) = (self.outdoor, of) {
+            return self.look_through(params, sweep.clone(), keyframe, moving);
         }
         let (t_map_base, range_m) = (keyframe.info.t_map_base, self.settings.range_m);
         let (detector, cloud, scan) = (Arc::clone(&self.detector), layers.cloud, Arc::clone(&keyframe.scan));
@@ -135,8 +150,41 @@ impl Scene {
             };
             Found { observations: found.iter().map(observation).collect(), ranges: RangeImage::new(&scan) }
         });
+        self.begun(keyframe, task, Searched::Around);
+    }
+
+    /// Begins to look for objects in a keyframe's sweep.
+    fn look_through(&mut self, params: OutdoorParams, sweep: CloudScan, keyframe: &NewKeyframe, moving: PointCloud) {
+        let (t_map_base, range_m) = (keyframe.info.t_map_base, self.settings.range_m);
+        let scan = Arc::clone(&keyframe.scan);
+        let task = Task::begin(self.executor.as_ref(), move || {
+            // As the detector wants it: from where the beams start, z up.
+            let t_base_sensor = sweep.t_base_sensor;
+            let turned = Pose::from_parts(Translation3::identity(), t_base_sensor.rotation);
+            let levelled = sweep.cloud.transformed(&turned);
+            let t_map_levelled = t_map_base * Pose::from_parts(t_base_sensor.translation, UnitQuaternion::identity());
+            let sensor_height_m = t_base_sensor.translation.z + scan.base_height_m;
+            let ground = GroundParams { sensor_height_m, ..params.ground };
+            // A sweep was checked when it came; a mount below the ground finds nothing.
+            let detector = OutdoorDetector::new(OutdoorParams { ground, ..params });
+            let found = detector.and_then(|d| d.detect(&levelled)).unwrap_or_default();
+            let (all, moving) = (levelled.transformed(&t_map_levelled), moving.transformed(&t_map_base));
+            let observation = |d: &Detection| {
+                let bbox = upright(&d.bbox.transformed(&t_map_levelled));
+                let (class, confidence, num_points) = (d.class, d.confidence, d.num_points);
+                let is_moving = moves(&bbox, &moving, &all);
+                Observation { class, confidence, bbox, num_points, is_moving, is_seen: true }
+            };
+            let near = found.iter().filter(|d| d.bbox.center().coords.norm() <= range_m);
+            Found { observations: near.map(observation).collect(), ranges: RangeImage::new(&scan) }
+        });
+        self.begun(keyframe, task, Searched::Sweep);
+    }
+
+    fn begun(&mut self, keyframe: &NewKeyframe, task: Task<Found>, what: Searched) {
+        let (t_map_base, range_m) = (keyframe.info.t_map_base, self.settings.range_m);
         let (keyframe, stamp) = (keyframe.info.id, keyframe.info.stamp);
-        self.searches.push_back(Search { keyframe, stamp, t_map_base, range_m, task });
+        self.searches.push_back(Search { keyframe, stamp, t_map_base, range_m, what, task });
     }
 
     /// Whether something is being looked for.
@@ -168,10 +216,12 @@ impl Scene {
             observations.iter_mut().for_each(|o| o.bbox = upright(&o.bbox.transformed(&t_new_old)));
         }
         let center = Point3::from(t_map_base.translation.vector);
-        // The detector sees all of the map around the robot: what it does not find there is no thing of its own.
+        // The detector sees all of the map around the robot: what it does not find there is no thing of its own. In a sweep that goes
+        // for what is not hidden.
         let searched_m = search.range_m - SEARCH_EDGE_M;
         self.tracker.update(search.stamp, &observations, &|b| match ranges.visibility(&t_map_base, b) {
             Visibility::SeenThrough => Visibility::SeenThrough,
+            Visibility::Unseen if search.what == Searched::Sweep => Visibility::Unseen,
             _ if (b.center() - center).norm() < searched_m => Visibility::Refuted,
             unsure => unsure,
         })
@@ -217,6 +267,11 @@ fn add_within(cloud: &mut PointCloud, more: &PointCloud, center: &Point3<f64>, r
             intensities.push(more.intensities.as_ref().map_or(0.0, |c| c[i]));
         }
     }
+}
+
+/// How objects are looked for in sweeps, where they are. What nobody can name is left out: hedges, poles, corners of houses.
+fn outdoor(params: &PipelineParams) -> Option<OutdoorParams> {
+    (params.preset == Preset::Outdoor).then(|| OutdoorParams { tell_unknown: false, ..OutdoorParams::default() })
 }
 
 /// A detector for what the fused cloud holds, however coarse that is.

@@ -79,7 +79,8 @@ mod tests {
         let mut belief = ClassBelief::uniform();
         belief.observe(Chair, 0.7, 1e12);
         belief.observe(Chair, 0.7, 1e12);
-        let expected = 0.49 / (0.49 + 6.0 * 0.05 * 0.05);
+        let others = (CLASSES - 1) as f64;
+        let expected = 0.49 / (0.49 + others * (0.3 / others).powi(2));
         assert!((belief.best().1 - expected).abs() < 1e-9);
     }
 
@@ -89,7 +90,8 @@ mod tests {
         for _ in 0..1000 {
             belief.observe(Table, 0.6, 3.0);
         }
-        let three = 0.6f64.powi(3) / (0.6f64.powi(3) + 6.0 * (0.4 / 6.0f64).powi(3));
+        let others = (CLASSES - 1) as f64;
+        let three = 0.6f64.powi(3) / (0.6f64.powi(3) + others * (0.4 / others).powi(3));
         assert!((belief.best().1 - three).abs() < 1e-9);
         for _ in 0..4 {
             belief.observe(Chair, 0.6, 3.0);

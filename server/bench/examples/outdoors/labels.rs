@@ -61,6 +61,39 @@ fn spread(seen: &[Placed<'_>]) -> f64 {
     seen.iter().map(|s| (s.1 - seen[0].1).xy().norm()).fold(0.0, f64::max)
 }
 
+/// A labelled thing counts as told if an object's middle lies so near to where it was labelled last, metres: half of a car's length.
+const TOLD_M: f64 = 2.0;
+
+/// By class how many tracks that came within [`NEAR_M`] of the way are among the objects, by whatever name, and how many by their own; of how
+/// many. The same object does not count twice.
+pub(crate) fn told(
+    objects: &[(Point2<f64>, &'static str)],
+    labels: &[Label],
+    t_map_frames: &BTreeMap<usize, Pose>,
+    way: &[Point2<f64>],
+) -> BTreeMap<String, (usize, usize, usize)> {
+    let mut out: BTreeMap<String, (usize, usize, usize)> = BTreeMap::new();
+    let mut taken = BTreeSet::new();
+    for (_, seen) in tracks(labels, t_map_frames) {
+        let nearest = |p: &Point3<f64>| way.iter().map(|w| (p.xy() - w).norm()).fold(f64::INFINITY, f64::min);
+        let Some((label, at, _)) = seen.iter().filter(|s| nearest(&s.1) <= NEAR_M).next_back() else { continue };
+        let off = |i: &usize| (objects[*i].0 - at.xy()).norm();
+        let near = (0..objects.len()).filter(|i| !taken.contains(i) && off(i) <= TOLD_M);
+        let found = near.min_by(|a, b| off(a).total_cmp(&off(b)));
+        let entry = out.entry(label.class.clone()).or_default();
+        entry.2 += 1;
+        if let Some(i) = found {
+            taken.insert(i);
+            entry.0 += 1;
+            entry.1 += usize::from(
+                label.class.eq_ignore_ascii_case(objects[i].1)
+                    || label.class == "Pedestrian" && objects[i].1 == "person",
+            );
+        }
+    }
+    out
+}
+
 /// By class how many tracks that stand the grid shows, of how many, and which not: those with three occupied cells in their box.
 pub(crate) fn shown(
     grid: &DenseGrid,

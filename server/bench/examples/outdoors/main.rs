@@ -10,7 +10,7 @@
 mod cells;
 mod labels;
 
-use labels::{labels, shown};
+use labels::{labels, shown, told};
 use nalgebra::Point2;
 use percept_formats::dataset;
 use percept_geometry::{Cell, KeyframeScan, Pose, SensorData};
@@ -115,6 +115,14 @@ fn main() -> Result<(), Failure> {
                 if missed.is_empty() { String::new() } else { format!(", not {missed:?}") }
             );
         }
+    }
+    let there = snapshot.objects.iter().filter(|o| o.state != percept_scene::ObjectState::Gone);
+    let objects: Vec<_> = there.map(|o| (Point2::from(o.bbox.center().coords.xy()), o.class.name())).collect();
+    let mut counts = BTreeMap::<&str, usize>::new();
+    objects.iter().for_each(|(_, class)| *counts.entry(class).or_default() += 1);
+    println!("  objects: {counts:?}");
+    for (class, (found, by_name, all)) in told(&objects, &labels, &t_map_frames, &way) {
+        println!("  {class}: {found} of {all} among them, {by_name} by that name");
     }
     let mut points = cells::Points::default();
     for (number, frame) in recording.frames(None).enumerate() {

@@ -55,6 +55,9 @@ class Segmentation(Bound):
         environment: Environment | str = Environment.INDOOR,
         sensor_height_m: float | None = None,
     ) -> list[Detection]:
-        """Objects in a cloud with z up. Indoors the floor is near z = 0. Outdoors the cloud is one scan of a 3D lidar in its own
-        frame, sensor_height_m (1.73) above the ground, and objects are vehicles, people and what stands by itself."""
+        """Objects in a cloud with z up.
+
+        Indoors the floor is near z = 0. Outdoors the cloud is one scan of a 3D lidar in its own frame,
+        sensor_height_m (1.73) above the ground, and objects are vehicles, people and what stands by itself.
+        """
         return self._transport.call(convert.detect_objects(cloud, environment, sensor_height_m))
