@@ -192,6 +192,7 @@ pub(crate) fn track(
                 bbox: place(&d.bbox),
                 num_points: d.num_points,
                 is_moving: false,
+                is_seen: true,
             })
             .collect();
         tracker.update(stamp, &observations, &|_| Visibility::Unseen);

@@ -7,6 +7,9 @@ use percept_wire::parts::InParts;
 use percept_wire::v1;
 use tonic::{Request, Response};
 
+const GRAPH: &str = "SceneService/GetSceneGraph";
+const ROUTE: &str = "SceneService/RouteToRoom";
+
 #[tonic::async_trait]
 impl v1::scene_service_server::SceneService for Api {
     type GetSceneGraphStream = Streamed<v1::GetSceneGraphResponse>;
@@ -31,6 +34,7 @@ impl v1::scene_service_server::SceneService for Api {
     async fn get_scene_graph(&self, r: Request<v1::GetSceneGraphRequest>) -> Answer<Self::GetSceneGraphStream> {
         let caller = self.caller(&r)?;
         let r = r.get_ref();
+        caller.snapshot(GRAPH, &r.session_id).await.map_err(status::grpc)?;
         let whose = scene::directions(r.directions, r.viewer_yaw_rad).map_err(status::grpc)?;
         let filter = scene::filter(r.filter.as_ref()).map_err(status::grpc)?;
         let graph = caller.scene_graph(&r.session_id, whose, filter).await.map_err(status::grpc)?;
@@ -52,6 +56,8 @@ impl v1::scene_service_server::SceneService for Api {
     async fn route_to_room(&self, r: Request<v1::RouteToRoomRequest>) -> Answer<v1::RouteToRoomResponse> {
         let caller = self.caller(&r)?;
         let r = r.into_inner();
+        // Who may not ask learns nothing of what is wrong with the question.
+        caller.snapshot(ROUTE, &r.session_id).await.map_err(status::grpc)?;
         let to = rooms::wanted(r.room).map_err(status::grpc)?;
         let start = rooms::start(r.start.as_ref()).map_err(status::grpc)?;
         let found = caller.route_to_room(&r.session_id, to, start).await.map_err(status::grpc)?;
