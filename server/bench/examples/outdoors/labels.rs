@@ -76,7 +76,7 @@ pub(crate) fn told(
     let mut taken = BTreeSet::new();
     for (_, seen) in tracks(labels, t_map_frames) {
         let nearest = |p: &Point3<f64>| way.iter().map(|w| (p.xy() - w).norm()).fold(f64::INFINITY, f64::min);
-        let Some((label, at, _)) = seen.iter().filter(|s| nearest(&s.1) <= NEAR_M).next_back() else { continue };
+        let Some((label, at, _)) = seen.iter().rfind(|s| nearest(&s.1) <= NEAR_M) else { continue };
         let off = |i: &usize| (objects[*i].0 - at.xy()).norm();
         let near = (0..objects.len()).filter(|i| !taken.contains(i) && off(i) <= TOLD_M);
         let found = near.min_by(|a, b| off(a).total_cmp(&off(b)));
