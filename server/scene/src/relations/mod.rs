@@ -1,7 +1,7 @@
 //! How two things stand to each other, each relation in a stated frame, with a strength and a reason to exist.
 //!
-//! What holds whoever looks: what rests on what, is in it, under it ([`physical`]); what stands next to it or near, in the same room and
-//! in sight ([`beside`]). Left and right, front and behind only are listed on request, and say for whom ([`directions`]).
+//! What holds whoever looks: what rests on what, is in it, under it ([`mod@physical`]); what stands next to it or near, in the same room and
+//! in sight ([`mod@beside`]). Left and right, front and behind only are listed on request, and say for whom ([`mod@directions`]).
 
 mod beside;
 mod directions;

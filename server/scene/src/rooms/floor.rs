@@ -3,7 +3,7 @@
 use super::clutter::{Cleared, Kind};
 use crate::SceneError;
 use nalgebra::Point2;
-use percept_geometry::{Cell, GridGeometry, OrientedBox3};
+use percept_geometry::{Cell, GridGeometry, OrientedBox3, clearance_in_cells};
 
 /// Cells from this on are occupied, per cent, and up to that below free: as planning has them.
 const OCCUPIED: i8 = 60;
@@ -246,6 +246,40 @@ impl Labels {
 
     pub(super) fn cells_of(&self, room: usize) -> impl Iterator<Item = usize> {
         self.cells.iter().enumerate().filter(move |(_, label)| **label as usize == room).map(|(i, _)| i)
+    }
+
+    /// Radius of the largest circle that fits into a room's outer border, whatever stands in the room, in cells.
+    pub(super) fn radius_within(&self, room: usize) -> f64 {
+        let (mut low, mut high) = ((usize::MAX, usize::MAX), (0, 0));
+        for i in self.cells_of(room) {
+            let (x, y) = (i % self.width, i / self.width);
+            (low, high) = ((low.0.min(x), low.1.min(y)), (high.0.max(x), high.1.max(y)));
+        }
+        if low.0 > high.0 {
+            return 0.0;
+        }
+        // With a rim of what is outside.
+        let (width, height) = (high.0 - low.0 + 3, high.1 - low.1 + 3);
+        let is_room = |i: usize| {
+            let (x, y) = (i % width + low.0, i / width + low.1);
+            // The rim is one to the left of and below the room.
+            x > low.0
+                && y > low.1
+                && x <= high.0 + 1
+                && y <= high.1 + 1
+                && self.get((y - 1) * self.width + x - 1) == Some(room)
+        };
+        let around = Around { width, height };
+        let (mut is_outside, mut edge) = (vec![false; width * height], vec![0]);
+        is_outside[0] = true;
+        while let Some(i) = edge.pop() {
+            for j in around.four(i).filter(|j| !is_room(*j)) {
+                if !std::mem::replace(&mut is_outside[j], true) {
+                    edge.push(j);
+                }
+            }
+        }
+        clearance_in_cells(&is_outside, width, height).into_iter().fold(0.0, f32::max).into()
     }
 
     /// Cells of each of so many rooms.

@@ -203,7 +203,8 @@ pub fn find_rooms(
             counts[new] as f64 * floor.resolution_m().powi(2),
             f64::from(clearance[peaks[*old]]) * floor.resolution_m(),
         );
-        let (id, kind, center) = (ids[*old], RoomKind::of_shape(area_m2, radius_m), centers[*old]);
+        let kind = RoomKind::of_shape(area_m2, labels.radius_within(new) * floor.resolution_m());
+        let (id, center) = (ids[*old], centers[*old]);
         Room { id, kind, center, radius_m, area_m2, outline: outline::outer(&labels, new, peaks[*old]) }
     };
     let rooms: Vec<Room> = order.iter().enumerate().map(room).collect();

@@ -122,6 +122,28 @@ fn shelves_do_not_make_a_door() {
 }
 
 #[test]
+fn a_room_around_a_large_table_is_no_corridor() {
+    let rooms = drawn(&[
+        "################",
+        "#..............#",
+        "#..............#",
+        "#..............#",
+        "#..............#",
+        "#....######....#",
+        "#....######....#",
+        "#....######....#",
+        "#..............#",
+        "#..............#",
+        "#..............#",
+        "#..............#",
+        "################",
+    ])
+    .divided(&[], &[]);
+    assert_eq!(rooms.rooms.len(), 1);
+    assert_eq!(rooms.rooms[0].kind, RoomKind::Room);
+}
+
+#[test]
 fn a_cross_of_walls_between_four_doors_is_no_furniture_whatever_stands_at_it() {
     let four = drawn(&[
         "#################",
