@@ -246,8 +246,11 @@ mod tests {
         let changes = asked(sent, &["params.relations"]).unwrap().params;
         let mut paths: Vec<(&str, bool)> = changes.iter().map(|c| (c.path.as_str(), c.value.is_some())).collect();
         paths.sort_unstable();
-        let expected = [("contact_m", false), ("max_distance_m", true), ("min_strength", false)];
-        assert_eq!(paths, expected.map(|(name, set)| (format!("relations.{name}").leak() as &str, set)));
+        let unset = ["contact_m", "min_strength", "next_to_m", "num_near"].map(|name| (name, false));
+        let mut expected = [unset.to_vec(), vec![("max_distance_m", true)]].concat();
+        expected.sort_unstable();
+        let expected: Vec<_> = expected.iter().map(|(name, set)| (format!("relations.{name}"), *set)).collect();
+        assert!(paths.iter().copied().eq(expected.iter().map(|(name, set)| (name.as_str(), *set))), "{paths:?}");
         assert!(changes.iter().all(|c| !c.is_named));
         let cleared = asked(v1::Session::default(), &["params.relations.contact_m"]).unwrap().params;
         assert!(matches!(&cleared[..], [ParamChange { value: None, is_named: true, .. }]));
