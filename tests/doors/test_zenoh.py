@@ -70,6 +70,7 @@ def test_noise_is_counted_as_refused_and_harms_nobody(server, session):
         assert eventually(lambda: reader.sensors()[0].accepted == 1)
         assert reader.graph().nodes
         assert reader.objects() == list(session.scene.objects())
+        assert reader.rooms() == session.scene.rooms(with_places=True)
         assert eventually(lambda: reader.occupancy().cells.size > 0)
         assert reader.cloud().stamp.frame_id == "map"
 

@@ -4,7 +4,8 @@ Scouting is off: the server's endpoint is named. Keys, as the server has them:
 
     percept/<session>/<sensor>/frame     in: one SensorMessage a sample
     percept/<session>/pose, events       out: PoseEstimate, SessionEvent
-    percept/<session>/map/occupancy, map/cloud, scene/graph, scene/objects, sensors, pose     queries
+    percept/<session>/map/occupancy, map/cloud, scene/graph, scene/objects, scene/rooms,
+        sensors, pose                    queries
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from .errors import DeadlineExceeded, FailedPrecondition, Internal, InvalidArgum
 from .types.frames import SensorFrame
 from .types.maps import MapCloud, OccupancyGrid
 from .types.poses import PoseEstimate
-from .types.scene import Object, SceneGraph
+from .types.scene import Object, Rooms, SceneGraph
 from .types.sensors import SensorStatus
 from .types.sessions import SessionEvent
 from .v1 import error_pb2, map_pb2, scene_pb2, scene_service_pb2, sensors_service_pb2, session_pb2
@@ -268,13 +269,17 @@ class MapReader(_Peer):
         return maps.cloud([self._ask("map/cloud", map_pb2.CloudChunk)])
 
     def graph(self) -> SceneGraph:
-        """Robot, objects and their relations."""
+        """Robot, objects, rooms and their relations."""
         return scene.graph(self._ask("scene/graph", scene_pb2.SceneGraph))
 
     def objects(self) -> list[Object]:
         """Objects by id."""
         answer = self._ask("scene/objects", scene_service_pb2.ListObjectsResponse)
         return [scene.tracked(o) for o in answer.objects]
+
+    def rooms(self) -> Rooms:
+        """Rooms, the doors between them, places to be, and the ways between those."""
+        return scene.rooms(self._ask("scene/rooms", scene_service_pb2.GetRoomsResponse))
 
     def sensors(self) -> list[SensorStatus]:
         """What the server sees of the sensors' streams: frames accepted, refused, dropped, missing."""

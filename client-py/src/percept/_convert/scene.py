@@ -123,7 +123,8 @@ def _place(message: scene_pb2.Place) -> Place:
     )
 
 
-def _rooms(message: service.GetRoomsResponse) -> Rooms:
+def rooms(message: service.GetRoomsResponse) -> Rooms:
+    """Rooms, doors, places."""
     return Rooms(
         rooms=tuple(room(r) for r in message.rooms),
         doors=tuple(door(d) for d in message.doors),
@@ -221,7 +222,7 @@ def get_rooms(
     session_id: str, with_places: bool
 ) -> Call[service.GetRoomsRequest, service.GetRoomsResponse, Rooms]:
     request = service.GetRoomsRequest(session_id=session_id, with_places=with_places)
-    return Call(_rpc.GET_ROOMS, request, _rooms)
+    return Call(_rpc.GET_ROOMS, request, rooms)
 
 
 def name_room(

@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 const SLACK_M: f64 = 0.25;
 /// What is narrower is no door but a gap in what is known of a wall, metres: a person is 0.5 m wide.
 const NARROWEST_M: f64 = 0.5;
+/// A door's middle is where its clearance is at least this share of the largest.
+const MIDDLE: f32 = 0.8;
 /// Cosine of the least angle between the directions to both jambs: 120 degrees. Walls that meet in a corner are 90 apart.
 const OPPOSITE: f64 = -0.5;
 
@@ -66,8 +68,13 @@ pub(super) fn between(
         for part in parts(floor, &is_border, &cells) {
             let widest = part.iter().copied().max_by(|a, b| clearance[*a].total_cmp(&clearance[*b]).then(b.cmp(a)));
             let Some(at) = widest else { continue };
+            // Where the border lies askew, the jambs of its middle may do, too: the nearest to each other of those around there.
+            let off = |[a, b]: &[usize; 2]| (floor.center(*a) - floor.center(*b)).norm();
+            let middle = part.iter().filter(|i| clearance[**i] >= MIDDLE * clearance[at]);
+            let ends = middle.filter_map(|i| jambs(floor, cleared, clearance, *i));
+            let ends = ends.min_by(|p, q| off(p).total_cmp(&off(q)).then(p.cmp(q)));
             let rooms = (rooms[a].id.min(rooms[b].id), rooms[a].id.max(rooms[b].id));
-            let door = door(floor, jambs(floor, cleared, clearance, at), (at, clearance[at]), rooms);
+            let door = door(floor, ends, (at, clearance[at]), rooms);
             if door.width_m >= NARROWEST_M {
                 doors.push(door);
             }

@@ -13,6 +13,7 @@ mod map_import;
 mod navigation;
 mod operations;
 pub mod rules;
+mod scene;
 
 pub use context::CallContext;
 pub use lasting::OperationStart;

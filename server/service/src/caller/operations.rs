@@ -5,18 +5,16 @@ use super::audit::Act;
 use crate::ops::toolbox::{SessionCloud, Toolbox};
 use crate::{
     CloudAnswer, CloudDetail, Error, EventLog, FleetFilter, FleetWatch, GridAnswer, IncomingFrame, MapFile, MapFormat,
-    MapSummary, Moved, NewSession, Page, Pending, Processed, Result, RoomRoute, RoomWanted, SensorChanges,
-    SensorDeclaration, SensorStatus, Session, SessionChanges, SessionDescription, SessionList, SessionRooms,
-    SessionView, TrajectoryComparison, TrajectoryRequest, Transform, Vetoed, check_id,
+    MapSummary, Moved, NewSession, Page, Pending, Processed, Result, SensorChanges, SensorDeclaration, SensorStatus,
+    Session, SessionChanges, SessionDescription, SessionList, SessionView, TrajectoryComparison, TrajectoryRequest,
+    Transform, Vetoed, check_id,
 };
 use nalgebra::{Point2, Point3};
 use percept_evaluation::{
     DetectionScore, FoundObject, PosePair, RelationScore, TrajectoryScore, TrueObject, TrueRelation,
 };
-use percept_geometry::{ObjectClass, Pose, SensorId, Stamped, Timestamp};
+use percept_geometry::{Pose, SensorId, Stamped, Timestamp};
 use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, PoseAt, Snapshot, TrajectoryEntry};
-use percept_scene::rooms::RoomId;
-use percept_scene::{Directions, Object, RelationFilter, SceneGraph};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -384,75 +382,6 @@ impl Caller {
     pub async fn export_map(&self, session: &str, format: MapFormat) -> Result<MapFile> {
         self.may_with("MapsService/ExportMap", session).await?;
         self.service.export_map(session, format).await
-    }
-}
-
-/// Scene.
-impl Caller {
-    /// Objects by id, with the version of the map that their boxes refer to.
-    ///
-    /// # Errors
-    /// `SESSION_NOT_FOUND`, `PAGE_TOKEN_INVALID`.
-    pub async fn list_objects(
-        &self,
-        session: &str,
-        class: Option<ObjectClass>,
-        include_gone: bool,
-        page_size: u32,
-        page_token: &str,
-    ) -> Result<(Page<Object>, u64)> {
-        self.may_with("SceneService/ListObjects", session).await?;
-        self.service.list_objects(session, class, include_gone, page_size, page_token).await
-    }
-
-    /// One object.
-    ///
-    /// # Errors
-    /// `OBJECT_NOT_FOUND`, `SESSION_NOT_FOUND`.
-    pub async fn object(&self, session: &str, id: u64) -> Result<Object> {
-        self.may_with("SceneService/GetObject", session).await?;
-        self.service.object(session, id).await
-    }
-
-    /// Robot, objects, rooms and their relations, as far as they are asked for; with directions for somebody, if they are.
-    ///
-    /// # Errors
-    /// `SESSION_NOT_FOUND`, `GRID_TOO_LARGE`.
-    pub async fn scene_graph(
-        &self,
-        session: &str,
-        whose: Option<Directions>,
-        filter: RelationFilter,
-    ) -> Result<SceneGraph> {
-        self.may_with("SceneService/GetSceneGraph", session).await?;
-        self.service.scene_graph(session, whose, filter).await
-    }
-
-    /// The rooms of a session's map.
-    ///
-    /// # Errors
-    /// `SESSION_NOT_FOUND`, `GRID_TOO_LARGE`.
-    pub async fn rooms(&self, session: &str) -> Result<SessionRooms> {
-        self.may_with("SceneService/GetRooms", session).await?;
-        self.service.rooms(session).await
-    }
-
-    /// Calls a room by a name; an empty one takes its name from it.
-    ///
-    /// # Errors
-    /// As [`Caller::rooms`]; `ROOM_NOT_FOUND`, `DISPLAY_NAME_INVALID`, `TOO_MANY_ROOM_NAMES`.
-    pub async fn name_room(&self, session: &str, id: RoomId, name: &str) -> Result<SessionRooms> {
-        self.may_with("SceneService/NameRoom", session).await?;
-        self.service.name_room(session, id, name).await
-    }
-
-    /// The way to a room, from a point of the map or from where the robot is.
-    ///
-    /// # Errors
-    /// As [`Caller::rooms`] and planning; `ROOM_NOT_FOUND`, `ROOM_NAME_AMBIGUOUS`.
-    pub async fn route_to_room(&self, session: &str, to: RoomWanted, start: Option<Point2<f64>>) -> Result<RoomRoute> {
-        self.may_with("SceneService/RouteToRoom", session).await?;
-        self.service.route_to_room(session, to, start).await
     }
 }
 
