@@ -31,7 +31,9 @@ class _PresetEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Preset.ValueTy
     PRESET_INDOOR: _Preset.ValueType  # 2
     """Rooms, halls: cells of 0.1 m, points of 0.05 m, to 30 m; objects to 6 m."""
     PRESET_OUTDOOR: _Preset.ValueType  # 3
-    """Streets, yards, fields: cells and points of 0.2 m, to 50 m; objects to 30 m; heights of the ground are kept."""
+    """Streets, yards, fields: cells and points of 0.2 m, to 50 m; a keyframe each metre; road users to 30 m, in each keyframe's
+    sweep; heights of the ground are kept.
+    """
 
 class Preset(_Preset, metaclass=_PresetEnumTypeWrapper):
     """Surroundings that defaults are made for."""
@@ -43,7 +45,9 @@ PRESET_AUTO: Preset.ValueType  # 1
 PRESET_INDOOR: Preset.ValueType  # 2
 """Rooms, halls: cells of 0.1 m, points of 0.05 m, to 30 m; objects to 6 m."""
 PRESET_OUTDOOR: Preset.ValueType  # 3
-"""Streets, yards, fields: cells and points of 0.2 m, to 50 m; objects to 30 m; heights of the ground are kept."""
+"""Streets, yards, fields: cells and points of 0.2 m, to 50 m; a keyframe each metre; road users to 30 m, in each keyframe's
+sweep; heights of the ground are kept.
+"""
 Global___Preset: _TypeAlias = Preset  # noqa: Y015
 
 @_typing.final

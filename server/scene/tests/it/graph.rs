@@ -10,7 +10,7 @@ use percept_scene::{
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
-fn thing(id: u64, class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Object {
+pub(crate) fn thing(id: u64, class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Object {
     Object {
         id: ObjectId(id),
         class,

@@ -1,11 +1,10 @@
 //! Floors drawn by hand, divided.
 
+use crate::graph::thing;
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{GridGeometry, ObjectClass, OrientedBox3, Timestamp};
 use percept_scene::rooms::{Floor, RoomId, RoomKind, RoomParams, Rooms, find_rooms};
-use percept_scene::{
-    Node, NodeId, Object, ObjectId, ObjectState, RelationFilter, RelationKind, RelationParams, SceneGraph, SceneView,
-};
+use percept_scene::{Node, NodeId, ObjectId, RelationFilter, RelationKind, RelationParams, SceneGraph, SceneView};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -220,22 +219,6 @@ proptest! {
             prop_assert!(link.length_m > 0.99 * (a.position - b.position).norm());
         }
         prop_assert_eq!(&floor.divided(&things, &[(0, [1.0, 1.0]), (4, [5.0, 3.0])]), &rooms);
-    }
-}
-
-fn thing(id: u64, class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Object {
-    Object {
-        id: ObjectId(id),
-        class,
-        confidence: 0.9,
-        class_probabilities: [1.0 / ObjectClass::ALL.len() as f64; ObjectClass::ALL.len()],
-        bbox: OrientedBox3::upright(Point3::from(center), Vector3::from(size), 0.0),
-        state: ObjectState::Static,
-        velocity_mps: Vector3::zeros(),
-        first_seen: Timestamp(0),
-        last_seen: Timestamp(1),
-        observation_count: 2,
-        num_points: 100,
     }
 }
 
