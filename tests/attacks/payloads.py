@@ -19,7 +19,6 @@ import httpx
 import numpy as np
 import percept.zenoh
 from percept import Client, CloudFormat, PerceptError, SensorSpec
-
 from support import raw, world
 from support.robots import scan
 from support.server import eventually
@@ -69,11 +68,15 @@ def image_bombs(target: Target) -> Tried:
         camera = CameraIntrinsics(
             width_px=declared, height_px=declared, fx_px=300.0, fy_px=300.0, cx_px=160.0, cy_px=120.0
         )
-        session = target.client.sessions.create(sensors=[SensorSpec("camera", kind="depth", intrinsics=camera)])
+        session = target.client.sessions.create(
+            sensors=[SensorSpec("camera", kind="depth", intrinsics=camera)]
+        )
         image = EncodedImage(data=data, width_px=declared, height_px=declared)
 
         def send(k, session=session, image=image):
-            return refused(lambda: session.send_depth("camera", stamp_ns=k + 1, depth=image, metres_per_unit=0.001))
+            return refused(
+                lambda: session.send_depth("camera", stamp_ns=k + 1, depth=image, metres_per_unit=0.001)
+            )
 
         with ThreadPoolExecutor(5) as pool:
             reasons = list(pool.map(send, range(5)))
@@ -106,20 +109,18 @@ def gzip_bombs(target: Target) -> Tried:
         answer = http.post("/v1/sessions", content=packed, headers=headers)
         out.sent, out.ended = 1, int(answer.status_code >= 400)
         out.note = f"REST {answer.status_code}"
-    h2 = raw.Http2(target.server.grpc, 5.0)
+    h2 = raw.Http2(target.server.grpc)
     headers = {"grpc-encoding": "gzip", "grpc-accept-encoding": "identity"}
     stream = h2.open_stream("SessionsService/CreateSession", **headers)
     payload = b"\x01" + struct.pack(">I", len(packed)) + packed
+    # To find out what it would be takes a slow machine seconds.
+    h2.socket.settimeout(20.0)
+    answer = None
     with contextlib.suppress(OSError):
-        for at in range(0, len(payload), 1 << 14):
-            h2.send(raw.frame(raw.DATA, 0, stream, payload[at : at + (1 << 14)]))
-        h2.send(raw.frame(raw.DATA, raw.END_STREAM, stream))
-    # To find out what it would be takes a slow machine more than a second.
-    h2.socket.settimeout(10.0)
-    answered = any(s == stream for _, _, s, _ in h2.frames(200))
+        answer = h2.send_whole(stream, payload)
     h2.close()
-    out.sent, out.ended = out.sent + 1, out.ended + bool(answered)
-    out.note += f", gRPC {'answered' if answered else 'silent'}"
+    out.sent, out.ended = out.sent + 1, out.ended + (answer is not None)
+    out.note += f", gRPC {'silent' if answer is None else 'answered'}"
     return out
 
 
@@ -170,7 +171,9 @@ def zenoh_flood(target: Target) -> Tried:
     with percept.zenoh.SensorPublisher(target.server.zenoh, session_id=name) as publisher:
         publisher.send_scan("laser", stamp_ns=1, **scan(0))
     taken = eventually(lambda: session.sensors.list()[0].accepted == 1, seconds=30)
-    return Tried(sent, 0, f"{sent / target.seconds:.0f}/s", [] if taken else ["a good frame after it is lost"])
+    return Tried(
+        sent, 0, f"{sent / target.seconds:.0f}/s", [] if taken else ["a good frame after it is lost"]
+    )
 
 
 def zenoh_sizes(target: Target) -> Tried:

@@ -163,6 +163,7 @@ def closed_by_peer(s: socket.socket) -> bool:
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
 DATA, HEADERS, RST_STREAM, SETTINGS, PING, GOAWAY, WINDOW_UPDATE, CONTINUATION = 0, 1, 3, 4, 6, 7, 8, 9
 END_STREAM, END_HEADERS, ACK = 1, 4, 1
+INITIAL_WINDOW_SIZE = 4
 
 
 def frame(kind: int, flags: int, stream: int, payload: bytes = b"") -> bytes:
@@ -206,9 +207,13 @@ class Http2:
         self.socket = connect(address, timeout_s)
         self.socket.sendall(PREFACE + frame(SETTINGS, 0, 0))
         self._next = 1
+        #: What the server takes ahead on a stream and on the connection, RFC 9113 section 6.9.
+        self._stream_window, self._window = 65535, 65535
         # The server's larger windows and frames count from our acknowledgement on.
-        for kind, flags, _, _ in self.frames(10):
+        for kind, flags, _, payload in self.frames(10):
             if kind == SETTINGS and not flags & ACK:
+                settings = dict(struct.iter_unpack(">HI", payload))
+                self._stream_window = settings.get(INITIAL_WINDOW_SIZE, self._stream_window)
                 self.socket.sendall(frame(SETTINGS, ACK, 0))
                 break
 
@@ -221,6 +226,28 @@ class Http2:
 
     def send(self, data: bytes) -> None:
         self.socket.sendall(data)
+
+    def send_whole(self, stream: int, payload: bytes):
+        """Sends a stream's only message as the windows allow and ends the stream: the first frame that
+        answers it, None if the peer closes or is silent for the time-out.
+        """
+        window, at = self._stream_window, 0
+        while True:
+            while at < len(payload) and (size := min(window, self._window, len(payload) - at, 1 << 14)) > 0:
+                flags = END_STREAM if at + size == len(payload) else 0
+                self.send(frame(DATA, flags, stream, payload[at : at + size]))
+                window, self._window, at = window - size, self._window - size, at + size
+            answer = next(self.frames(1), None)
+            if answer is None:
+                return None
+            kind, _, of, update = answer
+            if kind == WINDOW_UPDATE:
+                more = int.from_bytes(update, "big")
+                window, self._window = (
+                    (window + more, self._window) if of == stream else (window, self._window + more)
+                )
+            elif of == stream:
+                return answer
 
     def frames(self, limit: int = 1000):
         """(kind, flags, stream, payload) as they come, until the peer closes or is silent for the
