@@ -57,6 +57,9 @@ RULES = {
     "SceneService/GetSceneGraph": (READ, True),
     "SceneService/GetRooms": (READ, True),
     "SceneService/NameRoom": (WRITE, True),
+    "SceneService/CorrectObject": (WRITE, True),
+    "SceneService/ListObjectClasses": (READ, True),
+    "SceneService/ForgetObjectClass": (WRITE, True),
     "SceneService/RouteToRoom": (READ, True),
     "LayersService": (READ, True),
     "NavigationService/PlanPath": (READ, True),
@@ -338,7 +341,7 @@ def test_every_route_answers_each_kind_of_caller_as_the_table_says(site):
                 site.create(session)
             concrete = path.replace("{session_id}", session).replace("{name}", "map.yaml")
             concrete = concrete.replace("{handle}", "c-0").replace("{object_id}", "1").replace("{loop_id}", "1")
-            concrete = concrete.replace("{room_id}", "1")
+            concrete = concrete.replace("{room_id}", "1").replace("{label}", "x")
             concrete = concrete.replace("{sensor_id}", "s").replace("{operation_id}", "op-0")
             body = {"session_id": "fleet-by-rest" if creates else session} if operation == "CreateSession" else {}
             if operation == "DeclareSensor":

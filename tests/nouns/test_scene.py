@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from percept import InvalidArgument, NotFound
@@ -44,15 +46,19 @@ def test_pages_and_classes_are_parts_of_the_whole(lidar_session, objects):
         for o in lidar_session.scene.objects(object_class=c)
     ]
     assert sorted(by_class, key=lambda o: o.object_id) == objects
-    assert lidar_session.scene.object(objects[0].object_id) == objects[0]
+    one = lidar_session.scene.object(objects[0].object_id)
+    assert one.history
+    assert dataclasses.replace(one, history=()) == objects[0]
 
 
 def test_what_does_not_exist_is_not_found(lidar_session):
     with pytest.raises(NotFound) as error:
         lidar_session.scene.object(10**9)
     assert (error.value.reason, error.value.field) == ("OBJECT_NOT_FOUND", "object_id")
-    with pytest.raises(InvalidArgument):
-        list(lidar_session.scene.objects(object_class="sofa"))
+    assert list(lidar_session.scene.objects(object_class="sofa")) == []
+    with pytest.raises(InvalidArgument) as error:
+        list(lidar_session.scene.objects(object_class="a name that no class of things can have"))
+    assert (error.value.reason, error.value.field) == ("CLASS_NAME_INVALID", "label")
 
 
 def test_the_graph_has_the_robot_and_every_object(lidar_session, objects):

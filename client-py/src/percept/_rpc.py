@@ -111,6 +111,13 @@ _C = "SceneService"
 LIST_OBJECTS = Rpc(_C, "ListObjects", scene.ListObjectsRequest, scene.ListObjectsResponse)
 GET_OBJECT = Rpc(_C, "GetObject", scene.GetObjectRequest, scene.GetObjectResponse)
 GET_ROOMS = Rpc(_C, "GetRooms", scene.GetRoomsRequest, scene.GetRoomsResponse, in_parts=True)
+CORRECT_OBJECT = Rpc(_C, "CorrectObject", scene.CorrectObjectRequest, scene.CorrectObjectResponse)
+LIST_OBJECT_CLASSES = Rpc(
+    _C, "ListObjectClasses", scene.ListObjectClassesRequest, scene.ListObjectClassesResponse
+)
+FORGET_OBJECT_CLASS = Rpc(
+    _C, "ForgetObjectClass", scene.ForgetObjectClassRequest, scene.ForgetObjectClassResponse
+)
 NAME_ROOM = Rpc(_C, "NameRoom", scene.NameRoomRequest, scene.NameRoomResponse)
 ROUTE_TO_ROOM = Rpc(_C, "RouteToRoom", scene.RouteToRoomRequest, scene.RouteToRoomResponse)
 GET_SCENE_GRAPH = Rpc(

@@ -56,7 +56,7 @@ pub struct DetectionScore {
     pub mean_iou: Option<f64>,
     /// Share of the matches whose class is right; `None` without a match.
     pub class_correct: Option<f64>,
-    /// Classes that occur, in the order of [`ObjectClass::ALL`].
+    /// Classes that occur, in the order of [`ObjectClass::BUILT_IN`].
     pub classes: Vec<ClassScore>,
     /// Matches as (index in truth, index in found, overlap), in the order of falling confidence.
     pub matches: Vec<(usize, usize, f64)>,
@@ -130,7 +130,7 @@ fn by_class(truth: &[TrueObject], found: &[FoundObject], matches: &[(usize, usiz
         num_located: matches.iter().filter(|m| truth[m.0].0 == class).count(),
         num_correct: matches.iter().filter(|m| truth[m.0].0 == class && found[m.1].0 == class).count(),
     };
-    ObjectClass::ALL.into_iter().map(count).filter(|c| c.num_true + c.num_found > 0).collect()
+    ObjectClass::BUILT_IN.into_iter().map(count).filter(|c| c.num_true + c.num_found > 0).collect()
 }
 
 pub(crate) fn share(part: usize, whole: usize) -> Option<f64> {

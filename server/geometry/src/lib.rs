@@ -31,7 +31,7 @@ pub use image::{DepthImage, GrayImage, RgbImage};
 pub use kept_scan::{KeptScan, ScanSource};
 pub use keyframe::{Correction, FeatureMethod, KeyframeFeature, KeyframeFeatures, KeyframeId, KeyframeScan};
 pub use mesh::TriangleMesh;
-pub use object::ObjectClass;
+pub use object::{ClassName, ClassNameError, ObjectClass};
 pub use se3::{Covariance6, Pose};
 pub use sensor::{SensorData, SensorFrame, SensorId, SensorKind, SensorSpec};
 pub use shapes::{Aabb3, OrientedBox3, Plane, Ray};

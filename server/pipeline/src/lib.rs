@@ -12,6 +12,7 @@ mod live;
 mod lookup;
 mod map_graph;
 mod params;
+mod passing;
 mod pipeline;
 mod preset;
 mod restored;

@@ -6,6 +6,7 @@
 //! belong to what moves ([`NewestFrames::part_moving`]): those do not enter it either.
 
 use crate::beside::Executor;
+use nalgebra::Point3;
 use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp};
 use percept_mapping::{Contradicted, LiveFrame, LiveParams, OccupancyMap, Sight, moving};
 use percept_slam::keyframe::LaterScan;
@@ -50,6 +51,15 @@ impl Frame {
         let scan = Arc::new(KeyframeScan { base_height_m, ..KeyframeScan::clone(&self.scan) });
         LiveFrame { t_map_base: t_map_odom * self.t_odom_base, scan, is_newest }
     }
+}
+
+/// What a frame shows where the map says that nothing stands.
+pub(crate) struct News {
+    /// Map frame, metres.
+    pub(crate) points: Vec<Point3<f32>>,
+    pub(crate) t_map_base: Pose,
+    /// All that it shows, base frame.
+    pub(crate) scan: Arc<KeyframeScan>,
 }
 
 /// The newest frames of each sensor, oldest first.
@@ -139,6 +149,24 @@ impl NewestFrames {
         let params = *params;
         (frame.stamp == stamp && params.time_s > 0.0).then_some(move |looks| {
             grid.contradicted_by(&params, &frame.in_map(&t_map_odom, base_height_m, true), looks)
+        })
+    }
+
+    /// Looks in a sensor's newest frame for what lies where the map says that nothing stands, on whichever thread; none if it is not
+    /// of that stamp, or a planar one.
+    pub(crate) fn news(
+        &self,
+        (sensor, stamp): (&SensorId, Timestamp),
+        (t_map_odom, base_height_m): (Pose, f64),
+        grid: OccupancyMap,
+    ) -> Option<impl FnOnce() -> News + Send + 'static> {
+        let frame = Arc::clone(self.by_sensor.get(sensor)?.back()?);
+        (frame.stamp == stamp).then_some(move || {
+            let LiveFrame { t_map_base, scan, .. } = frame.in_map(&t_map_odom, base_height_m, true);
+            let is_news = if scan.planar { vec![] } else { grid.is_news(&t_map_base, &scan) };
+            let points = scan.hits.positions.iter().zip(is_news).filter(|(_, is_news)| *is_news);
+            let points = points.map(|(p, _)| (t_map_base * p.cast::<f64>()).cast()).collect();
+            News { points, t_map_base, scan }
         })
     }
 

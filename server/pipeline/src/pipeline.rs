@@ -1,5 +1,6 @@
 //! One robot's front end, map graph and scene, and the path of a frame through them.
 
+mod annotate;
 mod given;
 mod report;
 mod restore;
@@ -181,6 +182,11 @@ impl Pipeline {
         if let Some(compare) = self.newest.comparison(of, params, map, graph.map().layers().occupancy) {
             self.second_looks.compare(of.0, of.1, executor, compare);
         }
+        if self.scene.wants_news(of.0, of.1)
+            && let Some(news) = self.newest.news(of, map, graph.map().layers().occupancy)
+        {
+            self.scene.look_for_passing(of, news);
+        }
     }
 
     /// Puts a view of a second sensor into the map, if it lies far enough from the one before.
@@ -315,6 +321,7 @@ impl Pipeline {
             imu_faults: self.frontend.imu_faults(),
             loops: graph.loops(),
             objects: self.scene.objects(),
+            tracked: self.scene.tracked(),
             divided: self.divided.clone(),
             next_object_id: self.scene.next_object_id(),
             params: Arc::clone(&self.params),

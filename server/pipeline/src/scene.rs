@@ -1,20 +1,26 @@
 //! The scene: objects that are looked for in the map around new keyframes, followed through time, and moved with the map. Outdoors
 //! they are looked for in the keyframe's sweep itself: what drives is in no map.
 //!
+//! What passes between keyframes is looked for in the newest frames ([`crate::passing`]).
+//!
 //! They are looked for beside the frames. What was found enters at the first frame that is [`DELAY_S`] younger than the
 //! keyframe, moved by what the keyframe was moved by meanwhile.
 
 use crate::beside::{Executor, Task};
+use crate::live::News;
+use crate::passing::Passing;
 use crate::visibility::RangeImage;
 use crate::{Chunks, DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, Preset};
 use nalgebra::{Point3, Translation3, UnitQuaternion};
-use percept_geometry::{KeyframeId, OrientedBox3, PointCloud, Pose, Timestamp};
+use percept_geometry::{KeyframeId, OrientedBox3, PointCloud, Pose, SensorId, Timestamp};
 use percept_mapping::MapLayers;
 use percept_perception::detection::outdoor::{OutdoorDetector, OutdoorParams};
-use percept_perception::detection::{Detection, Detector};
+use percept_perception::detection::{ClassExample, Detection, Detector, GaussianClassifier};
 use percept_perception::segmentation::GroundParams;
 use percept_scene::overlap::upright;
-use percept_scene::{Object, ObjectChange, Observation, Tracker, Visibility};
+use percept_scene::{
+    Correction, CorrectionError, Object, ObjectChange, ObjectId, Observation, Tracker, Visibility,
+};
 use percept_slam::{CloudScan, Scan};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -39,8 +45,12 @@ pub(crate) struct Scene {
     executor: Option<Arc<dyn Executor>>,
     /// Begun and not taken in, oldest first.
     searches: VecDeque<Search>,
+    /// Classes that people showed.
+    examples: Arc<Vec<ClassExample>>,
+    passing: Passing,
     tracker: Tracker,
     objects: Arc<Vec<Object>>,
+    tracked: Arc<Vec<Object>>,
 }
 
 /// A search for objects around a keyframe.
@@ -78,12 +88,15 @@ impl Scene {
     pub(crate) fn new(params: &PipelineParams) -> Result<Self, ParamsError> {
         Ok(Self {
             settings: params.detection.clone(),
-            detector: detector(params)?,
+            detector: detector(params, &[])?,
             outdoor: outdoor(params),
+            examples: Arc::default(),
+            passing: Passing::default(),
             executor: None,
             searches: VecDeque::new(),
             tracker: Tracker::new(params.tracker.clone()).map_err(|e| ParamsError::of("tracker", e))?,
             objects: Arc::default(),
+            tracked: Arc::default(),
         })
     }
 
@@ -92,15 +105,48 @@ impl Scene {
     /// # Errors
     /// A parameter out of bounds; nothing was changed.
     pub(crate) fn set_params(&mut self, params: &PipelineParams) -> Result<(), ParamsError> {
-        let detector = detector(params)?;
+        let detector = detector(params, &self.examples)?;
         self.tracker.set_params(params.tracker.clone()).map_err(|e| ParamsError::of("tracker", e))?;
         (self.settings, self.detector, self.outdoor) = (params.detection.clone(), detector, outdoor(params));
         Ok(())
     }
 
-    /// Confirmed objects by id, those gone included.
+    /// Knows these classes beside the built-in ones from now on.
+    pub(crate) fn set_examples(&mut self, params: &PipelineParams, examples: Arc<Vec<ClassExample>>) {
+        // The parameters are in force already.
+        if let Ok(detector) = detector(params, &examples) {
+            (self.detector, self.examples) = (detector, examples);
+        }
+    }
+
+    /// Does as a person says of an object.
+    ///
+    /// # Errors
+    /// [`CorrectionError`]; nothing was changed.
+    pub(crate) fn annotate(
+        &mut self,
+        id: ObjectId,
+        correction: Correction,
+    ) -> Result<Vec<ObjectChange>, CorrectionError> {
+        let changes = self.tracker.annotate(id, correction)?;
+        self.show();
+        Ok(changes)
+    }
+
+    /// Confirmed objects by id, those gone included, as they are told.
     pub(crate) fn objects(&self) -> Arc<Vec<Object>> {
         Arc::clone(&self.objects)
+    }
+
+    /// The same as they are followed and stored: with those that people set aside.
+    pub(crate) fn tracked(&self) -> Arc<Vec<Object>> {
+        Arc::clone(&self.tracked)
+    }
+
+    fn show(&mut self) {
+        self.tracked = Arc::new(self.tracker.objects());
+        let is_as_told = self.tracked.iter().all(|o| o.annotation.is_listed());
+        self.objects = if is_as_told { Arc::clone(&self.tracked) } else { Arc::new(self.tracker.listed()) };
     }
 
     /// Number that the next object gets.
@@ -113,7 +159,7 @@ impl Scene {
         if let Ok(tracker) = Tracker::restore(params.tracker.clone(), objects, next_object_id) {
             self.tracker = tracker;
         }
-        self.objects = Arc::new(self.tracker.objects());
+        self.show();
     }
 
     /// Looks for objects beside frames, on threads of the executor's.
@@ -189,7 +235,21 @@ impl Scene {
 
     /// Whether something is being looked for.
     pub(crate) fn is_looking(&self) -> bool {
-        !self.searches.is_empty()
+        !self.searches.is_empty() || self.passing.is_looking()
+    }
+
+    /// Whether a frame is to be looked through for what passes. Outdoors keyframes alone are.
+    pub(crate) fn wants_news(&self, sensor: &SensorId, stamp: Timestamp) -> bool {
+        self.settings.enabled && self.outdoor.is_none() && self.passing.is_due(sensor, stamp)
+    }
+
+    /// Begins to look for what passes in what a frame shows in free space.
+    pub(crate) fn look_for_passing(
+        &mut self,
+        of: (&SensorId, Timestamp),
+        news: impl FnOnce() -> News + Send + 'static,
+    ) {
+        self.passing.look(of, self.executor.as_ref(), news);
     }
 
     /// Takes in what was found and is due at a frame; all that was begun, if there is none. `keyframes` are where they are now.
@@ -202,8 +262,13 @@ impl Scene {
         let is_due = |s: &mut Search| frame.is_none_or(|now| now >= s.stamp.plus_seconds(DELAY_S));
         while let Some(search) = self.searches.pop_front_if(is_due) {
             changes.extend(self.take_in(&search, keyframes));
-            self.objects = Arc::new(self.tracker.objects());
+            self.show();
         }
+        let (was_asked, passing) = self.passing.take_found(frame, &mut self.tracker);
+        if was_asked {
+            self.show();
+        }
+        changes.extend(passing);
         changes
     }
 
@@ -236,7 +301,7 @@ impl Scene {
         };
         let moved_by = |last_seen| nearest(last_seen).and_then(|id| t_new_old.get(&id).copied());
         self.tracker.correct(&|_, last_seen| moved_by(last_seen).unwrap_or_else(Pose::identity));
-        self.objects = Arc::new(self.tracker.objects());
+        self.show();
     }
 }
 
@@ -274,8 +339,10 @@ fn outdoor(params: &PipelineParams) -> Option<OutdoorParams> {
     (params.preset == Preset::Outdoor).then(|| OutdoorParams { tell_unknown: false, ..OutdoorParams::default() })
 }
 
-/// A detector for what the fused cloud holds, however coarse that is.
-fn detector(params: &PipelineParams) -> Result<Arc<Detector>, ParamsError> {
+/// A detector for what the fused cloud holds, however coarse that is, and for classes that people showed.
+pub(crate) fn detector(params: &PipelineParams, examples: &[ClassExample]) -> Result<Arc<Detector>, ParamsError> {
     let detector = params.detection.detector.for_spacing(params.map.cloud.voxel_size_m);
-    Detector::new(detector).map(Arc::new).map_err(|e| ParamsError::of("detection.detector", e))
+    let classifier = Arc::new(GaussianClassifier::with_examples(examples));
+    let detector = Detector::with_classifier(detector, classifier);
+    detector.map(Arc::new).map_err(|e| ParamsError::of("detection.detector", e))
 }

@@ -132,8 +132,10 @@ pub struct Snapshot {
     pub imu_faults: Arc<BTreeMap<SensorId, Vec<ImuFault>>>,
     /// Loops in the order of finding, those not believed included.
     pub loops: Arc<Vec<Loop>>,
-    /// Confirmed objects by id, those gone included.
+    /// Confirmed objects by id, those gone included, as they are told: parts within their wholes.
     pub objects: Arc<Vec<Object>>,
+    /// The same as they are followed and stored: each by itself, also what people set aside.
+    pub tracked: Arc<Vec<Object>>,
     /// The rooms, once somebody has asked for them.
     pub(crate) divided: DividedMap,
     /// Number that the next object gets.
@@ -183,7 +185,7 @@ impl Snapshot {
     }
 
     /// Robot, objects that are not gone, rooms, and how all that relates; with directions for somebody, if they are asked for. `names` are
-    /// what people call rooms.
+    /// what people call rooms. `at`: as it was then, with the robot there (base to map), in the rooms as they are now.
     ///
     /// # Errors
     /// As [`Snapshot::rooms`].
@@ -191,11 +193,14 @@ impl Snapshot {
         &self,
         names: &BTreeMap<RoomId, String>,
         whose: Option<Directions>,
+        at: Option<(Timestamp, Pose)>,
         max_cells: usize,
     ) -> Result<SceneGraph, MappingError> {
-        let (stamp, t_map_base) =
-            self.pose.as_ref().map_or((Timestamp::default(), Pose::identity()), |p| (p.stamp, p.t_map_base));
-        let (objects, rooms, map_version) = (&self.objects[..], &*self.rooms(max_cells)?, self.map_version);
+        let now = || self.pose.as_ref().map_or((Timestamp::default(), Pose::identity()), |p| (p.stamp, p.t_map_base));
+        let (stamp, t_map_base) = at.unwrap_or_else(now);
+        let past: Option<Vec<Object>> = at.map(|(at, _)| self.objects.iter().filter_map(|o| o.at(at)).collect());
+        let objects = past.as_deref().unwrap_or(&self.objects);
+        let (rooms, map_version) = (&*self.rooms(max_cells)?, self.map_version);
         let view = SceneView { stamp, map_version, t_map_base: &t_map_base, objects, rooms, names };
         Ok(SceneGraph::build(&view, &self.params.relations, whose))
     }

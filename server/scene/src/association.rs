@@ -8,17 +8,21 @@ const UNMATCHED: f64 = 2.0;
 /// Price of a pair that cannot be.
 const IMPOSSIBLE: f64 = 1e6;
 
-/// For each track the index of its observation, so that the sum of prices is least over all of them.
+/// For each track the index of its observation, so that the sum of prices is least over all of those that are asked for.
 pub(crate) fn associate(
     tracks: &[Track],
     observations: &[Observation],
     stamp: Timestamp,
     params: &TrackerParams,
+    is_asked: impl Fn(&Track) -> bool,
 ) -> Vec<Option<usize>> {
     let mut pairs = Vec::new();
-    for (t, track) in tracks.iter().enumerate() {
+    for (t, track) in tracks.iter().enumerate().filter(|(_, track)| is_asked(track)) {
         let predicted = track.predicted(stamp, params.coast_s);
         for (o, observation) in observations.iter().enumerate() {
+            if track.state == ObjectState::Moving && !track.may_be_at(&observation.bbox, stamp) {
+                continue;
+            }
             if let Some(price) = price(track, &predicted, observation, params) {
                 pairs.push((t, o, price));
             }
@@ -43,8 +47,7 @@ fn price(track: &Track, predicted: &OrientedBox3, observation: &Observation, par
     }
     let seen = overlap::upright(&observation.bbox);
     let iou = overlap::iou(predicted, &seen);
-    let probabilities = track.belief.probabilities();
-    let likely = probabilities[class_index(observation.class)];
+    let likely = track.belief.probability(observation.class);
     if iou < params.min_iou {
         let fits = track.state != ObjectState::Gone
             && distance <= params.association_distance_m
@@ -61,10 +64,6 @@ fn price(track: &Track, predicted: &OrientedBox3, observation: &Observation, par
         _ => 0.0,
     };
     Some(1.5 - 0.75 * iou - 0.75 * closeness + 0.2 * (1.0 - likely) + standing)
-}
-
-fn class_index(class: ObjectClass) -> usize {
-    ObjectClass::ALL.iter().position(|&c| c == class).unwrap_or(0)
 }
 
 /// Largest ratio of like lengths: height to height, footprint diagonal to footprint diagonal.

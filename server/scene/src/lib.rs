@@ -7,11 +7,15 @@
 //! All boxes are upright in the map frame (z up). The same detections give the same objects, in whatever order
 //! a frame lists them.
 
+mod annotation;
 pub mod assignment;
 mod association;
 mod belief;
 pub mod object;
+mod motion;
+mod object_filter;
 pub mod overlap;
+mod passing;
 mod relation_filter;
 pub mod relations;
 pub mod rooms;
@@ -19,8 +23,12 @@ pub mod scene_graph;
 mod track;
 pub mod tracker;
 
+pub use annotation::{Annotation, Correction, CorrectionError, MAX_PIECES};
 pub use belief::ClassBelief;
-pub use object::{Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, Visibility};
+pub use object::{
+    Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, PastState, Visibility,
+};
+pub use object_filter::ObjectFilter;
 pub use relation_filter::RelationFilter;
 pub use relations::{Directions, NodeId, Relation, RelationFrame, RelationKind, RelationParams};
 pub use scene_graph::{Node, RoomNode, SceneGraph, SceneView};

@@ -1,5 +1,6 @@
 //! What is observed, what is tracked, and what may change about it.
 
+use crate::Annotation;
 use nalgebra::Vector3;
 use percept_geometry::{ObjectClass, OrientedBox3, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -72,24 +73,26 @@ pub enum ObjectState {
 }
 
 /// A tracked thing in the map frame.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Object {
     /// Identity.
     pub id: ObjectId,
-    /// Likeliest class over all observations.
+    /// What a person said that it is, else the likeliest class over all observations.
     pub class: ObjectClass,
-    /// Probability of that class, 0..1.
+    /// Probability of that class, 0..1; 1 if a person said so.
     pub confidence: f64,
-    /// Probabilities in the order of [`ObjectClass::ALL`], sum 1. Read back from a list of fewer, the classes that it
-    /// does not know have 0.
-    #[serde(deserialize_with = "of_known_classes")]
-    pub class_probabilities: [f64; ObjectClass::ALL.len()],
+    /// Probabilities of the classes that it was taken for, likeliest first; what they lack to 1 is shared by all others.
+    #[serde(deserialize_with = "listed_or_in_order")]
+    pub class_probabilities: Vec<(ObjectClass, f64)>,
     /// Upright box in the map frame, metres; where it was last seen if gone.
     pub bbox: OrientedBox3,
     /// What it does.
     pub state: ObjectState,
     /// Velocity in the map frame, m/s; zero unless moving.
     pub velocity_mps: Vector3<f64>,
+    /// Variance of the velocity along x, and along y, (m/s)²; zero unless moving.
+    #[serde(default)]
+    pub velocity_variance: f64,
     /// Stamp of the first observation.
     pub first_seen: Timestamp,
     /// Stamp of the newest observation.
@@ -98,17 +101,68 @@ pub struct Object {
     pub observation_count: u64,
     /// Points of the best observation that the box rests on.
     pub num_points: usize,
+    /// What people said of it.
+    #[serde(default, skip_serializing_if = "Annotation::is_empty")]
+    pub annotation: Annotation,
+    /// What it was before, oldest first, ascending by stamp.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub history: Vec<PastState>,
 }
 
-/// Probabilities of the classes that there were when it was written, padded by 0 for those that came after.
-fn of_known_classes<'de, D: serde::Deserializer<'de>>(from: D) -> Result<[f64; ObjectClass::ALL.len()], D::Error> {
-    let stored = Vec::<f64>::deserialize(from)?;
-    let mut all = [0.0; ObjectClass::ALL.len()];
-    let known = all.get_mut(..stored.len()).ok_or_else(|| {
-        serde::de::Error::invalid_length(stored.len(), &"at most as many probabilities as there are classes")
-    })?;
-    known.copy_from_slice(&stored);
-    Ok(all)
+/// What an object was from a stamp on.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PastState {
+    /// From then on.
+    pub stamp: Timestamp,
+    /// Class.
+    pub class: ObjectClass,
+    /// What it did.
+    pub state: ObjectState,
+    /// Upright box, map frame as it is now.
+    pub bbox: OrientedBox3,
+}
+
+impl Object {
+    /// The object as it was at a stamp: class, state and box of then. None before it was known.
+    pub fn at(&self, stamp: Timestamp) -> Option<Self> {
+        let later = self.history.partition_point(|h| h.stamp <= stamp);
+        let past = match later.checked_sub(1) {
+            Some(i) if later < self.history.len() => self.history[i],
+            // Since the last change.
+            Some(_) => return Some(self.clone()),
+            None if !self.history.is_empty() || stamp < self.first_seen => return None,
+            None => return Some(self.clone()),
+        };
+        let (history, velocity_mps) = (self.history[..later].to_vec(), Vector3::zeros());
+        let (class, state, bbox) = (past.class, past.state, past.bbox);
+        let velocity_variance = 0.0;
+        Some(Self { class, state, bbox, velocity_mps, velocity_variance, history, last_seen: self.last_seen.min(stamp), ..self.clone() })
+    }
+}
+
+/// Pairs of class and probability; or, of earlier versions, the probabilities alone in the order of [`ObjectClass::BUILT_IN`], all
+/// of them or a beginning.
+fn listed_or_in_order<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Vec<(ObjectClass, f64)>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Stored {
+        Listed(Vec<(ObjectClass, f64)>),
+        InOrder(Vec<f64>),
+    }
+    let in_order = match Stored::deserialize(from)? {
+        Stored::Listed(listed) => return Ok(listed),
+        Stored::InOrder(in_order) => in_order,
+    };
+    if in_order.len() > ObjectClass::BUILT_IN.len() {
+        let wanted = "at most as many probabilities as there are classes";
+        return Err(serde::de::Error::invalid_length(in_order.len(), &wanted));
+    }
+    // Those that it was never taken for share the least.
+    let least = in_order.iter().copied().fold(f64::INFINITY, f64::min);
+    let named = ObjectClass::BUILT_IN.into_iter().zip(in_order).filter(|p| p.1 > least * (1.0 + 1e-9));
+    let mut listed: Vec<(ObjectClass, f64)> = named.collect();
+    listed.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    Ok(listed)
 }
 
 /// What happened to an object in an update.

@@ -89,6 +89,23 @@ fn distance_to_segment(p: &Point2<f64>, a: &Point2<f64>, b: &Point2<f64>) -> f64
     (a + ab * s - p).norm()
 }
 
+/// The smallest upright box with the yaw of `a` that holds both.
+pub fn hull(a: &OrientedBox3, b: &OrientedBox3) -> OrientedBox3 {
+    let yaw = se3::yaw(&a.t_frame_box);
+    let along = |p: &Point2<f64>| nalgebra::Rotation2::new(-yaw) * p;
+    let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
+    for bbox in [a, b] {
+        let (from, to) = z_range(bbox);
+        for p in bbox.footprint().iter().map(along) {
+            low = low.inf(&Vector3::new(p.x, p.y, from));
+            high = high.sup(&Vector3::new(p.x, p.y, to));
+        }
+    }
+    let middle = 0.5 * (low + high);
+    let flat = nalgebra::Rotation2::new(yaw) * Point2::new(middle.x, middle.y);
+    OrientedBox3::upright(nalgebra::Point3::new(flat.x, flat.y, middle.z), high - low, yaw)
+}
+
 /// The box a share `s` of the way from `a` (0) to `b` (1), along the shorter turn.
 ///
 /// A box turned by a quarter with x and y exchanged is the same box: the description of `b` nearest to `a` counts.

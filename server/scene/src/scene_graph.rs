@@ -124,7 +124,7 @@ impl SceneGraph {
     pub fn build(view: &SceneView<'_>, params: &RelationParams, whose: Option<Directions>) -> Self {
         let SceneView { stamp, map_version, t_map_base, objects, rooms, names } = *view;
         let mut nodes = vec![Node::Robot { t_map_base: *t_map_base }];
-        nodes.extend(objects.iter().filter(|o| o.state != ObjectState::Gone).map(|o| Node::Object(*o)));
+        nodes.extend(objects.iter().filter(|o| o.state != ObjectState::Gone).map(|o| Node::Object(o.clone())));
         nodes.sort_by_key(Node::id);
         let placed = |node: &Node| {
             let (bbox, class) = match node {

@@ -1,14 +1,19 @@
 //! One thing followed through time: its box, class, motion and how often it was missed.
 
-use crate::{ClassBelief, Object, ObjectChangeKind, ObjectId, ObjectState, Observation, TrackerParams, overlap};
+use crate::{
+    Annotation, ClassBelief, Object, ObjectChangeKind, ObjectId, ObjectState, Observation, PastState, TrackerParams, overlap,
+};
+use crate::motion::Motion;
 use nalgebra::Vector3;
-use percept_geometry::{OrientedBox3, Timestamp};
+use percept_geometry::{ObjectClass, OrientedBox3, Timestamp};
 
 /// Share of the box's support that stays from one observation to the next: a map that was corrected may give
 /// fewer points than before, and is to be believed after some twenty looks.
 const SUPPORT_DECAY: f64 = 0.95;
 /// A box moved by more than this (m) since it was last reported is reported again.
 const REPORT_DISTANCE_M: f64 = 0.05;
+/// States of the past that are kept of an object: of more the second oldest is forgotten, so that its first stays.
+const MAX_HISTORY: usize = 64;
 /// Observations in a row away from the anchor that make a movement: one alone may be a bad box.
 const OBSERVATIONS_AWAY: u32 = 2;
 
@@ -29,7 +34,9 @@ pub(crate) struct Track {
     pub(crate) refuted: u32,
     /// Updates in a row in which its place was occupied, but detected as a part of a larger object.
     pub(crate) swallowed: u32,
-    velocity: Vector3<f64>,
+    motion: Motion,
+    /// Whether it is followed by what moves from frame to frame, beside what keyframes show.
+    pub(crate) is_passing: bool,
     /// Where it stood when it was last known to move (or was first seen).
     anchor: OrientedBox3,
     anchor_stamp: Timestamp,
@@ -39,6 +46,8 @@ pub(crate) struct Track {
     support: f64,
     num_points: usize,
     reported: OrientedBox3,
+    pub(crate) annotation: Annotation,
+    history: Vec<PastState>,
 }
 
 impl Track {
@@ -58,7 +67,8 @@ impl Track {
             seen_through: 0,
             refuted: 0,
             swallowed: 0,
-            velocity: Vector3::zeros(),
+            motion: Motion::at(stamp, bbox.center()),
+            is_passing: false,
             anchor: bbox,
             anchor_stamp: stamp,
             away: 0,
@@ -66,6 +76,8 @@ impl Track {
             support: observation.num_points.max(1) as f64,
             num_points: observation.num_points,
             reported: bbox,
+            annotation: Annotation::default(),
+            history: Vec::new(),
         }
     }
 
@@ -82,7 +94,8 @@ impl Track {
             seen_through: 0,
             refuted: 0,
             swallowed: 0,
-            velocity: object.velocity_mps,
+            motion: Motion::at(object.last_seen, object.bbox.center()).with_velocity(object.velocity_mps),
+            is_passing: false,
             anchor: object.bbox,
             anchor_stamp: object.last_seen,
             away: 0,
@@ -90,11 +103,57 @@ impl Track {
             support: object.num_points.max(1) as f64,
             num_points: object.num_points,
             reported: object.bbox,
+            annotation: object.annotation,
+            history: object.history.clone(),
+        }
+    }
+
+    /// A piece of another, as a person drew it.
+    pub(crate) fn drawn(whole: &Self, id: ObjectId, bbox: &OrientedBox3) -> Self {
+        let bbox = overlap::upright(bbox);
+        let annotation = Annotation { class: whole.annotation.class, is_drawn: true, ..Annotation::default() };
+        let mut piece = Self {
+            id: Some(id),
+            bbox,
+            anchor: bbox,
+            reported: bbox,
+            before: None,
+            state: ObjectState::Static,
+            motion: Motion::at(whole.last_seen, bbox.center()),
+            is_passing: false,
+            annotation,
+            history: Vec::new(),
+            ..whole.clone()
+        };
+        (piece.seen_through, piece.refuted, piece.swallowed, piece.away) = (0, 0, 0, 0);
+        piece
+    }
+
+    /// What a person said that it is, else the likeliest class; and how sure that is, 0..1.
+    pub(crate) fn class(&self) -> (ObjectClass, f64) {
+        self.annotation.class.map_or_else(|| self.belief.best(), |class| (class, 1.0))
+    }
+
+    /// Writes down what it is from when it was last seen on.
+    pub(crate) fn remember(&mut self) {
+        self.remember_at(self.last_seen);
+    }
+
+    /// Writes down what it is from a stamp on.
+    pub(crate) fn remember_at(&mut self, stamp: Timestamp) {
+        let stamp = self.history.last().map_or(stamp, |h| h.stamp.max(stamp));
+        let now = PastState { stamp, class: self.class().0, state: self.state, bbox: self.bbox };
+        match self.history.last_mut() {
+            Some(last) if last.stamp == stamp => *last = now,
+            _ => self.history.push(now),
+        }
+        if self.history.len() > MAX_HISTORY {
+            self.history.remove(1);
         }
     }
 
     pub(crate) fn to_object(&self) -> Option<Object> {
-        let (class, confidence) = self.belief.best();
+        let (class, confidence) = self.class();
         Some(Object {
             id: self.id?,
             class,
@@ -102,11 +161,14 @@ impl Track {
             class_probabilities: self.belief.probabilities(),
             bbox: self.bbox,
             state: self.state,
-            velocity_mps: if self.state == ObjectState::Moving { self.velocity } else { Vector3::zeros() },
+            velocity_mps: if self.state == ObjectState::Moving { self.motion.velocity() } else { Vector3::zeros() },
+            velocity_variance: if self.state == ObjectState::Moving { self.motion.velocity_variance() } else { 0.0 },
             first_seen: self.first_seen,
             last_seen: self.last_seen,
             observation_count: self.observation_count,
             num_points: self.num_points,
+            annotation: self.annotation,
+            history: self.history.clone(),
         })
     }
 
@@ -115,9 +177,14 @@ impl Track {
         let mut out = self.bbox;
         if self.state == ObjectState::Moving {
             let elapsed = stamp.seconds_since(self.last_seen).clamp(0.0, coast_s);
-            out.t_frame_box.translation.vector += self.velocity * elapsed;
+            out.t_frame_box.translation.vector += self.motion.velocity() * elapsed;
         }
         out
+    }
+
+    /// Whether something seen there may be this, which is on its way.
+    pub(crate) fn may_be_at(&self, seen: &OrientedBox3, stamp: Timestamp) -> bool {
+        self.motion.predicted(stamp, f64::INFINITY).may_be_at(&seen.center())
     }
 
     /// Takes an observation in; what changed about a confirmed track is pushed to `changes`.
@@ -129,15 +196,15 @@ impl Track {
         changes: &mut Vec<ObjectChangeKind>,
     ) {
         let seen = overlap::upright(&observation.bbox);
-        let class_before = self.belief.best().0;
+        let class_before = self.class().0;
         self.belief.observe(observation.class, observation.confidence, params.class_memory);
-        let class_now = self.belief.best().0;
+        let class_now = self.class().0;
         if class_now != class_before {
             changes.push(ObjectChangeKind::Reclassified { from: class_before, to: class_now });
         }
         if self.state == ObjectState::Gone {
             self.state = ObjectState::Static;
-            (self.bbox, self.anchor, self.velocity) = (seen, seen, Vector3::zeros());
+            (self.bbox, self.anchor, self.motion) = (seen, seen, Motion::at(stamp, seen.center()));
             (self.away, self.before) = (0, None);
             changes.push(ObjectChangeKind::Reappeared);
         }
@@ -149,6 +216,9 @@ impl Track {
         }
         self.observation_count += 1;
         (self.seen_through, self.refuted, self.swallowed) = (0, 0, 0);
+        if !changes.is_empty() && self.id.is_some() {
+            self.remember_at(stamp);
+        }
         if self.differs_from_report() {
             self.reported = self.bbox;
             changes.push(ObjectChangeKind::Updated);
@@ -165,11 +235,7 @@ impl Track {
         params: &TrackerParams,
         changes: &mut Vec<ObjectChangeKind>,
     ) {
-        let elapsed = stamp.seconds_since(self.last_seen);
-        if elapsed > 0.0 {
-            let measured = (seen.center() - self.bbox.center()) / elapsed;
-            self.velocity = 0.5 * (self.velocity + measured);
-        }
+        self.motion.observe(stamp, &seen.center());
         let away = (seen.center() - self.anchor.center()).norm() > params.moving_distance_m
             && overlap::share_of_smaller(seen, &self.anchor) < 0.5;
         self.away = if away { self.away + 1 } else { 0 };
@@ -186,7 +252,7 @@ impl Track {
             }
         } else if self.state == ObjectState::Moving && stamp.seconds_since(self.anchor_stamp) > params.settle_s {
             self.state = ObjectState::Static;
-            self.velocity = Vector3::zeros();
+            (self.motion, self.is_passing) = (Motion::at(stamp, seen.center()), false);
             self.anchor = *seen;
             changes.push(ObjectChangeKind::Stopped);
         }
@@ -222,9 +288,13 @@ impl Track {
         if other.last_seen > self.last_seen || (other.last_seen == self.last_seen && other.support > self.support) {
             (self.bbox, self.support, self.num_points) = (other.bbox, other.support, other.num_points);
             (self.anchor, self.anchor_stamp) = (other.anchor, other.anchor_stamp);
-            (self.state, self.velocity) = (other.state, other.velocity);
+            (self.state, self.motion) = (other.state, other.motion.clone());
         }
         self.belief = self.belief.pooled(&other.belief);
+        self.history.extend(&other.history);
+        self.history.sort_by_key(|h| h.stamp);
+        let excess = self.history.len().saturating_sub(MAX_HISTORY);
+        self.history.drain(1.min(excess)..1.min(excess) + excess);
         self.first_seen = self.first_seen.min(other.first_seen);
         self.last_seen = self.last_seen.max(other.last_seen);
         self.observation_count += other.observation_count;
@@ -237,7 +307,8 @@ impl Track {
         for b in [&mut self.bbox, &mut self.anchor, &mut self.reported] {
             *b = overlap::upright(&b.transformed(t_new_old));
         }
+        self.history.iter_mut().for_each(|h| h.bbox = overlap::upright(&h.bbox.transformed(t_new_old)));
         self.before = self.before.map(|b| overlap::upright(&b.transformed(t_new_old)));
-        self.velocity = t_new_old.rotation * self.velocity;
+        self.motion.transform(t_new_old);
     }
 }

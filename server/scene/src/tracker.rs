@@ -7,6 +7,7 @@ use crate::{overlap, within};
 use percept_geometry::{OrientedBox3, Pose, Timestamp, se3};
 use serde::{Deserialize, Serialize};
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 
 /// How objects are followed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -90,13 +91,16 @@ impl TrackerParams {
     }
 }
 
+/// Share of the smaller of two boxes from which what a keyframe shows is what was seen passing there.
+const SAME_AS_PASSING: f64 = 0.5;
+
 /// Follows objects from update to update.
 #[derive(Debug, Clone)]
 pub struct Tracker {
-    params: TrackerParams,
+    pub(crate) params: TrackerParams,
     /// In the order of birth.
-    tracks: Vec<Track>,
-    next_id: u64,
+    pub(crate) tracks: Vec<Track>,
+    pub(crate) next_id: u64,
 }
 
 impl Tracker {
@@ -136,7 +140,7 @@ impl Tracker {
         self.next_id
     }
 
-    /// The confirmed objects, those that are gone included, ascending by id. Copies.
+    /// The confirmed objects, ascending by id: those that are gone included, and those that people set aside. Copies.
     pub fn objects(&self) -> Vec<Object> {
         let mut out: Vec<Object> = self.tracks.iter().filter_map(Track::to_object).collect();
         out.sort_by_key(|o| o.id);
@@ -156,7 +160,11 @@ impl Tracker {
     ) -> Vec<ObjectChange> {
         let mut observations: Vec<Observation> = observations.iter().filter(|o| o.is_usable()).copied().collect();
         observations.sort_by(canonical_order);
-        let assigned = associate(&self.tracks, &observations, stamp, &self.params);
+        // What passes is followed by itself.
+        let passing: Vec<OrientedBox3> =
+            self.tracks.iter().filter(|t| t.is_passing).map(|t| t.predicted(stamp, self.params.coast_s)).collect();
+        observations.retain(|o| passing.iter().all(|b| overlap::share_of_smaller(&o.bbox, b) < SAME_AS_PASSING));
+        let assigned = associate(&self.tracks, &observations, stamp, &self.params, |t| !t.is_passing);
         let mut changes = Vec::new();
         self.observe(stamp, &observations, &assigned, &mut changes);
         let seen: Vec<bool> = assigned.iter().map(Option::is_some).collect();
@@ -165,6 +173,7 @@ impl Tracker {
         let free = |o: &usize| !assigned.contains(&Some(*o));
         let born: Vec<Observation> = (0..observations.len()).filter(free).map(|o| observations[o]).collect();
         self.give_birth(stamp, &born, &mut changes);
+        self.tell_of_wholes(&mut changes);
         changes.sort_by_key(|c| c.id);
         changes
     }
@@ -175,6 +184,24 @@ impl Tracker {
         for track in &mut self.tracks {
             let t = t_new_old(&track.bbox, track.last_seen);
             track.transform(&t);
+        }
+    }
+
+    /// What people set aside is not told of; of a part its whole is.
+    pub(crate) fn tell_of_wholes(&self, changes: &mut Vec<ObjectChange>) {
+        let aside: BTreeMap<ObjectId, Option<ObjectId>> = (self.tracks.iter())
+            .filter(|t| !t.annotation.is_listed())
+            .filter_map(|t| Some((t.id?, t.annotation.part_of)))
+            .collect();
+        if aside.is_empty() {
+            return;
+        }
+        let wholes: Vec<ObjectId> = changes.iter().filter_map(|c| *aside.get(&c.id)?).collect();
+        changes.retain(|c| !aside.contains_key(&c.id));
+        for id in wholes {
+            if changes.iter().all(|c| c.id != id) {
+                changes.push(ObjectChange { id, kind: ObjectChangeKind::Updated });
+            }
         }
     }
 
@@ -194,6 +221,7 @@ impl Tracker {
                 changes.extend(kinds.iter().map(|&kind| ObjectChange { id, kind }));
             } else if track.looks >= self.params.confirm_observations {
                 track.id = Some(confirm(&mut self.next_id, changes));
+                track.remember_at(track.first_seen);
             }
         }
     }
@@ -207,7 +235,8 @@ impl Tracker {
         changes: &mut Vec<ObjectChange>,
     ) -> Vec<usize> {
         let mut removed = Vec::new();
-        for i in (0..self.tracks.len()).filter(|&i| !seen[i]) {
+        let missed: Vec<usize> = (0..self.tracks.len()).filter(|&i| !seen[i] && !self.tracks[i].is_passing).collect();
+        for i in missed {
             if self.tracks[i].state == ObjectState::Gone {
                 continue;
             }
@@ -224,13 +253,14 @@ impl Tracker {
                 Visibility::Refuted => track.refuted += 1,
                 Visibility::Unseen => {}
             }
-            if track.refuted >= self.params.swallow_observations {
+            let is_said = !track.annotation.is_empty();
+            if track.refuted >= self.params.swallow_observations && !is_said {
                 removed.push(i);
                 changes.extend(track.id.map(|id| ObjectChange { id, kind: ObjectChangeKind::Forgotten }));
                 continue;
             }
             track.swallowed = if whole.is_some() { track.swallowed + 1 } else { track.swallowed };
-            if let Some(whole) = whole.filter(|_| track.swallowed >= self.params.swallow_observations) {
+            if let Some(whole) = whole.filter(|_| track.swallowed >= self.params.swallow_observations && !is_said) {
                 removed.push(self.merge(i, whole, changes));
                 continue;
             }
@@ -249,6 +279,12 @@ impl Tracker {
                 track.state == ObjectState::Moving && missed_s > self.params.coast_s + self.params.gone_after_s;
             if was_seen_through || has_gone_on {
                 track.state = ObjectState::Gone;
+                track.remember_at(stamp);
+                if track.annotation.is_deleted {
+                    // What stands there from now on is something else.
+                    removed.push(i);
+                    continue;
+                }
                 changes.push(ObjectChange { id, kind: ObjectChangeKind::Gone });
             }
         }
@@ -261,7 +297,7 @@ impl Tracker {
         let missed = &self.tracks[i];
         let resting = |t: &Track| t.state == ObjectState::Static;
         let overlaps = |j: &usize| overlap::iou(&missed.bbox, &self.tracks[*j].bbox) >= self.params.merge_iou;
-        if !resting(missed) {
+        if !resting(missed) || !missed.annotation.is_empty() {
             return None;
         }
         let candidates = (0..self.tracks.len()).filter(|&j| seen[j] && !removed.contains(&j));
@@ -275,9 +311,9 @@ impl Tracker {
         (0..self.tracks.len()).find(|&j| seen[j] && !removed.contains(&j) && holds(&self.tracks[j].bbox))
     }
 
-    /// Makes one track of two; the older confirmed one's identity stays. Returns the index that is free now.
+    /// Makes one track of two; the identity of the one that people spoke of stays, else the older confirmed one's. Returns the index that is free now.
     fn merge(&mut self, missed: usize, seen: usize, changes: &mut Vec<ObjectChange>) -> usize {
-        let age = |i: usize| (self.tracks[i].id.is_none(), self.tracks[i].id, i);
+        let age = |i: usize| (self.tracks[i].annotation.is_empty(), self.tracks[i].id.is_none(), self.tracks[i].id, i);
         let (keep, lose) = if age(missed) < age(seen) { (missed, seen) } else { (seen, missed) };
         let lost = self.tracks[lose].clone();
         self.tracks[keep].absorb(&lost);
@@ -287,7 +323,7 @@ impl Tracker {
         lose
     }
 
-    fn remove(&mut self, ascending: &[usize]) {
+    pub(crate) fn remove(&mut self, ascending: &[usize]) {
         let mut index = 0;
         self.tracks.retain(|_| {
             index += 1;
@@ -298,7 +334,7 @@ impl Tracker {
     fn give_birth(&mut self, stamp: Timestamp, born: &[Observation], changes: &mut Vec<ObjectChange>) {
         let over = (self.tracks.len() + born.len()).saturating_sub(self.params.max_objects);
         let mut gone: Vec<(Timestamp, Option<ObjectId>, usize)> = (0..self.tracks.len())
-            .filter(|&i| self.tracks[i].state == ObjectState::Gone)
+            .filter(|&i| self.tracks[i].state == ObjectState::Gone && self.tracks[i].annotation.is_empty())
             .map(|i| (self.tracks[i].last_seen, self.tracks[i].id, i))
             .collect();
         gone.sort_unstable();
@@ -313,13 +349,14 @@ impl Tracker {
             let mut track = Track::new(observation, stamp, &self.params);
             if self.params.confirm_observations <= track.looks {
                 track.id = Some(confirm(&mut self.next_id, changes));
+                track.remember_at(stamp);
             }
             self.tracks.push(track);
         }
     }
 }
 
-fn confirm(next_id: &mut u64, changes: &mut Vec<ObjectChange>) -> ObjectId {
+pub(crate) fn confirm(next_id: &mut u64, changes: &mut Vec<ObjectChange>) -> ObjectId {
     let id = ObjectId(*next_id);
     *next_id += 1;
     changes.push(ObjectChange { id, kind: ObjectChangeKind::Appeared });
@@ -327,7 +364,7 @@ fn confirm(next_id: &mut u64, changes: &mut Vec<ObjectChange>) -> ObjectId {
 }
 
 /// An order that depends on what was seen only, so that the order of detection does not matter.
-fn canonical_order(a: &Observation, b: &Observation) -> Ordering {
+pub(crate) fn canonical_order(a: &Observation, b: &Observation) -> Ordering {
     let key = |o: &Observation| {
         let (c, s) = (o.bbox.center(), o.bbox.size);
         [c.x, c.y, c.z, s.x, s.y, s.z, se3::yaw(&o.bbox.t_frame_box), o.confidence, o.num_points as f64]

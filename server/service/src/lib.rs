@@ -41,6 +41,7 @@ pub use ops::path_picture::{self, Drawing, DrawnPath, PathPicture};
 pub use ops::path_watch::{PathChange, PathUpdate, PathWatch};
 pub use ops::pictures;
 pub use ops::rooms::{self, RoomRoute, RoomWanted, SessionRooms};
+pub use ops::scene::{ClassInfo, ObjectQuery};
 pub use ops::server::{About, ServerInfo};
 pub use ops::sessions::{NewSession, Page, SessionDescription, SessionList, SessionOrder, SessionOrderKey};
 pub use ops::toolbox;

@@ -32,12 +32,14 @@ macro_rules! reasons {
 reasons! {
     InvalidArgument {
         BODY_BROKEN: "The body ended before its length; send it whole.",
+        CLASS_NAME_INVALID: "The name of a class is empty, longer than 31 bytes, or has control characters.",
         CLOCK_SET_BACK: "The sensor's stamps lie far before its last; if that one was wrong, declare the sensor under another name; if the robot's clock was set back, all its sensors, with a time_offset_s.",
         CLOUD_DEGENERATE: "All points of the cloud are one; check the driver.",
         CLOUD_EMPTY: "The cloud has no finite point; check the sensor.",
         COLOUR_SIZE_MISMATCH: "Depth and colour have different sizes; register them to each other first.",
         CONTENT_ENCODING_UNSUPPORTED: "The body is compressed in a way that is not read; send it as it is, or as gzip.",
         CORRESPONDENCES_TOO_FEW: "There are fewer pairs of points than the method needs; send more.",
+        CORRECTION_INVALID: "The correction cannot be made of this object; the message says why.",
         COVARIANCE_NOT_SYMMETRIC: "A covariance is not symmetric; send both halves alike.",
         DESCRIPTORS_DIFFER: "Features of two methods cannot be compared; extract both with one.",
         DISPLAY_NAME_INVALID: "A display name is too long, or cannot be shown.",
@@ -107,6 +109,7 @@ reasons! {
         VOXEL_TOO_SMALL: "The voxels are too small for the cloud's extent; make them larger.",
     }
     NotFound {
+        CLASS_NOT_FOUND: "No examples of this class were given in the session; list its classes.",
         CLOUD_NOT_FOUND: "No cloud is kept under this handle; it was dropped or forgotten: upload it again.",
         FILE_NOT_FOUND: "A map has no file of this name; the message lists them.",
         FRAME_NOT_FOUND: "The session has no frame of this name; the message lists them.",
@@ -130,6 +133,7 @@ reasons! {
         NO_POSE_YET: "No frame was registered yet; send frames first.",
         NOT_RESTORABLE: "The session's map cannot be built from what is stored; the server's log has the cause.",
         ODOM_NOT_KNOWN: "The pose in odom was not kept for that time: lengths were in a unit of their own.",
+        OBJECT_NOT_IN_MAP: "The object is not found in the map as it is now, so that nothing can be learned from it; label it alone, or look at it again.",
         OPERATION_CANCELLED: "The operation was cancelled before it was done; start it again.",
         OPERATION_NOT_DONE: "The operation has no result yet; wait for its end.",
         OPERATION_UNDER_WAY: "The operation has not ended; cancel it, or wait for its end.",
@@ -160,6 +164,7 @@ reasons! {
         SAMPLE_TOO_LARGE: "More points are to be sampled than the method can; ask for fewer.",
         SCAN_TOO_LARGE: "The scan has more beams than limits.max_cloud_points.",
         SERVER_BUSY: "As many requests wait to be computed as may; try again.",
+        TOO_MANY_EXAMPLES: "The session keeps as many examples of classes as it may; forget a class.",
         TOO_MANY_OPERATIONS: "As many operations are kept as may; delete some that have ended, or wait.",
         TOO_MANY_QUERIES: "More points, rays or boxes than are answered at a time; ask in several.",
         TOO_MANY_ROOM_NAMES: "As many rooms have names as may; take some away.",

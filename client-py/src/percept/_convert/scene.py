@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from .. import _rpc
 from .._call import Call, PagedCall
+from ..types.geometry import OrientedBox
 from ..types.scene import (
     Detection,
     Door,
     Object,
+    ObjectAnnotation,
     ObjectChange,
     ObjectChangeKind,
     ObjectClass,
+    ObjectClassInfo,
     ObjectState,
+    PastObjectState,
     Place,
     PlaceLink,
     Relation,
@@ -43,6 +50,7 @@ def tracked(message: object_pb2.Object) -> Object:
     """An object."""
     return Object(
         object_id=message.object_id,
+        label=message.label,
         object_class=words.word(ObjectClass, object_pb2.ObjectClass, message.object_class),
         confidence=message.confidence,
         box=geometry.box(message.box),
@@ -50,13 +58,35 @@ def tracked(message: object_pb2.Object) -> Object:
         first_seen_ns=message.first_seen_ns,
         last_seen_ns=message.last_seen_ns,
         num_observations=message.num_observations,
+        class_probabilities={p.label: p.probability for p in message.class_probabilities},
+        annotation=ObjectAnnotation(
+            label=message.annotation.label,
+            is_deleted=message.annotation.is_deleted,
+            part_of=message.annotation.part_of if message.annotation.HasField("part_of") else None,
+            is_drawn=message.annotation.is_drawn,
+        ),
+        history=tuple(_past(h) for h in message.history),
+    )
+
+
+def _past(message: object_pb2.PastObjectState) -> PastObjectState:
+    return PastObjectState(
+        stamp_ns=message.stamp_ns,
+        label=message.label,
+        state=words.word(ObjectState, object_pb2.ObjectState, message.state),
+        box=geometry.box(message.box),
     )
 
 
 def object_change(message: object_pb2.ObjectChange) -> ObjectChange:
     """A change."""
     kind = words.word(ObjectChangeKind, object_pb2.ObjectChangeKind, message.kind)
-    return ObjectChange(kind=kind, object=tracked(message.object))
+    return ObjectChange(
+        object_id=message.object_id,
+        kind=kind,
+        object=tracked(message.object) if message.HasField("object") else None,
+        merged_into=message.merged_into if message.HasField("merged_into") else None,
+    )
 
 
 def features(message: object_pb2.ShapeFeatures) -> ShapeFeatures:
@@ -169,13 +199,34 @@ def graph(message: scene_pb2.SceneGraph) -> SceneGraph:
 
 
 def list_objects(
-    session_id: str, object_class: ObjectClass | str | None, include_gone: bool, page_size: int
+    session_id: str,
+    *,
+    object_class: ObjectClass | str | None,
+    text: str,
+    low: Sequence[float] | None,
+    high: Sequence[float] | None,
+    room_id: int | None,
+    seen_since_ns: int | None,
+    seen_until_ns: int | None,
+    near: Sequence[float] | None,
+    at_ns: int | None,
+    include_gone: bool,
+    include_set_aside: bool,
+    page_size: int,
 ) -> PagedCall[service.ListObjectsRequest, service.ListObjectsResponse, Object]:
     request = service.ListObjectsRequest(
         session_id=session_id,
         page_size=page_size,
-        object_class=class_to("object_class", object_class or ObjectClass.UNSPECIFIED),
+        label=str(object_class or ""),
+        text=text,
+        region=geometry.box3_to("region", low, high),
+        room_id=room_id,
+        seen_since_ns=seen_since_ns,
+        seen_until_ns=seen_until_ns,
+        near=None if near is None else geometry.vector3_to("near", near),
+        at_ns=at_ns,
         include_gone=include_gone,
+        include_set_aside=include_set_aside,
     )
     return PagedCall(_rpc.LIST_OBJECTS, request, lambda a: [tracked(o) for o in a.objects])
 
@@ -187,14 +238,52 @@ def get_object(
     return Call(_rpc.GET_OBJECT, request, lambda a: tracked(a.object))
 
 
+def correct_object(
+    session_id: str, object_id: int, *, learn: bool = False, **correction: Any
+) -> Call[service.CorrectObjectRequest, service.CorrectObjectResponse, tuple[Object, ...]]:
+    """One correction: label, is_deleted, part_of or pieces."""
+    request = service.CorrectObjectRequest(
+        session_id=session_id, object_id=object_id, learn=learn, **correction
+    )
+    return Call(_rpc.CORRECT_OBJECT, request, lambda a: tuple(tracked(o) for o in a.objects))
+
+
+def pieces(boxes: Sequence[OrientedBox]) -> service.ObjectPieces:
+    """Boxes as a message."""
+    return service.ObjectPieces(boxes=[geometry.box_to(b) for b in boxes])
+
+
+def list_classes(
+    session_id: str,
+) -> Call[service.ListObjectClassesRequest, service.ListObjectClassesResponse, tuple[ObjectClassInfo, ...]]:
+    request = service.ListObjectClassesRequest(session_id=session_id)
+    return Call(_rpc.LIST_OBJECT_CLASSES, request, lambda a: tuple(_class_info(c) for c in a.classes))
+
+
+def _class_info(message: service.ObjectClassInfo) -> ObjectClassInfo:
+    return ObjectClassInfo(
+        label=message.label,
+        is_built_in=message.is_built_in,
+        num_examples=message.num_examples,
+        num_objects=message.num_objects,
+    )
+
+
+def forget_class(
+    session_id: str, label: str
+) -> Call[service.ForgetObjectClassRequest, service.ForgetObjectClassResponse, int]:
+    request = service.ForgetObjectClassRequest(session_id=session_id, label=label)
+    return Call(_rpc.FORGET_OBJECT_CLASS, request, lambda a: a.num_examples)
+
+
 def filter_to(asked: RelationFilter) -> scene_pb2.RelationFilter:
     """A filter as a message."""
     return scene_pb2.RelationFilter(
         kinds=[words.number("kinds", scene_pb2.RelationKind, kind) for kind in asked.kinds],
         subject_id=asked.subject_id,
         object_id=asked.object_id,
-        subject_class=class_to("subject_class", asked.subject_class or ObjectClass.UNSPECIFIED),
-        object_class=class_to("object_class", asked.object_class or ObjectClass.UNSPECIFIED),
+        subject_label=str(asked.subject_class or ""),
+        object_label=str(asked.object_class or ""),
         room_id=asked.room_id,
         region=geometry.box3_to("region", asked.low, asked.high),
         min_strength=asked.min_strength,
@@ -206,6 +295,7 @@ def get_graph(
     directions: RelationFrame | str | None,
     viewer_yaw_rad: float,
     asked: RelationFilter | None,
+    at_ns: int | None,
 ) -> Call[service.GetSceneGraphRequest, service.GetSceneGraphResponse, SceneGraph]:
     request = service.GetSceneGraphRequest(
         session_id=session_id,
@@ -214,6 +304,7 @@ def get_graph(
         ),
         viewer_yaw_rad=viewer_yaw_rad,
         filter=None if asked is None else filter_to(asked),
+        at_ns=at_ns,
     )
     return Call(_rpc.GET_SCENE_GRAPH, request, lambda a: graph(a.graph))
 

@@ -38,13 +38,41 @@ class ObjectState(Name):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ObjectAnnotation(Value):
+    """What people said of an object."""
+
+    #: What it is; empty if nobody said.
+    label: str
+    #: It is no thing.
+    is_deleted: bool
+    #: It is a part of that object, whose box holds it.
+    part_of: int | None
+    #: Its box was drawn by a person.
+    is_drawn: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PastObjectState(Value):
+    """What an object was from a stamp on."""
+
+    stamp_ns: int
+    label: str
+    state: ObjectState
+    #: Upright, in the map frame as it is now.
+    box: OrientedBox
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Object(Value):
     """A tracked thing."""
 
     #: Stable through the session.
     object_id: int
+    #: Name of its class, lower case: "table", or one that people or models named.
+    label: str
+    #: "unknown" if its class is none of the built-in ones.
     object_class: ObjectClass
-    #: Probability of the class.
+    #: Probability of the class; 1 if a person said what it is.
     confidence: float
     #: Upright, map frame.
     box: OrientedBox
@@ -52,6 +80,24 @@ class Object(Value):
     first_seen_ns: int
     last_seen_ns: int
     num_observations: int
+    #: Classes that it was taken for, likeliest first. What they lack to 1 is shared by all others.
+    class_probabilities: dict[str, float]
+    annotation: ObjectAnnotation
+    #: What it was before, oldest first. Only of an object that was asked for by its number.
+    history: tuple[PastObjectState, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ObjectClassInfo(Value):
+    """A class of objects in a session."""
+
+    label: str
+    #: Known without examples.
+    is_built_in: bool
+    #: Examples that people gave.
+    num_examples: int
+    #: Objects of it that are told and not gone.
+    num_objects: int
 
 
 class ObjectChangeKind(Name):
@@ -61,16 +107,27 @@ class ObjectChangeKind(Name):
     APPEARED = "appeared"
     UPDATED = "updated"
     GONE = "gone"
-    REMOVED = "removed"
+    #: It turned out to be a part of another.
+    MERGED = "merged"
+    RECLASSIFIED = "reclassified"
+    STARTED_MOVING = "started_moving"
+    STOPPED = "stopped"
+    #: It was gone and is seen again.
+    REAPPEARED = "reappeared"
+    #: It turned out to be no thing of its own, or it was gone and made room for others.
+    FORGOTTEN = "forgotten"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ObjectChange(Value):
     """A change of one object."""
 
+    object_id: int
     kind: ObjectChangeKind
-    #: After the change.
-    object: Object
+    #: After the change; none if it is no more (merged, forgotten).
+    object: Object | None
+    #: The object that it is a part of, if it was merged.
+    merged_into: int | None
 
 
 class RoomKind(Name):
@@ -251,9 +308,9 @@ class RelationFilter:
     #: "robot", "object/7", "room/3072".
     subject_id: str = ""
     object_id: str = ""
-    #: Of the subject.
+    #: Of the subject: any label.
     subject_class: ObjectClass | str | None = None
-    #: Of the object.
+    #: Of the object: any label.
     object_class: ObjectClass | str | None = None
     #: Subject or object is in this room, or is it.
     room_id: int | None = None

@@ -15,25 +15,31 @@ _sym_db = _symbol_database.Default()
 from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17percept/v1/object.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\"\x9e\x02\n\x06Object\x12\x11\n\tobject_id\x18\x01 \x01(\x04\x12-\n\x0cobject_class\x18\x02 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x12\n\nconfidence\x18\x03 \x01(\x01\x12$\n\x03\x62ox\x18\x04 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12&\n\x05state\x18\x05 \x01(\x0e\x32\x17.percept.v1.ObjectState\x12)\n\x0cvelocity_mps\x18\x06 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x15\n\rfirst_seen_ns\x18\x07 \x01(\x03\x12\x14\n\x0clast_seen_ns\x18\x08 \x01(\x03\x12\x18\n\x10num_observations\x18\t \x01(\x04\"\xab\x01\n\x0cObjectChange\x12\x11\n\tobject_id\x18\x01 \x01(\x04\x12*\n\x04kind\x18\x02 \x01(\x0e\x32\x1c.percept.v1.ObjectChangeKind\x12\'\n\x06object\x18\x03 \x01(\x0b\x32\x12.percept.v1.ObjectH\x00\x88\x01\x01\x12\x18\n\x0bmerged_into\x18\x04 \x01(\x04H\x01\x88\x01\x01\x42\t\n\x07_objectB\x0e\n\x0c_merged_into\"\xee\x02\n\rShapeFeatures\x12\x12\n\nnum_points\x18\x01 \x01(\r\x12%\n\x08\x63\x65ntroid\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3\x12%\n\x08\x65xtent_m\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x11\n\tvolume_m3\x18\x04 \x01(\x01\x12+\n\x0e\x65igenvalues_m2\x18\x05 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x11\n\tlinearity\x18\x06 \x01(\x01\x12\x11\n\tplanarity\x18\x07 \x01(\x01\x12\x12\n\nsphericity\x18\x08 \x01(\x01\x12(\n\x0bvariance_m2\x18\t \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x16\n\x0ehull_volume_m3\x18\n \x01(\x01\x12\x14\n\x0chull_area_m2\x18\x0b \x01(\x01\x12)\n\x0c\x65igenvectors\x18\x0c \x03(\x0b\x32\x13.percept.v1.Vector3\"\xa1\x01\n\tDetection\x12-\n\x0cobject_class\x18\x01 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x12\n\nconfidence\x18\x02 \x01(\x01\x12$\n\x03\x62ox\x18\x03 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12+\n\x08\x66\x65\x61tures\x18\x04 \x01(\x0b\x32\x19.percept.v1.ShapeFeatures*\xe8\x02\n\x0bObjectClass\x12\x1c\n\x18OBJECT_CLASS_UNSPECIFIED\x10\x00\x12\x18\n\x14OBJECT_CLASS_UNKNOWN\x10\x01\x12\x16\n\x12OBJECT_CLASS_TABLE\x10\x02\x12\x16\n\x12OBJECT_CLASS_CHAIR\x10\x03\x12\x16\n\x12OBJECT_CLASS_SHELF\x10\x04\x12\x14\n\x10OBJECT_CLASS_BOX\x10\x05\x12\x19\n\x15OBJECT_CLASS_CYLINDER\x10\x06\x12\x17\n\x13OBJECT_CLASS_PERSON\x10\x07\x12\x14\n\x10OBJECT_CLASS_CAR\x10\x08\x12\x14\n\x10OBJECT_CLASS_VAN\x10\t\x12\x16\n\x12OBJECT_CLASS_TRUCK\x10\n\x12\x14\n\x10OBJECT_CLASS_BUS\x10\x0b\x12\x18\n\x14OBJECT_CLASS_CYCLIST\x10\x0c\x12\x1b\n\x17OBJECT_CLASS_MOTORCYCLE\x10\r*t\n\x0bObjectState\x12\x1c\n\x18OBJECT_STATE_UNSPECIFIED\x10\x00\x12\x17\n\x13OBJECT_STATE_STATIC\x10\x01\x12\x17\n\x13OBJECT_STATE_MOVING\x10\x02\x12\x15\n\x11OBJECT_STATE_GONE\x10\x03*\xe4\x02\n\x10ObjectChangeKind\x12\"\n\x1eOBJECT_CHANGE_KIND_UNSPECIFIED\x10\x00\x12\x1f\n\x1bOBJECT_CHANGE_KIND_APPEARED\x10\x01\x12\x1e\n\x1aOBJECT_CHANGE_KIND_UPDATED\x10\x02\x12\x1b\n\x17OBJECT_CHANGE_KIND_GONE\x10\x03\x12\x1d\n\x19OBJECT_CHANGE_KIND_MERGED\x10\x04\x12#\n\x1fOBJECT_CHANGE_KIND_RECLASSIFIED\x10\x05\x12%\n!OBJECT_CHANGE_KIND_STARTED_MOVING\x10\x06\x12\x1e\n\x1aOBJECT_CHANGE_KIND_STOPPED\x10\x07\x12!\n\x1dOBJECT_CHANGE_KIND_REAPPEARED\x10\x08\x12 \n\x1cOBJECT_CHANGE_KIND_FORGOTTEN\x10\tb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17percept/v1/object.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\"i\n\x10ObjectAnnotation\x12\r\n\x05label\x18\x01 \x01(\t\x12\x12\n\nis_deleted\x18\x02 \x01(\x08\x12\x14\n\x07part_of\x18\x03 \x01(\x04H\x00\x88\x01\x01\x12\x10\n\x08is_drawn\x18\x04 \x01(\x08\x42\n\n\x08_part_of\"6\n\x10\x43lassProbability\x12\r\n\x05label\x18\x01 \x01(\t\x12\x13\n\x0bprobability\x18\x02 \x01(\x01\"\x80\x01\n\x0fPastObjectState\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12\r\n\x05label\x18\x02 \x01(\t\x12&\n\x05state\x18\x03 \x01(\x0e\x32\x17.percept.v1.ObjectState\x12$\n\x03\x62ox\x18\x04 \x01(\x0b\x32\x17.percept.v1.OrientedBox\"\xc8\x03\n\x06Object\x12\x11\n\tobject_id\x18\x01 \x01(\x04\x12-\n\x0cobject_class\x18\x02 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x12\n\nconfidence\x18\x03 \x01(\x01\x12$\n\x03\x62ox\x18\x04 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12&\n\x05state\x18\x05 \x01(\x0e\x32\x17.percept.v1.ObjectState\x12)\n\x0cvelocity_mps\x18\x06 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x15\n\rfirst_seen_ns\x18\x07 \x01(\x03\x12\x14\n\x0clast_seen_ns\x18\x08 \x01(\x03\x12\x18\n\x10num_observations\x18\t \x01(\x04\x12\r\n\x05label\x18\n \x01(\t\x12\x39\n\x13\x63lass_probabilities\x18\x0b \x03(\x0b\x32\x1c.percept.v1.ClassProbability\x12\x30\n\nannotation\x18\x0c \x01(\x0b\x32\x1c.percept.v1.ObjectAnnotation\x12,\n\x07history\x18\r \x03(\x0b\x32\x1b.percept.v1.PastObjectState\"\xab\x01\n\x0cObjectChange\x12\x11\n\tobject_id\x18\x01 \x01(\x04\x12*\n\x04kind\x18\x02 \x01(\x0e\x32\x1c.percept.v1.ObjectChangeKind\x12\'\n\x06object\x18\x03 \x01(\x0b\x32\x12.percept.v1.ObjectH\x00\x88\x01\x01\x12\x18\n\x0bmerged_into\x18\x04 \x01(\x04H\x01\x88\x01\x01\x42\t\n\x07_objectB\x0e\n\x0c_merged_into\"\xee\x02\n\rShapeFeatures\x12\x12\n\nnum_points\x18\x01 \x01(\r\x12%\n\x08\x63\x65ntroid\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector3\x12%\n\x08\x65xtent_m\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x11\n\tvolume_m3\x18\x04 \x01(\x01\x12+\n\x0e\x65igenvalues_m2\x18\x05 \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x11\n\tlinearity\x18\x06 \x01(\x01\x12\x11\n\tplanarity\x18\x07 \x01(\x01\x12\x12\n\nsphericity\x18\x08 \x01(\x01\x12(\n\x0bvariance_m2\x18\t \x01(\x0b\x32\x13.percept.v1.Vector3\x12\x16\n\x0ehull_volume_m3\x18\n \x01(\x01\x12\x14\n\x0chull_area_m2\x18\x0b \x01(\x01\x12)\n\x0c\x65igenvectors\x18\x0c \x03(\x0b\x32\x13.percept.v1.Vector3\"\xa1\x01\n\tDetection\x12-\n\x0cobject_class\x18\x01 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x12\n\nconfidence\x18\x02 \x01(\x01\x12$\n\x03\x62ox\x18\x03 \x01(\x0b\x32\x17.percept.v1.OrientedBox\x12+\n\x08\x66\x65\x61tures\x18\x04 \x01(\x0b\x32\x19.percept.v1.ShapeFeatures*\xe8\x02\n\x0bObjectClass\x12\x1c\n\x18OBJECT_CLASS_UNSPECIFIED\x10\x00\x12\x18\n\x14OBJECT_CLASS_UNKNOWN\x10\x01\x12\x16\n\x12OBJECT_CLASS_TABLE\x10\x02\x12\x16\n\x12OBJECT_CLASS_CHAIR\x10\x03\x12\x16\n\x12OBJECT_CLASS_SHELF\x10\x04\x12\x14\n\x10OBJECT_CLASS_BOX\x10\x05\x12\x19\n\x15OBJECT_CLASS_CYLINDER\x10\x06\x12\x17\n\x13OBJECT_CLASS_PERSON\x10\x07\x12\x14\n\x10OBJECT_CLASS_CAR\x10\x08\x12\x14\n\x10OBJECT_CLASS_VAN\x10\t\x12\x16\n\x12OBJECT_CLASS_TRUCK\x10\n\x12\x14\n\x10OBJECT_CLASS_BUS\x10\x0b\x12\x18\n\x14OBJECT_CLASS_CYCLIST\x10\x0c\x12\x1b\n\x17OBJECT_CLASS_MOTORCYCLE\x10\r*t\n\x0bObjectState\x12\x1c\n\x18OBJECT_STATE_UNSPECIFIED\x10\x00\x12\x17\n\x13OBJECT_STATE_STATIC\x10\x01\x12\x17\n\x13OBJECT_STATE_MOVING\x10\x02\x12\x15\n\x11OBJECT_STATE_GONE\x10\x03*\xe4\x02\n\x10ObjectChangeKind\x12\"\n\x1eOBJECT_CHANGE_KIND_UNSPECIFIED\x10\x00\x12\x1f\n\x1bOBJECT_CHANGE_KIND_APPEARED\x10\x01\x12\x1e\n\x1aOBJECT_CHANGE_KIND_UPDATED\x10\x02\x12\x1b\n\x17OBJECT_CHANGE_KIND_GONE\x10\x03\x12\x1d\n\x19OBJECT_CHANGE_KIND_MERGED\x10\x04\x12#\n\x1fOBJECT_CHANGE_KIND_RECLASSIFIED\x10\x05\x12%\n!OBJECT_CHANGE_KIND_STARTED_MOVING\x10\x06\x12\x1e\n\x1aOBJECT_CHANGE_KIND_STOPPED\x10\x07\x12!\n\x1dOBJECT_CHANGE_KIND_REAPPEARED\x10\x08\x12 \n\x1cOBJECT_CHANGE_KIND_FORGOTTEN\x10\tb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.object_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_OBJECTCLASS']._serialized_start=1063
-  _globals['_OBJECTCLASS']._serialized_end=1423
-  _globals['_OBJECTSTATE']._serialized_start=1425
-  _globals['_OBJECTSTATE']._serialized_end=1541
-  _globals['_OBJECTCHANGEKIND']._serialized_start=1544
-  _globals['_OBJECTCHANGEKIND']._serialized_end=1900
-  _globals['_OBJECT']._serialized_start=67
-  _globals['_OBJECT']._serialized_end=353
-  _globals['_OBJECTCHANGE']._serialized_start=356
-  _globals['_OBJECTCHANGE']._serialized_end=527
-  _globals['_SHAPEFEATURES']._serialized_start=530
-  _globals['_SHAPEFEATURES']._serialized_end=896
-  _globals['_DETECTION']._serialized_start=899
-  _globals['_DETECTION']._serialized_end=1060
+  _globals['_OBJECTCLASS']._serialized_start=1527
+  _globals['_OBJECTCLASS']._serialized_end=1887
+  _globals['_OBJECTSTATE']._serialized_start=1889
+  _globals['_OBJECTSTATE']._serialized_end=2005
+  _globals['_OBJECTCHANGEKIND']._serialized_start=2008
+  _globals['_OBJECTCHANGEKIND']._serialized_end=2364
+  _globals['_OBJECTANNOTATION']._serialized_start=66
+  _globals['_OBJECTANNOTATION']._serialized_end=171
+  _globals['_CLASSPROBABILITY']._serialized_start=173
+  _globals['_CLASSPROBABILITY']._serialized_end=227
+  _globals['_PASTOBJECTSTATE']._serialized_start=230
+  _globals['_PASTOBJECTSTATE']._serialized_end=358
+  _globals['_OBJECT']._serialized_start=361
+  _globals['_OBJECT']._serialized_end=817
+  _globals['_OBJECTCHANGE']._serialized_start=820
+  _globals['_OBJECTCHANGE']._serialized_end=991
+  _globals['_SHAPEFEATURES']._serialized_start=994
+  _globals['_SHAPEFEATURES']._serialized_end=1360
+  _globals['_DETECTION']._serialized_start=1363
+  _globals['_DETECTION']._serialized_end=1524
 # @@protoc_insertion_point(module_scope)

@@ -48,7 +48,9 @@ class _ObjectClassEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_ObjectCla
     """Motorcycle or scooter, with its rider if it has one."""
 
 class ObjectClass(_ObjectClass, metaclass=_ObjectClassEnumTypeWrapper):
-    """Classes of the built-in classifiers: indoors UNKNOWN to PERSON, outdoors UNKNOWN and PERSON to MOTORCYCLE."""
+    """Classes of the built-in classifiers: indoors UNKNOWN to PERSON, outdoors UNKNOWN and PERSON to MOTORCYCLE. Any other class has a
+    name alone: see Object.label.
+    """
 
 OBJECT_CLASS_UNSPECIFIED: ObjectClass.ValueType  # 0
 OBJECT_CLASS_UNKNOWN: ObjectClass.ValueType  # 1
@@ -135,6 +137,102 @@ OBJECT_CHANGE_KIND_FORGOTTEN: ObjectChangeKind.ValueType  # 9
 Global___ObjectChangeKind: _TypeAlias = ObjectChangeKind  # noqa: Y015
 
 @_typing.final
+class ObjectAnnotation(_message.Message):
+    """What people said of an object. See SceneService.CorrectObject."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABEL_FIELD_NUMBER: _builtins.int
+    IS_DELETED_FIELD_NUMBER: _builtins.int
+    PART_OF_FIELD_NUMBER: _builtins.int
+    IS_DRAWN_FIELD_NUMBER: _builtins.int
+    label: _builtins.str
+    """What it is; empty if nobody said."""
+    is_deleted: _builtins.bool
+    """It is no thing."""
+    part_of: _builtins.int
+    """It is a part of that object, whose box holds it."""
+    is_drawn: _builtins.bool
+    """Its box was drawn by a person."""
+    def __init__(
+        self,
+        *,
+        label: _builtins.str = ...,
+        is_deleted: _builtins.bool = ...,
+        part_of: _builtins.int | None = ...,
+        is_drawn: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_part_of", b"_part_of", "part_of", b"part_of"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_part_of", b"_part_of", "is_deleted", b"is_deleted", "is_drawn", b"is_drawn", "label", b"label", "part_of", b"part_of"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__part_of: _TypeAlias = _typing.Literal["part_of"]  # noqa: Y015
+    _WhichOneofArgType__part_of: _TypeAlias = _typing.Literal["_part_of", b"_part_of"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__part_of) -> _WhichOneofReturnType__part_of | None: ...
+
+Global___ObjectAnnotation: _TypeAlias = ObjectAnnotation  # noqa: Y015
+
+@_typing.final
+class ClassProbability(_message.Message):
+    """How likely a class is."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABEL_FIELD_NUMBER: _builtins.int
+    PROBABILITY_FIELD_NUMBER: _builtins.int
+    label: _builtins.str
+    """Name of the class."""
+    probability: _builtins.float
+    """0 to 1."""
+    def __init__(
+        self,
+        *,
+        label: _builtins.str = ...,
+        probability: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["label", b"label", "probability", b"probability"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ClassProbability: _TypeAlias = ClassProbability  # noqa: Y015
+
+@_typing.final
+class PastObjectState(_message.Message):
+    """What an object was from a stamp on."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STAMP_NS_FIELD_NUMBER: _builtins.int
+    LABEL_FIELD_NUMBER: _builtins.int
+    STATE_FIELD_NUMBER: _builtins.int
+    BOX_FIELD_NUMBER: _builtins.int
+    stamp_ns: _builtins.int
+    label: _builtins.str
+    """Name of its class."""
+    state: Global___ObjectState.ValueType
+    @_builtins.property
+    def box(self) -> _geometry_pb2.OrientedBox:
+        """Upright, in the map frame as it is now."""
+
+    def __init__(
+        self,
+        *,
+        stamp_ns: _builtins.int = ...,
+        label: _builtins.str = ...,
+        state: Global___ObjectState.ValueType = ...,
+        box: _geometry_pb2.OrientedBox | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["box", b"box"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["box", b"box", "label", b"label", "stamp_ns", b"stamp_ns", "state", b"state"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___PastObjectState: _TypeAlias = PastObjectState  # noqa: Y015
+
+@_typing.final
 class Object(_message.Message):
     """A tracked thing."""
 
@@ -149,15 +247,22 @@ class Object(_message.Message):
     FIRST_SEEN_NS_FIELD_NUMBER: _builtins.int
     LAST_SEEN_NS_FIELD_NUMBER: _builtins.int
     NUM_OBSERVATIONS_FIELD_NUMBER: _builtins.int
+    LABEL_FIELD_NUMBER: _builtins.int
+    CLASS_PROBABILITIES_FIELD_NUMBER: _builtins.int
+    ANNOTATION_FIELD_NUMBER: _builtins.int
+    HISTORY_FIELD_NUMBER: _builtins.int
     object_id: _builtins.int
     """Stable through the session."""
     object_class: Global___ObjectClass.ValueType
+    """UNKNOWN if its class is none of these: see label."""
     confidence: _builtins.float
-    """Probability of the class, 0 to 1."""
+    """Probability of the class, 0 to 1; 1 if a person said what it is."""
     state: Global___ObjectState.ValueType
     first_seen_ns: _builtins.int
     last_seen_ns: _builtins.int
     num_observations: _builtins.int
+    label: _builtins.str
+    """Name of its class, lower case: "table", or one that people or models named."""
     @_builtins.property
     def box(self) -> _geometry_pb2.OrientedBox:
         """Upright, in the map frame."""
@@ -165,6 +270,16 @@ class Object(_message.Message):
     @_builtins.property
     def velocity_mps(self) -> _geometry_pb2.Vector3:
         """Of its centre, metres per second, map frame; zero unless MOVING."""
+
+    @_builtins.property
+    def class_probabilities(self) -> _containers.RepeatedCompositeFieldContainer[Global___ClassProbability]:
+        """Classes that it was taken for, likeliest first. What they lack to 1 is shared by all others."""
+
+    @_builtins.property
+    def annotation(self) -> Global___ObjectAnnotation: ...
+    @_builtins.property
+    def history(self) -> _containers.RepeatedCompositeFieldContainer[Global___PastObjectState]:
+        """What it was before, oldest first. Only in GetObject."""
 
     def __init__(
         self,
@@ -178,10 +293,14 @@ class Object(_message.Message):
         first_seen_ns: _builtins.int = ...,
         last_seen_ns: _builtins.int = ...,
         num_observations: _builtins.int = ...,
+        label: _builtins.str = ...,
+        class_probabilities: _abc.Iterable[Global___ClassProbability] | None = ...,
+        annotation: Global___ObjectAnnotation | None = ...,
+        history: _abc.Iterable[Global___PastObjectState] | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["box", b"box", "velocity_mps", b"velocity_mps"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["annotation", b"annotation", "box", b"box", "velocity_mps", b"velocity_mps"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["box", b"box", "confidence", b"confidence", "first_seen_ns", b"first_seen_ns", "last_seen_ns", b"last_seen_ns", "num_observations", b"num_observations", "object_class", b"object_class", "object_id", b"object_id", "state", b"state", "velocity_mps", b"velocity_mps"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["annotation", b"annotation", "box", b"box", "class_probabilities", b"class_probabilities", "confidence", b"confidence", "first_seen_ns", b"first_seen_ns", "history", b"history", "label", b"label", "last_seen_ns", b"last_seen_ns", "num_observations", b"num_observations", "object_class", b"object_class", "object_id", b"object_id", "state", b"state", "velocity_mps", b"velocity_mps"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

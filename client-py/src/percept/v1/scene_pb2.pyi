@@ -270,6 +270,8 @@ class RelationFilter(_message.Message):
     ROOM_ID_FIELD_NUMBER: _builtins.int
     REGION_FIELD_NUMBER: _builtins.int
     MIN_STRENGTH_FIELD_NUMBER: _builtins.int
+    SUBJECT_LABEL_FIELD_NUMBER: _builtins.int
+    OBJECT_LABEL_FIELD_NUMBER: _builtins.int
     subject_id: _builtins.str
     """node_id."""
     object_id: _builtins.str
@@ -282,6 +284,10 @@ class RelationFilter(_message.Message):
     """Subject or object is in this room, or is it."""
     min_strength: _builtins.float
     """At least; 0 to 1."""
+    subject_label: _builtins.str
+    """Class of the subject by name; instead of subject_class."""
+    object_label: _builtins.str
+    """Class of the object by name; instead of object_class."""
     @_builtins.property
     def kinds(self) -> _containers.RepeatedScalarFieldContainer[Global___RelationKind.ValueType]:
         """One of these; empty: any."""
@@ -301,10 +307,12 @@ class RelationFilter(_message.Message):
         room_id: _builtins.int | None = ...,
         region: _layers_service_pb2.Box3 | None = ...,
         min_strength: _builtins.float = ...,
+        subject_label: _builtins.str = ...,
+        object_label: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_room_id", b"_room_id", "region", b"region", "room_id", b"room_id"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_room_id", b"_room_id", "kinds", b"kinds", "min_strength", b"min_strength", "object_class", b"object_class", "object_id", b"object_id", "region", b"region", "room_id", b"room_id", "subject_class", b"subject_class", "subject_id", b"subject_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "_room_id", b"_room_id", "kinds", b"kinds", "min_strength", b"min_strength", "object_class", b"object_class", "object_id", b"object_id", "object_label", b"object_label", "region", b"region", "room_id", b"room_id", "subject_class", b"subject_class", "subject_id", b"subject_id", "subject_label", b"subject_label"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__region: _TypeAlias = _typing.Literal["region"]  # noqa: Y015
     _WhichOneofArgType__region: _TypeAlias = _typing.Literal["_region", b"_region"]  # noqa: Y015

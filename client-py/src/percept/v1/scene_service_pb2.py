@@ -13,44 +13,61 @@ _sym_db = _symbol_database.Default()
 
 
 from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
+from percept.v1 import layers_service_pb2 as percept_dot_v1_dot_layers__service__pb2
 from percept.v1 import object_pb2 as percept_dot_v1_dot_object__pb2
 from percept.v1 import path_pb2 as percept_dot_v1_dot_path__pb2
 from percept.v1 import scene_pb2 as percept_dot_v1_dot_scene__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1epercept/v1/scene_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x17percept/v1/object.proto\x1a\x15percept/v1/path.proto\x1a\x16percept/v1/scene.proto\"\x94\x01\n\x12ListObjectsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\x12-\n\x0cobject_class\x18\x04 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x14\n\x0cinclude_gone\x18\x05 \x01(\x08\"h\n\x13ListObjectsResponse\x12#\n\x07objects\x18\x01 \x03(\x0b\x32\x12.percept.v1.Object\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x13\n\x0bmap_version\x18\x03 \x01(\x04\"9\n\x10GetObjectRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tobject_id\x18\x02 \x01(\x04\"7\n\x11GetObjectResponse\x12\"\n\x06object\x18\x01 \x01(\x0b\x32\x12.percept.v1.Object\"\x9d\x01\n\x14GetSceneGraphRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12-\n\ndirections\x18\x02 \x01(\x0e\x32\x19.percept.v1.RelationFrame\x12\x16\n\x0eviewer_yaw_rad\x18\x03 \x01(\x01\x12*\n\x06\x66ilter\x18\x04 \x01(\x0b\x32\x1a.percept.v1.RelationFilter\">\n\x15GetSceneGraphResponse\x12%\n\x05graph\x18\x01 \x01(\x0b\x32\x16.percept.v1.SceneGraph\":\n\x0fGetRoomsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x13\n\x0bwith_places\x18\x02 \x01(\x08\"\xb2\x01\n\x10GetRoomsResponse\x12\x1f\n\x05rooms\x18\x01 \x03(\x0b\x32\x10.percept.v1.Room\x12\x1f\n\x05\x64oors\x18\x02 \x03(\x0b\x32\x10.percept.v1.Door\x12!\n\x06places\x18\x03 \x03(\x0b\x32\x11.percept.v1.Place\x12$\n\x05links\x18\x04 \x03(\x0b\x32\x15.percept.v1.PlaceLink\x12\x13\n\x0bmap_version\x18\x05 \x01(\x04\"D\n\x0fNameRoomRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x0f\n\x07room_id\x18\x02 \x01(\x04\x12\x0c\n\x04name\x18\x03 \x01(\t\"2\n\x10NameRoomResponse\x12\x1e\n\x04room\x18\x01 \x01(\x0b\x32\x10.percept.v1.Room\"\x8b\x01\n\x12RouteToRoomRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\x07room_id\x18\x02 \x01(\x04H\x00\x12\x13\n\troom_name\x18\x03 \x01(\tH\x00\x12\'\n\x05start\x18\x04 \x01(\x0b\x32\x13.percept.v1.Vector2H\x01\x88\x01\x01\x42\x06\n\x04roomB\x08\n\x06_start\"Y\n\tRouteStep\x12\x0f\n\x07room_id\x18\x01 \x01(\x04\x12\r\n\x05label\x18\x02 \x01(\t\x12#\n\x04\x64oor\x18\x03 \x01(\x0b\x32\x10.percept.v1.DoorH\x00\x88\x01\x01\x42\x07\n\x05_door\"\xc4\x01\n\x13RouteToRoomResponse\x12$\n\x05steps\x18\x01 \x03(\x0b\x32\x15.percept.v1.RouteStep\x12\x10\n\x08length_m\x18\x02 \x01(\x01\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12 \n\x04path\x18\x04 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x05 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x42\t\n\x07outcome2\xe0\x03\n\x0cSceneService\x12N\n\x0bListObjects\x12\x1e.percept.v1.ListObjectsRequest\x1a\x1f.percept.v1.ListObjectsResponse\x12H\n\tGetObject\x12\x1c.percept.v1.GetObjectRequest\x1a\x1d.percept.v1.GetObjectResponse\x12V\n\rGetSceneGraph\x12 .percept.v1.GetSceneGraphRequest\x1a!.percept.v1.GetSceneGraphResponse0\x01\x12G\n\x08GetRooms\x12\x1b.percept.v1.GetRoomsRequest\x1a\x1c.percept.v1.GetRoomsResponse0\x01\x12\x45\n\x08NameRoom\x12\x1b.percept.v1.NameRoomRequest\x1a\x1c.percept.v1.NameRoomResponse\x12N\n\x0bRouteToRoom\x12\x1e.percept.v1.RouteToRoomRequest\x1a\x1f.percept.v1.RouteToRoomResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1epercept/v1/scene_service.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x1fpercept/v1/layers_service.proto\x1a\x17percept/v1/object.proto\x1a\x15percept/v1/path.proto\x1a\x16percept/v1/scene.proto\"\xcb\x03\n\x12ListObjectsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\x12-\n\x0cobject_class\x18\x04 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x14\n\x0cinclude_gone\x18\x05 \x01(\x08\x12\r\n\x05label\x18\x06 \x01(\t\x12\x0c\n\x04text\x18\x07 \x01(\t\x12%\n\x06region\x18\x08 \x01(\x0b\x32\x10.percept.v1.Box3H\x00\x88\x01\x01\x12\x14\n\x07room_id\x18\t \x01(\x04H\x01\x88\x01\x01\x12\x1a\n\rseen_since_ns\x18\n \x01(\x03H\x02\x88\x01\x01\x12\x1a\n\rseen_until_ns\x18\x0b \x01(\x03H\x03\x88\x01\x01\x12&\n\x04near\x18\x0c \x01(\x0b\x32\x13.percept.v1.Vector3H\x04\x88\x01\x01\x12\x12\n\x05\x61t_ns\x18\r \x01(\x03H\x05\x88\x01\x01\x12\x19\n\x11include_set_aside\x18\x0e \x01(\x08\x42\t\n\x07_regionB\n\n\x08_room_idB\x10\n\x0e_seen_since_nsB\x10\n\x0e_seen_until_nsB\x07\n\x05_nearB\x08\n\x06_at_ns\"h\n\x13ListObjectsResponse\x12#\n\x07objects\x18\x01 \x03(\x0b\x32\x12.percept.v1.Object\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x13\n\x0bmap_version\x18\x03 \x01(\x04\"9\n\x10GetObjectRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tobject_id\x18\x02 \x01(\x04\"7\n\x11GetObjectResponse\x12\"\n\x06object\x18\x01 \x01(\x0b\x32\x12.percept.v1.Object\"6\n\x0cObjectPieces\x12&\n\x05\x62oxes\x18\x01 \x03(\x0b\x32\x17.percept.v1.OrientedBox\"\xc0\x01\n\x14\x43orrectObjectRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tobject_id\x18\x02 \x01(\x04\x12\x0f\n\x05label\x18\x03 \x01(\tH\x00\x12\x14\n\nis_deleted\x18\x04 \x01(\x08H\x00\x12\x11\n\x07part_of\x18\x05 \x01(\x04H\x00\x12*\n\x06pieces\x18\x06 \x01(\x0b\x32\x18.percept.v1.ObjectPiecesH\x00\x12\r\n\x05learn\x18\x07 \x01(\x08\x42\x0c\n\ncorrection\"Q\n\x15\x43orrectObjectResponse\x12#\n\x07objects\x18\x01 \x03(\x0b\x32\x12.percept.v1.Object\x12\x13\n\x0bmap_version\x18\x02 \x01(\x04\"`\n\x0fObjectClassInfo\x12\r\n\x05label\x18\x01 \x01(\t\x12\x13\n\x0bis_built_in\x18\x02 \x01(\x08\x12\x14\n\x0cnum_examples\x18\x03 \x01(\r\x12\x13\n\x0bnum_objects\x18\x04 \x01(\x04\".\n\x18ListObjectClassesRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"I\n\x19ListObjectClassesResponse\x12,\n\x07\x63lasses\x18\x01 \x03(\x0b\x32\x1b.percept.v1.ObjectClassInfo\"=\n\x18\x46orgetObjectClassRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\r\n\x05label\x18\x02 \x01(\t\"1\n\x19\x46orgetObjectClassResponse\x12\x14\n\x0cnum_examples\x18\x01 \x01(\r\"\xbb\x01\n\x14GetSceneGraphRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12-\n\ndirections\x18\x02 \x01(\x0e\x32\x19.percept.v1.RelationFrame\x12\x16\n\x0eviewer_yaw_rad\x18\x03 \x01(\x01\x12*\n\x06\x66ilter\x18\x04 \x01(\x0b\x32\x1a.percept.v1.RelationFilter\x12\x12\n\x05\x61t_ns\x18\x05 \x01(\x03H\x00\x88\x01\x01\x42\x08\n\x06_at_ns\">\n\x15GetSceneGraphResponse\x12%\n\x05graph\x18\x01 \x01(\x0b\x32\x16.percept.v1.SceneGraph\":\n\x0fGetRoomsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x13\n\x0bwith_places\x18\x02 \x01(\x08\"\xb2\x01\n\x10GetRoomsResponse\x12\x1f\n\x05rooms\x18\x01 \x03(\x0b\x32\x10.percept.v1.Room\x12\x1f\n\x05\x64oors\x18\x02 \x03(\x0b\x32\x10.percept.v1.Door\x12!\n\x06places\x18\x03 \x03(\x0b\x32\x11.percept.v1.Place\x12$\n\x05links\x18\x04 \x03(\x0b\x32\x15.percept.v1.PlaceLink\x12\x13\n\x0bmap_version\x18\x05 \x01(\x04\"D\n\x0fNameRoomRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x0f\n\x07room_id\x18\x02 \x01(\x04\x12\x0c\n\x04name\x18\x03 \x01(\t\"2\n\x10NameRoomResponse\x12\x1e\n\x04room\x18\x01 \x01(\x0b\x32\x10.percept.v1.Room\"\x8b\x01\n\x12RouteToRoomRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\x07room_id\x18\x02 \x01(\x04H\x00\x12\x13\n\troom_name\x18\x03 \x01(\tH\x00\x12\'\n\x05start\x18\x04 \x01(\x0b\x32\x13.percept.v1.Vector2H\x01\x88\x01\x01\x42\x06\n\x04roomB\x08\n\x06_start\"Y\n\tRouteStep\x12\x0f\n\x07room_id\x18\x01 \x01(\x04\x12\r\n\x05label\x18\x02 \x01(\t\x12#\n\x04\x64oor\x18\x03 \x01(\x0b\x32\x10.percept.v1.DoorH\x00\x88\x01\x01\x42\x07\n\x05_door\"\xc4\x01\n\x13RouteToRoomResponse\x12$\n\x05steps\x18\x01 \x03(\x0b\x32\x15.percept.v1.RouteStep\x12\x10\n\x08length_m\x18\x02 \x01(\x01\x12!\n\x04goal\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12 \n\x04path\x18\x04 \x01(\x0b\x32\x10.percept.v1.PathH\x00\x12%\n\x07no_path\x18\x05 \x01(\x0b\x32\x12.percept.v1.NoPathH\x00\x42\t\n\x07outcome2\xfa\x05\n\x0cSceneService\x12N\n\x0bListObjects\x12\x1e.percept.v1.ListObjectsRequest\x1a\x1f.percept.v1.ListObjectsResponse\x12H\n\tGetObject\x12\x1c.percept.v1.GetObjectRequest\x1a\x1d.percept.v1.GetObjectResponse\x12T\n\rCorrectObject\x12 .percept.v1.CorrectObjectRequest\x1a!.percept.v1.CorrectObjectResponse\x12`\n\x11ListObjectClasses\x12$.percept.v1.ListObjectClassesRequest\x1a%.percept.v1.ListObjectClassesResponse\x12`\n\x11\x46orgetObjectClass\x12$.percept.v1.ForgetObjectClassRequest\x1a%.percept.v1.ForgetObjectClassResponse\x12V\n\rGetSceneGraph\x12 .percept.v1.GetSceneGraphRequest\x1a!.percept.v1.GetSceneGraphResponse0\x01\x12G\n\x08GetRooms\x12\x1b.percept.v1.GetRoomsRequest\x1a\x1c.percept.v1.GetRoomsResponse0\x01\x12\x45\n\x08NameRoom\x12\x1b.percept.v1.NameRoomRequest\x1a\x1c.percept.v1.NameRoomResponse\x12N\n\x0bRouteToRoom\x12\x1e.percept.v1.RouteToRoomRequest\x1a\x1f.percept.v1.RouteToRoomResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.scene_service_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_LISTOBJECTSREQUEST']._serialized_start=146
-  _globals['_LISTOBJECTSREQUEST']._serialized_end=294
-  _globals['_LISTOBJECTSRESPONSE']._serialized_start=296
-  _globals['_LISTOBJECTSRESPONSE']._serialized_end=400
-  _globals['_GETOBJECTREQUEST']._serialized_start=402
-  _globals['_GETOBJECTREQUEST']._serialized_end=459
-  _globals['_GETOBJECTRESPONSE']._serialized_start=461
-  _globals['_GETOBJECTRESPONSE']._serialized_end=516
-  _globals['_GETSCENEGRAPHREQUEST']._serialized_start=519
-  _globals['_GETSCENEGRAPHREQUEST']._serialized_end=676
-  _globals['_GETSCENEGRAPHRESPONSE']._serialized_start=678
-  _globals['_GETSCENEGRAPHRESPONSE']._serialized_end=740
-  _globals['_GETROOMSREQUEST']._serialized_start=742
-  _globals['_GETROOMSREQUEST']._serialized_end=800
-  _globals['_GETROOMSRESPONSE']._serialized_start=803
-  _globals['_GETROOMSRESPONSE']._serialized_end=981
-  _globals['_NAMEROOMREQUEST']._serialized_start=983
-  _globals['_NAMEROOMREQUEST']._serialized_end=1051
-  _globals['_NAMEROOMRESPONSE']._serialized_start=1053
-  _globals['_NAMEROOMRESPONSE']._serialized_end=1103
-  _globals['_ROUTETOROOMREQUEST']._serialized_start=1106
-  _globals['_ROUTETOROOMREQUEST']._serialized_end=1245
-  _globals['_ROUTESTEP']._serialized_start=1247
-  _globals['_ROUTESTEP']._serialized_end=1336
-  _globals['_ROUTETOROOMRESPONSE']._serialized_start=1339
-  _globals['_ROUTETOROOMRESPONSE']._serialized_end=1535
-  _globals['_SCENESERVICE']._serialized_start=1538
-  _globals['_SCENESERVICE']._serialized_end=2018
+  _globals['_LISTOBJECTSREQUEST']._serialized_start=179
+  _globals['_LISTOBJECTSREQUEST']._serialized_end=638
+  _globals['_LISTOBJECTSRESPONSE']._serialized_start=640
+  _globals['_LISTOBJECTSRESPONSE']._serialized_end=744
+  _globals['_GETOBJECTREQUEST']._serialized_start=746
+  _globals['_GETOBJECTREQUEST']._serialized_end=803
+  _globals['_GETOBJECTRESPONSE']._serialized_start=805
+  _globals['_GETOBJECTRESPONSE']._serialized_end=860
+  _globals['_OBJECTPIECES']._serialized_start=862
+  _globals['_OBJECTPIECES']._serialized_end=916
+  _globals['_CORRECTOBJECTREQUEST']._serialized_start=919
+  _globals['_CORRECTOBJECTREQUEST']._serialized_end=1111
+  _globals['_CORRECTOBJECTRESPONSE']._serialized_start=1113
+  _globals['_CORRECTOBJECTRESPONSE']._serialized_end=1194
+  _globals['_OBJECTCLASSINFO']._serialized_start=1196
+  _globals['_OBJECTCLASSINFO']._serialized_end=1292
+  _globals['_LISTOBJECTCLASSESREQUEST']._serialized_start=1294
+  _globals['_LISTOBJECTCLASSESREQUEST']._serialized_end=1340
+  _globals['_LISTOBJECTCLASSESRESPONSE']._serialized_start=1342
+  _globals['_LISTOBJECTCLASSESRESPONSE']._serialized_end=1415
+  _globals['_FORGETOBJECTCLASSREQUEST']._serialized_start=1417
+  _globals['_FORGETOBJECTCLASSREQUEST']._serialized_end=1478
+  _globals['_FORGETOBJECTCLASSRESPONSE']._serialized_start=1480
+  _globals['_FORGETOBJECTCLASSRESPONSE']._serialized_end=1529
+  _globals['_GETSCENEGRAPHREQUEST']._serialized_start=1532
+  _globals['_GETSCENEGRAPHREQUEST']._serialized_end=1719
+  _globals['_GETSCENEGRAPHRESPONSE']._serialized_start=1721
+  _globals['_GETSCENEGRAPHRESPONSE']._serialized_end=1783
+  _globals['_GETROOMSREQUEST']._serialized_start=1785
+  _globals['_GETROOMSREQUEST']._serialized_end=1843
+  _globals['_GETROOMSRESPONSE']._serialized_start=1846
+  _globals['_GETROOMSRESPONSE']._serialized_end=2024
+  _globals['_NAMEROOMREQUEST']._serialized_start=2026
+  _globals['_NAMEROOMREQUEST']._serialized_end=2094
+  _globals['_NAMEROOMRESPONSE']._serialized_start=2096
+  _globals['_NAMEROOMRESPONSE']._serialized_end=2146
+  _globals['_ROUTETOROOMREQUEST']._serialized_start=2149
+  _globals['_ROUTETOROOMREQUEST']._serialized_end=2288
+  _globals['_ROUTESTEP']._serialized_start=2290
+  _globals['_ROUTESTEP']._serialized_end=2379
+  _globals['_ROUTETOROOMRESPONSE']._serialized_start=2382
+  _globals['_ROUTETOROOMRESPONSE']._serialized_end=2578
+  _globals['_SCENESERVICE']._serialized_start=2581
+  _globals['_SCENESERVICE']._serialized_end=3343
 # @@protoc_insertion_point(module_scope)

@@ -8,6 +8,7 @@ from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
 from percept.v1 import geometry_pb2 as _geometry_pb2
+from percept.v1 import layers_service_pb2 as _layers_service_pb2
 from percept.v1 import object_pb2 as _object_pb2
 from percept.v1 import path_pb2 as _path_pb2
 from percept.v1 import scene_pb2 as _scene_pb2
@@ -31,6 +32,15 @@ class ListObjectsRequest(_message.Message):
     PAGE_TOKEN_FIELD_NUMBER: _builtins.int
     OBJECT_CLASS_FIELD_NUMBER: _builtins.int
     INCLUDE_GONE_FIELD_NUMBER: _builtins.int
+    LABEL_FIELD_NUMBER: _builtins.int
+    TEXT_FIELD_NUMBER: _builtins.int
+    REGION_FIELD_NUMBER: _builtins.int
+    ROOM_ID_FIELD_NUMBER: _builtins.int
+    SEEN_SINCE_NS_FIELD_NUMBER: _builtins.int
+    SEEN_UNTIL_NS_FIELD_NUMBER: _builtins.int
+    NEAR_FIELD_NUMBER: _builtins.int
+    AT_NS_FIELD_NUMBER: _builtins.int
+    INCLUDE_SET_ASIDE_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     page_size: _builtins.int
     """At most this many; 0 means 100, 1000 at most."""
@@ -40,6 +50,28 @@ class ListObjectsRequest(_message.Message):
     """Only of this class. UNSPECIFIED: all."""
     include_gone: _builtins.bool
     """Objects that are gone, too."""
+    label: _builtins.str
+    """Only of the class with this name; instead of object_class."""
+    text: _builtins.str
+    """Only those whose label holds this text, upper and lower case alike."""
+    room_id: _builtins.int
+    """Only those in this room."""
+    seen_since_ns: _builtins.int
+    """Only those last seen then or later."""
+    seen_until_ns: _builtins.int
+    """Only those first seen then or earlier."""
+    at_ns: _builtins.int
+    """Objects as they were then, where they are known to have been, in the map as it is now."""
+    include_set_aside: _builtins.bool
+    """Those that people deleted, and parts of others, too. Not with at_ns."""
+    @_builtins.property
+    def region(self) -> _layers_service_pb2.Box3:
+        """Only those whose middle lies in it, map frame, metres."""
+
+    @_builtins.property
+    def near(self) -> _geometry_pb2.Vector3:
+        """Nearest to this point first, map frame, metres: page_size of them, without further pages."""
+
     def __init__(
         self,
         *,
@@ -48,12 +80,44 @@ class ListObjectsRequest(_message.Message):
         page_token: _builtins.str = ...,
         object_class: _object_pb2.ObjectClass.ValueType = ...,
         include_gone: _builtins.bool = ...,
+        label: _builtins.str = ...,
+        text: _builtins.str = ...,
+        region: _layers_service_pb2.Box3 | None = ...,
+        room_id: _builtins.int | None = ...,
+        seen_since_ns: _builtins.int | None = ...,
+        seen_until_ns: _builtins.int | None = ...,
+        near: _geometry_pb2.Vector3 | None = ...,
+        at_ns: _builtins.int | None = ...,
+        include_set_aside: _builtins.bool = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "_near", b"_near", "_region", b"_region", "_room_id", b"_room_id", "_seen_since_ns", b"_seen_since_ns", "_seen_until_ns", b"_seen_until_ns", "at_ns", b"at_ns", "near", b"near", "region", b"region", "room_id", b"room_id", "seen_since_ns", b"seen_since_ns", "seen_until_ns", b"seen_until_ns"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["include_gone", b"include_gone", "object_class", b"object_class", "page_size", b"page_size", "page_token", b"page_token", "session_id", b"session_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "_near", b"_near", "_region", b"_region", "_room_id", b"_room_id", "_seen_since_ns", b"_seen_since_ns", "_seen_until_ns", b"_seen_until_ns", "at_ns", b"at_ns", "include_gone", b"include_gone", "include_set_aside", b"include_set_aside", "label", b"label", "near", b"near", "object_class", b"object_class", "page_size", b"page_size", "page_token", b"page_token", "region", b"region", "room_id", b"room_id", "seen_since_ns", b"seen_since_ns", "seen_until_ns", b"seen_until_ns", "session_id", b"session_id", "text", b"text"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__at_ns: _TypeAlias = _typing.Literal["at_ns"]  # noqa: Y015
+    _WhichOneofArgType__at_ns: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns"]  # noqa: Y015
+    _WhichOneofReturnType__near: _TypeAlias = _typing.Literal["near"]  # noqa: Y015
+    _WhichOneofArgType__near: _TypeAlias = _typing.Literal["_near", b"_near"]  # noqa: Y015
+    _WhichOneofReturnType__region: _TypeAlias = _typing.Literal["region"]  # noqa: Y015
+    _WhichOneofArgType__region: _TypeAlias = _typing.Literal["_region", b"_region"]  # noqa: Y015
+    _WhichOneofReturnType__room_id: _TypeAlias = _typing.Literal["room_id"]  # noqa: Y015
+    _WhichOneofArgType__room_id: _TypeAlias = _typing.Literal["_room_id", b"_room_id"]  # noqa: Y015
+    _WhichOneofReturnType__seen_since_ns: _TypeAlias = _typing.Literal["seen_since_ns"]  # noqa: Y015
+    _WhichOneofArgType__seen_since_ns: _TypeAlias = _typing.Literal["_seen_since_ns", b"_seen_since_ns"]  # noqa: Y015
+    _WhichOneofReturnType__seen_until_ns: _TypeAlias = _typing.Literal["seen_until_ns"]  # noqa: Y015
+    _WhichOneofArgType__seen_until_ns: _TypeAlias = _typing.Literal["_seen_until_ns", b"_seen_until_ns"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__at_ns) -> _WhichOneofReturnType__at_ns | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__near) -> _WhichOneofReturnType__near | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__region) -> _WhichOneofReturnType__region | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__room_id) -> _WhichOneofReturnType__room_id | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__seen_since_ns) -> _WhichOneofReturnType__seen_since_ns | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__seen_until_ns) -> _WhichOneofReturnType__seen_until_ns | None: ...
 
 Global___ListObjectsRequest: _TypeAlias = ListObjectsRequest  # noqa: Y015
 
@@ -128,6 +192,222 @@ class GetObjectResponse(_message.Message):
 Global___GetObjectResponse: _TypeAlias = GetObjectResponse  # noqa: Y015
 
 @_typing.final
+class ObjectPieces(_message.Message):
+    """What a thing really consists of."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    BOXES_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def boxes(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.OrientedBox]:
+        """2 to 16, upright, map frame."""
+
+    def __init__(
+        self,
+        *,
+        boxes: _abc.Iterable[_geometry_pb2.OrientedBox] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["boxes", b"boxes"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ObjectPieces: _TypeAlias = ObjectPieces  # noqa: Y015
+
+@_typing.final
+class CorrectObjectRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    OBJECT_ID_FIELD_NUMBER: _builtins.int
+    LABEL_FIELD_NUMBER: _builtins.int
+    IS_DELETED_FIELD_NUMBER: _builtins.int
+    PART_OF_FIELD_NUMBER: _builtins.int
+    PIECES_FIELD_NUMBER: _builtins.int
+    LEARN_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    object_id: _builtins.int
+    label: _builtins.str
+    """What it is: 1 to 31 bytes, any word. Empty takes back what was said."""
+    is_deleted: _builtins.bool
+    """True: it is no thing, and is not told again while something stands there. False: it is a thing of its own after all, also if it
+    was made a part.
+    """
+    part_of: _builtins.int
+    """It is a part of that object, whose box then holds both."""
+    learn: _builtins.bool
+    """With a label: things that look like it are taken for that class, too, from the next search on. It has to be found in the map as it
+    is now.
+    """
+    @_builtins.property
+    def pieces(self) -> Global___ObjectPieces:
+        """It is several things, of its class. It is deleted itself."""
+
+    def __init__(
+        self,
+        *,
+        session_id: _builtins.str = ...,
+        object_id: _builtins.int = ...,
+        label: _builtins.str = ...,
+        is_deleted: _builtins.bool = ...,
+        part_of: _builtins.int = ...,
+        pieces: Global___ObjectPieces | None = ...,
+        learn: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["correction", b"correction", "is_deleted", b"is_deleted", "label", b"label", "part_of", b"part_of", "pieces", b"pieces"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["correction", b"correction", "is_deleted", b"is_deleted", "label", b"label", "learn", b"learn", "object_id", b"object_id", "part_of", b"part_of", "pieces", b"pieces", "session_id", b"session_id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType_correction: _TypeAlias = _typing.Literal["label", "is_deleted", "part_of", "pieces"]  # noqa: Y015
+    _WhichOneofArgType_correction: _TypeAlias = _typing.Literal["correction", b"correction"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType_correction) -> _WhichOneofReturnType_correction | None: ...
+
+Global___CorrectObjectRequest: _TypeAlias = CorrectObjectRequest  # noqa: Y015
+
+@_typing.final
+class CorrectObjectResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    OBJECTS_FIELD_NUMBER: _builtins.int
+    MAP_VERSION_FIELD_NUMBER: _builtins.int
+    map_version: _builtins.int
+    @_builtins.property
+    def objects(self) -> _containers.RepeatedCompositeFieldContainer[_object_pb2.Object]:
+        """The object, and those that the correction made or changed."""
+
+    def __init__(
+        self,
+        *,
+        objects: _abc.Iterable[_object_pb2.Object] | None = ...,
+        map_version: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["map_version", b"map_version", "objects", b"objects"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___CorrectObjectResponse: _TypeAlias = CorrectObjectResponse  # noqa: Y015
+
+@_typing.final
+class ObjectClassInfo(_message.Message):
+    """A class of objects."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABEL_FIELD_NUMBER: _builtins.int
+    IS_BUILT_IN_FIELD_NUMBER: _builtins.int
+    NUM_EXAMPLES_FIELD_NUMBER: _builtins.int
+    NUM_OBJECTS_FIELD_NUMBER: _builtins.int
+    label: _builtins.str
+    """Its name."""
+    is_built_in: _builtins.bool
+    """Known without examples."""
+    num_examples: _builtins.int
+    """Examples that people gave."""
+    num_objects: _builtins.int
+    """Objects of it that are told and not gone."""
+    def __init__(
+        self,
+        *,
+        label: _builtins.str = ...,
+        is_built_in: _builtins.bool = ...,
+        num_examples: _builtins.int = ...,
+        num_objects: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["is_built_in", b"is_built_in", "label", b"label", "num_examples", b"num_examples", "num_objects", b"num_objects"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ObjectClassInfo: _TypeAlias = ObjectClassInfo  # noqa: Y015
+
+@_typing.final
+class ListObjectClassesRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    def __init__(
+        self,
+        *,
+        session_id: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["session_id", b"session_id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ListObjectClassesRequest: _TypeAlias = ListObjectClassesRequest  # noqa: Y015
+
+@_typing.final
+class ListObjectClassesResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    CLASSES_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def classes(self) -> _containers.RepeatedCompositeFieldContainer[Global___ObjectClassInfo]:
+        """Built-in ones first, then by name."""
+
+    def __init__(
+        self,
+        *,
+        classes: _abc.Iterable[Global___ObjectClassInfo] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["classes", b"classes"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ListObjectClassesResponse: _TypeAlias = ListObjectClassesResponse  # noqa: Y015
+
+@_typing.final
+class ForgetObjectClassRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    LABEL_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    label: _builtins.str
+    def __init__(
+        self,
+        *,
+        session_id: _builtins.str = ...,
+        label: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["label", b"label", "session_id", b"session_id"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ForgetObjectClassRequest: _TypeAlias = ForgetObjectClassRequest  # noqa: Y015
+
+@_typing.final
+class ForgetObjectClassResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NUM_EXAMPLES_FIELD_NUMBER: _builtins.int
+    num_examples: _builtins.int
+    """Examples that were forgotten."""
+    def __init__(
+        self,
+        *,
+        num_examples: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["num_examples", b"num_examples"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ForgetObjectClassResponse: _TypeAlias = ForgetObjectClassResponse  # noqa: Y015
+
+@_typing.final
 class GetSceneGraphRequest(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -135,11 +415,14 @@ class GetSceneGraphRequest(_message.Message):
     DIRECTIONS_FIELD_NUMBER: _builtins.int
     VIEWER_YAW_RAD_FIELD_NUMBER: _builtins.int
     FILTER_FIELD_NUMBER: _builtins.int
+    AT_NS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     directions: _scene_pb2.RelationFrame.ValueType
     """Whose left and right, front and behind: RELATION_FRAME_ROBOT, _MAP or _VIEWER. UNSPECIFIED: those are left out."""
     viewer_yaw_rad: _builtins.float
     """Where a VIEWER looks, radians from the map's x axis."""
+    at_ns: _builtins.int
+    """The scene as it was then: where the robot was, and the objects as they were, in the map and the rooms as they are now."""
     @_builtins.property
     def filter(self) -> _scene_pb2.RelationFilter:
         """Absent: all relations. Else the graph has those, and the nodes that they join."""
@@ -151,12 +434,15 @@ class GetSceneGraphRequest(_message.Message):
         directions: _scene_pb2.RelationFrame.ValueType = ...,
         viewer_yaw_rad: _builtins.float = ...,
         filter: _scene_pb2.RelationFilter | None = ...,
+        at_ns: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["filter", b"filter"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns", "filter", b"filter"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["directions", b"directions", "filter", b"filter", "session_id", b"session_id", "viewer_yaw_rad", b"viewer_yaw_rad"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns", "directions", b"directions", "filter", b"filter", "session_id", b"session_id", "viewer_yaw_rad", b"viewer_yaw_rad"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__at_ns: _TypeAlias = _typing.Literal["at_ns"]  # noqa: Y015
+    _WhichOneofArgType__at_ns: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__at_ns) -> _WhichOneofReturnType__at_ns | None: ...
 
 Global___GetSceneGraphRequest: _TypeAlias = GetSceneGraphRequest  # noqa: Y015
 

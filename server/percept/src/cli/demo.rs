@@ -143,7 +143,7 @@ async fn tell_objects(
     let found: Vec<FoundObject> = boxes.collect::<Result<_, _>>()?;
     let score = match_detections(&truth, &found, 0.25)?;
     let mut counts: Vec<String> = Vec::new();
-    for class in ObjectClass::ALL {
+    for class in ObjectClass::BUILT_IN {
         let n = found.iter().filter(|f| f.0 == class).count();
         if n > 0 {
             counts.push(format!("{n} {}", class.name()));

@@ -102,7 +102,7 @@ pub(crate) fn objects(args: &ObjectsArgs) -> Result<(), Failure> {
         return Ok(());
     }
     println!("classifier, all worlds: class          true  found  right");
-    for class in ObjectClass::ALL {
+    for class in ObjectClass::BUILT_IN {
         let of_class = by_class.iter().flatten().filter(|c| c.class == class);
         let sums = of_class.fold([0; 3], |s, c| [s[0] + c.num_true, s[1] + c.num_located, s[2] + c.num_correct]);
         if sums[0] > 0 {

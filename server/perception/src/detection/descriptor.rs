@@ -3,14 +3,24 @@
 use super::Structure;
 use crate::cloud::{NormalParams, estimate_normals};
 use nalgebra::{Point3, Vector2};
-use percept_geometry::OrientedBox3;
+use percept_geometry::{ObjectClass, OrientedBox3};
 use rustc_hash::FxHashSet;
+use serde::{Deserialize, Serialize};
 
 /// Edge of the cells in which footprints are counted, metres.
 const CELL_M: f64 = 0.05;
 
+/// A thing that a person named, as the built-in classifier sees it: an example of its class.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ClassExample {
+    /// What it is.
+    pub class: ObjectClass,
+    /// Size and build.
+    pub descriptor: Descriptor,
+}
+
 /// Size and build of a thing that stands on the floor.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Descriptor {
     /// Top above the floor, metres.
     pub height_m: f64,

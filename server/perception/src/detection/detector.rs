@@ -40,7 +40,7 @@ impl Detector {
     /// # Errors
     /// `Input` naming the parameter that is out of bounds.
     pub fn new(params: DetectionParams) -> Result<Self, CloudError> {
-        Self::with_classifier(params, Arc::new(GaussianClassifier))
+        Self::with_classifier(params, Arc::new(GaussianClassifier::default()))
     }
 
     /// A detector with another classifier.

@@ -10,13 +10,15 @@ mod descriptor;
 mod detector;
 pub mod outdoor;
 mod params;
+mod passing;
 mod propose;
 mod structure;
 mod walls;
 
 pub use classify::{Candidate, Classifier, GaussianClassifier, Posterior};
-pub use descriptor::Descriptor;
+pub use descriptor::{ClassExample, Descriptor};
 pub use detector::{Detection, Detector};
 pub use params::DetectionParams;
+pub use passing::{PassingThing, find_passing};
 pub use structure::{Structure, find_structure};
 pub use walls::Wall;

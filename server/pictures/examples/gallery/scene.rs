@@ -116,7 +116,7 @@ pub(crate) fn overlay() -> Overlay {
 pub(crate) fn crowd() -> Overlay {
     let thing = |i: u32| {
         let (x, y) = (0.4 + 0.5 * f64::from(i % 20), 0.4 + 0.32 * f64::from(i / 20));
-        let class = ObjectClass::ALL[i as usize % 7];
+        let class = ObjectClass::BUILT_IN[i as usize % 7];
         let bbox = OrientedBox3::upright(Point3::new(x, y, 0.3), Vector3::new(0.2, 0.2, 0.6), 0.1 * f64::from(i));
         MapObject { id: Some(u64::from(i)), class, bbox }
     };

@@ -11,6 +11,7 @@ use crate::{MAX_EDGE, PictureError};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{ObjectClass, OrientedBox3, Pose, RgbImage};
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// A thing in the map.
 #[derive(Debug, Clone, PartialEq)]
@@ -76,6 +77,7 @@ pub(super) fn class_color(class: ObjectClass) -> Color {
         ObjectClass::Bus => [86, 130, 180],
         ObjectClass::Cyclist => GREEN,
         ObjectClass::Motorcycle => [90, 150, 40],
+        ObjectClass::Named(_) => MAGENTA,
     }
 }
 
@@ -193,7 +195,9 @@ fn legend(grid: &GridView<'_>, overlay: &Overlay, has_robot: bool) -> Vec<Entry>
         out.push(Entry::new(Swatch::Line(RED), "doors"));
     }
     out.extend(zones::legend(&overlay.zones, &overlay.masks));
-    for class in ObjectClass::ALL {
+    let named = overlay.objects.iter().map(|o| o.class).filter(|c| matches!(c, ObjectClass::Named(_)));
+    let named: BTreeSet<ObjectClass> = named.collect();
+    for class in ObjectClass::BUILT_IN.into_iter().chain(named) {
         let count = overlay.objects.iter().filter(|o| o.class == class).count();
         if count > 0 {
             out.push(Entry::new(Swatch::Outline(class_color(class)), format!("{} ({count})", class.name())));

@@ -51,7 +51,7 @@ fn zone() -> impl Strategy<Value = Zone> {
 fn object() -> impl Strategy<Value = MapObject> {
     (number(), number(), number(), 0usize..7, any::<Option<u64>>()).prop_map(|(x, y, size, class, id)| MapObject {
         id,
-        class: ObjectClass::ALL[class],
+        class: ObjectClass::BUILT_IN[class],
         bbox: OrientedBox3::upright(Point3::new(x, y, 0.5), Vector3::repeat(size), y),
     })
 }

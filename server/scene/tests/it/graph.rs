@@ -15,10 +15,13 @@ pub(crate) fn thing(id: u64, class: ObjectClass, center: [f64; 3], size: [f64; 3
         id: ObjectId(id),
         class,
         confidence: 0.9,
-        class_probabilities: [1.0 / ObjectClass::ALL.len() as f64; ObjectClass::ALL.len()],
+        class_probabilities: vec![],
+        annotation: percept_scene::Annotation::default(),
+        history: vec![],
         bbox: OrientedBox3::upright(Point3::from(center), Vector3::from(size), 0.0),
         state: ObjectState::Static,
         velocity_mps: Vector3::zeros(),
+        velocity_variance: 0.0,
         first_seen: Timestamp(0),
         last_seen: Timestamp(1),
         observation_count: 2,
@@ -81,7 +84,7 @@ fn gravity_decides_on_above_and_below() {
     // A robot that has tipped over sees the same.
     let tipped = Pose::rotation(Vector3::new(1.2, 0.0, 0.0));
     for pose in [Pose::identity(), tipped] {
-        let g = graph(&pose, &[table, cup, lamp]);
+        let g = graph(&pose, &[table.clone(), cup.clone(), lamp.clone()]);
         let on = edge(&g, 1, RelationKind::On, 0).unwrap();
         assert!((on.strength - 1.0).abs() < 1e-9 && on.frame == RelationFrame::Gravity);
         assert!(edge(&g, 2, RelationKind::Above, 0).is_some() && edge(&g, 0, RelationKind::Below, 2).is_some());
@@ -94,7 +97,7 @@ fn gravity_decides_on_above_and_below() {
 fn a_box_in_a_shelf_is_inside_it() {
     let shelf = thing(0, ObjectClass::Shelf, [2.0, 0.0, 1.0], [1.0, 0.5, 2.0]);
     let held = thing(1, ObjectClass::Box, [2.0, 0.0, 1.0], [0.3; 3]);
-    let g = graph(&Pose::identity(), &[shelf, held]);
+    let g = graph(&Pose::identity(), &[shelf.clone(), held]);
     let inside = edge(&g, 1, RelationKind::Inside, 0).unwrap();
     assert!((inside.strength - 1.0).abs() < 1e-9);
     assert_eq!((inside.frame, inside.distance_m), (RelationFrame::Any, 0.0));
@@ -189,7 +192,7 @@ proptest! {
         prop_assert_eq!(&graph(&pose, &shuffled), &g);
         // The whole scene moved with the viewer is the same scene.
         let t = se3::from_xy_yaw(3.0, -2.0, 1.1);
-        let moved: Vec<Object> = objects.iter().map(|o| Object { bbox: o.bbox.transformed(&t), ..*o }).collect();
+        let moved: Vec<Object> = objects.iter().map(|o| Object { bbox: o.bbox.transformed(&t), ..o.clone() }).collect();
         let h = graph(&(t * pose), &moved);
         for e in g.edges.iter().filter(|e| e.strength > 0.11) {
             let same = h.edges.iter().find(|f| (f.subject, f.kind, f.object) == (e.subject, e.kind, e.object));

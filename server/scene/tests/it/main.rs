@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+mod annotation;
 mod graph;
 mod rooms;
 mod tracking;

@@ -7,11 +7,11 @@ use percept_scene::{
 };
 use proptest::prelude::*;
 
-fn tracker() -> Tracker {
+pub(crate) fn tracker() -> Tracker {
     Tracker::new(TrackerParams::default()).unwrap()
 }
 
-fn seen_as(class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Observation {
+pub(crate) fn seen_as(class: ObjectClass, center: [f64; 3], size: [f64; 3]) -> Observation {
     let bbox = OrientedBox3::upright(Point3::from(center), Vector3::from(size), 0.0);
     Observation { class, confidence: 0.8, bbox, num_points: 500, is_moving: false, is_seen: true }
 }
@@ -20,20 +20,20 @@ fn person(x: f64, y: f64) -> Observation {
     seen_as(ObjectClass::Person, [x, y, 0.85], [0.5, 0.5, 1.7])
 }
 
-fn chair(x: f64, y: f64) -> Observation {
+pub(crate) fn chair(x: f64, y: f64) -> Observation {
     seen_as(ObjectClass::Chair, [x, y, 0.45], [0.5, 0.5, 0.9])
 }
 
-fn at(tenths: i64) -> Timestamp {
+pub(crate) fn at(tenths: i64) -> Timestamp {
     Timestamp(tenths * 100_000_000)
 }
 
-fn hidden(_: &OrientedBox3) -> Visibility {
+pub(crate) fn hidden(_: &OrientedBox3) -> Visibility {
     Visibility::Unseen
 }
 
-fn object(tracker: &Tracker, id: u64) -> Object {
-    *tracker.objects().iter().find(|o| o.id == ObjectId(id)).unwrap()
+pub(crate) fn object(tracker: &Tracker, id: u64) -> Object {
+    tracker.objects().into_iter().find(|o| o.id == ObjectId(id)).unwrap()
 }
 
 #[test]
@@ -310,7 +310,7 @@ fn observations() -> impl Strategy<Value = Observation> {
     let numbers = (prop::array::uniform3(0.0..4.0f64), prop::array::uniform3(0.2..1.5f64), -3.0..3.0f64);
     (numbers, 0usize..7, 0.0..1.0f64, 0usize..2000).prop_map(|((center, size, yaw), class, confidence, num_points)| {
         let bbox = OrientedBox3::upright(Point3::from(center), Vector3::from(size), yaw);
-        Observation { class: ObjectClass::ALL[class], confidence, bbox, num_points, is_moving: false, is_seen: true }
+        Observation { class: ObjectClass::BUILT_IN[class], confidence, bbox, num_points, is_moving: false, is_seen: true }
     })
 }
 
@@ -385,4 +385,92 @@ fn who_was_seen_to_move_is_moving_at_once_and_gone_once_out_of_sight() {
         tracker.update(at(0.5 * f64::from(i)), &[person(0.1, 0.0)], &|_| Visibility::Unseen);
     }
     assert_eq!(tracker.objects()[0].state, ObjectState::Static);
+}
+
+/// A walk along x at 1.2 m/s, a frame each fifth of a second, past a chair that keyframes show each second.
+fn walk(t: &mut Tracker, steps: std::ops::Range<i64>, is_seen: impl Fn(i64) -> bool) {
+    for i in steps {
+        let stamp = at(2 * i);
+        let seen: Vec<Observation> = is_seen(i).then(|| person(0.24 * i as f64, 0.0)).into_iter().collect();
+        t.update_passing(stamp, &seen, &hidden);
+        if i % 5 == 0 {
+            // Keyframes may show the person as well.
+            t.update(stamp, &[chair(2.0, 1.0), person(0.24 * i as f64, 0.1)], &hidden);
+        }
+    }
+}
+
+#[test]
+fn who_walks_by_is_one_person_with_a_velocity_and_gone_afterwards() {
+    let mut t = tracker();
+    walk(&mut t, 0..26, |_| true);
+    let people: Vec<Object> = t.objects().into_iter().filter(|o| o.class == ObjectClass::Person).collect();
+    let [walker] = &people[..] else { panic!("{people:?}") };
+    assert_eq!(walker.state, ObjectState::Moving);
+    assert!((walker.velocity_mps - Vector3::new(1.2, 0.0, 0.0)).norm() < 0.2, "{:?}", walker.velocity_mps);
+    assert!(walker.velocity_variance > 0.0 && walker.velocity_variance < 1.0);
+    assert!((walker.bbox.center().x - 6.0).abs() < 0.1);
+    // Hidden for a second behind a pillar: the same person.
+    walk(&mut t, 26..40, |i| i >= 31);
+    assert_eq!(t.objects().iter().filter(|o| o.class == ObjectClass::Person).count(), 1);
+    // Out of the door.
+    walk(&mut t, 40..60, |_| false);
+    assert_eq!(object(&t, walker.id.0).state, ObjectState::Gone);
+    assert_eq!(t.objects().iter().filter(|o| o.state != ObjectState::Gone).count(), 1, "the chair");
+}
+
+#[test]
+fn two_people_who_cross_stay_who_they_are() {
+    let mut t = tracker();
+    for i in 0..30 {
+        let x = 0.24 * i as f64;
+        t.update_passing(at(2 * i), &[person(x, 0.4), person(7.0 - x, -0.4)], &hidden);
+    }
+    let velocity = |id: u64| object(&t, id).velocity_mps.x;
+    let ids: Vec<u64> = t.objects().iter().map(|o| o.id.0).collect();
+    assert_eq!(ids.len(), 2);
+    let (right, left) = if velocity(ids[0]) > 0.0 { (ids[0], ids[1]) } else { (ids[1], ids[0]) };
+    assert!((object(&t, right).bbox.center().x - 6.96).abs() < 0.1 && (object(&t, left).bbox.center().x - 0.04).abs() < 0.1);
+    assert!(velocity(right) > 0.9 && velocity(left) < -0.9);
+}
+
+#[test]
+fn what_never_moves_in_free_space_is_not_told() {
+    let mut t = tracker();
+    for i in 0..100 {
+        let jitter = 0.03 * (i % 3) as f64;
+        assert!(t.update_passing(at(2 * i), &[seen_as(ObjectClass::Unknown, [1.0 + jitter, 2.0, 0.4], [0.3; 3])], &hidden).is_empty());
+    }
+    assert!(t.has_passing());
+    for i in 100..110 {
+        t.update_passing(at(2 * i), &[], &hidden);
+    }
+    assert!(!t.has_passing() && t.objects().is_empty());
+}
+
+#[test]
+fn who_stands_sets_off_and_comes_to_rest_is_one_person_with_a_past() {
+    let mut t = tracker();
+    let stand = |t: &mut Tracker, steps: std::ops::Range<i64>, x: f64| {
+        for i in steps {
+            t.update_passing(at(2 * i), &[person(x, 0.0)], &hidden);
+            if i % 5 == 0 {
+                t.update(at(2 * i), &[person(x, 0.0)], &hidden);
+            }
+        }
+    };
+    for i in 0..3 {
+        t.update(at(2 * i), &[person(0.0, 0.0)], &hidden);
+    }
+    stand(&mut t, 3..10, 0.0);
+    for i in 10..20 {
+        t.update_passing(at(2 * i), &[person(0.24 * (i - 10) as f64, 0.0)], &hidden);
+    }
+    assert_eq!(object(&t, 0).state, ObjectState::Moving);
+    stand(&mut t, 20..45, 2.16);
+    let now = object(&t, 0);
+    assert_eq!((now.state, t.objects().len()), (ObjectState::Static, 1));
+    assert!((now.bbox.center().x - 2.16).abs() < 0.05);
+    assert!(now.at(at(4)).unwrap().bbox.center().x.abs() < 0.05);
+    assert_eq!(now.at(at(34)).unwrap().state, ObjectState::Moving);
 }

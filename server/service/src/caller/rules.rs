@@ -90,6 +90,9 @@ pub static RULES: &[Rule] = &[
     session("SceneService/GetSceneGraph", Read),
     session("SceneService/GetRooms", Read),
     session("SceneService/NameRoom", Write),
+    session("SceneService/CorrectObject", Write),
+    session("SceneService/ListObjectClasses", Read),
+    session("SceneService/ForgetObjectClass", Write),
     session("SceneService/RouteToRoom", Read),
 
     // A path is a question about the map; a step of a robot brings a frame.

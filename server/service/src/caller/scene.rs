@@ -1,27 +1,26 @@
 //! The scene, in the name of a caller.
 
 use super::Caller;
-use crate::{Page, Result, RoomRoute, RoomWanted, SessionRooms};
+use crate::{ClassInfo, ObjectQuery, Page, Result, RoomRoute, RoomWanted, SessionRooms};
 use nalgebra::Point2;
-use percept_geometry::ObjectClass;
+use percept_geometry::{ObjectClass, Timestamp};
 use percept_scene::rooms::RoomId;
-use percept_scene::{Directions, Object, RelationFilter, SceneGraph};
+use percept_scene::{Correction, Directions, Object, RelationFilter, SceneGraph};
 
 impl Caller {
-    /// Objects by id, with the version of the map that their boxes refer to.
+    /// Objects by id, or by distance, with the version of the map that their boxes refer to.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`, `PAGE_TOKEN_INVALID`.
+    /// `SESSION_NOT_FOUND`, `PAGE_TOKEN_INVALID`, `FILTERS_INVALID`, `ROOM_NOT_FOUND`.
     pub async fn list_objects(
         &self,
         session: &str,
-        class: Option<ObjectClass>,
-        include_gone: bool,
+        query: ObjectQuery,
         page_size: u32,
         page_token: &str,
     ) -> Result<(Page<Object>, u64)> {
         self.may_with("SceneService/ListObjects", session).await?;
-        self.service.list_objects(session, class, include_gone, page_size, page_token).await
+        self.service.list_objects(session, query, page_size, page_token).await
     }
 
     /// One object.
@@ -33,18 +32,52 @@ impl Caller {
         self.service.object(session, id).await
     }
 
-    /// Robot, objects, rooms and their relations, as far as they are asked for; with directions for somebody, if they are.
+    /// Does as a person says of an object, and learns from it if that is wanted; the objects that changed, and the version of the map.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`, `GRID_TOO_LARGE`.
+    /// `OBJECT_NOT_FOUND`, `CORRECTION_INVALID`, `OBJECT_NOT_IN_MAP`, `TOO_MANY_EXAMPLES`, `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
+    pub async fn correct_object(
+        &self,
+        session: &str,
+        id: u64,
+        correction: Correction,
+        learn: bool,
+    ) -> Result<(Vec<Object>, u64)> {
+        self.may_with("SceneService/CorrectObject", session).await?;
+        self.service.correct_object(session, id, correction, learn).await
+    }
+
+    /// Classes that objects of a session may have, or have.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub async fn object_classes(&self, session: &str) -> Result<Vec<ClassInfo>> {
+        self.may_with("SceneService/ListObjectClasses", session).await?;
+        self.service.object_classes(session).await
+    }
+
+    /// Forgets what was learned of a class: how many examples there were.
+    ///
+    /// # Errors
+    /// `CLASS_NOT_FOUND`, `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
+    pub async fn forget_object_class(&self, session: &str, class: ObjectClass) -> Result<usize> {
+        self.may_with("SceneService/ForgetObjectClass", session).await?;
+        self.service.forget_object_class(session, class).await
+    }
+
+    /// Robot, objects, rooms and their relations, as far as they are asked for; with directions for somebody, if they are; as they were at a time.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`, `GRID_TOO_LARGE`, `STAMP_BEFORE_TRAJECTORY`, `STAMP_AFTER_TRAJECTORY`.
     pub async fn scene_graph(
         &self,
         session: &str,
         whose: Option<Directions>,
         filter: RelationFilter,
+        at: Option<Timestamp>,
     ) -> Result<SceneGraph> {
         self.may_with("SceneService/GetSceneGraph", session).await?;
-        self.service.scene_graph(session, whose, filter).await
+        self.service.scene_graph(session, whose, filter, at).await
     }
 
     /// The rooms of a session's map.

@@ -16,7 +16,7 @@ pub mod path_picture;
 pub(crate) mod path_watch;
 pub mod pictures;
 pub mod rooms;
-mod scene;
+pub(crate) mod scene;
 mod sensors;
 pub(crate) mod server;
 pub(crate) mod sessions;

@@ -202,7 +202,7 @@ fn near(snapshot: &Snapshot, pose: &PoseEstimate) -> Vec<Object> {
     let is_near = |o: &&Object| {
         o.state != ObjectState::Gone && (o.bbox.center().coords.xy() - robot.xy()).norm() <= OBSTACLE_RANGE_M
     };
-    snapshot.objects.iter().filter(is_near).copied().collect()
+    snapshot.objects.iter().filter(is_near).cloned().collect()
 }
 
 /// Where the robot is and looks, if it knows: map frame, metres, radians.

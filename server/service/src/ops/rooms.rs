@@ -3,7 +3,7 @@
 use super::navigation::{Plan, PlanRequest, plan};
 use crate::{Error, Result, Service, reason};
 use nalgebra::{Point2, Point3};
-use percept_geometry::{KeyframeId, Pose};
+use percept_geometry::{KeyframeId, Pose, Timestamp};
 use percept_mapping::MappingError;
 use percept_pipeline::Snapshot;
 use percept_planning::PlanError;
@@ -145,23 +145,26 @@ impl Service {
         self.compute.query(&self.asker(session)?, work).await?
     }
 
-    /// Robot, objects, rooms and their relations, as far as they are asked for.
+    /// Robot, objects, rooms and their relations, as far as they are asked for; as they were at a time, in the rooms as they are now.
     ///
     /// # Errors
-    /// As [`Service::rooms`]; `OUT_OF_RANGE` for a filter that no relation can pass.
+    /// As [`Service::rooms`]; `STAMP_BEFORE_TRAJECTORY`, `STAMP_AFTER_TRAJECTORY`.
     pub async fn scene_graph(
         &self,
         session: &str,
         whose: Option<Directions>,
         filter: RelationFilter,
+        at: Option<Timestamp>,
     ) -> Result<SceneGraph> {
         let session_now = self.session(session).await?;
         let (snapshot, meta) = (session_now.snapshot(), session_now.meta());
         let max_cells = self.limits.max_planning_cells;
         let work = move || {
+            let then = |at| Ok::<_, Error>((at, super::transforms::pose_at(&snapshot, at)?.t_map_base));
+            let at = at.map(then).transpose()?;
             let rooms = snapshot.rooms(max_cells).map_err(refused)?;
             let names = names(&snapshot, &meta.room_names, &rooms);
-            Ok(snapshot.scene_graph(&names, whose, max_cells).map_err(refused)?.filtered(&filter))
+            Ok(snapshot.scene_graph(&names, whose, at, max_cells).map_err(refused)?.filtered(&filter))
         };
         self.compute.query(&self.asker(session)?, work).await?
     }
@@ -198,12 +201,12 @@ impl SessionRooms {
     }
 }
 
-fn unknown(id: u64) -> Error {
+pub(super) fn unknown(id: u64) -> Error {
     let message = format!("room_id {id} does not exist in this session; list the rooms");
     Error::not_found(reason::ROOM_NOT_FOUND, "room_id", message)
 }
 
-fn refused(e: MappingError) -> Error {
+pub(super) fn refused(e: MappingError) -> Error {
     match e {
         MappingError::RegionTooLarge { cells, limit } => {
             super::navigation::plan_error(PlanError::GridTooLarge { cells, limit })
@@ -214,7 +217,7 @@ fn refused(e: MappingError) -> Error {
 
 pub(super) fn listed(snapshot: &Snapshot, called: &[RoomName], max_cells: usize) -> Result<SessionRooms> {
     let rooms = snapshot.rooms(max_cells).map_err(refused)?;
-    let graph = snapshot.scene_graph(&names(snapshot, called, &rooms), None, max_cells).map_err(refused)?;
+    let graph = snapshot.scene_graph(&names(snapshot, called, &rooms), None, None, max_cells).map_err(refused)?;
     let mut inside = BTreeMap::<RoomId, Vec<u64>>::new();
     for edge in &graph.edges {
         if let (NodeId::Object(object), NodeId::Room(room)) = (edge.subject, edge.object) {

@@ -204,6 +204,7 @@ impl Service {
             zones: Vec::new(),
             zone_masks: Vec::new(),
             room_names: Vec::new(),
+            class_examples: Vec::new(),
             revision: 0,
         };
         self.registry.create(meta).await

@@ -116,7 +116,7 @@ fn empty() -> Error {
 }
 
 /// Where the robot was at a time.
-fn pose_at(snapshot: &Snapshot, at: Timestamp) -> Result<PoseAt> {
+pub(super) fn pose_at(snapshot: &Snapshot, at: Timestamp) -> Result<PoseAt> {
     let asked = at.nanos();
     snapshot.pose_at(at).map_err(|e| match e {
         LookupError::Empty => empty(),

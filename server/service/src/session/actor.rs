@@ -1,6 +1,6 @@
 //! The actor: takes frames from a bounded queue, one at a time, and publishes what they did.
 
-use super::command::{Command, Imported, Moved, Processed, Vetoed};
+use super::command::{Command, Corrected, Imported, Moved, Processed, Vetoed};
 use super::event::EventKind;
 use super::events::EventLog;
 use super::fault::Trouble;
@@ -13,7 +13,8 @@ use super::scratch::Scratch;
 use crate::{Asker, ComputePool, Limits, Progress, Result, observe};
 use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
 use percept_mapping::given::GivenView;
-use percept_pipeline::{FrameReport, Loop, LoopId, MapChange, Pipeline, Snapshot};
+use percept_pipeline::{FrameReport, LoopId, MapChange, Pipeline, Snapshot};
+use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -53,6 +54,7 @@ fn take_settings(pipeline: &mut Pipeline, meta: &SessionMeta, declared: Option<&
     if let Some(declaration) = declared {
         pipeline.declare_sensor(declaration.spec.clone());
     }
+    pipeline.set_class_examples(Arc::new(meta.class_examples.clone()));
     if meta.params == *pipeline.params() {
         return;
     }
@@ -183,6 +185,11 @@ impl Actor {
                     let _ = reply.send(answer);
                 }
             }
+            Command::Correct { id, correction, reply } => {
+                if let Some(answer) = self.correct(id, correction).await {
+                    let _ = reply.send(answer);
+                }
+            }
             Command::Settle { reply } => {
                 if let Some(answer) = self.settle().await {
                     let _ = reply.send(answer);
@@ -237,7 +244,7 @@ impl Actor {
             self.session.share.memory(bytes);
         }
         let objects_changed = !report.map.objects.is_empty() || !report.map.corrected.is_empty();
-        let objects = objects_changed.then(|| (Arc::clone(&snapshot.objects), snapshot.next_object_id));
+        let objects = objects_changed.then(|| (Arc::clone(&snapshot.tracked), snapshot.next_object_id));
         self.publish(&report, snapshot);
         let keyframe = report.keyframe.as_ref().map(|k| k.info.id);
         let mut keyframes = report.joined;
@@ -281,7 +288,7 @@ impl Actor {
         let keyframes = report.joined.iter().chain(&report.keyframe).map(|k| EventKind::Keyframe(k.info.clone()));
         let loops = report.map.loops.iter().map(|l| EventKind::Loop(Box::new(l.clone())));
         let objects = self.session.snapshot().objects.clone();
-        let now = |id| objects.iter().find(|o| o.id == id).copied();
+        let now = |id| objects.iter().find(|o| o.id == id).cloned();
         let changes = report.map.objects.iter().map(|c| EventKind::Object(Box::new((*c, now(c.id)))));
         let map = (version != before).then_some(EventKind::MapVersion(version));
         self.session.events.publish(stamp, pose.chain(keyframes).chain(loops).chain(changes).chain(map));
@@ -289,9 +296,38 @@ impl Actor {
 
     async fn veto(&mut self, id: LoopId, vetoed: bool) -> Option<Option<Vetoed>> {
         let done = self.change(move |pipeline| pipeline.veto(id, vetoed)).await?;
-        let Some((loops, moved)) = done else { return Some(None) };
-        let changed = loops.into_iter().find(|l| l.id == id)?;
+        let Some((change, moved)) = done else { return Some(None) };
+        let changed = change.loops.into_iter().find(|l| l.id == id)?;
         Some(Some(Vetoed { changed, moved }))
+    }
+
+    /// Does as a person says of an object. None if the pipeline is gone.
+    async fn correct(
+        &mut self,
+        id: ObjectId,
+        correction: Correction,
+    ) -> Option<std::result::Result<Corrected, CorrectionError>> {
+        // Sent back by the work, which runs once and to its end.
+        let (refuse, refused) = std::sync::mpsc::channel();
+        let done = self
+            .change(move |pipeline| match pipeline.annotate(id, correction) {
+                Ok(change) => Some(change),
+                Err(error) => {
+                    let _ = refuse.send(error);
+                    None
+                }
+            })
+            .await?;
+        match (done, refused.try_recv()) {
+            (Some((change, moved)), _) => {
+                let mut ids: Vec<ObjectId> = change.objects.iter().map(|c| c.id).chain([id]).collect();
+                ids.sort_unstable();
+                ids.dedup();
+                Some(Ok(Corrected { ids, moved }))
+            }
+            (None, Ok(error)) => Some(Err(error)),
+            (None, Err(_)) => None,
+        }
     }
 
     async fn settle(&mut self) -> Option<Moved> {
@@ -328,12 +364,12 @@ impl Actor {
         Some(Ok(Some(Imported { map_version, ticket })))
     }
 
-    /// Changes the map other than by a frame: the loops that changed, and how the map moved. None inside if there is nothing
+    /// Changes the map other than by a frame: what changed, and how the map moved. None inside if there is nothing
     /// to change, none outside if the pipeline is gone.
     async fn change(
         &mut self,
         change: impl FnOnce(&mut Pipeline) -> Option<MapChange> + Send + 'static,
-    ) -> Option<Option<(Vec<Loop>, Moved)>> {
+    ) -> Option<Option<(MapChange, Moved)>> {
         let mut pipeline = self.pipeline.take()?;
         let sender = self.sender();
         let work = self.compute.run_for(&sender, move || {
@@ -344,7 +380,7 @@ impl Actor {
         let (pipeline, done, snapshot) = work.await.ok()?;
         self.pipeline = Some(pipeline);
         let Some(change) = done else { return Some(None) };
-        let (map_version, objects) = (snapshot.map_version, (Arc::clone(&snapshot.objects), snapshot.next_object_id));
+        let (map_version, objects) = (snapshot.map_version, (Arc::clone(&snapshot.tracked), snapshot.next_object_id));
         let num_keyframes = change.corrected.len();
         let is_same = change.loops.is_empty()
             && change.corrected.is_empty()
@@ -356,13 +392,13 @@ impl Actor {
             if map_version != shown.map_version || !Arc::ptr_eq(&snapshot.objects, &shown.objects) {
                 self.publish(&FrameReport::default(), snapshot);
             }
-            return Some(Some((vec![], Moved { num_keyframes, map_version, ticket: self.persister.newest() })));
+            return Some(Some((change, Moved { num_keyframes, map_version, ticket: self.persister.newest() })));
         }
         let report = FrameReport { map: change, ..FrameReport::default() };
         self.publish(&report, snapshot);
         let MapChange { loops, dissolved, corrected, merged, .. } = report.map.clone();
         let job = Job { loops, dissolved, corrected, merged, objects: Some(objects), ..Job::default() };
         let ticket = self.persister.submit(job).await;
-        Some(Some((report.map.loops, Moved { num_keyframes, map_version, ticket })))
+        Some(Some((report.map, Moved { num_keyframes, map_version, ticket })))
     }
 }

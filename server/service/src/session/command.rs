@@ -8,6 +8,7 @@ use crate::{Progress, Result};
 use percept_geometry::{KeyframeId, Pose, SensorFrame};
 use percept_mapping::given::GivenView;
 use percept_pipeline::{Loop, LoopId, PoseEstimate};
+use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedMutexGuard, oneshot};
 
@@ -78,6 +79,12 @@ pub(crate) enum Command {
         vetoed: bool,
         reply: oneshot::Sender<Option<Vetoed>>,
     },
+    /// What a person says of an object.
+    Correct {
+        id: ObjectId,
+        correction: Correction,
+        reply: oneshot::Sender<std::result::Result<Corrected, CorrectionError>>,
+    },
     Settle {
         reply: oneshot::Sender<Moved>,
     },
@@ -113,6 +120,15 @@ pub(crate) struct Imported {
     pub map_version: u64,
     /// Durable once the session's `durable` has reached it.
     pub ticket: Ticket,
+}
+
+/// What a person's correction of an object did.
+#[derive(Debug, Clone)]
+pub(crate) struct Corrected {
+    /// The object, and those that it made or changed, ascending.
+    pub ids: Vec<ObjectId>,
+    /// The map with it.
+    pub moved: Moved,
 }
 
 /// What a veto did.

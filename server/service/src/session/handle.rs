@@ -1,6 +1,6 @@
 //! The handle on a running session: doors put frames and commands into its actor's queue, and read what it published.
 
-use super::command::{Command, Imported, Moved, Offered, Pending, Processed, Submitted, Ticket, Vetoed};
+use super::command::{Command, Corrected, Imported, Moved, Offered, Pending, Processed, Submitted, Ticket, Vetoed};
 use super::events::EventLog;
 use super::fault::{Fault, Trouble};
 use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
@@ -13,6 +13,7 @@ use crate::{Limits, Progress, Result};
 use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
 use percept_mapping::given::GivenView;
 use percept_pipeline::{LoopId, Pipeline, Snapshot};
+use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::{Duration, Instant};
@@ -347,6 +348,21 @@ impl Session {
         self.check_storing()?;
         let (reply, done) = oneshot::channel();
         self.queue.send(Command::Veto { id, vetoed, reply }).await.map_err(|_| stopped())?;
+        done.await.map_err(|_| stopped())
+    }
+
+    /// Does as a person says of an object.
+    ///
+    /// # Errors
+    /// `SESSION_STOPPED`; inside, why it cannot be.
+    pub(crate) async fn correct(
+        &self,
+        id: ObjectId,
+        correction: Correction,
+    ) -> Result<std::result::Result<Corrected, CorrectionError>> {
+        self.check_storing()?;
+        let (reply, done) = oneshot::channel();
+        self.queue.send(Command::Correct { id, correction, reply }).await.map_err(|_| stopped())?;
         done.await.map_err(|_| stopped())
     }
 

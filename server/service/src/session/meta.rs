@@ -3,6 +3,7 @@
 use crate::ops::rooms::RoomName;
 use crate::{SessionMask, SessionZone};
 use percept_geometry::SensorSpec;
+use percept_perception::detection::ClassExample;
 use percept_pipeline::PipelineParams;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -65,6 +66,8 @@ pub struct SessionMeta {
     pub zone_masks: Vec<SessionMask>,
     /// What people call rooms.
     pub room_names: Vec<RoomName>,
+    /// Things that people named, from which classes are learned.
+    pub class_examples: Vec<ClassExample>,
     /// Grows with every change of all this.
     pub revision: u64,
 }

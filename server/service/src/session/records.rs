@@ -8,6 +8,7 @@ use crate::ops::rooms::RoomName;
 use crate::{SessionMask, SessionZone};
 use bytes::Bytes;
 use percept_geometry::{Pose, SensorId, Timestamp};
+use percept_perception::detection::ClassExample;
 use percept_pipeline::{Merged, PipelineParams, TrajectoryEntry};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -71,6 +72,8 @@ pub(crate) struct MetaRecord {
     zone_masks: Vec<Value>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     room_names: Vec<Value>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    class_examples: Vec<Value>,
 }
 
 impl MetaRecord {
@@ -91,6 +94,8 @@ impl MetaRecord {
             zones: meta.zones.iter().map(|z| value(serde_json::to_value(z))).collect::<crate::Result<_>>()?,
             zone_masks: meta.zone_masks.iter().map(|m| value(serde_json::to_value(m))).collect::<crate::Result<_>>()?,
             room_names: meta.room_names.iter().map(|n| value(serde_json::to_value(n))).collect::<crate::Result<_>>()?,
+            class_examples: (meta.class_examples.iter().map(|e| value(serde_json::to_value(e))))
+                .collect::<crate::Result<_>>()?,
         })
     }
 
@@ -106,6 +111,9 @@ impl MetaRecord {
         let zone_masks = self.zone_masks.into_iter().map(mask).collect::<Result<_, _>>()?;
         let name = |v: Value| serde_json::from_value::<RoomName>(v).map_err(|e| Unreadable::new("a room's name", e));
         let room_names = self.room_names.into_iter().map(name).collect::<Result<_, _>>()?;
+        let example =
+            |v: Value| serde_json::from_value::<ClassExample>(v).map_err(|e| Unreadable::new("an example of a class", e));
+        let class_examples = self.class_examples.into_iter().map(example).collect::<Result<_, _>>()?;
         Ok(SessionMeta {
             params: params_of(&self.id, self.params, defaults),
             id: self.id,
@@ -120,6 +128,7 @@ impl MetaRecord {
             zones,
             zone_masks,
             room_names,
+            class_examples,
         })
     }
 }
@@ -234,6 +243,7 @@ mod tests {
             zones: Vec::new(),
             zone_masks: Vec::new(),
             room_names: Vec::new(),
+            class_examples: Vec::new(),
             revision: 3,
             mode: SessionMode::Mapping,
             create_time_ns: 7,

@@ -77,6 +77,7 @@ pub(super) async fn recover(
         restored.loops.retain(|l| whole.contains(&l.closure.from) && whole.contains(&l.closure.to));
     }
     let (params, sensors) = (meta.params.clone(), meta.sensors.clone());
+    let class_examples = Arc::new(meta.class_examples.clone());
     let sender = compute.admission().sender(&meta.tenant, &meta.id);
     let executor = compute.beside_frames(&sender);
     let map_store = Arc::clone(&scratch);
@@ -87,6 +88,7 @@ pub(super) async fn recover(
         }
         pipeline.set_map_store(map_store);
         sensors.into_iter().for_each(|s| pipeline.declare_sensor(s.spec));
+        pipeline.set_class_examples(class_examples);
         pipeline.restore(restored);
         Ok::<_, Error>(pipeline)
     });
@@ -166,7 +168,7 @@ async fn read_objects(store: &dyn Store, stored: &mut Stored, damage: &mut Damag
         stored.objects_in_one = true;
         objects = damage.unless(parse("the objects", &bytes)).unwrap_or_default();
     }
-    stored.objects = objects.iter().map(|o| (o.id, *o)).collect();
+    stored.objects = objects.iter().map(|o| (o.id, o.clone())).collect();
     Ok(objects)
 }
 

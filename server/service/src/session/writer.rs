@@ -108,7 +108,7 @@ impl Writer {
         out.commit(self.store.as_ref()).await?;
         (self.stored.state, self.stored.tail) = (state, tail);
         if let Some((objects, _)) = objects {
-            self.stored.objects = objects.iter().map(|o| (o.id, *o)).collect();
+            self.stored.objects = objects.iter().map(|o| (o.id, o.clone())).collect();
             self.stored.objects_in_one = false;
         }
         self.num_merged += num_merged;

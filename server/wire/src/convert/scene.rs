@@ -3,13 +3,13 @@
 use super::geometry;
 use super::rooms::room_to;
 use crate::v1;
-use percept_geometry::ObjectClass;
+use percept_geometry::{ClassNameError, ObjectClass, Timestamp};
 use percept_scene::rooms::RoomId;
 use percept_scene::{
-    Directions, Node, NodeId, Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Relation, RelationFilter,
-    RelationFrame, RelationKind, SceneGraph,
+    Correction, Directions, Node, NodeId, Object, ObjectChange, ObjectChangeKind, ObjectFilter, ObjectId, ObjectState,
+    PastState, Relation, RelationFilter, RelationFrame, RelationKind, SceneGraph,
 };
-use percept_service::{Error, Result, reason};
+use percept_service::{ClassInfo, Error, ObjectQuery, Result, reason};
 use std::collections::BTreeMap;
 
 /// A class that is not UNSPECIFIED.
@@ -62,26 +62,131 @@ pub fn class_to(class: ObjectClass) -> v1::ObjectClass {
         ObjectClass::Bus => C::Bus,
         ObjectClass::Cyclist => C::Cyclist,
         ObjectClass::Motorcycle => C::Motorcycle,
+        ObjectClass::Named(_) => C::Unknown,
     }
+}
+
+/// A class by its name; empty is none.
+///
+/// # Errors
+/// `CLASS_NAME_INVALID`.
+pub fn class_named(field: &str, name: &str) -> Result<Option<ObjectClass>> {
+    if name.is_empty() {
+        return Ok(None);
+    }
+    let refused = |e: ClassNameError| Error::invalid(reason::CLASS_NAME_INVALID, field, e.to_string());
+    ObjectClass::parse(name).map(Some).map_err(refused)
+}
+
+/// A class by its number or by its name; none if neither is set.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`, `CLASS_NAME_INVALID`, `FILTERS_INVALID` if both are.
+fn class_of(number: i32, (field, name): (&str, &str)) -> Result<Option<ObjectClass>> {
+    match (optional_class(number)?, class_named(field, name)?) {
+        (Some(_), Some(_)) => {
+            let message = format!("{field} is set, and the class by its number, too; set one of them");
+            Err(Error::invalid(reason::FILTERS_INVALID, field, message))
+        }
+        (number, name) => Ok(number.or(name)),
+    }
+}
+
+/// Which objects are listed.
+///
+/// # Errors
+/// As [`class_named`]; `ENUM_UNKNOWN`, those of a box and a point.
+pub fn query(r: &v1::ListObjectsRequest) -> Result<ObjectQuery> {
+    let near = r.near.as_ref().map(|near| geometry::vector("near", near)).transpose()?;
+    let filter = ObjectFilter {
+        class: class_of(r.object_class, ("label", &r.label))?,
+        text: r.text.clone(),
+        region: super::layers::box3(r.region.as_ref())?,
+        seen_since: r.seen_since_ns.map(Timestamp),
+        seen_until: r.seen_until_ns.map(Timestamp),
+        include_gone: r.include_gone,
+        at: r.at_ns.map(Timestamp),
+        near: near.map(Into::into),
+    };
+    Ok(ObjectQuery { filter, room: r.room_id.map(RoomId), include_set_aside: r.include_set_aside })
+}
+
+/// What a person says of an object.
+///
+/// # Errors
+/// `FIELD_MISSING`, `CLASS_NAME_INVALID`, those of boxes.
+pub fn correction(correction: Option<&v1::correct_object_request::Correction>) -> Result<Correction> {
+    use v1::correct_object_request::Correction as C;
+    Ok(match super::required("correction", correction)? {
+        C::Label(name) => Correction::Class(class_named("label", name)?),
+        C::IsDeleted(true) => Correction::Delete,
+        C::IsDeleted(false) => Correction::Restore,
+        C::PartOf(id) => Correction::PartOf(ObjectId(*id)),
+        C::Pieces(pieces) => {
+            let boxes = pieces.boxes.iter().map(|b| geometry::oriented_box("pieces.boxes", b));
+            Correction::Split(boxes.collect::<Result<_>>()?)
+        }
+    })
+}
+
+/// A class of a session as a message.
+pub fn class_info_to(c: &ClassInfo) -> v1::ObjectClassInfo {
+    v1::ObjectClassInfo {
+        label: c.class.name().to_owned(),
+        is_built_in: c.is_built_in,
+        num_examples: u32::try_from(c.num_examples).unwrap_or(u32::MAX),
+        num_objects: c.num_objects as u64,
+    }
+}
+
+fn state_to(state: ObjectState) -> v1::ObjectState {
+    match state {
+        ObjectState::Static => v1::ObjectState::Static,
+        ObjectState::Moving => v1::ObjectState::Moving,
+        ObjectState::Gone => v1::ObjectState::Gone,
+    }
+}
+
+fn past_to(past: &PastState) -> v1::PastObjectState {
+    v1::PastObjectState {
+        stamp_ns: past.stamp.nanos(),
+        label: past.class.name().to_owned(),
+        state: state_to(past.state).into(),
+        r#box: Some(geometry::box_to(&past.bbox)),
+    }
+}
+
+/// An object as a message, with what it was before.
+pub fn whole_object_to(o: &Object) -> v1::Object {
+    v1::Object { history: o.history.iter().map(past_to).collect(), ..object_to(o) }
 }
 
 /// An object as a message.
 pub fn object_to(o: &Object) -> v1::Object {
-    let state = match o.state {
-        ObjectState::Static => v1::ObjectState::Static,
-        ObjectState::Moving => v1::ObjectState::Moving,
-        ObjectState::Gone => v1::ObjectState::Gone,
+    let probability = |&(class, probability): &(ObjectClass, f64)| v1::ClassProbability {
+        label: class.name().to_owned(),
+        probability,
     };
+    let annotation = (!o.annotation.is_empty()).then(|| v1::ObjectAnnotation {
+        label: o.annotation.class.map(|c| c.name().to_owned()).unwrap_or_default(),
+        is_deleted: o.annotation.is_deleted,
+        part_of: o.annotation.part_of.map(|id| id.0),
+        is_drawn: o.annotation.is_drawn,
+    });
     v1::Object {
         object_id: o.id.0,
         object_class: class_to(o.class).into(),
         confidence: o.confidence,
         r#box: Some(geometry::box_to(&o.bbox)),
-        state: state.into(),
+        state: state_to(o.state).into(),
         velocity_mps: Some(geometry::vector_to(&o.velocity_mps)),
         first_seen_ns: o.first_seen.nanos(),
         last_seen_ns: o.last_seen.nanos(),
         num_observations: o.observation_count,
+        label: o.class.name().to_owned(),
+        class_probabilities: o.class_probabilities.iter().map(probability).collect(),
+        annotation,
+        history: vec![],
     }
 }
 
@@ -186,8 +291,8 @@ pub fn filter(f: Option<&v1::RelationFilter>) -> Result<RelationFilter> {
         kinds: f.kinds.iter().map(|k| kind(*k)).collect::<Result<_>>()?,
         subject: node_of("filter.subject_id", &f.subject_id)?,
         object: node_of("filter.object_id", &f.object_id)?,
-        subject_class: optional_class(f.subject_class)?,
-        object_class: optional_class(f.object_class)?,
+        subject_class: class_of(f.subject_class, ("filter.subject_label", &f.subject_label))?,
+        object_class: class_of(f.object_class, ("filter.object_label", &f.object_label))?,
         room: f.room_id.map(RoomId),
         region: super::layers::box3(f.region.as_ref())?,
         min_strength: f.min_strength,

@@ -9,6 +9,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::future::BoxFuture;
 use futures::{Stream, StreamExt};
+use percept_geometry::Timestamp;
 use percept_service::reason;
 use percept_service::{CallContext, Error};
 use percept_wire::convert::{geometry, scene};
@@ -280,9 +281,12 @@ pub(super) fn wants_dot(parts: &Parts) -> Result<bool, Refused> {
 /// The scene graph in Graphviz's language.
 pub(super) async fn scene_as_dot(api: &Api, context: CallContext, request: Bytes) -> Result<Response, Refused> {
     let request: v1::GetSceneGraphRequest = decode(request)?;
+    let caller = api.service.caller(context)?;
+    // Who may not ask learns nothing of what is wrong with the question.
+    caller.snapshot("SceneService/GetSceneGraph", &request.session_id).await?;
     let whose = scene::directions(request.directions, request.viewer_yaw_rad)?;
     let filter = scene::filter(request.filter.as_ref())?;
-    let graph = api.service.caller(context)?.scene_graph(&request.session_id, whose, filter).await?;
+    let graph = caller.scene_graph(&request.session_id, whose, filter, request.at_ns.map(Timestamp)).await?;
     Ok(([(header::CONTENT_TYPE, "text/vnd.graphviz; charset=utf-8")], graph.to_dot()).into_response())
 }
 
@@ -296,6 +300,7 @@ const MESSAGE: &[(&str, &str)] = &[("session_id", "message.session_id")];
 const CLOUD: &[(&str, &str)] = &[("handle", "handle")];
 const OPERATION: &[(&str, &str)] = &[("operation_id", "operation_id")];
 const OBJECT: &[(&str, &str)] = &[("session_id", "session_id"), ("object_id", "object_id")];
+const CLASS: &[(&str, &str)] = &[("session_id", "session_id"), ("label", "label")];
 const LOOP: &[(&str, &str)] = &[("session_id", "source.session_id"), ("loop_id", "loop_id")];
 
 const fn get(
@@ -380,6 +385,9 @@ pub(super) static ROUTES: &[Route] = &[
 
     get("/v1/sessions/{session_id}/objects", "SceneService/ListObjects", SESSION, unary!(Message list_objects)),
     get("/v1/sessions/{session_id}/objects/{object_id}", "SceneService/GetObject", OBJECT, unary!(Message get_object)),
+    post("/v1/sessions/{session_id}/objects/{object_id}/correct", "SceneService/CorrectObject", OBJECT, unary!(Message correct_object)),
+    get("/v1/sessions/{session_id}/object-classes", "SceneService/ListObjectClasses", SESSION, unary!(Message list_object_classes)),
+    delete("/v1/sessions/{session_id}/object-classes/{label}", "SceneService/ForgetObjectClass", CLASS, unary!(Message forget_object_class)),
     get("/v1/sessions/{session_id}/scene-graph", "SceneService/GetSceneGraph", SESSION, parts!(SceneGraph get_scene_graph)),
     get("/v1/sessions/{session_id}/rooms", "SceneService/GetRooms", SESSION, parts!(Message get_rooms)),
     post("/v1/sessions/{session_id}/rooms/{room_id}/name", "SceneService/NameRoom", ROOM, unary!(Message name_room)),

@@ -7,7 +7,7 @@ use crate::telemetry::requests::Request;
 use percept_scene::RelationFilter;
 use percept_service::observe::Door;
 use percept_service::reason;
-use percept_service::{CloudDetail, Error};
+use percept_service::{CloudDetail, Error, ObjectQuery};
 use percept_wire::{convert, v1};
 use prost::Message;
 use std::future::Future;
@@ -93,12 +93,12 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
             caller.query(id, move || chunk().encode_to_vec()).await?
         }
         "scene/graph" => {
-            let graph = caller.scene_graph(id, None, RelationFilter::default()).await?;
+            let graph = caller.scene_graph(id, None, RelationFilter::default(), None).await?;
             convert::scene::graph_to(&graph).encode_to_vec()
         }
         "scene/rooms" => convert::rooms::rooms_to(&caller.rooms(id).await?, true).encode_to_vec(),
         "scene/objects" => {
-            let (page, map_version) = caller.list_objects(id, None, false, 1000, "").await?;
+            let (page, map_version) = caller.list_objects(id, ObjectQuery::default(), 1000, "").await?;
             let objects = page.items.iter().map(convert::scene::object_to).collect();
             v1::ListObjectsResponse { objects, next_page_token: page.next_page_token, map_version }.encode_to_vec()
         }

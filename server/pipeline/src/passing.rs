@@ -1,0 +1,98 @@
+//! What passes: looked for in the newest frames, beside them, where the map says that nothing stands.
+//!
+//! A keyframe is made of each half metre that the robot drives: who walks past one that stands is in none. So every fifth of a second
+//! the newest frame of each sensor is looked through; what was found enters at the first frame that is [`DELAY_S`] younger.
+
+use crate::beside::{Executor, Task};
+use crate::live::News;
+use crate::visibility::RangeImage;
+use nalgebra::Point3;
+use percept_geometry::{Pose, SensorId, Timestamp};
+use percept_perception::detection::find_passing;
+use percept_scene::{ObjectChange, Observation, Tracker};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+/// From one look to the next, seconds: at a walk a person goes half of what they are wide.
+const EVERY_S: f64 = 0.2;
+/// What was found is taken in so many seconds after the frame: a look takes some milliseconds.
+const DELAY_S: f64 = 0.1;
+
+/// Looks at frames that are not taken in yet.
+#[derive(Default)]
+pub(crate) struct Passing {
+    /// Begun and not taken in, oldest first.
+    looks: VecDeque<Look>,
+    /// Stamp of the newest frame that each sensor was looked through.
+    newest: BTreeMap<SensorId, Timestamp>,
+}
+
+struct Look {
+    stamp: Timestamp,
+    task: Task<Found>,
+}
+
+/// What a frame shows.
+struct Found {
+    observations: Vec<Observation>,
+    t_map_base: Pose,
+    ranges: RangeImage,
+}
+
+impl Passing {
+    /// Whether a sensor's frame is to be looked through.
+    pub(crate) fn is_due(&self, sensor: &SensorId, stamp: Timestamp) -> bool {
+        // Who goes back in time begins anew.
+        self.newest.get(sensor).is_none_or(|newest| !(0.0..EVERY_S).contains(&stamp.seconds_since(*newest)))
+    }
+
+    /// Begins to look through a frame.
+    pub(crate) fn look(
+        &mut self,
+        (sensor, stamp): (&SensorId, Timestamp),
+        executor: Option<&Arc<dyn Executor>>,
+        news: impl FnOnce() -> News + Send + 'static,
+    ) {
+        self.newest.insert(sensor.clone(), stamp);
+        self.looks.push_back(Look { stamp, task: Task::begin(executor, move || Found::of(&news())) });
+    }
+
+    /// Whether something was begun and not taken in.
+    pub(crate) fn is_looking(&self) -> bool {
+        !self.looks.is_empty()
+    }
+
+    /// Takes in what is due at a frame; all that was begun, if there is none. Whether anything could change, and what did.
+    pub(crate) fn take_found(&mut self, frame: Option<Timestamp>, tracker: &mut Tracker) -> (bool, Vec<ObjectChange>) {
+        let (mut was_asked, mut changes) = (false, vec![]);
+        let is_due = |look: &mut Look| frame.is_none_or(|now| now >= look.stamp.plus_seconds(DELAY_S));
+        while let Some(look) = self.looks.pop_front_if(is_due) {
+            let Found { observations, t_map_base, ranges } = look.task.finished();
+            if observations.is_empty() && !tracker.has_passing() {
+                continue;
+            }
+            was_asked = true;
+            let visibility = |b: &_| ranges.visibility(&t_map_base, b);
+            changes.extend(tracker.update_passing(look.stamp, &observations, &visibility));
+        }
+        (was_asked, changes)
+    }
+}
+
+impl Found {
+    fn of(news: &News) -> Self {
+        let floor_z = news.t_map_base.translation.vector.z - news.scan.base_height_m;
+        let viewer = news.t_map_base * Point3::from(news.scan.t_base_sensor.translation.vector);
+        let things = find_passing(&news.points, &viewer, floor_z);
+        let observations = things.iter().map(|thing| Observation {
+            class: thing.class,
+            confidence: thing.confidence,
+            bbox: thing.bbox,
+            num_points: thing.num_points,
+            is_moving: false,
+            is_seen: true,
+        });
+        let ranges = RangeImage::new(&news.scan);
+        Self { observations: observations.collect(), t_map_base: news.t_map_base, ranges }
+    }
+}
