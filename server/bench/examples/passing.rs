@@ -2,7 +2,7 @@
 //! worlds.
 //!
 //! At each frame that shows the person (three of nine rays to them end there, within 6 m) the tracked object nearest to them counts if
-//! it is within 0.6 m; what else is told as moving, or as a person, anywhere, is false. Printed are the identity score (IDF1, from one
+//! it is within 0.6 m; what else is told as moving, anywhere, is false. Printed are the identity score (IDF1, from one
 //! second after the person came into sight), how far off position and velocity are, and what is still told as standing at the end
 //! where nothing stands.
 
@@ -12,6 +12,7 @@ use percept_geometry::{ObjectClass, OrientedBox3, Pose, SensorKind, Timestamp};
 use percept_pipeline::{Pipeline, PipelineParams};
 use percept_scene::{Object, ObjectState};
 use percept_sim::{MainSensor, Scenario, SensorSuite, SimParams, Simulation, TrueObject, WorldParams};
+use std::collections::BTreeSet;
 use std::error::Error;
 
 type Failure = Box<dyn Error + Send + Sync>;
@@ -63,7 +64,8 @@ struct Score {
     off_m: Vec<f64>,
     velocity_off: Vec<f64>,
     named: usize,
-    false_ids: std::collections::BTreeSet<i64>,
+    false_ids: BTreeSet<i64>,
+    standing: BTreeSet<i64>,
     ghosts: usize,
 }
 
@@ -74,6 +76,7 @@ impl Score {
         let moved = |id: Option<i64>| id.map(|id| id + base);
         self.pairs.extend(other.pairs.iter().map(|(a, b)| (moved(*a), moved(*b))));
         self.false_ids.extend(other.false_ids.iter().map(|id| id + base));
+        self.standing.extend(other.standing.iter().map(|id| id + base));
         self.off_m.extend(other.off_m);
         self.velocity_off.extend(other.velocity_off);
         self.named += other.named;
@@ -90,7 +93,7 @@ impl Score {
         };
         format!(
             "seen in {} frames, tracked in {matched}, named person in {}; IDF1 {:.3}, {} switches; off by {:.2} m and {:.2} m/s in \
-             the median; {} false movers; {} ghosts",
+             the median; {} false movers, {} told as people who stand at some time; {} ghosts",
             identity.num_true,
             self.named,
             identity.idf1.unwrap_or(0.0),
@@ -98,6 +101,7 @@ impl Score {
             median(&self.off_m),
             median(&self.velocity_off),
             self.false_ids.len(),
+            self.standing.len(),
             self.ghosts
         )
     }
@@ -114,15 +118,20 @@ fn run(simulation: &Simulation, is_listed: bool) -> Result<Score, Failure> {
         let spec = sensors.iter().find(|s| s.id == frame.frame.sensor);
         pipeline.process(&frame.frame)?;
         last = stamp;
-        let Some(spec) = spec.filter(|s| matches!(s.kind, SensorKind::Depth | SensorKind::Rgbd | SensorKind::Lidar3d)) else { continue };
+        let Some(spec) = spec.filter(|s| matches!(s.kind, SensorKind::Depth | SensorKind::Rgbd | SensorKind::Lidar3d))
+        else {
+            continue;
+        };
         let person = simulation.objects_at(stamp).into_iter().find(|o| o.moving);
         let t_world_sensor = frame.t_world_base * spec.t_base_sensor;
         let half_angle = spec.intrinsics.as_ref().map(|k| (0.5 * k.width as f64 / k.fx).atan());
         let shown = person.filter(|p| is_shown(simulation, p, &t_world_sensor, half_angle, frame.measured_s));
         in_sight_since = shown.as_ref().map(|_| in_sight_since.unwrap_or(stamp));
         let snapshot = pipeline.snapshot();
-        let moving = |o: &&Object| o.state == ObjectState::Moving || o.class == ObjectClass::Person && o.state == ObjectState::Static;
+        let moving = |o: &&Object| o.state == ObjectState::Moving;
         let mut told: Vec<&Object> = snapshot.objects.iter().filter(moving).collect();
+        let standing = |o: &&Object| o.class == ObjectClass::Person && o.state == ObjectState::Static;
+        score.standing.extend(snapshot.objects.iter().filter(standing).map(|o| o.id.0 as i64));
         if let Some(person) = &shown {
             let place = t_map_world * person.bbox.center();
             let off = |o: &Object| (o.bbox.center() - place).xy().norm();
@@ -144,7 +153,15 @@ fn run(simulation: &Simulation, is_listed: bool) -> Result<Score, Failure> {
         let there = simulation.objects_at(stamp).into_iter().find(|o| o.moving).map(|o| t_map_world * o.bbox.center());
         for o in told.iter().filter(|o| there.is_none_or(|p| (o.bbox.center() - p).xy().norm() > 2.0 * SAME_M)) {
             if score.false_ids.insert(o.id.0 as i64) && is_listed {
-                println!("  {:.1} s: {} {} {:?} at {:.2?}, {:.2?}; person at {there:.2?}", stamp.nanos() as f64 * 1e-9, o.class, o.id, o.state, o.bbox.center().coords.as_slice(), o.bbox.size.as_slice());
+                println!(
+                    "  {:.1} s: {} {} {:?} at {:.2?}, {:.2?}; person at {there:.2?}",
+                    stamp.nanos() as f64 * 1e-9,
+                    o.class,
+                    o.id,
+                    o.state,
+                    o.bbox.center().coords.as_slice(),
+                    o.bbox.size.as_slice()
+                );
             }
             score.pairs.push((None, Some(o.id.0 as i64)));
         }
@@ -152,21 +169,37 @@ fn run(simulation: &Simulation, is_listed: bool) -> Result<Score, Failure> {
     pipeline.finish_revision();
     let truth: Vec<OrientedBox3> =
         simulation.objects_at(last).iter().map(|o| o.bbox.transformed(&t_map_world)).collect();
-    let stands = |o: &&Object| o.state != ObjectState::Gone;
+    let stands = |o: &&Object| o.state == ObjectState::Static;
     let grown = |b: &OrientedBox3| OrientedBox3 { size: b.size.add_scalar(0.3), ..*b };
-    let is_ghost = |o: &&Object| truth.iter().all(|t| !grown(t).contains(&o.bbox.center()) && t.iou_upright(&o.bbox) < 0.05);
+    let is_ghost =
+        |o: &&Object| truth.iter().all(|t| !grown(t).contains(&o.bbox.center()) && t.iou_upright(&o.bbox) < 0.05);
     let snapshot = pipeline.snapshot();
     for o in snapshot.objects.iter().filter(stands).filter(is_ghost) {
         score.ghosts += 1;
         if is_listed {
-            println!("  ghost: {} {} ({:.2}) at {:.2?}, {:.2?}, {} points, {} looks", o.class, o.id, o.confidence, o.bbox.center().coords.as_slice(), o.bbox.size.as_slice(), o.num_points, o.observation_count);
+            println!(
+                "  ghost: {} {} ({:.2}) at {:.2?}, {:.2?}, {} points, {} looks",
+                o.class,
+                o.id,
+                o.confidence,
+                o.bbox.center().coords.as_slice(),
+                o.bbox.size.as_slice(),
+                o.num_points,
+                o.observation_count
+            );
         }
     }
     Ok(score)
 }
 
 /// Whether a sensor shows the person: optical axis z where it has a field of view, all around else.
-fn is_shown(simulation: &Simulation, person: &TrueObject, t_world_sensor: &Pose, half_angle: Option<f64>, t_s: f64) -> bool {
+fn is_shown(
+    simulation: &Simulation,
+    person: &TrueObject,
+    t_world_sensor: &Pose,
+    half_angle: Option<f64>,
+    t_s: f64,
+) -> bool {
     let origin: Point3<f64> = t_world_sensor.translation.vector.into();
     let lattice = (0..9).map(|i| {
         let at = |k: i32| f64::from(k - 1) * 0.3;

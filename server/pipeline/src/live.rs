@@ -22,6 +22,9 @@ const ASKED: usize = 3;
 /// What moves was elsewhere so long ago, seconds: at half a walk, as far as it is wide.
 const EARLIER_S: f64 = 0.4;
 
+/// What passes is lower than a door, metres: lamps and ceilings lie over free cells.
+const PASSING_M: f64 = 2.05;
+
 type Scan = LazyLock<KeyframeScan, LaterScan>;
 
 /// What a frame shows.
@@ -165,7 +168,9 @@ impl NewestFrames {
             let LiveFrame { t_map_base, scan, .. } = frame.in_map(&t_map_odom, base_height_m, true);
             let is_news = if scan.planar { vec![] } else { grid.is_news(&t_map_base, &scan) };
             let points = scan.hits.positions.iter().zip(is_news).filter(|(_, is_news)| *is_news);
-            let points = points.map(|(p, _)| (t_map_base * p.cast::<f64>()).cast()).collect();
+            let in_map = points.map(|(p, _)| t_map_base * p.cast::<f64>());
+            let top_z = t_map_base.translation.vector.z - scan.base_height_m + PASSING_M;
+            let points = in_map.filter(|p| p.z < top_z).map(|p| p.cast()).collect();
             News { points, t_map_base, scan }
         })
     }

@@ -13,8 +13,8 @@ use percept_scene::{ObjectChange, Observation, Tracker};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// From one look to the next, seconds: at a walk a person goes half of what they are wide.
-const EVERY_S: f64 = 0.2;
+/// From one look to the next, seconds, at least: at a walk a person goes half of what they are wide, and frames of 5 Hz are all looked at.
+const EVERY_S: f64 = 0.15;
 /// What was found is taken in so many seconds after the frame: a look takes some milliseconds.
 const DELAY_S: f64 = 0.1;
 

@@ -23,10 +23,14 @@ use crate::{
     Executor, FrameError, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, PoseEstimate, SessionMemory,
     Snapshot, TrajectoryEntry,
 };
-use percept_geometry::{KeyframeScan, Pose, SensorFrame, SensorId, SensorSpec};
+use nalgebra::Point3;
+use percept_geometry::{KeyframeScan, OrientedBox3, Pose, SensorFrame, SensorId, SensorSpec};
 use percept_mapping::{MapStore, Submap};
 use percept_slam::{OdometryEstimate, OdometryKind, Scan};
 use std::sync::Arc;
+
+/// What passes may be so far beside where it is expected, metres: legs and arms swing. And the floor is no part of it, up to there.
+const BESIDE_PASSING_M: f64 = 0.15;
 
 /// One robot's SLAM, maps, objects. A single writer; readers use [`Pipeline::snapshot`].
 pub struct Pipeline {
@@ -239,6 +243,8 @@ impl Pipeline {
     fn add(&mut self, mut keyframe: Keyframe, of: &Scan, before_joined: Option<&KeyframeInfo>) -> NewKeyframe {
         let moving = self.newest.part_moving(&mut keyframe.scan, &keyframe.t_odom_base);
         let stamp = keyframe.scan.stamp;
+        let t_map_base = self.map_graph.t_map_odom() * keyframe.t_odom_base;
+        leave_out(&mut keyframe.scan, &t_map_base, &self.scene.passing_boxes(stamp));
         if self.second_looks.take_keyframe(&keyframe.scan.sensor, stamp) == Some(SecondLook::Gone) {
             self.map_graph.leave_out_news(&mut keyframe.scan, &keyframe.t_odom_base);
         }
@@ -326,5 +332,23 @@ impl Pipeline {
             next_object_id: self.scene.next_object_id(),
             params: Arc::clone(&self.params),
         }
+    }
+}
+
+/// Leaves out of a scan what lies in boxes in the map, and at their sides: who passes is not to enter the map.
+fn leave_out(scan: &mut KeyframeScan, t_map_base: &Pose, boxes: &[OrientedBox3]) {
+    if scan.planar || boxes.is_empty() {
+        return;
+    }
+    let floor_z = t_map_base.translation.vector.z - scan.base_height_m;
+    let grown: Vec<OrientedBox3> =
+        boxes.iter().map(|b| OrientedBox3 { size: b.size.add_scalar(2.0 * BESIDE_PASSING_M), ..*b }).collect();
+    let stays = |p: &Point3<f32>| {
+        let p = t_map_base * p.cast::<f64>();
+        p.z < floor_z + BESIDE_PASSING_M || !grown.iter().any(|b| b.contains(&p))
+    };
+    let kept: Vec<usize> = (0..scan.hits.len()).filter(|i| stays(&scan.hits.positions[*i])).collect();
+    if kept.len() < scan.hits.len() {
+        scan.hits = scan.hits.select(&kept);
     }
 }

@@ -18,9 +18,7 @@ use percept_perception::detection::outdoor::{OutdoorDetector, OutdoorParams};
 use percept_perception::detection::{ClassExample, Detection, Detector, GaussianClassifier};
 use percept_perception::segmentation::GroundParams;
 use percept_scene::overlap::upright;
-use percept_scene::{
-    Correction, CorrectionError, Object, ObjectChange, ObjectId, Observation, Tracker, Visibility,
-};
+use percept_scene::{Correction, CorrectionError, Object, ObjectChange, ObjectId, Observation, Tracker, Visibility};
 use percept_slam::{CloudScan, Scan};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -167,8 +165,8 @@ impl Scene {
         self.executor = Some(executor);
     }
 
-    /// Begins to look for objects in the map around a new keyframe, and among what it saw `moving`, base frame; outdoors in the sweep
-    /// that it was made of.
+    /// Begins to look for objects in the map around a new keyframe; outdoors in the sweep that it was made of, and among what it saw
+    /// `moving`, base frame.
     pub(crate) fn look_around(&mut self, layers: MapLayers, keyframe: &NewKeyframe, moving: PointCloud, of: &Scan) {
         // A camera alone sees too little for that.
         if !self.settings.enabled || keyframe.scan.planar || matches!(of, Scan::Image(_)) {
@@ -180,9 +178,7 @@ impl Scene {
         let (t_map_base, range_m) = (keyframe.info.t_map_base, self.settings.range_m);
         let (detector, cloud, scan) = (Arc::clone(&self.detector), layers.cloud, Arc::clone(&keyframe.scan));
         let task = Task::begin(self.executor.as_ref(), move || {
-            let mut around = cloud.points_within(&t_map_base.translation.vector.into(), range_m);
-            let moving = moving.transformed(&t_map_base);
-            add_within(&mut around, &moving, &t_map_base.translation.vector.into(), range_m);
+            let around = cloud.points_within(&t_map_base.translation.vector.into(), range_m);
             // The fused cloud is sound by construction; a detector that refuses it finds nothing.
             let found = detector.detect(&around).unwrap_or_default();
             let seen = scan.hits.transformed(&t_map_base).positions;
@@ -191,7 +187,7 @@ impl Scene {
                 confidence: d.confidence,
                 bbox: d.bbox,
                 num_points: d.num_points,
-                is_moving: moves(&d.bbox, &moving, &around),
+                is_moving: false,
                 is_seen: is_seen(&d.bbox, &seen),
             };
             Found { observations: found.iter().map(observation).collect(), ranges: RangeImage::new(&scan) }
@@ -236,6 +232,11 @@ impl Scene {
     /// Whether something is being looked for.
     pub(crate) fn is_looking(&self) -> bool {
         !self.searches.is_empty() || self.passing.is_looking()
+    }
+
+    /// Where what passes is expected at a stamp: boxes in the map frame.
+    pub(crate) fn passing_boxes(&self, stamp: Timestamp) -> Vec<OrientedBox3> {
+        self.tracker.passing_boxes(stamp)
     }
 
     /// Whether a frame is to be looked through for what passes. Outdoors keyframes alone are.
@@ -319,19 +320,6 @@ fn is_seen(bbox: &OrientedBox3, points: &[Point3<f32>]) -> bool {
     let (center, reach) = (grown.center().cast::<f32>(), 0.5 * grown.size.norm() as f32);
     let near = points.iter().filter(|p| nalgebra::distance_squared(p, &center) <= reach * reach);
     near.filter(|p| grown.contains(&p.cast())).take(LOOK).count() == LOOK
-}
-
-/// Adds those points that are so near, metres; grey where a cloud with colours gets some without.
-fn add_within(cloud: &mut PointCloud, more: &PointCloud, center: &Point3<f64>, range_m: f64) {
-    for (i, p) in more.positions.iter().enumerate().filter(|(_, p)| (p.cast::<f64>() - center).norm() <= range_m) {
-        cloud.positions.push(*p);
-        if let Some(colors) = &mut cloud.colors {
-            colors.push(more.colors.as_ref().map_or([128; 3], |c| c[i]));
-        }
-        if let Some(intensities) = &mut cloud.intensities {
-            intensities.push(more.intensities.as_ref().map_or(0.0, |c| c[i]));
-        }
-    }
 }
 
 /// How objects are looked for in sweeps, where they are. What nobody can name is left out: hedges, poles, corners of houses.

@@ -100,7 +100,8 @@ impl Tracker {
                 }
             }
             Correction::Delete => {
-                changes.extend(self.tracks[index].annotation.is_listed().then(|| change(id, ObjectChangeKind::Forgotten)));
+                changes
+                    .extend(self.tracks[index].annotation.is_listed().then(|| change(id, ObjectChangeKind::Forgotten)));
                 self.set_aside(index);
             }
             Correction::Restore => {
@@ -169,7 +170,9 @@ impl Tracker {
         }
         let usable = |b: &OrientedBox3| {
             let placed = b.center().iter().all(|v| v.abs() <= 1e6);
-            placed && b.t_frame_box.rotation.coords.iter().all(|v| v.is_finite()) && b.size.iter().all(|s| (1e-3..=1e4).contains(s))
+            placed
+                && b.t_frame_box.rotation.coords.iter().all(|v| v.is_finite())
+                && b.size.iter().all(|s| (1e-3..=1e4).contains(s))
         };
         if let Some(i) = boxes.iter().position(|b| !usable(b)) {
             return Err(CorrectionError::Box(i));

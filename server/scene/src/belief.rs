@@ -60,8 +60,8 @@ impl ClassBelief {
     pub fn probabilities(&self) -> Vec<(ObjectClass, f64)> {
         let most = self.named.iter().map(|n| n.1).fold(self.other, f64::max);
         let weigh = |log_odds: f64| (log_odds - most).exp();
-        let sum: f64 = self.named.iter().map(|n| weigh(n.1)).sum::<f64>()
-            + num_others(self.named.len()) * weigh(self.other);
+        let sum: f64 =
+            self.named.iter().map(|n| weigh(n.1)).sum::<f64>() + num_others(self.named.len()) * weigh(self.other);
         let mut out: Vec<(ObjectClass, f64)> = self.named.iter().map(|n| (n.0, weigh(n.1) / sum)).collect();
         out.sort_by(likeliest_first);
         out

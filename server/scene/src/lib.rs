@@ -11,8 +11,8 @@ mod annotation;
 pub mod assignment;
 mod association;
 mod belief;
-pub mod object;
 mod motion;
+pub mod object;
 mod object_filter;
 pub mod overlap;
 mod passing;
@@ -25,9 +25,7 @@ pub mod tracker;
 
 pub use annotation::{Annotation, Correction, CorrectionError, MAX_PIECES};
 pub use belief::ClassBelief;
-pub use object::{
-    Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, PastState, Visibility,
-};
+pub use object::{Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, PastState, Visibility};
 pub use object_filter::ObjectFilter;
 pub use relation_filter::RelationFilter;
 pub use relations::{Directions, NodeId, Relation, RelationFrame, RelationKind, RelationParams};

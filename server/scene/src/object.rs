@@ -136,7 +136,16 @@ impl Object {
         let (history, velocity_mps) = (self.history[..later].to_vec(), Vector3::zeros());
         let (class, state, bbox) = (past.class, past.state, past.bbox);
         let velocity_variance = 0.0;
-        Some(Self { class, state, bbox, velocity_mps, velocity_variance, history, last_seen: self.last_seen.min(stamp), ..self.clone() })
+        Some(Self {
+            class,
+            state,
+            bbox,
+            velocity_mps,
+            velocity_variance,
+            history,
+            last_seen: self.last_seen.min(stamp),
+            ..self.clone()
+        })
     }
 }
 

@@ -12,6 +12,10 @@ use percept_geometry::{ObjectClass, OrientedBox3, Timestamp};
 
 /// Updates that see something that passes in motion, before it is listed.
 const LOOKS: u64 = 2;
+/// Who goes out of sight and comes back within so long is the same, if nobody else can be, seconds: a person takes that to walk around
+/// a table. And so fast, m/s: a quick walk.
+const AWAY_S: f64 = 10.0;
+const WALK: f64 = 1.5;
 /// What has not moved so far and is not seen for so long was nothing, seconds.
 const FORGET_S: f64 = 1.0;
 
@@ -41,11 +45,17 @@ impl Tracker {
         for (i, observation) in assigned.iter().enumerate() {
             match observation {
                 Some(o) => self.see_passing(i, &observations[*o], stamp, &mut changes),
-                None if self.tracks[i].is_passing && self.miss_passing(i, stamp, visibility, &mut changes) => removed.push(i),
+                None if self.tracks[i].is_passing && self.miss_passing(i, stamp, visibility, &mut changes) => {
+                    removed.push(i)
+                }
                 None => {}
             }
         }
         self.remove(&removed);
+        let is_new = |t: &Track| t.id.is_none() && t.is_passing && t.looks >= LOOKS;
+        while let Some(i) = self.tracks.iter().position(is_new) {
+            self.tell_of(i, stamp, &mut changes);
+        }
         let room = self.params.max_objects.saturating_sub(self.tracks.len());
         let free = (0..observations.len()).filter(|o| !assigned.contains(&Some(*o)));
         for o in free.take(room) {
@@ -66,14 +76,34 @@ impl Tracker {
         track.observe(&Observation { is_seen, ..*seen }, stamp, &self.params, &mut kinds);
         track.last_seen = track.last_seen.max(stamp);
         track.is_passing |= track.state == ObjectState::Moving;
-        match track.id {
-            Some(id) => changes.extend(kinds.iter().map(|&kind| ObjectChange { id, kind })),
-            None if track.looks >= LOOKS => {
-                track.id = Some(confirm(&mut self.next_id, changes));
-                track.remember_at(stamp);
-            }
-            None => {}
+        if let Some(id) = track.id {
+            changes.extend(kinds.iter().map(|&kind| ObjectChange { id, kind }));
         }
+    }
+
+    /// Lists a track: as who went out of sight near there a while ago, if that can be said of one alone.
+    fn tell_of(&mut self, i: usize, stamp: Timestamp, changes: &mut Vec<ObjectChange>) {
+        let (now, class) = (self.tracks[i].bbox.center(), self.tracks[i].class().0);
+        let may_be = |t: &&mut Track| {
+            let away_s = stamp.seconds_since(t.last_seen);
+            let reach_m = self.params.association_distance_m + WALK * away_s;
+            let is_alike = t.state == ObjectState::Gone && t.class().0 == class && class == ObjectClass::Person;
+            is_alike && away_s <= AWAY_S && (t.bbox.center() - now).xy().norm() <= reach_m
+        };
+        let mut away: Vec<&mut Track> = self.tracks.iter_mut().filter(may_be).collect();
+        let before = match &mut away[..] {
+            [one] => one.id.take().map(|id| (id, one.clone())),
+            _ => None,
+        };
+        let Some((id, before)) = before else {
+            self.tracks[i].id = Some(confirm(&mut self.next_id, changes));
+            self.tracks[i].remember_at(stamp);
+            return;
+        };
+        self.tracks[i].go_on_as(id, &before, stamp);
+        // What has neither a name nor anybody who looks for it is forgotten.
+        self.tracks.retain(|t| t.id.is_some() || t.state != ObjectState::Gone);
+        changes.push(ObjectChange { id, kind: ObjectChangeKind::Reappeared });
     }
 
     /// Whether a track that was not seen is to be forgotten.

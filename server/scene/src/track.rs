@@ -1,9 +1,10 @@
 //! One thing followed through time: its box, class, motion and how often it was missed.
 
-use crate::{
-    Annotation, ClassBelief, Object, ObjectChangeKind, ObjectId, ObjectState, Observation, PastState, TrackerParams, overlap,
-};
 use crate::motion::Motion;
+use crate::{
+    Annotation, ClassBelief, Object, ObjectChangeKind, ObjectId, ObjectState, Observation, PastState, TrackerParams,
+    overlap,
+};
 use nalgebra::Vector3;
 use percept_geometry::{ObjectClass, OrientedBox3, Timestamp};
 
@@ -182,6 +183,17 @@ impl Track {
         out
     }
 
+    /// It is the thing that another track followed before.
+    pub(crate) fn go_on_as(&mut self, id: ObjectId, before: &Self, stamp: Timestamp) {
+        self.id = Some(id);
+        self.first_seen = before.first_seen;
+        self.observation_count += before.observation_count;
+        self.looks += before.looks;
+        self.belief = self.belief.pooled(&before.belief);
+        (self.annotation, self.history) = (before.annotation, before.history.clone());
+        self.remember_at(stamp);
+    }
+
     /// Whether something seen there may be this, which is on its way.
     pub(crate) fn may_be_at(&self, seen: &OrientedBox3, stamp: Timestamp) -> bool {
         self.motion.predicted(stamp, f64::INFINITY).may_be_at(&seen.center())
@@ -244,7 +256,15 @@ impl Track {
             (true, Some(_)) => {}
             (false, _) => self.bbox = self.before.take().unwrap_or(self.bbox),
         }
-        if is_moving || away && (self.state == ObjectState::Moving || self.away >= OBSERVATIONS_AWAY) {
+        let is_elsewhere = away && (self.state == ObjectState::Moving || self.away >= OBSERVATIONS_AWAY);
+        if is_elsewhere && !is_moving && !self.is_passing && self.state == ObjectState::Static && !self.may_set_off() {
+            // Nobody saw it move: it was carried, or its box was bad.
+            (self.anchor, self.anchor_stamp, self.away, self.before) = (*seen, stamp, 0, None);
+            (self.bbox, self.motion) = (*seen, Motion::at(stamp, seen.center()));
+            changes.push(ObjectChangeKind::Updated);
+            return;
+        }
+        if is_moving || is_elsewhere {
             (self.anchor, self.anchor_stamp, self.away, self.before) = (*seen, stamp, 0, None);
             if self.state != ObjectState::Moving {
                 self.state = ObjectState::Moving;
@@ -256,6 +276,12 @@ impl Track {
             self.anchor = *seen;
             changes.push(ObjectChangeKind::Stopped);
         }
+    }
+
+    /// Whether it may move by itself: furniture does not.
+    fn may_set_off(&self) -> bool {
+        use ObjectClass::{Box, Chair, Cylinder, Shelf, Table};
+        !matches!(self.class().0, Table | Chair | Shelf | Box | Cylinder)
     }
 
     /// Mixes the box in by its share of the points: one that rests on many more replaces, one on few adds little.

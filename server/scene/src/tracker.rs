@@ -135,6 +135,12 @@ impl Tracker {
         Ok(())
     }
 
+    /// Boxes of what is on its way between keyframes, where it is expected at a stamp.
+    pub fn passing_boxes(&self, stamp: Timestamp) -> Vec<OrientedBox3> {
+        let moving = self.tracks.iter().filter(|t| t.is_passing && t.state == ObjectState::Moving);
+        moving.map(|t| t.predicted(stamp, self.params.coast_s)).collect()
+    }
+
     /// The number that the next object will get.
     pub fn next_id(&self) -> u64 {
         self.next_id

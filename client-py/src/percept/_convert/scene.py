@@ -55,6 +55,8 @@ def tracked(message: object_pb2.Object) -> Object:
         confidence=message.confidence,
         box=geometry.box(message.box),
         state=words.word(ObjectState, object_pb2.ObjectState, message.state),
+        velocity_mps=geometry.vector3(message.velocity_mps),
+        velocity_variance=message.velocity_variance,
         first_seen_ns=message.first_seen_ns,
         last_seen_ns=message.last_seen_ns,
         num_observations=message.num_observations,

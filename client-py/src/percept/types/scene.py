@@ -77,6 +77,10 @@ class Object(Value):
     #: Upright, map frame.
     box: OrientedBox
     state: ObjectState
+    #: Of its centre, map frame, metres a second, (3,); zero unless moving.
+    velocity_mps: Floats
+    #: Of the velocity along x, and along y, (m/s)^2; zero unless moving.
+    velocity_variance: float
     first_seen_ns: int
     last_seen_ns: int
     num_observations: int

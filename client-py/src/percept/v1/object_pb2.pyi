@@ -251,6 +251,7 @@ class Object(_message.Message):
     CLASS_PROBABILITIES_FIELD_NUMBER: _builtins.int
     ANNOTATION_FIELD_NUMBER: _builtins.int
     HISTORY_FIELD_NUMBER: _builtins.int
+    VELOCITY_VARIANCE_FIELD_NUMBER: _builtins.int
     object_id: _builtins.int
     """Stable through the session."""
     object_class: Global___ObjectClass.ValueType
@@ -263,6 +264,8 @@ class Object(_message.Message):
     num_observations: _builtins.int
     label: _builtins.str
     """Name of its class, lower case: "table", or one that people or models named."""
+    velocity_variance: _builtins.float
+    """Variance of the velocity along x, and along y, (m/s)^2; zero unless MOVING."""
     @_builtins.property
     def box(self) -> _geometry_pb2.OrientedBox:
         """Upright, in the map frame."""
@@ -297,10 +300,11 @@ class Object(_message.Message):
         class_probabilities: _abc.Iterable[Global___ClassProbability] | None = ...,
         annotation: Global___ObjectAnnotation | None = ...,
         history: _abc.Iterable[Global___PastObjectState] | None = ...,
+        velocity_variance: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["annotation", b"annotation", "box", b"box", "velocity_mps", b"velocity_mps"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["annotation", b"annotation", "box", b"box", "class_probabilities", b"class_probabilities", "confidence", b"confidence", "first_seen_ns", b"first_seen_ns", "history", b"history", "label", b"label", "last_seen_ns", b"last_seen_ns", "num_observations", b"num_observations", "object_class", b"object_class", "object_id", b"object_id", "state", b"state", "velocity_mps", b"velocity_mps"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["annotation", b"annotation", "box", b"box", "class_probabilities", b"class_probabilities", "confidence", b"confidence", "first_seen_ns", b"first_seen_ns", "history", b"history", "label", b"label", "last_seen_ns", b"last_seen_ns", "num_observations", b"num_observations", "object_class", b"object_class", "object_id", b"object_id", "state", b"state", "velocity_mps", b"velocity_mps", "velocity_variance", b"velocity_variance"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

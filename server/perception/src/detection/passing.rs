@@ -26,6 +26,11 @@ const PERSON_SIZE_M: [f64; 2] = [0.5, 0.35];
 /// Of what has a person's size and moves indoors, so much is one: a guess on the safe side, carts and doors are rare.
 const PERSON: f64 = 0.9;
 
+/// A person who stands so near that a sensor sees them to the chest is so high, metres; robots, carts and chairs that are pushed may be,
+/// too.
+const PART_M: f64 = 0.9;
+const PART: f64 = 0.6;
+
 /// Something in free space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PassingThing {
@@ -48,7 +53,7 @@ pub fn find_passing(points: &[Point3<f32>], viewer: &Point3<f64>, floor_z: f64) 
     let clusters = cluster(&from_viewer, &params).unwrap_or_default();
     let mut out: Vec<PassingThing> =
         clusters.indices().iter().filter_map(|indices| thing(points, indices, viewer, floor_z)).collect();
-    out.sort_by(|a, b| b.num_points.cmp(&a.num_points));
+    out.sort_by_key(|thing| std::cmp::Reverse(thing.num_points));
     out
 }
 
@@ -60,9 +65,13 @@ fn thing(points: &[Point3<f32>], indices: &[usize], viewer: &Point3<f64>, floor_
     if height < MIN_TOP_M || length > MAX_LENGTH_M {
         return None;
     }
-    let is_person = (PERSON_HEIGHT_M[0]..=PERSON_HEIGHT_M[1]).contains(&height) && length <= PERSON_LENGTH_M;
-    let least = if is_person { PERSON_SIZE_M } else { [0.0; 2] };
-    let (class, confidence) = if is_person { (ObjectClass::Person, PERSON) } else { (ObjectClass::Unknown, 0.5) };
+    let (class, confidence) = match height {
+        _ if length > PERSON_LENGTH_M || height > PERSON_HEIGHT_M[1] => (ObjectClass::Unknown, 0.5),
+        _ if height >= PERSON_HEIGHT_M[0] => (ObjectClass::Person, PERSON),
+        _ if height >= PART_M => (ObjectClass::Person, PART),
+        _ => (ObjectClass::Unknown, 0.5),
+    };
+    let least = if class == ObjectClass::Person { PERSON_SIZE_M } else { [0.0; 2] };
     let bbox = standing(&tight, least, viewer, floor_z, top);
     Some(PassingThing { class, confidence, bbox, num_points: of.len() })
 }
@@ -93,9 +102,8 @@ mod tests {
         let (nx, nz) = ((width / 0.04) as i32, (height / 0.04) as i32);
         let at = |i: i32, n: i32, size: f64| (f64::from(i) / f64::from(n) - 0.5) * size;
         let points = (0..=nx).flat_map(|i| (0..=nz).map(move |k| (i, k)));
-        let point = |(i, k)| {
-            Point3::new(center[0], center[1] + at(i, nx, width), center[2] + at(k, nz, height)).cast::<f32>()
-        };
+        let point =
+            |(i, k)| Point3::new(center[0], center[1] + at(i, nx, width), center[2] + at(k, nz, height)).cast::<f32>();
         points.map(point).collect()
     }
 
@@ -117,7 +125,8 @@ mod tests {
     #[test]
     fn crumbs_low_things_and_walls_are_not_told() {
         let viewer = Point3::new(0.0, 0.0, 1.0);
-        let cases = [front([3.0, 0.0, 0.2], 0.5, 0.2), front([3.0, 0.0, 1.0], 5.0, 1.5), front([3.0, 0.0, 1.0], 0.04, 0.2)];
+        let cases =
+            [front([3.0, 0.0, 0.2], 0.5, 0.2), front([3.0, 0.0, 1.0], 5.0, 1.5), front([3.0, 0.0, 1.0], 0.04, 0.2)];
         for points in cases {
             assert_eq!(find_passing(&points, &viewer, 0.0), []);
         }

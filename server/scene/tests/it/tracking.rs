@@ -310,7 +310,14 @@ fn observations() -> impl Strategy<Value = Observation> {
     let numbers = (prop::array::uniform3(0.0..4.0f64), prop::array::uniform3(0.2..1.5f64), -3.0..3.0f64);
     (numbers, 0usize..7, 0.0..1.0f64, 0usize..2000).prop_map(|((center, size, yaw), class, confidence, num_points)| {
         let bbox = OrientedBox3::upright(Point3::from(center), Vector3::from(size), yaw);
-        Observation { class: ObjectClass::BUILT_IN[class], confidence, bbox, num_points, is_moving: false, is_seen: true }
+        Observation {
+            class: ObjectClass::BUILT_IN[class],
+            confidence,
+            bbox,
+            num_points,
+            is_moving: false,
+            is_seen: true,
+        }
     })
 }
 
@@ -413,8 +420,12 @@ fn who_walks_by_is_one_person_with_a_velocity_and_gone_afterwards() {
     // Hidden for a second behind a pillar: the same person.
     walk(&mut t, 26..40, |i| i >= 31);
     assert_eq!(t.objects().iter().filter(|o| o.class == ObjectClass::Person).count(), 1);
+    // For four seconds behind a wall: the only one who may have come out there.
+    walk(&mut t, 40..70, |i| i >= 60);
+    let people: Vec<u64> = t.objects().iter().filter(|o| o.class == ObjectClass::Person).map(|o| o.id.0).collect();
+    assert_eq!(people, [walker.id.0]);
     // Out of the door.
-    walk(&mut t, 40..60, |_| false);
+    walk(&mut t, 70..90, |_| false);
     assert_eq!(object(&t, walker.id.0).state, ObjectState::Gone);
     assert_eq!(t.objects().iter().filter(|o| o.state != ObjectState::Gone).count(), 1, "the chair");
 }
@@ -430,7 +441,9 @@ fn two_people_who_cross_stay_who_they_are() {
     let ids: Vec<u64> = t.objects().iter().map(|o| o.id.0).collect();
     assert_eq!(ids.len(), 2);
     let (right, left) = if velocity(ids[0]) > 0.0 { (ids[0], ids[1]) } else { (ids[1], ids[0]) };
-    assert!((object(&t, right).bbox.center().x - 6.96).abs() < 0.1 && (object(&t, left).bbox.center().x - 0.04).abs() < 0.1);
+    assert!(
+        (object(&t, right).bbox.center().x - 6.96).abs() < 0.1 && (object(&t, left).bbox.center().x - 0.04).abs() < 0.1
+    );
     assert!(velocity(right) > 0.9 && velocity(left) < -0.9);
 }
 
@@ -439,7 +452,10 @@ fn what_never_moves_in_free_space_is_not_told() {
     let mut t = tracker();
     for i in 0..100 {
         let jitter = 0.03 * (i % 3) as f64;
-        assert!(t.update_passing(at(2 * i), &[seen_as(ObjectClass::Unknown, [1.0 + jitter, 2.0, 0.4], [0.3; 3])], &hidden).is_empty());
+        assert!(
+            t.update_passing(at(2 * i), &[seen_as(ObjectClass::Unknown, [1.0 + jitter, 2.0, 0.4], [0.3; 3])], &hidden)
+                .is_empty()
+        );
     }
     assert!(t.has_passing());
     for i in 100..110 {

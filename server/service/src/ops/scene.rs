@@ -202,7 +202,8 @@ impl Service {
                 let forgotten = before - meta.class_examples.len();
                 num.store(forgotten, std::sync::atomic::Ordering::Relaxed);
                 if forgotten == 0 {
-                    let message = format!("no examples of {:?} were given in this session; list its classes", class.name());
+                    let message =
+                        format!("no examples of {:?} were given in this session; list its classes", class.name());
                     return Err(Error::not_found(reason::CLASS_NOT_FOUND, "label", message));
                 }
                 Ok(None)

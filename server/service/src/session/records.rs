@@ -111,8 +111,9 @@ impl MetaRecord {
         let zone_masks = self.zone_masks.into_iter().map(mask).collect::<Result<_, _>>()?;
         let name = |v: Value| serde_json::from_value::<RoomName>(v).map_err(|e| Unreadable::new("a room's name", e));
         let room_names = self.room_names.into_iter().map(name).collect::<Result<_, _>>()?;
-        let example =
-            |v: Value| serde_json::from_value::<ClassExample>(v).map_err(|e| Unreadable::new("an example of a class", e));
+        let example = |v: Value| {
+            serde_json::from_value::<ClassExample>(v).map_err(|e| Unreadable::new("an example of a class", e))
+        };
         let class_examples = self.class_examples.into_iter().map(example).collect::<Result<_, _>>()?;
         Ok(SessionMeta {
             params: params_of(&self.id, self.params, defaults),

@@ -187,6 +187,7 @@ pub fn object_to(o: &Object) -> v1::Object {
         class_probabilities: o.class_probabilities.iter().map(probability).collect(),
         annotation,
         history: vec![],
+        velocity_variance: o.velocity_variance,
     }
 }
 
