@@ -58,7 +58,7 @@ pub(crate) struct Score {
     judged: Vec<(f64, bool)>,
     num_class: [usize; 3],
     by_name: BTreeMap<String, [usize; 2]>,
-    confusion: BTreeMap<(String, &'static str), usize>,
+    confusion: BTreeMap<(String, String), usize>,
     center_errors: Vec<f64>,
 }
 
@@ -91,7 +91,7 @@ impl Score {
         for &(d, t) in all.iter().filter(|p| asked(&p.1)) {
             let o = &frame.objects[t];
             self.center_errors.push((found[d].bbox.center() - o.bbox.center()).xy().norm());
-            *self.confusion.entry((o.name.clone(), found[d].class.name())).or_default() += 1;
+            *self.confusion.entry((o.name.clone(), found[d].class.name().to_owned())).or_default() += 1;
             if let Some(class) = class_of(&o.name) {
                 self.num_class[0] += 1;
                 self.num_class[1] += usize::from(kind(class) == kind(found[d].class));

@@ -67,7 +67,7 @@ const TOLD_M: f64 = 2.0;
 /// By class how many tracks that came within [`NEAR_M`] of the way are among the objects, by whatever name, and how many by their own; of how
 /// many. The same object does not count twice.
 pub(crate) fn told(
-    objects: &[(Point2<f64>, &'static str)],
+    objects: &[(Point2<f64>, &str)],
     labels: &[Label],
     t_map_frames: &BTreeMap<usize, Pose>,
     way: &[Point2<f64>],

@@ -117,7 +117,8 @@ fn main() -> Result<(), Failure> {
         }
     }
     let there = snapshot.objects.iter().filter(|o| o.state != percept_scene::ObjectState::Gone);
-    let objects: Vec<_> = there.map(|o| (Point2::from(o.bbox.center().coords.xy()), o.class.name())).collect();
+    let there: Vec<_> = there.map(|o| (Point2::from(o.bbox.center().coords.xy()), o.class.name().to_owned())).collect();
+    let objects: Vec<_> = there.iter().map(|(at, class)| (*at, class.as_str())).collect();
     let mut counts = BTreeMap::<&str, usize>::new();
     objects.iter().for_each(|(_, class)| *counts.entry(class).or_default() += 1);
     println!("  objects: {counts:?}");
