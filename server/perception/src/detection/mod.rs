@@ -8,6 +8,7 @@
 mod classify;
 mod descriptor;
 mod detector;
+mod image_box;
 pub mod outdoor;
 mod params;
 mod passing;
@@ -18,6 +19,7 @@ mod walls;
 pub use classify::{Candidate, Classifier, GaussianClassifier, Posterior};
 pub use descriptor::{ClassExample, Descriptor};
 pub use detector::{Detection, Detector};
+pub use image_box::{Detection2d, ImageBox};
 pub use params::DetectionParams;
 pub use passing::{PassingThing, find_passing};
 pub use structure::{Structure, find_structure};
