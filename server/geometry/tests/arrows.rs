@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each crate looks only at crates before it.
-const ORDER: [&str; 18] = [
+const ORDER: [&str; 19] = [
     "geometry",
     "sim",
     "evaluation",
@@ -21,6 +21,7 @@ const ORDER: [&str; 18] = [
     "recorded",
     "formats",
     "pictures",
+    "inference",
     "bench",
     "store",
     "identity",
@@ -40,7 +41,7 @@ const CORE_MAY_USE: [&str; 9] =
 const STRANGERS: [&str; 3] = ["slam", "scene", "planning"];
 
 /// What belongs to whom: dependencies that begin so, and the crates that may have them.
-const KEPT_BY: [(&str, &[&str]); 9] = [
+const KEPT_BY: [(&str, &[&str]); 10] = [
     ("prost", &["wire", "percept"]),
     ("tonic", &["wire", "percept"]),
     ("axum", &["percept"]),
@@ -48,6 +49,7 @@ const KEPT_BY: [(&str, &[&str]); 9] = [
     ("zenoh", &["percept"]),
     ("slatedb", &["store"]),
     ("ring", &["identity"]),
+    ("rten", &["inference"]),
     ("prometheus", &["service", "percept"]),
     ("opentelemetry", &["percept"]),
 ];
