@@ -63,6 +63,11 @@ impl Detector {
         self.network.work.multiply_adds
     }
 
+    /// Bytes of memory that it takes while it works on an image, at most, about.
+    pub fn memory_bytes(&self) -> u64 {
+        self.network.memory_bytes()
+    }
+
     /// The things in an image, in pixels of that image and cut off at its edges, best score first. Of boxes of one label that
     /// overlap the best one stays (non-maximum suppression). At most 300; none where the model's output is not finite.
     ///
@@ -74,8 +79,9 @@ impl Detector {
             return Err(InferenceError::EmptyImage { width, height });
         }
         let (spec, input_px) = (&self.spec, self.network.input_px);
-        let placement = Placement::of(image, input_px, spec.input.fit);
-        let outputs = self.network.run(&prepare(image, input_px, &placement, &spec.input))?;
+        let input = spec.input();
+        let placement = Placement::of(image, input_px, input.fit);
+        let outputs = self.network.run(&prepare(image, input_px, &placement, &input))?;
         check(spec.layout, &outputs, spec.labels.len())?;
         let candidates = decode(spec.layout, &outputs, spec.score_threshold, input_px);
         let detection = |c: &Candidate| Detection2d {

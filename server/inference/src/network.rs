@@ -49,6 +49,7 @@ pub(crate) struct Network {
     /// Columns and rows of the input.
     pub(crate) input_px: [usize; 2],
     pub(crate) work: Work,
+    num_bytes: usize,
 }
 
 impl Network {
@@ -79,11 +80,16 @@ impl Network {
             let (input, input_px) = input_of(&model, limits)?;
             let work = Work::of(&model, &outline, limits.max_multiply_adds)?;
             let (outputs, threads) = (model.output_ids().to_vec(), threads.clone());
-            let network = Self { model, input, outputs, threads, input_px, work };
+            let network = Self { model, input, outputs, threads, input_px, work, num_bytes: bytes.len() };
             // Here, as the order of the operators is found by the first run and kept.
             let first = network.run(&vec![0.0; 3 * input_px[0] * input_px[1]])?;
             Ok((network, first))
         })
+    }
+
+    /// What it takes at most, about: weights as they are and once more as they are multiplied, and the values of a run.
+    pub(crate) fn memory_bytes(&self) -> u64 {
+        2 * self.num_bytes as u64 + 4 * self.work.numbers
     }
 
     /// Runs it on an input of 1 x 3 x H x W numbers.
@@ -168,4 +174,32 @@ fn on_large_stack<T: Send>(work: impl FnOnce() -> Result<T, InferenceError> + Se
         let thread = thread.spawn_scoped(scope, work).map_err(|e| failed(&e.to_string()))?;
         thread.join().unwrap_or_else(|_| Err(failed("a fault of the library")))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Written by `tests/small_models.py`, which told the figures, ONNX Runtime's: shape, numbers, sum of magnitudes.
+    #[test]
+    fn small_models_give_what_onnx_runtime_gives() {
+        let grid = &include_bytes!("../../../tests/fuzz/seeds/onnx/grid.onnx")[..];
+        let yolo = &include_bytes!("../../../tests/fuzz/seeds/onnx/yolo.onnx")[..];
+        let attention = &include_bytes!("../../../tests/fuzz/seeds/onnx/attention.onnx")[..];
+        let cases: [(&[u8], &[usize], [f32; 5], f32); 3] = [
+            (grid, &[1, 7, 4, 4], [0.83054, 0.66274, -2.216332, -0.604717, 0.073531], 95.3276),
+            (yolo, &[1, 6, 16], [0.065657, -0.063204, 0.159567, 0.495354, 0.445218], 29.2209),
+            (attention, &[1, 6, 4], [0.352958, -0.184727, 2.202824, 0.023157, -0.191388], 10.1713),
+        ];
+        let image: Vec<f32> = (0..768).map(|i| (i * 37 % 101) as f32 / 101.0).collect();
+        for (model, shape, numbers, magnitude) in cases {
+            let (network, _) = Network::load(model, &ModelLimits::default(), &InferenceThreads::new(1)).unwrap();
+            let out = network.run(&image).unwrap().remove(0);
+            let n = out.data.len();
+            let found = [0, 1, n / 2, n - 2, n - 1].map(|i| out.data[i]);
+            assert_eq!(out.shape, shape);
+            assert!(found.iter().zip(numbers).all(|(a, b)| (a - b).abs() < 1e-5), "{shape:?}: {found:?}");
+            assert!((out.data.iter().map(|v| v.abs()).sum::<f32>() - magnitude).abs() < 1e-3);
+        }
+    }
 }

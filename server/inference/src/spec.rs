@@ -27,9 +27,9 @@ pub struct DetectorSpec {
     pub iou_threshold: f64,
     /// How the output is laid out.
     pub layout: OutputLayout,
-    /// How an image becomes the input.
+    /// How an image becomes the input; none as models of the layout usually have it ([`OutputLayout::usual_input`]).
     #[serde(default)]
-    pub input: InputSpec,
+    pub input: Option<InputSpec>,
 }
 
 /// Between the 0.25 from which FastestDet and YOLOv8 tell boxes and the 0.65 from which FastestDet's own demo draws them.
@@ -43,7 +43,7 @@ fn default_iou_threshold() -> f64 {
 }
 
 impl DetectorSpec {
-    /// One with thresholds and input as most models of this layout have them.
+    /// One with the usual thresholds and the input as models of this layout usually have it.
     pub fn new(name: &str, labels: &[&str], layout: OutputLayout) -> Self {
         Self {
             name: name.to_owned(),
@@ -51,8 +51,13 @@ impl DetectorSpec {
             score_threshold: default_score_threshold(),
             iou_threshold: default_iou_threshold(),
             layout,
-            input: layout.usual_input(),
+            input: None,
         }
+    }
+
+    /// How an image becomes the input.
+    pub fn input(&self) -> InputSpec {
+        self.input.unwrap_or_else(|| self.layout.usual_input())
     }
 
     /// Checks the bounds.
@@ -76,7 +81,7 @@ impl DetectorSpec {
                 return Err(InferenceError::OutOfRange { field, value, requirement: "from 0 to 1" });
             }
         }
-        self.input.validate()
+        self.input().validate()
     }
 }
 
@@ -205,15 +210,32 @@ mod tests {
         for (field, spec) in [
             ("score_threshold", DetectorSpec { score_threshold: 1.1, ..spec() }),
             ("iou_threshold", DetectorSpec { iou_threshold: f64::NAN, ..spec() }),
-            ("input.scale", DetectorSpec { input: InputSpec { scale: 0.0, ..InputSpec::default() }, ..spec() }),
+            ("input.scale", DetectorSpec { input: Some(InputSpec { scale: 0.0, ..InputSpec::default() }), ..spec() }),
             (
                 "input.mean",
-                DetectorSpec { input: InputSpec { mean: [0.0, 1e9, 0.0], ..InputSpec::default() }, ..spec() },
+                DetectorSpec { input: Some(InputSpec { mean: [0.0, 1e9, 0.0], ..InputSpec::default() }), ..spec() },
             ),
-            ("input.std", DetectorSpec { input: InputSpec { std: [1.0, 1.0, 0.0], ..InputSpec::default() }, ..spec() }),
+            (
+                "input.std",
+                DetectorSpec { input: Some(InputSpec { std: [1.0, 1.0, 0.0], ..InputSpec::default() }), ..spec() },
+            ),
         ] {
             let error = spec.validate().unwrap_err().to_string();
             assert!(error.starts_with(&format!("{field}: ")), "{error}");
         }
+    }
+
+    #[test]
+    fn what_is_not_said_is_as_usual_and_what_is_not_known_is_refused() {
+        let read = |more: &str| {
+            let text =
+                format!(r#"{{"name": "fastest", "labels": ["person", "chair"], "layout": "fastest_det"{more}}}"#);
+            serde_json::from_str::<DetectorSpec>(&text)
+        };
+        assert_eq!(read("").unwrap(), spec());
+        assert_eq!(spec().input().channel_order, ChannelOrder::Bgr);
+        let other = read(r#", "input": {"fit": "letterbox"}, "score_threshold": 0.25"#).unwrap();
+        assert_eq!(other.input(), InputSpec { fit: Fit::Letterbox, ..InputSpec::default() });
+        assert!(read(r#", "treshold": 0.25"#).is_err());
     }
 }

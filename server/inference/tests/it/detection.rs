@@ -48,7 +48,8 @@ fn thresholds_are_kept() {
 #[test]
 fn boxes_are_in_pixels_of_the_image_whatever_its_shape() {
     let fitted = |fit: Fit, width: usize, height: usize| {
-        let spec = DetectorSpec { input: InputSpec { fit, ..InputSpec::default() }, score_threshold: 0.7, ..spec() };
+        let spec =
+            DetectorSpec { input: Some(InputSpec { fit, ..InputSpec::default() }), score_threshold: 0.7, ..spec() };
         let limits = ModelLimits::default();
         let detector = Detector::new(&write(tiny()), spec, &limits, &InferenceThreads::new(1)).unwrap();
         let pixel = |i: usize| if i % width >= width / 2 { [255, 0, 0] } else { [0; 3] };

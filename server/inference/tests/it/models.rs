@@ -108,7 +108,7 @@ pub(crate) fn tiny_with_size(size: f32) -> GraphProto {
 
 pub(crate) fn spec() -> DetectorSpec {
     let spec = DetectorSpec::new("tiny", &["red", "yellow"], OutputLayout::FastestDet);
-    DetectorSpec { input: InputSpec::default(), ..spec }
+    DetectorSpec { input: Some(InputSpec::default()), ..spec }
 }
 
 pub(crate) fn build(model: &[u8]) -> Result<Detector, InferenceError> {
