@@ -14,6 +14,8 @@ use std::collections::VecDeque;
 
 /// Width of the window of depths that the mode is taken over, as a part of the depth: 5 cm at a metre.
 const MODE_WIDTH: f32 = 0.05;
+/// Of larger boxes every second, third, ... column and row is looked at: 240 x 160 pixels take some 5 ms.
+const MAX_PIXELS: usize = 38_400;
 /// Planes within 18 degrees of level carry things.
 const HORIZONTAL_COS: f64 = 0.95;
 /// Pixels that a thing grows over to: those around, and two away, across a hole of one pixel.
@@ -87,7 +89,7 @@ impl LiftParams {
 pub struct Lifted {
     /// Upright box around what is seen of it, in the frame that the camera's pose is given in; its hidden side is not guessed.
     pub bbox: OrientedBox3,
-    /// Pixels that were taken for the thing's.
+    /// Pixels that were taken for the thing's; of a large box, in which not all are looked at, about.
     pub num_points: usize,
     /// Depth that most of its middle has, metres.
     pub depth_m: f64,
@@ -132,11 +134,12 @@ pub struct Lifter {
     labels: Vec<Option<u16>>,
 }
 
-/// Pixels of a box: columns and rows, ends excluded.
+/// Pixels of a box: every `step`-th of the columns and rows, ends excluded.
 #[derive(Debug, Clone, Copy)]
 struct Window {
     u: [usize; 2],
     v: [usize; 2],
+    step: usize,
 }
 
 impl Window {
@@ -146,8 +149,13 @@ impl Window {
             let end = |px: f64| (px - 0.5).ceil().clamp(0.0, size as f64) as usize;
             [end(from), end(to)]
         };
-        let out = Self { u: range(b.left_px, b.right_px, width), v: range(b.top_px, b.bottom_px, height) };
-        (b.is_proper() && out.u[0] < out.u[1] && out.v[0] < out.v[1]).then_some(out)
+        let (u, v) = (range(b.left_px, b.right_px, width), range(b.top_px, b.bottom_px, height));
+        if !b.is_proper() || u[0] >= u[1] || v[0] >= v[1] {
+            return None;
+        }
+        let num_pixels = (u[1] - u[0]) * (v[1] - v[0]);
+        let step = (num_pixels as f64 / MAX_PIXELS as f64).sqrt().ceil().max(1.0) as usize;
+        Some(Self { u, v, step })
     }
 
     /// The part of it in its middle, along each edge.
@@ -156,7 +164,25 @@ impl Window {
             let cut = ((to - from) as f64 * 0.5 * (1.0 - part)) as usize;
             [from + cut, to - cut]
         };
-        Self { u: shrunk(self.u), v: shrunk(self.v) }
+        Self { u: shrunk(self.u), v: shrunk(self.v), step: self.step }
+    }
+
+    /// Columns of those that are looked at.
+    fn columns(&self) -> usize {
+        (self.u[1] - self.u[0]).div_ceil(self.step)
+    }
+
+    /// The place of a pixel among those that are looked at, row by row.
+    fn index(&self, (u, v): (usize, usize)) -> usize {
+        (v - self.v[0]) / self.step * self.columns() + (u - self.u[0]) / self.step
+    }
+
+    /// The pixel so many places away, and how far that is along the longer axis, pixels.
+    fn neighbour(&self, (u, v): (usize, usize), (du, dv): (isize, isize)) -> Option<((usize, usize), usize)> {
+        let step = self.step as isize;
+        let (u, v) = (u.checked_add_signed(du * step)?, v.checked_add_signed(dv * step)?);
+        let away = du.unsigned_abs().max(dv.unsigned_abs()) * self.step;
+        self.contains(u, v).then_some(((u, v), away))
     }
 
     fn contains(&self, u: usize, v: usize) -> bool {
@@ -164,7 +190,8 @@ impl Window {
     }
 
     fn pixels(self) -> impl Iterator<Item = (usize, usize)> {
-        (self.v[0]..self.v[1]).flat_map(move |v| (self.u[0]..self.u[1]).map(move |u| (u, v)))
+        let rows = (self.v[0]..self.v[1]).step_by(self.step);
+        rows.flat_map(move |v| (self.u[0]..self.u[1]).step_by(self.step).map(move |u| (u, v)))
     }
 }
 
@@ -199,7 +226,7 @@ impl Lifter {
     /// Why there is no box in space.
     pub fn lift(&self, b: &ImageBox) -> Result<Lifted, NotLifted> {
         let window = Window::of(b, self.vertices.width, self.vertices.height).ok_or(NotLifted::OutsideImage)?;
-        let least = self.params.min_points;
+        let least = self.params.min_points.div_ceil(window.step * window.step).max(3);
         let seen = window.pixels().filter(|&(u, v)| self.vertices.at(u, v).is_some()).count();
         if seen < least {
             return Err(NotLifted::TooFewDepths);
@@ -220,7 +247,8 @@ impl Lifter {
         if members.len() < least {
             return Err(NotLifted::TooFewPoints);
         }
-        self.boxed(&members, depth, &behind).ok_or(NotLifted::TooFewPoints)
+        let lifted = self.boxed(&members, depth, &behind).ok_or(NotLifted::TooFewPoints)?;
+        Ok(Lifted { num_points: members.len() * window.step * window.step, ..lifted })
     }
 
     fn depth(&self, u: usize, v: usize) -> f32 {
@@ -235,7 +263,7 @@ impl Lifter {
     fn planes_behind(&self, window: Window) -> Vec<bool> {
         let mut inside = vec![0usize; self.planes.len()];
         window.pixels().filter_map(|(u, v)| self.plane_at(u, v)).for_each(|plane| inside[plane] += 1);
-        let share = self.params.own_plane_share;
+        let share = self.params.own_plane_share / (window.step * window.step) as f64;
         self.planes.iter().zip(inside).map(|(plane, n)| (n as f64) < share * plane.num_pixels as f64).collect()
     }
 
@@ -247,33 +275,28 @@ impl Lifter {
         free: &[(usize, usize)],
         depth: f32,
     ) -> Vec<Point3<f32>> {
-        let columns = window.u[1] - window.u[0];
-        let index = |u: usize, v: usize| (v - window.v[0]) * columns + u - window.u[0];
-        let mut is_taken = vec![false; columns * (window.v[1] - window.v[0])];
+        let mut is_taken = vec![false; window.columns() * (window.v[1] - window.v[0]).div_ceil(window.step)];
         let reach = self.reach(window, depth);
         let mut best: Vec<Point3<f32>> = vec![];
         for &seed in free.iter().filter(|p| (self.depth(p.0, p.1) - depth).abs() <= MODE_WIDTH * depth) {
-            if std::mem::replace(&mut is_taken[index(seed.0, seed.1)], true) {
+            if std::mem::replace(&mut is_taken[window.index(seed)], true) {
                 continue;
             }
             let (mut members, mut queue) = (vec![], VecDeque::from([seed]));
-            while let Some((u, v)) = queue.pop_front() {
-                members.extend(self.vertices.at(u, v));
-                let here = self.depth(u, v);
-                let jump = self.params.max_jump_fraction as f32 * here;
-                for (du, dv) in AROUND {
-                    let (Some(u), Some(v)) = (u.checked_add_signed(du), v.checked_add_signed(dv)) else { continue };
-                    if !window.contains(u, v) || is_taken[index(u, v)] || !is_free(u, v) {
+            while let Some(here) = queue.pop_front() {
+                members.extend(self.vertices.at(here.0, here.1));
+                let z = self.depth(here.0, here.1);
+                for there in AROUND {
+                    let Some((there, away)) = window.neighbour(here, there) else { continue };
+                    if is_taken[window.index(there)] || !is_free(there.0, there.1) {
                         continue;
                     }
-                    let there = self.depth(u, v);
-                    // Two pixels apart a surface goes on twice as far.
-                    if there > 0.0
-                        && (there - here).abs() <= jump * du.abs().max(dv.abs()) as f32
-                        && (there - depth).abs() <= reach
-                    {
-                        is_taken[index(u, v)] = true;
-                        queue.push_back((u, v));
+                    // A surface goes on as much farther as it is pixels away; beyond three, another begins.
+                    let jump = self.params.max_jump_fraction as f32 * z * away.min(3) as f32;
+                    let next = self.depth(there.0, there.1);
+                    if next > 0.0 && (next - z).abs() <= jump && (next - depth).abs() <= reach {
+                        is_taken[window.index(there)] = true;
+                        queue.push_back(there);
                     }
                 }
             }
