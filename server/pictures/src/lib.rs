@@ -12,6 +12,7 @@
 mod canvas;
 mod colors;
 mod error;
+mod image;
 mod map;
 mod panels;
 mod sheet;
@@ -19,6 +20,7 @@ mod space;
 mod text;
 
 pub use error::PictureError;
+pub use image::{ImageThing, things_in_image};
 pub use map::{
     Changes, GridView, MapObject, MapRoom, Overlay, PathDrawing, PathEnd, PathQuantity, Zone, ZoneKind, ZoneMask,
     before_after, heights, occupancy, overview, path_picture, traversability,
