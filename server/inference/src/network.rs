@@ -186,10 +186,10 @@ mod tests {
         let grid = &include_bytes!("../../../tests/fuzz/seeds/onnx/grid.onnx")[..];
         let yolo = &include_bytes!("../../../tests/fuzz/seeds/onnx/yolo.onnx")[..];
         let attention = &include_bytes!("../../../tests/fuzz/seeds/onnx/attention.onnx")[..];
-        let cases: [(&[u8], &[usize], [f32; 5], f32); 3] = [
-            (grid, &[1, 7, 4, 4], [0.83054, 0.66274, -2.216332, -0.604717, 0.073531], 95.3276),
-            (yolo, &[1, 6, 16], [0.065657, -0.063204, 0.159567, 0.495354, 0.445218], 29.2209),
-            (attention, &[1, 6, 4], [0.352958, -0.184727, 2.202824, 0.023157, -0.191388], 10.1713),
+        let cases = [
+            (grid, vec![1, 7, 4, 4], [0.83054, 0.66274, -2.216332, -0.604717, 0.073531f32], 95.3276),
+            (yolo, vec![1, 6, 16], [0.065657, -0.063204, 0.159567, 0.495354, 0.445218], 29.2209),
+            (attention, vec![1, 6, 4], [0.352958, -0.184727, 2.202824, 0.023157, -0.191388], 10.1713),
         ];
         let image: Vec<f32> = (0..768).map(|i| (i * 37 % 101) as f32 / 101.0).collect();
         for (model, shape, numbers, magnitude) in cases {
