@@ -1,8 +1,7 @@
 //! What holds along a path: for pictures and tables of it.
 
-use crate::answer::Waypoint;
 use crate::plan::sized;
-use crate::{Costmap, PathRequest, PlanError, Pose2};
+use crate::{Costmap, PathRequest, PlanError, Pose2, Waypoint};
 use nalgebra::Point2;
 use percept_geometry::se3::wrap_angle;
 use percept_mapping::DenseGrid;

@@ -3,25 +3,9 @@
 use crate::costmap::{CellState, Costmap};
 use crate::hybrid::DrivingCost;
 use crate::steering::Arc;
-use crate::{Pose2, SpeedLimits};
+use crate::{Pose2, SpeedLimits, Waypoint};
 use nalgebra::Point2;
 use percept_geometry::se3::wrap_angle;
-
-/// A point of a path and the heading towards the next.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Waypoint {
-    /// Map frame, metres.
-    pub position: Point2<f64>,
-    /// Direction in which the robot looks, (-pi, pi]. On paths of straight legs it is that to the next waypoint; the last
-    /// keeps that of the one before, 0 if the path has no length.
-    pub yaw_rad: f64,
-    /// Whether the robot drives backwards from here to the next waypoint; the last keeps that of the one before.
-    pub is_reverse: bool,
-    /// Distance of the base from the nearest obstacle, metres, or up to a cell's diagonal less; none if there is none.
-    pub clearance_m: Option<f64>,
-    /// When it is reached, seconds after the first.
-    pub time_s: f64,
-}
 
 /// A path that the robot can drive.
 #[derive(Debug, Clone, PartialEq)]
@@ -216,13 +200,5 @@ impl Path {
         self.duration_s = times.last().copied().unwrap_or_default();
         self.waypoints.iter_mut().zip(times).for_each(|(waypoint, time_s)| waypoint.time_s = time_s);
         self
-    }
-}
-
-impl Waypoint {
-    pub(crate) fn at(costmap: &Costmap, pose: &Pose2, is_reverse: bool) -> Self {
-        let (clearance, off) = costmap.clearance_near(&pose.position);
-        let clearance_m = clearance.is_finite().then(|| (clearance - off).max(0.0));
-        Self { position: pose.position, yaw_rad: wrap_angle(pose.yaw_rad), is_reverse, clearance_m, time_s: 0.0 }
     }
 }

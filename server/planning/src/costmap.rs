@@ -1,5 +1,8 @@
 //! Clearance to cost.
 
+mod zoned;
+
+use crate::polygon::crosses;
 use crate::{Mask, PlanParams, Zone};
 use nalgebra::{Point2, Vector2};
 use percept_geometry::clearance_in_cells;
@@ -295,21 +298,4 @@ fn segment_to_square(a: &Point2<f64>, b: &Point2<f64>, low: &Point2<f64>, edge: 
     }
     let ends = to_square(a).min(to_square(b));
     corners.iter().map(to_segment).fold(ends, f64::min)
-}
-
-/// Whether the segment passes through the square: slabs of Kay and Kajiya 1986.
-pub(crate) fn crosses(a: &Point2<f64>, along: &Vector2<f64>, low: &Point2<f64>, high: &Point2<f64>) -> bool {
-    let (mut enter, mut leave) = (0.0f64, 1.0f64);
-    for i in 0..2 {
-        if along[i] == 0.0 {
-            if a[i] < low[i] || a[i] > high[i] {
-                return false;
-            }
-            continue;
-        }
-        let (t0, t1) = ((low[i] - a[i]) / along[i], (high[i] - a[i]) / along[i]);
-        enter = enter.max(t0.min(t1));
-        leave = leave.min(t0.max(t1));
-    }
-    enter <= leave
 }

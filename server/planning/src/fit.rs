@@ -1,7 +1,7 @@
 //! Whether a robot fits at a pose and along an arc.
 
-use crate::costmap::{CellState, Costmap, crosses};
-use crate::footprint::contains;
+use crate::costmap::{CellState, Costmap};
+use crate::polygon::{contains, crosses};
 use crate::steering::Arc;
 use crate::{Footprint, Pose2};
 use nalgebra::{Point2, Vector2};

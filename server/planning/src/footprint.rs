@@ -1,6 +1,7 @@
 //! The ground that a robot covers.
 
 use crate::PlanError;
+use crate::polygon::{Edge, contains, edges};
 use nalgebra::{Point2, Vector2};
 
 /// Outline of the robot seen from above, in its base frame: x ahead, y to the left.
@@ -115,20 +116,6 @@ impl Footprint {
         let first = nalgebra::center(&low, &high) - step * (0.5 * (pieces - 1.0));
         (0..pieces as usize).map(|i| (first + step * i as f64, radius)).collect()
     }
-}
-
-type Edge = (Point2<f64>, Point2<f64>);
-
-fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = Edge> + '_ {
-    (0..corners.len()).map(|i| (corners[i], corners[(i + 1) % corners.len()]))
-}
-
-/// Whether a point is inside a polygon: a ray to the right crosses its edges an odd number of times.
-pub(crate) fn contains(corners: &[Point2<f64>], p: &Point2<f64>) -> bool {
-    edges(corners).fold(false, |inside, (a, b)| {
-        let crosses = (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x);
-        inside != crosses
-    })
 }
 
 fn to_edge(p: &Point2<f64>, (a, b): &Edge) -> f64 {

@@ -26,6 +26,8 @@ mod hybrid;
 mod jump;
 mod params;
 mod plan;
+mod polygon;
+mod pose2;
 mod queue;
 pub mod repair;
 mod request;
@@ -34,10 +36,11 @@ mod speed;
 pub mod steering;
 pub mod theta;
 mod validate;
+mod waypoint;
 mod zones;
 
 pub use along::{PathSample, samples_along};
-pub use answer::{Blocking, CostParts, NoPathReason, Path, PlanOutcome, Waypoint};
+pub use answer::{Blocking, CostParts, NoPathReason, Path, PlanOutcome};
 pub use anytime::{AnytimeParams, plan_anytime};
 pub use astar::{GridPath, SearchGrid};
 pub use costmap::{CellState, Costmap};
@@ -48,10 +51,12 @@ pub use hybrid::HybridParams;
 pub use jump::{jump_point_search, shortest_path};
 pub use params::PlanParams;
 pub use plan::{plan, plan_dense, plan_over, plan_path};
+pub use pose2::Pose2;
 pub use repair::{RepairedRoute, RepairingPlanner};
-pub use request::{Goal, PathRequest, Planner, Pose2};
+pub use request::{Goal, PathRequest, Planner};
 pub use speed::SpeedLimits;
 pub use validate::{Misfit, MisfitReason, validate_path};
+pub use waypoint::Waypoint;
 pub use zones::{Mask, MaskKind, Zone, ZoneKind};
 
 /// Why planning could not be tried: the facts.

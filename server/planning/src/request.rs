@@ -1,18 +1,9 @@
 //! What a path is asked for.
 
-use crate::{Footprint, HybridParams, Mask, PlanError, PlanParams, SpeedLimits, Zone};
+use crate::{Footprint, HybridParams, Mask, PlanError, PlanParams, Pose2, SpeedLimits, Zone};
 use nalgebra::Point2;
 use percept_mapping::DenseGrid;
 use std::borrow::Cow;
-
-/// A position and a heading in the plane, map frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pose2 {
-    /// Of the robot's base, metres.
-    pub position: Point2<f64>,
-    /// Direction in which the robot looks, counter-clockwise from the x axis, radians; any finite number.
-    pub yaw_rad: f64,
-}
 
 /// Where to go, map frame.
 #[derive(Debug, Clone, Copy, PartialEq)]

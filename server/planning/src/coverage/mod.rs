@@ -11,10 +11,11 @@
 
 mod lanes;
 mod nearest;
+mod params;
 mod request;
 mod sweep;
 mod tool;
 
-pub use request::{
-    CoverageDirection, CoverageLeg, CoverageLegKind, CoverageOutcome, CoverageParams, CoveragePath, plan_coverage,
-};
+pub use params::{CoverageDirection, CoverageParams};
+pub use request::{CoverageLeg, CoverageOutcome, CoveragePath, plan_coverage};
+pub use sweep::CoverageLegKind;

@@ -1,9 +1,8 @@
 //! From region to region, along their lanes, then to what is left.
 
-use super::CoverageLegKind;
 use super::lanes::{Region, Rows, Stretch, regions};
 use super::nearest::Nearest;
-use super::request::CoverageParams;
+use super::params::CoverageParams;
 use super::tool::Tool;
 use crate::astar::neighbors_of;
 use crate::bits::BitLines;
@@ -12,6 +11,15 @@ use crate::{Costmap, PathRequest, SearchGrid};
 use nalgebra::Point2;
 use percept_geometry::Cell;
 use rustc_hash::FxHashMap;
+
+/// What a stretch of a coverage path is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CoverageLegKind {
+    /// A lane.
+    Lane,
+    /// The way to the next lane, region or touch.
+    Transit,
+}
 
 /// What was swept.
 pub(super) struct Swept {

@@ -1,10 +1,20 @@
 //! Whether a path in space may begin and end where it is to.
 
 use super::field::Field;
-use super::plan::FlightBlocking;
 use super::{DenseVoxels, FlightParams};
 use crate::{CellState, NoPathReason};
 use nalgebra::Point3;
+
+/// What stands in the way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FlightBlocking {
+    /// Where the ball does not fit, map frame, metres.
+    pub position: Point3<f64>,
+    /// Centre of the nearest voxel that blocks it.
+    pub obstacle: Point3<f64>,
+    /// What is there: `Occupied`, `KeepOut`, or `Unknown` (so is what lies outside of the box).
+    pub state: CellState,
+}
 
 /// Why there is no path, and what is in the way if that is known.
 #[derive(Debug, Clone, Copy)]

@@ -2,7 +2,7 @@
 
 use super::DenseVoxels;
 use super::clearance::squared_clearances;
-use crate::footprint::contains;
+use crate::polygon::contains;
 use crate::{Mask, MaskKind, Zone, ZoneKind};
 use nalgebra::Point2;
 

@@ -13,10 +13,13 @@ mod keep_out;
 mod lattice;
 mod params;
 mod plan;
+mod request;
 mod sight;
 mod theta;
 mod voxels;
 
+pub use ends::FlightBlocking;
 pub use params::{FlightParams, FlightPlanner};
-pub use plan::{FlightBlocking, FlightOutcome, FlightPath, FlightRequest, plan_flight};
+pub use plan::{FlightOutcome, FlightPath, plan_flight};
+pub use request::FlightRequest;
 pub use voxels::DenseVoxels;

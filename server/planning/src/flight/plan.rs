@@ -1,37 +1,11 @@
 //! From start to goal in space: check the ends, search, pull taut.
 
-use super::ends::{Refusal, check_goal, check_start};
+use super::ends::{FlightBlocking, Refusal, check_goal, check_start};
 use super::field::Field;
 use super::lattice::{Found, Limits};
-use super::{DenseVoxels, FlightParams, FlightPlanner};
-use crate::{CellState, Mask, NoPathReason, PlanError, Zone};
+use super::{DenseVoxels, FlightPlanner, FlightRequest};
+use crate::{NoPathReason, PlanError, Zone};
 use nalgebra::Point3;
-
-/// A question for a path in space; [`FlightRequest::new`] sets what is not asked for.
-#[derive(Clone, Copy)]
-pub struct FlightRequest<'a> {
-    /// Where from: the ball's centre, map frame, metres.
-    pub start: Point3<f64>,
-    /// Where to, likewise.
-    pub goal: Point3<f64>,
-    /// The robot's radius, and limits.
-    pub params: &'a FlightParams,
-    /// How.
-    pub planner: FlightPlanner,
-    /// Where no part of the ball may be: those that are keep-out, from the lowest voxel to the highest. Others do not count.
-    pub zones: &'a [Zone],
-    /// The same as grids: a cell closes all columns of voxels that it touches.
-    pub masks: &'a [Mask<'a>],
-    /// Asked before the search and from time to time in it, say for a deadline: once it is true, the search ends.
-    pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
-}
-
-impl<'a> FlightRequest<'a> {
-    /// From position to position (map frame, metres), at any angle.
-    pub fn new(start: Point3<f64>, goal: Point3<f64>, params: &'a FlightParams) -> Self {
-        Self { start, goal, params, planner: FlightPlanner::default(), zones: &[], masks: &[], stop: None }
-    }
-}
 
 /// A path along which the ball touches nothing.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,17 +19,6 @@ pub struct FlightPath {
     pub min_clearance_m: Option<f64>,
     /// Voxels that the searches expanded.
     pub expansions: usize,
-}
-
-/// What stands in the way.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FlightBlocking {
-    /// Where the ball does not fit, map frame, metres.
-    pub position: Point3<f64>,
-    /// Centre of the nearest voxel that blocks it.
-    pub obstacle: Point3<f64>,
-    /// What is there: `Occupied`, `KeepOut`, or `Unknown` (so is what lies outside of the box).
-    pub state: CellState,
 }
 
 /// The answer to a question for a path in space.
