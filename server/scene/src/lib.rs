@@ -15,6 +15,7 @@ mod motion;
 pub mod object;
 mod object_filter;
 pub mod overlap;
+mod params;
 mod passing;
 mod relation_filter;
 pub mod relations;
@@ -27,10 +28,11 @@ pub use annotation::{Annotation, Correction, CorrectionError, MAX_PIECES};
 pub use belief::ClassBelief;
 pub use object::{Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, PastState, Visibility};
 pub use object_filter::ObjectFilter;
+pub use params::TrackerParams;
 pub use relation_filter::RelationFilter;
 pub use relations::{Directions, NodeId, Relation, RelationFrame, RelationKind, RelationParams};
 pub use scene_graph::{Node, RoomNode, SceneGraph, SceneView};
-pub use tracker::{Tracker, TrackerParams};
+pub use tracker::Tracker;
 
 /// Why a request to this crate cannot be served.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
