@@ -1,6 +1,7 @@
 //! What a scan in space says of the floor around: by columns of azimuth, over the ground.
 
-use super::marks::{Frame, Heights, Mark, ScanUpdate};
+use super::mark::{Heights, Mark};
+use super::marks::{Frame, ScanUpdate};
 use crate::ground::{Ground, Patch, Place, sector_of};
 use nalgebra::{Point2, Point3};
 use percept_geometry::grid::walk;

@@ -1,7 +1,8 @@
 //! Where the robot drove: its body has been there, which no beam says as surely.
 
 use super::OccupancyParams;
-use super::marks::{Frame, Heights, Mark, ScanUpdate};
+use super::mark::{Heights, Mark};
+use super::marks::{Frame, ScanUpdate};
 use crate::KeyframeView;
 use crate::given::is_given;
 use nalgebra::{Point2, Point3, Vector3};

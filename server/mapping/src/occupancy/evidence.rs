@@ -1,7 +1,7 @@
 //! What the keyframes of one submap say about a cell, in a form that can be laid over what earlier submaps say.
 
 use super::OccupancyParams;
-use super::marks::{Heights, Mark};
+use super::mark::{Heights, Mark};
 
 /// What was seen in a cell. Evidence counts for its own heights: the floor seen under a table does not free its top, nor
 /// do the beams of a planar lidar; and what was free for these can still be hit at another height.

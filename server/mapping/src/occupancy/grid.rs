@@ -1,7 +1,8 @@
 //! The unbounded grid of evidence, in tiles that copies share.
 
 use super::evidence::Evidence;
-use super::marks::{Mark, Marks};
+use super::mark::Mark;
+use super::marks::Marks;
 use super::planar::PlanarMarks;
 use super::read::{Occupancy, TILE, Visit, locate, overlap};
 use super::tile::EvidenceTile;

@@ -10,6 +10,7 @@ mod dense;
 mod driven;
 mod evidence;
 mod grid;
+mod mark;
 mod marks;
 mod params;
 mod planar;

@@ -1,6 +1,6 @@
 //! Marks of a planar scan: its beams are all about one height, so that two bits a cell say all of it.
 
-use super::marks::{Heights, Mark};
+use super::mark::{Heights, Mark};
 use super::read::TILE;
 use percept_geometry::Cell;
 

@@ -3,7 +3,8 @@
 use super::OccupancyParams;
 use super::columns::Columns;
 use super::driven::Way;
-use super::marks::{Frame, Heights, Mark, Marks, ScanUpdate};
+use super::mark::{Heights, Mark};
+use super::marks::{Frame, Marks, ScanUpdate};
 use super::planar::PlanarMarks;
 use crate::KeyframeView;
 use crate::ground::GroundParams;
