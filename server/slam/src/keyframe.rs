@@ -3,10 +3,10 @@
 mod depth;
 mod features;
 
+use crate::color_camera::ColorCamera;
 use crate::deskew::Sweep;
 use crate::downsample::Thinner;
 use crate::inertial::Curve;
-use crate::odometry::rgbd::ColorCamera;
 use crate::param_error::{ParamError, check_range};
 use crate::scan::{CloudScan, PlanarScan, Scan};
 pub(crate) use depth::FULL_WIDTH;

@@ -7,6 +7,7 @@
 //! Start with [`odometry::Odometry::register`]; each sensor's method is a folder of [`odometry`].
 
 pub mod back_end;
+mod color_camera;
 mod covariance;
 mod deskew;
 mod downsample;

@@ -1,6 +1,6 @@
 //! Distinct places of a colour image with their points in space.
 
-use crate::odometry::rgbd::ColorCamera;
+use crate::color_camera::ColorCamera;
 use crate::scan::DepthScan;
 use nalgebra::{Point2, Point3};
 use percept_geometry::{CameraIntrinsics, FeatureMethod, GrayImage, KeyframeFeature, KeyframeFeatures};

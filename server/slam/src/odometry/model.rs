@@ -1,6 +1,7 @@
 //! What a method brings: a local model that frames are placed in.
 
 use super::rgbd;
+use crate::color_camera::ColorCamera;
 use crate::inertial::{Curve, Expected, PoseFactor};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
@@ -121,7 +122,7 @@ pub(crate) trait LocalModel: Send {
         None
     }
     /// Where a depth camera's colour camera was found to be, for the image in full size.
-    fn color_camera(&self) -> Option<rgbd::ColorCamera> {
+    fn color_camera(&self) -> Option<ColorCamera> {
         None
     }
     /// Bytes that the model takes, about.

@@ -2,10 +2,10 @@
 //!
 //! Image to vertices ([`frame`]) and brightness ([`intensity`]), model to view ([`surfels`]), frame to view by depth
 //! ([`mod@align`]) and brightness ([`photometric`]) at once. Depth slides along smooth surfaces and brightness does not;
-//! colour that was not registered to depth is ([`color_camera`]).
+//! colour that was not registered to depth is ([`color_registration`]).
 
 mod align;
-mod color_camera;
+mod color_registration;
 mod frame;
 mod intensity;
 mod moving;
@@ -15,14 +15,14 @@ pub(crate) mod place;
 mod surfels;
 pub(crate) mod window;
 
+use crate::color_camera::ColorCamera;
 use crate::inertial::PoseFactor;
 use crate::odometry::{Found, LocalModel, Prediction, Registration};
 use crate::param_error::{ParamError, check_range};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use align::{LEVELS, Problem, Requirements, align};
-pub(crate) use color_camera::ColorCamera;
-use color_camera::ColorRegistration;
+use color_registration::ColorRegistration;
 use frame::{Frame, Preparer, Vertex};
 use moving::Moving;
 use nalgebra::{Point3, Vector6};

@@ -4,10 +4,10 @@
 //! Whelan et al., "ElasticFusion", 2015, section III.B. We take the model's points, not pixels, into the
 //! live image, whose gradient is sharp, and use those alone that have texture around them.
 
-use super::color_camera::ColorCamera;
 use super::frame::{Frame, Rigid32, pixel};
 use super::intensity::Intensity;
 use super::noise::sigma;
+use crate::color_camera::ColorCamera;
 use nalgebra::Vector3;
 use percept_geometry::{CameraIntrinsics, Pose};
 use percept_perception::registration::{NormalEquations, accumulate};

@@ -4,10 +4,10 @@
 //! We depart from it in rendering: surfels of one surface that fall on one pixel are averaged by weight,
 //! since taking the nearest would pull the surface towards the camera by its noise.
 
-use super::color_camera::ColorCamera;
 use super::frame::{Frame, Rigid32, Vertex, pixel};
 use super::noise::sigma;
 use super::photometric::{MIN_CONTRAST, TexturedPoint};
+use crate::color_camera::ColorCamera;
 use crate::odometry::way_m;
 use nalgebra::Vector3;
 use percept_geometry::{CameraIntrinsics, Pose};

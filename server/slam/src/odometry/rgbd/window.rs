@@ -8,10 +8,10 @@
 //! densely, weighted by their information); Whelan et al., "ElasticFusion", 2015, for moving the model with them.
 
 use super::align::{Level, Problem, Requirements, align};
-use super::color_camera::ColorCamera;
 use super::frame::{Frame, Vertex};
 use super::photometric::{MIN_CONTRAST, Photometric, TexturedPoint};
 use super::surfels::View;
+use crate::color_camera::ColorCamera;
 use crate::covariance::diagonal;
 use crate::pose_graph::{Edge, OptimiseParams, PoseGraph, information_of, optimise};
 use nalgebra::{Matrix3, Matrix6};

@@ -1,4 +1,4 @@
-//! Where the colour camera sees what the depth camera sees, found from the images themselves.
+//! Registration of a colour camera to the depth camera, from the images themselves.
 //!
 //! Many depth cameras are recorded without registering colour to depth: another focal length and a
 //! baseline of a few centimetres put a surface's colour tens of pixels away. Where depth jumps there is
@@ -7,6 +7,7 @@
 //! Registered images stay as they are: another camera has to explain clearly more.
 
 use super::intensity::Intensity;
+use crate::color_camera::ColorCamera;
 use nalgebra::Vector3;
 use percept_geometry::CameraIntrinsics;
 
@@ -20,72 +21,25 @@ const MIN_EDGES: usize = 150;
 /// rgbd-7scenes-a 2`: halved 22.3, doubled 28.0 mm (22.3).
 const CLEARLY: f32 = 1.15;
 
-/// Pinhole of the colour image on the frame's grid, its optical axis parallel to depth's.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct ColorCamera {
-    pub(crate) fx: f32,
-    pub(crate) fy: f32,
-    pub(crate) cx: f32,
-    pub(crate) cy: f32,
-    /// Focal length times baseline along x, pixel metres.
-    pub(crate) bx: f32,
-}
-
-impl ColorCamera {
-    /// The same as the depth's.
-    pub(crate) fn registered(depth: &CameraIntrinsics) -> Self {
-        let (fx, fy, cx, cy) = (depth.fx as f32, depth.fy as f32, depth.cx as f32, depth.cy as f32);
-        Self { fx, fy, cx, cy, bx: 0.0 }
-    }
-
-    /// Pixel of a point in the depth camera's frame (metres, `z > 0`).
-    #[inline]
-    pub(crate) fn project(&self, p: &Vector3<f32>) -> (f32, f32) {
-        let w = 1.0 / p.z;
-        ((self.fx * p.x + self.bx) * w + self.cx, self.fy * p.y * w + self.cy)
-    }
-
-    /// For the image that was shrunk by `factor` with averaging.
-    pub(crate) fn enlarged(&self, factor: f32) -> Self {
-        let middle = |c: f32| c * factor + 0.5 * (factor - 1.0);
-        Self {
-            fx: self.fx * factor,
-            fy: self.fy * factor,
-            cx: middle(self.cx),
-            cy: middle(self.cy),
-            bx: self.bx * factor,
-        }
-    }
-
-    fn changed(&self, c: &Change) -> Self {
-        Self {
-            fx: self.fx * c.scale,
-            fy: self.fy * c.scale,
-            cx: self.cx + c.du,
-            cy: self.cy + c.dv,
-            bx: self.bx + c.bx,
-        }
-    }
-
-    /// Largest shift of a point seen by both, pixels.
-    fn differs(&self, other: &Self, half: (f32, f32)) -> f32 {
-        let corner = |c: &Self, z: f32| c.project(&Vector3::new(half.0 * z, half.1 * z, z));
-        [1.0, 3.0]
-            .into_iter()
-            .map(|z| {
-                let (a, b) = (corner(self, z), corner(other, z));
-                (a.0 - b.0).abs().max((a.1 - b.1).abs())
-            })
-            .fold(0.0, f32::max)
-    }
-}
-
+/// What one camera differs by from another.
 #[derive(Debug, Clone, Copy)]
 struct Change {
     scale: f32,
     du: f32,
     dv: f32,
     bx: f32,
+}
+
+impl Change {
+    fn applied_to(&self, camera: &ColorCamera) -> ColorCamera {
+        ColorCamera {
+            fx: camera.fx * self.scale,
+            fy: camera.fy * self.scale,
+            cx: camera.cx + self.du,
+            cy: camera.cy + self.dv,
+            bx: camera.bx + self.bx,
+        }
+    }
 }
 
 /// One frame's jumps of depth, as points on the nearer surface, and its edges of brightness.
@@ -142,7 +96,7 @@ impl ColorRegistration {
         let best = if self.score(&found, false) > CLEARLY * self.score(&unmoved, false) { found } else { unmoved };
         self.camera = Some(best);
         let half = (0.5 * (depth.width as f64 / depth.fx) as f32, 0.5 * (depth.height as f64 / depth.fy) as f32);
-        best.differs(&before, half) > 1.0
+        shift_px(&best, &before, half) > 1.0
     }
 
     /// Mean gradient under the edges.
@@ -176,7 +130,7 @@ impl ColorRegistration {
                             dv: dv as f32 * step,
                             bx: b as f32 * step,
                         };
-                        let camera = start.changed(&change);
+                        let camera = change.applied_to(&start);
                         let score = self.score(&camera, true);
                         if score > best.0 {
                             best = (score, camera);
@@ -206,7 +160,7 @@ impl ColorRegistration {
                 ]
             };
             for change in changes(step).into_iter().chain(changes(-step)) {
-                let next = camera.changed(&change);
+                let next = change.applied_to(&camera);
                 let score = self.score(&next, false);
                 if score > best {
                     (best, camera, moved) = (score, next, true);
@@ -218,6 +172,18 @@ impl ColorRegistration {
         }
         camera
     }
+}
+
+/// Largest shift of a point seen by both, pixels; `half` is the tangent of half the angle of view.
+fn shift_px(camera: &ColorCamera, other: &ColorCamera, half: (f32, f32)) -> f32 {
+    let corner = |c: &ColorCamera, z: f32| c.project(&Vector3::new(half.0 * z, half.1 * z, z));
+    [1.0, 3.0]
+        .into_iter()
+        .map(|z| {
+            let (a, b) = (corner(camera, z), corner(other, z));
+            (a.0 - b.0).abs().max((a.1 - b.1).abs())
+        })
+        .fold(0.0, f32::max)
 }
 
 impl Edges {
