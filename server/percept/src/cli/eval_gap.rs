@@ -1,6 +1,6 @@
 //! `percept eval gap`: a recording with a part cut out, after which the robot has to find itself again.
 
-use super::eval_slam::{RIGHT_M, RIGHT_RAD};
+use super::slam_run::{RIGHT_M, RIGHT_RAD};
 use super::{Failure, input, local};
 use percept_evaluation::{Alignment, ErrorStatistics, PosePair, absolute_error, align};
 use percept_formats::dataset::{self, Dataset};

@@ -1,19 +1,14 @@
 //! `percept eval slam`: the whole pipeline in simulated sessions, judged by exact truth.
 
-use super::slam_run::{FrameRecord, SlamRun, run_session};
+use super::slam_run::{FrameRecord, RIGHT_M, RIGHT_RAD, SlamRun, run_session};
 use super::{Failure, plot};
 use percept_evaluation::{Alignment, ErrorStatistics, PosePair, Similarity, absolute_error, align};
-use percept_geometry::{Pose, SensorKind};
+use percept_geometry::Pose;
 use percept_pipeline::PipelineParams;
 use percept_sim::{Kidnap, MainSensor, Scenario, SimParams, Simulation};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-
-/// A pose in a known map, or a loop, is right if it is this near to the true position, metres.
-pub(crate) const RIGHT_M: f64 = 0.5;
-/// And to the true rotation, radians.
-pub(crate) const RIGHT_RAD: f64 = 0.35;
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Sensor {
@@ -319,9 +314,4 @@ fn print(report: &Value, indent: &str) {
             _ => println!("{indent}{name:>22}  {}", value.to_string().trim_matches('"')),
         }
     }
-}
-
-/// Whether frames of this kind of sensor can move the pose.
-pub(crate) fn moves_pose(kind: SensorKind) -> bool {
-    !matches!(kind, SensorKind::Odometry | SensorKind::Imu)
 }

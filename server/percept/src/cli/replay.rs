@@ -41,13 +41,13 @@ pub(crate) struct ReplayArgs {
     threads: usize,
     /// Stream only these sensors; of a depth camera with colour, `camera` is its colour images, `depth` its depth.
     #[arg(long, value_enum, value_delimiter = ',')]
-    pub(crate) sensors: Vec<Stream>,
+    sensors: Vec<Stream>,
     /// Leave colour out.
     #[arg(long)]
     depth_only: bool,
     /// Leave wheel odometry out.
     #[arg(long)]
-    pub(crate) no_odometry: bool,
+    no_odometry: bool,
     /// Configuration file whose session parameters are used (in this process).
     #[arg(long, conflicts_with = "server")]
     config: Option<PathBuf>,
@@ -57,7 +57,7 @@ pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
     let options = OpenOptions { depth_only: args.depth_only, ..OpenOptions::default() };
     let mut recording =
         dataset::open_with(&args.path, &options).map_err(|e| format!("{}: {e}", args.path.display()))?;
-    let chosen = Chosen::of(&args);
+    let chosen = Chosen::new(&args.sensors, !args.no_odometry);
     recording.sensors = chosen.specs(&recording.sensors);
     if recording.sensors.is_empty() {
         let kinds = "the recording has none of the sensors asked for; leave --sensors out to see what it has";
@@ -87,7 +87,7 @@ fn part(args: &ReplayArgs, recording: &Dataset) -> Range<usize> {
 type Frames = Box<dyn Iterator<Item = Result<SensorFrame, percept_formats::FormatError>> + Send>;
 
 fn frames(args: &ReplayArgs, recording: &Dataset) -> Frames {
-    let chosen = Chosen::of(args);
+    let chosen = Chosen::new(&args.sensors, !args.no_odometry);
     let frames = recording.frames(Some(part(args, recording)));
     Box::new(frames.flat_map(move |frame| match frame {
         Ok(frame) => chosen.frames(frame).into_iter().map(Ok).collect::<Vec<_>>(),

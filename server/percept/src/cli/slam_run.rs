@@ -1,15 +1,19 @@
 //! A simulated session through a pipeline in this process, frame by frame beside its truth.
 
 use super::Failure;
-use super::eval_slam::{RIGHT_M, RIGHT_RAD, moves_pose};
 use nalgebra::UnitQuaternion;
 use percept_evaluation::{Alignment, PosePair, align};
-use percept_geometry::{KeyframeId, Pose, Timestamp};
+use percept_geometry::{KeyframeId, Pose, SensorKind, Timestamp};
 use percept_pipeline::{Loop, LoopId, LoopState, Pipeline, PipelineParams, Snapshot};
 use percept_sim::Simulation;
 use percept_slam::TrackingState;
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
+
+/// A pose in a known map, or a loop, is right if it is this near to the true position, metres.
+pub(crate) const RIGHT_M: f64 = 0.5;
+/// And to the true rotation, radians.
+pub(crate) const RIGHT_RAD: f64 = 0.35;
 
 /// A registered frame.
 #[derive(Debug, Clone, Copy)]
@@ -187,6 +191,11 @@ pub(crate) fn run_session(
     let tracked = snapshot.trajectory_in_one_unit().filter(|(_, e)| e.tracked);
     run.corrected = tracked.map(|(pose, e)| (e.stamp, pose)).collect();
     Ok(run)
+}
+
+/// Whether frames of this kind of sensor can move the pose.
+fn moves_pose(kind: SensorKind) -> bool {
+    !matches!(kind, SensorKind::Odometry | SensorKind::Imu)
 }
 
 /// Loops found, believed at the end, and those that contradict the truth of all that ever were believed.

@@ -1,6 +1,5 @@
 //! Which sensors of a recording are streamed.
 
-use super::replay::ReplayArgs;
 use percept_geometry::{SensorData, SensorFrame, SensorId, SensorKind, SensorSpec};
 
 /// A sensor that can be asked for.
@@ -41,9 +40,10 @@ impl Stream {
 pub(crate) struct Chosen(Option<Vec<SensorKind>>, bool);
 
 impl Chosen {
-    pub(crate) fn of(args: &ReplayArgs) -> Self {
-        let kinds = (!args.sensors.is_empty()).then(|| args.sensors.iter().map(|s| s.kind()).collect());
-        Self(kinds, !args.no_odometry)
+    /// These, or all if none is named, with wheels or without.
+    pub(crate) fn new(sensors: &[Stream], with_wheels: bool) -> Self {
+        let kinds = (!sensors.is_empty()).then(|| sensors.iter().map(|s| s.kind()).collect());
+        Self(kinds, with_wheels)
     }
 
     fn takes(&self, kind: SensorKind) -> bool {

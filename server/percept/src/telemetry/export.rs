@@ -1,15 +1,15 @@
 //! Spans of requests for a collector, by OTLP over gRPC. One span a request, named by its operation.
 
-use super::requests::Request;
 use crate::config::Telemetry;
 use opentelemetry::trace::{SpanContext, SpanId, SpanKind, Status, TraceFlags, TraceId, TraceState};
 use opentelemetry::{InstrumentationScope, KeyValue};
 use opentelemetry_otlp::{SpanExporter, WithExportConfig};
 use opentelemetry_sdk::Resource;
 use opentelemetry_sdk::trace::{BatchSpanProcessor, SpanData, SpanProcessor};
+use percept_service::observe::Door;
 use percept_service::trace::TraceContext;
 use std::sync::OnceLock;
-use std::time::SystemTime;
+use std::time::{Instant, SystemTime};
 
 struct Export {
     /// Sends in batches from a thread of its own; what it cannot hold is dropped.
@@ -17,6 +17,21 @@ struct Export {
     scope: InstrumentationScope,
     /// Share of the traces that begin here.
     share: f64,
+}
+
+/// A request that is over.
+#[derive(Debug)]
+pub(super) struct RequestSpan {
+    pub(super) trace: TraceContext,
+    /// The caller's span.
+    pub(super) parent_span_id: Option<u64>,
+    pub(super) door: Door,
+    pub(super) operation: &'static str,
+    /// Name of the gRPC code.
+    pub(super) code: &'static str,
+    pub(super) bytes_in: u64,
+    pub(super) bytes_out: u64,
+    pub(super) began: Instant,
 }
 
 static EXPORT: OnceLock<Export> = OnceLock::new();
@@ -53,38 +68,43 @@ pub(super) fn end() {
 /// Decides whether a trace that begins here is recorded; a caller decides for its own.
 pub(super) fn sampled(mut trace: TraceContext) -> TraceContext {
     let Some(export) = EXPORT.get() else { return trace };
-    trace.is_sampled = super::requests::within(trace, export.share);
+    trace.is_sampled = within(trace, export.share);
     trace
 }
 
+/// Whether a trace is one of this share of all, 0 to 1: by its id, so that all of its requests are or none.
+pub(super) fn within(trace: TraceContext, share: f64) -> bool {
+    share > 0.0 && (trace.trace_id as u64 as f64) < share * (u64::MAX as f64 + 1.0)
+}
+
 /// Hands over the span of a request that is over.
-pub(super) fn finished(request: &Request) {
-    let Some(export) = EXPORT.get().filter(|_| request.trace.is_sampled) else { return };
+pub(super) fn finished(span: &RequestSpan) {
+    let Some(export) = EXPORT.get().filter(|_| span.trace.is_sampled) else { return };
     let end_time = SystemTime::now();
     let attributes = vec![
-        KeyValue::new("rpc.system", request.door.name()),
-        KeyValue::new("rpc.method", request.operation.name),
-        KeyValue::new("rpc.response.status_code", request.code),
-        KeyValue::new("percept.bytes_in", i64::try_from(request.bytes_in).unwrap_or(i64::MAX)),
-        KeyValue::new("percept.bytes_out", i64::try_from(request.bytes_out).unwrap_or(i64::MAX)),
+        KeyValue::new("rpc.system", span.door.name()),
+        KeyValue::new("rpc.method", span.operation),
+        KeyValue::new("rpc.response.status_code", span.code),
+        KeyValue::new("percept.bytes_in", i64::try_from(span.bytes_in).unwrap_or(i64::MAX)),
+        KeyValue::new("percept.bytes_out", i64::try_from(span.bytes_out).unwrap_or(i64::MAX)),
     ];
-    let is_fault = matches!(request.code, "INTERNAL" | "UNKNOWN" | "UNAVAILABLE" | "DATA_LOSS" | "DEADLINE_EXCEEDED");
-    let span_id = SpanId::from_bytes(request.trace.span_id.to_be_bytes());
-    let trace_id = TraceId::from_bytes(request.trace.trace_id.to_be_bytes());
+    let is_fault = matches!(span.code, "INTERNAL" | "UNKNOWN" | "UNAVAILABLE" | "DATA_LOSS" | "DEADLINE_EXCEEDED");
+    let span_id = SpanId::from_bytes(span.trace.span_id.to_be_bytes());
+    let trace_id = TraceId::from_bytes(span.trace.trace_id.to_be_bytes());
     export.processor.on_end(SpanData {
         span_context: SpanContext::new(trace_id, span_id, TraceFlags::SAMPLED, false, TraceState::default()),
         // 0 is none.
-        parent_span_id: SpanId::from_bytes(request.parent_span_id.unwrap_or_default().to_be_bytes()),
-        parent_span_is_remote: request.parent_span_id.is_some(),
+        parent_span_id: SpanId::from_bytes(span.parent_span_id.unwrap_or_default().to_be_bytes()),
+        parent_span_is_remote: span.parent_span_id.is_some(),
         span_kind: SpanKind::Server,
-        name: request.operation.name.into(),
-        start_time: end_time.checked_sub(request.began.elapsed()).unwrap_or(end_time),
+        name: span.operation.into(),
+        start_time: end_time.checked_sub(span.began.elapsed()).unwrap_or(end_time),
         end_time,
         attributes,
         dropped_attributes_count: 0,
         events: Default::default(),
         links: Default::default(),
-        status: if is_fault { Status::error(request.code) } else { Status::Unset },
+        status: if is_fault { Status::error(span.code) } else { Status::Unset },
         instrumentation_scope: export.scope.clone(),
     });
 }

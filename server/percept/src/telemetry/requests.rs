@@ -39,17 +39,17 @@ pub(crate) fn log_share(share: f64) {
 /// A request under way; dropped, it is over, and is counted and logged.
 #[derive(Debug)]
 pub(crate) struct Request {
-    pub(super) door: Door,
+    door: Door,
     pub(crate) operation: Operation,
     /// Name of the gRPC code.
     pub(crate) code: &'static str,
     pub(crate) trace: TraceContext,
     /// The caller's span.
-    pub(super) parent_span_id: Option<u64>,
+    parent_span_id: Option<u64>,
     pub(crate) bytes_in: u64,
     pub(crate) bytes_out: u64,
     pub(crate) peer: Option<SocketAddr>,
-    pub(super) began: Instant,
+    began: Instant,
     span: Span,
     _under_way: observe::Held,
 }
@@ -82,13 +82,8 @@ impl Request {
     }
 
     fn is_logged(&self) -> bool {
-        within(self.trace, f64::from_bits(LOG_SHARE.load(Ordering::Relaxed)))
+        export::within(self.trace, f64::from_bits(LOG_SHARE.load(Ordering::Relaxed)))
     }
-}
-
-/// Whether a trace is one of this share of all, 0 to 1: by its id, so that all of its requests are or none.
-pub(super) fn within(trace: TraceContext, share: f64) -> bool {
-    share > 0.0 && (trace.trace_id as u64 as f64) < share * (u64::MAX as f64 + 1.0)
 }
 
 impl Drop for Request {
@@ -96,7 +91,16 @@ impl Drop for Request {
         let took = self.began.elapsed();
         let timed = (!self.operation.lasts).then_some(took);
         observe::request(self.door, self.operation.name, self.code, timed, self.bytes_out);
-        export::finished(self);
+        export::finished(&export::RequestSpan {
+            trace: self.trace,
+            parent_span_id: self.parent_span_id,
+            door: self.door,
+            operation: self.operation.name,
+            code: self.code,
+            bytes_in: self.bytes_in,
+            bytes_out: self.bytes_out,
+            began: self.began,
+        });
         if self.is_logged() {
             tracing::info!(
                 target: "access",
