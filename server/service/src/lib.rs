@@ -47,8 +47,9 @@ pub use ops::sessions::{NewSession, Page, SessionDescription, SessionList, Sessi
 pub use ops::toolbox;
 pub use ops::transforms::{Moving, TrajectoryRequest, Transform};
 pub use ops::zone_masks::{MaskCells, MaskChange, MaskMeaning, SessionMask, SpeedUnit};
-pub use ops::zones::{SessionZone, Zones};
+pub use ops::zones::Zones;
 pub use percept_identity::Pattern;
+pub use session::annotations::SessionZone;
 pub use session::command::{Moved, Pending, Processed, Ticket, Vetoed};
 pub use session::event::{Event, EventKind};
 pub use session::events::EventLog;

@@ -1,6 +1,7 @@
 //! Rooms of a session, what people call them, and the way to one.
 
 use super::navigation::{Plan, PlanRequest, plan};
+use crate::session::annotations::RoomName;
 use crate::{Error, Result, Service, reason};
 use nalgebra::{Point2, Point3};
 use percept_geometry::{KeyframeId, Pose, Timestamp};
@@ -9,7 +10,6 @@ use percept_pipeline::Snapshot;
 use percept_planning::PlanError;
 use percept_scene::rooms::{Door, Room, RoomId, Rooms, Route, RouteStep};
 use percept_scene::{Directions, NodeId, RelationFilter, RoomNode, SceneGraph};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -17,17 +17,6 @@ use std::sync::Arc;
 const MAX_NAME_CHARS: usize = 64;
 /// Rooms with names in a session, at most.
 const MAX_NAMES: usize = 10_000;
-
-/// What people call a room: pinned to a place as a keyframe sees it, so that it moves with the map.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RoomName {
-    /// The name.
-    pub name: String,
-    /// Number of the keyframe.
-    pub keyframe: u64,
-    /// The place in that keyframe's base, metres.
-    pub at: [f64; 2],
-}
 
 /// A level divided into rooms, with what they are called.
 #[derive(Debug, Clone)]

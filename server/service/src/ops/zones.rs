@@ -1,56 +1,15 @@
 //! Zones that are stored with a session: every path in it keeps to them.
 
-use super::rooms::RoomName;
 use super::zone_masks::SessionMask;
+use crate::session::annotations::{RoomName, SessionZone};
 use crate::session::meta::SessionMeta;
 use crate::{Error, Result, reason};
-use nalgebra::Point2;
-use percept_planning::{Zone, ZoneKind};
-use serde::{Deserialize, Serialize};
+use percept_planning::Zone;
 
 /// Zones of a session, at most.
 const MAX_ZONES: usize = 1_000;
 /// Characters of a zone's name, at most.
 const MAX_NAME_CHARS: usize = 64;
-
-/// A zone with its name.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(from = "Record", into = "Record")]
-pub struct SessionZone {
-    /// For people; may be empty.
-    pub name: String,
-    /// The area, and what holds there.
-    pub zone: Zone,
-}
-
-/// As it is stored.
-#[derive(Serialize, Deserialize)]
-struct Record {
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    name: String,
-    polygon: Vec<[f64; 2]>,
-    /// None: keep out.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    speed_share: Option<f64>,
-}
-
-impl From<Record> for SessionZone {
-    fn from(r: Record) -> Self {
-        let kind = r.speed_share.map_or(ZoneKind::KeepOut, |share| ZoneKind::SpeedLimit { share });
-        let polygon = r.polygon.iter().map(|[x, y]| Point2::new(*x, *y)).collect();
-        Self { name: r.name, zone: Zone { polygon, kind } }
-    }
-}
-
-impl From<SessionZone> for Record {
-    fn from(z: SessionZone) -> Self {
-        let speed_share = match z.zone.kind {
-            ZoneKind::KeepOut => None,
-            ZoneKind::SpeedLimit { share } => Some(share),
-        };
-        Self { name: z.name, polygon: z.zone.polygon.iter().map(|p| [p.x, p.y]).collect(), speed_share }
-    }
-}
 
 /// Checks zones that are to be stored.
 ///

@@ -1,7 +1,7 @@
 //! What a session was created with: the record in the catalogue.
 
-use crate::ops::rooms::RoomName;
-use crate::{SessionMask, SessionZone};
+use super::annotations::{RoomName, SessionZone};
+use crate::SessionMask;
 use percept_geometry::SensorSpec;
 use percept_perception::detection::ClassExample;
 use percept_pipeline::PipelineParams;

@@ -11,6 +11,7 @@
 //!   session apart. [`scratch`] takes what of the map does not fit into memory.
 
 pub(crate) mod actor;
+pub(crate) mod annotations;
 pub(crate) mod changing;
 pub(crate) mod command;
 pub(crate) mod event;

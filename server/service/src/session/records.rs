@@ -3,9 +3,9 @@
 //! Fields that a record lacks get their default, fields that it has too many are passed over. A record that is still
 //! not readable is damage of its session and of no other.
 
+use super::annotations::{RoomName, SessionZone};
 use super::meta::{DEFAULT_TENANT, SensorDeclaration, SessionMeta, SessionMode};
-use crate::ops::rooms::RoomName;
-use crate::{SessionMask, SessionZone};
+use crate::SessionMask;
 use bytes::Bytes;
 use percept_geometry::{Pose, SensorId, Timestamp};
 use percept_perception::detection::ClassExample;
