@@ -19,6 +19,7 @@ import httpx
 import numpy as np
 import percept.zenoh
 from percept import Client, CloudFormat, PerceptError, SensorSpec
+
 from support import raw, world
 from support.robots import scan
 from support.server import eventually
@@ -68,15 +69,11 @@ def image_bombs(target: Target) -> Tried:
         camera = CameraIntrinsics(
             width_px=declared, height_px=declared, fx_px=300.0, fy_px=300.0, cx_px=160.0, cy_px=120.0
         )
-        session = target.client.sessions.create(
-            sensors=[SensorSpec("camera", kind="depth", intrinsics=camera)]
-        )
+        session = target.client.sessions.create(sensors=[SensorSpec("camera", kind="depth", intrinsics=camera)])
         image = EncodedImage(data=data, width_px=declared, height_px=declared)
 
         def send(k, session=session, image=image):
-            return refused(
-                lambda: session.send_depth("camera", stamp_ns=k + 1, depth=image, metres_per_unit=0.001)
-            )
+            return refused(lambda: session.send_depth("camera", stamp_ns=k + 1, depth=image, metres_per_unit=0.001))
 
         with ThreadPoolExecutor(5) as pool:
             reasons = list(pool.map(send, range(5)))
@@ -171,9 +168,7 @@ def zenoh_flood(target: Target) -> Tried:
     with percept.zenoh.SensorPublisher(target.server.zenoh, session_id=name) as publisher:
         publisher.send_scan("laser", stamp_ns=1, **scan(0))
     taken = eventually(lambda: session.sensors.list()[0].accepted == 1, seconds=30)
-    return Tried(
-        sent, 0, f"{sent / target.seconds:.0f}/s", [] if taken else ["a good frame after it is lost"]
-    )
+    return Tried(sent, 0, f"{sent / target.seconds:.0f}/s", [] if taken else ["a good frame after it is lost"])
 
 
 def zenoh_sizes(target: Target) -> Tried:

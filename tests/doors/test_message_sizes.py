@@ -304,6 +304,8 @@ REQUESTS = {
     "ToolboxPlanningService/PlanOnMap": (lambda s: {"start": {}, "goal": {"x": 0.5}}, False),
     "ToolboxPlanningService/DrawPathOnMap": (lambda s: {"map": noise(), "start": {}, "goal": {"x": 0.5}}, False),
     "ToolboxPlanningService/ValidateOnMap": (lambda s: {"poses": [{"x_m": 0.5}]}, False),
+    "ToolboxImagesService/DetectInImage": (lambda s: {"detector": "none"}, False),
+    "ToolboxImagesService/ListImageDetectors": (lambda s: {}, False),
     "ToolboxImagesService/ExtractFeatures": (
         lambda s: {"image": s.colour_image(), "max_features": 100_000, "fast_threshold": 5},
         True,

@@ -1,4 +1,4 @@
-"""What people say of objects: labels, deleted, merged and split things, classes learned from examples; and the past."""
+"""What people say of objects: labels, deleted, merged and split things, learned classes; and the past."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from support import world
 
 
 def furnished(client: Client, name: str | None = None):
-    session = client.sessions.create(name, sensors=[world.LIDAR]) if name else client.sessions.create(sensors=[world.LIDAR])
+    session = (
+        client.sessions.create(name, sensors=[world.LIDAR]) if name else client.sessions.create(sensors=[world.LIDAR])
+    )
     drive(session, 0)
     return session
 
@@ -152,7 +154,11 @@ def test_the_past_can_be_asked_for(session):
     graph = session.scene.graph(at_ns=world.stamp(10))
     robot = next(n for n in graph.nodes if n.kind == "robot")
     assert graph.stamp_ns == world.stamp(10)
-    assert np.allclose(robot.t_map_node.matrix, session.transform("map", "base", at_ns=world.stamp(10)).t_target_source.matrix, atol=1e-6)
+    assert np.allclose(
+        robot.t_map_node.matrix,
+        session.transform("map", "base", at_ns=world.stamp(10)).t_target_source.matrix,
+        atol=1e-6,
+    )
     assert all(n.object.first_seen_ns <= graph.stamp_ns for n in graph.nodes if n.kind == "object")
     with pytest.raises(InvalidArgument) as error:
         session.scene.graph(at_ns=1)
@@ -188,7 +194,12 @@ def test_what_cannot_be_is_refused(session):
         (lambda: session.scene.merge_objects(thing, thing), InvalidArgument, "CORRECTION_INVALID", "part_of"),
         (lambda: session.scene.merge_objects(thing, 10**9), NotFound, "OBJECT_NOT_FOUND", "part_of"),
         (lambda: session.scene.split_object(thing, [box]), InvalidArgument, "CORRECTION_INVALID", "pieces"),
-        (lambda: session.scene.split_object(thing, [box, nowhere]), InvalidArgument, "CORRECTION_INVALID", "pieces.boxes[1]"),
+        (
+            lambda: session.scene.split_object(thing, [box, nowhere]),
+            InvalidArgument,
+            "CORRECTION_INVALID",
+            "pieces.boxes[1]",
+        ),
         (lambda: list(session.scene.objects(room_id=10**9)), NotFound, "ROOM_NOT_FOUND", "room_id"),
         (
             lambda: list(session.scene.objects(at_ns=1, include_set_aside=True)),

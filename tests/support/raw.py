@@ -243,9 +243,7 @@ class Http2:
             kind, _, of, update = answer
             if kind == WINDOW_UPDATE:
                 more = int.from_bytes(update, "big")
-                window, self._window = (
-                    (window + more, self._window) if of == stream else (window, self._window + more)
-                )
+                window, self._window = (window + more, self._window) if of == stream else (window, self._window + more)
             elif of == stream:
                 return answer
 

@@ -309,6 +309,16 @@ TRIANGULATE_POINTS = Rpc(
     _T, "TriangulatePoints", images.TriangulatePointsRequest, images.TriangulatePointsResponse, in_parts=True
 )
 SOLVE_PNP = Rpc(_T, "SolvePnp", images.SolvePnpRequest, images.SolvePnpResponse, in_parts=True)
+DETECT_IN_IMAGE = Rpc(
+    _T, "DetectInImage", images.DetectInImageRequest, images.DetectInImageResponse, in_parts=True
+)
+LIST_IMAGE_DETECTORS = Rpc(
+    _T,
+    "ListImageDetectors",
+    images.ListImageDetectorsRequest,
+    images.ListImageDetectorsResponse,
+    in_parts=True,
+)
 
 _T = "ToolboxPicturesService"
 RENDER_CLOUD = Rpc(

@@ -5,7 +5,7 @@ use crate::network::Network;
 use crate::prepare::{Placement, prepare};
 use crate::{DetectorSpec, InferenceError, InferenceThreads, ModelLimits};
 use percept_geometry::RgbImage;
-use percept_perception::detection::Detection2d;
+use percept_perception::detection::{Detection2d, ImageDetector};
 use std::sync::Arc;
 
 /// The most boxes that are compared with each other, the best ones first, and that are reported: what YOLOv8 reports at
@@ -93,6 +93,16 @@ impl Detector {
         let mut found: Vec<Detection2d> = suppress(candidates, spec.iou_threshold).iter().map(detection).collect();
         found.retain(|d| d.bbox.is_proper());
         Ok(found)
+    }
+}
+
+impl ImageDetector for Detector {
+    fn detect(&self, image: &RgbImage) -> Result<Vec<Detection2d>, String> {
+        Self::detect(self, image).map_err(|e| e.to_string())
+    }
+
+    fn labels(&self) -> &[String] {
+        &self.spec.labels
     }
 }
 

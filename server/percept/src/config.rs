@@ -9,6 +9,7 @@ mod environment;
 mod error;
 mod origin;
 
+use crate::detectors::Detectors;
 pub(crate) use check::is_loopback;
 pub(crate) use error::ConfigError;
 use origin::Origins;
@@ -43,6 +44,8 @@ pub(crate) struct Config {
     pub log: Log,
     /// What is counted, timed and traced.
     pub telemetry: Telemetry,
+    /// Learned detectors.
+    pub detectors: Detectors,
     /// Parameters of a session, where its creator sends none.
     pub params: PipelineParams,
 }

@@ -2,6 +2,7 @@
 
 mod cli;
 mod config;
+mod detectors;
 mod doors;
 mod provider;
 mod storage;

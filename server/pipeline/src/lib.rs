@@ -8,6 +8,7 @@ mod beside;
 mod chunks;
 mod frame_error;
 mod frontend;
+mod learned;
 mod live;
 mod lookup;
 mod map_graph;

@@ -82,13 +82,15 @@ pub struct DetectionSettings {
     pub enabled: bool,
     /// The map around the robot is searched up to this distance, metres, 1 to 50.
     pub range_m: f64,
+    /// Name of a learned detector of the server, which looks for things in the colour images of keyframes with depth. Empty: none.
+    pub learned: String,
     /// How objects are proposed, boxed and classified.
     pub detector: DetectionParams,
 }
 
 impl Default for DetectionSettings {
     fn default() -> Self {
-        Self { enabled: true, range_m: 6.0, detector: DetectionParams::default() }
+        Self { enabled: true, range_m: 6.0, learned: String::new(), detector: DetectionParams::default() }
     }
 }
 

@@ -7,6 +7,7 @@
 //! keyframe, moved by what the keyframe was moved by meanwhile.
 
 use crate::beside::{Executor, Task};
+use crate::learned::LearnedLook;
 use crate::live::News;
 use crate::passing::Passing;
 use crate::visibility::RangeImage;
@@ -15,7 +16,7 @@ use nalgebra::{Point3, Translation3, UnitQuaternion};
 use percept_geometry::{KeyframeId, OrientedBox3, PointCloud, Pose, SensorId, Timestamp};
 use percept_mapping::MapLayers;
 use percept_perception::detection::outdoor::{OutdoorDetector, OutdoorParams};
-use percept_perception::detection::{ClassExample, Detection, Detector, GaussianClassifier};
+use percept_perception::detection::{ClassExample, Detection, Detector, GaussianClassifier, ImageDetectors};
 use percept_perception::segmentation::GroundParams;
 use percept_scene::overlap::upright;
 use percept_scene::{Correction, CorrectionError, Object, ObjectChange, ObjectId, Observation, Tracker, Visibility};
@@ -43,6 +44,8 @@ pub(crate) struct Scene {
     executor: Option<Arc<dyn Executor>>,
     /// Begun and not taken in, oldest first.
     searches: VecDeque<Search>,
+    /// Learned detectors that the settings may name.
+    image_detectors: ImageDetectors,
     /// Classes that people showed.
     examples: Arc<Vec<ClassExample>>,
     passing: Passing,
@@ -88,6 +91,7 @@ impl Scene {
             settings: params.detection.clone(),
             detector: detector(params, &[])?,
             outdoor: outdoor(params),
+            image_detectors: ImageDetectors::default(),
             examples: Arc::default(),
             passing: Passing::default(),
             executor: None,
@@ -107,6 +111,11 @@ impl Scene {
         self.tracker.set_params(params.tracker.clone()).map_err(|e| ParamsError::of("tracker", e))?;
         (self.settings, self.detector, self.outdoor) = (params.detection.clone(), detector, outdoor(params));
         Ok(())
+    }
+
+    /// May use these learned detectors from now on.
+    pub(crate) fn set_image_detectors(&mut self, detectors: ImageDetectors) {
+        self.image_detectors = detectors;
     }
 
     /// Knows these classes beside the built-in ones from now on.
@@ -177,6 +186,7 @@ impl Scene {
         }
         let (t_map_base, range_m) = (keyframe.info.t_map_base, self.settings.range_m);
         let (detector, cloud, scan) = (Arc::clone(&self.detector), layers.cloud, Arc::clone(&keyframe.scan));
+        let learned = LearnedLook::of(&self.image_detectors, &self.settings.learned, of);
         let task = Task::begin(self.executor.as_ref(), move || {
             let around = cloud.points_within(&t_map_base.translation.vector.into(), range_m);
             // The fused cloud is sound by construction; a detector that refuses it finds nothing.
@@ -190,7 +200,11 @@ impl Scene {
                 is_moving: false,
                 is_seen: is_seen(&d.bbox, &seen),
             };
-            Found { observations: found.iter().map(observation).collect(), ranges: RangeImage::new(&scan) }
+            let mut observations = found.iter().map(observation).collect();
+            if let Some(learned) = learned {
+                learned.add_to(&mut observations, &t_map_base);
+            }
+            Found { observations, ranges: RangeImage::new(&scan) }
         });
         self.begun(keyframe, task, Searched::Around);
     }

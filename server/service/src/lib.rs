@@ -103,11 +103,13 @@ impl Service {
         compute: ComputePool,
         limits: Limits,
         defaults: percept_pipeline::PipelineParams,
+        image_detectors: percept_perception::detection::ImageDetectors,
     ) -> Result<Self> {
         ops::server::started();
         let (limits, health) = (Arc::new(limits), Health::starting());
         let registry =
-            session::open::open(data, compute.clone(), Arc::clone(&limits), defaults, health.clone()).await?;
+            session::open::open(data, compute.clone(), Arc::clone(&limits), defaults, image_detectors, health.clone())
+                .await?;
         let kept = toolbox::KeptClouds::open(&limits, Arc::clone(compute.admission()));
         let operations = ops::operations::Operations::open(&limits);
         let (faults, about) = (Arc::default(), Arc::default());

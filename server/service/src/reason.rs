@@ -111,6 +111,7 @@ reasons! {
     NotFound {
         CLASS_NOT_FOUND: "No examples of this class were given in the session; list its classes.",
         CLOUD_NOT_FOUND: "No cloud is kept under this handle; it was dropped or forgotten: upload it again.",
+        DETECTOR_NOT_FOUND: "The server has no learned detector of this name; the message lists them.",
         FILE_NOT_FOUND: "A map has no file of this name; the message lists them.",
         FRAME_NOT_FOUND: "The session has no frame of this name; the message lists them.",
         KEY_UNKNOWN: "There is no such zenoh key; the message lists them.",

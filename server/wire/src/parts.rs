@@ -195,6 +195,8 @@ in_parts! {
     RegisterColourResponse { colour.data, seen }
     ExtractFeaturesResponse { points, sizes_px, angles_rad, responses, octaves, descriptors }
     MatchFeaturesResponse { pairs, distances }
+    DetectInImageResponse { detections }
+    ListImageDetectorsResponse { detectors }
     EstimateEssentialResponse { inliers }
     EstimateHomographyResponse { inliers }
     EstimateTwoViewResponse { essential.inliers, homography.inliers }

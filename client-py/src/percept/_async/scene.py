@@ -6,8 +6,8 @@ from collections.abc import AsyncIterator, Sequence
 
 from .._convert import navigation
 from .._convert import scene as convert
-from ..types.navigation import RoomRoute
 from ..types.geometry import OrientedBox
+from ..types.navigation import RoomRoute
 from ..types.scene import (
     Object,
     ObjectClass,
@@ -93,7 +93,7 @@ class AsyncScene(AsyncSessionBound):
         return await self._transport.call(convert.correct_object(self.session_id, object_id, part_of=into))
 
     async def split_object(self, object_id: int, boxes: Sequence[OrientedBox]) -> tuple[Object, ...]:
-        """It is several things, of its class, in upright boxes in the map frame; itself, deleted, and they."""
+        """It is several things, of its class, in upright boxes, map frame; itself, deleted, and they."""
         call = convert.correct_object(self.session_id, object_id, pieces=convert.pieces(boxes))
         return await self._transport.call(call)
 
@@ -117,8 +117,8 @@ class AsyncScene(AsyncSessionBound):
 
         Left and right, front and behind are only listed with directions: for "robot", "map" (who looks along
         its x axis), or "viewer" (who looks along viewer_yaw_rad, from the map's x axis). With relations the
-        graph has those that pass the filter, and the nodes that they join. At a time it is the scene as it was
-        then, in the rooms as they are now.
+        graph has those that pass the filter, and the nodes that they join. At a time it is the scene as it
+        was then, in the rooms as they are now.
         """
         call = convert.get_graph(self.session_id, directions, viewer_yaw_rad, relations, at_ns)
         return await self._transport.call(call)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 
 from .. import _rpc
@@ -241,12 +239,25 @@ def get_object(
 
 
 def correct_object(
-    session_id: str, object_id: int, *, learn: bool = False, **correction: Any
+    session_id: str,
+    object_id: int,
+    *,
+    label: str | None = None,
+    is_deleted: bool | None = None,
+    part_of: int | None = None,
+    pieces: service.ObjectPieces | None = None,
+    learn: bool = False,
 ) -> Call[service.CorrectObjectRequest, service.CorrectObjectResponse, tuple[Object, ...]]:
     """One correction: label, is_deleted, part_of or pieces."""
-    request = service.CorrectObjectRequest(
-        session_id=session_id, object_id=object_id, learn=learn, **correction
-    )
+    request = service.CorrectObjectRequest(session_id=session_id, object_id=object_id, learn=learn)
+    if label is not None:
+        request.label = label
+    if is_deleted is not None:
+        request.is_deleted = is_deleted
+    if part_of is not None:
+        request.part_of = part_of
+    if pieces is not None:
+        request.pieces.CopyFrom(pieces)
     return Call(_rpc.CORRECT_OBJECT, request, lambda a: tuple(tracked(o) for o in a.objects))
 
 

@@ -90,7 +90,7 @@ class Scene(SessionBound):
         return self._transport.call(convert.correct_object(self.session_id, object_id, part_of=into))
 
     def split_object(self, object_id: int, boxes: Sequence[OrientedBox]) -> tuple[Object, ...]:
-        """It is several things, of its class, in upright boxes in the map frame; itself, deleted, and they."""
+        """It is several things, of its class, in upright boxes, map frame; itself, deleted, and they."""
         call = convert.correct_object(self.session_id, object_id, pieces=convert.pieces(boxes))
         return self._transport.call(call)
 
@@ -114,8 +114,8 @@ class Scene(SessionBound):
 
         Left and right, front and behind are only listed with directions: for "robot", "map" (who looks along
         its x axis), or "viewer" (who looks along viewer_yaw_rad, from the map's x axis). With relations the
-        graph has those that pass the filter, and the nodes that they join. At a time it is the scene as it was
-        then, in the rooms as they are now.
+        graph has those that pass the filter, and the nodes that they join. At a time it is the scene as it
+        was then, in the rooms as they are now.
         """
         call = convert.get_graph(self.session_id, directions, viewer_yaw_rad, relations, at_ns)
         return self._transport.call(call)

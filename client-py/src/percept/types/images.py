@@ -166,3 +166,23 @@ class FeatureMatches(Value):
     pairs: npt.NDArray[np.uint32]
     #: Differing bits, or Euclidean, (M,) float32.
     distances: npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ImageDetection(Value):
+    """A thing in an image, whose top left corner is (0, 0), and the bottom right one (width, height)."""
+
+    label: str
+    #: 0 to 1.
+    score: float
+    #: Left, top, right and bottom edge of its box, pixels, (4,).
+    edges_px: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ImageDetectorInfo(Value):
+    """A learned detector of the server."""
+
+    name: str
+    #: What it tells apart.
+    labels: tuple[str, ...]

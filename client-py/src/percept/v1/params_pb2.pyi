@@ -1349,10 +1349,13 @@ class DetectionSettings(_message.Message):
     ENABLED_FIELD_NUMBER: _builtins.int
     RANGE_M_FIELD_NUMBER: _builtins.int
     DETECTOR_FIELD_NUMBER: _builtins.int
+    LEARNED_FIELD_NUMBER: _builtins.int
     enabled: _builtins.bool
     """Whether objects are looked for at all."""
     range_m: _builtins.float
     """The map around the robot is searched up to this distance, metres, 1 to 50."""
+    learned: _builtins.str
+    """Name of a learned detector of the server, which looks for things in the colour images of keyframes with depth. Empty: none."""
     @_builtins.property
     def detector(self) -> Global___DetectionParams:
         """How objects are proposed, boxed and classified."""
@@ -1363,17 +1366,22 @@ class DetectionSettings(_message.Message):
         enabled: _builtins.bool | None = ...,
         range_m: _builtins.float | None = ...,
         detector: Global___DetectionParams | None = ...,
+        learned: _builtins.str | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "range_m", b"range_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_learned", b"_learned", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "learned", b"learned", "range_m", b"range_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "range_m", b"range_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_enabled", b"_enabled", "_learned", b"_learned", "_range_m", b"_range_m", "detector", b"detector", "enabled", b"enabled", "learned", b"learned", "range_m", b"range_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__enabled: _TypeAlias = _typing.Literal["enabled"]  # noqa: Y015
     _WhichOneofArgType__enabled: _TypeAlias = _typing.Literal["_enabled", b"_enabled"]  # noqa: Y015
+    _WhichOneofReturnType__learned: _TypeAlias = _typing.Literal["learned"]  # noqa: Y015
+    _WhichOneofArgType__learned: _TypeAlias = _typing.Literal["_learned", b"_learned"]  # noqa: Y015
     _WhichOneofReturnType__range_m: _TypeAlias = _typing.Literal["range_m"]  # noqa: Y015
     _WhichOneofArgType__range_m: _TypeAlias = _typing.Literal["_range_m", b"_range_m"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__enabled) -> _WhichOneofReturnType__enabled | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__learned) -> _WhichOneofReturnType__learned | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__range_m) -> _WhichOneofReturnType__range_m | None: ...
 

@@ -694,3 +694,149 @@ class SolvePnpResponse(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___SolvePnpResponse: _TypeAlias = SolvePnpResponse  # noqa: Y015
+
+@_typing.final
+class DetectInImageRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DETECTOR_FIELD_NUMBER: _builtins.int
+    IMAGE_FIELD_NUMBER: _builtins.int
+    detector: _builtins.str
+    """Name of the detector."""
+    @_builtins.property
+    def image(self) -> _sensor_pb2.ColourImage: ...
+    def __init__(
+        self,
+        *,
+        detector: _builtins.str = ...,
+        image: _sensor_pb2.ColourImage | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["image", b"image"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["detector", b"detector", "image", b"image"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___DetectInImageRequest: _TypeAlias = DetectInImageRequest  # noqa: Y015
+
+@_typing.final
+class ImageDetection(_message.Message):
+    """A thing in an image. The top left corner of the image is (0, 0), the bottom right one (width, height)."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABEL_FIELD_NUMBER: _builtins.int
+    SCORE_FIELD_NUMBER: _builtins.int
+    LEFT_PX_FIELD_NUMBER: _builtins.int
+    TOP_PX_FIELD_NUMBER: _builtins.int
+    RIGHT_PX_FIELD_NUMBER: _builtins.int
+    BOTTOM_PX_FIELD_NUMBER: _builtins.int
+    label: _builtins.str
+    score: _builtins.float
+    """0 to 1."""
+    left_px: _builtins.float
+    """Edges of its box, pixels."""
+    top_px: _builtins.float
+    right_px: _builtins.float
+    bottom_px: _builtins.float
+    def __init__(
+        self,
+        *,
+        label: _builtins.str = ...,
+        score: _builtins.float = ...,
+        left_px: _builtins.float = ...,
+        top_px: _builtins.float = ...,
+        right_px: _builtins.float = ...,
+        bottom_px: _builtins.float = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["bottom_px", b"bottom_px", "label", b"label", "left_px", b"left_px", "right_px", b"right_px", "score", b"score", "top_px", b"top_px"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ImageDetection: _TypeAlias = ImageDetection  # noqa: Y015
+
+@_typing.final
+class DetectInImageResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DETECTIONS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def detections(self) -> _containers.RepeatedCompositeFieldContainer[Global___ImageDetection]:
+        """Best score first."""
+
+    def __init__(
+        self,
+        *,
+        detections: _abc.Iterable[Global___ImageDetection] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["detections", b"detections"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___DetectInImageResponse: _TypeAlias = DetectInImageResponse  # noqa: Y015
+
+@_typing.final
+class ListImageDetectorsRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    def __init__(
+        self,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ListImageDetectorsRequest: _TypeAlias = ListImageDetectorsRequest  # noqa: Y015
+
+@_typing.final
+class ImageDetectorInfo(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NAME_FIELD_NUMBER: _builtins.int
+    LABELS_FIELD_NUMBER: _builtins.int
+    name: _builtins.str
+    @_builtins.property
+    def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """What it tells apart."""
+
+    def __init__(
+        self,
+        *,
+        name: _builtins.str = ...,
+        labels: _abc.Iterable[_builtins.str] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["labels", b"labels", "name", b"name"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ImageDetectorInfo: _TypeAlias = ImageDetectorInfo  # noqa: Y015
+
+@_typing.final
+class ListImageDetectorsResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    DETECTORS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def detectors(self) -> _containers.RepeatedCompositeFieldContainer[Global___ImageDetectorInfo]:
+        """By name."""
+
+    def __init__(
+        self,
+        *,
+        detectors: _abc.Iterable[Global___ImageDetectorInfo] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["detectors", b"detectors"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ListImageDetectorsResponse: _TypeAlias = ListImageDetectorsResponse  # noqa: Y015

@@ -32,6 +32,9 @@ pub(crate) fn run(
     frames: impl Iterator<Item = Result<SensorFrame, Failure>>,
     mut on_frame: impl FnMut(&SensorFrame, &Snapshot),
 ) -> Result<LocalRun, Failure> {
+    if !params.detection.learned.is_empty() {
+        return Err("detection.learned: learned detectors are a server's; replay to one with --server".into());
+    }
     let mut pipeline = Pipeline::new(params)?;
     pipeline.work_beside_frames(super::beside_frames(pool.current_num_threads())?);
     sensors.iter().for_each(|s| pipeline.declare_sensor(s.clone()));

@@ -129,7 +129,8 @@ impl Running {
         let data = DataRoot::open(root).await?;
         let limits = &config.limits;
         crate::telemetry::begin(&config.telemetry);
-        let service = Service::open(data, compute(config)?, limits.clone(), config.params.clone()).await?;
+        let detectors = crate::detectors::load(&config.detectors);
+        let service = Service::open(data, compute(config)?, limits.clone(), config.params.clone(), detectors).await?;
         let service = service.described(about(config));
         let (stop, stopping) = watch::channel(false);
         let bounds = Bounds::new(limits);

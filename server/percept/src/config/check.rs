@@ -22,6 +22,9 @@ pub(super) fn all(config: &Config) -> Result<(), ConfigError> {
     if !(0..=19).contains(&config.compute.nice) {
         return Err(out_of_bounds("compute.nice", config.compute.nice, "set it between 0 and 19"));
     }
+    if !(1..=64).contains(&config.detectors.threads) {
+        return Err(out_of_bounds("detectors.threads", config.detectors.threads, "set it between 1 and 64"));
+    }
     check_limits(&config.limits)?;
     check_quotas(&config.quotas)?;
     if let Err(problem) = crate::telemetry::filter(&config.log.level) {

@@ -4,7 +4,7 @@ use super::Pipeline;
 use crate::scene::detector;
 use crate::{MapChange, Preset, Snapshot};
 use percept_geometry::ObjectClass;
-use percept_perception::detection::ClassExample;
+use percept_perception::detection::{ClassExample, ImageDetectors};
 use percept_scene::overlap::iou;
 use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::sync::Arc;
@@ -20,6 +20,11 @@ impl Pipeline {
     pub fn annotate(&mut self, id: ObjectId, correction: Correction) -> Result<MapChange, CorrectionError> {
         let objects = self.scene.annotate(id, correction)?;
         Ok(MapChange { objects, ..MapChange::default() })
+    }
+
+    /// May use these learned detectors: `detection.learned` names one.
+    pub fn set_image_detectors(&mut self, detectors: ImageDetectors) {
+        self.scene.set_image_detectors(detectors);
     }
 
     /// Knows the classes of these examples beside the built-in ones, from the next search on.

@@ -72,7 +72,8 @@ impl Service {
         let defaults = self.default_params();
         let changed = self.registry.change(id, |_, meta| {
             check_etag(etag, &meta.etag())?;
-            changes.apply(meta, defaults).map(|()| None)
+            changes.apply(meta, defaults)?;
+            super::check_learned(&meta.params, &self.registry.image_detectors).map(|()| None)
         });
         changed.await?;
         self.describe_session(id).await

@@ -27,7 +27,28 @@ pub(crate) mod zones;
 
 use crate::Error;
 use crate::reason;
-use percept_pipeline::ParamsError;
+use percept_perception::detection::ImageDetectors;
+use percept_pipeline::{ParamsError, PipelineParams};
+
+/// Checks that a learned detector that parameters name is there.
+///
+/// # Errors
+/// `PARAMETER_OUT_OF_RANGE`.
+pub(crate) fn check_learned(params: &PipelineParams, detectors: &ImageDetectors) -> crate::Result<()> {
+    let name = params.detection.learned.as_str();
+    if name.is_empty() || detectors.get(name).is_some() {
+        return Ok(());
+    }
+    Err(unknown_detector("params.detection.learned", name, detectors, reason::PARAMETER_OUT_OF_RANGE))
+}
+
+/// A detector that is not there.
+pub(crate) fn unknown_detector(field: &str, name: &str, detectors: &ImageDetectors, reason: &'static str) -> Error {
+    let shown: String = name.chars().take(80).collect();
+    let known: Vec<&str> = detectors.iter().map(|(name, _)| name).collect();
+    let known = if known.is_empty() { "none; put some into detectors.dir".to_owned() } else { known.join(", ") };
+    Error::invalid(reason, field, format!("this server has no learned detector {shown:?}; there are: {known}"))
+}
 
 /// A parameter out of bounds.
 pub(crate) fn params_error(e: &ParamsError) -> Error {

@@ -189,6 +189,7 @@ impl Service {
             return Err(Error::invalid(reason::SENSOR_DECLARED_TWICE, "sensors", message));
         }
         new.params.validate().map_err(|e| super::params_error(&e))?;
+        super::check_learned(&new.params, &self.registry.image_detectors)?;
         check_display_name(&new.display_name)?;
         check_labels(&new.labels)?;
         let meta = SessionMeta {

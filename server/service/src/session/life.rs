@@ -111,13 +111,16 @@ impl Registry {
         let store: Arc<dyn Store> = Arc::new(self.root.open_session(place).await?);
         let is_another = slot.opened_as(store.epoch());
         let scratch = Scratch::in_directory(self.root.directory(), &self.room);
-        let recovered = match recover(Arc::clone(&store), &self.compute, created, &self.defaults, scratch).await {
-            Ok(recovered) => recovered,
-            Err(trouble) => {
-                let _ = store.close().await;
-                return Err(trouble);
-            }
-        };
+        let recovered =
+            match recover(Arc::clone(&store), (&self.compute, &self.image_detectors), created, &self.defaults, scratch)
+                .await
+            {
+                Ok(recovered) => recovered,
+                Err(trouble) => {
+                    let _ = store.close().await;
+                    return Err(trouble);
+                }
+            };
         let (meta, stored, scratch) = (recovered.meta, recovered.stored, recovered.scratch);
         let stamps = stored.state.last_stamps.clone();
         let events = Arc::clone(&slot.events);

@@ -3,6 +3,7 @@
 use super::registry::Registry;
 use super::{keeper, sharing};
 use crate::{ComputePool, Health, Limits, Result};
+use percept_perception::detection::ImageDetectors;
 use percept_pipeline::PipelineParams;
 use percept_store::DataRoot;
 use std::sync::Arc;
@@ -16,9 +17,10 @@ pub(crate) async fn open(
     compute: ComputePool,
     limits: Arc<Limits>,
     defaults: PipelineParams,
+    image_detectors: ImageDetectors,
     health: Health,
 ) -> Result<Arc<Registry>> {
-    let (registry, buried) = Registry::of_catalogue(root, compute, limits, defaults).await?;
+    let (registry, buried) = Registry::of_catalogue(root, compute, limits, defaults, image_detectors).await?;
     let this = Arc::clone(&registry);
     tokio::spawn(async move {
         for place in buried {

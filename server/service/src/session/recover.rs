@@ -10,6 +10,7 @@ use crate::reason;
 use crate::{ComputePool, Error};
 use futures::stream::{StreamExt, TryStreamExt};
 use percept_geometry::{KeyframeId, Pose, SensorId, Timestamp};
+use percept_perception::detection::ImageDetectors;
 use percept_pipeline::{
     Loop, Merged, Pipeline, PipelineParams, Restored, RestoredContent, RestoredKeyframe, TrajectoryEntry,
 };
@@ -38,7 +39,7 @@ pub(super) struct Recovered {
 /// [`Trouble::Passing`] for faults of the storage, [`Trouble::Lasting`] if nothing of it can be read.
 pub(super) async fn recover(
     store: Arc<dyn Store>,
-    compute: &ComputePool,
+    (compute, image_detectors): (&ComputePool, &ImageDetectors),
     created: MetaRecord,
     defaults: &PipelineParams,
     scratch: Arc<Scratch>,
@@ -77,6 +78,7 @@ pub(super) async fn recover(
         restored.loops.retain(|l| whole.contains(&l.closure.from) && whole.contains(&l.closure.to));
     }
     let (params, sensors) = (meta.params.clone(), meta.sensors.clone());
+    let image_detectors = image_detectors.clone();
     let class_examples = Arc::new(meta.class_examples.clone());
     let sender = compute.admission().sender(&meta.tenant, &meta.id);
     let executor = compute.beside_frames(&sender);
@@ -88,6 +90,7 @@ pub(super) async fn recover(
         }
         pipeline.set_map_store(map_store);
         sensors.into_iter().for_each(|s| pipeline.declare_sensor(s.spec));
+        pipeline.set_image_detectors(image_detectors);
         pipeline.set_class_examples(class_examples);
         pipeline.restore(restored);
         Ok::<_, Error>(pipeline)

@@ -9,6 +9,7 @@ use super::records::{Counts, MetaRecord, parse};
 use super::slot::{Known, Phase, Slot};
 use crate::reason;
 use crate::{ComputePool, Error, ErrorCode, Limits, Result};
+use percept_perception::detection::ImageDetectors;
 use percept_pipeline::PipelineParams;
 use percept_store::{CatalogueEntry, DataRoot, SessionPlace};
 use std::collections::{BTreeMap, HashMap};
@@ -27,6 +28,8 @@ pub(crate) struct Registry {
     pub(super) compute: ComputePool,
     pub(super) limits: Arc<Limits>,
     pub(super) defaults: PipelineParams,
+    /// Learned detectors that sessions may use.
+    pub(crate) image_detectors: ImageDetectors,
     pub(super) waking: Semaphore,
     /// Of the events of sessions that were there before this process.
     first_token: u64,
@@ -54,6 +57,7 @@ impl Registry {
         compute: ComputePool,
         limits: Arc<Limits>,
         defaults: PipelineParams,
+        image_detectors: ImageDetectors,
     ) -> Result<(Arc<Self>, Vec<SessionPlace>)> {
         // Events come far slower than one a microsecond, so that this lies above every token given before.
         let first_token = u64::try_from(crate::clock::now_ns() / 1000).unwrap_or(1).max(1);
@@ -61,7 +65,8 @@ impl Registry {
         let fleet = Arc::new(FleetLog::starting_at(first_token, limits.fleet_event_history));
         let sessions = RwLock::default();
         let room = Arc::new(AtomicUsize::new(limits.max_session_memory_mb << 20));
-        let registry = Self { root, compute, limits, defaults, waking, first_token, room, fleet, sessions };
+        let registry =
+            Self { root, compute, limits, defaults, image_detectors, waking, first_token, room, fleet, sessions };
         let mut buried = Vec::new();
         let take_in = |entry| match entry {
             CatalogueEntry::Deleted { place } => buried.push(place),

@@ -13,6 +13,7 @@ use super::writer::{Stored, Writer};
 use crate::{ComputePool, EventKind, Health, Limits};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{ObjectClass, OrientedBox3, SensorId, SensorKind, SensorSpec, Timestamp};
+use percept_perception::detection::ImageDetectors;
 use percept_pipeline::PipelineParams;
 use percept_scene::{Object, ObjectId, ObjectState};
 use percept_store::{DataRoot, RootConfig, SlateStore, Store, keys};
@@ -27,7 +28,7 @@ fn compute() -> ComputePool {
 async fn registry(config: &RootConfig) -> Arc<Registry> {
     let root = DataRoot::open(config.clone()).await.unwrap();
     let (limits, params) = (Arc::new(Limits::default()), PipelineParams::default());
-    super::open::open(root, compute(), limits, params, Health::starting()).await.unwrap()
+    super::open::open(root, compute(), limits, params, ImageDetectors::default(), Health::starting()).await.unwrap()
 }
 
 fn meta(id: &str) -> SessionMeta {
@@ -166,7 +167,8 @@ async fn forty_thousand_objects_are_stored_and_read_again() {
     assert_eq!(store.scan_all(&keys::objects()).await.unwrap().len(), 39_990);
     let created = MetaRecord::of(&meta("a")).unwrap();
     let scratch = Scratch::in_directory(None, &Arc::new(AtomicUsize::new(1 << 30)));
-    let recovered = recover(store, &compute(), created, &PipelineParams::default(), scratch).await;
+    let recovered =
+        recover(store, (&compute(), &ImageDetectors::default()), created, &PipelineParams::default(), scratch).await;
     let recovered = recovered.map_err(|t: Trouble| t.error());
     let recovered = recovered.unwrap();
     assert!(recovered.damage.is_none());
@@ -178,9 +180,16 @@ async fn forty_thousand_objects_are_stored_and_read_again() {
 async fn a_session_is_put_to_sleep_when_nobody_uses_it() {
     let root = DataRoot::open(RootConfig::in_memory()).await.unwrap();
     let limits = Limits { sleep_after_s: 0, ..Limits::default() };
-    let registry = super::open::open(root, compute(), Arc::new(limits), PipelineParams::default(), Health::starting())
-        .await
-        .unwrap();
+    let registry = super::open::open(
+        root,
+        compute(),
+        Arc::new(limits),
+        PipelineParams::default(),
+        ImageDetectors::default(),
+        Health::starting(),
+    )
+    .await
+    .unwrap();
     registry.create(meta("robot")).await.unwrap();
     registry.get("robot").await.unwrap();
     let slot = registry.slots().remove(0);

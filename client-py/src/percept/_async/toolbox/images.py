@@ -13,6 +13,8 @@ from ...types.images import (
     FeatureMatches,
     FeatureMethod,
     HomographyEstimate,
+    ImageDetection,
+    ImageDetectorInfo,
     ImageFeatures,
     PnpEstimate,
     PosedView,
@@ -116,3 +118,13 @@ class AsyncImages(AsyncBound):
     ) -> PnpEstimate:
         """A camera's pose among known points, (N, 3) in the world."""
         return await self._transport.call(convert.solve_pnp(points, pixels, camera, ransac))
+
+    async def detect_in_image(
+        self, detector: str, image: Array | EncodedImage | bytes
+    ) -> tuple[ImageDetection, ...]:
+        """Things in an image, (H, W, 3) or (H, W) uint8, by a learned detector; best score first."""
+        return await self._transport.call(convert.detect_in_image(detector, image))
+
+    async def image_detectors(self) -> tuple[ImageDetectorInfo, ...]:
+        """The learned detectors of the server, by name."""
+        return await self._transport.call(convert.list_image_detectors())

@@ -16,6 +16,8 @@ from ...types.images import (
     FeatureMatches,
     FeatureMethod,
     HomographyEstimate,
+    ImageDetection,
+    ImageDetectorInfo,
     ImageFeatures,
     PnpEstimate,
     PosedView,
@@ -214,3 +216,29 @@ def match_features(
         max_distance=max_distance,
     )
     return Call(_rpc.MATCH_FEATURES, request, read)
+
+
+def detect_in_image(
+    detector: str, image: Array | EncodedImage | bytes
+) -> Call[images_pb.DetectInImageRequest, images_pb.DetectInImageResponse, tuple[ImageDetection, ...]]:
+    request = images_pb.DetectInImageRequest(detector=detector)
+    put_colour(request.image, image)
+    return Call(_rpc.DETECT_IN_IMAGE, request, lambda a: tuple(_image_detection(d) for d in a.detections))
+
+
+def _image_detection(message: images_pb.ImageDetection) -> ImageDetection:
+    edges = (message.left_px, message.top_px, message.right_px, message.bottom_px)
+    return ImageDetection(label=message.label, score=message.score, edges_px=np.array(edges))
+
+
+def list_image_detectors() -> Call[
+    images_pb.ListImageDetectorsRequest,
+    images_pb.ListImageDetectorsResponse,
+    tuple[ImageDetectorInfo, ...],
+]:
+    request = images_pb.ListImageDetectorsRequest()
+    return Call(
+        _rpc.LIST_IMAGE_DETECTORS,
+        request,
+        lambda a: tuple(ImageDetectorInfo(name=d.name, labels=tuple(d.labels)) for d in a.detectors),
+    )

@@ -14,6 +14,8 @@ from ...types.images import (
     FeatureMatches,
     FeatureMethod,
     HomographyEstimate,
+    ImageDetection,
+    ImageDetectorInfo,
     ImageFeatures,
     PnpEstimate,
     PosedView,
@@ -115,3 +117,13 @@ class Images(Bound):
     ) -> PnpEstimate:
         """A camera's pose among known points, (N, 3) in the world."""
         return self._transport.call(convert.solve_pnp(points, pixels, camera, ransac))
+
+    def detect_in_image(
+        self, detector: str, image: Array | EncodedImage | bytes
+    ) -> tuple[ImageDetection, ...]:
+        """Things in an image, (H, W, 3) or (H, W) uint8, by a learned detector; best score first."""
+        return self._transport.call(convert.detect_in_image(detector, image))
+
+    def image_detectors(self) -> tuple[ImageDetectorInfo, ...]:
+        """The learned detectors of the server, by name."""
+        return self._transport.call(convert.list_image_detectors())

@@ -442,6 +442,8 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/estimate-homography", "ToolboxImagesService/EstimateHomography", &[], parts!(Message estimate_homography)),
     post("/v1/toolbox/estimate-two-view", "ToolboxImagesService/EstimateTwoView", &[], parts!(Message estimate_two_view)),
     post("/v1/toolbox/triangulate-points", "ToolboxImagesService/TriangulatePoints", &[], parts!(Message triangulate_points)),
+    post("/v1/toolbox/detect-in-image", "ToolboxImagesService/DetectInImage", &[], parts!(Message detect_in_image)),
+    get("/v1/toolbox/image-detectors", "ToolboxImagesService/ListImageDetectors", &[], parts!(Message list_image_detectors)),
     post("/v1/toolbox/solve-pnp", "ToolboxImagesService/SolvePnp", &[], parts!(Message solve_pnp)),
     post("/v1/toolbox/render-cloud", "ToolboxPicturesService/RenderCloud", &[], parts!(Message render_cloud)),
     post("/v1/toolbox/render-depth", "ToolboxPicturesService/RenderDepth", &[], parts!(Message render_depth)),

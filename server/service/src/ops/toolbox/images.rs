@@ -1,8 +1,10 @@
 //! Several views of one scene.
 
-use crate::{Error, Result};
+use super::Toolbox;
+use crate::{Error, ErrorCode, Result, reason};
 use nalgebra::Point2;
-use percept_geometry::{CameraIntrinsics, Pose};
+use percept_geometry::{CameraIntrinsics, Pose, RgbImage};
+use percept_perception::detection::Detection2d;
 use percept_perception::multiview::{MultiviewError, TriangulatedPoint, triangulate};
 use rayon::prelude::*;
 
@@ -16,6 +18,23 @@ pub fn multiview_error(e: MultiviewError) -> Error {
         MultiviewError::TooFew { .. } => Error::invalid("CORRESPONDENCES_TOO_FEW", "", e.to_string()),
         MultiviewError::NoModel { .. } => Error::invalid("NO_MODEL", "", e.to_string()),
     }
+}
+
+/// Things in an image, by a learned detector of the server.
+///
+/// # Errors
+/// `DETECTOR_NOT_FOUND`; `IMAGE_EMPTY`; `INTERNAL` if the model fails.
+pub fn detect_in_image(toolbox: &Toolbox, name: &str, image: &RgbImage) -> Result<Vec<Detection2d>> {
+    let detectors = toolbox.image_detectors();
+    let unknown = || Error {
+        code: ErrorCode::NotFound,
+        ..crate::ops::unknown_detector("detector", name, detectors, reason::DETECTOR_NOT_FOUND)
+    };
+    let detector = detectors.get(name).ok_or_else(unknown)?;
+    if image.width() == 0 || image.height() == 0 {
+        return Err(Error::invalid(reason::IMAGE_EMPTY, "image", "the image has no pixels; send one with some"));
+    }
+    detector.detect(image).map_err(Error::internal)
 }
 
 /// A camera with a known pose, and what it sees.

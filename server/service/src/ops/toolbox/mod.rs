@@ -23,7 +23,7 @@ pub use depth_images::{DepthFilter, filter_depth};
 pub use errors::{cloud_error, format_error, registration_error};
 pub use features::{FeatureMethod, extract_features, feature_error};
 pub use files::{CloudFormat, decode_cloud, encode_cloud, suffix};
-pub use images::{PosedView, multiview_error, triangulate_points};
+pub use images::{PosedView, detect_in_image, multiview_error, triangulate_points};
 pub(crate) use kept::tenant_of;
 pub use kept::{KeptCloud, KeptClouds, KeptList};
 pub use pictures::{render_cloud, render_depth};
@@ -36,7 +36,7 @@ pub use subsets::{Region, Sample, crop_cloud, sample_points};
 use crate::{Alive, CloudDetail, Error, ErrorCode, Limits, Progress, Result, Service};
 use nalgebra::Point3;
 use percept_geometry::PointCloud;
-use percept_perception::detection::DetectionParams;
+use percept_perception::detection::{DetectionParams, ImageDetectors};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -60,6 +60,7 @@ pub struct Toolbox {
     /// Whose kept clouds they are: others' are as if they were not there.
     owner: String,
     detector: DetectionParams,
+    image_detectors: ImageDetectors,
     begin: Instant,
     budget: Duration,
     alive: Alive,
@@ -75,6 +76,11 @@ impl Toolbox {
     /// How objects are found.
     pub fn detector(&self) -> &DetectionParams {
         &self.detector
+    }
+
+    /// Learned detectors.
+    pub fn image_detectors(&self) -> &ImageDetectors {
+        &self.image_detectors
     }
 
     /// A kept cloud; its time starts anew.
@@ -195,11 +201,12 @@ impl Service {
     ) -> Result<T> {
         let (limits, kept) = (Arc::clone(&self.limits), Arc::clone(&self.kept));
         let detector = self.default_params().detection.detector;
+        let image_detectors = self.registry.image_detectors.clone();
         let asker = self.compute.admission().asker(tenant_of(&owner), &owner)?;
         let work = move |alive: &Alive| {
             progress.stage("reading what was sent");
             let (begin, alive) = (Instant::now(), alive.clone());
-            work(&Toolbox { limits, kept, maps, owner, detector, begin, budget, alive, progress })
+            work(&Toolbox { limits, kept, maps, owner, detector, image_detectors, begin, budget, alive, progress })
         };
         self.compute.request_within(&asker, budget, work).await?
     }

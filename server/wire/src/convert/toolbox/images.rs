@@ -6,6 +6,7 @@ use crate::v1;
 use bytes::Bytes;
 use nalgebra::{Matrix3, Point2, Point3};
 use percept_geometry::{CameraIntrinsics, GeometryError};
+use percept_perception::detection::{Detection2d, ImageDetector, ImageDetectors};
 use percept_perception::multiview::{
     EssentialEstimate, HomographyEstimate, PnpEstimate, RansacParams, TriangulatedPoint, TwoViewEstimate, TwoViewModel,
     TwoViewOutcome,
@@ -161,4 +162,26 @@ pub fn pnp_to(p: &PnpEstimate) -> v1::SolvePnpResponse {
         rmse_px: p.rmse_px,
         iterations: p.iterations as u32,
     }
+}
+
+/// Things in an image as a message.
+pub fn image_detections_to(found: &[Detection2d]) -> v1::DetectInImageResponse {
+    let convert = |d: &Detection2d| v1::ImageDetection {
+        label: d.label.to_string(),
+        score: d.score,
+        left_px: d.bbox.left_px,
+        top_px: d.bbox.top_px,
+        right_px: d.bbox.right_px,
+        bottom_px: d.bbox.bottom_px,
+    };
+    v1::DetectInImageResponse { detections: found.iter().map(convert).collect() }
+}
+
+/// Learned detectors as a message.
+pub fn image_detectors_to(detectors: &ImageDetectors) -> v1::ListImageDetectorsResponse {
+    let info = |(name, detector): (&str, &dyn ImageDetector)| v1::ImageDetectorInfo {
+        name: name.to_owned(),
+        labels: detector.labels().to_vec(),
+    };
+    v1::ListImageDetectorsResponse { detectors: detectors.iter().map(info).collect() }
 }

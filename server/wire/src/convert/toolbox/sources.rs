@@ -79,6 +79,8 @@ sources! {
     FindDepthEdgesRequest {}
     RegisterColourRequest {}
     ExtractFeaturesRequest {}
+    DetectInImageRequest {}
+    ListImageDetectorsRequest {}
     MatchFeaturesRequest {}
     EstimateEssentialRequest {}
     EstimateHomographyRequest {}

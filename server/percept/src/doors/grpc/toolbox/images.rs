@@ -17,12 +17,23 @@ operations! {
         estimate_two_view(EstimateTwoViewRequest) -> EstimateTwoViewResponse as EstimateTwoViewStream,
         triangulate_points(TriangulatePointsRequest) -> TriangulatePointsResponse as TriangulatePointsStream,
         solve_pnp(SolvePnpRequest) -> SolvePnpResponse as SolvePnpStream,
+        detect_in_image(DetectInImageRequest) -> DetectInImageResponse as DetectInImageStream,
+        list_image_detectors(ListImageDetectorsRequest) -> ListImageDetectorsResponse as ListImageDetectorsStream,
     }
 }
 
 fn extract_features(t: &Toolbox, r: v1::ExtractFeaturesRequest) -> Result<v1::ExtractFeaturesResponse> {
     let image = depth::color("image", r.image.as_ref(), t.limits())?;
     Ok(features::features_to(&ops::extract_features(&image.to_gray(), &features::method(&r)?)?))
+}
+
+fn detect_in_image(t: &Toolbox, r: v1::DetectInImageRequest) -> Result<v1::DetectInImageResponse> {
+    let image = depth::color("image", r.image.as_ref(), t.limits())?;
+    Ok(images::image_detections_to(&ops::detect_in_image(t, &r.detector, &image)?))
+}
+
+fn list_image_detectors(t: &Toolbox, _: v1::ListImageDetectorsRequest) -> Result<v1::ListImageDetectorsResponse> {
+    Ok(images::image_detectors_to(t.image_detectors()))
 }
 
 fn match_features(_: &Toolbox, r: v1::MatchFeaturesRequest) -> Result<v1::MatchFeaturesResponse> {
