@@ -60,7 +60,9 @@ def test_models_that_cannot_be_used_are_told_and_stop_nothing(served):
 
 def test_boxes_are_those_of_onnx_runtime(served):
     truth = json.loads(TRUTH.read_text())
-    images = {name: found for name, found in truth["images"].items() if recorded(name.split("/")[0])}
+    # JPEGs are decoded in many ways, a grey value apart: enough to move a score over the threshold.
+    lossless = {name: found for name, found in truth["images"].items() if name.endswith(".png")}
+    images = {name: found for name, found in lossless.items() if recorded(name.split("/")[0])}
     if not images:
         pytest.skip("recorded data is not there")
     with Client(served.grpc) as client:
@@ -69,7 +71,7 @@ def test_boxes_are_those_of_onnx_runtime(served):
             found = client.toolbox.detect_in_image("fastest", image)
             assert [f.label for f in found] == [e["label"] for e in expected], name
             for f, e in zip(found, expected, strict=True):
-                assert f.score == pytest.approx(e["score"], abs=0.02)
+                assert f.score == pytest.approx(e["score"], abs=1e-3)
                 assert np.abs(f.edges_px - e["box_px"]).max() < 1, (name, f, e)
 
 
@@ -78,13 +80,14 @@ def test_a_session_tells_things_by_the_names_of_the_detector(served, seven_scene
         learned = {"detection": {"learned": "fastest"}}
         session = client.sessions.create(sensors=[camera_of(seven_scenes)], params=learned)
         with session.stream() as stream:
-            for stamp_ns, depth, colour in frames(seven_scenes):
+            for stamp_ns, depth, colour in frames(seven_scenes, count=200):
                 stream.send_rgbd("camera", stamp_ns=stamp_ns, depth=depth, colour=colour, metres_per_unit=0.001)
         assert stream.summary.rejected == 0
         objects = list(session.scene.objects())
         names = {o.label for o in objects}
-        # A desk with two monitors, a keyboard and chairs.
-        assert names & {"tvmonitor", "tv", "keyboard", "laptop", "chair"}, names
+        # A desk with a cup, keyboards, books and chairs: looked at in the pictures.
+        assert {"cup", "chair"} <= names, names
+        assert names & {"keyboard", "book", "laptop"}, names
         lifted = [o for o in objects if o.object_class == "unknown" and o.label != "unknown"]
         assert all((o.box.size_m < 3).all() for o in lifted)
 

@@ -35,8 +35,8 @@ def replay(folder, out, *arguments):
     return json.loads(done.stdout), (out / "trajectory.tum").read_bytes()
 
 
-def frames(folder):
-    for path in sorted(folder.glob("frame-*.depth.png"))[:FRAMES]:
+def frames(folder, count=FRAMES):
+    for path in sorted(folder.glob("frame-*.depth.png"))[:count]:
         number = int(path.name[6:12])
         colour = folder / f"frame-{number:06}.color.jpg"
         size = {"width_px": 640, "height_px": 480}
