@@ -13,10 +13,11 @@ use std::collections::BTreeMap;
 const NEAR: f64 = 0.5;
 /// The drift that such a measurement can bridge, standard deviations: beyond it another place may fit.
 const BRIDGED: f64 = 2.0;
-/// A visit that merging has left fewer keyframes of shows too little of its surroundings to measure in. Chosen, not
-/// swept.
+/// A visit that merging has left fewer keyframes of shows too little of its surroundings to measure in. Halved and
+/// doubled as it is ([`super`]).
 const FEWEST: usize = 3;
-/// What a scan has to bring. Chosen, not swept.
+/// What a scan has to bring. The first at 0.7 and 1.4 times this, the second halved and doubled, as it is
+/// ([`super`]).
 const STRICTNESS: Strictness = Strictness { min_inlier_ratio: 0.6, max_contradicted: 0.05 };
 
 impl SpatialRecognition {

@@ -13,7 +13,7 @@ const VOXELS_M: (f64, f64) = (0.125, 0.5);
 /// The picture reaches so many usual ranges from the anchor, and is at most so many pixels wide. Chosen, not swept.
 const REACH: f64 = 1.6;
 const MOST_PIXELS: usize = 400;
-/// Keypoints of a picture. Chosen, not swept.
+/// Keypoints of a picture. Halved 30 and 106, doubled as it is ([`super`]).
 const FEATURES: usize = 300;
 /// Fewer points make no place. Chosen, not swept.
 const FEWEST_POINTS: usize = 300;
