@@ -12,8 +12,8 @@
 //! Where a constant says "halved" and "doubled", these are the loops, and the error of the trajectory, millimetres, of
 //! `percept eval slam --sensor rosette --scenario kidnap --rooms 2 --minutes 1 --trials 3 --alone --no-objects
 //! --once`, where a lidar that sees ahead only is carried elsewhere three times: 28 and 109 with the constants as they
-//! are. None of these runs has a false loop, and in each the robot is found three times, in the median after 6.1 to
-//! 6.7 s. That error hangs on a few loops.
+//! are. Unless a constant says otherwise, no loop of such a run is false, and the robot is found three times, in the median
+//! after 6.1 to 6.7 s. That error hangs on a few loops.
 
 mod kept;
 mod local_search;

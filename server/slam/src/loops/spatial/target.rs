@@ -23,7 +23,8 @@ const COMPARED: usize = 4;
 /// swept.
 const VOXELS: f64 = 3.0;
 const EVERY: usize = 2;
-/// A scan is registered with about so many points. Chosen, not swept.
+/// A scan is registered with about so many points. Halved 29 and 102, doubled 15, one of them false, and 128, the
+/// robot found after 8.5 s ([`super`]).
 const POINTS: usize = 1500;
 /// Standard deviations of where a scan is expected: voxels of the pictures, and radians; and what a measurement may move
 /// it by, in these.

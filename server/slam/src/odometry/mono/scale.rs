@@ -20,7 +20,7 @@ const SURE: f64 = 0.04;
 /// Steps between views shorter than this tell nothing, metres; nor do those shorter than twice their error.
 const MIN_STEP_M: f64 = 0.02;
 /// Views' steps that are needed, and metres in all. ATE with the best scale of `evaluate mono-sim 1 --wheels`: the
-/// first halved 58, doubled 109 mm (46), of 351, 358 and 366 images that were placed.
+/// first halved 58, doubled 109 mm (46), of 351, 358 and 366 images that were placed; the second halved as it is.
 const MIN_STEPS: usize = 4;
 const MIN_WAY_M: f64 = 0.3;
 /// Points of one image with depth, and images of a second camera, that are needed. Chosen, not swept.
