@@ -121,14 +121,15 @@ fn a_cut_model_is_refused_wherever_it_is_cut(data: &Path) {
     assert!(matches!(error, InferenceError::NotOnnx { .. }), "{error}");
 }
 
-/// Bytes changed one at a time all over the file, in its structure and its weights.
+/// Bits changed one at a time, in the file's structure and in its weights.
 fn a_damaged_model_is_refused_or_runs(data: &Path) {
     let whole = model(data);
     let image = image(data, "rgbd-7scenes-a/frame-000000.color.jpg");
     let (mut refused, mut ran) = (0, 0);
-    for i in 0..100 {
+    for i in 0..60 {
         let mut bytes = whole.clone();
-        let at = i * 7919 * 631 % bytes.len();
+        // The operators are the first 21 thousand bytes or so, the weights the rest.
+        let at = if i % 4 == 0 { i * 7919 * 631 % bytes.len() } else { i * 7919 % 21_700 };
         bytes[at] ^= 1 << (i % 8);
         match build(&bytes, spec(data)) {
             Ok(detector) => {
