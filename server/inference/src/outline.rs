@@ -20,6 +20,8 @@ const MAX_FIELDS: u64 = 1 << 18;
 /// The most numbers of a tensor in the file, and of what follows from constants and shapes.
 const MAX_CONSTANT: u64 = 1 << 24;
 
+/// The most numbers of all that follows from constants and shapes.
+const MAX_CONSTANTS: u64 = 1 << 26;
 /// The largest stride, window, padding, dilation or factor: a side of `work::MAX_SIDE` times that is less than 2^31.
 const MAX_FACTOR: u64 = 1024;
 /// The most inputs of an operator: together they have fewer than 2^31 rows.
@@ -109,6 +111,7 @@ impl<'a> Outline<'a> {
         known.extend(self.weights.iter().map(|(&name, w)| (name, Size::Constant(num_numbers(&w.shape)))));
         let held = self.operators.iter().filter_map(|o| Some((*o.outputs.first()?, o.tensor.as_ref()?)));
         let given: HashMap<&str, &Weight> = held.chain(self.weights.iter().map(|(&name, w)| (name, w))).collect();
+        let mut total = 0u64;
         for operator in &self.operators {
             operator.check_factors(&given)?;
             let mut sizes = Vec::with_capacity(operator.inputs.len());
@@ -120,9 +123,16 @@ impl<'a> Outline<'a> {
                 sizes.push(size);
             }
             let size = operator.constant_size(&sizes)?;
-            known.extend(operator.outputs.iter().map(|&name| (name, size)));
-            if let Size::Constant(_) = size {
+            for name in operator.outputs.iter().filter(|name| !name.is_empty()) {
+                // Else it would not be clear which of the two was looked at here.
+                if known.insert(name, size).is_some() {
+                    return Err(unsupported("a name that is given twice,", name, "give each value a name of its own"));
+                }
+            }
+            if let Size::Constant(size) = size {
                 self.constants.extend(&operator.outputs);
+                total = total.saturating_add(size.saturating_mul(operator.outputs.len() as u64));
+                at_most("numbers of all constants", total, MAX_CONSTANTS, SIMPLIFY)?;
             }
         }
         Ok(())
@@ -170,7 +180,8 @@ impl Operator<'_> {
         let size = match self.kind {
             "Constant" => self.tensor.as_ref().map_or(MAX_FIELDS, |w| num_numbers(&w.shape)),
             // Of these the values say how much there will be, not the sizes.
-            "ConstantOfShape" | "Expand" | "Pad" | "Range" | "Resize" | "ConvTranspose" => {
+            "ConstantOfShape" | "Expand" | "Pad" | "Range" | "Resize" | "Conv" | "ConvTranspose" | "MaxPool"
+            | "AveragePool" => {
                 let (what, name) = ("a constant made by", self.kind.to_owned());
                 return Err(InferenceError::Unsupported { what, name, remedy: SIMPLIFY });
             }
@@ -225,7 +236,13 @@ impl Reader {
                 }
                 (5, Value::Bytes(tensor)) => {
                     let (name, weight) = self.tensor(tensor)?;
-                    out.weights.insert(name, weight);
+                    if out.weights.insert(name, weight).is_some() {
+                        return Err(unsupported(
+                            "a name that is given twice,",
+                            name,
+                            "give each value a name of its own",
+                        ));
+                    }
                 }
                 (11, Value::Bytes(value)) => out.inputs.push(self.value_info(value)?),
                 (12, Value::Bytes(value)) => out.outputs.push(self.value_info(value)?),

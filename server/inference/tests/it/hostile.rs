@@ -255,6 +255,36 @@ fn operators_out_of_order_and_in_circles_are_refused() {
     unsupported(&write(graph(vec![missing], vec![])), "nothing before it makes");
 }
 
+/// What is counted has to be what is run.
+#[test]
+fn names_that_are_given_twice_are_refused() {
+    let mut twice = tiny();
+    twice.initializer.push(floats("bias", &[1], vec![0.0]));
+    unsupported(&write(twice), "given twice");
+    for name in ["image", "weights", "a"] {
+        let nodes = [node("Relu", &["image"], "a", vec![]), node("Neg", &["image"], name, vec![])];
+        let end = [node("Add", &["a", name], "b", vec![]), node("Add", &["b", "weights"], "out", vec![])];
+        let weights = vec![floats("weights", &[1], vec![1.0])];
+        unsupported(&write(graph([nodes, end].concat(), weights)), "given twice");
+    }
+}
+
+/// A border around a constant, again and again; and many constants that are each as large as they may be.
+#[test]
+fn what_is_computed_when_a_model_is_loaded_is_bounded() {
+    let weights = vec![floats("weights", &[1, 1, 1, 1], vec![1.0])];
+    let name = |i: usize| if i == 0 { "weights".to_owned() } else { format!("v{i}") };
+    let grow = |i: usize| node("Conv", &[&name(i), "weights"], &name(i + 1), squares(1, 1, 1024));
+    let mut nodes: Vec<_> = (0..100).map(grow).collect();
+    nodes.push(node("Add", &["image", "v100"], "out", vec![]));
+    unsupported(&write(graph(nodes, weights)), "a constant made by");
+
+    let weights = vec![floats("row", &[1, 4096], vec![1.0; 4096]), floats("column", &[4096, 1], vec![1.0; 4096])];
+    let mut nodes: Vec<_> = (0..5).map(|i| node("Mul", &["row", "column"], &format!("m{i}"), vec![])).collect();
+    nodes.push(node("Max", &["m0", "m1", "m2", "m3", "m4"], "out", vec![]));
+    too_large(&write(graph(nodes, weights)), "numbers of all constants");
+}
+
 #[test]
 fn weights_in_other_files_are_not_looked_for() {
     let mut outside = floats("weights", &[7, 3, 4, 4], vec![]);
