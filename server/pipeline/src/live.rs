@@ -156,21 +156,37 @@ impl NewestFrames {
     }
 
     /// Looks in a sensor's newest frame for what lies where the map says that nothing stands, on whichever thread; none if it is not
-    /// of that stamp, or a planar one.
+    /// of that stamp; nothing of planar ones, and of what is farther away than that.
     pub(crate) fn news(
         &self,
         (sensor, stamp): (&SensorId, Timestamp),
         (t_map_odom, base_height_m): (Pose, f64),
         grid: OccupancyMap,
+        range_m: f64,
     ) -> Option<impl FnOnce() -> News + Send + 'static> {
         let frame = Arc::clone(self.by_sensor.get(sensor)?.back()?);
         (frame.stamp == stamp).then_some(move || {
             let LiveFrame { t_map_base, scan, .. } = frame.in_map(&t_map_odom, base_height_m, true);
-            let is_news = if scan.planar { vec![] } else { grid.is_news(&t_map_base, &scan) };
-            let points = scan.hits.positions.iter().zip(is_news).filter(|(_, is_news)| *is_news);
-            let in_map = points.map(|(p, _)| t_map_base * p.cast::<f64>());
             let top_z = t_map_base.translation.vector.z - scan.base_height_m + PASSING_M;
-            let points = in_map.filter(|p| p.z < top_z).map(|p| p.cast()).collect();
+            let is_near = |p: &&Point3<f32>| {
+                let is_in_reach = f64::from(p.coords.norm_squared()) < range_m * range_m;
+                is_in_reach && (t_map_base * p.cast::<f64>()).z < top_z
+            };
+            let hits: Vec<Point3<f32>> =
+                if scan.planar { vec![] } else { scan.hits.positions.iter().filter(is_near).copied().collect() };
+            let near = KeyframeScan {
+                stamp: scan.stamp,
+                sensor: scan.sensor.clone(),
+                t_base_sensor: scan.t_base_sensor,
+                base_height_m,
+                hits: PointCloud::from_positions(hits),
+                misses: vec![],
+                planar: scan.planar,
+                features: None,
+            };
+            let is_news = grid.is_news(&t_map_base, &near);
+            let points = near.hits.positions.iter().zip(is_news).filter(|(_, is_news)| *is_news);
+            let points = points.map(|(p, _)| (t_map_base * p.cast::<f64>()).cast()).collect();
             News { points, t_map_base, scan }
         })
     }

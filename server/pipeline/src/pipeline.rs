@@ -187,7 +187,7 @@ impl Pipeline {
             self.second_looks.compare(of.0, of.1, executor, compare);
         }
         if self.scene.wants_news(of.0, of.1)
-            && let Some(news) = self.newest.news(of, map, graph.map().layers().occupancy)
+            && let Some(news) = self.newest.news(of, map, graph.map().layers().occupancy, self.params.detection.range_m)
         {
             self.scene.look_for_passing(of, news);
         }
