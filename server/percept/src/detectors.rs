@@ -21,7 +21,7 @@ pub(crate) struct Detectors {
 
 impl Default for Detectors {
     fn default() -> Self {
-        Self { dir: PathBuf::new(), threads: 1 }
+        Self { dir: PathBuf::from(""), threads: 1 }
     }
 }
 
