@@ -135,8 +135,14 @@ impl Object {
         };
         let (history, velocity_mps) = (self.history[..later].to_vec(), Vector3::zeros());
         let (class, state, bbox) = (past.class, past.state, past.bbox);
+        // What people said since then was not said.
+        let annotation = Annotation { class: self.annotation.class.filter(|said| *said == class), ..self.annotation };
+        let believed = self.class_probabilities.iter().find(|p| p.0 == class).map_or(0.0, |p| p.1);
+        let confidence = if annotation.class.is_some() { 1.0 } else { believed };
         let velocity_variance = 0.0;
         Some(Self {
+            annotation,
+            confidence,
             class,
             state,
             bbox,

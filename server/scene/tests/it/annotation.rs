@@ -158,6 +158,12 @@ fn what_was_at_a_time_is_remembered_and_moves_with_the_map() {
     assert_eq!(chair_now.at(at(25)).unwrap().state, ObjectState::Gone);
     assert_eq!(chair_now.at(at(35)).unwrap(), chair_now);
     assert!(chair_now.at(at(-1)).is_none());
+    // What is said of it now was not said then.
+    let mut said = t.clone();
+    said.annotate(ObjectId(0), Correction::Class(Some(plant()))).unwrap();
+    let then = object(&said, 0).at(at(4)).unwrap();
+    assert_eq!((then.class, then.annotation.class), (ObjectClass::Chair, None));
+    assert!((0.5..1.0).contains(&then.confidence), "{}", then.confidence);
     let t_new_old = se3::from_xy_yaw(1.0, 0.0, 0.0);
     t.correct(&|_, _| t_new_old);
     assert!((object(&t, 0).at(at(4)).unwrap().bbox.center().x - 2.0).abs() < 1e-9);
