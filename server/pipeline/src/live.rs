@@ -156,7 +156,7 @@ impl NewestFrames {
     }
 
     /// Looks in a sensor's newest frame for what lies where the map says that nothing stands, on whichever thread; none if it is not
-    /// of that stamp; nothing of planar ones, and of what is farther away than that.
+    /// of that stamp. What is farther away than `range_m` is left out. Not for planar scans: they have no heights.
     pub(crate) fn news(
         &self,
         (sensor, stamp): (&SensorId, Timestamp),
@@ -172,8 +172,7 @@ impl NewestFrames {
                 let is_in_reach = f64::from(p.coords.norm_squared()) < range_m * range_m;
                 is_in_reach && (t_map_base * p.cast::<f64>()).z < top_z
             };
-            let hits: Vec<Point3<f32>> =
-                if scan.planar { vec![] } else { scan.hits.positions.iter().filter(is_near).copied().collect() };
+            let hits: Vec<Point3<f32>> = scan.hits.positions.iter().filter(is_near).copied().collect();
             let near = KeyframeScan {
                 stamp: scan.stamp,
                 sensor: scan.sensor.clone(),

@@ -186,7 +186,10 @@ impl Pipeline {
         if let Some(compare) = self.newest.comparison(of, params, map, graph.map().layers().occupancy) {
             self.second_looks.compare(of.0, of.1, executor, compare);
         }
-        if self.scene.wants_news(of.0, of.1)
+        // A planar scan has no heights, by which people are known.
+        let has_heights = matches!(view.scan, Scan::Depth(_) | Scan::Cloud(_));
+        if has_heights
+            && self.scene.wants_news(of.0, of.1)
             && let Some(news) = self.newest.news(of, map, graph.map().layers().occupancy, self.params.detection.range_m)
         {
             self.scene.look_for_passing(of, news);
