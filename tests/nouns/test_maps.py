@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 
+import DracoPy
 import numpy as np
 import pytest
 from percept import FailedPrecondition, InvalidArgument, MapFormat, NotFound, Region, ResourceExhausted
@@ -141,6 +142,8 @@ STARTS = {
     "occupancy_pgw": b"0.1\n",
     "mesh_ply": b"ply\nformat binary_little_endian",
     "mesh_glb": b"glTF",
+    "cloud_draco": b"DRACO",
+    "mesh_draco": b"DRACO",
     "trajectory_tum": b"",
     "overview_png": b"\x89PNG",
     "cloud_top_png": b"\x89PNG",
@@ -185,6 +188,68 @@ def test_a_cloud_is_as_fine_as_its_reader_can_take(lidar_session):
         with pytest.raises(InvalidArgument) as error:
             lidar_session.map.cloud(**wrong)
         assert (error.value.reason, error.value.field) == ("OUT_OF_RANGE", field)
+
+
+def test_what_is_packed_is_off_by_no_more_than_was_asked_for(lidar_session):
+    plain = lidar_session.map.cloud()
+    sizes = []
+    for bound in (0.0005, 0.01):
+        packed = lidar_session.map.cloud(max_error_m=bound)
+        assert (packed.stamp.map_version, packed.voxel_size_m) == (plain.stamp.map_version, plain.voxel_size_m)
+        _within(packed.cloud.points, plain.cloud.points, bound)
+        file = lidar_session.map.export("cloud_draco", max_error_m=bound)
+        _within(DracoPy.decode(file.data).points, plain.cloud.points, bound)
+        sizes.append(len(file.data))
+    assert sizes[1] < sizes[0] < 0.6 * len(lidar_session.map.export("cloud_ply").data)
+    mesh = lidar_session.space.mesh()
+    packed = lidar_session.space.mesh(max_error_m=0.001)
+    assert packed.triangles.shape == mesh.triangles.shape
+    _within(packed.positions, mesh.positions, 0.001)
+    area = [_areas(m.positions.astype(float), m.triangles).sum() for m in (mesh, packed)]
+    assert area[1] == pytest.approx(area[0], rel=0.02)
+    part = lidar_session.space.mesh(low=(0, -1, 0), high=(1, 1, 1), max_error_m=0.001)
+    assert 0 < len(part.triangles) < len(mesh.triangles)
+    nothing = lidar_session.space.mesh(low=(900, 900, 0), high=(901, 901, 1), max_error_m=0.001)
+    assert nothing.triangles.shape == (0, 3)
+    assert lidar_session.map.cloud(centre=(900, 0, 0), radius_m=1.0, max_error_m=0.1).cloud.num_points == 0
+
+
+def _within(found, wanted, bound):
+    """Each has one of the other within the bound, in whatever order; f32 rounds besides."""
+    for some, others in ((found, wanted), (wanted, found)):
+        cells = {}
+        for i, key in enumerate(map(tuple, np.floor(others / 0.05).astype(int))):
+            cells.setdefault(key, []).append(i)
+        around = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
+        for p in some[:: max(1, len(some) // 300)]:
+            at = np.floor(p / 0.05).astype(int)
+            near = [i for d in around for i in cells.get(tuple(at + d), [])]
+            assert near and np.linalg.norm(others[near] - p, axis=1).min() <= bound + 1e-5
+
+
+def _areas(positions, triangles):
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, 5e-5, 2.0, float("nan"), float("inf")])
+def test_a_bound_that_cannot_be_kept_is_refused(lidar_session, wrong):
+    asked = {
+        "draco_max_error_m": [
+            lambda: lidar_session.map.cloud(max_error_m=wrong),
+            lambda: lidar_session.space.mesh(max_error_m=wrong),
+        ],
+        "max_error_m": [
+            lambda: lidar_session.map.export("cloud_draco", max_error_m=wrong),
+            lambda: lidar_session.map.export("mesh_draco", max_error_m=wrong),
+            lambda: lidar_session.map.export("cloud_ply", max_error_m=0.01),
+        ],
+    }
+    for field, calls in asked.items():
+        for call in calls:
+            with pytest.raises(InvalidArgument) as error:
+                call()
+            assert (error.value.reason, error.value.field) == ("OUT_OF_RANGE", field)
 
 
 def test_a_ply_holds_the_cloud(lidar_session):

@@ -9,6 +9,7 @@
 pub mod carmen;
 mod clouds;
 pub mod dataset;
+pub mod draco;
 mod error;
 pub mod g2o;
 pub mod geotiff;

@@ -216,7 +216,7 @@ in_parts! {
     CastRaysResponse { rays }
     CheckBoxesResponse { boxes }
     GetHeightsResponse { ground_m, sigma_m, top_m, slope_rad, step_m, roughness_m, traversability, is_drop }
-    GetMeshResponse { positions, normals, colours, triangles }
+    GetMeshResponse { positions, normals, colours, triangles, draco }
     GetChangesResponse { regions }
 }
 

@@ -26,7 +26,7 @@ from ..types.layers import (
 from ..types.maps import Region
 from ..v1 import geometry_pb2
 from ..v1 import layers_service_pb2 as service
-from . import geometry, maps, words
+from . import draco, geometry, maps, words
 
 
 def _state(number: int) -> SpaceState:
@@ -127,6 +127,18 @@ def heights(message: service.GetHeightsResponse) -> Heights:
 
 def mesh(message: service.GetMeshResponse) -> Mesh:
     """A surface."""
+    if message.draco:
+        found = draco.Unpacked(message.draco)
+        none = np.zeros((0, 3), np.float32)
+        positions, normals = found.rows(draco.POSITION, np.float32), found.rows(draco.NORMAL, np.float32)
+        colours = found.rows(draco.COLOUR, np.uint8)
+        return Mesh(
+            positions=none if positions is None else positions,
+            normals=none if normals is None else normals,
+            colours=none.astype(np.uint8) if colours is None else colours,
+            triangles=found.triangles,
+            stamp=maps.stamp(message.stamp),
+        )
     return Mesh(
         positions=np.frombuffer(message.positions, "<f4").reshape(-1, 3),
         normals=np.frombuffer(message.normals, "<f4").reshape(-1, 3),
@@ -210,12 +222,17 @@ def get_heights(
 
 
 def get_mesh(
-    session_id: str, low: Sequence[float] | None, high: Sequence[float] | None, max_triangles: int
+    session_id: str,
+    low: Sequence[float] | None,
+    high: Sequence[float] | None,
+    max_triangles: int,
+    max_error_m: float | None,
 ) -> Call[service.GetMeshRequest, service.GetMeshResponse, Mesh]:
     request = service.GetMeshRequest(
         source=maps.source(session_id),
         region=geometry.box3_to("region", low, high),
         max_triangles=max_triangles,
+        draco_max_error_m=draco.needed(max_error_m),
     )
     return Call(_rpc.GET_MESH, request, mesh)
 

@@ -10,6 +10,7 @@ import numpy as np
 from .. import _rpc
 from .._call import Call, ChunkedCall, PagedCall
 from ..errors import Internal, InvalidArgument
+from ..types.geometry import PointCloud
 from ..types.maps import (
     GridGeometry,
     Loop,
@@ -27,7 +28,7 @@ from ..types.maps import (
 )
 from ..v1 import map_pb2
 from ..v1 import maps_service_pb2 as service
-from . import geometry, words
+from . import draco, geometry, words
 
 
 def source(session_id: str) -> map_pb2.MapSource:
@@ -136,6 +137,24 @@ def cloud(chunks: Sequence[map_pb2.CloudChunk]) -> MapCloud:
     return MapCloud(cloud=joined, stamp=stamp(head.stamp), voxel_size_m=size_m)
 
 
+def unpacked_cloud(answers: Sequence[service.GetCloudResponse]) -> MapCloud:
+    """A cloud that was packed."""
+    found = draco.Unpacked(b"".join(a.draco for a in answers))
+    points = found.rows(draco.POSITION, np.float32)
+    points = np.zeros((0, 3), np.float32) if points is None else points
+    if not answers or len(points) != answers[0].chunk.total_points:
+        raise _incomplete("cloud")
+    intensities = found.rows(draco.GENERIC, np.float32, 1)
+    cloud = PointCloud(
+        points,
+        colours=found.rows(draco.COLOUR, np.uint8),
+        intensities=None if intensities is None else intensities[:, 0],
+        normals=found.rows(draco.NORMAL, np.float32),
+    )
+    head = answers[0].chunk
+    return MapCloud(cloud=cloud, stamp=stamp(head.stamp), voxel_size_m=head.voxel_size_m)
+
+
 def file(chunks: Sequence[map_pb2.FileChunk]) -> MapFile:
     """A file of its chunks, checksum compared."""
     if not chunks or not chunks[0].HasField("header"):
@@ -195,22 +214,31 @@ def get_cloud(
     radius_m: float | None,
     voxel_size_m: float | None,
     max_points: int | None,
+    max_error_m: float | None,
 ) -> ChunkedCall[service.GetCloudRequest, service.GetCloudResponse, MapCloud]:
     if (centre is None) != (radius_m is None):
         message = "centre and radius_m belong together; give both or neither"
         raise InvalidArgument(message, reason="FIELD_MISSING", field="radius_m")
     request = service.GetCloudRequest(
-        source=source(session_id), radius_m=radius_m, voxel_size_m=voxel_size_m, max_points=max_points
+        source=source(session_id),
+        radius_m=radius_m,
+        voxel_size_m=voxel_size_m,
+        max_points=max_points,
+        draco_max_error_m=draco.needed(max_error_m),
     )
     if centre is not None:
         request.centre.CopyFrom(geometry.vector3_to("centre", centre))
+    if max_error_m is not None:
+        return ChunkedCall(_rpc.GET_CLOUD, request, unpacked_cloud)
     return ChunkedCall(_rpc.GET_CLOUD, request, lambda a: cloud([x.chunk for x in a]))
 
 
 def export(
-    session_id: str, file_format: MapFormat | str
+    session_id: str, file_format: MapFormat | str, max_error_m: float | None
 ) -> ChunkedCall[service.ExportMapRequest, service.ExportMapResponse, MapFile]:
     request = service.ExportMapRequest(
-        source=source(session_id), format=words.number("format", map_pb2.MapFormat, file_format)
+        source=source(session_id),
+        format=words.number("format", map_pb2.MapFormat, file_format),
+        max_error_m=max_error_m,
     )
     return ChunkedCall(_rpc.EXPORT_MAP, request, lambda a: file([x.chunk for x in a]))

@@ -75,14 +75,17 @@ class Maps(SessionBound):
         radius_m: float | None = None,
         voxel_size_m: float | None = None,
         max_points: int | None = None,
+        max_error_m: float | None = None,
     ) -> MapCloud:
         """The fused cloud, whole or within radius_m of a point of the map.
 
         voxel_size_m: a point for each voxel of this edge, if that is coarser than the map keeps it.
         max_points: at most so many points, by the finest voxels that leave no more; which those are is in
         the answer's voxel_size_m.
+        max_error_m: packed on the way, a quarter of the bytes, points off by at most so many metres (0.0001
+        to 1) and in another order; needs DracoPy, `pip install 'percept[draco]'`.
         """
-        call = convert.get_cloud(self.session_id, centre, radius_m, voxel_size_m, max_points)
+        call = convert.get_cloud(self.session_id, centre, radius_m, voxel_size_m, max_points, max_error_m)
         return self._transport.chunks(call)
 
     def loops(self, *, page_size: int = 0) -> Iterator[Loop]:
@@ -178,17 +181,31 @@ class Maps(SessionBound):
         finally:
             operation.delete()
 
-    def export(self, file_format: MapFormat | str, *, path: str | os.PathLike[str] | None = None) -> MapFile:
-        """The map as a file, checksum compared; with `path` (file or folder) it is written there."""
-        file = self._transport.chunks(convert.export(self.session_id, file_format))
+    def export(
+        self,
+        file_format: MapFormat | str,
+        *,
+        path: str | os.PathLike[str] | None = None,
+        max_error_m: float | None = None,
+    ) -> MapFile:
+        """The map as a file, checksum compared; with `path` (file or folder) it is written there.
+
+        max_error_m: of the Draco formats, by how much positions may be off, 0.0001 to 1; None: 0.001.
+        """
+        file = self._transport.chunks(convert.export(self.session_id, file_format, max_error_m))
         return _written(file, path)
 
     def start_export(
-        self, file_format: MapFormat | str, *, request_id: str | None = None
+        self,
+        file_format: MapFormat | str,
+        *,
+        max_error_m: float | None = None,
+        request_id: str | None = None,
     ) -> Operation[MapFile]:
         """export() as an operation, which goes on whoever hangs up: wait() for it, and read its result().
         The same request_id gives the same operation."""
-        return started(self._transport, convert.export(self.session_id, file_format), request_id)
+        call = convert.export(self.session_id, file_format, max_error_m)
+        return started(self._transport, call, request_id)
 
     def start_optimise(self, *, request_id: str | None = None) -> Operation[MapOptimised]:
         """optimise() as an operation."""

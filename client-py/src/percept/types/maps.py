@@ -202,6 +202,8 @@ class MapFormat(Name):
     MESH_PLY = "mesh_ply"
     #: The same, binary glTF 2.0, y up.
     MESH_GLB = "mesh_glb"
+    CLOUD_DRACO = "cloud_draco"
+    MESH_DRACO = "mesh_draco"
     #: Picture of the cloud from aside and above, PNG; what is higher than 2.2 m is cut away.
     CLOUD_VIEW_PNG = "cloud_view_png"
     #: The same of the surface.

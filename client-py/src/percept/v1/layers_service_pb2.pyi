@@ -652,8 +652,11 @@ class GetMeshRequest(_message.Message):
     SOURCE_FIELD_NUMBER: _builtins.int
     REGION_FIELD_NUMBER: _builtins.int
     MAX_TRIANGLES_FIELD_NUMBER: _builtins.int
+    DRACO_MAX_ERROR_M_FIELD_NUMBER: _builtins.int
     max_triangles: _builtins.int
     """Refused beyond; 0: the server's limit."""
+    draco_max_error_m: _builtins.float
+    """Packed by Draco, positions off by at most so much, metres, 0.0001 to 1: the answer's draco, and no arrays. Absent: as arrays."""
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     @_builtins.property
@@ -666,13 +669,19 @@ class GetMeshRequest(_message.Message):
         source: _map_pb2.MapSource | None = ...,
         region: Global___Box3 | None = ...,
         max_triangles: _builtins.int = ...,
+        draco_max_error_m: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "region", b"region", "source", b"source"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_draco_max_error_m", b"_draco_max_error_m", "_region", b"_region", "draco_max_error_m", b"draco_max_error_m", "region", b"region", "source", b"source"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "max_triangles", b"max_triangles", "region", b"region", "source", b"source"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_draco_max_error_m", b"_draco_max_error_m", "_region", b"_region", "draco_max_error_m", b"draco_max_error_m", "max_triangles", b"max_triangles", "region", b"region", "source", b"source"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__draco_max_error_m: _TypeAlias = _typing.Literal["draco_max_error_m"]  # noqa: Y015
+    _WhichOneofArgType__draco_max_error_m: _TypeAlias = _typing.Literal["_draco_max_error_m", b"_draco_max_error_m"]  # noqa: Y015
     _WhichOneofReturnType__region: _TypeAlias = _typing.Literal["region"]  # noqa: Y015
     _WhichOneofArgType__region: _TypeAlias = _typing.Literal["_region", b"_region"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__draco_max_error_m) -> _WhichOneofReturnType__draco_max_error_m | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__region) -> _WhichOneofReturnType__region | None: ...
 
 Global___GetMeshRequest: _TypeAlias = GetMeshRequest  # noqa: Y015
@@ -686,6 +695,7 @@ class GetMeshResponse(_message.Message):
     NORMALS_FIELD_NUMBER: _builtins.int
     COLOURS_FIELD_NUMBER: _builtins.int
     TRIANGLES_FIELD_NUMBER: _builtins.int
+    DRACO_FIELD_NUMBER: _builtins.int
     positions: _builtins.bytes
     """V x 3 float32, little-endian, metres, map frame."""
     normals: _builtins.bytes
@@ -694,6 +704,8 @@ class GetMeshResponse(_message.Message):
     """V x 3 uint8, RGB; grey where the surface has no colour."""
     triangles: _builtins.bytes
     """T x 3 uint32, little-endian: numbers of vertices, counter-clockwise as seen."""
+    draco: _builtins.bytes
+    """A Draco mesh (.drc), one after the other; empty unless it was asked for, and if there is no triangle."""
     @_builtins.property
     def stamp(self) -> _map_pb2.MapStamp:
         """First part only."""
@@ -706,10 +718,11 @@ class GetMeshResponse(_message.Message):
         normals: _builtins.bytes = ...,
         colours: _builtins.bytes = ...,
         triangles: _builtins.bytes = ...,
+        draco: _builtins.bytes = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["stamp", b"stamp"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["colours", b"colours", "normals", b"normals", "positions", b"positions", "stamp", b"stamp", "triangles", b"triangles"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["colours", b"colours", "draco", b"draco", "normals", b"normals", "positions", b"positions", "stamp", b"stamp", "triangles", b"triangles"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

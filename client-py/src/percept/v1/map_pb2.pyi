@@ -101,6 +101,10 @@ class _MapFormatEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_MapFormat.V
     """Picture of where a robot can drive."""
     MAP_FORMAT_LAYERS_PNG: _MapFormat.ValueType  # 23
     """Picture of all layers that the session has, side by side: overview, heights, traversability, voxels, surface, cloud."""
+    MAP_FORMAT_CLOUD_DRACO: _MapFormat.ValueType  # 24
+    """Coloured cloud as Draco packs it, off by at most max_error_m: a quarter of PLY's bytes, and less."""
+    MAP_FORMAT_MESH_DRACO: _MapFormat.ValueType  # 25
+    """Surface as a coloured mesh, packed so: an eighth of PLY's bytes."""
 
 class MapFormat(_MapFormat, metaclass=_MapFormatEnumTypeWrapper):
     """Files that a map can be read as."""
@@ -152,6 +156,10 @@ MAP_FORMAT_TRAVERSABILITY_PNG: MapFormat.ValueType  # 22
 """Picture of where a robot can drive."""
 MAP_FORMAT_LAYERS_PNG: MapFormat.ValueType  # 23
 """Picture of all layers that the session has, side by side: overview, heights, traversability, voxels, surface, cloud."""
+MAP_FORMAT_CLOUD_DRACO: MapFormat.ValueType  # 24
+"""Coloured cloud as Draco packs it, off by at most max_error_m: a quarter of PLY's bytes, and less."""
+MAP_FORMAT_MESH_DRACO: MapFormat.ValueType  # 25
+"""Surface as a coloured mesh, packed so: an eighth of PLY's bytes."""
 Global___MapFormat: _TypeAlias = MapFormat  # noqa: Y015
 
 @_typing.final

@@ -554,12 +554,15 @@ class GetCloudRequest(_message.Message):
     RADIUS_M_FIELD_NUMBER: _builtins.int
     VOXEL_SIZE_M_FIELD_NUMBER: _builtins.int
     MAX_POINTS_FIELD_NUMBER: _builtins.int
+    DRACO_MAX_ERROR_M_FIELD_NUMBER: _builtins.int
     radius_m: _builtins.float
     """Metres; required with centre."""
     voxel_size_m: _builtins.float
     """A point for each voxel of this edge, metres, above 0 and at most 1000. Absent, or finer than the map keeps it: as the map keeps it."""
     max_points: _builtins.int
     """At most so many points, 1 or more: by the finest voxels that leave no more, of sizes that are told in the answer. Absent: all."""
+    draco_max_error_m: _builtins.float
+    """Packed by Draco, positions off by at most so much, metres, 0.0001 to 1: the answer's draco, and no points. Absent: as points."""
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     @_builtins.property
@@ -574,13 +577,16 @@ class GetCloudRequest(_message.Message):
         radius_m: _builtins.float | None = ...,
         voxel_size_m: _builtins.float | None = ...,
         max_points: _builtins.int | None = ...,
+        draco_max_error_m: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_max_points", b"_max_points", "_radius_m", b"_radius_m", "_voxel_size_m", b"_voxel_size_m", "centre", b"centre", "max_points", b"max_points", "radius_m", b"radius_m", "source", b"source", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_draco_max_error_m", b"_draco_max_error_m", "_max_points", b"_max_points", "_radius_m", b"_radius_m", "_voxel_size_m", b"_voxel_size_m", "centre", b"centre", "draco_max_error_m", b"draco_max_error_m", "max_points", b"max_points", "radius_m", b"radius_m", "source", b"source", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_max_points", b"_max_points", "_radius_m", b"_radius_m", "_voxel_size_m", b"_voxel_size_m", "centre", b"centre", "max_points", b"max_points", "radius_m", b"radius_m", "source", b"source", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_centre", b"_centre", "_draco_max_error_m", b"_draco_max_error_m", "_max_points", b"_max_points", "_radius_m", b"_radius_m", "_voxel_size_m", b"_voxel_size_m", "centre", b"centre", "draco_max_error_m", b"draco_max_error_m", "max_points", b"max_points", "radius_m", b"radius_m", "source", b"source", "voxel_size_m", b"voxel_size_m"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__centre: _TypeAlias = _typing.Literal["centre"]  # noqa: Y015
     _WhichOneofArgType__centre: _TypeAlias = _typing.Literal["_centre", b"_centre"]  # noqa: Y015
+    _WhichOneofReturnType__draco_max_error_m: _TypeAlias = _typing.Literal["draco_max_error_m"]  # noqa: Y015
+    _WhichOneofArgType__draco_max_error_m: _TypeAlias = _typing.Literal["_draco_max_error_m", b"_draco_max_error_m"]  # noqa: Y015
     _WhichOneofReturnType__max_points: _TypeAlias = _typing.Literal["max_points"]  # noqa: Y015
     _WhichOneofArgType__max_points: _TypeAlias = _typing.Literal["_max_points", b"_max_points"]  # noqa: Y015
     _WhichOneofReturnType__radius_m: _TypeAlias = _typing.Literal["radius_m"]  # noqa: Y015
@@ -589,6 +595,8 @@ class GetCloudRequest(_message.Message):
     _WhichOneofArgType__voxel_size_m: _TypeAlias = _typing.Literal["_voxel_size_m", b"_voxel_size_m"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__centre) -> _WhichOneofReturnType__centre | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__draco_max_error_m) -> _WhichOneofReturnType__draco_max_error_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_points) -> _WhichOneofReturnType__max_points | None: ...
     @_typing.overload
@@ -603,16 +611,20 @@ class GetCloudResponse(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 
     CHUNK_FIELD_NUMBER: _builtins.int
+    DRACO_FIELD_NUMBER: _builtins.int
+    draco: _builtins.bytes
+    """A Draco cloud (.drc), one after the other; empty unless it was asked for, and if there is no point."""
     @_builtins.property
     def chunk(self) -> _map_pb2.CloudChunk: ...
     def __init__(
         self,
         *,
         chunk: _map_pb2.CloudChunk | None = ...,
+        draco: _builtins.bytes = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["chunk", b"chunk"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["chunk", b"chunk"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["chunk", b"chunk", "draco", b"draco"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -624,7 +636,10 @@ class ExportMapRequest(_message.Message):
 
     SOURCE_FIELD_NUMBER: _builtins.int
     FORMAT_FIELD_NUMBER: _builtins.int
+    MAX_ERROR_M_FIELD_NUMBER: _builtins.int
     format: _map_pb2.MapFormat.ValueType
+    max_error_m: _builtins.float
+    """CLOUD_DRACO and MESH_DRACO only: by how much positions may be off, metres, 0.0001 to 1. Absent: 0.001."""
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     def __init__(
@@ -632,12 +647,15 @@ class ExportMapRequest(_message.Message):
         *,
         source: _map_pb2.MapSource | None = ...,
         format: _map_pb2.MapFormat.ValueType = ...,
+        max_error_m: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["source", b"source"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_max_error_m", b"_max_error_m", "max_error_m", b"max_error_m", "source", b"source"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["format", b"format", "source", b"source"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_max_error_m", b"_max_error_m", "format", b"format", "max_error_m", b"max_error_m", "source", b"source"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__max_error_m: _TypeAlias = _typing.Literal["max_error_m"]  # noqa: Y015
+    _WhichOneofArgType__max_error_m: _TypeAlias = _typing.Literal["_max_error_m", b"_max_error_m"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__max_error_m) -> _WhichOneofReturnType__max_error_m | None: ...
 
 Global___ExportMapRequest: _TypeAlias = ExportMapRequest  # noqa: Y015
 

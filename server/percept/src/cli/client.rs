@@ -321,8 +321,8 @@ impl RemoteSession {
     /// A file of the session's map.
     pub(crate) async fn export(&self, format: v1::MapFormat) -> Result<Vec<u8>, Failure> {
         let source = v1::map_source::Source::SessionId(self.id.clone());
-        let request =
-            v1::ExportMapRequest { source: Some(v1::MapSource { source: Some(source) }), format: format.into() };
+        let source = Some(v1::MapSource { source: Some(source) });
+        let request = v1::ExportMapRequest { source, format: format.into(), max_error_m: None };
         let mut client = v1::maps_service_client::MapsServiceClient::new(self.channel.clone());
         let mut parts = client.export_map(request).await?.into_inner();
         let mut out = Vec::new();

@@ -1,7 +1,7 @@
 //! Frames read ahead of their use: decoding and ray casting overlap with the pipeline.
 
 use super::Failure;
-use nalgebra::Point2;
+use nalgebra::{Point2, Point3};
 use percept_geometry::SensorFrame;
 use std::sync::mpsc::{Receiver, sync_channel};
 
@@ -62,6 +62,13 @@ pub(crate) fn parse_point(text: &str) -> Result<Point2<f64>, String> {
     Ok(Point2::new(x, y))
 }
 
+/// A place in space, `X,Y,Z`, metres.
+pub(crate) fn parse_position(text: &str) -> Result<Point3<f64>, String> {
+    let [x, y, z] =
+        numbers(text).ok_or_else(|| format!("{text:?} is no place; write X,Y,Z in metres, e.g. 1.5,-2,0.8"))?;
+    Ok(Point3::new(x, y, z))
+}
+
 /// A pose in the plane: metres, radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FlatPose {
@@ -111,6 +118,8 @@ mod tests {
     #[test]
     fn places_and_outlines_are_read_and_nonsense_is_refused() {
         assert_eq!(parse_point("1.5, -2"), Ok(Point2::new(1.5, -2.0)));
+        assert_eq!(parse_position("1,-2,0.5"), Ok(Point3::new(1.0, -2.0, 0.5)));
+        assert!(parse_position("1,2").is_err());
         assert_eq!(parse_pose("1,2,0.5"), Ok(FlatPose { x_m: 1.0, y_m: 2.0, yaw_rad: 0.5 }));
         assert_eq!(parse_polygon("0,0 1,0 1,1").map(|p| p.0.len()), Ok(3));
         for bad in ["", "1", "1,2,3", "nan,0", "1,inf", "a,b", "1;2"] {

@@ -13,6 +13,7 @@ mod eval_slam;
 mod eval_trajectory;
 mod eval_wheels;
 mod explore;
+mod fly;
 mod health;
 mod import_map;
 mod input;
@@ -62,6 +63,8 @@ enum Command {
     Coverage(explore::CoverageArgs),
     /// List the edges of what is known that the robot reaches: where to look next, on a map file or in the map of a session.
     Frontiers(explore::FrontierArgs),
+    /// Plan a path in space for what flies, through an OctoMap file or the voxels of a session; no path is a failure, with its reason.
+    Fly(fly::FlyArgs),
     /// Begin a session of a running server with a map that comes from elsewhere.
     ImportMap(import_map::ImportMapArgs),
     /// Measure against ground truth.
@@ -100,6 +103,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Plan(args) => plan::run(args),
         Command::Coverage(args) => explore::coverage(args),
         Command::Frontiers(args) => explore::frontiers(args),
+        Command::Fly(args) => fly::run(args),
         Command::ImportMap(args) => import_map::run(args),
         Command::Eval(command) => eval::run(command),
         Command::Bench(args) => bench::run(args),

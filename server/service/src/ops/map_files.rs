@@ -4,12 +4,12 @@ use super::maps::{dense, stamp_of};
 use super::{layers, pictures};
 use crate::reason;
 use crate::{Error, Progress, Result, Service, Zones};
-use percept_formats::{GridMap, OctreeLeaf, OctreeMap, geotiff, gltf, las, nav2, octomap, pcd, ply, trajectory};
+use percept_formats::{GridMap, OctreeLeaf, OctreeMap, draco, geotiff, gltf, las, nav2, octomap, pcd, ply, trajectory};
 use percept_geometry::{Aabb3, PointCloud, RgbImage, Stamped, Timestamp, Voxel};
 use percept_pipeline::Snapshot;
 
 /// Files that a map can be read as.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MapFormat {
     /// Occupancy as a picture.
     OccupancyPng,
@@ -27,6 +27,11 @@ pub enum MapFormat {
     CloudLaz,
     /// Cloud, binary glTF.
     CloudGlb,
+    /// Cloud, as Draco packs it.
+    CloudDraco {
+        /// By how much positions may be off, metres; within [`draco::BOUNDS_M`].
+        max_error_m: f64,
+    },
     /// Voxels, free or occupied, as OctoMap has them.
     VoxelsBt,
     /// Voxels with log-odds, as OctoMap has them.
@@ -39,6 +44,11 @@ pub enum MapFormat {
     MeshPly,
     /// Surface, binary glTF.
     MeshGlb,
+    /// Surface, as Draco packs it.
+    MeshDraco {
+        /// By how much positions may be off, metres; within [`draco::BOUNDS_M`].
+        max_error_m: f64,
+    },
     /// Trajectory, TUM text.
     TrajectoryTum,
     /// Occupancy with trajectory and objects.
@@ -176,6 +186,11 @@ fn export_telling(
             writing()?;
             ("glb", "model/gltf-binary", gltf::encode_cloud(&cloud, "map").map_err(Error::internal)?)
         }
+        F::CloudDraco { max_error_m } => {
+            let cloud = cloud()?;
+            writing()?;
+            ("drc", "application/octet-stream", draco::encode_cloud(&cloud, max_error_m).map_err(Error::internal)?)
+        }
         F::VoxelsBt | F::VoxelsOt => {
             let (octree, is_binary) = (octree(s)?, format == F::VoxelsBt);
             writing()?;
@@ -192,18 +207,23 @@ fn export_telling(
             let grid = grid()?;
             ("pgw", "text/plain", geotiff::world_file(&grid.geometry, grid.height).into_bytes())
         }
-        F::MeshPly | F::MeshGlb => {
+        F::MeshPly | F::MeshGlb | F::MeshDraco { .. } => {
             let mesh = layers::mesh_of(&s.layers, None, None)?;
             if mesh.is_empty() {
                 return Err(map_empty());
             }
             writing()?;
-            if format == F::MeshGlb {
-                ("mesh.glb", "model/gltf-binary", gltf::encode_mesh(&mesh, "map").map_err(Error::internal)?)
-            } else {
-                let bytes = ply::encode_mesh(&mesh, ply::Encoding::BinaryLittleEndian).map_err(Error::internal)?;
-                ("mesh.ply", "application/octet-stream", bytes)
-            }
+            let (suffix, media_type, bytes) = match format {
+                F::MeshGlb => ("mesh.glb", "model/gltf-binary", gltf::encode_mesh(&mesh, "map")),
+                F::MeshDraco { max_error_m } => {
+                    ("mesh.drc", "application/octet-stream", draco::encode_mesh(&mesh, max_error_m))
+                }
+                _ => {
+                    let bytes = ply::encode_mesh(&mesh, ply::Encoding::BinaryLittleEndian);
+                    ("mesh.ply", "application/octet-stream", bytes)
+                }
+            };
+            (suffix, media_type, bytes.map_err(Error::internal)?)
         }
         F::TrajectoryTum => {
             writing()?;

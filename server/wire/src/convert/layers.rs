@@ -216,6 +216,7 @@ pub fn mesh_to(found: &OfMap<TriangleMesh>) -> v1::GetMeshResponse {
         normals: floats(&normals),
         colours: mesh.colors.as_flattened().to_vec().into(),
         triangles: mesh.triangles.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>().into(),
+        draco: Bytes::new(),
     }
 }
 

@@ -1,6 +1,6 @@
 //! Grids, clouds, files of maps, cut into chunks.
 
-use super::{geometry, required};
+use super::{draco, geometry, required};
 use crate::v1;
 use bytes::Bytes;
 use nalgebra::{Point2, Point3};
@@ -10,7 +10,7 @@ use percept_service::reason;
 use percept_service::{CloudAnswer, Error, GridAnswer, MapFile, MapFormat, MapSummary, Result, Vetoed};
 
 /// Payload of a chunk, bytes: well under gRPC's default limit of 4 MiB.
-const CHUNK_BYTES: usize = 1 << 20;
+pub(super) const CHUNK_BYTES: usize = 1 << 20;
 
 /// The session whose live map a request is about.
 ///
@@ -83,13 +83,21 @@ pub fn around(center: Option<&v1::Vector3>, radius_m: Option<f64>) -> Result<Opt
     Ok(Some((geometry::vector("centre", center)?.into(), radius)))
 }
 
-/// A file format.
+/// The file that is asked for.
 ///
 /// # Errors
-/// `ENUM_UNKNOWN`.
-pub fn format(value: i32) -> Result<MapFormat> {
+/// `ENUM_UNKNOWN`; `OUT_OF_RANGE` for a bound out of range, and for one that the format has no use for.
+pub fn format(r: &v1::ExportMapRequest) -> Result<MapFormat> {
     use v1::MapFormat as F;
-    Ok(match F::try_from(value) {
+    let format = F::try_from(r.format);
+    if let (Some(_), false) = (r.max_error_m, matches!(format, Ok(F::CloudDraco | F::MeshDraco))) {
+        let message = "max_error_m belongs to CLOUD_DRACO and MESH_DRACO; leave it out, or ask for one of these";
+        return Err(Error::invalid(reason::OUT_OF_RANGE, "max_error_m", message));
+    }
+    let bound = || Result::Ok(draco::bound("max_error_m", r.max_error_m)?.unwrap_or(draco::USUAL_M));
+    Ok(match format {
+        Ok(F::CloudDraco) => MapFormat::CloudDraco { max_error_m: bound()? },
+        Ok(F::MeshDraco) => MapFormat::MeshDraco { max_error_m: bound()? },
         Ok(F::OccupancyPng) => MapFormat::OccupancyPng,
         Ok(F::Nav2Pgm) => MapFormat::Nav2Pgm,
         Ok(F::Nav2Yaml) => MapFormat::Nav2Yaml,
@@ -113,7 +121,7 @@ pub fn format(value: i32) -> Result<MapFormat> {
         Ok(F::HeightsPng) => MapFormat::HeightsPng,
         Ok(F::TraversabilityPng) => MapFormat::TraversabilityPng,
         Ok(F::LayersPng) => MapFormat::LayersPng,
-        _ => return Err(super::unknown_enum("format", value)),
+        _ => return Err(super::unknown_enum("format", r.format)),
     })
 }
 
@@ -184,15 +192,16 @@ pub fn grid_chunks(answer: &GridAnswer) -> Vec<v1::OccupancyGridChunk> {
     }
 }
 
-/// A cloud in chunks; at least one, which holds the head.
-pub fn cloud_chunks(answer: &CloudAnswer) -> Vec<v1::CloudChunk> {
+/// A cloud in parts; at least one, which holds the head.
+pub fn cloud_parts(answer: &CloudAnswer) -> Vec<v1::GetCloudResponse> {
     let chunk = |(i, cloud)| v1::CloudChunk {
         stamp: (i == 0).then(|| stamp_to(answer.map_version, answer.stamp)),
         total_points: (i == 0).then_some(answer.cloud.len() as u64),
         voxel_size_m: (i == 0).then_some(answer.voxel_size_m),
         cloud: Some(cloud),
     };
-    geometry::cloud_parts(&answer.cloud).into_iter().enumerate().map(chunk).collect()
+    let part = |chunk| v1::GetCloudResponse { chunk: Some(chunk), draco: Bytes::new() };
+    geometry::cloud_parts(&answer.cloud).into_iter().enumerate().map(chunk).map(part).collect()
 }
 
 /// A map's file as one chunk. `sha256` is of the whole, lower-case hex.

@@ -1,8 +1,9 @@
 //! `LayersService`.
 
 use super::{Answer, Api, Streamed, status, streamed};
+use percept_wire::convert::{draco, layers, maps};
 use percept_wire::parts::InParts;
-use percept_wire::{convert::layers, convert::maps, v1};
+use percept_wire::v1;
 use tonic::{Request, Status};
 
 /// An answer, made and cut where computing is done.
@@ -71,7 +72,14 @@ impl v1::layers_service_server::LayersService for Api {
         let session = session_of(r.source.as_ref())?;
         let region = layers::box3(r.region.as_ref()).map_err(status::grpc)?;
         let max_triangles = usize::try_from(r.max_triangles).ok().filter(|n| *n > 0);
-        in_parts!(caller, session, caller.mesh(session, region, max_triangles), layers::mesh_to)
+        let packed = draco::bound("draco_max_error_m", r.draco_max_error_m).map_err(status::grpc)?;
+        let found = caller.mesh(session, region, max_triangles).await.map_err(status::grpc)?;
+        let answer = move || match packed {
+            Some(max_error_m) => draco::mesh_to(&found, max_error_m),
+            None => Ok(layers::mesh_to(&found)),
+        };
+        let parts = caller.query(session, move || Ok(answer()?.parts())).await.and_then(|parts| parts);
+        streamed(parts.map_err(status::grpc)?, |part| part)
     }
 
     async fn get_changes(&self, r: Request<v1::GetChangesRequest>) -> Answer<Self::GetChangesStream> {

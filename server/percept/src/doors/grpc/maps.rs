@@ -3,7 +3,7 @@
 use super::{Answer, Api, Streamed, check_size, status, streamed};
 use percept_service::{CloudDetail, MapFile, Moved};
 use percept_wire::convert::toolbox::sources::session_clouds;
-use percept_wire::convert::{drawing, map_import, maps};
+use percept_wire::convert::{draco, drawing, map_import, maps};
 use percept_wire::parts::InParts;
 use percept_wire::v1;
 use sha2::{Digest, Sha256};
@@ -57,9 +57,14 @@ impl v1::maps_service_server::MapsService for Api {
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
         let around = maps::around(r.centre.as_ref(), r.radius_m).map_err(status::grpc)?;
         let detail = CloudDetail { voxel_size_m: r.voxel_size_m, max_points: r.max_points };
+        let packed = draco::bound("draco_max_error_m", r.draco_max_error_m).map_err(status::grpc)?;
         let cloud = caller.cloud(session, around, detail).await.map_err(status::grpc)?;
-        let chunks = caller.query(session, move || maps::cloud_chunks(&cloud)).await;
-        streamed(chunks.map_err(status::grpc)?, |chunk| v1::GetCloudResponse { chunk: Some(chunk) })
+        let parts = move || match packed {
+            Some(max_error_m) => draco::cloud_parts(&cloud, max_error_m),
+            None => Ok(maps::cloud_parts(&cloud)),
+        };
+        let parts = caller.query(session, parts).await.and_then(|parts| parts);
+        streamed(parts.map_err(status::grpc)?, |part| part)
     }
 
     async fn list_loops(&self, r: Request<v1::ListLoopsRequest>) -> Answer<v1::ListLoopsResponse> {
@@ -114,7 +119,7 @@ impl v1::maps_service_server::MapsService for Api {
         let caller = self.caller(&r)?;
         let r = r.get_ref();
         let session = maps::session_id(r.source.as_ref()).map_err(status::grpc)?;
-        let format = maps::format(r.format).map_err(status::grpc)?;
+        let format = maps::format(r).map_err(status::grpc)?;
         let file = caller.export_map(session, format).await.map_err(status::grpc)?;
         let parts = caller.query(session, move || exported(file).parts()).await;
         streamed(parts.map_err(status::grpc)?, |part| part)

@@ -30,7 +30,7 @@ async fn optimise_map(caller: &Caller, start: OperationStart, r: &v1::OptimiseMa
 }
 
 async fn export_map(caller: &Caller, start: OperationStart, r: &v1::ExportMapRequest) -> Result<Operation> {
-    let (session, format) = (maps::session_id(r.source.as_ref())?, maps::format(r.format)?);
+    let (session, format) = (maps::session_id(r.source.as_ref())?, maps::format(r)?);
     caller.start_export_map(start, session, format, |file| encoded(Outcome::ExportMap(exported(file)))).await
 }
 

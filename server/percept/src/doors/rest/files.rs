@@ -19,7 +19,7 @@ use v1::operations_service_server::OperationsService;
 use v1::read_operation_result_response::Result as Outcome;
 
 /// Names of files and the formats that they are.
-pub(super) const FILES: [(&str, MapFormat); 23] = [
+pub(super) const FILES: [(&str, MapFormat); 25] = [
     ("occupancy.png", MapFormat::OccupancyPng),
     ("map.pgm", MapFormat::Nav2Pgm),
     ("map.yaml", MapFormat::Nav2Yaml),
@@ -28,12 +28,14 @@ pub(super) const FILES: [(&str, MapFormat); 23] = [
     ("cloud.las", MapFormat::CloudLas),
     ("cloud.laz", MapFormat::CloudLaz),
     ("cloud.glb", MapFormat::CloudGlb),
+    ("cloud.drc", MapFormat::CloudDraco),
     ("voxels.bt", MapFormat::VoxelsBt),
     ("voxels.ot", MapFormat::VoxelsOt),
     ("occupancy.tif", MapFormat::OccupancyTiff),
     ("occupancy.pgw", MapFormat::OccupancyPgw),
     ("mesh.ply", MapFormat::MeshPly),
     ("mesh.glb", MapFormat::MeshGlb),
+    ("mesh.drc", MapFormat::MeshDraco),
     ("trajectory.tum", MapFormat::TrajectoryTum),
     ("overview.png", MapFormat::OverviewPng),
     ("cloud.png", MapFormat::CloudTopPng),

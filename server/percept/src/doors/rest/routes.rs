@@ -239,13 +239,15 @@ fn join_grid(parts: Vec<v1::GetOccupancyGridResponse>) -> v1::GetOccupancyGridRe
 }
 
 fn join_cloud(parts: Vec<v1::GetCloudResponse>) -> v1::GetCloudResponse {
-    let (mut head, mut clouds) = (None, vec![]);
-    for mut chunk in parts.into_iter().filter_map(|p| p.chunk) {
+    let (mut head, mut clouds, mut draco) = (None, vec![], vec![]);
+    for part in parts {
+        draco.extend_from_slice(&part.draco);
+        let Some(mut chunk) = part.chunk else { continue };
         clouds.extend(chunk.cloud.take());
         head.get_or_insert(chunk);
     }
     let cloud = geometry::joined(&clouds);
-    v1::GetCloudResponse { chunk: head.map(|head| v1::CloudChunk { cloud: Some(cloud), ..head }) }
+    v1::GetCloudResponse { chunk: head.map(|head| v1::CloudChunk { cloud: Some(cloud), ..head }), draco: draco.into() }
 }
 
 fn join_download(parts: Vec<v1::DownloadCloudResponse>) -> v1::DownloadCloudResponse {
@@ -258,7 +260,8 @@ fn join_download(parts: Vec<v1::DownloadCloudResponse>) -> v1::DownloadCloudResp
         }
     }
     let chunk = head.map(|header| v1::FileChunk { header: Some(header), offset: 0, data: data.into() });
-    let parts = points.drain(..).map(|chunk| v1::GetCloudResponse { chunk: Some(chunk) }).collect();
+    let parts =
+        points.drain(..).map(|chunk| v1::GetCloudResponse { chunk: Some(chunk), ..Default::default() }).collect();
     v1::DownloadCloudResponse { chunk, points: join_cloud(parts).chunk }
 }
 
@@ -535,6 +538,7 @@ mod tests {
                 }),
                 ..Default::default()
             }),
+            ..Default::default()
         };
         let whole = join_cloud(vec![cloud(1, Some(b"rgb")), cloud(2, Some(b"rgbrgb"))]).chunk.unwrap();
         let points = whole.cloud.unwrap();
