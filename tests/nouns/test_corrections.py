@@ -59,6 +59,35 @@ def test_a_label_stays_while_the_robot_goes_on_looking(session):
     assert session.scene.label(thing.object_id, "").annotation.label == ""
 
 
+def test_who_watches_some_objects_is_told_of_those_and_of_what_becomes_of_them(session):
+    ours, other, third = list(listed(session))[:3]
+    boxes = listed(session)
+    low, high = boxes[ours].box.centre - 0.01, boxes[ours].box.centre + 0.01
+    by_label = session.watch(kinds=["object"], label="office plant")
+    by_text = session.watch(kinds=["object"], text="PLANT")
+    by_place = session.watch(kinds=["object"], low=low, high=high)
+    loops = session.watch(kinds=["loop"])
+    with by_label, by_text, by_place, loops:
+        session.scene.label(other, "desk")
+        session.scene.label(third, "plant pot")
+        session.scene.label(ours, "office plant")
+        # It is no plant any more, and is followed all the same.
+        session.scene.label(ours, "box")
+        told = lambda watch, num: [next(watch).event for _ in range(num)]  # noqa: E731
+        assert [(e.object_id, e.object.label) for e in told(by_label, 2)] == [
+            (ours, "office plant"),
+            (ours, "box"),
+        ]
+        assert [e.object_id for e in told(by_text, 3)] == [third, ours, ours]
+        assert [e.object_id for e in told(by_place, 2)] == [ours, ours]
+        # A watch of other kinds hears nothing of it.
+        session.map.optimise()
+    for wrong, field in [({"kinds": ["life"]}, "kinds"), ({"label": "x" * 40}, "objects.label")]:
+        with pytest.raises(InvalidArgument) as error, session.watch(**wrong) as watch:
+            next(watch)
+        assert error.value.field == field
+
+
 def test_what_is_deleted_is_not_told_again(session):
     before = listed(session)
     thing = next(iter(before))

@@ -69,6 +69,8 @@ pub(crate) struct News {
 #[derive(Default)]
 pub(crate) struct NewestFrames {
     by_sensor: BTreeMap<SensorId, VecDeque<Arc<Frame>>>,
+    /// What a thinned frame takes, bytes: as much as the sensor's newest keyframe.
+    frame_bytes: BTreeMap<SensorId, usize>,
 }
 
 impl NewestFrames {
@@ -103,12 +105,23 @@ impl NewestFrames {
             }));
         }
         let is_keyframe = matches!(scan, Seen::Keyframe(_));
+        if let Seen::Keyframe(scan) = &scan {
+            self.frame_bytes.insert(sensor.clone(), scan.memory_bytes());
+        }
         let scan = Scan::new(match scan {
             Seen::Keyframe(scan) => Box::new(move || *scan),
             Seen::Later(scan) => scan,
         });
         let t_odom_base = *t_odom_base;
         frames.push_back(Arc::new(Frame { stamp, t_odom_base, scan, is_keyframe, sight: OnceLock::new() }));
+    }
+
+    /// What they take, bytes, about: whether each is thinned by now is not asked, as that hangs on who was faster.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let of = |(sensor, frames): (&SensorId, &VecDeque<_>)| {
+            frames.len() * self.frame_bytes.get(sensor).copied().unwrap_or_default()
+        };
+        self.by_sensor.iter().map(of).sum()
     }
 
     /// The robot may be elsewhere: nothing is known.

@@ -258,7 +258,7 @@ impl Pipeline {
     }
 
     fn count_memory(&mut self) {
-        self.memory = self.map_graph.take_memory(self.frontend.memory_bytes());
+        self.memory = self.map_graph.take_memory(self.frontend.memory_bytes(), self.newest.memory_bytes());
     }
 
     fn extend_trajectory(

@@ -97,12 +97,14 @@ pub struct SessionMemory {
     pub graph: usize,
     /// The local model that frames are placed in.
     pub odometry: usize,
+    /// The newest frames, which are compared with the map.
+    pub live: usize,
 }
 
 impl SessionMemory {
     /// All of it.
     pub fn total(&self) -> usize {
-        self.map.total() + self.places + self.graph + self.odometry
+        self.map.total() + self.places + self.graph + self.odometry + self.live
     }
 }
 

@@ -40,6 +40,11 @@ impl ObjectFilter {
         out
     }
 
+    /// Whether an object is asked for, as it is.
+    pub fn fits(&self, o: &Object) -> bool {
+        self.wants(o, &self.text.to_lowercase())
+    }
+
     fn wants(&self, o: &Object, text: &str) -> bool {
         self.class.is_none_or(|class| class == o.class)
             && (self.include_gone || o.state != ObjectState::Gone)

@@ -43,6 +43,7 @@ pub use ops::pictures;
 pub use ops::rooms::{self, RoomRoute, RoomWanted, SessionRooms};
 pub use ops::scene::{ClassInfo, ObjectQuery};
 pub use ops::server::{About, ServerInfo};
+pub use ops::session_watch::EventFilter;
 pub use ops::sessions::{NewSession, Page, SessionDescription, SessionList, SessionOrder, SessionOrderKey};
 pub use ops::toolbox;
 pub use ops::transforms::{Moving, TrajectoryRequest, Transform};

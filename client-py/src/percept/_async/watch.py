@@ -199,15 +199,18 @@ class AsyncWatch(AsyncEvents[SessionEvent]):
     def __init__(
         self,
         transport: AsyncTransport,
-        session_id: str,
+        request: sessions_service_pb2.WatchSessionRequest,
         resume_token: int | None,
         resume_timeout_s: float,
     ) -> None:
-        self._session_id = session_id
+        self._request = request
         super().__init__(transport, resume_token, resume_timeout_s)
 
     def _call_from(self, token: int | None, server: Access) -> Any:  # noqa: ANN401
-        request = sessions_service_pb2.WatchSessionRequest(session_id=self._session_id, resume_token=token)
+        request = sessions_service_pb2.WatchSessionRequest()
+        request.CopyFrom(self._request)
+        if token is not None:
+            request.resume_token = token
         return self._transport.subscribe(_rpc.WATCH_SESSION, request, server)
 
     def _read(self, answer: Any) -> SessionEvent:  # noqa: ANN401

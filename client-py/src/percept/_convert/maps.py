@@ -76,6 +76,7 @@ def summary(message: service.GetMapSummaryResponse) -> MapSummary:
             places_bytes=message.memory.places_bytes,
             graph_bytes=message.memory.graph_bytes,
             odometry_bytes=message.memory.odometry_bytes,
+            live_bytes=message.memory.live_bytes,
         ),
         missing_submaps=tuple(message.missing_submaps),
     )

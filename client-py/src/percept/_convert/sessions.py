@@ -36,6 +36,24 @@ from ..v1 import sessions_service_pb2 as service
 from . import geometry, maps, navigation, poses, scene, sensors, words, zones
 
 
+def watch(
+    session_id: str,
+    kinds: Sequence[FleetEventKind | str],
+    label: str,
+    text: str,
+    low: Sequence[float] | None,
+    high: Sequence[float] | None,
+) -> service.WatchSessionRequest:
+    """Which events are watched."""
+    region = geometry.box3_to("objects.region", low, high)
+    objects = service.ObjectWatch(label=label, text=text, region=region)
+    return service.WatchSessionRequest(
+        session_id=session_id,
+        kinds=[words.number("kinds", session_pb2.FleetEventKind, kind) for kind in kinds],
+        objects=objects if label or text or region is not None else None,
+    )
+
+
 def session_info(message: session_pb2.Session) -> SessionInfo:
     """A session."""
     return SessionInfo(

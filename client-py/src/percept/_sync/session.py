@@ -127,12 +127,28 @@ class Session(SessionBound, FrameSender[FrameResult]):
             buffer_bytes=resume_buffer_bytes,
         )
 
-    def watch(self, *, resume_token: int | None = None, resume_timeout_s: float = 60.0) -> Watch:
+    def watch(
+        self,
+        *,
+        kinds: Sequence[FleetEventKind | str] = (),
+        label: str = "",
+        text: str = "",
+        low: Sequence[float] | None = None,
+        high: Sequence[float] | None = None,
+        resume_token: int | None = None,
+        resume_timeout_s: float = 60.0,
+    ) -> Watch:
         """Events from now on, or after a token; 0 stands before the first that the server still has.
+
+        kinds: only of these ("object", "loop", ...). label, text, low and high: of objects only those of
+        this class, whose label holds this text, whose middle lies in this box (x, y, z, metres, map frame),
+        and what becomes of them from then on; events of other kinds come all the same, unless `kinds` leaves
+        them out.
 
         When the link breaks or the server restarts, the watch goes on by itself, and raises what it meets
         once it could not for `resume_timeout_s`."""
-        return Watch(self._transport, self.session_id, resume_token, resume_timeout_s)
+        request = sessions.watch(self.session_id, kinds, label, text, low, high)
+        return Watch(self._transport, request, resume_token, resume_timeout_s)
 
     def pose(self) -> PoseEstimate | None:
         """Newest pose, None before the first frame. Lost is an answer."""

@@ -157,6 +157,8 @@ class MapMemory(Value):
     graph_bytes: int
     #: The local model that frames are placed in.
     odometry_bytes: int
+    #: The newest frames, which are compared with the map and laid over it for paths.
+    live_bytes: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

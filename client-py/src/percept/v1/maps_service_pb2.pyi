@@ -450,6 +450,7 @@ class MapMemory(_message.Message):
     PLACES_BYTES_FIELD_NUMBER: _builtins.int
     GRAPH_BYTES_FIELD_NUMBER: _builtins.int
     ODOMETRY_BYTES_FIELD_NUMBER: _builtins.int
+    LIVE_BYTES_FIELD_NUMBER: _builtins.int
     scans_bytes: _builtins.int
     """What keyframes saw."""
     submaps_bytes: _builtins.int
@@ -462,6 +463,8 @@ class MapMemory(_message.Message):
     """Keyframes, what ties them, and the trajectory."""
     odometry_bytes: _builtins.int
     """The local model that frames are placed in."""
+    live_bytes: _builtins.int
+    """The newest frames, which are compared with the map and laid over it for paths."""
     def __init__(
         self,
         *,
@@ -471,10 +474,11 @@ class MapMemory(_message.Message):
         places_bytes: _builtins.int = ...,
         graph_bytes: _builtins.int = ...,
         odometry_bytes: _builtins.int = ...,
+        live_bytes: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["composed_bytes", b"composed_bytes", "graph_bytes", b"graph_bytes", "odometry_bytes", b"odometry_bytes", "places_bytes", b"places_bytes", "scans_bytes", b"scans_bytes", "submaps_bytes", b"submaps_bytes"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["composed_bytes", b"composed_bytes", "graph_bytes", b"graph_bytes", "live_bytes", b"live_bytes", "odometry_bytes", b"odometry_bytes", "places_bytes", b"places_bytes", "scans_bytes", b"scans_bytes", "submaps_bytes", b"submaps_bytes"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -8,6 +8,7 @@ from google.protobuf import descriptor as _descriptor
 from google.protobuf import field_mask_pb2 as _field_mask_pb2
 from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
+from percept.v1 import layers_service_pb2 as _layers_service_pb2
 from percept.v1 import params_pb2 as _params_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
 from percept.v1 import session_pb2 as _session_pb2
@@ -556,24 +557,77 @@ class WatchSessionRequest(_message.Message):
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
     RESUME_TOKEN_FIELD_NUMBER: _builtins.int
+    KINDS_FIELD_NUMBER: _builtins.int
+    OBJECTS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     resume_token: _builtins.int
     """Token of the last event seen. Absent: only events from now on."""
+    @_builtins.property
+    def kinds(self) -> _containers.RepeatedScalarFieldContainer[_session_pb2.FleetEventKind.ValueType]:
+        """Only of these kinds: POSE, KEYFRAME, OBJECT, LOOP, MAP. Empty: of all."""
+
+    @_builtins.property
+    def objects(self) -> Global___ObjectWatch:
+        """Of objects' events only those of objects that fit, and from then on what becomes of these. Absent: of all. After a resume, an object
+        is followed from when it fits again.
+        """
+
     def __init__(
         self,
         *,
         session_id: _builtins.str = ...,
         resume_token: _builtins.int | None = ...,
+        kinds: _abc.Iterable[_session_pb2.FleetEventKind.ValueType] | None = ...,
+        objects: Global___ObjectWatch | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_resume_token", b"_resume_token", "resume_token", b"resume_token"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_objects", b"_objects", "_resume_token", b"_resume_token", "objects", b"objects", "resume_token", b"resume_token"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_resume_token", b"_resume_token", "resume_token", b"resume_token", "session_id", b"session_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_objects", b"_objects", "_resume_token", b"_resume_token", "kinds", b"kinds", "objects", b"objects", "resume_token", b"resume_token", "session_id", b"session_id"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__objects: _TypeAlias = _typing.Literal["objects"]  # noqa: Y015
+    _WhichOneofArgType__objects: _TypeAlias = _typing.Literal["_objects", b"_objects"]  # noqa: Y015
     _WhichOneofReturnType__resume_token: _TypeAlias = _typing.Literal["resume_token"]  # noqa: Y015
     _WhichOneofArgType__resume_token: _TypeAlias = _typing.Literal["_resume_token", b"_resume_token"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__objects) -> _WhichOneofReturnType__objects | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__resume_token) -> _WhichOneofReturnType__resume_token | None: ...
 
 Global___WatchSessionRequest: _TypeAlias = WatchSessionRequest  # noqa: Y015
+
+@_typing.final
+class ObjectWatch(_message.Message):
+    """Objects whose events are watched: all that is set has to hold when something changes."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    LABEL_FIELD_NUMBER: _builtins.int
+    TEXT_FIELD_NUMBER: _builtins.int
+    REGION_FIELD_NUMBER: _builtins.int
+    label: _builtins.str
+    """The name of the class. Empty: any."""
+    text: _builtins.str
+    """The label holds this text, upper and lower case alike. Empty: any."""
+    @_builtins.property
+    def region(self) -> _layers_service_pb2.Box3:
+        """Its middle lies in it, map frame, metres. Absent: anywhere."""
+
+    def __init__(
+        self,
+        *,
+        label: _builtins.str = ...,
+        text: _builtins.str = ...,
+        region: _layers_service_pb2.Box3 | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "region", b"region"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_region", b"_region", "label", b"label", "region", b"region", "text", b"text"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__region: _TypeAlias = _typing.Literal["region"]  # noqa: Y015
+    _WhichOneofArgType__region: _TypeAlias = _typing.Literal["_region", b"_region"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__region) -> _WhichOneofReturnType__region | None: ...
+
+Global___ObjectWatch: _TypeAlias = ObjectWatch  # noqa: Y015
 
 @_typing.final
 class WatchSessionResponse(_message.Message):

@@ -122,14 +122,14 @@ impl MapGraph {
         self.map.set_store(store);
     }
 
-    /// What all of it takes in memory; `odometry` bytes are kept beside it, and count towards the budget.
-    pub(crate) fn take_memory(&mut self, odometry: usize) -> SessionMemory {
+    /// What all of it takes in memory; the bytes of odometry and of the newest frames are kept beside it, and count towards the budget.
+    pub(crate) fn take_memory(&mut self, odometry: usize, live: usize) -> SessionMemory {
         let back_end = self.constraints.memory();
         let trajectory = self.trajectory.len() * size_of::<TrajectoryEntry>();
         let keyframes = self.keyframes.len() * size_of::<KeyframeInfo>();
         let (places, graph) = (back_end.places, back_end.graph + trajectory + keyframes);
-        self.map.set_beside(places + graph + odometry);
-        SessionMemory { map: self.map.memory(), places, graph, odometry }
+        self.map.set_beside(places + graph + odometry + live);
+        SessionMemory { map: self.map.memory(), places, graph, odometry, live }
     }
 
     /// All keyframes by number.

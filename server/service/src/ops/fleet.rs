@@ -67,15 +67,25 @@ impl FleetWatch {
     }
 }
 
+impl FleetGroup {
+    /// Of what happens in a session; none: told whatever is wanted.
+    pub(super) fn of(kind: &EventKind) -> Option<Self> {
+        Some(match kind {
+            EventKind::Pose(_) => Self::Pose,
+            EventKind::Keyframe(_) => Self::Keyframe,
+            EventKind::Object(_) => Self::Object,
+            EventKind::Loop(_) => Self::Loop,
+            EventKind::MapVersion(_) => Self::Map,
+            EventKind::Resync(_) => return None,
+        })
+    }
+}
+
 /// None: told whatever is wanted.
 fn group(kind: &FleetKind) -> Option<FleetGroup> {
     Some(match kind {
-        FleetKind::Session(EventKind::Pose(_)) => FleetGroup::Pose,
-        FleetKind::Session(EventKind::Keyframe(_)) => FleetGroup::Keyframe,
-        FleetKind::Session(EventKind::Object(_)) => FleetGroup::Object,
-        FleetKind::Session(EventKind::Loop(_)) => FleetGroup::Loop,
-        FleetKind::Session(EventKind::MapVersion(_)) => FleetGroup::Map,
-        FleetKind::Session(EventKind::Resync(_)) | FleetKind::Resync(_) => return None,
+        FleetKind::Session(kind) => return FleetGroup::of(kind),
+        FleetKind::Resync(_) => return None,
         FleetKind::Created | FleetKind::State(_) | FleetKind::Deleted => FleetGroup::Life,
         FleetKind::Updated(_) => FleetGroup::Settings,
     })

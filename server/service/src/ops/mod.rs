@@ -19,6 +19,7 @@ pub mod rooms;
 pub(crate) mod scene;
 mod sensors;
 pub(crate) mod server;
+pub(crate) mod session_watch;
 pub(crate) mod sessions;
 pub mod toolbox;
 pub(crate) mod transforms;

@@ -13,6 +13,9 @@ pub(crate) const FULL_WIDTH: usize = 640;
 const ALIKE: f32 = 3.0 * 1.225 * 0.002;
 /// So much of a block belongs to the surface, or it lies at an edge: then the pixel stays what it is.
 const LEAST_SHARE: f32 = 0.4;
+/// Of the pixels around one that lies between what is nearer and what is farther, so many are like it, or it is on neither: the sensor
+/// has mixed both. A wire has as few, and nothing nearer beside it. Of both sides there have to be a row's pixels.
+const ITS_OWN_SHARE: f32 = 0.3;
 
 /// Rows and columns from one point that is kept to the next, of an image so many columns wide.
 fn stride(params: &KeyframeParams, width: usize) -> usize {
@@ -40,7 +43,8 @@ pub(super) fn depth_hits(params: &KeyframeParams, s: &DepthScan) -> PointCloud {
     hits
 }
 
-/// Depth of the surface at a pixel, metres, by the square of pixels around that reaches so many to each side; 0 without a return.
+/// Depth of the surface at a pixel, metres, by the square of pixels around that reaches so many to each side; 0 without a return, and
+/// of a pixel that lies on no surface ([`is_mixed`]).
 ///
 /// The inverse depth of a plane is linear in the image: so the mean of two pixels that lie opposite to each other is that of the pixel
 /// between them, however the plane is inclined. Pairs that lie on something else, or on both sides of an edge, do not count.
@@ -62,7 +66,30 @@ fn smoothed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> f32 {
             (sum, num) = (sum + 2.0 * mean, num + 2.0);
         }
     }
-    if num < LEAST_SHARE * (side * side) as f32 { z } else { num / sum }
+    if num >= LEAST_SHARE * (side * side) as f32 {
+        num / sum
+    } else if is_mixed(depth, (u, v), reach) {
+        0.0
+    } else {
+        z
+    }
+}
+
+/// Whether a pixel at an edge floats between what stands before and what is behind it: of one that has a return, in an image that reaches
+/// so far around it.
+fn is_mixed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> bool {
+    let (here, side) = (1.0 / depth.at(u, v), 2 * reach + 1);
+    let (mut alike, mut nearer, mut farther) = (0, 0, 0);
+    for y in v - reach..=v + reach {
+        for x in u - reach..=u + reach {
+            let z = depth.at(x, y);
+            let off = if z > 0.0 { 1.0 / z - here } else { continue };
+            alike += usize::from(off.abs() < ALIKE);
+            nearer += usize::from(off >= ALIKE);
+            farther += usize::from(off <= -ALIKE);
+        }
+    }
+    (alike as f32) < ITS_OWN_SHARE * (side * side) as f32 && nearer >= side && farther >= side
 }
 
 #[cfg(test)]
@@ -125,6 +152,14 @@ mod tests {
         });
         assert_eq!((smoothed(&wire, (10, 10), 2), smoothed(&wire, (7, 5), 2)), (2.0, 0.0));
         assert!((smoothed(&wire, (7, 6), 2) - 3.0).abs() < 1e-6);
+        // What a sensor mixes of both sides of an edge, column by column or here and there, is on neither.
+        let mixed = image(|u, v| match u {
+            0..10 => 1.5,
+            10 => 2.2 + 0.05 * noise(v),
+            _ => 3.0,
+        });
+        assert!((5..15).all(|v| smoothed(&mixed, (10, v), 2) == 0.0));
+        assert!((5..15).all(|v| smoothed(&mixed, (9, v), 2) == 1.5 && smoothed(&mixed, (11, v), 2) == 3.0));
         // At the rim of the image.
         assert_eq!(smoothed(&wire, (1, 10), 2), 3.0);
     }

@@ -1,11 +1,12 @@
 //! Lists of sessions, and events of all of them.
 
-use super::{maps, scene, sessions};
+use super::{layers, maps, scene, sessions};
 use crate::v1;
+use percept_scene::ObjectFilter;
 use percept_service::reason;
 use percept_service::{
-    Error, EventKind, FleetEvent, FleetFilter, FleetGroup, FleetKind, Pattern, Result, SessionList, SessionOrder,
-    SessionOrderKey,
+    Error, EventFilter, EventKind, FleetEvent, FleetFilter, FleetGroup, FleetKind, Pattern, Result, SessionList,
+    SessionOrder, SessionOrderKey,
 };
 
 /// Terms of a selector, at most.
@@ -89,6 +90,33 @@ fn order(text: &str) -> Result<SessionOrder> {
 /// # Errors
 /// `ENUM_UNKNOWN`, `PATTERN_INVALID`.
 pub fn filter(r: &v1::WatchSessionsRequest) -> Result<FleetFilter> {
+    Ok(FleetFilter { pattern: pattern(&r.session_pattern)?, groups: groups(&r.kinds)? })
+}
+
+/// Which events of one session are watched.
+///
+/// # Errors
+/// `ENUM_UNKNOWN`, also for kinds that no session has of its own; `CLASS_NAME_INVALID`, those of a box.
+pub fn of_session(r: &v1::WatchSessionRequest) -> Result<EventFilter> {
+    let groups = groups(&r.kinds)?;
+    let is_of_fleet = |group: &FleetGroup| matches!(group, FleetGroup::Life | FleetGroup::Settings);
+    if let Some(k) = groups.iter().position(is_of_fleet) {
+        return Err(super::unknown_enum("kinds", r.kinds[k]));
+    }
+    Ok(EventFilter::new(groups, r.objects.as_ref().map(watched_objects).transpose()?))
+}
+
+fn watched_objects(r: &v1::ObjectWatch) -> Result<ObjectFilter> {
+    Ok(ObjectFilter {
+        class: scene::class_named("objects.label", &r.label)?,
+        text: r.text.clone(),
+        region: layers::box3(r.region.as_ref()).map_err(|e| e.within("objects"))?,
+        include_gone: true,
+        ..ObjectFilter::default()
+    })
+}
+
+fn groups(kinds: &[i32]) -> Result<Vec<FleetGroup>> {
     use v1::FleetEventKind as K;
     let group = |&kind: &i32| match K::try_from(kind) {
         Ok(K::Pose) => Ok(FleetGroup::Pose),
@@ -100,8 +128,7 @@ pub fn filter(r: &v1::WatchSessionsRequest) -> Result<FleetFilter> {
         Ok(K::Settings) => Ok(FleetGroup::Settings),
         Ok(K::Unspecified) | Err(_) => Err(super::unknown_enum("kinds", kind)),
     };
-    let groups = r.kinds.iter().map(group).collect::<Result<_>>()?;
-    Ok(FleetFilter { pattern: pattern(&r.session_pattern)?, groups })
+    kinds.iter().map(group).collect()
 }
 
 /// An event as a message.

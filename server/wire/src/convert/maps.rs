@@ -155,6 +155,7 @@ pub fn summary_to(s: &MapSummary) -> v1::GetMapSummaryResponse {
             places_bytes: s.memory.places as u64,
             graph_bytes: s.memory.graph as u64,
             odometry_bytes: s.memory.odometry as u64,
+            live_bytes: s.memory.live as u64,
         }),
         missing_submaps: s.missing_submaps.iter().map(|id| format!("{}/{}/{}", id.robot, id.run, id.number)).collect(),
     }

@@ -5,7 +5,7 @@ use futures::{Stream, StreamExt};
 use percept_geometry::{Pose, Timestamp};
 use percept_pipeline::TrajectoryEntry;
 use percept_service::reason;
-use percept_service::{Caller, Error, ErrorCode, admission, observe};
+use percept_service::{Caller, Error, ErrorCode, Event, admission, observe};
 use percept_wire::convert::{fleet, required, sessions, updates};
 use percept_wire::{params, v1};
 use std::sync::Arc;
@@ -183,6 +183,7 @@ impl v1::sessions_service_server::SessionsService for Api {
         let place = self.bounds.watcher(&peer_of(r.extensions())).map_err(status::grpc)?;
         let place = (place, caller.hold(admission::Held::Watch).map_err(status::grpc)?);
         let r = r.into_inner();
+        let mut filter = fleet::of_session(&r).map_err(status::grpc)?;
         let log = caller.session_events("SessionsService/WatchSession", &r.session_id).await.map_err(status::grpc)?;
         let token = r.resume_token.unwrap_or_else(|| log.newest_token());
         let events = futures::stream::unfold((log, token), |(log, token)| async move {
@@ -193,7 +194,8 @@ impl v1::sessions_service_server::SessionsService for Api {
         let (asker, session) = (caller.clone(), r.session_id);
         let moved = async move { asker.moved(&session).await };
         let told = |event| v1::WatchSessionResponse { event: Some(sessions::event_to(&event)) };
-        let events = events.flat_map(futures::stream::iter).map(told);
+        let wanted = move |event: &Event| std::future::ready(filter.wants(event));
+        let events = events.flat_map(futures::stream::iter).filter(wanted).map(told);
         let mut answer = Response::new(self.told_while_watched(caller, place, events, moved));
         answer.metadata_mut().insert(RESUME_TOKEN, token.into());
         Ok(answer)
