@@ -59,6 +59,29 @@ def test_a_label_stays_while_the_robot_goes_on_looking(session):
     assert session.scene.label(thing.object_id, "").annotation.label == ""
 
 
+def test_the_graph_tells_what_happened_since_a_time(session):
+    things = listed(session)
+    since = {t.object_id: t.first_seen_ns for t in things.values()}
+    assert not [r for r in session.scene.graph().relations if r.stamp_ns is not None]
+    told = session.scene.graph(since_ns=0).relations
+    appeared = {r.subject_id: r for r in told if r.kind == "appeared_in"}
+    assert set(appeared) == {f"object/{i}" for i in things}
+    for i, stamp in since.items():
+        assert stamp <= appeared[f"object/{i}"].stamp_ns <= things[i].last_seen_ns
+    order = [r for r in told if r.kind in ("before", "together")]
+    assert len(order) == len(things) - 1
+    assert len({r.subject_id for r in order}) == len(order)
+    # Of one kind, and from later on.
+    asked = RelationFilter(kinds=["appeared_in"])
+    late = sorted(since.values())[-1]
+    some = session.scene.graph(since_ns=late, relations=asked).relations
+    assert len(some) < len(appeared)
+    assert all(r.stamp_ns > late for r in some)
+    with pytest.raises(InvalidArgument) as error:
+        session.scene.graph(since_ns=late + 1, at_ns=late)
+    assert error.value.field == "since_ns"
+
+
 def test_who_watches_some_objects_is_told_of_those_and_of_what_becomes_of_them(session):
     ours, other, third = list(listed(session))[:3]
     boxes = listed(session)

@@ -1,9 +1,9 @@
 //! A long session in many rooms: what a frame takes at the end as at the start, what memory, whether what is decided about all
 //! of the map is shown soon, how far the trajectory is off, and which loops are false.
 //!
-//! `scale lidar2d|lidar3d|rgbd ROOMS MINUTES [--seed N] [--room-m M] [--speed MPS] [--turn RADPS] [--budget-mb N] [--no-objects] [--alone]`
+//! `scale lidar2d|lidar3d|rgbd ROOMS MINUTES [--seed N] [--room-m M] [--speed MPS] [--turn RADPS] [--budget-mb N] [--no-objects] [--alone] [--layers]`
 //!
-//! Rooms are 4.4 to 6 m wide, or within a tenth of `--room-m`. With a budget, what the map has no room for goes into a file. Each
+//! Rooms are 4.4 to 6 m wide, or within a tenth of `--room-m`. With a budget, what the map has no room for goes into a file. `--layers` keeps voxels, surface and heights, too. Each
 //! tenth of the session is a row; times of frames are those that their thread computes, and with them the clock's in
 //! brackets, which hold what frames wait for: frames come here faster than a robot's.
 
@@ -49,11 +49,12 @@ struct Args {
     budget_mb: Option<usize>,
     no_objects: bool,
     alone: bool,
+    layers: bool,
 }
 
 impl Args {
     fn parse(mut args: impl Iterator<Item = String>) -> Result<Self, Failure> {
-        let usage = "usage: scale lidar2d|lidar3d|rgbd ROOMS MINUTES [--seed N] [--room-m M] [--speed MPS] [--turn RADPS] [--budget-mb N] [--no-objects] [--alone]";
+        let usage = "usage: scale lidar2d|lidar3d|rgbd ROOMS MINUTES [--seed N] [--room-m M] [--speed MPS] [--turn RADPS] [--budget-mb N] [--no-objects] [--alone] [--layers]";
         let mut next = || args.next().ok_or(usage);
         let sensor = match next()?.as_str() {
             "lidar2d" => MainSensor::Lidar2d,
@@ -73,6 +74,7 @@ impl Args {
             budget_mb: None,
             no_objects: false,
             alone: false,
+            layers: false,
         };
         while let Ok(flag) = next() {
             match flag.as_str() {
@@ -83,6 +85,7 @@ impl Args {
                 "--budget-mb" => out.budget_mb = Some(next()?.parse()?),
                 "--no-objects" => out.no_objects = true,
                 "--alone" => out.alone = true,
+                "--layers" => out.layers = true,
                 _ => return Err(usage.into()),
             }
         }
@@ -227,6 +230,10 @@ fn run(args: &Args) -> Result<(), Failure> {
     );
     let mut params = PipelineParams::default();
     params.detection.enabled &= !args.no_objects;
+    let map = &mut params.map;
+    for layer in [&mut map.voxels.enabled, &mut map.surface.enabled, &mut map.height.enabled] {
+        *layer |= args.layers;
+    }
     let mut pipeline = Pipeline::new(params)?;
     let (batches, num_keyframes) = (Arc::default(), Arc::default());
     pipeline.work_beside_frames(Arc::new(Beside {

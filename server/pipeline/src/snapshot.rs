@@ -187,7 +187,8 @@ impl Snapshot {
     }
 
     /// Robot, objects that are not gone, rooms, and how all that relates; with directions for somebody, if they are asked for. `names` are
-    /// what people call rooms. `at`: as it was then, with the robot there (base to map), in the rooms as they are now.
+    /// what people call rooms. `at`: as it was then, with the robot there (base to map), in the rooms as they are now. `since`: what happened
+    /// from then on, too.
     ///
     /// # Errors
     /// As [`Snapshot::rooms`].
@@ -196,6 +197,7 @@ impl Snapshot {
         names: &BTreeMap<RoomId, String>,
         whose: Option<Directions>,
         at: Option<(Timestamp, Pose)>,
+        since: Option<Timestamp>,
         max_cells: usize,
     ) -> Result<SceneGraph, MappingError> {
         let now = || self.pose.as_ref().map_or((Timestamp::default(), Pose::identity()), |p| (p.stamp, p.t_map_base));
@@ -203,7 +205,7 @@ impl Snapshot {
         let past: Option<Vec<Object>> = at.map(|(at, _)| self.objects.iter().filter_map(|o| o.at(at)).collect());
         let objects = past.as_deref().unwrap_or(&self.objects);
         let (rooms, map_version) = (&*self.rooms(max_cells)?, self.map_version);
-        let view = SceneView { stamp, map_version, t_map_base: &t_map_base, objects, rooms, names };
+        let view = SceneView { stamp, map_version, t_map_base: &t_map_base, objects, rooms, names, since };
         Ok(SceneGraph::build(&view, &self.params.relations, whose))
     }
 }

@@ -1,6 +1,6 @@
 //! The scene graph: nodes in layers, typed edges with a strength.
 
-use crate::relations::{Directions, Placed, beside, directions, stacked};
+use crate::relations::{Directions, Placed, beside, directions, stacked, temporal};
 use crate::rooms::{Room, RoomId, RoomKind, Rooms};
 use crate::{NodeId, Object, ObjectState, Relation, RelationFilter, RelationFrame, RelationKind, RelationParams};
 use nalgebra::{Point3, Vector3};
@@ -19,7 +19,7 @@ pub enum Node {
         /// Base to map.
         t_map_base: Pose,
     },
-    /// An object that is there.
+    /// An object that is there; or that has gone, if it is asked what happened.
     Object(Object),
     /// A room.
     Room(RoomNode),
@@ -109,12 +109,14 @@ pub struct SceneView<'a> {
     pub map_version: u64,
     /// Base to map.
     pub t_map_base: &'a Pose,
-    /// What is gone among them is left out.
+    /// What is gone among them is left out, unless it went after `since`.
     pub objects: &'a [Object],
     /// May be empty: nothing is in a room then, and walls are not known.
     pub rooms: &'a Rooms,
     /// What people call rooms.
     pub names: &'a BTreeMap<RoomId, String>,
+    /// What happened from then on is listed, too.
+    pub since: Option<Timestamp>,
 }
 
 impl SceneGraph {
@@ -122,7 +124,7 @@ impl SceneGraph {
     ///
     /// Takes time in the number of pairs within reach of each other along x.
     pub fn build(view: &SceneView<'_>, params: &RelationParams, whose: Option<Directions>) -> Self {
-        let SceneView { stamp, map_version, t_map_base, objects, rooms, names } = *view;
+        let SceneView { stamp, map_version, t_map_base, objects, rooms, names, since } = *view;
         let mut nodes = vec![Node::Robot { t_map_base: *t_map_base }];
         nodes.extend(objects.iter().filter(|o| o.state != ObjectState::Gone).map(|o| Node::Object(o.clone())));
         nodes.sort_by_key(Node::id);
@@ -151,11 +153,17 @@ impl SceneGraph {
         }
         edges.retain(|e| e.strength >= params.min_strength && e.strength > 0.0);
         edges.extend(doors(rooms));
+        let happened = since.map(|since| temporal(objects, since, rooms)).unwrap_or_default();
+        let went: BTreeSet<NodeId> = happened.iter().flat_map(|e| [e.subject, e.object]).collect();
+        edges.extend(happened);
         let inside = |room: &Room| {
             let classes = things.iter().filter(|t| t.room == Some(room.id)).filter_map(|t| t.class);
             let name = names.get(&room.id).cloned();
             Node::Room(RoomNode { likely: likely_use(room.kind, classes), name, room: room.clone() })
         };
+        let gone = objects.iter().filter(|o| o.state == ObjectState::Gone && went.contains(&NodeId::Object(o.id)));
+        nodes.extend(gone.map(|o| Node::Object(o.clone())));
+        nodes.sort_by_key(Node::id);
         nodes.extend(rooms.rooms.iter().map(inside));
         edges.sort_by_key(|e| (e.subject, e.object, e.kind));
         Self { stamp, map_version, nodes, edges }
@@ -188,7 +196,8 @@ impl SceneGraph {
             Node::Robot { .. } => "robot [shape=diamond, label=\"robot\"];".to_owned(),
             Node::Object(o) => {
                 let (class, confidence) = (o.class.name(), o.confidence);
-                format!("{} [shape=box, label=\"{class} {}\\n{confidence:.2}\"];", name(node.id()), o.id)
+                let style = if o.state == ObjectState::Gone { ", style=dotted" } else { "" };
+                format!("{} [shape=box, label=\"{class} {}\\n{confidence:.2}\"{style}];", name(node.id()), o.id)
             }
             Node::Room(r) => format!("{} [shape=ellipse, label=\"{}\"];", name(node.id()), escaped(&r.label())),
         };
@@ -231,7 +240,7 @@ fn escaped(text: &str) -> String {
 fn in_room(thing: &Placed) -> Option<Relation> {
     let (kind, frame) = (RelationKind::InRoom, RelationFrame::Any);
     let object = NodeId::Room(thing.room?);
-    Some(Relation { subject: thing.id, kind, object, frame, strength: 1.0, distance_m: 0.0 })
+    Some(Relation { subject: thing.id, kind, object, frame, strength: 1.0, distance_m: 0.0, stamp: None })
 }
 
 /// Rooms that a door joins, each pair once.
@@ -240,7 +249,7 @@ fn doors(rooms: &Rooms) -> Vec<Relation> {
     let joined = |(a, b): (RoomId, RoomId)| {
         let (kind, frame) = (RelationKind::ConnectedTo, RelationFrame::Any);
         let (subject, object) = (NodeId::Room(a), NodeId::Room(b));
-        Relation { subject, kind, object, frame, strength: 1.0, distance_m: 0.0 }
+        Relation { subject, kind, object, frame, strength: 1.0, distance_m: 0.0, stamp: None }
     };
     pairs.into_iter().map(joined).collect()
 }

@@ -185,6 +185,8 @@ def _relation(message: scene_pb2.Relation) -> Relation:
         object_id=message.object_id,
         strength=message.strength,
         frame=words.word(RelationFrame, scene_pb2.RelationFrame, message.frame),
+        distance_m=message.distance_m,
+        stamp_ns=message.stamp_ns if message.HasField("stamp_ns") else None,
     )
 
 
@@ -310,6 +312,7 @@ def get_graph(
     viewer_yaw_rad: float,
     asked: RelationFilter | None,
     at_ns: int | None,
+    since_ns: int | None,
 ) -> Call[service.GetSceneGraphRequest, service.GetSceneGraphResponse, SceneGraph]:
     request = service.GetSceneGraphRequest(
         session_id=session_id,
@@ -319,6 +322,7 @@ def get_graph(
         viewer_yaw_rad=viewer_yaw_rad,
         filter=None if asked is None else filter_to(asked),
         at_ns=at_ns,
+        since_ns=since_ns,
     )
     return Call(_rpc.GET_SCENE_GRAPH, request, lambda a: graph(a.graph))
 

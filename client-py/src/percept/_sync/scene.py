@@ -109,15 +109,17 @@ class Scene(SessionBound):
         viewer_yaw_rad: float = 0.0,
         relations: RelationFilter | None = None,
         at_ns: int | None = None,
+        since_ns: int | None = None,
     ) -> SceneGraph:
         """Robot, objects, rooms and their relations.
 
         Left and right, front and behind are only listed with directions: for "robot", "map" (who looks along
         its x axis), or "viewer" (who looks along viewer_yaw_rad, from the map's x axis). With relations the
         graph has those that pass the filter, and the nodes that they join. At a time it is the scene as it
-        was then, in the rooms as they are now.
+        was then, in the rooms as they are now. With since_ns it tells what happened since then, too: what
+        appeared, disappeared or moved, in which room, when, and in which order.
         """
-        call = convert.get_graph(self.session_id, directions, viewer_yaw_rad, relations, at_ns)
+        call = convert.get_graph(self.session_id, directions, viewer_yaw_rad, relations, at_ns, since_ns)
         return self._transport.call(call)
 
     def rooms(self, *, with_places: bool = False) -> Rooms:

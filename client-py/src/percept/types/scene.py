@@ -270,6 +270,14 @@ class RelationKind(Name):
     RIGHT_OF = "right_of"
     IN_FRONT_OF = "in_front_of"
     BEHIND = "behind"
+    #: These only with since_ns: what happened to a thing in a room, or in none that is known.
+    APPEARED_IN = "appeared_in"
+    DISAPPEARED_FROM = "disappeared_from"
+    MOVED_FROM = "moved_from"
+    MOVED_TO = "moved_to"
+    #: What happened to it came before what happened to the other, which came next; or within two seconds.
+    BEFORE = "before"
+    TOGETHER = "together"
 
 
 class RelationFrame(Name):
@@ -298,6 +306,10 @@ class Relation(Value):
     #: 0 to 1.
     strength: float
     frame: RelationFrame
+    #: Gap between the two, metres; of what moved, how far.
+    distance_m: float
+    #: When it happened; None of what holds at the graph's stamp.
+    stamp_ns: int | None
 
     def __str__(self) -> str:
         return f"{self.subject_id} {self.kind} {self.object_id}"

@@ -17,35 +17,35 @@ from percept.v1 import layers_service_pb2 as percept_dot_v1_dot_layers__service_
 from percept.v1 import object_pb2 as percept_dot_v1_dot_object__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x16percept/v1/scene.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x1fpercept/v1/layers_service.proto\x1a\x17percept/v1/object.proto\"\xdc\x01\n\tSceneNode\x12\x0f\n\x07node_id\x18\x01 \x01(\t\x12\'\n\x04kind\x18\x02 \x01(\x0e\x32\x19.percept.v1.SceneNodeKind\x12\r\n\x05label\x18\x03 \x01(\t\x12$\n\nt_map_node\x18\x04 \x01(\x0b\x32\x10.percept.v1.Pose\x12\'\n\x06object\x18\x05 \x01(\x0b\x32\x12.percept.v1.ObjectH\x00\x88\x01\x01\x12#\n\x04room\x18\x06 \x01(\x0b\x32\x10.percept.v1.RoomH\x01\x88\x01\x01\x42\t\n\x07_objectB\x07\n\x05_room\"\xa9\x01\n\x08Relation\x12\x12\n\nsubject_id\x18\x01 \x01(\t\x12&\n\x04kind\x18\x02 \x01(\x0e\x32\x18.percept.v1.RelationKind\x12\x11\n\tobject_id\x18\x03 \x01(\t\x12\x10\n\x08strength\x18\x04 \x01(\x01\x12(\n\x05\x66rame\x18\x05 \x01(\x0e\x32\x19.percept.v1.RelationFrame\x12\x12\n\ndistance_m\x18\x06 \x01(\x01\"\xd6\x02\n\x0eRelationFilter\x12\'\n\x05kinds\x18\x01 \x03(\x0e\x32\x18.percept.v1.RelationKind\x12\x12\n\nsubject_id\x18\x02 \x01(\t\x12\x11\n\tobject_id\x18\x03 \x01(\t\x12.\n\rsubject_class\x18\x04 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12-\n\x0cobject_class\x18\x05 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x14\n\x07room_id\x18\x06 \x01(\x04H\x00\x88\x01\x01\x12%\n\x06region\x18\x07 \x01(\x0b\x32\x10.percept.v1.Box3H\x01\x88\x01\x01\x12\x14\n\x0cmin_strength\x18\x08 \x01(\x01\x12\x15\n\rsubject_label\x18\t \x01(\t\x12\x14\n\x0cobject_label\x18\n \x01(\tB\n\n\x08_room_idB\t\n\x07_region\"\xf4\x01\n\x04Room\x12\x0f\n\x07room_id\x18\x01 \x01(\x04\x12\"\n\x04kind\x18\x02 \x01(\x0e\x32\x14.percept.v1.RoomKind\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x12\n\nlikely_use\x18\x04 \x01(\t\x12\x13\n\x0bwas_entered\x18\x05 \x01(\x08\x12#\n\x06\x63\x65nter\x18\x06 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\x10\n\x08radius_m\x18\x07 \x01(\x01\x12\x0f\n\x07\x61rea_m2\x18\x08 \x01(\x01\x12$\n\x07outline\x18\t \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x12\n\nobject_ids\x18\n \x03(\x04\"u\n\x04\x44oor\x12\x11\n\troom_id_1\x18\x01 \x01(\x04\x12\x11\n\troom_id_2\x18\x02 \x01(\x04\x12#\n\x06\x63\x65nter\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\x0f\n\x07width_m\x18\x04 \x01(\x01\x12\x11\n\tangle_rad\x18\x05 \x01(\x01\"z\n\x05Place\x12\x10\n\x08place_id\x18\x01 \x01(\r\x12%\n\x08position\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\x13\n\x0b\x63learance_m\x18\x03 \x01(\x01\x12\x0f\n\x07room_id\x18\x04 \x01(\x04\x12\x12\n\nis_in_door\x18\x05 \x01(\x08\"E\n\tPlaceLink\x12\x12\n\nplace_id_1\x18\x01 \x01(\r\x12\x12\n\nplace_id_2\x18\x02 \x01(\r\x12\x10\n\x08length_m\x18\x03 \x01(\x01\"\x94\x01\n\nSceneGraph\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12\x13\n\x0bmap_version\x18\x02 \x01(\x04\x12\x10\n\x08\x66rame_id\x18\x03 \x01(\t\x12$\n\x05nodes\x18\x04 \x03(\x0b\x32\x15.percept.v1.SceneNode\x12\'\n\trelations\x18\x05 \x03(\x0b\x32\x14.percept.v1.Relation*\x81\x01\n\rSceneNodeKind\x12\x1f\n\x1bSCENE_NODE_KIND_UNSPECIFIED\x10\x00\x12\x19\n\x15SCENE_NODE_KIND_ROBOT\x10\x01\x12\x1a\n\x16SCENE_NODE_KIND_OBJECT\x10\x02\x12\x18\n\x14SCENE_NODE_KIND_ROOM\x10\x03*\xa2\x03\n\x0cRelationKind\x12\x1d\n\x19RELATION_KIND_UNSPECIFIED\x10\x00\x12\x14\n\x10RELATION_KIND_ON\x10\x01\x12\x18\n\x14RELATION_KIND_INSIDE\x10\x02\x12\x16\n\x12RELATION_KIND_NEAR\x10\x03\x12\x17\n\x13RELATION_KIND_ABOVE\x10\x04\x12\x17\n\x13RELATION_KIND_BELOW\x10\x05\x12\x19\n\x15RELATION_KIND_LEFT_OF\x10\x06\x12\x1a\n\x16RELATION_KIND_RIGHT_OF\x10\x07\x12\x1d\n\x19RELATION_KIND_IN_FRONT_OF\x10\x08\x12\x18\n\x14RELATION_KIND_BEHIND\x10\t\x12\x1a\n\x16RELATION_KIND_SUPPORTS\x10\n\x12\x17\n\x13RELATION_KIND_UNDER\x10\x0b\x12\x19\n\x15RELATION_KIND_NEXT_TO\x10\x0c\x12\x19\n\x15RELATION_KIND_IN_ROOM\x10\r\x12\x1e\n\x1aRELATION_KIND_CONNECTED_TO\x10\x0e*\xb0\x01\n\rRelationFrame\x12\x1e\n\x1aRELATION_FRAME_UNSPECIFIED\x10\x00\x12\x1a\n\x16RELATION_FRAME_GRAVITY\x10\x01\x12\x19\n\x15RELATION_FRAME_VIEWER\x10\x02\x12\x16\n\x12RELATION_FRAME_ANY\x10\x03\x12\x18\n\x14RELATION_FRAME_ROBOT\x10\x04\x12\x16\n\x12RELATION_FRAME_MAP\x10\x05*Q\n\x08RoomKind\x12\x19\n\x15ROOM_KIND_UNSPECIFIED\x10\x00\x12\x12\n\x0eROOM_KIND_ROOM\x10\x01\x12\x16\n\x12ROOM_KIND_CORRIDOR\x10\x02\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x16percept/v1/scene.proto\x12\npercept.v1\x1a\x19percept/v1/geometry.proto\x1a\x1fpercept/v1/layers_service.proto\x1a\x17percept/v1/object.proto\"\xdc\x01\n\tSceneNode\x12\x0f\n\x07node_id\x18\x01 \x01(\t\x12\'\n\x04kind\x18\x02 \x01(\x0e\x32\x19.percept.v1.SceneNodeKind\x12\r\n\x05label\x18\x03 \x01(\t\x12$\n\nt_map_node\x18\x04 \x01(\x0b\x32\x10.percept.v1.Pose\x12\'\n\x06object\x18\x05 \x01(\x0b\x32\x12.percept.v1.ObjectH\x00\x88\x01\x01\x12#\n\x04room\x18\x06 \x01(\x0b\x32\x10.percept.v1.RoomH\x01\x88\x01\x01\x42\t\n\x07_objectB\x07\n\x05_room\"\xcd\x01\n\x08Relation\x12\x12\n\nsubject_id\x18\x01 \x01(\t\x12&\n\x04kind\x18\x02 \x01(\x0e\x32\x18.percept.v1.RelationKind\x12\x11\n\tobject_id\x18\x03 \x01(\t\x12\x10\n\x08strength\x18\x04 \x01(\x01\x12(\n\x05\x66rame\x18\x05 \x01(\x0e\x32\x19.percept.v1.RelationFrame\x12\x12\n\ndistance_m\x18\x06 \x01(\x01\x12\x15\n\x08stamp_ns\x18\x07 \x01(\x03H\x00\x88\x01\x01\x42\x0b\n\t_stamp_ns\"\xd6\x02\n\x0eRelationFilter\x12\'\n\x05kinds\x18\x01 \x03(\x0e\x32\x18.percept.v1.RelationKind\x12\x12\n\nsubject_id\x18\x02 \x01(\t\x12\x11\n\tobject_id\x18\x03 \x01(\t\x12.\n\rsubject_class\x18\x04 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12-\n\x0cobject_class\x18\x05 \x01(\x0e\x32\x17.percept.v1.ObjectClass\x12\x14\n\x07room_id\x18\x06 \x01(\x04H\x00\x88\x01\x01\x12%\n\x06region\x18\x07 \x01(\x0b\x32\x10.percept.v1.Box3H\x01\x88\x01\x01\x12\x14\n\x0cmin_strength\x18\x08 \x01(\x01\x12\x15\n\rsubject_label\x18\t \x01(\t\x12\x14\n\x0cobject_label\x18\n \x01(\tB\n\n\x08_room_idB\t\n\x07_region\"\xf4\x01\n\x04Room\x12\x0f\n\x07room_id\x18\x01 \x01(\x04\x12\"\n\x04kind\x18\x02 \x01(\x0e\x32\x14.percept.v1.RoomKind\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x12\n\nlikely_use\x18\x04 \x01(\t\x12\x13\n\x0bwas_entered\x18\x05 \x01(\x08\x12#\n\x06\x63\x65nter\x18\x06 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\x10\n\x08radius_m\x18\x07 \x01(\x01\x12\x0f\n\x07\x61rea_m2\x18\x08 \x01(\x01\x12$\n\x07outline\x18\t \x03(\x0b\x32\x13.percept.v1.Vector2\x12\x12\n\nobject_ids\x18\n \x03(\x04\"u\n\x04\x44oor\x12\x11\n\troom_id_1\x18\x01 \x01(\x04\x12\x11\n\troom_id_2\x18\x02 \x01(\x04\x12#\n\x06\x63\x65nter\x18\x03 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\x0f\n\x07width_m\x18\x04 \x01(\x01\x12\x11\n\tangle_rad\x18\x05 \x01(\x01\"z\n\x05Place\x12\x10\n\x08place_id\x18\x01 \x01(\r\x12%\n\x08position\x18\x02 \x01(\x0b\x32\x13.percept.v1.Vector2\x12\x13\n\x0b\x63learance_m\x18\x03 \x01(\x01\x12\x0f\n\x07room_id\x18\x04 \x01(\x04\x12\x12\n\nis_in_door\x18\x05 \x01(\x08\"E\n\tPlaceLink\x12\x12\n\nplace_id_1\x18\x01 \x01(\r\x12\x12\n\nplace_id_2\x18\x02 \x01(\r\x12\x10\n\x08length_m\x18\x03 \x01(\x01\"\x94\x01\n\nSceneGraph\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12\x13\n\x0bmap_version\x18\x02 \x01(\x04\x12\x10\n\x08\x66rame_id\x18\x03 \x01(\t\x12$\n\x05nodes\x18\x04 \x03(\x0b\x32\x15.percept.v1.SceneNode\x12\'\n\trelations\x18\x05 \x03(\x0b\x32\x14.percept.v1.Relation*\x81\x01\n\rSceneNodeKind\x12\x1f\n\x1bSCENE_NODE_KIND_UNSPECIFIED\x10\x00\x12\x19\n\x15SCENE_NODE_KIND_ROBOT\x10\x01\x12\x1a\n\x16SCENE_NODE_KIND_OBJECT\x10\x02\x12\x18\n\x14SCENE_NODE_KIND_ROOM\x10\x03*\xd5\x04\n\x0cRelationKind\x12\x1d\n\x19RELATION_KIND_UNSPECIFIED\x10\x00\x12\x14\n\x10RELATION_KIND_ON\x10\x01\x12\x18\n\x14RELATION_KIND_INSIDE\x10\x02\x12\x16\n\x12RELATION_KIND_NEAR\x10\x03\x12\x17\n\x13RELATION_KIND_ABOVE\x10\x04\x12\x17\n\x13RELATION_KIND_BELOW\x10\x05\x12\x19\n\x15RELATION_KIND_LEFT_OF\x10\x06\x12\x1a\n\x16RELATION_KIND_RIGHT_OF\x10\x07\x12\x1d\n\x19RELATION_KIND_IN_FRONT_OF\x10\x08\x12\x18\n\x14RELATION_KIND_BEHIND\x10\t\x12\x1a\n\x16RELATION_KIND_SUPPORTS\x10\n\x12\x17\n\x13RELATION_KIND_UNDER\x10\x0b\x12\x19\n\x15RELATION_KIND_NEXT_TO\x10\x0c\x12\x19\n\x15RELATION_KIND_IN_ROOM\x10\r\x12\x1e\n\x1aRELATION_KIND_CONNECTED_TO\x10\x0e\x12\x1d\n\x19RELATION_KIND_APPEARED_IN\x10\x0f\x12\"\n\x1eRELATION_KIND_DISAPPEARED_FROM\x10\x10\x12\x1c\n\x18RELATION_KIND_MOVED_FROM\x10\x11\x12\x1a\n\x16RELATION_KIND_MOVED_TO\x10\x12\x12\x18\n\x14RELATION_KIND_BEFORE\x10\x13\x12\x1a\n\x16RELATION_KIND_TOGETHER\x10\x14*\xb0\x01\n\rRelationFrame\x12\x1e\n\x1aRELATION_FRAME_UNSPECIFIED\x10\x00\x12\x1a\n\x16RELATION_FRAME_GRAVITY\x10\x01\x12\x19\n\x15RELATION_FRAME_VIEWER\x10\x02\x12\x16\n\x12RELATION_FRAME_ANY\x10\x03\x12\x18\n\x14RELATION_FRAME_ROBOT\x10\x04\x12\x16\n\x12RELATION_FRAME_MAP\x10\x05*Q\n\x08RoomKind\x12\x19\n\x15ROOM_KIND_UNSPECIFIED\x10\x00\x12\x12\n\x0eROOM_KIND_ROOM\x10\x01\x12\x16\n\x12ROOM_KIND_CORRIDOR\x10\x02\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'percept.v1.scene_pb2', _globals)
 if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
-  _globals['_SCENENODEKIND']._serialized_start=1576
-  _globals['_SCENENODEKIND']._serialized_end=1705
-  _globals['_RELATIONKIND']._serialized_start=1708
-  _globals['_RELATIONKIND']._serialized_end=2126
-  _globals['_RELATIONFRAME']._serialized_start=2129
-  _globals['_RELATIONFRAME']._serialized_end=2305
-  _globals['_ROOMKIND']._serialized_start=2307
-  _globals['_ROOMKIND']._serialized_end=2388
+  _globals['_SCENENODEKIND']._serialized_start=1612
+  _globals['_SCENENODEKIND']._serialized_end=1741
+  _globals['_RELATIONKIND']._serialized_start=1744
+  _globals['_RELATIONKIND']._serialized_end=2341
+  _globals['_RELATIONFRAME']._serialized_start=2344
+  _globals['_RELATIONFRAME']._serialized_end=2520
+  _globals['_ROOMKIND']._serialized_start=2522
+  _globals['_ROOMKIND']._serialized_end=2603
   _globals['_SCENENODE']._serialized_start=124
   _globals['_SCENENODE']._serialized_end=344
   _globals['_RELATION']._serialized_start=347
-  _globals['_RELATION']._serialized_end=516
-  _globals['_RELATIONFILTER']._serialized_start=519
-  _globals['_RELATIONFILTER']._serialized_end=861
-  _globals['_ROOM']._serialized_start=864
-  _globals['_ROOM']._serialized_end=1108
-  _globals['_DOOR']._serialized_start=1110
-  _globals['_DOOR']._serialized_end=1227
-  _globals['_PLACE']._serialized_start=1229
-  _globals['_PLACE']._serialized_end=1351
-  _globals['_PLACELINK']._serialized_start=1353
-  _globals['_PLACELINK']._serialized_end=1422
-  _globals['_SCENEGRAPH']._serialized_start=1425
-  _globals['_SCENEGRAPH']._serialized_end=1573
+  _globals['_RELATION']._serialized_end=552
+  _globals['_RELATIONFILTER']._serialized_start=555
+  _globals['_RELATIONFILTER']._serialized_end=897
+  _globals['_ROOM']._serialized_start=900
+  _globals['_ROOM']._serialized_end=1144
+  _globals['_DOOR']._serialized_start=1146
+  _globals['_DOOR']._serialized_end=1263
+  _globals['_PLACE']._serialized_start=1265
+  _globals['_PLACE']._serialized_end=1387
+  _globals['_PLACELINK']._serialized_start=1389
+  _globals['_PLACELINK']._serialized_end=1458
+  _globals['_SCENEGRAPH']._serialized_start=1461
+  _globals['_SCENEGRAPH']._serialized_end=1609
 # @@protoc_insertion_point(module_scope)

@@ -75,6 +75,20 @@ class _RelationKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Relation
     """Robot or object in a room."""
     RELATION_KIND_CONNECTED_TO: _RelationKind.ValueType  # 14
     """A door leads from one room to the other. Listed once."""
+    RELATION_KIND_APPEARED_IN: _RelationKind.ValueType  # 15
+    """Only on request, as all below: see GetSceneGraphRequest.since_ns. It was not there, and came to stand in the room; of this and the
+    next three the object is the subject itself where rooms are not known.
+    """
+    RELATION_KIND_DISAPPEARED_FROM: _RelationKind.ValueType  # 16
+    """It stood in the room, and is not there any more."""
+    RELATION_KIND_MOVED_FROM: _RelationKind.ValueType  # 17
+    """It stood in the room, and stands elsewhere."""
+    RELATION_KIND_MOVED_TO: _RelationKind.ValueType  # 18
+    """It stood elsewhere, and stands in the room."""
+    RELATION_KIND_BEFORE: _RelationKind.ValueType  # 19
+    """What happened to it came before what happened to the other, which came next."""
+    RELATION_KIND_TOGETHER: _RelationKind.ValueType  # 20
+    """The same, no more than two seconds apart."""
 
 class RelationKind(_RelationKind, metaclass=_RelationKindEnumTypeWrapper):
     """How one thing stands to another."""
@@ -106,6 +120,20 @@ RELATION_KIND_IN_ROOM: RelationKind.ValueType  # 13
 """Robot or object in a room."""
 RELATION_KIND_CONNECTED_TO: RelationKind.ValueType  # 14
 """A door leads from one room to the other. Listed once."""
+RELATION_KIND_APPEARED_IN: RelationKind.ValueType  # 15
+"""Only on request, as all below: see GetSceneGraphRequest.since_ns. It was not there, and came to stand in the room; of this and the
+next three the object is the subject itself where rooms are not known.
+"""
+RELATION_KIND_DISAPPEARED_FROM: RelationKind.ValueType  # 16
+"""It stood in the room, and is not there any more."""
+RELATION_KIND_MOVED_FROM: RelationKind.ValueType  # 17
+"""It stood in the room, and stands elsewhere."""
+RELATION_KIND_MOVED_TO: RelationKind.ValueType  # 18
+"""It stood elsewhere, and stands in the room."""
+RELATION_KIND_BEFORE: RelationKind.ValueType  # 19
+"""What happened to it came before what happened to the other, which came next."""
+RELATION_KIND_TOGETHER: RelationKind.ValueType  # 20
+"""The same, no more than two seconds apart."""
 Global___RelationKind: _TypeAlias = RelationKind  # noqa: Y015
 
 class _RelationFrame:
@@ -228,6 +256,7 @@ class Relation(_message.Message):
     STRENGTH_FIELD_NUMBER: _builtins.int
     FRAME_FIELD_NUMBER: _builtins.int
     DISTANCE_M_FIELD_NUMBER: _builtins.int
+    STAMP_NS_FIELD_NUMBER: _builtins.int
     subject_id: _builtins.str
     """node_id."""
     kind: Global___RelationKind.ValueType
@@ -237,7 +266,9 @@ class Relation(_message.Message):
     """0 to 1."""
     frame: Global___RelationFrame.ValueType
     distance_m: _builtins.float
-    """Gap between the two, metres."""
+    """Gap between the two, metres; of what moved, how far."""
+    stamp_ns: _builtins.int
+    """When it happened; absent of what holds at the graph's stamp."""
     def __init__(
         self,
         *,
@@ -247,12 +278,15 @@ class Relation(_message.Message):
         strength: _builtins.float = ...,
         frame: Global___RelationFrame.ValueType = ...,
         distance_m: _builtins.float = ...,
+        stamp_ns: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_stamp_ns", b"_stamp_ns", "stamp_ns", b"stamp_ns"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["distance_m", b"distance_m", "frame", b"frame", "kind", b"kind", "object_id", b"object_id", "strength", b"strength", "subject_id", b"subject_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_stamp_ns", b"_stamp_ns", "distance_m", b"distance_m", "frame", b"frame", "kind", b"kind", "object_id", b"object_id", "stamp_ns", b"stamp_ns", "strength", b"strength", "subject_id", b"subject_id"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__stamp_ns: _TypeAlias = _typing.Literal["stamp_ns"]  # noqa: Y015
+    _WhichOneofArgType__stamp_ns: _TypeAlias = _typing.Literal["_stamp_ns", b"_stamp_ns"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__stamp_ns) -> _WhichOneofReturnType__stamp_ns | None: ...
 
 Global___Relation: _TypeAlias = Relation  # noqa: Y015
 

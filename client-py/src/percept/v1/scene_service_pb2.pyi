@@ -416,6 +416,7 @@ class GetSceneGraphRequest(_message.Message):
     VIEWER_YAW_RAD_FIELD_NUMBER: _builtins.int
     FILTER_FIELD_NUMBER: _builtins.int
     AT_NS_FIELD_NUMBER: _builtins.int
+    SINCE_NS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     directions: _scene_pb2.RelationFrame.ValueType
     """Whose left and right, front and behind: RELATION_FRAME_ROBOT, _MAP or _VIEWER. UNSPECIFIED: those are left out."""
@@ -423,6 +424,10 @@ class GetSceneGraphRequest(_message.Message):
     """Where a VIEWER looks, radians from the map's x axis."""
     at_ns: _builtins.int
     """The scene as it was then: where the robot was, and the objects as they were, in the map and the rooms as they are now."""
+    since_ns: _builtins.int
+    """What happened to objects from then until at_ns, or now: APPEARED_IN, DISAPPEARED_FROM, MOVED_FROM, MOVED_TO, and in which order,
+    BEFORE, TOGETHER. Objects that have gone since are nodes then, too. Absent: those relations are left out.
+    """
     @_builtins.property
     def filter(self) -> _scene_pb2.RelationFilter:
         """Absent: all relations. Else the graph has those, and the nodes that they join."""
@@ -435,14 +440,20 @@ class GetSceneGraphRequest(_message.Message):
         viewer_yaw_rad: _builtins.float = ...,
         filter: _scene_pb2.RelationFilter | None = ...,
         at_ns: _builtins.int | None = ...,
+        since_ns: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns", "filter", b"filter"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "_since_ns", b"_since_ns", "at_ns", b"at_ns", "filter", b"filter", "since_ns", b"since_ns"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "at_ns", b"at_ns", "directions", b"directions", "filter", b"filter", "session_id", b"session_id", "viewer_yaw_rad", b"viewer_yaw_rad"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns", "_since_ns", b"_since_ns", "at_ns", b"at_ns", "directions", b"directions", "filter", b"filter", "session_id", b"session_id", "since_ns", b"since_ns", "viewer_yaw_rad", b"viewer_yaw_rad"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__at_ns: _TypeAlias = _typing.Literal["at_ns"]  # noqa: Y015
     _WhichOneofArgType__at_ns: _TypeAlias = _typing.Literal["_at_ns", b"_at_ns"]  # noqa: Y015
+    _WhichOneofReturnType__since_ns: _TypeAlias = _typing.Literal["since_ns"]  # noqa: Y015
+    _WhichOneofArgType__since_ns: _TypeAlias = _typing.Literal["_since_ns", b"_since_ns"]  # noqa: Y015
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__at_ns) -> _WhichOneofReturnType__at_ns | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__since_ns) -> _WhichOneofReturnType__since_ns | None: ...
 
 Global___GetSceneGraphRequest: _TypeAlias = GetSceneGraphRequest  # noqa: Y015
 

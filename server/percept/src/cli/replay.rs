@@ -201,7 +201,7 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
     let objects = json::to_json("ListObjectsResponse", &objects)?;
     std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
     let max_cells = snapshot.params.planning.max_cells;
-    let graph = snapshot.scene_graph(&BTreeMap::new(), None, None, max_cells)?;
+    let graph = snapshot.scene_graph(&BTreeMap::new(), None, None, None, max_cells)?;
     let graph = json::to_json("SceneGraph", &convert::scene::graph_to(&graph))?;
     std::fs::write(dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
     Ok(())

@@ -36,7 +36,7 @@ pub(crate) fn beside(
         let kind = if distance_m <= params.next_to_m { RelationKind::NextTo } else { RelationKind::Near };
         let (subject, object) = (a.id.min(b.id), a.id.max(b.id));
         let strength = 1.0 - distance_m / params.max_distance_m;
-        Relation { subject, kind, object, frame: RelationFrame::Any, strength, distance_m }
+        Relation { subject, kind, object, frame: RelationFrame::Any, strength, distance_m, stamp: None }
     };
     listed.iter().map(relation).collect()
 }

@@ -64,7 +64,15 @@ pub(crate) fn directions(
         let depth = if front { RelationKind::InFrontOf } else { RelationKind::Behind };
         for (kind, strength) in [(side, near * left2), (depth, near * ahead2)] {
             let strength = strength.min(1.0);
-            out.push(Relation { subject: subject.id, kind, object: object.id, frame, strength, distance_m });
+            out.push(Relation {
+                subject: subject.id,
+                kind,
+                object: object.id,
+                frame,
+                strength,
+                distance_m,
+                stamp: None,
+            });
         }
     }
 }

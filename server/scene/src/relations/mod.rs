@@ -1,17 +1,20 @@
 //! How two things stand to each other, each relation in a stated frame, with a strength and a reason to exist.
 //!
 //! What holds whoever looks: what rests on what, is in it, under it ([`mod@physical`]); what stands next to it or near, in the same room and
-//! in sight ([`mod@beside`]). Left and right, front and behind only are listed on request, and say for whom ([`mod@directions`]).
+//! in sight ([`mod@beside`]). Left and right, front and behind only are listed on request, and say for whom ([`mod@directions`]); so is what
+//! happened since a time ([`mod@temporal`]).
 
 mod beside;
 mod directions;
 mod physical;
+mod temporal;
 
 pub use directions::Directions;
 
 pub(crate) use beside::beside;
 pub(crate) use directions::directions;
 pub(crate) use physical::stacked;
+pub(crate) use temporal::temporal;
 
 use crate::rooms::RoomId;
 use crate::{ObjectId, SceneError, within};
@@ -61,6 +64,19 @@ pub enum RelationKind {
     InFrontOf,
     /// The subject is on the far side of the object; with the robot as object: behind the robot.
     Behind,
+    /// The subject was not there, and came to stand in the room. Of this and the next three, the object is the subject itself where
+    /// rooms are not known.
+    AppearedIn,
+    /// The subject stood in the room, and is not there any more.
+    DisappearedFrom,
+    /// The subject stood in the room, and stands elsewhere.
+    MovedFrom,
+    /// The subject stood elsewhere, and stands in the room.
+    MovedTo,
+    /// What happened to the subject came before what happened to the object, which came next.
+    Before,
+    /// What happened to both happened at once; no more than two seconds lie between.
+    Together,
 }
 
 impl RelationKind {
@@ -81,6 +97,12 @@ impl RelationKind {
             Self::RightOf => "right_of",
             Self::InFrontOf => "in_front_of",
             Self::Behind => "behind",
+            Self::AppearedIn => "appeared_in",
+            Self::DisappearedFrom => "disappeared_from",
+            Self::MovedFrom => "moved_from",
+            Self::MovedTo => "moved_to",
+            Self::Before => "before",
+            Self::Together => "together",
         }
     }
 }
@@ -123,10 +145,12 @@ pub struct Relation {
     /// - next to, near: the nearness, `1 - gap / max_distance_m`;
     /// - left of, right of, in front of, behind: the nearness times the squared cosine between that direction and the line of the centres
     ///   on the ground, so that the two directions that apply add up to it;
-    /// - in a room, connected: 1.
+    /// - in a room, connected, and what happened: 1.
     pub strength: f64,
-    /// Gap between the two, metres; 0 if they touch or overlap.
+    /// Gap between the two, metres; 0 if they touch or overlap. Of what moved, how far.
     pub distance_m: f64,
+    /// When it happened; none of what holds at the graph's stamp.
+    pub stamp: Option<Timestamp>,
 }
 
 /// Something that stands somewhere.

@@ -23,7 +23,7 @@ fn one_way(subject: &Placed, object: &Placed, params: &RelationParams) -> Vec<Re
     let relation = |subject: &Placed, kind, object: &Placed, strength: f64| {
         let frame = if kind == RelationKind::Inside { RelationFrame::Any } else { RelationFrame::Gravity };
         let (subject, object) = (subject.id, object.id);
-        Relation { subject, kind, object, frame, strength: strength.min(1.0), distance_m }
+        Relation { subject, kind, object, frame, strength: strength.min(1.0), distance_m, stamp: None }
     };
     let shared = overlap::shared_footprint(&subject.bbox, &object.bbox);
     if shared <= 0.0 {

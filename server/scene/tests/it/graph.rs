@@ -39,7 +39,8 @@ fn graph(t_map_base: &Pose, objects: &[Object]) -> SceneGraph {
 
 fn in_rooms(t_map_base: &Pose, objects: &[Object], rooms: &Rooms) -> SceneGraph {
     let names = BTreeMap::new();
-    let view = SceneView { stamp: Timestamp(7), map_version: 3, t_map_base, objects, rooms, names: &names };
+    let view =
+        SceneView { stamp: Timestamp(7), map_version: 3, t_map_base, objects, rooms, names: &names, since: None };
     SceneGraph::build(&view, &RelationParams::default(), Some(Directions::Robot))
 }
 

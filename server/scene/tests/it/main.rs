@@ -5,4 +5,5 @@
 mod annotation;
 mod graph;
 mod rooms;
+mod temporal;
 mod tracking;

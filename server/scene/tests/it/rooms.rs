@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 /// Cells of 0.1 m. Of the drawing a character is 0.5 m wide and high: `#` wall, `.` free, space unknown, `t` a thing that is seen as occupied. The first row is the
 /// one with the largest y.
-struct Drawn {
+pub(crate) struct Drawn {
     width: usize,
     height: usize,
     cells: Vec<i8>,
@@ -18,7 +18,7 @@ struct Drawn {
 
 const FINE: usize = 5;
 
-fn drawn(rows: &[&str]) -> Drawn {
+pub(crate) fn drawn(rows: &[&str]) -> Drawn {
     let (width, height) = (rows[0].len() * FINE, rows.len() * FINE);
     let value = |c: u8| match c {
         b'#' | b't' => 100,
@@ -31,7 +31,7 @@ fn drawn(rows: &[&str]) -> Drawn {
 }
 
 impl Drawn {
-    fn divided(&self, things: &[OrientedBox3], keyframes: &[(u64, [f64; 2])]) -> Rooms {
+    pub(crate) fn divided(&self, things: &[OrientedBox3], keyframes: &[(u64, [f64; 2])]) -> Rooms {
         let geometry = GridGeometry::new(0.1, Point2::origin());
         let floor = Floor { geometry, width: self.width, height: self.height, cells: &self.cells };
         let keyframes: Vec<_> = keyframes.iter().map(|(n, p)| (*n, Point2::from(*p))).collect();
@@ -40,7 +40,7 @@ impl Drawn {
 }
 
 /// Two rooms of 4 m x 3 m, a door of 1 m between them, and a corridor below that both open to.
-const FLAT: [&str; 13] = [
+pub(crate) const FLAT: [&str; 13] = [
     "###################",
     "#........#........#",
     "#........#........#",
@@ -242,6 +242,7 @@ fn a_graph_says_which_room_things_are_in_and_nothing_through_walls() {
         objects: &objects,
         rooms: &rooms,
         names: &names,
+        since: None,
     };
     let graph = SceneGraph::build(&view, &RelationParams::default(), None);
     let said: Vec<(NodeId, RelationKind, NodeId)> = graph.edges.iter().map(|e| (e.subject, e.kind, e.object)).collect();

@@ -65,19 +65,20 @@ impl Caller {
         self.service.forget_object_class(session, class).await
     }
 
-    /// Robot, objects, rooms and their relations, as far as they are asked for; with directions for somebody, if they are; as they were at a time.
+    /// Robot, objects, rooms and their relations, as far as they are asked for; with directions for somebody, if they are; as they were at a time;
+    /// with what happened since a time.
     ///
     /// # Errors
-    /// `SESSION_NOT_FOUND`, `GRID_TOO_LARGE`, `STAMP_BEFORE_TRAJECTORY`, `STAMP_AFTER_TRAJECTORY`.
+    /// `SESSION_NOT_FOUND`, `GRID_TOO_LARGE`, `STAMP_BEFORE_TRAJECTORY`, `STAMP_AFTER_TRAJECTORY`, `OUT_OF_RANGE`.
     pub async fn scene_graph(
         &self,
         session: &str,
         whose: Option<Directions>,
         filter: RelationFilter,
-        at: Option<Timestamp>,
+        since_at: (Option<Timestamp>, Option<Timestamp>),
     ) -> Result<SceneGraph> {
         self.may_with("SceneService/GetSceneGraph", session).await?;
-        self.service.scene_graph(session, whose, filter, at).await
+        self.service.scene_graph(session, whose, filter, since_at).await
     }
 
     /// The rooms of a session's map.

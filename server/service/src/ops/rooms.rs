@@ -134,17 +134,22 @@ impl Service {
         self.compute.query(&self.asker(session)?, work).await?
     }
 
-    /// Robot, objects, rooms and their relations, as far as they are asked for; as they were at a time, in the rooms as they are now.
+    /// Robot, objects, rooms and their relations, as far as they are asked for; as they were at a time, in the rooms as they are now;
+    /// with what happened since a time.
     ///
     /// # Errors
-    /// As [`Service::rooms`]; `STAMP_BEFORE_TRAJECTORY`, `STAMP_AFTER_TRAJECTORY`.
+    /// As [`Service::rooms`]; `STAMP_BEFORE_TRAJECTORY`, `STAMP_AFTER_TRAJECTORY`; `OUT_OF_RANGE` for what is since after it is.
     pub async fn scene_graph(
         &self,
         session: &str,
         whose: Option<Directions>,
         filter: RelationFilter,
-        at: Option<Timestamp>,
+        (since, at): (Option<Timestamp>, Option<Timestamp>),
     ) -> Result<SceneGraph> {
+        if let Some((since, at)) = since.zip(at).filter(|(since, at)| since > at) {
+            let message = format!("since_ns is {}, after at_ns, {}; what happened lies between the two", since.0, at.0);
+            return Err(Error::invalid(reason::OUT_OF_RANGE, "since_ns", message));
+        }
         let session_now = self.session(session).await?;
         let (snapshot, meta) = (session_now.snapshot(), session_now.meta());
         let max_cells = self.limits.max_planning_cells;
@@ -153,7 +158,7 @@ impl Service {
             let at = at.map(then).transpose()?;
             let rooms = snapshot.rooms(max_cells).map_err(refused)?;
             let names = names(&snapshot, &meta.room_names, &rooms);
-            Ok(snapshot.scene_graph(&names, whose, at, max_cells).map_err(refused)?.filtered(&filter))
+            Ok(snapshot.scene_graph(&names, whose, at, since, max_cells).map_err(refused)?.filtered(&filter))
         };
         self.compute.query(&self.asker(session)?, work).await?
     }
@@ -206,7 +211,7 @@ pub(super) fn refused(e: MappingError) -> Error {
 
 pub(super) fn listed(snapshot: &Snapshot, called: &[RoomName], max_cells: usize) -> Result<SessionRooms> {
     let rooms = snapshot.rooms(max_cells).map_err(refused)?;
-    let graph = snapshot.scene_graph(&names(snapshot, called, &rooms), None, None, max_cells).map_err(refused)?;
+    let graph = snapshot.scene_graph(&names(snapshot, called, &rooms), None, None, None, max_cells).map_err(refused)?;
     let mut inside = BTreeMap::<RoomId, Vec<u64>>::new();
     for edge in &graph.edges {
         if let (NodeId::Object(object), NodeId::Room(room)) = (edge.subject, edge.object) {

@@ -301,7 +301,7 @@ pub fn filter(f: Option<&v1::RelationFilter>) -> Result<RelationFilter> {
 }
 
 /// Every kind with its message's.
-const KINDS: [(RelationKind, v1::RelationKind); 14] = [
+const KINDS: [(RelationKind, v1::RelationKind); 20] = [
     (RelationKind::On, v1::RelationKind::On),
     (RelationKind::Supports, v1::RelationKind::Supports),
     (RelationKind::Inside, v1::RelationKind::Inside),
@@ -316,6 +316,12 @@ const KINDS: [(RelationKind, v1::RelationKind); 14] = [
     (RelationKind::RightOf, v1::RelationKind::RightOf),
     (RelationKind::InFrontOf, v1::RelationKind::InFrontOf),
     (RelationKind::Behind, v1::RelationKind::Behind),
+    (RelationKind::AppearedIn, v1::RelationKind::AppearedIn),
+    (RelationKind::DisappearedFrom, v1::RelationKind::DisappearedFrom),
+    (RelationKind::MovedFrom, v1::RelationKind::MovedFrom),
+    (RelationKind::MovedTo, v1::RelationKind::MovedTo),
+    (RelationKind::Before, v1::RelationKind::Before),
+    (RelationKind::Together, v1::RelationKind::Together),
 ];
 
 fn kind(value: i32) -> Result<RelationKind> {
@@ -339,6 +345,7 @@ fn relation_to(r: &Relation) -> v1::Relation {
         strength: r.strength,
         frame: frame.into(),
         distance_m: r.distance_m,
+        stamp_ns: r.stamp.map(Timestamp::nanos),
     }
 }
 
@@ -346,7 +353,9 @@ fn relation_to(r: &Relation) -> v1::Relation {
 pub fn graph_to(g: &SceneGraph) -> v1::SceneGraph {
     let mut inside = BTreeMap::<RoomId, Vec<u64>>::new();
     for edge in &g.edges {
-        if let (NodeId::Object(object), NodeId::Room(room)) = (edge.subject, edge.object) {
+        if let (NodeId::Object(object), RelationKind::InRoom, NodeId::Room(room)) =
+            (edge.subject, edge.kind, edge.object)
+        {
             inside.entry(room).or_default().push(object.0);
         }
     }

@@ -76,8 +76,8 @@ impl v1::scene_service_server::SceneService for Api {
         caller.snapshot(GRAPH, &r.session_id).await.map_err(status::grpc)?;
         let whose = scene::directions(r.directions, r.viewer_yaw_rad).map_err(status::grpc)?;
         let filter = scene::filter(r.filter.as_ref()).map_err(status::grpc)?;
-        let graph =
-            caller.scene_graph(&r.session_id, whose, filter, r.at_ns.map(Timestamp)).await.map_err(status::grpc)?;
+        let since_at = (r.since_ns.map(Timestamp), r.at_ns.map(Timestamp));
+        let graph = caller.scene_graph(&r.session_id, whose, filter, since_at).await.map_err(status::grpc)?;
         streamed(v1::GetSceneGraphResponse { graph: Some(scene::graph_to(&graph)) }.parts(), |part| part)
     }
 

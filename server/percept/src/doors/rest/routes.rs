@@ -289,7 +289,8 @@ pub(super) async fn scene_as_dot(api: &Api, context: CallContext, request: Bytes
     caller.snapshot("SceneService/GetSceneGraph", &request.session_id).await?;
     let whose = scene::directions(request.directions, request.viewer_yaw_rad)?;
     let filter = scene::filter(request.filter.as_ref())?;
-    let graph = caller.scene_graph(&request.session_id, whose, filter, request.at_ns.map(Timestamp)).await?;
+    let since_at = (request.since_ns.map(Timestamp), request.at_ns.map(Timestamp));
+    let graph = caller.scene_graph(&request.session_id, whose, filter, since_at).await?;
     Ok(([(header::CONTENT_TYPE, "text/vnd.graphviz; charset=utf-8")], graph.to_dot()).into_response())
 }
 

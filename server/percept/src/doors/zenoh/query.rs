@@ -93,7 +93,7 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
             caller.query(id, move || chunk().encode_to_vec()).await?
         }
         "scene/graph" => {
-            let graph = caller.scene_graph(id, None, RelationFilter::default(), None).await?;
+            let graph = caller.scene_graph(id, None, RelationFilter::default(), (None, None)).await?;
             convert::scene::graph_to(&graph).encode_to_vec()
         }
         "scene/rooms" => convert::rooms::rooms_to(&caller.rooms(id).await?, true).encode_to_vec(),
