@@ -160,7 +160,9 @@ impl Tracker {
         changes: &mut Vec<ObjectChange>,
     ) -> Vec<usize> {
         let mut removed = Vec::new();
-        let missed: Vec<usize> = (0..self.tracks.len()).filter(|&i| !seen[i] && !self.tracks[i].is_passing).collect();
+        let seen: Vec<usize> = (0..self.tracks.len()).filter(|&i| seen[i]).collect();
+        let seen = &seen[..];
+        let missed: Vec<usize> = (0..self.tracks.len()).filter(|i| seen.binary_search(i).is_err() && !self.tracks[*i].is_passing).collect();
         for i in missed {
             if self.tracks[i].state == ObjectState::Gone {
                 continue;
@@ -218,22 +220,22 @@ impl Tracker {
     }
 
     /// A track seen in this update that track `i`, missed and resting, is a double of.
-    fn duplicate_of(&self, i: usize, seen: &[bool], removed: &[usize]) -> Option<usize> {
+    fn duplicate_of(&self, i: usize, seen: &[usize], removed: &[usize]) -> Option<usize> {
         let missed = &self.tracks[i];
         let resting = |t: &Track| t.state == ObjectState::Static;
         let overlaps = |j: &usize| overlap::iou(&missed.bbox, &self.tracks[*j].bbox) >= self.params.merge_iou;
         if !resting(missed) || !missed.annotation.is_empty() {
             return None;
         }
-        let candidates = (0..self.tracks.len()).filter(|&j| seen[j] && !removed.contains(&j));
-        candidates.filter(|&j| resting(&self.tracks[j])).find(overlaps)
+        let mut candidates = seen.iter().copied().filter(|j| !removed.contains(j) && resting(&self.tracks[*j]));
+        candidates.find(overlaps)
     }
 
     /// A track seen in this update whose box holds that of track `i`.
-    fn whole_of(&self, i: usize, seen: &[bool], removed: &[usize]) -> Option<usize> {
+    fn whole_of(&self, i: usize, seen: &[usize], removed: &[usize]) -> Option<usize> {
         let part = &self.tracks[i].bbox;
         let holds = |b: &OrientedBox3| b.volume() > part.volume() && overlap::share_of(part, b) >= 0.8;
-        (0..self.tracks.len()).find(|&j| seen[j] && !removed.contains(&j) && holds(&self.tracks[j].bbox))
+        seen.iter().copied().find(|j| !removed.contains(j) && holds(&self.tracks[*j].bbox))
     }
 
     /// Makes one track of two; the identity of the one that people spoke of stays, else the older confirmed one's. Returns the index that is free now.

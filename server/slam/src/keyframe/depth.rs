@@ -50,7 +50,9 @@ pub(super) fn depth_hits(params: &KeyframeParams, s: &DepthScan) -> PointCloud {
 /// between them, however the plane is inclined. Pairs that lie on something else, or on both sides of an edge, do not count.
 fn smoothed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> f32 {
     let z = depth.at(u, v);
-    if z <= 0.0 || reach == 0 || u < reach || v < reach || u + reach >= depth.width() || v + reach >= depth.height() {
+    // Images of which every pixel is kept have a surface around each as well.
+    let around = reach.max(1);
+    if z <= 0.0 || u < around || v < around || u + around >= depth.width() || v + around >= depth.height() {
         return z;
     }
     let here = 1.0 / z;
@@ -66,9 +68,9 @@ fn smoothed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> f32 {
             (sum, num) = (sum + 2.0 * mean, num + 2.0);
         }
     }
-    if num >= LEAST_SHARE * (side * side) as f32 {
+    if reach > 0 && num >= LEAST_SHARE * (side * side) as f32 {
         num / sum
-    } else if is_mixed(depth, (u, v), reach) {
+    } else if is_mixed(depth, (u, v), around) {
         0.0
     } else {
         z
@@ -159,6 +161,12 @@ mod tests {
             _ => 3.0,
         });
         assert!((5..15).all(|v| smoothed(&mixed, (10, v), 2) == 0.0));
+        let here_and_there = image(|u, v| match u {
+            0..10 => 1.5,
+            10 if v % 3 == 1 => 2.2,
+            _ => 3.0,
+        });
+        assert!((5..15).all(|v| (smoothed(&here_and_there, (10, v), 0) == 0.0) == (v % 3 == 1)));
         assert!((5..15).all(|v| smoothed(&mixed, (9, v), 2) == 1.5 && smoothed(&mixed, (11, v), 2) == 3.0));
         // At the rim of the image.
         assert_eq!(smoothed(&wire, (1, 10), 2), 3.0);
