@@ -10,8 +10,8 @@ use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{Aabb3, GridGeometry, ObjectClass, OrientedBox3, Pose, Timestamp};
 use percept_scene::rooms::{Floor, RoomParams, find_rooms};
 use percept_scene::{
-    ObjectFilter, Observation, RelationFilter, RelationKind, RelationParams, SceneGraph, SceneView, Tracker,
-    TrackerParams, Visibility,
+    NodeId, ObjectFilter, ObjectId, Observation, Related, RelationFilter, RelationKind, RelationParams, SceneGraph,
+    SceneView, Tracker, TrackerParams, Visibility,
 };
 use std::collections::BTreeMap;
 use std::hint::black_box;
@@ -47,8 +47,7 @@ fn main() {
         let is_rim = x < 2 || y < 2 || x + 2 >= width || y + 2 >= height;
         is_rim || (u < 2 && !door(v)) || (v < 2 && !door(u))
     };
-    let cells: Vec<i8> =
-        (0..width * height).map(|i| if is_wall(i % width, i / width) { 100 } else { 0 }).collect();
+    let cells: Vec<i8> = (0..width * height).map(|i| if is_wall(i % width, i / width) { 100 } else { 0 }).collect();
     let classes = [ObjectClass::Table, ObjectClass::Chair, ObjectClass::Shelf, ObjectClass::Box, ObjectClass::Cylinder];
     let seen = |room: usize| {
         let (x, y) = ((room % columns) as f64 * ROOM_M, (room / columns) as f64 * ROOM_M);
@@ -58,12 +57,18 @@ fn main() {
             .map(|k| {
                 let at = Point3::new(x + 0.7 + (k % across) as f64 * step, y + 0.7 + (k / across) as f64 * step, 0.4);
                 let bbox = OrientedBox3::upright(at, Vector3::new(0.5 * step, 0.4 * step, 0.8), 0.0);
-                Observation { class: classes[k % 5], confidence: 0.8, bbox, num_points: 300, is_moving: false, is_seen: true }
+                Observation {
+                    class: classes[k % 5],
+                    confidence: 0.8,
+                    bbox,
+                    num_points: 300,
+                    is_moving: false,
+                    is_seen: true,
+                }
             })
             .collect::<Vec<_>>()
     };
-    let mut tracker =
-        Tracker::new(TrackerParams { max_objects: 2 * things, ..TrackerParams::default() }).unwrap();
+    let mut tracker = Tracker::new(TrackerParams { max_objects: 2 * things, ..TrackerParams::default() }).unwrap();
     let hidden = |_: &OrientedBox3| Visibility::Unseen;
     let mut stamp = 0i64;
     for room in 0..rooms {
@@ -81,6 +86,11 @@ fn main() {
     timed("the floor divided", 3, |_| {
         black_box(find_rooms(&floor, &boxes, &[], &RoomParams::default()).unwrap());
     });
+    let params = RelationParams::default();
+    timed("objects related to each other", 10, |_| {
+        black_box(Related::of(&objects, &divided, &params));
+    });
+    let related = Related::of(&objects, &divided, &params);
     let (t_map_base, names) = (Pose::translation(12.0, 12.0, 0.0), BTreeMap::new());
     let view = SceneView {
         stamp: Timestamp(stamp),
@@ -88,22 +98,27 @@ fn main() {
         t_map_base: &t_map_base,
         objects: &objects,
         rooms: &divided,
+        related: &related,
         names: &names,
         since: None,
     };
-    let params = RelationParams::default();
-    let graph = SceneGraph::build(&view, &params, None);
+    let everything = RelationFilter::default();
+    let graph = SceneGraph::build(&view, &params, None, &everything);
     println!("{} nodes, {} relations", graph.nodes.len(), graph.edges.len());
-    timed("the whole graph", 10, |_| {
-        black_box(SceneGraph::build(&view, &params, None));
+    timed("the whole graph, of what is related", 10, |_| {
+        black_box(SceneGraph::build(&view, &params, None, &everything));
     });
     let which = RelationFilter {
         kinds: vec![RelationKind::InRoom],
         subject_class: Some(ObjectClass::Table),
         ..RelationFilter::default()
     };
-    timed("which rooms have a table, of a graph", 20, |_| {
-        black_box(graph.clone().filtered(&which));
+    timed("which rooms have a table", 50, |_| {
+        black_box(SceneGraph::build(&view, &params, None, &which));
+    });
+    let by = RelationFilter { subject: Some(NodeId::Object(ObjectId(4_321))), ..RelationFilter::default() };
+    timed("what one thing has to do with others", 50, |_| {
+        black_box(SceneGraph::build(&view, &params, None, &by));
     });
     let near = ObjectFilter { near: Some(Point3::new(30.0, 20.0, 0.5)), ..ObjectFilter::default() };
     timed("objects, nearest first", 50, |_| {

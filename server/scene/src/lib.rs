@@ -30,7 +30,7 @@ pub use object::{Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, 
 pub use object_filter::ObjectFilter;
 pub use params::TrackerParams;
 pub use relation_filter::RelationFilter;
-pub use relations::{Directions, NodeId, Relation, RelationFrame, RelationKind, RelationParams};
+pub use relations::{Directions, NodeId, Related, Relation, RelationFrame, RelationKind, RelationParams};
 pub use scene_graph::{Node, RoomNode, SceneGraph, SceneView};
 pub use tracker::Tracker;
 

@@ -1,10 +1,9 @@
 //! Which relations somebody asks for.
 
+use crate::relations::Placed;
 use crate::rooms::RoomId;
-use crate::{Node, NodeId, Relation, RelationKind};
-use nalgebra::Point3;
+use crate::{NodeId, Relation, RelationKind};
 use percept_geometry::{Aabb3, ObjectClass};
-use std::collections::BTreeMap;
 
 /// All that is set has to hold.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -33,28 +32,24 @@ impl RelationFilter {
         *self == Self::default()
     }
 
-    /// Whether a relation is asked for.
-    pub(crate) fn wants(
-        &self,
-        relation: &Relation,
-        nodes: &BTreeMap<NodeId, &Node>,
-        room_of: &BTreeMap<NodeId, RoomId>,
-    ) -> bool {
-        let class = |id: &NodeId| match nodes.get(id) {
-            Some(Node::Object(o)) => Some(o.class),
-            _ => None,
+    /// Whether a relation is asked for; `place` says where its nodes stand, and what they are.
+    pub(crate) fn wants(&self, relation: &Relation, place: &dyn Fn(NodeId) -> Option<Placed>) -> bool {
+        let is_of = |id: NodeId, class: Option<ObjectClass>| {
+            class.is_none_or(|class| place(id).is_some_and(|placed| placed.class == Some(class)))
         };
-        let is_in = |id: &NodeId, room: RoomId| *id == NodeId::Room(room) || room_of.get(id) == Some(&room);
-        let center = |id: &NodeId| nodes.get(id).map(|n| n.bbox().center());
-        let within = |region: &Aabb3, p: Option<Point3<f64>>| p.is_some_and(|p| region.contains(&p));
+        let is_in = |id: NodeId, room: RoomId| {
+            id == NodeId::Room(room) || place(id).is_some_and(|placed| placed.room == Some(room))
+        };
+        let is_within =
+            |region: Aabb3| place(relation.subject).is_some_and(|placed| region.contains(&placed.bbox.center()));
         relation.strength >= self.min_strength
             && (self.kinds.is_empty() || self.kinds.contains(&relation.kind))
             && self.subject.is_none_or(|id| id == relation.subject)
             && self.object.is_none_or(|id| id == relation.object)
-            && self.subject_class.is_none_or(|c| class(&relation.subject) == Some(c))
-            && self.object_class.is_none_or(|c| class(&relation.object) == Some(c))
-            && self.room.is_none_or(|room| is_in(&relation.subject, room) || is_in(&relation.object, room))
-            && self.region.is_none_or(|region| within(&region, center(&relation.subject)))
+            && is_of(relation.subject, self.subject_class)
+            && is_of(relation.object, self.object_class)
+            && self.room.is_none_or(|room| is_in(relation.subject, room) || is_in(relation.object, room))
+            && self.region.is_none_or(is_within)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The scene graph: nodes in layers, typed edges with a strength.
 
-use crate::relations::{Directions, Placed, beside, directions, stacked, temporal};
+use crate::relations::{Directions, Placed, Related, beside_robot, directions, in_room, temporal};
 use crate::rooms::{Room, RoomId, RoomKind, Rooms};
 use crate::{NodeId, Object, ObjectState, Relation, RelationFilter, RelationFrame, RelationKind, RelationParams};
 use nalgebra::{Point3, Vector3};
@@ -79,12 +79,15 @@ impl Node {
                 OrientedBox3::upright(Point3::from(center), size, se3::yaw(t_map_base))
             }
             Self::Object(object) => object.bbox,
-            Self::Room(RoomNode { room, .. }) => {
-                let size = Vector3::new(2.0 * room.radius_m, 2.0 * room.radius_m, 0.0);
-                OrientedBox3::upright(Point3::new(room.center.x, room.center.y, 0.0), size, 0.0)
-            }
+            Self::Room(RoomNode { room, .. }) => bbox_of_room(room),
         }
     }
+}
+
+/// The circle that fits into a room, flat.
+fn bbox_of_room(room: &Room) -> OrientedBox3 {
+    let size = Vector3::new(2.0 * room.radius_m, 2.0 * room.radius_m, 0.0);
+    OrientedBox3::upright(Point3::new(room.center.x, room.center.y, 0.0), size, 0.0)
 }
 
 /// What is there and how it lies, at one time.
@@ -109,10 +112,12 @@ pub struct SceneView<'a> {
     pub map_version: u64,
     /// Base to map.
     pub t_map_base: &'a Pose,
-    /// What is gone among them is left out, unless it went after `since`.
+    /// Ascending by id. What is gone among them is left out, unless it went after `since`.
     pub objects: &'a [Object],
     /// May be empty: nothing is in a room then, and walls are not known.
     pub rooms: &'a Rooms,
+    /// Of these objects in these rooms.
+    pub related: &'a Related,
     /// What people call rooms.
     pub names: &'a BTreeMap<RoomId, String>,
     /// What happened from then on is listed, too.
@@ -120,66 +125,47 @@ pub struct SceneView<'a> {
 }
 
 impl SceneGraph {
-    /// The graph of the robot, of what is not gone, and of the rooms; with directions for somebody, if they are asked for.
+    /// The graph of the robot, of what is not gone, and of the rooms, as far as it is asked for; with directions for somebody, if they are.
+    /// A filter that wants less than everything leaves out nodes that no relation joins.
     ///
-    /// Takes time in the number of pairs within reach of each other along x.
-    pub fn build(view: &SceneView<'_>, params: &RelationParams, whose: Option<Directions>) -> Self {
-        let SceneView { stamp, map_version, t_map_base, objects, rooms, names, since } = *view;
-        let mut nodes = vec![Node::Robot { t_map_base: *t_map_base }];
-        nodes.extend(objects.iter().filter(|o| o.state != ObjectState::Gone).map(|o| Node::Object(o.clone())));
-        nodes.sort_by_key(Node::id);
-        let placed = |node: &Node| {
-            let (bbox, class) = match node {
-                Node::Object(o) => (o.bbox, Some(o.class)),
-                _ => (node.bbox(), None),
-            };
-            Placed { id: node.id(), bbox, class, room: rooms.of(&bbox).map(|r| r.id) }
-        };
-        let things: Vec<Placed> = nodes.iter().map(placed).collect();
-        let mut edges: Vec<Relation> = things.iter().filter_map(in_room).collect();
-        let pairs = near_pairs(&things, params.max_distance_m);
-        let mut stacks = BTreeSet::new();
-        for (a, b) in pairs.iter().filter(|(a, b)| things[*a].class.is_some() && things[*b].class.is_some()) {
-            let found = stacked(&things[*a], &things[*b], params);
-            if !found.is_empty() {
-                stacks.insert((*a, *b));
-                edges.extend(found);
-            }
-        }
-        edges.extend(beside(&things, &pairs, |a, b| stacks.contains(&(a, b)), rooms, params));
+    /// Takes time in the number of objects and relations; for directions, in the number of pairs within reach of each other along x.
+    pub fn build(
+        view: &SceneView<'_>,
+        params: &RelationParams,
+        whose: Option<Directions>,
+        filter: &RelationFilter,
+    ) -> Self {
+        let SceneView { stamp, map_version, t_map_base, objects, rooms, related, since, .. } = *view;
+        let bbox = Node::Robot { t_map_base: *t_map_base }.bbox();
+        let robot = Placed { id: NodeId::Robot, bbox, class: None, room: rooms.of(&bbox).map(|r| r.id) };
+        let mut rest: Vec<Relation> = in_room(&robot).into_iter().collect();
+        rest.extend(beside_robot(&robot, &related.things, rooms, params));
         if let Some(whose) = whose {
             let heading = whose.heading(t_map_base, stamp);
-            pairs.iter().for_each(|(a, b)| directions(&things[*a], &things[*b], heading, params, &mut edges));
+            let things: Vec<Placed> = std::iter::once(robot).chain(related.things.iter().copied()).collect();
+            let pairs = near_pairs(&things, params.max_distance_m);
+            pairs.iter().for_each(|(a, b)| directions(&things[*a], &things[*b], heading, params, &mut rest));
         }
-        edges.retain(|e| e.strength >= params.min_strength && e.strength > 0.0);
-        edges.extend(doors(rooms));
-        let happened = since.map(|since| temporal(objects, since, rooms)).unwrap_or_default();
-        let went: BTreeSet<NodeId> = happened.iter().flat_map(|e| [e.subject, e.object]).collect();
-        edges.extend(happened);
-        let inside = |room: &Room| {
-            let classes = things.iter().filter(|t| t.room == Some(room.id)).filter_map(|t| t.class);
-            let name = names.get(&room.id).cloned();
-            Node::Room(RoomNode { likely: likely_use(room.kind, classes), name, room: room.clone() })
+        rest.retain(|e| params.lists(e));
+        rest.extend(doors(rooms));
+        rest.extend(since.map(|since| temporal(objects, since, rooms)).unwrap_or_default());
+        let place = |id: NodeId| match id {
+            NodeId::Robot => Some(robot),
+            NodeId::Object(object) => related.thing(id).copied().or_else(|| {
+                // What has gone.
+                objects
+                    .binary_search_by_key(&object, |o| o.id)
+                    .ok()
+                    .map(|i| Placed { room: None, ..Placed::of(&objects[i], rooms) })
+            }),
+            NodeId::Room(room) => {
+                rooms.get(room).map(|room| Placed { id, bbox: bbox_of_room(room), class: None, room: None })
+            }
         };
-        let gone = objects.iter().filter(|o| o.state == ObjectState::Gone && went.contains(&NodeId::Object(o.id)));
-        nodes.extend(gone.map(|o| Node::Object(o.clone())));
-        nodes.sort_by_key(Node::id);
-        nodes.extend(rooms.rooms.iter().map(inside));
+        let wanted = |e: &&Relation| filter.wants(e, &place);
+        let mut edges: Vec<Relation> = related.edges.iter().chain(&rest).filter(wanted).copied().collect();
         edges.sort_by_key(|e| (e.subject, e.object, e.kind));
-        Self { stamp, map_version, nodes, edges }
-    }
-
-    /// The relations that are asked for, and the nodes that they join.
-    pub fn filtered(mut self, filter: &RelationFilter) -> Self {
-        if filter.is_everything() {
-            return self;
-        }
-        let nodes: BTreeMap<NodeId, &Node> = self.nodes.iter().map(|n| (n.id(), n)).collect();
-        let room_of: BTreeMap<NodeId, RoomId> = self.edges.iter().filter_map(Relation::room).collect();
-        let edges: Vec<Relation> = self.edges.iter().filter(|e| filter.wants(e, &nodes, &room_of)).copied().collect();
-        let mentioned: BTreeSet<NodeId> = edges.iter().flat_map(|e| [e.subject, e.object]).collect();
-        self.nodes.retain(|n| mentioned.contains(&n.id()));
-        Self { edges, ..self }
+        Self { stamp, map_version, nodes: nodes(view, filter, &edges), edges }
     }
 
     /// The graph in Graphviz's DOT language. Text.
@@ -237,10 +223,38 @@ fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"")
 }
 
-fn in_room(thing: &Placed) -> Option<Relation> {
-    let (kind, frame) = (RelationKind::InRoom, RelationFrame::Any);
-    let object = NodeId::Room(thing.room?);
-    Some(Relation { subject: thing.id, kind, object, frame, strength: 1.0, distance_m: 0.0, stamp: None })
+/// Nodes of a graph with these relations: robot, objects, rooms.
+fn nodes(view: &SceneView<'_>, filter: &RelationFilter, edges: &[Relation]) -> Vec<Node> {
+    let mut joined: Vec<NodeId> = edges.iter().flat_map(|e| [e.subject, e.object]).collect();
+    joined.sort_unstable();
+    joined.dedup();
+    let is_joined = |id: NodeId| joined.binary_search(&id).is_ok();
+    let is_wanted = |id: NodeId| filter.is_everything() || is_joined(id);
+    let mut nodes = vec![];
+    nodes.extend(is_wanted(NodeId::Robot).then_some(Node::Robot { t_map_base: *view.t_map_base }));
+    // What has gone is there if something is told of it.
+    let is_told = |o: &&Object| {
+        if o.state == ObjectState::Gone { is_joined(NodeId::Object(o.id)) } else { is_wanted(NodeId::Object(o.id)) }
+    };
+    nodes.extend(view.objects.iter().filter(is_told).map(|o| Node::Object(o.clone())));
+    nodes.sort_by_key(Node::id);
+    let in_rooms = by_room(&view.related.things);
+    let inside = |room: &Room| {
+        let classes = in_rooms.get(&room.id).into_iter().flatten().copied();
+        let name = view.names.get(&room.id).cloned();
+        Node::Room(RoomNode { likely: likely_use(room.kind, classes), name, room: room.clone() })
+    };
+    nodes.extend(view.rooms.rooms.iter().filter(|room| is_wanted(NodeId::Room(room.id))).map(inside));
+    nodes
+}
+
+/// Classes of what stands in each room.
+fn by_room(things: &[Placed]) -> BTreeMap<RoomId, Vec<ObjectClass>> {
+    let mut out = BTreeMap::<RoomId, Vec<ObjectClass>>::new();
+    for (room, class) in things.iter().filter_map(|t| t.room.zip(t.class)) {
+        out.entry(room).or_default().push(class);
+    }
+    out
 }
 
 /// Rooms that a door joins, each pair once.

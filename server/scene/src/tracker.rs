@@ -162,7 +162,8 @@ impl Tracker {
         let mut removed = Vec::new();
         let seen: Vec<usize> = (0..self.tracks.len()).filter(|&i| seen[i]).collect();
         let seen = &seen[..];
-        let missed: Vec<usize> = (0..self.tracks.len()).filter(|i| seen.binary_search(i).is_err() && !self.tracks[*i].is_passing).collect();
+        let missed: Vec<usize> =
+            (0..self.tracks.len()).filter(|i| seen.binary_search(i).is_err() && !self.tracks[*i].is_passing).collect();
         for i in missed {
             if self.tracks[i].state == ObjectState::Gone {
                 continue;

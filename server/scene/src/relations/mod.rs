@@ -7,17 +7,20 @@
 mod beside;
 mod directions;
 mod physical;
+mod related;
 mod temporal;
 
 pub use directions::Directions;
+pub use related::Related;
 
-pub(crate) use beside::beside;
+pub(crate) use beside::{beside, beside_robot};
 pub(crate) use directions::directions;
 pub(crate) use physical::stacked;
+pub(crate) use related::in_room;
 pub(crate) use temporal::temporal;
 
-use crate::rooms::RoomId;
-use crate::{ObjectId, SceneError, within};
+use crate::rooms::{RoomId, Rooms};
+use crate::{Object, ObjectId, SceneError, within};
 use percept_geometry::{ObjectClass, OrientedBox3, Timestamp};
 use serde::{Deserialize, Serialize};
 
@@ -181,6 +184,14 @@ pub struct RelationParams {
     pub num_near: usize,
 }
 
+impl Placed {
+    /// An object where it stands.
+    pub(crate) fn of(object: &Object, rooms: &Rooms) -> Self {
+        let (bbox, class) = (object.bbox, Some(object.class));
+        Self { id: NodeId::Object(object.id), bbox, class, room: rooms.of(&bbox).map(|r| r.id) }
+    }
+}
+
 impl Default for RelationParams {
     fn default() -> Self {
         Self { max_distance_m: 5.0, min_strength: 0.1, contact_m: 0.1, next_to_m: 0.5, num_near: 3 }
@@ -188,6 +199,11 @@ impl Default for RelationParams {
 }
 
 impl RelationParams {
+    /// Whether a relation is strong enough to be listed.
+    pub(crate) fn lists(&self, relation: &Relation) -> bool {
+        relation.strength >= self.min_strength && relation.strength > 0.0
+    }
+
     /// Checks the bounds.
     ///
     /// # Errors

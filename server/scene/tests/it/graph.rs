@@ -4,8 +4,8 @@ use nalgebra::{Point3, Vector3};
 use percept_geometry::{ObjectClass, OrientedBox3, Pose, Timestamp, se3};
 use percept_scene::rooms::Rooms;
 use percept_scene::{
-    Directions, NodeId, Object, ObjectId, ObjectState, Relation, RelationFrame, RelationKind, RelationParams,
-    SceneError, SceneGraph, SceneView,
+    Directions, NodeId, Object, ObjectId, ObjectState, Related, Relation, RelationFilter, RelationFrame, RelationKind,
+    RelationParams, SceneError, SceneGraph, SceneView,
 };
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -39,9 +39,19 @@ fn graph(t_map_base: &Pose, objects: &[Object]) -> SceneGraph {
 
 fn in_rooms(t_map_base: &Pose, objects: &[Object], rooms: &Rooms) -> SceneGraph {
     let names = BTreeMap::new();
-    let view =
-        SceneView { stamp: Timestamp(7), map_version: 3, t_map_base, objects, rooms, names: &names, since: None };
-    SceneGraph::build(&view, &RelationParams::default(), Some(Directions::Robot))
+    let params = RelationParams::default();
+    let related = &Related::of(objects, rooms, &params);
+    let view = SceneView {
+        stamp: Timestamp(7),
+        map_version: 3,
+        t_map_base,
+        objects,
+        rooms,
+        related,
+        names: &names,
+        since: None,
+    };
+    SceneGraph::build(&view, &params, Some(Directions::Robot), &RelationFilter::default())
 }
 
 fn edge(graph: &SceneGraph, subject: u64, kind: RelationKind, object: u64) -> Option<Relation> {

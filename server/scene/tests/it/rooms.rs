@@ -4,7 +4,9 @@ use crate::graph::thing;
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{GridGeometry, ObjectClass, OrientedBox3, Timestamp};
 use percept_scene::rooms::{Floor, RoomId, RoomKind, RoomParams, Rooms, find_rooms};
-use percept_scene::{Node, NodeId, ObjectId, RelationFilter, RelationKind, RelationParams, SceneGraph, SceneView};
+use percept_scene::{
+    Node, NodeId, ObjectId, Related, RelationFilter, RelationKind, RelationParams, SceneGraph, SceneView,
+};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -241,10 +243,11 @@ fn a_graph_says_which_room_things_are_in_and_nothing_through_walls() {
         t_map_base: &t_map_base,
         objects: &objects,
         rooms: &rooms,
+        related: &Related::of(&objects, &rooms, &RelationParams::default()),
         names: &names,
         since: None,
     };
-    let graph = SceneGraph::build(&view, &RelationParams::default(), None);
+    let graph = SceneGraph::build(&view, &RelationParams::default(), None, &RelationFilter::default());
     let said: Vec<(NodeId, RelationKind, NodeId)> = graph.edges.iter().map(|e| (e.subject, e.kind, e.object)).collect();
     let object = |id| NodeId::Object(ObjectId(id));
     for (expected, holds) in [
@@ -271,9 +274,11 @@ fn a_graph_says_which_room_things_are_in_and_nothing_through_walls() {
         subject_class: Some(ObjectClass::Table),
         ..RelationFilter::default()
     };
-    let found = graph.clone().filtered(&filter);
+    let found = SceneGraph::build(&view, &RelationParams::default(), None, &filter);
     assert_eq!(found.edges.len(), 1);
     assert_eq!(found.nodes.iter().map(Node::id).collect::<Vec<_>>(), [object(0), NodeId::Room(left)]);
     let in_right = RelationFilter { room: Some(right), ..RelationFilter::default() };
-    assert!(graph.filtered(&in_right).nodes.iter().all(|n| n.id() != object(0)));
+    assert!(
+        SceneGraph::build(&view, &RelationParams::default(), None, &in_right).nodes.iter().all(|n| n.id() != object(0))
+    );
 }
