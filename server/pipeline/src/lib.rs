@@ -16,6 +16,7 @@ mod params;
 mod passing;
 mod pipeline;
 mod preset;
+mod related;
 mod restored;
 mod rooms;
 mod scene;

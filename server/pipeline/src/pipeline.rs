@@ -16,6 +16,7 @@ pub use settings::may_change;
 use crate::frontend::{Frontend, Keyframe, Registered, Unanchored, View};
 use crate::live::{NewestFrames, Seen};
 use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
+use crate::related::RelatedThings;
 use crate::rooms::DividedMap;
 use crate::scene::Scene;
 use crate::second_look::{SecondLook, SecondLooks};
@@ -47,6 +48,7 @@ pub struct Pipeline {
     scene: Scene,
     /// Rooms, once somebody has asked for them.
     divided: DividedMap,
+    related: RelatedThings,
     /// Where the robot is now.
     pose: Option<PoseEstimate>,
     /// Where the robot starts in a map that was given, base to map, if that was told; until it does.
@@ -69,6 +71,7 @@ impl Pipeline {
             second_looks: SecondLooks::default(),
             scene: Scene::new(&params)?,
             divided: DividedMap::default(),
+            related: RelatedThings::default(),
             pose: None,
             start: None,
             memory: SessionMemory::default(),
@@ -332,6 +335,7 @@ impl Pipeline {
             objects: self.scene.objects(),
             tracked: self.scene.tracked(),
             divided: self.divided.clone(),
+            related: self.related.clone(),
             next_object_id: self.scene.next_object_id(),
             params: Arc::clone(&self.params),
         }

@@ -1,11 +1,12 @@
 //! The immutable picture of a session that every query is answered from.
 
+use crate::related::RelatedThings;
 use crate::rooms::DividedMap;
 use crate::{Chunks, Live, MountOffset, PipelineParams};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
 use percept_mapping::{MapLayers, MapMemory, MappingError, OccupancyMap};
 use percept_scene::rooms::{RoomId, Rooms};
-use percept_scene::{Directions, Object, SceneGraph, SceneView};
+use percept_scene::{Directions, Object, Related, RelationFilter, SceneGraph, SceneView};
 use percept_slam::{ImuFault, Loop, Scale, TrackingState, Waiting};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -140,6 +141,7 @@ pub struct Snapshot {
     pub tracked: Arc<Vec<Object>>,
     /// The rooms, once somebody has asked for them.
     pub(crate) divided: DividedMap,
+    pub(crate) related: RelatedThings,
     /// Number that the next object gets.
     pub next_object_id: u64,
     /// The parameters in force.
@@ -188,7 +190,7 @@ impl Snapshot {
 
     /// Robot, objects that are not gone, rooms, and how all that relates; with directions for somebody, if they are asked for. `names` are
     /// what people call rooms. `at`: as it was then, with the robot there (base to map), in the rooms as they are now. `since`: what happened
-    /// from then on, too.
+    /// from then on, too. `filter`: which relations, and nodes of these.
     ///
     /// # Errors
     /// As [`Snapshot::rooms`].
@@ -198,14 +200,19 @@ impl Snapshot {
         whose: Option<Directions>,
         at: Option<(Timestamp, Pose)>,
         since: Option<Timestamp>,
+        filter: &RelationFilter,
         max_cells: usize,
     ) -> Result<SceneGraph, MappingError> {
         let now = || self.pose.as_ref().map_or((Timestamp::default(), Pose::identity()), |p| (p.stamp, p.t_map_base));
         let (stamp, t_map_base) = at.unwrap_or_else(now);
         let past: Option<Vec<Object>> = at.map(|(at, _)| self.objects.iter().filter_map(|o| o.at(at)).collect());
+        let (rooms, map_version, params) = (&self.rooms(max_cells)?, self.map_version, &self.params.relations);
+        let related = &*match &past {
+            Some(past) => Arc::new(Related::of(past, rooms, params)),
+            None => self.related.of(&self.objects, rooms, params),
+        };
         let objects = past.as_deref().unwrap_or(&self.objects);
-        let (rooms, map_version) = (&*self.rooms(max_cells)?, self.map_version);
-        let view = SceneView { stamp, map_version, t_map_base: &t_map_base, objects, rooms, names, since };
-        Ok(SceneGraph::build(&view, &self.params.relations, whose))
+        let view = SceneView { stamp, map_version, t_map_base: &t_map_base, objects, rooms, related, names, since };
+        Ok(SceneGraph::build(&view, params, whose, filter))
     }
 }

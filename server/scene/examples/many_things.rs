@@ -91,6 +91,11 @@ fn main() {
         black_box(Related::of(&objects, &divided, &params));
     });
     let related = Related::of(&objects, &divided, &params);
+    let mut moved = objects.clone();
+    timed("the same after one was moved", 50, |i| {
+        moved[i * 37 % things].bbox.t_frame_box.translation.vector.x += 0.05;
+        black_box(related.renewed(&moved, &divided, &params));
+    });
     let (t_map_base, names) = (Pose::translation(12.0, 12.0, 0.0), BTreeMap::new());
     let view = SceneView {
         stamp: Timestamp(stamp),

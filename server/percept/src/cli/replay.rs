@@ -8,6 +8,7 @@ use percept_formats::dataset::{self, Dataset, OpenOptions};
 use percept_formats::{Limits as FileLimits, read_file, trajectory};
 use percept_geometry::{SensorFrame, SensorKind};
 use percept_pipeline::{LoopState, PipelineParams, Snapshot};
+use percept_scene::RelationFilter;
 use percept_service::reason;
 use percept_service::{Limits, MapFormat, map_files};
 use percept_wire::{convert, json, v1};
@@ -201,7 +202,7 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
     let objects = json::to_json("ListObjectsResponse", &objects)?;
     std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
     let max_cells = snapshot.params.planning.max_cells;
-    let graph = snapshot.scene_graph(&BTreeMap::new(), None, None, None, max_cells)?;
+    let graph = snapshot.scene_graph(&BTreeMap::new(), None, None, None, &RelationFilter::default(), max_cells)?;
     let graph = json::to_json("SceneGraph", &convert::scene::graph_to(&graph))?;
     std::fs::write(dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
     Ok(())

@@ -78,16 +78,18 @@ fn radius_m(thing: &Placed) -> f64 {
     0.5 * thing.bbox.size.xy().norm()
 }
 
-/// Relations of things that stand beside each other; `stacked` are pairs of places that share ground in another way, the smaller first.
+/// Relations of the things that are asked for with what stands beside them; `stacked` are pairs of places that share ground in another way,
+/// the smaller first.
 pub(crate) fn beside(
     things: &[Placed],
+    is_asked: impl Fn(&Placed) -> bool,
     stacked: &BTreeSet<(usize, usize)>,
     rooms: &Rooms,
     params: &RelationParams,
 ) -> Vec<Relation> {
     let by_room = ByRoom::new(things);
     let mut listed = BTreeMap::<(usize, usize), f64>::new();
-    for (a, thing) in things.iter().enumerate() {
+    for (a, thing) in things.iter().enumerate().filter(|(_, thing)| is_asked(thing)) {
         let is_stacked = |b: usize| stacked.contains(&(a.min(b), a.max(b)));
         let nearest = by_room.nearest(thing, is_stacked, rooms, params);
         listed.extend(nearest.into_iter().map(|(gap, b)| ((a.min(b), a.max(b)), gap)));

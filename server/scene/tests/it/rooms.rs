@@ -225,6 +225,60 @@ proptest! {
 }
 
 #[test]
+fn relations_that_are_taken_over_are_those_that_would_be_found_anew() {
+    let rooms = drawn(&FLAT).divided(&[], &[(3, [2.0, 4.5]), (7, [6.0, 1.7]), (9, [7.0, 4.4])]);
+    let params = RelationParams::default();
+    let spread = |i: u64, m: u64| (i.wrapping_mul(m) >> 7 & 0xffff) as f64 / 65536.0;
+    let classes = [ObjectClass::Table, ObjectClass::Chair, ObjectClass::Shelf, ObjectClass::Box];
+    let mut objects: Vec<_> = (0..60u64)
+        .map(|i| {
+            let at = [
+                0.8 + 8.0 * spread(i, 40_503_761),
+                0.8 + 5.0 * spread(i, 97_531_357),
+                0.2 + 0.3 * spread(i, 7_919_333),
+            ];
+            thing(i, classes[i as usize % 4], at, [0.3, 0.25, 0.4])
+        })
+        .filter(|o| rooms.of(&o.bbox).is_some())
+        .collect();
+    let mut kept = Related::default();
+    let (names, t_map_base) = (BTreeMap::new(), percept_geometry::se3::from_xy_yaw(2.0, 4.5, 0.0));
+    for round in 0..60u64 {
+        // One is moved, one changes its class, one goes; now and then one stands where no room is.
+        let pick = |k: u64| (round * 7 + k) as usize % 40;
+        objects[pick(0)].bbox.t_frame_box.translation.vector.x += if round % 3 == 0 { 0.3 } else { -0.2 };
+        objects[pick(5)].class = classes[round as usize % 4];
+        let gone = pick(11);
+        objects[gone].state = match objects[gone].state {
+            percept_scene::ObjectState::Static => percept_scene::ObjectState::Gone,
+            _ => percept_scene::ObjectState::Static,
+        };
+        if round % 10 == 4 {
+            objects[3].bbox.t_frame_box.translation.vector.y += 50.0;
+        } else if round % 10 == 8 {
+            objects[3].bbox.t_frame_box.translation.vector.y -= 50.0;
+        }
+        kept = kept.renewed(&objects, &rooms, &params);
+        let graph = |related: &Related| {
+            let view = SceneView {
+                stamp: Timestamp(7),
+                map_version: 3,
+                t_map_base: &t_map_base,
+                objects: &objects,
+                rooms: &rooms,
+                related,
+                names: &names,
+                since: None,
+            };
+            SceneGraph::build(&view, &params, None, &RelationFilter::default())
+        };
+        let anew = graph(&Related::of(&objects, &rooms, &params));
+        assert!(anew.edges.len() > 40, "{}", anew.edges.len());
+        assert_eq!(graph(&kept), anew, "{round}");
+    }
+}
+
+#[test]
 fn a_graph_says_which_room_things_are_in_and_nothing_through_walls() {
     let rooms = drawn(&FLAT).divided(&[], &[(3, [2.0, 4.5]), (7, [6.0, 1.7]), (9, [7.0, 4.4])]);
     let objects = [

@@ -158,7 +158,7 @@ impl Service {
             let at = at.map(then).transpose()?;
             let rooms = snapshot.rooms(max_cells).map_err(refused)?;
             let names = names(&snapshot, &meta.room_names, &rooms);
-            Ok(snapshot.scene_graph(&names, whose, at, since, max_cells).map_err(refused)?.filtered(&filter))
+            Ok(snapshot.scene_graph(&names, whose, at, since, &filter, max_cells).map_err(refused)?)
         };
         self.compute.query(&self.asker(session)?, work).await?
     }
@@ -211,7 +211,8 @@ pub(super) fn refused(e: MappingError) -> Error {
 
 pub(super) fn listed(snapshot: &Snapshot, called: &[RoomName], max_cells: usize) -> Result<SessionRooms> {
     let rooms = snapshot.rooms(max_cells).map_err(refused)?;
-    let graph = snapshot.scene_graph(&names(snapshot, called, &rooms), None, None, None, max_cells).map_err(refused)?;
+    let (names, all) = (names(snapshot, called, &rooms), RelationFilter::default());
+    let graph = snapshot.scene_graph(&names, None, None, None, &all, max_cells).map_err(refused)?;
     let mut inside = BTreeMap::<RoomId, Vec<u64>>::new();
     for edge in &graph.edges {
         if let (NodeId::Object(object), NodeId::Room(room)) = (edge.subject, edge.object) {
