@@ -11,9 +11,12 @@ mod annotation;
 pub mod assignment;
 mod association;
 mod belief;
+mod correction;
 mod motion;
+mod node;
 pub mod object;
 mod object_filter;
+mod object_id;
 pub mod overlap;
 mod params;
 mod passing;
@@ -24,14 +27,17 @@ pub mod scene_graph;
 mod track;
 pub mod tracker;
 
-pub use annotation::{Annotation, Correction, CorrectionError, MAX_PIECES};
+pub use annotation::Annotation;
 pub use belief::ClassBelief;
-pub use object::{Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, PastState, Visibility};
+pub use correction::{Correction, CorrectionError, MAX_PIECES};
+pub use node::{Node, RoomNode};
+pub use object::{Object, ObjectChange, ObjectChangeKind, ObjectState, Observation, PastState, Visibility};
 pub use object_filter::ObjectFilter;
+pub use object_id::ObjectId;
 pub use params::TrackerParams;
 pub use relation_filter::RelationFilter;
 pub use relations::{Directions, NodeId, Related, Relation, RelationFrame, RelationKind, RelationParams};
-pub use scene_graph::{Node, RoomNode, SceneGraph, SceneView};
+pub use scene_graph::{SceneGraph, SceneView};
 pub use tracker::Tracker;
 
 /// Why a request to this crate cannot be served.

@@ -1,20 +1,9 @@
 //! What is observed, what is tracked, and what may change about it.
 
-use crate::Annotation;
+use crate::{Annotation, ObjectId};
 use nalgebra::Vector3;
 use percept_geometry::{ObjectClass, OrientedBox3, Timestamp};
 use serde::{Deserialize, Serialize};
-
-/// Identity of an object in its session, counted from 0 in the order of confirmation; never used again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct ObjectId(pub u64);
-
-impl std::fmt::Display for ObjectId {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}", self.0)
-    }
-}
 
 /// One detection, the tracker's input.
 #[derive(Debug, Clone, Copy, PartialEq)]

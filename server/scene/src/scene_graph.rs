@@ -2,47 +2,12 @@
 
 use crate::relations::{Directions, Placed, Related, beside_robot, directions, in_room, temporal};
 use crate::rooms::{Room, RoomId, RoomKind, Rooms};
-use crate::{NodeId, Object, ObjectState, Relation, RelationFilter, RelationFrame, RelationKind, RelationParams};
-use nalgebra::{Point3, Vector3};
-use percept_geometry::{ObjectClass, OrientedBox3, Pose, Timestamp, se3};
+use crate::{
+    Node, NodeId, Object, ObjectState, Relation, RelationFilter, RelationFrame, RelationKind, RelationParams, RoomNode,
+};
+use percept_geometry::{ObjectClass, Pose, Timestamp};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
-
-/// Edges of the nominal box that stands for the robot on its base frame, metres.
-const ROBOT_SIZE_M: [f64; 3] = [0.5, 0.5, 0.5];
-
-/// A node of the graph.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Node {
-    /// The robot.
-    Robot {
-        /// Base to map.
-        t_map_base: Pose,
-    },
-    /// An object that is there; or that has gone, if it is asked what happened.
-    Object(Object),
-    /// A room.
-    Room(RoomNode),
-}
-
-/// A room, what it is called, and what it may be used for.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RoomNode {
-    /// The room.
-    pub room: Room,
-    /// What people call it.
-    pub name: Option<String>,
-    /// What it is likely used for, by what stands in it.
-    pub likely: Option<&'static str>,
-}
-
-impl RoomNode {
-    /// Its name, else what it is likely used for, else what its shape says; with its number if it has no name.
-    pub fn label(&self) -> String {
-        let kind = self.likely.unwrap_or(self.room.kind.name());
-        self.name.clone().unwrap_or_else(|| format!("{kind} {}", self.room.id))
-    }
-}
 
 /// What a room with such things in it is likely used for. None if they do not tell.
 fn likely_use(kind: RoomKind, things: impl Iterator<Item = ObjectClass>) -> Option<&'static str> {
@@ -58,36 +23,6 @@ fn likely_use(kind: RoomKind, things: impl Iterator<Item = ObjectClass>) -> Opti
         () if tables == 0 && shelves + boxes >= 3 && shelves + boxes > chairs => Some("storage room"),
         () => None,
     }
-}
-
-impl Node {
-    /// Its identity.
-    pub fn id(&self) -> NodeId {
-        match self {
-            Self::Robot { .. } => NodeId::Robot,
-            Self::Object(object) => NodeId::Object(object.id),
-            Self::Room(node) => NodeId::Room(node.room.id),
-        }
-    }
-
-    /// Upright box in the map frame, metres: nominal for the robot; of a room the circle that fits, flat.
-    pub fn bbox(&self) -> OrientedBox3 {
-        match self {
-            Self::Robot { t_map_base } => {
-                let size = Vector3::from(ROBOT_SIZE_M);
-                let center = t_map_base.translation.vector + Vector3::new(0.0, 0.0, 0.5 * size.z);
-                OrientedBox3::upright(Point3::from(center), size, se3::yaw(t_map_base))
-            }
-            Self::Object(object) => object.bbox,
-            Self::Room(RoomNode { room, .. }) => bbox_of_room(room),
-        }
-    }
-}
-
-/// The circle that fits into a room, flat.
-fn bbox_of_room(room: &Room) -> OrientedBox3 {
-    let size = Vector3::new(2.0 * room.radius_m, 2.0 * room.radius_m, 0.0);
-    OrientedBox3::upright(Point3::new(room.center.x, room.center.y, 0.0), size, 0.0)
 }
 
 /// What is there and how it lies, at one time.
@@ -159,7 +94,7 @@ impl SceneGraph {
                     .map(|i| Placed { room: None, ..Placed::of(&objects[i], rooms) })
             }),
             NodeId::Room(room) => {
-                rooms.get(room).map(|room| Placed { id, bbox: bbox_of_room(room), class: None, room: None })
+                rooms.get(room).map(|room| Placed { id, bbox: RoomNode::bbox_of(room), class: None, room: None })
             }
         };
         let wanted = |e: &&Relation| filter.wants(e, &place);

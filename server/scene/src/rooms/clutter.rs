@@ -1,5 +1,6 @@
 //! A level without what stands in its rooms.
 
+use super::cleared::{Cleared, Kind};
 use super::{Floor, RoomParams};
 use percept_geometry::{OrientedBox3, clearance_in_cells};
 
@@ -13,35 +14,6 @@ const JOINED_M: f64 = 0.25;
 
 /// Strips of floor narrower than this, between what is not known, are what single beams showed, metres.
 const GLIMPSE_M: f64 = 0.5;
-
-/// What a cell is once furniture is gone.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
-    /// Free, or under furniture that stands free.
-    Open,
-    /// A wall, or what is joined to one.
-    Wall,
-    /// The side of a known thing that is joined to a wall.
-    Thing,
-    /// Nobody knows.
-    Unknown,
-}
-
-/// A level without what stands free in it.
-pub(super) struct Cleared {
-    pub(super) kinds: Vec<Kind>,
-}
-
-impl Cleared {
-    /// Cells that are not open.
-    pub(super) fn closed(&self) -> Vec<bool> {
-        self.kinds.iter().map(|k| *k != Kind::Open).collect()
-    }
-
-    pub(super) fn is_open(&self, i: usize) -> bool {
-        self.kinds[i] == Kind::Open
-    }
-}
 
 /// Takes furniture out: known things that hardly stand at walls, and what stands free and is small.
 pub(super) fn cleared(floor: &Floor<'_>, things: &[OrientedBox3], params: &RoomParams) -> Cleared {
@@ -80,25 +52,23 @@ pub(super) fn cleared(floor: &Floor<'_>, things: &[OrientedBox3], params: &RoomP
         }
     }
     let mut cleared = Cleared { kinds };
-    cleared.forget_glimpses(floor);
+    forget_glimpses(&mut cleared, floor);
     cleared
 }
 
-impl Cleared {
-    /// What single beams showed through gaps, glass and doors ajar is not known to be floor.
-    fn forget_glimpses(&mut self, floor: &Floor<'_>) {
-        let clearance = clearance_in_cells(&self.closed(), floor.width, floor.height);
-        let half = 0.5 * GLIMPSE_M / floor.resolution_m();
-        let is_wide: Vec<bool> = clearance.iter().map(|c| f64::from(*c) >= half).collect();
-        let around = floor.around();
-        // A corner of a room lies farther from the circle that fits into it.
-        let kept = around.grown(&is_wide, (1.5 * half).ceil() as usize);
-        let narrow: Vec<bool> = (0..kept.len()).map(|i| self.is_open(i) && !kept[i]).collect();
-        for part in around.parts(&narrow) {
-            let rim = |kind: Kind| part.iter().flat_map(|i| around.four(*i)).filter(|j| self.kinds[*j] == kind).count();
-            if rim(Kind::Unknown) > rim(Kind::Wall) + rim(Kind::Thing) {
-                part.iter().for_each(|i| self.kinds[*i] = Kind::Unknown);
-            }
+/// What single beams showed through gaps, glass and doors ajar is not known to be floor.
+fn forget_glimpses(cleared: &mut Cleared, floor: &Floor<'_>) {
+    let clearance = clearance_in_cells(&cleared.closed(), floor.width, floor.height);
+    let half = 0.5 * GLIMPSE_M / floor.resolution_m();
+    let is_wide: Vec<bool> = clearance.iter().map(|c| f64::from(*c) >= half).collect();
+    let around = floor.around();
+    // A corner of a room lies farther from the circle that fits into it.
+    let kept = around.grown(&is_wide, (1.5 * half).ceil() as usize);
+    let narrow: Vec<bool> = (0..kept.len()).map(|i| cleared.is_open(i) && !kept[i]).collect();
+    for part in around.parts(&narrow) {
+        let rim = |kind: Kind| part.iter().flat_map(|i| around.four(*i)).filter(|j| cleared.kinds[*j] == kind).count();
+        if rim(Kind::Unknown) > rim(Kind::Wall) + rim(Kind::Thing) {
+            part.iter().for_each(|i| cleared.kinds[*i] = Kind::Unknown);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Doorways: where two rooms touch, between jambs.
 
-use super::clutter::{Cleared, Kind};
+use super::cleared::{Cleared, Kind};
 use super::floor::Labels;
 use super::{Door, Floor, Room};
 use nalgebra::{Point2, Vector2};

@@ -1,6 +1,6 @@
 //! A level as cells, and which room each belongs to.
 
-use super::clutter::{Cleared, Kind};
+use super::cleared::{Cleared, Kind};
 use crate::SceneError;
 use nalgebra::Point2;
 use percept_geometry::{Cell, GridGeometry, OrientedBox3, clearance_in_cells};

@@ -8,6 +8,7 @@
 //! mobile robot navigation", 1998 (critical points of the Voronoi graph); compared with others by Bormann et al., "Room
 //! segmentation: survey, implementation, and analysis", 2016. Places as in Hughes et al., "Hydra", 2022.
 
+mod cleared;
 mod clutter;
 mod doors;
 mod floor;

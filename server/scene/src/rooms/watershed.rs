@@ -1,6 +1,6 @@
 //! Basins of the distance to walls: two that meet in a doorway stay apart, others become one.
 
-use super::clutter::{Cleared, Kind};
+use super::cleared::{Cleared, Kind};
 use super::doors::jambs;
 use super::floor::{Around, Labels};
 use super::{Floor, RoomParams};
