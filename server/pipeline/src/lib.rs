@@ -22,6 +22,7 @@ mod rooms;
 mod scene;
 mod second_look;
 mod snapshot;
+mod surroundings;
 mod visibility;
 
 pub use beside::Executor;

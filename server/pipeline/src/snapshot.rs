@@ -1,7 +1,7 @@
 //! The immutable picture of a session that every query is answered from.
 
 use crate::related::RelatedThings;
-use crate::rooms::DividedMap;
+use crate::rooms::{Basis, DividedMap};
 use crate::{Chunks, Live, MountOffset, PipelineParams};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
 use percept_mapping::{MapLayers, MapMemory, MappingError, OccupancyMap};
@@ -185,7 +185,10 @@ impl Snapshot {
     /// # Errors
     /// `RegionTooLarge` for a grid of more than `max_cells` cells around what is known.
     pub fn rooms(&self, max_cells: usize) -> Result<Arc<Rooms>, MappingError> {
-        self.divided.of(self, max_cells)
+        let Self { map_version, objects, params, .. } = self;
+        let basis = Basis { map_version: *map_version, occupancy: &self.layers.occupancy, objects, params };
+        let keyframes = self.keyframes.iter().map(|k| (k.id, &k.t_map_base));
+        self.divided.of(&basis, keyframes, max_cells)
     }
 
     /// Robot, objects that are not gone, rooms, and how all that relates; with directions for somebody, if they are asked for. `names` are
