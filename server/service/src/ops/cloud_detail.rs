@@ -1,6 +1,6 @@
 //! How finely a cloud is read: by voxels, or by how many points there may be.
 
-use super::toolbox::cloud_error;
+use super::errors::cloud_error;
 use crate::{Error, Result, reason};
 use percept_geometry::PointCloud;
 use percept_perception::cloud::voxel_downsample;

@@ -2,9 +2,11 @@
 
 pub(crate) mod changes;
 pub(crate) mod cloud_detail;
+mod errors;
 pub mod evaluation;
 pub mod exploration;
 pub(crate) mod fleet;
+mod labels;
 pub mod layers;
 pub(crate) mod map_comparison;
 pub mod map_files;

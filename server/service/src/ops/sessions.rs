@@ -1,6 +1,6 @@
 //! Create, find, list, delete sessions.
 
-use super::changes::{check_display_name, check_labels};
+use super::labels::{check_display_name, check_labels};
 use crate::clock::now_ns;
 use crate::reason;
 use crate::session::meta::{SensorDeclaration, SessionMeta, SessionMode};

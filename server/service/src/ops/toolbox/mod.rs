@@ -6,7 +6,6 @@
 
 mod clouds;
 mod depth_images;
-mod errors;
 mod features;
 mod files;
 mod images;
@@ -18,9 +17,9 @@ mod registration;
 mod shapes;
 mod subsets;
 
+pub use super::errors::{cloud_error, format_error, registration_error};
 pub use clouds::*;
 pub use depth_images::{DepthFilter, filter_depth};
-pub use errors::{cloud_error, format_error, registration_error};
 pub use features::{FeatureMethod, extract_features, feature_error};
 pub use files::{CloudFormat, decode_cloud, encode_cloud, suffix};
 pub use images::{PosedView, detect_in_image, multiview_error, triangulate_points};
