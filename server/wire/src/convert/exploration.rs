@@ -1,6 +1,7 @@
 //! Paths that cover, frontiers, paths in space.
 
-use super::navigation::{blocking_to, no_path_to, options, path_to, reason_to, zones};
+use super::navigation::{blocking_to, no_path_to, options, path_to, reason_to};
+use super::zones::zones;
 use super::{geometry, layers, maps, required};
 use crate::{params, v1};
 use percept_pipeline::PipelineParams;

@@ -11,6 +11,7 @@ pub mod map_import;
 pub mod maps;
 pub mod navigation;
 pub mod operations;
+pub mod room_routes;
 pub mod rooms;
 pub mod scene;
 pub mod sensors;
@@ -18,6 +19,7 @@ pub mod server;
 pub mod sessions;
 pub mod toolbox;
 pub mod updates;
+mod zones;
 
 use percept_service::reason;
 use percept_service::{Error, Result};

@@ -1,6 +1,6 @@
 //! Requests for paths, and paths.
 
-use super::{geometry, maps, required, scene, sessions};
+use super::{geometry, maps, required, scene, sessions, zones};
 use crate::{params, v1};
 use nalgebra::Point2;
 use percept_formats::GridMap;
@@ -10,20 +10,18 @@ use percept_mapping::height::Storey;
 use percept_pipeline::PipelineParams;
 use percept_planning::{
     Blocking, CellState, Footprint, HybridParams, Misfit, MisfitReason, NoPathReason, PlanOutcome, Planner, Pose2,
-    SpeedLimits, Waypoint, Zone, ZoneKind,
+    SpeedLimits, Waypoint,
 };
 use percept_scene::ObjectId;
 use percept_service::reason;
 use percept_service::{
-    Error, Limits, MaskMeaning, Navigation, PathChange, PathCheck, PathOptions, PathUpdate, Plan, PlanRequest, Result,
-    SessionMask, SessionZone, SpeedUnit, navigation as ops,
+    Error, Limits, Navigation, PathChange, PathCheck, PathOptions, PathUpdate, Plan, PlanRequest, Result,
+    navigation as ops,
 };
 use std::time::Duration;
 
-/// Corners of a footprint, zones of a request, corners of a zone.
+/// Corners of a footprint.
 const MAX_CORNERS: usize = 64;
-const MAX_ZONES: usize = 1000;
-const MAX_ZONE_CORNERS: usize = 1000;
 
 /// What a path is asked for; parameters that are set replace the session's.
 ///
@@ -51,7 +49,7 @@ pub fn request(
 pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
     let Some(asked) = asked else { return Ok(PathOptions::default()) };
     let within = |e: Error| e.within("options");
-    let footprint = corners("footprint", &asked.footprint, MAX_CORNERS).map_err(within)?;
+    let footprint = zones::corners("footprint", &asked.footprint, MAX_CORNERS).map_err(within)?;
     let speed = |s: &v1::SpeedLimits| SpeedLimits {
         max_speed_mps: s.max_speed_mps,
         max_accel_mps2: s.max_accel_mps2,
@@ -62,7 +60,7 @@ pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
         start_yaw_rad: asked.start_yaw_rad,
         goal_yaw_rad: asked.goal_yaw_rad,
         footprint: (!footprint.is_empty()).then_some(Footprint::Polygon(footprint)),
-        zones: zones(&asked.zones)?,
+        zones: zones::zones(&asked.zones)?,
         speed: asked.speed.as_ref().map_or_else(SpeedLimits::default, speed),
         masks: vec![],
         storey: asked.storey.as_ref().map(storey).transpose().map_err(|e| e.within("options.storey"))?,
@@ -70,19 +68,6 @@ pub fn options(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
         is_map_only: asked.map_only,
         deadline: (asked.deadline_ms > 0).then(|| Duration::from_millis(asked.deadline_ms.into())),
     })
-}
-
-/// Zones of a question.
-///
-/// # Errors
-/// Naming the field below `options`.
-pub(super) fn zones(asked: &[v1::Zone]) -> Result<Vec<Zone>> {
-    if asked.len() > MAX_ZONES {
-        let message = format!("there are {} zones, at most {MAX_ZONES} are allowed; merge some", asked.len());
-        return Err(Error::invalid(reason::OUT_OF_RANGE, "options.zones", message));
-    }
-    let numbered = |(i, z)| zone(z).map_err(|e| e.within(&format!("options.zones[{i}]")));
-    asked.iter().enumerate().map(numbered).collect()
 }
 
 fn storey(s: &v1::StoreyOptions) -> Result<Storey> {
@@ -100,86 +85,6 @@ pub fn options_on_map(asked: Option<&v1::PathOptions>) -> Result<PathOptions> {
         return Err(Error::invalid(reason::OUT_OF_RANGE, "options.storey", words));
     }
     Ok(options)
-}
-
-fn corners(field: &'static str, points: &[v1::Vector2], most: usize) -> Result<Vec<Point2<f64>>> {
-    if points.len() > most {
-        let message = format!("{field} has {} corners, at most {most} are allowed; simplify it", points.len());
-        return Err(Error::invalid(reason::OUT_OF_RANGE, field, message));
-    }
-    points.iter().map(|p| geometry::point2(field, p)).collect()
-}
-
-/// An area of the map.
-///
-/// # Errors
-/// `FIELD_MISSING`, `OUT_OF_RANGE`.
-pub(super) fn zone(zone: &v1::Zone) -> Result<Zone> {
-    let polygon = corners("polygon", &zone.polygon, MAX_ZONE_CORNERS)?;
-    let kind = match required("kind", zone.kind)? {
-        v1::zone::Kind::KeepOut(true) => ZoneKind::KeepOut,
-        v1::zone::Kind::KeepOut(false) => {
-            let message = "keep_out is false; set it, or give a speed_share";
-            return Err(Error::invalid(reason::OUT_OF_RANGE, "keep_out", message));
-        }
-        v1::zone::Kind::SpeedShare(share) => ZoneKind::SpeedLimit { share },
-    };
-    Ok(Zone { polygon, kind })
-}
-
-/// A zone of a session as a message.
-pub(super) fn zone_to(z: &SessionZone) -> v1::Zone {
-    let kind = match z.zone.kind {
-        ZoneKind::KeepOut => v1::zone::Kind::KeepOut(true),
-        ZoneKind::SpeedLimit { share } => v1::zone::Kind::SpeedShare(share),
-    };
-    let polygon = z.zone.polygon.iter().map(|p| v1::Vector2 { x: p.x, y: p.y }).collect();
-    v1::Zone { polygon, kind: Some(kind), name: z.name.clone() }
-}
-
-/// What the values of a mask mean, if that is said.
-///
-/// # Errors
-/// `OUT_OF_RANGE`, `ENUM_UNKNOWN`.
-pub(super) fn mask_meaning(kind: Option<&v1::zone_mask::Kind>) -> Result<Option<MaskMeaning>> {
-    match kind {
-        None => Ok(None),
-        Some(v1::zone_mask::Kind::KeepOut(true)) => Ok(Some(MaskMeaning::KeepOut)),
-        Some(v1::zone_mask::Kind::KeepOut(false)) => {
-            let message = "keep_out is false; set it, or give speed";
-            Err(Error::invalid(reason::OUT_OF_RANGE, "keep_out", message))
-        }
-        Some(v1::zone_mask::Kind::Speed(speed)) => {
-            let unit = match v1::SpeedUnit::try_from(speed.unit) {
-                Ok(v1::SpeedUnit::Unspecified | v1::SpeedUnit::Percent) => SpeedUnit::Percent,
-                Ok(v1::SpeedUnit::MetresPerSecond) => SpeedUnit::MetresPerSecond,
-                Err(_) => return Err(super::unknown_enum("speed.unit", speed.unit)),
-            };
-            Ok(Some(MaskMeaning::Speed { base: speed.base, multiplier: speed.multiplier.unwrap_or(1.0), unit }))
-        }
-    }
-}
-
-/// A mask of a session as a message, without its cells.
-pub(super) fn mask_to(mask: &SessionMask) -> v1::ZoneMask {
-    let kind = match mask.meaning {
-        MaskMeaning::KeepOut => v1::zone_mask::Kind::KeepOut(true),
-        MaskMeaning::Speed { base, multiplier, unit } => {
-            let unit = match unit {
-                SpeedUnit::Percent => v1::SpeedUnit::Percent,
-                SpeedUnit::MetresPerSecond => v1::SpeedUnit::MetresPerSecond,
-            };
-            v1::zone_mask::Kind::Speed(v1::SpeedMask { unit: unit.into(), base, multiplier: Some(multiplier) })
-        }
-    };
-    let grid = &mask.cells.grid;
-    let geometry = v1::GridGeometry {
-        resolution_m: grid.geometry.resolution_m,
-        origin: Some(v1::Vector2 { x: grid.geometry.origin.x, y: grid.geometry.origin.y }),
-        width: grid.width as u32,
-        height: grid.height as u32,
-    };
-    v1::ZoneMask { name: mask.name.clone(), map: None, kind: Some(kind), geometry: Some(geometry) }
 }
 
 fn planner(asked: &v1::PathOptions) -> Result<Planner> {

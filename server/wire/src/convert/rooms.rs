@@ -1,13 +1,12 @@
-//! Rooms, doors, places, and the way to a room.
+//! Rooms, doors and places.
 
-use super::navigation::planned_to;
 use crate::v1;
 use nalgebra::Point2;
 use percept_scene::RoomNode;
-use percept_scene::rooms::{Door, Place, PlaceLink, RoomId, RoomKind, Rooms};
-use percept_service::{Error, Result, RoomRoute, RoomWanted, SessionRooms, reason};
+use percept_scene::rooms::{Door, Place, PlaceLink, RoomKind, Rooms};
+use percept_service::SessionRooms;
 
-fn point_to(p: &Point2<f64>) -> v1::Vector2 {
+pub(super) fn point_to(p: &Point2<f64>) -> v1::Vector2 {
     v1::Vector2 { x: p.x, y: p.y }
 }
 
@@ -32,7 +31,7 @@ pub fn room_to(node: &RoomNode, objects: &[u64]) -> v1::Room {
     }
 }
 
-fn door_to(door: &Door) -> v1::Door {
+pub(super) fn door_to(door: &Door) -> v1::Door {
     v1::Door {
         room_id_1: door.rooms.0.0,
         room_id_2: door.rooms.1.0,
@@ -73,42 +72,4 @@ pub fn rooms_to(found: &SessionRooms, with_places: bool) -> v1::GetRoomsResponse
 pub fn one_to(found: &SessionRooms, id: u64) -> Option<v1::Room> {
     let mut all = found.nodes.iter().zip(&found.objects);
     all.find(|(node, _)| node.room.id.0 == id).map(|(node, objects)| room_to(node, objects))
-}
-
-/// The room that is asked for.
-///
-/// # Errors
-/// `FIELD_MISSING` without one.
-pub fn wanted(room: Option<v1::route_to_room_request::Room>) -> Result<RoomWanted> {
-    use v1::route_to_room_request::Room;
-    match room {
-        Some(Room::RoomId(id)) => Ok(RoomWanted::Id(RoomId(id))),
-        Some(Room::RoomName(name)) => Ok(RoomWanted::Name(name)),
-        None => Err(Error::invalid(reason::FIELD_MISSING, "room", "give room_id or room_name".to_owned())),
-    }
-}
-
-/// Where the way begins; none: where the robot is.
-///
-/// # Errors
-/// Coordinates that are not finite.
-pub fn start(p: Option<&v1::Vector2>) -> Result<Option<Point2<f64>>> {
-    p.map(|p| super::geometry::point2("start", p)).transpose()
-}
-
-/// A way as a message.
-pub fn route_to(found: &RoomRoute) -> v1::RouteToRoomResponse {
-    use v1::route_to_room_response::Outcome;
-    let outcome = planned_to(&found.plan).map_or_else(Outcome::NoPath, Outcome::Path);
-    let step = |step: &percept_service::rooms::LabelledStep| v1::RouteStep {
-        room_id: step.room.0,
-        label: step.label.clone(),
-        door: step.door.as_ref().map(door_to),
-    };
-    v1::RouteToRoomResponse {
-        steps: found.steps.iter().map(step).collect(),
-        length_m: found.length_m,
-        goal: Some(point_to(&found.goal)),
-        outcome: Some(outcome),
-    }
 }

@@ -86,8 +86,8 @@ pub fn description_to(s: &SessionDescription) -> Result<v1::Session> {
         display_name: meta.display_name.clone(),
         labels: meta.labels.clone().into_iter().collect(),
         etag: meta.etag(),
-        zones: meta.zones.iter().map(super::navigation::zone_to).collect(),
-        zone_masks: meta.zone_masks.iter().map(super::navigation::mask_to).collect(),
+        zones: meta.zones.iter().map(super::zones::zone_to).collect(),
+        zone_masks: meta.zone_masks.iter().map(super::zones::mask_to).collect(),
         params,
         sensors: statuses.iter().map(sensors::status_to).collect(),
         ..view

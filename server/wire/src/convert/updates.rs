@@ -1,6 +1,6 @@
 //! Field masks (AIP-134, AIP-161): which fields of a session or a sensor a request is about, and what they become.
 
-use super::{geometry, navigation, required, sensors};
+use super::{geometry, navigation, required, sensors, zones};
 use crate::{params, v1};
 use percept_geometry::SensorId;
 use percept_service::reason;
@@ -124,7 +124,7 @@ fn labels(session: &v1::Session) -> std::collections::BTreeMap<String, String> {
 
 fn zones(session: &v1::Session) -> Result<Vec<SessionZone>> {
     let of = |(i, z): (usize, &v1::Zone)| {
-        let zone = navigation::zone(z).map_err(|e| e.within(&format!("session.zones[{i}]")))?;
+        let zone = zones::zone(z).map_err(|e| e.within(&format!("session.zones[{i}]")))?;
         Ok(SessionZone { name: z.name.clone(), zone })
     };
     session.zones.iter().enumerate().map(of).collect()
@@ -140,7 +140,7 @@ fn zone_masks(session: &v1::Session, limits: &Limits) -> Result<Vec<MaskChange>>
         let cells = |(field, grid): (&str, Result<_>)| {
             grid.and_then(|grid| MaskCells::new(grid, limits)).map(Arc::new).map_err(|e| e.within(field))
         };
-        let (cells, meaning) = (grid.map(cells).transpose()?, navigation::mask_meaning(mask.kind.as_ref())?);
+        let (cells, meaning) = (grid.map(cells).transpose()?, zones::mask_meaning(mask.kind.as_ref())?);
         Ok(MaskChange { name: mask.name.clone(), meaning, cells })
     };
     let numbered =

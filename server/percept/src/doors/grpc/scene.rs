@@ -3,7 +3,7 @@
 use super::{Answer, Api, Streamed, status, streamed};
 use percept_geometry::Timestamp;
 use percept_scene::rooms::RoomId;
-use percept_wire::convert::{required, rooms, scene};
+use percept_wire::convert::{required, room_routes, rooms, scene};
 use percept_wire::parts::InParts;
 use percept_wire::v1;
 use tonic::{Request, Response};
@@ -98,9 +98,9 @@ impl v1::scene_service_server::SceneService for Api {
         let r = r.into_inner();
         // Who may not ask learns nothing of what is wrong with the question.
         caller.snapshot(ROUTE, &r.session_id).await.map_err(status::grpc)?;
-        let to = rooms::wanted(r.room).map_err(status::grpc)?;
-        let start = rooms::start(r.start.as_ref()).map_err(status::grpc)?;
+        let to = room_routes::wanted(r.room).map_err(status::grpc)?;
+        let start = room_routes::start(r.start.as_ref()).map_err(status::grpc)?;
         let found = caller.route_to_room(&r.session_id, to, start).await.map_err(status::grpc)?;
-        Ok(Response::new(rooms::route_to(&found)))
+        Ok(Response::new(room_routes::route_to(&found)))
     }
 }
