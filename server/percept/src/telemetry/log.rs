@@ -1,15 +1,12 @@
 //! The log: where it goes, how it looks, and what of it is written, which may change while the program runs.
 
+use super::filter::filter;
 use crate::config::LogFormat;
 use std::io::IsTerminal;
 use std::sync::OnceLock;
-use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer, Registry, reload};
-
-/// These speak of their own affairs at `info`: under a plain level they are kept one step quieter.
-const LIBRARIES: [&str; 6] = ["h2", "hyper", "slatedb", "tonic", "tower", "zenoh"];
 
 static FILTER: OnceLock<reload::Handle<EnvFilter, Registry>> = OnceLock::new();
 
@@ -47,24 +44,4 @@ pub(super) fn set_level(level: &str) -> Result<(), String> {
 
 fn environment() -> Option<String> {
     std::env::var(EnvFilter::DEFAULT_ENV).ok().filter(|directives| !directives.is_empty())
-}
-
-/// The filter of a plain level, or of directives such as `info,percept=debug`.
-///
-/// # Errors
-/// What is wrong with it.
-pub(crate) fn filter(level: &str) -> Result<EnvFilter, String> {
-    if level.contains('=') {
-        return EnvFilter::try_new(level).map_err(|e| e.to_string());
-    }
-    let ours: LevelFilter = level.parse().map_err(|_| "it is no level".to_owned())?;
-    let theirs = match ours {
-        LevelFilter::TRACE => "debug",
-        LevelFilter::DEBUG => "info",
-        LevelFilter::INFO => "warn",
-        LevelFilter::OFF => "off",
-        _ => "error",
-    };
-    let quieter = LIBRARIES.iter().filter_map(|library| format!("{library}={theirs}").parse().ok());
-    Ok(quieter.fold(EnvFilter::default().add_directive(ours.into()), EnvFilter::add_directive))
 }

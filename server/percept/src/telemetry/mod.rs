@@ -4,6 +4,7 @@
 //! [`process`] reads what the system knows of this process. What is counted is declared in `percept_service::observe`.
 
 mod export;
+mod filter;
 mod log;
 pub(crate) mod operations;
 mod process;
@@ -13,7 +14,8 @@ use crate::config;
 use percept_service::observe;
 use std::sync::Once;
 
-pub(crate) use log::{filter, init};
+pub(crate) use filter::filter;
+pub(crate) use log::init;
 
 /// The sources that the program was built from, if the build said so.
 pub(crate) const COMMIT: &str = match option_env!("PERCEPT_BUILD_COMMIT") {
