@@ -1,7 +1,7 @@
 //! A rectangle of heights.
 
 use super::compose::geometry;
-use super::{HeightCell, HeightMap, Traversability};
+use super::{HeightCell, HeightMap};
 use crate::MappingError;
 use crate::occupancy::{locate, overlap};
 use percept_geometry::{Cell, GridGeometry};
@@ -143,27 +143,5 @@ impl HeightMap {
             }
         }
         Ok(out)
-    }
-
-    /// Where a robot can drive, in the rectangle from cell `min` to cell `max`, both included: what lies around it counts, too.
-    ///
-    /// # Errors
-    /// As [`HeightMap::region`], of the rectangle with a rim of the footprint's radius and of what an edge may hide.
-    pub fn traversability(
-        &self,
-        min: Cell,
-        max: Cell,
-        storey: Storey,
-        max_cells: usize,
-    ) -> Result<Traversability, MappingError> {
-        if max.x < min.x || max.y < min.y {
-            return Err(MappingError::RegionEmpty);
-        }
-        let rim = self.params().footprint_cells() + self.params().hidden_cells();
-        let low = Cell::new(min.x.saturating_sub(rim), min.y.saturating_sub(rim));
-        let high = Cell::new(max.x.saturating_add(rim), max.y.saturating_add(rim));
-        let around = self.region(low, high, storey, max_cells)?;
-        let inner = |low: i32, min: i32, max: i32| (min - low) as usize..(max - low) as usize + 1;
-        Ok(Traversability::within(&around, self.params(), inner(low.x, min.x, max.x), inner(low.y, min.y, max.y)))
     }
 }

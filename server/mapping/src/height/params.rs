@@ -5,6 +5,9 @@ use crate::ground::GroundParams;
 use crate::{MappingError, OccupancyParams};
 use serde::{Deserialize, Serialize};
 
+/// Behind an edge the ground is hidden as far as this at most, metres: from 1 m up, at 3 m, a drop of 0.3 m hides 0.9 m.
+const HIDDEN_M: f64 = 1.0;
+
 /// Parameters of [`HeightGrid`](crate::HeightGrid) and of what is computed of it.
 ///
 /// What a robot drives over is by default what an electric wheelchair for outdoors has to, one of class C of EN 12184:2014: slopes of 10
@@ -93,7 +96,7 @@ impl HeightParams {
 
     /// Over how many cells ground may be hidden behind an edge.
     pub(super) fn hidden_cells(&self) -> i32 {
-        (super::traversability::HIDDEN_M / self.resolution_m).ceil() as i32
+        (HIDDEN_M / self.resolution_m).ceil() as i32
     }
 
     /// How far from a cell the robot's footprint reaches, cells.

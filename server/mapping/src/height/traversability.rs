@@ -1,8 +1,8 @@
 //! Where a robot can drive, by the shape of the ground.
 
-use super::{DenseHeights, HeightParams};
-use crate::DenseGrid;
-use percept_geometry::GridGeometry;
+use super::{DenseHeights, HeightMap, HeightParams, Storey};
+use crate::{DenseGrid, MappingError};
+use percept_geometry::{Cell, GridGeometry};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -12,8 +12,6 @@ const STEP_CELLS: i32 = 2;
 /// that was seen along a single line has no slope.
 const PLANE_SHARE: f64 = 0.25;
 const PLANE_SPREAD: f64 = 0.2;
-/// Behind an edge the ground is hidden as far as this at most, metres: from 1 m up, at 3 m, a drop of 0.3 m hides 0.9 m.
-pub(super) const HIDDEN_M: f64 = 1.0;
 /// Value of a cell that is just passable, of 100: below what planners take for occupied.
 const PASSABLE: f32 = 50.0;
 
@@ -57,12 +55,7 @@ impl Traversability {
     }
 
     /// Of those columns and rows.
-    pub(super) fn within(
-        heights: &DenseHeights,
-        params: &HeightParams,
-        columns: Range<usize>,
-        rows: Range<usize>,
-    ) -> Self {
+    fn within(heights: &DenseHeights, params: &HeightParams, columns: Range<usize>, rows: Range<usize>) -> Self {
         let footprint = Footprint::new(params);
         let width = columns.len();
         let cells = |y: usize| columns.clone().map(move |x| (x, y));
@@ -72,7 +65,7 @@ impl Traversability {
             .map(|y| cells(y).map(|(x, y)| footprint.tell(heights, params, x as i32, y as i32)).collect())
             .collect();
         let told = told.concat();
-        let corner = percept_geometry::Cell::new(columns.start as i32, rows.start as i32);
+        let corner = Cell::new(columns.start as i32, rows.start as i32);
         Self {
             geometry: GridGeometry::new(heights.geometry.resolution_m, heights.geometry.corner(corner)),
             width,
@@ -94,6 +87,30 @@ impl Traversability {
         };
         let cells = self.traversability.iter().map(value).collect();
         DenseGrid { geometry: self.geometry, width: self.width, height: self.height, cells }
+    }
+}
+
+impl HeightMap {
+    /// Where a robot can drive, in the rectangle from cell `min` to cell `max`, both included: what lies around it counts, too.
+    ///
+    /// # Errors
+    /// As [`HeightMap::region`], of the rectangle with a rim of the footprint's radius and of what an edge may hide.
+    pub fn traversability(
+        &self,
+        min: Cell,
+        max: Cell,
+        storey: Storey,
+        max_cells: usize,
+    ) -> Result<Traversability, MappingError> {
+        if max.x < min.x || max.y < min.y {
+            return Err(MappingError::RegionEmpty);
+        }
+        let rim = self.params().footprint_cells() + self.params().hidden_cells();
+        let low = Cell::new(min.x.saturating_sub(rim), min.y.saturating_sub(rim));
+        let high = Cell::new(max.x.saturating_add(rim), max.y.saturating_add(rim));
+        let around = self.region(low, high, storey, max_cells)?;
+        let inner = |low: i32, min: i32, max: i32| (min - low) as usize..(max - low) as usize + 1;
+        Ok(Traversability::within(&around, self.params(), inner(low.x, min.x, max.x), inner(low.y, min.y, max.y)))
     }
 }
 

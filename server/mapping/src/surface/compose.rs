@@ -2,7 +2,7 @@
 
 use super::SurfaceGrid;
 use super::block::{Observation, SurfaceBlock, VOXELS};
-use super::layer::{TILE_BLOCKS, Under};
+use super::tile::{TILE_BLOCKS, Under};
 use crate::blocks::{BLOCK, BlockKey, corner, locate};
 use crate::cloud::free::count_at;
 use crate::layer::{Placement, TileKey, moved, tiles_of};

@@ -1,7 +1,6 @@
 //! The surface as a layer of the map.
 
-use super::block::SurfaceBlock;
-use super::tile::SurfaceTile;
+use super::tile::{SurfaceTile, TILE_BLOCKS, Under};
 use super::{SurfaceGrid, SurfaceParams, SurfaceUpdate, compose, stored};
 use crate::KeyframeView;
 use crate::blocks::block_box;
@@ -9,14 +8,7 @@ use crate::blocks::{BLOCK, BlockKey};
 use crate::bytes::{Damaged, Reader};
 use crate::layer::{Footprint, Layer, Placement, TileKey, joined};
 use percept_geometry::Aabb3;
-use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// Edge of a tile of the map, blocks.
-pub(super) const TILE_BLOCKS: i32 = 8;
-
-/// A tile while it is composed: blocks of the map, shared with the parts that they come from as long as one part says all.
-pub(super) type Under = BTreeMap<BlockKey, Arc<SurfaceBlock>>;
 
 impl Layer for SurfaceGrid {
     type Params = SurfaceParams;

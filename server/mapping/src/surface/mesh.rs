@@ -2,9 +2,9 @@
 
 use super::block::SurfaceBlock;
 use super::extract::extract;
-use super::layer::TILE_BLOCKS;
 use super::mesh_data::MeshData;
 use super::piece::{GridEdge, Piece, weld};
+use super::tile::TILE_BLOCKS;
 use super::tile::{Around, SurfaceTile};
 use super::{SurfaceGrid, SurfaceMap};
 use crate::MappingError;

@@ -3,7 +3,14 @@
 use super::block::SurfaceBlock;
 use super::piece::Piece;
 use crate::blocks::BlockKey;
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+/// Edge of a tile of the map, blocks.
+pub(super) const TILE_BLOCKS: i32 = 8;
+
+/// A tile while it is composed: blocks of the map, shared with the parts that they come from as long as one part says all.
+pub(super) type Under = BTreeMap<BlockKey, Arc<SurfaceBlock>>;
 
 /// A tile of the map: a column of all heights. Equal if its voxels are.
 #[derive(Debug)]
