@@ -1,6 +1,6 @@
 //! What holds along a path: for pictures and tables of it.
 
-use crate::plan::sized;
+use crate::by_cells::sized;
 use crate::{Costmap, PathRequest, PlanError, Pose2, Waypoint};
 use nalgebra::Point2;
 use percept_geometry::se3::wrap_angle;

@@ -1,8 +1,8 @@
 //! Where to look next: the edge of what is known.
 
+use crate::by_cells::sized;
 use crate::costmap::{CellState, Costmap};
 use crate::flood::Flood;
-use crate::plan::sized;
 use crate::{PathRequest, PlanError, PlanParams, SearchGrid};
 use nalgebra::Point2;
 use percept_geometry::Cell;

@@ -14,6 +14,7 @@ pub mod anytime;
 pub mod astar;
 mod bits;
 mod blocking;
+mod by_cells;
 pub mod costmap;
 pub mod coverage;
 mod ends;

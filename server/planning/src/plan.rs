@@ -2,17 +2,16 @@
 
 use crate::answer::{NoPathReason, Path, PlanOutcome};
 use crate::anytime::best_in_time;
-use crate::astar::{SearchGrid, reaches, search};
+use crate::astar::{SearchGrid, search};
 use crate::blocking::{Refusal, first_blocking};
+use crate::by_cells::{path_through, sized, unreachable};
 use crate::costmap::Costmap;
 use crate::ends::{check_goal, check_goal_pose, check_start, check_start_pose};
 use crate::fit::Fit;
 use crate::hybrid::{DrivingCost, HybridPath, Limits, Steering, closed_cells, shortcut};
-use crate::smooth::{resample, shorten, smooth};
 use crate::theta::{AnyAngleLimits, any_angle};
 use crate::{Footprint, GridPath, HybridParams, PathRequest, PlanError, PlanParams, Planner};
 use nalgebra::Point2;
-use percept_geometry::Cell;
 use percept_mapping::{DenseGrid, MappingError, Occupancy};
 
 /// Plans over all that a grid knows; see [`plan_dense`].
@@ -74,13 +73,6 @@ pub fn plan_path(grid: &DenseGrid, request: &PathRequest<'_>) -> Result<PlanOutc
         Ok(path) => PlanOutcome::Path(path),
         Err(Refusal { reason, blocking }) => PlanOutcome::NoPath { reason, blocking },
     })
-}
-
-/// The request's parameters for what is planned for: the base keeps off by what the footprint needs whatever its heading.
-pub(crate) fn sized(request: &PathRequest<'_>, planned_for: &Footprint) -> PlanParams {
-    let radius = planned_for.inscribed_radius_m();
-    let inflation_radius_m = request.params.inflation_radius_m.max(radius);
-    PlanParams { robot_radius_m: radius, inflation_radius_m, ..*request.params }
 }
 
 /// A path that can be steered.
@@ -153,36 +145,4 @@ fn route(costmap: &Costmap, grid: &DenseGrid, request: &PathRequest<'_>) -> Resu
         // What A* found is a path all the same, and the best so far.
         _ => Path { is_final: false, ..by_cells },
     })
-}
-
-/// From the request's start through cells to its goal, smoothed if that is wanted.
-pub(crate) fn path_through(costmap: &Costmap, request: &PathRequest<'_>, cells: &[Cell], expansions: usize) -> Path {
-    let params = request.params;
-    let mut raw = vec![request.start.position];
-    raw.extend(cells.iter().map(|c| costmap.geometry().center(*c)));
-    raw.push(request.goal.position);
-    let points = if params.smooth { smoothed(costmap, &raw, params) } else { raw };
-    Path::of_legs(costmap, points, &request.speed, expansions)
-}
-
-/// Unreachable, or rather a start so hemmed in that no place the robot fits in can be reached from it.
-pub(crate) fn unreachable(
-    costmap: &Costmap,
-    grid: &SearchGrid<'_>,
-    ends: (Cell, Cell),
-    params: &PlanParams,
-) -> Refusal {
-    let radius = params.robot_radius_m;
-    if reaches(grid, ends.0, |c| costmap.fits(c)) {
-        let blocking = first_blocking(costmap, grid.blocked, ends, radius);
-        return Refusal { reason: NoPathReason::Unreachable, blocking };
-    }
-    let blocking = costmap.blocking_at(&costmap.geometry().center(ends.0), radius);
-    Refusal { reason: NoPathReason::StartDoesNotFit, blocking }
-}
-
-fn smoothed(costmap: &Costmap, raw: &[Point2<f64>], params: &PlanParams) -> Vec<Point2<f64>> {
-    let radius = params.robot_radius_m;
-    let short = shorten(costmap, raw, radius);
-    smooth(costmap, &resample(&short, params.waypoint_spacing_m), radius)
 }

@@ -3,9 +3,9 @@
 use super::{AnytimeEnd, AnytimeParams, AnytimePath, AnytimeRequest, search};
 use crate::answer::{NoPathReason, Path, PlanOutcome};
 use crate::blocking::Refusal;
+use crate::by_cells::{path_through, sized, unreachable};
 use crate::costmap::Costmap;
 use crate::ends::{check_goal, check_start};
-use crate::plan::{path_through, sized, unreachable};
 use crate::{PathRequest, PlanError, Planner, SearchGrid};
 use percept_geometry::Cell;
 use percept_mapping::DenseGrid;

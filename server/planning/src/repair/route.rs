@@ -3,9 +3,9 @@
 use super::RepairingPlanner;
 use crate::answer::{NoPathReason, PlanOutcome};
 use crate::blocking::Refusal;
+use crate::by_cells::{path_through, sized, unreachable};
 use crate::costmap::Costmap;
 use crate::ends::{check_goal, check_start};
-use crate::plan::{path_through, sized, unreachable};
 use crate::{GridPath, PathRequest, PlanError, Planner, SearchGrid};
 use percept_geometry::{Cell, GridGeometry};
 use percept_mapping::DenseGrid;
