@@ -9,7 +9,6 @@
 use crate::InferenceError;
 use crate::error::shortened;
 use crate::protobuf::{Message, Value};
-use crate::work::MAX_SIDE;
 use std::collections::{HashMap, HashSet};
 
 /// The most operators: large transformers have two thousand.
@@ -22,7 +21,9 @@ const MAX_CONSTANT: u64 = 1 << 24;
 
 /// The most numbers of all that follows from constants and shapes.
 const MAX_CONSTANTS: u64 = 1 << 26;
-/// The largest stride, window, padding, dilation or factor: a side of `work::MAX_SIDE` times that is less than 2^31.
+/// The longest side of a value.
+pub(crate) const MAX_SIDE: u64 = 1 << 20;
+/// The largest stride, window, padding, dilation or factor: a side of [`MAX_SIDE`] times that is less than 2^31.
 const MAX_FACTOR: u64 = 1024;
 /// The most inputs of an operator: together they have fewer than 2^31 rows.
 const MAX_INPUTS: u64 = 1024;

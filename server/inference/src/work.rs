@@ -2,7 +2,7 @@
 
 use crate::InferenceError;
 use crate::error::shortened;
-use crate::outline::{Operator, Outline, at_most, num_numbers};
+use crate::outline::{MAX_SIDE, Operator, Outline, at_most, num_numbers};
 use rten::{Dimension, Model};
 use std::collections::HashMap;
 
@@ -10,8 +10,6 @@ use std::collections::HashMap;
 /// MB, and 1 GB if all were kept at once.
 const MAX_VALUE: u64 = 1 << 25;
 const MAX_VALUES: u64 = 1 << 28;
-/// The longest side of a value.
-pub(crate) const MAX_SIDE: u64 = 1 << 20;
 /// What a sum of products has at most where the library keeps no shape to tell it.
 const UNKNOWN_TERMS: u64 = 8192;
 /// Through how many operators a value that was fused away is followed.
