@@ -5,6 +5,7 @@
 //! alone ([`camera`], [`mono`]) has a map and a state of its own: what the others share supposes that lengths are known.
 
 mod camera;
+mod kind;
 pub mod lidar2d;
 pub mod lidar3d;
 mod local;
@@ -22,11 +23,12 @@ use crate::motion_prior::MotionPrior;
 use crate::scan::{ImageScan, Scan};
 use crate::tracking::{Scale, TrackingState, Waiting};
 use camera::CameraOdometry;
+pub use kind::OdometryKind;
 use local::LocalOdometry;
 pub(crate) use model::{Found, LocalModel, Prediction, Registration};
 use nalgebra::Vector6;
 pub use noise::{Growth, OdometryNoise, way_m};
-pub use params::{OdometryKind, OdometryParams, TrackingParams};
+pub use params::{OdometryParams, TrackingParams};
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, Timestamp};
 use std::sync::Arc;
 

@@ -1,6 +1,6 @@
 //! What a method brings: a local model that frames are placed in.
 
-use super::rgbd;
+use super::rgbd::ViewFound;
 use crate::color_camera::ColorCamera;
 use crate::inertial::{Curve, Expected, PoseFactor};
 use crate::scan::Scan;
@@ -70,7 +70,7 @@ pub(crate) enum Found {
     /// How base moved during a sweep, and how that was found.
     Sweep(SweepFound),
     /// The model as it was seen from where a depth image was expected, and what moves in that.
-    View(Arc<rgbd::ViewFound>),
+    View(Arc<ViewFound>),
 }
 
 /// How base moved during a sweep, by where it was placed.

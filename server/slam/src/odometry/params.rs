@@ -1,26 +1,12 @@
 //! Parameters of odometry, and what robots can do.
 
-use super::{lidar2d, lidar3d, mono, rgbd};
+use super::{OdometryKind, lidar2d, lidar3d, mono, rgbd};
 use crate::covariance::diagonal;
 use crate::keyframe::KeyframeParams;
 use crate::motion_noise::{HANDS, WHEELED};
 use crate::param_error::{ParamError, check_range};
 use percept_geometry::Covariance6;
 use serde::{Deserialize, Serialize};
-
-/// Which method registers the scans.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum OdometryKind {
-    /// Depth images, with or without colour.
-    Rgbd,
-    /// 3D point clouds.
-    Lidar3d,
-    /// Planar scans: the robot moves in the plane z = 0 of odom.
-    Lidar2d,
-    /// Images of one camera: no depth, no scale unless another source gives it.
-    Mono,
-}
 
 /// Parameters of all methods and of what they share.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

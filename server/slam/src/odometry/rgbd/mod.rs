@@ -6,6 +6,7 @@
 
 mod align;
 mod color_registration;
+mod found;
 mod frame;
 mod intensity;
 mod moving;
@@ -23,6 +24,7 @@ use crate::scan::Scan;
 use crate::tracking::LostReason;
 use align::{LEVELS, Problem, Requirements, align};
 use color_registration::ColorRegistration;
+pub(crate) use found::ViewFound;
 use frame::{Frame, Preparer, Vertex};
 use moving::Moving;
 use nalgebra::{Point3, Vector6};
@@ -145,17 +147,6 @@ pub(crate) struct Rgbd {
     t_odom_compared: Option<Pose>,
     pending: Vec<Pending>,
     window: Window,
-}
-
-/// The model as it was seen from where a frame was expected, and the frame in it.
-#[derive(Debug)]
-pub(crate) struct ViewFound {
-    view: View,
-    /// With what moves by itself marked as not valid.
-    frame: Arc<Frame>,
-    moving: Moving,
-    /// Of where the frame was placed, right perturbation in the camera.
-    covariance: Covariance6,
 }
 
 impl Rgbd {
