@@ -2,7 +2,7 @@
 
 use crate::PipelineParams;
 use nalgebra::Point2;
-use percept_geometry::{KeyframeId, ObjectClass, Pose};
+use percept_geometry::{KeyframeId, ObjectClass, OrientedBox3, Pose};
 use percept_mapping::{MappingError, Occupancy, OccupancyMap};
 use percept_scene::rooms::{Floor, Rooms, find_rooms};
 use percept_scene::{Object, ObjectState};
@@ -15,7 +15,7 @@ pub(crate) struct DividedMap(Arc<Mutex<Option<Divided>>>);
 #[derive(Debug)]
 struct Divided {
     map_version: u64,
-    objects: Arc<Vec<Object>>,
+    furniture: Vec<OrientedBox3>,
     params: Arc<PipelineParams>,
     rooms: Arc<Rooms>,
 }
@@ -25,14 +25,23 @@ pub(crate) struct Basis<'a> {
     /// Two of one session with the same have the same grid and keyframes.
     pub(crate) map_version: u64,
     pub(crate) occupancy: &'a OccupancyMap,
-    pub(crate) objects: &'a Arc<Vec<Object>>,
+    pub(crate) objects: &'a [Object],
     pub(crate) params: &'a Arc<PipelineParams>,
 }
 
+impl Basis<'_> {
+    /// What stands in rooms. What nobody can name may be a piece of wall.
+    fn furniture(&self) -> Vec<OrientedBox3> {
+        let is_furniture = |o: &&Object| o.state == ObjectState::Static && o.class != ObjectClass::Unknown;
+        self.objects.iter().filter(is_furniture).map(|o| o.bbox).collect()
+    }
+}
+
 impl Divided {
-    fn is_of(&self, basis: &Basis<'_>) -> bool {
-        let same_objects = Arc::ptr_eq(&self.objects, basis.objects) || self.objects == *basis.objects;
-        self.map_version == basis.map_version && same_objects && self.params.rooms == basis.params.rooms
+    /// Who walks by, or is seen once more, divides nothing.
+    fn is_of(&self, basis: &Basis<'_>, furniture: &[OrientedBox3]) -> bool {
+        let same_things = self.furniture == furniture;
+        self.map_version == basis.map_version && same_things && self.params.rooms == basis.params.rooms
     }
 }
 
@@ -45,13 +54,14 @@ impl DividedMap {
         max_cells: usize,
     ) -> Result<Arc<Rooms>, MappingError> {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(divided) = kept.as_ref().filter(|divided| divided.is_of(basis)) {
+        let furniture = basis.furniture();
+        if let Some(divided) = kept.as_ref().filter(|divided| divided.is_of(basis, &furniture)) {
             return Ok(Arc::clone(&divided.rooms));
         }
-        let rooms = Arc::new(divided(basis, keyframes, max_cells)?);
+        let rooms = Arc::new(divided(basis, &furniture, keyframes, max_cells)?);
         *kept = Some(Divided {
             map_version: basis.map_version,
-            objects: Arc::clone(basis.objects),
+            furniture,
             params: Arc::clone(basis.params),
             rooms: Arc::clone(&rooms),
         });
@@ -61,16 +71,13 @@ impl DividedMap {
 
 fn divided<'k>(
     basis: &Basis<'_>,
+    furniture: &[OrientedBox3],
     keyframes: impl Iterator<Item = (KeyframeId, &'k Pose)>,
     max_cells: usize,
 ) -> Result<Rooms, MappingError> {
     let grid = basis.occupancy.dense(max_cells)?;
-    // What nobody can name may be a piece of wall.
-    let is_furniture = |o: &&Object| o.state == ObjectState::Static && o.class != ObjectClass::Unknown;
-    let standing = basis.objects.iter().filter(is_furniture);
-    let things: Vec<_> = standing.map(|o| o.bbox).collect();
     let keyframes: Vec<_> = keyframes.map(|(id, t)| (id.0, Point2::from(t.translation.vector.xy()))).collect();
     let floor = Floor { geometry: grid.geometry, width: grid.width, height: grid.height, cells: &grid.cells };
     // Parameters were checked when they were set, and a dense grid has the shape that it says.
-    Ok(find_rooms(&floor, &things, &keyframes, &basis.params.rooms).unwrap_or_default())
+    Ok(find_rooms(&floor, furniture, &keyframes, &basis.params.rooms).unwrap_or_default())
 }

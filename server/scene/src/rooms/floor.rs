@@ -144,6 +144,9 @@ impl Around {
     }
 }
 
+/// Smallest column and row, and largest.
+pub(super) type Extent = ((usize, usize), (usize, usize));
+
 /// Which room each cell belongs to.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Labels {
@@ -248,13 +251,19 @@ impl Labels {
         self.cells.iter().enumerate().filter(move |(_, label)| **label as usize == room).map(|(i, _)| i)
     }
 
-    /// Radius of the largest circle that fits into a room's outer border, whatever stands in the room, in cells.
-    pub(super) fn radius_within(&self, room: usize) -> f64 {
-        let (mut low, mut high) = ((usize::MAX, usize::MAX), (0, 0));
-        for i in self.cells_of(room) {
+    /// Smallest and largest column and row of each of so many rooms; the smallest is larger than the largest of one that has no cell.
+    pub(super) fn extents(&self, rooms: usize) -> Vec<Extent> {
+        let mut extents = vec![((usize::MAX, usize::MAX), (0, 0)); rooms];
+        for (i, label) in self.cells.iter().enumerate() {
+            let Some((low, high)) = extents.get_mut(*label as usize) else { continue };
             let (x, y) = (i % self.width, i / self.width);
-            (low, high) = ((low.0.min(x), low.1.min(y)), (high.0.max(x), high.1.max(y)));
+            (*low, *high) = ((low.0.min(x), low.1.min(y)), (high.0.max(x), high.1.max(y)));
         }
+        extents
+    }
+
+    /// Radius of the largest circle that fits into a room's outer border, whatever stands in the room, in cells.
+    pub(super) fn radius_within(&self, room: usize, (low, high): Extent) -> f64 {
         if low.0 > high.0 {
             return 0.0;
         }

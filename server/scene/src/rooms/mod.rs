@@ -198,13 +198,13 @@ pub fn find_rooms(
     let mut numbers = vec![None; ids.len()];
     order.iter().enumerate().for_each(|(new, old)| numbers[*old] = Some(new));
     let labels = labels.renumbered(&numbers);
-    let counts = labels.counts(order.len());
+    let (counts, extents) = (labels.counts(order.len()), labels.extents(order.len()));
     let room = |(new, old): (usize, &usize)| {
         let (area_m2, radius_m) = (
             counts[new] as f64 * floor.resolution_m().powi(2),
             f64::from(clearance[peaks[*old]]) * floor.resolution_m(),
         );
-        let kind = RoomKind::of_shape(area_m2, labels.radius_within(new) * floor.resolution_m());
+        let kind = RoomKind::of_shape(area_m2, labels.radius_within(new, extents[new]) * floor.resolution_m());
         let (id, center) = (ids[*old], centers[*old]);
         Room { id, kind, center, radius_m, area_m2, outline: outline::outer(&labels, new, peaks[*old]) }
     };
