@@ -199,6 +199,7 @@ pub fn find_rooms(
     order.iter().enumerate().for_each(|(new, old)| numbers[*old] = Some(new));
     let labels = labels.renumbered(&numbers);
     let (counts, extents) = (labels.counts(order.len()), labels.extents(order.len()));
+    let mut marked = vec![false; floor.cells.len()];
     let room = |(new, old): (usize, &usize)| {
         let (area_m2, radius_m) = (
             counts[new] as f64 * floor.resolution_m().powi(2),
@@ -206,7 +207,7 @@ pub fn find_rooms(
         );
         let kind = RoomKind::of_shape(area_m2, labels.radius_within(new, extents[new]) * floor.resolution_m());
         let (id, center) = (ids[*old], centers[*old]);
-        Room { id, kind, center, radius_m, area_m2, outline: outline::outer(&labels, new, peaks[*old]) }
+        Room { id, kind, center, radius_m, area_m2, outline: outline::outer(&labels, new, peaks[*old], &mut marked) }
     };
     let rooms: Vec<Room> = order.iter().enumerate().map(room).collect();
     let doors = doors::between(floor, &cleared, &clearance, &labels, &rooms);

@@ -2,21 +2,20 @@
 
 use super::floor::Labels;
 use nalgebra::{Point2, Vector2};
-use std::collections::BTreeSet;
 
 /// Corners that lie this near to the line between their neighbours are left out, in cells: steps of a slanted wall.
 const FLAT_CELLS: f64 = 0.75;
 
-/// Counter-clockwise, map frame, metres; `inside` is one of the room's cells.
-pub(super) fn outer(labels: &Labels, room: usize, inside: usize) -> Vec<Point2<f64>> {
+/// Counter-clockwise, map frame, metres; `inside` is one of the room's cells. `marked` has a place for each cell, and is shared by all rooms.
+pub(super) fn outer(labels: &Labels, room: usize, inside: usize, marked: &mut [bool]) -> Vec<Point2<f64>> {
     let Some(geometry) = labels.geometry else { return vec![] };
-    let part = part_of(labels, room, inside);
+    let lowest = mark_part(labels, room, inside, marked);
     let is_room = |x: i64, y: i64| {
         let is_inside = x >= 0 && y >= 0 && x < labels.width as i64 && y < labels.height as i64;
-        is_inside && part.contains(&(y as usize * labels.width + x as usize))
+        let cell = || y as usize * labels.width + x as usize;
+        is_inside && marked[cell()] && labels.get(cell()) == Some(room)
     };
     // The lower edge of the lowest cell lies on the outer border.
-    let lowest = part.first().copied().unwrap_or(inside);
     let start = ((lowest % labels.width) as i64, (lowest / labels.width) as i64);
     // Along edges of cells, the room to the left: corners are points between cells.
     let (mut at, mut heading) = (start, (1i64, 0i64));
@@ -46,14 +45,17 @@ pub(super) fn outer(labels: &Labels, room: usize, inside: usize) -> Vec<Point2<f
     simplified(&points).into_iter().map(|p| geometry.origin + p * geometry.resolution_m).collect()
 }
 
-/// The cells of a room that hang together with one of them by edges.
-fn part_of(labels: &Labels, room: usize, inside: usize) -> BTreeSet<usize> {
+/// Marks the cells of a room that hang together with one of them by edges; the first of them.
+fn mark_part(labels: &Labels, room: usize, inside: usize, marked: &mut [bool]) -> usize {
     let around = labels.around();
-    let (mut part, mut edge) = (BTreeSet::from([inside]), vec![inside]);
+    let (mut lowest, mut edge) = (inside, vec![inside]);
+    marked[inside] = true;
     while let Some(i) = edge.pop() {
-        edge.extend(around.four(i).filter(|j| labels.get(*j) == Some(room) && part.insert(*j)));
+        lowest = lowest.min(i);
+        let is_new = |j: &usize| labels.get(*j) == Some(room) && !std::mem::replace(&mut marked[*j], true);
+        edge.extend(around.four(i).filter(is_new));
     }
-    part
+    lowest
 }
 
 /// A closed line with fewer corners: Douglas and Peucker, 1973, of its two halves.

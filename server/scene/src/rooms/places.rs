@@ -5,8 +5,7 @@ use super::{Door, Floor, Room, RoomId, RoomParams};
 use nalgebra::Point2;
 use percept_geometry::clearance_in_cells;
 use serde::{Deserialize, Serialize};
-use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BTreeMap;
 
 /// Number of a place, from 0; anew with each division.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -63,7 +62,7 @@ pub(super) fn lay(
     }
     let mut order: Vec<usize> = (0..floor.cells.len()).filter(|i| is_wide(*i)).collect();
     order.sort_by(|a, b| clearance[*b].total_cmp(&clearance[*a]).then(a.cmp(b)));
-    let mut taken = Taken::new(params.place_spacing_m);
+    let mut taken = Taken::new(floor, params.place_spacing_m);
     spots.iter().for_each(|(i, _)| taken.add(floor.center(*i)));
     for i in order {
         let p = floor.center(i);
@@ -92,30 +91,38 @@ fn disc(floor: &Floor<'_>, i: usize, reach: usize) -> impl Iterator<Item = usize
     span(y, height).flat_map(move |y| span(x, width).map(move |x| y * width + x))
 }
 
-/// Which places are taken, by squares of the spacing.
+/// Which places are taken, by squares of the spacing, with a rim of squares around the floor.
 struct Taken {
     spacing_m: f64,
-    by_square: BTreeMap<(i64, i64), Vec<Point2<f64>>>,
+    origin: Point2<f64>,
+    columns: usize,
+    squares: Vec<Vec<Point2<f64>>>,
 }
 
 impl Taken {
-    fn new(spacing_m: f64) -> Self {
-        Self { spacing_m, by_square: BTreeMap::new() }
+    fn new(floor: &Floor<'_>, spacing_m: f64) -> Self {
+        // A square is a cell at least: there are no more than there are cells, and the rim.
+        let spacing_m = spacing_m.max(floor.resolution_m());
+        let squares = |cells: usize| (cells as f64 * floor.resolution_m() / spacing_m).ceil() as usize + 3;
+        let (columns, rows) = (squares(floor.width), squares(floor.height));
+        Self { spacing_m, origin: floor.geometry.origin, columns, squares: vec![vec![]; columns * rows] }
     }
 
-    fn square(&self, p: &Point2<f64>) -> (i64, i64) {
-        ((p.x / self.spacing_m).floor() as i64, (p.y / self.spacing_m).floor() as i64)
+    /// Column and row, from 1.
+    fn square(&self, p: &Point2<f64>) -> (usize, usize) {
+        let at = (p - self.origin) / self.spacing_m;
+        (at.x as usize + 1, at.y as usize + 1)
     }
 
     fn add(&mut self, p: Point2<f64>) {
-        self.by_square.entry(self.square(&p)).or_default().push(p);
+        let (x, y) = self.square(&p);
+        self.squares[y * self.columns + x].push(p);
     }
 
     fn is_near(&self, p: &Point2<f64>) -> bool {
         let (x, y) = self.square(p);
-        (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (x + dx, y + dy))).any(|square| {
-            self.by_square.get(&square).is_some_and(|ps| ps.iter().any(|q| (p - q).norm() < self.spacing_m))
-        })
+        let rows = (y - 1..=y + 1).map(|y| &self.squares[y * self.columns + x - 1..=y * self.columns + x + 1]);
+        rows.flatten().flatten().any(|q| (p - q).norm() < self.spacing_m)
     }
 }
 
@@ -123,12 +130,19 @@ impl Taken {
 fn links(floor: &Floor<'_>, starts: &[usize], is_wide: impl Fn(usize) -> bool) -> Vec<PlaceLink> {
     let around = floor.around();
     let mut of: Vec<(u64, u32)> = vec![(u64::MAX, u32::MAX); floor.cells.len()];
-    let mut open = BinaryHeap::new();
+    // By lengths of a shortest step: within one, no way is made shorter by another of its own. Source: Dial, "Algorithm 360: shortest-path
+    // forest with topological ordering", 1969.
+    let mut open: Vec<Vec<(u64, u32, usize)>> = vec![vec![]];
     for (number, i) in starts.iter().enumerate() {
         of[*i] = (0, number as u32);
-        open.push(Reverse((0, number as u32, *i)));
+        open[0].push((0, number as u32, *i));
     }
-    while let Some(Reverse((length, number, i))) = open.pop() {
+    let mut at = 0;
+    while at < open.len() {
+        let Some((length, number, i)) = open[at].pop() else {
+            at += 1;
+            continue;
+        };
         if of[i] != (length, number) {
             continue;
         }
@@ -136,7 +150,11 @@ fn links(floor: &Floor<'_>, starts: &[usize], is_wide: impl Fn(usize) -> bool) -
             let there = (length + step(floor, i, next), number);
             if there < of[next] {
                 of[next] = there;
-                open.push(Reverse((there.0, number, next)));
+                let steps = (there.0 / STRAIGHT) as usize;
+                if open.len() <= steps {
+                    open.resize_with(steps + 1, Vec::new);
+                }
+                open[steps].push((there.0, number, next));
             }
         }
     }
