@@ -8,6 +8,7 @@ mod beside;
 mod chunks;
 mod frame_error;
 mod frontend;
+mod later;
 mod learned;
 mod live;
 mod lookup;

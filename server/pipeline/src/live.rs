@@ -6,12 +6,13 @@
 //! belong to what moves ([`NewestFrames::part_moving`]): those do not enter it either.
 
 use crate::beside::Executor;
+use crate::later::{Later, worked_out};
 use nalgebra::Point3;
 use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp};
 use percept_mapping::{Contradicted, LiveFrame, LiveParams, OccupancyMap, Sight, moving};
 use percept_slam::keyframe::LaterScan;
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, LazyLock, OnceLock};
+use std::sync::{Arc, OnceLock};
 
 /// From one frame that is kept to the next, beside the newest, seconds: a person at a walk leaves the place where they were.
 const SPACING_S: f64 = 0.5;
@@ -25,8 +26,6 @@ const EARLIER_S: f64 = 0.4;
 /// What passes is lower than a door, metres: lamps and ceilings lie over free cells.
 const PASSING_M: f64 = 2.05;
 
-type Scan = LazyLock<KeyframeScan, LaterScan>;
-
 /// What a frame shows.
 pub(crate) enum Seen {
     /// It became a keyframe.
@@ -39,7 +38,7 @@ pub(crate) enum Seen {
 struct Frame {
     stamp: Timestamp,
     t_odom_base: Pose,
-    scan: Scan,
+    scan: Later<KeyframeScan>,
     /// Whether it became a keyframe: it is thinned already.
     is_keyframe: bool,
     sight: OnceLock<Sight>,
@@ -47,11 +46,11 @@ struct Frame {
 
 impl Frame {
     fn sight(&self) -> &Sight {
-        self.sight.get_or_init(|| Sight::new(&self.t_odom_base, &self.scan))
+        worked_out(&self.sight, || Sight::new(&self.t_odom_base, self.scan.get()))
     }
 
     fn in_map(&self, t_map_odom: &Pose, base_height_m: f64, is_newest: bool) -> LiveFrame {
-        let scan = Arc::new(KeyframeScan { base_height_m, ..KeyframeScan::clone(&self.scan) });
+        let scan = Arc::new(KeyframeScan { base_height_m, ..self.scan.get().clone() });
         LiveFrame { t_map_base: t_map_odom * self.t_odom_base, scan, is_newest }
     }
 }
@@ -99,7 +98,7 @@ impl NewestFrames {
             // It stays: what it came from need not be kept until somebody asks.
             let newest = Arc::clone(newest);
             executor.spawn(Box::new(move || {
-                if !newest.scan.planar {
+                if !newest.scan.get().planar {
                     newest.sight();
                 }
             }));
@@ -108,10 +107,10 @@ impl NewestFrames {
         if let Seen::Keyframe(scan) = &scan {
             self.frame_bytes.insert(sensor.clone(), scan.memory_bytes());
         }
-        let scan = Scan::new(match scan {
-            Seen::Keyframe(scan) => Box::new(move || *scan),
-            Seen::Later(scan) => scan,
-        });
+        let scan = match scan {
+            Seen::Keyframe(scan) => Later::now(*scan),
+            Seen::Later(scan) => Later::of(scan),
+        };
         let t_odom_base = *t_odom_base;
         frames.push_back(Arc::new(Frame { stamp, t_odom_base, scan, is_keyframe, sight: OnceLock::new() }));
     }
@@ -133,7 +132,7 @@ impl NewestFrames {
     pub(crate) fn part_moving(&self, scan: &mut KeyframeScan, t_odom_base: &Pose) -> PointCloud {
         let is_earlier = |f: &&Arc<Frame>| {
             let age = scan.stamp.seconds_since(f.stamp);
-            (EARLIER_S..=KEPT_S).contains(&age) && !f.scan.planar
+            (EARLIER_S..=KEPT_S).contains(&age) && !f.scan.get().planar
         };
         let of_sensor = |frames: &'_ VecDeque<Arc<Frame>>| {
             frames.iter().rev().filter(is_earlier).take(ASKED).map(Arc::clone).collect::<Vec<_>>()
@@ -248,7 +247,7 @@ impl Live {
             };
             grid.under_frames(&picture.params, &picture.frames.iter().map(frame).collect::<Vec<_>>())
         };
-        picture.grid.get_or_init(laid_over).clone()
+        worked_out(&picture.grid, laid_over).clone()
     }
 
     /// Stamp of the newest frame in it, session's clock.

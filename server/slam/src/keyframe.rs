@@ -146,8 +146,9 @@ pub(crate) fn keyframe_scan_seen_by(
     KeyframeScan { features, ..ends_of(params, stamp, sensor, scan, motion) }
 }
 
-/// Where the beams of a scan end, thinned as a keyframe's, to be worked out when it is wanted.
-pub type LaterScan = Box<dyn FnOnce() -> KeyframeScan + Send>;
+/// Where the beams of a scan end, thinned as a keyframe's, to be worked out when it is wanted; the same every time. Work runs on the
+/// current rayon pool.
+pub type LaterScan = Arc<dyn Fn() -> KeyframeScan + Send + Sync>;
 
 /// As [`keyframe_scan`], without what places are known by, when it is wanted.
 pub fn ends_later(
@@ -166,7 +167,7 @@ pub(crate) fn later(
     motion: SweepMotion,
 ) -> LaterScan {
     let (params, sensor, scan) = (params.clone(), sensor.clone(), scan.clone());
-    Box::new(move || ends_of(&params, stamp, &sensor, &scan, &motion))
+    Arc::new(move || ends_of(&params, stamp, &sensor, &scan, &motion))
 }
 
 /// A keyframe's scan without what places are known by.
