@@ -34,7 +34,7 @@ const QUERY: f64 = 3.0;
 /// Fewest points of a query. Chosen, not swept.
 const FEWEST_POINTS: usize = 30;
 /// What the newest view has to bring, and those before. Of the newest view the first at 0.7 and 1.2 times this, the
-/// second halved and doubled, as it is ([`super`]).
+/// second halved and doubled, as it is, and of those before the same ([`super`]).
 const NEWEST: Strictness = Strictness { min_inlier_ratio: 0.75, max_contradicted: 0.04 };
 /// What is asked of views along which loops are looked for, or of which enough were taken since the robot was lost.
 pub(super) const ALONG_THE_WAY: Wanted = Wanted { most: MAX_PLACES_AHEAD, best: NEWEST };

@@ -10,12 +10,13 @@ use rustc_hash::FxHashSet;
 /// within these bounds (m). About a degree at that range; the bounds are those of 7.5 and 30 m.
 const FINENESS: f64 = 1.0 / 60.0;
 const VOXELS_M: (f64, f64) = (0.125, 0.5);
-/// The picture reaches so many usual ranges from the anchor, and is at most so many pixels wide. Chosen, not swept.
+/// The picture reaches so many usual ranges from the anchor, and is at most so many pixels wide. The first halved 37 and
+/// 103, doubled 30 and 106; the second halved and doubled as it is ([`super`]).
 const REACH: f64 = 1.6;
 const MOST_PIXELS: usize = 400;
 /// Keypoints of a picture. Halved 30 and 106, doubled as it is ([`super`]).
 const FEATURES: usize = 300;
-/// Fewer points make no place. Chosen, not swept.
+/// Fewer points make no place. Halved as it is, doubled 30 and 106 ([`super`]).
 const FEWEST_POINTS: usize = 300;
 
 /// A keyframe with base to map.
