@@ -31,7 +31,7 @@ const ALL_AROUND: f64 = 0.5;
 const FOUND_AFTER: f64 = 0.25;
 const FOUND_AFTER_M: (f64, f64) = (1.0, 10.0);
 const QUERY: f64 = 3.0;
-/// Fewest points of a query. Chosen, not swept.
+/// Fewest points of a query. Halved and doubled as it is ([`super`]).
 const FEWEST_POINTS: usize = 30;
 /// What the newest view has to bring, and those before. Of the newest view the first at 0.7 and 1.2 times this, the
 /// second halved and doubled, as it is, and of those before the same ([`super`]).
