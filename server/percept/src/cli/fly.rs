@@ -188,7 +188,7 @@ async fn on_server(args: &FlyArgs) -> Result<v1::PlanFlightResponse, Failure> {
     let channel = connect(args.server.as_deref().unwrap_or_default(), &args.access).await?;
     let session = RemoteSession { channel, id: args.session.clone().unwrap_or_default() };
     let request = v1::PlanFlightRequest { source: Some(session.source()), ..request(args) };
-    Ok(answered(NavigationServiceClient::new(session.channel.clone()).plan_flight(request).await)?)
+    answered(NavigationServiceClient::new(session.channel.clone()).plan_flight(request).await)
 }
 
 fn tell(path: &v1::FlightPath) {

@@ -67,7 +67,7 @@ fn events(object: &Object, since: Timestamp) -> Vec<Event> {
     // Who came and went in between was there as well.
     let there = || later().find(|h| h.state != ObjectState::Gone);
     let came = || there().map_or((object.first_seen, object.bbox), |h| (h.stamp, h.bbox));
-    let went = later().filter(|h| h.state == ObjectState::Gone).last().map_or(object.last_seen, |h| h.stamp);
+    let went = later().rfind(|h| h.state == ObjectState::Gone).map_or(object.last_seen, |h| h.stamp);
     let event = |stamp, kind, bbox| Event { stamp, kind, bbox, moved_m: 0.0 };
     let is_gone = object.state == ObjectState::Gone;
     match then {
@@ -79,7 +79,7 @@ fn events(object: &Object, since: Timestamp) -> Vec<Event> {
             if moved_m < SEEN_BETTER_M + if has_driven { 0.0 } else { half } {
                 return vec![];
             }
-            let stamp = later().last().map_or(object.last_seen, |h| h.stamp);
+            let stamp = later().next_back().map_or(object.last_seen, |h| h.stamp);
             let of = |kind, bbox| Event { moved_m, ..event(stamp, kind, bbox) };
             vec![of(RelationKind::MovedFrom, then.bbox), of(RelationKind::MovedTo, object.bbox)]
         }

@@ -158,7 +158,7 @@ impl Service {
             let at = at.map(then).transpose()?;
             let rooms = snapshot.rooms(max_cells).map_err(refused)?;
             let names = names(&snapshot, &meta.room_names, &rooms);
-            Ok(snapshot.scene_graph(&names, whose, at, since, &filter, max_cells).map_err(refused)?)
+            snapshot.scene_graph(&names, whose, at, since, &filter, max_cells).map_err(refused)
         };
         self.compute.query(&self.asker(session)?, work).await?
     }
