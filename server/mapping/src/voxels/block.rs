@@ -1,6 +1,7 @@
 //! Evidence of a block of voxels, in twentieths of log-odds.
 
 use crate::blocks::BLOCK;
+use percept_geometry::by_processor;
 
 /// Voxels of a block.
 pub(super) const VOXELS: usize = (BLOCK * BLOCK * BLOCK) as usize;
@@ -38,22 +39,9 @@ impl Evidence {
 
     /// Adds what one keyframe passed and hit; what was hit was not passed.
     pub(super) fn add(&mut self, free: &Bits, hit: &Bits, of: &LogOdds) {
-        for word in 0..free.len() {
-            let seen = free[word] | hit[word];
-            if seen == 0 {
-                continue;
-            }
-            let slots = 64 * word..64 * (word + 1);
-            let lanes = self.values[slots.clone()].iter_mut().zip(&mut self.most[slots]);
-            // No branch: eight to 32 voxels are one operation.
-            for (bit, (value, most)) in lanes.enumerate() {
-                let (is_seen, is_hit) = (seen >> bit & 1 == 1, hit[word] >> bit & 1 == 1);
-                let step = if is_hit { of.hit } else { of.free };
-                let known = if *value == UNKNOWN { 0 } else { *value };
-                let clamped = |v: i8| v.saturating_add(step).clamp(of.min, of.max);
-                *value = if is_seen { clamped(known) } else { *value };
-                *most = if is_seen { clamped(*most) } else { *most };
-            }
+        let words = self.values.chunks_exact_mut(64).zip(self.most.chunks_exact_mut(64)).zip(free.iter().zip(hit));
+        for ((values, most), (free, hit)) in words.filter(|(_, (free, hit))| **free | **hit != 0) {
+            step(values, most, *free, *hit, of);
         }
     }
 
@@ -63,6 +51,34 @@ impl Evidence {
             (UNKNOWN, known) => known,
             (value, UNKNOWN) => value,
             (value, known) => known.saturating_add(value).min(self.most[slot]).clamp(of.min, of.max),
+        }
+    }
+}
+
+/// A byte for each of eight bits, all ones where it is set.
+#[inline(always)]
+fn spread(bits: u64) -> u64 {
+    // Each byte keeps its own bit of eight copies; what is not nothing becomes 0x80, and that 0xff.
+    let own = (bits & 0xff).wrapping_mul(0x0101_0101_0101_0101) & 0x8040_2010_0804_0201;
+    let any = own.wrapping_add(0x7f7f_7f7f_7f7f_7f7f) >> 7 & 0x0101_0101_0101_0101;
+    any.wrapping_mul(0xff)
+}
+
+by_processor! {
+    /// Steps the log-odds of 64 voxels, those in `hit` up, those in `free` down.
+    fn step(values: &mut [i8], most: &mut [i8], free: u64, hit: u64, of: &LogOdds) {
+        let (mut seen, mut hits) = ([0u8; 64], [0u8; 64]);
+        for i in 0..8 {
+            seen[8 * i..8 * i + 8].copy_from_slice(&spread((free | hit) >> (8 * i)).to_le_bytes());
+            hits[8 * i..8 * i + 8].copy_from_slice(&spread(hit >> (8 * i)).to_le_bytes());
+        }
+        // No branch: 16 to 32 voxels are one operation.
+        for (((value, most), seen), hit) in values.iter_mut().zip(most).zip(&seen).zip(&hits) {
+            let step = if *hit != 0 { of.hit } else { of.free };
+            let known = if *value == UNKNOWN { 0 } else { *value };
+            let clamped = |v: i8| v.saturating_add(step).clamp(of.min, of.max);
+            *value = if *seen != 0 { clamped(known) } else { *value };
+            *most = if *seen != 0 { clamped(*most) } else { *most };
         }
     }
 }
@@ -99,6 +115,14 @@ mod tests {
             let same = |wanted: bool| second.iter().all(|h| *h == wanted);
             if same(false) && second.len() >= 14 { prop_assert!(laid < 0); }
             if same(true) && second.len() >= 3 { prop_assert!(laid > 0); }
+        }
+    }
+
+    #[test]
+    fn each_bit_becomes_a_byte() {
+        for bits in 0..=255u64 {
+            let bytes = spread(bits).to_le_bytes();
+            assert!((0..8).all(|i| bytes[i] == if bits >> i & 1 == 1 { 0xff } else { 0 }), "{bits}: {bytes:?}");
         }
     }
 

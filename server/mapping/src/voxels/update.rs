@@ -4,7 +4,7 @@ use super::VoxelParams;
 use super::block::Bits;
 use super::rays::Rays;
 use crate::KeyframeView;
-use crate::blocks::{BlockKey, locate};
+use crate::blocks::BlockKey;
 use nalgebra::Point3;
 use percept_geometry::Voxel;
 
@@ -51,28 +51,7 @@ impl VoxelUpdate {
         for end in &ends {
             rays.pass(&(end / size));
         }
-        Self::of(rays.passed(), &hits)
-    }
-
-    fn of(mut free: Vec<(BlockKey, Bits)>, hits: &[Voxel]) -> Self {
-        let mut located: Vec<(BlockKey, u16)> = hits.iter().map(|v| locate(*v)).collect();
-        located.sort_unstable();
-        located.dedup();
-        free.sort_unstable_by_key(|b| b.0);
-        let mut blocks: Vec<(BlockKey, Bits, Bits)> = Vec::with_capacity(free.len());
-        let mut passed = free.into_iter().peekable();
-        for group in located.chunk_by(|a, b| a.0 == b.0) {
-            let key = group[0].0;
-            while let Some((k, bits)) = passed.next_if(|b| b.0 < key) {
-                blocks.push((k, bits, Bits::default()));
-            }
-            let mut hit = Bits::default();
-            group.iter().for_each(|(_, slot)| hit[usize::from(slot / 64)] |= 1 << (slot % 64));
-            let mut free = passed.next_if(|b| b.0 == key).map(|b| b.1).unwrap_or_default();
-            free.iter_mut().zip(&hit).for_each(|(f, h)| *f &= !h);
-            blocks.push((key, free, hit));
-        }
-        blocks.extend(passed.map(|(k, bits)| (k, bits, Bits::default())));
-        Self { blocks }
+        hits.into_iter().for_each(|voxel| rays.hit(voxel));
+        Self { blocks: rays.blocks() }
     }
 }
