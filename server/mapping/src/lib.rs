@@ -28,6 +28,7 @@ mod moving;
 pub mod occupancy;
 mod params;
 mod seen;
+mod sorted;
 mod store;
 mod stored_scan;
 mod submap;

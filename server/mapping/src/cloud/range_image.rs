@@ -12,6 +12,8 @@ const ROWS: usize = 360;
 pub(crate) const BIN_RAD: f64 = TAU / COLUMNS as f64;
 /// Edge of a window of which the longest beam is known, bins.
 const WINDOW: usize = 4;
+/// Directions that are worked on together.
+const CHUNK: usize = 64;
 
 /// The shortest beam in each half degree of azimuth and elevation around the sensor, along the map's axes.
 #[derive(Debug, Clone)]
@@ -75,29 +77,47 @@ impl RangeImage {
     pub(crate) fn new(sensor: Point3<f64>, ends: impl Iterator<Item = Point3<f64>>) -> Self {
         let view = View { axis: Vector3::z(), half_angle: 0.0, elevations: (0.0, 0.0) };
         let mut out = Self { sensor, max_range: 0.0, rows: Vec::new(), longest: Vec::new(), view };
-        for end in ends {
-            let beam = end - sensor;
-            let range = beam.norm();
-            if !(range.is_finite() && range > 1e-6) {
-                continue;
+        // Whole vectors of directions at a time.
+        let (mut beams, mut narrow, mut at) = ([(Vector3::zeros(), 0.0); CHUNK], [[0.0f32; 3]; CHUNK], [0u32; CHUNK]);
+        let mut num = 0;
+        let mut ends = ends.map(|end| end - sensor);
+        loop {
+            let next = ends.next();
+            if let Some(beam) = next {
+                let range = beam.norm();
+                if range.is_finite() && range > 1e-6 {
+                    (beams[num], narrow[num]) = ((beam, range), beam.cast::<f32>().into());
+                    num += 1;
+                }
             }
-            if out.rows.is_empty() {
-                out.rows = vec![Vec::new(); ROWS];
+            if num == CHUNK || next.is_none() {
+                bins(&narrow[..num], &mut at[..num]);
+                beams[..num].iter().zip(&at).for_each(|((beam, range), at)| out.add(beam, *range, *at as usize));
+                num = 0;
             }
-            out.max_range = out.max_range.max(range);
-            let at = bin(beam.x as f32, beam.y as f32, beam.z as f32) as usize;
-            let (row, column) = (&mut out.rows[at / COLUMNS], at % COLUMNS);
-            if row.is_empty() {
-                *row = vec![(f32::INFINITY, Vector3::zeros()); COLUMNS];
-            }
-            let slot = &mut row[column];
-            if (range as f32) < slot.0 {
-                *slot = (range as f32, (beam / range).cast());
+            if next.is_none() {
+                break;
             }
         }
         out.view = View::of(&out.rows);
         out.longest = longest(&out.rows);
         out
+    }
+
+    /// Adds a beam of a range (m) that goes into a bin.
+    fn add(&mut self, beam: &Vector3<f64>, range: f64, at: usize) {
+        if self.rows.is_empty() {
+            self.rows = vec![Vec::new(); ROWS];
+        }
+        self.max_range = self.max_range.max(range);
+        let (row, column) = (&mut self.rows[at / COLUMNS], at % COLUMNS);
+        if row.is_empty() {
+            *row = vec![(f32::INFINITY, Vector3::zeros()); COLUMNS];
+        }
+        let slot = &mut row[column];
+        if (range as f32) < slot.0 {
+            *slot = (range as f32, (beam / range).cast());
+        }
     }
 
     /// Whether anything within `radius_m` of a point may have been seen through; if not, nothing was.

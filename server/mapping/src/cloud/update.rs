@@ -6,6 +6,7 @@ use super::free::seen_through;
 use super::range_image::RangeImage;
 use crate::KeyframeView;
 use crate::seen::Seen;
+use crate::sorted::sort_by_key;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{KeyframeScan, Voxel};
 use std::sync::Arc;
@@ -26,7 +27,8 @@ impl CloudUpdate {
     /// of the indices are left out; the far ones still show that what lies before them is gone.
     pub fn new(params: &CloudParams, view: &KeyframeView<'_>) -> Self {
         let (sensor, in_map, scan) = (view.sensor(), view.hits(), view.scan);
-        let mut keys: Vec<(BlockKey, u16, u32)> = Vec::with_capacity(in_map.len());
+        let mut voxels: Vec<(BlockKey, u16, u32)> = Vec::with_capacity(in_map.len());
+        let (mut low, mut high) = ([i32::MAX; 3], [i32::MIN; 3]);
         for (i, p) in in_map.iter().enumerate() {
             let range = (p - sensor).norm();
             if !(range >= params.range_min_m && range <= params.range_max()) {
@@ -34,14 +36,26 @@ impl CloudUpdate {
             }
             if let Some(voxel) = Voxel::containing(p, params.voxel_size_m) {
                 let (block, slot) = locate(voxel);
-                keys.push((block, slot, i as u32));
+                for (axis, at) in [block.0, block.1, block.2].into_iter().enumerate() {
+                    (low[axis], high[axis]) = (low[axis].min(at), high[axis].max(at));
+                }
+                voxels.push((block, slot, i as u32));
             }
         }
-        keys.sort_unstable();
+        // Numbers in the order of blocks and slots. Blocks within the largest range are less than 2^15 apart.
+        let size: [u64; 3] = std::array::from_fn(|i| u64::from(high[i].abs_diff(low[i])) + 1);
+        let from_low = |at: i32, axis: usize| u64::from(at.abs_diff(low[axis]));
+        let number = |(x, y, z): BlockKey, slot: u16| {
+            ((from_low(x, 0) * size[1] + from_low(y, 1)) * size[2] + from_low(z, 2)) << 9 | u64::from(slot)
+        };
+        let numbered = voxels.iter().enumerate().map(|(at, (block, slot, _))| (number(*block, *slot), at as u32));
+        let mut order: Vec<(u64, u32)> = numbered.collect();
+        sort_by_key(&mut order);
         let mut blocks: Vec<(BlockKey, Vec<VoxelMean>)> = Vec::new();
-        for group in keys.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-            let (block, slot, _) = group[0];
-            let mean = mean_of(params, scan, in_map, block, slot, group.iter().map(|k| k.2 as usize));
+        for group in order.chunk_by(|a, b| a.0 == b.0) {
+            let (block, slot, _) = voxels[group[0].1 as usize];
+            let points = group.iter().map(|(_, at)| voxels[*at as usize].2 as usize);
+            let mean = mean_of(params, scan, in_map, block, slot, points);
             match blocks.last_mut() {
                 Some((last, voxels)) if *last == block => voxels.push(mean),
                 _ => blocks.push((block, vec![mean])),
