@@ -86,6 +86,37 @@ impl Window {
         }
     }
 
+    /// Marks the voxels nearest to where a beam from a sensor (in voxels) crosses each layer of voxels' centres across its main axis,
+    /// from one length to another along it.
+    pub(crate) fn mark_crossed(&mut self, sensor: &Point3<f64>, direction: &Vector3<f64>, (near, far): (f64, f64)) {
+        let main = direction.iamax();
+        let axes = [main, (main + 1) % 3, (main + 2) % 3];
+        let first = [self.first.0, self.first.1, self.first.2];
+        let from = axes.map(|a| sensor[a] - f64::from(first[a]) * f64::from(BLOCK));
+        let by = axes.map(|a| direction[a] / direction[main].abs());
+        // Centres at whole numbers.
+        let (a, b) = (from[0] - 0.5 + direction[main] * near, from[0] - 0.5 + direction[main] * far);
+        let (low, high) = (a.min(b).ceil(), a.max(b).floor());
+        let layer = if by[0] < 0.0 { high } else { low };
+        let until = (layer + 0.5 - from[0]) / by[0];
+        let fixed = |v: f64| (v * f64::from(PARTS)) as i32;
+        let start = [layer as i32, fixed(from[1] + by[1] * until), fixed(from[2] + by[2] * until)];
+        let by = [by[0] as i32, (by[1] * f64::from(PARTS)).round() as i32, (by[2] * f64::from(PARTS)).round() as i32];
+        let num = (high - low + 1.0).clamp(0.0, Self::MOST_STEPS as f64) as usize;
+        let [rows, layers] = self.size;
+        let blocks = [rows.wrapping_mul(layers) << 9, layers << 9, 1 << 9];
+        let mut at = [0u32; Self::MOST_STEPS];
+        // Whole vectors.
+        let lanes = num.next_multiple_of(16).min(at.len());
+        crossed(start, by, axes.map(|a| blocks[a]), axes.map(|a| 3 * a as u32), &mut at[..lanes]);
+        let words = self.blocks.as_flattened_mut();
+        for at in &at[..num] {
+            if let Some(word) = words.get_mut(*at as usize / 64) {
+                *word |= 1 << (at % 64);
+            }
+        }
+    }
+
     /// Marks the voxels in the nearer of the layers above and below, where a beam passes close to it.
     fn mark_beside(&mut self, from: [i32; 3], by: [i32; 3], at: &[u32]) {
         for k in (0..at.len()).filter(|k| at[*k] & PASSES != 0) {
@@ -140,5 +171,66 @@ by_processor! {
             let bit = block << 9 | (z & 7) << 6 | (y & 7) << 3 | (x & 7);
             *out = bit as u32 & !PASSES | if passes { PASSES } else { 0 };
         }
+    }
+}
+
+by_processor! {
+    [avx512]
+    /// Which bit of a window each layer is crossed in, `start` in the first; by the main axis, in whole voxels, and the two after it, in
+    /// parts. `blocks` are how many bits blocks lie apart along these, `shifts` the same for voxels, as powers of two.
+    fn crossed(start: [i32; 3], by: [i32; 3], blocks: [i32; 3], shifts: [u32; 3], out: &mut [u32]) {
+        for (k, out) in out.iter_mut().enumerate() {
+            let k = k as i32;
+            let at = |axis: usize| start[axis].wrapping_add(by[axis].wrapping_mul(k));
+            let voxels = [at(0), at(1) >> PART_BITS, at(2) >> PART_BITS];
+            let bits = |axis: usize| {
+                (voxels[axis] >> 3).wrapping_mul(blocks[axis]).wrapping_add((voxels[axis] & 7) << shifts[axis])
+            };
+            *out = bits(0).wrapping_add(bits(1)).wrapping_add(bits(2)) as u32;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn a_beam_marks_the_voxels_that_are_nearest_in_each_layer_it_crosses() {
+        let spread = |i: u32, m: u32| f64::from(i.wrapping_mul(m) >> 8) / f64::from(1u32 << 24) - 0.5;
+        let (mut num, mut off) = (0, 0);
+        for i in 1..600u32 {
+            let sensor = Point3::new(spread(i, 2_654_435_761), spread(i, 40_503), spread(i, 97_531))
+                * [9.0, 1e5][i as usize % 2];
+            let direction =
+                Vector3::new(spread(i, 2_246_822_519), spread(i, 3_266_489_917), spread(i, 668_265_263)).normalize();
+            let range = (0.5, 2.0 + 112.0 * (spread(i, 374_761_393) + 0.5));
+            let ends = [range.0, range.1].map(|along| sensor + direction * along);
+            let Some(mut window) = Window::around(ends.into_iter()) else { panic!("beam {i}") };
+            window.mark_crossed(&sensor, &direction, range);
+            let mut ours = BTreeSet::new();
+            for ((bx, by, bz), seen) in window.into_blocks() {
+                for slot in (0..512).filter(|slot| seen[slot / 64] >> (slot % 64) & 1 == 1).map(|slot| slot as i32) {
+                    ours.insert([8 * bx + slot % 8, 8 * by + slot / 8 % 8, 8 * bz + slot / 64]);
+                }
+            }
+            let main = direction.iamax();
+            let (a, b) = (ends[0][main].min(ends[1][main]), ends[0][main].max(ends[1][main]));
+            let layers = (a - 0.5).ceil() as i32..=(b - 0.5).floor() as i32;
+            let crossing =
+                |layer: i32| sensor + direction * ((f64::from(layer) + 0.5 - sensor[main]) / direction[main]);
+            let plain: BTreeSet<[i32; 3]> = layers
+                .map(|layer| {
+                    let mut voxel: [i32; 3] = crossing(layer).map(|v| v.floor() as i32).into();
+                    voxel[main] = layer;
+                    voxel
+                })
+                .collect();
+            num += plain.len();
+            off += ours.symmetric_difference(&plain).count();
+        }
+        // Beams along a border, to within rounding.
+        assert!(num > 10_000 && off * 2_000 < num, "{off} of {num}");
     }
 }

@@ -1,14 +1,13 @@
 //! One keyframe as means by voxel, and as what it saw through.
 
 use super::SurfaceParams;
-use super::beams::crossings;
+use super::beams::{Around, NEAR};
 use super::block::{Observation, VOXELS};
 use crate::KeyframeView;
-use crate::blocks::{BlockKey, corner, locate};
+use crate::blocks::{BlockKey, corner};
 use crate::cloud::range_image::{BIN_RAD, RangeImage};
 use crate::seen::{Seen, Window};
 use nalgebra::{Point3, Vector3};
-use percept_geometry::Voxel;
 use rustc_hash::FxHashMap;
 
 /// Returns up to this range count as a whole look, metres; beyond it a look counts by its inverse square, as a camera's noise in
@@ -35,19 +34,20 @@ pub struct SurfaceUpdate {
 /// Sums over the beams that pass the voxels of a block.
 #[derive(Debug, Clone)]
 pub(super) struct Sums {
-    /// Weight, weighted distance, weighted red, green, blue: together, as they are added to together.
-    voxels: [[f32; 5]; VOXELS],
-    is_colored: bool,
+    /// Weight and weighted distance: together, as they are added to together.
+    looks: [[f32; 2]; VOXELS],
+    /// Weighted red, green, blue; none of a scan without colours.
+    colors: Option<Box<[[f32; 3]; VOXELS]>>,
 }
 
 impl Sums {
     fn empty(is_colored: bool) -> Self {
-        Self { voxels: [[0.0; 5]; VOXELS], is_colored }
+        Self { looks: [[0.0; 2]; VOXELS], colors: is_colored.then(|| Box::new([[0.0; 3]; VOXELS])) }
     }
 
     /// Whether a beam passed a voxel.
     pub(super) fn says_anything_of(&self, slot: usize) -> bool {
-        self.voxels[slot][0] > 0.0
+        self.looks[slot][0] > 0.0
     }
 
     /// What the keyframe says of each voxel, by slot.
@@ -60,8 +60,8 @@ impl Sums {
         let center = corner(key, 0, params.voxel_size_m) + Vector3::repeat(4.0 * params.voxel_size_m);
         let look = (FULL_WEIGHT_RANGE_M / (center - sensor).norm()).powi(2).clamp(LEAST_WEIGHT, 1.0) as f32;
         (0..VOXELS).filter(|slot| self.says_anything_of(*slot)).map(move |slot| {
-            let [sum, distance, red, green, blue] = self.voxels[slot];
-            let color = self.is_colored.then(|| [red, green, blue].map(|channel| channel / sum));
+            let [sum, distance] = self.looks[slot];
+            let color = self.colors.as_ref().map(|colors| colors[slot].map(|channel| channel / sum));
             (slot, Observation { distance: distance / sum, weight: sum.min(1.0) * look, color })
         })
     }
@@ -97,12 +97,10 @@ impl SurfaceUpdate {
     }
 }
 
-/// What a beam counts at so much of the truncation distance before its return: less behind it, from a voxel on, down to nothing. Beams
-/// that graze what is round pass far behind its surface beside few that pass before it, and would push it outward. Source: the
-/// linear weight of Bylow et al., "Real-time camera tracking and 3D reconstruction using signed distance functions", 2013.
-fn behind(distance: f64, voxel: f64) -> f64 {
-    ((1.0 + distance) / (1.0 - voxel)).min(1.0)
-}
+/// Blocks of a neighbourhood.
+const NEAR_BLOCKS: usize = (NEAR * NEAR * NEAR) as usize;
+/// No block.
+const NONE: u32 = u32::MAX;
 
 /// The voxels around returns, while they are gathered.
 struct Band<'a> {
@@ -110,20 +108,20 @@ struct Band<'a> {
     sensor: Point3<f64>,
     is_colored: bool,
     blocks: Vec<(BlockKey, Box<Sums>)>,
-    index: FxHashMap<BlockKey, usize>,
-    /// The latest of each eight that touch in a corner: a beam goes to and fro between them.
-    latest: [Option<(BlockKey, usize)>; 8],
-}
-
-/// The place of a block in `Band::latest`.
-#[inline]
-fn corner_of(key: BlockKey) -> usize {
-    ((key.0 & 1) | (key.1 & 1) << 1 | (key.2 & 1) << 2) as usize
+    index: FxHashMap<BlockKey, u32>,
+    around: Around,
+    /// The neighbourhood of the latest beam, which the next one often shares: its first block, which of `blocks` those of it are, and
+    /// which of these are known.
+    first: BlockKey,
+    near: [u32; NEAR_BLOCKS],
+    known: Vec<usize>,
 }
 
 impl<'a> Band<'a> {
     fn new(params: &'a SurfaceParams, sensor: Point3<f64>, is_colored: bool) -> Self {
-        Self { params, sensor, is_colored, blocks: vec![], index: FxHashMap::default(), latest: [None; 8] }
+        let (around, near) = (Around::NOTHING, [NONE; NEAR_BLOCKS]);
+        let (blocks, index, first, known) = (vec![], FxHashMap::default(), (0, 0, 0), vec![]);
+        Self { params, sensor, is_colored, blocks, index, around, first, near, known }
     }
 
     /// Adds a beam that ended at `end`.
@@ -134,63 +132,52 @@ impl<'a> Band<'a> {
             return;
         }
         let (voxel, direction) = (self.params.voxel_size_m, beam / range_m);
-        let (range, truncation) = (range_m / voxel, self.params.truncation() / voxel);
-        let sensor = self.sensor / voxel;
-        crossings(&sensor, &direction, ((range - truncation - 1.0).max(0.0), range + truncation + 1.0), |crossing| {
-            let [b, c] = crossing.others();
-            for corner in 0..4usize {
-                let step = [corner & 1, corner >> 1];
-                let mut at = crossing.voxel;
-                at[b] += step[0] as i32;
-                at[c] += step[1] as i32;
-                // From the crossing to the voxel's centre.
-                let off = [step[0] as f64 - crossing.beyond[0], step[1] as f64 - crossing.beyond[1]];
-                let along = crossing.along + off[0] * direction[b] + off[1] * direction[c];
-                let distance = (range - along) / truncation;
-                let weight = (1.0 - off[0].abs()) * (1.0 - off[1].abs()) * behind(distance, 1.0 / truncation);
-                if (-1.0..=1.0).contains(&distance) && weight > 0.0 {
-                    self.put(Voxel { x: at[0], y: at[1], z: at[2] }, distance as f32, weight as f32, color);
-                }
+        self.around.follow(&(end / voxel), &direction, range_m / voxel, self.params.truncation() / voxel);
+        let Self { blocks, index, around, near, known, is_colored, .. } = self;
+        if around.first != self.first {
+            self.first = around.first;
+            known.drain(..).for_each(|at| near[at] = NONE);
+        }
+        around.visit(|place, distance, weight| {
+            let (at, slot) = ((place >> 9) as usize % NEAR_BLOCKS, place as usize % VOXELS);
+            if near[at] == NONE {
+                let edge = NEAR as usize;
+                let along = |first: i32, i: usize| first + (i % edge) as i32;
+                let (x, y, z) = around.first;
+                let key = (along(x, at), along(y, at / edge), along(z, at / edge / edge));
+                let Some(open) = open(blocks, index, key, *is_colored) else { return };
+                near[at] = open;
+                known.push(at);
+            }
+            let sums = &mut blocks[near[at] as usize].1;
+            sums.looks[slot][0] += weight;
+            sums.looks[slot][1] += weight * distance;
+            if let Some(colors) = &mut sums.colors {
+                colors[slot].iter_mut().zip(color).for_each(|(sum, channel)| *sum += weight * channel);
             }
         });
-    }
-
-    #[inline]
-    fn put(&mut self, voxel: Voxel, distance: f32, weight: f32, color: [f32; 3]) {
-        let (key, slot) = locate(voxel);
-        let at = match self.latest[corner_of(key)] {
-            Some((known, at)) if known == key => at,
-            _ => match self.open(key) {
-                Some(at) => at,
-                None => return,
-            },
-        };
-        let sums = &mut self.blocks[at].1.voxels[usize::from(slot)];
-        let [red, green, blue] = color;
-        for (sum, value) in sums.iter_mut().zip([1.0, distance, red, green, blue]) {
-            *sum += weight * value;
-        }
-    }
-
-    /// The place of a block's sums; none beyond the most blocks.
-    fn open(&mut self, key: BlockKey) -> Option<usize> {
-        let at = match self.index.get(&key) {
-            Some(at) => *at,
-            None if self.blocks.len() >= MAX_BLOCKS_OF_SCAN => return None,
-            None => {
-                self.blocks.push((key, Box::new(Sums::empty(self.is_colored))));
-                self.index.insert(key, self.blocks.len() - 1);
-                self.blocks.len() - 1
-            }
-        };
-        self.latest[corner_of(key)] = Some((key, at));
-        Some(at)
     }
 
     fn into_blocks(mut self) -> Vec<(BlockKey, Box<Sums>)> {
         self.blocks.sort_unstable_by_key(|b| b.0);
         self.blocks
     }
+}
+
+/// Which of the blocks one is, begun if need be; none beyond the most blocks.
+fn open(
+    blocks: &mut Vec<(BlockKey, Box<Sums>)>,
+    index: &mut FxHashMap<BlockKey, u32>,
+    key: BlockKey,
+    is_colored: bool,
+) -> Option<u32> {
+    if let Some(at) = index.get(&key) {
+        return Some(*at);
+    }
+    let at = Some(blocks.len()).filter(|num| *num < MAX_BLOCKS_OF_SCAN)? as u32;
+    blocks.push((key, Box::new(Sums::empty(is_colored))));
+    index.insert(key, at);
+    Some(at)
 }
 
 /// The voxels that beams pass nearest to the centre, as far as they and the beams around them end well behind; up to where
@@ -210,10 +197,7 @@ fn seen_through(params: &SurfaceParams, ranges: &RangeImage) -> Vec<(BlockKey, S
     let ends = beams.iter().flat_map(|(direction, reach)| [near, *reach].map(|along| sensor + direction * along));
     let Some(mut window) = Window::around(ends) else { return vec![] };
     for (direction, reach) in &beams {
-        crossings(&sensor, direction, (near, *reach), |crossing| {
-            let [x, y, z] = crossing.nearest();
-            window.mark(Voxel { x, y, z });
-        });
+        window.mark_crossed(&sensor, direction, (near, *reach));
     }
     window.into_blocks()
 }
