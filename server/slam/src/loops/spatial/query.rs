@@ -27,7 +27,7 @@ const MAX_PLACES_AHEAD: usize = 4;
 const ALL_AROUND: f64 = 0.5;
 /// Else the way since the robot was lost before it is found, and the way whose views are searched for, usual ranges;
 /// and the least and most of the first, metres. The first halved 43 and 104, the robot found after 5.3 s, doubled as it
-/// is; the way that is searched for halved and doubled as it is ([`super`]); the bounds are chosen, not swept.
+/// is; the way that is searched for, and the bounds, halved and doubled as it is ([`super`]).
 const FOUND_AFTER: f64 = 0.25;
 const FOUND_AFTER_M: (f64, f64) = (1.0, 10.0);
 const QUERY: f64 = 3.0;

@@ -23,7 +23,8 @@ const MIN_STEP_M: f64 = 0.02;
 /// first halved 58, doubled 109 mm (46), of 351, 358 and 366 images that were placed; the second halved as it is.
 const MIN_STEPS: usize = 4;
 const MIN_WAY_M: f64 = 0.3;
-/// Points of one image with depth, and images of a second camera, that are needed. Chosen, not swept.
+/// Points of one image with depth, and images of a second camera, that are needed. The first halved and doubled as it is: `evaluate
+/// mono-sim 1 --depth`. No evaluation has a second camera.
 const MIN_DEPTHS: usize = 30;
 const MIN_SECONDS: usize = 6;
 
