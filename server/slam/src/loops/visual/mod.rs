@@ -40,7 +40,7 @@ const MIN_VOTES: u32 = 12;
 const MIN_PAIRS: usize = 12;
 /// The same, and their share of all that were paired, where there is no surface to verify by: loops and ATE of
 /// `percept eval slam --sensor camera --rooms 1 --minutes 1 --once`, 47 and 45 mm, none false. The first halved 57 and 45, doubled 21 and
-/// 39, none false; the second halved as it is.
+/// 39, none false; the second halved as it is, times 1.5 32 and 43.
 const SPARSE_PAIRS: usize = 30;
 const SPARSE_SHARE: f64 = 0.4;
 /// Least share of the scan's points on surfaces of the place, and most share that contradicts. The first halved as it
