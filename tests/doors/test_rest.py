@@ -88,6 +88,17 @@ def test_maps_are_files_with_tags_and_ranges(http, laser_session):
     assert http.get(f"{files}/nothing.obj").status_code == 404
 
 
+def test_a_packed_file_is_as_exact_as_is_asked_for(http, lidar_session):
+    files = f"/v1/sessions/{lidar_session.session_id}/map/files"
+    sizes = [len(http.get(f"{files}/cloud.drc", params={"max_error_m": m}).content) for m in (0.0005, 0.01)]
+    assert sizes[1] < len(http.get(f"{files}/cloud.drc").content) < sizes[0]
+    assert http.get(f"{files}/mesh.drc").content.startswith(b"DRACO")
+    for name, params in [("cloud.drc", {"max_error_m": 7}), ("cloud.ply", {"max_error_m": 0.01})]:
+        refused = http.get(f"{files}/{name}", params=params)
+        assert (refused.status_code, refused.json()["field"]) == (400, "max_error_m")
+    assert http.get(f"{files}/cloud.drc", params={"format": 4}).json()["reason"] == "QUERY_INVALID"
+
+
 def test_a_part_of_a_map_at_a_coarser_resolution(http, laser_session):
     own = laser_session.map.summary().occupancy.resolution_m
     where = {"region.min.x": -1, "region.min.y": -1, "region.max.x": 1, "region.max.y": 1}

@@ -133,11 +133,13 @@ impl Route {
     pub(super) fn query_fields(&self, rpc: &MethodDescriptor) -> Vec<String> {
         let mut names = match self.kind {
             _ if matches!(self.verb, Verb::Post | Verb::Patch) => vec![],
-            // Its format is the file's name.
-            Kind::File => vec![],
             _ => fields::leaves(&rpc.input()).into_iter().map(|(path, _)| path).collect(),
         };
         names.retain(|name| !self.fill.iter().any(|(_, field)| field == name));
+        if matches!(self.kind, Kind::File) {
+            // It is the file's name.
+            names.retain(|name| name != "format");
+        }
         if matches!(self.kind, Kind::SceneGraph(_)) {
             names.push("format".to_owned());
         }
