@@ -3,8 +3,8 @@
 use super::read::{self, Failure};
 use super::{Run, measure};
 use percept_geometry::{CameraIntrinsics, Pose, SensorData, SensorSpec, Timestamp};
-use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
-use percept_slam::{ImageScan, OdometryKind, OdometryParams, Scan, TrackingState};
+use percept_sim::{SensorSuite, SimFrame, SimParams, Simulation, WorldParams};
+use percept_slam::{ImageScan, OdometryKind, OdometryParams, Scan, SecondCamera, TrackingState};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -44,7 +44,11 @@ pub(crate) fn simulated(args: &[String]) -> Result<(), Failure> {
     let world = WorldParams { seed, rooms: number("--rooms").unwrap_or(1), ..WorldParams::default() };
     let laps = number("--laps").unwrap_or(1);
     let duration_s = number("--seconds").map(|s| s as f64);
-    let simulation = Simulation::new(SimParams { world, sensors, laps, duration_s, ..SimParams::default() })?;
+    let params = SimParams { world, sensors, laps, duration_s, ..SimParams::default() };
+    let simulation = Simulation::new(params.clone())?;
+    // The same drive, seen by a camera that sits so many millimetres higher.
+    let above = number("--second").map(|mm| Simulation::new(raised(params, mm as f64 * 1e-3))).transpose()?;
+    let mut above = above.as_ref().map(|simulation| (simulation.sensors(), simulation.frames()));
     let spec = simulation.sensors().into_iter().find(|s| s.intrinsics.is_some()).ok_or("no camera")?;
     let intrinsics = spec.intrinsics.ok_or("no intrinsics")?;
     let mut params = OdometryParams::default();
@@ -62,7 +66,8 @@ pub(crate) fn simulated(args: &[String]) -> Result<(), Failure> {
         };
         let depth = (has("--depth") && truth.len() % 30 == 0).then(|| Arc::new(depth));
         let (image, t_base_sensor) = (Arc::new(color), spec.t_base_sensor);
-        let scan = Scan::Image(ImageScan { image, depth, second: None, intrinsics, t_base_sensor });
+        let second = above.as_mut().and_then(|(sensors, frames)| second_image(sensors, frames, &t_base_sensor));
+        let scan = Scan::Image(ImageScan { image, depth, second, intrinsics, t_base_sensor });
         let prior = last.zip(wheels).map(|(a, b): (Pose, Pose)| measure::wheel_prior(&(a.inverse() * b)));
         truth.push((frame.frame.stamp, frame.t_world_base));
         run.step(frame.frame.stamp, &scan, prior.as_ref());
@@ -73,6 +78,23 @@ pub(crate) fn simulated(args: &[String]) -> Result<(), Failure> {
     report(&run, &truth, &spec.t_base_sensor);
     drift(&run, &truth, &spec.t_base_sensor);
     Ok(())
+}
+
+fn raised(mut params: SimParams, by_m: f64) -> SimParams {
+    params.sensors.depth_camera.iter_mut().for_each(|c| c.height_m += by_m);
+    params
+}
+
+/// The next image of the camera above.
+fn second_image(
+    sensors: &[SensorSpec],
+    frames: &mut impl Iterator<Item = SimFrame>,
+    t_base_sensor: &Pose,
+) -> Option<SecondCamera> {
+    let spec = sensors.iter().find(|s| s.intrinsics.is_some())?;
+    let color = frames.find_map(|f| if let SensorData::Rgbd(_, color) = f.frame.data { Some(color) } else { None })?;
+    let t_sensor_second = t_base_sensor.inv_mul(&spec.t_base_sensor);
+    Some(SecondCamera { image: Arc::new(color), intrinsics: spec.intrinsics?, t_sensor_second })
 }
 
 /// The map's scale (by the steps between its views) in its first and its last fifth: their ratio is the drift.

@@ -2,7 +2,7 @@
 //!
 //! `rgbd DIR`, `redwood DIR`, `slambook DIR`, `rgbd-sim SEED [--seconds N] [--no-color] [--loops] [--person] [--sift]`,
 //! `rgbd-sizes WIDTHxHEIGHT SEED SEED ...`, `looks DIR` (as `rgbd`), `looks-places DIR`, `unrelated DIR DIR ...` (images),
-//! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `handheld DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
+//! `mono DIR [STRIDE]`, `mono-sim SEED [--no-loops] [--wheels] [--depth] [--second MM] [--laps N]`, `kitti-tracking DIR`, `kitti-pair DIR`, `handheld DIR`, `carmen LOG [RELATIONS] [--no-prior]`,
 //! `lidar-sim spinning|rosette [name=value ...]`, `planar-sim [name=value ...]`, `submaps DIR [SCANS_ELSEWHERE]`,
 //! `graph FILE [name=value ...]`.
 

@@ -5,7 +5,7 @@ use percept_geometry::{CameraIntrinsics, Covariance6, Pose, RgbImage, SensorData
 use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
 use percept_slam::{
     ImageScan, LostReason, MotionPrior, Odometry, OdometryEstimate, OdometryKind, OdometryParams, Scale, Scan,
-    TrackingState, Waiting,
+    SecondCamera, TrackingState, Waiting,
 };
 use std::sync::Arc;
 
@@ -94,6 +94,49 @@ fn a_depth_image_now_and_then_makes_lengths_metres() {
     let way = truth.translation.vector.norm();
     // Depth is good to a per cent at these ranges, the pose to some more.
     assert!((truth.inverse() * got).translation.vector.norm() < 0.08 * way + 0.02, "{way} {got}");
+}
+
+/// The drive of [`drive`] by two cameras, the second `up` and `ahead` of the first by metres: how far off the newest pose
+/// is as a share of the way since the scale was known, and from which image on it was.
+fn two_cameras(up: f64, ahead: f64) -> (f64, usize) {
+    let simulation = |up: f64, ahead: f64| {
+        let mut sensors = SensorSuite::only_camera();
+        let camera = sensors.depth_camera.as_mut().unwrap();
+        camera.height_m += up;
+        camera.forward_m += ahead;
+        let world = WorldParams { seed: 1, rooms: 1, ..WorldParams::default() };
+        Simulation::new(SimParams { world, sensors, duration_s: Some(3.4), ..SimParams::default() }).unwrap()
+    };
+    let (first, second) = (simulation(0.0, 0.0), simulation(up, ahead));
+    let (spec, second_spec) = (first.sensors().remove(0), second.sensors().remove(0));
+    let t_sensor_second = spec.t_base_sensor.inv_mul(&second_spec.t_base_sensor);
+    let color = |frame: percept_sim::SimFrame| {
+        let SensorData::Camera(image) = frame.frame.data else { panic!() };
+        Arc::new(image)
+    };
+    let mut odometry = Odometry::new(OdometryKind::Mono, OdometryParams::default());
+    let mut placed = vec![];
+    for (a, b) in first.frames().zip(second.frames()) {
+        let (stamp, truth) = (a.frame.stamp, a.t_world_base);
+        let second = SecondCamera { image: color(b), intrinsics: second_spec.intrinsics.unwrap(), t_sensor_second };
+        let (intrinsics, t_base_sensor) = (spec.intrinsics.unwrap(), spec.t_base_sensor);
+        let scan = ImageScan { image: color(a), depth: None, second: Some(second), intrinsics, t_base_sensor };
+        placed.push((truth, odometry.register(stamp, &Scan::Image(scan), None)));
+    }
+    let metric = |e: &OdometryEstimate| e.state.is_tracking() && e.scale == Scale::FromBaseline;
+    let at = placed.iter().position(|(_, e)| metric(e)).expect("a scale");
+    let (begin, end) = (&placed[at], placed.iter().rfind(|(_, e)| metric(e)).unwrap());
+    let (truth, got) = (begin.0.inverse() * end.0, begin.1.t_odom_base.inverse() * end.1.t_odom_base);
+    assert!(truth.translation.vector.norm() > 0.3, "{truth}");
+    ((truth.inverse() * got).translation.vector.norm() / truth.translation.vector.norm(), at)
+}
+
+#[test]
+fn a_second_camera_at_a_known_distance_makes_lengths_metres() {
+    for (up, ahead) in [(0.12, 0.0), (-0.06, 0.0), (0.05, 0.1)] {
+        let (off, since) = two_cameras(up, ahead);
+        assert!(off < 0.06 && since < 40, "{up} {ahead}: {off:.3} since image {since}");
+    }
 }
 
 /// Images of a drive through a world of its own, with the true poses of base.

@@ -25,6 +25,7 @@ mod places;
 mod pose;
 mod scale;
 mod search;
+mod second;
 mod similarity;
 mod start;
 mod tracker;
@@ -214,8 +215,8 @@ impl Mono {
         if let Some(depth) = &hint.depth {
             self.scaling.see_depth(depth, hint, &mut self.tracker);
         }
-        if let Some(second) = &hint.second {
-            self.scaling.see_second(second, &mut self.tracker, self.params.max_features);
+        if let (Some(second), Some((_, lens))) = (&hint.second, &self.lens) {
+            self.scaling.see_second(second, lens, &mut self.tracker, self.params.max_features);
         }
     }
 

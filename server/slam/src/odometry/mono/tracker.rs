@@ -9,7 +9,7 @@ use super::pose::{self, PlacedCamera};
 use super::start::{Reference, TwoViews};
 use super::{MonoParams, loops, search, triangulation};
 use crate::tracking::{LostReason, Waiting};
-use nalgebra::{Point2, Point3, Translation3, Vector2};
+use nalgebra::{Point2, Point3, Vector2};
 use percept_geometry::{Pose, Timestamp};
 use percept_perception::features2d::{Descriptors, MatchParams, match_features};
 use percept_perception::multiview::{RansacParams, solve_pnp};
@@ -339,17 +339,6 @@ impl Tracker {
             Some((frame.pixels[i], frame.descriptors[i], p))
         };
         frame.points.iter().enumerate().filter_map(one).collect()
-    }
-
-    /// How far a second camera, mounted at `t_camera_second` (metres), is from the last image's in the map's unit.
-    pub(super) fn distance_to(&self, mut frame: Frame, lens: &Lens, t_camera_second: &Pose) -> Option<f64> {
-        let (last, t) = self.last.as_ref()?;
-        // The cameras are near each other: how they are turned tells where to look.
-        let start = Pose::from_parts(Translation3::identity(), t_camera_second.rotation.inverse()) * t;
-        search::follow(&mut frame, last, &self.map, &start, lens, 4.0 * FOLLOW_PX);
-        let placed = settle(&mut frame, &self.map, &start, lens)?;
-        let distance = (t * placed.t_camera_map.inverse()).translation.vector.norm();
-        (placed.num_inliers >= MIN_TRACKED).then_some(distance)
     }
 
     /// Multiplies all lengths.
