@@ -67,6 +67,16 @@ impl KeptScan {
         size_of::<Held>() + self.read(|h| h.scan.as_ref().map_or(0, |s| s.memory_bytes()))
     }
 
+    /// Has `keep` put it somewhere while it stays in memory, so that taking it out costs nothing later. Whether it is put.
+    pub fn put(&self, keep: impl FnOnce(&Arc<KeyframeScan>) -> Option<Arc<dyn ScanSource>>) -> bool {
+        let (scan, source) = self.read(|h| (h.scan.clone(), h.source.clone()));
+        let (Some(scan), None) = (scan, &source) else { return source.is_some() };
+        let put = keep(&scan);
+        let is_put = put.is_some();
+        self.write(|h| h.source = h.source.take().or(put));
+        is_put
+    }
+
     /// Takes it out of memory, once `keep` has put it somewhere; how many bytes that frees, none if it was not put.
     pub fn evict(&self, keep: impl FnOnce(&Arc<KeyframeScan>) -> Option<Arc<dyn ScanSource>>) -> usize {
         let (scan, source) = self.read(|h| (h.scan.clone(), h.source.clone()));
@@ -112,7 +122,9 @@ mod tests {
         assert_eq!(kept.evict(|_| None), 0);
         assert!(kept.is_loaded());
         let shelf = Arc::new(Shelf(scan.as_ref().clone(), AtomicUsize::new(0)));
-        assert_eq!(kept.evict(|_| Some(shelf.clone())), scan.memory_bytes());
+        assert!(!kept.put(|_| None));
+        assert!(kept.put(|_| Some(shelf.clone())) && kept.is_loaded());
+        assert_eq!(kept.evict(|_| panic!("it is put")), scan.memory_bytes());
         assert!(!other.is_loaded() && other.memory_bytes() < 200);
         assert!(Arc::ptr_eq(&other.get().unwrap(), &scan), "who still has it lends it");
         let expected = scan.as_ref().clone();

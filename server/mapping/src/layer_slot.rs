@@ -93,18 +93,25 @@ impl<L: Layer> LayerSlot<L> {
         self.read(|held| held.is_lost)
     }
 
-    /// Stores what it holds, if it is not stored, and gives up the memory: how many bytes, none if the store does not take it. A
-    /// layer that holds nothing stays: there is nothing to store of it, and nothing that could be lost.
+    /// Stores what it holds, if it is not stored. A layer that holds nothing is not: there is nothing to store of it, and nothing
+    /// that could be lost. Whether there is nothing left to store.
+    pub(crate) fn store(&self, store: &Arc<dyn MapStore>, fetched: &Arc<Fetched>) -> bool {
+        let layer = self.read(|held| held.layer.clone().filter(|_| held.bytes > 0 && held.stored.is_none()));
+        let Some(layer) = layer else { return true };
+        let Some(id) = store.put(&Self::encode(&layer)) else { return false };
+        let stored = Stored { id, store: Arc::clone(store), fetched: Arc::clone(fetched) };
+        self.write(|held| held.stored = held.stored.take().or(Some(stored)));
+        true
+    }
+
+    /// Whether it holds anything that is not stored.
+    pub(crate) fn is_unstored(&self) -> bool {
+        self.read(|held| held.layer.is_some() && held.bytes > 0 && held.stored.is_none())
+    }
+
+    /// Stores what it holds, if it is not stored, and gives up the memory: how many bytes, none if the store does not take it.
     pub(crate) fn evict(&self, store: &Arc<dyn MapStore>, fetched: &Arc<Fetched>) -> usize {
-        let (layer, stored) = self.read(|held| (held.layer.clone().filter(|_| held.bytes > 0), held.stored.clone()));
-        let Some(layer) = layer else { return 0 };
-        let keep = || {
-            let id = store.put(&Self::encode(&layer))?;
-            Some(Stored { id, store: Arc::clone(store), fetched: Arc::clone(fetched) })
-        };
-        let Some(stored) = stored.or_else(keep) else { return 0 };
-        self.write(|held| held.stored = Some(stored));
-        self.release()
+        if self.store(store, fetched) { self.release() } else { 0 }
     }
 }
 

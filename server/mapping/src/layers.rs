@@ -65,6 +65,16 @@ macro_rules! layers {
                 [$(self.$name.is_lost()),*].iter().any(|is_lost| *is_lost)
             }
 
+            /// Stores what is not stored; all stays in memory.
+            pub(crate) fn store(&self, store: &Arc<dyn MapStore>, fetched: &Arc<Fetched>) {
+                $(self.$name.store(store, fetched);)*
+            }
+
+            /// Whether they hold anything that is not stored.
+            pub(crate) fn is_unstored(&self) -> bool {
+                [$(self.$name.is_unstored()),*].iter().any(|is_unstored| *is_unstored)
+            }
+
             /// Stores what is not stored, and gives up the memory: how many bytes, none of what the store does not take.
             pub(crate) fn evict(&self, store: &Arc<dyn MapStore>, fetched: &Arc<Fetched>) -> usize {
                 [$(self.$name.evict(store, fetched)),*].iter().sum()

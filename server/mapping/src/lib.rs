@@ -47,7 +47,7 @@ pub use layer::{Footprint, Layer, Placement, TileKey};
 pub use layer_slot::LayerSlot;
 pub use layers::{LayerBoxes, LayerSlots, MapLayers, SubmapLayers};
 pub use live::{LiveFrame, LiveParams};
-pub use map::{CorrectionReport, Map, MapEntry, MapKeyframe, RebuildStep, RebuildStepDone};
+pub use map::{CorrectionReport, Map, MapEntry, MapKeyframe, RebuildStep, RebuildStepDone, StoreAhead};
 pub use moving::{Sight, moving};
 pub use occupancy::{DenseGrid, Occupancy, OccupancyGrid, OccupancyMap, OccupancyParams, OccupancyTile};
 pub use params::MapParams;

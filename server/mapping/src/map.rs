@@ -22,7 +22,8 @@ use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose, SensorId, Times
 use rebuild::Rebuild;
 pub use rebuild::{RebuildStep, RebuildStepDone};
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
+pub use working_set::StoreAhead;
 
 /// A keyframe of the map.
 #[derive(Debug, Clone)]
@@ -69,6 +70,8 @@ pub struct Map {
     fetched: Arc<Fetched>,
     /// What the caller keeps beside the map.
     beside_bytes: usize,
+    /// What is being stored ahead, as long as it is.
+    storing: Weak<()>,
 }
 
 impl Map {
@@ -100,6 +103,7 @@ impl Map {
             store: None,
             fetched: Arc::default(),
             beside_bytes: 0,
+            storing: Weak::new(),
         })
     }
 

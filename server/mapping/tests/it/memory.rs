@@ -4,13 +4,14 @@ use crate::map::{built, correction, drifted, drive, id, scans};
 use percept_geometry::{Correction, se3};
 use percept_mapping::{BlobId, Map, MapEntry, MapParams, MapStore, MappingError, Occupancy, SubmapId};
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 /// Keeps blobs in memory, and loses them when told to.
 #[derive(Debug, Default)]
 struct Shelf {
     blobs: Mutex<BTreeMap<BlobId, Vec<u8>>>,
-    is_full: bool,
+    is_full: AtomicBool,
     /// None: any number.
     max_bytes: Option<usize>,
 }
@@ -22,7 +23,7 @@ impl MapStore for Shelf {
         let mut name = BlobId([0; 32]);
         name.0[..8].copy_from_slice(&sum.to_le_bytes());
         self.blobs.lock().unwrap().insert(name, bytes.to_vec());
-        (!self.is_full).then_some(name)
+        (!self.is_full.load(Ordering::Relaxed)).then_some(name)
     }
 
     fn get(&self, id: &BlobId) -> Option<Vec<u8>> {
@@ -107,7 +108,31 @@ fn a_store_that_takes_nothing_leaves_the_map_as_it_is() {
     let scans = scans();
     let mut map = built(&scans, drive);
     let before = map.layers().occupancy.dense(1 << 20).unwrap();
-    map.set_store(Arc::new(Shelf { is_full: true, max_bytes: Some(1), ..Shelf::default() }));
+    map.set_store(Arc::new(Shelf { is_full: true.into(), max_bytes: Some(1), ..Shelf::default() }));
     assert!(map.submaps().iter().all(|s| s.is_loaded()));
     assert_eq!(map.layers().occupancy.dense(1 << 20).unwrap(), before);
+}
+
+#[test]
+fn what_was_stored_ahead_stays_until_there_is_no_room_and_goes_then_without_being_stored() {
+    let scans = scans();
+    let mut map = built(&scans, drive);
+    assert!(map.store_ahead().is_none(), "nowhere to store it");
+    let shown = map.layers();
+    let shelf = Arc::new(Shelf { max_bytes: Some(map.memory().total() * 6 / 5), ..Shelf::default() });
+    map.set_store(Arc::clone(&shelf) as Arc<dyn MapStore>);
+    let first = map.store_ahead().unwrap();
+    assert!(map.store_ahead().is_none(), "one is under way");
+    drop(first);
+    let mut num = 0;
+    while let Some(ahead) = map.store_ahead() {
+        ahead.run();
+        num += 1;
+    }
+    let frozen: Vec<_> = map.submaps().iter().filter(|s| s.is_frozen()).map(|s| s.id()).collect();
+    assert_eq!(num, frozen.len());
+    assert!(map.submaps().iter().all(|s| s.is_loaded()));
+    shelf.is_full.store(true, Ordering::Relaxed);
+    assert!(frozen.iter().all(|id| map.evict(*id) == Ok(true)), "all of it is stored");
+    assert!(map.layers() == shown);
 }

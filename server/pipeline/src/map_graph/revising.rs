@@ -63,13 +63,19 @@ impl MapGraph {
         update.moved.push(moved);
     }
 
-    /// Takes in by what submaps were built on since the frame before, and begins to build on until the next.
+    /// Takes in by what submaps were built on since the frame before, and begins to build on until the next; stores ahead what there
+    /// will be no room for.
     pub(crate) fn build_on(&mut self) {
         self.take_step();
         if self.map.is_rebuilding() {
             let waiting = self.map.num_to_rebuild().min(MANY);
             let step = self.map.next_step(POINTS_A_FRAME * waiting / MANY);
             self.step = step.map(|step| Task::begin(self.executor.as_ref(), || step.run()));
+        }
+        if let Some(executor) = &self.executor
+            && let Some(ahead) = self.map.store_ahead()
+        {
+            executor.spawn(Box::new(move || ahead.run()));
         }
     }
 

@@ -120,6 +120,34 @@ fn depth_that_comes_along_tells_a_camera_its_scale() {
 }
 
 #[test]
+fn a_second_camera_tells_the_scale_whichever_image_comes_first() {
+    let mut above = alone();
+    above.depth_camera.iter_mut().for_each(|c| c.height_m += 0.12);
+    let (first, second) = (simulation(alone(), 4.0), simulation(above, 4.0));
+    for second_is_first in [false, true] {
+        let mut params = PipelineParams::default();
+        params.slam.pose_sensor = "low".to_owned();
+        let mut pipeline = empty(&first, params);
+        for (id, simulation) in [("low", &first), ("high", &second)] {
+            pipeline.declare_sensor(SensorSpec { id: id.into(), ..simulation.sensors().remove(0) });
+        }
+        let mut newest = None;
+        for (low, high) in first.frames().zip(second.frames()) {
+            let mut both = [("low", low.frame), ("high", high.frame)];
+            if second_is_first {
+                both.swap(0, 1);
+            }
+            for (id, frame) in both {
+                newest = pipeline.process(&SensorFrame { sensor: id.into(), ..frame }).unwrap().pose.or(newest);
+            }
+        }
+        let newest = newest.unwrap();
+        assert_eq!((newest.state, newest.scale), (TrackingState::Tracking, Scale::FromBaseline));
+        assert!(pipeline.snapshot().keyframes.iter().any(|k| k.sensor == SensorId::from("low")));
+    }
+}
+
+#[test]
 fn gravity_levels_the_map_of_a_camera_on_a_leaning_base() {
     let simulation = simulation(with_wheels(), 4.0);
     let mut pipeline = empty(&simulation, PipelineParams::default());
