@@ -7,6 +7,7 @@ use crate::blob_id::BlobId;
 use crate::catalogue::{self, CatalogueEntry, SessionPlace};
 use crate::check::{Fault, Progress, RecordReader};
 use crate::error::StoreError;
+use crate::files::DETECTORS;
 use crate::keys::Key;
 use crate::lease::Claim;
 use crate::reader::SessionReader;
@@ -28,6 +29,8 @@ pub struct BackupReport {
     pub num_blobs: u64,
     /// Their bytes.
     pub num_bytes: u64,
+    /// Files of tenants copied.
+    pub num_files: u64,
     /// Sessions that are damaged, and how. What can be read of them is in the copy, beside what it had before.
     pub damaged: Vec<(String, Vec<Fault>)>,
 }
@@ -44,7 +47,8 @@ pub async fn backup(
     read: RecordReader<'_>,
     progress: &mut (dyn FnMut(Progress) + Send),
 ) -> Result<BackupReport, StoreError> {
-    let mut report = BackupReport::default();
+    // Files go before the sessions that may name them.
+    let mut report = BackupReport { num_files: from.copy_files(DETECTORS, to).await?, ..BackupReport::default() };
     let mut sessions = Vec::new();
     for entry in from.list().await? {
         match entry {

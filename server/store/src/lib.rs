@@ -13,7 +13,8 @@
 //!   whether they are whole.
 //!
 //! A directory holds `LOCK` (advisory, one process), `FORMAT` (a number in a line), `catalogue/<id>/<n>` and, for
-//! every session, `sessions/<id>/<generation>/` with `records/`, `blobs/<sha256>` and `summary`.
+//! every session, `sessions/<id>/<generation>/` with `records/`, `blobs/<sha256>` and `summary`. What belongs to a tenant
+//! and to no session lies in `files/<kind>/<tenant>/<name>`.
 //!
 //! Where several processes share the data there are also `nodes/<id>`, their heartbeats, and for every session
 //! `lease/<n>`, which says whose it is; see [`Claim`].
@@ -34,6 +35,7 @@ mod committer;
 mod config;
 mod directory;
 mod error;
+mod files;
 mod format;
 mod framing;
 pub mod keys;
@@ -57,6 +59,7 @@ pub use catalogue::{CatalogueEntry, SessionPlace};
 pub use clock::Clock;
 pub use config::{RootConfig, StoreConfig};
 pub use error::StoreError;
+pub use files::{DETECTORS, FilePlace};
 pub use keys::{Key, Prefix};
 pub use lease::Claim;
 pub use location::{Location, S3Options};

@@ -11,6 +11,7 @@ mod crash;
 mod failing;
 mod faulty;
 mod fence;
+mod files;
 mod lease;
 mod migration;
 mod records;
