@@ -82,6 +82,9 @@ RULES = {
     "ToolboxPlanningService": (WRITE, False),
     "EvaluationService": (WRITE, False),
     # Of others' there is nothing to see; what may be started, test_operations.py tries.
+    "DetectorsService/UploadDetector": (WRITE, False),
+    "DetectorsService/ListDetectors": (READ, False),
+    "DetectorsService/DeleteDetector": (ADMIN, False),
     "OperationsService": (READ, False),
     "ServerService": (READ, False),
 }
@@ -234,7 +237,7 @@ def request_of(method, session: str):
         request.source.session_id = session
     if "message" in fields:
         request.message.CopyFrom(odometry(session))
-    if "spec" in fields:
+    if "spec" in fields and fields["spec"].message_type.name == "SensorSpec":
         request.spec.sensor_id = "s"
         request.spec.kind = sensor_pb2.SENSOR_KIND_ODOMETRY
     if "sensor_id" in fields:

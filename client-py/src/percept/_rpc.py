@@ -7,6 +7,7 @@ from typing import Generic, TypeVar
 
 from google.protobuf.message import Message
 
+from .v1 import detectors_service_pb2 as detectors
 from .v1 import evaluation_service_pb2 as evaluation
 from .v1 import layers_service_pb2 as layers
 from .v1 import maps_service_pb2 as maps
@@ -346,6 +347,18 @@ EVALUATE_RELATIONS = Rpc(
 )
 EVALUATE_DETECTIONS = Rpc(
     _E, "EvaluateDetections", evaluation.EvaluateDetectionsRequest, evaluation.EvaluateDetectionsResponse
+)
+
+_D = "DetectorsService"
+# The same model again under its name is no error.
+UPLOAD_DETECTOR = Rpc(
+    _D, "UploadDetector", detectors.UploadDetectorRequest, detectors.UploadDetectorResponse
+)
+LIST_DETECTORS = Rpc(
+    _D, "ListDetectors", detectors.ListDetectorsRequest, detectors.ListDetectorsResponse, in_parts=True
+)
+DELETE_DETECTOR = Rpc(
+    _D, "DeleteDetector", detectors.DeleteDetectorRequest, detectors.DeleteDetectorResponse, repeatable=False
 )
 
 _O = "OperationsService"

@@ -58,6 +58,17 @@ impl Detector {
         self.network.input_px
     }
 
+    /// Sides of the model's input: 1, 3, rows, columns.
+    pub fn input_shape(&self) -> Vec<usize> {
+        let [width, height] = self.network.input_px;
+        vec![1, 3, height, width]
+    }
+
+    /// Bytes of the model's file.
+    pub fn num_bytes(&self) -> usize {
+        self.network.num_bytes
+    }
+
     /// Multiplications and additions that an image takes, about.
     pub fn multiply_adds(&self) -> u64 {
         self.network.work.multiply_adds

@@ -49,7 +49,7 @@ pub(crate) struct Network {
     /// Columns and rows of the input.
     pub(crate) input_px: [usize; 2],
     pub(crate) work: Work,
-    num_bytes: usize,
+    pub(crate) num_bytes: usize,
 }
 
 impl Network {

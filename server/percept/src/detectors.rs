@@ -1,11 +1,10 @@
 //! Learned detectors: models in a folder, each beside what has to be known of it.
 
 use percept_inference::{Detector, DetectorSpec, InferenceThreads, ModelLimits};
-use percept_perception::detection::{ImageDetector, ImageDetectors};
+use percept_service::OwnDetectors;
+use percept_store::BlobId;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// Where learned detectors come from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,35 +25,36 @@ impl Default for Detectors {
 }
 
 /// Loads what the folder holds. What cannot be used stops nothing.
-pub(crate) fn load(settings: &Detectors) -> ImageDetectors {
+pub(crate) fn load(settings: &Detectors) -> OwnDetectors {
+    let threads = InferenceThreads::new(settings.threads);
+    let mut own = OwnDetectors { detectors: vec![], threads: threads.clone() };
     if settings.dir.as_os_str().is_empty() {
-        return ImageDetectors::default();
+        return own;
     }
     let entries = match std::fs::read_dir(&settings.dir) {
         Ok(entries) => entries,
         Err(error) => {
             tracing::error!(dir = %settings.dir.display(), %error, "the folder of learned detectors cannot be read");
-            return ImageDetectors::default();
+            return own;
         }
     };
-    let threads = InferenceThreads::new(settings.threads);
     let mut models: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
     models.retain(|path| path.extension().is_some_and(|e| e == "onnx"));
     models.sort();
-    let mut out = BTreeMap::<String, Arc<dyn ImageDetector>>::new();
     for path in models {
         match one(&path, &threads) {
-            Ok((name, detector)) => {
-                tracing::info!(name, labels = detector.labels().len(), "a learned detector is there");
-                out.insert(name, Arc::new(detector));
+            Ok((detector, sha256)) => {
+                let spec = detector.spec();
+                tracing::info!(name = spec.name, labels = spec.labels.len(), "a learned detector is there");
+                own.detectors.push((detector, sha256));
             }
             Err(error) => tracing::error!(model = %path.display(), error, "a learned detector cannot be used"),
         }
     }
-    ImageDetectors::new(out)
+    own
 }
 
-fn one(model: &Path, threads: &InferenceThreads) -> Result<(String, Detector), String> {
+fn one(model: &Path, threads: &InferenceThreads) -> Result<(Detector, String), String> {
     let limits = ModelLimits::default();
     let name = model.file_stem().and_then(|s| s.to_str()).ok_or("its name is not UTF-8")?.to_owned();
     let spec = spec(model, &name)?;
@@ -64,7 +64,7 @@ fn one(model: &Path, threads: &InferenceThreads) -> Result<(String, Detector), S
     }
     let bytes = std::fs::read(model).map_err(|e| e.to_string())?;
     let detector = Detector::new(&bytes, spec, &limits, threads).map_err(|e| e.to_string())?;
-    Ok((name, detector))
+    Ok((detector, BlobId::of(&bytes).to_string()))
 }
 
 /// What `NAME.toml` says, and `NAME.names`.

@@ -82,7 +82,8 @@ pub struct DetectionSettings {
     pub enabled: bool,
     /// The map around the robot is searched up to this distance, metres, 1 to 50.
     pub range_m: f64,
-    /// Name of a learned detector of the server, which looks for things in the colour images of keyframes with depth. Empty: none.
+    /// Name of a learned detector, the server's or an uploaded one, which looks for things in the colour images of keyframes with
+    /// depth. Empty: none.
     pub learned: String,
     /// How objects are proposed, boxed and classified.
     pub detector: DetectionParams,

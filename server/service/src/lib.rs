@@ -29,6 +29,7 @@ pub use health::{HEALTHY, Health, Part, Readiness, Reason, Trouble};
 pub use limits::Limits;
 pub use ops::changes::{ParamChange, SensorChanges, SessionChanges};
 pub use ops::cloud_detail::CloudDetail;
+pub use ops::detectors::{DetectorInfo, DetectorOrigin};
 pub use ops::evaluation::{self, TrajectoryComparison};
 pub use ops::exploration::{self, Explored, FlightQuestion, FrontierRequest};
 pub use ops::fleet::{FleetFilter, FleetGroup, FleetWatch};
@@ -65,6 +66,7 @@ pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, Sessi
 pub use session::persist::Durable;
 pub use session::records::Counts;
 pub use session::sensor_book::{NoPose, SensorStatus};
+pub use session::shelf::OwnDetectors;
 pub use session::state::SessionState;
 pub use session::verdict::{StreamTrouble, Verdict};
 
@@ -106,12 +108,12 @@ impl Service {
         compute: ComputePool,
         limits: Limits,
         defaults: percept_pipeline::PipelineParams,
-        image_detectors: percept_perception::detection::ImageDetectors,
+        detectors: OwnDetectors,
     ) -> Result<Self> {
         ops::server::started();
         let (limits, health) = (Arc::new(limits), Health::starting());
         let registry =
-            session::open::open(data, compute.clone(), Arc::clone(&limits), defaults, image_detectors, health.clone())
+            session::open::open(data, compute.clone(), Arc::clone(&limits), defaults, detectors, health.clone())
                 .await?;
         let kept = toolbox::KeptClouds::open(&limits, Arc::clone(compute.admission()));
         let operations = ops::operations::Operations::open(&limits);

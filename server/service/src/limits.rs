@@ -53,6 +53,14 @@ pub struct Limits {
     pub max_operation_bytes_per_owner: usize,
     /// Time that an operation is kept after its end, with its result, seconds.
     pub operation_kept_s: usize,
+    /// A learned detector's model that is uploaded, bytes; the message that it comes in has its own limit, max_message_bytes.
+    pub max_detector_bytes: usize,
+    /// Uploaded detectors that the server keeps.
+    pub max_detectors: usize,
+    /// The same of one tenant.
+    pub max_detectors_per_tenant: usize,
+    /// Models of all uploaded detectors, bytes; in memory they take about three times as much at worst.
+    pub max_detectors_bytes: usize,
     /// Events kept for watchers that resume.
     pub event_history: usize,
     /// The same for watchers of all sessions, over all of them.
@@ -122,6 +130,10 @@ impl Default for Limits {
             max_operation_bytes: 1 << 30,
             max_operation_bytes_per_owner: 512 << 20,
             operation_kept_s: 3600,
+            max_detector_bytes: 64 << 20,
+            max_detectors: 64,
+            max_detectors_per_tenant: 8,
+            max_detectors_bytes: 256 << 20,
             event_history: 1024,
             fleet_event_history: 8192,
             sleep_after_s: 300,

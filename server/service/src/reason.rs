@@ -70,6 +70,7 @@ reasons! {
         MESSAGE_EXPANDS: "The message has so many small elements that it would take far more memory than it has bytes; send fewer at a time.",
         MESSAGE_INVALID: "The payload is no message of the contract.",
         METHOD_NOT_ALLOWED: "The path does not serve this HTTP method; Allow lists those that it does.",
+        MODEL_INVALID: "The model is no whole ONNX file, uses what is not supported, or has other inputs or outputs than its spec says; the message says what.",
         NODE_ID_INVALID: "A node of the scene graph is robot, object/NUMBER or room/NUMBER.",
         NO_MODEL: "No model explains enough of the pairs; send better ones, or allow for more error.",
         NOT_FINITE: "A number is not finite.",
@@ -111,7 +112,7 @@ reasons! {
     NotFound {
         CLASS_NOT_FOUND: "No examples of this class were given in the session; list its classes.",
         CLOUD_NOT_FOUND: "No cloud is kept under this handle; it was dropped or forgotten: upload it again.",
-        DETECTOR_NOT_FOUND: "The server has no learned detector of this name; the message lists them.",
+        DETECTOR_NOT_FOUND: "There is no learned detector of this name, or not for this caller; the message lists them.",
         FILE_NOT_FOUND: "A map has no file of this name; the message lists them.",
         FRAME_NOT_FOUND: "The session has no frame of this name; the message lists them.",
         KEY_UNKNOWN: "There is no such zenoh key; the message lists them.",
@@ -124,10 +125,13 @@ reasons! {
         SESSION_NOT_FOUND: "There is no such session, or not for this caller.",
     }
     AlreadyExists {
+        DETECTOR_EXISTS: "A learned detector of this name is there already; choose another name, or delete that one.",
         SESSION_EXISTS: "A session of this id exists already; choose another id, or use it.",
     }
     FailedPrecondition {
         DATA_DAMAGED: "Stored data of the session are damaged; what is whole can be read. Restore it from a backup.",
+        DETECTOR_IN_USE: "A session names the detector in params.detection.learned; change that first.",
+        DETECTOR_OF_SERVER: "The detector is of the server's folder; who runs the server can take it away.",
         LAYER_OFF: "The session does not keep this layer of the map; create one whose parameters enable it.",
         MAP_EMPTY: "Nothing was mapped yet; send frames first.",
         MAP_NOT_EMPTY: "The session has a map already; import into a new session, before frames come.",
@@ -158,6 +162,7 @@ reasons! {
         MEMORY_EXHAUSTED: "Messages under way have taken all memory that they may; try again.",
         MESH_TOO_LARGE: "The surface has more triangles than are answered at a time; ask for a region.",
         MESSAGE_TOO_LARGE: "The message is larger than limits.max_message_bytes; send less at a time.",
+        MODEL_TOO_LARGE: "The model is larger than limits.max_detector_bytes, or a run of it takes more than is allowed; choose a smaller one.",
         NEIGHBOURS_TOO_MANY: "The answer would hold too many neighbours; ask for fewer points, or a smaller radius.",
         OPERATIONS_FULL: "No room for the operation's request or result; delete operations that have ended, or wait until they are forgotten.",
         PICTURE_TOO_LARGE: "The picture would have too many pixels; ask for a smaller one.",
@@ -165,6 +170,7 @@ reasons! {
         SAMPLE_TOO_LARGE: "More points are to be sampled than the method can; ask for fewer.",
         SCAN_TOO_LARGE: "The scan has more beams than limits.max_cloud_points.",
         SERVER_BUSY: "As many requests wait to be computed as may; try again.",
+        TOO_MANY_DETECTORS: "The server, or the tenant, keeps as many uploaded detectors as it may; delete some.",
         TOO_MANY_EXAMPLES: "The session keeps as many examples of classes as it may; forget a class.",
         TOO_MANY_OPERATIONS: "As many operations are kept as may; delete some that have ended, or wait.",
         TOO_MANY_QUERIES: "More points, rays or boxes than are answered at a time; ask in several.",

@@ -197,6 +197,7 @@ in_parts! {
     MatchFeaturesResponse { pairs, distances }
     DetectInImageResponse { detections }
     ListImageDetectorsResponse { detectors }
+    ListDetectorsResponse { detectors }
     EstimateEssentialResponse { inliers }
     EstimateHomographyResponse { inliers }
     EstimateTwoViewResponse { essential.inliers, homography.inliers }

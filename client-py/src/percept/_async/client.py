@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from types import TracebackType
 
 import grpc
 
 from .._access import FilePath, accesses
+from .._convert import detectors as convert_detectors
 from .._convert import sensors as convert
 from .._options import Options, headers
+from ..types.detectors import DetectorInfo, DetectorLayout, ImageInput
 from ..types.sensors import ClockOffset
 from .bound import AsyncBound
 from .evaluation import AsyncEvaluation
@@ -98,6 +101,37 @@ class AsyncClient(AsyncBound):
     def session(self, session_id: str) -> AsyncSession:
         """A session by its name, without asking whether it exists."""
         return AsyncSession(self._transport, session_id)
+
+    async def upload_detector(
+        self,
+        model: str | os.PathLike[str] | bytes,
+        *,
+        name: str,
+        layout: DetectorLayout | str,
+        labels: Sequence[str],
+        score_threshold: float | None = None,
+        iou_threshold: float | None = None,
+        image_input: ImageInput | None = None,
+    ) -> DetectorInfo:
+        """Stores an ONNX model, of a file or bytes, for everybody of this tenant; sessions use it by
+        `params={"detection": {"learned": name}}`.
+
+        labels: the model's classes in its order. Thresholds are 0.5 (score) and 0.45 (overlap) by default, the
+        input as models of the layout usually have it. What is broken or too large is refused with the reason;
+        the same model again is no error."""
+        return await self._transport.call(
+            convert_detectors.upload_detector(
+                model, name, layout, labels, score_threshold, iou_threshold, image_input
+            )
+        )
+
+    async def detectors(self) -> tuple[DetectorInfo, ...]:
+        """The learned detectors that may be used, by name: the server's and this tenant's."""
+        return await self._transport.call(convert_detectors.list_detectors())
+
+    async def delete_detector(self, name: str) -> None:
+        """Removes a detector that was uploaded; refused while a session names it."""
+        await self._transport.call(convert_detectors.delete_detector(name))
 
     async def health(self) -> bool:
         """Whether the server says that it serves, within 2 s or the client's time-out if that is shorter;

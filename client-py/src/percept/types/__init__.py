@@ -1,5 +1,13 @@
 """Results and inputs: frozen dataclasses over numpy arrays, one file a noun."""
 
+from .detectors import (
+    ChannelOrder,
+    DetectorInfo,
+    DetectorLayout,
+    DetectorOrigin,
+    ImageFit,
+    ImageInput,
+)
 from .evaluation import (
     DeltaUnit,
     DetectionMetrics,
@@ -233,6 +241,7 @@ __all__ = [
     "Boxes",
     "CameraFrame",
     "CameraIntrinsics",
+    "ChannelOrder",
     "ClockOffset",
     "CloudColouring",
     "CloudFile",
@@ -254,6 +263,9 @@ __all__ = [
     "DepthPlanes",
     "Detection",
     "DetectionMetrics",
+    "DetectorInfo",
+    "DetectorLayout",
+    "DetectorOrigin",
     "DistortionModel",
     "Door",
     "EncodedImage",
@@ -284,6 +296,8 @@ __all__ = [
     "ImageDetection",
     "ImageDetectorInfo",
     "ImageFeatures",
+    "ImageFit",
+    "ImageInput",
     "ImuFrame",
     "KeptClouds",
     "Keyframe",

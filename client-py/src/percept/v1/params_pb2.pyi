@@ -1355,7 +1355,7 @@ class DetectionSettings(_message.Message):
     range_m: _builtins.float
     """The map around the robot is searched up to this distance, metres, 1 to 50."""
     learned: _builtins.str
-    """Name of a learned detector of the server, which looks for things in the colour images of keyframes with depth. Empty: none."""
+    """Name of a learned detector (DetectorsService), which looks for things in the colour images of keyframes with depth. Empty: none."""
     @_builtins.property
     def detector(self) -> Global___DetectionParams:
         """How objects are proposed, boxed and classified."""

@@ -7,6 +7,7 @@
 
 pub mod audit;
 mod context;
+mod detectors;
 mod lasting;
 mod layers;
 mod map_import;

@@ -95,6 +95,11 @@ pub static RULES: &[Rule] = &[
     session("SceneService/ForgetObjectClass", Write),
     session("SceneService/RouteToRoom", Read),
 
+    // They are the tenant's; deleting one is felt by all of it.
+    audited(nothing("DetectorsService/UploadDetector", Write)),
+    nothing("DetectorsService/ListDetectors", Read),
+    audited(nothing("DetectorsService/DeleteDetector", Admin)),
+
     // A path is a question about the map; a step of a robot brings a frame.
     session("NavigationService/PlanPath", Read),
     session("NavigationService/DrawPath", Read),

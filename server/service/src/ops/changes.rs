@@ -64,10 +64,12 @@ impl Service {
     pub async fn update_session(&self, id: &str, etag: &str, changes: &SessionChanges) -> Result<SessionDescription> {
         check_id("session_id", id)?;
         let defaults = self.default_params();
+        let names_one = |c: &ParamChange| c.path == "detection.learned";
+        let _named = self.registry.naming(changes.params.iter().any(names_one)).await;
         let changed = self.registry.change(id, |_, meta| {
             check_etag(etag, &meta.etag())?;
             changes.apply(meta, defaults)?;
-            super::check_learned(&meta.params, &self.registry.image_detectors).map(|()| None)
+            super::check_learned(&meta.params, &self.registry.shelf.of_tenant(&meta.tenant)).map(|()| None)
         });
         changed.await?;
         self.describe_session(id).await

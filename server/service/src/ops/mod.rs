@@ -2,6 +2,7 @@
 
 pub(crate) mod changes;
 pub(crate) mod cloud_detail;
+pub(crate) mod detectors;
 mod errors;
 pub mod evaluation;
 pub mod exploration;
@@ -33,7 +34,7 @@ use crate::reason;
 use percept_perception::detection::ImageDetectors;
 use percept_pipeline::{ParamsError, PipelineParams};
 
-/// Checks that a learned detector that parameters name is there.
+/// Checks that a learned detector that parameters name is there, among those that their tenant may use.
 ///
 /// # Errors
 /// `PARAMETER_OUT_OF_RANGE`.
@@ -49,7 +50,8 @@ pub(crate) fn check_learned(params: &PipelineParams, detectors: &ImageDetectors)
 pub(crate) fn unknown_detector(field: &str, name: &str, detectors: &ImageDetectors, reason: &'static str) -> Error {
     let shown: String = name.chars().take(80).collect();
     let known: Vec<&str> = detectors.iter().map(|(name, _)| name).collect();
-    let known = if known.is_empty() { "none; put some into detectors.dir".to_owned() } else { known.join(", ") };
+    let known =
+        if known.is_empty() { "none; upload one, or put some into detectors.dir".to_owned() } else { known.join(", ") };
     Error::invalid(reason, field, format!("this server has no learned detector {shown:?}; there are: {known}"))
 }
 

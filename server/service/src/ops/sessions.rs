@@ -189,7 +189,9 @@ impl Service {
             return Err(Error::invalid(reason::SENSOR_DECLARED_TWICE, "sensors", message));
         }
         new.params.validate().map_err(|e| super::params_error(&e))?;
-        super::check_learned(&new.params, &self.registry.image_detectors)?;
+        // Until it is written that the session names it.
+        let _named = self.registry.naming(!new.params.detection.learned.is_empty()).await;
+        super::check_learned(&new.params, &self.registry.shelf.of_tenant(tenant))?;
         check_display_name(&new.display_name)?;
         check_labels(&new.labels)?;
         let meta = SessionMeta {

@@ -169,8 +169,9 @@ impl Actor {
                 let _ = done.send(self.persister.newest());
                 drop(alone);
             }
-            Command::Change { meta: Some(meta), declared, done, alone } => {
+            Command::Change { meta: Some(meta), declared, learned, done, alone } => {
                 if let Some(pipeline) = &mut self.pipeline {
+                    pipeline.set_image_detectors(learned);
                     take_settings(pipeline, &meta, declared.as_deref());
                     *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) =
                         Arc::new(pipeline.snapshot());

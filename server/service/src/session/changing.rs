@@ -47,8 +47,9 @@ impl Registry {
         change: impl Fn(&Session, &mut SessionMeta) -> Result<Option<SensorDeclaration>>,
     ) -> Result<Arc<Session>> {
         let session = self.awake(id, |session| {
-            let change = &change;
-            async move { session.change(|meta| change(&session, meta)).await.map(|()| session) }
+            let (change, shelf) = (&change, &self.shelf);
+            let learned = |meta: &SessionMeta| shelf.named(&meta.tenant, &meta.params.detection.learned);
+            async move { session.change(|meta| change(&session, meta), learned).await.map(|()| session) }
         });
         let session = session.await?;
         // What lists and sleeping sessions say is this from now on, also after a restart.

@@ -7,6 +7,7 @@ use crate::observe::Held;
 use crate::{Progress, Result};
 use percept_geometry::{KeyframeId, Pose, SensorFrame};
 use percept_mapping::given::GivenView;
+use percept_perception::detection::ImageDetectors;
 use percept_pipeline::{Loop, LoopId, PoseEstimate};
 use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::time::{Duration, Instant};
@@ -70,6 +71,8 @@ pub(crate) enum Command {
     Change {
         meta: Option<Box<SessionMeta>>,
         declared: Option<Box<SensorDeclaration>>,
+        /// The learned detector that it names.
+        learned: ImageDetectors,
         done: oneshot::Sender<Ticket>,
         /// Kept until it is in force: the next change builds on this one, whoever still waits for it.
         alone: OwnedMutexGuard<()>,

@@ -12,6 +12,7 @@ use crate::observe::{self, SessionShare};
 use crate::{Limits, Progress, Result};
 use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
 use percept_mapping::given::GivenView;
+use percept_perception::detection::ImageDetectors;
 use percept_pipeline::{LoopId, Pipeline, Snapshot};
 use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::collections::{BTreeMap, VecDeque};
@@ -311,13 +312,15 @@ impl Session {
         }
     }
 
-    /// Changes what is declared and set, durably. Changes come one at a time: `change` says what becomes of what is there.
+    /// Changes what is declared and set, durably. Changes come one at a time: `change` says what becomes of what is there,
+    /// `learned` finds the detector that it names then.
     ///
     /// # Errors
     /// Those of `change`; `SESSION_STOPPED`, and why it is not stored.
     pub(super) async fn change(
         &self,
         change: impl FnOnce(&mut SessionMeta) -> Result<Option<SensorDeclaration>>,
+        learned: impl FnOnce(&SessionMeta) -> ImageDetectors,
     ) -> Result<()> {
         self.check_storing()?;
         let alone = Arc::clone(&self.changing).lock_owned().await;
@@ -326,8 +329,9 @@ impl Session {
         let is_new = meta != self.meta();
         meta.revision += 1;
         let (done, changed) = oneshot::channel();
+        let learned = learned(&meta);
         let meta = is_new.then(|| Box::new(meta));
-        self.queue.send(Command::Change { meta, declared, done, alone }).await.map_err(|_| stopped())?;
+        self.queue.send(Command::Change { meta, declared, learned, done, alone }).await.map_err(|_| stopped())?;
         let ticket = changed.await.map_err(|_| stopped())?;
         self.wait_durable(ticket).await
     }

@@ -112,9 +112,7 @@ impl Registry {
         let is_another = slot.opened_as(store.epoch());
         let scratch = Scratch::in_directory(self.root.directory(), &self.room);
         let recovered =
-            match recover(Arc::clone(&store), (&self.compute, &self.image_detectors), created, &self.defaults, scratch)
-                .await
-            {
+            match recover(Arc::clone(&store), (&self.compute, &self.shelf), created, &self.defaults, scratch).await {
                 Ok(recovered) => recovered,
                 Err(trouble) => {
                     let _ = store.close().await;

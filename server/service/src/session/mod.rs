@@ -36,6 +36,7 @@ pub(crate) mod registry;
 pub(crate) mod scratch;
 pub(crate) mod sensor_book;
 pub(crate) mod sharing;
+pub(crate) mod shelf;
 pub(crate) mod slot;
 pub(crate) mod state;
 #[cfg(test)]

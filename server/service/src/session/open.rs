@@ -1,9 +1,9 @@
 //! The registry, and all that runs beside it for as long as it lives.
 
 use super::registry::Registry;
+use super::shelf::OwnDetectors;
 use super::{keeper, sharing};
 use crate::{ComputePool, Health, Limits, Result};
-use percept_perception::detection::ImageDetectors;
 use percept_pipeline::PipelineParams;
 use percept_store::DataRoot;
 use std::sync::Arc;
@@ -17,10 +17,11 @@ pub(crate) async fn open(
     compute: ComputePool,
     limits: Arc<Limits>,
     defaults: PipelineParams,
-    image_detectors: ImageDetectors,
+    detectors: OwnDetectors,
     health: Health,
 ) -> Result<Arc<Registry>> {
-    let (registry, buried) = Registry::of_catalogue(root, compute, limits, defaults, image_detectors).await?;
+    let (registry, buried) = Registry::of_catalogue(root, compute, limits, defaults, detectors).await?;
+    registry.load_detectors().await;
     let this = Arc::clone(&registry);
     tokio::spawn(async move {
         for place in buried {

@@ -5,12 +5,12 @@ use super::keyframe_codec;
 use super::meta::SessionMeta;
 use super::records::{KeyframeRecord, MergedRecord, MetaRecord, StateRecord, TrajectoryRecord, parse};
 use super::scratch::Scratch;
+use super::shelf::Shelf;
 use super::writer::Stored;
 use crate::reason;
 use crate::{ComputePool, Error};
 use futures::stream::{StreamExt, TryStreamExt};
 use percept_geometry::{KeyframeId, Pose, SensorId, Timestamp};
-use percept_perception::detection::ImageDetectors;
 use percept_pipeline::{
     Loop, Merged, Pipeline, PipelineParams, Restored, RestoredContent, RestoredKeyframe, TrajectoryEntry,
 };
@@ -39,7 +39,7 @@ pub(super) struct Recovered {
 /// [`Trouble::Passing`] for faults of the storage, [`Trouble::Lasting`] if nothing of it can be read.
 pub(super) async fn recover(
     store: Arc<dyn Store>,
-    (compute, image_detectors): (&ComputePool, &ImageDetectors),
+    (compute, shelf): (&ComputePool, &Shelf),
     created: MetaRecord,
     defaults: &PipelineParams,
     scratch: Arc<Scratch>,
@@ -78,7 +78,11 @@ pub(super) async fn recover(
         restored.loops.retain(|l| whole.contains(&l.closure.from) && whole.contains(&l.closure.to));
     }
     let (params, sensors) = (meta.params.clone(), meta.sensors.clone());
-    let image_detectors = image_detectors.clone();
+    let image_detectors = shelf.named(&meta.tenant, &meta.params.detection.learned);
+    if !meta.params.detection.learned.is_empty() && image_detectors.iter().next().is_none() {
+        let detector = meta.params.detection.learned.as_str();
+        tracing::warn!(session = meta.id, detector, "the learned detector that the session names is not there");
+    }
     let class_examples = Arc::new(meta.class_examples.clone());
     let sender = compute.admission().sender(&meta.tenant, &meta.id);
     let executor = compute.beside_frames(&sender);

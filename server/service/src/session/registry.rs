@@ -6,10 +6,10 @@ use super::fleet::{FleetLink, FleetLog};
 use super::handle::Session;
 use super::meta::{SessionMeta, SessionMode};
 use super::records::{Counts, MetaRecord, parse};
+use super::shelf::{OwnDetectors, Shelf};
 use super::slot::{Known, Phase, Slot};
 use crate::reason;
 use crate::{ComputePool, Error, ErrorCode, Limits, Result};
-use percept_perception::detection::ImageDetectors;
 use percept_pipeline::PipelineParams;
 use percept_store::{CatalogueEntry, DataRoot, SessionPlace};
 use std::collections::{BTreeMap, HashMap};
@@ -29,7 +29,7 @@ pub(crate) struct Registry {
     pub(super) limits: Arc<Limits>,
     pub(super) defaults: PipelineParams,
     /// Learned detectors that sessions may use.
-    pub(crate) image_detectors: ImageDetectors,
+    pub(crate) shelf: Arc<Shelf>,
     pub(super) waking: Semaphore,
     /// Of the events of sessions that were there before this process.
     first_token: u64,
@@ -57,16 +57,16 @@ impl Registry {
         compute: ComputePool,
         limits: Arc<Limits>,
         defaults: PipelineParams,
-        image_detectors: ImageDetectors,
+        detectors: OwnDetectors,
     ) -> Result<(Arc<Self>, Vec<SessionPlace>)> {
         // Events come far slower than one a microsecond, so that this lies above every token given before.
         let first_token = u64::try_from(crate::clock::now_ns() / 1000).unwrap_or(1).max(1);
         let waking = Semaphore::new(WAKES_AT_ONCE);
         let fleet = Arc::new(FleetLog::starting_at(first_token, limits.fleet_event_history));
         let sessions = RwLock::default();
+        let shelf = Arc::new(Shelf::new(detectors));
         let room = Arc::new(AtomicUsize::new(limits.max_session_memory_mb << 20));
-        let registry =
-            Self { root, compute, limits, defaults, image_detectors, waking, first_token, room, fleet, sessions };
+        let registry = Self { root, compute, limits, defaults, shelf, waking, first_token, room, fleet, sessions };
         let mut buried = Vec::new();
         let take_in = |entry| match entry {
             CatalogueEntry::Deleted { place } => buried.push(place),
@@ -125,6 +125,21 @@ impl Registry {
     /// Whose a session is, if there is one.
     pub(crate) fn tenant(&self, id: &str) -> Option<String> {
         self.find(id).ok().map(|slot| slot.known().tenant)
+    }
+
+    /// Sessions of a tenant, by id, those that are being deleted left out.
+    pub(super) fn ids_of(&self, tenant: &str) -> Vec<String> {
+        let own = self.slots().into_iter().filter(|slot| !slot.is_doomed() && slot.known().tenant == tenant);
+        own.map(|slot| slot.id.clone()).collect()
+    }
+
+    /// To be held while a session begins to name a learned detector, so that it is not deleted meanwhile; none if it names none.
+    pub(crate) async fn naming(&self, is_named: bool) -> Option<tokio::sync::RwLockReadGuard<'_, ()>> {
+        if !is_named {
+            return None;
+        }
+        self.refresh_detectors().await;
+        Some(self.shelf.naming.read().await)
     }
 
     /// All slots, in the order of ids.

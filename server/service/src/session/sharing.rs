@@ -169,6 +169,7 @@ pub(super) async fn follow_catalogue(registry: Weak<Registry>) {
         if is_due && let Err(error) = registry.look().await {
             tracing::warn!(%error, "the catalogue was not looked through");
         }
+        registry.refresh_detectors().await;
         seen = changed;
         drop(registry);
         tokio::time::sleep(if is_shared { LOOK_SHARED } else { LOOK_OWN }).await;

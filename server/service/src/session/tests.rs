@@ -8,12 +8,12 @@ use super::records::{MetaRecord, json};
 use super::recover::recover;
 use super::registry::Registry;
 use super::scratch::Scratch;
+use super::shelf::{OwnDetectors, Shelf};
 use super::state::SessionState;
 use super::writer::{Stored, Writer};
 use crate::{ComputePool, EventKind, Health, Limits};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{ObjectClass, OrientedBox3, SensorId, SensorKind, SensorSpec, Timestamp};
-use percept_perception::detection::ImageDetectors;
 use percept_pipeline::PipelineParams;
 use percept_scene::{Object, ObjectId, ObjectState};
 use percept_store::{DataRoot, RootConfig, SlateStore, Store, keys};
@@ -28,7 +28,7 @@ fn compute() -> ComputePool {
 async fn registry(config: &RootConfig) -> Arc<Registry> {
     let root = DataRoot::open(config.clone()).await.unwrap();
     let (limits, params) = (Arc::new(Limits::default()), PipelineParams::default());
-    super::open::open(root, compute(), limits, params, ImageDetectors::default(), Health::starting()).await.unwrap()
+    super::open::open(root, compute(), limits, params, OwnDetectors::none(), Health::starting()).await.unwrap()
 }
 
 fn meta(id: &str) -> SessionMeta {
@@ -168,7 +168,8 @@ async fn forty_thousand_objects_are_stored_and_read_again() {
     let created = MetaRecord::of(&meta("a")).unwrap();
     let scratch = Scratch::in_directory(None, &Arc::new(AtomicUsize::new(1 << 30)));
     let recovered =
-        recover(store, (&compute(), &ImageDetectors::default()), created, &PipelineParams::default(), scratch).await;
+        recover(store, (&compute(), &Shelf::new(OwnDetectors::none())), created, &PipelineParams::default(), scratch)
+            .await;
     let recovered = recovered.map_err(|t: Trouble| t.error());
     let recovered = recovered.unwrap();
     assert!(recovered.damage.is_none());
@@ -185,7 +186,7 @@ async fn a_session_is_put_to_sleep_when_nobody_uses_it() {
         compute(),
         Arc::new(limits),
         PipelineParams::default(),
-        ImageDetectors::default(),
+        OwnDetectors::none(),
         Health::starting(),
     )
     .await

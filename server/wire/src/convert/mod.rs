@@ -1,5 +1,6 @@
 //! Protos to domain types, checked, and back. One file a noun.
 
+pub mod detectors;
 pub mod draco;
 pub mod drawing;
 pub mod evaluation;

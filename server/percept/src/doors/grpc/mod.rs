@@ -1,6 +1,7 @@
 //! The gRPC door: the contract's services over HTTP/2, with health and reflection. One file a noun.
 
 mod calls;
+mod detectors;
 mod evaluation;
 pub(crate) mod ingest;
 mod layers;
@@ -124,6 +125,7 @@ pub(crate) async fn serve(api: Api, listener: Listener) {
         .add_service(limited!(v1::toolbox_pictures_service_server::ToolboxPicturesServiceServer<Api>))
         .add_service(limited!(v1::toolbox_pipelines_service_server::ToolboxPipelinesServiceServer<Api>))
         .add_service(limited!(v1::toolbox_planning_service_server::ToolboxPlanningServiceServer<Api>))
+        .add_service(limited!(v1::detectors_service_server::DetectorsServiceServer<Api>))
         .add_service(limited!(v1::operations_service_server::OperationsServiceServer<Api>))
         .add_service(limited!(v1::evaluation_service_server::EvaluationServiceServer<Api>))
         .add_service(limited!(v1::server_service_server::ServerServiceServer<Api>));

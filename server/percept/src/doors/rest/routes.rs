@@ -19,6 +19,7 @@ use prost::Message;
 use prost_reflect::MethodDescriptor;
 use std::pin::pin;
 use tonic::Status;
+use v1::detectors_service_server::DetectorsService;
 use v1::evaluation_service_server::EvaluationService;
 use v1::layers_service_server::LayersService;
 use v1::maps_service_server::MapsService;
@@ -307,6 +308,7 @@ const CLOUD: &[(&str, &str)] = &[("handle", "handle")];
 const OPERATION: &[(&str, &str)] = &[("operation_id", "operation_id")];
 const OBJECT: &[(&str, &str)] = &[("session_id", "session_id"), ("object_id", "object_id")];
 const CLASS: &[(&str, &str)] = &[("session_id", "session_id"), ("label", "label")];
+const DETECTOR: &[(&str, &str)] = &[("name", "name")];
 const LOOP: &[(&str, &str)] = &[("session_id", "source.session_id"), ("loop_id", "loop_id")];
 
 const fn get(
@@ -471,6 +473,10 @@ pub(super) static ROUTES: &[Route] = &[
     post("/v1/toolbox/segment-depth-planes", "ToolboxDepthService/SegmentDepthPlanes", &[], parts!(Message segment_depth_planes)),
     post("/v1/toolbox/find-depth-edges", "ToolboxDepthService/FindDepthEdges", &[], parts!(Message find_depth_edges)),
     post("/v1/toolbox/register-colour", "ToolboxDepthService/RegisterColour", &[], parts!(Message register_colour)),
+
+    post("/v1/detectors", "DetectorsService/UploadDetector", &[], unary!(Message upload_detector)),
+    get("/v1/detectors", "DetectorsService/ListDetectors", &[], parts!(Message list_detectors)),
+    delete("/v1/detectors/{name}", "DetectorsService/DeleteDetector", DETECTOR, unary!(Message delete_detector)),
 
     post("/v1/operations", "OperationsService/StartOperation", &[], unary!(Message start_operation)),
     get("/v1/operations", "OperationsService/ListOperations", &[], unary!(Message list_operations)),

@@ -200,7 +200,7 @@ impl Service {
     ) -> Result<T> {
         let (limits, kept) = (Arc::clone(&self.limits), Arc::clone(&self.kept));
         let detector = self.default_params().detection.detector;
-        let image_detectors = self.registry.image_detectors.clone();
+        let image_detectors = self.registry.shelf.of_tenant(tenant_of(&owner));
         let asker = self.compute.admission().asker(tenant_of(&owner), &owner)?;
         let work = move |alive: &Alive| {
             progress.stage("reading what was sent");
