@@ -8,7 +8,7 @@ use percept_geometry::{Aabb3, ObjectClass};
 /// All that is set has to hold.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RelationFilter {
-    /// One of these; empty: any.
+    /// One of these; empty: any but [`RelationKind::ReachableFrom`], which has to be named.
     pub kinds: Vec<RelationKind>,
     /// The subject.
     pub subject: Option<NodeId>,

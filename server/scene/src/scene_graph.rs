@@ -1,6 +1,6 @@
 //! The scene graph: nodes in layers, typed edges with a strength.
 
-use crate::relations::{Directions, Placed, Related, beside_robot, directions, in_room, temporal};
+use crate::relations::{Directions, Placed, Related, beside_robot, directions, in_room, reachable, temporal};
 use crate::rooms::{Room, RoomId, RoomKind, Rooms};
 use crate::{
     Node, NodeId, Object, ObjectState, Relation, RelationFilter, RelationFrame, RelationKind, RelationParams, RoomNode,
@@ -80,6 +80,9 @@ impl SceneGraph {
             let things: Vec<Placed> = std::iter::once(robot).chain(related.things.iter().copied()).collect();
             let pairs = near_pairs(&things, params.max_distance_m);
             pairs.iter().for_each(|(a, b)| directions(&things[*a], &things[*b], heading, params, &mut rest));
+        }
+        if filter.kinds.contains(&RelationKind::ReachableFrom) {
+            rest.extend(reachable(&robot, &related.things, rooms));
         }
         rest.retain(|e| params.lists(e));
         rest.extend(doors(rooms));

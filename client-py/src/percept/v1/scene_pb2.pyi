@@ -89,6 +89,11 @@ class _RelationKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Relation
     """What happened to it came before what happened to the other, which came next."""
     RELATION_KIND_TOGETHER: _RelationKind.ValueType  # 20
     """The same, no more than two seconds apart."""
+    RELATION_KIND_REACHABLE_FROM: _RelationKind.ValueType  # 21
+    """The robot, which is the object, can drive from where it is over free floor into the room, or up to the thing: to a place in the room
+    that the thing stands in, within 1.5 m of its footprint, and no wall between. How high a thing lies is not looked at. Only listed if
+    RelationFilter.kinds names it; what is not listed may be reachable over floor that is not known yet. Strength 1.
+    """
 
 class RelationKind(_RelationKind, metaclass=_RelationKindEnumTypeWrapper):
     """How one thing stands to another."""
@@ -134,6 +139,11 @@ RELATION_KIND_BEFORE: RelationKind.ValueType  # 19
 """What happened to it came before what happened to the other, which came next."""
 RELATION_KIND_TOGETHER: RelationKind.ValueType  # 20
 """The same, no more than two seconds apart."""
+RELATION_KIND_REACHABLE_FROM: RelationKind.ValueType  # 21
+"""The robot, which is the object, can drive from where it is over free floor into the room, or up to the thing: to a place in the room
+that the thing stands in, within 1.5 m of its footprint, and no wall between. How high a thing lies is not looked at. Only listed if
+RelationFilter.kinds names it; what is not listed may be reachable over floor that is not known yet. Strength 1.
+"""
 Global___RelationKind: _TypeAlias = RelationKind  # noqa: Y015
 
 class _RelationFrame:
@@ -266,7 +276,7 @@ class Relation(_message.Message):
     """0 to 1."""
     frame: Global___RelationFrame.ValueType
     distance_m: _builtins.float
-    """Gap between the two, metres; of what moved, how far."""
+    """Gap between the two, metres; of what moved, how far; of what is reachable, the way there, 0 to the room that the robot is in."""
     stamp_ns: _builtins.int
     """When it happened; absent of what holds at the graph's stamp."""
     def __init__(
@@ -324,7 +334,7 @@ class RelationFilter(_message.Message):
     """Class of the object by name; instead of object_class."""
     @_builtins.property
     def kinds(self) -> _containers.RepeatedScalarFieldContainer[Global___RelationKind.ValueType]:
-        """One of these; empty: any."""
+        """One of these; empty: any but RELATION_KIND_REACHABLE_FROM, which has to be named."""
 
     @_builtins.property
     def region(self) -> _layers_service_pb2.Box3:

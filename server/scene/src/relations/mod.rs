@@ -1,12 +1,13 @@
 //! How two things stand to each other, each relation in a stated frame, with a strength and a reason to exist.
 //!
 //! What holds whoever looks: what rests on what, is in it, under it ([`mod@physical`]); what stands next to it or near, in the same room and
-//! in sight ([`mod@beside`]). Left and right, front and behind only are listed on request, and say for whom ([`mod@directions`]); so is what
-//! happened since a time ([`mod@temporal`]).
+//! in sight ([`mod@beside`]). Left and right, front and behind only are listed on request, and say for whom ([`mod@directions`]); so is where
+//! the robot can get to ([`mod@reachable`]), and what happened since a time ([`mod@temporal`]).
 
 mod beside;
 mod directions;
 mod physical;
+mod reachable;
 mod related;
 mod temporal;
 
@@ -16,6 +17,7 @@ pub use related::Related;
 pub(crate) use beside::{beside, beside_robot};
 pub(crate) use directions::directions;
 pub(crate) use physical::stacked;
+pub(crate) use reachable::reachable;
 pub(crate) use related::in_room;
 pub(crate) use temporal::temporal;
 
@@ -59,6 +61,14 @@ pub enum RelationKind {
     InRoom,
     /// A door leads from one room to the other. Listed once, with the smaller node as subject.
     ConnectedTo,
+    /// The robot, which is the object, can drive from where it is into the room, or up to the thing, that is the subject. Only listed if
+    /// [`crate::RelationFilter::kinds`] names it. A room: one of its places is joined by links between places
+    /// ([`crate::rooms::PlaceLink`]: free floor on which obstacles, furniture included, keep their distance) to where the robot stands. A
+    /// thing: such a place lies in the room that it stands in, within 1.5 m of its footprint, and no wall between. It says nothing of how
+    /// high a thing lies. What is not listed may be reachable as well: over floor that is not known, or by a robot that is slimmer than
+    /// [`crate::rooms::RoomParams::place_clearance_m`] says; nothing is listed where rooms are not known, where the robot is in none, and
+    /// where the places around it do not hang together.
+    ReachableFrom,
     /// The subject is to the left of the object.
     LeftOf,
     /// The subject is to the right of the object.
@@ -96,6 +106,7 @@ impl RelationKind {
             Self::Near => "near",
             Self::InRoom => "in_room",
             Self::ConnectedTo => "connected_to",
+            Self::ReachableFrom => "reachable_from",
             Self::LeftOf => "left_of",
             Self::RightOf => "right_of",
             Self::InFrontOf => "in_front_of",
@@ -148,9 +159,10 @@ pub struct Relation {
     /// - next to, near: the nearness, `1 - gap / max_distance_m`;
     /// - left of, right of, in front of, behind: the nearness times the squared cosine between that direction and the line of the centres
     ///   on the ground, so that the two directions that apply add up to it;
-    /// - in a room, connected, and what happened: 1.
+    /// - in a room, connected, reachable, and what happened: 1.
     pub strength: f64,
-    /// Gap between the two, metres; 0 if they touch or overlap. Of what moved, how far.
+    /// Gap between the two, metres; 0 if they touch or overlap. Of what moved, how far; of what is reachable, the way there: 0 to the
+    /// room that the robot is in, else to the place in it that is reached first; to a thing, up to its footprint.
     pub distance_m: f64,
     /// When it happened; none of what holds at the graph's stamp.
     pub stamp: Option<Timestamp>,

@@ -33,6 +33,31 @@ impl Rooms {
     /// widest that can be reached. None if no place of the room can be reached, or there are no places.
     pub fn route(&self, from: &Point2<f64>, to: RoomId) -> Option<Route> {
         let start = self.nearest_place(from)?;
+        let known = self.ways_from(start);
+        let inside = self.places.iter().filter(|p| p.room == to && known.contains_key(&p.id.0));
+        // Not in its door, if there is anything else.
+        let goal = inside.min_by(|a, b| {
+            let in_door = |p: &super::Place| p.door.is_some();
+            in_door(a).cmp(&in_door(b)).then(b.clearance_m.total_cmp(&a.clearance_m)).then(a.id.cmp(&b.id))
+        })?;
+        let mut places = vec![goal.id];
+        let mut at = goal.id.0;
+        while at != start.0 {
+            at = known[&at].1;
+            places.push(PlaceId(at));
+        }
+        places.reverse();
+        let length_m = known[&goal.id.0].0 as f64 / PER_M;
+        Some(Route { steps: self.steps(&places), places, length_m })
+    }
+
+    /// Lengths of the shortest ways over links from a place to all that can be reached from it, itself among them, metres.
+    pub(crate) fn lengths_from(&self, start: PlaceId) -> BTreeMap<PlaceId, f64> {
+        self.ways_from(start).into_iter().map(|(place, (length, _))| (PlaceId(place), length as f64 / PER_M)).collect()
+    }
+
+    /// The same in thousandths of a metre, each with the place before it on the way.
+    fn ways_from(&self, start: PlaceId) -> BTreeMap<u32, (u64, u32)> {
         let mut beside = BTreeMap::<u32, Vec<(u32, u64)>>::new();
         for link in &self.links {
             let (a, b, length) = (link.places.0.0, link.places.1.0, (link.length_m * PER_M).round() as u64);
@@ -53,21 +78,7 @@ impl Rooms {
                 }
             }
         }
-        let inside = self.places.iter().filter(|p| p.room == to && known.contains_key(&p.id.0));
-        // Not in its door, if there is anything else.
-        let goal = inside.min_by(|a, b| {
-            let in_door = |p: &super::Place| p.door.is_some();
-            in_door(a).cmp(&in_door(b)).then(b.clearance_m.total_cmp(&a.clearance_m)).then(a.id.cmp(&b.id))
-        })?;
-        let mut places = vec![goal.id];
-        let mut at = goal.id.0;
-        while at != start.0 {
-            at = known[&at].1;
-            places.push(PlaceId(at));
-        }
-        places.reverse();
-        let length_m = known[&goal.id.0].0 as f64 / PER_M;
-        Some(Route { steps: self.steps(&places), places, length_m })
+        known
     }
 
     /// The place nearest to a point, in the same room if it lies in one.

@@ -336,3 +336,100 @@ fn a_graph_says_which_room_things_are_in_and_nothing_through_walls() {
         SceneGraph::build(&view, &RelationParams::default(), None, &in_right).nodes.iter().all(|n| n.id() != object(0))
     );
 }
+
+/// What a robot at a point reaches, with the way there: the graph that is asked for that alone.
+fn reached(rows: &[&str], t_map_base: [f64; 2], objects: &[percept_scene::Object]) -> Vec<(NodeId, f64)> {
+    let things: Vec<OrientedBox3> = objects.iter().map(|o| o.bbox).collect();
+    let rooms = drawn(rows).divided(&things, &[(3, [2.0, 4.5]), (7, [6.0, 1.7]), (9, [7.0, 4.4])]);
+    let params = RelationParams::default();
+    let view = SceneView {
+        stamp: Timestamp(7),
+        map_version: 3,
+        t_map_base: &percept_geometry::se3::from_xy_yaw(t_map_base[0], t_map_base[1], 0.0),
+        objects,
+        rooms: &rooms,
+        related: &Related::of(objects, &rooms, &params),
+        names: &BTreeMap::new(),
+        since: None,
+    };
+    let filter = RelationFilter { kinds: vec![RelationKind::ReachableFrom], ..RelationFilter::default() };
+    let unasked = SceneGraph::build(&view, &params, None, &RelationFilter::default());
+    assert!(unasked.edges.iter().all(|e| e.kind != RelationKind::ReachableFrom));
+    let graph = SceneGraph::build(&view, &params, None, &filter);
+    assert!(graph.edges.iter().all(|e| e.object == NodeId::Robot && e.strength == 1.0), "{:?}", graph.edges);
+    graph.edges.iter().map(|e| (e.subject, e.distance_m)).collect()
+}
+
+#[test]
+fn rooms_and_things_are_reachable_through_doors_and_over_free_floor_alone() {
+    let (left, corridor, right) =
+        (NodeId::Room(RoomId(3 * 1024)), NodeId::Room(RoomId(7 * 1024)), NodeId::Room(RoomId(9 * 1024)));
+    let object = |id| NodeId::Object(ObjectId(id));
+    let objects = [
+        thing(0, ObjectClass::Chair, [3.0, 5.5, 0.4], [0.5, 0.5, 0.8]),
+        thing(1, ObjectClass::Shelf, [7.0, 5.7, 0.9], [0.9, 0.4, 1.8]),
+        // Where no room is.
+        thing(2, ObjectClass::Box, [20.0, 5.0, 0.2], [0.4, 0.4, 0.4]),
+    ];
+    let ids = |reached: &[(NodeId, f64)]| reached.iter().map(|r| r.0).collect::<Vec<_>>();
+    let all = reached(&FLAT, [2.0, 4.5], &objects);
+    assert_eq!(ids(&all), [object(0), object(1), left, corridor, right]);
+    let way = |id: NodeId| all.iter().find(|r| r.0 == id).unwrap().1;
+    // The straight line to the chair's side is 1.0 m, to the shelf's, through the door, 4.7 m; ways over places and cells are longer
+    // by what they turn.
+    assert!(way(left) == 0.0 && (0.9..3.0).contains(&way(object(0))), "{all:?}");
+    assert!((4.6..8.5).contains(&way(object(1))) && way(right) < way(object(1)), "{all:?}");
+
+    // With both of its doors shut, nobody gets into the right room, nor out of it.
+    let shut: Vec<String> = FLAT
+        .iter()
+        .enumerate()
+        .map(|(row, line)| match row {
+            3 | 4 => "#........#........#".to_owned(),
+            7 => "###..##############".to_owned(),
+            _ => (*line).to_owned(),
+        })
+        .collect();
+    let shut: Vec<&str> = shut.iter().map(String::as_str).collect();
+    assert_eq!(ids(&reached(&shut, [2.0, 4.5], &objects)), [object(0), left, corridor]);
+    assert_eq!(ids(&reached(&shut, [7.0, 4.5], &objects)), [object(1), right]);
+    // Who is in no room gets nowhere that is known.
+    assert_eq!(reached(&FLAT, [20.0, 4.5], &objects), []);
+}
+
+/// A room of 4 m x 8 m; shelves from wall to wall across its middle.
+const BARRED: [&str; 19] = [
+    "##########",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#tttttttt#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "#........#",
+    "##########",
+];
+
+#[test]
+fn what_stands_behind_furniture_that_leaves_no_way_is_not_reachable() {
+    let object = |id| NodeId::Object(ObjectId(id));
+    let objects = [
+        thing(0, ObjectClass::Shelf, [2.5, 4.75, 0.5], [4.0, 0.5, 1.0]),
+        thing(1, ObjectClass::Box, [2.5, 8.0, 0.2], [0.4, 0.4, 0.4]),
+        thing(2, ObjectClass::Box, [2.5, 1.2, 0.2], [0.4, 0.4, 0.4]),
+    ];
+    let of = |y: f64| reached(&BARRED, [2.5, y], &objects).iter().map(|r| r.0).collect::<Vec<_>>();
+    let (below, above) = (of(2.0), of(7.5));
+    assert!(below.contains(&object(0)) && below.contains(&object(2)) && !below.contains(&object(1)), "{below:?}");
+    assert!(above.contains(&object(1)) && !above.contains(&object(2)), "{above:?}");
+}

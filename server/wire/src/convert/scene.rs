@@ -312,6 +312,7 @@ const KINDS: [(RelationKind, v1::RelationKind); 20] = [
     (RelationKind::Near, v1::RelationKind::Near),
     (RelationKind::InRoom, v1::RelationKind::InRoom),
     (RelationKind::ConnectedTo, v1::RelationKind::ConnectedTo),
+    (RelationKind::ReachableFrom, v1::RelationKind::ReachableFrom),
     (RelationKind::LeftOf, v1::RelationKind::LeftOf),
     (RelationKind::RightOf, v1::RelationKind::RightOf),
     (RelationKind::InFrontOf, v1::RelationKind::InFrontOf),
