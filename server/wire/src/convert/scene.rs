@@ -301,7 +301,7 @@ pub fn filter(f: Option<&v1::RelationFilter>) -> Result<RelationFilter> {
 }
 
 /// Every kind with its message's.
-const KINDS: [(RelationKind, v1::RelationKind); 20] = [
+const KINDS: [(RelationKind, v1::RelationKind); 21] = [
     (RelationKind::On, v1::RelationKind::On),
     (RelationKind::Supports, v1::RelationKind::Supports),
     (RelationKind::Inside, v1::RelationKind::Inside),
