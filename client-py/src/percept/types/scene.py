@@ -265,9 +265,9 @@ class RelationKind(Name):
     IN_ROOM = "in_room"
     #: A door leads from one room to the other. Listed once.
     CONNECTED_TO = "connected_to"
-    #: Only if RelationFilter.kinds names it: the robot, the object, can drive from where it is over free floor
-    #: into the room, or up to the thing: to a place in its room within 1.5 m of its footprint, no wall between.
-    #: Strength 1; distance_m is the way there.
+    #: Only if RelationFilter.kinds names it: the robot, the object, can drive from where it is over free
+    #: floor into the room, or up to the thing: to a place in its room within 1.5 m of its footprint, no
+    #: wall between. Strength 1; distance_m is the way there.
     REACHABLE_FROM = "reachable_from"
     #: These only with directions.
     LEFT_OF = "left_of"
