@@ -351,9 +351,7 @@ EVALUATE_DETECTIONS = Rpc(
 
 _D = "DetectorsService"
 # The same model again under its name is no error.
-UPLOAD_DETECTOR = Rpc(
-    _D, "UploadDetector", detectors.UploadDetectorRequest, detectors.UploadDetectorResponse
-)
+UPLOAD_DETECTOR = Rpc(_D, "UploadDetector", detectors.UploadDetectorRequest, detectors.UploadDetectorResponse)
 LIST_DETECTORS = Rpc(
     _D, "ListDetectors", detectors.ListDetectorsRequest, detectors.ListDetectorsResponse, in_parts=True
 )
