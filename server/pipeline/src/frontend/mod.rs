@@ -125,19 +125,20 @@ impl Frontend {
         let before = self.sensors.pose_sensor().cloned();
         let is_of_pose_sensor = self.sensors.is_pose_sensor(&frame.sensor, &self.params.pose_sensor, stamp);
         let has_taken_over = is_of_pose_sensor && before.is_some_and(|before| before != frame.sensor);
-        if is_of_pose_sensor && !self.is_metric {
+        if is_of_pose_sensor {
             self.scale_hints.see_image(stamp, &mut scan);
-        } else if !is_of_pose_sensor {
+        } else {
             self.tell_scale(stamp, &scan);
         }
         Ok(Some(View { spec, stamp, scan, is_of_pose_sensor, has_taken_over }))
     }
 
-    /// A frame of another sensor tells a camera its scale, perhaps.
+    /// A frame of another sensor tells a camera its scale, perhaps; a second camera holds it as well.
     fn tell_scale(&mut self, stamp: Timestamp, scan: &Scan) {
-        if self.is_metric {
-            self.scale_hints.clear();
-        } else if let (Some(hint), Some(odometry)) = (self.scale_hints.see_other(stamp, scan), &mut self.odometry) {
+        if self.is_metric && !matches!(scan, Scan::Image(_)) {
+            return;
+        }
+        if let (Some(hint), Some(odometry)) = (self.scale_hints.see_other(stamp, scan), &mut self.odometry) {
             odometry.tell_scale(&hint);
         }
     }

@@ -37,11 +37,6 @@ impl ScaleHints {
         let (at, image) = self.image.as_ref()?;
         told(*at, image, stamp, scan)
     }
-
-    /// Forgets all: the scale is known.
-    pub(crate) fn clear(&mut self) {
-        *self = Self::default();
-    }
 }
 
 /// The image with the other sensor's frame, if both were taken at one time.

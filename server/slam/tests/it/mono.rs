@@ -98,14 +98,14 @@ fn a_depth_image_now_and_then_makes_lengths_metres() {
 
 /// The drive of [`drive`] by two cameras, the second `up` and `ahead` of the first by metres: how far off the newest pose
 /// is as a share of the way since the scale was known, and from which image on it was.
-fn two_cameras(up: f64, ahead: f64) -> (f64, usize) {
+fn two_cameras(up: f64, ahead: f64, seconds: f64) -> (f64, usize) {
     let simulation = |up: f64, ahead: f64| {
         let mut sensors = SensorSuite::only_camera();
         let camera = sensors.depth_camera.as_mut().unwrap();
         camera.height_m += up;
         camera.forward_m += ahead;
         let world = WorldParams { seed: 1, rooms: 1, ..WorldParams::default() };
-        Simulation::new(SimParams { world, sensors, duration_s: Some(3.4), ..SimParams::default() }).unwrap()
+        Simulation::new(SimParams { world, sensors, duration_s: Some(seconds), ..SimParams::default() }).unwrap()
     };
     let (first, second) = (simulation(0.0, 0.0), simulation(up, ahead));
     let (spec, second_spec) = (first.sensors().remove(0), second.sensors().remove(0));
@@ -134,9 +134,15 @@ fn two_cameras(up: f64, ahead: f64) -> (f64, usize) {
 #[test]
 fn a_second_camera_at_a_known_distance_makes_lengths_metres() {
     for (up, ahead) in [(0.12, 0.0), (-0.06, 0.0), (0.05, 0.1)] {
-        let (off, since) = two_cameras(up, ahead);
-        assert!(off < 0.06 && since < 40, "{up} {ahead}: {off:.3} since image {since}");
+        let (off, since) = two_cameras(up, ahead, 3.4);
+        assert!(off < 0.06 && since < 3, "{up} {ahead}: {off:.3} since image {since}");
     }
+}
+
+#[test]
+fn a_second_camera_holds_the_scale_where_the_robot_turns() {
+    let (off, _) = two_cameras(0.12, 0.0, 10.0);
+    assert!(off < 0.06, "{off:.3}");
 }
 
 /// Images of a drive through a world of its own, with the true poses of base.

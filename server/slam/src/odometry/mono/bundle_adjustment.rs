@@ -5,6 +5,7 @@
 //! **Source:** Triggs, McLauchlan, Hartley and Fitzgibbon, "Bundle adjustment: a modern synthesis", 2000, section 6.
 
 use super::pose::{CHI2, by_pose, project};
+use super::second::InverseDepth;
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Point3, Vector2, Vector3, Vector6};
 use percept_geometry::{Pose, se3};
 
@@ -16,6 +17,8 @@ pub(super) struct Observation {
     pub(super) pixel: Vector2<f64>,
     /// Standard deviation, pixels.
     pub(super) sigma: f64,
+    /// How far it is by a second camera.
+    pub(super) depth: Option<InverseDepth>,
 }
 
 /// How far two cameras are apart by another source: `t_a_b`'s translation in a, with its information.
@@ -87,9 +90,15 @@ impl Bundle {
         (p.coords.xy() * (self.focal / p.z) - o.pixel).norm_squared() / (o.sigma * o.sigma)
     }
 
+    /// The same of its depth; 0 if there is none.
+    pub(super) fn depth_chi2(&self, o: &Observation) -> f64 {
+        let z = || (self.cameras[o.camera as usize] * self.points[o.point as usize]).z;
+        o.depth.map_or(0.0, |d| d.residual(z().max(1e-6)).powi(2))
+    }
+
     fn cost(&self) -> f64 {
         let huber = |c: f64| if c <= CHI2 { c } else { 2.0 * (CHI2 * c.min(1e12)).sqrt() - CHI2 };
-        let seen: f64 = self.observations.iter().map(|o| huber(self.chi2(o))).sum();
+        let seen: f64 = self.observations.iter().map(|o| huber(self.chi2(o)) + huber(self.depth_chi2(o))).sum();
         let steps: f64 = self
             .steps
             .iter()
@@ -138,6 +147,21 @@ impl Bundle {
                 diagonal[c].0 += weighted * by_pose;
                 diagonal[c].1 += weighted * error;
                 normal.cross[k] = weighted * by_point;
+            }
+            let Some(depth) = &o.depth else { continue };
+            let error = depth.residual(p.z);
+            let weight = if error.abs() > CHI2.sqrt() { CHI2.sqrt() / error.abs() } else { 1.0 };
+            let by_camera_point = Vector3::new(0.0, 0.0, -depth.weight / (p.z * p.z));
+            let by_point = rotations[c].tr_mul(&by_camera_point);
+            let (h, g) = &mut normal.points[o.point as usize];
+            *h += weight * by_point * by_point.transpose();
+            *g += weight * error * by_point;
+            if c < self.num_free {
+                let by_turn = p.coords.cross(&by_camera_point);
+                let by_pose = Vector6::from_fn(|i, _| if i < 3 { by_camera_point[i] } else { by_turn[i - 3] });
+                diagonal[c].0 += weight * by_pose * by_pose.transpose();
+                diagonal[c].1 += weight * error * by_pose;
+                normal.cross[k] += weight * by_pose * by_point.transpose();
             }
         }
         for (c, (h, g)) in diagonal.iter().enumerate() {
@@ -249,7 +273,13 @@ mod tests {
         for (point, p) in points.iter().enumerate() {
             for (camera, t) in cameras.iter().enumerate() {
                 let pixel = project(&(t * p), 500.0).0;
-                observations.push(Observation { camera: camera as u32, point: point as u32, pixel, sigma: 1.0 });
+                observations.push(Observation {
+                    camera: camera as u32,
+                    point: point as u32,
+                    pixel,
+                    sigma: 1.0,
+                    depth: None,
+                });
             }
         }
         Bundle { cameras, num_free: 4, points, observations, steps: vec![], focal: 500.0 }
@@ -280,6 +310,11 @@ mod tests {
             information: Matrix3::identity() * 40.0,
         });
         bundle.points[3].x += 0.002;
+        bundle
+            .observations
+            .iter_mut()
+            .step_by(7)
+            .for_each(|o| o.depth = Some(InverseDepth { value: 0.26, weight: 60.0 }));
         let gradient = bundle.normal().camera_gradient;
         let h = 1e-6;
         for i in 0..4 {
@@ -297,6 +332,21 @@ mod tests {
                 assert!((numeric - analytic).abs() < 1e-3 * (1.0 + analytic.abs()), "{i} {k} {numeric} {analytic}");
             }
         }
+    }
+
+    #[test]
+    fn known_depths_hold_the_scale() {
+        let truth = scene();
+        let mut bundle = truth.clone();
+        for o in &mut bundle.observations {
+            let z = (truth.cameras[o.camera as usize] * truth.points[o.point as usize]).z;
+            o.depth = (o.camera < 4).then_some(InverseDepth { value: 0.5 / z, weight: 100.0 });
+        }
+        // All free but one: everything is twice as large as the cameras say.
+        bundle.num_free = 5;
+        bundle.adjust(50);
+        let apart = |b: &Bundle| (b.cameras[5] * b.cameras[0].inverse()).translation.vector;
+        assert!((apart(&bundle) - 2.0 * apart(&truth)).norm() < 1e-3, "{} {}", apart(&bundle), apart(&truth));
     }
 
     #[test]

@@ -95,6 +95,11 @@ impl Frame {
         self.len() * (size_of::<Vector2<f64>>() + size_of::<[u64; 4]>() + size_of::<Option<PointId>>() + 1)
     }
 
+    /// Where the point is that a feature shows at a distance along the camera's axis.
+    pub(super) fn at_depth(&self, feature: usize, lens: &Lens, z: f64) -> Point3<f64> {
+        Point3::from(self.pixels[feature].push(lens.focal) * (z / lens.focal))
+    }
+
     pub(super) fn len(&self) -> usize {
         self.pixels.len()
     }

@@ -80,6 +80,7 @@ impl Window {
         if cameras.len() != views.len() || points.is_empty() || free.is_empty() {
             return None;
         }
+        let is_metric = known.is_some();
         let mut bundle = Bundle { cameras, num_free: free.len(), focal: lens.focal, ..Bundle::default() };
         for (k, p) in points.iter().filter_map(|p| map.points.get(p)).enumerate() {
             bundle.points.push(p.position);
@@ -87,7 +88,8 @@ impl Window {
                 let (Some(&camera), Some(v)) = (number.get(view), map.views.get(view)) else { continue };
                 let f = *feature as usize;
                 let (pixel, sigma) = (v.frame.pixels[f], sigma(v.frame.octaves[f]));
-                bundle.observations.push(Observation { camera, point: k as u32, pixel, sigma });
+                let depth = v.depth(*feature).filter(|_| is_metric);
+                bundle.observations.push(Observation { camera, point: k as u32, pixel, sigma, depth });
             }
         }
         let steps = known.into_iter().flat_map(|k| &k.0);
@@ -106,6 +108,11 @@ impl Window {
         let bundle = &self.bundle;
         let (keep, wrong): (Vec<Observation>, Vec<Observation>) =
             bundle.observations.iter().partition(|o| bundle.chi2(o) <= CHI2);
+        let mut keep = keep;
+        for o in keep.iter_mut().filter(|o| bundle.depth_chi2(o) > CHI2) {
+            o.depth = None;
+            map.forget_depth(self.views[o.camera as usize], self.points[o.point as usize]);
+        }
         for o in wrong {
             map.unsee(self.views[o.camera as usize], self.points[o.point as usize]);
         }
@@ -130,13 +137,13 @@ impl Window {
 /// Views for which a young point has to prove itself. As in ORB-SLAM2's code.
 const PROBATION: u32 = 3;
 
-/// Takes out young points that are seldom found where they should be, or that no third view saw.
+/// Takes out young points that are seldom found where they should be, or that no third camera saw.
 pub(super) fn cull_points(map: &mut Map, newest: ViewId) {
-    let is_bad = |p: &super::map::MapPoint| {
+    let is_bad = |map: &Map, p: &super::map::MapPoint| {
         let age = newest.0 - p.born.0;
-        age <= PROBATION && (f64::from(p.found) < 0.25 * f64::from(p.visible) || (age >= 2 && p.seen_by.len() <= 2))
+        age <= PROBATION && (f64::from(p.found) < 0.25 * f64::from(p.visible) || (age >= 2 && map.num_cameras(p) <= 2))
     };
-    let bad: Vec<PointId> = map.points.iter().filter(|(_, p)| is_bad(p)).map(|(&id, _)| id).collect();
+    let bad: Vec<PointId> = map.points.iter().filter(|(_, p)| is_bad(map, p)).map(|(&id, _)| id).collect();
     bad.into_iter().for_each(|id| map.remove_point(id));
 }
 

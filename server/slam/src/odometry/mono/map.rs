@@ -3,6 +3,7 @@
 //! Lengths are in the map's own unit until a scale is known. Poses are `t_camera_map`: map to camera.
 
 use super::frame::{Frame, NUM_LEVELS, PointId, SCALE_FACTOR, hamming, sigma};
+use super::second::InverseDepth;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Pose, Timestamp};
 use std::collections::BTreeMap;
@@ -17,6 +18,8 @@ pub(super) struct View {
     pub(super) stamp: Timestamp,
     pub(super) t_camera_map: Pose,
     pub(super) frame: Frame,
+    /// How far its features are by a second camera; empty if none said so.
+    pub(super) depths: Vec<Option<InverseDepth>>,
     /// The view that it saw most in common with when it came: the spanning tree of the map.
     pub(super) parent: Option<ViewId>,
     /// The parent in this view when it came or was last corrected.
@@ -26,6 +29,10 @@ pub(super) struct View {
 impl View {
     pub(super) fn center(&self) -> Point3<f64> {
         self.t_camera_map.inverse_transform_point(&Point3::origin())
+    }
+
+    pub(super) fn depth(&self, feature: u32) -> Option<InverseDepth> {
+        self.depths.get(feature as usize).copied().flatten()
     }
 }
 
@@ -72,7 +79,8 @@ pub(super) struct Map {
 impl Map {
     /// Bytes, about.
     pub(super) fn memory_bytes(&self) -> usize {
-        let views: usize = self.views.values().map(|v| size_of::<View>() + v.frame.memory_bytes()).sum();
+        let views: usize =
+            self.views.values().map(|v| size_of::<View>() + v.frame.memory_bytes() + size_of_val(&v.depths[..])).sum();
         let seen: usize = self.points.values().map(|p| p.seen_by.capacity()).sum();
         views + self.points.len() * size_of::<(PointId, MapPoint)>() + seen * size_of::<(ViewId, u32)>()
     }
@@ -85,7 +93,7 @@ impl Map {
                 p.seen_by.push((id, feature as u32));
             }
         }
-        let view = View { stamp, t_camera_map, frame, parent: None, t_camera_parent: Pose::identity() };
+        let view = View { stamp, t_camera_map, frame, depths: vec![], parent: None, t_camera_parent: Pose::identity() };
         self.views.insert(id, view);
         let parent = self.covisible(id).first().map(|&(p, _)| p);
         self.set_parent(id, parent);
@@ -142,16 +150,33 @@ impl Map {
         p.seen_by.sort_unstable();
     }
 
-    /// A view does not see a point after all; a point that fewer than two see is no more.
+    /// Cameras that show a point: views, and their second cameras.
+    pub(super) fn num_cameras(&self, p: &MapPoint) -> usize {
+        let has_depth = |(v, f): &&(ViewId, u32)| self.views.get(v).is_some_and(|v| v.depth(*f).is_some());
+        p.seen_by.len() + p.seen_by.iter().filter(has_depth).count()
+    }
+
+    /// A view's second camera does not see a point after all.
+    pub(super) fn forget_depth(&mut self, view: ViewId, id: PointId) {
+        let Some(p) = self.points.get(&id) else { return };
+        let Some(&(_, feature)) = p.seen_by.iter().find(|&&(v, _)| v == view) else { return };
+        if let Some(depth) = self.views.get_mut(&view).and_then(|v| v.depths.get_mut(feature as usize)) {
+            *depth = None;
+        }
+        if self.points.get(&id).is_some_and(|p| self.num_cameras(p) < 2) {
+            self.remove_point(id);
+        }
+    }
+
+    /// A view does not see a point after all; a point that fewer than two cameras see is no more.
     pub(super) fn unsee(&mut self, view: ViewId, id: PointId) {
         let Some(p) = self.points.get_mut(&id) else { return };
         let Some(at) = p.seen_by.iter().position(|&(v, _)| v == view) else { return };
         let (_, feature) = p.seen_by.remove(at);
-        let alone = p.seen_by.len() < 2;
         if let Some(v) = self.views.get_mut(&view) {
             v.frame.points[feature as usize] = None;
         }
-        if alone {
+        if self.points.get(&id).is_some_and(|p| self.num_cameras(p) < 2) {
             self.remove_point(id);
         }
     }
@@ -191,7 +216,7 @@ impl Map {
             let Some(point) = point else { continue };
             let Some(p) = self.points.get_mut(point) else { continue };
             p.seen_by.retain(|&s| s != (id, feature as u32));
-            if p.seen_by.len() < 2 {
+            if self.points.get(point).is_some_and(|p| self.num_cameras(p) < 2) {
                 self.remove_point(*point);
             }
         }

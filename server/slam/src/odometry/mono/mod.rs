@@ -162,13 +162,11 @@ impl Mono {
             Outcome::Waiting(waiting) => {
                 let estimate = self.waiting(stamp, prior, waiting);
                 self.note_reference();
-                estimate
+                self.tell_scale(scan);
+                OdometryEstimate { scale: self.scaling.scale(), ..estimate }
             }
             Outcome::Started => {
-                self.t_odom_start = self.reference.take().map_or(self.t_odom_base, |(_, t)| t);
-                self.uncertainty.restarted();
-                self.num_lost = 0;
-                self.t_odom_base = self.newest(&scan.t_base_sensor);
+                self.begun(&scan.t_base_sensor);
                 self.unmeasured(stamp, TrackingState::Initialising, None)
             }
             Outcome::Placed(placed) => {
@@ -182,6 +180,7 @@ impl Mono {
                 let estimate = self.lost(stamp, prior, why(reason, since, turned));
                 self.give_up();
                 self.note_reference();
+                self.tell_scale(scan);
                 estimate
             }
         }
@@ -209,15 +208,25 @@ impl Mono {
 
     /// Takes a depth image of the same view, or an image of a second camera, in, that belongs to the newest image.
     pub(crate) fn tell_scale(&mut self, hint: &ImageScan) {
-        if self.num_lost > 0 || !self.tracker.has_map() {
-            return;
-        }
-        if let Some(depth) = &hint.depth {
+        let is_placed = self.tracker.has_map() && self.num_lost == 0;
+        let is_reference = !self.tracker.has_map() && self.tracker.reference_stamp() == self.last_stamp;
+        if let Some(depth) = hint.depth.as_ref().filter(|_| is_placed) {
             self.scaling.see_depth(depth, hint, &mut self.tracker);
         }
-        if let (Some(second), Some((_, lens))) = (&hint.second, &self.lens) {
-            self.scaling.see_second(second, lens, &mut self.tracker, self.params.max_features);
+        if let (Some(second), Some((_, lens))) = (&hint.second, &self.lens)
+            && (is_placed || is_reference)
+            && self.scaling.see_second(second, lens, &mut self.tracker, self.params.max_features)
+        {
+            self.begun(&hint.t_base_sensor);
         }
+    }
+
+    /// The map began with the image that was the reference, or with that and the newest.
+    fn begun(&mut self, t_base_sensor: &Pose) {
+        self.t_odom_start = self.reference.take().map_or(self.t_odom_base, |(_, t)| t);
+        self.uncertainty.restarted();
+        self.num_lost = 0;
+        self.t_odom_base = self.newest(t_base_sensor);
     }
 
     /// Where base was when the image came that a second view is sought for.

@@ -1,13 +1,14 @@
 //! How many metres the map's unit is: by wheels, by depth images, or by a second camera at a known distance.
 //!
 //! Each source gives ratios of metres to the map's unit; their median counts once they agree. From then on the map is in
-//! metres, and what wheels say between views stays in the adjustment, so that the scale does not drift.
+//! metres; what wheels say between views and what a second camera says of a view's points stays in the adjustment, so that the
+//! scale does not drift. A second camera begins a map in metres by itself.
 
 use super::frame::{self, Lens};
 use super::known_steps::KnownStep;
 use super::knows_way;
 use super::map::ViewId;
-use super::second;
+use super::second::SecondView;
 use super::tracker::Tracker;
 use crate::motion_prior::MotionPrior;
 use crate::scan::{ImageScan, SecondCamera};
@@ -28,7 +29,8 @@ const MIN_WAY_M: f64 = 0.3;
 const MIN_DEPTHS: usize = 30;
 /// Points that an image of a second camera shows as well, and such images, that are needed. 130 to 340 points of an image say
 /// the same as depth at the same points within 1 %, and no two of 30 images differ by more than 2 % (`evaluate mono-sim 2
-/// --second 120`, and 3): both numbers are there for what looks alike.
+/// --second 120`, and 3): both numbers are there for what looks alike. They count for maps that began without a second
+/// camera; one that it begins is in metres at once.
 const MIN_SECOND_POINTS: usize = 30;
 const MIN_SECONDS: usize = 6;
 
@@ -114,23 +116,42 @@ impl Scaling {
         }
     }
 
-    /// An image that was placed came with one of a second camera.
+    /// The last image came with one of a second camera: it begins a map, or tells the scale, or holds it. Whether a map began.
     pub(super) fn see_second(
         &mut self,
         second: &SecondCamera,
         lens: &Lens,
         tracker: &mut Tracker,
         max_features: usize,
-    ) {
+    ) -> bool {
         let baseline = second.t_sensor_second.translation.vector.norm();
-        if self.scale != Scale::Unknown || !(baseline > 0.0 && baseline.is_finite()) {
-            return;
+        let is_known = self.scale != Scale::Unknown || !tracker.has_map();
+        if !(baseline > 0.0 && baseline.is_finite()) || (is_known && tracker.wants_depths().is_none()) {
+            return false;
         }
         let second_lens = Lens::of(&second.intrinsics);
-        let Ok(frame) = frame::extract(&second.image, &second.intrinsics, &second_lens, max_features) else { return };
-        let shown = tracker.features_in_camera();
-        let told =
-            second::units_per_metre(&shown, lens, &frame, &second_lens, &second.t_sensor_second, MIN_SECOND_POINTS);
+        let Ok(frame) = frame::extract(&second.image, &second.intrinsics, &second_lens, max_features) else {
+            return false;
+        };
+        let second = SecondView::new(frame, second_lens, &second.t_sensor_second);
+        if !is_known {
+            self.note_ratio(&second, lens, tracker);
+            return false;
+        }
+        let Some(depths) = tracker.wants_depths().map(|frame| second.depths(frame, lens)) else { return false };
+        if tracker.has_map() {
+            tracker.see_depths(depths, lens);
+            return false;
+        }
+        let began = tracker.begin_in_metres(depths, lens);
+        if began {
+            self.scale = Scale::FromBaseline;
+        }
+        began
+    }
+
+    fn note_ratio(&mut self, second: &SecondView, lens: &Lens, tracker: &mut Tracker) {
+        let told = second.units_per_metre(&tracker.features_in_camera(), lens, MIN_SECOND_POINTS);
         let Some((units, _)) = told.filter(|(_, error)| *error < SURE) else { return };
         self.seconds.push(1.0 / units);
         if let Some(ratio) = agreed(&mut self.seconds.clone(), MIN_SECONDS) {

@@ -12,7 +12,7 @@ use percept_perception::multiview::{RansacParams, TwoViewEstimate, TwoViewOutcom
 /// mono rgbd-7scenes-a` is 27.3 mm halved, doubled and as it is.
 const MIN_MATCHES: usize = 80;
 /// Fewer points than this do not either. As in ORB-SLAM2's code.
-const MIN_POINTS: usize = 50;
+pub(super) const MIN_POINTS: usize = 50;
 /// Pixels that half of the matches have to move before the two-view geometry is tried. Halved and doubled 25.1
 /// ([`super`]).
 const MIN_MOVED_PX: f64 = 8.0;
