@@ -1,11 +1,11 @@
 //! A long session in many rooms: what a frame takes at the end as at the start, what memory, whether what is decided about all
 //! of the map is shown soon, how far the trajectory is off, and which loops are false.
 //!
-//! `scale lidar2d|lidar3d|rgbd ROOMS MINUTES [--seed N] [--room-m M] [--speed MPS] [--turn RADPS] [--budget-mb N] [--no-objects] [--alone] [--layers]`
+//! `scale lidar2d|lidar3d|rgbd ROOMS MINUTES [--seed N] [--room-m M] [--speed MPS] [--turn RADPS] [--budget-mb N] [--no-objects] [--alone] [--layers] [--paced]`
 //!
 //! Rooms are 4.4 to 6 m wide, or within a tenth of `--room-m`. With a budget, what the map has no room for goes into a file. `--layers` keeps voxels, surface and heights, too. Each
 //! tenth of the session is a row; times of frames are those that their thread computes, and with them the clock's in
-//! brackets, which hold what frames wait for: frames come here faster than a robot's.
+//! brackets, which hold what frames wait for: frames come here faster than a robot's, unless they are `--paced`.
 
 use percept_evaluation::{Alignment, PosePair, absolute_error};
 use percept_geometry::{KeyframeId, Pose, SensorData, SensorFrame, Timestamp};
@@ -18,7 +18,7 @@ use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// The server's: with the system's, memory that was given back stays with the process.
 #[global_allocator]
@@ -50,11 +50,12 @@ struct Args {
     no_objects: bool,
     alone: bool,
     layers: bool,
+    paced: bool,
 }
 
 impl Args {
     fn parse(mut args: impl Iterator<Item = String>) -> Result<Self, Failure> {
-        let usage = "usage: scale lidar2d|lidar3d|rgbd ROOMS MINUTES [--seed N] [--room-m M] [--speed MPS] [--turn RADPS] [--budget-mb N] [--no-objects] [--alone] [--layers]";
+        let usage = "usage: scale lidar2d|lidar3d|rgbd ROOMS MINUTES [--seed N] [--room-m M] [--speed MPS] [--turn RADPS] [--budget-mb N] [--no-objects] [--alone] [--layers] [--paced]";
         let mut next = || args.next().ok_or(usage);
         let sensor = match next()?.as_str() {
             "lidar2d" => MainSensor::Lidar2d,
@@ -75,6 +76,7 @@ impl Args {
             no_objects: false,
             alone: false,
             layers: false,
+            paced: false,
         };
         while let Ok(flag) = next() {
             match flag.as_str() {
@@ -86,6 +88,7 @@ impl Args {
                 "--no-objects" => out.no_objects = true,
                 "--alone" => out.alone = true,
                 "--layers" => out.layers = true,
+                "--paced" => out.paced = true,
                 _ => return Err(usage.into()),
             }
         }
@@ -261,11 +264,15 @@ fn run(args: &Args) -> Result<(), Failure> {
         corrections: vec![],
         num_corrections: 0,
     };
-    let mut tenth = 1;
+    let (mut tenth, begun) = (1, Instant::now());
     for frame in simulation.frames() {
         if frame.measured_s >= simulation.duration_s() * f64::from(tenth) / 10.0 {
             session.tell(tenth);
             tenth += 1;
+        }
+        if args.paced {
+            let due = Duration::from_secs_f64(frame.measured_s);
+            std::thread::sleep(due.saturating_sub(begun.elapsed()));
         }
         session.frame(&frame);
     }

@@ -10,6 +10,14 @@ pub struct BlobId(pub [u8; 32]);
 pub trait MapStore: std::fmt::Debug + Send + Sync {
     /// Keeps bytes under a name that follows from them; none if they cannot be kept.
     fn put(&self, bytes: &[u8]) -> Option<BlobId>;
+    /// The same for what has room in memory still: that it cannot be kept is no fault.
+    fn put_ahead(&self, bytes: &[u8]) -> Option<BlobId> {
+        self.put(bytes)
+    }
+    /// Whether [`Self::put_ahead`] is worth a try.
+    fn takes_ahead(&self) -> bool {
+        true
+    }
     /// The bytes of a name, whole; none if they are gone or damaged.
     fn get(&self, id: &BlobId) -> Option<Vec<u8>>;
     /// Bytes that the map, and what the caller keeps beside it, may take in memory now. May change: others need memory, too.

@@ -4,7 +4,7 @@ use super::{Map, MapKeyframe};
 use crate::MappingError;
 use crate::layer_slot::Fetched;
 use crate::layers::LayerSlots;
-use crate::store::{MapMemory, MapStore};
+use crate::store::{BlobId, MapMemory, MapStore};
 use crate::stored_scan::store_scan;
 use crate::submap::Submap;
 use crate::submap_id::SubmapId;
@@ -32,6 +32,24 @@ pub struct StoreAhead {
     _under_way: Arc<()>,
 }
 
+/// A store for what has room in memory still.
+#[derive(Debug)]
+struct Ahead(Arc<dyn MapStore>);
+
+impl MapStore for Ahead {
+    fn put(&self, bytes: &[u8]) -> Option<BlobId> {
+        self.0.put_ahead(bytes)
+    }
+
+    fn get(&self, id: &BlobId) -> Option<Vec<u8>> {
+        self.0.get(id)
+    }
+
+    fn max_bytes(&self) -> usize {
+        self.0.max_bytes()
+    }
+}
+
 impl StoreAhead {
     /// Stores it; it stays in memory.
     pub fn run(self) {
@@ -46,7 +64,7 @@ impl Map {
     /// What can be stored beside frames now, so that none waits for it later: the frozen submap that would have to go next of those that
     /// are not stored; none while there is plenty of room, or while one is under way.
     pub fn store_ahead(&mut self) -> Option<StoreAhead> {
-        let store = self.store.as_ref()?;
+        let store = self.store.as_ref().filter(|store| store.takes_ahead())?;
         if self.storing.strong_count() > 0 || (self.memory().total() as f64) < STORE_AHEAD * self.room() as f64 {
             return None;
         }
@@ -56,7 +74,8 @@ impl Map {
         let under_way = Arc::new(());
         self.storing = Arc::downgrade(&under_way);
         let (slots, fetched) = (Arc::clone(&submap.slots), Arc::clone(&self.fetched));
-        Some(StoreAhead { slots, scans, store: Arc::clone(store), fetched, _under_way: under_way })
+        let store = Arc::new(Ahead(Arc::clone(store)));
+        Some(StoreAhead { slots, scans, store, fetched, _under_way: under_way })
     }
 
     /// Numbers of the submaps, those farthest from the newest keyframe first.

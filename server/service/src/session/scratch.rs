@@ -32,6 +32,16 @@ struct State {
     places: BTreeMap<BlobId, (u64, usize)>,
     end: u64,
     failed: Option<(Instant, Error)>,
+    /// When it last did not take what had room in memory still.
+    failed_ahead: Option<Instant>,
+}
+
+impl State {
+    /// Bytes were written at the end.
+    fn note(&mut self, id: BlobId, length: usize) {
+        self.places.insert(id, (self.end, length));
+        self.end += length as u64;
+    }
 }
 
 impl Scratch {
@@ -77,11 +87,28 @@ impl MapStore for Scratch {
             state.failed = Some((Instant::now(), refusal(&self.directory, &error)));
             return None;
         }
-        let place = (state.end, bytes.len());
-        state.end += bytes.len() as u64;
-        state.places.insert(id, place);
+        state.note(id, bytes.len());
         state.failed = None;
         Some(id)
+    }
+
+    fn put_ahead(&self, bytes: &[u8]) -> Option<BlobId> {
+        let id = BlobId(*percept_store::BlobId::of(bytes).as_bytes());
+        let mut state = self.lock();
+        if !state.places.contains_key(&id) {
+            let written = self.write(&mut state, bytes);
+            state.failed_ahead = written.is_err().then(Instant::now);
+            written.ok()?;
+            state.note(id, bytes.len());
+        }
+        Some(id)
+    }
+
+    fn takes_ahead(&self) -> bool {
+        let has_failed = |at: &Instant| at.elapsed() < REFUSED;
+        let state = self.lock();
+        !state.failed_ahead.as_ref().is_some_and(has_failed)
+            && !state.failed.as_ref().is_some_and(|(at, _)| has_failed(at))
     }
 
     fn max_bytes(&self) -> usize {
@@ -150,6 +177,19 @@ mod tests {
         assert_eq!(scratch.put(&[1; 100]), None);
         assert!(scratch.error().unwrap().to_string().contains("limits.max_session_memory_mb"));
         std::fs::create_dir(directory.path().join("gone")).unwrap();
+        assert!(!scratch.takes_ahead());
         assert!(scratch.put(&[1; 100]).is_some() && scratch.error().is_none());
+    }
+
+    #[test]
+    fn what_cannot_be_put_ahead_refuses_nothing_and_is_not_tried_again_at_once() {
+        let directory = tempfile::tempdir().unwrap();
+        let scratch = Scratch::in_directory(Some(&directory.path().join("gone")), &room());
+        assert!(scratch.takes_ahead());
+        assert_eq!(scratch.put_ahead(&[1; 100]), None);
+        assert!(scratch.error().is_none() && !scratch.takes_ahead());
+        std::fs::create_dir(directory.path().join("gone")).unwrap();
+        let id = scratch.put_ahead(&[1; 100]).unwrap();
+        assert!(scratch.takes_ahead() && scratch.get(&id).unwrap() == [1; 100]);
     }
 }
