@@ -64,7 +64,7 @@ def upload_detector(
     model: str | os.PathLike[str] | bytes,
     name: str,
     layout: DetectorLayout | str,
-    labels: Sequence[str],
+    labels: Sequence[str] | str,
     score_threshold: float | None,
     iou_threshold: float | None,
     image_input: ImageInput | None,
@@ -72,7 +72,8 @@ def upload_detector(
     spec = service.DetectorSpec(
         name=name,
         layout=words.number("layout", service.DetectorLayout, layout),
-        labels=labels,
+        # A word is a sequence of letters, too.
+        labels=[labels] if isinstance(labels, str) else labels,
         score_threshold=score_threshold,
         iou_threshold=iou_threshold,
         image_input=None if image_input is None else _image_input_to(image_input),

@@ -1,7 +1,7 @@
 //! `percept demo`: a robot's day without a robot: simulator, server, map, objects, scene graph, path.
 
 use super::client::{AccessArgs, RemoteSession, connect};
-use super::eval_sim::{demo_params, truth_in_map};
+use super::eval_objects::{demo_params, truth_in_map};
 use super::replay::FILES;
 use super::report::Report;
 use super::serve::{Running, Signals, runtime};

@@ -1,6 +1,8 @@
 //! `percept eval`: metrics against ground truth.
 
-use super::{Failure, eval_gap, eval_graph, eval_relations, eval_sim, eval_slam, eval_trajectory, eval_wheels};
+use super::{
+    Failure, eval_gap, eval_graph, eval_objects, eval_planning, eval_relations, eval_slam, eval_trajectory, eval_wheels,
+};
 
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum EvalCommand {
@@ -16,10 +18,10 @@ pub(crate) enum EvalCommand {
     Wheels(eval_wheels::WheelsArgs),
     /// A recording with a part cut out, after which the robot has to find itself again.
     Gap(eval_gap::GapArgs),
-    /// Objects found in simulated worlds: precision and recall.
-    Objects(eval_sim::ObjectsArgs),
+    /// Objects found in simulated worlds, and what is told of how they lie: precision and recall, calibration, ghosts.
+    Objects(eval_objects::ObjectsArgs),
     /// Paths planned in simulated worlds, checked against the true occupancy.
-    Planning(eval_sim::PlanningArgs),
+    Planning(eval_planning::PlanningArgs),
 }
 
 pub(crate) fn run(command: EvalCommand) -> Result<(), Failure> {
@@ -30,7 +32,7 @@ pub(crate) fn run(command: EvalCommand) -> Result<(), Failure> {
         EvalCommand::Slam(args) => eval_slam::run(&args),
         EvalCommand::Wheels(args) => eval_wheels::run(&args),
         EvalCommand::Gap(args) => eval_gap::run(&args),
-        EvalCommand::Objects(args) => eval_sim::objects(&args),
-        EvalCommand::Planning(args) => eval_sim::planning(&args),
+        EvalCommand::Objects(args) => eval_objects::objects(&args),
+        EvalCommand::Planning(args) => eval_planning::planning(&args),
     }
 }
