@@ -117,9 +117,9 @@ class Client(Bound):
         """Stores an ONNX model, of a file or bytes, for everybody of this tenant; sessions use it by
         `params={"detection": {"learned": name}}`.
 
-        labels: the model's classes in its order; a word is one class. Thresholds are 0.5 (score) and 0.45
-        (overlap) by default, the input as models of the layout usually have it. What is broken or too large is
-        refused with the reason; the same model again is no error."""
+        labels: the model's classes in its order; a word is one class. Thresholds are 0.5 (score)
+        and 0.45 (overlap) by default, the input as models of the layout usually have it. What is
+        broken or too large is refused with the reason; the same model again is no error."""
         return self._transport.call(
             convert_detectors.upload_detector(
                 model, name, layout, labels, score_threshold, iou_threshold, image_input
