@@ -286,7 +286,7 @@ fn facts(snapshot: &Snapshot, objects: &[Object]) -> Result<Vec<Fact>, Failure> 
     let graph = SceneGraph::build(&view, &snapshot.params.relations, None, &RelationFilter::default());
     let fact = |r: &percept_scene::Relation| match (r.subject, r.object) {
         (NodeId::Object(a), NodeId::Object(b)) => Some((a.0, r.kind, Some(b.0))),
-        (NodeId::Object(a), NodeId::Room(b)) => Some((a.0, r.kind, Some(u64::from(b.0)))),
+        (NodeId::Object(a), NodeId::Room(b)) => Some((a.0, r.kind, Some(b.0))),
         _ => None,
     };
     Ok(graph.edges.iter().filter_map(fact).collect())
