@@ -27,7 +27,9 @@ use std::sync::Arc;
 /// What was found around a keyframe is taken in so many seconds after it. A search takes 0.05 to 0.1 s on one core around a 3D
 /// lidar in rooms (`scale lidar3d`), so that frames of a busy server do not wait either; objects are told that much later.
 const DELAY_S: f64 = 0.5;
-/// Objects this near to the edge of the searched part of the map may be cut by it, metres.
+/// Objects this near to the edge of the searched part of the map may be cut by it, metres. The map is seen so much farther than
+/// objects are told: of a wall that reaches in there is enough then to be known as one (`DetectionParams::wall_min_length_m`), and
+/// is not told as a thing with whatever stands before it.
 const SEARCH_EDGE_M: f64 = 1.5;
 
 /// Points of a keyframe in a thing's box that are a look at it: fewer come about by noise.
@@ -188,9 +190,11 @@ impl Scene {
         let (detector, cloud, scan) = (Arc::clone(&self.detector), layers.cloud, Arc::clone(&keyframe.scan));
         let learned = LearnedLook::of(&self.image_detectors, &self.settings.learned, of);
         let task = Task::begin(self.executor.as_ref(), move || {
-            let around = cloud.points_within(&t_map_base.translation.vector.into(), range_m);
+            let center: Point3<f64> = t_map_base.translation.vector.into();
+            let around = cloud.points_within(&center, range_m + SEARCH_EDGE_M);
             // The fused cloud is sound by construction; a detector that refuses it finds nothing.
-            let found = detector.detect(&around).unwrap_or_default();
+            let mut found = detector.detect(&around).unwrap_or_default();
+            found.retain(|d| (d.bbox.center() - center).norm() < range_m);
             let seen = scan.hits.transformed(&t_map_base).positions;
             let observation = |d: &Detection| Observation {
                 class: d.class,

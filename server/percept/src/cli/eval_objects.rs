@@ -408,6 +408,18 @@ fn list_errors(truth: &[TrueObject], found: &[&Object], score: &DetectionScore) 
         let best = found.iter().map(|f| bbox.iou_upright(&f.bbox)).fold(0.0, f64::max);
         println!("  missed {i} {}: {}; best overlap {best:.2}", class.name(), place(bbox));
     }
+    for (t, f) in score.matches.iter().map(|m| (m.0, m.1)) {
+        let (truth, object) = (&truth[t], found[f]);
+        println!(
+            "  found {t} {}, overlap {:.2}: {}; as {f} {} ({:.2}): {}",
+            truth.0.name(),
+            truth.1.iou_upright(&object.bbox),
+            place(&truth.1),
+            object.class.name(),
+            object.confidence,
+            place(&object.bbox),
+        );
+    }
     for (i, object) in found.iter().enumerate().filter(|(i, _)| score.matches.iter().all(|m| m.1 != *i)) {
         let overlap = |t: &&TrueObject| t.1.iou_upright(&object.bbox);
         let nearest = truth.iter().max_by(|a, b| overlap(a).total_cmp(&overlap(b)));

@@ -3,6 +3,7 @@
 use super::minimum_area_rectangle;
 use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::{OrientedBox3, cloud::is_finite};
+use std::f64::consts::FRAC_PI_2;
 
 /// The box upright along z with the smallest footprint around the finite ones of `points`: its x runs along
 /// the longer side. None if there is no point; a single point gives a box of size 0.
@@ -24,6 +25,16 @@ pub fn upright_box_trimmed(points: &[Point3<f32>], trim: f64) -> Option<Oriented
     let kept = trimmed(&local, first.yaw, trim);
     let yaw = footprint(&kept)?.yaw;
     around(&kept, yaw, anchor)
+}
+
+/// As [`upright_box_trimmed`], with one of the horizontal edges along `yaw`, radians about z.
+pub fn upright_box_along(points: &[Point3<f32>], yaw: f64, trim: f64) -> Option<OrientedBox3> {
+    let anchor: Point3<f64> = points.iter().find(|p| is_finite(p))?.cast();
+    let local: Vec<Vector3<f64>> = points.iter().filter(|p| is_finite(p)).map(|p| p.cast::<f64>() - anchor).collect();
+    let kept = trimmed(&local, yaw, trim.clamp(0.0, 0.49));
+    let first = around(&kept, yaw, anchor)?;
+    // Its x runs along the longer side.
+    if first.size.x >= first.size.y { Some(first) } else { around(&kept, yaw + FRAC_PI_2, anchor) }
 }
 
 fn footprint(points: &[Vector3<f64>]) -> Option<super::Rectangle> {

@@ -24,7 +24,7 @@ mod planes;
 mod sample;
 mod scatter;
 
-pub use boxes::{upright_box, upright_box_trimmed};
+pub use boxes::{upright_box, upright_box_along, upright_box_trimmed};
 pub(crate) use clusters::DisjointSets;
 pub use clusters::{ClusterParams, Clusters, DbscanParams, cluster, dbscan};
 pub use downsample::voxel_downsample;

@@ -1,8 +1,8 @@
 //! What the built-in classifier looks at.
 
 use super::Structure;
-use crate::cloud::{NormalParams, estimate_normals};
-use nalgebra::{Point3, Vector2};
+use super::sides::Sides;
+use nalgebra::Point3;
 use percept_geometry::{ObjectClass, OrientedBox3};
 use rustc_hash::FxHashSet;
 use serde::{Deserialize, Serialize};
@@ -41,8 +41,8 @@ pub struct Descriptor {
 }
 
 impl Descriptor {
-    /// Of points whose box is `bbox`.
-    pub fn of(points: &[Point3<f32>], bbox: &OrientedBox3, structure: &Structure) -> Self {
+    /// Of points whose box is `bbox`, and whose sides face so.
+    pub(super) fn of(points: &[Point3<f32>], bbox: &OrientedBox3, sides: &Sides, structure: &Structure) -> Self {
         let heights: Vec<f64> = points.iter().map(|p| structure.height(&p.cast())).collect();
         let height = structure.height(&bbox.center()) + 0.5 * bbox.size.z;
         let (length, width) = (bbox.size.x.max(bbox.size.y), bbox.size.x.min(bbox.size.y));
@@ -66,21 +66,7 @@ impl Descriptor {
             top_share: share(&|h| h >= height - 0.1),
             low_fill: fill(0.1, 0.4),
             high_fill: fill(0.6, 0.95),
-            squareness: squareness(points),
+            squareness: sides.squareness,
         }
     }
-}
-
-/// Length of the mean of exp(4 i angle) over horizontal normals: directions a right angle apart count as one.
-fn squareness(points: &[Point3<f32>]) -> f64 {
-    let params = NormalParams { radius_m: 3.0 * CELL_M, max_neighbours: 30, min_neighbours: 6 };
-    let Ok(normals) = estimate_normals(points, &params, None) else { return 0.5 };
-    let (mut sum, mut count) = (Vector2::zeros(), 0.0);
-    for n in normals.iter().filter(|n| n.xy().norm() > 0.8) {
-        let angle = 4.0 * f64::from(n.y).atan2(f64::from(n.x));
-        sum += Vector2::new(angle.cos(), angle.sin());
-        count += 1.0;
-    }
-    // Too few to tell: between round and square.
-    if count < 10.0 { 0.5 } else { sum.norm() / count }
 }

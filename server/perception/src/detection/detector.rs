@@ -1,5 +1,6 @@
 //! From a cloud to objects.
 
+use super::amodal::completed;
 use super::classify::most_probable;
 use super::propose::propose;
 use super::{Candidate, Classifier, Descriptor, DetectionParams, GaussianClassifier, find_structure};
@@ -15,7 +16,8 @@ pub struct Detection {
     pub class: ObjectClass,
     /// Probability of the class, 0..1.
     pub confidence: f64,
-    /// Upright box, reaching down to the floor unless the object hangs on a wall.
+    /// Upright box, reaching down to the floor unless the object hangs on a wall, and grown to what is hidden of round things
+    /// and of boxes.
     pub bbox: OrientedBox3,
     /// Mean of its points (one a voxel), metres.
     pub centroid: Point3<f64>,
@@ -73,14 +75,14 @@ impl Detector {
             .iter()
             .filter_map(|p| {
                 let features = ShapeFeatures::of(&p.points)?;
-                let descriptor = Descriptor::of(&p.points, &p.bbox, &structure);
-                let (points, bbox) = (&p.points[..], &p.bbox);
-                let candidate = Candidate { points, bbox, features: &features, descriptor: &descriptor };
+                let descriptor = Descriptor::of(&p.points, &p.bbox, &p.sides, &structure);
+                let candidate =
+                    Candidate { points: &p.points, bbox: &p.bbox, features: &features, descriptor: &descriptor };
                 let (class, confidence) = most_probable(&self.classifier.posterior(&candidate));
                 Some(Detection {
                     class,
                     confidence,
-                    bbox: p.bbox,
+                    bbox: completed(class, &p.bbox, &p.points, &points, &structure),
                     centroid: features.centroid,
                     num_points: features.num_points,
                     features,

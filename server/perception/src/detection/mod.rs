@@ -5,6 +5,7 @@
 //! What holds the room together (floor, ceiling, walls) is recognised and left out; nothing is remembered
 //! from one call to the next. Start with [`Detector::detect`]. What detectors of images find is taken into space by [`Lifter`].
 
+mod amodal;
 mod classify;
 mod descriptor;
 mod detector;
@@ -15,6 +16,7 @@ pub mod outdoor;
 mod params;
 mod passing;
 mod propose;
+mod sides;
 mod structure;
 mod walls;
 

@@ -1,7 +1,8 @@
 //! Clusters that may be objects, mended where one object came apart.
 
+use super::sides::Sides;
 use super::{DetectionParams, Structure};
-use crate::cloud::{DbscanParams, dbscan, upright_box_trimmed};
+use crate::cloud::{DbscanParams, dbscan, upright_box_along, upright_box_trimmed};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::shapes::convex_intersection_area;
 use percept_geometry::{GeometryError, OrientedBox3};
@@ -16,11 +17,19 @@ const MAX_LEAN_M: f64 = 0.09;
 /// Parallel within 12 degrees.
 const PARALLEL_COS: f64 = 0.978;
 
-/// A cluster and its box, which stands on the floor if the object does.
+/// A cluster and its box, which stands on the floor if the object does and lies along its sides if it has some.
 #[derive(Debug, Clone)]
 pub(super) struct Proposal {
     pub(super) points: Vec<Point3<f32>>,
     pub(super) bbox: OrientedBox3,
+    pub(super) sides: Sides,
+}
+
+/// A cluster, or a part of one.
+#[derive(Debug, Clone)]
+struct Part {
+    points: Vec<Point3<f32>>,
+    bbox: OrientedBox3,
 }
 
 /// Objects among thinned points: without floor, walls and what is above, joined by nearness, parts that
@@ -44,27 +53,31 @@ pub(super) fn propose(
     // By density, so that a spray of noise between two objects does not join them; small parts may still belong
     // to something and are judged after mending.
     let clusters = dbscan(&free, &DbscanParams { eps_m: params.cluster_eps_m, min_points: params.min_density })?;
-    let mut parts: Vec<Proposal> = clusters
+    let mut parts: Vec<Part> = clusters
         .indices()
         .iter()
         .filter_map(|members| boxed(members.iter().map(|&i| free[i]).collect(), params.box_trim))
         .collect();
     mend(&mut parts, params);
-    parts.retain_mut(|part| is_object(part, structure, params));
-    for part in &mut parts {
-        stand(part, structure);
-        lean(part, structure);
-    }
-    Ok(parts)
+    parts.retain(|part| is_object(part, structure, params));
+    let proposal = |Part { points, bbox }| {
+        let sides = Sides::of(&points);
+        let along = sides.yaw().and_then(|yaw| upright_box_along(&points, yaw, params.box_trim));
+        let mut proposal = Proposal { bbox: along.unwrap_or(bbox), points, sides };
+        stand(&mut proposal, structure);
+        lean(&mut proposal, structure);
+        proposal
+    };
+    Ok(parts.into_iter().map(proposal).collect())
 }
 
-fn boxed(points: Vec<Point3<f32>>, trim: f64) -> Option<Proposal> {
+fn boxed(points: Vec<Point3<f32>>, trim: f64) -> Option<Part> {
     let bbox = upright_box_trimmed(&points, trim)?;
-    Some(Proposal { points, bbox })
+    Some(Part { points, bbox })
 }
 
 /// Puts parts over each other together, the larger ones first, until nothing changes.
-fn mend(parts: &mut Vec<Proposal>, params: &DetectionParams) {
+fn mend(parts: &mut Vec<Part>, params: &DetectionParams) {
     parts.sort_by_key(|p| std::cmp::Reverse(p.points.len()));
     let mut i = 0;
     while i < parts.len() {
@@ -95,7 +108,7 @@ fn belong_together(a: &OrientedBox3, b: &OrientedBox3, params: &DetectionParams)
     shared >= SHARED * area(&a).min(area(&b)) && gap <= MAX_GAP_M && a.size.x.max(b.size.x) <= params.max_size_m
 }
 
-fn is_object(part: &Proposal, structure: &Structure, params: &DetectionParams) -> bool {
+fn is_object(part: &Part, structure: &Structure, params: &DetectionParams) -> bool {
     let (long, short) = (part.bbox.size.x.max(part.bbox.size.y), part.bbox.size.x.min(part.bbox.size.y));
     let center = part.bbox.center();
     let top = structure.height(&center) + 0.5 * part.bbox.size.z;

@@ -7,6 +7,7 @@ use super::standing::Standing;
 use super::traits::{Shape, Surroundings, Traits};
 use super::{OutdoorParams, trained};
 use crate::cloud::{CloudError, ShapeFeatures};
+use crate::detection::sides::Sides;
 use crate::detection::{Descriptor, Detection, Structure};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::shapes::convex_intersection_area;
@@ -106,7 +107,8 @@ impl OutdoorDetector {
             }
             let Some(features) = ShapeFeatures::of(&candidate.points) else { continue };
             let floor = Plane::through(&Point3::new(0.0, 0.0, candidate.shape.ground), Vector3::z_axis());
-            let descriptor = Descriptor::of(&candidate.points, &bbox, &Structure { floor, walls: vec![] });
+            let sides = Sides::of(&candidate.points);
+            let descriptor = Descriptor::of(&candidate.points, &bbox, &sides, &Structure { floor, walls: vec![] });
             let (centroid, num_points) = (features.centroid, features.num_points);
             out.push(Detection { class, confidence, bbox, centroid, num_points, features, descriptor });
         }
