@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each crate looks only at crates before it.
-const ORDER: [&str; 19] = [
+const ORDER: [&str; 20] = [
     "geometry",
     "sim",
     "evaluation",
@@ -20,6 +20,7 @@ const ORDER: [&str; 19] = [
     "pipeline",
     "recorded",
     "formats",
+    "ros",
     "pictures",
     "inference",
     "bench",

@@ -1,0 +1,9 @@
+//! Messages against another implementation's bytes; names, keys and conversions against their definitions.
+
+// Helpers of tests may fail as tests do.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod golden;
+mod hashes;
+mod malformed;
+mod names;
