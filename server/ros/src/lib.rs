@@ -19,6 +19,8 @@ pub mod cdr;
 pub mod description;
 mod error;
 pub mod messages;
+pub mod rmw_zenoh;
+pub mod ros2dds;
 mod type_hash;
 mod type_name;
 mod value;

@@ -7,3 +7,5 @@ mod golden;
 mod hashes;
 mod malformed;
 mod names;
+mod ros2dds;
+mod zenoh_keys;
