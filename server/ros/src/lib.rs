@@ -16,6 +16,7 @@
 //! ```
 
 pub mod cdr;
+pub mod convert;
 pub mod description;
 mod error;
 pub mod messages;

@@ -1,0 +1,141 @@
+//! Scans, calibration, motion, poses and grids.
+
+use nalgebra::{Point2, Vector3};
+use percept_geometry::cloud::Beam;
+use percept_geometry::{Distortion, GridGeometry, Pose, Stamped, Timestamp, se3};
+use percept_ros::convert::{
+    grid, grid_message, imu, intrinsics, odometry, path_message, pose, pose_message, rectified_intrinsics, scan,
+    transform, transform_message,
+};
+use percept_ros::messages as m;
+
+#[test]
+fn a_scan_keeps_what_rep_117_says() {
+    let message = m::LaserScan {
+        angle_min: -1.5,
+        angle_increment: 0.5,
+        range_min: 0.1,
+        range_max: 10.0,
+        ranges: vec![1.0, f32::INFINITY, f32::NEG_INFINITY, f32::NAN],
+        ..Default::default()
+    };
+    let read = scan(&message).unwrap();
+    let beams = [Beam::Hit(1.0), Beam::Free(10.0), Beam::Invalid, Beam::Invalid];
+    assert_eq!(std::array::from_fn(|i| read.beam(i)), beams);
+    assert_eq!((read.angle(1), read.intensities), (-1.0, None));
+    let with = |change: fn(&mut m::LaserScan<'_>)| {
+        let mut message = message.clone();
+        change(&mut message);
+        scan(&message).unwrap_err().to_string()
+    };
+    assert!(with(|s| s.range_max = f32::INFINITY).contains("range_max: inf is not finite"));
+    assert!(with(|s| s.range_max = 0.0).contains("range_max: 0 is not positive"));
+    assert!(with(|s| s.angle_increment = f32::NAN).contains("angle_increment"));
+    assert!(with(|s| s.intensities = vec![1.0; 3]).contains("intensities: expected 4 elements, got 3"));
+}
+
+fn camera() -> m::CameraInfo<'static> {
+    m::CameraInfo {
+        height: 480,
+        width: 640,
+        distortion_model: "plumb_bob",
+        d: vec![0.1, -0.2, 0.001, 0.002, 0.3],
+        k: [500.0, 0.0, 320.0, 0.0, 510.0, 240.0, 0.0, 0.0, 1.0],
+        p: [400.0, 0.0, 310.0, -40.0, 0.0, 410.0, 230.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+        ..Default::default()
+    }
+}
+
+#[test]
+fn intrinsics_are_those_of_the_raw_and_of_the_rectified_image() {
+    let raw = intrinsics(&camera()).unwrap();
+    assert_eq!((raw.width, raw.height), (640, 480));
+    assert_eq!([raw.fx, raw.fy, raw.cx, raw.cy], [500.0, 510.0, 320.0, 240.0]);
+    assert_eq!(raw.distortion, Distortion::PlumbBob([0.1, -0.2, 0.001, 0.002, 0.3]));
+    let rectified = rectified_intrinsics(&camera()).unwrap();
+    assert_eq!([rectified.fx, rectified.fy, rectified.cx, rectified.cy], [400.0, 410.0, 310.0, 230.0]);
+    assert_eq!(rectified.distortion, Distortion::None);
+}
+
+#[test]
+fn binning_and_region_shrink_and_shift() {
+    let roi = m::RegionOfInterest { x_offset: 100, y_offset: 40, width: 320, height: 240, do_rectify: false };
+    let part = intrinsics(&m::CameraInfo { roi, binning_x: 2, binning_y: 2, ..camera() }).unwrap();
+    assert_eq!((part.width, part.height), (160, 120));
+    assert_eq!([part.fx, part.fy, part.cx, part.cy], [250.0, 255.0, 110.0, 100.0]);
+}
+
+#[test]
+fn models_of_distortion_are_known_by_name_and_number() {
+    let with = |model: &'static str, d: &[f64]| {
+        intrinsics(&m::CameraInfo { distortion_model: model, d: d.to_vec(), ..camera() }).map(|i| i.distortion)
+    };
+    assert_eq!(with("", &[0.0; 5]).unwrap(), Distortion::None);
+    assert_eq!(with("plumb_bob", &[]).unwrap(), Distortion::None);
+    assert_eq!(with("equidistant", &[0.1, 0.2, 0.3, 0.4]).unwrap(), Distortion::Fisheye([0.1, 0.2, 0.3, 0.4]));
+    let eight = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8];
+    assert_eq!(with("rational_polynomial", &eight).unwrap(), Distortion::Rational(eight));
+    let mut twelve = [&eight[..], &[0.0; 4]].concat();
+    assert_eq!(with("rational_polynomial", &twelve).unwrap(), Distortion::Rational(eight));
+    twelve[11] = 0.1;
+    assert!(with("rational_polynomial", &twelve).unwrap_err().to_string().contains("with 12 coefficients"));
+    assert!(with("thin_prism", &[0.1]).unwrap_err().to_string().contains("expected plumb_bob"));
+    let zero = m::CameraInfo { k: [0.0; 9], ..camera() };
+    assert!(intrinsics(&zero).unwrap_err().to_string().contains("calibrate the camera"));
+}
+
+#[test]
+fn inertial_samples_say_what_was_not_measured() {
+    let mut message = m::Imu { linear_acceleration: m::Vector3 { x: 0.0, y: 0.0, z: 9.81 }, ..Default::default() };
+    assert_eq!(imu(&message).unwrap().linear_acceleration, Vector3::new(0.0, 0.0, 9.81));
+    message.angular_velocity.x = f64::NAN;
+    assert!(imu(&message).unwrap_err().to_string().contains("angular_velocity"));
+    message.angular_velocity_covariance[0] = -1.0;
+    assert!(imu(&message).unwrap_err().to_string().contains("it was not measured"));
+}
+
+#[test]
+fn poses_go_out_and_come_back() {
+    let t_map_base = Pose::new(Vector3::new(1.0, 2.0, 3.0), Vector3::new(0.1, -0.2, 0.3));
+    assert!((pose(&pose_message(&t_map_base)).unwrap().inverse() * t_map_base).translation.vector.norm() < 1e-12);
+    assert!(se3::log(&(transform(&transform_message(&t_map_base)).unwrap().inverse() * t_map_base)).norm() < 1e-12);
+    let mut message = m::Odometry::default();
+    message.pose.pose = pose_message(&t_map_base);
+    assert!(se3::log(&(odometry(&message).unwrap().t_odom_base.inverse() * t_map_base)).norm() < 1e-12);
+    message.pose.pose.orientation = m::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.0 };
+    assert!(odometry(&message).unwrap_err().to_string().contains("quaternion norm 0"));
+    let poses = [Stamped { stamp: Timestamp(1_500_000_000), value: t_map_base }];
+    let path = path_message(&poses, m::Header::new(Timestamp(9), "map"));
+    assert_eq!(path.poses[0].header, m::Header::new(m::Time { sec: 1, nanosec: 500_000_000 }, "map"));
+}
+
+#[test]
+fn stamps_keep_their_nanoseconds_before_1970_too() {
+    for nanos in [0, 1, -1, 1_763_692_800_123_456_789, -1_500_000_000] {
+        let time = m::Time::from(Timestamp(nanos));
+        assert!(time.nanosec < 1_000_000_000);
+        assert_eq!(Timestamp::from(time), Timestamp(nanos));
+    }
+    assert_eq!(m::Time::from(Timestamp(i64::MAX)).sec, i32::MAX);
+}
+
+#[test]
+fn grids_go_out_and_come_back() {
+    let geometry = GridGeometry::new(0.25, Point2::new(-1.0, 2.0));
+    let cells = [0, 100, -1, 50, 7, 8];
+    let message = grid_message(&geometry, 3, &cells, m::Header::new(Timestamp(1), "map")).unwrap();
+    let read = grid(&message).unwrap();
+    assert_eq!((read.geometry, read.width, read.height, &read.cells[..]), (geometry, 3, 2, &cells[..]));
+    assert!(grid_message(&geometry, 4, &cells, m::Header::default()).is_err());
+    assert!(grid_message(&geometry, 0, &cells, m::Header::default()).is_err());
+
+    let mut turned = message.clone();
+    turned.info.origin.orientation = m::Quaternion { x: 0.0, y: 0.0, z: 0.6, w: 0.8 };
+    assert!(grid(&turned).unwrap_err().to_string().contains("along its frame's axes"));
+    let mut short = message.clone();
+    short.info.width = u32::MAX;
+    assert!(grid(&short).unwrap_err().to_string().contains("6 cells for 4294967295 x 2"));
+    let mut flat = message;
+    flat.info.resolution = 0.0;
+    assert!(grid(&flat).unwrap_err().to_string().contains("info.resolution"));
+}
