@@ -1,0 +1,338 @@
+//! A recording: its files walked once for topics and blocks, then read block by block, merged by log time.
+
+use crate::block::{self, Block};
+use crate::mcap_file::Mcap;
+use crate::ros1_bag::Ros1Bag;
+use crate::walk::{Container, HEAD_BYTES, Record, records};
+use crate::{BagError, Warning};
+use percept_geometry::Timestamp;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// A topic of a recording.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Topic {
+    /// Its name, `/scan`.
+    pub name: String,
+    /// Type of its messages as recorded: `sensor_msgs/msg/LaserScan`; of ROS 1, `sensor_msgs/LaserScan`.
+    pub type_name: String,
+    /// Encoding of its messages: `cdr`, `ros1`, `protobuf`, `json`, …
+    pub encoding: String,
+    /// Number of its messages that can be read.
+    pub num_messages: u64,
+    /// Log time of the earliest; none if there is no message.
+    pub first: Option<Timestamp>,
+    /// Log time of the latest.
+    pub last: Option<Timestamp>,
+}
+
+/// A message as it was recorded.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RecordedMessage {
+    /// Index of its topic in [`Recording::topics`].
+    pub topic: usize,
+    /// When it was recorded.
+    pub log_time: Timestamp,
+    /// When it was sent; in ROS 1 bags, when it was recorded.
+    pub publish_time: Timestamp,
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Mcap,
+    Ros1,
+}
+
+#[derive(Debug)]
+struct Part {
+    path: PathBuf,
+    kind: Kind,
+    /// The topic of each channel number.
+    channels: BTreeMap<u32, usize>,
+    /// Types by number.
+    schemas: BTreeMap<u32, String>,
+}
+
+/// A recording that was opened: what is in it is known, its messages are read when they are asked for.
+#[derive(Debug)]
+pub struct Recording {
+    topics: Vec<Topic>,
+    warnings: Vec<Warning>,
+    parts: Vec<Part>,
+    /// With the index of their file, by the time of their first message.
+    blocks: Vec<(usize, Block)>,
+}
+
+impl Recording {
+    /// Opens a `.mcap` or `.bag` file, or a folder of such. Reads all of it once, block by block.
+    ///
+    /// # Errors
+    /// `Io`, `Unrecognised` (by the first bytes, whatever the name), `Empty` (a folder without any).
+    pub fn open(path: &Path) -> Result<Self, BagError> {
+        let mut recording = Self { topics: vec![], warnings: vec![], parts: vec![], blocks: vec![] };
+        for file in files(path)? {
+            recording.add(file)?;
+        }
+        recording.blocks.sort_by_key(|(part, block)| (block.first, *part, block.offset));
+        Ok(recording)
+    }
+
+    /// The topics, in the order in which they were found.
+    pub fn topics(&self) -> &[Topic] {
+        &self.topics
+    }
+
+    /// What was passed over: damage, cut ends, compressions that are not known.
+    pub fn warnings(&self) -> &[Warning] {
+        &self.warnings
+    }
+
+    /// The messages in the order of their log times; those of one time in the order of the file. In memory are the blocks whose
+    /// times overlap: as a rule one or two.
+    pub fn messages(&self) -> Messages<'_> {
+        Messages { recording: self, next_block: 0, ahead: BinaryHeap::new(), num_read: 0, has_failed: false }
+    }
+
+    fn add(&mut self, path: PathBuf) -> Result<(), BagError> {
+        let mut file = File::open(&path).map_err(BagError::io(&path))?;
+        let mut magic = vec![];
+        (&mut file).take(16).read_to_end(&mut magic).map_err(BagError::io(&path))?;
+        let kind = match &magic[..] {
+            m if m.starts_with(Mcap::MAGIC) => Kind::Mcap,
+            m if m.starts_with(Ros1Bag::MAGIC) => Kind::Ros1,
+            _ => return Err(BagError::Unrecognised { path }),
+        };
+        self.parts.push(Part { path: path.clone(), kind, channels: BTreeMap::new(), schemas: BTreeMap::new() });
+        match kind {
+            Kind::Mcap => self.walk::<Mcap>(&mut file, &path),
+            Kind::Ros1 => self.walk::<Ros1Bag>(&mut file, &path),
+        }
+    }
+
+    fn warn(&mut self, path: &Path, byte: u64, what: impl Into<String>) {
+        self.warnings.push(Warning { path: path.to_owned(), byte, what: what.into() });
+    }
+
+    /// Goes along the records of a file.
+    fn walk<C: Container>(&mut self, file: &mut File, path: &Path) -> Result<(), BagError> {
+        let length = file.seek(SeekFrom::End(0)).map_err(BagError::io(path))?;
+        let mut at = C::MAGIC.len() as u64;
+        loop {
+            let head = read_at(file, at, HEAD_BYTES as u64).map_err(BagError::io(path))?;
+            if head.is_empty() {
+                if C::HAS_END {
+                    self.warn(
+                        path,
+                        at,
+                        "the file has no end: it was cut off, or its recorder did not close it; read so far",
+                    );
+                }
+                return Ok(());
+            }
+            let Some(frame) = C::frame(&head) else {
+                self.warn(path, at, "a record is cut off; read so far");
+                return Ok(());
+            };
+            let available = length - at.min(length);
+            if frame.is_chunk {
+                let known = usize::try_from(frame.num_bytes).unwrap_or(usize::MAX).min(head.len());
+                match C::parse(head.get(..known).unwrap_or_default()) {
+                    Ok(Record::Chunk { offset, num_bytes, compression: Ok(compression) }) => {
+                        let offset = at + offset as u64;
+                        let num_bytes = num_bytes.min(length - offset.min(length));
+                        self.add_block::<C>(file, path, Block::new(offset, num_bytes, compression))?;
+                    }
+                    Ok(Record::Chunk { compression: Err(name), .. }) => {
+                        self.warn(
+                            path,
+                            at,
+                            format!("a chunk is packed by '{name}', which is not read; it was passed over"),
+                        );
+                    }
+                    Ok(_) => {}
+                    Err(what) => self.warn(path, at, what),
+                }
+            } else if frame.num_bytes <= available {
+                // Messages that lie in no chunk are blocks of their own.
+                let record = read_at(file, at, frame.num_bytes).map_err(BagError::io(path))?;
+                match C::parse(&record) {
+                    Ok(Record::End) => return Ok(()),
+                    Ok(Record::Message { .. }) => {
+                        let block = Block::new(at, frame.num_bytes, block::Compression::None);
+                        self.add_block::<C>(file, path, block)?;
+                    }
+                    Ok(record) => self.learn(record, &mut 0),
+                    Err(what) => self.warn(path, at, what),
+                }
+            }
+            if frame.num_bytes > available {
+                self.warn(
+                    path,
+                    at,
+                    format!("a record of {} bytes is cut off after {available}; read so far", frame.num_bytes),
+                );
+                return Ok(());
+            }
+            at += frame.num_bytes;
+        }
+    }
+
+    fn add_block<C: Container>(&mut self, file: &mut File, path: &Path, mut block: Block) -> Result<(), BagError> {
+        let (bytes, error) = unpacked(file, &block).map_err(BagError::io(path))?;
+        if let Some(error) = error {
+            self.warn(path, block.offset, format!("a chunk is damaged: {error}; read as far as it goes"));
+        }
+        let mut first = i64::MAX;
+        let ended = records::<C>(&bytes, |record| self.learn(record, &mut first));
+        if let Err((_, what)) = ended {
+            self.warn(path, block.offset, format!("{what} inside a chunk; read so far"));
+        }
+        if first != i64::MAX {
+            block.first = first;
+            self.blocks.push((self.parts.len() - 1, block));
+        }
+        Ok(())
+    }
+
+    /// Takes in what a record of the last file says; `first` becomes the earliest time.
+    fn learn(&mut self, record: Record<'_>, first: &mut i64) {
+        let Some(part) = self.parts.last_mut() else { return };
+        match record {
+            Record::Schema { id, type_name } => {
+                part.schemas.insert(id, type_name);
+            }
+            Record::Channel { id, schema, topic: name, type_name, encoding } => {
+                let type_name = type_name.or_else(|| part.schemas.get(&schema).cloned()).unwrap_or_default();
+                let is_it = |t: &Topic| t.name == name && t.type_name == type_name && t.encoding == encoding;
+                let index = self.topics.iter().position(is_it).unwrap_or(self.topics.len());
+                if index == self.topics.len() {
+                    self.topics.push(Topic { name, type_name, encoding, num_messages: 0, first: None, last: None });
+                }
+                part.channels.entry(id).or_insert(index);
+            }
+            Record::Message { channel, log_time, .. } => {
+                let topic = part.channels.get(&channel).and_then(|index| self.topics.get_mut(*index));
+                let Some(topic) = topic else { return };
+                let time = Timestamp(log_time);
+                topic.num_messages += 1;
+                topic.first = Some(topic.first.map_or(time, |t| t.min(time)));
+                topic.last = Some(topic.last.map_or(time, |t| t.max(time)));
+                *first = log_time.min(*first);
+            }
+            Record::Chunk { .. } | Record::End | Record::Other => {}
+        }
+    }
+}
+
+/// The file itself, or those of a folder, by name.
+fn files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let of = BagError::io(path);
+    if !std::fs::metadata(path).map_err(&of)?.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let entries = std::fs::read_dir(path).map_err(&of)?.map(|e| e.map(|e| e.path()));
+    let mut files = entries.collect::<Result<Vec<_>, _>>().map_err(&of)?;
+    files.retain(|f| f.extension().is_some_and(|e| e == "mcap" || e == "bag"));
+    files.sort();
+    if files.is_empty() { Err(BagError::Empty { path: path.to_owned() }) } else { Ok(files) }
+}
+
+/// Up to `count` bytes from a place.
+fn read_at(file: &mut File, at: u64, count: u64) -> std::io::Result<Vec<u8>> {
+    file.seek(SeekFrom::Start(at))?;
+    let mut bytes = vec![];
+    file.take(count).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+fn unpacked(file: &mut File, block: &Block) -> std::io::Result<(Vec<u8>, Option<std::io::Error>)> {
+    file.seek(SeekFrom::Start(block.offset))?;
+    Ok(block::unpack(std::io::BufReader::new(file.take(block.num_bytes)), block.compression))
+}
+
+/// Messages in the order of their log times.
+#[derive(Debug)]
+pub struct Messages<'a> {
+    recording: &'a Recording,
+    next_block: usize,
+    /// By time, then by order of reading.
+    ahead: BinaryHeap<Reverse<Ahead>>,
+    num_read: u64,
+    has_failed: bool,
+}
+
+#[derive(Debug)]
+struct Ahead {
+    order: (i64, u64),
+    message: RecordedMessage,
+}
+
+impl PartialEq for Ahead {
+    fn eq(&self, other: &Self) -> bool {
+        self.order == other.order
+    }
+}
+
+impl Eq for Ahead {}
+
+impl PartialOrd for Ahead {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Ahead {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.order.cmp(&other.order)
+    }
+}
+
+impl Messages<'_> {
+    fn load(&mut self, part: &Part, block: &Block) -> Result<(), BagError> {
+        let mut file = File::open(&part.path).map_err(BagError::io(&part.path))?;
+        let (bytes, _) = unpacked(&mut file, block).map_err(BagError::io(&part.path))?;
+        let found = |record: Record<'_>| {
+            if let Record::Message { channel, log_time, publish_time, bytes } = record
+                && let Some(&topic) = part.channels.get(&channel)
+            {
+                let (log_time, publish_time) = (Timestamp(log_time), Timestamp(publish_time));
+                let message = RecordedMessage { topic, log_time, publish_time, bytes: bytes.to_vec() };
+                self.ahead.push(Reverse(Ahead { order: (log_time.0, self.num_read), message }));
+                self.num_read += 1;
+            }
+        };
+        // Where it breaks off was told when the recording was opened.
+        let _ = match part.kind {
+            Kind::Mcap => records::<Mcap>(&bytes, found),
+            Kind::Ros1 => records::<Ros1Bag>(&bytes, found),
+        };
+        Ok(())
+    }
+}
+
+impl Iterator for Messages<'_> {
+    type Item = Result<RecordedMessage, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.has_failed {
+            return None;
+        }
+        while let Some((part, block)) = self.recording.blocks.get(self.next_block) {
+            if self.ahead.peek().is_some_and(|Reverse(ahead)| ahead.order.0 < block.first) {
+                break;
+            }
+            self.next_block += 1;
+            let part = self.recording.parts.get(*part)?;
+            if let Err(error) = self.load(part, block) {
+                self.has_failed = true;
+                return Some(Err(error));
+            }
+        }
+        self.ahead.pop().map(|Reverse(ahead)| Ok(ahead.message))
+    }
+}

@@ -1,0 +1,110 @@
+//! Files that are cut or damaged are read as far as they go, and that is told.
+
+use crate::order::{all, write};
+use percept_bags::Recording;
+use proptest::prelude::*;
+
+/// A ROS 1 bag with one connection and `times` in one chunk, as the format's page has it.
+fn ros1_bag(compression: &str, pack: impl Fn(&[u8]) -> Vec<u8>, times: &[u32]) -> Vec<u8> {
+    let part = |bytes: &[u8]| [&(bytes.len() as u32).to_le_bytes()[..], bytes].concat();
+    let field = |name: &str, value: &[u8]| part(&[name.as_bytes(), b"=", value].concat());
+    let record = |fields: &[Vec<u8>], data: &[u8]| [part(&fields.concat()), part(data)].concat();
+    let conn = field("conn", &7u32.to_le_bytes());
+    let about = [field("topic", b"/scan"), field("type", b"sensor_msgs/LaserScan"), field("md5sum", b"x")].concat();
+    let mut chunk = record(&[field("op", &[7]), conn.clone(), field("topic", b"/scan")], &about);
+    for (i, time) in times.iter().enumerate() {
+        let stamp = [time.to_le_bytes(), 5u32.to_le_bytes()].concat();
+        chunk.extend(record(&[field("op", &[2]), conn.clone(), field("time", &stamp)], &[i as u8; 3]));
+    }
+    let size = field("size", &(chunk.len() as u32).to_le_bytes());
+    let mut bag = b"#ROSBAG V2.0\n".to_vec();
+    bag.extend(record(&[field("op", &[3]), field("index_pos", &u64::MAX.to_le_bytes())], &[b' '; 40]));
+    bag.extend(record(&[field("op", &[5]), field("compression", compression.as_bytes()), size], &pack(&chunk)));
+    // An index that says nothing true.
+    bag.extend(record(&[field("op", &[4]), conn, field("ver", &[9, 9, 9, 9])], &[0xff; 7]));
+    bag
+}
+
+fn lz4(bytes: &[u8]) -> Vec<u8> {
+    use std::io::Write;
+    let mut encoder = lz4_flex::frame::FrameEncoder::new(vec![]);
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+fn opened(bytes: &[u8]) -> Recording {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), bytes).unwrap();
+    let recording = Recording::open(file.path()).unwrap();
+    // Whatever it is, what was counted is what is read.
+    let counted: u64 = recording.topics().iter().map(|t| t.num_messages).sum();
+    assert_eq!(all(&recording).len() as u64, counted);
+    recording
+}
+
+#[test]
+fn ros1_bags_read_whatever_their_index_says() {
+    for bytes in [ros1_bag("none", <[u8]>::to_vec, &[3, 1, 2]), ros1_bag("lz4", lz4, &[3, 1, 2])] {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), &bytes).unwrap();
+        let recording = Recording::open(file.path()).unwrap();
+        assert_eq!(recording.warnings(), []);
+        let topic = &recording.topics()[0];
+        assert_eq!((topic.name.as_str(), topic.type_name.as_str()), ("/scan", "sensor_msgs/LaserScan"));
+        assert_eq!((topic.encoding.as_str(), topic.num_messages), ("ros1", 3));
+        let read: Vec<_> = all(&recording).iter().map(|m| (m.log_time.0, m.bytes.clone())).collect();
+        let expected = [(1, 1), (2, 2), (3, 0)].map(|(sec, byte)| (sec * 1_000_000_000 + 5, vec![byte; 3]));
+        assert_eq!(read, expected);
+    }
+}
+
+#[test]
+fn an_unknown_compression_is_passed_over_and_told() {
+    let recording = opened(&ros1_bag("secret", <[u8]>::to_vec, &[1]));
+    assert_eq!(recording.topics(), []);
+    assert!(recording.warnings()[0].to_string().contains("packed by 'secret'"), "{:?}", recording.warnings());
+}
+
+#[test]
+fn a_file_that_is_cut_is_read_so_far() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    write(&path, 400, 1000);
+    let whole = std::fs::read(&path).unwrap();
+    let mut last = 0;
+    for share in 1..20 {
+        let recording = opened(&whole[..whole.len() * share / 20]);
+        let read = recording.topics().iter().map(|t| t.num_messages).sum();
+        // Cut in the summary, it lacks nothing.
+        assert!(read == 800 || !recording.warnings().is_empty(), "{share}");
+        assert!(read >= last, "{share}: {read} after {last}");
+        last = read;
+    }
+    assert!(last > 300, "{last}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    #[test]
+    fn damaged_bytes_never_panic(
+        kind in 0usize..3, cut in any::<prop::sample::Index>(), hits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
+    ) {
+        let mut bytes = match kind {
+            0 => ros1_bag("none", <[u8]>::to_vec, &[3, 1, 2]),
+            1 => ros1_bag("lz4", lz4, &[3, 1, 2]),
+            _ => {
+                let file = tempfile::NamedTempFile::new().unwrap();
+                write(file.path(), 5, 20);
+                std::fs::read(file.path()).unwrap()
+            }
+        };
+        for (at, value) in hits {
+            // Behind the magic.
+            let at = 13 + at.index(bytes.len() - 13);
+            bytes[at] ^= value;
+        }
+        let cut = 13 + cut.index(bytes.len() - 12);
+        opened(&bytes[..cut]);
+        opened(&bytes);
+    }
+}
