@@ -11,6 +11,7 @@ use std::collections::{BTreeMap, BinaryHeap};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A topic of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -73,13 +74,13 @@ impl Recording {
     ///
     /// # Errors
     /// `Io`, `Unrecognised` (by the first bytes, whatever the name), `Empty` (a folder without any).
-    pub fn open(path: &Path) -> Result<Self, BagError> {
+    pub fn open(path: &Path) -> Result<Arc<Self>, BagError> {
         let mut recording = Self { topics: vec![], warnings: vec![], parts: vec![], blocks: vec![] };
         for file in files(path)? {
             recording.add(file)?;
         }
         recording.blocks.sort_by_key(|(part, block)| (block.first, *part, block.offset));
-        Ok(recording)
+        Ok(Arc::new(recording))
     }
 
     /// The topics, in the order in which they were found.
@@ -94,8 +95,14 @@ impl Recording {
 
     /// The messages in the order of their log times; those of one time in the order of the file. In memory are the blocks whose
     /// times overlap: as a rule one or two.
-    pub fn messages(&self) -> Messages<'_> {
-        Messages { recording: self, next_block: 0, ahead: BinaryHeap::new(), num_read: 0, has_failed: false }
+    pub fn messages(self: &Arc<Self>) -> Messages {
+        Messages {
+            recording: Arc::clone(self),
+            next_block: 0,
+            ahead: BinaryHeap::new(),
+            num_read: 0,
+            has_failed: false,
+        }
     }
 
     fn add(&mut self, path: PathBuf) -> Result<(), BagError> {
@@ -257,8 +264,8 @@ fn unpacked(file: &mut File, block: &Block) -> std::io::Result<(Vec<u8>, Option<
 
 /// Messages in the order of their log times.
 #[derive(Debug)]
-pub struct Messages<'a> {
-    recording: &'a Recording,
+pub struct Messages {
+    recording: Arc<Recording>,
     next_block: usize,
     /// By time, then by order of reading.
     ahead: BinaryHeap<Reverse<Ahead>>,
@@ -292,7 +299,7 @@ impl Ord for Ahead {
     }
 }
 
-impl Messages<'_> {
+impl Messages {
     fn load(&mut self, part: &Part, block: &Block) -> Result<(), BagError> {
         let mut file = File::open(&part.path).map_err(BagError::io(&part.path))?;
         let (bytes, _) = unpacked(&mut file, block).map_err(BagError::io(&part.path))?;
@@ -315,19 +322,20 @@ impl Messages<'_> {
     }
 }
 
-impl Iterator for Messages<'_> {
+impl Iterator for Messages {
     type Item = Result<RecordedMessage, BagError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         if self.has_failed {
             return None;
         }
-        while let Some((part, block)) = self.recording.blocks.get(self.next_block) {
+        let recording = Arc::clone(&self.recording);
+        while let Some((part, block)) = recording.blocks.get(self.next_block) {
             if self.ahead.peek().is_some_and(|Reverse(ahead)| ahead.order.0 < block.first) {
                 break;
             }
             self.next_block += 1;
-            let part = self.recording.parts.get(*part)?;
+            let part = recording.parts.get(*part)?;
             if let Err(error) = self.load(part, block) {
                 self.has_failed = true;
                 return Some(Err(error));

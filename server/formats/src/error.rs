@@ -119,9 +119,15 @@ pub enum FormatError {
         /// Reason as the writer gave it.
         reason: String,
     },
+    /// A recording of ROS messages that cannot be read, or has nothing to replay, in its reader's words.
+    #[error("{reason}")]
+    Recording {
+        /// What is wrong, and a remedy.
+        reason: String,
+    },
     /// A path that holds none of the data sets that are known.
     #[error(
-        "{}: not a 7-Scenes, TUM RGB-D or KITTI velodyne folder, CARMEN log, nor PCD or PLY cloud(s)",
+        "{}: not a 7-Scenes, TUM RGB-D or KITTI velodyne folder, CARMEN log, recording of ROS (.mcap, .db3, .bag), nor PCD or PLY cloud(s)",
         path.display()
     )]
     Unrecognised {
@@ -150,6 +156,10 @@ impl FormatError {
 
     pub(crate) fn io(path: &Path, error: &std::io::Error) -> Self {
         Self::Io { path: path.to_owned(), kind: error.kind(), reason: error.to_string() }
+    }
+
+    pub(crate) fn recording(error: impl std::fmt::Display) -> Self {
+        Self::Recording { reason: error.to_string() }
     }
 
     pub(crate) fn malformed(

@@ -19,6 +19,7 @@ pub mod cdr;
 pub mod convert;
 pub mod description;
 mod error;
+mod frame_tree;
 pub mod messages;
 pub mod rmw_zenoh;
 pub mod ros2dds;
@@ -28,6 +29,7 @@ mod value;
 
 pub use cdr::{Encoding, Message, Wire};
 pub use error::{DecodeError, EncodeError, Fault};
+pub use frame_tree::FrameTree;
 pub use type_hash::{TypeHash, TypeHashError};
 pub use type_name::{TypeName, TypeNameError};
 pub use value::Value;

@@ -7,17 +7,19 @@
 //! ones, reading by reading: its stamps may be rounded to uselessness.
 
 use super::files::{self, Folder, extension};
-use super::frames::{Load, ODOMETRY};
+use super::frames::Load;
 use super::{Dataset, DatasetKind, OpenOptions, stamps};
 use crate::carmen::{CarmenLog, CarmenRow, CarmenScan, Relation, parse, parse_relations};
 use crate::{FormatError, Limits};
-use percept_geometry::{Pose, SensorData, SensorId, SensorKind, SensorSpec, Stamped, Timestamp};
+use percept_geometry::sensor::OdometrySample;
+use percept_geometry::{Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Stamped, Timestamp};
 use rustc_hash::FxHashMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 const LASER: &str = "laser";
+const ODOMETRY: &str = "odometry";
 
 /// How far into a file a first message is looked for.
 const SNIFFED_BYTES: u64 = 1 << 18;
@@ -108,10 +110,11 @@ pub(super) fn open(path: &Path, companion: Option<PathBuf>, options: &OpenOption
         reference_source: reference_source.filter(|_| reference.is_some()),
         reference,
         relations,
+        notes: vec![],
         is_timed: !stamps::are_useless(&raw),
         restamped: stamps::restamped(&raw, &row_stamps),
         stamps: rows.iter().map(|&row| row_stamps[row]).collect(),
-        odometry: odometry.into(),
+        beside: odometry.into(),
         source: Arc::new(ScanLoader { log, rows }),
     })
 }
@@ -134,12 +137,18 @@ fn sensors(log: &CarmenLog, corrected: bool) -> Vec<SensorSpec> {
     out
 }
 
-fn odometry(log: &CarmenLog, row_stamps: &[Timestamp]) -> Vec<Stamped<Pose>> {
+fn odometry(log: &CarmenLog, row_stamps: &[Timestamp]) -> Vec<SensorFrame> {
     let pose = |row: &CarmenRow| match row {
         CarmenRow::Scan(scan) => scan.t_odom_base,
         CarmenRow::Odometry(t_odom_base) => *t_odom_base,
     };
-    log.rows.iter().zip(row_stamps).map(|(row, &stamp)| Stamped { stamp, value: pose(&row.value) }).collect()
+    let sample = |row: &CarmenRow| OdometrySample { t_odom_base: pose(row), covariance: None };
+    let frame = |(row, stamp): (&Stamped<CarmenRow>, &Timestamp)| SensorFrame {
+        sensor: ODOMETRY.into(),
+        stamp: *stamp,
+        data: SensorData::Odometry(sample(&row.value)),
+    };
+    log.rows.iter().zip(row_stamps).map(frame).collect()
 }
 
 /// A scan's readings in millimetres: what survives rewriting with fewer digits.

@@ -132,10 +132,11 @@ fn dataset(name: String, kind: DatasetKind, files: Vec<PathBuf>, clock: Clock, o
         reference_source: path.map(|path| files::name(&path)),
         reference,
         relations: None,
+        notes: vec![],
         is_timed: clock.is_timed,
         restamped: super::stamps::restamped(&clock.raw, &stamps),
         stamps: stamps.into(),
-        odometry: Arc::default(),
+        beside: Arc::default(),
         source: Arc::new(CloudLoader { files, limits: options.limits }),
     }
 }

@@ -1,13 +1,9 @@
 //! The walk through a recording.
 
 use crate::FormatError;
-use percept_geometry::sensor::OdometrySample;
-use percept_geometry::{Pose, SensorData, SensorFrame, SensorId, Stamped, Timestamp};
+use percept_geometry::{SensorData, SensorFrame, SensorId, Timestamp};
 use std::ops::Range;
 use std::sync::Arc;
-
-/// Name of the odometry beside a primary sensor.
-pub(super) const ODOMETRY: &str = "odometry";
 
 /// What reads and decodes one frame of the primary sensor.
 pub(super) trait Load: std::fmt::Debug + Send + Sync {
@@ -23,7 +19,7 @@ pub(super) trait Load: std::fmt::Debug + Send + Sync {
 pub struct Frames {
     source: Arc<dyn Load>,
     stamps: Arc<[Timestamp]>,
-    odometry: Arc<[Stamped<Pose>]>,
+    beside: Arc<[SensorFrame]>,
     primary: Range<usize>,
     samples: Range<usize>,
 }
@@ -32,12 +28,12 @@ impl Frames {
     pub(super) fn new(
         source: Arc<dyn Load>,
         stamps: Arc<[Timestamp]>,
-        odometry: Arc<[Stamped<Pose>]>,
+        beside: Arc<[SensorFrame]>,
         range: Option<Range<usize>>,
     ) -> Self {
-        let until = |stamp: Timestamp| odometry.partition_point(|o| o.stamp <= stamp);
+        let until = |stamp: Timestamp| beside.partition_point(|f| f.stamp <= stamp);
         let (primary, samples) = match range {
-            None => (0..stamps.len(), 0..odometry.len()),
+            None => (0..stamps.len(), 0..beside.len()),
             Some(range) => {
                 let end = range.end.min(stamps.len());
                 let start = range.start.min(end);
@@ -46,7 +42,7 @@ impl Frames {
                 (start..end, first..last)
             }
         };
-        Self { source, stamps, odometry, primary, samples }
+        Self { source, stamps, beside, primary, samples }
     }
 }
 
@@ -55,11 +51,10 @@ impl Iterator for Frames {
 
     fn next(&mut self) -> Option<Self::Item> {
         let stamp = self.primary.clone().next().map(|i| self.stamps[i]);
-        let sample = self.samples.clone().next().map(|i| &self.odometry[i]);
-        if let Some(sample) = sample.filter(|o| stamp.is_none_or(|stamp| o.stamp <= stamp)) {
+        let sample = self.samples.clone().next().map(|i| &self.beside[i]);
+        if let Some(sample) = sample.filter(|f| stamp.is_none_or(|stamp| f.stamp <= stamp)) {
             self.samples.next();
-            let data = SensorData::Odometry(OdometrySample { t_odom_base: sample.value, covariance: None });
-            return Some(Ok(SensorFrame { sensor: ODOMETRY.into(), stamp: sample.stamp, data }));
+            return Some(Ok(sample.clone()));
         }
         let (index, stamp) = (self.primary.next()?, stamp?);
         Some(self.source.load(index).map(|data| SensorFrame { sensor: self.source.sensor(), stamp, data }))

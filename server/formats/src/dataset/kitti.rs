@@ -40,10 +40,11 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference_source: poses_path.filter(|_| reference.is_some()).map(|p| name(&p)),
         reference,
         relations: None,
+        notes: vec![],
         is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),
-        odometry: Arc::default(),
+        beside: Arc::default(),
         source: Arc::new(CloudLoader { files, limits: options.limits }),
     }))
 }

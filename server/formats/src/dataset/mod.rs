@@ -5,7 +5,8 @@
 //! - TUM RGB-D: `depth.txt`, `rgb.txt`, `groundtruth.txt`;
 //! - KITTI: a folder `velodyne` of `.bin` or `.pcd`, perhaps `times*.txt`, `poses*.txt`, `calib*.txt`;
 //! - CARMEN: a `.clf` or `.log`, or a folder with one, perhaps with a corrected log and a `.relations` beside it;
-//! - PCD and PLY: a file, or a folder of them, perhaps with `times*.txt` or `groundtruth*.tum`.
+//! - PCD and PLY: a file, or a folder of them, perhaps with `times*.txt` or `groundtruth*.tum`;
+//! - ROS: MCAP, rosbag2 (a `.db3`, or a folder with `metadata.yaml`), bags of ROS 1.
 //!
 //! The base of a recording looks along x: a camera's base is its optical frame turned by
 //! [`SensorSpec::optical_rotation`], a lidar's is the lidar itself.
@@ -16,6 +17,7 @@ mod files;
 mod frames;
 mod kitti;
 mod rgbd;
+mod ros;
 mod seven_scenes;
 mod stamps;
 mod tum;
@@ -26,7 +28,7 @@ use crate::carmen::Relation;
 use crate::{FormatError, Limits};
 use files::Folder;
 use frames::Load;
-use percept_geometry::{Pose, SensorSpec, Stamped, Timestamp};
+use percept_geometry::{Pose, SensorFrame, SensorKind, SensorSpec, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -51,6 +53,9 @@ pub enum DatasetKind {
     /// PCD or PLY clouds.
     #[serde(rename = "clouds")]
     Clouds,
+    /// Messages of ROS: MCAP, rosbag2, bags of ROS 1.
+    #[serde(rename = "ros")]
+    Ros,
 }
 
 impl DatasetKind {
@@ -62,6 +67,7 @@ impl DatasetKind {
             Self::Kitti => "kitti",
             Self::Carmen => "carmen",
             Self::Clouds => "clouds",
+            Self::Ros => "ros",
         }
     }
 }
@@ -73,10 +79,14 @@ impl std::fmt::Display for DatasetKind {
 }
 
 /// How to open a recording.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct OpenOptions {
     /// Leave colour out: frames are `Depth`, and colour is neither read nor decoded.
     pub depth_only: bool,
+    /// Of a recording of ROS messages, the topic that poses are found by; none: it is found.
+    pub topic: Option<String>,
+    /// Of a recording of ROS messages, the robot's own frame; none: `base_link`, `base_footprint`, or what odometry moves.
+    pub base_frame: Option<String>,
     /// Largest sizes of single files.
     pub limits: Limits,
 }
@@ -96,14 +106,16 @@ pub struct Dataset {
     pub reference_source: Option<String>,
     /// Relative poses that were checked by hand (CARMEN), at stamps of the frames.
     pub relations: Option<Vec<Relation>>,
+    /// What a person who replays it should know: what was taken, what was left, what had to be supposed.
+    pub notes: Vec<String>,
     /// Whether the recording, or its format, says when the frames were taken. If not, they are a second apart.
     pub is_timed: bool,
     /// Stamps of the primary sensor's frames, strictly increasing.
     stamps: Arc<[Timestamp]>,
     /// What the file says instead, where that does not rise.
     restamped: BTreeMap<Timestamp, Timestamp>,
-    /// t_odom_base beside the primary sensor, in order.
-    odometry: Arc<[Stamped<Pose>]>,
+    /// What wheels and inertial sensors say beside the primary sensor, in order.
+    beside: Arc<[SensorFrame]>,
     source: Arc<dyn Load>,
 }
 
@@ -120,7 +132,7 @@ impl Dataset {
 
     /// Odometry samples beside the primary sensor.
     pub fn num_odometry_samples(&self) -> usize {
-        self.odometry.len()
+        self.beside.iter().filter(|f| f.data.kind() == SensorKind::Odometry).count()
     }
 
     /// Stamps of the primary sensor's frames, strictly increasing.
@@ -148,11 +160,11 @@ impl Dataset {
 
     /// The frames in order of their stamps, each read and decoded when it is asked for.
     ///
-    /// `range` counts frames of the primary sensor and is cut to those that are there; odometry comes along
-    /// from after the frame before the range to the range's last frame. Odometry precedes a frame of the same
+    /// `range` counts frames of the primary sensor and is cut to those that are there; what is beside it comes along
+    /// from after the frame before the range to the range's last frame, and precedes a frame of the same
     /// stamp. A frame that cannot be read is an `Err`, and the next call goes on after it.
     pub fn frames(&self, range: Option<Range<usize>>) -> Frames {
-        Frames::new(self.source.clone(), self.stamps.clone(), self.odometry.clone(), range)
+        Frames::new(self.source.clone(), self.stamps.clone(), self.beside.clone(), range)
     }
 }
 
@@ -179,12 +191,16 @@ pub fn open_with(path: &Path, options: &OpenOptions) -> Result<Dataset, FormatEr
 fn open_file(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
     match files::extension(path).as_str() {
         "pcd" | "ply" | "bin" => clouds::open_file(path, options).map(Some),
+        "mcap" | "db3" | "bag" => ros::open(path, options).map(Some),
         _ if carmen::is_log(path)? => carmen::open(path, None, options).map(Some),
         _ => Ok(None),
     }
 }
 
 fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
+    if path.join("metadata.yaml").is_file() {
+        return ros::open(path, options).map(Some);
+    }
     let folder = Folder::list(path)?;
     if let Some(dataset) = open_listed(&folder, options)? {
         return Ok(Some(dataset));

@@ -61,10 +61,11 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference: has_reference.then_some(reference),
         reference_source: has_reference.then(|| "pose.txt".to_owned()),
         relations: None,
+        notes: vec![],
         is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),
-        odometry: Arc::default(),
+        beside: Arc::default(),
         source: Arc::new(RgbdLoader { images, metres_per_unit: 0.001, limits: options.limits }),
     }))
 }

@@ -44,10 +44,11 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference,
         reference_source: truth_path.map(name),
         relations: None,
+        notes: vec![],
         is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),
-        odometry: Arc::default(),
+        beside: Arc::default(),
         source: Arc::new(RgbdLoader { images, metres_per_unit: 1.0 / 5000.0, limits: options.limits }),
     }))
 }

@@ -17,6 +17,7 @@ mod explore;
 mod fly;
 mod health;
 mod import_map;
+mod info;
 mod input;
 mod keys;
 mod local;
@@ -58,6 +59,8 @@ enum Command {
     Sim(sim::SimArgs),
     /// Run a recorded data set through percept, in this process or into a server.
     Replay(replay::ReplayArgs),
+    /// Tell what a recording holds, and what `replay` would take of it.
+    Info(info::InfoArgs),
     /// Plan a path on a map file, or through the map of a session of a running server; no path is a failure, with its reason.
     Plan(plan::PlanArgs),
     /// Plan a path that passes a tool over all that the robot reaches, on a map file or through the map of a session.
@@ -101,6 +104,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Demo(args) => demo::run(args),
         Command::Sim(args) => sim::run(args),
         Command::Replay(args) => replay::run(args),
+        Command::Info(args) => info::run(&args),
         Command::Plan(args) => plan::run(args),
         Command::Coverage(args) => explore::coverage(args),
         Command::Frontiers(args) => explore::frontiers(args),

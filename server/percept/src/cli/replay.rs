@@ -18,8 +18,11 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReplayArgs {
-    /// A 7-Scenes, TUM RGB-D or KITTI velodyne folder, a CARMEN log, a PCD or PLY file or a folder of them.
+    /// A 7-Scenes, TUM RGB-D or KITTI velodyne folder, a CARMEN log, a PCD or PLY file or a folder of them, an MCAP file, a rosbag2
+    /// or a bag of ROS 1.
     path: PathBuf,
+    #[command(flatten)]
+    ros: RosArgs,
     /// Stream into the server at this gRPC address instead of running in this process.
     #[arg(long)]
     server: Option<String>,
@@ -54,10 +57,29 @@ pub(crate) struct ReplayArgs {
     config: Option<PathBuf>,
 }
 
+/// How a recording of ROS messages is read.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct RosArgs {
+    /// Of a recording of ROS messages: the topic that poses are found by; none: a lidar's, else a depth camera's, else a camera's.
+    #[arg(long)]
+    topic: Option<String>,
+    /// Of a recording of ROS messages: the robot's own frame; none: base_link, base_footprint, or what odometry moves.
+    #[arg(long)]
+    base_frame: Option<String>,
+}
+
+impl RosArgs {
+    /// Opens a recording.
+    pub(crate) fn open(&self, path: &Path, depth_only: bool) -> Result<Dataset, Failure> {
+        let (topic, base_frame) = (self.topic.clone(), self.base_frame.clone());
+        let options = OpenOptions { depth_only, topic, base_frame, ..OpenOptions::default() };
+        dataset::open_with(path, &options).map_err(|e| format!("{}: {e}", path.display()).into())
+    }
+}
+
 pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
-    let options = OpenOptions { depth_only: args.depth_only, ..OpenOptions::default() };
-    let mut recording =
-        dataset::open_with(&args.path, &options).map_err(|e| format!("{}: {e}", args.path.display()))?;
+    let mut recording = args.ros.open(&args.path, args.depth_only)?;
+    recording.notes.iter().for_each(|note| eprintln!("percept: {note}"));
     let chosen = Chosen::new(&args.sensors, !args.no_odometry);
     recording.sensors = chosen.specs(&recording.sensors);
     if recording.sensors.is_empty() {
