@@ -14,16 +14,24 @@ pub enum BagError {
         error: std::io::Error,
     },
     /// None of the containers that are known.
-    #[error("{}: neither MCAP nor a ROS 1 bag of version 2.0, by its first bytes; convert it, e.g. by `rosbags-convert`", path.display())]
+    #[error("{}: neither MCAP, nor a ROS 1 bag of version 2.0, nor rosbag2's SQLite, by its first bytes; unpack it, or convert it by `rosbags-convert`", path.display())]
     Unrecognised {
         /// The file.
         path: PathBuf,
     },
     /// A folder without a recording.
-    #[error("{}: no .mcap or .bag file in this folder", path.display())]
+    #[error("{}: no .mcap, .bag or .db3 file in this folder", path.display())]
     Empty {
         /// The folder.
         path: PathBuf,
+    },
+    /// SQLite refused, or the tables are not those of rosbag2.
+    #[error("{}: {reason}; repair it, e.g. by `sqlite3 FILE .recover`", path.display())]
+    Sqlite {
+        /// The file.
+        path: PathBuf,
+        /// SQLite's word.
+        reason: String,
     },
     /// A recording of more topics or types than its format can number.
     #[error("{}: more than 65535 topics or types; write another file", path.display())]
@@ -36,6 +44,16 @@ pub enum BagError {
 impl BagError {
     pub(crate) fn io(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
         move |error| Self::Io { path: path.to_owned(), error }
+    }
+
+    pub(crate) fn sqlite(path: &Path) -> impl Fn(rusqlite::Error) -> Self + '_ {
+        move |error| {
+            let reason = match error {
+                rusqlite::Error::InvalidQuery => "has no tables `topics` and `messages`".to_owned(),
+                other => other.to_string(),
+            };
+            Self::Sqlite { path: path.to_owned(), reason }
+        }
     }
 }
 

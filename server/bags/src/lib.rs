@@ -1,4 +1,4 @@
-//! Containers of recorded messages: MCAP and ROS 1 bags in, MCAP out.
+//! Containers of recorded messages: MCAP, ROS 1 bags and rosbag2's SQLite files in, MCAP out.
 //!
 //! Comes in: a file, or a folder of files that one recording was split into. Goes out: its topics, and its messages as bytes in
 //! the order of their log times. What the bytes mean is not known here: `percept_ros` reads them.
@@ -11,6 +11,7 @@ mod error;
 mod mcap_file;
 mod recording;
 mod ros1_bag;
+mod rosbag2_sqlite;
 mod walk;
 mod writer;
 

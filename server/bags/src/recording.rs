@@ -3,6 +3,7 @@
 use crate::block::{self, Block};
 use crate::mcap_file::Mcap;
 use crate::ros1_bag::Ros1Bag;
+use crate::rosbag2_sqlite as sqlite;
 use crate::walk::{Container, HEAD_BYTES, Record, records};
 use crate::{BagError, Warning};
 use percept_geometry::Timestamp;
@@ -47,6 +48,24 @@ pub struct RecordedMessage {
 enum Kind {
     Mcap,
     Ros1,
+    Sqlite,
+}
+
+/// Where messages lie that are read at once.
+#[derive(Debug, Clone, Copy)]
+enum Place {
+    Block(Block),
+    Rows(sqlite::Range),
+}
+
+impl Place {
+    /// Log time of the earliest, ns; where it begins.
+    fn order(&self) -> (i64, u64) {
+        match self {
+            Self::Block(block) => (block.first, block.offset),
+            Self::Rows(range) => (range.from, 0),
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -66,20 +85,20 @@ pub struct Recording {
     warnings: Vec<Warning>,
     parts: Vec<Part>,
     /// With the index of their file, by the time of their first message.
-    blocks: Vec<(usize, Block)>,
+    places: Vec<(usize, Place)>,
 }
 
 impl Recording {
-    /// Opens a `.mcap` or `.bag` file, or a folder of such. Reads all of it once, block by block.
+    /// Opens a `.mcap`, `.bag` or `.db3` file, or a folder of such. Reads all of it once, block by block; of `.db3`, the index.
     ///
     /// # Errors
-    /// `Io`, `Unrecognised` (by the first bytes, whatever the name), `Empty` (a folder without any).
+    /// `Io`, `Unrecognised` (by the first bytes, whatever the name), `Empty` (a folder without any), `Sqlite`.
     pub fn open(path: &Path) -> Result<Arc<Self>, BagError> {
-        let mut recording = Self { topics: vec![], warnings: vec![], parts: vec![], blocks: vec![] };
+        let mut recording = Self { topics: vec![], warnings: vec![], parts: vec![], places: vec![] };
         for file in files(path)? {
             recording.add(file)?;
         }
-        recording.blocks.sort_by_key(|(part, block)| (block.first, *part, block.offset));
+        recording.places.sort_by_key(|(part, place)| (place.order().0, *part, place.order().1));
         Ok(Arc::new(recording))
     }
 
@@ -96,13 +115,8 @@ impl Recording {
     /// The messages in the order of their log times; those of one time in the order of the file. In memory are the blocks whose
     /// times overlap: as a rule one or two.
     pub fn messages(self: &Arc<Self>) -> Messages {
-        Messages {
-            recording: Arc::clone(self),
-            next_block: 0,
-            ahead: BinaryHeap::new(),
-            num_read: 0,
-            has_failed: false,
-        }
+        let recording = Arc::clone(self);
+        Messages { recording, next_place: 0, ahead: BinaryHeap::new(), num_read: 0, has_failed: false }
     }
 
     fn add(&mut self, path: PathBuf) -> Result<(), BagError> {
@@ -112,13 +126,39 @@ impl Recording {
         let kind = match &magic[..] {
             m if m.starts_with(Mcap::MAGIC) => Kind::Mcap,
             m if m.starts_with(Ros1Bag::MAGIC) => Kind::Ros1,
+            m if m.starts_with(sqlite::MAGIC) => Kind::Sqlite,
             _ => return Err(BagError::Unrecognised { path }),
         };
         self.parts.push(Part { path: path.clone(), kind, channels: BTreeMap::new(), schemas: BTreeMap::new() });
         match kind {
             Kind::Mcap => self.walk::<Mcap>(&mut file, &path),
             Kind::Ros1 => self.walk::<Ros1Bag>(&mut file, &path),
+            Kind::Sqlite => self.look(&path),
         }
+    }
+
+    /// Takes in the tables of a file.
+    fn look(&mut self, path: &Path) -> Result<(), BagError> {
+        let sqlite::Tables { topics, ranges, error } = sqlite::look(path).map_err(BagError::sqlite(path))?;
+        if let Some(error) = error {
+            self.warn(path, 0, format!("the table of messages is damaged: {error}; read so far"));
+        }
+        for row in topics {
+            let sqlite::TopicRow { id, name, type_name, encoding, num_messages, span } = row;
+            // Numbers of rows begin at 1; what is beyond 32 bits no recorder has written.
+            let Ok(id) = u32::try_from(id) else { continue };
+            self.learn(Record::Channel { id, schema: 0, topic: name, type_name: Some(type_name), encoding }, &mut 0);
+            let index = self.parts.last().and_then(|part| part.channels.get(&id));
+            if let Some(topic) = index.and_then(|&index| self.topics.get_mut(index)) {
+                topic.num_messages += num_messages;
+                let (first, last) = (span.map(|s| Timestamp(s.0)), span.map(|s| Timestamp(s.1)));
+                topic.first = topic.first.into_iter().chain(first).min();
+                topic.last = topic.last.max(last);
+            }
+        }
+        let part = self.parts.len() - 1;
+        self.places.extend(ranges.into_iter().map(|range| (part, Place::Rows(range))));
+        Ok(())
     }
 
     fn warn(&mut self, path: &Path, byte: u64, what: impl Into<String>) {
@@ -201,7 +241,7 @@ impl Recording {
         }
         if first != i64::MAX {
             block.first = first;
-            self.blocks.push((self.parts.len() - 1, block));
+            self.places.push((self.parts.len() - 1, Place::Block(block)));
         }
         Ok(())
     }
@@ -244,7 +284,7 @@ fn files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     }
     let entries = std::fs::read_dir(path).map_err(&of)?.map(|e| e.map(|e| e.path()));
     let mut files = entries.collect::<Result<Vec<_>, _>>().map_err(&of)?;
-    files.retain(|f| f.extension().is_some_and(|e| e == "mcap" || e == "bag"));
+    files.retain(|f| f.extension().is_some_and(|e| e == "mcap" || e == "bag" || e == "db3"));
     files.sort();
     if files.is_empty() { Err(BagError::Empty { path: path.to_owned() }) } else { Ok(files) }
 }
@@ -266,7 +306,7 @@ fn unpacked(file: &mut File, block: &Block) -> std::io::Result<(Vec<u8>, Option<
 #[derive(Debug)]
 pub struct Messages {
     recording: Arc<Recording>,
-    next_block: usize,
+    next_place: usize,
     /// By time, then by order of reading.
     ahead: BinaryHeap<Reverse<Ahead>>,
     num_read: u64,
@@ -300,25 +340,36 @@ impl Ord for Ahead {
 }
 
 impl Messages {
-    fn load(&mut self, part: &Part, block: &Block) -> Result<(), BagError> {
-        let mut file = File::open(&part.path).map_err(BagError::io(&part.path))?;
-        let (bytes, _) = unpacked(&mut file, block).map_err(BagError::io(&part.path))?;
-        let found = |record: Record<'_>| {
-            if let Record::Message { channel, log_time, publish_time, bytes } = record
-                && let Some(&topic) = part.channels.get(&channel)
-            {
-                let (log_time, publish_time) = (Timestamp(log_time), Timestamp(publish_time));
-                let message = RecordedMessage { topic, log_time, publish_time, bytes: bytes.to_vec() };
-                self.ahead.push(Reverse(Ahead { order: (log_time.0, self.num_read), message }));
-                self.num_read += 1;
+    fn load(&mut self, part: &Part, place: Place) -> Result<(), BagError> {
+        let mut found = |channel: u32, log_time: i64, publish_time: i64, bytes: Vec<u8>| {
+            let Some(&topic) = part.channels.get(&channel) else { return };
+            let (log_time, publish_time) = (Timestamp(log_time), Timestamp(publish_time));
+            let message = RecordedMessage { topic, log_time, publish_time, bytes };
+            self.ahead.push(Reverse(Ahead { order: (log_time.0, self.num_read), message }));
+            self.num_read += 1;
+        };
+        match place {
+            Place::Rows(range) => {
+                let of_row =
+                    |topic: i64, time, bytes| found(u32::try_from(topic).unwrap_or(u32::MAX), time, time, bytes);
+                sqlite::read(&part.path, range, of_row).map_err(BagError::sqlite(&part.path))
             }
-        };
-        // Where it breaks off was told when the recording was opened.
-        let _ = match part.kind {
-            Kind::Mcap => records::<Mcap>(&bytes, found),
-            Kind::Ros1 => records::<Ros1Bag>(&bytes, found),
-        };
-        Ok(())
+            Place::Block(block) => {
+                let mut file = File::open(&part.path).map_err(BagError::io(&part.path))?;
+                let (bytes, _) = unpacked(&mut file, &block).map_err(BagError::io(&part.path))?;
+                let of_record = |record: Record<'_>| {
+                    if let Record::Message { channel, log_time, publish_time, bytes } = record {
+                        found(channel, log_time, publish_time, bytes.to_vec());
+                    }
+                };
+                // Where it breaks off was told when the recording was opened.
+                let _ = match part.kind {
+                    Kind::Ros1 => records::<Ros1Bag>(&bytes, of_record),
+                    Kind::Mcap | Kind::Sqlite => records::<Mcap>(&bytes, of_record),
+                };
+                Ok(())
+            }
+        }
     }
 }
 
@@ -330,13 +381,13 @@ impl Iterator for Messages {
             return None;
         }
         let recording = Arc::clone(&self.recording);
-        while let Some((part, block)) = recording.blocks.get(self.next_block) {
-            if self.ahead.peek().is_some_and(|Reverse(ahead)| ahead.order.0 < block.first) {
+        while let Some(&(part, place)) = recording.places.get(self.next_place) {
+            if self.ahead.peek().is_some_and(|Reverse(ahead)| ahead.order.0 < place.order().0) {
                 break;
             }
-            self.next_block += 1;
-            let part = recording.parts.get(*part)?;
-            if let Err(error) = self.load(part, block) {
+            self.next_place += 1;
+            let part = recording.parts.get(part)?;
+            if let Err(error) = self.load(part, place) {
                 self.has_failed = true;
                 return Some(Err(error));
             }

@@ -12,6 +12,7 @@ percept_recorded::tests! {
     a_bag_with_a_damaged_index_has_all_its_scans: "bags/scan_tools_demo.bag";
     a_bag_of_poses_is_read_to_its_end: "bags/ROS_example.bag";
     a_robots_drive_has_its_odometry_and_transforms: "bags/nav2_turtlebot.mcap";
+    tables_of_transforms_are_read_by_time: "bags/tf_example.db3";
 }
 
 fn topic<'a>(recording: &'a Recording, name: &str) -> (usize, &'a Topic) {
@@ -86,5 +87,23 @@ fn a_robots_drive_has_its_odometry_and_transforms(data: &Path) {
             }
             _ => {}
         }
+    }
+}
+
+fn tables_of_transforms_are_read_by_time(data: &Path) {
+    let recording = Recording::open(&data.join("bags/tf_example.db3")).unwrap();
+    assert_eq!(recording.warnings(), []);
+    let counted: u64 = recording.topics().iter().map(|t| t.num_messages).sum();
+    assert_eq!(counted, 518);
+    let (_, tf) = topic(&recording, "/tf");
+    assert_eq!((tf.type_name.as_str(), tf.encoding.as_str()), ("tf2_msgs/msg/TFMessage", "cdr"));
+    let messages: Vec<_> = recording.messages().map(|m| m.unwrap()).collect();
+    assert!(messages.len() == 518 && messages.is_sorted_by_key(|m| m.log_time));
+    assert_eq!(
+        (messages[0].log_time.0, messages[517].log_time.0),
+        (1_714_741_164_111_822_142, 1_714_741_215_796_545_476)
+    );
+    for message in messages {
+        assert_same_size_and_value(&m::TFMessage::decode(&message.bytes).unwrap(), &message.bytes);
     }
 }

@@ -21,6 +21,7 @@ percept_recorded::tests! {
     ply_of_a_lidar: "registration-small-gicp";
     maps_of_nav2: "planning-ros-maps";
     trajectories: "trajectory-evo", "rgbd-open3d-redwood/trajectory.log";
+    bags_of_ros: "bags";
 }
 
 fn frames(dataset: &Dataset) -> Vec<SensorFrame> {
@@ -269,4 +270,22 @@ fn trajectories(data: &Path) {
     assert_eq!(read("V102.txt")[0].stamp.0, 1_403_715_529_112_143_517);
     let path = data.join("rgbd-open3d-redwood/trajectory.log");
     assert_eq!(trajectory::parse_redwood(&read_file(&path, &Limits::default()).unwrap()).unwrap().len(), 5);
+}
+
+fn bags_of_ros(data: &Path) {
+    let folder = data.join("bags");
+    // Its index is damaged: all 278 scans are there, and nothing tells where the laser sits.
+    let scans = open(&folder.join("scan_tools_demo.bag")).unwrap();
+    assert_eq!((scans.kind, scans.len(), scans.sensors[0].kind), (DatasetKind::Ros, 278, SensorKind::Lidar2d));
+    assert!((scans.duration_s() - 27.6).abs() < 0.2, "{}", scans.duration_s());
+    let SensorData::Scan(first) = frames(&scans).swap_remove(0).data else { panic!() };
+    assert_eq!((first.ranges_m.len(), first.range_max_m as f32), (681, 5.6));
+    assert!((first.angle_increment_rad.to_degrees() - 0.35).abs() < 0.01);
+    // Poses, wheels and transforms alone: refused, with what is there.
+    for (name, topic) in
+        [("nav2_turtlebot.mcap", "/odom"), ("ROS_example.bag", "groundtruth"), ("tf_example.db3", "tf")]
+    {
+        let words = open(&folder.join(name)).unwrap_err().to_string();
+        assert!(words.contains("no topic that poses are found by") && words.contains(topic), "{name}: {words}");
+    }
 }

@@ -83,15 +83,38 @@ fn a_file_that_is_cut_is_read_so_far() {
     assert!(last > 300, "{last}");
 }
 
+#[test]
+fn a_database_without_the_tables_says_so() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    for sql in ["CREATE TABLE topics(id)", "CREATE TABLE topics(id); CREATE VIEW messages AS SELECT 1"] {
+        std::fs::write(file.path(), "").unwrap();
+        rusqlite::Connection::open(file.path()).unwrap().execute_batch(sql).unwrap();
+        let error = Recording::open(file.path()).unwrap_err().to_string();
+        assert!(error.contains("has no tables `topics` and `messages`"), "{error}");
+    }
+}
+
+/// As [`opened`], but for files that are refused, and those whose middle is.
+fn tried(bytes: &[u8]) {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), bytes).unwrap();
+    if let Ok(recording) = Recording::open(file.path()) {
+        let _ = recording.messages().count();
+    }
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig::with_cases(256))]
     #[test]
     fn damaged_bytes_never_panic(
-        kind in 0usize..3, cut in any::<prop::sample::Index>(), hits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
+        kind in 0usize..6, cut in any::<prop::sample::Index>(), hits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
     ) {
         let mut bytes = match kind {
             0 => ros1_bag("none", <[u8]>::to_vec, &[3, 1, 2]),
             1 => ros1_bag("lz4", lz4, &[3, 1, 2]),
+            2 => include_bytes!("../golden/bz2.bag").to_vec(),
+            3 => include_bytes!("../golden/lz4.mcap").to_vec(),
+            4 => include_bytes!("../golden/zstd.mcap").to_vec(),
             _ => {
                 let file = tempfile::NamedTempFile::new().unwrap();
                 write(file.path(), 5, 20);
@@ -106,5 +129,18 @@ proptest! {
         let cut = 13 + cut.index(bytes.len() - 12);
         opened(&bytes[..cut]);
         opened(&bytes);
+    }
+
+    #[test]
+    fn damaged_databases_never_panic(
+        cut in any::<prop::sample::Index>(), hits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..20),
+    ) {
+        let mut bytes = include_bytes!("../golden/zstd_messages.db3").to_vec();
+        for (at, value) in hits {
+            let at = at.index(bytes.len());
+            bytes[at] ^= value;
+        }
+        tried(&bytes);
+        tried(&bytes[..cut.index(bytes.len())]);
     }
 }

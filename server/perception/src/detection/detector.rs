@@ -162,6 +162,19 @@ mod tests {
     }
 
     #[test]
+    fn both_faces_of_a_thin_wall_are_wall_and_what_touches_one_is_a_thing() {
+        // Seen from both rooms, too low to be known as wall by its height. 0.15 m lie between the faces.
+        let faces_of_wall =
+            [0.45, 0.6].map(|y| OrientedBox3::upright(Point3::new(0.0, y, 0.9), Vector3::new(2.4, 0.004, 1.8), 0.0));
+        let thing = OrientedBox3::upright(Point3::new(0.4, 0.85, 0.25), Vector3::new(0.5, 0.45, 0.5), 0.0);
+        let mut points = room();
+        faces_of_wall.iter().chain([&thing]).for_each(|b| faces(b, 0.03, &mut points));
+        let found = detect(points);
+        assert_eq!(found.len(), 1, "{:?}", found.iter().map(|d| d.bbox).collect::<Vec<_>>());
+        assert!(found[0].bbox.iou_upright(&thing) > 0.7, "{:?}", found[0].bbox);
+    }
+
+    #[test]
     fn a_table_top_without_visible_legs_stands_on_the_floor() {
         let top = OrientedBox3::upright(Point3::new(0.0, 0.0, 0.72), Vector3::new(1.2, 0.8, 0.03), 0.0);
         let mut points = room();

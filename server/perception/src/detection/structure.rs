@@ -63,7 +63,8 @@ pub fn find_structure(points: &[Point3<f32>], params: &DetectionParams) -> Resul
     let standing = points.iter().filter(|p| floor.distance(&p.cast()) > params.floor_margin_m);
     let spacing = 2.0 * params.voxel_size_m;
     let coarse = voxel_downsample(&PointCloud::from_positions(standing.copied().collect()), spacing)?.positions;
-    let normals = NormalParams { radius_m: 2.5 * spacing, max_neighbours: 20, min_neighbours: 6 };
+    // Not as far as the other face of a thin wall (0.15 m with the defaults): the two together have no direction.
+    let normals = NormalParams { radius_m: 1.45 * spacing, max_neighbours: 12, min_neighbours: 4 };
     let normals = estimate_normals(&coarse, &normals, None)?;
     Ok(Structure { walls: find_walls(&coarse, &normals, &floor, spacing, params), floor })
 }

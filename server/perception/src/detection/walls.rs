@@ -128,8 +128,12 @@ fn best_plane(points: &[Upright], distance: f64) -> Option<(Vector2<f64>, f64)> 
         }
     }
     let (_, mut normal, mut offset) = best?;
+    let support = |normal: &Vector2<f64>, offset| points.iter().filter(|u| aligned(u, normal, offset)).count();
+    let seeded = support(&normal, offset);
     for _ in 0..4 {
-        let (n, o) = fit_line(points.iter().filter(|u| aligned(u, &normal, offset)).map(|u| u.p))?;
+        let fitted = fit_line(points.iter().filter(|u| aligned(u, &normal, offset)).map(|u| u.p));
+        // What is no wider than thick, a pole, fits a line across itself, which has hardly a point of its direction.
+        let Some((n, o)) = fitted.filter(|(n, o)| 2 * support(n, *o) >= seeded) else { break };
         (normal, offset) = (n, o);
     }
     Some((normal, offset))
