@@ -4,9 +4,9 @@
     pip install rosbags numpy
     tests/golden/record_set.py SET OUT [--storage mcap|sqlite3] [--frames N]
 
-SET is a folder like 7-Scenes (colour as compressed images, depth as 16UC1), a KITTI folder with `velodyne/*.bin`, or a CARMEN log
-(.clf; scans and odometry). OUT is the folder of the rosbag2. `percept replay SET --out a` and `percept replay OUT --out b` should
-write the same trajectory, but for what the stamps of the log are worth.
+SET is a folder like 7-Scenes (colour as compressed images, depth as 16UC1), a KITTI folder with `velodyne/*.bin`, or a
+CARMEN log (.clf; scans and odometry). OUT is the folder of the rosbag2. `percept replay SET --out a` and
+`percept replay OUT --out b` should write the same trajectory, but for what the stamps of the log are worth.
 """
 
 from __future__ import annotations
@@ -57,9 +57,18 @@ def seven_scenes(path: pathlib.Path, recorder: Recorder, num: int) -> None:
         stamp = START_NS + round(number * 1e9 / 30)
         head = header(stamp, "camera_optical_frame")
         info = T["sensor_msgs/msg/CameraInfo"](
-            header=head, height=480, width=640, distortion_model="plumb_bob", d=np.zeros(5), k=k, r=np.eye(3).ravel(),
-            p=p, binning_x=0, binning_y=0, roi=roi,
-        )  # fmt: skip
+            header=head,
+            height=480,
+            width=640,
+            distortion_model="plumb_bob",
+            d=np.zeros(5),
+            k=k,
+            r=np.eye(3).ravel(),
+            p=p,
+            binning_x=0,
+            binning_y=0,
+            roi=roi,
+        )
         packed = np.frombuffer(depth_path.read_bytes(), np.uint8)
         config = np.zeros(12, np.uint8)
         depth = T["sensor_msgs/msg/CompressedImage"](
@@ -78,16 +87,25 @@ def seven_scenes(path: pathlib.Path, recorder: Recorder, num: int) -> None:
 def kitti(path: pathlib.Path, recorder: Recorder, num: int) -> None:
     """Write scans with padding between the points, as drivers do."""
     field = T["sensor_msgs/msg/PointField"]
-    fields = [field(name=n, offset=o, datatype=7, count=1) for n, o in [("x", 0), ("y", 4), ("z", 8), ("intensity", 16)]]
+    fields = [
+        field(name=n, offset=o, datatype=7, count=1) for n, o in [("x", 0), ("y", 4), ("z", 8), ("intensity", 16)]
+    ]
     for i, scan_path in enumerate(sorted((path / "velodyne").glob("*.bin"))[:num]):
         points = np.fromfile(scan_path, np.float32).reshape(-1, 4)
         rows = np.zeros((len(points), 8), np.float32)
         rows[:, :3], rows[:, 4] = points[:, :3], points[:, 3]
         stamp = START_NS + i * 10**8
         cloud = T["sensor_msgs/msg/PointCloud2"](
-            header=header(stamp, "velodyne"), height=1, width=len(points), fields=fields, is_bigendian=False,
-            point_step=32, row_step=32 * len(points), data=rows.view(np.uint8).ravel(), is_dense=True,
-        )  # fmt: skip
+            header=header(stamp, "velodyne"),
+            height=1,
+            width=len(points),
+            fields=fields,
+            is_bigendian=False,
+            point_step=32,
+            row_step=32 * len(points),
+            data=rows.view(np.uint8).ravel(),
+            is_dense=True,
+        )
         recorder.write("/velodyne_points", stamp, cloud)
 
 
@@ -110,19 +128,27 @@ def carmen(path: pathlib.Path, recorder: Recorder, num: int) -> None:
         zero = t["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
         twist = t["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
         odometry = t["nav_msgs/msg/Odometry"](
-            header=header(stamp, "odom"), child_frame_id="base_link",
+            header=header(stamp, "odom"),
+            child_frame_id="base_link",
             pose=t["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
             twist=t["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
-        )  # fmt: skip
+        )
         recorder.write("/odom", stamp, odometry)
         if n:
             scans += 1
             ranges = np.array([float(w) for w in words[2 : 2 + n]], np.float32)
             scan = t["sensor_msgs/msg/LaserScan"](
-                header=header(stamp, "base_link"), angle_min=-np.pi / 2, angle_max=np.pi / 2, angle_increment=np.pi / (n - n % 2),
-                time_increment=0.0, scan_time=0.0, range_min=0.05, range_max=longest,
-                ranges=np.where(ranges >= longest, np.inf, ranges).astype(np.float32), intensities=np.zeros(0, np.float32),
-            )  # fmt: skip
+                header=header(stamp, "base_link"),
+                angle_min=-np.pi / 2,
+                angle_max=np.pi / 2,
+                angle_increment=np.pi / (n - n % 2),
+                time_increment=0.0,
+                scan_time=0.0,
+                range_min=0.05,
+                range_max=longest,
+                ranges=np.where(ranges >= longest, np.inf, ranges).astype(np.float32),
+                intensities=np.zeros(0, np.float32),
+            )
             recorder.write("/scan", stamp, scan)
 
 
