@@ -10,7 +10,7 @@ use percept_ros::messages::{
     CameraInfo, Header, Image, Imu, LaserScan, Odometry, TFMessage, Time, Transform, TransformStamped, Vector3,
 };
 use std::borrow::Cow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 /// A recording on its way to a file.
@@ -68,7 +68,7 @@ fn mounted<'a>(parent: &'a str, child: &'a str, x: f64, z: f64) -> TFMessage<'a>
     TFMessage { transforms: vec![TransformStamped { header: header(0, parent), child_frame_id: child, transform }] }
 }
 
-fn opened(path: &PathBuf, topic: Option<&str>) -> Result<Dataset, FormatError> {
+fn opened(path: &Path, topic: Option<&str>) -> Result<Dataset, FormatError> {
     open_with(path, &OpenOptions { topic: topic.map(str::to_owned), ..OpenOptions::default() })
 }
 

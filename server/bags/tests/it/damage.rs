@@ -3,6 +3,7 @@
 use crate::order::{all, write};
 use percept_bags::Recording;
 use proptest::prelude::*;
+use std::sync::Arc;
 
 /// A ROS 1 bag with one connection and `times` in one chunk, as the format's page has it.
 fn ros1_bag(compression: &str, pack: impl Fn(&[u8]) -> Vec<u8>, times: &[u32]) -> Vec<u8> {
@@ -32,7 +33,7 @@ fn lz4(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-fn opened(bytes: &[u8]) -> Recording {
+fn opened(bytes: &[u8]) -> Arc<Recording> {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
     let recording = Recording::open(file.path()).unwrap();

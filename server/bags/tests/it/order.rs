@@ -4,6 +4,7 @@ use percept_bags::{BagError, RecordedMessage, Recording, Writer};
 use percept_geometry::Timestamp;
 use percept_ros::{Message, messages as m};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Scans and transforms, `n` of each, the transforms one after all scans but logged between them.
 pub(crate) fn write(path: &Path, n: i64, payload: usize) {
@@ -22,7 +23,7 @@ pub(crate) fn write(path: &Path, n: i64, payload: usize) {
     writer.finish().unwrap();
 }
 
-pub(crate) fn all(recording: &Recording) -> Vec<RecordedMessage> {
+pub(crate) fn all(recording: &Arc<Recording>) -> Vec<RecordedMessage> {
     recording.messages().map(|m| m.unwrap()).collect()
 }
 
