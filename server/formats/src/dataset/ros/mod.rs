@@ -34,6 +34,8 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, Format
     let primary = primary(&survey, options)?;
     let topic = &survey.topics[primary];
     let partner = if options.depth_only { None } else { partner(&survey, primary) };
+    // Clocks that are apart leave no pair: depth alone is a recording, too.
+    let partner = partner.filter(|color| !pairs(&topic.stamps, &survey.topics[*color].stamps).is_empty());
     let base = base_frame(&survey, options);
     let base_name = base.clone().unwrap_or_default();
     let mount =
