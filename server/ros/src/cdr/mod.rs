@@ -106,6 +106,17 @@ pub trait Message<'a>: Wire<'a> {
         read().map_err(|e: DecodeError| e.in_message(Self::TYPE_NAME))
     }
 
+    /// From bytes of either generation.
+    ///
+    /// # Errors
+    /// Any [`Fault`], with field and byte.
+    fn decode_as(encoding: Encoding, bytes: &'a [u8]) -> Result<Self, DecodeError> {
+        match encoding {
+            Encoding::Ros1 => Self::decode_ros1(bytes),
+            Encoding::CdrLittleEndian | Encoding::CdrBigEndian => Self::decode(bytes),
+        }
+    }
+
     /// As CDR, little endian.
     ///
     /// # Errors

@@ -1,13 +1,11 @@
 //! Messages as frames, read when they are asked for.
 
-use super::survey::{Content, Topic, decode, sensor_id};
+use super::survey::Recorded;
 use crate::dataset::frames::Load;
 use crate::{FormatError, Limits};
 use percept_bags::{Messages, Recording};
-use percept_geometry::{DepthImage, RgbImage, SensorData, SensorId};
-use percept_ros::cdr::Encoding;
-use percept_ros::convert;
-use percept_ros::messages::{CompressedImage, Image, LaserScan, PointCloud2};
+use percept_geometry::{SensorData, SensorId};
+use percept_ros::readings;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -24,7 +22,7 @@ pub(super) enum Pictures {
 #[derive(Debug)]
 pub(super) struct Loader {
     recording: Arc<Recording>,
-    topic: Topic,
+    recorded: Recorded,
     index: usize,
     pictures: Pictures,
     limits: Limits,
@@ -44,13 +42,13 @@ struct Cursor {
 impl Loader {
     pub(super) fn new(
         recording: Arc<Recording>,
-        topic: Topic,
+        recorded: Recorded,
         index: usize,
         pictures: Pictures,
         limits: Limits,
     ) -> Self {
-        let topic = Topic { stamps: vec![], samples: vec![], ..topic };
-        Self { recording, topic, index, pictures, limits, cursor: Mutex::new(None) }
+        let recorded = Recorded { stamps: vec![], samples: vec![], ..recorded };
+        Self { recording, recorded, index, pictures, limits, cursor: Mutex::new(None) }
     }
 
     /// The bytes of the messages that make frame `index`.
@@ -102,57 +100,21 @@ impl Loader {
         Ok((taken, beside))
     }
 
-    fn depth(&self, data: &[u8], encoding: Encoding, compressed: bool) -> Result<DepthImage, FormatError> {
-        let fail = |reason: String| self.fail(reason);
-        if compressed {
-            let message: CompressedImage<'_> = decode(encoding, data).map_err(|e| fail(e.to_string()))?;
-            return convert::compressed_depth(&message, self.limits.max_pixels).map_err(|e| fail(e.to_string()));
-        }
-        let message: Image<'_> = decode(encoding, data).map_err(|e| fail(e.to_string()))?;
-        convert::depth(&message).map_err(|e| fail(e.to_string()))
-    }
-
-    fn color(&self, data: &[u8], encoding: Encoding) -> Result<RgbImage, FormatError> {
-        let fail = |reason: String| self.fail(reason);
-        // Which of the two it is, its length tells: a reader that is wrong fails at once.
-        if let Ok(message) = decode::<Image<'_>>(encoding, data) {
-            return convert::color(&message).map_err(|e| fail(e.to_string()));
-        }
-        let message: CompressedImage<'_> = decode(encoding, data).map_err(|e| fail(e.to_string()))?;
-        convert::compressed_color(&message, self.limits.max_pixels).map_err(|e| fail(e.to_string()))
-    }
-
     fn fail(&self, reason: impl Into<String>) -> FormatError {
-        FormatError::Recording { reason: format!("{}: {}", self.topic.name, reason.into()) }
+        FormatError::Recording { reason: format!("{}: {}", self.recorded.topic.name, reason.into()) }
     }
 }
 
 impl Load for Loader {
     fn sensor(&self) -> SensorId {
-        sensor_id(&self.topic.name)
+        self.recorded.topic.sensor_id()
     }
 
     fn load(&self, index: usize) -> Result<SensorData, FormatError> {
-        let encoding = self.topic.encoding.ok_or_else(|| self.fail("its encoding is not known"))?;
+        let encoding = self.recorded.encoding.ok_or_else(|| self.fail("its encoding is not known"))?;
         let (data, color) = self.bytes(index)?;
-        let words = |e: &dyn std::fmt::Display| self.fail(e.to_string());
-        match &self.topic.content {
-            Content::Scan => {
-                let message: LaserScan<'_> = decode(encoding, &data).map_err(|e| words(&e))?;
-                Ok(SensorData::Scan(convert::scan(&message).map_err(|e| words(&e))?))
-            }
-            Content::Cloud => {
-                let message: PointCloud2<'_> = decode(encoding, &data).map_err(|e| words(&e))?;
-                Ok(SensorData::Cloud(convert::cloud(&message, None).map_err(|e| words(&e))?.cloud))
-            }
-            Content::Depth { compressed, .. } => {
-                let depth = self.depth(&data, encoding, *compressed)?;
-                match color {
-                    Some(color) => Ok(SensorData::Rgbd(depth, self.color(&color, encoding)?)),
-                    None => Ok(SensorData::Depth(depth)),
-                }
-            }
-            _ => Ok(SensorData::Camera(self.color(&data, encoding)?)),
-        }
+        let (content, max_pixels) = (&self.recorded.topic.content, self.limits.max_pixels);
+        let reading = readings::reading(content, encoding, &data, color.as_deref(), max_pixels);
+        reading.map(|r| r.data).map_err(|e| self.fail(e.to_string()))
     }
 }

@@ -3,52 +3,24 @@
 use crate::FormatError;
 use percept_bags::Recording;
 use percept_geometry::sensor::OdometrySample;
-use percept_geometry::{CameraIntrinsics, Pose, SensorData, SensorFrame, SensorId, Timestamp};
+use percept_geometry::{Pose, SensorData, SensorFrame, Timestamp};
 use percept_ros::cdr::Encoding;
 use percept_ros::convert;
 use percept_ros::messages::{
     CameraInfo, CompressedImage, Header, Image, Imu, LaserScan, Odometry, PointCloud2, TFMessage,
 };
+use percept_ros::topics::{Content, Topic, sensor_id};
 use percept_ros::{DecodeError, FrameTree, Message};
 use std::sync::Arc;
 
-/// What one topic is for.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) enum Content {
-    /// A planar lidar's.
-    Scan,
-    /// A lidar's, or a depth camera's if its frame is one.
-    Cloud,
-    /// Depth images.
-    Depth { compressed: bool, size: Option<(usize, usize)> },
-    /// Colour images, or grey ones.
-    Color { compressed: bool, size: Option<(usize, usize)> },
-    /// Calibration of the images beside it.
-    Calibration { raw: Option<CameraIntrinsics>, rectified: Option<CameraIntrinsics> },
-    /// Inertial samples.
-    Imu,
-    /// Wheels, or what a robot made of them.
-    Odometry,
-    /// Transforms.
-    Transforms,
-    /// Nothing that is used.
-    Other,
-}
-
-/// A topic, and what its messages say.
+/// A topic as it was recorded.
 #[derive(Debug, Clone)]
-pub(super) struct Topic {
-    pub(super) name: String,
-    pub(super) type_name: String,
+pub(super) struct Recorded {
+    pub(super) topic: Topic,
     pub(super) encoding: Option<Encoding>,
-    pub(super) content: Content,
     pub(super) count: usize,
     /// Of each message that can be a frame, in the order of the recording.
     pub(super) stamps: Vec<Timestamp>,
-    /// Of the first message.
-    pub(super) frame_id: String,
-    /// Of odometry: the frame that moves.
-    pub(super) child_frame_id: String,
     /// Samples of wheels and inertial sensors.
     pub(super) samples: Vec<SensorFrame>,
     /// Messages that cannot be read, and why the first cannot.
@@ -59,7 +31,7 @@ pub(super) struct Topic {
 /// All topics, and how frames lie to each other.
 #[derive(Debug, Clone)]
 pub(super) struct Survey {
-    pub(super) topics: Vec<Topic>,
+    pub(super) topics: Vec<Recorded>,
     pub(super) frames: FrameTree,
     /// Where the robot was in `odom`, by transforms: of a robot that publishes no odometry.
     pub(super) t_odom_base: Vec<(Timestamp, String, Pose)>,
@@ -70,19 +42,15 @@ pub(super) struct Survey {
 impl Survey {
     /// Walks through a recording.
     pub(super) fn of(recording: &Arc<Recording>) -> Result<Self, FormatError> {
-        let topics = recording.topics().iter().map(|t| Topic {
-            name: t.name.clone(),
-            type_name: t.type_name.clone(),
+        let topics = recording.topics().iter().map(|t| Recorded {
+            topic: Topic::new(&t.name, &t.type_name),
             encoding: match t.encoding.as_str() {
                 "cdr" => Some(Encoding::CdrLittleEndian),
                 "ros1" => Some(Encoding::Ros1),
                 _ => None,
             },
-            content: content_of(&t.type_name),
             count: 0,
             stamps: vec![],
-            frame_id: String::new(),
-            child_frame_id: String::new(),
             samples: vec![],
             num_unreadable: 0,
             fault: None,
@@ -98,48 +66,22 @@ impl Survey {
     }
 
     fn take(&mut self, topic: usize, log_time: Timestamp, data: &[u8]) {
-        let Some(topic) = self.topics.get_mut(topic) else { return };
-        topic.count += 1;
-        let Some(encoding) = topic.encoding else { return };
-        if let Err(reason) = read(topic, encoding, log_time, data, &mut self.frames, &mut self.t_odom_base) {
-            topic.num_unreadable += 1;
-            topic.fault.get_or_insert(reason);
+        let Some(recorded) = self.topics.get_mut(topic) else { return };
+        recorded.count += 1;
+        let Some(encoding) = recorded.encoding else { return };
+        if let Err(reason) = read(recorded, encoding, log_time, data, &mut self.frames, &mut self.t_odom_base) {
+            recorded.num_unreadable += 1;
+            recorded.fault.get_or_insert(reason);
             // So that the count of messages stays that of stamps.
-            if is_sensing(&topic.content) {
-                topic.stamps.push(log_time);
+            if recorded.topic.content.is_sensing() {
+                recorded.stamps.push(log_time);
             }
         }
     }
 }
 
-/// Whether its messages can be frames that poses are found by.
-pub(super) fn is_sensing(content: &Content) -> bool {
-    matches!(content, Content::Scan | Content::Cloud | Content::Depth { .. } | Content::Color { .. })
-}
-
-fn content_of(type_name: &str) -> Content {
-    let name = type_name.rsplit('/').next().unwrap_or_default();
-    match (type_name.split('/').next().unwrap_or_default(), name) {
-        ("sensor_msgs", "LaserScan") => Content::Scan,
-        ("sensor_msgs", "PointCloud2") => Content::Cloud,
-        // Until the first message tells which.
-        ("sensor_msgs", "Image") => Content::Color { compressed: false, size: None },
-        ("sensor_msgs", "CompressedImage") => Content::Color { compressed: true, size: None },
-        ("sensor_msgs", "CameraInfo") => Content::Calibration { raw: None, rectified: None },
-        ("sensor_msgs", "Imu") => Content::Imu,
-        ("nav_msgs", "Odometry") => Content::Odometry,
-        ("tf2_msgs" | "tf", "TFMessage" | "tfMessage") => Content::Transforms,
-        _ => Content::Other,
-    }
-}
-
-/// A message of either generation of ROS.
-pub(super) fn decode<'a, M: Message<'a>>(encoding: Encoding, data: &'a [u8]) -> Result<M, DecodeError> {
-    if encoding == Encoding::Ros1 { M::decode_ros1(data) } else { M::decode(data) }
-}
-
 fn read(
-    topic: &mut Topic,
+    recorded: &mut Recorded,
     encoding: Encoding,
     log_time: Timestamp,
     data: &[u8],
@@ -147,54 +89,42 @@ fn read(
     t_odom_base: &mut Vec<(Timestamp, String, Pose)>,
 ) -> Result<(), String> {
     let words = |e: DecodeError| e.to_string();
-    match &mut topic.content {
+    match recorded.topic.content.clone() {
         Content::Scan => {
-            let message: LaserScan<'_> = decode(encoding, data).map_err(words)?;
-            note(topic, &message.header, log_time);
+            let message = LaserScan::decode_as(encoding, data).map_err(words)?;
+            note(recorded, &message.header, log_time);
         }
         Content::Cloud => {
-            let message: PointCloud2<'_> = decode(encoding, data).map_err(words)?;
-            note(topic, &message.header, log_time);
+            let message = PointCloud2::decode_as(encoding, data).map_err(words)?;
+            note(recorded, &message.header, log_time);
         }
         Content::Depth { compressed: false, .. } | Content::Color { compressed: false, .. } => {
-            let message: Image<'_> = decode(encoding, data).map_err(words)?;
-            let size = Some((message.width as usize, message.height as usize));
-            let is_depth = matches!(message.encoding, "16UC1" | "32FC1" | "mono16");
-            topic.content = if is_depth {
-                Content::Depth { compressed: false, size }
-            } else {
-                Content::Color { compressed: false, size }
-            };
-            note(topic, &message.header, log_time);
+            let message = Image::decode_as(encoding, data).map_err(words)?;
+            recorded.topic.note_image(&message);
+            note(recorded, &message.header, log_time);
         }
         Content::Depth { .. } | Content::Color { .. } => {
-            let message: CompressedImage<'_> = decode(encoding, data).map_err(words)?;
-            if message.format.contains("compressedDepth") {
-                topic.content = Content::Depth { compressed: true, size: None };
-            }
-            note(topic, &message.header, log_time);
+            let message = CompressedImage::decode_as(encoding, data).map_err(words)?;
+            recorded.topic.note_compressed(&message);
+            note(recorded, &message.header, log_time);
         }
-        Content::Calibration { raw, rectified } => {
-            let message: CameraInfo<'_> = decode(encoding, data).map_err(words)?;
-            if raw.is_none() {
-                *raw = convert::intrinsics(&message).ok();
-                *rectified = convert::rectified_intrinsics(&message).ok();
-                topic.frame_id = message.header.frame_id.to_owned();
-            }
+        Content::Calibration { .. } => {
+            let message = CameraInfo::decode_as(encoding, data).map_err(words)?;
+            recorded.topic.note_calibration(&message);
         }
         Content::Imu => {
-            let message: Imu<'_> = decode(encoding, data).map_err(words)?;
+            let message = Imu::decode_as(encoding, data).map_err(words)?;
             let sample = convert::imu(&message).map_err(|e| e.to_string())?;
-            keep(topic, &message.header, log_time, SensorData::Imu(sample));
+            keep(recorded, &message.header, log_time, SensorData::Imu(sample));
         }
         Content::Odometry => {
-            let message: Odometry<'_> = decode(encoding, data).map_err(words)?;
+            let message = Odometry::decode_as(encoding, data).map_err(words)?;
             let sample = convert::odometry(&message).map_err(|e| e.to_string())?;
-            message.child_frame_id.clone_into(&mut topic.child_frame_id);
-            keep(topic, &message.header, log_time, SensorData::Odometry(sample));
+            message.child_frame_id.clone_into(&mut recorded.topic.child_frame_id);
+            keep(recorded, &message.header, log_time, SensorData::Odometry(sample));
         }
         Content::Transforms => {
-            let message: TFMessage<'_> = decode(encoding, data).map_err(words)?;
+            let message = TFMessage::decode_as(encoding, data).map_err(words)?;
             for t in message.transforms.iter().filter(|t| t.header.frame_id.trim_start_matches('/') == "odom") {
                 if let Ok(pose) = convert::transform(&t.transform) {
                     let child = t.child_frame_id.trim_start_matches('/').to_owned();
@@ -214,26 +144,15 @@ fn stamp(header: &Header<'_>, log_time: Timestamp) -> Timestamp {
     if stamp.0 == 0 { log_time } else { stamp }
 }
 
-fn note(topic: &mut Topic, header: &Header<'_>, log_time: Timestamp) {
-    if topic.frame_id.is_empty() {
-        header.frame_id.clone_into(&mut topic.frame_id);
-    }
-    topic.stamps.push(stamp(header, log_time));
+fn note(recorded: &mut Recorded, header: &Header<'_>, log_time: Timestamp) {
+    recorded.topic.note(header);
+    recorded.stamps.push(stamp(header, log_time));
 }
 
-fn keep(topic: &mut Topic, header: &Header<'_>, log_time: Timestamp, data: SensorData) {
-    if topic.frame_id.is_empty() {
-        header.frame_id.clone_into(&mut topic.frame_id);
-    }
-    topic.samples.push(SensorFrame { sensor: sensor_id(&topic.name), stamp: stamp(header, log_time), data });
-}
-
-/// A topic as the id of a sensor: `/front/scan` is `front_scan`.
-pub(super) fn sensor_id(topic: &str) -> SensorId {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-';
-    let name: String =
-        topic.trim_start_matches('/').chars().map(|c| if is_plain(c) { c } else { '_' }).take(64).collect();
-    SensorId(if name.is_empty() { "sensor".to_owned() } else { name })
+fn keep(recorded: &mut Recorded, header: &Header<'_>, log_time: Timestamp, data: SensorData) {
+    recorded.topic.note(header);
+    let (sensor, stamp) = (recorded.topic.sensor_id(), stamp(header, log_time));
+    recorded.samples.push(SensorFrame { sensor, stamp, data });
 }
 
 /// Where the robot was by transforms alone, as samples of odometry.
