@@ -21,6 +21,21 @@ def test_a_pose_survives_its_matrix():
         assert np.linalg.norm(again.rotation) == pytest.approx(1)
 
 
+def test_poses_compose_and_invert_as_their_matrices_do():
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        a, b, points = random_pose(rng), random_pose(rng), rng.normal(size=(5, 3))
+        assert np.allclose((a @ b).matrix, a.matrix @ b.matrix, atol=1e-12)
+        assert np.allclose(a.inverse().matrix, np.linalg.inv(a.matrix), atol=1e-12)
+        moved = points @ a.matrix[:3, :3].T + a.matrix[:3, 3]
+        assert np.allclose(a.apply(points), moved, atol=1e-12)
+        assert np.allclose(a.apply(points[0]), moved[0], atol=1e-12)
+    with pytest.raises(InvalidArgument, match="shape"):
+        Pose().apply(np.zeros((4, 4)))
+    with pytest.raises(TypeError):
+        Pose() @ np.eye(4)
+
+
 def test_half_turns_about_each_axis_survive():
     for axis in np.eye(3):
         turn = 2 * np.outer(axis, axis) - np.eye(3)
@@ -116,3 +131,19 @@ def test_a_scan_is_float32():
 def test_everything_exported_exists():
     for name in percept.__all__:
         assert hasattr(percept, name), name
+
+
+def test_a_part_of_a_cloud_keeps_its_channels():
+    points = np.arange(12, dtype=np.float32).reshape(4, 3)
+    colours = np.arange(12, dtype=np.uint8).reshape(4, 3)
+    cloud = PointCloud(points, colours=colours)
+    mask = points[:, 2] > 3
+    for chosen in (mask, [1, 2, 3], slice(1, None), np.array([-3, -2, -1])):
+        part = cloud[chosen]
+        assert np.array_equal(part.points, points[1:])
+        assert np.array_equal(part.colours, colours[1:])
+        assert part.normals is None
+    assert len(cloud[np.zeros(4, bool)]) == len(cloud[[]]) == 0
+    for wrong in (np.ones(3, bool), np.array([4]), np.array([[0]]), np.array([0.5])):
+        with pytest.raises(InvalidArgument):
+            cloud[wrong]

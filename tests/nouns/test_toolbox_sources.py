@@ -137,3 +137,22 @@ def test_no_point_is_lost_between_parts(client, count):
     cloud = PointCloud(points, colours=np.full((count, 3), 7, np.uint8))
     assert client.toolbox.remove_non_finite(cloud) == cloud
     assert client.toolbox.decode_cloud(client.toolbox.encode_cloud(cloud, "pcd")).cloud == cloud
+
+
+def test_a_cloud_is_read_from_a_file_and_written_to_one(client, cloud, tmp_path):
+    toolbox = client.toolbox
+    for ending in ("ply", "pcd", "laz", "xyz", "bin"):
+        path = tmp_path / f"cloud.{ending}"
+        toolbox.write_cloud(cloud, path)
+        read = toolbox.read_cloud(path)
+        assert np.abs(read.points - cloud.points).max() < 1e-3, ending
+        near = read[read.points[:, 2] < 0.5]
+        assert 0 < near.num_points < read.num_points
+    far = tmp_path / "far.txt"
+    far.write_text("500123.456 5400000.001 12.5\n500124.457 5400001.002 13.5\n")
+    with pytest.warns(UserWarning, match="relative to"):
+        assert toolbox.read_cloud(far).num_points == 2
+    with pytest.raises(InvalidArgument, match="end it in one of"):
+        toolbox.write_cloud(cloud, tmp_path / "cloud.stl")
+    with pytest.raises(InvalidArgument, match="hello world"):
+        toolbox.decode_cloud(b"hello world")

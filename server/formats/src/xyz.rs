@@ -28,9 +28,11 @@ pub fn decode(bytes: &[u8], limits: &Limits) -> Result<(PointCloud, [f64; 3]), F
     let mut rows: Vec<[f64; 3]> = vec![];
     let mut rest: Vec<f32> = vec![];
     let mut columns = 0;
+    let mut heading = None;
     for line in Lines::new(FORMAT, bytes).contents().filter(|l| !l.bytes.trim_ascii_start().starts_with(b"//")) {
         let mut row = [0.0; MAX_COLUMNS];
-        if columns == 0 && is_heading(&line) {
+        if columns == 0 && heading.is_none() && is_heading(&line) {
+            heading = Some(line);
             continue;
         }
         let found = numbers(&line, &mut row)?;
@@ -43,6 +45,12 @@ pub fn decode(bytes: &[u8], limits: &Limits) -> Result<(PointCloud, [f64; 3]), F
         limits.points(rows.len() as u64 + 1)?;
         rows.push([row[0], row[1], row[2]]);
         rest.extend(row[3..columns].iter().map(|&v| v as f32));
+    }
+    // A table without rows is an empty cloud; words are none.
+    if rows.is_empty()
+        && let Some(words) = heading.filter(|h| !tokens(h).any(|t| t.eq_ignore_ascii_case(b"x")))
+    {
+        return Err(words.malformed("row", words.bytes, "numbers: x y z, and what else is known of a point"));
     }
     let origin = origin(&rows);
     let local = |p: &[f64; 3]| Point3::from([0, 1, 2].map(|k| (p[k] - origin[k]) as f32));
@@ -172,6 +180,11 @@ mod tests {
     fn errors_name_the_line() {
         assert_eq!(read("1 2 3\n1 2 drei\n").unwrap_err().to_string(), "XYZ, line 2: row is 'drei', expected a number");
         assert!(matches!(read("1 2 3\n1 2\n"), Err(FormatError::Malformed { .. })));
+        let words = "XYZ, line 1: row is 'hello world', expected numbers: x y z, and what else is known of a point";
+        assert_eq!(read("hello world").unwrap_err().to_string(), words);
+        assert!(matches!(read("dear all,\nwords in two lines\n1 2 3\n"), Err(FormatError::Malformed { .. })));
+        // A table without rows.
+        assert_eq!(read("X, Y, Z, intensity\n").unwrap().0.len(), 0);
         assert!(matches!(read("1 2\n"), Err(FormatError::Unsupported { .. })));
         let tight = Limits { max_points: 1, ..Limits::default() };
         assert!(matches!(decode(b"1 2 3\n1 2 3\n", &tight), Err(FormatError::TooLarge { .. })));

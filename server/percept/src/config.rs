@@ -10,6 +10,7 @@ mod error;
 mod origin;
 
 use crate::detectors::Detectors;
+use crate::doors::ros2::Ros2;
 pub(crate) use check::is_loopback;
 pub(crate) use error::ConfigError;
 use origin::Origins;
@@ -28,6 +29,8 @@ pub(crate) const TEMPLATE: &str = include_str!("../../../deploy/percept.toml");
 pub(crate) struct Config {
     /// Addresses of the doors.
     pub listen: Listen,
+    /// Robots on ROS 2.
+    pub ros2: Ros2,
     /// Who may call, and what they may do.
     pub auth: AuthSettings,
     /// Encryption of the doors.

@@ -109,9 +109,7 @@ mod tests {
         let header = Header::new(Time { sec: 5, nanosec: 7 }, "optical");
         let bytes = |encoding, step, data: Vec<u8>| {
             let (height, width) = (1, 2);
-            Image { header: header.clone(), height, width, encoding, is_bigendian: 0, step, data: data.into() }
-                .encode()
-                .unwrap()
+            Image { header, height, width, encoding, is_bigendian: 0, step, data: data.into() }.encode().unwrap()
         };
         let depth = bytes("16UC1", 4, vec![0xe8, 3, 0, 0]);
         let color = bytes("rgb8", 6, vec![1, 2, 3, 4, 5, 6]);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +22,9 @@ def _identity_rotation() -> Floats:
 @dataclass(frozen=True, eq=False, repr=False)
 class Pose(Value):
     """A rigid transform. Its name, where it is a field, says from where to where."""
+
+    # A matrix beside `@` is a mistake: the product would be an array of poses.
+    __array_ufunc__ = None
 
     #: Metres, (3,) float64.
     translation: Floats = field(default_factory=lambda: np.zeros(3))
@@ -60,6 +64,37 @@ class Pose(Value):
         """Upright, heading yaw_rad about z."""
         half = yaw_rad / 2
         return cls(np.array([x_m, y_m, z_m]), np.array([0.0, 0.0, np.sin(half), np.cos(half)]))
+
+    def inverse(self) -> Pose:
+        """The way back: `t_a_b.inverse()` is `t_b_a`."""
+        rotation = self.rotation * np.array([-1.0, -1.0, -1.0, 1.0])
+        return Pose(-(rotation_matrices(rotation[None])[0] @ self.translation), rotation)
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """One after the other: `t_a_b @ t_b_c` is `t_a_c`."""
+        if not isinstance(other, Pose):
+            return NotImplemented
+        (ax, ay, az), aw = self.rotation[:3], self.rotation[3]
+        (bx, by, bz), bw = other.rotation[:3], other.rotation[3]
+        rotation = np.array(
+            [
+                aw * bx + ax * bw + ay * bz - az * by,
+                aw * by - ax * bz + ay * bw + az * bx,
+                aw * bz + ax * by - ay * bx + az * bw,
+                aw * bw - ax * bx - ay * by - az * bz,
+            ]
+        )
+        turned = rotation_matrices(self.rotation[None])[0] @ other.translation
+        return Pose(self.translation + turned, rotation / np.linalg.norm(rotation))
+
+    def apply(self, points: Array) -> Floats:
+        """(N, 3) or (3,) points, metres, of frame b in frame a, where this is `t_a_b`; float64."""
+        p = np.asarray(points, dtype=np.float64)
+        if p.ndim not in (1, 2) or p.shape[-1] != 3:
+            message = f"points has the shape {p.shape}; give (N, 3) or (3,)"
+            raise InvalidArgument(message, reason="ARRAY_INVALID", field="points")
+        moved: Floats = p @ rotation_matrices(self.rotation[None])[0].T + self.translation
+        return moved
 
 
 def rotation_matrices(quaternions: Floats) -> Floats:
@@ -175,3 +210,27 @@ class PointCloud(Value):
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def __getitem__(self, chosen: Array | slice | Sequence[int]) -> PointCloud:
+        """Some of the points with all their channels: by a mask (N,) of bool, by indices, or by a slice."""
+        index = chosen if isinstance(chosen, slice) else np.asarray(chosen)
+        if not isinstance(index, slice) and index.shape == (0,):
+            index = index.astype(np.int64)
+        if not isinstance(index, slice):
+            is_mask = index.dtype == bool
+            if index.ndim != 1 or (is_mask and len(index) != len(self)) or index.dtype.kind not in "biu":
+                wanted = f"a mask of bool ({len(self)},), indices (M,) or a slice"
+                message = f"chosen is {index.dtype} {index.shape}; give {wanted}"
+                raise InvalidArgument(message, reason="ARRAY_INVALID", field="chosen")
+            if not is_mask and index.size and not -len(self) <= index.min() <= index.max() < len(self):
+                message = f"chosen holds {index.min()} to {index.max()}, and there are {len(self)} points"
+                raise InvalidArgument(message, reason="OUT_OF_RANGE", field="chosen")
+        channels = (self.colours, self.intensities, self.normals, self.time_offsets_s)
+        colours, intensities, normals, times = (None if c is None else c[index] for c in channels)
+        return PointCloud(
+            self.points[index],
+            colours=colours,
+            intensities=intensities,
+            normals=normals,
+            time_offsets_s=times,
+        )

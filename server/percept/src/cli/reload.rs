@@ -22,6 +22,7 @@ pub(super) fn waits_for_restart(before: &Config, now: &Config) -> Vec<&'static s
     let telemetry = crate::config::Telemetry { access_log: before.telemetry.access_log, ..now.telemetry.clone() };
     let changed = [
         ("listen", before.listen != now.listen),
+        ("ros2", before.ros2 != now.ros2),
         ("auth", before.auth != auth),
         ("tls", before.tls != now.tls),
         ("storage", before.storage != now.storage),
@@ -29,6 +30,7 @@ pub(super) fn waits_for_restart(before: &Config, now: &Config) -> Vec<&'static s
         ("limits", before.limits != now.limits),
         ("log", before.log != log),
         ("telemetry", before.telemetry != telemetry),
+        ("detectors", before.detectors != now.detectors),
         ("params", before.params != now.params),
     ];
     changed.into_iter().filter(|(_, is_changed)| *is_changed).map(|(section, _)| section).collect()

@@ -10,7 +10,7 @@ use crate::doors::grpc::Api;
 use crate::doors::identify::Gate;
 use crate::doors::listener::tls::Tls;
 use crate::doors::listener::{Listener, Protocol, Shared, files};
-use crate::doors::{grpc, rest, zenoh, zenoh::ZenohDoor};
+use crate::doors::{grpc, rest, ros2, zenoh, zenoh::ZenohDoor};
 use crate::storage::{self, StorageThreads};
 use percept_identity::{AuthMode, AuthSettings, Authenticator};
 use percept_service::{About, Admission, ComputePool, ComputeThreads, Guarded, HEALTHY, Part, Service};
@@ -55,9 +55,18 @@ pub(crate) struct ServeArgs {
     /// Endpoint of the zenoh door, e.g. tcp/127.0.0.1:7447; empty closes it.
     #[arg(long)]
     zenoh: Option<String>,
+    /// A robot on ROS 2 (rmw_zenoh): SESSION=ENDPOINT, where ENDPOINT is its zenoh router, e.g.
+    /// robot-7=tcp/10.0.0.7:7447. Again for more; the configuration says more of each.
+    #[arg(long, value_name = "SESSION=ENDPOINT", value_parser = robot)]
+    ros2: Vec<ros2::Robot>,
     /// Threads for computing; 0 takes all cores.
     #[arg(long)]
     threads: Option<usize>,
+}
+
+fn robot(text: &str) -> Result<ros2::Robot, String> {
+    let (session, connect) = text.split_once('=').ok_or("write SESSION=ENDPOINT, such as robot-7=tcp/10.0.0.7:7447")?;
+    Ok(ros2::Robot { session: session.to_owned(), connect: connect.to_owned(), ..ros2::Robot::default() })
 }
 
 impl ServeArgs {
@@ -72,6 +81,7 @@ impl ServeArgs {
         set(&mut config.listen.grpc, self.grpc);
         set(&mut config.listen.rest, self.rest);
         set(&mut config.listen.zenoh, self.zenoh);
+        config.ros2.robots.extend(self.ros2);
         self.place.lay_over(&mut config.storage);
         if let Some(threads) = self.threads {
             config.compute.threads = threads;
@@ -170,6 +180,9 @@ impl Running {
             let door = ZenohDoor::open(&api, &config.listen.zenoh, asked, &config.tls).await?;
             addresses.zenoh = config.listen.zenoh.clone();
             doors.spawn(door.serve(api.clone()));
+        }
+        if !config.ros2.robots.is_empty() {
+            doors.spawn(ros2::serve(api.clone(), config.ros2.clone()));
         }
         if let Some(tls) = tls.clone() {
             tokio::spawn(async move { tls.follow().await });

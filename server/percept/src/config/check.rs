@@ -12,6 +12,10 @@ use std::path::Path;
 /// `OutOfBounds`, the first one.
 pub(super) fn all(config: &Config) -> Result<(), ConfigError> {
     check_listen(&config.listen)?;
+    let takes_anybody = config.auth.allow_anonymous_beyond_loopback;
+    if let Some((field, value, remedy)) = config.ros2.complaint(takes_anybody) {
+        return Err(out_of_bounds(&field, value, remedy));
+    }
     check_auth(&config.auth, &config.listen)?;
     check_tls(&config.tls, &config.listen)?;
     check_certificates(&config.auth, &config.tls)?;

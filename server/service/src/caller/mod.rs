@@ -95,6 +95,11 @@ impl Caller {
         self.service.limits()
     }
 
+    /// Which of many alike faults are told in the log.
+    pub fn faults(&self) -> &RateLimitedLog {
+        &self.service.faults
+    }
+
     /// Encodes an answer, or does other work for a question about a session, on the threads for that.
     ///
     /// # Errors

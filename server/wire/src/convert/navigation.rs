@@ -257,7 +257,11 @@ pub(super) fn outcome_to(outcome: &PlanOutcome, object: Option<ObjectId>) -> std
     }
 }
 
-pub(super) fn planned_to(plan: &Plan) -> std::result::Result<v1::Path, v1::NoPath> {
+/// The path of a plan, or why there is none, as messages.
+///
+/// # Errors
+/// There is none.
+pub fn planned_to(plan: &Plan) -> std::result::Result<v1::Path, v1::NoPath> {
     match &plan.outcome {
         Some(outcome) => outcome_to(outcome, plan.object),
         None => Err(no_path_to(None, None)),

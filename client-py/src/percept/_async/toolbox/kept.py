@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 
 from ..._convert.toolbox import kept as convert
@@ -50,6 +51,26 @@ class AsyncKept(AsyncBound):
     ) -> DecodedCloud:
         """A cloud's file to points; the format is told by the content if it is not said."""
         return await self._transport.call(convert.decode_cloud(data, file_format))
+
+    async def read_cloud(
+        self, path: str | os.PathLike[str], *, file_format: CloudFormat | str | None = None
+    ) -> PointCloud:
+        """The cloud of a file on this machine: PLY, PCD, LAS, LAZ, text, KITTI's .bin. Warns if its positions
+        are relative to an origin, which decode_cloud tells, since float32 would spoil them."""
+        source = convert.file_of(path, file_format)
+        if convert.is_large(source):
+            kept = await self.upload_cloud(source)
+            try:
+                return await self.download_cloud(kept)
+            finally:
+                await self.drop_cloud(kept)
+        decoded = await self.decode_cloud(source.data, file_format=source.file_format)
+        return convert.told_of_origin(path, decoded)
+
+    async def write_cloud(self, cloud: Cloud, path: str | os.PathLike[str]) -> None:
+        """Writes a cloud to a file on this machine, in the format of the path's ending."""
+        data = await self.encode_cloud(cloud, convert.format_of(path))
+        convert.write_file(path, data)
 
     async def encode_cloud(
         self,

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import os
+import pathlib
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any, TypeAlias, TypeGuard
 
@@ -131,6 +134,48 @@ def download_file(
 
     request = of(kept_clouds_pb.DownloadCloudRequest, handle=kept.handle, format=file_format)
     return ChunkedCall(_rpc.DOWNLOAD_CLOUD, request, read)
+
+
+#: Formats by the endings of files.
+_ENDINGS = {
+    ".ply": CloudFormat.PLY,
+    ".pcd": CloudFormat.PCD,
+    ".las": CloudFormat.LAS,
+    ".laz": CloudFormat.LAZ,
+    ".bin": CloudFormat.KITTI_BIN,
+    ".xyz": CloudFormat.XYZ,
+    ".txt": CloudFormat.XYZ,
+    ".csv": CloudFormat.XYZ,
+}
+
+
+def format_of(path: str | os.PathLike[str]) -> CloudFormat:
+    """The format that a file's ending says."""
+    ending = pathlib.Path(path).suffix.lower()
+    if ending not in _ENDINGS:
+        message = f"path ends in {ending!r}; end it in one of {', '.join(_ENDINGS)}"
+        raise InvalidArgument(message, reason="FORMAT_UNKNOWN", field="path")
+    return _ENDINGS[ending]
+
+
+def file_of(path: str | os.PathLike[str], file_format: CloudFormat | str | None) -> CloudFile:
+    """A file on this machine. KITTI's has no mark of its own: its ending tells."""
+    is_kitti = file_format is None and pathlib.Path(path).suffix.lower() == ".bin"
+    return CloudFile(pathlib.Path(path).read_bytes(), CloudFormat.KITTI_BIN if is_kitti else file_format)
+
+
+def write_file(path: str | os.PathLike[str], data: bytes) -> None:
+    """Writes a file on this machine."""
+    pathlib.Path(path).write_bytes(data)
+
+
+def told_of_origin(path: str | os.PathLike[str], decoded: DecodedCloud) -> PointCloud:
+    """The cloud; warns if its positions are relative to an origin."""
+    if decoded.origin_m.any():
+        x, y, z = decoded.origin_m
+        words = f"positions of {os.fspath(path)} are relative to ({x:.0f}, {y:.0f}, {z:.0f}) m"
+        warnings.warn(words, stacklevel=3)
+    return decoded.cloud
 
 
 def decode_cloud(

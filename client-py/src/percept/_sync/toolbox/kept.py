@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 
 from ..._convert.toolbox import kept as convert
@@ -49,6 +50,26 @@ class Kept(Bound):
     def decode_cloud(self, data: bytes, *, file_format: CloudFormat | str | None = None) -> DecodedCloud:
         """A cloud's file to points; the format is told by the content if it is not said."""
         return self._transport.call(convert.decode_cloud(data, file_format))
+
+    def read_cloud(
+        self, path: str | os.PathLike[str], *, file_format: CloudFormat | str | None = None
+    ) -> PointCloud:
+        """The cloud of a file on this machine: PLY, PCD, LAS, LAZ, text, KITTI's .bin. Warns if its positions
+        are relative to an origin, which decode_cloud tells, since float32 would spoil them."""
+        source = convert.file_of(path, file_format)
+        if convert.is_large(source):
+            kept = self.upload_cloud(source)
+            try:
+                return self.download_cloud(kept)
+            finally:
+                self.drop_cloud(kept)
+        decoded = self.decode_cloud(source.data, file_format=source.file_format)
+        return convert.told_of_origin(path, decoded)
+
+    def write_cloud(self, cloud: Cloud, path: str | os.PathLike[str]) -> None:
+        """Writes a cloud to a file on this machine, in the format of the path's ending."""
+        data = self.encode_cloud(cloud, convert.format_of(path))
+        convert.write_file(path, data)
 
     def encode_cloud(
         self,

@@ -1,6 +1,6 @@
 //! A lane for each session, so that one whose sender must wait does not hold the others.
 
-use super::{BACKLOG, hand_over};
+use super::{BACKLOG, charged, hand_over};
 use crate::doors::bounds::{Charge, Memory, Peer};
 use percept_service::check_id;
 use std::collections::BTreeMap;
@@ -41,11 +41,8 @@ where
     /// lane may have.
     pub(super) fn put(&self, sample: Sample) {
         let session = sample.key_expr().as_str().split('/').nth(1).unwrap_or_default().to_owned();
-        let mut memory = self.memory.charge(&Peer::Lane(session.clone()));
-        let size = sample.payload().len();
-        if !memory.try_grow(size) {
-            tokio::task::block_in_place(|| self.runtime.block_on(memory.grow_when_there(size)));
-        }
+        let (peer, size) = (Peer::Lane(session.clone()), sample.payload().len());
+        let memory = charged(&self.memory, &peer, size, &self.runtime);
         let mut left = Some((sample, memory));
         // A lane may close between being found and being used; the next one found is a new one.
         while let Some(item) = left {

@@ -16,7 +16,7 @@ mod lanes;
 mod publish;
 mod query;
 
-use super::bounds::Charge;
+use super::bounds::{Charge, Memory, Peer};
 use super::grpc::{Api, ingest};
 use super::listener::tls::{self, Stamps};
 use crate::config::Tls;
@@ -39,7 +39,7 @@ const BACKLOG: usize = 16;
 /// How often floods that have ended are summed up.
 const COUNTS_EVERY: Duration = Duration::from_secs(5);
 
-type Failure = Box<dyn std::error::Error + Send + Sync>;
+pub(super) type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 fn config(endpoint: &str, max_message_bytes: usize, policy: &Policy, tls: &Tls) -> Result<zenoh::Config, Failure> {
     let mut config = zenoh::Config::default();
@@ -236,7 +236,7 @@ impl ZenohDoor {
 
 /// Called on zenoh's own threads: waiting here holds the sender, which is what BLOCK means. Those threads drive
 /// zenoh's runtime, which must be told before one of them waits. Gives back what nobody will take any more.
-fn hand_over<T>(to: &mpsc::Sender<T>, item: T) -> Option<T> {
+pub(super) fn hand_over<T>(to: &mpsc::Sender<T>, item: T) -> Option<T> {
     match to.try_send(item) {
         Ok(()) => None,
         Err(mpsc::error::TrySendError::Closed(item)) => Some(item),
@@ -244,6 +244,15 @@ fn hand_over<T>(to: &mpsc::Sender<T>, item: T) -> Option<T> {
             tokio::task::block_in_place(|| to.blocking_send(item)).err().map(|refused| refused.0)
         }
     }
+}
+
+/// Memory for a sample of so many bytes; on zenoh's own threads, it waits there until a peer's or everybody's has room.
+pub(super) fn charged(memory: &Arc<Memory>, peer: &Peer, bytes: usize, runtime: &tokio::runtime::Handle) -> Charge {
+    let mut charge = memory.charge(peer);
+    if !charge.try_grow(bytes) {
+        tokio::task::block_in_place(|| runtime.block_on(charge.grow_when_there(bytes)));
+    }
+    charge
 }
 
 /// Tells how often faults came that were counted only, once their flood is over.

@@ -1,0 +1,89 @@
+//! Depth images and the colour images that belong to them, as they come.
+
+use percept_geometry::Timestamp;
+use std::collections::VecDeque;
+
+/// Colour and depth whose stamps differ by no more belong together, nanoseconds: half of the time between frames at 30 Hz.
+const APART_NS: u64 = 17_000_000;
+/// Images of either kind that wait for the other: 0.3 s at 30 Hz.
+const HELD: usize = 10;
+
+/// Images of one camera that wait for their other half.
+#[derive(Debug)]
+pub(super) struct Pairs<T> {
+    depth: VecDeque<(Timestamp, T)>,
+    color: VecDeque<(Timestamp, T)>,
+    /// Depth images for which no colour came.
+    pub(super) num_alone: u64,
+}
+
+impl<T> Default for Pairs<T> {
+    fn default() -> Self {
+        Self { depth: VecDeque::new(), color: VecDeque::new(), num_alone: 0 }
+    }
+}
+
+impl<T: Clone> Pairs<T> {
+    /// Takes a depth image in; with its colour, if that is there.
+    pub(super) fn depth(&mut self, stamp: Timestamp, image: T) -> Option<(T, T)> {
+        if let Some(color) = nearest(&self.color, stamp) {
+            return Some((image, color));
+        }
+        self.depth.push_back((stamp, image));
+        if self.depth.len() > HELD {
+            self.depth.pop_front();
+            self.num_alone += 1;
+        }
+        None
+    }
+
+    /// Takes a colour image in; with the depth image that waits for it, if there is one. Those before it find none any more.
+    pub(super) fn color(&mut self, stamp: Timestamp, image: T) -> Option<(T, T)> {
+        let waiting = self.depth.iter().position(|(at, _)| at.0.abs_diff(stamp.0) <= APART_NS);
+        self.color.push_back((stamp, image.clone()));
+        if self.color.len() > HELD {
+            self.color.pop_front();
+        }
+        let at = waiting?;
+        self.num_alone += at as u64;
+        self.depth.drain(..at);
+        self.depth.pop_front().map(|(_, depth)| (depth, image))
+    }
+}
+
+fn nearest<T: Clone>(images: &VecDeque<(Timestamp, T)>, stamp: Timestamp) -> Option<T> {
+    let apart = images.iter().map(|(at, image)| (at.0.abs_diff(stamp.0), image));
+    apart.filter(|(apart, _)| *apart <= APART_NS).min_by_key(|(apart, _)| *apart).map(|(_, image)| image.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(ms: i64) -> Timestamp {
+        Timestamp(ms * 1_000_000)
+    }
+
+    #[test]
+    fn halves_meet_whichever_comes_first() {
+        let mut pairs = Pairs::default();
+        assert_eq!(pairs.depth(ms(0), "d0"), None);
+        assert_eq!(pairs.color(ms(5), "c0"), Some(("d0", "c0")));
+        assert_eq!(pairs.color(ms(38), "c1"), None);
+        assert_eq!(pairs.depth(ms(33), "d1"), Some(("d1", "c1")));
+        // One colour image may belong to two depth images.
+        assert_eq!(pairs.depth(ms(50), "d2"), Some(("d2", "c1")));
+        assert_eq!(pairs.num_alone, 0);
+    }
+
+    #[test]
+    fn depth_whose_colour_never_comes_is_counted_and_let_go() {
+        let mut pairs = Pairs::default();
+        assert_eq!(pairs.depth(ms(0), "d0"), None);
+        assert_eq!(pairs.depth(ms(33), "d1"), None);
+        assert_eq!(pairs.color(ms(34), "c1"), Some(("d1", "c1")));
+        assert_eq!(pairs.num_alone, 1);
+        (0..20).for_each(|i| assert_eq!(pairs.depth(ms(1000 + 33 * i), "d"), None));
+        assert_eq!((pairs.num_alone, pairs.depth.len()), (11, HELD));
+    }
+}
