@@ -201,7 +201,8 @@ impl<'a> Results<'a> {
             self.t_map_odom =
                 t_odom_base.map(|t_odom_base| pose.t_map_base * t_odom_base.inverse()).or(self.t_map_odom);
             let header = Header::new(pose.stamp, &self.robot.map_frame);
-            let with = PoseWithCovariance { pose: pose_message(&pose.t_map_base), covariance: in_map(&pose) };
+            let covariance = in_map(&pose.t_map_base, &pose.covariance);
+            let with = PoseWithCovariance { pose: pose_message(&pose.t_map_base), covariance };
             topics.pose.send(&PoseWithCovarianceStamped { header, pose: with }, now_ns()).await?;
             if t_odom_base.is_none() {
                 let base = self.shared.lock().base.clone().unwrap_or_else(|| "base_link".to_owned());
@@ -261,7 +262,8 @@ impl<'a> Results<'a> {
                 && let Some(grid) = self.told("map", self.caller.occupancy_grid(session, None, None, false).await)
             {
                 let (g, header) = (grid.grid, Header::new(grid.stamp, &self.robot.map_frame));
-                map.send(&convert::grid_message(&g.geometry, g.width, &g.cells, header)?, now_ns()).await?;
+                let cells: Vec<i8> = g.cells.iter().map(|&c| trinary(c)).collect();
+                map.send(&convert::grid_message(&g.geometry, g.width, &cells, header)?, now_ns()).await?;
             }
             if topics.path.is_heard().await {
                 self.path(topics).await?;
@@ -400,6 +402,16 @@ impl Events {
     }
 }
 
+/// Free, occupied or unknown, since nav2's costmap takes whatever is below 100 for free: by the thresholds of its map server
+/// (`free_thresh` 0.25, `occupied_thresh` 0.65).
+fn trinary(cell: i8) -> i8 {
+    match cell {
+        0..=25 => 0,
+        65.. => 100,
+        _ => -1,
+    }
+}
+
 /// `visualization_msgs/msg/Marker`: DELETEALL, CUBE, TEXT_VIEW_FACING.
 const DELETE_ALL: i32 = 3;
 const CUBE: i32 = 1;
@@ -444,17 +456,39 @@ fn detection<'m>(object: &'m Object, id: &'m str, header: Header<'m>) -> Detecti
 }
 
 /// A covariance about the map's axes, row by row, as ROS has it: ours is of a perturbation in the robot's frame.
-fn in_map(pose: &PoseEstimate) -> [f64; 36] {
-    let turn = pose.t_map_base.rotation.to_rotation_matrix();
+fn in_map(t_map_base: &Pose, covariance: &Covariance6) -> [f64; 36] {
+    let turn = t_map_base.rotation.to_rotation_matrix();
     let mut axes = Covariance6::zeros();
     for block in [0, 3] {
         axes.fixed_view_mut::<3, 3>(block, block).copy_from(turn.matrix());
     }
-    let about_map = axes * pose.covariance * axes.transpose();
+    let about_map = axes * covariance * axes.transpose();
     std::array::from_fn(|i| about_map[(i / 6, i % 6)])
 }
 
 /// ns since the Unix epoch, by this machine's clock.
 fn now_ns() -> i64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_costmap_takes_for_free_is_free() {
+        let cells = [-1, 0, 25, 26, 64, 65, 100].map(trinary);
+        assert_eq!(cells, [-1, 0, 0, -1, -1, 100, 100]);
+    }
+
+    #[test]
+    fn a_covariance_is_turned_into_the_maps_axes() {
+        let mut covariance = Covariance6::zeros();
+        covariance[(0, 0)] = 4.0;
+        covariance[(3, 3)] = 9.0;
+        // Facing along y: what is ahead is the map's y.
+        let about_map = in_map(&se3::from_xy_yaw(1.0, 2.0, std::f64::consts::FRAC_PI_2), &covariance);
+        let at = |row: usize, column: usize| (about_map[row * 6 + column] * 1e9).round() / 1e9;
+        assert_eq!((at(0, 0), at(1, 1), at(3, 3), at(4, 4)), (0.0, 4.0, 0.0, 9.0));
+    }
 }
