@@ -1,0 +1,175 @@
+/** The picture: camera, light, and a frame whenever something changed. */
+import {
+  AmbientLight, Box3, Color, DirectionalLight, PerspectiveCamera, Plane, Raycaster, Scene, Vector2, Vector3, WebGLRenderer,
+} from 'three';
+import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
+
+const FLIGHT_MS = 450;
+/** Below this rate, while the view moves, fewer points are drawn. */
+const ENOUGH_FPS = 30;
+
+export interface Frame { draws: number; points: number; fps: number; share: number }
+
+export class Stage {
+  readonly scene = new Scene();
+  readonly camera = new PerspectiveCamera(50, 1, 0.05, 5000);
+  readonly controls: OrbitControls;
+  readonly renderer: WebGLRenderer;
+  /** Share of the budget that the machine keeps up with, 0 to 1. */
+  share = 1;
+  frame: Frame = { draws: 0, points: 0, fps: 0, share: 1 };
+  readonly beforeFrame = new Set<(moving: boolean) => void>();
+  readonly afterFrame = new Set<() => void>();
+  private wanted = true;
+  private movedAt = 0;
+  private last = 0;
+  private flight: { from: [Vector3, Vector3]; to: [Vector3, Vector3]; begun: number } | null = null;
+
+  constructor(readonly host: HTMLElement) {
+    this.renderer = new WebGLRenderer({ antialias: devicePixelRatio < 2, powerPreference: 'high-performance' });
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.info.autoReset = true;
+    host.prepend(this.renderer.domElement);
+    this.camera.up.set(0, 0, 1);
+    this.camera.position.set(-8, -8, 10);
+    this.controls = new OrbitControls(this.camera, this.renderer.domElement);
+    Object.assign(this.controls, { enableDamping: true, dampingFactor: 0.15, zoomToCursor: true, screenSpacePanning: false, maxPolarAngle: Math.PI * 0.98 });
+    this.controls.addEventListener('change', () => { this.movedAt = performance.now(); this.wanted = true; });
+    this.controls.addEventListener('start', () => { this.flight = null; });
+    const sun = new DirectionalLight(0xffffff, 1.6);
+    sun.position.set(2, -3, 6);
+    this.scene.add(new AmbientLight(0xffffff, 1.4), sun);
+    new ResizeObserver(() => this.fit()).observe(host);
+    this.fit();
+    const dark = matchMedia('(prefers-color-scheme: dark)');
+    const ground = (): void => {
+      this.scene.background = new Color(dark.matches ? '#10151c' : '#eef1f4');
+      this.wanted = true;
+    };
+    dark.addEventListener('change', ground);
+    ground();
+    requestAnimationFrame(time => this.tick(time));
+  }
+
+  /** Asks for a frame. */
+  draw(): void { this.wanted = true; }
+
+  private fit(): void {
+    const { clientWidth: width, clientHeight: height } = this.host;
+    if (!width || !height) return;
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.wanted = true;
+  }
+
+  private tick(time: number): void {
+    requestAnimationFrame(next => this.tick(next));
+    this.fly(time);
+    this.controls.update();
+    const moving = time - this.movedAt < 200;
+    const span = time - this.last;
+    if (!this.wanted) { this.last = time; return; }
+    this.wanted = false;
+    // Two frames in a row tell how fast the machine is; a pause between them tells nothing.
+    if (moving && span < 1000) {
+      const fps = 1000 / Math.max(span, 1);
+      this.frame.fps = this.frame.fps ? 0.8 * this.frame.fps + 0.2 * fps : fps;
+      if (this.frame.fps < ENOUGH_FPS) this.share = Math.max(0.02, this.share * 0.9);
+      else if (this.frame.fps > ENOUGH_FPS * 1.4) this.share = Math.min(1, this.share * 1.05);
+    }
+    this.last = time;
+    this.near();
+    for (const each of this.beforeFrame) each(moving);
+    this.renderer.render(this.scene, this.camera);
+    this.frame.draws = this.renderer.info.render.calls;
+    this.frame.points = this.renderer.info.render.points;
+    this.frame.share = moving ? this.share : 1;
+    for (const each of this.afterFrame) each();
+    // Once the view rests, all points are drawn.
+    if (moving) setTimeout(() => this.draw(), 250);
+  }
+
+  /** Near and far planes that fit the distance: depth has no digits to spare. */
+  private near(): void {
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    this.camera.near = Math.max(0.02, distance / 200);
+    this.camera.far = Math.max(200, distance * 60);
+    this.camera.updateProjectionMatrix();
+  }
+
+  /** Moves the camera there, over a moment. */
+  flyTo(target: Vector3, position: Vector3): void {
+    this.flight = {
+      from: [this.controls.target.clone(), this.camera.position.clone()], to: [target.clone(), position.clone()], begun: performance.now(),
+    };
+    this.wanted = true;
+  }
+
+  private fly(time: number): void {
+    if (!this.flight) return;
+    const part = Math.min(1, Math.max(0, (time - this.flight.begun) / FLIGHT_MS));
+    const eased = part * part * (3 - 2 * part);
+    const { from, to } = this.flight;
+    this.controls.target.lerpVectors(from[0], to[0], eased);
+    this.camera.position.lerpVectors(from[1], to[1], eased);
+    this.movedAt = time;
+    this.wanted = true;
+    if (part === 1) this.flight = null;
+  }
+
+  /** Shows a box whole: from the side that is looked from now, or from above. */
+  frameBox(box: Box3, fromAbove = false): void {
+    if (box.isEmpty()) return;
+    const target = box.getCenter(new Vector3()), size = box.getSize(new Vector3());
+    const half = Math.tan(this.camera.fov * Math.PI / 360);
+    let away = this.camera.position.clone().sub(this.controls.target).setZ(0).normalize();
+    if (!away.lengthSq()) away = new Vector3(0, -1, 0);
+    if (fromAbove) {
+      const distance = Math.max(size.y, size.x / this.camera.aspect) / 2 / half * 1.12 + size.z;
+      // Not straight down, where left and right would be undefined.
+      this.flyTo(target, target.clone().add(new Vector3(0, -0.001 * distance, distance)));
+      return;
+    }
+    const reach = Math.max(size.length() * 0.5, 0.8);
+    const distance = reach / half / Math.min(1, this.camera.aspect) * 0.92;
+    this.flyTo(target, target.clone().addScaledVector(away, distance * 0.62).add(new Vector3(0, 0, distance * 0.72)));
+  }
+
+  /** Moves camera and target together, as what is followed moves. */
+  shift(by: Vector3): void {
+    this.controls.target.add(by);
+    this.camera.position.add(by);
+    this.wanted = true;
+  }
+
+  /** A point of the page in the camera's coordinates, -1 to 1. */
+  ndc(x: number, y: number): Vector2 {
+    const box = this.renderer.domElement.getBoundingClientRect();
+    return new Vector2((x - box.left) / box.width * 2 - 1, 1 - (y - box.top) / box.height * 2);
+  }
+
+  ray(x: number, y: number): Raycaster {
+    const caster = new Raycaster();
+    caster.setFromCamera(this.ndc(x, y), this.camera);
+    return caster;
+  }
+
+  /** Where a ray meets a level ground. */
+  ground(x: number, y: number, z: number): Vector3 | null {
+    return this.ray(x, y).ray.intersectPlane(new Plane(new Vector3(0, 0, 1), -z), new Vector3());
+  }
+
+  /** Where a place is drawn, pixels from the canvas's corner; nothing behind the camera. */
+  screen(place: Vector3): { x: number; y: number } | null {
+    const at = place.clone().project(this.camera);
+    if (at.z > 1 || at.z < -1) return null;
+    return { x: (at.x + 1) / 2 * this.host.clientWidth, y: (1 - at.y) / 2 * this.host.clientHeight };
+  }
+
+  /** Metres of one pixel at a place. */
+  metresPerPixel(place: Vector3): number {
+    const distance = Math.max(this.camera.near, this.camera.position.distanceTo(place));
+    return 2 * Math.tan(this.camera.fov * Math.PI / 360) * distance / Math.max(1, this.host.clientHeight);
+  }
+}
