@@ -56,7 +56,7 @@ export class Labels {
       held.width = held.element.offsetWidth;
       held.height = held.element.offsetHeight;
     }
-    held.element.style.setProperty('--ink', label.colour);
+    held.element.style.setProperty('--tint', label.colour);
     return held;
   }
 }

@@ -31,7 +31,7 @@ export class Stage {
     this.renderer.info.autoReset = true;
     host.prepend(this.renderer.domElement);
     this.camera.up.set(0, 0, 1);
-    this.camera.position.set(-8, -8, 10);
+    this.camera.position.set(-4, -9, 10);
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     Object.assign(this.controls, { enableDamping: true, dampingFactor: 0.15, zoomToCursor: true, screenSpacePanning: false, maxPolarAngle: Math.PI * 0.98 });
     this.controls.addEventListener('change', () => { this.movedAt = performance.now(); this.wanted = true; });
@@ -121,19 +121,30 @@ export class Stage {
   /** Shows a box whole: from the side that is looked from now, or from above. */
   frameBox(box: Box3, fromAbove = false): void {
     if (box.isEmpty()) return;
-    const target = box.getCenter(new Vector3()), size = box.getSize(new Vector3());
-    const half = Math.tan(this.camera.fov * Math.PI / 360);
-    let away = this.camera.position.clone().sub(this.controls.target).setZ(0).normalize();
-    if (!away.lengthSq()) away = new Vector3(0, -1, 0);
-    if (fromAbove) {
-      const distance = Math.max(size.y, size.x / this.camera.aspect) / 2 / half * 1.12 + size.z;
-      // Not straight down, where left and right would be undefined.
-      this.flyTo(target, target.clone().add(new Vector3(0, -0.001 * distance, distance)));
-      return;
+    const away = this.camera.position.clone().sub(this.controls.target).setZ(0);
+    if (!away.lengthSq()) away.set(-0.3, -1, 0);
+    // Not straight down, where left and right would be undefined.
+    const towards = fromAbove ? new Vector3(0, -0.001, 1) : away.normalize().setZ(1.05).normalize();
+    const right = new Vector3(0, 0, 1).cross(towards).normalize(), up = towards.clone().cross(right);
+    const corners = Array.from({ length: 8 }, (_, i) => new Vector3(
+      i & 1 ? box.max.x : box.min.x, i & 2 ? box.max.y : box.min.y, i & 4 ? box.max.z : box.min.z));
+    const high = Math.tan(this.camera.fov * Math.PI / 360), wide = high * this.camera.aspect;
+    const target = box.getCenter(new Vector3());
+    let distance = box.getSize(new Vector3()).length() + 0.5;
+    // What is near looks larger than what is far: the middle of what is seen is found step by step.
+    for (let step = 0; step < 12; step++) {
+      let left = Infinity, most = -Infinity, low = Infinity, top = -Infinity;
+      for (const corner of corners) {
+        const at = corner.clone().sub(target), depth = Math.max(0.05 * distance, distance - at.dot(towards));
+        const x = at.dot(right) / depth / wide, y = at.dot(up) / depth / high;
+        left = Math.min(left, x); most = Math.max(most, x); low = Math.min(low, y); top = Math.max(top, y);
+      }
+      target.addScaledVector(right, (left + most) / 2 * distance * wide);
+      // A little higher than the middle: the slider lies below.
+      target.addScaledVector(up, ((low + top) / 2 - 0.05) * distance * high);
+      distance *= Math.max((most - left) / 2 / 0.94, (top - low) / 2 / 0.88);
     }
-    const reach = Math.max(size.length() * 0.5, 0.8);
-    const distance = reach / half / Math.min(1, this.camera.aspect) * 0.92;
-    this.flyTo(target, target.clone().addScaledVector(away, distance * 0.62).add(new Vector3(0, 0, distance * 0.72)));
+    this.flyTo(target, target.clone().addScaledVector(towards, Math.max(1, distance)));
   }
 
   /** Moves camera and target together, as what is followed moves. */

@@ -17,7 +17,7 @@ import type { Stage } from './stage';
 import type { SessionData } from './state/session';
 import type { Thing, Vector2 } from './types';
 
-/** Ceilings above this height over the floor are cut away indoors, as in the server's pictures, metres. */
+/** Where there is a ceiling, what is above this height over the floor is cut away, as in the server's pictures, metres. */
 const CUT_M = 2.2;
 
 export class View {
@@ -43,6 +43,9 @@ export class View {
   draft: Vector2[] = [];
   /** Things as they were at the time of the slider; nothing while it is live. */
   pastThings: Thing[] | null = null;
+  /** Most of the way lies under something. */
+  private roofed = false;
+  private measured = '';
   private times: PassTimes | null = null;
   private dirty = new Set<'way' | 'things' | 'rooms' | 'zones'>();
 
@@ -80,11 +83,15 @@ export class View {
     data.on('session', session => {
       this.robot.setSensors(session.sensors);
       this.dirty.add('zones');
-      this.cut();
     });
     data.on('map', () => { this.loader.touch(); this.grid.touch(); for (const volume of this.volumes) volume.touch(); });
     // Events come faster than the eye sees: what they change is drawn anew a few times a second.
-    const timer = setInterval(() => this.redraw(), 200);
+    const timer = setInterval(() => {
+      this.redraw();
+      // Once the way is known, and whenever there is half as much again.
+      const grown = `${this.data.trajectory.length > 0}/${Math.round(Math.log(1 + this.cloud.count) / Math.log(1.5))}`;
+      if (grown !== this.measured) { this.measured = grown; this.measure(); }
+    }, 200);
     data.signal.addEventListener('abort', () => clearInterval(timer));
   }
 
@@ -138,9 +145,8 @@ export class View {
   }
 
   private cut(): void {
-    const indoors = this.data.session?.params?.preset === 'PRESET_INDOOR';
     const { cut_m } = this.settings;
-    this.cloud.style.top.value = cut_m !== null ? this.floor + cut_m : indoors ? this.floor + CUT_M : 1e9;
+    this.cloud.style.top.value = cut_m !== null ? this.floor + cut_m : this.roofed ? this.floor + CUT_M : 1e9;
     this.stage.draw();
   }
 
@@ -158,6 +164,7 @@ export class View {
     heights.sort((a, b) => a - b);
     bright.sort((a, b) => a - b);
     this.floor = floorOf(heights, this.data.pose?.t_map_base?.translation?.z ?? 0);
+    this.roofed = this.isRoofed();
     this.cut();
     const seen = heights.filter(z => z <= this.cloud.style.top.value);
     this.height = { min: at(seen, 0.01), max: Math.max(at(seen, 0.99), at(seen, 0.01) + 0.2) };
@@ -166,19 +173,36 @@ export class View {
     this.recolour();
   }
 
-  /** What the points can be coloured by. */
+  /** Whether there are points overhead at most places of the way, by squares of a metre. */
+  private isRoofed(): boolean {
+    const key = (x: number, y: number): string => `${Math.floor(x)},${Math.floor(y)}`;
+    const way = new Set(this.data.trajectory.map(pose => key(pose.t_map_base?.translation?.x ?? 0, pose.t_map_base?.translation?.y ?? 0)));
+    const covered = new Set<string>();
+    for (const { positions } of this.cloud.parts.values()) for (let i = 0; i < positions.length; i += 3) {
+      if (positions[i + 2]! > this.floor + CUT_M) covered.add(key(positions[i]!, positions[i + 1]!));
+    }
+    return way.size > 0 && [...way].filter(place => covered.has(place)).length > way.size / 2;
+  }
+
+  /** What the points can be coloured by; the first is what they are coloured by until somebody chooses. */
   channels(): ColourBy[] {
     const all: ColourBy[] = [];
     if (this.cloud.hasOwn) all.push('own');
     if (this.cloud.hasBrightness) all.push('reflectance');
     if (this.height.max - this.height.min > 0.25) all.push('height');
+    all.push('robot');
     if (this.data.things.size) all.push('class');
     if (this.data.trajectory.length > 1) all.push('time');
-    return [...all, 'robot'];
+    return all;
+  }
+
+  colouredBy(): ColourBy {
+    const there = this.channels(), { colourBy } = this.settings;
+    return colourBy && there.includes(colourBy) ? colourBy : there[0]!;
   }
 
   private shades(): Shades {
-    const by = this.settings.colourBy ?? this.channels()[0]!;
+    const by = this.colouredBy();
     const dark = matchMedia('(prefers-color-scheme: dark)').matches;
     return { by, height: this.height, brightness: this.brightness, robot: this.rgb, dark, things: [...this.data.things.values()], times: this.times };
   }

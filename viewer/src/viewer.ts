@@ -63,18 +63,24 @@ export class Viewer extends Emitter<{ views: void; problem: string }> {
     this.lay();
     if (!this.framed) this.frame();
     this.framed = this.views.every(view => view.cloud.count > 0);
-    requestAnimationFrame(() => { this.firstPicture_ms ??= performance.now(); });
+    // What the points can be coloured by is known now.
+    this.settings.tell('changed', undefined);
+    if (this.firstPicture_ms === null) {
+      const drawn = (): void => { this.stage.afterFrame.delete(drawn); this.firstPicture_ms ??= performance.now(); };
+      this.stage.afterFrame.add(drawn);
+    }
   }
 
   /** Side by side along x, or all origins in one place. */
   private lay(): void {
-    let edge: number | null = null;
+    let edge: number | null = null, middle = 0;
     for (const view of this.views) {
       view.group.position.set(0, 0, 0);
       if (this.settings.apart && this.views.length > 1) {
         const box = view.box();
         if (!box.isEmpty()) {
-          view.group.position.x = edge === null ? 0 : edge + GAP_M - box.min.x;
+          const y = (box.min.y + box.max.y) / 2;
+          if (edge === null) middle = y; else view.group.position.set(edge + GAP_M - box.min.x, middle - y, 0);
           edge = view.group.position.x + box.max.x;
         }
       }

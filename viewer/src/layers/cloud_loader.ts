@@ -2,10 +2,10 @@
 import * as answers from '../answers';
 import { connection, of, query, read, readBytes } from '../api';
 import type { Changes, MapSummary } from '../types';
-import { cut, edgeFor, keyOf, levels, squareOf, voxelAt } from './blocks';
+import { cut, edgeFor, keyOf, levels, squareOf, voxelAt, type Square } from './blocks';
 import type { CloudLayer } from './cloud';
 
-/** The first picture: the whole map by few points. */
+/** The first picture of a large map: the whole of it by few points. */
 const FIRST_POINTS = 40_000;
 /** A map with no more points than this comes at once. */
 const WHOLE_POINTS = 400_000;
@@ -48,36 +48,28 @@ export class CloudLoader {
     this.busy = true;
     try {
       // Asked before the points: what changes while they come is told by the next question.
-      const changes = await this.changes('0');
-      const far = answers.cloud(await readBytes(this.path({ max_points: FIRST_POINTS }), this.signal));
+      const [changes, summary] = await Promise.all([this.changes('0'), read<MapSummary>(of(this.id, '/map'), this.signal)]);
+      this.total = Number(summary.num_points);
+      this.voxel = summary.voxel_size_m;
+      const isSmall = this.total <= WHOLE_POINTS;
+      const far = answers.cloud(await readBytes(this.path({ max_points: isSmall ? undefined : FIRST_POINTS }), this.signal));
       this.layer.clear();
       this.held.clear();
       this.full.clear();
       this.queue.clear();
       if (!far.positions.length) { this.edge = 0; return; }
-      const summary = await read<MapSummary>(of(this.id, '/map'), this.signal);
-      this.total = Number(summary.num_points);
-      this.voxel = summary.voxel_size_m;
       this.version = changes.version;
-      const box = { x0: Infinity, y0: Infinity, x1: -Infinity, y1: -Infinity };
-      for (const r of changes.squares) {
-        box.x0 = Math.min(box.x0, r.x); box.y0 = Math.min(box.y0, r.y);
-        box.x1 = Math.max(box.x1, r.x + r.edge); box.y1 = Math.max(box.y1, r.y + r.edge);
-      }
-      const tile = changes.squares[0]?.edge ?? 3.2;
-      this.edge = edgeFor(Math.max(tile, box.x1 - box.x0), Math.max(tile, box.y1 - box.y0), tile);
+      this.edge = edgeOf(changes.squares);
       this.measure(far.positions);
-      const share = this.total / Math.max(1, far.positions.length / 3);
-      const level = Math.max(0, Math.round(Math.log2(Math.max(1, far.voxel / this.voxel))));
+      const share = isSmall ? 1 : this.total / Math.max(1, far.positions.length / 3);
+      const level = isSmall ? 0 : Math.max(1, Math.round(Math.log2(Math.max(1, far.voxel / this.voxel))));
       for (const piece of cut(far, this.edge)) {
-        this.layer.put(piece, far.voxel || this.voxel);
+        this.layer.put(piece, isSmall ? this.voxel : far.voxel || this.voxel);
         this.full.set(piece.key, piece.positions.length / 3 * share);
-        this.held.set(piece.key, Math.max(level, share > 1.01 ? 1 : 0));
+        this.held.set(piece.key, level);
+        if (level) this.queue.add(piece.key);
       }
       this.first();
-      if (share > 1.01 || far.voxel > this.voxel * 1.01) {
-        if (this.total <= WHOLE_POINTS) await this.whole(); else for (const key of this.full.keys()) this.queue.add(key);
-      }
     } catch { /* Told where it is asked; begun again when the server answers. */ this.stale = true; } finally { this.busy = false; this.lastAt = performance.now(); }
   }
 
@@ -105,7 +97,7 @@ export class CloudLoader {
     this.queue.clear();
   }
 
-  private async changes(since: string): Promise<{ version: string; squares: { x: number; y: number; edge: number }[] }> {
+  private async changes(since: string): Promise<{ version: string; squares: Tile[] }> {
     const answer = await read<Changes>(of(this.id, '/map/changes' + query({ layer: 'MAP_LAYER_CLOUD', since_version: since })), this.signal);
     return {
       version: answer.stamp?.map_version ?? since,
@@ -185,4 +177,12 @@ export class CloudLoader {
       this.total = [...this.full.values()].reduce((sum, n) => sum + n, 0);
     } catch { if (!this.signal.aborted) { this.queue.add(key); await new Promise(done => setTimeout(done, 1000)); } }
   }
+}
+
+interface Tile extends Square { edge: number }
+
+function edgeOf(tiles: Tile[]): number {
+  const tile = tiles[0]?.edge ?? 3.2;
+  const span = (axis: 'x' | 'y'): number => Math.max(...tiles.map(t => t[axis] + t.edge)) - Math.min(...tiles.map(t => t[axis]));
+  return tiles.length ? edgeFor(span('x'), span('y'), tile) : tile;
 }

@@ -39,6 +39,10 @@ export class Lines {
     this.group.add(this.lines);
   }
 
+  style({ width = 2, opacity = 1 }: LineStyle): void {
+    Object.assign(this.material, { linewidth: width, opacity, transparent: opacity < 1 });
+  }
+
   dispose(): void {
     this.set([], [0, 0, 0]);
     this.material.dispose();

@@ -91,6 +91,8 @@ export class LoopLayer {
       const colour = rgb(LOOP_COLOURS[loop.state] ?? '#8a94a3');
       for (let i = 1; i < arc.length; i++) { points.push(arc[i - 1]!, arc[i]!); colours.push(colour); }
     }
+    // Hundreds would cover what they lie over.
+    this.lines.style(this.arcs.length > 60 ? { width: 1.5, opacity: 0.35 } : { width: 2.5 });
     this.lines.set(points, colours);
     this.stage.draw();
   }

@@ -42,7 +42,7 @@ export function layersPanel(settings: Settings, viewer: Viewer): HTMLElement {
       channels = there.join();
       colour.replaceChildren(...there.map(by => make('option', { value: by }, COLOUR_NAMES[by])));
     }
-    colour.value = settings.colourBy ?? viewer.chosen?.channels()[0] ?? '';
+    colour.value = settings.colourBy ?? viewer.chosen?.colouredBy() ?? '';
     budget.value = String(settings.budget);
     const top = viewer.chosen ? viewer.chosen.cloud.style.top.value - viewer.chosen.floor : 1e9;
     cut.value = String(Math.min(10, top));

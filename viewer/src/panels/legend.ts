@@ -25,7 +25,7 @@ export function legend(settings: Settings, viewer: Viewer): HTMLElement {
   function draw(): void {
     const view = viewer.chosen;
     if (!view) { show(box, '', () => []); return; }
-    const by = settings.colourBy && view.channels().includes(settings.colourBy) ? settings.colourBy : view.channels()[0]!;
+    const by = view.colouredBy();
     const classes = [...new Set(view.things.shown.map(t => t.label))].sort();
     const states = [...new Set(view.loops.arcs.map(a => a.loop.state))];
     const way = view.data.trajectory;

@@ -19,7 +19,7 @@ export function sessionsPanel(fleet: Fleet, viewer: Viewer): HTMLElement {
     const sensors = viewer.views.find(v => v.data.id === session.session_id)?.data.session?.sensors ?? [];
     const troubled = sensors.filter(s => s.verdict === 'STREAM_VERDICT_TROUBLED').map(s => s.spec.sensor_id);
     if (troubled.length) return `trouble: ${troubled.join(', ')}`;
-    return sensors.length ? `${sensors.length} sensors, ${sensors.some(s => s.verdict === 'STREAM_VERDICT_GOOD') ? 'good' : 'silent'}` : '';
+    return sensors.length ? `${sensors.length} ${sensors.length === 1 ? 'sensor' : 'sensors'}, ${sensors.some(s => s.verdict === 'STREAM_VERDICT_GOOD') ? 'good' : 'silent'}` : '';
   };
 
   function row(session: Session): HTMLElement {

@@ -48,7 +48,8 @@ export class Fleet extends Emitter<Changes> {
     this.lives = new AbortController();
     void watch<FleetEvent>('/v1/events' + query({ kinds: 'life' }), this.lives.signal, () => this.refreshSoon(), () => this.refreshSoon(0));
     this.refreshSoon(0);
-    this.follow();
+    // What the address names is shown at once; what of it is not there goes with the list.
+    if (this.chosen.length) this.follow(); else this.choose(this.wanted());
   }
 
   /** Many sessions come and go at once: the list is read when that is over. */
