@@ -21,7 +21,9 @@ createServer(async (from, to) => {
     }
     return;
   }
-  const onward = request(new URL(from.url, server), { method: from.method, headers: { ...from.headers, host: server.host } }, answer => {
+  // The server lets no page of another origin change anything; this one stands for its own.
+  const headers = { ...from.headers, host: server.host, ...(from.headers.origin && { origin: server.origin }) };
+  const onward = request(new URL(from.url, server), { method: from.method, headers }, answer => {
     to.writeHead(answer.statusCode, answer.headers);
     // Events wait for nothing, their headers neither.
     to.flushHeaders();

@@ -6,7 +6,7 @@ use std::time::SystemTime;
 use std::{env, fs, io};
 
 /// Names a page that was built before, for machines that build without npm or without a network.
-const PREBUILT: &str = "PERCEPT_VIEWER_HTML";
+const PREBUILT: &str = "VIEWER_HTML";
 
 /// What the page is made of, in `viewer/`.
 const SOURCES: [&str; 7] =
