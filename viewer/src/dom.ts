@@ -37,3 +37,9 @@ export function show(parent: HTMLElement, key: string, children: () => Child[]):
   parent.dataset.shown = key;
   parent.replaceChildren(...children());
 }
+
+/** Does something that is asked for with every frame, a few times a second. */
+export function seldom(what: () => void, ms = 250): () => void {
+  let timer = 0;
+  return () => { timer ||= window.setTimeout(() => { timer = 0; what(); }, ms); };
+}

@@ -15,11 +15,12 @@ export class CloudLayer {
   readonly style = new PointStyle();
   readonly parts = new Map<string, PointPart>();
   private uncoloured = new Set<PointPart>();
+  private known: { top: number; body: Box3 } | null = null;
 
   constructor(private stage: Stage, private shades: () => Shades) {}
 
   get count(): number { return [...this.parts.values()].reduce((sum, part) => sum + part.count, 0); }
-  get hasOwn(): boolean { return [...this.parts.values()].some(part => part.own && isColourful(part.own)); }
+  get hasOwn(): boolean { return [...this.parts.values()].some(part => part.isColourful); }
   get hasBrightness(): boolean { return [...this.parts.values()].some(part => part.bright); }
 
   /** Puts a part in, or in the place of the one that was there. */
@@ -32,6 +33,8 @@ export class CloudLayer {
       this.group.add(part.object);
     }
     part.voxel = voxel;
+    part.isColourful = !!piece.own && isColourful(piece.own);
+    this.known = null;
     shade(part, this.shades());
     this.stage.draw();
   }
@@ -39,6 +42,7 @@ export class CloudLayer {
   drop(key: string): void {
     this.parts.get(key)?.dispose();
     this.parts.delete(key);
+    this.known = null;
     this.stage.draw();
   }
 
@@ -85,20 +89,14 @@ export class CloudLayer {
     return { wanted, apply: share => { for (const [part, n] of wants) part.show(n * share); } };
   }
 
-  /** The box of all points below the cut. */
-  bounds(): Box3 {
-    const box = new Box3();
-    for (const part of this.parts.values()) {
-      const own = part.object.geometry.boundingBox ?? new Box3().setFromArray(part.positions);
-      part.object.geometry.boundingBox = own;
-      box.union(own);
-    }
-    if (!box.isEmpty() && box.max.z > this.style.top.value) box.max.z = Math.max(box.min.z, this.style.top.value);
-    return box;
-  }
-
   /** A box of most points: the few that lie far out would make the rest small. */
   body(): Box3 {
+    const top = this.style.top.value;
+    if (this.known?.top !== top) this.known = { top, body: this.measure() };
+    return this.known.body.clone();
+  }
+
+  private measure(): Box3 {
     const samples: Vector3[] = [];
     for (const part of this.parts.values()) {
       const step = Math.max(1, Math.floor(this.count / 20_000)) * 3;

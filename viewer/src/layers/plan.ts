@@ -9,7 +9,7 @@ const WAY = '#d23fc0', BLOCKED = '#e5352b';
 
 export class PlanLayer {
   readonly group = new Group();
-  private lines = new Lines({ width: 5 });
+  private lines = new Lines({ width: 5, onTop: true });
   private goal = new Mesh(new RingGeometry(0.16, 0.24, 40), new MeshBasicMaterial({ color: WAY, side: DoubleSide }));
   private obstacle = new Mesh(new SphereGeometry(0.12, 20, 12), new MeshBasicMaterial({ color: BLOCKED }));
 

@@ -35,6 +35,8 @@ export class PointPart {
   private spacing: IUniform<number> = { value: 0.05 };
   /** Edge of the voxels that its points are means of, metres. */
   voxel = 0.05;
+  /** It has colour of its own, and not only greys. */
+  isColourful = false;
   readonly sphere = new Sphere();
 
   constructor(style: PointStyle, public positions: Float32Array, public own: Uint8Array | null, public bright: Float32Array | null) {

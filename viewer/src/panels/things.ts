@@ -1,7 +1,7 @@
 /** Things of the chosen session: filtered by class, one of them in full. */
 import { of, read } from '../api';
 import { classColour } from '../colours';
-import { button, facts, make, show, swatch } from '../dom';
+import { button, facts, make, seldom, show, swatch } from '../dom';
 import { translation } from '../geometry';
 import type { Thing } from '../types';
 import { roomName, type Viewer } from '../viewer';
@@ -60,7 +60,7 @@ export function thingsPanel(viewer: Viewer): ThingsPanel {
       }, swatch(classColour(thing.label)), make('span', { className: 'grow' }, `${thing.label} ${thing.object_id}`), make('small', {}, thing.state === 'OBJECT_STATE_MOVING' ? 'moving ' : '', percent(thing.confidence))))
       : [make('p', { className: 'soft' }, 'no things found yet')]);
   }
-  viewer.stage.afterFrame.add(draw);
+  viewer.stage.afterFrame.add(seldom(draw));
   viewer.on('views', () => { full = null; draw(); });
   return { element: make('div', {}, filter, detail, list), choose };
 }
