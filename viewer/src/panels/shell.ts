@@ -32,7 +32,6 @@ export class Tabs {
 export function shell(bar: Node[], left: Node[], stage: HTMLElement, right: Node): void {
   const sides = { left: make('aside', { className: 'left' }, ...left), right: make('aside', { className: 'right' }, right) };
   const fold = (side: 'left' | 'right', text: string): HTMLButtonElement => {
-    const folded = matchMedia('(max-width: 60rem)').matches && side === 'right';
     const toggle = button(text, `show or hide the ${side} side`, () => set(!sides[side].hidden), 'fold');
     const set = (hidden: boolean): void => {
       sides[side].hidden = hidden;
@@ -40,7 +39,8 @@ export function shell(bar: Node[], left: Node[], stage: HTMLElement, right: Node
       // On a narrow screen both would hide the picture.
       if (!hidden && matchMedia('(max-width: 44rem)').matches) sides[side === 'left' ? 'right' : 'left'].hidden = true;
     };
-    set(folded || matchMedia('(max-width: 44rem)').matches);
+    // There a side lies over the picture.
+    set(matchMedia('(max-width: 60rem)').matches);
     return toggle;
   };
   document.body.append(make('header', {}, fold('left', '☰'), ...bar, fold('right', '☷')), make('div', { className: 'main' }, sides.left, stage, sides.right));
