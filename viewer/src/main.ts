@@ -1,5 +1,6 @@
 /** Puts the parts together. */
 import { button, make } from './dom';
+import { emptiness } from './panels/empty';
 import { filesPanel } from './panels/files';
 import { graphPanel } from './panels/graph';
 import { layersPanel } from './panels/layers';
@@ -51,8 +52,8 @@ function begin(): void {
   const bar = [make('h1', {}, 'percept'),
     make('div', { className: 'tools' }, button('Fit', 'show everything', () => viewer.frame()), button('Top', 'look from above', () => viewer.frame(true)), follow, planning),
     keyForm(), make('nav', {}, make('a', { href: '/docs' }, 'API'), make('a', { href: '/openapi.json' }, 'openapi.json'))];
-  host.append(legend(settings, viewer), tip(viewer, settings), timeline(viewer, settings), notices.element);
-  shell(bar, [section('Sessions', sessionsPanel(fleet, viewer)), section('Layers', layersPanel(settings, viewer)), section('Files', filesPanel(viewer, problem), false)], host, tabs.element);
+  host.append(emptiness(fleet, viewer), legend(settings, viewer), tip(viewer, settings), timeline(viewer, settings), notices.element);
+  const unfold = shell(bar, [section('Sessions', sessionsPanel(fleet, viewer)), section('Layers', layersPanel(settings, viewer)), section('Files', filesPanel(viewer, problem), false)], host, tabs.element);
 
   let pressed: { x: number; y: number } | null = null;
   const canvas = stage.renderer.domElement;
@@ -63,8 +64,8 @@ function begin(): void {
     if (found.view !== viewer.chosen) viewer.choose(found.view);
     if (settings.mode === 'plan' && found.ground) { tabs.show('Plan'); void plan.to(found.view, found.ground); }
     else if (settings.mode === 'zone' && found.ground) zones.click(found.view, found.ground);
-    else if (found.loop) { tabs.show('Loops'); loops.choose(found.loop); }
-    else if (found.thing) { tabs.show('Things'); things.choose(found.view, found.thing, false); }
+    else if (found.loop) { unfold(); tabs.show('Loops'); loops.choose(found.loop); }
+    else if (found.thing) { unfold(); tabs.show('Things'); things.choose(found.view, found.thing, false); }
   });
   addEventListener('keydown', e => { if (e.key === 'Escape') settings.setMode('look'); });
   // Figures for tests: what is drawn, and when the first picture was.

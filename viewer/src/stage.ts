@@ -26,8 +26,9 @@ export class Stage {
   private flight: { from: [Vector3, Vector3]; to: [Vector3, Vector3]; begun: number } | null = null;
 
   constructor(readonly host: HTMLElement) {
-    this.renderer = new WebGLRenderer({ antialias: devicePixelRatio < 2, powerPreference: 'high-performance' });
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    const isSoft = drawsBySoftware();
+    this.renderer = new WebGLRenderer({ antialias: devicePixelRatio < 2 && !isSoft, powerPreference: 'high-performance' });
+    this.renderer.setPixelRatio(isSoft ? 1 : Math.min(devicePixelRatio, 2));
     this.renderer.info.autoReset = true;
     host.prepend(this.renderer.domElement);
     this.camera.up.set(0, 0, 1);
@@ -72,11 +73,12 @@ export class Stage {
     if (!this.wanted) { this.last = time; return; }
     this.wanted = false;
     // Two frames in a row tell how fast the machine is; a pause between them tells nothing.
-    if (moving && span < 1000) {
+    if (moving && span < 4000) {
       const fps = 1000 / Math.max(span, 1);
-      this.frame.fps = this.frame.fps ? 0.8 * this.frame.fps + 0.2 * fps : fps;
-      if (this.frame.fps < ENOUGH_FPS) this.share = Math.max(0.02, this.share * 0.9);
-      else if (this.frame.fps > ENOUGH_FPS * 1.4) this.share = Math.min(1, this.share * 1.05);
+      this.frame.fps = this.frame.fps ? 0.7 * this.frame.fps + 0.3 * fps : fps;
+      // Far too slow is mended at once, a little too slow little by little.
+      if (this.frame.fps < ENOUGH_FPS) this.share = Math.max(0.02, this.share * Math.max(0.4, Math.min(0.95, Math.sqrt(fps / ENOUGH_FPS))));
+      else if (this.frame.fps > ENOUGH_FPS * 1.3) this.share = Math.min(1, this.share * 1.05);
     }
     this.last = time;
     this.near();
@@ -183,4 +185,13 @@ export class Stage {
     const distance = Math.max(this.camera.near, this.camera.position.distanceTo(place));
     return 2 * Math.tan(this.camera.fov * Math.PI / 360) * distance / Math.max(1, this.host.clientHeight);
   }
+}
+
+/** Whether the machine has no graphics processor that the browser uses: smooth edges would cost it four times the work. */
+function drawsBySoftware(): boolean {
+  const gl = document.createElement('canvas').getContext('webgl2');
+  const info = gl?.getExtension('WEBGL_debug_renderer_info');
+  const name = gl && info ? String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)) : '';
+  gl?.getExtension('WEBGL_lose_context')?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }

@@ -106,8 +106,8 @@ export class Viewer extends Emitter<{ views: void; problem: string }> {
     this.follow();
     const prepared = this.views.filter(view => view.cloud.group.visible).map(view => view.cloud.prepare());
     const wanted = prepared.reduce((sum, each) => sum + each.wanted, 0);
-    const budget = this.settings.budget * (moving ? this.stage.share : 1);
-    for (const each of prepared) each.apply(wanted > budget ? budget / wanted : 1);
+    const share = Math.min(1, this.settings.budget / Math.max(1, wanted)) * (moving ? this.stage.share : 1);
+    for (const each of prepared) each.apply(share);
     for (const view of this.views) view.resize();
   }
 
@@ -143,6 +143,8 @@ export class Viewer extends Emitter<{ views: void; problem: string }> {
       const kind = zone.keep_out ? 'keep out' : `at most ${Math.round(100 * (zone.speed_share ?? 1))} % speed`;
       labels.push({ key: `${id}/z/${i}`, text: zone.name ? `${zone.name} · ${kind}` : kind, place: world(new Vector3(corner.x, corner.y, view.floor)), colour: zone.keep_out ? '#d8433b' : '#e0a020', importance: 5, kind: 'zone' });
     }
+    const plan = view.plan.label;
+    if (plan) labels.push({ key: `${id}/plan`, text: plan.text, place: world(plan.place.clone().setZ(view.floor + plan.place.z)), colour: plan.colour, importance: 10, kind: 'path' });
     if (layers.robot && view.robot.group.visible) {
       const name = view.data.session?.display_name || id;
       labels.push({ key: `${id}/robot`, text: name, place: view.robot.group.getWorldPosition(new Vector3()).add(new Vector3(0, 0, 0.5)), colour: view.colour, importance: 9, kind: 'robot' });

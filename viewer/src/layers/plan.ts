@@ -3,12 +3,15 @@ import { Group, Mesh, MeshBasicMaterial, RingGeometry, SphereGeometry, Vector3, 
 import { rgb } from '../colours';
 import type { Stage } from '../stage';
 import type { PlanAnswer, Vector2 } from '../types';
+import { duration, metres, word } from '../words';
 import { chain, Lines } from './lines';
 
 const WAY = '#d23fc0', BLOCKED = '#e5352b';
 
 export class PlanLayer {
   readonly group = new Group();
+  /** What is said at the goal. */
+  label: { place: Vector3; text: string; colour: string } | null = null;
   private lines = new Lines({ width: 5, onTop: true });
   private goal = new Mesh(new RingGeometry(0.16, 0.24, 40), new MeshBasicMaterial({ color: WAY, side: DoubleSide }));
   private obstacle = new Mesh(new SphereGeometry(0.12, 20, 12), new MeshBasicMaterial({ color: BLOCKED }));
@@ -19,11 +22,14 @@ export class PlanLayer {
   }
 
   show(goal: Vector2, answer: PlanAnswer): void {
+    const { path, no_path } = answer;
+    const text = path ? `${metres(path.length_m)} · ${duration(path.duration_s)}` : `no path: ${word(no_path?.reason ?? '')}`;
+    this.label = { place: new Vector3(goal.x, goal.y, 0.1), text, colour: path ? WAY : BLOCKED };
     this.goal.visible = true;
     this.goal.position.set(goal.x, goal.y, 0.06);
-    this.goal.material.color.set(answer.path ? WAY : BLOCKED);
-    const way = (answer.path?.waypoints ?? []).map(p => new Vector3(p.x_m, p.y_m, 0.08));
-    const block = answer.no_path?.blocking;
+    this.goal.material.color.set(path ? WAY : BLOCKED);
+    const way = (path?.waypoints ?? []).map(p => new Vector3(p.x_m, p.y_m, 0.08));
+    const block = no_path?.blocking;
     this.obstacle.visible = !!block?.obstacle;
     if (block?.obstacle) this.obstacle.position.set(block.obstacle.x, block.obstacle.y, 0.12);
     const cross = block?.position && block.obstacle
@@ -33,6 +39,7 @@ export class PlanLayer {
   }
 
   clear(): void {
+    this.label = null;
     this.goal.visible = this.obstacle.visible = false;
     this.lines.set([], [0, 0, 0]);
     this.stage.draw();

@@ -9,7 +9,7 @@ void main() {
   ink = shade.rgb;
   vec4 seen = modelViewMatrix * vec4(position, 1.0);
   gl_Position = projectionMatrix * seen;
-  gl_PointSize = clamp(scale * spacing / -seen.z, 1.6, 14.0);
+  gl_PointSize = clamp(scale * spacing / -seen.z, 1.6, 10.0);
   // What is above the cut is put where nothing is drawn.
   if (position.z > top) gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
 }`;

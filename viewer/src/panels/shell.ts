@@ -29,19 +29,23 @@ export class Tabs {
   isOpen(name: string): boolean { return this.tabs[this.open]?.name === name; }
 }
 
-export function shell(bar: Node[], left: Node[], stage: HTMLElement, right: Node): void {
+/** Puts the page together; what it returns unfolds the right side. */
+export function shell(bar: Node[], left: Node[], stage: HTMLElement, right: Node): () => void {
   const sides = { left: make('aside', { className: 'left' }, ...left), right: make('aside', { className: 'right' }, right) };
+  const setters = { left: (_: boolean): void => undefined, right: (_: boolean): void => undefined };
   const fold = (side: 'left' | 'right', text: string): HTMLButtonElement => {
     const toggle = button(text, `show or hide the ${side} side`, () => set(!sides[side].hidden), 'fold');
     const set = (hidden: boolean): void => {
       sides[side].hidden = hidden;
       toggle.setAttribute('aria-expanded', String(!hidden));
       // On a narrow screen both would hide the picture.
-      if (!hidden && matchMedia('(max-width: 44rem)').matches) sides[side === 'left' ? 'right' : 'left'].hidden = true;
+      if (!hidden && matchMedia('(max-width: 44rem)').matches) setters[side === 'left' ? 'right' : 'left'](true);
     };
     // There a side lies over the picture.
     set(matchMedia('(max-width: 60rem)').matches);
+    setters[side] = set;
     return toggle;
   };
   document.body.append(make('header', {}, fold('left', '☰'), ...bar, fold('right', '☷')), make('div', { className: 'main' }, sides.left, stage, sides.right));
+  return () => { if (sides.right.hidden) setters.right(false); };
 }
