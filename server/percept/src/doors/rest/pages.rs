@@ -61,13 +61,15 @@ const fn page(
 }
 
 const HTML: &str = "text/html; charset=utf-8";
+/// What `viewer/` is built to; `build.rs` makes it.
+const VIEWER: &str = include_str!(concat!(env!("OUT_DIR"), "/viewer.html"));
 const TEXT: &str = "text/plain; charset=utf-8";
 const JSON: &str = "application/json";
 
 /// All pages.
 #[rustfmt::skip]
 pub(super) const PAGES: &[Page] = &[
-    page("/", "LivePage", "Sessions, live, in a browser", HTML, Content::Html(include_str!("live.html"))),
+    page("/", "LivePage", "Sessions, live in three dimensions, in a browser", HTML, Content::Html(VIEWER)),
     page("/docs", "DocsPage", "This API, to browse and try", HTML, Content::Html(include_str!("docs.html"))),
     page("/openapi.json", "OpenApi", "This document", JSON, Content::OpenApi),
     page("/reasons", "Reasons", "Every reason of an error, and what it means", "text/markdown; charset=utf-8", Content::Reasons),
