@@ -4,6 +4,7 @@ use super::Failure;
 use nalgebra::{Point2, Point3};
 use percept_geometry::SensorFrame;
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::{Duration, Instant};
 
 /// Frames decoded ahead.
 const AHEAD: usize = 4;
@@ -45,6 +46,32 @@ where
         }
     });
     read
+}
+
+/// Frames no earlier than they come at `rate` times the pace of their stamps.
+pub(crate) fn paced<E>(
+    frames: impl Iterator<Item = Result<SensorFrame, E>>,
+    rate: f64,
+) -> impl Iterator<Item = Result<SensorFrame, E>> {
+    let mut begun = None;
+    frames.inspect(move |frame| {
+        let Ok(frame) = frame else { return };
+        let (began, first) = *begun.get_or_insert_with(|| (Instant::now(), frame.stamp));
+        let due = Duration::from_secs_f64((frame.stamp.seconds_since(first) / rate).max(0.0));
+        std::thread::sleep(due.saturating_sub(began.elapsed()));
+    })
+}
+
+/// How fast a recording is played.
+pub(crate) fn parse_rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|r| (0.001..=1000.0).contains(r));
+    rate.ok_or_else(|| format!("{text:?} is no rate; write a number from 0.001 to 1000, such as 1"))
+}
+
+/// A time in a recording.
+pub(crate) fn parse_seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|s: &f64| s.is_finite() && *s >= 0.0);
+    seconds.ok_or_else(|| format!("{text:?} is no time; write seconds from 0"))
 }
 
 /// A part of a recording, `FIRST:LAST`, LAST excluded; either may be left out.
@@ -104,6 +131,9 @@ fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector3;
+    use percept_geometry::sensor::ImuSample;
+    use percept_geometry::{SensorData, Timestamp};
 
     #[test]
     fn ranges_are_read_and_nonsense_is_refused() {
@@ -113,6 +143,23 @@ mod tests {
         for bad in ["", "3", "a:b", "5:5", "7:3", "-1:3"] {
             assert!(parse_range(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn frames_come_at_the_pace_asked_for_and_faults_at_once() {
+        let sample = ImuSample { angular_velocity: Vector3::zeros(), linear_acceleration: Vector3::zeros() };
+        let frame = |ms: i64| SensorFrame {
+            sensor: "imu".into(),
+            stamp: Timestamp(ms * 1_000_000),
+            data: SensorData::Imu(sample.clone()),
+        };
+        let recorded = [Ok(frame(5000)), Err("cut"), Ok(frame(5100)), Ok(frame(5050)), Ok(frame(5300))];
+        let began = Instant::now();
+        let came: Vec<_> = paced(recorded.into_iter(), 10.0).map(|f| f.map(|_| began.elapsed())).collect();
+        let at = |i: usize| came[i].clone().unwrap();
+        assert!(came[1].is_err() && at(2) >= Duration::from_millis(10) && at(4) >= Duration::from_millis(30));
+        assert!(parse_rate("0.5") == Ok(0.5) && parse_rate("0").is_err() && parse_rate("nan").is_err());
+        assert!(parse_seconds("12") == Ok(12.0) && parse_seconds("-1").is_err() && parse_seconds("inf").is_err());
     }
 
     #[test]

@@ -34,6 +34,15 @@ pub(crate) struct ReplayArgs {
     /// Only a part of the recording, FIRST:LAST, LAST excluded.
     #[arg(long, value_parser = input::parse_range)]
     frames: Option<Range<usize>>,
+    /// Begin so many seconds after the recording's first frame.
+    #[arg(long, value_name = "SECONDS", value_parser = input::parse_seconds, conflicts_with = "frames")]
+    start: Option<f64>,
+    /// End so many seconds after the recording's first frame.
+    #[arg(long, value_name = "SECONDS", value_parser = input::parse_seconds, conflicts_with = "frames")]
+    end: Option<f64>,
+    /// Play so many times as fast as it was recorded (1: as a robot would send it); none: as fast as frames are taken.
+    #[arg(long, value_name = "FACTOR", value_parser = input::parse_rate)]
+    rate: Option<f64>,
     /// Write trajectory, map, cloud, objects and scene graph into this folder.
     #[arg(long)]
     out: Option<PathBuf>,
@@ -92,6 +101,19 @@ pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
              of seconds for each, would tell how fast they come"
         );
     }
+    if !recording.is_timed && (args.rate.is_some() || args.start.is_some() || args.end.is_some()) {
+        return Err(
+            "nothing says when these frames were taken; leave --rate, --start and --end out, or use --frames".into()
+        );
+    }
+    if part(&args, &recording).is_empty() && !recording.is_empty() {
+        let words = format!(
+            "no frame is in the part asked for; the recording has {} frames in {:.1} s",
+            recording.len(),
+            recording.duration_s()
+        );
+        return Err(words.into());
+    }
     match &args.server {
         None => in_process(&args, &recording),
         Some(server) => {
@@ -103,8 +125,14 @@ pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
 
 /// The part asked for, cut to what is there.
 fn part(args: &ReplayArgs, recording: &Dataset) -> Range<usize> {
-    let range = args.frames.clone().unwrap_or(0..usize::MAX);
-    range.start.min(recording.len())..range.end.min(recording.len())
+    let stamps = recording.stamps();
+    let at = |seconds: f64| stamps.partition_point(|s| s.seconds_since(stamps[0]) < seconds);
+    let range = match (&args.frames, args.start, args.end) {
+        (Some(frames), ..) => frames.clone(),
+        (None, start, end) => start.map_or(0, at)..end.map_or(usize::MAX, at),
+    };
+    let (first, last) = (range.start.min(recording.len()), range.end.min(recording.len()));
+    first..last.max(first)
 }
 
 type Frames = Box<dyn Iterator<Item = Result<SensorFrame, percept_formats::FormatError>> + Send>;
@@ -112,10 +140,14 @@ type Frames = Box<dyn Iterator<Item = Result<SensorFrame, percept_formats::Forma
 fn frames(args: &ReplayArgs, recording: &Dataset) -> Frames {
     let chosen = Chosen::new(&args.sensors, !args.no_odometry);
     let frames = recording.frames(Some(part(args, recording)));
-    Box::new(frames.flat_map(move |frame| match frame {
+    let frames = frames.flat_map(move |frame| match frame {
         Ok(frame) => chosen.frames(frame).into_iter().map(Ok).collect::<Vec<_>>(),
         Err(e) => vec![Err(e)],
-    }))
+    });
+    match args.rate {
+        Some(rate) => Box::new(input::paced(frames, rate)),
+        None => Box::new(frames),
+    }
 }
 
 /// The sensor whose frames are counted.
