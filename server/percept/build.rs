@@ -23,7 +23,7 @@ const WITHOUT: &str = r#"<!doctype html>
   body { font: 16px/1.6 system-ui, sans-serif; max-width: 40rem; margin: 3rem auto; padding: 0 1.2rem; }
 </style>
 <h1>percept</h1>
-<p>The server runs. It was built without npm, so the live 3D viewer is not in it.</p>
+<p>The server runs. It was built without npm, or npm met no network then, so the live 3D viewer is not in it.</p>
 <p>To get the viewer, install Node.js 20 or newer on the machine that builds, and build again:</p>
 <pre>touch server/percept/build.rs
 cargo build --release</pre>

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import httpx
 import pytest
@@ -21,6 +22,13 @@ def test_the_document_describes_what_is_served(http):
     assert document["openapi"].startswith("3.")
     assert {"/v1/sessions", "/v1/sessions/{session_id}/plan", "/v1/toolbox/segment-planes"} <= set(document["paths"])
     assert http.get("/").headers["content-type"].startswith("text/html")
+
+
+def test_the_page_loads_nothing_from_elsewhere(http):
+    page = http.get("/")
+    assert "default-src 'none'" in page.headers["content-security-policy"]
+    assert "<title>percept</title>" in page.text
+    assert not re.search(r"<(script|link|img)\b[^>]*\b(src|href)=.(https?:)?//", page.text)
 
 
 def test_the_server_says_that_it_lives(http):

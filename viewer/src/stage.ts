@@ -26,10 +26,11 @@ export class Stage {
   private flight: { from: [Vector3, Vector3]; to: [Vector3, Vector3]; begun: number } | null = null;
 
   constructor(readonly host: HTMLElement) {
-    const isSoft = drawsBySoftware();
-    this.renderer = new WebGLRenderer({ antialias: devicePixelRatio < 2 && !isSoft, powerPreference: 'high-performance' });
-    this.renderer.setPixelRatio(isSoft ? 1 : Math.min(devicePixelRatio, 2));
-    this.renderer.info.autoReset = true;
+    const soft = softwareContext();
+    this.renderer = new WebGLRenderer(soft ?? { antialias: devicePixelRatio < 2, powerPreference: 'high-performance' });
+    this.renderer.setPixelRatio(soft ? 1 : Math.min(devicePixelRatio, 2));
+    // Asking after each program whether it is right waits until it is.
+    this.renderer.debug.checkShaderErrors = false;
     host.prepend(this.renderer.domElement);
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(-4, -9, 10);
@@ -187,11 +188,13 @@ export class Stage {
   }
 }
 
-/** Whether the machine has no graphics processor that the browser uses: smooth edges would cost it four times the work. */
-function drawsBySoftware(): boolean {
-  const gl = document.createElement('canvas').getContext('webgl2');
-  const info = gl?.getExtension('WEBGL_debug_renderer_info');
-  const name = gl && info ? String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)) : '';
-  gl?.getExtension('WEBGL_lose_context')?.loseContext();
-  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+/** A context without smooth edges, if the browser draws without a graphics processor: they would cost four times the work. */
+function softwareContext(): { canvas: HTMLCanvasElement; context: WebGL2RenderingContext } | null {
+  const canvas = document.createElement('canvas');
+  const context = canvas.getContext('webgl2', { antialias: false, alpha: true, depth: true, stencil: false });
+  const info = context?.getExtension('WEBGL_debug_renderer_info');
+  const name = context && info ? String(context.getParameter(info.UNMASKED_RENDERER_WEBGL)) : '';
+  if (context && /swiftshader|llvmpipe|software|basic render/i.test(name)) return { canvas, context };
+  context?.getExtension('WEBGL_lose_context')?.loseContext();
+  return null;
 }

@@ -43,7 +43,7 @@ export class View {
   draft: Vector2[] = [];
   /** Things as they were at the time of the slider; nothing while it is live. */
   pastThings: Thing[] | null = null;
-  /** Most of the way lies under something. */
+  /** Enough of the way lies under something: a camera that looks ahead sees little of what is overhead. */
   private roofed = false;
   private measured = '';
   private times: PassTimes | null = null;
@@ -173,7 +173,7 @@ export class View {
     this.recolour();
   }
 
-  /** Whether there are points overhead at most places of the way, by squares of a metre. */
+  /** Whether there are points overhead at a fifth of the way, by squares of a metre. */
   private isRoofed(): boolean {
     const key = (x: number, y: number): string => `${Math.floor(x)},${Math.floor(y)}`;
     const way = new Set(this.data.trajectory.map(pose => key(pose.t_map_base?.translation?.x ?? 0, pose.t_map_base?.translation?.y ?? 0)));
@@ -181,7 +181,7 @@ export class View {
     for (const { positions } of this.cloud.parts.values()) for (let i = 0; i < positions.length; i += 3) {
       if (positions[i + 2]! > this.floor + CUT_M) covered.add(key(positions[i]!, positions[i + 1]!));
     }
-    return way.size > 0 && [...way].filter(place => covered.has(place)).length > way.size / 2;
+    return way.size > 0 && [...way].filter(place => covered.has(place)).length > way.size / 5;
   }
 
   /** What the points can be coloured by; the first is what they are coloured by until somebody chooses. */

@@ -55,11 +55,14 @@ export function edgeFor(width_m: number, height_m: number, tile_m: number, most 
 /** How far points are apart at a level: each one's voxels are twice as large. */
 export const voxelAt = (voxel: number, level: number): number => voxel * 2 ** level;
 
-/** Levels for squares by distance, such that about `limit` points are held. `full` is what each square has at level 0. */
-export function levels(squares: { full: number; distance: number }[], limit: number): number[] {
+/**
+ * Levels for squares by distance, such that about `limit` points are held. `full` is what each square has at level 0, and each level
+ * has `ratio` times fewer: 4 on dense surfaces, less where points lie apart.
+ */
+export function levels(squares: { full: number; distance: number }[], limit: number, ratio: number): number[] {
   const at = (near: number): number[] =>
     squares.map(s => Math.max(0, Math.min(6, Math.floor(Math.log2(Math.max(1e-9, s.distance / near))) + 1)));
-  const held = (all: number[]): number => all.reduce((sum, level, i) => sum + squares[i]!.full / 4 ** level, 0);
+  const held = (all: number[]): number => all.reduce((sum, level, i) => sum + squares[i]!.full / ratio ** level, 0);
   for (let near = 4096; near > 1; near /= 1.5) {
     const all = at(near);
     if (held(all) <= limit) return all;

@@ -39,6 +39,14 @@ export class CloudLayer {
     this.stage.draw();
   }
 
+  /** Keeps a share of a part's points. */
+  thin(key: string, share: number, voxel: number): void {
+    const part = this.parts.get(key);
+    if (!part) return;
+    const n = Math.ceil(part.count * share);
+    this.put({ key, positions: part.positions.slice(0, 3 * n), own: part.own?.slice(0, 3 * n) ?? null, bright: part.bright?.slice(0, n) ?? null }, voxel);
+  }
+
   drop(key: string): void {
     this.parts.get(key)?.dispose();
     this.parts.delete(key);

@@ -27,6 +27,8 @@ export class CloudLoader {
   private busy = false;
   private lastAt = 0;
   private total = 0;
+  /** By how much a level has fewer points than the one below it. */
+  private ratio = 4;
 
   constructor(
     private id: string, private layer: CloudLayer, private signal: AbortSignal,
@@ -63,6 +65,7 @@ export class CloudLoader {
       this.measure(far.positions);
       const share = isSmall ? 1 : this.total / Math.max(1, far.positions.length / 3);
       const level = isSmall ? 0 : Math.max(1, Math.round(Math.log2(Math.max(1, far.voxel / this.voxel))));
+      if (level) this.ratio = Math.min(4, Math.max(1.2, share ** (1 / level)));
       for (const piece of cut(far, this.edge)) {
         this.layer.put(piece, isSmall ? this.voxel : far.voxel || this.voxel);
         this.full.set(piece.key, piece.positions.length / 3 * share);
@@ -137,11 +140,19 @@ export class CloudLoader {
   private choose(): void {
     if (this.total <= this.budget() || !this.full.size) return;
     const keys = [...this.full.keys()], wanted = this.levels(keys);
-    keys.forEach((key, i) => { if (wanted[i]! < (this.held.get(key) ?? 9)) this.queue.add(key); });
+    keys.forEach((key, i) => {
+      const held = this.held.get(key) ?? 9, coarser = wanted[i]! - held;
+      if (coarser < 0) this.queue.add(key);
+      // What was near and is far now is thinned, or a walk through a large map would gather all of it.
+      if (coarser >= 2) {
+        this.layer.thin(key, this.ratio ** -coarser, voxelAt(this.voxel, wanted[i]!));
+        this.held.set(key, wanted[i]!);
+      }
+    });
   }
 
   private levels(keys: string[]): number[] {
-    return levels(keys.map(key => ({ full: this.full.get(key) ?? 0, distance: this.distance(key) })), this.budget() * 1.25);
+    return levels(keys.map(key => ({ full: this.full.get(key) ?? 0, distance: this.distance(key) })), this.budget() * 1.25, this.ratio);
   }
 
   private distance(key: string): number {
@@ -172,7 +183,9 @@ export class CloudLoader {
       if (edge !== this.edge) return;
       const piece = cut(cloud, edge, key)[0];
       if (piece) this.layer.put(piece, voxel); else this.layer.drop(key);
-      this.full.set(key, (piece?.positions.length ?? 0) / 3 * 4 ** level);
+      const points = (piece?.positions.length ?? 0) / 3, full = this.full.get(key) ?? 0;
+      if (!level) this.full.set(key, points);
+      else if (points > 100 && full > points) this.ratio = Math.min(4, Math.max(1.2, 0.9 * this.ratio + 0.1 * (full / points) ** (1 / level)));
       this.held.set(key, level);
       this.total = [...this.full.values()].reduce((sum, n) => sum + n, 0);
     } catch { if (!this.signal.aborted) { this.queue.add(key); await new Promise(done => setTimeout(done, 1000)); } }

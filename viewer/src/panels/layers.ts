@@ -10,7 +10,7 @@ const NAMES: [LayerName, string][] = [
   ['things', 'things'], ['rooms', 'rooms'], ['zones', 'zones'], ['labels', 'labels'], ['surface', 'surface'], ['voxels', 'voxels'], ['heights', 'heights'],
 ];
 export const COLOUR_NAMES: Record<ColourBy, string> = {
-  own: 'own colour', height: 'height', class: 'class of things', time: 'time of passing', reflectance: 'reflectance', robot: 'robot',
+  own: 'own colour', height: 'height', class: 'class of things', time: 'time', reflectance: 'reflectance', robot: 'robot',
 };
 const BUDGETS = [200_000, 500_000, 1_000_000, 2_000_000, 4_000_000, 8_000_000];
 

@@ -36,7 +36,7 @@ export function legend(settings: Settings, viewer: Viewer): HTMLElement {
       else if (settings.layers.points && by === 'reflectance') parts.push(scaled(view.brightness.min.toFixed(1), view.brightness.max.toFixed(1), 'reflectance'));
       else if (settings.layers.points && by === 'time') {
         const span = seconds(way.at(-1)?.stamp_ns) - seconds(way[0]?.stamp_ns);
-        parts.push(scaled('0 s', `${span.toFixed(0)} s`, 'when the robot was nearest'));
+        parts.push(scaled('0 s', `${span.toFixed(0)} s`, 'time when the robot was near'));
       } else if (settings.layers.points) parts.push(make('div', {}, make('b', {}, `points: ${COLOUR_NAMES[by]}`)));
       if (settings.layers.things && classes.length) parts.push(items('things', classes.map(name => [name, classColour(name)])));
       if (settings.layers.loops && states.length) parts.push(items('loops', states.map(state => [word(state), LOOP_COLOURS[state] ?? '#8a94a3'])));
