@@ -97,10 +97,10 @@ def test_a_robot_is_mapped_and_gets_poses_and_a_map_back(tmp_path, router, kind)
             np.testing.assert_allclose([told.x, told.y], found.translation[:2], atol=0.02)
             assert all(len(a) == 33 or kind == "dds" for a in poses.attachments)
             grid = grids.newest()
+            assert set(np.unique(grid.data)) == {-1, 0, 100}  # as nav2's costmap wants it
             assert grid.header.frame_id == "map"
             assert grid.info.resolution == pytest.approx(session.map.occupancy().resolution_m)
             assert len(grid.data) == grid.info.width * grid.info.height
-            assert set(np.unique(grid.data)) == {-1, 0, 100}  # as nav2's costmap wants it
             # map -> odom, and odom -> base of the robot's own, are map -> base.
             last = world.stamp(first + 24)
             ours = lambda: [  # noqa: E731
@@ -294,8 +294,17 @@ def test_a_robot_connects_to_percept(tmp_path):
     server = serve(tmp_path, "", f'listen = "{endpoint}"')
     with Robot(endpoint, listens=True) as robot, Client(server.grpc) as client:
         describe(robot)
-        stand(robot, world.drive(1)[0], seconds=3.0)
-        assert client.session("robot").pose().state == "tracking", server.tail()
+        first = 0
+
+        def is_tracking() -> bool:
+            nonlocal first
+            first = stand(robot, world.drive(1)[0], first=first, seconds=0.5)
+            names = [s.session_id for s in client.sessions.list()]
+            pose = client.session("robot").pose() if "robot" in names else None
+            return pose is not None and pose.state == "tracking"
+
+        # Routers look for each other every few seconds.
+        assert eventually(is_tracking, seconds=30), server.tail()
     assert server.stop() == 0
 
 

@@ -258,11 +258,14 @@ impl<'a> Results<'a> {
         self.periods = self.periods.wrapping_add(1);
         if self.is_map_old {
             self.is_map_old = false;
+            let snapshot = self.caller.snapshot("MapsService/GetOccupancyGrid", session).await;
             if let Some(map) = &topics.map
+                && let Some(snapshot) = self.told("map", snapshot)
                 && let Some(grid) = self.told("map", self.caller.occupancy_grid(session, None, None, false).await)
             {
+                let occupied = snapshot.params.planning.occupied_probability;
                 let (g, header) = (grid.grid, Header::new(grid.stamp, &self.robot.map_frame));
-                let cells: Vec<i8> = g.cells.iter().map(|&c| trinary(c)).collect();
+                let cells: Vec<i8> = g.cells.iter().map(|&c| trinary(c, occupied)).collect();
                 map.send(&convert::grid_message(&g.geometry, g.width, &cells, header)?, now_ns()).await?;
             }
             if topics.path.is_heard().await {
@@ -402,13 +405,13 @@ impl Events {
     }
 }
 
-/// Free, occupied or unknown, since nav2's costmap takes whatever is below 100 for free: by the thresholds of its map server
-/// (`free_thresh` 0.25, `occupied_thresh` 0.65).
-fn trinary(cell: i8) -> i8 {
+/// Unknown, free or occupied as percept's own planner takes a cell of 0 to 100, since nav2's costmap takes all below 100 for
+/// free.
+fn trinary(cell: i8, occupied_probability: f64) -> i8 {
     match cell {
-        0..=25 => 0,
-        65.. => 100,
-        _ => -1,
+        ..0 => -1,
+        _ if f64::from(cell) >= 100.0 * occupied_probability => 100,
+        _ => 0,
     }
 }
 
@@ -477,8 +480,8 @@ mod tests {
 
     #[test]
     fn what_a_costmap_takes_for_free_is_free() {
-        let cells = [-1, 0, 25, 26, 64, 65, 100].map(trinary);
-        assert_eq!(cells, [-1, 0, 0, -1, -1, 100, 100]);
+        let cells = [-1, 0, 40, 59, 60, 100].map(|c| trinary(c, 0.6));
+        assert_eq!(cells, [-1, 0, 0, 0, 100, 100]);
     }
 
     #[test]
