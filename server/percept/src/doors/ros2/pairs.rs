@@ -7,6 +7,8 @@ use std::collections::VecDeque;
 const APART_NS: u64 = 17_000_000;
 /// Images of either kind that wait for the other: 0.3 s at 30 Hz.
 const HELD: usize = 10;
+/// Bytes of images of either kind that wait at most: ten of 1280 x 720 in colour, and more.
+const HELD_BYTES: usize = 32 << 20;
 
 /// Images of one camera that wait for their other half.
 #[derive(Debug)]
@@ -23,17 +25,20 @@ impl<T> Default for Pairs<T> {
     }
 }
 
-impl<T: Clone> Pairs<T> {
+/// Something that takes memory.
+pub(super) trait Weighed {
+    /// Bytes that it takes.
+    fn num_bytes(&self) -> usize;
+}
+
+impl<T: Clone + Weighed> Pairs<T> {
     /// Takes a depth image in; with its colour, if that is there.
     pub(super) fn depth(&mut self, stamp: Timestamp, image: T) -> Option<(T, T)> {
         if let Some(color) = nearest(&self.color, stamp) {
             return Some((image, color));
         }
         self.depth.push_back((stamp, image));
-        if self.depth.len() > HELD {
-            self.depth.pop_front();
-            self.num_alone += 1;
-        }
+        self.num_alone += let_go(&mut self.depth);
         None
     }
 
@@ -41,14 +46,22 @@ impl<T: Clone> Pairs<T> {
     pub(super) fn color(&mut self, stamp: Timestamp, image: T) -> Option<(T, T)> {
         let waiting = self.depth.iter().position(|(at, _)| at.0.abs_diff(stamp.0) <= APART_NS);
         self.color.push_back((stamp, image.clone()));
-        if self.color.len() > HELD {
-            self.color.pop_front();
-        }
+        let_go(&mut self.color);
         let at = waiting?;
         self.num_alone += at as u64;
         self.depth.drain(..at);
         self.depth.pop_front().map(|(_, depth)| (depth, image))
     }
+}
+
+/// Lets the oldest go until the rest may wait; how many went.
+fn let_go<T: Weighed>(images: &mut VecDeque<(Timestamp, T)>) -> u64 {
+    let mut gone = 0;
+    while images.len() > HELD || images.iter().map(|(_, image)| image.num_bytes()).sum::<usize>() > HELD_BYTES {
+        images.pop_front();
+        gone += 1;
+    }
+    gone
 }
 
 fn nearest<T: Clone>(images: &VecDeque<(Timestamp, T)>, stamp: Timestamp) -> Option<T> {
@@ -59,6 +72,12 @@ fn nearest<T: Clone>(images: &VecDeque<(Timestamp, T)>, stamp: Timestamp) -> Opt
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    impl Weighed for &str {
+        fn num_bytes(&self) -> usize {
+            if *self == "huge" { HELD_BYTES } else { self.len() }
+        }
+    }
 
     fn ms(ms: i64) -> Timestamp {
         Timestamp(ms * 1_000_000)
@@ -85,5 +104,13 @@ mod tests {
         assert_eq!(pairs.num_alone, 1);
         (0..20).for_each(|i| assert_eq!(pairs.depth(ms(1000 + 33 * i), "d"), None));
         assert_eq!((pairs.num_alone, pairs.depth.len()), (11, HELD));
+    }
+
+    #[test]
+    fn large_images_do_not_pile_up() {
+        let mut pairs = Pairs::default();
+        (0..5).for_each(|i| assert_eq!(pairs.depth(ms(100 * i), "huge"), None));
+        assert_eq!((pairs.depth.len(), pairs.num_alone), (1, 4));
+        assert_eq!(pairs.color(ms(400), "c"), Some(("huge", "c")));
     }
 }

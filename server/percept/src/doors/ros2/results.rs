@@ -21,7 +21,7 @@ use percept_scene::Object;
 use percept_service::{Caller, CloudDetail, EventKind, EventLog, ObjectQuery, PathOptions, PlanRequest};
 use percept_wire::convert::navigation::planned_to;
 use std::sync::{Arc, Mutex, MutexGuard};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::sync::mpsc;
 
 /// How often the transform is published, as slam_toolbox does (`transform_publish_period`, 0.02 s) or a little less.
@@ -32,6 +32,8 @@ const MAP_PERIOD: Duration = Duration::from_secs(1);
 const CLOUD_EVERY: u32 = 5;
 /// Points of a published cloud at most: 16 MB.
 const MAX_POINTS: u64 = 1_000_000;
+/// Somebody who published the transform from map to odom so recently does so still.
+const LEFT_TO_OTHERS: Duration = Duration::from_secs(5);
 /// Things and keyframes asked for at a time, and pages of them at most.
 const PAGE: u32 = 1000;
 const MAX_PAGES: usize = 20;
@@ -58,8 +60,8 @@ pub(super) struct Known {
     is_unhashed: bool,
     /// Whether somebody else publishes the map.
     is_map_taken: bool,
-    /// Whether somebody else publishes where odom is in the map.
-    pub(super) is_tf_taken: bool,
+    /// When somebody else last published where odom is in the map.
+    pub(super) tf_taken: Option<Instant>,
 }
 
 impl Shared {
@@ -233,7 +235,7 @@ impl<'a> Results<'a> {
         child: &str,
         t_map_child: &Pose,
     ) -> Result<(), Failure> {
-        if self.shared.lock().is_tf_taken {
+        if self.shared.lock().tf_taken.is_some_and(|at| at.elapsed() < LEFT_TO_OTHERS) {
             if self.caller.faults().admit(&format!("ros2 tf of {}", self.robot.session)).is_some() {
                 tracing::warn!(
                     session = self.robot.session,

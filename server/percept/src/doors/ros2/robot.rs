@@ -5,7 +5,7 @@ use super::super::zenoh::Failure;
 use super::book::{Book, Decision, Standing, transforms_sensor};
 use super::inbox::{Inbox, Incoming};
 use super::link::{self, Found};
-use super::pairs::Pairs;
+use super::pairs::{Pairs, Weighed};
 use super::results::{Goal, Shared};
 use super::settings::Robot;
 use percept_geometry::sensor::OdometrySample;
@@ -39,6 +39,12 @@ const GOAL: &str = "goal_pose";
 
 /// An image that waits for its other half: number, when it was sent, bytes.
 type Half = (u64, i64, ZBytes);
+
+impl Weighed for Half {
+    fn num_bytes(&self) -> usize {
+        self.2.len()
+    }
+}
 
 /// What listens to one robot.
 pub(super) struct Listener<'a> {
@@ -340,7 +346,7 @@ impl<'a> Listener<'a> {
         let bare = |frame: &str| frame.trim_start_matches('/').to_owned();
         for t in &message.transforms {
             if bare(t.header.frame_id) == self.robot.map_frame && bare(t.child_frame_id) == self.robot.odom_frame {
-                self.shared.lock().is_tf_taken = true;
+                self.shared.lock().tf_taken = Some(Instant::now());
             }
         }
         let of_odometry =
