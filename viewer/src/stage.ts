@@ -7,6 +7,8 @@ import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 const FLIGHT_MS = 450;
 /** Below this rate, while the view moves, fewer points are drawn. */
 const ENOUGH_FPS = 30;
+/** Fewer points than this share are no picture any more: then it is drawn with half the pixels an edge. */
+const LEAST_SHARE = 0.1;
 
 export interface Frame { draws: number; points: number; fps: number; share: number }
 
@@ -20,6 +22,8 @@ export class Stage {
   frame: Frame = { draws: 0, points: 0, fps: 0, share: 1 };
   readonly beforeFrame = new Set<(moving: boolean) => void>();
   readonly afterFrame = new Set<() => void>();
+  private coarse = false;
+  private readonly pixelRatio: number;
   private wanted = true;
   private movedAt = 0;
   private last = 0;
@@ -28,7 +32,8 @@ export class Stage {
   constructor(readonly host: HTMLElement) {
     const soft = softwareContext();
     this.renderer = new WebGLRenderer(soft ?? { antialias: devicePixelRatio < 2, powerPreference: 'high-performance' });
-    this.renderer.setPixelRatio(soft ? 1 : Math.min(devicePixelRatio, 2));
+    this.pixelRatio = soft ? 1 : Math.min(devicePixelRatio, 2);
+    this.renderer.setPixelRatio(this.pixelRatio);
     // Asking after each program whether it is right waits until it is.
     this.renderer.debug.checkShaderErrors = false;
     host.prepend(this.renderer.domElement);
@@ -78,10 +83,11 @@ export class Stage {
       const fps = 1000 / Math.max(span, 1);
       this.frame.fps = this.frame.fps ? 0.7 * this.frame.fps + 0.3 * fps : fps;
       // Far too slow is mended at once, a little too slow little by little.
-      if (this.frame.fps < ENOUGH_FPS) this.share = Math.max(0.02, this.share * Math.max(0.4, Math.min(0.95, Math.sqrt(fps / ENOUGH_FPS))));
+      if (this.frame.fps < ENOUGH_FPS) this.share = Math.max(LEAST_SHARE, this.share * Math.max(0.4, Math.min(0.95, Math.sqrt(fps / ENOUGH_FPS))));
       else if (this.frame.fps > ENOUGH_FPS * 1.3) this.share = Math.min(1, this.share * 1.05);
     }
     this.last = time;
+    this.sharpen(moving);
     this.near();
     for (const each of this.beforeFrame) each(moving);
     this.renderer.render(this.scene, this.camera);
@@ -91,6 +97,13 @@ export class Stage {
     for (const each of this.afterFrame) each();
     // Once the view rests, all points are drawn.
     if (moving) setTimeout(() => this.draw(), 250);
+  }
+
+  private sharpen(moving: boolean): void {
+    const coarse = moving && this.share <= 2 * LEAST_SHARE && (this.coarse || this.frame.fps < ENOUGH_FPS / 2);
+    if (coarse === this.coarse) return;
+    this.coarse = coarse;
+    this.renderer.setPixelRatio(this.pixelRatio * (coarse ? 0.5 : 1));
   }
 
   /** Near and far planes that fit the distance: depth has no digits to spare. */

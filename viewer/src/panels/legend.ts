@@ -52,7 +52,9 @@ export function legend(settings: Settings, viewer: Viewer): HTMLElement {
     text.textContent = metres < 1 ? `${metres * 100} cm` : `${metres} m`;
     const { draws, points, fps, share } = viewer.stage.frame;
     const held = viewer.views.reduce((sum, view) => sum + view.cloud.count, 0);
-    stats.textContent = `${count(points)} of ${count(held)} points · ${draws} draws${fps ? ` · ${fps.toFixed(0)} frames/s` : ''}${share < 1 ? ' · thinned while moving' : ''}`;
+    // Keyframes are drawn as points, too.
+    const marks = settings.layers.keyframes ? viewer.views.reduce((sum, view) => sum + view.keyframes.shown.length, 0) : 0;
+    stats.textContent = `${count(Math.max(0, points - marks))} of ${count(held)} points · ${draws} draws${fps ? ` · ${fps.toFixed(0)} frames/s` : ''}${share < 1 ? ' · thinned' : ''}`;
   }, 100));
   settings.on('changed', draw);
   viewer.on('views', draw);
