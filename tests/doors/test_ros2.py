@@ -69,9 +69,10 @@ def drive(client: Client, robot: Robot, first: int, num: int, *, space: str = ""
     return poses
 
 
-@pytest.mark.parametrize("kind", ["jazzy", "labels", "humble", "dds"])
+#: Humble is older than types' hashes, and its attachments have labels.
+@pytest.mark.parametrize("kind", ["jazzy", "humble", "dds"])
 def test_a_robot_is_mapped_and_gets_poses_and_a_map_back(tmp_path, router, kind):
-    options = {"labels": kind == "labels", "humble": kind == "humble", "dds": kind == "dds"}
+    options = {"labels": kind == "humble", "humble": kind == "humble", "dds": kind == "dds"}
     with Robot(router.endpoint, **options) as robot:
         # Latched before anybody listens.
         describe(robot)
