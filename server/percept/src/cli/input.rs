@@ -151,12 +151,12 @@ mod tests {
         let frame = |ms: i64| SensorFrame {
             sensor: "imu".into(),
             stamp: Timestamp(ms * 1_000_000),
-            data: SensorData::Imu(sample.clone()),
+            data: SensorData::Imu(sample),
         };
         let recorded = [Ok(frame(5000)), Err("cut"), Ok(frame(5100)), Ok(frame(5050)), Ok(frame(5300))];
         let began = Instant::now();
         let came: Vec<_> = paced(recorded.into_iter(), 10.0).map(|f| f.map(|_| began.elapsed())).collect();
-        let at = |i: usize| came[i].clone().unwrap();
+        let at = |i: usize| came[i].unwrap();
         assert!(came[1].is_err() && at(2) >= Duration::from_millis(10) && at(4) >= Duration::from_millis(30));
         assert!(parse_rate("0.5") == Ok(0.5) && parse_rate("0").is_err() && parse_rate("nan").is_err());
         assert!(parse_seconds("12") == Ok(12.0) && parse_seconds("-1").is_err() && parse_seconds("inf").is_err());
