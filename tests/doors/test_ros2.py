@@ -201,10 +201,23 @@ def test_what_is_no_message_is_counted_and_harms_nobody(tmp_path, router):
             robot.publish_raw("/scan", kind, bytes(ros2.STORE.serialize_cdr(odometry, odometry.__msgtype__)))
             of = lambda: {s.spec.sensor_id: s for s in session.sensors.list()}["scan"]  # noqa: E731
             assert eventually(lambda: of().rejected == len(rubbish) + 1), of()
+            # A sensor does not move to another frame.
+            robot.publish("/scan", ros2.scan(world.stamp(first), "elsewhere", world.scan(start)))
+            assert eventually(lambda: of().rejected == len(rubbish) + 2), of()
             robot.publish_raw("/points", "sensor_msgs/msg/PointCloud2", b"\x00\x01\x00\x00" + b"\xff" * 60)
             robot.publish_raw("/tf", "tf2_msgs/msg/TFMessage", b"\x00\x01\x00\x00" + b"\xff" * 60)
-            drive(client, robot, first + 1, 5)
+            # Numbers of two publishers of one topic are no gaps.
+            step(robot, first + 1, start)
+            assert eventually(lambda: session.pose().stamp_ns == world.stamp(first + 1))
+            gaps = of().gaps
+            with Robot(router.endpoint) as second:
+                for k in range(10):
+                    second.publish("/scan", ros2.scan(world.stamp(first), "laser_link", world.scan(start)))
+                    step(robot, first + 2 + k, start)
+                    time.sleep(0.05)
+            drive(client, robot, first + 12, 5)
             assert session.pose().state == "tracking"
+            assert of().gaps == gaps
             assert "LaserScan" in server.tail()
         assert server.stop() == 0
 

@@ -8,6 +8,7 @@ mod book;
 mod inbox;
 mod link;
 mod motion;
+mod numbers;
 mod pairs;
 mod results;
 mod robot;

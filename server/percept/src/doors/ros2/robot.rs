@@ -5,19 +5,20 @@ use super::super::zenoh::Failure;
 use super::book::{Book, Decision, Standing, transforms_sensor};
 use super::inbox::{Inbox, Incoming};
 use super::link::{self, Found};
+use super::numbers::Numbers;
 use super::pairs::{Pairs, Weighed};
 use super::results::{Goal, Shared};
 use super::settings::Robot;
 use percept_geometry::sensor::OdometrySample;
 use percept_geometry::{SensorData, SensorFrame, SensorId, SensorSpec, Timestamp};
-use percept_ros::cdr::Encoding;
+use percept_ros::cdr::{Encoding, Reader};
 use percept_ros::messages::{
-    CameraInfo, CompressedImage, Image, Imu, LaserScan, Odometry, PointCloud2, PoseStamped, TFMessage,
+    CameraInfo, CompressedImage, Header, Image, Imu, LaserScan, Odometry, PointCloud2, PoseStamped, TFMessage,
 };
 use percept_ros::readings::{Reading, reading};
 use percept_ros::rmw_zenoh::Attachment;
 use percept_ros::topics::Content;
-use percept_ros::{DecodeError, Message, convert};
+use percept_ros::{DecodeError, Message, Wire, convert};
 use percept_service::{Caller, Error, IncomingFrame, NewSession, OverloadPolicy, SensorDeclaration, observe, reason};
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -59,6 +60,8 @@ pub(super) struct Listener<'a> {
     subscribers: BTreeMap<String, Box<dyn Any + Send + Sync>>,
     /// By the topic of the depth images.
     pairs: BTreeMap<String, Pairs<Half>>,
+    /// By topic.
+    numbers: BTreeMap<String, Numbers>,
     began: Instant,
     is_session_there: bool,
     tf_sensor: Option<SensorId>,
@@ -85,6 +88,7 @@ impl<'a> Listener<'a> {
             book: Book::default(),
             subscribers: BTreeMap::new(),
             pairs: BTreeMap::new(),
+            numbers: BTreeMap::new(),
             began: Instant::now(),
             is_session_there: false,
             tf_sensor: None,
@@ -269,7 +273,7 @@ impl<'a> Listener<'a> {
             return Err(Error::exhausted(reason::MESSAGE_TOO_LARGE, "", words));
         }
         let attachment = incoming.sample.attachment().and_then(|a| Attachment::parse(&a.to_bytes()).ok());
-        let sequence = attachment.map_or(0, |a| u64::try_from(a.sequence).unwrap_or(0));
+        let sequence = attachment.map_or(0, |a| self.numbers.entry(incoming.topic.to_string()).or_default().of(&a));
         let sent_ns = attachment.map_or(0, |a| a.source_time_ns);
         let name = &*incoming.topic;
         if *name == *self.robot.topic(GOAL) {
@@ -278,6 +282,9 @@ impl<'a> Listener<'a> {
         self.book.heard(name, self.began.elapsed());
         let Some(heard) = self.book.topics.get(name) else { return Ok(()) };
         let (content, standing) = (heard.topic.content.clone(), heard.standing.clone());
+        if matches!(standing, Standing::Taken(_) | Standing::ColorOf(_)) {
+            check_frame(&payload.to_bytes(), &heard.topic.frame_id)?;
+        }
         match (content, standing) {
             (Content::Transforms, _) => self.transforms(name, &payload.to_bytes()).await,
             (Content::Calibration { .. }, _) => {
@@ -421,6 +428,16 @@ impl<'a> Listener<'a> {
 
 fn no_message(error: DecodeError) -> Error {
     Error::invalid(reason::MESSAGE_INVALID, "", error.to_string())
+}
+
+/// A sensor stays where its first message said: what comes of another frame would be taken to be there.
+fn check_frame(bytes: &[u8], frame: &str) -> Result<(), Error> {
+    let header = Reader::cdr(bytes).and_then(|mut reader| Header::read(&mut reader)).map_err(no_message)?;
+    if header.frame_id == frame {
+        return Ok(());
+    }
+    let words = format!("its frame was {frame:?} and is {:?} now; give each frame a topic of its own", header.frame_id);
+    Err(Error::invalid(reason::MESSAGE_INVALID, "header.frame_id", words))
 }
 
 /// The stamp of an image's header, or when it was sent if that is not set.
