@@ -16,11 +16,23 @@ from support.server import Server, eventually, free_port
 SETTLE_S = 2.0
 
 
+_STARTED: list[Server] = []
+
+
+@pytest.fixture(autouse=True)
+def no_server_stays():
+    """Kills what a test that failed has left."""
+    yield
+    while _STARTED:
+        _STARTED.pop().kill()
+
+
 def serve(tmp_path, endpoint: str, config: str = "") -> Server:
     """A server with one robot."""
     file = tmp_path / "percept.toml"
     file.write_text(f'[[ros2.robots]]\nsession = "robot"\n{config or f"connect = {endpoint!r}"}\n')
-    return Server(tmp_path / "data", "--config", str(file))
+    _STARTED.append(Server(tmp_path / "data", "--config", str(file)))
+    return _STARTED[-1]
 
 
 @pytest.fixture
