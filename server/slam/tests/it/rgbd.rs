@@ -115,6 +115,24 @@ fn stamp(i: usize) -> Timestamp {
     Timestamp::from_secs_f64(i as f64 / 15.0)
 }
 
+/// Ahead and turning, 1.5 cm and a degree a frame.
+fn turning(i: usize) -> Pose {
+    se3::from_xy_yaw(0.015 * i as f64, 0.0, 0.0175 * i as f64)
+}
+
+#[test]
+fn colour_takes_no_pose_along_however_fine_its_texture() {
+    for block_m in [0.02, 0.04, 0.08, 0.15, 0.3] {
+        let (room, mut noise) = (Room::furnished(), Noise(10));
+        let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+        for i in 0..15 {
+            let e = odometry.register(stamp(i), &room.painted(&turning(i), block_m, &mut noise), None);
+            let (m, rad) = off(&e, &turning(i));
+            assert!(m < 0.002 && rad < 0.003, "blocks of {block_m} m frame {i}: {m} m {rad} rad");
+        }
+    }
+}
+
 /// Somebody of half a metre's width at (x, y).
 fn somebody(x: f64, y: f64) -> (nalgebra::Vector3<f64>, nalgebra::Vector3<f64>) {
     (nalgebra::Vector3::new(x, y, 0.0), nalgebra::Vector3::new(x + 0.3, y + 0.5, 1.8))

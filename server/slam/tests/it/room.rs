@@ -1,7 +1,7 @@
 //! A furnished room whose depth along any ray has a closed form.
 
 use nalgebra::{Point3, Translation3, Vector3};
-use percept_geometry::{CameraIntrinsics, DepthImage, LaserScan, PointCloud, Pose, SensorSpec, se3};
+use percept_geometry::{CameraIntrinsics, DepthImage, LaserScan, PointCloud, Pose, RgbImage, SensorSpec, se3};
 use percept_slam::{CloudScan, DepthScan, PlanarScan, Scan};
 use std::sync::Arc;
 
@@ -65,6 +65,26 @@ impl Room {
             .collect();
         let depth = Arc::new(DepthImage::new(k.width, k.height, data).unwrap());
         Scan::Depth(DepthScan { depth, color: None, intrinsics: k, t_base_sensor })
+    }
+
+    /// The same with colour: everything in blocks of that many metres, each of its own grey.
+    pub(crate) fn painted(&self, t_world_base: &Pose, block_m: f64, noise: &mut Noise) -> Scan {
+        let scan = self.depth(t_world_base, noise);
+        let Scan::Depth(s) = scan else { return scan };
+        let (k, t) = (s.intrinsics, t_world_base * s.t_base_sensor);
+        let origin = Point3::from(t.translation.vector);
+        let grey = |u: f64, v: f64| {
+            let direction = t.rotation * k.ray(u, v).coords;
+            shade(&(origin + direction * self.range(&origin, &direction)), block_m)
+        };
+        // Four rays a pixel, as its area sees.
+        let pixel = |i: usize| {
+            let (u, v) = ((i % k.width) as f64, (i / k.width) as f64);
+            let rays = [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)];
+            [(rays.iter().map(|(du, dv)| grey(u + du, v + dv)).sum::<f64>() / 4.0) as u8; 3]
+        };
+        let color = RgbImage::new(k.width, k.height, (0..k.width * k.height).flat_map(pixel).collect()).unwrap();
+        Scan::Depth(DepthScan { color: Some(Arc::new(color)), ..s })
     }
 
     /// `rings` from -15 to 15 degrees, 900 columns; each point at its own time of a 0.1 s sweep that ends
@@ -134,6 +154,14 @@ impl Room {
         };
         self.boxes.iter().filter(|b| b.0.z <= p.z && p.z <= b.1.z).map(beside).fold(beside(&self.walls), f64::min)
     }
+}
+
+/// Grey of the block that a point lies in, 40 to 167.
+fn shade(p: &Point3<f64>, block_m: f64) -> f64 {
+    // Off the surfaces' own coordinates, which would else lie on the border of two blocks.
+    let block = p.coords.map(|x| ((x + 0.0137) / block_m).floor() as i64);
+    let mixed = (block.x * 7_919 + block.y * 104_729 + block.z * 1_299_709).wrapping_mul(2_654_435_761);
+    40.0 + ((mixed >> 9) & 0x7F) as f64
 }
 
 /// The camera 0.5 m up, 0.1 m ahead, looking forward.
