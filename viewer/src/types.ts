@@ -24,6 +24,13 @@ export interface CameraIntrinsics {
   width_px: number; height_px: number; fx_px: number; fy_px: number; cx_px: number; cy_px: number;
 }
 export interface SensorSpec { sensor_id: string; kind: string; t_base_sensor?: Pose; intrinsics?: CameraIntrinsics }
+/** The newest 50 frames of a stream; absent is not known. */
+export interface StreamFigures {
+  arrival_rate_hz?: number; jitter_s?: number; longest_interval_s?: number; delay_s?: number; quiet_s?: number; frame_bytes?: number;
+  latency_p50_s?: number; latency_p95_s?: number; measured_ratio?: number; median_range_m?: number;
+}
+export interface StreamTrouble { kind: string; message: string }
+export interface StreamNote { stream: string; message: string }
 export interface SensorStatus {
   spec: SensorSpec;
   accepted: string; rejected: string; dropped: string; gaps: string;
@@ -31,6 +38,8 @@ export interface SensorStatus {
   last_stamp_ns?: string;
   verdict: string;
   verdict_message: string;
+  figures?: StreamFigures;
+  troubles: StreamTrouble[];
 }
 
 export interface Zone { polygon: Vector2[]; keep_out?: boolean; speed_share?: number; name: string }
@@ -45,6 +54,7 @@ export interface Session {
   state: string;
   params?: { preset?: string; map?: { voxels?: Enabled; height?: Enabled; surface?: Enabled } };
   sensors: SensorStatus[];
+  stream_notes: StreamNote[];
   pose?: PoseEstimate;
   num_keyframes: string;
   num_objects: string;

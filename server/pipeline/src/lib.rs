@@ -29,7 +29,7 @@ mod visibility;
 pub use beside::Executor;
 pub use chunks::Chunks;
 pub use frame_error::FrameError;
-pub use frontend::{MountOffset, check_frame};
+pub use frontend::{MountOffset, WheelsFault, check_frame};
 pub use live::Live;
 pub use lookup::{LookupError, PoseAt};
 pub use map_graph::{MapChange, NewKeyframe};

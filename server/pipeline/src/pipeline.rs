@@ -331,6 +331,7 @@ impl Pipeline {
             clock_offsets: self.frontend.clock_offsets(),
             mount_offsets: self.frontend.mount_offsets(),
             imu_faults: self.frontend.imu_faults(),
+            wheels_faults: self.frontend.wheels_faults(),
             loops: graph.loops(),
             objects: self.scene.objects(),
             tracked: self.scene.tracked(),

@@ -2,7 +2,7 @@
 
 use crate::related::RelatedThings;
 use crate::rooms::{Basis, DividedMap};
-use crate::{Chunks, Live, MountOffset, PipelineParams};
+use crate::{Chunks, Live, MountOffset, PipelineParams, WheelsFault};
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, Timestamp};
 use percept_mapping::{MapLayers, MapMemory, MappingError, OccupancyMap};
 use percept_scene::rooms::{RoomId, Rooms};
@@ -133,6 +133,8 @@ pub struct Snapshot {
     pub mount_offsets: Arc<BTreeMap<SensorId, MountOffset>>,
     /// IMUs with which something is wrong, and what.
     pub imu_faults: Arc<BTreeMap<SensorId, Vec<ImuFault>>>,
+    /// Wheels that contradict the pose sensor, and how.
+    pub wheels_faults: Arc<BTreeMap<SensorId, Vec<WheelsFault>>>,
     /// Loops in the order of finding, those not believed included.
     pub loops: Arc<Vec<Loop>>,
     /// Confirmed objects by id, those gone included, as they are told: parts within their wholes.

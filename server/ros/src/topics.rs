@@ -3,8 +3,8 @@
 //! One set of rules for recordings and for robots that are listened to. Comes in: names, types and messages of topics. Goes out:
 //! what each is for ([`Content`]), calibration of images, colour beside depth, mounts on the robot.
 
-use crate::messages::{CameraInfo, CompressedImage, Header, Image};
-use crate::{FrameTree, convert};
+use crate::messages::{CameraInfo, CompressedImage, Header, Image, Imu, LaserScan, Odometry, PointCloud2, TFMessage};
+use crate::{FrameTree, Message, TypeHash, convert};
 use percept_geometry::{CameraIntrinsics, Pose, SensorId, SensorKind, SensorSpec};
 
 /// What one topic is for.
@@ -43,6 +43,21 @@ pub enum Content {
     Transforms,
     /// Nothing that is used.
     Other,
+}
+
+/// The hash of our definition of a type that topics are read as; none of others.
+pub fn type_hash(type_name: &str) -> Option<TypeHash> {
+    Some(match type_name {
+        LaserScan::TYPE_NAME => LaserScan::type_hash(),
+        PointCloud2::TYPE_NAME => PointCloud2::type_hash(),
+        Image::TYPE_NAME => Image::type_hash(),
+        CompressedImage::TYPE_NAME => CompressedImage::type_hash(),
+        CameraInfo::TYPE_NAME => CameraInfo::type_hash(),
+        Imu::TYPE_NAME => Imu::type_hash(),
+        Odometry::TYPE_NAME => Odometry::type_hash(),
+        TFMessage::TYPE_NAME => TFMessage::type_hash(),
+        _ => return None,
+    })
 }
 
 impl Content {

@@ -65,9 +65,10 @@ pub use session::listing::SessionView;
 pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 pub use session::persist::Durable;
 pub use session::records::Counts;
-pub use session::sensor_book::{NoPose, SensorStatus};
+pub use session::sensor_book::{NoPose, Refusal, SensorStatus, StreamNote};
 pub use session::shelf::OwnDetectors;
 pub use session::state::SessionState;
+pub use session::stream_figures::StreamFigures;
 pub use session::verdict::{StreamTrouble, Verdict};
 
 use percept_geometry::SensorFrame;

@@ -24,14 +24,17 @@ from ..types.poses import FrameResult
 from ..types.sensors import (
     ClockOffset,
     OverloadPolicy,
+    Refusal,
     SensorKind,
     SensorSpec,
     SensorStatus,
+    StreamFigures,
+    StreamNote,
     StreamTrouble,
     StreamTroubleKind,
     StreamVerdict,
 )
-from ..v1 import geometry_pb2, sensor_pb2, sensors_service_pb2
+from ..v1 import geometry_pb2, sensor_pb2, sensors_service_pb2, session_pb2
 from . import geometry, poses, words
 
 _PNG = b"\x89PNG"
@@ -80,7 +83,20 @@ def status(message: sensor_pb2.SensorStatus) -> SensorStatus:
         verdict_message=message.verdict_message,
         etag=message.etag,
         clock_offset_s=message.clock_offset_s if message.HasField("clock_offset_s") else None,
+        figures=_figures(message.figures),
+        refusals=tuple(Refusal(reason=r.reason, count=r.count, message=r.message) for r in message.refusals),
     )
+
+
+def note(message: session_pb2.StreamNote) -> StreamNote:
+    """What is to be said of a stream."""
+    return StreamNote(stream=message.stream, message=message.message, time_ns=message.time_ns)
+
+
+def _figures(message: sensor_pb2.StreamFigures) -> StreamFigures:
+    names = [field.name for field in sensor_pb2.StreamFigures.DESCRIPTOR.fields]
+    known = {name for name in StreamFigures.__dataclass_fields__ if name in names}
+    return StreamFigures(**{name: getattr(message, name) if message.HasField(name) else None for name in known})
 
 
 def _trouble(message: sensor_pb2.StreamTrouble) -> StreamTrouble:

@@ -77,6 +77,7 @@ def session_info(message: session_pb2.Session) -> SessionInfo:
         etag=message.etag,
         zones=tuple(navigation.zone(z) for z in message.zones),
         zone_masks=tuple(zones.mask(m) for m in message.zone_masks),
+        stream_notes=tuple(sensors.note(n) for n in message.stream_notes),
     )
 
 

@@ -78,6 +78,20 @@ class StreamTroubleKind(Name):
     MISLEADING = "misleading"
     #: No pose comes of the session's sensors.
     NO_POSE = "no_pose"
+    #: Nothing comes any more, though other sensors go on.
+    SILENT = "silent"
+    #: Its stamps are ahead of the server's clock.
+    CLOCK_AHEAD = "clock_ahead"
+    #: Its distances are in another unit than metres.
+    RANGE_UNIT = "range_unit"
+    #: Hardly any beam or pixel measures something.
+    SEES_LITTLE = "sees_little"
+    #: A camera's mount is that of a body frame: it would look straight up.
+    OPTICAL_FRAME = "optical_frame"
+    #: A camera's intrinsics are hardly those of its images.
+    INTRINSICS = "intrinsics"
+    #: Wheels tell another motion than the pose sensor sees.
+    WHEELS_UNLIKE = "wheels_unlike"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -87,6 +101,53 @@ class StreamTrouble(Value):
     kind: StreamTroubleKind
     #: With figures and remedy, for an operator.
     message: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Refusal(Value):
+    """Frames that were refused for one reason."""
+
+    #: As errors have it: STAMP_NOT_INCREASING.
+    reason: str
+    count: int
+    #: What the newest of them was told.
+    message: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StreamFigures(Value):
+    """How a stream has come in of late: its newest 50 accepted frames. None where too few came, or for what has none."""
+
+    #: Mean rate of arrival by the server's clock, hertz.
+    arrival_rate_hz: float | None
+    #: Standard deviation of the times between stamps, seconds.
+    jitter_s: float | None
+    #: Longest time between two stamps, seconds.
+    longest_interval_s: float | None
+    #: From stamp to arrival by the server's clock, median, seconds; negative if the sensor's clock is ahead.
+    delay_s: float | None
+    #: Since the newest frame came, seconds.
+    quiet_s: float | None
+    #: Bytes of a frame, mean, packing aside.
+    frame_bytes: float | None
+    #: From arrival until a frame was worked in, waiting included, seconds: median and 95th percentile.
+    latency_p50_s: float | None
+    latency_p95_s: float | None
+    #: Share of beams or pixels that measured something, mean, 0 to 1.
+    measured_ratio: float | None
+    #: Median distance measured, metres.
+    median_range_m: float | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StreamNote(Value):
+    """What is to be said of a stream that is no sensor, or not as it came: a topic of ROS 2 that was left, and why."""
+
+    stream: str
+    #: In words, for an operator.
+    message: str
+    #: Server's clock, nanoseconds since the Unix epoch.
+    time_ns: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -111,6 +172,10 @@ class SensorStatus(Value):
     etag: str
     #: Seconds by which its stamps are late behind the pose sensor's, beyond time_offset_s; None until known.
     clock_offset_s: float | None
+    #: The newest frames in figures.
+    figures: StreamFigures
+    #: Why frames were refused, the most frequent reason first.
+    refusals: tuple[Refusal, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

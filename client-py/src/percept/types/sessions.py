@@ -15,7 +15,7 @@ from .maps import Loop
 from .navigation import Zone, ZoneMask
 from .poses import PoseEstimate, Scale, TrackingState
 from .scene import ObjectChange
-from .sensors import SensorStatus
+from .sensors import SensorStatus, StreamNote
 
 
 class SessionMode(Name):
@@ -84,6 +84,8 @@ class SessionInfo(Value):
     zones: tuple[Zone, ...]
     #: The same cell by cell, without the cells; empty in lists.
     zone_masks: tuple[ZoneMask, ...]
+    #: What is to be said of streams that are no sensors of it; empty in lists.
+    stream_notes: tuple[StreamNote, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -4,6 +4,7 @@ mod bench;
 mod client;
 mod corrupt;
 mod demo;
+mod doctor;
 mod eval;
 mod eval_gap;
 mod eval_graph;
@@ -84,6 +85,9 @@ enum Command {
     Store(store::StoreCommand),
     /// Print the configuration file with every default explained.
     Config(ConfigArgs),
+    /// Tell how the streams of a running server's sessions fare: figures, what is wrong, and what to do about it. A failure if
+    /// something is wrong.
+    Doctor(doctor::DoctorArgs),
     /// Ask a running server whether it serves; the exit code says so.
     Health(health::HealthArgs),
 }
@@ -115,6 +119,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Keys(command) => keys::run(command),
         Command::Store(command) => store::run(command),
         Command::Config(args) => config(&args),
+        Command::Doctor(args) => doctor::run(&args),
         Command::Health(args) => health::run(&args),
     };
     match outcome {

@@ -16,11 +16,13 @@ mod second;
 mod sensors;
 mod tracking;
 mod view;
+mod wheels_check;
 
 pub use extrinsics::MountOffset;
 pub use sensors::check_frame;
 pub(crate) use tracking::{Tracking, Unanchored};
 pub(crate) use view::{Found, Keyframe, Registered, View};
+pub use wheels_check::WheelsFault;
 
 use crate::{FrameError, SlamParams};
 use extrinsics::ExtrinsicsCheck;
@@ -163,8 +165,11 @@ impl Frontend {
         let estimate = odometry.register_with_imu(stamp, &view.scan, motion.as_ref(), imu);
         let (moved, num_unbelieved) = (odometry.take_moved(), odometry.num_imu_unbelieved());
         if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking()) {
-            let turn = t_odom_last.rotation.inverse() * estimate.t_odom_base.rotation;
-            self.motion.learn((last, stamp), &turn, kind == OdometryKind::Lidar2d, num_unbelieved);
+            let moved = t_odom_last.inv_mul(&estimate.t_odom_base);
+            let known = (kind == OdometryKind::Lidar2d, estimate.scale.is_metric());
+            self.motion.learn((last, stamp), &moved, known, num_unbelieved);
+        } else {
+            self.motion.was_lost();
         }
         self.last_registered = Some(stamp);
         self.is_metric = estimate.scale.is_metric();
@@ -205,6 +210,11 @@ impl Frontend {
     /// Seconds by which sensors' stamps are late behind the pose sensor's, as far as that is known.
     pub(crate) fn clock_offsets(&self) -> Arc<BTreeMap<SensorId, f64>> {
         self.motion.clock_offsets()
+    }
+
+    /// How wheels contradict the pose sensor, as far as that is known.
+    pub(crate) fn wheels_faults(&self) -> Arc<BTreeMap<SensorId, Vec<WheelsFault>>> {
+        self.motion.wheels_faults()
     }
 
     /// What is wrong with IMUs, as far as that is known.

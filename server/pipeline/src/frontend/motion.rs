@@ -4,8 +4,9 @@ use super::clock_offset::ClockOffsets;
 use super::imu_prior::joined;
 use super::odometry_prior::OdometryBuffer;
 use super::second::fused;
-use nalgebra::{Unit, UnitQuaternion, Vector3};
-use percept_geometry::{SensorData, SensorId, SensorSpec, Timestamp};
+use super::wheels_check::{WheelsCheck, WheelsFault};
+use nalgebra::{Unit, Vector3};
+use percept_geometry::{Pose, SensorData, SensorId, SensorSpec, Timestamp};
 use percept_slam::{ImuBuffer, ImuFault, MotionPrior};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -23,6 +24,8 @@ const LOOK_EVERY: u32 = 10;
 #[derive(Default)]
 pub(super) struct MotionSensors {
     wheels: BTreeMap<SensorId, OdometryBuffer>,
+    wheels_checks: BTreeMap<SensorId, WheelsCheck>,
+    wheels_faults: Arc<BTreeMap<SensorId, Vec<WheelsFault>>>,
     imus: BTreeMap<SensorId, ImuBuffer>,
     used_imu: Option<SensorId>,
     imu_faults: Arc<BTreeMap<SensorId, Vec<ImuFault>>>,
@@ -64,6 +67,10 @@ impl MotionSensors {
     /// Drops what waits of a sensor, and what is known of its clock.
     pub(super) fn forget(&mut self, sensor: &SensorId) {
         self.wheels.remove(sensor);
+        self.wheels_checks.remove(sensor);
+        if self.wheels_faults.contains_key(sensor) {
+            Arc::make_mut(&mut self.wheels_faults).remove(sensor);
+        }
         self.imus.remove(sensor);
         if self.imu_faults.contains_key(sensor) {
             Arc::make_mut(&mut self.imu_faults).remove(sensor);
@@ -101,16 +108,25 @@ impl MotionSensors {
         Prior { has_wheels, motion, imu }
     }
 
-    /// A turn that was measured otherwise tells a gyro's bias, what is wrong with it, and how far clocks are off. `is_planar`:
-    /// about base's z alone. `num_unbelieved`: for how many frames in a row the IMU in use was of no use.
+    /// A motion that was measured otherwise tells a gyro's bias, what is wrong with it and with wheels, and how far clocks are
+    /// off. `is_planar`: it turned about base's z alone; `is_metric`: it is in metres. `num_unbelieved`: for how many frames in
+    /// a row the IMU in use was of no use.
     pub(super) fn learn(
         &mut self,
         (from, to): (Timestamp, Timestamp),
-        turn: &UnitQuaternion<f64>,
-        is_planar: bool,
+        motion: &Pose,
+        (is_planar, is_metric): (bool, bool),
         num_unbelieved: u32,
     ) {
+        let turn = &motion.rotation;
         self.imus.values_mut().for_each(|i| i.learn(from, to, turn, is_planar));
+        for (id, wheels) in &self.wheels {
+            let check = self.wheels_checks.entry(id.clone()).or_default();
+            match wheels.between(from, to) {
+                Some(told) => check.add(&told.t_prev_now, motion),
+                None => check.interrupt(),
+            }
+        }
         if let Some(imu) = self.used_imu.as_ref().and_then(|id| self.imus.get_mut(id)) {
             imu.note_unbelieved(num_unbelieved);
         }
@@ -118,6 +134,10 @@ impl MotionSensors {
         if self.num_learned.is_multiple_of(LOOK_EVERY) && !self.imus.is_empty() {
             let faults = self.imus.iter().map(|(id, imu)| (id.clone(), imu.faults()));
             self.imu_faults = Arc::new(faults.filter(|(_, faults)| !faults.is_empty()).collect());
+        }
+        if self.num_learned.is_multiple_of(LOOK_EVERY) && !self.wheels_checks.is_empty() {
+            let faults = self.wheels_checks.iter().map(|(id, check)| (id.clone(), check.faults(is_metric)));
+            self.wheels_faults = Arc::new(faults.filter(|(_, faults)| !faults.is_empty()).collect());
         }
         if self.clocks.turned(from, to, turn.angle()) {
             self.clock_offsets = Arc::new(self.clocks.found().clone());
@@ -128,6 +148,16 @@ impl MotionSensors {
     pub(super) fn up(&self, stamp: Timestamp) -> Option<Unit<Vector3<f64>>> {
         let used = self.used_imu.as_ref().and_then(|id| self.imus.get(id));
         used.into_iter().chain(self.imus.values()).find_map(|i| i.up(stamp))
+    }
+
+    /// A frame was not placed: what wheels tell cannot be compared over it.
+    pub(super) fn was_lost(&mut self) {
+        self.wheels_checks.values_mut().for_each(WheelsCheck::interrupt);
+    }
+
+    /// How wheels contradict the pose sensor, as far as that is known.
+    pub(super) fn wheels_faults(&self) -> Arc<BTreeMap<SensorId, Vec<WheelsFault>>> {
+        Arc::clone(&self.wheels_faults)
     }
 
     /// What is wrong with IMUs, as far as that is known.

@@ -270,9 +270,16 @@ impl Caller {
     }
 
     /// Counts a frame that a door refused, if the caller may send to that session.
-    pub async fn rejected(&self, session: &str, sensor: &SensorId) {
+    pub async fn rejected(&self, session: &str, sensor: &SensorId, because: &Error) {
         if self.may_with("SensorsService/StreamFrames", session).await.is_ok() {
-            self.service.count_rejected(session, sensor).await;
+            self.service.count_rejected(session, sensor, because).await;
+        }
+    }
+
+    /// Notes what a door has to say of a stream, if the caller may send to that session; none if there is nothing any more.
+    pub async fn note_stream(&self, session: &str, stream: &str, message: Option<String>) {
+        if self.may_with("SensorsService/StreamFrames", session).await.is_ok() {
+            self.service.note_stream(session, stream, message).await;
         }
     }
 

@@ -3,7 +3,7 @@
 use crate::reason;
 use crate::session::command::{Offered, Submitted};
 use crate::session::meta::SensorDeclaration;
-use crate::{IncomingFrame, Pending, Processed, Result, SensorStatus, Service, Session, check_id};
+use crate::{Error, IncomingFrame, Pending, Processed, Result, SensorStatus, Service, Session, check_id};
 use percept_geometry::SensorId;
 use std::sync::Arc;
 
@@ -75,9 +75,16 @@ impl Service {
 
     /// Counts a frame that a door refused before it got here. A session that sleeps is woken: whoever looks at it has to see
     /// what comes.
-    pub async fn count_rejected(&self, session: &str, sensor: &SensorId) {
+    pub async fn count_rejected(&self, session: &str, sensor: &SensorId, because: &Error) {
         if let Ok(session) = self.session(session).await {
-            session.rejected(sensor);
+            session.rejected(sensor, because);
+        }
+    }
+
+    /// Notes what a door has to say of a stream of a session that is awake; none if there is nothing any more.
+    pub async fn note_stream(&self, session: &str, stream: &str, message: Option<String>) {
+        if let Some(session) = self.view_session(session).await.ok().and_then(|view| view.live) {
+            session.note_stream(stream, message);
         }
     }
 

@@ -4,6 +4,7 @@ use super::command::{Command, Corrected, Imported, Moved, Processed, Vetoed};
 use super::event::EventKind;
 use super::events::EventLog;
 use super::fault::Trouble;
+use super::frame_look::FrameLook;
 use super::handle::{Session, lock};
 use super::job::Job;
 use super::meta::{SensorDeclaration, SessionMeta};
@@ -211,7 +212,7 @@ impl Actor {
 
     async fn frame(&mut self, frame: SensorFrame, came: Instant) -> Result<Processed> {
         let (sensor, stamp, kind) = (frame.sensor.clone(), frame.stamp, frame.data.kind());
-        let (waited, began) = (came.elapsed(), Instant::now());
+        let (waited, began, look) = (came.elapsed(), Instant::now(), FrameLook::of(&frame.data));
         let mut pipeline = self.pipeline.take().ok_or_else(stopped)?;
         let sender = self.sender();
         let (pipeline, outcome) = self
@@ -229,13 +230,13 @@ impl Actor {
         let (report, snapshot, memory) = match outcome {
             Ok(done) => done,
             Err(e) => {
+                let refused = frame_error(&e);
                 // A frame that is sent again is no bad input.
                 let mut book = lock(&self.session.book);
                 if book.ticket_of(&sensor, stamp).is_none() {
-                    book.rejected(&sensor);
+                    book.rejected(&sensor, &refused);
                 }
                 drop(book);
-                let refused = frame_error(&e);
                 observe::frame_refused(Some(kind), refused.reason);
                 return Err(refused);
             }
@@ -267,8 +268,9 @@ impl Actor {
             ..Job::default()
         };
         let ticket = self.persister.submit(job).await;
-        lock(&self.session.book).accepted(&sensor, stamp, ticket);
-        let latency_s = came.elapsed().as_secs_f64();
+        let latency = came.elapsed();
+        lock(&self.session.book).accepted(&sensor, stamp, ticket, (latency, look));
+        let latency_s = latency.as_secs_f64();
         Ok(Processed { pose: report.pose, keyframe, latency_s, ticket, is_duplicate: false })
     }
 

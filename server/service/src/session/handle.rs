@@ -3,13 +3,14 @@
 use super::command::{Command, Corrected, Imported, Moved, Offered, Pending, Processed, Submitted, Ticket, Vetoed};
 use super::events::EventLog;
 use super::fault::{Fault, Trouble};
+use super::frame_look::FrameLook;
 use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 use super::persist::{Durable, Storing};
 use super::refusal::{check_stamp, frame_error, not_yet_durable, sensor_not_found, stopped};
 use super::scratch::Scratch;
-use super::sensor_book::{SensorBook, SensorStatus};
+use super::sensor_book::{SensorBook, SensorStatus, StreamNote};
 use crate::observe::{self, SessionShare};
-use crate::{Limits, Progress, Result};
+use crate::{Error, Limits, Progress, Result};
 use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
 use percept_mapping::given::GivenView;
 use percept_perception::detection::ImageDetectors;
@@ -138,14 +139,25 @@ impl Session {
         let book = lock(&self.book);
         let is_to_place = self.meta().mode != SessionMode::IngestOnly;
         let no_pose = book.no_pose(&snapshot.params.slam.pose_sensor).filter(|_| is_to_place);
-        let with_findings = |s: &SensorStatus| {
+        let with_findings = |s: SensorStatus| {
             let id = &s.declaration.spec.id;
             let clock_offset_s = snapshot.clock_offsets.get(id).copied();
             let mount_offset = snapshot.mount_offsets.get(id).copied();
             let imu_faults = snapshot.imu_faults.get(id).cloned().unwrap_or_default();
-            SensorStatus { clock_offset_s, mount_offset, imu_faults, no_pose, ..s.clone() }
+            let wheels_faults = snapshot.wheels_faults.get(id).cloned().unwrap_or_default();
+            SensorStatus { clock_offset_s, mount_offset, imu_faults, wheels_faults, no_pose, ..s }
         };
-        book.all().map(with_findings).collect()
+        book.all_now().into_iter().map(with_findings).collect()
+    }
+
+    /// What doors have to say of streams that are no sensors, or not as they came, by name.
+    pub fn stream_notes(&self) -> Vec<StreamNote> {
+        lock(&self.book).notes()
+    }
+
+    /// Notes what is to be said of a stream; none if there is nothing any more.
+    pub(crate) fn note_stream(&self, stream: &str, message: Option<String>) {
+        lock(&self.book).note(stream, message);
     }
 
     /// Frames waiting.
@@ -164,8 +176,8 @@ impl Session {
     }
 
     /// Counts a frame that a door refused before it got here.
-    pub fn rejected(&self, sensor: &SensorId) {
-        lock(&self.book).rejected(sensor);
+    pub fn rejected(&self, sensor: &SensorId, because: &Error) {
+        lock(&self.book).rejected(sensor, because);
     }
 
     /// Whether the session does anything that sleeping would interrupt.
@@ -204,7 +216,7 @@ impl Session {
         // Not within the condition, whose lock would be held while the refusal is counted.
         let before_ns = lock(&self.book).ahead_ns(&frame.sensor);
         if let Err(implausible) = check_stamp(frame.stamp, before_ns) {
-            self.rejected(&frame.sensor);
+            self.rejected(&frame.sensor, &implausible);
             return Err(implausible);
         }
         let (reply, pending) = oneshot::channel();
@@ -302,12 +314,14 @@ impl Session {
         let checked = percept_pipeline::check_frame(&status.declaration.spec, status.last_stamp, frame);
         match checked {
             Ok(()) => {
-                book.accepted(&frame.sensor, frame.stamp, 0);
+                let look = FrameLook::of(&frame.data);
+                book.accepted(&frame.sensor, frame.stamp, 0, (Duration::ZERO, look));
                 Ok(Processed { pose: None, keyframe: None, latency_s: 0.0, ticket: 0, is_duplicate: false })
             }
             Err(e) => {
-                book.rejected(&frame.sensor);
-                Err(frame_error(&e))
+                let refused = frame_error(&e);
+                book.rejected(&frame.sensor, &refused);
+                Err(refused)
             }
         }
     }

@@ -18,6 +18,7 @@ pub(crate) mod event;
 pub(crate) mod events;
 pub(crate) mod fault;
 pub(crate) mod fleet;
+pub(crate) mod frame_look;
 pub(crate) mod handle;
 pub(crate) mod history;
 pub(crate) mod inspect;
@@ -39,6 +40,7 @@ pub(crate) mod sharing;
 pub(crate) mod shelf;
 pub(crate) mod slot;
 pub(crate) mod state;
+pub(crate) mod stream_figures;
 #[cfg(test)]
 mod tests;
 pub(crate) mod verdict;

@@ -1,13 +1,19 @@
 //! What the session sees of each sensor's stream.
 
+use super::frame_look::FrameLook;
 use super::meta::SensorDeclaration;
 use super::refusal::ahead_ns;
+use super::stream_figures::{Recent, StreamFigures};
+use crate::Error;
 use percept_geometry::{SensorId, Timestamp};
-use percept_pipeline::{ImuFault, MountOffset};
+use percept_pipeline::{ImuFault, MountOffset, WheelsFault};
 use std::collections::{BTreeMap, VecDeque};
+use std::time::{Duration, Instant};
 
-/// Stamps kept to tell the rate.
-const RATE_WINDOW: usize = 50;
+/// Reasons of refusals that are told apart; further ones are counted alone.
+const MAX_REFUSALS: usize = 8;
+/// Streams beside the sensors that something is noted of; robots have some hundred topics.
+const MAX_NOTES: usize = 256;
 
 /// Health of one sensor's stream.
 #[derive(Debug, Clone)]
@@ -22,8 +28,10 @@ pub struct SensorStatus {
     pub dropped: u64,
     /// Missing numbers in the sender's sequence.
     pub gaps: u64,
-    /// Mean rate over the last frames, hertz.
-    pub rate_hz: Option<f64>,
+    /// The newest frames in figures.
+    pub figures: StreamFigures,
+    /// Why frames were refused, the most frequent reason first; of the first eight reasons.
+    pub refusals: Vec<Refusal>,
     /// Newest accepted stamp, the sensor's clock.
     pub last_stamp: Option<Timestamp>,
     /// Seconds by which its stamps are late behind the pose sensor's, beyond the declared offset, once that is known.
@@ -32,8 +40,34 @@ pub struct SensorStatus {
     pub mount_offset: Option<MountOffset>,
     /// What is wrong with an IMU, as far as the frames that it went with tell.
     pub imu_faults: Vec<ImuFault>,
+    /// How wheels contradict the pose sensor.
+    pub wheels_faults: Vec<WheelsFault>,
+    /// For how long nothing has come, while other sensors of the session go on, seconds.
+    pub silent_s: Option<f64>,
     /// Why the session cannot have a pose, as far as its sensors tell.
     pub no_pose: Option<NoPose>,
+}
+
+/// Frames that were refused for one reason.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refusal {
+    /// As errors have it, e.g. `STAMP_NOT_INCREASING`.
+    pub reason: &'static str,
+    /// How many.
+    pub count: u64,
+    /// What the newest of them was told.
+    pub message: String,
+}
+
+/// What a door has to say of a stream that is no sensor, or not as it came.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StreamNote {
+    /// What it is called where it comes from: a topic.
+    pub stream: String,
+    /// In words, for an operator.
+    pub message: String,
+    /// Server's clock, nanoseconds since the Unix epoch.
+    pub time_ns: i64,
 }
 
 /// Why a session cannot have a pose.
@@ -54,11 +88,14 @@ impl SensorStatus {
             rejected: 0,
             dropped: 0,
             gaps: 0,
-            rate_hz: None,
+            figures: StreamFigures::default(),
+            refusals: Vec::new(),
             last_stamp,
             clock_offset_s: None,
             mount_offset: None,
             imu_faults: Vec::new(),
+            wheels_faults: Vec::new(),
+            silent_s: None,
             no_pose: None,
         }
     }
@@ -70,7 +107,7 @@ const TICKETS: usize = 256;
 #[derive(Debug, Clone)]
 struct Entry {
     status: SensorStatus,
-    stamps: VecDeque<Timestamp>,
+    recent: Recent,
     /// The newest frames, oldest first.
     tickets: VecDeque<(Timestamp, u64)>,
     last_sequence: u64,
@@ -82,6 +119,7 @@ struct Entry {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct SensorBook {
     entries: BTreeMap<SensorId, Entry>,
+    notes: BTreeMap<String, StreamNote>,
 }
 
 impl SensorBook {
@@ -90,7 +128,24 @@ impl SensorBook {
         // What was taken in before a restart is durable.
         let tickets = last_stamp.map(|stamp| (stamp, 0)).into_iter().collect();
         let status = SensorStatus::unseen(declaration, last_stamp);
-        self.entries.insert(id, Entry { status, stamps: VecDeque::new(), tickets, last_sequence: 0, ahead_ns: None });
+        self.entries.insert(id, Entry { status, recent: Recent::default(), tickets, last_sequence: 0, ahead_ns: None });
+    }
+
+    /// Notes what is to be said of a stream, or that there is nothing to be said of it any more.
+    pub(crate) fn note(&mut self, stream: &str, message: Option<String>) {
+        let Some(message) = message else {
+            self.notes.remove(stream);
+            return;
+        };
+        if self.notes.len() < MAX_NOTES || self.notes.contains_key(stream) {
+            let (stream, time_ns) = (stream.to_owned(), crate::clock::now_ns());
+            self.notes.insert(stream.clone(), StreamNote { stream, message, time_ns });
+        }
+    }
+
+    /// What is noted of streams, by name.
+    pub(crate) fn notes(&self) -> Vec<StreamNote> {
+        self.notes.values().cloned().collect()
     }
 
     /// Changes the declaration of a sensor that goes on: what was counted stays.
@@ -107,6 +162,18 @@ impl SensorBook {
 
     pub(crate) fn all(&self) -> impl Iterator<Item = &SensorStatus> {
         self.entries.values().map(|e| &e.status)
+    }
+
+    /// All sensors with what their streams are like now.
+    pub(crate) fn all_now(&self) -> Vec<SensorStatus> {
+        let now = Instant::now();
+        let figures: Vec<StreamFigures> = self.entries.values().map(|e| e.recent.figures(now)).collect();
+        let newest_s = figures.iter().filter_map(|f| f.quiet_s).reduce(f64::min);
+        let of = |(entry, figures): (&Entry, StreamFigures)| {
+            let silent_s = figures.silent_s(newest_s);
+            SensorStatus { figures, silent_s, ..entry.status.clone() }
+        };
+        self.entries.values().zip(figures).map(of).collect()
     }
 
     /// How far a sensor's newest stamp was ahead of the server's clock when it was taken in, nanoseconds.
@@ -136,27 +203,37 @@ impl SensorBook {
         self.ticket_of(id, stamp).or_else(|| Some(self.entries.get(id)?.tickets.back()?.1))
     }
 
-    pub(crate) fn accepted(&mut self, id: &SensorId, stamp: Timestamp, ticket: u64) {
+    /// Notes a frame that was worked in `latency` after it had come.
+    pub(crate) fn accepted(
+        &mut self,
+        id: &SensorId,
+        stamp: Timestamp,
+        ticket: u64,
+        (latency, look): (Duration, FrameLook),
+    ) {
         let Some(entry) = self.entries.get_mut(id) else { return };
         entry.status.accepted += 1;
         entry.status.last_stamp = Some(stamp);
-        entry.ahead_ns = Some(ahead_ns(stamp));
+        let ahead_ns = ahead_ns(stamp);
+        entry.ahead_ns = Some(ahead_ns);
+        entry.recent.add(stamp, ahead_ns, latency, look);
         entry.tickets.push_back((stamp, ticket));
         if entry.tickets.len() > TICKETS {
             entry.tickets.pop_front();
         }
-        entry.stamps.push_back(stamp);
-        if entry.stamps.len() > RATE_WINDOW {
-            entry.stamps.pop_front();
-        }
-        let span = entry.stamps.front().map_or(0.0, |first| stamp.seconds_since(*first));
-        entry.status.rate_hz = (span > 0.0).then(|| (entry.stamps.len() - 1) as f64 / span);
     }
 
-    pub(crate) fn rejected(&mut self, id: &SensorId) {
-        if let Some(entry) = self.entries.get_mut(id) {
-            entry.status.rejected += 1;
+    pub(crate) fn rejected(&mut self, id: &SensorId, because: &Error) {
+        let Some(entry) = self.entries.get_mut(id) else { return };
+        entry.status.rejected += 1;
+        let refusals = &mut entry.status.refusals;
+        if let Some(known) = refusals.iter_mut().find(|r| r.reason == because.reason) {
+            known.count += 1;
+            known.message.clone_from(&because.message);
+        } else if refusals.len() < MAX_REFUSALS {
+            refusals.push(Refusal { reason: because.reason, count: 1, message: because.message.clone() });
         }
+        refusals.sort_by_key(|r| std::cmp::Reverse(r.count));
     }
 
     pub(crate) fn dropped(&mut self, id: &SensorId) {

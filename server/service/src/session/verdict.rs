@@ -1,11 +1,25 @@
 //! How a sensor's stream fares, for an operator: good, or what is wrong and what to do about it.
 
-use super::sensor_book::{NoPose, SensorStatus};
-use percept_pipeline::{ImuFault, MountOffset};
+use super::sensor_book::{NoPose, Refusal, SensorStatus};
+use super::stream_figures::StreamFigures;
+use percept_geometry::{CameraIntrinsics, SensorKind};
+use percept_pipeline::{ImuFault, MountOffset, WheelsFault};
 use std::fmt;
 
 /// A clock off by more than this is worth telling, seconds.
 const TELLING_OFFSET_S: f64 = 0.02;
+/// Stamps ahead of the server's clock by more than this are no jitter of clocks that are kept by the network, seconds.
+const AHEAD_S: f64 = 0.1;
+/// No depth camera sees so far, and no lidar; nothing is so near to either, metres.
+const FARTHEST_M: (f64, f64) = (100.0, 1000.0);
+const NEAREST_M: f64 = 0.05;
+/// Below this share of beams or pixels a sensor is covered, or too near or too far from everything.
+const LITTLE: f64 = 0.05;
+/// A camera's mount is turned by less than this where nobody has turned it, radians.
+const UNTURNED: f64 = 0.02;
+/// Principal points lie within this share of the image's size around its middle; pixels are so nearly square; and angles of
+/// view, of a side, are between these, radians: 8 and 172 degrees.
+const LENS: (f64, f64, (f64, f64)) = (0.2, 1.3, (0.14, 3.0));
 
 /// How a stream fares; `Display` says it to an operator.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,11 +39,17 @@ pub enum StreamTrouble {
     Rejected {
         /// How many.
         count: u64,
+        /// For which reasons.
+        refusals: Vec<Refusal>,
     },
     /// Frames came faster than they are processed.
     Dropped {
         /// How many.
         count: u64,
+        /// Bytes of a frame, mean.
+        frame_bytes: Option<f64>,
+        /// From arrival until worked in, median, seconds.
+        latency_s: Option<f64>,
     },
     /// Numbers are missing in the sender's sequence.
     Gaps {
@@ -52,6 +72,35 @@ pub enum StreamTrouble {
         /// Its rate by its stamps, hertz.
         rate_hz: Option<f64>,
     },
+    /// Nothing comes any more, while other sensors go on.
+    Silent {
+        /// For how long, seconds.
+        silent_s: f64,
+    },
+    /// Its stamps are ahead of the server's clock.
+    ClockAhead {
+        /// By how much, way and all, seconds.
+        ahead_s: f64,
+    },
+    /// Its distances are in another unit than metres.
+    RangeUnit {
+        /// The median, if it were metres.
+        median_m: f64,
+    },
+    /// Hardly any beam or pixel measures something.
+    SeesLittle {
+        /// The share of those that do.
+        ratio: f64,
+    },
+    /// The mount of a camera has it look straight up: that of a body frame, most likely.
+    OpticalFrame,
+    /// The intrinsics are hardly those of the images.
+    Intrinsics {
+        /// Which of them, and why.
+        what: String,
+    },
+    /// Wheels contradict the pose sensor.
+    Wheels(WheelsFault),
     /// No pose can come of what is declared.
     NoPose(NoPose),
 }
@@ -71,7 +120,8 @@ impl Verdict {
         if status.accepted == 0 && status.rejected == 0 {
             return Self::NoFrame;
         }
-        let counted = |count: u64, trouble: fn(u64) -> StreamTrouble| (count > 0).then(|| trouble(count));
+        let figures = &status.figures;
+        let spec = &status.declaration.spec;
         let clock = status.clock_offset_s.filter(|offset_s| offset_s.abs() > TELLING_OFFSET_S);
         let clock = clock.map(|offset_s| {
             let time_offset_s = status.declaration.spec.time_offset_s - offset_s;
@@ -79,18 +129,31 @@ impl Verdict {
         });
         // Until its samples are taken for when they were felt, all that an IMU says is off.
         let faults = status.imu_faults.iter().filter(|_| clock.is_none());
-        let imu = faults.map(|&fault| StreamTrouble::Imu { fault, rate_hz: status.rate_hz });
+        let imu = faults.map(|&fault| StreamTrouble::Imu { fault, rate_hz: figures.rate_hz });
         let mut troubles: Vec<StreamTrouble> = [
-            counted(status.rejected, |count| StreamTrouble::Rejected { count }),
-            counted(status.dropped, |count| StreamTrouble::Dropped { count }),
-            counted(status.gaps, |count| StreamTrouble::Gaps { count }),
+            (status.rejected > 0)
+                .then(|| StreamTrouble::Rejected { count: status.rejected, refusals: status.refusals.clone() }),
+            (status.dropped > 0).then_some(StreamTrouble::Dropped {
+                count: status.dropped,
+                frame_bytes: figures.frame_bytes,
+                latency_s: figures.latency_s.map(|(median, _)| median),
+            }),
+            (status.gaps > 0).then_some(StreamTrouble::Gaps { count: status.gaps }),
+            status.silent_s.map(|silent_s| StreamTrouble::Silent { silent_s }),
+            figures.delay_s.filter(|s| *s < -AHEAD_S).map(|s| StreamTrouble::ClockAhead { ahead_s: -s }),
             clock.clone(),
+            range_unit(spec.kind, figures),
+            figures.measured_ratio.filter(|r| *r < LITTLE).map(|ratio| StreamTrouble::SeesLittle { ratio }),
+            (is_camera(spec.kind) && spec.t_base_sensor.rotation.angle() < UNTURNED)
+                .then_some(StreamTrouble::OpticalFrame),
+            spec.intrinsics.as_ref().and_then(odd_lens).map(|what| StreamTrouble::Intrinsics { what }),
             status.mount_offset.map(StreamTrouble::MountOffset),
         ]
         .into_iter()
         .flatten()
         .collect();
         troubles.extend(imu);
+        troubles.extend(status.wheels_faults.iter().copied().map(StreamTrouble::Wheels));
         troubles.extend(status.no_pose.map(StreamTrouble::NoPose));
         if troubles.is_empty() { Self::Good } else { Self::Troubled(troubles) }
     }
@@ -102,6 +165,37 @@ impl Verdict {
             Self::Troubled(troubles) => troubles,
         }
     }
+}
+
+fn is_camera(kind: SensorKind) -> bool {
+    matches!(kind, SensorKind::Depth | SensorKind::Rgbd | SensorKind::Camera)
+}
+
+/// Distances that no sensor of this kind measures.
+fn range_unit(kind: SensorKind, figures: &StreamFigures) -> Option<StreamTrouble> {
+    let farthest_m = if is_camera(kind) { FARTHEST_M.0 } else { FARTHEST_M.1 };
+    let is_odd = |m: &f64| *m > farthest_m || *m < NEAREST_M;
+    figures.median_range_m.filter(is_odd).map(|median_m| StreamTrouble::RangeUnit { median_m })
+}
+
+/// What of a lens no camera has.
+fn odd_lens(k: &CameraIntrinsics) -> Option<String> {
+    let (width, height) = (k.width as f64, k.height as f64);
+    let off = ((k.cx - 0.5 * width) / width, (k.cy - 0.5 * height) / height);
+    let angle = |f: f64, size: f64| 2.0 * (0.5 * size / f).atan();
+    let is_view = |angle: f64| (LENS.2.0..LENS.2.1).contains(&angle);
+    let (across, up) = (angle(k.fx, width), angle(k.fy, height));
+    if off.0.abs() > LENS.0 || off.1.abs() > LENS.0 {
+        return Some(format!(
+            "the middle of the lens is said to be at ({:.0}, {:.0}) px of an image of {}x{}",
+            k.cx, k.cy, k.width, k.height
+        ));
+    }
+    if k.fx.max(k.fy) > LENS.1 * k.fx.min(k.fy) {
+        return Some(format!("fx_px is {:.0} and fy_px {:.0}, but pixels are square", k.fx, k.fy));
+    }
+    let (across, up) = (!(is_view(across) && is_view(up))).then_some((across.to_degrees(), up.to_degrees()))?;
+    Some(format!("they make an angle of view of {across:.0} by {up:.0} degrees"))
 }
 
 impl fmt::Display for Verdict {
@@ -120,9 +214,20 @@ impl fmt::Display for Verdict {
 impl fmt::Display for StreamTrouble {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Rejected { count } => write!(f, "{count} frames refused as bad input"),
-            Self::Dropped { count } => {
-                write!(f, "{count} frames dropped because they came faster than they are processed")
+            Self::Rejected { count, refusals } => {
+                write!(f, "{count} frames refused as bad input")?;
+                for (i, r) in refusals.iter().enumerate() {
+                    let begin = if i == 0 { ": " } else { ", " };
+                    write!(f, "{begin}{} for {} (the last: {})", r.count, r.reason, r.message)?;
+                }
+                Ok(())
+            }
+            Self::Dropped { count, frame_bytes, latency_s } => {
+                write!(f, "{count} frames dropped because they came faster than they are processed")?;
+                if let (Some(bytes), Some(s)) = (frame_bytes, latency_s) {
+                    write!(f, " (one of {:.0} kB takes {:.0} ms, waiting included)", bytes / 1e3, s * 1e3)?;
+                }
+                f.write_str("; send fewer or smaller ones, or let the sender wait (overload_policy BLOCK)")
             }
             Self::Gaps { count } => write!(f, "{count} frames missing in the sender's numbering"),
             Self::ClockOffset { offset_s, time_offset_s } => {
@@ -142,6 +247,37 @@ impl fmt::Display for StreamTrouble {
                 )
             }
             Self::Imu { fault, rate_hz } => imu_words(f, fault, *rate_hz),
+            Self::Silent { silent_s } => write!(
+                f,
+                "nothing has come for {silent_s:.1} s, while other sensors go on; check its driver, its cable and what carries \
+                 its messages"
+            ),
+            Self::ClockAhead { ahead_s } => write!(
+                f,
+                "its stamps are {ahead_s:.2} s ahead of the server's clock; set the robot's clock, e.g. by NTP (SyncTime \
+                 measures the offset)"
+            ),
+            Self::RangeUnit { median_m } => {
+                write!(f, "what it sees lies {median_m:.3} m away in the median, if that is metres; ")?;
+                match *median_m > 1.0 {
+                    true => f.write_str("it seems to be in millimetres: send metres_per_unit 0.001, or metres"),
+                    false => f.write_str("its unit seems to be too small: send the metres_per_unit that its driver states, or metres"),
+                }
+            }
+            Self::SeesLittle { ratio } => write!(
+                f,
+                "only {:.1} % of what it sends are measurements; check that nothing covers it, and that it is neither too near \
+                 nor too far from everything",
+                ratio * 100.0
+            ),
+            Self::OpticalFrame => f.write_str(
+                "its mount is not turned, so that it looks straight up: a camera's frame has z ahead, x right, y down; for one \
+                 that looks ahead declare t_base_sensor with the rotation (x, y, z, w) = (-0.5, 0.5, -0.5, 0.5) (UpdateSensor)",
+            ),
+            Self::Intrinsics { what } => {
+                write!(f, "its intrinsics are hardly those of its images: {what}; declare those of this resolution")
+            }
+            Self::Wheels(fault) => wheels_words(f, fault),
             Self::NoPose(NoPose::NothingSees) => f.write_str(
                 "no pose comes of it alone: declare a lidar, a depth camera or a camera, too (DeclareSensor)",
             ),
@@ -150,6 +286,32 @@ impl fmt::Display for StreamTrouble {
                  it, or create the session anew without pose_sensor",
             ),
         }
+    }
+}
+
+fn wheels_words(f: &mut fmt::Formatter<'_>, fault: &WheelsFault) -> fmt::Result {
+    match fault {
+        WheelsFault::Way { factor } if *factor < 0.0 => f.write_str(
+            "it drives the other way than the pose sensor sees; turn its sign, or the frame that it is told in",
+        ),
+        WheelsFault::Way { factor } => write!(
+            f,
+            "it tells {factor:.2} times the way that the pose sensor sees; check the wheels' diameter and gear, and whether they \
+             slip"
+        ),
+        WheelsFault::Turns { factor } if *factor < 0.0 => f.write_str(
+            "it turns the other way than the pose sensor sees; angles grow counter-clockwise, seen from above",
+        ),
+        WheelsFault::Turns { factor } => write!(
+            f,
+            "it tells {factor:.2} times the turning that the pose sensor sees; check the wheels' distance from each other, and \
+             that angles are in radians"
+        ),
+        WheelsFault::Unlike { agreement } => write!(
+            f,
+            "it tells another motion than the pose sensor sees (they agree to {agreement:.2}, 1 is well); check that it tells \
+             base's own pose, and its clock"
+        ),
     }
 }
 
@@ -205,5 +367,78 @@ fn imu_words(f: &mut fmt::Formatter<'_>, fault: &ImuFault, rate_hz: Option<f64>)
             "not used: frames are found nearer to where they are expected without it; check t_base_sensor, its place \
              included, its clock, and how firmly it is mounted",
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{OverloadPolicy, SensorDeclaration};
+    use percept_geometry::{Pose, SensorId, SensorSpec};
+
+    /// A camera that looks ahead, with a frame in.
+    fn camera() -> SensorStatus {
+        let mut spec = SensorSpec::new(SensorId::from("camera"), SensorKind::Depth);
+        spec.t_base_sensor = Pose::from_parts(nalgebra::Translation3::identity(), SensorSpec::optical_rotation());
+        spec.intrinsics = Some(CameraIntrinsics::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5));
+        let declaration = SensorDeclaration { spec, overload: OverloadPolicy::default() };
+        let figures = StreamFigures {
+            delay_s: Some(0.02),
+            measured_ratio: Some(0.9),
+            median_range_m: Some(2.0),
+            ..StreamFigures::default()
+        };
+        SensorStatus { accepted: 1, figures, ..SensorStatus::unseen(declaration, None) }
+    }
+
+    fn only_trouble(status: &SensorStatus) -> StreamTrouble {
+        let verdict = status.verdict();
+        let [trouble] = verdict.troubles() else { panic!("{verdict}") };
+        trouble.clone()
+    }
+
+    #[test]
+    fn a_sound_stream_is_good() {
+        assert_eq!(camera().verdict(), Verdict::Good);
+        // What was recorded years ago comes late, and that is no trouble.
+        let mut recorded = camera();
+        recorded.figures.delay_s = Some(3e8);
+        assert_eq!(recorded.verdict(), Verdict::Good);
+    }
+
+    #[test]
+    fn what_figures_and_declaration_show_is_told_by_itself() {
+        let with = |change: fn(&mut SensorStatus)| {
+            let mut status = camera();
+            change(&mut status);
+            only_trouble(&status)
+        };
+        let millimetres = with(|s| s.figures.median_range_m = Some(1850.0));
+        assert_eq!(millimetres, StreamTrouble::RangeUnit { median_m: 1850.0 });
+        assert!(millimetres.to_string().contains("metres_per_unit 0.001"), "{millimetres}");
+        assert_eq!(with(|s| s.figures.measured_ratio = Some(0.01)), StreamTrouble::SeesLittle { ratio: 0.01 });
+        assert_eq!(with(|s| s.figures.delay_s = Some(-2.5)), StreamTrouble::ClockAhead { ahead_s: 2.5 });
+        assert_eq!(with(|s| s.silent_s = Some(7.0)), StreamTrouble::Silent { silent_s: 7.0 });
+        assert_eq!(with(|s| s.declaration.spec.t_base_sensor = Pose::identity()), StreamTrouble::OpticalFrame);
+        let lens = with(|s| {
+            // Those of 640 x 480 for an image of half the size.
+            s.declaration.spec.intrinsics = Some(CameraIntrinsics::pinhole(320, 240, 525.0, 525.0, 319.5, 239.5));
+        });
+        assert!(matches!(lens, StreamTrouble::Intrinsics { .. }), "{lens:?}");
+        let wheels = with(|s| s.wheels_faults = vec![WheelsFault::Turns { factor: 0.5 }]);
+        assert!(wheels.to_string().contains("0.50 times the turning"), "{wheels}");
+    }
+
+    #[test]
+    fn refusals_are_told_by_reason() {
+        let mut status = camera();
+        let refusal = |reason, count, message: &str| Refusal { reason, count, message: message.to_owned() };
+        status.rejected = 5;
+        status.refusals = vec![refusal("STAMP_NOT_INCREASING", 4, "late"), refusal("CLOUD_EMPTY", 1, "empty")];
+        let words = status.verdict().to_string();
+        assert_eq!(
+            words,
+            "5 frames refused as bad input: 4 for STAMP_NOT_INCREASING (the last: late), 1 for CLOUD_EMPTY (the last: empty)"
+        );
     }
 }

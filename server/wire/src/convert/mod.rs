@@ -18,6 +18,7 @@ pub mod scene;
 pub mod sensors;
 pub mod server;
 pub mod sessions;
+pub mod streams;
 pub mod toolbox;
 pub mod updates;
 mod zones;

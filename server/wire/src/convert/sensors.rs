@@ -9,11 +9,8 @@ use percept_geometry::{
     CameraIntrinsics, DepthImage, Distortion, LaserScan, RgbImage, SensorData, SensorFrame, SensorId, SensorKind,
     SensorSpec, Timestamp,
 };
-use percept_pipeline::ImuFault;
 use percept_service::reason;
-use percept_service::{
-    Error, IncomingFrame, Limits, OverloadPolicy, Result, SensorDeclaration, SensorStatus, StreamTrouble, Verdict,
-};
+use percept_service::{Error, IncomingFrame, Limits, OverloadPolicy, Result, SensorDeclaration};
 
 /// A sensor kind that is not UNSPECIFIED.
 ///
@@ -145,53 +142,6 @@ pub fn declaration_to(d: &SensorDeclaration) -> v1::SensorSpec {
         }
         .into(),
     }
-}
-
-/// A stream's health as a message.
-pub fn status_to(s: &SensorStatus) -> v1::SensorStatus {
-    v1::SensorStatus {
-        spec: Some(declaration_to(&s.declaration)),
-        accepted: s.accepted,
-        rejected: s.rejected,
-        dropped: s.dropped,
-        gaps: s.gaps,
-        rate_hz: s.rate_hz,
-        last_stamp_ns: s.last_stamp.map(Timestamp::nanos),
-        verdict: verdict_to(&s.verdict()).into(),
-        verdict_message: s.verdict().to_string(),
-        troubles: s.verdict().troubles().iter().map(trouble_to).collect(),
-        clock_offset_s: s.clock_offset_s,
-        etag: s.declaration.etag(),
-    }
-}
-
-fn verdict_to(verdict: &Verdict) -> v1::StreamVerdict {
-    match verdict {
-        Verdict::NoFrame => v1::StreamVerdict::NoFrame,
-        Verdict::Good => v1::StreamVerdict::Good,
-        Verdict::Troubled(_) => v1::StreamVerdict::Troubled,
-    }
-}
-
-fn trouble_to(trouble: &StreamTrouble) -> v1::StreamTrouble {
-    use v1::StreamTroubleKind as K;
-    let kind = match trouble {
-        StreamTrouble::Rejected { .. } => K::Rejected,
-        StreamTrouble::Dropped { .. } => K::Dropped,
-        StreamTrouble::Gaps { .. } => K::Gaps,
-        StreamTrouble::ClockOffset { .. } => K::ClockOffset,
-        StreamTrouble::MountOffset { .. } => K::MountOffset,
-        StreamTrouble::Imu { fault, .. } => match fault {
-            ImuFault::Uncovered { .. } => K::SamplesMissing,
-            ImuFault::ForceUnlikeGravity { .. } => K::ForceUnlikeGravity,
-            ImuFault::TurnsScaled { .. } | ImuFault::TurnsAboutOtherAxes { .. } | ImuFault::TurnsUnlike { .. } => {
-                K::TurnsUnlike
-            }
-            ImuFault::Misleading => K::Misleading,
-        },
-        StreamTrouble::NoPose(_) => K::NoPose,
-    };
-    v1::StreamTrouble { kind: kind.into(), message: trouble.to_string() }
 }
 
 /// A sensor message, decoded and checked.

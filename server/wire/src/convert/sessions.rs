@@ -1,6 +1,6 @@
 //! Sessions, poses, trajectories, acknowledgements, events.
 
-use super::{geometry, scene, sensors};
+use super::{geometry, scene, sensors, streams};
 use crate::{params, v1};
 use percept_geometry::{Pose, Timestamp};
 use percept_pipeline::{KeyframeInfo, PipelineParams, PoseAt, PoseEstimate, TrajectoryEntry};
@@ -71,6 +71,7 @@ pub fn view_to(s: &SessionView) -> v1::Session {
         etag: s.etag.clone(),
         zones: vec![],
         zone_masks: vec![],
+        stream_notes: vec![],
     }
 }
 
@@ -89,7 +90,8 @@ pub fn description_to(s: &SessionDescription) -> Result<v1::Session> {
         zones: meta.zones.iter().map(super::zones::zone_to).collect(),
         zone_masks: meta.zone_masks.iter().map(super::zones::mask_to).collect(),
         params,
-        sensors: statuses.iter().map(sensors::status_to).collect(),
+        sensors: statuses.iter().map(streams::status_to).collect(),
+        stream_notes: s.view.live.iter().flat_map(|live| live.stream_notes()).map(streams::note_to).collect(),
         ..view
     })
 }

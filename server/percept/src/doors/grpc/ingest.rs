@@ -53,7 +53,7 @@ pub(crate) async fn decode(
     };
     if let Err(e) = &decoded {
         observe::frame_refused(None, e.reason);
-        caller.rejected(&session, &sensor.as_str().into()).await;
+        caller.rejected(&session, &sensor.as_str().into(), e).await;
     }
     decoded
 }
@@ -66,7 +66,7 @@ pub(crate) async fn decode_at_once(
 ) -> Result<IncomingFrame> {
     if let Err(refused) = caller.admit_frame(&message.session_id, message.encoded_len()) {
         observe::frame_refused(None, refused.reason);
-        caller.rejected(&message.session_id, &message.sensor_id.as_str().into()).await;
+        caller.rejected(&message.session_id, &message.sensor_id.as_str().into(), &refused).await;
         return Err(refused);
     }
     decode(caller, operation, message).await

@@ -16,28 +16,28 @@ impl v1::sensors_service_server::SensorsService for Api {
         let spec = convert::required("spec", r.spec.as_ref()).map_err(status::grpc)?;
         let declaration = convert::sensors::declaration(spec).map_err(|e| status::grpc(e.within("spec")))?;
         let sensor = caller.declare_sensor(&r.session_id, declaration).await.map_err(status::grpc)?;
-        Ok(Response::new(v1::DeclareSensorResponse { sensor: Some(convert::sensors::status_to(&sensor)) }))
+        Ok(Response::new(v1::DeclareSensorResponse { sensor: Some(convert::streams::status_to(&sensor)) }))
     }
 
     async fn get_sensor(&self, r: Request<v1::GetSensorRequest>) -> Answer<v1::GetSensorResponse> {
         let caller = self.caller(&r)?;
         let r = r.get_ref();
         let sensor = caller.sensor(&r.session_id, &r.sensor_id.as_str().into()).await.map_err(status::grpc)?;
-        Ok(Response::new(v1::GetSensorResponse { sensor: Some(convert::sensors::status_to(&sensor)) }))
+        Ok(Response::new(v1::GetSensorResponse { sensor: Some(convert::streams::status_to(&sensor)) }))
     }
 
     async fn update_sensor(&self, r: Request<v1::UpdateSensorRequest>) -> Answer<v1::UpdateSensorResponse> {
         let caller = self.caller(&r)?;
         let update = convert::updates::sensor(r.get_ref()).map_err(status::grpc)?;
         let changed = caller.update_sensor(&update.session, &update.id, &update.etag, &update.changes).await;
-        let sensor = Some(convert::sensors::status_to(&changed.map_err(status::grpc)?));
+        let sensor = Some(convert::streams::status_to(&changed.map_err(status::grpc)?));
         Ok(Response::new(v1::UpdateSensorResponse { sensor }))
     }
 
     async fn list_sensors(&self, r: Request<v1::ListSensorsRequest>) -> Answer<v1::ListSensorsResponse> {
         let caller = self.caller(&r)?;
         let statuses = caller.list_sensors(&r.get_ref().session_id).await.map_err(status::grpc)?;
-        let sensors = statuses.iter().map(convert::sensors::status_to).collect();
+        let sensors = statuses.iter().map(convert::streams::status_to).collect();
         Ok(Response::new(v1::ListSensorsResponse { sensors }))
     }
 

@@ -6,7 +6,7 @@ use percept_ros::rmw_zenoh::{
     self, Attachment, DataKey, Durability, Endpoint, EntityKind, History, LivelinessToken, Qos,
 };
 use percept_ros::ros2dds::{self, RouteKind, RouteQos, RouteToken};
-use percept_ros::{Message, TypeHash, TypeName};
+use percept_ros::{Message, TypeHash, TypeName, topics};
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use zenoh::liveliness::LivelinessToken as Announced;
 use zenoh::qos::{CongestionControl, Priority};
@@ -28,6 +28,8 @@ pub(super) struct Found {
     pub(super) is_latched: bool,
     /// Whether it is of ROS 2 Humble, whose types have no hashes.
     pub(super) is_unhashed: bool,
+    /// Whether the publisher's definition of the type is not ours.
+    pub(super) is_of_other_definition: bool,
 }
 
 /// What to look at for who publishes.
@@ -49,6 +51,7 @@ pub(super) fn found(robot: &Robot, token: &str, own_zid: &str) -> Option<Found> 
                 type_name: endpoint.type_name.to_string(),
                 is_latched: endpoint.qos.durability == Durability::TransientLocal,
                 is_unhashed: endpoint.type_hash == TypeHash::NotSupported,
+                is_of_other_definition: is_other(&endpoint.type_name.to_string(), endpoint.type_hash),
                 topic: endpoint.topic,
             })
         }
@@ -59,10 +62,15 @@ pub(super) fn found(robot: &Robot, token: &str, own_zid: &str) -> Option<Found> 
                 type_name: token.type_name.to_string(),
                 is_latched: token.qos.is_some_and(|q| q.durability == Some(Durability::TransientLocal)),
                 is_unhashed: false,
+                is_of_other_definition: false,
                 key: token.key,
             })
         }
     }
+}
+
+fn is_other(type_name: &str, theirs: TypeHash) -> bool {
+    theirs != TypeHash::NotSupported && topics::type_hash(type_name).is_some_and(|ours| ours != theirs)
 }
 
 /// Counts what percept has on a network of ROS 2.
@@ -227,7 +235,8 @@ mod tests {
         let scan = found(&robot, token, "def").unwrap();
         assert_eq!((scan.topic.as_str(), scan.type_name.as_str()), ("/scan", "sensor_msgs/msg/LaserScan"));
         assert_eq!(scan.key, "0/scan/sensor_msgs::msg::dds_::LaserScan_/*");
-        assert!(!scan.is_latched && !scan.is_unhashed);
+        assert!(!scan.is_latched && !scan.is_unhashed && !scan.is_of_other_definition);
+        assert!(found(&robot, &token.replace("RIHS01_64", "RIHS01_65"), "def").unwrap().is_of_other_definition);
         assert_eq!(found(&robot, token, "abc"), None);
         assert_eq!(found(&robot, &token.replace("/MP/", "/MS/"), "def"), None);
         assert_eq!(found(&robot, "rubbish", "def"), None);

@@ -2,6 +2,7 @@
 
 use percept_geometry::Timestamp;
 use std::collections::VecDeque;
+use zenoh::bytes::ZBytes;
 
 /// Colour and depth whose stamps differ by no more belong together, nanoseconds: half of the time between frames at 30 Hz.
 const APART_NS: u64 = 17_000_000;
@@ -29,6 +30,15 @@ impl<T> Default for Pairs<T> {
 pub(super) trait Weighed {
     /// Bytes that it takes.
     fn num_bytes(&self) -> usize;
+}
+
+/// An image that waits for its other half: number, when it was sent, bytes.
+pub(super) type Half = (u64, i64, ZBytes);
+
+impl Weighed for Half {
+    fn num_bytes(&self) -> usize {
+        self.2.len()
+    }
 }
 
 impl<T: Clone + Weighed> Pairs<T> {

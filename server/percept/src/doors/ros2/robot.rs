@@ -6,7 +6,7 @@ use super::book::{Book, Decision, Standing, transforms_sensor};
 use super::inbox::{Inbox, Incoming};
 use super::link::{self, Found};
 use super::numbers::Numbers;
-use super::pairs::{Pairs, Weighed};
+use super::pairs::{Half, Pairs};
 use super::results::{Goal, Shared};
 use super::settings::Robot;
 use percept_geometry::sensor::OdometrySample;
@@ -38,15 +38,6 @@ const NO_ODOMETRY: Duration = Duration::from_secs(3);
 /// The topic on which RViz says where to go.
 const GOAL: &str = "goal_pose";
 
-/// An image that waits for its other half: number, when it was sent, bytes.
-type Half = (u64, i64, ZBytes);
-
-impl Weighed for Half {
-    fn num_bytes(&self) -> usize {
-        self.2.len()
-    }
-}
-
 /// What listens to one robot.
 pub(super) struct Listener<'a> {
     zenoh: &'a zenoh::Session,
@@ -62,6 +53,8 @@ pub(super) struct Listener<'a> {
     pairs: BTreeMap<String, Pairs<Half>>,
     /// By topic.
     numbers: BTreeMap<String, Numbers>,
+    /// What is to be said of topics whose types are defined otherwise, by topic.
+    strange: BTreeMap<String, String>,
     began: Instant,
     is_session_there: bool,
     tf_sensor: Option<SensorId>,
@@ -89,6 +82,7 @@ impl<'a> Listener<'a> {
             subscribers: BTreeMap::new(),
             pairs: BTreeMap::new(),
             numbers: BTreeMap::new(),
+            strange: BTreeMap::new(),
             began: Instant::now(),
             is_session_there: false,
             tf_sensor: None,
@@ -127,6 +121,15 @@ impl<'a> Listener<'a> {
         let Some(found) = found else { return Ok(()) };
         let is_goal = found.topic == self.robot.topic(GOAL) && found.type_name == PoseStamped::TYPE_NAME;
         self.shared.note(&found, self.robot);
+        if found.is_of_other_definition {
+            let words = format!(
+                "its definition of {} is not percept's: of another distribution, or another type of the same name; messages \
+                 are read as percept's, and refused where they do not fit",
+                found.type_name
+            );
+            tracing::warn!(session = self.robot.session, topic = found.topic, words, "another definition");
+            self.strange.insert(found.topic.clone(), words);
+        }
         let is_wanted = if is_goal {
             !self.subscribers.contains_key(&found.topic)
         } else {
@@ -166,7 +169,7 @@ impl<'a> Listener<'a> {
         for decision in self.book.decide(self.robot, self.now()) {
             match decision {
                 Decision::Take { topic, spec, color, supposed } => self.declare(topic, *spec, color, supposed).await,
-                Decision::Leave { topic, why } => self.leave(&topic, &why),
+                Decision::Leave { topic, why } => self.leave(&topic, &why).await,
             }
         }
         if self.tf_sensor.is_none() && self.now() >= NO_ODOMETRY && self.book.odometry_by_transforms() {
@@ -204,15 +207,17 @@ impl<'a> Listener<'a> {
         let session = self.robot.session.as_str();
         let (sensor, kind) = (spec.id.clone(), spec.kind);
         if let Err(error) = self.declared(spec).await {
-            self.leave(&topic, &error.to_string());
+            self.leave(&topic, &error.to_string()).await;
             if let Some(heard) = self.book.topics.get_mut(&topic) {
                 heard.standing = Standing::Left(error.to_string());
             }
             return;
         }
-        if let Some(words) = supposed {
+        if let Some(words) = &supposed {
             tracing::warn!(session, words, "a mount is supposed");
         }
+        let words: Vec<String> = supposed.into_iter().chain(self.strange.get(&topic).cloned()).collect();
+        self.tell(&topic, (!words.is_empty()).then(|| words.join("; "))).await;
         tracing::info!(session, topic, color, %sensor, ?kind, "ROS 2 topic is a sensor");
         if color.is_some() {
             self.pairs.insert(topic, Pairs::default());
@@ -235,9 +240,14 @@ impl<'a> Listener<'a> {
         self.caller.declare_sensor(session, declaration).await.map(drop)
     }
 
-    fn leave(&mut self, topic: &str, why: &str) {
+    async fn leave(&mut self, topic: &str, why: &str) {
         tracing::info!(session = self.robot.session, topic, why, "ROS 2 topic is left");
+        self.tell(topic, Some(format!("not used: {why}"))).await;
         self.subscribers.remove(topic);
+    }
+
+    async fn tell(&self, topic: &str, words: Option<String>) {
+        self.caller.note_stream(&self.robot.session, topic, words).await;
     }
 
     fn warn(&self, what: &str, error: &Error) {
@@ -259,7 +269,7 @@ impl<'a> Listener<'a> {
             }
             observe::frame_refused(None, error.reason);
             if let Some(Standing::Taken(sensor)) = self.book.topics.get(&*name).map(|h| h.standing.clone()) {
-                self.caller.rejected(&self.robot.session, &sensor).await;
+                self.caller.rejected(&self.robot.session, &sensor, &error).await;
             }
             self.warn(&name, &error);
         }

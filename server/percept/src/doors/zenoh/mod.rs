@@ -298,7 +298,7 @@ async fn decode(names: &Names, key: &str, sample: &Sample) -> Result<(Caller, In
             Ok((caller, incoming))
         }
         Err(error) => {
-            caller.rejected(session, &sensor.into()).await;
+            caller.rejected(session, &sensor.into(), &error).await;
             Err(error)
         }
     }

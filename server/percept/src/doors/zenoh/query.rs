@@ -103,7 +103,7 @@ async fn answer(names: &Names, key: &str) -> Result<Vec<u8>, Error> {
             v1::ListObjectsResponse { objects, next_page_token: page.next_page_token, map_version }.encode_to_vec()
         }
         "sensors" => {
-            let sensors = caller.list_sensors(id).await?.iter().map(convert::sensors::status_to).collect();
+            let sensors = caller.list_sensors(id).await?.iter().map(convert::streams::status_to).collect();
             v1::ListSensorsResponse { sensors }.encode_to_vec()
         }
         "pose" => match &caller.snapshot("SessionsService/GetPose", id).await?.pose {

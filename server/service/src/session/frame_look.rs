@@ -1,0 +1,100 @@
+//! What a frame shows at first sight: whether a sensor measures, and in which unit.
+
+use percept_geometry::{DepthImage, PointCloud, SensorData};
+
+/// So many values are looked at, evenly spread: a share of 5 % is told to 1 % (standard error of a binomial).
+const SAMPLES: usize = 512;
+
+/// A frame at first sight.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct FrameLook {
+    /// Bytes as it was sent, packing aside.
+    pub(crate) bytes: usize,
+    /// Share of its beams or pixels that measured something. None for what has none.
+    pub(crate) measured: Option<f64>,
+    /// Median distance, metres. None if nothing was measured.
+    pub(crate) median_m: Option<f64>,
+}
+
+impl FrameLook {
+    pub(crate) fn of(data: &SensorData) -> Self {
+        match data {
+            SensorData::Depth(depth) => Self { bytes: 2 * depth.data().len(), ..Self::of_depth(depth) },
+            SensorData::Rgbd(depth, color) => {
+                Self { bytes: 2 * depth.data().len() + color.data().len(), ..Self::of_depth(depth) }
+            }
+            SensorData::Camera(image) => Self { bytes: image.data().len(), ..Self::default() },
+            SensorData::Cloud(cloud) => Self { bytes: bytes_of(cloud), ..Self::of_cloud(cloud) },
+            SensorData::Scan(scan) => {
+                let ranges = &scan.ranges_m;
+                // Beams that met nothing within range measured that.
+                let of = |range: f32| (!range.is_nan() && range > 0.0).then_some(f64::from(range));
+                let look = Self::of_ranges(ranges.len(), |i| of(ranges[i]));
+                Self { bytes: size_of_val(&ranges[..]), ..look }
+            }
+            SensorData::Imu(sample) => Self { bytes: size_of_val(sample), ..Self::default() },
+            SensorData::Odometry(sample) => Self { bytes: size_of_val(sample), ..Self::default() },
+        }
+    }
+
+    fn of_depth(depth: &DepthImage) -> Self {
+        let data = depth.data();
+        Self::of_ranges(data.len(), |i| (data[i].is_finite() && data[i] > 0.0).then(|| f64::from(data[i])))
+    }
+
+    fn of_cloud(cloud: &PointCloud) -> Self {
+        let at = |i: usize| f64::from(cloud.positions[i].coords.norm());
+        Self::of_ranges(cloud.positions.len(), |i| Some(at(i)).filter(|r| r.is_finite() && *r > 0.0))
+    }
+
+    fn of_ranges(len: usize, range: impl Fn(usize) -> Option<f64>) -> Self {
+        let step = len.div_ceil(SAMPLES).max(1);
+        let looked = (0..len).step_by(step);
+        let num = looked.len().max(1);
+        let measured: Vec<f64> = looked.filter_map(range).collect();
+        let mut ranges: Vec<f64> = measured.iter().copied().filter(|r| r.is_finite()).collect();
+        ranges.sort_by(f64::total_cmp);
+        Self {
+            bytes: 0,
+            measured: Some(measured.len() as f64 / num as f64),
+            median_m: ranges.get(ranges.len() / 2).copied(),
+        }
+    }
+}
+
+fn bytes_of(cloud: &PointCloud) -> usize {
+    let each = 12
+        + 3 * usize::from(cloud.colors.is_some())
+        + 4 * usize::from(cloud.intensities.is_some())
+        + 12 * usize::from(cloud.normals.is_some())
+        + 4 * usize::from(cloud.time_offsets_s.is_some());
+    each * cloud.positions.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use percept_geometry::LaserScan;
+
+    #[test]
+    fn a_look_tells_unit_and_share() {
+        let depth = DepthImage::new(640, 480, (0..640 * 480).map(|i| if i % 10 == 0 { 1850.0 } else { 0.0 }).collect());
+        let look = FrameLook::of(&SensorData::Depth(depth.unwrap()));
+        assert_eq!((look.bytes, look.median_m), (614_400, Some(1850.0)));
+        assert!((look.measured.unwrap() - 0.1).abs() < 0.05, "{look:?}");
+        let scan = LaserScan {
+            angle_min_rad: 0.0,
+            angle_increment_rad: 0.01,
+            range_min_m: 0.1,
+            range_max_m: 20.0,
+            time_increment_s: 0.0,
+            ranges_m: vec![f32::INFINITY, f32::NAN, 3.0, 4.0],
+            intensities: None,
+            later_echoes_m: vec![],
+        };
+        let look = FrameLook::of(&SensorData::Scan(scan));
+        assert_eq!((look.measured, look.median_m), (Some(0.75), Some(4.0)));
+        let nothing = FrameLook::of(&SensorData::Cloud(PointCloud::from_positions(vec![])));
+        assert_eq!((nothing.measured, nothing.median_m), (Some(0.0), None));
+    }
+}

@@ -1,0 +1,143 @@
+//! How a stream has come in of late, in figures.
+
+use super::frame_look::FrameLook;
+use percept_geometry::Timestamp;
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// Frames that figures are of. Five seconds of a lidar, a quarter of a second of an IMU.
+const WINDOW: usize = 50;
+
+/// A stream over its newest 50 frames.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct StreamFigures {
+    /// Mean rate by the stamps, hertz. None before two frames.
+    pub rate_hz: Option<f64>,
+    /// Mean rate of arrival by the server's clock, hertz. None before two frames.
+    pub arrival_rate_hz: Option<f64>,
+    /// Standard deviation of the times between stamps, seconds. None before three frames.
+    pub jitter_s: Option<f64>,
+    /// Longest time between two stamps, seconds. None before two frames.
+    pub longest_interval_s: Option<f64>,
+    /// From stamp to arrival by the server's clock, median, seconds: the clocks' offset and the way together. Negative if the
+    /// sensor's clock is ahead. None before the first frame.
+    pub delay_s: Option<f64>,
+    /// Since the newest frame came, seconds. None before the first.
+    pub quiet_s: Option<f64>,
+    /// Bytes of a frame, mean, packing aside. None before the first.
+    pub frame_bytes: Option<f64>,
+    /// From arrival until the frame was worked in, waiting included: median and 95th percentile, seconds. None before the first.
+    pub latency_s: Option<(f64, f64)>,
+    /// Share of beams or pixels that measured something, mean. None for what has none.
+    pub measured_ratio: Option<f64>,
+    /// Median distance measured, metres. None if nothing was.
+    pub median_range_m: Option<f64>,
+}
+
+/// Others go on if one of them sent something in so many seconds.
+const GOES_ON_S: f64 = 1.0;
+/// A stream is silent after so many of its intervals, and so many seconds.
+const SILENT: (f64, f64) = (10.0, 2.0);
+
+impl StreamFigures {
+    /// For how long nothing has come, if that is unusual and the session's newest frame came just now (`newest_s` ago).
+    pub(super) fn silent_s(&self, newest_s: Option<f64>) -> Option<f64> {
+        let usual_s = 1.0 / self.arrival_rate_hz.filter(|rate| *rate > 0.0)?;
+        let is_silent = |quiet_s: &f64| *quiet_s > SILENT.0 * usual_s && *quiet_s > SILENT.1;
+        newest_s.filter(|newest_s| *newest_s < GOES_ON_S).and(self.quiet_s.filter(is_silent))
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Came {
+    stamp: Timestamp,
+    at: Instant,
+    /// Behind the stamp, server's clock, seconds.
+    delay_s: f64,
+    latency_s: f64,
+    look: FrameLook,
+}
+
+/// The newest frames of a stream.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Recent {
+    frames: VecDeque<Came>,
+}
+
+impl Recent {
+    /// Adds a frame that was worked in `latency` after it had come.
+    pub(crate) fn add(&mut self, stamp: Timestamp, ahead_ns: i64, latency: Duration, look: FrameLook) {
+        let now = Instant::now();
+        let latency_s = latency.as_secs_f64();
+        let at = now.checked_sub(latency).unwrap_or(now);
+        self.frames.push_back(Came { stamp, at, delay_s: -1e-9 * ahead_ns as f64 - latency_s, latency_s, look });
+        if self.frames.len() > WINDOW {
+            self.frames.pop_front();
+        }
+    }
+
+    /// What they tell at `now`.
+    pub(crate) fn figures(&self, now: Instant) -> StreamFigures {
+        let Some((first, last)) = self.frames.front().zip(self.frames.back()) else { return StreamFigures::default() };
+        let rate = |span_s: f64| (span_s > 0.0).then(|| (self.frames.len() - 1) as f64 / span_s);
+        let pairs = self.frames.iter().zip(self.frames.iter().skip(1));
+        let intervals: Vec<f64> = pairs.map(|(a, b)| b.stamp.seconds_since(a.stamp)).collect();
+        let of = |value: fn(&Came) -> Option<f64>| -> Vec<f64> { self.frames.iter().filter_map(value).collect() };
+        let latencies = of(|f| Some(f.latency_s));
+        StreamFigures {
+            rate_hz: rate(last.stamp.seconds_since(first.stamp)),
+            arrival_rate_hz: rate(last.at.saturating_duration_since(first.at).as_secs_f64()),
+            jitter_s: (intervals.len() > 1).then(|| deviation(&intervals)),
+            longest_interval_s: intervals.iter().copied().reduce(f64::max),
+            delay_s: percentile(of(|f| Some(f.delay_s)), 0.5),
+            quiet_s: Some(now.saturating_duration_since(last.at).as_secs_f64()),
+            frame_bytes: mean(&of(|f| Some(f.look.bytes as f64))),
+            latency_s: percentile(latencies.clone(), 0.5).zip(percentile(latencies, 0.95)),
+            measured_ratio: mean(&of(|f| f.look.measured)),
+            median_range_m: percentile(of(|f| f.look.median_m), 0.5),
+        }
+    }
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+fn deviation(values: &[f64]) -> f64 {
+    let mean = mean(values).unwrap_or(0.0);
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
+
+/// Nearest rank.
+fn percentile(mut values: Vec<f64>, share: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().checked_sub(1)?;
+    values.get((share * last as f64).round() as usize).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_those_of_the_newest_frames() {
+        let mut recent = Recent::default();
+        assert_eq!(recent.figures(Instant::now()), StreamFigures::default());
+        for i in 0..200u32 {
+            // A pause of a second long ago, one of 0.3 s just now; two seconds behind the server.
+            let pause = if i < 20 { 0.0 } else { 1.0 } + if i < 180 { 0.0 } else { 0.2 };
+            let look = FrameLook { bytes: 1000, measured: Some(0.5), median_m: Some(2.0) };
+            let stamp = Timestamp::from_secs_f64(0.1 * f64::from(i) + pause);
+            recent.add(stamp, -2_000_000_000, Duration::from_millis(if i % 10 == 0 { 80 } else { 20 }), look);
+        }
+        let figures = recent.figures(Instant::now());
+        let near = |value: Option<f64>, right: f64| (value.unwrap() - right).abs() < 0.02 * right.abs();
+        assert!(near(figures.rate_hz, 49.0 / 5.1), "{figures:?}");
+        assert!(near(figures.longest_interval_s, 0.3), "{figures:?}");
+        assert!(near(figures.jitter_s, 0.2 * (48.0f64).sqrt() / 49.0), "{figures:?}");
+        assert!(near(figures.delay_s, 1.98), "{figures:?}");
+        assert_eq!(figures.latency_s, Some((0.02, 0.08)));
+        assert_eq!((figures.frame_bytes, figures.median_range_m), (Some(1000.0), Some(2.0)));
+        assert!(figures.quiet_s.unwrap() < 1.0);
+    }
+}
