@@ -203,9 +203,11 @@ def test_a_server_that_is_not_there_is_told():
 
 
 def test_without_a_session_all_that_are_awake_are_looked_at(server, client):
-    names = [client.sessions.create(sensors=[world.LASER]).session_id for _ in range(2)]
+    sessions = [client.sessions.create(sensors=[world.LASER]) for _ in range(2)]
+    for session in sessions:
+        session.send_scan("laser", stamp_ns=world.stamp(0), **world.scan(world.drive(1)[0]))
     ran = doctor(server)
-    assert all(name in ran.stdout for name in names)
+    assert all(session.session_id in ran.stdout for session in sessions), ran.stdout + ran.stderr
     unknown = doctor(server, "no-such-session")
     assert unknown.returncode == 1
     assert "no-such-session" in unknown.stderr

@@ -219,6 +219,20 @@ class _StreamTroubleKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Str
     """An IMU is not used: frames are predicted better without it."""
     STREAM_TROUBLE_KIND_NO_POSE: _StreamTroubleKind.ValueType  # 10
     """No pose comes of the session: no sensor that sees is declared, or not the one that `pose_sensor` names."""
+    STREAM_TROUBLE_KIND_SILENT: _StreamTroubleKind.ValueType  # 11
+    """Nothing has come for a while, though other sensors of the session go on: the driver or the link."""
+    STREAM_TROUBLE_KIND_CLOCK_AHEAD: _StreamTroubleKind.ValueType  # 12
+    """Its stamps are ahead of the server's clock: set the robot's clock."""
+    STREAM_TROUBLE_KIND_RANGE_UNIT: _StreamTroubleKind.ValueType  # 13
+    """Its distances are in another unit than metres."""
+    STREAM_TROUBLE_KIND_SEES_LITTLE: _StreamTroubleKind.ValueType  # 14
+    """Hardly any beam or pixel measures something: it is covered, or too near or too far from everything."""
+    STREAM_TROUBLE_KIND_OPTICAL_FRAME: _StreamTroubleKind.ValueType  # 15
+    """A camera's mount is that of a body frame: it would look straight up."""
+    STREAM_TROUBLE_KIND_INTRINSICS: _StreamTroubleKind.ValueType  # 16
+    """A camera's intrinsics are hardly those of its images."""
+    STREAM_TROUBLE_KIND_WHEELS_UNLIKE: _StreamTroubleKind.ValueType  # 17
+    """Wheels tell another motion than the pose sensor sees."""
 
 class StreamTroubleKind(_StreamTroubleKind, metaclass=_StreamTroubleKindEnumTypeWrapper):
     """What may be wrong with a sensor's stream."""
@@ -244,6 +258,20 @@ STREAM_TROUBLE_KIND_MISLEADING: StreamTroubleKind.ValueType  # 9
 """An IMU is not used: frames are predicted better without it."""
 STREAM_TROUBLE_KIND_NO_POSE: StreamTroubleKind.ValueType  # 10
 """No pose comes of the session: no sensor that sees is declared, or not the one that `pose_sensor` names."""
+STREAM_TROUBLE_KIND_SILENT: StreamTroubleKind.ValueType  # 11
+"""Nothing has come for a while, though other sensors of the session go on: the driver or the link."""
+STREAM_TROUBLE_KIND_CLOCK_AHEAD: StreamTroubleKind.ValueType  # 12
+"""Its stamps are ahead of the server's clock: set the robot's clock."""
+STREAM_TROUBLE_KIND_RANGE_UNIT: StreamTroubleKind.ValueType  # 13
+"""Its distances are in another unit than metres."""
+STREAM_TROUBLE_KIND_SEES_LITTLE: StreamTroubleKind.ValueType  # 14
+"""Hardly any beam or pixel measures something: it is covered, or too near or too far from everything."""
+STREAM_TROUBLE_KIND_OPTICAL_FRAME: StreamTroubleKind.ValueType  # 15
+"""A camera's mount is that of a body frame: it would look straight up."""
+STREAM_TROUBLE_KIND_INTRINSICS: StreamTroubleKind.ValueType  # 16
+"""A camera's intrinsics are hardly those of its images."""
+STREAM_TROUBLE_KIND_WHEELS_UNLIKE: StreamTroubleKind.ValueType  # 17
+"""Wheels tell another motion than the pose sensor sees."""
 Global___StreamTroubleKind: _TypeAlias = StreamTroubleKind  # noqa: Y015
 
 @_typing.final
@@ -679,6 +707,134 @@ class StreamTrouble(_message.Message):
 Global___StreamTrouble: _TypeAlias = StreamTrouble  # noqa: Y015
 
 @_typing.final
+class Refusal(_message.Message):
+    """Frames that were refused for one reason."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    REASON_FIELD_NUMBER: _builtins.int
+    COUNT_FIELD_NUMBER: _builtins.int
+    MESSAGE_FIELD_NUMBER: _builtins.int
+    reason: _builtins.str
+    """As errors have it: STAMP_NOT_INCREASING."""
+    count: _builtins.int
+    message: _builtins.str
+    """What the newest of them was told."""
+    def __init__(
+        self,
+        *,
+        reason: _builtins.str = ...,
+        count: _builtins.int = ...,
+        message: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["count", b"count", "message", b"message", "reason", b"reason"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Refusal: _TypeAlias = Refusal  # noqa: Y015
+
+@_typing.final
+class StreamFigures(_message.Message):
+    """How a stream has come in of late: the newest 50 accepted frames, since the server was started."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    ARRIVAL_RATE_HZ_FIELD_NUMBER: _builtins.int
+    JITTER_S_FIELD_NUMBER: _builtins.int
+    LONGEST_INTERVAL_S_FIELD_NUMBER: _builtins.int
+    DELAY_S_FIELD_NUMBER: _builtins.int
+    QUIET_S_FIELD_NUMBER: _builtins.int
+    FRAME_BYTES_FIELD_NUMBER: _builtins.int
+    LATENCY_P50_S_FIELD_NUMBER: _builtins.int
+    LATENCY_P95_S_FIELD_NUMBER: _builtins.int
+    MEASURED_RATIO_FIELD_NUMBER: _builtins.int
+    MEDIAN_RANGE_M_FIELD_NUMBER: _builtins.int
+    arrival_rate_hz: _builtins.float
+    """Mean rate of arrival by the server's clock, hertz. Absent before two frames."""
+    jitter_s: _builtins.float
+    """Standard deviation of the times between stamps, seconds. Absent before three frames."""
+    longest_interval_s: _builtins.float
+    """Longest time between two stamps, seconds. Absent before two frames."""
+    delay_s: _builtins.float
+    """From stamp to arrival by the server's clock, median, seconds: the clocks' offset and the way together. Negative if the
+    sensor's clock is ahead. Absent before the first frame.
+    """
+    quiet_s: _builtins.float
+    """Since the newest frame came, seconds. Absent before the first."""
+    frame_bytes: _builtins.float
+    """Bytes of a frame, mean, packing aside. Absent before the first."""
+    latency_p50_s: _builtins.float
+    """From arrival until a frame was worked in, waiting included, median, seconds. Absent before the first."""
+    latency_p95_s: _builtins.float
+    """The same, 95th percentile, seconds."""
+    measured_ratio: _builtins.float
+    """Share of beams or pixels that measured something, mean, 0 to 1. Absent for what has none."""
+    median_range_m: _builtins.float
+    """Median distance measured, metres. Absent if nothing was."""
+    def __init__(
+        self,
+        *,
+        arrival_rate_hz: _builtins.float | None = ...,
+        jitter_s: _builtins.float | None = ...,
+        longest_interval_s: _builtins.float | None = ...,
+        delay_s: _builtins.float | None = ...,
+        quiet_s: _builtins.float | None = ...,
+        frame_bytes: _builtins.float | None = ...,
+        latency_p50_s: _builtins.float | None = ...,
+        latency_p95_s: _builtins.float | None = ...,
+        measured_ratio: _builtins.float | None = ...,
+        median_range_m: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_arrival_rate_hz", b"_arrival_rate_hz", "_delay_s", b"_delay_s", "_frame_bytes", b"_frame_bytes", "_jitter_s", b"_jitter_s", "_latency_p50_s", b"_latency_p50_s", "_latency_p95_s", b"_latency_p95_s", "_longest_interval_s", b"_longest_interval_s", "_measured_ratio", b"_measured_ratio", "_median_range_m", b"_median_range_m", "_quiet_s", b"_quiet_s", "arrival_rate_hz", b"arrival_rate_hz", "delay_s", b"delay_s", "frame_bytes", b"frame_bytes", "jitter_s", b"jitter_s", "latency_p50_s", b"latency_p50_s", "latency_p95_s", b"latency_p95_s", "longest_interval_s", b"longest_interval_s", "measured_ratio", b"measured_ratio", "median_range_m", b"median_range_m", "quiet_s", b"quiet_s"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_arrival_rate_hz", b"_arrival_rate_hz", "_delay_s", b"_delay_s", "_frame_bytes", b"_frame_bytes", "_jitter_s", b"_jitter_s", "_latency_p50_s", b"_latency_p50_s", "_latency_p95_s", b"_latency_p95_s", "_longest_interval_s", b"_longest_interval_s", "_measured_ratio", b"_measured_ratio", "_median_range_m", b"_median_range_m", "_quiet_s", b"_quiet_s", "arrival_rate_hz", b"arrival_rate_hz", "delay_s", b"delay_s", "frame_bytes", b"frame_bytes", "jitter_s", b"jitter_s", "latency_p50_s", b"latency_p50_s", "latency_p95_s", b"latency_p95_s", "longest_interval_s", b"longest_interval_s", "measured_ratio", b"measured_ratio", "median_range_m", b"median_range_m", "quiet_s", b"quiet_s"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__arrival_rate_hz: _TypeAlias = _typing.Literal["arrival_rate_hz"]  # noqa: Y015
+    _WhichOneofArgType__arrival_rate_hz: _TypeAlias = _typing.Literal["_arrival_rate_hz", b"_arrival_rate_hz"]  # noqa: Y015
+    _WhichOneofReturnType__delay_s: _TypeAlias = _typing.Literal["delay_s"]  # noqa: Y015
+    _WhichOneofArgType__delay_s: _TypeAlias = _typing.Literal["_delay_s", b"_delay_s"]  # noqa: Y015
+    _WhichOneofReturnType__frame_bytes: _TypeAlias = _typing.Literal["frame_bytes"]  # noqa: Y015
+    _WhichOneofArgType__frame_bytes: _TypeAlias = _typing.Literal["_frame_bytes", b"_frame_bytes"]  # noqa: Y015
+    _WhichOneofReturnType__jitter_s: _TypeAlias = _typing.Literal["jitter_s"]  # noqa: Y015
+    _WhichOneofArgType__jitter_s: _TypeAlias = _typing.Literal["_jitter_s", b"_jitter_s"]  # noqa: Y015
+    _WhichOneofReturnType__latency_p50_s: _TypeAlias = _typing.Literal["latency_p50_s"]  # noqa: Y015
+    _WhichOneofArgType__latency_p50_s: _TypeAlias = _typing.Literal["_latency_p50_s", b"_latency_p50_s"]  # noqa: Y015
+    _WhichOneofReturnType__latency_p95_s: _TypeAlias = _typing.Literal["latency_p95_s"]  # noqa: Y015
+    _WhichOneofArgType__latency_p95_s: _TypeAlias = _typing.Literal["_latency_p95_s", b"_latency_p95_s"]  # noqa: Y015
+    _WhichOneofReturnType__longest_interval_s: _TypeAlias = _typing.Literal["longest_interval_s"]  # noqa: Y015
+    _WhichOneofArgType__longest_interval_s: _TypeAlias = _typing.Literal["_longest_interval_s", b"_longest_interval_s"]  # noqa: Y015
+    _WhichOneofReturnType__measured_ratio: _TypeAlias = _typing.Literal["measured_ratio"]  # noqa: Y015
+    _WhichOneofArgType__measured_ratio: _TypeAlias = _typing.Literal["_measured_ratio", b"_measured_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__median_range_m: _TypeAlias = _typing.Literal["median_range_m"]  # noqa: Y015
+    _WhichOneofArgType__median_range_m: _TypeAlias = _typing.Literal["_median_range_m", b"_median_range_m"]  # noqa: Y015
+    _WhichOneofReturnType__quiet_s: _TypeAlias = _typing.Literal["quiet_s"]  # noqa: Y015
+    _WhichOneofArgType__quiet_s: _TypeAlias = _typing.Literal["_quiet_s", b"_quiet_s"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__arrival_rate_hz) -> _WhichOneofReturnType__arrival_rate_hz | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__delay_s) -> _WhichOneofReturnType__delay_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__frame_bytes) -> _WhichOneofReturnType__frame_bytes | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__jitter_s) -> _WhichOneofReturnType__jitter_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__latency_p50_s) -> _WhichOneofReturnType__latency_p50_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__latency_p95_s) -> _WhichOneofReturnType__latency_p95_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__longest_interval_s) -> _WhichOneofReturnType__longest_interval_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__measured_ratio) -> _WhichOneofReturnType__measured_ratio | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__median_range_m) -> _WhichOneofReturnType__median_range_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__quiet_s) -> _WhichOneofReturnType__quiet_s | None: ...
+
+Global___StreamFigures: _TypeAlias = StreamFigures  # noqa: Y015
+
+@_typing.final
 class SensorStatus(_message.Message):
     """What the service sees of a sensor's stream."""
 
@@ -696,6 +852,8 @@ class SensorStatus(_message.Message):
     TROUBLES_FIELD_NUMBER: _builtins.int
     VERDICT_MESSAGE_FIELD_NUMBER: _builtins.int
     ETAG_FIELD_NUMBER: _builtins.int
+    FIGURES_FIELD_NUMBER: _builtins.int
+    REFUSALS_FIELD_NUMBER: _builtins.int
     accepted: _builtins.int
     """Frames accepted since the session was created."""
     rejected: _builtins.int
@@ -723,6 +881,14 @@ class SensorStatus(_message.Message):
     def troubles(self) -> _containers.RepeatedCompositeFieldContainer[Global___StreamTrouble]:
         """Empty unless TROUBLED."""
 
+    @_builtins.property
+    def figures(self) -> Global___StreamFigures:
+        """The newest frames in figures."""
+
+    @_builtins.property
+    def refusals(self) -> _containers.RepeatedCompositeFieldContainer[Global___Refusal]:
+        """Why frames were refused, the most frequent reason first: the first eight reasons."""
+
     def __init__(
         self,
         *,
@@ -738,10 +904,12 @@ class SensorStatus(_message.Message):
         troubles: _abc.Iterable[Global___StreamTrouble] | None = ...,
         verdict_message: _builtins.str = ...,
         etag: _builtins.str = ...,
+        figures: Global___StreamFigures | None = ...,
+        refusals: _abc.Iterable[Global___Refusal] | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "clock_offset_s", b"clock_offset_s", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "spec", b"spec"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "clock_offset_s", b"clock_offset_s", "figures", b"figures", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "spec", b"spec"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "accepted", b"accepted", "clock_offset_s", b"clock_offset_s", "dropped", b"dropped", "etag", b"etag", "gaps", b"gaps", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "rejected", b"rejected", "spec", b"spec", "troubles", b"troubles", "verdict", b"verdict", "verdict_message", b"verdict_message"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s", "_last_stamp_ns", b"_last_stamp_ns", "_rate_hz", b"_rate_hz", "accepted", b"accepted", "clock_offset_s", b"clock_offset_s", "dropped", b"dropped", "etag", b"etag", "figures", b"figures", "gaps", b"gaps", "last_stamp_ns", b"last_stamp_ns", "rate_hz", b"rate_hz", "refusals", b"refusals", "rejected", b"rejected", "spec", b"spec", "troubles", b"troubles", "verdict", b"verdict", "verdict_message", b"verdict_message"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__clock_offset_s: _TypeAlias = _typing.Literal["clock_offset_s"]  # noqa: Y015
     _WhichOneofArgType__clock_offset_s: _TypeAlias = _typing.Literal["_clock_offset_s", b"_clock_offset_s"]  # noqa: Y015

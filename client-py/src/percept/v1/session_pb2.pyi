@@ -590,6 +590,7 @@ class Session(_message.Message):
     ETAG_FIELD_NUMBER: _builtins.int
     ZONES_FIELD_NUMBER: _builtins.int
     ZONE_MASKS_FIELD_NUMBER: _builtins.int
+    STREAM_NOTES_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     """1 to 64 characters of a-z A-Z 0-9 _ -."""
     display_name: _builtins.str
@@ -645,6 +646,12 @@ class Session(_message.Message):
     def zone_masks(self) -> _containers.RepeatedCompositeFieldContainer[Global___ZoneMask]:
         """The same cell by cell, without the cells; at most 8, which take at most 1 MiB together, packed. Absent as zones are."""
 
+    @_builtins.property
+    def stream_notes(self) -> _containers.RepeatedCompositeFieldContainer[Global___StreamNote]:
+        """What is to be said of streams that are no sensors of it, or not as they came: topics of ROS 2 that were left, and why; transforms
+        that nobody sends. Absent in lists, and while the session sleeps.
+        """
+
     def __init__(
         self,
         *,
@@ -668,10 +675,11 @@ class Session(_message.Message):
         etag: _builtins.str = ...,
         zones: _abc.Iterable[_path_pb2.Zone] | None = ...,
         zone_masks: _abc.Iterable[Global___ZoneMask] | None = ...,
+        stream_notes: _abc.Iterable[Global___StreamNote] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "fault", b"fault", "last_stamp_ns", b"last_stamp_ns", "params", b"params", "pose", b"pose"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "etag", b"etag", "fault", b"fault", "labels", b"labels", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "tenant", b"tenant", "zone_masks", b"zone_masks", "zones", b"zones"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "etag", b"etag", "fault", b"fault", "labels", b"labels", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "stream_notes", b"stream_notes", "tenant", b"tenant", "zone_masks", b"zone_masks", "zones", b"zones"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__fault: _TypeAlias = _typing.Literal["fault"]  # noqa: Y015
     _WhichOneofArgType__fault: _TypeAlias = _typing.Literal["_fault", b"_fault"]  # noqa: Y015
@@ -687,6 +695,36 @@ class Session(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose) -> _WhichOneofReturnType__pose | None: ...
 
 Global___Session: _TypeAlias = Session  # noqa: Y015
+
+@_typing.final
+class StreamNote(_message.Message):
+    """What is to be said of a stream."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    STREAM_FIELD_NUMBER: _builtins.int
+    MESSAGE_FIELD_NUMBER: _builtins.int
+    TIME_NS_FIELD_NUMBER: _builtins.int
+    stream: _builtins.str
+    """What it is called where it comes from: a topic."""
+    message: _builtins.str
+    """In words, for an operator."""
+    time_ns: _builtins.int
+    """When it was found, server's clock, nanoseconds since the Unix epoch."""
+    def __init__(
+        self,
+        *,
+        stream: _builtins.str = ...,
+        message: _builtins.str = ...,
+        time_ns: _builtins.int = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["message", b"message", "stream", b"stream", "time_ns", b"time_ns"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___StreamNote: _TypeAlias = StreamNote  # noqa: Y015
 
 @_typing.final
 class ZoneMask(_message.Message):
