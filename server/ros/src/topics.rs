@@ -7,6 +7,9 @@ use crate::messages::{CameraInfo, CompressedImage, Header, Image, Imu, LaserScan
 use crate::{FrameTree, Message, TypeHash, convert};
 use percept_geometry::{CameraIntrinsics, Pose, SensorId, SensorKind, SensorSpec};
 
+/// Colour and depth whose stamps differ by no more belong together, nanoseconds: half of the time between frames at 30 Hz.
+pub const PAIR_APART_NS: u64 = 17_000_000;
+
 /// What one topic is for.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {

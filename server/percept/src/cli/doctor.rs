@@ -34,7 +34,11 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<(), Failure> {
         }
     }
     let wrong: usize = sessions.iter().map(num_wrong).sum();
-    if wrong > 0 { Err(format!("{wrong} {} found", if wrong == 1 { "trouble" } else { "troubles" }).into()) } else { Ok(()) }
+    if wrong > 0 {
+        Err(format!("{wrong} {} found", if wrong == 1 { "trouble" } else { "troubles" }).into())
+    } else {
+        Ok(())
+    }
 }
 
 async fn look(args: &DoctorArgs) -> Result<Vec<v1::Session>, Failure> {

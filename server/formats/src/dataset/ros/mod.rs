@@ -14,13 +14,10 @@ use load::{Loader, Pictures};
 use percept_bags::Recording;
 use percept_geometry::{Pose, SensorFrame, SensorKind, SensorSpec, Timestamp};
 use percept_ros::FrameTree;
-use percept_ros::topics::{self, Content, Topic, sensor_id};
+use percept_ros::topics::{self, Content, PAIR_APART_NS, Topic, sensor_id};
 use std::path::Path;
 use std::sync::Arc;
 use survey::{Recorded, Survey, odometry_of_transforms};
-
-/// Colour and depth whose stamps differ by no more belong together, nanoseconds: half of the time between frames at 30 Hz.
-const PAIR_NS: u64 = 17_000_000;
 
 /// Opens a recording.
 ///
@@ -218,7 +215,7 @@ fn pairs(depth: &[Timestamp], color: &[Timestamp]) -> Vec<(usize, usize)> {
     let nearest = |stamp: Timestamp| {
         let after = by_time.partition_point(|c| c.0 < stamp);
         let around = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|i| by_time.get(i));
-        around.map(|c| (c.0.0.abs_diff(stamp.0), c.1)).min().filter(|(apart, _)| *apart <= PAIR_NS)
+        around.map(|c| (c.0.0.abs_diff(stamp.0), c.1)).min().filter(|(apart, _)| *apart <= PAIR_APART_NS)
     };
     depth.iter().enumerate().filter_map(|(i, stamp)| Some((i, nearest(*stamp)?.1))).collect()
 }

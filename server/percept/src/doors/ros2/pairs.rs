@@ -1,11 +1,10 @@
 //! Depth images and the colour images that belong to them, as they come.
 
 use percept_geometry::Timestamp;
+use percept_ros::topics::PAIR_APART_NS;
 use std::collections::VecDeque;
 use zenoh::bytes::ZBytes;
 
-/// Colour and depth whose stamps differ by no more belong together, nanoseconds: half of the time between frames at 30 Hz.
-const APART_NS: u64 = 17_000_000;
 /// Images of either kind that wait for the other: 0.3 s at 30 Hz.
 const HELD: usize = 10;
 /// Bytes of images of either kind that wait at most: ten of 1280 x 720 in colour, and more.
@@ -54,7 +53,7 @@ impl<T: Clone + Weighed> Pairs<T> {
 
     /// Takes a colour image in; with the depth image that waits for it, if there is one. Those before it find none any more.
     pub(super) fn color(&mut self, stamp: Timestamp, image: T) -> Option<(T, T)> {
-        let waiting = self.depth.iter().position(|(at, _)| at.0.abs_diff(stamp.0) <= APART_NS);
+        let waiting = self.depth.iter().position(|(at, _)| at.0.abs_diff(stamp.0) <= PAIR_APART_NS);
         self.color.push_back((stamp, image.clone()));
         let_go(&mut self.color);
         let at = waiting?;
@@ -76,7 +75,7 @@ fn let_go<T: Weighed>(images: &mut VecDeque<(Timestamp, T)>) -> u64 {
 
 fn nearest<T: Clone>(images: &VecDeque<(Timestamp, T)>, stamp: Timestamp) -> Option<T> {
     let apart = images.iter().map(|(at, image)| (at.0.abs_diff(stamp.0), image));
-    apart.filter(|(apart, _)| *apart <= APART_NS).min_by_key(|(apart, _)| *apart).map(|(_, image)| image.clone())
+    apart.filter(|(apart, _)| *apart <= PAIR_APART_NS).min_by_key(|(apart, _)| *apart).map(|(_, image)| image.clone())
 }
 
 #[cfg(test)]
