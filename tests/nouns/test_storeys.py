@@ -73,7 +73,7 @@ def test_a_path_is_planned_on_the_storey_that_is_asked_for(building):
     assert building.validate_path(above_it, options=upper) is None
     misfit = building.validate_path(above_it, options=lower)
     assert misfit is not None
-    assert np.linalg.norm(misfit.pose[:2] - BOX) < 1.0
+    assert np.linalg.norm(misfit.pose.translation[:2] - BOX) < 1.0
     picture = building.draw_path(BOX, start=START, options=upper)
     assert picture.outcome == above_it
     # The wall of the upper floor.

@@ -50,6 +50,7 @@ from .errors import (
     StreamBroken,
     Unauthenticated,
     Unavailable,
+    WrongType,
 )
 from .types import (
     Blocking,
@@ -482,6 +483,7 @@ __all__ = [
     "Voxels",
     "WaitingFor",
     "Watch",
+    "WrongType",
     "Zone",
     "ZoneMask",
 ]

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Sequence
 
 from .._convert import navigation
 from .._convert import scene as convert
-from ..types.geometry import OrientedBox
+from ..types.geometry import FloorPoint, OrientedBox
 from ..types.navigation import RoomRoute
 from ..types.scene import (
     Object,
@@ -133,7 +133,7 @@ class AsyncScene(AsyncSessionBound):
         """Calls a room by a name, which stays with it while the map grows; an empty one takes it away."""
         return await self._transport.call(convert.name_room(self.session_id, room_id, name))
 
-    async def route_to_room(self, room: int | str, *, start: Sequence[float] | None = None) -> RoomRoute:
+    async def route_to_room(self, room: int | str, *, start: FloorPoint | None = None) -> RoomRoute:
         """The way to a room, by number or name: from door to door, and the path along the ground.
 
         start is x, y, map frame, metres; without one the way begins where the robot is.

@@ -15,6 +15,7 @@ from ..types.exploration import (
     NoFlight,
 )
 from ..types.frames import SensorFrame
+from ..types.geometry import FloorPoint, Pose
 from ..types.navigation import (
     Misfit,
     Navigation,
@@ -183,36 +184,37 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
 
     async def plan(
         self,
-        goal: Sequence[float],
+        goal: FloorPoint,
         *,
-        start: Sequence[float] | None = None,
+        start: FloorPoint | None = None,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Path | NoPath:
         """A path to (x, y) in metres of the map, from where the robot is or from `start`. Options say by
-        which planner, with which footprint and headings, around which zones."""
+        which planner, with which footprint and headings, around which zones. Ends may be poses: the HYBRID
+        planner keeps to their headings, unless the options name others. No path is an answer, with its
+        reason; three bare numbers are refused (WrongType), for x, y, z and x, y, yaw look alike."""
         return await self._transport.call(navigation.plan(self.session_id, goal, start, params, options))
 
     async def draw_path(
         self,
-        goal: Sequence[float] | None = None,
+        goal: FloorPoint | None = None,
         *,
-        path: Path | object | None = None,
-        start: Sequence[float] | None = None,
+        path: Path | Sequence[Pose] | None = None,
+        start: FloorPoint | None = None,
         colouring: PathColouring | str = PathColouring.CLEARANCE,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> PathPicture:
         """plan() as a picture: the map with the path coloured along it, footprints, zones, legend and scale
-        bar, or with why there is none and the first cell that blocks the way. With `path` (or (N, 3) poses:
-        x m, y m, yaw rad, map frame) that is drawn as it is, with the first place of it that the robot cannot
-        drive."""
+        bar, or with why there is none and the first cell that blocks the way. With `path` (or poses of base
+        in the map) that is drawn as it is, with the first place of it that the robot cannot drive."""
         call = drawing.draw_path(self.session_id, goal, path, start, colouring, params, options)
         return await self._transport.call(call)
 
     def watch_path(
         self,
-        goal: Sequence[float],
+        goal: FloorPoint,
         *,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
@@ -225,19 +227,19 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
 
     async def validate_path(
         self,
-        path: Path | object,
+        path: Path | Sequence[Pose],
         *,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Misfit | None:
-        """The first place of a path, or of (N, 3) poses (x m, y m, yaw rad), that the robot cannot drive as
-        the map is now; None if all of it can be driven."""
+        """The first place of a path, or of poses of base in the map, that the robot cannot drive as the map
+        is now; None if all of it can be driven."""
         return await self._transport.call(navigation.validate(self.session_id, path, params, options))
 
     async def plan_coverage(
         self,
         *,
-        start: Sequence[float] | None = None,
+        start: FloorPoint | None = None,
         coverage: CoverageOptions = _COVERAGE,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
@@ -249,7 +251,7 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
     async def frontiers(
         self,
         *,
-        start: Sequence[float] | None = None,
+        start: FloorPoint | None = None,
         min_length_m: float = 0.5,
         gain: float = 0.0,
         params: Mapping[str, object] | None = None,
@@ -280,7 +282,7 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         self,
         frame: SensorFrame,
         *,
-        goal: Sequence[float],
+        goal: FloorPoint,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Navigation:

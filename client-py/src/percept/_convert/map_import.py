@@ -51,7 +51,7 @@ def import_map(
 ) -> Call[service.ImportMapRequest, service.ImportMapResponse, MapImported]:
     out = service.ImportMapRequest(
         source=maps.source(session_id),
-        start=None if start is None else geometry.pose_to(start),
+        start=None if start is None else geometry.pose_to(start, "start"),
         sensor_height_m=sensor_height_m or 0.0,
         voxel_size_m=voxel_size_m or 0.0,
     )

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ._value import Name, Value
-from .geometry import Floats
+from .geometry import Floats, Pose
 from .layers import Storey
 from .maps import GridGeometry, MapStamp, OccupancyGrid
 from .poses import FrameResult, PoseEstimate
@@ -164,8 +164,10 @@ class PathOptions(Value):
 class Path(Value):
     """A path that keeps the robot clear. True where NoPath is False."""
 
-    #: From start to goal, map frame: x m, y m, yaw rad, (N, 3) float64.
+    #: Base from start to goal, map frame: x, y in metres, (N, 2) float64.
     waypoints: Floats
+    #: Heading at each, radians from the map's x axis towards y, (N,).
+    yaws_rad: Floats
     length_m: float
     #: What the search kept small, metres: length, and more near obstacles, in speed zones, for turning.
     cost: float
@@ -190,6 +192,12 @@ class Path(Value):
     is_final: bool
     #: State of the map that was searched; None of a map that came with the question.
     stamp: MapStamp | None
+
+    @property
+    def poses(self) -> list[Pose]:
+        """t_map_base at each waypoint."""
+        rows = np.column_stack([self.waypoints, self.yaws_rad]).tolist()
+        return [Pose.from_xy_yaw(x, y, yaw) for x, y, yaw in rows]
 
     def __bool__(self) -> bool:
         return True
@@ -278,8 +286,8 @@ class Misfit(Value):
 
     #: Number of the pose that does not fit, or of the one before the motion that does not.
     pose_index: int
-    #: Where the robot is then: x m, y m, yaw rad, (3,).
-    pose: Floats
+    #: t_map_base of the robot there.
+    pose: Pose
     reason: MisfitReason
     #: Of "blocked".
     blocking: Blocking | None
