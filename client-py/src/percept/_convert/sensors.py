@@ -8,6 +8,7 @@ from .. import _rpc
 from .._arrays import Array, stamp
 from .._call import Call
 from ..errors import InvalidArgument
+from ..types._value import told
 from ..types.frames import (
     CameraFrame,
     CloudFrame,
@@ -54,8 +55,9 @@ def spec_to(spec: SensorSpec) -> sensor_pb2.SensorSpec:
 def spec(message: sensor_pb2.SensorSpec) -> SensorSpec:
     """A declaration."""
     has_intrinsics = message.HasField("intrinsics")
-    return SensorSpec(
-        message.sensor_id,
+    return told(
+        SensorSpec,
+        sensor_id=message.sensor_id,
         kind=words.word(SensorKind, sensor_pb2.SensorKind, message.kind),
         t_base_sensor=geometry.pose(message.t_base_sensor),
         intrinsics=geometry.intrinsics(message.intrinsics) if has_intrinsics else None,
@@ -217,7 +219,7 @@ def update(
     changed, paths = request.spec, request.update_mask.paths
     changed.sensor_id = sensor_id
     if t_base_sensor is not None:
-        changed.t_base_sensor.CopyFrom(geometry.pose_to(t_base_sensor))
+        changed.t_base_sensor.CopyFrom(geometry.pose_to(t_base_sensor, "t_base_sensor"))
         paths.append("t_base_sensor")
     if intrinsics is not None:
         changed.intrinsics.CopyFrom(geometry.intrinsics_to(intrinsics))
