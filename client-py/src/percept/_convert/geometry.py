@@ -11,13 +11,13 @@ import numpy.typing as npt
 from .._arrays import Array, vector
 from ..errors import InvalidArgument, WrongType
 from ..types._value import told
+from ..types.cloud import PointCloud
 from ..types.geometry import (
     CameraIntrinsics,
     DistortionModel,
     FloorPoint,
     OrientedBox,
     Plane,
-    PointCloud,
     Pose,
     as_pose,
 )

@@ -8,7 +8,8 @@ import pathlib
 from .. import _rpc
 from .._arrays import Array
 from .._call import Call
-from ..types.geometry import PointCloud, Pose
+from ..types.cloud import PointCloud
+from ..types.geometry import Pose
 from ..types.maps import MapImported, OccupancyGrid
 from ..types.navigation import GridMap
 from ..types.sensors import SensorKind

@@ -11,7 +11,8 @@ import numpy as np
 from .._arrays import Array, checked, same_length, vector
 from ..errors import InvalidArgument
 from ._value import Value
-from .geometry import Floats, PointCloud, Pose, as_pose
+from .cloud import PointCloud
+from .geometry import Floats, Pose, as_pose
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ._value import Name, Value
-from .geometry import Floats, PointCloud, Pose
+from .cloud import PointCloud
+from .geometry import Floats, Pose
 from .sensors import SensorKind
 
 

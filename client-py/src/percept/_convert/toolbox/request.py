@@ -12,7 +12,7 @@ from google.protobuf.message import Message
 
 from ..._arrays import Array
 from ...errors import InvalidArgument
-from ...types.geometry import PointCloud
+from ...types.cloud import PointCloud
 from ...types.toolbox import CloudFile, CloudHandle, SessionCloud
 from ...v1 import toolbox_pb2 as shared
 from .. import geometry, words
