@@ -216,19 +216,3 @@ def test_a_scan_is_float32():
 def test_everything_exported_exists():
     for name in percept.__all__:
         assert hasattr(percept, name), name
-
-
-def test_a_part_of_a_cloud_keeps_its_channels():
-    points = np.arange(12, dtype=np.float32).reshape(4, 3)
-    colours = np.arange(12, dtype=np.uint8).reshape(4, 3)
-    cloud = PointCloud(points, colours=colours)
-    mask = points[:, 2] > 3
-    for chosen in (mask, [1, 2, 3], slice(1, None), np.array([-3, -2, -1])):
-        part = cloud[chosen]
-        assert np.array_equal(part.points, points[1:])
-        assert np.array_equal(part.colours, colours[1:])
-        assert part.normals is None
-    assert len(cloud[np.zeros(4, bool)]) == len(cloud[[]]) == 0
-    for wrong in (np.ones(3, bool), np.array([4]), np.array([[0]]), np.array([0.5])):
-        with pytest.raises(InvalidArgument):
-            cloud[wrong]

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from percept import (
@@ -48,6 +50,35 @@ def test_a_path_leads_from_the_robot_to_the_goal_past_the_furniture(laser_sessio
     # Within the diagonal of a cell of what the grid can know.
     resolution = laser_session.map.summary().occupancy.resolution_m
     assert path.min_clearance_m == pytest.approx(min(along), abs=2 * resolution)
+
+
+def test_a_path_to_a_thing_ends_beside_it_and_looks_at_it(lidar_session):
+    things = list(lidar_session.scene.objects())
+    assert things
+    offset = world.drive(1)[0].translation[:2]
+    for thing in things:
+        path = lidar_session.plan_to(thing, gap_m=0.4, options=PathOptions(planner="hybrid"))
+        assert path, (thing, path)
+        end = path.poses[-1]
+        gap = np.abs(thing.box.t_frame_box.inverse().apply(end.translation))[:2] - thing.box.size_m[:2] / 2
+        assert 0.39 < gap.max() < 0.81
+        ahead = end.inverse().apply(np.array([*thing.box.centre[:2], 0.0]))
+        assert abs(np.arctan2(ahead[1], ahead[0])) < 0.1
+        assert clear_of_furniture_m(*(end.translation[:2] + offset)) > 0.1
+    again = lidar_session.plan_to(things[0].object_id, gap_m=0.4)
+    first = lidar_session.plan_to(things[0], gap_m=0.4)
+    assert np.array_equal(again.waypoints, first.waypoints)
+    with pytest.raises(NotFound):
+        lidar_session.plan_to(10**6)
+
+
+def test_what_cannot_be_reached_says_why_not(laser_session, lidar_session):
+    thing = next(lidar_session.scene.objects())
+    walled = [(-9, -9), (9, -9), (9, 9), (-9, 9)]
+    none = lidar_session.plan_to(thing, options=PathOptions(zones=[Zone(polygon=walled)]))
+    assert none.reason == "start_in_keep_out"
+    far = dataclasses.replace(thing, box=dataclasses.replace(thing.box, t_frame_box=Pose.from_xyz(50, 0, 0)))
+    assert laser_session.plan_to(far).reason == "goal_outside_map"
 
 
 def test_headings_look_at_the_next_waypoint(laser_session):

@@ -20,6 +20,7 @@ from ..types.navigation import (
     Misfit,
     Navigation,
     NoPath,
+    NoPathReason,
     Path,
     PathColouring,
     PathOptions,
@@ -28,6 +29,7 @@ from ..types.navigation import (
     ZoneMask,
 )
 from ..types.poses import FrameResult, PoseAt, PoseEstimate, Transform
+from ..types.scene import Object
 from ..types.sensors import SensorSpec
 from ..types.sessions import FleetEventKind, Keyframe, SessionInfo, SessionMode, SessionState, Trajectory
 from .bound import AsyncBound, AsyncSessionBound
@@ -195,6 +197,34 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         planner keeps to their headings, unless the options name others. No path is an answer, with its
         reason; three bare numbers are refused (WrongType), for x, y, z and x, y, yaw look alike."""
         return await self._transport.call(navigation.plan(self.session_id, goal, start, params, options))
+
+    async def plan_to(
+        self,
+        thing: Object | int,
+        *,
+        gap_m: float = 0.5,
+        start: FloorPoint | None = None,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> Path | NoPath:
+        """A path to beside an object, or to the one of this number: base stops gap_m (metres) from its box,
+        or up to twice that where it does not fit there, and looks at it (HYBRID planner). Of the places
+        around it the first is taken that can be reached, nearest to the robot first; if none can, the answer
+        is why not the nearest. Raises NotFound if there is no such object."""
+        target = thing if isinstance(thing, Object) else await self.scene.object(thing)
+        pose = await self.pose() if start is None else None
+        here = start if pose is None else pose.t_map_base
+        nearest: NoPath | None = None
+        for place in navigation.places_beside(target.box, gap_m, here):
+            found = await self.plan(place, start=start, params=params, options=options)
+            if isinstance(found, Path):
+                return found
+            nearest = nearest or found
+            # It is not for the goal that there is none.
+            if found.reason == NoPathReason.LOST or str(found.reason).startswith("start_"):
+                return found
+        assert nearest is not None
+        return nearest
 
     async def draw_path(
         self,

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .. import _rpc
+from .._arrays import number
 from .._call import Call
 from ..types.frames import SensorFrame
-from ..types.geometry import FloorPoint, Pose, as_pose
+from ..types.geometry import FloorPoint, OrientedBox, Pose, as_pose
 from ..types.maps import MapStamp
 from ..types.navigation import (
     Blocking,
@@ -149,6 +151,30 @@ def poses_to(poses: Path | Sequence[Pose]) -> list[geometry_pb2.Pose2]:
         given = [as_pose(f"poses[{i}]", pose) for i, pose in enumerate(poses)]
         rows = [(*pose.translation[:2].tolist(), pose.yaw_rad) for pose in given]
     return [geometry_pb2.Pose2(x_m=x, y_m=y, yaw_rad=yaw) for x, y, yaw in rows]
+
+
+def places_beside(box: OrientedBox, gap_m: float, start: FloorPoint | None) -> list[Pose]:
+    """Poses around a box that look at its middle: at the gap from its sides, then farther, to twice that; of
+    each distance, those nearest to the start first."""
+    number("gap_m", gap_m, low=0, high=1e3, must="above 0 and at most 1000 m")
+    here = box.centre[:2]
+    if start is not None:
+        place = geometry.floor_to("start", start)
+        here = np.array([place.x, place.y])
+    centre_x, centre_y = box.centre[:2].tolist()
+    t_map_box = Pose.from_xy_yaw(centre_x, centre_y, box.t_frame_box.yaw_rad)
+    ways = np.arange(12) * np.pi / 6
+    along = np.stack([np.cos(ways), np.sin(ways), np.zeros(12)], axis=1)
+    found = []
+    for gap in (gap_m, 1.5 * gap_m, 2 * gap_m):
+        # Where the ray from the middle leaves the rectangle.
+        half = box.size_m[:2] / 2 + gap
+        with np.errstate(divide="ignore"):
+            reach = (half / np.abs(along[:, :2])).min(axis=1)
+        places = t_map_box.apply(along * reach[:, None])[:, :2]
+        for x, y in places[np.argsort(np.linalg.norm(places - here, axis=1), kind="stable")].tolist():
+            found.append(Pose.from_xy_yaw(x, y, math.atan2(centre_y - y, centre_x - x)))
+    return found
 
 
 def _outcome(

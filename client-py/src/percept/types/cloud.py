@@ -4,13 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from .._arrays import Array, checked, same_length
-from ..errors import InvalidArgument
+from ..errors import InvalidArgument, WrongType
 from ._value import Value
+from .geometry import OrientedBox
+
+
+class Indexed(Protocol):
+    """What says which points it is of: PlaneSegment, Ground, FilteredCloud."""
+
+    @property
+    def indices(self) -> npt.NDArray[np.uint32]:
+        """Of points in the input, (M,)."""
+
+
+class Labelled(Protocol):
+    """What numbers the part that each point belongs to: Clusters, Supervoxels, SupportedObjects."""
+
+    @property
+    def labels(self) -> npt.NDArray[np.int32]:
+        """-1 for none, (N,)."""
+
+
+#: Numbers of points' parts, or an answer that has them.
+Labels: TypeAlias = Labelled | Array
+
+
+def labels_of(value: Labels, num_points: int | None = None) -> npt.NDArray[np.int32]:
+    """(N,) int32; of other types of whole numbers, too."""
+    array = np.asarray(getattr(value, "labels", value))
+    if array.ndim != 1 or array.dtype.kind not in "iu" or num_points not in (None, len(array)):
+        wanted = "N" if num_points is None else num_points
+        message = (
+            f"labels is {array.dtype} {array.shape}; give whole numbers ({wanted},), one a point, or the "
+            "Clusters, Supervoxels or SupportedObjects of this cloud"
+        )
+        raise InvalidArgument(message, reason="ARRAY_INVALID", field="labels")
+    return array.astype(np.int32)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,7 +87,8 @@ class PointCloud(Value):
         return len(self.points)
 
     def __getitem__(self, chosen: Array | slice | Sequence[int]) -> PointCloud:
-        """Some of the points with all their channels: by a mask (N,) of bool, by indices, or by a slice."""
+        """Some of the points with all their channels: by a mask (N,) of bool, by indices, or by a slice. What
+        fits none of these is an InvalidArgument."""
         index = chosen if isinstance(chosen, slice) else np.asarray(chosen)
         if not isinstance(index, slice) and index.shape == (0,):
             index = index.astype(np.int64)
@@ -74,3 +110,41 @@ class PointCloud(Value):
             normals=normals,
             time_offsets_s=times,
         )
+
+    def select(
+        self, part: Indexed | Labelled | OrientedBox, *, label: int | None = None, rest: bool = False
+    ) -> PointCloud:
+        """The points that belong to a part, with all their channels; with `rest` all others.
+
+        part: what was found in this cloud: a plane, ground or filtered points; clusters, supervoxels or
+        objects on a support, of which `label` says which (-1: what belongs to none); or a box in the frame
+        of the cloud, its faces included.
+
+            floor = cloud.select(planes[0])
+            cup = cloud.select(clusters, label=3)
+        """
+        mask = np.zeros(len(self), bool)
+        if isinstance(part, OrientedBox):
+            inside = np.abs(part.t_frame_box.inverse().apply(self.points)) <= part.size_m / 2
+            mask[inside.all(axis=1)] = True
+        elif hasattr(part, "labels"):
+            if label is None:
+                message = "label is missing: the part numbers its clusters or objects, say which; -1 is none"
+                raise InvalidArgument(message, reason="FIELD_MISSING", field="label")
+            mask[labels_of(part.labels, len(self)) == label] = True
+        elif hasattr(part, "indices"):
+            chosen = np.asarray(part.indices)
+            if chosen.size and chosen.max() >= len(self):
+                message = f"part has point {chosen.max()}, and there are {len(self)}: it is of another cloud"
+                raise InvalidArgument(message, reason="OUT_OF_RANGE", field="part")
+            mask[chosen] = True
+        else:
+            message = (
+                f"part is {type(part).__name__}; give a PlaneSegment, Ground, FilteredCloud, Clusters, "
+                "Supervoxels, SupportedObjects or OrientedBox, and masks and indices as cloud[mask]"
+            )
+            raise WrongType(message, reason="PART_INVALID", field="part")
+        if label is not None and not hasattr(part, "labels"):
+            message = f"label is {label}, and a {type(part).__name__} has none; leave it out"
+            raise InvalidArgument(message, reason="FIELD_UNKNOWN", field="label")
+        return self[~mask if rest else mask]

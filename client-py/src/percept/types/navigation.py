@@ -215,6 +215,9 @@ class NoPathReason(Name):
     GOAL_UNKNOWN = "goal_unknown"
     UNREACHABLE = "unreachable"
     SEARCH_LIMIT = "search_limit"
+    #: No start was given, and the robot's place is not known: it is lost (`session.pose()` says why), no
+    #: frame has come yet, or a camera alone moves it, whose poses are not in metres (`scale` of the pose is
+    #: unknown, `scale_message` says what would tell it; no map is built until then).
     LOST = "lost"
     #: The start is free, and the robot does not fit there.
     START_DOES_NOT_FIT = "start_does_not_fit"

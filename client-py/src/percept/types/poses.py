@@ -104,7 +104,8 @@ class PoseEstimate(Value):
 
     @property
     def lost(self) -> bool:
-        """Whether the pose is a mere prediction."""
+        """Whether the pose is a mere prediction. A camera alone whose scale is unknown is not lost: see
+        `scale`."""
         return self.state == TrackingState.LOST
 
 
