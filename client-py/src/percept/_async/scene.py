@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import Sequence
 
 from .._convert import navigation
 from .._convert import scene as convert
@@ -19,6 +19,7 @@ from ..types.scene import (
     SceneGraph,
 )
 from .bound import AsyncSessionBound
+from .pages import AsyncPages
 
 
 class AsyncScene(AsyncSessionBound):
@@ -39,8 +40,8 @@ class AsyncScene(AsyncSessionBound):
         include_gone: bool = False,
         include_set_aside: bool = False,
         page_size: int = 0,
-    ) -> AsyncIterator[Object]:
-        """Objects by id; pages are asked for as they are used.
+    ) -> AsyncPages[Object]:
+        """Objects by id; pages are asked for as they are used, `.all()` gives a list of all.
 
         object_class is any label, text a part of one. Those whose middle lies between low and high (3,), map
         frame, metres; those in a room; those seen in a time. With near (3,) the nearest come first, page_size

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from .._convert import sensors as convert
 from ..types.geometry import CameraIntrinsics, Pose
+from ..types.listing import Listing
 from ..types.sensors import OverloadPolicy, SensorKind, SensorSpec, SensorStatus
 from .bound import AsyncSessionBound
 
@@ -61,6 +60,6 @@ class AsyncSensors(AsyncSessionBound):
         )
         return await self._transport.call(call)
 
-    async def list(self) -> Sequence[SensorStatus]:
+    async def list(self) -> Listing[SensorStatus]:
         """All sensors with what the server sees of their streams."""
         return await self._transport.call(convert.list_sensors(self.session_id))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
+from collections.abc import Awaitable, Mapping, Sequence
 
 from .._convert import drawing, exploration, geometry, navigation, sensors, sessions
 from .._sender import FrameSender
@@ -35,6 +35,7 @@ from ..types.sessions import FleetEventKind, Keyframe, SessionInfo, SessionMode,
 from .bound import AsyncBound, AsyncSessionBound
 from .layers import AsyncSpace
 from .maps import AsyncMaps
+from .pages import AsyncPages
 from .scene import AsyncScene
 from .sensors import AsyncSensors
 from .stream import AsyncFrameStream
@@ -180,7 +181,7 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         call = sessions.get_trajectory(self.session_id, from_ns, to_ns, max_poses, page_size, page_token)
         return await self._transport.chunks(call)
 
-    def keyframes(self, *, page_size: int = 0) -> AsyncIterator[Keyframe]:
+    def keyframes(self, *, page_size: int = 0) -> AsyncPages[Keyframe]:
         """Keyframes by number; pages are asked for as they are used."""
         return self._transport.pages(sessions.keyframes(self.session_id, page_size))
 
@@ -354,10 +355,11 @@ class AsyncSessions(AsyncBound):
         labels: str = "",
         order_by: str = "",
         page_size: int = 0,
-    ) -> AsyncIterator[SessionInfo]:
+    ) -> AsyncPages[SessionInfo]:
         """Sessions, all or those in a state, whose ids fit a pattern (robot-*), with labels ("site=north",
         or "site" for any value; several with commas). By id, or "create_time_ns" or "last_used_ns", " desc"
-        for the last ones first. Pages are asked for as they are used. None is woken by it."""
+        for the last ones first. Pages are asked for as they are used, `.all()` gives a list of all. None is
+        woken by it."""
         return self._transport.pages(sessions.list_sessions(state, pattern, labels, order_by, page_size))
 
     def watch(

@@ -21,6 +21,7 @@ from ..types.frames import (
     SensorFrame,
 )
 from ..types.geometry import CameraIntrinsics, Pose
+from ..types.listing import Listing
 from ..types.poses import FrameResult
 from ..types.sensors import (
     ClockOffset,
@@ -193,10 +194,10 @@ def declare(
 def list_sensors(
     session_id: str,
 ) -> Call[
-    sensors_service_pb2.ListSensorsRequest, sensors_service_pb2.ListSensorsResponse, list[SensorStatus]
+    sensors_service_pb2.ListSensorsRequest, sensors_service_pb2.ListSensorsResponse, Listing[SensorStatus]
 ]:
     request = sensors_service_pb2.ListSensorsRequest(session_id=session_id)
-    return Call(_rpc.LIST_SENSORS, request, lambda a: [status(s) for s in a.sensors])
+    return Call(_rpc.LIST_SENSORS, request, lambda a: Listing([status(s) for s in a.sensors]))
 
 
 def get(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from .._convert import navigation
 from .._convert import scene as convert
@@ -20,6 +20,7 @@ from ..types.scene import (
     SceneGraph,
 )
 from .bound import SessionBound
+from .pages import Pages
 
 
 class Scene(SessionBound):
@@ -40,8 +41,8 @@ class Scene(SessionBound):
         include_gone: bool = False,
         include_set_aside: bool = False,
         page_size: int = 0,
-    ) -> Iterator[Object]:
-        """Objects by id; pages are asked for as they are used.
+    ) -> Pages[Object]:
+        """Objects by id; pages are asked for as they are used, `.all()` gives a list of all.
 
         object_class is any label, text a part of one. Those whose middle lies between low and high (3,), map
         frame, metres; those in a room; those seen in a time. With near (3,) the nearest come first, page_size

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from .._convert import sensors as convert
 from ..types.geometry import CameraIntrinsics, Pose
+from ..types.listing import Listing
 from ..types.sensors import OverloadPolicy, SensorKind, SensorSpec, SensorStatus
 from .bound import SessionBound
 
@@ -62,6 +61,6 @@ class Sensors(SessionBound):
         )
         return self._transport.call(call)
 
-    def list(self) -> Sequence[SensorStatus]:
+    def list(self) -> Listing[SensorStatus]:
         """All sensors with what the server sees of their streams."""
         return self._transport.call(convert.list_sensors(self.session_id))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from .._convert import drawing, exploration, geometry, navigation, sensors, sessions
 from .._sender import FrameSender
@@ -36,6 +36,7 @@ from ..types.sessions import FleetEventKind, Keyframe, SessionInfo, SessionMode,
 from .bound import Bound, SessionBound
 from .layers import Space
 from .maps import Maps
+from .pages import Pages
 from .scene import Scene
 from .sensors import Sensors
 from .stream import FrameStream
@@ -181,7 +182,7 @@ class Session(SessionBound, FrameSender[FrameResult]):
         call = sessions.get_trajectory(self.session_id, from_ns, to_ns, max_poses, page_size, page_token)
         return self._transport.chunks(call)
 
-    def keyframes(self, *, page_size: int = 0) -> Iterator[Keyframe]:
+    def keyframes(self, *, page_size: int = 0) -> Pages[Keyframe]:
         """Keyframes by number; pages are asked for as they are used."""
         return self._transport.pages(sessions.keyframes(self.session_id, page_size))
 
@@ -355,10 +356,11 @@ class Sessions(Bound):
         labels: str = "",
         order_by: str = "",
         page_size: int = 0,
-    ) -> Iterator[SessionInfo]:
+    ) -> Pages[SessionInfo]:
         """Sessions, all or those in a state, whose ids fit a pattern (robot-*), with labels ("site=north",
         or "site" for any value; several with commas). By id, or "create_time_ns" or "last_used_ns", " desc"
-        for the last ones first. Pages are asked for as they are used. None is woken by it."""
+        for the last ones first. Pages are asked for as they are used, `.all()` gives a list of all. None is
+        woken by it."""
         return self._transport.pages(sessions.list_sessions(state, pattern, labels, order_by, page_size))
 
     def watch(

@@ -76,6 +76,7 @@ from .layers import (
     Storey,
     Voxels,
 )
+from .listing import Listing
 from .maps import (
     GridGeometry,
     Loop,
@@ -303,6 +304,7 @@ __all__ = [
     "Keyframe",
     "LabelledBox",
     "LifeStep",
+    "Listing",
     "LocalFeatures",
     "Loop",
     "LoopState",

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from .._arrays import Array, checked, same_length
+from .._optional import needed
 from ..errors import InvalidArgument, WrongType
+from ._show import png
 from ._value import Value
 from .geometry import OrientedBox
 
@@ -148,3 +150,32 @@ class PointCloud(Value):
             message = f"label is {label}, and a {type(part).__name__} has none; leave it out"
             raise InvalidArgument(message, reason="FIELD_UNKNOWN", field="label")
         return self[~mask if rest else mask]
+
+    def to_open3d(self) -> Any:  # noqa: ANN401
+        """An open3d.geometry.PointCloud with points, colours (0 to 1) and normals; what Open3D has no channel
+        for, intensities and times, is left. ImportError without Open3D."""
+        o3d = needed("open3d", "to_open3d()", "open3d")
+        out = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(self.points.astype(np.float64)))
+        if self.colours is not None:
+            out.colors = o3d.utility.Vector3dVector(self.colours / 255.0)
+        if self.normals is not None:
+            out.normals = o3d.utility.Vector3dVector(self.normals.astype(np.float64))
+        return out
+
+    def to_pandas(self) -> Any:  # noqa: ANN401
+        """A pandas.DataFrame with a row a point: x_m, y_m, z_m, and of the channels that it has red, green,
+        blue, intensity, normal_x, normal_y, normal_z, time_offset_s. ImportError without pandas."""
+        pandas = needed("pandas", "to_pandas()", "pandas")
+        columns = dict(zip(("x_m", "y_m", "z_m"), self.points.T, strict=True))
+        if self.colours is not None:
+            columns |= dict(zip(("red", "green", "blue"), self.colours.T, strict=True))
+        if self.intensities is not None:
+            columns["intensity"] = self.intensities
+        if self.normals is not None:
+            columns |= dict(zip(("normal_x", "normal_y", "normal_z"), self.normals.T, strict=True))
+        if self.time_offsets_s is not None:
+            columns["time_offset_s"] = self.time_offsets_s
+        return pandas.DataFrame(columns)
+
+    def _repr_png_(self) -> bytes | None:
+        return png(lambda plot: plot.cloud(self))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from .._arrays import Array, checked, number, vector
 from ..errors import InvalidArgument, WrongType
+from ._show import flat, table
 from ._value import Name, Value, one_of
 
 Floats = npt.NDArray[np.float64]
@@ -65,6 +67,21 @@ class Pose(Value):
         x, y, z, w = self.rotation
         return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
+    @property
+    def rpy_rad(self) -> tuple[float, float, float]:
+        """Roll, pitch and yaw about the fixed axes x, y, z, as `from_xyz` takes them; pitch within a quarter
+        turn."""
+        r = rotation_matrices(self.rotation[None])[0]
+        pitch = math.asin(max(-1.0, min(1.0, -float(r[2, 0]))))
+        return math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
+
+    def _flat(self) -> dict[str, object]:
+        names = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+        return dict(zip(names, (*self.translation.tolist(), *self.rpy_rad), strict=True))
+
+    def _repr_html_(self) -> str:
+        return table([self._flat()], caption="Pose")
+
     @classmethod
     def from_matrix(cls, matrix: Array) -> Pose:
         """From a (4, 4) homogeneous matrix whose rotation is orthonormal within 1e-3."""
@@ -93,7 +110,9 @@ class Pose(Value):
     ) -> Pose:
         """At (x_m, y_m, z_m), turned about the fixed axes x, y, z, in this order (REP-103, URDF's rpy)."""
         half = np.array([roll_rad, pitch_rad, yaw_rad], dtype=np.float64) / 2
-        (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
+        # What is infinite becomes NaN, which whoever uses the pose refuses.
+        with np.errstate(invalid="ignore"):
+            (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
         rotation = [
             sr * cp * cy - cr * sp * sy,
             cr * sp * cy + sr * cp * sy,
@@ -198,6 +217,10 @@ class OrientedBox(Value):
     def centre(self) -> Floats:
         """Metres, (3,)."""
         return self.t_frame_box.translation
+
+    def _flat(self) -> dict[str, object]:
+        sizes = {f"size_{axis}_m": size for axis, size in zip("xyz", self.size_m.tolist(), strict=True)}
+        return {**flat(self.t_frame_box), **sizes}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from .._optional import needed
+from ._show import png, to_pil
 from ._value import Name, Value
 from .geometry import Floats, Pose
 from .layers import Storey
@@ -199,6 +202,24 @@ class Path(Value):
         rows = np.column_stack([self.waypoints, self.yaws_rad]).tolist()
         return [Pose.from_xy_yaw(x, y, yaw) for x, y, yaw in rows]
 
+    def to_pandas(self) -> Any:  # noqa: ANN401
+        """A pandas.DataFrame with a row a waypoint: x_m, y_m, yaw_rad, clearance_m, time_s, is_reverse.
+        ImportError without pandas."""
+        pandas = needed("pandas", "to_pandas()", "pandas")
+        return pandas.DataFrame(
+            {
+                "x_m": self.waypoints[:, 0],
+                "y_m": self.waypoints[:, 1],
+                "yaw_rad": self.yaws_rad,
+                "clearance_m": self.clearances_m,
+                "time_s": self.times_s,
+                "is_reverse": self.is_reverse,
+            }
+        )
+
+    def _repr_png_(self) -> bytes | None:
+        return png(lambda plot: plot.path(self))
+
     def __bool__(self) -> bool:
         return True
 
@@ -321,6 +342,10 @@ class PathPicture(Value):
     misfit: Misfit | None
     #: State of the map that is drawn; None: a map that came with the question.
     stamp: MapStamp | None
+
+    def to_pil(self) -> Any:  # noqa: ANN401
+        """The picture as a PIL.Image. ImportError without Pillow."""
+        return to_pil(self.png)
 
     def _repr_png_(self) -> bytes:
         return self.png

@@ -137,6 +137,18 @@ class StreamTrouble(Value):
 class SensorStatus(Value):
     """What the server sees of a sensor's stream."""
 
+    _columns = (
+        "spec_sensor_id",
+        "spec_kind",
+        "accepted",
+        "rejected",
+        "dropped",
+        "gaps",
+        "rate_hz",
+        "verdict",
+        "verdict_message",
+    )
+
     spec: SensorSpec
     accepted: int
     rejected: int
